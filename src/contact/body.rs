@@ -1,0 +1,81 @@
+//! A hull at a pose.
+
+use glam::{DMat3, DVec3};
+
+use super::ConvexHull;
+
+/// Positions beyond this (caller's units, per coordinate) are refused.
+pub const MAX_POSITION: f64 = 1e100;
+/// A quaternion's norm may be off 1 by this much.
+pub const MAX_NORM_ERROR: f64 = 1e-3;
+
+/// Why a pose is not usable.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum InvalidPose {
+    /// A coordinate is not finite or beyond 1e100.
+    Position,
+    /// A component is not finite or the norm outside 1 +- 1e-3.
+    Rotation,
+}
+
+impl std::fmt::Display for InvalidPose {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Position => "position is not finite or beyond 1e100",
+            Self::Rotation => "rotation is not finite or its norm is outside 1 +- 1e-3",
+        })
+    }
+}
+
+impl std::error::Error for InvalidPose {}
+
+/// Maps a hull's own frame to the world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// World position of the hull frame's origin.
+    pub(super) translation: DVec3,
+    /// Rotation, orthonormal to rounding.
+    pub(super) rotation: DMat3,
+}
+
+impl Pose {
+    /// From a position and a quaternion `x, y, z, w`, which is normalised.
+    ///
+    /// # Errors
+    /// [`InvalidPose`] names what is not usable.
+    pub fn new(position: [f64; 3], [x, y, z, w]: [f64; 4]) -> Result<Self, InvalidPose> {
+        if !position.iter().all(|c| c.abs() <= MAX_POSITION) {
+            return Err(InvalidPose::Position);
+        }
+        let norm_squared = x * x + y * y + z * z + w * w;
+        if !((norm_squared.sqrt() - 1.0).abs() <= MAX_NORM_ERROR) {
+            return Err(InvalidPose::Rotation);
+        }
+        // I + (2 / |q|^2) (...): rational in the quaternion, so that exact
+        // arithmetic can follow it.
+        let s = 2.0 / norm_squared;
+        let (xs, ys, zs) = (x * s, y * s, z * s);
+        let rotation = DMat3::from_cols(
+            DVec3::new(1.0 - (y * ys + z * zs), x * ys + w * zs, x * zs - w * ys),
+            DVec3::new(x * ys - w * zs, 1.0 - (x * xs + z * zs), y * zs + w * xs),
+            DVec3::new(x * zs + w * ys, y * zs - w * xs, 1.0 - (x * xs + y * ys)),
+        );
+        Ok(Self { translation: DVec3::from_array(position), rotation })
+    }
+}
+
+/// A hull at a pose.
+#[derive(Clone, Copy, Debug)]
+pub struct Body<'a> {
+    /// The shape.
+    pub hull: &'a ConvexHull,
+    /// Where it is.
+    pub pose: Pose,
+}
+
+impl<'a> Body<'a> {
+    /// `hull` at `pose`.
+    pub fn new(hull: &'a ConvexHull, pose: Pose) -> Self {
+        Self { hull, pose }
+    }
+}

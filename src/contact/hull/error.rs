@@ -1,0 +1,67 @@
+//! Why a cloud of points is not a hull.
+
+use std::fmt;
+
+/// Why a cloud of points is not a hull.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HullError {
+    /// The reason.
+    pub kind: HullErrorKind,
+    /// The point at fault, where one point is.
+    pub index: Option<usize>,
+    /// The value at fault, for people.
+    pub detail: String,
+}
+
+/// The reasons.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum HullErrorKind {
+    /// Fewer than 4 distinct points.
+    TooFewPoints,
+    /// All points on one line.
+    Collinear,
+    /// All points in one plane.
+    Coplanar,
+    /// A coordinate is NaN or infinite.
+    NotFinite,
+    /// The largest extent is outside [1e-50, 1e50].
+    SizeOutOfRange,
+    /// The contraction point is on the surface, outside, or nearer to it than rounding.
+    ContractionPointNotInside,
+    /// More extreme vertices than the limit.
+    TooManyVertices,
+    /// No positive inradius at double precision.
+    NotRepresentable,
+}
+
+impl HullErrorKind {
+    /// Stable, upper case: the reason on the wire.
+    pub fn reason(self) -> &'static str {
+        match self {
+            Self::TooFewPoints => "TOO_FEW_POINTS",
+            Self::Collinear => "COLLINEAR",
+            Self::Coplanar => "COPLANAR",
+            Self::NotFinite => "NOT_FINITE",
+            Self::SizeOutOfRange => "SIZE_OUT_OF_RANGE",
+            Self::ContractionPointNotInside => "CONTRACTION_POINT_NOT_INSIDE",
+            Self::TooManyVertices => "TOO_MANY_VERTICES",
+            Self::NotRepresentable => "NOT_REPRESENTABLE",
+        }
+    }
+
+    /// The field at fault, as the wire names it.
+    pub fn field(self) -> &'static str {
+        match self {
+            Self::ContractionPointNotInside => "contraction_point",
+            _ => "vertices",
+        }
+    }
+}
+
+impl fmt::Display for HullError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.kind.reason(), self.detail)
+    }
+}
+
+impl std::error::Error for HullError {}

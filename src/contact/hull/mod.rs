@@ -1,0 +1,89 @@
+//! A validated, immutable convex hull: vertices, faces, edges, adjacency,
+//! contraction point.
+
+use glam::{DMat3, DVec3};
+
+mod error;
+
+pub use error::{HullError, HullErrorKind};
+
+/// How a hull is built.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HullOptions {
+    /// Strictly inside; absent: the centre of mass. Hull frame, caller's units.
+    pub contraction_point: Option<[f64; 3]>,
+    /// More extreme vertices than this are refused.
+    pub max_vertices: usize,
+}
+
+impl Default for HullOptions {
+    fn default() -> Self {
+        Self { contraction_point: None, max_vertices: 16_384 }
+    }
+}
+
+/// A convex hull, ready for queries.
+///
+/// Lengths are kept in *hull units*: relative to the contraction point and
+/// divided by [`ConvexHull::scale`], a power of two that brings the
+/// circumradius into [0.5, 1), so that scaling a hull by a power of two changes
+/// no bit here.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ConvexHull {
+    /// Extreme vertices, hull units, in registered order.
+    vertices: Vec<DVec3>,
+    /// Per vertex its index among the points as registered; ascending.
+    registered: Vec<u32>,
+    /// Points as registered.
+    registered_count: u32,
+    /// Power of two: caller's units per hull unit.
+    scale: f64,
+    /// Hull frame, caller's units.
+    contraction_point: DVec3,
+    /// Of the largest ball about the contraction point inside, rounded down; hull units.
+    inradius: f64,
+    /// Of the smallest ball about the contraction point around, rounded up; hull units.
+    circumradius: f64,
+    /// Caller's units: cubic, length, and length^5.
+    volume: f64,
+    center_of_mass: DVec3,
+    /// About the centre of mass, unit density.
+    inertia: DMat3,
+    /// Per face: unit outward normal.
+    face_normals: Vec<DVec3>,
+    /// Per face: the largest of normal . v over all vertices; hull units.
+    face_offsets: Vec<f64>,
+    /// Per face, of the outline; hull units squared.
+    face_areas: Vec<f64>,
+    /// Per face: how far below its plane the lowest vertex of its group is; hull units, rounded up.
+    face_planarity: Vec<f64>,
+    /// Per face: its corners, anticlockwise from outside.
+    outlines: Csr,
+    /// Per face: the faces across its edges, ascending.
+    face_neighbours: Csr,
+    /// Lower vertex first; ascending.
+    edge_vertices: Vec<[u32; 2]>,
+    /// Per edge: the face on the left of going from the lower to the higher
+    /// vertex seen from outside, and the one on the right.
+    edge_faces: Vec<[u32; 2]>,
+    /// Per vertex: faces (groups) with a triangle at it, ascending.
+    vertex_faces: Csr,
+    /// Per vertex: edges ending in it, ascending.
+    vertex_edges: Csr,
+    /// Per vertex: its neighbours along the triangulation, ascending.
+    vertex_neighbours: Csr,
+}
+
+/// Lists of indices, flattened: list `i` is `items[starts[i]..starts[i + 1]]`.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Csr {
+    pub(crate) starts: Vec<u32>,
+    pub(crate) items: Vec<u32>,
+}
+
+impl Csr {
+    /// List `i`.
+    pub(crate) fn row(&self, i: usize) -> &[u32] {
+        &self.items[self.starts[i] as usize..self.starts[i + 1] as usize]
+    }
+}

@@ -1,0 +1,12 @@
+//! Certified contact manifolds of convex hulls.
+//!
+//! [`contact`] is the geometry: pure, synchronous, with no network in it. With
+//! the feature `server` (default) `service` answers batches of queries over
+//! gRPC and `store` keeps the registered hulls.
+//!
+//! Conventions: units are the caller's (metres in the documentation), angles
+//! radians; right-handed; quaternions `x, y, z, w`. A pose maps the hull's own
+//! frame to the world. The contact normal is unit, in the world frame, from A
+//! to B; separations and distances are negative when overlapping.
+
+pub mod contact;
