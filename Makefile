@@ -1,0 +1,91 @@
+# Each target sets up what it needs; nothing has to be installed by hand beyond
+# what `make check-tools` names.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+
+CARGO  ?= cargo
+PYTHON ?= python3
+VENV   := .venv
+PY     := $(VENV)/bin/python
+TARGET := $(abspath $(or $(CARGO_TARGET_DIR),target))
+BIN    := $(TARGET)/release/hullcast
+CLIENT := $(wildcard client/pyproject.toml)
+
+# The Python package finds the server here.
+export HULLCAST_BIN := $(BIN)
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+export PIP_NO_INPUT := 1
+
+.PHONY: help
+help: ## this list
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
+
+.PHONY: demo
+demo: check-tools build $(VENV)/.demo ## contacts of real scenes through a server of its own, with a picture
+	$(PY) examples/demo.py
+
+.PHONY: test
+test: check-tools test-rust $(if $(CLIENT),test-python) ## every test, Rust and Python
+
+.PHONY: check-tools
+check-tools: ## says plainly what this machine lacks
+	@CARGO="$(CARGO)" PYTHON="$(PYTHON)" ./scripts/check-tools
+
+.PHONY: build
+build: check-tools ## the server, target/release/hullcast
+	$(CARGO) build --release --locked
+
+# Apart from `test`: another version's rustfmt or clippy must not fail a user's
+# tests. A distribution's cargo may come without them.
+.PHONY: lint
+lint: check-tools ## rustfmt and clippy, warnings are errors
+	@if $(CARGO) fmt --version >/dev/null 2>&1; then set -x; $(CARGO) fmt --all --check; \
+	 else echo "rustfmt is not installed: formatting not checked"; fi
+	@if $(CARGO) clippy --version >/dev/null 2>&1; then set -x; \
+	 $(CARGO) clippy --release --locked --all-targets -- -D warnings; \
+	 else echo "clippy is not installed: lints not checked"; fi
+
+.PHONY: test-rust
+test-rust: check-tools ## the Rust tests: everything, then the geometry alone
+	$(CARGO) test --release --locked
+	$(CARGO) test --release --locked --no-default-features
+
+.PHONY: test-python
+test-python: build $(VENV)/.test ## the Python tests, against the real server
+	$(PY) -m pytest client
+
+.PHONY: bench
+bench: check-tools ## contacts and hull building beside parry3d; writes docs/performance.md
+	cd benches && $(CARGO) run --release --locked --bin contact
+
+.PHONY: stubs
+stubs: $(VENV)/.test ## the Python protobuf modules again, after a change of proto/
+	PY=$(PY) ./scripts/stubs
+
+# The full workload is 12,000 pairs with exact answers; a subset is in tests/golden.
+.PHONY: workload
+workload: check-tools ## WORKLOAD=file: every pair of a workload file against its exact answer
+	@test -n "$(WORKLOAD)" || { echo "make workload WORKLOAD=path/to/workload.bin"; exit 2; }
+	$(CARGO) run --release --locked --no-default-features --example workload -- "$(WORKLOAD)"
+
+.PHONY: clean
+clean: ## removes what was built
+	rm -rf target benches/target $(VENV) out
+
+# The client's packages, pinned; the client itself is installed in place.
+$(VENV)/.demo: client/requirements.txt client/pyproject.toml | check-tools
+	$(call install,client/requirements.txt)
+	touch $@
+
+$(VENV)/.test: client/requirements-dev.txt client/requirements.txt client/pyproject.toml | check-tools
+	$(call install,client/requirements-dev.txt)
+	touch $@ $(VENV)/.demo
+
+# An interrupted installation leaves no interpreter that looks usable.
+define install
+	test -x $(PY) || { rm -rf $(VENV); $(PYTHON) -m venv $(VENV); }
+	$(PY) -m pip install --quiet --requirement $(1)
+	$(PY) -m pip install --quiet --no-deps --no-build-isolation --editable client
+endef
