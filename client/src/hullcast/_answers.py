@@ -1,0 +1,90 @@
+"""Answers of the wire as numpy columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from . import _packed
+from ._errors import ServerError
+from ._manifolds import OUTPUT_COLUMNS, PAIR_COLUMNS, POINT_COLUMNS
+from ._pb import contacts_pb2
+
+Columns = dict[str, np.ndarray]
+
+
+class _Reader:
+    """The columns of one message, each checked for its length.
+
+    A wrong length means that the sender split the column or did not pack it
+    (`_packed.py`), so that the message is read again with its real type.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self.message = _packed.QueryContactsResponse.FromString(data)
+        self._typed: contacts_pb2.QueryContactsResponse | None = None
+
+    def column(self, name: str, rows: int, width: int) -> np.ndarray:
+        kind = _packed.COLUMN_TYPES.get(name, "u1")
+        # A copy: what frombuffer gives cannot be written to.
+        raw = getattr(self.message, name)
+        if len(raw) == rows * width * np.dtype(kind).itemsize:
+            values = np.frombuffer(raw, dtype=kind).copy()
+        else:
+            values = self._real(name, kind)
+        if len(values) != rows * width:
+            raise ServerError(
+                f"{len(values)} entries in {name}, expected {rows * width}",
+                reason="MALFORMED_ANSWER",
+            )
+        return values if width == 1 else values.reshape(rows, width)
+
+    def _real(self, name: str, kind: str) -> np.ndarray:
+        if name not in _packed.COLUMN_TYPES:
+            return np.frombuffer(getattr(self.message, name), dtype=kind)
+        if self._typed is None:
+            self._typed = contacts_pb2.QueryContactsResponse.FromString(self._data)
+        return np.array(getattr(self._typed, name), dtype=kind)
+
+
+def read(data: bytes, outputs: Sequence[str], pairs: np.ndarray | None) -> Columns:
+    """The columns of one message.
+
+    Args:
+        data: a serialised QueryContactsResponse.
+        outputs: what was asked for.
+        pairs: (n, 2), the pairs that were asked for; None: the answer names them.
+
+    Raises:
+        ServerError: MALFORMED_ANSWER, a column's length does not fit.
+    """
+    reader = _Reader(data)
+    count = len(reader.message.outcomes) if pairs is None else len(pairs)
+    columns = {
+        "outcomes": reader.column("outcomes", count, 1),
+        "flags": reader.column("flags", count, 1),
+        "pairs": reader.column("pairs", count, 2) if pairs is None else pairs,
+        "missing_hulls": np.array(reader.message.missing_hulls, dtype="<u4"),
+        "invalid_bodies": np.array(reader.message.invalid_bodies, dtype="<u4"),
+    }
+    wanted = list(dict.fromkeys(name for output in outputs for name in OUTPUT_COLUMNS[output]))
+    for name in wanted:
+        if name in PAIR_COLUMNS:
+            columns[name] = reader.column(name, count, PAIR_COLUMNS[name])
+    points = int(columns["point_counts"].sum()) if "point_counts" in columns else 0
+    for name in wanted:
+        if name in POINT_COLUMNS:
+            columns[name] = reader.column(name, points, POINT_COLUMNS[name])
+    return columns
+
+
+def merge(parts: Sequence[Columns]) -> Columns:
+    """The columns of several messages as one batch, in the order given."""
+    if len(parts) == 1:
+        return parts[0]
+    merged = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    for name in ("missing_hulls", "invalid_bodies"):
+        merged[name] = np.unique(merged[name])
+    return merged

@@ -1,0 +1,329 @@
+"""The answer: columns, one entry a pair or a point."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from ._arrays import Floats, Indices
+from ._errors import OutputNotAsked
+
+Bytes = npt.NDArray[np.uint8]
+
+
+class Outcome(enum.IntEnum):
+    """What is known of a pair's distance and the margin."""
+
+    #: Within the margin, to rounding.
+    CONTACT = 1
+    #: Certified farther apart than the margin.
+    SEPARATED = 2
+    #: An iteration limit was met before the outcome was known.
+    UNDECIDED = 3
+    #: Not answered: the flags say why. Numbers are NaN, no points.
+    INVALID = 4
+
+
+class Flag(enum.IntFlag):
+    """What a pair's numbers have to be read with; a newer server may set others."""
+
+    #: The projected features miss each other: one estimated point.
+    ESTIMATED = 1
+    #: The centres coincide to rounding: alpha is 0, the normal arbitrary.
+    COINCIDENT = 2
+    #: The bracket of alpha is wider than asked.
+    GAP_OPEN = 4
+    #: `max_points` dropped points.
+    REDUCED = 8
+    #: A hull that the server does not have: register it.
+    UNKNOWN_HULL = 16
+    #: The server's store could not be read: try again.
+    HULL_UNAVAILABLE = 32
+    #: A body's position or rotation is not usable.
+    INVALID_BODY = 64
+
+
+class FeatureKind(enum.IntEnum):
+    """What of a hull touches."""
+
+    NONE = 0
+    VERTEX = 1
+    EDGE = 2
+    FACE = 3
+
+
+#: Of each output: the columns of the wire that it brings.
+OUTPUT_COLUMNS: dict[str, tuple[str, ...]] = {
+    "OUTCOME": (),
+    "ALPHA": ("alphas", "alpha_lowers", "alpha_uppers"),
+    "NORMAL": ("normals", "separations"),
+    "POINTS": ("point_counts", "witness_as", "distances"),
+    "WITNESS_B": ("point_counts", "witness_bs"),
+    "FEATURES": ("point_counts", "feature_kinds", "feature_indices", "point_ids"),
+    "BASES": ("bases",),
+    "DIAGNOSTICS": ("iterations", "support_calls"),
+}
+DEFAULT_OUTPUTS = ("ALPHA", "NORMAL", "POINTS")
+
+#: Of each column: entries a pair, or a point.
+PAIR_COLUMNS = {
+    "alphas": 1,
+    "alpha_lowers": 1,
+    "alpha_uppers": 1,
+    "separations": 1,
+    "normals": 3,
+    "point_counts": 1,
+    "feature_kinds": 2,
+    "feature_indices": 4,
+    "bases": 6,
+    "iterations": 1,
+    "support_calls": 1,
+}
+POINT_COLUMNS = {"witness_as": 3, "distances": 1, "witness_bs": 3, "point_ids": 4}
+
+
+class Manifolds:
+    """Contact manifolds of a batch of pairs, as columns.
+
+    `len(m)` pairs. Per-pair columns have one row a pair; the points of pair `i`
+    are rows `point_offsets[i]` to `point_offsets[i + 1]` of the per-point ones.
+    `m[i]` is one pair's `Manifold`.
+
+    World frame, the caller's units. The normal points from A to B; separations
+    and distances are negative when overlapping.
+
+    Raises:
+        OutputNotAsked: on reading a column that the query did not ask for.
+    """
+
+    def __init__(self, columns: Mapping[str, np.ndarray]) -> None:
+        self._columns = dict(columns)
+        #: Outcome of each pair, uint8: compare with `Outcome`.
+        self.outcome: Bytes = self._columns["outcomes"]
+        #: Bits of `Flag` of each pair, uint8.
+        self.flags: Bytes = self._columns["flags"]
+        #: (n, 2): body indices A, B.
+        self.pairs: Indices = self._columns["pairs"]
+        #: Indices into `Scene.hull_ids` that were not answered for, ascending.
+        self.missing_hulls: Indices = self._columns["missing_hulls"]
+        #: Bodies with an unusable pose, ascending.
+        self.invalid_bodies: Indices = self._columns["invalid_bodies"]
+
+    def _column(self, wire: str, name: str, output: str) -> np.ndarray:
+        try:
+            return self._columns[wire]
+        except KeyError:
+            raise OutputNotAsked(name, output) from None
+
+    @property
+    def alpha(self) -> Floats:
+        """Growth scale: below 1 overlapping, above 1 apart; of SEPARATED pairs a lower bound."""
+        return self._column("alphas", "alpha", "ALPHA")
+
+    @property
+    def alpha_lower(self) -> Floats:
+        """Certified: the exact growth scale is not below it."""
+        return self._column("alpha_lowers", "alpha_lower", "ALPHA")
+
+    @property
+    def alpha_upper(self) -> Floats:
+        """Certified: the exact growth scale is not above it; infinity for SEPARATED pairs."""
+        return self._column("alpha_uppers", "alpha_upper", "ALPHA")
+
+    @property
+    def normal(self) -> Floats:
+        """(n, 3): unit, from A to B; of SEPARATED pairs the separating direction."""
+        return self._column("normals", "normal", "NORMAL")
+
+    @property
+    def separation(self) -> Floats:
+        """Signed, along the normal; of SEPARATED pairs a certified lower bound of the distance."""
+        return self._column("separations", "separation", "NORMAL")
+
+    @property
+    def point_counts(self) -> Indices:
+        """Points of each pair."""
+        return self._column("point_counts", "point_counts", "POINTS")
+
+    @property
+    def point_offsets(self) -> npt.NDArray[np.int64]:
+        """(n + 1,): where each pair's points start, and where the last one's end."""
+        offsets = self._columns.get("point_offsets")
+        if offsets is None:
+            counts = self._column("point_counts", "point_offsets", "POINTS")
+            offsets = np.zeros(len(counts) + 1, dtype=np.int64)
+            np.cumsum(counts, out=offsets[1:])
+            self._columns["point_offsets"] = offsets
+        return offsets
+
+    @property
+    def witness_a(self) -> Floats:
+        """(p, 3): the point on A, world frame."""
+        return self._column("witness_as", "witness_a", "POINTS")
+
+    @property
+    def witness_b(self) -> Floats:
+        """(p, 3): the point on B: `witness_a + distance * normal`, computed unless asked for."""
+        points = self._columns.get("witness_bs")
+        if points is None:
+            distance = self._column("distances", "witness_b", "POINTS")
+            normal = self._column("normals", "witness_b", "NORMAL")
+            points = distance[:, None] * np.repeat(normal, self.point_counts, axis=0)
+            points += self.witness_a
+            self._columns["witness_bs"] = points
+        return points
+
+    @property
+    def distance(self) -> Floats:
+        """(p,): signed, along the pair's normal."""
+        return self._column("distances", "distance", "POINTS")
+
+    @property
+    def point_ids(self) -> Indices:
+        """(p, 4): A's edge (or vertex twice), B's: the same while they make the point.
+
+        Indices as registered; 2^32 - 1 twice where the point is inside that hull's face.
+        """
+        return self._column("point_ids", "point_ids", "FEATURES")
+
+    @property
+    def feature_kinds(self) -> Bytes:
+        """(n, 2): `FeatureKind` of A and of B."""
+        return self._column("feature_kinds", "feature_kinds", "FEATURES")
+
+    @property
+    def feature_indices(self) -> Indices:
+        """(n, 4): A's two and B's two: face, edge's vertices or vertex; 2^32 - 1 where unused."""
+        return self._column("feature_indices", "feature_indices", "FEATURES")
+
+    @property
+    def bases(self) -> Indices:
+        """(n, 6): the optimal triple of vertex pairs A0 A1 A2 B0 B1 B2; 2^32 - 1: none."""
+        return self._column("bases", "bases", "BASES")
+
+    @property
+    def iterations(self) -> Indices:
+        """Solver iterations of each pair."""
+        return self._column("iterations", "iterations", "DIAGNOSTICS")
+
+    @property
+    def support_calls(self) -> Indices:
+        """Support mapping calls of each pair, each hull counted."""
+        return self._column("support_calls", "support_calls", "DIAGNOSTICS")
+
+    def __len__(self) -> int:
+        return len(self.outcome)
+
+    def __getitem__(self, pair: int) -> Manifold:
+        i = range(len(self))[pair]  # negative ones too, and IndexError past the end
+        return Manifold(self, i)
+
+    def __iter__(self) -> Iterator[Manifold]:
+        return (Manifold(self, i) for i in range(len(self)))
+
+    def __repr__(self) -> str:
+        counts = ", ".join(
+            f"{count} {outcome.name}"
+            for outcome in Outcome
+            if (count := int(np.count_nonzero(self.outcome == outcome)))
+        )
+        return f"Manifolds({len(self)} pairs: {counts})"
+
+
+class Manifold:
+    """One pair of a `Manifolds`: the same names, this pair's entries."""
+
+    __slots__ = ("_all", "index")
+
+    def __init__(self, all: Manifolds, index: int) -> None:
+        self._all = all
+        #: The pair's place in the batch.
+        self.index = index
+
+    def _points(self) -> slice:
+        start, stop = self._all.point_offsets[self.index : self.index + 2]
+        return slice(int(start), int(stop))
+
+    @property
+    def bodies(self) -> tuple[int, int]:
+        """Body indices A, B."""
+        a, b = self._all.pairs[self.index]
+        return int(a), int(b)
+
+    @property
+    def outcome(self) -> Outcome:
+        """Within the margin or beyond."""
+        return Outcome(int(self._all.outcome[self.index]))
+
+    @property
+    def flags(self) -> Flag:
+        """What the numbers have to be read with."""
+        return Flag(int(self._all.flags[self.index]))
+
+    @property
+    def alpha(self) -> float:
+        """Growth scale."""
+        return float(self._all.alpha[self.index])
+
+    @property
+    def alpha_lower(self) -> float:
+        """Certified lower end of its bracket."""
+        return float(self._all.alpha_lower[self.index])
+
+    @property
+    def alpha_upper(self) -> float:
+        """Certified upper end of its bracket."""
+        return float(self._all.alpha_upper[self.index])
+
+    @property
+    def normal(self) -> Floats:
+        """(3,): unit, world frame, from A to B."""
+        return self._all.normal[self.index]
+
+    @property
+    def separation(self) -> float:
+        """Signed, along the normal."""
+        return float(self._all.separation[self.index])
+
+    @property
+    def witness_a(self) -> Floats:
+        """(k, 3): the points on A."""
+        return self._all.witness_a[self._points()]
+
+    @property
+    def witness_b(self) -> Floats:
+        """(k, 3): the points on B."""
+        return self._all.witness_b[self._points()]
+
+    @property
+    def distance(self) -> Floats:
+        """(k,): signed, along the normal."""
+        return self._all.distance[self._points()]
+
+    @property
+    def point_ids(self) -> Indices:
+        """(k, 4): what made each point."""
+        return self._all.point_ids[self._points()]
+
+    @property
+    def feature_kinds(self) -> tuple[FeatureKind, FeatureKind]:
+        """Of A and of B."""
+        a, b = self._all.feature_kinds[self.index]
+        return FeatureKind(int(a)), FeatureKind(int(b))
+
+    @property
+    def feature_indices(self) -> Indices:
+        """(4,): A's two, B's two."""
+        return self._all.feature_indices[self.index]
+
+    def __repr__(self) -> str:
+        parts = [f"bodies={self.bodies}", self.outcome.name]
+        if self.flags:
+            parts.append(f"flags={self.flags!r}")
+        for name in ("alpha", "normal", "separation", "witness_a", "distance"):
+            if hasattr(self, name):
+                parts.append(f"{name}={getattr(self, name)}")
+        return f"Manifold({', '.join(parts)})"

@@ -1,0 +1,1 @@
+"""Message stubs generated from proto/ by scripts/make_stubs.sh."""

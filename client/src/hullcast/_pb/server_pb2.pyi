@@ -1,0 +1,48 @@
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class GetServerInfoRequest(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class GetServerInfoResponse(_message.Message):
+    __slots__ = ("version", "limits", "instruction_set", "compute_threads")
+    VERSION_FIELD_NUMBER: _ClassVar[int]
+    LIMITS_FIELD_NUMBER: _ClassVar[int]
+    INSTRUCTION_SET_FIELD_NUMBER: _ClassVar[int]
+    COMPUTE_THREADS_FIELD_NUMBER: _ClassVar[int]
+    version: str
+    limits: Limits
+    instruction_set: str
+    compute_threads: int
+    def __init__(self, version: _Optional[str] = ..., limits: _Optional[_Union[Limits, _Mapping]] = ..., instruction_set: _Optional[str] = ..., compute_threads: _Optional[int] = ...) -> None: ...
+
+class Limits(_message.Message):
+    __slots__ = ("max_message_bytes", "max_pairs_per_request", "max_bodies_per_request", "max_hulls_per_request", "max_vertices_per_hull", "max_pairs_in_flight", "cache_bytes", "store_bytes", "max_streams_per_connection", "max_page_size", "cache_age_seconds")
+    MAX_MESSAGE_BYTES_FIELD_NUMBER: _ClassVar[int]
+    MAX_PAIRS_PER_REQUEST_FIELD_NUMBER: _ClassVar[int]
+    MAX_BODIES_PER_REQUEST_FIELD_NUMBER: _ClassVar[int]
+    MAX_HULLS_PER_REQUEST_FIELD_NUMBER: _ClassVar[int]
+    MAX_VERTICES_PER_HULL_FIELD_NUMBER: _ClassVar[int]
+    MAX_PAIRS_IN_FLIGHT_FIELD_NUMBER: _ClassVar[int]
+    CACHE_BYTES_FIELD_NUMBER: _ClassVar[int]
+    STORE_BYTES_FIELD_NUMBER: _ClassVar[int]
+    MAX_STREAMS_PER_CONNECTION_FIELD_NUMBER: _ClassVar[int]
+    MAX_PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
+    CACHE_AGE_SECONDS_FIELD_NUMBER: _ClassVar[int]
+    max_message_bytes: int
+    max_pairs_per_request: int
+    max_bodies_per_request: int
+    max_hulls_per_request: int
+    max_vertices_per_hull: int
+    max_pairs_in_flight: int
+    cache_bytes: int
+    store_bytes: int
+    max_streams_per_connection: int
+    max_page_size: int
+    cache_age_seconds: int
+    def __init__(self, max_message_bytes: _Optional[int] = ..., max_pairs_per_request: _Optional[int] = ..., max_bodies_per_request: _Optional[int] = ..., max_hulls_per_request: _Optional[int] = ..., max_vertices_per_hull: _Optional[int] = ..., max_pairs_in_flight: _Optional[int] = ..., cache_bytes: _Optional[int] = ..., store_bytes: _Optional[int] = ..., max_streams_per_connection: _Optional[int] = ..., max_page_size: _Optional[int] = ..., cache_age_seconds: _Optional[int] = ...) -> None: ...

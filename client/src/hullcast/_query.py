@@ -1,0 +1,216 @@
+"""A query as messages: what is sent, and how the answers become one.
+
+Everything but the call itself, so that every way of calling shares it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from . import _answers, _arrays, _packed
+from ._arrays import Indices
+from ._errors import InvalidArgument
+from ._manifolds import DEFAULT_OUTPUTS, Manifolds
+from ._pb import contacts_pb2
+from ._scene import Scene
+
+#: A message that carries more bodies than this many a pair is sent with only
+#: the bodies that its pairs name.
+_BODIES_PER_PAIR = 4
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Speed against accuracy.
+
+    Args:
+        solver: "PORTAL" or "GJK_RAY_CAST" (the paper's).
+        precision: "DOUBLE" or "SINGLE".
+        relative_tolerance: width of the bracket over alpha that is good enough,
+            0 to 1; 0: to rounding.
+        feature_angle: radians, 0 to 0.5: faces and edges within it of the normal
+            count as touched; 0 is the pure Gauss map.
+        max_points: points a pair; 0: all.
+    """
+
+    solver: str = "PORTAL"
+    precision: str = "DOUBLE"
+    relative_tolerance: float = 0.0
+    feature_angle: float = 0.01
+    max_points: int = 0
+
+    def fill(self, message: Any) -> None:
+        """Writes it into a request's `accuracy`."""
+        for field in ("solver", "precision"):
+            enum = message.DESCRIPTOR.fields_by_name[field].enum_type
+            name = getattr(self, field)
+            value = enum.values_by_name.get(f"{field.upper()}_{name}")
+            if value is None or value.number == 0:
+                known = [v.name.removeprefix(f"{field.upper()}_") for v in enum.values[1:]]
+                raise InvalidArgument(
+                    f"{name!r} is none of {', '.join(known)}",
+                    reason="UNKNOWN_NAME",
+                    field=f"accuracy.{field}",
+                )
+            setattr(message, field, value.number)
+        message.relative_tolerance = self.relative_tolerance
+        message.feature_angle = self.feature_angle
+        message.max_points = self.max_points
+
+
+@dataclass(frozen=True)
+class Span:
+    """Pairs `start` to `stop` of a query: what one message asks for."""
+
+    start: int
+    stop: int
+
+    def halves(self) -> list[Span]:
+        """Two that make this one."""
+        middle = (self.start + self.stop) // 2
+        return [Span(self.start, middle), Span(middle, self.stop)]
+
+
+@dataclass(frozen=True)
+class Message:
+    """A request, and what its own numbering of hulls and bodies stands for."""
+
+    data: bytes
+    hulls: Indices | None = None
+    bodies: Indices | None = None
+
+
+class Query:
+    """One `query` or (with `pairs` None) `find`.
+
+    Raises:
+        InvalidArgument: shapes that do not fit, an index or a name that is not known.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        pairs: Any,
+        *,
+        margin: float = 0.0,
+        accuracy: Accuracy | None = None,
+        outputs: Iterable[str] | None = None,
+        warm: Manifolds | None = None,
+    ) -> None:
+        self._scene = scene
+        self._pairs = (
+            None if pairs is None else _arrays.indices("pairs", pairs, None, 2, below=len(scene))
+        )
+        self._outputs = _output_names(outputs)
+        self._bases = None if warm is None else warm.bases
+        if self._bases is not None and len(self._bases) != _length(self._pairs):
+            raise InvalidArgument(
+                f"{len(self._bases)} manifolds for another number of pairs",
+                reason="LENGTH_MISMATCH",
+                field="warm",
+            )
+        # What every message of this query has alike.
+        common = _packed.QueryContactsRequest(
+            margin=margin,
+            outputs=[contacts_pb2.Output.Value(f"OUTPUT_{name}") for name in self._outputs],
+        )
+        (accuracy or Accuracy()).fill(common.accuracy)
+        self._common = common
+        self._body_scratch = np.empty(len(scene), dtype="<u4")
+        self._hull_scratch = np.empty(len(scene.hull_ids), dtype="<u4")
+
+    def spans(self, pairs_per_message: int) -> list[Span]:
+        """The query in parts of about equal size, none larger; one where there is no pair."""
+        count = _length(self._pairs)
+        parts = max(1, -(-count // pairs_per_message))
+        ends = [count * i // parts for i in range(parts + 1)]
+        return [Span(start, stop) for start, stop in itertools.pairwise(ends)]
+
+    def message(self, span: Span) -> Message:
+        """The request for some of the pairs."""
+        scene = self._scene
+        assert self._pairs is not None
+        pairs = self._pairs[span.start : span.stop]
+        request = _packed.QueryContactsRequest()
+        request.CopyFrom(self._common)
+        if self._bases is not None:
+            request.warm_starts = self._bases[span.start : span.stop].tobytes()
+        if len(scene) <= _BODIES_PER_PAIR * len(pairs):
+            request.pairs = pairs.tobytes()
+            self._fill_bodies(request)
+            return Message(request.SerializeToString())
+        bodies, pairs = _compact(pairs.reshape(-1), self._body_scratch)
+        hulls, body_hulls = _compact(scene.body_hulls[bodies], self._hull_scratch)
+        request.pairs = pairs.tobytes()
+        request.hull_ids.extend([scene.hull_ids[i] for i in hulls])
+        request.body_hulls = body_hulls.tobytes()
+        request.positions = scene.positions[bodies].tobytes()
+        request.rotations = scene.rotations[bodies].tobytes()
+        return Message(request.SerializeToString(), hulls, bodies)
+
+    def find_message(self) -> bytes:
+        """The request to find the pairs."""
+        scene = self._scene
+        request = _packed.QueryContactsRequest()
+        request.CopyFrom(self._common)
+        self._fill_bodies(request)
+        for name in ("worlds", "groups", "ignored_groups"):
+            column = getattr(scene, name)
+            if column is not None:
+                setattr(request, name, column.tobytes())
+        return request.SerializeToString()
+
+    def _fill_bodies(self, request: Any) -> None:
+        scene = self._scene
+        request.hull_ids.extend(scene.hull_ids)
+        request.body_hulls = scene.body_hulls.tobytes()
+        request.positions = scene.positions.tobytes()
+        request.rotations = scene.rotations.tobytes()
+
+    def read(self, span: Span | None, message: Message | None, data: bytes) -> _answers.Columns:
+        """The answer to `message`, hulls and bodies numbered as the scene does."""
+        asked = None
+        if span is not None and self._pairs is not None:
+            asked = self._pairs[span.start : span.stop]
+        columns = _answers.read(data, self._outputs, asked)
+        if message is not None and message.bodies is not None and message.hulls is not None:
+            columns["missing_hulls"] = np.sort(message.hulls[columns["missing_hulls"]])
+            columns["invalid_bodies"] = np.sort(message.bodies[columns["invalid_bodies"]])
+        return columns
+
+
+def _length(pairs: Indices | None) -> int:
+    return 0 if pairs is None else len(pairs)
+
+
+def _compact(numbers: Indices, scratch: Indices) -> tuple[Indices, Indices]:
+    """The distinct `numbers`, and `numbers` as indices into them.
+
+    By scattering into `scratch` (as long as the largest number, its content of
+    no matter), which takes half the time of sorting. Order: of last occurrence.
+    """
+    order = np.arange(len(numbers), dtype="<u4")
+    scratch[numbers] = order
+    distinct = numbers[scratch[numbers] == order]
+    scratch[distinct] = order[: len(distinct)]
+    return distinct, scratch[numbers]
+
+
+def _output_names(outputs: Iterable[str] | None) -> Sequence[str]:
+    if outputs is None:
+        return DEFAULT_OUTPUTS
+    names = (outputs,) if isinstance(outputs, str) else tuple(outputs)
+    known = contacts_pb2.Output.keys()
+    for i, name in enumerate(names):
+        if f"OUTPUT_{name}" not in known[1:]:
+            choices = ", ".join(key.removeprefix("OUTPUT_") for key in known[1:])
+            raise InvalidArgument(
+                f"{name!r} is none of {choices}", reason="UNKNOWN_NAME", field="outputs", index=i
+            )
+    # Empty means the default on the wire; outcomes always come.
+    return names or ("OUTCOME",)

@@ -1,0 +1,93 @@
+"""Bodies at poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from . import _arrays
+from ._arrays import Floats, Indices
+from ._errors import InvalidArgument
+from ._hulls import Hull
+
+
+class Scene:
+    """Bodies, each a hull at a pose that maps the hull's frame to the world.
+
+    Args:
+        hulls: one hull a body (`Hull`, or its 32-byte id), or distinct hulls
+            with `body_hulls`.
+        positions: (n, 3): world position of each hull frame's origin; or
+            (n, 4, 4) homogeneous matrices, without `rotations`.
+        rotations: (n, 4) quaternions x, y, z, w with norm within 1e-3 of 1
+            (`from_wxyz` for the other order), (n, 3, 3), or a scipy `Rotation`.
+        body_hulls: (n,): per body an index into `hulls`.
+        worlds: (n,), for `find`: only bodies of one world meet; a body of world
+            2^32 - 1 meets every other world's.
+        groups: (n,), for `find`: bodies of one group never meet; 0 is none.
+        ignored_groups: (k, 2), for `find`: groups that ignore each other.
+
+    Raises:
+        InvalidArgument: shapes that do not fit, or an index out of range.
+    """
+
+    def __init__(
+        self,
+        hulls: Sequence[Hull | bytes],
+        positions: Any,
+        rotations: Any = None,
+        *,
+        body_hulls: Any = None,
+        worlds: Any = None,
+        groups: Any = None,
+        ignored_groups: Any = None,
+    ) -> None:
+        ids = [_id(i, hull) for i, hull in enumerate(hulls)]
+        # The wire wants each hull once, however often the caller names it.
+        place: dict[bytes, int] = {}
+        distinct = np.array([place.setdefault(id, len(place)) for id in ids], dtype="<u4")
+        self.hull_ids: tuple[bytes, ...] = tuple(place)
+        if body_hulls is None:
+            self.body_hulls: Indices = distinct
+        else:
+            self.body_hulls = distinct[
+                _arrays.indices("body_hulls", body_hulls, None, below=len(ids))
+            ]
+        count = len(self.body_hulls)
+        self.positions: Floats
+        self.rotations: Floats
+        self.positions, self.rotations = _arrays.poses(positions, rotations, count)
+        self.worlds = None if worlds is None else _arrays.indices("worlds", worlds, count)
+        self.groups = None if groups is None else _arrays.indices("groups", groups, count)
+        self.ignored_groups = (
+            None
+            if ignored_groups is None
+            else _arrays.indices("ignored_groups", ignored_groups, None, 2)
+        )
+
+    def __len__(self) -> int:
+        return len(self.body_hulls)
+
+    def __repr__(self) -> str:
+        return f"Scene({len(self)} bodies of {len(self.hull_ids)} hulls)"
+
+    def moved(self, positions: Any, rotations: Any = None) -> Scene:
+        """The same bodies at new poses, given in any form that `Scene` takes."""
+        scene = Scene.__new__(Scene)
+        scene.__dict__.update(self.__dict__)
+        scene.positions, scene.rotations = _arrays.poses(positions, rotations, len(self))
+        return scene
+
+
+def _id(place: int, hull: Hull | bytes) -> bytes:
+    id = hull.id if isinstance(hull, Hull) else hull
+    if not isinstance(id, bytes) or len(id) != 32:
+        raise InvalidArgument(
+            "expected a Hull or the 32 bytes of its id; arrays are registered first",
+            reason="NOT_A_HULL",
+            field="hulls",
+            index=place,
+        )
+    return id
