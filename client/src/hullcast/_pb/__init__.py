@@ -1,1 +1,1 @@
-"""Message stubs generated from proto/ by scripts/make_stubs.sh."""
+"""Message stubs generated from proto/ by `make stubs`."""
