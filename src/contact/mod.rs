@@ -3,6 +3,7 @@
 //! Dynamics* (SCA 2010).
 
 mod body;
+pub(crate) mod exact;
 pub mod hull;
 mod manifold;
 mod query;

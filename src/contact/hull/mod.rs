@@ -3,9 +3,20 @@
 
 use glam::{DMat3, DVec3};
 
+mod access;
+mod build;
+mod cloud;
+mod csr;
 mod error;
+mod mass;
+mod merge;
+mod quickhull;
+mod topology;
 
+use csr::Csr;
 pub use error::{HullError, HullErrorKind};
+#[doc(hidden)]
+pub use quickhull::Triangulation;
 
 /// How a hull is built.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,16 +85,32 @@ pub struct ConvexHull {
     vertex_neighbours: Csr,
 }
 
-/// Lists of indices, flattened: list `i` is `items[starts[i]..starts[i + 1]]`.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Csr {
-    pub(crate) starts: Vec<u32>,
-    pub(crate) items: Vec<u32>,
+impl ConvexHull {
+    /// The hull of `points`, about its centre of mass.
+    ///
+    /// `points` are in the caller's units, hull frame. Exact duplicates are
+    /// welded, points inside dropped; every extreme vertex is kept, none moved.
+    ///
+    /// # Errors
+    /// [`HullErrorKind`] lists the clouds that are no hull.
+    pub fn new(points: &[[f64; 3]]) -> Result<Self, HullError> {
+        Self::with_options(points, &HullOptions::default())
+    }
+
+    /// The hull of `points` as `options` say; see [`ConvexHull::new`].
+    ///
+    /// # Errors
+    /// [`HullErrorKind`] lists the clouds that are no hull.
+    pub fn with_options(points: &[[f64; 3]], options: &HullOptions) -> Result<Self, HullError> {
+        build::build(points, options)
+    }
 }
 
-impl Csr {
-    /// List `i`.
-    pub(crate) fn row(&self, i: usize) -> &[u32] {
-        &self.items[self.starts[i] as usize..self.starts[i + 1] as usize]
-    }
+/// The triangles of which the hull of `points` is made, over indices of
+/// `points`: for tests of their exactness.
+#[doc(hidden)]
+pub fn triangulate(points: &[[f64; 3]]) -> Result<Triangulation, HullError> {
+    let build::Solid { registered, mut triangulation, .. } = build::Solid::new(points)?;
+    triangulation.triangles.iter_mut().flatten().for_each(|v| *v = registered[*v as usize]);
+    Ok(triangulation)
 }

@@ -1,0 +1,181 @@
+//! Reading a hull.
+
+use glam::{DMat3, DVec3};
+
+use super::{ConvexHull, Csr};
+
+/// In the caller's units, hull frame.
+impl ConvexHull {
+    /// Extreme vertices kept.
+    pub fn vertex_count(&self) -> usize {
+        self.vertices.len()
+    }
+
+    /// Faces after merging coplanar triangles.
+    pub fn face_count(&self) -> usize {
+        self.face_normals.len()
+    }
+
+    /// Edges between faces.
+    pub fn edge_count(&self) -> usize {
+        self.edge_vertices.len()
+    }
+
+    /// Points as registered.
+    pub fn registered_count(&self) -> usize {
+        self.registered_count as usize
+    }
+
+    /// Per vertex its index among the points as registered; ascending.
+    pub fn registered_indices(&self) -> &[u32] {
+        &self.registered
+    }
+
+    /// Cubic units.
+    pub fn volume(&self) -> f64 {
+        self.volume
+    }
+
+    /// Hull frame.
+    pub fn center_of_mass(&self) -> DVec3 {
+        self.center_of_mass
+    }
+
+    /// About the centre of mass at unit density; units to the fifth.
+    pub fn inertia(&self) -> DMat3 {
+        self.inertia
+    }
+
+    /// The point about which the hull grows; hull frame.
+    pub fn contraction_point(&self) -> DVec3 {
+        self.contraction_point
+    }
+
+    /// Of the largest ball about the contraction point inside, rounded down.
+    pub fn inradius(&self) -> f64 {
+        self.inradius * self.scale
+    }
+
+    /// Of the smallest ball about the contraction point around, rounded up.
+    pub fn circumradius(&self) -> f64 {
+        self.circumradius * self.scale
+    }
+
+    /// How far a face's vertices are from its plane at most, rounded up.
+    pub fn geometric_error(&self) -> f64 {
+        self.face_planarity.iter().copied().fold(0.0, f64::max) * self.scale
+    }
+
+    /// Corners of face `i`, anticlockwise from outside, as registered indices.
+    pub fn face_outline(&self, i: usize) -> impl ExactSizeIterator<Item = u32> + '_ {
+        self.outlines.row(i).iter().map(|&v| self.registered[v as usize])
+    }
+
+    /// Unit outward normal of face `i`, hull frame.
+    pub fn face_normal(&self, i: usize) -> DVec3 {
+        self.face_normals[i]
+    }
+
+    /// Bytes held on the heap.
+    pub fn heap_bytes(&self) -> usize {
+        fn bytes<T>(v: &Vec<T>) -> usize {
+            v.capacity() * size_of::<T>()
+        }
+        let lists = [
+            &self.outlines,
+            &self.face_neighbours,
+            &self.vertex_faces,
+            &self.vertex_edges,
+            &self.vertex_neighbours,
+        ];
+        bytes(&self.vertices)
+            + bytes(&self.registered)
+            + bytes(&self.face_normals)
+            + bytes(&self.face_offsets)
+            + bytes(&self.face_areas)
+            + bytes(&self.face_planarity)
+            + bytes(&self.edge_vertices)
+            + bytes(&self.edge_faces)
+            + lists.into_iter().map(Csr::heap_bytes).sum::<usize>()
+    }
+}
+
+/// In hull units: about the contraction point, divided by [`ConvexHull::scale`].
+/// Vertices, faces and edges are numbered from 0 in this hull's own order.
+impl ConvexHull {
+    /// Power of two: caller's units per hull unit.
+    pub fn scale(&self) -> f64 {
+        self.scale
+    }
+
+    /// Extreme vertices, in registered order.
+    pub fn vertices(&self) -> &[DVec3] {
+        &self.vertices
+    }
+
+    /// [`ConvexHull::inradius`], hull units.
+    pub fn unit_inradius(&self) -> f64 {
+        self.inradius
+    }
+
+    /// [`ConvexHull::circumradius`], hull units: in [0.5, 1).
+    pub fn unit_circumradius(&self) -> f64 {
+        self.circumradius
+    }
+
+    /// Per face: unit outward normal.
+    pub fn face_normals(&self) -> &[DVec3] {
+        &self.face_normals
+    }
+
+    /// Per face: the largest of normal . v over all vertices.
+    pub fn face_offsets(&self) -> &[f64] {
+        &self.face_offsets
+    }
+
+    /// Per face, of the outline; squared.
+    pub fn face_areas(&self) -> &[f64] {
+        &self.face_areas
+    }
+
+    /// Per face: how far below its plane the lowest vertex of its group is, rounded up.
+    pub fn face_planarity(&self) -> &[f64] {
+        &self.face_planarity
+    }
+
+    /// Corners of face `i`, anticlockwise from outside.
+    pub fn outline(&self, i: usize) -> &[u32] {
+        self.outlines.row(i)
+    }
+
+    /// Faces across the edges of face `i`, ascending.
+    pub fn face_neighbours(&self, i: usize) -> &[u32] {
+        self.face_neighbours.row(i)
+    }
+
+    /// Ends of each edge, lower vertex first; ascending.
+    pub fn edge_vertices(&self) -> &[[u32; 2]] {
+        &self.edge_vertices
+    }
+
+    /// Per edge: the face on the left of going from the lower to the higher
+    /// vertex seen from outside, and the one on the right.
+    pub fn edge_faces(&self) -> &[[u32; 2]] {
+        &self.edge_faces
+    }
+
+    /// Faces with a triangle at vertex `i`, ascending.
+    pub fn vertex_faces(&self, i: usize) -> &[u32] {
+        self.vertex_faces.row(i)
+    }
+
+    /// Edges ending in vertex `i`, ascending; none for a vertex inside a face.
+    pub fn vertex_edges(&self, i: usize) -> &[u32] {
+        self.vertex_edges.row(i)
+    }
+
+    /// Neighbours of vertex `i` along the triangulation, ascending.
+    pub fn vertex_neighbours(&self, i: usize) -> &[u32] {
+        self.vertex_neighbours.row(i)
+    }
+}

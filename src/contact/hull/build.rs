@@ -1,0 +1,203 @@
+//! From points to a hull: the steps in order.
+
+use glam::{DMat3, DVec3};
+
+use super::cloud::Cloud;
+use super::csr::Csr;
+use super::mass::mass;
+use super::merge::{Groups, Surface, groups};
+use super::quickhull::{Triangulation, triangulate};
+use super::topology::{Topology, topology};
+use super::{ConvexHull, HullError, HullErrorKind, HullOptions};
+use crate::contact::exact::{
+    ROUNDOFF, TriangleNormal, exact_difference, exponent_above, orient3d, power_of_two, triangle_normal,
+};
+
+pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexHull, HullError> {
+    let solid = Solid::new(given)?;
+    if solid.points.len() > options.max_vertices {
+        let detail =
+            format!("{} extreme vertices, at most {} allowed", solid.points.len(), options.max_vertices);
+        return Err(HullError { kind: HullErrorKind::TooManyVertices, index: None, detail });
+    }
+    let mass = mass(&solid.scaled, &solid.triangulation.triangles);
+    // Powers of two, one at a time: no product of them is out of range before the end.
+    let [length, area] = [solid.unit, solid.unit * solid.unit];
+    let center_of_mass = mass.center * length;
+    let given_center = options.contraction_point.map(DVec3::from_array);
+    let contraction_point = given_center.unwrap_or(center_of_mass) + 0.0;
+    let normals = solid.normals();
+    let Some(centred) = solid.centred(contraction_point, &normals) else {
+        return Err(not_inside(given_center));
+    };
+    let triangulation = &solid.triangulation;
+    let vertex_neighbours = Csr::from_pairs(
+        centred.vertices.len(),
+        triangulation.triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]),
+    );
+    let surface = Surface {
+        vertices: &centred.vertices,
+        triangulation,
+        normals: &normals,
+        neighbours: &vertex_neighbours,
+        circumradius: centred.circumradius,
+        inradius: centred.inradius,
+    };
+    let groups = groups(&surface);
+    let topology = topology(&surface, &groups);
+    let adjacency = Adjacency::new(triangulation, &groups, &topology, centred.vertices.len());
+    let planes = &groups.planes;
+    Ok(ConvexHull {
+        face_normals: planes.iter().map(|p| p.normal).collect(),
+        face_offsets: planes.iter().map(|p| p.offset).collect(),
+        face_planarity: planes.iter().map(|p| p.planarity).collect(),
+        face_areas: topology.face_areas,
+        outlines: topology.outlines,
+        face_neighbours: adjacency.face_neighbours,
+        edge_vertices: topology.edge_vertices,
+        edge_faces: topology.edge_faces,
+        vertex_faces: adjacency.vertex_faces,
+        vertex_edges: adjacency.vertex_edges,
+        vertex_neighbours,
+        vertices: centred.vertices,
+        registered: solid.registered,
+        registered_count: given.len() as u32,
+        scale: centred.scale,
+        contraction_point,
+        inradius: centred.inradius,
+        circumradius: centred.circumradius,
+        volume: mass.volume * area * length,
+        center_of_mass,
+        inertia: scaled(mass.inertia, area, length),
+    })
+}
+
+/// Times a length to the fifth.
+fn scaled(inertia: DMat3, area: f64, length: f64) -> DMat3 {
+    inertia * length * area * area
+}
+
+fn not_inside(given: Option<DVec3>) -> HullError {
+    let (kind, detail) = match given {
+        Some(p) => (
+            HullErrorKind::ContractionPointNotInside,
+            format!("({:e}, {:e}, {:e}) is not inside by more than rounding", p.x, p.y, p.z),
+        ),
+        None => (
+            HullErrorKind::NotRepresentable,
+            "the hull is too thin to have a point inside at double precision".to_owned(),
+        ),
+    };
+    HullError { kind, index: None, detail }
+}
+
+/// The exact hull of the points, vertices in registered order.
+pub(super) struct Solid {
+    /// Caller's units.
+    pub(super) points: Vec<DVec3>,
+    pub(super) registered: Vec<u32>,
+    pub(super) triangulation: Triangulation,
+    /// Divided by `unit`.
+    scaled: Vec<DVec3>,
+    unit: f64,
+}
+
+/// A hull about its contraction point, in hull units.
+struct Centred {
+    vertices: Vec<DVec3>,
+    scale: f64,
+    inradius: f64,
+    circumradius: f64,
+}
+
+impl Solid {
+    pub(super) fn new(given: &[[f64; 3]]) -> Result<Self, HullError> {
+        let (cloud, mut triangulation) = triangulate(Cloud::new(given)?)?;
+        let mut order: Vec<u32> = (0..cloud.points.len() as u32).collect();
+        order.sort_unstable_by_key(|&i| cloud.registered[i as usize]);
+        let mut place = vec![0; order.len()];
+        order.iter().zip(0..).for_each(|(&old, new)| place[old as usize] = new);
+        triangulation.triangles.iter_mut().flatten().for_each(|v| *v = place[*v as usize]);
+        Ok(Self {
+            points: order.iter().map(|&i| cloud.points[i as usize]).collect(),
+            scaled: order.iter().map(|&i| cloud.scaled[i as usize]).collect(),
+            registered: order.iter().map(|&i| cloud.registered[i as usize]).collect(),
+            triangulation,
+            unit: cloud.unit,
+        })
+    }
+
+    fn corners(&self, t: usize) -> [DVec3; 3] {
+        self.triangulation.triangles[t].map(|v| self.points[v as usize])
+    }
+
+    fn normals(&self) -> Vec<TriangleNormal> {
+        let normal = |t| {
+            let [a, b, c] = self.corners(t);
+            triangle_normal(a, b, c)
+        };
+        (0..self.triangulation.triangles.len()).map(normal).collect()
+    }
+
+    /// About `center`, which must be strictly inside by more than rounding.
+    fn centred(&self, center: DVec3, normals: &[TriangleNormal]) -> Option<Centred> {
+        let is_inside = |t| {
+            let [a, b, c] = self.corners(t);
+            orient3d(a, b, c, center) > 0.0
+        };
+        if !center.is_finite() || !(0..normals.len()).all(is_inside) {
+            return None;
+        }
+        // Each difference is rounded once: what it loses moves the surface.
+        let (mut radius, mut moved) = (0.0_f64, 0.0_f64);
+        let mut vertices = Vec::with_capacity(self.points.len());
+        for &point in &self.points {
+            let [x, y, z] = exact_difference(point, center);
+            let vertex = DVec3::new(x.hi, y.hi, z.hi);
+            radius = radius.max(vertex.length());
+            moved = moved.max(DVec3::new(x.lo, y.lo, z.lo).length());
+            vertices.push(vertex);
+        }
+        let radius = radius * (1.0 + 8.0 * ROUNDOFF);
+        let exponent = exponent_above(radius);
+        let shrink = power_of_two(-exponent);
+        vertices.iter_mut().for_each(|v| *v *= shrink);
+        let distance = |t: usize| {
+            let corner = vertices[self.triangulation.triangles[t][0] as usize];
+            normals[t].unit.dot(corner)
+        };
+        let inradius = (0..normals.len()).map(distance).fold(f64::INFINITY, f64::min);
+        // The exact planes' distances, to the rounding of unit normal and
+        // product; the surface through the rounded vertices is nearer by no
+        // more than these moved (and by what scaling underflows).
+        let inradius =
+            inradius - 12.0 * ROUNDOFF - (1.0 + 8.0 * ROUNDOFF) * moved * shrink - f64::MIN_POSITIVE;
+        let scale = power_of_two(exponent);
+        (inradius > 0.0).then_some(Centred { vertices, scale, inradius, circumradius: radius * shrink })
+    }
+}
+
+/// What is next to what.
+struct Adjacency {
+    face_neighbours: Csr,
+    vertex_faces: Csr,
+    vertex_edges: Csr,
+}
+
+impl Adjacency {
+    fn new(triangulation: &Triangulation, groups: &Groups, topology: &Topology, vertices: usize) -> Self {
+        let at_corners = |(corners, &group): (&[u32; 3], &u32)| corners.map(|v| (v, group));
+        let ends = |([u, v], edge): (&[u32; 2], u32)| [(*u, edge), (*v, edge)];
+        Self {
+            face_neighbours: Csr::from_pairs(
+                groups.planes.len(),
+                topology.edge_faces.iter().flat_map(|&[f, g]| [(f, g), (g, f)]),
+            ),
+            vertex_faces: Csr::from_pairs(
+                vertices,
+                triangulation.triangles.iter().zip(&groups.of).flat_map(at_corners),
+            ),
+            vertex_edges: Csr::from_pairs(vertices, topology.edge_vertices.iter().zip(0..).flat_map(ends)),
+        }
+    }
+}

@@ -1,0 +1,51 @@
+//! Volume, centre of mass and inertia at unit density.
+
+use glam::{DMat3, DVec3};
+
+use crate::contact::exact::{dd_cross, dd_dot, exact_difference};
+
+/// Of a solid, in the units of its vertices.
+pub(super) struct Mass {
+    pub(super) volume: f64,
+    pub(super) center: DVec3,
+    /// About the centre.
+    pub(super) inertia: DMat3,
+}
+
+/// Adds up the tetrahedra between the triangles and one point.
+pub(super) fn mass(points: &[DVec3], triangles: &[[u32; 3]]) -> Mass {
+    let corners = |t: &[u32; 3]| t.map(|v| points[v as usize]);
+    // From a vertex every tetrahedron is positive, so that the sums lose nothing.
+    let apex = points[triangles[0][0] as usize];
+    let (mut six_volume, mut moment) = (0.0, DVec3::ZERO);
+    for triangle in triangles {
+        let [a, b, c] = corners(triangle);
+        let part = six_times_volume(a, b, c, apex);
+        six_volume += part;
+        moment += part * ((a - apex) + (b - apex) + (c - apex));
+    }
+    let center = apex + moment / (4.0 * six_volume);
+    // Of a tetrahedron with one corner at the origin: the integral of x x^T is
+    // its volume / 20 times (sum of x x^T over corners + the sum's own).
+    let mut second = DMat3::ZERO;
+    for triangle in triangles {
+        let [a, b, c] = corners(triangle);
+        let part = six_times_volume(a, b, c, center);
+        let (a, b, c) = (a - center, b - center, c - center);
+        let sum = a + b + c;
+        second += part * (outer(a) + outer(b) + outer(c) + outer(sum));
+    }
+    let second = second * (1.0 / 120.0);
+    let trace = second.x_axis.x + second.y_axis.y + second.z_axis.z;
+    Mass { volume: six_volume / 6.0, center, inertia: DMat3::from_diagonal(DVec3::splat(trace)) - second }
+}
+
+/// In double-double, since a plate's is a small difference of large products.
+fn six_times_volume(a: DVec3, b: DVec3, c: DVec3, apex: DVec3) -> f64 {
+    let area = dd_cross(exact_difference(b, a), exact_difference(c, a));
+    dd_dot(area, exact_difference(a, apex)).value()
+}
+
+fn outer(v: DVec3) -> DMat3 {
+    DMat3::from_cols(v * v.x, v * v.y, v * v.z)
+}
