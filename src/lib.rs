@@ -9,4 +9,12 @@
 //! frame to the world. The contact normal is unit, in the world frame, from A
 //! to B; separations and distances are negative when overlapping.
 
+#[cfg(feature = "server")]
+pub mod compute;
 pub mod contact;
+#[cfg(feature = "server")]
+pub mod proto;
+#[cfg(feature = "server")]
+pub mod service;
+#[cfg(feature = "server")]
+pub mod store;

@@ -1,0 +1,120 @@
+//! The outermost layer: what holds for every call whatever its method.
+//!
+//! Enforces the caller's deadline and gives the errors that the transport
+//! makes by itself (a message too large, an unknown method, compression) the
+//! code and details of the contract.
+
+use std::{
+    convert::Infallible,
+    task::{Context, Poll},
+    time::Duration,
+};
+
+use futures_util::future::BoxFuture;
+use http::{HeaderMap, Request, Response};
+use hyper::body::Incoming;
+use tokio::time::Instant;
+use tonic::{Status, body::Body, service::Routes};
+use tower::Service;
+
+use super::{error::ServiceError, wire};
+
+/// When the caller stops waiting; an extension of requests that have one.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Deadline(pub(super) Instant);
+
+/// Wraps all routes.
+#[derive(Clone, Debug)]
+pub(super) struct Edge {
+    routes: Routes,
+}
+
+impl Edge {
+    pub(super) fn new(routes: Routes) -> Self {
+        Self { routes }
+    }
+}
+
+impl Service<Request<Incoming>> for Edge {
+    type Response = Response<Body>;
+    type Error = Infallible;
+    type Future = BoxFuture<'static, Result<Response<Body>, Infallible>>;
+
+    fn poll_ready(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), Infallible>> {
+        Service::<Request<Incoming>>::poll_ready(&mut self.routes, cx)
+    }
+
+    fn call(&mut self, mut request: Request<Incoming>) -> Self::Future {
+        let deadline = timeout(request.headers()).and_then(|t| Instant::now().checked_add(t));
+        if let Some(at) = deadline {
+            request.extensions_mut().insert(Deadline(at));
+        }
+        let answer = self.routes.call(request);
+        Box::pin(async move {
+            let response = match deadline {
+                None => answer.await?,
+                // Dropping the call is what stops its computation.
+                Some(at) => match tokio::time::timeout_at(at, answer).await {
+                    Ok(response) => response?,
+                    Err(_) => Status::from(ServiceError::deadline_exceeded()).into_http(),
+                },
+            };
+            Ok(completed(response))
+        })
+    }
+}
+
+/// An error that is the whole response (headers alone) gets the details of the contract.
+fn completed(response: Response<Body>) -> Response<Body> {
+    match Status::from_header_map(response.headers()) {
+        Some(status) if status.code() != tonic::Code::Ok && status.details().is_empty() => {
+            wire::complete(status).into_http()
+        }
+        _ => response,
+    }
+}
+
+/// The `grpc-timeout` header: at most 8 digits and a unit. One that does not parse is
+/// ignored, as the protocol's other servers do.
+fn timeout(headers: &HeaderMap) -> Option<Duration> {
+    let text = headers.get("grpc-timeout")?.to_str().ok()?;
+    let (digits, unit) = text.split_at_checked(text.len().checked_sub(1)?)?;
+    if digits.is_empty() || digits.len() > 8 || !digits.bytes().all(|b| b.is_ascii_digit()) {
+        return None;
+    }
+    let value: u64 = digits.parse().ok()?;
+    match unit {
+        "H" => Some(Duration::from_secs(value * 3600)),
+        "M" => Some(Duration::from_secs(value * 60)),
+        "S" => Some(Duration::from_secs(value)),
+        "m" => Some(Duration::from_millis(value)),
+        "u" => Some(Duration::from_micros(value)),
+        "n" => Some(Duration::from_nanos(value)),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches a unit taken for another, and a malformed header that ends a call.
+    #[test]
+    fn timeouts_parse_by_the_protocol() {
+        let parse = |text: &'static str| {
+            timeout(&HeaderMap::from_iter([(
+                http::HeaderName::from_static("grpc-timeout"),
+                http::HeaderValue::from_static(text),
+            )]))
+        };
+        assert_eq!(parse("2H"), Some(Duration::from_secs(7200)));
+        assert_eq!(parse("3M"), Some(Duration::from_secs(180)));
+        assert_eq!(parse("4S"), Some(Duration::from_secs(4)));
+        assert_eq!(parse("99999999m"), Some(Duration::from_millis(99_999_999)));
+        assert_eq!(parse("5u"), Some(Duration::from_micros(5)));
+        assert_eq!(parse("6n"), Some(Duration::from_nanos(6)));
+        for malformed in ["", "S", "100000000m", "-1S", "+1S", "1s", "1", "1.5S"] {
+            assert_eq!(parse(malformed), None, "{malformed}");
+        }
+    }
+}

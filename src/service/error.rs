@@ -1,0 +1,118 @@
+//! Why a call is refused, in the service's own words; `wire` turns it into a status.
+
+use std::{fmt, time::Duration};
+
+/// Whose fault it is and whether trying again helps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// The request is malformed as a whole.
+    Invalid,
+    /// Trying again later helps.
+    Unavailable {
+        /// When.
+        retry_after: Duration,
+    },
+    /// A quota is used up.
+    Exhausted,
+    /// Not in this version.
+    Unimplemented,
+    /// The caller's deadline passed.
+    DeadlineExceeded,
+    /// A bug of the server's.
+    Internal,
+}
+
+/// Where in the request the fault is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// As the contract names it; a dotted path for nested messages.
+    pub field: &'static str,
+    /// The element, where one is at fault.
+    pub index: Option<usize>,
+}
+
+/// Why a call is refused.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ServiceError {
+    /// Whose fault.
+    pub kind: Kind,
+    /// Stable, upper case: `ErrorInfo.reason`.
+    pub reason: &'static str,
+    /// For people.
+    pub message: String,
+    /// Where in the request.
+    pub place: Option<Place>,
+}
+
+impl ServiceError {
+    fn new(kind: Kind, reason: &'static str, message: String, place: Option<Place>) -> Self {
+        Self { kind, reason, message, place }
+    }
+
+    /// The request is malformed at `field`.
+    pub fn invalid(reason: &'static str, field: &'static str, message: impl Into<String>) -> Self {
+        Self::new(Kind::Invalid, reason, message.into(), Some(Place { field, index: None }))
+    }
+
+    /// The request is malformed at element `index` of `field`.
+    pub fn invalid_at(
+        reason: &'static str,
+        field: &'static str,
+        index: usize,
+        message: impl Into<String>,
+    ) -> Self {
+        Self::new(Kind::Invalid, reason, message.into(), Some(Place { field, index: Some(index) }))
+    }
+
+    /// The request is refused for its size or form, without one field at fault.
+    pub fn refused(reason: &'static str, message: impl Into<String>) -> Self {
+        Self::new(Kind::Invalid, reason, message.into(), None)
+    }
+
+    /// Part of the contract, not of this version.
+    pub fn unimplemented(field: &'static str, message: impl Into<String>) -> Self {
+        let place = Some(Place { field, index: None });
+        Self::new(Kind::Unimplemented, "UNIMPLEMENTED_FEATURE", message.into(), place)
+    }
+
+    /// Trying again after `retry_after` may help.
+    pub fn unavailable(reason: &'static str, retry_after: Duration, message: impl Into<String>) -> Self {
+        Self::new(Kind::Unavailable { retry_after }, reason, message.into(), None)
+    }
+
+    /// The store has no room.
+    pub fn store_full(message: impl Into<String>) -> Self {
+        Self::new(Kind::Exhausted, "STORE_FULL", message.into(), None)
+    }
+
+    /// The caller's deadline passed.
+    pub fn deadline_exceeded() -> Self {
+        Self::new(Kind::DeadlineExceeded, "DEADLINE_EXCEEDED", "the deadline passed".into(), None)
+    }
+
+    /// A bug of the server's: the logs say more.
+    pub fn internal(message: impl Into<String>) -> Self {
+        Self::new(Kind::Internal, "INTERNAL", message.into(), None)
+    }
+}
+
+impl fmt::Display for ServiceError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.reason)?;
+        if let Some(place) = &self.place {
+            write!(f, ": {place}")?;
+        }
+        write!(f, ": {}", self.message)
+    }
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.index {
+            Some(index) => write!(f, "{}[{index}]", self.field),
+            None => f.write_str(self.field),
+        }
+    }
+}
+
+impl std::error::Error for ServiceError {}

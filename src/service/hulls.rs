@@ -1,0 +1,165 @@
+//! `HullService`: hulls registered, described, listed and deleted.
+
+use std::{sync::Arc, time::Duration};
+
+use futures_util::{StreamExt, TryStreamExt, stream};
+use tonic::{Request, Response, Status};
+
+use super::{App, ServiceError, wire};
+use crate::{
+    proto::{
+        DeleteHullsRequest, DeleteHullsResponse, GetHullsRequest, GetHullsResponse, HasHullsRequest,
+        HasHullsResponse, HullRecord, ListHullsRequest, ListHullsResponse, RegisterHullResult,
+        RegisterHullsRequest, RegisterHullsResponse,
+        hull_service_server::{HullService, HullServiceServer},
+    },
+    store::{HullId, Missing, RegisterError, StoreError},
+};
+
+/// Hulls of one request that are read or written at a time: enough that a file system
+/// gathers their syncs.
+const AT_A_TIME: usize = 16;
+
+/// Of `ListHulls`, where the request names none.
+const DEFAULT_PAGE_SIZE: u32 = 1000;
+
+/// When a client of a store that cannot be read should ask again.
+const STORE_RETRY: Duration = Duration::from_millis(500);
+
+pub(super) fn service(app: Arc<App>) -> HullServiceServer<impl HullService> {
+    HullServiceServer::new(Hulls { app })
+}
+
+struct Hulls {
+    app: Arc<App>,
+}
+
+#[tonic::async_trait]
+impl HullService for Hulls {
+    async fn register_hulls(
+        &self,
+        request: Request<RegisterHullsRequest>,
+    ) -> Result<Response<RegisterHullsResponse>, Status> {
+        let definitions = wire::definitions(request.into_inner(), self.app.limits())?;
+        let results: Vec<_> = stream::iter(definitions)
+            .map(|definition| self.register(definition))
+            .buffered(AT_A_TIME)
+            .try_collect()
+            .await?;
+        Ok(self.app.fitting(RegisterHullsResponse { results })?)
+    }
+
+    async fn get_hulls(
+        &self,
+        request: Request<GetHullsRequest>,
+    ) -> Result<Response<GetHullsResponse>, Status> {
+        let request = request.into_inner();
+        let ids = wire::ids(&request.ids, self.app.limits())?;
+        let parts = wire::parts(request.field_mask)?;
+        let hulls: Vec<_> =
+            stream::iter(ids).map(|id| self.record(id, parts)).buffered(AT_A_TIME).try_collect().await?;
+        Ok(self.app.fitting(GetHullsResponse { hulls })?)
+    }
+
+    async fn has_hulls(
+        &self,
+        request: Request<HasHullsRequest>,
+    ) -> Result<Response<HasHullsResponse>, Status> {
+        let ids = wire::ids(&request.into_inner().ids, self.app.limits())?;
+        let present: Vec<_> =
+            stream::iter(ids).map(|id| self.has(id)).buffered(AT_A_TIME).try_collect().await?;
+        Ok(self.app.fitting(HasHullsResponse { present })?)
+    }
+
+    async fn list_hulls(
+        &self,
+        request: Request<ListHullsRequest>,
+    ) -> Result<Response<ListHullsResponse>, Status> {
+        let request = request.into_inner();
+        let after = wire::page_token(&request.page_token)?;
+        let size = if request.page_size == 0 { DEFAULT_PAGE_SIZE } else { request.page_size };
+        let size = size.min(self.app.limits().max_page_size);
+        let (blobs, more) = self.app.registry().list(after, size as usize).await.map_err(store_error)?;
+        Ok(self.app.fitting(wire::page(blobs, more))?)
+    }
+
+    async fn delete_hulls(
+        &self,
+        request: Request<DeleteHullsRequest>,
+    ) -> Result<Response<DeleteHullsResponse>, Status> {
+        let ids = wire::ids(&request.into_inner().ids, self.app.limits())?;
+        let mut deleted = Vec::with_capacity(ids.len());
+        // One after the other: an id that is named twice is deleted once.
+        for id in ids {
+            deleted.push(self.app.registry().delete(id).await.map_err(store_error)?);
+        }
+        tracing::info!(hulls = deleted.iter().filter(|deleted| **deleted).count(), "deleted");
+        Ok(self.app.fitting(DeleteHullsResponse { deleted })?)
+    }
+}
+
+impl Hulls {
+    /// A hull that is no hull is its own result; a store that fails is the call's.
+    async fn register(&self, definition: wire::Definition) -> Result<RegisterHullResult, ServiceError> {
+        let definition = match definition {
+            Ok(definition) => definition,
+            Err(error) => return Ok(wire::register_result(Err(error))),
+        };
+        match self.app.registry().register(definition).await {
+            Ok((id, hull)) => {
+                tracing::debug!(hull = %id, vertices = hull.vertex_count(), "registered");
+                Ok(wire::register_result(Ok((id, &hull))))
+            }
+            Err(RegisterError::Hull(error)) => Ok(wire::register_result(Err(wire::hull_error(&error)))),
+            Err(RegisterError::Store(error)) => Err(store_error(error)),
+            Err(RegisterError::Internal(error)) => {
+                tracing::error!(%error, "a hull could not be built");
+                Err(ServiceError::internal("a hull could not be built"))
+            }
+        }
+    }
+
+    async fn record(&self, id: HullId, parts: wire::Parts) -> Result<HullRecord, ServiceError> {
+        let registry = self.app.registry();
+        let found = async {
+            let hull = registry.get(id).await?;
+            let definition = match parts.vertices {
+                true => Some(registry.definition(id).await?),
+                false => None,
+            };
+            Ok(wire::record(id, &hull, definition.as_ref(), parts))
+        };
+        match found.await {
+            Ok(record) => Ok(record),
+            Err(Missing::Unknown) => Ok(wire::not_found(id)),
+            Err(Missing::Unavailable) => Err(unreadable()),
+        }
+    }
+
+    /// Not merely stored: a blob that is not the hull any more cannot be answered for.
+    async fn has(&self, id: HullId) -> Result<bool, ServiceError> {
+        let registry = self.app.registry();
+        if registry.cached(id).is_some() {
+            return Ok(true);
+        }
+        match registry.definition(id).await {
+            Ok(_) => Ok(true),
+            Err(Missing::Unknown) => Ok(false),
+            Err(Missing::Unavailable) => Err(unreadable()),
+        }
+    }
+}
+
+fn unreadable() -> ServiceError {
+    ServiceError::unavailable("STORE_UNAVAILABLE", STORE_RETRY, "the store could not be read")
+}
+
+fn store_error(error: StoreError) -> ServiceError {
+    tracing::warn!(%error, "the store failed");
+    match error {
+        StoreError::Full(_) => ServiceError::store_full(error.to_string()),
+        StoreError::Unavailable(_) => {
+            ServiceError::unavailable("STORE_UNAVAILABLE", STORE_RETRY, error.to_string())
+        }
+    }
+}

@@ -1,0 +1,83 @@
+//! A limit on everything, in one place: what `GetServerInfo` publishes and the
+//! request's way enforces.
+
+/// What a server accepts. Each is inclusive: at the limit is accepted, one past it refused.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Encoded size of a message, either way.
+    pub max_message_bytes: usize,
+    /// Pairs in one request.
+    pub max_pairs_per_request: u32,
+    /// Bodies in one request.
+    pub max_bodies_per_request: u32,
+    /// Hulls in one request of any kind.
+    pub max_hulls_per_request: u32,
+    /// Extreme vertices of one hull.
+    pub max_vertices_per_hull: u32,
+    /// Pairs accepted and not yet answered, over all calls.
+    pub max_pairs_in_flight: u32,
+    /// Heap held by cached hulls that no request is using.
+    pub cache_bytes: u64,
+    /// Blobs of the store, summed; 0: unbounded.
+    pub store_bytes: u64,
+    /// Concurrent calls on one connection.
+    pub max_streams_per_connection: u32,
+    /// Hulls in one page of `ListHulls`.
+    pub max_page_size: u32,
+    /// Within this a hull deleted by another server on the same store may still be answered for.
+    pub cache_age_seconds: u32,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            max_message_bytes: 64 << 20,
+            max_pairs_per_request: 131_072,
+            max_bodies_per_request: 131_072,
+            max_hulls_per_request: 16_384,
+            max_vertices_per_hull: 16_384,
+            max_pairs_in_flight: 1 << 20,
+            cache_bytes: 1 << 30,
+            store_bytes: 0,
+            max_streams_per_connection: 1024,
+            max_page_size: 10_000,
+            cache_age_seconds: 60,
+        }
+    }
+}
+
+/// The largest `max_message_bytes`: an HTTP/2 gRPC message's length is 32 bits, and a
+/// server that answers for 2 GiB at a time is misconfigured.
+const MOST_MESSAGE_BYTES: usize = 2 << 30;
+
+impl Limits {
+    /// What makes these limits contradict each other, for people; none when they do not.
+    pub fn contradiction(&self) -> Option<String> {
+        let positive = [
+            ("max_pairs_per_request", self.max_pairs_per_request),
+            ("max_bodies_per_request", self.max_bodies_per_request),
+            ("max_hulls_per_request", self.max_hulls_per_request),
+            ("max_streams_per_connection", self.max_streams_per_connection),
+            ("max_page_size", self.max_page_size),
+        ];
+        if let Some((name, _)) = positive.iter().find(|(_, value)| *value == 0) {
+            return Some(format!("{name} is 0"));
+        }
+        if !(1024..=MOST_MESSAGE_BYTES).contains(&self.max_message_bytes) {
+            return Some(format!(
+                "max_message_bytes is {}, outside 1024 to {MOST_MESSAGE_BYTES}",
+                self.max_message_bytes
+            ));
+        }
+        if self.max_vertices_per_hull < 4 {
+            return Some("max_vertices_per_hull is below 4: no hull has fewer".into());
+        }
+        if self.max_pairs_in_flight < self.max_pairs_per_request {
+            return Some(format!(
+                "max_pairs_in_flight ({}) is below max_pairs_per_request ({}): such a request would never run",
+                self.max_pairs_in_flight, self.max_pairs_per_request
+            ));
+        }
+        None
+    }
+}

@@ -1,0 +1,113 @@
+//! The gRPC services. The request's way is wire -> handlers -> batch -> wire.
+//!
+//! [`wire`] checks requests and writes responses, [`contacts`], [`hulls`] and
+//! [`info`] are the handlers, [`batch`] computes. [`server`] runs it all on
+//! [`listener`]s, behind [`edge`], which holds for every call.
+
+pub mod batch;
+mod contacts;
+mod edge;
+mod error;
+mod hulls;
+mod info;
+mod limits;
+mod listener;
+mod outputs;
+mod server;
+pub mod wire;
+
+use std::{fmt, sync::Arc, time::Duration};
+
+use batch::Engine;
+pub use error::{Kind, Place, ServiceError};
+pub use limits::Limits;
+pub use listener::Listener;
+pub use outputs::Outputs;
+pub use server::run;
+use tokio::sync::watch;
+
+use crate::{
+    compute::Compute,
+    store::{BlobStore, Registry, registry::Bounds},
+};
+
+/// What every handler shares.
+#[derive(Debug)]
+pub struct App {
+    limits: Limits,
+    registry: Registry,
+    engine: Engine,
+    /// True once the server stops: open streams end.
+    stopping: watch::Sender<bool>,
+}
+
+impl App {
+    /// Hulls in `blobs`, computed on `threads` threads (0: one a core).
+    ///
+    /// # Errors
+    /// The limits contradict each other, or the threads could not be started.
+    pub fn new(blobs: Arc<dyn BlobStore>, limits: Limits, threads: usize) -> Result<Self, OpenError> {
+        if let Some(why) = limits.contradiction() {
+            return Err(OpenError::Limits(why));
+        }
+        let compute = Compute::new(threads).map_err(|error| OpenError::Threads(error.to_string()))?;
+        let bounds = Bounds {
+            cache_bytes: limits.cache_bytes,
+            store_bytes: limits.store_bytes,
+            cache_age: Duration::from_secs(limits.cache_age_seconds.into()),
+            max_vertices: limits.max_vertices_per_hull as usize,
+        };
+        let engine = Engine::new(compute.clone(), limits.max_pairs_in_flight, limits.max_message_bytes);
+        let registry = Registry::new(blobs, compute, bounds);
+        Ok(Self { limits, registry, engine, stopping: watch::Sender::new(false) })
+    }
+
+    /// What the server accepts.
+    pub fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
+    /// The hulls.
+    pub fn registry(&self) -> &Registry {
+        &self.registry
+    }
+
+    /// What computes.
+    pub fn engine(&self) -> &Engine {
+        &self.engine
+    }
+
+    /// A response that may be sent.
+    fn fitting<M: prost::Message>(&self, response: M) -> Result<tonic::Response<M>, ServiceError> {
+        let (bytes, limit) = (response.encoded_len(), self.limits.max_message_bytes);
+        if bytes > limit {
+            let message =
+                format!("the answer has {bytes} bytes, the limit is {limit}: ask for less at a time");
+            return Err(ServiceError::refused("RESPONSE_TOO_LARGE", message));
+        }
+        Ok(tonic::Response::new(response))
+    }
+}
+
+/// Why a server did not start.
+#[derive(Debug)]
+pub enum OpenError {
+    /// The limits contradict each other.
+    Limits(String),
+    /// The compute threads could not be started.
+    Threads(String),
+    /// The reflection service could not read the contract.
+    Reflection(tonic_reflection::server::Error),
+}
+
+impl fmt::Display for OpenError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Limits(why) => write!(f, "limits: {why}"),
+            Self::Threads(why) => write!(f, "compute threads: {why}"),
+            Self::Reflection(error) => write!(f, "reflection: {error}"),
+        }
+    }
+}
+
+impl std::error::Error for OpenError {}

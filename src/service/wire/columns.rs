@@ -1,0 +1,304 @@
+//! An answer as columns: manifolds in, a response out.
+
+use crate::{
+    contact::{Element, Feature, Manifold, Outcome},
+    proto::{self, FeatureKind, Flag},
+    service::outputs::Outputs,
+    store::Missing,
+};
+
+/// No index: a basis, feature or id that is not there.
+const NONE: u32 = u32::MAX;
+
+/// The columns of some consecutive pairs, as `QueryContactsResponse` has them. A column that
+/// is not asked for stays empty.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Columns {
+    outcomes: Vec<u8>,
+    flags: Vec<u8>,
+    alphas: Vec<f64>,
+    alpha_lowers: Vec<f64>,
+    alpha_uppers: Vec<f64>,
+    separations: Vec<f64>,
+    normals: Vec<f64>,
+    point_counts: Vec<u32>,
+    witness_as: Vec<f64>,
+    distances: Vec<f64>,
+    witness_bs: Vec<f64>,
+    feature_kinds: Vec<u8>,
+    feature_indices: Vec<u32>,
+    point_ids: Vec<u32>,
+    bases: Vec<u32>,
+    iterations: Vec<u32>,
+    support_calls: Vec<u32>,
+    points: usize,
+}
+
+/// Why a pair is not answered: each costs its own pairs alone.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Invalid {
+    unknown_hull: bool,
+    hull_unavailable: bool,
+    invalid_body: bool,
+}
+
+impl Invalid {
+    /// A body's pose is not usable.
+    pub fn body(&mut self) {
+        self.invalid_body = true;
+    }
+
+    /// A body's hull is missing.
+    pub fn hull(&mut self, missing: Missing) {
+        match missing {
+            Missing::Unknown => self.unknown_hull = true,
+            Missing::Unavailable => self.hull_unavailable = true,
+        }
+    }
+
+    fn flags(self) -> u8 {
+        bit(self.unknown_hull, Flag::UnknownHull)
+            | bit(self.hull_unavailable, Flag::HullUnavailable)
+            | bit(self.invalid_body, Flag::InvalidBody)
+    }
+}
+
+fn bit(set: bool, flag: Flag) -> u8 {
+    if set { flag as u8 } else { 0 }
+}
+
+impl Columns {
+    /// Room for `pairs` pairs.
+    pub fn with_capacity(pairs: usize, outputs: Outputs) -> Self {
+        let mut columns = Self::default();
+        columns.reserve(pairs, 0, outputs);
+        columns
+    }
+
+    /// How many pairs.
+    pub fn len(&self) -> usize {
+        self.outcomes.len()
+    }
+
+    /// No pairs.
+    pub fn is_empty(&self) -> bool {
+        self.outcomes.is_empty()
+    }
+
+    /// Bytes on the wire, but for the few that frame the columns.
+    pub fn wire_bytes(&self, outputs: Outputs) -> usize {
+        self.len() * outputs.pair_bytes() + self.points * outputs.point_bytes()
+    }
+
+    /// How many pairs have each outcome: CONTACT, SEPARATED, UNDECIDED, INVALID.
+    pub fn outcome_counts(&self) -> [usize; 4] {
+        let mut counts = [0; 4];
+        for &outcome in &self.outcomes {
+            counts[outcome as usize - 1] += 1;
+        }
+        counts
+    }
+
+    /// Adds a pair's answer.
+    pub fn push(&mut self, manifold: &Manifold, outputs: Outputs) {
+        let flags = &manifold.flags;
+        self.outcomes.push(match manifold.outcome {
+            Outcome::Contact => proto::Outcome::Contact as u8,
+            Outcome::Separated => proto::Outcome::Separated as u8,
+            Outcome::Undecided => proto::Outcome::Undecided as u8,
+        });
+        self.flags.push(
+            bit(flags.estimated, Flag::Estimated)
+                | bit(flags.coincident, Flag::Coincident)
+                | bit(flags.gap_open, Flag::GapOpen)
+                | bit(flags.reduced, Flag::Reduced),
+        );
+        if outputs.alpha {
+            self.alphas.push(manifold.alpha);
+            self.alpha_lowers.push(manifold.alpha_lower);
+            self.alpha_uppers.push(manifold.alpha_upper);
+        }
+        if outputs.normal {
+            self.separations.push(manifold.separation);
+            self.normals.extend_from_slice(&manifold.normal.to_array());
+        }
+        if outputs.any_points() {
+            self.push_points(manifold, outputs);
+        }
+        if outputs.bases {
+            match &manifold.basis {
+                Some(basis) => {
+                    self.bases.extend_from_slice(&basis.a);
+                    self.bases.extend_from_slice(&basis.b);
+                }
+                None => self.bases.extend_from_slice(&[NONE; 6]),
+            }
+        }
+        if outputs.diagnostics {
+            self.iterations.push(manifold.iterations);
+            self.support_calls.push(manifold.support_calls);
+        }
+    }
+
+    fn push_points(&mut self, manifold: &Manifold, outputs: Outputs) {
+        self.points += manifold.points.len();
+        self.point_counts.push(manifold.points.len() as u32);
+        for point in &manifold.points {
+            if outputs.points {
+                self.witness_as.extend_from_slice(&point.witness_a.to_array());
+                self.distances.push(point.distance);
+            }
+            if outputs.witness_b {
+                let witness_b = point.witness_a + point.distance * manifold.normal;
+                self.witness_bs.extend_from_slice(&witness_b.to_array());
+            }
+            if outputs.features {
+                for element in point.id {
+                    self.point_ids.extend_from_slice(&element_indices(element));
+                }
+            }
+        }
+        if outputs.features {
+            let features = manifold.features.map(|features| features.map(Some)).unwrap_or_default();
+            for feature in features {
+                let (kind, indices) = feature_indices(feature);
+                self.feature_kinds.push(kind as u8);
+                self.feature_indices.extend_from_slice(&indices);
+            }
+        }
+    }
+
+    /// Adds a pair that is not answered: its numbers are NaN.
+    pub fn push_invalid(&mut self, invalid: Invalid, outputs: Outputs) {
+        self.outcomes.push(proto::Outcome::Invalid as u8);
+        self.flags.push(invalid.flags());
+        if outputs.alpha {
+            self.alphas.push(f64::NAN);
+            self.alpha_lowers.push(f64::NAN);
+            self.alpha_uppers.push(f64::NAN);
+        }
+        if outputs.normal {
+            self.separations.push(f64::NAN);
+            self.normals.extend_from_slice(&[f64::NAN; 3]);
+        }
+        if outputs.any_points() {
+            self.point_counts.push(0);
+        }
+        if outputs.features {
+            self.feature_kinds.extend_from_slice(&[FeatureKind::None as u8; 2]);
+            self.feature_indices.extend_from_slice(&[NONE; 4]);
+        }
+        if outputs.bases {
+            self.bases.extend_from_slice(&[NONE; 6]);
+        }
+        if outputs.diagnostics {
+            self.iterations.push(0);
+            self.support_calls.push(0);
+        }
+    }
+
+    /// The parts, one after the other.
+    pub fn concatenated(mut parts: Vec<Self>, outputs: Outputs) -> Self {
+        if parts.len() == 1 {
+            return parts.pop().unwrap_or_default();
+        }
+        let mut whole = Self::default();
+        let pairs = parts.iter().map(Self::len).sum();
+        whole.reserve(pairs, parts.iter().map(|part| part.points).sum(), outputs);
+        for part in &parts {
+            whole.append(part);
+        }
+        whole
+    }
+
+    fn reserve(&mut self, pairs: usize, points: usize, outputs: Outputs) {
+        let if_wanted = |wanted: bool, count: usize| if wanted { count } else { 0 };
+        self.outcomes.reserve_exact(pairs);
+        self.flags.reserve_exact(pairs);
+        for column in [&mut self.alphas, &mut self.alpha_lowers, &mut self.alpha_uppers] {
+            column.reserve_exact(if_wanted(outputs.alpha, pairs));
+        }
+        self.separations.reserve_exact(if_wanted(outputs.normal, pairs));
+        self.normals.reserve_exact(if_wanted(outputs.normal, 3 * pairs));
+        self.point_counts.reserve_exact(if_wanted(outputs.any_points(), pairs));
+        self.witness_as.reserve_exact(if_wanted(outputs.points, 3 * points));
+        self.distances.reserve_exact(if_wanted(outputs.points, points));
+        self.witness_bs.reserve_exact(if_wanted(outputs.witness_b, 3 * points));
+        self.feature_kinds.reserve_exact(if_wanted(outputs.features, 2 * pairs));
+        self.feature_indices.reserve_exact(if_wanted(outputs.features, 4 * pairs));
+        self.point_ids.reserve_exact(if_wanted(outputs.features, 4 * points));
+        self.bases.reserve_exact(if_wanted(outputs.bases, 6 * pairs));
+        self.iterations.reserve_exact(if_wanted(outputs.diagnostics, pairs));
+        self.support_calls.reserve_exact(if_wanted(outputs.diagnostics, pairs));
+    }
+
+    fn append(&mut self, part: &Self) {
+        self.outcomes.extend_from_slice(&part.outcomes);
+        self.flags.extend_from_slice(&part.flags);
+        self.alphas.extend_from_slice(&part.alphas);
+        self.alpha_lowers.extend_from_slice(&part.alpha_lowers);
+        self.alpha_uppers.extend_from_slice(&part.alpha_uppers);
+        self.separations.extend_from_slice(&part.separations);
+        self.normals.extend_from_slice(&part.normals);
+        self.point_counts.extend_from_slice(&part.point_counts);
+        self.witness_as.extend_from_slice(&part.witness_as);
+        self.distances.extend_from_slice(&part.distances);
+        self.witness_bs.extend_from_slice(&part.witness_bs);
+        self.feature_kinds.extend_from_slice(&part.feature_kinds);
+        self.feature_indices.extend_from_slice(&part.feature_indices);
+        self.point_ids.extend_from_slice(&part.point_ids);
+        self.bases.extend_from_slice(&part.bases);
+        self.iterations.extend_from_slice(&part.iterations);
+        self.support_calls.extend_from_slice(&part.support_calls);
+        self.points += part.points;
+    }
+}
+
+fn element_indices(element: Element) -> [u32; 2] {
+    match element {
+        Element::Vertex(vertex) => [vertex, vertex],
+        Element::Edge(ends) => ends,
+        Element::Inside => [NONE, NONE],
+    }
+}
+
+fn feature_indices(feature: Option<Feature>) -> (FeatureKind, [u32; 2]) {
+    match feature {
+        None => (FeatureKind::None, [NONE, NONE]),
+        Some(Feature::Vertex(vertex)) => (FeatureKind::Vertex, [vertex, NONE]),
+        Some(Feature::Edge(ends)) => (FeatureKind::Edge, ends),
+        Some(Feature::Face(face)) => (FeatureKind::Face, [face, NONE]),
+    }
+}
+
+/// The response to a checked request.
+pub(in crate::service) fn response(
+    request_id: u64,
+    columns: Columns,
+    missing_hulls: Vec<u32>,
+    invalid_bodies: Vec<u32>,
+) -> proto::QueryContactsResponse {
+    proto::QueryContactsResponse {
+        request_id,
+        outcomes: columns.outcomes,
+        flags: columns.flags,
+        alphas: columns.alphas,
+        alpha_lowers: columns.alpha_lowers,
+        alpha_uppers: columns.alpha_uppers,
+        separations: columns.separations,
+        normals: columns.normals,
+        point_counts: columns.point_counts,
+        witness_as: columns.witness_as,
+        distances: columns.distances,
+        witness_bs: columns.witness_bs,
+        feature_kinds: columns.feature_kinds,
+        feature_indices: columns.feature_indices,
+        point_ids: columns.point_ids,
+        bases: columns.bases,
+        pairs: Vec::new(),
+        missing_hulls,
+        invalid_bodies,
+        iterations: columns.iterations,
+        support_calls: columns.support_calls,
+    }
+}

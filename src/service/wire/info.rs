@@ -1,0 +1,25 @@
+//! The server's description.
+
+use crate::{proto, service::limits::Limits};
+
+/// What this server is and accepts.
+pub(in crate::service) fn server_info(limits: &Limits, threads: usize) -> proto::GetServerInfoResponse {
+    proto::GetServerInfoResponse {
+        version: env!("CARGO_PKG_VERSION").into(),
+        limits: Some(proto::Limits {
+            max_message_bytes: limits.max_message_bytes as u64,
+            max_pairs_per_request: limits.max_pairs_per_request,
+            max_bodies_per_request: limits.max_bodies_per_request,
+            max_hulls_per_request: limits.max_hulls_per_request,
+            max_vertices_per_hull: limits.max_vertices_per_hull,
+            max_pairs_in_flight: limits.max_pairs_in_flight.into(),
+            cache_bytes: limits.cache_bytes,
+            store_bytes: limits.store_bytes,
+            max_streams_per_connection: limits.max_streams_per_connection,
+            max_page_size: limits.max_page_size,
+            cache_age_seconds: limits.cache_age_seconds,
+        }),
+        instruction_set: "scalar".into(),
+        compute_threads: threads as u32,
+    }
+}

@@ -1,0 +1,233 @@
+//! A query as it came in, checked exhaustively.
+
+use std::collections::HashSet;
+
+use crate::{
+    contact::{Accuracy, Pose, Query, Solver},
+    proto,
+    service::{error::ServiceError, limits::Limits, outputs::Outputs},
+    store::HullId,
+};
+
+/// A checked request: every length fits, every index is in range, every option is known.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// Echoed.
+    pub request_id: u64,
+    /// Each once.
+    pub hull_ids: Vec<HullId>,
+    /// Per body: index into `hull_ids`.
+    pub body_hulls: Vec<u32>,
+    /// Per body; none where it is not usable.
+    pub poses: Vec<Option<Pose>>,
+    /// Bodies without a usable pose, ascending.
+    pub invalid_bodies: Vec<u32>,
+    /// 2 body indices per pair.
+    pub pairs: Vec<u32>,
+    /// Empty, or 6 vertex indices per pair, unchecked.
+    pub warm_starts: Vec<u32>,
+    /// What is asked of each pair.
+    pub query: Query,
+    /// What is sent of it.
+    pub outputs: Outputs,
+}
+
+/// Checks a `QueryContacts` request.
+///
+/// # Errors
+/// The first fault found, naming field and index.
+pub fn scene(request: proto::QueryContactsRequest, limits: &Limits) -> Result<Scene, ServiceError> {
+    let accuracy = request.accuracy.unwrap_or_default();
+    refuse_unimplemented(request.inherit, &accuracy)?;
+    refuse_foreign(&request.worlds, "worlds")?;
+    refuse_foreign(&request.groups, "groups")?;
+    refuse_foreign(&request.ignored_groups, "ignored_groups")?;
+
+    let bodies = request.body_hulls.len();
+    let pairs = request.pairs.len() / 2;
+    at_most(request.hull_ids.len(), limits.max_hulls_per_request, "TOO_MANY_HULLS", "hull_ids")?;
+    at_most(bodies, limits.max_bodies_per_request, "TOO_MANY_BODIES", "body_hulls")?;
+    at_most(pairs, limits.max_pairs_per_request, "TOO_MANY_PAIRS", "pairs")?;
+    has_length(request.positions.len(), 3 * bodies, "positions", "3 per body")?;
+    has_length(request.rotations.len(), 4 * bodies, "rotations", "4 per body")?;
+    has_length(request.pairs.len(), 2 * pairs, "pairs", "2 per pair")?;
+    if !request.warm_starts.is_empty() {
+        has_length(request.warm_starts.len(), 6 * pairs, "warm_starts", "none or 6 per pair")?;
+    }
+    all_below(&request.body_hulls, request.hull_ids.len(), "body_hulls", "hulls")?;
+    all_below(&request.pairs, bodies, "pairs", "bodies")?;
+
+    let hull_ids = distinct_ids(&request.hull_ids)?;
+    let outputs = outputs(&request.outputs);
+    let query = Query {
+        margin: margin(request.margin)?,
+        accuracy: checked_accuracy(&accuracy)?,
+        wanted: outputs.wanted(),
+    };
+    let (poses, invalid_bodies) = poses(&request.positions, &request.rotations);
+    Ok(Scene {
+        request_id: request.request_id,
+        hull_ids,
+        body_hulls: request.body_hulls,
+        poses,
+        invalid_bodies,
+        pairs: request.pairs,
+        warm_starts: request.warm_starts,
+        query,
+        outputs,
+    })
+}
+
+/// What the contract names and this version does not do refuses the call as a whole:
+/// never is it silently left out.
+fn refuse_unimplemented(inherit: bool, accuracy: &proto::Accuracy) -> Result<(), ServiceError> {
+    if inherit {
+        return Err(ServiceError::unimplemented("inherit", "inherit is not implemented yet"));
+    }
+    if accuracy.precision == proto::Precision::Single as i32 {
+        return Err(ServiceError::unimplemented(
+            "accuracy.precision",
+            "single precision is not implemented yet",
+        ));
+    }
+    Ok(())
+}
+
+fn refuse_foreign(column: &[u32], field: &'static str) -> Result<(), ServiceError> {
+    if column.is_empty() {
+        return Ok(());
+    }
+    Err(ServiceError::invalid("FIELD_NOT_ALLOWED", field, format!("{field} is of FindContacts alone")))
+}
+
+pub(super) fn at_most(
+    count: usize,
+    limit: u32,
+    reason: &'static str,
+    field: &'static str,
+) -> Result<(), ServiceError> {
+    if count <= limit as usize {
+        return Ok(());
+    }
+    Err(ServiceError::invalid(reason, field, format!("{count} entries, the limit is {limit}")))
+}
+
+fn has_length(found: usize, expected: usize, field: &'static str, rule: &str) -> Result<(), ServiceError> {
+    if found == expected {
+        return Ok(());
+    }
+    let message = format!("{found} entries, {expected} expected: {rule}");
+    Err(ServiceError::invalid("LENGTH_MISMATCH", field, message))
+}
+
+fn all_below(column: &[u32], count: usize, field: &'static str, of: &str) -> Result<(), ServiceError> {
+    match column.iter().position(|&index| index as usize >= count) {
+        None => Ok(()),
+        Some(at) => Err(ServiceError::invalid_at(
+            "INDEX_OUT_OF_RANGE",
+            field,
+            at,
+            format!("{} of {count} {of}", column[at]),
+        )),
+    }
+}
+
+fn distinct_ids<B: AsRef<[u8]>>(ids: &[B]) -> Result<Vec<HullId>, ServiceError> {
+    let mut seen = HashSet::with_capacity(ids.len());
+    let mut distinct = Vec::with_capacity(ids.len());
+    for (index, bytes) in ids.iter().enumerate() {
+        let id = hull_id(bytes.as_ref(), "hull_ids", index)?;
+        if !seen.insert(id) {
+            let message = format!("hull {id} is listed before: each hull once");
+            return Err(ServiceError::invalid_at("DUPLICATE_HULL", "hull_ids", index, message));
+        }
+        distinct.push(id);
+    }
+    Ok(distinct)
+}
+
+pub(super) fn hull_id(bytes: &[u8], field: &'static str, index: usize) -> Result<HullId, ServiceError> {
+    let id = bytes.try_into().map(HullId);
+    id.map_err(|_| {
+        let message = format!("{} bytes, a hull's id has 32", bytes.len());
+        ServiceError::invalid_at("MALFORMED_ID", field, index, message)
+    })
+}
+
+fn margin(margin: f64) -> Result<f64, ServiceError> {
+    if margin >= 0.0 {
+        return Ok(margin);
+    }
+    Err(out_of_range("margin", margin, "at least 0"))
+}
+
+fn out_of_range(field: &'static str, value: f64, rule: &str) -> ServiceError {
+    ServiceError::invalid("VALUE_OUT_OF_RANGE", field, format!("{value}, must be {rule}"))
+}
+
+fn checked_accuracy(accuracy: &proto::Accuracy) -> Result<Accuracy, ServiceError> {
+    let defaults = Accuracy::default();
+    let solver = match proto::Solver::try_from(accuracy.solver) {
+        Ok(proto::Solver::Unspecified | proto::Solver::Portal) => Solver::Portal,
+        Ok(proto::Solver::GjkRayCast) => Solver::GjkRayCast,
+        Err(_) => return Err(unknown_value("accuracy.solver", accuracy.solver)),
+    };
+    if proto::Precision::try_from(accuracy.precision).is_err() {
+        return Err(unknown_value("accuracy.precision", accuracy.precision));
+    }
+    let relative_tolerance = accuracy.relative_tolerance;
+    if !(0.0..=1.0).contains(&relative_tolerance) {
+        return Err(out_of_range("accuracy.relative_tolerance", relative_tolerance, "0 to 1"));
+    }
+    let feature_angle = accuracy.feature_angle.unwrap_or(defaults.feature_angle);
+    if !(0.0..=0.5).contains(&feature_angle) {
+        return Err(out_of_range("accuracy.feature_angle", feature_angle, "0 to 0.5"));
+    }
+    let max_points = accuracy.max_points;
+    Ok(Accuracy { solver, relative_tolerance, feature_angle, max_points, ..defaults })
+}
+
+/// Computing something else than what was asked for would be a wrong answer.
+fn unknown_value(field: &'static str, value: i32) -> ServiceError {
+    ServiceError::invalid("UNKNOWN_VALUE", field, format!("{value} is not a value of this version"))
+}
+
+/// Unknown outputs are of a newer client, which can do without them.
+fn outputs(values: &[i32]) -> Outputs {
+    if values.is_empty() {
+        return Outputs::default();
+    }
+    let mut outputs = Outputs::OUTCOME;
+    for &value in values {
+        match proto::Output::try_from(value) {
+            Ok(proto::Output::Unspecified | proto::Output::Outcome) | Err(_) => {}
+            Ok(proto::Output::Alpha) => outputs.alpha = true,
+            Ok(proto::Output::Normal) => outputs.normal = true,
+            Ok(proto::Output::Points) => outputs.points = true,
+            Ok(proto::Output::WitnessB) => outputs.witness_b = true,
+            Ok(proto::Output::Features) => outputs.features = true,
+            Ok(proto::Output::Bases) => outputs.bases = true,
+            Ok(proto::Output::Diagnostics) => outputs.diagnostics = true,
+        }
+    }
+    outputs
+}
+
+fn poses(positions: &[f64], rotations: &[f64]) -> (Vec<Option<Pose>>, Vec<u32>) {
+    let (positions, _) = positions.as_chunks::<3>();
+    let (rotations, _) = rotations.as_chunks::<4>();
+    let mut invalid = Vec::new();
+    let poses = positions
+        .iter()
+        .zip(rotations)
+        .enumerate()
+        .map(|(body, (&position, &rotation))| {
+            let pose = Pose::new(position, rotation).ok();
+            if pose.is_none() {
+                invalid.push(body as u32);
+            }
+            pose
+        })
+        .collect();
+    (poses, invalid)
+}

@@ -1,0 +1,220 @@
+//! Keeps blobs by the hash of their content.
+//!
+//! [`BlobStore`] is all that the registry asks of a store; [`Objects`] is the
+//! one implementation, over the `object_store` crate: a local directory with
+//! every write synced (file and directories) before it is acknowledged, or
+//! memory, which forgets.
+
+use std::{error::Error as _, fmt, io, path::Path as FsPath, sync::Arc};
+
+use bytes::Bytes;
+use futures_util::{TryStreamExt, future::BoxFuture};
+use object_store::{
+    ObjectStore, ObjectStoreExt, PutPayload, local::LocalFileSystem, memory::InMemory, path::Path,
+};
+
+use super::HullId;
+
+/// Why the store did not do what was asked.
+#[derive(Debug)]
+pub enum StoreError {
+    /// No room: the disk or the configured limit.
+    Full(String),
+    /// It could not be read or written; trying again may help.
+    Unavailable(String),
+}
+
+impl fmt::Display for StoreError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Full(why) => write!(f, "the store is full: {why}"),
+            Self::Unavailable(why) => write!(f, "the store is unavailable: {why}"),
+        }
+    }
+}
+
+impl std::error::Error for StoreError {}
+
+/// A blob, as listed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StoredBlob {
+    /// Its name.
+    pub id: HullId,
+    /// When it was last written, milliseconds since 1970 (UTC).
+    pub created_unix_ms: i64,
+    /// Its size.
+    pub bytes: u64,
+}
+
+/// A durable map from id to bytes.
+pub trait BlobStore: fmt::Debug + Send + Sync {
+    /// Writes a blob; durable when it returns. An earlier one of that name is replaced.
+    fn put(&self, id: HullId, blob: Bytes) -> BoxFuture<'_, Result<(), StoreError>>;
+    /// Reads a blob; none when there is no such.
+    fn get(&self, id: HullId) -> BoxFuture<'_, Result<Option<Bytes>, StoreError>>;
+    /// A blob's size; none when there is no such.
+    fn size(&self, id: HullId) -> BoxFuture<'_, Result<Option<u64>, StoreError>>;
+    /// Removes a blob; none to remove is no error.
+    fn delete(&self, id: HullId) -> BoxFuture<'_, Result<(), StoreError>>;
+    /// At least `count` blobs, if there are, after `after`, by id; never a part of the
+    /// blobs that share a first byte.
+    fn list(&self, after: Option<HullId>, count: usize)
+    -> BoxFuture<'_, Result<Vec<StoredBlob>, StoreError>>;
+}
+
+/// Why a `--store` could not be opened.
+#[derive(Debug)]
+pub struct OpenError(String);
+
+impl fmt::Display for OpenError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for OpenError {}
+
+/// An opened store.
+pub type Opened = Arc<dyn BlobStore>;
+
+/// Opens a directory (a plain path or `file://`), created where it is missing, or
+/// `memory://`, which keeps nothing over a restart.
+///
+/// # Errors
+/// The directory cannot be made or is not one, or the scheme is not of this build.
+pub fn open(url: &str) -> Result<Opened, OpenError> {
+    let objects: Arc<dyn ObjectStore> = match url.split_once("://") {
+        Some(("memory", _)) => Arc::new(InMemory::new()),
+        Some(("file", path)) => Arc::new(directory(path.as_ref()).map_err(|e| failed(url, &e))?),
+        None => Arc::new(directory(url.as_ref()).map_err(|e| failed(url, &e))?),
+        Some(("s3", _)) => {
+            return Err(OpenError(format!(
+                "store {url}: S3 needs the feature \"s3\", which this build is without"
+            )));
+        }
+        Some((scheme, _)) => {
+            return Err(OpenError(format!(
+                "store {url}: unknown scheme {scheme}://; a directory, file:// and memory:// are known"
+            )));
+        }
+    };
+    Ok(Arc::new(Objects { objects }))
+}
+
+fn failed(url: &str, error: &dyn std::error::Error) -> OpenError {
+    OpenError(format!("store {url}: {error}"))
+}
+
+fn directory(path: &FsPath) -> io::Result<LocalFileSystem> {
+    std::fs::create_dir_all(path)?;
+    let store = LocalFileSystem::new_with_prefix(path).map_err(io::Error::other)?.with_fsync(true);
+    // Makes durable what a killed server made here and did not come to sync: the
+    // directory's own entry, and those of the shards in it.
+    let path = path.canonicalize()?;
+    std::fs::File::open(&path)?.sync_all()?;
+    if let Some(parent) = path.parent() {
+        // A parent that may not be opened is not one that was just made.
+        let _ = std::fs::File::open(parent).and_then(|parent| parent.sync_all());
+    }
+    Ok(store)
+}
+
+/// Blobs as objects, sharded by the first byte of their id: no directory of a million files.
+#[derive(Debug)]
+struct Objects {
+    objects: Arc<dyn ObjectStore>,
+}
+
+/// `ab/ab12…`: the whole id is the name, so that a file can be checked where it lies.
+fn key(id: HullId) -> Path {
+    let name = id.to_string();
+    Path::from_iter([&name[..2], &name])
+}
+
+fn id_of_key(key: &Path) -> Option<HullId> {
+    key.filename()?.parse().ok()
+}
+
+impl BlobStore for Objects {
+    fn put(&self, id: HullId, blob: Bytes) -> BoxFuture<'_, Result<(), StoreError>> {
+        Box::pin(async move {
+            let written = self.objects.put(&key(id), PutPayload::from_bytes(blob)).await;
+            written.map(|_| ()).map_err(store_error)
+        })
+    }
+
+    fn get(&self, id: HullId) -> BoxFuture<'_, Result<Option<Bytes>, StoreError>> {
+        Box::pin(async move {
+            let Some(found) = present(self.objects.get(&key(id)).await)? else { return Ok(None) };
+            // Deleted between opening and reading is deleted.
+            present(found.bytes().await)
+        })
+    }
+
+    fn size(&self, id: HullId) -> BoxFuture<'_, Result<Option<u64>, StoreError>> {
+        Box::pin(async move { Ok(present(self.objects.head(&key(id)).await)?.map(|meta| meta.size)) })
+    }
+
+    fn delete(&self, id: HullId) -> BoxFuture<'_, Result<(), StoreError>> {
+        Box::pin(async move { present(self.objects.delete(&key(id)).await).map(|_| ()) })
+    }
+
+    fn list(
+        &self,
+        after: Option<HullId>,
+        count: usize,
+    ) -> BoxFuture<'_, Result<Vec<StoredBlob>, StoreError>> {
+        Box::pin(async move {
+            let mut shards =
+                self.objects.list_with_delimiter(None).await.map_err(store_error)?.common_prefixes;
+            shards.sort();
+            let first = after.map(|id| format!("{:02x}", id.0[0]));
+            let mut blobs: Vec<StoredBlob> = Vec::new();
+            for shard in shards {
+                if first.as_ref().is_some_and(|first| shard.as_ref() < first.as_str()) {
+                    continue;
+                }
+                if blobs.len() >= count {
+                    break;
+                }
+                let start = blobs.len();
+                let mut objects = self.objects.list(Some(&shard));
+                while let Some(meta) = objects.try_next().await.map_err(store_error)? {
+                    // What is not a hull's name is not ours to list.
+                    let Some(id) =
+                        id_of_key(&meta.location).filter(|id| after.is_none_or(|after| *id > after))
+                    else {
+                        continue;
+                    };
+                    let created_unix_ms = meta.last_modified.timestamp_millis();
+                    blobs.push(StoredBlob { id, created_unix_ms, bytes: meta.size });
+                }
+                blobs[start..].sort_unstable_by_key(|blob| blob.id);
+            }
+            Ok(blobs)
+        })
+    }
+}
+
+/// Not found is no error.
+fn present<T>(result: object_store::Result<T>) -> Result<Option<T>, StoreError> {
+    match result {
+        Ok(value) => Ok(Some(value)),
+        Err(object_store::Error::NotFound { .. }) => Ok(None),
+        Err(error) => Err(store_error(error)),
+    }
+}
+
+fn store_error(error: object_store::Error) -> StoreError {
+    use io::ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};
+    let mut cause = error.source();
+    while let Some(inner) = cause {
+        if let Some(io) = inner.downcast_ref::<io::Error>()
+            && matches!(io.kind(), StorageFull | QuotaExceeded | FileTooLarge)
+        {
+            return StoreError::Full(error.to_string());
+        }
+        cause = inner.source();
+    }
+    StoreError::Unavailable(error.to_string())
+}

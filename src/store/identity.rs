@@ -1,0 +1,203 @@
+//! What a hull is called: the SHA-256 of its content (docs/identity.md).
+//!
+//! The byte string that is hashed is also what is stored, so that a blob
+//! proves by its name that it is the one that was acknowledged.
+
+use std::{fmt, str::FromStr};
+
+use sha2::{Digest, Sha256};
+
+use crate::contact::{ConvexHull, HullError, HullOptions};
+
+/// First in the byte string.
+const MAGIC: &[u8; 8] = b"hullcast";
+/// Of the byte string.
+const FORMAT: u32 = 1;
+const ABSENT: u8 = 0;
+const PRESENT: u8 = 1;
+
+/// SHA-256 of a hull's identity bytes.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct HullId(pub [u8; 32]);
+
+impl fmt::Display for HullId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+impl fmt::Debug for HullId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
+}
+
+/// Not 64 lower-case hexadecimal digits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NotAnId;
+
+impl FromStr for HullId {
+    type Err = NotAnId;
+
+    fn from_str(text: &str) -> Result<Self, NotAnId> {
+        let digit = |byte: u8| match byte {
+            b'0'..=b'9' => Ok(byte - b'0'),
+            b'a'..=b'f' => Ok(byte - b'a' + 10),
+            _ => Err(NotAnId),
+        };
+        let text: &[u8; 64] = text.as_bytes().try_into().map_err(|_| NotAnId)?;
+        let mut id = [0; 32];
+        for (byte, pair) in id.iter_mut().zip(text.chunks_exact(2)) {
+            *byte = digit(pair[0])? << 4 | digit(pair[1])?;
+        }
+        Ok(Self(id))
+    }
+}
+
+/// What a hull is registered as: its content, before anything is computed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HullDefinition {
+    /// Hull frame, caller's units, in the caller's order.
+    pub points: Vec<[f64; 3]>,
+    /// Hull frame, caller's units; absent: the centre of mass.
+    pub contraction_point: Option<[f64; 3]>,
+}
+
+impl HullDefinition {
+    /// The bytes that are hashed and stored. -0.0 is written as 0.0.
+    pub fn identity_bytes(&self) -> Vec<u8> {
+        let mut bytes = Vec::with_capacity(43 + 24 * self.points.len());
+        bytes.extend_from_slice(MAGIC);
+        bytes.extend_from_slice(&FORMAT.to_le_bytes());
+        match self.contraction_point {
+            None => bytes.push(ABSENT),
+            Some(point) => {
+                bytes.push(PRESENT);
+                write_point(&mut bytes, point);
+            }
+        }
+        // Simplification options, of a later version.
+        bytes.push(ABSENT);
+        bytes.extend_from_slice(&(self.points.len() as u32).to_le_bytes());
+        for &point in &self.points {
+            write_point(&mut bytes, point);
+        }
+        bytes
+    }
+
+    /// Reads identity bytes back; none when they are not ones of this version.
+    pub fn from_identity_bytes(bytes: &[u8]) -> Option<Self> {
+        let mut rest = Bytes(bytes);
+        if rest.take::<8>()? != *MAGIC || u32::from_le_bytes(rest.take()?) != FORMAT {
+            return None;
+        }
+        let contraction_point = match rest.take()? {
+            [ABSENT] => None,
+            [PRESENT] => Some(rest.point()?),
+            _ => return None,
+        };
+        if rest.take()? != [ABSENT] {
+            return None;
+        }
+        let count = u32::from_le_bytes(rest.take()?) as usize;
+        if rest.0.len() != count.checked_mul(24)? {
+            return None;
+        }
+        let points = (0..count).map(|_| rest.point()).collect::<Option<_>>()?;
+        Some(Self { points, contraction_point })
+    }
+
+    /// The hull.
+    ///
+    /// # Errors
+    /// Why these points are not one.
+    pub fn build(&self, max_vertices: usize) -> Result<ConvexHull, HullError> {
+        let options = HullOptions { contraction_point: self.contraction_point, max_vertices };
+        ConvexHull::with_options(&self.points, &options)
+    }
+}
+
+/// The name of identity bytes.
+pub fn id_of(identity_bytes: &[u8]) -> HullId {
+    HullId(Sha256::digest(identity_bytes).into())
+}
+
+fn write_point(bytes: &mut Vec<u8>, point: [f64; 3]) {
+    for coordinate in point {
+        // -0.0 + 0.0 is 0.0; everything else keeps its bits.
+        bytes.extend_from_slice(&(coordinate + 0.0).to_le_bytes());
+    }
+}
+
+/// What is left to read.
+struct Bytes<'a>(&'a [u8]);
+
+impl Bytes<'_> {
+    fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let (head, rest) = self.0.split_first_chunk()?;
+        self.0 = rest;
+        Some(*head)
+    }
+
+    fn point(&mut self) -> Option<[f64; 3]> {
+        Some([
+            f64::from_le_bytes(self.take()?),
+            f64::from_le_bytes(self.take()?),
+            f64::from_le_bytes(self.take()?),
+        ])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tetrahedron() -> HullDefinition {
+        HullDefinition {
+            points: vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            contraction_point: None,
+        }
+    }
+
+    /// Catches a field written but not read, or read in another place.
+    #[test]
+    fn bytes_read_back() {
+        let plain = tetrahedron();
+        let with_point = HullDefinition { contraction_point: Some([0.1, 0.2, 0.3]), ..tetrahedron() };
+        for definition in [plain, with_point] {
+            let bytes = definition.identity_bytes();
+            assert_eq!(HullDefinition::from_identity_bytes(&bytes), Some(definition));
+        }
+    }
+
+    /// Catches a truncated or padded blob that is taken for a smaller hull.
+    #[test]
+    fn every_truncation_and_padding_is_refused() {
+        let bytes = tetrahedron().identity_bytes();
+        for length in 0..bytes.len() {
+            assert_eq!(HullDefinition::from_identity_bytes(&bytes[..length]), None, "{length}");
+        }
+        assert_eq!(HullDefinition::from_identity_bytes(&[&bytes[..], &[0]].concat()), None);
+    }
+
+    /// Catches two ids for one hull, and one id for two.
+    #[test]
+    fn the_sign_of_zero_is_no_content_and_the_point_is() {
+        let plain = id_of(&tetrahedron().identity_bytes());
+        let mut signed = tetrahedron();
+        signed.points[0] = [-0.0, 0.0, -0.0];
+        assert_eq!(id_of(&signed.identity_bytes()), plain);
+        let with_point = HullDefinition { contraction_point: Some([0.25; 3]), ..tetrahedron() };
+        assert_ne!(id_of(&with_point.identity_bytes()), plain);
+    }
+
+    /// Catches a key of the store that does not name its hull.
+    #[test]
+    fn ids_read_back() {
+        let id = id_of(b"any");
+        assert_eq!(id.to_string().parse(), Ok(id));
+        for text in ["", "0", &"g".repeat(64), &"A".repeat(64), &"0".repeat(65)] {
+            assert_eq!(text.parse::<HullId>(), Err(NotAnId), "{text}");
+        }
+    }
+}

@@ -1,0 +1,12 @@
+//! The durable registry of hulls, and the bounded cache before it.
+//!
+//! [`identity`] is what a hull is called, [`blobs`] keeps its bytes,
+//! [`registry`] answers for it. Nothing here knows the wire.
+
+pub mod blobs;
+pub mod identity;
+pub mod registry;
+
+pub use blobs::{BlobStore, Opened, StoreError, StoredBlob};
+pub use identity::{HullDefinition, HullId};
+pub use registry::{Missing, RegisterError, Registry};

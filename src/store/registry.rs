@@ -1,0 +1,306 @@
+//! Answers for hulls by id: from the cache, else from the store.
+
+use std::{
+    fmt,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use quick_cache::{DefaultHashBuilder, OptionsBuilder, Weighter, sync::Cache, sync::DefaultLifecycle};
+use tokio::sync::Mutex;
+
+use super::{HullDefinition, HullId, Opened, StoreError, StoredBlob, identity::id_of};
+use crate::{
+    compute::{Compute, Panicked},
+    contact::{ConvexHull, HullError},
+};
+
+/// What bounds a registry.
+#[derive(Clone, Copy, Debug)]
+pub struct Bounds {
+    /// Heap held by cached hulls that nobody uses.
+    pub cache_bytes: u64,
+    /// Blobs, summed; 0: unbounded.
+    pub store_bytes: u64,
+    /// A cached hull is checked to be still in the store when it was not for this long.
+    pub cache_age: Duration,
+    /// Extreme vertices of a hull that is registered.
+    pub max_vertices: usize,
+}
+
+/// Why a hull cannot be answered for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Missing {
+    /// The store does not have it, or what it has is not it: registering it (again) helps.
+    Unknown,
+    /// The store could not be read: trying again may help.
+    Unavailable,
+}
+
+/// Why a hull was not registered.
+#[derive(Debug)]
+pub enum RegisterError {
+    /// Its points are no hull.
+    Hull(HullError),
+    /// The store did not take it.
+    Store(StoreError),
+    /// A bug: it could not be built.
+    Internal(Panicked),
+}
+
+/// The registered hulls.
+#[derive(Debug)]
+pub struct Registry {
+    blobs: Opened,
+    cache: HullCache,
+    compute: Compute,
+    bounds: Bounds,
+    started: Instant,
+    /// Bytes in the store, where they are bounded: counted when first needed, never at start.
+    used: Mutex<Option<u64>>,
+}
+
+type HullCache =
+    Cache<HullId, Arc<Entry>, HeapBytes, DefaultHashBuilder, DefaultLifecycle<HullId, Arc<Entry>>>;
+
+/// A cached hull.
+#[derive(Debug)]
+struct Entry {
+    hull: Arc<ConvexHull>,
+    heap_bytes: u64,
+    /// This process wrote it: what it acknowledges again is known to be synced.
+    written: bool,
+    /// When it was last known to be in the store, milliseconds since the registry started.
+    seen_ms: AtomicU64,
+}
+
+#[derive(Clone, Debug)]
+struct HeapBytes;
+
+impl Weighter<HullId, Arc<Entry>> for HeapBytes {
+    fn weight(&self, _: &HullId, entry: &Arc<Entry>) -> u64 {
+        entry.heap_bytes
+    }
+}
+
+/// Of a cached hull beside its heap: the entry, the hull's own struct and the cache's slot.
+const ENTRY_BYTES: u64 = (size_of::<Entry>() + size_of::<ConvexHull>() + 128) as u64;
+
+/// For the cache's own tables, which grow when it is wrong: a hull of some 50 vertices.
+const TYPICAL_HULL_BYTES: u64 = 16 << 10;
+
+impl Registry {
+    /// Hulls in `blobs`, computed on `compute`. Reads nothing yet.
+    pub fn new(blobs: Opened, compute: Compute, bounds: Bounds) -> Self {
+        let items = usize::try_from(bounds.cache_bytes / TYPICAL_HULL_BYTES).unwrap_or(usize::MAX);
+        let options = OptionsBuilder::new()
+            .shards(4)
+            .estimated_items_capacity(items.clamp(16, 1 << 20))
+            .weight_capacity(bounds.cache_bytes)
+            .build()
+            .unwrap_or_else(|_| unreachable!("both capacities are set"));
+        let cache = Cache::with_options(options, HeapBytes, Default::default(), Default::default());
+        Self { blobs, cache, compute, bounds, started: Instant::now(), used: Mutex::new(None) }
+    }
+
+    /// The hull, if it is at hand: no waiting, no store.
+    pub fn cached(&self, id: HullId) -> Option<Arc<ConvexHull>> {
+        self.cache.get(&id).filter(|entry| !self.is_stale(entry)).map(|entry| entry.hull.clone())
+    }
+
+    /// The hull; read from the store where it is not cached, once however many ask.
+    ///
+    /// # Errors
+    /// Why it cannot be answered for.
+    pub async fn get(&self, id: HullId) -> Result<Arc<ConvexHull>, Missing> {
+        let entry = self.cache.get_or_insert_async(&id, self.load(id)).await?;
+        if self.is_stale(&entry) {
+            self.check(id, &entry).await?;
+        }
+        Ok(entry.hull.clone())
+    }
+
+    /// The points that the hull was registered with, verified; always from the store.
+    ///
+    /// # Errors
+    /// Why it cannot be answered for.
+    pub async fn definition(&self, id: HullId) -> Result<HullDefinition, Missing> {
+        let blob = self.blobs.get(id).await.map_err(|error| {
+            tracing::warn!(hull = %id, %error, "cannot read a hull");
+            Missing::Unavailable
+        })?;
+        let blob = blob.ok_or(Missing::Unknown)?;
+        let intact = id_of(&blob) == id;
+        let definition = intact.then(|| HullDefinition::from_identity_bytes(&blob)).flatten();
+        definition.ok_or_else(|| {
+            tracing::error!(hull = %id, bytes = blob.len(), intact, "the store's blob is not this hull; registering it again repairs it");
+            Missing::Unknown
+        })
+    }
+
+    /// Registers a hull: durable when this returns. Registering it again changes nothing.
+    ///
+    /// # Errors
+    /// Why not; nothing is stored then.
+    pub async fn register(
+        &self,
+        definition: HullDefinition,
+    ) -> Result<(HullId, Arc<ConvexHull>), RegisterError> {
+        let blob = definition.identity_bytes();
+        let id = id_of(&blob);
+        if let Some(entry) = self.cache.get(&id)
+            && entry.written
+            && self.blobs.size(id).await.map_err(RegisterError::Store)?.is_some()
+        {
+            self.saw(&entry);
+            return Ok((id, entry.hull.clone()));
+        }
+        let max_vertices = self.bounds.max_vertices;
+        let built = self.compute.run(move || definition.build(max_vertices)).await;
+        let hull = built.map_err(RegisterError::Internal)?.map_err(RegisterError::Hull)?;
+        self.store(id, blob).await.map_err(RegisterError::Store)?;
+        let entry = self.entry(hull, true);
+        self.cache.insert(id, entry.clone());
+        Ok((id, entry.hull.clone()))
+    }
+
+    /// Removes a hull from the store and the cache; whether it was in the store.
+    ///
+    /// # Errors
+    /// The store could not be read or written.
+    pub async fn delete(&self, id: HullId) -> Result<bool, StoreError> {
+        let size = self.blobs.size(id).await?;
+        if size.is_some() {
+            self.blobs.delete(id).await?;
+        }
+        // After the blob: a load under way meanwhile loses its place in the cache too.
+        self.cache.remove(&id);
+        if let (Some(size), Some(used)) = (size, self.used.lock().await.as_mut()) {
+            *used = used.saturating_sub(size);
+        }
+        Ok(size.is_some())
+    }
+
+    /// At most `count` stored hulls after `after`, by id, and whether there are more.
+    ///
+    /// # Errors
+    /// The store could not be listed.
+    pub async fn list(
+        &self,
+        after: Option<HullId>,
+        count: usize,
+    ) -> Result<(Vec<StoredBlob>, bool), StoreError> {
+        let mut page = self.blobs.list(after, count.saturating_add(1)).await?;
+        let more = page.len() > count;
+        page.truncate(count);
+        Ok((page, more))
+    }
+
+    /// Heap bytes that the cache holds.
+    pub fn cached_bytes(&self) -> u64 {
+        self.cache.weight()
+    }
+
+    async fn load(&self, id: HullId) -> Result<Arc<Entry>, Missing> {
+        let definition = self.definition(id).await?;
+        // What was once acknowledged is answered for, whatever the limit is by now.
+        match self.compute.run(move || definition.build(usize::MAX)).await {
+            Ok(Ok(hull)) => Ok(self.entry(hull, false)),
+            Ok(Err(error)) => {
+                tracing::error!(hull = %id, %error, "a stored hull is no hull to this version");
+                Err(Missing::Unknown)
+            }
+            Err(error) => {
+                tracing::error!(hull = %id, %error, "a stored hull cannot be built");
+                Err(Missing::Unavailable)
+            }
+        }
+    }
+
+    /// Whether a cached hull is still in the store: another server may have deleted it.
+    async fn check(&self, id: HullId, entry: &Entry) -> Result<(), Missing> {
+        match self.blobs.size(id).await {
+            Ok(Some(_)) => {
+                self.saw(entry);
+                Ok(())
+            }
+            Ok(None) => {
+                self.cache.remove(&id);
+                Err(Missing::Unknown)
+            }
+            Err(error) => {
+                tracing::warn!(hull = %id, %error, "cannot check a cached hull");
+                Err(Missing::Unavailable)
+            }
+        }
+    }
+
+    /// Writes a blob, if there is room.
+    async fn store(&self, id: HullId, blob: Vec<u8>) -> Result<(), StoreError> {
+        let bound = self.bounds.store_bytes;
+        if bound == 0 {
+            return self.blobs.put(id, blob.into()).await;
+        }
+        let mut used = self.used.lock().await;
+        let before = match *used {
+            Some(bytes) => bytes,
+            None => self.count().await?,
+        };
+        let replaced = self.blobs.size(id).await?.unwrap_or(0);
+        let after = before.saturating_sub(replaced) + blob.len() as u64;
+        if after > bound {
+            *used = Some(before);
+            return Err(StoreError::Full(format!("{after} bytes would pass the limit of {bound}")));
+        }
+        // Under the lock: two writers of the last room do not both find it. A write that
+        // fails or is abandoned leaves the count unknown.
+        *used = None;
+        self.blobs.put(id, blob.into()).await?;
+        *used = Some(after);
+        Ok(())
+    }
+
+    async fn count(&self) -> Result<u64, StoreError> {
+        let (mut bytes, mut after) = (0, None);
+        loop {
+            let blobs = self.blobs.list(after, 1).await?;
+            let Some(last) = blobs.last() else { return Ok(bytes) };
+            after = Some(last.id);
+            bytes += blobs.iter().map(|blob| blob.bytes).sum::<u64>();
+        }
+    }
+
+    fn entry(&self, hull: ConvexHull, written: bool) -> Arc<Entry> {
+        let heap_bytes = hull.heap_bytes() as u64 + ENTRY_BYTES;
+        let seen_ms = AtomicU64::new(self.now_ms());
+        Arc::new(Entry { hull: Arc::new(hull), heap_bytes, written, seen_ms })
+    }
+
+    fn is_stale(&self, entry: &Entry) -> bool {
+        let age = self.now_ms().saturating_sub(entry.seen_ms.load(Ordering::Relaxed));
+        u128::from(age) >= self.bounds.cache_age.as_millis()
+    }
+
+    fn saw(&self, entry: &Entry) {
+        entry.seen_ms.store(self.now_ms(), Ordering::Relaxed);
+    }
+
+    fn now_ms(&self) -> u64 {
+        u64::try_from(self.started.elapsed().as_millis()).unwrap_or(u64::MAX)
+    }
+}
+
+impl fmt::Display for RegisterError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Hull(error) => error.fmt(f),
+            Self::Store(error) => error.fmt(f),
+            Self::Internal(error) => error.fmt(f),
+        }
+    }
+}
+
+impl std::error::Error for RegisterError {}
