@@ -1,0 +1,117 @@
+//! `hullcast serve`: answers queries over gRPC until told to stop.
+
+use std::{
+    io::{self, Read, Write},
+    path::PathBuf,
+    sync::Arc,
+    time::Duration,
+};
+
+use hullcast::{
+    service::{App, Listener, run as serve},
+    store::blobs,
+};
+use tokio::{
+    signal::unix::{SignalKind, signal},
+    sync::oneshot,
+};
+use tracing_subscriber::EnvFilter;
+
+use super::{
+    Error,
+    settings::{Given, LogFormat, Settings},
+};
+
+/// `hullcast serve`
+#[derive(clap::Args)]
+pub(crate) struct Args {
+    #[command(flatten)]
+    given: Given,
+    /// A TOML file with the same settings, named as the flags, with underscores
+    #[arg(long, env = "HULLCAST_CONFIG", value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Print the settings in force as such a file, and exit
+    #[arg(long)]
+    print_config: bool,
+    /// Stop when standard input closes, as when the parent process ends
+    #[arg(long)]
+    until_stdin_closes: bool,
+}
+
+/// After serving, for what is left of reads and writes of the store.
+const RUNTIME_SHUTDOWN: Duration = Duration::from_secs(1);
+
+/// Runs it.
+pub(crate) fn run(args: Args) -> Result<(), Error> {
+    let file = args.config.as_deref().map(Given::read).transpose()?.unwrap_or_default();
+    let settings = args.given.or(file);
+    if args.print_config {
+        print!("{}", toml::to_string(&settings)?);
+        return Ok(());
+    }
+    log(&settings)?;
+    let runtime = tokio::runtime::Runtime::new()?;
+    let result = runtime.block_on(until_stopped(&settings, args.until_stdin_closes));
+    runtime.shutdown_timeout(RUNTIME_SHUTDOWN);
+    result
+}
+
+async fn until_stopped(settings: &Settings, until_stdin_closes: bool) -> Result<(), Error> {
+    let drain = Duration::try_from_secs_f64(settings.drain_seconds)
+        .map_err(|error| format!("drain_seconds {}: {error}", settings.drain_seconds))?;
+    let store = blobs::open(&settings.store)?;
+    let app = App::new(store, settings.limits(), settings.compute_threads)?;
+    // Before the address is printed: who reads it may stop the server at once.
+    let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
+    let mut listeners = Vec::with_capacity(settings.listen.len());
+    for address in &settings.listen {
+        listeners.push(Listener::bind(address).await?);
+    }
+    announce(&listeners)?;
+    tracing::info!(
+        version = env!("CARGO_PKG_VERSION"),
+        store = settings.store,
+        compute_threads = app.engine().threads(),
+        "serving"
+    );
+    let shutdown = async move {
+        tokio::select! {
+            _ = terminate.recv() => {}
+            _ = interrupt.recv() => {}
+            () = stdin_closed(), if until_stdin_closes => {}
+        }
+    };
+    Ok(serve(listeners, Arc::new(app), drain, shutdown).await?)
+}
+
+/// One line a listener, first on standard output: what scripts wait for.
+fn announce(listeners: &[Listener]) -> io::Result<()> {
+    let mut out = io::stdout().lock();
+    for listener in listeners {
+        writeln!(out, "listening on {listener}")?;
+    }
+    out.flush()
+}
+
+/// Completes when standard input closes. A thread of its own: a read of standard input
+/// cannot be cancelled, and must not keep the runtime from ending.
+async fn stdin_closed() {
+    let (closed, wait) = oneshot::channel();
+    std::thread::spawn(move || {
+        let mut buffer = [0; 1024];
+        let mut stdin = io::stdin().lock();
+        while stdin.read(&mut buffer).is_ok_and(|bytes| bytes > 0) {}
+        let _ = closed.send(());
+    });
+    let _ = wait.await;
+}
+
+fn log(settings: &Settings) -> Result<(), Error> {
+    let filter = EnvFilter::try_new(&settings.log).map_err(|error| format!("log: {error}"))?;
+    let subscriber = tracing_subscriber::fmt().with_env_filter(filter).with_writer(io::stderr);
+    match settings.log_format {
+        LogFormat::Text => subscriber.with_ansi(false).init(),
+        LogFormat::Json => subscriber.json().init(),
+    }
+    Ok(())
+}

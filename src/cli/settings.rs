@@ -1,0 +1,156 @@
+//! What a server is configured with: defaults, then the file, then the
+//! environment, then flags; the later wins.
+
+use std::{fs, path::Path};
+
+use clap::ValueEnum;
+use hullcast::service::Limits;
+use serde::{Deserialize, Serialize};
+
+use super::Error;
+
+/// How logs are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum LogFormat {
+    /// For people.
+    #[default]
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+/// Declares every setting once: its flag, its environment variable, its key in the file
+/// and its default.
+macro_rules! settings {
+    ($($(#[doc = $doc:literal])* $name:ident: $kind:ty = $default:expr, $env:literal, $value:literal
+        $([$($arg:tt)*])?;)*) => {
+        /// Settings that a file, the environment or flags give; absent ones are left to the next.
+        #[derive(Clone, Debug, Default, Deserialize, clap::Args)]
+        #[serde(deny_unknown_fields, default)]
+        pub(crate) struct Given {
+            $($(#[doc = $doc])* #[arg(long, env = $env, value_name = $value $(, $($arg)*)?)]
+            $name: Option<$kind>,)*
+        }
+
+        /// Settings, complete.
+        #[derive(Clone, Debug, PartialEq, Serialize)]
+        pub(crate) struct Settings {
+            $($(#[doc = $doc])* pub(crate) $name: $kind,)*
+        }
+
+        impl Given {
+            /// These, else those of `other`, else the defaults.
+            pub(crate) fn or(self, other: Self) -> Settings {
+                let limits = Limits::default();
+                $(let $name = self.$name.or(other.$name);)*
+                settings!(@complete limits $($name = $default;)*)
+            }
+        }
+    };
+    (@complete $limits:ident $($name:ident = $default:expr;)*) => {
+        Settings { $($name: $name.unwrap_or_else(|| ($default)(&$limits)),)* }
+    };
+}
+
+settings! {
+    /// Address to answer on: host:port (port 0: any free one) or unix:PATH; may be repeated
+    listen: Vec<String> = |_: &Limits| vec!["127.0.0.1:50051".into()],
+        "HULLCAST_LISTEN", "ADDR" [value_delimiter = ','];
+    /// Where hulls are kept: a directory, file://PATH, or memory:// (which forgets)
+    store: String = |_: &Limits| "hullcast-store".into(), "HULLCAST_STORE", "URL";
+    /// Threads that compute; 0: one a core
+    compute_threads: usize = |_: &Limits| 0, "HULLCAST_COMPUTE_THREADS", "N";
+    /// Seconds that calls in flight have to finish when the server stops
+    drain_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_DRAIN_SECONDS", "S";
+    /// What is logged: error, warn, info, debug (every request), or a tracing filter
+    log: String = |_: &Limits| "info".into(), "HULLCAST_LOG", "FILTER";
+    /// How logs are written
+    log_format: LogFormat = |_: &Limits| LogFormat::Text, "HULLCAST_LOG_FORMAT", "FORMAT" [value_enum];
+    /// Largest message in bytes, either way
+    max_message_bytes: usize = |l: &Limits| l.max_message_bytes, "HULLCAST_MAX_MESSAGE_BYTES", "N";
+    /// Most pairs in a request
+    max_pairs_per_request: u32 = |l: &Limits| l.max_pairs_per_request,
+        "HULLCAST_MAX_PAIRS_PER_REQUEST", "N";
+    /// Most bodies in a request
+    max_bodies_per_request: u32 = |l: &Limits| l.max_bodies_per_request,
+        "HULLCAST_MAX_BODIES_PER_REQUEST", "N";
+    /// Most hulls in a request
+    max_hulls_per_request: u32 = |l: &Limits| l.max_hulls_per_request,
+        "HULLCAST_MAX_HULLS_PER_REQUEST", "N";
+    /// Most extreme vertices of a hull
+    max_vertices_per_hull: u32 = |l: &Limits| l.max_vertices_per_hull,
+        "HULLCAST_MAX_VERTICES_PER_HULL", "N";
+    /// Most pairs accepted and not yet answered, over all calls
+    max_pairs_in_flight: u32 = |l: &Limits| l.max_pairs_in_flight, "HULLCAST_MAX_PAIRS_IN_FLIGHT", "N";
+    /// Bytes of heap for hulls that no request is using
+    cache_bytes: u64 = |l: &Limits| l.cache_bytes, "HULLCAST_CACHE_BYTES", "N";
+    /// Most bytes in the store; 0: unbounded
+    store_bytes: u64 = |l: &Limits| l.store_bytes, "HULLCAST_STORE_BYTES", "N";
+    /// Most concurrent calls on a connection
+    max_streams_per_connection: u32 = |l: &Limits| l.max_streams_per_connection,
+        "HULLCAST_MAX_STREAMS_PER_CONNECTION", "N";
+    /// Most hulls in a page of a listing
+    max_page_size: u32 = |l: &Limits| l.max_page_size, "HULLCAST_MAX_PAGE_SIZE", "N";
+    /// How long a hull that another server deleted may still be answered for
+    cache_age_seconds: u32 = |l: &Limits| l.cache_age_seconds, "HULLCAST_CACHE_AGE_SECONDS", "S";
+}
+
+impl Given {
+    /// Reads a TOML file; an unknown key is an error.
+    pub(crate) fn read(path: &Path) -> Result<Self, Error> {
+        let text = fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
+        Ok(toml::from_str(&text).map_err(|error| format!("{}: {error}", path.display()))?)
+    }
+}
+
+impl Settings {
+    /// The limits among them.
+    pub(crate) fn limits(&self) -> Limits {
+        Limits {
+            max_message_bytes: self.max_message_bytes,
+            max_pairs_per_request: self.max_pairs_per_request,
+            max_bodies_per_request: self.max_bodies_per_request,
+            max_hulls_per_request: self.max_hulls_per_request,
+            max_vertices_per_hull: self.max_vertices_per_hull,
+            max_pairs_in_flight: self.max_pairs_in_flight,
+            cache_bytes: self.cache_bytes,
+            store_bytes: self.store_bytes,
+            max_streams_per_connection: self.max_streams_per_connection,
+            max_page_size: self.max_page_size,
+            cache_age_seconds: self.cache_age_seconds,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches a typing error in a file that is silently a default.
+    #[test]
+    fn unknown_keys_are_refused() {
+        assert!(toml::from_str::<Given>("cache_byte = 1").is_err());
+        assert_eq!(toml::from_str::<Given>("cache_bytes = 1").unwrap().cache_bytes, Some(1));
+    }
+
+    /// Catches an order of precedence the other way round.
+    #[test]
+    fn flags_win_over_the_file_and_the_file_over_defaults() {
+        let flags = Given { cache_bytes: Some(1), ..Given::default() };
+        let file = Given { cache_bytes: Some(2), max_page_size: Some(3), ..Given::default() };
+        let settings = flags.or(file);
+        assert_eq!(settings.cache_bytes, 1);
+        assert_eq!(settings.max_page_size, 3);
+        assert_eq!(settings.limits().max_pairs_per_request, Limits::default().max_pairs_per_request);
+    }
+
+    /// Catches settings that `--print-config` writes and `--config` does not read.
+    #[test]
+    fn printed_settings_read_back() {
+        let settings = Given::default().or(Given::default());
+        let printed = toml::to_string(&settings).unwrap();
+        let read = toml::from_str::<Given>(&printed).unwrap();
+        assert_eq!(read.or(Given::default()), settings);
+    }
+}
