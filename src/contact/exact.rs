@@ -185,6 +185,22 @@ pub(crate) fn triangle_normal(a: DVec3, b: DVec3, c: DVec3) -> TriangleNormal {
     TriangleNormal { unit: mantissa / length, double_area }
 }
 
+/// How far `p` is below the plane of the triangle `a`, `b`, `c`, never more than
+/// the truth; none for slivers.
+pub(crate) fn depth_below(a: DVec3, b: DVec3, c: DVec3, p: DVec3) -> Option<f64> {
+    let (ab, _) = normalised(exact_difference(b, a));
+    let (ac, _) = normalised(exact_difference(c, a));
+    let cross = dd_cross(ab, ac);
+    let length = DVec3::new(cross[0].value(), cross[1].value(), cross[2].value()).length();
+    if length < SLIVER_SINE {
+        return None;
+    }
+    let (pa, pa_exponent) = normalised(exact_difference(a, p));
+    // The products' own error, below 2^-96 at these sizes, and 8 roundings.
+    let depth = (dd_dot(cross, pa).value() - power_of_two(-96)) / length;
+    Some((depth - 8.0 * ROUNDOFF * depth.abs()) * power_of_two(pa_exponent))
+}
+
 /// Scaled by a power of two to a largest component in [0.5, 1), and its exponent.
 fn normalised(v: Dd3) -> (Dd3, i32) {
     let exponent = exponent_above(v[0].hi.abs().max(v[1].hi.abs()).max(v[2].hi.abs()));
@@ -221,4 +237,124 @@ pub(crate) fn collinear(a: DVec3, b: DVec3, c: DVec3) -> bool {
 
 fn is_safe(x: &f64) -> bool {
     *x == 0.0 || (SAFE_LOW..=SAFE_HIGH).contains(&x.abs())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A small generator (xorshift): the same numbers on every machine.
+    fn stream(mut state: u64) -> impl FnMut() -> f64 {
+        move || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+        }
+    }
+
+    fn vector(next: &mut impl FnMut() -> f64) -> DVec3 {
+        DVec3::new(next(), next(), next())
+    }
+
+    /// Expansions and integers are two ways to the same sign; a fault in either,
+    /// or sides exchanged between them, disagrees on points near a plane.
+    #[test]
+    fn wide_and_adaptive_signs_agree() {
+        let mut next = stream(7);
+        let mut signs = [0; 3];
+        for i in 0..20_000 {
+            let [a, b, c] = [(); 3].map(|()| vector(&mut next));
+            // In the plane to rounding, or, on a coarse grid, exactly.
+            let grid = |p: DVec3| (p * 8.0).round();
+            let (a, b, c) = if i % 2 == 0 { (a, b, c) } else { (grid(a), grid(b), grid(c)) };
+            let d = a + (b - a) * 0.5 + (c - a) * if i % 3 == 0 { 2.0 } else { 0.25 };
+            let sign = orient3d(a, b, c, d);
+            assert_eq!(wide::orient3d(a, b, c, d), if sign == 0.0 { 0.0 } else { sign.signum() });
+            signs[if sign == 0.0 { 0 } else { 1 + usize::from(sign > 0.0) }] += 1;
+            let flat = |p: DVec3| [p.x, p.y];
+            let turn = orient2d(flat(a), flat(b), flat(c));
+            let sign = if turn == 0.0 { 0.0 } else { turn.signum() };
+            assert_eq!(wide::orient2d(flat(a), flat(b), flat(c)), sign);
+        }
+        assert!(signs.iter().all(|&n| n > 1_500), "{signs:?}");
+    }
+
+    /// One subnormal step off a plane: products underflow in any floating point
+    /// arithmetic, and the point would count as in the plane.
+    #[test]
+    fn one_subnormal_step_is_seen() {
+        let step = f64::from_bits(1);
+        let [a, b, c] = [DVec3::ZERO, DVec3::X, DVec3::Y];
+        let at = |z: f64| DVec3::new(0.25, 0.25, z);
+        assert!(orient3d(a, b, c, at(-step)) > 0.0);
+        assert!(orient3d(a, b, c, at(step)) < 0.0);
+        assert_eq!(orient3d(a, b, c, at(0.0)), 0.0);
+        assert!(orient2d([0.0, 0.0], [1.0, 0.0], [1.0, step]) > 0.0);
+        assert!(!collinear(a, b, DVec3::new(2.0, 0.0, step)) && collinear(a, b, DVec3::X * 2.0));
+        assert!(orient3d(a * 1e300, b * 1e300, c * 1e300, DVec3::Z) < 0.0);
+    }
+
+    /// Slivers of any thinness have the normal of a fat triangle in their plane.
+    /// A cross product in double precision is off by the thinness' inverse.
+    #[test]
+    fn slivers_have_normals() {
+        let mut next = stream(11);
+        let mut thin = 0;
+        for i in 0..4_200 {
+            // Small integers: the sliver is exactly in the plane of u and v.
+            let [u, v] = [(); 2].map(|()| (vector(&mut next) * 1024.0).round());
+            let expected = u.cross(v);
+            if expected == DVec3::ZERO {
+                continue;
+            }
+            let (far, step) = (u * power_of_two(i % 14), v * power_of_two(-(i / 14 % 30)));
+            let apex = far + step;
+            let normal = triangle_normal(DVec3::ZERO, far, apex);
+            // Only where adding the step lost nothing is the plane the same.
+            if apex - far == step {
+                thin += usize::from(step.length() < SLIVER_SINE * far.length());
+                assert!((normal.unit - expected.normalize()).length() < 8.0 * ROUNDOFF, "{i}");
+                let area = expected.length() * power_of_two(i % 14 - i / 14 % 30);
+                assert!((normal.double_area / area - 1.0).abs() < 8.0 * ROUNDOFF);
+            }
+        }
+        assert!(thin > 40, "{thin}");
+        // Beyond double-double: a height of 2^-1070.
+        let apex = DVec3::new(0.5, power_of_two(-1022) / power_of_two(48), 0.0);
+        let normal = triangle_normal(DVec3::ZERO, DVec3::X, apex);
+        assert_eq!((normal.unit, normal.double_area), (DVec3::Z, apex.y));
+        assert_eq!(triangle_normal(DVec3::ZERO, DVec3::X, DVec3::X * 3.0).unit, DVec3::ZERO);
+    }
+
+    /// Nothing is lost: with the parts taken off, exactly nothing is left.
+    #[test]
+    fn sums_and_products_are_exact() {
+        let mut next = stream(3);
+        for i in 0..1_000 {
+            let (a, b) = (next() * power_of_two(i % 60), next());
+            let (sum, product) = (two_sum(a, b), two_prod(a, b));
+            assert_eq!((sum.hi, product.hi), (a + b, a * b));
+            assert_eq!(wide::sign_of_sum(&[(a, 1.0), (b, 1.0), (sum.hi, -1.0), (sum.lo, -1.0)]), 0.0);
+            assert_eq!(wide::sign_of_sum(&[(a, b), (product.hi, -1.0), (product.lo, -1.0)]), 0.0);
+        }
+    }
+
+    /// A bound from the wrong side, or a lax one, would spoil every inradius.
+    #[test]
+    fn depths_are_bounds_and_tight() {
+        let mut next = stream(5);
+        for _ in 0..1_000 {
+            let [a, b, c, p] = [(); 4].map(|()| vector(&mut next));
+            let (a, b, c) = if orient3d(a, b, c, p) > 0.0 { (a, b, c) } else { (a, c, b) };
+            let depth = depth_below(a, b, c, p).unwrap();
+            let normal = triangle_normal(a, b, c).unit;
+            assert!((normal.dot(a - p) - depth).abs() < 32.0 * ROUNDOFF);
+        }
+        let [a, b, c] = [DVec3::Z, DVec3::new(1.0, 0.0, 1.0), DVec3::new(0.0, 1.0, 1.0)];
+        let depth = depth_below(a, b, c, DVec3::ZERO).unwrap();
+        assert!(depth < 1.0 && depth > 1.0 - 16.0 * ROUNDOFF);
+        assert!(depth_below(a, b, c, DVec3::Z * (1.0 - 1e-15)).unwrap() > 0.99e-15);
+        assert_eq!(depth_below(a, b, b, DVec3::ZERO), None);
+    }
 }

@@ -186,3 +186,11 @@ pub(super) fn cross(a: DVec3, b: DVec3, c: DVec3) -> (DVec3, i32) {
     let [x, y, z] = product.map(|component| component.to_double(bits));
     (DVec3::new(x, y, z), bits + 2 * unit)
 }
+
+/// Of the sum of the products, exactly.
+#[cfg(test)]
+pub(super) fn sign_of_sum(products: &[(f64, f64)]) -> f64 {
+    let [left, right] = [0, 1].map(|i| last_bit(products.iter().map(|p| if i == 0 { p.0 } else { p.1 })));
+    let product = |&(a, b)| Wide::from_double(a, left).times(&Wide::from_double(b, right));
+    products.iter().map(product).fold(Wide::default(), |sum, p| sum.plus(&p)).sign()
+}

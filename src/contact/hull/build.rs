@@ -10,7 +10,8 @@ use super::quickhull::{Triangulation, triangulate};
 use super::topology::{Topology, topology};
 use super::{ConvexHull, HullError, HullErrorKind, HullOptions};
 use crate::contact::exact::{
-    ROUNDOFF, TriangleNormal, exact_difference, exponent_above, orient3d, power_of_two, triangle_normal,
+    ROUNDOFF, TriangleNormal, depth_below, exact_difference, exponent_above, orient3d, power_of_two,
+    triangle_normal,
 };
 
 pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexHull, HullError> {
@@ -162,18 +163,30 @@ impl Solid {
         let exponent = exponent_above(radius);
         let shrink = power_of_two(-exponent);
         vertices.iter_mut().for_each(|v| *v *= shrink);
-        let distance = |t: usize| {
-            let corner = vertices[self.triangulation.triangles[t][0] as usize];
-            normals[t].unit.dot(corner)
-        };
-        let inradius = (0..normals.len()).map(distance).fold(f64::INFINITY, f64::min);
-        // The exact planes' distances, to the rounding of unit normal and
-        // product; the surface through the rounded vertices is nearer by no
-        // more than these moved (and by what scaling underflows).
-        let inradius =
-            inradius - 12.0 * ROUNDOFF - (1.0 + 8.0 * ROUNDOFF) * moved * shrink - f64::MIN_POSITIVE;
+        // What is left for the surface through the rounded vertices: it is nearer
+        // by no more than these moved, and by what scaling underflows.
+        let inradius = self.depth(center, normals, &vertices, shrink)
+            - (1.0 + 8.0 * ROUNDOFF) * moved * shrink
+            - f64::MIN_POSITIVE;
         let scale = power_of_two(exponent);
         (inradius > 0.0).then_some(Centred { vertices, scale, inradius, circumradius: radius * shrink })
+    }
+}
+
+impl Solid {
+    /// How far `center` is below the nearest plane, rounded down; hull units.
+    fn depth(&self, center: DVec3, normals: &[TriangleNormal], vertices: &[DVec3], shrink: f64) -> f64 {
+        // To the rounding of unit normal, vertex and product …
+        const ERROR: f64 = 16.0 * ROUNDOFF;
+        let depth = |t: usize| normals[t].unit.dot(vertices[self.triangulation.triangles[t][0] as usize]);
+        let nearest = (0..normals.len()).map(depth).fold(f64::INFINITY, f64::min);
+        // … and again more finely for the planes that may be the nearest.
+        let refined = |t: usize| {
+            let [a, b, c] = self.corners(t);
+            depth_below(a, b, c, center).map_or(depth(t) - ERROR, |d| d * shrink)
+        };
+        let candidates = (0..normals.len()).filter(|&t| depth(t) <= nearest + 2.0 * ERROR);
+        candidates.map(refined).fold(f64::INFINITY, f64::min)
     }
 }
 

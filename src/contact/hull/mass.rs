@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-use crate::contact::exact::{dd_cross, dd_dot, exact_difference};
+use crate::contact::exact::{Dd, dd_cross, dd_dot, exact_difference};
 
 /// Of a solid, in the units of its vertices.
 pub(super) struct Mass {
@@ -17,14 +17,16 @@ pub(super) fn mass(points: &[DVec3], triangles: &[[u32; 3]]) -> Mass {
     let corners = |t: &[u32; 3]| t.map(|v| points[v as usize]);
     // From a vertex every tetrahedron is positive, so that the sums lose nothing.
     let apex = points[triangles[0][0] as usize];
-    let (mut six_volume, mut moment) = (0.0, DVec3::ZERO);
+    let (mut six_volume, mut moment) = (Dd::default(), [Dd::default(); 3]);
     for triangle in triangles {
         let [a, b, c] = corners(triangle);
         let part = six_times_volume(a, b, c, apex);
-        six_volume += part;
-        moment += part * ((a - apex) + (b - apex) + (c - apex));
+        six_volume = six_volume + Dd::from(part);
+        let weighted = (part * ((a - apex) + (b - apex) + (c - apex))).to_array();
+        moment.iter_mut().zip(weighted).for_each(|(m, w)| *m = *m + Dd::from(w));
     }
-    let center = apex + moment / (4.0 * six_volume);
+    let six_volume = six_volume.value();
+    let center = apex + DVec3::from_array(moment.map(Dd::value)) / (4.0 * six_volume);
     // Of a tetrahedron with one corner at the origin: the integral of x x^T is
     // its volume / 20 times (sum of x x^T over corners + the sum's own).
     let mut second = DMat3::ZERO;

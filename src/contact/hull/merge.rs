@@ -8,13 +8,16 @@ use glam::DVec3;
 
 use super::csr::Csr;
 use super::quickhull::Triangulation;
-use crate::contact::exact::{ROUNDOFF, TriangleNormal};
+use crate::contact::exact::{Dd, ROUNDOFF, TriangleNormal};
 
 /// Vertices of a face lie within this share of the circumradius of its plane …
 const PLANARITY_PER_CIRCUMRADIUS: f64 = 1e-6;
 /// … and within this share of the inradius, so that the two sides of a thin
 /// plate, or its sides and its rim, never become one face.
 const PLANARITY_PER_INRADIUS: f64 = 1.0 / 64.0;
+/// … but not less than rounding, hull units, however near the contraction point
+/// is to a face.
+const LEAST_PLANARITY: f64 = 64.0 * ROUNDOFF;
 /// How often a group that fits no plane is gathered anew with a quarter of the
 /// tolerance before its largest triangle stands alone.
 const ATTEMPTS: usize = 6;
@@ -54,8 +57,8 @@ pub(super) struct Groups {
 
 /// Groups the triangles, each group around its largest.
 pub(super) fn groups(surface: &Surface<'_>) -> Groups {
-    let tolerance =
-        (PLANARITY_PER_CIRCUMRADIUS * surface.circumradius).min(PLANARITY_PER_INRADIUS * surface.inradius);
+    let tolerance = (PLANARITY_PER_CIRCUMRADIUS * surface.circumradius)
+        .min((PLANARITY_PER_INRADIUS * surface.inradius).max(LEAST_PLANARITY));
     let mut merger = Merger::new(surface, tolerance);
     let mut order: Vec<u32> = (0..surface.normals.len() as u32).collect();
     let area = |t: &u32| surface.normals[*t as usize].double_area;
@@ -161,13 +164,16 @@ impl<'a> Merger<'a> {
         let normal = if let [alone] = triangles {
             normals[*alone as usize].unit
         } else {
-            // Relative to the first, the largest, so that nothing underflows.
-            let first = normals[triangles[0] as usize].double_area;
-            let weighted = |&t: &u32| {
+            // Relative to the first, the largest, so that nothing underflows, and
+            // in double-double: thousands of equal roundings tilt a plane.
+            let first = normals[triangles[0] as usize];
+            let mut sum = [Dd::default(); 3];
+            for &t in triangles {
                 let TriangleNormal { unit, double_area } = normals[t as usize];
-                unit * (double_area / first)
-            };
-            triangles.iter().map(weighted).sum::<DVec3>().normalize_or(normals[triangles[0] as usize].unit)
+                let weighted = (unit * (double_area / first.double_area)).to_array();
+                sum.iter_mut().zip(weighted).for_each(|(s, w)| *s = *s + Dd::from(w));
+            }
+            DVec3::from_array(sum.map(Dd::value)).normalize_or(first.unit)
         };
         self.plane(triangles, normal)
     }

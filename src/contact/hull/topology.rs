@@ -232,6 +232,9 @@ impl<'a> Boundary<'a> {
 
     /// The vertex inside the chain that is farthest from the line through its ends.
     fn farthest_off(&self, piece: Piece) -> Option<(usize, f64)> {
+        if piece.end - piece.start < 2 {
+            return None;
+        }
         let (from, to) = (self.vertex(piece.start), self.vertex(piece.end));
         let along = (to - from).normalize_or_zero();
         let off = |i: usize| (i, (self.vertex(i) - from).cross(along).length());

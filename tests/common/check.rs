@@ -1,0 +1,206 @@
+//! A hull checked against the definitions alone.
+
+use std::collections::{BTreeSet, HashMap};
+
+use glam::DVec3;
+use hullcast::contact::hull::{ConvexHull, Triangulation, triangulate};
+use robust::{Coord, Coord3D};
+
+/// Unit roundoff.
+const U: f64 = f64::EPSILON / 2.0;
+
+/// What a check met, so that a sweep can show that it was not empty.
+#[derive(Debug, Default)]
+pub(crate) struct Met {
+    pub(crate) hulls: usize,
+    pub(crate) triangles: usize,
+    pub(crate) coplanar_sides: usize,
+    pub(crate) dropped_points: usize,
+    pub(crate) merged_faces: usize,
+    pub(crate) inexact_faces: usize,
+    pub(crate) vertices_without_edges: usize,
+}
+
+/// Panics where `points` and their hull break a definition.
+pub(crate) fn check(points: &[[f64; 3]], hull: &ConvexHull, met: &mut Met) {
+    let surface = triangulate(points).unwrap();
+    met.hulls += 1;
+    met.triangles += surface.triangles.len();
+    met.dropped_points += points.len() - hull.vertex_count();
+    check_surface(points, &surface, hull, met);
+    check_sizes(points, &surface, hull);
+    check_faces(hull, met);
+    check_outlines(hull);
+    check_edges(hull, met);
+    check_adjacency(&surface, hull);
+}
+
+/// Positive where `p` is below the triangle, exactly.
+fn below(points: &[[f64; 3]], triangle: [u32; 3], p: [f64; 3]) -> f64 {
+    let coord = |[x, y, z]: [f64; 3]| Coord3D { x, y, z };
+    let [a, b, c] = triangle.map(|v| coord(points[v as usize]));
+    robust::orient3d(a, b, c, coord(p))
+}
+
+/// Closed, of Euler's characteristic, convex, around every point, of extreme
+/// vertices alone. A lost vertex, a hole, a fold or a flat vertex fails.
+fn check_surface(points: &[[f64; 3]], surface: &Triangulation, hull: &ConvexHull, met: &mut Met) {
+    let triangles = &surface.triangles;
+    let sides: HashMap<[u32; 2], usize> = triangles
+        .iter()
+        .enumerate()
+        .flat_map(|(t, &[a, b, c])| [([a, b], t), ([b, c], t), ([c, a], t)])
+        .collect();
+    assert_eq!(sides.len(), 3 * triangles.len(), "a side twice");
+    let used: BTreeSet<u32> = triangles.iter().flatten().copied().collect();
+    assert!(used.iter().eq(hull.registered_indices()), "vertices of hull and triangulation differ");
+    assert_eq!(triangles.len() + 4, 2 * used.len(), "Euler's formula");
+    let mut creases: HashMap<u32, usize> = HashMap::new();
+    for (t, &corners) in triangles.iter().enumerate() {
+        for i in 0..3 {
+            let (from, to) = (corners[i], corners[(i + 1) % 3]);
+            let across = sides[&[to, from]];
+            assert_eq!(surface.neighbours[t][i] as usize, across);
+            let apex = *triangles[across].iter().find(|v| ![from, to].contains(v)).unwrap();
+            let bend = below(points, corners, points[apex as usize]);
+            assert!(bend >= 0.0, "a reflex side");
+            met.coplanar_sides += usize::from(bend == 0.0);
+            *creases.entry(from).or_default() += usize::from(bend > 0.0);
+        }
+    }
+    assert!(used.iter().all(|v| creases[v] >= 3), "a vertex that is not extreme");
+    // A closed surface that is convex at every side is convex; containment of
+    // the rest is looked at where it is affordable.
+    if points.len() * triangles.len() < 1_000_000 {
+        for &corners in triangles {
+            assert!(points.iter().all(|&p| below(points, corners, p) >= 0.0), "a point outside");
+        }
+    } else {
+        let dropped = (0..points.len() as u32).filter(|v| !used.contains(v));
+        for v in dropped.step_by(37) {
+            let p = points[v as usize];
+            assert!(triangles.iter().all(|&t| below(points, t, p) >= 0.0), "a point outside");
+        }
+    }
+}
+
+/// Vertices in hull units are the points themselves; both radii hold.
+fn check_sizes(points: &[[f64; 3]], surface: &Triangulation, hull: &ConvexHull) {
+    let (center, scale) = (hull.contraction_point(), hull.scale());
+    assert_eq!(scale.to_bits() & ((1 << 52) - 1), 0, "the scale is no power of two");
+    assert!((0.5..1.0).contains(&hull.unit_circumradius()));
+    assert!(hull.unit_inradius() > 0.0);
+    for (&v, &i) in hull.vertices().iter().zip(hull.registered_indices()) {
+        assert_eq!(v * scale, DVec3::from_array(points[i as usize]) - center);
+        assert!(v.length() <= hull.unit_circumradius());
+    }
+    let farthest = hull.vertices().iter().map(|v| v.length()).fold(0.0, f64::max);
+    assert!(hull.unit_circumradius() <= farthest * (1.0 + 16.0 * U));
+    // The ball touches no triangle: sampled, as distance to a sliver's plane is noise.
+    let place: HashMap<u32, usize> = hull.registered_indices().iter().copied().zip(0..).collect();
+    for triangle in &surface.triangles {
+        let [a, b, c] = triangle.map(|v| hull.vertices()[place[&v]]);
+        for (s, t) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5), (0.33, 0.33)] {
+            let p = a + s * (b - a) + t * (c - a);
+            assert!(p.length() >= hull.unit_inradius() * (1.0 - 8.0 * U), "the inradius is too large");
+        }
+    }
+    let nearest = hull.face_offsets().iter().copied().fold(f64::INFINITY, f64::min);
+    let slack = hull.face_planarity().iter().copied().fold(0.0, f64::max);
+    assert!(hull.unit_inradius() >= nearest * (1.0 - 8.0 * U) - 2.0 * slack, "the inradius is too small");
+}
+
+/// No vertex above a face's plane, its own near it.
+fn check_faces(hull: &ConvexHull, met: &mut Met) {
+    let tolerance = (1e-6 * hull.unit_circumradius()).min(hull.unit_inradius() / 64.0) + 16.0 * U;
+    for face in 0..hull.face_count() {
+        let (normal, offset) = (hull.face_normals()[face], hull.face_offsets()[face]);
+        let planarity = hull.face_planarity()[face];
+        assert!((normal.length() - 1.0).abs() <= 4.0 * U);
+        assert!(planarity <= tolerance, "planarity {planarity:e} over {tolerance:e}");
+        met.inexact_faces += usize::from(planarity > 64.0 * U);
+        // Every face of the smaller hulls, some of the largest ones'.
+        if face % (1 + hull.face_count() / 1_000) == 0 {
+            let highest = hull.vertices().iter().map(|v| v.dot(normal)).fold(f64::NEG_INFINITY, f64::max);
+            assert_eq!(highest, offset, "a vertex above the plane of face {face}");
+        }
+    }
+    for (v, point) in hull.vertices().iter().enumerate() {
+        assert!(!hull.vertex_faces(v).is_empty());
+        for &face in hull.vertex_faces(v) {
+            let (normal, offset) = (hull.face_normals()[face as usize], hull.face_offsets()[face as usize]);
+            assert!(normal.dot(*point) >= offset - hull.face_planarity()[face as usize]);
+        }
+    }
+}
+
+/// Strictly convex polygons, anticlockwise from outside.
+fn check_outlines(hull: &ConvexHull) {
+    for face in 0..hull.face_count() {
+        let (outline, normal) = (hull.outline(face), hull.face_normals()[face]);
+        assert!(outline.len() >= 3);
+        assert!(hull.face_areas()[face] > 0.0);
+        let size = normal.abs().to_array();
+        let axis = (0..3).fold(0, |best, i| if size[i] > size[best] { i } else { best });
+        let flat = |v: u32| {
+            let p = hull.vertices()[v as usize].to_array();
+            Coord { x: p[(axis + 1) % 3], y: p[(axis + 2) % 3] }
+        };
+        for i in 0..outline.len() {
+            let [a, b, c] = [0, 1, 2].map(|k| flat(outline[(i + k) % outline.len()]));
+            let turn = robust::orient2d(a, b, c) * normal.to_array()[axis];
+            assert!(turn > 0.0, "face {face} is not convex at {i}: {outline:?} {normal:?}");
+            assert!(hull.vertex_faces(outline[i] as usize).contains(&(face as u32)));
+        }
+    }
+}
+
+/// Sorted, each between two faces that hold both its ends, and with the corners
+/// and faces of Euler's characteristic.
+fn check_edges(hull: &ConvexHull, met: &mut Met) {
+    assert!(hull.edge_vertices().windows(2).all(|w| w[0] < w[1]), "edges not ascending, or twice");
+    for (&[from, to], &[left, right]) in hull.edge_vertices().iter().zip(hull.edge_faces()) {
+        assert!(from < to && left != right);
+        for face in [left, right] {
+            assert!([from, to].iter().all(|&v| hull.vertex_faces(v as usize).contains(&face)));
+        }
+        // Where the outlines run along the edge, they run the right way.
+        let runs = |face: u32, a: u32, b: u32| {
+            let outline = hull.outline(face as usize);
+            (0..outline.len()).any(|i| outline[i] == a && outline[(i + 1) % outline.len()] == b)
+        };
+        // (Below the merge tolerance a polygon's corners may lie in another order.)
+        let length = (hull.vertices()[to as usize] - hull.vertices()[from as usize]).length();
+        if length > 4e-6 {
+            assert!(!runs(left, to, from) && !runs(right, from, to), "left and right exchanged");
+        }
+    }
+    let corners = (0..hull.vertex_count()).filter(|&v| !hull.vertex_edges(v).is_empty()).count();
+    met.vertices_without_edges += hull.vertex_count() - corners;
+    met.merged_faces += 2 * hull.vertex_count() - 4 - hull.face_count();
+    assert_eq!(corners + hull.face_count(), hull.edge_count() + 2, "Euler's formula of the faces");
+}
+
+/// Every list agrees with what it is made of.
+fn check_adjacency(surface: &Triangulation, hull: &ConvexHull) {
+    let registered = |v: u32| hull.registered_indices()[v as usize];
+    let mut sides: BTreeSet<[u32; 2]> = BTreeSet::new();
+    for v in 0..hull.vertex_count() as u32 {
+        let row = hull.vertex_neighbours(v as usize);
+        assert!(row.windows(2).all(|w| w[0] < w[1]));
+        sides.extend(row.iter().map(|&w| [registered(v), registered(w)]));
+        for &edge in hull.vertex_edges(v as usize) {
+            assert!(hull.edge_vertices()[edge as usize].contains(&v));
+        }
+    }
+    let expected: BTreeSet<[u32; 2]> =
+        surface.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).collect();
+    assert_eq!(sides, expected);
+    let edges: usize = (0..hull.vertex_count()).map(|v| hull.vertex_edges(v).len()).sum();
+    assert_eq!(edges, 2 * hull.edge_count());
+    let mut across: BTreeSet<[u32; 2]> = BTreeSet::new();
+    across.extend(hull.edge_faces().iter().flat_map(|&[f, g]| [[f, g], [g, f]]));
+    let listed = |f: usize| hull.face_neighbours(f).iter().map(move |&g| [f as u32, g]);
+    let listed: Vec<[u32; 2]> = (0..hull.face_count()).flat_map(listed).collect();
+    assert!(listed.iter().eq(&across), "face neighbours");
+}
