@@ -1,34 +1,226 @@
 //! Contact manifolds of two convex hulls, after Silcowitz, Niebe and Erleben,
 //! *Contact Point Generation for Convex Polytopes in Interactive Rigid Body
-//! Dynamics* (SCA 2010).
+//! Dynamics* (SCA 2010): one file a step of the paper.
+//!
+//! | step | file |
+//! |---|---|
+//! | 1: growth scale and contact normal | [`growth`] |
+//! | 2: from the normal to a pair of features | [`gauss_map`] |
+//! | 3: from the features to contact points | [`intersection`] |
+//!
+//! [`contact_manifold`] is the three steps in order. [`certificate`] checks an
+//! answer from the hulls alone.
 
 mod body;
+pub mod certificate;
+mod distance;
 pub(crate) mod exact;
+mod gauss_map;
+mod growth;
 pub mod hull;
+mod intersection;
 mod manifold;
+mod pair;
 mod query;
+mod reduce;
+mod simplex;
+mod support;
+mod tolerance;
+
+use glam::DVec3;
 
 pub use body::{Body, InvalidPose, Pose};
-pub use hull::{ConvexHull, HullError, HullOptions};
+pub use hull::{ConvexHull, HullError, HullErrorKind, HullOptions};
 pub use manifold::{Basis, ContactPoint, Element, Feature, Flags, Manifold, Outcome};
 pub use query::{Accuracy, Query, Solver, Wanted};
+
+use distance::Decision;
+use gauss_map::{Direction, Touched, touched_feature};
+use growth::{Cost, Goal, Growth, Separation, Solution, growth};
+use intersection::Intersection;
+use pair::{Pair, Support, shift};
+use tolerance::{MERGE, NOISE, U};
 
 /// Buffers reused from pair to pair, so that the steady state allocates nothing.
 #[derive(Debug, Default)]
 pub struct Workspace {
     manifold: Manifold,
+    gauss_map: gauss_map::Scratch,
+    intersection: Intersection,
 }
 
 /// The contact manifold of `a` and `b`: the paper's three steps, in order.
 ///
 /// `warm` is the basis of an earlier answer for the same hulls; a useless one
 /// costs only a cold start. The answer lives in `workspace` until the next call.
+///
+/// A pair farther apart than the margin is answered with certified lower bounds
+/// alone: its `alpha_upper` is infinite, and it has no points and no basis.
 pub fn contact_manifold<'w>(
-    _a: &Body<'_>,
-    _b: &Body<'_>,
-    _query: &Query,
-    _warm: Option<&Basis>,
+    a: &Body<'_>,
+    b: &Body<'_>,
+    query: &Query,
+    warm: Option<&Basis>,
     workspace: &'w mut Workspace,
 ) -> &'w Manifold {
+    let pair = &mut Pair::new(a, b);
+    // In pair units; a margin that overflows there is beyond every distance.
+    let margin = query.margin / pair.unit;
+    workspace.manifold.reset();
+    if let Some(reach) = spheres_apart(pair, margin) {
+        workspace.manifold.set_apart(pair, pair.ray, reach, Cost::default());
+        return &workspace.manifold;
+    }
+
+    // Step 1.
+    let goal = Goal::new(&query.accuracy, margin, query.wanted == Wanted::Outcome);
+    let warm = warm.and_then(|basis| warm_triple(pair, basis));
+    let mut solution = match growth(pair, query.accuracy.solver, warm, &goal) {
+        Growth::Solved(solution) => solution,
+        Growth::Separated(Separation { direction, support, cost }) => {
+            let reach = direction.dot(support.point) / direction.length();
+            workspace.manifold.set_apart(pair, direction, reach, cost);
+            return &workspace.manifold;
+        }
+    };
+    let certain = solution.upper <= 1.0 || margin == f64::INFINITY;
+    if query.wanted == Wanted::Points {
+        workspace.find_points(pair, &solution, &query.accuracy);
+    }
+
+    let near = certain || (query.wanted == Wanted::Points && workspace.points_within(margin));
+    let outcome = if near {
+        Outcome::Contact
+    } else {
+        match distance::decide(pair, &solution.triple, margin, &mut solution.cost) {
+            Decision::Within => Outcome::Contact,
+            Decision::Unknown => Outcome::Undecided,
+            Decision::Beyond(direction, support) => {
+                let reach = direction.dot(support.point) / direction.length();
+                workspace.manifold.set_apart(pair, direction, reach, solution.cost);
+                return &workspace.manifold;
+            }
+        }
+    };
+    workspace.manifold.set_solved(pair, &solution, outcome);
+    if query.wanted == Wanted::Points {
+        workspace.lift_points(pair, &query.accuracy);
+    }
     &workspace.manifold
+}
+
+/// Where the spheres around the hulls are farther apart than the margin: how
+/// far `K` reaches at most along the line of centres.
+fn spheres_apart(pair: &Pair<'_>, margin: f64) -> Option<f64> {
+    let reach = pair.circumradius;
+    (pair.d.length() - reach > margin + pair.rounding_band()).then_some(reach)
+}
+
+/// The vertices of `K` that a basis names; none where it names no vertex.
+fn warm_triple(pair: &Pair<'_>, basis: &Basis) -> Option<[Support; 3]> {
+    let mut triple = [Support::default(); 3];
+    for (u, (&a, &b)) in triple.iter_mut().zip(basis.a.iter().zip(&basis.b)) {
+        *u = pair.support_of(pair.a.vertex_of_registered(a)?, pair.b.vertex_of_registered(b)?);
+    }
+    Some(triple)
+}
+
+impl Workspace {
+    /// Steps 2 and 3.
+    fn find_points(&mut self, pair: &Pair<'_>, solution: &Solution, accuracy: &Accuracy) {
+        let n = solution.normal;
+        let known = |vertex: fn(&Support) -> u32| {
+            let [u0, u1, u2] = solution.triple.each_ref().map(vertex);
+            [vertex(&solution.support), u0, u1, u2].map(|v| if v == Support::INNER { vertex(&solution.support) } else { v })
+        };
+        let depth = MERGE * U * pair.circumradius;
+        let sine = accuracy.feature_angle.sin();
+        let of = |n, known: &[u32; 4], scale: f64, hull, scratch: &mut _| {
+            touched_feature(hull, &Direction { n, known, depth: depth / scale, sine }, scratch)
+        };
+        let features = [
+            of(n, &known(|s| s.a), pair.scale_a, pair.a, &mut self.gauss_map),
+            of(-pair.direction_in_b(n), &known(|s| s.b), pair.scale_b, pair.b, &mut self.gauss_map),
+        ];
+        self.intersection.find(pair, n, features);
+        self.manifold.features = Some([named(pair.a, features[0]), named(pair.b, features[1])]);
+    }
+
+    /// Whether a contact point, a point of each hull to its faces' planarity,
+    /// shows that the hulls are within the margin of each other.
+    fn points_within(&self, margin: f64) -> bool {
+        let found = &self.intersection;
+        !found.estimated
+            && found.points.iter().any(|p| (p.height_b - p.height_a).max(0.0) + found.planarity <= margin)
+    }
+
+    /// The points found, in the world.
+    fn lift_points(&mut self, pair: &Pair<'_>, accuracy: &Accuracy) {
+        let found = &mut self.intersection;
+        let rounding = pair.rounding_band();
+        self.manifold.flags.reduced = reduce::reduce(&mut found.points, accuracy.max_points as usize, rounding);
+        self.manifold.flags.estimated = found.estimated;
+        for p in &found.points {
+            self.manifold.points.push(ContactPoint {
+                witness_a: pair.point_to_world(found.witness_a(p)),
+                distance: (p.height_b - p.height_a) * pair.unit,
+                id: p.id,
+            });
+        }
+    }
+}
+
+impl Manifold {
+    fn reset(&mut self) {
+        let points = std::mem::take(&mut self.points);
+        *self = Self { points, ..Self::default() };
+        self.points.clear();
+    }
+
+    /// Apart: `direction` (A's frame, any length) certifies it, along which `K`
+    /// reaches `reach` at most. All numbers are certified lower bounds.
+    fn set_apart(&mut self, pair: &Pair<'_>, direction: DVec3, reach: f64, cost: Cost) {
+        let n = direction.normalize();
+        let noise = |m: f64| NOISE * U * m;
+        let width = reach + noise(pair.circumradius);
+        self.outcome = Outcome::Separated;
+        let lower = ((n.dot(pair.ray) - noise(pair.ray_m)) / width).next_down();
+        self.alpha_lower = shift(lower, pair.alpha_exponent).max(0.0);
+        self.alpha = self.alpha_lower;
+        self.alpha_upper = f64::INFINITY;
+        self.separation = (n.dot(pair.d) - reach - pair.rounding_band()) * pair.unit;
+        self.normal = pair.direction_to_world(n);
+        self.features = None;
+        (self.iterations, self.support_calls) = (cost.iterations, cost.support_calls);
+    }
+
+    fn set_solved(&mut self, pair: &Pair<'_>, solution: &Solution, outcome: Outcome) {
+        let n = solution.normal;
+        self.outcome = outcome;
+        self.flags.gap_open = solution.gap_open;
+        self.flags.coincident = solution.coincident;
+        (self.alpha, self.alpha_lower, self.alpha_upper) = (solution.alpha, solution.lower, solution.upper);
+        self.separation = (n.dot(pair.d) - n.dot(solution.support.point)) * pair.unit;
+        self.normal = pair.direction_to_world(n);
+        self.basis = basis(pair, &solution.triple);
+        (self.iterations, self.support_calls) = (solution.cost.iterations, solution.cost.support_calls);
+    }
+}
+
+/// The triple as registered vertices, once no inner point is left in it.
+fn basis(pair: &Pair<'_>, triple: &[Support; 3]) -> Option<Basis> {
+    let complete = triple.iter().all(|u| u.a != Support::INNER);
+    complete.then(|| Basis {
+        a: triple.map(|u| pair.a.registered_indices()[u.a as usize]),
+        b: triple.map(|u| pair.b.registered_indices()[u.b as usize]),
+    })
+}
+
+fn named(hull: &ConvexHull, feature: Touched) -> Feature {
+    let registered = |v: u32| hull.registered_indices()[v as usize];
+    match feature {
+        Touched::Vertex(v) => Feature::Vertex(registered(v)),
+        Touched::Edge(e) => Feature::Edge(hull.edge_vertices()[e as usize].map(registered)),
+        Touched::Face(f) => Feature::Face(f),
+    }
 }

@@ -31,6 +31,11 @@ impl ConvexHull {
         &self.registered
     }
 
+    /// The vertex with this registered index, if it was kept.
+    pub fn vertex_of_registered(&self, index: u32) -> Option<u32> {
+        self.registered.binary_search(&index).ok().map(|v| v as u32)
+    }
+
     /// Cubic units.
     pub fn volume(&self) -> f64 {
         self.volume

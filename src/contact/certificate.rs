@@ -1,0 +1,188 @@
+//! Checks an answer from the definitions alone: no solver, no Gauss map, no
+//! frame of the solver's. Brute force over vertices and faces, in the world's
+//! axes about A's centre.
+//!
+//! What it cannot show it leaves open: that a CONTACT pair whose projections
+//! miss each other is within the margin is the distance's to say.
+
+use glam::DVec3;
+
+use super::exact::{Dd, dd_cross, dd_dot};
+use super::tolerance::{BAND, BRACKET, MERGE, NOISE, U};
+use super::{Basis, Body, Feature, Manifold, Outcome, Query, Wanted};
+
+/// What of an answer is not as defined: `found` is beyond `allowed`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Violation {
+    /// The property.
+    pub property: &'static str,
+    /// The value that violates it, caller's units.
+    pub found: f64,
+    /// Its bound.
+    pub allowed: f64,
+}
+
+impl std::fmt::Display for Violation {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}: {:e}, allowed {:e}", self.property, self.found, self.allowed)
+    }
+}
+
+impl std::error::Error for Violation {}
+
+/// Checks `manifold` as the answer to `query` for `a` and `b`.
+///
+/// # Errors
+/// The first [`Violation`] found.
+pub fn check(a: &Body<'_>, b: &Body<'_>, query: &Query, manifold: &Manifold) -> Result<(), Violation> {
+    let scene = Scene::new(a, b, manifold.normal);
+    at_most("length of the normal off 1", (manifold.normal.length() - 1.0).abs(), 8.0 * U)?;
+    if manifold.outcome == Outcome::Separated {
+        return separated(&scene, query, manifold);
+    }
+    bracket(&scene, query, manifold)?;
+    let error = (manifold.separation - scene.separation).abs();
+    at_most("separation off that of the normal", error, scene.band())?;
+    if query.wanted == Wanted::Points {
+        points(&scene, query, manifold)?;
+    }
+    Ok(())
+}
+
+fn at_most(property: &'static str, found: f64, allowed: f64) -> Result<(), Violation> {
+    if found <= allowed { Ok(()) } else { Err(Violation { property, found, allowed }) }
+}
+
+/// The pair in the world's axes, A's centre the origin; caller's units.
+struct Scene<'a> {
+    a: &'a Body<'a>,
+    b: &'a Body<'a>,
+    d: DVec3,
+    m: f64,
+    inradius: f64,
+    circumradius: f64,
+    /// World points cost rounding of their own.
+    world: f64,
+    normal: DVec3,
+    /// Support value of the centred Minkowski difference along the normal.
+    reach: f64,
+    separation: f64,
+}
+
+impl<'a> Scene<'a> {
+    fn new(a: &'a Body<'a>, b: &'a Body<'a>, normal: DVec3) -> Self {
+        let t = b.pose.translation - a.pose.translation;
+        let (ca, cb) = (a.hull.contraction_point(), b.hull.contraction_point());
+        let d = t + (b.pose.rotation * cb - a.pose.rotation * ca);
+        let highest = |body: &Body<'_>, n: DVec3| {
+            (0..body.hull.vertex_count()).map(|v| n.dot(vertex(body, v))).fold(f64::NEG_INFINITY, f64::max)
+        };
+        let reach = highest(a, normal) + highest(b, -normal);
+        Self {
+            a,
+            b,
+            d,
+            m: t.length() + ca.length() + cb.length(),
+            inradius: a.hull.inradius() + b.hull.inradius(),
+            circumradius: a.hull.circumradius() + b.hull.circumradius(),
+            world: a.pose.translation.length() + b.pose.translation.length(),
+            normal,
+            reach,
+            separation: normal.dot(d) - reach,
+        }
+    }
+
+    /// The rounding band of a separation.
+    fn band(&self) -> f64 {
+        U * (BAND * (self.circumradius + self.d.length()) + NOISE * self.m)
+    }
+}
+
+/// A vertex about its hull's contraction point, world axes.
+fn vertex(body: &Body<'_>, v: usize) -> DVec3 {
+    body.pose.rotation * (body.hull.vertices()[v] * body.hull.scale())
+}
+
+fn separated(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), Violation> {
+    at_most("margin of a separated pair", query.margin, scene.separation)?;
+    at_most("lower bound of the distance", manifold.separation, scene.separation)?;
+    let growth = scene.normal.dot(scene.d) / scene.reach;
+    at_most("lower bound of alpha", manifold.alpha_lower, growth)?;
+    let none = manifold.points.is_empty() && manifold.basis.is_none() && manifold.alpha_upper == f64::INFINITY;
+    at_most("points, basis or upper bound of a separated pair", f64::from(u8::from(!none)), 0.0)
+}
+
+fn bracket(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), Violation> {
+    let Manifold { alpha, alpha_lower, alpha_upper, flags, .. } = *manifold;
+    at_most("lower end of the bracket above alpha", alpha_lower, alpha)?;
+    at_most("alpha above the upper end of the bracket", alpha, alpha_upper)?;
+    let noise = NOISE * U * scene.m / scene.inradius;
+    let tolerance = query.accuracy.relative_tolerance + BRACKET * U * scene.circumradius / scene.inradius;
+    if flags.coincident {
+        at_most("offset of coincident centres", scene.d.length(), NOISE * U * scene.m)?;
+        return at_most("alpha of coincident centres", alpha, 0.0);
+    }
+    let growth = scene.normal.dot(scene.d) / scene.reach;
+    at_most("lower end of the bracket above what the normal shows", alpha_lower, growth)?;
+    if flags.gap_open {
+        return Ok(());
+    }
+    at_most("width of the bracket", alpha_upper - alpha_lower, alpha_upper * tolerance + 2.0 * noise)?;
+    at_most("optimality gap of the normal", alpha - growth, alpha * tolerance + noise)?;
+    let shown = manifold.basis.as_ref().map_or(f64::INFINITY, |basis| shown_upper(scene, basis));
+    at_most("what the basis shows above the upper end of the bracket", shown, alpha_upper)
+}
+
+/// The upper bound of alpha that a basis shows, without the allowance for noise.
+fn shown_upper(scene: &Scene<'_>, basis: &Basis) -> f64 {
+    let find = |body: &Body<'_>, registered| body.hull.vertex_of_registered(registered).map(|v| vertex(body, v as usize));
+    let corner = |i: usize| Some(find(scene.a, basis.a[i])? - find(scene.b, basis.b[i])?);
+    let (Some(u0), Some(u1), Some(u2)) = (corner(0), corner(1), corner(2)) else { return f64::INFINITY };
+    // Scaled, so that no product of three overflows or underflows.
+    let size = scene.circumradius;
+    let [u0, u1, u2, d] = [u0 / size, u1 / size, u2 / size, scene.d / scene.d.abs().max_element()];
+    let wide = |v: DVec3| v.to_array().map(Dd::from);
+    let det = |a, b, c| dd_dot(wide(a), dd_cross(wide(b), wide(c))).value();
+    let volume = det(u0, u1, u2);
+    let weights = [det(d, u1, u2), det(u0, d, u2), det(u0, u1, d)].map(|x| (x / volume).max(0.0));
+    let missing = d - (u0 * weights[0] + u1 * weights[1] + u2 * weights[2]);
+    let rounding = NOISE * U * weights.iter().sum::<f64>();
+    let shown = weights.iter().sum::<f64>() + (missing.length() - rounding).max(0.0) * size / scene.inradius;
+    shown * (scene.d.abs().max_element() / size) * (1.0 - BRACKET * U)
+}
+
+fn points(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), Violation> {
+    at_most("answers without a point", f64::from(u8::from(manifold.points.is_empty())), 0.0)?;
+    let Some([feature_a, feature_b]) = manifold.features else {
+        return at_most("answers without features", 1.0, 0.0);
+    };
+    let planarity = scene.a.hull.geometric_error() + scene.b.hull.geometric_error();
+    let eps = 2.0 * MERGE * U * (scene.circumradius + scene.m) + 4.0 * U * scene.world;
+    let sine = query.accuracy.feature_angle.sin();
+    for p in &manifold.points {
+        let slack = scene.band() + 2.0 * planarity + eps;
+        at_most("separation above the distance of a point", scene.separation - p.distance, slack)?;
+        if manifold.flags.estimated {
+            continue;
+        }
+        let from_a = (p.witness_a - scene.a.pose.translation) - scene.a.pose.rotation * scene.a.hull.contraction_point();
+        let from_b = from_a + p.distance * scene.normal - scene.d;
+        for (body, feature, at, n) in
+            [(scene.a, feature_a, from_a, scene.normal), (scene.b, feature_b, from_b, -scene.normal)]
+        {
+            at_most("witness outside its hull", outside(body, at), planarity + eps)?;
+            let highest = (0..body.hull.vertex_count()).map(|v| n.dot(vertex(body, v))).fold(f64::NEG_INFINITY, f64::max);
+            let tilt = if matches!(feature, Feature::Vertex(_)) { 0.0 } else { 2.0 * sine };
+            let below = 2.0 * body.hull.circumradius() * tilt + planarity + eps;
+            at_most("witness below the support plane", highest - n.dot(at), below)?;
+        }
+    }
+    Ok(())
+}
+
+/// How far a point is outside the planes of the hull's faces.
+fn outside(body: &Body<'_>, at: DVec3) -> f64 {
+    let (hull, own) = (body.hull, body.pose.rotation.transpose() * at);
+    let planes = hull.face_normals().iter().zip(hull.face_offsets());
+    planes.map(|(m, offset)| m.dot(own) - offset * hull.scale()).fold(f64::NEG_INFINITY, f64::max)
+}

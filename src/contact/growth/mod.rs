@@ -1,0 +1,191 @@
+//! Step 1: growth scale and contact normal (Silcowitz et al. 2010, section 3;
+//! Ong and Gilbert 1996), with a certified bracket.
+//!
+//! `alpha` is the smallest scale at which both hulls, grown about their
+//! contraction points, touch: the gauge of the centre offset `d` in the centred
+//! Minkowski difference `K`. Every direction gives a certified lower bound of
+//! it, every triple of points of `K` whose cone holds `d` an upper one.
+
+pub(crate) mod gjk_ray_cast;
+pub(crate) mod portal;
+pub(crate) mod triple;
+
+use glam::DVec3;
+
+use super::pair::{Pair, Support, shift};
+use super::tolerance::{COINCIDENT, NOISE, U};
+use super::{Accuracy, Solver};
+
+/// What step 1 found.
+pub(crate) enum Growth {
+    /// Growth scale and normal, with their bracket.
+    Solved(Solution),
+    /// A direction along which the hulls are farther apart than the margin.
+    Separated(Separation),
+}
+
+/// Growth scale and normal.
+pub(crate) struct Solution {
+    pub(crate) alpha: f64,
+    pub(crate) lower: f64,
+    pub(crate) upper: f64,
+    /// Unit, A's frame, from A to B.
+    pub(crate) normal: DVec3,
+    /// The vertices farthest along the normal.
+    pub(crate) support: Support,
+    /// Points of `K` whose cone holds `d`.
+    pub(crate) triple: [Support; 3],
+    pub(crate) gap_open: bool,
+    pub(crate) coincident: bool,
+    pub(crate) cost: Cost,
+}
+
+/// A direction that certifies separation beyond the margin.
+pub(crate) struct Separation {
+    /// A's frame, any length but 0.
+    pub(crate) direction: DVec3,
+    /// The vertices farthest along it.
+    pub(crate) support: Support,
+    pub(crate) cost: Cost,
+}
+
+/// Work done, for diagnostics.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Cost {
+    pub(crate) iterations: u32,
+    pub(crate) support_calls: u32,
+}
+
+/// What a solver is to reach.
+pub(crate) struct Goal {
+    /// Width of the bracket, of alpha.
+    pub(crate) relative_tolerance: f64,
+    pub(crate) max_iterations: u32,
+    /// Pair units: beyond it the pair is of no interest; infinity for never.
+    pub(crate) margin: f64,
+    /// Stop as soon as the hulls are certified to overlap.
+    pub(crate) outcome_only: bool,
+}
+
+impl Goal {
+    pub(crate) fn new(accuracy: &Accuracy, margin: f64, outcome_only: bool) -> Self {
+        Self {
+            relative_tolerance: accuracy.relative_tolerance,
+            max_iterations: accuracy.max_iterations,
+            margin,
+            outcome_only,
+        }
+    }
+}
+
+/// Growth scale and normal of a pair; `warm` is the triple of an earlier answer.
+pub(crate) fn growth(pair: &mut Pair<'_>, solver: Solver, warm: Option<[Support; 3]>, goal: &Goal) -> Growth {
+    if pair.ray.length() <= COINCIDENT * U * pair.ray_m {
+        return Growth::Solved(coincident(pair, goal));
+    }
+    match solver {
+        Solver::Portal => portal::solve(pair, warm.as_ref().map_or(&[], |w| w), goal, Cost::default()),
+        Solver::GjkRayCast => gjk_ray_cast::solve(pair, warm.as_ref().map_or(&[], |w| w), goal),
+    }
+}
+
+/// Where the centres coincide alpha is 0 and every normal optimal: the one that
+/// an offset along the thinnest direction of either hull would have.
+fn coincident(pair: &mut Pair<'_>, goal: &Goal) -> Solution {
+    let (ray, noise) = (pair.ray, pair.ray_m);
+    (pair.ray, pair.ray_m) = (thinnest_direction(pair), 0.0);
+    let never_beyond = Goal { margin: f64::INFINITY, outcome_only: false, ..*goal };
+    let solved = portal::solve(pair, &[], &never_beyond, Cost::default());
+    (pair.ray, pair.ray_m) = (ray, noise);
+    let upper = (NOISE * U * pair.m / pair.inradius).next_up();
+    match solved {
+        Growth::Solved(solution) => {
+            Solution { alpha: 0.0, lower: 0.0, upper, gap_open: false, coincident: true, ..solution }
+        }
+        // Not reached: nothing is beyond an infinite margin.
+        Growth::Separated(Separation { direction, support, cost }) => Solution {
+            alpha: 0.0,
+            lower: 0.0,
+            upper,
+            normal: direction.normalize(),
+            support,
+            triple: [support; 3],
+            gap_open: true,
+            coincident: true,
+            cost,
+        },
+    }
+}
+
+fn thinnest_direction(pair: &Pair<'_>) -> DVec3 {
+    let thinnest = |offsets: &[f64]| {
+        offsets.iter().enumerate().fold((0, f64::INFINITY), |best, (i, &o)| if o < best.1 { (i, o) } else { best })
+    };
+    let (face_a, offset_a) = thinnest(pair.a.face_offsets());
+    let (face_b, offset_b) = thinnest(pair.b.face_offsets());
+    if offset_a * pair.scale_a <= offset_b * pair.scale_b {
+        pair.a.face_normals()[face_a]
+    } else {
+        -(pair.rotation * pair.b.face_normals()[face_b])
+    }
+}
+
+/// Certified lower bound of the growth scale of the ray from any direction `n`
+/// and its support point, rounded down.
+pub(crate) fn lower_bound(pair: &Pair<'_>, n: DVec3, support: &Support) -> f64 {
+    let length = n.length();
+    let reach = n.dot(pair.ray) - NOISE * U * pair.ray_m * length;
+    let width = n.dot(support.point) + NOISE * U * pair.circumradius * length;
+    if reach > 0.0 && width > 0.0 { (reach / width).next_down() } else { 0.0 }
+}
+
+/// Certified upper bound of the growth scale of the ray, rounded up, and the
+/// sum of the weights it rests on: whatever the triple, the part of the ray
+/// that it does not make is made by the inner ball.
+pub(crate) fn upper_bound(pair: &Pair<'_>, triple: &[Support; 3]) -> (f64, f64) {
+    let [l0, l1, l2] = triple::weights(pair.ray, triple).map(|l| l.max(0.0));
+    let made = triple[0].point * l0 + triple[1].point * l1 + triple[2].point * l2;
+    let sum = l0 + l1 + l2;
+    let missing = (pair.ray - made).length() + NOISE * U * (pair.ray_m + pair.circumradius * sum);
+    let upper = (sum + missing / pair.inradius).next_up();
+    if upper.is_nan() { (f64::INFINITY, f64::INFINITY) } else { (upper, sum) }
+}
+
+/// The solution that a direction and a triple make.
+pub(crate) fn conclude(
+    pair: &Pair<'_>,
+    n: DVec3,
+    support: Support,
+    triple: [Support; 3],
+    goal: &Goal,
+    cost: Cost,
+) -> Solution {
+    let lower = lower_bound(pair, n, &support);
+    let (upper, _) = upper_bound(pair, &triple);
+    let gap_open = !(upper - lower <= pair.closed_width(upper, goal.relative_tolerance));
+    let alpha = (n.dot(pair.ray) / n.dot(support.point)).clamp(lower, upper.max(lower));
+    let k = pair.alpha_exponent;
+    Solution {
+        alpha: shift(alpha, k),
+        lower: outward(lower, k, f64::next_down).max(0.0),
+        upper: outward(upper, k, f64::next_up),
+        normal: n.normalize(),
+        support,
+        triple,
+        gap_open,
+        coincident: false,
+        cost,
+    }
+}
+
+/// `bound * 2^k`, rounded outward where the result is subnormal.
+fn outward(bound: f64, k: i32, round: fn(f64) -> f64) -> f64 {
+    let shifted = shift(bound, k);
+    if shifted.abs() < f64::MIN_POSITIVE { round(shifted) } else { shifted }
+}
+
+/// Whether `n` certifies that the hulls are farther apart than the margin.
+pub(crate) fn separates(pair: &Pair<'_>, n: DVec3, support: &Support, margin: f64) -> bool {
+    let gap = n.dot(pair.d) - n.dot(support.point);
+    gap > 0.0 && gap > (margin + pair.rounding_band()) * n.length()
+}

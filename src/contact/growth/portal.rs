@@ -1,0 +1,103 @@
+//! Portal refinement from inside (after Snethen, *XenoCollide*, 2008): the
+//! primal simplex method on `min sum l_i : sum l_i c_i = d, l >= 0` over the
+//! vertices `c_i` of `K`.
+//!
+//! The origin lies inside `K`, so a small triangle of inner points around the
+//! ray is a feasible start; the support point beyond the triangle's plane
+//! replaces one corner, until there is none beyond. Finite, since the signs
+//! that choose the corner are exact (`triple`), with a bracket at every step.
+
+use glam::DVec3;
+
+use super::triple::{self, Normal};
+use super::{Cost, Goal, Growth, Separation, conclude, separates, upper_bound};
+use crate::contact::pair::{Pair, Support, shift};
+use crate::contact::tolerance::{GAIN, STALL, U};
+
+/// Growth scale and normal. `seeds` are vertices of `K` worth trying first: a
+/// basis of an earlier answer, a simplex of another solver.
+pub(crate) fn solve(pair: &Pair<'_>, seeds: &[Support], goal: &Goal, mut cost: Cost) -> Growth {
+    let mut portal = start(pair, seeds);
+    let mut best = Best::default();
+    let (mut wide, mut stalled) = (false, 0);
+    loop {
+        let normal = if wide { triple::wide_normal(&portal) } else { triple::normal(&portal) };
+        let n = normal.n;
+        let w = pair.support(n);
+        cost.iterations += 1;
+        cost.support_calls += 2;
+        if goal.margin < f64::INFINITY && separates(pair, n, &w, goal.margin) {
+            return Growth::Separated(Separation { direction: n, support: w, cost });
+        }
+        stalled = if best.improve(pair.ray, n, w) { 0 } else { stalled + 1 };
+        let out_of_steps = cost.iterations >= goal.max_iterations || stalled >= STALL;
+        let refined = refined(pair, &portal, normal, &w, goal.relative_tolerance);
+        if refined || out_of_steps || (goal.outcome_only && overlaps(pair, &portal)) {
+            let solution = conclude(pair, best.direction, best.support, portal, goal, cost);
+            if !solution.gap_open || wide || out_of_steps || !refined {
+                return Growth::Solved(solution);
+            }
+            wide = true;
+            continue;
+        }
+        triple::pivot(pair.ray, &mut portal, w);
+    }
+}
+
+/// The direction with the largest lower bound so far.
+#[derive(Default)]
+struct Best {
+    ratio: f64,
+    direction: DVec3,
+    support: Support,
+}
+
+impl Best {
+    fn improve(&mut self, ray: DVec3, n: DVec3, w: Support) -> bool {
+        let ratio = n.dot(ray) / n.dot(w.point);
+        let better = ratio > self.ratio && ratio.is_finite();
+        if better {
+            *self = Self { ratio, direction: n, support: w };
+        }
+        better
+    }
+}
+
+/// Whether `w` is not beyond the triangle's plane by more than was asked for,
+/// or than the rounding of the plane and of two support values leaves open.
+fn refined(pair: &Pair<'_>, portal: &[Support; 3], plane: Normal, w: &Support, relative_tolerance: f64) -> bool {
+    let gain = plane.n.dot(w.point - portal[0].point);
+    let rounding = GAIN * U * pair.circumradius * plane.error;
+    portal.iter().any(|u| u.same(w)) || !(gain > rounding) || gain <= relative_tolerance * plane.n.dot(w.point)
+}
+
+fn overlaps(pair: &Pair<'_>, portal: &[Support; 3]) -> bool {
+    shift(upper_bound(pair, portal).0, pair.alpha_exponent) <= 1.0
+}
+
+/// The first triangle: the seeds themselves where their cone holds the ray,
+/// else inner points around it, replaced by the seeds beyond their plane.
+fn start(pair: &Pair<'_>, seeds: &[Support]) -> [Support; 3] {
+    if let &[s0, s1, s2] = seeds
+        && let Some(portal) = triple::around(pair.ray, [s0, s1, s2])
+    {
+        return portal;
+    }
+    let mut portal = inner_triangle(pair);
+    for seed in seeds {
+        if !refined(pair, &portal, triple::normal(&portal), seed, 0.0) {
+            triple::pivot(pair.ray, &mut portal, *seed);
+        }
+    }
+    portal
+}
+
+/// A triangle around the ray, inside the inner ball of `K` and across the ray,
+/// so that the first support point is the one along the ray.
+fn inner_triangle(pair: &Pair<'_>) -> [Support; 3] {
+    let along = pair.ray.normalize();
+    let (e1, e2) = along.any_orthonormal_pair();
+    let (radius, half) = (0.5 * pair.inradius, 0.5 * 3f64.sqrt());
+    [e1, -0.5 * e1 + half * e2, -0.5 * e1 - half * e2]
+        .map(|across| Support::inner((0.5 * along + half * across) * radius))
+}

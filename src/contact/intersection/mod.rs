@@ -1,0 +1,83 @@
+//! Step 3: from the two features to the contact points (Silcowitz et al. 2010,
+//! section 5).
+//!
+//! Both features are projected along the normal on the contact plane and
+//! intersected there; every vertex of the intersection, lifted back onto both
+//! features, is a contact point. Inside tests are inclusive by the merge
+//! distance. Corners and sides lift along the hull's own vertices, the inside
+//! of a face along its plane.
+
+mod closest;
+mod outline;
+mod overlap;
+
+use glam::{DVec2, DVec3};
+
+use super::manifold::Element;
+use super::pair::Pair;
+use outline::Outline;
+
+pub(crate) use super::gauss_map::Touched;
+
+/// A contact point in the pair's frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PlanePoint {
+    /// On the contact plane.
+    pub(crate) at: DVec2,
+    /// Of the witnesses on A and on B, along the normal.
+    pub(crate) height_a: f64,
+    pub(crate) height_b: f64,
+    pub(crate) id: [Element; 2],
+}
+
+/// Buffers, and the points found.
+#[derive(Debug, Default)]
+pub(crate) struct Intersection {
+    a: Outline,
+    b: Outline,
+    overlap: overlap::Scratch,
+    /// Anticlockwise about the normal, from the lowest id.
+    pub(crate) points: Vec<PlanePoint>,
+    /// The projections miss each other; the one point is an estimate.
+    pub(crate) estimated: bool,
+    /// How far below their planes the corners of both features may lie; pair units.
+    pub(crate) planarity: f64,
+    /// Right-handed axes of the contact plane with the normal.
+    axes: [DVec3; 2],
+    normal: DVec3,
+}
+
+impl Intersection {
+    /// Intersects the features of `pair` that `normal` (unit, A's frame) touches.
+    pub(crate) fn find(&mut self, pair: &Pair<'_>, normal: DVec3, [feature_a, feature_b]: [Touched; 2]) {
+        let (e1, e2) = normal.any_orthonormal_pair();
+        self.axes = [e1, e2];
+        self.normal = normal;
+        let project = |p: DVec3| (DVec2::new(e1.dot(p), e2.dot(p)), normal.dot(p));
+        self.a.fill(pair.a, feature_a, |v| project(pair.vertex_a(v)));
+        self.a.set_plane(pair.a, feature_a, |m| project(m), pair.scale_a, DVec3::ZERO);
+        self.b.fill(pair.b, feature_b, |v| project(pair.vertex_b(v) + pair.d));
+        self.b.set_plane(pair.b, feature_b, |m| project(pair.rotation * m), pair.scale_b, pair.rotation.transpose() * pair.d);
+        self.planarity = self.a.planarity + self.b.planarity;
+
+        let eps = pair.merge_distance();
+        self.points.clear();
+        overlap::find(&self.a, &self.b, eps, &mut self.overlap, &mut self.points);
+        self.estimated = self.points.is_empty();
+        if self.estimated {
+            self.points.push(closest::estimate(&self.a, &self.b, eps));
+        }
+        start_at_lowest_id(&mut self.points);
+    }
+
+    /// Pair-frame position of a point's witness on A.
+    pub(crate) fn witness_a(&self, p: &PlanePoint) -> DVec3 {
+        self.axes[0] * p.at.x + self.axes[1] * p.at.y + self.normal * p.height_a
+    }
+}
+
+fn start_at_lowest_id(points: &mut [PlanePoint]) {
+    if let Some(first) = (0..points.len()).min_by_key(|&i| points[i].id) {
+        points.rotate_left(first);
+    }
+}

@@ -1,0 +1,191 @@
+//! Two bodies reduced to one frame: A's axes, A's contraction point the origin,
+//! lengths in *pair units* (a power of two of the caller's that brings the
+//! larger hull to about 1). Everything between the poses and the answer happens
+//! here, so that nothing is computed far from the origin.
+
+use glam::{DMat3, DVec3};
+
+use super::tolerance::{BAND, BRACKET, MERGE, NOISE, U};
+use super::{Body, ConvexHull};
+
+/// A vertex of the centred Minkowski difference `K = (A - pA) - (B - pB)`.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Support {
+    /// A's frame, pair units.
+    pub(crate) point: DVec3,
+    /// Vertex of A; [`Support::INNER`] for a point inside `K`.
+    pub(crate) a: u32,
+    /// Vertex of B.
+    pub(crate) b: u32,
+}
+
+impl Support {
+    /// Stands for no vertex.
+    pub(crate) const INNER: u32 = u32::MAX;
+
+    /// A point of `K` that is no vertex of it.
+    pub(crate) fn inner(point: DVec3) -> Self {
+        Self { point, a: Self::INNER, b: Self::INNER }
+    }
+
+    /// Whether the same vertices make both.
+    pub(crate) fn same(&self, other: &Self) -> bool {
+        self.a == other.a && self.b == other.b && self.a != Self::INNER
+    }
+}
+
+/// Two bodies in one frame.
+pub(crate) struct Pair<'a> {
+    pub(crate) a: &'a ConvexHull,
+    pub(crate) b: &'a ConvexHull,
+    /// Pair units per hull unit of A and of B, powers of two, the larger 1.
+    pub(crate) scale_a: f64,
+    pub(crate) scale_b: f64,
+    /// B's axes in A's frame: rotation alone.
+    pub(crate) rotation: DMat3,
+    /// Centre offset `pB - pA`, pair units.
+    pub(crate) d: DVec3,
+    /// `d` times a power of two that brings its largest coordinate into
+    /// [0.5, 1): alpha is homogeneous, so that no alpha is too small to solve.
+    pub(crate) ray: DVec3,
+    /// `alpha = 2^alpha_exponent` times the growth scale of `ray`.
+    pub(crate) alpha_exponent: i32,
+    /// The lengths that enter `d`, pair units.
+    pub(crate) m: f64,
+    /// The same in units of `ray`.
+    pub(crate) ray_m: f64,
+    /// Sum of the inradii, rounded down; pair units.
+    pub(crate) inradius: f64,
+    /// Sum of the circumradii, rounded up; pair units.
+    pub(crate) circumradius: f64,
+    /// Caller's units per pair unit, a power of two.
+    pub(crate) unit: f64,
+    /// World from A's axes, and the world point of the frame's origin is
+    /// `translation + rotation_a * (contraction point of A)`.
+    pub(crate) rotation_a: DMat3,
+    pub(crate) translation_a: DVec3,
+}
+
+impl<'a> Pair<'a> {
+    pub(crate) fn new(a: &Body<'a>, b: &Body<'a>) -> Self {
+        let (hull_a, hull_b) = (a.hull, b.hull);
+        let unit = hull_a.scale().max(hull_b.scale());
+        let (scale_a, scale_b) = (hull_a.scale() / unit, hull_b.scale() / unit);
+        let (ra, rb) = (a.pose.rotation, b.pose.rotation);
+
+        // d is formed in the world, translations subtracted first, scaled so
+        // that rotating subnormal offsets loses nothing.
+        let (ca, cb) = (hull_a.contraction_point(), hull_b.contraction_point());
+        let t = b.pose.translation - a.pose.translation;
+        let largest = t.abs().max_element().max(ca.abs().max_element()).max(cb.abs().max_element());
+        let world = exponent(largest);
+        let [t, ca, cb] = [t, ca, cb].map(|v| shift_vec(v, -world));
+        let d_scaled = ra.transpose() * (t + (rb * cb - ra * ca));
+        let m_scaled = t.length() + ca.length() + cb.length();
+        let own = exponent(d_scaled.abs().max_element());
+        let ray = shift_vec(d_scaled, -own);
+        let to_pair = world - exponent(unit);
+        let inradius = (hull_a.unit_inradius() * scale_a + hull_b.unit_inradius() * scale_b).next_down();
+        let circumradius =
+            (hull_a.unit_circumradius() * scale_a + hull_b.unit_circumradius() * scale_b).next_up();
+        Self {
+            a: hull_a,
+            b: hull_b,
+            scale_a,
+            scale_b,
+            rotation: ra.transpose() * rb,
+            d: shift_vec(d_scaled, to_pair),
+            ray,
+            alpha_exponent: to_pair + own,
+            m: shift(m_scaled, to_pair),
+            ray_m: shift(m_scaled, -own),
+            inradius,
+            circumradius,
+            unit,
+            rotation_a: ra,
+            translation_a: a.pose.translation,
+        }
+    }
+
+    /// Vertex `i` of A, about A's contraction point.
+    pub(crate) fn vertex_a(&self, i: u32) -> DVec3 {
+        self.a.vertices()[i as usize] * self.scale_a
+    }
+
+    /// Vertex `i` of B, about B's contraction point.
+    pub(crate) fn vertex_b(&self, i: u32) -> DVec3 {
+        self.rotation * (self.b.vertices()[i as usize] * self.scale_b)
+    }
+
+    /// The vertex of `K` that these two make.
+    pub(crate) fn support_of(&self, a: u32, b: u32) -> Support {
+        Support { point: self.vertex_a(a) - self.vertex_b(b), a, b }
+    }
+
+    /// The vertex of `K` farthest along `n` (A's frame, any length); of equals
+    /// the lowest index in each hull.
+    pub(crate) fn support(&self, n: DVec3) -> Support {
+        let a = self.a.support(n);
+        let b = self.b.support(-(self.rotation.transpose() * n));
+        self.support_of(a, b)
+    }
+
+    /// A direction of A's frame in B's.
+    pub(crate) fn direction_in_b(&self, n: DVec3) -> DVec3 {
+        self.rotation.transpose() * n
+    }
+
+    /// Half the width of the band around the margin inside which a pair counts
+    /// as within it; pair units.
+    pub(crate) fn rounding_band(&self) -> f64 {
+        U * (BAND * (self.circumradius + self.d.length()) + NOISE * self.m)
+    }
+
+    /// Points of the contact plane closer than this are one; pair units.
+    pub(crate) fn merge_distance(&self) -> f64 {
+        MERGE * U * (self.circumradius + self.m)
+    }
+
+    /// The widest bracket that counts as closed, for a growth scale of `ray`
+    /// with the upper end `upper`.
+    pub(crate) fn closed_width(&self, upper: f64, relative_tolerance: f64) -> f64 {
+        upper * (relative_tolerance + BRACKET * U * self.circumradius / self.inradius)
+            + 2.0 * NOISE * U * self.ray_m / self.inradius
+    }
+
+    /// A direction of A's frame in the world; unit if `n` is.
+    pub(crate) fn direction_to_world(&self, n: DVec3) -> DVec3 {
+        (self.rotation_a * n).normalize()
+    }
+
+    /// A point of the pair's frame in the world, caller's units.
+    pub(crate) fn point_to_world(&self, p: DVec3) -> DVec3 {
+        self.translation_a + self.rotation_a * (self.a.contraction_point() + p * self.unit)
+    }
+}
+
+/// The power of two at or below `x`: `x` times `2^-exponent(x)` is in [1, 2).
+/// 0 for 0.
+fn exponent(x: f64) -> i32 {
+    let biased = ((x.to_bits() >> 52) & 0x7ff) as i32;
+    match (x == 0.0, biased) {
+        (true, _) => 0,
+        (_, 0) => exponent(x * 2f64.powi(64)) - 64,
+        _ => biased - 1023,
+    }
+}
+
+/// `x * 2^k`; exact unless the result is subnormal or overflows.
+pub(crate) fn shift(mut x: f64, mut k: i32) -> f64 {
+    let power = |k: i32| f64::from_bits(((k + 1023) as u64) << 52);
+    while k.abs() > 1000 {
+        let step = 1000 * k.signum();
+        x *= power(step);
+        k -= step;
+    }
+    x * power(k)
+}
+
+fn shift_vec(v: DVec3, k: i32) -> DVec3 {
+    DVec3::new(shift(v.x, k), shift(v.y, k), shift(v.z, k))
+}

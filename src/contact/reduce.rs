@@ -1,0 +1,42 @@
+//! Reduction of a patch to a few points.
+
+use super::intersection::PlanePoint;
+
+/// Keeps `max` of the points, in their order: the deepest (within `rounding` of
+/// it the lowest id), then, one at a time, the one that adds most area to the
+/// polygon of those kept; the second is the one farthest from the first.
+pub(crate) fn reduce(points: &mut Vec<PlanePoint>, max: usize, rounding: f64) -> bool {
+    if max == 0 || points.len() <= max {
+        return false;
+    }
+    let depth = |p: &PlanePoint| p.height_b - p.height_a;
+    let deepest = points.iter().map(depth).fold(f64::INFINITY, f64::min);
+    let first = (0..points.len())
+        .filter(|&i| depth(&points[i]) <= deepest + rounding)
+        .min_by_key(|&i| points[i].id)
+        .unwrap_or(0);
+    let mut kept = vec![first];
+    while kept.len() < max {
+        let rest = (0..points.len()).filter(|i| !kept.contains(i));
+        let next = rest.max_by(|&i, &j| {
+            // Of equals the lower index: max_by keeps the last.
+            added_area(points, &kept, i).total_cmp(&added_area(points, &kept, j)).then(j.cmp(&i))
+        });
+        let Some(next) = next else { break };
+        kept.push(next);
+        kept.sort_unstable();
+    }
+    let mut index = 0..;
+    points.retain(|_| index.next().is_some_and(|i| kept.contains(&i)));
+    true
+}
+
+/// Doubled area that point `i` adds to the polygon of the kept points, all on
+/// one convex outline in index order; with one kept point the distance squared.
+fn added_area(points: &[PlanePoint], kept: &[usize], i: usize) -> f64 {
+    let after = kept.iter().position(|&k| k > i).unwrap_or(0);
+    let before = (after + kept.len() - 1) % kept.len();
+    let (p, q) = (points[kept[before]].at, points[kept[after]].at);
+    let at = points[i].at;
+    if kept.len() == 1 { at.distance_squared(p) } else { (q - p).perp_dot(at - p).abs() }
+}

@@ -1,0 +1,128 @@
+//! GJK's simplex: at most four points of `K`, reduced to the fewest whose hull
+//! holds the point closest to a target (Ericson, *Real-Time Collision
+//! Detection*, 2005, section 5.1, for the regions of a triangle).
+
+use glam::DVec3;
+
+use super::pair::Support;
+
+/// At most four points.
+#[derive(Default)]
+pub(crate) struct Simplex {
+    points: [Support; 4],
+    len: usize,
+}
+
+impl Simplex {
+    pub(crate) fn from_points(points: &[Support]) -> Self {
+        let mut simplex = Self::default();
+        for p in points.iter().take(3) {
+            if !simplex.contains(p) {
+                simplex.push(*p);
+            }
+        }
+        simplex
+    }
+
+    pub(crate) fn points(&self) -> &[Support] {
+        &self.points[..self.len]
+    }
+
+    /// Whether the target was inside all four.
+    pub(crate) fn is_full(&self) -> bool {
+        self.len == 4
+    }
+
+    pub(crate) fn contains(&self, w: &Support) -> bool {
+        self.points().iter().any(|p| p.same(w))
+    }
+
+    /// Adds a point to at most three.
+    pub(crate) fn push(&mut self, w: Support) {
+        if self.len < 4 {
+            self.points[self.len] = w;
+            self.len += 1;
+        }
+    }
+
+    /// The vector from `target` to the closest point of the simplex, which is
+    /// reduced to the points that hold it.
+    pub(crate) fn closest_to(&mut self, target: DVec3) -> DVec3 {
+        let at = |i: usize| self.points[i].point - target;
+        let (vector, kept) = match self.len {
+            0 => (DVec3::ZERO, Kept::default()),
+            1 => (at(0), Kept::of(&[0])),
+            2 => segment(&[at(0), at(1)], [0, 1]),
+            3 => triangle(&[at(0), at(1), at(2)], [0, 1, 2]),
+            _ => tetrahedron(&[at(0), at(1), at(2), at(3)]),
+        };
+        let before = self.points;
+        self.len = kept.len;
+        for (i, &k) in kept.indices[..kept.len].iter().enumerate() {
+            self.points[i] = before[k];
+        }
+        vector
+    }
+}
+
+/// Indices of the points that hold the closest point.
+#[derive(Clone, Copy, Default)]
+struct Kept {
+    indices: [usize; 4],
+    len: usize,
+}
+
+impl Kept {
+    fn of(which: &[usize]) -> Self {
+        let mut kept = Self { indices: [0; 4], len: which.len() };
+        kept.indices[..which.len()].copy_from_slice(which);
+        kept
+    }
+}
+
+fn segment(p: &[DVec3], [i, j]: [usize; 2]) -> (DVec3, Kept) {
+    let (a, b) = (p[i], p[j]);
+    let ab = b - a;
+    let (t, whole) = (-a.dot(ab), ab.length_squared());
+    if !(t > 0.0) {
+        (a, Kept::of(&[i]))
+    } else if t >= whole {
+        (b, Kept::of(&[j]))
+    } else {
+        (a + ab * (t / whole), Kept::of(&[i, j]))
+    }
+}
+
+fn triangle(p: &[DVec3], [i, j, k]: [usize; 3]) -> (DVec3, Kept) {
+    let (a, b, c) = (p[i], p[j], p[k]);
+    let n = (b - a).cross(c - a);
+    // Inside all three sides: the foot of the normal; else on one of the sides.
+    let inside = [(a, b), (b, c), (c, a)].iter().all(|&(u, v)| n.dot(u.cross(v)) > 0.0);
+    if inside && n.length_squared() > 0.0 {
+        return (n * (n.dot(a) / n.length_squared()), Kept::of(&[i, j, k]));
+    }
+    nearest([segment(p, [i, j]), segment(p, [j, k]), segment(p, [k, i])])
+}
+
+fn tetrahedron(p: &[DVec3; 4]) -> (DVec3, Kept) {
+    const FACES: [[usize; 4]; 4] = [[0, 1, 2, 3], [0, 1, 3, 2], [0, 2, 3, 1], [1, 2, 3, 0]];
+    let inside = FACES.iter().all(|&[i, j, k, other]| {
+        let n = (p[j] - p[i]).cross(p[k] - p[i]);
+        let (origin, apex) = (-n.dot(p[i]), n.dot(p[other] - p[i]));
+        (origin > 0.0 && apex > 0.0) || (origin < 0.0 && apex < 0.0)
+    });
+    if inside {
+        return (DVec3::ZERO, Kept::of(&[0, 1, 2, 3]));
+    }
+    nearest(FACES.map(|[i, j, k, _]| triangle(p, [i, j, k])))
+}
+
+fn nearest<const N: usize>(candidates: [(DVec3, Kept); N]) -> (DVec3, Kept) {
+    let mut best = candidates[0];
+    for candidate in &candidates[1..] {
+        if candidate.0.length_squared() < best.0.length_squared() {
+            best = *candidate;
+        }
+    }
+    best
+}

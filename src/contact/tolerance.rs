@@ -1,0 +1,50 @@
+//! Every constant of the geometry, with its unit, formula and source.
+//!
+//! `R` is the sum of the circumradii about the contraction points, `r` of the
+//! inradii, `M` the lengths that enter the centre offset `d`: the distance of
+//! the hull frames' origins and of the contraction points from them. All three
+//! are lengths. Nothing here is an absolute epsilon.
+
+/// Unit roundoff of double precision.
+pub(crate) const U: f64 = f64::EPSILON / 2.0;
+
+/// Share of `U * M` by which `d` may be off, and of `U * R` by which a support
+/// value may be: subtraction, two rotations of three products each, rounded up.
+pub(crate) const NOISE: f64 = 16.0;
+
+/// Share of `U * R / r` by which a bracket counted as closed may be open: twice
+/// [`NOISE`] for its two ends, and as much again for solving.
+pub(crate) const BRACKET: f64 = 64.0;
+
+/// Centres closer than this share of `U * M` coincide: `d` itself is noise.
+pub(crate) const COINCIDENT: f64 = 8.0;
+
+/// Share of `U * R` within which a vertex belongs to the support set, and of
+/// `U * (R + M)` within which points of the contact plane are one.
+pub(crate) const MERGE: f64 = 64.0;
+
+/// Share of `U * (R + |d|)` of the rounding band around the margin; the share
+/// of `U * M` is [`NOISE`].
+pub(crate) const BAND: f64 = 64.0;
+
+/// Cosines of face normals, and sines of edges, within this share of `U` tie.
+pub(crate) const TIE: f64 = 8.0;
+
+/// Share of `U * R * |n|` below which a support point does not improve a portal:
+/// what the rounding of the two support values leaves open.
+pub(crate) const GAIN: f64 = 4.0;
+
+/// Share of `U` times the product of the lengths within which the sign of a
+/// triple product is left to exact arithmetic: 3 products and 5 sums, rounded up.
+pub(crate) const TRIPLE_PRODUCT: f64 = 16.0;
+
+/// Of `R`: where the GJK ray cast is so near to its hull that its direction is
+/// mostly rounding (the error of a closest point squared, `U R^2`), it hands
+/// its simplex to the pivot.
+pub(crate) const RAY_CAST_NEAR: f64 = 1.5e-8;
+
+/// Steps without improvement after which a loop gives up.
+pub(crate) const STALL: u32 = 24;
+
+/// Steps after which the distance between two hulls is given up.
+pub(crate) const DISTANCE_ITERATIONS: u32 = 500;

@@ -1,0 +1,179 @@
+//! Contact manifolds: closed forms, the table of feature pairs, and seeded
+//! sweeps checked by the certificate.
+
+mod common;
+
+use common::*;
+use hullcast::contact::{
+    Accuracy, Body, ConvexHull, Element, Feature, Manifold, Outcome, Query, Solver, Wanted, Workspace, certificate,
+    contact_manifold,
+};
+
+const SOLVERS: [Solver; 2] = [Solver::Portal, Solver::GjkRayCast];
+
+fn everything(solver: Solver) -> Query {
+    Query { margin: f64::INFINITY, accuracy: Accuracy { solver, ..Default::default() }, wanted: Wanted::Points }
+}
+
+fn solve(a: &Body<'_>, b: &Body<'_>, query: &Query) -> Manifold {
+    let manifold = contact_manifold(a, b, query, None, &mut Workspace::default()).clone();
+    if let Err(violation) = certificate::check(a, b, query, &manifold) {
+        panic!("{violation}\n{query:?}\n{manifold:#?}\n{a:?}\n{b:?}");
+    }
+    manifold
+}
+
+/// Closed form: alpha is dz / (sum of half heights), the patch the overlap of
+/// two squares. Catches a wrong sign of normal or distance, a lost corner.
+#[test]
+fn stacked_boxes_touch_on_the_overlap_of_their_faces() {
+    let (a, b) = (box_hull([1.0, 1.0, 0.5]), box_hull([0.5, 0.5, 0.25]));
+    for solver in SOLVERS {
+        let m = solve(&at(&a, [0.0; 3], IDENTITY), &at(&b, [0.75, 0.0, 0.7], IDENTITY), &everything(solver));
+        assert_eq!(m.outcome, Outcome::Contact);
+        assert!((m.alpha - 0.7 / 0.75).abs() < 1e-15, "{solver:?} {}", m.alpha);
+        assert!((m.normal.z - 1.0).abs() < 1e-15);
+        assert!((m.separation + 0.05).abs() < 1e-15);
+        let mut corners: Vec<_> = m.points.iter().map(|p| (p.witness_a * 1e6).to_array().map(|x| x.round() as i64)).collect();
+        corners.sort_unstable();
+        let z = 500_000;
+        assert_eq!(
+            corners,
+            [[250_000, -500_000, z], [250_000, 500_000, z], [1_000_000, -500_000, z], [1_000_000, 500_000, z]]
+        );
+        assert!(m.points.iter().all(|p| (p.distance + 0.05).abs() < 1e-15));
+        assert!(matches!(m.features, Some([Feature::Face(_), Feature::Face(_)])));
+    }
+}
+
+/// A cube standing on its corner: one point, made by B's vertex inside A's
+/// face. Catches a face chosen for the wrong hull and a misnamed point.
+#[test]
+fn a_corner_on_a_face_is_one_point() {
+    let (ground, cube) = (box_hull([2.0, 2.0, 0.5]), box_hull([0.5, 0.5, 0.5]));
+    let half = (0.5 * (1.0 / 3f64.sqrt()).acos()).sin_cos();
+    // Turns (1, 1, 1) / sqrt(3) into z: about the axis (1, -1, 0) / sqrt(2).
+    let axis = 0.5f64.sqrt();
+    let rotation = [axis * half.0, -axis * half.0, 0.0, half.1];
+    let height = 0.5 + 0.75f64.sqrt() - 0.01;
+    for solver in SOLVERS {
+        let m = solve(&at(&ground, [0.0; 3], IDENTITY), &at(&cube, [0.1, 0.2, height], rotation), &everything(solver));
+        assert_eq!(m.points.len(), 1, "{solver:?} {m:?}");
+        assert!((m.separation + 0.01).abs() < 1e-14, "{}", m.separation);
+        assert!(matches!(m.features, Some([Feature::Face(_), Feature::Vertex(_)])));
+        assert!(matches!(m.points[0].id, [Element::Inside, Element::Vertex(_)]));
+        assert!((m.points[0].witness_a.truncate() - glam::DVec2::new(0.1, 0.2)).length() < 1e-14);
+    }
+}
+
+/// Two roofs crossing at right angles touch in one point, on two edges.
+/// Catches an arc test of the wrong orientation.
+#[test]
+fn crossed_edges_are_one_point() {
+    let roof = |up: f64, along_x: bool| {
+        let ridge = [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]];
+        let base = [[1.0, 0.5, -1.0], [1.0, -0.5, -1.0], [-1.0, 0.5, -1.0], [-1.0, -0.5, -1.0]];
+        let turn = |[x, y, z]: [f64; 3]| if along_x { [x, y, up * z] } else { [-y, x, up * z] };
+        hull(&ridge.into_iter().chain(base).map(turn).collect::<Vec<_>>())
+    };
+    let (a, b) = (roof(1.0, true), roof(-1.0, false));
+    for solver in SOLVERS {
+        for gap in [-0.05, 0.05] {
+            let m = solve(&at(&a, [0.0; 3], IDENTITY), &at(&b, [0.01, 0.02, gap], IDENTITY), &everything(solver));
+            assert_eq!(m.points.len(), 1);
+            assert!(matches!(m.points[0].id, [Element::Edge(_), Element::Edge(_)]), "{m:?}");
+            assert!((m.points[0].distance - gap).abs() < 1e-14);
+        }
+    }
+}
+
+struct Coverage {
+    pairs: usize,
+    kinds: [[usize; 3]; 3],
+    estimated: usize,
+    contacts: usize,
+    separated: usize,
+}
+
+fn kind(f: &Feature) -> usize {
+    match f {
+        Feature::Vertex(_) => 0,
+        Feature::Edge(_) => 1,
+        Feature::Face(_) => 2,
+    }
+}
+
+fn shapes(random: &mut Random) -> Vec<ConvexHull> {
+    let half = |random: &mut Random| [random.range(0.3, 1.0), random.range(0.3, 1.0), random.range(0.3, 1.0)];
+    let mut shapes = Vec::new();
+    for _ in 0..4 {
+        shapes.push(box_hull(half(random)));
+        for count in [4, 6, 16, 64, 256] {
+            let h = half(random);
+            if let Ok(shape) = ConvexHull::new(&cloud(random, count, h)) {
+                shapes.push(shape);
+            }
+        }
+        shapes.push(hull(&prism_points(3 + random.below(20), random.range(0.3, 1.0), random.range(0.2, 1.0))));
+        shapes.push(box_hull([random.range(0.3, 1.0), random.range(0.3, 1.0), 1e-3]));
+        shapes.push(box_hull([random.range(0.3, 1.0), 1e-4, 1e-4]));
+    }
+    shapes
+}
+
+/// Random shapes at every depth, both solvers, cold and warm: each answer is
+/// checked by the certificate, the solvers' brackets meet, their outcomes are
+/// the same. Catches a solver that stops early, a bound of the wrong sign, a
+/// warm start that changes the answer.
+#[test]
+fn every_answer_carries_its_certificate() {
+    let random = &mut Random(7);
+    let shapes = shapes(random);
+    let mut covered = Coverage { pairs: 0, kinds: [[0; 3]; 3], estimated: 0, contacts: 0, separated: 0 };
+    let mut workspace = Workspace::default();
+    for _ in 0..20_000 {
+        let (a, b) = (&shapes[random.below(shapes.len())], &shapes[random.below(shapes.len())]);
+        let (direction, reach) = (random.direction(), a.circumradius() + b.circumradius());
+        let origin = scaled(random.direction(), 3.0);
+        let body_a = at(a, origin, random.rotation());
+        let turned = random.rotation();
+        let along = |by: f64| at(b, std::array::from_fn(|i| origin[i] + by * direction[i]), turned);
+        // Along the direction to the growth scale wanted, from one solved pair.
+        let alpha = solve(&body_a, &along(reach), &everything(Solver::Portal)).alpha;
+        let wanted = match random.below(6) {
+            0 => random.range(0.05, 0.9),
+            1 => random.range(0.9, 1.0),
+            2 => 1.0 + random.range(-1e-12, 1e-12),
+            3 => random.range(1.0, 1.1),
+            4 => random.range(1.1, 3.0),
+            _ => random.range(0.99, 1.01),
+        };
+        let body_b = along(reach * wanted / alpha);
+        let margin = [0.0, 0.01, 0.1, f64::INFINITY][random.below(4)];
+        let answers = SOLVERS.map(|solver| solve(&body_a, &body_b, &Query { margin, ..everything(solver) }));
+        let [portal, gjk] = &answers;
+        assert_eq!(portal.outcome, gjk.outcome, "{portal:?} {gjk:?}");
+        assert!(portal.alpha_lower <= gjk.alpha_upper && gjk.alpha_lower <= portal.alpha_upper);
+        for m in &answers {
+            assert!(!m.flags.gap_open && m.outcome != Outcome::Undecided, "{m:?} {a:?} {b:?}");
+        }
+        covered.pairs += 1;
+        if portal.outcome == Outcome::Separated {
+            covered.separated += 1;
+            continue;
+        }
+        covered.contacts += 1;
+        covered.estimated += usize::from(portal.flags.estimated);
+        if let Some([fa, fb]) = &portal.features {
+            covered.kinds[kind(fa)][kind(fb)] += 1;
+        }
+        let query = Query { margin, ..everything(Solver::Portal) };
+        let warm = contact_manifold(&body_a, &body_b, &query, portal.basis.as_ref(), &mut workspace);
+        certificate::check(&body_a, &body_b, &query, warm).expect("a warm answer");
+        assert!(warm.iterations <= 2, "{} steps from the optimal basis", warm.iterations);
+    }
+    assert_eq!(covered.pairs, 20_000);
+    assert!(covered.contacts > 8000 && covered.separated > 2000, "{} {}", covered.contacts, covered.separated);
+    assert!(covered.estimated > 100, "{}", covered.estimated);
+    assert!(covered.kinds.as_flattened().iter().all(|&n| n > 10), "{:?}", covered.kinds);
+}
