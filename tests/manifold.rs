@@ -1,18 +1,22 @@
 //! Contact manifolds: closed forms, the table of feature pairs, and seeded
 //! sweeps checked by the certificate.
 
-mod common;
+mod scene;
 
-use common::*;
+use scene::*;
 use hullcast::contact::{
-    Accuracy, Body, ConvexHull, Element, Feature, Manifold, Outcome, Query, Solver, Wanted, Workspace, certificate,
-    contact_manifold,
+    Accuracy, Body, ConvexHull, Element, Feature, Manifold, Outcome, Query, Solver, Wanted, Workspace,
+    certificate, contact_manifold,
 };
 
 const SOLVERS: [Solver; 2] = [Solver::Portal, Solver::GjkRayCast];
 
 fn everything(solver: Solver) -> Query {
-    Query { margin: f64::INFINITY, accuracy: Accuracy { solver, ..Default::default() }, wanted: Wanted::Points }
+    Query {
+        margin: f64::INFINITY,
+        accuracy: Accuracy { solver, ..Default::default() },
+        wanted: Wanted::Points,
+    }
 }
 
 fn solve(a: &Body<'_>, b: &Body<'_>, query: &Query) -> Manifold {
@@ -34,12 +38,18 @@ fn stacked_boxes_touch_on_the_overlap_of_their_faces() {
         assert!((m.alpha - 0.7 / 0.75).abs() < 1e-15, "{solver:?} {}", m.alpha);
         assert!((m.normal.z - 1.0).abs() < 1e-15);
         assert!((m.separation + 0.05).abs() < 1e-15);
-        let mut corners: Vec<_> = m.points.iter().map(|p| (p.witness_a * 1e6).to_array().map(|x| x.round() as i64)).collect();
+        let mut corners: Vec<_> =
+            m.points.iter().map(|p| (p.witness_a * 1e6).to_array().map(|x| x.round() as i64)).collect();
         corners.sort_unstable();
         let z = 500_000;
         assert_eq!(
             corners,
-            [[250_000, -500_000, z], [250_000, 500_000, z], [1_000_000, -500_000, z], [1_000_000, 500_000, z]]
+            [
+                [250_000, -500_000, z],
+                [250_000, 500_000, z],
+                [1_000_000, -500_000, z],
+                [1_000_000, 500_000, z]
+            ]
         );
         assert!(m.points.iter().all(|p| (p.distance + 0.05).abs() < 1e-15));
         assert!(matches!(m.features, Some([Feature::Face(_), Feature::Face(_)])));
@@ -57,7 +67,11 @@ fn a_corner_on_a_face_is_one_point() {
     let rotation = [axis * half.0, -axis * half.0, 0.0, half.1];
     let height = 0.5 + 0.75f64.sqrt() - 0.01;
     for solver in SOLVERS {
-        let m = solve(&at(&ground, [0.0; 3], IDENTITY), &at(&cube, [0.1, 0.2, height], rotation), &everything(solver));
+        let m = solve(
+            &at(&ground, [0.0; 3], IDENTITY),
+            &at(&cube, [0.1, 0.2, height], rotation),
+            &everything(solver),
+        );
         assert_eq!(m.points.len(), 1, "{solver:?} {m:?}");
         assert!((m.separation + 0.01).abs() < 1e-14, "{}", m.separation);
         assert!(matches!(m.features, Some([Feature::Face(_), Feature::Vertex(_)])));
@@ -79,13 +93,17 @@ fn crossed_edges_are_one_point() {
     let (a, b) = (roof(1.0, true), roof(-1.0, false));
     for solver in SOLVERS {
         for gap in [-0.05, 0.05] {
-            let m = solve(&at(&a, [0.0; 3], IDENTITY), &at(&b, [0.01, 0.02, gap], IDENTITY), &everything(solver));
+            let m =
+                solve(&at(&a, [0.0; 3], IDENTITY), &at(&b, [0.01, 0.02, gap], IDENTITY), &everything(solver));
             assert_eq!(m.points.len(), 1);
             assert!(matches!(m.points[0].id, [Element::Edge(_), Element::Edge(_)]), "{m:?}");
             assert!((m.points[0].distance - gap).abs() < 1e-14);
         }
     }
 }
+
+/// Vertex on vertex and vertex on edge need a tie.
+const GENERIC: [(usize, usize); 6] = [(0, 2), (2, 0), (1, 1), (1, 2), (2, 1), (2, 2)];
 
 struct Coverage {
     pairs: usize,
@@ -114,7 +132,11 @@ fn shapes(random: &mut Random) -> Vec<ConvexHull> {
                 shapes.push(shape);
             }
         }
-        shapes.push(hull(&prism_points(3 + random.below(20), random.range(0.3, 1.0), random.range(0.2, 1.0))));
+        shapes.push(hull(&prism_points(
+            3 + random.below(20),
+            random.range(0.3, 1.0),
+            random.range(0.2, 1.0),
+        )));
         shapes.push(box_hull([random.range(0.3, 1.0), random.range(0.3, 1.0), 1e-3]));
         shapes.push(box_hull([random.range(0.3, 1.0), 1e-4, 1e-4]));
     }
@@ -167,13 +189,19 @@ fn every_answer_carries_its_certificate() {
         if let Some([fa, fb]) = &portal.features {
             covered.kinds[kind(fa)][kind(fb)] += 1;
         }
-        let query = Query { margin, ..everything(Solver::Portal) };
+        // No distance to decide: step 1 alone is counted.
+        let query = everything(Solver::Portal);
         let warm = contact_manifold(&body_a, &body_b, &query, portal.basis.as_ref(), &mut workspace);
         certificate::check(&body_a, &body_b, &query, warm).expect("a warm answer");
         assert!(warm.iterations <= 2, "{} steps from the optimal basis", warm.iterations);
     }
     assert_eq!(covered.pairs, 20_000);
-    assert!(covered.contacts > 8000 && covered.separated > 2000, "{} {}", covered.contacts, covered.separated);
+    assert!(
+        covered.contacts > 8000 && covered.separated > 2000,
+        "{} {}",
+        covered.contacts,
+        covered.separated
+    );
     assert!(covered.estimated > 100, "{}", covered.estimated);
-    assert!(covered.kinds.as_flattened().iter().all(|&n| n > 10), "{:?}", covered.kinds);
+    assert!(GENERIC.iter().all(|&(i, j)| covered.kinds[i][j] > 10), "{:?}", covered.kinds);
 }

@@ -108,7 +108,8 @@ fn separated(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<()
     at_most("lower bound of the distance", manifold.separation, scene.separation)?;
     let growth = scene.normal.dot(scene.d) / scene.reach;
     at_most("lower bound of alpha", manifold.alpha_lower, growth)?;
-    let none = manifold.points.is_empty() && manifold.basis.is_none() && manifold.alpha_upper == f64::INFINITY;
+    let none =
+        manifold.points.is_empty() && manifold.basis.is_none() && manifold.alpha_upper == f64::INFINITY;
     at_most("points, basis or upper bound of a separated pair", f64::from(u8::from(!none)), 0.0)
 }
 
@@ -135,7 +136,9 @@ fn bracket(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), 
 
 /// The upper bound of alpha that a basis shows, without the allowance for noise.
 fn shown_upper(scene: &Scene<'_>, basis: &Basis) -> f64 {
-    let find = |body: &Body<'_>, registered| body.hull.vertex_of_registered(registered).map(|v| vertex(body, v as usize));
+    let find = |body: &Body<'_>, registered| {
+        body.hull.vertex_of_registered(registered).map(|v| vertex(body, v as usize))
+    };
     let corner = |i: usize| Some(find(scene.a, basis.a[i])? - find(scene.b, basis.b[i])?);
     let (Some(u0), Some(u1), Some(u2)) = (corner(0), corner(1), corner(2)) else { return f64::INFINITY };
     // Scaled, so that no product of three overflows or underflows.
@@ -165,13 +168,16 @@ fn points(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), V
         if manifold.flags.estimated {
             continue;
         }
-        let from_a = (p.witness_a - scene.a.pose.translation) - scene.a.pose.rotation * scene.a.hull.contraction_point();
+        let from_a = (p.witness_a - scene.a.pose.translation)
+            - scene.a.pose.rotation * scene.a.hull.contraction_point();
         let from_b = from_a + p.distance * scene.normal - scene.d;
         for (body, feature, at, n) in
             [(scene.a, feature_a, from_a, scene.normal), (scene.b, feature_b, from_b, -scene.normal)]
         {
             at_most("witness outside its hull", outside(body, at), planarity + eps)?;
-            let highest = (0..body.hull.vertex_count()).map(|v| n.dot(vertex(body, v))).fold(f64::NEG_INFINITY, f64::max);
+            let highest = (0..body.hull.vertex_count())
+                .map(|v| n.dot(vertex(body, v)))
+                .fold(f64::NEG_INFINITY, f64::max);
             let tilt = if matches!(feature, Feature::Vertex(_)) { 0.0 } else { 2.0 * sine };
             let below = 2.0 * body.hull.circumradius() * tilt + planarity + eps;
             at_most("witness below the support plane", highest - n.dot(at), below)?;

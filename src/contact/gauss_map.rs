@@ -73,7 +73,11 @@ impl Marked {
 }
 
 /// The feature of `hull` that a plane across the direction touches.
-pub(crate) fn touched_feature(hull: &ConvexHull, direction: &Direction<'_>, scratch: &mut Scratch) -> Touched {
+pub(crate) fn touched_feature(
+    hull: &ConvexHull,
+    direction: &Direction<'_>,
+    scratch: &mut Scratch,
+) -> Touched {
     support_set(hull, direction, &mut scratch.vertices);
     let support = &scratch.vertices;
     if let Some(face) = touched_face(hull, direction, support, &mut scratch.faces) {
@@ -91,7 +95,8 @@ fn support_set(hull: &ConvexHull, direction: &Direction<'_>, set: &mut Marked) {
     let height = |v: u32| direction.n.dot(hull.vertices()[v as usize]);
     set.clear(hull.vertices().len());
     direction.known.iter().for_each(|&v| set.insert(v));
-    let lowest = direction.known.iter().map(|&v| height(v)).fold(f64::NEG_INFINITY, f64::max) - direction.depth;
+    let lowest =
+        direction.known.iter().map(|&v| height(v)).fold(f64::NEG_INFINITY, f64::max) - direction.depth;
     let mut next = 0;
     while let Some(&v) = set.found.get(next) {
         next += 1;
@@ -106,7 +111,12 @@ fn support_set(hull: &ConvexHull, direction: &Direction<'_>, set: &mut Marked) {
 /// Of the faces within the feature angle, reached from the support set through
 /// such faces, and of those all of whose corners support, the one nearest the
 /// direction; of equals the larger, then the lower index.
-fn touched_face(hull: &ConvexHull, direction: &Direction<'_>, support: &Marked, faces: &mut Marked) -> Option<u32> {
+fn touched_face(
+    hull: &ConvexHull,
+    direction: &Direction<'_>,
+    support: &Marked,
+    faces: &mut Marked,
+) -> Option<u32> {
     let normal = |f: u32| hull.face_normals()[f as usize];
     let within = |f: u32| {
         let m = normal(f);
@@ -115,9 +125,8 @@ fn touched_face(hull: &ConvexHull, direction: &Direction<'_>, support: &Marked, 
     faces.clear(hull.face_normals().len());
     for &v in &support.found {
         for &f in hull.vertex_faces(v as usize) {
-            let supports = || {
-                support.found.len() >= 3 && hull.outline(f as usize).iter().all(|&v| support.contains(v))
-            };
+            let supports =
+                || support.found.len() >= 3 && hull.outline(f as usize).iter().all(|&v| support.contains(v));
             if within(f) || supports() {
                 faces.insert(f);
             }

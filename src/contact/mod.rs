@@ -131,7 +131,8 @@ impl Workspace {
         let n = solution.normal;
         let known = |vertex: fn(&Support) -> u32| {
             let [u0, u1, u2] = solution.triple.each_ref().map(vertex);
-            [vertex(&solution.support), u0, u1, u2].map(|v| if v == Support::INNER { vertex(&solution.support) } else { v })
+            [vertex(&solution.support), u0, u1, u2]
+                .map(|v| if v == Support::INNER { vertex(&solution.support) } else { v })
         };
         let depth = MERGE * U * pair.circumradius;
         let sine = accuracy.feature_angle.sin();
@@ -158,7 +159,8 @@ impl Workspace {
     fn lift_points(&mut self, pair: &Pair<'_>, accuracy: &Accuracy) {
         let found = &mut self.intersection;
         let rounding = pair.rounding_band();
-        self.manifold.flags.reduced = reduce::reduce(&mut found.points, accuracy.max_points as usize, rounding);
+        self.manifold.flags.reduced =
+            reduce::reduce(&mut found.points, accuracy.max_points as usize, rounding);
         self.manifold.flags.estimated = found.estimated;
         for p in &found.points {
             self.manifold.points.push(ContactPoint {

@@ -48,7 +48,13 @@ pub fn hull(points: &[[f64; 3]]) -> ConvexHull {
 
 pub fn box_points([x, y, z]: [f64; 3]) -> Vec<[f64; 3]> {
     (0..8)
-        .map(|i| [if i & 1 == 0 { -x } else { x }, if i & 2 == 0 { -y } else { y }, if i & 4 == 0 { -z } else { z }])
+        .map(|i| {
+            [
+                if i & 1 == 0 { -x } else { x },
+                if i & 2 == 0 { -y } else { y },
+                if i & 4 == 0 { -z } else { z },
+            ]
+        })
         .collect()
 }
 

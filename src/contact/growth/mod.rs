@@ -119,7 +119,10 @@ fn coincident(pair: &mut Pair<'_>, goal: &Goal) -> Solution {
 
 fn thinnest_direction(pair: &Pair<'_>) -> DVec3 {
     let thinnest = |offsets: &[f64]| {
-        offsets.iter().enumerate().fold((0, f64::INFINITY), |best, (i, &o)| if o < best.1 { (i, o) } else { best })
+        offsets
+            .iter()
+            .enumerate()
+            .fold((0, f64::INFINITY), |best, (i, &o)| if o < best.1 { (i, o) } else { best })
     };
     let (face_a, offset_a) = thinnest(pair.a.face_offsets());
     let (face_b, offset_b) = thinnest(pair.b.face_offsets());

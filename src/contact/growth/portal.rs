@@ -65,10 +65,18 @@ impl Best {
 
 /// Whether `w` is not beyond the triangle's plane by more than was asked for,
 /// or than the rounding of the plane and of two support values leaves open.
-fn refined(pair: &Pair<'_>, portal: &[Support; 3], plane: Normal, w: &Support, relative_tolerance: f64) -> bool {
+fn refined(
+    pair: &Pair<'_>,
+    portal: &[Support; 3],
+    plane: Normal,
+    w: &Support,
+    relative_tolerance: f64,
+) -> bool {
     let gain = plane.n.dot(w.point - portal[0].point);
     let rounding = GAIN * U * pair.circumradius * plane.error;
-    portal.iter().any(|u| u.same(w)) || !(gain > rounding) || gain <= relative_tolerance * plane.n.dot(w.point)
+    portal.iter().any(|u| u.same(w))
+        || !(gain > rounding)
+        || gain <= relative_tolerance * plane.n.dot(w.point)
 }
 
 fn overlaps(pair: &Pair<'_>, portal: &[Support; 3]) -> bool {

@@ -22,7 +22,7 @@ fn turn(ray: DVec3, w: DVec3, u: DVec3) -> f64 {
 
 #[cold]
 fn exact_turn(ray: DVec3, w: DVec3, u: DVec3) -> f64 {
-    let det = -orient3d(ray, w, u, DVec3::ZERO);
+    let det = orient3d(ray, w, u, DVec3::ZERO);
     if det != 0.0 {
         return det;
     }
@@ -46,7 +46,7 @@ pub(crate) fn around(ray: DVec3, [u0, u1, u2]: [Support; 3]) -> Option<[Support;
 /// Sign of `det(u0, u1, u2)`, exact: positive where the cone goes along the ray
 /// and not against it.
 fn volume(u0: Support, u1: Support, u2: Support) -> f64 {
-    -orient3d(u0.point, u1.point, u2.point, DVec3::ZERO)
+    orient3d(u0.point, u1.point, u2.point, DVec3::ZERO)
 }
 
 /// Puts `w`, beyond the triangle's plane, in the place of the one point without
@@ -107,4 +107,32 @@ fn wide_weights(ray: DVec3, [u0, u1, u2]: [DVec3; 3]) -> [f64; 3] {
     let det = |a, b, c| dd_dot(wide(a), dd_cross(wide(b), wide(c))).value();
     let volume = det(u0, u1, u2);
     [det(ray, u1, u2), det(u0, ray, u2), det(u0, u1, ray)].map(|d| d / volume)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A sign turned round in the exact branch alone would only show at ties.
+    #[test]
+    fn plain_and_exact_turns_agree() {
+        let (ray, w, u) = (DVec3::new(0.1, -0.2, 1.0), DVec3::new(0.7, 0.1, 0.3), DVec3::new(-0.2, 0.9, 0.4));
+        for (w, u) in [(w, u), (u, w)] {
+            let plain = ray.cross(w).dot(u);
+            assert!(plain.abs() > 0.1);
+            assert_eq!(exact_turn(ray, w, u).signum(), plain.signum());
+            assert_eq!(turn(ray, w, u).signum(), plain.signum());
+        }
+    }
+
+    /// A ray along an edge of the cone: the shifted ray decides, the same way
+    /// for every triangle, and only parallel points tie.
+    #[test]
+    fn ties_are_broken_by_the_shifted_ray() {
+        let (ray, w) = (DVec3::X, DVec3::new(2.0, 0.0, 0.0));
+        let u = DVec3::new(1.0, 1.0, 0.0);
+        // det(ray + (e, e^2, e^3), w, u) = 2 e^3.
+        assert!(turn(ray, w, u) > 0.0 && turn(ray, u, w) < 0.0);
+        assert_eq!(turn(ray, w, ray), 0.0);
+    }
 }

@@ -57,7 +57,13 @@ impl Intersection {
         self.a.fill(pair.a, feature_a, |v| project(pair.vertex_a(v)));
         self.a.set_plane(pair.a, feature_a, |m| project(m), pair.scale_a, DVec3::ZERO);
         self.b.fill(pair.b, feature_b, |v| project(pair.vertex_b(v) + pair.d));
-        self.b.set_plane(pair.b, feature_b, |m| project(pair.rotation * m), pair.scale_b, pair.rotation.transpose() * pair.d);
+        self.b.set_plane(
+            pair.b,
+            feature_b,
+            |m| project(pair.rotation * m),
+            pair.scale_b,
+            pair.rotation.transpose() * pair.d,
+        );
         self.planarity = self.a.planarity + self.b.planarity;
 
         let eps = pair.merge_distance();

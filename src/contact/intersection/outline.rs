@@ -32,7 +32,12 @@ pub(super) struct Outline {
 impl Outline {
     /// Projects the feature's corners; `project` gives plane position and height
     /// of a vertex by the hull's own index.
-    pub(super) fn fill(&mut self, hull: &ConvexHull, feature: Touched, project: impl Fn(u32) -> (DVec2, f64)) {
+    pub(super) fn fill(
+        &mut self,
+        hull: &ConvexHull,
+        feature: Touched,
+        project: impl Fn(u32) -> (DVec2, f64),
+    ) {
         let corner = |v: u32| {
             let (at, height) = project(v);
             Corner { at, height, vertex: hull.registered_indices()[v as usize] }

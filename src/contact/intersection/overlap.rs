@@ -161,7 +161,9 @@ fn merge(points: &mut Vec<PlanePoint>, eps: f64) {
         [_, Element::Vertex(_)] => 1,
         _ => 2,
     };
-    points.sort_unstable_by(|p, q| p.at.x.total_cmp(&q.at.x).then(p.at.y.total_cmp(&q.at.y)).then(p.id.cmp(&q.id)));
+    points.sort_unstable_by(|p, q| {
+        p.at.x.total_cmp(&q.at.x).then(p.at.y.total_cmp(&q.at.y)).then(p.id.cmp(&q.id))
+    });
     let mut i = 0;
     while i < points.len() {
         let p = points[i];
@@ -192,7 +194,9 @@ fn convex_order(points: &mut Vec<PlanePoint>, eps: f64, chain: &mut Vec<PlanePoi
         let start = chain.len();
         for i in 0..points.len() {
             let p = if pass == 0 { points[i] } else { points[points.len() - 1 - i] };
-            while chain.len() >= start + 2 && !turns_left(&chain[chain.len() - 2], &chain[chain.len() - 1], &p, eps) {
+            while chain.len() >= start + 2
+                && !turns_left(&chain[chain.len() - 2], &chain[chain.len() - 1], &p, eps)
+            {
                 chain.pop();
             }
             chain.push(p);
