@@ -3,11 +3,11 @@
 
 mod scene;
 
-use scene::*;
 use hullcast::contact::{
     Accuracy, Body, ConvexHull, Element, Feature, Manifold, Outcome, Query, Solver, Wanted, Workspace,
     certificate, contact_manifold,
 };
+use scene::*;
 
 const SOLVERS: [Solver; 2] = [Solver::Portal, Solver::GjkRayCast];
 
