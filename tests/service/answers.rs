@@ -1,0 +1,238 @@
+//! Every answer is the library's, bit for bit, however the batch is split, over however
+//! many threads, unary and streamed.
+
+use hullcast::{
+    proto::{Accuracy, Output, QueryContactsRequest, Solver},
+    service::Limits,
+};
+
+use crate::support::{
+    Setup, TestServer,
+    scenes::{ALL, Random, assert_same, expected, id, outputs, register_request, scene, shapes, two_boxes},
+};
+
+/// A server that has all shapes.
+async fn with_shapes(threads: usize) -> TestServer {
+    let server = Setup { threads, ..Setup::default() }.start().await;
+    server.hulls().register_hulls(register_request(&shapes())).await.unwrap();
+    server
+}
+
+/// Around every size at which a batch is computed in another way: none, inline, one chunk,
+/// some chunks, more chunks than threads.
+const SIZES: [usize; 12] = [0, 1, 2, 15, 16, 17, 63, 64, 65, 128, 129, 1000];
+
+/// Catches pairs lost, doubled or out of order where a batch is split, and a workspace that
+/// carries something over from one pair to the next.
+#[tokio::test(flavor = "multi_thread")]
+async fn every_batch_split_and_thread_count_gives_the_librarys_bits() {
+    let mut outcomes = [0usize; 5];
+    let mut answered = 0;
+    for threads in [1, 2, 5] {
+        let server = with_shapes(threads).await;
+        let requests: Vec<_> = SIZES
+            .iter()
+            .zip(1..)
+            .map(|(&pairs, seed)| QueryContactsRequest {
+                outputs: outputs(&ALL),
+                ..scene(&shapes(), 40, pairs, seed)
+            })
+            .collect();
+        let mut streamed = server
+            .contacts()
+            .stream_contacts(futures_util::stream::iter(requests.clone()))
+            .await
+            .unwrap()
+            .into_inner();
+        for request in requests {
+            let expected = expected(&request, &shapes());
+            let unary = server.contacts().query_contacts(request).await.unwrap().into_inner();
+            assert_same(&unary, &expected);
+            assert_same(&streamed.message().await.unwrap().expect("one answer a request"), &expected);
+            for &outcome in &unary.outcomes {
+                outcomes[outcome as usize] += 1;
+            }
+            answered += 1;
+        }
+        assert_eq!(streamed.message().await.unwrap(), None);
+    }
+    assert_eq!(answered, 3 * SIZES.len());
+    let [none, contact, separated, _, invalid] = outcomes;
+    assert!(none == 0 && invalid == 0, "{outcomes:?}");
+    assert!(contact > 500 && separated > 500, "the scenes cover both: {outcomes:?}");
+}
+
+/// Catches an option that does not reach the library, and outputs computed or sent that
+/// nobody asked for.
+#[tokio::test(flavor = "multi_thread")]
+async fn every_option_and_output_reaches_the_library() {
+    let server = with_shapes(2).await;
+    let mut masks: Vec<Vec<i32>> = ALL.iter().map(|&output| outputs(&[output])).collect();
+    // The default; all; a value of a newer client beside one of ours; unspecified alone.
+    masks.extend([vec![], outputs(&ALL), vec![Output::Alpha as i32, 1000], vec![0]]);
+    let accuracies = [
+        None,
+        Some(Accuracy { solver: Solver::Portal as i32, relative_tolerance: 0.01, ..Accuracy::default() }),
+        Some(Accuracy { solver: Solver::GjkRayCast as i32, feature_angle: Some(0.0), ..Accuracy::default() }),
+        Some(Accuracy { max_points: 2, feature_angle: Some(0.5), ..Accuracy::default() }),
+    ];
+    let mut cases = 0;
+    for (mask, seed) in masks.iter().zip(100..) {
+        for accuracy in accuracies {
+            for margin in [0.0, 0.2, f64::INFINITY] {
+                let request = QueryContactsRequest {
+                    margin,
+                    accuracy,
+                    outputs: mask.clone(),
+                    ..scene(&shapes(), 12, 20, seed)
+                };
+                let expected = expected(&request, &shapes());
+                let found = server.contacts().query_contacts(request).await.unwrap().into_inner();
+                assert_same(&found, &expected);
+                cases += 1;
+            }
+        }
+    }
+    assert_eq!(cases, 12 * 4 * 3);
+}
+
+/// Catches an answer that depends on where its pair is in the batch: a scene asked for in
+/// parts answers what it answers as a whole.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_parts_of_a_batch_are_the_batch() {
+    let server = with_shapes(3).await;
+    let whole = scene(&shapes(), 50, 500, 7);
+    let answer = server.contacts().query_contacts(whole.clone()).await.unwrap().into_inner();
+    for size in [1, 7, 64, 100, 499] {
+        let mut joined = hullcast::proto::QueryContactsResponse::default();
+        for pairs in whole.pairs.chunks(2 * size) {
+            let part = QueryContactsRequest { pairs: pairs.to_vec(), ..whole.clone() };
+            let part = server.contacts().query_contacts(part).await.unwrap().into_inner();
+            joined.request_id = part.request_id;
+            joined.outcomes.extend(part.outcomes);
+            joined.flags.extend(part.flags);
+            joined.alphas.extend(part.alphas);
+            joined.alpha_lowers.extend(part.alpha_lowers);
+            joined.alpha_uppers.extend(part.alpha_uppers);
+            joined.separations.extend(part.separations);
+            joined.normals.extend(part.normals);
+            joined.point_counts.extend(part.point_counts);
+            joined.witness_as.extend(part.witness_as);
+            joined.distances.extend(part.distances);
+        }
+        assert_same(&joined, &answer);
+    }
+}
+
+/// Catches warm starts that are paired with the wrong pair, and a malformed one that ends a
+/// call or spoils an answer instead of costing a cold start.
+#[tokio::test(flavor = "multi_thread")]
+async fn warm_starts_are_the_librarys_and_malformed_ones_cost_nothing_else() {
+    let server = with_shapes(2).await;
+    let cold = QueryContactsRequest { outputs: outputs(&ALL), ..scene(&shapes(), 30, 200, 11) };
+    let first = server.contacts().query_contacts(cold.clone()).await.unwrap().into_inner();
+    let warm = QueryContactsRequest { warm_starts: first.bases.clone(), ..cold.clone() };
+    let answer = server.contacts().query_contacts(warm.clone()).await.unwrap().into_inner();
+    assert_same(&answer, &expected(&warm, &shapes()));
+    assert!(first.bases.iter().any(|&vertex| vertex != u32::MAX), "some bases to start from");
+
+    let mut random = Random(3);
+    let useless = [5, 59, 60, 1000, u32::MAX - 1, u32::MAX];
+    let warm_starts = first.bases.iter().map(|_| useless[random.below(useless.len())]).collect();
+    let odd = QueryContactsRequest { warm_starts, ..cold };
+    let answer = server.contacts().query_contacts(odd.clone()).await.unwrap().into_inner();
+    assert_same(&answer, &expected(&odd, &shapes()));
+    assert_eq!(answer.outcomes, first.outcomes);
+}
+
+/// Catches an unusable body or hull that costs a pair of other bodies, and one that is not
+/// reported: each unusable one is answered INVALID with NaN, and the rest as if it were not
+/// there.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_invalid_pair_costs_no_other() {
+    let server = with_shapes(2).await;
+    let good = QueryContactsRequest { outputs: outputs(&ALL), ..scene(&shapes(), 30, 300, 13) };
+    let whole = server.contacts().query_contacts(good.clone()).await.unwrap().into_inner();
+
+    // Bodies 3 to 6 unusable, each in its own way.
+    let mut request = good.clone();
+    request.positions[3 * 3] = f64::NAN;
+    request.positions[3 * 4 + 1] = 1.1e100;
+    request.rotations[4 * 5..4 * 6].fill(0.0);
+    request.rotations[4 * 6..4 * 7].copy_from_slice(&[0.0, 0.0, 0.0, 1.002]);
+    let answer = server.contacts().query_contacts(request.clone()).await.unwrap().into_inner();
+    assert_same(&answer, &expected(&request, &shapes()));
+    assert_eq!(answer.invalid_bodies, [3, 4, 5, 6]);
+
+    // Hull 2 is one that nobody registered.
+    let mut request = good.clone();
+    request.hull_ids[2] = vec![0xab; 32];
+    let answer = server.contacts().query_contacts(request.clone()).await.unwrap().into_inner();
+    assert_eq!(answer.missing_hulls, [2]);
+    let mut points = (0, 0);
+    let mut kept = 0;
+    for (pair, bodies) in request.pairs.chunks(2).enumerate() {
+        let missing = bodies.iter().any(|&body| request.body_hulls[body as usize] == 2);
+        let counts = (answer.point_counts[pair] as usize, whole.point_counts[pair] as usize);
+        if missing {
+            assert_eq!((answer.outcomes[pair], answer.flags[pair]), (4, 16), "INVALID, UNKNOWN_HULL");
+            assert!(answer.alphas[pair].is_nan() && answer.alpha_lowers[pair].is_nan());
+            assert!(answer.alpha_uppers[pair].is_nan() && answer.separations[pair].is_nan());
+            assert!(answer.normals[3 * pair..][..3].iter().all(|c| c.is_nan()));
+            assert_eq!(counts.0, 0);
+            assert_eq!(answer.bases[6 * pair..][..6], [u32::MAX; 6]);
+        } else {
+            assert_eq!(answer.outcomes[pair], whole.outcomes[pair]);
+            assert_eq!(answer.alphas[pair].to_bits(), whole.alphas[pair].to_bits());
+            assert_eq!(counts.0, counts.1);
+            assert_eq!(
+                answer.witness_as[3 * points.0..][..3 * counts.0],
+                whole.witness_as[3 * points.1..][..3 * counts.1]
+            );
+            kept += 1;
+        }
+        points = (points.0 + counts.0, points.1 + counts.1);
+    }
+    assert!((50..300).contains(&kept), "both kinds of pairs: {kept}");
+}
+
+/// Catches a store that is read once a pair, or a cache that is not one: a batch over a
+/// warm cache reads nothing, and bodies without pairs are no fault.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_cache_too_small_for_the_scene_changes_no_bit() {
+    let limits = Limits { cache_bytes: 1, ..Limits::default() };
+    let server = TestServer::with_limits(limits).await;
+    server.hulls().register_hulls(register_request(&shapes())).await.unwrap();
+    let request = scene(&shapes(), 30, 200, 17);
+    let answer = server.contacts().query_contacts(request.clone()).await.unwrap().into_inner();
+    assert_same(&answer, &expected(&request, &shapes()));
+    assert_eq!(server.app.registry().cached_bytes(), 0);
+}
+
+/// Catches an id that the server computes otherwise than the client, and an answer to a
+/// stream that is not the one to its request.
+#[tokio::test(flavor = "multi_thread")]
+async fn streams_answer_in_order_and_echo_the_request_id() {
+    let (shapes, request) = two_boxes();
+    let server = TestServer::start().await;
+    let registered = server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
+    let result = registered.into_inner().results.remove(0).result;
+    let Some(hullcast::proto::register_hull_result::Result::Hull(info)) = result else {
+        panic!("{result:?}")
+    };
+    assert_eq!(info.id, id(&shapes[0]));
+    let requests: Vec<_> = (0..200)
+        .map(|step| {
+            let mut request = QueryContactsRequest { request_id: step, ..request.clone() };
+            request.positions[5] = 0.5 + step as f64 / 100.0;
+            request
+        })
+        .collect();
+    let stream = futures_util::stream::iter(requests.clone());
+    let mut answers = server.contacts().stream_contacts(stream).await.unwrap().into_inner();
+    for request in requests {
+        let answer = answers.message().await.unwrap().unwrap();
+        assert_same(&answer, &expected(&request, &shapes));
+    }
+    assert_eq!(answers.message().await.unwrap(), None);
+}

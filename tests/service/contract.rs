@@ -1,0 +1,74 @@
+//! The contract may grow; what is there stays as it is.
+
+use std::collections::BTreeSet;
+
+use prost::Message;
+use prost_types::{DescriptorProto, EnumDescriptorProto, FileDescriptorSet};
+
+/// Everything of a descriptor set that a client may rely on, a line each.
+fn promises(bytes: &[u8]) -> BTreeSet<String> {
+    let set = FileDescriptorSet::decode(bytes).unwrap();
+    let mut lines = BTreeSet::new();
+    for file in set.file.iter().filter(|file| file.package() == "hullcast.v1") {
+        for message in &file.message_type {
+            promise_message(message, "", &mut lines);
+        }
+        for values in &file.enum_type {
+            promise_enum(values, &mut lines);
+        }
+        for service in &file.service {
+            for method in &service.method {
+                lines.insert(format!(
+                    "{}.{}({} {}) {} {}",
+                    service.name(),
+                    method.name(),
+                    method.client_streaming(),
+                    method.input_type(),
+                    method.server_streaming(),
+                    method.output_type()
+                ));
+            }
+        }
+    }
+    lines
+}
+
+fn promise_message(message: &DescriptorProto, outer: &str, lines: &mut BTreeSet<String>) {
+    let name = format!("{outer}.{}", message.name());
+    for field in &message.field {
+        lines.insert(format!(
+            "{name}.{} = {} {:?} {:?} {} optional {}",
+            field.name(),
+            field.number(),
+            field.label(),
+            field.r#type(),
+            field.type_name(),
+            field.proto3_optional()
+        ));
+    }
+    for nested in &message.nested_type {
+        promise_message(nested, &name, lines);
+    }
+    for values in &message.enum_type {
+        promise_enum(values, lines);
+    }
+}
+
+fn promise_enum(values: &EnumDescriptorProto, lines: &mut BTreeSet<String>) {
+    for value in &values.value {
+        lines.insert(format!("{}.{} = {}", values.name(), value.name(), value.number()));
+    }
+}
+
+/// Catches a change of the contract that breaks clients: a field, value or method that is
+/// gone, renumbered or of another type than in the committed baseline.
+#[test]
+fn nothing_of_the_baseline_is_gone_or_changed() {
+    let baseline = promises(include_bytes!("../../proto/hullcast.v1.binpb"));
+    let current = promises(hullcast::proto::FILE_DESCRIPTOR_SET);
+    assert!(baseline.len() > 100, "the baseline holds the contract: {}", baseline.len());
+    let broken: Vec<_> = baseline.difference(&current).collect();
+    assert!(broken.is_empty(), "{broken:#?}");
+    let new: Vec<_> = current.difference(&baseline).collect();
+    assert!(new.is_empty(), "grown: copy the build's descriptor set over the baseline: {new:#?}");
+}

@@ -1,0 +1,262 @@
+//! The real binary: killed, traced, stopped.
+
+use std::{
+    collections::HashMap,
+    io::{BufRead, BufReader, Read},
+    path::{Path, PathBuf},
+    process::{Child, ChildStdin, Command, ExitStatus, Stdio},
+};
+
+use hullcast::proto::{
+    HasHullsRequest, contact_service_client::ContactServiceClient, hull_service_client::HullServiceClient,
+};
+use tonic::transport::Channel;
+
+use crate::support::{
+    channel,
+    scenes::{assert_same, expected, id, plain, register_request, round_points, scene},
+};
+
+const BINARY: &str = env!("CARGO_BIN_EXE_hullcast");
+
+/// `hullcast serve`; killed when dropped.
+struct Process {
+    child: Child,
+    stdin: Option<ChildStdin>,
+    address: String,
+}
+
+impl Process {
+    fn start(mut command: Command, store: &Path, arguments: &[&str]) -> Self {
+        let mut child = command
+            .args(["serve", "--listen", "127.0.0.1:0", "--store"])
+            .arg(store)
+            .args(arguments)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap_or_else(|error| panic!("{command:?}: {error}"));
+        let stdin = child.stdin.take();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let address = line.strip_prefix("listening on ").expect(&line).trim().to_owned();
+        Self { child, stdin, address }
+    }
+
+    fn plain(store: &Path) -> Self {
+        Self::start(Command::new(BINARY), store, &[])
+    }
+
+    async fn hulls(&self) -> HullServiceClient<Channel> {
+        HullServiceClient::new(channel(&self.address).await)
+    }
+
+    fn signal(&self, signal: &str) {
+        let pid = self.child.id().to_string();
+        assert!(Command::new("kill").args([signal, &pid]).status().unwrap().success());
+    }
+
+    fn wait(&mut self) -> ExitStatus {
+        self.child.wait().unwrap()
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Catches a hull that was acknowledged before it was stored: a server is killed in the
+/// middle of registering, again and again, and the next one answers for every hull that any
+/// of them acknowledged.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_killed_server_answers_for_every_acknowledged_hull() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut acknowledged = Vec::new();
+    let mut seed = 0;
+    for round in 0..4 {
+        let mut server = Process::plain(directory.path());
+        let mut hulls = server.hulls().await;
+        let (send, mut acknowledgements) = tokio::sync::mpsc::unbounded_channel();
+        let writer = tokio::spawn(async move {
+            loop {
+                seed += 1;
+                let shape = plain(round_points(20, seed));
+                let request = register_request(std::slice::from_ref(&shape));
+                if hulls.register_hulls(request).await.is_err() {
+                    return seed;
+                }
+                let _ = send.send(shape);
+            }
+        });
+        for _ in 0..10 + round {
+            acknowledged.push(acknowledgements.recv().await.unwrap());
+        }
+        server.signal("-9");
+        assert!(!server.wait().success());
+        seed = writer.await.unwrap();
+        while let Some(shape) = acknowledgements.recv().await {
+            acknowledged.push(shape);
+        }
+    }
+    assert!(acknowledged.len() >= 46);
+
+    let server = Process::plain(directory.path());
+    let ids: Vec<_> = acknowledged.iter().map(id).collect();
+    let present = server.hulls().await.has_hulls(HasHullsRequest { ids }).await.unwrap().into_inner();
+    assert_eq!(present.present, vec![true; acknowledged.len()]);
+    let request = scene(&acknowledged, 100, 300, 1);
+    let mut contacts = ContactServiceClient::new(channel(&server.address).await);
+    let answer = contacts.query_contacts(request.clone()).await.unwrap().into_inner();
+    assert_same(&answer, &expected(&request, &acknowledged));
+}
+
+/// Catches an acknowledgement before the file or a directory is synced: every system call
+/// from opening the blob to writing the answer is traced, in order.
+#[tokio::test(flavor = "multi_thread")]
+async fn file_and_directories_are_synced_before_the_acknowledgement() {
+    let strace = Command::new("strace").arg("-V").output();
+    assert!(strace.is_ok(), "this test needs strace: apt-get install strace");
+    let directory = tempfile::tempdir().unwrap();
+    let store = directory.path().join("store");
+    let trace = directory.path().join("trace");
+    let mut command = Command::new("strace");
+    command.args(["-f", "-y", "-s", "16", "-e"]);
+    command.arg("trace=openat,rename,renameat,renameat2,link,linkat,fsync,fdatasync,mkdir,write,writev,sendto,sendmsg");
+    command.arg("-o").arg(&trace).arg("--").arg(BINARY);
+    let mut server = Process::start(command, &store, &["--until-stdin-closes"]);
+    let shape = plain(round_points(20, 1));
+    let name: String = id(&shape).iter().map(|byte| format!("{byte:02x}")).collect();
+    server.hulls().await.register_hulls(register_request(&[shape])).await.unwrap();
+    // The traced server, not the tracer, has to end.
+    drop(server.stdin.take());
+    server.wait();
+
+    let root = store.canonicalize().unwrap();
+    let shard = root.join(&name[..2]);
+    let events = events(&std::fs::read_to_string(&trace).unwrap());
+    let synced = |path: &Path| {
+        events.iter().rposition(|event| matches!(event, Event::Synced(synced) if synced == path))
+    };
+    let file = events
+        .iter()
+        .position(|event| matches!(event, Event::Synced(path) if path.starts_with(&shard) && *path != shard))
+        .expect("the file is synced");
+    let published = events
+        .iter()
+        .position(|event| matches!(event, Event::Renamed(line) if line.contains(&name)))
+        .expect("the file is renamed into place");
+    let shard = synced(&shard).expect("its directory is synced");
+    let root = synced(&root).expect("the directory's directory is synced");
+    let answered = events.iter().rposition(|event| *event == Event::Sent).expect("an answer");
+    assert!(file < published, "the file is whole before it has its name");
+    assert!(published < shard, "its name is synced after it has it");
+    let acknowledged = events[shard.max(root)..].iter().position(|event| *event == Event::Sent);
+    assert!(acknowledged.is_some() && answered > shard.max(root), "and then it is acknowledged");
+    let premature = events[file..shard.max(root)].iter().filter(|event| **event == Event::Sent).count();
+    assert_eq!(premature, 0, "nothing is sent while it is being stored");
+}
+
+#[derive(Debug, PartialEq)]
+enum Event {
+    Synced(PathBuf),
+    Renamed(String),
+    Sent,
+}
+
+/// What of a trace matters, in the order in which the calls returned.
+fn events(trace: &str) -> Vec<Event> {
+    let mut unfinished: HashMap<&str, &str> = HashMap::new();
+    let mut events = Vec::new();
+    for line in trace.lines() {
+        let Some((thread, call)) = line.split_once(' ') else { continue };
+        let call = call.trim_start();
+        if call.ends_with("<unfinished ...>") {
+            unfinished.insert(thread, call);
+            continue;
+        }
+        let begun = if call.starts_with("<...") { unfinished.remove(thread).unwrap_or(call) } else { call };
+        if call.contains("= -1 ") {
+            continue;
+        }
+        let name = begun.split('(').next().unwrap_or_default();
+        match name {
+            "fsync" | "fdatasync" => {
+                if let Some((path, _)) = begun.split_once('<').and_then(|(_, rest)| rest.split_once('>')) {
+                    events.push(Event::Synced(path.into()));
+                }
+            }
+            "rename" | "renameat" | "renameat2" | "link" | "linkat" => {
+                events.push(Event::Renamed(begun.to_owned()));
+            }
+            "write" | "writev" | "sendto" | "sendmsg"
+                if begun.contains("<TCP") || begun.contains("socket:") =>
+            {
+                events.push(Event::Sent);
+            }
+            _ => {}
+        }
+    }
+    events
+}
+
+/// Catches a stop that is taken for a crash by whoever supervises: asked to stop, by either
+/// signal or by closing standard input, the server exits with 0.
+#[tokio::test(flavor = "multi_thread")]
+async fn asked_to_stop_it_exits_with_success() {
+    let directory = tempfile::tempdir().unwrap();
+    for signal in ["-TERM", "-INT"] {
+        let mut server = Process::plain(directory.path());
+        // Without the flag a closed standard input is nothing.
+        drop(server.stdin.take());
+        server.hulls().await.has_hulls(HasHullsRequest::default()).await.unwrap();
+        server.signal(signal);
+        assert!(server.wait().success(), "{signal}");
+    }
+    let mut server = Process::start(Command::new(BINARY), directory.path(), &["--until-stdin-closes"]);
+    server.hulls().await.has_hulls(HasHullsRequest::default()).await.unwrap();
+    drop(server.stdin.take());
+    assert!(server.wait().success());
+}
+
+/// Catches an order of precedence that is not the documented one, through the real command
+/// line: file, then environment, then flags.
+#[test]
+fn flags_win_over_the_environment_and_the_environment_over_the_file() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("hullcast.toml");
+    std::fs::write(&file, "max_page_size = 1\ncache_bytes = 1\nstore_bytes = 1\n").unwrap();
+    let run = |arguments: &[&str]| {
+        let output = Command::new(BINARY)
+            .args(["serve", "--config"])
+            .arg(&file)
+            .args(arguments)
+            .env("HULLCAST_CACHE_BYTES", "2")
+            .env("HULLCAST_STORE_BYTES", "2")
+            .output()
+            .unwrap();
+        let text = |mut bytes: &[u8]| {
+            let mut text = String::new();
+            bytes.read_to_string(&mut text).unwrap();
+            text
+        };
+        (output.status, text(&output.stdout), text(&output.stderr))
+    };
+    let (status, printed, _) =
+        run(&["--print-config", "--store-bytes", "3", "--listen", "unix:a", "--listen", "unix:b"]);
+    assert!(status.success());
+    for line in ["max_page_size = 1", "cache_bytes = 2", "store_bytes = 3", "max_pairs_per_request = 131072"]
+    {
+        assert!(printed.lines().any(|printed| printed == line), "{line} in {printed}");
+    }
+    assert!(printed.contains(r#"listen = ["unix:a", "unix:b"]"#), "{printed}");
+
+    std::fs::write(&file, "max_page_sizes = 1\n").unwrap();
+    let (status, _, said) = run(&[]);
+    assert!(!status.success() && said.contains("max_page_sizes"), "{said}");
+    let (status, _, said) = run(&["--max-pairs-in-flight", "1", "--store", "memory://"]);
+    assert!(!status.success(), "{said}");
+}

@@ -1,0 +1,174 @@
+//! A server's start and end: health, reflection, addresses, drain.
+
+use std::{path::Path, sync::Arc, time::Duration};
+
+use futures_util::StreamExt;
+use hullcast::{
+    proto::GetServerInfoRequest,
+    service::{App, Limits, Listener, run},
+    store::blobs,
+};
+use tokio::net::TcpStream;
+use tonic::Code;
+use tonic_health::pb::{
+    HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient,
+};
+use tonic_reflection::pb::{v1, v1alpha};
+
+use crate::support::{
+    Setup, TestServer, refusal, refused,
+    scenes::{register_request, two_boxes},
+};
+
+/// Catches a service that health does not know, and one that is there and not said to be.
+#[tokio::test(flavor = "multi_thread")]
+async fn health_is_answered_per_service() {
+    let server = TestServer::start().await;
+    let mut health = HealthClient::new(server.channel());
+    for service in ["", "hullcast.v1.HullService", "hullcast.v1.ContactService", "hullcast.v1.ServerService"]
+    {
+        let request = HealthCheckRequest { service: service.into() };
+        let answer = health.check(request).await.unwrap().into_inner();
+        assert_eq!(answer.status(), ServingStatus::Serving, "{service}");
+    }
+    let request = HealthCheckRequest { service: "hullcast.v1.Nothing".into() };
+    let status = health.check(request).await.unwrap_err();
+    assert_eq!(refusal(&status), refused(Code::NotFound, "NOT_FOUND", ""));
+}
+
+/// Catches a client by reflection (grpcurl and the like, of either protocol) that finds no
+/// services or no types.
+#[tokio::test(flavor = "multi_thread")]
+async fn reflection_lists_and_describes_every_service() {
+    let server = TestServer::start().await;
+    let services = ["ContactService", "HullService", "ServerService"].map(|s| format!("hullcast.v1.{s}"));
+
+    let mut client = v1::server_reflection_client::ServerReflectionClient::new(server.channel());
+    use v1::{
+        ServerReflectionRequest, server_reflection_request::MessageRequest,
+        server_reflection_response::MessageResponse,
+    };
+    let ask = |message| ServerReflectionRequest { host: String::new(), message_request: Some(message) };
+    let requests = [
+        ask(MessageRequest::ListServices(String::new())),
+        ask(MessageRequest::FileContainingSymbol("hullcast.v1.QueryContactsRequest".into())),
+    ];
+    let mut answers =
+        client.server_reflection_info(futures_util::stream::iter(requests)).await.unwrap().into_inner();
+    let Some(MessageResponse::ListServicesResponse(list)) =
+        answers.message().await.unwrap().unwrap().message_response
+    else {
+        panic!("no list")
+    };
+    let listed: Vec<_> = list.service.into_iter().map(|service| service.name).collect();
+    assert!(services.iter().all(|service| listed.contains(service)), "{listed:?}");
+    assert!(listed.contains(&"grpc.health.v1.Health".to_owned()), "{listed:?}");
+    let Some(MessageResponse::FileDescriptorResponse(files)) =
+        answers.message().await.unwrap().unwrap().message_response
+    else {
+        panic!("no file")
+    };
+    assert!(!files.file_descriptor_proto.is_empty());
+
+    let mut client = v1alpha::server_reflection_client::ServerReflectionClient::new(server.channel());
+    let request = v1alpha::ServerReflectionRequest {
+        host: String::new(),
+        message_request: Some(
+            v1alpha::server_reflection_request::MessageRequest::ListServices(String::new()),
+        ),
+    };
+    let answers = client.server_reflection_info(futures_util::stream::iter([request])).await.unwrap();
+    let answers: Vec<_> = answers.into_inner().collect().await;
+    assert_eq!(answers.len(), 1);
+    assert!(answers[0].is_ok());
+}
+
+/// Catches a limit on concurrent calls that is published and not enforced: HTTP/2 tells it
+/// to the client when it connects.
+#[tokio::test(flavor = "multi_thread")]
+async fn concurrent_calls_are_limited_as_published() {
+    let limits = Limits { max_streams_per_connection: 7, ..Limits::default() };
+    let server = TestServer::with_limits(limits).await;
+    let stream = TcpStream::connect(&server.address).await.unwrap();
+    let (client, connection) = h2::client::handshake(stream).await.unwrap();
+    tokio::spawn(connection);
+    let client = client.ready().await.unwrap();
+    while client.current_max_send_streams() != 7 {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+}
+
+/// Catches a stop that cuts off a call in flight, one that waits for a stream that idles,
+/// and one that goes on accepting.
+#[tokio::test(flavor = "multi_thread")]
+async fn stopping_ends_streams_and_refuses_the_rest() {
+    // Longer than the test may take: nothing here needs the deadline.
+    let mut server = Setup { drain: Duration::from_secs(3600), ..Setup::default() }.start().await;
+    let (shapes, request) = two_boxes();
+    server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
+    let (send, requests) = tokio::sync::mpsc::channel(1);
+    let requests = tokio_stream::wrappers::ReceiverStream::new(requests);
+    let mut answers = server.contacts().stream_contacts(requests).await.unwrap().into_inner();
+    send.send(request).await.unwrap();
+    assert!(answers.message().await.unwrap().is_some());
+    server.begin_stop();
+    let status = answers.message().await.unwrap_err();
+    assert_eq!(refusal(&status), refused(Code::Unavailable, "STOPPING", ""));
+    let address = server.address.clone();
+    server.stopped().await;
+    assert!(TcpStream::connect(&address).await.is_err());
+}
+
+/// Catches a stop that hangs on a client that never reads or closes.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stuck_client_is_cut_off_at_the_drain_deadline() {
+    let mut server = Setup { drain: Duration::from_millis(100), ..Setup::default() }.start().await;
+    let stream = TcpStream::connect(&server.address).await.unwrap();
+    let (client, connection) = h2::client::handshake(stream).await.unwrap();
+    tokio::spawn(connection);
+    // A call whose request never ends.
+    let path = "http://localhost/hullcast.v1.ContactService/QueryContacts";
+    let request = http::Request::post(path).header("content-type", "application/grpc").body(()).unwrap();
+    let mut client = client.ready().await.unwrap();
+    let (response, _send) = client.send_request(request, false).unwrap();
+    // The server has seen it once it answers one behind it.
+    server.info().get_server_info(GetServerInfoRequest {}).await.unwrap();
+    server.begin_stop();
+    server.stopped().await;
+    assert!(response.await.is_err());
+}
+
+/// Catches a Unix socket that is not answered on, that is left behind, or that a killed
+/// server's leftover blocks.
+#[tokio::test(flavor = "multi_thread")]
+async fn unix_sockets_and_several_addresses() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("socket");
+    drop(std::os::unix::net::UnixListener::bind(&path).unwrap());
+    assert!(path.exists(), "a leftover");
+    let unix = Listener::bind(&format!("unix:{}", path.display())).await.unwrap();
+    assert_eq!(unix.to_string(), format!("unix:{}", path.display()));
+    let taken = Listener::bind(&format!("unix:{}", path.display())).await;
+    assert!(taken.is_err(), "one that is answered on is not taken away");
+
+    let tcp = Listener::bind("127.0.0.1:0").await.unwrap();
+    let address = tcp.to_string();
+    assert!(Listener::bind(&address).await.unwrap_err().to_string().contains(&address));
+    let app = App::new(blobs::open("memory://").unwrap(), Limits::default(), 1).unwrap();
+    let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
+    let running = tokio::spawn(run(vec![unix, tcp], Arc::new(app), Duration::from_secs(5), async {
+        let _ = stopped.await;
+    }));
+    for channel in [crate::support::channel(&address).await, unix_channel(&path).await] {
+        let mut info = hullcast::proto::server_service_client::ServerServiceClient::new(channel);
+        info.get_server_info(GetServerInfoRequest {}).await.unwrap();
+    }
+    stop.send(()).unwrap();
+    running.await.unwrap().unwrap();
+    assert!(!path.exists());
+}
+
+async fn unix_channel(path: &Path) -> tonic::transport::Channel {
+    let endpoint = tonic::transport::Endpoint::from_shared(format!("unix:{}", path.display())).unwrap();
+    endpoint.connect().await.unwrap()
+}

@@ -1,0 +1,237 @@
+//! Every limit: at it is accepted, one past it refused.
+
+use hullcast::{
+    proto::{
+        GetServerInfoRequest, ListHullsRequest, QueryContactsRequest,
+        register_hull_result::Result as Registered,
+    },
+    service::Limits,
+};
+use prost::Message;
+use tonic::Code;
+
+use crate::support::{
+    TestServer, invalid, refusal, refused,
+    scenes::{plain, register_request, round_points, scene, shapes, two_boxes},
+};
+
+fn small() -> Limits {
+    Limits {
+        max_message_bytes: 100_000,
+        max_pairs_per_request: 20,
+        max_bodies_per_request: 10,
+        max_hulls_per_request: 3,
+        max_vertices_per_hull: 60,
+        max_pairs_in_flight: 1000,
+        cache_bytes: 1 << 20,
+        store_bytes: 0,
+        max_streams_per_connection: 7,
+        max_page_size: 2,
+        cache_age_seconds: 9,
+    }
+}
+
+/// Catches a limit that a client cannot learn of.
+#[tokio::test(flavor = "multi_thread")]
+async fn every_limit_is_published() {
+    let limits = Limits { store_bytes: 5_000_000, ..small() };
+    let server = TestServer::with_limits(limits.clone()).await;
+    let info = server.info().get_server_info(GetServerInfoRequest {}).await.unwrap().into_inner();
+    assert_eq!(info.version, env!("CARGO_PKG_VERSION"));
+    assert_eq!(info.compute_threads, 2);
+    assert!(!info.instruction_set.is_empty());
+    let published = info.limits.unwrap();
+    assert_eq!(published.max_message_bytes, limits.max_message_bytes as u64);
+    assert_eq!(published.max_pairs_per_request, limits.max_pairs_per_request);
+    assert_eq!(published.max_bodies_per_request, limits.max_bodies_per_request);
+    assert_eq!(published.max_hulls_per_request, limits.max_hulls_per_request);
+    assert_eq!(published.max_vertices_per_hull, limits.max_vertices_per_hull);
+    assert_eq!(published.max_pairs_in_flight, u64::from(limits.max_pairs_in_flight));
+    assert_eq!(published.cache_bytes, limits.cache_bytes);
+    assert_eq!(published.store_bytes, limits.store_bytes);
+    assert_eq!(published.max_streams_per_connection, limits.max_streams_per_connection);
+    assert_eq!(published.max_page_size, limits.max_page_size);
+    assert_eq!(published.cache_age_seconds, limits.cache_age_seconds);
+}
+
+/// Catches limits of a query off by one.
+#[tokio::test(flavor = "multi_thread")]
+async fn queries_at_their_limits_and_one_past() {
+    let server = TestServer::with_limits(small()).await;
+    let shapes = &shapes()[..3];
+    server.hulls().register_hulls(register_request(shapes)).await.unwrap();
+    let refuse = async |request, expected| {
+        let status = server.contacts().query_contacts(request).await.unwrap_err();
+        assert_eq!(refusal(&status), expected);
+    };
+    server.contacts().query_contacts(scene(shapes, 10, 20, 1)).await.unwrap();
+    refuse(scene(shapes, 10, 21, 1), invalid("TOO_MANY_PAIRS", "pairs")).await;
+    refuse(scene(shapes, 11, 20, 1), invalid("TOO_MANY_BODIES", "body_hulls")).await;
+    let mut four = scene(shapes, 10, 20, 1);
+    four.hull_ids.push(vec![0; 32]);
+    refuse(four, invalid("TOO_MANY_HULLS", "hull_ids")).await;
+}
+
+/// Catches limits of the hull service off by one: hulls a request, vertices a hull.
+#[tokio::test(flavor = "multi_thread")]
+async fn registrations_at_their_limits_and_one_past() {
+    let server = TestServer::with_limits(small()).await;
+    let mut hulls = server.hulls();
+    // A sphere's points are all extreme; one inside is none.
+    let mut with_inner = round_points(60, 5);
+    with_inner.push([0.0; 3]);
+    let shapes = [plain(round_points(60, 4)), plain(with_inner), plain(round_points(61, 6))];
+    let results = hulls.register_hulls(register_request(&shapes)).await.unwrap().into_inner().results;
+    let vertices = |result: &hullcast::proto::RegisterHullResult| match &result.result {
+        Some(Registered::Hull(info)) => Ok((info.vertex_count, info.registered_count)),
+        Some(Registered::Error(error)) => Err((error.reason.clone(), error.field.clone())),
+        None => panic!("a result that is none"),
+    };
+    assert_eq!(vertices(&results[0]), Ok((60, 60)));
+    assert_eq!(vertices(&results[1]), Ok((60, 61)));
+    assert_eq!(vertices(&results[2]), Err(("TOO_MANY_VERTICES".into(), "vertices".into())));
+
+    let four = [&shapes[..], &shapes[..1]].concat();
+    let status = hulls.register_hulls(register_request(&four)).await.unwrap_err();
+    assert_eq!(refusal(&status), invalid("TOO_MANY_HULLS", "hulls"));
+    let ids = vec![vec![0; 32]; 4];
+    let request = hullcast::proto::HasHullsRequest { ids: ids[..3].to_vec() };
+    hulls.has_hulls(request).await.unwrap();
+    let status = hulls.has_hulls(hullcast::proto::HasHullsRequest { ids }).await.unwrap_err();
+    assert_eq!(refusal(&status), invalid("TOO_MANY_HULLS", "ids"));
+}
+
+/// Catches a message limit off by one: in bytes, of the message without its frame.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_message_at_its_limit_and_one_past() {
+    let (shapes, mut request) = two_boxes();
+    request.warm_starts = vec![u32::MAX; 6];
+    let bytes = request.encoded_len().max(1024);
+    let limits = Limits { max_message_bytes: bytes, ..small() };
+    let server = TestServer::with_limits(limits).await;
+    server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
+    // Bodies without pairs are what fills a message: 60 bytes each.
+    let mut padded = request.clone();
+    while padded.encoded_len() + 60 <= bytes {
+        padded.body_hulls.push(0);
+        padded.positions.extend([0.0; 3]);
+        padded.rotations.extend([0.0, 0.0, 0.0, 1.0]);
+    }
+    // The rest by a field of one byte: outputs, which may repeat.
+    while padded.encoded_len() < bytes {
+        padded.outputs.push(2);
+    }
+    assert_eq!(padded.encoded_len(), bytes);
+    let limits = Limits { max_message_bytes: bytes, max_bodies_per_request: 100, ..small() };
+    let server = TestServer::with_limits(limits).await;
+    server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
+    server.contacts().query_contacts(padded.clone()).await.unwrap();
+    padded.outputs.push(2);
+    assert_eq!(padded.encoded_len(), bytes + 1);
+    let status = server.contacts().query_contacts(padded).await.unwrap_err();
+    assert_eq!(refusal(&status), invalid("MESSAGE_TOO_LARGE", ""));
+}
+
+/// Catches a default that is below what the contract promises: a request at the promised
+/// sizes is answered by a server that was configured with nothing.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_promised_sizes_are_the_defaults() {
+    let (shapes, request) = two_boxes();
+    let server = TestServer::start().await;
+    server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
+    let bodies = 131_072;
+    let request = QueryContactsRequest {
+        body_hulls: vec![0; bodies],
+        positions: (0..bodies).flat_map(|i| [3.0 * i as f64, 0.0, 0.0]).collect(),
+        rotations: [0.0, 0.0, 0.0, 1.0].repeat(bodies),
+        pairs: (0..bodies as u32).flat_map(|i| [i, i]).collect(),
+        outputs: vec![1],
+        ..request
+    };
+    let answer = server.contacts().max_encoding_message_size(usize::MAX).query_contacts(request).await;
+    assert_eq!(answer.unwrap().into_inner().outcomes.len(), 131_072);
+    assert!(server.app.limits().max_vertices_per_hull >= 16_384);
+    assert_eq!(server.app.limits().max_message_bytes, 64 << 20);
+}
+
+/// Catches a page that is larger than its limit, or a listing that misses or repeats hulls
+/// where pages meet.
+#[tokio::test(flavor = "multi_thread")]
+async fn pages_are_at_most_their_limit_and_cover_everything_once() {
+    let server = TestServer::with_limits(small()).await;
+    let mut hulls = server.hulls();
+    let mut expected = Vec::new();
+    for seed in 0..7 {
+        let shape = plain(round_points(10, seed));
+        hulls.register_hulls(register_request(std::slice::from_ref(&shape))).await.unwrap();
+        expected.push((crate::support::scenes::id(&shape), shape.identity_bytes().len() as u64));
+    }
+    expected.sort();
+    for (asked, size) in [(0, 2), (1, 1), (2, 2), (3, 2), (u32::MAX, 2)] {
+        let mut found = Vec::new();
+        let mut page_token = String::new();
+        loop {
+            let request = ListHullsRequest { page_size: asked, page_token };
+            let page = hulls.list_hulls(request).await.unwrap().into_inner();
+            assert!(page.hulls.len() <= size, "{asked}");
+            assert!(page.hulls.iter().all(|hull| hull.created_unix_ms > 0));
+            found.extend(page.hulls.into_iter().map(|hull| (hull.id, hull.bytes)));
+            page_token = page.next_page_token;
+            if page_token.is_empty() {
+                break;
+            }
+        }
+        assert_eq!(found, expected, "{asked}");
+    }
+}
+
+/// Catches a store that grows past its limit, a hull refused that would fit, and a limit
+/// that counts a hull twice that is registered twice.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_store_at_its_limit_and_one_byte_past() {
+    let shapes = [1, 2, 3].map(|seed| plain(round_points(10, seed)));
+    let each = shapes[0].identity_bytes().len() as u64;
+    let full = refused(Code::ResourceExhausted, "STORE_FULL", "");
+    for (store_bytes, fits) in [(2 * each, 2), (2 * each - 1, 1), (3 * each, 3)] {
+        let server = TestServer::with_limits(Limits { store_bytes, ..small() }).await;
+        let mut hulls = server.hulls();
+        for (i, shape) in shapes.iter().enumerate() {
+            let shape = std::slice::from_ref(shape);
+            for _again in 0..2 {
+                match hulls.register_hulls(register_request(shape)).await {
+                    Ok(_) => assert!(i < fits, "{store_bytes}"),
+                    Err(status) => {
+                        assert_eq!(refusal(&status), full);
+                        assert!(i >= fits, "{store_bytes}");
+                    }
+                }
+            }
+        }
+        // Room that is made can be used.
+        let ids = vec![crate::support::scenes::id(&shapes[0])];
+        hulls.delete_hulls(hullcast::proto::DeleteHullsRequest { ids }).await.unwrap();
+        hulls.register_hulls(register_request(&shapes[fits.min(2)..][..1])).await.unwrap();
+    }
+}
+
+/// Catches limits that contradict each other, found when the first request hangs.
+#[test]
+fn contradicting_limits_do_not_start() {
+    type Spoil = fn(&mut Limits);
+    let spoils: [Spoil; 8] = [
+        |l| l.max_pairs_per_request = 0,
+        |l| l.max_bodies_per_request = 0,
+        |l| l.max_hulls_per_request = 0,
+        |l| l.max_streams_per_connection = 0,
+        |l| l.max_page_size = 0,
+        |l| l.max_vertices_per_hull = 3,
+        |l| l.max_message_bytes = 1023,
+        |l| l.max_pairs_in_flight = l.max_pairs_per_request - 1,
+    ];
+    for spoil in spoils {
+        let mut limits = Limits::default();
+        assert_eq!(limits.contradiction(), None);
+        spoil(&mut limits);
+        assert!(limits.contradiction().is_some(), "{limits:?}");
+    }
+}

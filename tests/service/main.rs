@@ -1,0 +1,12 @@
+//! The real server on port 0, and the real binary, from the outside.
+#![cfg(feature = "server")]
+
+mod answers;
+mod contract;
+mod durability;
+mod errors;
+mod hulls;
+mod lifecycle;
+mod limits;
+mod stopping;
+mod support;

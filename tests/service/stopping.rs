@@ -1,0 +1,89 @@
+//! Calls that nobody waits for stop computing.
+
+use std::time::Duration;
+
+use bytes::Bytes;
+use hullcast::proto::QueryContactsRequest;
+use prost::Message;
+
+use crate::support::{
+    TestServer,
+    raw::{frame, status_of},
+    scenes::{ALL, outputs, register_request, scene, shapes},
+};
+
+/// So many pairs that no machine computes them before it hears that nobody waits.
+const PAIRS: usize = 131_072;
+
+fn long() -> QueryContactsRequest {
+    QueryContactsRequest {
+        margin: f64::INFINITY,
+        outputs: outputs(&ALL),
+        ..scene(&shapes()[3..4], 1000, PAIRS, 3)
+    }
+}
+
+async fn server() -> TestServer {
+    let server = TestServer::start().await;
+    server.hulls().register_hulls(register_request(&shapes())).await.unwrap();
+    server
+}
+
+/// Waits until the engine's work is done with: its count does not move any more.
+async fn settled(server: &TestServer) -> u64 {
+    let mut before = server.app.engine().pairs_computed();
+    let mut still = 0;
+    while still < 5 {
+        tokio::time::sleep(Duration::from_millis(20)).await;
+        let now = server.app.engine().pairs_computed();
+        still = if now == before { still + 1 } else { 0 };
+        before = now;
+    }
+    before
+}
+
+/// Catches computation that outlives its call: a client that goes away after the first
+/// chunks leaves most of the pairs uncomputed, and its place among those in flight free.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_cancelled_call_stops_computing() {
+    let server = server().await;
+    for streamed in [false, true] {
+        let before = server.app.engine().pairs_computed();
+        let mut contacts = server.contacts();
+        let call = tokio::spawn(async move {
+            if streamed {
+                let requests = futures_util::stream::iter([long()]);
+                let mut answers = contacts.stream_contacts(requests).await.unwrap().into_inner();
+                answers.message().await.map(|_| ())
+            } else {
+                contacts.query_contacts(long()).await.map(|_| ())
+            }
+        });
+        while server.app.engine().pairs_computed() == before {
+            tokio::time::sleep(Duration::from_micros(100)).await;
+        }
+        call.abort();
+        assert!(call.await.unwrap_err().is_cancelled());
+        let computed = settled(&server).await - before;
+        assert!(computed > 0 && computed < PAIRS as u64, "{computed} of {PAIRS}");
+        let limit = server.app.limits().max_pairs_in_flight as usize;
+        let nothing = hullcast::service::Outputs::OUTCOME;
+        drop(server.app.engine().admit(limit, nothing).expect("every place is free again"));
+    }
+}
+
+/// Catches an expired call that is answered in time and computed on all the same.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_expired_call_stops_computing() {
+    let server = server().await;
+    let body: Bytes = frame(false, &long().encode_to_vec());
+    for path in ["QueryContacts", "StreamContacts"] {
+        let before = server.app.engine().pairs_computed();
+        let path = format!("/hullcast.v1.ContactService/{path}");
+        let timeout = [("grpc-timeout", "30m")];
+        let (status, _) = status_of(&server.address, &path, &timeout, body.clone()).await;
+        assert_eq!(status.code(), tonic::Code::DeadlineExceeded, "{status:?}");
+        let computed = settled(&server).await - before;
+        assert!(computed < PAIRS as u64, "{computed} of {PAIRS}");
+    }
+}

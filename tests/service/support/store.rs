@@ -1,0 +1,97 @@
+//! A store that fails when told to.
+
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, AtomicUsize, Ordering},
+};
+
+use bytes::Bytes;
+use hullcast::store::{BlobStore, HullId, StoreError, StoredBlob, blobs};
+
+type Future<'a, T> = futures_util::future::BoxFuture<'a, Result<T, StoreError>>;
+
+/// Memory behind switches and counters.
+#[derive(Debug)]
+pub(crate) struct Faulty {
+    inner: Arc<dyn BlobStore>,
+    /// No read works.
+    pub(crate) unreadable: AtomicBool,
+    /// No write works.
+    pub(crate) full: AtomicBool,
+    /// What is read is one bit off.
+    pub(crate) corrupt: AtomicBool,
+    /// Blobs read.
+    pub(crate) reads: AtomicUsize,
+    /// Listings made.
+    pub(crate) listings: AtomicUsize,
+}
+
+impl Faulty {
+    pub(crate) fn new() -> Arc<Self> {
+        Arc::new(Self {
+            inner: blobs::open("memory://").unwrap(),
+            unreadable: false.into(),
+            full: false.into(),
+            corrupt: false.into(),
+            reads: 0.into(),
+            listings: 0.into(),
+        })
+    }
+
+    fn readable(&self) -> Result<(), StoreError> {
+        match self.unreadable.load(Ordering::SeqCst) {
+            true => Err(StoreError::Unavailable("on purpose".into())),
+            false => Ok(()),
+        }
+    }
+}
+
+impl BlobStore for Faulty {
+    fn put(&self, id: HullId, blob: Bytes) -> Future<'_, ()> {
+        Box::pin(async move {
+            if self.full.load(Ordering::SeqCst) {
+                return Err(StoreError::Full("on purpose".into()));
+            }
+            self.readable()?;
+            self.inner.put(id, blob).await
+        })
+    }
+
+    fn get(&self, id: HullId) -> Future<'_, Option<Bytes>> {
+        Box::pin(async move {
+            self.reads.fetch_add(1, Ordering::SeqCst);
+            self.readable()?;
+            let blob = self.inner.get(id).await?;
+            Ok(blob.map(|blob| match self.corrupt.load(Ordering::SeqCst) {
+                false => blob,
+                true => {
+                    let mut bytes = blob.to_vec();
+                    bytes[40] ^= 1;
+                    bytes.into()
+                }
+            }))
+        })
+    }
+
+    fn size(&self, id: HullId) -> Future<'_, Option<u64>> {
+        Box::pin(async move {
+            self.readable()?;
+            self.inner.size(id).await
+        })
+    }
+
+    fn delete(&self, id: HullId) -> Future<'_, ()> {
+        Box::pin(async move {
+            self.readable()?;
+            self.inner.delete(id).await
+        })
+    }
+
+    fn list(&self, after: Option<HullId>, count: usize) -> Future<'_, Vec<StoredBlob>> {
+        Box::pin(async move {
+            self.listings.fetch_add(1, Ordering::SeqCst);
+            self.readable()?;
+            self.inner.list(after, count).await
+        })
+    }
+}
