@@ -1,11 +1,14 @@
 //! Hulls of many clouds, checked against the definitions alone.
 
-mod common;
+mod check;
+mod clouds;
 
 use std::collections::BTreeSet;
 
-use common::check::{Met, check};
-use common::{Points, Random, box_grid, clouds, cube, moved, noisy, prism, rotated, scaled, sphere};
+use check::{Met, check};
+use clouds::{
+    Points, Random, box_grid, clouds, cube, moved, noisy, prism, random_cloud, rotated, scaled, sphere,
+};
 use glam::DVec3;
 use hullcast::contact::hull::{ConvexHull, HullError, HullErrorKind, HullOptions};
 
@@ -36,11 +39,30 @@ fn every_cloud_gives_a_hull() {
     assert!(met.vertices_without_edges > 300, "few vertices inside merged faces");
 }
 
+/// The same for shapes nobody thought of; those that are no hull say why.
+#[test]
+fn random_clouds_give_hulls_or_reasons() {
+    let (mut met, mut refused) = (Met::default(), 0);
+    for seed in 0..300 {
+        let points = random_cloud(seed);
+        match ConvexHull::new(&points) {
+            Ok(hull) => check(&points, &hull, &mut met),
+            Err(error) => {
+                assert!(!error.detail.contains("internal"), "{seed}: {error}");
+                refused += 1;
+            }
+        }
+    }
+    println!("{met:?}, {refused} refused");
+    assert!(met.hulls > 280 && refused > 0 && met.ordered_edges > 15_000);
+    assert!(met.coplanar_sides > 2_500 && met.inexact_faces > 300);
+}
+
 /// At the size of the largest meshes: quadratic steps would show as hours.
 #[test]
 fn ten_thousand_points_give_a_hull() {
     let mut random = Random::new(3);
-    for points in [sphere(10_000, &mut random), common::globe(50, 200), common::ball(10_000, &mut random)] {
+    for points in [sphere(10_000, &mut random), clouds::globe(50, 200), clouds::ball(10_000, &mut random)] {
         check(&points, &hull(&points), &mut Met::default());
     }
 }

@@ -19,6 +19,7 @@ pub(crate) struct Met {
     pub(crate) merged_faces: usize,
     pub(crate) inexact_faces: usize,
     pub(crate) vertices_without_edges: usize,
+    pub(crate) ordered_edges: usize,
 }
 
 /// Panics where `points` and their hull break a definition.
@@ -102,17 +103,21 @@ fn check_sizes(points: &[[f64; 3]], surface: &Triangulation, hull: &ConvexHull) 
         let [a, b, c] = triangle.map(|v| hull.vertices()[place[&v]]);
         for (s, t) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5), (0.33, 0.33)] {
             let p = a + s * (b - a) + t * (c - a);
-            assert!(p.length() >= hull.unit_inradius() * (1.0 - 8.0 * U), "the inradius is too large");
+            assert!(p.length() >= hull.unit_inradius() - 8.0 * U, "the inradius is too large");
         }
     }
     let nearest = hull.face_offsets().iter().copied().fold(f64::INFINITY, f64::min);
     let slack = hull.face_planarity().iter().copied().fold(0.0, f64::max);
-    assert!(hull.unit_inradius() >= nearest * (1.0 - 8.0 * U) - 2.0 * slack, "the inradius is too small");
+    assert!(
+        hull.unit_inradius() >= nearest * (1.0 - 8.0 * U) - 2.0 * slack - 16.0 * U,
+        "the inradius is too small"
+    );
 }
 
 /// No vertex above a face's plane, its own near it.
 fn check_faces(hull: &ConvexHull, met: &mut Met) {
-    let tolerance = (1e-6 * hull.unit_circumradius()).min(hull.unit_inradius() / 64.0) + 16.0 * U;
+    let inner = (hull.unit_inradius() / 64.0).max(64.0 * U);
+    let tolerance = (1e-6 * hull.unit_circumradius()).min(inner) + 16.0 * U;
     for face in 0..hull.face_count() {
         let (normal, offset) = (hull.face_normals()[face], hull.face_offsets()[face]);
         let planarity = hull.face_planarity()[face];
@@ -169,9 +174,13 @@ fn check_edges(hull: &ConvexHull, met: &mut Met) {
             let outline = hull.outline(face as usize);
             (0..outline.len()).any(|i| outline[i] == a && outline[(i + 1) % outline.len()] == b)
         };
-        // (Below the merge tolerance a polygon's corners may lie in another order.)
+        // (Outlines of faces that are nearly one plane, or nearly one line, may
+        // overlap and order their corners otherwise, by the merge tolerance.)
         let length = (hull.vertices()[to as usize] - hull.vertices()[from as usize]).length();
-        if length > 4e-6 {
+        let planarity = hull.face_planarity()[left as usize].max(hull.face_planarity()[right as usize]);
+        let [n, m] = [left, right].map(|f| hull.face_normals()[f as usize]);
+        if length * n.cross(m).length() * hull.unit_inradius() > 16.0 * planarity {
+            met.ordered_edges += 1;
             assert!(!runs(left, to, from) && !runs(right, from, to), "left and right exchanged");
         }
     }

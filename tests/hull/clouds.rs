@@ -1,7 +1,5 @@
 //! Seeded clouds of points that aim at what breaks hull builders.
 
-pub(crate) mod check;
-
 /// A small generator (splitmix64): the same numbers on every machine.
 pub(crate) struct Random(u64);
 
@@ -207,4 +205,45 @@ pub(crate) fn clouds() -> Vec<Cloud> {
     tiny.iter_mut().zip(1..).for_each(|(p, i)| p[i % 3] = 5e-324 * i as f64);
     add("subnormal coordinates".into(), tiny);
     all
+}
+
+/// A random shape under up to three random distortions: most are valid hulls,
+/// some are lines, planes or thinner than doubles can tell.
+pub(crate) fn random_cloud(seed: u64) -> Points {
+    let random = &mut Random::new(seed);
+    let mut points = match random.below(8) {
+        0 => {
+            let (size, count) = (1 + random.below(4), 4 + random.below(60));
+            let coordinate = |random: &mut Random| random.below(2 * size + 1) as f64 - size as f64;
+            (0..count).map(|_| [(); 3].map(|()| coordinate(random))).collect()
+        }
+        1 => sphere(4 + random.below(100), random),
+        2 => ball(4 + random.below(100), random),
+        3 => prism(3 + random.below(60), 1.0),
+        4 => box_grid(1 + random.below(6) as i32),
+        5 => lattice_ball(1 + random.below(5) as i32),
+        6 => globe(2 + random.below(8), 3 + random.below(12)),
+        _ => clusters(10_f64.powi(-(random.below(17) as i32)), random),
+    };
+    for _ in 0..random.below(4) {
+        points = distorted(&points, random);
+    }
+    points
+}
+
+fn distorted(points: &[[f64; 3]], random: &mut Random) -> Points {
+    let share = |random: &mut Random, decades| 10_f64.powi(-(random.below(decades) as i32));
+    match random.below(7) {
+        0 => rotated(points, random),
+        1 => scaled(points, [1.0, 1.0, share(random, 7)]),
+        2 => scaled(points, [1.0, share(random, 4), share(random, 4)]),
+        // As in meshes that were stored in single precision, or in millimetres.
+        3 => points.iter().map(|p| p.map(|c| f64::from(c as f32))).collect(),
+        4 => points.iter().map(|p| p.map(|c| (c * 1000.0).round() / 1000.0)).collect(),
+        5 => noisy(points, 1e-3 * share(random, 14), random),
+        _ => {
+            let far = 1.0 / share(random, 10);
+            moved(points, [far, 0.3, -far])
+        }
+    }
 }
