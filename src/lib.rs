@@ -9,6 +9,9 @@
 //! frame to the world. The contact normal is unit, in the world frame, from A
 //! to B; separations and distances are negative when overlapping.
 
+// Here and not in Cargo.toml: modules shared by tests are `pub` for nobody's sake.
+#![warn(unreachable_pub)]
+
 #[cfg(feature = "server")]
 pub mod compute;
 pub mod contact;

@@ -5,9 +5,9 @@ use glam::{DMat3, DVec3};
 use super::ConvexHull;
 
 /// Positions beyond this (caller's units, per coordinate) are refused.
-pub const MAX_POSITION: f64 = 1e100;
+pub(super) const MAX_POSITION: f64 = 1e100;
 /// A quaternion's norm may be off 1 by this much.
-pub const MAX_NORM_ERROR: f64 = 1e-3;
+pub(super) const MAX_NORM_ERROR: f64 = 1e-3;
 
 /// Why a pose is not usable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -55,7 +55,7 @@ impl Intersection {
         self.normal = normal;
         let project = |p: DVec3| (DVec2::new(e1.dot(p), e2.dot(p)), normal.dot(p));
         self.a.fill(pair.a, feature_a, |v| project(pair.vertex_a(v)));
-        self.a.set_plane(pair.a, feature_a, |m| project(m), pair.scale_a, DVec3::ZERO);
+        self.a.set_plane(pair.a, feature_a, project, pair.scale_a, DVec3::ZERO);
         self.b.fill(pair.b, feature_b, |v| project(pair.vertex_b(v) + pair.d));
         self.b.set_plane(
             pair.b,
