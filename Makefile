@@ -74,18 +74,20 @@ workload: check-tools ## WORKLOAD=file: every pair of a workload file against it
 clean: ## removes what was built
 	rm -rf target benches/target $(VENV) out
 
-# The client's packages, pinned; the client itself is installed in place.
-$(VENV)/.demo: client/requirements.txt client/pyproject.toml | check-tools
-	$(call install,client/requirements.txt)
+# The packages, pinned; the client itself is installed in place.
+REQUIREMENTS := client/requirements.txt client/pyproject.toml
+
+$(VENV)/.demo: examples/requirements.txt $(REQUIREMENTS) | check-tools
+	$(call install,$<)
 	touch $@
 
-$(VENV)/.test: client/requirements-dev.txt client/requirements.txt client/pyproject.toml | check-tools
-	$(call install,client/requirements-dev.txt)
-	touch $@ $(VENV)/.demo
+$(VENV)/.test: client/requirements-dev.txt $(REQUIREMENTS) | check-tools
+	$(call install,$<)
+	touch $@
 
 # An interrupted installation leaves no interpreter that looks usable.
 define install
-	test -x $(PY) || { rm -rf $(VENV); $(PYTHON) -m venv $(VENV); }
+	$(PY) -m pip --version >/dev/null 2>&1 || { rm -rf $(VENV); $(PYTHON) -m venv $(VENV); }
 	$(PY) -m pip install --quiet --requirement $(1)
 	$(PY) -m pip install --quiet --no-deps --no-build-isolation --editable client
 endef
