@@ -82,7 +82,7 @@ impl<'a> Scene<'a> {
             a,
             b,
             d,
-            m: t.length() + ca.length() + cb.length(),
+            m: length(t) + length(ca) + length(cb),
             inradius: a.hull.inradius() + b.hull.inradius(),
             circumradius: a.hull.circumradius() + b.hull.circumradius(),
             world: a.pose.translation.length() + b.pose.translation.length(),
@@ -96,6 +96,12 @@ impl<'a> Scene<'a> {
     fn band(&self) -> f64 {
         U * (BAND * (self.circumradius + self.d.length()) + NOISE * self.m)
     }
+}
+
+/// The length of a vector whose square may underflow.
+fn length(v: DVec3) -> f64 {
+    let size = v.abs().max_element();
+    if size > 0.0 { (v / size).length() * size } else { 0.0 }
 }
 
 /// A vertex about its hull's contraction point, world axes.
@@ -120,7 +126,7 @@ fn bracket(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), 
     let noise = NOISE * U * scene.m / scene.inradius;
     let tolerance = query.accuracy.relative_tolerance + BRACKET * U * scene.circumradius / scene.inradius;
     if flags.coincident {
-        at_most("offset of coincident centres", scene.d.length(), NOISE * U * scene.m)?;
+        at_most("offset of coincident centres", length(scene.d), NOISE * U * scene.m)?;
         return at_most("alpha of coincident centres", alpha, 0.0);
     }
     let growth = scene.normal.dot(scene.d) / scene.reach;

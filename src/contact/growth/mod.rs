@@ -142,16 +142,16 @@ pub(crate) fn lower_bound(pair: &Pair<'_>, n: DVec3, support: &Support) -> f64 {
     if reach > 0.0 && width > 0.0 { (reach / width).next_down() } else { 0.0 }
 }
 
-/// Certified upper bound of the growth scale of the ray, rounded up, and the
-/// sum of the weights it rests on: whatever the triple, the part of the ray
-/// that it does not make is made by the inner ball.
-pub(crate) fn upper_bound(pair: &Pair<'_>, triple: &[Support; 3]) -> (f64, f64) {
-    let [l0, l1, l2] = triple::weights(pair.ray, triple).map(|l| l.max(0.0));
+/// Certified upper bound of the growth scale of the ray, rounded up, from
+/// weights of the triple: whatever they are, the part of the ray that they do
+/// not make is made by the inner ball.
+pub(crate) fn upper_bound(pair: &Pair<'_>, triple: &[Support; 3], weights: [f64; 3]) -> f64 {
+    let [l0, l1, l2] = weights.map(|l| l.max(0.0));
     let made = triple[0].point * l0 + triple[1].point * l1 + triple[2].point * l2;
     let sum = l0 + l1 + l2;
     let missing = (pair.ray - made).length() + NOISE * U * (pair.ray_m + pair.circumradius * sum);
     let upper = (sum + missing / pair.inradius).next_up();
-    if upper.is_nan() { (f64::INFINITY, f64::INFINITY) } else { (upper, sum) }
+    if upper.is_nan() { f64::INFINITY } else { upper }
 }
 
 /// The solution that a direction and a triple make.
@@ -164,8 +164,12 @@ pub(crate) fn conclude(
     cost: Cost,
 ) -> Solution {
     let lower = lower_bound(pair, n, &support);
-    let (upper, _) = upper_bound(pair, &triple);
-    let gap_open = !(upper - lower <= pair.closed_width(upper, goal.relative_tolerance));
+    let is_open = |upper: f64| !(upper - lower <= pair.closed_width(upper, goal.relative_tolerance));
+    let mut upper = upper_bound(pair, &triple, triple::weights(pair.ray, &triple));
+    if is_open(upper) {
+        upper = upper.min(upper_bound(pair, &triple, triple::wide_weights(pair.ray, &triple)));
+    }
+    let gap_open = is_open(upper);
     let alpha = (n.dot(pair.ray) / n.dot(support.point)).clamp(lower, upper.max(lower));
     let k = pair.alpha_exponent;
     Solution {

@@ -16,8 +16,20 @@ use crate::contact::tolerance::{GAIN, STALL, U};
 
 /// Growth scale and normal. `seeds` are vertices of `K` worth trying first: a
 /// basis of an earlier answer, a simplex of another solver.
-pub(crate) fn solve(pair: &Pair<'_>, seeds: &[Support], goal: &Goal, mut cost: Cost) -> Growth {
-    let mut portal = start(pair, seeds);
+pub(crate) fn solve(pair: &Pair<'_>, seeds: &[Support], goal: &Goal, cost: Cost) -> Growth {
+    match refine(pair, start(pair, seeds), goal, cost) {
+        // Seeds that mislead cost a cold start.
+        Growth::Solved(misled)
+            if misled.gap_open && !seeds.is_empty() && misled.cost.iterations < goal.max_iterations =>
+        {
+            refine(pair, inner_triangle(pair), goal, misled.cost)
+        }
+        solved => solved,
+    }
+}
+
+/// Pivots until no vertex of `K` lies beyond the portal.
+fn refine(pair: &Pair<'_>, mut portal: [Support; 3], goal: &Goal, mut cost: Cost) -> Growth {
     let mut best = Best::default();
     let (mut wide, mut stalled) = (false, 0);
     loop {
@@ -80,7 +92,7 @@ fn refined(
 }
 
 fn overlaps(pair: &Pair<'_>, portal: &[Support; 3]) -> bool {
-    shift(upper_bound(pair, portal).0, pair.alpha_exponent) <= 1.0
+    shift(upper_bound(pair, portal, triple::weights(pair.ray, portal)), pair.alpha_exponent) <= 1.0
 }
 
 /// The first triangle: the seeds themselves where their cone holds the ray,

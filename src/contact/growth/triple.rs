@@ -91,18 +91,19 @@ pub(crate) fn wide_normal(triple: &[Support; 3]) -> Normal {
     Normal { n: triangle_normal(u0, u1, u2).unit, error: 1.0 }
 }
 
-/// Weights `l` with `sum of l_i u_i = ray` (Cramer's rule), in wide arithmetic
-/// where the triple is nearly flat as seen from the origin.
+/// Weights `l` with `sum of l_i u_i = ray` (Cramer's rule); not finite where the
+/// triple is flat as seen from the origin.
 pub(crate) fn weights(ray: DVec3, triple: &[Support; 3]) -> [f64; 3] {
     let [u0, u1, u2] = triple.map(|u| u.point);
     let (c0, c1, c2) = (u1.cross(u2), u2.cross(u0), u0.cross(u1));
     let volume = u0.dot(c0);
-    let coarse = 16.0 * volume.abs() < u0.length() * u1.length() * u2.length();
-    if coarse { wide_weights(ray, [u0, u1, u2]) } else { [c0, c1, c2].map(|c| ray.dot(c) / volume) }
+    [c0, c1, c2].map(|c| ray.dot(c) / volume)
 }
 
+/// The same in wide arithmetic, for a triple that is nearly flat.
 #[cold]
-fn wide_weights(ray: DVec3, [u0, u1, u2]: [DVec3; 3]) -> [f64; 3] {
+pub(crate) fn wide_weights(ray: DVec3, triple: &[Support; 3]) -> [f64; 3] {
+    let [u0, u1, u2] = triple.map(|u| u.point);
     let wide = |v: DVec3| v.to_array().map(Dd::from);
     let det = |a, b, c| dd_dot(wide(a), dd_cross(wide(b), wide(c))).value();
     let volume = det(u0, u1, u2);
