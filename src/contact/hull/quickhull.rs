@@ -36,19 +36,17 @@ pub struct Triangulation {
 pub(super) fn triangulate(cloud: Cloud) -> Result<(Cloud, Triangulation), HullError> {
     let surface = Quickhull::new(&cloud)?.run()?;
     let extreme = extreme_points(&cloud, &surface)?;
-    let triangulation = if extreme.len() == surface.vertex_count(cloud.points.len()) {
-        renumbered(surface, &extreme, cloud.points.len())
-    } else {
-        // Points inside a flat face or a straight edge were corners on the way:
-        // triangulate anew without them. All that are left are extreme.
-        let cloud = cloud.subset(&extreme);
-        let surface = Quickhull::new(&cloud)?.run()?;
-        if extreme_points(&cloud, &surface)?.len() != cloud.points.len() {
-            return Err(inconsistent("an extreme point is missing from its hull"));
-        }
-        return Ok((cloud, surface));
-    };
-    Ok((cloud.subset(&extreme), triangulation))
+    let kept = cloud.subset(&extreme);
+    if extreme.len() == surface.vertex_count(cloud.points.len()) {
+        return Ok((kept, renumbered(surface, &extreme, cloud.points.len())));
+    }
+    // Points inside a flat face or a straight edge were corners on the way:
+    // anew without them. All that are left are extreme.
+    let surface = Quickhull::new(&kept)?.run()?;
+    if extreme_points(&kept, &surface)?.len() != kept.points.len() {
+        return Err(inconsistent("an extreme point is missing from its hull"));
+    }
+    Ok((kept, surface))
 }
 
 impl Triangulation {
