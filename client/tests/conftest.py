@@ -1,0 +1,50 @@
+"""A real server for the whole run, started as a user would."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+
+import grpc
+import pytest
+from checks import Hulls
+
+import hullcast
+from hullcast._pb import hulls_pb2
+
+
+@pytest.fixture(scope="session")
+def client() -> Iterator[hullcast.Client]:
+    """A client of a server of its own."""
+    with hullcast.serve() as client:
+        yield client
+
+
+@pytest.fixture(scope="session")
+def channel(client: hullcast.Client) -> Iterator[grpc.Channel]:
+    """A bare channel to the same server, for what the client does not offer."""
+    with grpc.insecure_channel(client.target, options=[("grpc.enable_http_proxy", 0)]) as channel:
+        yield channel
+
+
+@pytest.fixture(scope="session")
+def get_hulls(channel: grpc.Channel) -> Callable[[list[hullcast.Hull]], Hulls]:
+    """The faces that the server knows of some hulls."""
+    call = channel.unary_unary(
+        "/hullcast.v1.HullService/GetHulls",
+        request_serializer=hulls_pb2.GetHullsRequest.SerializeToString,
+        response_deserializer=hulls_pb2.GetHullsResponse.FromString,
+    )
+
+    def get(hulls: list[hullcast.Hull]) -> Hulls:
+        request = hulls_pb2.GetHullsRequest(ids=[hull.id for hull in hulls])
+        request.field_mask.paths.append("faces")
+        faces = {}
+        for record in call(request, timeout=60).hulls:
+            ends = list(record.face_offsets)
+            faces[record.id] = [
+                list(record.face_vertices[start:stop]) for start, stop in itertools.pairwise(ends)
+            ]
+        return Hulls(faces)
+
+    return get
