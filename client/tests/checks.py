@@ -137,11 +137,11 @@ def check_normal(case: Case, pair: hullcast.Manifold, budget: Budget) -> None:
     assert float(alpha - reached) <= budget.alpha(float(alpha)), pair
     s = exact.separation(n)
     assert abs(float(Fraction(pair.separation) - s)) <= budget.separation, pair
-    # The paper's relation (1).
-    apart = abs(1 - float(alpha))
-    assert budget.r * apart - budget.separation <= abs(pair.separation)
+    # The paper's relation (1), for a normal that is optimal to the budget.
+    apart, gap = abs(1 - float(alpha)), budget.alpha(float(alpha))
+    assert budget.r * (apart - gap) - budget.separation <= abs(pair.separation)
     if not pair.flags & Flag.COINCIDENT:
-        assert abs(pair.separation) <= budget.R * apart + budget.separation
+        assert abs(pair.separation) <= budget.R * (apart + gap) + budget.separation
 
 
 def check_points(case: Case, pair: hullcast.Manifold, budget: Budget) -> None:

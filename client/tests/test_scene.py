@@ -109,10 +109,10 @@ def test_what_a_scene_refuses(make, reason, field, index):
         ([[0, -1]], {}, "INDEX_OUT_OF_RANGE", "pairs", 1),
         ([[0.0, 1.0]], {}, "NOT_INTEGERS", "pairs", None),
         ([0, 1], {}, "WRONG_SHAPE", "pairs", None),
-        ([[0, 1]], {"outputs": ["ALPHA", "BETA"]}, "UNKNOWN_NAME", "outputs", 1),
-        ([[0, 1]], {"outputs": ["UNSPECIFIED"]}, "UNKNOWN_NAME", "outputs", 0),
-        ([[0, 1]], {"accuracy": hullcast.Accuracy(solver="EPA")}, "UNKNOWN_NAME", "accuracy.solver", None),
-        ([[0, 1]], {"accuracy": hullcast.Accuracy(precision="HALF")}, "UNKNOWN_NAME", "accuracy.precision", None),
+        ([[0, 1]], {"outputs": ["ALPHA", "BETA"]}, "UNKNOWN_VALUE", "outputs", 1),
+        ([[0, 1]], {"outputs": ["UNSPECIFIED"]}, "UNKNOWN_VALUE", "outputs", 0),
+        ([[0, 1]], {"accuracy": hullcast.Accuracy(solver="EPA")}, "UNKNOWN_VALUE", "accuracy.solver", None),
+        ([[0, 1]], {"accuracy": hullcast.Accuracy(precision="HALF")}, "UNKNOWN_VALUE", "accuracy.precision", None),
     ],
 )  # fmt: skip
 def test_what_a_query_refuses(pairs, options, reason, field, index):

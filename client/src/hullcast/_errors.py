@@ -1,14 +1,14 @@
 """Exceptions, and how a failed call becomes one.
 
-The server puts an `ErrorInfo` (reason), a `BadRequest` (field and index) and a
-`RetryInfo` into the `grpc-status-details-bin` trailer. Their few fields are
+The server puts an `ErrorInfo` (reason; field and index in its metadata) and,
+where trying again helps, a `RetryInfo` into the `grpc-status-details-bin`
+trailer. Their few fields are
 read with descriptors of this module's own, in a pool of their own, so that no
 further package is needed and none is disturbed.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -44,9 +44,13 @@ class Error(Exception):
         self.index = index
         self.retry_after = retry_after
 
+    @property
+    def place(self) -> str:
+        """Field and index as one text, such as "pairs[7]"."""
+        return self.field + ("" if self.index is None else f"[{self.index}]")
+
     def __str__(self) -> str:
-        where = self.field + ("" if self.index is None else f"[{self.index}]")
-        return ": ".join(part for part in (self.reason, where, self.message) if part)
+        return ": ".join(part for part in (self.reason, self.place, self.message) if part)
 
 
 class InvalidArgument(Error, ValueError):
@@ -133,13 +137,13 @@ def from_rpc(call: Any) -> Error:
     for key, value in call.trailing_metadata() or ():
         if key == _DETAILS_KEY:
             known = _read_details(value)
-    if violation := known.pop("description", ""):
-        message = message or violation
-    # INVALID_ARGUMENT and its like carry a reason when they are this service's;
-    # the transport's own (a message beyond the limit) have none.
-    kind = _BY_CODE.get(code, ServerError)
+    # What the transport itself refuses (no connection, say) has no reason of its own.
     known.setdefault("reason", code.name)
-    error = kind(message, **known)
+    error = _BY_CODE.get(code, ServerError)("", **known)
+    # Whoever shows only the message reads the reason and the place in it.
+    for part in (error.reason, error.place):
+        message = message.removeprefix(f"{part}: ")
+    error.message = message
     if isinstance(error, ServerError):
         error.code = code.name
     return error
@@ -152,23 +156,17 @@ def _read_details(data: bytes) -> dict[str, Any]:
         for detail in _Status.FromString(data).details:
             kind = detail.type_url.rpartition("/")[2]
             if kind == "google.rpc.ErrorInfo":
-                known["reason"] = _ErrorInfo.FromString(detail.value).reason
-            elif kind == "google.rpc.BadRequest":
-                for violation in _BadRequest.FromString(detail.value).field_violations[:1]:
-                    known.update(split_field(violation.field))
-                    known["description"] = violation.description
+                info = _ErrorInfo.FromString(detail.value)
+                known["reason"] = info.reason
+                place = {entry.key: entry.value for entry in info.metadata}
+                known["field"] = place.get("field", "")
+                known["index"] = int(place["index"]) if "index" in place else None
             elif kind == "google.rpc.RetryInfo":
                 delay = _RetryInfo.FromString(detail.value).retry_delay
                 known["retry_after"] = delay.seconds + delay.nanos * 1e-9
-    except ValueError:  # protobuf's DecodeError: the code and message still stand
+    except ValueError:  # also protobuf's DecodeError: the code and message still stand
         pass
     return known
-
-
-def split_field(path: str) -> dict[str, Any]:
-    """`pairs[7]` as field and index; an index inside stays in the field."""
-    match = re.fullmatch(r"(.+)\[(\d+)\]", path)
-    return {"field": match[1], "index": int(match[2])} if match else {"field": path}
 
 
 def _messages() -> dict[str, Any]:
@@ -193,9 +191,9 @@ def _messages() -> dict[str, Any]:
             )
 
     message("Status", [("details", 3, True, ".google.protobuf.Any")])
-    message("ErrorInfo", [("reason", 1, False, "")])
-    message("FieldViolation", [("field", 1, False, ""), ("description", 2, False, "")])
-    message("BadRequest", [("field_violations", 1, True, ".google.rpc.FieldViolation")])
+    # On the wire a map is a list of such entries.
+    message("Entry", [("key", 1, False, ""), ("value", 2, False, "")])
+    message("ErrorInfo", [("reason", 1, False, ""), ("metadata", 3, True, ".google.rpc.Entry")])
     message("RetryInfo", [("retry_delay", 1, False, ".google.protobuf.Duration")])
     pool = descriptor_pool.DescriptorPool()
     for dependency in (any_pb2, duration_pb2):
@@ -210,5 +208,4 @@ def _messages() -> dict[str, Any]:
 
 
 _known = _messages()
-_Status, _ErrorInfo = _known["Status"], _known["ErrorInfo"]
-_BadRequest, _RetryInfo = _known["BadRequest"], _known["RetryInfo"]
+_Status, _ErrorInfo, _RetryInfo = _known["Status"], _known["ErrorInfo"], _known["RetryInfo"]

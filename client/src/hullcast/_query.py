@@ -54,7 +54,7 @@ class Accuracy:
                 known = [v.name.removeprefix(f"{field.upper()}_") for v in enum.values[1:]]
                 raise InvalidArgument(
                     f"{name!r} is none of {', '.join(known)}",
-                    reason="UNKNOWN_NAME",
+                    reason="UNKNOWN_VALUE",
                     field=f"accuracy.{field}",
                 )
             setattr(message, field, value.number)
@@ -210,7 +210,7 @@ def _output_names(outputs: Iterable[str] | None) -> Sequence[str]:
         if f"OUTPUT_{name}" not in known[1:]:
             choices = ", ".join(key.removeprefix("OUTPUT_") for key in known[1:])
             raise InvalidArgument(
-                f"{name!r} is none of {choices}", reason="UNKNOWN_NAME", field="outputs", index=i
+                f"{name!r} is none of {choices}", reason="UNKNOWN_VALUE", field="outputs", index=i
             )
     # Empty means the default on the wire; outcomes always come.
     return names or ("OUTCOME",)

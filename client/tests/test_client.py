@@ -1,0 +1,451 @@
+"""The client against a real server: registering, querying, and every way to be refused."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+import textwrap
+import threading
+
+import grpc
+import numpy as np
+import pytest
+from cases import random_rotation
+from shapes import box, family
+
+import hullcast
+from hullcast import Flag, Outcome
+
+CUBE = box((0.5, 0.5, 0.5)).vertices
+EVERYTHING = ("ALPHA", "NORMAL", "POINTS", "WITNESS_B", "FEATURES", "BASES", "DIAGNOSTICS")
+COLUMNS = (
+    "outcome", "flags", "alpha", "alpha_lower", "alpha_upper", "normal", "separation", "point_counts",
+    "point_offsets", "witness_a", "witness_b", "distance", "point_ids", "feature_kinds",
+    "feature_indices", "bases", "iterations", "support_calls", "pairs",
+)  # fmt: skip
+
+
+def crowd(client: hullcast.Client, bodies: int, seed: int = 31) -> hullcast.Scene:
+    """Many bodies of a few hulls, some touching."""
+    rng = np.random.default_rng(seed)
+    shapes = family("box", 3, rng) + family("poly16", 3, rng)
+    hulls = client.register([shape.vertices for shape in shapes])
+    side = 1.1 * bodies ** (1 / 3)
+    return hullcast.Scene(
+        hulls,
+        rng.uniform(0, side, (bodies, 3)),
+        [random_rotation(rng) for _ in range(bodies)],
+        body_hulls=rng.integers(len(hulls), size=bodies),
+    )
+
+
+def expect_same(a: hullcast.Manifolds, b: hullcast.Manifolds) -> None:
+    """Every column bit for bit, NaN included."""
+    for name in COLUMNS:
+        ours, theirs = getattr(a, name), getattr(b, name)
+        assert ours.dtype == theirs.dtype
+        assert ours.tobytes() == theirs.tobytes(), name
+
+
+def test_registering_says_what_a_hull_is(client):
+    """A box of known numbers; an interior point and a duplicate change none of them."""
+    half = np.array([0.5, 1.0, 1.5])
+    points = np.concatenate([box(half).vertices, [[0.1, 0.2, 0.3]], box(half).vertices[:1]])
+    (hull,) = client.register([points])
+    assert (hull.vertex_count, hull.face_count, hull.edge_count) == (8, 6, 12)
+    assert hull.volume == pytest.approx(6, rel=1e-14)
+    assert hull.contraction_point == pytest.approx(np.zeros(3), abs=1e-15)
+    assert hull.inradius == pytest.approx(0.5, rel=1e-14)
+    assert hull.inradius <= 0.5
+    assert hull.circumradius == pytest.approx(np.linalg.norm(half), rel=1e-14)
+    assert hull.geometric_error < 1e-14
+    squares = (2 * half) ** 2
+    assert np.diag(hull.inertia) == pytest.approx(6 / 12 * (squares.sum() - squares), rel=1e-13)
+    assert hull.inertia == pytest.approx(hull.inertia.T)
+
+
+def test_registering_takes_arrays_and_meshes(client):
+    """Lists, float32 and Fortran order, objects with vertices: one hull, one id."""
+
+    class Mesh:
+        """As trimesh's, to the one attribute used."""
+
+        vertices = CUBE
+
+    forms = [CUBE, CUBE.tolist(), CUBE.astype(np.float32), np.asfortranarray(CUBE), Mesh()]
+    hulls = client.register(forms)
+    assert len({hull.id for hull in hulls}) == 1
+    assert len(set(hulls)) == 1
+
+
+def test_registering_many_takes_several_messages(client):
+    """More hulls than one message has: all there, in order."""
+    rng = np.random.default_rng(32)
+    points = CUBE + rng.uniform(-0.1, 0.1, (1030, 8, 3))
+    hulls = client.register(points)
+    assert [hull.id for hull in hulls] == [hullcast.hull_id(p) for p in points]
+
+
+def test_a_given_contraction_point_is_used(client):
+    """It names another hull, and comes back as given."""
+    center = np.array([0.25, 0.125, -0.0625])
+    plain, moved = client.register([CUBE, CUBE], contraction_points=[None, center])
+    assert (moved.contraction_point == center).all()
+    assert moved.inradius == pytest.approx(0.25)
+    assert plain.id != moved.id
+
+
+@pytest.mark.parametrize(
+    ("points", "center", "reason", "field", "point"),
+    [
+        (CUBE[:3], None, "TOO_FEW_POINTS", "vertices", None),
+        ([[0, 0, 0], [1, 1, 1], [2, 2, 2], [3, 3, 3]], None, "COLLINEAR", "vertices", None),
+        ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], None, "COPLANAR", "vertices", None),
+        ([*CUBE, [0, np.nan, 0]], None, "NOT_FINITE", "vertices", 8),
+        (CUBE * 1e60, None, "SIZE_OUT_OF_RANGE", "vertices", None),
+        (CUBE, [0.5, 0, 0], "CONTRACTION_POINT_NOT_INSIDE", "contraction_point", None),
+    ],
+)
+def test_one_bad_hull_does_not_sink_the_others(client, points, center, reason, field, point):
+    """The error says which hull, why and where; its results have the others."""
+    good = CUBE * 0.75
+    with pytest.raises(hullcast.HullRejected) as caught:
+        client.register([good, points, CUBE], contraction_points=[None, center, None])
+    error = caught.value
+    assert (error.reason, error.field, error.index) == (reason, field, 1)
+    if point is not None:
+        assert error.point == point
+    first, second, third = error.results
+    assert first.id == hullcast.hull_id(good)
+    assert second.reason == reason
+    assert third.id == hullcast.hull_id(CUBE)
+
+
+def test_a_hull_is_not_a_list_of_hulls(client):
+    """The slip of forgetting the brackets is caught, not registered as nonsense."""
+    with pytest.raises(hullcast.InvalidArgument) as caught:
+        client.register(CUBE)
+    assert caught.value.reason == "NOT_A_LIST"
+
+
+def test_two_cubes_resting(client):
+    """The README's example: closed forms for every number."""
+    hulls = client.register([CUBE])
+    scene = hullcast.Scene(
+        hulls, [[0, 0, 0], [0.25, 0, 0.999]], [[0, 0, 0, 1]] * 2, body_hulls=[0, 0]
+    )
+    m = client.query(scene, [[0, 1]])
+    assert m.outcome.tolist() == [Outcome.CONTACT]
+    assert m.flags.tolist() == [0]
+    assert m.alpha[0] == pytest.approx(0.999, rel=1e-15)
+    assert m.normal[0] == pytest.approx([0, 0, 1], abs=1e-15)
+    assert m.separation[0] == pytest.approx(-0.001, rel=1e-10)
+    assert m.distance == pytest.approx([-0.001] * 4, rel=1e-10)
+    assert sorted(map(tuple, m[0].witness_a.round(12))) == sorted(
+        itertools.product((-0.25, 0.5), (-0.5, 0.5), (0.5,))
+    )
+    assert m.witness_b[:, 2] == pytest.approx(0.499)
+
+
+def test_an_empty_query_is_answered(client):
+    """No pairs: no rows, but the columns are there."""
+    m = client.query(crowd(client, 4), np.zeros((0, 2), dtype=int), outputs=EVERYTHING)
+    assert len(m) == 0
+    assert m.alpha.shape == (0,)
+    assert m.normal.shape == (0, 3)
+    assert m.point_offsets.tolist() == [0]
+
+
+@pytest.mark.parametrize("per_message", [1000, 999, 37])
+def test_splitting_changes_no_bit(client, per_message):
+    """A query in many messages, renumbered bodies and all, is the query in one."""
+    scene = crowd(client, 300)
+    pairs = np.random.default_rng(33).integers(300, size=(1000, 2))
+    whole = client.query(scene, pairs, margin=0.1, outputs=EVERYTHING)
+    other = hullcast.connect(client.target, options=[("grpc.enable_http_proxy", 0)])
+    with other:
+        other.pairs_per_message = per_message
+        expect_same(other.query(scene, pairs, margin=0.1, outputs=EVERYTHING), whole)
+    assert np.count_nonzero(whole.outcome == Outcome.CONTACT) >= 20
+    assert np.count_nonzero(whole.outcome == Outcome.SEPARATED) >= 20
+
+
+def test_threads_may_share_a_client(client):
+    """Queries from several threads at once get their own answers."""
+    scene = crowd(client, 200)
+    pairs = [np.random.default_rng(seed).integers(200, size=(500, 2)) for seed in range(6)]
+    expected = [client.query(scene, p, outputs=EVERYTHING) for p in pairs]
+    found: list[hullcast.Manifolds | None] = [None] * len(pairs)
+
+    def run(i: int) -> None:
+        found[i] = client.query(scene, pairs[i], outputs=EVERYTHING)
+
+    threads = [threading.Thread(target=run, args=(i,)) for i in range(len(pairs))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for ours, theirs in zip(found, expected, strict=True):
+        assert ours is not None
+        expect_same(ours, theirs)
+
+
+@pytest.mark.parametrize(
+    ("outputs", "present"),
+    [
+        (None, {"alpha", "normal", "witness_a", "witness_b", "distance"}),
+        ((), set()),
+        ("OUTCOME", set()),
+        (("ALPHA",), {"alpha", "alpha_lower", "alpha_upper"}),
+        (("NORMAL",), {"normal", "separation"}),
+        (("POINTS",), {"witness_a", "distance", "point_offsets"}),
+        (("WITNESS_B",), {"witness_b", "point_offsets"}),
+        (("FEATURES",), {"point_ids", "feature_kinds", "feature_indices"}),
+        (("BASES",), {"bases"}),
+        (("DIAGNOSTICS",), {"iterations", "support_calls"}),
+    ],
+)
+def test_only_what_was_asked_for_comes(client, outputs, present):
+    """Each output alone: its columns as when all are asked for, the others raise."""
+    scene = crowd(client, 60)
+    pairs = np.random.default_rng(34).integers(60, size=(100, 2))
+    everything = client.query(scene, pairs, margin=0.2, outputs=EVERYTHING)
+    m = client.query(scene, pairs, margin=0.2, outputs=outputs)
+    assert (m.outcome == everything.outcome).all()
+    for name in COLUMNS:
+        if name in ("iterations", "support_calls") and name in present:
+            assert (getattr(m, name) <= getattr(everything, name)).all()  # it may stop sooner
+        elif name in present:
+            assert getattr(m, name) == pytest.approx(getattr(everything, name), abs=1e-12), name
+    absent = {"alpha", "normal", "witness_a", "point_ids", "bases", "iterations"} - present
+    for name in absent:
+        with pytest.raises(hullcast.OutputNotAsked):
+            getattr(m, name)
+
+
+def test_a_warm_start_changes_no_number_much_and_saves_work(client):
+    """From its own bases the solver has next to nothing to do; from useless ones it still answers."""
+    scene = crowd(client, 200)
+    pairs = np.random.default_rng(35).integers(200, size=(400, 2))
+    cold = client.query(scene, pairs, margin=np.inf, outputs=EVERYTHING)
+    moved = scene.moved(scene.positions + 1e-4, scene.rotations)
+    warm = client.query(moved, pairs, margin=np.inf, outputs=EVERYTHING, warm=cold)
+    again = client.query(moved, pairs, margin=np.inf, outputs=EVERYTHING)
+    assert warm.support_calls.sum() < 0.8 * again.support_calls.sum()
+    apart = np.flatnonzero(pairs[:, 0] != pairs[:, 1])
+    assert warm.alpha[apart] == pytest.approx(again.alpha[apart], rel=1e-12)
+    shuffled = client.query(scene, pairs[::-1], margin=np.inf, outputs=EVERYTHING)
+    useless = client.query(scene, pairs, margin=np.inf, outputs=EVERYTHING, warm=shuffled)
+    assert useless.alpha[apart] == pytest.approx(cold.alpha[apart], rel=1e-12)
+
+
+def test_a_warm_start_needs_bases_of_as_many_pairs(client):
+    """Refused here, naming what is missing."""
+    scene = crowd(client, 4)
+    short = client.query(scene, [[0, 1]], outputs=["BASES"])
+    with pytest.raises(hullcast.InvalidArgument, match="warm"):
+        client.query(scene, [[0, 1], [1, 2]], warm=short)
+    with pytest.raises(hullcast.OutputNotAsked, match="BASES"):
+        client.query(scene, [[0, 1]], warm=client.query(scene, [[0, 1]]))
+
+
+def test_an_unknown_hull_costs_only_its_own_pairs(client):
+    """INVALID and flagged, numbers NaN; the scene's hull is named; the others are answered."""
+    (hull,) = client.register([CUBE])
+    scene = hullcast.Scene(
+        [hull, b"\x07" * 32], np.zeros((3, 3)), [[0, 0, 0, 1]] * 3, body_hulls=[0, 0, 1]
+    )
+    m = client.query(scene, [[0, 1], [0, 2], [2, 2]], outputs=EVERYTHING)
+    assert m.outcome.tolist() == [Outcome.CONTACT, Outcome.INVALID, Outcome.INVALID]
+    assert [Flag(f) for f in m.flags[1:]] == [Flag.UNKNOWN_HULL] * 2
+    assert np.isnan(m.alpha).tolist() == [False, True, True]
+    assert np.isnan(m.normal[1:]).all()
+    assert m.point_counts[1:].tolist() == [0, 0]
+    assert scene.hull_ids[m.missing_hulls[0]] == b"\x07" * 32
+
+
+def test_an_invalid_body_costs_only_its_own_pairs(client):
+    """A position or rotation that is no number, too far or of norm 0; alone and renumbered."""
+    (hull,) = client.register([CUBE])
+    count = 40
+    positions = np.zeros((count, 3))
+    positions[:, 0] = 0.9 * np.arange(count)
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+    positions[5, 1] = np.nan
+    positions[6, 2] = 2e100
+    rotations[7] = 0
+    rotations[8] *= 1.002
+    rotations[9] *= 1 + 1e-9
+    scene = hullcast.Scene([hull], positions, rotations, body_hulls=np.zeros(count, int))
+    pairs = np.array([[i, i + 1] for i in range(count - 1)])
+    bad = np.isin(pairs, [5, 6, 7, 8]).any(axis=1)
+    for subset in (np.arange(len(pairs)), np.arange(4, 9)):
+        m = client.query(scene, pairs[subset])
+        assert (m.outcome == np.where(bad[subset], Outcome.INVALID, Outcome.CONTACT)).all()
+        assert (m.flags == np.where(bad[subset], Flag.INVALID_BODY, 0)).all()
+        assert m.invalid_bodies.tolist() == [5, 6, 7, 8]
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "reason", "field"),
+    [
+        ({"margin": -1.0}, hullcast.InvalidArgument, "VALUE_OUT_OF_RANGE", "margin"),
+        ({"margin": np.nan}, hullcast.InvalidArgument, "VALUE_OUT_OF_RANGE", "margin"),
+        (
+            {"accuracy": hullcast.Accuracy(relative_tolerance=2)},
+            hullcast.InvalidArgument,
+            "VALUE_OUT_OF_RANGE",
+            "accuracy.relative_tolerance",
+        ),
+        (
+            {"accuracy": hullcast.Accuracy(feature_angle=0.6)},
+            hullcast.InvalidArgument,
+            "VALUE_OUT_OF_RANGE",
+            "accuracy.feature_angle",
+        ),
+        (
+            {"accuracy": hullcast.Accuracy(precision="SINGLE")},
+            hullcast.Unimplemented,
+            "UNIMPLEMENTED_FEATURE",
+            "accuracy.precision",
+        ),
+    ],
+)
+def test_what_the_server_refuses_is_named(client, options, error, reason, field):
+    """The exception's kind, reason and field; said once in its text."""
+    with pytest.raises(error) as caught:
+        client.query(crowd(client, 4), [[0, 1]], **options)
+    assert (caught.value.reason, caught.value.field) == (reason, field)
+    assert str(caught.value).count(reason) == 1
+
+
+def test_what_is_not_there_yet_says_so(client):
+    """find and simplification are of a later version of the server."""
+    with pytest.raises(hullcast.Unimplemented) as caught:
+        client.find(crowd(client, 4), margin=0.1)
+    assert isinstance(caught.value, NotImplementedError)
+    with pytest.raises(hullcast.Unimplemented):
+        client.register([CUBE], max_vertices=4)
+
+
+def test_a_timeout_is_an_exception_of_its_own(client):
+    """Of a call that cannot be done in no time; the client is usable after it."""
+    scene = crowd(client, 300)
+    pairs = np.random.default_rng(36).integers(300, size=(20000, 2))
+    with pytest.raises(hullcast.DeadlineExceeded) as caught:
+        client.query(scene, pairs, timeout=1e-4)
+    assert isinstance(caught.value, TimeoutError)
+    assert len(client.query(scene, pairs[:10])) == 10
+
+
+def test_no_server_is_unavailable():
+    """A port where none listens."""
+    with (
+        hullcast.connect("127.0.0.1:1", options=[("grpc.enable_http_proxy", 0)]) as client,
+        pytest.raises(hullcast.Unavailable) as caught,
+    ):
+        client.register([CUBE])
+    assert isinstance(caught.value, ConnectionError)
+    assert caught.value.reason == "UNAVAILABLE"
+
+
+def test_a_too_large_answer_is_halved(client):
+    """RESPONSE_TOO_LARGE is asked for again in halves, one message or several, and in order."""
+
+    class Refusing(grpc.UnaryUnaryClientInterceptor):
+        """Refuses every query of more than 20 pairs, with the server's own words."""
+
+        refused = 0
+
+        def intercept_unary_unary(self, continuation, details, request):
+            from hullcast._pb import contacts_pb2
+
+            if details.method.endswith("QueryContacts"):
+                pairs = contacts_pb2.QueryContactsRequest.FromString(request).pairs
+                if len(pairs) > 2 * 20:
+                    Refusing.refused += 1
+                    request = b"\xff"  # not a message: the call fails, see below
+            return continuation(details, request)
+
+    scene = crowd(client, 50)
+    pairs = np.random.default_rng(37).integers(50, size=(90, 2))
+    expected = client.query(scene, pairs, outputs=EVERYTHING)
+    channel = grpc.intercept_channel(
+        grpc.insecure_channel(client.target, options=[("grpc.enable_http_proxy", 0)]), Refusing()
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        real = hullcast._errors.from_rpc
+
+        def as_too_large(call):
+            error = real(call)
+            if error.reason == "MALFORMED_MESSAGE":
+                error.reason = "RESPONSE_TOO_LARGE"
+            return error
+
+        patch.setattr(hullcast._errors, "from_rpc", as_too_large)
+        for per_message in (1000, 30):
+            other = hullcast.Client(channel, target=client.target, timeout=60)
+            other.pairs_per_message = per_message
+            expect_same(other.query(scene, pairs, outputs=EVERYTHING), expected)
+    channel.close()
+    assert Refusing.refused >= 6
+
+
+def test_a_unix_socket_serves_too(tmp_path):
+    """With an authority that HTTP/2 accepts."""
+    with hullcast.serve(listen=f"unix:{tmp_path}/socket") as client:
+        assert client.target.startswith("unix:")
+        assert len(client.register([CUBE])) == 1
+
+
+def test_a_store_outlives_its_server(tmp_path):
+    """A hull registered with one server is answered for by the next on the same store."""
+    with hullcast.serve(tmp_path) as client:
+        hulls = client.register([CUBE])
+    scene = hullcast.Scene(hulls, np.zeros((1, 3)), [[0, 0, 0, 1]])
+    with hullcast.serve(tmp_path) as client:
+        assert client.query(scene, [[0, 0]]).outcome.tolist() == [Outcome.CONTACT]
+
+
+def test_the_server_ends_with_its_parent():
+    """Even when the parent is killed, and so closes nothing itself."""
+    program = """
+        import hullcast, os, signal
+        client = hullcast.serve()
+        print(client._on_close.__self__._process.pid, flush=True)
+        os.kill(os.getpid(), signal.SIGKILL)
+    """
+    paths = os.pathsep.join(p for p in sys.path if p)
+    parent = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(program)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        env={**os.environ, "PYTHONPATH": paths},
+    )
+    server = int(parent.stdout)
+    for _ in range(200):
+        try:
+            with open(f"/proc/{server}/stat") as file:
+                if file.read().rpartition(")")[2].split()[0] == "Z":
+                    return  # ended; whoever inherited it has not asked yet
+        except FileNotFoundError:
+            return
+        threading.Event().wait(0.05)
+    pytest.fail("the server is still there")
+
+
+def test_a_server_that_does_not_start_says_why(tmp_path, monkeypatch):
+    """Its log's end is in the message; a missing binary has an error of its own."""
+    with pytest.raises(hullcast.ServerDidNotStart, match="no-such-flag"):
+        hullcast.serve(arguments=["--no-such-flag"])
+    monkeypatch.setenv("HULLCAST_BIN", str(tmp_path / "none"))
+    with pytest.raises(hullcast.ServerNotFound, match="HULLCAST_BIN"):
+        hullcast.serve()
+    monkeypatch.delenv("HULLCAST_BIN")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(hullcast.ServerNotFound, match="PATH"):
+        hullcast.serve()
