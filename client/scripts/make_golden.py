@@ -130,46 +130,235 @@ def resting(rng, a: Shape, b: Shape, gap: float, name: str, why: str):
 def cases():
     """All of them: resting, ties, touching, sizes, places, margins, random ones."""
     rng = np.random.default_rng(20100702)
-    yield on_top("cubes_stacked", "equal aligned cubes: slivers where sides coincide", UNIT, UNIT, (0, 0, 0.99))
-    yield on_top("cubes_stacked_apart", "resting with a gap inside the margin", UNIT, UNIT, (0.25, 0.125, 1.005), margin=0.01)
-    yield on_top("cubes_stacked_turned", "an octagon: eight points, none of them a corner", UNIT, UNIT, (0, 0, 0.999), q=TURNED)
-    yield on_top("box_on_box_turned", "a corner of B hangs over A's side", box((1, 0.6, 0.3)), box((0.5, 0.4, 0.2)), (0.7, 0.3, 0.499), q=TURNED)
-    yield on_top("prisms_stacked", "a twelve-sided prism on a three-sided one", prism(3, 1, 0.25), prism(12, 0.6, 0.25), (0.01, 0.02, 0.499))
-    yield on_top("tilt_below_feature_angle", "the whole patch as long as the tilt is below 0.01", UNIT, UNIT, (0.1, 0, 0.999), q=tilted(0.009))
-    yield resting(rng, prism(7, 0.8, 0.5), tetra(rng), -0.001, "tetra_on_prism", "oblique faces, no shared direction")
-    yield resting(rng, poly(16, rng), box((0.4, 0.5, 0.6)), -0.0005, "box_on_poly", "a face with merged triangles on one without")
+    yield on_top(
+        "cubes_stacked",
+        "equal aligned cubes: slivers where sides coincide",
+        UNIT,
+        UNIT,
+        (0, 0, 0.99),
+    )
+    yield on_top(
+        "cubes_stacked_apart",
+        "resting with a gap inside the margin",
+        UNIT,
+        UNIT,
+        (0.25, 0.125, 1.005),
+        margin=0.01,
+    )
+    yield on_top(
+        "cubes_stacked_turned",
+        "an octagon: eight points, none of them a corner",
+        UNIT,
+        UNIT,
+        (0, 0, 0.999),
+        q=TURNED,
+    )
+    yield on_top(
+        "box_on_box_turned",
+        "a corner of B hangs over A's side",
+        box((1, 0.6, 0.3)),
+        box((0.5, 0.4, 0.2)),
+        (0.7, 0.3, 0.499),
+        q=TURNED,
+    )
+    yield on_top(
+        "prisms_stacked",
+        "a twelve-sided prism on a three-sided one",
+        prism(3, 1, 0.25),
+        prism(12, 0.6, 0.25),
+        (0.01, 0.02, 0.499),
+    )
+    yield on_top(
+        "tilt_below_feature_angle",
+        "the whole patch as long as the tilt is below 0.01",
+        UNIT,
+        UNIT,
+        (0.1, 0, 0.999),
+        q=tilted(0.009),
+    )
+    yield resting(
+        rng,
+        prism(7, 0.8, 0.5),
+        tetra(rng),
+        -0.001,
+        "tetra_on_prism",
+        "oblique faces, no shared direction",
+    )
+    yield resting(
+        rng,
+        poly(16, rng),
+        box((0.4, 0.5, 0.6)),
+        -0.0005,
+        "box_on_poly",
+        "a face with merged triangles on one without",
+    )
     yield case("cubes_along_edge_diagonal", "two normals are optimal", UNIT, UNIT, (0.75, 0.75, 0))
-    yield case("cubes_along_diagonal", "three normals are optimal; a classic pivot finds no exit edge", UNIT, UNIT, (0.75, 0.75, 0.75))
-    yield case("flat_box_tie", "moving d by 1e-12 makes the separation jump", box((1, 1, 0.05)), box((0.2, 0.2, 0.2)), (0.6, 0, 0.125))
+    yield case(
+        "cubes_along_diagonal",
+        "three normals are optimal; a classic pivot finds no exit edge",
+        UNIT,
+        UNIT,
+        (0.75, 0.75, 0.75),
+    )
+    yield case(
+        "flat_box_tie",
+        "moving d by 1e-12 makes the separation jump",
+        box((1, 1, 0.05)),
+        box((0.2, 0.2, 0.2)),
+        (0.6, 0, 0.125),
+    )
     yield case("integer_boxes_1", "pivot ties", box((2, 3, 3)), box((4, 4, 1)), (4, -4, 2))
     yield case("integer_boxes_2", "pivot ties", box((1, 3, 2)), box((1, 3, 4)), (0, -4, 4))
-    yield case("prism_in_prism", "pivot ties along the axis", prism(6, 0.5, 0.5), prism(6, 0.5, 0.5), (0, 0, 0.5))
-    yield case("cube_at_corner_of_large_cube", "a small cube on a large one's diagonal", box((1, 1, 1)), box((0.1, 0.1, 0.1)), (1.05, 1.05, 1.05))
+    yield case(
+        "prism_in_prism",
+        "pivot ties along the axis",
+        prism(6, 0.5, 0.5),
+        prism(6, 0.5, 0.5),
+        (0, 0, 0.5),
+    )
+    yield case(
+        "cube_at_corner_of_large_cube",
+        "a small cube on a large one's diagonal",
+        box((1, 1, 1)),
+        box((0.1, 0.1, 0.1)),
+        (1.05, 1.05, 1.05),
+    )
     yield case("touching_faces", "exactly touching is CONTACT", UNIT, UNIT, (0.25, 0, 1))
     yield case("touching_edges", "exactly touching along an edge", UNIT, UNIT, (1, 0.25, 1))
     yield case("touching_corners", "exactly touching at a corner", UNIT, UNIT, (1, 1, 1))
-    yield case("coincident", "identical hulls at an identical pose: alpha is 0", UNIT, UNIT, (0, 0, 0))
-    yield case("almost_coincident", "alpha keeps its relative precision", UNIT, UNIT, (1e-290, 0, 0))
-    yield case("cube_above_cube", "separated along an axis, every number wanted", UNIT, UNIT, (0, 0, 1.9), margin=math.inf)
-    yield case("edge_over_edge", "two edges cross above each other", prism(3, 0.5, 1), UNIT, (0.2, 0.9, 0.1), q=[0.5, 0.5, 0.5, 0.5])
-    yield case("large_plate", "a unit cube on a plate of half size 2e4", box((2e4, 2e4, 0.5)), UNIT, (1234.5, -987.25, 0.999))
-    yield case("coaxial_on_large_plate", "the same about its axis", box((2e4, 2e4, 0.5)), UNIT, (0, 0, 0.999))
-    yield case("plates", "two plates 1e-6 thick, tilted: stalls at rounding level", box((1, 0.7, 1e-6)), box((0.6, 0.9, 1e-6)), (-0.0649442904150084, -0.016471141617431306, 2.02e-6), q=tilted(1e-4))
-    yield case("needles", "aspect 1e4, crossing", box((1e-4, 1e-4, 1)), box((1, 1e-4, 1e-4)), (0.3, 1.5e-4, 0.2))
-    yield case("ghost", "the growth normal's separation is .009, the hulls are .174 apart", box((1, 1, 0.03)), box((0.02, 0.02, 0.02)), (1.1934, 0, 0.059), margin=0.05)
-    yield case("far_from_origin", "the same cubes 1e9 from the world's origin", UNIT, UNIT, (0.25, 0.125, 0.96875), origin=(1e9, -1e9, 5e8), q=TURNED)
-    yield case("tiny", "all lengths times 2^-40", scaled(UNIT, -40), scaled(UNIT, -40), np.ldexp((0.3, 0.2, 0.9), -40), q=TURNED)
-    yield case("huge", "all lengths times 2^40", scaled(UNIT, 40), scaled(UNIT, 40), np.ldexp((0.3, 0.2, 0.9), 40), q=TURNED)
-    yield case("sizes_apart", "a cube of 1e-5 on the side of a unit cube", UNIT, box((1e-5, 1e-5, 1e-5)), (0.1, 0.2, 0.500005))
-    yield case("contraction_point_aside", "growth about points near a face", UNIT, UNIT, (0.3, 0.2, 0.9), centers=((0.25, 0.125, -0.4375), (0.0, -0.25, 0.4375)))
-    yield case("margin_at_distance", "the hulls exactly the margin apart", UNIT, UNIT, (1.5, 0, 0), margin=0.5)
-    yield case("margin_below_distance", "the hulls farther than the margin", UNIT, UNIT, (1.5, 0, 0), margin=0.499)
-    yield case("margin_corner", "a corner's distance is not its separation along an axis", UNIT, UNIT, (1.3, 1.4, 1.2), margin=0.5)
+    yield case(
+        "coincident", "identical hulls at an identical pose: alpha is 0", UNIT, UNIT, (0, 0, 0)
+    )
+    yield case(
+        "almost_coincident", "alpha keeps its relative precision", UNIT, UNIT, (1e-290, 0, 0)
+    )
+    yield case(
+        "cube_above_cube",
+        "separated along an axis, every number wanted",
+        UNIT,
+        UNIT,
+        (0, 0, 1.9),
+        margin=math.inf,
+    )
+    yield case(
+        "edge_over_edge",
+        "two edges cross above each other",
+        prism(3, 0.5, 1),
+        UNIT,
+        (0.2, 0.9, 0.1),
+        q=[0.5, 0.5, 0.5, 0.5],
+    )
+    yield case(
+        "large_plate",
+        "a unit cube on a plate of half size 2e4",
+        box((2e4, 2e4, 0.5)),
+        UNIT,
+        (1234.5, -987.25, 0.999),
+    )
+    yield case(
+        "coaxial_on_large_plate",
+        "the same about its axis",
+        box((2e4, 2e4, 0.5)),
+        UNIT,
+        (0, 0, 0.999),
+    )
+    yield case(
+        "plates",
+        "two plates 1e-6 thick, tilted: stalls at rounding level",
+        box((1, 0.7, 1e-6)),
+        box((0.6, 0.9, 1e-6)),
+        (-0.0649442904150084, -0.016471141617431306, 2.02e-6),
+        q=tilted(1e-4),
+    )
+    yield case(
+        "needles",
+        "aspect 1e4, crossing",
+        box((1e-4, 1e-4, 1)),
+        box((1, 1e-4, 1e-4)),
+        (0.3, 1.5e-4, 0.2),
+    )
+    yield case(
+        "ghost",
+        "the growth normal's separation is .009, the hulls are .174 apart",
+        box((1, 1, 0.03)),
+        box((0.02, 0.02, 0.02)),
+        (1.1934, 0, 0.059),
+        margin=0.05,
+    )
+    yield case(
+        "far_from_origin",
+        "the same cubes 1e9 from the world's origin",
+        UNIT,
+        UNIT,
+        (0.25, 0.125, 0.96875),
+        origin=(1e9, -1e9, 5e8),
+        q=TURNED,
+    )
+    yield case(
+        "tiny",
+        "all lengths times 2^-40",
+        scaled(UNIT, -40),
+        scaled(UNIT, -40),
+        np.ldexp((0.3, 0.2, 0.9), -40),
+        q=TURNED,
+    )
+    yield case(
+        "huge",
+        "all lengths times 2^40",
+        scaled(UNIT, 40),
+        scaled(UNIT, 40),
+        np.ldexp((0.3, 0.2, 0.9), 40),
+        q=TURNED,
+    )
+    yield case(
+        "sizes_apart",
+        "a cube of 1e-5 on the side of a unit cube",
+        UNIT,
+        box((1e-5, 1e-5, 1e-5)),
+        (0.1, 0.2, 0.500005),
+    )
+    yield case(
+        "contraction_point_aside",
+        "growth about points near a face",
+        UNIT,
+        UNIT,
+        (0.3, 0.2, 0.9),
+        centers=((0.25, 0.125, -0.4375), (0.0, -0.25, 0.4375)),
+    )
+    yield case(
+        "margin_at_distance",
+        "the hulls exactly the margin apart",
+        UNIT,
+        UNIT,
+        (1.5, 0, 0),
+        margin=0.5,
+    )
+    yield case(
+        "margin_below_distance",
+        "the hulls farther than the margin",
+        UNIT,
+        UNIT,
+        (1.5, 0, 0),
+        margin=0.499,
+    )
+    yield case(
+        "margin_corner",
+        "a corner's distance is not its separation along an axis",
+        UNIT,
+        UNIT,
+        (1.3, 1.4, 1.2),
+        margin=0.5,
+    )
     for i in range(4):
-        a, b = poly(16, rng), (tetra(rng), box((0.3, 0.5, 0.7)), prism(5, 0.5, 0.4), poly(16, rng))[i]
+        a, b = (
+            poly(16, rng),
+            (tetra(rng), box((0.3, 0.5, 0.7)), prism(5, 0.5, 0.4), poly(16, rng))[i],
+        )
         direction = rng.normal(size=3)
         d = direction / np.linalg.norm(direction) * (0.5, 0.9, 1.1, 2.0)[i]
-        yield case(f"random_{i}", "nothing special", a, b, d, q=random_rotation(rng), margin=math.inf)
+        yield case(
+            f"random_{i}", "nothing special", a, b, d, q=random_rotation(rng), margin=math.inf
+        )
 
 
 def scaled(shape: Shape, power: int) -> Shape:
@@ -180,9 +369,10 @@ def scaled(shape: Shape, power: int) -> Shape:
 def main() -> None:
     """Writes the file."""
     path = ROOT / "tests/golden/contacts.json"
-    everything = {"format": "hullcast.golden.v1", "cases": list(cases())}
-    path.write_text(json.dumps(everything, indent=1) + "\n")
-    print(f"{len(everything['cases'])} cases in {path.relative_to(ROOT)}")
+    lines = [json.dumps(case) for case in cases()]
+    head = '{"format": "hullcast.golden.v1", "cases": [\n'
+    path.write_text(head + ",\n".join(lines) + "\n]}\n")  # a line a case, to compare
+    print(f"{len(lines)} cases in {path.relative_to(ROOT)}")
 
 
 if __name__ == "__main__":
