@@ -1,7 +1,6 @@
 //! The real binary: killed, traced, stopped.
 
 use std::{
-    collections::HashMap,
     io::{BufRead, BufReader, Read},
     path::{Path, PathBuf},
     process::{Child, ChildStdin, Command, ExitStatus, Stdio},
@@ -114,24 +113,19 @@ async fn a_killed_server_answers_for_every_acknowledged_hull() {
     assert_same(&answer, &expected(&request, &acknowledged));
 }
 
-/// Catches an acknowledgement before the file or a directory is synced: every system call
-/// from opening the blob to writing the answer is traced, in order.
+/// Catches an acknowledgement before the file or a directory is synced: every sync, rename
+/// and send of the server is traced, in order.
 #[tokio::test(flavor = "multi_thread")]
 async fn file_and_directories_are_synced_before_the_acknowledgement() {
-    let strace = Command::new("strace").arg("-V").output();
-    assert!(strace.is_ok(), "this test needs strace: apt-get install strace");
     let directory = tempfile::tempdir().unwrap();
     let store = directory.path().join("store");
     let trace = directory.path().join("trace");
-    let mut command = Command::new("strace");
-    command.args(["-f", "-y", "-s", "16", "-e"]);
-    command.arg("trace=openat,rename,renameat,renameat2,link,linkat,fsync,fdatasync,mkdir,write,writev,sendto,sendmsg");
-    command.arg("-o").arg(&trace).arg("--").arg(BINARY);
+    let mut command = Command::new(BINARY);
+    command.env("LD_PRELOAD", tracer(directory.path())).env("CALL_TRACE", &trace);
     let mut server = Process::start(command, &store, &["--until-stdin-closes"]);
     let shape = plain(round_points(20, 1));
     let name: String = id(&shape).iter().map(|byte| format!("{byte:02x}")).collect();
     server.hulls().await.register_hulls(register_request(&[shape])).await.unwrap();
-    // The traced server, not the tracer, has to end.
     drop(server.stdin.take());
     server.wait();
 
@@ -167,40 +161,26 @@ enum Event {
     Sent,
 }
 
-/// What of a trace matters, in the order in which the calls returned.
+/// Builds tests/service/trace.c in `directory`.
+fn tracer(directory: &Path) -> PathBuf {
+    let library = directory.join("trace.so");
+    let source = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/service/trace.c");
+    let compiler = std::env::var_os("CC").unwrap_or("cc".into());
+    let mut command = Command::new(&compiler);
+    command.args(["-O1", "-shared", "-fPIC", source, "-ldl", "-o"]).arg(&library);
+    let status = command.status().unwrap_or_else(|error| panic!("{compiler:?}: {error}"));
+    assert!(status.success(), "{command:?}");
+    library
+}
+
+/// The lines of a trace.
 fn events(trace: &str) -> Vec<Event> {
-    let mut unfinished: HashMap<&str, &str> = HashMap::new();
-    let mut events = Vec::new();
-    for line in trace.lines() {
-        let Some((thread, call)) = line.split_once(' ') else { continue };
-        let call = call.trim_start();
-        if call.ends_with("<unfinished ...>") {
-            unfinished.insert(thread, call);
-            continue;
-        }
-        let begun = if call.starts_with("<...") { unfinished.remove(thread).unwrap_or(call) } else { call };
-        if call.contains("= -1 ") {
-            continue;
-        }
-        let name = begun.split('(').next().unwrap_or_default();
-        match name {
-            "fsync" | "fdatasync" => {
-                if let Some((path, _)) = begun.split_once('<').and_then(|(_, rest)| rest.split_once('>')) {
-                    events.push(Event::Synced(path.into()));
-                }
-            }
-            "rename" | "renameat" | "renameat2" | "link" | "linkat" => {
-                events.push(Event::Renamed(begun.to_owned()));
-            }
-            "write" | "writev" | "sendto" | "sendmsg"
-                if begun.contains("<TCP") || begun.contains("socket:") =>
-            {
-                events.push(Event::Sent);
-            }
-            _ => {}
-        }
-    }
-    events
+    let event = |line: &str| match line.split_once(' ') {
+        Some(("synced", path)) => Event::Synced(path.into()),
+        Some(("renamed", path)) => Event::Renamed(path.to_owned()),
+        _ => Event::Sent,
+    };
+    trace.lines().map(event).collect()
 }
 
 /// Catches a stop that is taken for a crash by whoever supervises: asked to stop, by either
