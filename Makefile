@@ -57,8 +57,9 @@ test-python: build $(VENV)/.test ## the Python tests, against the real server
 	$(PY) -m pytest client
 
 .PHONY: bench
-bench: check-tools ## contacts and hull building beside parry3d; writes docs/performance.md
+bench: check-tools build $(VENV)/.demo ## contacts beside parry3d, then through the server from Python; writes docs/performance.md
 	cd benches && $(CARGO) run --release --locked --bin contact
+	$(PY) client/examples/throughput.py
 
 .PHONY: stubs
 stubs: $(VENV)/.test ## the Python protobuf modules again, after a change of proto/

@@ -13,7 +13,7 @@ import grpc
 import numpy as np
 import pytest
 from cases import random_rotation
-from shapes import box, family
+from shapes import FAMILIES, box, family
 
 import hullcast
 from hullcast import Flag, Outcome
@@ -64,6 +64,19 @@ def test_registering_says_what_a_hull_is(client):
     squares = (2 * half) ** 2
     assert np.diag(hull.inertia) == pytest.approx(6 / 12 * (squares.sum() - squares), rel=1e-13)
     assert hull.inertia == pytest.approx(hull.inertia.T)
+
+
+def test_radii_are_bounds_of_the_brute_force_ones(client):
+    """The budgets of every other test are in them: inradius not above, circumradius not below."""
+    rng = np.random.default_rng(38)
+    shapes = [shape for name in FAMILIES for shape in family(name, 4, rng)]
+    for shape, hull in zip(shapes, client.register([s.vertices for s in shapes]), strict=True):
+        planes = [shape.plane(face) for face in shape.faces]
+        assert hull.face_count == len(planes)
+        inner = min(n @ (middle - hull.contraction_point) for n, middle in planes)
+        outer = np.linalg.norm(shape.vertices - hull.contraction_point, axis=1).max()
+        assert inner * (1 - 1e-13) - 1e-15 <= hull.inradius <= inner * (1 + 1e-15)
+        assert outer * (1 - 1e-15) <= hull.circumradius <= outer * (1 + 1e-13)
 
 
 def test_registering_takes_arrays_and_meshes(client):
@@ -117,6 +130,7 @@ def test_one_bad_hull_does_not_sink_the_others(client, points, center, reason, f
     assert (error.reason, error.field, error.index) == (reason, field, 1)
     if point is not None:
         assert error.point == point
+        assert f"hulls[1].{field}[{point}]" in str(error)
     first, second, third = error.results
     assert first.id == hullcast.hull_id(good)
     assert second.reason == reason

@@ -66,7 +66,7 @@ class Client:
 
     def register(
         self,
-        hulls: Sequence[Any],
+        hulls: Iterable[Any],
         *,
         contraction_points: Any = None,
         max_vertices: int | None = None,

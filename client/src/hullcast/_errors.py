@@ -70,6 +70,13 @@ class HullRejected(InvalidArgument):
         self.point = point
         self.results: list[Any] = []
 
+    @property
+    def place(self) -> str:
+        """Such as "hulls[2].vertices[7]": the third hull's point 7."""
+        return f"hulls[{self.index}].{self.field}" + (
+            "" if self.point is None else f"[{self.point}]"
+        )
+
 
 class OutputNotAsked(Error, AttributeError):
     """A column was read that the query did not ask for; `output` names what to ask."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -92,7 +92,7 @@ class Registration:
 
     def __init__(
         self,
-        hulls: Sequence[Any],
+        hulls: Iterable[Any],
         contraction_points: Any = None,
         max_vertices: int | None = None,
         max_deviation: float | None = None,
