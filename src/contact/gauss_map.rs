@@ -34,21 +34,31 @@ pub(crate) struct Direction<'s> {
 /// Buffers of the search.
 #[derive(Debug, Default)]
 pub(crate) struct Scratch {
-    vertices: Marked,
-    faces: Marked,
+    vertices: Marks,
+    support: Vec<u32>,
+    faces: Marks,
+    near: Vec<Near>,
+    /// Faces that count for their corners, not for their angle: no way through them.
+    flat: Vec<Near>,
 }
 
-/// Indices, in the order found, each once.
+/// A candidate and how near it is to the direction.
+#[derive(Clone, Copy, Debug)]
+struct Near {
+    feature: u32,
+    /// Cosine of a face's normal, sine of an edge.
+    measure: f64,
+}
+
+/// A set of indices, emptied at no cost.
 #[derive(Debug, Default)]
-struct Marked {
+struct Marks {
     stamps: Vec<u32>,
     stamp: u32,
-    found: Vec<u32>,
 }
 
-impl Marked {
+impl Marks {
     fn clear(&mut self, len: usize) {
-        self.found.clear();
         if self.stamps.len() < len {
             self.stamps.resize(len, 0);
         }
@@ -59,113 +69,124 @@ impl Marked {
         }
     }
 
-    fn insert(&mut self, i: u32) {
+    /// Whether `i` was new.
+    #[inline]
+    fn insert(&mut self, i: u32) -> bool {
         let slot = &mut self.stamps[i as usize];
-        if *slot != self.stamp {
-            *slot = self.stamp;
-            self.found.push(i);
-        }
+        let new = *slot != self.stamp;
+        *slot = self.stamp;
+        new
     }
 
+    #[inline]
     fn contains(&self, i: u32) -> bool {
         self.stamps[i as usize] == self.stamp
     }
 }
 
 /// The feature of `hull` that a plane across the direction touches.
-pub(crate) fn touched_feature(
-    hull: &ConvexHull,
-    direction: &Direction<'_>,
-    scratch: &mut Scratch,
-) -> Touched {
-    support_set(hull, direction, &mut scratch.vertices);
-    let support = &scratch.vertices;
-    if let Some(face) = touched_face(hull, direction, support, &mut scratch.faces) {
+pub(crate) fn touched_feature(hull: &ConvexHull, direction: &Direction<'_>, scratch: &mut Scratch) -> Touched {
+    scratch.find_support(hull, direction);
+    if let Some(face) = scratch.touched_face(hull, direction) {
         return Touched::Face(face);
     }
-    if let Some(edge) = touched_edge(hull, direction, support) {
+    if let Some(edge) = scratch.touched_edge(hull, direction) {
         return Touched::Edge(edge);
     }
-    Touched::Vertex(support.found.iter().copied().min().unwrap_or(0))
+    Touched::Vertex(scratch.support.iter().copied().min().unwrap_or(0))
 }
 
-/// All vertices within `depth` of the farthest: connected along the hull's
-/// edges, since what a half space cuts off a convex polytope is.
-fn support_set(hull: &ConvexHull, direction: &Direction<'_>, set: &mut Marked) {
-    let height = |v: u32| direction.n.dot(hull.vertices()[v as usize]);
-    set.clear(hull.vertices().len());
-    direction.known.iter().for_each(|&v| set.insert(v));
-    let lowest =
-        direction.known.iter().map(|&v| height(v)).fold(f64::NEG_INFINITY, f64::max) - direction.depth;
-    let mut next = 0;
-    while let Some(&v) = set.found.get(next) {
-        next += 1;
-        for &w in hull.vertex_neighbours(v as usize) {
-            if height(w) >= lowest {
-                set.insert(w);
+impl Scratch {
+    /// All vertices within `depth` of the farthest: connected along the hull's
+    /// edges, since what a half space cuts off a convex polytope is.
+    fn find_support(&mut self, hull: &ConvexHull, direction: &Direction<'_>) {
+        let Self { vertices: marks, support, .. } = self;
+        let height = |v: u32| direction.n.dot(hull.vertices()[v as usize]);
+        marks.clear(hull.vertices().len());
+        support.clear();
+        let mut highest = f64::NEG_INFINITY;
+        for &v in direction.known {
+            if marks.insert(v) {
+                highest = highest.max(height(v));
+                support.push(v);
             }
         }
-    }
-}
-
-/// Of the faces within the feature angle, reached from the support set through
-/// such faces, and of those all of whose corners support, the one nearest the
-/// direction; of equals the larger, then the lower index.
-fn touched_face(
-    hull: &ConvexHull,
-    direction: &Direction<'_>,
-    support: &Marked,
-    faces: &mut Marked,
-) -> Option<u32> {
-    let normal = |f: u32| hull.face_normals()[f as usize];
-    let within = |f: u32| {
-        let m = normal(f);
-        m.dot(direction.n) > 0.0 && direction.n.cross(m).length_squared() <= direction.sine * direction.sine
-    };
-    faces.clear(hull.face_normals().len());
-    for &v in &support.found {
-        for &f in hull.vertex_faces(v as usize) {
-            let supports =
-                || support.found.len() >= 3 && hull.outline(f as usize).iter().all(|&v| support.contains(v));
-            if within(f) || supports() {
-                faces.insert(f);
-            }
-        }
-    }
-    let mut next = 0;
-    while let Some(&f) = faces.found.get(next) {
-        next += 1;
-        if within(f) {
-            for &g in hull.face_neighbours(f as usize) {
-                if within(g) {
-                    faces.insert(g);
+        let mut next = 0;
+        while let Some(&v) = support.get(next) {
+            next += 1;
+            for &w in hull.vertex_neighbours(v as usize) {
+                if height(w) >= highest - direction.depth && marks.insert(w) {
+                    support.push(w);
                 }
             }
         }
     }
-    let cosine = |f: u32| normal(f).dot(direction.n);
-    let nearest = faces.found.iter().map(|&f| cosine(f)).fold(f64::NEG_INFINITY, f64::max);
-    let area = |f: u32| hull.face_areas()[f as usize];
-    let tied = faces.found.iter().copied().filter(|&f| cosine(f) >= nearest - TIE * U);
-    tied.min_by(|&f, &g| area(g).total_cmp(&area(f)).then(f.cmp(&g)))
-}
 
-/// Of the edges at the support set that are across the direction to within the
-/// feature angle and whose arc holds its projection, and of those with both
-/// ends in the set, the one most across; of equals the lowest index.
-fn touched_edge(hull: &ConvexHull, direction: &Direction<'_>, support: &Marked) -> Option<u32> {
-    let along = |e: u32| {
-        let [v, w] = hull.edge_vertices()[e as usize].map(|v| hull.vertices()[v as usize]);
-        (w - v).normalize()
-    };
-    let slope = |e: u32| direction.n.dot(along(e)).abs();
-    let candidate = |e: u32| {
-        let ends_support = hull.edge_vertices()[e as usize].iter().all(|&v| support.contains(v));
-        ends_support || (slope(e) <= direction.sine && arc_holds(hull, e, along(e), direction.n))
-    };
-    let edges = || support.found.iter().flat_map(|&v| hull.vertex_edges(v as usize)).copied();
-    let lowest = edges().filter(|&e| candidate(e)).map(slope).fold(f64::INFINITY, f64::min);
-    edges().filter(|&e| candidate(e) && slope(e) <= lowest + TIE * U).min()
+    /// Of the faces within the feature angle, reached from the support set through
+    /// such faces, and of those all of whose corners support, the one nearest the
+    /// direction; of equals the larger, then the lower index.
+    fn touched_face(&mut self, hull: &ConvexHull, direction: &Direction<'_>) -> Option<u32> {
+        let Self { vertices: supports, support, faces: seen, near, flat } = self;
+        let n = direction.n;
+        let within = |f: u32| {
+            let m = hull.face_normals()[f as usize];
+            let cosine = m.dot(n);
+            let within = cosine > 0.0 && n.cross(m).length_squared() <= direction.sine * direction.sine;
+            (within, Near { feature: f, measure: cosine })
+        };
+        seen.clear(hull.face_count());
+        near.clear();
+        flat.clear();
+        for &v in support.iter() {
+            for &f in hull.vertex_faces(v as usize) {
+                if !seen.insert(f) {
+                    continue;
+                }
+                let (within, face) = within(f);
+                if within {
+                    near.push(face);
+                } else if support.len() >= 3 && hull.outline(f as usize).iter().all(|&v| supports.contains(v)) {
+                    flat.push(face);
+                }
+            }
+        }
+        let mut next = 0;
+        while let Some(&Near { feature, .. }) = near.get(next) {
+            next += 1;
+            for &g in hull.face_neighbours(feature as usize) {
+                if seen.insert(g)
+                    && let (true, face) = within(g)
+                {
+                    near.push(face);
+                }
+            }
+        }
+        near.append(flat);
+        let nearest = near.iter().map(|f| f.measure).fold(f64::NEG_INFINITY, f64::max);
+        let tied = near.iter().filter(|f| f.measure >= nearest - TIE * U).map(|f| f.feature);
+        let area = |f: u32| hull.face_areas()[f as usize];
+        tied.min_by(|&f, &g| area(g).total_cmp(&area(f)).then(f.cmp(&g)))
+    }
+
+    /// Of the edges at the support set that are across the direction to within the
+    /// feature angle and whose arc holds its projection, and of those with both
+    /// ends in the set, the one most across; of equals the lowest index.
+    fn touched_edge(&mut self, hull: &ConvexHull, direction: &Direction<'_>) -> Option<u32> {
+        let Self { vertices: supports, support, near, .. } = self;
+        near.clear();
+        for &e in support.iter().flat_map(|&v| hull.vertex_edges(v as usize)) {
+            let [v, w] = hull.edge_vertices()[e as usize];
+            let along = hull.vertices()[w as usize] - hull.vertices()[v as usize];
+            let length = along.length();
+            let sine = (direction.n.dot(along) / length).abs();
+            let both = supports.contains(v) && supports.contains(w);
+            if both || (sine <= direction.sine && arc_holds(hull, e, along / length, direction.n)) {
+                near.push(Near { feature: e, measure: sine });
+            }
+        }
+        let least = near.iter().map(|e| e.measure).fold(f64::INFINITY, f64::min);
+        near.iter().filter(|e| e.measure <= least + TIE * U).map(|e| e.feature).min()
+    }
 }
 
 /// Whether `n`, projected across the edge, lies between the normals of its faces.

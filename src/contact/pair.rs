@@ -5,7 +5,7 @@
 
 use glam::{DMat3, DVec3};
 
-use super::tolerance::{BAND, BRACKET, MERGE, NOISE, U};
+use super::tolerance::{BAND, BRACKET, MERGE, NOISE, TRIPLE_PRODUCT, U};
 use super::{Body, ConvexHull};
 
 /// A vertex of the centred Minkowski difference `K = (A - pA) - (B - pB)`.
@@ -58,6 +58,9 @@ pub(crate) struct Pair<'a> {
     pub(crate) inradius: f64,
     /// Sum of the circumradii, rounded up; pair units.
     pub(crate) circumradius: f64,
+    /// Above this a triple product of the ray and two points of `K` has the sign
+    /// that double precision gives it.
+    pub(crate) sure_turn: f64,
     /// Caller's units per pair unit, a power of two.
     pub(crate) unit: f64,
     /// World from A's axes, and the world point of the frame's origin is
@@ -101,6 +104,7 @@ impl<'a> Pair<'a> {
             ray_m: shift(m_scaled, -own),
             inradius,
             circumradius,
+            sure_turn: TRIPLE_PRODUCT * U * ray.length() * circumradius * circumradius,
             unit,
             rotation_a: ra,
             translation_a: a.pose.translation,

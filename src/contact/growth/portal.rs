@@ -52,7 +52,7 @@ fn refine(pair: &Pair<'_>, mut portal: [Support; 3], goal: &Goal, mut cost: Cost
             wide = true;
             continue;
         }
-        triple::pivot(pair.ray, &mut portal, w);
+        triple::pivot(pair, &mut portal, w);
     }
 }
 
@@ -77,18 +77,13 @@ impl Best {
 
 /// Whether `w` is not beyond the triangle's plane by more than was asked for,
 /// or than the rounding of the plane and of two support values leaves open.
-fn refined(
-    pair: &Pair<'_>,
-    portal: &[Support; 3],
-    plane: Normal,
-    w: &Support,
-    relative_tolerance: f64,
-) -> bool {
+#[inline]
+fn refined(pair: &Pair<'_>, portal: &[Support; 3], plane: Normal, w: &Support, relative_tolerance: f64) -> bool {
     let gain = plane.n.dot(w.point - portal[0].point);
-    let rounding = GAIN * U * pair.circumradius * plane.error;
-    portal.iter().any(|u| u.same(w))
-        || !(gain > rounding)
+    let rounding = GAIN * U * pair.circumradius;
+    !(gain > 0.0 && gain * gain > rounding * rounding * plane.error_squared)
         || gain <= relative_tolerance * plane.n.dot(w.point)
+        || portal.iter().any(|u| u.same(w))
 }
 
 fn overlaps(pair: &Pair<'_>, portal: &[Support; 3]) -> bool {
@@ -99,14 +94,14 @@ fn overlaps(pair: &Pair<'_>, portal: &[Support; 3]) -> bool {
 /// else inner points around it, replaced by the seeds beyond their plane.
 fn start(pair: &Pair<'_>, seeds: &[Support]) -> [Support; 3] {
     if let &[s0, s1, s2] = seeds
-        && let Some(portal) = triple::around(pair.ray, [s0, s1, s2])
+        && let Some(portal) = triple::around(pair, [s0, s1, s2])
     {
         return portal;
     }
     let mut portal = inner_triangle(pair);
     for seed in seeds {
         if !refined(pair, &portal, triple::normal(&portal), seed, 0.0) {
-            triple::pivot(pair.ray, &mut portal, *seed);
+            triple::pivot(pair, &mut portal, *seed);
         }
     }
     portal

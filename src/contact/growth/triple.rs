@@ -9,15 +9,14 @@
 use glam::DVec3;
 
 use crate::contact::exact::{Dd, dd_cross, dd_dot, orient2d, orient3d, triangle_normal};
-use crate::contact::pair::Support;
-use crate::contact::tolerance::{TRIPLE_PRODUCT, U};
+use crate::contact::pair::{Pair, Support};
 
 /// Sign of `det(ray, w, u)`: whether `u` lies anticlockwise of `w` about the
 /// ray. 0 only where `w` and `u` are parallel.
-fn turn(ray: DVec3, w: DVec3, u: DVec3) -> f64 {
-    let value = ray.cross(w).dot(u);
-    let bound = TRIPLE_PRODUCT * U * ray.length() * w.length() * u.length();
-    if value.abs() > bound { value } else { exact_turn(ray, w, u) }
+#[inline]
+fn turn(pair: &Pair<'_>, ray_cross_w: DVec3, w: DVec3, u: DVec3) -> f64 {
+    let value = ray_cross_w.dot(u);
+    if value.abs() > pair.sure_turn { value } else { exact_turn(pair.ray, w, u) }
 }
 
 #[cold]
@@ -32,8 +31,9 @@ fn exact_turn(ray: DVec3, w: DVec3, u: DVec3) -> f64 {
 }
 
 /// The three points anticlockwise about the ray, if their cone holds it.
-pub(crate) fn around(ray: DVec3, [u0, u1, u2]: [Support; 3]) -> Option<[Support; 3]> {
-    let turns = [(u0, u1), (u1, u2), (u2, u0)].map(|(u, v)| turn(ray, u.point, v.point));
+pub(crate) fn around(pair: &Pair<'_>, [u0, u1, u2]: [Support; 3]) -> Option<[Support; 3]> {
+    let turns =
+        [(u0, u1), (u1, u2), (u2, u0)].map(|(u, v)| turn(pair, pair.ray.cross(u.point), u.point, v.point));
     if turns.iter().all(|&t| t > 0.0) && volume(u0, u1, u2) > 0.0 {
         Some([u0, u1, u2])
     } else if turns.iter().all(|&t| t < 0.0) && volume(u0, u2, u1) > 0.0 {
@@ -51,44 +51,53 @@ fn volume(u0: Support, u1: Support, u2: Support) -> f64 {
 
 /// Puts `w`, beyond the triangle's plane, in the place of the one point without
 /// which the cone still holds the ray.
-pub(crate) fn pivot(ray: DVec3, triple: &mut [Support; 3], w: Support) {
-    let turns = triple.map(|u| turn(ray, w.point, u.point));
-    if let Some(parallel) = turns.iter().position(|&t| t == 0.0) {
-        triple[parallel] = w;
-        return;
-    }
-    for i in 0..3 {
-        let next = (i + 1) % 3;
-        if turns[i] > 0.0 && turns[next] < 0.0 {
-            *triple = [w, triple[i], triple[next]];
-            return;
-        }
-    }
+#[inline]
+pub(crate) fn pivot(pair: &Pair<'_>, triple: &mut [Support; 3], w: Support) {
+    let across = pair.ray.cross(w.point);
+    let [u0, u1, u2] = *triple;
+    let [t0, t1, t2] = [u0, u1, u2].map(|u| turn(pair, across, w.point, u.point));
+    // Those with opposite signs stay; a parallel one (0) is the one to go.
+    *triple = if t0 == 0.0 || (t1 > 0.0 && t2 < 0.0) {
+        [w, u1, u2]
+    } else if t1 == 0.0 || (t2 > 0.0 && t0 < 0.0) {
+        [w, u2, u0]
+    } else if t2 == 0.0 || (t0 > 0.0 && t1 < 0.0) {
+        [w, u0, u1]
+    } else {
+        *triple
+    };
 }
 
 /// Outward normal of a triangle, and how wrong it may be.
 #[derive(Clone, Copy)]
 pub(crate) struct Normal {
     pub(crate) n: DVec3,
-    /// Roundoffs of this length are its error.
-    pub(crate) error: f64,
+    pub(crate) length_squared: f64,
+    /// Roundoffs of a length whose square this is are its error.
+    pub(crate) error_squared: f64,
 }
 
 /// The normal, in wide arithmetic where the triangle is thin.
+#[inline]
 pub(crate) fn normal(triple: &[Support; 3]) -> Normal {
-    let [u0, u1, u2] = triple.map(|u| u.point);
+    let [u0, u1, u2] = [triple[0].point, triple[1].point, triple[2].point];
     let (e1, e2) = (u1 - u0, u2 - u0);
     let n = e1.cross(e2);
-    let sides = e1.length() * e2.length();
+    let (length_squared, sides_squared) = (n.length_squared(), e1.length_squared() * e2.length_squared());
     // Below a sine of 1/16 the products cancel 4 bits and more.
-    if 16.0 * n.length() >= sides { Normal { n, error: n.length() + sides } } else { wide_normal(triple) }
+    if 256.0 * length_squared >= sides_squared {
+        // (length + sides)^2 at most.
+        Normal { n, length_squared, error_squared: 2.0 * (length_squared + sides_squared) }
+    } else {
+        wide_normal(triple)
+    }
 }
 
 /// The same, unit, whatever the triangle.
 #[cold]
 pub(crate) fn wide_normal(triple: &[Support; 3]) -> Normal {
-    let [u0, u1, u2] = triple.map(|u| u.point);
-    Normal { n: triangle_normal(u0, u1, u2).unit, error: 1.0 }
+    let n = triangle_normal(triple[0].point, triple[1].point, triple[2].point).unit;
+    Normal { n, length_squared: 1.0, error_squared: 1.0 }
 }
 
 /// Weights `l` with `sum of l_i u_i = ray` (Cramer's rule); not finite where the
@@ -122,7 +131,6 @@ mod tests {
             let plain = ray.cross(w).dot(u);
             assert!(plain.abs() > 0.1);
             assert_eq!(exact_turn(ray, w, u).signum(), plain.signum());
-            assert_eq!(turn(ray, w, u).signum(), plain.signum());
         }
     }
 
@@ -133,7 +141,7 @@ mod tests {
         let (ray, w) = (DVec3::X, DVec3::new(2.0, 0.0, 0.0));
         let u = DVec3::new(1.0, 1.0, 0.0);
         // det(ray + (e, e^2, e^3), w, u) = 2 e^3.
-        assert!(turn(ray, w, u) > 0.0 && turn(ray, u, w) < 0.0);
-        assert_eq!(turn(ray, w, ray), 0.0);
+        assert!(exact_turn(ray, w, u) > 0.0 && exact_turn(ray, u, w) < 0.0);
+        assert_eq!(exact_turn(ray, w, ray), 0.0);
     }
 }

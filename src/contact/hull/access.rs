@@ -94,6 +94,7 @@ impl ConvexHull {
             &self.vertex_neighbours,
         ];
         bytes(&self.vertices)
+            + self.columns.heap_bytes()
             + bytes(&self.registered)
             + bytes(&self.face_normals)
             + bytes(&self.face_offsets)

@@ -9,6 +9,7 @@ use super::merge::{Groups, Surface, groups};
 use super::quickhull::{Triangulation, triangulate};
 use super::topology::{Topology, topology};
 use super::{ConvexHull, HullError, HullErrorKind, HullOptions};
+use crate::contact::support::Columns;
 use crate::contact::exact::{
     ROUNDOFF, TriangleNormal, depth_below, exact_difference, exponent_above, orient3d, power_of_two,
     triangle_normal,
@@ -60,6 +61,7 @@ pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexH
         vertex_faces: adjacency.vertex_faces,
         vertex_edges: adjacency.vertex_edges,
         vertex_neighbours,
+        columns: Columns::new(&centred.vertices),
         vertices: centred.vertices,
         registered: solid.registered,
         registered_count: given.len() as u32,

@@ -43,6 +43,8 @@ impl Default for HullOptions {
 pub struct ConvexHull {
     /// Extreme vertices, hull units, in registered order.
     vertices: Vec<DVec3>,
+    /// The same, for the support mapping.
+    pub(super) columns: super::support::Columns,
     /// Per vertex its index among the points as registered; ascending.
     registered: Vec<u32>,
     /// Points as registered.

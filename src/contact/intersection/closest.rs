@@ -3,7 +3,7 @@
 use glam::DVec2;
 
 use super::PlanePoint;
-use super::outline::Outline;
+use super::outline::{Outline, Part};
 use crate::contact::manifold::Element;
 
 /// A pair of nearest points: on A, on B, what they lie on.
@@ -73,14 +73,14 @@ fn each_nearest(outline: &Outline, from: DVec2, mut visit: impl FnMut(DVec2, f64
     if let [only] = outline.corners.as_slice() {
         visit(only.at, only.height, Element::Vertex(only.vertex));
     }
-    for i in 0..outline.sides() {
+    for i in 0..outline.sides.len() {
         let [p, q] = outline.side(i);
         let whole = q.at - p.at;
         let share = ((from - p.at).dot(whole) / whole.length_squared()).clamp(0.0, 1.0);
         if !(share > 0.0) {
             visit(p.at, p.height, Element::Vertex(p.vertex));
         } else if share < 1.0 {
-            visit(p.at + share * whole, p.height + share * (q.height - p.height), outline.side_id(i));
+            visit(p.at + share * whole, p.height + share * (q.height - p.height), outline.named(Part::Side(i as u16)));
         } else {
             visit(q.at, q.height, Element::Vertex(q.vertex));
         }

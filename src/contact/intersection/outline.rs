@@ -16,11 +16,37 @@ pub(super) struct Corner {
     pub(super) vertex: u32,
 }
 
+/// The line of a side.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Side {
+    /// Unit, inward; NaN for a side of no length.
+    inward: DVec2,
+    offset: f64,
+}
+
+impl Side {
+    /// Of a point from the line, positive inside.
+    #[inline]
+    pub(super) fn distance(&self, at: DVec2) -> f64 {
+        self.inward.dot(at) - self.offset
+    }
+}
+
+/// What of an outline makes a vertex of an intersection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Part {
+    Corner(u16),
+    Side(u16),
+    Inside,
+}
+
 /// A projected feature: one corner, two, or a convex polygon anticlockwise
 /// about the normal.
 #[derive(Debug, Default)]
 pub(super) struct Outline {
     pub(super) corners: Vec<Corner>,
+    /// Side `i` goes from corner `i` to the next; two corners make one side.
+    pub(super) sides: Vec<Side>,
     /// Of a face: height above the contact plane as `slope . at + base`.
     plane: Option<(DVec2, f64)>,
     lowest: f64,
@@ -32,12 +58,7 @@ pub(super) struct Outline {
 impl Outline {
     /// Projects the feature's corners; `project` gives plane position and height
     /// of a vertex by the hull's own index.
-    pub(super) fn fill(
-        &mut self,
-        hull: &ConvexHull,
-        feature: Touched,
-        project: impl Fn(u32) -> (DVec2, f64),
-    ) {
+    pub(super) fn fill(&mut self, hull: &ConvexHull, feature: Touched, project: impl Fn(u32) -> (DVec2, f64)) {
         let corner = |v: u32| {
             let (at, height) = project(v);
             Corner { at, height, vertex: hull.registered_indices()[v as usize] }
@@ -51,8 +72,16 @@ impl Outline {
         if doubled_area(&self.corners) < 0.0 {
             self.corners.reverse();
         }
-        self.lowest = self.corners.iter().map(|c| c.height).fold(f64::INFINITY, f64::min);
-        self.highest = self.corners.iter().map(|c| c.height).fold(f64::NEG_INFINITY, f64::max);
+        (self.lowest, self.highest) = self.corners.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), c| {
+            (low.min(c.height), high.max(c.height))
+        });
+        let sides = if self.corners.len() < 3 { self.corners.len() - 1 } else { self.corners.len() };
+        self.sides.clear();
+        for i in 0..sides {
+            let (from, to) = (self.corners[i].at, self.corners[self.next(i)].at);
+            let inward = (to - from).perp() / (to - from).length();
+            self.sides.push(Side { inward, offset: inward.dot(from) });
+        }
     }
 
     /// Keeps the plane of a face. `project` turns a direction of the hull's
@@ -75,39 +104,50 @@ impl Outline {
         }
     }
 
-    /// Side `i`, from corner `i` to the next; two corners make one side.
-    pub(super) fn sides(&self) -> usize {
-        match self.corners.len() {
-            0 | 1 => 0,
-            2 => 1,
-            n => n,
+    /// The corner after corner `i`.
+    #[inline]
+    pub(super) fn next(&self, i: usize) -> usize {
+        if i + 1 == self.corners.len() { 0 } else { i + 1 }
+    }
+
+    /// The ends of a side.
+    pub(super) fn side(&self, i: usize) -> [Corner; 2] {
+        [self.corners[i], self.corners[self.next(i)]]
+    }
+
+    /// A part's name, in vertices as registered.
+    pub(super) fn named(&self, part: Part) -> Element {
+        match part {
+            Part::Corner(i) => Element::Vertex(self.corners[i as usize].vertex),
+            Part::Side(i) => {
+                let [a, b] = self.side(i as usize).map(|c| c.vertex);
+                Element::Edge([a.min(b), a.max(b)])
+            }
+            Part::Inside => Element::Inside,
         }
     }
 
-    pub(super) fn side(&self, i: usize) -> [Corner; 2] {
-        [self.corners[i], self.corners[(i + 1) % self.corners.len()]]
-    }
-
-    /// The side's name.
-    pub(super) fn side_id(&self, i: usize) -> Element {
-        let [a, b] = self.side(i).map(|c| c.vertex);
-        Element::Edge([a.min(b), a.max(b)])
-    }
-
-    /// Height of the feature over a point of its projection.
-    pub(super) fn height(&self, at: DVec2) -> f64 {
-        let height = match (self.plane, self.corners.as_slice()) {
-            (Some((slope, base)), _) => slope.dot(at) + base,
-            (None, &[a, b]) => {
-                let (whole, part) = (b.at - a.at, at - a.at);
-                let share = (part.dot(whole) / whole.length_squared()).clamp(0.0, 1.0);
-                if share.is_nan() { a.height } else { a.height + share * (b.height - a.height) }
+    /// Height of a part over a point of its projection.
+    pub(super) fn height(&self, part: Part, at: DVec2) -> f64 {
+        match (part, self.plane, self.corners.as_slice()) {
+            (Part::Corner(i), ..) => self.corners[i as usize].height,
+            (Part::Side(i), ..) => height_on([self.corners[i as usize], self.corners[self.next(i as usize)]], at),
+            (Part::Inside, Some((slope, base)), _) => {
+                let height = slope.dot(at) + base;
+                // A face seen edge-on has no height of its own over a point.
+                if height.is_nan() { self.lowest } else { height.clamp(self.lowest, self.highest) }
             }
-            (None, _) => self.lowest,
-        };
-        // A face seen edge-on has no height of its own over a point.
-        if height.is_nan() { self.lowest } else { height.clamp(self.lowest, self.highest) }
+            (Part::Inside, None, &[a, b]) => height_on([a, b], at),
+            (Part::Inside, None, _) => self.lowest,
+        }
     }
+}
+
+/// Height of a segment over the point of its projection nearest to `at`.
+fn height_on([a, b]: [Corner; 2], at: DVec2) -> f64 {
+    let whole = b.at - a.at;
+    let share = ((at - a.at).dot(whole) / whole.length_squared()).clamp(0.0, 1.0);
+    if share.is_nan() { a.height } else { a.height + share * (b.height - a.height) }
 }
 
 fn doubled_area(corners: &[Corner]) -> f64 {

@@ -2,72 +2,76 @@
 //!
 //! The vertices of the intersection of two convex polygons are the corners of
 //! each inside the other and the crossings of their sides. Two tables of signed
-//! distances, corners of one against sides of the other, decide all three; a
+//! distances, corners of one from sides of the other, decide all three; a
 //! crossing too near a corner to be told from it is that corner, found by the
 //! inclusive inside test, so that no rounding loses a vertex.
 
 use glam::DVec2;
 
 use super::PlanePoint;
-use super::outline::{Corner, Outline};
-use crate::contact::manifold::Element;
+use super::outline::{Outline, Part};
 
 /// Buffers.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
-    /// Corner `i` of A against side `j` of B at `i * sides + j`, positive inside.
-    a_in_b: Vec<f64>,
-    b_in_a: Vec<f64>,
-    chain: Vec<PlanePoint>,
+    /// Corner `i` of A from side `j` of B at `i * sides + j`, positive inside.
+    a_from_b: Vec<f64>,
+    b_from_a: Vec<f64>,
+    vertices: Vec<Vertex>,
+    chain: Vec<Vertex>,
+}
+
+/// A vertex of the intersection, by what makes it.
+#[derive(Clone, Copy, Debug)]
+struct Vertex {
+    at: DVec2,
+    a: Part,
+    b: Part,
+}
+
+impl Vertex {
+    /// A's corner names a point, else B's, else the crossing.
+    fn rank(&self) -> (u8, Part, Part) {
+        let kind = match (self.a, self.b) {
+            (Part::Corner(_), _) => 0,
+            (_, Part::Corner(_)) => 1,
+            _ => 2,
+        };
+        (kind, self.a, self.b)
+    }
 }
 
 /// Appends the vertices of the intersection, anticlockwise; none where the
 /// projections miss each other by more than `eps`.
 pub(super) fn find(a: &Outline, b: &Outline, eps: f64, scratch: &mut Scratch, points: &mut Vec<PlanePoint>) {
-    if a.corners.len() == 2 && b.corners.len() == 2 {
-        edge_on_edge(a, b, eps, points);
-    } else {
-        distances(a, b, &mut scratch.a_in_b);
-        distances(b, a, &mut scratch.b_in_a);
-        corners_inside(a, b, &scratch.a_in_b, eps, points, |c, height| PlanePoint {
-            at: c.at,
-            height_a: c.height,
-            height_b: height,
-            id: [Element::Vertex(c.vertex), Element::Inside],
+    let Scratch { a_from_b, b_from_a, vertices, chain } = scratch;
+    distances(a, b, a_from_b);
+    distances(b, a, b_from_a);
+    vertices.clear();
+    corners_inside(a, b, a_from_b, eps, |i, at| vertices.push(Vertex { at, a: Part::Corner(i), b: Part::Inside }));
+    corners_inside(b, a, b_from_a, eps, |j, at| vertices.push(Vertex { at, a: Part::Inside, b: Part::Corner(j) }));
+    let aligned = a.corners.len() == 2 && b.corners.len() == 2 && vertices.len() >= 2;
+    if !aligned {
+        each_crossing(a, b, a_from_b, b_from_a, |i, j, at| {
+            vertices.push(Vertex { at, a: Part::Side(i), b: Part::Side(j) });
         });
-        corners_inside(b, a, &scratch.b_in_a, eps, points, |c, height| PlanePoint {
-            at: c.at,
-            height_a: height,
-            height_b: c.height,
-            id: [Element::Inside, Element::Vertex(c.vertex)],
-        });
-        crossings(a, b, scratch, points);
     }
-    merge(points, eps);
-    convex_order(points, eps, &mut scratch.chain);
+    merge(vertices, eps);
+    convex_order(vertices, eps, chain);
+    points.extend(vertices.iter().map(|v| lift(a, b, v)));
 }
 
 /// Signed distances of the corners of `of` from the side lines of `to`.
 fn distances(of: &Outline, to: &Outline, table: &mut Vec<f64>) {
     table.clear();
     for c in &of.corners {
-        for j in 0..to.sides() {
-            let [p, q] = to.side(j).map(|c| c.at);
-            table.push((q - p).perp_dot(c.at - p) / (q - p).length());
-        }
+        table.extend(to.sides.iter().map(|side| side.distance(c.at)));
     }
 }
 
-/// Appends the corners of `of` that are inside `to`, with `to`'s height there.
-fn corners_inside(
-    of: &Outline,
-    to: &Outline,
-    table: &[f64],
-    eps: f64,
-    points: &mut Vec<PlanePoint>,
-    point: impl Fn(&Corner, f64) -> PlanePoint,
-) {
-    let sides = to.sides();
+/// The corners of `of` that are inside `to`.
+fn corners_inside(of: &Outline, to: &Outline, table: &[f64], eps: f64, mut visit: impl FnMut(u16, DVec2)) {
+    let sides = to.sides.len();
     for (i, c) in of.corners.iter().enumerate() {
         let row = &table[i * sides..(i + 1) * sides];
         let inside = match to.corners.as_slice() {
@@ -77,7 +81,7 @@ fn corners_inside(
             _ => !row.iter().any(|&d| d < -eps),
         };
         if inside {
-            points.push(point(c, to.height(c.at)));
+            visit(i as u16, c.at);
         }
     }
 }
@@ -91,123 +95,85 @@ fn on_segment(at: DVec2, p: DVec2, q: DVec2, from_line: f64, eps: f64) -> bool {
     from_line.abs() <= eps && along >= -eps && along <= length + eps
 }
 
-/// Appends the proper crossings of sides.
-fn crossings(a: &Outline, b: &Outline, scratch: &Scratch, points: &mut Vec<PlanePoint>) {
-    let (sides_a, sides_b) = (a.sides(), b.sides());
+/// The proper crossings of sides.
+fn each_crossing(a: &Outline, b: &Outline, a_from_b: &[f64], b_from_a: &[f64], mut visit: impl FnMut(u16, u16, DVec2)) {
+    let (sides_a, sides_b) = (a.sides.len(), b.sides.len());
     for i in 0..sides_a {
-        let next_i = (i + 1) % a.corners.len();
+        let next_i = a.next(i);
+        let (row, next_row) = (&a_from_b[i * sides_b..], &a_from_b[next_i * sides_b..]);
         for j in 0..sides_b {
-            let (a0, a1) = (scratch.a_in_b[i * sides_b + j], scratch.a_in_b[next_i * sides_b + j]);
+            let (a0, a1) = (row[j], next_row[j]);
             if (a0 > 0.0) == (a1 > 0.0) {
                 continue;
             }
-            let next_j = (j + 1) % b.corners.len();
-            let (b0, b1) = (scratch.b_in_a[j * sides_a + i], scratch.b_in_a[next_j * sides_a + i]);
+            let (b0, b1) = (b_from_a[j * sides_a + i], b_from_a[b.next(j) * sides_a + i]);
             if (b0 > 0.0) != (b1 > 0.0) {
-                points.push(crossing(a, i, a0 / (a0 - a1), b, j, b0 / (b0 - b1)));
+                let [p, q] = [a.corners[i].at, a.corners[next_i].at];
+                visit(i as u16, j as u16, p + (a0 / (a0 - a1)) * (q - p));
             }
         }
     }
 }
 
-fn crossing(a: &Outline, i: usize, share_a: f64, b: &Outline, j: usize, share_b: f64) -> PlanePoint {
-    let ([a0, a1], [b0, b1]) = (a.side(i), b.side(j));
-    let mix = |p: f64, q: f64, share: f64| p + share * (q - p);
-    PlanePoint {
-        at: a0.at + share_a * (a1.at - a0.at),
-        height_a: mix(a0.height, a1.height, share_a),
-        height_b: mix(b0.height, b1.height, share_b),
-        id: [a.side_id(i), b.side_id(j)],
-    }
-}
-
-/// Two edges: the ends of their overlap where both lie on the other's line, else
-/// the crossing.
-fn edge_on_edge(a: &Outline, b: &Outline, eps: f64, points: &mut Vec<PlanePoint>) {
-    let mut table = [[0.0; 2]; 2];
-    let ends = [(a, b), (b, a)];
-    let on_line = |of: &Outline, to: &Outline| {
-        let [p, q] = to.side(0).map(|c| c.at);
-        let length = (q - p).length();
-        of.side(0).map(|c| if length > 0.0 { (q - p).perp_dot(c.at - p) / length } else { 0.0 })
-    };
-    for (row, (of, to)) in table.iter_mut().zip(ends) {
-        *row = on_line(of, to);
-    }
-    let [[a0, a1], [b0, b1]] = table;
-    for (side, (of, to)) in ends.into_iter().enumerate() {
-        for (c, &from_line) in of.corners.iter().zip(&table[side]) {
-            if on_segment(c.at, to.corners[0].at, to.corners[1].at, from_line, eps) {
-                let other = to.height(c.at);
-                let (height_a, height_b) = if side == 0 { (c.height, other) } else { (other, c.height) };
-                let named = Element::Vertex(c.vertex);
-                let id = if side == 0 { [named, Element::Inside] } else { [Element::Inside, named] };
-                points.push(PlanePoint { at: c.at, height_a, height_b, id });
-            }
-        }
-    }
-    let proper = (a0 > 0.0) != (a1 > 0.0) && (b0 > 0.0) != (b1 > 0.0);
-    if proper && points.len() < 2 {
-        points.clear();
-        points.push(crossing(a, 0, a0 / (a0 - a1), b, 0, b0 / (b0 - b1)));
-    }
-}
-
-/// Of points closer than `eps` keeps A's corner, else B's, else the crossing
-/// with the lowest id.
-fn merge(points: &mut Vec<PlanePoint>, eps: f64) {
-    let rank = |p: &PlanePoint| match p.id {
-        [Element::Vertex(_), _] => 0,
-        [_, Element::Vertex(_)] => 1,
-        _ => 2,
-    };
-    points.sort_unstable_by(|p, q| {
-        p.at.x.total_cmp(&q.at.x).then(p.at.y.total_cmp(&q.at.y)).then(p.id.cmp(&q.id))
+/// Of vertices closer than `eps` keeps the one of the lowest rank. Leaves them
+/// sorted by place.
+fn merge(vertices: &mut Vec<Vertex>, eps: f64) {
+    vertices.sort_unstable_by(|p, q| {
+        p.at.x.total_cmp(&q.at.x).then(p.at.y.total_cmp(&q.at.y)).then_with(|| p.rank().cmp(&q.rank()))
     });
     let mut i = 0;
-    while i < points.len() {
-        let p = points[i];
-        let near = (i + 1..points.len())
-            .take_while(|&j| points[j].at.x - p.at.x <= eps)
-            .find(|&j| points[j].at.distance(p.at) <= eps);
+    while i < vertices.len() {
+        let p = vertices[i];
+        let near = (i + 1..vertices.len())
+            .take_while(|&j| vertices[j].at.x - p.at.x <= eps)
+            .find(|&j| vertices[j].at.distance_squared(p.at) <= eps * eps);
         match near {
-            Some(j) if (rank(&points[j]), points[j].id) < (rank(&p), p.id) => {
-                points.remove(i);
-            }
-            Some(j) => {
-                points.remove(j);
-            }
+            Some(j) if vertices[j].rank() < p.rank() => drop(vertices.remove(i)),
+            Some(j) => drop(vertices.remove(j)),
             None => i += 1,
         }
     }
 }
 
-/// Orders points, sorted by `x`, as the convex polygon they are (Andrew's
+/// Orders vertices, sorted by place, as the convex polygon they are (Andrew's
 /// monotone chain), without those closer than `eps` to the line between their
 /// neighbours.
-fn convex_order(points: &mut Vec<PlanePoint>, eps: f64, chain: &mut Vec<PlanePoint>) {
-    if points.len() < 3 {
+fn convex_order(vertices: &mut Vec<Vertex>, eps: f64, chain: &mut Vec<Vertex>) {
+    if vertices.len() < 3 {
         return;
     }
     chain.clear();
-    for pass in 0..2 {
+    let mut walk = |points: &mut dyn Iterator<Item = &Vertex>| {
         let start = chain.len();
-        for i in 0..points.len() {
-            let p = if pass == 0 { points[i] } else { points[points.len() - 1 - i] };
+        for p in points {
             while chain.len() >= start + 2
-                && !turns_left(&chain[chain.len() - 2], &chain[chain.len() - 1], &p, eps)
+                && !turns_left(chain[chain.len() - 2].at, chain[chain.len() - 1].at, p.at, eps)
             {
                 chain.pop();
             }
-            chain.push(p);
+            chain.push(*p);
         }
-        // The last point starts the other pass, or closes the polygon.
+        // The last point starts the other half.
         chain.pop();
-    }
-    std::mem::swap(points, chain);
+    };
+    walk(&mut vertices.iter());
+    walk(&mut vertices.iter().rev());
+    std::mem::swap(vertices, chain);
 }
 
 /// Whether `q` lies right of the line from `p` to `r` by more than `eps`.
-fn turns_left(p: &PlanePoint, q: &PlanePoint, r: &PlanePoint, eps: f64) -> bool {
-    (q.at - p.at).perp_dot(r.at - p.at) > eps * (r.at - p.at).length()
+fn turns_left(p: DVec2, q: DVec2, r: DVec2, eps: f64) -> bool {
+    let area = (q - p).perp_dot(r - p);
+    area > 0.0 && area * area > eps * eps * (r - p).length_squared()
+}
+
+/// The witnesses' heights over a vertex: along the hulls' own corners and sides
+/// where these make it, else over the face.
+fn lift(a: &Outline, b: &Outline, vertex: &Vertex) -> PlanePoint {
+    PlanePoint {
+        at: vertex.at,
+        height_a: a.height(vertex.a, vertex.at),
+        height_b: b.height(vertex.b, vertex.at),
+        id: [a.named(vertex.a), b.named(vertex.b)],
+    }
 }
