@@ -38,8 +38,6 @@ pub(crate) struct Scratch {
     support: Vec<u32>,
     faces: Marks,
     near: Vec<Near>,
-    /// Faces that count for their corners, not for their angle: no way through them.
-    flat: Vec<Near>,
 }
 
 /// A candidate and how near it is to the direction.
@@ -85,7 +83,11 @@ impl Marks {
 }
 
 /// The feature of `hull` that a plane across the direction touches.
-pub(crate) fn touched_feature(hull: &ConvexHull, direction: &Direction<'_>, scratch: &mut Scratch) -> Touched {
+pub(crate) fn touched_feature(
+    hull: &ConvexHull,
+    direction: &Direction<'_>,
+    scratch: &mut Scratch,
+) -> Touched {
     scratch.find_support(hull, direction);
     if let Some(face) = scratch.touched_face(hull, direction) {
         return Touched::Face(face);
@@ -126,42 +128,40 @@ impl Scratch {
     /// such faces, and of those all of whose corners support, the one nearest the
     /// direction; of equals the larger, then the lower index.
     fn touched_face(&mut self, hull: &ConvexHull, direction: &Direction<'_>) -> Option<u32> {
-        let Self { vertices: supports, support, faces: seen, near, flat } = self;
+        let Self { vertices: supports, support, faces: seen, near } = self;
         let n = direction.n;
+        let cosine = |f: u32| hull.face_normals()[f as usize].dot(n);
         let within = |f: u32| {
-            let m = hull.face_normals()[f as usize];
-            let cosine = m.dot(n);
-            let within = cosine > 0.0 && n.cross(m).length_squared() <= direction.sine * direction.sine;
-            (within, Near { feature: f, measure: cosine })
+            cosine(f) > 0.0
+                && n.cross(hull.face_normals()[f as usize]).length_squared()
+                    <= direction.sine * direction.sine
         };
+        let at_support = || support.iter().flat_map(|&v| hull.vertex_faces(v as usize)).copied();
         seen.clear(hull.face_count());
         near.clear();
-        flat.clear();
-        for &v in support.iter() {
-            for &f in hull.vertex_faces(v as usize) {
-                if !seen.insert(f) {
-                    continue;
-                }
-                let (within, face) = within(f);
-                if within {
-                    near.push(face);
-                } else if support.len() >= 3 && hull.outline(f as usize).iter().all(|&v| supports.contains(v)) {
-                    flat.push(face);
-                }
+        for f in at_support() {
+            if seen.insert(f) && within(f) {
+                near.push(Near { feature: f, measure: cosine(f) });
             }
         }
         let mut next = 0;
         while let Some(&Near { feature, .. }) = near.get(next) {
             next += 1;
             for &g in hull.face_neighbours(feature as usize) {
-                if seen.insert(g)
-                    && let (true, face) = within(g)
-                {
-                    near.push(face);
+                if seen.insert(g) && within(g) {
+                    near.push(Near { feature: g, measure: cosine(g) });
                 }
             }
         }
-        near.append(flat);
+        // A face that lies in the support plane is nearer than none, however its
+        // few roundoffs of height tilt it.
+        if near.is_empty() && support.len() >= 3 {
+            let flat = |f: &u32| hull.outline(*f as usize).iter().all(|&v| supports.contains(v));
+            near.extend(at_support().filter(flat).map(|f| Near { feature: f, measure: cosine(f) }));
+        }
+        if let &[only] = near.as_slice() {
+            return Some(only.feature);
+        }
         let nearest = near.iter().map(|f| f.measure).fold(f64::NEG_INFINITY, f64::max);
         let tied = near.iter().filter(|f| f.measure >= nearest - TIE * U).map(|f| f.feature);
         let area = |f: u32| hull.face_areas()[f as usize];

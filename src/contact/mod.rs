@@ -32,8 +32,8 @@ use glam::DVec3;
 pub use body::{Body, InvalidPose, Pose};
 pub use hull::{ConvexHull, HullError, HullErrorKind, HullOptions};
 pub use manifold::{Basis, ContactPoint, Element, Feature, Flags, Manifold, Outcome};
-pub use support::instruction_set;
 pub use query::{Accuracy, Query, Solver, Wanted};
+pub use support::instruction_set;
 
 use distance::Decision;
 use gauss_map::{Direction, Touched, touched_feature};

@@ -107,8 +107,9 @@ mod x86 {
         let chunks = columns.x.chunks_exact(8).zip(columns.y.chunks_exact(8)).zip(columns.z.chunks_exact(8));
         for ((x, y), z) in chunks {
             // SAFETY: each chunk is 8 doubles long.
-            let (x, y, z) =
-                unsafe { (_mm512_loadu_pd(x.as_ptr()), _mm512_loadu_pd(y.as_ptr()), _mm512_loadu_pd(z.as_ptr())) };
+            let (x, y, z) = unsafe {
+                (_mm512_loadu_pd(x.as_ptr()), _mm512_loadu_pd(y.as_ptr()), _mm512_loadu_pd(z.as_ptr()))
+            };
             let flat = _mm512_add_pd(_mm512_mul_pd(nx, x), _mm512_mul_pd(ny, y));
             let value = _mm512_add_pd(flat, _mm512_mul_pd(nz, z));
             let better = _mm512_cmp_pd_mask::<_CMP_GT_OQ>(value, best);
@@ -134,8 +135,9 @@ mod x86 {
         let chunks = columns.x.chunks_exact(4).zip(columns.y.chunks_exact(4)).zip(columns.z.chunks_exact(4));
         for ((x, y), z) in chunks {
             // SAFETY: each chunk is 4 doubles long.
-            let (x, y, z) =
-                unsafe { (_mm256_loadu_pd(x.as_ptr()), _mm256_loadu_pd(y.as_ptr()), _mm256_loadu_pd(z.as_ptr())) };
+            let (x, y, z) = unsafe {
+                (_mm256_loadu_pd(x.as_ptr()), _mm256_loadu_pd(y.as_ptr()), _mm256_loadu_pd(z.as_ptr()))
+            };
             let flat = _mm256_add_pd(_mm256_mul_pd(nx, x), _mm256_mul_pd(ny, y));
             let value = _mm256_add_pd(flat, _mm256_mul_pd(nz, z));
             let better = _mm256_cmp_pd::<_CMP_GT_OQ>(value, best);

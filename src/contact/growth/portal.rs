@@ -78,7 +78,13 @@ impl Best {
 /// Whether `w` is not beyond the triangle's plane by more than was asked for,
 /// or than the rounding of the plane and of two support values leaves open.
 #[inline]
-fn refined(pair: &Pair<'_>, portal: &[Support; 3], plane: Normal, w: &Support, relative_tolerance: f64) -> bool {
+fn refined(
+    pair: &Pair<'_>,
+    portal: &[Support; 3],
+    plane: Normal,
+    w: &Support,
+    relative_tolerance: f64,
+) -> bool {
     let gain = plane.n.dot(w.point - portal[0].point);
     let rounding = GAIN * U * pair.circumradius;
     !(gain > 0.0 && gain * gain > rounding * rounding * plane.error_squared)

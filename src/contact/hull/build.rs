@@ -9,11 +9,11 @@ use super::merge::{Groups, Surface, groups};
 use super::quickhull::{Triangulation, triangulate};
 use super::topology::{Topology, topology};
 use super::{ConvexHull, HullError, HullErrorKind, HullOptions};
-use crate::contact::support::Columns;
 use crate::contact::exact::{
     ROUNDOFF, TriangleNormal, depth_below, exact_difference, exponent_above, orient3d, power_of_two,
     triangle_normal,
 };
+use crate::contact::support::Columns;
 
 pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexHull, HullError> {
     let solid = Solid::new(given)?;

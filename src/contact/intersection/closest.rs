@@ -80,7 +80,11 @@ fn each_nearest(outline: &Outline, from: DVec2, mut visit: impl FnMut(DVec2, f64
         if !(share > 0.0) {
             visit(p.at, p.height, Element::Vertex(p.vertex));
         } else if share < 1.0 {
-            visit(p.at + share * whole, p.height + share * (q.height - p.height), outline.named(Part::Side(i as u16)));
+            visit(
+                p.at + share * whole,
+                p.height + share * (q.height - p.height),
+                outline.named(Part::Side(i as u16)),
+            );
         } else {
             visit(q.at, q.height, Element::Vertex(q.vertex));
         }

@@ -58,7 +58,12 @@ pub(super) struct Outline {
 impl Outline {
     /// Projects the feature's corners; `project` gives plane position and height
     /// of a vertex by the hull's own index.
-    pub(super) fn fill(&mut self, hull: &ConvexHull, feature: Touched, project: impl Fn(u32) -> (DVec2, f64)) {
+    pub(super) fn fill(
+        &mut self,
+        hull: &ConvexHull,
+        feature: Touched,
+        project: impl Fn(u32) -> (DVec2, f64),
+    ) {
         let corner = |v: u32| {
             let (at, height) = project(v);
             Corner { at, height, vertex: hull.registered_indices()[v as usize] }
@@ -72,9 +77,10 @@ impl Outline {
         if doubled_area(&self.corners) < 0.0 {
             self.corners.reverse();
         }
-        (self.lowest, self.highest) = self.corners.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), c| {
-            (low.min(c.height), high.max(c.height))
-        });
+        (self.lowest, self.highest) =
+            self.corners.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), c| {
+                (low.min(c.height), high.max(c.height))
+            });
         let sides = if self.corners.len() < 3 { self.corners.len() - 1 } else { self.corners.len() };
         self.sides.clear();
         for i in 0..sides {
@@ -131,7 +137,9 @@ impl Outline {
     pub(super) fn height(&self, part: Part, at: DVec2) -> f64 {
         match (part, self.plane, self.corners.as_slice()) {
             (Part::Corner(i), ..) => self.corners[i as usize].height,
-            (Part::Side(i), ..) => height_on([self.corners[i as usize], self.corners[self.next(i as usize)]], at),
+            (Part::Side(i), ..) => {
+                height_on([self.corners[i as usize], self.corners[self.next(i as usize)]], at)
+            }
             (Part::Inside, Some((slope, base)), _) => {
                 let height = slope.dot(at) + base;
                 // A face seen edge-on has no height of its own over a point.

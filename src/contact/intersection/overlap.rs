@@ -48,8 +48,12 @@ pub(super) fn find(a: &Outline, b: &Outline, eps: f64, scratch: &mut Scratch, po
     distances(a, b, a_from_b);
     distances(b, a, b_from_a);
     vertices.clear();
-    corners_inside(a, b, a_from_b, eps, |i, at| vertices.push(Vertex { at, a: Part::Corner(i), b: Part::Inside }));
-    corners_inside(b, a, b_from_a, eps, |j, at| vertices.push(Vertex { at, a: Part::Inside, b: Part::Corner(j) }));
+    corners_inside(a, b, a_from_b, eps, |i, at| {
+        vertices.push(Vertex { at, a: Part::Corner(i), b: Part::Inside })
+    });
+    corners_inside(b, a, b_from_a, eps, |j, at| {
+        vertices.push(Vertex { at, a: Part::Inside, b: Part::Corner(j) })
+    });
     let aligned = a.corners.len() == 2 && b.corners.len() == 2 && vertices.len() >= 2;
     if !aligned {
         each_crossing(a, b, a_from_b, b_from_a, |i, j, at| {
@@ -77,8 +81,8 @@ fn corners_inside(of: &Outline, to: &Outline, table: &[f64], eps: f64, mut visit
         let inside = match to.corners.as_slice() {
             [only] => only.at.distance(c.at) <= eps,
             [p, q] => on_segment(c.at, p.at, q.at, row[0], eps),
-            // A side of no length (NaN) bounds nothing.
-            _ => !row.iter().any(|&d| d < -eps),
+            // A side of no length (NaN) bounds nothing: it is never the smaller.
+            _ => row.iter().fold(f64::INFINITY, |least, &d| if d < least { d } else { least }) >= -eps,
         };
         if inside {
             visit(i as u16, c.at);
@@ -96,18 +100,22 @@ fn on_segment(at: DVec2, p: DVec2, q: DVec2, from_line: f64, eps: f64) -> bool {
 }
 
 /// The proper crossings of sides.
-fn each_crossing(a: &Outline, b: &Outline, a_from_b: &[f64], b_from_a: &[f64], mut visit: impl FnMut(u16, u16, DVec2)) {
+fn each_crossing(
+    a: &Outline,
+    b: &Outline,
+    a_from_b: &[f64],
+    b_from_a: &[f64],
+    mut visit: impl FnMut(u16, u16, DVec2),
+) {
     let (sides_a, sides_b) = (a.sides.len(), b.sides.len());
     for i in 0..sides_a {
         let next_i = a.next(i);
         let (row, next_row) = (&a_from_b[i * sides_b..], &a_from_b[next_i * sides_b..]);
         for j in 0..sides_b {
             let (a0, a1) = (row[j], next_row[j]);
-            if (a0 > 0.0) == (a1 > 0.0) {
-                continue;
-            }
             let (b0, b1) = (b_from_a[j * sides_a + i], b_from_a[b.next(j) * sides_a + i]);
-            if (b0 > 0.0) != (b1 > 0.0) {
+            // One branch, since each half of it is anyone's guess.
+            if ((a0 > 0.0) != (a1 > 0.0)) & ((b0 > 0.0) != (b1 > 0.0)) {
                 let [p, q] = [a.corners[i].at, a.corners[next_i].at];
                 visit(i as u16, j as u16, p + (a0 / (a0 - a1)) * (q - p));
             }
