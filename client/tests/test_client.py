@@ -423,7 +423,7 @@ def test_a_store_outlives_its_server(tmp_path):
         assert client.query(scene, [[0, 0]]).outcome.tolist() == [Outcome.CONTACT]
 
 
-def test_the_server_ends_with_its_parent():
+def test_the_server_ends_with_its_parent(tmp_path):
     """Even when the parent is killed, and so closes nothing itself."""
     program = """
         import hullcast, os, signal
@@ -438,7 +438,7 @@ def test_the_server_ends_with_its_parent():
         text=True,
         timeout=60,
         check=False,
-        env={**os.environ, "PYTHONPATH": paths},
+        env={**os.environ, "PYTHONPATH": paths, "TMPDIR": str(tmp_path)},
     )
     server = int(parent.stdout)
     for _ in range(200):
