@@ -205,3 +205,87 @@ fn every_answer_carries_its_certificate() {
     assert!(covered.estimated > 100, "{}", covered.estimated);
     assert!(GENERIC.iter().all(|&(i, j)| covered.kinds[i][j] > 10), "{:?}", covered.kinds);
 }
+
+/// Coincident centres have no direction: alpha is 0, and the manifold is that
+/// of an offset along the thinnest direction. Catches 0/0.
+#[test]
+fn coincident_centres_are_flagged_and_still_answered() {
+    let plate = box_hull([0.1, 1.0, 1.0]);
+    for solver in SOLVERS {
+        for (position, rotation) in [([0.0; 3], IDENTITY), ([1.0, 2.0, 3.0], [0.5, 0.5, 0.5, 0.5])] {
+            let body = at(&plate, position, rotation);
+            let m = solve(&body, &body, &everything(solver));
+            assert!(m.flags.coincident && m.outcome == Outcome::Contact);
+            assert_eq!((m.alpha, m.alpha_lower), (0.0, 0.0));
+            assert!((m.separation + 0.2).abs() < 1e-15, "{m:?}");
+            assert_eq!(m.points.len(), 4);
+            assert!(m.basis.is_some());
+        }
+    }
+}
+
+/// A reduced patch keeps the deepest point and most of the area. Catches a
+/// reduction that keeps neighbours, or forgets to say so.
+#[test]
+fn reduction_keeps_the_deepest_and_the_largest() {
+    let (a, b) = (hull(&prism_points(24, 1.0, 0.5)), hull(&prism_points(17, 0.9, 0.5)));
+    let tilt = 2e-3;
+    let rotation = [f64::sin(tilt / 2.0), 0.0, 0.0, f64::cos(tilt / 2.0)];
+    let (body_a, body_b) = (at(&a, [0.0; 3], IDENTITY), at(&b, [0.05, 0.02, 0.99], rotation));
+    let whole = solve(&body_a, &body_b, &everything(Solver::Portal));
+    assert!(whole.points.len() > 12 && !whole.flags.reduced);
+    let deepest = |m: &Manifold| m.points.iter().map(|p| p.distance).fold(f64::INFINITY, f64::min);
+    let area = |m: &Manifold| {
+        let first = m.points[0].witness_a;
+        let fan = m.points.windows(2).map(|w| (w[0].witness_a - first).cross(w[1].witness_a - first));
+        0.5 * fan.sum::<glam::DVec3>().length()
+    };
+    for (max, share) in [(1, 0.0), (2, 0.0), (3, 0.3), (4, 0.6), (8, 0.85)] {
+        let accuracy = Accuracy { max_points: max, ..Default::default() };
+        let m = solve(&body_a, &body_b, &Query { accuracy, ..everything(Solver::Portal) });
+        assert_eq!(m.points.len(), max as usize);
+        assert!(m.flags.reduced);
+        assert_eq!(deepest(&m), deepest(&whole));
+        assert!(m.points.iter().all(|p| whole.points.contains(p)));
+        assert!(area(&m) >= share * area(&whole), "{max}: {} of {}", area(&m), area(&whole));
+    }
+}
+
+/// What is asked for does not change what is answered, and a capped solver's
+/// bracket still holds the answer. Catches an early exit that decides wrongly.
+#[test]
+fn stopping_early_is_still_right() {
+    let random = &mut Random(99);
+    let shapes = shapes(random);
+    let (mut decided_early, mut open) = (0, 0);
+    for _ in 0..5000 {
+        let (a, b) = (&shapes[random.below(shapes.len())], &shapes[random.below(shapes.len())]);
+        let reach = a.circumradius() + b.circumradius();
+        let position = scaled(random.direction(), reach * random.range(0.05, 1.2));
+        let (body_a, body_b) = (at(a, [0.0; 3], random.rotation()), at(b, position, random.rotation()));
+        for solver in SOLVERS {
+            let query = Query { margin: 0.02, ..everything(solver) };
+            let whole = solve(&body_a, &body_b, &query);
+            let growth = solve(&body_a, &body_b, &Query { wanted: Wanted::Growth, ..query });
+            assert_eq!(
+                (growth.alpha, growth.normal, growth.outcome),
+                (whole.alpha, whole.normal, whole.outcome)
+            );
+            let outcome = solve(&body_a, &body_b, &Query { wanted: Wanted::Outcome, ..query });
+            assert_eq!(outcome.outcome, whole.outcome);
+            decided_early += usize::from(outcome.iterations < whole.iterations);
+            let exact = solve(&body_a, &body_b, &everything(solver));
+            for max_iterations in [1, 2, 3, 5, 10] {
+                let accuracy = Accuracy { solver, max_iterations, ..Default::default() };
+                let m = solve(&body_a, &body_b, &Query { accuracy, ..everything(solver) });
+                assert!(
+                    m.alpha_lower <= exact.alpha_upper && exact.alpha_lower <= m.alpha_upper,
+                    "{m:?} {exact:?}"
+                );
+                assert!(!m.points.is_empty());
+                open += usize::from(m.flags.gap_open);
+            }
+        }
+    }
+    assert!(decided_early > 1000 && open > 5000, "{decided_early} {open}");
+}

@@ -131,7 +131,8 @@ fn bracket(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), 
     }
     let growth = scene.normal.dot(scene.d) / scene.reach;
     at_most("lower end of the bracket above what the normal shows", alpha_lower, growth)?;
-    if flags.gap_open {
+    // An outcome alone asks for no bracket.
+    if flags.gap_open || query.wanted == Wanted::Outcome {
         return Ok(());
     }
     at_most("width of the bracket", alpha_upper - alpha_lower, alpha_upper * tolerance + 2.0 * noise)?;
@@ -171,7 +172,8 @@ fn points(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), V
     for p in &manifold.points {
         let slack = scene.band() + 2.0 * planarity + eps;
         at_most("separation above the distance of a point", scene.separation - p.distance, slack)?;
-        if manifold.flags.estimated {
+        // An open bracket's basis need not support, nor its features touch.
+        if manifold.flags.estimated || manifold.flags.gap_open {
             continue;
         }
         let from_a = (p.witness_a - scene.a.pose.translation)

@@ -103,6 +103,8 @@ pub fn contact_manifold<'w>(
             }
         }
     };
+    // An outcome alone asks for no bracket.
+    solution.gap_open &= query.wanted != Wanted::Outcome;
     workspace.manifold.set_solved(pair, &solution, outcome);
     if query.wanted == Wanted::Points {
         workspace.lift_points(pair, &query.accuracy);

@@ -19,7 +19,7 @@ pub(in crate::service) fn server_info(limits: &Limits, threads: usize) -> proto:
             max_page_size: limits.max_page_size,
             cache_age_seconds: limits.cache_age_seconds,
         }),
-        instruction_set: "scalar".into(),
+        instruction_set: crate::contact::instruction_set().into(),
         compute_threads: threads as u32,
     }
 }
