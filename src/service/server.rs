@@ -37,7 +37,7 @@ pub async fn run(
     drain: Duration,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), OpenError> {
-    let (reporter, routes) = routes(&app).await?;
+    let (mut reporter, routes) = routes(&app).await?;
     let edge = Edge::new(routes.prepare());
     let streams = app.limits().max_streams_per_connection;
     let (stop, stopped) = watch::channel(());
@@ -54,6 +54,10 @@ pub async fn run(
     }
     app.stopping.send_replace(true);
     stop.send_replace(());
+    // Watchers have heard it: what they wait for ends, or they would be waited for.
+    for service in SERVICES {
+        reporter.clear_service_status(service).await;
+    }
     while accepting.join_next().await.is_some() {}
     tracing::info!("stopped");
     Ok(())

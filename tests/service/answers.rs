@@ -20,7 +20,7 @@ async fn with_shapes(threads: usize) -> TestServer {
 
 /// Around every size at which a batch is computed in another way: none, inline, one chunk,
 /// some chunks, more chunks than threads.
-const SIZES: [usize; 12] = [0, 1, 2, 15, 16, 17, 63, 64, 65, 128, 129, 1000];
+const SIZES: [usize; 12] = [0, 1, 2, 31, 32, 33, 63, 64, 65, 128, 129, 1000];
 
 /// Catches pairs lost, doubled or out of order where a batch is split, and a workspace that
 /// carries something over from one pair to the next.
@@ -196,8 +196,8 @@ async fn an_invalid_pair_costs_no_other() {
     assert!((50..300).contains(&kept), "both kinds of pairs: {kept}");
 }
 
-/// Catches a store that is read once a pair, or a cache that is not one: a batch over a
-/// warm cache reads nothing, and bodies without pairs are no fault.
+/// Catches an answer that depends on what the cache holds, and a hull that is dropped while
+/// a batch uses it: here nothing fits the cache, and every batch reads its hulls.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_cache_too_small_for_the_scene_changes_no_bit() {
     let limits = Limits { cache_bytes: 1, ..Limits::default() };

@@ -119,6 +119,22 @@ async fn stopping_ends_streams_and_refuses_the_rest() {
     assert!(TcpStream::connect(&address).await.is_err());
 }
 
+/// Catches a stop that a load balancer is not told of, or that waits for it to stop watching.
+#[tokio::test(flavor = "multi_thread")]
+async fn watchers_of_health_hear_of_the_stop_and_do_not_delay_it() {
+    let mut server = Setup { drain: Duration::from_secs(3600), ..Setup::default() }.start().await;
+    let mut health = HealthClient::new(server.channel());
+    let request = HealthCheckRequest { service: "hullcast.v1.ContactService".into() };
+    let mut watch = health.watch(request).await.unwrap().into_inner();
+    let first = watch.message().await.unwrap().unwrap();
+    assert_eq!(first.status(), ServingStatus::Serving);
+    server.begin_stop();
+    let last = watch.message().await.unwrap().unwrap();
+    assert_eq!(last.status(), ServingStatus::NotServing);
+    assert!(!matches!(watch.message().await, Ok(Some(_))));
+    server.stopped().await;
+}
+
 /// Catches a stop that hangs on a client that never reads or closes.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stuck_client_is_cut_off_at_the_drain_deadline() {
