@@ -113,12 +113,13 @@ fn start(pair: &Pair<'_>, seeds: &[Support]) -> [Support; 3] {
     portal
 }
 
-/// A triangle around the ray, inside the inner ball of `K` and across the ray,
-/// so that the first support point is the one along the ray.
+/// A triangle around and across the ray, so that the first support point is the
+/// one along the ray, with its corners a little inside the inner ball: of the
+/// openings tried (0.02 to 0.99 along the ray) this took the fewest steps.
 fn inner_triangle(pair: &Pair<'_>) -> [Support; 3] {
     let along = pair.ray.normalize();
     let (e1, e2) = along.any_orthonormal_pair();
-    let (radius, half) = (0.5 * pair.inradius, 0.5 * 3f64.sqrt());
+    let (radius, half) = (0.99 * pair.inradius, 0.5 * 3f64.sqrt());
     [e1, -0.5 * e1 + half * e2, -0.5 * e1 - half * e2]
-        .map(|across| Support::inner((0.5 * along + half * across) * radius))
+        .map(|across| Support::inner((0.8 * along + 0.6 * across) * radius))
 }
