@@ -2,7 +2,8 @@
 //!
 //! [`contact`] is the geometry: pure, synchronous, with no network in it. With
 //! the feature `server` (default) `service` answers batches of queries over
-//! gRPC and `store` keeps the registered hulls.
+//! gRPC and `store` keeps the registered hulls. [`workload`] generates pairs for
+//! load tests and benchmarks.
 //!
 //! Conventions: units are the caller's (metres in the documentation), angles
 //! radians; right-handed; quaternions `x, y, z, w`. A pose maps the hull's own
@@ -21,3 +22,4 @@ pub mod proto;
 pub mod service;
 #[cfg(feature = "server")]
 pub mod store;
+pub mod workload;
