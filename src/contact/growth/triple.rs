@@ -72,7 +72,6 @@ pub(crate) fn pivot(pair: &Pair<'_>, triple: &mut [Support; 3], w: Support) {
 #[derive(Clone, Copy)]
 pub(crate) struct Normal {
     pub(crate) n: DVec3,
-    pub(crate) length_squared: f64,
     /// Roundoffs of a length whose square this is are its error.
     pub(crate) error_squared: f64,
 }
@@ -87,7 +86,7 @@ pub(crate) fn normal(triple: &[Support; 3]) -> Normal {
     // Below a sine of 1/16 the products cancel 4 bits and more.
     if 256.0 * length_squared >= sides_squared {
         // (length + sides)^2 at most.
-        Normal { n, length_squared, error_squared: 2.0 * (length_squared + sides_squared) }
+        Normal { n, error_squared: 2.0 * (length_squared + sides_squared) }
     } else {
         wide_normal(triple)
     }
@@ -97,7 +96,7 @@ pub(crate) fn normal(triple: &[Support; 3]) -> Normal {
 #[cold]
 pub(crate) fn wide_normal(triple: &[Support; 3]) -> Normal {
     let n = triangle_normal(triple[0].point, triple[1].point, triple[2].point).unit;
-    Normal { n, length_squared: 1.0, error_squared: 1.0 }
+    Normal { n, error_squared: 1.0 }
 }
 
 /// Weights `l` with `sum of l_i u_i = ray` (Cramer's rule); not finite where the
