@@ -1,6 +1,6 @@
 //! A server's start and end: health, reflection, addresses, drain.
 
-use std::{path::Path, sync::Arc, time::Duration};
+use std::{path::Path, pin::pin, sync::Arc, time::Duration};
 
 use futures_util::StreamExt;
 use hullcast::{
@@ -16,7 +16,7 @@ use tonic_health::pb::{
 use tonic_reflection::pb::{v1, v1alpha};
 
 use crate::support::{
-    Setup, TestServer, refusal, refused,
+    Setup, TestServer, raw, refusal, refused,
     scenes::{register_request, two_boxes},
 };
 
@@ -89,13 +89,18 @@ async fn reflection_lists_and_describes_every_service() {
 async fn concurrent_calls_are_limited_as_published() {
     let limits = Limits { max_streams_per_connection: 7, ..Limits::default() };
     let server = TestServer::with_limits(limits).await;
-    let stream = TcpStream::connect(&server.address).await.unwrap();
-    let (client, connection) = h2::client::handshake(stream).await.unwrap();
-    tokio::spawn(connection);
-    let client = client.ready().await.unwrap();
-    while client.current_max_send_streams() != 7 {
-        tokio::time::sleep(Duration::from_millis(1)).await;
+    let (_client, connection) = raw::connection(&server.address).await;
+    let mut connection = pin!(connection);
+    let mut told = connection.current_max_send_streams();
+    for _ in 0..10_000 {
+        if told == 7 {
+            break;
+        }
+        let pause = tokio::time::timeout(Duration::from_millis(1), connection.as_mut()).await;
+        assert!(pause.is_err(), "the connection ended: {pause:?}");
+        told = connection.current_max_send_streams();
     }
+    assert_eq!(told, 7);
 }
 
 /// Catches a stop that cuts off a call in flight, one that waits for a stream that idles,
@@ -106,8 +111,8 @@ async fn stopping_ends_streams_and_refuses_the_rest() {
     let mut server = Setup { drain: Duration::from_secs(3600), ..Setup::default() }.start().await;
     let (shapes, request) = two_boxes();
     server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
-    let (send, requests) = tokio::sync::mpsc::channel(1);
-    let requests = tokio_stream::wrappers::ReceiverStream::new(requests);
+    let (send, mut requests) = tokio::sync::mpsc::channel(1);
+    let requests = futures_util::stream::poll_fn(move |cx| requests.poll_recv(cx));
     let mut answers = server.contacts().stream_contacts(requests).await.unwrap().into_inner();
     send.send(request).await.unwrap();
     assert!(answers.message().await.unwrap().is_some());
@@ -139,19 +144,17 @@ async fn watchers_of_health_hear_of_the_stop_and_do_not_delay_it() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stuck_client_is_cut_off_at_the_drain_deadline() {
     let mut server = Setup { drain: Duration::from_millis(100), ..Setup::default() }.start().await;
-    let stream = TcpStream::connect(&server.address).await.unwrap();
-    let (client, connection) = h2::client::handshake(stream).await.unwrap();
-    tokio::spawn(connection);
+    let mut client = raw::connect(&server.address).await;
     // A call whose request never ends.
-    let path = "http://localhost/hullcast.v1.ContactService/QueryContacts";
-    let request = http::Request::post(path).header("content-type", "application/grpc").body(()).unwrap();
-    let mut client = client.ready().await.unwrap();
-    let (response, _send) = client.send_request(request, false).unwrap();
-    // The server has seen it once it answers one behind it.
-    server.info().get_server_info(GetServerInfoRequest {}).await.unwrap();
+    let path = "/hullcast.v1.ContactService/QueryContacts";
+    let response = tokio::spawn(client.send_request(raw::call(path, &[], raw::Body::Never)));
+    // The server has seen it once it answers one behind it on the same connection.
+    let info = "/hullcast.v1.ServerService/GetServerInfo";
+    let (status, _) = raw::status_on(&mut client, info, &[], raw::frame(false, &[])).await;
+    assert_eq!(status.code(), Code::Ok);
     server.begin_stop();
     server.stopped().await;
-    assert!(response.await.is_err());
+    assert!(response.await.unwrap().is_err());
 }
 
 /// Catches a Unix socket that is not answered on, that is left behind, or that a killed

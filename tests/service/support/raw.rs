@@ -1,42 +1,98 @@
 //! gRPC by hand, for what a well-behaved client cannot send: it enforces its own deadline,
 //! checks its own messages and never names a method that is not there.
 
+use std::{
+    convert::Infallible,
+    future::poll_fn,
+    pin::Pin,
+    task::{Context, Poll},
+};
+
 use bytes::{BufMut, Bytes, BytesMut};
 use http::{HeaderMap, Request};
+use hyper::{
+    body::{Body as _, Frame},
+    client::conn::http2::{Connection, SendRequest, handshake},
+};
+use hyper_util::rt::{TokioExecutor, TokioIo};
 use tokio::net::TcpStream;
 use tonic::Status;
 
-/// The status of a call of `path` with `headers` and `body`.
+/// A request's body.
+pub(crate) enum Body {
+    /// These bytes, then the end.
+    Whole(Bytes),
+    /// Nothing, and no end.
+    Never,
+}
+
+impl hyper::body::Body for Body {
+    type Data = Bytes;
+    type Error = Infallible;
+
+    fn poll_frame(
+        self: Pin<&mut Self>,
+        _: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, Infallible>>> {
+        match self.get_mut() {
+            Self::Never => Poll::Pending,
+            Self::Whole(bytes) if bytes.is_empty() => Poll::Ready(None),
+            Self::Whole(bytes) => Poll::Ready(Some(Ok(Frame::data(std::mem::take(bytes))))),
+        }
+    }
+}
+
+/// An HTTP/2 connection, to be polled by the caller.
+pub(crate) async fn connection(
+    address: &str,
+) -> (SendRequest<Body>, Connection<TokioIo<TcpStream>, Body, TokioExecutor>) {
+    let stream = TcpStream::connect(address).await.unwrap();
+    handshake(TokioExecutor::new(), TokioIo::new(stream)).await.unwrap()
+}
+
+/// An HTTP/2 connection.
+pub(crate) async fn connect(address: &str) -> SendRequest<Body> {
+    let (client, connection) = connection(address).await;
+    tokio::spawn(connection);
+    client
+}
+
+/// A call of `path`.
+pub(crate) fn call(path: &str, headers: &[(&str, &str)], body: Body) -> Request<Body> {
+    let request = Request::post(format!("http://localhost{path}"))
+        .header("content-type", "application/grpc")
+        .header("te", "trailers");
+    headers.iter().fold(request, |request, (name, value)| request.header(*name, *value)).body(body).unwrap()
+}
+
+/// The status of a call of `path` with `headers` and `body`, and the headers it came in.
 pub(crate) async fn status_of(
     address: &str,
     path: &str,
     headers: &[(&str, &str)],
     body: Bytes,
 ) -> (Status, HeaderMap) {
-    let stream = TcpStream::connect(address).await.unwrap();
-    let (client, connection) = h2::client::handshake(stream).await.unwrap();
-    tokio::spawn(connection);
-    let mut request = Request::post(format!("http://{address}{path}"))
-        .header("content-type", "application/grpc")
-        .header("te", "trailers");
-    for (name, value) in headers {
-        request = request.header(*name, *value);
-    }
-    let mut client = client.ready().await.unwrap();
-    let (response, mut send) = client.send_request(request.body(()).unwrap(), false).unwrap();
-    // A server that refuses by the headers resets before it has read the body.
-    let _ = send.send_data(body, true);
-    let response = response.await.unwrap();
+    status_on(&mut connect(address).await, path, headers, body).await
+}
+
+/// The same on a connection that is there.
+pub(crate) async fn status_on(
+    client: &mut SendRequest<Body>,
+    path: &str,
+    headers: &[(&str, &str)],
+    body: Bytes,
+) -> (Status, HeaderMap) {
+    let response = client.send_request(call(path, headers, Body::Whole(body))).await.unwrap();
     if let Some(status) = Status::from_header_map(response.headers()) {
         return (status, response.headers().clone());
     }
     let mut body = response.into_body();
-    while let Some(data) = body.data().await {
-        let data = data.unwrap();
-        body.flow_control().release_capacity(data.len()).unwrap();
+    while let Some(frame) = poll_fn(|cx| Pin::new(&mut body).poll_frame(cx)).await {
+        if let Ok(trailers) = frame.unwrap().into_trailers() {
+            return (Status::from_header_map(&trailers).expect("a status"), trailers);
+        }
     }
-    let trailers = body.trailers().await.unwrap().expect("a gRPC answer ends in trailers");
-    (Status::from_header_map(&trailers).expect("a status"), trailers)
+    panic!("a gRPC answer ends in trailers")
 }
 
 /// A gRPC frame around `message`.
