@@ -7,6 +7,7 @@
 //! distance. Corners and sides lift along the hull's own vertices, the inside
 //! of a face along its plane.
 
+mod clip;
 mod closest;
 mod outline;
 mod overlap;

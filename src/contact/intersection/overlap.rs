@@ -1,35 +1,29 @@
-//! Where two projected features overlap.
-//!
-//! The vertices of the intersection of two convex polygons are the corners of
-//! each inside the other and the crossings of their sides. Two tables of signed
-//! distances, corners of one from sides of the other, decide all three; a
-//! crossing too near a corner to be told from it is that corner, found by the
-//! inclusive inside test, so that no rounding loses a vertex.
+//! Where two projected features overlap: the vertices of the intersection, each
+//! once, in order, by name.
 
 use glam::DVec2;
 
 use super::PlanePoint;
+use super::clip::{Vertex, clip};
 use super::outline::{Outline, Part};
 
 /// Buffers.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
-    /// Corner `i` of A from side `j` of B at `i * sides + j`, positive inside.
-    a_from_b: Vec<f64>,
-    b_from_a: Vec<f64>,
-    vertices: Vec<Vertex>,
-    chain: Vec<Vertex>,
+    kept: Vec<Vertex>,
+    next: Vec<Vertex>,
+    named: Vec<Named>,
 }
 
-/// A vertex of the intersection, by what makes it.
+/// A vertex of the intersection, by what of A and of B makes it.
 #[derive(Clone, Copy, Debug)]
-struct Vertex {
+struct Named {
     at: DVec2,
     a: Part,
     b: Part,
 }
 
-impl Vertex {
+impl Named {
     /// A's corner names a point, else B's, else the crossing.
     fn rank(&self) -> (u8, Part, Part) {
         let kind = match (self.a, self.b) {
@@ -44,140 +38,125 @@ impl Vertex {
 /// Appends the vertices of the intersection, anticlockwise; none where the
 /// projections miss each other by more than `eps`.
 pub(super) fn find(a: &Outline, b: &Outline, eps: f64, scratch: &mut Scratch, points: &mut Vec<PlanePoint>) {
-    let Scratch { a_from_b, b_from_a, vertices, chain } = scratch;
-    distances(a, b, a_from_b);
-    distances(b, a, b_from_a);
-    vertices.clear();
-    corners_inside(a, b, a_from_b, eps, |i, at| {
-        vertices.push(Vertex { at, a: Part::Corner(i), b: Part::Inside })
-    });
-    corners_inside(b, a, b_from_a, eps, |j, at| {
-        vertices.push(Vertex { at, a: Part::Inside, b: Part::Corner(j) })
-    });
-    let aligned = a.corners.len() == 2 && b.corners.len() == 2 && vertices.len() >= 2;
-    if !aligned {
-        each_crossing(a, b, a_from_b, b_from_a, |i, j, at| {
-            vertices.push(Vertex { at, a: Part::Side(i), b: Part::Side(j) });
-        });
+    let Scratch { kept, next, named } = scratch;
+    named.clear();
+    if b.corners.len() > 2 {
+        clip(a, b, eps, kept, next);
+        named.extend(kept.iter().map(|v| Named { at: v.at, a: v.own, b: v.other }));
+    } else if a.corners.len() > 2 {
+        clip(b, a, eps, kept, next);
+        named.extend(kept.iter().map(|v| Named { at: v.at, a: coinciding(a, v, eps), b: v.own }));
+    } else {
+        thin(a, b, eps, named);
     }
-    merge(vertices, eps);
-    convex_order(vertices, eps, chain);
-    points.extend(vertices.iter().map(|v| lift(a, b, v)));
+    merge(named, eps);
+    straighten(named, eps);
+    points.extend(named.iter().map(|v| lift(a, b, v)));
 }
 
-/// Signed distances of the corners of `of` from the side lines of `to`.
-fn distances(of: &Outline, to: &Outline, table: &mut Vec<f64>) {
-    table.clear();
-    for c in &of.corners {
-        table.extend(to.sides.iter().map(|side| side.distance(c.at)));
-    }
+/// A's part at a vertex of B's clipped outline: A's corner where one is there.
+fn coinciding(a: &Outline, v: &Vertex, eps: f64) -> Part {
+    let corner = a.corners.iter().position(|c| c.at.distance_squared(v.at) <= eps * eps);
+    corner.map_or(v.other, |i| Part::Corner(i as u16))
 }
 
-/// The corners of `of` that are inside `to`.
-fn corners_inside(of: &Outline, to: &Outline, table: &[f64], eps: f64, mut visit: impl FnMut(u16, DVec2)) {
-    let sides = to.sides.len();
-    for (i, c) in of.corners.iter().enumerate() {
-        let row = &table[i * sides..(i + 1) * sides];
-        let inside = match to.corners.as_slice() {
-            [only] => only.at.distance(c.at) <= eps,
-            [p, q] => on_segment(c.at, p.at, q.at, row[0], eps),
-            // A side of no length (NaN) bounds nothing: it is never the smaller.
-            _ => row.iter().fold(f64::INFINITY, |least, &d| if d < least { d } else { least }) >= -eps,
-        };
-        if inside {
-            visit(i as u16, c.at);
+/// Edges and vertices: corners within `eps` of the other feature; of two edges
+/// that are not aligned the crossing.
+fn thin(a: &Outline, b: &Outline, eps: f64, named: &mut Vec<Named>) {
+    for (c, i) in a.corners.iter().zip(0..) {
+        if touches(b, c.at, eps) {
+            named.push(Named { at: c.at, a: Part::Corner(i), b: Part::Inside });
         }
     }
-}
-
-fn on_segment(at: DVec2, p: DVec2, q: DVec2, from_line: f64, eps: f64) -> bool {
-    let length = p.distance(q);
-    if !(length > eps) {
-        return at.distance(p) <= eps || at.distance(q) <= eps;
-    }
-    let along = (at - p).dot(q - p) / length;
-    from_line.abs() <= eps && along >= -eps && along <= length + eps
-}
-
-/// The proper crossings of sides.
-fn each_crossing(
-    a: &Outline,
-    b: &Outline,
-    a_from_b: &[f64],
-    b_from_a: &[f64],
-    mut visit: impl FnMut(u16, u16, DVec2),
-) {
-    let (sides_a, sides_b) = (a.sides.len(), b.sides.len());
-    for i in 0..sides_a {
-        let next_i = a.next(i);
-        let (row, next_row) = (&a_from_b[i * sides_b..], &a_from_b[next_i * sides_b..]);
-        for j in 0..sides_b {
-            let (a0, a1) = (row[j], next_row[j]);
-            let (b0, b1) = (b_from_a[j * sides_a + i], b_from_a[b.next(j) * sides_a + i]);
-            // One branch, since each half of it is anyone's guess.
-            if ((a0 > 0.0) != (a1 > 0.0)) & ((b0 > 0.0) != (b1 > 0.0)) {
-                let [p, q] = [a.corners[i].at, a.corners[next_i].at];
-                visit(i as u16, j as u16, p + (a0 / (a0 - a1)) * (q - p));
-            }
+    for (c, j) in b.corners.iter().zip(0..) {
+        if touches(a, c.at, eps) {
+            named.push(Named { at: c.at, a: Part::Inside, b: Part::Corner(j) });
         }
     }
+    let (&[p, q], &[side_a], &[side_b], true) =
+        (a.corners.as_slice(), a.sides.as_slice(), b.sides.as_slice(), named.len() < 2)
+    else {
+        return;
+    };
+    let [a0, a1] = [p, q].map(|c| side_b.distance(c.at));
+    let [b0, b1] = [0, 1].map(|j| side_a.distance(b.corners[j].at));
+    if (a0 > 0.0) != (a1 > 0.0) && (b0 > 0.0) != (b1 > 0.0) {
+        let at = p.at + (a0 / (a0 - a1)) * (q.at - p.at);
+        named.clear();
+        named.push(Named { at, a: Part::Side(0), b: Part::Side(0) });
+    }
 }
 
-/// Of vertices closer than `eps` keeps the one of the lowest rank. Leaves them
-/// sorted by place.
-fn merge(vertices: &mut Vec<Vertex>, eps: f64) {
-    vertices.sort_unstable_by(|p, q| {
-        p.at.x.total_cmp(&q.at.x).then(p.at.y.total_cmp(&q.at.y)).then_with(|| p.rank().cmp(&q.rank()))
-    });
+/// Whether a point is within `eps` of a vertex or an edge.
+fn touches(feature: &Outline, at: DVec2, eps: f64) -> bool {
+    match feature.corners.as_slice() {
+        [p, q] => {
+            let (whole, part) = (q.at - p.at, at - p.at);
+            let share = (part.dot(whole) / whole.length_squared()).clamp(0.0, 1.0);
+            let nearest = if share.is_nan() { p.at } else { p.at + share * whole };
+            at.distance(nearest) <= eps
+        }
+        corners => corners.iter().any(|c| c.at.distance(at) <= eps),
+    }
+}
+
+/// Of neighbours closer than `eps` keeps the one of the lowest rank.
+fn merge(vertices: &mut Vec<Named>, eps: f64) {
     let mut i = 0;
-    while i < vertices.len() {
-        let p = vertices[i];
-        let near = (i + 1..vertices.len())
-            .take_while(|&j| vertices[j].at.x - p.at.x <= eps)
-            .find(|&j| vertices[j].at.distance_squared(p.at) <= eps * eps);
-        match near {
-            Some(j) if vertices[j].rank() < p.rank() => drop(vertices.remove(i)),
-            Some(j) => drop(vertices.remove(j)),
-            None => i += 1,
+    while vertices.len() > 1 && i < vertices.len() {
+        let next = if i + 1 == vertices.len() { 0 } else { i + 1 };
+        let (p, q) = (vertices[i], vertices[next]);
+        if p.at.distance_squared(q.at) > eps * eps {
+            i += 1;
+        } else if q.rank() < p.rank() {
+            vertices.remove(i);
+        } else {
+            vertices.remove(next);
+            // A removed first vertex moves all others down.
+            i -= usize::from(next < i);
         }
     }
 }
 
-/// Orders vertices, sorted by place, as the convex polygon they are (Andrew's
-/// monotone chain), without those closer than `eps` to the line between their
-/// neighbours.
-fn convex_order(vertices: &mut Vec<Vertex>, eps: f64, chain: &mut Vec<Vertex>) {
+/// Drops vertices closer than `eps` to the line between their neighbours; of an
+/// outline that is all one line keeps the two ends.
+fn straighten(vertices: &mut Vec<Named>, eps: f64) {
     if vertices.len() < 3 {
         return;
     }
-    chain.clear();
-    let mut walk = |points: &mut dyn Iterator<Item = &Vertex>| {
-        let start = chain.len();
-        for p in points {
-            while chain.len() >= start + 2
-                && !turns_left(chain[chain.len() - 2].at, chain[chain.len() - 1].at, p.at, eps)
-            {
-                chain.pop();
-            }
-            chain.push(*p);
-        }
-        // The last point starts the other half.
-        chain.pop();
+    let farthest = |from: DVec2, vertices: &[Named]| {
+        let distance = |i: &usize| vertices[*i].at.distance_squared(from);
+        (0..vertices.len()).max_by(|i, j| distance(i).total_cmp(&distance(j)).then(j.cmp(i))).unwrap_or(0)
     };
-    walk(&mut vertices.iter());
-    walk(&mut vertices.iter().rev());
-    std::mem::swap(vertices, chain);
+    let first = farthest(vertices[0].at, vertices);
+    let second = farthest(vertices[first].at, vertices);
+    let (p, q) = (vertices[first], vertices[second]);
+    if vertices.iter().all(|v| !aside(p.at, v.at, q.at, eps)) {
+        vertices.clear();
+        vertices.extend([p, q]);
+        return;
+    }
+    let mut i = 0;
+    while vertices.len() > 2 && i < vertices.len() {
+        let previous = vertices[if i == 0 { vertices.len() - 1 } else { i - 1 }].at;
+        let next = vertices[if i + 1 == vertices.len() { 0 } else { i + 1 }].at;
+        if aside(previous, vertices[i].at, next, eps) {
+            i += 1;
+        } else {
+            vertices.remove(i);
+        }
+    }
 }
 
-/// Whether `q` lies right of the line from `p` to `r` by more than `eps`.
-fn turns_left(p: DVec2, q: DVec2, r: DVec2, eps: f64) -> bool {
+/// Whether `q` is farther than `eps` from the line through `p` and `r`.
+fn aside(p: DVec2, q: DVec2, r: DVec2, eps: f64) -> bool {
     let area = (q - p).perp_dot(r - p);
-    area > 0.0 && area * area > eps * eps * (r - p).length_squared()
+    area * area > eps * eps * (r - p).length_squared()
 }
 
 /// The witnesses' heights over a vertex: along the hulls' own corners and sides
 /// where these make it, else over the face.
-fn lift(a: &Outline, b: &Outline, vertex: &Vertex) -> PlanePoint {
+fn lift(a: &Outline, b: &Outline, vertex: &Named) -> PlanePoint {
     PlanePoint {
         at: vertex.at,
         height_a: a.height(vertex.a, vertex.at),
