@@ -41,10 +41,12 @@ build: check-tools ## the server, target/release/hullcast
 # tests. A distribution's cargo may come without them.
 .PHONY: lint
 lint: check-tools ## rustfmt and clippy, warnings are errors
-	@if $(CARGO) fmt --version >/dev/null 2>&1; then set -x; $(CARGO) fmt --all --check; \
+	@if $(CARGO) fmt --version >/dev/null 2>&1; then set -x; $(CARGO) fmt --check; cd benches; $(CARGO) fmt --check; \
 	 else echo "rustfmt is not installed: formatting not checked"; fi
 	@if $(CARGO) clippy --version >/dev/null 2>&1; then set -x; \
 	 $(CARGO) clippy --release --locked --all-targets -- -D warnings; \
+	 $(CARGO) clippy --release --locked --all-targets --no-default-features -- -D warnings; \
+	 cd benches; $(CARGO) clippy --release --locked --all-targets -- -D warnings; \
 	 else echo "clippy is not installed: lints not checked"; fi
 
 .PHONY: test-rust
@@ -59,7 +61,7 @@ test-python: build $(VENV)/.test ## the Python tests, against the real server
 .PHONY: bench
 bench: check-tools build $(VENV)/.demo ## contacts beside parry3d, then through the server from Python; writes docs/performance.md
 	cd benches && $(CARGO) run --release --locked --bin contact
-	$(PY) client/examples/throughput.py
+	$(PY) client/examples/throughput.py | tee /dev/stderr | (cd benches && $(CARGO) run --quiet --release --locked --bin section throughput)
 
 .PHONY: stubs
 stubs: $(VENV)/.test ## the Python protobuf modules again, after a change of proto/

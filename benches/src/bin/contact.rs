@@ -1,0 +1,116 @@
+//! Contact manifolds and hull building, beside parry3d: `make bench`.
+//!
+//! Prints each table and puts it into docs/performance.md, every figure into
+//! docs/performance.csv.
+
+use std::error::Error;
+
+use hullcast::contact::{Accuracy, ConvexHull, Query, Solver, Wanted};
+use hullcast_benches::cells::{self, Cell, MARGIN};
+use hullcast_benches::ours::{self, Scene};
+use hullcast_benches::parry;
+use hullcast_benches::report::{DOCS, Table, provenance, replace_section};
+use hullcast_benches::rounds::{Contender, Timing, interleave};
+
+const ROUNDS: usize = 41;
+/// Pairs of each family and regime.
+const PAIRS: usize = 250;
+/// Motion between warm passes: length and radians.
+const STEPS: [f64; 3] = [1e-3, 1e-2, 1e-1];
+const CLOUDS: [usize; 4] = [16, 64, 256, 4096];
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let cells = cells::generate(PAIRS)?;
+    let tables = [("cold", cold(&cells)?), ("warm", warm(&cells)?), ("hulls", building()?)];
+    let mut csv = String::new();
+    for (section, table) in &tables {
+        println!("{section}\n{}\n", table.text());
+        replace_section(section, table.text())?;
+        csv.push_str(table.csv());
+    }
+    replace_section("provenance", &provenance())?;
+    std::fs::write(format!("{DOCS}/performance.csv"), csv)?;
+    Ok(())
+}
+
+fn query(wanted: Wanted, solver: Solver) -> Query {
+    Query { margin: MARGIN, wanted, accuracy: Accuracy { solver, ..Accuracy::default() } }
+}
+
+const REFUSED: &str = "parry3d refuses a hull";
+const UNUSABLE: &str = "a pose is not usable";
+
+/// Whole manifolds from nothing, and step 1 alone.
+fn cold(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
+    let names =
+        ["parry3d f32", "parry3d f64", "hullcast", "hullcast, paper's solver", "hullcast, step 1 alone"];
+    let mut table = Table::new("cold", &names);
+    for cell in cells {
+        let hulls = ours::hulls(cell)?;
+        let scene = |query| Scene::new(&hulls, cell, cell, query).ok_or(UNUSABLE);
+        let mut single = parry::single::Peer::new(cell, cell).ok_or(REFUSED)?;
+        let mut double = parry::double::Peer::new(cell, cell).ok_or(REFUSED)?;
+        let mut whole = scene(query(Wanted::Points, Solver::Portal))?;
+        let mut paper = scene(query(Wanted::Points, Solver::GjkRayCast))?;
+        let mut growth = scene(query(Wanted::Growth, Solver::Portal))?;
+        let mut contenders = [
+            Contender { name: names[0], pass: Box::new(|| single.cold()) },
+            Contender { name: names[1], pass: Box::new(|| double.cold()) },
+            Contender { name: names[2], pass: Box::new(|| whole.cold()) },
+            Contender { name: names[3], pass: Box::new(|| paper.cold()) },
+            Contender { name: names[4], pass: Box::new(|| growth.cold()) },
+        ];
+        record(&mut table, &cell.label, interleave(&mut contenders, cell.pairs.len(), ROUNDS));
+    }
+    Ok(table)
+}
+
+/// Whole manifolds, each from the answer before a motion.
+fn warm(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
+    let names = ["parry3d f32", "hullcast"];
+    let mut table = Table::new("warm, motion", &names);
+    for cell in cells {
+        for step in STEPS {
+            let moved = cell.moved(step);
+            let hulls = ours::hulls(cell)?;
+            let mut single = parry::single::Peer::new(cell, &moved).ok_or(REFUSED)?;
+            let asked = query(Wanted::Points, Solver::Portal);
+            let mut whole = Scene::new(&hulls, cell, &moved, asked).ok_or(UNUSABLE)?;
+            let mut contenders = [
+                Contender { name: names[0], pass: Box::new(|| single.warm()) },
+                Contender { name: names[1], pass: Box::new(|| whole.warm()) },
+            ];
+            let timings = interleave(&mut contenders, cell.pairs.len(), ROUNDS);
+            record(&mut table, &format!("{}, {step:e}", cell.label), timings);
+        }
+    }
+    Ok(table)
+}
+
+/// Points on a sphere to hulls.
+fn building() -> Result<Table, Box<dyn Error>> {
+    let names = ["parry3d f32", "parry3d f64", "hullcast"];
+    let mut table = Table::new("points", &names);
+    for count in CLOUDS {
+        // Small clouds many times over, so that a pass is long enough to time.
+        let clouds: Vec<_> =
+            (0..(512 / count).max(1)).map(|seed| cells::sphere(count, seed as u64)).collect();
+        let each = |build: &dyn Fn(&[[f64; 3]]) -> bool| clouds.iter().filter(|cloud| build(cloud)).count();
+        let mut contenders = [
+            Contender { name: names[0], pass: Box::new(|| each(&|c| parry::single::build(c).is_some())) },
+            Contender { name: names[1], pass: Box::new(|| each(&|c| parry::double::build(c).is_some())) },
+            Contender { name: names[2], pass: Box::new(|| each(&|c| ConvexHull::new(c).is_ok())) },
+        ];
+        record(&mut table, &count.to_string(), interleave(&mut contenders, clouds.len(), ROUNDS));
+    }
+    Ok(table)
+}
+
+fn record(table: &mut Table, label: &str, timings: Vec<Timing>) {
+    let last = timings.last();
+    eprintln!(
+        "{label}: {}",
+        last.map_or(String::new(), |t| format!("{:.0} ns, {:.2}x", t.nanoseconds, t.ratio))
+    );
+    table.row(label, &timings);
+}

@@ -1,0 +1,7 @@
+//! Timing hullcast beside parry3d, in one process and one thread.
+
+pub mod cells;
+pub mod ours;
+pub mod parry;
+pub mod report;
+pub mod rounds;

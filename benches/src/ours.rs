@@ -1,0 +1,57 @@
+//! hullcast, through its public function alone.
+
+use hullcast::contact::{Basis, Body, ConvexHull, HullError, Pose, Query, Workspace, contact_manifold};
+
+use crate::cells::{Cell, Pair};
+
+/// The hulls of a cell.
+pub fn hulls(cell: &Cell) -> Result<Vec<ConvexHull>, HullError> {
+    cell.hulls.iter().map(|points| ConvexHull::new(points)).collect()
+}
+
+/// Pairs at two poses, and what is asked of them.
+pub struct Scene<'a> {
+    /// The poses of a cell and of the same moved.
+    pairs: Vec<[[Body<'a>; 2]; 2]>,
+    phase: usize,
+    bases: Vec<Option<Basis>>,
+    query: Query,
+    workspace: Workspace,
+}
+
+impl<'a> Scene<'a> {
+    /// `None` where a pose is not usable.
+    pub fn new(hulls: &'a [ConvexHull], cell: &Cell, moved: &Cell, query: Query) -> Option<Self> {
+        let bodies = |pair: &Pair| {
+            let [a, b] = pair.places.map(|place| Pose::new(place.position, place.rotation).ok());
+            Some([Body::new(&hulls[pair.hulls[0]], a?), Body::new(&hulls[pair.hulls[1]], b?)])
+        };
+        let both = |(pair, moved)| Some([bodies(pair)?, bodies(moved)?]);
+        let pairs = cell.pairs.iter().zip(&moved.pairs).map(both).collect::<Option<Vec<_>>>()?;
+        let bases = vec![None; pairs.len()];
+        Some(Self { pairs, phase: 0, bases, query, workspace: Workspace::default() })
+    }
+
+    /// Every pair from nothing. The number of pairs with points.
+    pub fn cold(&mut self) -> usize {
+        let mut touching = 0;
+        for [[a, b], _] in &self.pairs {
+            let manifold = contact_manifold(a, b, &self.query, None, &mut self.workspace);
+            touching += usize::from(!manifold.points.is_empty());
+        }
+        touching
+    }
+
+    /// Every pair at its other pose, from its basis of the pass before.
+    pub fn warm(&mut self) -> usize {
+        self.phase ^= 1;
+        let mut touching = 0;
+        for (bodies, basis) in self.pairs.iter().zip(&mut self.bases) {
+            let [a, b] = &bodies[self.phase];
+            let manifold = contact_manifold(a, b, &self.query, basis.as_ref(), &mut self.workspace);
+            touching += usize::from(!manifold.points.is_empty());
+            *basis = manifold.basis;
+        }
+        touching
+    }
+}

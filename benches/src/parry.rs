@@ -1,0 +1,94 @@
+//! parry3d's convex polyhedra, in single and in double precision.
+//!
+//! Called through the function that its dispatcher ends in, on types known at
+//! compile time, with its buffers kept: the fastest way a user has.
+
+/// How many pairs a pass answered with points.
+type Touching = usize;
+
+macro_rules! peer {
+    ($module:ident, $parry:ident, $real:ty) => {
+        /// One precision.
+        pub mod $module {
+            use $parry::math::{Pose3, Rot3, Vector};
+            use $parry::query::ContactManifold;
+            use $parry::query::details::contact_manifold_pfm_pfm;
+            use $parry::shape::ConvexPolyhedron;
+
+            use super::Touching;
+            use crate::cells::{Cell, MARGIN, Pair, Place};
+
+            /// The hulls and pairs of a cell.
+            pub struct Peer {
+                hulls: Vec<ConvexPolyhedron>,
+                /// The poses of a cell and of the same moved.
+                pairs: Vec<([usize; 2], [[Pose3; 2]; 2])>,
+                phase: usize,
+                manifolds: Vec<ContactManifold<(), ()>>,
+            }
+
+            /// Builds a hull from its points.
+            pub fn build(points: &[[f64; 3]]) -> Option<ConvexPolyhedron> {
+                let points: Vec<Vector> =
+                    points.iter().map(|p| Vector::from_array(p.map(|c| c as $real))).collect();
+                ConvexPolyhedron::from_convex_hull(&points)
+            }
+
+            fn pose(place: &Place) -> Pose3 {
+                let [x, y, z] = place.position.map(|c| c as $real);
+                let [i, j, k, w] = place.rotation.map(|c| c as $real);
+                Pose3::from_parts(Vector::new(x, y, z), Rot3::from_xyzw(i, j, k, w).normalize())
+            }
+
+            impl Peer {
+                /// `None` where it refuses a hull.
+                pub fn new(cell: &Cell, moved: &Cell) -> Option<Self> {
+                    let poses = |pair: &Pair| [0, 1].map(|side| pose(&pair.places[side]));
+                    let pairs = cell.pairs.iter().zip(&moved.pairs);
+                    let pairs = pairs.map(|(pair, moved)| (pair.hulls, [poses(pair), poses(moved)]));
+                    let manifolds = cell.pairs.iter().map(|_| ContactManifold::new()).collect();
+                    let hulls = cell.hulls.iter().map(|points| build(points)).collect::<Option<_>>()?;
+                    Some(Self { hulls, pairs: pairs.collect(), phase: 0, manifolds })
+                }
+
+                /// Every pair from nothing.
+                pub fn cold(&mut self) -> Touching {
+                    let mut touching = 0;
+                    let manifold = &mut self.manifolds[0];
+                    for (hulls, poses) in &self.pairs {
+                        manifold.clear();
+                        manifold.local_n1 = Vector::ZERO;
+                        contact(&self.hulls, *hulls, &poses[0], manifold);
+                        touching += usize::from(!manifold.points.is_empty());
+                    }
+                    touching
+                }
+
+                /// Every pair at its other pose, from its manifold of the pass before.
+                pub fn warm(&mut self) -> Touching {
+                    self.phase ^= 1;
+                    let mut touching = 0;
+                    for ((hulls, poses), manifold) in self.pairs.iter().zip(&mut self.manifolds) {
+                        contact(&self.hulls, *hulls, &poses[self.phase], manifold);
+                        touching += usize::from(!manifold.points.is_empty());
+                    }
+                    touching
+                }
+            }
+
+            fn contact(
+                hulls: &[ConvexPolyhedron],
+                [a, b]: [usize; 2],
+                poses: &[Pose3; 2],
+                manifold: &mut ContactManifold<(), ()>,
+            ) {
+                let relative = poses[0].inv_mul(&poses[1]);
+                let (a, b) = (&hulls[a], &hulls[b]);
+                contact_manifold_pfm_pfm(&relative, a, 0.0, None, b, 0.0, None, MARGIN as $real, manifold);
+            }
+        }
+    };
+}
+
+peer!(single, parry3d, f32);
+peer!(double, parry3d_f64, f64);
