@@ -64,13 +64,16 @@ impl Service<Request<Incoming>> for Edge {
     }
 }
 
-/// An error that is the whole response (headers alone) gets the details of the contract.
-fn completed(response: Response<Body>) -> Response<Body> {
-    match Status::from_header_map(response.headers()) {
-        Some(status) if status.code() != tonic::Code::Ok && status.details().is_empty() => {
-            wire::complete(status).into_http()
-        }
-        _ => response,
+/// An error that is the whole response (headers alone) gets the details of the contract; its
+/// other headers stay.
+fn completed(mut response: Response<Body>) -> Response<Body> {
+    let Some(status) = Status::from_header_map(response.headers()) else { return response };
+    if status.code() == tonic::Code::Ok || !status.details().is_empty() {
+        return response;
+    }
+    match wire::complete(status).add_header(response.headers_mut()) {
+        Ok(()) => response,
+        Err(status) => status.into_http(),
     }
 }
 

@@ -193,8 +193,12 @@ async fn the_transports_errors_have_details_too() {
         (STREAM, &[], frame(false, &message[1..]), &malformed),
     ];
     for (path, headers, body, expected) in cases {
-        let (status, _) = status_of(&server.address, path, headers, body).await;
+        let (status, answered) = status_of(&server.address, path, headers, body).await;
         assert_eq!(&refusal(&status), expected, "{path} {headers:?} {status:?}");
+        if headers == gzip {
+            // The protocol has the server say what it does take.
+            assert!(answered.contains_key("grpc-accept-encoding"), "{answered:?}");
+        }
     }
 }
 
