@@ -24,11 +24,17 @@ struct Arguments {
 enum Command {
     /// Answers queries over gRPC until told to stop.
     Serve(Box<cli::serve::Args>),
+    /// Answers for a scene file's pairs, in this process or from a server.
+    Query(Box<cli::query::Args>),
+    /// Sends batches in a closed loop, times them and checks a sample of the answers.
+    Load(Box<cli::load::Args>),
 }
 
 fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Serve(args) => cli::serve::run(*args),
+        Command::Query(args) => cli::query::run(&args),
+        Command::Load(args) => cli::load::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -1,7 +1,16 @@
 //! The subcommands.
 
+mod answer;
+mod batches;
+pub(crate) mod load;
+mod npz;
+mod options;
+pub(crate) mod query;
+mod report;
+mod scene;
 pub(crate) mod serve;
 pub(crate) mod settings;
+mod tally;
 
 /// What a subcommand fails with: shown to the user as it is.
 pub(crate) type Error = Box<dyn std::error::Error>;

@@ -272,7 +272,7 @@ fn feature_indices(feature: Option<Feature>) -> (FeatureKind, [u32; 2]) {
 }
 
 /// The response to a checked request.
-pub(in crate::service) fn response(
+pub fn response(
     request_id: u64,
     columns: Columns,
     missing_hulls: Vec<u32>,

@@ -7,8 +7,7 @@ mod info;
 mod request;
 mod status;
 
-pub(super) use columns::response;
-pub use columns::{Columns, Invalid};
+pub use columns::{Columns, Invalid, response};
 pub(super) use hulls::{
     Definition, Parts, definitions, hull_error, ids, not_found, page, page_token, parts, record,
     register_result,

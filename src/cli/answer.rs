@@ -1,0 +1,274 @@
+//! Who answers a query: the library in this process, or a server.
+//!
+//! Both take the wire's request and give its response. In process the request
+//! goes the service's own way, without the network and without a store.
+
+use std::collections::HashMap;
+use std::error::Error as StdError;
+use std::fmt;
+use std::sync::Arc;
+
+use tonic::transport::{Channel, Endpoint};
+use tonic::{Code, Status};
+
+use super::Error;
+use super::options::Asked;
+use super::scene::{Frame, HullPoints, Scene};
+use hullcast::compute::Compute;
+use hullcast::contact::ConvexHull;
+use hullcast::proto;
+use hullcast::proto::contact_service_client::ContactServiceClient;
+use hullcast::proto::hull_service_client::HullServiceClient;
+use hullcast::proto::register_hull_result::Result as Registered;
+use hullcast::service::batch::{Batch, Engine};
+use hullcast::service::{Limits, ServiceError, wire};
+use hullcast::store::identity::id_of;
+use hullcast::store::{HullDefinition, HullId, Missing};
+
+/// Of messages, either way: the servers' limits are the ones that count.
+const MAX_MESSAGE_BYTES: usize = 2 << 30;
+/// HTTP/2 flow control: a batch of some thousand pairs fits.
+const WINDOW_BYTES: u32 = 8 << 20;
+/// Hulls in one registration message: some megabytes at most for everyday hulls.
+const HULLS_PER_MESSAGE: usize = 256;
+
+/// Answers queries.
+#[derive(Clone, Debug)]
+pub(crate) enum Answerer {
+    /// The library in this process.
+    Local(Arc<Local>),
+    /// A server.
+    Remote(Remote),
+}
+
+/// The service's batch engine with hulls of its own.
+#[derive(Debug)]
+pub(crate) struct Local {
+    engine: Engine,
+    limits: Limits,
+    hulls: HashMap<HullId, Arc<ConvexHull>>,
+}
+
+/// A connection to a server.
+#[derive(Clone, Debug)]
+pub(crate) struct Remote {
+    contacts: ContactServiceClient<Channel>,
+}
+
+/// A hull of the scene was refused.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct HullRefused {
+    hull: usize,
+    field: String,
+    index: Option<usize>,
+    reason: String,
+}
+
+impl fmt::Display for HullRefused {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "hulls[{}].{}", self.hull, self.field)?;
+        if let Some(index) = self.index {
+            write!(f, "[{index}]")?;
+        }
+        write!(f, ": {}", self.reason)
+    }
+}
+
+impl StdError for HullRefused {}
+
+impl Answerer {
+    /// In this process, on `threads` threads (0: one a core), with these hulls.
+    ///
+    /// # Errors
+    /// A hull is refused, or the system has no more threads.
+    pub(crate) fn local(hulls: &[HullPoints], threads: usize) -> Result<(Self, Vec<HullId>), Error> {
+        let limits = Limits::default();
+        let mut built = HashMap::new();
+        let mut ids = Vec::with_capacity(hulls.len());
+        for (i, points) in hulls.iter().enumerate() {
+            let definition = definition(points);
+            let id = id_of(&definition.identity_bytes());
+            let hull = definition.build(limits.max_vertices_per_hull as usize).map_err(|e| HullRefused {
+                hull: i,
+                field: e.kind.field().into(),
+                index: e.index,
+                reason: format!("{}: {}", e.kind.reason(), e.detail),
+            })?;
+            built.insert(id, Arc::new(hull));
+            ids.push(id);
+        }
+        let engine = Engine::new(Compute::new(threads)?, limits.max_pairs_in_flight, MAX_MESSAGE_BYTES);
+        Ok((Self::Local(Arc::new(Local { engine, limits, hulls: built })), ids))
+    }
+
+    /// A server at `address` (host:port, unix:PATH or a URL), the hulls registered there.
+    ///
+    /// # Errors
+    /// No server there, it refuses a hull, or it fails.
+    pub(crate) async fn remote(address: &str, hulls: &[HullPoints]) -> Result<(Self, Vec<HullId>), Error> {
+        let channel = connect(address).await?;
+        let mut service = HullServiceClient::new(channel.clone())
+            .max_decoding_message_size(MAX_MESSAGE_BYTES)
+            .max_encoding_message_size(MAX_MESSAGE_BYTES);
+        let mut ids = Vec::with_capacity(hulls.len());
+        for part in hulls.chunks(HULLS_PER_MESSAGE) {
+            let request = proto::RegisterHullsRequest { hulls: part.iter().map(wire_definition).collect() };
+            let results =
+                service.register_hulls(request).await.map_err(|s| described(&s))?.into_inner().results;
+            for result in results {
+                ids.push(registered(ids.len(), result)?);
+            }
+        }
+        if ids.len() != hulls.len() {
+            return Err(format!("the server answered for {} of {} hulls", ids.len(), hulls.len()).into());
+        }
+        Ok((Self::Remote(Remote::new(channel)), ids))
+    }
+
+    /// The answer, or in words why there is none.
+    ///
+    /// # Errors
+    /// The request is refused, or the server fails.
+    pub(crate) async fn answer(
+        &self,
+        request: proto::QueryContactsRequest,
+    ) -> Result<proto::QueryContactsResponse, String> {
+        match self {
+            Self::Local(local) => local.answer(request).await.map_err(|e| e.to_string()),
+            Self::Remote(remote) => {
+                let response = remote.contacts.clone().query_contacts(request).await;
+                response.map(tonic::Response::into_inner).map_err(|status| described(&status))
+            }
+        }
+    }
+}
+
+impl Local {
+    async fn answer(
+        &self,
+        request: proto::QueryContactsRequest,
+    ) -> Result<proto::QueryContactsResponse, ServiceError> {
+        let scene = wire::scene(request, &self.limits)?;
+        let admission = self.engine.admit(scene.pairs.len() / 2, scene.outputs)?;
+        let hulls: Vec<_> =
+            scene.hull_ids.iter().map(|id| self.hulls.get(id).cloned().ok_or(Missing::Unknown)).collect();
+        let batch = Batch {
+            hulls,
+            body_hulls: scene.body_hulls,
+            poses: scene.poses,
+            pairs: scene.pairs,
+            warm_starts: scene.warm_starts,
+            query: scene.query,
+            outputs: scene.outputs,
+        };
+        let columns = self.engine.compute(batch, admission).await?;
+        Ok(wire::response(scene.request_id, columns, Vec::new(), scene.invalid_bodies))
+    }
+}
+
+impl Remote {
+    fn new(channel: Channel) -> Self {
+        let contacts = ContactServiceClient::new(channel)
+            .max_decoding_message_size(MAX_MESSAGE_BYTES)
+            .max_encoding_message_size(MAX_MESSAGE_BYTES);
+        Self { contacts }
+    }
+}
+
+/// Another connection to the server at `address`; its hulls are there.
+///
+/// # Errors
+/// No server there.
+pub(crate) async fn another_connection(address: &str) -> Result<Answerer, Error> {
+    Ok(Answerer::Remote(Remote::new(connect(address).await?)))
+}
+
+async fn connect(address: &str) -> Result<Channel, Error> {
+    let url = if address.contains("://") || address.starts_with("unix:") {
+        address.to_owned()
+    } else {
+        format!("http://{address}")
+    };
+    let endpoint = Endpoint::from_shared(url)?
+        .initial_stream_window_size(WINDOW_BYTES)
+        .initial_connection_window_size(WINDOW_BYTES)
+        .tcp_nodelay(true);
+    endpoint.connect().await.map_err(|e| format!("no server at {address}: {}", root_cause(&e)).into())
+}
+
+fn root_cause(error: &(dyn StdError + 'static)) -> String {
+    let mut cause = error;
+    while let Some(next) = cause.source() {
+        cause = next;
+    }
+    cause.to_string()
+}
+
+/// As the store names it.
+pub(crate) fn definition(points: &HullPoints) -> HullDefinition {
+    HullDefinition { points: points.vertices.clone(), contraction_point: points.contraction_point }
+}
+
+fn wire_definition(points: &HullPoints) -> proto::HullDefinition {
+    proto::HullDefinition {
+        vertices: points.vertices.as_flattened().to_vec(),
+        contraction_point: points.contraction_point.map(Vec::from).unwrap_or_default(),
+        simplification: None,
+    }
+}
+
+fn registered(hull: usize, result: proto::RegisterHullResult) -> Result<HullId, Error> {
+    match result.result {
+        Some(Registered::Hull(info)) => {
+            let id: [u8; 32] =
+                info.id.as_slice().try_into().map_err(|_| "the server gave an id that is not 32 bytes")?;
+            Ok(HullId(id))
+        }
+        Some(Registered::Error(e)) => {
+            let reason = format!("{}: {}", e.reason, e.message);
+            Err(HullRefused { hull, field: e.field, index: e.index.map(|i| i as usize), reason }.into())
+        }
+        None => Err("the server gave a result that this version does not know".into()),
+    }
+}
+
+/// A status as a sentence.
+fn described(status: &Status) -> String {
+    match status.code() {
+        // Tonic's words for its own failures say less than their cause does.
+        Code::Unknown | Code::Unavailable if status.source().is_some() => root_cause(status),
+        code => format!("{code:?}: {}", status.message()),
+    }
+}
+
+/// A frame of a scene as a request; `ids` are the scene's hulls'.
+pub(crate) fn request(
+    scene: &Scene,
+    frame: &Frame,
+    ids: &[HullId],
+    asked: &Asked,
+) -> proto::QueryContactsRequest {
+    // The wire names each hull once; a scene may give the same points twice.
+    let mut place = HashMap::new();
+    let mut distinct = Vec::new();
+    let hulls: Vec<u32> = ids
+        .iter()
+        .map(|id| {
+            *place.entry(*id).or_insert_with(|| {
+                distinct.push(id.0.to_vec());
+                distinct.len() as u32 - 1
+            })
+        })
+        .collect();
+    proto::QueryContactsRequest {
+        hull_ids: distinct,
+        body_hulls: scene.body_hulls.iter().map(|&h| hulls[h as usize]).collect(),
+        positions: frame.positions.clone(),
+        rotations: frame.rotations.clone(),
+        pairs: scene.pairs.clone(),
+        margin: asked.margin,
+        accuracy: Some(asked.accuracy),
+        outputs: asked.outputs.clone(),
+        ..Default::default()
+    }
+}

@@ -1,0 +1,184 @@
+//! The batches of a load run, and the answers that the library gives to them.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use prost::Message;
+
+use super::Error;
+use super::answer::{definition, request};
+use super::options::Asked;
+use super::scene::{Frame, HullPoints, Scene};
+use hullcast::contact::{Body, ConvexHull, Workspace, contact_manifold};
+use hullcast::proto;
+use hullcast::service::Limits;
+use hullcast::service::wire::{self, Columns, Invalid};
+use hullcast::store::HullId;
+use hullcast::workload::{Family, Regime, Workload};
+
+/// Of generated batches: hulls are some 0.3 to 1 in size.
+const GENERATED_MARGIN: f64 = 0.005;
+
+/// Scenes to ask about, all of the same hulls.
+#[derive(Clone, Debug)]
+pub(crate) struct Batches {
+    title: String,
+    /// One a batch or, of a scene file, one with a frame a batch.
+    scenes: Vec<Scene>,
+}
+
+/// Requests, and what has to be answered to them.
+#[derive(Debug)]
+pub(crate) struct Sampled {
+    requests: Vec<proto::QueryContactsRequest>,
+    /// Encoded, one a request; none where nothing is checked.
+    expected: Vec<Vec<u8>>,
+    /// One answer in so many is checked; 0: none.
+    verify: u64,
+}
+
+impl Batches {
+    /// The configurations of a scene file, its pairs repeated up to `pairs`.
+    ///
+    /// # Errors
+    /// The scene is faulty or asks about no pair.
+    pub(crate) fn of_scene(path: &Path, pairs: Option<u32>) -> Result<Self, Error> {
+        let mut scene = Scene::read(path).map_err(|e| format!("{}: {e}", path.display()))?;
+        if scene.pairs.is_empty() {
+            return Err(format!("{}: pairs: is empty", path.display()).into());
+        }
+        let count = pairs.map_or(scene.pairs.len() / 2, |n| n as usize);
+        scene.pairs = scene.pairs.iter().copied().cycle().take(2 * count).collect();
+        Ok(Self { title: format!("{}, {count} pairs a batch", scene.name), scenes: vec![scene] })
+    }
+
+    /// `count` batches of `pairs` pairs of a generated workload, each body used once.
+    ///
+    /// # Errors
+    /// None is expected.
+    pub(crate) fn generated(
+        family: Family,
+        regime: Regime,
+        pairs: u32,
+        count: u32,
+        seed: u64,
+    ) -> Result<Self, Error> {
+        let all = Workload::generate(family, regime, pairs as usize * count as usize, seed)?;
+        let hulls: Vec<HullPoints> = all
+            .hulls
+            .into_iter()
+            .map(|vertices| HullPoints { name: String::new(), vertices, contraction_point: None })
+            .collect();
+        let name = format!("{} {}", family.name(), regime.name());
+        let scenes = all.pairs.chunks(pairs as usize).map(|part| Scene {
+            name: name.clone(),
+            hulls: hulls.clone(),
+            body_hulls: part.iter().flat_map(|p| p.hulls.map(|h| h as u32)).collect(),
+            body_names: vec![String::new(); 2 * part.len()],
+            frames: vec![Frame {
+                name: String::new(),
+                positions: part.iter().flat_map(|p| p.positions.into_iter().flatten()).collect(),
+                rotations: part.iter().flat_map(|p| p.rotations.into_iter().flatten()).collect(),
+            }],
+            pairs: (0..2 * part.len() as u32).collect(),
+            margin: GENERATED_MARGIN,
+        });
+        let scenes = scenes.collect();
+        Ok(Self { title: format!("{name}, {pairs} pairs a batch"), scenes })
+    }
+
+    /// For people.
+    pub(crate) fn title(&self) -> &str {
+        &self.title
+    }
+
+    /// Of every batch.
+    pub(crate) fn hulls(&self) -> &[HullPoints] {
+        self.scenes.first().map_or(&[], |s| &s.hulls)
+    }
+
+    /// Of the scene, or for the generated ones.
+    pub(crate) fn margin(&self) -> f64 {
+        self.scenes.first().map_or(GENERATED_MARGIN, |s| s.margin)
+    }
+
+    /// The requests, and where answers are checked, the library's own.
+    ///
+    /// # Errors
+    /// What is asked is refused.
+    pub(crate) fn prepare(&self, ids: &[HullId], asked: &Asked, verify: u64) -> Result<Sampled, Error> {
+        let requests: Vec<_> = self
+            .scenes
+            .iter()
+            .flat_map(|scene| scene.frames.iter().map(move |frame| request(scene, frame, ids, asked)))
+            .collect();
+        let mut expected = Vec::new();
+        if verify > 0 {
+            let library = Oracle::new(self.hulls(), ids)?;
+            for request in &requests {
+                expected.push(library.answer(request.clone())?.encode_to_vec());
+            }
+        }
+        Ok(Sampled { requests, expected, verify })
+    }
+}
+
+impl Sampled {
+    /// Batch `number`; they come round.
+    pub(crate) fn request(&self, number: u64) -> proto::QueryContactsRequest {
+        self.requests[number as usize % self.requests.len()].clone()
+    }
+
+    /// Whether the answer to batch `number` is the library's, to the bit; none
+    /// where this one is not checked.
+    pub(crate) fn check(&self, number: u64, response: &proto::QueryContactsResponse) -> Option<bool> {
+        if self.verify == 0 || !number.is_multiple_of(self.verify) {
+            return None;
+        }
+        let expected = &self.expected[number as usize % self.expected.len()];
+        // As bytes, so that NaN equals NaN and 0.0 does not equal -0.0.
+        Some(*expected == response.encode_to_vec())
+    }
+}
+
+/// The library, called a pair at a time on one thread.
+struct Oracle {
+    hulls: HashMap<HullId, ConvexHull>,
+}
+
+impl Oracle {
+    fn new(points: &[HullPoints], ids: &[HullId]) -> Result<Self, Error> {
+        let limit = Limits::default().max_vertices_per_hull as usize;
+        let mut hulls = HashMap::new();
+        for (points, id) in points.iter().zip(ids) {
+            hulls.insert(*id, definition(points).build(limit)?);
+        }
+        Ok(Self { hulls })
+    }
+
+    fn answer(&self, request: proto::QueryContactsRequest) -> Result<proto::QueryContactsResponse, Error> {
+        let scene = wire::scene(request, &Limits::default())?;
+        let body = |index: u32, invalid: &mut Invalid| {
+            let pose = scene.poses[index as usize];
+            if pose.is_none() {
+                invalid.body();
+            }
+            let id = &scene.hull_ids[scene.body_hulls[index as usize] as usize];
+            Some(Body::new(self.hulls.get(id)?, pose?))
+        };
+        let (pairs, _) = scene.pairs.as_chunks::<2>();
+        let mut columns = Columns::with_capacity(pairs.len(), scene.outputs);
+        let mut workspace = Workspace::default();
+        for &[a, b] in pairs {
+            let mut invalid = Invalid::default();
+            match (body(a, &mut invalid), body(b, &mut invalid)) {
+                (Some(a), Some(b)) => {
+                    let manifold = contact_manifold(&a, &b, &scene.query, None, &mut workspace);
+                    columns.push(manifold, scene.outputs);
+                }
+                _ => columns.push_invalid(invalid, scene.outputs),
+            }
+        }
+        Ok(wire::response(scene.request_id, columns, Vec::new(), scene.invalid_bodies))
+    }
+}

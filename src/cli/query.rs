@@ -1,0 +1,126 @@
+//! `hullcast query`: the contacts of a scene, from this process or from a server.
+
+use std::io::{self, Write};
+use std::path::PathBuf;
+
+use super::Error;
+use super::answer::{Answerer, request};
+use super::options::{AccuracyArgs, OutputArg};
+use super::report::Answered;
+use super::scene::Scene;
+use hullcast::proto;
+
+/// Pairs a request: well below every server's default limit, its answer too.
+const PAIRS_PER_REQUEST: usize = 32_768;
+
+/// The contacts of a scene file, from the library in this process or from a server.
+///
+/// The two answers are the same to the last bit.
+#[derive(clap::Args, Clone, Debug)]
+pub(crate) struct Args {
+    /// A scene file, hullcast.scene.v1.
+    scene: PathBuf,
+    /// Ask this server (host:port, unix:PATH or a URL) instead of this process.
+    #[arg(long, value_name = "ADDRESS")]
+    remote: Option<String>,
+    /// Write the answer's columns to a .npz file.
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Print JSON instead of a table.
+    #[arg(long)]
+    json: bool,
+    /// Which configuration, from 0.
+    #[arg(long, value_name = "INDEX", default_value_t = 0)]
+    frame: usize,
+    /// Contact points are wanted within it; inf: everywhere [default: the scene's].
+    #[arg(long, value_name = "LENGTH")]
+    margin: Option<f64>,
+    /// Column groups to compute.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "NAMES",
+          default_values_t = [OutputArg::Alpha, OutputArg::Normal, OutputArg::Points, OutputArg::Features, OutputArg::Bases])]
+    outputs: Vec<OutputArg>,
+    /// Print separated pairs too.
+    #[arg(long)]
+    all: bool,
+    /// Compute threads in this process; 0: one a core.
+    #[arg(long, value_name = "COUNT", default_value_t = 0)]
+    threads: usize,
+    #[command(flatten)]
+    accuracy: AccuracyArgs,
+}
+
+/// Runs `hullcast query`.
+///
+/// # Errors
+/// The scene is faulty, or the answer cannot be had or written.
+pub(crate) fn run(args: &Args) -> Result<(), Error> {
+    tokio::runtime::Runtime::new()?.block_on(answered(args))
+}
+
+async fn answered(args: &Args) -> Result<(), Error> {
+    let scene = Scene::read(&args.scene).map_err(|e| format!("{}: {e}", args.scene.display()))?;
+    let frame = scene.frames.get(args.frame).ok_or_else(|| {
+        format!("--frame {}: {} has {} frames, from 0", args.frame, args.scene.display(), scene.frames.len())
+    })?;
+    let (answerer, ids) = match &args.remote {
+        Some(address) => Answerer::remote(address, &scene.hulls).await?,
+        None => Answerer::local(&scene.hulls, args.threads)?,
+    };
+    let asked = args.accuracy.asked(args.margin.unwrap_or(scene.margin), &args.outputs);
+    let columns = answer(&answerer, request(&scene, frame, &ids, &asked)).await?;
+    let answered = Answered { scene: &scene, frame, columns: &columns };
+    if let Some(path) = &args.out {
+        answered.write_npz(path).map_err(|e| format!("{}: {e}", path.display()))?;
+    }
+    let mut out = io::BufWriter::new(io::stdout().lock());
+    let written =
+        if args.json { answered.write_json(&mut out) } else { answered.write_table(&mut out, args.all) };
+    match written.and_then(|()| out.flush()) {
+        // `hullcast query ... | head` is no failure.
+        Err(e) if e.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        other => Ok(other?),
+    }
+}
+
+/// The whole request's columns, asked for in parts.
+async fn answer(
+    answerer: &Answerer,
+    mut request: proto::QueryContactsRequest,
+) -> Result<proto::QueryContactsResponse, Error> {
+    let pairs = std::mem::take(&mut request.pairs);
+    let mut whole = proto::QueryContactsResponse::default();
+    let mut rest = pairs.as_slice();
+    loop {
+        let (now, later) = rest.split_at(rest.len().min(2 * PAIRS_PER_REQUEST));
+        request.pairs = now.to_vec();
+        append(&mut whole, answerer.answer(request.clone()).await?);
+        rest = later;
+        if rest.is_empty() {
+            return Ok(whole);
+        }
+    }
+}
+
+/// Adds the columns of the next pairs.
+fn append(whole: &mut proto::QueryContactsResponse, part: proto::QueryContactsResponse) {
+    whole.outcomes.extend(part.outcomes);
+    whole.flags.extend(part.flags);
+    whole.alphas.extend(part.alphas);
+    whole.alpha_lowers.extend(part.alpha_lowers);
+    whole.alpha_uppers.extend(part.alpha_uppers);
+    whole.separations.extend(part.separations);
+    whole.normals.extend(part.normals);
+    whole.point_counts.extend(part.point_counts);
+    whole.witness_as.extend(part.witness_as);
+    whole.distances.extend(part.distances);
+    whole.witness_bs.extend(part.witness_bs);
+    whole.feature_kinds.extend(part.feature_kinds);
+    whole.feature_indices.extend(part.feature_indices);
+    whole.point_ids.extend(part.point_ids);
+    whole.bases.extend(part.bases);
+    whole.iterations.extend(part.iterations);
+    whole.support_calls.extend(part.support_calls);
+    // Of the request as a whole, so the same in every part.
+    whole.missing_hulls = part.missing_hulls;
+    whole.invalid_bodies = part.invalid_bodies;
+}

@@ -1,0 +1,248 @@
+//! Scene files, `hullcast.scene.v1`: hulls, bodies, configurations, pairs.
+//!
+//! The format is described in `examples/scenes/README.md`. Unknown keys are
+//! ignored, so that a file may say where it comes from.
+
+use std::fmt;
+use std::path::Path;
+
+use serde::Deserialize;
+
+const FORMAT: &str = "hullcast.scene.v1";
+
+/// Bodies in one or more configurations, and the pairs that are asked about.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Scene {
+    /// For people.
+    pub(crate) name: String,
+    /// Shapes, each in its own frame.
+    pub(crate) hulls: Vec<HullPoints>,
+    /// Per body: index into `hulls`.
+    pub(crate) body_hulls: Vec<u32>,
+    /// Per body, for people.
+    pub(crate) body_names: Vec<String>,
+    /// Configurations, at least one.
+    pub(crate) frames: Vec<Frame>,
+    /// Two body indices a pair.
+    pub(crate) pairs: Vec<u32>,
+    /// Contact points are wanted within it.
+    pub(crate) margin: f64,
+}
+
+/// A hull as it is registered.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub(crate) struct HullPoints {
+    /// For people.
+    #[serde(default)]
+    pub(crate) name: String,
+    /// Hull frame, caller's units.
+    pub(crate) vertices: Vec<[f64; 3]>,
+    /// Absent: the centre of mass.
+    #[serde(default)]
+    pub(crate) contraction_point: Option<[f64; 3]>,
+}
+
+/// The pose of every body.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Frame {
+    /// For people; empty where the file has no frames.
+    pub(crate) name: String,
+    /// 3 per body.
+    pub(crate) positions: Vec<f64>,
+    /// 4 per body: x, y, z, w.
+    pub(crate) rotations: Vec<f64>,
+}
+
+/// What is wrong with a scene file, and where in it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct SceneError {
+    /// Such as `hulls[3].vertices[7]`; empty: the whole file.
+    pub(crate) place: String,
+    /// For people.
+    pub(crate) message: String,
+}
+
+impl fmt::Display for SceneError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.place.is_empty() {
+            f.write_str(&self.message)
+        } else {
+            write!(f, "{}: {}", self.place, self.message)
+        }
+    }
+}
+
+impl std::error::Error for SceneError {}
+
+#[derive(Deserialize)]
+struct File {
+    format: String,
+    name: String,
+    hulls: Vec<HullPoints>,
+    bodies: Vec<FileBody>,
+    #[serde(default)]
+    frames: Vec<FileFrame>,
+    pairs: Vec<[u32; 2]>,
+    #[serde(default)]
+    margin: f64,
+}
+
+#[derive(Deserialize)]
+struct FileBody {
+    #[serde(default)]
+    name: String,
+    hull: u32,
+    position: [f64; 3],
+    rotation: [f64; 4],
+}
+
+#[derive(Deserialize)]
+struct FileFrame {
+    #[serde(default)]
+    name: String,
+    positions: Vec<[f64; 3]>,
+    rotations: Vec<[f64; 4]>,
+}
+
+impl Scene {
+    /// Reads a scene file.
+    ///
+    /// # Errors
+    /// [`SceneError`] names the field and index at fault.
+    pub(crate) fn read(path: &Path) -> Result<Self, SceneError> {
+        let text = std::fs::read(path)
+            .map_err(|e| SceneError { place: String::new(), message: format!("cannot be read: {e}") })?;
+        Self::parse(&text)
+    }
+
+    /// Reads a scene from JSON text.
+    ///
+    /// # Errors
+    /// [`SceneError`] names the field and index at fault.
+    pub(crate) fn parse(text: &[u8]) -> Result<Self, SceneError> {
+        let mut json = serde_json::Deserializer::from_slice(text);
+        let file: File = serde_path_to_error::deserialize(&mut json).map_err(|e| {
+            let place = e.path().to_string();
+            SceneError {
+                place: if place == "." { String::new() } else { place },
+                message: e.into_inner().to_string(),
+            }
+        })?;
+        json.end().map_err(|e| SceneError { place: String::new(), message: e.to_string() })?;
+        file.check()?;
+        Ok(file.into_scene())
+    }
+}
+
+impl File {
+    /// What the types do not say: indices in range, one pose a body.
+    fn check(&self) -> Result<(), SceneError> {
+        let fail = |place: String, message: String| Err(SceneError { place, message });
+        if self.format != FORMAT {
+            return fail("format".into(), format!("is {:?}, expected {FORMAT:?}", self.format));
+        }
+        for (i, body) in self.bodies.iter().enumerate() {
+            if body.hull as usize >= self.hulls.len() {
+                return fail(
+                    format!("bodies[{i}].hull"),
+                    format!("is {}, but there are {} hulls", body.hull, self.hulls.len()),
+                );
+            }
+        }
+        for (i, frame) in self.frames.iter().enumerate() {
+            for (key, count) in [("positions", frame.positions.len()), ("rotations", frame.rotations.len())] {
+                if count != self.bodies.len() {
+                    return fail(
+                        format!("frames[{i}].{key}"),
+                        format!("has {count} entries for {} bodies", self.bodies.len()),
+                    );
+                }
+            }
+        }
+        for (i, pair) in self.pairs.iter().enumerate() {
+            for (k, &body) in pair.iter().enumerate() {
+                if body as usize >= self.bodies.len() {
+                    return fail(
+                        format!("pairs[{i}][{k}]"),
+                        format!("is {body}, but there are {} bodies", self.bodies.len()),
+                    );
+                }
+            }
+        }
+        if self.margin < 0.0 {
+            return fail("margin".into(), format!("is {}, expected at least 0", self.margin));
+        }
+        Ok(())
+    }
+
+    fn into_scene(self) -> Scene {
+        let mut frames: Vec<Frame> = self
+            .frames
+            .into_iter()
+            .map(|f| Frame {
+                name: f.name,
+                positions: f.positions.into_flattened(),
+                rotations: f.rotations.into_flattened(),
+            })
+            .collect();
+        if frames.is_empty() {
+            frames.push(Frame {
+                name: String::new(),
+                positions: self.bodies.iter().flat_map(|b| b.position).collect(),
+                rotations: self.bodies.iter().flat_map(|b| b.rotation).collect(),
+            });
+        }
+        Scene {
+            name: self.name,
+            hulls: self.hulls,
+            body_hulls: self.bodies.iter().map(|b| b.hull).collect(),
+            body_names: self.bodies.into_iter().map(|b| b.name).collect(),
+            frames,
+            pairs: self.pairs.into_flattened(),
+            margin: self.margin,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GOOD: &str = r#"{"format": "hullcast.scene.v1", "name": "two", "margin": 0.5, "from": "a test",
+        "hulls": [{"name": "t", "vertices": [[0,0,0],[1,0,0],[0,1,0],[0,0,1]], "volume_ratio": 1}],
+        "bodies": [{"hull": 0, "position": [0,0,0], "rotation": [0,0,0,1]},
+                   {"name": "b", "hull": 0, "position": [0,0,2], "rotation": [0,0,0,1]}],
+        "frames": [{"name": "f", "positions": [[0,0,0],[0,0,3]], "rotations": [[0,0,0,1],[0,0,0,1]]}],
+        "pairs": [[0,1]]}"#;
+
+    // Would catch a frame that is dropped, or poses taken from the bodies although frames are given.
+    #[test]
+    fn frames_replace_the_bodies_poses() {
+        let scene = Scene::parse(GOOD.as_bytes()).unwrap();
+        assert_eq!((scene.frames.len(), scene.frames[0].positions[5], scene.margin), (1, 3.0, 0.5));
+        let without = GOOD.replace("\"frames\"", "\"other\"");
+        let scene = Scene::parse(without.as_bytes()).unwrap();
+        assert_eq!((scene.frames.len(), scene.frames[0].positions[5]), (1, 2.0));
+    }
+
+    // Would catch an error that leaves a user to search a file of thousands of lines.
+    #[test]
+    fn errors_name_field_and_index() {
+        let cases = [
+            ("[0,0,1]]", "[0,0]]", "hulls[0].vertices[3]"),
+            ("\"hull\": 0, \"position\": [0,0,2]", "\"hull\": 7, \"position\": [0,0,2]", "bodies[1].hull"),
+            ("[[0,1]]", "[[0,1],[0,2]]", "pairs[1][1]"),
+            ("[[0,1]]", "[[0,-1]]", "pairs[0][1]"),
+            ("[[0,0,0],[0,0,3]]", "[[0,0,0]]", "frames[0].positions"),
+            ("[0,0,3]]", "[0,0,\"3\"]]", "frames[0].positions[1][2]"),
+            ("0.5", "-0.5", "margin"),
+            (FORMAT, "something", "format"),
+        ];
+        for (from, to, place) in cases {
+            let text = GOOD.replacen(from, to, 1);
+            assert_ne!(text, GOOD, "{place}");
+            assert_eq!(Scene::parse(text.as_bytes()).unwrap_err().place, place, "{to}");
+        }
+        assert!(Scene::parse(b"{").is_err() && Scene::parse(format!("{GOOD} x").as_bytes()).is_err());
+    }
+}
