@@ -16,6 +16,11 @@ pub(crate) const NOISE: f64 = 16.0;
 /// [`NOISE`] for its two ends, and as much again for solving.
 pub(crate) const BRACKET: f64 = 64.0;
 
+/// Share of `U * (alpha R + M) / r` by which the two ends of a bracket may differ
+/// without their allowance for noise before wide arithmetic is tried: half of
+/// what alpha may be off.
+pub(crate) const COARSE: f64 = 8.0;
+
 /// Centres closer than this share of `U * M` coincide: `d` itself is noise.
 pub(crate) const COINCIDENT: f64 = 8.0;
 

@@ -13,7 +13,7 @@ pub(crate) mod triple;
 use glam::DVec3;
 
 use super::pair::{Pair, Support, shift};
-use super::tolerance::{COINCIDENT, NOISE, U};
+use super::tolerance::{COARSE, COINCIDENT, NOISE, U};
 use super::{Accuracy, Solver};
 
 /// What step 1 found.
@@ -36,6 +36,8 @@ pub(crate) struct Solution {
     /// Points of `K` whose cone holds `d`.
     pub(crate) triple: [Support; 3],
     pub(crate) gap_open: bool,
+    /// The normal or the weights are worse than wide arithmetic would give them.
+    pub(crate) coarse: bool,
     pub(crate) coincident: bool,
     pub(crate) cost: Cost,
 }
@@ -111,6 +113,7 @@ fn coincident(pair: &mut Pair<'_>, goal: &Goal) -> Solution {
             support,
             triple: [support; 3],
             gap_open: true,
+            coarse: true,
             coincident: true,
             cost,
         },
@@ -169,8 +172,10 @@ pub(crate) fn conclude(
     if is_open(upper) {
         upper = upper.min(upper_bound(pair, &triple, triple::wide_weights(pair.ray, &triple)));
     }
-    let gap_open = is_open(upper);
     let alpha = (n.dot(pair.ray) / n.dot(support.point)).clamp(lower, upper.max(lower));
+    // What is left of the bracket without the allowance for noise.
+    let share = U * (pair.ray_m + pair.circumradius * upper) / pair.inradius;
+    let own_width = upper - NOISE * share - alpha;
     let k = pair.alpha_exponent;
     Solution {
         alpha: shift(alpha, k),
@@ -179,7 +184,8 @@ pub(crate) fn conclude(
         normal: n.normalize(),
         support,
         triple,
-        gap_open,
+        gap_open: is_open(upper),
+        coarse: own_width > goal.relative_tolerance * upper + COARSE * share,
         coincident: false,
         cost,
     }

@@ -46,7 +46,8 @@ fn refine(pair: &Pair<'_>, mut portal: [Support; 3], goal: &Goal, mut cost: Cost
         let refined = refined(pair, &portal, normal, &w, goal.relative_tolerance);
         if refined || out_of_steps || (goal.outcome_only && overlaps(pair, &portal)) {
             let solution = conclude(pair, best.direction, best.support, portal, goal, cost);
-            if !solution.gap_open || wide || out_of_steps || !refined {
+            let sharp = !solution.gap_open && !solution.coarse;
+            if sharp || wide || out_of_steps || !refined {
                 return Growth::Solved(solution);
             }
             wide = true;
