@@ -182,3 +182,27 @@ impl Oracle {
         Ok(wire::response(scene.request_id, columns, Vec::new(), scene.invalid_bodies))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::answer::Answerer;
+    use super::super::options::{AccuracyArgs, OutputArg};
+    use super::*;
+
+    /// Catches a check that would pass an answer with one wrong bit, or checks nothing.
+    #[tokio::test]
+    async fn one_wrong_bit_is_found() {
+        let batches = Batches::generated(Family::Poly16, Regime::Resting, 20, 2, 1).unwrap();
+        let (answerer, ids) = Answerer::local(batches.hulls(), 1).unwrap();
+        let asked = AccuracyArgs::default().asked(0.005, &[OutputArg::Alpha, OutputArg::Points]);
+        let sampled = batches.prepare(&ids, &asked, 3).unwrap();
+        let right = answerer.answer(sampled.request(3)).await.unwrap();
+        let mut wrong = right.clone();
+        let last = wrong.alphas.last_mut().unwrap();
+        *last = last.next_up();
+        assert_eq!(right.outcomes.len(), 20);
+        assert_eq!(sampled.check(3, &right), Some(true));
+        assert_eq!(sampled.check(3, &wrong), Some(false));
+        assert_eq!(sampled.check(4, &wrong), None);
+    }
+}
