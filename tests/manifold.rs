@@ -289,3 +289,42 @@ fn stopping_early_is_still_right() {
     }
     assert!(decided_early > 1000 && open > 5000, "{decided_early} {open}");
 }
+
+/// Hulls large enough for the support mapping to climb: generic, and with
+/// plateaus that a climb could stop on (a fine prism's rims, a lattice's facets).
+/// Catches a bound built on a support point that is not the farthest.
+#[test]
+fn large_hulls_keep_their_certificates() {
+    let random = &mut Random(5);
+    let lattice: Vec<[f64; 3]> = (0..40_000)
+        .map(|_| {
+            let d = random.direction();
+            d.map(|x| (x * 64.0).round())
+        })
+        .collect();
+    let large = [
+        hull(&cloud(random, 1500, [1.0, 0.8, 0.6])),
+        hull(&cloud(random, 3000, [1.0, 0.5, 1e-3])),
+        hull(&prism_points(600, 1.0, 0.3)),
+        hull(&lattice),
+        box_hull([0.7, 0.5, 0.3]),
+    ];
+    assert!(large[..4].iter().all(|h| h.vertex_count() > 512), "a hull too small to climb");
+    let mut answered = 0;
+    for _ in 0..600 {
+        let (a, b) = (&large[random.below(5)], &large[random.below(5)]);
+        let reach = a.circumradius() + b.circumradius();
+        let position = scaled(random.direction(), reach * random.range(0.1, 1.1));
+        let (body_a, body_b) = (at(a, [0.0; 3], random.rotation()), at(b, position, random.rotation()));
+        let [portal, gjk] = SOLVERS.map(|solver| solve(&body_a, &body_b, &everything(solver)));
+        assert!(!portal.flags.gap_open && !gjk.flags.gap_open);
+        assert!(portal.alpha_lower <= gjk.alpha_upper && gjk.alpha_lower <= portal.alpha_upper);
+        for margin in [0.0, 0.1] {
+            let [p, g] =
+                SOLVERS.map(|solver| solve(&body_a, &body_b, &Query { margin, ..everything(solver) }));
+            assert_eq!(p.outcome, g.outcome);
+            answered += 1;
+        }
+    }
+    assert_eq!(answered, 1200);
+}

@@ -32,11 +32,24 @@ pub(crate) fn solve(pair: &Pair<'_>, seeds: &[Support], goal: &Goal, cost: Cost)
 fn refine(pair: &Pair<'_>, mut portal: [Support; 3], goal: &Goal, mut cost: Cost) -> Growth {
     let mut best = Best::default();
     let (mut wide, mut stalled) = (false, 0);
+    let mut last = Support::default();
     loop {
         let normal = if wide { triple::wide_normal(&portal) } else { triple::normal(&portal) };
         let n = normal.n;
-        let w = pair.support(n);
         cost.iterations += 1;
+        // A likely support point is as good as the sure one to go on to; it bounds nothing.
+        if !pair.likely_is_sure() {
+            cost.support_calls += 2;
+            let w = pair.likely_support(n, &last);
+            last = w;
+            let apart = goal.margin < f64::INFINITY && separates(pair, n, &w, goal.margin);
+            let must_know = cost.iterations >= goal.max_iterations || goal.outcome_only;
+            if !apart && !must_know && !refined(pair, &portal, normal, &w, goal.relative_tolerance) {
+                triple::pivot(pair, &mut portal, w);
+                continue;
+            }
+        }
+        let w = pair.support(n);
         cost.support_calls += 2;
         if goal.margin < f64::INFINITY && separates(pair, n, &w, goal.margin) {
             return Growth::Separated(Separation { direction: n, support: w, cost });

@@ -3,6 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use super::{ConvexHull, Csr};
+use crate::contact::support::Coarse;
 
 /// In the caller's units, hull frame.
 impl ConvexHull {
@@ -95,6 +96,7 @@ impl ConvexHull {
         ];
         bytes(&self.vertices)
             + self.columns.heap_bytes()
+            + self.coarse.as_ref().map_or(0, Coarse::heap_bytes)
             + bytes(&self.registered)
             + bytes(&self.face_normals)
             + bytes(&self.face_offsets)

@@ -13,7 +13,7 @@ use crate::contact::exact::{
     ROUNDOFF, TriangleNormal, depth_below, exact_difference, exponent_above, orient3d, power_of_two,
     triangle_normal,
 };
-use crate::contact::support::Columns;
+use crate::contact::support::{Coarse, Columns};
 
 pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexHull, HullError> {
     let solid = Solid::new(given)?;
@@ -62,6 +62,7 @@ pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexH
         vertex_edges: adjacency.vertex_edges,
         vertex_neighbours,
         columns: Columns::new(&centred.vertices),
+        coarse: Coarse::new(&centred.vertices),
         vertices: centred.vertices,
         registered: solid.registered,
         registered_count: given.len() as u32,

@@ -45,6 +45,8 @@ pub struct ConvexHull {
     vertices: Vec<DVec3>,
     /// The same, for the support mapping.
     pub(super) columns: super::support::Columns,
+    /// Of large hulls.
+    pub(super) coarse: Option<super::support::Coarse>,
     /// Per vertex its index among the points as registered; ascending.
     registered: Vec<u32>,
     /// Points as registered.
