@@ -341,7 +341,8 @@ fn the_vertex_limit_counts_extreme_vertices() {
     assert!(error.detail.contains("100 extreme vertices") && error.detail.contains("99"), "{error}");
 }
 
-/// What a cache counts is what is held: no more than the lists need.
+/// What a cache counts is what is held: no more than the lists need. The vertices
+/// are held twice, by rows and by columns.
 #[test]
 fn heap_bytes_follow_the_counts() {
     let hull = hull(&sphere(256, &mut Random::new(10)));
@@ -349,5 +350,5 @@ fn heap_bytes_follow_the_counts() {
     let rows = 3 * (v + 1) + 2 * (f + 1);
     let items = 2 * e + 2 * e + 2 * e + 2 * e + 2 * e;
     assert_eq!((v, f, e), (256, 508, 762));
-    assert_eq!(hull.heap_bytes(), v * (24 + 4) + f * (24 + 24) + e * 16 + 4 * (rows + items));
+    assert_eq!(hull.heap_bytes(), v * (24 + 24 + 4) + f * (24 + 24) + e * 16 + 4 * (rows + items));
 }
