@@ -6,6 +6,7 @@
 //! Minkowski difference `K`. Every direction gives a certified lower bound of
 //! it, every triple of points of `K` whose cone holds `d` an upper one.
 
+mod boxes;
 pub(crate) mod gjk_ray_cast;
 pub(crate) mod portal;
 pub(crate) mod triple;
@@ -85,9 +86,14 @@ pub(crate) fn growth(pair: &mut Pair<'_>, solver: Solver, warm: Option<[Support;
     if pair.ray.length() <= COINCIDENT * U * pair.ray_m {
         return Growth::Solved(coincident(pair, goal));
     }
+    let start = match solver {
+        Solver::Portal => warm.or_else(|| boxes::seeds(pair)),
+        Solver::GjkRayCast => warm,
+    };
+    let seeds = start.as_ref().map_or(&[][..], |triple| triple);
     match solver {
-        Solver::Portal => portal::solve(pair, warm.as_ref().map_or(&[], |w| w), goal, Cost::default()),
-        Solver::GjkRayCast => gjk_ray_cast::solve(pair, warm.as_ref().map_or(&[], |w| w), goal),
+        Solver::Portal => portal::solve(pair, seeds, goal, Cost::default()),
+        Solver::GjkRayCast => gjk_ray_cast::solve(pair, seeds, goal),
     }
 }
 

@@ -10,6 +10,7 @@ use glam::DVec3;
 
 use crate::contact::exact::{Dd, dd_cross, dd_dot, orient2d, orient3d, triangle_normal};
 use crate::contact::pair::{Pair, Support};
+use crate::contact::tolerance::{TRIPLE_PRODUCT, U};
 
 /// Sign of `det(ray, w, u)`: whether `u` lies anticlockwise of `w` about the
 /// ray. 0 only where `w` and `u` are parallel.
@@ -32,21 +33,24 @@ fn exact_turn(ray: DVec3, w: DVec3, u: DVec3) -> f64 {
 
 /// The three points anticlockwise about the ray, if their cone holds it.
 pub(crate) fn around(pair: &Pair<'_>, [u0, u1, u2]: [Support; 3]) -> Option<[Support; 3]> {
-    let turns =
-        [(u0, u1), (u1, u2), (u2, u0)].map(|(u, v)| turn(pair, pair.ray.cross(u.point), u.point, v.point));
-    if turns.iter().all(|&t| t > 0.0) && volume(u0, u1, u2) > 0.0 {
-        Some([u0, u1, u2])
-    } else if turns.iter().all(|&t| t < 0.0) && volume(u0, u2, u1) > 0.0 {
-        Some([u0, u2, u1])
+    let [p0, p1, p2] = [u0.point, u1.point, u2.point];
+    let turns = [(p0, p1), (p1, p2), (p2, p0)].map(|(u, v)| turn(pair, pair.ray.cross(u), u, v));
+    let along = if turns.iter().all(|&t| t > 0.0) {
+        [u0, u1, u2]
+    } else if turns.iter().all(|&t| t < 0.0) {
+        [u0, u2, u1]
     } else {
-        None
-    }
+        return None;
+    };
+    // Else the line of the ray meets their triangle behind the origin.
+    (volume(pair, along.map(|u| u.point)) > 0.0).then_some(along)
 }
 
-/// Sign of `det(u0, u1, u2)`, exact: positive where the cone goes along the ray
-/// and not against it.
-fn volume(u0: Support, u1: Support, u2: Support) -> f64 {
-    orient3d(u0.point, u1.point, u2.point, DVec3::ZERO)
+/// Sign of `det(u0, u1, u2)`.
+fn volume(pair: &Pair<'_>, [u0, u1, u2]: [DVec3; 3]) -> f64 {
+    let value = u0.cross(u1).dot(u2);
+    let sure = TRIPLE_PRODUCT * U * pair.circumradius * pair.circumradius * pair.circumradius;
+    if value.abs() > sure { value } else { orient3d(u0, u1, u2, DVec3::ZERO) }
 }
 
 /// Puts `w`, beyond the triangle's plane, in the place of the one point without

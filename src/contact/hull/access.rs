@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-use super::{ConvexHull, Csr};
+use super::{BoxShape, ConvexHull, Csr};
 use crate::contact::support::Coarse;
 
 /// In the caller's units, hull frame.
@@ -111,6 +111,11 @@ impl ConvexHull {
 /// In hull units: about the contraction point, divided by [`ConvexHull::scale`].
 /// Vertices, faces and edges are numbered from 0 in this hull's own order.
 impl ConvexHull {
+    /// The box that this hull is, if it is one about its contraction point.
+    pub(crate) fn box_shape(&self) -> Option<&BoxShape> {
+        self.box_shape.as_ref()
+    }
+
     /// Power of two: caller's units per hull unit.
     pub fn scale(&self) -> f64 {
         self.scale

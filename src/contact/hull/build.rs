@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
+use super::BoxShape;
 use super::cloud::Cloud;
 use super::csr::Csr;
 use super::mass::mass;
@@ -49,8 +50,8 @@ pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexH
     let topology = topology(&surface, &groups);
     let adjacency = Adjacency::new(triangulation, &groups, &topology, centred.vertices.len());
     let planes = &groups.planes;
+    let face_normals: Vec<DVec3> = planes.iter().map(|p| p.normal).collect();
     Ok(ConvexHull {
-        face_normals: planes.iter().map(|p| p.normal).collect(),
         face_offsets: planes.iter().map(|p| p.offset).collect(),
         face_planarity: planes.iter().map(|p| p.planarity).collect(),
         face_areas: topology.face_areas,
@@ -61,6 +62,8 @@ pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexH
         vertex_faces: adjacency.vertex_faces,
         vertex_edges: adjacency.vertex_edges,
         vertex_neighbours,
+        box_shape: BoxShape::recognise(&centred.vertices, &face_normals),
+        face_normals,
         columns: Columns::new(&centred.vertices),
         coarse: Coarse::new(&centred.vertices),
         vertices: centred.vertices,

@@ -4,6 +4,7 @@
 use glam::{DMat3, DVec3};
 
 mod access;
+mod boxes;
 mod build;
 mod cloud;
 mod csr;
@@ -13,6 +14,7 @@ mod merge;
 mod quickhull;
 mod topology;
 
+pub(crate) use boxes::BoxShape;
 use csr::Csr;
 pub use error::{HullError, HullErrorKind};
 #[doc(hidden)]
@@ -45,6 +47,8 @@ pub struct ConvexHull {
     vertices: Vec<DVec3>,
     /// The same, for the support mapping.
     pub(super) columns: super::support::Columns,
+    /// Of boxes about the contraction point.
+    box_shape: Option<BoxShape>,
     /// Of large hulls.
     pub(super) coarse: Option<super::support::Coarse>,
     /// Per vertex its index among the points as registered; ascending.

@@ -1,0 +1,51 @@
+//! Hulls that are boxes about their contraction point.
+
+use glam::{DMat3, DVec3};
+
+/// How far, of the circumradius, a corner may be from where a box has it. The
+/// shape only says where to look first, so nothing depends on the value.
+const CORNER_ERROR: f64 = 1e-9;
+
+/// A box about the contraction point, hull units.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct BoxShape {
+    /// Unit axes, hull frame, as columns.
+    pub(crate) axes: DMat3,
+    /// Half extents along them.
+    pub(crate) half: DVec3,
+    /// Vertex of each octant: bit `i` is set where axis `i` is positive.
+    corners: [u32; 8],
+}
+
+impl BoxShape {
+    /// The box that these vertices and face normals make, if they do.
+    pub(crate) fn recognise(vertices: &[DVec3], normals: &[DVec3]) -> Option<Self> {
+        if vertices.len() != 8 || normals.len() != 6 {
+            return None;
+        }
+        let x = normals[0];
+        let across = |m: &&DVec3| m.dot(x).abs() < 0.5;
+        let y = *normals.iter().find(across)?;
+        let axes = DMat3::from_cols(x, y, x.cross(y));
+        let own: Vec<DVec3> = vertices.iter().map(|v| axes.transpose() * *v).collect();
+        let half = own.iter().fold(DVec3::ZERO, |half, v| half.max(v.abs()));
+        let error = CORNER_ERROR * half.length();
+        let mut corners = [u32::MAX; 8];
+        for (v, i) in own.iter().zip(0..) {
+            if (v.abs() - half).abs().max_element() > error {
+                return None;
+            }
+            corners[octant(*v)] = i;
+        }
+        (!corners.contains(&u32::MAX)).then_some(Self { axes, half, corners })
+    }
+
+    /// The vertex in the octant with these signs.
+    pub(crate) fn corner(&self, signs: DVec3) -> u32 {
+        self.corners[octant(signs)]
+    }
+}
+
+fn octant(v: DVec3) -> usize {
+    usize::from(v.x > 0.0) | usize::from(v.y > 0.0) << 1 | usize::from(v.z > 0.0) << 2
+}
