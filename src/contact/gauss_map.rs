@@ -117,7 +117,7 @@ impl Scratch {
         while let Some(&v) = support.get(next) {
             next += 1;
             for &w in hull.vertex_neighbours(v as usize) {
-                if height(w) >= highest - direction.depth && marks.insert(w) {
+                if !marks.contains(w) && height(w) >= highest - direction.depth && marks.insert(w) {
                     support.push(w);
                 }
             }
