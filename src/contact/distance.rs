@@ -25,11 +25,18 @@ pub(crate) fn decide(pair: &Pair<'_>, seeds: &[Support], margin: f64, cost: &mut
     let band = pair.rounding_band();
     let mut simplex = Simplex::from_points(seeds);
     let (mut shortest, mut farthest, mut stalled) = (f64::INFINITY, f64::NEG_INFINITY, 0);
+    // Between hulls that nearly touch the direction is mostly rounding, and so
+    // is whether four points surround d: wide arithmetic from there on.
+    let mut wide = false;
     for _ in 0..DISTANCE_ITERATIONS {
         // From the nearest known point of K to d, that is from A to B.
-        let away = -simplex.closest_to(pair.d);
+        let away = if wide { -simplex.wide_closest_to(pair.d) } else { -simplex.closest_to(pair.d) };
         let distance = away.length();
-        if distance <= margin + band || simplex.is_full() {
+        if !wide && simplex.is_full() {
+            wide = true;
+            continue;
+        }
+        if distance <= margin + band {
             return Decision::Within;
         }
         let w = pair.support(away);
@@ -45,10 +52,15 @@ pub(crate) fn decide(pair: &Pair<'_>, seeds: &[Support], margin: f64, cost: &mut
         if shortest - farthest <= band {
             return Decision::Within;
         }
-        if simplex.contains(&w) || stalled >= STALL {
+        let stuck = simplex.contains(&w) || stalled >= STALL;
+        if stuck && wide {
             break;
         }
-        simplex.push(w);
+        if stuck {
+            (wide, stalled) = (true, 0);
+        } else {
+            simplex.push(w);
+        }
     }
     Decision::Unknown
 }

@@ -4,6 +4,7 @@
 
 use glam::DVec3;
 
+use super::exact::{Dd, Dd3, dd_cross, dd_dot, exact_difference};
 use super::pair::Support;
 
 /// At most four points.
@@ -56,13 +57,88 @@ impl Simplex {
             3 => triangle(&[at(0), at(1), at(2)], [0, 1, 2]),
             _ => tetrahedron(&[at(0), at(1), at(2), at(3)]),
         };
+        self.keep(&kept);
+        vector
+    }
+
+    /// The same in wide arithmetic: the direction holds where the target is
+    /// nearer than roundoffs of the points.
+    #[cold]
+    pub(crate) fn wide_closest_to(&mut self, target: DVec3) -> DVec3 {
+        let points: Vec<Dd3> = self.points().iter().map(|p| exact_difference(p.point, target)).collect();
+        if self.is_full() && surrounded(&points) {
+            return DVec3::ZERO;
+        }
+        let subsets = SUBSETS.iter().filter(|set| set.iter().all(|&i| i < self.len));
+        let feet = subsets.filter_map(|set| Some((foot(&points, set)?, Kept::of(set))));
+        let nearest = feet.min_by(|(p, _), (q, _)| p.length_squared().total_cmp(&q.length_squared()));
+        let (vector, kept) = nearest.unwrap_or_default();
+        self.keep(&kept);
+        vector
+    }
+
+    fn keep(&mut self, kept: &Kept) {
         let before = self.points;
         self.len = kept.len;
         for (i, &k) in kept.indices[..kept.len].iter().enumerate() {
             self.points[i] = before[k];
         }
-        vector
     }
+}
+
+/// The faces of every dimension of four points.
+const SUBSETS: [&[usize]; 14] = [
+    &[0],
+    &[1],
+    &[2],
+    &[3],
+    &[0, 1],
+    &[0, 2],
+    &[0, 3],
+    &[1, 2],
+    &[1, 3],
+    &[2, 3],
+    &[0, 1, 2],
+    &[0, 1, 3],
+    &[0, 2, 3],
+    &[1, 2, 3],
+];
+
+fn minus(a: Dd3, b: Dd3) -> Dd3 {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+/// The foot of the origin on a face of the points, if it is inside.
+fn foot(points: &[Dd3], face: &[usize]) -> Option<DVec3> {
+    let times = |v: Dd3, by: Dd| v.map(|x| x * by);
+    let over = |v: Dd3, by: Dd| DVec3::from_array(v.map(Dd::value)) / by.value();
+    match *face {
+        [i] => Some(DVec3::from_array(points[i].map(Dd::value))),
+        [i, j] => {
+            let (p, edge) = (points[i], minus(points[j], points[i]));
+            let (whole, share) = (dd_dot(edge, edge), -dd_dot(p, edge));
+            let inside = share.value() > 0.0 && (whole - share).value() > 0.0;
+            let [a, b] = [times(p, whole), times(edge, share)];
+            inside.then(|| over([a[0] + b[0], a[1] + b[1], a[2] + b[2]], whole))
+        }
+        [i, j, k] => {
+            let [p, q, r] = [i, j, k].map(|i| points[i]);
+            let n = dd_cross(minus(q, p), minus(r, p));
+            let inside = |u: Dd3, v: Dd3| dd_dot(n, dd_cross(u, v)).value() > 0.0;
+            (inside(p, q) && inside(q, r) && inside(r, p)).then(|| over(times(n, dd_dot(n, p)), dd_dot(n, n)))
+        }
+        _ => None,
+    }
+}
+
+/// Whether the origin is inside four points.
+fn surrounded(points: &[Dd3]) -> bool {
+    [[0, 1, 2, 3], [0, 1, 3, 2], [0, 2, 3, 1], [1, 2, 3, 0]].iter().all(|&[i, j, k, other]| {
+        let n = dd_cross(minus(points[j], points[i]), minus(points[k], points[i]));
+        let (origin, apex) =
+            (-dd_dot(n, points[i]).value(), dd_dot(n, minus(points[other], points[i])).value());
+        (origin > 0.0 && apex > 0.0) || (origin < 0.0 && apex < 0.0)
+    })
 }
 
 /// Indices of the points that hold the closest point.
