@@ -58,7 +58,12 @@ fn refine(pair: &Pair<'_>, mut portal: [Support; 3], goal: &Goal, mut cost: Cost
         let out_of_steps = cost.iterations >= goal.max_iterations || stalled >= STALL;
         let refined = refined(pair, &portal, normal, &w, goal.relative_tolerance);
         if refined || out_of_steps || (goal.outcome_only && overlaps(pair, &portal)) {
-            let solution = conclude(pair, best.direction, best.support, portal, goal, cost);
+            // The portal's own plane holds the basis: an earlier one, as good to
+            // rounding, may be another facet's.
+            let mut solution = conclude(pair, n, w, portal, goal, cost);
+            if solution.gap_open {
+                solution = conclude(pair, best.direction, best.support, portal, goal, cost);
+            }
             let sharp = !solution.gap_open && !solution.coarse;
             if sharp || wide || out_of_steps || !refined {
                 return Growth::Solved(solution);
