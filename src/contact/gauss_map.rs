@@ -156,7 +156,8 @@ impl Scratch {
         // A face that lies in the support plane is nearer than none, however its
         // few roundoffs of height tilt it.
         if near.is_empty() && support.len() >= 3 {
-            let flat = |f: &u32| hull.outline(*f as usize).iter().all(|&v| supports.contains(v));
+            let flat =
+                |f: &u32| cosine(*f) > 0.0 && hull.outline(*f as usize).iter().all(|&v| supports.contains(v));
             near.extend(at_support().filter(flat).map(|f| Near { feature: f, measure: cosine(f) }));
         }
         if let &[only] = near.as_slice() {

@@ -155,7 +155,7 @@ impl Workspace {
     fn points_within(&self, margin: f64) -> bool {
         let found = &self.intersection;
         !found.estimated
-            && found.points.iter().any(|p| (p.height_b - p.height_a).max(0.0) + found.planarity <= margin)
+            && found.points.iter().any(|p| (p.height_b - p.height_a).abs() + found.planarity <= margin)
     }
 
     /// The points found, in the world.
