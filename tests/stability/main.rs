@@ -1,0 +1,57 @@
+//! Numerical stability at the extremes: a matrix of rows, each a value of an
+//! axis, with both solvers; inputs that broke real libraries; properties. Every
+//! answer is held against the exact one.
+//!
+//! `make stability` runs the whole matrix and writes `docs/stability.md`,
+//! `make stability-long` the long sweeps.
+
+mod case;
+mod exact;
+mod judge;
+mod matrix;
+mod named;
+mod oracle;
+#[allow(dead_code)]
+#[path = "../workload/polygon.rs"]
+mod polygon;
+mod report;
+#[path = "../scene/mod.rs"]
+mod scene;
+
+use matrix::{Score, rows, run};
+
+/// Cases of each row here, and in `make stability`.
+const FEW: usize = 60;
+const MANY: usize = 2000;
+
+fn scores(cases: usize) -> Vec<Score> {
+    rows().into_iter().map(|row| run(row, cases)).collect()
+}
+
+/// A subset of `make stability`. What it would catch: anything that is wrong
+/// without a flag, or flagged without need.
+#[test]
+fn the_matrix_is_met() {
+    let scores = scores(FEW);
+    let failures = report::failures(&scores);
+    assert!(failures.is_empty(), "{failures:#?}");
+    assert!(scores.len() > 120);
+}
+
+/// The whole matrix; writes its page and picture into the directory STABILITY.
+#[test]
+#[ignore = "make stability"]
+fn the_whole_matrix_is_met() {
+    let scores = scores(MANY);
+    let (summary, table) = (report::summary(&scores), report::table(&scores));
+    println!("{table}\n{summary}");
+    if let Some(directory) = std::env::var_os("STABILITY").map(std::path::PathBuf::from) {
+        let write =
+            |name: &str, text: &str| std::fs::write(directory.join(name), text).expect("a file to write");
+        write("summary.md", &summary);
+        write("table.md", &table);
+        write("stability.svg", &report::heat_map(&scores));
+    }
+    let failures = report::failures(&scores);
+    assert!(failures.is_empty(), "{failures:#?}");
+}

@@ -1,0 +1,110 @@
+//! The matrix: each row a value of an axis, with what makes its cases and what
+//! shows that they are what the row names.
+
+mod hulls;
+mod poses;
+mod resting;
+
+use hullcast::contact::Workspace;
+
+use super::case::Case;
+use super::judge::{Cell, Met, judge};
+use super::scene::Random;
+
+/// One row of the matrix.
+pub(crate) struct Row {
+    pub(crate) axis: &'static str,
+    pub(crate) value: String,
+    /// What it is about: this flag may be up in every case.
+    pub(crate) about: About,
+    /// Of what is met at least a tenth of the cases, or the row is not what it says.
+    meets: fn(&Met) -> usize,
+    /// Large hulls cost: one in so many cases is run.
+    thin: usize,
+    make: Box<dyn FnMut(&mut Random) -> Case>,
+}
+
+/// The flag that a row is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum About {
+    Nothing,
+    GapOpen,
+    Coincident,
+}
+
+impl Row {
+    pub(crate) fn new(
+        axis: &'static str,
+        value: impl std::fmt::Display,
+        make: impl FnMut(&mut Random) -> Case + 'static,
+    ) -> Self {
+        let meets = |met: &Met| met.overlapping + met.apart;
+        Self { axis, value: value.to_string(), about: About::Nothing, meets, thin: 1, make: Box::new(make) }
+    }
+
+    fn about(self, about: About) -> Self {
+        Self { about, ..self }
+    }
+
+    fn meets(self, meets: fn(&Met) -> usize) -> Self {
+        Self { meets, ..self }
+    }
+
+    fn thinned(self, thin: usize) -> Self {
+        Self { thin, ..self }
+    }
+}
+
+/// A row with its two solvers' cells.
+pub(crate) struct Score {
+    pub(crate) axis: &'static str,
+    pub(crate) value: String,
+    pub(crate) cells: [Cell; 2],
+}
+
+/// Every row of the matrix.
+pub(crate) fn rows() -> Vec<Row> {
+    let mut rows = Vec::new();
+    rows.extend(poses::scale());
+    rows.extend(poses::world_offset());
+    rows.extend(hulls::aspect());
+    rows.extend(hulls::size_ratio());
+    rows.extend(hulls::vertices());
+    rows.extend(resting::facet_noise());
+    rows.extend(resting::dihedral());
+    rows.extend(hulls::tiny());
+    rows.extend(hulls::contraction_point());
+    rows.extend(poses::centre_distance());
+    rows.extend(poses::alpha());
+    rows.extend(poses::margin());
+    rows.extend(poses::ghosts());
+    rows.extend(resting::tilt());
+    rows.extend(resting::ties());
+    rows.extend(poses::budgets());
+    rows.extend(poses::quaternions());
+    rows
+}
+
+/// Runs `cases` of a row and holds it to what it says of itself.
+pub(crate) fn run(mut row: Row, cases: usize) -> Score {
+    let cases = cases.div_ceil(row.thin);
+    // Every row a stream of its own: a new row changes no other.
+    let seed =
+        row.axis.bytes().chain(row.value.bytes()).fold(7, |h, b| (h * 31 + u64::from(b)) & (u64::MAX >> 8));
+    let random = &mut Random(seed);
+    let mut workspace = Workspace::default();
+    let mut cells = [Cell::default(), Cell::default()];
+    for _ in 0..cases {
+        judge(&(row.make)(random), &mut cells, &mut workspace);
+    }
+    for cell in &mut cells {
+        let met = (row.meets)(&cell.met);
+        let all = cell.met;
+        cell.demand(10 * met >= cases, || format!("met {met} of {cases}: {all:?}"));
+        let gap_open = if row.about == About::GapOpen { 0 } else { cell.gap_open };
+        let coincident = if row.about == About::Coincident { 0 } else { cell.coincident };
+        let flagged = gap_open + coincident + cell.undecided;
+        cell.demand(100 * flagged <= cases, || format!("{flagged} of {cases} flagged"));
+    }
+    Score { axis: row.axis, value: row.value, cells }
+}

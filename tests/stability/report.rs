@@ -1,0 +1,160 @@
+//! The matrix as a table, a page and a picture.
+
+use std::fmt::Write as _;
+
+use crate::judge::{Cell, MEASURES};
+use crate::matrix::Score;
+
+const SOLVERS: [&str; 2] = ["PORTAL", "GJK_RAY_CAST"];
+
+/// What of a cell is counted: name and number.
+fn counts(cell: &Cell) -> [(&'static str, usize); 6] {
+    [
+        ("cases", cell.cases),
+        ("failures", cell.failures),
+        ("GAP_OPEN", cell.gap_open),
+        ("COINCIDENT", cell.coincident),
+        ("UNDECIDED", cell.undecided),
+        ("ESTIMATED", cell.estimated),
+    ]
+}
+
+fn cells(scores: &[Score]) -> impl Iterator<Item = (&Score, &'static str, &Cell)> {
+    scores.iter().flat_map(|score| {
+        SOLVERS.into_iter().zip(&score.cells).map(move |(solver, cell)| (score, solver, cell))
+    })
+}
+
+/// Every failure, with its row and solver.
+pub(crate) fn failures(scores: &[Score]) -> Vec<String> {
+    let of = |(score, solver, cell): (&Score, &str, &Cell)| -> Vec<String> {
+        cell.failed.iter().map(|f| format!("{}, {}, {solver}: {f}", score.axis, score.value)).collect()
+    };
+    cells(scores).flat_map(of).collect()
+}
+
+/// Markdown: a line a row and solver.
+pub(crate) fn table(scores: &[Score]) -> String {
+    let names = counts(&scores[0].cells[0]).map(|(name, _)| name);
+    let mut text = format!("| axis | value | solver | {} | {} |\n", names.join(" | "), MEASURES.join(" | "));
+    let _ = writeln!(text, "|---|---|---|{}", "--:|".repeat(names.len() + MEASURES.len()));
+    for (score, solver, cell) in cells(scores) {
+        let counts = counts(cell).map(|(_, n)| if n == 0 { "·".into() } else { n.to_string() });
+        let worst = cell.worst.map(|w| if w == 0.0 { "·".into() } else { format!("{w:.1e}") });
+        let _ = writeln!(
+            text,
+            "| {} | {} | {solver} | {} | {} |",
+            score.axis,
+            score.value,
+            counts.join(" | "),
+            worst.join(" | ")
+        );
+    }
+    text
+}
+
+/// A line a solver: all rows together.
+pub(crate) fn summary(scores: &[Score]) -> String {
+    let mut text = format!("| solver | cells | cases | failures | {} |\n", MEASURES.join(" | "));
+    let _ = writeln!(text, "|---|--:|--:|--:|{}", "--:|".repeat(MEASURES.len()));
+    for (i, solver) in SOLVERS.iter().enumerate() {
+        let all = || scores.iter().map(|s| &s.cells[i]);
+        let (cases, failures): (usize, usize) =
+            all().fold((0, 0), |(cases, failures), c| (cases + c.cases, failures + c.failures));
+        let worst = |m: usize| all().map(|c| c.worst[m]).fold(0.0, f64::max);
+        let worst: Vec<String> = (0..MEASURES.len()).map(|m| format!("{:.2}", worst(m))).collect();
+        let _ =
+            writeln!(text, "| {solver} | {} | {cases} | {failures} | {} |", scores.len(), worst.join(" | "));
+    }
+    text
+}
+
+/// Pixels of a cell, of the labels, of the head.
+const CELL: [usize; 2] = [34, 13];
+const LABELS: usize = 250;
+const HEAD: usize = 100;
+
+/// An SVG heat map: a row of the matrix a line, a column a measure and solver,
+/// the colour the worst error's share of its budget.
+pub(crate) fn heat_map(scores: &[Score]) -> String {
+    let width = LABELS + (2 * MEASURES.len() + 1) * CELL[0] + 20;
+    let height = HEAD + scores.len() * CELL[1] + 50;
+    let mut svg = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
+         font-family=\"sans-serif\" font-size=\"10\">\n<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n"
+    );
+    for (i, solver) in SOLVERS.iter().enumerate() {
+        let left = |m: usize| LABELS + (i * (MEASURES.len() + 1) + m) * CELL[0];
+        let _ = writeln!(svg, "<text x=\"{}\" y=\"14\" font-weight=\"bold\">{solver}</text>", left(0));
+        for (m, name) in MEASURES.iter().enumerate() {
+            let x = left(m) + CELL[0] / 2;
+            let _ =
+                writeln!(svg, "<text transform=\"translate({x},{}) rotate(-60)\">{name}</text>", HEAD - 6);
+            for (row, score) in scores.iter().enumerate() {
+                let (cell, y) = (&score.cells[i], HEAD + row * CELL[1]);
+                let share = cell.worst[m];
+                let _ = writeln!(
+                    svg,
+                    "<rect x=\"{}\" y=\"{y}\" width=\"{}\" height=\"{}\" fill=\"{}\"><title>{}, {}, {solver}, \
+                     {name}: {share:.2e} of the budget, {} cases</title></rect>",
+                    left(m),
+                    CELL[0] - 1,
+                    CELL[1] - 1,
+                    colour(share),
+                    score.axis,
+                    score.value,
+                    cell.cases,
+                );
+            }
+        }
+    }
+    let mut before = "";
+    for (row, score) in scores.iter().enumerate() {
+        let y = HEAD + row * CELL[1] + 10;
+        if score.axis != before {
+            let _ = writeln!(svg, "<text x=\"6\" y=\"{y}\" font-weight=\"bold\">{}</text>", score.axis);
+            let line = y - 10;
+            let _ = writeln!(svg, "<path d=\"M6 {line}H{width}\" stroke=\"#999\" stroke-width=\"0.5\"/>");
+        }
+        before = score.axis;
+        let _ =
+            writeln!(svg, "<text x=\"{}\" y=\"{y}\" text-anchor=\"end\">{}</text>", LABELS - 8, score.value);
+    }
+    legend(&mut svg, height - 36);
+    svg + "</svg>\n"
+}
+
+fn legend(svg: &mut String, y: usize) {
+    let steps = [
+        ("0", 0.0),
+        ("≤ 1e-3", 1e-4),
+        ("1e-2", 5e-3),
+        ("0.1", 0.05),
+        ("0.5", 0.3),
+        ("1", 0.9),
+        ("over budget", 2.0),
+    ];
+    let _ = writeln!(svg, "<text x=\"6\" y=\"{}\">worst error, share of its budget:</text>", y + 10);
+    for (i, (name, share)) in steps.iter().enumerate() {
+        let x = 190 + 78 * i;
+        let fill = colour(*share);
+        let _ = writeln!(
+            svg,
+            "<rect x=\"{x}\" y=\"{y}\" width=\"14\" height=\"13\" fill=\"{fill}\" stroke=\"#bbb\"/>"
+        );
+        let _ = writeln!(svg, "<text x=\"{}\" y=\"{}\">{name}</text>", x + 18, y + 10);
+    }
+}
+
+/// White to dark blue on a logarithmic scale; red beyond the budget.
+fn colour(share: f64) -> &'static str {
+    match share {
+        0.0 => "#f7f7f7",
+        s if s <= 1e-3 => "#e3eef9",
+        s if s <= 1e-2 => "#c2daef",
+        s if s <= 0.1 => "#8cbfdd",
+        s if s <= 0.5 => "#4a90c4",
+        s if s <= 1.0 => "#1d5c9c",
+        _ => "#d7301f",
+    }
+}
