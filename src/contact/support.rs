@@ -177,6 +177,9 @@ mod x86 {
 
     use super::{Columns, LANES};
 
+    /// Independent searches side by side, since each waits for its own last step.
+    const SEARCHES: usize = 4;
+
     /// Eight vertices at once.
     ///
     /// # Safety
@@ -184,25 +187,49 @@ mod x86 {
     #[target_feature(enable = "avx512f")]
     pub(super) unsafe fn avx512(columns: &Columns, n: DVec3) -> u32 {
         let (nx, ny, nz) = (_mm512_set1_pd(n.x), _mm512_set1_pd(n.y), _mm512_set1_pd(n.z));
-        let mut best = _mm512_set1_pd(f64::NEG_INFINITY);
-        let mut found = _mm512_setzero_si512();
-        let mut index = _mm512_set_epi64(7, 6, 5, 4, 3, 2, 1, 0);
-        let step = _mm512_set1_epi64(LANES as i64);
-        let chunks = columns.x.chunks_exact(8).zip(columns.y.chunks_exact(8)).zip(columns.z.chunks_exact(8));
-        for ((x, y), z) in chunks {
-            // SAFETY: each chunk is 8 doubles long.
+        let lanes = _mm512_set_epi64(7, 6, 5, 4, 3, 2, 1, 0);
+        let mut best = [_mm512_set1_pd(f64::NEG_INFINITY); SEARCHES];
+        let mut found = [_mm512_setzero_si512(); SEARCHES];
+        let Columns { x, y, z } = columns;
+        let mut look = |search: usize, first: usize| {
+            let (x, y, z) = (&x[first..first + LANES], &y[first..first + LANES], &z[first..first + LANES]);
+            // SAFETY: each slice is 8 doubles long.
             let (x, y, z) = unsafe {
                 (_mm512_loadu_pd(x.as_ptr()), _mm512_loadu_pd(y.as_ptr()), _mm512_loadu_pd(z.as_ptr()))
             };
             let flat = _mm512_add_pd(_mm512_mul_pd(nx, x), _mm512_mul_pd(ny, y));
             let value = _mm512_add_pd(flat, _mm512_mul_pd(nz, z));
-            let better = _mm512_cmp_pd_mask::<_CMP_GT_OQ>(value, best);
-            best = _mm512_mask_mov_pd(best, better, value);
-            found = _mm512_mask_mov_epi64(found, better, index);
-            index = _mm512_add_epi64(index, step);
+            let better = _mm512_cmp_pd_mask::<_CMP_GT_OQ>(value, best[search]);
+            best[search] = _mm512_mask_mov_pd(best[search], better, value);
+            let index = _mm512_add_epi64(lanes, _mm512_set1_epi64(first as i64));
+            found[search] = _mm512_mask_mov_epi64(found[search], better, index);
+        };
+        let mut first = 0;
+        while first + SEARCHES * LANES <= x.len() {
+            look(0, first);
+            look(1, first + LANES);
+            look(2, first + 2 * LANES);
+            look(3, first + 3 * LANES);
+            first += SEARCHES * LANES;
         }
-        let largest = _mm512_cmp_pd_mask::<_CMP_EQ_OQ>(best, _mm512_set1_pd(_mm512_reduce_max_pd(best)));
-        _mm512_mask_reduce_min_epu64(largest, found) as u32
+        while first < x.len() {
+            look(0, first);
+            first += LANES;
+        }
+        if x.len() < SEARCHES * LANES {
+            let equal =
+                _mm512_cmp_pd_mask::<_CMP_EQ_OQ>(best[0], _mm512_set1_pd(_mm512_reduce_max_pd(best[0])));
+            return _mm512_mask_reduce_min_epi64(equal, found[0]) as u32;
+        }
+        let high = _mm512_max_pd(_mm512_max_pd(best[0], best[1]), _mm512_max_pd(best[2], best[3]));
+        let largest = _mm512_set1_pd(_mm512_reduce_max_pd(high));
+        let lowest = |search: usize| {
+            let equal = _mm512_cmp_pd_mask::<_CMP_EQ_OQ>(best[search], largest);
+            _mm512_mask_mov_epi64(_mm512_set1_epi64(i64::MAX), equal, found[search])
+        };
+        let low =
+            _mm512_min_epi64(_mm512_min_epi64(lowest(0), lowest(1)), _mm512_min_epi64(lowest(2), lowest(3)));
+        _mm512_reduce_min_epi64(low) as u32
     }
 
     /// Four vertices at once.
