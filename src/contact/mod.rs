@@ -48,6 +48,7 @@ pub struct Workspace {
     manifold: Manifold,
     gauss_map: gauss_map::Scratch,
     intersection: Intersection,
+    kept: Vec<usize>,
 }
 
 /// The contact manifold of `a` and `b`: the paper's three steps, in order.
@@ -163,7 +164,7 @@ impl Workspace {
         let found = &mut self.intersection;
         let rounding = pair.rounding_band();
         self.manifold.flags.reduced =
-            reduce::reduce(&mut found.points, accuracy.max_points as usize, rounding);
+            reduce::reduce(&mut found.points, accuracy.max_points as usize, rounding, &mut self.kept);
         self.manifold.flags.estimated = found.estimated;
         for p in &found.points {
             self.manifold.points.push(ContactPoint {

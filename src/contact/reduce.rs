@@ -5,7 +5,8 @@ use super::intersection::PlanePoint;
 /// Keeps `max` of the points, in their order: the deepest (within `rounding` of
 /// it the lowest id), then, one at a time, the one that adds most area to the
 /// polygon of those kept; the second is the one farthest from the first.
-pub(crate) fn reduce(points: &mut Vec<PlanePoint>, max: usize, rounding: f64) -> bool {
+/// `kept` is a buffer. Whether anything was dropped.
+pub(crate) fn reduce(points: &mut Vec<PlanePoint>, max: usize, rounding: f64, kept: &mut Vec<usize>) -> bool {
     if max == 0 || points.len() <= max {
         return false;
     }
@@ -15,12 +16,13 @@ pub(crate) fn reduce(points: &mut Vec<PlanePoint>, max: usize, rounding: f64) ->
         .filter(|&i| depth(&points[i]) <= deepest + rounding)
         .min_by_key(|&i| points[i].id)
         .unwrap_or(0);
-    let mut kept = vec![first];
+    kept.clear();
+    kept.push(first);
     while kept.len() < max {
         let rest = (0..points.len()).filter(|i| !kept.contains(i));
         let next = rest.max_by(|&i, &j| {
             // Of equals the lower index: max_by keeps the last.
-            added_area(points, &kept, i).total_cmp(&added_area(points, &kept, j)).then(j.cmp(&i))
+            added_area(points, kept, i).total_cmp(&added_area(points, kept, j)).then(j.cmp(&i))
         });
         let Some(next) = next else { break };
         kept.push(next);

@@ -7,7 +7,8 @@ use super::outline::{Outline, Part};
 use crate::contact::manifold::Element;
 
 /// A pair of nearest points: on A, on B, what they lie on.
-struct Near {
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Near {
     a: DVec2,
     b: DVec2,
     height_a: f64,
@@ -17,8 +18,8 @@ struct Near {
 
 /// The point midway between the closest points of both projections (the middle
 /// of the closest set where it is not unique), each lifted to its own feature.
-pub(super) fn estimate(a: &Outline, b: &Outline, eps: f64) -> PlanePoint {
-    let mut nearest = Vec::new();
+pub(super) fn estimate(a: &Outline, b: &Outline, eps: f64, nearest: &mut Vec<Near>) -> PlanePoint {
+    nearest.clear();
     let mut least = f64::INFINITY;
     each_pair(a, b, |near| {
         let distance = near.a.distance(near.b);
@@ -30,7 +31,7 @@ pub(super) fn estimate(a: &Outline, b: &Outline, eps: f64) -> PlanePoint {
         }
         least = least.min(distance);
     });
-    nearest.retain(|near: &Near| near.a.distance(near.b) <= least + eps);
+    nearest.retain(|near| near.a.distance(near.b) <= least + eps);
     // Of several equally near pairs the two ends of the closest set.
     let across = nearest.first().map_or(DVec2::X, |near| (near.b - near.a).perp());
     let key = |near: &&Near| across.dot(near.a + near.b);

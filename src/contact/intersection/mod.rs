@@ -37,6 +37,7 @@ pub(crate) struct Intersection {
     a: Outline,
     b: Outline,
     overlap: overlap::Scratch,
+    nearest: Vec<closest::Near>,
     /// Anticlockwise about the normal, from the lowest id.
     pub(crate) points: Vec<PlanePoint>,
     /// The projections miss each other; the one point is an estimate.
@@ -72,7 +73,7 @@ impl Intersection {
         overlap::find(&self.a, &self.b, eps, &mut self.overlap, &mut self.points);
         self.estimated = self.points.is_empty();
         if self.estimated {
-            self.points.push(closest::estimate(&self.a, &self.b, eps));
+            self.points.push(closest::estimate(&self.a, &self.b, eps, &mut self.nearest));
         }
         start_at_lowest_id(&mut self.points);
     }
