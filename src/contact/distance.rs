@@ -48,13 +48,10 @@ pub(crate) fn decide(pair: &Pair<'_>, seeds: &[Support], margin: f64, cost: &mut
         let lower = (away.dot(pair.d) - away.dot(w.point)) / distance;
         stalled = if distance < shortest || lower > farthest { 0 } else { stalled + 1 };
         (shortest, farthest) = (shortest.min(distance), farthest.max(lower));
-        // The direction is optimal to rounding, and neither side of the band certain.
-        if shortest - farthest <= band {
-            return Decision::Within;
-        }
         let stuck = simplex.contains(&w) || stalled >= STALL;
         if stuck && wide {
-            break;
+            // Optimal to rounding, and neither side of the band certain.
+            return if shortest - farthest <= band { Decision::Within } else { Decision::Unknown };
         }
         if stuck {
             (wide, stalled) = (true, 0);

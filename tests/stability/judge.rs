@@ -293,7 +293,10 @@ impl Judging<'_> {
         let [a, b] = self.bodies;
         let overlapping = self.growth.num <= self.growth.den;
         let distance = (!overlapping).then(|| self.exact.distance_squared(self.exact.support(&self.exact.d)));
-        for &margin in self.case.margins.iter().chain(&[0.0]) {
+        // Around the distance itself, wherever the hulls are.
+        let apart = distance.as_ref().map(|d| [1.0 - 1e-3, 1.0 - 1e-12, 1.0 + 1e-9].map(|by| by * d.value()));
+        let own = apart.into_iter().flatten();
+        for margin in self.case.margins.iter().copied().chain([0.0]).chain(own) {
             let beyond = distance.as_ref().map_or(-margin, |d| d.beyond(margin));
             let ghost = numbers.separation <= margin && beyond > self.sizes.band();
             cell.met.ghosts += usize::from(ghost);
@@ -307,7 +310,10 @@ impl Judging<'_> {
                 let query = Query { margin, wanted, ..*query };
                 let answer = contact_manifold(a, b, &query, warm, workspace);
                 match answer.outcome {
-                    Outcome::Contact => cell.measure(Measure::Outcome, beyond, self.sizes.band()),
+                    // A sixteenth more: the separation compared with the band is rounded itself.
+                    Outcome::Contact => {
+                        cell.measure(Measure::Outcome, beyond, self.sizes.band() * (1.0 + 0.0625));
+                    }
                     Outcome::Separated => {
                         cell.demand(beyond > 0.0, || format!("separated, {beyond:e} beyond {margin:e}"));
                         self.bounds(
