@@ -73,6 +73,18 @@ workload: check-tools ## WORKLOAD=file: every pair of a workload file against it
 	@test -n "$(WORKLOAD)" || { echo "make workload WORKLOAD=path/to/workload.bin"; exit 2; }
 	$(CARGO) run --release --locked --no-default-features --example workload -- "$(WORKLOAD)"
 
+STABILITY := $(CARGO) test --release --locked --no-default-features --test stability --
+
+.PHONY: stability
+stability: check-tools ## answers at the extremes against exact ones; writes docs/stability.md and its picture
+	STABILITY="$(abspath docs)" PROVENANCE="$$(./scripts/provenance)" $(STABILITY) --ignored --nocapture the_whole_matrix_is_met
+	@digest() { $(CARGO) test --locked --no-default-features --test stability "$$@" -- --nocapture the_same_pairs_give_the_same_bits | grep '^digest'; }; \
+	 debug=$$(digest); release=$$(digest --release); echo "debug: $$debug, release: $$release"; test "$$debug" = "$$release"
+
+.PHONY: stability-long
+stability-long: check-tools ## THOUSANDS=1000: so many cases by the certificate, a tenth by the exact answers
+	$(STABILITY) --ignored --nocapture many_cases a_million_cases
+
 .PHONY: clean
 clean: ## removes what was built
 	rm -rf target benches/target $(VENV) out

@@ -7,7 +7,7 @@
 
 use glam::DVec3;
 
-use super::exact::{Dd, dd_cross, dd_dot};
+use super::exact::{Dd, Dd3, dd_cross, dd_dot, exponent_above, power_of_two};
 use super::tolerance::{BAND, BRACKET, MERGE, NOISE, U};
 use super::{Basis, Body, Feature, Manifold, Outcome, Query, Wanted};
 
@@ -151,17 +151,47 @@ fn shown_upper(scene: &Scene<'_>, basis: &Basis) -> f64 {
     };
     let corner = |i: usize| Some(find(scene.a, basis.a[i])? - find(scene.b, basis.b[i])?);
     let (Some(u0), Some(u1), Some(u2)) = (corner(0), corner(1), corner(2)) else { return f64::INFINITY };
-    // Scaled, so that no product of three overflows or underflows.
-    let size = scene.circumradius;
-    let [u0, u1, u2, d] = [u0 / size, u1 / size, u2 / size, scene.d / scene.d.abs().max_element()];
-    let wide = |v: DVec3| v.to_array().map(Dd::from);
+    // Scaled, so that no product of three overflows or underflows; by powers of
+    // two, so that a flat triple stays flat.
+    let [size, far] =
+        [scene.circumradius, scene.d.abs().max_element()].map(|x| power_of_two(exponent_above(x)));
+    let ([u0, u1, u2], d) = ([u0, u1, u2].map(|u| u / size), scene.d / far);
+    let bound = |weights: [f64; 3]| {
+        let [l0, l1, l2] = weights.map(|l| l.max(0.0));
+        let missing = d - (u0 * l0 + u1 * l1 + u2 * l2);
+        let rounding = NOISE * U * (l0 + l1 + l2 + scene.m / far);
+        l0 + l1 + l2 + (missing.length() - rounding).max(0.0) * size / scene.inradius
+    };
+    // Where a weight is 0 its rounding may be far below 0 in a thin triple, and
+    // the other two alone show the bound.
+    let [w01, w12, w20] = [[u0, u1], [u1, u2], [u2, u0]].map(|[u, v]| weights_of_two(d, u, v));
+    let candidates = [
+        weights_of_three(d, u0, u1, u2),
+        [w01[0], w01[1], 0.0],
+        [0.0, w12[0], w12[1]],
+        [w20[1], 0.0, w20[0]],
+    ];
+    let shown = candidates.map(bound).into_iter().fold(f64::INFINITY, f64::min);
+    shown * (far / size) * (1.0 - BRACKET * U)
+}
+
+fn wide(v: DVec3) -> Dd3 {
+    v.to_array().map(Dd::from)
+}
+
+/// Weights with which three vectors make `d` (Cramer's rule).
+fn weights_of_three(d: DVec3, u0: DVec3, u1: DVec3, u2: DVec3) -> [f64; 3] {
     let det = |a, b, c| dd_dot(wide(a), dd_cross(wide(b), wide(c))).value();
     let volume = det(u0, u1, u2);
-    let weights = [det(d, u1, u2), det(u0, d, u2), det(u0, u1, d)].map(|x| (x / volume).max(0.0));
-    let missing = d - (u0 * weights[0] + u1 * weights[1] + u2 * weights[2]);
-    let rounding = NOISE * U * weights.iter().sum::<f64>();
-    let shown = weights.iter().sum::<f64>() + (missing.length() - rounding).max(0.0) * size / scene.inradius;
-    shown * (scene.d.abs().max_element() / size) * (1.0 - BRACKET * U)
+    [det(d, u1, u2), det(u0, d, u2), det(u0, u1, d)].map(|x| x / volume)
+}
+
+/// Weights with which two vectors come nearest to `d`.
+fn weights_of_two(d: DVec3, u: DVec3, v: DVec3) -> [f64; 2] {
+    let across = dd_cross(wide(u), wide(v));
+    let whole = dd_dot(across, across).value();
+    let along = |a, b| dd_dot(across, dd_cross(wide(a), wide(b))).value();
+    [along(d, v), along(u, d)].map(|x| x / whole)
 }
 
 fn points(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), Violation> {

@@ -6,14 +6,18 @@
 //! `make stability-long` the long sweeps.
 
 mod case;
+mod determinism;
 mod exact;
 mod judge;
+mod long;
 mod matrix;
+mod metamorphic;
 mod named;
 mod oracle;
 #[allow(dead_code)]
 #[path = "../workload/polygon.rs"]
 mod polygon;
+mod refused;
 mod report;
 #[path = "../scene/mod.rs"]
 mod scene;
@@ -38,7 +42,8 @@ fn the_matrix_is_met() {
     assert!(scores.len() > 120);
 }
 
-/// The whole matrix; writes its page and picture into the directory STABILITY.
+/// The whole matrix; writes its page and picture into the directory
+/// STABILITY.
 #[test]
 #[ignore = "make stability"]
 fn the_whole_matrix_is_met() {
@@ -48,8 +53,8 @@ fn the_whole_matrix_is_met() {
     if let Some(directory) = std::env::var_os("STABILITY").map(std::path::PathBuf::from) {
         let write =
             |name: &str, text: &str| std::fs::write(directory.join(name), text).expect("a file to write");
-        write("summary.md", &summary);
-        write("table.md", &table);
+        let provenance = std::env::var("PROVENANCE").unwrap_or_default();
+        write("stability.md", &report::page(&scores, &provenance));
         write("stability.svg", &report::heat_map(&scores));
     }
     let failures = report::failures(&scores);

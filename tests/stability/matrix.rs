@@ -21,6 +21,7 @@ pub(crate) struct Row {
     meets: fn(&Met) -> usize,
     /// Large hulls cost: one in so many cases is run.
     thin: usize,
+    stream: u64,
     make: Box<dyn FnMut(&mut Random) -> Case>,
 }
 
@@ -39,7 +40,15 @@ impl Row {
         make: impl FnMut(&mut Random) -> Case + 'static,
     ) -> Self {
         let meets = |met: &Met| met.overlapping + met.apart;
-        Self { axis, value: value.to_string(), about: About::Nothing, meets, thin: 1, make: Box::new(make) }
+        Self {
+            axis,
+            value: value.to_string(),
+            about: About::Nothing,
+            meets,
+            thin: 1,
+            stream: 0,
+            make: Box::new(make),
+        }
     }
 
     fn about(self, about: About) -> Self {
@@ -85,17 +94,35 @@ pub(crate) fn rows() -> Vec<Row> {
     rows
 }
 
+impl Row {
+    /// Every row a stream of its own: a new row changes no other.
+    pub(crate) fn random(&self, stream: u64) -> Random {
+        let name = self.axis.bytes().chain(self.value.bytes());
+        Random(name.fold(7 + stream, |h, b| (h * 31 + u64::from(b)) & (u64::MAX >> 8)))
+    }
+
+    pub(crate) fn reseeded(self, stream: u64) -> Self {
+        Self { stream, ..self }
+    }
+
+    pub(crate) fn case(&mut self, random: &mut Random) -> Case {
+        (self.make)(random)
+    }
+
+    /// Of so many cases those that are run.
+    pub(crate) fn thinned_out(&self, cases: usize) -> usize {
+        cases.div_ceil(self.thin)
+    }
+}
+
 /// Runs `cases` of a row and holds it to what it says of itself.
 pub(crate) fn run(mut row: Row, cases: usize) -> Score {
-    let cases = cases.div_ceil(row.thin);
-    // Every row a stream of its own: a new row changes no other.
-    let seed =
-        row.axis.bytes().chain(row.value.bytes()).fold(7, |h, b| (h * 31 + u64::from(b)) & (u64::MAX >> 8));
-    let random = &mut Random(seed);
+    let cases = row.thinned_out(cases);
+    let random = &mut row.random(row.stream);
     let mut workspace = Workspace::default();
     let mut cells = [Cell::default(), Cell::default()];
     for _ in 0..cases {
-        judge(&(row.make)(random), &mut cells, &mut workspace);
+        judge(&row.case(random), &mut cells, &mut workspace);
     }
     for cell in &mut cells {
         let met = (row.meets)(&cell.met);

@@ -69,6 +69,41 @@ pub(crate) fn summary(scores: &[Score]) -> String {
     text
 }
 
+const PAGE: &str = "\
+# Numerical stability
+
+Every row below is a value of an axis at its extremes, every case of it a seeded pair whose answer, by
+both solvers, is held against the exact one: `make stability` runs it again and writes this page.
+
+The exact answers are those for the floats given, in integers of any length: a quaternion is a rational
+rotation, so that every vertex of the Minkowski difference is an integer vector in one unit. The growth
+scale comes from an exact simplex method, `s(n)` of the returned normal from every vertex, the distance
+from an exact GJK. With `u` = 2^-53, `R` and `r` the sums of circumradii and inradii about the contraction
+points, `M` the lengths that enter the centre offset `d`, a measure is the worst error as a share of its budget:
+
+| measure | error | budget |
+|---|---|---|
+| alpha | off the exact growth scale | `alpha tol + 16 u alpha R/r + 16 u M/r` |
+| bracket | width; exact alpha outside it is a failure | `upper (tol + 64 u R/r) + 32 u M/r` |
+| normal | what it proves short of the exact growth scale | that of alpha |
+| separation | off `s(n)` | `64 u (R + d) + 16 u M` |
+| outcome | distance beyond the margin of a CONTACT; a SEPARATED within it is a failure | the rounding band, that of separation |
+| witness | outside its hull, unless ESTIMATED | faces' planarity, `64 u (R + M)`, `4 u L` |
+| distance | of a point below `s(n)` | that of separation, twice the planarity |
+
+Outcomes are asked for cold and warm, with points, without them and alone, at margins of the row, at 0 and
+within 1e-12 of the pair's own distance. ESTIMATED is held against the projected features; the certificate
+checks every answer too. A flag excuses what it names: GAP_OPEN the width, COINCIDENT alpha and normal;
+only rows about a flag may raise it in more than one case of a hundred. A failure is anything
+wrong without a flag. The rows of powers of two also compare the bits of alpha, bracket, normal and basis.
+";
+
+/// The page of the matrix: what is measured, on what, the sums, the picture, the rows.
+pub(crate) fn page(scores: &[Score], provenance: &str) -> String {
+    let picture = "![Worst error of each row as a share of its budget](stability.svg)";
+    format!("{PAGE}\n{provenance}\n\n{}\n{picture}\n\n## Rows\n\n{}", summary(scores), table(scores))
+}
+
 /// Pixels of a cell, of the labels, of the head.
 const CELL: [usize; 2] = [34, 13];
 const LABELS: usize = 250;

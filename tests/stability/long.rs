@@ -1,0 +1,64 @@
+//! Seeded sweeps without end: `make stability-long`. A million cases by the
+//! certificate, a hundred thousand by the exact answers; CASES shares of it.
+
+use hullcast::contact::{Flags, Outcome, Workspace, certificate, contact_manifold};
+
+use crate::case::Case;
+use crate::judge::SOLVERS;
+use crate::matrix::{rows, run};
+use crate::report;
+
+/// Cases in thousands by the certificate; a tenth of it by the exact answers.
+fn thousands() -> usize {
+    std::env::var("THOUSANDS").ok().and_then(|n| n.parse().ok()).unwrap_or(1000)
+}
+
+/// Each row's cases go on where `make stability` ends.
+#[test]
+#[ignore = "make stability-long"]
+fn many_cases_by_the_exact_answers() {
+    let rows = rows();
+    let each = (100 * thousands()).div_ceil(2 * rows.len());
+    let scores: Vec<_> = rows.into_iter().map(|row| run(row.reseeded(1), each)).collect();
+    println!("{}", report::summary(&scores));
+    let failures = report::failures(&scores);
+    assert!(failures.is_empty(), "{failures:#?}");
+}
+
+/// What a seed's case found: UNDECIDED, GAP_OPEN and all else by the certificate.
+fn violation(case: &Case, workspace: &mut Workspace, flagged: &mut usize) -> Option<String> {
+    let [a, b] = case.bodies();
+    for solver in SOLVERS {
+        for margin in [f64::INFINITY, 0.0].into_iter().chain(case.margins.iter().copied()) {
+            let mut query = case.query(margin);
+            query.accuracy.solver = solver;
+            let answer = contact_manifold(&a, &b, &query, None, workspace);
+            let open = Flags { gap_open: true, estimated: answer.flags.estimated, ..Flags::default() };
+            *flagged += usize::from(answer.flags == open || answer.outcome == Outcome::Undecided);
+            if let Err(violation) = certificate::check(&a, &b, &query, answer) {
+                return Some(format!("{solver:?}, margin {margin:e}: {violation}\n{case:?}"));
+            }
+        }
+    }
+    None
+}
+
+#[test]
+#[ignore = "make stability-long"]
+fn a_million_cases_by_the_certificate() {
+    // Making large hulls' cases costs more than answering them: one in sixteen.
+    let mut rows = rows();
+    let each = (1000 * thousands()).div_ceil(rows.len());
+    let (mut workspace, mut cases, mut flagged) = (Workspace::default(), 0, 0);
+    for row in &mut rows {
+        let random = &mut row.random(2);
+        for _ in 0..row.thinned_out(each) {
+            let case = row.case(random);
+            if let Some(violation) = violation(&case, &mut workspace, &mut flagged) {
+                panic!("{}, {}: {violation}", row.axis, row.value);
+            }
+            cases += 1;
+        }
+    }
+    println!("{cases} cases, {flagged} answers GAP_OPEN or UNDECIDED");
+}

@@ -1,0 +1,65 @@
+//! What is no hull or no pose says why.
+
+use hullcast::contact::{ConvexHull, HullErrorKind, HullOptions, InvalidPose, Pose};
+
+use crate::scene::box_points;
+
+/// The bad point sets of the matrix. Catches a panic, and a guess where the
+/// input is nothing.
+#[test]
+fn bad_point_sets_name_their_reason() {
+    let cube = box_points([1.0; 3]);
+    let with = |i: usize, p: [f64; 3]| {
+        let mut points = cube.clone();
+        points[i] = p;
+        points
+    };
+    let line: Vec<_> = (0..9).map(|i| [f64::from(i), 2.0 * f64::from(i), -f64::from(i)]).collect();
+    let plane: Vec<_> = (0..9).map(|i| [f64::from(i % 3), f64::from(i / 3), 1.0]).collect();
+    let sized = |by: f64| cube.iter().map(|p| p.map(|x| x * by)).collect::<Vec<_>>();
+    for (points, kind) in [
+        (vec![], HullErrorKind::TooFewPoints),
+        (cube[..3].to_vec(), HullErrorKind::TooFewPoints),
+        (vec![[1.0, 2.0, 3.0]; 50], HullErrorKind::TooFewPoints),
+        (line, HullErrorKind::Collinear),
+        (plane, HullErrorKind::Coplanar),
+        (with(3, [f64::NAN, 0.0, 0.0]), HullErrorKind::NotFinite),
+        (with(7, [0.0, f64::INFINITY, 0.0]), HullErrorKind::NotFinite),
+        (sized(1e-51), HullErrorKind::SizeOutOfRange),
+        (sized(1e-310), HullErrorKind::SizeOutOfRange),
+        (sized(1e51), HullErrorKind::SizeOutOfRange),
+    ] {
+        assert_eq!(ConvexHull::new(&points).expect_err("no hull").kind, kind, "{points:?}");
+    }
+    let limit = |max_vertices| HullOptions { max_vertices, ..HullOptions::default() };
+    assert!(ConvexHull::with_options(&cube, &limit(8)).is_ok());
+    let error = ConvexHull::with_options(&cube, &limit(7)).expect_err("one past the limit");
+    assert_eq!(error.kind, HullErrorKind::TooManyVertices);
+}
+
+/// A contraction point on the surface or outside has no growth.
+#[test]
+fn contraction_points_on_the_surface_are_refused() {
+    let about = |z: f64| {
+        let options = HullOptions { contraction_point: Some([0.0, 0.0, z]), ..HullOptions::default() };
+        ConvexHull::with_options(&box_points([1.0; 3]), &options).map_err(|e| e.kind)
+    };
+    assert!(about(1.0 - 1e-9).is_ok());
+    for z in [1.0, 1.0f64.next_up(), 2.0, f64::NAN, f64::INFINITY] {
+        assert_eq!(about(z), Err(HullErrorKind::ContractionPointNotInside), "{z}");
+    }
+}
+
+/// Catches a quaternion that is normalised from nothing, and a position that
+/// overflows later.
+#[test]
+fn bad_poses_name_their_reason() {
+    let turned = |norm: f64| Pose::new([0.0; 3], [0.0, 0.6 * norm, 0.0, 0.8 * norm]);
+    assert!([1.0, 1.0 + 9.9e-4, 1.0 - 9.9e-4].iter().all(|&norm| turned(norm).is_ok()));
+    for norm in [0.0, 1.0 + 2e-3, 1.0 - 2e-3, f64::NAN, f64::INFINITY, 1e-300, 1e300] {
+        assert_eq!(turned(norm), Err(InvalidPose::Rotation), "{norm}");
+    }
+    for x in [f64::NAN, f64::INFINITY, -1.1e100] {
+        assert_eq!(Pose::new([0.0, x, 0.0], [0.0, 0.0, 0.0, 1.0]), Err(InvalidPose::Position), "{x}");
+    }
+}
