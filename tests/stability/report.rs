@@ -127,18 +127,13 @@ pub(crate) fn heat_map(scores: &[Score]) -> String {
                 writeln!(svg, "<text transform=\"translate({x},{}) rotate(-60)\">{name}</text>", HEAD - 6);
             for (row, score) in scores.iter().enumerate() {
                 let (cell, y) = (&score.cells[i], HEAD + row * CELL[1]);
-                let share = cell.worst[m];
                 let _ = writeln!(
                     svg,
-                    "<rect x=\"{}\" y=\"{y}\" width=\"{}\" height=\"{}\" fill=\"{}\"><title>{}, {}, {solver}, \
-                     {name}: {share:.2e} of the budget, {} cases</title></rect>",
+                    "<rect x=\"{}\" y=\"{y}\" width=\"{}\" height=\"{}\" fill=\"{}\"/>",
                     left(m),
                     CELL[0] - 1,
                     CELL[1] - 1,
-                    colour(share),
-                    score.axis,
-                    score.value,
-                    cell.cases,
+                    colour(cell.worst[m]),
                 );
             }
         }
