@@ -12,9 +12,9 @@ use hullcast_benches::parry;
 use hullcast_benches::report::{DOCS, Table, provenance, replace_section};
 use hullcast_benches::rounds::{Contender, Timing, interleave};
 
-const ROUNDS: usize = 41;
+const ROUNDS: usize = 21;
 /// Pairs of each family and regime.
-const PAIRS: usize = 250;
+const PAIRS: usize = 1000;
 /// Motion between warm passes: length and radians.
 const STEPS: [f64; 3] = [1e-3, 1e-2, 1e-1];
 const CLOUDS: [usize; 4] = [16, 64, 256, 4096];
