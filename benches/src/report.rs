@@ -51,7 +51,7 @@ fn short(nanoseconds: f64) -> String {
     if nanoseconds < 1e4 { format!("{nanoseconds:.0} ns") } else { format!("{:.1} us", nanoseconds / 1e3) }
 }
 
-/// Machine, date and commit.
+/// Machine and how busy it was, date and commit.
 pub fn provenance() -> String {
     let cpus = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = cpus.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": "));
@@ -64,7 +64,9 @@ pub fn provenance() -> String {
     let date = say("date", &["-u", "+%Y-%m-%d"]);
     let commit = say("git", &["describe", "--always", "--dirty"]);
     let rustc = say("rustc", &["--version"]);
-    format!("{model}, {cores} cores seen; {date}; commit {commit}; {rustc}.")
+    let load = fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    let load = load.split(' ').next().unwrap_or_default();
+    format!("{model}, {cores} cores seen, load {load} before; {date}; commit {commit}; {rustc}.")
 }
 
 /// Where the results go.
