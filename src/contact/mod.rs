@@ -139,9 +139,9 @@ impl Workspace {
                 .map(|v| if v == Support::INNER { vertex(&solution.support) } else { v })
         };
         let depth = MERGE * U * pair.circumradius;
-        let sine = accuracy.feature_angle.sin();
+        let (sine, cosine) = accuracy.feature_angle.sin_cos();
         let of = |n, known: &[u32; 4], scale: f64, hull, scratch: &mut _| {
-            touched_feature(hull, &Direction { n, known, depth: depth / scale, sine }, scratch)
+            touched_feature(hull, &Direction { n, known, depth: depth / scale, sine, cosine }, scratch)
         };
         let features = [
             of(n, &known(|s| s.a), pair.scale_a, pair.a, &mut self.gauss_map),

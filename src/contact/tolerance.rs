@@ -35,6 +35,11 @@ pub(crate) const BAND: f64 = 64.0;
 /// Cosines of face normals, and sines of edges, within this share of `U` tie.
 pub(crate) const TIE: f64 = 8.0;
 
+/// Of cosines and of hull units: by how much more than it has to a face must
+/// stand apart to be the only one looked at. Far above rounding; a face that
+/// misses it costs a longer search.
+pub(crate) const LONE: f64 = 1e-9;
+
 /// Share of `U * R * |n|` below which a support point does not improve a portal:
 /// what the rounding of the two support values leaves open.
 pub(crate) const GAIN: f64 = 4.0;

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-use super::{BoxShape, ConvexHull, Csr};
+use super::{BoxShape, ConvexHull, Csr, Isolation};
 use crate::contact::support::Coarse;
 
 /// In the caller's units, hull frame.
@@ -102,6 +102,7 @@ impl ConvexHull {
             + bytes(&self.face_offsets)
             + bytes(&self.face_areas)
             + bytes(&self.face_planarity)
+            + bytes(&self.face_isolation)
             + bytes(&self.edge_vertices)
             + bytes(&self.edge_faces)
             + lists.into_iter().map(Csr::heap_bytes).sum::<usize>()
@@ -154,6 +155,11 @@ impl ConvexHull {
     /// Per face: how far below its plane the lowest vertex of its group is, rounded up.
     pub fn face_planarity(&self) -> &[f64] {
         &self.face_planarity
+    }
+
+    /// Per face how far it stands apart from the others.
+    pub(crate) fn face_isolation(&self) -> &[Isolation] {
+        &self.face_isolation
     }
 
     /// Corners of face `i`, anticlockwise from outside.

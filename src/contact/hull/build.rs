@@ -5,6 +5,7 @@ use glam::{DMat3, DVec3};
 use super::BoxShape;
 use super::cloud::Cloud;
 use super::csr::Csr;
+use super::isolation::isolation;
 use super::mass::mass;
 use super::merge::{Groups, Surface, groups};
 use super::quickhull::{Triangulation, triangulate};
@@ -53,6 +54,12 @@ pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexH
     let face_normals: Vec<DVec3> = planes.iter().map(|p| p.normal).collect();
     Ok(ConvexHull {
         face_offsets: planes.iter().map(|p| p.offset).collect(),
+        face_isolation: isolation(
+            &centred.vertices,
+            planes.iter().map(|p| (p.normal, p.offset, p.planarity)),
+            &adjacency.vertex_faces,
+            &vertex_neighbours,
+        ),
         face_planarity: planes.iter().map(|p| p.planarity).collect(),
         face_areas: topology.face_areas,
         outlines: topology.outlines,

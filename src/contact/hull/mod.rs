@@ -9,6 +9,7 @@ mod build;
 mod cloud;
 mod csr;
 mod error;
+mod isolation;
 mod mass;
 mod merge;
 mod quickhull;
@@ -17,6 +18,7 @@ mod topology;
 pub(crate) use boxes::BoxShape;
 use csr::Csr;
 pub use error::{HullError, HullErrorKind};
+pub(crate) use isolation::Isolation;
 #[doc(hidden)]
 pub use quickhull::Triangulation;
 
@@ -76,6 +78,8 @@ pub struct ConvexHull {
     face_areas: Vec<f64>,
     /// Per face: how far below its plane the lowest vertex of its group is; hull units, rounded up.
     face_planarity: Vec<f64>,
+    /// Per face: how far it stands apart.
+    face_isolation: Vec<Isolation>,
     /// Per face: its corners, anticlockwise from outside.
     outlines: Csr,
     /// Per face: the faces across its edges, ascending.
