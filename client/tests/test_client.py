@@ -12,41 +12,12 @@ import threading
 import grpc
 import numpy as np
 import pytest
-from cases import random_rotation
+from crowds import COLUMNS, CUBE, EVERYTHING, NO_PROXY, crowd, expect_same
 from shapes import FAMILIES, box, family
 
 import hullcast
 from hullcast import Flag, Outcome
-
-CUBE = box((0.5, 0.5, 0.5)).vertices
-EVERYTHING = ("ALPHA", "NORMAL", "POINTS", "WITNESS_B", "FEATURES", "BASES", "DIAGNOSTICS")
-COLUMNS = (
-    "outcome", "flags", "alpha", "alpha_lower", "alpha_upper", "normal", "separation", "point_counts",
-    "point_offsets", "witness_a", "witness_b", "distance", "point_ids", "feature_kinds",
-    "feature_indices", "bases", "iterations", "support_calls", "pairs",
-)  # fmt: skip
-
-
-def crowd(client: hullcast.Client, bodies: int, seed: int = 31) -> hullcast.Scene:
-    """Many bodies of a few hulls, some touching."""
-    rng = np.random.default_rng(seed)
-    shapes = family("box", 3, rng) + family("poly16", 3, rng)
-    hulls = client.register([shape.vertices for shape in shapes])
-    side = 1.1 * bodies ** (1 / 3)
-    return hullcast.Scene(
-        hulls,
-        rng.uniform(0, side, (bodies, 3)),
-        [random_rotation(rng) for _ in range(bodies)],
-        body_hulls=rng.integers(len(hulls), size=bodies),
-    )
-
-
-def expect_same(a: hullcast.Manifolds, b: hullcast.Manifolds) -> None:
-    """Every column bit for bit, NaN included."""
-    for name in COLUMNS:
-        ours, theirs = getattr(a, name), getattr(b, name)
-        assert ours.dtype == theirs.dtype
-        assert ours.tobytes() == theirs.tobytes(), name
+from hullcast._channel import Settings
 
 
 def test_registering_says_what_a_hull_is(client):
@@ -178,7 +149,7 @@ def test_splitting_changes_no_bit(client, per_message):
     scene = crowd(client, 300)
     pairs = np.random.default_rng(33).integers(300, size=(1000, 2))
     whole = client.query(scene, pairs, margin=0.1, outputs=EVERYTHING)
-    other = hullcast.connect(client.target, options=[("grpc.enable_http_proxy", 0)])
+    other = hullcast.connect(client.target, options=NO_PROXY)
     with other:
         other.pairs_per_message = per_message
         expect_same(other.query(scene, pairs, margin=0.1, outputs=EVERYTHING), whole)
@@ -357,7 +328,7 @@ def test_a_timeout_is_an_exception_of_its_own(client):
 def test_no_server_is_unavailable():
     """A port where none listens."""
     with (
-        hullcast.connect("127.0.0.1:1", options=[("grpc.enable_http_proxy", 0)]) as client,
+        hullcast.connect("127.0.0.1:1", options=[*NO_PROXY, ("grpc.enable_retries", 0)]) as client,
         pytest.raises(hullcast.Unavailable) as caught,
     ):
         client.register([CUBE])
@@ -386,9 +357,7 @@ def test_a_too_large_answer_is_halved(client):
     scene = crowd(client, 50)
     pairs = np.random.default_rng(37).integers(50, size=(90, 2))
     expected = client.query(scene, pairs, outputs=EVERYTHING)
-    channel = grpc.intercept_channel(
-        grpc.insecure_channel(client.target, options=[("grpc.enable_http_proxy", 0)]), Refusing()
-    )
+    real_open = Settings.open
     with pytest.MonkeyPatch.context() as patch:
         real = hullcast._errors.from_rpc
 
@@ -399,11 +368,13 @@ def test_a_too_large_answer_is_halved(client):
             return error
 
         patch.setattr(hullcast._errors, "from_rpc", as_too_large)
+        patch.setattr(
+            Settings, "open", lambda *a: grpc.intercept_channel(real_open(*a), Refusing())
+        )
         for per_message in (1000, 30):
-            other = hullcast.Client(channel, target=client.target, timeout=60)
-            other.pairs_per_message = per_message
-            expect_same(other.query(scene, pairs, outputs=EVERYTHING), expected)
-    channel.close()
+            with hullcast.connect(client.target, options=NO_PROXY) as other:
+                other.pairs_per_message = per_message
+                expect_same(other.query(scene, pairs, outputs=EVERYTHING), expected)
     assert Refusing.refused >= 6
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,33 @@ def test_examples_run(script, expected):
     )
     assert done.returncode == 0, done.stderr
     assert expected in done.stdout
+
+
+def test_importing_is_light():
+    """Nothing that only an extra needs, and little beside grpc, numpy and protobuf themselves.
+
+    Modules are counted, since times vary.
+    """
+    program = """
+        import sys, grpc, numpy
+        from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+        before = set(sys.modules)
+        import hullcast
+        print(*sorted(set(sys.modules) - before))
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(program)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+        env={**os.environ, "PYTHONPATH": str(Path(hullcast.__file__).parents[1])},
+    )
+    loaded = done.stdout.split()
+    assert "hullcast.aio" in loaded
+    others = [name for name in loaded if not name.startswith(("hullcast", "google.protobuf"))]
+    assert {name.partition(".")[0] for name in others} <= {*sys.stdlib_module_names, "numpy"}
+    assert len(others) < 40, others
 
 
 def test_stubs_are_those_of_the_contract(tmp_path):

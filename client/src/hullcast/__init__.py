@@ -11,13 +11,15 @@ Units are the caller's (metres in the documentation), angles radians. Right
 handed; quaternions x, y, z, w. Arrays are float64, uint32 and uint8.
 """
 
+from . import aio
 from ._arrays import from_wxyz
-from ._client import Client, connect
+from ._client import Client
 from ._errors import (
     DeadlineExceeded,
     Error,
     HullRejected,
     InvalidArgument,
+    NotConvexWarning,
     OutputNotAsked,
     ResourceExhausted,
     ServerDidNotStart,
@@ -27,12 +29,16 @@ from ._errors import (
     Unavailable,
     Unimplemented,
 )
+from ._export import Padded
 from ._hulls import Hull, hull_id
-from ._manifolds import FeatureKind, Flag, Manifold, Manifolds, Outcome
+from ._manifolds import Manifold, Manifolds
 from ._query import Accuracy
 from ._scene import Scene
 from ._serve import serve
 from ._version import __version__
+from ._wire import FeatureKind, Flag, Outcome
+
+connect = Client.connect
 
 __all__ = [
     "Accuracy",
@@ -46,8 +52,10 @@ __all__ = [
     "InvalidArgument",
     "Manifold",
     "Manifolds",
+    "NotConvexWarning",
     "Outcome",
     "OutputNotAsked",
+    "Padded",
     "ResourceExhausted",
     "Scene",
     "ServerDidNotStart",
@@ -57,6 +65,7 @@ __all__ = [
     "Unavailable",
     "Unimplemented",
     "__version__",
+    "aio",
     "connect",
     "from_wxyz",
     "hull_id",

@@ -8,8 +8,8 @@ import numpy as np
 
 from . import _packed
 from ._errors import ServerError
-from ._manifolds import OUTPUT_COLUMNS, PAIR_COLUMNS, POINT_COLUMNS
 from ._pb import contacts_pb2
+from ._wire import OUTPUT_COLUMNS, PAIR_COLUMNS, POINT_COLUMNS
 
 Columns = dict[str, np.ndarray]
 

@@ -50,6 +50,13 @@ def indices(field: str, value: Any, *shape: int | None, below: int | None = None
     return np.ascontiguousarray(array, dtype="<u4")
 
 
+def frozen(array: Floats) -> Floats:
+    """A copy that cannot be written to."""
+    copy = array.copy()
+    copy.flags.writeable = False
+    return copy
+
+
 def _check_shape(field: str, array: np.ndarray, shape: tuple[int | None, ...]) -> None:
     expected = len(shape) == array.ndim and all(
         want is None or want == have for want, have in zip(shape, array.shape, strict=True)

@@ -99,6 +99,9 @@ class ServerError(Error):
 class Unavailable(ServerError, ConnectionError):
     """No server, or one too busy: try again, after `retry_after` where given."""
 
+    #: The connection broke while the answer was arriving, which gRPC does not retry.
+    cut_off = False
+
 
 class DeadlineExceeded(ServerError, TimeoutError):
     """No answer within the timeout."""
@@ -122,6 +125,22 @@ class ServerNotFound(Error, FileNotFoundError):
 
 class ServerDidNotStart(Error, RuntimeError):
     """The server that `serve` started ended or was silent; the message has its log's end."""
+
+
+class NotConvexWarning(UserWarning):
+    """A mesh was registered as its convex hull, which is another shape.
+
+    Attributes:
+        field: which mesh, such as "hulls[2]".
+        ratio: the mesh's volume over the hull's; of little meaning with open edges.
+        open_edges: edges that do not join two faces; 0 for a watertight mesh.
+    """
+
+    def __init__(self, message: str, field: str, ratio: float, open_edges: int) -> None:
+        super().__init__(message)
+        self.field = field
+        self.ratio = ratio
+        self.open_edges = open_edges
 
 
 _BY_CODE: dict[grpc.StatusCode, type[Error]] = {
@@ -153,6 +172,8 @@ def from_rpc(call: Any) -> Error:
     error.message = message
     if isinstance(error, ServerError):
         error.code = code.name
+    if isinstance(error, Unavailable):
+        error.cut_off = bool(call.initial_metadata())
     return error
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import struct
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -10,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _arrays, _packed
+from . import _arrays, _mesh, _packed
 from ._arrays import Floats
 from ._errors import HullRejected, InvalidArgument
 from ._pb import hulls_pb2
@@ -21,9 +22,25 @@ _BYTES_PER_MESSAGE = 8 << 20
 _HULLS_PER_MESSAGE = 1024
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
+class Content:
+    """All that a hull's identity is made of: what it can be registered by again."""
+
+    #: (n, 3), not to be written to.
+    points: Floats
+    #: (3,), or None: the centre of mass.
+    center: Floats | None = None
+    max_vertices: int | None = None
+    max_deviation: float | None = None
+
+
+@dataclass(frozen=True, repr=False)
 class Hull:
-    """A registered hull. Lengths are the caller's units, in the hull's own frame."""
+    """A registered hull. Lengths are the caller's units, in the hull's own frame.
+
+    It keeps the points that it was registered with, so that it can be registered
+    again where a server lost it; a `Scene` of ids keeps none.
+    """
 
     #: SHA-256 of the content: the same on every server.
     id: bytes
@@ -45,6 +62,19 @@ class Hull:
     center_of_mass: Floats = field(compare=False, repr=False)
     #: (3, 3): about the centre of mass, at unit density.
     inertia: Floats = field(compare=False, repr=False)
+    #: What it was registered by.
+    content: Content = field(compare=False, repr=False)
+
+    @property
+    def vertices(self) -> Floats:
+        """(n, 3): the points as registered, which bases, features and point ids number."""
+        return self.content.points
+
+    def __repr__(self) -> str:
+        return (
+            f"Hull({self.id.hex()[:12]}: {self.vertex_count} vertices, {self.face_count} faces, "
+            f"radii {self.inradius:.4g} to {self.circumradius:.4g}, volume {self.volume:.4g})"
+        )
 
 
 def hull_id(
@@ -91,48 +121,69 @@ class Registration:
     """One `register` call: the messages to send and the answer they make."""
 
     def __init__(
-        self,
+        self, contents: Sequence[Content], volumes: Sequence[_mesh.Volume | None] = ()
+    ) -> None:
+        self._contents = contents
+        self._volumes = volumes
+
+    @classmethod
+    def of(
+        cls,
         hulls: Iterable[Any],
         contraction_points: Any = None,
         max_vertices: int | None = None,
         max_deviation: float | None = None,
-    ) -> None:
+    ) -> Registration:
+        """The call of `Client.register`'s arguments."""
         if hasattr(hulls, "vertices") or (isinstance(hulls, np.ndarray) and hulls.ndim == 2):
             raise InvalidArgument(
                 "register takes a list of hulls", reason="NOT_A_LIST", field="hulls"
             )
-        self._points = [points_of(hull, f"hulls[{i}]") for i, hull in enumerate(hulls)]
-        if contraction_points is None:
-            contraction_points = [None] * len(self._points)
-        if len(contraction_points) != len(self._points):
+        if isinstance(hulls, (str, os.PathLike)):
             raise InvalidArgument(
-                f"{len(contraction_points)} for {len(self._points)} hulls",
+                "register takes a list of files", reason="NOT_A_LIST", field="hulls"
+            )
+        shapes = [_shape(hull) for hull in hulls]
+        if contraction_points is None:
+            contraction_points = [None] * len(shapes)
+        if len(contraction_points) != len(shapes):
+            raise InvalidArgument(
+                f"{len(contraction_points)} for {len(shapes)} hulls",
                 reason="LENGTH_MISMATCH",
                 field="contraction_points",
             )
-        self._centers = [
-            None if center is None else _arrays.floats(f"contraction_points[{i}]", center, 3)
-            for i, center in enumerate(contraction_points)
+        contents: list[Content] = []
+        for i, (shape, center) in enumerate(zip(shapes, contraction_points, strict=True)):
+            if center is not None:
+                center = _arrays.floats(f"contraction_points[{i}]", center, 3)
+            if isinstance(shape, Hull) and center is None and max_vertices is max_deviation is None:
+                contents.append(shape.content)
+                continue
+            # A copy of the caller's array, which may change later.
+            points = _arrays.frozen(points_of(shape, f"hulls[{i}]"))
+            contents.append(Content(points, center, max_vertices, max_deviation))
+        volumes = [
+            _mesh.closed(f"hulls[{i}]", content.points, getattr(shape, "faces", None))
+            for i, (shape, content) in enumerate(zip(shapes, contents, strict=True))
         ]
-        self._max_vertices = max_vertices
-        self._max_deviation = max_deviation
+        return cls(contents, volumes)
 
     def requests(self) -> Iterator[bytes]:
         """The messages, in order, none of them large."""
         request, size = _packed.RegisterHullsRequest(), 0
-        for points, center in zip(self._points, self._centers, strict=True):
-            too_large = size + points.nbytes > _BYTES_PER_MESSAGE
+        for content in self._contents:
+            too_large = size + content.points.nbytes > _BYTES_PER_MESSAGE
             if request.hulls and (too_large or len(request.hulls) == _HULLS_PER_MESSAGE):
                 yield request.SerializeToString()
                 request, size = _packed.RegisterHullsRequest(), 0
-            hull = request.hulls.add(vertices=points.tobytes())
-            if center is not None:
-                hull.contraction_point = center.tobytes()
-            if self._max_vertices is not None:
-                hull.simplification.max_vertices = self._max_vertices
-            if self._max_deviation is not None:
-                hull.simplification.max_deviation = self._max_deviation
-            size += points.nbytes
+            hull = request.hulls.add(vertices=content.points.tobytes())
+            if content.center is not None:
+                hull.contraction_point = content.center.tobytes()
+            if content.max_vertices is not None:
+                hull.simplification.max_vertices = content.max_vertices
+            if content.max_deviation is not None:
+                hull.simplification.max_deviation = content.max_deviation
+            size += content.points.nbytes
         if request.hulls:
             yield request.SerializeToString()
 
@@ -145,10 +196,14 @@ class Registration:
         results: list[Any] = []
         for answer in answers:
             for result in hulls_pb2.RegisterHullsResponse.FromString(answer).results:
+                place = len(results)
                 if result.WhichOneof("result") == "hull":
-                    results.append(_hull(result.hull))
+                    results.append(_hull(result.hull, self._contents[place]))
                 else:
-                    results.append(_rejected(len(results), result.error))
+                    results.append(_rejected(place, result.error))
+        for i, (volume, hull) in enumerate(zip(self._volumes, results, strict=False)):
+            if volume is not None and isinstance(hull, Hull):
+                _mesh.warn_unless_convex(f"hulls[{i}]", volume, hull.volume)
         refused = [result for result in results if isinstance(result, HullRejected)]
         if not refused:
             return results
@@ -164,6 +219,11 @@ class Registration:
         raise error
 
 
+def _shape(hull: Any) -> Any:
+    """What has the points: a mesh file's mesh, else the thing itself."""
+    return _mesh.load(hull) if isinstance(hull, (str, os.PathLike)) else hull
+
+
 def _rejected(place: int, error: hulls_pb2.HullError) -> HullRejected:
     return HullRejected(
         error.message,
@@ -174,7 +234,7 @@ def _rejected(place: int, error: hulls_pb2.HullError) -> HullRejected:
     )
 
 
-def _hull(info: hulls_pb2.HullInfo) -> Hull:
+def _hull(info: hulls_pb2.HullInfo, content: Content) -> Hull:
     xx, yy, zz, xy, xz, yz = info.inertia
     return Hull(
         id=info.id,
@@ -188,4 +248,5 @@ def _hull(info: hulls_pb2.HullInfo) -> Hull:
         geometric_error=info.geometric_error,
         center_of_mass=np.array(info.center_of_mass),
         inertia=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),
+        content=content,
     )

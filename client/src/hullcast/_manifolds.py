@@ -2,87 +2,21 @@
 
 from __future__ import annotations
 
-import enum
-from collections.abc import Iterator, Mapping
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
 
+from . import _export
 from ._arrays import Floats, Indices
 from ._errors import OutputNotAsked
+from ._export import Padded
+from ._scene import Scene
+from ._wire import FeatureKind, Flag, Outcome
 
 Bytes = npt.NDArray[np.uint8]
-
-
-class Outcome(enum.IntEnum):
-    """What is known of a pair's distance and the margin."""
-
-    #: Within the margin, to rounding.
-    CONTACT = 1
-    #: Certified farther apart than the margin.
-    SEPARATED = 2
-    #: An iteration limit was met before the outcome was known.
-    UNDECIDED = 3
-    #: Not answered: the flags say why. Numbers are NaN, no points.
-    INVALID = 4
-
-
-class Flag(enum.IntFlag):
-    """What a pair's numbers have to be read with; a newer server may set others."""
-
-    #: The projected features miss each other: one estimated point.
-    ESTIMATED = 1
-    #: The centres coincide to rounding: alpha is 0, the normal arbitrary.
-    COINCIDENT = 2
-    #: The bracket of alpha is wider than asked.
-    GAP_OPEN = 4
-    #: `max_points` dropped points.
-    REDUCED = 8
-    #: A hull that the server does not have: register it.
-    UNKNOWN_HULL = 16
-    #: The server's store could not be read: try again.
-    HULL_UNAVAILABLE = 32
-    #: A body's position or rotation is not usable.
-    INVALID_BODY = 64
-
-
-class FeatureKind(enum.IntEnum):
-    """What of a hull touches."""
-
-    NONE = 0
-    VERTEX = 1
-    EDGE = 2
-    FACE = 3
-
-
-#: Of each output: the columns of the wire that it brings.
-OUTPUT_COLUMNS: dict[str, tuple[str, ...]] = {
-    "OUTCOME": (),
-    "ALPHA": ("alphas", "alpha_lowers", "alpha_uppers"),
-    "NORMAL": ("normals", "separations"),
-    "POINTS": ("point_counts", "witness_as", "distances"),
-    "WITNESS_B": ("point_counts", "witness_bs"),
-    "FEATURES": ("point_counts", "feature_kinds", "feature_indices", "point_ids"),
-    "BASES": ("bases",),
-    "DIAGNOSTICS": ("iterations", "support_calls"),
-}
-DEFAULT_OUTPUTS = ("ALPHA", "NORMAL", "POINTS")
-
-#: Of each column: entries a pair, or a point.
-PAIR_COLUMNS = {
-    "alphas": 1,
-    "alpha_lowers": 1,
-    "alpha_uppers": 1,
-    "separations": 1,
-    "normals": 3,
-    "point_counts": 1,
-    "feature_kinds": 2,
-    "feature_indices": 4,
-    "bases": 6,
-    "iterations": 1,
-    "support_calls": 1,
-}
-POINT_COLUMNS = {"witness_as": 3, "distances": 1, "witness_bs": 3, "point_ids": 4}
 
 
 class Manifolds:
@@ -90,7 +24,8 @@ class Manifolds:
 
     `len(m)` pairs. Per-pair columns have one row a pair; the points of pair `i`
     are rows `point_offsets[i]` to `point_offsets[i + 1]` of the per-point ones.
-    `m[i]` is one pair's `Manifold`.
+    `m[i]` is one pair's `Manifold`; `m[1:5]`, `m[indices]` and `m[mask]` are the
+    `Manifolds` of some pairs.
 
     World frame, the caller's units. The normal points from A to B; separations
     and distances are negative when overlapping.
@@ -99,8 +34,10 @@ class Manifolds:
         OutputNotAsked: on reading a column that the query did not ask for.
     """
 
-    def __init__(self, columns: Mapping[str, np.ndarray]) -> None:
+    def __init__(self, columns: Mapping[str, np.ndarray], scene: Scene | None = None) -> None:
         self._columns = dict(columns)
+        #: What was asked about; None when loaded from a file.
+        self.scene = scene
         #: Outcome of each pair, uint8: compare with `Outcome`.
         self.outcome: Bytes = self._columns["outcomes"]
         #: Bits of `Flag` of each pair, uint8.
@@ -217,9 +154,70 @@ class Manifolds:
     def __len__(self) -> int:
         return len(self.outcome)
 
-    def __getitem__(self, pair: int) -> Manifold:
-        i = range(len(self))[pair]  # negative ones too, and IndexError past the end
-        return Manifold(self, i)
+    @overload
+    def __getitem__(self, pair: int | np.integer[Any]) -> Manifold: ...
+    @overload
+    def __getitem__(self, pair: slice | Sequence[int] | npt.NDArray[Any]) -> Manifolds: ...
+    def __getitem__(self, pair: Any) -> Manifold | Manifolds:
+        if isinstance(pair, (int, np.integer)):
+            # Negative ones too, and IndexError past the end.
+            return Manifold(self, range(len(self))[int(pair)])
+        chosen = np.arange(len(self))[pair]
+        return Manifolds(_export.take(self._columns, chosen), self.scene)
+
+    def contacts_of(self, body: int) -> Manifolds:
+        """The pairs in which `body` has contact points, turned so that it is A.
+
+        So `pairs[:, 1]` are the bodies it meets, and the normals point away from
+        it. Needs the outputs NORMAL and POINTS.
+        """
+        touching = (self.pairs == body).any(axis=1) & (self.point_counts > 0)
+        chosen = self[touching]
+        chosen._columns["witness_bs"] = chosen.witness_b
+        turned = _export.turned(chosen._columns, chosen.pairs[:, 0] != body)
+        return Manifolds(turned, self.scene)
+
+    def padded(self, k: int) -> Padded:
+        """The points as dense arrays of `k` slots a pair, the deepest where there are more.
+
+        Needs the output POINTS.
+        """
+        with_b = "witness_bs" in self._columns or "normals" in self._columns
+        return _export.padded(
+            self.point_counts,
+            self.distance,
+            self.witness_a,
+            self.witness_b if with_b else None,
+            self._columns.get("point_ids"),
+            k,
+        )
+
+    def to_dataframe(self, rows: str = "points") -> Any:
+        """A pandas data frame of the columns that were asked for.
+
+        Args:
+            rows: "points": one row a contact point, with its pair's columns, so
+                that pairs without points have none; "pairs": one row a pair.
+
+        Raises:
+            ImportError: pandas is not installed.
+        """
+        if rows == "points":
+            self._column("point_counts", "points", "POINTS")
+        return _export.dataframe(self._columns, rows)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes the columns as a numpy `npz` file, without the scene."""
+        _export.save(path, self._columns)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Manifolds:
+        """What `save` wrote.
+
+        Raises:
+            InvalidArgument: NOT_MANIFOLDS, another kind of file.
+        """
+        return cls(_export.load(path))
 
     def __iter__(self) -> Iterator[Manifold]:
         return (Manifold(self, i) for i in range(len(self)))
@@ -230,7 +228,12 @@ class Manifolds:
             for outcome in Outcome
             if (count := int(np.count_nonzero(self.outcome == outcome)))
         )
-        return f"Manifolds({len(self)} pairs: {counts})"
+        text = f"{len(self)} pair{'' if len(self) == 1 else 's'}: {counts or 'none'}"
+        if "point_counts" in self._columns:
+            text += f"; {int(self.point_offsets[-1])} points"
+        if flags := int(np.bitwise_or.reduce(self.flags, initial=0)):
+            text += f"; flags {Flag(flags)!r}"
+        return f"Manifolds({text})"
 
 
 class Manifold:

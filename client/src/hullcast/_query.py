@@ -15,9 +15,10 @@ import numpy as np
 from . import _answers, _arrays, _packed
 from ._arrays import Indices
 from ._errors import InvalidArgument
-from ._manifolds import DEFAULT_OUTPUTS, Manifolds
+from ._manifolds import Manifolds
 from ._pb import contacts_pb2
 from ._scene import Scene
+from ._wire import DEFAULT_OUTPUTS
 
 #: A message that carries more bodies than this many a pair is sent with only
 #: the bodies that its pairs name.
@@ -102,7 +103,8 @@ class Query:
         outputs: Iterable[str] | None = None,
         warm: Manifolds | None = None,
     ) -> None:
-        self._scene = scene
+        #: The bodies asked about.
+        self.scene = scene
         self._pairs = (
             None if pairs is None else _arrays.indices("pairs", pairs, None, 2, below=len(scene))
         )
@@ -133,7 +135,7 @@ class Query:
 
     def message(self, span: Span) -> Message:
         """The request for some of the pairs."""
-        scene = self._scene
+        scene = self.scene
         assert self._pairs is not None
         pairs = self._pairs[span.start : span.stop]
         request = _packed.QueryContactsRequest()
@@ -155,7 +157,7 @@ class Query:
 
     def find_message(self) -> bytes:
         """The request to find the pairs."""
-        scene = self._scene
+        scene = self.scene
         request = _packed.QueryContactsRequest()
         request.CopyFrom(self._common)
         self._fill_bodies(request)
@@ -166,7 +168,7 @@ class Query:
         return request.SerializeToString()
 
     def _fill_bodies(self, request: Any) -> None:
-        scene = self._scene
+        scene = self.scene
         request.hull_ids.extend(scene.hull_ids)
         request.body_hulls = scene.body_hulls.tobytes()
         request.positions = scene.positions.tobytes()

@@ -10,7 +10,7 @@ import numpy as np
 from . import _arrays
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument
-from ._hulls import Hull
+from ._hulls import Content, Hull
 
 
 class Scene:
@@ -18,7 +18,7 @@ class Scene:
 
     Args:
         hulls: one hull a body (`Hull`, or its 32-byte id), or distinct hulls
-            with `body_hulls`.
+            with `body_hulls`. A `Hull` is registered again where a server lost it.
         positions: (n, 3): world position of each hull frame's origin; or
             (n, 4, 4) homogeneous matrices, without `rotations`.
         rotations: (n, 4) quaternions x, y, z, w with norm within 1e-3 of 1
@@ -49,6 +49,9 @@ class Scene:
         place: dict[bytes, int] = {}
         distinct = np.array([place.setdefault(id, len(place)) for id in ids], dtype="<u4")
         self.hull_ids: tuple[bytes, ...] = tuple(place)
+        known = {hull.id: hull.content for hull in hulls if isinstance(hull, Hull)}
+        #: Of each of `hull_ids` what it can be registered by, None where only the id was given.
+        self.contents: tuple[Content | None, ...] = tuple(known.get(id) for id in place)
         if body_hulls is None:
             self.body_hulls: Indices = distinct
         else:
@@ -71,7 +74,11 @@ class Scene:
         return len(self.body_hulls)
 
     def __repr__(self) -> str:
-        return f"Scene({len(self)} bodies of {len(self.hull_ids)} hulls)"
+        hulls = len(self.hull_ids)
+        text = f"{len(self)} bodies of {hulls} hull{'' if hulls == 1 else 's'}"
+        if self.worlds is not None:
+            text += f" in {len(np.unique(self.worlds))} worlds"
+        return f"Scene({text})"
 
     def moved(self, positions: Any, rotations: Any = None) -> Scene:
         """The same bodies at new poses, given in any form that `Scene` takes."""

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ._client import Client, connect
+from ._client import Client
 from ._errors import ServerDidNotStart, ServerNotFound
 
 _LISTENING = "listening on "
@@ -63,7 +63,7 @@ def serve(
     try:
         target = server.wait_until_listening(start_timeout)
         # It is on this machine: whatever proxy the environment names is not for it.
-        client = connect(target, timeout=timeout, options=[("grpc.enable_http_proxy", 0)])
+        client = Client.connect(target, timeout=timeout, options=[("grpc.enable_http_proxy", 0)])
     except BaseException:
         server.close()
         raise

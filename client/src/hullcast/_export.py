@@ -1,0 +1,209 @@
+"""Results in other forms: chosen pairs, dense arrays, data frames, files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ._arrays import Floats, Indices
+from ._errors import InvalidArgument
+from ._wire import PAIR_COLUMNS, POINT_COLUMNS
+
+Columns = dict[str, np.ndarray]
+
+_FORMAT = "hullcast.manifolds.v1"
+#: Columns that every answer has.
+_ALWAYS = {"outcomes": 1, "flags": 1, "pairs": 2}
+_OF_SCENE = ("missing_hulls", "invalid_bodies")
+
+#: What a pair's columns become when A and B change places: A's entries, B's.
+_SIDES = {"pairs": 1, "feature_kinds": 1, "feature_indices": 2, "bases": 3, "point_ids": 2}
+
+
+@dataclass(frozen=True)
+class Padded:
+    """Points as dense arrays, k slots a pair, deepest first.
+
+    An unused slot has `mask` False, distance infinity, witnesses zero and ids 2^32 - 1.
+    """
+
+    #: (n, k): whether the slot has a point.
+    mask: npt.NDArray[np.bool_]
+    #: (n, k): signed, along the pair's normal, ascending.
+    distance: Floats
+    #: (n, k, 3): the point on A, world frame.
+    witness_a: Floats
+    #: (n, k, 3): the point on B, world frame; None without output NORMAL or WITNESS_B.
+    witness_b: Floats | None
+    #: (n, k, 4): None without output FEATURES.
+    point_ids: Indices | None
+
+
+def take(columns: Mapping[str, np.ndarray], chosen: npt.NDArray[np.intp]) -> Columns:
+    """The columns of some pairs, in the order given."""
+    points = None
+    if "point_counts" in columns:
+        points, _ = _points_of(columns["point_counts"], chosen)
+    taken: Columns = {}
+    for name, values in columns.items():
+        if name in PAIR_COLUMNS or name in _ALWAYS:
+            taken[name] = values[chosen]
+        elif name in POINT_COLUMNS:
+            taken[name] = values[points]
+        elif name in _OF_SCENE:
+            taken[name] = values
+    return taken
+
+
+def _points_of(
+    counts: Indices, chosen: npt.NDArray[np.intp]
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Rows of the chosen pairs' points, and each one's place among its pair's."""
+    starts = np.zeros(len(counts) + 1, dtype=np.int64)
+    np.cumsum(counts, out=starts[1:])
+    kept = counts[chosen].astype(np.int64)
+    before = np.cumsum(kept) - kept
+    slot = np.arange(kept.sum()) - np.repeat(before, kept)
+    return np.repeat(starts[:-1][chosen], kept) + slot, slot
+
+
+def turned(columns: Columns, turn: npt.NDArray[np.bool_]) -> Columns:
+    """The columns with A and B exchanged in some pairs; `witness_bs` has to be there."""
+    of_point = np.repeat(turn, columns["point_counts"])
+    result = dict(columns)
+    for name, width in _SIDES.items():
+        if name in result:
+            rows = of_point if name in POINT_COLUMNS else turn
+            values = result[name].copy()
+            values[rows] = np.roll(values[rows], width, axis=1)
+            result[name] = values
+    result["normals"] = np.where(turn[:, None], -result["normals"], result["normals"])
+    a, b = result["witness_as"], result["witness_bs"]
+    result["witness_as"] = np.where(of_point[:, None], b, a)
+    result["witness_bs"] = np.where(of_point[:, None], a, b)
+    return result
+
+
+def padded(
+    counts: Indices,
+    distance: Floats,
+    witness_a: Floats,
+    witness_b: Floats | None,
+    point_ids: Indices | None,
+    slots: int,
+) -> Padded:
+    """Ragged points as k slots a pair: the deepest where there are more."""
+    if slots < 0:
+        raise InvalidArgument(f"{slots} slots", reason="VALUE_OUT_OF_RANGE", field="k")
+    pair = np.repeat(np.arange(len(counts)), counts)
+    # By pair, then depth; equals keep their order.
+    order = np.lexsort((distance, pair))
+    _, slot = _points_of(counts, np.arange(len(counts)))
+    kept = slot < slots
+    rows, place = order[kept], (pair[kept], slot[kept])
+    shape = (len(counts), slots)
+
+    def dense(values: np.ndarray, unused: Any) -> np.ndarray:
+        array = np.full((*shape, *values.shape[1:]), unused, dtype=values.dtype)
+        array[place] = values[rows]
+        return array
+
+    return Padded(
+        mask=dense(np.ones(len(distance), dtype=bool), False),
+        distance=dense(distance, np.inf),
+        witness_a=dense(witness_a, 0.0),
+        witness_b=None if witness_b is None else dense(witness_b, 0.0),
+        point_ids=None if point_ids is None else dense(point_ids, 2**32 - 1),
+    )
+
+
+def dataframe(columns: Mapping[str, np.ndarray], rows: str) -> Any:
+    """A pandas data frame of the pairs or of the points."""
+    try:
+        import pandas
+    except ImportError as error:
+        raise ImportError("to_dataframe needs pandas: pip install pandas") from error
+    if rows not in ("pairs", "points"):
+        raise InvalidArgument(
+            f"{rows!r} is none of pairs, points", reason="UNKNOWN_VALUE", field="rows"
+        )
+    series: dict[str, Any] = {"pair": np.arange(len(columns["outcomes"]))}
+    for name, values in columns.items():
+        if name in PAIR_COLUMNS or name in _ALWAYS:
+            series.update(_series(name, values))
+    if rows == "points":
+        counts = columns["point_counts"]
+        series = {name: np.repeat(values, counts) for name, values in series.items()}
+        del series["points"]
+        for name, values in columns.items():
+            if name in POINT_COLUMNS:
+                series.update(_series(name, values))
+    frame = pandas.DataFrame(series)
+    outcomes = ["", "CONTACT", "SEPARATED", "UNDECIDED", "INVALID"]
+    frame["outcome"] = pandas.Categorical.from_codes(frame["outcome"], categories=outcomes)
+    return frame
+
+
+_NAMES: dict[str, tuple[str, ...]] = {
+    "pairs": ("body_a", "body_b"),
+    "outcomes": ("outcome",),
+    "flags": ("flags",),
+    "point_counts": ("points",),
+    "normals": ("normal_x", "normal_y", "normal_z"),
+    "witness_as": ("witness_a_x", "witness_a_y", "witness_a_z"),
+    "witness_bs": ("witness_b_x", "witness_b_y", "witness_b_z"),
+    "feature_kinds": ("feature_kind_a", "feature_kind_b"),
+    "feature_indices": tuple(f"feature_{side}{i}" for side in "ab" for i in range(2)),
+    "point_ids": tuple(f"point_id_{side}{i}" for side in "ab" for i in range(2)),
+    "bases": tuple(f"basis_{side}{i}" for side in "ab" for i in range(3)),
+    "iterations": ("iterations",),
+    "support_calls": ("support_calls",),
+}
+
+
+def _series(column: str, values: np.ndarray) -> dict[str, np.ndarray]:
+    # "alphas", "separations", "distances": as the attribute is called.
+    names = _NAMES.get(column, (column.removesuffix("s"),))
+    table = values.reshape(len(values), len(names))
+    return {name: table[:, i] for i, name in enumerate(names)}
+
+
+def save(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray]) -> None:
+    """Writes an npz file, whatever its name ends in."""
+    kept = {name: values for name, values in columns.items() if name in _widths()}
+    with open(path, "wb") as file:
+        np.savez(file, format=np.array(_FORMAT), **kept)  # type: ignore[arg-type]
+
+
+def load(path: str | os.PathLike[str]) -> Columns:
+    """What `save` wrote, checked for what a reader of columns relies on."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            written = str(file["format"]) if "format" in file.files else ""
+            columns = {name: file[name] for name in file.files if name in _widths()}
+    except ValueError as error:
+        raise InvalidArgument(str(error), reason="NOT_MANIFOLDS", field="path") from None
+    missing = [name for name in (*_ALWAYS, *_OF_SCENE) if name not in columns]
+    if written != _FORMAT or missing:
+        raise InvalidArgument(
+            f"not {_FORMAT}: {os.fspath(path)}", reason="NOT_MANIFOLDS", field="path"
+        )
+    pairs = len(columns["outcomes"])
+    points = int(columns["point_counts"].sum()) if "point_counts" in columns else 0
+    for name, values in columns.items():
+        width = _widths()[name]
+        rows = points if name in POINT_COLUMNS else len(values) if name in _OF_SCENE else pairs
+        if values.shape != ((rows,) if width == 1 else (rows, width)):
+            raise InvalidArgument(
+                f"{name} has shape {values.shape}", reason="NOT_MANIFOLDS", field="path"
+            )
+    return columns
+
+
+def _widths() -> dict[str, int]:
+    return {**_ALWAYS, **PAIR_COLUMNS, **POINT_COLUMNS, **dict.fromkeys(_OF_SCENE, 1)}

@@ -1,0 +1,154 @@
+"""The same with `await`.
+
+    async with hullcast.aio.connect("localhost:50051") as client:  # or hullcast.aio.serve()
+        hulls = await client.register([vertices_a, vertices_b])
+        m = await client.query(hullcast.Scene(hulls, positions, rotations), pairs)
+
+Arguments, results and errors are those of `hullcast.Client`. Calls may be made
+from several tasks at once; a cancelled task cancels its calls on the server. A
+client may be used in one event loop after another, not in two at a time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine, Generator
+from functools import partial
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
+
+import grpc
+
+from . import _calls, _client, _errors, _serve
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+T = TypeVar("T")
+P = ParamSpec("P")
+
+__all__ = ["Client", "connect", "serve"]
+
+
+def _awaited(
+    method: Callable[Concatenate[Any, P], T],
+) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
+    """The same function: what it returns is this class's `_run`, a coroutine."""
+    return method  # type: ignore[return-value]
+
+
+class Client(_calls.Calls):
+    """A connection to a server; made by `connect` or `serve`, closed by `close` or `async with`."""
+
+    __doc__ = f"{__doc__}\n{_calls.Calls.__doc__}"
+
+    register = _awaited(_client.Client.register)
+    query = _awaited(_client.Client.query)
+    find = _awaited(_client.Client.find)
+
+    def _place(self) -> object:
+        return asyncio.get_running_loop()
+
+    def _open(self) -> _calls.Link:
+        return _Link(self._settings.open(grpc.aio), self._settings.metadata)
+
+    async def _drive(self, steps: _calls.Steps[T]) -> T:
+        try:
+            waited_for = next(steps)
+            while True:
+                try:
+                    answer = await waited_for
+                except grpc.RpcError as error:
+                    waited_for = steps.throw(_errors.from_rpc(error))
+                else:
+                    waited_for = steps.send(answer)
+        except StopIteration as done:
+            return done.value
+        finally:
+            steps.close()
+
+    def _run(self, steps: _calls.Steps[T]) -> T:
+        return self._drive(steps)  # type: ignore[return-value]
+
+    async def close(self) -> None:
+        """Closes the connection, and the server where `serve` started it."""
+        link, stop_server = self._begin_close()
+        if isinstance(link, _Link):
+            await link.channel.close()
+        if stop_server is not None:
+            await asyncio.to_thread(stop_server)
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        await self.close()
+
+
+class _Link:
+    """A `grpc.aio.Channel`'s calls."""
+
+    def __init__(self, channel: Any, metadata: tuple[tuple[str, str], ...]) -> None:
+        self.channel = channel
+        self._metadata = metadata
+        self._unary: dict[str, Any] = {
+            name: channel.unary_unary(name) for name in (_calls.REGISTER, _calls.QUERY)
+        }
+        self._stream: Any = channel.unary_stream(_calls.FIND)
+
+    def start(self, method: str, data: bytes, timeout: float | None) -> Any:
+        return self._unary[method](data, timeout=timeout, metadata=self._metadata)
+
+    call = start
+
+    async def stream(self, method: str, data: bytes, timeout: float | None) -> list[bytes]:
+        assert method == _calls.FIND
+        call = self._stream(data, timeout=timeout, metadata=self._metadata)
+        return [message async for message in call]
+
+    def pause(self, seconds: float) -> Any:
+        return asyncio.sleep(seconds)
+
+    def abandon(self) -> None:
+        pass  # its event loop has ended, and its sockets with it
+
+
+class _Starting:
+    """A server being started: to be awaited, or entered with `async with`."""
+
+    def __init__(self, start: Callable[[], _client.Client]) -> None:
+        self._start = start
+        self._client: Client | None = None
+
+    async def _started(self) -> Client:
+        blocking = await asyncio.to_thread(self._start)
+        # It has not been used, so there is no connection to close.
+        return Client(blocking._settings, on_close=blocking._begin_close()[1])
+
+    def __await__(self) -> Generator[Any, Any, Client]:
+        return self._started().__await__()
+
+    async def __aenter__(self) -> Client:
+        self._client = await self._started()
+        return self._client
+
+    async def __aexit__(self, *error: object) -> None:
+        if self._client is not None:
+            await self._client.close()
+
+
+def _started(serve: Callable[P, _client.Client]) -> Callable[P, _Starting]:
+    def start(*args: P.args, **kwargs: P.kwargs) -> _Starting:
+        return _Starting(partial(serve, *args, **kwargs))
+
+    start.__doc__ = serve.__doc__
+    return start
+
+
+connect = Client.connect
+serve = _started(_serve.serve)

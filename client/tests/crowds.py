@@ -1,0 +1,91 @@
+"""Scenes and servers that several test files use."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+from cases import random_rotation
+from shapes import box, family
+
+import hullcast
+from hullcast._serve import find_binary
+
+CUBE = box((0.5, 0.5, 0.5)).vertices
+#: Servers of the tests are on this machine.
+NO_PROXY = [("grpc.enable_http_proxy", 0)]
+EVERYTHING = ("ALPHA", "NORMAL", "POINTS", "WITNESS_B", "FEATURES", "BASES", "DIAGNOSTICS")
+COLUMNS = (
+    "outcome", "flags", "alpha", "alpha_lower", "alpha_upper", "normal", "separation", "point_counts",
+    "point_offsets", "witness_a", "witness_b", "distance", "point_ids", "feature_kinds",
+    "feature_indices", "bases", "iterations", "support_calls", "pairs",
+)  # fmt: skip
+
+
+def crowd_of(hulls: list[hullcast.Hull], bodies: int, rng: np.random.Generator) -> hullcast.Scene:
+    """Many bodies of a few hulls, some touching."""
+    side = 1.1 * bodies ** (1 / 3)
+    return hullcast.Scene(
+        hulls,
+        rng.uniform(0, side, (bodies, 3)),
+        [random_rotation(rng) for _ in range(bodies)],
+        body_hulls=rng.integers(len(hulls), size=bodies),
+    )
+
+
+def crowd(client: hullcast.Client, bodies: int, seed: int = 31) -> hullcast.Scene:
+    """A crowd of boxes and polyhedra."""
+    rng = np.random.default_rng(seed)
+    shapes = family("box", 3, rng) + family("poly16", 3, rng)
+    return crowd_of(client.register([shape.vertices for shape in shapes]), bodies, rng)
+
+
+def expect_same(a: hullcast.Manifolds, b: hullcast.Manifolds) -> None:
+    """Every column bit for bit, NaN included."""
+    for name in COLUMNS:
+        ours, theirs = getattr(a, name), getattr(b, name)
+        assert ours.dtype == theirs.dtype
+        assert ours.tobytes() == theirs.tobytes(), name
+
+
+class Server:
+    """A real server that can be killed and started again on its port."""
+
+    def __init__(self, store: Path | str = "memory://", *arguments: str) -> None:
+        self._store = os.fspath(store)
+        self._arguments = arguments
+        self.address = "127.0.0.1:0"
+        self.start()
+
+    def start(self) -> None:
+        """Listens on the port of before."""
+        self.process = subprocess.Popen(
+            [
+                *(find_binary(), "serve", "--listen", self.address, "--store", self._store),
+                *("--until-stdin-closes", *self._arguments),
+            ],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline().decode()
+        assert line.startswith("listening on "), line
+        self.address = line.removeprefix("listening on ").strip()
+
+    def kill(self) -> None:
+        """Ends it as a crash would."""
+        self.process.kill()
+        self.process.wait(10)
+        for pipe in (self.process.stdin, self.process.stdout):
+            with contextlib.suppress(OSError):
+                pipe.close()  # type: ignore[union-attr]
+
+    def __enter__(self) -> Server:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.kill()

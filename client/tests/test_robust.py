@@ -1,0 +1,298 @@
+"""Servers that go, come back, forget, or are too busy; processes that fork."""
+
+from __future__ import annotations
+
+import asyncio
+import multiprocessing
+import os
+import pickle
+import subprocess
+import sys
+import textwrap
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import grpc
+import numpy as np
+import pytest
+from crowds import CUBE, EVERYTHING, NO_PROXY, Server, crowd, expect_same
+from shapes import family
+
+import hullcast
+from hullcast import Flag, Outcome, _calls
+from hullcast._channel import address, channel_options
+from hullcast._pb import hulls_pb2
+
+RESTING = [[0.0, 0, 0, 1]]
+
+
+def stored(server: Server) -> set[bytes]:
+    """The hulls that one server has."""
+    with grpc.insecure_channel(server.address, options=NO_PROXY) as channel:
+        call = channel.unary_unary("/hullcast.v1.HullService/ListHulls")
+        answer = call(hulls_pb2.ListHullsRequest().SerializeToString(), timeout=10)
+        return {hull.id for hull in hulls_pb2.ListHullsResponse.FromString(answer).hulls}
+
+
+def connect(server: Server, **options: object) -> hullcast.Client:
+    return hullcast.connect(server.address, options=[*NO_PROXY, *options.items()])
+
+
+@pytest.mark.parametrize("per_message", [4096, 100])
+def test_hulls_that_a_server_lost_are_registered_again(per_message):
+    """It comes back with an empty store: the same answer, bit for bit, and the hulls there."""
+    with Server() as server, connect(server) as client:
+        client.pairs_per_message = per_message
+        scene = crowd(client, 100)
+        pairs = np.random.default_rng(61).integers(100, size=(1000, 2))
+        expected = client.query(scene, pairs, outputs=EVERYTHING)
+        server.kill()
+        server.start()
+        assert not stored(server)
+        expect_same(client.query(scene, pairs, outputs=EVERYTHING), expected)
+        assert stored(server) == set(scene.hull_ids)
+
+
+def test_lost_hulls_come_back_with_all_they_were_made_of():
+    """A contraction point is part of the content; a hull of which only the id is known stays lost."""
+    with Server() as server, connect(server) as client:
+        shift = [0.25, 0, 0]
+        hulls = client.register([CUBE, CUBE * 2], contraction_points=[shift, None])
+        again = client.register(hulls)
+        assert [hull.id for hull in again] == [hull.id for hull in hulls]
+        client.register([CUBE * 3])
+        server.kill()
+        server.start()
+        ids = [hulls[0], hulls[1].id, b"\7" * 32]
+        scene = hullcast.Scene(ids, np.zeros((3, 3)), RESTING * 3)
+        m = client.query(pickle.loads(pickle.dumps(scene)), [[0, 0], [1, 1], [2, 2], [0, 1]])
+        assert m.outcome.tolist() == [Outcome.CONTACT] + [Outcome.INVALID] * 3
+        assert (m.flags[1:] == Flag.UNKNOWN_HULL).all()
+        assert m.missing_hulls.tolist() == [1, 2]
+        assert stored(server) == {hulls[0].id}
+
+
+def test_what_a_caller_does_to_its_array_later_changes_no_hull(client):
+    """The vertices kept are a copy."""
+    points = CUBE.copy()
+    (hull,) = client.register([points])
+    points *= 5
+    assert (hull.vertices == CUBE).all()
+    assert hullcast.hull_id(hull.vertices) == hull.id
+    with pytest.raises(ValueError, match="read-only"):
+        hull.vertices[0] = 0
+
+
+def test_a_server_killed_and_started_again_is_waited_for(tmp_path):
+    """Of a request beyond gRPC's own retry buffer too (256 KiB): it is larger than that."""
+    with Server(tmp_path) as server, connect(server) as client:
+        client.pairs_per_message = 100_000
+        scene = crowd(client, 20_000)
+        pairs = np.random.default_rng(62).integers(20_000, size=(60_000, 2))
+        assert scene.positions.nbytes > 256 << 10
+        expected = client.query(scene, pairs)
+        server.kill()
+        later = threading.Timer(0.5, server.start)
+        later.start()
+        m = client.query(scene, pairs)
+        later.join()
+        assert m.alpha.tobytes() == expected.alpha.tobytes()
+
+
+def test_a_server_killed_in_the_middle_of_calls(tmp_path):
+    """Nothing is lost: what was under way is asked again, half-read answers too."""
+    with Server(tmp_path) as server, connect(server) as client, ThreadPoolExecutor(1) as pool:
+        client.pairs_per_message = 500
+        scene = crowd(client, 1000)
+        pairs = np.random.default_rng(63).integers(1000, size=(40_000, 2))
+        expected = client.query(scene, pairs)
+        for milliseconds in range(0, 30, 4):
+            answer = pool.submit(client.query, scene, pairs)
+            threading.Event().wait(milliseconds * 1e-3)
+            server.kill()
+            server.start()
+            assert answer.result(60).alpha.tobytes() == expected.alpha.tobytes()
+
+
+def test_no_server_is_given_up_at_the_deadline():
+    """The retries end with the call's timeout, as unavailable or late."""
+    with Server() as server:
+        server.kill()
+        with (
+            connect(server) as client,
+            pytest.raises((hullcast.Unavailable, hullcast.DeadlineExceeded)),
+        ):
+            client.register([CUBE], timeout=0.5)
+
+
+def test_a_busy_server_is_tried_again_when_it_says(monkeypatch):
+    """Far more under way than it takes: refused without retries, answered with them."""
+    with Server(
+        "memory://", "--max-pairs-in-flight", "3000", "--max-pairs-per-request", "3000"
+    ) as server:
+        with connect(server) as client:
+            client.pairs_per_message = 2000
+            scene = crowd(client, 500)
+            pairs = np.random.default_rng(64).integers(500, size=(40_000, 2))
+            assert (client.query(scene, pairs, margin=np.inf).outcome == Outcome.CONTACT).all()
+            asked = [asyncio.to_thread(client.query, scene, pairs, margin=np.inf) for _ in "ab"]
+
+            async def both() -> None:
+                async with hullcast.aio.connect(server.address, options=NO_PROXY) as other:
+                    other.pairs_per_message = 2000
+                    asked.append(other.query(scene, pairs, margin=np.inf))
+                    for m in await asyncio.gather(*asked):
+                        assert (m.outcome == Outcome.CONTACT).all()
+
+            asyncio.run(both())
+        plain = connect(server, **{"grpc.enable_retries": 0})
+        plain.pairs_per_message = 2000
+        monkeypatch.setattr(_calls, "_BUSY", 0)
+        with plain, pytest.raises(hullcast.Unavailable) as caught:
+            plain.query(scene, pairs, margin=np.inf)
+        assert caught.value.reason == "TOO_BUSY"
+        assert caught.value.retry_after is not None
+
+
+def test_calls_are_spread_over_a_list_of_servers():
+    """By hulls registered one a call: both have some, and the other takes all when one dies."""
+    rng = np.random.default_rng(65)
+    shapes = [shape.vertices for shape in family("poly16", 12, rng)]
+    with (
+        Server() as a,
+        Server() as b,
+        hullcast.connect([a.address, b.address], options=NO_PROXY) as client,
+    ):
+        hulls = [client.register([points])[0] for points in shapes[:10]]
+        at_a, at_b = stored(a), stored(b)
+        assert at_a | at_b == {hull.id for hull in hulls}
+        assert at_a
+        assert at_b
+        # Either server may be asked; what it lacks it is told.
+        scene = hullcast.Scene(hulls, np.zeros((10, 3)), RESTING * 10)
+        for _ in range(4):
+            m = client.query(scene, [[i, i] for i in range(10)])
+            assert (m.outcome == Outcome.CONTACT).all()
+        a.kill()
+        for points in shapes:
+            client.register([points])
+        assert len(stored(b)) == 12
+
+
+def test_a_dns_name_is_a_target():
+    """With the scheme that is looked up again as the addresses change."""
+    with Server() as server:
+        port = server.address.rpartition(":")[2]
+        with hullcast.connect(f"dns:///localhost:{port}", options=NO_PROXY) as client:
+            assert len(client.register([CUBE])) == 1
+
+
+def test_lists_of_addresses():
+    """What gRPC takes, and what is refused by name."""
+    assert address("host:1") == "host:1"
+    assert address(["host:1"]) == "host:1"
+    assert address(["127.0.0.1:1", "127.0.0.2:22"]) == "ipv4:127.0.0.1:1,127.0.0.2:22"
+    assert address(["[::1]:1", "[::2]:2"]) == "ipv6:[::1]:1,[::2]:2"
+    for wrong, reason, index in (
+        ([], "NO_ADDRESS", None),
+        (["127.0.0.1:1", "[::1]:1"], "MIXED_ADDRESSES", None),
+        (["127.0.0.1:1", "127.0.0.1"], "NOT_AN_ADDRESS", 1),
+        (["127.0.0.1:1", "dns:///host:1"], "NOT_AN_ADDRESS", 1),
+    ):
+        with pytest.raises(hullcast.InvalidArgument) as caught:
+            address(wrong)
+        assert (caught.value.reason, caught.value.index) == (reason, index)
+
+
+def test_options_are_merged():
+    """One of the caller's replaces that one alone; a Unix socket's authority is added."""
+    ours = dict(channel_options("host:1", ()))
+    theirs = dict(channel_options("unix:x", [("grpc.keepalive_time_ms", 5), ("own", 1)]))
+    added = {"grpc.keepalive_time_ms": 5, "own": 1, "grpc.default_authority": "localhost"}
+    assert theirs == {**ours, **added}
+    several = dict(channel_options(["host:1", "host:2"], ()))
+    assert several == {**ours, "grpc.default_authority": "host:1"}
+    assert ours["grpc.per_rpc_retry_buffer_size"] >= 64 << 20
+    assert "own" not in ours
+
+
+def test_a_client_is_pickled_as_its_settings(client):
+    """A worker's copy connects by itself; the token is kept but not shown."""
+    configured = hullcast.connect(
+        client.target, token="secret", timeout=30, options=[*NO_PROXY, ("own", 1)]
+    )
+    configured.pairs_per_message = 77
+    copy = pickle.loads(pickle.dumps(configured))
+    assert copy._settings == configured._settings
+    assert (copy.timeout, copy.pairs_per_message) == (30, 77)
+    assert "secret" not in repr(copy._settings)
+    assert len(copy.register([CUBE])) == 1
+    pickle.loads(pickle.dumps(client)).close()  # the server is the original's
+    assert len(client.register([CUBE])) == 1
+    copy.close()
+    with pytest.raises(hullcast.Error, match="CLOSED"):
+        copy.register([CUBE])
+
+
+def _ask(client: hullcast.Client, scene: hullcast.Scene) -> bytes:
+    return client.query(scene, [[0, 1], [1, 2]], outputs=EVERYTHING).alpha.tobytes()
+
+
+def test_workers_of_a_pool(client):
+    """Spawned, and given client and scene with the task."""
+    scene = crowd(client, 3)
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        assert pool.apply(_ask, (client, scene)) == _ask(client, scene)
+
+
+def test_a_forked_child_has_a_connection_of_its_own():
+    """Children and parent all answer, at once; a child's end stops no server."""
+    program = """
+        import os, sys, threading
+        from crowds import crowd, expect_same, EVERYTHING
+        import hullcast
+        with hullcast.serve() as client:
+            scene = crowd(client, 50)
+            pairs = [[i, (i * 7) % 50] for i in range(50)]
+            expected = client.query(scene, pairs, outputs=EVERYTHING)
+            children = []
+            for _ in range(4):
+                child = os.fork()
+                if child == 0:
+                    for _ in range(20):
+                        expect_same(client.query(scene, pairs, outputs=EVERYTHING), expected)
+                    client.close()
+                    os._exit(7)
+                children.append(child)
+                expect_same(client.query(scene, pairs, outputs=EVERYTHING), expected)
+            print([os.waitstatus_to_exitcode(os.waitpid(c, 0)[1]) for c in children])
+            expect_same(client.query(scene, pairs, outputs=EVERYTHING), expected)
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(program)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[7, 7, 7, 7]", done.stderr
+
+
+def test_ten_thousand_connects_leave_nothing_behind(client):
+    """Memory and files after the last are what they were after the first few hundred."""
+
+    def connects(count: int) -> tuple[int, int]:
+        for i in range(count):
+            with hullcast.connect(client.target, options=NO_PROXY) as other:
+                if i % 10 == 0:
+                    other.register([CUBE])
+        with open("/proc/self/statm") as file:
+            pages = int(file.read().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE"), len(os.listdir("/proc/self/fd"))
+
+    memory, files = connects(500)
+    more_memory, more_files = connects(9_500)
+    assert more_memory - memory < 16 << 20
+    assert more_files <= files + 8
