@@ -58,6 +58,10 @@ test-rust: check-tools ## the Rust tests: everything, then the geometry alone
 test-python: build $(VENV)/.test ## the Python tests, against the real server
 	$(PY) -m pytest client
 
+.PHONY: test-extras
+test-extras: build $(VENV)/.extras ## the Python tests with meshes, plots and data frames
+	$(PY) -m pytest client
+
 .PHONY: bench
 bench: check-tools build $(VENV)/.demo ## contacts beside parry3d, then through the server from Python; writes docs/performance.md
 	cd benches && $(CARGO) run --release --locked --bin contact
@@ -97,6 +101,10 @@ $(VENV)/.demo: examples/requirements.txt $(REQUIREMENTS) | check-tools
 	touch $@
 
 $(VENV)/.test: client/requirements-dev.txt $(REQUIREMENTS) | check-tools
+	$(call install,$<)
+	touch $@
+
+$(VENV)/.extras: client/requirements-extras.txt client/requirements-dev.txt $(REQUIREMENTS) | check-tools
 	$(call install,$<)
 	touch $@
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from . import _export
 from ._arrays import Floats, Indices
-from ._errors import OutputNotAsked
+from ._errors import InvalidArgument, OutputNotAsked
 from ._export import Padded
 from ._scene import Scene
 from ._wire import FeatureKind, Flag, Outcome
@@ -218,6 +218,35 @@ class Manifolds:
             InvalidArgument: NOT_MANIFOLDS, another kind of file.
         """
         return cls(_export.load(path))
+
+    def plot(
+        self, *, pairs: npt.ArrayLike | None = None, path: str | os.PathLike[str] | None = None
+    ) -> Any:
+        """A picture of bodies and contacts, by matplotlib (extra `plot`); needs no display.
+
+        Hulls, their patches' polygons, normals and witness pairs, the points
+        coloured by distance. Needs the outputs NORMAL and POINTS.
+
+        Args:
+            pairs: indices of the pairs to draw; by default all.
+            path: where the picture is written too, such as "contacts.png".
+
+        Returns:
+            The `matplotlib.figure.Figure`.
+        """
+        from . import _plot
+
+        if self.scene is None:
+            raise InvalidArgument("a loaded answer has no scene", reason="NO_SCENE", field="scene")
+        shown = self if pairs is None else self[np.asarray(pairs)]
+        points = {
+            "point_counts": shown.point_counts,
+            "witness_as": shown.witness_a,
+            "witness_bs": shown.witness_b,
+            "distances": shown.distance,
+        }
+        bodies = np.setdiff1d(shown.pairs, self.invalid_bodies)
+        return _plot.picture(bodies, shown.normal, points, self.scene, path)
 
     def __iter__(self) -> Iterator[Manifold]:
         return (Manifold(self, i) for i in range(len(self)))

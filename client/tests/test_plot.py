@@ -1,0 +1,82 @@
+"""Pictures: what is on them, counted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from crowds import CUBE
+
+import hullcast
+
+pytest.importorskip("matplotlib")
+pytest.importorskip("scipy")
+
+from shapes import box, prism
+
+from hullcast import _plot
+
+
+@pytest.fixture
+def pile(client):
+    """A prism and a turned box on a slab, and a box that touches nothing."""
+    shapes = [box((1.5, 1.5, 0.2)), prism(6, 0.5, 0.4), box((0.4, 0.3, 0.3)), box((0.2, 0.2, 0.2))]
+    hulls = client.register([shape.vertices for shape in shapes])
+    turn = [0, 0, np.sin(0.3), np.cos(0.3)]
+    return hullcast.Scene(
+        hulls,
+        [[0, 0, 0], [-0.6, 0, 0.595], [0.6, 0.1, 0.51], [0, 0, 2]],
+        [[0, 0, 0, 1], [0, 0, 0, 1], turn, turn],
+    )
+
+
+def test_a_pile_is_drawn(client, pile, tmp_path):
+    """Four bodies, a patch for each contact, a file that is an image."""
+    m = client.query(pile, [[0, 1], [0, 2], [0, 3], [1, 2]], margin=0.02)
+    assert m.point_counts.tolist() == [6, 4, 0, 0]
+    figure = m.plot(path=tmp_path / "pile.png")
+    assert (tmp_path / "pile.png").read_bytes()[1:4] == b"PNG"
+    axes = figure.axes[0]
+    kinds = [type(artist).__name__ for artist in axes.collections]
+    assert kinds.count("Poly3DCollection") == 4 + 2
+    assert axes.get_title() == "4 pairs, 10 contact points"
+    assert [text.get_text() for text in axes.texts] == ["0", "1", "2", "3"]
+    assert len(m.plot(pairs=[1]).axes[0].texts) == 2
+    assert len(m.plot(pairs=[2]).axes) == 1  # no points, so no scale of colours
+
+
+def test_a_body_without_a_pose_is_left_out(client, pile):
+    """The others are drawn."""
+    positions = pile.positions.copy()
+    positions[2] = np.nan
+    m = client.query(pile.moved(positions, pile.rotations), [[0, 1], [0, 2]])
+    assert [text.get_text() for text in m.plot().axes[0].texts] == ["0", "1"]
+
+
+def test_only_real_edges_are_drawn():
+    """A box has 12, a hexagonal prism 18: not the diagonals of their faces."""
+    assert len(_plot._surface(CUBE)[1]) == 12
+    assert len(_plot._surface(prism(6, 0.5, 0.4).vertices)[1]) == 18
+
+
+def test_poses_are_those_of_scipy():
+    """The rotation by a quaternion, against another's."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.random(rng=np.random.default_rng(91))
+    position = np.array([1.0, -2, 3])
+    assert _plot._world(CUBE, position, turn.as_quat()) == pytest.approx(
+        turn.apply(CUBE) + position
+    )
+
+
+def test_what_cannot_be_drawn_says_so(client, pile, tmp_path):
+    """Without scene, without points of the hulls, without the outputs."""
+    m = client.query(pile, [[0, 1]])
+    m.save(tmp_path / "m.npz")
+    with pytest.raises(hullcast.InvalidArgument, match="NO_SCENE"):
+        hullcast.Manifolds.load(tmp_path / "m.npz").plot()
+    ids = hullcast.Scene(list(pile.hull_ids), pile.positions, pile.rotations)
+    with pytest.raises(hullcast.InvalidArgument, match="NO_GEOMETRY"):
+        client.query(ids, [[0, 1]]).plot()
+    with pytest.raises(hullcast.OutputNotAsked):
+        client.query(pile, [[0, 1]], outputs=["ALPHA"]).plot()
