@@ -75,8 +75,8 @@ impl Boxes<'_> {
             let across: f64 = (0..3).map(|j| self.half_b[j] * size[j][i]).sum();
             consider(t[i].abs(), self.half_a[i] + across, Kind::FaceOfA(i));
         }
-        for j in 0..3 {
-            consider(c.col(j).dot(t).abs(), self.half_b[j] + self.half_a.dot(size[j]), Kind::FaceOfB(j));
+        for (j, &along) in size.iter().enumerate() {
+            consider(c.col(j).dot(t).abs(), self.half_b[j] + self.half_a.dot(along), Kind::FaceOfB(j));
         }
         for i in 0..3 {
             let (i1, i2) = ((i + 1) % 3, (i + 2) % 3);
