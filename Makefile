@@ -89,6 +89,14 @@ stability: check-tools ## answers at the extremes against exact ones; writes doc
 stability-long: check-tools ## THOUSANDS=1000: so many cases by the certificate, a tenth by the exact answers
 	$(STABILITY) --ignored --nocapture many_cases a_million_cases
 
+FUZZ_SECONDS ?= 600
+
+.PHONY: fuzz
+fuzz: ## FUZZ_SECONDS=600 of each fuzz target; needs nightly Rust and cargo-fuzz
+	for target in hull contact decode; do \
+	  $(CARGO) +nightly fuzz run --sanitizer none -O $$target -- -max_total_time=$(FUZZ_SECONDS) -max_len=1024; \
+	done
+
 .PHONY: clean
 clean: ## removes what was built
 	rm -rf target benches/target $(VENV) out

@@ -138,7 +138,8 @@ fn bracket(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), 
     at_most("width of the bracket", alpha_upper - alpha_lower, alpha_upper * tolerance + 2.0 * noise)?;
     at_most("optimality gap of the normal", alpha - growth, alpha * tolerance + noise)?;
     // A solver that stops early may stop before it has a basis.
-    let early = query.accuracy.relative_tolerance > 0.0;
+    let early =
+        query.accuracy.relative_tolerance > 0.0 || manifold.iterations >= query.accuracy.max_iterations;
     let without = if early { 0.0 } else { f64::INFINITY };
     let shown = manifold.basis.as_ref().map_or(without, |basis| shown_upper(scene, basis));
     at_most("what the basis shows above the upper end of the bracket", shown, alpha_upper)
@@ -202,8 +203,10 @@ fn points(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), V
     let planarity = scene.a.hull.geometric_error() + scene.b.hull.geometric_error();
     let eps = 2.0 * MERGE * U * (scene.circumradius + scene.m) + 4.0 * U * scene.world;
     let sine = query.accuracy.feature_angle.sin();
-    // The basis belongs to the features, and it is in the support plane to what was asked.
-    let gap = if manifold.flags.gap_open { f64::INFINITY } else { query.accuracy.relative_tolerance };
+    // The basis belongs to the features, and it is in the support plane to what was asked,
+    // unless a limit stopped the solver.
+    let stopped = manifold.flags.gap_open || manifold.iterations >= query.accuracy.max_iterations;
+    let gap = if stopped { f64::INFINITY } else { query.accuracy.relative_tolerance };
     for p in &manifold.points {
         let slack = scene.band() + 2.0 * planarity + eps;
         at_most("separation above the distance of a point", scene.separation - p.distance, slack)?;

@@ -23,6 +23,8 @@ pub use error::{Kind, Place, ServiceError};
 pub use limits::Limits;
 pub use listener::Listener;
 pub use outputs::Outputs;
+#[doc(hidden)]
+pub use server::handlers;
 pub use server::run;
 use tokio::sync::watch;
 

@@ -67,6 +67,15 @@ pub async fn run(
 const SERVICES: [&str; 4] =
     ["", "hullcast.v1.HullService", "hullcast.v1.ContactService", "hullcast.v1.ServerService"];
 
+/// The handlers without listener and edge: for fuzzing them with bytes.
+///
+/// # Errors
+/// As [`run`].
+#[doc(hidden)]
+pub async fn handlers(app: &Arc<App>) -> Result<Routes, OpenError> {
+    Ok(routes(app).await?.1)
+}
+
 async fn routes(app: &Arc<App>) -> Result<(HealthReporter, Routes), OpenError> {
     let limit = app.limits().max_message_bytes;
     let (reporter, health) = tonic_health::server::health_reporter();

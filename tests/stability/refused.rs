@@ -63,3 +63,21 @@ fn bad_poses_name_their_reason() {
         assert_eq!(Pose::new([0.0, x, 0.0], [0.0, 0.0, 0.0, 1.0]), Err(InvalidPose::Position), "{x}");
     }
 }
+
+/// Found by fuzzing: of a needle of aspect 1e14 the merged faces kept no corner,
+/// and building it panicked instead of saying so.
+#[test]
+fn needles_beyond_double_precision_are_refused() {
+    let points = [
+        [-0.9375, -0.9375, 0.0],
+        [1.84375, 1.84375, 1.84375],
+        [-0.03125, 1.34375, -0.9375],
+        [2.1562500000000377, 373833953443840.0, 2.6874999999999867],
+        [1.34375, 0.0, 0.0],
+    ];
+    let options =
+        HullOptions { contraction_point: Some([0.125, -0.9375, -0.9375]), ..HullOptions::default() };
+    assert!(ConvexHull::with_options(&points, &options).is_err());
+    let error = ConvexHull::new(&points).expect_err("no faces");
+    assert_eq!(error.kind, HullErrorKind::NotRepresentable, "{error}");
+}

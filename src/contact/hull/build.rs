@@ -48,7 +48,7 @@ pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexH
         inradius: centred.inradius,
     };
     let groups = groups(&surface);
-    let topology = topology(&surface, &groups);
+    let Some(topology) = topology(&surface, &groups) else { return Err(not_representable()) };
     let adjacency = Adjacency::new(triangulation, &groups, &topology, centred.vertices.len());
     let planes = &groups.planes;
     let face_normals: Vec<DVec3> = planes.iter().map(|p| p.normal).collect();
@@ -97,12 +97,14 @@ fn not_inside(given: Option<DVec3>) -> HullError {
             HullErrorKind::ContractionPointNotInside,
             format!("({:e}, {:e}, {:e}) is not inside by more than rounding", p.x, p.y, p.z),
         ),
-        None => (
-            HullErrorKind::NotRepresentable,
-            "the hull is too thin to have a point inside at double precision".to_owned(),
-        ),
+        None => return not_representable(),
     };
     HullError { kind, index: None, detail }
+}
+
+fn not_representable() -> HullError {
+    let detail = "the hull is too thin to have an inside, or faces, at double precision".to_owned();
+    HullError { kind: HullErrorKind::NotRepresentable, index: None, detail }
 }
 
 /// The exact hull of the points, vertices in registered order.

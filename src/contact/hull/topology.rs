@@ -25,8 +25,9 @@ pub(super) struct Topology {
     pub(super) face_areas: Vec<f64>,
 }
 
-/// Reads edges and outlines off the groups' boundaries.
-pub(super) fn topology(surface: &Surface<'_>, groups: &Groups) -> Topology {
+/// Reads edges and outlines off the groups' boundaries; none where a face has no
+/// outline at double precision (needles of an aspect beyond 1e13).
+pub(super) fn topology(surface: &Surface<'_>, groups: &Groups) -> Option<Topology> {
     let mut boundary = Boundary::new(surface, groups);
     boundary.trace();
     let mut edges: Vec<([u32; 2], [u32; 2])> = boundary.edges();
@@ -37,6 +38,9 @@ pub(super) fn topology(surface: &Surface<'_>, groups: &Groups) -> Topology {
     );
     let outline = |face: usize| outline(surface.vertices, corners.row(face), groups.planes[face].normal);
     let outlines = Csr::from_rows((0..groups.planes.len()).map(outline));
+    if (0..groups.planes.len()).any(|face| outlines.row(face).len() < 3) {
+        return None;
+    }
     let area = |face: usize| {
         let corner = |i: usize| surface.vertices[outlines.row(face)[i] as usize];
         let first = corner(0);
@@ -45,7 +49,7 @@ pub(super) fn topology(surface: &Surface<'_>, groups: &Groups) -> Topology {
     };
     let face_areas = (0..groups.planes.len()).map(area).collect();
     let (edge_vertices, edge_faces) = edges.into_iter().unzip();
-    Topology { edge_vertices, edge_faces, outlines, face_areas }
+    Some(Topology { edge_vertices, edge_faces, outlines, face_areas })
 }
 
 /// The convex polygon of `corners` seen against `normal`, anticlockwise and

@@ -1,0 +1,64 @@
+//! Any bytes sent to the real handlers are answered or refused, and a response
+//! is one that its own type reads: no panic (libFuzzer aborts on one).
+#![no_main]
+
+use std::sync::{Arc, LazyLock};
+
+use bytes::{BufMut, Bytes, BytesMut};
+use http_body_util::{BodyExt, Full};
+use hullcast::service::{App, Limits, handlers};
+use libfuzzer_sys::fuzz_target;
+use prost::Message;
+use tokio::runtime::Runtime;
+use tonic::{body::Body, service::Routes};
+use tower::ServiceExt;
+
+struct Server {
+    runtime: Runtime,
+    routes: Routes,
+}
+
+// Small limits, so that a fuzzer meets them.
+static SERVER: LazyLock<Server> = LazyLock::new(|| {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+    let limits = Limits { max_pairs_per_request: 64, max_vertices_per_hull: 64, ..Limits::default() };
+    let store = hullcast::store::blobs::open("memory://").expect("a store");
+    let app = Arc::new(App::new(store, limits, 1).expect("limits that agree"));
+    let routes = runtime.block_on(handlers(&app)).expect("handlers");
+    Server { runtime, routes }
+});
+
+const METHODS: [&str; 6] = [
+    "/hullcast.v1.ContactService/QueryContacts",
+    "/hullcast.v1.ContactService/QueryContacts",
+    "/hullcast.v1.HullService/RegisterHulls",
+    "/hullcast.v1.HullService/GetHulls",
+    "/hullcast.v1.HullService/ListHulls",
+    "/hullcast.v1.ContactService/StreamContacts",
+];
+
+fn framed(message: &[u8]) -> Bytes {
+    let mut frame = BytesMut::with_capacity(5 + message.len());
+    frame.put_u8(0);
+    frame.put_u32(message.len() as u32);
+    frame.put_slice(message);
+    frame.freeze()
+}
+
+fuzz_target!(|data: &[u8]| {
+    let Some((&method, message)) = data.split_first() else { return };
+    let method = METHODS[usize::from(method) % METHODS.len()];
+    let server = &*SERVER;
+    server.runtime.block_on(async {
+        let request = http::Request::post(method)
+            .header("content-type", "application/grpc")
+            .header("te", "trailers")
+            .body(Body::new(Full::new(framed(message))))
+            .expect("a request");
+        let response = server.routes.clone().oneshot(request).await.expect("handlers never fail");
+        let body = response.into_body().collect().await.expect("a body").to_bytes();
+        if method.ends_with("QueryContacts") && body.len() > 5 {
+            hullcast::proto::QueryContactsResponse::decode(&body[5..]).expect("a response of its own type");
+        }
+    });
+});
