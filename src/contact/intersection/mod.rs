@@ -16,7 +16,7 @@ use glam::{DVec2, DVec3};
 
 use super::manifold::Element;
 use super::pair::Pair;
-use outline::Outline;
+use outline::{Outline, View};
 
 pub(crate) use super::gauss_map::Touched;
 
@@ -55,17 +55,16 @@ impl Intersection {
         let (e1, e2) = normal.any_orthonormal_pair();
         self.axes = [e1, e2];
         self.normal = normal;
-        let project = |p: DVec3| (DVec2::new(e1.dot(p), e2.dot(p)), normal.dot(p));
-        self.a.fill(pair.a, feature_a, |v| project(pair.vertex_a(v)));
-        self.a.set_plane(pair.a, feature_a, project, pair.scale_a, DVec3::ZERO);
-        self.b.fill(pair.b, feature_b, |v| project(pair.vertex_b(v) + pair.d));
-        self.b.set_plane(
-            pair.b,
-            feature_b,
-            |m| project(pair.rotation * m),
-            pair.scale_b,
-            pair.rotation.transpose() * pair.d,
-        );
+        let axes = [e1, e2, normal];
+        let from_a =
+            View { axes: axes.map(|axis| axis * pair.scale_a), center: DVec3::ZERO, scale: pair.scale_a };
+        let from_b = View {
+            axes: axes.map(|axis| pair.direction_in_b(axis) * pair.scale_b),
+            center: DVec3::new(e1.dot(pair.d), e2.dot(pair.d), normal.dot(pair.d)),
+            scale: pair.scale_b,
+        };
+        self.a.project(pair.a, feature_a, &from_a);
+        self.b.project(pair.b, feature_b, &from_b);
         self.planarity = self.a.planarity + self.b.planarity;
 
         let eps = pair.merge_distance();

@@ -40,6 +40,34 @@ pub(super) enum Part {
     Inside,
 }
 
+/// How a hull is seen from the contact plane: takes hull units of its own frame
+/// to the plane's axes and the normal.
+pub(super) struct View {
+    /// The plane's axes and the normal, in the hull's frame, as long as a hull
+    /// unit is in pair units.
+    pub(super) axes: [DVec3; 3],
+    /// Where the contraction point is seen.
+    pub(super) center: DVec3,
+    /// Pair units per hull unit.
+    pub(super) scale: f64,
+}
+
+impl View {
+    /// Of a direction: pair units.
+    #[inline]
+    fn direction(&self, v: DVec3) -> (DVec2, f64) {
+        let [x, y, n] = self.axes.map(|axis| axis.dot(v));
+        (DVec2::new(x, y), n)
+    }
+
+    /// Of a point: pair units.
+    #[inline]
+    fn point(&self, v: DVec3) -> (DVec2, f64) {
+        let (at, height) = self.direction(v);
+        (at + self.center.truncate(), height + self.center.z)
+    }
+}
+
 /// A projected feature: one corner, two, or a convex polygon anticlockwise
 /// about the normal.
 #[derive(Debug, Default)]
@@ -56,16 +84,10 @@ pub(super) struct Outline {
 }
 
 impl Outline {
-    /// Projects the feature's corners; `project` gives plane position and height
-    /// of a vertex by the hull's own index.
-    pub(super) fn fill(
-        &mut self,
-        hull: &ConvexHull,
-        feature: Touched,
-        project: impl Fn(u32) -> (DVec2, f64),
-    ) {
+    /// Projects a feature of `hull`.
+    pub(super) fn project(&mut self, hull: &ConvexHull, feature: Touched, view: &View) {
         let corner = |v: u32| {
-            let (at, height) = project(v);
+            let (at, height) = view.point(hull.vertices()[v as usize]);
             Corner { at, height, vertex: hull.registered_indices()[v as usize] }
         };
         self.corners.clear();
@@ -77,36 +99,35 @@ impl Outline {
         if doubled_area(&self.corners) < 0.0 {
             self.corners.reverse();
         }
-        (self.lowest, self.highest) =
-            self.corners.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), c| {
-                (low.min(c.height), high.max(c.height))
-            });
-        let sides = if self.corners.len() < 3 { self.corners.len() - 1 } else { self.corners.len() };
+        self.set_sides();
+        self.set_plane(hull, feature, view);
+    }
+
+    fn set_sides(&mut self) {
+        (self.lowest, self.highest) = (f64::INFINITY, f64::NEG_INFINITY);
         self.sides.clear();
-        for i in 0..sides {
-            let (from, to) = (self.corners[i].at, self.corners[self.next(i)].at);
-            let inward = (to - from).perp() / (to - from).length();
-            self.sides.push(Side { inward, offset: inward.dot(from) });
+        for (i, corner) in self.corners.iter().enumerate() {
+            self.lowest = self.lowest.min(corner.height);
+            self.highest = self.highest.max(corner.height);
+            // Two corners have one side.
+            if self.corners.len() > 2 || i + 1 < self.corners.len() {
+                let along = self.corners[self.next(i)].at - corner.at;
+                let inward = along.perp() / along.length();
+                self.sides.push(Side { inward, offset: inward.dot(corner.at) });
+            }
         }
     }
 
-    /// Keeps the plane of a face. `project` turns a direction of the hull's
-    /// frame, `center` is where the contraction point is in that frame.
-    pub(super) fn set_plane(
-        &mut self,
-        hull: &ConvexHull,
-        feature: Touched,
-        project: impl Fn(DVec3) -> (DVec2, f64),
-        scale: f64,
-        center: DVec3,
-    ) {
+    fn set_plane(&mut self, hull: &ConvexHull, feature: Touched, view: &View) {
         (self.plane, self.planarity) = (None, 0.0);
         if let Touched::Face(f) = feature {
             let m = hull.face_normals()[f as usize];
-            let offset = hull.face_offsets()[f as usize] * scale + m.dot(center);
-            let (across, along) = project(m);
-            self.plane = Some((-across / along, offset / along));
-            self.planarity = hull.face_planarity()[f as usize] * scale / along.abs();
+            // A point of the plane, and the plane's normal.
+            let (point, height) = view.point(m * hull.face_offsets()[f as usize]);
+            let (across, along) = view.direction(m);
+            let slope = -across / along;
+            self.plane = Some((slope, height - slope.dot(point)));
+            self.planarity = hull.face_planarity()[f as usize] * view.scale * view.scale / along.abs();
         }
     }
 
@@ -117,8 +138,9 @@ impl Outline {
     }
 
     /// The ends of a side.
-    pub(super) fn side(&self, i: usize) -> [Corner; 2] {
-        [self.corners[i], self.corners[self.next(i)]]
+    #[inline]
+    pub(super) fn side(&self, i: usize) -> [&Corner; 2] {
+        [&self.corners[i], &self.corners[self.next(i)]]
     }
 
     /// A part's name, in vertices as registered.
@@ -137,22 +159,20 @@ impl Outline {
     pub(super) fn height(&self, part: Part, at: DVec2) -> f64 {
         match (part, self.plane, self.corners.as_slice()) {
             (Part::Corner(i), ..) => self.corners[i as usize].height,
-            (Part::Side(i), ..) => {
-                height_on([self.corners[i as usize], self.corners[self.next(i as usize)]], at)
-            }
+            (Part::Side(i), ..) => height_on(self.side(i as usize), at),
             (Part::Inside, Some((slope, base)), _) => {
                 let height = slope.dot(at) + base;
                 // A face seen edge-on has no height of its own over a point.
                 if height.is_nan() { self.lowest } else { height.clamp(self.lowest, self.highest) }
             }
-            (Part::Inside, None, &[a, b]) => height_on([a, b], at),
+            (Part::Inside, None, [a, b]) => height_on([a, b], at),
             (Part::Inside, None, _) => self.lowest,
         }
     }
 }
 
 /// Height of a segment over the point of its projection nearest to `at`.
-fn height_on([a, b]: [Corner; 2], at: DVec2) -> f64 {
+fn height_on([a, b]: [&Corner; 2], at: DVec2) -> f64 {
     let whole = b.at - a.at;
     let share = ((at - a.at).dot(whole) / whole.length_squared()).clamp(0.0, 1.0);
     if share.is_nan() { a.height } else { a.height + share * (b.height - a.height) }

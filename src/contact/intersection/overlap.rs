@@ -124,17 +124,16 @@ fn straighten(vertices: &mut Vec<Named>, eps: f64) {
     if vertices.len() < 3 {
         return;
     }
-    let farthest = |from: DVec2, vertices: &[Named]| {
-        let distance = |i: &usize| vertices[*i].at.distance_squared(from);
-        (0..vertices.len()).max_by(|i, j| distance(i).total_cmp(&distance(j)).then(j.cmp(i))).unwrap_or(0)
-    };
-    let first = farthest(vertices[0].at, vertices);
-    let second = farthest(vertices[first].at, vertices);
-    let (p, q) = (vertices[first], vertices[second]);
-    if vertices.iter().all(|v| !aside(p.at, v.at, q.at, eps)) {
-        vertices.clear();
-        vertices.extend([p, q]);
-        return;
+    // On a line all vertices span 4 eps times their reach at most.
+    let first = vertices[0].at;
+    let (mut doubled_area, mut reach_squared) = (0.0, 0.0_f64);
+    for pair in vertices.windows(2) {
+        let (p, q) = (pair[0].at - first, pair[1].at - first);
+        doubled_area += p.perp_dot(q);
+        reach_squared = reach_squared.max(q.length_squared());
+    }
+    if doubled_area * doubled_area <= 64.0 * eps * eps * reach_squared {
+        flatten(vertices, eps);
     }
     let mut i = 0;
     while vertices.len() > 2 && i < vertices.len() {
@@ -145,6 +144,21 @@ fn straighten(vertices: &mut Vec<Named>, eps: f64) {
         } else {
             vertices.remove(i);
         }
+    }
+}
+
+/// Keeps the two ends of an outline that is all one line.
+#[cold]
+fn flatten(vertices: &mut Vec<Named>, eps: f64) {
+    let farthest = |from: DVec2| {
+        let distance = |i: &usize| vertices[*i].at.distance_squared(from);
+        (0..vertices.len()).max_by(|i, j| distance(i).total_cmp(&distance(j)).then(j.cmp(i))).unwrap_or(0)
+    };
+    let first = farthest(vertices[0].at);
+    let (p, q) = (vertices[first], vertices[farthest(vertices[first].at)]);
+    if vertices.iter().all(|v| !aside(p.at, v.at, q.at, eps)) {
+        vertices.clear();
+        vertices.extend([p, q]);
     }
 }
 
