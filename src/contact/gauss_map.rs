@@ -208,12 +208,15 @@ impl Scratch {
         for &e in support.iter().flat_map(|&v| hull.vertex_edges(v as usize)) {
             let [v, w] = hull.edge_vertices()[e as usize];
             let along = hull.vertices()[w as usize] - hull.vertices()[v as usize];
-            let length = along.length();
-            let sine = (direction.n.dot(along) / length).abs();
+            let (rise, length_squared) = (direction.n.dot(along), along.length_squared());
+            let across = rise * rise <= direction.sine * direction.sine * length_squared;
             let both = supports.contains(v) && supports.contains(w);
-            if both || (sine <= direction.sine && arc_holds(hull, e, along / length, direction.n)) {
-                near.push(Near { feature: e, measure: sine });
+            if both || (across && arc_holds(hull, e, along, direction.n)) {
+                near.push(Near { feature: e, measure: rise.abs() / length_squared.sqrt() });
             }
+        }
+        if let &[only] = near.as_slice() {
+            return Some(only.feature);
         }
         let least = near.iter().map(|e| e.measure).fold(f64::INFINITY, f64::min);
         near.iter().filter(|e| e.measure <= least + TIE * U).map(|e| e.feature).min()

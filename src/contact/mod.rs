@@ -49,6 +49,8 @@ pub struct Workspace {
     gauss_map: gauss_map::Scratch,
     intersection: Intersection,
     kept: Vec<usize>,
+    /// The last feature angle with its sine and cosine.
+    feature_angle: Option<(f64, f64, f64)>,
 }
 
 /// The contact manifold of `a` and `b`: the paper's three steps, in order.
@@ -139,7 +141,13 @@ impl Workspace {
                 .map(|v| if v == Support::INNER { vertex(&solution.support) } else { v })
         };
         let depth = MERGE * U * pair.circumradius;
-        let (sine, cosine) = accuracy.feature_angle.sin_cos();
+        let (_, sine, cosine) = match self.feature_angle {
+            Some(known) if known.0 == accuracy.feature_angle => known,
+            _ => {
+                let (sine, cosine) = accuracy.feature_angle.sin_cos();
+                *self.feature_angle.insert((accuracy.feature_angle, sine, cosine))
+            }
+        };
         let of = |n, known: &[u32; 4], scale: f64, hull, scratch: &mut _| {
             touched_feature(hull, &Direction { n, known, depth: depth / scale, sine, cosine }, scratch)
         };

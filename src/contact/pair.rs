@@ -193,6 +193,7 @@ fn exponent(x: f64) -> i32 {
 }
 
 /// `x * 2^k`; exact unless the result is subnormal or overflows.
+#[inline]
 pub(crate) fn shift(mut x: f64, mut k: i32) -> f64 {
     let power = |k: i32| f64::from_bits(((k + 1023) as u64) << 52);
     while k.abs() > 1000 {
@@ -203,6 +204,7 @@ pub(crate) fn shift(mut x: f64, mut k: i32) -> f64 {
     x * power(k)
 }
 
+#[inline]
 fn shift_vec(v: DVec3, k: i32) -> DVec3 {
-    DVec3::new(shift(v.x, k), shift(v.y, k), shift(v.z, k))
+    if k.abs() <= 1000 { v * shift(1.0, k) } else { DVec3::new(shift(v.x, k), shift(v.y, k), shift(v.z, k)) }
 }

@@ -29,56 +29,66 @@ enum Line {
     Window(u16),
 }
 
-/// The part of `subject` (a point, a segment or a polygon) inside `window`, a
-/// polygon; in order, with vertices nearer than `eps` still apart.
-pub(super) fn clip(
-    subject: &Outline,
-    window: &Outline,
-    eps: f64,
-    kept: &mut Vec<Vertex>,
-    next: &mut Vec<Vertex>,
-) {
-    kept.clear();
-    kept.extend(subject.corners.iter().zip(0..).map(|(c, i)| Vertex {
-        at: c.at,
-        own: Part::Corner(i),
-        other: Part::Inside,
-        line: Line::Own(i),
-    }));
-    for j in 0..window.sides.len() {
-        if cut(window, j as u16, eps, kept, next) {
-            std::mem::swap(kept, next);
-        }
-    }
+/// Buffers, and the vertices kept.
+#[derive(Debug, Default)]
+pub(super) struct Clip {
+    pub(super) kept: Vec<Vertex>,
+    next: Vec<Vertex>,
+    /// Of each vertex from the side that cuts.
+    distances: Vec<f64>,
 }
 
-/// Cuts by side `j` of the window into `out`; whether it took anything away.
-fn cut(window: &Outline, j: u16, eps: f64, vertices: &[Vertex], out: &mut Vec<Vertex>) -> bool {
-    let side = window.sides[j as usize];
-    // A side of no length (NaN) bounds nothing.
-    if !vertices.iter().any(|v| side.distance(v.at) < -eps) {
-        return false;
-    }
-    out.clear();
-    let closed = vertices.len() > 2;
-    let mut distance = vertices.first().map_or(0.0, |v| side.distance(v.at));
-    for (i, &p) in vertices.iter().enumerate() {
-        let last = i + 1 == vertices.len();
-        let q = vertices[if last { 0 } else { i + 1 }];
-        let (from, to) = (distance, side.distance(q.at));
-        distance = to;
-        let leaves = to < -eps && (closed || !last);
-        if from >= -eps {
-            let on_line = leaves && from <= eps;
-            out.push(if on_line { Vertex { line: Line::Window(j), ..p } } else { p });
-        }
-        if leaves && from > eps {
-            out.push(crossing(window, &p, &q, from / (from - to), j, Line::Window(j)));
-        } else if from < -eps && to > eps && (closed || !last) {
-            out.push(crossing(window, &p, &q, from / (from - to), j, p.line));
+impl Clip {
+    /// Keeps the part of `subject` (a point, a segment or a polygon) inside
+    /// `window`, a polygon; in order, with vertices nearer than `eps` still apart.
+    pub(super) fn clip(&mut self, subject: &Outline, window: &Outline, eps: f64) {
+        self.kept.clear();
+        self.kept.extend(subject.corners.iter().zip(0..).map(|(c, i)| Vertex {
+            at: c.at,
+            own: Part::Corner(i),
+            other: Part::Inside,
+            line: Line::Own(i),
+        }));
+        for j in 0..window.sides.len() {
+            self.cut(window, j as u16, eps);
         }
     }
-    true
+
+    /// Cuts by side `j` of the window.
+    fn cut(&mut self, window: &Outline, j: u16, eps: f64) {
+        let Self { kept, next, distances } = self;
+        let side = window.sides[j as usize];
+        distances.clear();
+        let mut least = 0.0;
+        distances.extend(kept.iter().map(|v| {
+            let distance = side.distance(v.at);
+            // A side of no length (NaN) bounds nothing: it is never the smaller.
+            least = if distance < least { distance } else { least };
+            distance
+        }));
+        if least >= -eps {
+            return;
+        }
+        next.clear();
+        let closed = kept.len() > 2;
+        for (i, &p) in kept.iter().enumerate() {
+            let last = i + 1 == kept.len();
+            let following = if last { 0 } else { i + 1 };
+            let (from, to) = (distances[i], distances[following]);
+            let goes_on = closed || !last;
+            let leaves = to < -eps && goes_on;
+            if from >= -eps {
+                let on_line = leaves && from <= eps;
+                next.push(if on_line { Vertex { line: Line::Window(j), ..p } } else { p });
+            }
+            if leaves && from > eps {
+                next.push(crossing(window, &p, &kept[following], from / (from - to), j, Line::Window(j)));
+            } else if from < -eps && to > eps && goes_on {
+                next.push(crossing(window, &p, &kept[following], from / (from - to), j, p.line));
+            }
+        }
+        std::mem::swap(kept, next);
+    }
 }
 
 /// Where the outline, on its way from `p` to `q`, meets side `j` of the window.

@@ -74,7 +74,7 @@ fn each_nearest(outline: &Outline, from: DVec2, mut visit: impl FnMut(DVec2, f64
     if let [only] = outline.corners.as_slice() {
         visit(only.at, only.height, Element::Vertex(only.vertex));
     }
-    for i in 0..outline.sides.len() {
+    for i in 0..outline.side_count() {
         let [p, q] = outline.side(i);
         let whole = q.at - p.at;
         let share = ((from - p.at).dot(whole) / whole.length_squared()).clamp(0.0, 1.0);

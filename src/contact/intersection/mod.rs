@@ -38,7 +38,7 @@ pub(crate) struct Intersection {
     b: Outline,
     overlap: overlap::Scratch,
     nearest: Vec<closest::Near>,
-    /// Anticlockwise about the normal, from the lowest id.
+    /// Anticlockwise about the normal.
     pub(crate) points: Vec<PlanePoint>,
     /// The projections miss each other; the one point is an estimate.
     pub(crate) estimated: bool,
@@ -69,22 +69,15 @@ impl Intersection {
 
         let eps = pair.merge_distance();
         self.points.clear();
-        overlap::find(&self.a, &self.b, eps, &mut self.overlap, &mut self.points);
+        overlap::find(&mut self.a, &mut self.b, eps, &mut self.overlap, &mut self.points);
         self.estimated = self.points.is_empty();
         if self.estimated {
             self.points.push(closest::estimate(&self.a, &self.b, eps, &mut self.nearest));
         }
-        start_at_lowest_id(&mut self.points);
     }
 
     /// Pair-frame position of a point's witness on A.
     pub(crate) fn witness_a(&self, p: &PlanePoint) -> DVec3 {
         self.axes[0] * p.at.x + self.axes[1] * p.at.y + self.normal * p.height_a
-    }
-}
-
-fn start_at_lowest_id(points: &mut [PlanePoint]) {
-    if let Some(first) = (0..points.len()).min_by_key(|&i| points[i].id) {
-        points.rotate_left(first);
     }
 }

@@ -73,7 +73,7 @@ impl View {
 #[derive(Debug, Default)]
 pub(super) struct Outline {
     pub(super) corners: Vec<Corner>,
-    /// Side `i` goes from corner `i` to the next; two corners make one side.
+    /// Of an outline that others are measured against.
     pub(super) sides: Vec<Side>,
     /// Of a face: height above the contact plane as `slope . at + base`.
     plane: Option<(DVec2, f64)>,
@@ -84,7 +84,7 @@ pub(super) struct Outline {
 }
 
 impl Outline {
-    /// Projects a feature of `hull`.
+    /// Projects a feature of `hull`; its sides are left to [`Outline::set_sides`].
     pub(super) fn project(&mut self, hull: &ConvexHull, feature: Touched, view: &View) {
         let corner = |v: u32| {
             let (at, height) = view.point(hull.vertices()[v as usize]);
@@ -99,22 +99,27 @@ impl Outline {
         if doubled_area(&self.corners) < 0.0 {
             self.corners.reverse();
         }
-        self.set_sides();
+        (self.lowest, self.highest) = (f64::INFINITY, f64::NEG_INFINITY);
+        for corner in &self.corners {
+            self.lowest = self.lowest.min(corner.height);
+            self.highest = self.highest.max(corner.height);
+        }
         self.set_plane(hull, feature, view);
     }
 
-    fn set_sides(&mut self) {
-        (self.lowest, self.highest) = (f64::INFINITY, f64::NEG_INFINITY);
+    /// How many sides: side `i` goes from corner `i` to the next; two corners
+    /// make one side.
+    pub(super) fn side_count(&self) -> usize {
+        if self.corners.len() > 2 { self.corners.len() } else { self.corners.len().saturating_sub(1) }
+    }
+
+    /// The lines of the sides.
+    pub(super) fn set_sides(&mut self) {
         self.sides.clear();
-        for (i, corner) in self.corners.iter().enumerate() {
-            self.lowest = self.lowest.min(corner.height);
-            self.highest = self.highest.max(corner.height);
-            // Two corners have one side.
-            if self.corners.len() > 2 || i + 1 < self.corners.len() {
-                let along = self.corners[self.next(i)].at - corner.at;
-                let inward = along.perp() / along.length();
-                self.sides.push(Side { inward, offset: inward.dot(corner.at) });
-            }
+        for i in 0..self.side_count() {
+            let [from, to] = self.side(i).map(|c| c.at);
+            let inward = (to - from).perp() / (to - from).length();
+            self.sides.push(Side { inward, offset: inward.dot(from) });
         }
     }
 

@@ -4,14 +4,13 @@
 use glam::DVec2;
 
 use super::PlanePoint;
-use super::clip::{Vertex, clip};
+use super::clip::{Clip, Vertex};
 use super::outline::{Outline, Part};
 
 /// Buffers.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
-    kept: Vec<Vertex>,
-    next: Vec<Vertex>,
+    clip: Clip,
     named: Vec<Named>,
 }
 
@@ -35,22 +34,36 @@ impl Named {
     }
 }
 
-/// Appends the vertices of the intersection, anticlockwise; none where the
+/// Appends the vertices of the intersection, anticlockwise from the first that
+/// is a corner of A's or else on A's first side; none where the
 /// projections miss each other by more than `eps`.
-pub(super) fn find(a: &Outline, b: &Outline, eps: f64, scratch: &mut Scratch, points: &mut Vec<PlanePoint>) {
-    let Scratch { kept, next, named } = scratch;
+pub(super) fn find(
+    a: &mut Outline,
+    b: &mut Outline,
+    eps: f64,
+    scratch: &mut Scratch,
+    points: &mut Vec<PlanePoint>,
+) {
+    let Scratch { clip, named } = scratch;
     named.clear();
     if b.corners.len() > 2 {
-        clip(a, b, eps, kept, next);
-        named.extend(kept.iter().map(|v| Named { at: v.at, a: v.own, b: v.other }));
+        b.set_sides();
+        clip.clip(a, b, eps);
+        named.extend(clip.kept.iter().map(|v| Named { at: v.at, a: v.own, b: v.other }));
     } else if a.corners.len() > 2 {
-        clip(b, a, eps, kept, next);
-        named.extend(kept.iter().map(|v| Named { at: v.at, a: coinciding(a, v, eps), b: v.own }));
+        a.set_sides();
+        clip.clip(b, a, eps);
+        named.extend(clip.kept.iter().map(|v| Named { at: v.at, a: coinciding(a, v, eps), b: v.own }));
     } else {
+        a.set_sides();
+        b.set_sides();
         thin(a, b, eps, named);
     }
     merge(named, eps);
     straighten(named, eps);
+    if let Some(first) = (0..named.len()).min_by_key(|&i| (named[i].a, named[i].b)) {
+        named.rotate_left(first);
+    }
     points.extend(named.iter().map(|v| lift(a, b, v)));
 }
 
@@ -63,6 +76,12 @@ fn coinciding(a: &Outline, v: &Vertex, eps: f64) -> Part {
 /// Edges and vertices: corners within `eps` of the other feature; of two edges
 /// that are not aligned the crossing.
 fn thin(a: &Outline, b: &Outline, eps: f64, named: &mut Vec<Named>) {
+    let crossing = crossing(a, b);
+    if let Some((named_crossing, clear)) = &crossing
+        && *clear > eps
+    {
+        return named.push(*named_crossing);
+    }
     for (c, i) in a.corners.iter().zip(0..) {
         if touches(b, c.at, eps) {
             named.push(Named { at: c.at, a: Part::Corner(i), b: Part::Inside });
@@ -73,18 +92,24 @@ fn thin(a: &Outline, b: &Outline, eps: f64, named: &mut Vec<Named>) {
             named.push(Named { at: c.at, a: Part::Inside, b: Part::Corner(j) });
         }
     }
-    let (&[p, q], &[side_a], &[side_b], true) =
-        (a.corners.as_slice(), a.sides.as_slice(), b.sides.as_slice(), named.len() < 2)
+    if let (Some((named_crossing, _)), true) = (crossing, named.len() < 2) {
+        named.clear();
+        named.push(named_crossing);
+    }
+}
+
+/// Where two edges cross, and how far the nearest end is from the other's line.
+fn crossing(a: &Outline, b: &Outline) -> Option<(Named, f64)> {
+    let (&[p, q], &[side_a], &[side_b]) = (a.corners.as_slice(), a.sides.as_slice(), b.sides.as_slice())
     else {
-        return;
+        return None;
     };
     let [a0, a1] = [p, q].map(|c| side_b.distance(c.at));
     let [b0, b1] = [0, 1].map(|j| side_a.distance(b.corners[j].at));
-    if (a0 > 0.0) != (a1 > 0.0) && (b0 > 0.0) != (b1 > 0.0) {
-        let at = p.at + (a0 / (a0 - a1)) * (q.at - p.at);
-        named.clear();
-        named.push(Named { at, a: Part::Side(0), b: Part::Side(0) });
-    }
+    let clear = a0.abs().min(a1.abs()).min(b0.abs()).min(b1.abs());
+    let at = p.at + (a0 / (a0 - a1)) * (q.at - p.at);
+    ((a0 > 0.0) != (a1 > 0.0) && (b0 > 0.0) != (b1 > 0.0))
+        .then_some((Named { at, a: Part::Side(0), b: Part::Side(0) }, clear))
 }
 
 /// Whether a point is within `eps` of a vertex or an edge.
