@@ -110,10 +110,11 @@ fn lone_face(hull: &ConvexHull, direction: &Direction<'_>) -> Option<u32> {
     let normal = |f: u32| hull.face_normals()[f as usize];
     let (mut face, mut along) = (0, 0.0);
     for &f in hull.vertex_faces(known[0] as usize) {
+        // Without branches: which is nearest is anyone's guess.
         let m_dot_n = normal(f).dot(n);
-        if m_dot_n > along {
-            (face, along) = (f, m_dot_n);
-        }
+        let nearer = m_dot_n > along;
+        face = if nearer { f } else { face };
+        along = if nearer { m_dot_n } else { along };
     }
     let across_squared = n.cross(normal(face)).length_squared();
     if !(along > 0.0 && across_squared <= sine * sine) {

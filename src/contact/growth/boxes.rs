@@ -24,14 +24,6 @@ struct Boxes<'a> {
     ray: DVec3,
 }
 
-/// Of the axes tried the one with the largest growth scale, which is
-/// `reach / width`.
-struct Axis {
-    reach: f64,
-    width: f64,
-    kind: Kind,
-}
-
 #[derive(Clone, Copy)]
 enum Kind {
     FaceOfA(usize),
@@ -51,9 +43,9 @@ pub(crate) fn seeds(pair: &Pair<'_>) -> Option<[Support; 3]> {
         axes: a.axes.transpose() * (pair.rotation * b.axes),
         ray: a.axes.transpose() * pair.ray,
     };
-    let axis = boxes.best_axis();
-    let crossed = boxes.ray * (axis.width / axis.reach);
-    Some(match axis.kind {
+    let (scale, kind) = boxes.best_axis();
+    let crossed = boxes.ray / scale;
+    Some(match kind {
         Kind::FaceOfA(i) => boxes.face_of_a(i, crossed),
         Kind::FaceOfB(j) => boxes.face_of_b(j, crossed),
         Kind::Edges(i, j) => boxes.edges(i, j, crossed),
@@ -61,22 +53,15 @@ pub(crate) fn seeds(pair: &Pair<'_>) -> Option<[Support; 3]> {
 }
 
 impl Boxes<'_> {
-    fn best_axis(&self) -> Axis {
+    /// The largest growth scale of an axis, and the axis.
+    fn best_axis(&self) -> (f64, Kind) {
         let (c, t) = (&self.axes, self.ray);
         let size = [c.x_axis.abs(), c.y_axis.abs(), c.z_axis.abs()];
-        let mut best = Axis { reach: 0.0, width: 1.0, kind: Kind::FaceOfA(0) };
-        let mut consider = |reach: f64, width: f64, kind: Kind| {
-            // A parallel pair of edges has no axis: 0 against 0.
-            if reach * best.width > best.reach * width {
-                best = Axis { reach, width, kind };
-            }
-        };
+        let mut scales = [0.0; 15];
         for i in 0..3 {
             let across: f64 = (0..3).map(|j| self.half_b[j] * size[j][i]).sum();
-            consider(t[i].abs(), self.half_a[i] + across, Kind::FaceOfA(i));
-        }
-        for (j, &along) in size.iter().enumerate() {
-            consider(c.col(j).dot(t).abs(), self.half_b[j] + self.half_a.dot(along), Kind::FaceOfB(j));
+            scales[i] = t[i].abs() / (self.half_a[i] + across);
+            scales[3 + i] = c.col(i).dot(t).abs() / (self.half_b[i] + self.half_a.dot(size[i]));
         }
         for i in 0..3 {
             let (i1, i2) = ((i + 1) % 3, (i + 2) % 3);
@@ -87,10 +72,23 @@ impl Boxes<'_> {
                     + self.half_a[i2] * size[j][i1]
                     + self.half_b[j1] * size[j2][i]
                     + self.half_b[j2] * size[j1][i];
-                consider(reach, width, Kind::Edges(i, j));
+                scales[6 + 3 * i + j] = reach / width;
             }
         }
-        best
+        // Without branches: which is largest is anyone's guess. Parallel edges
+        // have no axis, their scale (0 / 0) is no number and never larger.
+        let (mut best, mut largest) = (0, scales[0]);
+        for (k, &scale) in scales.iter().enumerate() {
+            let better = scale > largest;
+            best = if better { k } else { best };
+            largest = if better { scale } else { largest };
+        }
+        let kind = match best {
+            0..3 => Kind::FaceOfA(best),
+            3..6 => Kind::FaceOfB(best - 3),
+            _ => Kind::Edges((best - 6) / 3, (best - 6) % 3),
+        };
+        (largest, kind)
     }
 
     /// A's face `i` against the corner of B farthest into it.

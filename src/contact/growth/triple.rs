@@ -35,13 +35,13 @@ fn exact_turn(ray: DVec3, w: DVec3, u: DVec3) -> f64 {
 pub(crate) fn around(pair: &Pair<'_>, [u0, u1, u2]: [Support; 3]) -> Option<[Support; 3]> {
     let [p0, p1, p2] = [u0.point, u1.point, u2.point];
     let turns = [(p0, p1), (p1, p2), (p2, p0)].map(|(u, v)| turn(pair, pair.ray.cross(u), u, v));
-    let along = if turns.iter().all(|&t| t > 0.0) {
-        [u0, u1, u2]
-    } else if turns.iter().all(|&t| t < 0.0) {
-        [u0, u2, u1]
-    } else {
+    let all = |sign: f64| turns.iter().fold(true, |all, &t| all & (sign * t > 0.0));
+    if !(all(1.0) | all(-1.0)) {
         return None;
-    };
+    }
+    let last = [u2, u1];
+    let flip = usize::from(turns[0] < 0.0);
+    let along = [u0, last[1 - flip], last[flip]];
     // Else the line of the ray meets their triangle behind the origin.
     (volume(pair, along.map(|u| u.point)) > 0.0).then_some(along)
 }
@@ -60,16 +60,16 @@ pub(crate) fn pivot(pair: &Pair<'_>, triple: &mut [Support; 3], w: Support) {
     let across = pair.ray.cross(w.point);
     let [u0, u1, u2] = *triple;
     let [t0, t1, t2] = [u0, u1, u2].map(|u| turn(pair, across, w.point, u.point));
-    // Those with opposite signs stay; a parallel one (0) is the one to go.
-    *triple = if t0 == 0.0 || (t1 > 0.0 && t2 < 0.0) {
-        [w, u1, u2]
-    } else if t1 == 0.0 || (t2 > 0.0 && t0 < 0.0) {
-        [w, u2, u0]
-    } else if t2 == 0.0 || (t0 > 0.0 && t1 < 0.0) {
-        [w, u0, u1]
+    // The two with opposite signs stay, in their order; a parallel one (0) goes.
+    // Which is anyone's guess: chosen without branches.
+    let goes = if t0 == 0.0 || t1 == 0.0 || t2 == 0.0 {
+        [t0, t1, t2].iter().position(|&t| t == 0.0).unwrap_or(0)
     } else {
-        *triple
+        let second = usize::from((t2 > 0.0) & (t0 < 0.0));
+        let third = usize::from((t0 > 0.0) & (t1 < 0.0));
+        second + 2 * third
     };
+    *triple = [w, triple[(goes + 1) % 3], triple[(goes + 2) % 3]];
 }
 
 /// Outward normal of a triangle, and how wrong it may be.
