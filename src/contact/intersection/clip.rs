@@ -7,16 +7,20 @@
 
 use glam::DVec2;
 
-use super::outline::{Outline, Part};
+use super::outline::{Outline, height_on};
+use crate::contact::manifold::Element;
 
-/// A vertex of the intersection, by what makes it.
+/// A vertex of the intersection: where it is, how high it is over both features,
+/// what makes it. All are known where it is made, and go along with it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Vertex {
     pub(super) at: DVec2,
     /// Of the subject.
-    pub(super) own: Part,
+    pub(super) own_height: f64,
+    pub(super) own: Element,
     /// Of the window.
-    pub(super) other: Part,
+    pub(super) other_height: f64,
+    pub(super) other: Element,
     /// What the outline follows from here.
     line: Line,
 }
@@ -45,17 +49,19 @@ impl Clip {
         self.kept.clear();
         self.kept.extend(subject.corners.iter().zip(0..).map(|(c, i)| Vertex {
             at: c.at,
-            own: Part::Corner(i),
-            other: Part::Inside,
+            own_height: c.height,
+            own: Element::Vertex(c.vertex),
+            other_height: window.height(c.at),
+            other: Element::Inside,
             line: Line::Own(i),
         }));
         for j in 0..window.sides.len() {
-            self.cut(window, j as u16, eps);
+            self.cut(subject, window, j as u16, eps);
         }
     }
 
     /// Cuts by side `j` of the window.
-    fn cut(&mut self, window: &Outline, j: u16, eps: f64) {
+    fn cut(&mut self, subject: &Outline, window: &Outline, j: u16, eps: f64) {
         let Self { kept, next, distances } = self;
         let side = window.sides[j as usize];
         distances.clear();
@@ -82,9 +88,10 @@ impl Clip {
                 next.push(if on_line { Vertex { line: Line::Window(j), ..p } } else { p });
             }
             if leaves && from > eps {
-                next.push(crossing(window, &p, &kept[following], from / (from - to), j, Line::Window(j)));
+                let crossing = crossing(subject, window, &p, &kept[following], from / (from - to), j);
+                next.push(Vertex { line: Line::Window(j), ..crossing });
             } else if from < -eps && to > eps && goes_on {
-                next.push(crossing(window, &p, &kept[following], from / (from - to), j, p.line));
+                next.push(crossing(subject, window, &p, &kept[following], from / (from - to), j));
             }
         }
         std::mem::swap(kept, next);
@@ -92,20 +99,30 @@ impl Clip {
 }
 
 /// Where the outline, on its way from `p` to `q`, meets side `j` of the window.
-fn crossing(window: &Outline, p: &Vertex, q: &Vertex, share: f64, j: u16, line: Line) -> Vertex {
+fn crossing(subject: &Outline, window: &Outline, p: &Vertex, q: &Vertex, share: f64, j: u16) -> Vertex {
     let at = p.at + share * (q.at - p.at);
     match p.line {
-        Line::Own(i) => Vertex { at, own: Part::Side(i), other: Part::Side(j), line },
+        Line::Own(i) => Vertex {
+            at,
+            own_height: p.own_height + share * (q.own_height - p.own_height),
+            own: subject.side_name(i as usize),
+            other_height: height_on(window.side(j as usize), at),
+            other: window.side_name(j as usize),
+            line: p.line,
+        },
         // Two sides of the window meet in the corner where the second begins.
         Line::Window(k) => {
             let corner = if window.next(j as usize) == k as usize { k } else { j };
-            let corner_at = window.corners[corner as usize].at;
             let adjacent = corner == k || window.next(k as usize) == j as usize;
+            let corner = &window.corners[corner as usize];
+            let at = if adjacent { corner.at } else { at };
             Vertex {
-                at: if adjacent { corner_at } else { at },
-                own: Part::Inside,
-                other: Part::Corner(corner),
-                line,
+                at,
+                own_height: subject.height(at),
+                own: Element::Inside,
+                other_height: corner.height,
+                other: Element::Vertex(corner.vertex),
+                line: p.line,
             }
         }
     }

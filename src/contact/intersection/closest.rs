@@ -3,7 +3,7 @@
 use glam::DVec2;
 
 use super::PlanePoint;
-use super::outline::{Outline, Part};
+use super::outline::Outline;
 use crate::contact::manifold::Element;
 
 /// A pair of nearest points: on A, on B, what they lie on.
@@ -81,11 +81,7 @@ fn each_nearest(outline: &Outline, from: DVec2, mut visit: impl FnMut(DVec2, f64
         if !(share > 0.0) {
             visit(p.at, p.height, Element::Vertex(p.vertex));
         } else if share < 1.0 {
-            visit(
-                p.at + share * whole,
-                p.height + share * (q.height - p.height),
-                outline.named(Part::Side(i as u16)),
-            );
+            visit(p.at + share * whole, p.height + share * (q.height - p.height), outline.side_name(i));
         } else {
             visit(q.at, q.height, Element::Vertex(q.vertex));
         }

@@ -36,9 +36,9 @@ pub(crate) struct PlanePoint {
 pub(crate) struct Intersection {
     a: Outline,
     b: Outline,
-    overlap: overlap::Scratch,
+    clip: clip::Clip,
     nearest: Vec<closest::Near>,
-    /// Anticlockwise about the normal.
+    /// Anticlockwise about the normal, from the lowest id.
     pub(crate) points: Vec<PlanePoint>,
     /// The projections miss each other; the one point is an estimate.
     pub(crate) estimated: bool,
@@ -69,7 +69,7 @@ impl Intersection {
 
         let eps = pair.merge_distance();
         self.points.clear();
-        overlap::find(&mut self.a, &mut self.b, eps, &mut self.overlap, &mut self.points);
+        overlap::find(&mut self.a, &mut self.b, eps, &mut self.clip, &mut self.points);
         self.estimated = self.points.is_empty();
         if self.estimated {
             self.points.push(closest::estimate(&self.a, &self.b, eps, &mut self.nearest));

@@ -32,14 +32,6 @@ impl Side {
     }
 }
 
-/// What of an outline makes a vertex of an intersection.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Part {
-    Corner(u16),
-    Side(u16),
-    Inside,
-}
-
 /// How a hull is seen from the contact plane: takes hull units of its own frame
 /// to the plane's axes and the normal.
 pub(super) struct View {
@@ -148,36 +140,29 @@ impl Outline {
         [&self.corners[i], &self.corners[self.next(i)]]
     }
 
-    /// A part's name, in vertices as registered.
-    pub(super) fn named(&self, part: Part) -> Element {
-        match part {
-            Part::Corner(i) => Element::Vertex(self.corners[i as usize].vertex),
-            Part::Side(i) => {
-                let [a, b] = self.side(i as usize).map(|c| c.vertex);
-                Element::Edge([a.min(b), a.max(b)])
-            }
-            Part::Inside => Element::Inside,
-        }
+    /// A side's name, in vertices as registered.
+    pub(super) fn side_name(&self, i: usize) -> Element {
+        let [a, b] = self.side(i).map(|c| c.vertex);
+        Element::Edge([a.min(b), a.max(b)])
     }
 
-    /// Height of a part over a point of its projection.
-    pub(super) fn height(&self, part: Part, at: DVec2) -> f64 {
-        match (part, self.plane, self.corners.as_slice()) {
-            (Part::Corner(i), ..) => self.corners[i as usize].height,
-            (Part::Side(i), ..) => height_on(self.side(i as usize), at),
-            (Part::Inside, Some((slope, base)), _) => {
+    /// Height of the feature over a point of its projection: of a face its
+    /// plane's, within its corners'.
+    pub(super) fn height(&self, at: DVec2) -> f64 {
+        match (self.plane, self.corners.as_slice()) {
+            (Some((slope, base)), _) => {
                 let height = slope.dot(at) + base;
                 // A face seen edge-on has no height of its own over a point.
                 if height.is_nan() { self.lowest } else { height.clamp(self.lowest, self.highest) }
             }
-            (Part::Inside, None, [a, b]) => height_on([a, b], at),
-            (Part::Inside, None, _) => self.lowest,
+            (None, [a, b]) => height_on([a, b], at),
+            (None, _) => self.lowest,
         }
     }
 }
 
 /// Height of a segment over the point of its projection nearest to `at`.
-fn height_on([a, b]: [&Corner; 2], at: DVec2) -> f64 {
+pub(super) fn height_on([a, b]: [&Corner; 2], at: DVec2) -> f64 {
     let whole = b.at - a.at;
     let share = ((at - a.at).dot(whole) / whole.length_squared()).clamp(0.0, 1.0);
     if share.is_nan() { a.height } else { a.height + share * (b.height - a.height) }

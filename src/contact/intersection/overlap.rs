@@ -4,112 +4,90 @@
 use glam::DVec2;
 
 use super::PlanePoint;
-use super::clip::{Clip, Vertex};
-use super::outline::{Outline, Part};
+use super::clip::Clip;
+use super::outline::{Outline, height_on};
+use crate::contact::manifold::Element;
 
-/// Buffers.
-#[derive(Debug, Default)]
-pub(super) struct Scratch {
-    clip: Clip,
-    named: Vec<Named>,
-}
-
-/// A vertex of the intersection, by what of A and of B makes it.
-#[derive(Clone, Copy, Debug)]
-struct Named {
-    at: DVec2,
-    a: Part,
-    b: Part,
-}
-
-impl Named {
-    /// A's corner names a point, else B's, else the crossing.
-    fn rank(&self) -> (u8, Part, Part) {
-        let kind = match (self.a, self.b) {
-            (Part::Corner(_), _) => 0,
-            (_, Part::Corner(_)) => 1,
-            _ => 2,
-        };
-        (kind, self.a, self.b)
-    }
-}
-
-/// Appends the vertices of the intersection, anticlockwise from the first that
-/// is a corner of A's or else on A's first side; none where the
-/// projections miss each other by more than `eps`.
+/// Appends the vertices of the intersection, anticlockwise from the lowest id;
+/// none where the projections miss each other by more than `eps`.
 pub(super) fn find(
     a: &mut Outline,
     b: &mut Outline,
     eps: f64,
-    scratch: &mut Scratch,
+    clip: &mut Clip,
     points: &mut Vec<PlanePoint>,
 ) {
-    let Scratch { clip, named } = scratch;
-    named.clear();
     if b.corners.len() > 2 {
         b.set_sides();
         clip.clip(a, b, eps);
-        named.extend(clip.kept.iter().map(|v| Named { at: v.at, a: v.own, b: v.other }));
+        points.extend(clip.kept.iter().map(|v| PlanePoint {
+            at: v.at,
+            height_a: v.own_height,
+            height_b: v.other_height,
+            id: [v.own, v.other],
+        }));
     } else if a.corners.len() > 2 {
         a.set_sides();
         clip.clip(b, a, eps);
-        named.extend(clip.kept.iter().map(|v| Named { at: v.at, a: coinciding(a, v, eps), b: v.own }));
+        points.extend(clip.kept.iter().map(|v| PlanePoint {
+            at: v.at,
+            height_a: v.other_height,
+            height_b: v.own_height,
+            id: [coinciding(a, v.at, eps).unwrap_or(v.other), v.own],
+        }));
     } else {
         a.set_sides();
         b.set_sides();
-        thin(a, b, eps, named);
+        thin(a, b, eps, points);
     }
-    merge(named, eps);
-    straighten(named, eps);
-    if let Some(first) = (0..named.len()).min_by_key(|&i| (named[i].a, named[i].b)) {
-        named.rotate_left(first);
+    merge(points, eps);
+    straighten(points, eps);
+    if let Some(first) = (0..points.len()).min_by_key(|&i| points[i].id) {
+        points.rotate_left(first);
     }
-    points.extend(named.iter().map(|v| lift(a, b, v)));
 }
 
-/// A's part at a vertex of B's clipped outline: A's corner where one is there.
-fn coinciding(a: &Outline, v: &Vertex, eps: f64) -> Part {
-    let corner = a.corners.iter().position(|c| c.at.distance_squared(v.at) <= eps * eps);
-    corner.map_or(v.other, |i| Part::Corner(i as u16))
+/// A's corner at a vertex of B's clipped outline.
+fn coinciding(a: &Outline, at: DVec2, eps: f64) -> Option<Element> {
+    let corner = a.corners.iter().find(|c| c.at.distance_squared(at) <= eps * eps);
+    corner.map(|c| Element::Vertex(c.vertex))
 }
 
 /// Edges and vertices: corners within `eps` of the other feature; of two edges
 /// that are not aligned the crossing.
-fn thin(a: &Outline, b: &Outline, eps: f64, named: &mut Vec<Named>) {
+fn thin(a: &Outline, b: &Outline, eps: f64, points: &mut Vec<PlanePoint>) {
     let crossing = crossing(a, b);
-    if let Some((named_crossing, clear)) = &crossing
+    if let Some((point, clear)) = &crossing
         && *clear > eps
     {
-        return named.push(*named_crossing);
+        return points.push(*point);
     }
-    for (c, i) in a.corners.iter().zip(0..) {
-        if touches(b, c.at, eps) {
-            named.push(Named { at: c.at, a: Part::Corner(i), b: Part::Inside });
-        }
+    for c in a.corners.iter().filter(|c| touches(b, c.at, eps)) {
+        let id = [Element::Vertex(c.vertex), Element::Inside];
+        points.push(PlanePoint { at: c.at, height_a: c.height, height_b: b.height(c.at), id });
     }
-    for (c, j) in b.corners.iter().zip(0..) {
-        if touches(a, c.at, eps) {
-            named.push(Named { at: c.at, a: Part::Inside, b: Part::Corner(j) });
-        }
+    for c in b.corners.iter().filter(|c| touches(a, c.at, eps)) {
+        let id = [Element::Inside, Element::Vertex(c.vertex)];
+        points.push(PlanePoint { at: c.at, height_a: a.height(c.at), height_b: c.height, id });
     }
-    if let (Some((named_crossing, _)), true) = (crossing, named.len() < 2) {
-        named.clear();
-        named.push(named_crossing);
+    if let (Some((point, _)), true) = (crossing, points.len() < 2) {
+        points.clear();
+        points.push(point);
     }
 }
 
 /// Where two edges cross, and how far the nearest end is from the other's line.
-fn crossing(a: &Outline, b: &Outline) -> Option<(Named, f64)> {
-    let (&[p, q], &[side_a], &[side_b]) = (a.corners.as_slice(), a.sides.as_slice(), b.sides.as_slice())
-    else {
-        return None;
-    };
+fn crossing(a: &Outline, b: &Outline) -> Option<(PlanePoint, f64)> {
+    let (&[side_a], &[side_b]) = (a.sides.as_slice(), b.sides.as_slice()) else { return None };
+    let [p, q] = a.side(0);
     let [a0, a1] = [p, q].map(|c| side_b.distance(c.at));
-    let [b0, b1] = [0, 1].map(|j| side_a.distance(b.corners[j].at));
+    let [b0, b1] = b.side(0).map(|c| side_a.distance(c.at));
     let clear = a0.abs().min(a1.abs()).min(b0.abs()).min(b1.abs());
     let at = p.at + (a0 / (a0 - a1)) * (q.at - p.at);
+    let (height_a, height_b) = (height_on([p, q], at), height_on(b.side(0), at));
+    let id = [a.side_name(0), b.side_name(0)];
     ((a0 > 0.0) != (a1 > 0.0) && (b0 > 0.0) != (b1 > 0.0))
-        .then_some((Named { at, a: Part::Side(0), b: Part::Side(0) }, clear))
+        .then_some((PlanePoint { at, height_a, height_b, id }, clear))
 }
 
 /// Whether a point is within `eps` of a vertex or an edge.
@@ -125,18 +103,27 @@ fn touches(feature: &Outline, at: DVec2, eps: f64) -> bool {
     }
 }
 
+/// A's corner names a point, else B's, else the crossing.
+fn rank(p: &PlanePoint) -> (u8, [Element; 2]) {
+    let kind = match p.id {
+        [Element::Vertex(_), _] => 0,
+        [_, Element::Vertex(_)] => 1,
+        _ => 2,
+    };
+    (kind, p.id)
+}
+
 /// Of neighbours closer than `eps` keeps the one of the lowest rank.
-fn merge(vertices: &mut Vec<Named>, eps: f64) {
+fn merge(points: &mut Vec<PlanePoint>, eps: f64) {
     let mut i = 0;
-    while vertices.len() > 1 && i < vertices.len() {
-        let next = if i + 1 == vertices.len() { 0 } else { i + 1 };
-        let (p, q) = (vertices[i], vertices[next]);
-        if p.at.distance_squared(q.at) > eps * eps {
+    while points.len() > 1 && i < points.len() {
+        let next = if i + 1 == points.len() { 0 } else { i + 1 };
+        if points[i].at.distance_squared(points[next].at) > eps * eps {
             i += 1;
-        } else if q.rank() < p.rank() {
-            vertices.remove(i);
+        } else if rank(&points[next]) < rank(&points[i]) {
+            points.remove(i);
         } else {
-            vertices.remove(next);
+            points.remove(next);
             // A removed first vertex moves all others down.
             i -= usize::from(next < i);
         }
@@ -145,45 +132,45 @@ fn merge(vertices: &mut Vec<Named>, eps: f64) {
 
 /// Drops vertices closer than `eps` to the line between their neighbours; of an
 /// outline that is all one line keeps the two ends.
-fn straighten(vertices: &mut Vec<Named>, eps: f64) {
-    if vertices.len() < 3 {
+fn straighten(points: &mut Vec<PlanePoint>, eps: f64) {
+    if points.len() < 3 {
         return;
     }
     // On a line all vertices span 4 eps times their reach at most.
-    let first = vertices[0].at;
+    let first = points[0].at;
     let (mut doubled_area, mut reach_squared) = (0.0, 0.0_f64);
-    for pair in vertices.windows(2) {
+    for pair in points.windows(2) {
         let (p, q) = (pair[0].at - first, pair[1].at - first);
         doubled_area += p.perp_dot(q);
         reach_squared = reach_squared.max(q.length_squared());
     }
     if doubled_area * doubled_area <= 64.0 * eps * eps * reach_squared {
-        flatten(vertices, eps);
+        flatten(points, eps);
     }
     let mut i = 0;
-    while vertices.len() > 2 && i < vertices.len() {
-        let previous = vertices[if i == 0 { vertices.len() - 1 } else { i - 1 }].at;
-        let next = vertices[if i + 1 == vertices.len() { 0 } else { i + 1 }].at;
-        if aside(previous, vertices[i].at, next, eps) {
+    while points.len() > 2 && i < points.len() {
+        let previous = points[if i == 0 { points.len() - 1 } else { i - 1 }].at;
+        let next = points[if i + 1 == points.len() { 0 } else { i + 1 }].at;
+        if aside(previous, points[i].at, next, eps) {
             i += 1;
         } else {
-            vertices.remove(i);
+            points.remove(i);
         }
     }
 }
 
 /// Keeps the two ends of an outline that is all one line.
 #[cold]
-fn flatten(vertices: &mut Vec<Named>, eps: f64) {
+fn flatten(points: &mut Vec<PlanePoint>, eps: f64) {
     let farthest = |from: DVec2| {
-        let distance = |i: &usize| vertices[*i].at.distance_squared(from);
-        (0..vertices.len()).max_by(|i, j| distance(i).total_cmp(&distance(j)).then(j.cmp(i))).unwrap_or(0)
+        let distance = |i: &usize| points[*i].at.distance_squared(from);
+        (0..points.len()).max_by(|i, j| distance(i).total_cmp(&distance(j)).then(j.cmp(i))).unwrap_or(0)
     };
-    let first = farthest(vertices[0].at);
-    let (p, q) = (vertices[first], vertices[farthest(vertices[first].at)]);
-    if vertices.iter().all(|v| !aside(p.at, v.at, q.at, eps)) {
-        vertices.clear();
-        vertices.extend([p, q]);
+    let first = farthest(points[0].at);
+    let (p, q) = (points[first], points[farthest(points[first].at)]);
+    if points.iter().all(|v| !aside(p.at, v.at, q.at, eps)) {
+        points.clear();
+        points.extend([p, q]);
     }
 }
 
@@ -191,15 +178,4 @@ fn flatten(vertices: &mut Vec<Named>, eps: f64) {
 fn aside(p: DVec2, q: DVec2, r: DVec2, eps: f64) -> bool {
     let area = (q - p).perp_dot(r - p);
     area * area > eps * eps * (r - p).length_squared()
-}
-
-/// The witnesses' heights over a vertex: along the hulls' own corners and sides
-/// where these make it, else over the face.
-fn lift(a: &Outline, b: &Outline, vertex: &Named) -> PlanePoint {
-    PlanePoint {
-        at: vertex.at,
-        height_a: a.height(vertex.a, vertex.at),
-        height_b: b.height(vertex.b, vertex.at),
-        id: [a.named(vertex.a), b.named(vertex.b)],
-    }
 }
