@@ -152,17 +152,10 @@ impl Local {
         let admission = self.engine.admit(scene.pairs.len() / 2, scene.outputs)?;
         let hulls: Vec<_> =
             scene.hull_ids.iter().map(|id| self.hulls.get(id).cloned().ok_or(Missing::Unknown)).collect();
-        let batch = Batch {
-            hulls,
-            body_hulls: scene.body_hulls,
-            poses: scene.poses,
-            pairs: scene.pairs,
-            warm_starts: scene.warm_starts,
-            query: scene.query,
-            outputs: scene.outputs,
-        };
+        let request_id = scene.request_id;
+        let (batch, invalid_bodies) = Batch::new(scene, hulls);
         let columns = self.engine.compute(batch, admission).await?;
-        Ok(wire::response(scene.request_id, columns, Vec::new(), scene.invalid_bodies))
+        Ok(wire::response(request_id, columns, Vec::new(), invalid_bodies))
     }
 }
 

@@ -17,7 +17,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use super::{
     error::ServiceError,
     outputs::Outputs,
-    wire::{Columns, Invalid},
+    wire::{Columns, Invalid, Scene},
 };
 use crate::{
     compute::{Compute, Panicked, caught},
@@ -53,6 +53,14 @@ pub struct Batch {
     pub query: Query,
     /// What is kept of the answers.
     pub outputs: Outputs,
+}
+
+impl Batch {
+    /// A scene with its hulls at hand, and the indices of its bodies that are unusable.
+    pub fn new(scene: Scene, hulls: Vec<Result<Arc<ConvexHull>, Missing>>) -> (Self, Vec<u32>) {
+        let Scene { body_hulls, poses, pairs, warm_starts, query, outputs, invalid_bodies, .. } = scene;
+        (Self { hulls, body_hulls, poses, pairs, warm_starts, query, outputs }, invalid_bodies)
+    }
 }
 
 /// Computes batches, so many pairs at a time and no more.

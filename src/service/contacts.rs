@@ -143,16 +143,8 @@ async fn answer(
 async fn assemble(app: &App, scene: Scene) -> (Batch, Vec<u32>, Vec<u32>) {
     let hulls = fetch(app, &scene.hull_ids).await;
     let missing = hulls.iter().enumerate().filter(|(_, hull)| hull.is_err()).map(|(i, _)| i as u32).collect();
-    let batch = Batch {
-        hulls,
-        body_hulls: scene.body_hulls,
-        poses: scene.poses,
-        pairs: scene.pairs,
-        warm_starts: scene.warm_starts,
-        query: scene.query,
-        outputs: scene.outputs,
-    };
-    (batch, missing, scene.invalid_bodies)
+    let (batch, invalid_bodies) = Batch::new(scene, hulls);
+    (batch, missing, invalid_bodies)
 }
 
 /// The hulls, in the order of their ids: what is cached at once, the rest from the store.
