@@ -7,7 +7,7 @@
 
 use glam::DVec3;
 
-use super::exact::{Dd, Dd3, dd_cross, dd_dot, exponent_above, power_of_two};
+use super::exact::{Dd, Dd3, dd_cross, dd_dot, exponent_above, power_of_two, triple_product};
 use super::tolerance::{BAND, BRACKET, MERGE, NOISE, U};
 use super::{Basis, Body, Feature, Manifold, Outcome, Query, Wanted};
 
@@ -182,9 +182,8 @@ fn wide(v: DVec3) -> Dd3 {
 
 /// Weights with which three vectors make `d` (Cramer's rule).
 fn weights_of_three(d: DVec3, u0: DVec3, u1: DVec3, u2: DVec3) -> [f64; 3] {
-    let det = |a, b, c| dd_dot(wide(a), dd_cross(wide(b), wide(c))).value();
-    let volume = det(u0, u1, u2);
-    [det(d, u1, u2), det(u0, d, u2), det(u0, u1, d)].map(|x| x / volume)
+    let volume = triple_product(u0, u1, u2);
+    [(d, u1, u2), (u0, d, u2), (u0, u1, d)].map(|(a, b, c)| triple_product(a, b, c) / volume)
 }
 
 /// Weights with which two vectors come nearest to `d`.

@@ -152,6 +152,12 @@ pub(crate) fn dd_dot(a: Dd3, b: Dd3) -> Dd {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+/// `a . (b x c)`, to about 2^-102 of the product of the lengths, then rounded.
+pub(crate) fn triple_product(a: DVec3, b: DVec3, c: DVec3) -> f64 {
+    let wide = |v: DVec3| v.to_array().map(Dd::from);
+    dd_dot(wide(a), dd_cross(wide(b), wide(c))).value()
+}
+
 /// Which way a triangle faces and how large it is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct TriangleNormal {

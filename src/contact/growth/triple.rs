@@ -8,7 +8,7 @@
 
 use glam::DVec3;
 
-use crate::contact::exact::{Dd, dd_cross, dd_dot, orient2d, orient3d, triangle_normal};
+use crate::contact::exact::{orient2d, orient3d, triangle_normal, triple_product};
 use crate::contact::pair::{Pair, Support};
 use crate::contact::tolerance::{TRIPLE_PRODUCT, U};
 
@@ -116,10 +116,8 @@ pub(crate) fn weights(ray: DVec3, triple: &[Support; 3]) -> [f64; 3] {
 #[cold]
 pub(crate) fn wide_weights(ray: DVec3, triple: &[Support; 3]) -> [f64; 3] {
     let [u0, u1, u2] = triple.map(|u| u.point);
-    let wide = |v: DVec3| v.to_array().map(Dd::from);
-    let det = |a, b, c| dd_dot(wide(a), dd_cross(wide(b), wide(c))).value();
-    let volume = det(u0, u1, u2);
-    [det(ray, u1, u2), det(u0, ray, u2), det(u0, u1, ray)].map(|d| d / volume)
+    let volume = triple_product(u0, u1, u2);
+    [(ray, u1, u2), (u0, ray, u2), (u0, u1, ray)].map(|(a, b, c)| triple_product(a, b, c) / volume)
 }
 
 #[cfg(test)]
