@@ -28,9 +28,9 @@ pub(super) struct Vertex {
 #[derive(Clone, Copy, Debug)]
 enum Line {
     /// A side of the subject.
-    Own(u16),
+    Own(u32),
     /// A side of the window.
-    Window(u16),
+    Window(u32),
 }
 
 /// Buffers, and the vertices kept.
@@ -56,12 +56,12 @@ impl Clip {
             line: Line::Own(i),
         }));
         for j in 0..window.sides.len() {
-            self.cut(subject, window, j as u16, eps);
+            self.cut(subject, window, j as u32, eps);
         }
     }
 
     /// Cuts by side `j` of the window.
-    fn cut(&mut self, subject: &Outline, window: &Outline, j: u16, eps: f64) {
+    fn cut(&mut self, subject: &Outline, window: &Outline, j: u32, eps: f64) {
         let Self { kept, next, distances } = self;
         let side = window.sides[j as usize];
         distances.clear();
@@ -99,7 +99,7 @@ impl Clip {
 }
 
 /// Where the outline, on its way from `p` to `q`, meets side `j` of the window.
-fn crossing(subject: &Outline, window: &Outline, p: &Vertex, q: &Vertex, share: f64, j: u16) -> Vertex {
+fn crossing(subject: &Outline, window: &Outline, p: &Vertex, q: &Vertex, share: f64, j: u32) -> Vertex {
     let at = p.at + share * (q.at - p.at);
     match p.line {
         Line::Own(i) => Vertex {
