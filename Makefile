@@ -62,6 +62,10 @@ test-python: build $(VENV)/.test ## the Python tests, against the real server
 test-extras: build $(VENV)/.extras ## the Python tests with meshes, plots and data frames
 	$(PY) -m pytest client
 
+.PHONY: wheel
+wheel: check-tools $(VENV)/.test ## the Python package with the server in it, optimised for good: target/wheels
+	cd client && ../$(PY) -m maturin build --profile dist --out $(TARGET)/wheels
+
 .PHONY: bench
 bench: check-tools build $(VENV)/.demo ## contacts beside parry3d, then through the server from Python; writes docs/performance.md
 	cd benches && $(CARGO) run --release --locked --bin contact
@@ -101,8 +105,8 @@ fuzz: ## FUZZ_SECONDS=600 of each fuzz target; needs nightly Rust and cargo-fuzz
 clean: ## removes what was built
 	rm -rf target benches/target $(VENV) out
 
-# The packages, pinned; the client itself is installed in place.
-REQUIREMENTS := client/requirements.txt client/pyproject.toml
+# The packages, pinned; the client itself is used in place.
+REQUIREMENTS := client/requirements.txt
 
 $(VENV)/.demo: examples/requirements.txt $(REQUIREMENTS) | check-tools
 	$(call install,$<)
@@ -120,5 +124,5 @@ $(VENV)/.extras: client/requirements-extras.txt client/requirements-dev.txt $(RE
 define install
 	$(PY) -m pip --version >/dev/null 2>&1 || { rm -rf $(VENV); $(PYTHON) -m venv $(VENV); }
 	$(PY) -m pip install --quiet --requirement $(1)
-	$(PY) -m pip install --quiet --no-deps --no-build-isolation --editable client
+	$(PY) -c 'import pathlib, sysconfig; pathlib.Path(sysconfig.get_path("purelib"), "hullcast-in-place.pth").write_text("$(abspath client/src)\n")'
 endef

@@ -359,7 +359,7 @@ def test_a_too_large_answer_is_halved(client):
     expected = client.query(scene, pairs, outputs=EVERYTHING)
     real_open = Settings.open
     with pytest.MonkeyPatch.context() as patch:
-        real = hullcast._errors.from_rpc
+        real = hullcast._status.from_rpc
 
         def as_too_large(call):
             error = real(call)
@@ -367,7 +367,7 @@ def test_a_too_large_answer_is_halved(client):
                 error.reason = "RESPONSE_TOO_LARGE"
             return error
 
-        patch.setattr(hullcast._errors, "from_rpc", as_too_large)
+        patch.setattr(hullcast._status, "from_rpc", as_too_large)
         patch.setattr(
             Settings, "open", lambda *a: grpc.intercept_channel(real_open(*a), Refusing())
         )

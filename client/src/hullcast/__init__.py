@@ -11,34 +11,37 @@ Units are the caller's (metres in the documentation), angles radians. Right
 handed; quaternions x, y, z, w. Arrays are float64, uint32 and uint8.
 """
 
-from . import aio
-from ._arrays import from_wxyz
-from ._client import Client
-from ._errors import (
-    DeadlineExceeded,
-    Error,
-    HullRejected,
-    InvalidArgument,
-    NotConvexWarning,
-    OutputNotAsked,
-    ResourceExhausted,
-    ServerDidNotStart,
-    ServerError,
-    ServerNotFound,
-    Unauthenticated,
-    Unavailable,
-    Unimplemented,
-)
-from ._export import Padded
-from ._hulls import Hull, hull_id
-from ._manifolds import Manifold, Manifolds
-from ._query import Accuracy
-from ._scene import Scene
-from ._serve import serve
-from ._version import __version__
-from ._wire import FeatureKind, Flag, Outcome
+import importlib
+from typing import TYPE_CHECKING, Any
 
-connect = Client.connect
+from ._version import __version__
+
+if TYPE_CHECKING:
+    from . import aio
+    from ._arrays import from_wxyz
+    from ._client import Client, connect
+    from ._errors import (
+        DeadlineExceeded,
+        Error,
+        HullRejected,
+        InvalidArgument,
+        NotConvexWarning,
+        OutputNotAsked,
+        ResourceExhausted,
+        ServerDidNotStart,
+        ServerError,
+        ServerNotFound,
+        Unauthenticated,
+        Unavailable,
+        Unimplemented,
+    )
+    from ._export import Padded
+    from ._hulls import Hull, hull_id
+    from ._manifolds import Manifold, Manifolds
+    from ._query import Accuracy
+    from ._scene import Scene
+    from ._serve import serve
+    from ._wire import FeatureKind, Flag, Outcome
 
 __all__ = [
     "Accuracy",
@@ -71,3 +74,48 @@ __all__ = [
     "hull_id",
     "serve",
 ]
+
+# Each name is loaded when it is first used, so that a program that only may
+# need contacts does not wait for grpc.
+_HOMES = {
+    "_arrays": ["from_wxyz"],
+    "_client": ["Client", "connect"],
+    "_errors": [
+        "DeadlineExceeded",
+        "Error",
+        "HullRejected",
+        "InvalidArgument",
+        "NotConvexWarning",
+        "OutputNotAsked",
+        "ResourceExhausted",
+        "ServerDidNotStart",
+        "ServerError",
+        "ServerNotFound",
+        "Unauthenticated",
+        "Unavailable",
+        "Unimplemented",
+    ],
+    "_export": ["Padded"],
+    "_hulls": ["Hull", "hull_id"],
+    "_manifolds": ["Manifold", "Manifolds"],
+    "_query": ["Accuracy"],
+    "_scene": ["Scene"],
+    "_serve": ["serve"],
+    "_wire": ["FeatureKind", "Flag", "Outcome"],
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME_OF:
+        value = getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+    elif name == "aio":
+        value = importlib.import_module(f"{__name__}.aio")
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

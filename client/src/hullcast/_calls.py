@@ -22,9 +22,10 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 import numpy as np
 
 from . import _answers, _channel, _errors
-from ._hulls import Content, Hull, Registration
+from ._hulls import Content, Hull
 from ._manifolds import Manifolds
 from ._query import Query, Span
+from ._register import Registration
 from ._scene import Scene
 from ._wire import Flag
 

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import grpc
 
-from . import _calls, _errors
-from ._hulls import Hull, Registration
+from . import _calls, _status
+from ._hulls import Hull
 from ._manifolds import Manifolds
 from ._query import Accuracy, Query
+from ._register import Registration
 from ._scene import Scene
 
 if TYPE_CHECKING:
@@ -129,7 +130,7 @@ class Client(_calls.Calls):
                 try:
                     answer = waited_for.result()
                 except grpc.RpcError as error:
-                    waited_for = steps.throw(_errors.from_rpc(error))
+                    waited_for = steps.throw(_status.from_rpc(error))
                 else:
                     waited_for = steps.send(answer)
         except StopIteration as done:
@@ -198,3 +199,6 @@ class _Later:
 
     def cancel(self) -> None:
         """It was not begun."""
+
+
+connect = Client.connect

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.metadata
 import os
 import shutil
 import subprocess
@@ -78,14 +79,25 @@ def find_binary() -> str:
         if not os.path.isfile(named):
             raise ServerNotFound(f"HULLCAST_BIN names no file: {named}", reason="NO_BINARY")
         return named
-    own = Path(__file__).parent / "bin" / ("hullcast.exe" if os.name == "nt" else "hullcast")
-    found = str(own) if own.is_file() else shutil.which("hullcast")
+    found = _own_binary() or shutil.which("hullcast")
     if found is None:
         raise ServerNotFound(
             "no hullcast binary: set HULLCAST_BIN, or put it on PATH (cargo install hullcast)",
             reason="NO_BINARY",
         )
     return found
+
+
+def _own_binary() -> str | None:
+    """The script that was installed with this package, wherever that put its scripts."""
+    name = "hullcast.exe" if os.name == "nt" else "hullcast"
+    package = Path(__file__).parent
+    places = [package.parent / "bin" / name]  # of `pip install --target`, whose record is wrong
+    with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+        for file in importlib.metadata.files("hullcast") or ():
+            if file.name == name and file.parent.name != package.name:
+                places.append(Path(str(file.locate())))
+    return next((str(place.resolve()) for place in places if place.is_file()), None)
 
 
 class _Server:

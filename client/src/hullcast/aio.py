@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 import grpc
 
-from . import _calls, _client, _errors, _serve
+from . import _calls, _client, _serve, _status
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -59,7 +59,7 @@ class Client(_calls.Calls):
                 try:
                     answer = await waited_for
                 except grpc.RpcError as error:
-                    waited_for = steps.throw(_errors.from_rpc(error))
+                    waited_for = steps.throw(_status.from_rpc(error))
                 else:
                     waited_for = steps.send(answer)
         except StopIteration as done:

@@ -1,0 +1,154 @@
+"""Registering: what it asks and answers."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from . import _arrays, _mesh, _packed
+from ._errors import HullRejected, InvalidArgument
+from ._hulls import Content, Hull, points_of
+from ._pb import hulls_pb2
+
+#: Of vertices in one message: far below the server's message limit, large
+#: enough that the call costs nothing beside the hulls.
+_BYTES_PER_MESSAGE = 8 << 20
+_HULLS_PER_MESSAGE = 1024
+
+
+class Registration:
+    """One `register` call: the messages to send and the answer they make."""
+
+    def __init__(
+        self, contents: Sequence[Content], volumes: Sequence[_mesh.Volume | None] = ()
+    ) -> None:
+        self._contents = contents
+        self._volumes = volumes
+
+    @classmethod
+    def of(
+        cls,
+        hulls: Iterable[Any],
+        contraction_points: Any = None,
+        max_vertices: int | None = None,
+        max_deviation: float | None = None,
+    ) -> Registration:
+        """The call of `Client.register`'s arguments."""
+        if hasattr(hulls, "vertices") or (isinstance(hulls, np.ndarray) and hulls.ndim == 2):
+            raise InvalidArgument(
+                "register takes a list of hulls", reason="NOT_A_LIST", field="hulls"
+            )
+        if isinstance(hulls, (str, os.PathLike)):
+            raise InvalidArgument(
+                "register takes a list of files", reason="NOT_A_LIST", field="hulls"
+            )
+        shapes = [_shape(hull) for hull in hulls]
+        if contraction_points is None:
+            contraction_points = [None] * len(shapes)
+        if len(contraction_points) != len(shapes):
+            raise InvalidArgument(
+                f"{len(contraction_points)} for {len(shapes)} hulls",
+                reason="LENGTH_MISMATCH",
+                field="contraction_points",
+            )
+        contents: list[Content] = []
+        for i, (shape, center) in enumerate(zip(shapes, contraction_points, strict=True)):
+            if center is not None:
+                center = _arrays.floats(f"contraction_points[{i}]", center, 3)
+            if isinstance(shape, Hull) and center is None and max_vertices is max_deviation is None:
+                contents.append(shape.content)
+                continue
+            # A copy of the caller's array, which may change later.
+            points = _arrays.frozen(points_of(shape, f"hulls[{i}]"))
+            contents.append(Content(points, center, max_vertices, max_deviation))
+        volumes = [
+            _mesh.closed(f"hulls[{i}]", content.points, getattr(shape, "faces", None))
+            for i, (shape, content) in enumerate(zip(shapes, contents, strict=True))
+        ]
+        return cls(contents, volumes)
+
+    def requests(self) -> Iterator[bytes]:
+        """The messages, in order, none of them large."""
+        request, size = _packed.RegisterHullsRequest(), 0
+        for content in self._contents:
+            too_large = size + content.points.nbytes > _BYTES_PER_MESSAGE
+            if request.hulls and (too_large or len(request.hulls) == _HULLS_PER_MESSAGE):
+                yield request.SerializeToString()
+                request, size = _packed.RegisterHullsRequest(), 0
+            hull = request.hulls.add(vertices=content.points.tobytes())
+            if content.center is not None:
+                hull.contraction_point = content.center.tobytes()
+            if content.max_vertices is not None:
+                hull.simplification.max_vertices = content.max_vertices
+            if content.max_deviation is not None:
+                hull.simplification.max_deviation = content.max_deviation
+            size += content.points.nbytes
+        if request.hulls:
+            yield request.SerializeToString()
+
+    def read(self, answers: Sequence[bytes]) -> list[Hull]:
+        """The hulls, in the call's order.
+
+        Raises:
+            HullRejected: some were refused; it has the others.
+        """
+        results: list[Any] = []
+        for answer in answers:
+            for result in hulls_pb2.RegisterHullsResponse.FromString(answer).results:
+                place = len(results)
+                if result.WhichOneof("result") == "hull":
+                    results.append(_hull(result.hull, self._contents[place]))
+                else:
+                    results.append(_rejected(place, result.error))
+        for i, (volume, hull) in enumerate(zip(self._volumes, results, strict=False)):
+            if volume is not None and isinstance(hull, Hull):
+                _mesh.warn_unless_convex(f"hulls[{i}]", volume, hull.volume)
+        refused = [result for result in results if isinstance(result, HullRejected)]
+        if not refused:
+            return results
+        first = refused[0]
+        error = HullRejected(
+            f"{first.message} ({len(refused)} of {len(results)} hulls refused)",
+            reason=first.reason,
+            field=first.field,
+            index=first.index,
+            point=first.point,
+        )
+        error.results = results
+        raise error
+
+
+def _shape(hull: Any) -> Any:
+    """What has the points: a mesh file's mesh, else the thing itself."""
+    return _mesh.load(hull) if isinstance(hull, (str, os.PathLike)) else hull
+
+
+def _rejected(place: int, error: hulls_pb2.HullError) -> HullRejected:
+    return HullRejected(
+        error.message,
+        reason=error.reason,
+        field=error.field,
+        index=place,
+        point=error.index if error.HasField("index") else None,
+    )
+
+
+def _hull(info: hulls_pb2.HullInfo, content: Content) -> Hull:
+    xx, yy, zz, xy, xz, yz = info.inertia
+    return Hull(
+        id=info.id,
+        contraction_point=np.array(info.contraction_point),
+        inradius=info.inradius,
+        circumradius=info.circumradius,
+        volume=info.volume,
+        vertex_count=info.vertex_count,
+        face_count=info.face_count,
+        edge_count=info.edge_count,
+        geometric_error=info.geometric_error,
+        center_of_mass=np.array(info.center_of_mass),
+        inertia=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),
+        content=content,
+    )

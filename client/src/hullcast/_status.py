@@ -1,0 +1,123 @@
+"""How a failed call becomes an exception.
+
+The server puts an `ErrorInfo` (reason; field and index in its metadata) and,
+where trying again helps, a `RetryInfo` into the `grpc-status-details-bin`
+trailer. Their few fields are read with descriptors of this module's own, in a
+pool of their own, so that no further package is needed and none is disturbed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import grpc
+from google.protobuf import any_pb2, descriptor_pb2, descriptor_pool, duration_pb2, message_factory
+
+from ._errors import (
+    DeadlineExceeded,
+    Error,
+    InvalidArgument,
+    ResourceExhausted,
+    ServerError,
+    Unauthenticated,
+    Unavailable,
+    Unimplemented,
+)
+
+_DETAILS_KEY = "grpc-status-details-bin"
+
+_BY_CODE: dict[grpc.StatusCode, type[Error]] = {
+    grpc.StatusCode.INVALID_ARGUMENT: InvalidArgument,
+    grpc.StatusCode.OUT_OF_RANGE: InvalidArgument,
+    grpc.StatusCode.UNAVAILABLE: Unavailable,
+    grpc.StatusCode.DEADLINE_EXCEEDED: DeadlineExceeded,
+    grpc.StatusCode.RESOURCE_EXHAUSTED: ResourceExhausted,
+    grpc.StatusCode.UNIMPLEMENTED: Unimplemented,
+    grpc.StatusCode.UNAUTHENTICATED: Unauthenticated,
+    grpc.StatusCode.PERMISSION_DENIED: Unauthenticated,
+}
+
+
+def from_rpc(call: Any) -> Error:
+    """The exception for a failed call (a `grpc.RpcError` that is also a `grpc.Call`)."""
+    code = call.code()
+    known: dict[str, Any] = {}
+    message = call.details() or ""
+    for key, value in call.trailing_metadata() or ():
+        if key == _DETAILS_KEY:
+            known = _read_details(value)
+    # What the transport itself refuses (no connection, say) has no reason of its own.
+    known.setdefault("reason", code.name)
+    error = _BY_CODE.get(code, ServerError)("", **known)
+    # Whoever shows only the message reads the reason and the place in it.
+    for part in (error.reason, error.place):
+        message = message.removeprefix(f"{part}: ")
+    error.message = message
+    if isinstance(error, ServerError):
+        error.code = code.name
+    if isinstance(error, Unavailable):
+        error.cut_off = bool(call.initial_metadata())
+    return error
+
+
+def _read_details(data: bytes) -> dict[str, Any]:
+    """Reason, field, index and retry_after of a serialised google.rpc.Status."""
+    known: dict[str, Any] = {}
+    try:
+        for detail in _Status.FromString(data).details:
+            kind = detail.type_url.rpartition("/")[2]
+            if kind == "google.rpc.ErrorInfo":
+                info = _ErrorInfo.FromString(detail.value)
+                known["reason"] = info.reason
+                place = {entry.key: entry.value for entry in info.metadata}
+                known["field"] = place.get("field", "")
+                known["index"] = int(place["index"]) if "index" in place else None
+            elif kind == "google.rpc.RetryInfo":
+                delay = _RetryInfo.FromString(detail.value).retry_delay
+                known["retry_after"] = delay.seconds + delay.nanos * 1e-9
+    except ValueError:  # also protobuf's DecodeError: the code and message still stand
+        pass
+    return known
+
+
+def _messages() -> dict[str, Any]:
+    """The few messages of google.rpc that are read, with only the fields that are."""
+    kinds = descriptor_pb2.FieldDescriptorProto
+    file = descriptor_pb2.FileDescriptorProto(
+        name="hullcast/client/status.proto",
+        package="google.rpc",
+        syntax="proto3",
+        dependency=["google/protobuf/any.proto", "google/protobuf/duration.proto"],
+    )
+
+    def message(name: str, fields: Iterable[tuple[str, int, bool, str]]) -> None:
+        entry = file.message_type.add(name=name)
+        for label, number, repeated, kind in fields:
+            entry.field.add(
+                name=label,
+                number=number,
+                label=kinds.LABEL_REPEATED if repeated else kinds.LABEL_OPTIONAL,
+                type=kinds.TYPE_MESSAGE if kind else kinds.TYPE_STRING,
+                type_name=kind or None,
+            )
+
+    message("Status", [("details", 3, True, ".google.protobuf.Any")])
+    # On the wire a map is a list of such entries.
+    message("Entry", [("key", 1, False, ""), ("value", 2, False, "")])
+    message("ErrorInfo", [("reason", 1, False, ""), ("metadata", 3, True, ".google.rpc.Entry")])
+    message("RetryInfo", [("retry_delay", 1, False, ".google.protobuf.Duration")])
+    pool = descriptor_pool.DescriptorPool()
+    for dependency in (any_pb2, duration_pb2):
+        pool.AddSerializedFile(dependency.DESCRIPTOR.serialized_pb)
+    pool.AddSerializedFile(file.SerializeToString())
+    return {
+        entry.name: message_factory.GetMessageClass(
+            pool.FindMessageTypeByName(f"google.rpc.{entry.name}")
+        )
+        for entry in file.message_type
+    }
+
+
+_known = _messages()
+_Status, _ErrorInfo, _RetryInfo = _known["Status"], _known["ErrorInfo"], _known["RetryInfo"]

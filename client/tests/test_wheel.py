@@ -1,0 +1,88 @@
+"""The wheel, as a user gets it: client and server, in an environment of its own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import hullcast
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> Path:
+    """Built from the same objects as the binary under test, so within seconds."""
+    pytest.importorskip("maturin")
+    out = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "maturin", "build", "--profile", "release", "--out", str(out)]
+    done = subprocess.run(
+        command, cwd=ROOT / "client", capture_output=True, text=True, timeout=900, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    (made,) = out.iterdir()
+    return made
+
+
+def test_what_the_wheel_has(wheel):
+    """The package with its types and stubs, the server, the licences; no test, no source of Rust."""
+    with zipfile.ZipFile(wheel) as file:
+        names = file.namelist()
+        (metadata,) = (name for name in names if name.endswith(".dist-info/METADATA"))
+        text = file.read(metadata).decode()
+    sources = (ROOT / "client/src").rglob("*.py*")
+    expected = {str(p.relative_to(ROOT / "client/src")) for p in sources if p.suffix != ".pyc"}
+    assert {name for name in names if name.startswith("hullcast/")} >= expected
+    (server,) = (name for name in names if ".data/scripts/" in name)
+    assert server.rpartition("/")[2] == "hullcast"
+    assert {n.rpartition("/")[2] for n in names if "/licenses/" in n} == {
+        "LICENSE-MIT",
+        "LICENSE-APACHE",
+    }
+    assert not [name for name in names if name.endswith(".rs") or "test" in name]
+    assert f"\nVersion: {hullcast.__version__}\n" in text
+    assert "\nRequires-Python: >=3.10\n" in text
+    for extra in ("mesh", "robot", "decompose", "plot", "rerun", "ray"):
+        assert f"\nProvides-Extra: {extra}\n" in text
+
+
+def test_the_wheel_alone_answers(wheel, tmp_path):
+    """Installed with its dependencies into an empty environment; nothing of this one is seen."""
+    program = """
+        import sys
+        import numpy as np
+        import hullcast
+
+        assert hullcast.__file__.startswith(sys.prefix), hullcast.__file__
+        cube = np.array([[x, y, z] for x in (-.5, .5) for y in (-.5, .5) for z in (-.5, .5)])
+        with hullcast.serve() as client:
+            scene = hullcast.Scene(client.register([cube]), [[0, 0, 0], [0, 0, 0.99]],
+                                   [[0, 0, 0, 1]] * 2, body_hulls=[0, 0])
+            m = client.query(scene, [[0, 1]])
+            print(m.distance.round(9).tolist(), client._on_close.__self__._process.args[0])
+    """
+    venv.create(tmp_path / "env", with_pip=True)
+    python = tmp_path / "env/bin/python"
+    clean = {k: v for k, v in os.environ.items() if k not in ("HULLCAST_BIN", "PYTHONPATH")}
+    clean["PATH"] = "/usr/bin:/bin"
+    pip = [python, "-m", "pip", "install", "--quiet", "--only-binary", ":all:", wheel]
+    subprocess.run(pip, env=clean, timeout=600, check=True)
+    done = subprocess.run(
+        [python, "-c", textwrap.dedent(program)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        env=clean,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split(maxsplit=4)[:4] == ["[-0.01,", "-0.01,", "-0.01,", "-0.01]"]
+    assert done.stdout.split()[4] == str(tmp_path / "env/bin/hullcast")
