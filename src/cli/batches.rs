@@ -158,25 +158,26 @@ impl Oracle {
 
     fn answer(&self, request: proto::QueryContactsRequest) -> Result<proto::QueryContactsResponse, Error> {
         let scene = wire::scene(request, &Limits::default())?;
+        let setting = &scene.setting;
         let body = |index: u32, invalid: &mut Invalid| {
             let pose = scene.poses[index as usize];
             if pose.is_none() {
                 invalid.body();
             }
-            let id = &scene.hull_ids[scene.body_hulls[index as usize] as usize];
+            let id = &setting.hull_ids[setting.body_hulls[index as usize] as usize];
             Some(Body::new(self.hulls.get(id)?, pose?))
         };
-        let (pairs, _) = scene.pairs.as_chunks::<2>();
-        let mut columns = Columns::with_capacity(pairs.len(), scene.outputs);
+        let (pairs, _) = setting.pairs.as_chunks::<2>();
+        let mut columns = Columns::with_capacity(pairs.len(), setting.outputs);
         let mut workspace = Workspace::default();
         for &[a, b] in pairs {
             let mut invalid = Invalid::default();
             match (body(a, &mut invalid), body(b, &mut invalid)) {
                 (Some(a), Some(b)) => {
-                    let manifold = contact_manifold(&a, &b, &scene.query, None, &mut workspace);
-                    columns.push(manifold, scene.outputs);
+                    let manifold = contact_manifold(&a, &b, &setting.query, None, &mut workspace);
+                    columns.push(manifold, setting.outputs);
                 }
-                _ => columns.push_invalid(invalid, scene.outputs),
+                _ => columns.push_invalid(invalid, setting.outputs),
             }
         }
         Ok(wire::response(scene.request_id, columns, Vec::new(), scene.invalid_bodies))

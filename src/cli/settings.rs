@@ -83,6 +83,9 @@ settings! {
         "HULLCAST_MAX_VERTICES_PER_HULL", "N";
     /// Most pairs accepted and not yet answered, over all calls
     max_pairs_in_flight: u32 = |l: &Limits| l.max_pairs_in_flight, "HULLCAST_MAX_PAIRS_IN_FLIGHT", "N";
+    /// Bytes that streams keep from one message to the next, all together
+    max_stream_state_bytes: u64 = |l: &Limits| l.max_stream_state_bytes,
+        "HULLCAST_MAX_STREAM_STATE_BYTES", "N";
     /// Bytes of heap for hulls that no request is using
     cache_bytes: u64 = |l: &Limits| l.cache_bytes, "HULLCAST_CACHE_BYTES", "N";
     /// Most bytes in the store; 0: unbounded
@@ -114,6 +117,7 @@ impl Settings {
             max_hulls_per_request: self.max_hulls_per_request,
             max_vertices_per_hull: self.max_vertices_per_hull,
             max_pairs_in_flight: self.max_pairs_in_flight,
+            max_stream_state_bytes: self.max_stream_state_bytes,
             cache_bytes: self.cache_bytes,
             store_bytes: self.store_bytes,
             max_streams_per_connection: self.max_streams_per_connection,

@@ -17,11 +17,11 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use super::{
     error::ServiceError,
     outputs::Outputs,
-    wire::{Columns, Invalid, Scene},
+    wire::{Columns, Invalid, Scene, Setting},
 };
 use crate::{
     compute::{Compute, Panicked, caught},
-    contact::{Basis, Body, ConvexHull, Pose, Query, Workspace, contact_manifold},
+    contact::{Basis, Body, ConvexHull, Pose, Workspace, contact_manifold},
     store::Missing,
 };
 
@@ -40,26 +40,27 @@ const BUSY_RETRY: Duration = Duration::from_millis(20);
 #[derive(Debug)]
 pub struct Batch {
     /// Pinned for as long as the batch lives.
-    pub hulls: Vec<Result<Arc<ConvexHull>, Missing>>,
-    /// Per body: index into `hulls`.
-    pub body_hulls: Vec<u32>,
+    hulls: Vec<Result<Arc<ConvexHull>, Missing>>,
+    setting: Arc<Setting>,
     /// Per body; none where not usable.
-    pub poses: Vec<Option<Pose>>,
-    /// 2 body indices per pair.
-    pub pairs: Vec<u32>,
+    poses: Vec<Option<Pose>>,
     /// Empty, or 6 per pair: registered indices of vertices, unchecked.
-    pub warm_starts: Vec<u32>,
-    /// What is asked of each pair.
-    pub query: Query,
-    /// What is kept of the answers.
-    pub outputs: Outputs,
+    warm_starts: Vec<u32>,
+    /// What is kept of the answers: all that is sent, and perhaps bases.
+    kept: Outputs,
 }
 
 impl Batch {
     /// A scene with its hulls at hand, and the indices of its bodies that are unusable.
     pub fn new(scene: Scene, hulls: Vec<Result<Arc<ConvexHull>, Missing>>) -> (Self, Vec<u32>) {
-        let Scene { body_hulls, poses, pairs, warm_starts, query, outputs, invalid_bodies, .. } = scene;
-        (Self { hulls, body_hulls, poses, pairs, warm_starts, query, outputs }, invalid_bodies)
+        let Scene { setting, poses, warm_starts, invalid_bodies, .. } = scene;
+        let kept = setting.outputs;
+        (Self { hulls, setting, poses, warm_starts, kept }, invalid_bodies)
+    }
+
+    /// Its columns have the bases, whether they are sent or not.
+    pub fn keep_bases(&mut self) {
+        self.kept.bases = true;
     }
 }
 
@@ -177,7 +178,7 @@ thread_local! {
 
 impl Run {
     fn pairs(&self) -> usize {
-        self.batch.pairs.len() / 2
+        self.batch.setting.pair_count()
     }
 
     /// Here and now; none when the answer is too large.
@@ -195,7 +196,7 @@ impl Run {
             .with_max_len(1)
             .map(|i| self.chunk(i * CHUNK_PAIRS..pairs.min((i + 1) * CHUNK_PAIRS)))
             .collect();
-        (!self.stopped()).then(|| Columns::concatenated(parts, self.batch.outputs))
+        (!self.stopped()).then(|| Columns::concatenated(parts, self.batch.kept))
     }
 
     fn stopped(&self) -> bool {
@@ -206,8 +207,7 @@ impl Run {
         if self.stopped() {
             return Columns::default();
         }
-        let outputs = self.batch.outputs;
-        let mut columns = Columns::with_capacity(pairs.len(), outputs);
+        let mut columns = Columns::with_capacity(pairs.len(), self.batch.kept);
         // Taken out for the time of the chunk: one that panics leaves a new one behind.
         let mut workspace = WORKSPACE.take();
         for pair in pairs {
@@ -215,7 +215,7 @@ impl Run {
         }
         WORKSPACE.set(workspace);
         self.pairs_computed.fetch_add(columns.len() as u64, Ordering::Relaxed);
-        let bytes = columns.wire_bytes(outputs);
+        let bytes = columns.wire_bytes(self.batch.setting.outputs);
         if self.answer_bytes.fetch_add(bytes, Ordering::Relaxed) + bytes > self.max_answer_bytes {
             self.stop.store(true, Ordering::Relaxed);
         }
@@ -227,20 +227,20 @@ impl Batch {
     /// Computes pair `pair` and adds it to `columns`.
     fn pair(&self, pair: usize, workspace: &mut Workspace, columns: &mut Columns) {
         let mut invalid = Invalid::default();
-        let a = self.body(self.pairs[2 * pair], &mut invalid);
-        let b = self.body(self.pairs[2 * pair + 1], &mut invalid);
+        let [a, b] = [0, 1].map(|side| self.body(self.setting.pairs[2 * pair + side], &mut invalid));
         match (a, b) {
             (Some(a), Some(b)) => {
                 let warm = self.warm_start(pair, &a, &b);
-                columns.push(contact_manifold(&a, &b, &self.query, warm.as_ref(), workspace), self.outputs);
+                let manifold = contact_manifold(&a, &b, &self.setting.query, warm.as_ref(), workspace);
+                columns.push(manifold, self.kept);
             }
-            _ => columns.push_invalid(invalid, self.outputs),
+            _ => columns.push_invalid(invalid, self.kept),
         }
     }
 
     fn body(&self, index: u32, invalid: &mut Invalid) -> Option<Body<'_>> {
         let index = index as usize;
-        let hull = match &self.hulls[self.body_hulls[index] as usize] {
+        let hull = match &self.hulls[self.setting.body_hulls[index] as usize] {
             Ok(hull) => Some(hull),
             Err(missing) => {
                 invalid.hull(*missing);

@@ -1,6 +1,6 @@
 //! `ContactService`: batches of pairs in, contact manifolds out.
 
-use std::{sync::Arc, time::Duration};
+use std::sync::Arc;
 
 use futures_util::{
     StreamExt,
@@ -13,6 +13,7 @@ use super::{
     App, ServiceError,
     batch::Batch,
     edge::Deadline,
+    steps::Steps,
     wire::{self, Scene},
 };
 use crate::{
@@ -26,9 +27,6 @@ use crate::{
 
 /// Hulls of one request that are read from the store at a time.
 const LOADS: usize = 16;
-
-/// When a client of a server that stops should try another.
-const STOPPING_RETRY: Duration = Duration::from_millis(100);
 
 pub(super) fn service(app: Arc<App>) -> ContactServiceServer<impl ContactService> {
     ContactServiceServer::new(Contacts { app })
@@ -44,7 +42,8 @@ impl ContactService for Contacts {
         &self,
         request: Request<QueryContactsRequest>,
     ) -> Result<Response<QueryContactsResponse>, Status> {
-        Ok(answer(&self.app, request.into_inner()).await?)
+        let scene = wire::scene(request.into_inner(), self.app.limits())?;
+        Ok(Response::new(answer(&self.app, scene, false).await?.0))
     }
 
     type FindContactsStream = BoxStream<'static, Result<QueryContactsResponse, Status>>;
@@ -65,7 +64,7 @@ impl ContactService for Contacts {
         request: Request<Streaming<QueryContactsRequest>>,
     ) -> Result<Response<Self::StreamContactsStream>, Status> {
         let deadline = request.extensions().get::<Deadline>().copied();
-        let steps = Steps { app: self.app.clone(), requests: request.into_inner() };
+        let steps = Steps::new(self.app.clone(), request.into_inner());
         let answers = stream::try_unfold(steps, move |mut steps| async move {
             let step = match deadline {
                 None => steps.next().await,
@@ -79,42 +78,21 @@ impl ContactService for Contacts {
     }
 }
 
-/// A stream of requests being answered.
-struct Steps {
-    app: Arc<App>,
-    requests: Streaming<QueryContactsRequest>,
-}
-
-impl Steps {
-    /// The next answer; none at the end of the requests.
-    async fn next(&mut self) -> Result<Option<QueryContactsResponse>, Status> {
-        let mut stopping = self.app.stopping.subscribe();
-        let request = tokio::select! {
-            biased;
-            request = self.requests.message() => request.map_err(wire::complete)?,
-            _ = stopping.wait_for(|stopping| *stopping) => {
-                return Err(ServiceError::unavailable("STOPPING", STOPPING_RETRY, "the server stops").into());
-            }
-        };
-        match request {
-            None => Ok(None),
-            Some(request) => Ok(Some(answer(&self.app, request).await?.into_inner())),
-        }
-    }
-}
-
-async fn answer(
+/// The answer, and its bases where they are kept.
+pub(super) async fn answer(
     app: &App,
-    request: QueryContactsRequest,
-) -> Result<Response<QueryContactsResponse>, ServiceError> {
+    scene: Scene,
+    keep_bases: bool,
+) -> Result<(QueryContactsResponse, Vec<u32>), ServiceError> {
     let started = Instant::now();
-    let scene = wire::scene(request, app.limits())?;
-    let pairs = scene.pairs.len() / 2;
-    let admission = app.engine().admit(pairs, scene.outputs)?;
-    let (request_id, outputs) = (scene.request_id, scene.outputs);
-    let bodies = scene.body_hulls.len();
-    let (batch, missing_hulls, invalid_bodies) = assemble(app, scene).await;
-    let columns = app.engine().compute(batch, admission).await?;
+    let (request_id, outputs) = (scene.request_id, scene.setting.outputs);
+    let (pairs, bodies) = (scene.setting.pair_count(), scene.setting.body_hulls.len());
+    let admission = app.engine().admit(pairs, outputs)?;
+    let (mut batch, missing_hulls, invalid_bodies) = assemble(app, scene).await;
+    if keep_bases {
+        batch.keep_bases();
+    }
+    let mut columns = app.engine().compute(batch, admission).await?;
     debug_assert_eq!(columns.len(), pairs);
     if tracing::enabled!(tracing::Level::DEBUG) {
         let [contact, separated, undecided, invalid] = columns.outcome_counts();
@@ -135,13 +113,15 @@ async fn answer(
             "answered"
         );
     }
-    app.fitting(wire::response(request_id, columns, missing_hulls, invalid_bodies))
+    let bases = if keep_bases { columns.kept_bases(outputs) } else { Vec::new() };
+    let response = wire::response(request_id, columns, missing_hulls, invalid_bodies);
+    Ok((app.fitting(response)?.into_inner(), bases))
 }
 
 /// The scene with its hulls at hand, the indices of those that are missing, and of the
 /// bodies that are unusable.
 async fn assemble(app: &App, scene: Scene) -> (Batch, Vec<u32>, Vec<u32>) {
-    let hulls = fetch(app, &scene.hull_ids).await;
+    let hulls = fetch(app, &scene.setting.hull_ids).await;
     let missing = hulls.iter().enumerate().filter(|(_, hull)| hull.is_err()).map(|(i, _)| i as u32).collect();
     let (batch, invalid_bodies) = Batch::new(scene, hulls);
     (batch, missing, invalid_bodies)

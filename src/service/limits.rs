@@ -16,6 +16,8 @@ pub struct Limits {
     pub max_vertices_per_hull: u32,
     /// Pairs accepted and not yet answered, over all calls.
     pub max_pairs_in_flight: u32,
+    /// What streams keep from one message to the next, all together.
+    pub max_stream_state_bytes: u64,
     /// Heap held by cached hulls that no request is using.
     pub cache_bytes: u64,
     /// Blobs of the store, summed; 0: unbounded.
@@ -37,6 +39,7 @@ impl Default for Limits {
             max_hulls_per_request: 16_384,
             max_vertices_per_hull: 16_384,
             max_pairs_in_flight: 1 << 20,
+            max_stream_state_bytes: 1 << 28,
             cache_bytes: 1 << 30,
             store_bytes: 0,
             max_streams_per_connection: 1024,

@@ -1,7 +1,7 @@
 //! The gRPC services. The request's way is wire -> handlers -> batch -> wire.
 //!
-//! [`wire`] checks requests and writes responses, [`contacts`], [`hulls`] and
-//! [`info`] are the handlers, [`batch`] computes. [`server`] runs it all on
+//! [`wire`] checks requests and writes responses, [`contacts`] with [`steps`],
+//! [`hulls`] and [`info`] are the handlers, [`batch`] computes. [`server`] runs it all on
 //! [`listener`]s, behind [`edge`], which holds for every call.
 
 pub mod batch;
@@ -14,6 +14,7 @@ mod limits;
 mod listener;
 mod outputs;
 mod server;
+mod steps;
 pub mod wire;
 
 use std::{fmt, sync::Arc, time::Duration};
@@ -26,7 +27,7 @@ pub use outputs::Outputs;
 #[doc(hidden)]
 pub use server::handlers;
 pub use server::run;
-use tokio::sync::watch;
+use tokio::sync::{Semaphore, watch};
 
 use crate::{
     compute::Compute,
@@ -39,6 +40,8 @@ pub struct App {
     limits: Limits,
     registry: Registry,
     engine: Engine,
+    /// For what streams keep from one message to the next.
+    stream_room: Arc<Semaphore>,
     /// True once the server stops: open streams end.
     stopping: watch::Sender<bool>,
 }
@@ -61,7 +64,8 @@ impl App {
         };
         let engine = Engine::new(compute.clone(), limits.max_pairs_in_flight, limits.max_message_bytes);
         let registry = Registry::new(blobs, compute, bounds);
-        Ok(Self { limits, registry, engine, stopping: watch::Sender::new(false) })
+        let stream_room = steps::room(limits.max_stream_state_bytes);
+        Ok(Self { limits, registry, engine, stream_room, stopping: watch::Sender::new(false) })
     }
 
     /// What the server accepts.

@@ -89,11 +89,10 @@ async fn malformed_queries_name_field_and_index() {
         cases.push((with_accuracy(spoil), invalid(reason, field)));
     }
     let unimplemented = |field| refused(Code::Unimplemented, "UNIMPLEMENTED_FEATURE", field);
-    cases.push((QueryContactsRequest { inherit: true, ..good.clone() }, unimplemented("inherit")));
     let single = with_accuracy(|a| a.set_precision(Precision::Single));
     cases.push((single, unimplemented("accuracy.precision")));
 
-    assert_eq!(cases.len(), 32);
+    assert_eq!(cases.len(), 31);
     for (request, expected) in cases {
         let unary = server.contacts().query_contacts(request.clone()).await.unwrap_err();
         assert_eq!(refusal(&unary), expected);

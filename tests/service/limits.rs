@@ -23,6 +23,7 @@ fn small() -> Limits {
         max_hulls_per_request: 3,
         max_vertices_per_hull: 60,
         max_pairs_in_flight: 1000,
+        max_stream_state_bytes: 1 << 16,
         cache_bytes: 1 << 20,
         store_bytes: 0,
         max_streams_per_connection: 7,
@@ -52,6 +53,7 @@ async fn every_limit_is_published() {
     assert_eq!(published.max_streams_per_connection, limits.max_streams_per_connection);
     assert_eq!(published.max_page_size, limits.max_page_size);
     assert_eq!(published.cache_age_seconds, limits.cache_age_seconds);
+    assert_eq!(published.max_stream_state_bytes, limits.max_stream_state_bytes);
 }
 
 /// Catches limits of a query off by one.

@@ -8,5 +8,6 @@ mod errors;
 mod hulls;
 mod lifecycle;
 mod limits;
+mod steps;
 mod stopping;
 mod support;

@@ -197,6 +197,11 @@ impl Columns {
         }
     }
 
+    /// The bases; they stay only where they are sent.
+    pub fn kept_bases(&mut self, outputs: Outputs) -> Vec<u32> {
+        if outputs.bases { self.bases.clone() } else { std::mem::take(&mut self.bases) }
+    }
+
     /// The parts, one after the other.
     pub fn concatenated(mut parts: Vec<Self>, outputs: Outputs) -> Self {
         if parts.len() == 1 {

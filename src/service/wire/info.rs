@@ -18,6 +18,7 @@ pub(in crate::service) fn server_info(limits: &Limits, threads: usize) -> proto:
             max_streams_per_connection: limits.max_streams_per_connection,
             max_page_size: limits.max_page_size,
             cache_age_seconds: limits.cache_age_seconds,
+            max_stream_state_bytes: limits.max_stream_state_bytes,
         }),
         instruction_set: crate::contact::instruction_set().into(),
         compute_threads: threads as u32,

@@ -1,6 +1,6 @@
 //! A query as it came in, checked exhaustively.
 
-use std::collections::HashSet;
+use std::{collections::HashSet, sync::Arc};
 
 use crate::{
     contact::{Accuracy, Pose, Query, Solver},
@@ -14,31 +14,41 @@ use crate::{
 pub struct Scene {
     /// Echoed.
     pub request_id: u64,
-    /// Each once.
-    pub hull_ids: Vec<HullId>,
-    /// Per body: index into `hull_ids`.
-    pub body_hulls: Vec<u32>,
+    /// Hulls, bodies, pairs and options.
+    pub setting: Arc<Setting>,
     /// Per body; none where it is not usable.
     pub poses: Vec<Option<Pose>>,
     /// Bodies without a usable pose, ascending.
     pub invalid_bodies: Vec<u32>,
-    /// 2 body indices per pair.
-    pub pairs: Vec<u32>,
     /// Empty, or 6 vertex indices per pair, unchecked.
     pub warm_starts: Vec<u32>,
+}
+
+/// What of a scene a stream's next message may inherit: all but the poses.
+#[derive(Clone, Debug)]
+pub struct Setting {
+    /// Each once.
+    pub hull_ids: Vec<HullId>,
+    /// Per body: index into `hull_ids`.
+    pub body_hulls: Vec<u32>,
+    /// 2 body indices per pair.
+    pub pairs: Vec<u32>,
     /// What is asked of each pair.
     pub query: Query,
     /// What is sent of it.
     pub outputs: Outputs,
 }
 
-/// Checks a `QueryContacts` request.
+/// Checks a request that says everything itself.
 ///
 /// # Errors
 /// The first fault found, naming field and index.
 pub fn scene(request: proto::QueryContactsRequest, limits: &Limits) -> Result<Scene, ServiceError> {
+    if request.inherit {
+        return Err(ServiceError::invalid("FIELD_NOT_ALLOWED", "inherit", "inherit is of streams alone"));
+    }
     let accuracy = request.accuracy.unwrap_or_default();
-    refuse_unimplemented(request.inherit, &accuracy)?;
+    refuse_unimplemented(&accuracy)?;
     refuse_foreign(&request.worlds, "worlds")?;
     refuse_foreign(&request.groups, "groups")?;
     refuse_foreign(&request.ignored_groups, "ignored_groups")?;
@@ -48,8 +58,7 @@ pub fn scene(request: proto::QueryContactsRequest, limits: &Limits) -> Result<Sc
     at_most(request.hull_ids.len(), limits.max_hulls_per_request, "TOO_MANY_HULLS", "hull_ids")?;
     at_most(bodies, limits.max_bodies_per_request, "TOO_MANY_BODIES", "body_hulls")?;
     at_most(pairs, limits.max_pairs_per_request, "TOO_MANY_PAIRS", "pairs")?;
-    has_length(request.positions.len(), 3 * bodies, "positions", "3 per body")?;
-    has_length(request.rotations.len(), 4 * bodies, "rotations", "4 per body")?;
+    pose_lengths(&request, bodies)?;
     has_length(request.pairs.len(), 2 * pairs, "pairs", "2 per pair")?;
     if !request.warm_starts.is_empty() {
         has_length(request.warm_starts.len(), 6 * pairs, "warm_starts", "none or 6 per pair")?;
@@ -65,25 +74,68 @@ pub fn scene(request: proto::QueryContactsRequest, limits: &Limits) -> Result<Sc
         wanted: outputs.wanted(),
     };
     let (poses, invalid_bodies) = poses(&request.positions, &request.rotations);
+    let (body_hulls, pairs) = (request.body_hulls, request.pairs);
     Ok(Scene {
         request_id: request.request_id,
-        hull_ids,
-        body_hulls: request.body_hulls,
+        setting: Arc::new(Setting { hull_ids, body_hulls, pairs, query, outputs }),
         poses,
         invalid_bodies,
-        pairs: request.pairs,
         warm_starts: request.warm_starts,
-        query,
-        outputs,
     })
+}
+
+/// Checks a request that inherits `setting`, and starts from `bases`: it has poses alone.
+///
+/// # Errors
+/// The first fault found, naming the field.
+pub fn inherited(
+    request: proto::QueryContactsRequest,
+    setting: Arc<Setting>,
+    bases: Vec<u32>,
+) -> Result<Scene, ServiceError> {
+    let given = [
+        (!request.hull_ids.is_empty(), "hull_ids"),
+        (!request.body_hulls.is_empty(), "body_hulls"),
+        (!request.pairs.is_empty(), "pairs"),
+        (!request.worlds.is_empty(), "worlds"),
+        (!request.groups.is_empty(), "groups"),
+        (!request.ignored_groups.is_empty(), "ignored_groups"),
+        (request.margin != 0.0, "margin"),
+        (request.accuracy.is_some(), "accuracy"),
+        (!request.outputs.is_empty(), "outputs"),
+        (!request.warm_starts.is_empty(), "warm_starts"),
+    ];
+    if let Some((_, field)) = given.into_iter().find(|(given, _)| *given) {
+        return Err(ServiceError::invalid("FIELD_NOT_ALLOWED", field, format!("{field} is inherited")));
+    }
+    pose_lengths(&request, setting.body_hulls.len())?;
+    let (poses, invalid_bodies) = poses(&request.positions, &request.rotations);
+    Ok(Scene { request_id: request.request_id, setting, poses, invalid_bodies, warm_starts: bases })
+}
+
+fn pose_lengths(request: &proto::QueryContactsRequest, bodies: usize) -> Result<(), ServiceError> {
+    has_length(request.positions.len(), 3 * bodies, "positions", "3 per body")?;
+    has_length(request.rotations.len(), 4 * bodies, "rotations", "4 per body")
+}
+
+impl Setting {
+    /// How many pairs.
+    pub fn pair_count(&self) -> usize {
+        self.pairs.len() / 2
+    }
+
+    /// Bytes that a stream keeps of it and of its bases.
+    pub fn kept_bytes(&self) -> usize {
+        size_of_val(&self.hull_ids[..])
+            + size_of_val(&self.body_hulls[..])
+            + size_of_val(&self.pairs[..])
+            + self.pair_count() * size_of::<[u32; 6]>()
+    }
 }
 
 /// What the contract names and this version does not do refuses the call as a whole:
 /// never is it silently left out.
-fn refuse_unimplemented(inherit: bool, accuracy: &proto::Accuracy) -> Result<(), ServiceError> {
-    if inherit {
-        return Err(ServiceError::unimplemented("inherit", "inherit is not implemented yet"));
-    }
+fn refuse_unimplemented(accuracy: &proto::Accuracy) -> Result<(), ServiceError> {
     if accuracy.precision == proto::Precision::Single as i32 {
         return Err(ServiceError::unimplemented(
             "accuracy.precision",

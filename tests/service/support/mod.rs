@@ -102,7 +102,7 @@ impl TestServer {
 }
 
 /// An error as a client has to understand it: code, reason, and field with index.
-#[derive(Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Refusal {
     pub(crate) code: Code,
     pub(crate) reason: String,
