@@ -1,49 +1,53 @@
-//! Any pair with any options is answered as its certificate says, cold and warm.
+//! Any pair with any options is answered as its certificate says, by both
+//! solvers, cold and warm, and no two answers contradict each other.
 #![no_main]
 
 use hullcast::contact::{
-    Accuracy, Basis, Body, ConvexHull, HullOptions, Pose, Query, Solver, Wanted, Workspace, certificate,
-    contact_manifold,
+    Basis, Body, Manifold, Outcome, Query, Solver, Wanted, Workspace, certificate, contact_manifold,
 };
-use hullcast_fuzz::Bytes;
+use hullcast_fuzz::Scene;
 use libfuzzer_sys::fuzz_target;
 
-fn hull(bytes: &mut Bytes<'_>) -> Option<ConvexHull> {
-    let contraction_point = (bytes.below(4) == 0).then(|| bytes.point());
-    let options = HullOptions { contraction_point, ..HullOptions::default() };
-    ConvexHull::with_options(&bytes.points(24), &options).ok()
-}
+/// Unit roundoff.
+const U: f64 = f64::EPSILON / 2.0;
 
-fn query(bytes: &mut Bytes<'_>) -> Query {
-    let margin = [0.0, f64::INFINITY, 1e-9, 0.01, 1.0][usize::from(bytes.below(5))];
-    let wanted = [Wanted::Points, Wanted::Points, Wanted::Growth, Wanted::Outcome][usize::from(bytes.below(4))];
-    let accuracy = Accuracy {
-        solver: [Solver::Portal, Solver::GjkRayCast][usize::from(bytes.below(2))],
-        relative_tolerance: [0.0, 0.0, 1e-9, 1e-3, 1.0][usize::from(bytes.below(5))],
-        feature_angle: [0.01, 0.0, 0.5][usize::from(bytes.below(3))],
-        max_points: [0, 1, 4][usize::from(bytes.below(3))],
-        max_iterations: [1000, 1000, 1, 5][usize::from(bytes.below(4))],
-    };
-    Query { margin, accuracy, wanted }
-}
-
-fuzz_target!(|data: &[u8]| {
-    let bytes = &mut Bytes(data);
-    let query = query(bytes);
-    let (Some(a), Some(b)) = (hull(bytes), hull(bytes)) else { return };
-    let mut pose = || Pose::new(bytes.point(), bytes.rotation()).ok();
-    let (Some(pose_a), Some(pose_b)) = (pose(), pose()) else { return };
+fuzz_target!(|scene: Scene| {
+    let (Ok(a), Ok(b)) = (scene.hull(0), scene.hull(1)) else { return };
+    let (Ok(pose_a), Ok(pose_b)) = (scene.pose(0), scene.pose(1)) else { return };
     let (a, b) = (Body::new(&a, pose_a), Body::new(&b, pose_b));
     let workspace = &mut Workspace::default();
-    let mut warm: Option<Basis> = None;
-    for _ in 0..2 {
-        let answer = contact_manifold(&a, &b, &query, warm.as_ref(), workspace);
-        // An outcome alone promises no numbers.
-        if query.wanted != Wanted::Outcome
-            && let Err(violation) = certificate::check(&a, &b, &query, answer)
-        {
-            panic!("{violation}\n{query:?}\n{answer:?}\n{a:?}\n{b:?}");
+    let mut first: Option<Manifold> = None;
+    for solver in [Solver::Portal, Solver::GjkRayCast] {
+        let mut query = scene.query;
+        query.accuracy.solver = solver;
+        let [odd_a, odd_b] = [0, 3].map(|i| std::array::from_fn(|k| scene.odd_warm_start[i + k]));
+        let mut warm: Option<Basis> = None;
+        for _ in 0..2 {
+            let answer = contact_manifold(&a, &b, &query, warm.as_ref(), workspace);
+            // An outcome alone promises no numbers.
+            if query.wanted != Wanted::Outcome
+                && let Err(violation) = certificate::check(&a, &b, &query, answer)
+            {
+                panic!("{solver:?}: {violation}\n{answer:?}");
+            }
+            warm = answer.basis.or(Some(Basis { a: odd_a, b: odd_b }));
+            let first = first.get_or_insert_with(|| answer.clone());
+            agree(&scene, [&a, &b], &query, first, answer);
         }
-        warm = answer.basis.or(Some(Basis { a: [0, 1, 2], b: [2, 1, u32::MAX] }));
     }
 });
+
+/// Brackets that have no growth scale in common, and outcomes that no rounding
+/// excuses, cannot both be right.
+fn agree(scene: &Scene, [a, b]: [&Body<'_>; 2], query: &Query, one: &Manifold, other: &Manifold) {
+    let bracket = |m: &Manifold| (m.alpha_lower, m.alpha_upper);
+    let ((low, high), (lower, upper)) = (bracket(one), bracket(other));
+    assert!(low <= upper && lower <= high, "brackets apart: {one:?} {other:?}");
+    let outer = a.hull.circumradius() + b.hull.circumradius();
+    let t: f64 = (0..3).map(|k| (scene.positions[1][k] - scene.positions[0][k]).abs()).sum();
+    let m = t + a.hull.contraction_point().length() + b.hull.contraction_point().length();
+    let band = U * (64.0 * (outer + m) + 16.0 * m);
+    let contact = |m: &Manifold| m.outcome == Outcome::Contact;
+    let apart = |m: &Manifold| m.outcome == Outcome::Separated && m.separation > query.margin + 2.0 * band;
+    assert!(!(contact(one) && apart(other) || apart(one) && contact(other)), "{one:?} {other:?}");
+}

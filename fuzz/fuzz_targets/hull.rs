@@ -2,14 +2,14 @@
 #![no_main]
 
 use hullcast::contact::ConvexHull;
-use hullcast_fuzz::Bytes;
+use hullcast_fuzz::Cloud;
 use libfuzzer_sys::fuzz_target;
 
 #[path = "../../tests/hull/check.rs"]
 mod check;
 
-fuzz_target!(|data: &[u8]| {
-    let points = Bytes(data).points(64);
+fuzz_target!(|cloud: Cloud| {
+    let Cloud(points) = cloud;
     // The check's own predicates underflow beside coordinates of below 2^-280.
     let size = points.iter().flatten().fold(0.0f64, |size, c| size.max(c.abs()));
     let checked = points.iter().flatten().all(|c| *c == 0.0 || c.abs() > 1e-60 * size);

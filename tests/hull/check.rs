@@ -146,7 +146,6 @@ fn check_outlines(hull: &ConvexHull) {
     for face in 0..hull.face_count() {
         let (outline, normal) = (hull.outline(face), hull.face_normals()[face]);
         assert!(outline.len() >= 3);
-        assert!(hull.face_areas()[face] > 0.0);
         let size = normal.abs().to_array();
         let axis = (0..3).fold(0, |best, i| if size[i] > size[best] { i } else { best });
         let flat = |v: u32| {
@@ -159,7 +158,23 @@ fn check_outlines(hull: &ConvexHull) {
             assert!(turn > 0.0, "face {face} is not convex at {i}: {outline:?} {normal:?}");
             assert!(hull.vertex_faces(outline[i] as usize).contains(&(face as u32)));
         }
+        check_area(hull, face);
     }
+}
+
+/// That of the outline as seen along the normal, but for how far its corners are
+/// from one plane and for their rounding. (Of a needle that is thinner than its
+/// vertices' rounding both are all of it, and which way the outline runs about the
+/// face's exact normal is anyone's guess.)
+fn check_area(hull: &ConvexHull, face: usize) {
+    let (outline, normal) = (hull.outline(face), hull.face_normals()[face]);
+    let corners: Vec<DVec3> = outline.iter().map(|&v| hull.vertices()[v as usize]).collect();
+    let sides = || corners.iter().zip(corners.iter().cycle().skip(1));
+    let seen = 0.5 * sides().map(|(a, b)| (a - corners[0]).cross(b - corners[0]).dot(normal)).sum::<f64>();
+    let around: f64 = sides().map(|(a, b)| a.distance(*b)).sum();
+    let slack = around * (hull.face_planarity()[face] + 16.0 * U);
+    let area = hull.face_areas()[face];
+    assert!((area - seen).abs() <= slack && area >= 0.0, "area {area:e} of face {face}, seen {seen:e}");
 }
 
 /// Sorted, each between two faces that hold both its ends, and with the corners

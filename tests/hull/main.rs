@@ -356,3 +356,21 @@ fn heap_bytes_follow_the_counts() {
         assert!((least..=most).contains(&hull.heap_bytes()), "{} of {v} vertices", hull.heap_bytes());
     }
 }
+
+/// Found by fuzzing: of a needle of aspect 4e14 the vertices about the contraction
+/// point are rounded by more than it is thin, so that the outline of a face turned
+/// round about the face's exact normal, and its area was negative.
+#[test]
+fn areas_of_slivers_are_no_less_than_nothing() {
+    let points = [
+        [-2.5579538487363607e-12, 2.6562500000000377, 3.2812500000000466],
+        [3.28125, 3.28125, 3.28125],
+        [3.28125, -2.8125, -395824185999360.0],
+        [3.28125, 3.28125, 3.6875],
+        [-39424.0, -0.53125, 0.5625],
+        [0.0; 3],
+    ];
+    let needle = hull(&points);
+    assert!(needle.circumradius() / needle.inradius() > 1e14);
+    check(&points, &needle, &mut Met::default());
+}

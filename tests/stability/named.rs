@@ -451,3 +451,36 @@ fn nearly_coplanar_points_keep_the_budget() {
         judged(&Case::new([Shape::new(points), cuboid([0.4, 0.3, 0.2])], d, [LEVEL, spin]));
     }
 }
+
+/// Found by fuzzing. Of a hull that is smaller than the roundings of its place the
+/// projected corners coincide, its sides had no direction, and clipping by them
+/// kept the whole of the large face: witnesses as far outside as it is large.
+#[test]
+fn a_hull_smaller_than_rounding_keeps_its_witnesses() {
+    let random = &mut Random(20);
+    let mut faces = 0;
+    for power in (9..40).step_by(3) {
+        let size = 10f64.powi(-power);
+        for round in 0..40 {
+            let points = match round % 3 {
+                0 => box_points([0.5, 0.3, 0.4]),
+                1 => prism_points(5, 0.6, 0.3),
+                _ => vec![[0.7, 0.4, 0.2], [-0.5, -0.4, -0.6], [-0.5, -0.4, 0.2], [0.3, 0.4, 0.2]],
+            };
+            let small = Shape::new(points.iter().map(|&p| scaled(p, size)).collect());
+            let height = 0.5 + size * random.range(-0.2, 0.5);
+            let at = [random.range(-0.9, 0.9), random.range(-0.6, 0.6), height];
+            let rotations = [LEVEL, if round % 2 == 0 { LEVEL } else { random.rotation() }];
+            let large = cuboid([1.0, 0.7, 0.5]);
+            let case = if round % 4 < 2 {
+                Case::new([large, small], at, rotations)
+            } else {
+                Case::new([small, large], at.map(|x| -x), [rotations[1], rotations[0]])
+            };
+            for m in judged(&case) {
+                faces += usize::from(matches!(m.features, Some([Feature::Face(_), Feature::Face(_)])));
+            }
+        }
+    }
+    assert!(faces > 200, "{faces} faces on faces");
+}

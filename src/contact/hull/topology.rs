@@ -41,11 +41,13 @@ pub(super) fn topology(surface: &Surface<'_>, groups: &Groups) -> Option<Topolog
     if (0..groups.planes.len()).any(|face| outlines.row(face).len() < 3) {
         return None;
     }
+    // The length of the vector area: of an outline thinner than its vertices'
+    // rounding the vector itself may point anywhere.
     let area = |face: usize| {
         let corner = |i: usize| surface.vertices[outlines.row(face)[i] as usize];
         let first = corner(0);
         let fan = |i| (corner(i) - first).cross(corner(i + 1) - first);
-        0.5 * (1..outlines.row(face).len() - 1).map(fan).sum::<DVec3>().dot(groups.planes[face].normal)
+        0.5 * (1..outlines.row(face).len() - 1).map(fan).sum::<DVec3>().length()
     };
     let face_areas = (0..groups.planes.len()).map(area).collect();
     let (edge_vertices, edge_faces) = edges.into_iter().unzip();

@@ -66,10 +66,14 @@ impl Intersection {
         self.a.project(pair.a, feature_a, &from_a);
         self.b.project(pair.b, feature_b, &from_b);
         self.planarity = self.a.planarity + self.b.planarity;
+        self.b.set_sides(pair.b, feature_b, &from_b);
+        if self.b.corners.len() <= 2 {
+            self.a.set_sides(pair.a, feature_a, &from_a);
+        }
 
         let eps = pair.merge_distance();
         self.points.clear();
-        overlap::find(&mut self.a, &mut self.b, eps, &mut self.clip, &mut self.points);
+        overlap::find(&self.a, &self.b, eps, &mut self.clip, &mut self.points);
         self.estimated = self.points.is_empty();
         if self.estimated {
             self.points.push(closest::estimate(&self.a, &self.b, eps, &mut self.nearest));

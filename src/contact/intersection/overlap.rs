@@ -9,16 +9,10 @@ use super::outline::{Outline, height_on};
 use crate::contact::manifold::Element;
 
 /// Appends the vertices of the intersection, anticlockwise from the lowest id;
-/// none where the projections miss each other by more than `eps`.
-pub(super) fn find(
-    a: &mut Outline,
-    b: &mut Outline,
-    eps: f64,
-    clip: &mut Clip,
-    points: &mut Vec<PlanePoint>,
-) {
+/// none where the projections miss each other by more than `eps`. What others are
+/// measured against has its sides: B's polygon, else A's, else both.
+pub(super) fn find(a: &Outline, b: &Outline, eps: f64, clip: &mut Clip, points: &mut Vec<PlanePoint>) {
     if b.corners.len() > 2 {
-        b.set_sides();
         clip.clip(a, b, eps);
         points.extend(clip.kept.iter().map(|v| PlanePoint {
             at: v.at,
@@ -27,7 +21,6 @@ pub(super) fn find(
             id: [v.own, v.other],
         }));
     } else if a.corners.len() > 2 {
-        a.set_sides();
         clip.clip(b, a, eps);
         points.extend(clip.kept.iter().map(|v| PlanePoint {
             at: v.at,
@@ -36,8 +29,6 @@ pub(super) fn find(
             id: [coinciding(a, v.at, eps).unwrap_or(v.other), v.own],
         }));
     } else {
-        a.set_sides();
-        b.set_sides();
         thin(a, b, eps, points);
     }
     merge(points, eps);
