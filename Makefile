@@ -59,8 +59,8 @@ test-python: build $(VENV)/.test ## the Python tests, against the real server
 	$(PY) -m pytest client
 
 .PHONY: test-extras
-test-extras: build $(VENV)/.extras ## the Python tests with meshes, plots and data frames
-	$(PY) -m pytest client
+test-extras: build $(VENV)/.extras ## the Python tests that need heavy packages: real robots, decomposition, rerun
+	$(PY) -m pytest client/tests/extras
 
 .PHONY: wheel
 wheel: check-tools $(VENV)/.test ## the Python package with the server in it, optimised for good: target/wheels

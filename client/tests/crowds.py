@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from cases import random_rotation
-from shapes import box, family
+from shapes import box, family, prism
 
 import hullcast
 from hullcast._serve import find_binary
@@ -41,6 +41,18 @@ def crowd(client: hullcast.Client, bodies: int, seed: int = 31) -> hullcast.Scen
     rng = np.random.default_rng(seed)
     shapes = family("box", 3, rng) + family("poly16", 3, rng)
     return crowd_of(client.register([shape.vertices for shape in shapes]), bodies, rng)
+
+
+def make_pile(client: hullcast.Client) -> hullcast.Scene:
+    """A prism and a turned box on a slab, and a box that touches nothing."""
+    shapes = [box((1.5, 1.5, 0.2)), prism(6, 0.5, 0.4), box((0.4, 0.3, 0.3)), box((0.2, 0.2, 0.2))]
+    hulls = client.register([shape.vertices for shape in shapes])
+    turn = [0, 0, np.sin(0.3), np.cos(0.3)]
+    return hullcast.Scene(
+        hulls,
+        [[0, 0, 0], [-0.6, 0, 0.595], [0.6, 0.1, 0.51], [0, 0, 2]],
+        [[0, 0, 0, 1], [0, 0, 0, 1], turn, turn],
+    )
 
 
 def expect_same(a: hullcast.Manifolds, b: hullcast.Manifolds) -> None:

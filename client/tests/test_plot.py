@@ -4,29 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from crowds import CUBE
+from crowds import CUBE, make_pile
 
 import hullcast
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("scipy")
 
-from shapes import box, prism
+from shapes import prism
 
-from hullcast import _plot
+from hullcast import _drawing
 
 
 @pytest.fixture
 def pile(client):
-    """A prism and a turned box on a slab, and a box that touches nothing."""
-    shapes = [box((1.5, 1.5, 0.2)), prism(6, 0.5, 0.4), box((0.4, 0.3, 0.3)), box((0.2, 0.2, 0.2))]
-    hulls = client.register([shape.vertices for shape in shapes])
-    turn = [0, 0, np.sin(0.3), np.cos(0.3)]
-    return hullcast.Scene(
-        hulls,
-        [[0, 0, 0], [-0.6, 0, 0.595], [0.6, 0.1, 0.51], [0, 0, 2]],
-        [[0, 0, 0, 1], [0, 0, 0, 1], turn, turn],
-    )
+    """A scene of four bodies."""
+    return make_pile(client)
 
 
 def test_a_pile_is_drawn(client, pile, tmp_path):
@@ -54,8 +47,8 @@ def test_a_body_without_a_pose_is_left_out(client, pile):
 
 def test_only_real_edges_are_drawn():
     """A box has 12, a hexagonal prism 18: not the diagonals of their faces."""
-    assert len(_plot._surface(CUBE)[1]) == 12
-    assert len(_plot._surface(prism(6, 0.5, 0.4).vertices)[1]) == 18
+    assert len(_drawing.surface(CUBE)[1]) == 12
+    assert len(_drawing.surface(prism(6, 0.5, 0.4).vertices)[1]) == 18
 
 
 def test_poses_are_those_of_scipy():
@@ -64,7 +57,7 @@ def test_poses_are_those_of_scipy():
 
     turn = Rotation.random(rng=np.random.default_rng(91))
     position = np.array([1.0, -2, 3])
-    assert _plot._world(CUBE, position, turn.as_quat()) == pytest.approx(
+    assert _drawing.world(CUBE, position, turn.as_quat()) == pytest.approx(
         turn.apply(CUBE) + position
     )
 

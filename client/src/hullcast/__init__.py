@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from . import aio
     from ._arrays import from_wxyz
     from ._client import Client, connect
+    from ._decompose import decompose
     from ._errors import (
         DeadlineExceeded,
         Error,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from ._hulls import Hull, hull_id
     from ._manifolds import Manifold, Manifolds
     from ._query import Accuracy
+    from ._robot import Robot
     from ._scene import Scene
     from ._serve import serve
     from ._wire import FeatureKind, Flag, Outcome
@@ -60,6 +62,7 @@ __all__ = [
     "OutputNotAsked",
     "Padded",
     "ResourceExhausted",
+    "Robot",
     "Scene",
     "ServerDidNotStart",
     "ServerError",
@@ -70,6 +73,7 @@ __all__ = [
     "__version__",
     "aio",
     "connect",
+    "decompose",
     "from_wxyz",
     "hull_id",
     "serve",
@@ -80,6 +84,7 @@ __all__ = [
 _HOMES = {
     "_arrays": ["from_wxyz"],
     "_client": ["Client", "connect"],
+    "_decompose": ["decompose"],
     "_errors": [
         "DeadlineExceeded",
         "Error",
@@ -99,6 +104,7 @@ _HOMES = {
     "_hulls": ["Hull", "hull_id"],
     "_manifolds": ["Manifold", "Manifolds"],
     "_query": ["Accuracy"],
+    "_robot": ["Robot"],
     "_scene": ["Scene"],
     "_serve": ["serve"],
     "_wire": ["FeatureKind", "Flag", "Outcome"],

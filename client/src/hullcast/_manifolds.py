@@ -236,17 +236,53 @@ class Manifolds:
         """
         from . import _plot
 
+        shown, bodies, scene = self._drawn(pairs)
+        return _plot.picture(bodies, shown.normal, shown._drawn_points(), scene, path)
+
+    def log(
+        self,
+        path: str = "hullcast",
+        *,
+        pairs: npt.ArrayLike | None = None,
+        hulls: bool = True,
+        recording: Any = None,
+    ) -> None:
+        """Writes bodies and contacts into a rerun recording (extra `rerun`).
+
+        Hulls, their patches' outlines, normals (labelled with the pair's bodies) and
+        witness pairs, the points red where they overlap, blue where they are apart.
+        The same path again, at another time of the recording, shows the next step.
+        Needs the outputs NORMAL and POINTS.
+
+        Args:
+            path: the entity under which all is written.
+            pairs: indices of the pairs to write; by default all.
+            hulls: whether to write the bodies' hulls and not their poses alone; in
+                a loop the first step does for all.
+            recording: a `rerun.RecordingStream`; by default the current one.
+        """
+        from . import _rerun
+
+        shown, bodies, scene = self._drawn(pairs)
+        points = shown._drawn_points()
+        _rerun.log(bodies, shown.pairs, shown.normal, points, scene, path, hulls, recording)
+
+    def _drawn(
+        self, pairs: npt.ArrayLike | None
+    ) -> tuple[Manifolds, npt.NDArray[np.uint32], Scene]:
+        """The pairs to draw, their bodies that have a pose, and the scene."""
         if self.scene is None:
             raise InvalidArgument("a loaded answer has no scene", reason="NO_SCENE", field="scene")
         shown = self if pairs is None else self[np.asarray(pairs)]
-        points = {
-            "point_counts": shown.point_counts,
-            "witness_as": shown.witness_a,
-            "witness_bs": shown.witness_b,
-            "distances": shown.distance,
+        return shown, np.setdiff1d(shown.pairs, self.invalid_bodies), self.scene
+
+    def _drawn_points(self) -> _export.Columns:
+        return {
+            "point_counts": self.point_counts,
+            "witness_as": self.witness_a,
+            "witness_bs": self.witness_b,
+            "distances": self.distance,
         }
-        bodies = np.setdiff1d(shown.pairs, self.invalid_bodies)
-        return _plot.picture(bodies, shown.normal, points, self.scene, path)
 
     def __iter__(self) -> Iterator[Manifold]:
         return (Manifold(self, i) for i in range(len(self)))

@@ -124,12 +124,17 @@ def _welded(points: Floats) -> npt.NDArray[np.int64]:
             return number
 
 
+def fills(mesh: Volume, hull_volume: float) -> bool:
+    """Whether a mesh is as good as its convex hull: closed, and of its volume."""
+    # A mesh turned inside out is no less convex.
+    return mesh.open_edges == 0 and abs(mesh.volume) >= CONVEX_RATIO * hull_volume
+
+
 def warn_unless_convex(name: str, mesh: Volume, hull_volume: float) -> None:
     """Says so where a hull is not what the mesh is."""
-    # A mesh turned inside out is no less convex.
-    ratio = abs(mesh.volume) / hull_volume
-    if mesh.open_edges == 0 and ratio >= CONVEX_RATIO:
+    if fills(mesh, hull_volume):
         return
+    ratio = abs(mesh.volume) / hull_volume
     if mesh.open_edges:
         what = f"is not watertight ({mesh.open_edges} open edges)"
     else:

@@ -7,13 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from . import _drawing
 from ._arrays import Floats
-from ._errors import InvalidArgument
 from ._export import Columns
 from ._scene import Scene
 
-#: Cosine of the angle within which faces that meet in an edge are drawn as one.
-_FLAT = 1 - 1e-6
 _HULL_COLOURS = ("#8fa3b8", "#b8a98f", "#9db88f", "#b88fa6", "#8fb8b5", "#a08fb8")
 
 
@@ -68,16 +66,9 @@ def _draw_body(axes: Any, scene: Scene, body: int) -> Floats:
     """Draws a body's hull, and returns its corners in the world."""
     from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-    content = scene.contents[scene.body_hulls[body]]
-    if content is None:
-        raise InvalidArgument(
-            "the scene was made with this body's hull id alone, without its points",
-            reason="NO_GEOMETRY",
-            field="hulls",
-            index=int(scene.body_hulls[body]),
-        )
-    vertices = _world(content.points, scene.positions[body], scene.rotations[body])
-    triangles, edges = _surface(vertices)
+    points = _drawing.points_of(scene, body)
+    vertices = _drawing.world(points, scene.positions[body], scene.rotations[body])
+    triangles, edges = _drawing.surface(vertices)
     colour = _HULL_COLOURS[body % len(_HULL_COLOURS)]
     axes.add_collection3d(
         Poly3DCollection(vertices[triangles], facecolor=colour, alpha=0.18, zorder=1)
@@ -88,30 +79,6 @@ def _draw_body(axes: Any, scene: Scene, body: int) -> Floats:
     used = np.unique(triangles)
     axes.text(*vertices[used].mean(axis=0), str(body), color="#404040", zorder=6)
     return vertices[used]
-
-
-def _world(points: Floats, position: Floats, rotation: Floats) -> Floats:
-    """Points of the hull's frame in the world."""
-    x, y, z, w = rotation / np.linalg.norm(rotation)
-    axis = np.array([x, y, z])
-    turned = points + 2 * np.cross(axis, np.cross(axis, points) + w * points)
-    return turned + position
-
-
-def _surface(vertices: Floats) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles of the hull, and the edges between those that are not in one plane."""
-    try:
-        from scipy.spatial import ConvexHull
-    except ImportError as error:
-        raise ImportError("plot needs scipy: pip install 'hullcast[plot]'") from error
-    hull = ConvexHull(vertices)
-    triangles, normals = hull.simplices, hull.equations[:, :3]
-    edges: list[list[int]] = []
-    for i, neighbours in enumerate(hull.neighbors):
-        for opposite, j in enumerate(neighbours):
-            if i < j and normals[i] @ normals[j] < _FLAT:
-                edges.append([int(v) for k, v in enumerate(triangles[i]) if k != opposite])
-    return triangles, np.array(edges, dtype=np.int64).reshape(-1, 2)
 
 
 def _draw_contacts(axes: Any, normals: Floats, points: Columns, colour: Any, size: float) -> None:
@@ -126,7 +93,7 @@ def _draw_contacts(axes: Any, normals: Floats, points: Columns, colour: Any, siz
         patch = (a[start:end] + b[start:end]) / 2
         middle = patch.mean(axis=0)
         if end - start > 2:
-            ring = patch[_around(patch - middle, normal)]
+            ring = patch[_drawing.around(patch - middle, normal)]
             shade = colour.to_rgba(distances[start:end].mean(), alpha=0.55)
             axes.add_collection3d(Poly3DCollection([ring], facecolor=shade, zorder=3))
         axes.quiver(*middle, *normal, length=0.12 * size, color="#202020", linewidth=1.2, zorder=5)
@@ -134,13 +101,6 @@ def _draw_contacts(axes: Any, normals: Floats, points: Columns, colour: Any, siz
     axes.add_collection3d(Line3DCollection(np.stack([a, b], axis=1), colors=shades, zorder=4))
     for side, marker in ((a, "o"), (b, "^")):
         axes.scatter(*side.T, c=shades, marker=marker, s=14, depthshade=False, zorder=4)
-
-
-def _around(offsets: Floats, normal: Floats) -> np.ndarray:
-    """The order of a convex polygon's corners about its normal."""
-    first = np.eye(3)[np.argmin(np.abs(normal))]
-    x = np.cross(normal, first)
-    return np.argsort(np.arctan2(offsets @ np.cross(normal, x), offsets @ x))
 
 
 def _frame(axes: Any, corners: Floats) -> None:

@@ -45,7 +45,7 @@ class Registration:
             raise InvalidArgument(
                 "register takes a list of files", reason="NOT_A_LIST", field="hulls"
             )
-        shapes = [_shape(hull) for hull in hulls]
+        shapes = [shape_of(hull) for hull in hulls]
         if contraction_points is None:
             contraction_points = [None] * len(shapes)
         if len(contraction_points) != len(shapes):
@@ -121,7 +121,7 @@ class Registration:
         raise error
 
 
-def _shape(hull: Any) -> Any:
+def shape_of(hull: Any) -> Any:
     """What has the points: a mesh file's mesh, else the thing itself."""
     return _mesh.load(hull) if isinstance(hull, (str, os.PathLike)) else hull
 

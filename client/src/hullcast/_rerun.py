@@ -1,0 +1,114 @@
+"""Bodies and their contacts in a rerun recording."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from . import _drawing
+from ._arrays import Floats
+from ._export import Columns
+from ._scene import Scene
+
+#: Of overlapping, touching and distant points.
+_COLOURS = np.array([[180, 4, 38], [221, 221, 221], [59, 76, 192]], dtype=float)
+_BODY = (143, 163, 184, 90)
+_EDGE = (110, 125, 145)
+_NORMAL = (32, 32, 32)
+
+
+def log(
+    bodies: Any,
+    pairs: Any,
+    normals: Floats,
+    points: Columns,
+    scene: Scene,
+    path: str,
+    hulls: bool,
+    recording: Any,
+) -> None:
+    """Writes what `Manifolds.log` says.
+
+    Args:
+        bodies: those to write.
+        pairs: (n, 2), `normals` (n, 3), `points` as for `_plot.picture`.
+        scene: the bodies' hulls and poses.
+        path: the entity above all that is written.
+        hulls: whether their shapes are written.
+        recording: a `rerun.RecordingStream`, or None for the current one.
+    """
+    try:
+        import rerun
+    except ImportError as error:
+        raise ImportError("log needs rerun: pip install 'hullcast[rerun]'") from error
+    to = {"recording": recording}
+    for body in bodies:
+        entity = f"{path}/bodies/{int(body)}"
+        turn = rerun.Quaternion(xyzw=scene.rotations[body])
+        pose = rerun.Transform3D(translation=scene.positions[body], quaternion=turn)
+        rerun.log(entity, pose, **to)
+        if hulls:
+            _log_hull(rerun, entity, _drawing.points_of(scene, int(body)), to)
+    a, b, distances = points["witness_as"], points["witness_bs"], points["distances"]
+    ends = np.cumsum(points["point_counts"])
+    starts = ends - points["point_counts"]
+    touching = np.flatnonzero(points["point_counts"])
+    middles = (a + b) / 2
+    patches, arrows = list[Floats](), list[Floats]()
+    for pair in touching:
+        patch = middles[starts[pair] : ends[pair]]
+        arrows.append(patch.mean(axis=0))
+        if len(patch) > 2:
+            ring = patch[_drawing.around(patch - arrows[-1], normals[pair])]
+            patches.append(np.concatenate([ring, ring[:1]]))
+    shades = colours(distances)
+    size = _size(scene, bodies)
+    # An empty one takes away what an earlier step left.
+    above = f"{path}/contacts"
+    rerun.log(f"{above}/patches", rerun.LineStrips3D(patches, radii=0.002 * size), **to)
+    rerun.log(
+        f"{above}/normals",
+        rerun.Arrows3D(
+            origins=np.array(arrows).reshape(-1, 3),
+            vectors=0.12 * size * normals[touching],
+            colors=_NORMAL,
+            radii=0.003 * size,
+            labels=[f"{p[0]}, {p[1]}" for p in pairs[touching]],
+            show_labels=False,
+        ),
+        **to,
+    )
+    witnesses = rerun.LineStrips3D(np.stack([a, b], axis=1), colors=shades, radii=0.002 * size)
+    rerun.log(f"{above}/witnesses", witnesses, **to)
+    for name, side in (("points_a", a), ("points_b", b)):
+        dots = rerun.Points3D(side, colors=shades, radii=0.006 * size)
+        rerun.log(f"{above}/{name}", dots, **to)
+
+
+def colours(distances: Floats) -> np.ndarray:
+    """(p, 3) uint8: red overlapping, grey touching, blue apart, as strong as deep or far."""
+    reach = float(np.abs(distances).max(initial=0.0)) or 1.0
+    return np.stack(
+        [np.interp(distances / reach, [-1, 0, 1], channel) for channel in _COLOURS.T], axis=-1
+    ).astype(np.uint8)
+
+
+def _log_hull(rerun: Any, entity: str, points: Floats, to: dict[str, Any]) -> None:
+    """Once for all times, in its own frame."""
+    triangles, edges = _drawing.surface(points)
+    hull = rerun.Mesh3D(vertex_positions=points, triangle_indices=triangles, albedo_factor=_BODY)
+    rerun.log(f"{entity}/hull", hull, static=True, **to)
+    lines = rerun.LineStrips3D(points[edges], colors=_EDGE)
+    rerun.log(f"{entity}/edges", lines, static=True, **to)
+
+
+def _size(scene: Scene, bodies: Any) -> float:
+    """How large the picture's strokes are to be: that of the bodies together."""
+    corners = [
+        _drawing.world(
+            _drawing.points_of(scene, int(body)), scene.positions[body], scene.rotations[body]
+        )
+        for body in bodies
+    ]
+    return float(np.ptp(np.concatenate(corners), axis=0).max()) if corners else 1.0

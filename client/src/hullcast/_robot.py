@@ -1,0 +1,271 @@
+"""Robots from URDF files: collision shapes, where joints put them, which may meet."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _arrays, _decompose, _mesh, _urdf
+from ._arrays import Floats, Indices
+from ._errors import InvalidArgument
+from ._hulls import Hull
+from ._scene import Scene
+from ._urdf import Joint
+
+
+class Robot:
+    """The collision geometry of a URDF as convex bodies, and where its joints put them.
+
+        robot = hullcast.Robot("panda.urdf")
+        scene = robot.scene(client.register(robot.shapes), {"panda_joint4": -2.0})
+        m = client.query(scene, robot.pairs, margin=0.01)
+
+    Each collision element is a body; a mesh that is not convex becomes several,
+    its pieces. Bodies of one link never meet, nor those of links that ignore each
+    other: links joined by fixed joints, and neighbours in the tree (links without
+    collision geometry are passed over), since joints overlap. Metres and radians,
+    as in URDF.
+
+    Args:
+        urdf: the file. Needs the extra `robot`.
+        packages: folders in which `package://name/...` is looked for as `name/...`,
+            before ROS_PACKAGE_PATH and the folders that the file is in.
+        srdf: an SRDF file; links that its `disable_collisions` names ignore each other.
+        ignored: further pairs of names of links that ignore each other.
+        decompose: whether meshes that are not convex, or not closed, are
+            decomposed (extra `decompose`). If not, registering them takes their
+            convex hulls, with a `NotConvexWarning` each.
+        threshold, cache: of the decomposition, as in `hullcast.decompose`.
+
+    Raises:
+        InvalidArgument: NOT_A_ROBOT, no tree of links and joints; UNSUPPORTED_JOINT,
+            a floating or planar one; UNKNOWN_LINK, in `ignored`.
+        FileNotFoundError: the file, or a mesh that it names.
+        ImportError: an extra is not installed.
+    """
+
+    def __init__(
+        self,
+        urdf: str | os.PathLike[str],
+        *,
+        packages: _urdf.Paths = (),
+        srdf: str | os.PathLike[str] | None = None,
+        ignored: Iterable[tuple[str, str]] = (),
+        decompose: bool = True,
+        threshold: float = 0.05,
+        cache: str | os.PathLike[str] | None = None,
+    ) -> None:
+        model = _urdf.read(urdf, packages)
+        self._model = model
+        free = [joint for joint in model.joints if joint.is_free]
+        self.name: str = model.name
+        #: Names of the links.
+        self.links: tuple[str, ...] = model.links
+        #: Names of the joints that have a value: movable, and mimicking no other.
+        self.joints: tuple[str, ...] = tuple(joint.name for joint in free)
+        #: (joints, 2): lowest and highest value; infinite where there is no limit.
+        self.limits: Floats = np.array([joint.limits for joint in free]).reshape(-1, 2)
+        bodies = [
+            (link, piece)
+            for link, shape in model.shapes
+            for piece in (_pieces(shape, threshold, cache) if decompose else [shape])
+        ]
+        #: Per body what `Client.register` takes, in its link's frame: points (k, 3),
+        #: or a mesh. Cylinders are prisms of 32 sides, spheres polyhedra of 162
+        #: vertices, both inscribed.
+        self.shapes: list[Any] = [piece for _, piece in bodies]
+        #: (bodies,): per body its link, an index into `links`.
+        self.body_links: npt.NDArray[np.intp] = np.array([link for link, _ in bodies], np.intp)
+        #: (bodies,): per body its link's group, as `Scene` takes them.
+        self.groups: Indices = (self.body_links + 1).astype("<u4")
+        disabled = [] if srdf is None else list(_urdf.disabled(srdf))
+        known = [pair for pair in disabled if set(pair) <= set(self.links)]
+        silent = _ignoring(model, set(self.body_links.tolist()), [*known, *ignored])
+        #: (k, 2): groups of links that ignore each other, as `Scene` takes them.
+        self.ignored_groups: Indices = np.array(sorted(silent), "<u4").reshape(-1, 2) + 1
+        #: (m, 2): all pairs of bodies that may meet, as `Client.query` takes them.
+        self.pairs: Indices = np.array(
+            [
+                (i, j)
+                for i, j in itertools.combinations(range(len(bodies)), 2)
+                if bodies[i][0] != bodies[j][0]
+                and _sorted(bodies[i][0], bodies[j][0]) not in silent
+            ],
+            dtype="<u4",
+        ).reshape(-1, 2)
+
+    def __len__(self) -> int:
+        return len(self.shapes)
+
+    def __repr__(self) -> str:
+        used = len(set(self.body_links.tolist()))
+        return f"Robot({self.name}: {len(self)} bodies of {used} links, {len(self.joints)} joints)"
+
+    def poses(self, joints: Any = None, *, base: Any = None) -> Floats:
+        """Where the joints put the bodies.
+
+        Args:
+            joints: values in the order of `joints`, (joints,), or (k, joints) for k
+                configurations; or a mapping from names to a value or (k,), others
+                staying at 0. None: all 0. Where 0 is beyond a joint's limits the
+                nearer limit is meant.
+            base: (4, 4) or (k, 4, 4): pose of the root link in the world.
+
+        Returns:
+            (bodies, 4, 4), or (k, bodies, 4, 4): world poses of the bodies' frames,
+            which are their links'.
+
+        Raises:
+            InvalidArgument: a shape that does not fit, or UNKNOWN_JOINT.
+        """
+        values, several = self._values(joints)
+        roots = np.eye(4) if base is None else np.asarray(base, dtype="<f8")
+        if roots.shape[-2:] != (4, 4) or roots.ndim not in (2, 3):
+            raise InvalidArgument(
+                f"expected shape (4, 4) or (k, 4, 4), got {roots.shape}",
+                reason="WRONG_SHAPE",
+                field="base",
+            )
+        several = several or roots.ndim == 3
+        count = len(roots) if roots.ndim == 3 and len(values) == 1 else len(values)
+        values = np.broadcast_to(values, (count, len(self.joints)))
+        if roots.ndim == 3 and len(roots) != count:
+            raise InvalidArgument(
+                f"{len(roots)} for {count} configurations", reason="LENGTH_MISMATCH", field="base"
+            )
+        of = np.zeros((len(self.links), count, 4, 4))
+        of[self._model.root] = roots
+        for joint in self._model.ordered:
+            of[joint.child] = of[joint.parent] @ joint.origin @ self._motion(joint, values)
+        result = of[self.body_links].swapaxes(0, 1)
+        return np.ascontiguousarray(result if several else result[0])
+
+    def scene(
+        self, hulls: Sequence[Hull | bytes], joints: Any = None, *, base: Any = None
+    ) -> Scene:
+        """The robot's bodies in a scene.
+
+        Of k configurations, k copies in worlds of their own: bodies `i * len(robot)`
+        to `(i + 1) * len(robot)` are copy i's, whose pairs are `pairs + i * len(robot)`.
+
+        Args:
+            hulls: of `shapes`, as `Client.register` returned them.
+            joints, base: as in `poses`.
+        """
+        if len(hulls) != len(self):
+            raise InvalidArgument(
+                f"{len(hulls)} for {len(self)} shapes", reason="LENGTH_MISMATCH", field="hulls"
+            )
+        poses = self.poses(joints, base=base)
+        copies = len(poses) if poses.ndim == 4 else 1
+        return Scene(
+            hulls,
+            poses.reshape(-1, 4, 4),
+            body_hulls=np.tile(np.arange(len(self)), copies),
+            worlds=np.repeat(np.arange(copies), len(self)),
+            groups=np.tile(self.groups, copies),
+            ignored_groups=self.ignored_groups,
+        )
+
+    def _values(self, joints: Any) -> tuple[Floats, bool]:
+        """(k, joints), and whether the caller gave several configurations."""
+        rest = np.clip(0.0, self.limits[:, 0], self.limits[:, 1])
+        if joints is None:
+            return rest[None], False
+        if not isinstance(joints, Mapping):
+            values = np.asarray(joints, dtype="<f8")
+            several = values.ndim == 2
+            return _arrays.floats("joints", np.atleast_2d(values), None, len(self.joints)), several
+        columns = {str(name): np.asarray(value, "<f8") for name, value in joints.items()}
+        lengths = {column.shape for column in columns.values() if column.ndim}
+        if len(lengths) > 1 or any(len(shape) > 1 for shape in lengths):
+            raise InvalidArgument(
+                f"values of shapes {sorted(lengths)}", reason="WRONG_SHAPE", field="joints"
+            )
+        values = np.tile(rest, (next(iter(lengths), (1,))[0], 1))
+        for name, column in columns.items():
+            if name not in self.joints:
+                raise InvalidArgument(
+                    f"{name!r} is none of {', '.join(self.joints)}",
+                    reason="UNKNOWN_JOINT",
+                    field="joints",
+                )
+            values[:, self.joints.index(name)] = column
+        return values, bool(lengths)
+
+    def _motion(self, joint: Joint, values: Floats) -> Floats:
+        """(k, 4, 4): what the joint's values do."""
+        motion = np.tile(np.eye(4), (len(values), 1, 1))
+        if joint.is_fixed:
+            return motion
+        value = joint.factor * values[:, self.joints.index(joint.mimics or joint.name)]
+        value = value + joint.offset
+        if joint.kind == "prismatic":
+            motion[:, :3, 3] = value[:, None] * joint.axis
+            return motion
+        # Rodrigues: 1 + sin K + (1 - cos) K^2, K the cross product with the axis.
+        x, y, z = joint.axis
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        # 1 - cos without cancellation.
+        turned = np.sin(value)[:, None, None] * cross
+        turned = turned + (2 * np.sin(value / 2) ** 2)[:, None, None] * (cross @ cross)
+        motion[:, :3, :3] += turned
+        return motion
+
+
+def _pieces(shape: Any, threshold: float, cache: str | os.PathLike[str] | None) -> list[Any]:
+    """The shape, or its convex pieces where it is a mesh that is not convex."""
+    if not isinstance(shape, _mesh.Mesh) or _decompose.is_convex(shape.vertices, shape.faces):
+        return [shape]
+    return list(_decompose.decompose(shape, threshold=threshold, cache=cache))
+
+
+def _sorted(a: int, b: int) -> tuple[int, int]:
+    return (a, b) if a <= b else (b, a)
+
+
+def _ignoring(
+    model: _urdf.Model, used: set[int], named: Iterable[tuple[str, str]]
+) -> set[tuple[int, int]]:
+    """Pairs of links with bodies that ignore each other."""
+    part = list(range(len(model.links)))
+    above: dict[int, int] = {}
+    for joint in model.ordered:
+        if joint.is_fixed:
+            part[joint.child] = part[joint.parent]
+        else:
+            above[joint.child] = joint.parent
+    solid = {part[link] for link in used}
+    silent: set[tuple[int, int]] = set()
+    for a, b in itertools.combinations(sorted(used), 2):
+        p, q = part[a], part[b]
+        if (
+            p == q
+            or q == _next_solid(p, part, above, solid)
+            or p == _next_solid(q, part, above, solid)
+        ):
+            silent.add((a, b))
+    for names in named:
+        for name in names:
+            if name not in model.links:
+                raise InvalidArgument(
+                    f"{name!r} is no link", reason="UNKNOWN_LINK", field="ignored"
+                )
+        a, b = (model.links.index(name) for name in names)
+        if a != b and a in used and b in used:
+            silent.add(_sorted(a, b))
+    return silent
+
+
+def _next_solid(part: int, parts: Sequence[int], above: Mapping[int, int], solid: set[int]) -> int:
+    """The nearest part up the tree that has bodies; -1 where there is none."""
+    while part in above:
+        part = parts[above[part]]
+        if part in solid:
+            return part
+    return -1
