@@ -137,9 +137,11 @@ fn bracket(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), 
     }
     at_most("width of the bracket", alpha_upper - alpha_lower, alpha_upper * tolerance + 2.0 * noise)?;
     at_most("optimality gap of the normal", alpha - growth, alpha * tolerance + noise)?;
-    // A solver that stops early may stop before it has a basis.
-    let early =
-        query.accuracy.relative_tolerance > 0.0 || manifold.iterations >= query.accuracy.max_iterations;
+    // A solver that stops early may stop before it has a basis, and so may one for
+    // hulls so thin that rounding alone leaves alpha open by as much as it is.
+    let early = query.accuracy.relative_tolerance > 0.0
+        || tolerance >= 1.0
+        || manifold.iterations >= query.accuracy.max_iterations;
     let without = if early { 0.0 } else { f64::INFINITY };
     let shown = manifold.basis.as_ref().map_or(without, |basis| shown_upper(scene, basis));
     at_most("what the basis shows above the upper end of the bracket", shown, alpha_upper)

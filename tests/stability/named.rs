@@ -484,3 +484,34 @@ fn a_hull_smaller_than_rounding_keeps_its_witnesses() {
     }
     assert!(faces > 200, "{faces} faces on faces");
 }
+
+/// Found by fuzzing. Within the merge distance of both sides of a sharp corner is
+/// as far beyond the corner as it is sharp: a face that ends there was touched by
+/// what only comes near its tip.
+#[test]
+fn nothing_touches_beyond_a_sharp_corner() {
+    let (mut estimated, mut touching) = (0, 0);
+    for power in 1..=8 {
+        let half = 10f64.powi(-power);
+        let tip = [[0.0, 0.0], [1.0, half], [1.0, -half]];
+        let wedge = Shape::new([0.0, 0.2].iter().flat_map(|&z| tip.map(|[x, y]| [x, y, z])).collect());
+        // A corner that points at the tip.
+        let rotation = turn([0.0, 0.0, 1.0], std::f64::consts::FRAC_PI_4);
+        let reach = 1e-15 / half;
+        for gap in [-0.1, -3.0 * reach, 0.0, 3.0 * reach, 8.0 * reach, 1e-5] {
+            for (height, order) in [(0.3, [0, 1]), (0.30001, [0, 1]), (0.3, [1, 0]), (0.30001, [1, 0])] {
+                let cube = cuboid([0.1; 3]);
+                let centre = [-gap - 0.1 * 2f64.sqrt(), 0.0, height];
+                let (shapes, at) = ([cube, wedge.clone()], [centre, [0.0; 3]]);
+                let mut case = Case::new(order.map(|i| shapes[i].clone()), [0.0; 3], [LEVEL; 2]);
+                case.positions = order.map(|i| at[i]);
+                case.rotations = order.map(|i| [rotation, LEVEL][i]);
+                for m in judged(&case) {
+                    estimated += usize::from(m.flags.estimated);
+                    touching += usize::from(!m.flags.estimated);
+                }
+            }
+        }
+    }
+    assert!(estimated > 100 && touching > 100, "{estimated} estimated, {touching} touching");
+}

@@ -3,7 +3,8 @@
 //!
 //! A side of the window cuts where the subject passes from more than `eps`
 //! inside to more than `eps` outside; a vertex within `eps` of the side's line is
-//! on it, and stands for the crossing itself.
+//! on it, and stands for the crossing itself. Within `eps` of both sides of a
+//! sharp corner may be far beyond the corner: there it is cut off.
 
 use glam::DVec2;
 
@@ -55,13 +56,18 @@ impl Clip {
             other: Element::Inside,
             line: Line::Own(i),
         }));
+        let mut on_line = false;
         for j in 0..window.sides.len() {
-            self.cut(subject, window, j as u32, eps);
+            on_line |= self.cut(subject, window, j as u32, eps);
+        }
+        if on_line {
+            self.cut_corners(subject, window, eps);
         }
     }
 
-    /// Cuts by side `j` of the window.
-    fn cut(&mut self, subject: &Outline, window: &Outline, j: u32, eps: f64) {
+    /// Cuts by side `j` of the window; whether a vertex outside by no more than
+    /// `eps` stays.
+    fn cut(&mut self, subject: &Outline, window: &Outline, j: u32, eps: f64) -> bool {
         let Self { kept, next, distances } = self;
         let side = window.sides[j as usize];
         distances.clear();
@@ -73,10 +79,11 @@ impl Clip {
             distance
         }));
         if least >= -eps {
-            return;
+            return least < 0.0;
         }
         next.clear();
         let closed = kept.len() > 2;
+        let mut stays = false;
         for (i, &p) in kept.iter().enumerate() {
             let last = i + 1 == kept.len();
             let following = if last { 0 } else { i + 1 };
@@ -84,6 +91,7 @@ impl Clip {
             let goes_on = closed || !last;
             let leaves = to < -eps && goes_on;
             if from >= -eps {
+                stays |= from < 0.0;
                 let on_line = leaves && from <= eps;
                 next.push(if on_line { Vertex { line: Line::Window(j), ..p } } else { p });
             }
@@ -95,8 +103,49 @@ impl Clip {
             }
         }
         std::mem::swap(kept, next);
+        stays
+    }
+
+    /// Cuts what is more than `eps` beyond a sharp corner, across the corner.
+    fn cut_corners(&mut self, subject: &Outline, window: &Outline, eps: f64) {
+        let Self { kept, next, .. } = self;
+        let mut before = window.sides.len() - 1;
+        for (j, corner) in window.corners.iter().enumerate() {
+            let inward = window.sides[before].inward + window.sides[j].inward;
+            before = j;
+            // Of sides at right angles and wider ones `eps` is near the corner itself.
+            if !(inward.length_squared() < SHARP) {
+                continue;
+            }
+            let inward = inward.normalize_or_zero();
+            let beyond = |v: &Vertex| inward.dot(v.at - corner.at) < -eps;
+            if !kept.iter().any(beyond) {
+                continue;
+            }
+            next.clear();
+            let all = kept.iter().all(beyond);
+            for (i, v) in kept.iter().enumerate().filter(|_| !all) {
+                if !beyond(v) {
+                    next.push(*v);
+                } else if !beyond(&kept[if i == 0 { kept.len() - 1 } else { i - 1 }]) {
+                    next.push(Vertex {
+                        at: corner.at,
+                        own_height: subject.height(corner.at),
+                        own: Element::Inside,
+                        other_height: corner.height,
+                        other: Element::Vertex(corner.vertex),
+                        line: Line::Window(j as u32),
+                    });
+                }
+            }
+            std::mem::swap(kept, next);
+        }
     }
 }
+
+/// Square of the sum of the unit inward directions of a corner's sides: 2 at a
+/// right angle.
+const SHARP: f64 = 1.999;
 
 /// Where the outline, on its way from `p` to `q`, meets side `j` of the window.
 fn crossing(subject: &Outline, window: &Outline, p: &Vertex, q: &Vertex, share: f64, j: u32) -> Vertex {

@@ -26,7 +26,7 @@ pub(super) struct Corner {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Side {
     /// Unit, inward; NaN for a side of no length.
-    inward: DVec2,
+    pub(super) inward: DVec2,
     offset: f64,
 }
 
