@@ -19,7 +19,7 @@ from ._version import __version__
 if TYPE_CHECKING:
     from . import aio
     from ._arrays import from_wxyz
-    from ._client import Client, connect
+    from ._client import Client, Session, connect
     from ._decompose import decompose
     from ._errors import (
         DeadlineExceeded,
@@ -67,6 +67,7 @@ __all__ = [
     "ServerDidNotStart",
     "ServerError",
     "ServerNotFound",
+    "Session",
     "Unauthenticated",
     "Unavailable",
     "Unimplemented",
@@ -83,7 +84,7 @@ __all__ = [
 # need contacts does not wait for grpc.
 _HOMES = {
     "_arrays": ["from_wxyz"],
-    "_client": ["Client", "connect"],
+    "_client": ["Client", "Session", "connect"],
     "_decompose": ["decompose"],
     "_errors": [
         "DeadlineExceeded",

@@ -13,6 +13,9 @@ from ._wire import OUTPUT_COLUMNS, PAIR_COLUMNS, POINT_COLUMNS
 
 Columns = dict[str, np.ndarray]
 
+_KINDS = {name: np.dtype(kind) for name, kind in _packed.COLUMN_TYPES.items()}
+_BYTE = np.dtype("u1")
+
 
 class _Reader:
     """The columns of one message, each checked for its length.
@@ -27,10 +30,10 @@ class _Reader:
         self._typed: contacts_pb2.QueryContactsResponse | None = None
 
     def column(self, name: str, rows: int, width: int) -> np.ndarray:
-        kind = _packed.COLUMN_TYPES.get(name, "u1")
+        kind = _KINDS.get(name, _BYTE)
         # A copy: what frombuffer gives cannot be written to.
         raw = getattr(self.message, name)
-        if len(raw) == rows * width * np.dtype(kind).itemsize:
+        if len(raw) == rows * width * kind.itemsize:
             values = np.frombuffer(raw, dtype=kind).copy()
         else:
             values = self._real(name, kind)
@@ -41,7 +44,7 @@ class _Reader:
             )
         return values if width == 1 else values.reshape(rows, width)
 
-    def _real(self, name: str, kind: str) -> np.ndarray:
+    def _real(self, name: str, kind: np.dtype) -> np.ndarray:
         if name not in _packed.COLUMN_TYPES:
             return np.frombuffer(getattr(self.message, name), dtype=kind)
         if self._typed is None:

@@ -46,7 +46,7 @@ FIND = "/hullcast.v1.ContactService/FindContacts"
 _IN_FLIGHT = 6
 
 #: Times that pairs are asked for again after registering the hulls they lack.
-_REGISTRATIONS = 3
+REGISTRATIONS = 3
 
 
 #: Times that one message is sent again because its answer was cut off. Each
@@ -57,6 +57,19 @@ _CUT_OFFS = 3
 #: longest wait in between, seconds: some 15 s in all.
 _BUSY = 12
 _LONGEST_PAUSE = 2.0
+
+
+class Stream(Protocol):
+    """An open stream of messages, answered in order."""
+
+    def send(self, data: bytes) -> Any:
+        """What to wait for until a message is under way. What goes wrong, `receive` tells."""
+
+    def receive(self, timeout: float | None) -> Any:
+        """What to wait for until the oldest message not yet answered is."""
+
+    def cancel(self) -> None:
+        """Ends it."""
 
 
 class Link(Protocol):
@@ -70,6 +83,9 @@ class Link(Protocol):
 
     def stream(self, method: str, data: bytes, timeout: float | None) -> Any:
         """One that is answered by a list of messages."""
+
+    def open(self, method: str) -> Stream:
+        """A stream of messages and their answers."""
 
     def pause(self, seconds: float) -> Any:
         """Nothing for a while."""
@@ -150,8 +166,8 @@ class Calls(ABC):
         deadline = self._deadline(timeout)
         spans = query.spans(self.pairs_per_message)
         parts = yield from self._exchange(query, spans, deadline)
-        for times in range(1, _REGISTRATIONS + 1):
-            lost = {span: part for span, part in parts.items() if _unknown(part)}
+        for times in range(1, REGISTRATIONS + 1):
+            lost = {span: part for span, part in parts.items() if lacks_hulls(part)}
             if not (yield from self._restore(query.scene, lost.values(), times, deadline)):
                 break
             for span in lost:
@@ -165,12 +181,12 @@ class Calls(ABC):
         deadline = self._deadline(timeout)
         message = query.find_message()
         parts: list[_answers.Columns] = []
-        for times in range(1, _REGISTRATIONS + 2):
+        for times in range(1, REGISTRATIONS + 2):
             link = self._link()
             answers = yield from _asked(link, partial(link.stream, FIND, message), deadline)
             parts = [query.read(None, None, data) for data in answers or [b""]]
             lost = [part for part in parts if len(part["missing_hulls"])]
-            last = times > _REGISTRATIONS
+            last = times > REGISTRATIONS
             if last or not (yield from self._restore(query.scene, lost, times, deadline)):
                 break
         return Manifolds(_answers.merge(parts), query.scene)
@@ -215,16 +231,16 @@ class Calls(ABC):
                 while waiting and len(under_way) < window:
                     span = waiting.popleft()
                     message = query.message(span)
-                    call = begin(QUERY, message.data, _remaining(deadline))
+                    call = begin(QUERY, message.data, remaining(deadline))
                     under_way.append((span, message, call))
                 span, message, call = under_way.popleft()
                 try:
                     data = yield call
                 except _errors.InvalidArgument as error:
-                    waiting.extendleft(reversed(_halves(span, error)))
+                    waiting.extendleft(reversed(halves_of(span, error)))
                 except _errors.Unavailable as error:
                     failed[span] += 1
-                    pause = _pause(error, failed[span], deadline)
+                    pause = pause_before(error, failed[span], deadline)
                     if pause:
                         # This client's other messages may be what the server is busy with.
                         window = max(1, window // 2)
@@ -292,13 +308,19 @@ def _unpickled(kind: type[Calls], settings: _channel.Settings, pairs_per_message
 
 #: Channels of the process that this one was forked from. Never closed, since
 #: closing would wait for threads that are not here.
-_inherited: list[Any] = []
+inherited: list[Any] = []
 _clients: weakref.WeakSet[Calls] = weakref.WeakSet()
 
 
+#: What is called in a child that was forked, beside closing the clients' channels.
+after_fork: list[Callable[[], None]] = []
+
+
 def _after_fork() -> None:
+    for call in after_fork:
+        call()
     for client in list(_clients):
-        _inherited.append(client._opened)
+        inherited.append(client._opened)
         client._opened = None
         client._lock = threading.Lock()  # another thread may have held it
 
@@ -307,23 +329,25 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_after_fork)
 
 
-def _unknown(part: _answers.Columns) -> bool:
-    return bool(np.any(part["flags"] & Flag.UNKNOWN_HULL))
+def lacks_hulls(part: _answers.Columns) -> bool:
+    """Whether the answer says that the server does not know some hull."""
+    # Most answers lack none, and small ones are counted in microseconds.
+    return len(part["missing_hulls"]) > 0 and bool(np.any(part["flags"] & Flag.UNKNOWN_HULL))
 
 
 def _asked(link: Link, begin: Callable[[float | None], Any], deadline: float | None) -> Steps[Any]:
     """The answer of a call, made again where that helps."""
     for failures in itertools.count(1):
         try:
-            return (yield begin(_remaining(deadline)))
+            return (yield begin(remaining(deadline)))
         except _errors.Unavailable as error:
-            pause = _pause(error, failures, deadline)
+            pause = pause_before(error, failures, deadline)
             if pause:
                 yield link.pause(pause)
     raise AssertionError  # count has no end
 
 
-def _pause(error: _errors.Unavailable, failures: int, deadline: float | None) -> float:
+def pause_before(error: _errors.Unavailable, failures: int, deadline: float | None) -> float:
     """Seconds to wait before a message is sent again, or the error where it is not.
 
     gRPC has tried already, but at most five times, and not where part of the
@@ -340,12 +364,20 @@ def _pause(error: _errors.Unavailable, failures: int, deadline: float | None) ->
     return pause
 
 
-def _halves(span: Span, error: _errors.Error) -> list[Span]:
+def stream_ended() -> _errors.Unavailable:
+    """What a stream that ends without an error and without an answer is."""
+    error = _errors.Unavailable("the server ended the stream", reason="STREAM_ENDED")
+    error.cut_off = True
+    return error
+
+
+def halves_of(span: Span, error: _errors.Error) -> list[Span]:
     """The span in halves if its answer was too large, else the error."""
     if error.reason != "RESPONSE_TOO_LARGE" or span.stop - span.start < 2:
         raise error
     return span.halves()
 
 
-def _remaining(deadline: float | None) -> float | None:
+def remaining(deadline: float | None) -> float | None:
+    """Seconds until then, for a call's timeout."""
     return None if deadline is None else max(0.0, deadline - time.monotonic())

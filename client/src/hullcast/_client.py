@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import queue
+import threading
 import time
+import weakref
 from collections.abc import Callable, Iterable
 from functools import partial
 from types import TracebackType
@@ -10,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import grpc
 
-from . import _calls, _status
+from . import _calls, _errors, _session, _status
 from ._hulls import Hull
 from ._manifolds import Manifolds
 from ._query import Accuracy, Query
@@ -120,6 +123,26 @@ class Client(_calls.Calls):
         make = partial(Query, scene, None, margin=margin, accuracy=accuracy, outputs=outputs)
         return self._run(self._finding(make, timeout))
 
+    def session(
+        self,
+        scene: Scene,
+        pairs: Any,
+        *,
+        margin: float = 0.0,
+        accuracy: Accuracy | None = None,
+        outputs: Iterable[str] | None = None,
+        warm: Manifolds | None = None,
+    ) -> Session:
+        """A step loop over the same bodies and pairs, of which each step sends poses alone.
+
+        The arguments are those of `query`; the scene's poses are not used. The first
+        step makes the connection.
+        """
+        make = partial(
+            Query, scene, pairs, margin=margin, accuracy=accuracy, outputs=outputs, warm=warm
+        )
+        return Session(self, make)
+
     def _open(self) -> _calls.Link:
         return _Link(self._settings.open(grpc), self._settings.metadata)
 
@@ -131,6 +154,8 @@ class Client(_calls.Calls):
                     answer = waited_for.result()
                 except grpc.RpcError as error:
                     waited_for = steps.throw(_status.from_rpc(error))
+                except _errors.Error as error:
+                    waited_for = steps.throw(error)
                 else:
                     waited_for = steps.send(answer)
         except StopIteration as done:
@@ -145,6 +170,44 @@ class Client(_calls.Calls):
             link.channel.close()
         if stop_server is not None:
             stop_server()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+class Session(_session.Steps):
+    """A step loop; made by `Client.session`, ended by `close` or `with`.
+
+        with client.session(scene, pairs, margin=0.01) as session:
+            while simulating:
+                m = session.step(positions, rotations)
+
+    What stays the same from step to step stays on the server, which starts each
+    pair from where the step before ended (the answer is that of `query` with
+    `warm`). A session that loses its server goes on with another: it sends all
+    again, and starts from the last answer's bases if the outputs have BASES.
+
+    One step at a time: not to be shared by threads.
+    """
+
+    def step(
+        self, positions: Any, rotations: Any = None, *, timeout: float | None = None
+    ) -> Manifolds:
+        """The contact manifolds of all pairs, with the bodies at these poses.
+
+        Args:
+            positions, rotations: of all bodies, in any form that `Scene` takes.
+            timeout: seconds for the step; the client's by default.
+        """
+        return self._calls._run(self._stepping(positions, rotations, timeout))
 
     def __enter__(self) -> Self:
         return self
@@ -182,11 +245,107 @@ class _Link:
         make = partial(self._stream, data, timeout=timeout, metadata=self._metadata)
         return _Later(lambda: list(make()))
 
+    def open(self, method: str) -> _calls.Stream:
+        return _Stream(self.channel.stream_stream(method), self._metadata)
+
     def pause(self, seconds: float) -> Any:
         return _Later(partial(time.sleep, seconds))
 
     def abandon(self) -> None:
         pass  # only another process's, and that is seen to when forking
+
+
+class _Stream:
+    """A stream of a `grpc.Channel`. It has no deadline of its own: each answer has one."""
+
+    def __init__(self, begin: Any, metadata: tuple[tuple[str, str], ...]) -> None:
+        self._requests: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._call: Any = begin(iter(self._requests.get, None), metadata=metadata)
+        self._watch = _Watch(self._call.cancel)
+        # gRPC's thread waits for requests until it is told that there are no more.
+        self.cancel = weakref.finalize(self, _end, self._call, self._requests, self._watch)
+
+    def send(self, data: bytes) -> Any:
+        self._requests.put(data)
+        return _Later(_nothing)
+
+    def receive(self, timeout: float | None) -> Any:
+        return _Later(partial(self._receive, timeout))
+
+    def _receive(self, timeout: float | None) -> bytes:
+        self._watch.set(timeout)
+        try:
+            answer = next(self._call, None)
+        except grpc.RpcError:
+            if self._watch.expired:
+                raise late() from None
+            raise
+        finally:
+            self._watch.set(None)
+        if self._watch.expired:  # just now: the stream is of no use any more
+            raise late()
+        if answer is None:
+            raise _calls.stream_ended()
+        return answer
+
+
+def late() -> _errors.DeadlineExceeded:
+    """A step that took longer than it may."""
+    return _errors.DeadlineExceeded("no answer in time", reason="DEADLINE_EXCEEDED")
+
+
+def _nothing() -> None:
+    """Nothing is to be waited for."""
+
+
+def _end(call: Any, requests: queue.SimpleQueue[bytes | None], watch: _Watch) -> None:
+    watch.stop()
+    call.cancel()
+    requests.put(None)
+
+
+class _Watch:
+    """Calls a function when a time is past that is set anew again and again.
+
+    A thread a stream, which sleeps through; a timer a step would cost as much as
+    the step.
+    """
+
+    def __init__(self, late: Callable[[], Any]) -> None:
+        self.expired = False
+        self._late = late
+        self._deadline: float | None = None
+        self._wakes_at: float | None = 0.0
+        self._changed = threading.Event()
+        self._stopped = False
+        self._thread: threading.Thread | None = None
+
+    def set(self, seconds: float | None) -> None:
+        """So many seconds from now, or never."""
+        self._deadline = deadline = None if seconds is None else time.monotonic() + seconds
+        if deadline is None:
+            return
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, daemon=True, name="hullcast-watch")
+            self._thread.start()
+        if self._wakes_at is None or deadline < self._wakes_at:
+            self._changed.set()
+
+    def stop(self) -> None:
+        """Ends the thread."""
+        self._stopped = True
+        self._changed.set()
+
+    def _run(self) -> None:
+        while not self._stopped:
+            deadline = self._wakes_at = self._deadline
+            seconds = None if deadline is None else deadline - time.monotonic()
+            if seconds is not None and seconds <= 0:
+                self.expired = True
+                self._late()
+                return
+            self._changed.wait(seconds)
+            self._changed.clear()
 
 
 class _Later:

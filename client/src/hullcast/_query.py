@@ -126,6 +126,20 @@ class Query:
         self._body_scratch = np.empty(len(scene), dtype="<u4")
         self._hull_scratch = np.empty(len(scene.hull_ids), dtype="<u4")
 
+    @property
+    def pair_count(self) -> int:
+        """Pairs asked for."""
+        return _length(self._pairs)
+
+    def move(self, positions: Any, rotations: Any) -> None:
+        """The same query of the bodies at new poses."""
+        self.scene = self.scene.moved(positions, rotations)
+
+    def start_from(self, found: Manifolds) -> None:
+        """The next messages in full start from an answer's bases, if it has them."""
+        if "BASES" in self._outputs:
+            self._bases = found.bases
+
     def spans(self, pairs_per_message: int) -> list[Span]:
         """The query in parts of about equal size, none larger; one where there is no pair."""
         count = _length(self._pairs)
@@ -154,6 +168,17 @@ class Query:
         request.positions = scene.positions[bodies].tobytes()
         request.rotations = scene.rotations[bodies].tobytes()
         return Message(request.SerializeToString(), hulls, bodies)
+
+    def step_message(self, before: Message) -> bytes:
+        """The request that inherits from `before` on a stream: the poses of its bodies."""
+        scene = self.scene
+        positions, rotations = scene.positions, scene.rotations
+        if before.bodies is not None:
+            positions, rotations = positions[before.bodies], rotations[before.bodies]
+        request = _packed.QueryContactsRequest(
+            inherit=True, positions=positions.tobytes(), rotations=rotations.tobytes()
+        )
+        return request.SerializeToString()
 
     def find_message(self) -> bytes:
         """The request to find the pairs."""

@@ -12,14 +12,18 @@ client may be used in one event loop after another, not in two at a time.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine, Generator
+import contextlib
+from collections.abc import Callable, Coroutine, Generator, Iterable
 from functools import partial
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 import grpc
 
-from . import _calls, _client, _serve, _status
+from . import _calls, _client, _errors, _serve, _session, _status
+from ._manifolds import Manifolds
+from ._query import Accuracy, Query
+from ._scene import Scene
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -27,7 +31,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 P = ParamSpec("P")
 
-__all__ = ["Client", "connect", "serve"]
+__all__ = ["Client", "Session", "connect", "serve"]
 
 
 def _awaited(
@@ -46,6 +50,22 @@ class Client(_calls.Calls):
     query = _awaited(_client.Client.query)
     find = _awaited(_client.Client.find)
 
+    def session(
+        self,
+        scene: Scene,
+        pairs: Any,
+        *,
+        margin: float = 0.0,
+        accuracy: Accuracy | None = None,
+        outputs: Iterable[str] | None = None,
+        warm: Manifolds | None = None,
+    ) -> Session:
+        """As `hullcast.Client.session`: not awaited itself, its steps are."""
+        make = partial(
+            Query, scene, pairs, margin=margin, accuracy=accuracy, outputs=outputs, warm=warm
+        )
+        return Session(self, make)
+
     def _place(self) -> object:
         return asyncio.get_running_loop()
 
@@ -60,6 +80,8 @@ class Client(_calls.Calls):
                     answer = await waited_for
                 except grpc.RpcError as error:
                     waited_for = steps.throw(_status.from_rpc(error))
+                except _errors.Error as error:
+                    waited_for = steps.throw(error)
                 else:
                     waited_for = steps.send(answer)
         except StopIteration as done:
@@ -90,6 +112,25 @@ class Client(_calls.Calls):
         await self.close()
 
 
+class Session(_session.Steps):
+    """A step loop; made by `Client.session`, ended by `close` or `async with`."""
+
+    __doc__ = f"{__doc__}\n{_client.Session.__doc__}"
+
+    step = _awaited(_client.Session.step)
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
 class _Link:
     """A `grpc.aio.Channel`'s calls."""
 
@@ -111,11 +152,38 @@ class _Link:
         call = self._stream(data, timeout=timeout, metadata=self._metadata)
         return [message async for message in call]
 
+    def open(self, method: str) -> _calls.Stream:
+        return _Stream(self.channel.stream_stream(method)(metadata=self._metadata))
+
     def pause(self, seconds: float) -> Any:
         return asyncio.sleep(seconds)
 
     def abandon(self) -> None:
         pass  # its event loop has ended, and its sockets with it
+
+
+class _Stream:
+    """A stream of a `grpc.aio.Channel`."""
+
+    def __init__(self, call: Any) -> None:
+        self._call = call
+
+    async def send(self, data: bytes) -> None:
+        # Where the stream has failed, reading says how.
+        with contextlib.suppress(grpc.RpcError, asyncio.InvalidStateError):
+            await self._call.write(data)
+
+    async def receive(self, timeout: float | None) -> bytes:
+        try:
+            answer = await asyncio.wait_for(self._call.read(), timeout)
+        except asyncio.TimeoutError:
+            raise _client.late() from None
+        if answer is grpc.aio.EOF:
+            raise _calls.stream_ended()
+        return answer
+
+    def cancel(self) -> None:
+        self._call.cancel()
 
 
 class _Starting:

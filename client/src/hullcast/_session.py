@@ -1,0 +1,150 @@
+"""Step loops: the same bodies and pairs again and again, only the poses sent.
+
+As in `_calls.py`, everything but the waiting, once for both clients.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from . import _answers, _calls, _errors
+from ._manifolds import Manifolds
+from ._query import Message, Query, Span
+
+STREAM = "/hullcast.v1.ContactService/StreamContacts"
+
+#: Streams that a session is spread over where it is large, so that the server
+#: computes one while another is read; and how many messages of a plain query
+#: one of them may hold.
+_LANES = 8
+_MESSAGES_PER_LANE = 16
+
+
+@dataclass(eq=False)
+class _Lane:
+    """Some of the pairs, and the stream that answers for them."""
+
+    span: Span
+    link: _calls.Link | None = None
+    stream: _calls.Stream | None = None
+    #: The last one in full, whose numbering those that inherit have too.
+    message: Message | None = None
+    failures: int = 0
+
+    def drop(self) -> None:
+        """Ends the stream: the next message is sent in full, on another."""
+        stream, self.stream = self.stream, None
+        if stream is not None:
+            stream.cancel()
+
+
+class Steps:
+    """What `hullcast.Session` and `hullcast.aio.Session` have in common."""
+
+    def __init__(self, calls: _calls.Calls, make: Callable[[], Query]) -> None:
+        self._calls = calls
+        self._query = make()
+        count, least = self._query.pair_count, calls.pairs_per_message
+        size = min(max(least, -(-count // _LANES)), _MESSAGES_PER_LANE * least)
+        self._lanes = [_Lane(span) for span in self._query.spans(size)]
+        self._closed = False
+        _sessions.add(self)
+
+    def __len__(self) -> int:
+        return self._query.pair_count
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({len(self)} pairs, {self._calls.target!r})"
+
+    def close(self) -> None:
+        """Ends the session's streams; the client stays open."""
+        self._closed = True
+        for lane in self._lanes:
+            lane.drop()
+
+    def _stepping(
+        self, positions: Any, rotations: Any, timeout: float | None
+    ) -> _calls.Steps[Manifolds]:
+        if self._closed:
+            raise _errors.Error("the session is closed", reason="CLOSED")
+        query, deadline = self._query, self._calls._deadline(timeout)
+        query.move(positions, rotations)
+        parts: dict[Span, _answers.Columns] = {}
+        try:
+            yield from self._exchange(self._lanes, parts, deadline)
+            for times in range(1, _calls.REGISTRATIONS + 1):
+                lost = [lane for lane in self._lanes if _calls.lacks_hulls(parts[lane.span])]
+                answers = [parts[lane.span] for lane in lost]
+                if not (yield from self._calls._restore(query.scene, answers, times, deadline)):
+                    break
+                for lane in lost:
+                    lane.drop()  # to inherit from that answer would be to start from no bases
+                yield from self._exchange(lost, parts, deadline)
+        except BaseException:
+            # An answer still to come would be taken for the next step's.
+            for lane in self._lanes:
+                lane.drop()
+            raise
+        found = Manifolds(_answers.merge([parts[lane.span] for lane in self._lanes]), query.scene)
+        query.start_from(found)
+        return found
+
+    def _exchange(
+        self, lanes: Iterable[_Lane], parts: dict[Span, _answers.Columns], deadline: float | None
+    ) -> _calls.Steps[None]:
+        """One message on each lane, as many as there are before the first answer is read."""
+        waiting, asked = deque(lanes), deque[_Lane]()
+        while waiting or asked:
+            while waiting:
+                lane = waiting.popleft()
+                stream, data = self._next_message(lane)
+                yield stream.send(data)
+                asked.append(lane)
+            lane = asked.popleft()
+            assert lane.stream is not None
+            try:
+                data = yield lane.stream.receive(_calls.remaining(deadline))
+            except _errors.InvalidArgument as error:
+                halves = [_Lane(span) for span in _calls.halves_of(lane.span, error)]
+                lane.drop()
+                place = self._lanes.index(lane)
+                self._lanes[place : place + 1] = halves
+                waiting.extend(halves)
+            except _errors.Unavailable as error:
+                lane.drop()
+                lane.failures += 1
+                pause = _calls.pause_before(error, lane.failures, deadline)
+                if pause:
+                    yield self._calls._link().pause(pause)
+                waiting.append(lane)
+            else:
+                lane.failures = 0
+                parts[lane.span] = self._query.read(lane.span, lane.message, data)
+
+    def _next_message(self, lane: _Lane) -> tuple[_calls.Stream, bytes]:
+        """The poses where the lane's stream has the rest, else all and a new stream."""
+        link = self._calls._link()  # another one in a forked child, or another event loop
+        if lane.stream is not None and lane.message is not None and lane.link is link:
+            return lane.stream, self._query.step_message(lane.message)
+        lane.drop()
+        lane.message = self._query.message(lane.span)
+        lane.link, lane.stream = link, link.open(STREAM)
+        return lane.stream, lane.message.data
+
+
+_sessions: weakref.WeakSet[Steps] = weakref.WeakSet()
+
+
+def _after_fork() -> None:
+    """The parent's streams are left alone: its threads are not here to end them."""
+    for session in list(_sessions):
+        for lane in session._lanes:
+            _calls.inherited.append(lane.stream)
+            lane.stream = None
+
+
+_calls.after_fork.append(_after_fork)

@@ -1,0 +1,275 @@
+"""Step loops: the same answers as queries that start from the last one's bases, whatever happens."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import inspect
+import os
+import pickle
+import subprocess
+import sys
+import textwrap
+import threading
+
+import numpy as np
+import pytest
+from crowds import EVERYTHING, NO_PROXY, Server, crowd, expect_same
+
+import hullcast
+from hullcast import Flag, Outcome, _session
+
+
+def walk(scene: hullcast.Scene, steps: int) -> list[hullcast.Scene]:
+    """The bodies drifting and turning a little, each its own way."""
+    rng = np.random.default_rng(111)
+    drift = rng.normal(0, 2e-3, scene.positions.shape)
+    spin = rng.normal(0, 2e-3, scene.rotations.shape)
+    poses = []
+    for i in range(steps):
+        rotations = scene.rotations + i * spin
+        rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
+        poses.append(scene.moved(scene.positions + i * drift, rotations))
+    return poses
+
+
+def replay(
+    client: hullcast.Client, poses: list[hullcast.Scene], pairs: np.ndarray
+) -> list[hullcast.Manifolds]:
+    """What plain queries answer, each started from the last one's bases."""
+    answers: list[hullcast.Manifolds] = []
+    for scene in poses:
+        warm = answers[-1] if answers else None
+        answers.append(client.query(scene, pairs, margin=0.1, outputs=EVERYTHING, warm=warm))
+    return answers
+
+
+@pytest.mark.parametrize("per_message", [4096, 40])
+def test_steps_are_warm_queries(client, per_message):
+    """Bit for bit, over one stream and over eight, of which each has some of the bodies."""
+    poses = walk(crowd(client, 400), 5)
+    pairs = np.random.default_rng(112).integers(400, size=(500, 2))
+    expected = replay(client, poses, pairs)
+    with hullcast.connect(client.target, options=NO_PROXY) as other:
+        other.pairs_per_message = per_message
+        with other.session(poses[0], pairs, margin=0.1, outputs=EVERYTHING) as session:
+            assert len(session._lanes) == (1 if per_message == 4096 else 8)
+            for scene, warm in zip(poses, expected, strict=True):
+                found = session.step(scene.positions, scene.rotations)
+                expect_same(found, warm)
+                assert (found.scene.positions == scene.positions).all()
+            assert repr(session) == f"Session(500 pairs, {client.target!r})"
+        with pytest.raises(hullcast.Error, match="CLOSED"):
+            session.step(scene.positions, scene.rotations)
+        assert len(other.query(scene, pairs[:3])) == 3  # the client stays open
+    work = [m.iterations.sum() for m in expected]
+    assert max(work[1:]) < work[0]  # so that warm is not cold by accident
+
+
+def test_steps_with_await(client):
+    """The same answers, several sessions at once; the same arguments."""
+    poses = walk(crowd(client, 100), 4)
+    pairs = np.random.default_rng(113).integers(100, size=(300, 2))
+    expected = replay(client, poses, pairs)
+
+    async def loop(other: hullcast.aio.Client) -> None:
+        async with other.session(poses[0], pairs, margin=0.1, outputs=EVERYTHING) as session:
+            for scene, warm in zip(poses, expected, strict=True):
+                expect_same(await session.step(scene.positions, scene.rotations), warm)
+
+    async def run() -> None:
+        async with hullcast.aio.connect(client.target, options=NO_PROXY) as other:
+            await asyncio.gather(*(loop(other) for _ in range(3)))
+
+    asyncio.run(run())
+    for kind in ("Client.session", "Session.step"):
+        owner, name = kind.split(".")
+        ours, theirs = (getattr(getattr(m, owner), name) for m in (hullcast.aio, hullcast))
+        assert list(inspect.signature(ours).parameters) == list(
+            inspect.signature(theirs).parameters
+        )
+
+
+def test_a_warm_session_starts_warm(client):
+    """From an earlier answer's bases."""
+    poses = walk(crowd(client, 50), 2)
+    pairs = np.random.default_rng(114).integers(50, size=(100, 2))
+    before, after = replay(client, poses, pairs)
+    with client.session(poses[0], pairs, margin=0.1, outputs=EVERYTHING, warm=before) as session:
+        expect_same(session.step(poses[1].positions, poses[1].rotations), after)
+
+
+@pytest.mark.parametrize("kind", ["killed", "stopped"])
+def test_a_session_outlives_its_server(kind):
+    """Killed, or told to end, and started again without its hulls: the same bits go on."""
+    with Server() as server, hullcast.connect(server.address, options=NO_PROXY) as client:
+        poses = walk(crowd(client, 60), 6)
+        pairs = np.random.default_rng(115).integers(60, size=(200, 2))
+        expected = replay(client, poses, pairs)
+        with client.session(poses[0], pairs, margin=0.1, outputs=EVERYTHING) as session:
+            for i, (scene, warm) in enumerate(zip(poses, expected, strict=True)):
+                if i % 2:
+                    if kind == "killed":
+                        server.kill()
+                    else:
+                        server.process.terminate()
+                        server.process.wait(30)
+                    server.start()
+                expect_same(session.step(scene.positions, scene.rotations), warm)
+
+
+def test_a_session_moves_to_another_replica():
+    """One of two servers dies for good; the other knows neither hulls nor session."""
+    with (
+        Server() as a,
+        Server() as b,
+        hullcast.connect([a.address, b.address], options=NO_PROXY) as client,
+    ):
+        poses = walk(crowd(client, 60), 4)
+        pairs = np.random.default_rng(116).integers(60, size=(200, 2))
+        sessions = [client.session(poses[0], pairs, margin=0.1) for _ in range(4)]
+        for session in sessions:
+            assert (session.step(poses[0].positions, poses[0].rotations).outcome < 3).all()
+        a.kill()
+        for scene in poses[1:]:
+            for session in sessions:
+                found = session.step(scene.positions, scene.rotations)
+                assert (found.outcome != Outcome.INVALID).all()
+        for session in sessions:
+            session.close()
+
+
+def test_no_room_for_what_streams_keep():
+    """A server that keeps nothing between messages is sent all of it, each time."""
+    with (
+        Server("memory://", "--max-stream-state-bytes", "0") as server,
+        hullcast.connect(server.address, options=NO_PROXY) as client,
+    ):
+        poses = walk(crowd(client, 50), 3)
+        pairs = np.random.default_rng(117).integers(50, size=(100, 2))
+        expected = replay(client, poses, pairs)
+        with client.session(poses[0], pairs, margin=0.1, outputs=EVERYTHING) as session:
+            for scene, warm in zip(poses, expected, strict=True):
+                expect_same(session.step(scene.positions, scene.rotations), warm)
+
+
+def test_answers_too_large_are_halved():
+    """A stream whose answer would pass the limit becomes two, and so on; the answers are the same."""
+    with (
+        Server("memory://", "--max-message-bytes", "65536") as server,
+        hullcast.connect(server.address, options=NO_PROXY) as client,
+    ):
+        client.pairs_per_message = 100
+        poses = walk(crowd(client, 60), 3)
+        pairs = np.random.default_rng(118).integers(60, size=(1500, 2))
+        expected = replay(client, poses, pairs)
+        client.pairs_per_message = 10_000
+        with client.session(poses[0], pairs, margin=0.1, outputs=EVERYTHING) as session:
+            for scene, warm in zip(poses, expected, strict=True):
+                expect_same(session.step(scene.positions, scene.rotations), warm)
+            assert len(session._lanes) > 1
+
+
+def test_a_step_that_takes_too_long(client):
+    """It ends at its timeout, and the next one answers; so does one after it was interrupted."""
+    poses = walk(crowd(client, 300), 2)
+    pairs = np.random.default_rng(119).integers(300, size=(60_000, 2))
+    with client.session(poses[0], pairs, margin=1.0) as session:
+        for _ in range(3):
+            with pytest.raises(hullcast.DeadlineExceeded):
+                session.step(poses[0].positions, poses[0].rotations, timeout=1e-3)
+            found = session.step(poses[1].positions, poses[1].rotations)
+            assert len(found) == 60_000
+
+    async def run() -> None:
+        async with hullcast.aio.connect(client.target, options=NO_PROXY) as other:
+            session = other.session(poses[0], pairs, margin=1.0)
+            with pytest.raises(hullcast.DeadlineExceeded):
+                await session.step(poses[0].positions, poses[0].rotations, timeout=1e-3)
+            task = asyncio.create_task(session.step(poses[0].positions, poses[0].rotations))
+            await asyncio.sleep(0.005)
+            task.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await task
+            again = await session.step(poses[1].positions, poses[1].rotations)
+            assert again.alpha.tobytes() == found.alpha.tobytes()
+            session.close()
+
+    asyncio.run(run())
+
+
+def test_what_a_step_refuses(client):
+    """Shapes that do not fit; the session goes on. What is wrong with the query is said at once."""
+    scene = crowd(client, 10)
+    with client.session(scene, [[0, 1]], margin=0.1) as session:
+        with pytest.raises(hullcast.InvalidArgument, match="positions"):
+            session.step(scene.positions[:5], scene.rotations)
+        positions = scene.positions.copy()
+        positions[1] = np.nan
+        m = session.step(positions, scene.rotations)
+        assert m.flags.tolist() == [Flag.INVALID_BODY]
+        assert m.invalid_bodies.tolist() == [1]
+        assert session.step(scene.positions, scene.rotations).flags.tolist() != [Flag.INVALID_BODY]
+    with pytest.raises(hullcast.InvalidArgument, match="INDEX_OUT_OF_RANGE"):
+        client.session(scene, [[0, 10]])
+    with (
+        client.session(scene, [[0, 1]], margin=-1) as session,
+        pytest.raises(hullcast.InvalidArgument, match="margin"),
+    ):
+        session.step(scene.positions, scene.rotations)
+    with pytest.raises(TypeError):
+        pickle.dumps(session)
+
+
+def test_sessions_leave_no_thread_behind(client):
+    """Closed or forgotten, gRPC's thread for the requests ends, and the one that keeps time."""
+    scene = crowd(client, 10)
+    before = threading.active_count()
+    for i in range(200):
+        session = client.session(scene, [[0, 1]], margin=0.1)
+        session.step(scene.positions, scene.rotations)
+        if i % 2:
+            session.close()
+        del session
+    gc.collect()
+    for _ in range(100):
+        if threading.active_count() <= before + 2:
+            break
+        threading.Event().wait(0.05)
+    assert threading.active_count() <= before + 2
+    assert not list(_session._sessions)
+
+
+def test_a_forked_child_steps_on_its_own():
+    """A session from before the fork goes on in both processes."""
+    program = """
+        import os
+        from crowds import crowd, expect_same, EVERYTHING
+        import hullcast
+        with hullcast.serve() as client:
+            scene = crowd(client, 50)
+            pairs = [[i, (i * 7) % 50] for i in range(50)]
+            session = client.session(scene, pairs, outputs=EVERYTHING)
+            session.step(scene.positions, scene.rotations)
+            expected = session.step(scene.positions, scene.rotations)
+            child = os.fork()
+            for _ in range(20):
+                expect_same(session.step(scene.positions, scene.rotations), expected)
+            if child == 0:
+                session.close()
+                client.close()
+                os._exit(7)
+            print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+            expect_same(session.step(scene.positions, scene.rotations), expected)
+            session.close()
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(program)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "7", done.stderr
