@@ -59,6 +59,19 @@ pub enum Element {
     Inside,
 }
 
+impl Element {
+    /// In the same order as the elements.
+    pub(crate) fn key(self) -> u128 {
+        let [kind, first, second] = match self {
+            Self::Vertex(v) => [0, v, 0],
+            Self::Edge([v, w]) => [1, v, w],
+            Self::Inside => [2, 0, 0],
+        }
+        .map(u128::from);
+        kind << 64 | first << 32 | second
+    }
+}
+
 /// One contact point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContactPoint {

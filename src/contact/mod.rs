@@ -40,11 +40,19 @@ use gauss_map::{Direction, Touched, touched_feature};
 use growth::{Cost, Goal, Growth, Separation, Solution, growth};
 use intersection::Intersection;
 use pair::{Pair, Support, shift};
+use support::Columns;
 use tolerance::{MERGE, NOISE, U};
 
 /// Buffers reused from pair to pair, so that the steady state allocates nothing.
 #[derive(Debug, Default)]
 pub struct Workspace {
+    turned: Columns,
+    steps: Steps,
+}
+
+/// What the steps leave for each other.
+#[derive(Debug, Default)]
+struct Steps {
     manifold: Manifold,
     gauss_map: gauss_map::Scratch,
     intersection: Intersection,
@@ -67,32 +75,34 @@ pub fn contact_manifold<'w>(
     warm: Option<&Basis>,
     workspace: &'w mut Workspace,
 ) -> &'w Manifold {
+    let Workspace { turned, steps } = workspace;
     let pair = &mut Pair::new(a, b);
     // In pair units; a margin that overflows there is beyond every distance.
     let margin = query.margin / pair.unit;
-    workspace.manifold.reset();
+    steps.manifold.reset();
     if let Some(reach) = spheres_apart(pair, margin) {
-        workspace.manifold.set_apart(pair, pair.ray, reach, Cost::default());
-        return &workspace.manifold;
+        steps.manifold.set_apart(pair, pair.ray, reach, Cost::default());
+        return &steps.manifold;
     }
 
     // Step 1.
+    pair.turn(turned);
     let goal = Goal::new(&query.accuracy, margin, query.wanted == Wanted::Outcome);
     let warm = warm.and_then(|basis| warm_triple(pair, basis));
     let mut solution = match growth(pair, query.accuracy.solver, warm, &goal) {
         Growth::Solved(solution) => solution,
         Growth::Separated(Separation { direction, support, cost }) => {
             let reach = direction.dot(support.point) / direction.length();
-            workspace.manifold.set_apart(pair, direction, reach, cost);
-            return &workspace.manifold;
+            steps.manifold.set_apart(pair, direction, reach, cost);
+            return &steps.manifold;
         }
     };
     let certain = solution.upper <= 1.0 || margin == f64::INFINITY;
     if query.wanted == Wanted::Points {
-        workspace.find_points(pair, &solution, &query.accuracy);
+        steps.find_points(pair, &solution, &query.accuracy);
     }
 
-    let near = certain || (query.wanted == Wanted::Points && workspace.points_within(margin));
+    let near = certain || (query.wanted == Wanted::Points && steps.points_within(margin));
     let outcome = if near {
         Outcome::Contact
     } else {
@@ -101,18 +111,18 @@ pub fn contact_manifold<'w>(
             Decision::Unknown => Outcome::Undecided,
             Decision::Beyond(direction, support) => {
                 let reach = direction.dot(support.point) / direction.length();
-                workspace.manifold.set_apart(pair, direction, reach, solution.cost);
-                return &workspace.manifold;
+                steps.manifold.set_apart(pair, direction, reach, solution.cost);
+                return &steps.manifold;
             }
         }
     };
     // An outcome alone asks for no bracket.
     solution.gap_open &= query.wanted != Wanted::Outcome;
-    workspace.manifold.set_solved(pair, &solution, outcome);
+    steps.manifold.set_solved(pair, &solution, outcome);
     if query.wanted == Wanted::Points {
-        workspace.lift_points(pair, &query.accuracy);
+        steps.lift_points(pair, &query.accuracy);
     }
-    &workspace.manifold
+    &steps.manifold
 }
 
 /// Where the spheres around the hulls are farther apart than the margin: how
@@ -131,7 +141,7 @@ fn warm_triple(pair: &Pair<'_>, basis: &Basis) -> Option<[Support; 3]> {
     Some(triple)
 }
 
-impl Workspace {
+impl Steps {
     /// Steps 2 and 3.
     fn find_points(&mut self, pair: &Pair<'_>, solution: &Solution, accuracy: &Accuracy) {
         let n = solution.normal;
@@ -174,13 +184,13 @@ impl Workspace {
         self.manifold.flags.reduced =
             reduce::reduce(&mut found.points, accuracy.max_points as usize, rounding, &mut self.kept);
         self.manifold.flags.estimated = found.estimated;
-        for p in &found.points {
-            self.manifold.points.push(ContactPoint {
-                witness_a: pair.point_to_world(found.witness_a(p)),
-                distance: (p.height_b - p.height_a) * pair.unit,
-                id: p.id,
-            });
-        }
+        let [e1, e2, n] = found.axes().map(|axis| pair.offset_to_world(axis));
+        let (translation, center) = (pair.translation_a, pair.center_offset_a());
+        self.manifold.points.extend(found.points.iter().map(|p| ContactPoint {
+            witness_a: translation + (center + (e1 * p.at.x + e2 * p.at.y + n * p.height_a)),
+            distance: (p.height_b - p.height_a) * pair.unit,
+            id: p.id,
+        }));
     }
 }
 

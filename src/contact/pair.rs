@@ -5,6 +5,7 @@
 
 use glam::{DMat3, DVec3};
 
+use super::support::{Columns, farthest_both};
 use super::tolerance::{BAND, BRACKET, MERGE, NOISE, TRIPLE_PRODUCT, U};
 use super::{Body, ConvexHull};
 
@@ -67,7 +68,12 @@ pub(crate) struct Pair<'a> {
     /// `translation + rotation_a * (contraction point of A)`.
     pub(crate) rotation_a: DMat3,
     pub(crate) translation_a: DVec3,
+    /// B's vertices in A's frame, pair units, where B is small.
+    turned: Option<&'a Columns>,
 }
+
+/// Hulls of more vertices are not turned: what it costs is not won back.
+const MOST_TURNED: usize = 32;
 
 impl<'a> Pair<'a> {
     pub(crate) fn new(a: &Body<'a>, b: &Body<'a>) -> Self {
@@ -108,29 +114,47 @@ impl<'a> Pair<'a> {
             unit,
             rotation_a: ra,
             translation_a: a.pose.translation,
+            turned: None,
+        }
+    }
+
+    /// Turns B into A's frame once for all support points, where that pays.
+    pub(crate) fn turn(&mut self, buffer: &'a mut Columns) {
+        if self.b.vertex_count() <= MOST_TURNED {
+            buffer.turn(self.b.columns(), self.scale_b, &self.rotation);
+            self.turned = Some(buffer);
         }
     }
 
     /// Vertex `i` of A, about A's contraction point.
+    #[inline]
     pub(crate) fn vertex_a(&self, i: u32) -> DVec3 {
         self.a.vertices()[i as usize] * self.scale_a
     }
 
     /// Vertex `i` of B, about B's contraction point.
+    #[inline]
     pub(crate) fn vertex_b(&self, i: u32) -> DVec3 {
-        self.rotation * (self.b.vertices()[i as usize] * self.scale_b)
+        match self.turned {
+            Some(turned) => turned.vertex(i),
+            None => self.rotation * (self.b.vertices()[i as usize] * self.scale_b),
+        }
     }
 
     /// The vertex of `K` that these two make.
+    #[inline]
     pub(crate) fn support_of(&self, a: u32, b: u32) -> Support {
         Support { point: self.vertex_a(a) - self.vertex_b(b), a, b }
     }
 
     /// The vertex of `K` farthest along `n` (A's frame, any length); of equals
     /// the lowest index in each hull.
+    #[inline]
     pub(crate) fn support(&self, n: DVec3) -> Support {
-        let a = self.a.support(n);
-        let b = self.b.support(-(self.rotation.transpose() * n));
+        let (a, b) = match self.turned {
+            Some(turned) => farthest_both(self.a.columns(), turned, n),
+            None => (self.a.support(n), self.b.support(-self.direction_in_b(n))),
+        };
         self.support_of(a, b)
     }
 
@@ -148,6 +172,7 @@ impl<'a> Pair<'a> {
     }
 
     /// A direction of A's frame in B's.
+    #[inline]
     pub(crate) fn direction_in_b(&self, n: DVec3) -> DVec3 {
         self.rotation.transpose() * n
     }
@@ -175,9 +200,14 @@ impl<'a> Pair<'a> {
         (self.rotation_a * n).normalize()
     }
 
-    /// A point of the pair's frame in the world, caller's units.
-    pub(crate) fn point_to_world(&self, p: DVec3) -> DVec3 {
-        self.translation_a + self.rotation_a * (self.a.contraction_point() + p * self.unit)
+    /// An offset in the pair's frame along the world's axes, caller's units.
+    pub(crate) fn offset_to_world(&self, offset: DVec3) -> DVec3 {
+        self.rotation_a * offset * self.unit
+    }
+
+    /// From the origin of A's frame to its contraction point, the same.
+    pub(crate) fn center_offset_a(&self) -> DVec3 {
+        self.rotation_a * self.a.contraction_point()
     }
 }
 

@@ -6,38 +6,16 @@
 
 #![allow(unsafe_code)]
 
+mod columns;
+#[cfg(target_arch = "x86_64")]
+mod x86;
+
 use glam::DVec3;
 
 use super::ConvexHull;
+use columns::LANES;
 
-/// Vertices as columns of a length that is a multiple of [`LANES`]; filled up
-/// with copies of the first vertex, which being lower wins every tie with them.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Columns {
-    x: Vec<f64>,
-    y: Vec<f64>,
-    z: Vec<f64>,
-}
-
-/// What the widest instructions take at once.
-const LANES: usize = 8;
-
-impl Columns {
-    pub(crate) fn new(vertices: &[DVec3]) -> Self {
-        let filled = vertices.len().next_multiple_of(LANES);
-        let column = |coordinate: fn(&DVec3) -> f64| {
-            let mut column = Vec::with_capacity(filled);
-            column.extend(vertices.iter().map(coordinate));
-            column.resize(filled, vertices.first().map_or(0.0, coordinate));
-            column
-        };
-        Self { x: column(|v| v.x), y: column(|v| v.y), z: column(|v| v.z) }
-    }
-
-    pub(crate) fn heap_bytes(&self) -> usize {
-        (self.x.capacity() + self.y.capacity() + self.z.capacity()) * size_of::<f64>()
-    }
-}
+pub(crate) use columns::Columns;
 
 /// Hulls of more vertices have a coarse level: below, looking at all of them is
 /// as fast.
@@ -133,14 +111,32 @@ fn farthest(columns: &Columns, n: DVec3) -> u32 {
     {
         if is_x86_feature_detected!("avx512f") {
             // SAFETY: the instructions are there.
-            return unsafe { x86::avx512(columns, n) };
+            return unsafe { x86::avx512(columns, n.x, n.y, n.z) };
         }
         if is_x86_feature_detected!("avx2") {
             // SAFETY: the instructions are there.
-            return unsafe { x86::avx2(columns, n) };
+            return unsafe { x86::avx2(columns, n.x, n.y, n.z) };
         }
     }
     scalar(columns, n)
+}
+
+/// The vertex of `a` farthest along `n` and that of `b` farthest along its
+/// opposite.
+#[inline]
+pub(crate) fn farthest_both(a: &Columns, b: &Columns, n: DVec3) -> (u32, u32) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        if is_x86_feature_detected!("avx512f") {
+            // SAFETY: the instructions are there.
+            return unsafe { x86::avx512_both(a, b, n.x, n.y, n.z) };
+        }
+        if is_x86_feature_detected!("avx2") {
+            // SAFETY: the instructions are there.
+            return unsafe { x86::avx2_both(a, b, n.x, n.y, n.z) };
+        }
+    }
+    (scalar(a, n), scalar(b, -n))
 }
 
 /// The instructions that the support mapping uses on this machine.
@@ -160,113 +156,15 @@ pub fn instruction_set() -> &'static str {
 /// The definition; what every other version must give to the bit.
 fn scalar(columns: &Columns, n: DVec3) -> u32 {
     let (mut best, mut largest) = (0, f64::NEG_INFINITY);
-    for (i, ((x, y), z)) in columns.x.iter().zip(&columns.y).zip(&columns.z).enumerate() {
-        let value = n.x * x + n.y * y + n.z * z;
-        if value > largest {
-            (best, largest) = (i, value);
+    for (g, group) in columns.groups().iter().enumerate() {
+        for lane in 0..LANES {
+            let value = n.x * group.x[lane] + n.y * group.y[lane] + n.z * group.z[lane];
+            if value > largest {
+                (best, largest) = (g * LANES + lane, value);
+            }
         }
     }
     best as u32
-}
-
-#[cfg(target_arch = "x86_64")]
-mod x86 {
-    use std::arch::x86_64::*;
-
-    use glam::DVec3;
-
-    use super::{Columns, LANES};
-
-    /// Independent searches side by side, since each waits for its own last step.
-    const SEARCHES: usize = 4;
-
-    /// Eight vertices at once.
-    ///
-    /// # Safety
-    /// AVX-512F must be there.
-    #[target_feature(enable = "avx512f")]
-    pub(super) unsafe fn avx512(columns: &Columns, n: DVec3) -> u32 {
-        let (nx, ny, nz) = (_mm512_set1_pd(n.x), _mm512_set1_pd(n.y), _mm512_set1_pd(n.z));
-        let lanes = _mm512_set_epi64(7, 6, 5, 4, 3, 2, 1, 0);
-        let mut best = [_mm512_set1_pd(f64::NEG_INFINITY); SEARCHES];
-        let mut found = [_mm512_setzero_si512(); SEARCHES];
-        let Columns { x, y, z } = columns;
-        let mut look = |search: usize, first: usize| {
-            let (x, y, z) = (&x[first..first + LANES], &y[first..first + LANES], &z[first..first + LANES]);
-            // SAFETY: each slice is 8 doubles long.
-            let (x, y, z) = unsafe {
-                (_mm512_loadu_pd(x.as_ptr()), _mm512_loadu_pd(y.as_ptr()), _mm512_loadu_pd(z.as_ptr()))
-            };
-            let flat = _mm512_add_pd(_mm512_mul_pd(nx, x), _mm512_mul_pd(ny, y));
-            let value = _mm512_add_pd(flat, _mm512_mul_pd(nz, z));
-            let better = _mm512_cmp_pd_mask::<_CMP_GT_OQ>(value, best[search]);
-            best[search] = _mm512_mask_mov_pd(best[search], better, value);
-            let index = _mm512_add_epi64(lanes, _mm512_set1_epi64(first as i64));
-            found[search] = _mm512_mask_mov_epi64(found[search], better, index);
-        };
-        let mut first = 0;
-        while first + SEARCHES * LANES <= x.len() {
-            look(0, first);
-            look(1, first + LANES);
-            look(2, first + 2 * LANES);
-            look(3, first + 3 * LANES);
-            first += SEARCHES * LANES;
-        }
-        while first < x.len() {
-            look(0, first);
-            first += LANES;
-        }
-        if x.len() < SEARCHES * LANES {
-            let equal =
-                _mm512_cmp_pd_mask::<_CMP_EQ_OQ>(best[0], _mm512_set1_pd(_mm512_reduce_max_pd(best[0])));
-            return _mm512_mask_reduce_min_epi64(equal, found[0]) as u32;
-        }
-        let high = _mm512_max_pd(_mm512_max_pd(best[0], best[1]), _mm512_max_pd(best[2], best[3]));
-        let largest = _mm512_set1_pd(_mm512_reduce_max_pd(high));
-        let lowest = |search: usize| {
-            let equal = _mm512_cmp_pd_mask::<_CMP_EQ_OQ>(best[search], largest);
-            _mm512_mask_mov_epi64(_mm512_set1_epi64(i64::MAX), equal, found[search])
-        };
-        let low =
-            _mm512_min_epi64(_mm512_min_epi64(lowest(0), lowest(1)), _mm512_min_epi64(lowest(2), lowest(3)));
-        _mm512_reduce_min_epi64(low) as u32
-    }
-
-    /// Four vertices at once.
-    ///
-    /// # Safety
-    /// AVX2 must be there.
-    #[target_feature(enable = "avx2")]
-    pub(super) unsafe fn avx2(columns: &Columns, n: DVec3) -> u32 {
-        let (nx, ny, nz) = (_mm256_set1_pd(n.x), _mm256_set1_pd(n.y), _mm256_set1_pd(n.z));
-        let mut best = _mm256_set1_pd(f64::NEG_INFINITY);
-        let mut found = _mm256_setzero_si256();
-        let mut index = _mm256_set_epi64x(3, 2, 1, 0);
-        let step = _mm256_set1_epi64x(4);
-        let chunks = columns.x.chunks_exact(4).zip(columns.y.chunks_exact(4)).zip(columns.z.chunks_exact(4));
-        for ((x, y), z) in chunks {
-            // SAFETY: each chunk is 4 doubles long.
-            let (x, y, z) = unsafe {
-                (_mm256_loadu_pd(x.as_ptr()), _mm256_loadu_pd(y.as_ptr()), _mm256_loadu_pd(z.as_ptr()))
-            };
-            let flat = _mm256_add_pd(_mm256_mul_pd(nx, x), _mm256_mul_pd(ny, y));
-            let value = _mm256_add_pd(flat, _mm256_mul_pd(nz, z));
-            let better = _mm256_cmp_pd::<_CMP_GT_OQ>(value, best);
-            best = _mm256_blendv_pd(best, value, better);
-            found = _mm256_blendv_epi8(found, index, _mm256_castpd_si256(better));
-            index = _mm256_add_epi64(index, step);
-        }
-        let (mut values, mut indices) = ([0.0; 4], [0_i64; 4]);
-        // SAFETY: both arrays are 4 elements of 8 bytes long.
-        unsafe {
-            _mm256_storeu_pd(values.as_mut_ptr(), best);
-            _mm256_storeu_si256(indices.as_mut_ptr().cast(), found);
-        }
-        // Without branches: which lane is best is anyone's guess.
-        let largest = values.iter().fold(f64::NEG_INFINITY, |a, &b| if b > a { b } else { a });
-        let lane = |i: usize| if values[i] == largest { indices[i] } else { i64::MAX };
-        lane(0).min(lane(1)).min(lane(2).min(lane(3))) as u32
-    }
 }
 
 #[cfg(test)]
@@ -283,6 +181,7 @@ mod tests {
             (state >> 33) % limit
         };
         let mut compared = 0;
+        let mut before = Columns::new(&[DVec3::X]);
         for count in 1..70 {
             for round in 0..50 {
                 let fine = if round % 2 == 0 { 1.0 } else { 0.1 };
@@ -291,17 +190,23 @@ mod tests {
                 let (columns, n) = (Columns::new(&vertices), vector());
                 let expected = scalar(&columns, n);
                 assert!((expected as usize) < count);
+                let both = (scalar(&before, n), scalar(&columns, -n));
                 #[cfg(target_arch = "x86_64")]
                 {
                     if is_x86_feature_detected!("avx512f") {
                         // SAFETY: the instructions are there.
-                        assert_eq!(unsafe { x86::avx512(&columns, n) }, expected);
+                        assert_eq!(unsafe { x86::avx512(&columns, n.x, n.y, n.z) }, expected);
+                        // SAFETY: the instructions are there.
+                        assert_eq!(unsafe { x86::avx512_both(&before, &columns, n.x, n.y, n.z) }, both);
                     }
                     if is_x86_feature_detected!("avx2") {
                         // SAFETY: the instructions are there.
-                        assert_eq!(unsafe { x86::avx2(&columns, n) }, expected);
+                        assert_eq!(unsafe { x86::avx2(&columns, n.x, n.y, n.z) }, expected);
+                        // SAFETY: the instructions are there.
+                        assert_eq!(unsafe { x86::avx2_both(&before, &columns, n.x, n.y, n.z) }, both);
                     }
                 }
+                before = columns;
                 compared += 1;
             }
         }

@@ -9,7 +9,7 @@
 
 use glam::DVec3;
 
-use super::triple::{self, Normal};
+use super::triple::{self, Normal, Triple};
 use super::{Cost, Goal, Growth, Separation, conclude, separates, upper_bound};
 use crate::contact::pair::{Pair, Support, shift};
 use crate::contact::tolerance::{GAIN, STALL, U};
@@ -17,6 +17,7 @@ use crate::contact::tolerance::{GAIN, STALL, U};
 /// Growth scale and normal. `seeds` are vertices of `K` worth trying first: a
 /// basis of an earlier answer, a simplex of another solver.
 pub(crate) fn solve(pair: &Pair<'_>, seeds: &[Support], goal: &Goal, cost: Cost) -> Growth {
+    let refine = if pair.likely_is_sure() { refine::<false> } else { refine::<true> };
     match refine(pair, start(pair, seeds), goal, cost) {
         // Seeds that mislead cost a cold start.
         Growth::Solved(misled)
@@ -28,24 +29,25 @@ pub(crate) fn solve(pair: &Pair<'_>, seeds: &[Support], goal: &Goal, cost: Cost)
     }
 }
 
-/// Pivots until no vertex of `K` lies beyond the portal.
-fn refine(pair: &Pair<'_>, mut portal: [Support; 3], goal: &Goal, mut cost: Cost) -> Growth {
+/// Pivots until no vertex of `K` lies beyond the portal. `LARGE`: a likely
+/// support point costs less than the sure one.
+fn refine<const LARGE: bool>(pair: &Pair<'_>, mut portal: Triple, goal: &Goal, mut cost: Cost) -> Growth {
     let mut best = Best::default();
     let (mut wide, mut stalled) = (false, 0);
     let mut last = Support::default();
     loop {
-        let normal = if wide { triple::wide_normal(&portal) } else { triple::normal(&portal) };
+        let normal = if wide { portal.wide_normal() } else { portal.normal() };
         let n = normal.n;
         cost.iterations += 1;
         // A likely support point is as good as the sure one to go on to; it bounds nothing.
-        if !pair.likely_is_sure() {
+        if LARGE {
             cost.support_calls += 2;
             let w = pair.likely_support(n, &last);
             last = w;
             let apart = goal.margin < f64::INFINITY && separates(pair, n, &w, goal.margin);
             let must_know = cost.iterations >= goal.max_iterations || goal.outcome_only;
             if !apart && !must_know && !refined(pair, &portal, normal, &w, goal.relative_tolerance) {
-                triple::pivot(pair, &mut portal, w);
+                portal.pivot(pair, w);
                 continue;
             }
         }
@@ -60,9 +62,9 @@ fn refine(pair: &Pair<'_>, mut portal: [Support; 3], goal: &Goal, mut cost: Cost
         if refined || out_of_steps || (goal.outcome_only && overlaps(pair, &portal)) {
             // The portal's own plane holds the basis: an earlier one, as good to
             // rounding, may be another facet's.
-            let mut solution = conclude(pair, n, w, portal, goal, cost);
+            let mut solution = conclude(pair, n, w, portal.supports(), goal, cost);
             if solution.gap_open {
-                solution = conclude(pair, best.direction, best.support, portal, goal, cost);
+                solution = conclude(pair, best.direction, best.support, portal.supports(), goal, cost);
             }
             let sharp = !solution.gap_open && !solution.coarse;
             if sharp || wide || out_of_steps || !refined {
@@ -71,7 +73,7 @@ fn refine(pair: &Pair<'_>, mut portal: [Support; 3], goal: &Goal, mut cost: Cost
             wide = true;
             continue;
         }
-        triple::pivot(pair, &mut portal, w);
+        portal.pivot(pair, w);
     }
 }
 
@@ -97,36 +99,31 @@ impl Best {
 /// Whether `w` is not beyond the triangle's plane by more than was asked for,
 /// or than the rounding of the plane and of two support values leaves open.
 #[inline]
-fn refined(
-    pair: &Pair<'_>,
-    portal: &[Support; 3],
-    plane: Normal,
-    w: &Support,
-    relative_tolerance: f64,
-) -> bool {
-    let gain = plane.n.dot(w.point - portal[0].point);
+fn refined(pair: &Pair<'_>, portal: &Triple, plane: Normal, w: &Support, relative_tolerance: f64) -> bool {
+    let gain = plane.n.dot(w.point - portal.get(0).point);
     let rounding = GAIN * U * pair.circumradius;
     !(gain > 0.0 && gain * gain > rounding * rounding * plane.error_squared)
         || gain <= relative_tolerance * plane.n.dot(w.point)
-        || portal.iter().any(|u| u.same(w))
+        || (0..3).any(|i| portal.get(i).same(w))
 }
 
-fn overlaps(pair: &Pair<'_>, portal: &[Support; 3]) -> bool {
+fn overlaps(pair: &Pair<'_>, portal: &Triple) -> bool {
+    let portal = &portal.supports();
     shift(upper_bound(pair, portal, triple::weights(pair.ray, portal)), pair.alpha_exponent) <= 1.0
 }
 
 /// The first triangle: the seeds themselves where their cone holds the ray,
 /// else inner points around it, replaced by the seeds beyond their plane.
-fn start(pair: &Pair<'_>, seeds: &[Support]) -> [Support; 3] {
+fn start(pair: &Pair<'_>, seeds: &[Support]) -> Triple {
     if let &[s0, s1, s2] = seeds
         && let Some(portal) = triple::around(pair, [s0, s1, s2])
     {
-        return portal;
+        return Triple::new(portal);
     }
     let mut portal = inner_triangle(pair);
     for seed in seeds {
-        if !refined(pair, &portal, triple::normal(&portal), seed, 0.0) {
-            triple::pivot(pair, &mut portal, *seed);
+        if !refined(pair, &portal, portal.normal(), seed, 0.0) {
+            portal.pivot(pair, *seed);
         }
     }
     portal
@@ -135,10 +132,10 @@ fn start(pair: &Pair<'_>, seeds: &[Support]) -> [Support; 3] {
 /// A triangle around and across the ray, so that the first support point is the
 /// one along the ray, with its corners a little inside the inner ball: of the
 /// openings tried (0.02 to 0.99 along the ray) this took the fewest steps.
-fn inner_triangle(pair: &Pair<'_>) -> [Support; 3] {
+fn inner_triangle(pair: &Pair<'_>) -> Triple {
     let along = pair.ray.normalize();
     let (e1, e2) = along.any_orthonormal_pair();
     let (radius, half) = (0.99 * pair.inradius, 0.5 * 3f64.sqrt());
-    [e1, -0.5 * e1 + half * e2, -0.5 * e1 - half * e2]
-        .map(|across| Support::inner((0.8 * along + 0.6 * across) * radius))
+    let around = [e1, -0.5 * e1 + half * e2, -0.5 * e1 - half * e2];
+    Triple::new(around.map(|across| Support::inner((0.8 * along + 0.6 * across) * radius)))
 }

@@ -53,23 +53,97 @@ fn volume(pair: &Pair<'_>, [u0, u1, u2]: [DVec3; 3]) -> f64 {
     if value.abs() > sure { value } else { orient3d(u0, u1, u2, DVec3::ZERO) }
 }
 
-/// Puts `w`, beyond the triangle's plane, in the place of the one point without
-/// which the cone still holds the ray.
-#[inline]
-pub(crate) fn pivot(pair: &Pair<'_>, triple: &mut [Support; 3], w: Support) {
-    let across = pair.ray.cross(w.point);
-    let [u0, u1, u2] = *triple;
-    let [t0, t1, t2] = [u0, u1, u2].map(|u| turn(pair, across, w.point, u.point));
-    // The two with opposite signs stay, in their order; a parallel one (0) goes.
-    // Which is anyone's guess: chosen without branches.
-    let goes = if t0 == 0.0 || t1 == 0.0 || t2 == 0.0 {
-        [t0, t1, t2].iter().position(|&t| t == 0.0).unwrap_or(0)
-    } else {
-        let second = usize::from((t2 > 0.0) & (t0 < 0.0));
-        let third = usize::from((t0 > 0.0) & (t1 < 0.0));
-        second + 2 * third
-    };
-    *triple = [w, triple[(goes + 1) % 3], triple[(goes + 2) % 3]];
+/// Three points of `K` whose cone holds the ray. They stay where they are, and
+/// names of their places change: a point is long in memory when it is read again.
+pub(crate) struct Triple {
+    places: [Support; 4],
+    /// Places of the three, anticlockwise about the ray.
+    at: [u8; 3],
+    /// The place for the next.
+    free: u8,
+}
+
+impl Triple {
+    pub(crate) fn new([u0, u1, u2]: [Support; 3]) -> Self {
+        Self { places: [u0, u1, u2, Support::default()], at: [0, 1, 2], free: 3 }
+    }
+
+    /// One of the three.
+    #[inline]
+    pub(crate) fn get(&self, i: usize) -> &Support {
+        &self.places[usize::from(self.at[i] & 3)]
+    }
+
+    /// The three.
+    #[inline]
+    pub(crate) fn supports(&self) -> [Support; 3] {
+        [*self.get(0), *self.get(1), *self.get(2)]
+    }
+
+    /// Puts `w`, beyond the triangle's plane, in the place of the one point
+    /// without which the cone still holds the ray.
+    #[inline]
+    pub(crate) fn pivot(&mut self, pair: &Pair<'_>, w: Support) {
+        self.places[usize::from(self.free & 3)] = w;
+        let across = pair.ray.cross(w.point);
+        let [t0, t1, t2] = [0, 1, 2].map(|i| turn(pair, across, w.point, self.get(i).point));
+        // The two with opposite signs stay, in their order; a parallel one (0) goes.
+        // Which is anyone's guess: chosen without branches.
+        let (second, third) = if t0 == 0.0 || t1 == 0.0 || t2 == 0.0 {
+            (t0 != 0.0 && t1 == 0.0, t0 != 0.0 && t1 != 0.0)
+        } else {
+            ((t2 > 0.0) & (t0 < 0.0), (t0 > 0.0) & (t1 < 0.0))
+        };
+        let [a0, a1, a2] = self.at;
+        let goes = if third {
+            a2
+        } else if second {
+            a1
+        } else {
+            a0
+        };
+        let after = if third {
+            a0
+        } else if second {
+            a2
+        } else {
+            a1
+        };
+        let before = if third {
+            a1
+        } else if second {
+            a0
+        } else {
+            a2
+        };
+        self.at = [self.free, after, before];
+        self.free = goes;
+    }
+
+    /// Its outward normal, in wide arithmetic where the triangle is thin.
+    #[inline]
+    pub(crate) fn normal(&self) -> Normal {
+        let (u0, u1, u2) = (self.get(0).point, self.get(1).point, self.get(2).point);
+        let (e1, e2) = (u1 - u0, u2 - u0);
+        let n = e1.cross(e2);
+        let (length_squared, sides_squared) = (n.length_squared(), e1.length_squared() * e2.length_squared());
+        // Below a sine of 1/16 the products cancel 4 bits and more.
+        if 256.0 * length_squared >= sides_squared {
+            // (length + sides)^2 at most.
+            Normal { n, error_squared: 2.0 * (length_squared + sides_squared) }
+        } else {
+            // Taken apart: else the plain one would go through memory too.
+            let Normal { n, error_squared } = self.wide_normal();
+            Normal { n: DVec3::new(n.x, n.y, n.z), error_squared }
+        }
+    }
+
+    /// The same, unit, whatever the triangle.
+    #[cold]
+    pub(crate) fn wide_normal(&self) -> Normal {
+        let n = triangle_normal(self.get(0).point, self.get(1).point, self.get(2).point).unit;
+        Normal { n, error_squared: 1.0 }
+    }
 }
 
 /// Outward normal of a triangle, and how wrong it may be.
@@ -78,29 +152,6 @@ pub(crate) struct Normal {
     pub(crate) n: DVec3,
     /// Roundoffs of a length whose square this is are its error.
     pub(crate) error_squared: f64,
-}
-
-/// The normal, in wide arithmetic where the triangle is thin.
-#[inline]
-pub(crate) fn normal(triple: &[Support; 3]) -> Normal {
-    let [u0, u1, u2] = [triple[0].point, triple[1].point, triple[2].point];
-    let (e1, e2) = (u1 - u0, u2 - u0);
-    let n = e1.cross(e2);
-    let (length_squared, sides_squared) = (n.length_squared(), e1.length_squared() * e2.length_squared());
-    // Below a sine of 1/16 the products cancel 4 bits and more.
-    if 256.0 * length_squared >= sides_squared {
-        // (length + sides)^2 at most.
-        Normal { n, error_squared: 2.0 * (length_squared + sides_squared) }
-    } else {
-        wide_normal(triple)
-    }
-}
-
-/// The same, unit, whatever the triangle.
-#[cold]
-pub(crate) fn wide_normal(triple: &[Support; 3]) -> Normal {
-    let n = triangle_normal(triple[0].point, triple[1].point, triple[2].point).unit;
-    Normal { n, error_squared: 1.0 }
 }
 
 /// Weights `l` with `sum of l_i u_i = ray` (Cramer's rule); not finite where the

@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use super::{BoxShape, ConvexHull, Csr, Isolation};
-use crate::contact::support::Coarse;
+use crate::contact::support::{Coarse, Columns};
 
 /// In the caller's units, hull frame.
 impl ConvexHull {
@@ -115,6 +115,11 @@ impl ConvexHull {
     /// The box that this hull is, if it is one about its contraction point.
     pub(crate) fn box_shape(&self) -> Option<&BoxShape> {
         self.box_shape.as_ref()
+    }
+
+    /// The vertices as columns.
+    pub(crate) fn columns(&self) -> &Columns {
+        &self.columns
     }
 
     /// Power of two: caller's units per hull unit.

@@ -40,12 +40,13 @@ impl BoxShape {
         (!corners.contains(&u32::MAX)).then_some(Self { axes, half, corners })
     }
 
-    /// The vertex in the octant with these signs.
-    pub(crate) fn corner(&self, signs: DVec3) -> u32 {
-        self.corners[octant(signs)]
+    /// The vertex in an [`octant`].
+    pub(crate) fn corner(&self, octant: usize) -> u32 {
+        self.corners[octant]
     }
 }
 
-fn octant(v: DVec3) -> usize {
+/// Bit `i` is set where coordinate `i` is positive.
+pub(crate) fn octant(v: DVec3) -> usize {
     usize::from(v.x > 0.0) | usize::from(v.y > 0.0) << 1 | usize::from(v.z > 0.0) << 2
 }

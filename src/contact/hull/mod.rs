@@ -15,7 +15,7 @@ mod merge;
 mod quickhull;
 mod topology;
 
-pub(crate) use boxes::BoxShape;
+pub(crate) use boxes::{BoxShape, octant};
 use csr::Csr;
 pub use error::{HullError, HullErrorKind};
 pub(crate) use isolation::Isolation;

@@ -1,5 +1,5 @@
 //! A feature clipped by a face: Sutherland and Hodgman, *Reentrant polygon
-//! clipping* (1974), with the name of what makes each vertex carried along.
+//! clipping* (1974), with what makes each vertex carried along.
 //!
 //! A side of the window cuts where the subject passes from more than `eps`
 //! inside to more than `eps` outside; a vertex within `eps` of the side's line is
@@ -8,22 +8,26 @@
 
 use glam::DVec2;
 
-use super::outline::{Outline, height_on};
-use crate::contact::manifold::Element;
+use super::outline::Outline;
 
-/// A vertex of the intersection: where it is, how high it is over both features,
-/// what makes it. All are known where it is made, and go along with it.
+/// A vertex of the intersection.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Vertex {
     pub(super) at: DVec2,
-    /// Of the subject.
-    pub(super) own_height: f64,
-    pub(super) own: Element,
-    /// Of the window.
-    pub(super) other_height: f64,
-    pub(super) other: Element,
+    pub(super) made: Made,
     /// What the outline follows from here.
     line: Line,
+}
+
+/// What makes a vertex, by places in the two outlines.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Made {
+    /// A corner of the subject inside the window.
+    Own(u32),
+    /// A corner of the window inside the subject.
+    Window(u32),
+    /// A side of the subject and one of the window.
+    Crossing(u32, u32),
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -48,26 +52,20 @@ impl Clip {
     /// `window`, a polygon; in order, with vertices nearer than `eps` still apart.
     pub(super) fn clip(&mut self, subject: &Outline, window: &Outline, eps: f64) {
         self.kept.clear();
-        self.kept.extend(subject.corners.iter().zip(0..).map(|(c, i)| Vertex {
-            at: c.at,
-            own_height: c.height,
-            own: Element::Vertex(c.vertex),
-            other_height: window.height(c.at),
-            other: Element::Inside,
-            line: Line::Own(i),
-        }));
+        let corners = subject.corners.iter().zip(0..);
+        self.kept.extend(corners.map(|(c, i)| Vertex { at: c.at, made: Made::Own(i), line: Line::Own(i) }));
         let mut on_line = false;
         for j in 0..window.sides.len() {
-            on_line |= self.cut(subject, window, j as u32, eps);
+            on_line |= self.cut(window, j as u32, eps);
         }
         if on_line {
-            self.cut_corners(subject, window, eps);
+            self.cut_corners(window, eps);
         }
     }
 
     /// Cuts by side `j` of the window; whether a vertex outside by no more than
     /// `eps` stays.
-    fn cut(&mut self, subject: &Outline, window: &Outline, j: u32, eps: f64) -> bool {
+    fn cut(&mut self, window: &Outline, j: u32, eps: f64) -> bool {
         let Self { kept, next, distances } = self;
         let side = window.sides[j as usize];
         distances.clear();
@@ -84,10 +82,10 @@ impl Clip {
         next.clear();
         let closed = kept.len() > 2;
         let mut stays = false;
-        for (i, &p) in kept.iter().enumerate() {
+        for (i, (&p, &from)) in kept.iter().zip(distances.iter()).enumerate() {
             let last = i + 1 == kept.len();
             let following = if last { 0 } else { i + 1 };
-            let (from, to) = (distances[i], distances[following]);
+            let to = distances[following];
             let goes_on = closed || !last;
             let leaves = to < -eps && goes_on;
             if from >= -eps {
@@ -96,10 +94,10 @@ impl Clip {
                 next.push(if on_line { Vertex { line: Line::Window(j), ..p } } else { p });
             }
             if leaves && from > eps {
-                let crossing = crossing(subject, window, &p, &kept[following], from / (from - to), j);
+                let crossing = crossing(window, &p, &kept[following], from / (from - to), j);
                 next.push(Vertex { line: Line::Window(j), ..crossing });
             } else if from < -eps && to > eps && goes_on {
-                next.push(crossing(subject, window, &p, &kept[following], from / (from - to), j));
+                next.push(crossing(window, &p, &kept[following], from / (from - to), j));
             }
         }
         std::mem::swap(kept, next);
@@ -107,7 +105,7 @@ impl Clip {
     }
 
     /// Cuts what is more than `eps` beyond a sharp corner, across the corner.
-    fn cut_corners(&mut self, subject: &Outline, window: &Outline, eps: f64) {
+    fn cut_corners(&mut self, window: &Outline, eps: f64) {
         let Self { kept, next, .. } = self;
         let mut before = window.sides.len() - 1;
         for (j, corner) in window.corners.iter().enumerate() {
@@ -128,14 +126,8 @@ impl Clip {
                 if !beyond(v) {
                     next.push(*v);
                 } else if !beyond(&kept[if i == 0 { kept.len() - 1 } else { i - 1 }]) {
-                    next.push(Vertex {
-                        at: corner.at,
-                        own_height: subject.height(corner.at),
-                        own: Element::Inside,
-                        other_height: corner.height,
-                        other: Element::Vertex(corner.vertex),
-                        line: Line::Window(j as u32),
-                    });
+                    let (made, line) = (Made::Window(j as u32), Line::Window(j as u32));
+                    next.push(Vertex { at: corner.at, made, line });
                 }
             }
             std::mem::swap(kept, next);
@@ -148,31 +140,16 @@ impl Clip {
 const SHARP: f64 = 1.999;
 
 /// Where the outline, on its way from `p` to `q`, meets side `j` of the window.
-fn crossing(subject: &Outline, window: &Outline, p: &Vertex, q: &Vertex, share: f64, j: u32) -> Vertex {
+fn crossing(window: &Outline, p: &Vertex, q: &Vertex, share: f64, j: u32) -> Vertex {
     let at = p.at + share * (q.at - p.at);
     match p.line {
-        Line::Own(i) => Vertex {
-            at,
-            own_height: p.own_height + share * (q.own_height - p.own_height),
-            own: subject.side_name(i as usize),
-            other_height: height_on(window.side(j as usize), at),
-            other: window.side_name(j as usize),
-            line: p.line,
-        },
+        Line::Own(i) => Vertex { at, made: Made::Crossing(i, j), line: p.line },
         // Two sides of the window meet in the corner where the second begins.
         Line::Window(k) => {
             let corner = if window.next(j as usize) == k as usize { k } else { j };
             let adjacent = corner == k || window.next(k as usize) == j as usize;
-            let corner = &window.corners[corner as usize];
-            let at = if adjacent { corner.at } else { at };
-            Vertex {
-                at,
-                own_height: subject.height(at),
-                own: Element::Inside,
-                other_height: corner.height,
-                other: Element::Vertex(corner.vertex),
-                line: p.line,
-            }
+            let at = if adjacent { window.corners[corner as usize].at } else { at };
+            Vertex { at, made: Made::Window(corner), line: p.line }
         }
     }
 }

@@ -44,18 +44,16 @@ pub(crate) struct Intersection {
     pub(crate) estimated: bool,
     /// How far below their planes the corners of both features may lie; pair units.
     pub(crate) planarity: f64,
-    /// Right-handed axes of the contact plane with the normal.
-    axes: [DVec3; 2],
-    normal: DVec3,
+    /// Right-handed: two of the contact plane, and the normal.
+    axes: [DVec3; 3],
 }
 
 impl Intersection {
     /// Intersects the features of `pair` that `normal` (unit, A's frame) touches.
     pub(crate) fn find(&mut self, pair: &Pair<'_>, normal: DVec3, [feature_a, feature_b]: [Touched; 2]) {
         let (e1, e2) = normal.any_orthonormal_pair();
-        self.axes = [e1, e2];
-        self.normal = normal;
         let axes = [e1, e2, normal];
+        self.axes = axes;
         let from_a =
             View { axes: axes.map(|axis| axis * pair.scale_a), center: DVec3::ZERO, scale: pair.scale_a };
         let from_b = View {
@@ -80,8 +78,9 @@ impl Intersection {
         }
     }
 
-    /// Pair-frame position of a point's witness on A.
-    pub(crate) fn witness_a(&self, p: &PlanePoint) -> DVec3 {
-        self.axes[0] * p.at.x + self.axes[1] * p.at.y + self.normal * p.height_a
+    /// Of the contact plane with the normal, right-handed: a point's witness on A
+    /// is `[at.x, at.y, height_a]` along them, in the pair's frame.
+    pub(crate) fn axes(&self) -> [DVec3; 3] {
+        self.axes
     }
 }

@@ -98,8 +98,9 @@ impl Outline {
         }
         (self.lowest, self.highest) = (f64::INFINITY, f64::NEG_INFINITY);
         for corner in &self.corners {
-            self.lowest = self.lowest.min(corner.height);
-            self.highest = self.highest.max(corner.height);
+            // As plain comparisons: no height is NaN, which min and max would mind.
+            self.lowest = if corner.height < self.lowest { corner.height } else { self.lowest };
+            self.highest = if corner.height > self.highest { corner.height } else { self.highest };
         }
         self.set_plane(hull, feature, view);
     }

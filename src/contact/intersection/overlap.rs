@@ -4,7 +4,7 @@
 use glam::DVec2;
 
 use super::PlanePoint;
-use super::clip::Clip;
+use super::clip::{Clip, Made, Vertex};
 use super::outline::{Outline, height_on};
 use crate::contact::manifold::Element;
 
@@ -14,28 +14,59 @@ use crate::contact::manifold::Element;
 pub(super) fn find(a: &Outline, b: &Outline, eps: f64, clip: &mut Clip, points: &mut Vec<PlanePoint>) {
     if b.corners.len() > 2 {
         clip.clip(a, b, eps);
-        points.extend(clip.kept.iter().map(|v| PlanePoint {
-            at: v.at,
-            height_a: v.own_height,
-            height_b: v.other_height,
-            id: [v.own, v.other],
+        points.extend(clip.kept.iter().map(|v| {
+            let [(own, height_a), (other, height_b)] = lifted(v, a, b);
+            PlanePoint { at: v.at, height_a, height_b, id: [own, other] }
         }));
     } else if a.corners.len() > 2 {
         clip.clip(b, a, eps);
-        points.extend(clip.kept.iter().map(|v| PlanePoint {
-            at: v.at,
-            height_a: v.other_height,
-            height_b: v.own_height,
-            id: [coinciding(a, v.at, eps).unwrap_or(v.other), v.own],
+        points.extend(clip.kept.iter().map(|v| {
+            let [(own, height_b), (other, height_a)] = lifted(v, b, a);
+            PlanePoint { at: v.at, height_a, height_b, id: [coinciding(a, v.at, eps).unwrap_or(other), own] }
         }));
     } else {
         thin(a, b, eps, points);
     }
-    merge(points, eps);
-    straighten(points, eps);
-    if let Some(first) = (0..points.len()).min_by_key(|&i| points[i].id) {
+    if !settled(points, eps) {
+        merge(points, eps);
+        straighten(points, eps);
+    }
+    let key = |p: &PlanePoint| p.id.map(Element::key);
+    if let Some(first) = (0..points.len()).min_by_key(|&i| key(&points[i])) {
         points.rotate_left(first);
     }
+}
+
+/// What of the subject and of the window makes a vertex, and how high it is on
+/// each.
+fn lifted(v: &Vertex, subject: &Outline, window: &Outline) -> [(Element, f64); 2] {
+    let corner = |outline: &Outline, i: u32| {
+        let corner = &outline.corners[i as usize];
+        (Element::Vertex(corner.vertex), corner.height)
+    };
+    let side = |outline: &Outline, i: u32| {
+        (outline.side_name(i as usize), height_on(outline.side(i as usize), v.at))
+    };
+    match v.made {
+        Made::Own(i) => [corner(subject, i), (Element::Inside, window.height(v.at))],
+        Made::Window(j) => [(Element::Inside, subject.height(v.at)), corner(window, j)],
+        Made::Crossing(i, j) => [side(subject, i), side(window, j)],
+    }
+}
+
+/// Whether no vertex is within `eps` of the next or of the line between its
+/// neighbours: an outline as it should be.
+fn settled(points: &[PlanePoint], eps: f64) -> bool {
+    let (&[.., last], &[first, ..]) = (points, points) else { return true };
+    let mut before = last.at;
+    let mut at = first.at;
+    let mut whole = points.len() > 2;
+    for i in 0..points.len() {
+        let after = points.get(i + 1).map_or(first.at, |p| p.at);
+        whole &= at.distance_squared(after) > eps * eps && aside(before, at, after, eps);
+        (before, at) = (at, after);
+    }
+    whole
 }
 
 /// A's corner at a vertex of B's clipped outline.
