@@ -89,17 +89,52 @@ pub(crate) fn touched_feature(
     direction: &Direction<'_>,
     scratch: &mut Scratch,
 ) -> Touched {
-    if let Some(face) = lone_face(hull, direction) {
-        return Touched::Face(face);
+    if let Some(feature) = lone_feature(hull, direction) {
+        return feature;
     }
-    scratch.find_support(hull, direction);
-    if let Some(face) = scratch.touched_face(hull, direction) {
-        return Touched::Face(face);
+    scratch.search(hull, direction)
+}
+
+/// What the direction touches, where it stands so far apart that nothing else
+/// has to be looked at: the vertex, the edge or the face of the known vertices.
+fn lone_feature(hull: &ConvexHull, direction: &Direction<'_>) -> Option<Touched> {
+    let v = direction.known[0];
+    let mut others = direction.known.iter().copied().filter(|&u| u != v);
+    let Some(w) = others.next() else {
+        let alone = stands_out(hull, v, v, direction);
+        return if alone { Some(Touched::Vertex(v)) } else { lone_face(hull, direction).map(Touched::Face) };
+    };
+    if others.all(|u| u == w)
+        && let Some(edge) = lone_edge(hull, [v, w], direction)
+    {
+        return Some(edge);
     }
-    if let Some(edge) = scratch.touched_edge(hull, direction) {
-        return Touched::Edge(edge);
-    }
-    Touched::Vertex(scratch.support.iter().copied().min().unwrap_or(0))
+    lone_face(hull, direction).map(Touched::Face)
+}
+
+/// The edge between two vertices, if it lies across the direction and all others
+/// at its ends fall away.
+fn lone_edge(hull: &ConvexHull, [v, w]: [u32; 2], direction: &Direction<'_>) -> Option<Touched> {
+    let ends = [v.min(w), v.max(w)];
+    let edge = hull.vertex_edges(v as usize).iter().find(|&&e| hull.edge_vertices()[e as usize] == ends)?;
+    let rise = direction.n.dot(hull.vertices()[w as usize] - hull.vertices()[v as usize]);
+    let level = rise.abs() <= direction.depth;
+    (level && stands_out(hull, v, w, direction) && stands_out(hull, w, v, direction))
+        .then_some(Touched::Edge(*edge))
+}
+
+/// Whether from a vertex all its edges but the one to `except` fall away, by more
+/// than the feature angle: then none of them is touched, nor their other ends, and
+/// no face at the vertex either, since of its sides there one at least is among them.
+fn stands_out(hull: &ConvexHull, v: u32, except: u32, direction: &Direction<'_>) -> bool {
+    let at = hull.vertices()[v as usize];
+    let sine_squared = direction.sine * direction.sine * (1.0 + LONE);
+    hull.vertex_neighbours(v as usize).iter().all(|&w| {
+        let along = hull.vertices()[w as usize] - at;
+        let fall = -direction.n.dot(along);
+        let steep = fall * fall > sine_squared * along.length_squared();
+        (w == except) | (steep & (fall > direction.depth + LONE))
+    })
 }
 
 /// The face that the direction touches, where it stands so far apart that no
@@ -130,6 +165,18 @@ fn lone_face(hull: &ConvexHull, direction: &Direction<'_>) -> Option<u32> {
 }
 
 impl Scratch {
+    /// By the definition.
+    fn search(&mut self, hull: &ConvexHull, direction: &Direction<'_>) -> Touched {
+        self.find_support(hull, direction);
+        if let Some(face) = self.touched_face(hull, direction) {
+            return Touched::Face(face);
+        }
+        if let Some(edge) = self.touched_edge(hull, direction) {
+            return Touched::Edge(edge);
+        }
+        Touched::Vertex(self.support.iter().copied().min().unwrap_or(0))
+    }
+
     /// All vertices within `depth` of the farthest: connected along the hull's
     /// edges, since what a half space cuts off a convex polytope is.
     fn find_support(&mut self, hull: &ConvexHull, direction: &Direction<'_>) {
@@ -236,9 +283,9 @@ mod tests {
     use super::*;
 
     /// Directions on and around the faces, edges and vertices of hulls with flat
-    /// and fine parts. Catches a face called lone that another one outdoes.
+    /// and fine parts. Catches a feature called lone that another one outdoes.
     #[test]
-    fn a_lone_face_is_what_the_whole_search_finds() {
+    fn a_lone_feature_is_what_the_whole_search_finds() {
         let boxes = |half: [f64; 3]| {
             let sign = |i: usize, k: usize| if i >> k & 1 == 0 { -1.0 } else { 1.0 };
             (0..8).map(|i| std::array::from_fn(|k| sign(i, k) * half[k])).collect::<Vec<[f64; 3]>>()
@@ -256,7 +303,7 @@ mod tests {
             ring(300, 1.0, -0.5).chain(ring(300, 0.999, 0.5)).collect(),
             ring(40, 1.0, 0.0).chain(ring(40, 0.9, 0.004)).chain(ring(3, 0.1, -1.0)).collect(),
         ];
-        let (mut lone, mut other, mut state) = (0, 0, 1_u64);
+        let (mut lone, mut other, mut state) = ([0; 3], 0, 1_u64);
         let mut random = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
@@ -266,23 +313,36 @@ mod tests {
             let hull = ConvexHull::new(points).expect("a hull");
             for round in 0..4000 {
                 let tilt = 10_f64.powi(-(round % 8));
-                let face = hull.face_normals()[round as usize % hull.face_count()];
-                let n = (face + tilt * DVec3::new(random(), random(), random())).normalize();
-                let known = [hull.support(n)];
+                // Along a face's normal, across an edge, or anywhere, and a little off.
+                let edge = round as usize % hull.edge_count();
+                let [f, g] = hull.edge_faces()[edge].map(|f| hull.face_normals()[f as usize]);
+                let share = [0.0, 0.5, 0.3][round as usize / 32 % 3];
+                let n = (f + share * (g - f) + tilt * DVec3::new(random(), random(), random())).normalize();
+                let off_edge = share != 0.0 && round % 5 < 3;
+                let along = hull.edge_vertices()[edge].map(|v| hull.vertices()[v as usize]);
+                let along = (along[1] - along[0]).normalize();
+                let n = if off_edge { (n - along * n.dot(along)).normalize() } else { n };
+                let known = if off_edge && hull.edge_vertices()[edge].contains(&hull.support(n)) {
+                    hull.edge_vertices()[edge].to_vec()
+                } else {
+                    vec![hull.support(n)]
+                };
                 let angle: f64 = [0.0, 1e-3, 0.01, 0.3][round as usize / 8 % 4];
                 let (sine, cosine) = angle.sin_cos();
                 let direction = Direction { n, known: &known, depth: 64.0 * U, sine, cosine };
-                scratch.find_support(&hull, &direction);
-                let whole = scratch.touched_face(&hull, &direction);
-                match lone_face(&hull, &direction) {
-                    Some(face) => {
-                        assert_eq!(whole, Some(face));
-                        lone += 1;
+                match lone_feature(&hull, &direction) {
+                    Some(feature) => {
+                        assert_eq!(scratch.search(&hull, &direction), feature);
+                        lone[match feature {
+                            Touched::Vertex(_) => 0,
+                            Touched::Edge(_) => 1,
+                            Touched::Face(_) => 2,
+                        }] += 1;
                     }
                     None => other += 1,
                 }
             }
         }
-        assert!(lone > 5000 && other > 5000, "{lone} {other}");
+        assert!(lone.iter().all(|&count| count > 1000) && other > 3000, "{lone:?} {other}");
     }
 }

@@ -31,7 +31,7 @@ impl Support {
 
     /// Whether the same vertices make both.
     pub(crate) fn same(&self, other: &Self) -> bool {
-        self.a == other.a && self.b == other.b && self.a != Self::INNER
+        (self.a == other.a) & (self.b == other.b) & (self.a != Self::INNER)
     }
 }
 

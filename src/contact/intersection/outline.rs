@@ -223,6 +223,7 @@ fn vertices<'a>(hull: &'a ConvexHull, feature: &'a Touched) -> &'a [u32] {
 }
 
 /// The length of a vector whose square may underflow; 0 for no length.
+#[inline]
 fn length(v: DVec2) -> f64 {
     let squared = v.length_squared();
     if squared > f64::MIN_POSITIVE {
