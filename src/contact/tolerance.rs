@@ -28,6 +28,10 @@ pub(crate) const COINCIDENT: f64 = 8.0;
 /// `U * (R + M)` within which points of the contact plane are one.
 pub(crate) const MERGE: f64 = 64.0;
 
+/// Share of `R`: a projected side as long has a direction that is off by less
+/// than [`MERGE`] `U`, its corners being off by 5 `U * R` each at most.
+pub(crate) const LONG_SIDE: f64 = 1.0 / 6.0;
+
 /// Share of `U * (R + |d|)` of the rounding band around the margin; the share
 /// of `U * M` is [`NOISE`].
 pub(crate) const BAND: f64 = 64.0;
@@ -52,6 +56,9 @@ pub(crate) const TRIPLE_PRODUCT: f64 = 16.0;
 /// mostly rounding (the error of a closest point squared, `U R^2`), it hands
 /// its simplex to the pivot.
 pub(crate) const RAY_CAST_NEAR: f64 = 1.5e-8;
+
+/// Steps from nothing that are not compared with those before: each is better.
+pub(crate) const FIRST_STEPS: u32 = 8;
 
 /// Steps without improvement after which a loop gives up.
 pub(crate) const STALL: u32 = 24;

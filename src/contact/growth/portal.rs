@@ -12,7 +12,7 @@ use glam::DVec3;
 use super::triple::{self, Normal, Triple};
 use super::{Cost, Goal, Growth, Separation, conclude, separates, upper_bound};
 use crate::contact::pair::{Pair, Support, shift};
-use crate::contact::tolerance::{GAIN, STALL, U};
+use crate::contact::tolerance::{FIRST_STEPS, GAIN, STALL, U};
 
 /// Growth scale and normal. `seeds` are vertices of `K` worth trying first: a
 /// basis of an earlier answer, a simplex of another solver.
@@ -34,6 +34,7 @@ pub(crate) fn solve(pair: &Pair<'_>, seeds: &[Support], goal: &Goal, cost: Cost)
 fn refine<const LARGE: bool>(pair: &Pair<'_>, mut portal: Triple, goal: &Goal, mut cost: Cost) -> Growth {
     let mut best = Best::default();
     let (mut wide, mut stalled) = (false, 0);
+    let uncompared = FIRST_STEPS.min(goal.max_iterations / 2);
     let mut last = Support::default();
     loop {
         let normal = if wide { portal.wide_normal() } else { portal.normal() };
@@ -56,14 +57,15 @@ fn refine<const LARGE: bool>(pair: &Pair<'_>, mut portal: Triple, goal: &Goal, m
         if goal.margin < f64::INFINITY && separates(pair, n, &w, goal.margin) {
             return Growth::Separated(Separation { direction: n, support: w, cost });
         }
-        stalled = if best.improve(pair.ray, n, w) { 0 } else { stalled + 1 };
+        let improves = cost.iterations <= uncompared || best.improve(pair.ray, n, w);
+        stalled = if improves { 0 } else { stalled + 1 };
         let out_of_steps = cost.iterations >= goal.max_iterations || stalled >= STALL;
         let refined = refined(pair, &portal, normal, &w, goal.relative_tolerance);
         if refined || out_of_steps || (goal.outcome_only && overlaps(pair, &portal)) {
             // The portal's own plane holds the basis: an earlier one, as good to
             // rounding, may be another facet's.
             let mut solution = conclude(pair, n, w, portal.supports(), goal, cost);
-            if solution.gap_open {
+            if solution.gap_open && best.ratio > 0.0 {
                 solution = conclude(pair, best.direction, best.support, portal.supports(), goal, cost);
             }
             let sharp = !solution.gap_open && !solution.coarse;

@@ -16,6 +16,7 @@ use glam::{DVec2, DVec3};
 
 use super::manifold::Element;
 use super::pair::Pair;
+use super::tolerance::LONG_SIDE;
 use outline::{Outline, View};
 
 pub(crate) use super::gauss_map::Touched;
@@ -64,9 +65,10 @@ impl Intersection {
         self.a.project(pair.a, feature_a, &from_a);
         self.b.project(pair.b, feature_b, &from_b);
         self.planarity = self.a.planarity + self.b.planarity;
-        self.b.set_sides(pair.b, feature_b, &from_b);
+        let long = pair.circumradius * LONG_SIDE;
+        self.b.set_sides(pair.b, feature_b, &from_b, long);
         if self.b.corners.len() <= 2 {
-            self.a.set_sides(pair.a, feature_a, &from_a);
+            self.a.set_sides(pair.a, feature_a, &from_a, long);
         }
 
         let eps = pair.merge_distance();

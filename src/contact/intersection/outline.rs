@@ -111,17 +111,22 @@ impl Outline {
         if self.corners.len() > 2 { self.corners.len() } else { self.corners.len().saturating_sub(1) }
     }
 
-    /// The lines of the sides, with the directions of the hull's own sides:
-    /// projected corners are rounded, and a side between them that is no longer
-    /// than that has no direction, so that it would cut anywhere.
-    pub(super) fn set_sides(&mut self, hull: &ConvexHull, feature: Touched, view: &View) {
+    /// The lines of the sides. One shorter than `long` has the direction of the
+    /// hull's own side: projected corners are rounded, and a side between them that
+    /// is no longer than that has no direction, so that it would cut anywhere.
+    pub(super) fn set_sides(&mut self, hull: &ConvexHull, feature: Touched, view: &View, long: f64) {
         let vertices = vertices(hull, &feature);
         let last = vertices.len() - 1;
         let vertex = |i: usize| hull.vertices()[vertices[if self.reversed { last - i } else { i }] as usize];
         self.sides.clear();
+        self.sides.reserve(vertices.len());
         let (mut along_first, mut doubled_area) = (DVec2::ZERO, 0.0);
         for i in 0..self.side_count() {
-            let (along, rise) = view.direction(vertex(self.next(i)) - vertex(i));
+            let [from, to] = self.side(i);
+            let (mut along, mut rise) = (to.at - from.at, to.height - from.height);
+            if along.length_squared() < long * long {
+                (along, rise) = view.direction(vertex(self.next(i)) - vertex(i));
+            }
             let length = length(along);
             if rise.abs() > STEEPEST * length {
                 return self.flatten();
@@ -129,7 +134,7 @@ impl Outline {
             doubled_area += along_first.perp_dot(along);
             along_first += along;
             let inward = along.perp() / length;
-            self.sides.push(Side { inward, offset: inward.dot(self.corners[i].at) });
+            self.sides.push(Side { inward, offset: inward.dot(from.at) });
         }
         if doubled_area < 0.0 {
             // Thinner than its corners' rounding, which turned it round.
@@ -214,6 +219,7 @@ pub(super) fn height_on([a, b]: [&Corner; 2], at: DVec2) -> f64 {
 }
 
 /// The vertices that make a feature.
+#[inline]
 fn vertices<'a>(hull: &'a ConvexHull, feature: &'a Touched) -> &'a [u32] {
     match feature {
         Touched::Vertex(v) => std::slice::from_ref(v),
@@ -226,9 +232,11 @@ fn vertices<'a>(hull: &'a ConvexHull, feature: &'a Touched) -> &'a [u32] {
 #[inline]
 fn length(v: DVec2) -> f64 {
     let squared = v.length_squared();
-    if squared > f64::MIN_POSITIVE {
-        return squared.sqrt();
-    }
+    if squared > f64::MIN_POSITIVE { squared.sqrt() } else { small_length(v) }
+}
+
+#[cold]
+fn small_length(v: DVec2) -> f64 {
     let size = v.abs().max_element();
     if size > 0.0 { size * (v / size).length() } else { 0.0 }
 }
