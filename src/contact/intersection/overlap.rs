@@ -31,10 +31,20 @@ pub(super) fn find(a: &Outline, b: &Outline, eps: f64, clip: &mut Clip, points: 
         merge(points, eps);
         straighten(points, eps);
     }
-    let key = |p: &PlanePoint| p.id.map(Element::key);
-    if let Some(first) = (0..points.len()).min_by_key(|&i| key(&points[i])) {
-        points.rotate_left(first);
+    let first = lowest(points);
+    points.rotate_left(first);
+}
+
+/// Where the lowest id is. Without branches: where is anyone's guess.
+fn lowest(points: &[PlanePoint]) -> usize {
+    let (mut first, mut least) = (0, [u128::MAX; 2]);
+    for (i, point) in points.iter().enumerate() {
+        let key = point.id.map(Element::key);
+        let lower = (key[0] < least[0]) | ((key[0] == least[0]) & (key[1] < least[1]));
+        first = if lower { i } else { first };
+        least = [0, 1].map(|k| if lower { key[k] } else { least[k] });
     }
+    first
 }
 
 /// What of the subject and of the window makes a vertex, and how high it is on
