@@ -130,7 +130,8 @@ fn bracket(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), 
         return at_most("alpha of coincident centres", alpha, 0.0);
     }
     let growth = scene.normal.dot(scene.d) / scene.reach;
-    at_most("lower end of the bracket above what the normal shows", alpha_lower, growth)?;
+    // Nothing has to show that alpha is at least 0.
+    at_most("lower end of the bracket above what the normal shows", alpha_lower, growth.max(0.0))?;
     // An outcome alone asks for no bracket.
     if flags.gap_open || query.wanted == Wanted::Outcome {
         return Ok(());

@@ -26,17 +26,19 @@ pub(crate) fn decide(pair: &Pair<'_>, seeds: &[Support], margin: f64, cost: &mut
     let mut simplex = Simplex::from_points(seeds);
     let (mut shortest, mut farthest, mut stalled) = (f64::INFINITY, f64::NEG_INFINITY, 0);
     // Between hulls that nearly touch the direction is mostly rounding, and so
-    // is whether four points surround d: wide arithmetic from there on.
+    // is whether four points surround d, or how near a thin triangle is: wide
+    // arithmetic from there on.
     let mut wide = false;
     for _ in 0..DISTANCE_ITERATIONS {
         // From the nearest known point of K to d, that is from A to B.
         let away = if wide { -simplex.wide_closest_to(pair.d) } else { -simplex.closest_to(pair.d) };
         let distance = away.length();
-        if !wide && simplex.is_full() {
+        let within = distance <= margin + band;
+        if !wide && (simplex.is_full() || (within && simplex.is_thin())) {
             wide = true;
             continue;
         }
-        if distance <= margin + band {
+        if within {
             return Decision::Within;
         }
         let w = pair.support(away);

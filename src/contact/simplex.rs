@@ -34,6 +34,14 @@ impl Simplex {
         self.len == 4
     }
 
+    /// Whether it is a triangle so thin (a sine below 1/16: its normal loses 4 bits
+    /// and more) that in double precision the closest point may be far from it.
+    pub(crate) fn is_thin(&self) -> bool {
+        let &[u0, u1, u2] = self.points() else { return false };
+        let (e1, e2) = (u1.point - u0.point, u2.point - u0.point);
+        256.0 * e1.cross(e2).length_squared() < e1.length_squared() * e2.length_squared()
+    }
+
     pub(crate) fn contains(&self, w: &Support) -> bool {
         self.points().iter().any(|p| p.same(w))
     }

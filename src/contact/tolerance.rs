@@ -28,8 +28,8 @@ pub(crate) const COINCIDENT: f64 = 8.0;
 /// `U * (R + M)` within which points of the contact plane are one.
 pub(crate) const MERGE: f64 = 64.0;
 
-/// Share of `R`: a projected side as long has a direction that is off by less
-/// than [`MERGE`] `U`, its corners being off by 5 `U * R` each at most.
+/// Share of `R + M`: a projected side as long has a direction that is off by less
+/// than [`MERGE`] `U`, its corners being off by 5 `U * (R + M)` each at most.
 pub(crate) const LONG_SIDE: f64 = 1.0 / 6.0;
 
 /// Share of `U * (R + |d|)` of the rounding band around the margin; the share

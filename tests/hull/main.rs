@@ -374,3 +374,24 @@ fn areas_of_slivers_are_no_less_than_nothing() {
     assert!(needle.circumradius() / needle.inradius() > 1e14);
     check(&points, &needle, &mut Met::default());
 }
+
+/// Found by fuzzing: vertices that differ, but not once they are about the
+/// contraction point, made a face of no area, whose outline bounded nothing.
+#[test]
+fn vertices_that_coincide_about_the_contraction_point_make_no_face() {
+    let mut random = Random::new(12);
+    let mut coinciding = 0;
+    for size in [1e-10, 1e-15, 1e-18, 1e-40] {
+        for _ in 0..40 {
+            let mut points = vec![[1.0, 0.1, 0.0], [1.0, -1.0, 0.2], [0.5, 0.7, 1.0]];
+            points.extend(scaled(&sphere(6, &mut random), [size; 3]));
+            let hull = hull(&points);
+            check(&points, &hull, &mut Met::default());
+            assert!(hull.face_areas().iter().all(|&area| area > 0.1 * size * size), "{size:e}");
+            let places: BTreeSet<_> =
+                hull.vertices().iter().map(|v| v.to_array().map(f64::to_bits)).collect();
+            coinciding += usize::from(places.len() < hull.vertex_count());
+        }
+    }
+    assert!(coinciding >= 80, "{coinciding}");
+}

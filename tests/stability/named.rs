@@ -515,3 +515,24 @@ fn nothing_touches_beyond_a_sharp_corner() {
     }
     assert!(estimated > 100 && touching > 100, "{estimated} estimated, {touching} touching");
 }
+
+/// Found by fuzzing. The closest point of a thin triangle, as the foot on a plane
+/// whose normal is a small difference of large products, may be far from the
+/// triangle: hulls beyond the margin were CONTACT.
+#[test]
+fn long_needles_are_as_far_as_they_are() {
+    let random = &mut Random(91);
+    for _ in 0..600 {
+        let length = 10f64.powf(random.range(6.0, 12.0));
+        let axis = [[1.0; 3], [1.0, 1e-3, 0.0], random.direction()][random.below(3)];
+        let mut points: Vec<[f64; 3]> =
+            (0..5).map(|_| scaled(random.direction(), random.range(1.0, 4.0))).collect();
+        points.push(scaled(axis, length));
+        let needle = Shape::new(points);
+        let shapes = [any_shape(random), needle];
+        let distance = random.range(0.3, 1.5);
+        let alpha = random.range(1.1, 2.0);
+        let case = Case::aimed(random, shapes, alpha).at_distance(distance);
+        judged(&case.with_margins([0.5, 0.9, 0.99, 1.01, 1.1, 2.0].map(|share| share * distance)));
+    }
+}

@@ -212,13 +212,14 @@ impl<'a> Merger<'a> {
         best
     }
 
-    /// Whether a triangle's smallest height is below the tolerance.
+    /// Whether a triangle's smallest height is below the tolerance. (Of one whose
+    /// corners are one point about the contraction point all is 0.)
     fn is_thin(&self, t: u32) -> bool {
         let [a, b, c] =
             self.surface.triangulation.triangles[t as usize].map(|v| self.surface.vertices[v as usize]);
         let longest = (b - a).length().max((c - b).length()).max((a - c).length());
         // Of the vertices as centred, to be of one unit with the tolerance.
-        (b - a).cross(c - a).length() < self.tolerance * longest
+        (b - a).cross(c - a).length() <= self.tolerance * longest
     }
 
     /// Groups of thin triangles alone join a neighbour whose plane they fit:

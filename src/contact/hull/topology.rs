@@ -55,7 +55,8 @@ pub(super) fn topology(surface: &Surface<'_>, groups: &Groups) -> Option<Topolog
 }
 
 /// The convex polygon of `corners` seen against `normal`, anticlockwise and
-/// strictly convex: A. M. Andrew's monotone chain (1979) on exact turns.
+/// strictly convex: A. M. Andrew's monotone chain (1979) on exact turns. Less than
+/// three of a face thinner than the rounding of its vertices.
 fn outline(vertices: &[DVec3], corners: &[u32], normal: DVec3) -> Vec<u32> {
     // Dropping the normal's largest coordinate keeps the others exact.
     let size = normal.abs();
@@ -90,10 +91,6 @@ fn outline(vertices: &[DVec3], corners: &[u32], normal: DVec3) -> Vec<u32> {
     };
     add_chain(&mut sorted.iter());
     add_chain(&mut sorted.iter().rev());
-    if polygon.len() < 3 {
-        // A face thinner than rounding: no polygon to tell; keep its corners.
-        return corners.to_vec();
-    }
     polygon.into_iter().map(|(_, v)| v).collect()
 }
 

@@ -63,13 +63,12 @@ impl Clip {
         }
     }
 
-    /// Cuts by side `j` of the window; whether a vertex outside by no more than
-    /// `eps` stays.
+    /// Cuts by side `j` of the window; whether a vertex is within `eps` of it.
     fn cut(&mut self, window: &Outline, j: u32, eps: f64) -> bool {
         let Self { kept, next, distances } = self;
         let side = window.sides[j as usize];
         distances.clear();
-        let mut least = 0.0;
+        let mut least = f64::INFINITY;
         distances.extend(kept.iter().map(|v| {
             let distance = side.distance(v.at);
             // A side of no length (NaN) bounds nothing: it is never the smaller.
@@ -77,11 +76,11 @@ impl Clip {
             distance
         }));
         if least >= -eps {
-            return least < 0.0;
+            return least <= eps;
         }
         next.clear();
         let closed = kept.len() > 2;
-        let mut stays = false;
+        let mut on_line = false;
         for (i, (&p, &from)) in kept.iter().zip(distances.iter()).enumerate() {
             let last = i + 1 == kept.len();
             let following = if last { 0 } else { i + 1 };
@@ -89,9 +88,8 @@ impl Clip {
             let goes_on = closed || !last;
             let leaves = to < -eps && goes_on;
             if from >= -eps {
-                stays |= from < 0.0;
-                let on_line = leaves && from <= eps;
-                next.push(if on_line { Vertex { line: Line::Window(j), ..p } } else { p });
+                on_line |= from <= eps;
+                next.push(if leaves && from <= eps { Vertex { line: Line::Window(j), ..p } } else { p });
             }
             if leaves && from > eps {
                 let crossing = crossing(window, &p, &kept[following], from / (from - to), j);
@@ -101,7 +99,7 @@ impl Clip {
             }
         }
         std::mem::swap(kept, next);
-        stays
+        on_line
     }
 
     /// Cuts what is more than `eps` beyond a sharp corner, across the corner.
@@ -109,13 +107,14 @@ impl Clip {
         let Self { kept, next, .. } = self;
         let mut before = window.sides.len() - 1;
         for (j, corner) in window.corners.iter().enumerate() {
-            let inward = window.sides[before].inward + window.sides[j].inward;
+            let sides = [before, j].map(|side| window.sides[side].inward);
             before = j;
             // Of sides at right angles and wider ones `eps` is near the corner itself.
-            if !(inward.length_squared() < SHARP) {
+            if !((sides[0] + sides[1]).length_squared() < SHARP) {
                 continue;
             }
-            let inward = inward.normalize_or_zero();
+            // Between the two sides' ways from the corner.
+            let inward = (sides[0] - sides[1]).perp().normalize();
             let beyond = |v: &Vertex| inward.dot(v.at - corner.at) < -eps;
             if !kept.iter().any(beyond) {
                 continue;

@@ -65,10 +65,10 @@ impl Intersection {
         self.a.project(pair.a, feature_a, &from_a);
         self.b.project(pair.b, feature_b, &from_b);
         self.planarity = self.a.planarity + self.b.planarity;
-        let long = pair.circumradius * LONG_SIDE;
-        self.b.set_sides(pair.b, feature_b, &from_b, long);
+        let long = (pair.circumradius + pair.m) * LONG_SIDE;
+        self.b.set_sides(pair.b, &from_b, long);
         if self.b.corners.len() <= 2 {
-            self.a.set_sides(pair.a, feature_a, &from_a, long);
+            self.a.set_sides(pair.a, &from_a, long);
         }
 
         let eps = pair.merge_distance();

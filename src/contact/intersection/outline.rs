@@ -6,11 +6,11 @@ use super::Touched;
 use crate::contact::ConvexHull;
 use crate::contact::manifold::Element;
 
-/// Rise along the normal over length across it of a side's steepest direction.
-/// Faces within the largest feature angle, 0.5 rad, stay below 0.55; of others
-/// that touch all corners are within the merge distance of one height, and a
-/// steep one is no wider than some of it: a segment.
-const STEEPEST: f64 = 8.0;
+/// Cosine of the angle of a face to the contact plane below which it counts as
+/// seen edge-on. Within the largest feature angle, 0.5 rad, it is above 0.87; of
+/// other faces that touch every corner supports, and one as steep is narrower
+/// than the merge distance, by which its lifted points would be off several times.
+const EDGE_ON: f64 = 0.5;
 
 /// A corner of a projected feature.
 #[derive(Clone, Copy, Debug)]
@@ -20,6 +20,8 @@ pub(super) struct Corner {
     pub(super) height: f64,
     /// As registered.
     pub(super) vertex: u32,
+    /// As the hull numbers it.
+    own: u32,
 }
 
 /// The line of a side.
@@ -73,8 +75,6 @@ pub(super) struct Outline {
     pub(super) corners: Vec<Corner>,
     /// Of an outline that others are measured against.
     pub(super) sides: Vec<Side>,
-    /// The corners run against the hull's outline.
-    reversed: bool,
     /// Of a face: height above the contact plane as `slope . at + base`.
     plane: Option<(DVec2, f64)>,
     lowest: f64,
@@ -86,14 +86,17 @@ pub(super) struct Outline {
 impl Outline {
     /// Projects a feature of `hull`; its sides are left to [`Outline::set_sides`].
     pub(super) fn project(&mut self, hull: &ConvexHull, feature: Touched, view: &View) {
-        let corner = |&v: &u32| {
+        let corner = |v: u32| {
             let (at, height) = view.point(hull.vertices()[v as usize]);
-            Corner { at, height, vertex: hull.registered_indices()[v as usize] }
+            Corner { at, height, vertex: hull.registered_indices()[v as usize], own: v }
         };
         self.corners.clear();
-        self.corners.extend(vertices(hull, &feature).iter().map(corner));
-        self.reversed = doubled_area(&self.corners) < 0.0;
-        if self.reversed {
+        match feature {
+            Touched::Vertex(v) => self.corners.push(corner(v)),
+            Touched::Edge(e) => self.corners.extend(hull.edge_vertices()[e as usize].map(corner)),
+            Touched::Face(f) => self.corners.extend(hull.outline(f as usize).iter().map(|&v| corner(v))),
+        }
+        if doubled_area(&self.corners) < 0.0 {
             self.corners.reverse();
         }
         (self.lowest, self.highest) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -114,27 +117,21 @@ impl Outline {
     /// The lines of the sides. One shorter than `long` has the direction of the
     /// hull's own side: projected corners are rounded, and a side between them that
     /// is no longer than that has no direction, so that it would cut anywhere.
-    pub(super) fn set_sides(&mut self, hull: &ConvexHull, feature: Touched, view: &View, long: f64) {
-        let vertices = vertices(hull, &feature);
-        let last = vertices.len() - 1;
-        let vertex = |i: usize| hull.vertices()[vertices[if self.reversed { last - i } else { i }] as usize];
+    pub(super) fn set_sides(&mut self, hull: &ConvexHull, view: &View, long: f64) {
+        let vertex = |i: usize| hull.vertices()[self.corners[i].own as usize];
         self.sides.clear();
-        self.sides.reserve(vertices.len());
+        self.sides.reserve(self.corners.len());
         let (mut along_first, mut doubled_area) = (DVec2::ZERO, 0.0);
         for i in 0..self.side_count() {
-            let [from, to] = self.side(i);
-            let (mut along, mut rise) = (to.at - from.at, to.height - from.height);
+            let [from, to] = self.side(i).map(|c| c.at);
+            let mut along = to - from;
             if along.length_squared() < long * long {
-                (along, rise) = view.direction(vertex(self.next(i)) - vertex(i));
-            }
-            let length = length(along);
-            if rise.abs() > STEEPEST * length {
-                return self.flatten();
+                along = view.direction(vertex(self.next(i)) - vertex(i)).0;
             }
             doubled_area += along_first.perp_dot(along);
             along_first += along;
-            let inward = along.perp() / length;
-            self.sides.push(Side { inward, offset: inward.dot(from.at) });
+            let inward = along.perp() / length(along);
+            self.sides.push(Side { inward, offset: inward.dot(from) });
         }
         if doubled_area < 0.0 {
             // Thinner than its corners' rounding, which turned it round.
@@ -144,27 +141,6 @@ impl Outline {
         }
     }
 
-    /// The segment between the two corners farthest apart.
-    #[cold]
-    fn flatten(&mut self) {
-        let farthest = |from: DVec2| {
-            let distance = |c: &&Corner| c.at.distance_squared(from);
-            *self
-                .corners
-                .iter()
-                .max_by(|c, e| distance(c).total_cmp(&distance(e)))
-                .unwrap_or(&self.corners[0])
-        };
-        let from = farthest(self.corners[0].at);
-        let to = farthest(from.at);
-        self.corners.clear();
-        self.corners.extend([from, to]);
-        let along = to.at - from.at;
-        let inward = along.perp() / length(along);
-        self.sides.clear();
-        self.sides.push(Side { inward, offset: inward.dot(from.at) });
-    }
-
     fn set_plane(&mut self, hull: &ConvexHull, feature: Touched, view: &View) {
         (self.plane, self.planarity) = (None, 0.0);
         if let Touched::Face(f) = feature {
@@ -172,10 +148,28 @@ impl Outline {
             // A point of the plane, and the plane's normal.
             let (point, height) = view.point(m * hull.face_offsets()[f as usize]);
             let (across, along) = view.direction(m);
+            if along.abs() < EDGE_ON * view.scale {
+                return self.flatten();
+            }
             let slope = -across / along;
             self.plane = Some((slope, height - slope.dot(point)));
             self.planarity = hull.face_planarity()[f as usize] * view.scale * view.scale / along.abs();
         }
+    }
+
+    /// Leaves the two corners farthest apart.
+    #[cold]
+    fn flatten(&mut self) {
+        let farthest = |from: &Corner| {
+            let place = |c: &Corner| c.at.extend(c.height);
+            let distance = |c: &&Corner| place(c).distance_squared(place(from));
+            let farther = |c: &&Corner, e: &&Corner| distance(c).total_cmp(&distance(e));
+            *self.corners.iter().max_by(farther).unwrap_or(from)
+        };
+        let from = farthest(&self.corners[0]);
+        let to = farthest(&from);
+        self.corners.clear();
+        self.corners.extend([from, to]);
     }
 
     /// The corner after corner `i`.
@@ -202,8 +196,7 @@ impl Outline {
         match (self.plane, self.corners.as_slice()) {
             (Some((slope, base)), _) => {
                 let height = slope.dot(at) + base;
-                // A face seen edge-on has no height of its own over a point.
-                if height.is_nan() { self.lowest } else { height.clamp(self.lowest, self.highest) }
+                height.clamp(self.lowest, self.highest)
             }
             (None, [a, b]) => height_on([a, b], at),
             (None, _) => self.lowest,
@@ -216,16 +209,6 @@ pub(super) fn height_on([a, b]: [&Corner; 2], at: DVec2) -> f64 {
     let whole = b.at - a.at;
     let share = ((at - a.at).dot(whole) / whole.length_squared()).clamp(0.0, 1.0);
     if share.is_nan() { a.height } else { a.height + share * (b.height - a.height) }
-}
-
-/// The vertices that make a feature.
-#[inline]
-fn vertices<'a>(hull: &'a ConvexHull, feature: &'a Touched) -> &'a [u32] {
-    match feature {
-        Touched::Vertex(v) => std::slice::from_ref(v),
-        Touched::Edge(e) => &hull.edge_vertices()[*e as usize],
-        Touched::Face(f) => hull.outline(*f as usize),
-    }
 }
 
 /// The length of a vector whose square may underflow; 0 for no length.
