@@ -40,7 +40,7 @@ build: check-tools ## the server, target/release/hullcast
 # Apart from `test`: another version's rustfmt or clippy must not fail a user's
 # tests. A distribution's cargo may come without them.
 .PHONY: lint
-lint: check-tools ## rustfmt and clippy, warnings are errors
+lint: check-tools $(if $(CLIENT),lint-python) ## rustfmt, clippy and ruff, warnings are errors
 	@if $(CARGO) fmt --version >/dev/null 2>&1; then set -x; $(CARGO) fmt --check; cd benches; $(CARGO) fmt --check; \
 	 else echo "rustfmt is not installed: formatting not checked"; fi
 	@if $(CARGO) clippy --version >/dev/null 2>&1; then set -x; \
@@ -48,6 +48,14 @@ lint: check-tools ## rustfmt and clippy, warnings are errors
 	 $(CARGO) clippy --release --locked --all-targets --no-default-features -- -D warnings; \
 	 cd benches; $(CARGO) clippy --release --locked --all-targets -- -D warnings; \
 	 else echo "clippy is not installed: lints not checked"; fi
+
+.PHONY: lint-python
+lint-python: $(VENV)/.lint ## ruff
+	cd client && ../$(VENV)/bin/ruff check && ../$(VENV)/bin/ruff format --check
+
+.PHONY: types
+types: $(VENV)/.extras ## pyright, strictly
+	cd client && ../$(VENV)/bin/pyright --pythonpath ../$(PY)
 
 .PHONY: test-rust
 test-rust: check-tools ## the Rust tests: everything, then the geometry alone
@@ -59,8 +67,9 @@ test-python: build $(VENV)/.test ## the Python tests, against the real server
 	$(PY) -m pytest client
 
 .PHONY: test-extras
-test-extras: build $(VENV)/.extras ## the Python tests that need heavy packages: real robots, decomposition, rerun
+test-extras: build $(VENV)/.extras ## the Python tests that need heavy packages: real robots, decomposition, rerun; types
 	$(PY) -m pytest client/tests/extras
+	$(MAKE) types
 
 .PHONY: wheel
 wheel: check-tools $(VENV)/.test ## the Python package with the server in it, optimised for good: target/wheels
@@ -117,6 +126,10 @@ $(VENV)/.test: client/requirements-dev.txt $(REQUIREMENTS) | check-tools
 	touch $@
 
 $(VENV)/.extras: client/requirements-extras.txt client/requirements-dev.txt $(REQUIREMENTS) | check-tools
+	$(call install,$<)
+	touch $@
+
+$(VENV)/.lint: client/requirements-lint.txt | check-tools
 	$(call install,$<)
 	touch $@
 

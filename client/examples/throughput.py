@@ -23,7 +23,9 @@ MESSAGES = 16
 SHAPES = 64
 
 
-def shallow(client: hullcast.Client, hulls, half, pairs: np.ndarray) -> hullcast.Scene:
+def shallow(
+    client: hullcast.Client, hulls: list[hullcast.Hull], half: np.ndarray, pairs: np.ndarray
+) -> hullcast.Scene:
     """Random poses, brought into shallow overlap."""
     rng = np.random.default_rng(1)
     rotations = random_rotations(rng, pairs.size)
@@ -38,7 +40,9 @@ def shallow(client: hullcast.Client, hulls, half, pairs: np.ndarray) -> hullcast
     return scene.moved(positions.reshape(-1, 3), rotations)
 
 
-def resting(client: hullcast.Client, hulls, half, pairs: np.ndarray) -> hullcast.Scene:
+def resting(
+    client: hullcast.Client, hulls: list[hullcast.Hull], half: np.ndarray, pairs: np.ndarray
+) -> hullcast.Scene:
     """B's bottom face on A's top face, turned about their normal, 1e-3 deep."""
     rng = np.random.default_rng(2)
     count = len(pairs)

@@ -30,9 +30,9 @@ def floats(field: str, value: Any, *shape: int | None) -> Floats:
 
 def indices(field: str, value: Any, *shape: int | None, below: int | None = None) -> Indices:
     """`value` as a contiguous little-endian uint32 array, each entry under `below`."""
-    array = np.asarray(value)
+    array: npt.NDArray[Any] = np.asarray(value)
     if array.size == 0:
-        array = np.zeros((0, *shape[1:]), dtype="<u4")  # type: ignore[arg-type]
+        array = np.zeros((0, *(length or 0 for length in shape[1:])), dtype="<u4")
     if array.dtype.kind not in "iu":
         raise InvalidArgument(
             f"expected integers, got {array.dtype}", reason="NOT_INTEGERS", field=field
@@ -57,7 +57,7 @@ def frozen(array: Floats) -> Floats:
     return copy
 
 
-def _check_shape(field: str, array: np.ndarray, shape: tuple[int | None, ...]) -> None:
+def _check_shape(field: str, array: npt.NDArray[Any], shape: tuple[int | None, ...]) -> None:
     expected = len(shape) == array.ndim and all(
         want is None or want == have for want, have in zip(shape, array.shape, strict=True)
     )

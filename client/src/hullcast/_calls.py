@@ -86,6 +86,7 @@ class Link(Protocol):
 
     def open(self, method: str) -> Stream:
         """A stream of messages and their answers."""
+        ...
 
     def pause(self, seconds: float) -> Any:
         """Nothing for a while."""

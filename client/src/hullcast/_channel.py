@@ -23,7 +23,7 @@ Tls = bool | bytes | str | os.PathLike[str] | grpc.ChannelCredentials | None
 #: see that a server is gone and than a server takes to start again. Every call
 #: is idempotent. A server that is too busy says itself when to come back
 #: (`grpc-retry-pushback-ms`), which gRPC obeys. gRPC allows no more than 5.
-_SERVICE_CONFIG = {
+_SERVICE_CONFIG: dict[str, Any] = {
     "loadBalancingConfig": [{"round_robin": {}}],
     "methodConfig": [
         {

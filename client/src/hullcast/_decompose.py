@@ -46,7 +46,7 @@ def decompose(
         ImportError: the extra `decompose` is not installed.
     """
     try:
-        import coacd
+        import coacd as library
     except ImportError as error:
         raise ImportError("decompose needs coacd: pip install 'hullcast[decompose]'") from error
     shape = shape_of(mesh)
@@ -60,6 +60,7 @@ def decompose(
             return [np.asarray(kept[f"piece{i}"], dtype="<f8") for i in range(len(kept.files))]
     except FileNotFoundError:
         pass
+    coacd: Any = library
     coacd.set_log_level("error")
     found = coacd.run_coacd(coacd.Mesh(vertices, faces), threshold=threshold, seed=_SEED)
     pieces = [np.ascontiguousarray(piece, dtype="<f8") for piece, _ in found]
@@ -86,7 +87,8 @@ def _folder(cache: str | os.PathLike[str] | None) -> Path:
 def _write(file: Path, pieces: list[Floats]) -> None:
     """Whole or not at all: other processes may read and write the same."""
     data = io.BytesIO()
-    np.savez(data, **{f"piece{i}": piece for i, piece in enumerate(pieces)})
+    columns: dict[str, Any] = {f"piece{i}": piece for i, piece in enumerate(pieces)}
+    np.savez(data, **columns)
     file.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as scratch:
         scratch.write(data.getvalue())

@@ -18,7 +18,7 @@ def points_of(scene: Scene, body: int) -> Floats:
     Raises:
         InvalidArgument: NO_GEOMETRY, the scene has only their id.
     """
-    content = scene.contents[scene.body_hulls[body]]
+    content = scene.contents[int(scene.body_hulls[body])]
     if content is None:
         raise InvalidArgument(
             "the scene was made with this body's hull id alone, without its points",

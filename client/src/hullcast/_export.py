@@ -68,7 +68,7 @@ def _points_of(
     np.cumsum(counts, out=starts[1:])
     kept = counts[chosen].astype(np.int64)
     before = np.cumsum(kept) - kept
-    slot = np.arange(kept.sum()) - np.repeat(before, kept)
+    slot = np.arange(int(kept.sum())) - np.repeat(before, kept)
     return np.repeat(starts[:-1][chosen], kept) + slot, slot
 
 
@@ -125,9 +125,10 @@ def padded(
 def dataframe(columns: Mapping[str, np.ndarray], rows: str) -> Any:
     """A pandas data frame of the pairs or of the points."""
     try:
-        import pandas
+        import pandas as library
     except ImportError as error:
         raise ImportError("to_dataframe needs pandas: pip install pandas") from error
+    pandas: Any = library
     if rows not in ("pairs", "points"):
         raise InvalidArgument(
             f"{rows!r} is none of pairs, points", reason="UNKNOWN_VALUE", field="rows"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, overload
+from typing import Any, cast, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -157,11 +157,13 @@ class Manifolds:
     @overload
     def __getitem__(self, pair: int | np.integer[Any]) -> Manifold: ...
     @overload
-    def __getitem__(self, pair: slice | Sequence[int] | npt.NDArray[Any]) -> Manifolds: ...
+    def __getitem__(
+        self, pair: slice | Sequence[int] | npt.NDArray[np.integer[Any] | np.bool_]
+    ) -> Manifolds: ...
     def __getitem__(self, pair: Any) -> Manifold | Manifolds:
         if isinstance(pair, (int, np.integer)):
             # Negative ones too, and IndexError past the end.
-            return Manifold(self, range(len(self))[int(pair)])
+            return Manifold(self, range(len(self))[int(cast("int", pair))])
         chosen = np.arange(len(self))[pair]
         return Manifolds(_export.take(self._columns, chosen), self.scene)
 
@@ -172,7 +174,7 @@ class Manifolds:
         it. Needs the outputs NORMAL and POINTS.
         """
         touching = (self.pairs == body).any(axis=1) & (self.point_counts > 0)
-        chosen = self[touching]
+        chosen = self[np.flatnonzero(touching)]
         chosen._columns["witness_bs"] = chosen.witness_b
         turned = _export.turned(chosen._columns, chosen.pairs[:, 0] != body)
         return Manifolds(turned, self.scene)

@@ -57,13 +57,14 @@ def load(path: str | os.PathLike[str]) -> Mesh:
         OSError: the file cannot be read.
     """
     try:
-        import trimesh
+        import trimesh as library
     except ImportError as error:
         raise ImportError("mesh files need trimesh: pip install 'hullcast[mesh]'") from error
     if not Path(path).exists():
         raise FileNotFoundError(os.fspath(path))
-    loaded: Any = trimesh.load_mesh(os.fspath(path), process=False)
-    faces = np.asarray(getattr(loaded, "faces", ()))
+    trimesh: Any = library
+    loaded = trimesh.load_mesh(os.fspath(path), process=False)
+    faces: npt.NDArray[Any] = np.asarray(getattr(loaded, "faces", ()))
     if faces.size == 0:
         raise InvalidArgument(f"no triangles in {os.fspath(path)}", reason="NO_TRIANGLES")
     # trimesh's own merging has an absolute tolerance.

@@ -39,7 +39,7 @@ def picture(
         raise ImportError(
             "plot needs matplotlib and scipy: pip install 'hullcast[plot]'"
         ) from error
-    figure = Figure(figsize=(9, 7.5), dpi=120)
+    figure: Any = Figure(figsize=(9, 7.5), dpi=120)
     FigureCanvasAgg(figure)  # draws without a display
     axes: Any = figure.add_subplot(projection="3d", computed_zorder=False)
     corners = [_draw_body(axes, scene, int(body)) for body in bodies]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -123,7 +123,9 @@ class Registration:
 
 def shape_of(hull: Any) -> Any:
     """What has the points: a mesh file's mesh, else the thing itself."""
-    return _mesh.load(hull) if isinstance(hull, (str, os.PathLike)) else hull
+    if isinstance(hull, (str, os.PathLike)):
+        return _mesh.load(cast("str | os.PathLike[str]", hull))
+    return hull
 
 
 def _rejected(place: int, error: hulls_pb2.HullError) -> HullRejected:

@@ -12,7 +12,7 @@ from ._export import Columns
 from ._scene import Scene
 
 #: Of overlapping, touching and distant points.
-_COLOURS = np.array([[180, 4, 38], [221, 221, 221], [59, 76, 192]], dtype=float)
+_COLOURS: Floats = np.array([[180, 4, 38], [221, 221, 221], [59, 76, 192]], dtype=float)
 _BODY = (143, 163, 184, 90)
 _EDGE = (110, 125, 145)
 _NORMAL = (32, 32, 32)
@@ -39,9 +39,10 @@ def log(
         recording: a `rerun.RecordingStream`, or None for the current one.
     """
     try:
-        import rerun
+        import rerun as library
     except ImportError as error:
         raise ImportError("log needs rerun: pip install 'hullcast[rerun]'") from error
+    rerun: Any = library
     to = {"recording": recording}
     for body in bodies:
         entity = f"{path}/bodies/{int(body)}"
@@ -89,9 +90,8 @@ def log(
 def colours(distances: Floats) -> np.ndarray:
     """(p, 3) uint8: red overlapping, grey touching, blue apart, as strong as deep or far."""
     reach = float(np.abs(distances).max(initial=0.0)) or 1.0
-    return np.stack(
-        [np.interp(distances / reach, [-1, 0, 1], channel) for channel in _COLOURS.T], axis=-1
-    ).astype(np.uint8)
+    channels = [np.interp(distances / reach, [-1, 0, 1], _COLOURS[:, i]) for i in range(3)]
+    return np.stack(channels, axis=-1).astype(np.uint8)
 
 
 def _log_hull(rerun: Any, entity: str, points: Floats, to: dict[str, Any]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -181,7 +181,8 @@ class Robot:
             values = np.asarray(joints, dtype="<f8")
             several = values.ndim == 2
             return _arrays.floats("joints", np.atleast_2d(values), None, len(self.joints)), several
-        columns = {str(name): np.asarray(value, "<f8") for name, value in joints.items()}
+        named = cast("Mapping[Any, Any]", joints)
+        columns = {str(name): np.asarray(value, "<f8") for name, value in named.items()}
         lengths = {column.shape for column in columns.values() if column.ndim}
         if len(lengths) > 1 or any(len(shape) > 1 for shape in lengths):
             raise InvalidArgument(

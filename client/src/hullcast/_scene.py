@@ -88,7 +88,7 @@ class Scene:
         return scene
 
 
-def _id(place: int, hull: Hull | bytes) -> bytes:
+def _id(place: int, hull: Any) -> bytes:
     id = hull.id if isinstance(hull, Hull) else hull
     if not isinstance(id, bytes) or len(id) != 32:
         raise InvalidArgument(

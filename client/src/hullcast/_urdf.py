@@ -74,7 +74,7 @@ def read(urdf: str | os.PathLike[str], packages: Paths) -> Model:
         InvalidArgument, FileNotFoundError, ImportError: as `Robot`.
     """
     try:
-        import yourdfpy
+        import yourdfpy as library
     except ImportError as error:
         raise ImportError("URDF needs yourdfpy: pip install 'hullcast[robot]'") from error
     path = Path(urdf)
@@ -82,9 +82,8 @@ def read(urdf: str | os.PathLike[str], packages: Paths) -> Model:
         raise FileNotFoundError(os.fspath(urdf))
     folders = [packages] if isinstance(packages, (str, os.PathLike)) else list(packages)
     files = _Files(path.resolve().parent, [Path(folder) for folder in folders])
-    robot: Any = yourdfpy.URDF.load(
-        os.fspath(path), build_scene_graph=False, load_meshes=False
-    ).robot
+    yourdfpy: Any = library
+    robot = yourdfpy.URDF.load(os.fspath(path), build_scene_graph=False, load_meshes=False).robot
     links = tuple(link.name for link in robot.links)
     place = {name: i for i, name in enumerate(links)}
     joints = tuple(_joint(joint, place) for joint in robot.joints)
@@ -192,9 +191,10 @@ def _cylinder(radius: float, length: float) -> Floats:
 
 
 def _sphere(radius: float) -> Floats:
-    import trimesh
+    import trimesh as library
 
-    mesh: Any = trimesh.creation.icosphere(subdivisions=_SPHERE_DIVISIONS, radius=radius)
+    trimesh: Any = library
+    mesh = trimesh.creation.icosphere(subdivisions=_SPHERE_DIVISIONS, radius=radius)
     return np.asarray(mesh.vertices, dtype="<f8")
 
 

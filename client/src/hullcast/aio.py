@@ -178,7 +178,7 @@ class _Stream:
             answer = await asyncio.wait_for(self._call.read(), timeout)
         except asyncio.TimeoutError:
             raise _client.late() from None
-        if answer is grpc.aio.EOF:
+        if not isinstance(answer, bytes):  # grpc.aio.EOF, which its types do not know
             raise _calls.stream_ended()
         return answer
 
