@@ -75,6 +75,14 @@ test-extras: build $(VENV)/.extras ## the Python tests that need heavy packages:
 wheel: check-tools $(VENV)/.test ## the Python package with the server in it, optimised for good: target/wheels
 	cd client && ../$(PY) -m maturin build --profile dist --out $(TARGET)/wheels
 
+.PHONY: test-versions
+test-versions: test-lowest test-latest ## the Python tests on the oldest and the newest packages allowed
+
+.PHONY: test-lowest test-latest
+test-lowest test-latest: test-%: build
+	$(MAKE) VENV=$(VENV)-$* $(VENV)-$*/.$*
+	$(VENV)-$*/bin/python -m pytest client -o norecursedirs= -k 'not ur5_in_pieces'
+
 .PHONY: bench
 bench: check-tools build $(VENV)/.demo ## contacts beside parry3d, then through the server from Python; writes docs/performance.md
 	cd benches && $(CARGO) run --release --locked --bin contact
@@ -112,7 +120,7 @@ fuzz: ## FUZZ_SECONDS=600 of each fuzz target; needs nightly Rust and cargo-fuzz
 
 .PHONY: clean
 clean: ## removes what was built
-	rm -rf target benches/target $(VENV) out
+	rm -rf target benches/target $(VENV) $(VENV)-* out
 
 # The packages, pinned; the client itself is used in place.
 REQUIREMENTS := client/requirements.txt
@@ -126,6 +134,10 @@ $(VENV)/.test: client/requirements-dev.txt $(REQUIREMENTS) | check-tools
 	touch $@
 
 $(VENV)/.extras: client/requirements-extras.txt client/requirements-dev.txt $(REQUIREMENTS) | check-tools
+	$(call install,$<)
+	touch $@
+
+$(VENV)/.lowest $(VENV)/.latest: $(VENV)/.%: client/requirements-%.txt | check-tools
 	$(call install,$<)
 	touch $@
 

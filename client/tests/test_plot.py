@@ -55,7 +55,7 @@ def test_poses_are_those_of_scipy():
     """The rotation by a quaternion, against another's."""
     from scipy.spatial.transform import Rotation
 
-    turn = Rotation.random(rng=np.random.default_rng(91))
+    turn = Rotation.from_quat(np.random.default_rng(91).normal(size=4))
     position = np.array([1.0, -2, 3])
     assert _drawing.world(CUBE, position, turn.as_quat()) == pytest.approx(
         turn.apply(CUBE) + position

@@ -313,13 +313,7 @@ inherited: list[Any] = []
 _clients: weakref.WeakSet[Calls] = weakref.WeakSet()
 
 
-#: What is called in a child that was forked, beside closing the clients' channels.
-after_fork: list[Callable[[], None]] = []
-
-
 def _after_fork() -> None:
-    for call in after_fork:
-        call()
     for client in list(_clients):
         inherited.append(client._opened)
         client._opened = None

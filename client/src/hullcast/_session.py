@@ -5,6 +5,7 @@ As in `_calls.py`, everything but the waiting, once for both clients.
 
 from __future__ import annotations
 
+import os
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -52,6 +53,8 @@ class Steps:
         size = min(max(least, -(-count // _LANES)), _MESSAGES_PER_LANE * least)
         self._lanes = [_Lane(span) for span in self._query.spans(size)]
         self._closed = False
+        #: Within a step.
+        self._busy = False
         _sessions.add(self)
 
     def __len__(self) -> int:
@@ -74,6 +77,7 @@ class Steps:
         query, deadline = self._query, self._calls._deadline(timeout)
         query.move(positions, rotations)
         parts: dict[Span, _answers.Columns] = {}
+        self._busy = True
         try:
             yield from self._exchange(self._lanes, parts, deadline)
             for times in range(1, _calls.REGISTRATIONS + 1):
@@ -89,6 +93,8 @@ class Steps:
             for lane in self._lanes:
                 lane.drop()
             raise
+        finally:
+            self._busy = False
         found = Manifolds(_answers.merge([parts[lane.span] for lane in self._lanes]), query.scene)
         query.start_from(found)
         return found
@@ -139,12 +145,24 @@ class Steps:
 _sessions: weakref.WeakSet[Steps] = weakref.WeakSet()
 
 
+def _before_fork() -> None:
+    """Ends idle streams, since gRPC's threads for them are not there in the child.
+
+    The next step of either process sends in full.
+    """
+    for session in list(_sessions):
+        if not session._busy:
+            for lane in session._lanes:
+                lane.drop()
+
+
 def _after_fork() -> None:
-    """The parent's streams are left alone: its threads are not here to end them."""
+    """Streams in use are left alone: what would end them is not here."""
     for session in list(_sessions):
         for lane in session._lanes:
             _calls.inherited.append(lane.stream)
             lane.stream = None
 
 
-_calls.after_fork.append(_after_fork)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_before_fork, after_in_child=_after_fork)
