@@ -207,10 +207,27 @@ def test_find_sends_worlds_and_groups():
     assert not request.pairs
 
 
-def test_every_request_column_is_bytes():
+def test_every_register_column_is_bytes():
     """A column left at its real type would be filled number by number."""
-    for message in (_packed.QueryContactsRequest, _packed.RegisterHullsRequest):
-        for field in message.DESCRIPTOR.fields:
-            assert (
-                field.type not in (field.TYPE_DOUBLE, field.TYPE_FIXED32) or field.name == "margin"
-            )
+    for field in _packed.RegisterHullsRequest.DESCRIPTOR.fields:
+        assert field.type not in (field.TYPE_DOUBLE, field.TYPE_FIXED32)
+
+
+@pytest.mark.parametrize("count", [0, 1, 15, 16, 2047, 2048, 262_144])
+def test_columns_are_written_as_protobuf_does(count):
+    """Empty, and with lengths of one to four bytes: the real type reads the same numbers."""
+    rng = np.random.default_rng(count)
+    for name, number in _packed._REQUEST_COLUMNS.items():
+        field = contacts_pb2.QueryContactsRequest.DESCRIPTOR.fields_by_name[name]
+        if field.type == field.TYPE_DOUBLE:
+            values = rng.normal(size=count)
+        else:
+            values = rng.integers(2**32, size=count, dtype="<u4")
+        rest = contacts_pb2.QueryContactsRequest(margin=0.5, request_id=7)
+        data = _packed.request(rest, [(name, values)])
+        read = contacts_pb2.QueryContactsRequest.FromString(data)
+        assert np.array_equal(np.array(getattr(read, name), dtype=values.dtype), values)
+        assert (read.margin, read.request_id, field.number) == (0.5, 7, number)
+        getattr(rest, name).extend(values.tolist())
+        assert read == rest
+    assert len(_packed._REQUEST_COLUMNS) == 8

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from . import _answers, _arrays, _packed
 from ._arrays import Indices
@@ -117,12 +118,11 @@ class Query:
                 field="warm",
             )
         # What every message of this query has alike.
-        common = _packed.QueryContactsRequest(
+        self._common = contacts_pb2.QueryContactsRequest(
             margin=margin,
             outputs=[contacts_pb2.Output.Value(f"OUTPUT_{name}") for name in self._outputs],
         )
-        (accuracy or Accuracy()).fill(common.accuracy)
-        self._common = common
+        (accuracy or Accuracy()).fill(self._common.accuracy)
         self._body_scratch = np.empty(len(scene), dtype="<u4")
         self._hull_scratch = np.empty(len(scene.hull_ids), dtype="<u4")
 
@@ -152,52 +152,54 @@ class Query:
         scene = self.scene
         assert self._pairs is not None
         pairs = self._pairs[span.start : span.stop]
-        request = _packed.QueryContactsRequest()
-        request.CopyFrom(self._common)
+        columns: list[tuple[str, npt.NDArray[Any]]] = []
         if self._bases is not None:
-            request.warm_starts = self._bases[span.start : span.stop].tobytes()
+            columns.append(("warm_starts", self._bases[span.start : span.stop]))
         if len(scene) <= _BODIES_PER_PAIR * len(pairs):
-            request.pairs = pairs.tobytes()
-            self._fill_bodies(request)
-            return Message(request.SerializeToString())
+            columns += [("pairs", pairs), *self._bodies()]
+            return Message(_packed.request(self._with(scene.hull_ids), columns))
         bodies, pairs = _compact(pairs.reshape(-1), self._body_scratch)
         hulls, body_hulls = _compact(scene.body_hulls[bodies], self._hull_scratch)
-        request.pairs = pairs.tobytes()
-        request.hull_ids.extend([scene.hull_ids[i] for i in hulls])
-        request.body_hulls = body_hulls.tobytes()
-        request.positions = scene.positions[bodies].tobytes()
-        request.rotations = scene.rotations[bodies].tobytes()
-        return Message(request.SerializeToString(), hulls, bodies)
+        columns += [
+            ("pairs", pairs),
+            ("body_hulls", body_hulls),
+            ("positions", scene.positions[bodies]),
+            ("rotations", scene.rotations[bodies]),
+        ]
+        rest = self._with([scene.hull_ids[i] for i in hulls])
+        return Message(_packed.request(rest, columns), hulls, bodies)
 
     def step_message(self, before: Message) -> bytes:
         """The request that inherits from `before` on a stream: the poses of its bodies."""
-        scene = self.scene
-        positions, rotations = scene.positions, scene.rotations
+        positions, rotations = self.scene.positions, self.scene.rotations
         if before.bodies is not None:
             positions, rotations = positions[before.bodies], rotations[before.bodies]
-        request = _packed.QueryContactsRequest(
-            inherit=True, positions=positions.tobytes(), rotations=rotations.tobytes()
-        )
-        return request.SerializeToString()
+        rest = contacts_pb2.QueryContactsRequest(inherit=True)
+        return _packed.request(rest, [("positions", positions), ("rotations", rotations)])
 
     def find_message(self) -> bytes:
         """The request to find the pairs."""
         scene = self.scene
-        request = _packed.QueryContactsRequest()
-        request.CopyFrom(self._common)
-        self._fill_bodies(request)
+        columns = self._bodies()
         for name in ("worlds", "groups", "ignored_groups"):
             column = getattr(scene, name)
             if column is not None:
-                setattr(request, name, column.tobytes())
-        return request.SerializeToString()
+                columns.append((name, column))
+        return _packed.request(self._with(scene.hull_ids), columns)
 
-    def _fill_bodies(self, request: Any) -> None:
+    def _with(self, hull_ids: Sequence[bytes]) -> contacts_pb2.QueryContactsRequest:
+        """What all messages have, and the hulls of one."""
+        rest = contacts_pb2.QueryContactsRequest(hull_ids=hull_ids)
+        rest.MergeFrom(self._common)
+        return rest
+
+    def _bodies(self) -> list[tuple[str, npt.NDArray[Any]]]:
         scene = self.scene
-        request.hull_ids.extend(scene.hull_ids)
-        request.body_hulls = scene.body_hulls.tobytes()
-        request.positions = scene.positions.tobytes()
-        request.rotations = scene.rotations.tobytes()
+        return [
+            ("body_hulls", scene.body_hulls),
+            ("positions", scene.positions),
+            ("rotations", scene.rotations),
+        ]
 
     def read(self, span: Span | None, message: Message | None, data: bytes) -> _answers.Columns:
         """The answer to `message`, hulls and bodies numbered as the scene does."""

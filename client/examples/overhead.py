@@ -1,0 +1,117 @@
+"""What the Python client itself costs, and what a step loop saves.
+
+    python client/examples/overhead.py [--seconds 2]
+
+For batches of several sizes: a `query` from numpy arrays to numpy arrays; the
+part of it that is the client's own work (making the messages and reading the
+answers, timed without a server on messages kept from a real call); the same
+query warm, with bases asked for and given; and a step of a session. Pairs of
+polytopes of 16 vertices in random places, some touching.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+import hullcast
+from hullcast import _answers, _calls
+from hullcast._query import Query
+
+SIZES = (1, 64, 4096, 1_000_000)
+VERTICES = 16
+SHAPES = 64
+MARGIN = 0.01
+
+
+def scene_of(
+    client: hullcast.Client, pairs: int
+) -> tuple[hullcast.Scene, np.ndarray[tuple[int, int], np.dtype[np.uint32]]]:
+    """Bodies, each pair's two near each other, each body in one pair."""
+    rng = np.random.default_rng(7)
+    points = rng.normal(size=(SHAPES, VERTICES, 3))
+    hulls = client.register(points / np.linalg.norm(points, axis=2, keepdims=True))
+    rotations = rng.normal(size=(2 * pairs, 4))
+    rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
+    positions = np.repeat(rng.uniform(-5, 5, (pairs, 3)), 2, axis=0)
+    away = rng.normal(size=(pairs, 3))
+    positions[1::2] += away / np.linalg.norm(away, axis=1, keepdims=True) * 1.7
+    kinds = rng.integers(SHAPES, size=2 * pairs)
+    scene = hullcast.Scene(hulls, positions, rotations, body_hulls=kinds)
+    return scene, np.arange(2 * pairs, dtype=np.uint32).reshape(-1, 2)
+
+
+def median_seconds(call: Callable[[], object], seconds: float) -> float:
+    """Of one call, the median over as many as there is time for."""
+    call()
+    times: list[float] = []
+    end = time.perf_counter() + seconds
+    while time.perf_counter() < end or len(times) < 3:
+        start = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - start)
+    return float(np.median(times))
+
+
+def own_work(
+    client: hullcast.Client,
+    scene: hullcast.Scene,
+    pairs: np.ndarray[tuple[int, int], np.dtype[np.uint32]],
+) -> Callable[[], object]:
+    """All that `query` does but the calls, on the answers of a real one."""
+
+    def make() -> Query:
+        return Query(scene, pairs, margin=MARGIN)
+
+    query = make()
+    link = client._link()
+    answers = {
+        span: link.call(_calls.QUERY, query.message(span).data, None).result()
+        for span in query.spans(client.pairs_per_message)
+    }
+
+    def work() -> hullcast.Manifolds:
+        query = make()
+        parts = [
+            query.read(span, query.message(span), answers[span])
+            for span in query.spans(client.pairs_per_message)
+        ]
+        return hullcast.Manifolds(_answers.merge(parts), scene)
+
+    return work
+
+
+def main() -> None:
+    """Measures and prints."""
+    parser = argparse.ArgumentParser(description="The Python client's own cost")
+    parser.add_argument("--seconds", type=float, default=2.0, help="of each measurement")
+    seconds: float = parser.parse_args().seconds
+    form = "{:>10}{:>12}{:>14}{:>12}{:>14}{:>14}{:>14}"
+    print("microseconds a call, cold and warm; the client's own work in it, and that a pair")
+    print(form.format("pairs", "query", "its own", "ns a pair", "warm query", "session", "pairs/s"))
+    outputs = ("ALPHA", "NORMAL", "POINTS", "BASES")
+    with hullcast.serve() as client:
+        for size in SIZES:
+            scene, pairs = scene_of(client, size)
+            m = client.query(scene, pairs, margin=MARGIN, outputs=outputs)
+            cold = median_seconds(lambda: client.query(scene, pairs, margin=MARGIN), seconds)  # noqa: B023
+            own = median_seconds(own_work(client, scene, pairs), seconds)
+            warm = median_seconds(
+                lambda: client.query(scene, pairs, margin=MARGIN, outputs=outputs, warm=m),  # noqa: B023
+                seconds,
+            )
+            with client.session(scene, pairs, margin=MARGIN) as session:
+                step = median_seconds(
+                    lambda: session.step(scene.positions, scene.rotations),  # noqa: B023
+                    seconds,
+                )
+            row = [f"{t * 1e6:,.0f}" for t in (cold, own)]
+            row += [f"{own / size * 1e9:,.0f}", *(f"{t * 1e6:,.0f}" for t in (warm, step))]
+            print(form.format(f"{size:,}", *row, f"{size / step:,.0f}"), flush=True)
+
+
+if __name__ == "__main__":
+    main()

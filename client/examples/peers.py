@@ -1,0 +1,223 @@
+"""One scene through hullcast's server, and in process through coal and python-fcl.
+
+    python client/examples/peers.py [--seconds 3] [--scene examples/scenes/pile.json]
+
+The scene is a settled pile of 1,000 hulls and the pairs near each other. Each
+contender answers for every pair whether it touches within the margin, with
+normal and points where it does, from numpy arrays of poses to Python: coal by
+`collide` and `computeContactPatch` (the whole patch, one depth), python-fcl by
+`collide` (one point), hullcast by `query` (the whole patch, each point's depth,
+certified) and by a session's steps. Geometry and registration are not timed.
+A contender that is not installed is left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+import hullcast
+
+PILE = Path(__file__).resolve().parents[2] / "examples/scenes/pile.json"
+
+
+@dataclass
+class Scene:
+    """What a scene file says."""
+
+    hulls: list[npt.NDArray[np.float64]]
+    body_hulls: npt.NDArray[np.int64]
+    positions: npt.NDArray[np.float64]
+    rotations: npt.NDArray[np.float64]
+    pairs: npt.NDArray[np.int64]
+    margin: float
+
+    def only(self, pair: int) -> Scene:
+        """The two bodies of one pair."""
+        bodies = self.pairs[pair]
+        return Scene(
+            self.hulls,
+            self.body_hulls[bodies],
+            self.positions[bodies],
+            self.rotations[bodies],
+            np.array([[0, 1]]),
+            self.margin,
+        )
+
+
+#: Answers for all pairs at their poses: how many touch, with how many points.
+Step = Callable[[], tuple[int, int]]
+
+
+def load(path: Path) -> Scene:
+    """A scene of the examples, in its first frame."""
+    file = json.loads(path.read_text())
+    bodies: Any = file["bodies"]
+    frame = file["frames"][0] if "frames" in file else None
+    positions = frame["positions"] if frame else [body["position"] for body in bodies]
+    rotations = frame["rotations"] if frame else [body["rotation"] for body in bodies]
+    return Scene(
+        hulls=[np.array(hull["vertices"], dtype=float) for hull in file["hulls"]],
+        body_hulls=np.array([body["hull"] for body in bodies]),
+        positions=np.array(positions, dtype=float),
+        rotations=np.array(rotations, dtype=float),
+        pairs=np.array(file["pairs"]),
+        margin=file["margin"],
+    )
+
+
+def bodies_of(client: hullcast.Client, scene: Scene) -> hullcast.Scene:
+    """The scene as hullcast takes it."""
+    hulls = client.register(scene.hulls)
+    return hullcast.Scene(hulls, scene.positions, scene.rotations, body_hulls=scene.body_hulls)
+
+
+def count(m: hullcast.Manifolds) -> tuple[int, int]:
+    """Pairs with points, and points."""
+    return int(np.count_nonzero(m.point_counts)), len(m.witness_b)
+
+
+def by_query(client: hullcast.Client, scene: Scene) -> Step:
+    """hullcast, a plain query a step."""
+    bodies = bodies_of(client, scene)
+
+    def step() -> tuple[int, int]:
+        moved = bodies.moved(scene.positions, scene.rotations)
+        return count(client.query(moved, scene.pairs, margin=scene.margin))
+
+    return step
+
+
+def by_session(client: hullcast.Client, scene: Scene) -> Step:
+    """hullcast, a step loop."""
+    session = client.session(bodies_of(client, scene), scene.pairs, margin=scene.margin)
+    return lambda: count(session.step(scene.positions, scene.rotations))
+
+
+def by_coal(scene: Scene) -> Step:
+    """coal: collide, then the patch."""
+    import coal as library
+
+    coal: Any = library
+    shapes: list[Any] = []
+    for vertices in scene.hulls:
+        points = coal.StdVec_Vec3s()
+        for vertex in vertices:
+            points.append(vertex)
+        shapes.append(coal.Convex.convexHull(points, True, "Qt"))
+    turns = [Rotation.from_quat(rotation).as_matrix() for rotation in scene.rotations]
+    request = coal.CollisionRequest(coal.CollisionRequestFlag.CONTACT, 1)
+    request.security_margin = scene.margin
+    patch_request = coal.ContactPatchRequest()
+
+    def step() -> tuple[int, int]:
+        touching, found = 0, 0
+        poses = [coal.Transform3s(*pose) for pose in zip(turns, scene.positions, strict=True)]
+        for a, b in scene.pairs.tolist():
+            first, second = shapes[scene.body_hulls[a]], shapes[scene.body_hulls[b]]
+            result = coal.CollisionResult()
+            if coal.collide(first, poses[a], second, poses[b], request, result):
+                patches = coal.ContactPatchResult()
+                coal.computeContactPatch(
+                    first, poses[a], second, poses[b], result, patch_request, patches
+                )
+                touching += 1
+                for i in range(patches.numContactPatches()):
+                    patch = patches.getContactPatch(i)
+                    points = [patch.getPoint(k) for k in range(patch.size())]
+                    found += len(points)
+        return touching, found
+
+    return step
+
+
+def by_fcl(scene: Scene) -> Step:
+    """python-fcl: one contact point a pair, and no margin."""
+    import fcl as library
+
+    fcl: Any = library
+    shapes: list[Any] = []
+    for vertices in scene.hulls:
+        hull: Any = ConvexHull(vertices)
+        corners = vertices[hull.simplices]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        inward = np.einsum("ni,ni->n", normals, hull.equations[:, :3]) < 0
+        triangles = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
+        faces = np.column_stack([np.full(len(triangles), 3), triangles]).reshape(-1)
+        shapes.append(fcl.Convex(vertices, len(triangles), faces))
+    quaternions = np.roll(scene.rotations, 1, axis=1)
+    objects = [fcl.CollisionObject(shapes[kind]) for kind in scene.body_hulls]
+    request = fcl.CollisionRequest(num_max_contacts=8, enable_contact=True)
+
+    def step() -> tuple[int, int]:
+        touching, found = 0, 0
+        for body, moved in enumerate(objects):
+            moved.setTransform(fcl.Transform(quaternions[body], scene.positions[body]))
+        for a, b in scene.pairs.tolist():
+            result = fcl.CollisionResult()
+            if fcl.collide(objects[a], objects[b], request, result):
+                touching += 1
+                found += len([(c.pos, c.normal, c.penetration_depth) for c in result.contacts])
+        return touching, found
+
+    return step
+
+
+def median_seconds(step: Step, seconds: float) -> float:
+    """Of one call, the median over as many as there is time for."""
+    step()
+    times: list[float] = []
+    end = time.perf_counter() + seconds
+    while time.perf_counter() < end or len(times) < 3:
+        start = time.perf_counter()
+        step()
+        times.append(time.perf_counter() - start)
+    return float(np.median(times))
+
+
+def main() -> None:
+    """Measures and prints."""
+    parser = argparse.ArgumentParser(description="The same scene by hullcast, coal and python-fcl")
+    parser.add_argument("--seconds", type=float, default=3.0, help="of each measurement")
+    parser.add_argument("--scene", type=Path, default=PILE)
+    arguments = parser.parse_args()
+    scene = load(arguments.scene)
+    pairs = len(scene.pairs)
+    print(f"{arguments.scene.name}: {len(scene.positions)} bodies, {pairs} pairs")
+    form = "{:<18}{:>14}{:>14}{:>14}{:>12}{:>10}"
+    print(form.format("", "us, 1 pair", "us a step", "pairs/s", "touching", "points"))
+    with hullcast.serve() as client:
+        m = client.query(bodies_of(client, scene), scene.pairs, margin=scene.margin)
+        one = scene.only(int(np.argmax(m.point_counts)))
+        makers: list[tuple[str, Callable[[Scene], Step]]] = [
+            ("hullcast query", partial(by_query, client)),
+            ("hullcast session", partial(by_session, client)),
+            ("coal", by_coal),
+            ("python-fcl", by_fcl),
+        ]
+        for name, make in makers:
+            try:
+                step = make(scene)
+            except ImportError as error:
+                print(f"{name:<18}left out: {error}")
+                continue
+            touching, points = step()
+            single = median_seconds(make(one), arguments.seconds / 3)
+            whole = median_seconds(step, arguments.seconds)
+            row = f"{single * 1e6:,.0f}", f"{whole * 1e6:,.0f}", f"{pairs / whole:,.0f}"
+            print(form.format(name, *row, touching, points), flush=True)
+
+
+if __name__ == "__main__":
+    main()
