@@ -88,6 +88,10 @@ bench: check-tools build $(VENV)/.demo ## contacts beside parry3d, then through 
 	cd benches && $(CARGO) run --release --locked --bin contact
 	$(PY) client/examples/throughput.py | tee /dev/stderr | (cd benches && $(CARGO) run --quiet --release --locked --bin section throughput)
 
+.PHONY: bench-service
+bench-service: check-tools build ## the server beside an echo of the same bytes; writes docs/performance.md
+	cd benches && $(CARGO) run --release --locked --features service --bin transport
+
 .PHONY: stubs
 stubs: $(VENV)/.test ## the Python protobuf modules again, after a change of proto/
 	PY=$(PY) ./scripts/stubs

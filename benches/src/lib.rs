@@ -5,3 +5,5 @@ pub mod ours;
 pub mod parry;
 pub mod report;
 pub mod rounds;
+#[cfg(feature = "service")]
+pub mod service;

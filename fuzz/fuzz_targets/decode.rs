@@ -1,11 +1,13 @@
 //! Any bytes sent to the real handlers are answered or refused, and a response
-//! is one that its own type reads: no panic (libFuzzer aborts on one).
+//! is one that its own type reads: no panic (libFuzzer aborts on one). What is read
+//! in bulk is read as prost reads it.
 #![no_main]
 
 use std::sync::{Arc, LazyLock};
 
 use bytes::{BufMut, Bytes, BytesMut};
 use http_body_util::{BodyExt, Full};
+use hullcast::proto::{QueryContactsRequest, QueryContactsResponse};
 use hullcast::service::{App, Limits, handlers};
 use libfuzzer_sys::fuzz_target;
 use prost::Message;
@@ -37,6 +39,13 @@ const METHODS: [&str; 6] = [
     "/hullcast.v1.ContactService/StreamContacts",
 ];
 
+/// The bytes, read in bulk and by prost, are the same message or none.
+fn read_alike<M: hullcast::proto::bulk::Columnar>(bytes: &[u8]) {
+    let bulk = hullcast::proto::bulk::decode::<M>(Bytes::copy_from_slice(bytes)).ok();
+    let prost = M::decode(bytes).ok();
+    assert_eq!(bulk.map(|m| m.encode_to_vec()), prost.map(|m| m.encode_to_vec()));
+}
+
 fn framed(message: &[u8]) -> Bytes {
     let mut frame = BytesMut::with_capacity(5 + message.len());
     frame.put_u8(0);
@@ -48,6 +57,8 @@ fn framed(message: &[u8]) -> Bytes {
 fuzz_target!(|data: &[u8]| {
     let Some((&method, message)) = data.split_first() else { return };
     let method = METHODS[usize::from(method) % METHODS.len()];
+    read_alike::<QueryContactsRequest>(message);
+    read_alike::<QueryContactsResponse>(message);
     let server = &*SERVER;
     server.runtime.block_on(async {
         let request = http::Request::post(method)
@@ -58,7 +69,7 @@ fuzz_target!(|data: &[u8]| {
         let response = server.routes.clone().oneshot(request).await.expect("handlers never fail");
         let body = response.into_body().collect().await.expect("a body").to_bytes();
         if method.ends_with("QueryContacts") && body.len() > 5 {
-            hullcast::proto::QueryContactsResponse::decode(&body[5..]).expect("a response of its own type");
+            QueryContactsResponse::decode(&body[5..]).expect("a response of its own type");
         }
     });
 });

@@ -160,7 +160,7 @@ impl Oracle {
         let scene = wire::scene(request, &Limits::default())?;
         let setting = &scene.setting;
         let body = |index: u32, invalid: &mut Invalid| {
-            let pose = scene.poses[index as usize];
+            let pose = scene.poses.get(index as usize);
             if pose.is_none() {
                 invalid.body();
             }
@@ -168,7 +168,7 @@ impl Oracle {
             Some(Body::new(self.hulls.get(id)?, pose?))
         };
         let (pairs, _) = setting.pairs.as_chunks::<2>();
-        let mut columns = Columns::with_capacity(pairs.len(), setting.outputs);
+        let mut columns = Columns::default();
         let mut workspace = Workspace::default();
         for &[a, b] in pairs {
             let mut invalid = Invalid::default();

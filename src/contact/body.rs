@@ -43,14 +43,9 @@ impl Pose {
     ///
     /// # Errors
     /// [`InvalidPose`] names what is not usable.
-    pub fn new(position: [f64; 3], [x, y, z, w]: [f64; 4]) -> Result<Self, InvalidPose> {
-        if !position.iter().all(|c| c.abs() <= MAX_POSITION) {
-            return Err(InvalidPose::Position);
-        }
-        let norm_squared = x * x + y * y + z * z + w * w;
-        if !((norm_squared.sqrt() - 1.0).abs() <= MAX_NORM_ERROR) {
-            return Err(InvalidPose::Rotation);
-        }
+    pub fn new(position: [f64; 3], rotation: [f64; 4]) -> Result<Self, InvalidPose> {
+        let norm_squared = Self::check(position, rotation)?;
+        let [x, y, z, w] = rotation;
         // I + (2 / |q|^2) (...): rational in the quaternion, so that exact
         // arithmetic can follow it.
         let s = 2.0 / norm_squared;
@@ -61,6 +56,22 @@ impl Pose {
             DVec3::new(x * zs + w * ys, y * zs - w * xs, 1.0 - (x * xs + y * ys)),
         );
         Ok(Self { translation: DVec3::from_array(position), rotation })
+    }
+
+    /// Whether [`Pose::new`] takes them; the quaternion's norm, squared.
+    ///
+    /// # Errors
+    /// As [`Pose::new`].
+    #[inline]
+    pub fn check(position: [f64; 3], [x, y, z, w]: [f64; 4]) -> Result<f64, InvalidPose> {
+        if !position.iter().all(|c| c.abs() <= MAX_POSITION) {
+            return Err(InvalidPose::Position);
+        }
+        let norm_squared = x * x + y * y + z * z + w * w;
+        if !((norm_squared.sqrt() - 1.0).abs() <= MAX_NORM_ERROR) {
+            return Err(InvalidPose::Rotation);
+        }
+        Ok(norm_squared)
     }
 }
 

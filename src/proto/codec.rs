@@ -1,14 +1,20 @@
-//! The protobuf codec with buffers sized for batches.
+//! The gRPC codec: messages with numeric columns are read and written in bulk.
 
 use std::marker::PhantomData;
 
-use prost::Message;
-use tonic::codec::BufferSettings;
-use tonic_prost::{ProstCodec, ProstDecoder, ProstEncoder};
+use bytes::Buf;
+use tonic::{
+    Status,
+    codec::{BufferSettings, DecodeBuf, Decoder, EncodeBuf, Encoder},
+};
 
-/// A message of a batch is some hundred kilobytes: growing there from tonic's
-/// 8 KiB costs more than the copy itself.
-const BUFFER_BYTES: usize = 1 << 20;
+use super::bulk::{Columnar, decode, encode};
+
+/// Buffers start small, since most calls are, and grow once, to the message's size.
+const BUFFER_BYTES: usize = 4 << 10;
+
+/// Messages of a stream are gathered up to this before they are handed to the connection.
+const GATHERED_BYTES: usize = 64 << 10;
 
 /// Encodes `T` and decodes `U`.
 #[derive(Clone, Copy, Debug)]
@@ -22,23 +28,52 @@ impl<T, U> Default for Codec<T, U> {
 
 impl<T, U> tonic::codec::Codec for Codec<T, U>
 where
-    T: Message + Send + 'static,
-    U: Message + Default + Send + 'static,
+    T: Columnar + Send + 'static,
+    U: Columnar + Send + 'static,
 {
     type Encode = T;
     type Decode = U;
-    type Encoder = ProstEncoder<T>;
-    type Decoder = ProstDecoder<U>;
+    type Encoder = Self;
+    type Decoder = Self;
 
-    fn encoder(&mut self) -> Self::Encoder {
-        ProstCodec::<T, U>::raw_encoder(settings())
+    fn encoder(&mut self) -> Self {
+        Self(PhantomData)
     }
 
-    fn decoder(&mut self) -> Self::Decoder {
-        ProstCodec::<T, U>::raw_decoder(settings())
+    fn decoder(&mut self) -> Self {
+        Self(PhantomData)
+    }
+}
+
+impl<T: Columnar, U> Encoder for Codec<T, U> {
+    type Item = T;
+    type Error = Status;
+
+    fn encode(&mut self, message: T, buffer: &mut EncodeBuf<'_>) -> Result<(), Status> {
+        buffer.reserve(message.encoded_len());
+        encode(message, buffer);
+        Ok(())
+    }
+
+    fn buffer_settings(&self) -> BufferSettings {
+        settings()
+    }
+}
+
+impl<T, U: Columnar> Decoder for Codec<T, U> {
+    type Item = U;
+    type Error = Status;
+
+    fn decode(&mut self, buffer: &mut DecodeBuf<'_>) -> Result<Option<U>, Status> {
+        let bytes = buffer.copy_to_bytes(buffer.remaining());
+        decode(bytes).map(Some).map_err(|error| Status::internal(error.to_string()))
+    }
+
+    fn buffer_settings(&self) -> BufferSettings {
+        settings()
     }
 }
 
 fn settings() -> BufferSettings {
-    BufferSettings::new(BUFFER_BYTES, BUFFER_BYTES)
+    BufferSettings::new(BUFFER_BYTES, GATHERED_BYTES)
 }

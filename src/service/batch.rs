@@ -5,23 +5,22 @@ use std::{
     cell::RefCell,
     ops::Range,
     sync::{
-        Arc,
+        Arc, Mutex, PoisonError,
         atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering},
     },
     time::Duration,
 };
 
-use rayon::iter::{IndexedParallelIterator, IntoParallelIterator, ParallelIterator};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::{
     error::ServiceError,
     outputs::Outputs,
-    wire::{Columns, Invalid, Scene, Setting},
+    wire::{Columns, Invalid, Poses, Scene, Setting},
 };
 use crate::{
-    compute::{Compute, Panicked, caught},
-    contact::{Basis, Body, ConvexHull, Pose, Workspace, contact_manifold},
+    compute::{Compute, Panicked, Parts, caught},
+    contact::{Basis, Body, ConvexHull, Workspace, contact_manifold},
     store::Missing,
 };
 
@@ -30,8 +29,14 @@ use crate::{
 const INLINE_PAIRS: usize = 32;
 
 /// Pairs between two looks at whether somebody still waits, and the unit that threads
-/// share. Some 100 us of boxes: far above the cost of sharing, far below a batch.
+/// share. Some 50 us of boxes: far above the cost of sharing, far below a batch.
 const CHUNK_PAIRS: usize = 64;
+
+/// Chunks' columns that are kept to be filled again: those of a large batch.
+const SPARE_CHUNKS: usize = 512;
+
+/// A chunk's columns are kept up to this: some 8 points a pair, every output.
+const SPARE_BYTES: usize = 64 << 10;
 
 /// When a server with too much to do asks to be asked again.
 const BUSY_RETRY: Duration = Duration::from_millis(20);
@@ -42,8 +47,7 @@ pub struct Batch {
     /// Pinned for as long as the batch lives.
     hulls: Vec<Result<Arc<ConvexHull>, Missing>>,
     setting: Arc<Setting>,
-    /// Per body; none where not usable.
-    poses: Vec<Option<Pose>>,
+    poses: Poses,
     /// Empty, or 6 per pair: registered indices of vertices, unchecked.
     warm_starts: Vec<u32>,
     /// What is kept of the answers: all that is sent, and perhaps bases.
@@ -71,13 +75,14 @@ pub struct Engine {
     in_flight: Arc<Semaphore>,
     max_answer_bytes: usize,
     pairs_computed: Arc<AtomicU64>,
+    spare: Arc<Spare>,
 }
 
 impl Engine {
     /// At most `max_pairs_in_flight` pairs at a time, at most `max_answer_bytes` an answer.
     pub fn new(compute: Compute, max_pairs_in_flight: u32, max_answer_bytes: usize) -> Self {
         let in_flight = Arc::new(Semaphore::new(max_pairs_in_flight as usize));
-        Self { compute, in_flight, max_answer_bytes, pairs_computed: Arc::default() }
+        Self { compute, in_flight, max_answer_bytes, pairs_computed: Arc::default(), spare: Arc::default() }
     }
 
     /// Pairs computed since the start.
@@ -112,25 +117,12 @@ impl Engine {
     /// # Errors
     /// RESPONSE_TOO_LARGE as soon as it is known; INTERNAL.
     pub async fn compute(&self, batch: Batch, admission: Admission) -> Result<Columns, ServiceError> {
-        let run = Run {
-            batch,
-            stop: Arc::default(),
-            answer_bytes: AtomicUsize::new(0),
-            max_answer_bytes: self.max_answer_bytes,
-            pairs_computed: self.pairs_computed.clone(),
-        };
+        let run = self.begin(batch, admission);
         let stop = run.stop.clone();
         let _stop_when_dropped = StopOnDrop(stop);
-        let computed = if run.pairs() <= INLINE_PAIRS {
-            caught(|| run.inline())
-        } else {
-            self.compute
-                .run(move || {
-                    let columns = run.split();
-                    drop(admission);
-                    columns
-                })
-                .await
+        let computed = match run.pairs() {
+            ..=INLINE_PAIRS => caught(|| run.inline()),
+            _ => self.compute.split(run).await,
         };
         match computed {
             Ok(Some(columns)) => Ok(columns),
@@ -139,6 +131,20 @@ impl Engine {
                 tracing::error!(why, "a batch panicked");
                 Err(ServiceError::internal("the computation failed"))
             }
+        }
+    }
+}
+
+impl Engine {
+    fn begin(&self, batch: Batch, admission: Admission) -> Run {
+        Run {
+            batch,
+            stop: Arc::default(),
+            answer_bytes: AtomicUsize::new(0),
+            max_answer_bytes: self.max_answer_bytes,
+            pairs_computed: self.pairs_computed.clone(),
+            spare: self.spare.clone(),
+            admission: Mutex::new(Some(admission)),
         }
     }
 }
@@ -170,10 +176,55 @@ struct Run {
     answer_bytes: AtomicUsize,
     max_answer_bytes: usize,
     pairs_computed: Arc<AtomicU64>,
+    spare: Arc<Spare>,
+    /// Given back with the answer.
+    admission: Mutex<Option<Admission>>,
+}
+
+/// Columns to be filled again, so that the steady state allocates none for chunks.
+#[derive(Debug, Default)]
+struct Spare(Mutex<Vec<Columns>>);
+
+impl Spare {
+    fn take(&self) -> Columns {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
+    }
+
+    fn keep(&self, chunks: Vec<Columns>) {
+        let mut spare = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let room = SPARE_CHUNKS.saturating_sub(spare.len());
+        let small = chunks.into_iter().filter(|columns| columns.heap_bytes() <= SPARE_BYTES);
+        spare.extend(small.take(room).map(|mut columns| {
+            columns.clear();
+            columns
+        }));
+    }
 }
 
 thread_local! {
     static WORKSPACE: RefCell<Workspace> = RefCell::default();
+}
+
+impl Parts for Run {
+    type Part = Columns;
+    /// None when the answer is too large or nobody waits.
+    type Whole = Option<Columns>;
+
+    fn count(&self) -> usize {
+        self.pairs().div_ceil(CHUNK_PAIRS)
+    }
+
+    fn part(&self, index: usize) -> Columns {
+        let first = index * CHUNK_PAIRS;
+        self.chunk(first..self.pairs().min(first + CHUNK_PAIRS), self.spare.take())
+    }
+
+    fn whole(&self, chunks: Vec<Columns>) -> Option<Columns> {
+        let columns = (!self.stopped()).then(|| Columns::concatenated(&chunks));
+        self.spare.keep(chunks);
+        drop(self.admission.lock().unwrap_or_else(PoisonError::into_inner).take());
+        columns
+    }
 }
 
 impl Run {
@@ -183,31 +234,18 @@ impl Run {
 
     /// Here and now; none when the answer is too large.
     fn inline(&self) -> Option<Columns> {
-        let columns = self.chunk(0..self.pairs());
-        (!self.stopped()).then_some(columns)
-    }
-
-    /// Over all threads of the pool that this runs in; none when the answer is too large
-    /// or nobody waits.
-    fn split(&self) -> Option<Columns> {
-        let pairs = self.pairs();
-        let parts: Vec<Columns> = (0..pairs.div_ceil(CHUNK_PAIRS))
-            .into_par_iter()
-            .with_max_len(1)
-            .map(|i| self.chunk(i * CHUNK_PAIRS..pairs.min((i + 1) * CHUNK_PAIRS)))
-            .collect();
-        (!self.stopped()).then(|| Columns::concatenated(parts, self.batch.kept))
+        self.whole(vec![self.chunk(0..self.pairs(), self.spare.take())])
     }
 
     fn stopped(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }
 
-    fn chunk(&self, pairs: Range<usize>) -> Columns {
+    /// Adds these pairs to `columns`, unless nobody waits for them.
+    fn chunk(&self, pairs: Range<usize>, mut columns: Columns) -> Columns {
         if self.stopped() {
-            return Columns::default();
+            return columns;
         }
-        let mut columns = Columns::with_capacity(pairs.len(), self.batch.kept);
         // Taken out for the time of the chunk: one that panics leaves a new one behind.
         let mut workspace = WORKSPACE.take();
         for pair in pairs {
@@ -247,7 +285,7 @@ impl Batch {
                 None
             }
         };
-        let pose = self.poses[index];
+        let pose = self.poses.get(index);
         if pose.is_none() {
             invalid.body();
         }
@@ -263,5 +301,59 @@ impl Batch {
             vertices.iter().all(|&vertex| (vertex as usize) < body.hull.registered_count())
         };
         (of(basis.a, a) && of(basis.b, b)).then_some(basis)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        proto::{Output, QueryContactsRequest},
+        service::{limits::Limits, wire},
+        workload::{Family, Regime, Workload},
+    };
+
+    /// Generated pairs, every output asked for.
+    fn run(engine: &Engine, regime: Regime, pairs: usize) -> Run {
+        let workload = Workload::generate(Family::Poly16, regime, pairs, 1).unwrap();
+        let hulls = workload.hulls.iter().map(|points| Ok(Arc::new(ConvexHull::new(points).unwrap())));
+        let request = QueryContactsRequest {
+            hull_ids: (0..workload.hulls.len() as u8).map(|i| vec![i; 32]).collect(),
+            body_hulls: workload.pairs.iter().flat_map(|pair| pair.hulls.map(|hull| hull as u32)).collect(),
+            positions: workload.pairs.iter().flat_map(|pair| pair.positions).flatten().collect(),
+            rotations: workload.pairs.iter().flat_map(|pair| pair.rotations).flatten().collect(),
+            pairs: (0..2 * pairs as u32).collect(),
+            outputs: (1..=Output::Diagnostics as i32).collect(),
+            margin: 0.01,
+            ..Default::default()
+        };
+        let scene = wire::scene(request, &Limits::default()).unwrap();
+        let admission = engine.admit(pairs, scene.setting.outputs).unwrap();
+        engine.begin(Batch::new(scene, hulls.collect()).0, admission)
+    }
+
+    /// Catches an allocation for every pair, or every chunk of pairs: once buffers have grown,
+    /// chunks allocate nothing, and an answer only its columns.
+    #[test]
+    fn the_steady_state_allocates_nothing_per_pair() {
+        let engine = Engine::new(Compute::new(1).unwrap(), 1 << 20, 64 << 20);
+        for regime in Regime::ALL {
+            for pairs in [1000, 4096] {
+                // Again and again: chunks' buffers go round.
+                for round in 0..8 {
+                    let run = run(&engine, regime, pairs);
+                    let mut chunks = Vec::with_capacity(run.count());
+                    let made = allocation_counter::measure(|| {
+                        chunks.extend((0..run.count()).map(|index| run.part(index)));
+                    });
+                    assert!(round < 4 || made.count_total == 0, "{regime:?} {pairs}: {made:?}");
+                    let made = allocation_counter::measure(|| {
+                        assert_eq!(run.whole(chunks).unwrap().len(), pairs);
+                    });
+                    assert!(made.count_total <= 20, "columns, each once: {made:?}");
+                }
+            }
+        }
+        assert!(engine.pairs_computed() > 100_000);
     }
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use futures_util::{
     StreamExt,
-    stream::{self, BoxStream, FuturesUnordered},
+    stream::{self, BoxStream},
 };
 use tokio::time::{Instant, timeout_at};
 use tonic::{Request, Response, Status, Streaming};
@@ -130,15 +130,13 @@ async fn assemble(app: &App, scene: Scene) -> (Batch, Vec<u32>, Vec<u32>) {
 /// The hulls, in the order of their ids: what is cached at once, the rest from the store.
 async fn fetch(app: &App, ids: &[HullId]) -> Vec<Result<Arc<ConvexHull>, Missing>> {
     let registry = app.registry();
-    let mut hulls: Vec<_> = ids.iter().map(|&id| registry.cached(id).ok_or(Missing::Unknown)).collect();
-    let mut to_load = ids.iter().enumerate().filter(|(i, _)| hulls[*i].is_err()).map(|(i, &id)| (i, id));
-    let load = |(i, id)| async move { (i, registry.get(id).await) };
-    let to_load: Vec<_> = to_load.by_ref().collect();
-    let mut to_load = to_load.into_iter();
-    let mut loading: FuturesUnordered<_> = to_load.by_ref().take(LOADS).map(load).collect();
+    let cached = registry.cached(ids);
+    let mut hulls: Vec<_> = cached.into_iter().map(|hull| hull.ok_or(Missing::Unknown)).collect();
+    let missing: Vec<usize> = (0..ids.len()).filter(|&i| hulls[i].is_err()).collect();
+    let load = |i: usize| async move { (i, registry.get(ids[i]).await) };
+    let mut loading = stream::iter(missing).map(load).buffer_unordered(LOADS);
     while let Some((i, hull)) = loading.next().await {
         hulls[i] = hull;
-        loading.extend(to_load.next().map(load));
     }
     hulls
 }

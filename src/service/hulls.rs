@@ -139,7 +139,7 @@ impl Hulls {
     /// Not merely stored: a blob that is not the hull any more cannot be answered for.
     async fn has(&self, id: HullId) -> Result<bool, ServiceError> {
         let registry = self.app.registry();
-        if registry.cached(id).is_some() {
+        if registry.cached(&[id])[0].is_some() {
             return Ok(true);
         }
         match registry.definition(id).await {

@@ -108,9 +108,11 @@ impl Registry {
         Self { blobs, cache, compute, bounds, started: Instant::now(), used: Mutex::new(None) }
     }
 
-    /// The hull, if it is at hand: no waiting, no store.
-    pub fn cached(&self, id: HullId) -> Option<Arc<ConvexHull>> {
-        self.cache.get(&id).filter(|entry| !self.is_stale(entry)).map(|entry| entry.hull.clone())
+    /// The hulls that are at hand, in the order of their ids: no waiting, no store.
+    pub fn cached(&self, ids: &[HullId]) -> Vec<Option<Arc<ConvexHull>>> {
+        let now_ms = self.now_ms();
+        let cached = |id| self.cache.get(id).filter(|entry| !self.is_stale(entry, now_ms));
+        ids.iter().map(|id| cached(id).map(|entry| entry.hull.clone())).collect()
     }
 
     /// The hull; read from the store where it is not cached, once however many ask.
@@ -119,7 +121,7 @@ impl Registry {
     /// Why it cannot be answered for.
     pub async fn get(&self, id: HullId) -> Result<Arc<ConvexHull>, Missing> {
         let entry = self.cache.get_or_insert_async(&id, self.load(id)).await?;
-        if self.is_stale(&entry) {
+        if self.is_stale(&entry, self.now_ms()) {
             self.check(id, &entry).await?;
         }
         Ok(entry.hull.clone())
@@ -281,8 +283,8 @@ impl Registry {
         Arc::new(Entry { hull: Arc::new(hull), heap_bytes, written, seen_ms })
     }
 
-    fn is_stale(&self, entry: &Entry) -> bool {
-        let age = self.now_ms().saturating_sub(entry.seen_ms.load(Ordering::Relaxed));
+    fn is_stale(&self, entry: &Entry, now_ms: u64) -> bool {
+        let age = now_ms.saturating_sub(entry.seen_ms.load(Ordering::Relaxed));
         u128::from(age) >= self.bounds.cache_age.as_millis()
     }
 

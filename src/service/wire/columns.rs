@@ -10,28 +10,58 @@ use crate::{
 /// No index: a basis, feature or id that is not there.
 const NONE: u32 = u32::MAX;
 
-/// The columns of some consecutive pairs, as `QueryContactsResponse` has them. A column that
-/// is not asked for stays empty.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Columns {
-    outcomes: Vec<u8>,
-    flags: Vec<u8>,
-    alphas: Vec<f64>,
-    alpha_lowers: Vec<f64>,
-    alpha_uppers: Vec<f64>,
-    separations: Vec<f64>,
-    normals: Vec<f64>,
-    point_counts: Vec<u32>,
-    witness_as: Vec<f64>,
-    distances: Vec<f64>,
-    witness_bs: Vec<f64>,
-    feature_kinds: Vec<u8>,
-    feature_indices: Vec<u32>,
-    point_ids: Vec<u32>,
-    bases: Vec<u32>,
-    iterations: Vec<u32>,
-    support_calls: Vec<u32>,
-    points: usize,
+/// Declares the columns once, and what concerns each of them alike.
+macro_rules! columns {
+    ($($column:ident: $element:ty,)*) => {
+        /// The columns of some consecutive pairs, as `QueryContactsResponse` has them. A
+        /// column that is not asked for stays empty.
+        #[derive(Clone, Debug, Default, PartialEq)]
+        pub struct Columns {
+            $($column: Vec<$element>,)*
+            points: usize,
+        }
+
+        impl Columns {
+            /// The parts, one after the other, allocated once.
+            pub fn concatenated(parts: &[Self]) -> Self {
+                let mut whole = Self { points: parts.iter().map(|part| part.points).sum(), ..Self::default() };
+                $(whole.$column.reserve_exact(parts.iter().map(|part| part.$column.len()).sum());
+                parts.iter().for_each(|part| whole.$column.extend_from_slice(&part.$column));)*
+                whole
+            }
+
+            /// No pairs; the room stays.
+            pub fn clear(&mut self) {
+                $(self.$column.clear();)*
+                self.points = 0;
+            }
+
+            /// What it holds on to.
+            pub fn heap_bytes(&self) -> usize {
+                0 $(+ self.$column.capacity() * size_of::<$element>())*
+            }
+        }
+    };
+}
+
+columns! {
+    outcomes: u8,
+    flags: u8,
+    alphas: f64,
+    alpha_lowers: f64,
+    alpha_uppers: f64,
+    separations: f64,
+    normals: f64,
+    point_counts: u32,
+    witness_as: f64,
+    distances: f64,
+    witness_bs: f64,
+    feature_kinds: u8,
+    feature_indices: u32,
+    point_ids: u32,
+    bases: u32,
+    iterations: u32,
+    support_calls: u32,
 }
 
 /// Why a pair is not answered: each costs its own pairs alone.
@@ -68,13 +98,6 @@ fn bit(set: bool, flag: Flag) -> u8 {
 }
 
 impl Columns {
-    /// Room for `pairs` pairs.
-    pub fn with_capacity(pairs: usize, outputs: Outputs) -> Self {
-        let mut columns = Self::default();
-        columns.reserve(pairs, 0, outputs);
-        columns
-    }
-
     /// How many pairs.
     pub fn len(&self) -> usize {
         self.outcomes.len()
@@ -200,62 +223,6 @@ impl Columns {
     /// The bases; they stay only where they are sent.
     pub fn kept_bases(&mut self, outputs: Outputs) -> Vec<u32> {
         if outputs.bases { self.bases.clone() } else { std::mem::take(&mut self.bases) }
-    }
-
-    /// The parts, one after the other.
-    pub fn concatenated(mut parts: Vec<Self>, outputs: Outputs) -> Self {
-        if parts.len() == 1 {
-            return parts.pop().unwrap_or_default();
-        }
-        let mut whole = Self::default();
-        let pairs = parts.iter().map(Self::len).sum();
-        whole.reserve(pairs, parts.iter().map(|part| part.points).sum(), outputs);
-        for part in &parts {
-            whole.append(part);
-        }
-        whole
-    }
-
-    fn reserve(&mut self, pairs: usize, points: usize, outputs: Outputs) {
-        let if_wanted = |wanted: bool, count: usize| if wanted { count } else { 0 };
-        self.outcomes.reserve_exact(pairs);
-        self.flags.reserve_exact(pairs);
-        for column in [&mut self.alphas, &mut self.alpha_lowers, &mut self.alpha_uppers] {
-            column.reserve_exact(if_wanted(outputs.alpha, pairs));
-        }
-        self.separations.reserve_exact(if_wanted(outputs.normal, pairs));
-        self.normals.reserve_exact(if_wanted(outputs.normal, 3 * pairs));
-        self.point_counts.reserve_exact(if_wanted(outputs.any_points(), pairs));
-        self.witness_as.reserve_exact(if_wanted(outputs.points, 3 * points));
-        self.distances.reserve_exact(if_wanted(outputs.points, points));
-        self.witness_bs.reserve_exact(if_wanted(outputs.witness_b, 3 * points));
-        self.feature_kinds.reserve_exact(if_wanted(outputs.features, 2 * pairs));
-        self.feature_indices.reserve_exact(if_wanted(outputs.features, 4 * pairs));
-        self.point_ids.reserve_exact(if_wanted(outputs.features, 4 * points));
-        self.bases.reserve_exact(if_wanted(outputs.bases, 6 * pairs));
-        self.iterations.reserve_exact(if_wanted(outputs.diagnostics, pairs));
-        self.support_calls.reserve_exact(if_wanted(outputs.diagnostics, pairs));
-    }
-
-    fn append(&mut self, part: &Self) {
-        self.outcomes.extend_from_slice(&part.outcomes);
-        self.flags.extend_from_slice(&part.flags);
-        self.alphas.extend_from_slice(&part.alphas);
-        self.alpha_lowers.extend_from_slice(&part.alpha_lowers);
-        self.alpha_uppers.extend_from_slice(&part.alpha_uppers);
-        self.separations.extend_from_slice(&part.separations);
-        self.normals.extend_from_slice(&part.normals);
-        self.point_counts.extend_from_slice(&part.point_counts);
-        self.witness_as.extend_from_slice(&part.witness_as);
-        self.distances.extend_from_slice(&part.distances);
-        self.witness_bs.extend_from_slice(&part.witness_bs);
-        self.feature_kinds.extend_from_slice(&part.feature_kinds);
-        self.feature_indices.extend_from_slice(&part.feature_indices);
-        self.point_ids.extend_from_slice(&part.point_ids);
-        self.bases.extend_from_slice(&part.bases);
-        self.iterations.extend_from_slice(&part.iterations);
-        self.support_calls.extend_from_slice(&part.support_calls);
-        self.points += part.points;
     }
 }
 

@@ -13,6 +13,6 @@ pub(super) use hulls::{
     register_result,
 };
 pub(super) use info::server_info;
-pub use request::{Scene, Setting, inherited, scene};
+pub use request::{Poses, Scene, Setting, inherited, scene};
 pub use status::DOMAIN;
 pub(super) use status::complete;

@@ -1,0 +1,340 @@
+//! What the service adds to the geometry: `make bench-service`; arguments name sections.
+//!
+//! The server is the binary in HULLCAST_BIN, in a process of its own on this machine's
+//! cores; an echo of the same bytes stands beside it. Prints the tables and puts them
+//! into docs/performance.md.
+
+use std::error::Error;
+use std::fmt::Write as _;
+use std::future::Future;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use hullcast::proto::{Output, QueryContactsRequest};
+use hullcast::workload::{Family, Regime};
+use hullcast_benches::report::{provenance, replace_section};
+use hullcast_benches::service::process::{Cpu, Server};
+use hullcast_benches::service::raw::{Caller, next, serve_echo};
+use hullcast_benches::service::requests::{Batch, QUERY, STREAM};
+use hullcast_benches::service::shaped;
+use prost::Message;
+use tokio::sync::mpsc;
+
+type Failure = Box<dyn Error>;
+
+/// The best size of a message.
+const PAIRS: usize = 4096;
+/// Messages under way at once.
+const UNDER_WAY: usize = 4;
+/// Each measurement, and how often.
+const SECONDS: f64 = 1.0;
+const ROUNDS: usize = 7;
+
+#[tokio::main]
+async fn main() -> Result<(), Failure> {
+    let arguments: Vec<String> = std::env::args().collect();
+    if let [_, mode, bytes] = &arguments[..]
+        && mode == "echo"
+    {
+        return serve_echo(bytes.parse()?).await;
+    }
+    let asked = &arguments[1..];
+    let wanted = |section: &str| asked.is_empty() || asked.iter().any(|name| name == section);
+    let stamp = provenance();
+    for section in ["batches", "small", "sizes", "networks"].into_iter().filter(|name| wanted(name)) {
+        let text = match section {
+            "batches" => batches().await?,
+            "small" => small().await?,
+            "sizes" => sizes().await?,
+            _ => networks().await?,
+        };
+        println!("{text}\n");
+        replace_section(section, &format!("{text}\n\n{stamp}"))?;
+    }
+    Ok(())
+}
+
+fn echo(bytes: usize) -> Result<Server, Failure> {
+    let own = std::env::current_exe()?;
+    Server::start(own.to_str().ok_or("a path that is no text")?, &["echo", &bytes.to_string()])
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+/// Sends `message` in `UNDER_WAY` closed loops for `SECONDS`; the calls made.
+async fn load(caller: &Caller, message: &Bytes, under_way: usize) -> Result<u64, Failure> {
+    let end = Instant::now() + Duration::from_secs_f64(SECONDS);
+    let loops = (0..under_way).map(|_| {
+        let (mut caller, message) = (caller.clone(), message.clone());
+        tokio::spawn(async move {
+            let mut calls = 0;
+            while Instant::now() < end {
+                caller.call(message.clone()).await?;
+                calls += 1;
+            }
+            Ok::<u64, tonic::Status>(calls)
+        })
+    });
+    let mut calls = 0;
+    for each in loops.collect::<Vec<_>>() {
+        calls += each.await??;
+    }
+    Ok(calls)
+}
+
+/// CPU a pair of the server during `work`, which answers with how many pairs it was.
+async fn measured(
+    server: &Server,
+    work: impl Future<Output = Result<u64, Failure>>,
+) -> Result<(Cpu, f64), Failure> {
+    let (before, start) = (server.cpu()?, Instant::now());
+    let pairs = work.await? as f64;
+    let seconds = start.elapsed().as_secs_f64();
+    let used = server.cpu()?.since(before);
+    Ok((Cpu { compute: used.compute / pairs, rest: used.rest / pairs }, pairs / seconds))
+}
+
+/// Large messages: the server's CPU beside computing, and an echo's of the same bytes.
+async fn batches() -> Result<String, Failure> {
+    let mut text = String::from(
+        "| 4,096 pairs a message | bytes a pair, to and fro | transport | echo | ratio | computing | library alone | pairs/s |\n\
+         |---|---|---|---|---|---|---|---|",
+    );
+    for (family, regime) in [
+        (Family::Box, Regime::Shallow),
+        (Family::Box, Regime::Resting),
+        (Family::Box, Regime::Separated),
+        (Family::Poly16, Regime::Shallow),
+        (Family::Poly16, Regime::Resting),
+    ] {
+        let batch = Batch::generate(family, regime, PAIRS, 1)?;
+        let server = Server::hullcast()?;
+        batch.register(&server.address).await?;
+        let message = batch.message(&[]);
+        let mut caller = Caller::connect(&server.address, QUERY).await?;
+        let answer = caller.call(message.clone()).await?.len();
+        let echo = echo(answer)?;
+        let echoing = Caller::connect(&echo.address, QUERY).await?;
+        let pairs = PAIRS as u64;
+        let mut columns = [vec![], vec![], vec![], vec![], vec![]];
+        for _ in 0..ROUNDS {
+            let ours = async { Ok(pairs * load(&caller, &message, UNDER_WAY).await?) };
+            let (cpu, rate) = measured(&server, ours).await?;
+            let theirs = async { Ok(pairs * load(&echoing, &message, UNDER_WAY).await?) };
+            let (other, _) = measured(&echo, theirs).await?;
+            for (column, value) in
+                columns.iter_mut().zip([cpu.rest, other.rest, cpu.rest / other.rest, cpu.compute, rate])
+            {
+                column.push(value);
+            }
+        }
+        let [rest, other, ratio, compute, rate] = columns.map(median);
+        let per_pair = |bytes: usize| bytes as f64 / PAIRS as f64;
+        write!(
+            text,
+            "\n| {} {} | {:.0} + {:.0} | {rest:.0} ns | {other:.0} ns | {ratio:.2} | {compute:.0} ns | {:.0} ns | {:.2} M |",
+            family.name(),
+            regime.name(),
+            per_pair(message.len()),
+            per_pair(answer),
+            batch.library()?,
+            rate / 1e6,
+        )?;
+        eprintln!("{}", text.lines().last().unwrap_or_default());
+    }
+    Ok(text)
+}
+
+/// One pair a message: unary beside a no-op, and streams.
+async fn small() -> Result<String, Failure> {
+    let batch = Batch::generate(Family::Box, Regime::Shallow, 1, 1)?;
+    let server = Server::hullcast()?;
+    batch.register(&server.address).await?;
+    let message = batch.message(&[]);
+    let mut caller = Caller::connect(&server.address, QUERY).await?;
+    let nothing = echo(0)?;
+    let mut no_op = Caller::connect(&nothing.address, QUERY).await?;
+    let (mut ours, mut theirs, mut ratios) = (vec![], vec![], vec![]);
+    for _ in 0..41 {
+        let one = median(latencies(&mut caller, &message, 400).await?);
+        let other = median(latencies(&mut no_op, &Bytes::new(), 400).await?);
+        ours.push(one);
+        theirs.push(other);
+        ratios.push(one / other);
+    }
+    let mut text = format!(
+        "One pair a unary call: median {:.1} us, a call that does nothing {:.1} us, ratio {:.2}.\n\n\
+         | one pair a message | messages under way | messages/s | server's CPU a message |\n|---|---|---|---|",
+        median(ours),
+        median(theirs),
+        median(ratios)
+    );
+    let full = batch.request(&[]);
+    let step = QueryContactsRequest {
+        inherit: true,
+        positions: full.positions.clone(),
+        rotations: full.rotations.clone(),
+        ..Default::default()
+    };
+    let step: Bytes = step.encode_to_vec().into();
+    for (label, streams, under_way, next) in [
+        ("one stream", 1, 1, &message),
+        ("one stream", 1, 256, &message),
+        ("four streams", 4, 256, &message),
+        ("four streams, poses alone (`inherit`)", 4, 256, &step),
+    ] {
+        let mut rows = [vec![], vec![]];
+        for _ in 0..ROUNDS {
+            let work = streamed(&server.address, streams, under_way, &message, next);
+            let (cpu, rate) = measured(&server, work).await?;
+            rows[0].push(rate);
+            rows[1].push(cpu.rest + cpu.compute);
+        }
+        let [rate, cpu] = rows.map(median);
+        write!(text, "\n| {label} | {} | {rate:.0} | {:.2} us |", streams * under_way, cpu / 1e3)?;
+        eprintln!("{}", text.lines().last().unwrap_or_default());
+    }
+    Ok(text)
+}
+
+async fn latencies(caller: &mut Caller, message: &Bytes, calls: usize) -> Result<Vec<f64>, Failure> {
+    let mut times = Vec::with_capacity(calls);
+    for _ in 0..calls {
+        let start = Instant::now();
+        caller.call(message.clone()).await?;
+        times.push(start.elapsed().as_secs_f64() * 1e6);
+    }
+    Ok(times)
+}
+
+/// Messages answered within `SECONDS` by so many streams, each with so many under way.
+async fn streamed(
+    address: &str,
+    streams: usize,
+    under_way: usize,
+    first: &Bytes,
+    rest: &Bytes,
+) -> Result<u64, Failure> {
+    let answered = Arc::new(AtomicU64::new(0));
+    let end = Instant::now() + Duration::from_secs_f64(SECONDS);
+    let mut tasks = vec![];
+    let caller = Caller::connect(address, STREAM).await?;
+    for _ in 0..streams {
+        let (mut caller, first, rest, answered) =
+            (caller.clone(), first.clone(), rest.clone(), answered.clone());
+        tasks.push(tokio::spawn(async move {
+            let (send, mut receive) = mpsc::channel::<Bytes>(under_way);
+            let messages = tokio_stream_of(move |cx| receive.poll_recv(cx));
+            let mut answers = caller.stream(messages).await?;
+            let _ = send.send(first).await;
+            for _ in 1..under_way {
+                let _ = send.send(rest.clone()).await;
+            }
+            while Instant::now() < end {
+                next(&mut answers).await?;
+                answered.fetch_add(1, Ordering::Relaxed);
+                let _ = send.send(rest.clone()).await;
+            }
+            Ok::<(), tonic::Status>(())
+        }));
+    }
+    for task in tasks {
+        task.await??;
+    }
+    Ok(answered.load(Ordering::Relaxed))
+}
+
+fn tokio_stream_of<T>(
+    poll: impl FnMut(&mut std::task::Context<'_>) -> std::task::Poll<Option<T>> + Send + Unpin + 'static,
+) -> impl tokio_stream::Stream<Item = T> + Send {
+    struct Polled<F>(F);
+    impl<T, F: FnMut(&mut std::task::Context<'_>) -> std::task::Poll<Option<T>> + Unpin> tokio_stream::Stream
+        for Polled<F>
+    {
+        type Item = T;
+        fn poll_next(
+            mut self: std::pin::Pin<&mut Self>,
+            cx: &mut std::task::Context<'_>,
+        ) -> std::task::Poll<Option<T>> {
+            (self.0)(cx)
+        }
+    }
+    Polled(poll)
+}
+
+/// Bytes a pair of the answers, by what is asked.
+async fn sizes() -> Result<String, Failure> {
+    let masks: [(&str, &[Output]); 8] = [
+        ("OUTCOME", &[Output::Outcome]),
+        ("ALPHA", &[Output::Alpha]),
+        ("NORMAL", &[Output::Normal]),
+        ("POINTS", &[Output::Points]),
+        ("default: ALPHA, NORMAL, POINTS", &[]),
+        ("default and BASES", &[Output::Alpha, Output::Normal, Output::Points, Output::Bases]),
+        ("default and FEATURES", &[Output::Alpha, Output::Normal, Output::Points, Output::Features]),
+        (
+            "everything",
+            &[
+                Output::Alpha,
+                Output::Normal,
+                Output::Points,
+                Output::WitnessB,
+                Output::Features,
+                Output::Bases,
+                Output::Diagnostics,
+            ],
+        ),
+    ];
+    let cells = [Regime::Separated, Regime::Shallow, Regime::Resting];
+    let mut text = String::from(
+        "| bytes of the answer a pair, boxes | separated | shallow | resting |\n|---|---|---|---|",
+    );
+    let server = Server::hullcast()?;
+    for (label, mask) in masks {
+        write!(text, "\n| {label} |")?;
+        for regime in cells {
+            let batch = Batch::generate(Family::Box, regime, PAIRS, 1)?;
+            batch.register(&server.address).await?;
+            let mut caller = Caller::connect(&server.address, QUERY).await?;
+            let bytes = caller.call(batch.message(mask)).await?.len();
+            write!(text, " {:.1} |", bytes as f64 / PAIRS as f64)?;
+        }
+    }
+    Ok(text)
+}
+
+/// Through a proxy that delays and limits.
+async fn networks() -> Result<String, Failure> {
+    let batch = Batch::generate(Family::Box, Regime::Shallow, PAIRS, 1)?;
+    let server = Server::hullcast()?;
+    batch.register(&server.address).await?;
+    let message = batch.message(&[]);
+    let mut text = String::from(
+        "| box shallow, 4,096 pairs a message | 1 under way | 4 under way | 16 under way |\n|---|---|---|---|",
+    );
+    for (label, delay, bytes_per_second) in [
+        ("the proxy alone", Duration::ZERO, 1e12),
+        ("1 Gbit/s, 1 ms each way", Duration::from_millis(1), 125e6),
+        ("1 Gbit/s, 10 ms each way", Duration::from_millis(10), 125e6),
+    ] {
+        let address = shaped::proxy(server.address.clone(), delay, bytes_per_second).await?;
+        let caller = Caller::connect(&address, QUERY).await?;
+        write!(text, "\n| {label} |")?;
+        for under_way in [1, 4, 16] {
+            let mut rates = vec![];
+            for _ in 0..ROUNDS {
+                let start = Instant::now();
+                let calls = load(&caller, &message, under_way).await?;
+                rates.push(calls as f64 * PAIRS as f64 / start.elapsed().as_secs_f64());
+            }
+            write!(text, " {:.2} M pairs/s |", median(rates) / 1e6)?;
+        }
+        eprintln!("{}", text.lines().last().unwrap_or_default());
+    }
+    Ok(text)
+}

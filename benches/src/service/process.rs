@@ -1,0 +1,75 @@
+//! A server in a process of its own, and the CPU time that it takes.
+
+use std::error::Error;
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, Stdio};
+
+/// A running server; killed when dropped.
+pub struct Server {
+    child: Child,
+    /// host:port.
+    pub address: String,
+}
+
+/// Nanoseconds of CPU since the start.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Cpu {
+    /// Of the threads that compute.
+    pub compute: f64,
+    /// Of all others: transport, decoding, encoding, looking up.
+    pub rest: f64,
+}
+
+impl Cpu {
+    pub fn since(self, before: Self) -> Self {
+        Self { compute: self.compute - before.compute, rest: self.rest - before.rest }
+    }
+}
+
+impl Server {
+    /// Starts `program`, which prints `listening on ADDRESS` first.
+    pub fn start(program: &str, arguments: &[&str]) -> Result<Self, Box<dyn Error>> {
+        let mut child = Command::new(program)
+            .args(arguments)
+            .stdout(Stdio::piped())
+            .spawn()
+            .map_err(|e| format!("{program}: {e}"))?;
+        let output = child.stdout.take().ok_or("no output")?;
+        let mut line = String::new();
+        BufReader::new(output).read_line(&mut line)?;
+        let address = line.trim().strip_prefix("listening on ").ok_or("the server did not start")?;
+        Ok(Self { child, address: address.to_owned() })
+    }
+
+    /// The hullcast server in `HULLCAST_BIN`.
+    pub fn hullcast() -> Result<Self, Box<dyn Error>> {
+        let program = std::env::var("HULLCAST_BIN").map_err(|_| "HULLCAST_BIN names the server's binary")?;
+        let arguments = ["serve", "--listen", "127.0.0.1:0", "--store", "memory://", "--log", "error"];
+        Self::start(&program, &arguments)
+    }
+
+    /// What its threads have used.
+    pub fn cpu(&self) -> Result<Cpu, Box<dyn Error>> {
+        let mut cpu = Cpu::default();
+        for task in std::fs::read_dir(format!("/proc/{}/task", self.child.id()))? {
+            let task = task?.path();
+            // A thread may end meanwhile.
+            let Ok(times) = std::fs::read_to_string(task.join("schedstat")) else { continue };
+            let name = std::fs::read_to_string(task.join("comm")).unwrap_or_default();
+            let used: f64 = times.split(' ').next().ok_or("no schedstat")?.parse()?;
+            if name.starts_with("compute-") {
+                cpu.compute += used;
+            } else {
+                cpu.rest += used;
+            }
+        }
+        Ok(cpu)
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

@@ -1,0 +1,91 @@
+//! Requests for generated pairs.
+
+use std::error::Error;
+
+use bytes::Bytes;
+use hullcast::contact::{Body, ConvexHull, Pose, Query, Workspace, contact_manifold};
+use hullcast::proto::hull_service_client::HullServiceClient;
+use hullcast::proto::{HullDefinition, Output, QueryContactsRequest, RegisterHullsRequest};
+use hullcast::store::{self, identity::id_of};
+use hullcast::workload::{Family, Regime, Workload};
+use prost::Message;
+use tonic::transport::Endpoint;
+
+use crate::cells::MARGIN;
+
+pub const QUERY: &str = "/hullcast.v1.ContactService/QueryContacts";
+pub const STREAM: &str = "/hullcast.v1.ContactService/StreamContacts";
+
+/// Generated pairs, each with bodies of its own.
+pub struct Batch {
+    pub workload: Workload,
+}
+
+impl Batch {
+    pub fn generate(family: Family, regime: Regime, pairs: usize, seed: u64) -> Result<Self, Box<dyn Error>> {
+        Ok(Self { workload: Workload::generate(family, regime, pairs, seed)? })
+    }
+
+    /// Registers the hulls.
+    pub async fn register(&self, address: &str) -> Result<(), Box<dyn Error>> {
+        let channel = Endpoint::from_shared(format!("http://{address}"))?.connect().await?;
+        let hulls = self
+            .workload
+            .hulls
+            .iter()
+            .map(|points| HullDefinition { vertices: points.as_flattened().to_vec(), ..Default::default() });
+        HullServiceClient::new(channel)
+            .register_hulls(RegisterHullsRequest { hulls: hulls.collect() })
+            .await?;
+        Ok(())
+    }
+
+    /// What is asked; it names the hulls that its pairs use.
+    pub fn request(&self, outputs: &[Output]) -> QueryContactsRequest {
+        let pairs = &self.workload.pairs;
+        let mut used: Vec<usize> = pairs.iter().flat_map(|pair| pair.hulls).collect();
+        used.sort_unstable();
+        used.dedup();
+        let id = |&hull: &usize| {
+            let points = self.workload.hulls[hull].clone();
+            id_of(&store::HullDefinition { points, contraction_point: None }.identity_bytes()).0.to_vec()
+        };
+        let place = |hull| used.partition_point(|&other| other < hull) as u32;
+        QueryContactsRequest {
+            hull_ids: used.iter().map(id).collect(),
+            body_hulls: pairs.iter().flat_map(|pair| pair.hulls.map(place)).collect(),
+            positions: pairs.iter().flat_map(|pair| pair.positions).flatten().collect(),
+            rotations: pairs.iter().flat_map(|pair| pair.rotations).flatten().collect(),
+            pairs: (0..2 * pairs.len() as u32).collect(),
+            margin: MARGIN,
+            outputs: outputs.iter().map(|&output| output as i32).collect(),
+            ..Default::default()
+        }
+    }
+
+    /// The same as it is sent.
+    pub fn message(&self, outputs: &[Output]) -> Bytes {
+        self.request(outputs).encode_to_vec().into()
+    }
+
+    /// Nanoseconds a pair of one thread that does nothing else, whole manifolds.
+    pub fn library(&self) -> Result<f64, Box<dyn Error>> {
+        let hulls: Vec<ConvexHull> =
+            self.workload.hulls.iter().map(|points| ConvexHull::new(points)).collect::<Result<_, _>>()?;
+        let query = Query { margin: MARGIN, ..Query::default() };
+        let mut workspace = Workspace::default();
+        let mut best = f64::INFINITY;
+        for _ in 0..20 {
+            let start = std::time::Instant::now();
+            for pair in &self.workload.pairs {
+                let body = |side: usize| -> Result<Body<'_>, Box<dyn Error>> {
+                    let pose = Pose::new(pair.positions[side], pair.rotations[side])?;
+                    Ok(Body::new(&hulls[pair.hulls[side]], pose))
+                };
+                std::hint::black_box(contact_manifold(&body(0)?, &body(1)?, &query, None, &mut workspace));
+            }
+            best = best.min(start.elapsed().as_nanos() as f64 / self.workload.pairs.len() as f64);
+        }
+        Ok(best)
+    }
+}
