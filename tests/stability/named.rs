@@ -3,7 +3,7 @@
 
 use std::rc::Rc;
 
-use hullcast::contact::{Feature, Flags, Manifold, Outcome, Workspace};
+use hullcast::contact::{Feature, Flags, Manifold, Outcome, Workspace, certificate};
 
 use crate::case::{Case, Shape, any_shape, cuboid, turn};
 use crate::judge::{Cell, SOLVERS, judge};
@@ -535,4 +535,47 @@ fn long_needles_are_as_far_as_they_are() {
         let case = Case::aimed(random, shapes, alpha).at_distance(distance);
         judged(&case.with_margins([0.5, 0.9, 0.99, 1.01, 1.1, 2.0].map(|share| share * distance)));
     }
+}
+
+/// Found by fuzzing. Where a side of the clipping face is within the merge distance
+/// of where its neighbours' lines meet, it does not cut; they were taken to meet in
+/// another corner, whose height was the contact point's.
+#[test]
+fn sides_around_an_uncut_one_meet_between_them() {
+    let a = vec![
+        [0.5, 0.0, 0.03125],
+        [3.3125, 3.3125, 3.3125],
+        [-0.203125, -13.0, 3.3125],
+        [3.3125, 2.5625, 2.5625],
+        [1.34375, 2.5625, 2.5625],
+        [2.5625, 2.5625, 2.5625],
+        [2.5625, 2.53125, 3.3125],
+        [-0.40625, -0.40625, -0.40625000000000194],
+        [0.5, 0.0, 3.3125],
+        [-0.21875, -0.40625, -0.21875],
+        [-0.21875, -0.21875, -0.21875],
+    ];
+    let b = vec![
+        [2.78125, 2.78125, 0.0],
+        [0.3125, 2.78125, 1.5],
+        [-0.40625, 3.312500000000047, 3.3125],
+        [3.3125, -0.40625, -0.40625],
+        [-0.40625000000000194, 0.3125, 0.0],
+        [3.3125, 0.0, 1.34375],
+        [0.59375, 48.0, -0.21875],
+        [3.3125, 0.0, -0.40625],
+        [1.09375, -0.40625, 3.3125],
+        [2.187500000000031, 2405181685760.0, 2405181685760.0],
+        [-3.156249999999955, -3.15625, 0.84375],
+        [-3.125, 51.31250000000005, 1.75],
+        [3.3125, 0.0625, 0.0],
+    ];
+    let case = level([Shape::new(a), Shape::new(b)], [0.0; 3]);
+    let case = Case { relative_tolerance: 1e-9, max_iterations: 5, ..case };
+    let mut query = case.query(1e-9);
+    query.accuracy.feature_angle = 0.5;
+    let [a, b] = case.bodies();
+    let m = case.solve(&query, &mut Workspace::default());
+    assert!(m.points.len() > 2 && !m.flags.estimated, "{m:?}");
+    certificate::check(&a, &b, &query, &m).unwrap_or_else(|violation| panic!("{violation}\n{m:?}"));
 }

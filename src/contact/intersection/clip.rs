@@ -26,6 +26,9 @@ pub(super) enum Made {
     Own(u32),
     /// A corner of the window inside the subject.
     Window(u32),
+    /// Two sides of the window that are not neighbours: those between lie within
+    /// `eps` of here. By the nearest corner.
+    Near(u32),
     /// A side of the subject and one of the window.
     Crossing(u32, u32),
 }
@@ -145,10 +148,21 @@ fn crossing(window: &Outline, p: &Vertex, q: &Vertex, share: f64, j: u32) -> Ver
         Line::Own(i) => Vertex { at, made: Made::Crossing(i, j), line: p.line },
         // Two sides of the window meet in the corner where the second begins.
         Line::Window(k) => {
-            let corner = if window.next(j as usize) == k as usize { k } else { j };
-            let adjacent = corner == k || window.next(k as usize) == j as usize;
-            let at = if adjacent { window.corners[corner as usize].at } else { at };
-            Vertex { at, made: Made::Window(corner), line: p.line }
+            let (made, at) = if window.next(j as usize) == k as usize {
+                (Made::Window(k), window.corners[k as usize].at)
+            } else if window.next(k as usize) == j as usize {
+                (Made::Window(j), window.corners[j as usize].at)
+            } else {
+                (Made::Near(nearest_corner(window, at)), at)
+            };
+            Vertex { at, made, line: p.line }
         }
     }
+}
+
+#[cold]
+fn nearest_corner(window: &Outline, at: DVec2) -> u32 {
+    let distance = |i: &u32| window.corners[*i as usize].at.distance_squared(at);
+    let corners = 0..window.corners.len() as u32;
+    corners.min_by(|i, j| distance(i).total_cmp(&distance(j))).unwrap_or(0)
 }
