@@ -145,11 +145,10 @@ impl Steps {
     /// Steps 2 and 3.
     fn find_points(&mut self, pair: &Pair<'_>, solution: &Solution, accuracy: &Accuracy) {
         let n = solution.normal;
-        let known = |vertex: fn(&Support) -> u32| {
-            let [u0, u1, u2] = solution.triple.each_ref().map(vertex);
-            [vertex(&solution.support), u0, u1, u2]
-                .map(|v| if v == Support::INNER { vertex(&solution.support) } else { v })
-        };
+        // A triple that still has inner points is no basis, and names nothing that touches.
+        let complete = solution.triple.iter().all(|u| u.a != Support::INNER);
+        let [u0, u1, u2] = if complete { solution.triple } else { [solution.support; 3] };
+        let known = |vertex: fn(&Support) -> u32| [solution.support, u0, u1, u2].each_ref().map(vertex);
         let depth = MERGE * U * pair.circumradius;
         let (_, sine, cosine) = match self.feature_angle {
             Some(known) if known.0 == accuracy.feature_angle => known,

@@ -7,6 +7,7 @@ use hullcast::contact::{
 
 use super::case::{Case, norm, rotate};
 use super::exact::zero;
+use super::gauss::{Asked, objection};
 use super::oracle::{Corner, Exact, Growth};
 use super::polygon;
 
@@ -68,6 +69,10 @@ pub(crate) struct Met {
     /// Growth distance alone would say CONTACT.
     pub(crate) ghosts: usize,
     pub(crate) pivots: usize,
+    /// Vertices, edges and faces that touch, at any feature angle, each held
+    /// against the definition by brute force; and how often ESTIMATED was due.
+    pub(crate) touched: [usize; 3],
+    pub(crate) due: usize,
 }
 
 impl Cell {
@@ -151,6 +156,8 @@ pub(crate) fn judge(case: &Case, cells: &mut [Cell; 2], workspace: &mut Workspac
         let judging = Judging { case, bodies: &bodies, sizes: &sizes, exact: &exact, growth };
         cell.met.pivots += growth.pivots;
         judging.numbers(&query, &answer, cell);
+        judging.features(&query, &answer, cell);
+        judging.feature_angles(&query, cell, workspace);
         judging.points(&answer, cell);
         judging.certificate(&query, &answer, cell);
         judging.twin(&query, &answer, cell);
@@ -215,6 +222,46 @@ impl Judging<'_> {
                 cell.measure(Measure::Witness, out, sizes.planarity + sizes.merge() + world);
             }
         }
+    }
+
+    /// The same pair with the pure Gauss map, and with wide feature angles.
+    fn feature_angles(&self, query: &Query, cell: &mut Cell, workspace: &mut Workspace) {
+        let [a, b] = self.bodies;
+        for feature_angle in [0.0, 0.1, 0.5] {
+            let mut query = *query;
+            query.accuracy.feature_angle = feature_angle;
+            self.features(&query, contact_manifold(a, b, &query, None, workspace), cell);
+        }
+    }
+
+    /// The features are those of the definition, by brute force, and ESTIMATED is due.
+    fn features(&self, query: &Query, answer: &Manifold, cell: &mut Cell) {
+        let Some(features) = answer.features else {
+            return cell.demand(false, || "no features".into());
+        };
+        for side in 0..2 {
+            let hull = self.bodies[side].hull;
+            let [x, y, z, w] = self.case.rotations[side];
+            let n = rotate([-x, -y, -z, w], answer.normal.to_array());
+            let n = glam::DVec3::from_array(n) * [1.0, -1.0][side];
+            let asked = Asked {
+                hull,
+                n,
+                depth: 64.0 * U * self.sizes.outer / hull.scale(),
+                feature_angle: query.accuracy.feature_angle,
+                basis: answer.basis.map_or(vec![], |b| [b.a, b.b][side].to_vec()),
+            };
+            let objection = objection(&asked, features[side]);
+            let angle = query.accuracy.feature_angle;
+            cell.demand(objection.is_none(), || {
+                format!("{:?} of {side} at angle {angle}: {objection:?}", features[side])
+            });
+            match features[side] {
+                Feature::Face(_) => cell.met.touched[2] += 1,
+                Feature::Edge(_) => cell.met.touched[1] += 1,
+                Feature::Vertex(_) => cell.met.touched[0] += 1,
+            }
+        }
         self.estimated(answer, cell);
     }
 
@@ -257,6 +304,7 @@ impl Judging<'_> {
         // A factor of two for this check's own rounding.
         let merge = self.sizes.merge();
         let due = if answer.flags.estimated { gap > merge / 2.0 } else { gap <= merge * 2.0 };
+        cell.met.due += usize::from(answer.flags.estimated);
         cell.demand(due, || format!("estimated: {}, features {gap:e} apart", answer.flags.estimated));
     }
 

@@ -8,6 +8,7 @@
 mod case;
 mod determinism;
 mod exact;
+mod gauss;
 mod judge;
 mod long;
 mod matrix;
@@ -40,6 +41,8 @@ fn the_matrix_is_met() {
     let failures = report::failures(&scores);
     assert!(failures.is_empty(), "{failures:#?}");
     assert!(scores.len() > 120);
+    let (touched, due) = report::features(&scores);
+    assert!(touched.iter().all(|&count| count > 10_000) && due > 10_000, "{touched:?} {due}");
 }
 
 /// The whole matrix; writes its page and picture into the directory

@@ -69,6 +69,13 @@ pub(crate) fn summary(scores: &[Score]) -> String {
     text
 }
 
+/// How many features were held against the definition, and how often ESTIMATED was due.
+pub(crate) fn features(scores: &[Score]) -> ([usize; 3], usize) {
+    let met = || scores.iter().flat_map(|s| &s.cells).map(|cell| cell.met);
+    let touched = met().fold([0; 3], |sum, met| std::array::from_fn(|i| sum[i] + met.touched[i]));
+    (touched, met().map(|met| met.due).sum())
+}
+
 const PAGE: &str = "\
 # Numerical stability
 
@@ -92,8 +99,9 @@ points, `M` the lengths that enter the centre offset `d`, a measure is the worst
 | distance | of a point below `s(n)` | that of separation, twice the planarity |
 
 Outcomes are asked for cold and warm, with points, without them and alone, at margins of the row, at 0 and
-within 1e-12 of the pair's own distance. ESTIMATED is held against the projected features; the certificate
-checks every answer too. A flag excuses what it names: GAP_OPEN the width, COINCIDENT alpha and normal;
+within 1e-12 of the pair's own distance. Features, at feature angles of 0, 0.01, 0.1 and 0.5, are held against
+the definition by a search of all faces, edges and vertices, ESTIMATED against the projected features; the
+certificate checks every answer too. A flag excuses what it names: GAP_OPEN the width, COINCIDENT alpha and normal;
 only rows about a flag may raise it in more than one case of a hundred. A failure is anything
 wrong without a flag. The rows of powers of two also compare the bits of alpha, bracket, normal and basis.
 ";
@@ -101,7 +109,13 @@ wrong without a flag. The rows of powers of two also compare the bits of alpha, 
 /// The page of the matrix: what is measured, on what, the sums, the picture, the rows.
 pub(crate) fn page(scores: &[Score], provenance: &str) -> String {
     let picture = "![Worst error of each row as a share of its budget](stability.svg)";
-    format!("{PAGE}\n{provenance}\n\n{}\n{picture}\n\n## Rows\n\n{}", summary(scores), table(scores))
+    let ([vertices, edges, faces], due) = features(scores);
+    format!(
+        "{PAGE}\n{provenance}\n\n{}\nFeatures held against the definition: {vertices} vertices, {edges} edges, \
+         {faces} faces; {due} answers were due to be ESTIMATED.\n\n{picture}\n\n## Rows\n\n{}",
+        summary(scores),
+        table(scores)
+    )
 }
 
 /// Pixels of a cell, of the labels, of the head.
