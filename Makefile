@@ -88,6 +88,13 @@ bench: check-tools build $(VENV)/.demo ## contacts beside parry3d, then through 
 	cd benches && $(CARGO) run --release --locked --bin contact
 	$(PY) client/examples/throughput.py | tee /dev/stderr | (cd benches && $(CARGO) run --quiet --release --locked --bin section throughput)
 
+SECTION := (cd benches && $(CARGO) run --quiet --release --locked --bin section
+
+.PHONY: bench-python
+bench-python: build $(VENV)/.bench ## the Python client's own cost, and coal and python-fcl on one scene; writes docs/performance.md
+	{ ./scripts/provenance; echo "load $$(cut -d' ' -f1 /proc/loadavg) before"; $(PY) client/examples/overhead.py; } | tee /dev/stderr | $(SECTION) python-overhead)
+	{ ./scripts/provenance; echo "load $$(cut -d' ' -f1 /proc/loadavg) before"; $(PY) client/examples/peers.py; } | tee /dev/stderr | $(SECTION) python-peers)
+
 .PHONY: bench-service
 bench-service: check-tools build ## the server beside an echo of the same bytes; writes docs/performance.md
 	cd benches && $(CARGO) run --release --locked --features service --bin transport
@@ -142,6 +149,10 @@ $(VENV)/.extras: client/requirements-extras.txt client/requirements-dev.txt $(RE
 	touch $@
 
 $(VENV)/.lowest $(VENV)/.latest: $(VENV)/.%: client/requirements-%.txt | check-tools
+	$(call install,$<)
+	touch $@
+
+$(VENV)/.bench: client/requirements-bench.txt $(REQUIREMENTS) | check-tools
 	$(call install,$<)
 	touch $@
 

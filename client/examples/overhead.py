@@ -1,6 +1,6 @@
 """What the Python client itself costs, and what a step loop saves.
 
-    python client/examples/overhead.py [--seconds 2]
+    python client/examples/overhead.py [--seconds 2] [--sizes 1 64]
 
 For batches of several sizes: a `query` from numpy arrays to numpy arrays; the
 part of it that is the client's own work (making the messages and reading the
@@ -88,13 +88,15 @@ def main() -> None:
     """Measures and prints."""
     parser = argparse.ArgumentParser(description="The Python client's own cost")
     parser.add_argument("--seconds", type=float, default=2.0, help="of each measurement")
-    seconds: float = parser.parse_args().seconds
+    parser.add_argument("--sizes", type=int, nargs="+", default=SIZES, help="pairs a call")
+    arguments = parser.parse_args()
+    seconds: float = arguments.seconds
     form = "{:>10}{:>12}{:>14}{:>12}{:>14}{:>14}{:>14}"
     print("microseconds a call, cold and warm; the client's own work in it, and that a pair")
     print(form.format("pairs", "query", "its own", "ns a pair", "warm query", "session", "pairs/s"))
     outputs = ("ALPHA", "NORMAL", "POINTS", "BASES")
     with hullcast.serve() as client:
-        for size in SIZES:
+        for size in arguments.sizes:
             scene, pairs = scene_of(client, size)
             m = client.query(scene, pairs, margin=MARGIN, outputs=outputs)
             cold = median_seconds(lambda: client.query(scene, pairs, margin=MARGIN), seconds)  # noqa: B023

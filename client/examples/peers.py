@@ -16,7 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -153,7 +153,8 @@ def by_fcl(scene: Scene) -> Step:
         corners = vertices[hull.simplices]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         inward = np.einsum("ni,ni->n", normals, hull.equations[:, :3]) < 0
-        triangles = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
+        simplices: npt.NDArray[np.int64] = hull.simplices
+        triangles = np.where(inward[:, None], simplices[:, ::-1], simplices)
         faces = np.column_stack([np.full(len(triangles), 3), triangles]).reshape(-1)
         shapes.append(fcl.Convex(vertices, len(triangles), faces))
     quaternions = np.roll(scene.rotations, 1, axis=1)
@@ -174,16 +175,17 @@ def by_fcl(scene: Scene) -> Step:
     return step
 
 
-def median_seconds(step: Step, seconds: float) -> float:
-    """Of one call, the median over as many as there is time for."""
-    step()
-    times: list[float] = []
-    end = time.perf_counter() + seconds
-    while time.perf_counter() < end or len(times) < 3:
-        start = time.perf_counter()
-        step()
-        times.append(time.perf_counter() - start)
-    return float(np.median(times))
+def median_seconds(steps: Sequence[Step], seconds: float) -> list[float]:
+    """Of a call of each, the medians; in turns, so that a busy moment meets them all."""
+    times: list[list[float]] = [[] for _ in steps]
+    end = time.perf_counter() + seconds * len(steps)
+    while time.perf_counter() < end or len(times[0]) < 3:
+        for step, taken in zip(steps, times, strict=True):
+            step()  # the caches are its own again
+            start = time.perf_counter()
+            step()
+            taken.append(time.perf_counter() - start)
+    return [float(np.median(taken)) for taken in times]
 
 
 def main() -> None:
@@ -206,17 +208,22 @@ def main() -> None:
             ("coal", by_coal),
             ("python-fcl", by_fcl),
         ]
+        names: list[str] = []
+        singles: list[Step] = []
+        wholes: list[Step] = []
         for name, make in makers:
             try:
-                step = make(scene)
+                wholes.append(make(scene))
             except ImportError as error:
                 print(f"{name:<18}left out: {error}")
                 continue
-            touching, points = step()
-            single = median_seconds(make(one), arguments.seconds / 3)
-            whole = median_seconds(step, arguments.seconds)
-            row = f"{single * 1e6:,.0f}", f"{whole * 1e6:,.0f}", f"{pairs / whole:,.0f}"
-            print(form.format(name, *row, touching, points), flush=True)
+            singles.append(make(one))
+            names.append(name)
+        single = median_seconds(singles, arguments.seconds / 3)
+        whole = median_seconds(wholes, arguments.seconds)
+        for i, name in enumerate(names):
+            row = f"{single[i] * 1e6:,.0f}", f"{whole[i] * 1e6:,.0f}", f"{pairs / whole[i]:,.0f}"
+            print(form.format(name, *row, *wholes[i]()))
 
 
 if __name__ == "__main__":

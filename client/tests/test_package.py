@@ -18,7 +18,8 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.mark.parametrize(
     ("script", "expected"),
     [
-        (["first_contacts.py"], "pairs in contact: [[0, 1], [0, 2]]"),
+        (["overhead.py", "--seconds", "0.02", "--sizes", "1", "5000"], " 5,000 "),
+        (["peers.py", "--seconds", "0.05"], " 2457 "),
         (["throughput.py", "--seconds", "0.1"], "resting   several"),
     ],
 )

@@ -8,8 +8,11 @@ from ._arrays import Floats
 from ._errors import InvalidArgument
 from ._scene import Scene
 
-#: Cosine of the angle within which faces that meet in an edge are drawn as one.
+#: Cosine of the angle within which faces that meet in an edge are drawn as one,
+#: and the same of a hull with many edges, which are those of something round.
 _FLAT = 1 - 1e-6
+_ROUND = 0.94
+_MANY = 64
 
 
 def points_of(scene: Scene, body: int) -> Floats:
@@ -38,7 +41,7 @@ def world(points: Floats, position: Floats, rotation: Floats) -> Floats:
 
 
 def surface(vertices: Floats) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles of the hull, and the edges between those that are not in one plane."""
+    """Triangles of the hull, seen from outside against the clock, and the edges to draw."""
     try:
         from scipy.spatial import ConvexHull
     except ImportError as error:
@@ -46,11 +49,18 @@ def surface(vertices: Floats) -> tuple[np.ndarray, np.ndarray]:
     hull = ConvexHull(vertices)
     triangles, normals = hull.simplices, hull.equations[:, :3]
     edges: list[list[int]] = []
+    cosines: list[float] = []
     for i, neighbours in enumerate(hull.neighbors):
         for opposite, j in enumerate(neighbours):
             if i < j and normals[i] @ normals[j] < _FLAT:
                 edges.append([int(v) for k, v in enumerate(triangles[i]) if k != opposite])
-    return triangles, np.array(edges, dtype=np.int64).reshape(-1, 2)
+                cosines.append(normals[i] @ normals[j])
+    shown = np.array(edges, dtype=np.int64).reshape(-1, 2)
+    if len(shown) > _MANY:
+        shown = shown[np.array(cosines) < _ROUND]
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    inward = np.einsum("ni,ni->n", np.cross(b - a, c - a), normals) < 0
+    return np.where(inward[:, None], triangles[:, ::-1], triangles), shown
 
 
 def around(offsets: Floats, normal: Floats) -> np.ndarray:

@@ -239,7 +239,7 @@ class Manifolds:
         from . import _plot
 
         shown, bodies, scene = self._drawn(pairs)
-        return _plot.picture(bodies, shown.normal, shown._drawn_points(), scene, path)
+        return _plot.picture(bodies, shown.pairs, shown.normal, shown._drawn_points(), scene, path)
 
     def log(
         self,

@@ -8,15 +8,17 @@ from typing import Any
 import numpy as np
 
 from . import _drawing
-from ._arrays import Floats
+from ._arrays import Floats, Indices
 from ._export import Columns
 from ._scene import Scene
 
+_NUMBERED = 12
 _HULL_COLOURS = ("#8fa3b8", "#b8a98f", "#9db88f", "#b88fa6", "#8fb8b5", "#a08fb8")
 
 
 def picture(
     bodies: Any,
+    pairs: Indices,
     normals: Floats,
     points: Columns,
     scene: Scene,
@@ -26,7 +28,7 @@ def picture(
 
     Args:
         bodies: those to draw.
-        normals: (n, 3).
+        pairs, normals: (n, 2) and (n, 3).
         points: `point_counts` (n,), `witness_as` and `witness_bs` (p, 3), `distances` (p,).
         scene: the bodies' hulls and poses.
         path: where it is written too, or None.
@@ -39,10 +41,13 @@ def picture(
         raise ImportError(
             "plot needs matplotlib and scipy: pip install 'hullcast[plot]'"
         ) from error
-    figure: Any = Figure(figsize=(9, 7.5), dpi=120)
+    figure: Any = Figure(figsize=(9, 7), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)  # draws without a display
     axes: Any = figure.add_subplot(projection="3d", computed_zorder=False)
-    corners = [_draw_body(axes, scene, int(body)) for body in bodies]
+    # Of many bodies only those that touch are numbered.
+    touching = pairs[points["point_counts"] > 0]
+    numbered = set((touching if len(bodies) > _NUMBERED else bodies).reshape(-1).tolist())
+    corners = [_draw_body(axes, scene, int(body), int(body) in numbered) for body in bodies]
     distances = points["distances"]
     if len(distances):
         reach = float(np.abs(distances).max()) or 1.0
@@ -51,7 +56,7 @@ def picture(
         size = float(np.ptp(np.concatenate(corners), axis=0).max())
         _draw_contacts(axes, normals, points, colour, size)
         figure.colorbar(
-            colour, ax=axes, shrink=0.6, pad=0.1, label="distance (negative: overlapping)"
+            colour, ax=axes, shrink=0.6, pad=0.05, label="distance (negative: overlapping)"
         )
     if corners:
         _frame(axes, np.concatenate(corners))
@@ -62,7 +67,7 @@ def picture(
     return figure
 
 
-def _draw_body(axes: Any, scene: Scene, body: int) -> Floats:
+def _draw_body(axes: Any, scene: Scene, body: int, numbered: bool) -> Floats:
     """Draws a body's hull, and returns its corners in the world."""
     from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
@@ -71,13 +76,18 @@ def _draw_body(axes: Any, scene: Scene, body: int) -> Floats:
     triangles, edges = _drawing.surface(vertices)
     colour = _HULL_COLOURS[body % len(_HULL_COLOURS)]
     axes.add_collection3d(
-        Poly3DCollection(vertices[triangles], facecolor=colour, alpha=0.18, zorder=1)
+        Poly3DCollection(
+            vertices[triangles], facecolors=colour, alpha=0.2, shade=True, linewidths=0, zorder=1
+        )
     )
     axes.add_collection3d(
-        Line3DCollection(vertices[edges], colors=colour, linewidths=1.0, zorder=2)
+        Line3DCollection(vertices[edges], colors=colour, linewidths=0.8, zorder=2)
     )
     used = np.unique(triangles)
-    axes.text(*vertices[used].mean(axis=0), str(body), color="#404040", zorder=6)
+    if numbered:
+        box = {"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.7, "linewidth": 0}
+        middle = vertices[used].mean(axis=0)
+        axes.text(*middle, str(body), color="#404040", fontsize=8, bbox=box, zorder=6)
     return vertices[used]
 
 
@@ -104,9 +114,10 @@ def _draw_contacts(axes: Any, normals: Floats, points: Columns, colour: Any, siz
 
 
 def _frame(axes: Any, corners: Floats) -> None:
-    """A cube about everything, so that lengths compare."""
+    """A box about everything, of one scale along all axes, and not too flat to look into."""
     low, high = corners.min(axis=0), corners.max(axis=0)
-    middle, half = (low + high) / 2, (high - low).max() / 2 or 1.0
-    for name, value in zip("xyz", middle, strict=True):
-        getattr(axes, f"set_{name}lim")(value - half, value + half)
-    axes.set_box_aspect((1, 1, 1), zoom=1.1)
+    size = float((high - low).max()) or 1.0
+    middle, half = (low + high) / 2, np.maximum(high - low, 0.4 * size) / 2
+    for name, at, reach in zip("xyz", middle, half, strict=True):
+        getattr(axes, f"set_{name}lim")(at - reach, at + reach)
+    axes.set_box_aspect(half, zoom=0.95)

@@ -33,8 +33,8 @@ class Accuracy:
     Args:
         solver: "PORTAL" or "GJK_RAY_CAST" (the paper's).
         precision: "DOUBLE" or "SINGLE".
-        relative_tolerance: width of the bracket over alpha that is good enough,
-            0 to 1; 0: to rounding.
+        relative_tolerance: width of the bracket over its upper end that is good
+            enough, 0 to 1; 0: to rounding.
         feature_angle: radians, 0 to 0.5: faces and edges within it of the normal
             count as touched; 0 is the pure Gauss map.
         max_points: points a pair; 0: all.
@@ -120,7 +120,7 @@ class Query:
         # What every message of this query has alike.
         self._common = contacts_pb2.QueryContactsRequest(
             margin=margin,
-            outputs=[contacts_pb2.Output.Value(f"OUTPUT_{name}") for name in self._outputs],
+            outputs=[f"OUTPUT_{name}" for name in self._outputs],
         )
         (accuracy or Accuracy()).fill(self._common.accuracy)
         self._body_scratch = np.empty(len(scene), dtype="<u4")
@@ -166,7 +166,7 @@ class Query:
             ("positions", scene.positions[bodies]),
             ("rotations", scene.rotations[bodies]),
         ]
-        rest = self._with([scene.hull_ids[i] for i in hulls])
+        rest = self._with([scene.hull_ids[int(i)] for i in hulls])
         return Message(_packed.request(rest, columns), hulls, bodies)
 
     def step_message(self, before: Message) -> bytes:

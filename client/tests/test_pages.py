@@ -1,0 +1,27 @@
+"""The documentation's pages do what they say."""
+
+from __future__ import annotations
+
+import re
+
+import pages
+import pytest
+
+#: Pages and the outputs that each shows; `extras/` has the one that needs a robot.
+SHOWN = {"first-contacts": 7, "loops": 2, "workers": 1, "accuracy": 4}
+
+
+@pytest.mark.parametrize("page", SHOWN)
+def test_a_page_prints_what_it_shows(page, tmp_path):
+    """Its program runs as a user's would, and its outputs are those printed."""
+    assert pages.run(pages.DOCS / f"{page}.md", tmp_path) == SHOWN[page]
+
+
+def test_no_page_is_left_out():
+    """Of the folder; and what they link to is there."""
+    found = {page.stem: page.read_text() for page in pages.DOCS.glob("*.md")}
+    assert set(found) == {*SHOWN, "robots"}
+    links = [link for text in found.values() for link in re.findall(r"\]\(([^)#:]+)[#)]", text)]
+    assert len(links) > 5
+    for link in links:
+        assert (pages.DOCS / link).exists(), link
