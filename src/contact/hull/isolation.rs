@@ -32,20 +32,32 @@ pub(super) fn isolation(
     let mut isolation = vec![Isolation { cosine: -1.0, gap: f64::INFINITY }; planes.len()];
     for v in 0..vertices.len() {
         let faces = vertex_faces.row(v);
-        for &f in faces {
-            let (normal, offset, planarity) = planes[f as usize];
-            let of = &mut isolation[f as usize];
-            if faces.len() > MOST_FACES {
-                of.cosine = 1.0;
-                continue;
+        if faces.len() > MOST_FACES {
+            faces.iter().for_each(|&f| isolation[f as usize].cosine = 1.0);
+            continue;
+        }
+        for (i, &f) in faces.iter().enumerate() {
+            let normal = planes[f as usize].0;
+            let mut closest = isolation[f as usize].cosine;
+            for &g in &faces[i + 1..] {
+                let cosine = normal.dot(planes[g as usize].0);
+                closest = closest.max(cosine);
+                let other = &mut isolation[g as usize].cosine;
+                *other = other.max(cosine);
             }
-            for &g in faces.iter().filter(|&&g| g != f) {
-                of.cosine = of.cosine.max(normal.dot(planes[g as usize].0));
-            }
-            for &w in neighbours.row(v) {
-                if vertex_faces.row(w as usize).binary_search(&f).is_err() {
-                    of.gap = of.gap.min(offset - planarity - normal.dot(vertices[w as usize]));
-                }
+            isolation[f as usize].cosine = closest;
+        }
+    }
+    let face_vertices = vertex_faces.transposed(planes.len());
+    // Per vertex the face, plus one, that was last found to have it.
+    let mut known = vec![0_u32; vertices.len()];
+    for (f, (isolation, &(normal, offset, planarity))) in (1..).zip(isolation.iter_mut().zip(&planes)) {
+        let own = face_vertices.row(f as usize - 1);
+        own.iter().for_each(|&v| known[v as usize] = f);
+        for &v in own.iter().filter(|&&v| vertex_faces.row(v as usize).len() <= MOST_FACES) {
+            for &w in neighbours.row(v as usize).iter().filter(|&&w| known[w as usize] != f) {
+                let gap = offset - planarity - normal.dot(vertices[w as usize]);
+                isolation.gap = isolation.gap.min(gap);
             }
         }
     }

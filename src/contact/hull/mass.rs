@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-use crate::contact::exact::{Dd, dd_cross, dd_dot, exact_difference};
+use crate::contact::exact::{Dd, Dd3, dd_cross, dd_dot, exact_difference};
 
 /// Of a solid, in the units of its vertices.
 pub(super) struct Mass {
@@ -17,10 +17,15 @@ pub(super) fn mass(points: &[DVec3], triangles: &[[u32; 3]]) -> Mass {
     let corners = |t: &[u32; 3]| t.map(|v| points[v as usize]);
     // From a vertex every tetrahedron is positive, so that the sums lose nothing.
     let apex = points[triangles[0][0] as usize];
-    let (mut six_volume, mut moment) = (Dd::default(), [Dd::default(); 3]);
-    for triangle in triangles {
+    let area = |triangle| {
         let [a, b, c] = corners(triangle);
-        let part = six_times_volume(a, b, c, apex);
+        dd_cross(exact_difference(b, a), exact_difference(c, a))
+    };
+    let areas: Vec<Dd3> = triangles.iter().map(area).collect();
+    let (mut six_volume, mut moment) = (Dd::default(), [Dd::default(); 3]);
+    for (triangle, &area) in triangles.iter().zip(&areas) {
+        let [a, b, c] = corners(triangle);
+        let part = six_times_volume(area, a, apex);
         six_volume = six_volume + Dd::from(part);
         let weighted = (part * ((a - apex) + (b - apex) + (c - apex))).to_array();
         moment.iter_mut().zip(weighted).for_each(|(m, w)| *m = *m + Dd::from(w));
@@ -30,9 +35,9 @@ pub(super) fn mass(points: &[DVec3], triangles: &[[u32; 3]]) -> Mass {
     // Of a tetrahedron with one corner at the origin: the integral of x x^T is
     // its volume / 20 times (sum of x x^T over corners + the sum's own).
     let mut second = DMat3::ZERO;
-    for triangle in triangles {
+    for (triangle, &area) in triangles.iter().zip(&areas) {
         let [a, b, c] = corners(triangle);
-        let part = six_times_volume(a, b, c, center);
+        let part = six_times_volume(area, a, center);
         let (a, b, c) = (a - center, b - center, c - center);
         let sum = a + b + c;
         second += part * (outer(a) + outer(b) + outer(c) + outer(sum));
@@ -42,9 +47,9 @@ pub(super) fn mass(points: &[DVec3], triangles: &[[u32; 3]]) -> Mass {
     Mass { volume: six_volume / 6.0, center, inertia: DMat3::from_diagonal(DVec3::splat(trace)) - second }
 }
 
-/// In double-double, since a plate's is a small difference of large products.
-fn six_times_volume(a: DVec3, b: DVec3, c: DVec3, apex: DVec3) -> f64 {
-    let area = dd_cross(exact_difference(b, a), exact_difference(c, a));
+/// Of the tetrahedron between `apex` and a triangle at `a` of twice the vector area
+/// `area`: in double-double, since a plate's is a small difference of large products.
+fn six_times_volume(area: Dd3, a: DVec3, apex: DVec3) -> f64 {
     dd_dot(area, exact_difference(a, apex)).value()
 }
 

@@ -62,7 +62,7 @@ pub(super) fn groups(surface: &Surface<'_>) -> Groups {
     let mut merger = Merger::new(surface, tolerance);
     let mut order: Vec<u32> = (0..surface.normals.len() as u32).collect();
     let area = |t: &u32| surface.normals[*t as usize].double_area;
-    order.sort_by(|s, t| area(t).total_cmp(&area(s)));
+    order.sort_unstable_by(|s, t| area(t).total_cmp(&area(s)).then(s.cmp(t)));
     for seed in order {
         if merger.of[seed as usize] == NONE {
             merger.gather(seed);

@@ -17,6 +17,10 @@ struct Piece {
     faces: [u32; 2],
 }
 
+/// An edge's ends, lower vertex first, and the faces on the left and right of going
+/// from the one to the other.
+type Edge = ([u32; 2], [u32; 2]);
+
 /// Faces' and edges' places in one another.
 pub(super) struct Topology {
     pub(super) edge_vertices: Vec<[u32; 2]>,
@@ -28,16 +32,16 @@ pub(super) struct Topology {
 /// Reads edges and outlines off the groups' boundaries; none where a face has no
 /// outline at double precision (needles of an aspect beyond 1e13).
 pub(super) fn topology(surface: &Surface<'_>, groups: &Groups) -> Option<Topology> {
-    let mut boundary = Boundary::new(surface, groups);
-    boundary.trace();
-    let mut edges: Vec<([u32; 2], [u32; 2])> = boundary.edges();
-    edges.sort_unstable();
+    let edges = Boundary::new(surface, groups).edges();
     let corners = Csr::from_pairs(
         groups.planes.len(),
         edges.iter().flat_map(|&([u, v], [f, g])| [(f, u), (f, v), (g, u), (g, v)]),
     );
-    let outline = |face: usize| outline(surface.vertices, corners.row(face), groups.planes[face].normal);
-    let outlines = Csr::from_rows((0..groups.planes.len()).map(outline));
+    let mut sweep = Sweep::default();
+    let mut outlines = Csr::with_capacity(groups.planes.len(), corners.items.len());
+    for (face, plane) in groups.planes.iter().enumerate() {
+        outlines.push_row(sweep.outline(surface.vertices, corners.row(face), plane.normal));
+    }
     if (0..groups.planes.len()).any(|face| outlines.row(face).len() < 3) {
         return None;
     }
@@ -54,44 +58,73 @@ pub(super) fn topology(surface: &Surface<'_>, groups: &Groups) -> Option<Topolog
     Some(Topology { edge_vertices, edge_faces, outlines, face_areas })
 }
 
-/// The convex polygon of `corners` seen against `normal`, anticlockwise and
-/// strictly convex: A. M. Andrew's monotone chain (1979) on exact turns. Less than
-/// three of a face thinner than the rounding of its vertices.
-fn outline(vertices: &[DVec3], corners: &[u32], normal: DVec3) -> Vec<u32> {
-    // Dropping the normal's largest coordinate keeps the others exact.
-    let size = normal.abs();
-    let flat = |v: u32| {
-        let p = vertices[v as usize];
-        let (point, height) = if size.x >= size.y && size.x >= size.z {
-            ([p.y, p.z], normal.x)
-        } else if size.y >= size.z {
-            ([p.z, p.x], normal.y)
-        } else {
-            ([p.x, p.y], normal.z)
+/// A corner in the plane of its face, and its vertex.
+type Corner = ([f64; 2], u32);
+
+/// Makes outlines; keeps its buffers from one to the next.
+#[derive(Default)]
+struct Sweep {
+    sorted: Vec<Corner>,
+    polygon: Vec<Corner>,
+    outline: Vec<u32>,
+}
+
+impl Sweep {
+    /// The convex polygon of `corners` seen against `normal`, anticlockwise and
+    /// strictly convex: A. M. Andrew's monotone chain (1979) on exact turns. Less than
+    /// three of a face thinner than the rounding of its vertices.
+    fn outline(&mut self, vertices: &[DVec3], corners: &[u32], normal: DVec3) -> &[u32] {
+        // Dropping the normal's largest coordinate keeps the others exact.
+        let size = normal.abs();
+        let flat = |v: u32| {
+            let p = vertices[v as usize];
+            let (point, height) = if size.x >= size.y && size.x >= size.z {
+                ([p.y, p.z], normal.x)
+            } else if size.y >= size.z {
+                ([p.z, p.x], normal.y)
+            } else {
+                ([p.x, p.y], normal.z)
+            };
+            if height > 0.0 { point } else { [point[1], point[0]] }
         };
-        if height > 0.0 { point } else { [point[1], point[0]] }
-    };
-    let mut sorted: Vec<([f64; 2], u32)> = corners.iter().map(|&v| (flat(v), v)).collect();
-    sorted
-        .sort_unstable_by(|(p, v), (q, w)| p[0].total_cmp(&q[0]).then(p[1].total_cmp(&q[1])).then(v.cmp(w)));
-    sorted.dedup_by_key(|(p, _)| *p);
-    let mut polygon: Vec<([f64; 2], u32)> = Vec::with_capacity(sorted.len() + 1);
-    let mut add_chain = |points: &mut dyn Iterator<Item = &([f64; 2], u32)>| {
-        let start = polygon.len();
-        for &(p, v) in points {
-            while let [.., (a, _), (b, _)] = polygon[start..] {
-                if orient2d(a, b, p) > 0.0 {
-                    break;
-                }
-                polygon.pop();
+        let Self { sorted, polygon, outline } = self;
+        sorted.clear();
+        sorted.extend(corners.iter().map(|&v| (flat(v), v)));
+        sorted.sort_unstable_by(|(p, v), (q, w)| {
+            p[0].total_cmp(&q[0]).then(p[1].total_cmp(&q[1])).then(v.cmp(w))
+        });
+        sorted.dedup_by_key(|(p, _)| *p);
+        polygon.clear();
+        if let &mut [a, b, c] = &mut sorted[..] {
+            // Both chains at once.
+            match orient2d(a.0, b.0, c.0) {
+                turn if turn > 0.0 => polygon.extend([a, b, c]),
+                turn if turn < 0.0 => polygon.extend([a, c, b]),
+                _ => polygon.extend([a, c]),
             }
-            polygon.push((p, v));
+        } else {
+            add_chain(polygon, sorted.iter());
+            add_chain(polygon, sorted.iter().rev());
         }
-        polygon.pop();
-    };
-    add_chain(&mut sorted.iter());
-    add_chain(&mut sorted.iter().rev());
-    polygon.into_iter().map(|(_, v)| v).collect()
+        outline.clear();
+        outline.extend(polygon.iter().map(|(_, v)| *v));
+        outline
+    }
+}
+
+/// Adds the convex chain of `points`, without its last.
+fn add_chain<'a>(polygon: &mut Vec<Corner>, points: impl Iterator<Item = &'a Corner>) {
+    let start = polygon.len();
+    for &(p, v) in points {
+        while let [.., (a, _), (b, _)] = polygon[start..] {
+            if orient2d(a, b, p) > 0.0 {
+                break;
+            }
+            polygon.pop();
+        }
+        polygon.push((p, v));
+    }
+    polygon.pop();
 }
 
 /// The boundaries between groups, as chains of vertices.
@@ -164,7 +197,6 @@ impl<'a> Boundary<'a> {
                 }
             }
         }
-        self.split_doubles();
     }
 
     /// Follows the boundary with the group of `t` on the left.
@@ -217,6 +249,9 @@ impl<'a> Boundary<'a> {
     /// Keeps a chain as one edge where it is straight to the merge tolerance,
     /// else cuts it at the vertex farthest off.
     fn straighten(&mut self, whole: Piece) {
+        if whole.end - whole.start < 2 {
+            return self.pieces.push(whole);
+        }
         let mut open = vec![whole];
         while let Some(piece) = open.pop() {
             match self.farthest_off(piece) {
@@ -259,33 +294,39 @@ impl<'a> Boundary<'a> {
         [from.min(to), from.max(to)]
     }
 
-    /// Two edges between the same corners bound a face that is a mere lens: all
-    /// but the direct one are cut, so that it is a polygon.
-    fn split_doubles(&mut self) {
+    /// Per edge its ends, lower first, and the faces on its left and right; ascending.
+    fn edges(mut self) -> Vec<Edge> {
+        self.trace();
         loop {
-            let mut order: Vec<usize> = (0..self.pieces.len()).collect();
-            let length = |i: usize| self.pieces[i].end - self.pieces[i].start;
-            order.sort_unstable_by_key(|&i| (self.ends(self.pieces[i]), length(i), i));
-            let doubles: Vec<usize> = order
-                .windows(2)
-                .filter(|w| self.ends(self.pieces[w[0]]) == self.ends(self.pieces[w[1]]))
-                .map(|w| w[1])
-                .collect();
-            // Each round cuts chains that have vertices left inside.
-            let cuts = doubles.into_iter().filter(|&i| self.split(i)).count();
-            if cuts == 0 {
-                return;
+            let mut edges: Vec<Edge> = self.pieces.iter().map(|&piece| self.edge(piece)).collect();
+            edges.sort_unstable_by_key(|([u, v], [left, right])| {
+                [u, v, left, right].into_iter().fold(0_u128, |key, &part| key << 32 | u128::from(part))
+            });
+            let double = |two: &[Edge]| two[0].0 == two[1].0;
+            if !edges.windows(2).any(double) || !self.split_doubles() {
+                return edges;
             }
         }
     }
 
-    /// Per edge its ends, lower first, and the faces on its left and right.
-    fn edges(&self) -> Vec<([u32; 2], [u32; 2])> {
-        let edge = |&piece: &Piece| {
-            let [left, right] = piece.faces;
-            let forward = self.chains[piece.start] < self.chains[piece.end];
-            (self.ends(piece), if forward { [left, right] } else { [right, left] })
-        };
-        self.pieces.iter().map(edge).collect()
+    /// Two edges between the same corners bound a face that is a mere lens: all
+    /// but the direct one are cut, so that it is a polygon. False where none has
+    /// a vertex left inside to be cut at.
+    fn split_doubles(&mut self) -> bool {
+        let mut order: Vec<usize> = (0..self.pieces.len()).collect();
+        let length = |i: usize| self.pieces[i].end - self.pieces[i].start;
+        order.sort_unstable_by_key(|&i| (self.ends(self.pieces[i]), length(i), i));
+        let doubles: Vec<usize> = order
+            .windows(2)
+            .filter(|w| self.ends(self.pieces[w[0]]) == self.ends(self.pieces[w[1]]))
+            .map(|w| w[1])
+            .collect();
+        doubles.into_iter().filter(|&i| self.split(i)).count() > 0
+    }
+
+    fn edge(&self, piece: Piece) -> Edge {
+        let [left, right] = piece.faces;
+        let forward = self.chains[piece.start] < self.chains[piece.end];
+        (self.ends(piece), if forward { [left, right] } else { [right, left] })
     }
 }
