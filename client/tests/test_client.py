@@ -290,12 +290,6 @@ def test_an_invalid_body_costs_only_its_own_pairs(client):
             "VALUE_OUT_OF_RANGE",
             "accuracy.feature_angle",
         ),
-        (
-            {"accuracy": hullcast.Accuracy(precision="SINGLE")},
-            hullcast.Unimplemented,
-            "UNIMPLEMENTED_FEATURE",
-            "accuracy.precision",
-        ),
     ],
 )
 def test_what_the_server_refuses_is_named(client, options, error, reason, field):

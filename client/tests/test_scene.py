@@ -112,7 +112,6 @@ def test_what_a_scene_refuses(make, reason, field, index):
         ([[0, 1]], {"outputs": ["ALPHA", "BETA"]}, "UNKNOWN_VALUE", "outputs", 1),
         ([[0, 1]], {"outputs": ["UNSPECIFIED"]}, "UNKNOWN_VALUE", "outputs", 0),
         ([[0, 1]], {"accuracy": hullcast.Accuracy(solver="EPA")}, "UNKNOWN_VALUE", "accuracy.solver", None),
-        ([[0, 1]], {"accuracy": hullcast.Accuracy(precision="HALF")}, "UNKNOWN_VALUE", "accuracy.precision", None),
     ],
 )  # fmt: skip
 def test_what_a_query_refuses(pairs, options, reason, field, index):

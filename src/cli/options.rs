@@ -71,7 +71,6 @@ impl AccuracyArgs {
         };
         let accuracy = proto::Accuracy {
             solver: solver.into(),
-            precision: proto::Precision::Double.into(),
             relative_tolerance: self.relative_tolerance,
             feature_angle: self.feature_angle,
             max_points: self.max_points,

@@ -46,6 +46,10 @@ fn promise_message(message: &DescriptorProto, outer: &str, lines: &mut BTreeSet<
             field.proto3_optional()
         ));
     }
+    // A number given up is not given to another field.
+    for range in &message.reserved_range {
+        lines.insert(format!("{name} reserves {} to {}", range.start(), range.end() - 1));
+    }
     for nested in &message.nested_type {
         promise_message(nested, &name, lines);
     }

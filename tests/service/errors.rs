@@ -5,7 +5,7 @@ use std::{sync::atomic::Ordering, time::Duration};
 use bytes::Bytes;
 use hullcast::{
     proto::{
-        Accuracy, GetHullsRequest, HasHullsRequest, HullDefinition, ListHullsRequest, Output, Precision,
+        Accuracy, GetHullsRequest, HasHullsRequest, HullDefinition, ListHullsRequest, Output,
         QueryContactsRequest, RegisterHullsRequest, Simplification,
     },
     service::Limits,
@@ -74,10 +74,9 @@ async fn malformed_queries_name_field_and_index() {
     let tolerance = "accuracy.relative_tolerance";
     let angle = "accuracy.feature_angle";
     type SpoilAccuracy = fn(&mut Accuracy);
-    let accuracies: [(SpoilAccuracy, &str, &str); 9] = [
+    let accuracies: [(SpoilAccuracy, &str, &str); 8] = [
         (|a| a.solver = 3, "UNKNOWN_VALUE", "accuracy.solver"),
         (|a| a.solver = -1, "UNKNOWN_VALUE", "accuracy.solver"),
-        (|a| a.precision = 3, "UNKNOWN_VALUE", "accuracy.precision"),
         (|a| a.relative_tolerance = -0.1, "VALUE_OUT_OF_RANGE", tolerance),
         (|a| a.relative_tolerance = 1.0 + f64::EPSILON, "VALUE_OUT_OF_RANGE", tolerance),
         (|a| a.relative_tolerance = f64::NAN, "VALUE_OUT_OF_RANGE", tolerance),
@@ -88,11 +87,8 @@ async fn malformed_queries_name_field_and_index() {
     for (spoil, reason, field) in accuracies {
         cases.push((with_accuracy(spoil), invalid(reason, field)));
     }
-    let unimplemented = |field| refused(Code::Unimplemented, "UNIMPLEMENTED_FEATURE", field);
-    let single = with_accuracy(|a| a.set_precision(Precision::Single));
-    cases.push((single, unimplemented("accuracy.precision")));
 
-    assert_eq!(cases.len(), 31);
+    assert_eq!(cases.len(), 29);
     for (request, expected) in cases {
         let unary = server.contacts().query_contacts(request.clone()).await.unwrap_err();
         assert_eq!(refusal(&unary), expected);

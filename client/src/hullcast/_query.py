@@ -32,7 +32,6 @@ class Accuracy:
 
     Args:
         solver: "PORTAL" or "GJK_RAY_CAST" (the paper's).
-        precision: "DOUBLE" or "SINGLE".
         relative_tolerance: width of the bracket over its upper end that is good
             enough, 0 to 1; 0: to rounding.
         feature_angle: radians, 0 to 0.5: faces and edges within it of the normal
@@ -41,25 +40,22 @@ class Accuracy:
     """
 
     solver: str = "PORTAL"
-    precision: str = "DOUBLE"
     relative_tolerance: float = 0.0
     feature_angle: float = 0.01
     max_points: int = 0
 
     def fill(self, message: Any) -> None:
         """Writes it into a request's `accuracy`."""
-        for field in ("solver", "precision"):
-            enum = message.DESCRIPTOR.fields_by_name[field].enum_type
-            name = getattr(self, field)
-            value = enum.values_by_name.get(f"{field.upper()}_{name}")
-            if value is None or value.number == 0:
-                known = [v.name.removeprefix(f"{field.upper()}_") for v in enum.values[1:]]
-                raise InvalidArgument(
-                    f"{name!r} is none of {', '.join(known)}",
-                    reason="UNKNOWN_VALUE",
-                    field=f"accuracy.{field}",
-                )
-            setattr(message, field, value.number)
+        enum = message.DESCRIPTOR.fields_by_name["solver"].enum_type
+        value = enum.values_by_name.get(f"SOLVER_{self.solver}")
+        if value is None or value.number == 0:
+            known = [v.name.removeprefix("SOLVER_") for v in enum.values[1:]]
+            raise InvalidArgument(
+                f"{self.solver!r} is none of {', '.join(known)}",
+                reason="UNKNOWN_VALUE",
+                field="accuracy.solver",
+            )
+        message.solver = value.number
         message.relative_tolerance = self.relative_tolerance
         message.feature_angle = self.feature_angle
         message.max_points = self.max_points

@@ -56,7 +56,6 @@ pub fn scene(request: proto::QueryContactsRequest, limits: &Limits) -> Result<Sc
         return Err(ServiceError::invalid("FIELD_NOT_ALLOWED", "inherit", "inherit is of streams alone"));
     }
     let accuracy = request.accuracy.unwrap_or_default();
-    refuse_unimplemented(&accuracy)?;
     refuse_foreign(&request.worlds, "worlds")?;
     refuse_foreign(&request.groups, "groups")?;
     refuse_foreign(&request.ignored_groups, "ignored_groups")?;
@@ -139,18 +138,6 @@ impl Setting {
             + size_of_val(&self.pairs[..])
             + self.pair_count() * size_of::<[u32; 6]>()
     }
-}
-
-/// What the contract names and this version does not do refuses the call as a whole:
-/// never is it silently left out.
-fn refuse_unimplemented(accuracy: &proto::Accuracy) -> Result<(), ServiceError> {
-    if accuracy.precision == proto::Precision::Single as i32 {
-        return Err(ServiceError::unimplemented(
-            "accuracy.precision",
-            "single precision is not implemented yet",
-        ));
-    }
-    Ok(())
 }
 
 fn refuse_foreign(column: &[u32], field: &'static str) -> Result<(), ServiceError> {
@@ -239,9 +226,6 @@ fn checked_accuracy(accuracy: &proto::Accuracy) -> Result<Accuracy, ServiceError
         Ok(proto::Solver::GjkRayCast) => Solver::GjkRayCast,
         Err(_) => return Err(unknown_value("accuracy.solver", accuracy.solver)),
     };
-    if proto::Precision::try_from(accuracy.precision).is_err() {
-        return Err(unknown_value("accuracy.precision", accuracy.precision));
-    }
     let relative_tolerance = accuracy.relative_tolerance;
     if !(0.0..=1.0).contains(&relative_tolerance) {
         return Err(out_of_range("accuracy.relative_tolerance", relative_tolerance, "0 to 1"));

@@ -13,12 +13,6 @@ class Solver(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     SOLVER_PORTAL: _ClassVar[Solver]
     SOLVER_GJK_RAY_CAST: _ClassVar[Solver]
 
-class Precision(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
-    __slots__ = ()
-    PRECISION_UNSPECIFIED: _ClassVar[Precision]
-    PRECISION_DOUBLE: _ClassVar[Precision]
-    PRECISION_SINGLE: _ClassVar[Precision]
-
 class Output(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     OUTPUT_UNSPECIFIED: _ClassVar[Output]
@@ -59,9 +53,6 @@ class FeatureKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
 SOLVER_UNSPECIFIED: Solver
 SOLVER_PORTAL: Solver
 SOLVER_GJK_RAY_CAST: Solver
-PRECISION_UNSPECIFIED: Precision
-PRECISION_DOUBLE: Precision
-PRECISION_SINGLE: Precision
 OUTPUT_UNSPECIFIED: Output
 OUTPUT_OUTCOME: Output
 OUTPUT_ALPHA: Output
@@ -90,18 +81,16 @@ FEATURE_KIND_EDGE: FeatureKind
 FEATURE_KIND_FACE: FeatureKind
 
 class Accuracy(_message.Message):
-    __slots__ = ("solver", "precision", "relative_tolerance", "feature_angle", "max_points")
+    __slots__ = ("solver", "relative_tolerance", "feature_angle", "max_points")
     SOLVER_FIELD_NUMBER: _ClassVar[int]
-    PRECISION_FIELD_NUMBER: _ClassVar[int]
     RELATIVE_TOLERANCE_FIELD_NUMBER: _ClassVar[int]
     FEATURE_ANGLE_FIELD_NUMBER: _ClassVar[int]
     MAX_POINTS_FIELD_NUMBER: _ClassVar[int]
     solver: Solver
-    precision: Precision
     relative_tolerance: float
     feature_angle: float
     max_points: int
-    def __init__(self, solver: _Optional[_Union[Solver, str]] = ..., precision: _Optional[_Union[Precision, str]] = ..., relative_tolerance: _Optional[float] = ..., feature_angle: _Optional[float] = ..., max_points: _Optional[int] = ...) -> None: ...
+    def __init__(self, solver: _Optional[_Union[Solver, str]] = ..., relative_tolerance: _Optional[float] = ..., feature_angle: _Optional[float] = ..., max_points: _Optional[int] = ...) -> None: ...
 
 class QueryContactsRequest(_message.Message):
     __slots__ = ("request_id", "inherit", "hull_ids", "body_hulls", "positions", "rotations", "pairs", "worlds", "groups", "ignored_groups", "margin", "accuracy", "outputs", "warm_starts")
