@@ -28,9 +28,9 @@ pub(crate) const COINCIDENT: f64 = 8.0;
 /// `U * (R + M)` within which points of the contact plane are one.
 pub(crate) const MERGE: f64 = 64.0;
 
-/// Share of `R + M`: a projected side as long has a direction that is off by less
-/// than [`MERGE`] `U`, its corners being off by 5 `U * (R + M)` each at most.
-pub(crate) const LONG_SIDE: f64 = 1.0 / 6.0;
+/// Sine of the turn from one projected side to the next above which it is certainly
+/// to the left: 8 roundoffs of two directions and their product.
+pub(crate) const TURN: f64 = 16.0 * U;
 
 /// Share of `U * (R + |d|)` of the rounding band around the margin; the share
 /// of `U * M` is [`NOISE`].

@@ -149,7 +149,10 @@ impl Asked<'_> {
             };
             (0..hull.edge_count()).filter(holds).collect()
         };
-        Candidates { certain: of(&support.certain, -SLACK), possible: of(&support.possible, SLACK) }
+        let mut certain = of(&support.certain, -SLACK);
+        // An edge between vertices that coincide about the contraction point is these.
+        certain.retain(|&e| !self.across(e).is_nan());
+        Candidates { certain, possible: of(&support.possible, SLACK) }
     }
 
     /// `|n . e|` of an edge's unit direction.

@@ -118,6 +118,10 @@ pub(super) struct Solid {
     unit: f64,
 }
 
+/// Of the circumradius: a hull no thicker about its contraction point is one of
+/// its vertices' roundings, whose faces may lie on either side of one another.
+const THINNEST: f64 = 16.0 * ROUNDOFF;
+
 /// A hull about its contraction point, in hull units.
 struct Centred {
     vertices: Vec<DVec3>,
@@ -183,8 +187,8 @@ impl Solid {
         let inradius = self.depth(center, normals, &vertices, shrink)
             - (1.0 + 8.0 * ROUNDOFF) * moved * shrink
             - f64::MIN_POSITIVE;
-        let scale = power_of_two(exponent);
-        (inradius > 0.0).then_some(Centred { vertices, scale, inradius, circumradius: radius * shrink })
+        let (scale, circumradius) = (power_of_two(exponent), radius * shrink);
+        (inradius > THINNEST * circumradius).then_some(Centred { vertices, scale, inradius, circumradius })
     }
 }
 

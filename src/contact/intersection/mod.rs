@@ -16,7 +16,6 @@ use glam::{DVec2, DVec3};
 
 use super::manifold::Element;
 use super::pair::Pair;
-use super::tolerance::LONG_SIDE;
 use outline::{Outline, View};
 
 pub(crate) use super::gauss_map::Touched;
@@ -65,10 +64,9 @@ impl Intersection {
         self.a.project(pair.a, feature_a, &from_a);
         self.b.project(pair.b, feature_b, &from_b);
         self.planarity = self.a.planarity + self.b.planarity;
-        let long = (pair.circumradius + pair.m) * LONG_SIDE;
-        self.b.set_sides(pair.b, &from_b, long);
+        self.b.set_sides();
         if self.b.corners.len() <= 2 {
-            self.a.set_sides(pair.a, &from_a, long);
+            self.a.set_sides();
         }
 
         let eps = pair.merge_distance();

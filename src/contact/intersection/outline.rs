@@ -4,7 +4,9 @@ use glam::{DVec2, DVec3};
 
 use super::Touched;
 use crate::contact::ConvexHull;
+use crate::contact::exact::orient2d;
 use crate::contact::manifold::Element;
+use crate::contact::tolerance::TURN;
 
 /// Cosine of the angle of a face to the contact plane below which it counts as
 /// seen edge-on. Within the largest feature angle, 0.5 rad, it is above 0.87; of
@@ -20,14 +22,12 @@ pub(super) struct Corner {
     pub(super) height: f64,
     /// As registered.
     pub(super) vertex: u32,
-    /// As the hull numbers it.
-    own: u32,
 }
 
 /// The line of a side.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Side {
-    /// Unit, inward; NaN for a side of no length.
+    /// Unit, inward; NaN for an edge of no length.
     pub(super) inward: DVec2,
     offset: f64,
 }
@@ -88,7 +88,7 @@ impl Outline {
     pub(super) fn project(&mut self, hull: &ConvexHull, feature: Touched, view: &View) {
         let corner = |v: u32| {
             let (at, height) = view.point(hull.vertices()[v as usize]);
-            Corner { at, height, vertex: hull.registered_indices()[v as usize], own: v }
+            Corner { at, height, vertex: hull.registered_indices()[v as usize] }
         };
         self.corners.clear();
         match feature {
@@ -114,30 +114,65 @@ impl Outline {
         if self.corners.len() > 2 { self.corners.len() } else { self.corners.len().saturating_sub(1) }
     }
 
-    /// The lines of the sides. One shorter than `long` has the direction of the
-    /// hull's own side: projected corners are rounded, and a side between them that
-    /// is no longer than that has no direction, so that it would cut anywhere.
-    pub(super) fn set_sides(&mut self, hull: &ConvexHull, view: &View, long: f64) {
-        let vertex = |i: usize| hull.vertices()[self.corners[i].own as usize];
+    /// The lines of the sides, of a polygon that is strictly convex by its projected
+    /// corners: the hull's outline is so in its own plane, but corners nearer than
+    /// their rounding, or than they are off the face's plane, may be seen in any order,
+    /// and a side between them would cut anywhere.
+    pub(super) fn set_sides(&mut self) {
+        if !self.measure_sides() {
+            self.make_convex();
+            self.measure_sides();
+        }
+    }
+
+    /// Whether the polygon is certainly strictly convex.
+    fn measure_sides(&mut self) -> bool {
         self.sides.clear();
         self.sides.reserve(self.corners.len());
-        let (mut along_first, mut doubled_area) = (DVec2::ZERO, 0.0);
         for i in 0..self.side_count() {
             let [from, to] = self.side(i).map(|c| c.at);
-            let mut along = to - from;
-            if along.length_squared() < long * long {
-                along = view.direction(vertex(self.next(i)) - vertex(i)).0;
-            }
-            doubled_area += along_first.perp_dot(along);
-            along_first += along;
-            let inward = along.perp() / length(along);
+            let inward = (to - from).perp() / (to - from).length();
             self.sides.push(Side { inward, offset: inward.dot(from) });
         }
-        if doubled_area < 0.0 {
-            // Thinner than its corners' rounding, which turned it round.
-            for side in &mut self.sides {
-                (side.inward, side.offset) = (-side.inward, -side.offset);
+        let Some(last) = self.sides.last().filter(|_| self.sides.len() > 1) else { return true };
+        let (mut before, mut convex) = (last.inward, true);
+        for side in &self.sides {
+            convex &= before.perp_dot(side.inward) > TURN;
+            before = side.inward;
+        }
+        convex
+    }
+
+    /// Leaves the corners of the convex polygon of all corners, two where they are
+    /// on one line: A. M. Andrew's monotone chain (1979) on exact turns.
+    #[cold]
+    fn make_convex(&mut self) {
+        let key = |c: &Corner| c.at.to_array();
+        let order = |a: &Corner, b: &Corner| {
+            let ([ax, ay], [bx, by]) = (key(a), key(b));
+            ax.total_cmp(&bx).then(ay.total_cmp(&by)).then(a.vertex.cmp(&b.vertex))
+        };
+        let mut sorted = std::mem::take(&mut self.corners);
+        sorted.sort_unstable_by(order);
+        // Whose difference has no length is one point.
+        sorted.dedup_by(|a, b| a.at.distance_squared(b.at) < f64::MIN_POSITIVE);
+        let mut chain = |corners: &mut dyn Iterator<Item = &Corner>| {
+            let start = self.corners.len();
+            for c in corners {
+                while let [.., a, b] = &self.corners[start..] {
+                    if orient2d(key(a), key(b), key(c)) > 0.0 {
+                        break;
+                    }
+                    self.corners.pop();
+                }
+                self.corners.push(*c);
             }
+            self.corners.pop();
+        };
+        chain(&mut sorted.iter());
+        chain(&mut sorted.iter().rev());
+        if sorted.len() == 1 {
+            self.corners.push(sorted[0]);
         }
     }
 
@@ -209,19 +244,6 @@ pub(super) fn height_on([a, b]: [&Corner; 2], at: DVec2) -> f64 {
     let whole = b.at - a.at;
     let share = ((at - a.at).dot(whole) / whole.length_squared()).clamp(0.0, 1.0);
     if share.is_nan() { a.height } else { a.height + share * (b.height - a.height) }
-}
-
-/// The length of a vector whose square may underflow; 0 for no length.
-#[inline]
-fn length(v: DVec2) -> f64 {
-    let squared = v.length_squared();
-    if squared > f64::MIN_POSITIVE { squared.sqrt() } else { small_length(v) }
-}
-
-#[cold]
-fn small_length(v: DVec2) -> f64 {
-    let size = v.abs().max_element();
-    if size > 0.0 { size * (v / size).length() } else { 0.0 }
 }
 
 fn doubled_area(corners: &[Corner]) -> f64 {
