@@ -237,6 +237,6 @@ fn points(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), V
 /// How far a point is outside the planes of the hull's faces.
 fn outside(body: &Body<'_>, at: DVec3) -> f64 {
     let (hull, own) = (body.hull, body.pose.rotation.transpose() * at);
-    let planes = hull.face_normals().iter().zip(hull.face_offsets());
+    let planes = hull.faces().iter().map(|face| (face.normal, face.offset));
     planes.map(|(m, offset)| m.dot(own) - offset * hull.scale()).fold(f64::NEG_INFINITY, f64::max)
 }

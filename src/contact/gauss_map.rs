@@ -117,7 +117,7 @@ fn lone_feature(hull: &ConvexHull, direction: &Direction<'_>) -> Option<Touched>
 fn lone_edge(hull: &ConvexHull, [v, w]: [u32; 2], direction: &Direction<'_>) -> Option<Touched> {
     let ends = [v.min(w), v.max(w)];
     let edge = hull.vertex_edges(v as usize).iter().find(|&&e| hull.edge_vertices()[e as usize] == ends)?;
-    let rise = direction.n.dot(hull.vertices()[w as usize] - hull.vertices()[v as usize]);
+    let rise = direction.n.dot(hull.vertex(w) - hull.vertex(v));
     let level = rise.abs() <= direction.depth;
     (level && stands_out(hull, v, w, direction) && stands_out(hull, w, v, direction))
         .then_some(Touched::Edge(*edge))
@@ -127,10 +127,10 @@ fn lone_edge(hull: &ConvexHull, [v, w]: [u32; 2], direction: &Direction<'_>) -> 
 /// than the feature angle: then none of them is touched, nor their other ends, and
 /// no face at the vertex either, since of its sides there one at least is among them.
 fn stands_out(hull: &ConvexHull, v: u32, except: u32, direction: &Direction<'_>) -> bool {
-    let at = hull.vertices()[v as usize];
+    let at = hull.vertex(v);
     let sine_squared = direction.sine * direction.sine * (1.0 + LONE);
     hull.vertex_neighbours(v as usize).iter().all(|&w| {
-        let along = hull.vertices()[w as usize] - at;
+        let along = hull.vertex(w) - at;
         let fall = -direction.n.dot(along);
         let steep = fall * fall > sine_squared * along.length_squared();
         (w == except) | (steep & (fall > direction.depth + LONE))
@@ -142,7 +142,7 @@ fn stands_out(hull: &ConvexHull, v: u32, except: u32, direction: &Direction<'_>)
 /// own supports: then nothing else has to be looked at.
 fn lone_face(hull: &ConvexHull, direction: &Direction<'_>) -> Option<u32> {
     let Direction { n, known, depth, sine, cosine } = *direction;
-    let normal = |f: u32| hull.face_normals()[f as usize];
+    let normal = |f: u32| hull.faces()[f as usize].normal;
     let (mut face, mut along) = (0, 0.0);
     for &f in hull.vertex_faces(known[0] as usize) {
         // Without branches: which is nearest is anyone's guess.
@@ -155,7 +155,7 @@ fn lone_face(hull: &ConvexHull, direction: &Direction<'_>) -> Option<u32> {
     if !(along > 0.0 && across_squared <= sine * sine) {
         return None;
     }
-    let (across, apart) = (across_squared.sqrt(), hull.face_isolation()[face as usize]);
+    let (across, apart) = (across_squared.sqrt(), hull.faces()[face as usize].isolation);
     // cos(a + b) > cos(c) for the angle a to this face, the feature angle b and
     // the angle c to the next face.
     let next_is_far = along * cosine - across * sine > apart.cosine + LONE;
@@ -181,7 +181,7 @@ impl Scratch {
     /// edges, since what a half space cuts off a convex polytope is.
     fn find_support(&mut self, hull: &ConvexHull, direction: &Direction<'_>) {
         let Self { vertices: marks, support, .. } = self;
-        let height = |v: u32| direction.n.dot(hull.vertices()[v as usize]);
+        let height = |v: u32| direction.n.dot(hull.vertex(v));
         marks.clear(hull.vertices().len());
         support.clear();
         let mut highest = f64::NEG_INFINITY;
@@ -208,10 +208,10 @@ impl Scratch {
     fn touched_face(&mut self, hull: &ConvexHull, direction: &Direction<'_>) -> Option<u32> {
         let Self { vertices: supports, support, faces: seen, near } = self;
         let n = direction.n;
-        let cosine = |f: u32| hull.face_normals()[f as usize].dot(n);
+        let cosine = |f: u32| hull.faces()[f as usize].normal.dot(n);
         let within = |f: u32| {
             cosine(f) > 0.0
-                && n.cross(hull.face_normals()[f as usize]).length_squared()
+                && n.cross(hull.faces()[f as usize].normal).length_squared()
                     <= direction.sine * direction.sine
         };
         let at_support = || support.iter().flat_map(|&v| hull.vertex_faces(v as usize)).copied();
@@ -243,7 +243,7 @@ impl Scratch {
         }
         let nearest = near.iter().map(|f| f.measure).fold(f64::NEG_INFINITY, f64::max);
         let tied = near.iter().filter(|f| f.measure >= nearest - TIE * U).map(|f| f.feature);
-        let area = |f: u32| hull.face_areas()[f as usize];
+        let area = |f: u32| hull.faces()[f as usize].area;
         tied.min_by(|&f, &g| area(g).total_cmp(&area(f)).then(f.cmp(&g)))
     }
 
@@ -255,7 +255,7 @@ impl Scratch {
         near.clear();
         for &e in support.iter().flat_map(|&v| hull.vertex_edges(v as usize)) {
             let [v, w] = hull.edge_vertices()[e as usize];
-            let along = hull.vertices()[w as usize] - hull.vertices()[v as usize];
+            let along = hull.vertex(w) - hull.vertex(v);
             let (rise, length_squared) = (direction.n.dot(along), along.length_squared());
             let across = rise * rise <= direction.sine * direction.sine * length_squared;
             let both = supports.contains(v) && supports.contains(w);
@@ -273,7 +273,7 @@ impl Scratch {
 
 /// Whether `n`, projected across the edge, lies between the normals of its faces.
 fn arc_holds(hull: &ConvexHull, edge: u32, along: DVec3, n: DVec3) -> bool {
-    let [m0, m1] = hull.edge_faces()[edge as usize].map(|f| hull.face_normals()[f as usize]);
+    let [m0, m1] = hull.edge_faces()[edge as usize].map(|f| hull.faces()[f as usize].normal);
     let side = m0.cross(m1).dot(along).signum();
     side * m0.cross(n).dot(along) >= 0.0 && side * n.cross(m1).dot(along) >= 0.0
 }
@@ -315,11 +315,11 @@ mod tests {
                 let tilt = 10_f64.powi(-(round % 8));
                 // Along a face's normal, across an edge, or anywhere, and a little off.
                 let edge = round as usize % hull.edge_count();
-                let [f, g] = hull.edge_faces()[edge].map(|f| hull.face_normals()[f as usize]);
+                let [f, g] = hull.edge_faces()[edge].map(|f| hull.faces()[f as usize].normal);
                 let share = [0.0, 0.5, 0.3][round as usize / 32 % 3];
                 let n = (f + share * (g - f) + tilt * DVec3::new(random(), random(), random())).normalize();
                 let off_edge = share != 0.0 && round % 5 < 3;
-                let along = hull.edge_vertices()[edge].map(|v| hull.vertices()[v as usize]);
+                let along = hull.edge_vertices()[edge].map(|v| hull.vertex(v));
                 let along = (along[1] - along[0]).normalize();
                 let n = if off_edge { (n - along * n.dot(along)).normalize() } else { n };
                 let known = if off_edge && hull.edge_vertices()[edge].contains(&hull.support(n)) {

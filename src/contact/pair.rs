@@ -129,7 +129,7 @@ impl<'a> Pair<'a> {
     /// Vertex `i` of A, about A's contraction point.
     #[inline]
     pub(crate) fn vertex_a(&self, i: u32) -> DVec3 {
-        self.a.vertices()[i as usize] * self.scale_a
+        self.a.vertex(i) * self.scale_a
     }
 
     /// Vertex `i` of B, about B's contraction point.
@@ -137,7 +137,7 @@ impl<'a> Pair<'a> {
     pub(crate) fn vertex_b(&self, i: u32) -> DVec3 {
         match self.turned {
             Some(turned) => turned.vertex(i),
-            None => self.rotation * (self.b.vertices()[i as usize] * self.scale_b),
+            None => self.rotation * (self.b.vertex(i) * self.scale_b),
         }
     }
 

@@ -108,8 +108,8 @@ fn check_sizes(points: &[[f64; 3]], surface: &Triangulation, hull: &ConvexHull) 
             assert!(p.length() >= hull.unit_inradius() - 8.0 * U, "the inradius is too large");
         }
     }
-    let nearest = hull.face_offsets().iter().copied().fold(f64::INFINITY, f64::min);
-    let slack = hull.face_planarity().iter().copied().fold(0.0, f64::max);
+    let nearest = hull.faces().iter().map(|face| face.offset).fold(f64::INFINITY, f64::min);
+    let slack = hull.faces().iter().map(|face| face.planarity).fold(0.0, f64::max);
     assert!(
         hull.unit_inradius() >= nearest * (1.0 - 8.0 * U) - 2.0 * slack - 16.0 * U,
         "the inradius is too small"
@@ -121,8 +121,8 @@ fn check_faces(hull: &ConvexHull, met: &mut Met) {
     let inner = (hull.unit_inradius() / 64.0).max(64.0 * U);
     let tolerance = (1e-6 * hull.unit_circumradius()).min(inner) + 16.0 * U;
     for face in 0..hull.face_count() {
-        let (normal, offset) = (hull.face_normals()[face], hull.face_offsets()[face]);
-        let planarity = hull.face_planarity()[face];
+        let (normal, offset) = (hull.faces()[face].normal, hull.faces()[face].offset);
+        let planarity = hull.faces()[face].planarity;
         assert!((normal.length() - 1.0).abs() <= 4.0 * U);
         assert!(planarity <= tolerance, "planarity {planarity:e} over {tolerance:e}");
         met.inexact_faces += usize::from(planarity > 64.0 * U);
@@ -135,8 +135,8 @@ fn check_faces(hull: &ConvexHull, met: &mut Met) {
     for (v, point) in hull.vertices().iter().enumerate() {
         assert!(!hull.vertex_faces(v).is_empty());
         for &face in hull.vertex_faces(v) {
-            let (normal, offset) = (hull.face_normals()[face as usize], hull.face_offsets()[face as usize]);
-            assert!(normal.dot(*point) >= offset - hull.face_planarity()[face as usize]);
+            let (normal, offset) = (hull.faces()[face as usize].normal, hull.faces()[face as usize].offset);
+            assert!(normal.dot(*point) >= offset - hull.faces()[face as usize].planarity);
         }
     }
 }
@@ -144,7 +144,7 @@ fn check_faces(hull: &ConvexHull, met: &mut Met) {
 /// Strictly convex polygons, anticlockwise from outside.
 fn check_outlines(hull: &ConvexHull) {
     for face in 0..hull.face_count() {
-        let (outline, normal) = (hull.outline(face), hull.face_normals()[face]);
+        let (outline, normal) = (hull.outline(face), hull.faces()[face].normal);
         assert!(outline.len() >= 3);
         let size = normal.abs().to_array();
         let axis = (0..3).fold(0, |best, i| if size[i] > size[best] { i } else { best });
@@ -167,13 +167,13 @@ fn check_outlines(hull: &ConvexHull) {
 /// vertices' rounding both are all of it, and which way the outline runs about the
 /// face's exact normal is anyone's guess.)
 fn check_area(hull: &ConvexHull, face: usize) {
-    let (outline, normal) = (hull.outline(face), hull.face_normals()[face]);
+    let (outline, normal) = (hull.outline(face), hull.faces()[face].normal);
     let corners: Vec<DVec3> = outline.iter().map(|&v| hull.vertices()[v as usize]).collect();
     let sides = || corners.iter().zip(corners.iter().cycle().skip(1));
     let seen = 0.5 * sides().map(|(a, b)| (a - corners[0]).cross(b - corners[0]).dot(normal)).sum::<f64>();
     let around: f64 = sides().map(|(a, b)| a.distance(*b)).sum();
-    let slack = around * (hull.face_planarity()[face] + 16.0 * U);
-    let area = hull.face_areas()[face];
+    let slack = around * (hull.faces()[face].planarity + 16.0 * U);
+    let area = hull.faces()[face].area;
     assert!((area - seen).abs() <= slack && area >= 0.0, "area {area:e} of face {face}, seen {seen:e}");
 }
 
@@ -194,8 +194,8 @@ fn check_edges(hull: &ConvexHull, met: &mut Met) {
         // (Outlines of faces that are nearly one plane, or nearly one line, may
         // overlap and order their corners otherwise, by the merge tolerance.)
         let length = (hull.vertices()[to as usize] - hull.vertices()[from as usize]).length();
-        let planarity = hull.face_planarity()[left as usize].max(hull.face_planarity()[right as usize]);
-        let [n, m] = [left, right].map(|f| hull.face_normals()[f as usize]);
+        let planarity = hull.faces()[left as usize].planarity.max(hull.faces()[right as usize].planarity);
+        let [n, m] = [left, right].map(|f| hull.faces()[f as usize].normal);
         if length * n.cross(m).length() * hull.unit_inradius() > 16.0 * planarity {
             met.ordered_edges += 1;
             assert!(!runs(left, to, from) && !runs(right, from, to), "left and right exchanged");

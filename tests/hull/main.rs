@@ -79,7 +79,7 @@ fn a_cube_is_known_by_hand() {
     assert!(hull.geometric_error() < 4e-15);
     for face in 0..6 {
         assert_eq!((hull.outline(face).len(), hull.face_neighbours(face).len()), (4, 4));
-        assert_eq!(hull.face_areas()[face], 1.0);
+        assert_eq!(hull.faces()[face].area, 1.0);
         let normal = hull.face_normal(face);
         let corners: Vec<_> = hull.outline(face).iter().map(|&v| hull.vertices()[v as usize]).collect();
         assert!(corners.iter().all(|c| c.dot(normal) == 0.5));
@@ -170,8 +170,7 @@ fn in_hull_units(hull: &ConvexHull) -> impl PartialEq + std::fmt::Debug {
     (
         hull.vertices().to_vec(),
         (hull.unit_inradius(), hull.unit_circumradius()),
-        hull.face_normals().to_vec(),
-        (hull.face_offsets().to_vec(), hull.face_areas().to_vec(), hull.face_planarity().to_vec()),
+        hull.faces().to_vec(),
         faces.map(|f| (hull.outline(f).to_vec(), hull.face_neighbours(f).to_vec())).collect::<Vec<_>>(),
         (hull.edge_vertices().to_vec(), hull.edge_faces().to_vec()),
     )
@@ -193,9 +192,7 @@ fn order_changes_numbers_alone() {
         assert_eq!((one.volume(), one.inertia()), (other.volume(), other.inertia()));
         assert_eq!(one.contraction_point(), other.contraction_point());
         assert_eq!(one.unit_inradius(), other.unit_inradius());
-        assert_eq!(one.face_normals(), other.face_normals());
-        assert_eq!(one.face_offsets(), other.face_offsets());
-        assert_eq!(one.face_areas(), other.face_areas(), "{}", cloud.name);
+        assert_eq!(one.faces(), other.faces(), "{}", cloud.name);
     }
 }
 

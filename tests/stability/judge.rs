@@ -271,8 +271,8 @@ impl Judging<'_> {
         let [x, y, z, w] = self.case.rotations[side];
         let from: [f64; 3] = std::array::from_fn(|k| at[k] - self.case.positions[side][k]);
         let own = glam::DVec3::from_array(rotate([-x, -y, -z, w], from)) - hull.contraction_point();
-        let planes = hull.face_normals().iter().zip(hull.face_offsets());
-        planes.map(|(m, &o)| m.dot(own) - o * hull.scale()).fold(f64::NEG_INFINITY, f64::max)
+        let planes = hull.faces().iter().map(|face| (face.normal, face.offset));
+        planes.map(|(m, o)| m.dot(own) - o * hull.scale()).fold(f64::NEG_INFINITY, f64::max)
     }
 
     /// ESTIMATED exactly where the features, projected along the normal, miss

@@ -275,7 +275,7 @@ fn growth_distance_bounds_the_least_translation() {
 fn least_translation(case: &Case, exact: &Exact) -> f64 {
     let sides = [0, 1].map(|side| {
         let (hull, q) = (&case.shapes[side].hull, case.rotations[side]);
-        let normals: Vec<_> = hull.face_normals().iter().map(|n| rotate(q, n.to_array())).collect();
+        let normals: Vec<_> = hull.faces().iter().map(|face| rotate(q, face.normal.to_array())).collect();
         let edge = |[i, j]: [u32; 2]| {
             rotate(q, (hull.vertices()[j as usize] - hull.vertices()[i as usize]).to_array())
         };

@@ -15,7 +15,7 @@ use glam::DVec3;
 
 use super::pair::{Pair, Support, shift};
 use super::tolerance::{COARSE, COINCIDENT, NOISE, U};
-use super::{Accuracy, Solver};
+use super::{Accuracy, ConvexHull, Solver};
 
 /// What step 1 found.
 pub(crate) enum Growth {
@@ -127,18 +127,16 @@ fn coincident(pair: &mut Pair<'_>, goal: &Goal) -> Solution {
 }
 
 fn thinnest_direction(pair: &Pair<'_>) -> DVec3 {
-    let thinnest = |offsets: &[f64]| {
-        offsets
-            .iter()
-            .enumerate()
-            .fold((0, f64::INFINITY), |best, (i, &o)| if o < best.1 { (i, o) } else { best })
+    let thinnest = |hull: &ConvexHull| {
+        let offsets = hull.faces().iter().map(|face| face.offset).enumerate();
+        offsets.fold((0, f64::INFINITY), |best, (i, o)| if o < best.1 { (i, o) } else { best })
     };
-    let (face_a, offset_a) = thinnest(pair.a.face_offsets());
-    let (face_b, offset_b) = thinnest(pair.b.face_offsets());
+    let (face_a, offset_a) = thinnest(pair.a);
+    let (face_b, offset_b) = thinnest(pair.b);
     if offset_a * pair.scale_a <= offset_b * pair.scale_b {
-        pair.a.face_normals()[face_a]
+        pair.a.faces()[face_a].normal
     } else {
-        -(pair.rotation * pair.b.face_normals()[face_b])
+        -(pair.rotation * pair.b.faces()[face_b].normal)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-use super::{BoxShape, ConvexHull, Csr, Isolation};
+use super::{BoxShape, ConvexHull, Csr, Face};
 use crate::contact::support::{Coarse, Columns};
 
 /// In the caller's units, hull frame.
@@ -14,7 +14,7 @@ impl ConvexHull {
 
     /// Faces after merging coplanar triangles.
     pub fn face_count(&self) -> usize {
-        self.face_normals.len()
+        self.faces.len()
     }
 
     /// Edges between faces.
@@ -69,7 +69,7 @@ impl ConvexHull {
 
     /// How far a face's vertices are from its plane at most, rounded up.
     pub fn geometric_error(&self) -> f64 {
-        self.face_planarity.iter().copied().fold(0.0, f64::max) * self.scale
+        self.faces.iter().map(|face| face.planarity).fold(0.0, f64::max) * self.scale
     }
 
     /// Corners of face `i`, anticlockwise from outside, as registered indices.
@@ -79,7 +79,7 @@ impl ConvexHull {
 
     /// Unit outward normal of face `i`, hull frame.
     pub fn face_normal(&self, i: usize) -> DVec3 {
-        self.face_normals[i]
+        self.faces[i].normal
     }
 
     /// Bytes held on the heap.
@@ -98,11 +98,7 @@ impl ConvexHull {
             + self.columns.heap_bytes()
             + self.coarse.as_ref().map_or(0, Coarse::heap_bytes)
             + bytes(&self.registered)
-            + bytes(&self.face_normals)
-            + bytes(&self.face_offsets)
-            + bytes(&self.face_areas)
-            + bytes(&self.face_planarity)
-            + bytes(&self.face_isolation)
+            + bytes(&self.faces)
             + bytes(&self.edge_vertices)
             + bytes(&self.edge_faces)
             + lists.into_iter().map(Csr::heap_bytes).sum::<usize>()
@@ -115,6 +111,12 @@ impl ConvexHull {
     /// The box that this hull is, if it is one about its contraction point.
     pub(crate) fn box_shape(&self) -> Option<&BoxShape> {
         self.box_shape.as_ref()
+    }
+
+    /// Vertex `i`.
+    #[inline]
+    pub(crate) fn vertex(&self, i: u32) -> DVec3 {
+        self.vertices[i as usize]
     }
 
     /// The vertices as columns.
@@ -142,29 +144,9 @@ impl ConvexHull {
         self.circumradius
     }
 
-    /// Per face: unit outward normal.
-    pub fn face_normals(&self) -> &[DVec3] {
-        &self.face_normals
-    }
-
-    /// Per face: the largest of normal . v over all vertices.
-    pub fn face_offsets(&self) -> &[f64] {
-        &self.face_offsets
-    }
-
-    /// Per face, of the outline; squared.
-    pub fn face_areas(&self) -> &[f64] {
-        &self.face_areas
-    }
-
-    /// Per face: how far below its plane the lowest vertex of its group is, rounded up.
-    pub fn face_planarity(&self) -> &[f64] {
-        &self.face_planarity
-    }
-
-    /// Per face how far it stands apart from the others.
-    pub(crate) fn face_isolation(&self) -> &[Isolation] {
-        &self.face_isolation
+    /// Faces, after merging coplanar triangles.
+    pub fn faces(&self) -> &[Face] {
+        &self.faces
     }
 
     /// Corners of face `i`, anticlockwise from outside.

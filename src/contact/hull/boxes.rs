@@ -2,6 +2,8 @@
 
 use glam::{DMat3, DVec3};
 
+use super::Face;
+
 /// How far, of the circumradius, a corner may be from where a box has it. The
 /// shape only says where to look first, so nothing depends on the value.
 const CORNER_ERROR: f64 = 1e-9;
@@ -18,14 +20,14 @@ pub(crate) struct BoxShape {
 }
 
 impl BoxShape {
-    /// The box that these vertices and face normals make, if they do.
-    pub(crate) fn recognise(vertices: &[DVec3], normals: &[DVec3]) -> Option<Self> {
-        if vertices.len() != 8 || normals.len() != 6 {
+    /// The box that these vertices and faces make, if they do.
+    pub(crate) fn recognise(vertices: &[DVec3], faces: &[Face]) -> Option<Self> {
+        if vertices.len() != 8 || faces.len() != 6 {
             return None;
         }
-        let x = normals[0];
-        let across = |m: &&DVec3| m.dot(x).abs() < 0.5;
-        let y = *normals.iter().find(across)?;
+        let x = faces[0].normal;
+        let across = |m: &DVec3| m.dot(x).abs() < 0.5;
+        let y = faces.iter().map(|face| face.normal).find(across)?;
         let axes = DMat3::from_cols(x, y, x.cross(y));
         let own: Vec<DVec3> = vertices.iter().map(|v| axes.transpose() * *v).collect();
         let half = own.iter().fold(DVec3::ZERO, |half, v| half.max(v.abs()));

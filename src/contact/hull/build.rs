@@ -5,9 +5,10 @@ use glam::{DMat3, DVec3};
 use super::BoxShape;
 use super::cloud::Cloud;
 use super::csr::Csr;
-use super::isolation::isolation;
+use super::face::Face;
+use super::isolation::{Isolation, isolation};
 use super::mass::mass;
-use super::merge::{Groups, Surface, groups};
+use super::merge::{Groups, Plane, Surface, groups};
 use super::quickhull::{Triangulation, triangulate};
 use super::topology::{Topology, topology};
 use super::{ConvexHull, HullError, HullErrorKind, HullOptions};
@@ -51,17 +52,21 @@ pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexH
     let Some(topology) = topology(&surface, &groups) else { return Err(not_representable()) };
     let adjacency = Adjacency::new(triangulation, &groups, &topology, centred.vertices.len());
     let planes = &groups.planes;
-    let face_normals: Vec<DVec3> = planes.iter().map(|p| p.normal).collect();
+    let isolation = isolation(
+        &centred.vertices,
+        planes.iter().map(|p| (p.normal, p.offset, p.planarity)),
+        &adjacency.vertex_faces,
+        &vertex_neighbours,
+    );
+    let face = |((plane, area), isolation): ((&Plane, f64), Isolation)| Face {
+        normal: plane.normal,
+        offset: plane.offset,
+        area,
+        planarity: plane.planarity,
+        isolation,
+    };
+    let faces: Vec<Face> = planes.iter().zip(topology.face_areas).zip(isolation).map(face).collect();
     Ok(ConvexHull {
-        face_offsets: planes.iter().map(|p| p.offset).collect(),
-        face_isolation: isolation(
-            &centred.vertices,
-            planes.iter().map(|p| (p.normal, p.offset, p.planarity)),
-            &adjacency.vertex_faces,
-            &vertex_neighbours,
-        ),
-        face_planarity: planes.iter().map(|p| p.planarity).collect(),
-        face_areas: topology.face_areas,
         outlines: topology.outlines,
         face_neighbours: adjacency.face_neighbours,
         edge_vertices: topology.edge_vertices,
@@ -69,8 +74,8 @@ pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexH
         vertex_faces: adjacency.vertex_faces,
         vertex_edges: adjacency.vertex_edges,
         vertex_neighbours,
-        box_shape: BoxShape::recognise(&centred.vertices, &face_normals),
-        face_normals,
+        box_shape: BoxShape::recognise(&centred.vertices, &faces),
+        faces,
         columns: Columns::new(&centred.vertices),
         coarse: Coarse::new(&centred.vertices),
         vertices: centred.vertices,

@@ -9,6 +9,7 @@ mod build;
 mod cloud;
 mod csr;
 mod error;
+mod face;
 mod isolation;
 mod mass;
 mod merge;
@@ -18,7 +19,7 @@ mod topology;
 pub(crate) use boxes::{BoxShape, octant};
 use csr::Csr;
 pub use error::{HullError, HullErrorKind};
-pub(crate) use isolation::Isolation;
+pub use face::Face;
 #[doc(hidden)]
 pub use quickhull::Triangulation;
 
@@ -70,16 +71,8 @@ pub struct ConvexHull {
     center_of_mass: DVec3,
     /// About the centre of mass, unit density.
     inertia: DMat3,
-    /// Per face: unit outward normal.
-    face_normals: Vec<DVec3>,
-    /// Per face: the largest of normal . v over all vertices; hull units.
-    face_offsets: Vec<f64>,
-    /// Per face, of the outline; hull units squared.
-    face_areas: Vec<f64>,
-    /// Per face: how far below its plane the lowest vertex of its group is; hull units, rounded up.
-    face_planarity: Vec<f64>,
-    /// Per face: how far it stands apart.
-    face_isolation: Vec<Isolation>,
+    /// After merging coplanar triangles.
+    faces: Vec<Face>,
     /// Per face: its corners, anticlockwise from outside.
     outlines: Csr,
     /// Per face: the faces across its edges, ascending.

@@ -87,7 +87,7 @@ impl Outline {
     /// Projects a feature of `hull`; its sides are left to [`Outline::set_sides`].
     pub(super) fn project(&mut self, hull: &ConvexHull, feature: Touched, view: &View) {
         let corner = |v: u32| {
-            let (at, height) = view.point(hull.vertices()[v as usize]);
+            let (at, height) = view.point(hull.vertex(v));
             Corner { at, height, vertex: hull.registered_indices()[v as usize] }
         };
         self.corners.clear();
@@ -179,16 +179,16 @@ impl Outline {
     fn set_plane(&mut self, hull: &ConvexHull, feature: Touched, view: &View) {
         (self.plane, self.planarity) = (None, 0.0);
         if let Touched::Face(f) = feature {
-            let m = hull.face_normals()[f as usize];
+            let m = hull.faces()[f as usize].normal;
             // A point of the plane, and the plane's normal.
-            let (point, height) = view.point(m * hull.face_offsets()[f as usize]);
+            let (point, height) = view.point(m * hull.faces()[f as usize].offset);
             let (across, along) = view.direction(m);
             if along.abs() < EDGE_ON * view.scale {
                 return self.flatten();
             }
             let slope = -across / along;
             self.plane = Some((slope, height - slope.dot(point)));
-            self.planarity = hull.face_planarity()[f as usize] * view.scale * view.scale / along.abs();
+            self.planarity = hull.faces()[f as usize].planarity * view.scale * view.scale / along.abs();
         }
     }
 
