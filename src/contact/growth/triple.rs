@@ -57,21 +57,21 @@ fn volume(pair: &Pair<'_>, [u0, u1, u2]: [DVec3; 3]) -> f64 {
 /// names of their places change: a point is long in memory when it is read again.
 pub(crate) struct Triple {
     places: [Support; 4],
-    /// Places of the three, anticlockwise about the ray.
-    at: [u8; 3],
+    /// Places of the three, anticlockwise about the ray, a byte each.
+    at: u32,
     /// The place for the next.
-    free: u8,
+    free: u32,
 }
 
 impl Triple {
     pub(crate) fn new([u0, u1, u2]: [Support; 3]) -> Self {
-        Self { places: [u0, u1, u2, Support::default()], at: [0, 1, 2], free: 3 }
+        Self { places: [u0, u1, u2, Support::default()], at: 0x02_01_00, free: 3 }
     }
 
     /// One of the three.
     #[inline]
     pub(crate) fn get(&self, i: usize) -> &Support {
-        &self.places[usize::from(self.at[i] & 3)]
+        &self.places[(self.at >> (8 * i) & 3) as usize]
     }
 
     /// The three.
@@ -84,40 +84,20 @@ impl Triple {
     /// without which the cone still holds the ray.
     #[inline]
     pub(crate) fn pivot(&mut self, pair: &Pair<'_>, w: Support) {
-        self.places[usize::from(self.free & 3)] = w;
+        self.places[(self.free & 3) as usize] = w;
         let across = pair.ray.cross(w.point);
         let [t0, t1, t2] = [0, 1, 2].map(|i| turn(pair, across, w.point, self.get(i).point));
         // The two with opposite signs stay, in their order; a parallel one (0) goes.
         // Which is anyone's guess: chosen without branches.
-        let (second, third) = if t0 == 0.0 || t1 == 0.0 || t2 == 0.0 {
-            (t0 != 0.0 && t1 == 0.0, t0 != 0.0 && t1 != 0.0)
+        let goes = if t0 == 0.0 || t1 == 0.0 || t2 == 0.0 {
+            [t0, t1, t2].iter().position(|&t| t == 0.0).unwrap_or(0) as u32
         } else {
-            ((t2 > 0.0) & (t0 < 0.0), (t0 > 0.0) & (t1 < 0.0))
+            u32::from((t2 > 0.0) & (t0 < 0.0)) + 2 * u32::from((t0 > 0.0) & (t1 < 0.0))
         };
-        let [a0, a1, a2] = self.at;
-        let goes = if third {
-            a2
-        } else if second {
-            a1
-        } else {
-            a0
-        };
-        let after = if third {
-            a0
-        } else if second {
-            a2
-        } else {
-            a1
-        };
-        let before = if third {
-            a1
-        } else if second {
-            a0
-        } else {
-            a2
-        };
-        self.at = [self.free, after, before];
-        self.free = goes;
+        // Three bytes twice: from any of them on come the three in turn.
+        let in_turn = (u64::from(self.at) * 0x1_00_00_01 >> (8 * goes)) as u32;
+        self.at = in_turn & 0xff_ff_00 | self.free;
+        self.free = in_turn & 0xff;
     }
 
     /// Its outward normal, in wide arithmetic where the triangle is thin.
