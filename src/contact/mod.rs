@@ -129,7 +129,7 @@ pub fn contact_manifold<'w>(
 /// far `K` reaches at most along the line of centres.
 fn spheres_apart(pair: &Pair<'_>, margin: f64) -> Option<f64> {
     let reach = pair.circumradius;
-    (pair.d.length() - reach > margin + pair.rounding_band()).then_some(reach)
+    (pair.distance - reach > margin + pair.rounding_band()).then_some(reach)
 }
 
 /// The vertices of `K` that a basis names; none where it names no vertex.

@@ -46,8 +46,10 @@ pub(crate) struct Pair<'a> {
     pub(crate) rotation: DMat3,
     /// Centre offset `pB - pA`, pair units.
     pub(crate) d: DVec3,
+    /// Its length.
+    pub(crate) distance: f64,
     /// `d` times a power of two that brings its largest coordinate into
-    /// [0.5, 1): alpha is homogeneous, so that no alpha is too small to solve.
+    /// [1, 2): alpha is homogeneous, so that no alpha is too small to solve.
     pub(crate) ray: DVec3,
     /// `alpha = 2^alpha_exponent` times the growth scale of `ray`.
     pub(crate) alpha_exponent: i32,
@@ -75,25 +77,36 @@ pub(crate) struct Pair<'a> {
 /// Hulls of more vertices are not turned: what it costs is not won back.
 const MOST_TURNED: usize = 32;
 
+/// Powers of two up to which offsets are squared and rotated without loss.
+const SAFE_EXPONENT: i32 = 400;
+
+/// Of [`Pair::ray`]: its coordinates are below 2.
+const LONGEST_RAY: f64 = 4.0;
+
 impl<'a> Pair<'a> {
     pub(crate) fn new(a: &Body<'a>, b: &Body<'a>) -> Self {
         let (hull_a, hull_b) = (a.hull, b.hull);
-        let unit = hull_a.scale().max(hull_b.scale());
+        let unit = if hull_a.scale() > hull_b.scale() { hull_a.scale() } else { hull_b.scale() };
         let (scale_a, scale_b) = (hull_a.scale() / unit, hull_b.scale() / unit);
         let (ra, rb) = (a.pose.rotation, b.pose.rotation);
 
-        // d is formed in the world, translations subtracted first, scaled so
-        // that rotating subnormal offsets loses nothing.
-        let (ca, cb) = (hull_a.contraction_point(), hull_b.contraction_point());
-        let t = b.pose.translation - a.pose.translation;
-        let largest = t.abs().max_element().max(ca.abs().max_element()).max(cb.abs().max_element());
-        let world = exponent(largest);
-        let [t, ca, cb] = [t, ca, cb].map(|v| shift_vec(v, -world));
+        // d is formed in the world, translations subtracted first, scaled where
+        // rotating offsets near the ends of the range would lose something.
+        let (mut ca, mut cb) = (hull_a.contraction_point(), hull_b.contraction_point());
+        let (mut reach_a, mut reach_b) = (hull_a.contraction_distance(), hull_b.contraction_distance());
+        let mut t = b.pose.translation - a.pose.translation;
+        let mut world = 0;
+        if exponent((t.abs() + ca.abs() + cb.abs()).element_sum()).abs() > SAFE_EXPONENT {
+            world = exponent(t.abs().max(ca.abs()).max(cb.abs()).max_element());
+            [t, ca, cb] = [t, ca, cb].map(|v| shift_vec(v, -world));
+            [reach_a, reach_b] = [reach_a, reach_b].map(|x| shift(x, -world));
+        }
         let d_scaled = ra.transpose() * (t + (rb * cb - ra * ca));
-        let m_scaled = t.length() + ca.length() + cb.length();
+        let m_scaled = t.length() + reach_a + reach_b;
         let own = exponent(d_scaled.abs().max_element());
         let ray = shift_vec(d_scaled, -own);
         let to_pair = world - exponent(unit);
+        let d = shift_vec(d_scaled, to_pair);
         let inradius = (hull_a.unit_inradius() * scale_a + hull_b.unit_inradius() * scale_b).next_down();
         let circumradius =
             (hull_a.unit_circumradius() * scale_a + hull_b.unit_circumradius() * scale_b).next_up();
@@ -103,14 +116,15 @@ impl<'a> Pair<'a> {
             scale_a,
             scale_b,
             rotation: ra.transpose() * rb,
-            d: shift_vec(d_scaled, to_pair),
+            d,
+            distance: d.length(),
             ray,
             alpha_exponent: to_pair + own,
             m: shift(m_scaled, to_pair),
             ray_m: shift(m_scaled, -own),
             inradius,
             circumradius,
-            sure_turn: TRIPLE_PRODUCT * U * ray.length() * circumradius * circumradius,
+            sure_turn: TRIPLE_PRODUCT * U * LONGEST_RAY * circumradius * circumradius,
             unit,
             rotation_a: ra,
             translation_a: a.pose.translation,
@@ -180,7 +194,7 @@ impl<'a> Pair<'a> {
     /// Half the width of the band around the margin inside which a pair counts
     /// as within it; pair units.
     pub(crate) fn rounding_band(&self) -> f64 {
-        U * (BAND * (self.circumradius + self.d.length()) + NOISE * self.m)
+        U * (BAND * (self.circumradius + self.distance) + NOISE * self.m)
     }
 
     /// Points of the contact plane closer than this are one; pair units.
@@ -213,13 +227,15 @@ impl<'a> Pair<'a> {
 
 /// The power of two at or below `x`: `x` times `2^-exponent(x)` is in [1, 2).
 /// 0 for 0.
+#[inline]
 fn exponent(x: f64) -> i32 {
     let biased = ((x.to_bits() >> 52) & 0x7ff) as i32;
-    match (x == 0.0, biased) {
-        (true, _) => 0,
-        (_, 0) => exponent(x * 2f64.powi(64)) - 64,
-        _ => biased - 1023,
-    }
+    if biased != 0 { biased - 1023 } else { small_exponent(x) }
+}
+
+#[cold]
+fn small_exponent(x: f64) -> i32 {
+    if x == 0.0 { 0 } else { exponent(x * 2f64.powi(64)) - 64 }
 }
 
 /// `x * 2^k`; exact unless the result is subnormal or overflows.

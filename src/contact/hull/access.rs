@@ -124,6 +124,11 @@ impl ConvexHull {
         &self.columns
     }
 
+    /// Of the contraction point from the hull frame's origin; caller's units.
+    pub(crate) fn contraction_distance(&self) -> f64 {
+        self.contraction_distance
+    }
+
     /// Power of two: caller's units per hull unit.
     pub fn scale(&self) -> f64 {
         self.scale

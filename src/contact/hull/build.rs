@@ -83,12 +83,19 @@ pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexH
         registered_count: given.len() as u32,
         scale: centred.scale,
         contraction_point,
+        contraction_distance: length_of(contraction_point),
         inradius: centred.inradius,
         circumradius: centred.circumradius,
         volume: mass.volume * area * length,
         center_of_mass,
         inertia: scaled(mass.inertia, area, length),
     })
+}
+
+/// Whatever the size of the coordinates.
+fn length_of(v: DVec3) -> f64 {
+    let size = v.abs().max_element();
+    if size > 0.0 { (v / size).length() * size } else { 0.0 }
 }
 
 /// Times a length to the fifth.

@@ -62,6 +62,8 @@ pub struct ConvexHull {
     scale: f64,
     /// Hull frame, caller's units.
     contraction_point: DVec3,
+    /// From the hull frame's origin.
+    contraction_distance: f64,
     /// Of the largest ball about the contraction point inside, rounded down; hull units.
     inradius: f64,
     /// Of the smallest ball about the contraction point around, rounded up; hull units.
