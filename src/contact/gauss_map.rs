@@ -99,17 +99,17 @@ pub(crate) fn touched_feature(
 /// has to be looked at: the vertex, the edge or the face of the known vertices.
 fn lone_feature(hull: &ConvexHull, direction: &Direction<'_>) -> Option<Touched> {
     let v = direction.known[0];
-    let mut others = direction.known.iter().copied().filter(|&u| u != v);
-    let Some(w) = others.next() else {
-        let alone = stands_out(hull, v, v, direction);
-        return if alone { Some(Touched::Vertex(v)) } else { lone_face(hull, direction).map(Touched::Face) };
-    };
-    if others.all(|u| u == w)
-        && let Some(edge) = lone_edge(hull, [v, w], direction)
-    {
-        return Some(edge);
+    // The basis of a vertex names it three times. What an edge's names may also be
+    // a face's, which is far more often touched.
+    if direction.known.iter().fold(true, |all, &u| all & (u == v)) && stands_out(hull, v, v, direction) {
+        return Some(Touched::Vertex(v));
     }
-    lone_face(hull, direction).map(Touched::Face)
+    if let Some(face) = lone_face(hull, direction) {
+        return Some(Touched::Face(face));
+    }
+    let mut others = direction.known.iter().copied().filter(|&u| u != v);
+    let w = others.next()?;
+    if others.all(|u| u == w) { lone_edge(hull, [v, w], direction) } else { None }
 }
 
 /// The edge between two vertices, if it lies across the direction and all others
