@@ -95,7 +95,7 @@ impl Triple {
             u32::from((t2 > 0.0) & (t0 < 0.0)) + 2 * u32::from((t0 > 0.0) & (t1 < 0.0))
         };
         // Three bytes twice: from any of them on come the three in turn.
-        let in_turn = (u64::from(self.at) * 0x1_00_00_01 >> (8 * goes)) as u32;
+        let in_turn = ((u64::from(self.at) * 0x1_00_00_01) >> (8 * goes)) as u32;
         self.at = in_turn & 0xff_ff_00 | self.free;
         self.free = in_turn & 0xff;
     }

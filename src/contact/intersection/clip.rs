@@ -24,11 +24,9 @@ pub(super) struct Vertex {
 pub(super) enum Made {
     /// A corner of the subject inside the window.
     Own(u32),
-    /// A corner of the window inside the subject.
-    Window(u32),
-    /// Two sides of the window that are not neighbours: those between lie within
-    /// `eps` of here. By the nearest corner.
-    Near(u32),
+    /// A corner of the window inside the subject; or only near, where two sides
+    /// meet that are not neighbours: those between lie within `eps` of here.
+    Window { corner: u32, near: bool },
     /// A side of the subject and one of the window.
     Crossing(u32, u32),
 }
@@ -106,6 +104,7 @@ impl Clip {
     }
 
     /// Cuts what is more than `eps` beyond a sharp corner, across the corner.
+    #[cold]
     fn cut_corners(&mut self, window: &Outline, eps: f64) {
         let Self { kept, next, .. } = self;
         let mut before = window.sides.len() - 1;
@@ -128,7 +127,8 @@ impl Clip {
                 if !beyond(v) {
                     next.push(*v);
                 } else if !beyond(&kept[if i == 0 { kept.len() - 1 } else { i - 1 }]) {
-                    let (made, line) = (Made::Window(j as u32), Line::Window(j as u32));
+                    let (made, line) =
+                        (Made::Window { corner: j as u32, near: false }, Line::Window(j as u32));
                     next.push(Vertex { at: corner.at, made, line });
                 }
             }
@@ -149,11 +149,11 @@ fn crossing(window: &Outline, p: &Vertex, q: &Vertex, share: f64, j: u32) -> Ver
         // Two sides of the window meet in the corner where the second begins.
         Line::Window(k) => {
             let (made, at) = if window.next(j as usize) == k as usize {
-                (Made::Window(k), window.corners[k as usize].at)
+                (Made::Window { corner: k, near: false }, window.corners[k as usize].at)
             } else if window.next(k as usize) == j as usize {
-                (Made::Window(j), window.corners[j as usize].at)
+                (Made::Window { corner: j, near: false }, window.corners[j as usize].at)
             } else {
-                (Made::Near(nearest_corner(window, at)), at)
+                (Made::Window { corner: nearest_corner(window, at), near: true }, at)
             };
             Vertex { at, made, line: p.line }
         }

@@ -59,9 +59,10 @@ fn lifted(v: &Vertex, subject: &Outline, window: &Outline) -> [(Element, f64); 2
     };
     match v.made {
         Made::Own(i) => [corner(subject, i), (Element::Inside, window.height(v.at))],
-        Made::Window(j) => [(Element::Inside, subject.height(v.at)), corner(window, j)],
-        Made::Near(j) => {
-            [(Element::Inside, subject.height(v.at)), (corner(window, j).0, window.height(v.at))]
+        Made::Window { corner: j, near } => {
+            let (name, height) = corner(window, j);
+            let height = if near { window.height(v.at) } else { height };
+            [(Element::Inside, subject.height(v.at)), (name, height)]
         }
         Made::Crossing(i, j) => [side(subject, i), side(window, j)],
     }
