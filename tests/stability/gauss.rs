@@ -81,16 +81,16 @@ impl Asked<'_> {
     /// Faces within the angle, reached from the support set through such faces, and
     /// faces all of whose corners support.
     fn faces(&self, support: &Candidates) -> Candidates {
-        let normals = self.hull.face_normals();
+        let faces = self.hull.faces();
         let sine = self.feature_angle.sin();
-        let within = Candidates::of(normals.len(), SLACK, |f| {
-            if normals[f].dot(self.n) > SLACK {
-                self.n.cross(normals[f]).length() - sine
+        let within = Candidates::of(faces.len(), SLACK, |f| {
+            if faces[f].normal.dot(self.n) > SLACK {
+                self.n.cross(faces[f].normal).length() - sine
             } else {
                 f64::INFINITY
             }
         });
-        let outward = Candidates::of(normals.len(), SLACK, |f| -normals[f].dot(self.n));
+        let outward = Candidates::of(faces.len(), SLACK, |f| -faces[f].normal.dot(self.n));
         let reached = |within: &BTreeSet<usize>, support: &BTreeSet<usize>, outward: &BTreeSet<usize>| {
             let at_support =
                 |f: &usize| support.iter().any(|&v| self.hull.vertex_faces(v).contains(&(*f as u32)));
@@ -120,8 +120,8 @@ impl Asked<'_> {
     }
 
     fn face_objection(&self, face: usize, faces: &Candidates) -> Option<String> {
-        let cosine = |f: usize| self.hull.face_normals()[f].dot(self.n);
-        let area = |f: usize| self.hull.face_areas()[f];
+        let cosine = |f: usize| self.hull.faces()[f].normal.dot(self.n);
+        let area = |f: usize| self.hull.faces()[f].area;
         if !faces.possible.contains(&face) {
             return Some(format!("face {face} is no candidate"));
         }
@@ -183,7 +183,7 @@ impl Asked<'_> {
 fn arc_holds(hull: &ConvexHull, edge: usize, n: DVec3, slack: f64) -> bool {
     let [v, w] = hull.edge_vertices()[edge].map(|v| hull.vertices()[v as usize]);
     let along = (w - v).normalize();
-    let [m0, m1] = hull.edge_faces()[edge].map(|f| hull.face_normals()[f as usize]);
+    let [m0, m1] = hull.edge_faces()[edge].map(|f| hull.faces()[f as usize].normal);
     // Signed angles from one end; the arc is shorter than half a turn.
     let side = m0.cross(m1).dot(along).signum();
     let from = |m: DVec3, to: DVec3| side * m.cross(to).dot(along);
