@@ -48,6 +48,17 @@ lint: check-tools $(if $(CLIENT),lint-python) ## rustfmt, clippy and ruff, warni
 	 $(CARGO) clippy --release --locked --all-targets --no-default-features -- -D warnings; \
 	 cd benches; $(CARGO) clippy --release --locked --all-targets -- -D warnings; \
 	 else echo "clippy is not installed: lints not checked"; fi
+	@if PATH="$(TOOLS)/bin:$$PATH" cargo-deny --version >/dev/null 2>&1; then \
+	 PATH="$(TOOLS)/bin:$$PATH" $(CARGO) deny --offline check --hide-inclusion-graph licenses bans sources; \
+	 else echo "cargo-deny is not installed (make audit does it): licences not checked"; fi
+
+# Tools that are built when first needed; they outlive `make clean`.
+TOOLS := $(HOME)/.cache/hullcast-tools
+
+.PHONY: audit
+audit: check-tools ## licences, bans, sources and advisories of every dependency, by cargo-deny
+	PATH="$(TOOLS)/bin:$$PATH" cargo-deny --version >/dev/null 2>&1 || $(CARGO) install --locked --root "$(TOOLS)" cargo-deny
+	PATH="$(TOOLS)/bin:$$PATH" $(CARGO) deny check --hide-inclusion-graph
 
 .PHONY: lint-python
 lint-python: $(VENV)/.lint ## ruff

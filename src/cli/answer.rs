@@ -8,27 +8,23 @@ use std::error::Error as StdError;
 use std::fmt;
 use std::sync::Arc;
 
-use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Status};
 
 use super::Error;
 use super::options::Asked;
+use super::remote::{Connection, RemoteArgs, root_cause};
 use super::scene::{Frame, HullPoints, Scene};
 use hullcast::compute::Compute;
 use hullcast::contact::ConvexHull;
 use hullcast::proto;
-use hullcast::proto::contact_service_client::ContactServiceClient;
-use hullcast::proto::hull_service_client::HullServiceClient;
 use hullcast::proto::register_hull_result::Result as Registered;
 use hullcast::service::batch::{Batch, Engine};
 use hullcast::service::{Limits, ServiceError, wire};
 use hullcast::store::identity::id_of;
 use hullcast::store::{HullDefinition, HullId, Missing};
 
-/// Of messages, either way: the servers' limits are the ones that count.
-const MAX_MESSAGE_BYTES: usize = 2 << 30;
-/// HTTP/2 flow control: a batch of some thousand pairs fits.
-const WINDOW_BYTES: u32 = 8 << 20;
+/// Of answers in this process: no message carries them.
+const MAX_ANSWER_BYTES: usize = 2 << 30;
 /// Hulls in one registration message: some megabytes at most for everyday hulls.
 const HULLS_PER_MESSAGE: usize = 256;
 
@@ -38,7 +34,7 @@ pub(crate) enum Answerer {
     /// The library in this process.
     Local(Arc<Local>),
     /// A server.
-    Remote(Remote),
+    Remote(Connection),
 }
 
 /// The service's batch engine with hulls of its own.
@@ -47,12 +43,6 @@ pub(crate) struct Local {
     engine: Engine,
     limits: Limits,
     hulls: HashMap<HullId, Arc<ConvexHull>>,
-}
-
-/// A connection to a server.
-#[derive(Clone, Debug)]
-pub(crate) struct Remote {
-    contacts: ContactServiceClient<Channel>,
 }
 
 /// A hull of the scene was refused.
@@ -97,19 +87,21 @@ impl Answerer {
             built.insert(id, Arc::new(hull));
             ids.push(id);
         }
-        let engine = Engine::new(Compute::new(threads)?, limits.max_pairs_in_flight, MAX_MESSAGE_BYTES);
+        let engine = Engine::new(Compute::new(threads)?, limits.max_pairs_in_flight, MAX_ANSWER_BYTES);
         Ok((Self::Local(Arc::new(Local { engine, limits, hulls: built })), ids))
     }
 
-    /// A server at `address` (host:port, unix:PATH or a URL), the hulls registered there.
+    /// The server that `args` names at `address`, the hulls registered there.
     ///
     /// # Errors
     /// No server there, it refuses a hull, or it fails.
-    pub(crate) async fn remote(address: &str, hulls: &[HullPoints]) -> Result<(Self, Vec<HullId>), Error> {
-        let channel = connect(address).await?;
-        let mut service = HullServiceClient::new(channel.clone())
-            .max_decoding_message_size(MAX_MESSAGE_BYTES)
-            .max_encoding_message_size(MAX_MESSAGE_BYTES);
+    pub(crate) async fn remote(
+        address: &str,
+        args: &RemoteArgs,
+        hulls: &[HullPoints],
+    ) -> Result<(Self, Vec<HullId>), Error> {
+        let connection = Connection::open(address, args).await?;
+        let mut service = connection.hulls();
         let mut ids = Vec::with_capacity(hulls.len());
         for part in hulls.chunks(HULLS_PER_MESSAGE) {
             let request = proto::RegisterHullsRequest { hulls: part.iter().map(wire_definition).collect() };
@@ -122,7 +114,7 @@ impl Answerer {
         if ids.len() != hulls.len() {
             return Err(format!("the server answered for {} of {} hulls", ids.len(), hulls.len()).into());
         }
-        Ok((Self::Remote(Remote::new(channel)), ids))
+        Ok((Self::Remote(connection), ids))
     }
 
     /// The answer, or in words why there is none.
@@ -136,7 +128,7 @@ impl Answerer {
         match self {
             Self::Local(local) => local.answer(request).await.map_err(|e| e.to_string()),
             Self::Remote(remote) => {
-                let response = remote.contacts.clone().query_contacts(request).await;
+                let response = remote.contacts().query_contacts(request).await;
                 response.map(tonic::Response::into_inner).map_err(|status| described(&status))
             }
         }
@@ -159,42 +151,12 @@ impl Local {
     }
 }
 
-impl Remote {
-    fn new(channel: Channel) -> Self {
-        let contacts = ContactServiceClient::new(channel)
-            .max_decoding_message_size(MAX_MESSAGE_BYTES)
-            .max_encoding_message_size(MAX_MESSAGE_BYTES);
-        Self { contacts }
-    }
-}
-
 /// Another connection to the server at `address`; its hulls are there.
 ///
 /// # Errors
 /// No server there.
-pub(crate) async fn another_connection(address: &str) -> Result<Answerer, Error> {
-    Ok(Answerer::Remote(Remote::new(connect(address).await?)))
-}
-
-async fn connect(address: &str) -> Result<Channel, Error> {
-    let url = if address.contains("://") || address.starts_with("unix:") {
-        address.to_owned()
-    } else {
-        format!("http://{address}")
-    };
-    let endpoint = Endpoint::from_shared(url)?
-        .initial_stream_window_size(WINDOW_BYTES)
-        .initial_connection_window_size(WINDOW_BYTES)
-        .tcp_nodelay(true);
-    endpoint.connect().await.map_err(|e| format!("no server at {address}: {}", root_cause(&e)).into())
-}
-
-fn root_cause(error: &(dyn StdError + 'static)) -> String {
-    let mut cause = error;
-    while let Some(next) = cause.source() {
-        cause = next;
-    }
-    cause.to_string()
+pub(crate) async fn another_connection(address: &str, args: &RemoteArgs) -> Result<Answerer, Error> {
+    Ok(Answerer::Remote(Connection::open(address, args).await?))
 }
 
 /// As the store names it.

@@ -11,6 +11,7 @@ use super::Error;
 use super::answer::{Answerer, another_connection};
 use super::batches::{Batches, Sampled};
 use super::options::{AccuracyArgs, OutputArg};
+use super::remote::RemoteArgs;
 use super::tally::Tally;
 use hullcast::workload::{Family, Regime};
 
@@ -45,9 +46,8 @@ pub(crate) struct Args {
     /// Of the generated hulls and poses.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Ask this server (host:port, unix:PATH or a URL) instead of this process.
-    #[arg(long, value_name = "ADDRESS")]
-    remote: Option<String>,
+    #[command(flatten)]
+    remote: RemoteArgs,
     /// Batches under way at once.
     #[arg(long, value_name = "COUNT", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..))]
     concurrency: u32,
@@ -112,14 +112,14 @@ pub(crate) fn run(args: &Args) -> Result<(), Error> {
 
 async fn loaded(args: &Args) -> Result<(), Error> {
     let batches = args.batches()?;
-    let (first, ids) = match &args.remote {
-        Some(address) => Answerer::remote(address, batches.hulls()).await?,
+    let (first, ids) = match &args.remote.remote {
+        Some(address) => Answerer::remote(address, &args.remote, batches.hulls()).await?,
         None => Answerer::local(batches.hulls(), args.threads)?,
     };
     let mut answerers = vec![first];
-    if let Some(address) = &args.remote {
+    if let Some(address) = &args.remote.remote {
         for _ in 1..args.connections {
-            answerers.push(another_connection(address).await?);
+            answerers.push(another_connection(address, &args.remote).await?);
         }
     }
     let margin = args.margin.unwrap_or(batches.margin());

@@ -6,6 +6,7 @@ pub(crate) mod load;
 mod npz;
 mod options;
 pub(crate) mod query;
+mod remote;
 mod report;
 mod scene;
 pub(crate) mod serve;

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use super::Error;
 use super::answer::{Answerer, request};
 use super::options::{AccuracyArgs, OutputArg};
+use super::remote::RemoteArgs;
 use super::report::Answered;
 use super::scene::Scene;
 use hullcast::proto;
@@ -20,9 +21,8 @@ const PAIRS_PER_REQUEST: usize = 32_768;
 pub(crate) struct Args {
     /// A scene file, hullcast.scene.v1.
     scene: PathBuf,
-    /// Ask this server (host:port, unix:PATH or a URL) instead of this process.
-    #[arg(long, value_name = "ADDRESS")]
-    remote: Option<String>,
+    #[command(flatten)]
+    remote: RemoteArgs,
     /// Write the answer's columns to a .npz file.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -62,8 +62,8 @@ async fn answered(args: &Args) -> Result<(), Error> {
     let frame = scene.frames.get(args.frame).ok_or_else(|| {
         format!("--frame {}: {} has {} frames, from 0", args.frame, args.scene.display(), scene.frames.len())
     })?;
-    let (answerer, ids) = match &args.remote {
-        Some(address) => Answerer::remote(address, &scene.hulls).await?,
+    let (answerer, ids) = match &args.remote.remote {
+        Some(address) => Answerer::remote(address, &args.remote, &scene.hulls).await?,
         None => Answerer::local(&scene.hulls, args.threads)?,
     };
     let asked = args.accuracy.asked(args.margin.unwrap_or(scene.margin), &args.outputs);

@@ -8,7 +8,7 @@ use std::{
 };
 
 use hullcast::{
-    service::{App, Listener, run as serve},
+    service::{App, Listener, Security, run as serve},
     store::blobs,
 };
 use tokio::{
@@ -57,15 +57,22 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 }
 
 async fn until_stopped(settings: &Settings, until_stdin_closes: bool) -> Result<(), Error> {
-    let drain = Duration::try_from_secs_f64(settings.drain_seconds)
-        .map_err(|error| format!("drain_seconds {}: {error}", settings.drain_seconds))?;
+    let serving = settings.serving()?;
     let store = blobs::open(&settings.store)?;
     let app = App::new(store, settings.limits(), settings.compute_threads)?;
     // Before the address is printed: who reads it may stop the server at once.
     let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
     let mut listeners = Vec::with_capacity(settings.listen.len());
     for address in &settings.listen {
-        listeners.push(Listener::bind(address).await?);
+        let listener = Listener::bind(address).await?;
+        if listener.is_exposed()? && !serving.security.encrypts() && !settings.allow_plaintext {
+            return Err(format!(
+                "{address}: other machines can reach it and nothing is encrypted: \
+                 give --tls-certificate and --tls-key, or --allow-plaintext"
+            )
+            .into());
+        }
+        listeners.push(listener);
     }
     announce(&listeners)?;
     tracing::info!(
@@ -74,6 +81,7 @@ async fn until_stopped(settings: &Settings, until_stdin_closes: bool) -> Result<
         compute_threads = app.engine().threads(),
         "serving"
     );
+    spawn_reload_on_hangup(serving.security.clone())?;
     let shutdown = async move {
         tokio::select! {
             _ = terminate.recv() => {}
@@ -81,7 +89,19 @@ async fn until_stopped(settings: &Settings, until_stdin_closes: bool) -> Result<
             () = stdin_closed(), if until_stdin_closes => {}
         }
     };
-    Ok(serve(listeners, Arc::new(app), drain, shutdown).await?)
+    Ok(serve(listeners, Arc::new(app), serving, shutdown).await?)
+}
+
+/// As daemons do; the files are read from time to time anyway.
+fn spawn_reload_on_hangup(security: Arc<Security>) -> io::Result<()> {
+    let mut hangup = signal(SignalKind::hangup())?;
+    tokio::spawn(async move {
+        while hangup.recv().await.is_some() {
+            let security = security.clone();
+            let _ = tokio::task::spawn_blocking(move || security.reload()).await;
+        }
+    });
+    Ok(())
 }
 
 /// One line a listener, first on standard output: what scripts wait for.

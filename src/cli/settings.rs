@@ -1,10 +1,15 @@
 //! What a server is configured with: defaults, then the file, then the
 //! environment, then flags; the later wins.
 
-use std::{fs, path::Path};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::Duration,
+};
 
 use clap::ValueEnum;
-use hullcast::service::Limits;
+use hullcast::service::{Limits, Security, SecurityFiles, Serving};
 use serde::{Deserialize, Serialize};
 
 use super::Error;
@@ -63,6 +68,21 @@ settings! {
     compute_threads: usize = |_: &Limits| 0, "HULLCAST_COMPUTE_THREADS", "N";
     /// Seconds that calls in flight have to finish when the server stops
     drain_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_DRAIN_SECONDS", "S";
+    /// PEM file of the server's certificate and those it leads to; empty: plain text
+    tls_certificate: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_TLS_CERTIFICATE", "FILE";
+    /// PEM file of the certificate's private key
+    tls_key: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_TLS_KEY", "FILE";
+    /// PEM file of authorities: clients must have a certificate of one; empty: clients need none
+    tls_client_ca: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_TLS_CLIENT_CA", "FILE";
+    /// Serve without TLS to other machines, as behind a proxy that has it
+    allow_plaintext: bool = |_: &Limits| false, "HULLCAST_ALLOW_PLAINTEXT", "BOOL"
+        [num_args = 0..=1, default_missing_value = "true"];
+    /// File of tokens, one a line, that may query; empty: none is needed
+    query_tokens: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_QUERY_TOKENS", "FILE";
+    /// File of tokens, one a line, that may also register and delete
+    register_tokens: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_REGISTER_TOKENS", "FILE";
+    /// Seconds after which certificates and tokens are read again
+    reload_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_RELOAD_SECONDS", "S";
     /// What is logged: error, warn, info, debug (every request), or a tracing filter
     log: String = |_: &Limits| "info".into(), "HULLCAST_LOG", "FILTER";
     /// How logs are written
@@ -108,6 +128,25 @@ impl Given {
 }
 
 impl Settings {
+    /// How to serve, with the files read that it names.
+    ///
+    /// # Errors
+    /// A file cannot be used, or a time is none.
+    pub(crate) fn serving(&self) -> Result<Serving, Error> {
+        let files = SecurityFiles {
+            tls_certificate: self.tls_certificate.clone(),
+            tls_key: self.tls_key.clone(),
+            tls_client_ca: self.tls_client_ca.clone(),
+            query_tokens: self.query_tokens.clone(),
+            register_tokens: self.register_tokens.clone(),
+        };
+        Ok(Serving {
+            security: Arc::new(Security::open(&files)?),
+            reload_every: seconds("reload_seconds", self.reload_seconds)?.max(SHORTEST_RELOAD),
+            drain: seconds("drain_seconds", self.drain_seconds)?,
+        })
+    }
+
     /// The limits among them.
     pub(crate) fn limits(&self) -> Limits {
         Limits {
@@ -125,6 +164,13 @@ impl Settings {
             cache_age_seconds: self.cache_age_seconds,
         }
     }
+}
+
+/// More often would be a loop that does nothing else.
+const SHORTEST_RELOAD: Duration = Duration::from_millis(10);
+
+fn seconds(name: &str, value: f64) -> Result<Duration, Error> {
+    Ok(Duration::try_from_secs_f64(value).map_err(|error| format!("{name} {value}: {error}"))?)
 }
 
 #[cfg(test)]

@@ -6,13 +6,16 @@ use futures_util::{
     StreamExt,
     stream::{self, BoxStream},
 };
-use tokio::time::{Instant, timeout_at};
+use tokio::{
+    sync::watch,
+    time::{Instant, timeout_at},
+};
 use tonic::{Request, Response, Status, Streaming};
 
 use super::{
     App, ServiceError,
     batch::Batch,
-    edge::Deadline,
+    edge::{Closing, Deadline},
     steps::Steps,
     wire::{self, Scene},
 };
@@ -64,7 +67,10 @@ impl ContactService for Contacts {
         request: Request<Streaming<QueryContactsRequest>>,
     ) -> Result<Response<Self::StreamContactsStream>, Status> {
         let deadline = request.extensions().get::<Deadline>().copied();
-        let steps = Steps::new(self.app.clone(), request.into_inner());
+        let closing = request.extensions().get::<Closing>().cloned();
+        // Handlers without a connection, as in fuzzing, have none that closes.
+        let closing = closing.unwrap_or_else(|| Closing(watch::channel(false).1));
+        let steps = Steps::new(self.app.clone(), request.into_inner(), closing);
         let answers = stream::try_unfold(steps, move |mut steps| async move {
             let step = match deadline {
                 None => steps.next().await,

@@ -1,11 +1,13 @@
 //! The outermost layer: what holds for every call whatever its method.
 //!
-//! Enforces the caller's deadline and gives the errors that the transport
+//! Refuses callers without the token that the method needs, enforces the
+//! caller's deadline and gives the errors that the transport
 //! makes by itself (a message too large, an unknown method, compression) the
 //! code and details of the contract.
 
 use std::{
     convert::Infallible,
+    sync::Arc,
     task::{Context, Poll},
     time::Duration,
 };
@@ -13,25 +15,42 @@ use std::{
 use futures_util::future::BoxFuture;
 use http::{HeaderMap, Request, Response};
 use hyper::body::Incoming;
-use tokio::time::Instant;
+use tokio::{sync::watch, time::Instant};
 use tonic::{Status, body::Body, service::Routes};
 use tower::Service;
 
-use super::{error::ServiceError, wire};
+use super::{Security, error::ServiceError, wire};
 
 /// When the caller stops waiting; an extension of requests that have one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Deadline(pub(super) Instant);
 
-/// Wraps all routes.
+/// True once the connection that a request came on is about to close; an extension of
+/// every request.
+#[derive(Clone, Debug)]
+pub(super) struct Closing(pub(super) watch::Receiver<bool>);
+
+impl Closing {
+    /// Completes once it is about to close.
+    pub(super) async fn heard(&mut self) {
+        if self.0.wait_for(|closing| *closing).await.is_err() {
+            // Nobody is left to say so.
+            std::future::pending().await
+        }
+    }
+}
+
+/// Wraps all routes, for one connection.
 #[derive(Clone, Debug)]
 pub(super) struct Edge {
     routes: Routes,
+    security: Arc<Security>,
+    closing: Closing,
 }
 
 impl Edge {
-    pub(super) fn new(routes: Routes) -> Self {
-        Self { routes }
+    pub(super) fn new(routes: Routes, security: Arc<Security>, closing: Closing) -> Self {
+        Self { routes, security, closing }
     }
 }
 
@@ -45,6 +64,10 @@ impl Service<Request<Incoming>> for Edge {
     }
 
     fn call(&mut self, mut request: Request<Incoming>) -> Self::Future {
+        if let Err(refusal) = self.security.check(request.uri().path(), request.headers()) {
+            return Box::pin(std::future::ready(Ok(Status::from(refusal).into_http())));
+        }
+        request.extensions_mut().insert(self.closing.clone());
         let deadline = timeout(request.headers()).and_then(|t| Instant::now().checked_add(t));
         if let Some(at) = deadline {
             request.extensions_mut().insert(Deadline(at));

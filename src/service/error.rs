@@ -16,6 +16,10 @@ pub enum Kind {
     Exhausted,
     /// Not in this version.
     Unimplemented,
+    /// Nobody knows who calls.
+    Unauthenticated,
+    /// The caller is known and may not.
+    Forbidden,
     /// The caller's deadline passed.
     DeadlineExceeded,
     /// A bug of the server's.
@@ -78,6 +82,16 @@ impl ServiceError {
     /// Trying again after `retry_after` may help.
     pub fn unavailable(reason: &'static str, retry_after: Duration, message: impl Into<String>) -> Self {
         Self::new(Kind::Unavailable { retry_after }, reason, message.into(), None)
+    }
+
+    /// The call has no token that is known.
+    pub fn unauthenticated(reason: &'static str, message: impl Into<String>) -> Self {
+        Self::new(Kind::Unauthenticated, reason, message.into(), None)
+    }
+
+    /// The caller is known and may not do this.
+    pub fn forbidden(reason: &'static str, message: impl Into<String>) -> Self {
+        Self::new(Kind::Forbidden, reason, message.into(), None)
     }
 
     /// The store has no room.

@@ -4,6 +4,7 @@ use std::{
     fmt, io,
     path::{Path, PathBuf},
     pin::Pin,
+    sync::Arc,
     task::{Context, Poll},
 };
 
@@ -11,6 +12,7 @@ use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
     net::{TcpListener, TcpStream, UnixListener, UnixStream},
 };
+use tokio_rustls::{TlsAcceptor, rustls::ServerConfig, server::TlsStream};
 
 /// A bound address.
 #[derive(Debug)]
@@ -35,6 +37,17 @@ impl Listener {
                 Ok(Self::Unix(UnixListener::bind(&path).map_err(named)?, path))
             }
             None => Ok(Self::Tcp(TcpListener::bind(address).await.map_err(named)?)),
+        }
+    }
+
+    /// Whether other machines can reach it.
+    ///
+    /// # Errors
+    /// The system does not say where it is bound.
+    pub fn is_exposed(&self) -> io::Result<bool> {
+        match self {
+            Self::Tcp(listener) => Ok(!listener.local_addr()?.ip().to_canonical().is_loopback()),
+            Self::Unix(..) => Ok(false),
         }
     }
 
@@ -86,7 +99,35 @@ async fn remove_stale(path: &Path) -> io::Result<()> {
 #[derive(Debug)]
 pub(super) enum Connection {
     Tcp(TcpStream),
+    Tls(Box<TlsStream<TcpStream>>),
     Unix(UnixStream),
+}
+
+impl Connection {
+    /// The same, encrypted, where it is TCP.
+    ///
+    /// # Errors
+    /// The peer does not speak TLS, or not as `config` asks.
+    pub(super) async fn encrypted(self, config: Arc<ServerConfig>) -> io::Result<Self> {
+        match self {
+            Self::Tcp(stream) => {
+                let stream = TlsAcceptor::from(config).accept(stream).await?;
+                Ok(Self::Tls(Box::new(stream)))
+            }
+            other => Ok(other),
+        }
+    }
+}
+
+/// Calls the same method of whatever stream it is.
+macro_rules! forward {
+    ($connection:expr, $method:ident $(, $argument:expr)*) => {
+        match $connection.get_mut() {
+            Connection::Tcp(stream) => Pin::new(stream).$method($($argument),*),
+            Connection::Tls(stream) => Pin::new(stream.as_mut()).$method($($argument),*),
+            Connection::Unix(stream) => Pin::new(stream).$method($($argument),*),
+        }
+    };
 }
 
 impl AsyncRead for Connection {
@@ -95,19 +136,13 @@ impl AsyncRead for Connection {
         cx: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        match self.get_mut() {
-            Self::Tcp(stream) => Pin::new(stream).poll_read(cx, buffer),
-            Self::Unix(stream) => Pin::new(stream).poll_read(cx, buffer),
-        }
+        forward!(self, poll_read, cx, buffer)
     }
 }
 
 impl AsyncWrite for Connection {
     fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        match self.get_mut() {
-            Self::Tcp(stream) => Pin::new(stream).poll_write(cx, bytes),
-            Self::Unix(stream) => Pin::new(stream).poll_write(cx, bytes),
-        }
+        forward!(self, poll_write, cx, bytes)
     }
 
     fn poll_write_vectored(
@@ -115,10 +150,7 @@ impl AsyncWrite for Connection {
         cx: &mut Context<'_>,
         slices: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        match self.get_mut() {
-            Self::Tcp(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
-            Self::Unix(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
-        }
+        forward!(self, poll_write_vectored, cx, slices)
     }
 
     fn is_write_vectored(&self) -> bool {
@@ -126,16 +158,10 @@ impl AsyncWrite for Connection {
     }
 
     fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        match self.get_mut() {
-            Self::Tcp(stream) => Pin::new(stream).poll_flush(cx),
-            Self::Unix(stream) => Pin::new(stream).poll_flush(cx),
-        }
+        forward!(self, poll_flush, cx)
     }
 
     fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        match self.get_mut() {
-            Self::Tcp(stream) => Pin::new(stream).poll_shutdown(cx),
-            Self::Unix(stream) => Pin::new(stream).poll_shutdown(cx),
-        }
+        forward!(self, poll_shutdown, cx)
     }
 }

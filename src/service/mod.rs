@@ -2,9 +2,11 @@
 //!
 //! [`wire`] checks requests and writes responses, [`contacts`] with [`steps`],
 //! [`hulls`] and [`info`] are the handlers, [`batch`] computes. [`server`] runs it all on
-//! [`listener`]s, behind [`edge`], which holds for every call.
+//! [`listener`]s, each [`connection`] behind an [`edge`], which holds for every call and
+//! asks [`security`] who may make it.
 
 pub mod batch;
+mod connection;
 mod contacts;
 mod edge;
 mod error;
@@ -13,6 +15,7 @@ mod info;
 mod limits;
 mod listener;
 mod outputs;
+mod security;
 mod server;
 mod steps;
 pub mod wire;
@@ -24,10 +27,11 @@ pub use error::{Kind, Place, ServiceError};
 pub use limits::Limits;
 pub use listener::Listener;
 pub use outputs::Outputs;
+pub use security::{LoadError, Security, SecurityFiles};
 #[doc(hidden)]
 pub use server::handlers;
-pub use server::run;
-use tokio::sync::{Semaphore, watch};
+pub use server::{Serving, run};
+use tokio::sync::Semaphore;
 
 use crate::{
     compute::Compute,
@@ -42,8 +46,6 @@ pub struct App {
     engine: Engine,
     /// For what streams keep from one message to the next.
     stream_room: Arc<Semaphore>,
-    /// True once the server stops: open streams end.
-    stopping: watch::Sender<bool>,
 }
 
 impl App {
@@ -65,7 +67,7 @@ impl App {
         let engine = Engine::new(compute.clone(), limits.max_pairs_in_flight, limits.max_message_bytes);
         let registry = Registry::new(blobs, compute, bounds);
         let stream_room = steps::room(limits.max_stream_state_bytes);
-        Ok(Self { limits, registry, engine, stream_room, stopping: watch::Sender::new(false) })
+        Ok(Self { limits, registry, engine, stream_room })
     }
 
     /// What the server accepts.

@@ -1,59 +1,73 @@
 //! Runs the services on listeners until told to stop.
 
-use std::{future::Future, pin::pin, sync::Arc, time::Duration};
+use std::{future::Future, sync::Arc, time::Duration};
 
-use hyper::server::conn::http2;
-use hyper_util::{
-    rt::{TokioExecutor, TokioIo, TokioTimer},
-    service::TowerToHyperService,
-};
 use tokio::{sync::watch, task::JoinSet};
 use tonic::service::Routes;
 use tonic_health::{ServingStatus, server::HealthReporter};
 
-use super::{App, OpenError, contacts, edge::Edge, hulls, info, listener::Listener};
+use super::{
+    App, OpenError, Security, connection::Connections, contacts, edge::Closing, hulls, info,
+    listener::Listener,
+};
 use crate::proto;
-
-/// HTTP/2 settings that measurably matter for batches; the defaults are sized for pages.
-const FRAME_BYTES: u32 = 1 << 20;
-const WINDOW_BYTES: u32 = 8 << 20;
-
-/// A peer that does not answer a ping for this long is gone.
-const KEEP_ALIVE: Duration = Duration::from_secs(60);
 
 /// After a failed accept (too many open files), so that the loop does not spin.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
+/// How a server serves; what it accepts is its `Limits`.
+#[derive(Clone, Debug)]
+pub struct Serving {
+    /// Who may connect and call.
+    pub security: Arc<Security>,
+    /// How often certificates and tokens are read again; they may change under the server.
+    pub reload_every: Duration,
+    /// How long calls under way have to end once their connection is about to close.
+    pub drain: Duration,
+}
+
+impl Default for Serving {
+    fn default() -> Self {
+        Self {
+            security: Arc::default(),
+            reload_every: Duration::from_secs(10),
+            drain: Duration::from_secs(10),
+        }
+    }
+}
+
 /// Serves `app` on `listeners` until `shutdown` completes.
 ///
-/// Then health says NOT_SERVING, no call is accepted any more, and calls in
-/// flight have `drain` to finish before their connections are closed.
+/// Then health says NOT_SERVING, no call is accepted any more, streams end after the
+/// message under way, and calls have `serving.drain` to finish before their connections
+/// are closed.
 ///
 /// # Errors
 /// The reflection service could not be built.
 pub async fn run(
     listeners: Vec<Listener>,
     app: Arc<App>,
-    drain: Duration,
+    serving: Serving,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), OpenError> {
     let (mut reporter, routes) = routes(&app).await?;
-    let edge = Edge::new(routes.prepare());
-    let streams = app.limits().max_streams_per_connection;
-    let (stop, stopped) = watch::channel(());
+    let mut reloading = JoinSet::new();
+    reloading.spawn(reload(serving.security.clone(), serving.reload_every));
+    let drain = serving.drain;
+    let connections = Arc::new(Connections::new(routes.prepare(), app.limits(), serving));
+    let (close, closing) = watch::channel(false);
+    let closing = Closing(closing);
     let mut accepting = JoinSet::new();
     for listener in listeners {
-        accepting.spawn(accept(listener, edge.clone(), streams, drain, stopped.clone()));
+        accepting.spawn(accept(listener, connections.clone(), closing.clone()));
     }
-    drop(stopped);
 
     shutdown.await;
     tracing::info!(drain_seconds = drain.as_secs_f64(), "stopping");
     for service in SERVICES {
         reporter.set_service_status(service, ServingStatus::NotServing).await;
     }
-    app.stopping.send_replace(true);
-    stop.send_replace(());
+    close.send_replace(true);
     // Watchers have heard it: what they wait for ends, or they would be waited for.
     for service in SERVICES {
         reporter.clear_service_status(service).await;
@@ -97,47 +111,17 @@ async fn routes(app: &Arc<App>) -> Result<(HealthReporter, Routes), OpenError> {
     Ok((reporter, routes))
 }
 
-/// Accepts until told to stop, then waits for its connections, at most `drain`.
-async fn accept(
-    listener: Listener,
-    edge: Edge,
-    streams: u32,
-    drain: Duration,
-    mut stopped: watch::Receiver<()>,
-) {
-    let mut http = http2::Builder::new(TokioExecutor::new());
-    http.timer(TokioTimer::new())
-        .adaptive_window(false)
-        .initial_stream_window_size(WINDOW_BYTES)
-        .initial_connection_window_size(WINDOW_BYTES)
-        .max_frame_size(FRAME_BYTES)
-        .max_concurrent_streams(streams)
-        .keep_alive_interval(KEEP_ALIVE)
-        .keep_alive_timeout(KEEP_ALIVE);
-
-    let mut connections = JoinSet::new();
+/// Accepts until told to stop, then waits for its connections, which end by themselves.
+async fn accept(listener: Listener, connections: Arc<Connections>, mut closing: Closing) {
+    let mut open = JoinSet::new();
+    let theirs = closing.clone();
     loop {
         tokio::select! {
-            _ = stopped.changed() => break,
-            Some(_) = connections.join_next() => {}
+            () = closing.heard() => break,
+            Some(_) = open.join_next() => {}
             accepted = listener.accept() => match accepted {
                 Ok(io) => {
-                    let service = TowerToHyperService::new(edge.clone());
-                    let connection = http.serve_connection(TokioIo::new(io), service);
-                    let mut stopped = stopped.clone();
-                    connections.spawn(async move {
-                        let mut connection = pin!(connection);
-                        let ended = tokio::select! {
-                            ended = connection.as_mut() => ended,
-                            _ = stopped.changed() => {
-                                connection.as_mut().graceful_shutdown();
-                                connection.await
-                            }
-                        };
-                        if let Err(error) = ended {
-                            tracing::debug!(%error, "connection ended");
-                        }
-                    });
+                    open.spawn(connections.clone().serve(io, theirs.clone()));
                 }
                 Err(error) => {
                     tracing::warn!(%error, "accept failed");
@@ -147,9 +131,15 @@ async fn accept(
         }
     }
     drop(listener);
-    let drained = async { while connections.join_next().await.is_some() {} };
-    if tokio::time::timeout(drain, drained).await.is_err() {
-        tracing::warn!(connections = connections.len(), "closing connections that did not drain");
-        connections.shutdown().await;
+    while open.join_next().await.is_some() {}
+}
+
+/// Reads certificates and tokens again, for ever.
+async fn reload(security: Arc<Security>, every: Duration) {
+    loop {
+        tokio::time::sleep(every).await;
+        let security = security.clone();
+        // Files: not on the threads that serve.
+        let _ = tokio::task::spawn_blocking(move || security.reload()).await;
     }
 }

@@ -9,6 +9,7 @@ use tonic::{Status, Streaming};
 use super::{
     App, ServiceError,
     contacts::answer,
+    edge::Closing,
     wire::{self, Setting},
 };
 use crate::proto::{QueryContactsRequest, QueryContactsResponse};
@@ -29,6 +30,7 @@ pub(super) fn room(bytes: u64) -> Arc<Semaphore> {
 pub(super) struct Steps {
     app: Arc<App>,
     requests: Streaming<QueryContactsRequest>,
+    closing: Closing,
     previous: Previous,
 }
 
@@ -43,19 +45,20 @@ enum Previous {
 }
 
 impl Steps {
-    pub(super) fn new(app: Arc<App>, requests: Streaming<QueryContactsRequest>) -> Self {
-        Self { app, requests, previous: Previous::None }
+    /// Ends when the requests do, and once `closing` is true: after the message under way.
+    pub(super) fn new(app: Arc<App>, requests: Streaming<QueryContactsRequest>, closing: Closing) -> Self {
+        Self { app, requests, closing, previous: Previous::None }
     }
 
     /// The next answer; none at the end of the requests.
     pub(super) async fn next(&mut self) -> Result<Option<QueryContactsResponse>, Status> {
-        let mut stopping = self.app.stopping.subscribe();
         let request = tokio::select! {
             biased;
-            request = self.requests.message() => request.map_err(wire::complete)?,
-            _ = stopping.wait_for(|stopping| *stopping) => {
-                return Err(ServiceError::unavailable("STOPPING", RETRY, "the server stops").into());
+            () = self.closing.heard() => {
+                let why = "the connection is about to close: open the stream again";
+                return Err(ServiceError::unavailable("STOPPING", RETRY, why).into());
             }
+            request = self.requests.message() => request.map_err(wire::complete)?,
         };
         match request {
             None => Ok(None),

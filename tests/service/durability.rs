@@ -240,3 +240,24 @@ fn flags_win_over_the_environment_and_the_environment_over_the_file() {
     let (status, _, said) = run(&["--max-pairs-in-flight", "1", "--store", "memory://"]);
     assert!(!status.success(), "{said}");
 }
+
+/// Catches a server that offers plain text to other machines because nobody thought of it.
+#[test]
+fn plain_text_off_this_machine_has_to_be_asked_for() {
+    let refused = |address: &str| {
+        let mut command = Command::new(BINARY);
+        let output = command.args(["serve", "--store", "memory://", "--listen", address]).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!output.status.success() && output.stdout.is_empty(), "{said}");
+        said
+    };
+    for address in ["0.0.0.0:0", "[::]:0"] {
+        assert!(refused(address).contains("--allow-plaintext"));
+    }
+    let directory = tempfile::tempdir().unwrap();
+    let mut command = Command::new(BINARY);
+    command.args(["serve", "--listen", "0.0.0.0:0", "--allow-plaintext", "--until-stdin-closes", "--store"]);
+    let output = command.arg(directory.path()).stdin(Stdio::null()).output().unwrap();
+    assert!(output.status.success());
+    assert!(String::from_utf8_lossy(&output.stdout).starts_with("listening on 0.0.0.0:"));
+}

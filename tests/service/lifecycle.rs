@@ -5,7 +5,7 @@ use std::{path::Path, pin::pin, sync::Arc, time::Duration};
 use futures_util::StreamExt;
 use hullcast::{
     proto::GetServerInfoRequest,
-    service::{App, Limits, Listener, run},
+    service::{App, Limits, Listener, Serving, run},
     store::blobs,
 };
 use tokio::net::TcpStream;
@@ -19,6 +19,10 @@ use crate::support::{
     Setup, TestServer, raw, refusal, refused,
     scenes::{register_request, two_boxes},
 };
+
+fn draining(drain: Duration) -> Setup {
+    Setup { serving: Serving { drain, ..Serving::default() }, ..Setup::default() }
+}
 
 /// Catches a service that health does not know, and one that is there and not said to be.
 #[tokio::test(flavor = "multi_thread")]
@@ -108,7 +112,7 @@ async fn concurrent_calls_are_limited_as_published() {
 #[tokio::test(flavor = "multi_thread")]
 async fn stopping_ends_streams_and_refuses_the_rest() {
     // Longer than the test may take: nothing here needs the deadline.
-    let mut server = Setup { drain: Duration::from_secs(3600), ..Setup::default() }.start().await;
+    let mut server = draining(Duration::from_secs(3600)).start().await;
     let (shapes, request) = two_boxes();
     server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
     let (send, mut requests) = tokio::sync::mpsc::channel(1);
@@ -127,7 +131,7 @@ async fn stopping_ends_streams_and_refuses_the_rest() {
 /// Catches a stop that a load balancer is not told of, or that waits for it to stop watching.
 #[tokio::test(flavor = "multi_thread")]
 async fn watchers_of_health_hear_of_the_stop_and_do_not_delay_it() {
-    let mut server = Setup { drain: Duration::from_secs(3600), ..Setup::default() }.start().await;
+    let mut server = draining(Duration::from_secs(3600)).start().await;
     let mut health = HealthClient::new(server.channel());
     let request = HealthCheckRequest { service: "hullcast.v1.ContactService".into() };
     let mut watch = health.watch(request).await.unwrap().into_inner();
@@ -143,7 +147,7 @@ async fn watchers_of_health_hear_of_the_stop_and_do_not_delay_it() {
 /// Catches a stop that hangs on a client that never reads or closes.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stuck_client_is_cut_off_at_the_drain_deadline() {
-    let mut server = Setup { drain: Duration::from_millis(100), ..Setup::default() }.start().await;
+    let mut server = draining(Duration::from_millis(100)).start().await;
     let mut client = raw::connect(&server.address).await;
     // A call whose request never ends.
     let path = "/hullcast.v1.ContactService/QueryContacts";
@@ -175,7 +179,7 @@ async fn unix_sockets_and_several_addresses() {
     assert!(Listener::bind(&address).await.unwrap_err().to_string().contains(&address));
     let app = App::new(blobs::open("memory://").unwrap(), Limits::default(), 1).unwrap();
     let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
-    let running = tokio::spawn(run(vec![unix, tcp], Arc::new(app), Duration::from_secs(5), async {
+    let running = tokio::spawn(run(vec![unix, tcp], Arc::new(app), Serving::default(), async {
         let _ = stopped.await;
     }));
     for channel in [crate::support::channel(&address).await, unix_channel(&path).await] {

@@ -8,6 +8,7 @@ mod errors;
 mod hulls;
 mod lifecycle;
 mod limits;
+mod security;
 mod steps;
 mod stopping;
 mod support;

@@ -43,6 +43,8 @@ fn code(kind: Kind) -> Code {
         Kind::Unavailable { .. } => Code::Unavailable,
         Kind::Exhausted => Code::ResourceExhausted,
         Kind::Unimplemented => Code::Unimplemented,
+        Kind::Unauthenticated => Code::Unauthenticated,
+        Kind::Forbidden => Code::PermissionDenied,
         Kind::DeadlineExceeded => Code::DeadlineExceeded,
         Kind::Internal => Code::Internal,
     }

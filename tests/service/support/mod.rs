@@ -4,14 +4,14 @@ pub(crate) mod raw;
 pub(crate) mod scenes;
 pub(crate) mod store;
 
-use std::{sync::Arc, time::Duration};
+use std::sync::Arc;
 
 use hullcast::{
     proto::{
         contact_service_client::ContactServiceClient, hull_service_client::HullServiceClient,
         server_service_client::ServerServiceClient,
     },
-    service::{App, Limits, Listener, run},
+    service::{App, Limits, Listener, Serving, run},
     store::{BlobStore, blobs},
 };
 use tokio::{sync::oneshot, task::JoinHandle};
@@ -31,7 +31,7 @@ pub(crate) struct Setup {
     pub(crate) store: Arc<dyn BlobStore>,
     pub(crate) limits: Limits,
     pub(crate) threads: usize,
-    pub(crate) drain: Duration,
+    pub(crate) serving: Serving,
 }
 
 impl Default for Setup {
@@ -40,22 +40,29 @@ impl Default for Setup {
             store: blobs::open("memory://").unwrap(),
             limits: Limits::default(),
             threads: 2,
-            drain: Duration::from_secs(5),
+            serving: Serving::default(),
         }
     }
 }
 
 impl Setup {
     pub(crate) async fn start(self) -> TestServer {
+        let mut server = self.start_lazily().await;
+        server.channel = channel(&server.address).await;
+        server
+    }
+
+    /// The same; nothing is connected to it yet.
+    pub(crate) async fn start_lazily(self) -> TestServer {
         let app = Arc::new(App::new(self.store, self.limits, self.threads).unwrap());
         let listener = Listener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.to_string();
         let (stop, stopped) = oneshot::channel();
-        let server = run(vec![listener], app.clone(), self.drain, async {
+        let server = run(vec![listener], app.clone(), self.serving, async {
             let _ = stopped.await;
         });
         let running = tokio::spawn(async { server.await.unwrap() });
-        let channel = channel(&address).await;
+        let channel = Channel::from_shared(format!("http://{address}")).unwrap().connect_lazy();
         TestServer { app, address, channel, stop: Some(stop), running }
     }
 }

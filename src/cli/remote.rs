@@ -1,0 +1,126 @@
+//! The server that a subcommand asks: where it is, and who asks.
+
+use std::error::Error as StdError;
+use std::path::PathBuf;
+
+use tonic::metadata::{Ascii, MetadataValue};
+use tonic::service::Interceptor;
+use tonic::service::interceptor::InterceptedService;
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
+use tonic::{Request, Status};
+
+use super::Error;
+use hullcast::proto::contact_service_client::ContactServiceClient;
+use hullcast::proto::hull_service_client::HullServiceClient;
+
+/// Of messages, either way: the servers' limits are the ones that count.
+const MAX_MESSAGE_BYTES: usize = 2 << 30;
+/// HTTP/2 flow control: a batch of some thousand pairs fits.
+const WINDOW_BYTES: u32 = 8 << 20;
+
+/// Which server, if any.
+#[derive(clap::Args, Clone, Debug, Default)]
+pub(crate) struct RemoteArgs {
+    /// Ask this server (host:port, unix:PATH, or https://host:port) instead of this process.
+    #[arg(long, value_name = "ADDRESS")]
+    pub(crate) remote: Option<String>,
+    /// PEM file of the authorities that the server's certificate may be of [default: the system's].
+    #[arg(long, value_name = "FILE", requires = "remote")]
+    tls_ca: Option<PathBuf>,
+    /// PEM file of this client's certificate, where the server asks for one.
+    #[arg(long, value_name = "FILE", requires = "tls_key")]
+    tls_certificate: Option<PathBuf>,
+    /// PEM file of its private key.
+    #[arg(long, value_name = "FILE", requires = "tls_certificate")]
+    tls_key: Option<PathBuf>,
+    /// File whose first line is the token to send.
+    #[arg(long, value_name = "FILE", requires = "remote")]
+    token_file: Option<PathBuf>,
+}
+
+/// A connection to a server.
+#[derive(Clone, Debug)]
+pub(crate) struct Connection(InterceptedService<Channel, Token>);
+
+impl Connection {
+    /// A connection of its own to the server at `address`.
+    ///
+    /// # Errors
+    /// No server there, or a file cannot be read.
+    pub(crate) async fn open(address: &str, args: &RemoteArgs) -> Result<Self, Error> {
+        let url = match address.contains("://") || address.starts_with("unix:") {
+            true => address.to_owned(),
+            false => format!("http://{address}"),
+        };
+        let mut endpoint = Endpoint::from_shared(url.clone())?
+            .initial_stream_window_size(WINDOW_BYTES)
+            .initial_connection_window_size(WINDOW_BYTES)
+            .tcp_nodelay(true);
+        if url.starts_with("https://") {
+            endpoint = endpoint.tls_config(args.tls()?)?;
+        }
+        let channel = endpoint.connect().await;
+        let channel = channel.map_err(|e| format!("no server at {address}: {}", root_cause(&e)))?;
+        Ok(Self(InterceptedService::new(channel, args.token()?)))
+    }
+
+    /// Queries on this connection.
+    pub(crate) fn contacts(&self) -> ContactServiceClient<InterceptedService<Channel, Token>> {
+        ContactServiceClient::new(self.0.clone())
+            .max_decoding_message_size(MAX_MESSAGE_BYTES)
+            .max_encoding_message_size(MAX_MESSAGE_BYTES)
+    }
+
+    /// Registrations on this connection.
+    pub(crate) fn hulls(&self) -> HullServiceClient<InterceptedService<Channel, Token>> {
+        HullServiceClient::new(self.0.clone())
+            .max_decoding_message_size(MAX_MESSAGE_BYTES)
+            .max_encoding_message_size(MAX_MESSAGE_BYTES)
+    }
+}
+
+impl RemoteArgs {
+    fn tls(&self) -> Result<ClientTlsConfig, Error> {
+        let mut tls = match &self.tls_ca {
+            Some(path) => ClientTlsConfig::new().ca_certificate(Certificate::from_pem(read(path)?)),
+            None => ClientTlsConfig::new().with_native_roots(),
+        };
+        if let (Some(certificate), Some(key)) = (&self.tls_certificate, &self.tls_key) {
+            tls = tls.identity(Identity::from_pem(read(certificate)?, read(key)?));
+        }
+        Ok(tls)
+    }
+
+    fn token(&self) -> Result<Token, Error> {
+        let Some(path) = &self.token_file else { return Ok(Token(None)) };
+        let text = String::from_utf8(read(path)?)?;
+        let token = text.lines().next().unwrap_or_default().trim();
+        Ok(Token(Some(format!("Bearer {token}").parse()?)))
+    }
+}
+
+fn read(path: &PathBuf) -> Result<Vec<u8>, Error> {
+    Ok(std::fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?)
+}
+
+/// Sent with every call, if there is one.
+#[derive(Clone, Debug)]
+pub(crate) struct Token(Option<MetadataValue<Ascii>>);
+
+impl Interceptor for Token {
+    fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
+        if let Token(Some(token)) = self {
+            request.metadata_mut().insert("authorization", token.clone());
+        }
+        Ok(request)
+    }
+}
+
+/// Tonic's words for its own failures say less than their cause does.
+pub(crate) fn root_cause(error: &(dyn StdError + 'static)) -> String {
+    let mut cause = error;
+    while let Some(next) = cause.source() {
+        cause = next;
+    }
+    cause.to_string()
+}

@@ -1,0 +1,157 @@
+//! One connection, from its first byte to its end.
+
+use std::{
+    io,
+    pin::{Pin, pin},
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    task::{Context, Poll},
+    time::Duration,
+};
+
+use hyper::server::conn::http2;
+use hyper_util::{
+    rt::{TokioExecutor, TokioIo, TokioTimer},
+    service::TowerToHyperService,
+};
+use tokio::{
+    io::{AsyncRead, AsyncWrite, ReadBuf},
+    sync::watch,
+    time::{sleep, timeout},
+};
+use tonic::service::Routes;
+
+use super::{
+    Limits, Serving,
+    edge::{Closing, Edge},
+    listener::Connection,
+};
+
+/// HTTP/2 settings that measurably matter for batches; the defaults are sized for pages.
+const FRAME_BYTES: u32 = 1 << 20;
+const WINDOW_BYTES: u32 = 8 << 20;
+
+/// A peer that does not answer a ping for this long is gone.
+const KEEP_ALIVE: Duration = Duration::from_secs(60);
+
+/// By then a peer has spoken TLS, and again by then HTTP/2's preface: some round trips.
+const GREETING: Duration = Duration::from_secs(10);
+
+/// HTTP/2's preface and the head of the frame behind it.
+const GREETING_BYTES: u64 = 24 + 9;
+
+/// What connections have in common.
+#[derive(Debug)]
+pub(super) struct Connections {
+    routes: Routes,
+    serving: Serving,
+    http: http2::Builder<TokioExecutor>,
+}
+
+impl Connections {
+    pub(super) fn new(routes: Routes, limits: &Limits, serving: Serving) -> Self {
+        let mut http = http2::Builder::new(TokioExecutor::new());
+        http.timer(TokioTimer::new())
+            .adaptive_window(false)
+            .initial_stream_window_size(WINDOW_BYTES)
+            .initial_connection_window_size(WINDOW_BYTES)
+            .max_frame_size(FRAME_BYTES)
+            .max_concurrent_streams(limits.max_streams_per_connection)
+            .keep_alive_interval(KEEP_ALIVE)
+            .keep_alive_timeout(KEEP_ALIVE);
+        Self { routes, serving, http }
+    }
+
+    /// Serves `io` until the peer leaves. Once `closing` is true it is told to (GOAWAY), and
+    /// what is under way has the time of the drain.
+    pub(super) async fn serve(self: Arc<Self>, io: Connection, mut closing: Closing) {
+        let io = match self.encrypted(io).await {
+            Ok(io) => io,
+            Err(error) => return tracing::debug!(%error, "no TLS connection"),
+        };
+        let (close, closed) = watch::channel(false);
+        let read = Arc::new(AtomicU64::new(0));
+        let edge = Edge::new(self.routes.clone(), self.serving.security.clone(), Closing(closed));
+        let io = TokioIo::new(Counted { io, read: read.clone() });
+        let mut connection = pin!(self.http.serve_connection(io, TowerToHyperService::new(edge)));
+        tokio::select! {
+            ended = connection.as_mut() => return report(ended),
+            () = silence(&read) => return tracing::debug!("no HTTP/2 from a peer"),
+            () = closing.heard() => {}
+        }
+        close.send_replace(true);
+        connection.as_mut().graceful_shutdown();
+        match timeout(self.serving.drain, connection).await {
+            Ok(ended) => report(ended),
+            Err(_) => tracing::warn!("closing a connection that did not drain"),
+        }
+    }
+
+    async fn encrypted(&self, io: Connection) -> io::Result<Connection> {
+        match self.serving.security.tls_config() {
+            None => Ok(io),
+            Some(config) => timeout(GREETING, io.encrypted(config)).await?,
+        }
+    }
+}
+
+fn report(ended: hyper::Result<()>) {
+    if let Err(error) = ended {
+        tracing::debug!(%error, "connection ended");
+    }
+}
+
+/// Completes when a peer had time to greet and has not.
+async fn silence(read: &AtomicU64) {
+    sleep(GREETING).await;
+    if read.load(Ordering::Relaxed) >= GREETING_BYTES {
+        std::future::pending().await
+    }
+}
+
+/// Counts the bytes that were read.
+struct Counted {
+    io: Connection,
+    read: Arc<AtomicU64>,
+}
+
+impl AsyncRead for Counted {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        let before = buffer.filled().len();
+        let result = Pin::new(&mut self.io).poll_read(cx, buffer);
+        self.read.fetch_add((buffer.filled().len() - before) as u64, Ordering::Relaxed);
+        result
+    }
+}
+
+impl AsyncWrite for Counted {
+    fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.io).poll_write(cx, bytes)
+    }
+
+    fn poll_write_vectored(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        slices: &[io::IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.io).poll_write_vectored(cx, slices)
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        self.io.is_write_vectored()
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.io).poll_flush(cx)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.io).poll_shutdown(cx)
+    }
+}
