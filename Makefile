@@ -106,6 +106,10 @@ bench-python: build $(VENV)/.bench ## the Python client's own cost, and coal and
 	{ ./scripts/provenance; echo "load $$(cut -d' ' -f1 /proc/loadavg) before"; $(PY) client/examples/overhead.py; } | tee /dev/stderr | $(SECTION) python-overhead)
 	{ ./scripts/provenance; echo "load $$(cut -d' ' -f1 /proc/loadavg) before"; $(PY) client/examples/peers.py; } | tee /dev/stderr | $(SECTION) python-peers)
 
+.PHONY: bench-find
+bench-find: build $(VENV)/.test ## what finding the pairs costs, to 100,000 bodies and 10,000 worlds; writes docs/find.md and its picture
+	$(PY) client/examples/find.py --docs docs
+
 .PHONY: bench-service
 bench-service: check-tools build ## the server beside an echo of the same bytes; writes docs/performance.md
 	cd benches && $(CARGO) run --release --locked --features service --bin transport

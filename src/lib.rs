@@ -14,6 +14,8 @@
 #![warn(unreachable_pub)]
 
 #[cfg(feature = "server")]
+pub mod broad_phase;
+#[cfg(feature = "server")]
 pub mod compute;
 pub mod contact;
 #[cfg(feature = "server")]

@@ -55,8 +55,8 @@ def test_errors_are_the_blocking_clients(client):
         assert (refused.value.reason, refused.value.field) == ("VALUE_OUT_OF_RANGE", "margin")
         with pytest.raises(hullcast.InvalidArgument):
             await other.query(scene, [[0, 300]])
-        with pytest.raises(hullcast.Unimplemented):
-            await other.find(scene)
+        with pytest.raises(hullcast.InvalidArgument):
+            await other.find(scene, margin=float("inf"))
         with pytest.raises(hullcast.DeadlineExceeded):
             await other.query(scene, pairs, timeout=1e-4)
         assert len(await other.query(scene, pairs[:10])) == 10

@@ -301,12 +301,10 @@ def test_what_the_server_refuses_is_named(client, options, error, reason, field)
 
 
 def test_what_is_not_there_yet_says_so(client):
-    """find and simplification are of a later version of the server."""
+    """Simplification is of a later version of the server."""
     with pytest.raises(hullcast.Unimplemented) as caught:
-        client.find(crowd(client, 4), margin=0.1)
-    assert isinstance(caught.value, NotImplementedError)
-    with pytest.raises(hullcast.Unimplemented):
         client.register([CUBE], max_vertices=4)
+    assert isinstance(caught.value, NotImplementedError)
 
 
 def test_a_timeout_is_an_exception_of_its_own(client):

@@ -12,6 +12,7 @@
 //! answer from the hulls alone.
 
 mod body;
+mod bounds;
 pub mod certificate;
 mod distance;
 pub(crate) mod exact;
@@ -30,6 +31,7 @@ mod tolerance;
 use glam::DVec3;
 
 pub use body::{Body, InvalidPose, Pose};
+pub use bounds::Bounds;
 pub use hull::{ConvexHull, HullError, HullErrorKind, HullOptions};
 pub use manifold::{Basis, ContactPoint, Element, Feature, Flags, Manifold, Outcome};
 pub use query::{Accuracy, Query, Solver, Wanted};

@@ -36,6 +36,12 @@ pub(crate) const TURN: f64 = 16.0 * U;
 /// of `U * M` is [`NOISE`].
 pub(crate) const BAND: f64 = 64.0;
 
+/// Share of `U * (R + |c| + margin)` of one body by which its bounds are wider than it and
+/// half the margin: its half of the rounding band around the margin, where `|d|` is at most
+/// `R + margin` and `M` at most that and both `|c|` (144 and 48 shares of the pair's), and
+/// the rounding of its own vertices, twice over.
+pub(crate) const REACH: f64 = 512.0;
+
 /// Cosines of face normals, and sines of edges, within this share of `U` tie.
 pub(crate) const TIE: f64 = 8.0;
 

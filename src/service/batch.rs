@@ -20,7 +20,7 @@ use super::{
 };
 use crate::{
     compute::{Compute, Panicked, Parts, caught},
-    contact::{Basis, Body, ConvexHull, Workspace, contact_manifold},
+    contact::{Basis, Body, ConvexHull, Outcome, Workspace, contact_manifold},
     store::Missing,
 };
 
@@ -41,13 +41,18 @@ const SPARE_BYTES: usize = 64 << 10;
 /// When a server with too much to do asks to be asked again.
 const BUSY_RETRY: Duration = Duration::from_millis(20);
 
+/// A scene's hulls, pinned for as long as they are used.
+pub type Hulls = Vec<Result<Arc<ConvexHull>, Missing>>;
+
 /// A batch, ready to compute: checked, its hulls at hand.
 #[derive(Debug)]
 pub struct Batch {
-    /// Pinned for as long as the batch lives.
-    hulls: Vec<Result<Arc<ConvexHull>, Missing>>,
+    hulls: Arc<Hulls>,
     setting: Arc<Setting>,
-    poses: Poses,
+    poses: Arc<Poses>,
+    /// Pairs in place of the setting's, of which those that are SEPARATED are left out of
+    /// the answer.
+    candidates: Option<Vec<u32>>,
     /// Empty, or 6 per pair: registered indices of vertices, unchecked.
     warm_starts: Vec<u32>,
     /// What is kept of the answers: all that is sent, and perhaps bases.
@@ -56,10 +61,26 @@ pub struct Batch {
 
 impl Batch {
     /// A scene with its hulls at hand, and the indices of its bodies that are unusable.
-    pub fn new(scene: Scene, hulls: Vec<Result<Arc<ConvexHull>, Missing>>) -> (Self, Vec<u32>) {
+    pub fn new(scene: Scene, hulls: Hulls) -> (Self, Vec<u32>) {
         let Scene { setting, poses, warm_starts, invalid_bodies, .. } = scene;
         let kept = setting.outputs;
-        (Self { hulls, setting, poses, warm_starts, kept }, invalid_bodies)
+        let (hulls, poses) = (Arc::new(hulls), Arc::new(poses));
+        (Self { hulls, setting, poses, candidates: None, warm_starts, kept }, invalid_bodies)
+    }
+
+    /// Pairs that may meet, 2 indices each: the answer has those that are not SEPARATED.
+    pub fn of_candidates(
+        hulls: Arc<Hulls>,
+        setting: Arc<Setting>,
+        poses: Arc<Poses>,
+        candidates: Vec<u32>,
+    ) -> Self {
+        let kept = setting.outputs;
+        Self { hulls, setting, poses, candidates: Some(candidates), warm_starts: Vec::new(), kept }
+    }
+
+    fn pairs(&self) -> &[u32] {
+        self.candidates.as_deref().unwrap_or(&self.setting.pairs)
     }
 
     /// Its columns have the bases, whether they are sent or not.
@@ -105,11 +126,32 @@ impl Engine {
         if least > self.max_answer_bytes {
             return Err(too_large(self.max_answer_bytes));
         }
-        let weight = u32::try_from(pairs.max(1)).unwrap_or(u32::MAX);
-        let place = self.in_flight.clone().try_acquire_many_owned(weight);
+        self.place(pairs)
+    }
+
+    /// A place for so many pairs, whatever their answers' size.
+    ///
+    /// # Errors
+    /// TOO_BUSY.
+    pub fn place(&self, pairs: usize) -> Result<Admission, ServiceError> {
+        let place = self.in_flight.clone().try_acquire_many_owned(weight(pairs));
         place.map(Admission).map_err(|_| {
             ServiceError::unavailable("TOO_BUSY", BUSY_RETRY, "too many pairs are being computed; ask again")
         })
+    }
+
+    /// The same for the later parts of a call: waits until there is one.
+    ///
+    /// # Errors
+    /// INTERNAL.
+    pub async fn next_place(&self, pairs: usize) -> Result<Admission, ServiceError> {
+        let place = self.in_flight.clone().acquire_many_owned(weight(pairs)).await;
+        place.map(Admission).map_err(|_| ServiceError::internal("there are no places any more"))
+    }
+
+    /// The threads that compute.
+    pub fn compute_threads(&self) -> &Compute {
+        &self.compute
     }
 
     /// The columns of all pairs, in pair order. Dropping the future stops the computation.
@@ -147,6 +189,11 @@ impl Engine {
             admission: Mutex::new(Some(admission)),
         }
     }
+}
+
+/// In the semaphore; a call without pairs is work too.
+fn weight(pairs: usize) -> u32 {
+    u32::try_from(pairs.max(1)).unwrap_or(u32::MAX)
 }
 
 fn too_large(limit: usize) -> ServiceError {
@@ -229,7 +276,7 @@ impl Parts for Run {
 
 impl Run {
     fn pairs(&self) -> usize {
-        self.batch.setting.pair_count()
+        self.batch.pairs().len() / 2
     }
 
     /// Here and now; none when the answer is too large.
@@ -248,11 +295,11 @@ impl Run {
         }
         // Taken out for the time of the chunk: one that panics leaves a new one behind.
         let mut workspace = WORKSPACE.take();
+        self.pairs_computed.fetch_add(pairs.len() as u64, Ordering::Relaxed);
         for pair in pairs {
             self.batch.pair(pair, &mut workspace, &mut columns);
         }
         WORKSPACE.set(workspace);
-        self.pairs_computed.fetch_add(columns.len() as u64, Ordering::Relaxed);
         let bytes = columns.wire_bytes(self.batch.setting.outputs);
         if self.answer_bytes.fetch_add(bytes, Ordering::Relaxed) + bytes > self.max_answer_bytes {
             self.stop.store(true, Ordering::Relaxed);
@@ -265,11 +312,18 @@ impl Batch {
     /// Computes pair `pair` and adds it to `columns`.
     fn pair(&self, pair: usize, workspace: &mut Workspace, columns: &mut Columns) {
         let mut invalid = Invalid::default();
-        let [a, b] = [0, 1].map(|side| self.body(self.setting.pairs[2 * pair + side], &mut invalid));
+        let bodies = [0, 1].map(|side| self.pairs()[2 * pair + side]);
+        let [a, b] = bodies.map(|body| self.body(body, &mut invalid));
         match (a, b) {
             (Some(a), Some(b)) => {
                 let warm = self.warm_start(pair, &a, &b);
                 let manifold = contact_manifold(&a, &b, &self.setting.query, warm.as_ref(), workspace);
+                if self.candidates.is_some() {
+                    if manifold.outcome == Outcome::Separated {
+                        return;
+                    }
+                    columns.push_pair(bodies);
+                }
                 columns.push(manifold, self.kept);
             }
             _ => columns.push_invalid(invalid, self.kept),

@@ -1,6 +1,6 @@
 //! `ContactService`: batches of pairs in, contact manifolds out.
 
-use std::sync::Arc;
+use std::{future::Future, sync::Arc};
 
 use futures_util::{
     StreamExt,
@@ -14,13 +14,13 @@ use tonic::{Request, Response, Status, Streaming};
 
 use super::{
     App, ServiceError,
-    batch::Batch,
+    batch::{Batch, Hulls},
     edge::{Closing, Deadline},
+    find::Finding,
     steps::Steps,
     wire::{self, Scene},
 };
 use crate::{
-    contact::ConvexHull,
     proto::{
         QueryContactsRequest, QueryContactsResponse,
         contact_service_server::{ContactService, ContactServiceServer},
@@ -53,9 +53,15 @@ impl ContactService for Contacts {
 
     async fn find_contacts(
         &self,
-        _: Request<QueryContactsRequest>,
+        request: Request<QueryContactsRequest>,
     ) -> Result<Response<Self::FindContactsStream>, Status> {
-        Err(ServiceError::unimplemented("FindContacts", "the broad phase is not implemented yet").into())
+        let deadline = request.extensions().get::<Deadline>().copied();
+        let finding = Finding::begin(self.app.clone(), request.into_inner()).await?;
+        let answers = stream::try_unfold(finding, move |mut finding| async move {
+            let part = within(deadline, finding.next()).await?;
+            Ok(part.map(|part| (part, finding)))
+        });
+        Ok(Response::new(answers.boxed()))
     }
 
     type StreamContactsStream = BoxStream<'static, Result<QueryContactsResponse, Status>>;
@@ -72,15 +78,24 @@ impl ContactService for Contacts {
         let closing = closing.unwrap_or_else(|| Closing(watch::channel(false).1));
         let steps = Steps::new(self.app.clone(), request.into_inner(), closing);
         let answers = stream::try_unfold(steps, move |mut steps| async move {
-            let step = match deadline {
-                None => steps.next().await,
-                Some(Deadline(at)) => timeout_at(at, steps.next())
-                    .await
-                    .unwrap_or_else(|_| Err(ServiceError::deadline_exceeded().into())),
-            };
-            Ok(step?.map(|answer| (answer, steps)))
+            let step = within(deadline, steps.next()).await?;
+            Ok(step.map(|answer| (answer, steps)))
         });
         Ok(Response::new(answers.boxed()))
+    }
+}
+
+/// A part of a stream's answer, if it comes before the call's deadline.
+async fn within<T, E: Into<Status>>(
+    deadline: Option<Deadline>,
+    part: impl Future<Output = Result<T, E>>,
+) -> Result<T, Status> {
+    match deadline {
+        None => part.await.map_err(Into::into),
+        Some(Deadline(at)) => match timeout_at(at, part).await {
+            Ok(part) => part.map_err(Into::into),
+            Err(_) => Err(ServiceError::deadline_exceeded().into()),
+        },
     }
 }
 
@@ -128,13 +143,18 @@ pub(super) async fn answer(
 /// bodies that are unusable.
 async fn assemble(app: &App, scene: Scene) -> (Batch, Vec<u32>, Vec<u32>) {
     let hulls = fetch(app, &scene.setting.hull_ids).await;
-    let missing = hulls.iter().enumerate().filter(|(_, hull)| hull.is_err()).map(|(i, _)| i as u32).collect();
+    let missing = missing(&hulls);
     let (batch, invalid_bodies) = Batch::new(scene, hulls);
     (batch, missing, invalid_bodies)
 }
 
+/// The indices of those that are.
+pub(super) fn missing(hulls: &Hulls) -> Vec<u32> {
+    hulls.iter().enumerate().filter(|(_, hull)| hull.is_err()).map(|(i, _)| i as u32).collect()
+}
+
 /// The hulls, in the order of their ids: what is cached at once, the rest from the store.
-async fn fetch(app: &App, ids: &[HullId]) -> Vec<Result<Arc<ConvexHull>, Missing>> {
+pub(super) async fn fetch(app: &App, ids: &[HullId]) -> Hulls {
     let registry = app.registry();
     let cached = registry.cached(ids);
     let mut hulls: Vec<_> = cached.into_iter().map(|hull| hull.ok_or(Missing::Unknown)).collect();

@@ -150,7 +150,7 @@ impl Hulls {
     }
 }
 
-fn unreadable() -> ServiceError {
+pub(super) fn unreadable() -> ServiceError {
     ServiceError::unavailable("STORE_UNAVAILABLE", STORE_RETRY, "the store could not be read")
 }
 

@@ -1,7 +1,7 @@
 //! The gRPC services. The request's way is wire -> handlers -> batch -> wire.
 //!
-//! [`wire`] checks requests and writes responses, [`contacts`] with [`steps`],
-//! [`hulls`] and [`info`] are the handlers, [`batch`] computes. [`server`] runs it all on
+//! [`wire`] checks requests and writes responses, [`contacts`] with [`find`] and
+//! [`steps`], [`hulls`] and [`info`] are the handlers, [`batch`] computes. [`server`] runs it all on
 //! [`listener`]s, each [`connection`] behind an [`edge`], which holds for every call and
 //! asks [`security`] who may make it.
 
@@ -10,6 +10,7 @@ mod connection;
 mod contacts;
 mod edge;
 mod error;
+mod find;
 mod hulls;
 mod info;
 mod limits;

@@ -5,6 +5,7 @@ mod answers;
 mod contract;
 mod durability;
 mod errors;
+mod find;
 mod hulls;
 mod lifecycle;
 mod limits;

@@ -2,7 +2,6 @@
 
 use std::time::Duration;
 
-use bytes::Bytes;
 use hullcast::proto::QueryContactsRequest;
 use prost::Message;
 
@@ -42,21 +41,39 @@ async fn settled(server: &TestServer) -> u64 {
     before
 }
 
+/// As many pairs and more, of bodies that all meet.
+fn long_to_find() -> QueryContactsRequest {
+    QueryContactsRequest { pairs: vec![], margin: 10.0, ..long() }
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Call {
+    Query,
+    Stream,
+    Find,
+}
+
 /// Catches computation that outlives its call: a client that goes away after the first
 /// chunks leaves most of the pairs uncomputed, and its place among those in flight free.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_cancelled_call_stops_computing() {
     let server = server().await;
-    for streamed in [false, true] {
+    for kind in [Call::Query, Call::Stream, Call::Find] {
         let before = server.app.engine().pairs_computed();
         let mut contacts = server.contacts();
         let call = tokio::spawn(async move {
-            if streamed {
-                let requests = futures_util::stream::iter([long()]);
-                let mut answers = contacts.stream_contacts(requests).await.unwrap().into_inner();
-                answers.message().await.map(|_| ())
-            } else {
-                contacts.query_contacts(long()).await.map(|_| ())
+            match kind {
+                Call::Query => contacts.query_contacts(long()).await.map(|_| ()),
+                Call::Stream => {
+                    let requests = futures_util::stream::iter([long()]);
+                    let mut answers = contacts.stream_contacts(requests).await.unwrap().into_inner();
+                    answers.message().await.map(|_| ())
+                }
+                Call::Find => {
+                    let mut answers = contacts.find_contacts(long_to_find()).await.unwrap().into_inner();
+                    while answers.message().await?.is_some() {}
+                    Ok(())
+                }
             }
         });
         while server.app.engine().pairs_computed() == before {
@@ -65,7 +82,7 @@ async fn a_cancelled_call_stops_computing() {
         call.abort();
         assert!(call.await.unwrap_err().is_cancelled());
         let computed = settled(&server).await - before;
-        assert!(computed > 0 && computed < PAIRS as u64, "{computed} of {PAIRS}");
+        assert!(computed > 0 && computed < PAIRS as u64, "{kind:?}: {computed} of {PAIRS}");
         let limit = server.app.limits().max_pairs_in_flight as usize;
         let nothing = hullcast::service::Outputs::OUTCOME;
         drop(server.app.engine().admit(limit, nothing).expect("every place is free again"));
@@ -76,8 +93,9 @@ async fn a_cancelled_call_stops_computing() {
 #[tokio::test(flavor = "multi_thread")]
 async fn an_expired_call_stops_computing() {
     let server = server().await;
-    let body: Bytes = frame(false, &long().encode_to_vec());
-    for path in ["QueryContacts", "StreamContacts"] {
+    let [long, to_find] = [long(), long_to_find()].map(|request| frame(false, &request.encode_to_vec()));
+    let calls = [("QueryContacts", &long), ("StreamContacts", &long), ("FindContacts", &to_find)];
+    for (path, body) in calls {
         let before = server.app.engine().pairs_computed();
         let path = format!("/hullcast.v1.ContactService/{path}");
         let timeout = [("grpc-timeout", "30m")];

@@ -117,7 +117,12 @@ class Client(_calls.Calls):
     ) -> Manifolds:
         """The contact manifolds of all pairs within the margin; the server finds them.
 
-        The arguments are those of `query`; the pairs found are `.pairs`, sorted.
+        Those are the pairs that `query` would not answer SEPARATED, of all that the
+        scene's worlds and groups let meet: `.pairs`, the lower body first, sorted.
+        Bodies with an unusable pose or a hull that the server does not have are in no
+        pair: `.invalid_bodies` and `.missing_hulls` name them.
+
+        The arguments are those of `query`; the margin is finite.
         """
 
         make = partial(Query, scene, None, margin=margin, accuracy=accuracy, outputs=outputs)

@@ -229,6 +229,21 @@ def test_real_robots_are_where_yourdfpy_puts_them(urdf):
 
 
 @real
+def test_found_among_its_pairs(client, small):
+    """A scene of the robot tells `find` which bodies may meet, and keeps copies apart."""
+    robot = hullcast.Robot(small, decompose=False)
+    with pytest.warns(hullcast.NotConvexWarning):
+        hulls = client.register(robot.shapes)
+    values = np.random.default_rng(81).uniform(-1, 1, (40, 3))
+    scene = robot.scene(hulls, values)
+    pairs = np.concatenate([robot.pairs + i * len(robot) for i in range(40)])
+    asked = client.query(scene, pairs, margin=3.5)
+    near = np.sort(asked.pairs[asked.outcome != Outcome.SEPARATED], axis=1)
+    found = client.find(scene, margin=3.5)
+    assert found.pairs.tolist() == sorted(near.tolist())
+    assert 10 < len(found) < len(pairs)
+
+
 def test_five_lines_to_a_pandas_contacts(client):
     """Its fingers closed to 0, and the forearm against the hand; copies in worlds of their own."""
     robot = hullcast.Robot(PANDA)

@@ -45,6 +45,7 @@ macro_rules! columns {
 }
 
 columns! {
+    pairs: u32,
     outcomes: u8,
     flags: u8,
     alphas: f64,
@@ -120,6 +121,11 @@ impl Columns {
             counts[outcome as usize - 1] += 1;
         }
         counts
+    }
+
+    /// The bodies of the pair that is added next, where the request did not name them.
+    pub fn push_pair(&mut self, bodies: [u32; 2]) {
+        self.pairs.extend_from_slice(&bodies);
     }
 
     /// Adds a pair's answer.
@@ -267,7 +273,7 @@ pub fn response(
         feature_indices: columns.feature_indices,
         point_ids: columns.point_ids,
         bases: columns.bases,
-        pairs: Vec::new(),
+        pairs: columns.pairs,
         missing_hulls,
         invalid_bodies,
         iterations: columns.iterations,

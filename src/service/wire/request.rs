@@ -159,7 +159,12 @@ pub(super) fn at_most(
     Err(ServiceError::invalid(reason, field, format!("{count} entries, the limit is {limit}")))
 }
 
-fn has_length(found: usize, expected: usize, field: &'static str, rule: &str) -> Result<(), ServiceError> {
+pub(super) fn has_length(
+    found: usize,
+    expected: usize,
+    field: &'static str,
+    rule: &str,
+) -> Result<(), ServiceError> {
     if found == expected {
         return Ok(());
     }
@@ -215,7 +220,7 @@ fn margin(margin: f64) -> Result<f64, ServiceError> {
     Err(out_of_range("margin", margin, "at least 0"))
 }
 
-fn out_of_range(field: &'static str, value: f64, rule: &str) -> ServiceError {
+pub(super) fn out_of_range(field: &'static str, value: f64, rule: &str) -> ServiceError {
     ServiceError::invalid("VALUE_OUT_OF_RANGE", field, format!("{value}, must be {rule}"))
 }
 
