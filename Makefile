@@ -118,6 +118,14 @@ bench-service: check-tools build ## the server beside an echo of the same bytes;
 stubs: $(VENV)/.test ## the Python protobuf modules again, after a change of proto/
 	PY=$(PY) ./scripts/stubs
 
+.PHONY: protocol
+protocol: $(VENV)/.test ## docs/protocol.md again, after a change of the comments of proto/
+	$(PY) scripts/protocol-docs
+
+.PHONY: test-languages
+test-languages: build $(VENV)/.test ## clients in Go, TypeScript, Java and C++ against the real server, where their tools are
+	$(PY) scripts/test-languages $(LANGUAGES)
+
 # The full workload is 12,000 pairs with exact answers; a subset is in tests/golden.
 .PHONY: workload
 workload: check-tools ## WORKLOAD=file: every pair of a workload file against its exact answer

@@ -1,0 +1,40 @@
+package hullcast.conformance;
+
+import com.google.gson.Gson;
+import com.google.gson.annotations.SerializedName;
+import java.io.IOException;
+import java.nio.file.Files;
+import java.nio.file.Path;
+import java.util.List;
+
+/** The files that every language reads. */
+final class Golden {
+  /** One of docs/identity.md. */
+  record IdentityVector(
+      String name,
+      double[] vertices,
+      @SerializedName("contraction_point") double[] contractionPoint,
+      String id,
+      String bytes) {
+    Hull hull() {
+      return new Hull(vertices, contractionPoint == null ? new double[0] : contractionPoint);
+    }
+  }
+
+  private record Cases(String format, List<Case> cases) {}
+
+  private Golden() {}
+
+  static List<Case> cases(Path root) throws IOException {
+    String text = Files.readString(root.resolve("tests/golden/contacts.json"));
+    Cases file = new Gson().fromJson(text, Cases.class);
+    Checks.expect(file.format.equals("hullcast.golden.v1"), "format %s", file.format);
+    return file.cases;
+  }
+
+  static List<IdentityVector> identityVectors(Path root) throws IOException {
+    String page = Files.readString(root.resolve("docs/identity.md"));
+    String block = page.split("```json\n", 2)[1].split("```", 2)[0];
+    return List.of(new Gson().fromJson(block, IdentityVector[].class));
+  }
+}

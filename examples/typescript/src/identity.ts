@@ -1,0 +1,29 @@
+import { createHash } from "node:crypto";
+
+/** A cloud of points to register, three numbers a point, in the hull's own frame. */
+export interface Hull {
+  vertices: number[];
+  /** Absent: the centre of mass; else three numbers. */
+  contractionPoint?: number[];
+}
+
+/** The byte string of docs/identity.md. */
+export function identityBytes(hull: Hull): Buffer {
+  const { vertices, contractionPoint: point } = hull;
+  const bytes = Buffer.alloc(18 + 8 * ((point?.length ?? 0) + vertices.length));
+  let at = bytes.write("hullcast", "ascii");
+  at = bytes.writeUInt32LE(1, at); // the format's version
+  // -0.0 is written as 0.0.
+  const numbers = (values: number[]) => values.forEach((value) => (at = bytes.writeDoubleLE(value + 0, at)));
+  at = bytes.writeUInt8(point ? 1 : 0, at);
+  numbers(point ?? []);
+  at = bytes.writeUInt8(0, at); // no simplification
+  at = bytes.writeUInt32LE(vertices.length / 3, at);
+  numbers(vertices);
+  return bytes;
+}
+
+/** Names the hull on every server. */
+export function hullId(hull: Hull): Buffer {
+  return createHash("sha256").update(identityBytes(hull)).digest();
+}

@@ -1,0 +1,21 @@
+// Holds a server, and this language's generated code, against the golden cases and the
+// documented errors. Prints what it counted.
+//
+//   node out/main.js ROOT TARGET [SECURE_TARGET AUTHORITY_PEM REGISTER_TOKEN QUERY_TOKEN]
+import assert from "node:assert/strict";
+
+import { answers, deadlines, errors, identities, secured, steps } from "./checks.js";
+import { Client } from "./client.js";
+import { readCases } from "./golden.js";
+
+const [root, target, ...secure] = process.argv.slice(2);
+assert.ok(root && target, "main.js ROOT TARGET [SECURE_TARGET AUTHORITY_PEM REGISTER_TOKEN QUERY_TOKEN]");
+const cases = readCases(root);
+const client = new Client(target);
+console.log("identities", identities(root));
+console.log("answers", await answers(client, cases));
+console.log("errors", await errors(client, cases[0]!));
+console.log("steps", await steps(client, cases[0]!));
+console.log("deadlines", await deadlines(client, cases[0]!));
+console.log("secured", await secured(secure, cases[0]!));
+client.close();
