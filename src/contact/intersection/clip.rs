@@ -39,6 +39,31 @@ enum Line {
     Window(u32),
 }
 
+/// Vertices one after another around a polygon.
+struct Run {
+    first: usize,
+    count: usize,
+}
+
+impl Run {
+    /// Those whose distance is no less than `least`, where they are one run, but
+    /// neither all nor none.
+    fn of(distances: &[f64], least: f64) -> Option<Self> {
+        let (mut first, mut count, mut starts) = (0, 0, 0);
+        let mut before = *distances.last()? >= least;
+        for (i, &distance) in distances.iter().enumerate() {
+            // Without branches: which vertices they are is anyone's guess.
+            let inside = distance >= least;
+            let starts_here = inside & !before;
+            first = if starts_here { i } else { first };
+            starts += usize::from(starts_here);
+            count += usize::from(inside);
+            before = inside;
+        }
+        (starts == 1).then_some(Self { first, count })
+    }
+}
+
 /// Buffers, and the vertices kept.
 #[derive(Debug, Default)]
 pub(super) struct Clip {
@@ -66,22 +91,60 @@ impl Clip {
 
     /// Cuts by side `j` of the window; whether a vertex is within `eps` of it.
     fn cut(&mut self, window: &Outline, j: u32, eps: f64) -> bool {
-        let Self { kept, next, distances } = self;
+        let Self { kept, distances, .. } = self;
         let side = window.sides[j as usize];
         distances.clear();
-        let mut least = f64::INFINITY;
+        let (mut least, mut on_line) = (f64::INFINITY, false);
         distances.extend(kept.iter().map(|v| {
             let distance = side.distance(v.at);
             // A side of no length (NaN) bounds nothing: it is never the smaller.
             least = if distance < least { distance } else { least };
+            on_line |= distance.abs() <= eps;
             distance
         }));
         if least >= -eps {
-            return least <= eps;
+            return on_line;
         }
+        if kept.len() > 2
+            && let Some(inside) = Run::of(distances, -eps)
+        {
+            self.keep_run(window, &inside, j, eps);
+        } else {
+            self.keep_each(window, j, eps);
+        }
+        std::mem::swap(&mut self.kept, &mut self.next);
+        on_line
+    }
+
+    /// Of a polygon that leaves the window across side `j` once, and comes back once.
+    fn keep_run(&mut self, window: &Outline, inside: &Run, j: u32, eps: f64) {
+        let Self { kept, next, distances } = self;
+        next.clear();
+        let unwrapped = inside.count.min(kept.len() - inside.first);
+        next.extend_from_slice(&kept[inside.first..][..unwrapped]);
+        next.extend_from_slice(&kept[..inside.count - unwrapped]);
+        let wrapped = |i: usize| if i >= kept.len() { i - kept.len() } else { i };
+        let leaves = [inside.count - 1, inside.count].map(|i| wrapped(inside.first + i));
+        let enters = [wrapped(inside.first + kept.len() - 1), inside.first];
+        let crossing = |[p, q]: [usize; 2]| {
+            let share = distances[p] / (distances[p] - distances[q]);
+            crossing(window, &kept[p], &kept[q], share, j)
+        };
+        if distances[leaves[0]] > eps {
+            next.push(crossing(leaves));
+        }
+        let last = next.len() - 1;
+        next[last].line = Line::Window(j);
+        if distances[inside.first] > eps {
+            next.push(crossing(enters));
+        }
+    }
+
+    /// Of a segment, or of a polygon that rounding makes leave more than once.
+    fn keep_each(&mut self, window: &Outline, j: u32, eps: f64) {
+        let Self { kept, next, distances } = self;
         next.clear();
         let closed = kept.len() > 2;
-        let mut on_line = false;
         for (i, (&p, &from)) in kept.iter().zip(distances.iter()).enumerate() {
             let last = i + 1 == kept.len();
             let following = if last { 0 } else { i + 1 };
@@ -89,7 +152,6 @@ impl Clip {
             let goes_on = closed || !last;
             let leaves = to < -eps && goes_on;
             if from >= -eps {
-                on_line |= from <= eps;
                 next.push(if leaves && from <= eps { Vertex { line: Line::Window(j), ..p } } else { p });
             }
             if leaves && from > eps {
@@ -99,8 +161,6 @@ impl Clip {
                 next.push(crossing(window, &p, &kept[following], from / (from - to), j));
             }
         }
-        std::mem::swap(kept, next);
-        on_line
     }
 
     /// Cuts what is more than `eps` beyond a sharp corner, across the corner.
