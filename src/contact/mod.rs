@@ -182,12 +182,17 @@ impl Steps {
     fn lift_points(&mut self, pair: &Pair<'_>, accuracy: &Accuracy) {
         let found = &mut self.intersection;
         let rounding = pair.rounding_band();
-        self.manifold.flags.reduced =
-            reduce::reduce(&mut found.points, accuracy.max_points as usize, rounding, &mut self.kept);
+        let most = accuracy.max_points as usize;
+        if most != 0 && found.points.len() > most {
+            found.points.rotate_left(std::mem::take(&mut found.first));
+            reduce::reduce(&mut found.points, most, rounding, &mut self.kept);
+            self.manifold.flags.reduced = true;
+        }
         self.manifold.flags.estimated = found.estimated;
         let [e1, e2, n] = found.axes().map(|axis| pair.offset_to_world(axis));
         let (translation, center) = (pair.translation_a, pair.center_offset_a());
-        self.manifold.points.extend(found.points.iter().map(|p| ContactPoint {
+        let (last, first) = found.points.split_at(found.first);
+        self.manifold.points.extend(first.iter().chain(last).map(|p| ContactPoint {
             witness_a: translation + (center + (e1 * p.at.x + e2 * p.at.y + n * p.height_a)),
             distance: (p.height_b - p.height_a) * pair.unit,
             id: p.id,

@@ -2,14 +2,11 @@
 
 use super::intersection::PlanePoint;
 
-/// Keeps `max` of the points, in their order: the deepest (within `rounding` of
+/// Keeps `max` of more points, in their order: the deepest (within `rounding` of
 /// it the lowest id), then, one at a time, the one that adds most area to the
 /// polygon of those kept; the second is the one farthest from the first.
-/// `kept` is a buffer. Whether anything was dropped.
-pub(crate) fn reduce(points: &mut Vec<PlanePoint>, max: usize, rounding: f64, kept: &mut Vec<usize>) -> bool {
-    if max == 0 || points.len() <= max {
-        return false;
-    }
+/// `kept` is a buffer.
+pub(crate) fn reduce(points: &mut Vec<PlanePoint>, max: usize, rounding: f64, kept: &mut Vec<usize>) {
     let depth = |p: &PlanePoint| p.height_b - p.height_a;
     let deepest = points.iter().map(depth).fold(f64::INFINITY, f64::min);
     let first = (0..points.len())
@@ -30,7 +27,6 @@ pub(crate) fn reduce(points: &mut Vec<PlanePoint>, max: usize, rounding: f64, ke
     }
     let mut index = 0..;
     points.retain(|_| index.next().is_some_and(|i| kept.contains(&i)));
-    true
 }
 
 /// Doubled area that point `i` adds to the polygon of the kept points, all on

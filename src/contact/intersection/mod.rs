@@ -38,8 +38,10 @@ pub(crate) struct Intersection {
     b: Outline,
     clip: clip::Clip,
     nearest: Vec<closest::Near>,
-    /// Anticlockwise about the normal, from the lowest id.
+    /// Anticlockwise about the normal.
     pub(crate) points: Vec<PlanePoint>,
+    /// Which of them has the lowest id: answers begin there.
+    pub(crate) first: usize,
     /// The projections miss each other; the one point is an estimate.
     pub(crate) estimated: bool,
     /// How far below their planes the corners of both features may lie; pair units.
@@ -71,7 +73,7 @@ impl Intersection {
 
         let eps = pair.merge_distance();
         self.points.clear();
-        overlap::find(&self.a, &self.b, eps, &mut self.clip, &mut self.points);
+        self.first = overlap::find(&self.a, &self.b, eps, &mut self.clip, &mut self.points);
         self.estimated = self.points.is_empty();
         if self.estimated {
             self.points.push(closest::estimate(&self.a, &self.b, eps, &mut self.nearest));

@@ -8,10 +8,16 @@ use super::clip::{Clip, Made, Vertex};
 use super::outline::{Outline, height_on};
 use crate::contact::manifold::Element;
 
-/// Appends the vertices of the intersection, anticlockwise from the lowest id;
-/// none where the projections miss each other by more than `eps`. What others are
-/// measured against has its sides: B's polygon, else A's, else both.
-pub(super) fn find(a: &Outline, b: &Outline, eps: f64, clip: &mut Clip, points: &mut Vec<PlanePoint>) {
+/// Appends the vertices of the intersection, anticlockwise, and returns which has
+/// the lowest id; none where the projections miss each other by more than `eps`.
+/// What others are measured against has its sides: B's polygon, else A's, else both.
+pub(super) fn find(
+    a: &Outline,
+    b: &Outline,
+    eps: f64,
+    clip: &mut Clip,
+    points: &mut Vec<PlanePoint>,
+) -> usize {
     if b.corners.len() > 2 {
         clip.clip(a, b, eps);
         points.extend(clip.kept.iter().map(|v| {
@@ -31,8 +37,7 @@ pub(super) fn find(a: &Outline, b: &Outline, eps: f64, clip: &mut Clip, points: 
         merge(points, eps);
         straighten(points, eps);
     }
-    let first = lowest(points);
-    points.rotate_left(first);
+    lowest(points)
 }
 
 /// Where the lowest id is. Without branches: where is anyone's guess.
