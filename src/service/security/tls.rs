@@ -1,4 +1,4 @@
-//! TLS by rustls on aws-lc, the one provider in the tree.
+//! TLS by rustls on ring, the one provider in the tree.
 
 use std::{
     path::{Path, PathBuf},
@@ -7,7 +7,7 @@ use std::{
 
 use tokio_rustls::rustls::{
     RootCertStore, ServerConfig,
-    crypto::aws_lc_rs,
+    crypto::ring,
     pki_types::{CertificateDer, PrivateKeyDer, pem::PemObject},
     server::WebPkiClientVerifier,
 };
@@ -53,7 +53,7 @@ fn config(contents: &[(&Path, Vec<u8>)]) -> Result<Arc<ServerConfig>, LoadError>
     let [(chain_path, chain), (key_path, key), authorities @ ..] = contents else {
         return Err(LoadError::new(Path::new("tls"), "certificate and key are needed"));
     };
-    let provider = Arc::new(aws_lc_rs::default_provider());
+    let provider = Arc::new(ring::default_provider());
     let builder = ServerConfig::builder_with_provider(provider.clone())
         .with_safe_default_protocol_versions()
         .map_err(|error| LoadError::new(chain_path, error))?;
