@@ -233,7 +233,7 @@ fn reduction_keeps_the_deepest_and_the_largest() {
     let rotation = [f64::sin(tilt / 2.0), 0.0, 0.0, f64::cos(tilt / 2.0)];
     let (body_a, body_b) = (at(&a, [0.0; 3], IDENTITY), at(&b, [0.05, 0.02, 0.99], rotation));
     let whole = solve(&body_a, &body_b, &everything(Solver::Portal));
-    assert!(whole.points.len() > 12 && !whole.flags.reduced);
+    assert!(whole.points.len() > 12 && !whole.flags.reduced && whole.kept_area == 1.0);
     let deepest = |m: &Manifold| m.points.iter().map(|p| p.distance).fold(f64::INFINITY, f64::min);
     let area = |m: &Manifold| {
         let first = m.points[0].witness_a;
@@ -247,6 +247,7 @@ fn reduction_keeps_the_deepest_and_the_largest() {
         assert!(m.flags.reduced);
         assert_eq!(deepest(&m), deepest(&whole));
         assert!(m.points.iter().all(|p| whole.points.contains(p)));
+        assert!((m.kept_area - area(&m) / area(&whole)).abs() < 1e-5, "{max}: {}", m.kept_area);
         assert!(area(&m) >= share * area(&whole), "{max}: {} of {}", area(&m), area(&whole));
     }
 }

@@ -21,7 +21,8 @@ EVERYTHING = ("ALPHA", "NORMAL", "POINTS", "WITNESS_B", "FEATURES", "BASES", "DI
 COLUMNS = (
     "outcome", "flags", "alpha", "alpha_lower", "alpha_upper", "normal", "separation", "point_counts",
     "point_offsets", "witness_a", "witness_b", "distance", "point_ids", "feature_kinds",
-    "feature_indices", "bases", "iterations", "support_calls", "pairs",
+    "feature_indices", "bases", "iterations", "support_calls", "kept_area",
+    "pairs",
 )  # fmt: skip
 
 

@@ -189,7 +189,7 @@ def test_threads_may_share_a_client(client):
         (("WITNESS_B",), {"witness_b", "point_offsets"}),
         (("FEATURES",), {"point_ids", "feature_kinds", "feature_indices"}),
         (("BASES",), {"bases"}),
-        (("DIAGNOSTICS",), {"iterations", "support_calls"}),
+        (("DIAGNOSTICS",), {"iterations", "support_calls", "kept_area"}),
     ],
 )
 def test_only_what_was_asked_for_comes(client, outputs, present):
@@ -298,13 +298,6 @@ def test_what_the_server_refuses_is_named(client, options, error, reason, field)
         client.query(crowd(client, 4), [[0, 1]], **options)
     assert (caught.value.reason, caught.value.field) == (reason, field)
     assert str(caught.value).count(reason) == 1
-
-
-def test_what_is_not_there_yet_says_so(client):
-    """Simplification is of a later version of the server."""
-    with pytest.raises(hullcast.Unimplemented) as caught:
-        client.register([CUBE], max_vertices=4)
-    assert isinstance(caught.value, NotImplementedError)
 
 
 def test_a_timeout_is_an_exception_of_its_own(client):

@@ -30,6 +30,7 @@ def by_hand(options: bytes) -> bytes:
         ),
         ({"max_vertices": 16}, b"\0\1\1\x10\0\0\0\0"),
         ({"max_deviation": 0.5}, b"\0\1\0\1" + struct.pack("<d", 0.5)),
+        ({"max_deviation": -0.0}, b"\0\1\0\1" + struct.pack("<d", 0.0)),
     ],
 )
 def test_the_bytes_are_the_documented_ones(options, expected):
@@ -57,3 +58,24 @@ def test_the_server_gives_the_same(client: hullcast.Client):
     hulls = client.register(points, contraction_points=centers)
     for hull, vertices, center in zip(hulls, points, centers, strict=True):
         assert hull.id == hullcast.hull_id(vertices, center)
+
+
+def test_simplified_hulls(client: hullcast.Client):
+    """Ids, limits kept, a bound that a point left out does not pass; named where it cannot be."""
+    points = np.random.default_rng(6).normal(size=(150, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    for options in (
+        {"max_vertices": 24},
+        {"max_deviation": 0.1},
+        {"max_vertices": 90, "max_deviation": 0.2},
+    ):
+        hull = client.register([points], **options)[0]
+        assert hull.id == hullcast.hull_id(points, **options)
+        assert hull.vertex_count <= options.get("max_vertices", 150)
+        assert 0 < hull.deviation <= options.get("max_deviation", 1)
+        # About the same centre: no point was nearer to it than this.
+        assert hull.inradius < client.register([points])[0].inradius
+        # Registered again as it was, by itself.
+        assert client.register([hull])[0] == hull
+    with pytest.raises(hullcast.HullRejected, match="SIMPLIFICATION_NOT_POSSIBLE"):
+        client.register([points], max_vertices=4, max_deviation=1e-3)

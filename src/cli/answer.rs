@@ -161,7 +161,11 @@ pub(crate) async fn another_connection(address: &str, args: &RemoteArgs) -> Resu
 
 /// As the store names it.
 pub(crate) fn definition(points: &HullPoints) -> HullDefinition {
-    HullDefinition { points: points.vertices.clone(), contraction_point: points.contraction_point }
+    HullDefinition {
+        points: points.vertices.clone(),
+        contraction_point: points.contraction_point,
+        simplification: None,
+    }
 }
 
 fn wire_definition(points: &HullPoints) -> proto::HullDefinition {

@@ -120,6 +120,7 @@ fn append(whole: &mut proto::QueryContactsResponse, part: proto::QueryContactsRe
     whole.bases.extend(part.bases);
     whole.iterations.extend(part.iterations);
     whole.support_calls.extend(part.support_calls);
+    whole.kept_areas.extend(part.kept_areas);
     // Of the request as a whole, so the same in every part.
     whole.missing_hulls = part.missing_hulls;
     whole.invalid_bodies = part.invalid_bodies;

@@ -84,7 +84,7 @@ pub struct ContactPoint {
 }
 
 /// The answer for a pair.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Manifold {
     /// Within the margin or beyond.
     pub outcome: Outcome,
@@ -105,10 +105,33 @@ pub struct Manifold {
     pub features: Option<[Feature; 2]>,
     /// Contact points, anticlockwise about the normal.
     pub points: Vec<ContactPoint>,
+    /// Share of the patch's area that the points still span: 1 unless `max_points` dropped
+    /// some, and where the patch has no area.
+    pub kept_area: f64,
     /// Best warm start; none for a separated pair.
     pub basis: Option<Basis>,
     /// Solver iterations.
     pub iterations: u32,
     /// Support mapping calls, each hull counted.
     pub support_calls: u32,
+}
+
+impl Default for Manifold {
+    fn default() -> Self {
+        Self {
+            outcome: Outcome::default(),
+            flags: Flags::default(),
+            alpha: 0.0,
+            alpha_lower: 0.0,
+            alpha_upper: 0.0,
+            normal: DVec3::ZERO,
+            separation: 0.0,
+            features: None,
+            points: Vec::new(),
+            kept_area: 1.0,
+            basis: None,
+            iterations: 0,
+            support_calls: 0,
+        }
+    }
 }

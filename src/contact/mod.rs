@@ -32,7 +32,7 @@ use glam::DVec3;
 
 pub use body::{Body, InvalidPose, Pose};
 pub use bounds::Bounds;
-pub use hull::{ConvexHull, HullError, HullErrorKind, HullOptions};
+pub use hull::{ConvexHull, HullError, HullErrorKind, HullOptions, Simplification};
 pub use manifold::{Basis, ContactPoint, Element, Feature, Flags, Manifold, Outcome};
 pub use query::{Accuracy, Query, Solver, Wanted};
 pub use support::instruction_set;
@@ -185,7 +185,7 @@ impl Steps {
         let most = accuracy.max_points as usize;
         if most != 0 && found.points.len() > most {
             found.points.rotate_left(std::mem::take(&mut found.first));
-            reduce::reduce(&mut found.points, most, rounding, &mut self.kept);
+            self.manifold.kept_area = reduce::reduce(&mut found.points, most, rounding, &mut self.kept);
             self.manifold.flags.reduced = true;
         }
         self.manifold.flags.estimated = found.estimated;

@@ -5,8 +5,9 @@ use super::intersection::PlanePoint;
 /// Keeps `max` of more points, in their order: the deepest (within `rounding` of
 /// it the lowest id), then, one at a time, the one that adds most area to the
 /// polygon of those kept; the second is the one farthest from the first.
-/// `kept` is a buffer.
-pub(crate) fn reduce(points: &mut Vec<PlanePoint>, max: usize, rounding: f64, kept: &mut Vec<usize>) {
+/// `kept` is a buffer. The share of the polygon's area that is left; 1 where it has none.
+pub(crate) fn reduce(points: &mut Vec<PlanePoint>, max: usize, rounding: f64, kept: &mut Vec<usize>) -> f64 {
+    let whole = doubled_area(points);
     let depth = |p: &PlanePoint| p.height_b - p.height_a;
     let deepest = points.iter().map(depth).fold(f64::INFINITY, f64::min);
     let first = (0..points.len())
@@ -27,6 +28,13 @@ pub(crate) fn reduce(points: &mut Vec<PlanePoint>, max: usize, rounding: f64, ke
     }
     let mut index = 0..;
     points.retain(|_| index.next().is_some_and(|i| kept.contains(&i)));
+    if whole > 0.0 { (doubled_area(points) / whole).clamp(0.0, 1.0) } else { 1.0 }
+}
+
+/// Of a convex polygon, its corners in order.
+fn doubled_area(points: &[PlanePoint]) -> f64 {
+    let [first, rest @ ..] = points else { return 0.0 };
+    rest.windows(2).map(|two| (two[0].at - first.at).perp_dot(two[1].at - first.at)).sum::<f64>().abs()
 }
 
 /// Doubled area that point `i` adds to the polygon of the kept points, all on

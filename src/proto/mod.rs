@@ -62,6 +62,7 @@ columnar! {
         Fixed32s invalid_bodies = 19;
         Fixed32s iterations = 20;
         Fixed32s support_calls = 21;
+        Doubles kept_areas = 22;
     }
     RegisterHullsRequest {}
     RegisterHullsResponse {}

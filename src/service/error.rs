@@ -14,8 +14,6 @@ pub enum Kind {
     },
     /// A quota is used up.
     Exhausted,
-    /// Not in this version.
-    Unimplemented,
     /// Nobody knows who calls.
     Unauthenticated,
     /// The caller is known and may not.
@@ -71,12 +69,6 @@ impl ServiceError {
     /// The request is refused for its size or form, without one field at fault.
     pub fn refused(reason: &'static str, message: impl Into<String>) -> Self {
         Self::new(Kind::Invalid, reason, message.into(), None)
-    }
-
-    /// Part of the contract, not of this version.
-    pub fn unimplemented(field: &'static str, message: impl Into<String>) -> Self {
-        let place = Some(Place { field, index: None });
-        Self::new(Kind::Unimplemented, "UNIMPLEMENTED_FEATURE", message.into(), place)
     }
 
     /// Trying again after `retry_after` may help.

@@ -18,7 +18,7 @@ pub struct Outputs {
     pub features: bool,
     /// Bases, to start the next query from.
     pub bases: bool,
-    /// Iterations and support calls.
+    /// Iterations, support calls and what reduction kept.
     pub diagnostics: bool,
 }
 
@@ -57,7 +57,7 @@ impl Outputs {
             + 4 * usize::from(self.any_points())
             + 18 * usize::from(self.features)
             + 24 * usize::from(self.bases)
-            + 8 * usize::from(self.diagnostics)
+            + 16 * usize::from(self.diagnostics)
     }
 
     /// Bytes on the wire per point.

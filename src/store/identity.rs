@@ -7,7 +7,7 @@ use std::{fmt, str::FromStr};
 
 use sha2::{Digest, Sha256};
 
-use crate::contact::{ConvexHull, HullError, HullOptions};
+use crate::contact::{ConvexHull, HullError, HullOptions, Simplification};
 
 /// First in the byte string.
 const MAGIC: &[u8; 8] = b"hullcast";
@@ -55,12 +55,14 @@ impl FromStr for HullId {
 }
 
 /// What a hull is registered as: its content, before anything is computed.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct HullDefinition {
     /// Hull frame, caller's units, in the caller's order.
     pub points: Vec<[f64; 3]>,
     /// Hull frame, caller's units; absent: the centre of mass.
     pub contraction_point: Option<[f64; 3]>,
+    /// Absent: the hull as it is.
+    pub simplification: Option<Simplification>,
 }
 
 impl HullDefinition {
@@ -76,8 +78,14 @@ impl HullDefinition {
                 write_point(&mut bytes, point);
             }
         }
-        // Simplification options, of a later version.
-        bytes.push(ABSENT);
+        match self.simplification {
+            None => bytes.push(ABSENT),
+            Some(Simplification { max_vertices, max_deviation }) => {
+                bytes.push(PRESENT);
+                write_optional(&mut bytes, max_vertices.map(u32::to_le_bytes));
+                write_optional(&mut bytes, max_deviation.map(|deviation| (deviation + 0.0).to_le_bytes()));
+            }
+        }
         bytes.extend_from_slice(&(self.points.len() as u32).to_le_bytes());
         for &point in &self.points {
             write_point(&mut bytes, point);
@@ -96,15 +104,20 @@ impl HullDefinition {
             [PRESENT] => Some(rest.point()?),
             _ => return None,
         };
-        if rest.take()? != [ABSENT] {
-            return None;
-        }
+        let simplification = match rest.take()? {
+            [ABSENT] => None,
+            [PRESENT] => Some(Simplification {
+                max_vertices: rest.optional()?.map(u32::from_le_bytes),
+                max_deviation: rest.optional()?.map(f64::from_le_bytes),
+            }),
+            _ => return None,
+        };
         let count = u32::from_le_bytes(rest.take()?) as usize;
         if rest.0.len() != count.checked_mul(24)? {
             return None;
         }
         let points = (0..count).map(|_| rest.point()).collect::<Option<_>>()?;
-        Some(Self { points, contraction_point })
+        Some(Self { points, contraction_point, simplification })
     }
 
     /// The hull.
@@ -112,7 +125,8 @@ impl HullDefinition {
     /// # Errors
     /// Why these points are not one.
     pub fn build(&self, max_vertices: usize) -> Result<ConvexHull, HullError> {
-        let options = HullOptions { contraction_point: self.contraction_point, max_vertices };
+        let Self { contraction_point, simplification, .. } = *self;
+        let options = HullOptions { contraction_point, max_vertices, simplification };
         ConvexHull::with_options(&self.points, &options)
     }
 }
@@ -120,6 +134,16 @@ impl HullDefinition {
 /// The name of identity bytes.
 pub fn id_of(identity_bytes: &[u8]) -> HullId {
     HullId(Sha256::digest(identity_bytes).into())
+}
+
+fn write_optional<const N: usize>(bytes: &mut Vec<u8>, value: Option<[u8; N]>) {
+    match value {
+        None => bytes.push(ABSENT),
+        Some(value) => {
+            bytes.push(PRESENT);
+            bytes.extend_from_slice(&value);
+        }
+    }
 }
 
 fn write_point(bytes: &mut Vec<u8>, point: [f64; 3]) {
@@ -139,6 +163,15 @@ impl Bytes<'_> {
         Some(*head)
     }
 
+    /// Outside, whether it could be read; inside, whether it is there.
+    fn optional<const N: usize>(&mut self) -> Option<Option<[u8; N]>> {
+        match self.take()? {
+            [ABSENT] => Some(None),
+            [PRESENT] => Some(Some(self.take()?)),
+            _ => None,
+        }
+    }
+
     fn point(&mut self) -> Option<[f64; 3]> {
         Some([
             f64::from_le_bytes(self.take()?),
@@ -155,8 +188,13 @@ mod tests {
     fn tetrahedron() -> HullDefinition {
         HullDefinition {
             points: vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-            contraction_point: None,
+            ..HullDefinition::default()
         }
+    }
+
+    fn simplified(max_vertices: Option<u32>, max_deviation: Option<f64>) -> HullDefinition {
+        let simplification = Some(Simplification { max_vertices, max_deviation });
+        HullDefinition { simplification, ..tetrahedron() }
     }
 
     /// Catches a field written but not read, or read in another place.
@@ -164,7 +202,9 @@ mod tests {
     fn bytes_read_back() {
         let plain = tetrahedron();
         let with_point = HullDefinition { contraction_point: Some([0.1, 0.2, 0.3]), ..tetrahedron() };
-        for definition in [plain, with_point] {
+        let both = HullDefinition { contraction_point: Some([0.1; 3]), ..simplified(Some(9), Some(0.5)) };
+        let one = [simplified(Some(9), None), simplified(None, Some(0.5)), simplified(None, None)];
+        for definition in [plain, with_point, both].into_iter().chain(one) {
             let bytes = definition.identity_bytes();
             assert_eq!(HullDefinition::from_identity_bytes(&bytes), Some(definition));
         }
@@ -173,11 +213,13 @@ mod tests {
     /// Catches a truncated or padded blob that is taken for a smaller hull.
     #[test]
     fn every_truncation_and_padding_is_refused() {
-        let bytes = tetrahedron().identity_bytes();
-        for length in 0..bytes.len() {
-            assert_eq!(HullDefinition::from_identity_bytes(&bytes[..length]), None, "{length}");
+        for definition in [tetrahedron(), simplified(Some(9), Some(0.5))] {
+            let bytes = definition.identity_bytes();
+            for length in 0..bytes.len() {
+                assert_eq!(HullDefinition::from_identity_bytes(&bytes[..length]), None, "{length}");
+            }
+            assert_eq!(HullDefinition::from_identity_bytes(&[&bytes[..], &[0]].concat()), None);
         }
-        assert_eq!(HullDefinition::from_identity_bytes(&[&bytes[..], &[0]].concat()), None);
     }
 
     /// Catches two ids for one hull, and one id for two.
@@ -189,6 +231,9 @@ mod tests {
         assert_eq!(id_of(&signed.identity_bytes()), plain);
         let with_point = HullDefinition { contraction_point: Some([0.25; 3]), ..tetrahedron() };
         assert_ne!(id_of(&with_point.identity_bytes()), plain);
+        let zeros = [0.0, -0.0].map(|zero| id_of(&simplified(None, Some(zero)).identity_bytes()));
+        assert_eq!(zeros[0], zeros[1]);
+        assert_ne!(zeros[0], plain);
     }
 
     /// Catches a key of the store that does not name its hull.

@@ -2,6 +2,7 @@
 
 mod check;
 mod clouds;
+mod simplify;
 
 use std::collections::BTreeSet;
 

@@ -6,7 +6,7 @@ use bytes::Bytes;
 use hullcast::{
     proto::{
         Accuracy, GetHullsRequest, HasHullsRequest, HullDefinition, ListHullsRequest, Output,
-        QueryContactsRequest, RegisterHullsRequest, Simplification,
+        QueryContactsRequest, RegisterHullsRequest,
     },
     service::Limits,
 };
@@ -112,18 +112,6 @@ async fn malformed_queries_name_field_and_index() {
     }
     let touching = QueryContactsRequest { margin: -0.0, ..good.clone() };
     server.contacts().query_contacts(touching).await.unwrap();
-}
-
-/// Catches a method of the contract that is left out silently.
-#[tokio::test(flavor = "multi_thread")]
-async fn what_is_not_implemented_says_so() {
-    let server = TestServer::start().await;
-    let (shapes, _) = two_boxes();
-    let mut request = register_request(&shapes);
-    request.hulls[0].simplification = Some(Simplification::default());
-    let status = server.hulls().register_hulls(request).await.unwrap_err();
-    let field = "hulls.simplification";
-    assert_eq!(refusal(&status), refused(Code::Unimplemented, "UNIMPLEMENTED_FEATURE", field));
 }
 
 /// Catches a malformed id, path or token of the hull service that is taken for an absent hull.

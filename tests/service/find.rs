@@ -45,7 +45,7 @@ fn together(messages: &[QueryContactsResponse]) -> QueryContactsResponse {
         }
         append!(outcomes flags alphas alpha_lowers alpha_uppers separations normals point_counts
             witness_as distances witness_bs feature_kinds feature_indices point_ids bases pairs
-            iterations support_calls);
+            iterations support_calls kept_areas);
     }
     whole
 }

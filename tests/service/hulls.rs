@@ -6,7 +6,7 @@ use std::{
 };
 
 use hullcast::{
-    contact::ConvexHull,
+    contact::{ConvexHull, Simplification},
     proto::{
         DeleteHullsRequest, GetHullsRequest, GetHullsResponse, HasHullsRequest, HullError, HullInfo,
         ListHullsRequest, RegisterHullsRequest, register_hull_result::Result as Registered,
@@ -18,7 +18,10 @@ use serde_json::Value;
 
 use crate::support::{
     Setup, TestServer, channel, refusal, refused,
-    scenes::{box_points, id, plain, register_request, round_points, shapes, two_boxes, wire_hull},
+    scenes::{
+        ALL, assert_same, box_points, expected, id, outputs, plain, register_request, round_points, scene,
+        shapes, two_boxes, wire_hull,
+    },
     store::Faulty,
 };
 
@@ -54,7 +57,7 @@ async fn ids_are_those_of_the_document() {
     let (json, _) = rest.split_once("```").unwrap();
     let vectors: Value = serde_json::from_str(json).unwrap();
     let vectors = vectors.as_array().unwrap();
-    assert_eq!(vectors.len(), 4);
+    assert_eq!(vectors.len(), 5);
     let numbers = |value: &Value| -> Vec<f64> {
         value.as_array().map_or(vec![], |list| list.iter().map(|x| x.as_f64().unwrap()).collect())
     };
@@ -63,7 +66,10 @@ async fn ids_are_those_of_the_document() {
         let wire = hullcast::proto::HullDefinition {
             vertices: numbers(&vector["vertices"]),
             contraction_point: numbers(&vector["contraction_point"]),
-            simplification: None,
+            simplification: vector.get("max_vertices").map(|most| hullcast::proto::Simplification {
+                max_vertices: most.as_u64().map(|most| most as u32),
+                max_deviation: vector["max_deviation"].as_f64(),
+            }),
         };
         let info = register(&server, RegisterHullsRequest { hulls: vec![wire] }).await.remove(0).unwrap();
         let id: String = info.id.iter().map(|byte| format!("{byte:02x}")).collect();
@@ -74,6 +80,45 @@ async fn ids_are_those_of_the_document() {
                 .collect();
             assert_eq!(id_of(&bytes).to_string(), id, "{}", vector["name"]);
         }
+    }
+}
+
+/// Catches options that are not those of the registration, an answer for the whole hull where
+/// the simplified one was asked for (at once, or read back from the store), a deviation that is
+/// not returned, and indices that are not those of the points as registered.
+#[tokio::test(flavor = "multi_thread")]
+async fn simplified_hulls_are_registered_and_answered_for() {
+    let server =
+        Setup { limits: Limits { cache_bytes: 0, ..Limits::default() }, ..Setup::default() }.start().await;
+    let points = round_points(200, 9);
+    let wanted = |max_vertices, max_deviation| Some(Simplification { max_vertices, max_deviation });
+    let cases = [wanted(Some(20), None), wanted(None, Some(0.1)), wanted(Some(100), Some(0.2)), None];
+    let shapes = cases.map(|simplification| HullDefinition {
+        points: points.clone(),
+        simplification,
+        ..HullDefinition::default()
+    });
+    let infos = register(&server, register_request(&shapes)).await;
+    for (shape, info) in shapes.iter().zip(infos) {
+        let (info, built) = (info.unwrap(), shape.build(usize::MAX).unwrap());
+        assert_eq!(info.id, id(shape));
+        assert_eq!((info.vertex_count, info.registered_count), (built.vertex_count() as u32, 200));
+        assert_eq!(info.deviation, built.deviation());
+        assert_eq!(info.deviation > 0.0, shape.simplification.is_some());
+        let mut request = scene(std::slice::from_ref(shape), 12, 60, 4);
+        request.outputs = outputs(&ALL);
+        let answer = server.contacts().query_contacts(request.clone()).await.unwrap().into_inner();
+        assert_same(&answer, &expected(&request, std::slice::from_ref(shape)));
+    }
+    let refusals = [
+        (wanted(Some(3), None), "SIMPLIFICATION_OUT_OF_RANGE", "simplification"),
+        (wanted(None, Some(f64::NAN)), "SIMPLIFICATION_OUT_OF_RANGE", "simplification"),
+        (wanted(Some(4), Some(1e-3)), "SIMPLIFICATION_NOT_POSSIBLE", "simplification"),
+    ];
+    for (simplification, reason, field) in refusals {
+        let shape = HullDefinition { simplification, ..shapes[0].clone() };
+        let error = register(&server, register_request(&[shape])).await.remove(0).unwrap_err();
+        assert_eq!((&*error.reason, &*error.field), (reason, field));
     }
 }
 

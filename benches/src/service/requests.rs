@@ -48,7 +48,7 @@ impl Batch {
         used.dedup();
         let id = |&hull: &usize| {
             let points = self.workload.hulls[hull].clone();
-            id_of(&store::HullDefinition { points, contraction_point: None }.identity_bytes()).0.to_vec()
+            id_of(&store::HullDefinition { points, ..Default::default() }.identity_bytes()).0.to_vec()
         };
         let place = |hull| used.partition_point(|&other| other < hull) as u32;
         QueryContactsRequest {

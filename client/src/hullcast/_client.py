@@ -54,8 +54,10 @@ class Client(_calls.Calls):
                 Points inside are dropped, none is moved.
             contraction_points: per hull (3,), strictly inside, or None: the
                 centre of mass.
-            max_vertices, max_deviation: simplify to at most so many vertices, or
-                by at most so much.
+            max_vertices, max_deviation: simplify to at most so many vertices, and so
+                that no point is farther than this from what is left: a subset of the
+                vertices, about the same contraction point. `Hull.deviation` is the
+                certified bound of what it cost.
             timeout: seconds for the whole call; the client's by default.
 
         Raises:

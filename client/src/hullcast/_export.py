@@ -164,6 +164,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "bases": tuple(f"basis_{side}{i}" for side in "ab" for i in range(3)),
     "iterations": ("iterations",),
     "support_calls": ("support_calls",),
+    "kept_areas": ("kept_area",),
 }
 
 

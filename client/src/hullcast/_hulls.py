@@ -51,6 +51,9 @@ class Hull:
     center_of_mass: Floats = field(compare=False, repr=False)
     #: (3, 3): about the centre of mass, at unit density.
     inertia: Floats = field(compare=False, repr=False)
+    #: Certified upper bound of the Hausdorff distance to the hull of all points; 0 unless
+    #: simplified.
+    deviation: float = field(compare=False, repr=False)
     #: What it was registered by.
     content: Content = field(compare=False, repr=False)
 
@@ -95,8 +98,9 @@ def hull_id(
         parts.append(b"\0")
     else:
         parts.append(b"\1")
-        for form, value in (("<I", max_vertices), ("<d", max_deviation)):
-            parts.append(b"\0" if value is None else b"\1" + struct.pack(form, value))
+        parts.append(b"\0" if max_vertices is None else b"\1" + struct.pack("<I", max_vertices))
+        deviation = None if max_deviation is None else struct.pack("<d", max_deviation + 0.0)
+        parts.append(b"\0" if deviation is None else b"\1" + deviation)
     parts += [struct.pack("<I", len(points)), points.tobytes()]
     return hashlib.sha256(b"".join(parts)).digest()
 

@@ -151,6 +151,11 @@ class Manifolds:
         """Support mapping calls of each pair, each hull counted."""
         return self._column("support_calls", "support_calls", "DIAGNOSTICS")
 
+    @property
+    def kept_area(self) -> Floats:
+        """Share of each patch's area that its points still span: 1 unless `REDUCED`."""
+        return self._column("kept_areas", "kept_area", "DIAGNOSTICS")
+
     def __len__(self) -> int:
         return len(self.outcome)
 

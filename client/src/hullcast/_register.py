@@ -150,6 +150,7 @@ def _hull(info: hulls_pb2.HullInfo, content: Content) -> Hull:
         face_count=info.face_count,
         edge_count=info.edge_count,
         geometric_error=info.geometric_error,
+        deviation=info.deviation,
         center_of_mass=np.array(info.center_of_mass),
         inertia=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),
         content=content,

@@ -55,7 +55,7 @@ OUTPUT_COLUMNS: dict[str, tuple[str, ...]] = {
     "WITNESS_B": ("point_counts", "witness_bs"),
     "FEATURES": ("point_counts", "feature_kinds", "feature_indices", "point_ids"),
     "BASES": ("bases",),
-    "DIAGNOSTICS": ("iterations", "support_calls"),
+    "DIAGNOSTICS": ("iterations", "support_calls", "kept_areas"),
 }
 DEFAULT_OUTPUTS = ("ALPHA", "NORMAL", "POINTS")
 
@@ -72,5 +72,6 @@ PAIR_COLUMNS = {
     "bases": 6,
     "iterations": 1,
     "support_calls": 1,
+    "kept_areas": 1,
 }
 POINT_COLUMNS = {"witness_as": 3, "distances": 1, "witness_bs": 3, "point_ids": 4}

@@ -67,9 +67,16 @@ impl ConvexHull {
         self.circumradius * self.scale
     }
 
-    /// How far a face's vertices are from its plane at most, rounded up.
+    /// How far a face's vertices are from its plane at most, rounded up, and what
+    /// simplification cost.
     pub fn geometric_error(&self) -> f64 {
-        self.faces.iter().map(|face| face.planarity).fold(0.0, f64::max) * self.scale
+        self.faces.iter().map(|face| face.planarity).fold(0.0, f64::max) * self.scale + self.deviation
+    }
+
+    /// Certified upper bound of the Hausdorff distance to the hull of all points; 0 where
+    /// none was left out.
+    pub fn deviation(&self) -> f64 {
+        self.deviation
     }
 
     /// Corners of face `i`, anticlockwise from outside, as registered indices.

@@ -81,6 +81,7 @@ pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexH
         vertices: centred.vertices,
         registered: solid.registered,
         registered_count: given.len() as u32,
+        deviation: 0.0,
         scale: centred.scale,
         contraction_point,
         contraction_distance: length_of(contraction_point),

@@ -32,6 +32,10 @@ pub enum HullErrorKind {
     TooManyVertices,
     /// No positive inradius at double precision.
     NotRepresentable,
+    /// Simplification to fewer than 4 vertices, or by a deviation that is negative or NaN.
+    SimplificationOutOfRange,
+    /// No hull of so few vertices was found within the deviation.
+    SimplificationNotPossible,
 }
 
 impl HullErrorKind {
@@ -46,6 +50,8 @@ impl HullErrorKind {
             Self::ContractionPointNotInside => "CONTRACTION_POINT_NOT_INSIDE",
             Self::TooManyVertices => "TOO_MANY_VERTICES",
             Self::NotRepresentable => "NOT_REPRESENTABLE",
+            Self::SimplificationOutOfRange => "SIMPLIFICATION_OUT_OF_RANGE",
+            Self::SimplificationNotPossible => "SIMPLIFICATION_NOT_POSSIBLE",
         }
     }
 
@@ -53,6 +59,7 @@ impl HullErrorKind {
     pub fn field(self) -> &'static str {
         match self {
             Self::ContractionPointNotInside => "contraction_point",
+            Self::SimplificationOutOfRange | Self::SimplificationNotPossible => "simplification",
             _ => "vertices",
         }
     }

@@ -14,6 +14,7 @@ mod isolation;
 mod mass;
 mod merge;
 mod quickhull;
+mod simplify;
 mod topology;
 
 pub(crate) use boxes::{BoxShape, octant};
@@ -22,6 +23,7 @@ pub use error::{HullError, HullErrorKind};
 pub use face::Face;
 #[doc(hidden)]
 pub use quickhull::Triangulation;
+pub use simplify::Simplification;
 
 /// How a hull is built.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,11 +32,13 @@ pub struct HullOptions {
     pub contraction_point: Option<[f64; 3]>,
     /// More extreme vertices than this are refused.
     pub max_vertices: usize,
+    /// Fewer vertices, about the contraction point of the whole hull; absent: all.
+    pub simplification: Option<Simplification>,
 }
 
 impl Default for HullOptions {
     fn default() -> Self {
-        Self { contraction_point: None, max_vertices: 16_384 }
+        Self { contraction_point: None, max_vertices: 16_384, simplification: None }
     }
 }
 
@@ -58,6 +62,8 @@ pub struct ConvexHull {
     registered: Vec<u32>,
     /// Points as registered.
     registered_count: u32,
+    /// Of a simplified hull: upper bound of its Hausdorff distance to the whole; caller's units.
+    deviation: f64,
     /// Power of two: caller's units per hull unit.
     scale: f64,
     /// Hull frame, caller's units.
@@ -109,7 +115,10 @@ impl ConvexHull {
     /// # Errors
     /// [`HullErrorKind`] lists the clouds that are no hull.
     pub fn with_options(points: &[[f64; 3]], options: &HullOptions) -> Result<Self, HullError> {
-        build::build(points, options)
+        match &options.simplification {
+            None => build::build(points, options),
+            Some(wanted) => simplify::simplified(points, options, wanted),
+        }
     }
 }
 

@@ -63,6 +63,7 @@ columns! {
     bases: u32,
     iterations: u32,
     support_calls: u32,
+    kept_areas: f64,
 }
 
 /// Why a pair is not answered: each costs its own pairs alone.
@@ -166,6 +167,7 @@ impl Columns {
         if outputs.diagnostics {
             self.iterations.push(manifold.iterations);
             self.support_calls.push(manifold.support_calls);
+            self.kept_areas.push(manifold.kept_area);
         }
     }
 
@@ -223,6 +225,7 @@ impl Columns {
         if outputs.diagnostics {
             self.iterations.push(0);
             self.support_calls.push(0);
+            self.kept_areas.push(f64::NAN);
         }
     }
 
@@ -278,5 +281,6 @@ pub fn response(
         invalid_bodies,
         iterations: columns.iterations,
         support_calls: columns.support_calls,
+        kept_areas: columns.kept_areas,
     }
 }

@@ -1,7 +1,7 @@
 //! Hulls in and out.
 
 use crate::{
-    contact::{ConvexHull, HullError},
+    contact::{ConvexHull, HullError, Simplification},
     proto,
     service::{
         error::ServiceError,
@@ -20,12 +20,6 @@ pub(in crate::service) fn definitions(
     limits: &Limits,
 ) -> Result<Vec<Definition>, ServiceError> {
     at_most(request.hulls.len(), limits.max_hulls_per_request, "TOO_MANY_HULLS", "hulls")?;
-    if request.hulls.iter().any(|hull| hull.simplification.is_some()) {
-        return Err(ServiceError::unimplemented(
-            "hulls.simplification",
-            "simplification is not implemented yet",
-        ));
-    }
     Ok(request.hulls.into_iter().map(definition).collect())
 }
 
@@ -39,7 +33,11 @@ fn definition(hull: proto::HullDefinition) -> Definition {
         [x, y, z] => Some([x, y, z]),
         _ => return Err(malformed("contraction_point", hull.contraction_point.len(), "none or 3")),
     };
-    Ok(HullDefinition { points: points.to_vec(), contraction_point })
+    let simplification = hull.simplification.map(|wanted| Simplification {
+        max_vertices: wanted.max_vertices,
+        max_deviation: wanted.max_deviation,
+    });
+    Ok(HullDefinition { points: points.to_vec(), contraction_point, simplification })
 }
 
 fn malformed(field: &str, found: usize, rule: &str) -> proto::HullError {
@@ -90,6 +88,7 @@ fn hull_info(id: HullId, hull: &ConvexHull) -> proto::HullInfo {
         circumradius: hull.circumradius(),
         geometric_error: hull.geometric_error(),
         registered_count: hull.registered_count() as u32,
+        deviation: hull.deviation(),
     }
 }
 

@@ -42,7 +42,6 @@ fn code(kind: Kind) -> Code {
         Kind::Invalid => Code::InvalidArgument,
         Kind::Unavailable { .. } => Code::Unavailable,
         Kind::Exhausted => Code::ResourceExhausted,
-        Kind::Unimplemented => Code::Unimplemented,
         Kind::Unauthenticated => Code::Unauthenticated,
         Kind::Forbidden => Code::PermissionDenied,
         Kind::DeadlineExceeded => Code::DeadlineExceeded,

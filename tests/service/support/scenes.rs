@@ -58,7 +58,7 @@ pub(crate) fn round_points(count: usize, seed: u64) -> Vec<[f64; 3]> {
 }
 
 pub(crate) fn plain(points: Vec<[f64; 3]>) -> HullDefinition {
-    HullDefinition { points, contraction_point: None }
+    HullDefinition { points, ..HullDefinition::default() }
 }
 
 /// Boxes, a plate, round hulls, and one with a contraction point of its own.
@@ -68,7 +68,11 @@ pub(crate) fn shapes() -> Vec<HullDefinition> {
         plain(box_points(1.0, 0.7, 0.02)),
         plain(round_points(12, 1)),
         plain(round_points(60, 2)),
-        HullDefinition { points: box_points(0.4, 0.6, 0.3), contraction_point: Some([0.1, -0.2, 0.05]) },
+        HullDefinition {
+            points: box_points(0.4, 0.6, 0.3),
+            contraction_point: Some([0.1, -0.2, 0.05]),
+            ..HullDefinition::default()
+        },
     ]
 }
 
@@ -76,7 +80,10 @@ pub(crate) fn wire_hull(definition: &HullDefinition) -> proto::HullDefinition {
     proto::HullDefinition {
         vertices: definition.points.iter().flatten().copied().collect(),
         contraction_point: definition.contraction_point.map_or(vec![], |point| point.to_vec()),
-        simplification: None,
+        simplification: definition.simplification.map(|wanted| proto::Simplification {
+            max_vertices: wanted.max_vertices,
+            max_deviation: wanted.max_deviation,
+        }),
     }
 }
 
@@ -236,6 +243,7 @@ pub(crate) fn expected(request: &QueryContactsRequest, shapes: &[HullDefinition]
         if has(Output::Diagnostics) {
             answer.iterations.push(manifold.iterations);
             answer.support_calls.push(manifold.support_calls);
+            answer.kept_areas.push(manifold.kept_area);
         }
     }
     answer
@@ -299,6 +307,7 @@ fn push_invalid(answer: &mut QueryContactsResponse, asked: &[Output]) {
     if has(Output::Diagnostics) {
         answer.iterations.push(0);
         answer.support_calls.push(0);
+        answer.kept_areas.push(f64::NAN);
     }
 }
 

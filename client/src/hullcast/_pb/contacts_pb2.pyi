@@ -125,7 +125,7 @@ class QueryContactsRequest(_message.Message):
     def __init__(self, request_id: _Optional[int] = ..., inherit: bool = ..., hull_ids: _Optional[_Iterable[bytes]] = ..., body_hulls: _Optional[_Iterable[int]] = ..., positions: _Optional[_Iterable[float]] = ..., rotations: _Optional[_Iterable[float]] = ..., pairs: _Optional[_Iterable[int]] = ..., worlds: _Optional[_Iterable[int]] = ..., groups: _Optional[_Iterable[int]] = ..., ignored_groups: _Optional[_Iterable[int]] = ..., margin: _Optional[float] = ..., accuracy: _Optional[_Union[Accuracy, _Mapping]] = ..., outputs: _Optional[_Iterable[_Union[Output, str]]] = ..., warm_starts: _Optional[_Iterable[int]] = ...) -> None: ...
 
 class QueryContactsResponse(_message.Message):
-    __slots__ = ("request_id", "outcomes", "flags", "alphas", "alpha_lowers", "alpha_uppers", "separations", "normals", "point_counts", "witness_as", "distances", "witness_bs", "feature_kinds", "feature_indices", "point_ids", "bases", "pairs", "missing_hulls", "invalid_bodies", "iterations", "support_calls")
+    __slots__ = ("request_id", "outcomes", "flags", "alphas", "alpha_lowers", "alpha_uppers", "separations", "normals", "point_counts", "witness_as", "distances", "witness_bs", "feature_kinds", "feature_indices", "point_ids", "bases", "pairs", "missing_hulls", "invalid_bodies", "iterations", "support_calls", "kept_areas")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     OUTCOMES_FIELD_NUMBER: _ClassVar[int]
     FLAGS_FIELD_NUMBER: _ClassVar[int]
@@ -147,6 +147,7 @@ class QueryContactsResponse(_message.Message):
     INVALID_BODIES_FIELD_NUMBER: _ClassVar[int]
     ITERATIONS_FIELD_NUMBER: _ClassVar[int]
     SUPPORT_CALLS_FIELD_NUMBER: _ClassVar[int]
+    KEPT_AREAS_FIELD_NUMBER: _ClassVar[int]
     request_id: int
     outcomes: bytes
     flags: bytes
@@ -168,4 +169,5 @@ class QueryContactsResponse(_message.Message):
     invalid_bodies: _containers.RepeatedScalarFieldContainer[int]
     iterations: _containers.RepeatedScalarFieldContainer[int]
     support_calls: _containers.RepeatedScalarFieldContainer[int]
-    def __init__(self, request_id: _Optional[int] = ..., outcomes: _Optional[bytes] = ..., flags: _Optional[bytes] = ..., alphas: _Optional[_Iterable[float]] = ..., alpha_lowers: _Optional[_Iterable[float]] = ..., alpha_uppers: _Optional[_Iterable[float]] = ..., separations: _Optional[_Iterable[float]] = ..., normals: _Optional[_Iterable[float]] = ..., point_counts: _Optional[_Iterable[int]] = ..., witness_as: _Optional[_Iterable[float]] = ..., distances: _Optional[_Iterable[float]] = ..., witness_bs: _Optional[_Iterable[float]] = ..., feature_kinds: _Optional[bytes] = ..., feature_indices: _Optional[_Iterable[int]] = ..., point_ids: _Optional[_Iterable[int]] = ..., bases: _Optional[_Iterable[int]] = ..., pairs: _Optional[_Iterable[int]] = ..., missing_hulls: _Optional[_Iterable[int]] = ..., invalid_bodies: _Optional[_Iterable[int]] = ..., iterations: _Optional[_Iterable[int]] = ..., support_calls: _Optional[_Iterable[int]] = ...) -> None: ...
+    kept_areas: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, request_id: _Optional[int] = ..., outcomes: _Optional[bytes] = ..., flags: _Optional[bytes] = ..., alphas: _Optional[_Iterable[float]] = ..., alpha_lowers: _Optional[_Iterable[float]] = ..., alpha_uppers: _Optional[_Iterable[float]] = ..., separations: _Optional[_Iterable[float]] = ..., normals: _Optional[_Iterable[float]] = ..., point_counts: _Optional[_Iterable[int]] = ..., witness_as: _Optional[_Iterable[float]] = ..., distances: _Optional[_Iterable[float]] = ..., witness_bs: _Optional[_Iterable[float]] = ..., feature_kinds: _Optional[bytes] = ..., feature_indices: _Optional[_Iterable[int]] = ..., point_ids: _Optional[_Iterable[int]] = ..., bases: _Optional[_Iterable[int]] = ..., pairs: _Optional[_Iterable[int]] = ..., missing_hulls: _Optional[_Iterable[int]] = ..., invalid_bodies: _Optional[_Iterable[int]] = ..., iterations: _Optional[_Iterable[int]] = ..., support_calls: _Optional[_Iterable[int]] = ..., kept_areas: _Optional[_Iterable[float]] = ...) -> None: ...

@@ -58,7 +58,7 @@ class HullError(_message.Message):
     def __init__(self, reason: _Optional[str] = ..., message: _Optional[str] = ..., field: _Optional[str] = ..., index: _Optional[int] = ...) -> None: ...
 
 class HullInfo(_message.Message):
-    __slots__ = ("id", "contraction_point", "vertex_count", "face_count", "edge_count", "volume", "center_of_mass", "inertia", "inradius", "circumradius", "geometric_error", "registered_count")
+    __slots__ = ("id", "contraction_point", "vertex_count", "face_count", "edge_count", "volume", "center_of_mass", "inertia", "inradius", "circumradius", "geometric_error", "registered_count", "deviation")
     ID_FIELD_NUMBER: _ClassVar[int]
     CONTRACTION_POINT_FIELD_NUMBER: _ClassVar[int]
     VERTEX_COUNT_FIELD_NUMBER: _ClassVar[int]
@@ -71,6 +71,7 @@ class HullInfo(_message.Message):
     CIRCUMRADIUS_FIELD_NUMBER: _ClassVar[int]
     GEOMETRIC_ERROR_FIELD_NUMBER: _ClassVar[int]
     REGISTERED_COUNT_FIELD_NUMBER: _ClassVar[int]
+    DEVIATION_FIELD_NUMBER: _ClassVar[int]
     id: bytes
     contraction_point: _containers.RepeatedScalarFieldContainer[float]
     vertex_count: int
@@ -83,7 +84,8 @@ class HullInfo(_message.Message):
     circumradius: float
     geometric_error: float
     registered_count: int
-    def __init__(self, id: _Optional[bytes] = ..., contraction_point: _Optional[_Iterable[float]] = ..., vertex_count: _Optional[int] = ..., face_count: _Optional[int] = ..., edge_count: _Optional[int] = ..., volume: _Optional[float] = ..., center_of_mass: _Optional[_Iterable[float]] = ..., inertia: _Optional[_Iterable[float]] = ..., inradius: _Optional[float] = ..., circumradius: _Optional[float] = ..., geometric_error: _Optional[float] = ..., registered_count: _Optional[int] = ...) -> None: ...
+    deviation: float
+    def __init__(self, id: _Optional[bytes] = ..., contraction_point: _Optional[_Iterable[float]] = ..., vertex_count: _Optional[int] = ..., face_count: _Optional[int] = ..., edge_count: _Optional[int] = ..., volume: _Optional[float] = ..., center_of_mass: _Optional[_Iterable[float]] = ..., inertia: _Optional[_Iterable[float]] = ..., inradius: _Optional[float] = ..., circumradius: _Optional[float] = ..., geometric_error: _Optional[float] = ..., registered_count: _Optional[int] = ..., deviation: _Optional[float] = ...) -> None: ...
 
 class GetHullsRequest(_message.Message):
     __slots__ = ("ids", "field_mask")
