@@ -110,6 +110,19 @@ bench-python: build $(VENV)/.bench ## the Python client's own cost, and coal and
 bench-find: build $(VENV)/.test ## what finding the pairs costs, to 100,000 bodies and 10,000 worlds; writes docs/find.md and its picture
 	$(PY) client/examples/find.py --docs docs
 
+.PHONY: tradeoff
+tradeoff: build ## speed against accuracy, every setting; writes docs/tradeoff.md and its plots
+	mkdir -p out
+	$(BIN) tradeoff --out out/tradeoff | tee out/tradeoff.txt
+	$(BIN) tradeoff examples/scenes/panda.json examples/scenes/pile.json --out out/tradeoff-scenes | tee out/tradeoff-scenes.txt
+	cp out/tradeoff.svg out/tradeoff.png out/tradeoff-scenes.svg out/tradeoff-scenes.png docs
+	./scripts/section docs/tradeoff.md families out/tradeoff.txt
+	./scripts/section docs/tradeoff.md scenes out/tradeoff-scenes.txt
+
+.PHONY: simulation
+simulation: build $(VENV)/.test ## a rigid body simulation on several kinds of contacts; writes docs/simulation.md and its pictures
+	$(PY) client/examples/simulation --docs docs
+
 .PHONY: bench-service
 bench-service: check-tools build ## the server beside an echo of the same bytes; writes docs/performance.md
 	cd benches && $(CARGO) run --release --locked --features service --bin transport

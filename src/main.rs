@@ -26,6 +26,8 @@ enum Command {
     Serve(Box<cli::serve::Args>),
     /// Answers for a scene file's pairs, in this process or from a server.
     Query(Box<cli::query::Args>),
+    /// Measures speed against accuracy: every setting's time and errors.
+    Tradeoff(cli::tradeoff::Args),
     /// Sends batches in a closed loop, times them and checks a sample of the answers.
     Load(Box<cli::load::Args>),
 }
@@ -34,6 +36,7 @@ fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Serve(args) => cli::serve::run(*args),
         Command::Query(args) => cli::query::run(&args),
+        Command::Tradeoff(args) => cli::tradeoff::run(&args),
         Command::Load(args) => cli::load::run(&args),
     };
     match result {

@@ -67,7 +67,9 @@ def median(work: Callable[[], hullcast.Manifolds], seconds: float) -> float:
     return float(np.median(times))
 
 
-def measure(client: hullcast.Client, scene: hullcast.Scene, seconds: float) -> tuple[int, list[float]]:
+def measure(
+    client: hullcast.Client, scene: hullcast.Scene, seconds: float
+) -> tuple[int, list[float]]:
     """Pairs found; seconds of find, of the outcomes alone, and of query."""
     found = client.find(scene, margin=MARGIN)
     again = client.query(scene, found.pairs, margin=MARGIN)
@@ -124,13 +126,14 @@ def main() -> None:
                 name = "one world" if worlds is None else f"{worlds:,} worlds"
                 rows[title].append((name, bodies, pairs, times))
                 shown = " | ".join(f"{1e3 * seconds:.1f} ms" for seconds in times)
-                lines.append(
-                    f"| {name} | {bodies:,} | {pairs:,} | {shown} | {1e6 * times[0] / bodies:.2f} us |"
-                )
+                each = f"{1e6 * times[0] / bodies:.2f} us"
+                lines.append(f"| {name} | {bodies:,} | {pairs:,} | {shown} | {each} |")
                 print(lines[-1], flush=True)
     if arguments.docs:
         root = Path(__file__).resolve().parents[2]
-        where = subprocess.run([root / "scripts/provenance"], capture_output=True, text=True, check=True)
+        where = subprocess.run(
+            [root / "scripts/provenance"], capture_output=True, text=True, check=True
+        )
         page = arguments.docs / "find.md"
         head, rest = page.read_text().split(OPEN)
         table = "\n".join([where.stdout.strip(), "", *lines])

@@ -12,6 +12,7 @@ mod scene;
 pub(crate) mod serve;
 pub(crate) mod settings;
 mod tally;
+pub(crate) mod tradeoff;
 
 /// What a subcommand fails with: shown to the user as it is.
 pub(crate) type Error = Box<dyn std::error::Error>;

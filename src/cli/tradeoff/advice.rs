@@ -1,0 +1,97 @@
+//! Which setting to take for which need, and what each knob is worth by itself.
+
+use std::fmt::Write;
+
+use super::settings::Setting;
+use super::table::{Figures, Row};
+
+/// A need: what errors it bears.
+pub(super) struct Need {
+    pub(super) name: &'static str,
+    what: &'static str,
+    bears: fn(&Figures) -> bool,
+}
+
+/// In ascending tolerance. Knobs that change which number is asked for (the contraction point)
+/// stay at their default.
+pub(super) const NEEDS: [Need; 4] = [
+    Need {
+        name: "exact",
+        what: "growth scale and normal to rounding, the whole patch",
+        bears: |f| f.optimality[2] <= 1e-12 && f.hausdorff[1] <= 1e-12 && f.flagged <= 1e-3,
+    },
+    Need {
+        name: "steady",
+        what: "a simulation: normals within 1e-3 of optimal, patches within 1 % of the size",
+        bears: |f| f.optimality[1] <= 1e-3 && f.hausdorff[1] <= 0.01,
+    },
+    Need {
+        name: "light",
+        what: "at most four points a pair, normals within 1e-3",
+        bears: |f| f.optimality[1] <= 1e-3 && f.hausdorff[1] <= 0.1,
+    },
+    Need {
+        name: "rough",
+        what: "many rough answers: normals within 2e-2, one point will do",
+        bears: |f| f.optimality[1] <= 0.02,
+    },
+];
+
+/// Knobs at a level that a user does not choose for speed.
+fn is_offered(setting: &Setting) -> bool {
+    setting.center == Setting::DEFAULT.center && setting.max_iterations == Setting::DEFAULT.max_iterations
+}
+
+/// Settings within this of the fastest are as fast: the simplest of them is taken.
+const AS_FAST: f64 = 1.03;
+
+/// Of the settings that a need bears the simplest among the fastest; `warm` or from nothing.
+pub(super) fn choice<'a>(rows: &'a [Row], need: &Need, warm: bool) -> Option<&'a Row> {
+    let fit = |row: &&Row| row.setting.warm == warm && is_offered(&row.setting) && (need.bears)(&row.figures);
+    let fitting: Vec<&Row> = rows.iter().filter(fit).collect();
+    let time = |row: &Row| row.figures.relative_time;
+    let fastest = fitting.iter().map(|row| time(row)).fold(f64::INFINITY, f64::min);
+    let as_fast = fitting.into_iter().filter(|row| time(row) <= fastest * AS_FAST);
+    as_fast.min_by(|p, q| {
+        let knobs = |row: &Row| row.setting.changed().len();
+        knobs(p).cmp(&knobs(q)).then(time(p).total_cmp(&time(q)))
+    })
+}
+
+/// Says it in words; `rows` are of all cells together.
+pub(super) fn text(rows: &[Row]) -> String {
+    let mut text = String::new();
+    let _ = writeln!(text, "What to take for which need (time over the default's, from nothing):\n");
+    for need in NEEDS {
+        let _ = writeln!(text, "{}: {}", need.name, need.what);
+        for warm in [false, true] {
+            let start = if warm { "from the answer before" } else { "from nothing" };
+            let _ = match choice(rows, &need, warm) {
+                None => writeln!(text, "  {start}: nothing measured fits"),
+                Some(row) => writeln!(text, "  {start}: {}\n    {}", row.setting, described(&row.figures)),
+            };
+        }
+    }
+    let _ = writeln!(text, "\nEach knob by itself, all others at their default:\n");
+    let alone = |row: &&Row| row.setting.changed().len() <= 1;
+    for row in rows.iter().filter(alone) {
+        let _ = writeln!(text, "  {}\n    {}", row.setting, described(&row.figures));
+    }
+    text
+}
+
+/// The figures that decide.
+pub(super) fn described(f: &Figures) -> String {
+    format!(
+        "time x{:.2}, gap {:.1e}, normal {:.1e} short of optimal (p95), angle {:.1e} rad (p95), \
+         patch {:.1e} of the size off (p95), area x{:.2} (p5), flagged {:.1} %, jumps {:.1} %",
+        f.relative_time,
+        f.gap[1],
+        f.optimality[1],
+        f.angle[1],
+        f.hausdorff[1],
+        f.area[1],
+        100.0 * f.flagged,
+        100.0 * f.flickers
+    )
+}

@@ -1,0 +1,151 @@
+//! What is measured: pairs of hulls in contact, in cells of one kind each.
+
+use glam::{DQuat, DVec3};
+
+use super::super::{Error, scene::Scene};
+use hullcast::contact::{Body, ConvexHull, HullOptions, Outcome, Pose, Query, Workspace, contact_manifold};
+use hullcast::workload::{Family, Random, Regime, Workload};
+
+/// Of generated pairs: hulls are some 0.3 to 1 in size.
+const GENERATED_MARGIN: f64 = 0.005;
+
+/// Growth scales of pairs that are made of a scene without any in contact.
+const SHALLOW: (f64, f64) = (0.95, 0.995);
+
+/// Pairs of one kind.
+#[derive(Clone, Debug)]
+pub(super) struct Cell {
+    pub(super) name: String,
+    pub(super) hulls: Vec<Vec<[f64; 3]>>,
+    pub(super) cases: Vec<Case>,
+    pub(super) margin: f64,
+}
+
+/// A pair, and where it was a moment before and will be one later.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Case {
+    /// Indices into the cell's hulls.
+    pub(super) hulls: [usize; 2],
+    pub(super) a: Placement,
+    pub(super) b: Placement,
+    /// Of B: a motion of a step before, for warm starts.
+    pub(super) before: Placement,
+    /// Of B: moved by next to nothing, for flicker.
+    pub(super) nudged: Placement,
+}
+
+/// Where a hull frame is.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Placement {
+    pub(super) position: DVec3,
+    pub(super) rotation: DQuat,
+}
+
+impl Placement {
+    fn new(position: [f64; 3], rotation: [f64; 4]) -> Self {
+        let rotation = DQuat::from_array(rotation).normalize();
+        Self { position: DVec3::from_array(position), rotation }
+    }
+
+    /// As the library takes it.
+    pub(super) fn pose(&self) -> Pose {
+        Pose::new(self.position.to_array(), self.rotation.to_array())
+            .unwrap_or_else(|e| unreachable!("checked when it was made: {e}"))
+    }
+
+    /// Moved by so much, and turned by so many radians, in directions of its own.
+    fn moved(self, length: f64, angle: f64, random: &mut Random) -> Self {
+        let turn = DQuat::from_axis_angle(random.direction(), angle);
+        Self {
+            position: self.position + random.direction() * length,
+            rotation: (turn * self.rotation).normalize(),
+        }
+    }
+}
+
+/// Shares of the hulls' size by which B moves: between steps, and hardly at all.
+const STEP: f64 = 1e-3;
+const NUDGE: f64 = 1e-5;
+
+impl Case {
+    fn new(hulls: [usize; 2], a: Placement, b: Placement, size: f64, random: &mut Random) -> Self {
+        let before = b.moved(STEP * size, STEP, random);
+        let nudged = b.moved(NUDGE * size, NUDGE, random);
+        Self { hulls, a, b, before, nudged }
+    }
+}
+
+/// The workload's families, shallow and resting.
+pub(super) fn generated(pairs: usize) -> Result<Vec<Cell>, Error> {
+    let mut cells = Vec::new();
+    for family in Family::ALL {
+        for regime in [Regime::Shallow, Regime::Resting] {
+            let Workload { hulls, pairs, .. } = Workload::generate(family, regime, pairs, 1)?;
+            let mut random = Random::new(2);
+            let case = |pair: &hullcast::workload::Pair| {
+                let [a, b] = [0, 1].map(|i| Placement::new(pair.positions[i], pair.rotations[i]));
+                Case::new(pair.hulls, a, b, 1.0, &mut random)
+            };
+            let cases = pairs.iter().map(case).collect();
+            let name = format!("{} {}", family.name(), regime.name());
+            cells.push(Cell { name, hulls, cases, margin: GENERATED_MARGIN });
+        }
+    }
+    Ok(cells)
+}
+
+/// The pairs of a scene file that are in contact, evenly over its frames; of a file without
+/// any, as many pairs of its hulls as are asked for, brought into shallow overlap.
+pub(super) fn of_scene(scene: &Scene, pairs: usize) -> Result<Cell, Error> {
+    let hulls: Vec<Vec<[f64; 3]>> = scene.hulls.iter().map(|hull| hull.vertices.clone()).collect();
+    let built = hulls.iter().map(|points| ConvexHull::with_options(points, &HullOptions::default()));
+    let built: Vec<ConvexHull> = built.collect::<Result<_, _>>()?;
+    let mut random = Random::new(3);
+    let mut cases = Vec::new();
+    for frame in &scene.frames {
+        let place = |body: usize| {
+            let position = [0, 1, 2].map(|i| frame.positions[3 * body + i]);
+            let rotation = [0, 1, 2, 3].map(|i| frame.rotations[4 * body + i]);
+            Placement::new(position, rotation)
+        };
+        for pair in scene.pairs.chunks_exact(2) {
+            let bodies = [pair[0] as usize, pair[1] as usize];
+            let shapes = bodies.map(|body| scene.body_hulls[body] as usize);
+            let [a, b] = bodies.map(place);
+            if alpha(&built, shapes, a, b, scene.margin).is_some() {
+                let size = built[shapes[1]].circumradius();
+                cases.push(Case::new(shapes, a, b, size, &mut random));
+            }
+        }
+    }
+    if cases.is_empty() {
+        cases = (0..pairs).filter_map(|_| brought_together(&built, &mut random)).collect();
+    }
+    let every = cases.len().div_ceil(pairs).max(1);
+    let cases = cases.into_iter().step_by(every).collect();
+    Ok(Cell { name: scene.name.clone(), hulls, cases, margin: scene.margin })
+}
+
+/// The growth scale of a pair, if it is in contact.
+fn alpha(built: &[ConvexHull], shapes: [usize; 2], a: Placement, b: Placement, margin: f64) -> Option<f64> {
+    let query = Query { margin, ..Query::default() };
+    let mut workspace = Workspace::default();
+    let bodies = [Body::new(&built[shapes[0]], a.pose()), Body::new(&built[shapes[1]], b.pose())];
+    let manifold = contact_manifold(&bodies[0], &bodies[1], &query, None, &mut workspace);
+    (manifold.outcome == Outcome::Contact).then_some(manifold.alpha)
+}
+
+/// Two of the hulls at random orientations: the growth scale is linear in the offset of the
+/// centres, so that one query says where to put B.
+fn brought_together(built: &[ConvexHull], random: &mut Random) -> Option<Case> {
+    let shapes = [random.below(built.len()), random.below(built.len())];
+    let [a, b] = [0, 1].map(|_| Placement { position: DVec3::ZERO, rotation: random.rotation() });
+    let size = built[shapes[0]].circumradius() + built[shapes[1]].circumradius();
+    let center = |place: &Placement, shape: usize| place.rotation * built[shape].contraction_point();
+    let offset = random.direction() * size;
+    let meeting = center(&a, shapes[0]) - center(&b, shapes[1]);
+    let apart = Placement { position: meeting + offset, ..b };
+    let scale = alpha(built, shapes, a, apart, f64::INFINITY)?;
+    let b = Placement { position: meeting + offset * (random.within(SHALLOW.0, SHALLOW.1) / scale), ..b };
+    Some(Case::new(shapes, a, b, size, random))
+}

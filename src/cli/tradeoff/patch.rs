@@ -1,0 +1,78 @@
+//! Contact patches as convex polygons in space.
+
+use glam::DVec3;
+
+/// Of a polygon, its corners in order about `normal`.
+pub(super) fn area(polygon: &[DVec3], normal: DVec3) -> f64 {
+    let [first, rest @ ..] = polygon else { return 0.0 };
+    rest.windows(2).map(|two| 0.5 * normal.dot((two[0] - first).cross(two[1] - first))).sum::<f64>().abs()
+}
+
+/// The Hausdorff distance of two convex polygons: that of a corner, since the distance to a
+/// convex set is a convex function. Infinite where one alone is empty.
+pub(super) fn hausdorff(p: &[DVec3], q: &[DVec3]) -> f64 {
+    if p.is_empty() && q.is_empty() {
+        return 0.0;
+    }
+    let farthest = |from: &[DVec3], to: &[DVec3]| from.iter().map(|&x| distance(x, to)).fold(0.0, f64::max);
+    farthest(p, q).max(farthest(q, p))
+}
+
+/// Of a point from a convex polygon (or segment, or point).
+fn distance(x: DVec3, polygon: &[DVec3]) -> f64 {
+    match *polygon {
+        [] => f64::INFINITY,
+        [p] => x.distance(p),
+        [p, q] => x.distance(on_segment(x, p, q)),
+        [first, ref rest @ ..] => {
+            let fan = rest.windows(2).map(|two| x.distance(on_triangle(x, [first, two[0], two[1]])));
+            fan.fold(f64::INFINITY, f64::min)
+        }
+    }
+}
+
+fn on_segment(x: DVec3, p: DVec3, q: DVec3) -> DVec3 {
+    let along = q - p;
+    let t = (x - p).dot(along) / along.length_squared();
+    if t.is_nan() { p } else { p + along * t.clamp(0.0, 1.0) }
+}
+
+fn on_triangle(x: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
+    let n = (b - a).cross(c - a);
+    let foot = x - n * ((x - a).dot(n) / n.length_squared());
+    let inside = [(a, b), (b, c), (c, a)].iter().all(|&(u, v)| n.dot((u - foot).cross(v - foot)) >= 0.0);
+    if inside && foot.is_finite() {
+        return foot;
+    }
+    let sides = [on_segment(x, a, b), on_segment(x, b, c), on_segment(x, c, a)];
+    sides.into_iter().min_by(|p, q| x.distance(*p).total_cmp(&x.distance(*q))).unwrap_or(a)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches a distance that is one-sided, to corners alone or to the plane, and an area
+    /// with a sign or a corner left out.
+    #[test]
+    fn squares_are_known_by_hand() {
+        let square = |x: f64, half: f64| {
+            [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
+                .map(|(u, v)| DVec3::new(x + half * u, half * v, 0.0))
+        };
+        let [one, small, moved] = [square(0.0, 1.0), square(0.0, 0.5), square(3.0, 1.0)];
+        assert_eq!(area(&one, DVec3::Z), 4.0);
+        assert_eq!(area(&one, DVec3::NEG_Z), 4.0);
+        assert_eq!(area(&one[..2], DVec3::Z), 0.0);
+        assert_eq!(hausdorff(&one, &one), 0.0);
+        let corner = 0.5_f64.hypot(0.5);
+        assert!((hausdorff(&one, &small) - corner).abs() < 1e-15);
+        assert!((hausdorff(&small, &one) - corner).abs() < 1e-15);
+        assert!((hausdorff(&one, &moved) - 3.0).abs() < 1e-15);
+        assert!(
+            (hausdorff(&one, &[DVec3::new(0.25, 0.0, 2.0)]) - 1.25_f64.hypot(1.0).hypot(2.0)).abs() < 1e-15
+        );
+        assert_eq!(hausdorff(&one, &[]), f64::INFINITY);
+        assert_eq!(hausdorff(&[], &[]), 0.0);
+    }
+}

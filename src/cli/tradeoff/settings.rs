@@ -1,0 +1,151 @@
+//! The grid: every knob's levels, and their product.
+
+use std::fmt;
+
+use hullcast::contact::{Accuracy, Simplification, Solver};
+
+/// One value of each knob.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Setting {
+    pub(super) solver: Solver,
+    pub(super) relative_tolerance: f64,
+    pub(super) max_iterations: u32,
+    /// From the answer before a small motion, or from nothing.
+    pub(super) warm: bool,
+    /// Deviation allowed to simplified hulls, as a share of the circumradius; 0: as they are.
+    pub(super) simplification: f64,
+    pub(super) feature_angle: f64,
+    pub(super) max_points: u32,
+    pub(super) center: Center,
+}
+
+/// Where hulls grow from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Center {
+    /// The centre of mass.
+    Mass,
+    /// That of the largest ball inside.
+    Ball,
+    /// The centre of mass, moved by half the inradius.
+    Offset,
+}
+
+const SOLVERS: [Solver; 2] = [Solver::Portal, Solver::GjkRayCast];
+const TOLERANCES: [f64; 4] = [0.0, 1e-6, 1e-3, 1e-1];
+const ITERATIONS: [u32; 3] = [1000, 16, 4];
+const WARM: [bool; 2] = [false, true];
+pub(super) const SIMPLIFICATIONS: [f64; 3] = [0.0, 0.01, 0.05];
+const FEATURE_ANGLES: [f64; 3] = [0.01, 0.0, 0.1];
+const MAX_POINTS: [u32; 3] = [0, 4, 1];
+pub(super) const CENTERS: [Center; 3] = [Center::Mass, Center::Ball, Center::Offset];
+
+/// The knobs, as the table's columns are called.
+pub(super) const KNOBS: [&str; 8] = [
+    "solver",
+    "relative_tolerance",
+    "max_iterations",
+    "start",
+    "simplification",
+    "feature_angle",
+    "max_points",
+    "contraction_point",
+];
+
+impl Setting {
+    /// What a request gets that names nothing: the first level of each knob.
+    pub(super) const DEFAULT: Self = Self {
+        solver: SOLVERS[0],
+        relative_tolerance: TOLERANCES[0],
+        max_iterations: ITERATIONS[0],
+        warm: WARM[0],
+        simplification: SIMPLIFICATIONS[0],
+        feature_angle: FEATURE_ANGLES[0],
+        max_points: MAX_POINTS[0],
+        center: CENTERS[0],
+    };
+
+    /// Every combination. Hulls are the same in the inner loops.
+    pub(super) fn grid() -> Vec<Self> {
+        let mut grid = Vec::new();
+        for center in CENTERS {
+            for simplification in SIMPLIFICATIONS {
+                for solver in SOLVERS {
+                    for relative_tolerance in TOLERANCES {
+                        for max_iterations in ITERATIONS {
+                            for warm in WARM {
+                                for feature_angle in FEATURE_ANGLES {
+                                    grid.extend(MAX_POINTS.map(|max_points| Self {
+                                        solver,
+                                        relative_tolerance,
+                                        max_iterations,
+                                        warm,
+                                        simplification,
+                                        feature_angle,
+                                        max_points,
+                                        center,
+                                    }));
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        grid
+    }
+
+    /// What the library is asked for.
+    pub(super) fn accuracy(&self) -> Accuracy {
+        Accuracy {
+            solver: self.solver,
+            relative_tolerance: self.relative_tolerance,
+            feature_angle: self.feature_angle,
+            max_points: self.max_points,
+            max_iterations: self.max_iterations,
+        }
+    }
+
+    /// What its hulls are simplified to; `size` is the circumradius.
+    pub(super) fn simplified(&self, size: f64) -> Option<Simplification> {
+        (self.simplification > 0.0)
+            .then(|| Simplification { max_vertices: None, max_deviation: Some(self.simplification * size) })
+    }
+
+    /// A knob's value each, in the order of [`KNOBS`].
+    pub(super) fn values(&self) -> [String; KNOBS.len()] {
+        let start = if self.warm { "warm" } else { "cold" };
+        let center = match self.center {
+            Center::Mass => "mass",
+            Center::Ball => "ball",
+            Center::Offset => "offset",
+        };
+        [
+            match self.solver {
+                Solver::Portal => "portal".into(),
+                Solver::GjkRayCast => "gjk_ray_cast".into(),
+            },
+            self.relative_tolerance.to_string(),
+            self.max_iterations.to_string(),
+            start.into(),
+            self.simplification.to_string(),
+            self.feature_angle.to_string(),
+            self.max_points.to_string(),
+            center.into(),
+        ]
+    }
+
+    /// The knobs that are not at their default.
+    pub(super) fn changed(&self) -> Vec<usize> {
+        let (own, default) = (self.values(), Self::DEFAULT.values());
+        (0..KNOBS.len()).filter(|&knob| own[knob] != default[knob]).collect()
+    }
+}
+
+impl fmt::Display for Setting {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let values = self.values();
+        let changed: Vec<String> =
+            self.changed().into_iter().map(|knob| format!("{} {}", KNOBS[knob], values[knob])).collect();
+        if changed.is_empty() { f.write_str("the default") } else { f.write_str(&changed.join(", ")) }
+    }
+}

@@ -1,0 +1,115 @@
+//! What answers are held against: support values and the least translation by brute force,
+//! from the whole hulls alone.
+
+use glam::{DMat3, DVec3};
+
+use super::cases::{Case, Placement};
+use hullcast::contact::ConvexHull;
+
+/// Two whole hulls in the world's axes; lengths in the caller's units.
+pub(super) struct Pair<'a> {
+    sides: [Side<'a>; 2],
+    /// From A's contraction point to B's.
+    pub(super) d: DVec3,
+    /// Sum of the circumradii.
+    pub(super) size: f64,
+}
+
+struct Side<'a> {
+    hull: &'a ConvexHull,
+    rotation: DMat3,
+    /// About the contraction point, world axes.
+    vertices: Vec<DVec3>,
+}
+
+impl<'a> Side<'a> {
+    fn new(hull: &'a ConvexHull, placement: &Placement) -> Self {
+        let rotation = DMat3::from_quat(placement.rotation);
+        let vertices = hull.vertices().iter().map(|&v| rotation * (v * hull.scale())).collect();
+        Self { hull, rotation, vertices }
+    }
+
+    fn reach(&self, n: DVec3) -> f64 {
+        self.vertices.iter().map(|v| n.dot(*v)).fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    fn normals(&self) -> Vec<DVec3> {
+        self.hull.faces().iter().map(|face| self.rotation * face.normal).collect()
+    }
+}
+
+impl<'a> Pair<'a> {
+    pub(super) fn new(a: &'a ConvexHull, b: &'a ConvexHull, case: &Case) -> Self {
+        let center = |hull: &ConvexHull, at: &Placement| at.rotation * hull.contraction_point();
+        let d = case.b.position - case.a.position + (center(b, &case.b) - center(a, &case.a));
+        let size = a.circumradius() + b.circumradius();
+        Self { sides: [Side::new(a, &case.a), Side::new(b, &case.b)], d, size }
+    }
+
+    /// How far the centred Minkowski difference reaches along a unit direction.
+    pub(super) fn reach(&self, n: DVec3) -> f64 {
+        self.sides[0].reach(n) + self.sides[1].reach(-n)
+    }
+
+    /// The growth scale that a direction proves.
+    pub(super) fn proven(&self, n: DVec3) -> f64 {
+        n.dot(self.d) / self.reach(n)
+    }
+
+    /// The signed separation along a unit direction.
+    pub(super) fn separation(&self, n: DVec3) -> f64 {
+        n.dot(self.d) - self.reach(n)
+    }
+
+    /// The depth of the least translation that separates overlapping hulls, exact to the
+    /// planarity of merged faces: over all normals of the Minkowski difference, which are the
+    /// faces' and those of pairs of edges whose arcs on the Gauss map cross (Gregorius, *The
+    /// Separating Axis Test between Convex Polyhedra*, GDC 2013).
+    pub(super) fn least_translation(&self) -> f64 {
+        let [a, b] = &self.sides;
+        let normals = [a.normals(), b.normals().into_iter().map(|n| -n).collect()];
+        let of_faces = normals.iter().flatten().map(|&n| -self.separation(n));
+        let mut least = of_faces.fold(f64::INFINITY, f64::min);
+        let arcs = |side: &Side<'_>, normals: &[DVec3]| -> Vec<Arc> {
+            let edges = side.hull.edge_vertices().iter().zip(side.hull.edge_faces());
+            let arc = |(ends, faces): (&[u32; 2], &[u32; 2])| {
+                let [tail, tip] = ends.map(|v| side.vertices[v as usize]);
+                let [left, right] = faces.map(|face| normals[face as usize]);
+                Arc { tail, edge: tip - tail, left, right, across: right.cross(left) }
+            };
+            edges.map(arc).collect()
+        };
+        let arcs_b = arcs(b, &normals[1]);
+        for of_a in arcs(a, &normals[0]) {
+            for of_b in arcs_b.iter().filter(|of_b| of_a.crosses(of_b)) {
+                let n = of_a.edge.cross(of_b.edge);
+                // Parallel edges: faces that they bound have the normal.
+                if n.length_squared() < 1e-16 * of_a.edge.length_squared() * of_b.edge.length_squared() {
+                    continue;
+                }
+                let n = n.normalize();
+                let n = if n.dot(of_a.left + of_a.right) < 0.0 { -n } else { n };
+                least = least.min(n.dot(of_a.tail - of_b.tail) - n.dot(self.d));
+            }
+        }
+        least
+    }
+}
+
+/// An edge, and its arc on the Gauss map.
+struct Arc {
+    tail: DVec3,
+    edge: DVec3,
+    left: DVec3,
+    right: DVec3,
+    across: DVec3,
+}
+
+impl Arc {
+    fn crosses(&self, other: &Self) -> bool {
+        let ends = [other.left.dot(self.across), other.right.dot(self.across)];
+        let own = [self.left.dot(other.across), self.right.dot(other.across)];
+        // Each arc's ends on two sides of the other's plane, in one half of the sphere.
+        ends[0] * ends[1] < 0.0 && own[0] * own[1] < 0.0 && ends[0] * own[1] > 0.0
+    }
+}
