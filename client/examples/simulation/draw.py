@@ -1,0 +1,99 @@
+"""Plots of the figures, and short animations seen from the side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+COLOURS = ["#4c78a8", "#f58518", "#54a24b", "#e45756", "#72b7b2", "#b279a2"]
+SIZE = (300, 240)
+
+
+def frame(
+    setup: object,
+    shapes: Sequence[np.ndarray],
+    positions: np.ndarray,
+    turned: np.ndarray,
+    title: str,
+):
+    """A picture of the bodies, the far ones first; looks along y."""
+    from PIL import Image, ImageDraw
+    from scipy.spatial import ConvexHull
+
+    low, high = VIEWS[setup.name]
+    scale = min(SIZE[0] / (high[0] - low[0]), SIZE[1] / (high[1] - low[1]))
+    picture = Image.new("RGB", SIZE, "white")
+    pen = ImageDraw.Draw(picture)
+    for body in np.argsort(-positions[:, 1]):
+        corners = (shapes[body] @ turned[body].T + positions[body])[:, [0, 2]]
+        outline = corners[ConvexHull(corners).vertices]
+        at = np.stack(
+            [(outline[:, 0] - low[0]) * scale, SIZE[1] - (outline[:, 1] - low[1]) * scale], axis=1
+        )
+        fill = "#dddddd" if body < setup.fixed else COLOURS[body % len(COLOURS)]
+        pen.polygon([tuple(p) for p in at], fill=fill, outline="#333333")
+    pen.text((6, 4), title, fill="black")
+    return picture
+
+
+#: Of each scene what is seen: lowest and highest x and z.
+VIEWS = {
+    "tower": ((-3.4, -0.3), (3.4, 5.3)),
+    "wall": ((-0.6, -0.2), (3.7, 2.4)),
+    "arch": ((-1.9, -0.2), (1.9, 2.0)),
+    "pile": ((-2.6, -0.2), (2.6, 3.4)),
+    "rocking": ((-1.0, -0.1), (1.0, 1.4)),
+}
+
+
+def animate(left: Sequence[object], right: Sequence[object], path: Path, seconds: float) -> None:
+    """Two runs side by side."""
+    from PIL import Image
+
+    pictures = []
+    for a, b in zip(left, right, strict=True):
+        both = Image.new("RGB", (2 * SIZE[0], SIZE[1]), "white")
+        both.paste(a, (0, 0))
+        both.paste(b, (SIZE[0], 0))
+        pictures.append(both.quantize(32, dither=Image.Dither.NONE))
+    pictures[0].save(
+        path,
+        save_all=True,
+        append_images=pictures[1:],
+        duration=int(1000 * seconds),
+        loop=0,
+        optimize=True,
+    )
+
+
+def plot(rows: Sequence[dict], path: Path) -> None:
+    """Drift, jitter and depth against sweeps, a column a scene."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    scenes = list(dict.fromkeys(row["scene"] for row in rows))
+    variants = list(dict.fromkeys(row["variant"] for row in rows))
+    names = {"drift": "drift, m", "jitter": "jitter, mJ/kg", "depth": "depth, mm"}
+    figure, axes = plt.subplots(
+        3, len(scenes), figsize=(2.7 * len(scenes), 7), sharex=True, squeeze=False
+    )
+    for j, scene in enumerate(scenes):
+        axes[0, j].set_title(scene)
+        for i, (key, label) in enumerate(names.items()):
+            axis = axes[i, j]
+            for variant in variants:
+                some = [row for row in rows if (row["scene"], row["variant"]) == (scene, variant)]
+                values = [max(row[key], 1e-7) for row in some]
+                axis.plot([row["sweeps"] for row in some], values, "o-", ms=3, label=variant)
+            axis.set(xscale="log", yscale="log")
+            axis.grid(alpha=0.3)
+            if j == 0:
+                axis.set_ylabel(label)
+        axes[2, j].set_xlabel("sweeps a step")
+    axes[0, -1].legend(fontsize=7)
+    figure.tight_layout()
+    figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
