@@ -89,7 +89,7 @@ def pile(count: int = 200) -> Setup:
         + rng.uniform(-0.03, 0.03, 3)
         for i in range(count)
     ]
-    setup = _on_floor("pile", [kinds[i] for i in chosen], places, 250)
+    setup = _on_floor("pile", [kinds[i] for i in chosen], places, 200)
     turn = rng.normal(size=(count, 4))
     setup.rotations[1:] = turn / np.linalg.norm(turn, axis=1, keepdims=True)
     return setup

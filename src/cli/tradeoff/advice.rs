@@ -9,7 +9,7 @@ use super::table::{Figures, Row};
 pub(super) struct Need {
     pub(super) name: &'static str,
     what: &'static str,
-    bears: fn(&Figures) -> bool,
+    bears: fn(&Setting, &Figures) -> bool,
 }
 
 /// In ascending tolerance. Knobs that change which number is asked for (the contraction point)
@@ -18,22 +18,22 @@ pub(super) const NEEDS: [Need; 4] = [
     Need {
         name: "exact",
         what: "growth scale and normal to rounding, the whole patch",
-        bears: |f| f.optimality[2] <= 1e-12 && f.hausdorff[1] <= 1e-12 && f.flagged <= 1e-3,
+        bears: |_, f| f.optimality[2] <= 1e-12 && f.hausdorff[1] <= 1e-12 && f.flagged <= 1e-3,
     },
     Need {
         name: "steady",
         what: "a simulation: normals within 1e-3 of optimal, patches within 1 % of the size",
-        bears: |f| f.optimality[1] <= 1e-3 && f.hausdorff[1] <= 0.01,
+        bears: |_, f| f.optimality[1] <= 1e-3 && f.hausdorff[1] <= 0.01,
     },
     Need {
         name: "light",
         what: "at most four points a pair, normals within 1e-3",
-        bears: |f| f.optimality[1] <= 1e-3 && f.hausdorff[1] <= 0.1,
+        bears: |s, f| (1..=4).contains(&s.max_points) && f.optimality[1] <= 1e-3 && f.hausdorff[1] <= 0.1,
     },
     Need {
         name: "rough",
         what: "many rough answers: normals within 2e-2, one point will do",
-        bears: |f| f.optimality[1] <= 0.02,
+        bears: |_, f| f.optimality[1] <= 0.02,
     },
 ];
 
@@ -47,7 +47,9 @@ const AS_FAST: f64 = 1.03;
 
 /// Of the settings that a need bears the simplest among the fastest; `warm` or from nothing.
 pub(super) fn choice<'a>(rows: &'a [Row], need: &Need, warm: bool) -> Option<&'a Row> {
-    let fit = |row: &&Row| row.setting.warm == warm && is_offered(&row.setting) && (need.bears)(&row.figures);
+    let fit = |row: &&Row| {
+        row.setting.warm == warm && is_offered(&row.setting) && (need.bears)(&row.setting, &row.figures)
+    };
     let fitting: Vec<&Row> = rows.iter().filter(fit).collect();
     let time = |row: &Row| row.figures.relative_time;
     let fastest = fitting.iter().map(|row| time(row)).fold(f64::INFINITY, f64::min);

@@ -22,7 +22,7 @@ pub(super) struct Panel {
 /// Points of one kind; both coordinates positive.
 #[derive(Clone, Debug)]
 pub(super) struct Series {
-    name: &'static str,
+    name: String,
     points: Vec<(f64, f64)>,
     mark: Mark,
 }
@@ -36,18 +36,18 @@ enum Mark {
 
 impl Series {
     /// Many small points.
-    pub(super) fn cloud(name: &'static str, points: Vec<(f64, f64)>) -> Self {
-        Self { name, points, mark: Mark::Cloud }
+    pub(super) fn cloud(points: Vec<(f64, f64)>) -> Self {
+        Self { name: String::new(), points, mark: Mark::Cloud }
     }
 
     /// Points joined by a line.
-    pub(super) fn line(name: &'static str, points: Vec<(f64, f64)>) -> Self {
-        Self { name, points, mark: Mark::Line }
+    pub(super) fn line(points: Vec<(f64, f64)>) -> Self {
+        Self { name: String::new(), points, mark: Mark::Line }
     }
 
     /// One large point with its name beside it.
-    pub(super) fn named(name: &'static str, point: (f64, f64)) -> Self {
-        Self { name, points: vec![point], mark: Mark::Named }
+    pub(super) fn named(name: impl Into<String>, point: (f64, f64)) -> Self {
+        Self { name: name.into(), points: vec![point], mark: Mark::Named }
     }
 }
 
@@ -232,7 +232,7 @@ impl Panel {
                         shapes.push(Shape::Disc { at, radius: 3.5, colour: NAMED });
                         let room = LETTER * series.name.len() as f64 + 6.0;
                         let beside = if at.0 + room < x1 { at.0 + 6.0 } else { at.0 - room };
-                        shapes.push(words((beside, at.1 - 6.0), series.name, NAMED));
+                        shapes.push(words((beside, at.1 - 6.0), &series.name, NAMED));
                     }
                 }
             }
@@ -314,11 +314,8 @@ mod tests {
     #[test]
     fn a_chart_is_drawn_either_way() {
         let points: Vec<(f64, f64)> = (0..50).map(|i| (1.1_f64.powi(i), 10_f64.powi(-(i % 16)))).collect();
-        let series = vec![
-            Series::cloud("a", points.clone()),
-            Series::line("b", points),
-            Series::named("c", (2.0, 1.0)),
-        ];
+        let series =
+            vec![Series::cloud(points.clone()), Series::line(points), Series::named("c", (2.0, 1.0))];
         let panel = Panel { title: "title", x: "x", series };
         let chart = Chart { panels: vec![panel.clone(), panel] };
         let svg = chart.svg();

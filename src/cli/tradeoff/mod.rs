@@ -113,27 +113,32 @@ fn measured(cells: Vec<cases::Cell>) -> Result<Vec<Row>, Error> {
     Ok(rows)
 }
 
-/// Below this an error is rounding, and drawn here.
-const ROUNDING: f64 = 1e-16;
+/// Errors are drawn within these: below is rounding, above is all of it (a patch that is not
+/// there is infinitely far).
+const DRAWN: (f64, f64) = (1e-16, 1.0);
 
 /// Time against two errors: all settings, those that none beats, and those advised.
 fn chart(rows: &[Row]) -> Chart {
     type Of = fn(&Figures) -> f64;
     let errors: [(&str, Of); 2] = [
-        ("normal short of optimal, p95", |f| f.optimality[1].max(ROUNDING)),
-        ("patch off by this share of the size, p95", |f| f.hausdorff[1].max(ROUNDING)),
+        ("normal short of optimal, p95", |f| f.optimality[1].clamp(DRAWN.0, DRAWN.1)),
+        ("patch off by this share of the size, p95", |f| f.hausdorff[1].clamp(DRAWN.0, DRAWN.1)),
     ];
     let panel = |(title, error): (&'static str, Of)| {
         let at = |i: usize| (rows[i].figures.relative_time, error(&rows[i].figures));
-        let offered = |i: &usize| rows[*i].figures.hausdorff[1].is_finite();
-        let all = (0..rows.len()).filter(offered).map(at).collect();
+        let all = (0..rows.len()).map(at).collect();
         let front = table::front(rows, error).into_iter().map(at).collect();
-        let mut series = vec![Series::cloud("settings", all), Series::line("none is better", front)];
+        let mut series = vec![Series::cloud(all), Series::line(front)];
+        let mut named: Vec<((f64, f64), String)> = Vec::new();
         for need in &advice::NEEDS {
-            if let Some(row) = advice::choice(rows, need, false) {
-                series.push(Series::named(need.name, (row.figures.relative_time, error(&row.figures))));
+            let Some(row) = advice::choice(rows, need, false) else { continue };
+            let at = (row.figures.relative_time, error(&row.figures));
+            match named.iter_mut().find(|(there, _)| *there == at) {
+                Some((_, names)) => *names += &format!(", {}", need.name),
+                None => named.push((at, need.name.into())),
             }
         }
+        series.extend(named.into_iter().map(|(at, names)| Series::named(names, at)));
         chart::Panel { title, x: "time over the default's", series }
     };
     Chart { panels: errors.map(panel).into() }
