@@ -37,15 +37,25 @@ pub struct Accuracy {
     pub max_iterations: u32,
 }
 
+/// Chosen from what `hullcast tradeoff` measured (docs/tradeoff.md).
+impl Accuracy {
+    /// To rounding, the whole patch. No coarser tolerance was measured to be faster.
+    pub const EXACT: Self = Self {
+        solver: Solver::Portal,
+        relative_tolerance: 0.0,
+        feature_angle: 0.01,
+        max_points: 0,
+        max_iterations: 1000,
+    };
+
+    /// The same, at most four points a pair: fewer to send and to solve for.
+    pub const FOUR_POINTS: Self = Self { max_points: 4, ..Self::EXACT };
+}
+
 impl Default for Accuracy {
+    /// [`Accuracy::EXACT`].
     fn default() -> Self {
-        Self {
-            solver: Solver::Portal,
-            relative_tolerance: 0.0,
-            feature_angle: 0.01,
-            max_points: 0,
-            max_iterations: 1000,
-        }
+        Self::EXACT
     }
 }
 

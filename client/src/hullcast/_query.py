@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -44,6 +44,12 @@ class Accuracy:
     feature_angle: float = 0.01
     max_points: int = 0
 
+    #: To rounding, the whole patch: the default. Chosen, as the other, from what
+    #: `hullcast tradeoff` measured (docs/tradeoff.md): no coarser tolerance is faster.
+    EXACT: ClassVar[Accuracy]
+    #: The same, at most four points a pair: fewer to send and to solve for.
+    FOUR_POINTS: ClassVar[Accuracy]
+
     def fill(self, message: Any) -> None:
         """Writes it into a request's `accuracy`."""
         enum = message.DESCRIPTOR.fields_by_name["solver"].enum_type
@@ -59,6 +65,10 @@ class Accuracy:
         message.relative_tolerance = self.relative_tolerance
         message.feature_angle = self.feature_angle
         message.max_points = self.max_points
+
+
+Accuracy.EXACT = Accuracy()
+Accuracy.FOUR_POINTS = Accuracy(max_points=4)
 
 
 @dataclass(frozen=True)
