@@ -114,31 +114,36 @@ def main() -> None:
             setup = scenes.SCENES[name]()
             for variant in VARIANTS:
                 # Of the pile a sweep takes as long as a whole step of the others.
-                some = SWEEPS[:2] if name == "pile" else SWEEPS
+                some = SWEEPS[1:2] if name == "pile" else SWEEPS
                 for sweeps in SWEEPS[1:2] if arguments.quick else some:
                     record = bool(arguments.docs) and SHOWN.get(name) == sweeps
                     row, pictures = run(client, setup, variant, sweeps, record)
                     rows.append(row)
                     recorded[name, variant] = pictures or recorded.get((name, variant), [])
                     print(line(row), flush=True)
-    if arguments.docs:
-        root = Path(__file__).resolve().parents[3]
-        where = subprocess.run(
-            [root / "scripts/provenance"], capture_output=True, text=True, check=True
-        )
-        page = arguments.docs / "simulation.md"
-        head, rest = page.read_text().split(OPEN)
-        table = "\n".join([where.stdout.strip(), "", *HEAD, *map(line, rows)])
-        page.write_text(f"{head}{OPEN}\n{table}\n{CLOSE}{rest.split(CLOSE)[1]}")
-        draw.plot(rows, arguments.docs / "simulation.svg")
-        for name in SHOWN:
-            if recorded.get((name, "manifold")):
-                draw.animate(
-                    recorded[name, "manifold"],
-                    recorded[name, "one point"],
-                    arguments.docs / f"simulation-{name}.gif",
-                    0.08,
-                )
+            if arguments.docs:  # after each scene, so that what is done is there
+                write(arguments.docs, rows, recorded)
+
+
+def write(docs: Path, rows: list[dict], recorded: dict[tuple[str, str], list]) -> None:
+    """The page's table, its plot and animations."""
+    root = Path(__file__).resolve().parents[3]
+    where = subprocess.run(
+        [root / "scripts/provenance"], capture_output=True, text=True, check=True
+    )
+    page = docs / "simulation.md"
+    head, rest = page.read_text().split(OPEN)
+    table = "\n".join([where.stdout.strip(), "", *HEAD, *map(line, rows)])
+    page.write_text(f"{head}{OPEN}\n{table}\n{CLOSE}{rest.split(CLOSE)[1]}")
+    draw.plot(rows, docs / "simulation.svg")
+    for name in SHOWN:
+        if recorded.get((name, "manifold")) and recorded.get((name, "one point")):
+            draw.animate(
+                recorded[name, "manifold"],
+                recorded[name, "one point"],
+                docs / f"simulation-{name}.gif",
+                0.08,
+            )
 
 
 if __name__ == "__main__":

@@ -40,10 +40,10 @@ def tower() -> Setup:
 
 
 def wall() -> Setup:
-    """Six rows of bricks, every other row moved by half a brick."""
+    """Six rows of bricks, every other row moved by a quarter of a brick."""
     half = np.array([0.3, 0.15, 0.15])
     places = [
-        np.array([0.61 * (i + 0.5 * (row % 2)), 0, 0.15 + 0.3 * row])
+        np.array([0.61 * (i + 0.25 * (row % 2)), 0, 0.15 + 0.3 * row])
         for row in range(6)
         for i in range(5)
     ]
@@ -89,7 +89,7 @@ def pile(count: int = 200) -> Setup:
         + rng.uniform(-0.03, 0.03, 3)
         for i in range(count)
     ]
-    setup = _on_floor("pile", [kinds[i] for i in chosen], places, 200)
+    setup = _on_floor("pile", [kinds[i] for i in chosen], places, 150)
     turn = rng.normal(size=(count, 4))
     setup.rotations[1:] = turn / np.linalg.norm(turn, axis=1, keepdims=True)
     return setup

@@ -86,9 +86,11 @@ fn measured(cells: Vec<cases::Cell>) -> Result<Vec<Row>, Error> {
         let [median] = Sorted::new(prepared.measure(setting).iter().map(|s| s.nanoseconds)).at([0.5]);
         median
     };
-    let warmed = cells.iter().map(|cell| median(cell, &Setting::DEFAULT)).count();
-    debug_assert_eq!(warmed, cells.len());
     let mut default: HashMap<String, f64> = HashMap::new();
+    for cell in &cells {
+        median(cell, &Setting::DEFAULT);
+        default.insert(cell.cell.name.clone(), median(cell, &Setting::DEFAULT));
+    }
     let mut rows = Vec::new();
     for setting in &grid {
         let (mut together, mut logs) = (Vec::new(), 0.0);
@@ -96,7 +98,7 @@ fn measured(cells: Vec<cases::Cell>) -> Result<Vec<Row>, Error> {
             let samples = prepared.measure(setting);
             let [time] = Sorted::new(samples.iter().map(|s| s.nanoseconds)).at([0.5]);
             let name = &prepared.cell.name;
-            let relative = time / *default.entry(name.clone()).or_insert(time);
+            let relative = time / default[name];
             logs += relative.ln();
             rows.push(Row {
                 cell: name.clone(),

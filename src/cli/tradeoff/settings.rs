@@ -108,7 +108,7 @@ impl Setting {
     /// What its hulls are simplified to; `size` is the circumradius.
     pub(super) fn simplified(&self, size: f64) -> Option<Simplification> {
         (self.simplification > 0.0)
-            .then(|| Simplification { max_vertices: None, max_deviation: Some(self.simplification * size) })
+            .then_some(Simplification { max_vertices: None, max_deviation: Some(self.simplification * size) })
     }
 
     /// A knob's value each, in the order of [`KNOBS`].
