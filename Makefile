@@ -157,6 +157,11 @@ stability: check-tools ## answers at the extremes against exact ones; writes doc
 stability-long: check-tools ## THOUSANDS=1000: so many cases by the certificate, a tenth by the exact answers
 	$(STABILITY) --ignored --nocapture many_cases a_million_cases
 
+# As root, who may mount the small disk that is filled and made read-only.
+.PHONY: test-faults
+test-faults: check-tools ## kill -9 a thousand times, full and vanished disks, torn blobs; needs root
+	$(CARGO) test --release --locked --test faults -- --ignored --nocapture --test-threads 1
+
 FUZZ_SECONDS ?= 600
 
 .PHONY: fuzz

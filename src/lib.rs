@@ -19,6 +19,8 @@ pub mod broad_phase;
 pub mod compute;
 pub mod contact;
 #[cfg(feature = "server")]
+pub mod metrics;
+#[cfg(feature = "server")]
 pub mod proto;
 #[cfg(feature = "server")]
 pub mod service;

@@ -26,10 +26,10 @@ enum Command {
     Serve(Box<cli::serve::Args>),
     /// Answers for a scene file's pairs, in this process or from a server.
     Query(Box<cli::query::Args>),
-    /// Measures speed against accuracy: every setting's time and errors.
-    Tradeoff(cli::tradeoff::Args),
-    /// Sends batches in a closed loop, times them and checks a sample of the answers.
+    /// Sends batches in a closed or an open loop, times them and checks a sample of the answers.
     Load(Box<cli::load::Args>),
+    /// Removes old hulls from a store.
+    Prune(cli::prune::Args),
 }
 
 fn main() -> ExitCode {
@@ -38,6 +38,7 @@ fn main() -> ExitCode {
         Command::Query(args) => cli::query::run(&args),
         Command::Tradeoff(args) => cli::tradeoff::run(&args),
         Command::Load(args) => cli::load::run(&args),
+        Command::Prune(args) => cli::prune::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -3,8 +3,10 @@
 mod answer;
 mod batches;
 pub(crate) mod load;
+mod memory;
 mod npz;
 mod options;
+pub(crate) mod prune;
 pub(crate) mod query;
 mod remote;
 mod report;

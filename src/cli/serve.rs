@@ -8,10 +8,11 @@ use std::{
 };
 
 use hullcast::{
-    service::{App, Listener, Security, run as serve},
+    service::{App, Listener, Security, run as serve, serve_admin},
     store::blobs,
 };
 use tokio::{
+    net::TcpListener,
     signal::unix::{SignalKind, signal},
     sync::oneshot,
 };
@@ -19,7 +20,7 @@ use tracing_subscriber::EnvFilter;
 
 use super::{
     Error,
-    settings::{Given, LogFormat, Settings},
+    settings::{Given, LogFormat, Settings, seconds},
 };
 
 /// `hullcast serve`
@@ -33,6 +34,9 @@ pub(crate) struct Args {
     /// Print the settings in force as such a file, and exit
     #[arg(long)]
     print_config: bool,
+    /// Sleep so many microseconds for every pair: for tests of overload
+    #[arg(long, hide = true, default_value_t = 0)]
+    inject_pair_delay_us: u64,
     /// Stop when standard input closes, as when the parent process ends
     #[arg(long)]
     until_stdin_closes: bool,
@@ -44,22 +48,24 @@ const RUNTIME_SHUTDOWN: Duration = Duration::from_secs(1);
 /// Runs it.
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     let file = args.config.as_deref().map(Given::read).transpose()?.unwrap_or_default();
-    let settings = args.given.or(file);
+    let settings = args.given.clone().or(file);
     if args.print_config {
         print!("{}", toml::to_string(&settings)?);
         return Ok(());
     }
     log(&settings)?;
     let runtime = tokio::runtime::Runtime::new()?;
-    let result = runtime.block_on(until_stopped(&settings, args.until_stdin_closes));
+    let result = runtime.block_on(until_stopped(&settings, &args));
     runtime.shutdown_timeout(RUNTIME_SHUTDOWN);
     result
 }
 
-async fn until_stopped(settings: &Settings, until_stdin_closes: bool) -> Result<(), Error> {
+async fn until_stopped(settings: &Settings, args: &Args) -> Result<(), Error> {
     let serving = settings.serving()?;
     let store = blobs::open(&settings.store)?;
-    let app = App::new(store, settings.limits(), settings.compute_threads)?;
+    let app = Arc::new(App::new(store, settings.limits()?, settings.compute_threads)?);
+    app.engine().inject_delay(Duration::from_micros(args.inject_pair_delay_us));
+    let grace = seconds("grace_seconds", settings.grace_seconds)?;
     // Before the address is printed: who reads it may stop the server at once.
     let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
     let mut listeners = Vec::with_capacity(settings.listen.len());
@@ -74,7 +80,17 @@ async fn until_stopped(settings: &Settings, until_stdin_closes: bool) -> Result<
         }
         listeners.push(listener);
     }
-    announce(&listeners)?;
+    let admin = match settings.admin_listen.as_str() {
+        "" => None,
+        address => {
+            let bound = TcpListener::bind(address).await;
+            Some(bound.map_err(|error| format!("admin_listen {address}: {error}"))?)
+        }
+    };
+    announce(&listeners, admin.as_ref())?;
+    if let Some(admin) = admin {
+        tokio::spawn(serve_admin(admin, app.clone()));
+    }
     tracing::info!(
         version = env!("CARGO_PKG_VERSION"),
         store = settings.store,
@@ -82,14 +98,26 @@ async fn until_stopped(settings: &Settings, until_stdin_closes: bool) -> Result<
         "serving"
     );
     spawn_reload_on_hangup(serving.security.clone())?;
+    let until_stdin_closes = args.until_stdin_closes;
+    // A supervisor's signal is meant for balancers to hear of first; whoever interrupts or
+    // leaves does not wait for them.
     let shutdown = async move {
-        tokio::select! {
-            _ = terminate.recv() => {}
-            _ = interrupt.recv() => {}
-            () = stdin_closed(), if until_stdin_closes => {}
-        }
+        let grace = tokio::select! {
+            _ = terminate.recv() => grace,
+            _ = interrupt.recv() => Duration::ZERO,
+            () = stdin_closed(), if until_stdin_closes => Duration::ZERO,
+        };
+        tokio::spawn(async move {
+            tokio::select! {
+                _ = terminate.recv() => {}
+                _ = interrupt.recv() => {}
+            }
+            tracing::warn!("told to stop again: ending at once");
+            std::process::exit(1);
+        });
+        grace
     };
-    Ok(serve(listeners, Arc::new(app), serving, shutdown).await?)
+    Ok(serve(listeners, app, serving, shutdown).await?)
 }
 
 /// As daemons do; the files are read from time to time anyway.
@@ -104,11 +132,14 @@ fn spawn_reload_on_hangup(security: Arc<Security>) -> io::Result<()> {
     Ok(())
 }
 
-/// One line a listener, first on standard output: what scripts wait for.
-fn announce(listeners: &[Listener]) -> io::Result<()> {
+/// One line a listener, first on standard output: what scripts wait for. Then the admin port's.
+fn announce(listeners: &[Listener], admin: Option<&TcpListener>) -> io::Result<()> {
     let mut out = io::stdout().lock();
     for listener in listeners {
         writeln!(out, "listening on {listener}")?;
+    }
+    if let Some(admin) = admin {
+        writeln!(out, "admin on {}", admin.local_addr()?)?;
     }
     out.flush()
 }

@@ -12,7 +12,7 @@ use clap::ValueEnum;
 use hullcast::service::{Limits, Security, SecurityFiles, Serving};
 use serde::{Deserialize, Serialize};
 
-use super::Error;
+use super::{Error, memory::Size};
 
 /// How logs are written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
@@ -66,6 +66,12 @@ settings! {
     store: String = |_: &Limits| "hullcast-store".into(), "HULLCAST_STORE", "URL";
     /// Threads that compute; 0: one a core
     compute_threads: usize = |_: &Limits| 0, "HULLCAST_COMPUTE_THREADS", "N";
+    /// Seconds after SIGTERM in which health says NOT_SERVING and calls are still accepted
+    grace_seconds: f64 = |_: &Limits| 3.0, "HULLCAST_GRACE_SECONDS", "S";
+    /// Seconds about which a connection is told to close; 0: never
+    max_connection_age_seconds: f64 = |_: &Limits| 0.0, "HULLCAST_MAX_CONNECTION_AGE_SECONDS", "S";
+    /// Seconds between two tries whether the store can be written to
+    probe_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_PROBE_SECONDS", "S";
     /// Seconds that calls in flight have to finish when the server stops
     drain_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_DRAIN_SECONDS", "S";
     /// PEM file of the server's certificate and those it leads to; empty: plain text
@@ -83,6 +89,8 @@ settings! {
     register_tokens: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_REGISTER_TOKENS", "FILE";
     /// Seconds after which certificates and tokens are read again
     reload_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_RELOAD_SECONDS", "S";
+    /// Address of /metrics, /livez and /readyz, plain HTTP; empty: none
+    admin_listen: String = |_: &Limits| String::new(), "HULLCAST_ADMIN_LISTEN", "ADDR";
     /// What is logged: error, warn, info, debug (every request), or a tracing filter
     log: String = |_: &Limits| "info".into(), "HULLCAST_LOG", "FILTER";
     /// How logs are written
@@ -103,11 +111,19 @@ settings! {
         "HULLCAST_MAX_VERTICES_PER_HULL", "N";
     /// Most pairs accepted and not yet answered, over all calls
     max_pairs_in_flight: u32 = |l: &Limits| l.max_pairs_in_flight, "HULLCAST_MAX_PAIRS_IN_FLIGHT", "N";
+    /// Most bytes of requests that have come and are not yet answered, over all calls
+    max_request_bytes_in_flight: u64 = |l: &Limits| l.max_request_bytes_in_flight,
+        "HULLCAST_MAX_REQUEST_BYTES_IN_FLIGHT", "N";
+    /// Most seconds that a call may take, but for streams
+    max_deadline_seconds: u32 = |l: &Limits| l.max_deadline_seconds, "HULLCAST_MAX_DEADLINE_SECONDS", "S";
+    /// Most connections
+    max_connections: u32 = |l: &Limits| l.max_connections, "HULLCAST_MAX_CONNECTIONS", "N";
     /// Bytes that streams keep from one message to the next, all together
     max_stream_state_bytes: u64 = |l: &Limits| l.max_stream_state_bytes,
         "HULLCAST_MAX_STREAM_STATE_BYTES", "N";
-    /// Bytes of heap for hulls that no request is using
-    cache_bytes: u64 = |l: &Limits| l.cache_bytes, "HULLCAST_CACHE_BYTES", "N";
+    /// Bytes of heap for hulls that no request is using, or a share of the memory that the
+    /// process may use (machine and cgroups), as in 25%
+    cache_bytes: Size = |l: &Limits| Size::Bytes(l.cache_bytes), "HULLCAST_CACHE_BYTES", "SIZE";
     /// Most bytes in the store; 0: unbounded
     store_bytes: u64 = |l: &Limits| l.store_bytes, "HULLCAST_STORE_BYTES", "N";
     /// Most concurrent calls on a connection
@@ -142,34 +158,43 @@ impl Settings {
         };
         Ok(Serving {
             security: Arc::new(Security::open(&files)?),
-            reload_every: seconds("reload_seconds", self.reload_seconds)?.max(SHORTEST_RELOAD),
+            reload_every: seconds("reload_seconds", self.reload_seconds)?.max(SHORTEST_LOOP),
             drain: seconds("drain_seconds", self.drain_seconds)?,
+            max_connection_age: seconds("max_connection_age_seconds", self.max_connection_age_seconds)?,
+            probe_every: seconds("probe_seconds", self.probe_seconds)?.max(SHORTEST_LOOP),
+            ..Serving::default()
         })
     }
 
     /// The limits among them.
-    pub(crate) fn limits(&self) -> Limits {
-        Limits {
+    ///
+    /// # Errors
+    /// A share of a memory that the system does not tell.
+    pub(crate) fn limits(&self) -> Result<Limits, Error> {
+        Ok(Limits {
             max_message_bytes: self.max_message_bytes,
             max_pairs_per_request: self.max_pairs_per_request,
             max_bodies_per_request: self.max_bodies_per_request,
             max_hulls_per_request: self.max_hulls_per_request,
             max_vertices_per_hull: self.max_vertices_per_hull,
             max_pairs_in_flight: self.max_pairs_in_flight,
+            max_request_bytes_in_flight: self.max_request_bytes_in_flight,
+            max_deadline_seconds: self.max_deadline_seconds,
+            max_connections: self.max_connections,
             max_stream_state_bytes: self.max_stream_state_bytes,
-            cache_bytes: self.cache_bytes,
+            cache_bytes: self.cache_bytes.bytes()?,
             store_bytes: self.store_bytes,
             max_streams_per_connection: self.max_streams_per_connection,
             max_page_size: self.max_page_size,
             cache_age_seconds: self.cache_age_seconds,
-        }
+        })
     }
 }
 
 /// More often would be a loop that does nothing else.
-const SHORTEST_RELOAD: Duration = Duration::from_millis(10);
+const SHORTEST_LOOP: Duration = Duration::from_millis(10);
 
-fn seconds(name: &str, value: f64) -> Result<Duration, Error> {
+pub(crate) fn seconds(name: &str, value: f64) -> Result<Duration, Error> {
     Ok(Duration::try_from_secs_f64(value).map_err(|error| format!("{name} {value}: {error}"))?)
 }
 
@@ -181,18 +206,18 @@ mod tests {
     #[test]
     fn unknown_keys_are_refused() {
         assert!(toml::from_str::<Given>("cache_byte = 1").is_err());
-        assert_eq!(toml::from_str::<Given>("cache_bytes = 1").unwrap().cache_bytes, Some(1));
+        assert_eq!(toml::from_str::<Given>("cache_bytes = 1").unwrap().cache_bytes, Some(Size::Bytes(1)));
     }
 
     /// Catches an order of precedence the other way round.
     #[test]
     fn flags_win_over_the_file_and_the_file_over_defaults() {
-        let flags = Given { cache_bytes: Some(1), ..Given::default() };
-        let file = Given { cache_bytes: Some(2), max_page_size: Some(3), ..Given::default() };
+        let flags = Given { cache_bytes: Some(Size::Bytes(1)), ..Given::default() };
+        let file = Given { cache_bytes: Some(Size::Bytes(2)), max_page_size: Some(3), ..Given::default() };
         let settings = flags.or(file);
-        assert_eq!(settings.cache_bytes, 1);
+        assert_eq!(settings.cache_bytes, Size::Bytes(1));
         assert_eq!(settings.max_page_size, 3);
-        assert_eq!(settings.limits().max_pairs_per_request, Limits::default().max_pairs_per_request);
+        assert_eq!(settings.limits().unwrap().max_pairs_per_request, Limits::default().max_pairs_per_request);
     }
 
     /// Catches settings that `--print-config` writes and `--config` does not read.

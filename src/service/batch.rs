@@ -8,12 +8,11 @@ use std::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering},
     },
-    time::Duration,
+    time::{Duration, Instant},
 };
 
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-
 use super::{
+    admission::{Admission, Room},
     error::ServiceError,
     outputs::Outputs,
     wire::{Columns, Invalid, Poses, Scene, Setting},
@@ -21,6 +20,7 @@ use super::{
 use crate::{
     compute::{Compute, Panicked, Parts, caught},
     contact::{Basis, Body, ConvexHull, Outcome, Workspace, contact_manifold},
+    metrics::Metrics,
     store::Missing,
 };
 
@@ -37,9 +37,6 @@ const SPARE_CHUNKS: usize = 512;
 
 /// A chunk's columns are kept up to this: some 8 points a pair, every output.
 const SPARE_BYTES: usize = 64 << 10;
-
-/// When a server with too much to do asks to be asked again.
-const BUSY_RETRY: Duration = Duration::from_millis(20);
 
 /// A scene's hulls, pinned for as long as they are used.
 pub type Hulls = Vec<Result<Arc<ConvexHull>, Missing>>;
@@ -93,17 +90,38 @@ impl Batch {
 #[derive(Debug)]
 pub struct Engine {
     compute: Compute,
-    in_flight: Arc<Semaphore>,
+    room: Room,
     max_answer_bytes: usize,
     pairs_computed: Arc<AtomicU64>,
     spare: Arc<Spare>,
+    metrics: Arc<Metrics>,
+    /// Slept for every pair, nanoseconds: so that a test knows the capacity.
+    injected_delay: Arc<AtomicU64>,
 }
 
 impl Engine {
     /// At most `max_pairs_in_flight` pairs at a time, at most `max_answer_bytes` an answer.
-    pub fn new(compute: Compute, max_pairs_in_flight: u32, max_answer_bytes: usize) -> Self {
-        let in_flight = Arc::new(Semaphore::new(max_pairs_in_flight as usize));
-        Self { compute, in_flight, max_answer_bytes, pairs_computed: Arc::default(), spare: Arc::default() }
+    pub fn new(
+        compute: Compute,
+        max_pairs_in_flight: u32,
+        max_answer_bytes: usize,
+        metrics: Arc<Metrics>,
+    ) -> Self {
+        Self {
+            compute,
+            room: Room::new(max_pairs_in_flight, metrics.clone()),
+            max_answer_bytes,
+            pairs_computed: Arc::default(),
+            spare: Arc::default(),
+            metrics,
+            injected_delay: Arc::default(),
+        }
+    }
+
+    /// Makes every pair take so much longer, asleep: for tests of overload.
+    #[doc(hidden)]
+    pub fn inject_delay(&self, per_pair: Duration) {
+        self.injected_delay.store(per_pair.as_nanos() as u64, Ordering::Relaxed);
     }
 
     /// Pairs computed since the start.
@@ -134,10 +152,7 @@ impl Engine {
     /// # Errors
     /// TOO_BUSY.
     pub fn place(&self, pairs: usize) -> Result<Admission, ServiceError> {
-        let place = self.in_flight.clone().try_acquire_many_owned(weight(pairs));
-        place.map(Admission).map_err(|_| {
-            ServiceError::unavailable("TOO_BUSY", BUSY_RETRY, "too many pairs are being computed; ask again")
-        })
+        self.room.admit(pairs, self.pairs_computed())
     }
 
     /// The same for the later parts of a call: waits until there is one.
@@ -145,8 +160,7 @@ impl Engine {
     /// # Errors
     /// INTERNAL.
     pub async fn next_place(&self, pairs: usize) -> Result<Admission, ServiceError> {
-        let place = self.in_flight.clone().acquire_many_owned(weight(pairs)).await;
-        place.map(Admission).map_err(|_| ServiceError::internal("there are no places any more"))
+        self.room.next(pairs).await
     }
 
     /// The threads that compute.
@@ -158,7 +172,9 @@ impl Engine {
     ///
     /// # Errors
     /// RESPONSE_TOO_LARGE as soon as it is known; INTERNAL.
-    pub async fn compute(&self, batch: Batch, admission: Admission) -> Result<Columns, ServiceError> {
+    pub async fn compute(&self, batch: Batch, mut admission: Admission) -> Result<Columns, ServiceError> {
+        self.room.turn(&mut admission).await;
+        let started = Instant::now();
         let run = self.begin(batch, admission);
         let stop = run.stop.clone();
         let _stop_when_dropped = StopOnDrop(stop);
@@ -167,7 +183,12 @@ impl Engine {
             _ => self.compute.split(run).await,
         };
         match computed {
-            Ok(Some(columns)) => Ok(columns),
+            Ok(Some(columns)) => {
+                self.metrics.compute_seconds.observe(started.elapsed().as_secs_f64());
+                self.metrics.solver_iterations.inc_by(columns.solver_iterations());
+                self.metrics.answered(columns.outcome_counts(), columns.flags());
+                Ok(columns)
+            }
             Ok(None) => Err(too_large(self.max_answer_bytes)),
             Err(Panicked(why)) => {
                 tracing::error!(why, "a batch panicked");
@@ -186,14 +207,10 @@ impl Engine {
             max_answer_bytes: self.max_answer_bytes,
             pairs_computed: self.pairs_computed.clone(),
             spare: self.spare.clone(),
+            injected_delay: self.injected_delay.clone(),
             admission: Mutex::new(Some(admission)),
         }
     }
-}
-
-/// In the semaphore; a call without pairs is work too.
-fn weight(pairs: usize) -> u32 {
-    u32::try_from(pairs.max(1)).unwrap_or(u32::MAX)
 }
 
 fn too_large(limit: usize) -> ServiceError {
@@ -202,10 +219,6 @@ fn too_large(limit: usize) -> ServiceError {
         format!("the answer would pass {limit} bytes: ask for fewer pairs or outputs"),
     )
 }
-
-/// A place among the pairs in flight.
-#[derive(Debug)]
-pub struct Admission(#[expect(dead_code, reason = "held for its drop")] OwnedSemaphorePermit);
 
 struct StopOnDrop(Arc<AtomicBool>);
 
@@ -224,6 +237,7 @@ struct Run {
     max_answer_bytes: usize,
     pairs_computed: Arc<AtomicU64>,
     spare: Arc<Spare>,
+    injected_delay: Arc<AtomicU64>,
     /// Given back with the answer.
     admission: Mutex<Option<Admission>>,
 }
@@ -292,6 +306,10 @@ impl Run {
     fn chunk(&self, pairs: Range<usize>, mut columns: Columns) -> Columns {
         if self.stopped() {
             return columns;
+        }
+        let delay = self.injected_delay.load(Ordering::Relaxed);
+        if delay > 0 {
+            std::thread::sleep(Duration::from_nanos(delay) * pairs.len() as u32);
         }
         // Taken out for the time of the chunk: one that panics leaves a new one behind.
         let mut workspace = WORKSPACE.take();
@@ -390,7 +408,7 @@ mod tests {
     /// chunks allocate nothing, and an answer only its columns.
     #[test]
     fn the_steady_state_allocates_nothing_per_pair() {
-        let engine = Engine::new(Compute::new(1).unwrap(), 1 << 20, 64 << 20);
+        let engine = Engine::new(Compute::new(1).unwrap(), 1 << 20, 64 << 20, Arc::default());
         for regime in Regime::ALL {
             for pairs in [1000, 4096] {
                 // Again and again: chunks' buffers go round.

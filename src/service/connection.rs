@@ -18,16 +18,17 @@ use hyper_util::{
 };
 use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
-    sync::watch,
+    sync::{OwnedSemaphorePermit, Semaphore, watch},
     time::{sleep, timeout},
 };
 use tonic::service::Routes;
 
 use super::{
-    Limits, Serving,
+    App, Serving,
     edge::{Closing, Edge},
     listener::Connection,
 };
+use crate::metrics::{Held, Shed};
 
 /// HTTP/2 settings that measurably matter for batches; the defaults are sized for pages.
 const FRAME_BYTES: u32 = 1 << 20;
@@ -36,8 +37,12 @@ const WINDOW_BYTES: u32 = 8 << 20;
 /// A peer that does not answer a ping for this long is gone.
 const KEEP_ALIVE: Duration = Duration::from_secs(60);
 
-/// By then a peer has spoken TLS, and again by then HTTP/2's preface: some round trips.
-const GREETING: Duration = Duration::from_secs(10);
+/// Of one call's headers: tokens and trace contexts fit many times.
+const HEADER_BYTES: u32 = 16 << 10;
+
+/// Streams that a peer reset before they were looked at, or that were reset for its errors:
+/// more, and the connection ends ("rapid reset").
+const RESETS: usize = 1024;
 
 /// HTTP/2's preface and the head of the frame behind it.
 const GREETING_BYTES: u64 = 24 + 9;
@@ -45,41 +50,73 @@ const GREETING_BYTES: u64 = 24 + 9;
 /// What connections have in common.
 #[derive(Debug)]
 pub(super) struct Connections {
+    app: Arc<App>,
     routes: Routes,
     serving: Serving,
     http: http2::Builder<TokioExecutor>,
+    room: Arc<Semaphore>,
+    /// Connections so far: spreads their ages.
+    count: AtomicU64,
 }
 
 impl Connections {
-    pub(super) fn new(routes: Routes, limits: &Limits, serving: Serving) -> Self {
+    pub(super) fn new(app: Arc<App>, routes: Routes, serving: Serving) -> Self {
+        let limits = app.limits();
+        let room = Arc::new(Semaphore::new(limits.max_connections as usize));
         let mut http = http2::Builder::new(TokioExecutor::new());
         http.timer(TokioTimer::new())
             .adaptive_window(false)
             .initial_stream_window_size(WINDOW_BYTES)
             .initial_connection_window_size(WINDOW_BYTES)
             .max_frame_size(FRAME_BYTES)
+            .max_header_list_size(HEADER_BYTES)
+            .max_pending_accept_reset_streams(Some(RESETS))
+            .max_local_error_reset_streams(Some(RESETS))
             .max_concurrent_streams(limits.max_streams_per_connection)
             .keep_alive_interval(KEEP_ALIVE)
             .keep_alive_timeout(KEEP_ALIVE);
-        Self { routes, serving, http }
+        Self { app, routes, serving, http, room, count: AtomicU64::new(0) }
     }
 
-    /// Serves `io` until the peer leaves. Once `closing` is true it is told to (GOAWAY), and
-    /// what is under way has the time of the drain.
-    pub(super) async fn serve(self: Arc<Self>, io: Connection, mut closing: Closing) {
+    /// A place for one more connection; none when there are too many.
+    pub(super) fn admit(&self) -> Option<Place> {
+        let Ok(permit) = self.room.clone().try_acquire_owned() else {
+            self.app.metrics().shed(Shed::Connection);
+            return None;
+        };
+        Some(Place { _permit: permit, _counted: Held::new(&self.app.metrics().connections, 1) })
+    }
+
+    /// When a connection that begins now is told to close: nine to eleven tenths of the age,
+    /// so that those that began together do not end together.
+    fn age(&self) -> Duration {
+        let most = self.serving.max_connection_age;
+        if most.is_zero() {
+            return Duration::MAX;
+        }
+        // The golden ratio spreads any number of them evenly.
+        let spread = (self.count.fetch_add(1, Ordering::Relaxed) as f64 * 0.618_033_988_749_895).fract();
+        most.mul_f64(0.9 + 0.2 * spread)
+    }
+
+    /// Serves `io` until the peer leaves. Once `closing` is true or the connection is of age it
+    /// is told to (GOAWAY), and what is under way has the time of the drain.
+    pub(super) async fn serve(self: Arc<Self>, io: Connection, mut closing: Closing, _place: Place) {
         let io = match self.encrypted(io).await {
             Ok(io) => io,
             Err(error) => return tracing::debug!(%error, "no TLS connection"),
         };
         let (close, closed) = watch::channel(false);
         let read = Arc::new(AtomicU64::new(0));
-        let edge = Edge::new(self.routes.clone(), self.serving.security.clone(), Closing(closed));
+        let security = self.serving.security.clone();
+        let edge = Edge::new(self.app.clone(), self.routes.clone(), security, Closing(closed));
         let io = TokioIo::new(Counted { io, read: read.clone() });
         let mut connection = pin!(self.http.serve_connection(io, TowerToHyperService::new(edge)));
         tokio::select! {
             ended = connection.as_mut() => return report(ended),
-            () = silence(&read) => return tracing::debug!("no HTTP/2 from a peer"),
+            () = silence(&read, self.serving.greeting) => return tracing::debug!("no HTTP/2 from a peer"),
             () = closing.heard() => {}
+            () = sleep(self.age()) => {}
         }
         close.send_replace(true);
         connection.as_mut().graceful_shutdown();
@@ -92,9 +129,15 @@ impl Connections {
     async fn encrypted(&self, io: Connection) -> io::Result<Connection> {
         match self.serving.security.tls_config() {
             None => Ok(io),
-            Some(config) => timeout(GREETING, io.encrypted(config)).await?,
+            Some(config) => timeout(self.serving.greeting, io.encrypted(config)).await?,
         }
     }
+}
+
+/// Of one connection, free again when dropped.
+pub(super) struct Place {
+    _permit: OwnedSemaphorePermit,
+    _counted: Held,
 }
 
 fn report(ended: hyper::Result<()>) {
@@ -104,8 +147,8 @@ fn report(ended: hyper::Result<()>) {
 }
 
 /// Completes when a peer had time to greet and has not.
-async fn silence(read: &AtomicU64) {
-    sleep(GREETING).await;
+async fn silence(read: &AtomicU64, greeting: Duration) {
+    sleep(greeting).await;
     if read.load(Ordering::Relaxed) >= GREETING_BYTES {
         std::future::pending().await
     }

@@ -1,7 +1,7 @@
 //! The outermost layer: what holds for every call whatever its method.
 //!
-//! Refuses callers without the token that the method needs, enforces the
-//! caller's deadline and gives the errors that the transport
+//! Names and counts the call, refuses callers without the token that its method
+//! needs, enforces the deadline and gives the errors that the transport
 //! makes by itself (a message too large, an unknown method, compression) the
 //! code and details of the contract.
 
@@ -18,8 +18,14 @@ use hyper::body::Incoming;
 use tokio::{sync::watch, time::Instant};
 use tonic::{Status, body::Body, service::Routes};
 use tower::Service;
+use tracing::Instrument;
 
-use super::{Security, error::ServiceError, wire};
+use super::{
+    App, Security,
+    call::{self, Call, is_long_lived},
+    error::ServiceError,
+    wire,
+};
 
 /// When the caller stops waiting; an extension of requests that have one.
 #[derive(Clone, Copy, Debug)]
@@ -43,14 +49,24 @@ impl Closing {
 /// Wraps all routes, for one connection.
 #[derive(Clone, Debug)]
 pub(super) struct Edge {
+    app: Arc<App>,
     routes: Routes,
     security: Arc<Security>,
     closing: Closing,
 }
 
 impl Edge {
-    pub(super) fn new(routes: Routes, security: Arc<Security>, closing: Closing) -> Self {
-        Self { routes, security, closing }
+    pub(super) fn new(app: Arc<App>, routes: Routes, security: Arc<Security>, closing: Closing) -> Self {
+        Self { app, routes, security, closing }
+    }
+
+    /// When the call ends at the latest: the caller's deadline, or the server's where that is
+    /// sooner or there is none.
+    fn deadline(&self, method: &str, headers: &HeaderMap) -> Option<Instant> {
+        let most = Duration::from_secs(self.app.limits().max_deadline_seconds.into());
+        let given = timeout(headers);
+        let allowed = if is_long_lived(method) { given } else { Some(given.unwrap_or(most).min(most)) };
+        allowed.and_then(|allowed| Instant::now().checked_add(allowed))
     }
 }
 
@@ -64,16 +80,20 @@ impl Service<Request<Incoming>> for Edge {
     }
 
     fn call(&mut self, mut request: Request<Incoming>) -> Self::Future {
+        let method = call::method(request.uri().path());
+        let span = call::span(method, request.headers());
+        let call = Call::new(self.app.clone(), method, span.clone());
         if let Err(refusal) = self.security.check(request.uri().path(), request.headers()) {
-            return Box::pin(std::future::ready(Ok(Status::from(refusal).into_http())));
+            let refused = Status::from(refusal).into_http();
+            return Box::pin(std::future::ready(Ok(call.answered(refused))));
         }
         request.extensions_mut().insert(self.closing.clone());
-        let deadline = timeout(request.headers()).and_then(|t| Instant::now().checked_add(t));
+        let deadline = self.deadline(method, request.headers());
         if let Some(at) = deadline {
             request.extensions_mut().insert(Deadline(at));
         }
-        let answer = self.routes.call(request);
-        Box::pin(async move {
+        let answer = self.routes.call(request.map(|body| call.metered(body)));
+        let answered = async move {
             let response = match deadline {
                 None => answer.await?,
                 // Dropping the call is what stops its computation.
@@ -82,8 +102,9 @@ impl Service<Request<Incoming>> for Edge {
                     Err(_) => Status::from(ServiceError::deadline_exceeded()).into_http(),
                 },
             };
-            Ok(completed(response))
-        })
+            Ok(call.answered(completed(response)))
+        };
+        Box::pin(answered.instrument(span))
     }
 }
 

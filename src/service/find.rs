@@ -5,7 +5,8 @@ use std::{collections::VecDeque, sync::Arc};
 
 use super::{
     App, ServiceError,
-    batch::{Admission, Batch, Hulls},
+    admission::Admission,
+    batch::{Batch, Hulls},
     contacts::{fetch, missing},
     wire::{self, Columns, Poses, Scene, Setting},
 };

@@ -1,5 +1,5 @@
 //! A limit on everything, in one place: what `GetServerInfo` publishes and the
-//! request's way enforces.
+//! request's way enforces. Why each is what it is: docs/operations.md.
 
 /// What a server accepts. Each is inclusive: at the limit is accepted, one past it refused.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -16,12 +16,18 @@ pub struct Limits {
     pub max_vertices_per_hull: u32,
     /// Pairs accepted and not yet answered, over all calls.
     pub max_pairs_in_flight: u32,
+    /// Bytes of requests that have come and are not yet answered, over all calls.
+    pub max_request_bytes_in_flight: u64,
+    /// How long a call may take, but for streams; one that gives itself longer gets this.
+    pub max_deadline_seconds: u32,
     /// What streams keep from one message to the next, all together.
     pub max_stream_state_bytes: u64,
     /// Heap held by cached hulls that no request is using.
     pub cache_bytes: u64,
     /// Blobs of the store, summed; 0: unbounded.
     pub store_bytes: u64,
+    /// Connections open at a time; one more is closed at once.
+    pub max_connections: u32,
     /// Concurrent calls on one connection.
     pub max_streams_per_connection: u32,
     /// Hulls in one page of `ListHulls`.
@@ -39,9 +45,12 @@ impl Default for Limits {
             max_hulls_per_request: 16_384,
             max_vertices_per_hull: 16_384,
             max_pairs_in_flight: 1 << 20,
+            max_request_bytes_in_flight: 1 << 30,
+            max_deadline_seconds: 300,
             max_stream_state_bytes: 1 << 28,
             cache_bytes: 1 << 30,
             store_bytes: 0,
+            max_connections: 10_000,
             max_streams_per_connection: 1024,
             max_page_size: 10_000,
             cache_age_seconds: 60,
@@ -60,7 +69,9 @@ impl Limits {
             ("max_pairs_per_request", self.max_pairs_per_request),
             ("max_bodies_per_request", self.max_bodies_per_request),
             ("max_hulls_per_request", self.max_hulls_per_request),
+            ("max_connections", self.max_connections),
             ("max_streams_per_connection", self.max_streams_per_connection),
+            ("max_deadline_seconds", self.max_deadline_seconds),
             ("max_page_size", self.max_page_size),
         ];
         if let Some((name, _)) = positive.iter().find(|(_, value)| *value == 0) {
@@ -81,6 +92,17 @@ impl Limits {
                 self.max_pairs_in_flight, self.max_pairs_per_request
             ));
         }
+        // The gRPC frame's head comes with a message.
+        if self.max_request_bytes_in_flight < self.max_message_bytes as u64 + FRAME_HEAD_BYTES {
+            return Some(format!(
+                "max_request_bytes_in_flight ({}) is below max_message_bytes ({}) and {FRAME_HEAD_BYTES}: \
+                 such a message would never arrive",
+                self.max_request_bytes_in_flight, self.max_message_bytes
+            ));
+        }
         None
     }
 }
+
+/// Of a message on the wire: whether it is compressed, and its length.
+const FRAME_HEAD_BYTES: u64 = 5;

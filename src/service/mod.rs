@@ -5,7 +5,10 @@
 //! [`listener`]s, each [`connection`] behind an [`edge`], which holds for every call and
 //! asks [`security`] who may make it.
 
+mod admin;
+mod admission;
 pub mod batch;
+mod call;
 mod connection;
 mod contacts;
 mod edge;
@@ -16,18 +19,25 @@ mod info;
 mod limits;
 mod listener;
 mod outputs;
+mod readiness;
 mod security;
 mod server;
 mod steps;
 pub mod wire;
 
-use std::{fmt, sync::Arc, time::Duration};
+use std::{
+    fmt,
+    sync::{Arc, Mutex, PoisonError},
+    time::Duration,
+};
 
+pub use admin::serve_admin;
 use batch::Engine;
 pub use error::{Kind, Place, ServiceError};
 pub use limits::Limits;
 pub use listener::Listener;
 pub use outputs::Outputs;
+pub use readiness::Readiness;
 pub use security::{LoadError, Security, SecurityFiles};
 #[doc(hidden)]
 pub use server::handlers;
@@ -36,6 +46,7 @@ use tokio::sync::Semaphore;
 
 use crate::{
     compute::Compute,
+    metrics::Metrics,
     store::{BlobStore, Registry, registry::Bounds},
 };
 
@@ -47,6 +58,8 @@ pub struct App {
     engine: Engine,
     /// For what streams keep from one message to the next.
     stream_room: Arc<Semaphore>,
+    metrics: Arc<Metrics>,
+    readiness: Mutex<Readiness>,
 }
 
 impl App {
@@ -65,10 +78,13 @@ impl App {
             cache_age: Duration::from_secs(limits.cache_age_seconds.into()),
             max_vertices: limits.max_vertices_per_hull as usize,
         };
-        let engine = Engine::new(compute.clone(), limits.max_pairs_in_flight, limits.max_message_bytes);
-        let registry = Registry::new(blobs, compute, bounds);
+        let metrics = Arc::new(Metrics::default());
+        let (pairs, bytes) = (limits.max_pairs_in_flight, limits.max_message_bytes);
+        let engine = Engine::new(compute.clone(), pairs, bytes, metrics.clone());
+        let registry = Registry::new(blobs, compute, bounds, metrics.clone());
         let stream_room = steps::room(limits.max_stream_state_bytes);
-        Ok(Self { limits, registry, engine, stream_room })
+        let readiness = Mutex::new(Readiness::Starting);
+        Ok(Self { limits, registry, engine, stream_room, metrics, readiness })
     }
 
     /// What the server accepts.
@@ -84,6 +100,29 @@ impl App {
     /// What computes.
     pub fn engine(&self) -> &Engine {
         &self.engine
+    }
+
+    /// What was counted.
+    pub fn metrics(&self) -> &Metrics {
+        &self.metrics
+    }
+
+    /// The same as OpenMetrics text, gauges as they are now.
+    pub fn metrics_text(&self) -> String {
+        let metrics = &self.metrics;
+        metrics.cache_bytes.set(i64::try_from(self.registry.cached_bytes()).unwrap_or(i64::MAX));
+        metrics.cache_hulls.set(i64::try_from(self.registry.cached_hulls()).unwrap_or(i64::MAX));
+        metrics.ready.set(self.readiness().welcomes().into());
+        metrics.text()
+    }
+
+    /// Whether new calls are welcome.
+    pub fn readiness(&self) -> Readiness {
+        self.readiness.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    fn set_readiness(&self, readiness: Readiness) {
+        *self.readiness.lock().unwrap_or_else(PoisonError::into_inner) = readiness;
     }
 
     /// A response that may be sent.

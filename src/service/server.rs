@@ -7,7 +7,7 @@ use tonic::service::Routes;
 use tonic_health::{ServingStatus, server::HealthReporter};
 
 use super::{
-    App, OpenError, Security, connection::Connections, contacts, edge::Closing, hulls, info,
+    App, OpenError, Readiness, Security, connection::Connections, contacts, edge::Closing, hulls, info,
     listener::Listener,
 };
 use crate::proto;
@@ -24,6 +24,13 @@ pub struct Serving {
     pub reload_every: Duration,
     /// How long calls under way have to end once their connection is about to close.
     pub drain: Duration,
+    /// After about this long a connection is told to close, so that its client finds new
+    /// servers; zero: never.
+    pub max_connection_age: Duration,
+    /// How often the store is tried.
+    pub probe_every: Duration,
+    /// By then a peer has spoken TLS, and again by then HTTP/2's preface: some round trips.
+    pub greeting: Duration,
 }
 
 impl Default for Serving {
@@ -32,15 +39,20 @@ impl Default for Serving {
             security: Arc::default(),
             reload_every: Duration::from_secs(10),
             drain: Duration::from_secs(10),
+            max_connection_age: Duration::ZERO,
+            probe_every: Duration::from_secs(10),
+            greeting: Duration::from_secs(10),
         }
     }
 }
 
 /// Serves `app` on `listeners` until `shutdown` completes.
 ///
-/// Then health says NOT_SERVING, no call is accepted any more, streams end after the
-/// message under way, and calls have `serving.drain` to finish before their connections
-/// are closed.
+/// It completes with the grace: for so long health says NOT_SERVING and calls are accepted
+/// all the same, so that balancers hear of it before anybody is turned away. Then no
+/// connection is accepted any more, those that are open are told to close (GOAWAY), streams
+/// end after the message under way, and calls have `serving.drain` to finish before their
+/// connections are cut.
 ///
 /// # Errors
 /// The reflection service could not be built.
@@ -48,25 +60,31 @@ pub async fn run(
     listeners: Vec<Listener>,
     app: Arc<App>,
     serving: Serving,
-    shutdown: impl Future<Output = ()>,
+    shutdown: impl Future<Output = Duration>,
 ) -> Result<(), OpenError> {
     let (mut reporter, routes) = routes(&app).await?;
-    let mut reloading = JoinSet::new();
-    reloading.spawn(reload(serving.security.clone(), serving.reload_every));
+    let mut beside = JoinSet::new();
+    beside.spawn(reload(serving.security.clone(), serving.reload_every));
+    beside.spawn(probe(app.clone(), reporter.clone(), serving.probe_every));
     let drain = serving.drain;
-    let connections = Arc::new(Connections::new(routes.prepare(), app.limits(), serving));
+    let connections = Arc::new(Connections::new(app.clone(), routes.prepare(), serving));
     let (close, closing) = watch::channel(false);
     let closing = Closing(closing);
     let mut accepting = JoinSet::new();
     for listener in listeners {
         accepting.spawn(accept(listener, connections.clone(), closing.clone()));
     }
+    app.set_readiness(Readiness::Ready);
 
-    shutdown.await;
-    tracing::info!(drain_seconds = drain.as_secs_f64(), "stopping");
+    let grace = shutdown.await;
+    tracing::info!(grace_seconds = grace.as_secs_f64(), drain_seconds = drain.as_secs_f64(), "stopping");
+    // It would say SERVING again.
+    beside.shutdown().await;
+    app.set_readiness(Readiness::Stopping);
     for service in SERVICES {
         reporter.set_service_status(service, ServingStatus::NotServing).await;
     }
+    tokio::time::sleep(grace).await;
     close.send_replace(true);
     // Watchers have heard it: what they wait for ends, or they would be waited for.
     for service in SERVICES {
@@ -78,8 +96,9 @@ pub async fn run(
 }
 
 /// What health answers for; the empty name is the server as a whole.
-const SERVICES: [&str; 4] =
-    ["", "hullcast.v1.HullService", "hullcast.v1.ContactService", "hullcast.v1.ServerService"];
+const SERVICES: [&str; 4] = ["", HULL_SERVICE, "hullcast.v1.ContactService", "hullcast.v1.ServerService"];
+
+const HULL_SERVICE: &str = "hullcast.v1.HullService";
 
 /// The handlers without listener and edge: for fuzzing them with bytes.
 ///
@@ -121,7 +140,10 @@ async fn accept(listener: Listener, connections: Arc<Connections>, mut closing: 
             Some(_) = open.join_next() => {}
             accepted = listener.accept() => match accepted {
                 Ok(io) => {
-                    open.spawn(connections.clone().serve(io, theirs.clone()));
+                    // Without a place the peer finds its connection closed.
+                    if let Some(place) = connections.admit() {
+                        open.spawn(connections.clone().serve(io, theirs.clone(), place));
+                    }
                 }
                 Err(error) => {
                     tracing::warn!(%error, "accept failed");
@@ -132,6 +154,31 @@ async fn accept(listener: Listener, connections: Arc<Connections>, mut closing: 
     }
     drop(listener);
     while open.join_next().await.is_some() {}
+}
+
+/// Tries the store, for ever: registering is not served while it cannot be written to.
+async fn probe(app: Arc<App>, reporter: HealthReporter, every: Duration) {
+    let mut well = true;
+    loop {
+        tokio::time::sleep(every).await;
+        let probed = app.registry().probe().await;
+        if probed.is_ok() == well {
+            continue;
+        }
+        well = probed.is_ok();
+        let (status, readiness) = match probed {
+            Ok(()) => {
+                tracing::info!("the store can be written to again");
+                (ServingStatus::Serving, Readiness::Ready)
+            }
+            Err(error) => {
+                tracing::error!(%error, "the store cannot be written to: degraded");
+                (ServingStatus::NotServing, Readiness::Degraded(error.to_string()))
+            }
+        };
+        reporter.set_service_status(HULL_SERVICE, status).await;
+        app.set_readiness(readiness);
+    }
 }
 
 /// Reads certificates and tokens again, for ever.

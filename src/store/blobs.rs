@@ -5,7 +5,12 @@
 //! every write synced (file and directories) before it is acknowledged, or
 //! memory, which forgets.
 
-use std::{error::Error as _, fmt, io, path::Path as FsPath, sync::Arc};
+use std::{
+    error::Error as _,
+    fmt, io,
+    path::{Path as FsPath, PathBuf},
+    sync::Arc,
+};
 
 use bytes::Bytes;
 use futures_util::{TryStreamExt, future::BoxFuture};
@@ -13,7 +18,7 @@ use object_store::{
     ObjectStore, ObjectStoreExt, PutPayload, local::LocalFileSystem, memory::InMemory, path::Path,
 };
 
-use super::HullId;
+use super::{HullId, identity::id_of};
 
 /// Why the store did not do what was asked.
 #[derive(Debug)]
@@ -60,6 +65,10 @@ pub trait BlobStore: fmt::Debug + Send + Sync {
     /// blobs that share a first byte.
     fn list(&self, after: Option<HullId>, count: usize)
     -> BoxFuture<'_, Result<Vec<StoredBlob>, StoreError>>;
+    /// Keeps `blob`, found under the name of `id` and not that hull, out of the way; where.
+    fn set_aside(&self, id: HullId, blob: Bytes) -> BoxFuture<'_, Result<String, StoreError>>;
+    /// Writes and removes something, to see whether it can.
+    fn probe(&self) -> BoxFuture<'_, Result<(), StoreError>>;
 }
 
 /// Why a `--store` could not be opened.
@@ -83,10 +92,12 @@ pub type Opened = Arc<dyn BlobStore>;
 /// # Errors
 /// The directory cannot be made or is not one, or the scheme is not of this build.
 pub fn open(url: &str) -> Result<Opened, OpenError> {
-    let objects: Arc<dyn ObjectStore> = match url.split_once("://") {
-        Some(("memory", _)) => Arc::new(InMemory::new()),
-        Some(("file", path)) => Arc::new(directory(path.as_ref()).map_err(|e| failed(url, &e))?),
-        None => Arc::new(directory(url.as_ref()).map_err(|e| failed(url, &e))?),
+    let path = match url.split_once("://") {
+        Some(("memory", _)) => {
+            return Ok(Arc::new(Objects { objects: Arc::new(InMemory::new()), root: None }));
+        }
+        Some(("file", path)) => path,
+        None => url,
         Some(("s3", _)) => {
             return Err(OpenError(format!(
                 "store {url}: S3 needs the feature \"s3\", which this build is without"
@@ -98,14 +109,28 @@ pub fn open(url: &str) -> Result<Opened, OpenError> {
             )));
         }
     };
-    Ok(Arc::new(Objects { objects }))
+    let (objects, root) = directory(path.as_ref()).map_err(|e| failed(url, &e))?;
+    Ok(Arc::new(Objects { objects: Arc::new(objects), root: Some(root) }))
+}
+
+/// The same, of a directory that is there already.
+///
+/// # Errors
+/// As [`open`]; there is no such directory.
+pub fn open_existing(url: &str) -> Result<Opened, OpenError> {
+    let path = url.strip_prefix("file://").unwrap_or(url);
+    if !path.contains("://") && !FsPath::new(path).is_dir() {
+        return Err(OpenError(format!("store {url}: no such directory")));
+    }
+    open(url)
 }
 
 fn failed(url: &str, error: &dyn std::error::Error) -> OpenError {
     OpenError(format!("store {url}: {error}"))
 }
 
-fn directory(path: &FsPath) -> io::Result<LocalFileSystem> {
+/// The store in a directory, and the directory's own path.
+fn directory(path: &FsPath) -> io::Result<(LocalFileSystem, PathBuf)> {
     std::fs::create_dir_all(path)?;
     let store = LocalFileSystem::new_with_prefix(path).map_err(io::Error::other)?.with_fsync(true);
     // Makes durable what a killed server made here and did not come to sync: the
@@ -116,13 +141,27 @@ fn directory(path: &FsPath) -> io::Result<LocalFileSystem> {
         // A parent that may not be opened is not one that was just made.
         let _ = std::fs::File::open(parent).and_then(|parent| parent.sync_all());
     }
-    Ok(store)
+    Ok((store, path))
 }
 
 /// Blobs as objects, sharded by the first byte of their id: no directory of a million files.
 #[derive(Debug)]
 struct Objects {
     objects: Arc<dyn ObjectStore>,
+    /// Of a directory.
+    root: Option<PathBuf>,
+}
+
+impl Objects {
+    /// A directory that is gone has nothing and takes everything: neither is what it says.
+    async fn still_there(&self) -> Result<(), StoreError> {
+        let Some(root) = &self.root else { return Ok(()) };
+        match tokio::fs::try_exists(root).await {
+            Ok(true) => Ok(()),
+            Ok(false) => Err(StoreError::Unavailable(format!("{} is gone", root.display()))),
+            Err(error) => Err(StoreError::Unavailable(format!("{}: {error}", root.display()))),
+        }
+    }
 }
 
 /// `ab/ab12…`: the whole id is the name, so that a file can be checked where it lies.
@@ -138,6 +177,7 @@ fn id_of_key(key: &Path) -> Option<HullId> {
 impl BlobStore for Objects {
     fn put(&self, id: HullId, blob: Bytes) -> BoxFuture<'_, Result<(), StoreError>> {
         Box::pin(async move {
+            self.still_there().await?;
             let written = self.objects.put(&key(id), PutPayload::from_bytes(blob)).await;
             written.map(|_| ()).map_err(store_error)
         })
@@ -145,14 +185,21 @@ impl BlobStore for Objects {
 
     fn get(&self, id: HullId) -> BoxFuture<'_, Result<Option<Bytes>, StoreError>> {
         Box::pin(async move {
-            let Some(found) = present(self.objects.get(&key(id)).await)? else { return Ok(None) };
+            let Some(found) = present(self.objects.get(&key(id)).await)? else {
+                return self.still_there().await.map(|()| None);
+            };
             // Deleted between opening and reading is deleted.
             present(found.bytes().await)
         })
     }
 
     fn size(&self, id: HullId) -> BoxFuture<'_, Result<Option<u64>, StoreError>> {
-        Box::pin(async move { Ok(present(self.objects.head(&key(id)).await)?.map(|meta| meta.size)) })
+        Box::pin(async move {
+            match present(self.objects.head(&key(id)).await)? {
+                Some(meta) => Ok(Some(meta.size)),
+                None => self.still_there().await.map(|()| None),
+            }
+        })
     }
 
     fn delete(&self, id: HullId) -> BoxFuture<'_, Result<(), StoreError>> {
@@ -177,6 +224,10 @@ impl BlobStore for Objects {
                 if blobs.len() >= count {
                     break;
                 }
+                // What was set aside is not ours to list.
+                if shard.as_ref().len() != 2 {
+                    continue;
+                }
                 let start = blobs.len();
                 let mut objects = self.objects.list(Some(&shard));
                 while let Some(meta) = objects.try_next().await.map_err(store_error)? {
@@ -192,6 +243,28 @@ impl BlobStore for Objects {
                 blobs[start..].sort_unstable_by_key(|blob| blob.id);
             }
             Ok(blobs)
+        })
+    }
+
+    fn set_aside(&self, id: HullId, blob: Bytes) -> BoxFuture<'_, Result<String, StoreError>> {
+        Box::pin(async move {
+            // Named by both hashes: found again and again it is kept once.
+            let content = id_of(&blob).to_string();
+            let path = Path::from_iter(["quarantine", &format!("{id}-{}", &content[..16])]);
+            if present(self.objects.head(&path).await)?.is_none() {
+                self.objects.put(&path, PutPayload::from_bytes(blob)).await.map_err(store_error)?;
+            }
+            Ok(path.to_string())
+        })
+    }
+
+    fn probe(&self) -> BoxFuture<'_, Result<(), StoreError>> {
+        Box::pin(async move {
+            self.still_there().await?;
+            // A name of its own for each server on the store.
+            let path = Path::from(format!("probe-{}", std::process::id()));
+            self.objects.put(&path, PutPayload::from_static(b"probe")).await.map_err(store_error)?;
+            present(self.objects.delete(&path).await).map(|_| ())
         })
     }
 }

@@ -1,72 +1,17 @@
 //! The real binary: killed, traced, stopped.
 
 use std::{
-    io::{BufRead, BufReader, Read},
+    io::Read,
     path::{Path, PathBuf},
-    process::{Child, ChildStdin, Command, ExitStatus, Stdio},
+    process::{Command, Stdio},
 };
-
-use hullcast::proto::{
-    HasHullsRequest, contact_service_client::ContactServiceClient, hull_service_client::HullServiceClient,
-};
-use tonic::transport::Channel;
 
 use crate::support::{
     channel,
+    process::{BINARY, Process, tracer},
     scenes::{assert_same, expected, id, plain, register_request, round_points, scene},
 };
-
-const BINARY: &str = env!("CARGO_BIN_EXE_hullcast");
-
-/// `hullcast serve`; killed when dropped.
-struct Process {
-    child: Child,
-    stdin: Option<ChildStdin>,
-    address: String,
-}
-
-impl Process {
-    fn start(mut command: Command, store: &Path, arguments: &[&str]) -> Self {
-        let mut child = command
-            .args(["serve", "--listen", "127.0.0.1:0", "--store"])
-            .arg(store)
-            .args(arguments)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap_or_else(|error| panic!("{command:?}: {error}"));
-        let stdin = child.stdin.take();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let address = line.strip_prefix("listening on ").expect(&line).trim().to_owned();
-        Self { child, stdin, address }
-    }
-
-    fn plain(store: &Path) -> Self {
-        Self::start(Command::new(BINARY), store, &[])
-    }
-
-    async fn hulls(&self) -> HullServiceClient<Channel> {
-        HullServiceClient::new(channel(&self.address).await)
-    }
-
-    fn signal(&self, signal: &str) {
-        let pid = self.child.id().to_string();
-        assert!(Command::new("kill").args([signal, &pid]).status().unwrap().success());
-    }
-
-    fn wait(&mut self) -> ExitStatus {
-        self.child.wait().unwrap()
-    }
-}
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
+use hullcast::proto::{HasHullsRequest, contact_service_client::ContactServiceClient};
 
 /// Catches a hull that was acknowledged before it was stored: a server is killed in the
 /// middle of registering, again and again, and the next one answers for every hull that any
@@ -161,18 +106,6 @@ enum Event {
     Sent,
 }
 
-/// Builds tests/service/trace.c in `directory`.
-fn tracer(directory: &Path) -> PathBuf {
-    let library = directory.join("trace.so");
-    let source = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/service/trace.c");
-    let compiler = std::env::var_os("CC").unwrap_or("cc".into());
-    let mut command = Command::new(&compiler);
-    command.args(["-O1", "-shared", "-fPIC", source, "-ldl", "-o"]).arg(&library);
-    let status = command.status().unwrap_or_else(|error| panic!("{compiler:?}: {error}"));
-    assert!(status.success(), "{command:?}");
-    library
-}
-
 /// The lines of a trace.
 fn events(trace: &str) -> Vec<Event> {
     let event = |line: &str| match line.split_once(' ') {
@@ -189,7 +122,7 @@ fn events(trace: &str) -> Vec<Event> {
 async fn asked_to_stop_it_exits_with_success() {
     let directory = tempfile::tempdir().unwrap();
     for signal in ["-TERM", "-INT"] {
-        let mut server = Process::plain(directory.path());
+        let mut server = Process::start(Command::new(BINARY), directory.path(), &["--grace-seconds", "0"]);
         // Without the flag a closed standard input is nothing.
         drop(server.stdin.take());
         server.hulls().await.has_hulls(HasHullsRequest::default()).await.unwrap();

@@ -161,6 +161,33 @@ async fn a_stuck_client_is_cut_off_at_the_drain_deadline() {
     assert!(response.await.unwrap().is_err());
 }
 
+/// Catches a client that stays with an old server for ever: a connection of age is told to
+/// close, its stream ends after the message under way, and the next call has a new one.
+#[tokio::test(flavor = "multi_thread")]
+async fn connections_end_at_their_age() {
+    let mut setup = Setup::default();
+    setup.serving.max_connection_age = Duration::from_millis(300);
+    let server = setup.start().await;
+    let (shapes, request) = two_boxes();
+    server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
+    let (send, mut requests) = tokio::sync::mpsc::channel(1);
+    let requests = futures_util::stream::poll_fn(move |cx| requests.poll_recv(cx));
+    let mut answers = server.contacts().stream_contacts(requests).await.unwrap().into_inner();
+    let mut answered = 0;
+    let status = loop {
+        if send.send(request.clone()).await.is_err() {
+            break answers.message().await.unwrap_err();
+        }
+        match answers.message().await {
+            Ok(answer) => answered += u32::from(answer.is_some()),
+            Err(status) => break status,
+        }
+    };
+    assert!(answered > 0);
+    assert_eq!(refusal(&status), refused(Code::Unavailable, "STOPPING", ""));
+    server.contacts().query_contacts(request).await.unwrap();
+}
+
 /// Catches a Unix socket that is not answered on, that is left behind, or that a killed
 /// server's leftover blocks.
 #[tokio::test(flavor = "multi_thread")]
@@ -181,6 +208,7 @@ async fn unix_sockets_and_several_addresses() {
     let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
     let running = tokio::spawn(run(vec![unix, tcp], Arc::new(app), Serving::default(), async {
         let _ = stopped.await;
+        Duration::ZERO
     }));
     for channel in [crate::support::channel(&address).await, unix_channel(&path).await] {
         let mut info = hullcast::proto::server_service_client::ServerServiceClient::new(channel);

@@ -23,6 +23,9 @@ fn small() -> Limits {
         max_hulls_per_request: 3,
         max_vertices_per_hull: 60,
         max_pairs_in_flight: 1000,
+        max_request_bytes_in_flight: 200_000,
+        max_deadline_seconds: 77,
+        max_connections: 50,
         max_stream_state_bytes: 1 << 16,
         cache_bytes: 1 << 20,
         store_bytes: 0,
@@ -53,6 +56,9 @@ async fn every_limit_is_published() {
     assert_eq!(published.max_streams_per_connection, limits.max_streams_per_connection);
     assert_eq!(published.max_page_size, limits.max_page_size);
     assert_eq!(published.cache_age_seconds, limits.cache_age_seconds);
+    assert_eq!(published.max_request_bytes_in_flight, limits.max_request_bytes_in_flight);
+    assert_eq!(published.max_deadline_seconds, limits.max_deadline_seconds);
+    assert_eq!(published.max_connections, limits.max_connections);
     assert_eq!(published.max_stream_state_bytes, limits.max_stream_state_bytes);
 }
 
@@ -220,7 +226,7 @@ async fn a_store_at_its_limit_and_one_byte_past() {
 #[test]
 fn contradicting_limits_do_not_start() {
     type Spoil = fn(&mut Limits);
-    let spoils: [Spoil; 8] = [
+    let spoils: [Spoil; 11] = [
         |l| l.max_pairs_per_request = 0,
         |l| l.max_bodies_per_request = 0,
         |l| l.max_hulls_per_request = 0,
@@ -228,6 +234,9 @@ fn contradicting_limits_do_not_start() {
         |l| l.max_page_size = 0,
         |l| l.max_vertices_per_hull = 3,
         |l| l.max_message_bytes = 1023,
+        |l| l.max_connections = 0,
+        |l| l.max_deadline_seconds = 0,
+        |l| l.max_request_bytes_in_flight = l.max_message_bytes as u64 + 4,
         |l| l.max_pairs_in_flight = l.max_pairs_per_request - 1,
     ];
     for spoil in spoils {

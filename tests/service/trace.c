@@ -1,9 +1,11 @@
 /* Preloaded into a server: appends to the file $CALL_TRACE, one line each and in
  * order, what was synced and renamed (once it has been) and that something is
- * being sent (before it is). A tracer that needs no privilege and no package. */
+ * being sent (before it is). With $CALL_KILL=n the server is killed before the nth
+ * of these calls. A tracer that needs no privilege and no package. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <fcntl.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <sys/socket.h>
@@ -12,41 +14,53 @@
 #include <unistd.h>
 
 static int trace = -1;
+static int kill_at = 0;
+static int calls = 0;
 
 __attribute__((constructor)) static void start(void) {
     const char *path = getenv("CALL_TRACE");
     if (path) trace = open(path, O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0600);
+    const char *at = getenv("CALL_KILL");
+    if (at) kill_at = atoi(at);
+}
+
+static void about_to(void) {
+    if (kill_at && __atomic_add_fetch(&calls, 1, __ATOMIC_SEQ_CST) == kill_at) kill(getpid(), SIGKILL);
 }
 
 static int synced(int result, int fd) {
     char link[64], path[4096];
     snprintf(link, sizeof link, "/proc/self/fd/%d", fd);
     ssize_t length = readlink(link, path, sizeof path - 1);
-    if (result == 0 && length > 0) dprintf(trace, "synced %.*s\n", (int)length, path);
+    if (trace >= 0 && result == 0 && length > 0) dprintf(trace, "synced %.*s\n", (int)length, path);
     return result;
 }
 
 static int renamed(int result, const char *to) {
-    if (result == 0) dprintf(trace, "renamed %s\n", to);
+    if (trace >= 0 && result == 0) dprintf(trace, "renamed %s\n", to);
     return result;
 }
 
 static void sending(int fd) {
     struct stat status;
-    if (fstat(fd, &status) == 0 && S_ISSOCK(status.st_mode)) dprintf(trace, "sent\n");
+    if (fstat(fd, &status) != 0 || !S_ISSOCK(status.st_mode)) return;
+    about_to();
+    if (trace >= 0) dprintf(trace, "sent\n");
 }
 
 #define NEXT(name) ((__typeof__(&name))dlsym(RTLD_NEXT, #name))
 
-int fsync(int fd) { return synced(NEXT(fsync)(fd), fd); }
-int fdatasync(int fd) { return synced(NEXT(fdatasync)(fd), fd); }
+int fsync(int fd) { about_to(); return synced(NEXT(fsync)(fd), fd); }
+int fdatasync(int fd) { about_to(); return synced(NEXT(fdatasync)(fd), fd); }
 
-int rename(const char *from, const char *to) { return renamed(NEXT(rename)(from, to), to); }
+int rename(const char *from, const char *to) { about_to(); return renamed(NEXT(rename)(from, to), to); }
 int renameat(int a, const char *from, int b, const char *to) {
+    about_to();
     return renamed(NEXT(renameat)(a, from, b, to), to);
 }
-int link(const char *from, const char *to) { return renamed(NEXT(link)(from, to), to); }
+int link(const char *from, const char *to) { about_to(); return renamed(NEXT(link)(from, to), to); }
 int linkat(int a, const char *from, int b, const char *to, int flags) {
+    about_to();
     return renamed(NEXT(linkat)(a, from, b, to, flags), to);
 }
 

@@ -19,12 +19,15 @@ macro_rules! columns {
         pub struct Columns {
             $($column: Vec<$element>,)*
             points: usize,
+            solver_iterations: u64,
         }
 
         impl Columns {
             /// The parts, one after the other, allocated once.
             pub fn concatenated(parts: &[Self]) -> Self {
-                let mut whole = Self { points: parts.iter().map(|part| part.points).sum(), ..Self::default() };
+                let points = parts.iter().map(|part| part.points).sum();
+                let solver_iterations = parts.iter().map(|part| part.solver_iterations).sum();
+                let mut whole = Self { points, solver_iterations, ..Self::default() };
                 $(whole.$column.reserve_exact(parts.iter().map(|part| part.$column.len()).sum());
                 parts.iter().for_each(|part| whole.$column.extend_from_slice(&part.$column));)*
                 whole
@@ -34,6 +37,7 @@ macro_rules! columns {
             pub fn clear(&mut self) {
                 $(self.$column.clear();)*
                 self.points = 0;
+                self.solver_iterations = 0;
             }
 
             /// What it holds on to.
@@ -115,6 +119,16 @@ impl Columns {
         self.len() * outputs.pair_bytes() + self.points * outputs.point_bytes()
     }
 
+    /// Of all pairs, whether they are sent or not.
+    pub fn solver_iterations(&self) -> u64 {
+        self.solver_iterations
+    }
+
+    /// One a pair, as the wire has them.
+    pub fn flags(&self) -> &[u8] {
+        &self.flags
+    }
+
     /// How many pairs have each outcome: CONTACT, SEPARATED, UNDECIDED, INVALID.
     pub fn outcome_counts(&self) -> [usize; 4] {
         let mut counts = [0; 4];
@@ -132,6 +146,7 @@ impl Columns {
     /// Adds a pair's answer.
     pub fn push(&mut self, manifold: &Manifold, outputs: Outputs) {
         let flags = &manifold.flags;
+        self.solver_iterations += u64::from(manifold.iterations);
         self.outcomes.push(match manifold.outcome {
             Outcome::Contact => proto::Outcome::Contact as u8,
             Outcome::Separated => proto::Outcome::Separated as u8,

@@ -1,10 +1,12 @@
 //! A server of its own for every test, clients of it, and things to ask it.
 
+#[allow(dead_code, reason = "shared with the tests of faults")]
+pub(crate) mod process;
 pub(crate) mod raw;
 pub(crate) mod scenes;
 pub(crate) mod store;
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
 use hullcast::{
     proto::{
@@ -32,6 +34,7 @@ pub(crate) struct Setup {
     pub(crate) limits: Limits,
     pub(crate) threads: usize,
     pub(crate) serving: Serving,
+    pub(crate) grace: Duration,
 }
 
 impl Default for Setup {
@@ -41,6 +44,7 @@ impl Default for Setup {
             limits: Limits::default(),
             threads: 2,
             serving: Serving::default(),
+            grace: Duration::ZERO,
         }
     }
 }
@@ -58,8 +62,9 @@ impl Setup {
         let listener = Listener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.to_string();
         let (stop, stopped) = oneshot::channel();
-        let server = run(vec![listener], app.clone(), self.serving, async {
+        let server = run(vec![listener], app.clone(), self.serving, async move {
             let _ = stopped.await;
+            self.grace
         });
         let running = tokio::spawn(async { server.await.unwrap() });
         let channel = Channel::from_shared(format!("http://{address}")).unwrap().connect_lazy();
@@ -100,6 +105,21 @@ impl TestServer {
     /// Tells the server to stop, without waiting for it.
     pub(crate) fn begin_stop(&mut self) {
         self.stop.take().unwrap().send(()).unwrap();
+    }
+
+    /// The value of the one line of the metrics that begins with `name` and a space.
+    pub(crate) fn metric(&self, name: &str) -> f64 {
+        let text = self.app.metrics_text();
+        let values: Vec<_> = text.lines().filter_map(|l| l.strip_prefix(name)?.strip_prefix(' ')).collect();
+        assert_eq!(values.len(), 1, "{name} in {text}");
+        values[0].parse().unwrap()
+    }
+
+    /// Waits until a metric has this value.
+    pub(crate) async fn until(&self, name: &str, value: f64) {
+        while self.metric(name) != value {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
     }
 
     /// Waits until the server stopped.

@@ -94,4 +94,18 @@ impl BlobStore for Faulty {
             self.inner.list(after, count).await
         })
     }
+
+    fn set_aside(&self, id: HullId, blob: Bytes) -> Future<'_, String> {
+        Box::pin(async move {
+            self.readable()?;
+            self.inner.set_aside(id, blob).await
+        })
+    }
+
+    fn probe(&self) -> Future<'_, ()> {
+        Box::pin(async move {
+            self.readable()?;
+            self.inner.probe().await
+        })
+    }
 }

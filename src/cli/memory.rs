@@ -1,0 +1,181 @@
+//! How much memory this process may use, and sizes as shares of it.
+
+use std::{
+    fmt, fs,
+    path::{Path, PathBuf},
+    str::FromStr,
+};
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// Bytes, or a share of the memory that the process may use.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Size {
+    /// So many.
+    Bytes(u64),
+    /// In percent.
+    Share(f64),
+}
+
+impl Size {
+    /// Bytes; of a share, on this machine and in this cgroup.
+    ///
+    /// # Errors
+    /// The system does not say how much memory there is.
+    pub(crate) fn bytes(self) -> Result<u64, String> {
+        match self {
+            Self::Bytes(bytes) => Ok(bytes),
+            Self::Share(percent) => {
+                let memory =
+                    available(Path::new("/")).ok_or("the system does not say how much memory there is")?;
+                Ok((memory as f64 * percent / 100.0) as u64)
+            }
+        }
+    }
+}
+
+impl FromStr for Size {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if let Some(percent) = text.strip_suffix('%') {
+            let percent: f64 = percent.parse().map_err(|error| format!("{text}: {error}"))?;
+            return match percent {
+                0.0..=100.0 => Ok(Self::Share(percent)),
+                _ => Err(format!("{text}: expected 0% to 100%")),
+            };
+        }
+        let (number, unit) = match text.find(|c: char| !c.is_ascii_digit()) {
+            None => (text, 1),
+            Some(at) => {
+                (&text[..at], unit(&text[at..]).ok_or_else(|| format!("{text}: KiB, MiB and GiB are known"))?)
+            }
+        };
+        let number: u64 = number.parse().map_err(|error| format!("{text}: {error}"))?;
+        number.checked_mul(unit).map(Self::Bytes).ok_or_else(|| format!("{text}: too much"))
+    }
+}
+
+fn unit(text: &str) -> Option<u64> {
+    match text {
+        "KiB" => Some(1 << 10),
+        "MiB" => Some(1 << 20),
+        "GiB" => Some(1 << 30),
+        _ => None,
+    }
+}
+
+impl fmt::Display for Size {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Bytes(bytes) => write!(f, "{bytes}"),
+            Self::Share(percent) => write!(f, "{percent}%"),
+        }
+    }
+}
+
+/// A number where it is one, else text.
+impl Serialize for Size {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Bytes(bytes) => serializer.serialize_u64(*bytes),
+            Self::Share(_) => serializer.collect_str(self),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Size {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        #[derive(Deserialize)]
+        #[serde(untagged)]
+        enum Form {
+            Number(u64),
+            Text(String),
+        }
+        match Form::deserialize(deserializer)? {
+            Form::Number(bytes) => Ok(Self::Bytes(bytes)),
+            Form::Text(text) => text.parse().map_err(serde::de::Error::custom),
+        }
+    }
+}
+
+/// The machine's memory, or what the cgroups of this process allow where that is less; `root`
+/// is `/`. Of version 2 every group on the way up limits, of version 1 the file says it all.
+fn available(root: &Path) -> Option<u64> {
+    let read = |path: PathBuf| fs::read_to_string(path).ok();
+    let info = read(root.join("proc/meminfo"))?;
+    let total = info.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
+    let kib: u64 = total.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    let mut least = kib << 10;
+    for line in read(root.join("proc/self/cgroup")).unwrap_or_default().lines() {
+        let mut parts = line.splitn(3, ':');
+        let (_, controllers, path) = (parts.next(), parts.next(), parts.next());
+        let (Some(controllers), Some(path)) = (controllers, path) else { continue };
+        let (base, file) = match controllers {
+            "" => ("sys/fs/cgroup", "memory.max"),
+            _ if controllers.split(',').any(|name| name == "memory") => {
+                ("sys/fs/cgroup/memory", "memory.limit_in_bytes")
+            }
+            _ => continue,
+        };
+        let base = root.join(base);
+        // In a container the path is the host's and the group is mounted at the base.
+        for group in base.join(path.trim_start_matches('/')).ancestors() {
+            if let Some(limit) = read(group.join(file)).and_then(|text| text.trim().parse::<u64>().ok()) {
+                least = least.min(limit);
+            }
+            if group == base {
+                break;
+            }
+        }
+    }
+    Some(least)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches a unit or a share misread, and settings that do not read back.
+    #[test]
+    fn sizes_are_numbers_units_or_shares() {
+        for (text, size) in [
+            ("1073741824", Size::Bytes(1 << 30)),
+            ("512MiB", Size::Bytes(512 << 20)),
+            ("25%", Size::Share(25.0)),
+            ("12.5%", Size::Share(12.5)),
+        ] {
+            assert_eq!(text.parse(), Ok(size));
+            assert_eq!(size.to_string().parse(), Ok(size));
+        }
+        for text in ["", "-1", "1MB", "101%", "x%", "NaN%", "99999999999GiB"] {
+            assert!(text.parse::<Size>().is_err(), "{text}");
+        }
+    }
+
+    /// Catches a cache sized by the machine where the container has less, of either version.
+    #[test]
+    fn the_least_of_machine_and_cgroups_counts() {
+        let root = tempfile::tempdir().unwrap();
+        let write = |path: &str, text: &str| {
+            let path = root.path().join(path);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, text).unwrap();
+        };
+        assert_eq!(available(root.path()), None);
+        write("proc/meminfo", "MemFree: 1 kB\nMemTotal:       1024 kB\n");
+        assert_eq!(available(root.path()), Some(1 << 20));
+        write("proc/self/cgroup", "0::/a/b\n");
+        write("sys/fs/cgroup/a/b/memory.max", "max\n");
+        assert_eq!(available(root.path()), Some(1 << 20));
+        write("sys/fs/cgroup/a/memory.max", "700000\n");
+        assert_eq!(available(root.path()), Some(700_000));
+        write("sys/fs/cgroup/a/b/memory.max", "600000\n");
+        assert_eq!(available(root.path()), Some(600_000));
+        write("proc/self/cgroup", "5:cpu,memory:/docker/1\n3:pids:/docker/1\n");
+        write("sys/fs/cgroup/memory/memory.limit_in_bytes", "500000\n");
+        assert_eq!(available(root.path()), Some(500_000));
+        write("sys/fs/cgroup/memory/docker/1/memory.limit_in_bytes", "9223372036854771712\n");
+        assert_eq!(available(root.path()), Some(500_000));
+    }
+}

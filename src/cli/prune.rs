@@ -1,0 +1,94 @@
+//! `hullcast prune`: removes old hulls from a store.
+
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use super::Error;
+use hullcast::store::blobs;
+
+/// Hulls listed at a time.
+const PAGE: usize = 10_000;
+
+/// Removes hulls that were last written longer ago than this.
+///
+/// Servers on the store need not be stopped: they go on answering from their
+/// caches for `cache_age_seconds`, then a removed hull is unknown until it is
+/// registered again. A hull is written when it is registered first, and by
+/// each server that has not written it itself.
+#[derive(clap::Args, Clone, Debug)]
+pub(crate) struct Args {
+    /// The store: a directory or file://PATH.
+    #[arg(long, env = "HULLCAST_STORE", value_name = "URL")]
+    store: String,
+    /// A number and its unit: s, m, h or d, as in 30d.
+    #[arg(long, value_name = "TIME", value_parser = age)]
+    older_than: Duration,
+    /// Only say what would be removed.
+    #[arg(long)]
+    dry_run: bool,
+}
+
+fn age(text: &str) -> Result<Duration, String> {
+    let wrong = || format!("{text:?} is not a number and one of s, m, h, d");
+    let unit = text.chars().last().ok_or_else(wrong)?;
+    let seconds = match unit {
+        's' => 1,
+        'm' => 60,
+        'h' => 3600,
+        'd' => 86_400,
+        _ => return Err(wrong()),
+    };
+    let count: u64 = text[..text.len() - 1].parse().map_err(|_| wrong())?;
+    count.checked_mul(seconds).map(Duration::from_secs).ok_or_else(wrong)
+}
+
+/// Runs it.
+///
+/// # Errors
+/// The store cannot be opened, listed or written to; what was removed before stays removed.
+pub(crate) fn run(args: &Args) -> Result<(), Error> {
+    tokio::runtime::Runtime::new()?.block_on(prune(args))
+}
+
+async fn prune(args: &Args) -> Result<(), Error> {
+    let store = blobs::open_existing(&args.store)?;
+    let now = SystemTime::now().duration_since(UNIX_EPOCH)?;
+    let before = i64::try_from(now.saturating_sub(args.older_than).as_millis())?;
+    let (mut kept, mut removed, mut bytes, mut after) = (0_u64, 0_u64, 0_u64, None);
+    loop {
+        let page = store.list(after, PAGE).await?;
+        let Some(last) = page.last() else { break };
+        after = Some(last.id);
+        for blob in page {
+            if blob.created_unix_ms >= before {
+                kept += 1;
+                continue;
+            }
+            if !args.dry_run {
+                store.delete(blob.id).await?;
+            }
+            removed += 1;
+            bytes += blob.bytes;
+        }
+    }
+    let verb = if args.dry_run { "would remove" } else { "removed" };
+    println!("{verb} {removed} hulls, {bytes} bytes; kept {kept}");
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches a unit taken for another: a store emptied of what is minutes old.
+    #[test]
+    fn ages_have_units() {
+        for (text, seconds) in [("90s", 90), ("2m", 120), ("3h", 10_800), ("30d", 2_592_000), ("0d", 0)] {
+            assert_eq!(age(text), Ok(Duration::from_secs(seconds)));
+        }
+        for text in
+            ["", "d", "30", "-1d", "1.5h", "30 d", "1w", "99999999999999999999d", "9999999999999999999d"]
+        {
+            assert!(age(text).is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,266 @@
+//! What is counted while serving, for Prometheus.
+//!
+//! Whoever counts holds the counter itself: no look-up by name, no lock but a
+//! histogram's own. [`Metrics::text`] is what `/metrics` answers with; names
+//! and meaning are in its `# HELP` lines.
+
+use std::fmt;
+
+use prometheus_client::{
+    encoding::{EncodeLabelSet, text::encode},
+    metrics::{
+        counter::Counter,
+        family::Family,
+        gauge::Gauge,
+        histogram::{Histogram, exponential_buckets},
+    },
+    registry::{Metric, Registry},
+};
+
+/// A call's method and how it ended.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+pub struct Call {
+    /// `Service/Method`, of the contract; `other` for what is not in it.
+    pub method: &'static str,
+    /// The gRPC code, in words.
+    pub code: &'static str,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Method {
+    method: &'static str,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Outcome {
+    outcome: &'static str,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Flag {
+    flag: &'static str,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Reason {
+    reason: &'static str,
+}
+
+/// In the order of their numbers on the wire, from 1.
+const OUTCOMES: [&str; 4] = ["contact", "separated", "undecided", "invalid"];
+
+/// In the order of their bits on the wire.
+pub(crate) const FLAGS: [&str; 7] =
+    ["estimated", "coincident", "gap_open", "reduced", "unknown_hull", "hull_unavailable", "invalid_body"];
+
+/// What there was no room for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Shed {
+    Pairs,
+    RequestBytes,
+    Connection,
+}
+
+/// In the order of the enum.
+const SHEDS: [(Shed, &str); 3] = [
+    (Shed::Pairs, "pairs_in_flight"),
+    (Shed::RequestBytes, "request_bytes_in_flight"),
+    (Shed::Connection, "connections"),
+];
+
+/// Counters, gauges and histograms of one server.
+pub struct Metrics {
+    registry: Registry,
+    requests: Family<Call, Counter>,
+    request_seconds: Family<Method, Histogram, fn() -> Histogram>,
+    pub(crate) requests_in_flight: Gauge,
+    pub(crate) request_bytes_in_flight: Gauge,
+    pub(crate) connections: Gauge,
+    pairs: [Counter; 4],
+    flags: [Counter; 7],
+    pub(crate) pairs_in_flight: Gauge,
+    pub(crate) pairs_queued: Gauge,
+    pub(crate) queue_seconds: Histogram,
+    pub(crate) compute_seconds: Histogram,
+    pub(crate) solver_iterations: Counter,
+    sheds: [Counter; 3],
+    pub(crate) cache_bytes: Gauge,
+    pub(crate) cache_hulls: Gauge,
+    pub(crate) cache_hits: Counter,
+    pub(crate) cache_misses: Counter,
+    pub(crate) cache_evictions: Counter,
+    pub(crate) load_seconds: Histogram,
+    pub(crate) registered: Counter,
+    pub(crate) deleted: Counter,
+    pub(crate) quarantined: Counter,
+    pub(crate) store_errors: Counter,
+    pub(crate) ready: Gauge,
+    resident_bytes: Gauge,
+}
+
+impl fmt::Debug for Metrics {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Metrics").finish_non_exhaustive()
+    }
+}
+
+/// 10 us to 84 s.
+fn seconds() -> Histogram {
+    Histogram::new(exponential_buckets(1e-5, 2.0, 24))
+}
+
+impl Default for Metrics {
+    fn default() -> Self {
+        let mut registry = Registry::with_prefix("hullcast");
+        let r = &mut registry;
+        let outcomes = add::<Family<Outcome, Counter>>(r, "pairs", "Pairs answered, by outcome");
+        let flags = add::<Family<Flag, Counter>>(r, "pair_flags", "Pairs answered, by flag");
+        let help = "Calls and connections refused for want of room, by reason";
+        let sheds = add::<Family<Reason, Counter>>(r, "sheds", help);
+        let request_seconds: Family<Method, Histogram, fn() -> Histogram> =
+            Family::new_with_constructor(seconds);
+        r.register("request_seconds", "From a call's headers to its end", request_seconds.clone());
+        let mut histogram = |name: &str, help: &str| {
+            let histogram = seconds();
+            r.register(name, help, histogram.clone());
+            histogram
+        };
+        let queue_seconds = histogram("queue_seconds", "A batch's wait for its turn to be computed");
+        let compute_seconds = histogram("compute_seconds", "A batch's computation, turns of others included");
+        let load_seconds = histogram("load_seconds", "Reading and building a hull that was not cached");
+        Self {
+            requests: add(r, "requests", "Calls ended, by method and gRPC code"),
+            request_seconds,
+            requests_in_flight: add(r, "requests_in_flight", "Calls under way"),
+            request_bytes_in_flight: add(r, "request_bytes_in_flight", "Bytes of requests under way"),
+            connections: add(r, "connections", "Connections open"),
+            pairs: OUTCOMES.map(|outcome| outcomes.get_or_create(&Outcome { outcome }).clone()),
+            flags: FLAGS.map(|flag| flags.get_or_create(&Flag { flag }).clone()),
+            pairs_in_flight: add(r, "pairs_in_flight", "Pairs accepted and not yet answered"),
+            pairs_queued: add(r, "pairs_queued", "Pairs accepted whose batch waits for its turn"),
+            queue_seconds,
+            compute_seconds,
+            solver_iterations: add(r, "solver_iterations", "Iterations of the solver, summed over pairs"),
+            sheds: SHEDS.map(|(_, reason)| sheds.get_or_create(&Reason { reason }).clone()),
+            cache_bytes: add(r, "cache_bytes", "Heap of cached hulls"),
+            cache_hulls: add(r, "cache_hulls", "Hulls cached"),
+            cache_hits: add(r, "cache_hits", "Hulls of requests that were cached"),
+            cache_misses: add(r, "cache_misses", "Hulls of requests that were not"),
+            cache_evictions: add(r, "cache_evictions", "Hulls that made room for others"),
+            load_seconds,
+            registered: add(r, "registered", "Hulls written to the store"),
+            deleted: add(r, "deleted", "Hulls deleted"),
+            quarantined: add(r, "quarantined", "Blobs set aside: not what their name says"),
+            store_errors: add(r, "store_errors", "Reads and writes of the store that failed"),
+            ready: add(r, "ready", "1 while new calls are welcome"),
+            resident_bytes: add(r, "resident_bytes", "Memory of the process"),
+            registry,
+        }
+    }
+}
+
+fn add<M: Metric + Default + Clone>(registry: &mut Registry, name: &str, help: &str) -> M {
+    let metric = M::default();
+    registry.register(name, help, metric.clone());
+    metric
+}
+
+impl Metrics {
+    /// Everything, as OpenMetrics text.
+    pub fn text(&self) -> String {
+        if let Some(bytes) = resident_bytes() {
+            self.resident_bytes.set(bytes);
+        }
+        let mut text = String::new();
+        // Writing to a String cannot fail.
+        let _ = encode(&mut text, &self.registry);
+        text
+    }
+
+    /// A call ended.
+    pub(crate) fn ended(&self, call: &Call, seconds: f64) {
+        self.requests.get_or_create(call).inc();
+        self.request_seconds.get_or_create(&Method { method: call.method }).observe(seconds);
+    }
+
+    /// Pairs were answered: per outcome, and their flags.
+    pub(crate) fn answered(&self, outcomes: [usize; 4], flags: &[u8]) {
+        for (counter, count) in self.pairs.iter().zip(outcomes) {
+            counter.inc_by(count as u64);
+        }
+        // Few pairs have any.
+        let mut counts = [0; 8];
+        for flags in flags.iter().filter(|flags| **flags != 0) {
+            for (bit, count) in counts.iter_mut().enumerate() {
+                *count += u64::from(flags >> bit & 1);
+            }
+        }
+        for (counter, count) in self.flags.iter().zip(counts) {
+            counter.inc_by(count);
+        }
+    }
+
+    /// Something was refused for want of room.
+    pub(crate) fn shed(&self, what: Shed) {
+        self.sheds[what as usize].inc();
+    }
+}
+
+/// Of this process, where the system says.
+pub(crate) fn resident_bytes() -> Option<i64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+    let kib: i64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kib * 1024)
+}
+
+/// What a gauge counts, counted back when dropped.
+#[derive(Debug)]
+pub(crate) struct Held {
+    gauge: Gauge,
+    amount: i64,
+}
+
+impl Held {
+    pub(crate) fn new(gauge: &Gauge, amount: usize) -> Self {
+        let amount = i64::try_from(amount).unwrap_or(i64::MAX);
+        gauge.inc_by(amount);
+        Self { gauge: gauge.clone(), amount }
+    }
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        self.gauge.dec_by(self.amount);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches an outcome or flag counted under another's name.
+    #[test]
+    fn outcomes_and_flags_have_their_names() {
+        use crate::proto::{Flag, Outcome};
+        for (i, name) in OUTCOMES.into_iter().enumerate() {
+            let outcome = Outcome::try_from(i as i32 + 1).unwrap();
+            assert_eq!(outcome.as_str_name(), format!("OUTCOME_{}", name.to_uppercase()));
+        }
+        for (bit, name) in FLAGS.into_iter().enumerate() {
+            let flag = Flag::try_from(1 << bit).unwrap();
+            assert_eq!(flag.as_str_name(), format!("FLAG_{}", name.to_uppercase()));
+        }
+        let metrics = Metrics::default();
+        metrics.answered([1, 2, 3, 4], &[0, 0b100_0001, 0b1]);
+        let text = metrics.text();
+        for line in [
+            r#"hullcast_pairs_total{outcome="undecided"} 3"#,
+            r#"hullcast_pair_flags_total{flag="estimated"} 2"#,
+            r#"hullcast_pair_flags_total{flag="invalid_body"} 1"#,
+            r#"hullcast_pair_flags_total{flag="reduced"} 0"#,
+        ] {
+            assert!(text.lines().any(|l| l == line), "{line} in {text}");
+        }
+    }
+}

@@ -1,0 +1,80 @@
+//! The operator's port: `/metrics`, `/livez`, `/readyz`, in plain HTTP.
+
+use std::{convert::Infallible, sync::Arc, time::Duration};
+
+use http::{Method, Request, Response, StatusCode, header};
+use hyper::{body::Incoming, server::conn::http1, service::service_fn};
+use hyper_util::rt::{TokioIo, TokioTimer};
+use tokio::{net::TcpListener, sync::Semaphore, time::timeout};
+
+use super::App;
+
+/// Connections at a time: scrapers and probes are few.
+const CONNECTIONS: usize = 64;
+
+/// In all, of a connection: each is for some requests.
+const CONNECTION_TIME: Duration = Duration::from_secs(60);
+
+/// A peer that does not say what it wants is gone.
+const HEADER_TIME: Duration = Duration::from_secs(5);
+
+/// After a failed accept, so that the loop does not spin.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
+
+/// Answers on `listener` until dropped.
+pub async fn serve_admin(listener: TcpListener, app: Arc<App>) {
+    let room = Arc::new(Semaphore::new(CONNECTIONS));
+    loop {
+        let io = match listener.accept().await {
+            Ok((io, _)) => io,
+            Err(error) => {
+                tracing::warn!(%error, "accept failed on the admin port");
+                tokio::time::sleep(ACCEPT_PAUSE).await;
+                continue;
+            }
+        };
+        // Past the limit a peer finds its connection closed.
+        let Ok(place) = room.clone().try_acquire_owned() else { continue };
+        let app = app.clone();
+        tokio::spawn(async move {
+            let service = service_fn(|request| {
+                let response = answer(&app, &request);
+                async { Ok::<_, Infallible>(response) }
+            });
+            let mut http = http1::Builder::new();
+            http.timer(TokioTimer::new()).header_read_timeout(HEADER_TIME);
+            let connection = http.serve_connection(TokioIo::new(io), service);
+            let _ = timeout(CONNECTION_TIME, connection).await;
+            drop(place);
+        });
+    }
+}
+
+fn answer(app: &App, request: &Request<Incoming>) -> Response<String> {
+    if !matches!(*request.method(), Method::GET | Method::HEAD) {
+        return plain(StatusCode::METHOD_NOT_ALLOWED, "GET or HEAD".into());
+    }
+    match request.uri().path() {
+        "/metrics" => {
+            let mut response = Response::new(app.metrics_text());
+            let kind = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+            response.headers_mut().insert(header::CONTENT_TYPE, header::HeaderValue::from_static(kind));
+            response
+        }
+        "/livez" => plain(StatusCode::OK, "live\n".into()),
+        "/readyz" => {
+            let readiness = app.readiness();
+            let code = if readiness.welcomes() { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
+            plain(code, format!("{readiness}\n"))
+        }
+        _ => plain(StatusCode::NOT_FOUND, "/metrics, /livez or /readyz\n".into()),
+    }
+}
+
+fn plain(code: StatusCode, text: String) -> Response<String> {
+    let mut response = Response::new(text);
+    *response.status_mut() = code;
+    let kind = header::HeaderValue::from_static("text/plain; charset=utf-8");
+    response.headers_mut().insert(header::CONTENT_TYPE, kind);
+    response
+}

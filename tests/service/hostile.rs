@@ -1,0 +1,222 @@
+//! Peers that mean no good, on the real socket.
+
+use std::{collections::BTreeMap, time::Duration};
+
+use bytes::Bytes;
+use futures_util::future::join_all;
+use hullcast::{proto::GetServerInfoRequest, service::Limits};
+use prost::Message;
+use tokio::{
+    io::{AsyncReadExt, AsyncWriteExt},
+    net::TcpStream,
+};
+use tonic::Code;
+
+use crate::support::{
+    Setup, TestServer, raw, refusal, refused,
+    scenes::{Random, register_request, two_boxes},
+};
+
+const INFO: &str = "/hullcast.v1.ServerService/GetServerInfo";
+const QUERY: &str = "/hullcast.v1.ContactService/QueryContacts";
+
+async fn is_answered(server: &TestServer) {
+    let channel = crate::support::channel(&server.address).await;
+    let mut info = hullcast::proto::server_service_client::ServerServiceClient::new(channel);
+    info.get_server_info(GetServerInfoRequest {}).await.unwrap();
+}
+
+/// Catches bytes that end the server or that it calls its own fault: messages with bytes
+/// flipped, cut, doubled and inserted, to every method, through the whole stack.
+#[tokio::test(flavor = "multi_thread")]
+async fn spoilt_messages_are_refused_or_answered() {
+    const EACH: u32 = 400;
+    let server = TestServer::start().await;
+    let (shapes, query) = two_boxes();
+    server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
+    let seeds = [query.encode_to_vec(), register_request(&shapes).encode_to_vec(), query.hull_ids[0].clone()];
+    let mut random = Random(1);
+    let mut next = move |below: usize| random.below(below.max(1));
+    let mut client = raw::connect(&server.address).await;
+    let mut codes = BTreeMap::new();
+    let methods = [
+        "ContactService/QueryContacts",
+        "ContactService/StreamContacts",
+        "HullService/RegisterHulls",
+        "HullService/GetHulls",
+        "HullService/HasHulls",
+        "HullService/ListHulls",
+        "HullService/DeleteHulls",
+        "ServerService/GetServerInfo",
+    ];
+    for method in methods {
+        let path = format!("/hullcast.v1.{method}");
+        for _ in 0..EACH {
+            let mut message = seeds[next(seeds.len())].clone();
+            for _ in 0..=next(6) {
+                let at = next(message.len());
+                match next(5) {
+                    0 => message.truncate(at),
+                    1 => message.extend_from_within(at..),
+                    2 => message.insert(at, next(256) as u8),
+                    _ if !message.is_empty() => message[at] ^= 1 << next(8),
+                    _ => message.push(next(256) as u8),
+                }
+            }
+            let mut frame = raw::frame(false, &message).to_vec();
+            if next(10) == 0 {
+                // The frame's own head is spoilt, too: another length, another kind.
+                let at = next(5);
+                frame[at] ^= 1 << next(8);
+            }
+            let timeout = [("grpc-timeout", "5S")];
+            let call = raw::status_on(&mut client, &path, &timeout, frame.clone().into());
+            let answered = tokio::time::timeout(Duration::from_secs(60), call).await;
+            let (status, _) = answered.unwrap_or_else(|_| panic!("{method} is silent about {frame:?}"));
+            *codes.entry(format!("{:?}", status.code())).or_insert(0) += 1;
+        }
+    }
+    assert_eq!(codes.values().sum::<u32>(), EACH * methods.len() as u32);
+    assert!(codes["InvalidArgument"] > 100 && codes["Ok"] > 100, "{codes:?}");
+    let known = ["InvalidArgument", "Ok", "Unimplemented", "DeadlineExceeded"];
+    assert!(codes.keys().all(|code| known.contains(&code.as_str())), "{codes:?}");
+    is_answered(&server).await;
+}
+
+/// Catches a peer that holds a connection and says nothing, or half of a greeting.
+#[tokio::test(flavor = "multi_thread")]
+async fn who_does_not_greet_is_cut_off() {
+    let mut setup = Setup::default();
+    setup.serving.greeting = Duration::from_millis(50);
+    let server = setup.start().await;
+    for said in [&b""[..], b"P", b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"] {
+        let mut stream = TcpStream::connect(&server.address).await.unwrap();
+        stream.write_all(said).await.unwrap();
+        let mut rest = Vec::new();
+        // The end, by a close or a reset.
+        let _ = stream.read_to_end(&mut rest).await;
+    }
+    // Who greeted may idle.
+    let (mut client, connection) = raw::connection(&server.address).await;
+    tokio::spawn(connection);
+    tokio::time::sleep(Duration::from_millis(200)).await;
+    let (status, _) = raw::status_on(&mut client, INFO, &[], raw::frame(false, &[])).await;
+    assert_eq!(status.code(), Code::Ok);
+}
+
+/// Catches a request that dribbles in for ever, whatever deadline its client gives itself.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_request_that_never_ends_is_cut_off() {
+    let server = TestServer::with_limits(Limits { max_deadline_seconds: 1, ..Limits::default() }).await;
+    for headers in [&[][..], &[("grpc-timeout", "9H")]] {
+        let mut client = raw::connect(&server.address).await;
+        let half = raw::Body::Unfinished(raw::frame(false, &[0; 1000]).slice(..500));
+        let response = client.send_request(raw::call(QUERY, headers, half)).await.unwrap();
+        let status = tonic::Status::from_header_map(response.headers()).unwrap();
+        assert_eq!(refusal(&status), refused(Code::DeadlineExceeded, "DEADLINE_EXCEEDED", ""));
+    }
+    server.until("hullcast_request_bytes_in_flight", 0.0).await;
+}
+
+/// Catches memory that many half-sent requests hold without bound: at the limit they are
+/// held, one byte past it refused, and given back when they end.
+#[tokio::test(flavor = "multi_thread")]
+async fn bytes_of_requests_are_bounded_over_all_calls() {
+    let limits =
+        Limits { max_message_bytes: 100_000, max_request_bytes_in_flight: 200_000, ..Limits::default() };
+    let server = TestServer::with_limits(limits).await;
+    let send = async |bytes: usize| {
+        let mut client = raw::connect(&server.address).await;
+        let part = raw::frame(false, &vec![0; 100_000]).slice(..bytes);
+        let body = raw::Body::Unfinished(part);
+        tokio::spawn(async move { client.send_request(raw::call(QUERY, &[], body)).await })
+    };
+    let held = [send(100_000).await, send(100_000).await];
+    server.until("hullcast_request_bytes_in_flight", 200_000.0).await;
+    let refused_call = send(1).await.await.unwrap().unwrap();
+    let status = tonic::Status::from_header_map(refused_call.headers()).unwrap();
+    assert_eq!(refusal(&status), refused(Code::Unavailable, "TOO_BUSY", ""));
+    assert!(held.iter().all(|call| !call.is_finished()));
+    held.into_iter().for_each(|call| call.abort());
+    server.until("hullcast_request_bytes_in_flight", 0.0).await;
+    is_answered(&server).await;
+}
+
+/// Catches connections without number: at the limit all are served, one more is closed, and
+/// a place that is given up is given again.
+#[tokio::test(flavor = "multi_thread")]
+async fn connections_at_their_limit_and_one_past() {
+    // One is the test server's own.
+    let server = TestServer::with_limits(Limits { max_connections: 3, ..Limits::default() }).await;
+    let answers = async |client: &mut hyper::client::conn::http2::SendRequest<raw::Body>| {
+        raw::status_on(client, INFO, &[], raw::frame(false, &[])).await.0.code()
+    };
+    let mut first = raw::connect(&server.address).await;
+    assert_eq!(answers(&mut first).await, Code::Ok);
+    let mut second = raw::connect(&server.address).await;
+    assert_eq!(answers(&mut second).await, Code::Ok);
+    let mut third = TcpStream::connect(&server.address).await.unwrap();
+    assert_eq!(third.read(&mut [0; 100]).await.unwrap_or(0), 0);
+    assert_eq!(server.metric(r#"hullcast_sheds_total{reason="connections"}"#), 1.0);
+    drop(second);
+    server.until("hullcast_connections", 2.0).await;
+    let mut again = raw::connect(&server.address).await;
+    assert_eq!(answers(&mut again).await, Code::Ok);
+    assert_eq!(answers(&mut first).await, Code::Ok);
+}
+
+/// Catches calls reset as fast as they are made (CVE-2023-44487) that pile up.
+#[tokio::test(flavor = "multi_thread")]
+async fn rapid_resets_leave_nothing_behind() {
+    let server = TestServer::start().await;
+    let mut made = 0;
+    for _ in 0..10 {
+        let mut client = raw::connect(&server.address).await;
+        for _ in 0..1000 {
+            if client.ready().await.is_err() {
+                break; // the server ended the connection
+            }
+            let call = client.send_request(raw::call(QUERY, &[], raw::Body::Never));
+            made += 1;
+            // Begun, and at once taken back.
+            drop(tokio::time::timeout(Duration::ZERO, call).await);
+        }
+    }
+    assert!(made >= 1000, "{made}");
+    server.until("hullcast_requests_in_flight", 0.0).await;
+    is_answered(&server).await;
+}
+
+/// Catches answers to pings that pile up for a peer that does not read them: the server stops
+/// reading, so that the peer can send no more.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_flood_of_pings_is_held_back() {
+    const TOO_MUCH: usize = 256 << 20;
+    let server = TestServer::start().await;
+    let mut stream = TcpStream::connect(&server.address).await.unwrap();
+    stream.write_all(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0").await.unwrap();
+    let pings = Bytes::from(b"\0\0\x08\x06\0\0\0\0\0pingpong".repeat(4096));
+    let mut sent = 0;
+    while let Ok(result) = tokio::time::timeout(Duration::from_secs(2), stream.write_all(&pings)).await {
+        sent += pings.len();
+        if result.is_err() {
+            break; // cut off: as good
+        }
+        assert!(sent < TOO_MUCH, "the server reads on for ever");
+    }
+    is_answered(&server).await;
+}
+
+/// Catches a server that many silent clients keep from answering others.
+#[tokio::test(flavor = "multi_thread")]
+async fn idle_connections_are_held() {
+    const IDLE: usize = 300;
+    let server = TestServer::start().await;
+    let idle = join_all((0..IDLE).map(|_| raw::connect(&server.address))).await;
+    server.until("hullcast_connections", IDLE as f64 + 1.0).await;
+    is_answered(&server).await;
+    for mut client in idle {
+        let (status, _) = raw::status_on(&mut client, INFO, &[], raw::frame(false, &[])).await;
+        assert_eq!(status.code(), Code::Ok);
+    }
+}
