@@ -7,8 +7,10 @@ use std::collections::HashMap;
 use std::error::Error as StdError;
 use std::fmt;
 use std::sync::Arc;
+use std::time::Duration;
 
 use tonic::{Code, Status};
+use tonic_types::StatusExt;
 
 use super::Error;
 use super::options::Asked;
@@ -19,7 +21,7 @@ use hullcast::contact::ConvexHull;
 use hullcast::proto;
 use hullcast::proto::register_hull_result::Result as Registered;
 use hullcast::service::batch::{Batch, Engine};
-use hullcast::service::{Limits, ServiceError, wire};
+use hullcast::service::{Kind, Limits, ServiceError, wire};
 use hullcast::store::identity::id_of;
 use hullcast::store::{HullDefinition, HullId, Missing};
 
@@ -66,6 +68,40 @@ impl fmt::Display for HullRefused {
 
 impl StdError for HullRefused {}
 
+/// A query was not answered.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Refusal {
+    /// In words, why.
+    pub(crate) text: String,
+    /// When to ask again, of who is too busy.
+    pub(crate) retry_after: Option<Duration>,
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.text)
+    }
+}
+
+impl StdError for Refusal {}
+
+impl From<ServiceError> for Refusal {
+    fn from(error: ServiceError) -> Self {
+        let retry_after = match error.kind {
+            Kind::Unavailable { retry_after } => Some(retry_after),
+            _ => None,
+        };
+        Self { text: error.to_string(), retry_after }
+    }
+}
+
+impl From<Status> for Refusal {
+    fn from(status: Status) -> Self {
+        let retry_after = status.get_details_retry_info().and_then(|info| info.retry_delay);
+        Self { text: described(&status), retry_after }
+    }
+}
+
 impl Answerer {
     /// In this process, on `threads` threads (0: one a core), with these hulls.
     ///
@@ -87,7 +123,8 @@ impl Answerer {
             built.insert(id, Arc::new(hull));
             ids.push(id);
         }
-        let engine = Engine::new(Compute::new(threads)?, limits.max_pairs_in_flight, MAX_ANSWER_BYTES);
+        let compute = Compute::new(threads)?;
+        let engine = Engine::new(compute, limits.max_pairs_in_flight, MAX_ANSWER_BYTES, Arc::default());
         Ok((Self::Local(Arc::new(Local { engine, limits, hulls: built })), ids))
     }
 
@@ -124,12 +161,12 @@ impl Answerer {
     pub(crate) async fn answer(
         &self,
         request: proto::QueryContactsRequest,
-    ) -> Result<proto::QueryContactsResponse, String> {
+    ) -> Result<proto::QueryContactsResponse, Refusal> {
         match self {
-            Self::Local(local) => local.answer(request).await.map_err(|e| e.to_string()),
+            Self::Local(local) => local.answer(request).await.map_err(Into::into),
             Self::Remote(remote) => {
                 let response = remote.contacts().query_contacts(request).await;
-                response.map(tonic::Response::into_inner).map_err(|status| described(&status))
+                response.map(tonic::Response::into_inner).map_err(Into::into)
             }
         }
     }

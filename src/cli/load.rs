@@ -1,4 +1,7 @@
-//! `hullcast load`: a closed loop of batches, timed and checked.
+//! `hullcast load`: batches in a closed or an open loop, timed and checked.
+
+mod levels;
+mod sheet;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -6,26 +9,36 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
+pub(crate) use levels::Level;
+use levels::{Plan, Range};
+use tokio::task::JoinSet;
 
 use super::Error;
-use super::answer::{Answerer, another_connection};
+use super::answer::{Answerer, Refusal, another_connection};
 use super::batches::{Batches, Sampled};
 use super::options::{AccuracyArgs, OutputArg};
 use super::remote::RemoteArgs;
 use super::tally::Tally;
 use hullcast::workload::{Family, Regime};
+pub(crate) use sheet::Row;
 
 /// How often the progress line is renewed.
 const REFRESH: Duration = Duration::from_millis(200);
-/// Before a refused batch is sent again: what a busy server asks for by default.
-const PAUSE_WHEN_REFUSED: Duration = Duration::from_millis(20);
+/// After a call that failed, so that a server that is gone is not called in a tight loop.
+const PAUSE_AFTER_ERROR: Duration = Duration::from_millis(20);
+/// Batches of an open loop that may be under way: past them it waits, and what waits is late.
+const MOST_UNDER_WAY: usize = 16_384;
 
-/// Sends batches in a closed loop, and checks a sample of the answers.
+/// Sends batches and checks a sample of the answers.
 ///
-/// Each of `--concurrency` loops sends its next batch when its last is
-/// answered. Answers are checked to the last bit against the library, called
-/// in this process a pair at a time. The exit code is 1 where a call failed or
-/// an answer was wrong.
+/// In a closed loop (`--concurrency`, or level by level `--concurrency-range`)
+/// each loop sends its next batch when its last is answered. In an open loop
+/// (`--request-rate-range`) batches are sent at their times whether or not
+/// earlier ones are answered, and latency counts from the time at which a batch
+/// was due. A batch that a busy server refuses is shed: it is sent again when
+/// the server asks (RetryInfo), up to `--retries` times. Answers are checked to
+/// the last bit against the library, called in this process a pair at a time.
+/// The exit code is 1 where a call failed or an answer was wrong.
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct Args {
     /// Batches from a scene file: each of its configurations in turn.
@@ -51,10 +64,37 @@ pub(crate) struct Args {
     /// Batches under way at once.
     #[arg(long, value_name = "COUNT", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..))]
     concurrency: u32,
+    /// Closed loops level by level: start:end:step batches under way at once.
+    #[arg(long, value_name = "RANGE", conflicts_with = "concurrency")]
+    concurrency_range: Option<Range>,
+    /// An open loop level by level: start:end:step batches a second.
+    #[arg(long, value_name = "RANGE", conflicts_with_all = ["concurrency", "concurrency_range"])]
+    request_rate_range: Option<Range>,
+    /// When the batches of an open loop are due.
+    #[arg(long, value_enum, default_value_t)]
+    request_distribution: Distribution,
+    /// A level whose latency is above this, in milliseconds, is too much: the last.
+    #[arg(long, value_name = "MS", default_value_t = f64::INFINITY)]
+    latency_threshold: f64,
+    /// The percentile that the threshold is held against.
+    #[arg(long, value_name = "PERCENT", default_value_t = 99.0, value_parser = percent)]
+    percentile: f64,
+    /// Search the range for the most load within the threshold.
+    #[arg(long, requires = "latency_threshold")]
+    binary_search: bool,
+    /// Times that a shed batch is sent again.
+    #[arg(long, value_name = "COUNT", default_value_t = 0)]
+    retries: u32,
+    /// Write the levels as comma-separated values.
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// Draw latency against offered load, as SVG.
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
     /// Connections to the server, shared evenly.
     #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     connections: u32,
-    /// How long.
+    /// How long each level lasts.
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = seconds)]
     duration: f64,
     /// End after this many batches; 0: by time alone.
@@ -97,6 +137,21 @@ enum RegimeArg {
     Separated,
 }
 
+/// When the batches of an open loop are due.
+#[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Distribution {
+    /// At even intervals.
+    #[default]
+    Constant,
+    /// As independent clients send.
+    Poisson,
+}
+
+fn percent(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|e| format!("{e}"))?;
+    if (0.0..=100.0).contains(&value) { Ok(value) } else { Err("expected 0 to 100".into()) }
+}
+
 fn seconds(text: &str) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|e| format!("{e}"))?;
     if (0.0..=1e7).contains(&value) { Ok(value) } else { Err("expected 0 to 1e7".into()) }
@@ -125,34 +180,44 @@ async fn loaded(args: &Args) -> Result<(), Error> {
     let margin = args.margin.unwrap_or(batches.margin());
     let sampled =
         Arc::new(batches.prepare(&ids, &args.accuracy.asked(margin, &args.outputs), args.verify)?);
-    let live = Arc::new(Live::default());
-    let started = Instant::now();
-    let loops: Vec<_> = (0..args.concurrency)
-        .map(|i| {
-            let answerer = answerers[i as usize % answerers.len()].clone();
-            let plan = Plan { answerer, sampled: sampled.clone(), live: live.clone(), args: args.clone() };
-            tokio::spawn(plan.run(started))
-        })
-        .collect();
-    let progress = tokio::spawn(show_progress(live, started, Duration::from_secs_f64(args.duration)));
-    let mut tally = Tally::default();
-    for one in loops {
-        tally.add(one.await??)?;
+    let runner = Runner { answerers, sampled, args: args.clone() };
+    let mut plan = args.plan();
+    let (mut rows, mut clean) = (Vec::new(), Ok(()));
+    while let Some(level) = plan.level() {
+        let (tally, elapsed) = runner.measure(level).await?;
+        let row = tally.row(level, elapsed, args.percentile);
+        plan.went(level, row.latency[4] <= args.latency_threshold);
+        rows.push(row);
+        let title = format!("{}, {} {}", batches.title(), level.kind(), level.value());
+        if args.json {
+            println!("{}", tally.json(&title, elapsed)?);
+        } else {
+            print!("{}", tally.text(&title, elapsed));
+        }
+        clean = clean.and(tally.verdict());
     }
-    let elapsed = started.elapsed();
-    progress.abort();
-    // Aborted or done: either way the line is gone before the summary comes.
-    let _ = progress.await;
-    let title = format!("{}, {} at a time", batches.title(), args.concurrency);
-    if args.json {
-        println!("{}", tally.json(&title, elapsed)?);
-    } else {
-        print!("{}", tally.text(&title, elapsed));
+    if rows.len() > 1 && !args.json {
+        print!("{}", sheet::table(&rows));
     }
-    tally.verdict().map_err(Into::into)
+    if let Some(path) = &args.csv {
+        std::fs::write(path, sheet::csv(&rows))?;
+    }
+    if let Some(path) = &args.plot {
+        std::fs::write(path, sheet::svg(batches.title(), &rows))?;
+    }
+    clean.map_err(Into::into)
 }
 
 impl Args {
+    fn plan(&self) -> Plan {
+        let concurrency: fn(f64) -> Level = |count| Level::Concurrency(count.round() as u32);
+        match (self.request_rate_range, self.concurrency_range) {
+            (Some(range), _) => Plan::new(Level::Rate, range, self.binary_search),
+            (None, Some(range)) => Plan::new(concurrency, range, self.binary_search),
+            (None, None) => Plan::new(concurrency, Range::one(self.concurrency), false),
+        }
+    }
+
     fn batches(&self) -> Result<Batches, Error> {
         if let Some(path) = &self.scene {
             return Batches::of_scene(path, self.pairs);
@@ -182,51 +247,147 @@ struct Live {
     last_nanos: AtomicU64,
 }
 
-/// One of the concurrent loops.
-struct Plan {
-    answerer: Answerer,
+/// Measures levels.
+#[derive(Clone)]
+struct Runner {
+    answerers: Vec<Answerer>,
     sampled: Arc<Sampled>,
-    live: Arc<Live>,
     args: Args,
 }
 
-impl Plan {
-    async fn run(self, started: Instant) -> Result<Tally, String> {
-        let mut tally = Tally::default();
+impl Runner {
+    /// One level, and how long it took to be answered.
+    async fn measure(&self, level: Level) -> Result<(Tally, Duration), Error> {
+        let live = Arc::new(Live::default());
+        let started = Instant::now();
         let limit = Duration::from_secs_f64(self.args.duration);
-        while started.elapsed() < limit {
-            let number = self.live.begun.fetch_add(1, Ordering::Relaxed);
-            if self.args.count > 0 && number >= self.args.count {
+        let progress = tokio::spawn(show_progress(live.clone(), started, limit));
+        let tally = match level {
+            Level::Concurrency(count) => self.closed(count, &live, started + limit).await,
+            Level::Rate(rate) => self.open(rate, &live, started).await,
+        };
+        let elapsed = started.elapsed();
+        progress.abort();
+        // Aborted or done: either way the line is gone before the summary comes.
+        let _ = progress.await;
+        Ok((tally?, elapsed))
+    }
+
+    async fn closed(&self, loops: u32, live: &Arc<Live>, end: Instant) -> Result<Tally, Error> {
+        let mut running = JoinSet::new();
+        for place in 0..loops {
+            let (one, live) = (self.clone(), live.clone());
+            running.spawn(async move {
+                let mut tally = Tally::default();
+                while Instant::now() < end {
+                    let number = live.begun.fetch_add(1, Ordering::Relaxed);
+                    if one.args.count > 0 && number >= one.args.count {
+                        break;
+                    }
+                    one.batch(place as usize, number, Instant::now(), &live, &mut tally).await?;
+                }
+                Ok(tally)
+            });
+        }
+        added(running).await
+    }
+
+    async fn open(&self, rate: f64, live: &Arc<Live>, started: Instant) -> Result<Tally, Error> {
+        let mut due = started;
+        let mut random = self.args.seed;
+        let (mut tally, mut running) = (Tally::default(), JoinSet::new());
+        for number in 0.. {
+            let gap = match self.args.request_distribution {
+                Distribution::Constant => 1.0,
+                Distribution::Poisson => exponential(&mut random),
+            };
+            due += Duration::try_from_secs_f64(gap / rate)?;
+            let over = due.duration_since(started).as_secs_f64() > self.args.duration;
+            if over || self.args.count > 0 && number >= self.args.count {
                 break;
             }
-            self.one(number, &mut tally).await?;
+            tokio::time::sleep_until(due.into()).await;
+            while let Some(done) = running.try_join_next() {
+                tally.add(done??)?;
+            }
+            if running.len() >= MOST_UNDER_WAY
+                && let Some(done) = running.join_next().await
+            {
+                tally.add(done??)?;
+            }
+            let (one, live) = (self.clone(), live.clone());
+            live.begun.fetch_add(1, Ordering::Relaxed);
+            running.spawn(async move {
+                let mut tally = Tally::default();
+                one.batch(number as usize, number, due, &live, &mut tally).await?;
+                Ok::<_, String>(tally)
+            });
         }
+        tally.add(added(running).await?)?;
         Ok(tally)
     }
 
-    /// Sends batch `number` and counts its answer.
-    async fn one(&self, number: u64, tally: &mut Tally) -> Result<(), String> {
-        let request = self.sampled.request(number);
-        let sent = Instant::now();
-        match self.answerer.answer(request).await {
-            Ok(response) => {
-                let took = sent.elapsed();
-                let pairs = response.outcomes.len() as u64;
-                tally.answered(pairs, took).map_err(|e| e.to_string())?;
-                self.live.pairs.fetch_add(pairs, Ordering::Relaxed);
-                self.live.last_nanos.store(took.as_nanos() as u64, Ordering::Relaxed);
-                if let Some(right) = self.sampled.check(number, &response) {
-                    tally.checked(pairs, right);
+    /// Sends batch `number`, due at `due`, and counts its answer.
+    async fn batch(
+        &self,
+        place: usize,
+        number: u64,
+        due: Instant,
+        live: &Live,
+        tally: &mut Tally,
+    ) -> Result<(), String> {
+        let answerer = &self.answerers[place % self.answerers.len()];
+        tally.sent();
+        for attempt in 0..=self.args.retries {
+            match answerer.answer(self.sampled.request(number)).await {
+                Ok(response) => {
+                    let took = due.elapsed();
+                    let pairs = response.outcomes.len() as u64;
+                    tally.answered(pairs, took).map_err(|e| e.to_string())?;
+                    live.pairs.fetch_add(pairs, Ordering::Relaxed);
+                    live.last_nanos.store(took.as_nanos() as u64, Ordering::Relaxed);
+                    if let Some(right) = self.sampled.check(number, &response) {
+                        tally.checked(pairs, right);
+                    }
+                    return Ok(());
                 }
-            }
-            Err(why) => {
-                self.live.errors.fetch_add(1, Ordering::Relaxed);
-                tally.failed(why);
-                tokio::time::sleep(PAUSE_WHEN_REFUSED).await;
+                Err(Refusal { retry_after: Some(pause), .. }) => {
+                    tally.shed();
+                    // A closed loop waits before its next batch, too: it was asked to.
+                    let closed = self.args.request_rate_range.is_none();
+                    if closed || attempt < self.args.retries {
+                        tokio::time::sleep(pause).await;
+                    }
+                }
+                Err(Refusal { text, .. }) => {
+                    live.errors.fetch_add(1, Ordering::Relaxed);
+                    tally.failed(text);
+                    tokio::time::sleep(PAUSE_AFTER_ERROR).await;
+                    return Ok(());
+                }
             }
         }
         Ok(())
     }
+}
+
+/// All counts together.
+async fn added(mut running: JoinSet<Result<Tally, String>>) -> Result<Tally, Error> {
+    let mut tally = Tally::default();
+    while let Some(done) = running.join_next().await {
+        tally.add(done??)?;
+    }
+    Ok(tally)
+}
+
+/// Exponentially distributed, of mean 1; splitmix64.
+fn exponential(state: &mut u64) -> f64 {
+    *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let z = (*state ^ (*state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    // In (0, 1]: its logarithm is finite.
+    let uniform = (((z ^ (z >> 31)) >> 11) + 1) as f64 / (1_u64 << 53) as f64;
+    -uniform.ln()
 }
 
 /// A line on standard error, where that is a terminal.
@@ -257,5 +418,23 @@ struct ClearWhenDropped(ProgressBar);
 impl Drop for ClearWhenDropped {
     fn drop(&mut self) {
         self.0.finish_and_clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches intervals that are not those of independent clients: their mean is 1, their
+    /// variance too, and one in e is above the mean.
+    #[test]
+    fn poisson_intervals_are_exponential() {
+        let mut state = 1;
+        let gaps: Vec<f64> = (0..100_000).map(|_| exponential(&mut state)).collect();
+        let mean = gaps.iter().sum::<f64>() / 1e5;
+        let variance = gaps.iter().map(|gap| (gap - mean).powi(2)).sum::<f64>() / 1e5;
+        let above = gaps.iter().filter(|gap| **gap > 1.0).count() as f64 / 1e5;
+        assert!((mean - 1.0).abs() < 0.02 && (variance - 1.0).abs() < 0.05, "{mean} {variance}");
+        assert!((above - (-1.0_f64).exp()).abs() < 0.01, "{above}");
     }
 }

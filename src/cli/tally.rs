@@ -6,12 +6,16 @@ use std::time::Duration;
 
 use hdrhistogram::Histogram;
 
+use super::load::{Level, Row};
+
 /// Counts of one loop, or of all.
 #[derive(Debug)]
 pub(crate) struct Tally {
     /// Nanoseconds a batch, to three digits.
     latency: Histogram<u64>,
     pairs: u64,
+    sent: u64,
+    shed: u64,
     checked_batches: u64,
     checked_pairs: u64,
     wrong_batches: u64,
@@ -25,6 +29,8 @@ impl Default for Tally {
         Self {
             latency,
             pairs: 0,
+            sent: 0,
+            shed: 0,
             checked_batches: 0,
             checked_pairs: 0,
             wrong_batches: 0,
@@ -34,6 +40,16 @@ impl Default for Tally {
 }
 
 impl Tally {
+    /// A batch was sent, for the first time.
+    pub(crate) fn sent(&mut self) {
+        self.sent += 1;
+    }
+
+    /// A busy server refused a batch.
+    pub(crate) fn shed(&mut self) {
+        self.shed += 1;
+    }
+
     /// A batch was answered.
     ///
     /// # Errors
@@ -62,6 +78,8 @@ impl Tally {
     pub(crate) fn add(&mut self, other: Self) -> Result<(), hdrhistogram::AdditionError> {
         self.latency.add(other.latency)?;
         self.pairs += other.pairs;
+        self.sent += other.sent;
+        self.shed += other.shed;
         self.checked_batches += other.checked_batches;
         self.checked_pairs += other.checked_pairs;
         self.wrong_batches += other.wrong_batches;
@@ -98,6 +116,9 @@ impl Tally {
             "checked bit for bit: {} batches, {} pairs; {} batches differ",
             self.checked_batches, self.checked_pairs, self.wrong_batches
         );
+        if self.shed > 0 {
+            let _ = writeln!(text, "shed by a busy server: {}", self.shed);
+        }
         let _ = writeln!(text, "errors: {}", self.errors.values().sum::<u64>());
         for (error, count) in &self.errors {
             let _ = writeln!(text, "  {count} x {error}");
@@ -123,8 +144,25 @@ impl Tally {
             "checked_batches": self.checked_batches,
             "checked_pairs": self.checked_pairs,
             "wrong_batches": self.wrong_batches,
+            "sent": self.sent,
+            "shed": self.shed,
             "errors": self.errors,
         }))
+    }
+
+    /// For a table of levels; `percentile` is the one that the level is judged by.
+    pub(crate) fn row(&self, level: Level, elapsed: Duration, percentile: f64) -> Row {
+        let seconds = elapsed.as_secs_f64();
+        let milli = |percent: f64| self.latency.value_at_percentile(percent) as f64 / 1e6;
+        Row {
+            level,
+            offered: self.sent as f64 / seconds,
+            answered: self.latency.len() as f64 / seconds,
+            pairs: self.pairs as f64 / seconds,
+            latency: [50.0, 90.0, 95.0, 99.0, percentile].map(milli),
+            shed: self.shed,
+            errors: self.errors.values().sum(),
+        }
     }
 
     /// Whether the run was clean.

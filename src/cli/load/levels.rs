@@ -1,0 +1,158 @@
+//! How much load: ranges of it, or a search for the most that is answered in time.
+
+use std::str::FromStr;
+
+/// `start:end:step`, as perf_analyzer writes it; end and step may be left out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Range {
+    start: f64,
+    end: f64,
+    step: f64,
+}
+
+impl Range {
+    /// One level.
+    pub(crate) fn one(value: u32) -> Self {
+        Self { start: value.into(), end: value.into(), step: 1.0 }
+    }
+}
+
+impl FromStr for Range {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let numbers: Result<Vec<f64>, _> = text.split(':').map(str::parse).collect();
+        let numbers = numbers.map_err(|error| format!("{text}: {error}"))?;
+        let (start, end, step) = match numbers[..] {
+            [start] => (start, start, 1.0),
+            [start, end] => (start, end, 1.0),
+            [start, end, step] => (start, end, step),
+            _ => return Err(format!("{text}: expected start:end:step")),
+        };
+        let good = start > 0.0 && end >= start && step > 0.0 && end.is_finite();
+        let most = (end - start) / step <= 10_000.0;
+        if good && most { Ok(Self { start, end, step }) } else { Err(format!("{text}: not a range of load")) }
+    }
+}
+
+/// The load of one measurement.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Level {
+    /// Batches under way at once; the next is sent when one is answered.
+    Concurrency(u32),
+    /// Batches a second, sent whether or not earlier ones are answered.
+    Rate(f64),
+}
+
+impl Level {
+    /// For tables.
+    pub(crate) fn value(self) -> f64 {
+        match self {
+            Self::Concurrency(count) => f64::from(count),
+            Self::Rate(rate) => rate,
+        }
+    }
+
+    /// For tables.
+    pub(crate) fn kind(self) -> &'static str {
+        match self {
+            Self::Concurrency(_) => "concurrency",
+            Self::Rate(_) => "request rate",
+        }
+    }
+}
+
+/// Which levels to measure, in turn: each may depend on how the one before went.
+#[derive(Clone, Debug)]
+pub(crate) enum Plan {
+    /// Each of a range, up to the first that is too slow.
+    Sweep { make: fn(f64) -> Level, range: Range, next: f64 },
+    /// Between the best that was in time and the least that was not.
+    Search { make: fn(f64) -> Level, step: f64, good: f64, bad: f64, first: bool },
+    /// No more.
+    Done,
+}
+
+impl Plan {
+    pub(crate) fn new(make: fn(f64) -> Level, range: Range, binary_search: bool) -> Self {
+        if !binary_search {
+            return Self::Sweep { make, range, next: range.start };
+        }
+        Self::Search { make, step: range.step, good: range.start, bad: range.end, first: true }
+    }
+
+    /// The next level; none at the end.
+    pub(crate) fn level(&self) -> Option<Level> {
+        match *self {
+            // Half a step past the end is rounding, not another level.
+            Self::Sweep { make, range, next } => (next <= range.end + range.step / 2.0).then(|| make(next)),
+            Self::Search { make, good, first: true, .. } => Some(make(good)),
+            Self::Search { make, step, good, bad, .. } => {
+                let steps = ((bad - good) / step).floor();
+                (steps >= 1.0).then(|| make(good + step * (steps / 2.0).ceil()))
+            }
+            Self::Done => None,
+        }
+    }
+
+    /// The level that was measured was in time, or not.
+    pub(crate) fn went(&mut self, level: Level, in_time: bool) {
+        match self {
+            Self::Sweep { range, next, .. } if in_time => *next += range.step,
+            // Less load cannot be searched for.
+            Self::Search { first, .. } if *first && in_time => *first = false,
+            Self::Search { good, first: false, .. } if in_time => *good = level.value(),
+            Self::Search { bad, step, first: false, .. } => *bad = level.value() - *step,
+            _ => *self = Self::Done,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rates(plan: &mut Plan, limit: f64) -> Vec<f64> {
+        let mut measured = Vec::new();
+        while let Some(level) = plan.level() {
+            measured.push(level.value());
+            plan.went(level, level.value() <= limit);
+            assert!(measured.len() < 100, "{measured:?}");
+        }
+        measured
+    }
+
+    fn range(text: &str) -> Range {
+        text.parse().unwrap()
+    }
+
+    /// Catches a sweep that misses its end, or goes on once it is too slow.
+    #[test]
+    fn sweeps_go_to_their_end_or_to_the_limit() {
+        let sweep = |text| Plan::new(Level::Rate, range(text), false);
+        assert_eq!(rates(&mut sweep("1:2:0.1"), 9.0).len(), 11);
+        assert_eq!(rates(&mut sweep("5"), 9.0), [5.0]);
+        assert_eq!(rates(&mut sweep("1:3"), 9.0), [1.0, 2.0, 3.0]);
+        assert_eq!(rates(&mut sweep("10:100:10"), 25.0), [10.0, 20.0, 30.0]);
+        for bad in ["", "0", "3:1", "1:2:0", "1:inf", "a", "1:2:3:4", "1:1e9:0.001"] {
+            assert!(bad.parse::<Range>().is_err(), "{bad}");
+        }
+    }
+
+    /// Catches a search that ends beside the answer, measures a level twice, or never ends.
+    #[test]
+    fn searches_find_the_most_that_is_in_time() {
+        for limit in 10..=200 {
+            let mut search = Plan::new(Level::Rate, range("10:170:10"), true);
+            let measured = rates(&mut search, f64::from(limit));
+            let best = measured.iter().copied().filter(|rate| *rate <= f64::from(limit)).fold(0.0, f64::max);
+            assert_eq!(best, f64::from((limit / 10 * 10).min(170)), "{measured:?}");
+            assert!(measured.len() <= 7, "{measured:?}");
+            let mut once = measured.clone();
+            once.sort_by(f64::total_cmp);
+            once.dedup();
+            assert_eq!(once.len(), measured.len(), "{measured:?}");
+        }
+        assert_eq!(rates(&mut Plan::new(Level::Rate, range("10:170:10"), true), 5.0), [10.0]);
+    }
+}
