@@ -139,6 +139,20 @@ protocol: $(VENV)/.test ## docs/protocol.md again, after a change of the comment
 test-languages: build $(VENV)/.test ## clients in Go, TypeScript, Java and C++ against the real server, where their tools are
 	$(PY) scripts/test-languages $(LANGUAGES)
 
+.PHONY: test-s3
+test-s3: $(VENV)/.s3 ## replicas on an S3 server that fails in many ways; builds the server with S3 in target/s3
+	$(CARGO) build --release --locked --features s3 --target-dir $(TARGET)/s3
+	HULLCAST_BIN=$(TARGET)/s3/release/hullcast $(PY) -m pytest client/tests/extras/test_s3.py
+
+.PHONY: test-tools
+test-tools: build $(VENV)/.test out/bin/grpcurl out/bin/ghz ## docs/grpcurl.md as it stands, with grpcurl and ghz; needs Go
+	PATH="$(abspath out/bin):$$PATH" $(PY) -m pytest client/tests/extras/test_tools.py
+
+out/bin/grpcurl: MODULE := github.com/fullstorydev/grpcurl/cmd/grpcurl@v1.9.3
+out/bin/ghz: MODULE := github.com/bojand/ghz/cmd/ghz@v0.93.0
+out/bin/grpcurl out/bin/ghz:
+	GOBIN=$(abspath out/bin) go install $(MODULE)
+
 # The full workload is 12,000 pairs with exact answers; a subset is in tests/golden.
 .PHONY: workload
 workload: check-tools ## WORKLOAD=file: every pair of a workload file against its exact answer
@@ -190,6 +204,10 @@ $(VENV)/.extras: client/requirements-extras.txt client/requirements-dev.txt $(RE
 	touch $@
 
 $(VENV)/.lowest $(VENV)/.latest: $(VENV)/.%: client/requirements-%.txt | check-tools
+	$(call install,$<)
+	touch $@
+
+$(VENV)/.s3: client/requirements-s3.txt client/requirements-dev.txt $(REQUIREMENTS) | check-tools
 	$(call install,$<)
 	touch $@
 

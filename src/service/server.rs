@@ -119,6 +119,8 @@ async fn routes(app: &Arc<App>) -> Result<(HealthReporter, Routes), OpenError> {
         tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(proto::FILE_DESCRIPTOR_SET)
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+            // What errors carry, so that tools can show it.
+            .register_encoded_file_descriptor_set(tonic_types::pb::FILE_DESCRIPTOR_SET)
     };
     let routes = Routes::default()
         .add_service(contacts::service(app.clone()).max_decoding_message_size(limit))

@@ -1,0 +1,55 @@
+"""docs/grpcurl.md, command by command, where the two tools are there."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import hullcast
+
+PAGE = Path(__file__).resolve().parents[3] / "docs/grpcurl.md"
+
+pytestmark = pytest.mark.skipif(
+    not (shutil.which("grpcurl") and shutil.which("ghz")), reason="grpcurl or ghz is not installed"
+)
+
+
+def runs(page: str) -> list[tuple[str, str]]:
+    """Each command of the page, and what it shows of the output."""
+    blocks = re.findall(r"```console\n\$ (.*)\n([^`]*)```", page)
+    return [(command, shown) for command, shown in blocks]
+
+
+def said(output: str) -> list[str]:
+    """Without its white space, which the tools vary."""
+    return output.split()
+
+
+def test_the_page_is_what_comes(client: hullcast.Client):
+    """Reflection alone is enough for both tools, and the page shows what they print. Of ghz, whose
+    output is times, that every call was answered. HULLCAST_WRITE_PAGE writes what came instead."""
+    environment = os.environ | {"ADDRESS": client.target}
+    text = PAGE.read_text()
+    seen = 0
+    for command, shown in runs(text):
+        done = subprocess.run(
+            ["bash", "-c", command], env=environment, capture_output=True, text=True, timeout=120
+        )
+        output = done.stdout + done.stderr
+        assert (done.returncode == 0) == ("ERROR:" not in output), output
+        if command.startswith("ghz"):
+            assert re.search(r"\[OK\]\s+2000 responses", output), output
+        elif "HULLCAST_WRITE_PAGE" not in os.environ:
+            assert said(output) == said(shown), command
+        if "HULLCAST_WRITE_PAGE" in os.environ:
+            lines = [line.rstrip() for line in output.strip().splitlines()]
+            text = text.replace(f"$ {command}\n{shown}", f"$ {command}\n" + "\n".join(lines) + "\n")
+        seen += 1
+    assert seen == 6
+    if "HULLCAST_WRITE_PAGE" in os.environ:
+        PAGE.write_text(text)
