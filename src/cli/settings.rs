@@ -62,7 +62,8 @@ settings! {
     /// Address to answer on: host:port (port 0: any free one) or unix:PATH; may be repeated
     listen: Vec<String> = |_: &Limits| vec!["127.0.0.1:50051".into()],
         "HULLCAST_LISTEN", "ADDR" [value_delimiter = ','];
-    /// Where hulls are kept: a directory, file://PATH, or memory:// (which forgets)
+    /// Where hulls are kept: a directory, file://PATH, memory:// (which forgets), or by feature
+    /// s3://BUCKET/PREFIX, gs:// or az:// (docs/durability.md)
     store: String = |_: &Limits| "hullcast-store".into(), "HULLCAST_STORE", "URL";
     /// Threads that compute; 0: one a core
     compute_threads: usize = |_: &Limits| 0, "HULLCAST_COMPUTE_THREADS", "N";

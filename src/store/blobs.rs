@@ -2,8 +2,8 @@
 //!
 //! [`BlobStore`] is all that the registry asks of a store; [`Objects`] is the
 //! one implementation, over the `object_store` crate: a local directory with
-//! every write synced (file and directories) before it is acknowledged, or
-//! memory, which forgets.
+//! every write synced (file and directories) before it is acknowledged, an object
+//! store ([`super::remote`]), or memory, which forgets.
 
 use std::{
     error::Error as _,
@@ -15,7 +15,7 @@ use std::{
 use bytes::Bytes;
 use futures_util::{TryStreamExt, future::BoxFuture};
 use object_store::{
-    ObjectStore, ObjectStoreExt, PutPayload, local::LocalFileSystem, memory::InMemory, path::Path,
+    ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload, local::LocalFileSystem, memory::InMemory, path::Path,
 };
 
 use super::{HullId, identity::id_of};
@@ -87,30 +87,29 @@ impl std::error::Error for OpenError {}
 pub type Opened = Arc<dyn BlobStore>;
 
 /// Opens a directory (a plain path or `file://`), created where it is missing, or
-/// `memory://`, which keeps nothing over a restart.
+/// `memory://`, which keeps nothing over a restart, or by feature a bucket: `s3://`, `gs://`
+/// or `az://` with its name and perhaps a prefix.
 ///
 /// # Errors
-/// The directory cannot be made or is not one, or the scheme is not of this build.
+/// The directory cannot be made or is not one, or the scheme is not of this build. Whether a
+/// bucket can be reached is not asked.
 pub fn open(url: &str) -> Result<Opened, OpenError> {
-    let path = match url.split_once("://") {
-        Some(("memory", _)) => {
-            return Ok(Arc::new(Objects { objects: Arc::new(InMemory::new()), root: None }));
-        }
-        Some(("file", path)) => path,
-        None => url,
-        Some(("s3", _)) => {
-            return Err(OpenError(format!(
-                "store {url}: S3 needs the feature \"s3\", which this build is without"
-            )));
-        }
-        Some((scheme, _)) => {
-            return Err(OpenError(format!(
-                "store {url}: unknown scheme {scheme}://; a directory, file:// and memory:// are known"
-            )));
+    let (objects, root, absent): (Arc<dyn ObjectStore>, _, _) = match url.split_once("://") {
+        Some(("memory", _)) => (Arc::new(InMemory::new()), None, None),
+        Some((scheme, _)) if scheme != "file" => match remote(scheme, url) {
+            Some(opened) => {
+                let (objects, absent) = opened.map_err(|e| failed(url, &e))?;
+                (objects, None, Some(absent))
+            }
+            None => return Err(unknown_scheme(url, scheme)),
+        },
+        _ => {
+            let path = url.strip_prefix("file://").unwrap_or(url);
+            let (objects, root) = directory(path.as_ref()).map_err(|e| failed(url, &e))?;
+            (Arc::new(objects), Some(root), None)
         }
     };
-    let (objects, root) = directory(path.as_ref()).map_err(|e| failed(url, &e))?;
-    Ok(Arc::new(Objects { objects: Arc::new(objects), root: Some(root) }))
+    Ok(Arc::new(Objects { objects, root, absent }))
 }
 
 /// The same, of a directory that is there already.
@@ -123,6 +122,31 @@ pub fn open_existing(url: &str) -> Result<Opened, OpenError> {
         return Err(OpenError(format!("store {url}: no such directory")));
     }
     open(url)
+}
+
+/// A store over the network, and what its answers say where an object is missing.
+pub(super) type Remote = (Arc<dyn ObjectStore>, &'static str);
+
+#[cfg(feature = "remote")]
+use super::remote::open as remote;
+
+#[cfg(not(feature = "remote"))]
+fn remote(_: &str, _: &str) -> Option<object_store::Result<Remote>> {
+    None
+}
+
+fn unknown_scheme(url: &str, scheme: &str) -> OpenError {
+    let feature = match scheme {
+        "s3" => "s3",
+        "gs" => "gcs",
+        "az" => "azure",
+        _ => {
+            return OpenError(format!(
+                "store {url}: unknown scheme {scheme}://; a directory, file://, memory://, s3://, gs:// and az:// are known"
+            ));
+        }
+    };
+    OpenError(format!("store {url}: needs the feature \"{feature}\", which this build is without"))
 }
 
 fn failed(url: &str, error: &dyn std::error::Error) -> OpenError {
@@ -150,6 +174,9 @@ struct Objects {
     objects: Arc<dyn ObjectStore>,
     /// Of a directory.
     root: Option<PathBuf>,
+    /// What an answer has to say for an object to be missing, where a missing bucket, an
+    /// outage of all hulls, has the same status; none: the status is enough.
+    absent: Option<&'static str>,
 }
 
 impl Objects {
@@ -161,6 +188,29 @@ impl Objects {
             Ok(false) => Err(StoreError::Unavailable(format!("{} is gone", root.display()))),
             Err(error) => Err(StoreError::Unavailable(format!("{}: {error}", root.display()))),
         }
+    }
+
+    /// Not found is no error, where it is the object that was not found.
+    fn present<T>(&self, result: object_store::Result<T>) -> Result<Option<T>, StoreError> {
+        match result {
+            Ok(value) => Ok(Some(value)),
+            Err(error @ object_store::Error::NotFound { .. })
+                if self.absent.is_none_or(|absent| says(&error, absent)) =>
+            {
+                Ok(None)
+            }
+            Err(error) => Err(store_error(error)),
+        }
+    }
+
+    /// What is known of an object; none where there is no such.
+    async fn meta(&self, path: &Path) -> Result<Option<ObjectMeta>, StoreError> {
+        let mut found = self.objects.head(path).await;
+        if self.absent.is_some() && matches!(found, Err(object_store::Error::NotFound { .. })) {
+            // An answer without a body cannot say what is missing; a read's does.
+            found = self.objects.get(path).await.map(|found| found.meta);
+        }
+        self.present(found)
     }
 }
 
@@ -185,17 +235,17 @@ impl BlobStore for Objects {
 
     fn get(&self, id: HullId) -> BoxFuture<'_, Result<Option<Bytes>, StoreError>> {
         Box::pin(async move {
-            let Some(found) = present(self.objects.get(&key(id)).await)? else {
+            let Some(found) = self.present(self.objects.get(&key(id)).await)? else {
                 return self.still_there().await.map(|()| None);
             };
             // Deleted between opening and reading is deleted.
-            present(found.bytes().await)
+            self.present(found.bytes().await)
         })
     }
 
     fn size(&self, id: HullId) -> BoxFuture<'_, Result<Option<u64>, StoreError>> {
         Box::pin(async move {
-            match present(self.objects.head(&key(id)).await)? {
+            match self.meta(&key(id)).await? {
                 Some(meta) => Ok(Some(meta.size)),
                 None => self.still_there().await.map(|()| None),
             }
@@ -203,7 +253,7 @@ impl BlobStore for Objects {
     }
 
     fn delete(&self, id: HullId) -> BoxFuture<'_, Result<(), StoreError>> {
-        Box::pin(async move { present(self.objects.delete(&key(id)).await).map(|_| ()) })
+        Box::pin(async move { self.present(self.objects.delete(&key(id)).await).map(|_| ()) })
     }
 
     fn list(
@@ -251,7 +301,7 @@ impl BlobStore for Objects {
             // Named by both hashes: found again and again it is kept once.
             let content = id_of(&blob).to_string();
             let path = Path::from_iter(["quarantine", &format!("{id}-{}", &content[..16])]);
-            if present(self.objects.head(&path).await)?.is_none() {
+            if self.meta(&path).await?.is_none() {
                 self.objects.put(&path, PutPayload::from_bytes(blob)).await.map_err(store_error)?;
             }
             Ok(path.to_string())
@@ -264,18 +314,14 @@ impl BlobStore for Objects {
             // A name of its own for each server on the store.
             let path = Path::from(format!("probe-{}", std::process::id()));
             self.objects.put(&path, PutPayload::from_static(b"probe")).await.map_err(store_error)?;
-            present(self.objects.delete(&path).await).map(|_| ())
+            self.present(self.objects.delete(&path).await).map(|_| ())
         })
     }
 }
 
-/// Not found is no error.
-fn present<T>(result: object_store::Result<T>) -> Result<Option<T>, StoreError> {
-    match result {
-        Ok(value) => Ok(Some(value)),
-        Err(object_store::Error::NotFound { .. }) => Ok(None),
-        Err(error) => Err(store_error(error)),
-    }
+/// Whether an error, or what caused it, has these words.
+fn says(error: &dyn std::error::Error, words: &str) -> bool {
+    error.to_string().contains(words) || error.source().is_some_and(|cause| says(cause, words))
 }
 
 fn store_error(error: object_store::Error) -> StoreError {

@@ -6,6 +6,8 @@
 pub mod blobs;
 pub mod identity;
 pub mod registry;
+#[cfg(feature = "remote")]
+mod remote;
 
 pub use blobs::{BlobStore, Opened, StoreError, StoredBlob};
 pub use identity::{HullDefinition, HullId};
