@@ -144,6 +144,14 @@ test-s3: $(VENV)/.s3 ## replicas on an S3 server that fails in many ways; builds
 	$(CARGO) build --release --locked --features s3 --target-dir $(TARGET)/s3
 	HULLCAST_BIN=$(TARGET)/s3/release/hullcast $(PY) -m pytest client/tests/extras/test_s3.py
 
+.PHONY: test-deploy
+test-deploy: build $(VENV)/.deploy ## the Kubernetes manifests by their schemas, the Slurm job
+	$(PY) -m pytest client/tests/extras/test_deploy.py
+
+.PHONY: test-balancers
+test-balancers: build $(VENV)/.test ## three replicas behind HAProxy, nginx and the client itself, killed and drained under load
+	$(PY) -m pytest client/tests/extras/test_balancers.py
+
 .PHONY: test-tools
 test-tools: build $(VENV)/.test out/bin/grpcurl out/bin/ghz ## docs/grpcurl.md as it stands, with grpcurl and ghz; needs Go
 	PATH="$(abspath out/bin):$$PATH" $(PY) -m pytest client/tests/extras/test_tools.py
@@ -204,6 +212,10 @@ $(VENV)/.extras: client/requirements-extras.txt client/requirements-dev.txt $(RE
 	touch $@
 
 $(VENV)/.lowest $(VENV)/.latest: $(VENV)/.%: client/requirements-%.txt | check-tools
+	$(call install,$<)
+	touch $@
+
+$(VENV)/.deploy: client/requirements-deploy.txt client/requirements-dev.txt $(REQUIREMENTS) | check-tools
 	$(call install,$<)
 	touch $@
 
