@@ -167,13 +167,17 @@ fn shown_upper(scene: &Scene<'_>, basis: &Basis) -> f64 {
         l0 + l1 + l2 + (missing.length() - rounding).max(0.0) * size / scene.inradius
     };
     // Where a weight is 0 its rounding may be far below 0 in a thin triple, and
-    // the other two alone show the bound.
+    // the other two, or the only other, alone show the bound.
     let [w01, w12, w20] = [[u0, u1], [u1, u2], [u2, u0]].map(|[u, v]| weights_of_two(d, u, v));
+    let [w0, w1, w2] = [u0, u1, u2].map(|u| d.dot(u) / u.length_squared());
     let candidates = [
         weights_of_three(d, u0, u1, u2),
         [w01[0], w01[1], 0.0],
         [0.0, w12[0], w12[1]],
         [w20[1], 0.0, w20[0]],
+        [w0, 0.0, 0.0],
+        [0.0, w1, 0.0],
+        [0.0, 0.0, w2],
     ];
     let shown = candidates.map(bound).into_iter().fold(f64::INFINITY, f64::min);
     shown * (far / size) * (1.0 - BRACKET * U)

@@ -35,7 +35,7 @@ pub(crate) fn decide(pair: &Pair<'_>, seeds: &[Support], margin: f64, cost: &mut
         let distance = away.length();
         let within = distance <= margin + band;
         if !wide && (simplex.is_full() || (within && simplex.is_thin())) {
-            wide = true;
+            (wide, shortest, stalled) = (true, f64::INFINITY, 0);
             continue;
         }
         if within {
@@ -56,7 +56,9 @@ pub(crate) fn decide(pair: &Pair<'_>, seeds: &[Support], margin: f64, cost: &mut
             return if shortest - farthest <= band { Decision::Within } else { Decision::Unknown };
         }
         if stuck {
-            (wide, stalled) = (true, 0);
+            // Of a thin triangle the rounded distance may be far too short: what is
+            // measured widely would never be less.
+            (wide, shortest, stalled) = (true, f64::INFINITY, 0);
         } else {
             simplex.push(w);
         }

@@ -134,6 +134,15 @@ impl std::ops::Mul for Dd {
     }
 }
 
+impl std::ops::Div for Dd {
+    type Output = Self;
+    fn div(self, other: Self) -> Self {
+        let high = self.hi / other.hi;
+        let rest = self - other * Self::from(high);
+        quick_two_sum(high, rest.hi / other.hi)
+    }
+}
+
 /// A vector of double-doubles.
 pub(crate) type Dd3 = [Dd; 3];
 

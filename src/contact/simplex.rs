@@ -79,10 +79,13 @@ impl Simplex {
         }
         let subsets = SUBSETS.iter().filter(|set| set.iter().all(|&i| i < self.len));
         let feet = subsets.filter_map(|set| Some((foot(&points, set)?, Kept::of(set))));
-        let nearest = feet.min_by(|(p, _), (q, _)| p.length_squared().total_cmp(&q.length_squared()));
+        // Widely too: of a thin triangle and its side nearly as near the side would
+        // win a tie, the corner beyond it be dropped and found again, without end.
+        let length = |p: &Dd3| dd_dot(*p, *p);
+        let nearest = feet.min_by(|(p, _), (q, _)| (length(p) - length(q)).value().total_cmp(&0.0));
         let (vector, kept) = nearest.unwrap_or_default();
         self.keep(&kept);
-        vector
+        DVec3::from_array(vector.map(Dd::value))
     }
 
     fn keep(&mut self, kept: &Kept) {
@@ -117,11 +120,11 @@ fn minus(a: Dd3, b: Dd3) -> Dd3 {
 }
 
 /// The foot of the origin on a face of the points, if it is inside.
-fn foot(points: &[Dd3], face: &[usize]) -> Option<DVec3> {
+fn foot(points: &[Dd3], face: &[usize]) -> Option<Dd3> {
     let times = |v: Dd3, by: Dd| v.map(|x| x * by);
-    let over = |v: Dd3, by: Dd| DVec3::from_array(v.map(Dd::value)) / by.value();
+    let over = |v: Dd3, by: Dd| v.map(|x| x / by);
     match *face {
-        [i] => Some(DVec3::from_array(points[i].map(Dd::value))),
+        [i] => Some(points[i]),
         [i, j] => {
             let (p, edge) = (points[i], minus(points[j], points[i]));
             let (whole, share) = (dd_dot(edge, edge), -dd_dot(p, edge));

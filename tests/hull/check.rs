@@ -192,9 +192,11 @@ fn check_edges(hull: &ConvexHull, met: &mut Met) {
             (0..outline.len()).any(|i| outline[i] == a && outline[(i + 1) % outline.len()] == b)
         };
         // (Outlines of faces that are nearly one plane, or nearly one line, may
-        // overlap and order their corners otherwise, by the merge tolerance.)
+        // overlap and order their corners otherwise, by the merge tolerance of any
+        // face at the edge's ends.)
         let length = (hull.vertices()[to as usize] - hull.vertices()[from as usize]).length();
-        let planarity = hull.faces()[left as usize].planarity.max(hull.faces()[right as usize].planarity);
+        let at_ends = [from, to].into_iter().flat_map(|v| hull.vertex_faces(v as usize));
+        let planarity = at_ends.map(|&face| hull.faces()[face as usize].planarity).fold(0.0, f64::max);
         let [n, m] = [left, right].map(|f| hull.faces()[f as usize].normal);
         if length * n.cross(m).length() * hull.unit_inradius() > 16.0 * planarity {
             met.ordered_edges += 1;

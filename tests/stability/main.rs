@@ -8,6 +8,7 @@
 mod case;
 mod determinism;
 mod exact;
+mod found;
 mod gauss;
 mod judge;
 mod long;

@@ -346,8 +346,10 @@ impl Distance<'_> {
             ((num << (-2 * by) as usize) - square, 2 * by)
         };
         let unit = &self.pair.unit * &self.pair.unit;
-        let squares = quotient(&difference, &(den * unit), i64::from(shift) + i64::from(self.pair.exponent));
-        scale(squares / (self.value() + x), i64::from(self.pair.exponent))
+        // The exponents last: of a pair with a subnormal coordinate the square of
+        // the distance alone, in its unit, is beyond any float.
+        let ((top, e), (bottom, f)) = (approximate(&difference), approximate(&(den * unit)));
+        scale(top / bottom / (self.value() + x), e - f + i64::from(shift) + 2 * i64::from(self.pair.exponent))
     }
 }
 

@@ -17,6 +17,10 @@ use crate::contact::tolerance::{RAY_CAST_NEAR, STALL};
 
 /// Growth scale and normal. `seeds` are vertices of `K` of an earlier answer.
 pub(crate) fn solve(pair: &Pair<'_>, seeds: &[Support], goal: &Goal) -> Growth {
+    // The bracket is the pivot's: of the limit one step is left for it.
+    if goal.max_iterations <= 1 {
+        return portal::solve(pair, seeds, goal, Cost::default());
+    }
     let along = pair.ray.normalize();
     let near = (RAY_CAST_NEAR * pair.circumradius).max(0.5 * goal.relative_tolerance * pair.inradius);
     let mut simplex = Simplex::from_points(seeds);

@@ -131,9 +131,10 @@ pub(super) struct Solid {
     unit: f64,
 }
 
-/// Of the circumradius: a hull no thicker about its contraction point is one of
-/// its vertices' roundings, whose faces may lie on either side of one another.
-const THINNEST: f64 = 16.0 * ROUNDOFF;
+/// Of the circumradius: about a contraction point no deeper inside alpha would be
+/// known to a thousandth alone (`64 u R/r`), and ten times nearer the vertices'
+/// roundings are as large as what keeps faces apart, a share of the inradius.
+const THINNEST: f64 = 65536.0 * ROUNDOFF;
 
 /// A hull about its contraction point, in hull units.
 struct Centred {

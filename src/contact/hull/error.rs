@@ -30,7 +30,7 @@ pub enum HullErrorKind {
     ContractionPointNotInside,
     /// More extreme vertices than the limit.
     TooManyVertices,
-    /// No positive inradius at double precision.
+    /// The inradius is below 2^-37 of the circumradius: too thin for doubles.
     NotRepresentable,
     /// Simplification to fewer than 4 vertices, or by a deviation that is negative or NaN.
     SimplificationOutOfRange,
