@@ -176,7 +176,7 @@ stability: check-tools ## answers at the extremes against exact ones; writes doc
 	 debug=$$(digest); release=$$(digest --release); echo "debug: $$debug, release: $$release"; test "$$debug" = "$$release"
 
 .PHONY: stability-long
-stability-long: check-tools ## THOUSANDS=1000: so many cases by the certificate, a tenth by the exact answers
+stability-long: check-tools ## THOUSANDS=1000: so many cases by the certificate, a tenth by the exact answers; an hour and more
 	$(STABILITY) --ignored --nocapture many_cases a_million_cases
 
 # As root, who may mount the small disk that is filled and made read-only.
@@ -186,11 +186,15 @@ test-faults: check-tools ## kill -9 a thousand times, full and vanished disks, t
 
 FUZZ_SECONDS ?= 600
 
-.PHONY: fuzz
+.PHONY: fuzz fuzz-report fuzz-planted
 fuzz: ## FUZZ_SECONDS=600 of each fuzz target; needs nightly Rust and cargo-fuzz
-	for target in hull contact decode; do \
-	  $(CARGO) +nightly fuzz run --sanitizer none -O $$target -- -max_total_time=$(FUZZ_SECONDS) -max_len=1024; \
-	done
+	./scripts/fuzz run --seconds $(FUZZ_SECONDS)
+
+fuzz-report: ## what was fuzzed on this machine: cases, hours, coverage
+	./scripts/fuzz report
+
+fuzz-planted: ## known faults, planted one by one in a copy: fuzzing finds each
+	./scripts/fuzz planted --seconds $(FUZZ_SECONDS)
 
 .PHONY: clean
 clean: ## removes what was built

@@ -1,8 +1,14 @@
 //! Numbers and points from a fuzzer's bytes, near what breaks geometry: a small
 //! grid, off it by ulps, powers of two, and any bits at all.
 
+#[cfg(feature = "service")]
+pub mod seeds;
+
 use hullcast::contact::{Accuracy, ConvexHull, HullError, HullOptions, InvalidPose, Pose, Query, Wanted};
 use libfuzzer_sys::arbitrary::{self, Arbitrary, Unstructured};
+
+/// Iterations that no pair needs.
+pub const UNLIMITED: u32 = 1000;
 
 /// Points of a hull.
 #[derive(Debug)]
@@ -124,14 +130,17 @@ impl<'a> Bytes<'a> {
     /// A quaternion: of the cube's turns, near them, or any.
     fn rotation(&mut self) -> [f64; 4] {
         let half = 0.5f64.sqrt();
-        let turns = [[0.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.0], [0.5, 0.5, 0.5, 0.5], [half, 0.0, 0.0, half]];
+        let turns =
+            [[0.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.0], [0.5, 0.5, 0.5, 0.5], [half, 0.0, 0.0, half]];
         let kind = self.below(8);
         if kind < 4 {
             return turns[usize::from(kind)];
         }
         let q: [f64; 4] = if kind < 6 {
             let near = turns[usize::from(self.below(4))];
-            std::array::from_fn(|k| near[k] + f64::from(self.byte() as i8) * 2f64.powi(-60 + i32::from(kind) * 4))
+            std::array::from_fn(|k| {
+                near[k] + f64::from(self.byte() as i8) * 2f64.powi(-60 + i32::from(kind) * 4)
+            })
         } else {
             std::array::from_fn(|_| f64::from(self.byte() as i8))
         };
@@ -148,7 +157,7 @@ impl<'a> Bytes<'a> {
             relative_tolerance,
             feature_angle,
             max_points: [0, 0, 1, 4][usize::from(self.below(4))],
-            max_iterations: [1000, 1000, 1, 5][usize::from(self.below(4))],
+            max_iterations: [UNLIMITED, UNLIMITED, 1, 5][usize::from(self.below(4))],
             ..Accuracy::default()
         };
         let wanted = [Wanted::Points, Wanted::Points, Wanted::Growth, Wanted::Outcome];

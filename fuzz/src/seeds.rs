@@ -1,0 +1,79 @@
+//! Well-formed messages from which the fuzzer of the handlers starts.
+
+use hullcast::proto::{Accuracy, GetHullsRequest, HullDefinition, ListHullsRequest};
+use hullcast::proto::{QueryContactsRequest, RegisterHullsRequest};
+use hullcast::store::identity::{self, id_of};
+use prost::Message;
+
+const CORNER: [[f64; 3]; 4] = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+
+fn cube() -> Vec<[f64; 3]> {
+    (0..8).map(|i| [0, 1, 2].map(|k| if i >> k & 1 == 1 { 1.0 } else { -1.0 })).collect()
+}
+
+/// What the fuzzer's server has from the start.
+pub fn hulls() -> RegisterHullsRequest {
+    let definition = |points: &[[f64; 3]]| HullDefinition { vertices: points.concat(), ..Default::default() };
+    RegisterHullsRequest { hulls: vec![definition(&CORNER), definition(&cube())] }
+}
+
+fn ids() -> Vec<Vec<u8>> {
+    let id = |points: Vec<[f64; 3]>| {
+        let definition = identity::HullDefinition { points, contraction_point: None };
+        id_of(&definition.identity_bytes()).0.to_vec()
+    };
+    vec![id(CORNER.to_vec()), id(cube())]
+}
+
+/// Two bodies, a pair.
+fn scene(margin: f64) -> QueryContactsRequest {
+    QueryContactsRequest {
+        request_id: 7,
+        hull_ids: ids(),
+        body_hulls: vec![0, 1],
+        positions: vec![0.0, 0.0, 0.0, 0.5, 1.25, 0.25],
+        rotations: vec![0.0, 0.0, 0.0, 1.0, 0.5, 0.5, 0.5, 0.5],
+        pairs: vec![0, 1],
+        margin,
+        ..Default::default()
+    }
+}
+
+/// Each a name, the place of its method in the fuzzer's list, and the message.
+pub fn all() -> Vec<(&'static str, u8, Vec<u8>)> {
+    let query = scene(f64::INFINITY);
+    let everything = QueryContactsRequest {
+        outputs: (1..=8).collect(),
+        accuracy: Some(Accuracy {
+            solver: 2,
+            relative_tolerance: 1e-3,
+            feature_angle: Some(0.1),
+            max_points: 4,
+            ..Default::default()
+        }),
+        warm_starts: vec![0, 1, 2, 0, 1, 2],
+        ..query.clone()
+    };
+    let invalid = QueryContactsRequest { positions: vec![f64::NAN; 6], ..query.clone() };
+    let unknown = QueryContactsRequest { hull_ids: vec![vec![1; 32], ids()[1].clone()], ..query.clone() };
+    let many = QueryContactsRequest { pairs: [0, 1].repeat(9), ..scene(0.01) };
+    let bad = RegisterHullsRequest {
+        hulls: vec![HullDefinition {
+            vertices: [&CORNER[..3], &CORNER[..3]].concat().concat(),
+            contraction_point: vec![0.1, 0.1, 0.1],
+            simplification: None,
+        }],
+    };
+    vec![
+        ("query", 0, query.encode_to_vec()),
+        ("query-everything", 0, everything.encode_to_vec()),
+        ("query-invalid-body", 0, invalid.encode_to_vec()),
+        ("query-unknown-hull", 0, unknown.encode_to_vec()),
+        ("query-many", 0, many.encode_to_vec()),
+        ("register", 2, hulls().encode_to_vec()),
+        ("register-bad", 2, bad.encode_to_vec()),
+        ("get", 3, GetHullsRequest { ids: ids(), ..Default::default() }.encode_to_vec()),
+        ("list", 4, ListHullsRequest { page_size: 1, ..Default::default() }.encode_to_vec()),
+        ("stream", 5, query.encode_to_vec()),
+    ]
+}
