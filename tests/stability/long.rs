@@ -1,11 +1,11 @@
-//! Seeded sweeps without end: `make stability-long`. A million cases by the
-//! certificate, a hundred thousand by the exact answers; CASES shares of it.
+//! Seeded sweeps: `make stability-long`. A million cases by the certificate, a
+//! hundred thousand by the exact answers with each solver; THOUSANDS for fewer.
 
 use hullcast::contact::{Flags, Outcome, Workspace, certificate, contact_manifold};
 
 use crate::case::Case;
 use crate::judge::SOLVERS;
-use crate::matrix::{rows, run};
+use crate::matrix::{Row, rows, run};
 use crate::report;
 
 /// Cases in thousands by the certificate; a tenth of it by the exact answers.
@@ -13,14 +13,23 @@ fn thousands() -> usize {
     std::env::var("THOUSANDS").ok().and_then(|n| n.parse().ok()).unwrap_or(1000)
 }
 
+/// Cases of a row, so that all rows, large hulls thinned out, have `wanted` at least.
+fn of_each(rows: &[Row], wanted: usize) -> usize {
+    let all = |each: usize| rows.iter().map(|row| row.thinned_out(each)).sum::<usize>();
+    (wanted.div_ceil(rows.len())..).find(|&each| all(each) >= wanted).unwrap_or(wanted)
+}
+
 /// Each row's cases go on where `make stability` ends.
 #[test]
 #[ignore = "make stability-long"]
 fn many_cases_by_the_exact_answers() {
     let rows = rows();
-    let each = (100 * thousands()).div_ceil(2 * rows.len());
+    let wanted = 100 * thousands();
+    let each = of_each(&rows, wanted);
     let scores: Vec<_> = rows.into_iter().map(|row| run(row.reseeded(1), each)).collect();
     println!("{}", report::summary(&scores));
+    let cases = scores.iter().map(|score| score.cells[0].cases).sum::<usize>();
+    assert!(cases >= wanted, "{cases} of {wanted}");
     let failures = report::failures(&scores);
     assert!(failures.is_empty(), "{failures:#?}");
 }
@@ -48,7 +57,8 @@ fn violation(case: &Case, workspace: &mut Workspace, flagged: &mut usize) -> Opt
 fn a_million_cases_by_the_certificate() {
     // Making large hulls' cases costs more than answering them: one in sixteen.
     let mut rows = rows();
-    let each = (1000 * thousands()).div_ceil(rows.len());
+    let wanted = 1000 * thousands();
+    let each = of_each(&rows, wanted);
     let (mut workspace, mut cases, mut flagged) = (Workspace::default(), 0, 0);
     for row in &mut rows {
         let random = &mut row.random(2);
@@ -61,4 +71,5 @@ fn a_million_cases_by_the_certificate() {
         }
     }
     println!("{cases} cases, {flagged} answers GAP_OPEN or UNDECIDED");
+    assert!(cases >= wanted, "{cases} of {wanted}");
 }
