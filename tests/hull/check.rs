@@ -193,10 +193,11 @@ fn check_edges(hull: &ConvexHull, met: &mut Met) {
         };
         // (Outlines of faces that are nearly one plane, or nearly one line, may
         // overlap and order their corners otherwise, by the merge tolerance of any
-        // face at the edge's ends.)
+        // face at the edge's ends, or at vertices as near as these are to each other.)
         let length = (hull.vertices()[to as usize] - hull.vertices()[from as usize]).length();
-        let at_ends = [from, to].into_iter().flat_map(|v| hull.vertex_faces(v as usize));
-        let planarity = at_ends.map(|&face| hull.faces()[face as usize].planarity).fold(0.0, f64::max);
+        let near = |v: &usize| hull.vertices()[*v].distance(hull.vertices()[from as usize]) <= 2.0 * length;
+        let around = (0..hull.vertex_count()).filter(near).flat_map(|v| hull.vertex_faces(v));
+        let planarity = around.map(|&face| hull.faces()[face as usize].planarity).fold(0.0, f64::max);
         let [n, m] = [left, right].map(|f| hull.faces()[f as usize].normal);
         if length * n.cross(m).length() * hull.unit_inradius() > 16.0 * planarity {
             met.ordered_edges += 1;
