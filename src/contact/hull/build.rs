@@ -13,8 +13,8 @@ use super::quickhull::{Triangulation, triangulate};
 use super::topology::{Topology, topology};
 use super::{ConvexHull, HullError, HullErrorKind, HullOptions};
 use crate::contact::exact::{
-    ROUNDOFF, TriangleNormal, depth_below, exact_difference, exponent_above, orient3d, power_of_two,
-    triangle_normal,
+    Dd3, ROUNDOFF, TriangleNormal, VectorArea, depth_below, exact_difference, exponent_above, normal_of,
+    orient3d, power_of_two,
 };
 use crate::contact::support::{Coarse, Columns};
 
@@ -25,13 +25,13 @@ pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexH
             format!("{} extreme vertices, at most {} allowed", solid.points.len(), options.max_vertices);
         return Err(HullError { kind: HullErrorKind::TooManyVertices, index: None, detail });
     }
-    let mass = mass(&solid.scaled, &solid.triangulation.triangles);
+    let (normals, areas) = solid.normals();
+    let mass = mass(&solid.scaled, &solid.triangulation.triangles, &areas);
     // Powers of two, one at a time: no product of them is out of range before the end.
     let [length, area] = [solid.unit, solid.unit * solid.unit];
     let center_of_mass = mass.center * length;
     let given_center = options.contraction_point.map(DVec3::from_array);
     let contraction_point = given_center.unwrap_or(center_of_mass) + 0.0;
-    let normals = solid.normals();
     let Some(centred) = solid.centred(contraction_point, &normals) else {
         return Err(not_inside(given_center));
     };
@@ -165,19 +165,25 @@ impl Solid {
         self.triangulation.triangles[t].map(|v| self.points[v as usize])
     }
 
-    fn normals(&self) -> Vec<TriangleNormal> {
-        let normal = |t| {
+    /// Of each triangle, and twice its vector area where the unit is `unit`.
+    fn normals(&self) -> (Vec<TriangleNormal>, Vec<Dd3>) {
+        // A power of two has its own exponent below the one above it.
+        let unit = exponent_above(self.unit) - 1;
+        let both = |t| {
             let [a, b, c] = self.corners(t);
-            triangle_normal(a, b, c)
+            let area = VectorArea::new(a, b, c);
+            (normal_of(&area, a, b, c), area.value(unit))
         };
-        (0..self.triangulation.triangles.len()).map(normal).collect()
+        (0..self.triangulation.triangles.len()).map(both).unzip()
     }
 
     /// About `center`, which must be strictly inside by more than rounding.
     fn centred(&self, center: DVec3, normals: &[TriangleNormal]) -> Option<Centred> {
-        let is_inside = |t| {
+        let is_inside = |t: usize| {
             let [a, b, c] = self.corners(t);
-            orient3d(a, b, c, center) > 0.0
+            let below = a - center;
+            // A unit normal is good to 4 roundoffs, difference and product to 4 more.
+            normals[t].unit.dot(below) > 16.0 * ROUNDOFF * below.length() || orient3d(a, b, c, center) > 0.0
         };
         if !center.is_finite() || !(0..normals.len()).all(is_inside) {
             return None;

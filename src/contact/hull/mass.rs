@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-use crate::contact::exact::{Dd, Dd3, dd_cross, dd_dot, exact_difference};
+use crate::contact::exact::{Dd, Dd3, dd_dot, exact_difference};
 
 /// Of a solid, in the units of its vertices.
 pub(super) struct Mass {
@@ -12,18 +12,14 @@ pub(super) struct Mass {
     pub(super) inertia: DMat3,
 }
 
-/// Adds up the tetrahedra between the triangles and one point.
-pub(super) fn mass(points: &[DVec3], triangles: &[[u32; 3]]) -> Mass {
+/// Adds up the tetrahedra between the triangles, of so large vector areas twice, and
+/// one point.
+pub(super) fn mass(points: &[DVec3], triangles: &[[u32; 3]], areas: &[Dd3]) -> Mass {
     let corners = |t: &[u32; 3]| t.map(|v| points[v as usize]);
     // From a vertex every tetrahedron is positive, so that the sums lose nothing.
     let apex = points[triangles[0][0] as usize];
-    let area = |triangle| {
-        let [a, b, c] = corners(triangle);
-        dd_cross(exact_difference(b, a), exact_difference(c, a))
-    };
-    let areas: Vec<Dd3> = triangles.iter().map(area).collect();
     let (mut six_volume, mut moment) = (Dd::default(), [Dd::default(); 3]);
-    for (triangle, &area) in triangles.iter().zip(&areas) {
+    for (triangle, &area) in triangles.iter().zip(areas) {
         let [a, b, c] = corners(triangle);
         let part = six_times_volume(area, a, apex);
         six_volume = six_volume + Dd::from(part);
@@ -35,7 +31,7 @@ pub(super) fn mass(points: &[DVec3], triangles: &[[u32; 3]]) -> Mass {
     // Of a tetrahedron with one corner at the origin: the integral of x x^T is
     // its volume / 20 times (sum of x x^T over corners + the sum's own).
     let mut second = DMat3::ZERO;
-    for (triangle, &area) in triangles.iter().zip(&areas) {
+    for (triangle, &area) in triangles.iter().zip(areas) {
         let [a, b, c] = corners(triangle);
         let part = six_times_volume(area, a, center);
         let (a, b, c) = (a - center, b - center, c - center);

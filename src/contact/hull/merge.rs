@@ -4,6 +4,8 @@
 //! rounded corners in no common plane. So a face is a connected group of
 //! triangles whose vertices lie within a tolerance of one plane. No vertex moves.
 
+use std::{cmp::Reverse, ops::Range};
+
 use glam::DVec3;
 
 use super::csr::Csr;
@@ -60,10 +62,11 @@ pub(super) fn groups(surface: &Surface<'_>) -> Groups {
     let tolerance = (PLANARITY_PER_CIRCUMRADIUS * surface.circumradius)
         .min((PLANARITY_PER_INRADIUS * surface.inradius).max(LEAST_PLANARITY));
     let mut merger = Merger::new(surface, tolerance);
-    let mut order: Vec<u32> = (0..surface.normals.len() as u32).collect();
-    let area = |t: &u32| surface.normals[*t as usize].double_area;
-    order.sort_unstable_by(|s, t| area(t).total_cmp(&area(s)).then(s.cmp(t)));
-    for seed in order {
+    // Sizes are not negative, so that their bits are in the same order.
+    let size = |normal: &TriangleNormal| Reverse(normal.double_area.to_bits());
+    let mut order: Vec<_> = surface.normals.iter().map(size).zip(0..).collect();
+    order.sort_unstable();
+    for (_, seed) in order {
         if merger.of[seed as usize] == NONE {
             merger.gather(seed);
         }
@@ -78,7 +81,9 @@ struct Merger<'a> {
     tolerance: f64,
     of: Vec<u32>,
     planes: Vec<Plane>,
-    members: Vec<Vec<u32>>,
+    /// Per group its triangles: a range of `members`.
+    ranges: Vec<Range<usize>>,
+    members: Vec<u32>,
     /// Per triangle and per vertex: the last search that met it.
     triangle_met: Vec<u32>,
     vertex_met: Vec<u32>,
@@ -93,12 +98,13 @@ impl<'a> Merger<'a> {
             surface,
             tolerance,
             of: vec![NONE; triangles],
-            planes: Vec::new(),
-            members: Vec::new(),
+            planes: Vec::with_capacity(triangles),
+            ranges: Vec::with_capacity(triangles),
+            members: Vec::with_capacity(triangles),
             triangle_met: vec![0; triangles],
             vertex_met: vec![0; surface.vertices.len()],
             searches: 0,
-            queue: Vec::new(),
+            queue: Vec::with_capacity(16),
         }
     }
 
@@ -106,35 +112,38 @@ impl<'a> Merger<'a> {
     fn gather(&mut self, seed: u32) {
         // Half the tolerance, as the fitted plane is not quite the seed's.
         let mut reach = 0.5 * self.tolerance;
-        for _ in 0..ATTEMPTS {
-            let members = self.flood(seed, reach);
-            let plane = self.fit(&members);
-            if members.len() == 1 || plane.planarity <= self.tolerance {
-                return self.add(members, plane);
+        let mut members = std::mem::take(&mut self.members);
+        let start = members.len();
+        let mut attempts = 0;
+        let plane = loop {
+            members.truncate(start);
+            members.push(seed);
+            if attempts < ATTEMPTS {
+                self.flood(&mut members, start, reach);
             }
+            let plane = self.fit(&members[start..]);
+            if members.len() == start + 1 || plane.planarity <= self.tolerance {
+                break plane;
+            }
+            attempts += 1;
             reach *= 0.25;
-        }
-        let alone = vec![seed];
-        let plane = self.fit(&alone);
-        self.add(alone, plane);
-    }
-
-    fn add(&mut self, members: Vec<u32>, plane: Plane) {
+        };
         let group = self.planes.len() as u32;
-        members.iter().for_each(|&t| self.of[t as usize] = group);
+        members[start..].iter().for_each(|&t| self.of[t as usize] = group);
         self.planes.push(plane);
-        self.members.push(members);
+        self.ranges.push(start..members.len());
+        self.members = members;
     }
 
-    /// Free triangles connected to `seed` whose vertices are within `reach` of
-    /// its plane. Those turned away from it must be thin.
-    fn flood(&mut self, seed: u32, reach: f64) -> Vec<u32> {
+    /// Adds the free triangles connected to the seed, `members[start]`, whose vertices
+    /// are within `reach` of its plane. Those turned away from it must be thin.
+    fn flood(&mut self, members: &mut Vec<u32>, start: usize, reach: f64) {
+        let seed = members[start];
         let normal = self.surface.normals[seed as usize].unit;
         let floor = self.lowest(&[seed], normal) - reach;
         self.searches += 1;
         self.triangle_met[seed as usize] = self.searches;
-        let mut members = vec![seed];
-        let mut done = 0;
+        let mut done = start;
         while done < members.len() {
             for t in self.surface.triangulation.neighbours[members[done] as usize] {
                 let known = std::mem::replace(&mut self.triangle_met[t as usize], self.searches);
@@ -148,7 +157,6 @@ impl<'a> Merger<'a> {
             }
             done += 1;
         }
-        members
     }
 
     /// Smallest `normal . v` over the triangles' vertices.
@@ -226,24 +234,31 @@ impl<'a> Merger<'a> {
     /// a sliver is no face.
     fn absorb_thin_groups(&mut self) {
         for group in (0..self.planes.len()).rev() {
-            if !self.members[group].iter().all(|&t| self.is_thin(t)) {
+            if !self.members_of(group).iter().all(|&t| self.is_thin(t)) {
                 continue;
             }
             let Some(host) = self.host(group) else { continue };
-            let moved = std::mem::take(&mut self.members[group]);
-            moved.iter().for_each(|&t| self.of[t as usize] = host);
+            let moved = std::mem::take(&mut self.ranges[group]);
+            let mut members = std::mem::take(&mut self.members);
+            members[moved.clone()].iter().for_each(|&t| self.of[t as usize] = host);
             let host = host as usize;
-            self.members[host].extend(moved);
-            let all = std::mem::take(&mut self.members[host]);
-            self.planes[host] = self.plane(&all, self.planes[host].normal);
-            self.members[host] = all;
+            let start = members.len();
+            members.extend_from_within(self.ranges[host].clone());
+            members.extend_from_within(moved);
+            self.planes[host] = self.plane(&members[start..], self.planes[host].normal);
+            self.ranges[host] = start..members.len();
+            self.members = members;
         }
         self.drop_empty_groups();
     }
 
+    fn members_of(&self, group: usize) -> &[u32] {
+        &self.members[self.ranges[group].clone()]
+    }
+
     /// The first neighbour of `group` in whose plane it lies.
     fn host(&self, group: usize) -> Option<u32> {
-        let members = &self.members[group];
+        let members = self.members_of(group);
         let across = members.iter().flat_map(|&t| self.surface.triangulation.neighbours[t as usize]);
         let mut hosts: Vec<u32> =
             across.map(|t| self.of[t as usize]).filter(|&g| g as usize != group).collect();
@@ -258,12 +273,12 @@ impl<'a> Merger<'a> {
     fn drop_empty_groups(&mut self) {
         let mut place = Vec::with_capacity(self.planes.len());
         let mut kept = 0;
-        for members in &self.members {
+        for range in &self.ranges {
             place.push(kept);
-            kept += u32::from(!members.is_empty());
+            kept += u32::from(!range.is_empty());
         }
-        let mut members = self.members.iter();
-        self.planes.retain(|_| members.next().is_some_and(|m| !m.is_empty()));
+        let mut ranges = self.ranges.iter();
+        self.planes.retain(|_| ranges.next().is_some_and(|range| !range.is_empty()));
         self.of.iter_mut().for_each(|g| *g = place[*g as usize]);
     }
 }

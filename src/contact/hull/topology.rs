@@ -1,9 +1,12 @@
 //! Edges, corners and outlines of the faces.
 
+use std::cmp::Ordering;
+
 use glam::DVec3;
 
 use super::csr::Csr;
 use super::merge::{Groups, Surface};
+use super::quickhull::Triangulation;
 use crate::contact::exact::orient2d;
 
 /// Between two faces: their common boundary, straightened.
@@ -32,7 +35,10 @@ pub(super) struct Topology {
 /// Reads edges and outlines off the groups' boundaries; none where a face has no
 /// outline at double precision (needles of an aspect beyond 1e13).
 pub(super) fn topology(surface: &Surface<'_>, groups: &Groups) -> Option<Topology> {
-    let edges = Boundary::new(surface, groups).edges();
+    let edges = match groups.planes.len() == groups.of.len() {
+        true => triangles_edges(surface, groups),
+        false => Boundary::new(surface, groups).edges(),
+    };
     let corners = Csr::from_pairs(
         groups.planes.len(),
         edges.iter().flat_map(|&([u, v], [f, g])| [(f, u), (f, v), (g, u), (g, v)]),
@@ -56,6 +62,29 @@ pub(super) fn topology(surface: &Surface<'_>, groups: &Groups) -> Option<Topolog
     let face_areas = (0..groups.planes.len()).map(area).collect();
     let (edge_vertices, edge_faces) = edges.into_iter().unzip();
     Some(Topology { edge_vertices, edge_faces, outlines, face_areas })
+}
+
+/// Where every face is one triangle, as on rounded bodies: their sides.
+fn triangles_edges(surface: &Surface<'_>, groups: &Groups) -> Vec<Edge> {
+    let Triangulation { triangles, neighbours } = surface.triangulation;
+    let mut edges = Vec::with_capacity(3 * triangles.len() / 2);
+    for ((corners, across), &left) in triangles.iter().zip(neighbours).zip(&groups.of) {
+        for side in 0..3 {
+            let (from, to) = (corners[side], corners[(side + 1) % 3]);
+            if from < to {
+                edges.push(([from, to], [left, groups.of[across[side] as usize]]));
+            }
+        }
+    }
+    sort(&mut edges);
+    edges
+}
+
+/// By vertices, then by faces.
+fn sort(edges: &mut [Edge]) {
+    edges.sort_unstable_by_key(|([u, v], [left, right])| {
+        [u, v, left, right].into_iter().fold(0_u128, |key, &part| key << 32 | u128::from(part))
+    });
 }
 
 /// A corner in the plane of its face, and its vertex.
@@ -88,28 +117,34 @@ impl Sweep {
             if height > 0.0 { point } else { [point[1], point[0]] }
         };
         let Self { sorted, polygon, outline } = self;
+        outline.clear();
+        if let &[u, v, w] = corners {
+            // Both chains at once.
+            let mut corners = [u, v, w].map(|v| (flat(v), v));
+            corners.sort_unstable_by(along);
+            let [a, b, c] = corners;
+            match orient2d(a.0, b.0, c.0) {
+                turn if turn > 0.0 => outline.extend([a.1, b.1, c.1]),
+                turn if turn < 0.0 => outline.extend([a.1, c.1, b.1]),
+                _ => {}
+            }
+            return outline;
+        }
         sorted.clear();
         sorted.extend(corners.iter().map(|&v| (flat(v), v)));
-        sorted.sort_unstable_by(|(p, v), (q, w)| {
-            p[0].total_cmp(&q[0]).then(p[1].total_cmp(&q[1])).then(v.cmp(w))
-        });
+        sorted.sort_unstable_by(along);
         sorted.dedup_by_key(|(p, _)| *p);
         polygon.clear();
-        if let &mut [a, b, c] = &mut sorted[..] {
-            // Both chains at once.
-            match orient2d(a.0, b.0, c.0) {
-                turn if turn > 0.0 => polygon.extend([a, b, c]),
-                turn if turn < 0.0 => polygon.extend([a, c, b]),
-                _ => polygon.extend([a, c]),
-            }
-        } else {
-            add_chain(polygon, sorted.iter());
-            add_chain(polygon, sorted.iter().rev());
-        }
-        outline.clear();
+        add_chain(polygon, sorted.iter());
+        add_chain(polygon, sorted.iter().rev());
         outline.extend(polygon.iter().map(|(_, v)| *v));
         outline
     }
+}
+
+/// The order along a chain.
+fn along((p, v): &Corner, (q, w): &Corner) -> Ordering {
+    p[0].total_cmp(&q[0]).then(p[1].total_cmp(&q[1])).then(v.cmp(w))
 }
 
 /// Adds the convex chain of `points`, without its last.
@@ -299,9 +334,7 @@ impl<'a> Boundary<'a> {
         self.trace();
         loop {
             let mut edges: Vec<Edge> = self.pieces.iter().map(|&piece| self.edge(piece)).collect();
-            edges.sort_unstable_by_key(|([u, v], [left, right])| {
-                [u, v, left, right].into_iter().fold(0_u128, |key, &part| key << 32 | u128::from(part))
-            });
+            sort(&mut edges);
             let double = |two: &[Edge]| two[0].0 == two[1].0;
             if !edges.windows(2).any(double) || !self.split_doubles() {
                 return edges;
