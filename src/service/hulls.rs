@@ -1,6 +1,6 @@
 //! `HullService`: hulls registered, described, listed and deleted.
 
-use std::{sync::Arc, time::Duration};
+use std::{iter::Peekable, sync::Arc, time::Duration};
 
 use futures_util::{StreamExt, TryStreamExt, stream};
 use tonic::{Request, Response, Status};
@@ -13,12 +13,12 @@ use crate::{
         RegisterHullsRequest, RegisterHullsResponse,
         hull_service_server::{HullService, HullServiceServer},
     },
-    store::{HullId, Missing, RegisterError, StoreError},
+    store::{AT_A_TIME, HullId, Missing, RegisterError, Registered, StoreError},
 };
 
-/// Hulls of one request that are read or written at a time: enough that a file system
-/// gathers their syncs.
-const AT_A_TIME: usize = 16;
+/// Points of the hulls that are registered at a time: enough that all threads are busy,
+/// and what is built but not stored yet stays small, some 25 MB.
+const GROUP_POINTS: usize = 1 << 16;
 
 /// Of `ListHulls`, where the request names none.
 const DEFAULT_PAGE_SIZE: u32 = 1000;
@@ -41,11 +41,11 @@ impl HullService for Hulls {
         request: Request<RegisterHullsRequest>,
     ) -> Result<Response<RegisterHullsResponse>, Status> {
         let definitions = wire::definitions(request.into_inner(), self.app.limits())?;
-        let results: Vec<_> = stream::iter(definitions)
-            .map(|definition| self.register(definition))
-            .buffered(AT_A_TIME)
-            .try_collect()
-            .await?;
+        let mut results = Vec::with_capacity(definitions.len());
+        let mut left = definitions.into_iter().peekable();
+        while left.peek().is_some() {
+            results.extend(self.register(group(&mut left)).await?);
+        }
         Ok(self.app.fitting(RegisterHullsResponse { results })?)
     }
 
@@ -99,24 +99,17 @@ impl HullService for Hulls {
 }
 
 impl Hulls {
-    /// A hull that is no hull is its own result; a store that fails is the call's.
-    async fn register(&self, definition: wire::Definition) -> Result<RegisterHullResult, ServiceError> {
-        let definition = match definition {
-            Ok(definition) => definition,
-            Err(error) => return Ok(wire::register_result(Err(error))),
-        };
-        match self.app.registry().register(definition).await {
-            Ok((id, hull)) => {
-                tracing::debug!(hull = %id, vertices = hull.vertex_count(), "registered");
-                Ok(wire::register_result(Ok((id, &hull))))
-            }
-            Err(RegisterError::Hull(error)) => Ok(wire::register_result(Err(wire::hull_error(&error)))),
-            Err(RegisterError::Store(error)) => Err(store_error(error)),
-            Err(RegisterError::Internal(error)) => {
-                tracing::error!(%error, "a hull could not be built");
-                Err(ServiceError::internal("a hull could not be built"))
-            }
+    async fn register(&self, group: Vec<wire::Definition>) -> Result<Vec<RegisterHullResult>, ServiceError> {
+        let (mut given, mut malformed) = (Vec::with_capacity(group.len()), Vec::with_capacity(group.len()));
+        for definition in group {
+            malformed.push(definition.map(|definition| given.push(definition)).err());
         }
+        let mut registered = self.app.registry().register(given).await.into_iter();
+        let result = |malformed| match malformed {
+            Some(error) => Some(Ok(wire::register_result(Err(error)))),
+            None => registered.next().map(registered_result),
+        };
+        malformed.into_iter().filter_map(result).collect()
     }
 
     async fn record(&self, id: HullId, parts: wire::Parts) -> Result<HullRecord, ServiceError> {
@@ -160,6 +153,35 @@ fn store_error(error: StoreError) -> ServiceError {
         StoreError::Full(_) => ServiceError::store_full(error.to_string()),
         StoreError::Unavailable(_) => {
             ServiceError::unavailable("STORE_UNAVAILABLE", STORE_RETRY, error.to_string())
+        }
+    }
+}
+
+/// The next hulls that are registered together: at least one.
+fn group(left: &mut Peekable<impl Iterator<Item = wire::Definition>>) -> Vec<wire::Definition> {
+    let mut points = 0;
+    std::iter::from_fn(|| {
+        left.next_if(|definition| {
+            let is_first = points == 0;
+            points += definition.as_ref().map_or(1, |definition| definition.points.len().max(1));
+            is_first || points <= GROUP_POINTS
+        })
+    })
+    .collect()
+}
+
+/// A hull that is no hull is its own result; a store that fails is the call's.
+fn registered_result(registered: Registered) -> Result<RegisterHullResult, ServiceError> {
+    match registered {
+        Ok((id, hull)) => {
+            tracing::debug!(hull = %id, vertices = hull.vertex_count(), "registered");
+            Ok(wire::register_result(Ok((id, &hull))))
+        }
+        Err(RegisterError::Hull(error)) => Ok(wire::register_result(Err(wire::hull_error(&error)))),
+        Err(RegisterError::Store(error)) => Err(store_error(error)),
+        Err(RegisterError::Internal(error)) => {
+            tracing::error!(%error, "a hull could not be built");
+            Err(ServiceError::internal("a hull could not be built"))
         }
     }
 }

@@ -11,4 +11,4 @@ mod remote;
 
 pub use blobs::{BlobStore, Opened, StoreError, StoredBlob};
 pub use identity::{HullDefinition, HullId};
-pub use registry::{Missing, RegisterError, Registry};
+pub use registry::{AT_A_TIME, Missing, RegisterError, Registered, Registry};

@@ -10,13 +10,14 @@ use std::{
 };
 
 use bytes::Bytes;
+use futures_util::{StreamExt, stream};
 use prometheus_client::metrics::counter::Counter;
 use quick_cache::{DefaultHashBuilder, Lifecycle, OptionsBuilder, Weighter, sync::Cache};
 use tokio::sync::Mutex;
 
 use super::{HullDefinition, HullId, Opened, StoreError, StoredBlob, identity::id_of};
 use crate::{
-    compute::{Compute, Panicked},
+    compute::{Compute, Panicked, Parts},
     contact::{ConvexHull, HullError},
     metrics::Metrics,
 };
@@ -52,6 +53,36 @@ pub enum RegisterError {
     Store(StoreError),
     /// A bug: it could not be built.
     Internal(Panicked),
+}
+
+/// A hull that was registered, or why it was not.
+pub type Registered = Result<(HullId, Arc<ConvexHull>), RegisterError>;
+
+/// Hulls of one request that are read or written at a time: enough that a file system
+/// gathers their syncs.
+pub const AT_A_TIME: usize = 16;
+
+/// Hulls to be built, each a part.
+struct Building {
+    definitions: Vec<HullDefinition>,
+    max_vertices: usize,
+}
+
+impl Parts for Building {
+    type Part = Result<ConvexHull, HullError>;
+    type Whole = Vec<Self::Part>;
+
+    fn count(&self) -> usize {
+        self.definitions.len()
+    }
+
+    fn part(&self, index: usize) -> Self::Part {
+        self.definitions[index].build(self.max_vertices)
+    }
+
+    fn whole(&self, parts: Vec<Self::Part>) -> Self::Whole {
+        parts
+    }
 }
 
 /// The registered hulls.
@@ -163,34 +194,61 @@ impl Registry {
         definition.ok_or(Missing::Unknown)
     }
 
-    /// Registers a hull: durable when this returns. Registering it again changes nothing.
-    ///
-    /// # Errors
-    /// Why not; nothing is stored then.
-    pub async fn register(
-        &self,
-        definition: HullDefinition,
-    ) -> Result<(HullId, Arc<ConvexHull>), RegisterError> {
-        let blob = definition.identity_bytes();
-        let id = id_of(&blob);
-        if let Some(entry) = self.cache.get(&id)
-            && entry.written
-            && self.blobs.size(id).await.map_err(RegisterError::Store)?.is_some()
-        {
-            self.saw(&entry);
-            return Ok((id, entry.hull.clone()));
+    /// Registers hulls, built on all compute threads: durable when this returns.
+    /// Registering one again changes nothing. A result each, in their order: of one that
+    /// is refused nothing is stored.
+    pub async fn register(&self, definitions: Vec<HullDefinition>) -> Vec<Registered> {
+        let looked_up: Vec<_> = stream::iter(definitions)
+            .map(|definition| async {
+                let blob = definition.identity_bytes();
+                let id = id_of(&blob);
+                (id, blob, definition, self.known(id).await)
+            })
+            .buffered(AT_A_TIME)
+            .collect()
+            .await;
+        let (mut new, mut known) = (Vec::new(), Vec::with_capacity(looked_up.len()));
+        for (id, blob, definition, found) in looked_up {
+            if let Ok(None) = found {
+                new.push(definition);
+            }
+            known.push((id, blob, found));
         }
-        let max_vertices = self.bounds.max_vertices;
-        let built = self.compute.run(move || definition.build(max_vertices)).await;
-        let hull = built.map_err(RegisterError::Internal)?.map_err(RegisterError::Hull)?;
-        self.store(id, blob).await.map_err(|error| {
-            self.metrics.store_errors.inc();
-            RegisterError::Store(error)
-        })?;
-        self.metrics.registered.inc();
-        let entry = self.entry(hull, true);
-        self.cache.insert(id, entry.clone());
-        Ok((id, entry.hull.clone()))
+        let building = Building { definitions: new, max_vertices: self.bounds.max_vertices };
+        let mut built = self.compute.split(building).await.map(Vec::into_iter);
+        let results = known.into_iter().map(|(id, blob, found)| {
+            let hull = found.and_then(|found| match (found, &mut built) {
+                (Some(hull), _) => Ok((hull, false)),
+                (None, Err(panicked)) => Err(RegisterError::Internal(panicked.clone())),
+                (None, Ok(built)) => match built.next() {
+                    Some(hull) => hull.map(|hull| (Arc::new(hull), true)).map_err(RegisterError::Hull),
+                    None => Err(RegisterError::Internal(Panicked("a hull was not built".into()))),
+                },
+            });
+            async move {
+                let (hull, is_new) = hull?;
+                if is_new {
+                    self.store(id, blob).await.map_err(|error| {
+                        self.metrics.store_errors.inc();
+                        RegisterError::Store(error)
+                    })?;
+                    self.metrics.registered.inc();
+                    self.cache.insert(id, self.entry(hull.clone(), true));
+                }
+                Ok((id, hull))
+            }
+        });
+        stream::iter(results).buffered(AT_A_TIME).collect().await
+    }
+
+    /// A hull that this process wrote and that is still in the store.
+    async fn known(&self, id: HullId) -> Result<Option<Arc<ConvexHull>>, RegisterError> {
+        let Some(entry) = self.cache.get(&id).filter(|entry| entry.written) else { return Ok(None) };
+        if self.blobs.size(id).await.map_err(RegisterError::Store)?.is_none() {
+            return Ok(None);
+        }
+        self.saw(&entry);
+        Ok(Some(entry.hull.clone()))
     }
 
     /// Removes a hull from the store and the cache; whether it was in the store.
@@ -267,7 +325,7 @@ impl Registry {
         let definition = self.definition(id).await?;
         // What was once acknowledged is answered for, whatever the limit is by now.
         match self.compute.run(move || definition.build(usize::MAX)).await {
-            Ok(Ok(hull)) => Ok(self.entry(hull, false)),
+            Ok(Ok(hull)) => Ok(self.entry(Arc::new(hull), false)),
             Ok(Err(error)) => {
                 tracing::error!(hull = %id, %error, "a stored hull is no hull to this version");
                 Err(Missing::Unknown)
@@ -333,10 +391,10 @@ impl Registry {
         }
     }
 
-    fn entry(&self, hull: ConvexHull, written: bool) -> Arc<Entry> {
+    fn entry(&self, hull: Arc<ConvexHull>, written: bool) -> Arc<Entry> {
         let heap_bytes = hull.heap_bytes() as u64 + ENTRY_BYTES;
         let seen_ms = AtomicU64::new(self.now_ms());
-        Arc::new(Entry { hull: Arc::new(hull), heap_bytes, written, seen_ms })
+        Arc::new(Entry { hull, heap_bytes, written, seen_ms })
     }
 
     fn is_stale(&self, entry: &Entry, now_ms: u64) -> bool {

@@ -172,6 +172,34 @@ async fn every_hull_has_a_result_of_its_own() {
     assert_eq!(stored.hulls.len(), 1, "a refused hull is not stored");
 }
 
+/// Catches results out of order, lost or of another hull where a request is so large that it
+/// is registered in several steps, with known, malformed and flat hulls among the new ones.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_large_request_is_answered_in_order() {
+    let server = TestServer::start().await;
+    // Many points, of which eight are vertices.
+    let shape = |i: u32| {
+        let mut points = box_points(1.0 + f64::from(i), 1.0, 1.0);
+        points.resize(9000, [0.0; 3]);
+        plain(points)
+    };
+    let shapes: Vec<_> = (0..24).map(shape).collect();
+    register(&server, register_request(&[shapes[3].clone(), shapes[17].clone()])).await;
+    let mut request = register_request(&shapes);
+    request.hulls[7].vertices.pop();
+    request.hulls[20].vertices.fill(0.0);
+    let results = register(&server, request).await;
+    assert_eq!(results.len(), shapes.len());
+    for (i, (result, shape)) in results.iter().zip(&shapes).enumerate() {
+        match (i, result) {
+            (7, Err(error)) => assert_eq!(error.reason, "MALFORMED"),
+            (20, Err(error)) => assert_eq!(error.reason, "TOO_FEW_POINTS"),
+            (_, Ok(info)) => assert_eq!(info.id, id(shape), "{i}"),
+            (_, Err(error)) => panic!("{i}: {error:?}"),
+        }
+    }
+}
+
 /// Catches registering that is not idempotent: twice, twice in one request, from many
 /// connections at once.
 #[tokio::test(flavor = "multi_thread")]
