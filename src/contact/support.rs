@@ -42,14 +42,17 @@ impl Coarse {
         let (mut indices, mut next) = (Vec::with_capacity(COARSE), 0);
         while indices.len() < COARSE {
             indices.push(next as u32);
-            let mut farthest = 0;
-            for (i, v) in vertices.iter().enumerate() {
-                nearest[i] = nearest[i].min(v.distance_squared(vertices[next]));
-                if nearest[i] > nearest[farthest] {
-                    farthest = i;
+            let from = vertices[next];
+            let mut most = f64::NEG_INFINITY;
+            for (i, (nearest, v)) in nearest.iter_mut().zip(vertices).enumerate() {
+                let distance = v.distance_squared(from);
+                if distance < *nearest {
+                    *nearest = distance;
+                }
+                if *nearest > most {
+                    (most, next) = (*nearest, i);
                 }
             }
-            next = farthest;
         }
         let chosen: Vec<DVec3> = indices.iter().map(|&i| vertices[i as usize]).collect();
         Some(Self { columns: Columns::new(&chosen), indices })
