@@ -127,6 +127,15 @@ simulation: build $(VENV)/.test ## a rigid body simulation on several kinds of c
 bench-service: check-tools build ## the server beside an echo of the same bytes; writes docs/performance.md
 	cd benches && $(CARGO) run --release --locked --features service --bin transport
 
+.PHONY: bench-counts
+bench-counts: check-tools ## instructions beside parry3d, by valgrind, where time is too noisy; writes docs/performance.md
+	cd benches && $(CARGO) run --release --locked --bin counts
+
+.PHONY: bench-growth
+bench-growth: check-tools build $(VENV)/.demo ## time by vertices, batch size, hulls and cores; writes docs/performance.md and its picture
+	cd benches && $(CARGO) run --release --locked --features service --bin growth
+	$(PY) benches/growth.py
+
 .PHONY: stubs
 stubs: $(VENV)/.test ## the Python protobuf modules again, after a change of proto/
 	PY=$(PY) ./scripts/stubs

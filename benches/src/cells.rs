@@ -37,15 +37,42 @@ pub struct Cell {
 /// None is expected.
 pub fn generate(pairs: usize) -> Result<Vec<Cell>, WorkloadError> {
     let kinds = Family::ALL.into_iter().flat_map(|family| Regime::ALL.map(|regime| (family, regime)));
+    kinds.map(|(family, regime)| cell(family, regime, pairs)).collect()
+}
+
+fn cell(family: Family, regime: Regime, pairs: usize) -> Result<Cell, WorkloadError> {
+    let workload = Workload::generate(family, regime, pairs, SEED)?;
+    let label = format!("{} {}", family.name(), regime.name());
+    let pairs = workload.pairs.iter().map(|pair| {
+        let place = |side| Place { position: pair.positions[side], rotation: pair.rotations[side] };
+        Pair { hulls: pair.hulls, places: [place(0), place(1)] }
+    });
+    Ok(Cell { label, pairs: pairs.collect(), hulls: workload.hulls })
+}
+
+/// Shallow and separated pairs of each family, each with hulls of its own, together so
+/// large that no pass finds them in a cache.
+///
+/// # Errors
+/// None is expected.
+pub fn streamed() -> Result<Vec<Cell>, WorkloadError> {
+    let kinds = Family::ALL.into_iter().flat_map(|f| [Regime::Shallow, Regime::Separated].map(|r| (f, r)));
     kinds
         .map(|(family, regime)| {
-            let workload = Workload::generate(family, regime, pairs, SEED)?;
-            let label = format!("{} {}", family.name(), regime.name());
-            let pairs = workload.pairs.iter().map(|pair| {
-                let place = |side| Place { position: pair.positions[side], rotation: pair.rotations[side] };
-                Pair { hulls: pair.hulls, places: [place(0), place(1)] }
-            });
-            Ok(Cell { label, pairs: pairs.collect(), hulls: workload.hulls })
+            let pairs = match family {
+                Family::Box => 32_000,
+                Family::Poly16 => 16_000,
+                Family::Poly64 => 4_000,
+                Family::Poly256 => 1_000,
+            };
+            let mut cell = cell(family, regime, pairs)?;
+            let hulls = std::mem::take(&mut cell.hulls);
+            for pair in &mut cell.pairs {
+                let own = pair.hulls.map(|hull| hulls[hull].clone());
+                pair.hulls = [cell.hulls.len(), cell.hulls.len() + 1];
+                cell.hulls.extend(own);
+            }
+            Ok(cell)
         })
         .collect()
 }

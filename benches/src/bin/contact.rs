@@ -1,7 +1,8 @@
-//! Contact manifolds and hull building, beside parry3d: `make bench`.
+//! Contact manifolds and hull building, beside parry3d: `make bench`; arguments name
+//! sections.
 //!
-//! Prints each table and puts it into docs/performance.md, every figure into
-//! docs/performance.csv.
+//! Prints each table and puts it into docs/performance.md, every figure of all of them
+//! into docs/performance.csv.
 
 use std::error::Error;
 
@@ -23,14 +24,25 @@ fn main() -> Result<(), Box<dyn Error>> {
     // Before the results make the working tree differ from its commit.
     replace_section("provenance", &provenance())?;
     let cells = cells::generate(PAIRS)?;
-    let tables = [("cold", cold(&cells)?), ("warm", warm(&cells)?), ("hulls", building()?)];
+    let asked: Vec<String> = std::env::args().skip(1).collect();
     let mut csv = String::new();
-    for (section, table) in &tables {
+    for section in ["cold", "warm", "streamed", "hulls"] {
+        if !asked.is_empty() && !asked.iter().any(|name| name == section) {
+            continue;
+        }
+        let table = match section {
+            "cold" => cold(&cells)?,
+            "warm" => warm(&cells)?,
+            "streamed" => streamed()?,
+            _ => building()?,
+        };
         println!("{section}\n{}\n", table.text());
         replace_section(section, table.text())?;
         csv.push_str(table.csv());
     }
-    std::fs::write(format!("{DOCS}/performance.csv"), csv)?;
+    if asked.is_empty() {
+        std::fs::write(format!("{DOCS}/performance.csv"), csv)?;
+    }
     Ok(())
 }
 
@@ -84,6 +96,24 @@ fn warm(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
             let timings = interleave(&mut contenders, cell.pairs.len(), ROUNDS);
             record(&mut table, &format!("{}, {step:e}", cell.label), timings);
         }
+    }
+    Ok(table)
+}
+
+/// Whole manifolds from nothing, each pair with hulls that no cache holds.
+fn streamed() -> Result<Table, Box<dyn Error>> {
+    let names = ["parry3d f32", "hullcast"];
+    let mut table = Table::new("streamed", &names);
+    for cell in &cells::streamed()? {
+        let hulls = ours::hulls(cell)?;
+        let mut single = parry::single::Peer::new(cell, cell).ok_or(REFUSED)?;
+        let asked = query(Wanted::Points, Solver::Portal);
+        let mut whole = Scene::new(&hulls, cell, cell, asked).ok_or(UNUSABLE)?;
+        let mut contenders = [
+            Contender { name: names[0], pass: Box::new(|| single.cold()) },
+            Contender { name: names[1], pass: Box::new(|| whole.cold()) },
+        ];
+        record(&mut table, &cell.label, interleave(&mut contenders, cell.pairs.len(), ROUNDS));
     }
     Ok(table)
 }

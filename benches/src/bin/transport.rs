@@ -66,14 +66,21 @@ fn median(mut values: Vec<f64>) -> f64 {
     values[values.len() / 2]
 }
 
-/// Sends `message` in `UNDER_WAY` closed loops for `SECONDS`; the calls made.
-async fn load(caller: &Caller, message: &Bytes, under_way: usize) -> Result<u64, Failure> {
-    let end = Instant::now() + Duration::from_secs_f64(SECONDS);
-    let loops = (0..under_way).map(|_| {
+/// Sends `message` in `under_way` loops for `SECONDS`, each call `pause` after the one
+/// before at the earliest; the calls made.
+async fn load(caller: &Caller, message: &Bytes, under_way: usize, pause: Duration) -> Result<u64, Failure> {
+    let start = Instant::now();
+    let end = start + Duration::from_secs_f64(SECONDS);
+    let loops = (0..under_way).map(|place| {
         let (mut caller, message) = (caller.clone(), message.clone());
         tokio::spawn(async move {
             let mut calls = 0;
-            while Instant::now() < end {
+            let mut at = start + pause * place as u32 / under_way as u32;
+            while at.max(Instant::now()) < end {
+                if !pause.is_zero() {
+                    tokio::time::sleep_until(at.into()).await;
+                    at += pause;
+                }
                 caller.call(message.clone()).await?;
                 calls += 1;
             }
@@ -123,9 +130,11 @@ async fn batches() -> Result<String, Failure> {
         let pairs = PAIRS as u64;
         let mut columns = [vec![], vec![], vec![], vec![], vec![]];
         for _ in 0..ROUNDS {
-            let ours = async { Ok(pairs * load(&caller, &message, UNDER_WAY).await?) };
+            let ours = async { Ok(pairs * load(&caller, &message, UNDER_WAY, Duration::ZERO).await?) };
             let (cpu, rate) = measured(&server, ours).await?;
-            let theirs = async { Ok(pairs * load(&echoing, &message, UNDER_WAY).await?) };
+            // As many messages a second: what one costs depends on it.
+            let pause = Duration::from_secs_f64((UNDER_WAY * PAIRS) as f64 / rate);
+            let theirs = async { Ok(pairs * load(&echoing, &message, UNDER_WAY, pause).await?) };
             let (other, _) = measured(&echo, theirs).await?;
             for (column, value) in
                 columns.iter_mut().zip([cpu.rest, other.rest, cpu.rest / other.rest, cpu.compute, rate])
@@ -329,7 +338,7 @@ async fn networks() -> Result<String, Failure> {
             let mut rates = vec![];
             for _ in 0..ROUNDS {
                 let start = Instant::now();
-                let calls = load(&caller, &message, under_way).await?;
+                let calls = load(&caller, &message, under_way, Duration::ZERO).await?;
                 rates.push(calls as f64 * PAIRS as f64 / start.elapsed().as_secs_f64());
             }
             write!(text, " {:.2} M pairs/s |", median(rates) / 1e6)?;

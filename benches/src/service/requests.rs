@@ -40,12 +40,22 @@ impl Batch {
         Ok(())
     }
 
+    fn used_hulls(&self) -> Vec<usize> {
+        let mut used: Vec<usize> = self.workload.pairs.iter().flat_map(|pair| pair.hulls).collect();
+        used.sort_unstable();
+        used.dedup();
+        used
+    }
+
+    /// The points of the hulls that a request names, in its order.
+    pub fn used(&self) -> Vec<&Vec<[f64; 3]>> {
+        self.used_hulls().into_iter().map(|hull| &self.workload.hulls[hull]).collect()
+    }
+
     /// What is asked; it names the hulls that its pairs use.
     pub fn request(&self, outputs: &[Output]) -> QueryContactsRequest {
         let pairs = &self.workload.pairs;
-        let mut used: Vec<usize> = pairs.iter().flat_map(|pair| pair.hulls).collect();
-        used.sort_unstable();
-        used.dedup();
+        let used = self.used_hulls();
         let id = |&hull: &usize| {
             let points = self.workload.hulls[hull].clone();
             id_of(&store::HullDefinition { points, ..Default::default() }.identity_bytes()).0.to_vec()

@@ -1,0 +1,323 @@
+//! How cost grows with vertices, batch and registered hulls, and with cores:
+//! `make bench-growth`.
+//!
+//! Prints the tables, puts them into docs/performance.md and the figures into
+//! docs/growth.csv, which benches/growth.py plots.
+
+use std::error::Error;
+use std::fmt::Write as _;
+use std::hint::black_box;
+use std::sync::Arc;
+use std::time::Instant;
+
+use bytes::Bytes;
+use hullcast::compute::Compute;
+use hullcast::contact::{Body, ConvexHull, Pose, Query, Workspace, contact_manifold};
+use hullcast::proto::hull_service_client::HullServiceClient;
+use hullcast::proto::{HullDefinition, QueryContactsRequest, RegisterHullsRequest};
+use hullcast::service::{Limits, batch, wire};
+use hullcast::store::{self, identity::id_of};
+use hullcast::workload::{Family, Random, Regime};
+use hullcast_benches::cells::{MARGIN, sphere};
+use hullcast_benches::report::{DOCS, provenance, replace_section};
+use hullcast_benches::service::process::Server;
+use hullcast_benches::service::raw::Caller;
+use hullcast_benches::service::requests::{Batch, QUERY};
+use prost::Message;
+use tonic::transport::Endpoint;
+
+type Failure = Box<dyn Error>;
+
+const PAIRS: usize = 4096;
+/// Messages under way at once.
+const UNDER_WAY: usize = 4;
+/// The best of so many: what the machine was not busy with something else for.
+const ROUNDS: usize = 7;
+
+#[tokio::main]
+async fn main() -> Result<(), Failure> {
+    let stamp = provenance();
+    let (vertices, mut csv) = vertices()?;
+    let (batches, part) = batches().await?;
+    csv += &part;
+    let (hulls, part) = hulls().await?;
+    csv += &part;
+    let cores = cores().await?;
+    let text = [vertices, batches, hulls, cores, stamp].join("\n\n");
+    println!("{text}");
+    replace_section("growth", &text)?;
+    std::fs::write(format!("{DOCS}/growth.csv"), format!("what,size,value\n{csv}"))?;
+    Ok(())
+}
+
+/// The slope of the logarithms from `from` on: the exponent of growth.
+fn exponent(points: &[(f64, f64)], from: f64) -> f64 {
+    let logs: Vec<_> = points.iter().filter(|p| p.0 >= from).map(|p| (p.0.ln(), p.1.ln())).collect();
+    let count = logs.len() as f64;
+    let mean = |of: fn(&(f64, f64)) -> f64| logs.iter().map(of).sum::<f64>() / count;
+    let (x, y) = (mean(|p| p.0), mean(|p| p.1));
+    let covariance: f64 = logs.iter().map(|p| (p.0 - x) * (p.1 - y)).sum();
+    covariance / logs.iter().map(|p| (p.0 - x) * (p.0 - x)).sum::<f64>()
+}
+
+fn least(mut work: impl FnMut() -> f64) -> f64 {
+    (0..ROUNDS).map(|_| work()).fold(f64::INFINITY, f64::min)
+}
+
+/// Two hulls of points on a sphere, overlapping by a few percent in random poses.
+fn vertices() -> Result<(String, String), Failure> {
+    let mut text = String::from(
+        "| vertices | manifold, cold | manifold, warm | building | heap | bytes a vertex |\n|---|---|---|---|---|---|",
+    );
+    let mut csv = String::new();
+    let mut lines = [vec![], vec![], vec![]];
+    for count in [4, 8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096, 10_000] {
+        let cloud = sphere(count, count as u64);
+        let hull = ConvexHull::new(&cloud)?;
+        let repeats = (20_000 / count).max(1);
+        let building = least(|| {
+            let start = Instant::now();
+            for _ in 0..repeats {
+                black_box(ConvexHull::new(&cloud).is_ok());
+            }
+            start.elapsed().as_nanos() as f64 / repeats as f64
+        });
+        let mut random = Random::new(1);
+        let query = Query { margin: MARGIN, ..Query::default() };
+        let mut workspace = Workspace::default();
+        let mut pairs = Vec::new();
+        while pairs.len() < 500 {
+            let [turn_a, turn_b] = [random.rotation(), random.rotation()].map(|q| q.to_array());
+            let way = random.direction();
+            // The growth scale is linear in the offset: the first answer says where to put B.
+            let at = |offset: f64| Pose::new((way * offset).to_array(), turn_b);
+            let a = Body::new(&hull, Pose::new([0.0; 3], turn_a)?);
+            let far = Query { margin: f64::INFINITY, ..query };
+            let far = contact_manifold(&a, &Body::new(&hull, at(1.0)?), &far, None, &mut workspace).alpha;
+            pairs.push((a, Body::new(&hull, at(0.97 / far)?)));
+        }
+        let mut bases = vec![None; pairs.len()];
+        let mut pass = |warm: bool| {
+            let start = Instant::now();
+            for ((a, b), basis) in pairs.iter().zip(&mut bases) {
+                let from = basis.as_ref().filter(|_| warm);
+                let manifold = contact_manifold(a, b, &query, from, &mut workspace);
+                let found = manifold.basis;
+                *basis = found;
+            }
+            start.elapsed().as_nanos() as f64 / pairs.len() as f64
+        };
+        let (cold, warm) = (least(|| pass(false)), least(|| pass(true)));
+        let heap = hull.heap_bytes();
+        write!(
+            text,
+            "\n| {count} | {cold:.0} ns | {warm:.0} ns | {:.1} us | {:.1} KB | {:.0} |",
+            building / 1e3,
+            heap as f64 / 1e3,
+            heap as f64 / count as f64
+        )?;
+        eprintln!("{}", text.lines().last().unwrap_or_default());
+        for (line, (name, value)) in lines.iter_mut().zip([
+            ("manifold, cold", cold),
+            ("manifold, warm", warm),
+            ("building a hull", building),
+        ]) {
+            line.push((count as f64, value));
+            writeln!(csv, "\"{name}\",{count},{value:.1}")?;
+        }
+    }
+    let [cold, warm, building] = lines.map(|line| exponent(&line, 256.0));
+    write!(
+        text,
+        "\n\nExponents from 256 vertices on: cold {cold:.2}, warm {warm:.2}, building {building:.2}. \
+         The warm poses are those of the basis."
+    )?;
+    Ok((text, csv))
+}
+
+/// One query of so many pairs, split into messages as the client does.
+async fn batches() -> Result<(String, String), Failure> {
+    let mut text = String::from("| pairs in a query | time | ns a pair |\n|---|---|---|");
+    let (mut csv, mut line) = (String::new(), vec![]);
+    let server = Server::hullcast()?;
+    let mut count = 1;
+    while count <= 1 << 20 {
+        let batch = Batch::generate(Family::Poly16, Regime::Shallow, count.min(PAIRS), 1)?;
+        batch.register(&server.address).await?;
+        let message = batch.message(&[]);
+        let caller = Caller::connect(&server.address, QUERY).await?;
+        let messages = count.div_ceil(PAIRS);
+        let mut best = f64::INFINITY;
+        for _ in 0..ROUNDS {
+            let start = Instant::now();
+            closed_loops(&caller, vec![message.clone(); messages]).await?;
+            best = best.min(start.elapsed().as_nanos() as f64);
+        }
+        write!(text, "\n| {count} | {:.3} ms | {:.0} |", best / 1e6, best / count as f64)?;
+        eprintln!("{}", text.lines().last().unwrap_or_default());
+        writeln!(csv, "\"a query through the server\",{count},{best:.0}")?;
+        line.push((count as f64, best));
+        count *= 4;
+    }
+    write!(
+        text,
+        "\n\nExponent from 4,096 pairs on: {:.2}. poly16 shallow, {UNDER_WAY} messages of at most {PAIRS} pairs under way.",
+        exponent(&line, PAIRS as f64)
+    )?;
+    Ok((text, csv))
+}
+
+/// Sends the messages, `UNDER_WAY` at a time.
+async fn closed_loops(caller: &Caller, messages: Vec<Bytes>) -> Result<(), Failure> {
+    let messages = Arc::new(std::sync::Mutex::new(messages));
+    let loops = (0..UNDER_WAY).map(|_| {
+        let (mut caller, messages) = (caller.clone(), messages.clone());
+        tokio::spawn(async move {
+            loop {
+                let next = messages.lock().ok().and_then(|mut messages| messages.pop());
+                match next {
+                    Some(message) => caller.call(message).await?,
+                    None => return Ok::<(), tonic::Status>(()),
+                };
+            }
+        })
+    });
+    for each in loops.collect::<Vec<_>>() {
+        each.await??;
+    }
+    Ok(())
+}
+
+/// Pairs of hulls drawn from so many registered ones.
+async fn hulls() -> Result<(String, String), Failure> {
+    let mut text = String::from(
+        "| hulls registered | registering one | ns a pair, one message at a time |\n|---|---|---|",
+    );
+    let (mut csv, mut line) = (String::new(), vec![]);
+    let server = Server::hullcast()?;
+    let channel = Endpoint::from_shared(format!("http://{}", server.address))?.connect().await?;
+    let mut ids: Vec<Vec<u8>> = Vec::new();
+    for count in [1, 10, 100, 1000, 10_000, 100_000] {
+        let start = Instant::now();
+        let new = count - ids.len();
+        while ids.len() < count {
+            let clouds: Vec<_> =
+                (ids.len()..count.min(ids.len() + 1000)).map(|seed| sphere(16, seed as u64)).collect();
+            let hulls = clouds.iter().map(|points| HullDefinition {
+                vertices: points.as_flattened().to_vec(),
+                ..Default::default()
+            });
+            let request = RegisterHullsRequest { hulls: hulls.collect() };
+            HullServiceClient::new(channel.clone()).register_hulls(request).await?;
+            ids.extend(clouds.into_iter().map(|points| {
+                id_of(&store::HullDefinition { points, contraction_point: None }.identity_bytes()).0.to_vec()
+            }));
+        }
+        let registering = start.elapsed().as_nanos() as f64 / new as f64;
+        let mut random = Random::new(1);
+        let mut requests = Vec::new();
+        for _ in 0..4 {
+            requests.push(drawn(&ids, &mut random));
+        }
+        let mut caller = Caller::connect(&server.address, QUERY).await?;
+        let mut best = f64::INFINITY;
+        for _ in 0..ROUNDS {
+            for message in &requests {
+                let start = Instant::now();
+                caller.call(message.clone()).await?;
+                best = best.min(start.elapsed().as_nanos() as f64 / PAIRS as f64);
+            }
+        }
+        write!(text, "\n| {count} | {:.1} us | {best:.0} |", registering / 1e3)?;
+        eprintln!("{}", text.lines().last().unwrap_or_default());
+        writeln!(csv, "\"a pair, hulls drawn from those registered\",{count},{best:.1}")?;
+        line.push((count as f64, best));
+    }
+    write!(
+        text,
+        "\n\nExponent: {:.2}. 16-vertex hulls in memory, each message 4,096 pairs of hulls drawn at random.",
+        exponent(&line, 1.0)
+    )?;
+    Ok((text, csv))
+}
+
+/// Pairs that overlap somewhat, of hulls of radius 1 drawn from `ids`.
+fn drawn(ids: &[Vec<u8>], random: &mut Random) -> Bytes {
+    let mut request = QueryContactsRequest { margin: MARGIN, ..Default::default() };
+    let mut place = std::collections::HashMap::new();
+    for pair in 0..PAIRS as u32 {
+        let way = random.direction() * 1.5;
+        for side in 0..2 {
+            let hull = random.below(ids.len());
+            let next = place.len() as u32;
+            request.body_hulls.push(*place.entry(hull).or_insert(next));
+            if place.len() > request.hull_ids.len() {
+                request.hull_ids.push(ids[hull].clone());
+            }
+            request.positions.extend((way * f64::from(side)).to_array());
+            request.rotations.extend(random.rotation().to_array());
+        }
+        request.pairs.extend([2 * pair, 2 * pair + 1]);
+    }
+    request.encode_to_vec().into()
+}
+
+/// The batch engine alone, on one thread and on two.
+async fn cores() -> Result<String, Failure> {
+    let mut text = String::from(
+        "| batch engine, 4,096 pairs a batch | 1 thread | 2 threads | times |\n|---|---|---|---|",
+    );
+    for (family, regime, under_way) in [
+        (Family::Box, Regime::Resting, 1),
+        (Family::Box, Regime::Resting, UNDER_WAY),
+        (Family::Poly16, Regime::Shallow, 1),
+        (Family::Poly16, Regime::Shallow, UNDER_WAY),
+        (Family::Poly256, Regime::Shallow, UNDER_WAY),
+    ] {
+        let pairs = Batch::generate(family, regime, PAIRS, 1)?;
+        let hulls: Vec<_> = pairs
+            .used()
+            .iter()
+            .map(|points| ConvexHull::new(points).map(Arc::new))
+            .collect::<Result<_, _>>()?;
+        let request = pairs.request(&[]);
+        let mut rates = [0.0_f64; 2];
+        for _ in 0..3 * ROUNDS {
+            for (threads, rate) in (1..).zip(&mut rates) {
+                let limits = Limits::default();
+                let engine = Arc::new(batch::Engine::new(
+                    Compute::new(threads)?,
+                    limits.max_pairs_in_flight,
+                    limits.max_message_bytes,
+                ));
+                let mut answered = 0;
+                let start = Instant::now();
+                while answered < 16 {
+                    let mut tasks = Vec::new();
+                    for _ in 0..under_way {
+                        let scene = wire::scene(request.clone(), &limits)?;
+                        let admission = engine.admit(PAIRS, scene.setting.outputs)?;
+                        let (batch, _) = batch::Batch::new(scene, hulls.iter().cloned().map(Ok).collect());
+                        let engine = engine.clone();
+                        tasks.push(tokio::spawn(async move { engine.compute(batch, admission).await }));
+                        answered += 1;
+                    }
+                    for task in tasks {
+                        black_box(task.await??.len());
+                    }
+                }
+                *rate = rate.max(answered as f64 * PAIRS as f64 / start.elapsed().as_secs_f64());
+            }
+        }
+        let [one, two] = rates.map(|rate| rate / 1e6);
+        write!(
+            text,
+            "\n| {} {}, {under_way} under way | {one:.2} M pairs/s | {two:.2} M pairs/s | {:.2} |",
+            family.name(),
+            regime.name(),
+            two / one
+        )?;
+        eprintln!("{}", text.lines().last().unwrap_or_default());
+    }
+    Ok(text)
+}
