@@ -26,6 +26,8 @@ enum Command {
     Serve(Box<cli::serve::Args>),
     /// Answers for a scene file's pairs, in this process or from a server.
     Query(Box<cli::query::Args>),
+    /// Measures speed against accuracy: every setting's time and errors.
+    Tradeoff(cli::tradeoff::Args),
     /// Sends batches in a closed or an open loop, times them and checks a sample of the answers.
     Load(Box<cli::load::Args>),
     /// Removes old hulls from a store.
