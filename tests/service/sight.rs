@@ -41,7 +41,9 @@ async fn probes_follow_the_servers_life() {
     let mut server = Setup { grace: Duration::from_secs(3600), ..Setup::default() }.start().await;
     let admin = admin(&server).await;
     assert_eq!(get(&admin, "/livez").await.0, 200);
-    assert_eq!(get(&admin, "/readyz").await.0, 200);
+    while get(&admin, "/readyz").await.0 != 200 {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
     assert_eq!(get(&admin, "/else").await.0, 404);
     server.begin_stop();
     while get(&admin, "/readyz").await.0 == 200 {
@@ -52,8 +54,10 @@ async fn probes_follow_the_servers_life() {
     // In the grace everything is answered, on new connections too.
     let channel = crate::support::channel(&server.address).await;
     let mut health = HealthClient::new(channel.clone());
-    let status = health.check(HealthCheckRequest::default()).await.unwrap().into_inner().status();
-    assert_eq!(status, ServingStatus::NotServing);
+    let request = HealthCheckRequest::default;
+    while health.check(request()).await.unwrap().into_inner().status() != ServingStatus::NotServing {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
     let mut hulls = hullcast::proto::hull_service_client::HullServiceClient::new(channel);
     hulls.register_hulls(register_request(&two_boxes().0)).await.unwrap();
 }
