@@ -125,15 +125,17 @@ async fn bytes_of_requests_are_bounded_over_all_calls() {
     let limits =
         Limits { max_message_bytes: 100_000, max_request_bytes_in_flight: 200_000, ..Limits::default() };
     let server = TestServer::with_limits(limits).await;
-    let send = async |bytes: usize| {
-        let mut client = raw::connect(&server.address).await;
-        let part = raw::frame(false, &vec![0; 100_000]).slice(..bytes);
-        let body = raw::Body::Unfinished(part);
-        tokio::spawn(async move { client.send_request(raw::call(QUERY, &[], body)).await })
+    let send = |bytes: usize| {
+        let address = server.address.clone();
+        tokio::spawn(async move {
+            let part = raw::frame(false, &vec![0; 100_000]).slice(..bytes);
+            let request = raw::call(QUERY, &[], raw::Body::Unfinished(part));
+            raw::connect(&address).await.send_request(request).await
+        })
     };
-    let held = [send(100_000).await, send(100_000).await];
+    let held = [send(100_000), send(100_000)];
     server.until("hullcast_request_bytes_in_flight", 200_000.0).await;
-    let refused_call = send(1).await.await.unwrap().unwrap();
+    let refused_call = send(1).await.unwrap().unwrap();
     let status = tonic::Status::from_header_map(refused_call.headers()).unwrap();
     assert_eq!(refusal(&status), refused(Code::Unavailable, "TOO_BUSY", ""));
     assert!(held.iter().all(|call| !call.is_finished()));
