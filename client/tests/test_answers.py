@@ -216,3 +216,16 @@ def test_a_column_not_asked_for_names_its_output(column: str, output: str):
     assert caught.value.field == column
     assert not hasattr(m, column)
     assert "CONTACT" in repr(m[0])
+
+
+def test_a_server_of_the_first_contract_is_read():
+    """Catches an answer refused whole because an older server lacks a later column."""
+    older = answer()
+    older.iterations.extend([3, 4])
+    older.support_calls.extend([5, 6])
+    columns = _answers.read(older.SerializeToString(), ("DIAGNOSTICS",), PAIRS)
+    assert columns["iterations"].tolist() == [3, 4]
+    assert np.isnan(columns["kept_areas"]).tolist() == [True, True]
+    older.kept_areas.extend([0.5])
+    with pytest.raises(hullcast.ServerError, match="1 entries in kept_areas, expected 2"):
+        _answers.read(older.SerializeToString(), ("DIAGNOSTICS",), PAIRS)

@@ -9,7 +9,7 @@ import numpy as np
 from . import _packed
 from ._errors import ServerError
 from ._pb import contacts_pb2
-from ._wire import OUTPUT_COLUMNS, PAIR_COLUMNS, POINT_COLUMNS
+from ._wire import LATER_COLUMNS, OUTPUT_COLUMNS, PAIR_COLUMNS, POINT_COLUMNS
 
 Columns = dict[str, np.ndarray]
 
@@ -37,6 +37,8 @@ class _Reader:
             values = np.frombuffer(raw, dtype=kind).copy()
         else:
             values = self._real(name, kind)
+        if len(values) == 0 and name in LATER_COLUMNS:
+            values = np.full(rows * width, np.nan)
         if len(values) != rows * width:
             raise ServerError(
                 f"{len(values)} entries in {name}, expected {rows * width}",

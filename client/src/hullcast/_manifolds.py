@@ -153,7 +153,10 @@ class Manifolds:
 
     @property
     def kept_area(self) -> Floats:
-        """Share of each patch's area that its points still span: 1 unless `REDUCED`."""
+        """Share of each patch's area that its points still span: 1 unless `REDUCED`.
+
+        NaN: the server is older than this column.
+        """
         return self._column("kept_areas", "kept_area", "DIAGNOSTICS")
 
     def __len__(self) -> int:

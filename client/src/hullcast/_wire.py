@@ -74,4 +74,6 @@ PAIR_COLUMNS = {
     "support_calls": 1,
     "kept_areas": 1,
 }
+#: What servers of the first contract do not send: unknown (NaN) then.
+LATER_COLUMNS = frozenset({"kept_areas"})
 POINT_COLUMNS = {"witness_as": 3, "distances": 1, "witness_bs": 3, "point_ids": 4}
