@@ -193,7 +193,7 @@ mod tests {
             assert_eq!(packed.map(|field| field.number() as u32).collect::<Vec<_>>(), tags, "{name}");
             checked += tags.len();
         }
-        assert_eq!(checked, 8 + 17);
+        assert_eq!(checked, 8 + 18);
     }
 
     /// Catches bytes that prost reads otherwise than they were meant, a length that is not the
