@@ -63,10 +63,12 @@ pub async fn run(
     shutdown: impl Future<Output = Duration>,
 ) -> Result<(), OpenError> {
     let (mut reporter, routes) = routes(&app).await?;
+    let drain = serving.drain;
+    // Before anybody is served, and before a failing store is found.
+    app.set_readiness(Readiness::Ready);
     let mut beside = JoinSet::new();
     beside.spawn(reload(serving.security.clone(), serving.reload_every));
     beside.spawn(probe(app.clone(), reporter.clone(), serving.probe_every));
-    let drain = serving.drain;
     let connections = Arc::new(Connections::new(app.clone(), routes.prepare(), serving));
     let (close, closing) = watch::channel(false);
     let closing = Closing(closing);
@@ -74,7 +76,6 @@ pub async fn run(
     for listener in listeners {
         accepting.spawn(accept(listener, connections.clone(), closing.clone()));
     }
-    app.set_readiness(Readiness::Ready);
 
     let grace = shutdown.await;
     tracing::info!(grace_seconds = grace.as_secs_f64(), drain_seconds = drain.as_secs_f64(), "stopping");

@@ -53,6 +53,10 @@ impl Setup {
     pub(crate) async fn start(self) -> TestServer {
         let mut server = self.start_lazily().await;
         server.channel = channel(&server.address).await;
+        // The kernel takes connections before the server does.
+        while !server.app.readiness().welcomes() {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
         server
     }
 
