@@ -74,6 +74,8 @@ v1::HullDefinition definition(const Hull& hull) {
     v1::HullDefinition message;
     message.mutable_vertices()->Add(hull.vertices.begin(), hull.vertices.end());
     message.mutable_contraction_point()->Add(hull.contraction_point.begin(), hull.contraction_point.end());
+    if (hull.max_vertices) message.mutable_simplification()->set_max_vertices(*hull.max_vertices);
+    if (hull.max_deviation) message.mutable_simplification()->set_max_deviation(*hull.max_deviation);
     return message;
 }
 

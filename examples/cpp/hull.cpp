@@ -3,7 +3,6 @@
 #include <openssl/sha.h>
 
 #include <bit>
-#include <cstdint>
 
 namespace {
 
@@ -27,7 +26,13 @@ std::string Hull::identity_bytes() const {
     put(bytes, std::uint32_t{1});  // the format's version
     bytes.push_back(contraction_point.empty() ? 0 : 1);
     put(bytes, contraction_point);
-    bytes.push_back(0);  // no simplification
+    bytes.push_back(max_vertices || max_deviation);
+    if (max_vertices || max_deviation) {
+        bytes.push_back(max_vertices.has_value());
+        if (max_vertices) put(bytes, *max_vertices);
+        bytes.push_back(max_deviation.has_value());
+        if (max_deviation) put(bytes, std::vector{*max_deviation});
+    }
     put(bytes, static_cast<std::uint32_t>(vertices.size() / 3));
     put(bytes, vertices);
     return bytes;

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -8,6 +10,9 @@ struct Hull {
     std::vector<double> vertices;
     /// Empty (the centre of mass is taken) or three numbers.
     std::vector<double> contraction_point;
+    /// None or at least one of the two.
+    std::optional<std::uint32_t> max_vertices = {};
+    std::optional<double> max_deviation = {};
 
     /// The byte string of docs/identity.md.
     std::string identity_bytes() const;

@@ -18,7 +18,7 @@ import (
 func checkIdentities(root string) (int, error) {
 	vectors, err := readIdentityVectors(root)
 	for _, vector := range vectors {
-		hull := Hull{vector.Vertices, vector.ContractionPoint}
+		hull := vector.hull()
 		if id := hex.EncodeToString(hull.ID()); id != vector.ID {
 			return 0, fmt.Errorf("%s: %s", vector.Name, id)
 		}

@@ -34,6 +34,7 @@ func (c Client) register(ctx context.Context, hulls ...Hull) ([][]byte, error) {
 	for _, hull := range hulls {
 		request.Hulls = append(request.Hulls, &pb.HullDefinition{
 			Vertices: hull.Vertices, ContractionPoint: hull.ContractionPoint,
+			Simplification: hull.Simplification,
 		})
 	}
 	response, err := c.hulls.RegisterHulls(ctx, request)

@@ -73,7 +73,17 @@ type IdentityVector struct {
 	Name             string
 	Vertices         []float64
 	ContractionPoint []float64 `json:"contraction_point"`
+	MaxVertices      *uint32   `json:"max_vertices"`
+	MaxDeviation     *float64  `json:"max_deviation"`
 	ID, Bytes        string
+}
+
+func (v IdentityVector) hull() Hull {
+	hull := Hull{Vertices: v.Vertices, ContractionPoint: v.ContractionPoint}
+	if v.MaxVertices != nil || v.MaxDeviation != nil {
+		hull.Simplification = &pb.Simplification{MaxVertices: v.MaxVertices, MaxDeviation: v.MaxDeviation}
+	}
+	return hull
 }
 
 func readIdentityVectors(root string) (vectors []IdentityVector, err error) {

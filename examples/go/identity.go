@@ -4,6 +4,8 @@ import (
 	"bytes"
 	"crypto/sha256"
 	"encoding/binary"
+
+	pb "github.com/hullcast/hullcast/examples/go/hullcastv1"
 )
 
 // Hull is a cloud of points to register, three numbers a point, in the hull's own frame.
@@ -11,6 +13,8 @@ type Hull struct {
 	Vertices []float64
 	// Empty (the centre of mass is taken) or three numbers.
 	ContractionPoint []float64
+	// Nil for none.
+	Simplification *pb.Simplification
 }
 
 // IdentityBytes is the byte string of docs/identity.md.
@@ -30,7 +34,19 @@ func (h Hull) IdentityBytes() []byte {
 		write(uint8(1))
 		numbers(h.ContractionPoint)
 	}
-	write(uint8(0)) // no simplification
+	if limits := h.Simplification; limits == nil {
+		write(uint8(0))
+	} else {
+		write(uint8(1))
+		write(limits.MaxVertices != nil)
+		if limits.MaxVertices != nil {
+			write(*limits.MaxVertices)
+		}
+		write(limits.MaxDeviation != nil)
+		if limits.MaxDeviation != nil {
+			numbers([]float64{*limits.MaxDeviation})
+		}
+	}
 	write(uint32(len(h.Vertices) / 3))
 	numbers(h.Vertices)
 	return out.Bytes()

@@ -36,6 +36,8 @@ export interface IdentityVector {
   name: string;
   vertices: number[];
   contraction_point?: number[];
+  max_vertices?: number;
+  max_deviation?: number;
   id: string;
   bytes?: string;
 }

@@ -5,22 +5,30 @@ export interface Hull {
   vertices: number[];
   /** Absent: the centre of mass; else three numbers. */
   contractionPoint?: number[];
+  simplification?: { maxVertices?: number; maxDeviation?: number };
 }
 
 /** The byte string of docs/identity.md. */
 export function identityBytes(hull: Hull): Buffer {
-  const { vertices, contractionPoint: point } = hull;
-  const bytes = Buffer.alloc(18 + 8 * ((point?.length ?? 0) + vertices.length));
+  const { vertices, contractionPoint: point, simplification } = hull;
+  const bytes = Buffer.alloc(32 + 8 * ((point?.length ?? 0) + vertices.length));
   let at = bytes.write("hullcast", "ascii");
   at = bytes.writeUInt32LE(1, at); // the format's version
   // -0.0 is written as 0.0.
   const numbers = (values: number[]) => values.forEach((value) => (at = bytes.writeDoubleLE(value + 0, at)));
   at = bytes.writeUInt8(point ? 1 : 0, at);
   numbers(point ?? []);
-  at = bytes.writeUInt8(0, at); // no simplification
+  at = bytes.writeUInt8(simplification ? 1 : 0, at);
+  if (simplification) {
+    const { maxVertices, maxDeviation } = simplification;
+    at = bytes.writeUInt8(maxVertices === undefined ? 0 : 1, at);
+    if (maxVertices !== undefined) at = bytes.writeUInt32LE(maxVertices, at);
+    at = bytes.writeUInt8(maxDeviation === undefined ? 0 : 1, at);
+    if (maxDeviation !== undefined) numbers([maxDeviation]);
+  }
   at = bytes.writeUInt32LE(vertices.length / 3, at);
   numbers(vertices);
-  return bytes;
+  return bytes.subarray(0, at);
 }
 
 /** Names the hull on every server. */

@@ -2,6 +2,7 @@ package hullcast.conformance;
 
 import com.google.gson.Gson;
 import com.google.gson.annotations.SerializedName;
+import hullcast.v1.Hulls.Simplification;
 import java.io.IOException;
 import java.nio.file.Files;
 import java.nio.file.Path;
@@ -14,10 +15,23 @@ final class Golden {
       String name,
       double[] vertices,
       @SerializedName("contraction_point") double[] contractionPoint,
+      @SerializedName("max_vertices") Integer maxVertices,
+      @SerializedName("max_deviation") Double maxDeviation,
       String id,
       String bytes) {
     Hull hull() {
-      return new Hull(vertices, contractionPoint == null ? new double[0] : contractionPoint);
+      double[] point = contractionPoint == null ? new double[0] : contractionPoint;
+      if (maxVertices == null && maxDeviation == null) {
+        return new Hull(vertices, point);
+      }
+      Simplification.Builder simplification = Simplification.newBuilder();
+      if (maxVertices != null) {
+        simplification.setMaxVertices(maxVertices);
+      }
+      if (maxDeviation != null) {
+        simplification.setMaxDeviation(maxDeviation);
+      }
+      return new Hull(vertices, point, simplification.build());
     }
   }
 

@@ -2,11 +2,13 @@ package hullcast.conformance;
 
 import com.google.protobuf.ByteString;
 import hullcast.v1.Hulls.HullDefinition;
+import hullcast.v1.Hulls.Simplification;
 import java.nio.ByteBuffer;
 import java.nio.ByteOrder;
 import java.nio.charset.StandardCharsets;
 import java.security.MessageDigest;
 import java.security.NoSuchAlgorithmException;
+import java.util.Arrays;
 import java.util.stream.DoubleStream;
 
 /**
@@ -14,22 +16,41 @@ import java.util.stream.DoubleStream;
  *
  * @param vertices three numbers a point, in the hull's own frame
  * @param contractionPoint empty (the centre of mass is taken) or three numbers
+ * @param simplification null for none
  */
-record Hull(double[] vertices, double[] contractionPoint) {
-  private static final int HEADER_BYTES = 18;
+record Hull(double[] vertices, double[] contractionPoint, Simplification simplification) {
+  private static final int MAX_HEADER_BYTES = 32;
+
+  Hull(double[] vertices, double[] contractionPoint) {
+    this(vertices, contractionPoint, null);
+  }
 
   /** The byte string of docs/identity.md. */
   byte[] identityBytes() {
     int numbers = contractionPoint.length + vertices.length;
-    ByteBuffer bytes = ByteBuffer.allocate(HEADER_BYTES + Double.BYTES * numbers);
+    ByteBuffer bytes = ByteBuffer.allocate(MAX_HEADER_BYTES + Double.BYTES * numbers);
     bytes.order(ByteOrder.LITTLE_ENDIAN).put("hullcast".getBytes(StandardCharsets.US_ASCII));
     bytes.putInt(1); // the format's version
-    bytes.put((byte) (contractionPoint.length == 0 ? 0 : 1));
+    put(bytes, contractionPoint.length > 0);
     put(bytes, contractionPoint);
-    bytes.put((byte) 0); // no simplification
+    put(bytes, simplification != null);
+    if (simplification != null) {
+      put(bytes, simplification.hasMaxVertices());
+      if (simplification.hasMaxVertices()) {
+        bytes.putInt(simplification.getMaxVertices());
+      }
+      put(bytes, simplification.hasMaxDeviation());
+      if (simplification.hasMaxDeviation()) {
+        put(bytes, new double[] {simplification.getMaxDeviation()});
+      }
+    }
     bytes.putInt(vertices.length / 3);
     put(bytes, vertices);
-    return bytes.array();
+    return Arrays.copyOf(bytes.array(), bytes.position());
+  }
+
+  private static void put(ByteBuffer bytes, boolean present) {
+    bytes.put((byte) (present ? 1 : 0));
   }
 
   private static void put(ByteBuffer bytes, double[] numbers) {
@@ -48,9 +69,13 @@ record Hull(double[] vertices, double[] contractionPoint) {
   }
 
   HullDefinition definition() {
-    return HullDefinition.newBuilder()
-        .addAllVertices(DoubleStream.of(vertices).boxed().toList())
-        .addAllContractionPoint(DoubleStream.of(contractionPoint).boxed().toList())
-        .build();
+    HullDefinition.Builder definition =
+        HullDefinition.newBuilder()
+            .addAllVertices(DoubleStream.of(vertices).boxed().toList())
+            .addAllContractionPoint(DoubleStream.of(contractionPoint).boxed().toList());
+    if (simplification != null) {
+      definition.setSimplification(simplification);
+    }
+    return definition.build();
   }
 }
