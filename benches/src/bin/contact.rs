@@ -7,6 +7,7 @@
 use std::error::Error;
 
 use hullcast::contact::{Accuracy, ConvexHull, Query, Solver, Wanted};
+use hullcast::workload::Regime;
 use hullcast_benches::cells::{self, Cell, MARGIN};
 use hullcast_benches::ours::{self, Scene};
 use hullcast_benches::parry;
@@ -26,12 +27,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let cells = cells::generate(PAIRS)?;
     let asked: Vec<String> = std::env::args().skip(1).collect();
     let mut csv = String::new();
-    for section in ["cold", "warm", "streamed", "hulls"] {
+    for section in ["cold", "outputs", "warm", "streamed", "hulls"] {
         if !asked.is_empty() && !asked.iter().any(|name| name == section) {
             continue;
         }
         let table = match section {
             "cold" => cold(&cells)?,
+            "outputs" => outputs(&cells)?,
             "warm" => warm(&cells)?,
             "streamed" => streamed()?,
             _ => building()?,
@@ -74,6 +76,37 @@ fn cold(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
             Contender { name: names[4], pass: Box::new(|| growth.cold()) },
         ];
         record(&mut table, &cell.label, interleave(&mut contenders, cell.pairs.len(), ROUNDS));
+    }
+    Ok(table)
+}
+
+/// What is asked for, from all to as little as can be; what is apart also with no margin to
+/// stop at.
+fn outputs(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
+    let names = ["points", "growth scale and normal", "outcome"];
+    let mut table = Table::new("asked for", &names);
+    for cell in cells {
+        let hulls = ours::hulls(cell)?;
+        let apart = cell.label.ends_with(Regime::Separated.name());
+        for (note, margin) in [("", MARGIN), (", any distance", f64::INFINITY)] {
+            if !note.is_empty() && !apart {
+                continue;
+            }
+            let scene = |wanted| {
+                let query = Query { margin, ..query(wanted, Solver::Portal) };
+                Scene::new(&hulls, cell, cell, query).ok_or(UNUSABLE)
+            };
+            let mut points = scene(Wanted::Points)?;
+            let mut growth = scene(Wanted::Growth)?;
+            let mut outcome = scene(Wanted::Outcome)?;
+            let mut contenders = [
+                Contender { name: names[0], pass: Box::new(|| points.cold()) },
+                Contender { name: names[1], pass: Box::new(|| growth.cold()) },
+                Contender { name: names[2], pass: Box::new(|| outcome.cold()) },
+            ];
+            let timings = interleave(&mut contenders, cell.pairs.len(), ROUNDS);
+            record(&mut table, &format!("{}{note}", cell.label), timings);
+        }
     }
     Ok(table)
 }

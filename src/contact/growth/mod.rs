@@ -173,7 +173,7 @@ pub(crate) fn conclude(
     let lower = lower_bound(pair, n, &support);
     let is_open = |upper: f64| !(upper - lower <= pair.closed_width(upper, goal.relative_tolerance));
     let mut upper = upper_bound(pair, &triple, triple::weights(pair.ray, &triple));
-    if is_open(upper) {
+    if is_open(upper) && !decides(pair, upper, goal) {
         upper = upper.min(upper_bound(pair, &triple, triple::wide_weights(pair.ray, &triple)));
     }
     let alpha = (n.dot(pair.ray) / n.dot(support.point)).clamp(lower, upper.max(lower));
@@ -193,6 +193,12 @@ pub(crate) fn conclude(
         coincident: false,
         cost,
     }
+}
+
+/// Whether an outcome alone is asked for and this upper bound of the growth scale of the ray
+/// is all there is to know.
+fn decides(pair: &Pair<'_>, upper: f64, goal: &Goal) -> bool {
+    goal.outcome_only && (goal.margin == f64::INFINITY || shift(upper, pair.alpha_exponent) <= 1.0)
 }
 
 /// `bound * 2^k`, rounded outward where the result is subnormal.

@@ -10,8 +10,8 @@
 use glam::DVec3;
 
 use super::triple::{self, Normal, Triple};
-use super::{Cost, Goal, Growth, Separation, conclude, separates, upper_bound};
-use crate::contact::pair::{Pair, Support, shift};
+use super::{Cost, Goal, Growth, Separation, conclude, separates};
+use crate::contact::pair::{Pair, Support};
 use crate::contact::tolerance::{FIRST_STEPS, GAIN, STALL, U};
 
 /// Growth scale and normal. `seeds` are vertices of `K` worth trying first: a
@@ -46,7 +46,7 @@ fn refine<const LARGE: bool>(pair: &Pair<'_>, mut portal: Triple, goal: &Goal, m
             let w = pair.likely_support(n, &last);
             last = w;
             let apart = goal.margin < f64::INFINITY && separates(pair, n, &w, goal.margin);
-            let must_know = cost.iterations >= goal.max_iterations || goal.outcome_only;
+            let must_know = cost.iterations >= goal.max_iterations || may_decide(pair, &portal, n, goal);
             if !apart && !must_know && !refined(pair, &portal, normal, &w, goal.relative_tolerance) {
                 portal.pivot(pair, w);
                 continue;
@@ -57,11 +57,17 @@ fn refine<const LARGE: bool>(pair: &Pair<'_>, mut portal: Triple, goal: &Goal, m
         if goal.margin < f64::INFINITY && separates(pair, n, &w, goal.margin) {
             return Growth::Separated(Separation { direction: n, support: w, cost });
         }
+        if may_decide(pair, &portal, n, goal) {
+            let solution = conclude(pair, n, w, portal.supports(), goal, cost);
+            if solution.upper <= 1.0 || goal.margin == f64::INFINITY {
+                return Growth::Solved(solution);
+            }
+        }
         let improves = cost.iterations <= uncompared || best.improve(pair.ray, n, w);
         stalled = if improves { 0 } else { stalled + 1 };
         let out_of_steps = cost.iterations >= goal.max_iterations || stalled >= STALL;
         let refined = refined(pair, &portal, normal, &w, goal.relative_tolerance);
-        if refined || out_of_steps || (goal.outcome_only && overlaps(pair, &portal)) {
+        if refined || out_of_steps {
             // The portal's own plane holds the basis: an earlier one, as good to
             // rounding, may be another facet's.
             let mut solution = conclude(pair, n, w, portal.supports(), goal, cost);
@@ -109,9 +115,11 @@ fn refined(pair: &Pair<'_>, portal: &Triple, plane: Normal, w: &Support, relativ
         || (0..3).any(|i| portal.get(i).same(w))
 }
 
-fn overlaps(pair: &Pair<'_>, portal: &Triple) -> bool {
-    let portal = &portal.supports();
-    shift(upper_bound(pair, portal, triple::weights(pair.ray, portal)), pair.alpha_exponent) <= 1.0
+/// Whether an outcome alone is asked for and the bracket may decide it: the centre offset is
+/// on the portal's inner side, or every distance is within the margin.
+#[inline]
+fn may_decide(pair: &Pair<'_>, portal: &Triple, n: DVec3, goal: &Goal) -> bool {
+    goal.outcome_only && (goal.margin == f64::INFINITY || n.dot(pair.d) <= n.dot(portal.get(0).point))
 }
 
 /// The first triangle: the seeds themselves where their cone holds the ray,
