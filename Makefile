@@ -98,6 +98,7 @@ test-lowest test-latest: test-%: build
 bench: check-tools build $(VENV)/.demo ## contacts beside parry3d, then through the server from Python; writes docs/performance.md
 	cd benches && $(CARGO) run --release --locked --bin contact
 	$(PY) client/examples/throughput.py | tee /dev/stderr | (cd benches && $(CARGO) run --quiet --release --locked --bin section throughput)
+	./scripts/headline
 
 SECTION := (cd benches && $(CARGO) run --quiet --release --locked --bin section
 
@@ -209,6 +210,14 @@ fuzz-planted: ## known faults, planted one by one in a copy: fuzzing finds each
 clean: ## removes what was built
 	rm -rf target benches/target $(VENV) $(VENV)-* out
 
+# Sphinx on the repository's own pages; every link and reference is checked.
+.PHONY: docs
+docs: $(VENV)/.docs ## the documentation's site with the references of both libraries: out/site/README.html
+	rm -rf out/site
+	$(PY) -m sphinx --builder html --fail-on-warning --keep-going --quiet --conf-dir docs/site --doctree-dir out/doctrees . out/site
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --locked --no-deps --lib
+	cp -r $(TARGET)/doc out/site/rust
+
 # The packages, pinned; the client itself is used in place.
 REQUIREMENTS := client/requirements.txt
 
@@ -241,6 +250,10 @@ $(VENV)/.bench: client/requirements-bench.txt $(REQUIREMENTS) | check-tools
 	touch $@
 
 $(VENV)/.lint: client/requirements-lint.txt | check-tools
+	$(call install,$<)
+	touch $@
+
+$(VENV)/.docs: docs/site/requirements.txt $(REQUIREMENTS) | check-tools
 	$(call install,$<)
 	touch $@
 

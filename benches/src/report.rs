@@ -19,7 +19,10 @@ impl Table {
             let _ = write!(text, " {name} |");
         }
         let _ = write!(text, "\n|---|{}", "---|".repeat(contenders.len()));
-        Self { text, csv: format!("{label},contender,nanoseconds,times_faster,quartile_low,quartile_high\n") }
+        Self {
+            text,
+            csv: format!("\"{label}\",contender,nanoseconds,times_faster,quartile_low,quartile_high\n"),
+        }
     }
 
     /// One row; the first timing is the reference, shown without a ratio.
@@ -32,7 +35,8 @@ impl Table {
             };
             let [low, high] = timing.quartiles;
             let Timing { name, nanoseconds, ratio, .. } = timing;
-            let _ = writeln!(self.csv, "{label},{name},{nanoseconds:.1},{ratio:.3},{low:.3},{high:.3}");
+            let _ =
+                writeln!(self.csv, "\"{label}\",\"{name}\",{nanoseconds:.1},{ratio:.3},{low:.3},{high:.3}");
         }
     }
 

@@ -1,4 +1,4 @@
-"""Certified contact manifolds of convex hulls, from a hullcast server.
+"""Certified contact manifolds of convex hulls, from a hullcast server::
 
     import hullcast
     with hullcast.connect("localhost:50051") as client:  # or hullcast.serve()

@@ -81,7 +81,7 @@ class Client(_calls.Calls):
         """The contact manifold of each pair.
 
         Hulls that the server does not have are registered (again) where the
-        scene was made with `Hull`s, and the pairs asked for again.
+        scene was made with `Hull` objects, and the pairs asked for again.
 
         Args:
             scene: the bodies.

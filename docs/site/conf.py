@@ -1,0 +1,56 @@
+"""The documentation's site: `make docs`. The pages are the repository's own."""
+
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "client/src"))
+
+project = "hullcast"
+author = "the hullcast developers"
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+root_doc = "README"
+source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
+include_patterns = ["*.md", "docs/**", "examples/scenes/README.md", "tests/golden/README.md"]
+exclude_patterns = ["docs/site/_*"]
+myst_heading_anchors = 4
+html_theme = "furo"
+html_title = "hullcast"
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+# Pages show bodies of JSON with comments and shells with outputs.
+highlight_language = "none"
+suppress_warnings = ["misc.highlighting_failure"]
+
+#: What the side lists: title, pages.
+CONTENTS = {
+    "Python": [
+        *(f"docs/python/{page}" for page in ("first-contacts", "robots", "finding", "loops")),
+        *(f"docs/python/{page}" for page in ("workers", "accuracy")),
+        "docs/site/python",
+    ],
+    "Any language": [
+        *(f"docs/{page}" for page in ("protocol", "languages", "grpcurl", "errors", "identity")),
+        "docs/site/rust",
+    ],
+    "What is computed": ["docs/algorithm", "docs/hulls", "docs/find", "examples/scenes/README"],
+    "How well": [
+        *(f"docs/{page}" for page in ("performance", "tradeoff", "simulation")),
+        *(f"docs/{page}" for page in ("stability", "fuzzing", "workload")),
+        "tests/golden/README",
+    ],
+    "Running it": [f"docs/{page}" for page in ("operations", "durability", "reliability", "cluster")],
+    "Changing it": ["ARCHITECTURE", "CONTRIBUTING", "CHANGELOG"],
+}
+
+
+def list_the_pages(_app, page, source):
+    """Into the first page, which as a file stays without the site's markup."""
+    if page == root_doc:
+        for caption, pages in CONTENTS.items():
+            listed = "\n".join(pages)
+            source[0] += f"\n```{{toctree}}\n:hidden:\n:caption: {caption}\n\n{listed}\n```\n"
+
+
+def setup(app):
+    app.connect("source-read", list_the_pages)
