@@ -154,6 +154,11 @@ test-s3: $(VENV)/.s3 ## replicas on an S3 server that fails in many ways; builds
 	$(CARGO) build --release --locked --features s3 --target-dir $(TARGET)/s3
 	HULLCAST_BIN=$(TARGET)/s3/release/hullcast $(PY) -m pytest client/tests/extras/test_s3.py
 
+.PHONY: test-otlp
+test-otlp: $(VENV)/.otlp ## traces from Python through the server to a collector; builds the server with OTLP in target/otlp
+	$(CARGO) build --release --locked --features otlp --target-dir $(TARGET)/otlp
+	HULLCAST_BIN=$(TARGET)/otlp/release/hullcast $(PY) -m pytest client/tests/extras/test_otlp.py
+
 .PHONY: test-deploy
 test-deploy: build $(VENV)/.deploy ## the Kubernetes manifests by their schemas, the Slurm job
 	$(PY) -m pytest client/tests/extras/test_deploy.py
@@ -238,6 +243,10 @@ $(VENV)/.lowest $(VENV)/.latest: $(VENV)/.%: client/requirements-%.txt | check-t
 	touch $@
 
 $(VENV)/.deploy: client/requirements-deploy.txt client/requirements-dev.txt $(REQUIREMENTS) | check-tools
+	$(call install,$<)
+	touch $@
+
+$(VENV)/.otlp: client/requirements-otlp.txt client/requirements-dev.txt $(REQUIREMENTS) | check-tools
 	$(call install,$<)
 	touch $@
 

@@ -26,4 +26,6 @@ pub mod proto;
 pub mod service;
 #[cfg(feature = "server")]
 pub mod store;
+#[cfg(feature = "server")]
+pub mod trace;
 pub mod workload;

@@ -59,13 +59,15 @@ pub(crate) enum Shed {
     Pairs,
     RequestBytes,
     Connection,
+    Hulls,
 }
 
 /// In the order of the enum.
-const SHEDS: [(Shed, &str); 3] = [
+const SHEDS: [(Shed, &str); 4] = [
     (Shed::Pairs, "pairs_in_flight"),
     (Shed::RequestBytes, "request_bytes_in_flight"),
     (Shed::Connection, "connections"),
+    (Shed::Hulls, "held_bytes"),
 ];
 
 /// Counters, gauges and histograms of one server.
@@ -83,9 +85,10 @@ pub struct Metrics {
     pub(crate) queue_seconds: Histogram,
     pub(crate) compute_seconds: Histogram,
     pub(crate) solver_iterations: Counter,
-    sheds: [Counter; 3],
+    sheds: [Counter; 4],
     pub(crate) cache_bytes: Gauge,
     pub(crate) cache_hulls: Gauge,
+    pub(crate) held_bytes: Gauge,
     pub(crate) cache_hits: Counter,
     pub(crate) cache_misses: Counter,
     pub(crate) cache_evictions: Counter,
@@ -144,6 +147,7 @@ impl Default for Metrics {
             sheds: SHEDS.map(|(_, reason)| sheds.get_or_create(&Reason { reason }).clone()),
             cache_bytes: add(r, "cache_bytes", "Heap of cached hulls"),
             cache_hulls: add(r, "cache_hulls", "Hulls cached"),
+            held_bytes: add(r, "held_bytes", "Heap of the hulls that calls under way use"),
             cache_hits: add(r, "cache_hits", "Hulls of requests that were cached"),
             cache_misses: add(r, "cache_misses", "Hulls of requests that were not"),
             cache_evictions: add(r, "cache_evictions", "Hulls that made room for others"),

@@ -363,6 +363,22 @@ def test_a_too_large_answer_is_halved(client):
     assert Refusing.refused >= 6
 
 
+def test_more_hulls_than_the_servers_cache_holds_are_asked_for_in_parts(client):
+    """HULLS_TOO_LARGE is too large in its own way: halves have fewer hulls."""
+    clouds = list(np.random.default_rng(38).normal(size=(200, 30, 3)))
+    positions = np.random.default_rng(39).normal(size=(200, 3))
+    pairs = np.stack([np.arange(199), np.arange(1, 200)], axis=1)
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (200, 1))
+    scene = hullcast.Scene(client.register(clouds), positions, rotations)
+    expected = client.query(scene, pairs, margin=1.0, outputs=EVERYTHING)
+    with hullcast.serve(arguments=["--cache-bytes", "300000"]) as small:
+        small.register(clouds)
+        expect_same(small.query(scene, pairs, margin=1.0, outputs=EVERYTHING), expected)
+        with pytest.raises(hullcast.InvalidArgument, match="cache_bytes") as caught:
+            small.find(scene)
+    assert (caught.value.reason, caught.value.field) == ("HULLS_TOO_LARGE", "hull_ids")
+
+
 def test_a_unix_socket_serves_too(tmp_path):
     """With an authority that HTTP/2 accepts."""
     with hullcast.serve(listen=f"unix:{tmp_path}/socket") as client:

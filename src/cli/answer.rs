@@ -180,7 +180,7 @@ impl Local {
         let scene = wire::scene(request, &self.limits)?;
         let admission = self.engine.admit(scene.setting.pair_count(), scene.setting.outputs)?;
         let known = |id| self.hulls.get(id).cloned().ok_or(Missing::Unknown);
-        let hulls: Vec<_> = scene.setting.hull_ids.iter().map(known).collect();
+        let hulls = scene.setting.hull_ids.iter().map(known).collect();
         let request_id = scene.request_id;
         let (batch, invalid_bodies) = Batch::new(scene, hulls);
         let columns = self.engine.compute(batch, admission).await?;

@@ -14,6 +14,8 @@ mod scene;
 pub(crate) mod serve;
 pub(crate) mod settings;
 mod tally;
+#[cfg_attr(not(feature = "otlp"), path = "no_traces.rs")]
+mod traces;
 pub(crate) mod tradeoff;
 
 /// What a subcommand fails with: shown to the user as it is.

@@ -10,17 +10,24 @@ use std::{
 use hullcast::{
     service::{App, Listener, Security, run as serve, serve_admin},
     store::blobs,
+    trace,
 };
 use tokio::{
     net::TcpListener,
     signal::unix::{SignalKind, signal},
     sync::oneshot,
 };
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::{
+    EnvFilter, Layer,
+    filter::{FilterExt, filter_fn},
+    layer::SubscriberExt,
+    util::SubscriberInitExt,
+};
 
 use super::{
     Error,
     settings::{Given, LogFormat, Settings, seconds},
+    traces::Traces,
 };
 
 /// `hullcast serve`
@@ -53,9 +60,15 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         print!("{}", toml::to_string(&settings)?);
         return Ok(());
     }
-    log(&settings)?;
     let runtime = tokio::runtime::Runtime::new()?;
+    let traces = {
+        let _entered = runtime.enter();
+        observe(&settings)?
+    };
     let result = runtime.block_on(until_stopped(&settings, &args));
+    if let Some(traces) = traces {
+        traces.flush();
+    }
     runtime.shutdown_timeout(RUNTIME_SHUTDOWN);
     result
 }
@@ -64,7 +77,7 @@ async fn until_stopped(settings: &Settings, args: &Args) -> Result<(), Error> {
     let serving = settings.serving()?;
     let store = blobs::open(&settings.store)?;
     let app = Arc::new(App::new(store, settings.limits()?, settings.compute_threads)?);
-    app.engine().inject_delay(Duration::from_micros(args.inject_pair_delay_us));
+    app.engine().injected().delay(Duration::from_micros(args.inject_pair_delay_us));
     let grace = seconds("grace_seconds", settings.grace_seconds)?;
     // Before the address is printed: who reads it may stop the server at once.
     let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
@@ -157,12 +170,20 @@ async fn stdin_closed() {
     let _ = wait.await;
 }
 
-fn log(settings: &Settings) -> Result<(), Error> {
+/// Logs to standard error, traces to a collector where one is configured.
+fn observe(settings: &Settings) -> Result<Option<Traces>, Error> {
     let filter = EnvFilter::try_new(&settings.log).map_err(|error| format!("log: {error}"))?;
-    let subscriber = tracing_subscriber::fmt().with_env_filter(filter).with_writer(io::stderr);
-    match settings.log_format {
-        LogFormat::Text => subscriber.with_ansi(false).init(),
-        LogFormat::Json => subscriber.json().init(),
-    }
-    Ok(())
+    let filter = filter.and(filter_fn(|metadata| metadata.target() != trace::TARGET));
+    let log = tracing_subscriber::fmt::layer().with_writer(io::stderr);
+    let log = match settings.log_format {
+        LogFormat::Text => log.with_ansi(false).boxed(),
+        LogFormat::Json => log.json().boxed(),
+    };
+    let traces = match settings.otlp_endpoint.as_str() {
+        "" => None,
+        endpoint => Some(Traces::open(endpoint, settings.otlp_share)?),
+    };
+    let layer = traces.as_ref().map(Traces::layer);
+    tracing_subscriber::registry().with(log.with_filter(filter)).with(layer).init();
+    Ok(traces)
 }

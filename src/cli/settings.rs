@@ -92,6 +92,11 @@ settings! {
     reload_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_RELOAD_SECONDS", "S";
     /// Address of /metrics, /livez and /readyz, plain HTTP; empty: none
     admin_listen: String = |_: &Limits| String::new(), "HULLCAST_ADMIN_LISTEN", "ADDR";
+    /// Collector that traces are sent to, http://HOST:PORT or https://HOST:PORT (OTLP on gRPC);
+    /// empty: none. By feature otlp (docs/operations.md)
+    otlp_endpoint: String = |_: &Limits| String::new(), "HULLCAST_OTLP_ENDPOINT", "URL";
+    /// Share of calls that are traced, 0 to 1, where their callers do not say whether
+    otlp_share: f64 = |_: &Limits| 1.0, "HULLCAST_OTLP_SHARE", "SHARE";
     /// What is logged: error, warn, info, debug (every request), or a tracing filter
     log: String = |_: &Limits| "info".into(), "HULLCAST_LOG", "FILTER";
     /// How logs are written
@@ -122,8 +127,8 @@ settings! {
     /// Bytes that streams keep from one message to the next, all together
     max_stream_state_bytes: u64 = |l: &Limits| l.max_stream_state_bytes,
         "HULLCAST_MAX_STREAM_STATE_BYTES", "N";
-    /// Bytes of heap for hulls that no request is using, or a share of the memory that the
-    /// process may use (machine and cgroups), as in 25%
+    /// Bytes of heap for hulls, cached and in use, or a share of the memory that the process
+    /// may use (machine and cgroups), as in 25%
     cache_bytes: Size = |l: &Limits| Size::Bytes(l.cache_bytes), "HULLCAST_CACHE_BYTES", "SIZE";
     /// Most bytes in the store; 0: unbounded
     store_bytes: u64 = |l: &Limits| l.store_bytes, "HULLCAST_STORE_BYTES", "N";

@@ -8,20 +8,24 @@ use std::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering},
     },
-    time::{Duration, Instant},
+    time::Instant,
 };
+
+use tracing::Instrument;
 
 use super::{
     admission::{Admission, Room},
     error::ServiceError,
+    injected::Injected,
     outputs::Outputs,
     wire::{Columns, Invalid, Poses, Scene, Setting},
 };
 use crate::{
     compute::{Compute, Panicked, Parts, caught},
-    contact::{Basis, Body, ConvexHull, Outcome, Workspace, contact_manifold},
+    contact::{Basis, Body, Outcome, Workspace, contact_manifold},
     metrics::Metrics,
-    store::Missing,
+    store::Hulls,
+    trace,
 };
 
 /// Batches up to this many pairs are computed where they arrive: handing them to other
@@ -37,9 +41,6 @@ const SPARE_CHUNKS: usize = 512;
 
 /// A chunk's columns are kept up to this: some 8 points a pair, every output.
 const SPARE_BYTES: usize = 64 << 10;
-
-/// A scene's hulls, pinned for as long as they are used.
-pub type Hulls = Vec<Result<Arc<ConvexHull>, Missing>>;
 
 /// A batch, ready to compute: checked, its hulls at hand.
 #[derive(Debug)]
@@ -95,8 +96,7 @@ pub struct Engine {
     pairs_computed: Arc<AtomicU64>,
     spare: Arc<Spare>,
     metrics: Arc<Metrics>,
-    /// Slept for every pair, nanoseconds: so that a test knows the capacity.
-    injected_delay: Arc<AtomicU64>,
+    injected: Arc<Injected>,
 }
 
 impl Engine {
@@ -114,14 +114,14 @@ impl Engine {
             pairs_computed: Arc::default(),
             spare: Arc::default(),
             metrics,
-            injected_delay: Arc::default(),
+            injected: Arc::default(),
         }
     }
 
-    /// Makes every pair take so much longer, asleep: for tests of overload.
+    /// For tests of overload.
     #[doc(hidden)]
-    pub fn inject_delay(&self, per_pair: Duration) {
-        self.injected_delay.store(per_pair.as_nanos() as u64, Ordering::Relaxed);
+    pub fn injected(&self) -> &Injected {
+        &self.injected
     }
 
     /// Pairs computed since the start.
@@ -173,14 +173,15 @@ impl Engine {
     /// # Errors
     /// RESPONSE_TOO_LARGE as soon as it is known; INTERNAL.
     pub async fn compute(&self, batch: Batch, mut admission: Admission) -> Result<Columns, ServiceError> {
-        self.room.turn(&mut admission).await;
+        let pairs = batch.pairs().len() / 2;
+        self.room.turn(&mut admission).instrument(trace::queue(pairs)).await;
         let started = Instant::now();
         let run = self.begin(batch, admission);
         let stop = run.stop.clone();
         let _stop_when_dropped = StopOnDrop(stop);
         let computed = match run.pairs() {
-            ..=INLINE_PAIRS => caught(|| run.inline()),
-            _ => self.compute.split(run).await,
+            ..=INLINE_PAIRS => trace::compute(pairs).in_scope(|| caught(|| run.inline())),
+            _ => self.compute.split(run).instrument(trace::compute(pairs)).await,
         };
         match computed {
             Ok(Some(columns)) => {
@@ -207,7 +208,7 @@ impl Engine {
             max_answer_bytes: self.max_answer_bytes,
             pairs_computed: self.pairs_computed.clone(),
             spare: self.spare.clone(),
-            injected_delay: self.injected_delay.clone(),
+            injected: self.injected.clone(),
             admission: Mutex::new(Some(admission)),
         }
     }
@@ -237,7 +238,7 @@ struct Run {
     max_answer_bytes: usize,
     pairs_computed: Arc<AtomicU64>,
     spare: Arc<Spare>,
-    injected_delay: Arc<AtomicU64>,
+    injected: Arc<Injected>,
     /// Given back with the answer.
     admission: Mutex<Option<Admission>>,
 }
@@ -307,10 +308,7 @@ impl Run {
         if self.stopped() {
             return columns;
         }
-        let delay = self.injected_delay.load(Ordering::Relaxed);
-        if delay > 0 {
-            std::thread::sleep(Duration::from_nanos(delay) * pairs.len() as u32);
-        }
+        self.injected.pass(pairs.len());
         // Taken out for the time of the chunk: one that panics leaves a new one behind.
         let mut workspace = WORKSPACE.take();
         self.pairs_computed.fetch_add(pairs.len() as u64, Ordering::Relaxed);
@@ -380,6 +378,7 @@ impl Batch {
 mod tests {
     use super::*;
     use crate::{
+        contact::ConvexHull,
         proto::{Output, QueryContactsRequest},
         service::{limits::Limits, wire},
         workload::{Family, Regime, Workload},

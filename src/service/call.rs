@@ -17,7 +17,10 @@ use tonic::{Code, Status, body::Body};
 use tracing::Span;
 
 use super::{App, ServiceError};
-use crate::metrics::{Call as Ended, Held, Shed};
+use crate::{
+    metrics::{Call as Ended, Held, Shed},
+    trace,
+};
 
 /// The methods of the contract, as metrics and logs name them.
 const METHODS: [&str; 14] = [
@@ -56,20 +59,23 @@ pub(super) fn is_long_lived(method: &str) -> bool {
 }
 
 /// A span that names the call in every line logged for it: the client's id, or one of ours,
-/// and the trace that a W3C `traceparent` names.
-pub(super) fn span(method: &'static str, headers: &HeaderMap) -> Span {
+/// and the trace that it is in: `traced`'s, else the one that a W3C `traceparent` names.
+/// `traced` itself where calls are not logged.
+pub(super) fn span(method: &'static str, headers: &HeaderMap, traced: &Span) -> Span {
     static NEXT: AtomicU64 = AtomicU64::new(1);
     let given = headers.get(REQUEST_ID).and_then(|value| value.to_str().ok());
     let given = given.filter(|id| !id.is_empty() && id.len() <= REQUEST_ID_BYTES);
-    let span = tracing::info_span!("call", method, id = tracing::field::Empty, trace = tracing::field::Empty);
+    let (id, trace) = (tracing::field::Empty, tracing::field::Empty);
+    let span = tracing::info_span!(parent: traced, "call", method, id, trace);
     if span.is_disabled() {
-        return span;
+        return traced.clone();
     }
     match given {
         Some(id) => span.record("id", id),
         None => span.record("id", NEXT.fetch_add(1, Ordering::Relaxed)),
     };
-    if let Some(trace) = headers.get("traceparent").and_then(|value| trace_id(value.to_str().ok()?)) {
+    let named = || headers.get("traceparent").and_then(|value| trace_id(value.to_str().ok()?));
+    if let Some(trace) = trace::id(traced).as_deref().or_else(named) {
         span.record("trace", trace);
     }
     span
@@ -91,6 +97,7 @@ fn trace_id(traceparent: &str) -> Option<&str> {
 pub(super) struct Call {
     app: Arc<App>,
     span: Span,
+    traced: Span,
     method: &'static str,
     started: Instant,
     code: Code,
@@ -99,12 +106,12 @@ pub(super) struct Call {
 }
 
 impl Call {
-    pub(super) fn new(app: Arc<App>, method: &'static str, span: Span) -> Self {
+    pub(super) fn new(app: Arc<App>, method: &'static str, span: Span, traced: Span) -> Self {
         let in_flight = Held::new(&app.metrics().requests_in_flight, 1);
         let bytes = Arc::new(RequestBytes { app: app.clone(), held: AtomicUsize::new(0) });
         // Until it ends otherwise: whoever drops it has heard that the client left.
         let code = Code::Cancelled;
-        Self { app, span, method, started: Instant::now(), code, bytes, _in_flight: in_flight }
+        Self { app, span, traced, method, started: Instant::now(), code, bytes, _in_flight: in_flight }
     }
 
     /// The request's body, counted.
@@ -126,6 +133,7 @@ impl Drop for Call {
         let seconds = self.started.elapsed().as_secs_f64();
         let code = name(self.code);
         tracing::debug!(parent: &self.span, code, ms = seconds * 1e3, "ended");
+        trace::ended(&self.traced, self.code);
         self.app.metrics().ended(&Ended { method: self.method, code }, seconds);
     }
 }

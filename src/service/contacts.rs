@@ -1,6 +1,6 @@
 //! `ContactService`: batches of pairs in, contact manifolds out.
 
-use std::{future::Future, sync::Arc};
+use std::{future::Future, sync::Arc, time::Duration};
 
 use futures_util::{
     StreamExt,
@@ -14,22 +14,23 @@ use tonic::{Request, Response, Status, Streaming};
 
 use super::{
     App, ServiceError,
-    batch::{Batch, Hulls},
+    batch::Batch,
     edge::{Closing, Deadline},
     find::Finding,
     steps::Steps,
     wire::{self, Scene},
 };
 use crate::{
+    metrics::Shed,
     proto::{
         QueryContactsRequest, QueryContactsResponse,
         contact_service_server::{ContactService, ContactServiceServer},
     },
-    store::{HullId, Missing},
+    store::{HullId, Hulls, NoRoom},
 };
 
-/// Hulls of one request that are read from the store at a time.
-const LOADS: usize = 16;
+/// When to ask again where other requests hold too much: what they take to be answered.
+const HULLS_RETRY: Duration = Duration::from_millis(100);
 
 pub(super) fn service(app: Arc<App>) -> ContactServiceServer<impl ContactService> {
     ContactServiceServer::new(Contacts { app })
@@ -109,7 +110,7 @@ pub(super) async fn answer(
     let (request_id, outputs) = (scene.request_id, scene.setting.outputs);
     let (pairs, bodies) = (scene.setting.pair_count(), scene.setting.body_hulls.len());
     let admission = app.engine().admit(pairs, outputs)?;
-    let (mut batch, missing_hulls, invalid_bodies) = assemble(app, scene).await;
+    let (mut batch, missing_hulls, invalid_bodies) = assemble(app, scene).await?;
     if keep_bases {
         batch.keep_bases();
     }
@@ -141,11 +142,11 @@ pub(super) async fn answer(
 
 /// The scene with its hulls at hand, the indices of those that are missing, and of the
 /// bodies that are unusable.
-async fn assemble(app: &App, scene: Scene) -> (Batch, Vec<u32>, Vec<u32>) {
-    let hulls = fetch(app, &scene.setting.hull_ids).await;
+async fn assemble(app: &App, scene: Scene) -> Result<(Batch, Vec<u32>, Vec<u32>), ServiceError> {
+    let hulls = fetch(app, &scene.setting.hull_ids).await?;
     let missing = missing(&hulls);
     let (batch, invalid_bodies) = Batch::new(scene, hulls);
-    (batch, missing, invalid_bodies)
+    Ok((batch, missing, invalid_bodies))
 }
 
 /// The indices of those that are.
@@ -153,16 +154,18 @@ pub(super) fn missing(hulls: &Hulls) -> Vec<u32> {
     hulls.iter().enumerate().filter(|(_, hull)| hull.is_err()).map(|(i, _)| i as u32).collect()
 }
 
-/// The hulls, in the order of their ids: what is cached at once, the rest from the store.
-pub(super) async fn fetch(app: &App, ids: &[HullId]) -> Hulls {
-    let registry = app.registry();
-    let cached = registry.cached(ids);
-    let mut hulls: Vec<_> = cached.into_iter().map(|hull| hull.ok_or(Missing::Unknown)).collect();
-    let missing: Vec<usize> = (0..ids.len()).filter(|&i| hulls[i].is_err()).collect();
-    let load = |i: usize| async move { (i, registry.get(ids[i]).await) };
-    let mut loading = stream::iter(missing).map(load).buffer_unordered(LOADS);
-    while let Some((i, hull)) = loading.next().await {
-        hulls[i] = hull;
-    }
-    hulls
+/// The hulls, in the order of their ids, held until they are dropped.
+pub(super) async fn fetch(app: &App, ids: &[HullId]) -> Result<Hulls, ServiceError> {
+    app.registry().hold(ids).await.map_err(|why| match why {
+        NoRoom::TooLarge => {
+            let limit = app.limits().cache_bytes;
+            let message = format!("the hulls take more than the {limit} bytes of cache_bytes: use fewer");
+            ServiceError::invalid("HULLS_TOO_LARGE", "hull_ids", message)
+        }
+        NoRoom::Busy => {
+            app.metrics().shed(Shed::Hulls);
+            let message = "other requests hold too many bytes of hulls; ask again";
+            ServiceError::unavailable("TOO_BUSY", HULLS_RETRY, message)
+        }
+    })
 }

@@ -26,6 +26,7 @@ use super::{
     error::ServiceError,
     wire,
 };
+use crate::trace;
 
 /// When the caller stops waiting; an extension of requests that have one.
 #[derive(Clone, Copy, Debug)]
@@ -81,8 +82,9 @@ impl Service<Request<Incoming>> for Edge {
 
     fn call(&mut self, mut request: Request<Incoming>) -> Self::Future {
         let method = call::method(request.uri().path());
-        let span = call::span(method, request.headers());
-        let call = Call::new(self.app.clone(), method, span.clone());
+        let traced = trace::call(method, request.headers());
+        let span = call::span(method, request.headers(), &traced);
+        let call = Call::new(self.app.clone(), method, span.clone(), traced);
         if let Err(refusal) = self.security.check(request.uri().path(), request.headers()) {
             let refused = Status::from(refusal).into_http();
             return Box::pin(std::future::ready(Ok(call.answered(refused))));

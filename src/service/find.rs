@@ -6,7 +6,7 @@ use std::{collections::VecDeque, sync::Arc};
 use super::{
     App, ServiceError,
     admission::Admission,
-    batch::{Batch, Hulls},
+    batch::Batch,
     contacts::{fetch, missing},
     wire::{self, Columns, Poses, Scene, Setting},
 };
@@ -15,7 +15,7 @@ use crate::{
     compute::{Panicked, Parts},
     contact::Body,
     proto::{QueryContactsRequest, QueryContactsResponse},
-    store::Missing,
+    store::{Hulls, Missing},
 };
 
 /// Candidates that are computed together, and so the most pairs of a message: the size at
@@ -59,7 +59,7 @@ impl Finding {
         let (scene, rules) = wire::find(request, app.limits())?;
         let admission = app.engine().place(most_candidates(&app))?;
         let Scene { request_id, setting, poses, invalid_bodies, .. } = scene;
-        let hulls = Arc::new(fetch(&app, &setting.hull_ids).await);
+        let hulls = Arc::new(fetch(&app, &setting.hull_ids).await?);
         // Nothing could be said of its bodies' pairs: there would be none to say it of.
         if hulls.iter().any(|hull| matches!(hull, Err(Missing::Unavailable))) {
             return Err(super::hulls::unreadable());

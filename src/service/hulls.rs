@@ -132,7 +132,7 @@ impl Hulls {
     /// Not merely stored: a blob that is not the hull any more cannot be answered for.
     async fn has(&self, id: HullId) -> Result<bool, ServiceError> {
         let registry = self.app.registry();
-        if registry.cached(&[id])[0].is_some() {
+        if registry.is_cached(id) {
             return Ok(true);
         }
         match registry.definition(id).await {

@@ -22,7 +22,8 @@ pub struct Limits {
     pub max_deadline_seconds: u32,
     /// What streams keep from one message to the next, all together.
     pub max_stream_state_bytes: u64,
-    /// Heap held by cached hulls that no request is using.
+    /// Heap of hulls: what is cached, and of that what requests use. One that needs more for
+    /// its own hulls is refused.
     pub cache_bytes: u64,
     /// Blobs of the store, summed; 0: unbounded.
     pub store_bytes: u64,
@@ -76,6 +77,9 @@ impl Limits {
         ];
         if let Some((name, _)) = positive.iter().find(|(_, value)| *value == 0) {
             return Some(format!("{name} is 0"));
+        }
+        if self.cache_bytes == 0 {
+            return Some("cache_bytes is 0: no query would have its hulls".into());
         }
         if !(1024..=MOST_MESSAGE_BYTES).contains(&self.max_message_bytes) {
             return Some(format!(

@@ -16,6 +16,7 @@ mod error;
 mod find;
 mod hulls;
 mod info;
+mod injected;
 mod limits;
 mod listener;
 mod outputs;

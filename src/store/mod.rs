@@ -4,11 +4,13 @@
 //! [`registry`] answers for it. Nothing here knows the wire.
 
 pub mod blobs;
+mod cache;
 pub mod identity;
 pub mod registry;
 #[cfg(feature = "remote")]
 mod remote;
 
 pub use blobs::{BlobStore, Opened, StoreError, StoredBlob};
+pub use cache::{Hulls, NoRoom};
 pub use identity::{HullDefinition, HullId};
 pub use registry::{AT_A_TIME, Missing, RegisterError, Registered, Registry};

@@ -2,30 +2,31 @@
 
 use std::{
     fmt,
-    sync::{
-        Arc,
-        atomic::{AtomicU64, Ordering},
-    },
+    sync::{Arc, atomic::Ordering},
     time::{Duration, Instant},
 };
 
 use bytes::Bytes;
 use futures_util::{StreamExt, stream};
-use prometheus_client::metrics::counter::Counter;
-use quick_cache::{DefaultHashBuilder, Lifecycle, OptionsBuilder, Weighter, sync::Cache};
 use tokio::sync::Mutex;
+use tracing::Instrument;
 
-use super::{HullDefinition, HullId, Opened, StoreError, StoredBlob, identity::id_of};
+use super::{
+    HullDefinition, HullId, Opened, StoreError, StoredBlob,
+    cache::{Budget, Entry, Hold, HullCache, Hulls, NoRoom, Taking, cache},
+    identity::id_of,
+};
 use crate::{
     compute::{Compute, Panicked, Parts},
     contact::{ConvexHull, HullError},
     metrics::Metrics,
+    trace,
 };
 
 /// What bounds a registry.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounds {
-    /// Heap held by cached hulls that nobody uses.
+    /// Heap of hulls: cached, and of those what requests hold.
     pub cache_bytes: u64,
     /// Blobs, summed; 0: unbounded.
     pub store_bytes: u64,
@@ -42,6 +43,24 @@ pub enum Missing {
     Unknown,
     /// The store could not be read: trying again may help.
     Unavailable,
+}
+
+/// Why a request does not have a hull.
+enum NotHeld {
+    Missing(Missing),
+    NoRoom(NoRoom),
+}
+
+impl From<Missing> for NotHeld {
+    fn from(why: Missing) -> Self {
+        Self::Missing(why)
+    }
+}
+
+impl From<NoRoom> for NotHeld {
+    fn from(why: NoRoom) -> Self {
+        Self::NoRoom(why)
+    }
 }
 
 /// Why a hull was not registered.
@@ -90,6 +109,7 @@ impl Parts for Building {
 pub struct Registry {
     blobs: Opened,
     cache: HullCache,
+    budget: Arc<Budget>,
     compute: Compute,
     bounds: Bounds,
     started: Instant,
@@ -98,69 +118,77 @@ pub struct Registry {
     metrics: Arc<Metrics>,
 }
 
-/// Measured beside moka 0.12 (2,000 entries, two busy cores): a hit in 0.11 to 0.25 us
-/// against 0.27 to 0.96, and never over its bytes while 200,000 inserts churn it.
-type HullCache = Cache<HullId, Arc<Entry>, HeapBytes, DefaultHashBuilder, CountEvictions>;
-
-#[derive(Clone, Debug)]
-struct CountEvictions(Counter);
-
-impl Lifecycle<HullId, Arc<Entry>> for CountEvictions {
-    type RequestState = ();
-
-    fn on_evict(&self, (): &mut (), _: HullId, _: Arc<Entry>) {
-        self.0.inc();
-    }
-}
-
-/// A cached hull.
-#[derive(Debug)]
-struct Entry {
-    hull: Arc<ConvexHull>,
-    heap_bytes: u64,
-    /// This process wrote it: what it acknowledges again is known to be synced.
-    written: bool,
-    /// When it was last known to be in the store, milliseconds since the registry started.
-    seen_ms: AtomicU64,
-}
-
-#[derive(Clone, Debug)]
-struct HeapBytes;
-
-impl Weighter<HullId, Arc<Entry>> for HeapBytes {
-    fn weight(&self, _: &HullId, entry: &Arc<Entry>) -> u64 {
-        entry.heap_bytes
-    }
-}
-
-/// Of a cached hull beside its heap: the entry, the hull's own struct and the cache's slot.
-const ENTRY_BYTES: u64 = (size_of::<Entry>() + size_of::<ConvexHull>() + 128) as u64;
-
-/// For the cache's own tables, which grow when it is wrong: a hull of some 50 vertices.
-const TYPICAL_HULL_BYTES: u64 = 16 << 10;
-
 impl Registry {
     /// Hulls in `blobs`, computed on `compute`. Reads nothing yet.
     pub fn new(blobs: Opened, compute: Compute, bounds: Bounds, metrics: Arc<Metrics>) -> Self {
-        let items = usize::try_from(bounds.cache_bytes / TYPICAL_HULL_BYTES).unwrap_or(usize::MAX);
-        let options = OptionsBuilder::new()
-            .shards(4)
-            .estimated_items_capacity(items.clamp(16, 1 << 20))
-            .weight_capacity(bounds.cache_bytes)
-            .build()
-            .unwrap_or_else(|_| unreachable!("both capacities are set"));
-        let lifecycle = CountEvictions(metrics.cache_evictions.clone());
-        let cache = Cache::with_options(options, HeapBytes, Default::default(), lifecycle);
-        Self { blobs, cache, compute, bounds, started: Instant::now(), used: Mutex::new(None), metrics }
+        let cache = cache(bounds.cache_bytes, &metrics);
+        let budget = Budget::new(bounds.cache_bytes, &metrics);
+        Self {
+            blobs,
+            cache,
+            budget,
+            compute,
+            bounds,
+            started: Instant::now(),
+            used: Mutex::new(None),
+            metrics,
+        }
     }
 
-    /// The hulls that are at hand, in the order of their ids: no waiting, no store.
-    pub fn cached(&self, ids: &[HullId]) -> Vec<Option<Arc<ConvexHull>>> {
+    /// Whether the hull is at hand: no waiting, no store.
+    pub fn is_cached(&self, id: HullId) -> bool {
+        self.cached(&id, self.now_ms()).is_some()
+    }
+
+    /// A request's hulls, distinct: at hand, or read from the store, once however many ask.
+    /// All of them stay in memory until what is returned is dropped.
+    ///
+    /// # Errors
+    /// There is no room for all of them; none is held.
+    pub async fn hold(&self, ids: &[HullId]) -> Result<Hulls, NoRoom> {
+        let taking = Taking::new(&self.budget);
         let now_ms = self.now_ms();
-        let cached = |id| self.cache.get(id).filter(|entry| !self.is_stale(entry, now_ms));
-        let hulls: Vec<_> = ids.iter().map(|id| cached(id).map(|entry| entry.hull.clone())).collect();
-        self.metrics.cache_hits.inc_by(hulls.iter().flatten().count() as u64);
-        hulls
+        let cached: Vec<_> = ids.iter().map(|id| self.cached(id, now_ms)).collect();
+        let mut hold = taking.hold(cached.iter().flatten().cloned().collect())?;
+        self.metrics.cache_hits.inc_by(cached.iter().flatten().count() as u64);
+        let hull = |entry: Option<Arc<Entry>>| entry.map(|entry| entry.hull.clone()).ok_or(Missing::Unknown);
+        let mut found: Vec<_> = cached.into_iter().map(hull).collect();
+        let missing: Vec<usize> = (0..ids.len()).filter(|&i| found[i].is_err()).collect();
+        let load = |i: usize| {
+            let taking = &taking;
+            async move { (i, self.held(ids[i], taking).await) }
+        };
+        let mut loading = stream::iter(missing).map(load).buffer_unordered(AT_A_TIME);
+        while let Some((i, held)) = loading.next().await {
+            found[i] = match held {
+                Ok((hull, part)) => {
+                    hold.join(part);
+                    Ok(hull)
+                }
+                Err(NotHeld::Missing(why)) => Err(why),
+                Err(NotHeld::NoRoom(why)) => return Err(why),
+            };
+        }
+        Ok(Hulls::new(found, hold))
+    }
+
+    /// One of them. Held before it is in the cache, which could have no room for it else.
+    async fn held(&self, id: HullId, taking: &Taking) -> Result<(Arc<ConvexHull>, Hold), NotHeld> {
+        let mut loaded = None;
+        let load = async {
+            let entry = self.load(id).await?;
+            loaded = Some(taking.hold(vec![entry.clone()])?);
+            Ok::<_, NotHeld>(entry)
+        };
+        let entry = self.cache.get_or_insert_async(&id, load).await?;
+        let hold = match loaded {
+            Some(hold) => hold,
+            None => taking.hold(vec![entry.clone()])?,
+        };
+        if self.is_stale(&entry, self.now_ms()) {
+            self.check(id, &entry).await?;
+        }
+        Ok((entry.hull.clone(), hold))
     }
 
     /// The hull; read from the store where it is not cached, once however many ask.
@@ -173,6 +201,10 @@ impl Registry {
             self.check(id, &entry).await?;
         }
         Ok(entry.hull.clone())
+    }
+
+    fn cached(&self, id: &HullId, now_ms: u64) -> Option<Arc<Entry>> {
+        self.cache.get(id).filter(|entry| !self.is_stale(entry, now_ms))
     }
 
     /// The points that the hull was registered with, verified; always from the store.
@@ -316,7 +348,7 @@ impl Registry {
     async fn load(&self, id: HullId) -> Result<Arc<Entry>, Missing> {
         self.metrics.cache_misses.inc();
         let started = Instant::now();
-        let loaded = self.loaded(id).await;
+        let loaded = self.loaded(id).instrument(trace::load(&id)).await;
         self.metrics.load_seconds.observe(started.elapsed().as_secs_f64());
         loaded
     }
@@ -392,9 +424,7 @@ impl Registry {
     }
 
     fn entry(&self, hull: Arc<ConvexHull>, written: bool) -> Arc<Entry> {
-        let heap_bytes = hull.heap_bytes() as u64 + ENTRY_BYTES;
-        let seen_ms = AtomicU64::new(self.now_ms());
-        Arc::new(Entry { hull, heap_bytes, written, seen_ms })
+        Entry::new(hull, written, self.now_ms())
     }
 
     fn is_stale(&self, entry: &Entry, now_ms: u64) -> bool {

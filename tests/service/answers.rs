@@ -4,11 +4,15 @@
 use hullcast::{
     proto::{Accuracy, Output, QueryContactsRequest, Solver},
     service::Limits,
+    store::HullDefinition,
 };
 
 use crate::support::{
     Setup, TestServer,
-    scenes::{ALL, Random, assert_same, expected, id, outputs, register_request, scene, shapes, two_boxes},
+    scenes::{
+        ALL, Random, assert_same, expected, id, outputs, plain, register_request, round_points, scene,
+        shapes, two_boxes,
+    },
 };
 
 /// A server that has all shapes.
@@ -197,16 +201,28 @@ async fn an_invalid_pair_costs_no_other() {
 }
 
 /// Catches an answer that depends on what the cache holds, and a hull that is dropped while
-/// a batch uses it: here nothing fits the cache, and every batch reads its hulls.
+/// a batch uses it: two scenes' hulls take turns in a cache with room for either.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_cache_too_small_for_the_scene_changes_no_bit() {
-    let limits = Limits { cache_bytes: 1, ..Limits::default() };
-    let server = TestServer::with_limits(limits).await;
-    server.hulls().register_hulls(register_request(&shapes())).await.unwrap();
-    let request = scene(&shapes(), 30, 200, 17);
-    let answer = server.contacts().query_contacts(request.clone()).await.unwrap().into_inner();
-    assert_same(&answer, &expected(&request, &shapes()));
-    assert_eq!(server.app.registry().cached_bytes(), 0);
+async fn a_cache_too_small_for_two_scenes_changes_no_bit() {
+    let others: Vec<_> = (0..40).map(|seed| plain(round_points(40, 100 + seed))).collect();
+    let bytes = async |shapes: &[HullDefinition], cache_bytes| {
+        let server = TestServer::with_limits(Limits { cache_bytes, ..Limits::default() }).await;
+        server.hulls().register_hulls(register_request(shapes)).await.unwrap();
+        (server.app.registry().cached_bytes(), server)
+    };
+    let all = [shapes(), others.clone()].concat();
+    let (room, _) = bytes(&others, 1 << 30).await;
+    assert!(bytes(&shapes(), 1 << 30).await.0 < room);
+    let (_, server) = bytes(&all, room).await;
+    for round in 0..3 {
+        for shapes in [&shapes(), &others] {
+            let request = scene(shapes, 60, 200, 17 + round);
+            let answer = server.contacts().query_contacts(request.clone()).await.unwrap().into_inner();
+            assert_same(&answer, &expected(&request, shapes));
+        }
+    }
+    let misses = server.metric("hullcast_cache_misses_total");
+    assert!(misses > 10.0, "they do take turns: {misses}");
 }
 
 /// Catches an id that the server computes otherwise than the client, and an answer to a

@@ -4,6 +4,7 @@ use std::{
     io::Read,
     path::{Path, PathBuf},
     process::{Command, Stdio},
+    time::{Duration, SystemTime},
 };
 
 use crate::support::{
@@ -116,6 +117,57 @@ fn events(trace: &str) -> Vec<Event> {
     trace.lines().map(event).collect()
 }
 
+/// Catches a prune that takes what is younger, keeps what is older, or ends a server that has
+/// a hull in use: it goes on with it for its cache's age, others say that it is unknown, and
+/// registering it again brings it back. Ages are the files' own.
+#[tokio::test(flavor = "multi_thread")]
+async fn pruning_removes_what_is_old_and_nothing_else() {
+    const HOUR: Duration = Duration::from_secs(3600);
+    let directory = tempfile::tempdir().unwrap();
+    let store = directory.path();
+    let server = Process::start(Command::new(BINARY), store, &["--cache-age-seconds", "1000000"]);
+    let shapes: Vec<_> = (0..5).map(|seed| plain(round_points(20, seed))).collect();
+    server.hulls().await.register_hulls(register_request(&shapes)).await.unwrap();
+    let now = SystemTime::now();
+    let ages = [now - 240 * HOUR, now - 217 * HOUR, now - 215 * HOUR, now, now + 240 * HOUR];
+    let file = |shape| {
+        let name: String = id(shape).iter().map(|byte| format!("{byte:02x}")).collect();
+        store.join(&name[..2]).join(name)
+    };
+    let date = |path: &Path, time| std::fs::File::options().write(true).open(path)?.set_modified(time);
+    shapes.iter().zip(ages).for_each(|(shape, age)| date(&file(shape), age).unwrap());
+    let aside = store.join("quarantine");
+    std::fs::create_dir(&aside).unwrap();
+    std::fs::write(aside.join("kept"), "for people").unwrap();
+    date(&aside.join("kept"), ages[0]).unwrap();
+
+    let bytes = shapes[0].identity_bytes().len() + shapes[1].identity_bytes().len();
+    let prune = |more: &[&str]| {
+        let mut command = Command::new(BINARY);
+        let output = command.args(["prune", "--older-than", "9d", "--store"]).arg(store).args(more).output();
+        let output = output.unwrap();
+        assert!(output.status.success(), "{output:?}");
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let there = || shapes.iter().map(|shape| file(shape).exists()).collect::<Vec<_>>();
+    assert_eq!(prune(&["--dry-run"]), format!("would remove 2 hulls, {bytes} bytes; kept 3\n"));
+    assert_eq!(there(), [true; 5]);
+    assert_eq!(prune(&[]), format!("removed 2 hulls, {bytes} bytes; kept 3\n"));
+    assert_eq!(there(), [false, false, true, true, true]);
+    assert!(aside.join("kept").exists());
+    assert_eq!(prune(&[]), "removed 0 hulls, 0 bytes; kept 3\n");
+
+    let request = scene(&shapes, 10, 50, 3);
+    let good = expected(&request, &shapes);
+    assert_same(&server.contacts().await.query_contacts(request.clone()).await.unwrap().into_inner(), &good);
+    let other = Process::plain(store);
+    let answer = other.contacts().await.query_contacts(request.clone()).await.unwrap().into_inner();
+    assert_eq!(answer.missing_hulls, [0, 1]);
+    server.hulls().await.register_hulls(register_request(&shapes)).await.unwrap();
+    assert_eq!(there(), [true; 5]);
+    assert_same(&other.contacts().await.query_contacts(request).await.unwrap().into_inner(), &good);
+}
+
 /// Catches a stop that is taken for a crash by whoever supervises: asked to stop, by either
 /// signal or by closing standard input, the server exits with 0.
 #[tokio::test(flavor = "multi_thread")]
@@ -172,6 +224,16 @@ fn flags_win_over_the_environment_and_the_environment_over_the_file() {
     assert!(!status.success() && said.contains("max_page_sizes"), "{said}");
     let (status, _, said) = run(&["--max-pairs-in-flight", "1", "--store", "memory://"]);
     assert!(!status.success(), "{said}");
+}
+
+/// Catches a collector that is configured and never hears anything.
+#[test]
+#[cfg(not(feature = "otlp"))]
+fn a_build_without_traces_says_so() {
+    let arguments = ["serve", "--store", "memory://", "--otlp-endpoint", "http://127.0.0.1:4317"];
+    let output = Command::new(BINARY).args(arguments).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!output.status.success() && said.contains("feature \"otlp\""), "{said}");
 }
 
 /// Catches a server that offers plain text to other machines because nobody thought of it.

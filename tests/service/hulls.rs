@@ -88,8 +88,10 @@ async fn ids_are_those_of_the_document() {
 /// not returned, and indices that are not those of the points as registered.
 #[tokio::test(flavor = "multi_thread")]
 async fn simplified_hulls_are_registered_and_answered_for() {
-    let server =
-        Setup { limits: Limits { cache_bytes: 0, ..Limits::default() }, ..Setup::default() }.start().await;
+    let store = blobs::open("memory://").unwrap();
+    let server = Setup { store: store.clone(), ..Setup::default() }.start().await;
+    // Has cached nothing.
+    let reader = Setup { store, ..Setup::default() }.start().await;
     let points = round_points(200, 9);
     let wanted = |max_vertices, max_deviation| Some(Simplification { max_vertices, max_deviation });
     let cases = [wanted(Some(20), None), wanted(None, Some(0.1)), wanted(Some(100), Some(0.2)), None];
@@ -107,8 +109,10 @@ async fn simplified_hulls_are_registered_and_answered_for() {
         assert_eq!(info.deviation > 0.0, shape.simplification.is_some());
         let mut request = scene(std::slice::from_ref(shape), 12, 60, 4);
         request.outputs = outputs(&ALL);
-        let answer = server.contacts().query_contacts(request.clone()).await.unwrap().into_inner();
-        assert_same(&answer, &expected(&request, std::slice::from_ref(shape)));
+        for server in [&server, &reader] {
+            let answer = server.contacts().query_contacts(request.clone()).await.unwrap().into_inner();
+            assert_same(&answer, &expected(&request, std::slice::from_ref(shape)));
+        }
     }
     let refusals = [
         (wanted(Some(3), None), "SIMPLIFICATION_OUT_OF_RANGE", "simplification"),
@@ -382,7 +386,7 @@ async fn a_hull_is_read_once_however_many_ask() {
     assert_eq!(store.listings.load(Ordering::SeqCst), 0);
 }
 
-/// Catches a cache that grows past its bytes, or evicts what a request holds.
+/// Catches a cache that grows past its bytes, however many hulls go through it.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_cache_stays_within_its_bytes() {
     let limits = Limits { cache_bytes: 200_000, ..Limits::default() };
@@ -392,14 +396,15 @@ async fn the_cache_stays_within_its_bytes() {
     assert!(heap as u64 > 3 * limits.cache_bytes, "the hulls do not fit: {heap}");
     register(&server, register_request(&shapes)).await;
     let mut most = 0;
-    for seed in 0..3 {
-        let request = crate::support::scenes::scene(&shapes, 200, 300, seed);
+    for seed in 0..30 {
+        let shapes = &shapes[seed * 3..][..10];
+        let request = scene(shapes, 20, 30, seed as u64);
         let answer = server.contacts().query_contacts(request.clone()).await.unwrap().into_inner();
         assert!(answer.missing_hulls.is_empty());
         most = most.max(server.app.registry().cached_bytes());
         assert!(most <= limits.cache_bytes, "{most}");
     }
-    assert!(most > limits.cache_bytes / 4, "it holds something: {most}");
+    assert!(most > limits.cache_bytes / 2, "it holds something: {most}");
 }
 
 /// Catches a full store that refuses what it has, or forgets it.

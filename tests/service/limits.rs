@@ -226,7 +226,7 @@ async fn a_store_at_its_limit_and_one_byte_past() {
 #[test]
 fn contradicting_limits_do_not_start() {
     type Spoil = fn(&mut Limits);
-    let spoils: [Spoil; 11] = [
+    let spoils: [Spoil; 12] = [
         |l| l.max_pairs_per_request = 0,
         |l| l.max_bodies_per_request = 0,
         |l| l.max_hulls_per_request = 0,
@@ -235,6 +235,7 @@ fn contradicting_limits_do_not_start() {
         |l| l.max_vertices_per_hull = 3,
         |l| l.max_message_bytes = 1023,
         |l| l.max_connections = 0,
+        |l| l.cache_bytes = 0,
         |l| l.max_deadline_seconds = 0,
         |l| l.max_request_bytes_in_flight = l.max_message_bytes as u64 + 4,
         |l| l.max_pairs_in_flight = l.max_pairs_per_request - 1,

@@ -10,6 +10,7 @@ mod hostile;
 mod hulls;
 mod lifecycle;
 mod limits;
+mod memory;
 mod overload;
 mod security;
 mod sight;

@@ -22,7 +22,7 @@ use crate::support::{
 async fn server(limits: Limits, per_pair: Duration) -> TestServer {
     let server = TestServer::with_limits(limits).await;
     server.hulls().register_hulls(register_request(&shapes()[..3])).await.unwrap();
-    server.app.engine().inject_delay(per_pair);
+    server.app.engine().injected().delay(per_pair);
     server
 }
 
@@ -89,6 +89,65 @@ async fn what_is_accepted_is_answered_and_the_rest_is_shed() {
     assert_eq!(server.metric(r#"hullcast_sheds_total{reason="pairs_in_flight"}"#), shed as f64);
 }
 
+/// Catches capacity that is lost to overload: a server that computes what nobody gets, sheds
+/// while it has nothing to do, or loses what it accepted. Time is counted in what may be
+/// computed: at each tick two batches, while twenty more are offered.
+#[tokio::test(flavor = "multi_thread")]
+async fn ten_times_the_load_costs_no_capacity() {
+    const PAIRS: usize = 64;
+    const CAPACITY: usize = 2;
+    const OFFERED: usize = 10 * CAPACITY;
+    const TICKS: usize = 50;
+    const ROOM: usize = 8 * CAPACITY;
+    let limits = Limits {
+        max_pairs_per_request: PAIRS as u32,
+        max_pairs_in_flight: (ROOM * PAIRS) as u32,
+        ..Limits::default()
+    };
+    let server = server(limits, Duration::ZERO).await;
+    let injected = server.app.engine().injected();
+    injected.allow(0);
+    let mut calls = FuturesUnordered::new();
+    let (mut answered, mut shed, mut most) = (0, 0, 0.0_f64);
+    for tick in 1..=TICKS {
+        for _ in 0..OFFERED {
+            let mut contacts = server.contacts();
+            calls.push(tokio::spawn(async move { contacts.query_contacts(request(PAIRS)).await }));
+        }
+        // Each is accepted or shed, and then there is time for two.
+        while shed + answered + (server.metric("hullcast_pairs_in_flight") as usize) / PAIRS < tick * OFFERED
+        {
+            tokio::select! {
+                Some(call) = calls.next() => {
+                    let status = call.unwrap().unwrap_err();
+                    assert_eq!(refusal(&status), refused(Code::Unavailable, "TOO_BUSY", ""));
+                    shed += 1;
+                }
+                () = tokio::time::sleep(Duration::from_millis(1)) => {}
+            }
+        }
+        most = most.max(server.metric("hullcast_pairs_in_flight"));
+        let before = answered;
+        injected.allow(CAPACITY * PAIRS);
+        while answered < before + CAPACITY && server.metric("hullcast_pairs_in_flight") > 0.0 {
+            assert_eq!(calls.next().await.unwrap().unwrap().unwrap().into_inner().outcomes.len(), PAIRS);
+            answered += 1;
+        }
+    }
+    let goodput = answered as f64 / (TICKS * CAPACITY) as f64;
+    assert!(goodput >= 0.9, "{goodput} of the capacity");
+    assert!(shed > 8 * answered, "{shed} shed, {answered} answered");
+    assert_eq!(most, (ROOM * PAIRS) as f64);
+    // What was accepted is answered, and nothing else was computed.
+    injected.open();
+    while let Some(call) = calls.next().await {
+        call.unwrap().unwrap();
+        answered += 1;
+    }
+    assert_eq!(answered + shed, TICKS * OFFERED);
+    assert_eq!(server.app.engine().pairs_computed(), (answered * PAIRS) as u64);
+}
+
 /// Catches a small batch that waits until large ones are done: it comes last and ends first.
 #[tokio::test(flavor = "multi_thread")]
 async fn small_batches_overtake_large_ones() {
@@ -106,7 +165,7 @@ async fn small_batches_overtake_large_ones() {
         .push(tokio::spawn(async move { contacts.query_contacts(request(100)).await.unwrap().into_inner() }));
     let first = calls.next().await.unwrap().unwrap();
     assert_eq!(first.outcomes.len(), 100);
-    server.app.engine().inject_delay(Duration::ZERO);
+    server.app.engine().injected().delay(Duration::ZERO);
     let mut rest: Vec<_> = calls.map(|answer| answer.unwrap().outcomes.len()).collect().await;
     rest.sort_unstable();
     assert_eq!(rest, [20_000, 70_000, 70_000]);
@@ -137,7 +196,7 @@ async fn who_gives_up_waiting_leaves_the_queue() {
     server.until("hullcast_pairs_queued", 0.0).await;
     server.until("hullcast_pairs_in_flight", 70_000.0).await;
 
-    server.app.engine().inject_delay(Duration::ZERO);
+    server.app.engine().injected().delay(Duration::ZERO);
     assert_eq!(first.await.unwrap().into_inner().outcomes.len(), 70_000);
     assert_eq!(server.app.engine().pairs_computed(), 70_000);
 }

@@ -218,7 +218,7 @@ class Calls(ABC):
     def _exchange(
         self, query: Query, spans: list[Span], deadline: float | None
     ) -> Steps[dict[Span, _answers.Columns]]:
-        """Asks for every span, some at a time, in halves where an answer is too large."""
+        """Asks for every span, some at a time, in halves where something is too large."""
         link = self._link()
         parts: dict[Span, _answers.Columns] = {}
         waiting = deque(spans)
@@ -367,8 +367,9 @@ def stream_ended() -> _errors.Unavailable:
 
 
 def halves_of(span: Span, error: _errors.Error) -> list[Span]:
-    """The span in halves if its answer was too large, else the error."""
-    if error.reason != "RESPONSE_TOO_LARGE" or span.stop - span.start < 2:
+    """The span in halves if its answer or its hulls were too large, else the error."""
+    too_large = error.reason in ("RESPONSE_TOO_LARGE", "HULLS_TOO_LARGE")
+    if not too_large or span.stop - span.start < 2:
         raise error
     return span.halves()
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import ipaddress
 import json
 import os
 import socket
+import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +18,7 @@ import grpc
 from ._errors import InvalidArgument
 
 Target = str | Sequence[str]
+Metadata = tuple[tuple[str, str], ...]
 Tls = bool | bytes | str | os.PathLike[str] | grpc.ChannelCredentials | None
 
 #: Attempts and waits (seconds, each give or take a fifth) of a call that finds
@@ -83,10 +86,19 @@ class Settings:
             return module.insecure_channel(target, options=options)
         return module.secure_channel(target, _credentials(self.tls), options=options)
 
-    @property
-    def metadata(self) -> tuple[tuple[str, str], ...]:
-        """Sent with every call."""
-        return () if self.token is None else (("authorization", f"Bearer {self.token}"),)
+    def metadata(self) -> Metadata:
+        """Sent with a call that begins here and now."""
+        token = () if self.token is None else (("authorization", f"Bearer {self.token}"),)
+        return token + _trace_context()
+
+
+def _trace_context() -> Metadata:
+    """The trace that the caller is in (`traceparent`), by OpenTelemetry where it is in use."""
+    if "opentelemetry.trace" not in sys.modules:
+        return ()
+    headers: dict[str, str] = {}
+    importlib.import_module("opentelemetry.propagate").inject(headers)
+    return tuple((name.lower(), value) for name, value in headers.items())
 
 
 def channel_options(target: Target, own: Iterable[tuple[str, Any]]) -> list[tuple[str, Any]]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import grpc
 
-from . import _calls, _errors, _session, _status
+from . import _calls, _channel, _errors, _session, _status
 from ._hulls import Hull
 from ._manifolds import Manifolds
 from ._query import Accuracy, Query
@@ -231,7 +231,7 @@ class Session(_session.Steps):
 class _Link:
     """A `grpc.Channel`'s calls."""
 
-    def __init__(self, channel: grpc.Channel, metadata: tuple[tuple[str, str], ...]) -> None:
+    def __init__(self, channel: grpc.Channel, metadata: Callable[[], _channel.Metadata]) -> None:
         self.channel = channel
         self._metadata = metadata
         self._unary: dict[str, Any] = {
@@ -240,20 +240,20 @@ class _Link:
         self._stream: Any = channel.unary_stream(_calls.FIND)
 
     def start(self, method: str, data: bytes, timeout: float | None) -> Any:
-        return self._unary[method].future(data, timeout=timeout, metadata=self._metadata)
+        return self._unary[method].future(data, timeout=timeout, metadata=self._metadata())
 
     def call(self, method: str, data: bytes, timeout: float | None) -> Any:
         # Half the time of a future's: it waits on this thread.
         make = self._unary[method]
-        return _Later(partial(make, data, timeout=timeout, metadata=self._metadata))
+        return _Later(partial(make, data, timeout=timeout, metadata=self._metadata()))
 
     def stream(self, method: str, data: bytes, timeout: float | None) -> Any:
         assert method == _calls.FIND
-        make = partial(self._stream, data, timeout=timeout, metadata=self._metadata)
+        make = partial(self._stream, data, timeout=timeout, metadata=self._metadata())
         return _Later(lambda: list(make()))
 
     def open(self, method: str) -> _calls.Stream:
-        return _Stream(self.channel.stream_stream(method), self._metadata)
+        return _Stream(self.channel.stream_stream(method), self._metadata())
 
     def pause(self, seconds: float) -> Any:
         return _Later(partial(time.sleep, seconds))
@@ -265,7 +265,7 @@ class _Link:
 class _Stream:
     """A stream of a `grpc.Channel`. It has no deadline of its own: each answer has one."""
 
-    def __init__(self, begin: Any, metadata: tuple[tuple[str, str], ...]) -> None:
+    def __init__(self, begin: Any, metadata: _channel.Metadata) -> None:
         self._requests: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._call: Any = begin(iter(self._requests.get, None), metadata=metadata)
         self._watch = _Watch(self._call.cancel)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 import grpc
 
-from . import _calls, _client, _errors, _serve, _session, _status
+from . import _calls, _channel, _client, _errors, _serve, _session, _status
 from ._manifolds import Manifolds
 from ._query import Accuracy, Query
 from ._scene import Scene
@@ -134,7 +134,7 @@ class Session(_session.Steps):
 class _Link:
     """A `grpc.aio.Channel`'s calls."""
 
-    def __init__(self, channel: Any, metadata: tuple[tuple[str, str], ...]) -> None:
+    def __init__(self, channel: Any, metadata: Callable[[], _channel.Metadata]) -> None:
         self.channel = channel
         self._metadata = metadata
         self._unary: dict[str, Any] = {
@@ -143,17 +143,17 @@ class _Link:
         self._stream: Any = channel.unary_stream(_calls.FIND)
 
     def start(self, method: str, data: bytes, timeout: float | None) -> Any:
-        return self._unary[method](data, timeout=timeout, metadata=self._metadata)
+        return self._unary[method](data, timeout=timeout, metadata=self._metadata())
 
     call = start
 
     async def stream(self, method: str, data: bytes, timeout: float | None) -> list[bytes]:
         assert method == _calls.FIND
-        call = self._stream(data, timeout=timeout, metadata=self._metadata)
+        call = self._stream(data, timeout=timeout, metadata=self._metadata())
         return [message async for message in call]
 
     def open(self, method: str) -> _calls.Stream:
-        return _Stream(self.channel.stream_stream(method)(metadata=self._metadata))
+        return _Stream(self.channel.stream_stream(method)(metadata=self._metadata()))
 
     def pause(self, seconds: float) -> Any:
         return asyncio.sleep(seconds)

@@ -1,0 +1,70 @@
+//! Traces to an OpenTelemetry collector, over OTLP on gRPC.
+
+use std::time::Duration;
+
+use hullcast::trace;
+use opentelemetry::{KeyValue, trace::TracerProvider};
+use opentelemetry_otlp::{
+    SpanExporter, WithExportConfig, WithTonicConfig, tonic_types::transport::ClientTlsConfig,
+};
+use opentelemetry_sdk::{
+    Resource,
+    trace::{Sampler, SdkTracerProvider},
+};
+use tracing::Subscriber;
+use tracing_subscriber::{Layer, filter::filter_fn, registry::LookupSpan};
+
+use super::Error;
+
+/// At the end, for what is not sent yet; a collector that does not answer costs no more.
+const FLUSH: Duration = Duration::from_secs(2);
+
+/// Sends spans from a thread of its own; what does not get through is dropped.
+pub(crate) struct Traces(SdkTracerProvider);
+
+impl Traces {
+    /// To be called where a runtime is entered. Connects when there is something to send.
+    ///
+    /// # Errors
+    /// The endpoint is no URL, or the share none.
+    pub(crate) fn open(endpoint: &str, share: f64) -> Result<Self, Error> {
+        if !(0.0..=1.0).contains(&share) {
+            return Err(format!("otlp_share {share}: not within 0 to 1").into());
+        }
+        let mut exporter = SpanExporter::builder().with_tonic().with_endpoint(endpoint);
+        if endpoint.starts_with("https:") {
+            exporter = exporter.with_tls_config(ClientTlsConfig::new().with_enabled_roots());
+        }
+        let exporter = exporter.build().map_err(|error| format!("otlp_endpoint {endpoint}: {error}"))?;
+        let about =
+            Resource::builder().with_attribute(KeyValue::new("service.version", env!("CARGO_PKG_VERSION")));
+        let about = match std::env::var_os("OTEL_SERVICE_NAME") {
+            Some(_) => about,
+            None => about.with_service_name("hullcast"),
+        };
+        let provider = SdkTracerProvider::builder()
+            .with_batch_exporter(exporter)
+            .with_sampler(Sampler::ParentBased(Box::new(Sampler::TraceIdRatioBased(share))))
+            .with_resource(about.build());
+        Ok(Self(provider.build()))
+    }
+
+    /// Takes the spans that are for it.
+    pub(crate) fn layer<S: Subscriber + for<'a> LookupSpan<'a>>(&self) -> impl Layer<S> + use<S> {
+        tracing_opentelemetry::layer()
+            .with_tracer(self.0.tracer("hullcast"))
+            .with_context_activation(false)
+            .with_location(false)
+            .with_threads(false)
+            .with_target(false)
+            .with_tracked_inactivity(false)
+            .with_filter(filter_fn(|metadata| metadata.is_span() && metadata.target() == trace::TARGET))
+    }
+
+    /// Sends what is left.
+    pub(crate) fn flush(self) {
+        if let Err(error) = self.0.shutdown_with_timeout(FLUSH) {
+            tracing::warn!(%error, "traces were not sent");
+        }
+    }
+}

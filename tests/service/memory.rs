@@ -1,0 +1,124 @@
+//! What hulls take of memory: the cache, and what requests hold of it.
+
+use std::{sync::Arc, time::Duration};
+
+use hullcast::{
+    proto::{Output, QueryContactsRequest},
+    service::Limits,
+    store::{BlobStore, HullDefinition, blobs},
+};
+use tonic::Code;
+
+use crate::support::{
+    Setup, TestServer, invalid, refusal, refused,
+    scenes::{assert_same, expected, outputs, plain, register_request, round_points, scene},
+};
+
+const HELD: &str = "hullcast_held_bytes";
+
+/// Hulls of about the same size, in a store, and the bytes that all of them take.
+async fn stored(count: u64) -> (Arc<dyn BlobStore>, Vec<HullDefinition>, u64) {
+    let store = blobs::open("memory://").unwrap();
+    let shapes: Vec<_> = (0..count).map(|seed| plain(round_points(50, seed))).collect();
+    let server = with_cache(&store, 1 << 30).await;
+    server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
+    let bytes = server.app.registry().cached_bytes();
+    assert_eq!(server.app.registry().cached_hulls(), shapes.len());
+    (store, shapes, bytes)
+}
+
+async fn with_cache(store: &Arc<dyn BlobStore>, cache_bytes: u64) -> TestServer {
+    let limits = Limits { cache_bytes, ..Limits::default() };
+    Setup { store: store.clone(), limits, ..Setup::default() }.start().await
+}
+
+/// A body of every shape, some pairs.
+fn of(shapes: &[HullDefinition], pairs: usize) -> QueryContactsRequest {
+    let mut request = scene(shapes, shapes.len(), pairs, 1);
+    request.body_hulls = (0..shapes.len() as u32).collect();
+    request.outputs = outputs(&[Output::Outcome]);
+    request
+}
+
+/// Catches a request that is refused although its hulls fit, one a byte too large that is
+/// answered, or told to come back, and hulls that stay held when their request was refused;
+/// with the hulls in the cache, and with none.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_requests_hulls_at_the_caches_bytes_and_one_past() {
+    let (store, shapes, bytes) = stored(40).await;
+    let request = of(&shapes, 100);
+    let good = expected(&request, &shapes);
+    let server = with_cache(&store, bytes).await;
+    for _cold_then_warm in 0..2 {
+        let answer = server.contacts().query_contacts(request.clone()).await.unwrap().into_inner();
+        assert_same(&answer, &good);
+        assert_eq!(server.metric(HELD), 0.0);
+        assert_eq!(server.app.registry().cached_bytes(), bytes, "all of it is there");
+    }
+
+    let server = with_cache(&store, bytes - 1).await;
+    let too_large = invalid("HULLS_TOO_LARGE", "hull_ids");
+    for _cold_then_warm in 0..2 {
+        let status = server.contacts().query_contacts(request.clone()).await.unwrap_err();
+        assert_eq!(refusal(&status), too_large);
+        let stream = futures_util::stream::iter([request.clone()]);
+        let mut answers = server.contacts().stream_contacts(stream).await.unwrap().into_inner();
+        assert_eq!(refusal(&answers.message().await.unwrap_err()), too_large);
+        let find = QueryContactsRequest { pairs: Vec::new(), ..request.clone() };
+        let status = server.contacts().find_contacts(find).await.unwrap_err();
+        assert_eq!(refusal(&status), too_large);
+        server.until(HELD, 0.0).await;
+        assert!(server.app.registry().cached_bytes() < bytes);
+        let fewer = of(&shapes[1..], 100);
+        let answer = server.contacts().query_contacts(fewer.clone()).await.unwrap().into_inner();
+        assert_same(&answer, &expected(&fewer, &shapes[1..]));
+    }
+}
+
+/// Catches memory that grows with the requests under way: hulls that others hold are not
+/// evicted for a newcomer, who is told to come back, holding nothing meanwhile; whoever needs
+/// what is held anyway is answered; what is held is free when its request ends or is given up.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_requests_hold_together_is_bounded() {
+    let (store, shapes, bytes) = stored(40).await;
+    let server = with_cache(&store, bytes * 3 / 4).await;
+    let (ours, theirs) = shapes.split_at(20);
+    let slow = of(ours, 2000);
+    let good = expected(&slow, ours);
+    for given_up in [false, true] {
+        server.app.engine().injected().delay(Duration::from_millis(20));
+        let mut contacts = server.contacts();
+        let request = slow.clone();
+        let call = tokio::spawn(async move { contacts.query_contacts(request).await });
+        server.until("hullcast_pairs_in_flight", 2000.0).await;
+        while server.metric(HELD) < 0.9 * bytes as f64 / 2.0 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        let held = server.metric(HELD);
+        let shed = server.metric(r#"hullcast_sheds_total{reason="held_bytes"}"#);
+        let status = server.contacts().query_contacts(of(theirs, 1)).await.unwrap_err();
+        assert_eq!(refusal(&status), refused(Code::Unavailable, "TOO_BUSY", ""));
+        assert!(status.metadata().contains_key("grpc-retry-pushback-ms"));
+        assert_eq!(server.metric(r#"hullcast_sheds_total{reason="held_bytes"}"#), shed + 1.0);
+        assert_eq!(server.metric(HELD), held, "nothing of the refused one's");
+        // Of the same hulls nothing more is held, nor is anything read.
+        let misses = server.metric("hullcast_cache_misses_total");
+        let mut second = server.contacts();
+        let request = of(ours, 1);
+        let call2 = tokio::spawn(async move { second.query_contacts(request).await });
+        server.until("hullcast_pairs_in_flight", 2001.0).await;
+        assert_eq!(server.metric(HELD), held);
+        call2.await.unwrap().unwrap();
+        assert_eq!(server.metric("hullcast_cache_misses_total"), misses);
+        if given_up {
+            call.abort();
+            server.app.engine().injected().delay(Duration::ZERO);
+        } else {
+            server.app.engine().injected().delay(Duration::ZERO);
+            assert_same(&call.await.unwrap().unwrap().into_inner(), &good);
+        }
+        server.until(HELD, 0.0).await;
+        server.contacts().query_contacts(of(theirs, 1)).await.unwrap();
+        assert!(server.app.registry().cached_bytes() <= bytes * 3 / 4);
+    }
+}
