@@ -11,6 +11,9 @@ it names in vain. Server and client share this machine. --docs writes the table
 and the picture of docs/find.md.
 """
 
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+# matplotlib has not all its types.
+
 from __future__ import annotations
 
 import argparse

@@ -9,6 +9,9 @@ no disk is waited for. Writes soak.csv and soak.svg; fails where an answer is wr
 or the server's memory passes the cache's budget plus a constant.
 """
 
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+# matplotlib has not all its types.
+
 from __future__ import annotations
 
 import argparse
