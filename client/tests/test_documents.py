@@ -18,7 +18,9 @@ def _documents() -> list[Path]:
     listed = subprocess.run(
         ["git", "ls-files", "*.md"], cwd=ROOT, capture_output=True, text=True, check=False
     )
-    names = listed.stdout.split() or [str(path.relative_to(ROOT)) for path in ROOT.glob("docs/**/*.md")]
+    names = listed.stdout.split() or [
+        str(path.relative_to(ROOT)) for path in ROOT.glob("docs/**/*.md")
+    ]
     return [ROOT / name for name in names]
 
 
