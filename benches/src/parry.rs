@@ -1,4 +1,4 @@
-//! parry3d's convex polyhedra, in single and in double precision.
+//! parry3d's convex polyhedra and cuboids, in single and in double precision.
 //!
 //! Called through the function that its dispatcher ends in, on types known at
 //! compile time, with its buffers kept: the fastest way a user has.
@@ -12,26 +12,61 @@ macro_rules! peer {
         pub mod $module {
             use $parry::math::{Pose3, Rot3, Vector};
             use $parry::query::ContactManifold;
-            use $parry::query::details::contact_manifold_pfm_pfm;
-            use $parry::shape::ConvexPolyhedron;
+            use $parry::query::details::{contact_manifold_cuboid_cuboid, contact_manifold_pfm_pfm};
+            use $parry::shape::{ConvexPolyhedron, Cuboid};
 
             use super::Touching;
             use crate::cells::{Cell, MARGIN, Pair, Place};
 
-            /// The hulls and pairs of a cell.
-            pub struct Peer {
-                hulls: Vec<ConvexPolyhedron>,
+            type Manifold = ContactManifold<(), ()>;
+
+            /// One of its shapes.
+            pub trait Shape: Sized {
+                /// From the points of a hull; `None` where it refuses them.
+                fn build(points: &[[f64; 3]]) -> Option<Self>;
+
+                /// From A's frame to B's.
+                fn contact(relative: &Pose3, a: &Self, b: &Self, manifold: &mut Manifold);
+            }
+
+            impl Shape for ConvexPolyhedron {
+                fn build(points: &[[f64; 3]]) -> Option<Self> {
+                    let points: Vec<Vector> =
+                        points.iter().map(|p| Vector::from_array(p.map(|c| c as $real))).collect();
+                    Self::from_convex_hull(&points)
+                }
+
+                fn contact(relative: &Pose3, a: &Self, b: &Self, manifold: &mut Manifold) {
+                    contact_manifold_pfm_pfm(relative, a, 0.0, None, b, 0.0, None, MARGIN as $real, manifold);
+                }
+            }
+
+            impl Shape for Cuboid {
+                /// Of corners at plus and minus the half extents alone, to rounding.
+                fn build(points: &[[f64; 3]]) -> Option<Self> {
+                    let half = points.first()?.map(f64::abs);
+                    let near = |p: &[f64; 3]| (0..3).all(|i| (p[i].abs() - half[i]).abs() < 1e-12 * half[i]);
+                    let boxed = points.len() == 8 && points.iter().all(near);
+                    boxed.then(|| Self::new(Vector::from_array(half.map(|c| c as $real))))
+                }
+
+                fn contact(relative: &Pose3, a: &Self, b: &Self, manifold: &mut Manifold) {
+                    contact_manifold_cuboid_cuboid(relative, a, b, MARGIN as $real, manifold);
+                }
+            }
+
+            /// The shapes and pairs of a cell.
+            pub struct Peer<S> {
+                hulls: Vec<S>,
                 /// The poses of a cell and of the same moved.
                 pairs: Vec<([usize; 2], [[Pose3; 2]; 2])>,
                 phase: usize,
-                manifolds: Vec<ContactManifold<(), ()>>,
+                manifolds: Vec<Manifold>,
             }
 
             /// Builds a hull from its points.
             pub fn build(points: &[[f64; 3]]) -> Option<ConvexPolyhedron> {
-                let points: Vec<Vector> =
-                    points.iter().map(|p| Vector::from_array(p.map(|c| c as $real))).collect();
-                ConvexPolyhedron::from_convex_hull(&points)
+                ConvexPolyhedron::build(points)
             }
 
             fn pose(place: &Place) -> Pose3 {
@@ -40,14 +75,14 @@ macro_rules! peer {
                 Pose3::from_parts(Vector::new(x, y, z), Rot3::from_xyzw(i, j, k, w).normalize())
             }
 
-            impl Peer {
+            impl<S: Shape> Peer<S> {
                 /// `None` where it refuses a hull.
                 pub fn new(cell: &Cell, moved: &Cell) -> Option<Self> {
                     let poses = |pair: &Pair| [0, 1].map(|side| pose(&pair.places[side]));
                     let pairs = cell.pairs.iter().zip(&moved.pairs);
                     let pairs = pairs.map(|(pair, moved)| (pair.hulls, [poses(pair), poses(moved)]));
                     let manifolds = cell.pairs.iter().map(|_| ContactManifold::new()).collect();
-                    let hulls = cell.hulls.iter().map(|points| build(points)).collect::<Option<_>>()?;
+                    let hulls = cell.hulls.iter().map(|points| S::build(points)).collect::<Option<_>>()?;
                     Some(Self { hulls, pairs: pairs.collect(), phase: 0, manifolds })
                 }
 
@@ -76,16 +111,20 @@ macro_rules! peer {
                 }
             }
 
-            fn contact(
-                hulls: &[ConvexPolyhedron],
+            fn contact<S: Shape>(
+                hulls: &[S],
                 [a, b]: [usize; 2],
                 poses: &[Pose3; 2],
-                manifold: &mut ContactManifold<(), ()>,
+                manifold: &mut Manifold,
             ) {
-                let relative = poses[0].inv_mul(&poses[1]);
-                let (a, b) = (&hulls[a], &hulls[b]);
-                contact_manifold_pfm_pfm(&relative, a, 0.0, None, b, 0.0, None, MARGIN as $real, manifold);
+                S::contact(&poses[0].inv_mul(&poses[1]), &hulls[a], &hulls[b], manifold);
             }
+
+            /// Whatever the hulls are.
+            pub type Hulls = Peer<ConvexPolyhedron>;
+
+            /// What it has for boxes alone.
+            pub type Cuboids = Peer<Cuboid>;
         }
     };
 }

@@ -7,7 +7,7 @@
 use std::error::Error;
 
 use hullcast::contact::{Accuracy, ConvexHull, Query, Solver, Wanted};
-use hullcast::workload::Regime;
+use hullcast::workload::{Family, Regime};
 use hullcast_benches::cells::{self, Cell, MARGIN};
 use hullcast_benches::ours::{self, Scene};
 use hullcast_benches::parry;
@@ -27,12 +27,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let cells = cells::generate(PAIRS)?;
     let asked: Vec<String> = std::env::args().skip(1).collect();
     let mut csv = String::new();
-    for section in ["cold", "outputs", "warm", "streamed", "hulls"] {
+    for section in ["cold", "boxes", "outputs", "warm", "streamed", "hulls"] {
         if !asked.is_empty() && !asked.iter().any(|name| name == section) {
             continue;
         }
         let table = match section {
             "cold" => cold(&cells)?,
+            "boxes" => boxes(&cells)?,
             "outputs" => outputs(&cells)?,
             "warm" => warm(&cells)?,
             "streamed" => streamed()?,
@@ -63,8 +64,8 @@ fn cold(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
     for cell in cells {
         let hulls = ours::hulls(cell)?;
         let scene = |query| Scene::new(&hulls, cell, cell, query).ok_or(UNUSABLE);
-        let mut single = parry::single::Peer::new(cell, cell).ok_or(REFUSED)?;
-        let mut double = parry::double::Peer::new(cell, cell).ok_or(REFUSED)?;
+        let mut single = parry::single::Hulls::new(cell, cell).ok_or(REFUSED)?;
+        let mut double = parry::double::Hulls::new(cell, cell).ok_or(REFUSED)?;
         let mut whole = scene(query(Wanted::Points, Solver::Portal))?;
         let mut paper = scene(query(Wanted::Points, Solver::GjkRayCast))?;
         let mut growth = scene(query(Wanted::Growth, Solver::Portal))?;
@@ -74,6 +75,26 @@ fn cold(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
             Contender { name: names[2], pass: Box::new(|| whole.cold()) },
             Contender { name: names[3], pass: Box::new(|| paper.cold()) },
             Contender { name: names[4], pass: Box::new(|| growth.cold()) },
+        ];
+        record(&mut table, &cell.label, interleave(&mut contenders, cell.pairs.len(), ROUNDS));
+    }
+    Ok(table)
+}
+
+/// Boxes, beside what the peer has for boxes alone.
+fn boxes(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
+    let names = ["parry3d f32 cuboid", "parry3d f64 cuboid", "hullcast"];
+    let mut table = Table::new("boxes", &names);
+    for cell in cells.iter().filter(|cell| cell.label.starts_with(Family::Box.name())) {
+        let hulls = ours::hulls(cell)?;
+        let mut single = parry::single::Cuboids::new(cell, cell).ok_or(REFUSED)?;
+        let mut double = parry::double::Cuboids::new(cell, cell).ok_or(REFUSED)?;
+        let asked = query(Wanted::Points, Solver::Portal);
+        let mut whole = Scene::new(&hulls, cell, cell, asked).ok_or(UNUSABLE)?;
+        let mut contenders = [
+            Contender { name: names[0], pass: Box::new(|| single.cold()) },
+            Contender { name: names[1], pass: Box::new(|| double.cold()) },
+            Contender { name: names[2], pass: Box::new(|| whole.cold()) },
         ];
         record(&mut table, &cell.label, interleave(&mut contenders, cell.pairs.len(), ROUNDS));
     }
@@ -119,7 +140,7 @@ fn warm(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
         for step in STEPS {
             let moved = cell.moved(step);
             let hulls = ours::hulls(cell)?;
-            let mut single = parry::single::Peer::new(cell, &moved).ok_or(REFUSED)?;
+            let mut single = parry::single::Hulls::new(cell, &moved).ok_or(REFUSED)?;
             let asked = query(Wanted::Points, Solver::Portal);
             let mut whole = Scene::new(&hulls, cell, &moved, asked).ok_or(UNUSABLE)?;
             let mut contenders = [
@@ -139,7 +160,7 @@ fn streamed() -> Result<Table, Box<dyn Error>> {
     let mut table = Table::new("streamed", &names);
     for cell in &cells::streamed()? {
         let hulls = ours::hulls(cell)?;
-        let mut single = parry::single::Peer::new(cell, cell).ok_or(REFUSED)?;
+        let mut single = parry::single::Hulls::new(cell, cell).ok_or(REFUSED)?;
         let asked = query(Wanted::Points, Solver::Portal);
         let mut whole = Scene::new(&hulls, cell, cell, asked).ok_or(UNUSABLE)?;
         let mut contenders = [

@@ -105,7 +105,7 @@ fn run(kind: &str, label: &str, contender: &str) -> Result<(), Box<dyn Error>> {
     let cell = cells.iter().find(|cell| cell.label == label).ok_or("no such cell")?;
     let moved = if contender == "hullcast, warm" { cell.moved(STEP) } else { cell.clone() };
     if contender == "parry3d f32" {
-        let mut peer = parry::single::Peer::new(cell, cell).ok_or("parry3d refuses a hull")?;
+        let mut peer = parry::single::Hulls::new(cell, cell).ok_or("parry3d refuses a hull")?;
         counted(&mut || peer.cold());
         return Ok(());
     }
