@@ -88,10 +88,8 @@ pub fn contact_manifold<'w>(
     }
 
     // Step 1.
-    pair.turn(turned);
     let goal = Goal::new(&query.accuracy, margin, query.wanted == Wanted::Outcome);
-    let warm = warm.and_then(|basis| warm_triple(pair, basis));
-    let mut solution = match growth(pair, query.accuracy.solver, warm, &goal) {
+    let mut solution = match growth(pair, query.accuracy.solver, warm, &goal, turned) {
         Growth::Solved(solution) => solution,
         Growth::Separated(Separation { direction, support, cost }) => {
             let reach = direction.dot(support.point) / direction.length();
@@ -132,15 +130,6 @@ pub fn contact_manifold<'w>(
 fn spheres_apart(pair: &Pair<'_>, margin: f64) -> Option<f64> {
     let reach = pair.circumradius;
     (pair.distance - reach > margin + pair.rounding_band()).then_some(reach)
-}
-
-/// The vertices of `K` that a basis names; none where it names no vertex.
-fn warm_triple(pair: &Pair<'_>, basis: &Basis) -> Option<[Support; 3]> {
-    let mut triple = [Support::default(); 3];
-    for (u, (&a, &b)) in triple.iter_mut().zip(basis.a.iter().zip(&basis.b)) {
-        *u = pair.support_of(pair.a.vertex_of_registered(a)?, pair.b.vertex_of_registered(b)?);
-    }
-    Some(triple)
 }
 
 impl Steps {

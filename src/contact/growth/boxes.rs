@@ -1,19 +1,19 @@
 //! Two boxes: the growth scale in closed form over the 15 separating axes
 //! (Gottschalk, Lin and Manocha, *OBBTree*, 1996, for the axes).
 //!
-//! What is returned is no answer but a triple of vertices of `K` to start from:
-//! the triangle of the winning axis' facet that the ray crosses. The portal
-//! certifies it, usually in one step, and goes on where rounding or a tie named
-//! the wrong facet.
+//! What is returned is no answer but where to look: a face normal along which the
+//! boxes seem apart by more than the margin, or a triple of vertices of `K` to start
+//! from, the triangle of the winning axis' facet that the ray crosses. Support points
+//! certify the one; the portal certifies the other, usually in one step, and goes on
+//! where rounding or a tie named the wrong facet.
 
 use glam::{DMat3, DVec2, DVec3};
 
 use crate::contact::hull::{BoxShape, octant};
-use crate::contact::pair::{Pair, Support};
+use crate::contact::pair::{Pair, Support, shift};
 
 /// Both boxes in A's axes.
-struct Boxes<'a> {
-    pair: &'a Pair<'a>,
+pub(crate) struct Boxes<'a> {
     a: &'a BoxShape,
     b: &'a BoxShape,
     /// Half extents, pair units.
@@ -22,6 +22,10 @@ struct Boxes<'a> {
     /// B's axes in A's, as columns.
     axes: DMat3,
     ray: DVec3,
+    /// Of A's face normals and of B's: how far the ray goes along each, and how far `K`
+    /// reaches.
+    along: [[f64; 3]; 2],
+    reach: [[f64; 3]; 2],
 }
 
 /// What of the boxes the largest growth scale belongs to.
@@ -38,41 +42,67 @@ enum Kind {
 /// look first, so nothing depends on the value.
 const SAME_AXIS: f64 = 1e-9;
 
-/// Where to start for two boxes; none for other hulls.
-pub(crate) fn seeds(pair: &Pair<'_>) -> Option<[Support; 3]> {
-    let (a, b) = (pair.a.box_shape()?, pair.b.box_shape()?);
-    let boxes = Boxes {
-        pair,
-        a,
-        b,
-        half_a: a.half * pair.scale_a,
-        half_b: b.half * pair.scale_b,
-        axes: a.axes.transpose() * (pair.rotation * b.axes),
-        ray: a.axes.transpose() * pair.ray,
-    };
-    let (scale, kind) = boxes.best_axis();
-    let crossed = boxes.ray / scale;
-    Some(match kind {
-        Kind::FaceOfA(i) => boxes.face_of_a(i, crossed),
-        Kind::FaceOfB(j) => boxes.face_of_b(j, crossed),
-        Kind::Faces(i, j) => boxes.faces(i, j, crossed),
-        Kind::Edges(i, j) => boxes.edges(i, j, crossed),
-    })
-}
+impl<'a> Boxes<'a> {
+    /// None for other hulls.
+    pub(crate) fn of(pair: &Pair<'a>) -> Option<Self> {
+        let (a, b) = (pair.a.box_shape()?, pair.b.box_shape()?);
+        let (half_a, half_b) = (a.half * pair.scale_a, b.half * pair.scale_b);
+        let axes = a.axes.transpose() * (pair.rotation * b.axes);
+        let ray = a.axes.transpose() * pair.ray;
+        let (t, ha, hb) = (ray.to_array(), half_a.to_array(), half_b.to_array());
+        let c = axes.to_cols_array_2d();
+        let size = c.map(|column| column.map(f64::abs));
+        let (mut along, mut reach) = ([[0.0; 3]; 2], [[0.0; 3]; 2]);
+        for i in 0..3 {
+            let across = hb[0] * size[0][i] + hb[1] * size[1][i] + hb[2] * size[2][i];
+            (along[0][i], reach[0][i]) = (t[i].abs(), ha[i] + across);
+            let across = ha[0] * size[i][0] + ha[1] * size[i][1] + ha[2] * size[i][2];
+            along[1][i] = (t[0] * c[i][0] + t[1] * c[i][1] + t[2] * c[i][2]).abs();
+            reach[1][i] = hb[i] + across;
+        }
+        Some(Self { a, b, half_a, half_b, axes, ray, along, reach })
+    }
 
-impl Boxes<'_> {
+    /// The face normal, A's frame, along which the boxes seem farthest apart, where that is
+    /// beyond the margin (pair units).
+    pub(crate) fn seem_apart(&self, pair: &Pair<'_>, margin: f64) -> Option<DVec3> {
+        let mut best = (margin, 0, 0);
+        for (hull, (along, reach)) in self.along.iter().zip(&self.reach).enumerate() {
+            for (i, (along, reach)) in along.iter().zip(reach).enumerate() {
+                let gap = shift(*along, pair.alpha_exponent) - reach;
+                if gap > best.0 {
+                    best = (gap, hull, i);
+                }
+            }
+        }
+        let (gap, hull, i) = best;
+        let axis = if hull == 0 { DVec3::AXES[i] } else { self.axes.col(i) };
+        (gap > margin).then(|| self.a.axes * (axis * axis.dot(self.ray).signum()))
+    }
+
+    /// Where to start.
+    pub(crate) fn seeds(&self, pair: &Pair<'_>) -> [Support; 3] {
+        let (scale, kind) = self.best_axis();
+        let crossed = self.ray / scale;
+        match kind {
+            Kind::FaceOfA(i) => self.face_of_a(i, crossed),
+            Kind::FaceOfB(j) => self.face_of_b(j, crossed),
+            Kind::Faces(i, j) => self.faces(i, j, crossed),
+            Kind::Edges(i, j) => self.edges(i, j, crossed),
+        }
+        .map(|[a, b]| pair.support_of(self.a.corner(a), self.b.corner(b)))
+    }
+
     /// The largest growth scale of an axis, and the axis.
     fn best_axis(&self) -> (f64, Kind) {
         let (t, ha, hb) = (self.ray.to_array(), self.half_a.to_array(), self.half_b.to_array());
         let c = self.axes.to_cols_array_2d();
         let size = c.map(|column| column.map(f64::abs));
-        let (mut of_a, mut of_b, mut of_edges) = ([0.0; 3], [0.0; 3], [0.0; 9]);
-        for i in 0..3 {
-            let across = hb[0] * size[0][i] + hb[1] * size[1][i] + hb[2] * size[2][i];
-            of_a[i] = t[i].abs() / (ha[i] + across);
-            let across = ha[0] * size[i][0] + ha[1] * size[i][1] + ha[2] * size[i][2];
-            of_b[i] = (t[0] * c[i][0] + t[1] * c[i][1] + t[2] * c[i][2]).abs() / (hb[i] + across);
-        }
+        let [of_a, of_b] = [0, 1].map(|hull| {
+            let (along, reach) = (self.along[hull], self.reach[hull]);
+            [0, 1, 2].map(|i| along[i] / reach[i])
+        });
+        let mut of_edges = [0.0; 9];
         for i in 0..3 {
             let (i1, i2) = ((i + 1) % 3, (i + 2) % 3);
             for j in 0..3 {
@@ -100,7 +130,7 @@ impl Boxes<'_> {
 
     /// A's face `i` on B's face `j`: of the octagon that their sides make the
     /// three corners around the ray.
-    fn faces(&self, i: usize, j: usize, crossed: DVec3) -> [Support; 3] {
+    fn faces(&self, i: usize, j: usize, crossed: DVec3) -> [[usize; 2]; 3] {
         let (half_a, half_b) = (self.half_a.to_array(), self.half_b.to_array());
         let columns = self.axes.to_cols_array_2d();
         let (i1, i2) = ((i + 1) % 3, (i + 2) % 3);
@@ -141,12 +171,12 @@ impl Boxes<'_> {
                 | (of_g ^ usize::from(up_g)) << j2;
             // Upside down on the face, and the same height.
             let flip = |kept: usize| if turned { 7 ^ 1 << kept } else { 0 };
-            self.corner(a ^ flip(i), b ^ flip(j))
+            [a ^ flip(i), b ^ flip(j)]
         })
     }
 
     /// A's face `i` against the corner of B farthest into it.
-    fn face_of_a(&self, i: usize, crossed: DVec3) -> [Support; 3] {
+    fn face_of_a(&self, i: usize, crossed: DVec3) -> [[usize; 2]; 3] {
         let n = DVec3::AXES[i] * self.ray[i].signum();
         let b = self.b_signs(-n);
         let on_face = (crossed + self.axes * (b * self.half_b)) / self.half_a;
@@ -154,12 +184,12 @@ impl Boxes<'_> {
         triangle(on_face[j], on_face[k]).map(|(x, y)| {
             let mut a = n;
             (a[j], a[k]) = (x, y);
-            self.corner(octant(a), octant(b))
+            [octant(a), octant(b)]
         })
     }
 
     /// B's face `j` against the corner of A farthest into it.
-    fn face_of_b(&self, j: usize, crossed: DVec3) -> [Support; 3] {
+    fn face_of_b(&self, j: usize, crossed: DVec3) -> [[usize; 2]; 3] {
         let towards = self.axes.col(j).dot(self.ray).signum();
         let a = signs(self.axes.col(j) * towards);
         let on_face = (self.axes.transpose() * (a * self.half_a - crossed)) / self.half_b;
@@ -167,12 +197,12 @@ impl Boxes<'_> {
         triangle(on_face[k], on_face[l]).map(|(x, y)| {
             let mut b = DVec3::ZERO;
             (b[j], b[k], b[l]) = (-towards, x, y);
-            self.corner(octant(a), octant(b))
+            [octant(a), octant(b)]
         })
     }
 
     /// A's edge along `i` against B's along `j`.
-    fn edges(&self, i: usize, j: usize, crossed: DVec3) -> [Support; 3] {
+    fn edges(&self, i: usize, j: usize, crossed: DVec3) -> [[usize; 2]; 3] {
         let (along_a, along_b) = (DVec3::AXES[i], self.axes.col(j));
         let across = along_a.cross(along_b);
         let n = across * across.dot(self.ray).signum();
@@ -185,17 +215,13 @@ impl Boxes<'_> {
         let y = -rest.dot(past_a) / (self.half_b[j] * along_b.dot(past_a));
         triangle(x, y).map(|(x, y)| {
             (a[i], b[j]) = (x, y);
-            self.corner(octant(a), octant(b))
+            [octant(a), octant(b)]
         })
     }
 
     /// Signs, in B's axes, of the corner of B farthest along `n`.
     fn b_signs(&self, n: DVec3) -> DVec3 {
         signs(self.axes.transpose() * n)
-    }
-
-    fn corner(&self, a: usize, b: usize) -> Support {
-        self.pair.support_of(self.a.corner(a), self.b.corner(b))
     }
 }
 

@@ -11,11 +11,13 @@ pub(crate) mod gjk_ray_cast;
 pub(crate) mod portal;
 pub(crate) mod triple;
 
+use boxes::Boxes;
 use glam::DVec3;
 
 use super::pair::{Pair, Support, shift};
+use super::support::Columns;
 use super::tolerance::{COARSE, COINCIDENT, NOISE, U};
-use super::{Accuracy, ConvexHull, Solver};
+use super::{Accuracy, Basis, ConvexHull, Solver};
 
 /// What step 1 found.
 pub(crate) enum Growth {
@@ -81,13 +83,31 @@ impl Goal {
     }
 }
 
-/// Growth scale and normal of a pair; `warm` is the triple of an earlier answer.
-pub(crate) fn growth(pair: &mut Pair<'_>, solver: Solver, warm: Option<[Support; 3]>, goal: &Goal) -> Growth {
+/// Growth scale and normal of a pair; `warm` is the basis of an earlier answer.
+pub(crate) fn growth<'a>(
+    pair: &mut Pair<'a>,
+    solver: Solver,
+    warm: Option<&Basis>,
+    goal: &Goal,
+    turned: &'a mut Columns,
+) -> Growth {
+    let boxes = if solver == Solver::Portal { Boxes::of(pair) } else { None };
+    if goal.margin < f64::INFINITY
+        && let Some(direction) = boxes.as_ref().and_then(|boxes| boxes.seem_apart(pair, goal.margin))
+    {
+        let support = pair.support(direction);
+        if separates(pair, direction, &support, goal.margin) {
+            let cost = Cost { iterations: 1, support_calls: 2 };
+            return Growth::Separated(Separation { direction, support, cost });
+        }
+    }
+    pair.turn(turned);
+    let warm = warm.and_then(|basis| triple_of(pair, basis));
     if pair.ray.length() <= COINCIDENT * U * pair.ray_m {
         return Growth::Solved(coincident(pair, goal));
     }
     let start = match solver {
-        Solver::Portal => warm.or_else(|| boxes::seeds(pair)),
+        Solver::Portal => warm.or_else(|| boxes.map(|boxes| boxes.seeds(pair))),
         Solver::GjkRayCast => warm,
     };
     let seeds = start.as_ref().map_or(&[][..], |triple| triple);
@@ -95,6 +115,15 @@ pub(crate) fn growth(pair: &mut Pair<'_>, solver: Solver, warm: Option<[Support;
         Solver::Portal => portal::solve(pair, seeds, goal, Cost::default()),
         Solver::GjkRayCast => gjk_ray_cast::solve(pair, seeds, goal),
     }
+}
+
+/// The vertices of `K` that a basis names; none where it names no vertex.
+fn triple_of(pair: &Pair<'_>, basis: &Basis) -> Option<[Support; 3]> {
+    let mut triple = [Support::default(); 3];
+    for (u, (&a, &b)) in triple.iter_mut().zip(basis.a.iter().zip(&basis.b)) {
+        *u = pair.support_of(pair.a.vertex_of_registered(a)?, pair.b.vertex_of_registered(b)?);
+    }
+    Some(triple)
 }
 
 /// Where the centres coincide alpha is 0 and every normal optimal: the one that
