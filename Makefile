@@ -78,7 +78,7 @@ test-python: build $(VENV)/.test ## the Python tests, against the real server
 	$(PY) -m pytest client
 
 .PHONY: test-extras
-test-extras: build $(VENV)/.extras ## the Python tests that need heavy packages: real robots, decomposition, rerun; types
+test-extras: build $(VENV)/.extras ## the Python tests that need heavy packages: real robots, decomposition, rerun, ray; types
 	$(PY) -m pytest client/tests/extras
 	$(MAKE) types
 
@@ -136,6 +136,12 @@ bench-counts: check-tools ## instructions beside parry3d, by valgrind, where tim
 bench-growth: check-tools build $(VENV)/.demo ## time by vertices, batch size, hulls and cores; writes docs/performance.md and its picture
 	cd benches && $(CARGO) run --release --locked --features service --bin growth
 	$(PY) benches/growth.py
+
+.PHONY: bench-ray
+bench-ray: build $(VENV)/.extras ## a batch job on ray beside the same in one process; writes docs/python/batch-jobs.md
+	mkdir -p out
+	$(PY) client/examples/ray_scenes.py | tee out/ray.txt
+	./scripts/section docs/python/batch-jobs.md ray out/ray.txt
 
 .PHONY: stubs
 stubs: $(VENV)/.test ## the Python protobuf modules again, after a change of proto/

@@ -18,6 +18,13 @@ CUBE = box((0.5, 0.5, 0.5)).vertices
 #: Servers of the tests are on this machine.
 NO_PROXY = [("grpc.enable_http_proxy", 0)]
 EVERYTHING = ("ALPHA", "NORMAL", "POINTS", "WITNESS_B", "FEATURES", "BASES", "DIAGNOSTICS")
+#: Of every process of ray: nothing is reported or written into the home folder, and a busy
+#: machine has its time.
+RAY_SETTINGS = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_AUTH_MODE": "disabled",
+    "RAY_gcs_server_port_wait_time_s": "300",
+}
 COLUMNS = (
     "outcome", "flags", "alpha", "alpha_lower", "alpha_upper", "normal", "separation", "point_counts",
     "point_offsets", "witness_a", "witness_b", "distance", "point_ids", "feature_kinds",

@@ -115,7 +115,7 @@ class Query:
         self._pairs = (
             None if pairs is None else _arrays.indices("pairs", pairs, None, 2, below=len(scene))
         )
-        self._outputs = _output_names(outputs)
+        self._outputs = output_names(outputs)
         self._bases = None if warm is None else warm.bases
         if self._bases is not None and len(self._bases) != _length(self._pairs):
             raise InvalidArgument(
@@ -236,7 +236,8 @@ def _compact(numbers: Indices, scratch: Indices) -> tuple[Indices, Indices]:
     return distinct, scratch[numbers]
 
 
-def _output_names(outputs: Iterable[str] | None) -> Sequence[str]:
+def output_names(outputs: Iterable[str] | None) -> Sequence[str]:
+    """Those asked for, each known; the default for None."""
     if outputs is None:
         return DEFAULT_OUTPUTS
     names = (outputs,) if isinstance(outputs, str) else tuple(outputs)

@@ -87,6 +87,13 @@ class Scene:
         scene.positions, scene.rotations = _arrays.poses(positions, rotations, len(self))
         return scene
 
+    def _many(self, positions: Floats, rotations: Floats) -> Scene:
+        """The same bodies at several sets of poses, those of one set after those of the last."""
+        scene = Scene.__new__(Scene)
+        scene.__dict__.update(self.__dict__)
+        scene.body_hulls = np.tile(self.body_hulls, len(positions) // max(len(self), 1))
+        return scene.moved(positions, rotations)
+
 
 def _id(place: int, hull: Any) -> bytes:
     id = hull.id if isinstance(hull, Hull) else hull

@@ -47,6 +47,21 @@ def serve(
         ServerNotFound: no binary.
         ServerDidNotStart: it ended or was silent.
     """
+    server = start(store, listen=listen, arguments=arguments, start_timeout=start_timeout)
+    # It is on this machine: whatever proxy the environment names is not for it.
+    client = Client.connect(server.target, timeout=timeout, options=[("grpc.enable_http_proxy", 0)])
+    client._on_close = server.close
+    return client
+
+
+def start(
+    store: str | os.PathLike[str] | None,
+    *,
+    listen: str,
+    arguments: Sequence[str] = (),
+    start_timeout: float = 30,
+) -> Server:
+    """A server that listens; arguments and errors are those of `serve`."""
     binary = find_binary()
     scratch = tempfile.mkdtemp(prefix="hullcast-")
     try:
@@ -60,16 +75,13 @@ def serve(
     except BaseException:
         shutil.rmtree(scratch, ignore_errors=True)
         raise
-    server = _Server(process, scratch)
+    server = Server(process, scratch)
     try:
-        target = server.wait_until_listening(start_timeout)
-        # It is on this machine: whatever proxy the environment names is not for it.
-        client = Client.connect(target, timeout=timeout, options=[("grpc.enable_http_proxy", 0)])
+        server.target = server.wait_until_listening(start_timeout)
     except BaseException:
         server.close()
         raise
-    client._on_close = server.close
-    return client
+    return server
 
 
 def find_binary() -> str:
@@ -100,12 +112,20 @@ def _own_binary() -> str | None:
     return next((str(place.resolve()) for place in places if place.is_file()), None)
 
 
-class _Server:
+class Server:
     """The process, and the directory that goes with it."""
+
+    #: The address on its first line.
+    target: str
 
     def __init__(self, process: subprocess.Popen[bytes], scratch: str) -> None:
         self._process = process
         self._scratch = scratch
+
+    @property
+    def ended(self) -> bool:
+        """Whether the process has, by itself or killed."""
+        return self._process.poll() is not None
 
     def wait_until_listening(self, seconds: float) -> str:
         """The address on the server's first line."""

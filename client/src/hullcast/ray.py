@@ -1,0 +1,243 @@
+"""Batch jobs on ray: scenes as rows of a dataset, a server on each node (extra `ray`).
+
+    import hullcast.ray
+    answered = hullcast.ray.query(dataset, scene, pairs, margin=0.01)  # a ray.data.Dataset
+
+Not loaded with `hullcast`, since ray takes a second to load.
+"""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+import os
+import tempfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _arrays, _serve
+from ._arrays import Indices
+from ._client import Client
+from ._errors import InvalidArgument, Unavailable
+from ._manifolds import Manifolds
+from ._query import Accuracy, output_names
+from ._scene import Scene
+from ._wire import OUTPUT_COLUMNS, POINT_COLUMNS
+
+Batch = dict[str, npt.NDArray[Any]]
+
+#: Times that a task asks again after its node's server ended; each is a query with all
+#: of the client's own retries.
+_SERVERS = 3
+
+
+def query(
+    dataset: Any,
+    scene: Scene,
+    pairs: Any = None,
+    *,
+    margin: float = 0.0,
+    accuracy: Accuracy | None = None,
+    outputs: Iterable[str] | None = None,
+    timeout: float | None = 60,
+    store: str | os.PathLike[str] | None = None,
+    arguments: Sequence[str] = (),
+    **options: Any,
+) -> Any:
+    """The contact manifolds of each row of a dataset, a scene each, as more columns of the row.
+
+    The rows of one batch are one query, to a server on the node where the batch is. Each
+    node has one such server, on a Unix socket, started when first needed; it ends when
+    the dataset is collected, or with the driver. A task that loses its server starts it
+    again; one that loses its node, ray runs again elsewhere.
+
+    Args:
+        dataset: a `ray.data.Dataset`; each row has `positions` (n, 3) and `rotations`
+            (n, 4), the poses of the scene's n bodies, and `pairs` (m, 2) unless given here.
+        scene: hulls and bodies; its poses are not used, nor are its worlds and groups.
+        pairs: (m, 2), those of every row.
+        margin, accuracy, outputs, timeout: as of `Client.query`.
+        store: of the servers; by default each has a directory of its own that it removes.
+        arguments: further arguments of `hullcast serve`, such as `--compute-threads`.
+        options: of `map_batches`, such as `batch_size`, `num_cpus` and `concurrency`.
+
+    Returns:
+        The dataset with a column for each that `Manifolds` has by these outputs, and of
+        its name: `outcome`, `flags`, `alpha`, ... Of a row's `point_counts[i]` points of
+        pair i, `witness_a`, `distance`, ... have those of all pairs in a row.
+
+    Raises:
+        ImportError: ray is not installed.
+        InvalidArgument: pairs or outputs that make no query.
+    """
+    if pairs is not None:
+        pairs = _own_pairs(pairs, len(scene))
+    names = output_names(outputs)
+    ray = _library()
+    asked = {"margin": margin, "accuracy": accuracy, "outputs": names, "timeout": timeout}
+    here = ray.get_runtime_context().get_node_id()
+    servers = ray.remote(_Servers).options(**_placed(here)).remote(store, tuple(arguments))
+    job = _Job(scene, pairs, asked, columns_of(names), servers)
+    return dataset.map_batches(_answered, batch_format="numpy", fn_kwargs={"job": job}, **options)
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What every task is given."""
+
+    scene: Scene
+    pairs: Indices | None
+    #: Arguments of `Client.query`.
+    asked: dict[str, Any]
+    columns: tuple[str, ...]
+    servers: Any
+
+
+def _answered(batch: Batch, job: _Job) -> Batch:
+    """A batch with its answers; runs in ray's tasks."""
+    rows = len(batch["positions"])
+    if rows == 0:
+        return batch
+    bodies = len(job.scene)
+    own = (
+        [job.pairs] * rows
+        if job.pairs is not None
+        else [_own_pairs(p, bodies) for p in batch["pairs"]]
+    )
+    pairs = np.concatenate([pairs + row * bodies for row, pairs in enumerate(own)])
+    scene = job.scene._many(
+        _poses("positions", batch, bodies, 3), _poses("rotations", batch, bodies, 4)
+    )
+    found = _ask(job, scene, pairs)
+    ends = np.cumsum([len(pairs) for pairs in own])
+    return {**batch, **_split(found, job, ends)}
+
+
+def _own_pairs(pairs: Any, bodies: int) -> Indices:
+    return _arrays.indices("pairs", pairs, None, 2, below=bodies)
+
+
+def _poses(field: str, batch: Batch, bodies: int, width: int) -> npt.NDArray[np.float64]:
+    """Those of all rows, one below the other."""
+    rows = [_arrays.floats(field, row, bodies, width) for row in batch[field]]
+    return np.concatenate(rows)
+
+
+def _split(found: Manifolds, job: _Job, ends: npt.NDArray[np.int64]) -> Batch:
+    """Each column in the rows that it is of."""
+    columns: Batch = {}
+    for name in job.columns:
+        of_points = name in _POINT_ATTRIBUTES
+        cuts = found.point_offsets[ends] if of_points else ends
+        column = getattr(found, name)
+        if of_points or job.pairs is None:
+            columns[name] = _ragged(column, cuts)
+        else:
+            columns[name] = column.reshape(len(ends), len(job.pairs), *column.shape[1:])
+    return columns
+
+
+def _ragged(column: npt.NDArray[Any], ends: npt.NDArray[np.int64]) -> npt.NDArray[Any]:
+    rows = np.empty(len(ends), dtype=object)
+    for row, (start, stop) in enumerate(itertools.pairwise([0, *ends])):
+        rows[row] = column[start:stop]
+    return rows
+
+
+def columns_of(outputs: Iterable[str]) -> tuple[str, ...]:
+    """The columns, as `Manifolds` names them, that outputs bring."""
+    wire = dict.fromkeys(name for output in outputs for name in OUTPUT_COLUMNS[output])
+    return ("outcome", "flags", *(_attribute(name) for name in wire))
+
+
+def _attribute(wire: str) -> str:
+    """Of `alphas` `alpha`; some are called as on the wire."""
+    single = wire.removesuffix("s")
+    return single if hasattr(Manifolds, single) else wire
+
+
+_POINT_ATTRIBUTES = frozenset(_attribute(name) for name in POINT_COLUMNS)
+
+
+def _ask(job: _Job, scene: Scene, pairs: Indices) -> Manifolds:
+    """The answer of this node's server, which is started (again) where it is not there."""
+    ray = _library()
+    server = ray.get(job.servers.on.remote(ray.get_runtime_context().get_node_id()))
+    for attempt in itertools.count(1):
+        target = ray.get(server.target.remote())
+        try:
+            return _client(target).query(scene, pairs, **job.asked)
+        except Unavailable:
+            if attempt == _SERVERS:
+                raise
+    raise AssertionError  # count has no end
+
+
+_clients: dict[str, Client] = {}
+
+
+def _client(target: str) -> Client:
+    """This process's, which goes from task to task."""
+    if target not in _clients:
+        _clients.clear()  # of a server that has ended
+        _clients[target] = Client.connect(target)
+    return _clients[target]
+
+
+class _Servers:
+    """An actor on the driver's node: owns the nodes' servers, so that they end with it."""
+
+    def __init__(self, *settings: Any) -> None:
+        self._settings = settings
+        self._nodes: dict[str, Any] = {}
+
+    def on(self, node: str) -> Any:
+        """The actor that has a node's server."""
+        if node not in self._nodes:
+            actor = _library().remote(_Server).options(**_placed(node))
+            self._nodes[node] = actor.remote(*self._settings)
+        return self._nodes[node]
+
+
+class _Server:
+    """An actor on each node: its server, which ends with it."""
+
+    def __init__(self, store: str | os.PathLike[str] | None, arguments: Sequence[str]) -> None:
+        self._store = store
+        self._arguments = arguments
+        self._folder = tempfile.TemporaryDirectory(prefix="hullcast-")
+        self._running: _serve.Server | None = None
+
+    def target(self) -> str:
+        """Where it listens; it is started where it does not run."""
+        if self._running is None or self._running.ended:
+            listen = f"unix:{self._folder.name}/socket"
+            self._running = _serve.start(self._store, listen=listen, arguments=self._arguments)
+        return self._running.target
+
+
+def _placed(node: str) -> dict[str, Any]:
+    """Options of an actor that stays on a node, waits for no processor, and starts again."""
+    from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+    return {
+        "num_cpus": 0,
+        "max_restarts": -1,
+        "max_task_retries": -1,
+        "scheduling_strategy": NodeAffinitySchedulingStrategy(node, soft=False),
+    }
+
+
+def _library() -> Any:
+    try:
+        library: Any = importlib.import_module("ray")
+        importlib.import_module("ray.data")
+    except ImportError as error:
+        raise ImportError("batch jobs need ray: pip install 'hullcast[ray]'") from error
+    if not library.is_initialized():
+        raise InvalidArgument("call ray.init first", reason="NO_CLUSTER", field="dataset")
+    return library
