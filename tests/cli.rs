@@ -205,6 +205,28 @@ fn load_counts_and_checks_every_batch() -> Outcome {
     Ok(())
 }
 
+/// Catches a load run that gives a batch up whose server was lost although another is there, or
+/// that hides the loss: of two servers the second ends every connection as soon as it has it.
+#[test]
+fn load_sends_again_what_a_lost_server_did_not_answer() -> Outcome {
+    let folder = scratch("lost")?;
+    let server = Server::start(&folder.join("store"))?;
+    let listener = std::net::TcpListener::bind("127.0.0.1:0")?;
+    let both = format!("{},{}", server.address, listener.local_addr()?);
+    std::thread::spawn(move || listener.incoming().for_each(drop));
+    let run = ["load", "--remote", &both, "--pairs", "10", "--count", "12", "--concurrency", "2", "--json"];
+    let patient: Value = serde_json::from_slice(&printed(&[&run[..], &["--retries", "3"]].concat())?)?;
+    assert_eq!((&patient["batches"], &patient["sent"]), (&12.into(), &12.into()), "{patient}");
+    assert_eq!(patient["errors"], serde_json::json!({}));
+    assert!(patient["lost"].as_u64() >= Some(1), "{patient}");
+    let hasty = hullcast(&run)?;
+    assert_eq!(hasty.status.code(), Some(1));
+    let hasty: Value = serde_json::from_slice(&hasty.stdout)?;
+    assert_eq!(hasty["lost"], 0, "{hasty}");
+    assert!(hasty["errors"].as_object().is_some_and(|errors| !errors.is_empty()), "{hasty}");
+    Ok(())
+}
+
 /// Catches success where there is no server.
 #[test]
 fn no_server_is_an_error() -> Outcome {

@@ -75,6 +75,8 @@ pub(crate) struct Refusal {
     pub(crate) text: String,
     /// When to ask again, of who is too busy.
     pub(crate) retry_after: Option<Duration>,
+    /// The server or the connection is gone: another may answer.
+    pub(crate) lost: bool,
 }
 
 impl fmt::Display for Refusal {
@@ -91,14 +93,16 @@ impl From<ServiceError> for Refusal {
             Kind::Unavailable { retry_after } => Some(retry_after),
             _ => None,
         };
-        Self { text: error.to_string(), retry_after }
+        Self { text: error.to_string(), retry_after, lost: false }
     }
 }
 
 impl From<Status> for Refusal {
     fn from(status: Status) -> Self {
         let retry_after = status.get_details_retry_info().and_then(|info| info.retry_delay);
-        Self { text: described(&status), retry_after }
+        // A status with a cause is tonic's own: no server has given it.
+        let lost = retry_after.is_none() && (status.code() == Code::Unavailable || status.source().is_some());
+        Self { text: described(&status), retry_after, lost }
     }
 }
 

@@ -5,7 +5,7 @@ mod sheet;
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -18,14 +18,19 @@ use super::answer::{Answerer, Refusal, another_connection};
 use super::batches::{Batches, Sampled};
 use super::options::{AccuracyArgs, OutputArg};
 use super::remote::RemoteArgs;
+use super::scene::HullPoints;
 use super::tally::Tally;
+use hullcast::store::HullId;
 use hullcast::workload::{Family, Regime};
 pub(crate) use sheet::Row;
 
 /// How often the progress line is renewed.
 const REFRESH: Duration = Duration::from_millis(200);
-/// After a call that failed, so that a server that is gone is not called in a tight loop.
+/// After a call that failed, so that a server that is gone is not called in a tight loop;
+/// twice as long each time, so that `--retries 10` last longer than a balancer needs to see it.
 const PAUSE_AFTER_ERROR: Duration = Duration::from_millis(20);
+/// The longest of those pauses.
+const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 /// Batches of an open loop that may be under way: past them it waits, and what waits is late.
 const MOST_UNDER_WAY: usize = 16_384;
 
@@ -36,9 +41,11 @@ const MOST_UNDER_WAY: usize = 16_384;
 /// (`--request-rate-range`) batches are sent at their times whether or not
 /// earlier ones are answered, and latency counts from the time at which a batch
 /// was due. A batch that a busy server refuses is shed: it is sent again when
-/// the server asks (RetryInfo), up to `--retries` times. Answers are checked to
+/// the server asks (RetryInfo), up to `--retries` times; so is one whose server
+/// or connection is lost, to the next of several servers. Answers are checked to
 /// the last bit against the library, called in this process a pair at a time.
-/// The exit code is 1 where a call failed or an answer was wrong.
+/// An interrupt ends the run, and what was counted is printed. The exit code is 1
+/// where a call failed or an answer was wrong.
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct Args {
     /// Batches from a scene file: each of its configurations in turn.
@@ -82,7 +89,7 @@ pub(crate) struct Args {
     /// Search the range for the most load within the threshold.
     #[arg(long, requires = "latency_threshold")]
     binary_search: bool,
-    /// Times that a shed batch is sent again.
+    /// Times that a batch is sent again that was shed, or whose server was lost.
     #[arg(long, value_name = "COUNT", default_value_t = 0)]
     retries: u32,
     /// Write the levels as comma-separated values.
@@ -91,9 +98,10 @@ pub(crate) struct Args {
     /// Draw latency against offered load, as SVG.
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
-    /// Connections to the server, shared evenly.
-    #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
-    connections: u32,
+    /// Connections, shared evenly: `--remote` may be several servers on one store,
+    /// separated by commas, which take turns [default: one a server].
+    #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u32).range(1..))]
+    connections: Option<u32>,
     /// How long each level lasts.
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = seconds)]
     duration: f64,
@@ -167,20 +175,13 @@ pub(crate) fn run(args: &Args) -> Result<(), Error> {
 
 async fn loaded(args: &Args) -> Result<(), Error> {
     let batches = args.batches()?;
-    let (first, ids) = match &args.remote.remote {
-        Some(address) => Answerer::remote(address, &args.remote, batches.hulls()).await?,
-        None => Answerer::local(batches.hulls(), args.threads)?,
-    };
-    let mut answerers = vec![first];
-    if let Some(address) = &args.remote.remote {
-        for _ in 1..args.connections {
-            answerers.push(another_connection(address, &args.remote).await?);
-        }
-    }
+    let (answerers, ids) = args.answerers(batches.hulls()).await?;
     let margin = args.margin.unwrap_or(batches.margin());
     let sampled =
         Arc::new(batches.prepare(&ids, &args.accuracy.asked(margin, &args.outputs), args.verify)?);
-    let runner = Runner { answerers, sampled, args: args.clone() };
+    let interrupted = Arc::new(AtomicBool::new(false));
+    tokio::spawn(note_interrupt(interrupted.clone()));
+    let runner = Runner { answerers, sampled, interrupted: interrupted.clone(), args: args.clone() };
     let mut plan = args.plan();
     let (mut rows, mut clean) = (Vec::new(), Ok(()));
     while let Some(level) = plan.level() {
@@ -195,6 +196,9 @@ async fn loaded(args: &Args) -> Result<(), Error> {
             print!("{}", tally.text(&title, elapsed));
         }
         clean = clean.and(tally.verdict());
+        if interrupted.load(Ordering::Relaxed) {
+            break;
+        }
     }
     if rows.len() > 1 && !args.json {
         print!("{}", sheet::table(&rows));
@@ -216,6 +220,22 @@ impl Args {
             (None, Some(range)) => Plan::new(concurrency, range, self.binary_search),
             (None, None) => Plan::new(concurrency, Range::one(self.concurrency), false),
         }
+    }
+
+    /// Connections to the servers in turn, or this process; and the hulls there.
+    async fn answerers(&self, hulls: &[HullPoints]) -> Result<(Vec<Answerer>, Vec<HullId>), Error> {
+        let Some(remote) = &self.remote.remote else {
+            let (local, ids) = Answerer::local(hulls, self.threads)?;
+            return Ok((vec![local], ids));
+        };
+        let addresses: Vec<&str> = remote.split(',').collect();
+        let (first, ids) = Answerer::remote(addresses[0], &self.remote, hulls).await?;
+        let mut answerers = vec![first];
+        for place in 1..self.connections.map_or(addresses.len(), |count| count as usize) {
+            let address = addresses[place % addresses.len()];
+            answerers.push(another_connection(address, &self.remote).await?);
+        }
+        Ok((answerers, ids))
     }
 
     fn batches(&self) -> Result<Batches, Error> {
@@ -252,6 +272,7 @@ struct Live {
 struct Runner {
     answerers: Vec<Answerer>,
     sampled: Arc<Sampled>,
+    interrupted: Arc<AtomicBool>,
     args: Args,
 }
 
@@ -275,16 +296,16 @@ impl Runner {
 
     async fn closed(&self, loops: u32, live: &Arc<Live>, end: Instant) -> Result<Tally, Error> {
         let mut running = JoinSet::new();
-        for place in 0..loops {
+        for _ in 0..loops {
             let (one, live) = (self.clone(), live.clone());
             running.spawn(async move {
                 let mut tally = Tally::default();
-                while Instant::now() < end {
+                while Instant::now() < end && !one.interrupted.load(Ordering::Relaxed) {
                     let number = live.begun.fetch_add(1, Ordering::Relaxed);
                     if one.args.count > 0 && number >= one.args.count {
                         break;
                     }
-                    one.batch(place as usize, number, Instant::now(), &live, &mut tally).await?;
+                    one.batch(number, Instant::now(), &live, &mut tally).await?;
                 }
                 Ok(tally)
             });
@@ -303,7 +324,8 @@ impl Runner {
             };
             due += Duration::try_from_secs_f64(gap / rate)?;
             let over = due.duration_since(started).as_secs_f64() > self.args.duration;
-            if over || self.args.count > 0 && number >= self.args.count {
+            let enough = self.args.count > 0 && number >= self.args.count;
+            if over || enough || self.interrupted.load(Ordering::Relaxed) {
                 break;
             }
             tokio::time::sleep_until(due.into()).await;
@@ -319,7 +341,7 @@ impl Runner {
             live.begun.fetch_add(1, Ordering::Relaxed);
             running.spawn(async move {
                 let mut tally = Tally::default();
-                one.batch(number as usize, number, due, &live, &mut tally).await?;
+                one.batch(number, due, &live, &mut tally).await?;
                 Ok::<_, String>(tally)
             });
         }
@@ -328,17 +350,11 @@ impl Runner {
     }
 
     /// Sends batch `number`, due at `due`, and counts its answer.
-    async fn batch(
-        &self,
-        place: usize,
-        number: u64,
-        due: Instant,
-        live: &Live,
-        tally: &mut Tally,
-    ) -> Result<(), String> {
-        let answerer = &self.answerers[place % self.answerers.len()];
+    async fn batch(&self, number: u64, due: Instant, live: &Live, tally: &mut Tally) -> Result<(), String> {
         tally.sent();
         for attempt in 0..=self.args.retries {
+            // The servers take turns. Again at the next one: the one that was lost may be for long.
+            let answerer = &self.answerers[(number as usize + attempt as usize) % self.answerers.len()];
             match answerer.answer(self.sampled.request(number)).await {
                 Ok(response) => {
                     let took = due.elapsed();
@@ -359,6 +375,10 @@ impl Runner {
                         tokio::time::sleep(pause).await;
                     }
                 }
+                Err(Refusal { lost: true, .. }) if attempt < self.args.retries => {
+                    tally.lost();
+                    tokio::time::sleep((PAUSE_AFTER_ERROR * (1 << attempt.min(10))).min(LONGEST_PAUSE)).await;
+                }
                 Err(Refusal { text, .. }) => {
                     live.errors.fetch_add(1, Ordering::Relaxed);
                     tally.failed(text);
@@ -378,6 +398,16 @@ async fn added(mut running: JoinSet<Result<Tally, String>>) -> Result<Tally, Err
         tally.add(done??)?;
     }
     Ok(tally)
+}
+
+/// Sets it when the user has had enough; a second interrupt ends the process.
+async fn note_interrupt(interrupted: Arc<AtomicBool>) {
+    // Where the system has no signals, time alone ends a run.
+    while tokio::signal::ctrl_c().await.is_ok() {
+        if interrupted.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+    }
 }
 
 /// Exponentially distributed, of mean 1; splitmix64.

@@ -2,6 +2,7 @@
 
 use std::error::Error as StdError;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use tonic::metadata::{Ascii, MetadataValue};
 use tonic::service::Interceptor;
@@ -17,6 +18,10 @@ use hullcast::proto::hull_service_client::HullServiceClient;
 const MAX_MESSAGE_BYTES: usize = 2 << 30;
 /// HTTP/2 flow control: a batch of some thousand pairs fits.
 const WINDOW_BYTES: u32 = 8 << 20;
+/// A server that cannot be reached says nothing: so long until a connection is given up,
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+/// and so long, twice, until a call under way notices.
+const KEEP_ALIVE: Duration = Duration::from_secs(10);
 
 /// Which server, if any.
 #[derive(clap::Args, Clone, Debug, Default)]
@@ -55,6 +60,9 @@ impl Connection {
         let mut endpoint = Endpoint::from_shared(url.clone())?
             .initial_stream_window_size(WINDOW_BYTES)
             .initial_connection_window_size(WINDOW_BYTES)
+            .connect_timeout(CONNECT_TIMEOUT)
+            .http2_keep_alive_interval(KEEP_ALIVE)
+            .keep_alive_timeout(KEEP_ALIVE)
             .tcp_nodelay(true);
         if url.starts_with("https://") {
             endpoint = endpoint.tls_config(args.tls()?)?;

@@ -16,6 +16,7 @@ pub(crate) struct Tally {
     pairs: u64,
     sent: u64,
     shed: u64,
+    lost: u64,
     checked_batches: u64,
     checked_pairs: u64,
     wrong_batches: u64,
@@ -31,6 +32,7 @@ impl Default for Tally {
             pairs: 0,
             sent: 0,
             shed: 0,
+            lost: 0,
             checked_batches: 0,
             checked_pairs: 0,
             wrong_batches: 0,
@@ -48,6 +50,11 @@ impl Tally {
     /// A busy server refused a batch.
     pub(crate) fn shed(&mut self) {
         self.shed += 1;
+    }
+
+    /// A server was lost with a batch, which is sent again.
+    pub(crate) fn lost(&mut self) {
+        self.lost += 1;
     }
 
     /// A batch was answered.
@@ -80,6 +87,7 @@ impl Tally {
         self.pairs += other.pairs;
         self.sent += other.sent;
         self.shed += other.shed;
+        self.lost += other.lost;
         self.checked_batches += other.checked_batches;
         self.checked_pairs += other.checked_pairs;
         self.wrong_batches += other.wrong_batches;
@@ -119,6 +127,9 @@ impl Tally {
         if self.shed > 0 {
             let _ = writeln!(text, "shed by a busy server: {}", self.shed);
         }
+        if self.lost > 0 {
+            let _ = writeln!(text, "sent again, their server lost: {}", self.lost);
+        }
         let _ = writeln!(text, "errors: {}", self.errors.values().sum::<u64>());
         for (error, count) in &self.errors {
             let _ = writeln!(text, "  {count} x {error}");
@@ -146,6 +157,7 @@ impl Tally {
             "wrong_batches": self.wrong_batches,
             "sent": self.sent,
             "shed": self.shed,
+            "lost": self.lost,
             "errors": self.errors,
         }))
     }
