@@ -170,8 +170,8 @@ test-deploy: build $(VENV)/.deploy ## the Kubernetes manifests by their schemas,
 	$(PY) -m pytest client/tests/extras/test_deploy.py
 
 .PHONY: test-balancers
-test-balancers: build $(VENV)/.test ## three replicas behind HAProxy, nginx and the client itself, killed and drained under load
-	$(PY) -m pytest client/tests/extras/test_balancers.py
+test-balancers: build $(VENV)/.test ## three replicas behind HAProxy, nginx and the client itself, killed, drained and cut off under load; as root
+	$(PY) -m pytest -s client/tests/extras/test_balancers.py
 
 .PHONY: test-tools
 test-tools: build $(VENV)/.test out/bin/grpcurl out/bin/ghz ## docs/grpcurl.md as it stands, with grpcurl and ghz; needs Go

@@ -26,7 +26,7 @@ suppress_warnings = ["misc.highlighting_failure"]
 CONTENTS = {
     "Python": [
         *(f"docs/python/{page}" for page in ("first-contacts", "robots", "finding", "loops")),
-        *(f"docs/python/{page}" for page in ("workers", "accuracy")),
+        *(f"docs/python/{page}" for page in ("workers", "batch-jobs", "accuracy")),
         "docs/site/python",
     ],
     "Any language": [

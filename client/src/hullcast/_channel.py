@@ -59,9 +59,10 @@ _OPTIONS: dict[str, Any] = {
     "grpc.min_reconnect_backoff_ms": 1000,
     "grpc.max_reconnect_backoff_ms": 2000,
     "grpc.dns_min_time_between_resolutions_ms": 5000,
-    # A peer that vanished is noticed during a call; no pings between calls.
-    "grpc.keepalive_time_ms": 60_000,
-    "grpc.keepalive_timeout_ms": 20_000,
+    # A peer that vanished without a word is noticed during a call, early enough for another
+    # to answer within the usual timeout; no pings between calls.
+    "grpc.keepalive_time_ms": 15_000,
+    "grpc.keepalive_timeout_ms": 15_000,
     "grpc.keepalive_permit_without_calls": 0,
     # A forked child must not write into its parent's connections.
     "grpc.use_local_subchannel_pool": 1,
