@@ -155,10 +155,19 @@ protocol: $(VENV)/.test ## docs/protocol.md again, after a change of the comment
 test-languages: build $(VENV)/.test ## clients in Go, TypeScript, Java and C++ against the real server, where their tools are
 	$(PY) scripts/test-languages $(LANGUAGES)
 
+S3S_FS := 0.14.0
+
 .PHONY: test-s3
-test-s3: $(VENV)/.s3 ## replicas on an S3 server that fails in many ways; builds the server with S3 in target/s3
+test-s3: $(VENV)/.s3 $(TOOLS)/s3s-fs-$(S3S_FS)/bin/s3s-fs ## replicas on two S3 servers that fail in many ways; builds the server with S3 in target/s3
 	$(CARGO) build --release --locked --features s3 --target-dir $(TARGET)/s3
-	HULLCAST_BIN=$(TARGET)/s3/release/hullcast $(PY) -m pytest client/tests/extras/test_s3.py
+	PATH="$(TOOLS)/s3s-fs-$(S3S_FS)/bin:$$PATH" HULLCAST_BIN=$(TARGET)/s3/release/hullcast $(PY) -m pytest client/tests/extras/test_s3.py
+
+$(TOOLS)/s3s-fs-$(S3S_FS)/bin/s3s-fs:
+	$(CARGO) install --locked --root $(TOOLS)/s3s-fs-$(S3S_FS) --features binary s3s-fs@$(S3S_FS)
+
+.PHONY: lint-stores
+lint-stores: check-tools ## clippy with the stores that are not in the default build: S3, GCS, Azure
+	$(CARGO) clippy --release --locked --all-targets --features s3,gcs,azure -- -D warnings
 
 .PHONY: test-otlp
 test-otlp: $(VENV)/.otlp ## traces from Python through the server to a collector; builds the server with OTLP in target/otlp
