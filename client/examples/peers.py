@@ -107,7 +107,7 @@ def by_session(client: hullcast.Client, scene: Scene) -> Step:
 
 def by_coal(scene: Scene) -> Step:
     """coal: collide, then the patch."""
-    import coal as library
+    import coal as library  # pyright: ignore[reportMissingImports]
 
     coal: Any = library
     shapes: list[Any] = []
@@ -144,7 +144,7 @@ def by_coal(scene: Scene) -> Step:
 
 def by_fcl(scene: Scene) -> Step:
     """python-fcl: one contact point a pair, and no margin."""
-    import fcl as library
+    import fcl as library  # pyright: ignore[reportMissingImports]
 
     fcl: Any = library
     shapes: list[Any] = []

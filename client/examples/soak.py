@@ -21,9 +21,10 @@ import subprocess
 import tempfile
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,7 @@ class Server:
 
 
 @contextlib.contextmanager
-def serving(cache: int) -> Iterator[Server]:
+def serving(cache: int) -> Generator[Server]:
     """A server with a cache of so many bytes."""
     memory = "/dev/shm" if os.path.isdir("/dev/shm") else None
     with tempfile.TemporaryDirectory(dir=memory) as store:
@@ -111,7 +112,7 @@ def mix(server: Server, rounds: int) -> dict[str, int]:
         hullcast.connect(server.target, options=_OPTIONS) as client,
         ThreadPoolExecutor(THREADS) as pool,
     ):
-        for counts in pool.map(lambda i: _round(client, server.target, i), range(rounds)):
+        for counts in pool.map(partial(_round, client, server.target), range(rounds)):
             for name, count in counts.items():
                 totals[name] = totals.get(name, 0) + count
             server.look()
