@@ -86,11 +86,12 @@ pub(super) fn text(rows: &[Row]) -> String {
 pub(super) fn described(f: &Figures) -> String {
     format!(
         "time x{:.2}, gap {:.1e}, normal {:.1e} short of optimal (p95), angle {:.1e} rad (p95), \
-         patch {:.1e} of the size off (p95), area x{:.2} (p5), flagged {:.1} %, jumps {:.1} %",
+         depth x{:.2} the least translation (p95), patch {:.1e} of the size off (p95), area x{:.2} (p5), flagged {:.1} %, jumps {:.1} %",
         f.relative_time,
         f.gap[1],
         f.optimality[1],
         f.angle[1],
+        f.depth[1],
         f.hausdorff[1],
         f.area[1],
         100.0 * f.flagged,
