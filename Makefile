@@ -94,6 +94,10 @@ test-lowest test-latest: test-%: build
 	$(MAKE) VENV=$(VENV)-$* $(VENV)-$*/.$*
 	$(VENV)-$*/bin/python -m pytest client -o norecursedirs= -k 'not ur5_in_pieces'
 
+.PHONY: package
+package: check-tools wheel ## what a release publishes: the crate, built from its package alone, and the wheel
+	$(CARGO) publish --dry-run --locked
+
 .PHONY: bench
 bench: check-tools build $(VENV)/.demo ## contacts beside parry3d, then through the server from Python; writes docs/performance.md
 	cd benches && $(CARGO) run --release --locked --bin contact

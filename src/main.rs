@@ -1,6 +1,8 @@
 //! The command line: parses, then calls. One module a subcommand, each with
 //! its `Args` and its `run`.
 
+#![warn(unreachable_pub)]
+
 mod cli;
 
 use std::process::ExitCode;
