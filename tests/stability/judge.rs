@@ -2,7 +2,7 @@
 //! cell: counts, flags, and the worst error as a share of its budget.
 
 use hullcast::contact::{
-    Body, Feature, Manifold, Outcome, Query, Solver, Wanted, Workspace, certificate, contact_manifold,
+    Basis, Body, Feature, Manifold, Outcome, Query, Solver, Wanted, Workspace, certificate, contact_manifold,
 };
 
 use super::case::{Case, norm, rotate};
@@ -68,6 +68,9 @@ pub(crate) struct Met {
     pub(crate) separated: usize,
     /// Growth distance alone would say CONTACT.
     pub(crate) ghosts: usize,
+    /// GAP_OPEN, COINCIDENT.
+    pub(crate) open: usize,
+    pub(crate) coincident: usize,
     pub(crate) pivots: usize,
     /// Vertices, edges and faces that touch, at any feature angle, each held
     /// against the definition by brute force; and how often ESTIMATED was due.
@@ -335,8 +338,8 @@ impl Judging<'_> {
         });
     }
 
-    /// CONTACT and SEPARATED as the exact distance says, cold and warm,
-    /// whatever is wanted beside it.
+    /// CONTACT and SEPARATED as the exact distance says, cold, warm and from any
+    /// triple, whatever is wanted beside it.
     fn outcomes(&self, query: &Query, numbers: &Manifold, cell: &mut Cell, workspace: &mut Workspace) {
         let [a, b] = self.bodies;
         let overlapping = self.growth.num <= self.growth.den;
@@ -344,6 +347,12 @@ impl Judging<'_> {
         // Around the distance itself, wherever the hulls are.
         let apart = distance.as_ref().map(|d| [1.0 - 1e-3, 1.0 - 1e-12, 1.0 + 1e-9].map(|by| by * d.value()));
         let own = apart.into_iter().flatten();
+        // Any vertices at all, another triple in every case.
+        let [odd_a, odd_b] = [0, 1].map(|side| {
+            let count = self.case.shapes[side].points.len();
+            [1, 2 + cell.cases, 3 + 5 * cell.cases].map(|i| (i % count) as u32)
+        });
+        let odd = Basis { a: odd_a, b: odd_b };
         for margin in self.case.margins.iter().copied().chain([0.0]).chain(own) {
             let beyond = distance.as_ref().map_or(-margin, |d| d.beyond(margin));
             let ghost = numbers.separation <= margin && beyond > self.sizes.band();
@@ -352,6 +361,7 @@ impl Judging<'_> {
             for (wanted, warm) in [
                 (Wanted::Points, None),
                 (Wanted::Points, warm),
+                (Wanted::Points, Some(&odd)),
                 (Wanted::Outcome, None),
                 (Wanted::Growth, warm),
             ] {
@@ -394,6 +404,8 @@ impl Judging<'_> {
         cell.coincident += usize::from(flags.coincident);
         cell.estimated += usize::from(flags.estimated);
         let met = &mut cell.met;
+        met.open += usize::from(flags.gap_open);
+        met.coincident += usize::from(flags.coincident);
         let overlapping = self.growth.num <= self.growth.den;
         met.overlapping += usize::from(overlapping);
         met.apart += usize::from(!overlapping);

@@ -46,6 +46,10 @@ pub(super) fn world_offset() -> Vec<Row> {
     [0.0, 1e3, 1e6, 1e9, 1e12].map(row).into()
 }
 
+pub(super) fn coincident(row: Row) -> Row {
+    row.about(About::Coincident).meets(|met| met.coincident)
+}
+
 /// Centres from coincident to absurdly far, in inradii. The hulls are about
 /// their frames' origin, so that the offset has no noise; and off it, where an
 /// offset below the noise is COINCIDENT.
@@ -60,10 +64,10 @@ pub(super) fn centre_distance() -> Vec<Row> {
             let d = scaled(random.direction(), share * inner);
             Case::new(shapes, d, [random.rotation(), random.rotation()])
         });
-        if share == 0.0 { row.about(About::Coincident) } else { row }
+        if share == 0.0 { coincident(row) } else { row }
     };
     let noise = |share: f64| {
-        Row::new("centre distance", format!("{share} u M"), move |random| {
+        let row = Row::new("centre distance", format!("{share} u M"), move |random| {
             let away = scaled(random.direction(), 3.0);
             let half = [0; 3].map(|_| random.range(0.2, 1.0));
             let points = box_points(half).iter().map(|p| std::array::from_fn(|k| p[k] + away[k])).collect();
@@ -71,8 +75,9 @@ pub(super) fn centre_distance() -> Vec<Row> {
             let rotation = random.rotation();
             let d = scaled(random.direction(), share * U * 2.0 * 3.0);
             Case::new([shape.clone(), shape], d, [rotation, rotation])
-        })
-        .about(About::Coincident)
+        });
+        // The noise is 8 u M.
+        if share < 8.0 { coincident(row) } else { row }
     };
     let centred = [0.0, 1e-290, 1e-100, 1e-16, 1e-12, 1e-8, 1e-3, 1e15].map(centred);
     centred.into_iter().chain([0.0, 4.0, 100.0].map(noise)).collect()
@@ -143,7 +148,11 @@ pub(super) fn budgets() -> Vec<Row> {
             max_iterations: limit,
             ..any_case(random)
         });
-        if limit < 100 { row.about(About::GapOpen) } else { row }
+        match limit {
+            0..=5 => row.about(About::GapOpen).meets(|met| met.open),
+            10 => row.about(About::GapOpen),
+            _ => row,
+        }
     };
     let limits = [1, 2, 3, 5, 10, 30, 100].map(|limit| (limit, 0.0));
     let tolerances = [1e-12, 1e-9, 1e-6, 1e-3, 1e-1, 1.0].map(|tolerance| (1000, tolerance));

@@ -128,12 +128,11 @@ pub(super) fn ties() -> Vec<Row> {
         let d = [[0.0, 0.0, 0.5], [0.0, 0.0, 1.0], [0.5, 0.0, 0.0], [0.25, 0.0, 0.25]][random.below(4)];
         Case::new([shape.clone(), shape], d, [LEVEL; 2])
     });
-    let identical = Row::new("ties", "identical hulls", move |random| {
+    let identical = super::poses::coincident(Row::new("ties", "identical hulls", move |random| {
         let shape = Shape::centred(box_points(integer(random)));
         let rotation = random.rotation();
         Case::new([shape.clone(), shape], [0.0; 3], [rotation; 2])
-    })
-    .about(super::About::Coincident);
+    }));
     let tied = |row: Row| row.meets(|met| met.ties);
     let others = [tied(boxes), tied(prisms), identical];
     [cubes("cubes along faces", 2), cubes("cubes along edges", 1), cubes("cubes along diagonals", 0)]
