@@ -11,6 +11,10 @@ use super::exact::{Dd, Dd3, dd_cross, dd_dot, exponent_above, power_of_two, trip
 use super::tolerance::{BAND, BRACKET, MERGE, NOISE, U};
 use super::{Basis, Body, Feature, Manifold, Outcome, Query, Wanted};
 
+/// Below the normal doubles alpha is a multiple of 2^-1074, and so is what it may be off:
+/// alpha, both ends of its bracket and what is shown here are each rounded once.
+const SUBNORMAL: f64 = f64::from_bits(4);
+
 /// What of an answer is not as defined: `found` is beyond `allowed`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Violation {
@@ -92,6 +96,13 @@ impl<'a> Scene<'a> {
         }
     }
 
+    /// The growth scale along the normal: a lower bound of alpha, but for rounding.
+    fn growth(&self) -> f64 {
+        // Of the offset scaled: where it is subnormal its products lose most of it.
+        let far = power_of_two(exponent_above(self.d.abs().max_element()));
+        self.normal.dot(self.d / far) / self.reach * far
+    }
+
     /// The rounding band of a separation.
     fn band(&self) -> f64 {
         U * (BAND * (self.circumradius + self.d.length()) + NOISE * self.m)
@@ -112,8 +123,7 @@ fn vertex(body: &Body<'_>, v: usize) -> DVec3 {
 fn separated(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), Violation> {
     at_most("margin of a separated pair", query.margin, scene.separation)?;
     at_most("lower bound of the distance", manifold.separation, scene.separation)?;
-    let growth = scene.normal.dot(scene.d) / scene.reach;
-    at_most("lower bound of alpha", manifold.alpha_lower, growth)?;
+    at_most("lower bound of alpha", manifold.alpha_lower, scene.growth() + SUBNORMAL)?;
     let none =
         manifold.points.is_empty() && manifold.basis.is_none() && manifold.alpha_upper == f64::INFINITY;
     at_most("points, basis or upper bound of a separated pair", f64::from(u8::from(!none)), 0.0)
@@ -129,15 +139,20 @@ fn bracket(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), 
         at_most("offset of coincident centres", length(scene.d), NOISE * U * scene.m)?;
         return at_most("alpha of coincident centres", alpha, 0.0);
     }
-    let growth = scene.normal.dot(scene.d) / scene.reach;
+    let growth = scene.growth();
     // Nothing has to show that alpha is at least 0.
-    at_most("lower end of the bracket above what the normal shows", alpha_lower, growth.max(0.0))?;
+    at_most(
+        "lower end of the bracket above what the normal shows",
+        alpha_lower,
+        growth.max(0.0) + SUBNORMAL,
+    )?;
     // An outcome alone asks for no bracket.
     if flags.gap_open || query.wanted == Wanted::Outcome {
         return Ok(());
     }
-    at_most("width of the bracket", alpha_upper - alpha_lower, alpha_upper * tolerance + 2.0 * noise)?;
-    at_most("optimality gap of the normal", alpha - growth, alpha * tolerance + noise)?;
+    let wide = alpha_upper * tolerance + 2.0 * noise + SUBNORMAL;
+    at_most("width of the bracket", alpha_upper - alpha_lower, wide)?;
+    at_most("optimality gap of the normal", alpha - growth, alpha * tolerance + noise + SUBNORMAL)?;
     // A solver that stops early may stop before it has a basis, and so may one for
     // hulls so thin that rounding alone leaves alpha open by as much as it is.
     let early = query.accuracy.relative_tolerance > 0.0
@@ -145,7 +160,7 @@ fn bracket(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), 
         || manifold.iterations >= query.accuracy.max_iterations;
     let without = if early { 0.0 } else { f64::INFINITY };
     let shown = manifold.basis.as_ref().map_or(without, |basis| shown_upper(scene, basis));
-    at_most("what the basis shows above the upper end of the bracket", shown, alpha_upper)
+    at_most("what the basis shows above the upper end of the bracket", shown, alpha_upper + SUBNORMAL)
 }
 
 /// The upper bound of alpha that a basis shows, without the allowance for noise.

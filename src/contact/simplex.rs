@@ -12,6 +12,8 @@ use super::pair::Support;
 pub(crate) struct Simplex {
     points: [Support; 4],
     len: usize,
+    /// Whether the last point came after the closest point of the others was found.
+    grown: bool,
 }
 
 impl Simplex {
@@ -22,6 +24,7 @@ impl Simplex {
                 simplex.push(*p);
             }
         }
+        simplex.grown = false;
         simplex
     }
 
@@ -46,11 +49,12 @@ impl Simplex {
         self.points().iter().any(|p| p.same(w))
     }
 
-    /// Adds a point to at most three.
+    /// Adds a point to at most three: one beyond their closest point's plane.
     pub(crate) fn push(&mut self, w: Support) {
         if self.len < 4 {
             self.points[self.len] = w;
             self.len += 1;
+            self.grown = true;
         }
     }
 
@@ -77,7 +81,10 @@ impl Simplex {
         if self.is_full() && surrounded(&points) {
             return DVec3::ZERO;
         }
-        let subsets = SUBSETS.iter().filter(|set| set.iter().all(|&i| i < self.len));
+        // The new point holds the closest one; where it gains a rounding alone, the simplex
+        // without it would be measured as near, kept, and grown by it again, without end.
+        let has_new = |set: &&&[usize]| !self.grown || set.contains(&(self.len - 1));
+        let subsets = SUBSETS.iter().filter(|set| set.iter().all(|&i| i < self.len)).filter(has_new);
         let feet = subsets.filter_map(|set| Some((foot(&points, set)?, Kept::of(set))));
         // Widely too: of a thin triangle and its side nearly as near the side would
         // win a tie, the corner beyond it be dropped and found again, without end.
@@ -90,7 +97,7 @@ impl Simplex {
 
     fn keep(&mut self, kept: &Kept) {
         let before = self.points;
-        self.len = kept.len;
+        (self.len, self.grown) = (kept.len, false);
         for (i, &k) in kept.indices[..kept.len].iter().enumerate() {
             self.points[i] = before[k];
         }
@@ -133,7 +140,13 @@ fn foot(points: &[Dd3], face: &[usize]) -> Option<Dd3> {
             inside.then(|| over([a[0] + b[0], a[1] + b[1], a[2] + b[2]], whole))
         }
         [i, j, k] => {
-            let [p, q, r] = [i, j, k].map(|i| points[i]);
+            let mut corners = [i, j, k].map(|i| points[i]);
+            // From the corner nearest to the origin: of a needle whose base is there the
+            // sides from its tip are nearly one, and their product loses twice as much.
+            let length = |p: &Dd3| dd_dot(*p, *p).value();
+            let nearest = (0..3).min_by(|&a, &b| length(&corners[a]).total_cmp(&length(&corners[b])));
+            corners.rotate_left(nearest.unwrap_or(0));
+            let [p, q, r] = corners;
             let n = dd_cross(minus(q, p), minus(r, p));
             let inside = |u: Dd3, v: Dd3| dd_dot(n, dd_cross(u, v)).value() > 0.0;
             (inside(p, q) && inside(q, r) && inside(r, p)).then(|| over(times(n, dd_dot(n, p)), dd_dot(n, n)))

@@ -9,6 +9,8 @@ mod case;
 mod determinism;
 mod exact;
 mod found;
+mod frames;
+mod fuzzed;
 mod gauss;
 mod judge;
 mod long;

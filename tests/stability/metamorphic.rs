@@ -13,7 +13,11 @@ use crate::oracle::Exact;
 use crate::polygon;
 
 /// The same cases in every run; on failure the smallest scene found.
-fn holds<S: Strategy>(cases: u32, strategy: S, test: impl Fn(S::Value) -> Result<(), TestCaseError>) {
+pub(crate) fn holds<S: Strategy>(
+    cases: u32,
+    strategy: S,
+    test: impl Fn(S::Value) -> Result<(), TestCaseError>,
+) {
     let config =
         Config { cases, failure_persistence: None, max_global_rejects: 100_000, ..Config::default() };
     let rng = TestRng::deterministic_rng(RngAlgorithm::ChaCha);
@@ -37,7 +41,7 @@ fn coordinate() -> impl Strategy<Value = f64> {
     (grid, prop_oneof![9 => Just(0i64), 1 => -3i64..=3]).prop_map(|(x, ulps)| nudged(x, ulps))
 }
 
-fn point() -> impl Strategy<Value = [f64; 3]> {
+pub(crate) fn point() -> impl Strategy<Value = [f64; 3]> {
     [coordinate(), coordinate(), coordinate()]
 }
 
@@ -57,7 +61,7 @@ fn shape() -> impl Strategy<Value = Rc<Shape>> {
 }
 
 /// The cube's own turns, off by ulps, and any other.
-fn rotation() -> impl Strategy<Value = [f64; 4]> {
+pub(crate) fn rotation() -> impl Strategy<Value = [f64; 4]> {
     let s = 0.5f64.sqrt();
     let turns = vec![
         [0.0, 0.0, 0.0, 1.0],
@@ -76,7 +80,7 @@ fn rotation() -> impl Strategy<Value = [f64; 4]> {
     prop_oneof![3 => exact, 2 => near, 1 => any]
 }
 
-fn scene() -> impl Strategy<Value = Case> {
+pub(crate) fn scene() -> impl Strategy<Value = Case> {
     // Axes and diagonals meet edges and corners of the difference.
     let aligned = prop::sample::select(vec![-1.0, 0.0, 1.0]);
     let aligned = [aligned.clone(), aligned.clone(), aligned];
@@ -86,7 +90,7 @@ fn scene() -> impl Strategy<Value = Case> {
     ([shape(), shape()], offset, [rotation(), rotation()]).prop_map(|(shapes, d, q)| Case::new(shapes, d, q))
 }
 
-fn solve(case: &Case) -> Manifold {
+pub(crate) fn solve(case: &Case) -> Manifold {
     case.solve(&case.query(f64::INFINITY), &mut Workspace::default())
 }
 
@@ -94,7 +98,7 @@ fn inner(case: &Case) -> f64 {
     case.shapes.iter().map(|s| s.hull.inradius()).sum()
 }
 
-fn outer(case: &Case) -> f64 {
+pub(crate) fn outer(case: &Case) -> f64 {
     case.shapes.iter().map(|s| s.hull.circumradius()).sum()
 }
 
@@ -104,7 +108,7 @@ fn budget(case: &Case, alpha: f64) -> f64 {
     alpha * 16.0 * U * outer(case) / inner(case) + noise
 }
 
-fn check(holds: bool, message: impl FnOnce() -> String) -> Result<(), TestCaseError> {
+pub(crate) fn check(holds: bool, message: impl FnOnce() -> String) -> Result<(), TestCaseError> {
     if holds { Ok(()) } else { Err(TestCaseError::fail(message())) }
 }
 
@@ -112,7 +116,7 @@ fn same(a: f64, b: f64, budget: f64) -> Result<(), TestCaseError> {
     check((a - b).abs() <= budget, || format!("{a:e} and {b:e} differ by more than {budget:e}"))
 }
 
-fn at(case: &Case, d: [f64; 3]) -> Case {
+pub(crate) fn at(case: &Case, d: [f64; 3]) -> Case {
     Case { positions: [[0.0; 3], d], ..case.clone() }
 }
 
@@ -197,7 +201,7 @@ fn alpha_is_the_pairs_own() {
     });
 }
 
-fn product([ax, ay, az, aw]: [f64; 4], [bx, by, bz, bw]: [f64; 4]) -> [f64; 4] {
+pub(crate) fn product([ax, ay, az, aw]: [f64; 4], [bx, by, bz, bw]: [f64; 4]) -> [f64; 4] {
     [
         aw * bx + ax * bw + ay * bz - az * by,
         aw * by - ax * bz + ay * bw + az * bx,

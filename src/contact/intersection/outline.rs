@@ -219,6 +219,29 @@ impl Outline {
         [&self.corners[i], &self.corners[self.next(i)]]
     }
 
+    /// Of the sides around side `i` the one that a point near its line is beside: where
+    /// sides go on along one line, to the merge distance, the next ones do not cut, and
+    /// what side `i` cuts may be far beyond its ends.
+    pub(super) fn side_beside(&self, i: u32, at: DVec2) -> u32 {
+        let mut i = i as usize;
+        // Around it once at most, one way.
+        for step in [1, self.sides.len() - 1] {
+            for _ in 0..self.sides.len() {
+                let [from, to] = self.side(i).map(|c| c.at);
+                let end = if step == 1 { to } else { from };
+                let other = (i + step) % self.sides.len();
+                let [next_from, next_to] = self.side(other).map(|c| c.at);
+                let onward = if step == 1 { next_to - next_from } else { next_from - next_to };
+                let beyond = (at - end).dot(if step == 1 { to - from } else { from - to }) > 0.0;
+                if !(beyond && (at - end).dot(onward) > 0.0) {
+                    break;
+                }
+                i = other;
+            }
+        }
+        i as u32
+    }
+
     /// A side's name, in vertices as registered.
     pub(super) fn side_name(&self, i: usize) -> Element {
         let [a, b] = self.side(i).map(|c| c.vertex);

@@ -69,7 +69,7 @@ fn lifted(v: &Vertex, subject: &Outline, window: &Outline) -> [(Element, f64); 2
             let height = if near { window.height(v.at) } else { height };
             [(Element::Inside, subject.height(v.at)), (name, height)]
         }
-        Made::Crossing(i, j) => [side(subject, i), side(window, j)],
+        Made::Crossing(i, j) => [side(subject, i), side(window, window.side_beside(j, v.at))],
     }
 }
 
