@@ -415,6 +415,31 @@ fn edges_within_a_merged_face_may_fold() {
     check(&points, &hull(&points), &mut Met::default());
 }
 
+/// Found by fuzzing, and none of the hull's: at the tips of a wedge of 1e20 vertices a few
+/// units apart all but coincide, and the edges between them run any way in the outlines of
+/// faces that are off their planes by more than they are long.
+#[test]
+fn edges_between_vertices_that_nearly_coincide_may_fold() {
+    let [x, y] = [6.802236877180397e19, 5.7069614478038925e19];
+    let points = [
+        [3.6875, 3.09375, y],
+        [5.573204538870989e16, 3.09375, 0.0],
+        [3.09375, 1.125, 3.34375],
+        [0.0, 0.0, y],
+        [99.0, 3.09375, 3.09375],
+        [3.6875, x, 6.642809450371482e16],
+        [x, 99.0, 0.0],
+        [3.09375, 3.09375, 0.0],
+        [3.09375, 3.09375, 0.375],
+        [3.09375, 0.0, 3.09375],
+        [0.0, 0.0, 3.09375],
+        [3.09375, 0.0, 3.6875],
+        [3.6875, 0.0, 3321888768.0],
+        [y, 1.7005592192950993e19, 0.0],
+    ];
+    check(&points, &hull(&points), &mut Met::default());
+}
+
 /// Found by fuzzing: vertices that differ, but not once they are about the
 /// contraction point, made a face of no area, whose outline bounded nothing.
 #[test]
