@@ -44,13 +44,14 @@ async fn called(routes: &Routes, method: &str, message: &[u8]) -> Bytes {
     response.into_body().collect().await.expect("a body").to_bytes()
 }
 
-const METHODS: [&str; 6] = [
+const METHODS: [&str; 7] = [
     "/hullcast.v1.ContactService/QueryContacts",
     "/hullcast.v1.ContactService/QueryContacts",
     "/hullcast.v1.HullService/RegisterHulls",
     "/hullcast.v1.HullService/GetHulls",
     "/hullcast.v1.HullService/ListHulls",
     "/hullcast.v1.ContactService/StreamContacts",
+    "/hullcast.v1.ContactService/FindContacts",
 ];
 
 /// The bytes, read in bulk and by prost, are the same message or none.
@@ -75,7 +76,7 @@ fuzz_target!(|data: &[u8]| {
     read_alike::<QueryContactsResponse>(message);
     let server = &*SERVER;
     let body = server.runtime.block_on(called(&server.routes, method, message));
-    if method == METHODS[0] {
+    if [METHODS[0], METHODS[5], METHODS[6]].contains(&method) {
         let again = server.runtime.block_on(called(&server.routes, method, message));
         assert_eq!(body, again, "the same request, other bytes");
     }

@@ -19,7 +19,7 @@ pub fn hulls() -> RegisterHullsRequest {
 
 fn ids() -> Vec<Vec<u8>> {
     let id = |points: Vec<[f64; 3]>| {
-        let definition = identity::HullDefinition { points, contraction_point: None };
+        let definition = identity::HullDefinition { points, ..Default::default() };
         id_of(&definition.identity_bytes()).0.to_vec()
     };
     vec![id(CORNER.to_vec()), id(cube())]
@@ -64,6 +64,16 @@ pub fn all() -> Vec<(&'static str, u8, Vec<u8>)> {
             simplification: None,
         }],
     };
+    let found = QueryContactsRequest {
+        body_hulls: vec![0, 1, 1, 0],
+        positions: [0.0, 0.5, 1.0, 1.5].repeat(3),
+        rotations: [0.0, 0.0, 0.0, 1.0].repeat(4),
+        pairs: vec![],
+        worlds: vec![1, 1, u32::MAX, 2],
+        groups: vec![1, 2, 3, 0],
+        ignored_groups: vec![1, 2],
+        ..scene(1.0)
+    };
     vec![
         ("query", 0, query.encode_to_vec()),
         ("query-everything", 0, everything.encode_to_vec()),
@@ -75,5 +85,7 @@ pub fn all() -> Vec<(&'static str, u8, Vec<u8>)> {
         ("get", 3, GetHullsRequest { ids: ids(), ..Default::default() }.encode_to_vec()),
         ("list", 4, ListHullsRequest { page_size: 1, ..Default::default() }.encode_to_vec()),
         ("stream", 5, query.encode_to_vec()),
+        ("find", 6, QueryContactsRequest { pairs: vec![], ..scene(0.5) }.encode_to_vec()),
+        ("find-worlds", 6, found.encode_to_vec()),
     ]
 }

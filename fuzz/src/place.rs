@@ -1,0 +1,117 @@
+//! Where two hulls are: anywhere, at a growth scale, face on face, point on point.
+
+use glam::{DMat3, DQuat, DVec3};
+use hullcast::contact::{Body, ConvexHull, Pose, Query, Workspace, contact_manifold};
+
+use crate::bytes::Bytes;
+
+/// A position and a rotation of each hull.
+#[derive(Clone, Debug)]
+pub struct Place {
+    pub positions: [[f64; 3]; 2],
+    pub rotations: [[f64; 4]; 2],
+}
+
+impl Place {
+    pub fn bodies<'h>(&self, hulls: [&'h ConvexHull; 2]) -> [Body<'h>; 2] {
+        let pose = |side: usize| Pose::new(self.positions[side], self.rotations[side]).expect("a pose");
+        [0, 1].map(|side| Body::new(hulls[side], pose(side)))
+    }
+
+    /// B where its contraction point is `d` from A's.
+    fn at(hulls: [&ConvexHull; 2], rotations: [[f64; 4]; 2], d: DVec3) -> Self {
+        let [a, b] = [0, 1].map(|side| turned(rotations[side]) * hulls[side].contraction_point());
+        Self { positions: [[0.0; 3], (d - b + a).to_array()], rotations }
+    }
+}
+
+fn turned([x, y, z, w]: [f64; 4]) -> DMat3 {
+    DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize())
+}
+
+impl Bytes<'_> {
+    pub(crate) fn place(&mut self, hulls: [&ConvexHull; 2]) -> Place {
+        let size: f64 = hulls.iter().map(|hull| hull.circumradius()).sum();
+        let mut place = match self.below(8) {
+            0 => Place {
+                positions: [self.point(), self.point()],
+                rotations: [self.rotation(), self.rotation()],
+            },
+            1 => {
+                let rotations = [self.rotation(), self.rotation()];
+                let share = self.share() * self.one_of(&[1.0, 1.0, 2.0, 1e-3, 1e-16, 1e-100, 1e9]);
+                Place::at(hulls, rotations, share * size * self.direction())
+            }
+            2 | 3 => self.at_a_growth_scale(hulls, size),
+            4..=6 => self.face_on_face(hulls, size),
+            _ => self.point_on_point(hulls, size),
+        };
+        if self.below(4) == 0 {
+            let by = size.min(1e40) * 10f64.powi(i32::from(self.below(13)));
+            let off = (by * self.direction()).to_array();
+            for position in &mut place.positions {
+                *position = std::array::from_fn(|k| position[k] + off[k]);
+            }
+        }
+        // What is no pose is the handlers' to refuse.
+        for x in place.positions.iter_mut().flatten() {
+            *x = if x.abs() <= 1e100 { *x } else { 0.0 };
+        }
+        place
+    }
+
+    fn at_a_growth_scale(&mut self, hulls: [&ConvexHull; 2], size: f64) -> Place {
+        let (rotations, direction) = ([self.rotation(), self.rotation()], self.direction());
+        let far = Place::at(hulls, rotations, size * direction);
+        let [a, b] = far.bodies(hulls);
+        let query = Query { margin: f64::INFINITY, ..Query::default() };
+        let alpha = contact_manifold(&a, &b, &query, None, &mut Workspace::default()).alpha;
+        let wanted = match self.below(4) {
+            0 => self.share() * 2.0,
+            1 => self.nudged(1.0),
+            _ => 1.0 + self.little(),
+        };
+        Place::at(hulls, rotations, size * wanted / alpha.max(f64::MIN_POSITIVE) * direction)
+    }
+
+    /// A corner, a middle of an edge or of a face of a hull, and the normal there.
+    fn spot(&mut self, hull: &ConvexHull) -> (DVec3, DVec3) {
+        let face = usize::from(self.byte()) % hull.face_count();
+        let outline = hull.outline(face);
+        let corner = |i: usize| hull.vertices()[outline[i % outline.len()] as usize];
+        let first = usize::from(self.byte());
+        let at = match self.below(4) {
+            0 => corner(first),
+            1 => corner(first).midpoint(corner(first + 1)),
+            2 => (0..outline.len()).map(corner).sum::<DVec3>() / outline.len() as f64,
+            _ => corner(first).lerp(corner(first + 2), self.share()),
+        };
+        (hull.contraction_point() + at * hull.scale(), hull.face_normal(face))
+    }
+
+    /// B's face on A's, tilted, spun and lifted by a little or nothing.
+    fn face_on_face(&mut self, hulls: [&ConvexHull; 2], size: f64) -> Place {
+        let [(at_a, normal_a), (at_b, normal_b)] = hulls.map(|hull| self.spot(hull));
+        let rotation = self.rotation();
+        let normal = turned(rotation) * normal_a;
+        let angle = self.one_of(&[0.0, 0.0, 0.25, 0.5, 1.0]) * std::f64::consts::PI + self.little();
+        let tilt = self.one_of(&[0.0, 0.0, 0.01]) + self.little();
+        let (axis, _) = normal.any_orthonormal_pair();
+        let other = DQuat::from_axis_angle(axis, tilt)
+            * DQuat::from_axis_angle(normal, angle)
+            * DQuat::from_rotation_arc(normal_b, -normal);
+        let lift = size * self.little() * self.one_of(&[1.0, 1.0, 0.1]);
+        let other = other.normalize().to_array();
+        let position = turned(rotation) * at_a + lift * normal - turned(other) * at_b;
+        Place { positions: [[0.0; 3], position.to_array()], rotations: [rotation, other] }
+    }
+
+    /// A spot of B where one of A is, or nearly.
+    fn point_on_point(&mut self, hulls: [&ConvexHull; 2], size: f64) -> Place {
+        let [(at_a, _), (at_b, _)] = hulls.map(|hull| self.spot(hull));
+        let rotations = [self.rotation(), self.rotation()];
+        let off = size * self.little() * self.direction();
+        let position = turned(rotations[0]) * at_a + off - turned(rotations[1]) * at_b;
+        Place { positions: [[0.0; 3], position.to_array()], rotations }
+    }
+}

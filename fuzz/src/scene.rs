@@ -1,0 +1,130 @@
+//! What one input is: two hulls, and several places and questions for them.
+
+use hullcast::contact::{Accuracy, ConvexHull, Query, Wanted, Workspace, contact_manifold};
+use libfuzzer_sys::arbitrary::{self, Arbitrary, Unstructured};
+
+use crate::bytes::Bytes;
+use crate::place::Place;
+use crate::shape::Shape;
+
+/// Iterations that no pair needs.
+pub const UNLIMITED: u32 = 1000;
+
+/// Of each pair of hulls.
+const QUESTIONS: usize = 8;
+
+/// Points of a hull, or of none.
+#[derive(Debug)]
+pub struct Cloud(pub Vec<[f64; 3]>);
+
+/// Two hulls, and questions about them.
+pub struct Scene {
+    shapes: [Shape; 2],
+    pub questions: Vec<Question>,
+    /// Asked again with everything so many times as large: a power of two.
+    pub scale: Option<f64>,
+}
+
+/// Two hulls somewhere, and what is asked of them.
+#[derive(Clone, Debug)]
+pub struct Question {
+    pub place: Place,
+    /// Of either solver.
+    pub query: Query,
+    /// What a client may send as a warm start, registered vertices or not.
+    pub odd_warm_start: [u32; 6],
+}
+
+impl Scene {
+    pub fn hulls(&self) -> [&ConvexHull; 2] {
+        self.shapes.each_ref().map(|shape| &shape.hull)
+    }
+
+    /// With lengths that are as exact as these, if they and the hulls can be.
+    pub fn scaled(&self, by: f64) -> Option<Self> {
+        let length = |x: f64| Some(x * by).filter(|y| y / by == x && (x == 0.0 || y.is_normal()));
+        let vector = |v: [f64; 3]| Some([length(v[0])?, length(v[1])?, length(v[2])?]);
+        let shape = |shape: &Shape| {
+            let contraction_point = match shape.contraction_point {
+                Some(p) => Some(vector(p)?),
+                None => None,
+            };
+            Shape::new(shape.points.iter().map(|&p| vector(p)).collect::<Option<_>>()?, contraction_point)
+        };
+        let question = |q: &Question| {
+            let [a, b] = q.place.positions.map(vector);
+            let place = Place { positions: [a?, b?], ..q.place };
+            let margin = if q.query.margin.is_finite() { length(q.query.margin)? } else { f64::INFINITY };
+            let within = place.positions.iter().flatten().all(|x| x.abs() <= 1e100);
+            within.then_some(Question { place, query: Query { margin, ..q.query }, ..*q })
+        };
+        let [a, b] = self.shapes.each_ref().map(shape);
+        let questions = self.questions.iter().map(question).collect::<Option<_>>()?;
+        Some(Self { shapes: [a?, b?], questions, scale: None })
+    }
+}
+
+impl<'a> Arbitrary<'a> for Cloud {
+    fn arbitrary(u: &mut Unstructured<'a>) -> arbitrary::Result<Self> {
+        Ok(Self(Bytes::all(u)?.cloud(64)))
+    }
+}
+
+impl<'a> Arbitrary<'a> for Scene {
+    fn arbitrary(u: &mut Unstructured<'a>) -> arbitrary::Result<Self> {
+        let bytes = &mut Bytes::all(u)?;
+        let shapes = [bytes.shape(24), bytes.shape(24)];
+        let scale = (bytes.below(8) == 0).then(|| 2f64.powi(i32::from(bytes.byte() as i8)));
+        let questions = (0..QUESTIONS).map(|_| bytes.question(shapes.each_ref().map(|s| &s.hull))).collect();
+        Ok(Self { shapes, questions, scale })
+    }
+}
+
+impl Bytes<'_> {
+    fn question(&mut self, hulls: [&ConvexHull; 2]) -> Question {
+        let place = self.place(hulls);
+        let mut query = self.query();
+        let size: f64 = hulls.iter().map(|hull| hull.circumradius()).sum();
+        query.margin = match self.below(8) {
+            0 | 1 => 0.0,
+            2 => self.share() * size,
+            3 => self.little().abs() * size,
+            4 => self.one_of(&[1e-9, 0.01, 1.0]),
+            5 => {
+                // As far apart as they are along the growth normal, to an ulp or so.
+                let [a, b] = place.bodies(hulls);
+                let open = Query { margin: f64::INFINITY, ..Query::default() };
+                let found = contact_manifold(&a, &b, &open, None, &mut Workspace::default()).separation;
+                self.nudged(found.max(0.0)).max(0.0)
+            }
+            _ => f64::INFINITY,
+        };
+        let odd_warm_start = [(); 6].map(|()| u32::from(self.byte()) * 0x0101_0101 % 29);
+        Question { place, query, odd_warm_start }
+    }
+
+    /// Anything but a margin.
+    fn query(&mut self) -> Query {
+        let accuracy = Accuracy {
+            relative_tolerance: self.one_of(&[0.0, 0.0, 0.0, 0.0, 1e-9, 1e-3, 0.1, 1.0]),
+            feature_angle: self.one_of(&[0.01, 0.01, 0.01, 0.0, 0.1, 0.5]),
+            max_points: self.one_of(&[0, 0, 0, 1, 4]),
+            max_iterations: self.one_of(&[UNLIMITED, UNLIMITED, UNLIMITED, UNLIMITED, 1, 2, 5]),
+            ..Accuracy::default()
+        };
+        let wanted = self.one_of(&[Wanted::Points, Wanted::Points, Wanted::Points, Wanted::Growth, Wanted::Outcome]);
+        Query { margin: 0.0, accuracy, wanted }
+    }
+}
+
+/// All that is needed to make a test of it.
+impl std::fmt::Debug for Scene {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Scene")
+            .field("points", &self.shapes.each_ref().map(|s| &s.points))
+            .field("contraction_points", &self.shapes.each_ref().map(|s| s.contraction_point))
+            .field("questions", &self.questions)
+            .field("scale", &self.scale)
+            .finish()
+    }
+}
