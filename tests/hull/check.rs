@@ -164,6 +164,20 @@ fn check_area(hull: &ConvexHull, face: usize) {
     assert!((area - seen).abs() <= slack && area >= 0.0, "area {area:e} of face {face}, seen {seen:e}");
 }
 
+/// Whether two faces meet along an edge and, nearer than `slack`, along a part of it again:
+/// a fold, of which one side runs against the outlines.
+fn folds_back(hull: &ConvexHull, edge: [u32; 2], faces: [u32; 2], slack: f64) -> bool {
+    let [from, to] = edge.map(|v| hull.vertices()[v as usize]);
+    let off = |v: u32| {
+        let (p, along) = (hull.vertices()[v as usize] - from, to - from);
+        p.distance((p.dot(along) / along.length_squared()).clamp(0.0, 1.0) * along)
+    };
+    let mut others = hull.edge_vertices().iter().zip(hull.edge_faces());
+    others.any(|(&ends, &[f, g])| {
+        ends != edge && ([f, g] == faces || [g, f] == faces) && ends.iter().all(|&v| off(v) <= slack)
+    })
+}
+
 /// Sorted, each between two faces that hold both its ends, and with the corners
 /// and faces of Euler's characteristic.
 fn check_edges(hull: &ConvexHull, met: &mut Met) {
@@ -186,7 +200,8 @@ fn check_edges(hull: &ConvexHull, met: &mut Met) {
         let around = (0..hull.vertex_count()).filter(near).flat_map(|v| hull.vertex_faces(v));
         let planarity = around.map(|&face| hull.faces()[face as usize].planarity).fold(0.0, f64::max);
         let [n, m] = [left, right].map(|f| hull.faces()[f as usize].normal);
-        if length * n.cross(m).length() * hull.unit_inradius() > 16.0 * planarity {
+        let slack = 16.0 * planarity / hull.unit_inradius();
+        if length * n.cross(m).length() > slack && !folds_back(hull, [from, to], [left, right], slack) {
             met.ordered_edges += 1;
             assert!(!runs(left, to, from) && !runs(right, from, to), "left and right exchanged");
         }

@@ -415,11 +415,11 @@ fn edges_within_a_merged_face_may_fold() {
     check(&points, &hull(&points), &mut Met::default());
 }
 
-/// Found by fuzzing, and none of the hull's: at the tips of a wedge of 1e20 vertices a few
-/// units apart all but coincide, and the edges between them run any way in the outlines of
-/// faces that are off their planes by more than they are long.
+/// Found by fuzzing, and none of the hull's: where corners all but coincide, two faces may
+/// meet along an edge and along it again, a fold thinner than the merge tolerance, of which
+/// one side runs against the outlines.
 #[test]
-fn edges_between_vertices_that_nearly_coincide_may_fold() {
+fn edges_beside_corners_that_nearly_coincide_may_fold_back() {
     let [x, y] = [6.802236877180397e19, 5.7069614478038925e19];
     let points = [
         [3.6875, 3.09375, y],
