@@ -210,8 +210,11 @@ stability: check-tools ## answers at the extremes against exact ones; writes doc
 	 debug=$$(digest); release=$$(digest --release); echo "debug: $$debug, release: $$release"; test "$$debug" = "$$release"
 
 .PHONY: stability-long
-stability-long: check-tools ## THOUSANDS=1000: so many cases by the certificate, a tenth by the exact answers; an hour and more
-	$(STABILITY) --ignored --nocapture many_cases a_million_cases
+stability-long: check-tools ## THOUSANDS=1000: so many cases by the certificate, a tenth by the exact answers; writes docs/fuzzing.md; an hour and more
+	mkdir -p out
+	$(STABILITY) --ignored --nocapture many_cases a_million_cases | tee out/stability-long.txt
+	grep -E '^\||cases|^test ' out/stability-long.txt > out/stability-closing.txt
+	./scripts/section docs/fuzzing.md long out/stability-closing.txt
 
 # As root, who may mount the small disk that is filled and made read-only.
 .PHONY: test-faults
@@ -224,8 +227,10 @@ FUZZ_SECONDS ?= 600
 fuzz: ## FUZZ_SECONDS=600 of each fuzz target; needs nightly Rust and cargo-fuzz
 	./scripts/fuzz run --seconds $(FUZZ_SECONDS)
 
-fuzz-report: ## what was fuzzed on this machine: cases, hours, coverage
-	./scripts/fuzz report
+fuzz-report: ## what was fuzzed on this machine: cases, hours, coverage; writes docs/fuzzing.md
+	mkdir -p out
+	./scripts/fuzz report | tee out/fuzz-report.txt
+	./scripts/section docs/fuzzing.md report out/fuzz-report.txt
 
 fuzz-planted: ## known faults, planted one by one in a copy: fuzzing finds each
 	./scripts/fuzz planted --seconds $(FUZZ_SECONDS)

@@ -5,7 +5,7 @@ use hullcast::contact::{Flags, Outcome, Workspace, certificate, contact_manifold
 
 use crate::case::Case;
 use crate::judge::SOLVERS;
-use crate::matrix::{Row, rows, run};
+use crate::matrix::{Row, of_every_row, rows, run};
 use crate::report;
 
 /// Cases in thousands by the certificate; a tenth of it by the exact answers.
@@ -26,7 +26,7 @@ fn many_cases_by_the_exact_answers() {
     let rows = rows();
     let wanted = 100 * thousands();
     let each = of_each(&rows, wanted);
-    let scores: Vec<_> = rows.into_iter().map(|row| run(row.reseeded(1), each)).collect();
+    let scores = of_every_row(|row| run(row.reseeded(1), each));
     println!("{}", report::summary(&scores));
     let cases = scores.iter().map(|score| score.cells[0].cases).sum::<usize>();
     assert!(cases >= wanted, "{cases} of {wanted}");
@@ -55,21 +55,22 @@ fn violation(case: &Case, workspace: &mut Workspace, flagged: &mut usize) -> Opt
 #[test]
 #[ignore = "make stability-long"]
 fn a_million_cases_by_the_certificate() {
-    // Making large hulls' cases costs more than answering them: one in sixteen.
-    let mut rows = rows();
     let wanted = 1000 * thousands();
-    let each = of_each(&rows, wanted);
-    let (mut workspace, mut cases, mut flagged) = (Workspace::default(), 0, 0);
-    for row in &mut rows {
+    let each = of_each(&rows(), wanted);
+    let counts = of_every_row(|mut row| {
         let random = &mut row.random(2);
-        for _ in 0..row.thinned_out(each) {
+        // Making large hulls' cases costs more than answering them: they are thinned out.
+        let (mut workspace, mut flagged, cases) = (Workspace::default(), 0, row.thinned_out(each));
+        for _ in 0..cases {
             let case = row.case(random);
             if let Some(violation) = violation(&case, &mut workspace, &mut flagged) {
                 panic!("{}, {}: {violation}", row.axis, row.value);
             }
-            cases += 1;
         }
-    }
-    println!("{cases} cases, {flagged} answers GAP_OPEN or UNDECIDED");
+        (cases, flagged)
+    });
+    let cases: usize = counts.iter().map(|(cases, _)| cases).sum();
+    let flagged: usize = counts.iter().map(|(_, flagged)| flagged).sum();
+    println!("{cases} cases by the certificate, {flagged} answers GAP_OPEN or UNDECIDED");
     assert!(cases >= wanted, "{cases} of {wanted}");
 }

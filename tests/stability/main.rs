@@ -26,14 +26,14 @@ mod report;
 #[path = "../scene/mod.rs"]
 mod scene;
 
-use matrix::{Score, rows, run};
+use matrix::{Score, of_every_row, run};
 
 /// Cases of each row here, and in `make stability`.
 const FEW: usize = 60;
 const MANY: usize = 2000;
 
 fn scores(cases: usize) -> Vec<Score> {
-    rows().into_iter().map(|row| run(row, cases)).collect()
+    of_every_row(|row| run(row, cases))
 }
 
 /// A subset of `make stability`. What it would catch: anything that is wrong

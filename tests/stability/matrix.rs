@@ -5,6 +5,8 @@ mod hulls;
 mod poses;
 mod resting;
 
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use hullcast::contact::Workspace;
 
 use super::case::Case;
@@ -113,6 +115,29 @@ impl Row {
     pub(crate) fn thinned_out(&self, cases: usize) -> usize {
         cases.div_ceil(self.thin)
     }
+}
+
+/// What `of` makes of each row, over all threads, in the rows' order. A row has a stream of
+/// its own: which thread runs it changes nothing.
+pub(crate) fn of_every_row<T: Send>(of: impl Fn(Row) -> T + Sync) -> Vec<T> {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let next = AtomicUsize::new(0);
+    let work = || {
+        // Rows share shapes: each thread has its own.
+        let mut own: Vec<Option<Row>> = rows().into_iter().map(Some).collect();
+        let mut done = Vec::new();
+        loop {
+            let i = next.fetch_add(1, Ordering::Relaxed);
+            let Some(row) = own.get_mut(i).and_then(Option::take) else { break done };
+            done.push((i, of(row)));
+        }
+    };
+    let mut done: Vec<(usize, T)> = std::thread::scope(|scope| {
+        let handles: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+        handles.into_iter().flat_map(|handle| handle.join().expect("rows")).collect()
+    });
+    done.sort_by_key(|(i, _)| *i);
+    done.into_iter().map(|(_, made)| made).collect()
 }
 
 /// Runs `cases` of a row and holds it to what it says of itself.

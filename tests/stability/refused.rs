@@ -2,7 +2,9 @@
 
 use hullcast::contact::{ConvexHull, HullErrorKind, HullOptions, InvalidPose, Pose};
 
-use crate::scene::box_points;
+use crate::case::{Case, Shape, any_shape};
+use crate::named::judged;
+use crate::scene::{Random, box_points};
 
 /// The bad point sets of the matrix. Catches a panic, and a guess where the
 /// input is nothing.
@@ -62,6 +64,27 @@ fn bad_poses_name_their_reason() {
     for x in [f64::NAN, f64::INFINITY, -1.1e100] {
         assert_eq!(Pose::new([0.0, x, 0.0], [0.0, 0.0, 0.0, 1.0]), Err(InvalidPose::Position), "{x}");
     }
+}
+
+/// Catches a limit that is not the documented one (an inradius of 2^-37 of the circumradius),
+/// and hulls within it whose answers are not.
+#[test]
+fn the_thinnest_hulls_are_within_the_budget() {
+    let plate = |thin: f64| box_points([1.0, 1.0, thin * 2f64.powi(-37) * 2f64.sqrt()]);
+    let error = ConvexHull::new(&plate(0.999)).expect_err("too thin");
+    assert_eq!(error.kind, HullErrorKind::NotRepresentable);
+    let random = &mut Random(37);
+    let mut touching = 0;
+    for round in 0..200 {
+        let thin = Shape::new(plate(1.001));
+        assert!(thin.hull.inradius() < 1.002 * 2f64.powi(-37) * thin.hull.circumradius());
+        let other = if round % 2 == 0 { Shape::new(plate(1.5)) } else { any_shape(random) };
+        let alpha = [0.5, 0.999, 1.001, 1.7][round % 4];
+        let pair = if round % 3 == 0 { [other, thin] } else { [thin, other] };
+        let [portal, gjk] = judged(&Case::aimed(random, pair, alpha));
+        touching += usize::from(portal.alpha < 1.0 && gjk.alpha < 1.0);
+    }
+    assert!(touching > 60, "{touching}");
 }
 
 /// Found by fuzzing: of a needle of aspect 1e14 the merged faces kept no corner,
