@@ -244,7 +244,7 @@ clean: ## removes what was built
 docs: $(VENV)/.docs ## the documentation's site with the references of both libraries: out/site/README.html
 	rm -rf out/site
 	$(PY) -m sphinx --builder html --fail-on-warning --keep-going --quiet --conf-dir docs/site --doctree-dir out/doctrees . out/site
-	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --locked --no-deps --lib
+	RUSTDOCFLAGS="-D warnings -A rustdoc::private-intra-doc-links" $(CARGO) doc --locked --no-deps --lib
 	cp -r $(TARGET)/doc out/site/rust
 
 # The packages, pinned; the client itself is used in place.

@@ -4,9 +4,9 @@
 //!
 //! | step | file |
 //! |---|---|
-//! | 1: growth scale and contact normal | [`growth`] |
-//! | 2: from the normal to a pair of features | [`gauss_map`] |
-//! | 3: from the features to contact points | [`intersection`] |
+//! | 1: growth scale and contact normal | `growth` |
+//! | 2: from the normal to a pair of features | `gauss_map` |
+//! | 3: from the features to contact points | `intersection` |
 //!
 //! [`contact_manifold`] is the three steps in order. [`certificate`] checks an
 //! answer from the hulls alone.

@@ -3,7 +3,7 @@
 //! [`BlobStore`] is all that the registry asks of a store; [`Objects`] is the
 //! one implementation, over the `object_store` crate: a local directory with
 //! every write synced (file and directories) before it is acknowledged, an object
-//! store ([`super::remote`]), or memory, which forgets.
+//! store (`remote`), or memory, which forgets.
 
 use std::{
     error::Error as _,
