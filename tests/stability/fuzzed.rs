@@ -111,3 +111,27 @@ fn alphas_below_the_normal_doubles_hold_their_certificate() {
     }
     assert!(subnormal > 300, "{subnormal}");
 }
+
+/// Found by the matrix: a corner within the merge distance of the other feature touches it,
+/// but the lines of its sides leave that feature farther out, and what clipping left there was
+/// cut off: ESTIMATED where the features met.
+#[test]
+fn sharp_corners_that_nearly_touch_are_no_estimate() {
+    let rotations = [
+        [0.5830568089354147, 0.7725214534593713, -0.23601900229948608, 0.08689299196498486],
+        [-0.2571161694078712, 0.7722333137332357, -0.017761606210850624, 0.5807163764992508],
+    ];
+    let shapes = [
+        cuboid([0.9866653267547436, 0.3128986704880256, 0.7466787133231939]),
+        cuboid([0.42804489062759, 0.818651503756993, 0.6245443554274834]),
+    ];
+    let d = [-1.127161555820639, 1.4147214450740229, 0.8540473453848052];
+    let near = Case::new(shapes.clone(), d, rotations);
+    judged(&near);
+    // And around it, to some times the merge distance.
+    let random = &mut Random(13);
+    for _ in 0..500 {
+        let by = scaled(random.direction(), 10f64.powf(random.range(-15.5, -13.0)));
+        judged(&Case::new(shapes.clone(), std::array::from_fn(|k| d[k] + by[k]), rotations));
+    }
+}

@@ -17,8 +17,9 @@ pub(super) struct Near {
 }
 
 /// The point midway between the closest points of both projections (the middle
-/// of the closest set where it is not unique), each lifted to its own feature.
-pub(super) fn estimate(a: &Outline, b: &Outline, eps: f64, nearest: &mut Vec<Near>) -> PlanePoint {
+/// of the closest set where it is not unique), each lifted to its own feature, and
+/// how far apart the projections are.
+pub(super) fn estimate(a: &Outline, b: &Outline, eps: f64, nearest: &mut Vec<Near>) -> (PlanePoint, f64) {
     nearest.clear();
     let mut least = f64::INFINITY;
     each_pair(a, b, |near| {
@@ -37,7 +38,7 @@ pub(super) fn estimate(a: &Outline, b: &Outline, eps: f64, nearest: &mut Vec<Nea
     let key = |near: &&Near| across.dot(near.a + near.b);
     let first = nearest.iter().min_by(|p, q| key(p).total_cmp(&key(q)));
     let last = nearest.iter().max_by(|p, q| key(p).total_cmp(&key(q)));
-    match (first, last) {
+    let point = match (first, last) {
         (Some(p), Some(q)) => PlanePoint {
             at: 0.25 * (p.a + p.b + q.a + q.b),
             height_a: 0.5 * (p.height_a + q.height_a),
@@ -50,7 +51,8 @@ pub(super) fn estimate(a: &Outline, b: &Outline, eps: f64, nearest: &mut Vec<Nea
             height_b: b.corners[0].height,
             id: [Element::Vertex(a.corners[0].vertex), Element::Vertex(b.corners[0].vertex)],
         },
-    }
+    };
+    (point, least)
 }
 
 /// Each corner of one with its nearest point of each side (or of the corner) of

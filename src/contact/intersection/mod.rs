@@ -76,7 +76,10 @@ impl Intersection {
         self.first = overlap::find(&self.a, &self.b, eps, &mut self.clip, &mut self.points);
         self.estimated = self.points.is_empty();
         if self.estimated {
-            self.points.push(closest::estimate(&self.a, &self.b, eps, &mut self.nearest));
+            let (point, gap) = closest::estimate(&self.a, &self.b, eps, &mut self.nearest);
+            self.points.push(point);
+            // Near a sharp corner what clipping cuts may be farther out than the corner is.
+            self.estimated = gap > eps;
         }
     }
 
