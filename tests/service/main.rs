@@ -3,6 +3,7 @@
 
 mod answers;
 mod contract;
+mod determinism;
 mod durability;
 mod errors;
 mod find;

@@ -102,6 +102,32 @@ pub(crate) async fn status_on(
     panic!("a gRPC answer ends in trailers")
 }
 
+/// The bytes of the answer to a call of `path` with `body`, on a connection of its own; asked
+/// again as long as the server is too busy.
+pub(crate) async fn answer_of(address: &str, path: &str, body: Bytes) -> Bytes {
+    loop {
+        let request = call(path, &[], Body::Whole(body.clone()));
+        let response = connect(address).await.send_request(request).await.unwrap();
+        if let Some(status) = Status::from_header_map(response.headers()) {
+            assert_eq!(status.code(), tonic::Code::Unavailable, "{status}");
+            continue;
+        }
+        let (mut body, mut answer) = (response.into_body(), BytesMut::new());
+        let mut status = None;
+        while let Some(frame) = poll_fn(|cx| Pin::new(&mut body).poll_frame(cx)).await {
+            match frame.unwrap().into_data() {
+                Ok(data) => answer.put(data),
+                Err(frame) => status = Status::from_header_map(&frame.into_trailers().expect("trailers")),
+            }
+        }
+        let status = status.expect("a gRPC answer ends in trailers");
+        if status.code() == tonic::Code::Ok {
+            return answer.freeze();
+        }
+        assert_eq!(status.code(), tonic::Code::Unavailable, "{status}");
+    }
+}
+
 /// A gRPC frame around `message`.
 pub(crate) fn frame(compressed: bool, message: &[u8]) -> Bytes {
     let mut frame = BytesMut::new();
