@@ -178,6 +178,10 @@ test-otlp: $(VENV)/.otlp ## traces from Python through the server to a collector
 	$(CARGO) build --release --locked --features otlp --target-dir $(TARGET)/otlp
 	HULLCAST_BIN=$(TARGET)/otlp/release/hullcast $(PY) -m pytest client/tests/extras/test_otlp.py
 
+.PHONY: capacity
+capacity: build $(VENV)/.demo ## what a replica costs a pair, and a cluster therefore needs; writes docs/capacity.md
+	unshare --user --map-root-user --net env PATH="$$PATH:/usr/sbin" $(PY) scripts/capacity
+
 .PHONY: test-deploy
 test-deploy: build $(VENV)/.deploy ## the Kubernetes manifests by their schemas, the Slurm job
 	$(PY) -m pytest client/tests/extras/test_deploy.py

@@ -39,7 +39,8 @@ CONTENTS = {
         *(f"docs/{page}" for page in ("stability", "fuzzing", "workload")),
         "tests/golden/README",
     ],
-    "Running it": [f"docs/{page}" for page in ("operations", "durability", "reliability", "cluster")],
+    "Running it": [f"docs/{page}" for page in ("operations", "durability", "reliability")]
+    + ["docs/cluster", "docs/capacity"],
     "Changing it": ["ARCHITECTURE", "CONTRIBUTING", "CHANGELOG"],
 }
 
