@@ -50,7 +50,8 @@ lint: check-tools $(if $(CLIENT),lint-python) ## rustfmt, clippy and ruff, warni
 	 else echo "clippy is not installed: lints not checked"; fi
 	@if PATH="$(TOOLS)/bin:$$PATH" cargo-deny --version >/dev/null 2>&1; then \
 	 PATH="$(TOOLS)/bin:$$PATH" $(CARGO) deny --offline check --hide-inclusion-graph licenses bans sources; \
-	 else echo "cargo-deny is not installed (make audit does it): licences not checked"; fi
+	 elif $(PYTHON) -c 'import tomllib' 2>/dev/null; then CARGO="$(CARGO)" $(PYTHON) scripts/licences; \
+	 else echo "neither cargo-deny (make audit does it) nor Python 3.11: licences not checked"; fi
 
 # Tools that are built when first needed; they outlive `make clean`.
 TOOLS := $(HOME)/.cache/hullcast-tools

@@ -42,12 +42,17 @@ pub(crate) fn id(span: &Span) -> Option<String> {
 
 /// A batch's wait for its turn.
 pub(crate) fn queue(pairs: usize) -> Span {
-    tracing::info_span!(target: TARGET, "queue", pairs)
+    tracing::info_span!(target: TARGET, "queue", pairs = number(pairs))
 }
 
 /// A batch's computation.
 pub(crate) fn compute(pairs: usize) -> Span {
-    tracing::info_span!(target: TARGET, "compute", pairs)
+    tracing::info_span!(target: TARGET, "compute", pairs = number(pairs))
+}
+
+/// OpenTelemetry has no unsigned numbers: they would be text.
+fn number(count: usize) -> i64 {
+    i64::try_from(count).unwrap_or(i64::MAX)
 }
 
 /// Reading and building a hull that was not cached.

@@ -37,7 +37,7 @@ from hullcast._serve import find_binary
 
 #: What the server has beside its cache: buffers of calls, threads, the program, and what
 #: the allocator holds back.
-BESIDE = 256 << 20
+BESIDE = 192 << 20
 #: Hulls registered in one call of the first part.
 BATCH = 1000
 #: Hulls of a round of the second, and threads that make rounds.

@@ -24,7 +24,7 @@ use crate::{
     compute::{Compute, Panicked, Parts, caught},
     contact::{Basis, Body, Outcome, Workspace, contact_manifold},
     metrics::Metrics,
-    store::Hulls,
+    store::{Hold, Hulls},
     trace,
 };
 
@@ -55,6 +55,8 @@ pub struct Batch {
     warm_starts: Vec<u32>,
     /// What is kept of the answers: all that is sent, and perhaps bases.
     kept: Outputs,
+    /// Given back with the answer.
+    hold: Option<Hold>,
 }
 
 impl Batch {
@@ -63,7 +65,7 @@ impl Batch {
         let Scene { setting, poses, warm_starts, invalid_bodies, .. } = scene;
         let kept = setting.outputs;
         let (hulls, poses) = (Arc::new(hulls), Arc::new(poses));
-        (Self { hulls, setting, poses, candidates: None, warm_starts, kept }, invalid_bodies)
+        (Self { hulls, setting, poses, candidates: None, warm_starts, kept, hold: None }, invalid_bodies)
     }
 
     /// Pairs that may meet, 2 indices each: the answer has those that are not SEPARATED.
@@ -74,11 +76,24 @@ impl Batch {
         candidates: Vec<u32>,
     ) -> Self {
         let kept = setting.outputs;
-        Self { hulls, setting, poses, candidates: Some(candidates), warm_starts: Vec::new(), kept }
+        Self {
+            hulls,
+            setting,
+            poses,
+            candidates: Some(candidates),
+            warm_starts: Vec::new(),
+            kept,
+            hold: None,
+        }
     }
 
     fn pairs(&self) -> &[u32] {
         self.candidates.as_deref().unwrap_or(&self.setting.pairs)
+    }
+
+    /// Its hulls are in use until it is answered.
+    pub fn hold(&mut self, hold: Hold) {
+        self.hold = Some(hold);
     }
 
     /// Its columns have the bases, whether they are sent or not.
@@ -200,7 +215,8 @@ impl Engine {
 }
 
 impl Engine {
-    fn begin(&self, batch: Batch, admission: Admission) -> Run {
+    fn begin(&self, mut batch: Batch, admission: Admission) -> Run {
+        let taken = (admission, batch.hold.take());
         Run {
             batch,
             stop: Arc::default(),
@@ -209,7 +225,7 @@ impl Engine {
             pairs_computed: self.pairs_computed.clone(),
             spare: self.spare.clone(),
             injected: self.injected.clone(),
-            admission: Mutex::new(Some(admission)),
+            taken: Mutex::new(Some(taken)),
         }
     }
 }
@@ -239,8 +255,8 @@ struct Run {
     pairs_computed: Arc<AtomicU64>,
     spare: Arc<Spare>,
     injected: Arc<Injected>,
-    /// Given back with the answer.
-    admission: Mutex<Option<Admission>>,
+    /// Given back with the answer: whoever asks next finds it free.
+    taken: Mutex<Option<(Admission, Option<Hold>)>>,
 }
 
 /// Columns to be filled again, so that the steady state allocates none for chunks.
@@ -284,7 +300,7 @@ impl Parts for Run {
     fn whole(&self, chunks: Vec<Columns>) -> Option<Columns> {
         let columns = (!self.stopped()).then(|| Columns::concatenated(&chunks));
         self.spare.keep(chunks);
-        drop(self.admission.lock().unwrap_or_else(PoisonError::into_inner).take());
+        drop(self.taken.lock().unwrap_or_else(PoisonError::into_inner).take());
         columns
     }
 }

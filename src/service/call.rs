@@ -60,15 +60,14 @@ pub(super) fn is_long_lived(method: &str) -> bool {
 
 /// A span that names the call in every line logged for it: the client's id, or one of ours,
 /// and the trace that it is in: `traced`'s, else the one that a W3C `traceparent` names.
-/// `traced` itself where calls are not logged.
 pub(super) fn span(method: &'static str, headers: &HeaderMap, traced: &Span) -> Span {
     static NEXT: AtomicU64 = AtomicU64::new(1);
     let given = headers.get(REQUEST_ID).and_then(|value| value.to_str().ok());
     let given = given.filter(|id| !id.is_empty() && id.len() <= REQUEST_ID_BYTES);
     let (id, trace) = (tracing::field::Empty, tracing::field::Empty);
-    let span = tracing::info_span!(parent: traced, "call", method, id, trace);
+    let span = tracing::info_span!("call", method, id, trace);
     if span.is_disabled() {
-        return traced.clone();
+        return span;
     }
     match given {
         Some(id) => span.record("id", id),
@@ -245,7 +244,7 @@ impl HttpBody for Answer {
         cx: &mut Context<'_>,
     ) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
         let this = &mut *self;
-        let _entered = this.call.span.enter();
+        let _entered = (this.call.traced.enter(), this.call.span.enter());
         let polled = Pin::new(&mut this.body).poll_frame(cx);
         if let Poll::Ready(Some(Ok(frame))) = &polled {
             // An answer is under way: what it answers is done with.

@@ -26,7 +26,7 @@ use crate::{
         QueryContactsRequest, QueryContactsResponse,
         contact_service_server::{ContactService, ContactServiceServer},
     },
-    store::{HullId, Hulls, NoRoom},
+    store::{Hold, HullId, Hulls, NoRoom},
 };
 
 /// When to ask again where other requests hold too much: what they take to be answered.
@@ -143,9 +143,10 @@ pub(super) async fn answer(
 /// The scene with its hulls at hand, the indices of those that are missing, and of the
 /// bodies that are unusable.
 async fn assemble(app: &App, scene: Scene) -> Result<(Batch, Vec<u32>, Vec<u32>), ServiceError> {
-    let hulls = fetch(app, &scene.setting.hull_ids).await?;
+    let (hulls, hold) = fetch(app, &scene.setting.hull_ids).await?;
     let missing = missing(&hulls);
-    let (batch, invalid_bodies) = Batch::new(scene, hulls);
+    let (mut batch, invalid_bodies) = Batch::new(scene, hulls);
+    batch.hold(hold);
     Ok((batch, missing, invalid_bodies))
 }
 
@@ -154,8 +155,8 @@ pub(super) fn missing(hulls: &Hulls) -> Vec<u32> {
     hulls.iter().enumerate().filter(|(_, hull)| hull.is_err()).map(|(i, _)| i as u32).collect()
 }
 
-/// The hulls, in the order of their ids, held until they are dropped.
-pub(super) async fn fetch(app: &App, ids: &[HullId]) -> Result<Hulls, ServiceError> {
+/// The hulls, in the order of their ids, in use until the hold is dropped.
+pub(super) async fn fetch(app: &App, ids: &[HullId]) -> Result<(Hulls, Hold), ServiceError> {
     app.registry().hold(ids).await.map_err(|why| match why {
         NoRoom::TooLarge => {
             let limit = app.limits().cache_bytes;

@@ -84,7 +84,7 @@ impl Service<Request<Incoming>> for Edge {
         let method = call::method(request.uri().path());
         let traced = trace::call(method, request.headers());
         let span = call::span(method, request.headers(), &traced);
-        let call = Call::new(self.app.clone(), method, span.clone(), traced);
+        let call = Call::new(self.app.clone(), method, span.clone(), traced.clone());
         if let Err(refusal) = self.security.check(request.uri().path(), request.headers()) {
             let refused = Status::from(refusal).into_http();
             return Box::pin(std::future::ready(Ok(call.answered(refused))));
@@ -106,7 +106,8 @@ impl Service<Request<Incoming>> for Edge {
             };
             Ok(call.answered(completed(response)))
         };
-        Box::pin(answered.instrument(span))
+        // What is traced finds the spans that are entered, whatever is logged.
+        Box::pin(answered.instrument(span).instrument(traced))
     }
 }
 

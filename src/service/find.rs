@@ -15,7 +15,7 @@ use crate::{
     compute::{Panicked, Parts},
     contact::Body,
     proto::{QueryContactsRequest, QueryContactsResponse},
-    store::{Hulls, Missing},
+    store::{Hold, Hulls, Missing},
 };
 
 /// Candidates that are computed together, and so the most pairs of a message: the size at
@@ -41,6 +41,7 @@ pub(super) struct Finding {
     request_id: u64,
     setting: Arc<Setting>,
     hulls: Arc<Hulls>,
+    _hold: Hold,
     poses: Arc<Poses>,
     broad_phase: Arc<BroadPhase>,
     /// Bodies from this one on have not been looked at.
@@ -59,7 +60,8 @@ impl Finding {
         let (scene, rules) = wire::find(request, app.limits())?;
         let admission = app.engine().place(most_candidates(&app))?;
         let Scene { request_id, setting, poses, invalid_bodies, .. } = scene;
-        let hulls = Arc::new(fetch(&app, &setting.hull_ids).await?);
+        let (hulls, hold) = fetch(&app, &setting.hull_ids).await?;
+        let hulls = Arc::new(hulls);
         // Nothing could be said of its bodies' pairs: there would be none to say it of.
         if hulls.iter().any(|hull| matches!(hull, Err(Missing::Unavailable))) {
             return Err(super::hulls::unreadable());
@@ -76,6 +78,7 @@ impl Finding {
             request_id,
             setting,
             hulls,
+            _hold: hold,
             poses,
             broad_phase,
             next_body: 0,

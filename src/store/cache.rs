@@ -4,12 +4,9 @@
 //! cache's bytes, so that the cache can always make room for it; who comes when others hold
 //! too much is sent away, and who needs more than there is at all is told so.
 
-use std::{
-    ops::Deref,
-    sync::{
-        Arc, Mutex, PoisonError,
-        atomic::{AtomicU32, AtomicU64, Ordering},
-    },
+use std::sync::{
+    Arc, Mutex, PoisonError,
+    atomic::{AtomicU32, AtomicU64, Ordering},
 };
 
 use prometheus_client::metrics::{counter::Counter, gauge::Gauge};
@@ -144,9 +141,9 @@ impl Taking {
     }
 }
 
-/// Entries that stay in the cache until it is dropped.
+/// A request's hulls stay in the cache until it is dropped.
 #[derive(Debug)]
-pub(super) struct Hold {
+pub struct Hold {
     budget: Arc<Budget>,
     entries: Vec<Arc<Entry>>,
 }
@@ -173,33 +170,8 @@ impl Drop for Hold {
     }
 }
 
-/// A request's hulls, in its order, held for as long as they are used.
-#[derive(Debug)]
-pub struct Hulls {
-    found: Vec<Result<Arc<ConvexHull>, Missing>>,
-    _hold: Option<Hold>,
-}
-
-impl Hulls {
-    pub(super) fn new(found: Vec<Result<Arc<ConvexHull>, Missing>>, hold: Hold) -> Self {
-        Self { found, _hold: Some(hold) }
-    }
-}
-
-impl Deref for Hulls {
-    type Target = [Result<Arc<ConvexHull>, Missing>];
-
-    fn deref(&self) -> &Self::Target {
-        &self.found
-    }
-}
-
-/// Of no cache.
-impl FromIterator<Result<Arc<ConvexHull>, Missing>> for Hulls {
-    fn from_iter<I: IntoIterator<Item = Result<Arc<ConvexHull>, Missing>>>(hulls: I) -> Self {
-        Self { found: hulls.into_iter().collect(), _hold: None }
-    }
-}
+/// A request's hulls, in its order.
+pub type Hulls = Vec<Result<Arc<ConvexHull>, Missing>>;
 
 #[cfg(test)]
 mod tests {

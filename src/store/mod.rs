@@ -11,6 +11,6 @@ pub mod registry;
 mod remote;
 
 pub use blobs::{BlobStore, Opened, StoreError, StoredBlob};
-pub use cache::{Hulls, NoRoom};
+pub use cache::{Hold, Hulls, NoRoom};
 pub use identity::{HullDefinition, HullId};
 pub use registry::{AT_A_TIME, Missing, RegisterError, Registered, Registry};

@@ -141,18 +141,18 @@ impl Registry {
     }
 
     /// A request's hulls, distinct: at hand, or read from the store, once however many ask.
-    /// All of them stay in memory until what is returned is dropped.
+    /// They count as in use until the hold is dropped.
     ///
     /// # Errors
     /// There is no room for all of them; none is held.
-    pub async fn hold(&self, ids: &[HullId]) -> Result<Hulls, NoRoom> {
+    pub async fn hold(&self, ids: &[HullId]) -> Result<(Hulls, Hold), NoRoom> {
         let taking = Taking::new(&self.budget);
         let now_ms = self.now_ms();
         let cached: Vec<_> = ids.iter().map(|id| self.cached(id, now_ms)).collect();
         let mut hold = taking.hold(cached.iter().flatten().cloned().collect())?;
         self.metrics.cache_hits.inc_by(cached.iter().flatten().count() as u64);
         let hull = |entry: Option<Arc<Entry>>| entry.map(|entry| entry.hull.clone()).ok_or(Missing::Unknown);
-        let mut found: Vec<_> = cached.into_iter().map(hull).collect();
+        let mut found: Hulls = cached.into_iter().map(hull).collect();
         let missing: Vec<usize> = (0..ids.len()).filter(|&i| found[i].is_err()).collect();
         let load = |i: usize| {
             let taking = &taking;
@@ -169,7 +169,7 @@ impl Registry {
                 Err(NotHeld::NoRoom(why)) => return Err(why),
             };
         }
-        Ok(Hulls::new(found, hold))
+        Ok((found, hold))
     }
 
     /// One of them. Held before it is in the cache, which could have no room for it else.

@@ -12,7 +12,9 @@ use crate::support::{
     process::{BINARY, Process, tracer},
     scenes::{assert_same, expected, id, plain, register_request, round_points, scene},
 };
-use hullcast::proto::{HasHullsRequest, contact_service_client::ContactServiceClient};
+use hullcast::proto::{
+    HasHullsRequest, contact_service_client::ContactServiceClient, hull_service_client::HullServiceClient,
+};
 
 /// Catches a hull that was acknowledged before it was stored: a server is killed in the
 /// middle of registering, again and again, and the next one answers for every hull that any
@@ -166,6 +168,34 @@ async fn pruning_removes_what_is_old_and_nothing_else() {
     server.hulls().await.register_hulls(register_request(&shapes)).await.unwrap();
     assert_eq!(there(), [true; 5]);
     assert_same(&other.contacts().await.query_contacts(request).await.unwrap().into_inner(), &good);
+}
+
+/// Catches threads, and the memory that each keeps, that grow with what is read and written.
+#[cfg(target_os = "linux")]
+#[tokio::test(flavor = "multi_thread")]
+async fn a_store_in_use_takes_a_bounded_number_of_threads() {
+    let directory = tempfile::tempdir().unwrap();
+    let server = Process::plain(directory.path());
+    let threads = || {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", server.child.id())).unwrap();
+        let line = status.lines().find_map(|line| line.strip_prefix("Threads:")).unwrap();
+        line.trim().parse::<usize>().unwrap()
+    };
+    let registering = (0..8).map(|caller| {
+        let address = server.address.clone();
+        tokio::spawn(async move {
+            let shapes: Vec<_> = (0..100).map(|i| plain(round_points(8, 100 * caller + i))).collect();
+            let mut hulls = HullServiceClient::new(channel(&address).await);
+            hulls.register_hulls(register_request(&shapes)).await.unwrap()
+        })
+    });
+    for call in futures_util::future::join_all(registering).await {
+        assert_eq!(call.unwrap().into_inner().results.len(), 100);
+    }
+    // The files', those that serve and that compute, and a few.
+    let cores = std::thread::available_parallelism().unwrap().get();
+    let found = threads();
+    assert!((8..=32 + 2 * cores + 8).contains(&found), "{found} threads");
 }
 
 /// Catches a stop that is taken for a crash by whoever supervises: asked to stop, by either
