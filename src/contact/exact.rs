@@ -228,9 +228,9 @@ pub(crate) fn normal_of(area: &VectorArea, a: DVec3, b: DVec3, c: DVec3) -> Tria
 /// How far `p` is below the plane of the triangle `a`, `b`, `c`, never more than
 /// the truth; none for slivers.
 pub(crate) fn depth_below(a: DVec3, b: DVec3, c: DVec3, p: DVec3) -> Option<f64> {
-    let (ab, _) = normalised(exact_difference(b, a));
-    let (ac, _) = normalised(exact_difference(c, a));
-    let cross = dd_cross(ab, ac);
+    // A subnormal side's exponent is cut off: the second time it is as any other.
+    let side = |to| normalised(normalised(exact_difference(to, a)).0).0;
+    let cross = dd_cross(side(b), side(c));
     let length = DVec3::new(cross[0].value(), cross[1].value(), cross[2].value()).length();
     if length < SLIVER_SINE {
         return None;

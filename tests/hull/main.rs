@@ -165,8 +165,31 @@ fn scaling_by_a_power_of_two_changes_no_bit() {
     }
 }
 
+/// Found by fuzzing: the inradius of a needle with subnormal sides at its tip was rounded down
+/// by more than that of the same needle where they are normal.
+#[test]
+fn subnormal_sides_are_as_exact_as_others() {
+    let (tiny, mut built) = (4.4e-323, 0);
+    let mut random = Random::new(14);
+    for round in 0..40 {
+        let length = if round == 0 { 16472519.66517901 } else { 10_f64.powf(3.0 + 4.0 * random.signed()) };
+        let mut points =
+            vec![[tiny, tiny, length], [-tiny, tiny, length], [-tiny, -tiny, length], [tiny, -tiny, length]];
+        let radius = length * 1e-9;
+        points.extend(prism(6, 0.0).iter().take(6).map(|p| [p[0] * radius, p[1] * radius, -length]));
+        let units =
+            |points: &Points| ConvexHull::new(points).map(|hull| in_hull_units(&hull)).map_err(|e| e.kind);
+        let needle = units(&points);
+        built += usize::from(needle.is_ok());
+        for k in [40, 82] {
+            assert_eq!(units(&scaled(&points, [2_f64.powi(k); 3])), needle, "{length:e}");
+        }
+    }
+    assert!(built >= 10, "{built}");
+}
+
 /// All that queries read.
-fn in_hull_units(hull: &ConvexHull) -> impl PartialEq + std::fmt::Debug {
+fn in_hull_units(hull: &ConvexHull) -> impl PartialEq + std::fmt::Debug + use<> {
     let faces = 0..hull.face_count();
     (
         hull.vertices().to_vec(),
