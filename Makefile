@@ -46,6 +46,7 @@ lint: check-tools $(if $(CLIENT),lint-python) ## rustfmt, clippy and ruff, warni
 	@if $(CARGO) clippy --version >/dev/null 2>&1; then set -x; \
 	 $(CARGO) clippy --release --locked --all-targets -- -D warnings; \
 	 $(CARGO) clippy --release --locked --all-targets --no-default-features -- -D warnings; \
+	 $(CARGO) clippy --release --locked --all-targets --features playground -- -D warnings; \
 	 cd benches; $(CARGO) clippy --release --locked --all-targets -- -D warnings; \
 	 else echo "clippy is not installed: lints not checked"; fi
 	@if PATH="$(TOOLS)/bin:$$PATH" cargo-deny --version >/dev/null 2>&1; then \
@@ -155,6 +156,16 @@ stubs: $(VENV)/.test ## the Python protobuf modules again, after a change of pro
 .PHONY: protocol
 protocol: $(VENV)/.test ## docs/protocol.md again, after a change of the comments of proto/
 	$(PY) scripts/protocol-docs
+
+.PHONY: playground
+playground: $(VENV)/.test ## playground/dist again, after a change of playground/ or proto/; needs npm
+	cd playground && npm ci --silent && PROTOC="$(abspath $(PY)) -m grpc_tools.protoc" npm run --silent build
+
+.PHONY: test-playground
+test-playground: check-tools $(VENV)/.playground ## the playground on the wire and in Chromium, where that is; its bundle against its sources, where npm is
+	$(CARGO) test --release --locked --features playground --test service playground
+	$(CARGO) build --release --locked --features playground
+	$(PY) -m pytest client/tests/extras/test_playground.py
 
 .PHONY: test-languages
 test-languages: build $(VENV)/.test ## clients in Go, TypeScript, Java and C++ against the real server, where their tools are
@@ -280,6 +291,10 @@ $(VENV)/.otlp: client/requirements-otlp.txt client/requirements-dev.txt $(REQUIR
 	touch $@
 
 $(VENV)/.s3: client/requirements-s3.txt client/requirements-dev.txt $(REQUIREMENTS) | check-tools
+	$(call install,$<)
+	touch $@
+
+$(VENV)/.playground: client/requirements-playground.txt client/requirements-dev.txt $(REQUIREMENTS) | check-tools
 	$(call install,$<)
 	touch $@
 

@@ -84,6 +84,9 @@ settings! {
     /// Serve without TLS to other machines, as behind a proxy that has it
     allow_plaintext: bool = |_: &Limits| false, "HULLCAST_ALLOW_PLAINTEXT", "BOOL"
         [num_args = 0..=1, default_missing_value = "true"];
+    /// Serve a page that shows contacts on the same addresses, by feature playground (docs/playground.md)
+    playground: bool = |_: &Limits| false, "HULLCAST_PLAYGROUND", "BOOL"
+        [num_args = 0..=1, default_missing_value = "true"];
     /// File of tokens, one a line, that may query; empty: none is needed
     query_tokens: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_QUERY_TOKENS", "FILE";
     /// File of tokens, one a line, that may also register and delete
@@ -162,12 +165,20 @@ impl Settings {
             query_tokens: self.query_tokens.clone(),
             register_tokens: self.register_tokens.clone(),
         };
+        if self.playground && cfg!(not(feature = "playground")) {
+            return Err(
+                "playground: this server was built without it: cargo build --release --features playground"
+                    .into(),
+            );
+        }
         Ok(Serving {
             security: Arc::new(Security::open(&files)?),
             reload_every: seconds("reload_seconds", self.reload_seconds)?.max(SHORTEST_LOOP),
             drain: seconds("drain_seconds", self.drain_seconds)?,
             max_connection_age: seconds("max_connection_age_seconds", self.max_connection_age_seconds)?,
             probe_every: seconds("probe_seconds", self.probe_seconds)?.max(SHORTEST_LOOP),
+            #[cfg(feature = "playground")]
+            playground: self.playground,
             ..Serving::default()
         })
     }

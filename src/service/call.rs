@@ -12,7 +12,7 @@ use std::{
 
 use bytes::Bytes;
 use http::HeaderMap;
-use hyper::body::{Body as HttpBody, Frame, Incoming, SizeHint};
+use hyper::body::{Body as HttpBody, Frame, SizeHint};
 use tonic::{Code, Status, body::Body};
 use tracing::Span;
 
@@ -114,7 +114,7 @@ impl Call {
     }
 
     /// The request's body, counted.
-    pub(super) fn metered(&self, body: Incoming) -> Metered {
+    pub(super) fn metered<B>(&self, body: B) -> Metered<B> {
         Metered { body, bytes: self.bytes.clone() }
     }
 
@@ -195,16 +195,20 @@ impl Drop for RequestBytes {
 /// Requests that large take some 100 ms to arrive and be answered.
 const BYTES_RETRY: std::time::Duration = std::time::Duration::from_millis(200);
 
-type BoxError = Box<dyn std::error::Error + Send + Sync>;
+pub(super) type BoxError = Box<dyn std::error::Error + Send + Sync>;
 
 /// A request's body, its bytes counted as they come.
 #[derive(Debug)]
-pub(super) struct Metered {
-    body: Incoming,
+pub(super) struct Metered<B> {
+    body: B,
     bytes: Arc<RequestBytes>,
 }
 
-impl HttpBody for Metered {
+impl<B> HttpBody for Metered<B>
+where
+    B: HttpBody<Data = Bytes> + Unpin,
+    B::Error: Into<BoxError>,
+{
     type Data = Bytes;
     type Error = BoxError;
 

@@ -1,6 +1,7 @@
 //! One connection, from its first byte to its end.
 
 use std::{
+    convert::Infallible,
     io,
     pin::{Pin, pin},
     sync::{
@@ -11,9 +12,11 @@ use std::{
     time::Duration,
 };
 
-use hyper::server::conn::http2;
+use http::{Request, Response};
+use hyper::{body::Incoming, server::conn::http2};
 use hyper_util::{
     rt::{TokioExecutor, TokioIo, TokioTimer},
+    server::graceful::GracefulConnection,
     service::TowerToHyperService,
 };
 use tokio::{
@@ -21,8 +24,11 @@ use tokio::{
     sync::{OwnedSemaphorePermit, Semaphore, watch},
     time::{sleep, timeout},
 };
-use tonic::service::Routes;
+use tonic::{body::Body, service::Routes};
+use tower::Service;
 
+#[cfg(feature = "playground")]
+use super::playground::{self, Page};
 use super::{
     App, Serving,
     edge::{Closing, Edge},
@@ -38,7 +44,7 @@ const WINDOW_BYTES: u32 = 8 << 20;
 const KEEP_ALIVE: Duration = Duration::from_secs(60);
 
 /// Of one call's headers: tokens and trace contexts fit many times.
-const HEADER_BYTES: u32 = 16 << 10;
+pub(super) const HEADER_BYTES: u32 = 16 << 10;
 
 /// Streams that a peer reset before they were looked at, or that were reset for its errors:
 /// more, and the connection ends ("rapid reset").
@@ -101,20 +107,65 @@ impl Connections {
 
     /// Serves `io` until the peer leaves. Once `closing` is true or the connection is of age it
     /// is told to (GOAWAY), and what is under way has the time of the drain.
-    pub(super) async fn serve(self: Arc<Self>, io: Connection, mut closing: Closing, _place: Place) {
+    pub(super) async fn serve(self: Arc<Self>, io: Connection, closing: Closing, _place: Place) {
         let io = match self.encrypted(io).await {
             Ok(io) => io,
             Err(error) => return tracing::debug!(%error, "no TLS connection"),
         };
         let (close, closed) = watch::channel(false);
-        let read = Arc::new(AtomicU64::new(0));
         let security = self.serving.security.clone();
         let edge = Edge::new(self.app.clone(), self.routes.clone(), security, Closing(closed));
+        #[cfg(feature = "playground")]
+        if self.serving.playground {
+            return self.serve_page(io, edge, close, closing).await;
+        }
+        self.serve_http2(io, edge, close, closing).await;
+    }
+
+    async fn serve_http2<S>(&self, io: Connection, service: S, close: watch::Sender<bool>, closing: Closing)
+    where
+        S: Service<Request<Incoming>, Response = Response<Body>, Error = Infallible> + Clone + Send + 'static,
+        S::Future: Send + 'static,
+    {
+        let read = Arc::new(AtomicU64::new(0));
         let io = TokioIo::new(Counted { io, read: read.clone() });
-        let mut connection = pin!(self.http.serve_connection(io, TowerToHyperService::new(edge)));
+        let connection = self.http.serve_connection(io, TowerToHyperService::new(service));
+        self.attend(connection, silence(&read, self.serving.greeting), close, closing).await;
+    }
+
+    /// The same, and the playground's page: browsers that do not speak TLS speak HTTP/1.1.
+    #[cfg(feature = "playground")]
+    async fn serve_page(&self, io: Connection, edge: Edge, close: watch::Sender<bool>, mut closing: Closing) {
+        let greeting = self.serving.greeting;
+        let speaks_http1 = tokio::select! {
+            greeted = timeout(greeting, playground::speaks_http1(&io)) => greeted,
+            () = closing.heard() => return,
+        };
+        match speaks_http1 {
+            Ok(Ok(false)) => self.serve_http2(io, Page::over_http2(edge), close, closing).await,
+            Ok(Ok(true)) => {
+                let service = TowerToHyperService::new(Page::over_http1(edge));
+                let connection = playground::http1(greeting).serve_connection(TokioIo::new(io), service);
+                // Its own timer cuts off who does not say what it wants.
+                self.attend(connection, std::future::pending(), close, closing).await;
+            }
+            Ok(Err(error)) => tracing::debug!(%error, "connection ended"),
+            Err(_) => tracing::debug!("a peer does not say what it speaks"),
+        }
+    }
+
+    /// Until the connection ends by itself, or `silent` completes, or it has to go.
+    async fn attend(
+        &self,
+        connection: impl GracefulConnection<Error = hyper::Error>,
+        silent: impl Future<Output = ()>,
+        close: watch::Sender<bool>,
+        mut closing: Closing,
+    ) {
+        let mut connection = pin!(connection);
         tokio::select! {
             ended = connection.as_mut() => return report(ended),
-            () = silence(&read, self.serving.greeting) => return tracing::debug!("no HTTP/2 from a peer"),
+            () = silent => return tracing::debug!("no HTTP/2 from a peer"),
             () = closing.heard() => {}
             () = sleep(self.age()) => {}
         }

@@ -12,9 +12,10 @@ use std::{
     time::Duration,
 };
 
+use bytes::Bytes;
 use futures_util::future::BoxFuture;
 use http::{HeaderMap, Request, Response};
-use hyper::body::Incoming;
+use hyper::body::Body as HttpBody;
 use tokio::{sync::watch, time::Instant};
 use tonic::{Status, body::Body, service::Routes};
 use tower::Service;
@@ -22,7 +23,7 @@ use tracing::Instrument;
 
 use super::{
     App, Security,
-    call::{self, Call, is_long_lived},
+    call::{self, BoxError, Call, is_long_lived},
     error::ServiceError,
     wire,
 };
@@ -71,16 +72,20 @@ impl Edge {
     }
 }
 
-impl Service<Request<Incoming>> for Edge {
+impl<B> Service<Request<B>> for Edge
+where
+    B: HttpBody<Data = Bytes> + Send + Unpin + 'static,
+    B::Error: Into<BoxError>,
+{
     type Response = Response<Body>;
     type Error = Infallible;
     type Future = BoxFuture<'static, Result<Response<Body>, Infallible>>;
 
     fn poll_ready(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), Infallible>> {
-        Service::<Request<Incoming>>::poll_ready(&mut self.routes, cx)
+        Service::<Request<B>>::poll_ready(&mut self.routes, cx)
     }
 
-    fn call(&mut self, mut request: Request<Incoming>) -> Self::Future {
+    fn call(&mut self, mut request: Request<B>) -> Self::Future {
         let method = call::method(request.uri().path());
         let traced = trace::call(method, request.headers());
         let span = call::span(method, request.headers(), &traced);

@@ -20,6 +20,8 @@ mod injected;
 mod limits;
 mod listener;
 mod outputs;
+#[cfg(feature = "playground")]
+mod playground;
 mod readiness;
 mod security;
 mod server;

@@ -31,6 +31,10 @@ pub struct Serving {
     pub probe_every: Duration,
     /// By then a peer has spoken TLS, and again by then HTTP/2's preface: some round trips.
     pub greeting: Duration,
+    /// Whether a page that shows contacts is served too, and gRPC-web with it; only with the
+    /// feature `playground`.
+    #[cfg(feature = "playground")]
+    pub playground: bool,
 }
 
 impl Default for Serving {
@@ -42,6 +46,8 @@ impl Default for Serving {
             max_connection_age: Duration::ZERO,
             probe_every: Duration::from_secs(10),
             greeting: Duration::from_secs(10),
+            #[cfg(feature = "playground")]
+            playground: false,
         }
     }
 }

@@ -13,6 +13,8 @@ mod lifecycle;
 mod limits;
 mod memory;
 mod overload;
+#[cfg(feature = "playground")]
+mod playground;
 mod security;
 mod sight;
 mod steps;

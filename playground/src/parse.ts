@@ -1,0 +1,53 @@
+// Points out of pasted text.
+
+/** More text than that is not a hull. */
+const MOST_CHARACTERS = 8 << 20;
+
+/** Three numbers a point, out of OBJ, of JSON or of lines of three numbers. Throws words. */
+export function parsePoints(text: string): number[] {
+  if (text.length > MOST_CHARACTERS) throw new Error('That is more than 8 MB of text.');
+  const trimmed = text.trim();
+  const points = /^[[{]/.test(trimmed) ? fromJson(trimmed) : fromLines(trimmed);
+  if (points.length < 12) {
+    throw new Error(`A hull needs at least 4 points; ${points.length / 3} found.`);
+  }
+  return points;
+}
+
+/** Lines `v x y z` of OBJ, or `x y z`; other lines of an OBJ file say nothing of points. */
+function fromLines(text: string): number[] {
+  const lines = text.split(/\r?\n/).map((line) => line.replace(/#.*/, '').trim());
+  const isObj = lines.some((line) => /^v\s/.test(line));
+  return lines.flatMap((line, i) => {
+    if (line === '' || (isObj && !/^v\s/.test(line))) return [];
+    const numbers = line.replace(/^v\s+/, '').split(/[\s,;]+/).map(Number);
+    return point(numbers.slice(0, 3), `line ${i + 1}`);
+  });
+}
+
+/** `[[x, y, z], ...]`, or an object with `vertices`, or a scene, whose first hull it is. */
+function fromJson(text: string): number[] {
+  let value: unknown;
+  try {
+    value = JSON.parse(text);
+  } catch (error) {
+    throw new Error(`This is not JSON: ${(error as Error).message}`);
+  }
+  const rows = vertices(value);
+  if (!rows) throw new Error('JSON needs a list of [x, y, z], or an object with "vertices".');
+  return rows.flatMap((row, i) => point(row, `point ${i + 1}`));
+}
+
+function vertices(value: unknown): unknown[] | undefined {
+  if (Array.isArray(value)) return value;
+  if (typeof value !== 'object' || value === null) return undefined;
+  if ('vertices' in value) return vertices(value.vertices);
+  if ('hulls' in value && Array.isArray(value.hulls)) return vertices(value.hulls[0]);
+  return undefined;
+}
+
+function point(numbers: unknown, where: string): number[] {
+  const good = Array.isArray(numbers) && numbers.length === 3 && numbers.every(Number.isFinite);
+  if (!good) throw new Error(`Not three numbers: ${where}.`);
+  return numbers as number[];
+}

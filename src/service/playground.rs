@@ -1,0 +1,150 @@
+//! The playground: a page that shows contacts, and gRPC-web, which pages call, on the port
+//! of the calls.
+//!
+//! Calls go through the same [`Edge`] as any other; only how they are written on the wire
+//! differs. Browsers speak HTTP/2 where there is TLS and HTTP/1.1 where there is none.
+
+use std::{
+    convert::Infallible,
+    io,
+    net::IpAddr,
+    task::{Context, Poll},
+    time::Duration,
+};
+
+use futures_util::future::{BoxFuture, Either, Ready, ready};
+use http::{HeaderValue, Method, Request, Response, StatusCode, header, uri::Authority};
+use hyper::{body::Incoming, server::conn::http1};
+use hyper_util::rt::TokioTimer;
+use tonic::body::Body;
+use tonic_web::{GrpcWebLayer, GrpcWebService};
+use tower::{Layer, Service};
+
+use super::{connection::HEADER_BYTES, edge::Edge, listener::Connection};
+
+/// What the page is made of; `make playground` builds it.
+const FILES: [(&str, &str, &str); 4] = [
+    ("/", "text/html; charset=utf-8", include_str!("../../playground/dist/index.html")),
+    ("/playground.css", "text/css; charset=utf-8", include_str!("../../playground/dist/playground.css")),
+    ("/playground.js", "text/javascript; charset=utf-8", include_str!("../../playground/dist/playground.js")),
+    ("/licences.txt", "text/plain; charset=utf-8", include_str!("../../playground/dist/licences.txt")),
+];
+
+/// The page loads nothing from elsewhere, runs nothing but its own file and is nobody's frame.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
+                      img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+/// Between two looks at a peer that sent one byte.
+const LOOK: Duration = Duration::from_millis(10);
+
+/// Whether the first bytes of `io` are HTTP/1.1's; they stay unread. Over TLS and Unix sockets
+/// there is only HTTP/2.
+///
+/// # Errors
+/// What the system says.
+pub(super) async fn speaks_http1(io: &Connection) -> io::Result<bool> {
+    let Connection::Tcp(stream) = io else { return Ok(false) };
+    // HTTP/2 begins with PRI: what else begins with P goes on otherwise.
+    let mut first = [0; 2];
+    loop {
+        match (stream.peek(&mut first).await?, first) {
+            (0, _) => return Err(io::ErrorKind::UnexpectedEof.into()),
+            (1, [b'P', _]) => tokio::time::sleep(LOOK).await,
+            (_, begins) => return Ok(begins != *b"PR"),
+        }
+    }
+}
+
+/// Of connections that speak HTTP/1.1: a peer has `patience` to say what it wants, each time.
+pub(super) fn http1(patience: Duration) -> http1::Builder {
+    let mut http = http1::Builder::new();
+    http.timer(TokioTimer::new()).header_read_timeout(patience).max_buf_size(HEADER_BYTES as usize);
+    http
+}
+
+/// The page, gRPC-web and, over HTTP/2, gRPC.
+#[derive(Clone, Debug)]
+pub(super) struct Page {
+    calls: GrpcWebService<Edge>,
+    /// No certificate says whose the server is.
+    is_plain: bool,
+}
+
+impl Page {
+    pub(super) fn over_http1(edge: Edge) -> Self {
+        Self { calls: GrpcWebLayer::new().layer(edge), is_plain: true }
+    }
+
+    pub(super) fn over_http2(edge: Edge) -> Self {
+        Self { calls: GrpcWebLayer::new().layer(edge), is_plain: false }
+    }
+}
+
+impl Service<Request<Incoming>> for Page {
+    type Response = Response<Body>;
+    type Error = Infallible;
+    type Future = Either<
+        Ready<Result<Response<Body>, Infallible>>,
+        BoxFuture<'static, Result<Response<Body>, Infallible>>,
+    >;
+
+    fn poll_ready(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), Infallible>> {
+        Service::<Request<Incoming>>::poll_ready(&mut self.calls, cx)
+    }
+
+    fn call(&mut self, request: Request<Incoming>) -> Self::Future {
+        let answer = match *request.method() {
+            _ if self.is_plain && !names_no_site(&request) => {
+                plain(StatusCode::FORBIDDEN, "over plain text: by address or as localhost")
+            }
+            Method::GET | Method::HEAD => file(request.uri().path()),
+            _ if !is_grpc(&request) => plain(StatusCode::UNSUPPORTED_MEDIA_TYPE, "gRPC or gRPC-web"),
+            _ => return Either::Right(Box::pin(self.calls.call(request))),
+        };
+        Either::Left(ready(Ok(answer)))
+    }
+}
+
+/// Whether the server is asked for by its address or as localhost. A site elsewhere whose name
+/// was made to lead here would otherwise be the same origin, and its pages could call.
+fn names_no_site<B>(request: &Request<B>) -> bool {
+    let host =
+        request.headers().get(header::HOST).and_then(|host| host.to_str().ok()?.parse::<Authority>().ok());
+    host.is_some_and(|authority| {
+        let host = authority.host().trim_start_matches('[').trim_end_matches(']');
+        host.eq_ignore_ascii_case("localhost") || host.parse::<IpAddr>().is_ok()
+    })
+}
+
+/// Browsers send other kinds to any site, and these only where it allowed them to beforehand.
+fn is_grpc<B>(request: &Request<B>) -> bool {
+    let kind = request.headers().get(header::CONTENT_TYPE);
+    kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/grpc"))
+}
+
+/// HEAD too: hyper leaves the body out.
+fn file(path: &str) -> Response<Body> {
+    let Some((_, kind, text)) = FILES.iter().find(|(name, ..)| *name == path) else {
+        return plain(StatusCode::NOT_FOUND, "the page is at /");
+    };
+    answer(StatusCode::OK, kind, text)
+}
+
+fn plain(code: StatusCode, text: &'static str) -> Response<Body> {
+    answer(code, "text/plain; charset=utf-8", text)
+}
+
+fn answer(code: StatusCode, kind: &'static str, text: &'static str) -> Response<Body> {
+    let mut response = Response::new(Body::new(text.to_owned()));
+    *response.status_mut() = code;
+    let headers = [
+        (header::CONTENT_TYPE, kind),
+        // Of this server's version, whatever was here before.
+        (header::CACHE_CONTROL, "no-cache"),
+        (header::CONTENT_SECURITY_POLICY, POLICY),
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (header::REFERRER_POLICY, "no-referrer"),
+    ];
+    response.headers_mut().extend(headers.map(|(name, value)| (name, HeaderValue::from_static(value))));
+    response
+}

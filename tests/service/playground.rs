@@ -1,0 +1,303 @@
+//! The playground's page and gRPC-web, byte by byte as a browser sends them.
+
+use std::time::Duration;
+
+use hullcast::{
+    proto::{
+        DeleteHullsRequest, GetHullsRequest, GetServerInfoRequest, QueryContactsRequest,
+        QueryContactsResponse,
+    },
+    service::{Limits, Security, SecurityFiles},
+};
+use prost::Message;
+use tokio::{
+    io::{AsyncReadExt, AsyncWriteExt},
+    net::TcpStream,
+};
+use tonic::Code;
+
+use crate::support::{
+    Setup, TestServer, raw,
+    scenes::{assert_same, expected, register_request, two_boxes},
+};
+
+const GRPC_WEB: &str = "application/grpc-web+proto";
+const INFO: &str = "/hullcast.v1.ServerService/GetServerInfo";
+const QUERY: &str = "/hullcast.v1.ContactService/QueryContacts";
+const DELETE: &str = "/hullcast.v1.HullService/DeleteHulls";
+
+fn setup() -> Setup {
+    let mut setup = Setup::default();
+    setup.serving.playground = true;
+    setup
+}
+
+/// What HTTP/1.1 said.
+struct Said {
+    code: u16,
+    head: String,
+    body: Vec<u8>,
+}
+
+/// Reads until the server closes.
+async fn read(stream: &mut TcpStream) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    // The end, by a close or a reset.
+    let _ = stream.read_to_end(&mut bytes).await;
+    bytes
+}
+
+/// One HTTP/1.1 request on a connection of its own, asked for by `host`.
+async fn ask(server: &TestServer, host: &str, line: &str, headers: &str, body: &[u8]) -> Said {
+    let mut stream = TcpStream::connect(&server.address).await.unwrap();
+    let length = body.len();
+    let head =
+        format!("{line} HTTP/1.1\r\nhost: {host}\r\nconnection: close\r\ncontent-length: {length}\r\n");
+    stream.write_all(format!("{head}{headers}\r\n").as_bytes()).await.unwrap();
+    stream.write_all(body).await.unwrap();
+    let bytes = read(&mut stream).await;
+    let end = bytes.windows(4).position(|w| w == b"\r\n\r\n").expect("a head") + 4;
+    let head = String::from_utf8(bytes[..end].to_vec()).unwrap().to_lowercase();
+    let code = head.split(' ').nth(1).unwrap().parse().unwrap();
+    let body = match head.contains("transfer-encoding: chunked") {
+        true => unchunked(&bytes[end..]),
+        false => bytes[end..].to_vec(),
+    };
+    Said { code, head, body }
+}
+
+fn unchunked(mut rest: &[u8]) -> Vec<u8> {
+    let mut whole = Vec::new();
+    loop {
+        let line = rest.windows(2).position(|w| w == b"\r\n").expect("a chunk's length");
+        let length = usize::from_str_radix(std::str::from_utf8(&rest[..line]).unwrap(), 16).unwrap();
+        if length == 0 {
+            return whole;
+        }
+        whole.extend_from_slice(&rest[line + 2..][..length]);
+        rest = &rest[line + 2 + length + 2..];
+    }
+}
+
+/// A unary call over gRPC-web and HTTP/1.1: its message, and its status with the trailers' text.
+async fn call(
+    server: &TestServer,
+    path: &str,
+    headers: &str,
+    message: &impl Message,
+) -> (Vec<u8>, Code, String) {
+    let headers = format!("content-type: {GRPC_WEB}\r\n{headers}");
+    let frame = raw::frame(false, &message.encode_to_vec());
+    let said = ask(server, "127.0.0.1", &format!("POST {path}"), &headers, &frame).await;
+    assert_eq!(said.code, 200, "{}", said.head);
+    assert!(said.head.contains("content-type: application/grpc-web"), "{}", said.head);
+    let (mut message, mut trailers, mut rest) = (vec![], said.head.clone(), &said.body[..]);
+    while let [kind, a, b, c, d, after @ ..] = rest {
+        let (frame, next) = after.split_at(u32::from_be_bytes([*a, *b, *c, *d]) as usize);
+        match kind {
+            0 => message = frame.to_vec(),
+            _ => trailers = String::from_utf8(frame.to_vec()).unwrap(),
+        }
+        rest = next;
+    }
+    let status = trailers.lines().find_map(|line| line.strip_prefix("grpc-status:")).expect(&trailers);
+    (message, Code::from(status.trim().parse::<i32>().unwrap()), trailers)
+}
+
+/// Catches a page of which a file is missing, or that may load and run what is not its own.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_page_is_served_with_all_its_files() {
+    let server = setup().start().await;
+    let page = ask(&server, "localhost:50051", "GET /", "", b"").await;
+    assert_eq!(page.code, 200);
+    assert!(page.head.contains("content-type: text/html"), "{}", page.head);
+    assert!(
+        page.head.contains("content-security-policy: default-src 'none'; script-src 'self'"),
+        "{}",
+        page.head
+    );
+    let page = String::from_utf8(page.body).unwrap();
+    for (file, kind) in [("playground.js", "text/javascript"), ("playground.css", "text/css")] {
+        assert!(page.contains(&format!("\"{file}\"")), "the page does not name {file}");
+        let said = ask(&server, "127.0.0.1", &format!("GET /{file}"), "", b"").await;
+        assert_eq!(said.code, 200);
+        assert!(said.head.contains(kind) && !said.body.is_empty(), "{}", said.head);
+    }
+    let licences = ask(&server, "[::1]:50051", "GET /licences.txt", "", b"").await;
+    assert!(String::from_utf8(licences.body).unwrap().contains("three.js authors"));
+    let head = ask(&server, "localhost", "HEAD /", "", b"").await;
+    assert!(head.code == 200 && head.body.is_empty());
+    assert_eq!(ask(&server, "localhost", "GET /other", "", b"").await.code, 404);
+}
+
+/// Catches numbers that change on their way through gRPC-web, calls that no metric counts, and
+/// gRPC that stops working beside it.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_unary_call_over_grpc_web_answers_as_grpc_does() {
+    let server = setup().start().await;
+    let (shapes, query) = two_boxes();
+    server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
+    let (message, code, _) = call(&server, QUERY, "", &query).await;
+    assert_eq!(code, Code::Ok);
+    let over_web = QueryContactsResponse::decode(&message[..]).unwrap();
+    assert_same(&over_web, &expected(&query, &shapes));
+    let over_grpc = server.contacts().query_contacts(query.clone()).await.unwrap().into_inner();
+    assert_same(&over_web, &over_grpc);
+    let counted = r#"hullcast_requests_total{method="hullcast.v1.ContactService/QueryContacts",code="OK"}"#;
+    server.until("hullcast_requests_in_flight", 0.0).await;
+    assert_eq!(server.metric(counted), 2.0);
+
+    // An error has its details.
+    let (_, code, trailers) =
+        call(&server, QUERY, "", &QueryContactsRequest { pairs: vec![0], ..query }).await;
+    assert_eq!(code, Code::InvalidArgument);
+    assert!(trailers.contains("grpc-status-details-bin"), "{trailers}");
+    let (_, code, _) =
+        call(&server, "/hullcast.v1.ContactService/Nothing", "", &GetServerInfoRequest {}).await;
+    assert_eq!(code, Code::Unimplemented);
+}
+
+/// Catches gRPC-web that only HTTP/1.1 has: browsers speak HTTP/2 to a server with TLS.
+#[tokio::test(flavor = "multi_thread")]
+async fn grpc_web_works_over_http2() {
+    let server = setup().start().await;
+    let mut client = raw::connect(&server.address).await;
+    let mut request = raw::call(INFO, &[], raw::Body::Whole(raw::frame(false, &[])));
+    request.headers_mut().insert("content-type", GRPC_WEB.parse().unwrap());
+    let response = client.send_request(request).await.unwrap();
+    assert_eq!(response.headers()["content-type"], GRPC_WEB);
+}
+
+/// Catches a page of another site that calls with its visitor's rights: by a name that was made
+/// to lead here, or by a POST that browsers send to any site without asking.
+#[tokio::test(flavor = "multi_thread")]
+async fn pages_of_other_sites_cannot_call() {
+    let server = setup().start().await;
+    let (shapes, query) = two_boxes();
+    server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
+    let delete = raw::frame(false, &DeleteHullsRequest { ids: query.hull_ids.clone() }.encode_to_vec());
+    let web = format!("content-type: {GRPC_WEB}\r\n");
+    for host in ["evil.example", "evil.example:50051", "localhost.evil.example", "127.0.0.1.evil.example", ""]
+    {
+        let said = ask(&server, host, &format!("POST {DELETE}"), &web, &delete).await;
+        assert_eq!(said.code, 403, "{host}");
+        assert_eq!(ask(&server, host, "GET /", "", b"").await.code, 403, "{host}");
+    }
+    for (kind, code) in
+        [("text/plain", 415), ("application/x-www-form-urlencoded", 415), ("application/grpc", 400)]
+    {
+        let headers = format!("content-type: {kind}\r\n");
+        let said = ask(&server, "127.0.0.1", &format!("POST {DELETE}"), &headers, &delete).await;
+        assert_eq!(said.code, code, "{kind}");
+    }
+    // Nor over HTTP/2, where gRPC is answered beside gRPC-web.
+    let mut request = raw::call(DELETE, &[], raw::Body::Whole(delete));
+    request.headers_mut().insert("content-type", "text/plain".parse().unwrap());
+    let response = raw::connect(&server.address).await.send_request(request).await.unwrap();
+    assert_eq!(response.status(), 415);
+    // No leave is given to ask from elsewhere.
+    let asks = "origin: http://evil.example\r\naccess-control-request-method: POST\r\n";
+    let said = ask(&server, "127.0.0.1", &format!("OPTIONS {DELETE}"), asks, b"").await;
+    assert!(said.code == 415 && !said.head.contains("access-control-allow"), "{}", said.head);
+    let request = GetHullsRequest { ids: query.hull_ids, field_mask: None };
+    let records = server.hulls().get_hulls(request).await;
+    assert!(records.unwrap().into_inner().hulls.iter().all(|hull| hull.found));
+}
+
+/// Catches gRPC-web as a way round the tokens; the page itself needs none.
+#[tokio::test(flavor = "multi_thread")]
+async fn tokens_guard_grpc_web() {
+    let directory = tempfile::tempdir().unwrap();
+    let files = SecurityFiles { query_tokens: directory.path().join("query"), ..SecurityFiles::default() };
+    std::fs::write(&files.query_tokens, "reader").unwrap();
+    let mut setup = setup();
+    setup.serving.security = std::sync::Arc::new(Security::open(&files).unwrap());
+    let server = setup.start().await;
+    assert_eq!(call(&server, INFO, "", &GetServerInfoRequest {}).await.1, Code::Unauthenticated);
+    assert_eq!(
+        call(&server, INFO, "authorization: Bearer reader\r\n", &GetServerInfoRequest {}).await.1,
+        Code::Ok
+    );
+    assert_eq!(ask(&server, "localhost", "GET /", "", b"").await.code, 200);
+}
+
+/// Catches a limit of messages or of bytes under way that gRPC-web does not meet.
+#[tokio::test(flavor = "multi_thread")]
+async fn limits_hold_over_grpc_web() {
+    let limits = Limits { max_message_bytes: 4096, max_request_bytes_in_flight: 5000, ..Limits::default() };
+    let server = Setup { limits, ..setup() }.start().await;
+    let of = |doubles| QueryContactsRequest { positions: vec![0.0; doubles], ..Default::default() };
+    let (_, code, trailers) = call(&server, QUERY, "", &of(600)).await;
+    assert_eq!(code, Code::InvalidArgument, "{trailers}");
+
+    let half = raw::frame(false, &of(400).encode_to_vec());
+    let head = format!("POST {QUERY} HTTP/1.1\r\nhost: [::1]\r\ncontent-type: {GRPC_WEB}\r\n");
+    let mut stream = TcpStream::connect(&server.address).await.unwrap();
+    let head = format!("{head}content-length: {}\r\n\r\n", half.len() + 1);
+    stream.write_all(head.as_bytes()).await.unwrap();
+    stream.write_all(&half).await.unwrap();
+    server.until("hullcast_request_bytes_in_flight", half.len() as f64).await;
+    let (_, code, trailers) = call(&server, QUERY, "", &of(400)).await;
+    assert_eq!(code, Code::Unavailable, "{trailers}");
+    drop(stream);
+    server.until("hullcast_request_bytes_in_flight", 0.0).await;
+    // That of the test's own client.
+    server.until("hullcast_connections", 1.0).await;
+}
+
+/// Catches HTTP/1.1 peers that hold a connection: silent, dribbling, half a head, a body that
+/// never ends, idle after an answer; and one that is answered although no page is served.
+#[tokio::test(flavor = "multi_thread")]
+async fn http1_peers_that_dawdle_are_cut_off() {
+    let mut setup = setup();
+    setup.serving.greeting = Duration::from_millis(50);
+    setup.limits.max_deadline_seconds = 1;
+    let server = setup.start().await;
+    let idle = "GET /licences.txt HTTP/1.1\r\nhost: localhost\r\n\r\n";
+    let endless = format!(
+        "POST {QUERY} HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-type: {GRPC_WEB}\r\ncontent-length: 99\r\n\r\n"
+    );
+    let long = format!("GET / HTTP/1.1\r\nhost: localhost\r\nx: {}\r\n\r\n", "x".repeat(20_000));
+    for (said, heard) in [
+        ("", ""),
+        ("P", ""),
+        ("PO", ""),
+        ("GET / HTTP/1.1\r\nhost: loc", ""),
+        (idle, "HTTP/1.1 200"),
+        (&endless, "HTTP/1.1 200"),
+        (&long, "HTTP/1.1 431"),
+    ] {
+        let mut stream = TcpStream::connect(&server.address).await.unwrap();
+        stream.write_all(said.as_bytes()).await.unwrap();
+        let bytes = read(&mut stream).await;
+        assert!(bytes.starts_with(heard.as_bytes()), "{said}: {}", String::from_utf8_lossy(&bytes));
+        assert_eq!(bytes.is_empty(), heard.is_empty(), "{said}: {}", String::from_utf8_lossy(&bytes));
+    }
+    server.until("hullcast_connections", 1.0).await;
+
+    let plain = TestServer::start().await;
+    let mut stream = TcpStream::connect(&plain.address).await.unwrap();
+    stream.write_all(idle.as_bytes()).await.unwrap();
+    let bytes = read(&mut stream).await;
+    assert!(!bytes.starts_with(b"HTTP/1.1"), "{}", String::from_utf8_lossy(&bytes));
+}
+
+/// Catches a browser's idle connection that keeps a server from stopping.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_idle_page_does_not_keep_the_server() {
+    let mut server = setup().start().await;
+    let mut streams = Vec::new();
+    for said in ["GET /licences.txt HTTP/1.1\r\nhost: localhost\r\n\r\n", ""] {
+        let mut stream = TcpStream::connect(&server.address).await.unwrap();
+        stream.write_all(said.as_bytes()).await.unwrap();
+        if !said.is_empty() {
+            stream.read_exact(&mut [0; 12]).await.unwrap();
+        }
+        streams.push(stream);
+    }
+    server.begin_stop();
+    for stream in &mut streams {
+        read(stream).await;
+    }
+    server.stopped().await;
+}
