@@ -33,7 +33,10 @@ CONTENTS = {
         *(f"docs/{page}" for page in ("protocol", "languages", "grpcurl", "errors", "identity")),
         "docs/site/rust",
     ],
-    "What is computed": ["docs/algorithm", "docs/hulls", "docs/find", "examples/scenes/README"],
+    "What is computed": [
+        *(f"docs/{page}" for page in ("algorithm", "playground", "hulls", "find")),
+        "examples/scenes/README",
+    ],
     "How well": [
         *(f"docs/{page}" for page in ("performance", "tradeoff", "simulation")),
         *(f"docs/{page}" for page in ("stability", "fuzzing", "workload")),
