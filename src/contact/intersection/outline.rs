@@ -225,15 +225,18 @@ impl Outline {
     pub(super) fn side_beside(&self, i: u32, at: DVec2) -> u32 {
         let mut i = i as usize;
         // Around it once at most, one way.
-        for step in [1, self.sides.len() - 1] {
+        for onwards in [true, false] {
             for _ in 0..self.sides.len() {
                 let [from, to] = self.side(i).map(|c| c.at);
-                let end = if step == 1 { to } else { from };
-                let other = (i + step) % self.sides.len();
+                let (end, along) = if onwards { (to, to - from) } else { (from, from - to) };
+                if (at - end).dot(along) <= 0.0 {
+                    break;
+                }
+                let other =
+                    if onwards { self.next(i) } else { i.checked_sub(1).unwrap_or(self.sides.len() - 1) };
                 let [next_from, next_to] = self.side(other).map(|c| c.at);
-                let onward = if step == 1 { next_to - next_from } else { next_from - next_to };
-                let beyond = (at - end).dot(if step == 1 { to - from } else { from - to }) > 0.0;
-                if !(beyond && (at - end).dot(onward) > 0.0) {
+                let along = if onwards { next_to - next_from } else { next_from - next_to };
+                if (at - end).dot(along) <= 0.0 {
                     break;
                 }
                 i = other;
