@@ -222,7 +222,15 @@ impl Outline {
     /// Of the sides around side `i` the one that a point near its line is beside: where
     /// sides go on along one line, to the merge distance, the next ones do not cut, and
     /// what side `i` cuts may be far beyond its ends.
+    #[inline]
     pub(super) fn side_beside(&self, i: u32, at: DVec2) -> u32 {
+        let [from, to] = self.side(i as usize).map(|c| c.at);
+        let (along, whole) = ((at - from).dot(to - from), (to - from).length_squared());
+        if (0.0..=whole).contains(&along) { i } else { self.side_beyond(i, at) }
+    }
+
+    #[cold]
+    fn side_beyond(&self, i: u32, at: DVec2) -> u32 {
         let mut i = i as usize;
         // Around it once at most, one way.
         for onwards in [true, false] {
