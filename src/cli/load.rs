@@ -21,7 +21,7 @@ use super::remote::RemoteArgs;
 use super::scene::HullPoints;
 use super::tally::Tally;
 use hullcast::store::HullId;
-use hullcast::workload::{Family, Regime};
+use hullcast::workload::{Family, Random, Regime};
 pub(crate) use sheet::Row;
 
 /// How often the progress line is renewed.
@@ -315,7 +315,7 @@ impl Runner {
 
     async fn open(&self, rate: f64, live: &Arc<Live>, started: Instant) -> Result<Tally, Error> {
         let mut due = started;
-        let mut random = self.args.seed;
+        let mut random = Random::new(self.args.seed);
         let (mut tally, mut running) = (Tally::default(), JoinSet::new());
         for number in 0.. {
             let gap = match self.args.request_distribution {
@@ -410,14 +410,10 @@ async fn note_interrupt(interrupted: Arc<AtomicBool>) {
     }
 }
 
-/// Exponentially distributed, of mean 1; splitmix64.
-fn exponential(state: &mut u64) -> f64 {
-    *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let z = (*state ^ (*state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    // In (0, 1]: its logarithm is finite.
-    let uniform = (((z ^ (z >> 31)) >> 11) + 1) as f64 / (1_u64 << 53) as f64;
-    -uniform.ln()
+/// Exponentially distributed, of mean 1.
+fn exponential(random: &mut Random) -> f64 {
+    // Of (0, 1]: the logarithm is finite.
+    -(1.0 - random.unit()).ln()
 }
 
 /// A line on standard error, where that is a terminal.
@@ -459,8 +455,8 @@ mod tests {
     /// variance too, and one in e is above the mean.
     #[test]
     fn poisson_intervals_are_exponential() {
-        let mut state = 1;
-        let gaps: Vec<f64> = (0..100_000).map(|_| exponential(&mut state)).collect();
+        let mut random = Random::new(1);
+        let gaps: Vec<f64> = (0..100_000).map(|_| exponential(&mut random)).collect();
         let mean = gaps.iter().sum::<f64>() / 1e5;
         let variance = gaps.iter().map(|gap| (gap - mean).powi(2)).sum::<f64>() / 1e5;
         let above = gaps.iter().filter(|gap| **gap > 1.0).count() as f64 / 1e5;

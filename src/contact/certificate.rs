@@ -8,12 +8,8 @@
 use glam::DVec3;
 
 use super::exact::{Dd, Dd3, dd_cross, dd_dot, exponent_above, power_of_two, triple_product};
-use super::tolerance::{BAND, BRACKET, MERGE, NOISE, U};
+use super::tolerance::{BAND, BRACKET, MERGE, NOISE, SUBNORMAL, U};
 use super::{Basis, Body, Feature, Manifold, Outcome, Query, Wanted};
-
-/// Below the normal doubles alpha is a multiple of 2^-1074, and so is what it may be off:
-/// alpha, both ends of its bracket and what is shown here are each rounded once.
-const SUBNORMAL: f64 = f64::from_bits(4);
 
 /// What of an answer is not as defined: `found` is beyond `allowed`.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -42,6 +42,11 @@ pub(crate) const BAND: f64 = 64.0;
 /// the rounding of its own vertices, twice over.
 pub(crate) const REACH: f64 = 512.0;
 
+/// Of the certificate: below the normal doubles alpha is a multiple of 2^-1074, and so is
+/// what it may be off: alpha, both ends of its bracket and what is shown of them are each
+/// rounded once.
+pub(crate) const SUBNORMAL: f64 = f64::from_bits(4);
+
 /// Cosines of face normals, and sines of edges, within this share of `U` tie.
 pub(crate) const TIE: f64 = 8.0;
 

@@ -7,7 +7,7 @@ use hyper::{body::Incoming, server::conn::http1, service::service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::{net::TcpListener, sync::Semaphore, time::timeout};
 
-use super::App;
+use super::{App, server::ACCEPT_PAUSE};
 
 /// Connections at a time: scrapers and probes are few.
 const CONNECTIONS: usize = 64;
@@ -17,9 +17,6 @@ const CONNECTION_TIME: Duration = Duration::from_secs(60);
 
 /// A peer that does not say what it wants is gone.
 const HEADER_TIME: Duration = Duration::from_secs(5);
-
-/// After a failed accept, so that the loop does not spin.
-const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
 /// Answers on `listener` until dropped.
 pub async fn serve_admin(listener: TcpListener, app: Arc<App>) {

@@ -124,12 +124,17 @@ impl Room {
             (pace.taken, pace.computed) = (Instant::now(), computed);
         }
         pace.refused = pace.refused.wrapping_add(1);
-        // 0.75 to 1.25, by the golden ratio: evenly spread however many there are.
-        let spread = 0.75 + 0.5 * (f64::from(pace.refused) * 0.618_033_988_749_895).fract();
+        let spread = 0.75 + 0.5 * spread(pace.refused.into());
         let under_way = f64::from(self.size) - self.places.available_permits() as f64;
         let seconds = 0.5 * under_way / pace.per_second.max(1.0) * spread;
         Duration::try_from_secs_f64(seconds).unwrap_or(LATEST).clamp(SOONEST, LATEST)
     }
+}
+
+/// The `n`-th of numbers in [0, 1) that are spread evenly however many there are: multiples
+/// of the golden ratio.
+pub(super) fn spread(n: u64) -> f64 {
+    (n as f64 * 0.618_033_988_749_895).fract()
 }
 
 /// No pairs are a batch too.

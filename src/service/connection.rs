@@ -31,6 +31,7 @@ use tower::Service;
 use super::playground::{self, Page};
 use super::{
     App, Serving,
+    admission::spread,
     edge::{Closing, Edge},
     listener::Connection,
 };
@@ -100,9 +101,7 @@ impl Connections {
         if most.is_zero() {
             return Duration::MAX;
         }
-        // The golden ratio spreads any number of them evenly.
-        let spread = (self.count.fetch_add(1, Ordering::Relaxed) as f64 * 0.618_033_988_749_895).fract();
-        most.mul_f64(0.9 + 0.2 * spread)
+        most.mul_f64(0.9 + 0.2 * spread(self.count.fetch_add(1, Ordering::Relaxed)))
     }
 
     /// Serves `io` until the peer leaves. Once `closing` is true or the connection is of age it

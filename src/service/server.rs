@@ -13,7 +13,7 @@ use super::{
 use crate::proto;
 
 /// After a failed accept (too many open files), so that the loop does not spin.
-const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
+pub(super) const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
 /// How a server serves; what it accepts is its `Limits`.
 #[derive(Clone, Debug)]

@@ -10,8 +10,8 @@ use hullcast::{
 use crate::support::{
     Setup, TestServer,
     scenes::{
-        ALL, Random, assert_same, expected, id, outputs, plain, register_request, round_points, scene,
-        shapes, two_boxes,
+        ALL, Random, append, assert_same, expected, id, outputs, plain, register_request, round_points,
+        scene, shapes, two_boxes,
     },
 };
 
@@ -113,16 +113,7 @@ async fn the_parts_of_a_batch_are_the_batch() {
             let part = QueryContactsRequest { pairs: pairs.to_vec(), ..whole.clone() };
             let part = server.contacts().query_contacts(part).await.unwrap().into_inner();
             joined.request_id = part.request_id;
-            joined.outcomes.extend(part.outcomes);
-            joined.flags.extend(part.flags);
-            joined.alphas.extend(part.alphas);
-            joined.alpha_lowers.extend(part.alpha_lowers);
-            joined.alpha_uppers.extend(part.alpha_uppers);
-            joined.separations.extend(part.separations);
-            joined.normals.extend(part.normals);
-            joined.point_counts.extend(part.point_counts);
-            joined.witness_as.extend(part.witness_as);
-            joined.distances.extend(part.distances);
+            append(&mut joined, part);
         }
         assert_same(&joined, &answer);
     }

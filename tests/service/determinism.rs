@@ -13,7 +13,7 @@ use prost::Message;
 
 use crate::support::{
     Setup, TestServer, raw,
-    scenes::{ALL, assert_same, outputs, plain, register_request, round_points, scene, shapes},
+    scenes::{ALL, append, assert_same, outputs, plain, register_request, round_points, scene, shapes},
 };
 
 const QUERY: &str = "/hullcast.v1.ContactService/QueryContacts";
@@ -136,24 +136,7 @@ async fn parts_with_unanswered_pairs_are_the_batch() {
             let part = QueryContactsRequest { pairs, warm_starts, ..mixed.clone() };
             let part = server.contacts().query_contacts(part).await.unwrap().into_inner();
             assert_eq!(part.invalid_bodies, whole.invalid_bodies);
-            joined.outcomes.extend(part.outcomes);
-            joined.flags.extend(part.flags);
-            joined.alphas.extend(part.alphas);
-            joined.alpha_lowers.extend(part.alpha_lowers);
-            joined.alpha_uppers.extend(part.alpha_uppers);
-            joined.separations.extend(part.separations);
-            joined.normals.extend(part.normals);
-            joined.point_counts.extend(part.point_counts);
-            joined.witness_as.extend(part.witness_as);
-            joined.distances.extend(part.distances);
-            joined.witness_bs.extend(part.witness_bs);
-            joined.feature_kinds.extend(part.feature_kinds);
-            joined.feature_indices.extend(part.feature_indices);
-            joined.point_ids.extend(part.point_ids);
-            joined.bases.extend(part.bases);
-            joined.iterations.extend(part.iterations);
-            joined.support_calls.extend(part.support_calls);
-            joined.kept_areas.extend(part.kept_areas);
+            append(&mut joined, part);
         }
         assert_same(&joined, &whole);
     }

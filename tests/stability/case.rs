@@ -3,7 +3,9 @@
 
 use std::rc::Rc;
 
-use hullcast::contact::{Accuracy, Body, ConvexHull, HullOptions, Pose, Query, Workspace, contact_manifold};
+use hullcast::contact::{
+    Accuracy, Body, ConvexHull, HullOptions, Pose, Query, Workspace, certificate, contact_manifold,
+};
 
 use super::oracle::{Exact, Placed};
 use super::scene::{Random, box_points, cloud, prism_points, scaled};
@@ -148,6 +150,14 @@ impl Case {
     pub(crate) fn solve(&self, query: &Query, workspace: &mut Workspace) -> hullcast::contact::Manifold {
         let [a, b] = self.bodies();
         contact_manifold(&a, &b, query, None, workspace).clone()
+    }
+
+    /// The answer, which its certificate must hold.
+    pub(crate) fn certified(&self, query: &Query) -> hullcast::contact::Manifold {
+        let [a, b] = self.bodies();
+        let m = self.solve(query, &mut Workspace::default());
+        certificate::check(&a, &b, query, &m).unwrap_or_else(|v| panic!("{v}\n{m:?}\n{self:?}"));
+        m
     }
 
     pub(crate) fn exact(&self) -> Exact {

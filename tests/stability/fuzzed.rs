@@ -1,6 +1,6 @@
 //! What fuzzing several places of each pair of hulls found, each with its cause.
 
-use hullcast::contact::{Element, Workspace, certificate};
+use hullcast::contact::Element;
 
 use crate::case::{Case, Shape, cuboid, turn};
 use crate::judge::SOLVERS;
@@ -76,12 +76,10 @@ fn crossings_are_lifted_along_the_side_that_they_are_beside() {
         let (positions, rotations) = ([[0.0; 3], at], [LEVEL, rotation]);
         let mut case = Case::new(order.map(|i| shapes[i].clone()), [0.0; 3], order.map(|i| rotations[i]));
         case.positions = order.map(|i| positions[i]);
-        let [a, b] = case.bodies();
         for feature_angle in [0.01, 0.5] {
             let mut query = case.query(f64::INFINITY);
             query.accuracy.feature_angle = feature_angle;
-            let m = case.solve(&query, &mut Workspace::default());
-            certificate::check(&a, &b, &query, &m).unwrap_or_else(|v| panic!("{v}\n{m:?}\n{case:?}"));
+            let m = case.certified(&query);
             touching += usize::from(!m.flags.estimated);
             let both = |id: [Element; 2]| id.iter().all(|e| matches!(e, Element::Edge(_)));
             crossings += m.points.iter().filter(|p| both(p.id)).count();
@@ -100,12 +98,10 @@ fn alphas_below_the_normal_doubles_hold_their_certificate() {
         let shapes = [0; 2].map(|_| Shape::centred(box_points([0; 3].map(|_| random.range(0.2, 1.0)))));
         let d = random.direction().map(|x| x * 10f64.powf(random.range(-323.0, -307.0)));
         let case = Case::new(shapes, d, [random.rotation(), random.rotation()]);
-        let [a, b] = case.bodies();
         for solver in SOLVERS {
             let mut query = case.query(f64::INFINITY);
             query.accuracy.solver = solver;
-            let m = case.solve(&query, &mut Workspace::default());
-            certificate::check(&a, &b, &query, &m).unwrap_or_else(|v| panic!("{v}\n{m:?}\n{case:?}"));
+            let m = case.certified(&query);
             subnormal += usize::from(!m.flags.coincident && m.alpha.is_subnormal());
         }
     }
