@@ -103,15 +103,13 @@ package: check-tools wheel ## what a release publishes: the crate, built from it
 .PHONY: bench
 bench: check-tools build $(VENV)/.demo ## contacts beside parry3d, then through the server from Python; writes docs/performance.md
 	cd benches && $(CARGO) run --release --locked --bin contact
-	$(PY) client/examples/throughput.py | tee /dev/stderr | (cd benches && $(CARGO) run --quiet --release --locked --bin section throughput)
+	$(PY) client/examples/throughput.py | tee /dev/stderr | ./scripts/section docs/performance.md throughput -
 	./scripts/headline
-
-SECTION := (cd benches && $(CARGO) run --quiet --release --locked --bin section
 
 .PHONY: bench-python
 bench-python: build $(VENV)/.bench ## the Python client's own cost, and coal and python-fcl on one scene; writes docs/performance.md
-	{ ./scripts/provenance; echo "load $$(cut -d' ' -f1 /proc/loadavg) before"; $(PY) client/examples/overhead.py; } | tee /dev/stderr | $(SECTION) python-overhead)
-	{ ./scripts/provenance; echo "load $$(cut -d' ' -f1 /proc/loadavg) before"; $(PY) client/examples/peers.py; } | tee /dev/stderr | $(SECTION) python-peers)
+	$(PY) client/examples/overhead.py | tee /dev/stderr | ./scripts/section docs/performance.md python-overhead -
+	$(PY) client/examples/peers.py | tee /dev/stderr | ./scripts/section docs/performance.md python-peers -
 
 .PHONY: bench-find
 bench-find: build $(VENV)/.test ## what finding the pairs costs, to 100,000 bodies and 10,000 worlds; writes docs/find.md and its picture

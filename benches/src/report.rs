@@ -55,22 +55,13 @@ fn short(nanoseconds: f64) -> String {
     if nanoseconds < 1e4 { format!("{nanoseconds:.0} ns") } else { format!("{:.1} us", nanoseconds / 1e3) }
 }
 
-/// Machine and how busy it was, date and commit.
-pub fn provenance() -> String {
-    let cpus = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let model = cpus.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": "));
-    let model = model.map_or("unknown processor", |(_, name)| name);
-    let cores = std::thread::available_parallelism().map_or(0, usize::from);
-    let say = |program: &str, arguments: &[&str]| {
-        let output = Command::new(program).args(arguments).output().ok();
-        output.map(|o| String::from_utf8_lossy(&o.stdout).trim().to_string()).unwrap_or_default()
-    };
-    let date = say("date", &["-u", "+%Y-%m-%d"]);
-    let commit = say("git", &["describe", "--always", "--dirty"]);
-    let rustc = say("rustc", &["--version"]);
-    let load = fs::read_to_string("/proc/loadavg").unwrap_or_default();
-    let load = load.split(' ').next().unwrap_or_default();
-    format!("{model}, {cores} cores seen, load {load} before; {date}; commit {commit}; {rustc}.")
+/// Machine and how busy it was, date and commit: as every page of measurements has it.
+///
+/// # Errors
+/// Where the script cannot be run.
+pub fn provenance() -> io::Result<String> {
+    let output = Command::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../scripts/provenance")).output()?;
+    Ok(String::from_utf8_lossy(&output.stdout).trim().to_string())
 }
 
 /// Where the results go.

@@ -23,7 +23,7 @@ const CLOUDS: [usize; 4] = [16, 64, 256, 4096];
 
 fn main() -> Result<(), Box<dyn Error>> {
     // Before the results make the working tree differ from its commit.
-    replace_section("provenance", &provenance())?;
+    replace_section("provenance", &provenance()?)?;
     let cells = cells::generate(PAIRS)?;
     let asked: Vec<String> = std::env::args().skip(1).collect();
     let mut csv = String::new();

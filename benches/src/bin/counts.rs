@@ -42,7 +42,7 @@ fn tables() -> Result<(), Box<dyn Error>> {
     for count in CLOUDS {
         row(&mut text, "hull", &count.to_string(), &BUILDERS, clouds(count).len() * count)?;
     }
-    write!(text, "\n\n{}", provenance())?;
+    write!(text, "\n\n{}", provenance()?)?;
     println!("{text}");
     Ok(replace_section("counts", &text)?)
 }

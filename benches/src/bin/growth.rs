@@ -36,7 +36,7 @@ const ROUNDS: usize = 7;
 
 #[tokio::main]
 async fn main() -> Result<(), Failure> {
-    let stamp = provenance();
+    let stamp = provenance()?;
     let (vertices, mut csv) = vertices()?;
     let (batches, part) = batches().await?;
     csv += &part;

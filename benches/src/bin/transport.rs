@@ -42,7 +42,7 @@ async fn main() -> Result<(), Failure> {
     }
     let asked = &arguments[1..];
     let wanted = |section: &str| asked.is_empty() || asked.iter().any(|name| name == section);
-    let stamp = provenance();
+    let stamp = provenance()?;
     for section in ["batches", "small", "sizes", "networks"].into_iter().filter(|name| wanted(name)) {
         let text = match section {
             "batches" => batches().await?,
