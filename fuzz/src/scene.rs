@@ -10,6 +10,10 @@ use crate::shape::Shape;
 /// Iterations that no pair needs.
 pub const UNLIMITED: u32 = 1000;
 
+/// Lengths from here on are turned without losing a bit below the normal doubles, unless by
+/// as much as nothing.
+const LEAST_TURNED: f64 = 1e-200;
+
 /// Of each pair of hulls.
 const QUESTIONS: usize = 8;
 
@@ -40,9 +44,10 @@ impl Scene {
         self.shapes.each_ref().map(|shape| &shape.hull)
     }
 
-    /// With lengths that are as exact as these, if they and the hulls can be.
+    /// With lengths that are as exact as these, if they and the hulls can be, turned too.
     pub fn scaled(&self, by: f64) -> Option<Self> {
-        let length = |x: f64| Some(x * by).filter(|y| y / by == x && (x == 0.0 || y.is_normal()));
+        let exact = |x: f64| x == 0.0 || x.abs() >= LEAST_TURNED;
+        let length = |x: f64| Some(x * by).filter(|&y| exact(x) && exact(y) && y.is_finite());
         let vector = |v: [f64; 3]| Some([length(v[0])?, length(v[1])?, length(v[2])?]);
         let shape = |shape: &Shape| {
             let contraction_point = match shape.contraction_point {

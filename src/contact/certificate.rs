@@ -58,6 +58,13 @@ struct Scene<'a> {
     a: &'a Body<'a>,
     b: &'a Body<'a>,
     d: DVec3,
+    /// `d` times a power of two that brings the lengths that enter it near 1: where they are
+    /// subnormal, turning them would lose most of it.
+    ray: DVec3,
+    /// The same of the lengths that enter it.
+    ray_m: f64,
+    /// `d = ray_unit * ray`, `m = ray_unit * ray_m`, as far as doubles can say it.
+    ray_unit: f64,
     m: f64,
     inradius: f64,
     circumradius: f64,
@@ -73,7 +80,11 @@ impl<'a> Scene<'a> {
     fn new(a: &'a Body<'a>, b: &'a Body<'a>, normal: DVec3) -> Self {
         let t = b.pose.translation - a.pose.translation;
         let (ca, cb) = (a.hull.contraction_point(), b.hull.contraction_point());
-        let d = t + (b.pose.rotation * cb - a.pose.rotation * ca);
+        let exponent = exponent_above(t.abs().max(ca.abs()).max(cb.abs()).max_element());
+        let [ray_unit, up] = [exponent, -exponent].map(power_of_two);
+        let [t, ca, cb] = [t, ca, cb].map(|v| v * up);
+        let ray = t + (b.pose.rotation * cb - a.pose.rotation * ca);
+        let ray_m = t.length() + ca.length() + cb.length();
         let highest = |body: &Body<'_>, n: DVec3| {
             (0..body.hull.vertex_count()).map(|v| n.dot(vertex(body, v))).fold(f64::NEG_INFINITY, f64::max)
         };
@@ -81,34 +92,29 @@ impl<'a> Scene<'a> {
         Self {
             a,
             b,
-            d,
-            m: length(t) + length(ca) + length(cb),
+            d: ray * ray_unit,
+            ray,
+            ray_m,
+            ray_unit,
+            m: ray_m * ray_unit,
             inradius: a.hull.inradius() + b.hull.inradius(),
             circumradius: a.hull.circumradius() + b.hull.circumradius(),
             world: a.pose.translation.length() + b.pose.translation.length(),
             normal,
             reach,
-            separation: normal.dot(d) - reach,
+            separation: normal.dot(ray * ray_unit) - reach,
         }
     }
 
     /// The growth scale along the normal: a lower bound of alpha, but for rounding.
     fn growth(&self) -> f64 {
-        // Of the offset scaled: where it is subnormal its products lose most of it.
-        let far = power_of_two(exponent_above(self.d.abs().max_element()));
-        self.normal.dot(self.d / far) / self.reach * far
+        self.normal.dot(self.ray) / self.reach * self.ray_unit
     }
 
     /// The rounding band of a separation.
     fn band(&self) -> f64 {
         U * (BAND * (self.circumradius + self.d.length()) + NOISE * self.m)
     }
-}
-
-/// The length of a vector whose square may underflow.
-fn length(v: DVec3) -> f64 {
-    let size = v.abs().max_element();
-    if size > 0.0 { (v / size).length() * size } else { 0.0 }
 }
 
 /// A vertex about its hull's contraction point, world axes.
@@ -129,10 +135,10 @@ fn bracket(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), 
     let Manifold { alpha, alpha_lower, alpha_upper, flags, .. } = *manifold;
     at_most("lower end of the bracket above alpha", alpha_lower, alpha)?;
     at_most("alpha above the upper end of the bracket", alpha, alpha_upper)?;
-    let noise = NOISE * U * scene.m / scene.inradius;
+    let noise = NOISE * U * scene.ray_m / scene.inradius * scene.ray_unit;
     let tolerance = query.accuracy.relative_tolerance + BRACKET * U * scene.circumradius / scene.inradius;
     if flags.coincident {
-        at_most("offset of coincident centres", length(scene.d), NOISE * U * scene.m)?;
+        at_most("offset of coincident centres", scene.ray.length(), NOISE * U * scene.ray_m)?;
         return at_most("alpha of coincident centres", alpha, 0.0);
     }
     let growth = scene.growth();
@@ -169,12 +175,13 @@ fn shown_upper(scene: &Scene<'_>, basis: &Basis) -> f64 {
     // Scaled, so that no product of three overflows or underflows; by powers of
     // two, so that a flat triple stays flat.
     let [size, far] =
-        [scene.circumradius, scene.d.abs().max_element()].map(|x| power_of_two(exponent_above(x)));
-    let ([u0, u1, u2], d) = ([u0, u1, u2].map(|u| u / size), scene.d / far);
+        [scene.circumradius, scene.ray.abs().max_element()].map(|x| power_of_two(exponent_above(x)));
+    let ([u0, u1, u2], d) = ([u0, u1, u2].map(|u| u / size), scene.ray / far);
+    let m = scene.ray_m / far;
     let bound = |weights: [f64; 3]| {
         let [l0, l1, l2] = weights.map(|l| l.max(0.0));
         let missing = d - (u0 * l0 + u1 * l1 + u2 * l2);
-        let rounding = NOISE * U * (l0 + l1 + l2 + scene.m / far);
+        let rounding = NOISE * U * (l0 + l1 + l2 + m);
         l0 + l1 + l2 + (missing.length() - rounding).max(0.0) * size / scene.inradius
     };
     // Where a weight is 0 its rounding may be far below 0 in a thin triple, and
@@ -191,7 +198,7 @@ fn shown_upper(scene: &Scene<'_>, basis: &Basis) -> f64 {
         [0.0, 0.0, w2],
     ];
     let shown = candidates.map(bound).into_iter().fold(f64::INFINITY, f64::min);
-    shown * (far / size) * (1.0 - BRACKET * U)
+    shown * (far / size) * scene.ray_unit * (1.0 - BRACKET * U)
 }
 
 fn wide(v: DVec3) -> Dd3 {

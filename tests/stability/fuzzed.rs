@@ -131,3 +131,62 @@ fn sharp_corners_that_nearly_touch_are_no_estimate() {
         judged(&Case::new(shapes.clone(), std::array::from_fn(|k| d[k] + by[k]), rotations));
     }
 }
+
+/// Where edges that are nearly parallel cross near an end, the crossing was as far off along
+/// them as rounding is over their sine: witnesses beyond the ends, by 1e-6 of the hulls.
+#[test]
+fn edges_nearly_parallel_cross_within_both() {
+    let random = &mut Random(14);
+    let roof = Shape::centred(vec![[-1.0, 0.0, 0.5], [1.0, 0.0, 0.5], [0.0, -1.0, -0.5], [0.0, 1.0, -0.5]]);
+    let (mut corners, mut crossings) = (0, 0);
+    for round in 0..4000 {
+        // B upside down on A's edge, spun by a little, so that the edges meet in an end of one
+        // of them, but for some ulps.
+        let spin = 10f64.powf(random.range(-12.0, -1.0));
+        let upside_down = crate::metamorphic::product(
+            turn([0.0, 0.0, 1.0], spin),
+            turn([1.0, 0.0, 0.0], std::f64::consts::PI),
+        );
+        let slide = random.range(-1.9, 1.9);
+        let end = [-1.0, 1.0][random.below(2)];
+        let across = if round % 2 == 0 { end * spin.sin() } else { (slide - end) * spin.tan() };
+        let off = 10f64.powf(random.range(-18.0, -11.0)) * [-1.0, 1.0][random.below(2)];
+        let d = [slide, across + off, 1.0 + 10f64.powf(random.range(-18.0, -15.0))];
+        let shapes = [roof.clone(), roof.clone()];
+        let mut case = Case::new(shapes, d, [LEVEL, upside_down]);
+        case.relative_tolerance = 0.0;
+        for solver in SOLVERS {
+            let mut query = case.query(f64::INFINITY);
+            query.accuracy.solver = solver;
+            let m = case.certified(&query);
+            let edges = |id: [Element; 2]| id.iter().all(|e| matches!(e, Element::Edge(_)));
+            let [point] = m.points[..] else { continue };
+            if edges(point.id) { crossings += 1 } else { corners += 1 }
+        }
+    }
+    assert!(corners > 1000 && crossings > 500, "{corners} corners, {crossings} crossings");
+}
+
+/// None of the answer's: a contraction point below the normal doubles, which the certificate
+/// turned with the bits that it has there.
+#[test]
+fn contraction_points_below_the_normal_doubles_hold_their_certificate() {
+    let random = &mut Random(15);
+    let mut subnormal = 0;
+    for _ in 0..400 {
+        let centre = random.direction().map(|x| x * 10f64.powf(random.range(-321.0, -307.0)));
+        // The smaller the hulls, the more of alpha a bit of the centre is.
+        let half = [0; 3].map(|_| 10f64.powf(random.range(-4.0, 0.0)));
+        let shapes = [Shape::about(box_points(half), Some(centre)), Shape::centred(box_points(half))];
+        let case = Case::new(shapes, [0.0; 3], [random.rotation(), random.rotation()]);
+        for solver in SOLVERS {
+            for max_iterations in [2, 1000] {
+                let mut query = case.query(f64::INFINITY);
+                (query.accuracy.solver, query.accuracy.max_iterations) = (solver, max_iterations);
+                let m = case.certified(&query);
+                subnormal += usize::from(!m.flags.coincident && m.alpha.is_subnormal());
+            }
+        }
+    }
+    assert!(subnormal > 500, "{subnormal}");
+}

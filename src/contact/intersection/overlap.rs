@@ -94,14 +94,12 @@ fn coinciding(a: &Outline, at: DVec2, eps: f64) -> Option<Element> {
     corner.map(|c| Element::Vertex(c.vertex))
 }
 
-/// Edges and vertices: corners within `eps` of the other feature; of two edges
-/// that are not aligned the crossing.
+/// Edges and vertices: of two edges that cross clear of their ends the crossing, else the
+/// corners within `eps` of the other feature. Where nearly parallel edges cross near an end
+/// is rounding's to say; that end is not.
 fn thin(a: &Outline, b: &Outline, eps: f64, points: &mut Vec<PlanePoint>) {
-    let crossing = crossing(a, b);
-    if let Some((point, clear)) = &crossing
-        && *clear > eps
-    {
-        return points.push(*point);
+    if let Some(point) = crossing(a, b, eps) {
+        return points.push(point);
     }
     for c in a.corners.iter().filter(|c| touches(b, c.at, eps)) {
         let id = [Element::Vertex(c.vertex), Element::Inside];
@@ -111,24 +109,22 @@ fn thin(a: &Outline, b: &Outline, eps: f64, points: &mut Vec<PlanePoint>) {
         let id = [Element::Inside, Element::Vertex(c.vertex)];
         points.push(PlanePoint { at: c.at, height_a: a.height(c.at), height_b: c.height, id });
     }
-    if let (Some((point, _)), true) = (crossing, points.len() < 2) {
-        points.clear();
-        points.push(point);
-    }
 }
 
-/// Where two edges cross, and how far the nearest end is from the other's line.
-fn crossing(a: &Outline, b: &Outline) -> Option<(PlanePoint, f64)> {
+/// Where two edges cross, if every end is farther than `eps` from the other's line.
+fn crossing(a: &Outline, b: &Outline, eps: f64) -> Option<PlanePoint> {
     let (&[side_a], &[side_b]) = (a.sides.as_slice(), b.sides.as_slice()) else { return None };
     let [p, q] = a.side(0);
     let [a0, a1] = [p, q].map(|c| side_b.distance(c.at));
     let [b0, b1] = b.side(0).map(|c| side_a.distance(c.at));
-    let clear = a0.abs().min(a1.abs()).min(b0.abs()).min(b1.abs());
+    let crosses = (a0 > 0.0) != (a1 > 0.0) && (b0 > 0.0) != (b1 > 0.0);
+    if !crosses || [a0, a1, b0, b1].iter().any(|distance| distance.abs() <= eps) {
+        return None;
+    }
     let at = p.at + (a0 / (a0 - a1)) * (q.at - p.at);
     let (height_a, height_b) = (height_on([p, q], at), height_on(b.side(0), at));
     let id = [a.side_name(0), b.side_name(0)];
-    ((a0 > 0.0) != (a1 > 0.0) && (b0 > 0.0) != (b1 > 0.0))
-        .then_some((PlanePoint { at, height_a, height_b, id }, clear))
+    Some(PlanePoint { at, height_a, height_b, id })
 }
 
 /// Whether a point is within `eps` of a vertex or an edge.
