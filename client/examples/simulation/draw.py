@@ -3,41 +3,64 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import matplotlib
 import numpy as np
+import numpy.typing as npt
+from PIL import Image, ImageDraw
+from scenes import Setup
+from scipy.spatial import ConvexHull
 
 COLOURS = ["#4c78a8", "#f58518", "#54a24b", "#e45756", "#72b7b2", "#b279a2"]
 SIZE = (300, 240)
 
+Picture = Image.Image
+
+
+@dataclass
+class Row:
+    """What was measured of one run."""
+
+    scene: str
+    variant: str
+    sweeps: int
+    #: m
+    drift: float
+    #: mJ/kg
+    jitter: float
+    #: mm
+    depth: float
+    contacts: float
+    contact_ms: float
+    solver_ms: float
+
 
 def frame(
-    setup: object,
-    shapes: Sequence[np.ndarray],
-    positions: np.ndarray,
-    turned: np.ndarray,
-    title: str,
-):
+    setup: Setup, positions: npt.NDArray[np.float64], turned: npt.NDArray[np.float64], title: str
+) -> Picture:
     """A picture of the bodies, the far ones first; looks along y."""
-    from PIL import Image, ImageDraw
-    from scipy.spatial import ConvexHull
-
     low, high = VIEWS[setup.name]
     scale = min(SIZE[0] / (high[0] - low[0]), SIZE[1] / (high[1] - low[1]))
     picture = Image.new("RGB", SIZE, "white")
     pen = ImageDraw.Draw(picture)
-    for body in np.argsort(-positions[:, 1]):
-        corners = (shapes[body] @ turned[body].T + positions[body])[:, [0, 2]]
+    order: list[int] = np.argsort(-positions[:, 1]).tolist()
+    for body in order:
+        corners = (setup.shapes[body] @ turned[body].T + positions[body])[:, [0, 2]]
         outline = corners[ConvexHull(corners).vertices]
         at = np.stack(
             [(outline[:, 0] - low[0]) * scale, SIZE[1] - (outline[:, 1] - low[1]) * scale], axis=1
         )
         fill = "#dddddd" if body < setup.fixed else COLOURS[body % len(COLOURS)]
-        pen.polygon([tuple(p) for p in at], fill=fill, outline="#333333")
+        pen.polygon([(x, y) for x, y in at.tolist()], fill=fill, outline="#333333")
     pen.text((6, 4), title, fill="black")
     return picture
 
 
+#: Drawn no lower: below is rounding.
+LEAST = 1e-7
 #: Of each scene what is seen: lowest and highest x and z.
 VIEWS = {
     "tower": ((-3.4, -0.3), (3.4, 5.3)),
@@ -48,11 +71,9 @@ VIEWS = {
 }
 
 
-def animate(left: Sequence[object], right: Sequence[object], path: Path, seconds: float) -> None:
+def animate(left: Sequence[Picture], right: Sequence[Picture], path: Path, seconds: float) -> None:
     """Two runs side by side."""
-    from PIL import Image
-
-    pictures = []
+    pictures: list[Picture] = []
     for a, b in zip(left, right, strict=True):
         both = Image.new("RGB", (2 * SIZE[0], SIZE[1]), "white")
         both.paste(a, (0, 0))
@@ -68,15 +89,14 @@ def animate(left: Sequence[object], right: Sequence[object], path: Path, seconds
     )
 
 
-def plot(rows: Sequence[dict], path: Path) -> None:
+def plot(rows: Sequence[Row], path: Path) -> None:
     """Drift, jitter and depth against sweeps, a column a scene."""
-    import matplotlib
-
     matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
+    from matplotlib import pyplot
 
-    scenes = list(dict.fromkeys(row["scene"] for row in rows))
-    variants = list(dict.fromkeys(row["variant"] for row in rows))
+    plt: Any = pyplot
+    scenes = list(dict.fromkeys(row.scene for row in rows))
+    variants = list(dict.fromkeys(row.variant for row in rows))
     names = {"drift": "drift, m", "jitter": "jitter, mJ/kg", "depth": "depth, mm"}
     figure, axes = plt.subplots(
         3, len(scenes), figsize=(2.7 * len(scenes), 7), sharex=True, squeeze=False
@@ -86,9 +106,9 @@ def plot(rows: Sequence[dict], path: Path) -> None:
         for i, (key, label) in enumerate(names.items()):
             axis = axes[i, j]
             for variant in variants:
-                some = [row for row in rows if (row["scene"], row["variant"]) == (scene, variant)]
-                values = [max(row[key], 1e-7) for row in some]
-                axis.plot([row["sweeps"] for row in some], values, "o-", ms=3, label=variant)
+                some = [row for row in rows if (row.scene, row.variant) == (scene, variant)]
+                values = [max(getattr(row, key), LEAST) for row in some]
+                axis.plot([row.sweeps for row in some], values, "o-", ms=3, label=variant)
             axis.set(xscale="log", yscale="log")
             axis.grid(alpha=0.3)
             if j == 0:
@@ -96,4 +116,4 @@ def plot(rows: Sequence[dict], path: Path) -> None:
         axes[2, j].set_xlabel("sweeps a step")
     axes[0, -1].legend(fontsize=7)
     figure.tight_layout()
-    figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
+    figure.savefig(path, metadata={"Date": None})

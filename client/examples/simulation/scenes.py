@@ -6,6 +6,10 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
+from scipy.spatial import ConvexHull
+
+Floats = npt.NDArray[np.float64]
 
 SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 FLOOR = SIGNS * [20, 20, 0.5]
@@ -16,20 +20,30 @@ class Setup:
     """A scene at rest, or about to fall."""
 
     name: str
-    shapes: list[np.ndarray]
-    positions: np.ndarray
-    rotations: np.ndarray
+    shapes: list[Floats]
+    positions: Floats
+    rotations: Floats
     steps: int
     fixed: int = 1
     friction: float = 0.6
+    #: It moves at first: what goes on in the last second is measured.
+    settles: bool = False
 
 
 def _on_floor(
-    name: str, shapes: list[np.ndarray], positions: list[np.ndarray], steps: int, **more: float
+    name: str,
+    shapes: list[Floats],
+    positions: list[Floats],
+    steps: int,
+    *,
+    friction: float = 0.6,
+    settles: bool = False,
 ) -> Setup:
     places = np.array([[0, 0, -0.5], *positions], float)
     rotations = np.tile([0.0, 0, 0, 1], (len(places), 1))
-    return Setup(name, [FLOOR, *shapes], places, rotations, steps, **more)  # type: ignore[arg-type]
+    return Setup(
+        name, [FLOOR, *shapes], places, rotations, steps, friction=friction, settles=settles
+    )
 
 
 def tower() -> Setup:
@@ -52,7 +66,8 @@ def wall() -> Setup:
 
 def arch() -> Setup:
     """Eleven wedges in half a circle; the mortar is friction."""
-    shapes, places = [], []
+    shapes: list[Floats] = []
+    places: list[Floats] = []
     inner, outer, half_width = 1.0, 1.35, 0.2
     ends = np.linspace(0, np.pi, 12)
     for low, high in itertools.pairwise(ends):
@@ -89,7 +104,7 @@ def pile(count: int = 200) -> Setup:
         + rng.uniform(-0.03, 0.03, 3)
         for i in range(count)
     ]
-    setup = _on_floor("pile", [kinds[i] for i in chosen], places, 150)
+    setup = _on_floor("pile", [kinds[i] for i in chosen], places, 600, settles=True)
     turn = rng.normal(size=(count, 4))
     setup.rotations[1:] = turn / np.linalg.norm(turn, axis=1, keepdims=True)
     return setup
@@ -101,7 +116,7 @@ def rocking() -> Setup:
     turn = np.array([0, np.sin(tilt / 2), 0, np.cos(tilt / 2)])
     # Turned about y, the lowest corner is at +x.
     height = half[0] * np.sin(tilt) + half[2] * np.cos(tilt)
-    setup = _on_floor("rocking", [SIGNS * half], [np.array([0, 0, height])], 400)
+    setup = _on_floor("rocking", [SIGNS * half], [np.array([0, 0, height])], 400, settles=True)
     setup.rotations[1] = turn
     return setup
 
@@ -109,10 +124,8 @@ def rocking() -> Setup:
 SCENES = {scene.__name__: scene for scene in (tower, wall, arch, pile, rocking)}
 
 
-def center_of_mass(points: np.ndarray) -> np.ndarray:
+def center_of_mass(points: Floats) -> Floats:
     """Of the hull of some points: tetrahedra from their mean to the hull's triangles."""
-    from scipy.spatial import ConvexHull
-
     middle = points.mean(axis=0)
     corners = points[ConvexHull(points).simplices] - middle
     volumes = np.abs(np.linalg.det(corners))

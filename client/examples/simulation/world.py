@@ -2,10 +2,10 @@
 
 Semi-implicit Euler; velocity constraints with Baumgarte stabilisation, whose velocity is
 taken away again by half as many sweeps after the step; Coulomb
-friction in two tangents, each bounded by the normal impulse; impulses started from
-those of the same points (by their ids) a step before. Pairs of bodies are coloured
-so that pairs of one colour share no moving body and are solved together by numpy:
-the order of a Gauss-Seidel sweep, at the speed of arrays.
+friction in two tangents, solved together and each bounded by the normal impulse;
+impulses started from those of the same points (by their ids) a step before. Pairs of
+bodies are coloured so that pairs of one colour share no moving body and are solved
+together by numpy: the order of a Gauss-Seidel sweep, at the speed of arrays.
 """
 
 from __future__ import annotations
@@ -13,8 +13,11 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import cast
 
+import least
 import numpy as np
+from contacts import Contacts, Floats, Ids, Indices, by_growth_distance, frames
 
 import hullcast
 
@@ -33,10 +36,26 @@ class Step:
     """What a step cost and found."""
 
     contacts: int
-    pairs: int
     depth: float
     seconds_contacts: float
     seconds_solver: float
+
+
+@dataclass
+class Group:
+    """Points that share no moving body: solved at once."""
+
+    points: Indices
+    #: (p, 2)
+    bodies: Indices
+    #: (p, 3, 12): along normal and tangents; over what a unit of impulse changes there.
+    jacobian: Floats
+    #: (p, 3, 12): of both velocities, by a unit of impulse.
+    change: Floats
+    #: (p, 3)
+    impulse: Floats
+    #: (p,): impulses that the bias asks for.
+    bias: Floats = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass
@@ -47,9 +66,9 @@ class World:
     """
 
     client: hullcast.Client
-    shapes: Sequence[np.ndarray]
-    positions: np.ndarray
-    rotations: np.ndarray
+    shapes: Sequence[Floats]
+    positions: Floats
+    rotations: Floats
     fixed: int
     density: float = 1000.0
     friction: float = 0.6
@@ -57,6 +76,8 @@ class World:
     iterations: int = 10
     accuracy: hullcast.Accuracy = field(default_factory=hullcast.Accuracy)
     max_deviation: float | None = None
+    #: Normals by least translation instead, of the pairs that the server finds in contact.
+    by_least: bool = False
 
     def __post_init__(self) -> None:
         whole = self.client.register(self.shapes)
@@ -78,7 +99,13 @@ class World:
         #: (n, 6): linear, angular.
         self.velocities = np.zeros((count, 6))
         self.scene = hullcast.Scene(self.hulls, self.positions, self.rotations, groups=None)
-        self._before: tuple[np.ndarray, ...] | None = None
+        #: Moving hulls lost vertices to `max_deviation`.
+        self.simpler = any(
+            hull.vertex_count < full.vertex_count
+            for hull, full in zip(self.hulls[self.fixed :], whole[self.fixed :], strict=True)
+        )
+        self._solids = [least.shape_of(points) for points in self.shapes] if self.by_least else []
+        self._before: tuple[Ids, Ids, Floats, Floats] | None = None
 
     def step(self) -> Step:
         """Goes on by `dt`."""
@@ -92,13 +119,18 @@ class World:
             accuracy=self.accuracy,
             outputs=["NORMAL", "POINTS", "FEATURES"],
         )
+        m = m[np.flatnonzero((self.inverse_mass[m.pairs] > 0).any(axis=1))]
+        if self.by_least:
+            turned = matrices(self.rotations)
+            angle = self.accuracy.feature_angle
+            found = least.by_least_translation(self._solids, m.pairs, self.positions, turned, angle)
+        else:
+            found = by_growth_distance(m)
         middle = time.perf_counter()
-        alive = (self.inverse_mass[m.pairs] > 0).any(axis=1)
-        m = m[alive]
-        self._solve(m)
+        self._solve(found)
         end = time.perf_counter()
-        depth = float(-m.distance.min()) if len(m.distance) else 0.0
-        return Step(len(m.distance), len(m), max(depth, 0.0), middle - begin, end - middle)
+        depth = float(-found.distance.min()) if len(found.distance) else 0.0
+        return Step(len(found.distance), max(depth, 0.0), middle - begin, end - middle)
 
     def kinetic_energy(self) -> float:
         """Of all moving bodies, joules."""
@@ -125,75 +157,72 @@ class World:
         rotations = self.rotations + change
         self.rotations = rotations / np.linalg.norm(rotations, axis=1, keepdims=True)
 
-    def _solve(self, m: hullcast.Manifolds) -> None:
+    def _solve(self, found: Contacts) -> None:
         """Impulses that keep the points apart, Gauss-Seidel sweep after sweep."""
-        count = len(m.distance)
-        if count == 0:
+        if len(found.distance) == 0:
             self._before = None
             self._move()
             return
-        of = np.repeat(np.arange(len(m)), m.point_counts)
-        a, b = m.pairs[of].astype(np.intp).T
-        normal = m.normal[of]
-        point = m.witness_a + 0.5 * m.distance[:, None] * normal
-        helper = np.where(np.abs(normal[:, :1]) < 0.6, [[1.0, 0, 0]], [[0, 1.0, 0]])
-        first = np.cross(normal, helper)
-        first /= np.linalg.norm(first, axis=1, keepdims=True)
-        axes = np.stack([normal, first, np.cross(normal, first)], axis=1)
+        of = np.repeat(np.arange(len(found.pairs)), found.counts)
+        pairs = found.pairs[of]
+        bodies = pairs.astype(np.intp)
+        axes = frames(found.normal)[of]
         turned = matrices(self.rotations)
         inverse = turned @ self.inverse_inertia @ turned.transpose(0, 2, 1)
-
-        def half(body: np.ndarray, sign: float) -> tuple[np.ndarray, np.ndarray]:
-            arm = point - self.positions[body]
-            spin = np.cross(arm[:, None, :], axes)
-            jacobian = sign * np.concatenate([axes, spin], axis=2)
-            change = jacobian.copy()
-            change[:, :, :3] *= self.inverse_mass[body][:, None, None]
-            change[:, :, 3:] = jacobian[:, :, 3:] @ inverse[body]
-            return jacobian, change
-
-        (ja, ca), (jb, cb) = half(a, -1.0), half(b, 1.0)
-        mass = 1 / ((ja * ca).sum(axis=2) + (jb * cb).sum(axis=2))
-        gap = m.distance
+        arms = found.point[:, None] - self.positions[bodies]
+        spins = np.cross(arms[:, :, None], axes[:, None])
+        # (p, 2, 3, 6): of each point's two bodies, by axis.
+        jacobian = np.concatenate([np.broadcast_to(axes[:, None], spins.shape), spins], axis=3)
+        jacobian *= np.array([-1.0, 1.0])[:, None, None]
+        change: Floats = jacobian.copy()
+        change[..., :3] *= self.inverse_mass[bodies][:, :, None, None]
+        change[..., 3:] = jacobian[..., 3:] @ inverse[bodies]
+        # (p, 3, 12): both bodies' velocities in a row.
+        jacobian, change = side_by_side(jacobian), side_by_side(change)
+        mass = 1 / (jacobian * change).sum(axis=2)
+        jacobian *= mass[:, :, None]
+        gap = found.distance
         # Apart: may close the gap; deeper than the slop: opens a share of it.
         bias = np.where(gap > 0, -gap, BAUMGARTE * np.maximum(-gap - SLOP, 0)) / self.dt
-        impulse = self._remembered(m.pairs[of], m.point_ids, point)
-        v = self.velocities
-        np.add.at(v, a, (impulse[:, :, None] * ca).sum(axis=1))
-        np.add.at(v, b, (impulse[:, :, None] * cb).sum(axis=1))
-        groups = [
-            (i, a[i], b[i], ja[i], jb[i], ca[i], cb[i], mass[i])
-            for i in coloured(m.pairs, m.point_counts.astype(np.intp), self.inverse_mass)
-        ]
+        impulse = self._remembered(pairs, found.ids, found.point)
+        np.add.at(
+            self.velocities, bodies, np.einsum("pr,prk->pk", impulse, change).reshape(-1, 2, 6)
+        )
+        groups: list[Group] = []
+        for i in coloured(found.pairs, found.counts, self.inverse_mass):
+            groups.append(Group(i, bodies[i], jacobian[i], change[i], impulse[i]))
+        bias *= mass[:, 0]
+        for group in groups:
+            group.bias = bias[group.points]
         for _ in range(self.iterations):
-            self._sweep(groups, impulse, bias)
+            self._sweep(groups)
         self._move()
         # What was pushed apart keeps no velocity from that.
+        for group in groups:
+            group.bias = np.minimum(group.bias, 0)
         for _ in range(max(1, self.iterations // 2)):
-            self._sweep(groups, impulse, np.minimum(bias, 0))
-        self._before = (m.pairs[of], m.point_ids, point, impulse)
+            self._sweep(groups)
+        for group in groups:
+            impulse[group.points] = group.impulse
+        self._before = (pairs, found.ids, found.point, impulse)
 
-    def _sweep(self, groups: list, impulse: np.ndarray, bias: np.ndarray) -> None:
+    def _sweep(self, groups: Sequence[Group]) -> None:
         """Once through all points: friction, then the normal."""
         v = self.velocities
-        for i, at_a, at_b, ja, jb, ca, cb, mass in groups:
-            va, vb = v[at_a], v[at_b]
-            now = impulse[i]
-            for row in (1, 2, 0):
-                along = (ja[:, row] * va).sum(axis=1) + (jb[:, row] * vb).sum(axis=1)
-                if row == 0:
-                    new = np.maximum(now[:, 0] + mass[:, 0] * (bias[i] - along), 0)
-                else:
-                    most = self.friction * now[:, 0]
-                    new = np.clip(now[:, row] - mass[:, row] * along, -most, most)
-                by = (new - now[:, row])[:, None]
-                now[:, row] = new
-                va += by * ca[:, row]
-                vb += by * cb[:, row]
-            impulse[i] = now
-            v[at_a], v[at_b] = va, vb
+        for group in groups:
+            now = v[group.bodies].reshape(-1, 12)
+            old = group.impulse
+            most = self.friction * old[:, :1]
+            tangents = old[:, 1:] - np.einsum("prk,pk->pr", group.jacobian[:, 1:], now)
+            tangents = np.minimum(np.maximum(tangents, -most), most)
+            now += np.einsum("pr,prk->pk", tangents - old[:, 1:], group.change[:, 1:])
+            along = np.einsum("pk,pk->p", group.jacobian[:, 0], now)
+            pushed = np.maximum(old[:, 0] + group.bias - along, 0)
+            now += (pushed - old[:, 0])[:, None] * group.change[:, 0]
+            old[:, 0], old[:, 1:] = pushed, tangents
+            v[group.bodies] = now.reshape(-1, 2, 6)
 
-    def _remembered(self, pairs: np.ndarray, ids: np.ndarray, points: np.ndarray) -> np.ndarray:
+    def _remembered(self, pairs: Ids, ids: Ids, points: Floats) -> Floats:
         """Of each point the impulse that it had a step before: by its id, or else, where the
         features that make it have changed, that of the nearest point of the same pair."""
         impulse = np.zeros((len(points), 3))
@@ -222,12 +251,17 @@ class World:
         return impulse
 
 
-def coloured(pairs: np.ndarray, counts: np.ndarray, inverse_mass: np.ndarray) -> list[np.ndarray]:
+def side_by_side(two: Floats) -> Floats:
+    """From (p, 2, 3, 6) to (p, 3, 12)."""
+    return two.transpose(0, 2, 1, 3).reshape(len(two), 3, 12)
+
+
+def coloured(pairs: Ids, counts: Indices, inverse_mass: Floats) -> list[Indices]:
     """Points in groups that share no moving body, in which the sweep goes through them."""
-    taken = [0] * len(inverse_mass)
+    taken: list[int] = [0] * len(inverse_mass)
     moves = inverse_mass > 0
     colours: list[list[int]] = []
-    for i, (a, b) in enumerate(pairs.tolist()):
+    for i, (a, b) in enumerate(cast("list[tuple[int, int]]", pairs.tolist())):
         both = (taken[a] if moves[a] else 0) | (taken[b] if moves[b] else 0)
         colour = (~both & (both + 1)).bit_length() - 1
         taken[a] |= 1 << colour
@@ -236,7 +270,7 @@ def coloured(pairs: np.ndarray, counts: np.ndarray, inverse_mass: np.ndarray) ->
             colours.append([])
         colours[colour].append(i)
     starts = np.cumsum(counts) - counts
-    groups = []
+    groups: list[Indices] = []
     for colour in colours:
         members = np.array(colour)
         for k in range(int(counts[members].max())):
@@ -244,7 +278,7 @@ def coloured(pairs: np.ndarray, counts: np.ndarray, inverse_mass: np.ndarray) ->
     return groups
 
 
-def matrices(q: np.ndarray) -> np.ndarray:
+def matrices(q: Floats) -> Floats:
     """Rotation matrices (n, 3, 3) of unit quaternions x, y, z, w."""
     x, y, z, w = q.T
     return np.stack(

@@ -1,0 +1,48 @@
+"""Contacts of a step as the solver takes them, by growth distance from the server."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+import hullcast
+
+Floats = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+Ids = npt.NDArray[np.uint32]
+
+
+@dataclass
+class Contacts:
+    """Pairs of bodies and their contact points, those of a pair together; world frame, metres."""
+
+    #: (n, 2): bodies A and B.
+    pairs: Ids
+    #: (n,): points of each pair.
+    counts: Indices
+    #: (n, 3): unit, from A to B.
+    normal: Floats
+    #: (p, 3): midway between the two hulls.
+    point: Floats
+    #: (p,): signed, along the normal; negative: overlapping.
+    distance: Floats
+    #: (p, 4): what makes the point; the same while the same features do.
+    ids: Ids
+
+
+def by_growth_distance(m: hullcast.Manifolds) -> Contacts:
+    """The server's answer as it is."""
+    of = np.repeat(np.arange(len(m)), m.point_counts)
+    point = m.witness_a + 0.5 * m.distance[:, None] * m.normal[of]
+    counts = m.point_counts.astype(np.intp)
+    return Contacts(m.pairs, counts, m.normal, point, m.distance, m.point_ids)
+
+
+def frames(normal: Floats) -> Floats:
+    """(n, 3, 3): each normal (n, 3) and two unit tangents, right-handed."""
+    helper = np.where(np.abs(normal[:, :1]) < 0.6, [[1.0, 0, 0]], [[0, 1.0, 0]])
+    first = np.cross(normal, helper)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.array([normal, first, np.cross(normal, first)], dtype=np.float64).swapaxes(0, 1)
