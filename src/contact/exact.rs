@@ -113,6 +113,14 @@ impl std::ops::Add for Dd {
     }
 }
 
+impl std::ops::Add<f64> for Dd {
+    type Output = Self;
+    fn add(self, other: f64) -> Self {
+        let high = two_sum(self.hi, other);
+        quick_two_sum(high.hi, high.lo + self.lo)
+    }
+}
+
 impl std::ops::Neg for Dd {
     type Output = Self;
     fn neg(self) -> Self {

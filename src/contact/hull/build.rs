@@ -38,6 +38,7 @@ pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexH
     let triangulation = &solid.triangulation;
     let vertex_neighbours = Csr::from_pairs(
         centred.vertices.len(),
+        centred.vertices.len(),
         triangulation.triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]),
     );
     let surface = Surface {
@@ -52,12 +53,7 @@ pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexH
     let Some(topology) = topology(&surface, &groups) else { return Err(not_representable()) };
     let adjacency = Adjacency::new(triangulation, &groups, &topology, centred.vertices.len());
     let planes = &groups.planes;
-    let isolation = isolation(
-        &centred.vertices,
-        planes.iter().map(|p| (p.normal, p.offset, p.planarity)),
-        &adjacency.vertex_faces,
-        &vertex_neighbours,
-    );
+    let isolation = isolation(planes, &adjacency.vertex_faces);
     let face = |((plane, area), isolation): ((&Plane, f64), Isolation)| Face {
         normal: plane.normal,
         offset: plane.offset,
@@ -243,13 +239,18 @@ impl Adjacency {
         Self {
             face_neighbours: Csr::from_pairs(
                 groups.planes.len(),
+                groups.planes.len(),
                 topology.edge_faces.iter().flat_map(|&[f, g]| [(f, g), (g, f)]),
             ),
             vertex_faces: Csr::from_pairs(
                 vertices,
+                groups.planes.len(),
                 triangulation.triangles.iter().zip(&groups.of).flat_map(at_corners),
             ),
-            vertex_edges: Csr::from_pairs(vertices, topology.edge_vertices.iter().zip(0..).flat_map(ends)),
+            vertex_edges: Csr::from_ordered_pairs(
+                vertices,
+                topology.edge_vertices.iter().zip(0..).flat_map(ends),
+            ),
         }
     }
 }

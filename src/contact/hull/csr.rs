@@ -8,63 +8,76 @@ pub(crate) struct Csr {
 }
 
 impl Csr {
+    /// How many lists.
+    pub(super) fn rows(&self) -> usize {
+        self.starts.len() - 1
+    }
+
     /// List `i`.
     pub(crate) fn row(&self, i: usize) -> &[u32] {
         &self.items[self.starts[i] as usize..self.starts[i + 1] as usize]
     }
 
-    /// From `(row, item)` pairs, each row ascending and without repetitions.
-    pub(super) fn from_pairs(rows: usize, pairs: impl Iterator<Item = (u32, u32)> + Clone) -> Self {
-        let mut ends = vec![0_u32; rows + 1];
-        pairs.clone().for_each(|(row, _)| ends[row as usize + 1] += 1);
-        for i in 0..rows {
-            ends[i + 1] += ends[i];
+    /// From `(row, item)` pairs in any order, each row ascending and without repetitions.
+    pub(super) fn from_pairs(
+        rows: usize,
+        items: usize,
+        pairs: impl Iterator<Item = (u32, u32)> + Clone,
+    ) -> Self {
+        // By item first: no two are compared, whose order would be anyone's guess.
+        let by_item = Self::from_ordered_pairs(items, pairs.map(|(row, item)| (item, row)));
+        let mut lists = Self::from_ordered_pairs(rows, by_item.swapped());
+        lists.drop_repetitions();
+        lists
+    }
+
+    /// From `(row, item)` pairs, each row in their order.
+    pub(super) fn from_ordered_pairs(rows: usize, pairs: impl Iterator<Item = (u32, u32)> + Clone) -> Self {
+        // Counts, then where each row starts, which moves on as the row fills: to its end, where
+        // the next one starts.
+        let mut starts = vec![0_u32; rows + 1];
+        pairs.clone().for_each(|(row, _)| starts[row as usize + 1] += 1);
+        let mut sum = 0;
+        for start in &mut starts[1..] {
+            sum += std::mem::replace(start, sum);
         }
-        let mut filled = vec![0; ends[rows] as usize];
-        let mut next = ends.clone();
-        for (row, item) in pairs {
-            filled[next[row as usize] as usize] = item;
-            next[row as usize] += 1;
-        }
-        // Each row in place, then moved up against the one before.
-        let mut starts = ends;
-        let mut length = 0;
-        let mut row_start = 0;
-        for i in 0..rows {
-            let row_end = starts[i + 1] as usize;
-            sort(&mut filled[row_start..row_end]);
-            let before = length;
-            for place in row_start..row_end {
-                let item = filled[place];
-                if length == before || filled[length - 1] != item {
-                    filled[length] = item;
+        let mut items = vec![0; sum as usize];
+        pairs.for_each(|(row, item)| {
+            let place = &mut starts[row as usize + 1];
+            items[*place as usize] = item;
+            *place += 1;
+        });
+        Self { starts, items }
+    }
+
+    /// Of each item, in turn, the row.
+    fn swapped(&self) -> impl Iterator<Item = (u32, u32)> + Clone {
+        let rows = self.starts.windows(2).zip(0..);
+        rows.flat_map(|(ends, row)| {
+            self.items[ends[0] as usize..ends[1] as usize].iter().map(move |&item| (item, row))
+        })
+    }
+
+    /// Of ascending rows.
+    fn drop_repetitions(&mut self) {
+        let repeats = |row: usize| self.row(row).windows(2).any(|w| w[0] == w[1]);
+        let Some(first) = (0..self.rows()).find(|&row| repeats(row)) else { return };
+        let mut length = self.starts[first] as usize;
+        let mut start = length;
+        for row in first..self.rows() {
+            let (end, before) = (self.starts[row + 1] as usize, length);
+            for place in start..end {
+                let item = self.items[place];
+                if length == before || self.items[length - 1] != item {
+                    self.items[length] = item;
                     length += 1;
                 }
             }
-            row_start = row_end;
-            starts[i + 1] = length as u32;
+            start = end;
+            self.starts[row + 1] = length as u32;
         }
-        filled.truncate(length);
-        filled.shrink_to_fit();
-        Self { starts, items: filled }
-    }
-
-    /// The rows that each item is in, ascending; items are below `items`.
-    pub(super) fn transposed(&self, items: usize) -> Self {
-        let mut starts = vec![0_u32; items + 1];
-        self.items.iter().for_each(|&item| starts[item as usize + 1] += 1);
-        for i in 0..items {
-            starts[i + 1] += starts[i];
-        }
-        let mut next = starts.clone();
-        let mut rows = vec![0; self.items.len()];
-        for row in 0..self.starts.len() - 1 {
-            for &item in self.row(row) {
-                rows[next[item as usize] as usize] = row as u32;
-                next[item as usize] += 1;
-            }
-        }
-        Self { starts, items: rows }
+        self.items.truncate(length);
+        self.items.shrink_to_fit();
     }
 
     /// No rows, with room.
@@ -83,21 +96,5 @@ impl Csr {
     /// Bytes on the heap.
     pub(super) fn heap_bytes(&self) -> usize {
         (self.starts.capacity() + self.items.capacity()) * size_of::<u32>()
-    }
-}
-
-/// Rows are mostly of a few items, in no order or in order.
-fn sort(row: &mut [u32]) {
-    if row.len() > 16 {
-        return row.sort_unstable();
-    }
-    for end in 1..row.len() {
-        let item = row[end];
-        let mut place = end;
-        while place > 0 && row[place - 1] > item {
-            row[place] = row[place - 1];
-            place -= 1;
-        }
-        row[place] = item;
     }
 }

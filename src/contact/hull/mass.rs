@@ -22,9 +22,9 @@ pub(super) fn mass(points: &[DVec3], triangles: &[[u32; 3]], areas: &[Dd3]) -> M
     for (triangle, &area) in triangles.iter().zip(areas) {
         let [a, b, c] = corners(triangle);
         let part = six_times_volume(area, a, apex);
-        six_volume = six_volume + Dd::from(part);
+        six_volume = six_volume + part;
         let weighted = (part * ((a - apex) + (b - apex) + (c - apex))).to_array();
-        moment.iter_mut().zip(weighted).for_each(|(m, w)| *m = *m + Dd::from(w));
+        moment.iter_mut().zip(weighted).for_each(|(m, w)| *m = *m + w);
     }
     let six_volume = six_volume.value();
     let center = apex + DVec3::from_array(moment.map(Dd::value)) / (4.0 * six_volume);

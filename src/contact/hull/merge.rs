@@ -20,6 +20,8 @@ const PLANARITY_PER_INRADIUS: f64 = 1.0 / 64.0;
 /// … but not less than rounding, hull units, however near the contraction point
 /// is to a face.
 const LEAST_PLANARITY: f64 = 64.0 * ROUNDOFF;
+/// Vertices whose heights differ by less may be as high as each other; hull units.
+const PLATEAU: f64 = 64.0 * ROUNDOFF;
 /// How often a group that fits no plane is gathered anew with a quarter of the
 /// tolerance before its largest triangle stands alone.
 const ATTEMPTS: usize = 6;
@@ -46,6 +48,9 @@ pub(super) struct Plane {
     pub(super) offset: f64,
     /// Rounded up.
     pub(super) planarity: f64,
+    /// How much lower than all of the face's own vertices every other one lies, by convexity
+    /// a neighbour of one of them.
+    pub(super) gap: f64,
 }
 
 /// Faces, largest triangle first.
@@ -179,7 +184,7 @@ impl<'a> Merger<'a> {
             for &t in triangles {
                 let TriangleNormal { unit, double_area } = normals[t as usize];
                 let weighted = (unit * (double_area / first.double_area)).to_array();
-                sum.iter_mut().zip(weighted).for_each(|(s, w)| *s = *s + Dd::from(w));
+                sum.iter_mut().zip(weighted).for_each(|(s, w)| *s = *s + w);
             }
             DVec3::from_array(sum.map(Dd::value)).normalize_or(first.unit)
         };
@@ -187,30 +192,42 @@ impl<'a> Merger<'a> {
     }
 
     fn plane(&mut self, triangles: &[u32], normal: DVec3) -> Plane {
-        let offset = self.support(triangles, normal);
-        // Both ends carry a dot product's rounding, at lengths below 1.
-        let planarity = (offset - self.lowest(triangles, normal)) + 8.0 * ROUNDOFF;
-        Plane { normal, offset, planarity }
-    }
-
-    /// Largest `normal . v` over all vertices: climbs from the triangles' own,
-    /// through neighbours as high as the highest so far to rounding, so that a
-    /// plateau or a dent of rounding does not end the climb.
-    fn support(&mut self, triangles: &[u32], normal: DVec3) -> f64 {
-        self.searches += 1;
-        self.queue.clear();
-        let mut best = f64::NEG_INFINITY;
-        for v in triangles.iter().flat_map(|&t| self.surface.triangulation.triangles[t as usize]) {
-            if std::mem::replace(&mut self.vertex_met[v as usize], self.searches) != self.searches {
-                best = best.max(normal.dot(self.surface.vertices[v as usize]));
-                self.queue.push(v);
+        let Self { surface, vertex_met, searches, queue, .. } = self;
+        let height = |v: u32| normal.dot(surface.vertices[v as usize]);
+        *searches += 1;
+        queue.clear();
+        let (mut lowest, mut highest) = (f64::INFINITY, f64::NEG_INFINITY);
+        for v in triangles.iter().flat_map(|&t| surface.triangulation.triangles[t as usize]) {
+            if std::mem::replace(&mut vertex_met[v as usize], *searches) != *searches {
+                lowest = lowest.min(height(v));
+                highest = highest.max(height(v));
+                queue.push(v);
             }
         }
+        let mut others = f64::NEG_INFINITY;
+        for &v in queue.iter() {
+            for &w in surface.neighbours.row(v as usize) {
+                // Without branches: whether it is the face's own is anyone's guess.
+                let own = vertex_met[w as usize] == *searches;
+                let height = if own { f64::NEG_INFINITY } else { height(w) };
+                others = if height > others { height } else { others };
+            }
+        }
+        let offset = if others >= highest - PLATEAU { self.climb(normal, highest) } else { highest };
+        // Both ends carry a dot product's rounding, at lengths below 1.
+        let planarity = (offset - lowest) + 8.0 * ROUNDOFF;
+        Plane { normal, offset, planarity, gap: offset - planarity - others }
+    }
+
+    /// Largest `normal . v` over all vertices: climbs from those in the queue, the highest of
+    /// them at `best`, through neighbours as high as the highest so far to rounding, so that a
+    /// plateau or a dent of rounding does not end the climb.
+    fn climb(&mut self, normal: DVec3, mut best: f64) -> f64 {
         while let Some(v) = self.queue.pop() {
             for &w in self.surface.neighbours.row(v as usize) {
                 if std::mem::replace(&mut self.vertex_met[w as usize], self.searches) != self.searches {
                     let height = normal.dot(self.surface.vertices[w as usize]);
-                    if height >= best - 64.0 * ROUNDOFF {
+                    if height >= best - PLATEAU {
                         best = best.max(height);
                         self.queue.push(w);
                     }

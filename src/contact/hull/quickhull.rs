@@ -50,6 +50,10 @@ pub(super) fn triangulate(cloud: Cloud) -> Result<(Cloud, Triangulation), HullEr
 }
 
 impl Triangulation {
+    fn with_capacity(triangles: usize) -> Self {
+        Self { triangles: Vec::with_capacity(triangles), neighbours: Vec::with_capacity(triangles) }
+    }
+
     /// Number of different vertices, all below `limit`.
     fn vertex_count(&self, limit: usize) -> usize {
         let mut used = vec![false; limit];
@@ -107,7 +111,9 @@ fn extreme_points(cloud: &Cloud, surface: &Triangulation) -> Result<Vec<u32>, Hu
             }
         }
     }
-    Ok((0..).zip(&creases).filter(|(_, n)| **n >= 3).map(|(v, _)| v).collect())
+    let mut extreme = Vec::with_capacity(creases.len());
+    extreme.extend((0..).zip(&creases).filter(|(_, n)| **n >= 3).map(|(v, _)| v));
+    Ok(extreme)
 }
 
 /// A triangle of the growing hull.
@@ -158,8 +164,8 @@ impl<'a> Quickhull<'a> {
             faces: Vec::with_capacity(4 * count.min(1 << 16)),
             next: vec![NONE; count],
             rim_at: vec![NONE; count],
-            seen: Vec::new(),
-            rim: Vec::new(),
+            seen: Vec::with_capacity(32),
+            rim: Vec::with_capacity(32),
             insertions: 0,
         };
         let [a, b, c, d] = first_tetrahedron(cloud)?;
@@ -342,10 +348,12 @@ impl<'a> Quickhull<'a> {
         let mut place = vec![NONE; self.faces.len()];
         let alive = || self.faces.iter().enumerate().filter(|(_, face)| face.mark != REMOVED);
         alive().zip(0..).for_each(|((old, _), new)| place[old] = new);
-        Triangulation {
-            triangles: alive().map(|(_, face)| face.corners).collect(),
-            neighbours: alive().map(|(_, face)| face.neighbours.map(|n| place[n as usize])).collect(),
+        let mut surface = Triangulation::with_capacity(2 * self.cloud.points.len());
+        for (_, face) in alive() {
+            surface.triangles.push(face.corners);
+            surface.neighbours.push(face.neighbours.map(|n| place[n as usize]));
         }
+        surface
     }
 }
 

@@ -35,14 +35,17 @@ pub(super) struct Topology {
 /// Reads edges and outlines off the groups' boundaries; none where a face has no
 /// outline at double precision (needles of an aspect beyond 1e13).
 pub(super) fn topology(surface: &Surface<'_>, groups: &Groups) -> Option<Topology> {
-    let edges = match groups.planes.len() == groups.of.len() {
-        true => triangles_edges(surface, groups),
-        false => Boundary::new(surface, groups).edges(),
+    let (edges, corners) = if groups.planes.len() == groups.of.len() {
+        (triangles_edges(surface, groups), triangles_corners(surface, groups))
+    } else {
+        let edges = Boundary::new(surface, groups).edges();
+        let corners = Csr::from_pairs(
+            groups.planes.len(),
+            surface.vertices.len(),
+            edges.iter().flat_map(|&([u, v], [f, g])| [(f, u), (f, v), (g, u), (g, v)]),
+        );
+        (edges, corners)
     };
-    let corners = Csr::from_pairs(
-        groups.planes.len(),
-        edges.iter().flat_map(|&([u, v], [f, g])| [(f, u), (f, v), (g, u), (g, v)]),
-    );
     let mut sweep = Sweep::default();
     let mut outlines = Csr::with_capacity(groups.planes.len(), corners.items.len());
     for (face, plane) in groups.planes.iter().enumerate() {
@@ -67,17 +70,30 @@ pub(super) fn topology(surface: &Surface<'_>, groups: &Groups) -> Option<Topolog
 /// Where every face is one triangle, as on rounded bodies: their sides.
 fn triangles_edges(surface: &Surface<'_>, groups: &Groups) -> Vec<Edge> {
     let Triangulation { triangles, neighbours } = surface.triangulation;
-    let mut edges = Vec::with_capacity(3 * triangles.len() / 2);
-    for ((corners, across), &left) in triangles.iter().zip(neighbours).zip(&groups.of) {
-        for side in 0..3 {
-            let (from, to) = (corners[side], corners[(side + 1) % 3]);
-            if from < to {
-                edges.push(([from, to], [left, groups.of[across[side] as usize]]));
-            }
-        }
-    }
-    sort(&mut edges);
-    edges
+    let ends = |side: u32| {
+        let (triangle, i) = (triangles[side as usize / 3], side as usize % 3);
+        [triangle[i], triangle[(i + 1) % 3]]
+    };
+    // In their order by counting, as to no two the lower one is anyone's guess.
+    let sides = (0..3 * triangles.len() as u32).map(|side| (ends(side), side));
+    let lower = sides.filter(|([from, to], _)| from < to);
+    let by_end = Csr::from_ordered_pairs(surface.vertices.len(), lower.map(|([_, to], side)| (to, side)));
+    let starts = by_end.items.iter().map(|&side| (ends(side)[0], side));
+    let by_start = Csr::from_ordered_pairs(surface.vertices.len(), starts);
+    let edge = |&side: &u32| {
+        let (left, i) = (side as usize / 3, side as usize % 3);
+        (ends(side), [left as u32, neighbours[left][i]].map(|t| groups.of[t as usize]))
+    };
+    by_start.items.iter().map(edge).collect()
+}
+
+/// And their corners, in no order.
+fn triangles_corners(surface: &Surface<'_>, groups: &Groups) -> Csr {
+    let corners = surface.triangulation.triangles.iter().zip(&groups.of);
+    Csr::from_ordered_pairs(
+        groups.planes.len(),
+        corners.flat_map(|(corners, &face)| corners.map(|v| (face, v))),
+    )
 }
 
 /// By vertices, then by faces.
@@ -120,9 +136,13 @@ impl Sweep {
         outline.clear();
         if let &[u, v, w] = corners {
             // Both chains at once.
-            let mut corners = [u, v, w].map(|v| (flat(v), v));
-            corners.sort_unstable_by(along);
-            let [a, b, c] = corners;
+            let [a, b, c] = [u, v, w].map(|v| (flat(v), v));
+            let first = |p: &Corner, q: &Corner| along(p, q).is_lt();
+            let [a, b, c] = match (first(&a, &b), first(&b, &c), first(&c, &a)) {
+                (true, _, false) => [a, b, c],
+                (false, true, _) => [b, c, a],
+                _ => [c, a, b],
+            };
             match orient2d(a.0, b.0, c.0) {
                 turn if turn > 0.0 => outline.extend([a.1, b.1, c.1]),
                 turn if turn < 0.0 => outline.extend([a.1, c.1, b.1]),
