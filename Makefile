@@ -115,14 +115,21 @@ bench-python: build $(VENV)/.bench ## the Python client's own cost, and coal and
 bench-find: build $(VENV)/.test ## what finding the pairs costs, to 100,000 bodies and 10,000 worlds; writes docs/find.md and its picture
 	$(PY) client/examples/find.py --docs docs
 
-.PHONY: tradeoff
-tradeoff: build ## speed against accuracy, every setting; writes docs/tradeoff.md and its plots
+TRADEOFF_PEERS := parry3d parry3d-f64 coal mujoco
+
+.PHONY: tradeoff tradeoff-families tradeoff-scenes
+tradeoff: tradeoff-families tradeoff-scenes ## speed against accuracy, every setting, beside parry3d, coal and MuJoCo; writes docs/tradeoff.md and its plots
+
+tradeoff-families: TRADEOFF =
+tradeoff-scenes: TRADEOFF = examples/scenes/panda.json examples/scenes/pile.json
+tradeoff-families tradeoff-scenes: tradeoff-%: build $(VENV)/.bench
 	mkdir -p out
-	$(BIN) tradeoff --out out/tradeoff | tee out/tradeoff.txt
-	$(BIN) tradeoff examples/scenes/panda.json examples/scenes/pile.json --out out/tradeoff-scenes | tee out/tradeoff-scenes.txt
-	cp out/tradeoff.svg out/tradeoff.png out/tradeoff-scenes.svg out/tradeoff-scenes.png docs
-	./scripts/section docs/tradeoff.md families out/tradeoff.txt
-	./scripts/section docs/tradeoff.md scenes out/tradeoff-scenes.txt
+	$(BIN) tradeoff $(TRADEOFF) --ask out/$*-pairs.json
+	cd benches && $(CARGO) run --release --locked --bin peer -- ../out/$*-pairs.json ../out/$*-peers
+	$(PY) client/examples/tradeoff_peers.py out/$*-pairs.json --out out/$*-peers
+	$(BIN) tradeoff $(TRADEOFF) $(TRADEOFF_PEERS:%=--peer out/$*-peers/%.json) --out out/tradeoff-$* | tee out/tradeoff-$*.txt
+	cp out/tradeoff-$*.svg out/tradeoff-$*.png docs
+	./scripts/section docs/tradeoff.md $* out/tradeoff-$*.txt
 
 .PHONY: simulation
 simulation: build $(VENV)/.test ## a rigid body simulation on several kinds of contacts; writes docs/simulation.md and its pictures

@@ -1,5 +1,6 @@
 //! Timing hullcast beside parry3d, in one process and one thread.
 
+pub mod asked;
 pub mod cells;
 pub mod ours;
 pub mod parry;

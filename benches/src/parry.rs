@@ -6,16 +6,20 @@
 /// How many pairs a pass answered with points.
 type Touching = usize;
 
+/// As `hullcast tradeoff` times its own: the fastest of so many.
+const ROUNDS: usize = 3;
+
 macro_rules! peer {
     ($module:ident, $parry:ident, $real:ty) => {
         /// One precision.
         pub mod $module {
             use $parry::math::{Pose3, Rot3, Vector};
-            use $parry::query::ContactManifold;
             use $parry::query::details::{contact_manifold_cuboid_cuboid, contact_manifold_pfm_pfm};
+            use $parry::query::{ContactManifold, TrackedContact};
             use $parry::shape::{ConvexPolyhedron, Cuboid};
 
-            use super::Touching;
+            use super::{ROUNDS, Touching};
+            use crate::asked::{Answer, AskedPair, Contact};
             use crate::cells::{Cell, MARGIN, Pair, Place};
 
             type Manifold = ContactManifold<(), ()>;
@@ -26,7 +30,7 @@ macro_rules! peer {
                 fn build(points: &[[f64; 3]]) -> Option<Self>;
 
                 /// From A's frame to B's.
-                fn contact(relative: &Pose3, a: &Self, b: &Self, manifold: &mut Manifold);
+                fn contact(relative: &Pose3, a: &Self, b: &Self, margin: $real, manifold: &mut Manifold);
             }
 
             impl Shape for ConvexPolyhedron {
@@ -36,8 +40,8 @@ macro_rules! peer {
                     Self::from_convex_hull(&points)
                 }
 
-                fn contact(relative: &Pose3, a: &Self, b: &Self, manifold: &mut Manifold) {
-                    contact_manifold_pfm_pfm(relative, a, 0.0, None, b, 0.0, None, MARGIN as $real, manifold);
+                fn contact(relative: &Pose3, a: &Self, b: &Self, margin: $real, manifold: &mut Manifold) {
+                    contact_manifold_pfm_pfm(relative, a, 0.0, None, b, 0.0, None, margin, manifold);
                 }
             }
 
@@ -50,8 +54,8 @@ macro_rules! peer {
                     boxed.then(|| Self::new(Vector::from_array(half.map(|c| c as $real))))
                 }
 
-                fn contact(relative: &Pose3, a: &Self, b: &Self, manifold: &mut Manifold) {
-                    contact_manifold_cuboid_cuboid(relative, a, b, MARGIN as $real, manifold);
+                fn contact(relative: &Pose3, a: &Self, b: &Self, margin: $real, manifold: &mut Manifold) {
+                    contact_manifold_cuboid_cuboid(relative, a, b, margin, manifold);
                 }
             }
 
@@ -117,7 +121,61 @@ macro_rules! peer {
                 poses: &[Pose3; 2],
                 manifold: &mut Manifold,
             ) {
-                S::contact(&poses[0].inv_mul(&poses[1]), &hulls[a], &hulls[b], manifold);
+                S::contact(&poses[0].inv_mul(&poses[1]), &hulls[a], &hulls[b], MARGIN as $real, manifold);
+            }
+
+            /// Hulls from their points; `None` where it refuses one.
+            pub fn built(hulls: &[Vec<[f64; 3]>]) -> Option<Vec<ConvexPolyhedron>> {
+                hulls.iter().map(|points| build(points)).collect()
+            }
+
+            /// One pair from nothing, and again with B nudged.
+            pub fn answer(hulls: &[ConvexPolyhedron], pair: &AskedPair, margin: f64) -> Answer {
+                let [a, b] = pair.hulls.map(|hull| &hulls[hull]);
+                let mut manifold = Manifold::new();
+                let mut nanoseconds = f64::INFINITY;
+                let poses = [at(&pair.a), at(&pair.b)];
+                for _ in 0..ROUNDS {
+                    let begin = std::time::Instant::now();
+                    from_nothing(&poses, a, b, margin, &mut manifold);
+                    nanoseconds = nanoseconds.min(begin.elapsed().as_secs_f64() * 1e9);
+                }
+                let contact = found(&poses, &manifold);
+                let poses = [poses[0], at(&pair.nudged)];
+                from_nothing(&poses, a, b, margin, &mut manifold);
+                Answer { nanoseconds, contact, nudged: found(&poses, &manifold) }
+            }
+
+            fn at(&[x, y, z, i, j, k, w]: &[f64; 7]) -> Pose3 {
+                pose(&Place { position: [x, y, z], rotation: [i, j, k, w] })
+            }
+
+            fn from_nothing(
+                poses: &[Pose3; 2],
+                a: &ConvexPolyhedron,
+                b: &ConvexPolyhedron,
+                margin: f64,
+                manifold: &mut Manifold,
+            ) {
+                manifold.clear();
+                manifold.local_n1 = Vector::ZERO;
+                let relative = std::hint::black_box(poses)[0].inv_mul(&poses[1]);
+                ConvexPolyhedron::contact(&relative, a, b, margin as $real, manifold);
+            }
+
+            /// `None` where it has no point.
+            fn found(poses: &[Pose3; 2], manifold: &Manifold) -> Option<Contact> {
+                let array = |v: Vector| v.to_array().map(f64::from);
+                let deepest = manifold.points.iter().map(|p| f64::from(p.dist)).reduce(f64::min)?;
+                let middle = |p: &TrackedContact<()>| {
+                    let [a, b] = [poses[0].transform_point(p.local_p1), poses[1].transform_point(p.local_p2)];
+                    array((a + b) * 0.5)
+                };
+                Some(Contact {
+                    normal: array(poses[0].rotation * manifold.local_n1),
+                    separation: deepest,
+                    points: manifold.points.iter().map(middle).collect(),
+                })
             }
 
             /// Whatever the hulls are.

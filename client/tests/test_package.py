@@ -37,6 +37,30 @@ def test_examples_run(script, expected):
     assert expected in done.stdout
 
 
+def test_others_answer_the_pairs_of_a_tradeoff(tmp_path):
+    """Catches files that the two programs read differently: what is asked is answered by those
+    that are installed, and judged beside ours."""
+    binary = os.environ["HULLCAST_BIN"]
+    script = ROOT / "client/examples/tradeoff_peers.py"
+    asked, pairs = tmp_path / "pairs.json", ["--pairs", "1"]
+
+    def run(*command: str | Path) -> str:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    run(binary, "tradeoff", *pairs, "--ask", asked)
+    names = run(sys.executable, script, asked, "--out", tmp_path).splitlines()
+    assert len(names) == 2
+    present = [name.split(":")[0] for name in names if "left out" not in name]
+    files = [f"--peer={path}" for path in sorted(tmp_path.glob("[cm]*.json"))]
+    assert len(files) == len(present)
+    table = run(binary, "tradeoff", *pairs, *files, "--out", tmp_path / "all")
+    lines = [line for line in table.splitlines() if line.startswith(("coal ", "MuJoCo "))]
+    assert len(lines) == 2 * len(present), "of all pairs, and of deep ones"
+    assert (tmp_path / "all.csv").read_text().count("MuJoCo") == 14 * ("MuJoCo" in table)
+
+
 def python(program: str) -> str:
     """What a program prints, in an interpreter of its own."""
     done = subprocess.run(

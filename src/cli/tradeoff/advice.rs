@@ -2,8 +2,11 @@
 
 use std::fmt::Write;
 
-use super::settings::Setting;
-use super::table::{Figures, Row};
+use hullcast::contact::Solver;
+
+use super::cases::Pool;
+use super::settings::{Center, Setting};
+use super::table::{Figures, PeerRow, Row};
 
 /// A need: what errors it bears.
 pub(super) struct Need {
@@ -18,7 +21,7 @@ pub(super) const NEEDS: [Need; 4] = [
     Need {
         name: "exact",
         what: "growth scale and normal to rounding, the whole patch",
-        bears: |_, f| f.optimality[2] <= 1e-12 && f.hausdorff[1] <= 1e-12 && f.flagged <= 1e-3,
+        bears: |_, f| f.gap[1] <= 1e-12 && f.optimality[2] <= 1e-12 && f.hausdorff[1] <= 1e-12,
     },
     Need {
         name: "steady",
@@ -81,6 +84,74 @@ pub(super) fn text(rows: &[Row]) -> String {
     }
     text
 }
+
+/// A few of our settings, and peers: the same measures, against the same truth.
+pub(super) fn beside(pool: Pool, rows: &[Row], peers: &[PeerRow]) -> String {
+    let default = Setting::DEFAULT;
+    let ours = [
+        ("hullcast", default),
+        ("  warm", Setting { warm: true, ..default }),
+        ("  four points", Setting { max_points: 4, ..default }),
+        ("  one point", Setting { max_points: 1, ..default }),
+        ("  feature angle 0", Setting { feature_angle: 0.0, ..default }),
+        ("  feature angle 0.1", Setting { feature_angle: 0.1, ..default }),
+        ("  about the ball", Setting { center: Center::Ball, ..default }),
+        ("  about an offset", Setting { center: Center::Offset, ..default }),
+        ("  ray cast", Setting { solver: Solver::GjkRayCast, ..default }),
+    ];
+    let of = |(name, setting): (&'static str, Setting)| {
+        rows.iter().find(|row| row.setting == setting).map(|row| (name, &row.figures))
+    };
+    let all = ours.into_iter().filter_map(of);
+    let all = all.chain(peers.iter().map(|peer| (peer.name.as_str(), &peer.figures)));
+    let what = match pool {
+        Pool::All => "All pairs but deep ones",
+        Pool::Deep => "Deep pairs",
+    };
+    let mut text = format!("{what}, settings and others (p95 unless it says p50):\n\n");
+    let mut line = |cells: [&str; COLUMNS.len()]| {
+        let width = COLUMNS[0].1;
+        let figures = COLUMNS.iter().zip(cells).skip(1).map(|(&(_, width), cell)| format!("{cell:>width$}"));
+        let figures: String = figures.collect();
+        let _ = writeln!(text, "{:<width$}{figures}", cells[0]);
+    };
+    line(COLUMNS.map(|(name, _)| name));
+    for (name, f) in all {
+        line([
+            name,
+            &format!("x{:.2}", f.relative_time),
+            &format!("{:.0}", f.time[0]),
+            &format!("{:.1}", 100.0 * f.flagged),
+            &format!("{:.0e}", f.optimality[1]),
+            &format!("{:.0e}", f.angle[1]),
+            &format!("{:.0e}", f.separation[0]),
+            &format!("x{:.3}", f.depth[0]),
+            &format!("x{:.3}", f.depth[1]),
+            &format!("{:.0e}", f.axis[1]),
+            &format!("{:.0e}", f.hausdorff[1]),
+            &format!("x{:.2}", f.area[0]),
+            &format!("{:.1}", 100.0 * f.flickers),
+        ]);
+    }
+    text
+}
+
+/// Of [`beside`]: names and widths.
+const COLUMNS: [(&str, usize); 13] = [
+    ("", 20),
+    ("time", 7),
+    ("ns p50", 8),
+    ("flag %", 8),
+    ("normal", 8),
+    ("angle", 8),
+    ("separ.", 8),
+    ("depth p50", 11),
+    ("depth", 9),
+    ("axis", 8),
+    ("patch", 8),
+    ("area p50", 10),
+    ("jump %", 8),
+];
 
 /// The figures that decide.
 pub(super) fn described(f: &Figures) -> String {

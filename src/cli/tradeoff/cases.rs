@@ -12,10 +12,32 @@ const GENERATED_MARGIN: f64 = 0.005;
 /// Growth scales of pairs that are made of a scene without any in contact.
 const SHALLOW: (f64, f64) = (0.95, 0.995);
 
+/// Growth scales of deep pairs.
+const DEEP: (f64, f64) = (0.2, 0.8);
+
+/// What cells are taken together: what contacts mostly are, and apart from them pairs so deep
+/// that the least translation is another's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Pool {
+    All,
+    Deep,
+}
+
+impl Pool {
+    /// As the table names it.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::All => "all",
+            Self::Deep => "deep",
+        }
+    }
+}
+
 /// Pairs of one kind.
 #[derive(Clone, Debug)]
 pub(super) struct Cell {
     pub(super) name: String,
+    pub(super) pool: Pool,
     pub(super) hulls: Vec<Vec<[f64; 3]>>,
     pub(super) cases: Vec<Case>,
     pub(super) margin: f64,
@@ -53,6 +75,11 @@ impl Placement {
             .unwrap_or_else(|e| unreachable!("checked when it was made: {e}"))
     }
 
+    /// Where a hull's contraction point is.
+    fn center(&self, hull: &ConvexHull) -> DVec3 {
+        self.position + self.rotation * hull.contraction_point()
+    }
+
     /// Moved by so much, and turned by so many radians, in directions of its own.
     fn moved(self, length: f64, angle: f64, random: &mut Random) -> Self {
         let turn = DQuat::from_axis_angle(random.direction(), angle);
@@ -75,7 +102,7 @@ impl Case {
     }
 }
 
-/// The workload's families, shallow and resting.
+/// The workload's families, shallow, resting and deep.
 pub(super) fn generated(pairs: usize) -> Result<Vec<Cell>, Error> {
     let mut cells = Vec::new();
     for family in Family::ALL {
@@ -88,10 +115,36 @@ pub(super) fn generated(pairs: usize) -> Result<Vec<Cell>, Error> {
             };
             let cases = pairs.iter().map(case).collect();
             let name = format!("{} {}", family.name(), regime.name());
-            cells.push(Cell { name, hulls, cases, margin: GENERATED_MARGIN });
+            cells.push(Cell { name, pool: Pool::All, hulls, cases, margin: GENERATED_MARGIN });
         }
+        cells.push(deep(family, pairs)?);
     }
     Ok(cells)
+}
+
+/// Shallow pairs moved together along the line of their centres, on which the growth scale is
+/// linear.
+fn deep(family: Family, pairs: usize) -> Result<Cell, Error> {
+    let Workload { hulls, pairs, .. } = Workload::generate(family, Regime::Shallow, pairs, 4)?;
+    let built: Vec<ConvexHull> =
+        hulls.iter().map(|points| ConvexHull::new(points)).collect::<Result<_, _>>()?;
+    let mut random = Random::new(5);
+    let mut cases = Vec::new();
+    for pair in &pairs {
+        let [a, mut b] = [0, 1].map(|i| Placement::new(pair.positions[i], pair.rotations[i]));
+        let Some(scale) = alpha(&built, pair.hulls, a, b, GENERATED_MARGIN) else { continue };
+        let [from, to] = [(a, 0), (b, 1)].map(|(at, side)| at.center(&built[pair.hulls[side]]));
+        let share = random.within(DEEP.0, DEEP.1) / scale;
+        b.position += (to - from) * (share - 1.0);
+        cases.push(Case::new(pair.hulls, a, b, 1.0, &mut random));
+    }
+    Ok(Cell {
+        name: format!("{} deep", family.name()),
+        pool: Pool::Deep,
+        hulls,
+        cases,
+        margin: GENERATED_MARGIN,
+    })
 }
 
 /// The pairs of a scene file that are in contact, evenly over its frames; of a file without
@@ -123,7 +176,7 @@ pub(super) fn of_scene(scene: &Scene, pairs: usize) -> Result<Cell, Error> {
     }
     let every = cases.len().div_ceil(pairs).max(1);
     let cases = cases.into_iter().step_by(every).collect();
-    Ok(Cell { name: scene.name.clone(), hulls, cases, margin: scene.margin })
+    Ok(Cell { name: scene.name.clone(), pool: Pool::All, hulls, cases, margin: scene.margin })
 }
 
 /// The growth scale of a pair, if it is in contact.
@@ -141,9 +194,8 @@ fn brought_together(built: &[ConvexHull], random: &mut Random) -> Option<Case> {
     let shapes = [random.below(built.len()), random.below(built.len())];
     let [a, b] = [0, 1].map(|_| Placement { position: DVec3::ZERO, rotation: random.rotation() });
     let size = built[shapes[0]].circumradius() + built[shapes[1]].circumradius();
-    let center = |place: &Placement, shape: usize| place.rotation * built[shape].contraction_point();
     let offset = random.direction() * size;
-    let meeting = center(&a, shapes[0]) - center(&b, shapes[1]);
+    let meeting = a.center(&built[shapes[0]]) - b.center(&built[shapes[1]]);
     let apart = Placement { position: meeting + offset, ..b };
     let scale = alpha(built, shapes, a, apart, f64::INFINITY)?;
     let b = Placement { position: meeting + offset * (random.within(SHALLOW.0, SHALLOW.1) / scale), ..b };

@@ -32,6 +32,7 @@ enum Mark {
     Cloud,
     Line,
     Named,
+    Other,
 }
 
 impl Series {
@@ -49,6 +50,11 @@ impl Series {
     pub(super) fn named(name: impl Into<String>, point: (f64, f64)) -> Self {
         Self { name: name.into(), points: vec![point], mark: Mark::Named }
     }
+
+    /// The same in another colour.
+    pub(super) fn other(name: impl Into<String>, point: (f64, f64)) -> Self {
+        Self { mark: Mark::Other, ..Self::named(name, point) }
+    }
 }
 
 const PANEL: (f64, f64) = (460.0, 360.0);
@@ -61,6 +67,7 @@ const GRID: Colour = [225, 225, 225];
 const CLOUD: Colour = [150, 180, 215];
 const LINE: Colour = [200, 60, 40];
 const NAMED: Colour = [20, 90, 50];
+const OTHER: Colour = [130, 40, 140];
 
 /// What a page is made of; pixels, from the top left.
 enum Shape {
@@ -83,6 +90,7 @@ enum Shape {
 }
 
 const LETTER: f64 = 7.0;
+const LINE_HEIGHT: f64 = 12.0;
 
 /// A range of powers of ten on a stretch of pixels.
 struct Axis {
@@ -216,6 +224,8 @@ impl Panel {
         }
         shapes.push(words((x0, 14.0), self.title, INK));
         shapes.push(words((x0, PANEL.1 - 12.0), self.x, INK));
+        // Where names begin, and how long they are.
+        let mut written: Vec<((f64, f64), f64)> = Vec::new();
         for series in &self.series {
             let at: Vec<(f64, f64)> = series.points.iter().map(|p| (x.at(p.0), y.at(p.1))).collect();
             match series.mark {
@@ -227,12 +237,24 @@ impl Panel {
                     shapes.extend(joined.map(|two| Shape::Line { from: two[0], to: two[1], colour: LINE }));
                     shapes.extend(at.iter().map(|&at| Shape::Disc { at, radius: 2.2, colour: LINE }));
                 }
-                Mark::Named => {
+                Mark::Named | Mark::Other => {
+                    let colour = if series.mark == Mark::Named { NAMED } else { OTHER };
                     for &at in &at {
-                        shapes.push(Shape::Disc { at, radius: 3.5, colour: NAMED });
-                        let room = LETTER * series.name.len() as f64 + 6.0;
-                        let beside = if at.0 + room < x1 { at.0 + 6.0 } else { at.0 - room };
-                        shapes.push(words((beside, at.1 - 6.0), &series.name, NAMED));
+                        shapes.push(Shape::Disc { at, radius: 3.5, colour });
+                        let length = LETTER * series.name.len() as f64;
+                        let left = if at.0 + 6.0 + length < x1 { at.0 + 6.0 } else { at.0 - 6.0 - length };
+                        let mut beside = (left, at.1 - 6.0);
+                        // Below what is written there already.
+                        let hides = |&(there, its): &((f64, f64), f64), here: (f64, f64)| {
+                            (there.1 - here.1).abs() < LINE_HEIGHT
+                                && there.0 < here.0 + length
+                                && here.0 < there.0 + its
+                        };
+                        while written.iter().any(|label| hides(label, beside)) {
+                            beside.1 += LINE_HEIGHT;
+                        }
+                        written.push((beside, length));
+                        shapes.push(words(beside, &series.name, colour));
                     }
                 }
             }
@@ -310,22 +332,35 @@ mod tests {
     use super::*;
 
     /// Catches an image that no one can read (a wrong size, no end), a page that is not well
-    /// formed, and points off their axes: as many discs as points, inside the frame.
+    /// formed, points off their axes (as many discs
+    /// as points, inside the frame), and names of near points written on each other.
     #[test]
     fn a_chart_is_drawn_either_way() {
         let points: Vec<(f64, f64)> = (0..50).map(|i| (1.1_f64.powi(i), 10_f64.powi(-(i % 16)))).collect();
-        let series =
-            vec![Series::cloud(points.clone()), Series::line(points), Series::named("c", (2.0, 1.0))];
+        let series = vec![
+            Series::cloud(points.clone()),
+            Series::line(points),
+            Series::named("c", (2.0, 1.0)),
+            Series::other("cc", (2.1, 1.0)),
+        ];
         let panel = Panel { title: "title", x: "x", series };
         let chart = Chart { panels: vec![panel.clone(), panel] };
         let svg = chart.svg();
-        assert_eq!(svg.matches("<circle").count(), 2 * 101);
+        assert_eq!(svg.matches("<circle").count(), 2 * 102);
         assert!(svg.ends_with("</svg>\n") && !svg.contains("NaN") && !svg.contains("inf"));
+        let mut names = Vec::new();
         for shape in chart.panels[0].shapes(0.0) {
-            if let Shape::Disc { at, .. } = shape {
-                assert!((FRAME.0..PANEL.0).contains(&at.0) && (FRAME.1..PANEL.1 - FRAME.3).contains(&at.1));
+            match shape {
+                Shape::Disc { at, .. } => {
+                    assert!(
+                        (FRAME.0..PANEL.0).contains(&at.0) && (FRAME.1..PANEL.1 - FRAME.3).contains(&at.1)
+                    );
+                }
+                Shape::Words { at, text, .. } if text.starts_with('c') => names.push(at.1),
+                _ => (),
             }
         }
+        assert!(names[1] >= names[0] + LINE_HEIGHT, "one name on the other: {names:?}");
         let bytes = chart.png().unwrap();
         let mut reader = png::Decoder::new(std::io::Cursor::new(&bytes)).read_info().unwrap();
         let mut pixels = vec![0; reader.output_buffer_size().unwrap()];

@@ -6,7 +6,8 @@ use glam::DVec3;
 
 use super::super::Error;
 use super::cases::{Case, Cell, Placement};
-use super::patch::{area, hausdorff};
+use super::patch::{area, convex, hausdorff};
+use super::peers::{Answer, Contact};
 use super::settings::{CENTERS, Center, SIMPLIFICATIONS, Setting};
 use super::truth::Pair;
 use hullcast::contact::{
@@ -29,8 +30,8 @@ pub(super) struct Prepared {
     hulls: Vec<Vec<Vec<ConvexHull>>>,
     /// By centre.
     truths: Vec<Vec<Truth>>,
-    /// Of pairs that overlap the depth of the least translation.
-    least_translations: Vec<Option<f64>>,
+    /// Of pairs that overlap depth and direction of the least translation.
+    least_translations: Vec<Option<(f64, DVec3)>>,
 }
 
 /// What is exact of a pair, for one choice of centres.
@@ -46,16 +47,19 @@ struct Truth {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sample {
     pub(super) nanoseconds: f64,
-    /// Width of the bracket over alpha.
-    pub(super) gap: f64,
-    /// Share of the whole hulls' alpha that the normal does not prove.
-    pub(super) optimality: f64,
+    /// Width of the bracket over alpha; of a peer none.
+    pub(super) gap: Option<f64>,
+    /// Share of the whole hulls' alpha that the normal does not prove. This and the next two:
+    /// of a pair that a peer leaves without contact none.
+    pub(super) optimality: Option<f64>,
     /// Radians between the normal and an optimal one.
-    pub(super) angle: f64,
+    pub(super) angle: Option<f64>,
     /// Of the separation, against that of the whole hulls along the same normal; over the size.
-    pub(super) separation: f64,
+    pub(super) separation: Option<f64>,
     /// Depth over that of the least translation, where the pair overlaps.
     pub(super) depth: Option<f64>,
+    /// Radians between the normal and the direction of that, where the pair overlaps.
+    pub(super) axis: Option<f64>,
     /// Of the patch and the whole one; over the size.
     pub(super) hausdorff: f64,
     /// Of the patch over the whole one's, where that has one.
@@ -106,7 +110,7 @@ impl Prepared {
     pub(super) fn measure(&self, setting: &Setting) -> Vec<Sample> {
         let center = CENTERS.iter().position(|&center| center == setting.center).unwrap_or(0);
         let level = SIMPLIFICATIONS.iter().position(|&level| level == setting.simplification).unwrap_or(0);
-        let (whole, hulls) = (&self.hulls[center][0], &self.hulls[center][level]);
+        let hulls = &self.hulls[center][level];
         let query = Query { margin: self.cell.margin, accuracy: setting.accuracy(), ..Query::default() };
         let mut workspace = Workspace::default();
         let mut answer = |case: &Case, b: &Placement, warm: Option<&Basis>| -> (Manifold, f64) {
@@ -126,26 +130,68 @@ impl Prepared {
             let before = setting.warm.then(|| answer(case, &case.before, None).0.basis).flatten();
             let (manifold, nanoseconds) = answer(case, &case.b, before.as_ref());
             let (nudged, _) = answer(case, &case.nudged, before.as_ref());
-            let pair = Pair::new(&whole[case.hulls[0]], &whole[case.hulls[1]], case);
-            let truth = &self.truths[center][i];
-            let patch = polygon(&manifold);
-            let n = manifold.normal;
+            let found =
+                Found { normal: manifold.normal, separation: manifold.separation, patch: polygon(&manifold) };
             Sample {
                 nanoseconds,
-                gap: (manifold.alpha_upper - manifold.alpha_lower) / manifold.alpha,
-                optimality: (1.0 - pair.proven(n) / truth.alpha).max(0.0),
-                angle: n.cross(truth.normal).length().atan2(n.dot(truth.normal)),
-                separation: (manifold.separation - pair.separation(n)).abs() / pair.size,
-                depth: self.least_translations[i].map(|least| -manifold.separation / least),
-                hausdorff: hausdorff(&patch, &truth.patch) / pair.size,
-                area: (truth.area > 0.0).then(|| area(&patch, n) / truth.area),
+                gap: Some((manifold.alpha_upper - manifold.alpha_lower) / manifold.alpha),
                 flagged: Flags { reduced: false, ..manifold.flags } != Flags::default()
                     || manifold.outcome != Outcome::Contact,
-                flickers: hausdorff(&patch, &polygon(&nudged)) / pair.size > JUMP,
+                ..self.judged(center, i, Some(&found), &polygon(&nudged))
             }
         };
         self.cell.cases.iter().enumerate().map(sample).collect()
     }
+
+    /// The samples of a peer, one a pair, by the same measures: against the truth about the
+    /// centres of mass.
+    pub(super) fn judge(&self, answers: &[Answer]) -> Vec<Sample> {
+        let found = |contact: &Contact| {
+            let normal = DVec3::from_array(contact.normal);
+            Found { normal, separation: contact.separation, patch: convex(&contact.points(), normal) }
+        };
+        let sample = |(i, answer): (usize, &Answer)| {
+            let nudged = answer.nudged.as_ref().map(|contact| found(contact).patch);
+            let here = answer.contact.as_ref().map(found);
+            let judged = self.judged(0, i, here.as_ref(), &nudged.unwrap_or_default());
+            Sample { nanoseconds: answer.nanoseconds, ..judged }
+        };
+        answers.iter().enumerate().map(sample).collect()
+    }
+
+    /// What was found of a case, about a choice of centres, held against its truth; without time,
+    /// gap and flags.
+    fn judged(&self, center: usize, i: usize, found: Option<&Found>, nudged: &[DVec3]) -> Sample {
+        let (case, truth) = (&self.cell.cases[i], &self.truths[center][i]);
+        let [a, b] = case.hulls.map(|hull| &self.hulls[center][0][hull]);
+        let pair = Pair::new(a, b, case);
+        let patch = found.map_or(&[][..], |found| &found.patch);
+        let spanned = found.map_or(0.0, |found| area(patch, found.normal));
+        let least = self.least_translations[i];
+        let angle = |m: DVec3, n: DVec3| m.cross(n).length().atan2(m.dot(n));
+        let off = |found: &Found| (found.separation - pair.separation(found.normal)).abs() / pair.size;
+        Sample {
+            nanoseconds: f64::NAN,
+            gap: None,
+            optimality: found.map(|found| (1.0 - pair.proven(found.normal) / truth.alpha).max(0.0)),
+            angle: found.map(|found| angle(found.normal, truth.normal)),
+            separation: found.map(off),
+            depth: found.and_then(|found| least.map(|(depth, _)| -found.separation / depth)),
+            axis: found.and_then(|found| least.map(|(_, axis)| angle(found.normal, axis))),
+            hausdorff: hausdorff(patch, &truth.patch) / pair.size,
+            area: (truth.area > 0.0).then(|| spanned / truth.area),
+            flagged: found.is_none(),
+            flickers: hausdorff(patch, nudged) / pair.size > JUMP,
+        }
+    }
+}
+
+/// An answer, whoever gave it; world frame.
+struct Found {
+    normal: DVec3,
+    separation: f64,
+    /// Corners in order about the normal.
+    patch: Vec<DVec3>,
 }
 
 impl Truth {
@@ -209,13 +255,14 @@ mod tests {
         for cell in cases::generated(40).unwrap() {
             let prepared = Prepared::new(cell).unwrap();
             for (i, case) in prepared.cell.cases.iter().enumerate() {
-                let Some(least) = prepared.least_translations[i] else { continue };
+                let Some((least, axis)) = prepared.least_translations[i] else { continue };
                 let hulls = &prepared.hulls[0][0];
                 let [a, b] = case.hulls.map(|hull| &hulls[hull]);
                 let truth = &prepared.truths[0][i];
                 let pair = Pair::new(a, b, case);
                 let (shortest, depth) =
                     ((a.inradius() + b.inradius()) * (1.0 - truth.alpha), -pair.separation(truth.normal));
+                assert!((-pair.separation(axis) - least).abs() < 1e-9 * pair.size);
                 assert!(least >= shortest * (1.0 - 1e-9), "{least} {shortest}");
                 assert!(least <= depth * (1.0 + 1e-5), "{least} {depth}");
                 overlapping += 1;
@@ -229,21 +276,56 @@ mod tests {
     #[test]
     fn errors_are_seen_where_they_are() {
         let cells = cases::generated(60).unwrap();
-        let prepared = Prepared::new(cells.into_iter().nth(3).unwrap()).unwrap();
+        let prepared = Prepared::new(cells.into_iter().nth(4).unwrap()).unwrap();
         let most = |setting: Setting, of: fn(&Sample) -> f64| {
             prepared.measure(&setting).iter().map(of).fold(0.0, f64::max)
         };
         let default = Setting::DEFAULT;
-        assert!(most(default, |s| s.gap) < 1e-13);
-        assert!(most(default, |s| s.optimality) < 1e-13);
-        assert!(most(default, |s| s.separation) < 1e-13);
+        assert!(most(default, |s| s.gap.unwrap()) < 1e-13);
+        assert!(most(default, |s| s.optimality.unwrap()) < 1e-13);
+        assert!(most(default, |s| s.separation.unwrap()) < 1e-13);
         assert_eq!(most(default, |s| s.hausdorff), 0.0);
         assert!(most(default, |s| (s.area.unwrap_or(1.0) - 1.0).abs()) == 0.0);
         let coarse = Setting { relative_tolerance: 0.1, ..default };
-        assert!(most(coarse, |s| s.gap) > 1e-3 && most(coarse, |s| s.optimality) > 1e-6);
+        assert!(most(coarse, |s| s.gap.unwrap()) > 1e-3 && most(coarse, |s| s.optimality.unwrap()) > 1e-6);
         let few = Setting { max_points: 1, ..default };
         assert!(most(few, |s| s.hausdorff) > 0.01);
         let simple = Setting { simplification: 0.05, ..default };
-        assert!(most(simple, |s| s.separation) > 1e-4);
+        assert!(most(simple, |s| s.separation.unwrap()) > 1e-4);
+    }
+
+    /// Catches a peer that is held to another truth than we are, and one that gains by what it
+    /// leaves out: our own answers, their corners in another order, have our own errors; pairs
+    /// without an answer are flagged, with a patch infinitely far off.
+    #[test]
+    fn a_peer_is_judged_as_we_are() {
+        let cell = cases::generated(40).unwrap().swap_remove(1);
+        let prepared = Prepared::new(cell).unwrap();
+        let contact = |truth: &Truth, case: &Case| -> Contact {
+            let [a, b] = case.hulls.map(|hull| &prepared.hulls[0][0][hull]);
+            let mut points: Vec<[f64; 3]> = truth.patch.iter().map(|p| p.to_array()).collect();
+            points.reverse();
+            points.extend_from_within(..1);
+            let separation = Pair::new(a, b, case).separation(truth.normal);
+            Contact::new(truth.normal.to_array(), separation, points)
+        };
+        let both = prepared.truths[0].iter().zip(&prepared.cell.cases);
+        let answer = |(i, (truth, case)): (usize, (&Truth, &Case))| {
+            let contact = (i > 0).then(|| contact(truth, case));
+            Answer { nanoseconds: 5.0, nudged: None, contact }
+        };
+        let answers: Vec<Answer> = both.enumerate().map(answer).collect();
+        let samples = prepared.judge(&answers);
+        assert!(samples[0].flagged && samples[0].optimality.is_none());
+        assert_eq!((samples[0].hausdorff, samples[0].nanoseconds), (f64::INFINITY, 5.0));
+        assert!(!samples[0].flickers, "nothing, and nothing");
+        let mut areas = 0;
+        for sample in &samples[1..] {
+            assert!(!sample.flagged && sample.flickers && sample.gap.is_none());
+            let errors = [sample.optimality, sample.angle, sample.separation].map(Option::unwrap);
+            assert!(errors.iter().all(|&e| e < 1e-12) && sample.hausdorff < 1e-12, "{sample:?}");
+            areas += usize::from(sample.area.is_some_and(|ratio| (ratio - 1.0).abs() < 1e-9));
+        }
+        assert!(areas > 20, "{areas}");
     }
 }

@@ -5,6 +5,7 @@ mod cases;
 mod chart;
 mod measure;
 mod patch;
+mod peers;
 mod settings;
 mod table;
 mod truth;
@@ -16,17 +17,20 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::Error;
 use super::scene::Scene;
+use cases::Pool;
 use chart::{Chart, Series};
-use measure::Prepared;
+use measure::{Prepared, Sample};
+use peers::Peer;
 use settings::Setting;
-use table::{Figures, Row, Sorted};
+use table::{Figures, PeerRow, Row, Sorted};
 
 /// Speed against accuracy, measured: every setting's time and errors.
 ///
 /// Without a scene on generated pairs: boxes and polytopes of 16, 64 and 256 vertices, in
-/// shallow overlap and resting face on face; with one on its pairs that are in contact, or on
+/// shallow overlap, resting face on face, and, apart from these, in deep overlap; with one on its pairs that are in contact, or on
 /// random pairs of its hulls where none is. Writes FILE.csv (a row a setting and kind of pair),
 /// FILE.svg and FILE.png (time against error), and prints which setting to take for which need.
+/// Other libraries may answer the same pairs: `--ask` writes these, `--peer` judges answers.
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct Args {
     /// Scene files, hullcast.scene.v1; a file may be hulls alone, with empty bodies and pairs.
@@ -37,6 +41,12 @@ pub(crate) struct Args {
     /// Pairs of each kind at most.
     #[arg(long, value_name = "COUNT", default_value_t = 96, value_parser = clap::value_parser!(u32).range(1..))]
     pairs: u32,
+    /// Writes the pairs for another library to answer, as JSON, and measures nothing.
+    #[arg(long, value_name = "FILE", conflicts_with = "peer")]
+    ask: Option<PathBuf>,
+    /// A file of another library's answers, judged beside ours.
+    #[arg(long, value_name = "FILE")]
+    peer: Vec<PathBuf>,
 }
 
 /// Runs `hullcast tradeoff`.
@@ -59,24 +69,34 @@ pub(crate) fn run(args: &Args) -> Result<(), Error> {
             scenes.iter().map(of).collect::<Result<_, _>>()?
         }
     };
-    let rows = measured(cells)?;
-    let all: Vec<Row> = rows.iter().filter(|row| row.cell == ALL).cloned().collect();
-    let chart = chart(&all);
-    for (ending, bytes) in
-        [("csv", table::csv(&rows).into_bytes()), ("svg", chart.svg().into_bytes()), ("png", chart.png()?)]
-    {
+    if let Some(path) = &args.ask {
+        return peers::ask(&cells, path);
+    }
+    let peers: Vec<Peer> = args.peer.iter().map(|path| Peer::read(path, &cells)).collect::<Result<_, _>>()?;
+    let (rows, others) = measured(cells, &peers)?;
+    let of_pool = |pool: Pool| -> (Vec<Row>, Vec<PeerRow>) {
+        let rows = rows.iter().filter(|row| row.cell == pool.name()).cloned();
+        (rows.collect(), others.iter().filter(|row| row.cell == pool.name()).cloned().collect())
+    };
+    let (all, all_others) = of_pool(Pool::All);
+    let chart = chart(&all, &all_others);
+    let csv = table::csv(&rows, &others).into_bytes();
+    for (ending, bytes) in [("csv", csv), ("svg", chart.svg().into_bytes()), ("png", chart.png()?)] {
         let path = args.out.with_extension(ending);
         std::fs::write(&path, bytes).map_err(|e| format!("{}: {e}", path.display()))?;
     }
     print!("{}", advice::text(&all));
+    for pool in [Pool::All, Pool::Deep] {
+        let (rows, others) = of_pool(pool);
+        if !rows.is_empty() {
+            print!("\n{}", advice::beside(pool, &rows, &others));
+        }
+    }
     Ok(())
 }
 
-/// The name of all cells together.
-const ALL: &str = "all";
-
-/// Every setting on every cell, then on all of them.
-fn measured(cells: Vec<cases::Cell>) -> Result<Vec<Row>, Error> {
+/// Every setting on every cell, then on all of a pool; and every peer.
+fn measured(cells: Vec<cases::Cell>, peers: &[Peer]) -> Result<(Vec<Row>, Vec<PeerRow>), Error> {
     let cells: Vec<Prepared> = cells.into_iter().map(Prepared::new).collect::<Result<_, _>>()?;
     let grid = Setting::grid();
     let progress = ProgressBar::new(grid.len() as u64)
@@ -91,40 +111,53 @@ fn measured(cells: Vec<cases::Cell>) -> Result<Vec<Row>, Error> {
         median(cell, &Setting::DEFAULT);
         default.insert(cell.cell.name.clone(), median(cell, &Setting::DEFAULT));
     }
-    let mut rows = Vec::new();
-    for setting in &grid {
-        let (mut together, mut logs) = (Vec::new(), 0.0);
-        for prepared in &cells {
-            let samples = prepared.measure(setting);
+    // One contender's samples of each cell, then of each pool, with its name.
+    let figures = |of: &dyn Fn(usize, &Prepared) -> Vec<Sample>| -> Vec<(String, Figures)> {
+        let mut figures = Vec::new();
+        let mut pools = [Pool::All, Pool::Deep].map(|pool| (pool, Vec::new(), Vec::new()));
+        for (i, prepared) in cells.iter().enumerate() {
+            let samples = of(i, prepared);
             let [time] = Sorted::new(samples.iter().map(|s| s.nanoseconds)).at([0.5]);
-            let name = &prepared.cell.name;
-            let relative = time / default[name];
-            logs += relative.ln();
-            rows.push(Row {
-                cell: name.clone(),
-                setting: *setting,
-                figures: Figures::of(&samples, relative),
-            });
-            together.extend(samples);
+            let relative = time / default[&prepared.cell.name];
+            figures.push((prepared.cell.name.clone(), Figures::of(&samples, relative)));
+            for (_, together, logs) in pools.iter_mut().filter(|(pool, ..)| *pool == prepared.cell.pool) {
+                together.extend_from_slice(&samples);
+                logs.push(relative.ln());
+            }
         }
-        let figures = Figures::of(&together, (logs / cells.len() as f64).exp());
-        rows.push(Row { cell: ALL.into(), setting: *setting, figures });
+        for (pool, together, logs) in pools.iter().filter(|(_, together, _)| !together.is_empty()) {
+            let relative = (logs.iter().sum::<f64>() / logs.len() as f64).exp();
+            figures.push((pool.name().into(), Figures::of(together, relative)));
+        }
+        figures
+    };
+    let mut rows = Vec::new();
+    for &setting in &grid {
+        let of_setting = figures(&|_, prepared| prepared.measure(&setting));
+        rows.extend(of_setting.into_iter().map(|(cell, figures)| Row { cell, setting, figures }));
         progress.inc(1);
     }
     progress.finish_and_clear();
-    Ok(rows)
+    let mut others = Vec::new();
+    for peer in peers {
+        let of_peer = figures(&|i, prepared| prepared.judge(peer.answers(i)));
+        let row = |(cell, figures)| PeerRow { cell, name: peer.name.clone(), figures };
+        others.extend(of_peer.into_iter().map(row));
+    }
+    Ok((rows, others))
 }
 
 /// Errors are drawn within these: below is rounding, above is all of it (a patch that is not
 /// there is infinitely far).
 const DRAWN: (f64, f64) = (1e-16, 1.0);
 
-/// Time against two errors: all settings, those that none beats, and those advised.
-fn chart(rows: &[Row]) -> Chart {
+/// Time against errors: all settings, those that none beats, those advised, and peers.
+fn chart(rows: &[Row], peers: &[PeerRow]) -> Chart {
     type Of = fn(&Figures) -> f64;
-    let errors: [(&str, Of); 2] = [
+    let errors: [(&str, Of); 3] = [
         ("normal short of optimal, p95", |f| f.optimality[1].clamp(DRAWN.0, DRAWN.1)),
         ("patch off by this share of the size, p95", |f| f.hausdorff[1].clamp(DRAWN.0, DRAWN.1)),
+        ("depth off the least translation, p95", |f| f.depth_off.clamp(DRAWN.0, DRAWN.1)),
     ];
     let panel = |(title, error): (&'static str, Of)| {
         let at = |i: usize| (rows[i].figures.relative_time, error(&rows[i].figures));
@@ -141,6 +174,9 @@ fn chart(rows: &[Row]) -> Chart {
             }
         }
         series.extend(named.into_iter().map(|(at, names)| Series::named(names, at)));
+        let of_peer =
+            |peer: &PeerRow| Series::other(&peer.name, (peer.figures.relative_time, error(&peer.figures)));
+        series.extend(peers.iter().map(of_peer));
         chart::Panel { title, x: "time over the default's", series }
     };
     Chart { panels: errors.map(panel).into() }

@@ -8,6 +8,36 @@ pub(super) fn area(polygon: &[DVec3], normal: DVec3) -> f64 {
     rest.windows(2).map(|two| 0.5 * normal.dot((two[0] - first).cross(two[1] - first))).sum::<f64>().abs()
 }
 
+/// The corners of the convex hull of points in any order, seen along `normal`, in order about
+/// it (Andrew's monotone chain): what others answer may be neither convex nor in order.
+pub(super) fn convex(points: &[DVec3], normal: DVec3) -> Vec<DVec3> {
+    let (u, v) = normal.any_orthonormal_pair();
+    let mut order: Vec<DVec3> = points.to_vec();
+    order.sort_unstable_by(|p, q| (u.dot(*p)).total_cmp(&u.dot(*q)).then(v.dot(*p).total_cmp(&v.dot(*q))));
+    order.dedup();
+    if order.len() < 3 {
+        return order;
+    }
+    let turns_left = |p: DVec3, q: DVec3, x: DVec3| normal.dot((q - p).cross(x - q)) > 0.0;
+    let half = |points: &mut dyn Iterator<Item = DVec3>| {
+        let mut chain: Vec<DVec3> = Vec::new();
+        for point in points {
+            while let [.., p, q] = chain[..] {
+                if turns_left(p, q, point) {
+                    break;
+                }
+                chain.pop();
+            }
+            chain.push(point);
+        }
+        chain.pop();
+        chain
+    };
+    let mut corners = half(&mut order.iter().copied());
+    corners.extend(half(&mut order.iter().rev().copied()));
+    corners
+}
+
 /// The Hausdorff distance of two convex polygons: that of a corner, since the distance to a
 /// convex set is a convex function. Infinite where one alone is empty.
 pub(super) fn hausdorff(p: &[DVec3], q: &[DVec3]) -> f64 {
@@ -51,6 +81,22 @@ fn on_triangle(x: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Catches corners lost or out of order, and points that are none: any order of a
+    /// square's corners with points inside and on its sides is the square.
+    #[test]
+    fn corners_are_put_in_order() {
+        let corners = [(-1.0, -1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, 1.0)];
+        let inside = [(0.0, 0.5), (1.0, 0.0), (0.25, 0.0), (1.0, 1.0)];
+        for normal in [DVec3::Z, DVec3::NEG_Z] {
+            let points: Vec<DVec3> =
+                corners.iter().chain(&inside).map(|&(x, y)| DVec3::new(x, y, 0.0)).collect();
+            let square = convex(&points, normal);
+            assert_eq!((square.len(), area(&square, normal)), (4, 4.0));
+            assert_eq!(convex(&points[..2], normal).len(), 2);
+            assert_eq!(convex(&[points[0]; 3], normal), [points[0]]);
+        }
+    }
 
     /// Catches a distance that is one-sided, to corners alone or to the plane, and an area
     /// with a sign or a corner left out.

@@ -13,6 +13,14 @@ pub(super) struct Row {
     pub(super) figures: Figures,
 }
 
+/// Of another library, on one cell or on all of them.
+#[derive(Clone, Debug)]
+pub(super) struct PeerRow {
+    pub(super) cell: String,
+    pub(super) name: String,
+    pub(super) figures: Figures,
+}
+
 /// The columns of errors and times.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Figures {
@@ -25,13 +33,16 @@ pub(super) struct Figures {
     pub(super) angle: [f64; 2],
     pub(super) separation: [f64; 2],
     pub(super) depth: [f64; 2],
+    /// How far that ratio is from 1, p95.
+    pub(super) depth_off: f64,
+    pub(super) axis: [f64; 2],
     pub(super) hausdorff: [f64; 2],
     pub(super) area: [f64; 2],
     pub(super) flagged: f64,
     pub(super) flickers: f64,
 }
 
-const COLUMNS: [&str; 21] = [
+const COLUMNS: [&str; 24] = [
     "pairs",
     "ns_p50",
     "ns_p95",
@@ -48,6 +59,9 @@ const COLUMNS: [&str; 21] = [
     "separation_max",
     "depth_ratio_p50",
     "depth_ratio_p95",
+    "depth_off_p95",
+    "axis_angle_p50",
+    "axis_angle_p95",
     "hausdorff_p50",
     "hausdorff_p95",
     "area_ratio_p50",
@@ -60,9 +74,10 @@ impl Figures {
         let count = samples.len().max(1) as f64;
         let share = |of: fn(&Sample) -> bool| samples.iter().filter(|s| of(s)).count() as f64 / count;
         let at = |of: fn(&Sample) -> Option<f64>| Sorted::new(samples.iter().filter_map(of));
-        let (time, gap) = (at(|s| Some(s.nanoseconds)), at(|s| Some(s.gap)));
-        let (optimality, angle) = (at(|s| Some(s.optimality)), at(|s| Some(s.angle)));
-        let (separation, depth) = (at(|s| Some(s.separation)), at(|s| s.depth));
+        let (time, gap) = (at(|s| Some(s.nanoseconds)), at(|s| s.gap));
+        let (optimality, angle) = (at(|s| s.optimality), at(|s| s.angle));
+        let (separation, depth) = (at(|s| s.separation), at(|s| s.depth));
+        let [depth_off] = at(|s| s.depth.map(|ratio| (ratio - 1.0).abs())).at([0.95]);
         let (hausdorff, area) = (at(|s| Some(s.hausdorff)), at(|s| s.area));
         Self {
             pairs: samples.len(),
@@ -73,6 +88,8 @@ impl Figures {
             angle: angle.at([0.5, 0.95]),
             separation: separation.at([0.95, 1.0]),
             depth: depth.at([0.5, 0.95]),
+            depth_off,
+            axis: at(|s| s.axis).at([0.5, 0.95]),
             hausdorff: hausdorff.at([0.5, 0.95]),
             area: area.at([0.5, 0.05]),
             flagged: share(|s| s.flagged),
@@ -81,7 +98,7 @@ impl Figures {
     }
 
     fn values(&self) -> Vec<f64> {
-        let lists: [&[f64]; 11] = [
+        let lists: [&[f64]; 13] = [
             &[self.pairs as f64],
             &self.time,
             &[self.relative_time],
@@ -90,6 +107,8 @@ impl Figures {
             &self.angle,
             &self.separation,
             &self.depth,
+            &[self.depth_off],
+            &self.axis,
             &self.hausdorff,
             &self.area,
             &[self.flagged, self.flickers],
@@ -115,12 +134,18 @@ impl Sorted {
     }
 }
 
-/// A header, then a line a row.
-pub(super) fn csv(rows: &[Row]) -> String {
+/// A header, then a line a row; a peer has its name for a solver, and no knobs.
+pub(super) fn csv(rows: &[Row], peers: &[PeerRow]) -> String {
     let mut text = format!("cell,{},{},flickers\n", KNOBS.join(","), COLUMNS.join(","));
+    let mut line = |cell: &str, knobs: &str, figures: &Figures| {
+        let values: Vec<String> = figures.values().iter().map(|value| short(*value)).collect();
+        let _ = writeln!(text, "{cell},{knobs},{}", values.join(","));
+    };
     for row in rows {
-        let values: Vec<String> = row.figures.values().iter().map(|value| short(*value)).collect();
-        let _ = writeln!(text, "{},{},{}", row.cell, row.setting.values().join(","), values.join(","));
+        line(&row.cell, &row.setting.values().join(","), &row.figures);
+    }
+    for row in peers {
+        line(&row.cell, &format!("{}{}", row.name, ",".repeat(KNOBS.len() - 1)), &row.figures);
     }
     text
 }
@@ -157,11 +182,12 @@ mod tests {
     fn sample(nanoseconds: f64, optimality: f64) -> Sample {
         Sample {
             nanoseconds,
-            optimality,
-            gap: 0.0,
-            angle: 0.0,
-            separation: 0.0,
+            optimality: Some(optimality),
+            gap: Some(0.0),
+            angle: Some(0.0),
+            separation: Some(0.0),
             depth: None,
+            axis: None,
             hausdorff: 0.0,
             area: None,
             flagged: false,
@@ -185,9 +211,10 @@ mod tests {
             })
             .to_vec();
         assert_eq!(front(&rows, |f| f.optimality[2]), [3, 0, 2]);
-        let text = csv(&rows);
+        let peer = PeerRow { cell: "all".into(), name: "peer".into(), figures };
+        let text = csv(&rows, &[peer]);
         let mut lines = text.lines().map(|line| line.split(',').count());
         let columns = lines.next().unwrap();
-        assert_eq!(lines.map(|count| assert_eq!(count, columns)).count(), 5);
+        assert_eq!(lines.map(|count| assert_eq!(count, columns)).count(), 6);
     }
 }

@@ -61,15 +61,22 @@ impl<'a> Pair<'a> {
         n.dot(self.d) - self.reach(n)
     }
 
-    /// The depth of the least translation that separates overlapping hulls, exact to the
+    /// The depth and direction of the least translation that separates overlapping hulls, exact to the
     /// planarity of merged faces: over all normals of the Minkowski difference, which are the
     /// faces' and those of pairs of edges whose arcs on the Gauss map cross (Gregorius, *The
     /// Separating Axis Test between Convex Polyhedra*, GDC 2013).
-    pub(super) fn least_translation(&self) -> f64 {
+    pub(super) fn least_translation(&self) -> (f64, DVec3) {
         let [a, b] = &self.sides;
         let normals = [a.normals(), b.normals().into_iter().map(|n| -n).collect()];
-        let of_faces = normals.iter().flatten().map(|&n| -self.separation(n));
-        let mut least = of_faces.fold(f64::INFINITY, f64::min);
+        let mut least = (f64::INFINITY, DVec3::ZERO);
+        let mut at_most = |depth: f64, n: DVec3| {
+            if depth < least.0 {
+                least = (depth, n);
+            }
+        };
+        for &n in normals.iter().flatten() {
+            at_most(-self.separation(n), n);
+        }
         let arcs = |side: &Side<'_>, normals: &[DVec3]| -> Vec<Arc> {
             let edges = side.hull.edge_vertices().iter().zip(side.hull.edge_faces());
             let arc = |(ends, faces): (&[u32; 2], &[u32; 2])| {
@@ -89,7 +96,7 @@ impl<'a> Pair<'a> {
                 }
                 let n = n.normalize();
                 let n = if n.dot(of_a.left + of_a.right) < 0.0 { -n } else { n };
-                least = least.min(n.dot(of_a.tail - of_b.tail) - n.dot(self.d));
+                at_most(n.dot(of_a.tail - of_b.tail) - n.dot(self.d), n);
             }
         }
         least

@@ -1,0 +1,46 @@
+//! parry3d on the pairs of `hullcast tradeoff --ask`, for it to judge.
+//!
+//! `cargo run --release --bin peer -- PAIRS FOLDER` writes FOLDER/parry3d.json and
+//! parry3d-f64.json: of each pair the fastest of three calls from nothing, in this process, its
+//! shapes and poses ready.
+
+use std::path::{Path, PathBuf};
+
+use hullcast_benches::asked::{Answer, Asked, AskedCell, AskedPair};
+use hullcast_benches::parry::{double, single};
+use serde_json::json;
+
+type Failure = Box<dyn std::error::Error>;
+
+fn main() -> Result<(), Failure> {
+    let mut arguments = std::env::args().skip(1).map(PathBuf::from);
+    let (Some(pairs), Some(folder)) = (arguments.next(), arguments.next()) else {
+        return Err("which pairs, and where to?".into());
+    };
+    let asked: Asked = serde_json::from_slice(&std::fs::read(pairs)?)?;
+    std::fs::create_dir_all(&folder)?;
+    write(&folder, "parry3d", "parry3d 0.31", &asked, |cell| {
+        let hulls = single::built(&cell.hulls)?;
+        Some(cell.pairs.iter().map(|pair: &AskedPair| single::answer(&hulls, pair, cell.margin)).collect())
+    })?;
+    write(&folder, "parry3d-f64", "parry3d-f64 0.31", &asked, |cell| {
+        let hulls = double::built(&cell.hulls)?;
+        Some(cell.pairs.iter().map(|pair: &AskedPair| double::answer(&hulls, pair, cell.margin)).collect())
+    })
+}
+
+fn write(
+    folder: &Path,
+    file: &str,
+    name: &str,
+    asked: &Asked,
+    answers: impl Fn(&AskedCell) -> Option<Vec<Answer>>,
+) -> Result<(), Failure> {
+    let mut cells = Vec::new();
+    for cell in &asked.cells {
+        let pairs = answers(cell).ok_or_else(|| format!("{name} refuses a hull of {}", cell.name))?;
+        cells.push(json!({ "name": cell.name, "pairs": pairs }));
+    }
+    let text = json!({ "name": name, "cells": cells }).to_string();
+    Ok(std::fs::write(folder.join(file).with_extension("json"), text)?)
+}

@@ -1,0 +1,204 @@
+"""coal and MuJoCo on the pairs of `hullcast tradeoff --ask`, for it to judge.
+
+    hullcast tradeoff --ask pairs.json
+    python client/examples/tradeoff_peers.py pairs.json --out peers
+    hullcast tradeoff --peer peers/coal.json --peer peers/mujoco.json
+
+Each answers in this process on one thread, hulls and poses ready: coal by `collide`
+and `computeContactPatch`, MuJoCo by `mj_collision` on a model of the two hulls alone
+(its meshes are in single precision). Of each pair the fastest of three calls, each
+with the cost of a call from Python, which is printed: that of a call that does nothing.
+A peer that is not installed is left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+#: As `hullcast tradeoff` times its own.
+ROUNDS = 3
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass
+class Contact:
+    """World frame; the normal points from A to B, points are midway."""
+
+    normal: list[float]
+    separation: float
+    points: list[list[float]]
+
+
+#: Of two hulls: places them by a position and quaternion each, then a call to be timed, then
+#: what that found.
+Contender = tuple[
+    Callable[[Sequence[float], Sequence[float]], None],
+    Callable[[], object],
+    Callable[[], "Contact | None"],
+]
+#: From a margin and all hulls to a contender for each pair of them.
+Maker = Callable[[float, list[Floats]], Callable[[int, int], Contender]]
+
+
+def coal_peer() -> tuple[str, Maker, Callable[[], object]]:
+    """Its name, what makes contenders, and a call that does nothing."""
+    import coal as library  # pyright: ignore[reportMissingImports]
+
+    coal: Any = library
+
+    def make(margin: float, hulls: list[Floats]) -> Callable[[int, int], Contender]:
+        shapes: list[Any] = []
+        for vertices in hulls:
+            points = coal.StdVec_Vec3s()
+            for vertex in vertices:
+                points.append(vertex)
+            shapes.append(coal.Convex.convexHull(points, True, "Qt"))
+        request = coal.CollisionRequest(coal.CollisionRequestFlag.CONTACT, 1)
+        request.security_margin = margin
+        patch_request = coal.ContactPatchRequest()
+
+        def contender(i: int, j: int) -> Contender:
+            poses = [coal.Transform3s(), coal.Transform3s()]
+            result, patches = coal.CollisionResult(), coal.ContactPatchResult()
+
+            def place(*places: Sequence[float]) -> None:
+                for pose, at in zip(poses, places, strict=True):
+                    pose.setRotation(Rotation.from_quat(at[3:]).as_matrix())
+                    pose.setTranslation(np.array(at[:3]))
+
+            def call() -> None:
+                result.clear()
+                patches.clear()
+                if coal.collide(shapes[i], poses[0], shapes[j], poses[1], request, result):
+                    coal.computeContactPatch(
+                        shapes[i], poses[0], shapes[j], poses[1], result, patch_request, patches
+                    )
+
+            def found() -> Contact | None:
+                if not result.isCollision():
+                    return None
+                contact = result.getContact(0)
+                points = [contact.pos.tolist()]
+                if patches.numContactPatches():
+                    patch = patches.getContactPatch(0)
+                    points = [patch.getPoint(k).tolist() for k in range(patch.size())] or points
+                return Contact(contact.normal.tolist(), contact.penetration_depth, points)
+
+            return place, call, found
+
+        return contender
+
+    idle = coal.CollisionResult()
+    return f"coal {version('coal')}", make, idle.numContacts
+
+
+MODEL = """<mujoco><asset>{meshes}</asset><worldbody>{bodies}</worldbody>
+<contact><pair geom1="0" geom2="1" margin="{margin}"/></contact></mujoco>"""
+MESH = '<mesh name="{i}" inertia="convex" vertex="{vertices}"/>'
+GEOM = '<geom name="{i}" type="mesh" mesh="{i}" contype="0" conaffinity="0"/>'
+
+
+def mujoco_peer() -> tuple[str, Maker, Callable[[], object]]:
+    """The same."""
+    import mujoco as library  # pyright: ignore[reportMissingImports]
+
+    mujoco: Any = library
+
+    def make(margin: float, hulls: list[Floats]) -> Callable[[int, int], Contender]:
+        def contender(*pair: int) -> Contender:
+            words = [" ".join(map(repr, hulls[hull].ravel().tolist())) for hull in pair]
+            meshes = "".join(MESH.format(i=i, vertices=words[i]) for i in (0, 1))
+            bodies = "".join(f'<body mocap="true">{GEOM.format(i=i)}</body>' for i in (0, 1))
+            text = MODEL.format(meshes=meshes, bodies=bodies, margin=margin)
+            model = mujoco.MjModel.from_xml_string(text)
+            data = mujoco.MjData(model)
+
+            def place(*places: Sequence[float]) -> None:
+                for i, at in enumerate(places):
+                    data.mocap_pos[i] = at[:3]
+                    data.mocap_quat[i] = np.roll(at[3:], 1)
+                mujoco.mj_kinematics(model, data)
+
+            def found() -> Contact | None:
+                contacts = sorted(data.contact, key=lambda contact: contact.dist)
+                if not contacts:
+                    return None
+                deepest = contacts[0]
+                sign = 1.0 if deepest.geom1 == 0 else -1.0
+                points = [contact.pos.tolist() for contact in contacts]
+                return Contact((sign * deepest.frame[:3]).tolist(), float(deepest.dist), points)
+
+            return place, lambda: mujoco.mj_collision(model, data), found
+
+        return contender
+
+    empty = mujoco.MjModel.from_xml_string("<mujoco/>")
+    nothing = mujoco.MjData(empty)
+    return (
+        f"MuJoCo {version('mujoco')}",
+        make,
+        lambda: mujoco.mj_collision(empty, nothing),
+    )
+
+
+def fastest(call: Callable[[], object], rounds: int = ROUNDS) -> int:
+    """Nanoseconds of the fastest of so many calls."""
+    times: list[int] = []
+    for _ in range(rounds):
+        begin = time.perf_counter_ns()
+        call()
+        times.append(time.perf_counter_ns() - begin)
+    return min(times)
+
+
+def answers(make: Maker, cell: dict[str, Any]) -> list[dict[str, Any]]:
+    """To every pair of a cell."""
+    contender_of = make(cell["margin"], [np.array(hull) for hull in cell["hulls"]])
+    answered: list[dict[str, Any]] = []
+    for pair in cell["pairs"]:
+        place, call, found = contender_of(*pair["hulls"])
+        place(pair["a"], pair["b"])
+        nanoseconds, contact = fastest(call), found()
+        place(pair["a"], pair["nudged"])
+        call()
+        both = {
+            name: one and asdict(one) for name, one in (("contact", contact), ("nudged", found()))
+        }
+        answered.append({"nanoseconds": nanoseconds, **both})
+    return answered
+
+
+def main() -> None:
+    """Answers and writes."""
+    parser = argparse.ArgumentParser(description="coal and MuJoCo on the pairs of a tradeoff")
+    parser.add_argument("pairs", type=Path, help="what `hullcast tradeoff --ask` wrote")
+    parser.add_argument("--out", type=Path, default=Path("."), help="folder of the answers")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    asked = json.loads(arguments.pairs.read_text())
+    for file, peer in (("coal", coal_peer), ("mujoco", mujoco_peer)):
+        try:
+            name, make, nothing = peer()
+        except ImportError as error:
+            print(f"{file}: left out: {error}")
+            continue
+        cells = [{"name": cell["name"], "pairs": answers(make, cell)} for cell in asked["cells"]]
+        (arguments.out / f"{file}.json").write_text(json.dumps({"name": name, "cells": cells}))
+        pairs = sum(len(cell["pairs"]) for cell in cells)
+        print(f"{name}: {pairs} pairs; a call that does nothing {fastest(nothing, 1000)} ns")
+
+
+if __name__ == "__main__":
+    main()
