@@ -1,5 +1,4 @@
-//! Arithmetic beyond double precision: double-double numbers, and orientation
-//! tests and triangle normals that are right for every finite input.
+//! Orientation tests and triangle normals that are right for every finite input.
 //!
 //! The orientation tests are those of the crate `robust` (J. R. Shewchuk,
 //! *Adaptive Precision Floating-Point Arithmetic and Fast Robust Geometric
@@ -9,7 +8,12 @@
 use glam::DVec3;
 use robust::{Coord, Coord3D};
 
+use super::tolerance::U;
+
+mod double_double;
 mod wide;
+
+pub(crate) use double_double::{Dd, Dd3, dd_cross, dd_dot, exact_difference, triple_product};
 
 /// 2 to it is the smallest nonzero coordinate for which `robust` is exact: its last
 /// bit is 2^-332, that of a product of three 2^-996, still a normal number's.
@@ -17,8 +21,6 @@ const SAFE_LOW: u64 = 1023 - 280;
 /// 2 to it is beyond the largest coordinate for which `robust` cannot overflow, with
 /// room to spare. Both are biased, as doubles store exponents.
 const SAFE_HIGH: u64 = 1023 + 280;
-/// Unit roundoff of double precision.
-pub(crate) const ROUNDOFF: f64 = power_of_two(-53);
 /// Sine of the angle of two sides from which on a double-double cross product
 /// is good to 2^-58 relative (its error is below 2^-98).
 const SLIVER_SINE: f64 = power_of_two(-40);
@@ -38,142 +40,6 @@ pub(crate) const fn power_of_two(exponent: i32) -> f64 {
 /// The `e` with `2^(e - 1) <= |x| < 2^e` for normal `x`; -1022 for smaller ones.
 pub(crate) fn exponent_above(x: f64) -> i32 {
     ((x.to_bits() >> 52) & 0x7ff) as i32 - 1022
-}
-
-/// The unevaluated sum `hi + lo`, with `lo` at most half an ulp of `hi`.
-///
-/// Operations are good to a few 2^-106 relative to the operands' magnitude
-/// (M. Joldes, J.-M. Muller and V. Popescu, *Tight and Rigorous Error Bounds
-/// for Basic Building Blocks of Double-Word Arithmetic*, 2017). No fused
-/// multiply-add, so that every machine gives the same bits.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Dd {
-    pub(crate) hi: f64,
-    pub(crate) lo: f64,
-}
-
-/// `a + b` exactly, for any order of magnitudes (Knuth).
-pub(crate) fn two_sum(a: f64, b: f64) -> Dd {
-    let hi = a + b;
-    let b_part = hi - a;
-    Dd { hi, lo: (a - (hi - b_part)) + (b - b_part) }
-}
-
-/// `a - b` exactly.
-pub(crate) fn two_diff(a: f64, b: f64) -> Dd {
-    two_sum(a, -b)
-}
-
-/// `a + b` exactly where `|a| >= |b|` or `a` is 0 (Dekker).
-fn quick_two_sum(a: f64, b: f64) -> Dd {
-    let hi = a + b;
-    Dd { hi, lo: b - (hi - a) }
-}
-
-/// Halves of at most 26 bits each, with sum `a` (Veltkamp). Needs `|a| < 2^996`.
-fn split(a: f64) -> (f64, f64) {
-    let scaled = a * 134_217_729.0; // 2^27 + 1
-    let high = scaled - (scaled - a);
-    (high, a - high)
-}
-
-/// `a * b` exactly where nothing underflows (Dekker).
-pub(crate) fn two_prod(a: f64, b: f64) -> Dd {
-    let hi = a * b;
-    let (ah, al) = split(a);
-    let (bh, bl) = split(b);
-    Dd { hi, lo: ((ah * bh - hi) + ah * bl + al * bh) + al * bl }
-}
-
-impl Dd {
-    /// The nearest double.
-    pub(crate) fn value(self) -> f64 {
-        self.hi + self.lo
-    }
-
-    /// Scaled by a power of two.
-    fn scaled(self, power: f64) -> Self {
-        Self { hi: self.hi * power, lo: self.lo * power }
-    }
-}
-
-impl From<f64> for Dd {
-    fn from(hi: f64) -> Self {
-        Self { hi, lo: 0.0 }
-    }
-}
-
-impl std::ops::Add for Dd {
-    type Output = Self;
-    fn add(self, other: Self) -> Self {
-        let high = two_sum(self.hi, other.hi);
-        let low = two_sum(self.lo, other.lo);
-        let sum = quick_two_sum(high.hi, high.lo + low.hi);
-        quick_two_sum(sum.hi, low.lo + sum.lo)
-    }
-}
-
-impl std::ops::Add<f64> for Dd {
-    type Output = Self;
-    fn add(self, other: f64) -> Self {
-        let high = two_sum(self.hi, other);
-        quick_two_sum(high.hi, high.lo + self.lo)
-    }
-}
-
-impl std::ops::Neg for Dd {
-    type Output = Self;
-    fn neg(self) -> Self {
-        Self { hi: -self.hi, lo: -self.lo }
-    }
-}
-
-impl std::ops::Sub for Dd {
-    type Output = Self;
-    fn sub(self, other: Self) -> Self {
-        self + -other
-    }
-}
-
-impl std::ops::Mul for Dd {
-    type Output = Self;
-    fn mul(self, other: Self) -> Self {
-        let product = two_prod(self.hi, other.hi);
-        quick_two_sum(product.hi, product.lo + (self.hi * other.lo + self.lo * other.hi))
-    }
-}
-
-impl std::ops::Div for Dd {
-    type Output = Self;
-    fn div(self, other: Self) -> Self {
-        let high = self.hi / other.hi;
-        let rest = self - other * Self::from(high);
-        quick_two_sum(high, rest.hi / other.hi)
-    }
-}
-
-/// A vector of double-doubles.
-pub(crate) type Dd3 = [Dd; 3];
-
-/// `a - b` exactly.
-pub(crate) fn exact_difference(a: DVec3, b: DVec3) -> Dd3 {
-    [two_diff(a.x, b.x), two_diff(a.y, b.y), two_diff(a.z, b.z)]
-}
-
-/// Cross product, to about 2^-102 of the product of the lengths.
-pub(crate) fn dd_cross(a: Dd3, b: Dd3) -> Dd3 {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
-/// Dot product, to about 2^-102 of the product of the lengths.
-pub(crate) fn dd_dot(a: Dd3, b: Dd3) -> Dd {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-/// `a . (b x c)`, to about 2^-102 of the product of the lengths, then rounded.
-pub(crate) fn triple_product(a: DVec3, b: DVec3, c: DVec3) -> f64 {
-    let wide = |v: DVec3| v.to_array().map(Dd::from);
-    dd_dot(wide(a), dd_cross(wide(b), wide(c))).value()
 }
 
 /// Which way a triangle faces and how large it is.
@@ -246,7 +112,7 @@ pub(crate) fn depth_below(a: DVec3, b: DVec3, c: DVec3, p: DVec3) -> Option<f64>
     let (pa, pa_exponent) = normalised(exact_difference(a, p));
     // The products' own error, below 2^-96 at these sizes, and 8 roundings.
     let depth = (dd_dot(cross, pa).value() - power_of_two(-96)) / length;
-    Some((depth - 8.0 * ROUNDOFF * depth.abs()) * power_of_two(pa_exponent))
+    Some((depth - 8.0 * U * depth.abs()) * power_of_two(pa_exponent))
 }
 
 /// Scaled by a power of two to a largest component in [0.5, 1), and its exponent.
@@ -290,11 +156,11 @@ fn is_safe(x: f64) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
     /// A small generator (xorshift): the same numbers on every machine.
-    fn stream(mut state: u64) -> impl FnMut() -> f64 {
+    pub(super) fn stream(mut state: u64) -> impl FnMut() -> f64 {
         move || {
             state ^= state << 13;
             state ^= state >> 7;
@@ -364,9 +230,9 @@ mod tests {
             // Only where adding the step lost nothing is the plane the same.
             if apex - far == step {
                 thin += usize::from(step.length() < SLIVER_SINE * far.length());
-                assert!((normal.unit - expected.normalize()).length() < 8.0 * ROUNDOFF, "{i}");
+                assert!((normal.unit - expected.normalize()).length() < 8.0 * U, "{i}");
                 let area = expected.length() * power_of_two(i % 14 - i / 14 % 30);
-                assert!((normal.double_area / area - 1.0).abs() < 8.0 * ROUNDOFF);
+                assert!((normal.double_area / area - 1.0).abs() < 8.0 * U);
             }
         }
         assert!(thin > 40, "{thin}");
@@ -375,19 +241,6 @@ mod tests {
         let normal = triangle_normal(DVec3::ZERO, DVec3::X, apex);
         assert_eq!((normal.unit, normal.double_area), (DVec3::Z, apex.y));
         assert_eq!(triangle_normal(DVec3::ZERO, DVec3::X, DVec3::X * 3.0).unit, DVec3::ZERO);
-    }
-
-    /// Nothing is lost: with the parts taken off, exactly nothing is left.
-    #[test]
-    fn sums_and_products_are_exact() {
-        let mut next = stream(3);
-        for i in 0..1_000 {
-            let (a, b) = (next() * power_of_two(i % 60), next());
-            let (sum, product) = (two_sum(a, b), two_prod(a, b));
-            assert_eq!((sum.hi, product.hi), (a + b, a * b));
-            assert_eq!(wide::sign_of_sum(&[(a, 1.0), (b, 1.0), (sum.hi, -1.0), (sum.lo, -1.0)]), 0.0);
-            assert_eq!(wide::sign_of_sum(&[(a, b), (product.hi, -1.0), (product.lo, -1.0)]), 0.0);
-        }
     }
 
     /// A bound from the wrong side, or a lax one, would spoil every inradius.
@@ -399,11 +252,11 @@ mod tests {
             let (a, b, c) = if orient3d(a, b, c, p) > 0.0 { (a, b, c) } else { (a, c, b) };
             let depth = depth_below(a, b, c, p).unwrap();
             let normal = triangle_normal(a, b, c).unit;
-            assert!((normal.dot(a - p) - depth).abs() < 32.0 * ROUNDOFF);
+            assert!((normal.dot(a - p) - depth).abs() < 32.0 * U);
         }
         let [a, b, c] = [DVec3::Z, DVec3::new(1.0, 0.0, 1.0), DVec3::new(0.0, 1.0, 1.0)];
         let depth = depth_below(a, b, c, DVec3::ZERO).unwrap();
-        assert!(depth < 1.0 && depth > 1.0 - 16.0 * ROUNDOFF);
+        assert!(depth < 1.0 && depth > 1.0 - 16.0 * U);
         assert!(depth_below(a, b, c, DVec3::Z * (1.0 - 1e-15)).unwrap() > 0.99e-15);
         assert_eq!(depth_below(a, b, b, DVec3::ZERO), None);
     }

@@ -6,6 +6,7 @@ use glam::DVec3;
 
 use super::exact::{Dd, Dd3, dd_cross, dd_dot, exact_difference};
 use super::pair::Support;
+use super::tolerance::THIN;
 
 /// At most four points.
 #[derive(Default)]
@@ -37,12 +38,12 @@ impl Simplex {
         self.len == 4
     }
 
-    /// Whether it is a triangle so thin (a sine below 1/16: its normal loses 4 bits
-    /// and more) that in double precision the closest point may be far from it.
+    /// Whether it is a triangle so thin that in double precision the closest point may
+    /// be far from it.
     pub(crate) fn is_thin(&self) -> bool {
         let &[u0, u1, u2] = self.points() else { return false };
         let (e1, e2) = (u1.point - u0.point, u2.point - u0.point);
-        256.0 * e1.cross(e2).length_squared() < e1.length_squared() * e2.length_squared()
+        THIN * e1.cross(e2).length_squared() < e1.length_squared() * e2.length_squared()
     }
 
     pub(crate) fn contains(&self, w: &Support) -> bool {

@@ -63,6 +63,10 @@ pub(crate) const GAIN: f64 = 4.0;
 /// triple product is left to exact arithmetic: 3 products and 5 sums, rounded up.
 pub(crate) const TRIPLE_PRODUCT: f64 = 16.0;
 
+/// Inverse square of the sine, 1/16, below which a triangle counts as thin: the products
+/// of its normal cancel 4 bits and more. A power of two, so that comparing rounds nothing.
+pub(crate) const THIN: f64 = 256.0;
+
 /// Of `R`: where the GJK ray cast is so near to its hull that its direction is
 /// mostly rounding (the error of a closest point squared, `U R^2`), it hands
 /// its simplex to the pivot.

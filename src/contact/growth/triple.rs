@@ -10,7 +10,7 @@ use glam::DVec3;
 
 use crate::contact::exact::{orient2d, orient3d, triangle_normal, triple_product};
 use crate::contact::pair::{Pair, Support};
-use crate::contact::tolerance::{TRIPLE_PRODUCT, U};
+use crate::contact::tolerance::{THIN, TRIPLE_PRODUCT, U};
 
 /// Sign of `det(ray, w, u)`: whether `u` lies anticlockwise of `w` about the
 /// ray. 0 only where `w` and `u` are parallel.
@@ -107,8 +107,7 @@ impl Triple {
         let (e1, e2) = (u1 - u0, u2 - u0);
         let n = e1.cross(e2);
         let (length_squared, sides_squared) = (n.length_squared(), e1.length_squared() * e2.length_squared());
-        // Below a sine of 1/16 the products cancel 4 bits and more.
-        if 256.0 * length_squared >= sides_squared {
+        if THIN * length_squared >= sides_squared {
             // (length + sides)^2 at most.
             Normal { n, error_squared: 2.0 * (length_squared + sides_squared) }
         } else {

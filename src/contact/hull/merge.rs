@@ -10,7 +10,8 @@ use glam::DVec3;
 
 use super::csr::Csr;
 use super::quickhull::Triangulation;
-use crate::contact::exact::{Dd, ROUNDOFF, TriangleNormal};
+use crate::contact::exact::{Dd, TriangleNormal};
+use crate::contact::tolerance::U;
 
 /// Vertices of a face lie within this share of the circumradius of its plane …
 const PLANARITY_PER_CIRCUMRADIUS: f64 = 1e-6;
@@ -19,9 +20,9 @@ const PLANARITY_PER_CIRCUMRADIUS: f64 = 1e-6;
 const PLANARITY_PER_INRADIUS: f64 = 1.0 / 64.0;
 /// … but not less than rounding, hull units, however near the contraction point
 /// is to a face.
-const LEAST_PLANARITY: f64 = 64.0 * ROUNDOFF;
+const LEAST_PLANARITY: f64 = 64.0 * U;
 /// Vertices whose heights differ by less may be as high as each other; hull units.
-const PLATEAU: f64 = 64.0 * ROUNDOFF;
+const PLATEAU: f64 = 64.0 * U;
 /// How often a group that fits no plane is gathered anew with a quarter of the
 /// tolerance before its largest triangle stands alone.
 const ATTEMPTS: usize = 6;
@@ -215,7 +216,7 @@ impl<'a> Merger<'a> {
         }
         let offset = if others >= highest - PLATEAU { self.climb(normal, highest) } else { highest };
         // Both ends carry a dot product's rounding, at lengths below 1.
-        let planarity = (offset - lowest) + 8.0 * ROUNDOFF;
+        let planarity = (offset - lowest) + 8.0 * U;
         Plane { normal, offset, planarity, gap: offset - planarity - others }
     }
 

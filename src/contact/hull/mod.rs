@@ -4,6 +4,7 @@
 use glam::{DMat3, DVec3};
 
 mod access;
+mod boundary;
 mod boxes;
 mod build;
 mod cloud;
@@ -15,6 +16,7 @@ mod mass;
 mod merge;
 mod quickhull;
 mod simplify;
+mod solid;
 mod topology;
 
 pub(crate) use boxes::{BoxShape, octant};
@@ -126,7 +128,7 @@ impl ConvexHull {
 /// `points`: for tests of their exactness.
 #[doc(hidden)]
 pub fn triangulate(points: &[[f64; 3]]) -> Result<Triangulation, HullError> {
-    let build::Solid { registered, mut triangulation, .. } = build::Solid::new(points)?;
+    let solid::Solid { registered, mut triangulation, .. } = solid::Solid::new(points)?;
     triangulation.triangles.iter_mut().flatten().for_each(|v| *v = registered[*v as usize]);
     Ok(triangulation)
 }

@@ -14,7 +14,8 @@ use glam::DVec3;
 
 use super::cloud::Cloud;
 use super::{HullError, HullErrorKind};
-use crate::contact::exact::{ROUNDOFF, collinear, orient3d};
+use crate::contact::exact::{collinear, orient3d};
+use crate::contact::tolerance::U;
 
 /// Not an index.
 const NONE: u32 = u32::MAX;
@@ -201,7 +202,7 @@ impl<'a> Quickhull<'a> {
         let size = DVec3::new(p.y * q.z + p.z * q.y, p.z * q.x + p.x * q.z, p.x * q.y + p.y * q.x);
         // Each term of normal . (p - a) went through at most 8 roundings; one
         // more covers those of this bound, the constant those of underflow.
-        let noise = 9.0 * ROUNDOFF * size.dot(self.cloud.extent) + f64::MIN_POSITIVE;
+        let noise = 9.0 * U * size.dot(self.cloud.extent) + f64::MIN_POSITIVE;
         let normal = ab.cross(ac);
         self.faces.push(Face {
             corners,

@@ -1,28 +1,18 @@
-//! Edges, corners and outlines of the faces.
+//! Edges and outlines of the faces.
 
 use std::cmp::Ordering;
 
 use glam::DVec3;
 
+use super::boundary::Boundary;
 use super::csr::Csr;
 use super::merge::{Groups, Surface};
 use super::quickhull::Triangulation;
 use crate::contact::exact::orient2d;
 
-/// Between two faces: their common boundary, straightened.
-#[derive(Clone, Copy, Debug)]
-struct Piece {
-    /// The boundary's vertices: `chain[start..=end]`.
-    start: usize,
-    end: usize,
-    /// The face on the left of going from start to end, seen from outside, and
-    /// the one on the right.
-    faces: [u32; 2],
-}
-
 /// An edge's ends, lower vertex first, and the faces on the left and right of going
 /// from the one to the other.
-type Edge = ([u32; 2], [u32; 2]);
+pub(super) type Edge = ([u32; 2], [u32; 2]);
 
 /// Faces' and edges' places in one another.
 pub(super) struct Topology {
@@ -97,7 +87,7 @@ fn triangles_corners(surface: &Surface<'_>, groups: &Groups) -> Csr {
 }
 
 /// By vertices, then by faces.
-fn sort(edges: &mut [Edge]) {
+pub(super) fn sort(edges: &mut [Edge]) {
     edges.sort_unstable_by_key(|([u, v], [left, right])| {
         [u, v, left, right].into_iter().fold(0_u128, |key, &part| key << 32 | u128::from(part))
     });
@@ -180,206 +170,4 @@ fn add_chain<'a>(polygon: &mut Vec<Corner>, points: impl Iterator<Item = &'a Cor
         polygon.push((p, v));
     }
     polygon.pop();
-}
-
-/// The boundaries between groups, as chains of vertices.
-struct Boundary<'a> {
-    surface: &'a Surface<'a>,
-    groups: &'a Groups,
-    /// Per vertex: how many sides of triangles at it separate groups.
-    crossings: Vec<u32>,
-    /// Per side of a triangle (3 each): whether a chain has it.
-    traced: Vec<bool>,
-    chains: Vec<u32>,
-    pieces: Vec<Piece>,
-}
-
-impl<'a> Boundary<'a> {
-    fn new(surface: &'a Surface<'a>, groups: &'a Groups) -> Self {
-        let triangles = surface.normals.len();
-        let mut boundary = Self {
-            surface,
-            groups,
-            crossings: vec![0; surface.vertices.len()],
-            traced: vec![false; 3 * triangles],
-            chains: Vec::new(),
-            pieces: Vec::new(),
-        };
-        for (t, side) in boundary.sides() {
-            if boundary.separates(t, side) {
-                let start = boundary.start(t, side);
-                boundary.crossings[start as usize] += 1;
-            }
-        }
-        boundary
-    }
-
-    /// Every side of every triangle.
-    fn sides(&self) -> impl Iterator<Item = (u32, usize)> + use<> {
-        (0..self.surface.normals.len() as u32).flat_map(|t| (0..3).map(move |side| (t, side)))
-    }
-
-    fn start(&self, t: u32, side: usize) -> u32 {
-        self.surface.triangulation.triangles[t as usize][side]
-    }
-
-    fn across(&self, t: u32, side: usize) -> u32 {
-        self.surface.triangulation.neighbours[t as usize][side]
-    }
-
-    fn group(&self, t: u32) -> u32 {
-        self.groups.of[t as usize]
-    }
-
-    fn separates(&self, t: u32, side: usize) -> bool {
-        self.group(t) != self.group(self.across(t, side))
-    }
-
-    /// Whether three or more faces' corners meet in `v`, so that edges end there.
-    fn is_corner(&self, v: u32) -> bool {
-        self.crossings[v as usize] >= 3
-    }
-
-    /// Chains from corner to corner, then loops without a corner, each once:
-    /// with the lower group on the left.
-    fn trace(&mut self) {
-        for loops in [false, true] {
-            for (t, side) in self.sides() {
-                let is_start = loops || self.is_corner(self.start(t, side));
-                let is_lower = self.group(t) < self.group(self.across(t, side));
-                if is_start && is_lower && !self.traced[3 * t as usize + side] {
-                    self.trace_chain(t, side);
-                }
-            }
-        }
-    }
-
-    /// Follows the boundary with the group of `t` on the left.
-    fn trace_chain(&mut self, mut t: u32, mut side: usize) {
-        let faces = [self.group(t), self.group(self.across(t, side))];
-        let start = self.chains.len();
-        let first = self.start(t, side);
-        self.chains.push(first);
-        loop {
-            self.traced[3 * t as usize + side] = true;
-            let end = self.start(t, (side + 1) % 3);
-            self.chains.push(end);
-            if self.is_corner(end) || end == first {
-                break;
-            }
-            (t, side) = self.following(t, side);
-        }
-        let end = self.chains.len() - 1;
-        let whole = Piece { start, end, faces };
-        if self.chains[start] == self.chains[end] { self.open_loop(whole) } else { self.straighten(whole) }
-    }
-
-    /// The next side of the boundary of `t`'s group.
-    fn following(&self, t: u32, side: usize) -> (u32, usize) {
-        // About the side's end, within the group, to where the group ends.
-        let (mut t, mut side) = (t, (side + 1) % 3);
-        while !self.separates(t, side) {
-            let pivot = self.start(t, side);
-            t = self.across(t, side);
-            side = self.surface.triangulation.slot(t, pivot);
-        }
-        (t, side)
-    }
-
-    /// Cuts a loop without corners into three, so that it bounds a polygon.
-    fn open_loop(&mut self, whole: Piece) {
-        let first = self.vertex(whole.start);
-        let far = |i: &usize| (self.vertex(*i) - first).length_squared();
-        let middle = (whole.start + 1..whole.end).max_by(|i, j| far(i).total_cmp(&far(j)));
-        let middle = middle.unwrap_or(whole.start + 1);
-        let halves = [Piece { end: middle, ..whole }, Piece { start: middle, ..whole }];
-        let before = self.pieces.len();
-        halves.into_iter().for_each(|half| self.straighten(half));
-        if self.pieces.len() == before + 2 {
-            let cut = (before..before + 2).find(|&i| self.split(i));
-            debug_assert!(cut.is_some(), "a loop of triangles' sides has three vertices");
-        }
-    }
-
-    /// Keeps a chain as one edge where it is straight to the merge tolerance,
-    /// else cuts it at the vertex farthest off.
-    fn straighten(&mut self, whole: Piece) {
-        if whole.end - whole.start < 2 {
-            return self.pieces.push(whole);
-        }
-        let mut open = vec![whole];
-        while let Some(piece) = open.pop() {
-            match self.farthest_off(piece) {
-                Some((cut, distance)) if distance > self.groups.tolerance => {
-                    open.push(Piece { start: cut, ..piece });
-                    open.push(Piece { end: cut, ..piece });
-                }
-                _ => self.pieces.push(piece),
-            }
-        }
-    }
-
-    fn vertex(&self, place: usize) -> DVec3 {
-        self.surface.vertices[self.chains[place] as usize]
-    }
-
-    /// The vertex inside the chain that is farthest from the line through its ends.
-    fn farthest_off(&self, piece: Piece) -> Option<(usize, f64)> {
-        if piece.end - piece.start < 2 {
-            return None;
-        }
-        let (from, to) = (self.vertex(piece.start), self.vertex(piece.end));
-        let along = (to - from).normalize_or_zero();
-        let off = |i: usize| (i, (self.vertex(i) - from).cross(along).length());
-        (piece.start + 1..piece.end).map(off).max_by(|(_, a), (_, b)| a.total_cmp(b))
-    }
-
-    /// Cuts piece `i` at its farthest vertex; false where it has none inside.
-    fn split(&mut self, i: usize) -> bool {
-        let piece = self.pieces[i];
-        let Some((cut, _)) = self.farthest_off(piece) else { return false };
-        self.pieces[i].end = cut;
-        self.pieces.push(Piece { start: cut, ..piece });
-        true
-    }
-
-    /// The piece's ends, lower vertex first.
-    fn ends(&self, piece: Piece) -> [u32; 2] {
-        let (from, to) = (self.chains[piece.start], self.chains[piece.end]);
-        [from.min(to), from.max(to)]
-    }
-
-    /// Per edge its ends, lower first, and the faces on its left and right; ascending.
-    fn edges(mut self) -> Vec<Edge> {
-        self.trace();
-        loop {
-            let mut edges: Vec<Edge> = self.pieces.iter().map(|&piece| self.edge(piece)).collect();
-            sort(&mut edges);
-            let double = |two: &[Edge]| two[0].0 == two[1].0;
-            if !edges.windows(2).any(double) || !self.split_doubles() {
-                return edges;
-            }
-        }
-    }
-
-    /// Two edges between the same corners bound a face that is a mere lens: all
-    /// but the direct one are cut, so that it is a polygon. False where none has
-    /// a vertex left inside to be cut at.
-    fn split_doubles(&mut self) -> bool {
-        let mut order: Vec<usize> = (0..self.pieces.len()).collect();
-        let length = |i: usize| self.pieces[i].end - self.pieces[i].start;
-        order.sort_unstable_by_key(|&i| (self.ends(self.pieces[i]), length(i), i));
-        let doubles: Vec<usize> = order
-            .windows(2)
-            .filter(|w| self.ends(self.pieces[w[0]]) == self.ends(self.pieces[w[1]]))
-            .map(|w| w[1])
-            .collect();
-        doubles.into_iter().filter(|&i| self.split(i)).count() > 0
-    }
-
-    fn edge(&self, piece: Piece) -> Edge {
-        let [left, right] = piece.faces;
-        let forward = self.chains[piece.start] < self.chains[piece.end];
-        (self.ends(piece), if forward { [left, right] } else { [right, left] })
-    }
 }

@@ -2,6 +2,7 @@
 //! [`scalar`](super::scalar) gives. Directions come as three numbers: a vector
 //! would go through memory.
 
+#[allow(clippy::wildcard_imports, reason = "some forty intrinsics, whose names say where they are from")]
 use std::arch::x86_64::*;
 
 use super::columns::{Columns, Group, LANES};
