@@ -1,38 +1,27 @@
 //! `hullcast load`: batches in a closed or an open loop, timed and checked.
 
+mod batches;
 mod levels;
+mod progress;
+mod runner;
 mod sheet;
+mod tally;
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::time::{Duration, Instant};
+use std::sync::atomic::{AtomicBool, Ordering};
 
-use indicatif::{ProgressBar, ProgressStyle};
-pub(crate) use levels::Level;
-use levels::{Plan, Range};
-use tokio::task::JoinSet;
+use batches::Batches;
+use levels::{Level, Plan, Range};
+use runner::Runner;
 
 use super::Error;
-use super::answer::{Answerer, Refusal, another_connection};
-use super::batches::{Batches, Sampled};
+use super::answer::{Answerer, another_connection};
 use super::options::{AccuracyArgs, OutputArg};
 use super::remote::RemoteArgs;
 use super::scene::HullPoints;
-use super::tally::Tally;
 use hullcast::store::HullId;
-use hullcast::workload::{Family, Random, Regime};
-pub(crate) use sheet::Row;
-
-/// How often the progress line is renewed.
-const REFRESH: Duration = Duration::from_millis(200);
-/// After a call that failed, so that a server that is gone is not called in a tight loop;
-/// twice as long each time, so that `--retries 10` last longer than a balancer needs to see it.
-const PAUSE_AFTER_ERROR: Duration = Duration::from_millis(20);
-/// The longest of those pauses.
-const LONGEST_PAUSE: Duration = Duration::from_secs(2);
-/// Batches of an open loop that may be under way: past them it waits, and what waits is late.
-const MOST_UNDER_WAY: usize = 16_384;
+use hullcast::workload::{Family, Regime};
 
 /// Sends batches and checks a sample of the answers.
 ///
@@ -257,149 +246,6 @@ impl Args {
     }
 }
 
-/// What the progress line shows.
-#[derive(Debug, Default)]
-struct Live {
-    /// Batches begun.
-    begun: AtomicU64,
-    pairs: AtomicU64,
-    errors: AtomicU64,
-    last_nanos: AtomicU64,
-}
-
-/// Measures levels.
-#[derive(Clone)]
-struct Runner {
-    answerers: Vec<Answerer>,
-    sampled: Arc<Sampled>,
-    interrupted: Arc<AtomicBool>,
-    args: Args,
-}
-
-impl Runner {
-    /// One level, and how long it took to be answered.
-    async fn measure(&self, level: Level) -> Result<(Tally, Duration), Error> {
-        let live = Arc::new(Live::default());
-        let started = Instant::now();
-        let limit = Duration::from_secs_f64(self.args.duration);
-        let progress = tokio::spawn(show_progress(live.clone(), started, limit));
-        let tally = match level {
-            Level::Concurrency(count) => self.closed(count, &live, started + limit).await,
-            Level::Rate(rate) => self.open(rate, &live, started).await,
-        };
-        let elapsed = started.elapsed();
-        progress.abort();
-        // Aborted or done: either way the line is gone before the summary comes.
-        let _ = progress.await;
-        Ok((tally?, elapsed))
-    }
-
-    async fn closed(&self, loops: u32, live: &Arc<Live>, end: Instant) -> Result<Tally, Error> {
-        let mut running = JoinSet::new();
-        for _ in 0..loops {
-            let (one, live) = (self.clone(), live.clone());
-            running.spawn(async move {
-                let mut tally = Tally::default();
-                while Instant::now() < end && !one.interrupted.load(Ordering::Relaxed) {
-                    let number = live.begun.fetch_add(1, Ordering::Relaxed);
-                    if one.args.count > 0 && number >= one.args.count {
-                        break;
-                    }
-                    one.batch(number, Instant::now(), &live, &mut tally).await?;
-                }
-                Ok(tally)
-            });
-        }
-        added(running).await
-    }
-
-    async fn open(&self, rate: f64, live: &Arc<Live>, started: Instant) -> Result<Tally, Error> {
-        let mut due = started;
-        let mut random = Random::new(self.args.seed);
-        let (mut tally, mut running) = (Tally::default(), JoinSet::new());
-        for number in 0.. {
-            let gap = match self.args.request_distribution {
-                Distribution::Constant => 1.0,
-                Distribution::Poisson => exponential(&mut random),
-            };
-            due += Duration::try_from_secs_f64(gap / rate)?;
-            let over = due.duration_since(started).as_secs_f64() > self.args.duration;
-            let enough = self.args.count > 0 && number >= self.args.count;
-            if over || enough || self.interrupted.load(Ordering::Relaxed) {
-                break;
-            }
-            tokio::time::sleep_until(due.into()).await;
-            while let Some(done) = running.try_join_next() {
-                tally.add(done??)?;
-            }
-            if running.len() >= MOST_UNDER_WAY
-                && let Some(done) = running.join_next().await
-            {
-                tally.add(done??)?;
-            }
-            let (one, live) = (self.clone(), live.clone());
-            live.begun.fetch_add(1, Ordering::Relaxed);
-            running.spawn(async move {
-                let mut tally = Tally::default();
-                one.batch(number, due, &live, &mut tally).await?;
-                Ok::<_, String>(tally)
-            });
-        }
-        tally.add(added(running).await?)?;
-        Ok(tally)
-    }
-
-    /// Sends batch `number`, due at `due`, and counts its answer.
-    async fn batch(&self, number: u64, due: Instant, live: &Live, tally: &mut Tally) -> Result<(), String> {
-        tally.sent();
-        for attempt in 0..=self.args.retries {
-            // The servers take turns. Again at the next one: the one that was lost may be for long.
-            let answerer = &self.answerers[(number as usize + attempt as usize) % self.answerers.len()];
-            match answerer.answer(self.sampled.request(number)).await {
-                Ok(response) => {
-                    let took = due.elapsed();
-                    let pairs = response.outcomes.len() as u64;
-                    tally.answered(pairs, took).map_err(|e| e.to_string())?;
-                    live.pairs.fetch_add(pairs, Ordering::Relaxed);
-                    live.last_nanos.store(took.as_nanos() as u64, Ordering::Relaxed);
-                    if let Some(right) = self.sampled.check(number, &response) {
-                        tally.checked(pairs, right);
-                    }
-                    return Ok(());
-                }
-                Err(Refusal { retry_after: Some(pause), .. }) => {
-                    tally.shed();
-                    // A closed loop waits before its next batch, too: it was asked to.
-                    let closed = self.args.request_rate_range.is_none();
-                    if closed || attempt < self.args.retries {
-                        tokio::time::sleep(pause).await;
-                    }
-                }
-                Err(Refusal { lost: true, .. }) if attempt < self.args.retries => {
-                    tally.lost();
-                    tokio::time::sleep((PAUSE_AFTER_ERROR * (1 << attempt.min(10))).min(LONGEST_PAUSE)).await;
-                }
-                Err(Refusal { text, .. }) => {
-                    live.errors.fetch_add(1, Ordering::Relaxed);
-                    tally.failed(text);
-                    tokio::time::sleep(PAUSE_AFTER_ERROR).await;
-                    return Ok(());
-                }
-            }
-        }
-        Ok(())
-    }
-}
-
-/// All counts together.
-async fn added(mut running: JoinSet<Result<Tally, String>>) -> Result<Tally, Error> {
-    let mut tally = Tally::default();
-    while let Some(done) = running.join_next().await {
-        tally.add(done??)?;
-    }
-    Ok(tally)
-}
-
 /// Sets it when the user has had enough; a second interrupt ends the process.
 async fn note_interrupt(interrupted: Arc<AtomicBool>) {
     // Where the system has no signals, time alone ends a run.
@@ -407,60 +253,5 @@ async fn note_interrupt(interrupted: Arc<AtomicBool>) {
         if interrupted.swap(true, Ordering::Relaxed) {
             std::process::exit(130);
         }
-    }
-}
-
-/// Exponentially distributed, of mean 1.
-fn exponential(random: &mut Random) -> f64 {
-    // Of (0, 1]: the logarithm is finite.
-    -(1.0 - random.unit()).ln()
-}
-
-/// A line on standard error, where that is a terminal.
-async fn show_progress(live: Arc<Live>, started: Instant, limit: Duration) {
-    let bar = ProgressBar::new(limit.as_millis().max(1) as u64);
-    if let Ok(style) = ProgressStyle::with_template("{wide_bar} {msg}") {
-        bar.set_style(style);
-    }
-    let _clear = ClearWhenDropped(bar.clone());
-    let (mut then, mut before) = (started, 0);
-    loop {
-        tokio::time::sleep(REFRESH).await;
-        let (now, pairs) = (Instant::now(), live.pairs.load(Ordering::Relaxed));
-        let rate = (pairs - before) as f64 / (now - then).as_secs_f64();
-        (then, before) = (now, pairs);
-        bar.set_position(started.elapsed().as_millis() as u64);
-        bar.set_message(format!(
-            "{:.3} M pairs/s, last batch {:.2} ms, {} errors",
-            rate / 1e6,
-            live.last_nanos.load(Ordering::Relaxed) as f64 / 1e6,
-            live.errors.load(Ordering::Relaxed)
-        ));
-    }
-}
-
-struct ClearWhenDropped(ProgressBar);
-
-impl Drop for ClearWhenDropped {
-    fn drop(&mut self) {
-        self.0.finish_and_clear();
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Catches intervals that are not those of independent clients: their mean is 1, their
-    /// variance too, and one in e is above the mean.
-    #[test]
-    fn poisson_intervals_are_exponential() {
-        let mut random = Random::new(1);
-        let gaps: Vec<f64> = (0..100_000).map(|_| exponential(&mut random)).collect();
-        let mean = gaps.iter().sum::<f64>() / 1e5;
-        let variance = gaps.iter().map(|gap| (gap - mean).powi(2)).sum::<f64>() / 1e5;
-        let above = gaps.iter().filter(|gap| **gap > 1.0).count() as f64 / 1e5;
-        assert!((mean - 1.0).abs() < 0.02 && (variance - 1.0).abs() < 0.05, "{mean} {variance}");
-        assert!((above - (-1.0_f64).exp()).abs() < 0.01, "{above}");
     }
 }

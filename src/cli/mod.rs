@@ -1,7 +1,6 @@
 //! The subcommands.
 
 mod answer;
-mod batches;
 pub(crate) mod load;
 mod memory;
 mod npz;
@@ -13,7 +12,6 @@ mod report;
 mod scene;
 pub(crate) mod serve;
 pub(crate) mod settings;
-mod tally;
 #[cfg_attr(not(feature = "otlp"), path = "no_traces.rs")]
 mod traces;
 pub(crate) mod tradeoff;

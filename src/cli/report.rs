@@ -260,26 +260,14 @@ fn json<T: Serialize + ?Sized>(value: &T) -> io::Result<String> {
     Ok(serde_json::to_string(value)?)
 }
 
+/// The contract's name; `UNKNOWN` for one of a newer server.
 fn outcome_name(outcome: u8) -> &'static str {
-    match Outcome::try_from(i32::from(outcome)) {
-        Ok(Outcome::Contact) => "CONTACT",
-        Ok(Outcome::Separated) => "SEPARATED",
-        Ok(Outcome::Undecided) => "UNDECIDED",
-        Ok(Outcome::Invalid) => "INVALID",
-        Ok(Outcome::Unspecified) | Err(_) => "UNKNOWN",
-    }
+    let known = Outcome::try_from(i32::from(outcome)).ok().filter(|known| *known != Outcome::Unspecified);
+    known.and_then(|known| known.as_str_name().strip_prefix("OUTCOME_")).unwrap_or("UNKNOWN")
 }
 
-/// The names of the flags that are set; flags of a newer server have none.
+/// The contract's names of the flags that are set; flags of a newer server have none.
 fn flag_names(flags: u8) -> Vec<&'static str> {
-    let named = [
-        (Flag::Estimated, "ESTIMATED"),
-        (Flag::Coincident, "COINCIDENT"),
-        (Flag::GapOpen, "GAP_OPEN"),
-        (Flag::Reduced, "REDUCED"),
-        (Flag::UnknownHull, "UNKNOWN_HULL"),
-        (Flag::HullUnavailable, "HULL_UNAVAILABLE"),
-        (Flag::InvalidBody, "INVALID_BODY"),
-    ];
-    named.into_iter().filter(|&(flag, _)| flags & flag as u8 != 0).map(|(_, name)| name).collect()
+    let set = (0..u8::BITS).map(|bit| i32::from(flags) & 1 << bit).filter(|&flag| flag != 0);
+    set.filter_map(|flag| Flag::try_from(flag).ok()?.as_str_name().strip_prefix("FLAG_")).collect()
 }

@@ -86,19 +86,8 @@ async fn until_stopped(settings: &Settings, args: &Args) -> Result<(), Error> {
     app.engine().injected().delay(Duration::from_micros(args.inject_pair_delay_us));
     let grace = seconds("grace_seconds", settings.grace_seconds)?;
     // Before the address is printed: who reads it may stop the server at once.
-    let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
-    let mut listeners = Vec::with_capacity(settings.listen.len());
-    for address in &settings.listen {
-        let listener = Listener::bind(address).await?;
-        if listener.is_exposed()? && !serving.security.encrypts() && !settings.allow_plaintext {
-            return Err(format!(
-                "{address}: other machines can reach it and nothing is encrypted: \
-                 give --tls-certificate and --tls-key, or --allow-plaintext"
-            )
-            .into());
-        }
-        listeners.push(listener);
-    }
+    let shutdown = shutdown(grace, args.until_stdin_closes)?;
+    let listeners = listeners(settings, &serving.security).await?;
     let admin = match settings.admin_listen.as_str() {
         "" => None,
         address => {
@@ -117,10 +106,32 @@ async fn until_stopped(settings: &Settings, args: &Args) -> Result<(), Error> {
         "serving"
     );
     spawn_reload_on_hangup(serving.security.clone())?;
-    let until_stdin_closes = args.until_stdin_closes;
-    // A supervisor's signal is meant for balancers to hear of first; whoever interrupts or
-    // leaves does not wait for them.
-    let shutdown = async move {
+    Ok(serve(listeners, app, serving, shutdown).await?)
+}
+
+/// The addresses, bound; none that other machines can reach in plain text unless that is meant.
+async fn listeners(settings: &Settings, security: &Security) -> Result<Vec<Listener>, Error> {
+    let mut listeners = Vec::with_capacity(settings.listen.len());
+    for address in &settings.listen {
+        let listener = Listener::bind(address).await?;
+        if listener.is_exposed()? && !security.encrypts() && !settings.allow_plaintext {
+            return Err(format!(
+                "{address}: other machines can reach it and nothing is encrypted: \
+                 give --tls-certificate and --tls-key, or --allow-plaintext"
+            )
+            .into());
+        }
+        listeners.push(listener);
+    }
+    Ok(listeners)
+}
+
+/// Completes when the server is told to stop, with the grace that balancers have: a
+/// supervisor's signal is meant for them to hear of first, whoever interrupts or leaves
+/// does not wait for them. Told again, the process ends at once.
+fn shutdown(grace: Duration, until_stdin_closes: bool) -> io::Result<impl Future<Output = Duration>> {
+    let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
+    Ok(async move {
         let grace = tokio::select! {
             _ = terminate.recv() => grace,
             _ = interrupt.recv() => Duration::ZERO,
@@ -135,8 +146,7 @@ async fn until_stopped(settings: &Settings, args: &Args) -> Result<(), Error> {
             std::process::exit(1);
         });
         grace
-    };
-    Ok(serve(listeners, app, serving, shutdown).await?)
+    })
 }
 
 /// As daemons do; the files are read from time to time anyway.

@@ -164,6 +164,7 @@ impl Bytes<'_> {
     }
 
     /// Outside, whether it could be read; inside, whether it is there.
+    #[allow(clippy::option_option, reason = "two questions")]
     fn optional<const N: usize>(&mut self) -> Option<Option<[u8; N]>> {
         match self.take()? {
             [ABSENT] => Some(None),

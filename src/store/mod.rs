@@ -6,6 +6,7 @@
 pub mod blobs;
 mod cache;
 pub mod identity;
+mod quota;
 pub mod registry;
 #[cfg(feature = "remote")]
 mod remote;

@@ -8,13 +8,13 @@ use std::{
 
 use bytes::Bytes;
 use futures_util::{StreamExt, stream};
-use tokio::sync::Mutex;
 use tracing::Instrument;
 
 use super::{
     HullDefinition, HullId, Opened, StoreError, StoredBlob,
     cache::{Budget, Entry, Hold, HullCache, Hulls, NoRoom, Taking, cache},
     identity::id_of,
+    quota::Quota,
 };
 use crate::{
     compute::{Compute, Panicked, Parts},
@@ -113,8 +113,7 @@ pub struct Registry {
     compute: Compute,
     bounds: Bounds,
     started: Instant,
-    /// Bytes in the store, where they are bounded: counted when first needed, never at start.
-    used: Mutex<Option<u64>>,
+    quota: Quota,
     metrics: Arc<Metrics>,
 }
 
@@ -123,16 +122,8 @@ impl Registry {
     pub fn new(blobs: Opened, compute: Compute, bounds: Bounds, metrics: Arc<Metrics>) -> Self {
         let cache = cache(bounds.cache_bytes, &metrics);
         let budget = Budget::new(bounds.cache_bytes, &metrics);
-        Self {
-            blobs,
-            cache,
-            budget,
-            compute,
-            bounds,
-            started: Instant::now(),
-            used: Mutex::new(None),
-            metrics,
-        }
+        let quota = Quota::new(bounds.store_bytes);
+        Self { blobs, cache, budget, compute, bounds, started: Instant::now(), quota, metrics }
     }
 
     /// Whether the hull is at hand: no waiting, no store.
@@ -260,17 +251,23 @@ impl Registry {
             async move {
                 let (hull, is_new) = hull?;
                 if is_new {
-                    self.store(id, blob).await.map_err(|error| {
-                        self.metrics.store_errors.inc();
-                        RegisterError::Store(error)
-                    })?;
-                    self.metrics.registered.inc();
-                    self.cache.insert(id, self.entry(hull.clone(), true));
+                    self.store(id, blob, &hull).await?;
                 }
                 Ok((id, hull))
             }
         });
         stream::iter(results).buffered(AT_A_TIME).collect().await
+    }
+
+    /// Writes a new hull's blob; then it is at hand.
+    async fn store(&self, id: HullId, blob: Vec<u8>, hull: &Arc<ConvexHull>) -> Result<(), RegisterError> {
+        self.quota.put(&*self.blobs, id, blob.into()).await.map_err(|error| {
+            self.metrics.store_errors.inc();
+            RegisterError::Store(error)
+        })?;
+        self.metrics.registered.inc();
+        self.cache.insert(id, self.entry(hull.clone(), true));
+        Ok(())
     }
 
     /// A hull that this process wrote and that is still in the store.
@@ -295,9 +292,7 @@ impl Registry {
         }
         // After the blob: a load under way meanwhile loses its place in the cache too.
         self.cache.remove(&id);
-        if let (Some(size), Some(used)) = (size, self.used.lock().await.as_mut()) {
-            *used = used.saturating_sub(size);
-        }
+        self.quota.freed(size.unwrap_or(0)).await;
         Ok(size.is_some())
     }
 
@@ -385,41 +380,6 @@ impl Registry {
                 tracing::warn!(hull = %id, %error, "cannot check a cached hull");
                 Err(Missing::Unavailable)
             }
-        }
-    }
-
-    /// Writes a blob, if there is room.
-    async fn store(&self, id: HullId, blob: Vec<u8>) -> Result<(), StoreError> {
-        let bound = self.bounds.store_bytes;
-        if bound == 0 {
-            return self.blobs.put(id, blob.into()).await;
-        }
-        let mut used = self.used.lock().await;
-        let before = match *used {
-            Some(bytes) => bytes,
-            None => self.count().await?,
-        };
-        let replaced = self.blobs.size(id).await?.unwrap_or(0);
-        let after = before.saturating_sub(replaced) + blob.len() as u64;
-        if after > bound {
-            *used = Some(before);
-            return Err(StoreError::Full(format!("{after} bytes would pass the limit of {bound}")));
-        }
-        // Under the lock: two writers of the last room do not both find it. A write that
-        // fails or is abandoned leaves the count unknown.
-        *used = None;
-        self.blobs.put(id, blob.into()).await?;
-        *used = Some(after);
-        Ok(())
-    }
-
-    async fn count(&self) -> Result<u64, StoreError> {
-        let (mut bytes, mut after) = (0, None);
-        loop {
-            let blobs = self.blobs.list(after, 1).await?;
-            let Some(last) = blobs.last() else { return Ok(bytes) };
-            after = Some(last.id);
-            bytes += blobs.iter().map(|blob| blob.bytes).sum::<u64>();
         }
     }
 

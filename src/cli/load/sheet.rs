@@ -62,61 +62,25 @@ pub(crate) fn table(rows: &[Row]) -> String {
 const WIDTH: f64 = 720.0;
 const HEIGHT: f64 = 420.0;
 const BORDER: f64 = 60.0;
+/// Shorter latencies are drawn here: a logarithm needs an end.
+const LEAST_MS: f64 = 1e-4;
 const CURVES: [(&str, &str); 3] = [("p50", "#3b7dd8"), ("p95", "#d8893b"), ("p99", "#c23b3b")];
 
-/// Latency against offered load, both from 0 but for the latency's logarithm.
-pub(crate) fn svg(title: &str, rows: &[Row]) -> String {
-    let most_load = rows.iter().map(|row| row.offered).fold(1e-9, f64::max);
-    let latencies = || rows.iter().flat_map(|row| [row.latency[0], row.latency[2], row.latency[3]]);
-    let low = latencies().fold(f64::INFINITY, f64::min).max(1e-4).log10().floor();
-    let high = latencies().fold(1e-3, f64::max).log10().ceil().max(low + 1.0);
-    let x = |load: f64| BORDER + load / most_load * (WIDTH - 2.0 * BORDER);
-    let y = |ms: f64| HEIGHT - BORDER - (ms.max(1e-4).log10() - low) / (high - low) * (HEIGHT - 2.0 * BORDER);
+/// Latency against offered load: the load from 0, the latency by its logarithm.
+pub(super) fn svg(title: &str, rows: &[Row]) -> String {
+    let scale = Scale::of(rows);
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" font-family=\"sans-serif\" \
          font-size=\"12\">\n<rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>\n\
          <text x=\"{BORDER}\" y=\"24\" font-size=\"14\">{}</text>\n",
         title.replace('&', "&amp;").replace('<', "&lt;")
     );
-    for decade in low as i32..=high as i32 {
-        let ms = 10_f64.powi(decade);
-        let at = y(ms);
-        let _ = writeln!(
-            svg,
-            "<path d=\"M{BORDER} {at:.1}H{:.1}\" stroke=\"#ddd\"/><text x=\"{:.1}\" y=\"{:.1}\" \
-             text-anchor=\"end\">{ms}</text>",
-            WIDTH - BORDER,
-            BORDER - 6.0,
-            at + 4.0
-        );
-    }
-    for part in 0..=5 {
-        let load = most_load * f64::from(part) / 5.0;
-        let at = x(load);
-        let _ = writeln!(
-            svg,
-            "<text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{load:.0}</text>",
-            HEIGHT - BORDER + 18.0
-        );
-    }
-    let _ = writeln!(
-        svg,
-        "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">offered batches/s</text>\
-         <text x=\"14\" y=\"{:.1}\">ms</text>",
-        WIDTH / 2.0,
-        HEIGHT - 16.0,
-        BORDER - 12.0
-    );
+    scale.draw(&mut svg);
     let mut ordered: Vec<&Row> = rows.iter().collect();
     ordered.sort_by(|a, b| a.offered.total_cmp(&b.offered));
     for (curve, (name, colour)) in CURVES.into_iter().enumerate() {
-        let points: Vec<String> = ordered
-            .iter()
-            .map(|row| {
-                let ms = [row.latency[0], row.latency[2], row.latency[3]][curve];
-                format!("{:.1},{:.1}", x(row.offered), y(ms))
-            })
-            .collect();
+        let point = |row: &&Row| format!("{:.1},{:.1}", scale.x(row.offered), scale.y(drawn(row)[curve]));
+        let points: Vec<String> = ordered.iter().map(point).collect();
         let _ = writeln!(
             svg,
             "<polyline fill=\"none\" stroke=\"{colour}\" stroke-width=\"2\" points=\"{}\"/>\
@@ -128,6 +92,71 @@ pub(crate) fn svg(title: &str, rows: &[Row]) -> String {
     }
     svg.push_str("</svg>\n");
     svg
+}
+
+/// The latencies that have curves.
+fn drawn(row: &Row) -> [f64; CURVES.len()] {
+    [row.latency[0], row.latency[2], row.latency[3]]
+}
+
+/// Where a load and a latency are on the paper.
+struct Scale {
+    most_load: f64,
+    /// Decades of milliseconds, lowest and highest.
+    decades: [f64; 2],
+}
+
+impl Scale {
+    fn of(rows: &[Row]) -> Self {
+        let latencies = || rows.iter().flat_map(drawn);
+        let low = latencies().fold(f64::INFINITY, f64::min).max(LEAST_MS).log10().floor();
+        let high = latencies().fold(1e-3, f64::max).log10().ceil().max(low + 1.0);
+        let most_load = rows.iter().map(|row| row.offered).fold(1e-9, f64::max);
+        Self { most_load, decades: [low, high] }
+    }
+
+    fn x(&self, load: f64) -> f64 {
+        BORDER + load / self.most_load * (WIDTH - 2.0 * BORDER)
+    }
+
+    fn y(&self, ms: f64) -> f64 {
+        let [low, high] = self.decades;
+        HEIGHT - BORDER - (ms.max(LEAST_MS).log10() - low) / (high - low) * (HEIGHT - 2.0 * BORDER)
+    }
+
+    /// The lines and labels of both axes.
+    fn draw(&self, svg: &mut String) {
+        let [low, high] = self.decades.map(|decade| decade as i32);
+        for decade in low..=high {
+            let ms = 10_f64.powi(decade);
+            let at = self.y(ms);
+            let _ = writeln!(
+                svg,
+                "<path d=\"M{BORDER} {at:.1}H{:.1}\" stroke=\"#ddd\"/><text x=\"{:.1}\" y=\"{:.1}\" \
+                 text-anchor=\"end\">{ms}</text>",
+                WIDTH - BORDER,
+                BORDER - 6.0,
+                at + 4.0
+            );
+        }
+        for part in 0..=5 {
+            let load = self.most_load * f64::from(part) / 5.0;
+            let _ = writeln!(
+                svg,
+                "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{load:.0}</text>",
+                self.x(load),
+                HEIGHT - BORDER + 18.0
+            );
+        }
+        let _ = writeln!(
+            svg,
+            "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">offered batches/s</text>\
+             <text x=\"14\" y=\"{:.1}\">ms</text>",
+            WIDTH / 2.0,
+            HEIGHT - 16.0,
+            BORDER - 12.0
+        );
+    }
 }
 
 #[cfg(test)]

@@ -5,10 +5,10 @@ use std::path::Path;
 
 use prost::Message;
 
-use super::Error;
-use super::answer::{definition, request};
-use super::options::Asked;
-use super::scene::{Frame, HullPoints, Scene};
+use crate::cli::Error;
+use crate::cli::answer::{definition, request};
+use crate::cli::options::Asked;
+use crate::cli::scene::{Frame, HullPoints, Scene};
 use hullcast::contact::{Body, ConvexHull, Workspace, contact_manifold};
 use hullcast::proto;
 use hullcast::service::Limits;
@@ -186,9 +186,9 @@ impl Oracle {
 
 #[cfg(test)]
 mod tests {
-    use super::super::answer::Answerer;
-    use super::super::options::{AccuracyArgs, OutputArg};
     use super::*;
+    use crate::cli::answer::Answerer;
+    use crate::cli::options::{AccuracyArgs, OutputArg};
 
     /// Catches a check that would pass an answer with one wrong bit, or checks nothing.
     #[tokio::test]

@@ -6,7 +6,8 @@ use std::time::Duration;
 
 use hdrhistogram::Histogram;
 
-use super::load::{Level, Row};
+use super::levels::Level;
+use super::sheet::Row;
 
 /// Counts of one loop, or of all.
 #[derive(Debug)]
