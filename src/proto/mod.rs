@@ -1,6 +1,6 @@
 //! The wire contract, generated from `proto/hullcast/v1`.
 
-#![allow(missing_docs, unreachable_pub, clippy::all)]
+#![allow(missing_docs, unreachable_pub, clippy::all, clippy::pedantic)]
 
 #[doc(hidden)]
 pub mod bulk;

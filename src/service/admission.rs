@@ -76,14 +76,12 @@ impl Room {
     /// TOO_BUSY.
     pub(super) fn admit(&self, pairs: usize, computed: u64) -> Result<Admission, ServiceError> {
         let pairs = weight(pairs);
-        match self.places.clone().try_acquire_many_owned(pairs) {
-            Ok(places) => Ok(self.admitted(pairs, places)),
-            Err(_) => {
-                self.metrics.shed(Shed::Pairs);
-                let message = "too many pairs are being computed; ask again";
-                Err(ServiceError::unavailable("TOO_BUSY", self.retry_after(computed), message))
-            }
-        }
+        let Ok(places) = self.places.clone().try_acquire_many_owned(pairs) else {
+            self.metrics.shed(Shed::Pairs);
+            let message = "too many pairs are being computed; ask again";
+            return Err(ServiceError::unavailable("TOO_BUSY", self.retry_after(computed), message));
+        };
+        Ok(self.admitted(pairs, places))
     }
 
     /// The same for the later parts of a call: waits until there are some.

@@ -170,10 +170,10 @@ impl Connections {
         }
         close.send_replace(true);
         connection.as_mut().graceful_shutdown();
-        match timeout(self.serving.drain, connection).await {
-            Ok(ended) => report(ended),
-            Err(_) => tracing::warn!("closing a connection that did not drain"),
-        }
+        let Ok(ended) = timeout(self.serving.drain, connection).await else {
+            return tracing::warn!("closing a connection that did not drain");
+        };
+        report(ended);
     }
 
     async fn encrypted(&self, io: Connection) -> io::Result<Connection> {

@@ -1,6 +1,10 @@
 //! TLS and tokens, on the wire.
 
-use std::{path::Path, sync::Arc, time::Duration};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::Duration,
+};
 
 use hullcast::{
     proto::{
@@ -143,8 +147,8 @@ fn half_a_configuration_does_not_open() {
     let none = SecurityFiles::default();
     assert!(!Security::open(&none).unwrap().encrypts());
     let spoilt = [
-        SecurityFiles { tls_key: Default::default(), ..whole.clone() },
-        SecurityFiles { tls_certificate: Default::default(), ..whole.clone() },
+        SecurityFiles { tls_key: PathBuf::new(), ..whole.clone() },
+        SecurityFiles { tls_certificate: PathBuf::new(), ..whole.clone() },
         SecurityFiles { tls_client_ca: whole.tls_key.clone(), ..whole.clone() },
         SecurityFiles { tls_client_ca: whole.tls_certificate.clone(), ..none.clone() },
         SecurityFiles { tls_certificate: whole.tls_key.clone(), ..whole.clone() },

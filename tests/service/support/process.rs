@@ -105,7 +105,7 @@ pub(crate) fn tracer(directory: &Path) -> PathBuf {
     let compiler = std::env::var_os("CC").unwrap_or("cc".into());
     let mut command = Command::new(&compiler);
     command.args(["-O1", "-shared", "-fPIC", source, "-ldl", "-o"]).arg(&library);
-    let status = command.status().unwrap_or_else(|error| panic!("{compiler:?}: {error}"));
+    let status = command.status().unwrap_or_else(|error| panic!("{}: {error}", compiler.display()));
     assert!(status.success(), "{command:?}");
     library
 }

@@ -2,8 +2,8 @@
 
 use hullcast::{
     contact::{
-        Accuracy, Basis, Body, ConvexHull, Element, Feature, Outcome, Pose, Query, Solver, Wanted, Workspace,
-        contact_manifold,
+        Accuracy, Basis, Body, ConvexHull, Element, Feature, Manifold, Outcome, Pose, Query, Solver, Wanted,
+        Workspace, contact_manifold,
     },
     proto::{self, Output, QueryContactsRequest, QueryContactsResponse},
     store::{HullDefinition, identity::id_of},
@@ -160,7 +160,6 @@ pub(crate) fn expected(request: &QueryContactsRequest, shapes: &[HullDefinition]
         true => vec![Output::Alpha, Output::Normal, Output::Points],
         false => request.outputs.iter().filter_map(|&output| Output::try_from(output).ok()).collect(),
     };
-    let has = |output| asked.contains(&output);
     let query = query(request, &asked);
     let mut answer = QueryContactsResponse { request_id: request.request_id, ..Default::default() };
     for body in 0..request.body_hulls.len() {
@@ -185,72 +184,83 @@ pub(crate) fn expected(request: &QueryContactsRequest, shapes: &[HullDefinition]
         // A new one for every pair: an answer depends on nothing that came before.
         let mut workspace = Workspace::default();
         let manifold = contact_manifold(&a, &b, &query, warm.as_ref(), &mut workspace);
-        let flags = &manifold.flags;
-        answer.outcomes.push(match manifold.outcome {
-            Outcome::Contact => 1,
-            Outcome::Separated => 2,
-            Outcome::Undecided => 3,
-        });
-        let bits = [flags.estimated, flags.coincident, flags.gap_open, flags.reduced];
-        answer.flags.push(bits.iter().enumerate().map(|(i, &set)| u8::from(set) << i).sum());
-        if has(Output::Alpha) {
-            answer.alphas.push(manifold.alpha);
-            answer.alpha_lowers.push(manifold.alpha_lower);
-            answer.alpha_uppers.push(manifold.alpha_upper);
-        }
-        if has(Output::Normal) {
-            answer.separations.push(manifold.separation);
-            answer.normals.extend(manifold.normal.to_array());
-        }
-        if has(Output::Points) || has(Output::WitnessB) || has(Output::Features) {
-            answer.point_counts.push(manifold.points.len() as u32);
-        }
-        for point in &manifold.points {
-            if has(Output::Points) {
-                answer.witness_as.extend(point.witness_a.to_array());
-                answer.distances.push(point.distance);
-            }
-            if has(Output::WitnessB) {
-                answer.witness_bs.extend((point.witness_a + point.distance * manifold.normal).to_array());
-            }
-            if has(Output::Features) {
-                for element in point.id {
-                    answer.point_ids.extend(match element {
-                        Element::Vertex(vertex) => [vertex, vertex],
-                        Element::Edge(ends) => ends,
-                        Element::Inside => [NONE, NONE],
-                    });
-                }
-            }
-        }
-        if has(Output::Features) {
-            for side in 0..2 {
-                let (kind, indices) = match manifold.features.map(|features| features[side]) {
-                    None => (0, [NONE, NONE]),
-                    Some(Feature::Vertex(vertex)) => (1, [vertex, NONE]),
-                    Some(Feature::Edge(ends)) => (2, ends),
-                    Some(Feature::Face(face)) => (3, [face, NONE]),
-                };
-                answer.feature_kinds.push(kind);
-                answer.feature_indices.extend(indices);
-            }
-        }
-        if has(Output::Bases) {
-            let none = Basis { a: [NONE; 3], b: [NONE; 3] };
-            let basis = manifold.basis.unwrap_or(none);
-            answer.bases.extend(basis.a.into_iter().chain(basis.b));
-        }
-        if has(Output::Diagnostics) {
-            answer.iterations.push(manifold.iterations);
-            answer.support_calls.push(manifold.support_calls);
-            answer.kept_areas.push(manifold.kept_area);
+        push_pair(&mut answer, manifold, &asked);
+        if any_points(&asked) {
+            push_points(&mut answer, manifold, &asked);
         }
     }
     answer
 }
 
+fn any_points(asked: &[Output]) -> bool {
+    asked.iter().any(|output| matches!(output, Output::Points | Output::WitnessB | Output::Features))
+}
+
+fn push_pair(answer: &mut QueryContactsResponse, manifold: &Manifold, asked: &[Output]) {
+    let has = |output| asked.contains(&output);
+    answer.outcomes.push(match manifold.outcome {
+        Outcome::Contact => 1,
+        Outcome::Separated => 2,
+        Outcome::Undecided => 3,
+    });
+    let flags = &manifold.flags;
+    let bits = [flags.estimated, flags.coincident, flags.gap_open, flags.reduced];
+    answer.flags.push(bits.iter().enumerate().map(|(i, &set)| u8::from(set) << i).sum());
+    if has(Output::Alpha) {
+        answer.alphas.push(manifold.alpha);
+        answer.alpha_lowers.push(manifold.alpha_lower);
+        answer.alpha_uppers.push(manifold.alpha_upper);
+    }
+    if has(Output::Normal) {
+        answer.separations.push(manifold.separation);
+        answer.normals.extend(manifold.normal.to_array());
+    }
+    if has(Output::Bases) {
+        let none = Basis { a: [NONE; 3], b: [NONE; 3] };
+        let basis = manifold.basis.unwrap_or(none);
+        answer.bases.extend(basis.a.into_iter().chain(basis.b));
+    }
+    if has(Output::Diagnostics) {
+        answer.iterations.push(manifold.iterations);
+        answer.support_calls.push(manifold.support_calls);
+        answer.kept_areas.push(manifold.kept_area);
+    }
+}
+
+fn push_points(answer: &mut QueryContactsResponse, manifold: &Manifold, asked: &[Output]) {
+    let has = |output| asked.contains(&output);
+    answer.point_counts.push(manifold.points.len() as u32);
+    for point in &manifold.points {
+        if has(Output::Points) {
+            answer.witness_as.extend(point.witness_a.to_array());
+            answer.distances.push(point.distance);
+        }
+        if has(Output::WitnessB) {
+            answer.witness_bs.extend((point.witness_a + point.distance * manifold.normal).to_array());
+        }
+        if has(Output::Features) {
+            for element in point.id {
+                answer.point_ids.extend(match element {
+                    Element::Vertex(vertex) => [vertex, vertex],
+                    Element::Edge(ends) => ends,
+                    Element::Inside => [NONE, NONE],
+                });
+            }
+        }
+    }
+    for side in (0..2).filter(|_| has(Output::Features)) {
+        let (kind, indices) = match manifold.features.map(|features| features[side]) {
+            None => (0, [NONE, NONE]),
+            Some(Feature::Vertex(vertex)) => (1, [vertex, NONE]),
+            Some(Feature::Edge(ends)) => (2, ends),
+            Some(Feature::Face(face)) => (3, [face, NONE]),
+        };
+        answer.feature_kinds.push(kind);
+        answer.feature_indices.extend(indices);
+    }
+}
+
 fn query(request: &QueryContactsRequest, asked: &[Output]) -> Query {
-    let any = |outputs: &[Output]| outputs.iter().any(|output| asked.contains(output));
     let accuracy = request.accuracy.unwrap_or_default();
     Query {
         margin: request.margin,
@@ -264,9 +274,9 @@ fn query(request: &QueryContactsRequest, asked: &[Output]) -> Query {
             max_points: accuracy.max_points,
             ..Accuracy::default()
         },
-        wanted: if any(&[Output::Points, Output::WitnessB, Output::Features]) {
+        wanted: if any_points(asked) {
             Wanted::Points
-        } else if any(&[Output::Alpha, Output::Normal, Output::Bases]) {
+        } else if [Output::Alpha, Output::Normal, Output::Bases].iter().any(|output| asked.contains(output)) {
             Wanted::Growth
         } else {
             Wanted::Outcome
@@ -294,7 +304,7 @@ fn push_invalid(answer: &mut QueryContactsResponse, asked: &[Output]) {
         answer.separations.push(f64::NAN);
         answer.normals.extend([f64::NAN; 3]);
     }
-    if has(Output::Points) || has(Output::WitnessB) || has(Output::Features) {
+    if any_points(asked) {
         answer.point_counts.push(0);
     }
     if has(Output::Features) {

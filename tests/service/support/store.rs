@@ -62,13 +62,13 @@ impl BlobStore for Faulty {
             self.reads.fetch_add(1, Ordering::SeqCst);
             self.readable()?;
             let blob = self.inner.get(id).await?;
-            Ok(blob.map(|blob| match self.corrupt.load(Ordering::SeqCst) {
-                false => blob,
-                true => {
-                    let mut bytes = blob.to_vec();
-                    bytes[40] ^= 1;
-                    bytes.into()
-                }
+            if !self.corrupt.load(Ordering::SeqCst) {
+                return Ok(blob);
+            }
+            Ok(blob.map(|blob| {
+                let mut bytes = blob.to_vec();
+                bytes[40] ^= 1;
+                bytes.into()
             }))
         })
     }
