@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import hullcast
+from hullcast._serve import find_binary
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -40,7 +41,7 @@ def test_examples_run(script, expected):
 def test_others_answer_the_pairs_of_a_tradeoff(tmp_path):
     """Catches files that the two programs read differently: what is asked is answered by those
     that are installed, and judged beside ours."""
-    binary = os.environ["HULLCAST_BIN"]
+    binary = find_binary()
     script = ROOT / "client/examples/tradeoff_peers.py"
     asked, pairs = tmp_path / "pairs.json", ["--pairs", "1"]
 
