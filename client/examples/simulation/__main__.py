@@ -9,12 +9,13 @@ Printed for each run: drift (the largest way a body went that should have stayed
 the box that rocks, over the last second; of the pile, the mean way of a body over
 it), jitter (mean kinetic energy over the last second, a kilogram), depth (the deepest
 contact in the last second), contacts, and time a step. --docs writes the table, plots
-and animations of docs/simulation.md.
+and animations of docs/simulation.md; what is not run again stays as it is there.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
@@ -111,10 +112,19 @@ def line(row: draw.Row) -> str:
     )
 
 
+def read(text: str) -> draw.Row | None:
+    """A line of the table, if it is one with figures."""
+    cells = [cell.strip() for cell in text.strip("|").split("|")]
+    if len(cells) != 9 or cells[0] not in scenes.SCENES:
+        return None
+    return draw.Row(cells[0], cells[1], int(cells[2]), *map(float, cells[3:]))
+
+
 def main() -> None:
     """Simulates and prints."""
     parser = argparse.ArgumentParser(description="Contacts in a rigid body simulation")
     parser.add_argument("--scenes", default=",".join(scenes.SCENES), help="some of them")
+    parser.add_argument("--variants", default=",".join(VARIANTS), help="some of them")
     parser.add_argument("--docs", type=Path, help="writes simulation.md's table and pictures there")
     parser.add_argument("--quick", action="store_true", help="one number of sweeps")
     arguments = parser.parse_args()
@@ -125,7 +135,7 @@ def main() -> None:
     with hullcast.serve() as client:
         for name in arguments.scenes.split(","):
             setup = scenes.SCENES[name]()
-            for variant in VARIANTS:
+            for variant in arguments.variants.split(","):
                 for sweeps in SWEEPS[1:2] if arguments.quick else SWEEPS:
                     shown = name in SHOWN and sweeps == SHOWN_SWEEPS
                     done = run(client, setup, variant, sweeps, bool(arguments.docs) and shown)
@@ -154,8 +164,21 @@ def write(
     """The page's table, its plot and animations."""
     page = docs / "simulation.md"
     head, rest = page.read_text().split(OPEN)
-    table = "\n".join([where, "", *HEAD, *map(line, rows)])
-    page.write_text(f"{head}{OPEN}\n{table}\n{CLOSE}{rest.split(CLOSE)[1]}")
+    old, tail = rest.split(CLOSE)
+    places = dict(re.findall(r"^- (\w+): (.*)$", old, re.MULTILINE))
+    places |= {row.scene: where for row in rows}
+    runs = {(row.scene, row.variant) for row in rows}
+    kept = [
+        row for row in map(read, old.splitlines()) if row and (row.scene, row.variant) not in runs
+    ]
+    order = [list(scenes.SCENES), list(VARIANTS)]
+    rows = sorted(
+        [*kept, *rows],
+        key=lambda row: (order[0].index(row.scene), order[1].index(row.variant), row.sweeps),
+    )
+    measured = [f"- {name}: {places[name]}" for name in order[0] if name in places]
+    table = "\n".join([*measured, "", *HEAD, *map(line, rows)])
+    page.write_text(f"{head}{OPEN}\n{table}\n{CLOSE}{tail}")
     draw.plot(rows, docs / "simulation.svg")
     for name in SHOWN:
         two = [recorded.get((name, variant), []) for variant in ("manifold", "one point")]
