@@ -1,13 +1,15 @@
-"""One scene through hullcast's server, and in process through coal and python-fcl.
+"""Scenes through hullcast's server, and in process through coal and python-fcl.
 
     python client/examples/peers.py [--seconds 3] [--scene examples/scenes/pile.json]
 
-The scene is a settled pile of 1,000 hulls and the pairs near each other. Each
-contender answers for every pair whether it touches within the margin, with
-normal and points where it does, from numpy arrays of poses to Python: coal by
-`collide` and `computeContactPatch` (the whole patch, one depth), python-fcl by
-`collide` (one point), hullcast by `query` (the whole patch, each point's depth,
-certified) and by a session's steps. Geometry and registration are not timed.
+The scenes are a settled pile of 1,000 hulls with the pairs near each other, and
+pairs of boxes and of polytopes of 16 vertices in shallow overlap. Each contender
+answers for every pair whether it touches within the margin, with normal and
+points where it does, from numpy arrays of poses to Python: coal by `collide` and
+`computeContactPatch` (the whole patch, one depth), python-fcl by `collide` (one
+point), hullcast by `query` (the whole patch, each point's depth, certified) and
+by a session's steps. Geometry and registration are not timed. hullcast's server
+is another process on the same cores; "CPU" is what both use of them together.
 A contender that is not installed is left out.
 """
 
@@ -24,12 +26,17 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import psutil
+import throughput
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 import hullcast
 
 PILE = Path(__file__).resolve().parents[2] / "examples/scenes/pile.json"
+
+#: Generated pairs, some messages of them.
+FAMILY_PAIRS = 16 * throughput.PAIRS_PER_MESSAGE
 
 
 @dataclass
@@ -75,6 +82,26 @@ def load(path: Path) -> Scene:
         pairs=np.array(file["pairs"]),
         margin=file["margin"],
     )
+
+
+def family(client: hullcast.Client, hulls: list[npt.NDArray[np.float64]]) -> Scene:
+    """Pairs of these hulls, turned at random, in shallow overlap."""
+    pairs = np.arange(2 * FAMILY_PAIRS).reshape(-1, 2)
+    made = throughput.shallow(client, client.register(hulls), pairs)
+    kinds = made.body_hulls.astype(np.int64)
+    return Scene(hulls, kinds, made.positions, made.rotations, pairs, 0.0)
+
+
+def boxes() -> list[npt.NDArray[np.float64]]:
+    """Of half sizes from 0.3 to 1."""
+    return list(throughput.SIGNS * throughput.half_extents()[:, None, :])
+
+
+def polytopes() -> list[npt.NDArray[np.float64]]:
+    """8 points on a sphere and those opposite, scaled along its axes: centred as boxes are."""
+    points = np.random.default_rng(3).normal(size=(throughput.SHAPES, 8, 3))
+    points /= np.linalg.norm(points, axis=2, keepdims=True)
+    return list(np.hstack([points, -points]) * throughput.half_extents()[:, None, :])
 
 
 def bodies_of(client: hullcast.Client, scene: Scene) -> hullcast.Scene:
@@ -175,55 +202,82 @@ def by_fcl(scene: Scene) -> Step:
     return step
 
 
-def median_seconds(steps: Sequence[Step], seconds: float) -> list[float]:
-    """Of a call of each, the medians; in turns, so that a busy moment meets them all."""
-    times: list[list[float]] = [[] for _ in steps]
+@dataclass
+class Cost:
+    """Of a call, medians: by the wall clock, and on all cores in this process and its server."""
+
+    seconds: float
+    cpu_seconds: float
+
+
+def cpu_seconds() -> float:
+    """That this process and those that it started have used."""
+    this = psutil.Process()
+    return sum(sum(p.cpu_times()[:2]) for p in (this, *this.children()))
+
+
+def costs(steps: Sequence[Step], seconds: float) -> list[Cost]:
+    """Of a call of each; in turns, so that a busy moment meets them all."""
+    walls: list[list[float]] = [[] for _ in steps]
+    used = [0.0 for _ in steps]
     end = time.perf_counter() + seconds * len(steps)
-    while time.perf_counter() < end or len(times[0]) < 3:
-        for step, taken in zip(steps, times, strict=True):
+    while time.perf_counter() < end or len(walls[0]) < 3:
+        for i, step in enumerate(steps):
+            before = cpu_seconds()
             step()  # the caches are its own again
             start = time.perf_counter()
             step()
-            taken.append(time.perf_counter() - start)
-    return [float(np.median(taken)) for taken in times]
+            walls[i].append(time.perf_counter() - start)
+            used[i] += (cpu_seconds() - before) / 2
+    rounds = len(walls[0])
+    return [Cost(float(np.median(w)), u / rounds) for w, u in zip(walls, used, strict=True)]
+
+
+def compare(client: hullcast.Client, name: str, scene: Scene, seconds: float) -> None:
+    """Prints what a step of the scene costs each contender, and one pair alone."""
+    pairs = len(scene.pairs)
+    print(f"{name}: {len(scene.positions):,} bodies, {pairs:,} pairs")
+    form = "{:<18}{:>12}{:>12}{:>12}{:>16}{:>10}{:>10}"
+    print(
+        form.format("", "us, 1 pair", "us a step", "pairs/s", "pairs/CPU-s", "touching", "points")
+    )
+    m = client.query(bodies_of(client, scene), scene.pairs, margin=scene.margin)
+    one = scene.only(int(np.argmax(m.point_counts)))
+    makers: list[tuple[str, Callable[[Scene], Step]]] = [
+        ("hullcast query", partial(by_query, client)),
+        ("hullcast session", partial(by_session, client)),
+        ("coal", by_coal),
+        ("python-fcl", by_fcl),
+    ]
+    names: list[str] = []
+    singles: list[Step] = []
+    wholes: list[Step] = []
+    for name, make in makers:
+        try:
+            wholes.append(make(scene))
+        except ImportError as error:
+            print(f"{name:<18}left out: {error}")
+            continue
+        singles.append(make(one))
+        names.append(name)
+    single, whole = costs(singles, seconds / 3), costs(wholes, seconds)
+    for i, name in enumerate(names):
+        a_step, a_cpu = whole[i].seconds, whole[i].cpu_seconds
+        row = (single[i].seconds * 1e6, a_step * 1e6, pairs / a_step, pairs / a_cpu, *wholes[i]())
+        print(form.format(name, *(f"{x:,.0f}" for x in row)), flush=True)
 
 
 def main() -> None:
     """Measures and prints."""
-    parser = argparse.ArgumentParser(description="The same scene by hullcast, coal and python-fcl")
+    parser = argparse.ArgumentParser(description="The same scenes by hullcast, coal and python-fcl")
     parser.add_argument("--seconds", type=float, default=3.0, help="of each measurement")
     parser.add_argument("--scene", type=Path, default=PILE)
     arguments = parser.parse_args()
-    scene = load(arguments.scene)
-    pairs = len(scene.pairs)
-    print(f"{arguments.scene.name}: {len(scene.positions)} bodies, {pairs} pairs")
-    form = "{:<18}{:>14}{:>14}{:>14}{:>12}{:>10}"
-    print(form.format("", "us, 1 pair", "us a step", "pairs/s", "touching", "points"))
     with hullcast.serve() as client:
-        m = client.query(bodies_of(client, scene), scene.pairs, margin=scene.margin)
-        one = scene.only(int(np.argmax(m.point_counts)))
-        makers: list[tuple[str, Callable[[Scene], Step]]] = [
-            ("hullcast query", partial(by_query, client)),
-            ("hullcast session", partial(by_session, client)),
-            ("coal", by_coal),
-            ("python-fcl", by_fcl),
-        ]
-        names: list[str] = []
-        singles: list[Step] = []
-        wholes: list[Step] = []
-        for name, make in makers:
-            try:
-                wholes.append(make(scene))
-            except ImportError as error:
-                print(f"{name:<18}left out: {error}")
-                continue
-            singles.append(make(one))
-            names.append(name)
-        single = median_seconds(singles, arguments.seconds / 3)
-        whole = median_seconds(wholes, arguments.seconds)
-        for i, name in enumerate(names):
-            row = f"{single[i] * 1e6:,.0f}", f"{whole[i] * 1e6:,.0f}", f"{pairs / whole[i]:,.0f}"
-            print(form.format(name, *row, *wholes[i]()))
+        compare(client, arguments.scene.name, load(arguments.scene), arguments.seconds)
+        for name, hulls in (("boxes", boxes()), ("polytopes of 16 vertices", polytopes())):
+            print()
+            compare(client, name, family(client, hulls), arguments.seconds)
 
 
 if __name__ == "__main__":

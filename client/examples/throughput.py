@@ -23,8 +23,17 @@ MESSAGES = 16
 SHAPES = 64
 
 
+#: Corners of the unit cube, (8, 3).
+SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+
+
+def half_extents() -> np.ndarray:
+    """Of each box, (SHAPES, 3)."""
+    return np.random.default_rng(0).uniform(0.3, 1.0, (SHAPES, 3))
+
+
 def shallow(
-    client: hullcast.Client, hulls: list[hullcast.Hull], half: np.ndarray, pairs: np.ndarray
+    client: hullcast.Client, hulls: list[hullcast.Hull], pairs: np.ndarray
 ) -> hullcast.Scene:
     """Random poses, brought into shallow overlap."""
     rng = np.random.default_rng(1)
@@ -41,10 +50,10 @@ def shallow(
 
 
 def resting(
-    client: hullcast.Client, hulls: list[hullcast.Hull], half: np.ndarray, pairs: np.ndarray
+    client: hullcast.Client, hulls: list[hullcast.Hull], pairs: np.ndarray
 ) -> hullcast.Scene:
     """B's bottom face on A's top face, turned about their normal, 1e-3 deep."""
-    rng = np.random.default_rng(2)
+    rng, half = np.random.default_rng(2), half_extents()
     count = len(pairs)
     kinds = rng.integers(SHAPES, size=(count, 2))
     turn = random_rotations(rng, count)
@@ -98,16 +107,14 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=3.0, help="of each of four measurements")
     parser.add_argument("--connect", metavar="TARGET", help="instead of a server of its own")
     arguments = parser.parse_args()
-    half = np.random.default_rng(0).uniform(0.3, 1.0, (SHAPES, 3))
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     pairs = np.arange(2 * MESSAGES * PAIRS_PER_MESSAGE, dtype=np.uint32).reshape(-1, 2)
     form = "{:<10}{:<16}{:>13}{:>18}{:>16}"
     print(form.format("boxes", "under way", "manifolds/s", "points/manifold", "client's cores"))
     with hullcast.connect(arguments.connect) if arguments.connect else hullcast.serve() as client:
         client.pairs_per_message = PAIRS_PER_MESSAGE
-        hulls = client.register(signs * half[:, None, :])
+        hulls = client.register(SIGNS * half_extents()[:, None, :])
         for make in (shallow, resting):
-            scene = make(client, hulls, half, pairs)
+            scene = make(client, hulls, pairs)
             rates = {}
             for name, asked in (("several", pairs), ("one at a time", pairs[:PAIRS_PER_MESSAGE])):
                 rates[name], points, cores = rate(client, scene, asked, arguments.seconds)
