@@ -47,7 +47,7 @@ lint: check-tools $(if $(CLIENT),lint-python) ## rustfmt, clippy and ruff, warni
 	 $(CARGO) clippy --release --locked --all-targets -- -D warnings; \
 	 $(CARGO) clippy --release --locked --all-targets --no-default-features -- -D warnings; \
 	 $(CARGO) clippy --release --locked --all-targets --features playground -- -D warnings; \
-	 cd benches; $(CARGO) clippy --release --locked --all-targets -- -D warnings; \
+	 cd benches; $(CARGO) clippy --release --locked --all-targets --features service -- -D warnings; \
 	 else echo "clippy is not installed: lints not checked"; fi
 	@if PATH="$(TOOLS)/bin:$$PATH" cargo-deny --version >/dev/null 2>&1; then \
 	 PATH="$(TOOLS)/bin:$$PATH" $(CARGO) deny --offline check --hide-inclusion-graph licenses bans sources; \

@@ -42,8 +42,9 @@ async fn main() -> Result<(), Failure> {
     csv += &part;
     let (hulls, part) = hulls().await?;
     csv += &part;
+    let registering = registering().await?;
     let cores = cores().await?;
-    let text = [vertices, batches, hulls, cores, stamp].join("\n\n");
+    let text = [vertices, batches, hulls, registering, cores, stamp].join("\n\n");
     println!("{text}");
     replace_section("growth", &text)?;
     std::fs::write(format!("{DOCS}/growth.csv"), format!("what,size,value\n{csv}"))?;
@@ -203,14 +204,12 @@ async fn hulls() -> Result<(String, String), Failure> {
         while ids.len() < count {
             let clouds: Vec<_> =
                 (ids.len()..count.min(ids.len() + 1000)).map(|seed| sphere(16, seed as u64)).collect();
-            let hulls = clouds.iter().map(|points| HullDefinition {
-                vertices: points.as_flattened().to_vec(),
-                ..Default::default()
-            });
-            let request = RegisterHullsRequest { hulls: hulls.collect() };
+            let request = registration(&clouds);
             HullServiceClient::new(channel.clone()).register_hulls(request).await?;
             ids.extend(clouds.into_iter().map(|points| {
-                id_of(&store::HullDefinition { points, contraction_point: None }.identity_bytes()).0.to_vec()
+                let definition =
+                    store::HullDefinition { points, contraction_point: None, simplification: None };
+                id_of(&definition.identity_bytes()).0.to_vec()
             }));
         }
         let registering = start.elapsed().as_nanos() as f64 / new as f64;
@@ -239,6 +238,44 @@ async fn hulls() -> Result<(String, String), Failure> {
         exponent(&line, 1.0)
     )?;
     Ok((text, csv))
+}
+
+fn registration(clouds: &[Vec<[f64; 3]>]) -> RegisterHullsRequest {
+    let hull = |points: &Vec<[f64; 3]>| HullDefinition {
+        vertices: points.as_flattened().to_vec(),
+        ..Default::default()
+    };
+    RegisterHullsRequest { hulls: clouds.iter().map(hull).collect() }
+}
+
+/// Many hulls in a call, by servers of one thread and of two.
+async fn registering() -> Result<String, Failure> {
+    let mut text =
+        String::from("| registering, so many in a call | 1 thread | 2 threads | times |\n|---|---|---|---|");
+    for (count, vertices) in [(4096, 16), (1024, 256), (64, 4096)] {
+        let mut best = [f64::INFINITY; 2];
+        for round in 0..ROUNDS {
+            let seeds = count * round..count * (round + 1);
+            let request = registration(&seeds.map(|seed| sphere(vertices, seed as u64)).collect::<Vec<_>>());
+            for (threads, best) in ["1", "2"].into_iter().zip(&mut best) {
+                // A new one, so that every hull is new to it.
+                let server = Server::hullcast_with(&["--compute-threads", threads])?;
+                let channel = Endpoint::from_shared(format!("http://{}", server.address))?.connect().await?;
+                let mut hulls = HullServiceClient::new(channel);
+                let start = Instant::now();
+                hulls.register_hulls(request.clone()).await?;
+                *best = best.min(start.elapsed().as_secs_f64() / count as f64);
+            }
+        }
+        let [one, two] = best.map(|seconds| seconds * 1e6);
+        write!(
+            text,
+            "\n| {count} of {vertices} points | {one:.1} us a hull | {two:.1} us | {:.2} |",
+            one / two
+        )?;
+        eprintln!("{}", text.lines().last().unwrap_or_default());
+    }
+    Ok(text)
 }
 
 /// Pairs that overlap somewhat, of hulls of radius 1 drawn from `ids`.
@@ -289,6 +326,7 @@ async fn cores() -> Result<String, Failure> {
                     Compute::new(threads)?,
                     limits.max_pairs_in_flight,
                     limits.max_message_bytes,
+                    Arc::default(),
                 ));
                 let mut answered = 0;
                 let start = Instant::now();

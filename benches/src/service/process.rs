@@ -43,9 +43,14 @@ impl Server {
 
     /// The hullcast server in `HULLCAST_BIN`.
     pub fn hullcast() -> Result<Self, Box<dyn Error>> {
+        Self::hullcast_with(&[])
+    }
+
+    /// The same with more arguments.
+    pub fn hullcast_with(more: &[&str]) -> Result<Self, Box<dyn Error>> {
         let program = std::env::var("HULLCAST_BIN").map_err(|_| "HULLCAST_BIN names the server's binary")?;
         let arguments = ["serve", "--listen", "127.0.0.1:0", "--store", "memory://", "--log", "error"];
-        Self::start(&program, &arguments)
+        Self::start(&program, &[&arguments, more].concat())
     }
 
     /// What its threads have used.
