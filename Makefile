@@ -128,7 +128,7 @@ tradeoff-families tradeoff-scenes: tradeoff-%: build $(VENV)/.bench
 	cd benches && $(CARGO) run --release --locked --bin peer -- ../out/$*-pairs.json ../out/$*-peers
 	$(PY) client/examples/tradeoff_peers.py out/$*-pairs.json --out out/$*-peers
 	$(BIN) tradeoff $(TRADEOFF) $(TRADEOFF_PEERS:%=--peer out/$*-peers/%.json) --out out/tradeoff-$* | tee out/tradeoff-$*.txt
-	cp out/tradeoff-$*.svg out/tradeoff-$*.png docs
+	cp out/tradeoff-$*.png docs
 	./scripts/section docs/tradeoff.md $* out/tradeoff-$*.txt
 
 .PHONY: simulation
