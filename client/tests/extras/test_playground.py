@@ -426,6 +426,30 @@ def test_a_phone(browser: Any, server: hullcast.Client):
         check_against_library(page, server, [page.shapes[0], page.shapes[1]])
 
 
+@pytest.mark.parametrize("size", [(390, 844), (320, 568), (844, 390)])
+def test_phones_of_every_size(browser: Any, server: hullcast.Client, size: tuple[int, int]):
+    """What is on the picture is whole and within it, and nothing is too small for a finger."""
+    width, height = size
+    phone = {"viewport": {"width": width, "height": height}, "has_touch": True, "is_mobile": True}
+    with opened(browser, server, **phone) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") == width
+        frame = page.locator("#stage").bounding_box()
+        assert frame["height"] <= height * 0.8
+        overlay = page.locator(".handles > *, .modes span")
+        boxes = [overlay.nth(i).bounding_box() for i in range(overlay.count())]
+        assert len(boxes) == 6
+        for box in boxes:
+            assert box["x"] >= frame["x"]
+            assert box["x"] + box["width"] <= frame["x"] + frame["width"]
+        handle = page.locator("#handle-a").bounding_box()
+        assert handle["width"] == handle["height"]
+        targets = page.locator("select, main button, input[type=range], .toggles label, summary")
+        targets = targets.filter(visible=True)
+        heights = [targets.nth(i).bounding_box()["height"] for i in range(targets.count())]
+        assert len(heights) > 12
+        assert min(heights) >= 40
+
+
 def test_dark_is_another_look(browser: Any, server: hullcast.Client):
     """The pictures follow the scheme, also when it changes under the page."""
     with opened(browser, server, color_scheme="light") as page:
