@@ -128,8 +128,18 @@ def resting(rng, a: Shape, b: Shape, gap: float, name: str, why: str):
 
 
 def cases():
-    """All of them: resting, ties, touching, sizes, places, margins, random ones."""
+    """All of them, in the order of the file."""
     rng = np.random.default_rng(20100702)
+    yield from resting_cases(rng)
+    yield from tied_cases()
+    yield from touching_cases()
+    yield from sized_cases()
+    yield from bounded_cases()
+    yield from random_cases(rng)
+
+
+def resting_cases(rng):
+    """A face on a face."""
     yield on_top(
         "cubes_stacked",
         "equal aligned cubes: slivers where sides coincide",
@@ -192,6 +202,10 @@ def cases():
         "box_on_poly",
         "a face with merged triangles on one without",
     )
+
+
+def tied_cases():
+    """Several normals are optimal, or several pivots possible."""
     yield case("cubes_along_edge_diagonal", "two normals are optimal", UNIT, UNIT, (0.75, 0.75, 0))
     yield case(
         "cubes_along_diagonal",
@@ -223,6 +237,10 @@ def cases():
         box((0.1, 0.1, 0.1)),
         (1.05, 1.05, 1.05),
     )
+
+
+def touching_cases():
+    """Exactly touching, coincident, or apart along a plain direction."""
     yield case("touching_faces", "exactly touching is CONTACT", UNIT, UNIT, (0.25, 0, 1))
     yield case("touching_edges", "exactly touching along an edge", UNIT, UNIT, (1, 0.25, 1))
     yield case("touching_corners", "exactly touching at a corner", UNIT, UNIT, (1, 1, 1))
@@ -248,6 +266,10 @@ def cases():
         (0.2, 0.9, 0.1),
         q=[0.5, 0.5, 0.5, 0.5],
     )
+
+
+def sized_cases():
+    """Thin, long, tiny, huge and far away."""
     yield case(
         "large_plate",
         "a unit cube on a plate of half size 2e4",
@@ -317,6 +339,10 @@ def cases():
         box((1e-5, 1e-5, 1e-5)),
         (0.1, 0.2, 0.500005),
     )
+
+
+def bounded_cases():
+    """Contraction points of their own, and margins at and beside the distance."""
     yield case(
         "contraction_point_aside",
         "growth about points near a face",
@@ -349,6 +375,10 @@ def cases():
         (1.3, 1.4, 1.2),
         margin=0.5,
     )
+
+
+def random_cases(rng):
+    """Nothing special."""
     for i in range(4):
         a, b = (
             poly(16, rng),

@@ -51,40 +51,53 @@ def log(
         rerun.log(entity, pose, **to)
         if hulls:
             _log_hull(rerun, entity, _drawing.points_of(scene, int(body)), to)
-    a, b, distances = points["witness_as"], points["witness_bs"], points["distances"]
+    size = _size(scene, bodies)
+    # An empty one takes away what an earlier step left.
+    for name, drawn in {
+        **_patches(rerun, pairs, normals, points, size),
+        **_witnesses(rerun, points, size),
+    }.items():
+        rerun.log(f"{path}/contacts/{name}", drawn, **to)
+
+
+def _patches(
+    rerun: Any, pairs: Any, normals: Floats, points: Columns, size: float
+) -> dict[str, Any]:
+    """The outlines of the patches, and from the middle of each its normal."""
     ends = np.cumsum(points["point_counts"])
     starts = ends - points["point_counts"]
     touching = np.flatnonzero(points["point_counts"])
-    middles = (a + b) / 2
-    patches, arrows = list[Floats](), list[Floats]()
+    middles = (points["witness_as"] + points["witness_bs"]) / 2
+    outlines, origins = list[Floats](), list[Floats]()
     for pair in touching:
         patch = middles[starts[pair] : ends[pair]]
-        arrows.append(patch.mean(axis=0))
+        origins.append(patch.mean(axis=0))
         if len(patch) > 2:
-            ring = patch[_drawing.around(patch - arrows[-1], normals[pair])]
-            patches.append(np.concatenate([ring, ring[:1]]))
-    shades = colours(distances)
-    size = _size(scene, bodies)
-    # An empty one takes away what an earlier step left.
-    above = f"{path}/contacts"
-    rerun.log(f"{above}/patches", rerun.LineStrips3D(patches, radii=0.002 * size), **to)
-    rerun.log(
-        f"{above}/normals",
-        rerun.Arrows3D(
-            origins=np.array(arrows).reshape(-1, 3),
+            ring = patch[_drawing.around(patch - origins[-1], normals[pair])]
+            outlines.append(np.concatenate([ring, ring[:1]]))
+    return {
+        "patches": rerun.LineStrips3D(outlines, radii=0.002 * size),
+        "normals": rerun.Arrows3D(
+            origins=np.array(origins).reshape(-1, 3),
             vectors=0.12 * size * normals[touching],
             colors=_NORMAL,
             radii=0.003 * size,
             labels=[f"{p[0]}, {p[1]}" for p in pairs[touching]],
             show_labels=False,
         ),
-        **to,
-    )
-    witnesses = rerun.LineStrips3D(np.stack([a, b], axis=1), colors=shades, radii=0.002 * size)
-    rerun.log(f"{above}/witnesses", witnesses, **to)
-    for name, side in (("points_a", a), ("points_b", b)):
-        dots = rerun.Points3D(side, colors=shades, radii=0.006 * size)
-        rerun.log(f"{above}/{name}", dots, **to)
+    }
+
+
+def _witnesses(rerun: Any, points: Columns, size: float) -> dict[str, Any]:
+    """The points on both hulls, and what joins each two."""
+    a, b = points["witness_as"], points["witness_bs"]
+    shades = colours(points["distances"])
+    lines = np.stack([a, b], axis=1)
+    return {
+        "witnesses": rerun.LineStrips3D(lines, colors=shades, radii=0.002 * size),
+        "points_a": rerun.Points3D(a, colors=shades, radii=0.006 * size),
+        "points_b": rerun.Points3D(b, colors=shades, radii=0.006 * size),
+    }
 
 
 def colours(distances: Floats) -> np.ndarray:
