@@ -62,6 +62,10 @@ audit: check-tools ## licences, bans, sources and advisories of every dependency
 	PATH="$(TOOLS)/bin:$$PATH" cargo-deny --version >/dev/null 2>&1 || $(CARGO) install --locked --root "$(TOOLS)" cargo-deny
 	PATH="$(TOOLS)/bin:$$PATH" $(CARGO) deny check --hide-inclusion-graph
 
+.PHONY: licences
+licences: check-tools ## docs/licences.md again, after a change of the dependencies
+	CARGO="$(CARGO)" $(PYTHON) scripts/licences --list
+
 .PHONY: lint-python
 lint-python: $(VENV)/.lint ## ruff
 	cd client && ../$(VENV)/bin/ruff check && ../$(VENV)/bin/ruff format --check

@@ -1,27 +1,46 @@
-"""What the documents link to is there, and README's program does what it says."""
+"""What the documents name is there: links, files, targets of make, flags; README's program
+does what it says."""
 
 from __future__ import annotations
 
 import re
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import pages
+
+from hullcast import _serve
 
 ROOT = Path(__file__).resolve().parents[2]
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
 _FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
 _HEADING = re.compile(r"^#+ (.*)$", re.MULTILINE)
+_CODE = re.compile(r"^```\w*\n(.*?)^```$|`([^`\n]+)`", re.DOTALL | re.MULTILINE)
+_TARGET = re.compile(r"^([\w./$()-]+(?: [\w-]+)*):", re.MULTILINE)
+_COMMAND = re.compile(r"\bhullcast (serve|query|load|tradeoff|prune)\b([^\n|;]*)")
+_FLAG = re.compile(r"(?<!\S)\[?(--[a-z][a-z0-9-]*)")
+_FILE = re.compile(r"[\w./-]+\.(?:rs|py|proto|md|toml|sh|mjs|ts|go|cpp|java|yaml)")
 
 
 def _documents() -> list[Path]:
-    listed = subprocess.run(
-        ["git", "ls-files", "*.md"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    names = listed.stdout.split() or [
-        str(path.relative_to(ROOT)) for path in ROOT.glob("docs/**/*.md")
-    ]
+    names = _listed("*.md") or [str(path.relative_to(ROOT)) for path in ROOT.glob("docs/**/*.md")]
     return [ROOT / name for name in names]
+
+
+def _listed(*patterns: str) -> list[str]:
+    command = ["git", "ls-files", *patterns]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    return done.stdout.split()
+
+
+def _code() -> list[tuple[Path, str]]:
+    """Every piece of code in a document, fenced or in a line, its continued lines joined."""
+    return [
+        (page, (fenced or inline).replace("\\\n", " "))
+        for page in _documents()
+        for fenced, inline in _CODE.findall(page.read_text())
+    ]
 
 
 def _anchors(page: Path) -> set[str]:
@@ -45,6 +64,79 @@ def test_every_link_leads_somewhere():
                 assert anchor in _anchors(target), f"{page.relative_to(ROOT)}: {link}"
             links += 1
     assert links > 80, links
+
+
+def test_every_target_of_make_is_one():
+    """`make X`, and in CONTRIBUTING the names that follow one without a make of their own."""
+    rules = _TARGET.findall((ROOT / "Makefile").read_text())
+    targets = {name for rule in rules for name in rule.split()}
+    named = 0
+    for page, code in _code():
+        names = re.findall(r"(?<![\w-])make ([a-z][a-z0-9-]*)", code)
+        if page.name == "CONTRIBUTING.md" and re.fullmatch(r"[a-z]+(-[a-z]+)+", code):
+            names.append(code)
+        for name in names:
+            assert name in targets, f"{page.relative_to(ROOT)}: make {name}"
+            named += 1
+    assert named > 50, named
+
+
+@cache
+def _help(command: str) -> str:
+    binary = _serve.find_binary()
+    return subprocess.run([binary, command, "--help"], capture_output=True, text=True).stdout
+
+
+def test_every_flag_of_the_command_line_is_one():
+    named = 0
+    for page, code in _code():
+        for command, rest in _COMMAND.findall(code):
+            for flag in _FLAG.findall(rest.partition("#")[0]):
+                known = re.search(rf"{flag}\b(?!-)", _help(command))
+                assert known, f"{page.relative_to(ROOT)}: hullcast {command} {flag}"
+                named += 1
+    assert named > 15, named
+
+
+def test_every_feature_is_one():
+    manifest = (ROOT / "Cargo.toml").read_text()
+    section = re.search(r"^\[features\]\n(.*?)^\[", manifest, re.DOTALL | re.MULTILINE)
+    assert section
+    features = re.findall(r"^(\w+) = ", section[1], re.MULTILINE)
+    named = [
+        (page, feature)
+        for page in _documents()
+        for listed in re.findall(r"(?:--features[ =]|\bfeature `)([a-z0-9,]+)", page.read_text())
+        for feature in listed.split(",")
+    ]
+    for page, feature in named:
+        assert feature in features, f"{page.relative_to(ROOT)}: --features {feature}"
+    assert len(named) > 8, named
+
+
+def test_every_file_that_is_named_is_there():
+    """By the end of its path: the pages on the code name files from where they are in it."""
+    ends = {name[start:] for name in _listed() for start in _starts(name)}
+    named = 0
+    for page, code in _code():
+        if _FILE.fullmatch(code) and page.name != "CHANGELOG.md":
+            assert code in ends, f"{page.relative_to(ROOT)}: {code}"
+            named += 1
+    assert named > 70 or not ends, named
+
+
+def test_every_crates_licence_is_listed():
+    """Catches a dependency that came or went without `make licences`."""
+    lock = re.findall(r'^name = "(.*)"$', (ROOT / "Cargo.lock").read_text(), re.MULTILINE)
+    page = (ROOT / "docs/licences.md").read_text()
+    rows = re.findall(r"^\| .* \| (.*) \|$", page.partition("<!-- crates -->")[2], re.MULTILINE)
+    listed = {name for row in rows for name in row.split(", ")}
+    assert set(lock) - listed == {"hullcast"}
+    assert len(lock) > 300
+
+
+def _starts(name: str) -> list[int]:
+    return [0, *(place + 1 for place, letter in enumerate(name) if letter == "/")]
 
 
 def test_readme_prints_what_it_shows(tmp_path):

@@ -44,7 +44,7 @@ CONTENTS = {
     ],
     "Running it": [f"docs/{page}" for page in ("operations", "durability", "reliability")]
     + ["docs/cluster", "docs/capacity"],
-    "Changing it": ["ARCHITECTURE", "CONTRIBUTING", "CHANGELOG"],
+    "Changing it": ["ARCHITECTURE", "CONTRIBUTING", "CHANGELOG", "docs/licences"],
 }
 
 
