@@ -97,6 +97,7 @@ def plot(rows: Sequence[Row], path: Path) -> None:
     plt: Any = pyplot
     scenes = list(dict.fromkeys(row.scene for row in rows))
     variants = list(dict.fromkeys(row.variant for row in rows))
+    sweeps = sorted({row.sweeps for row in rows})
     names = {"drift": "drift, m", "jitter": "jitter, mJ/kg", "depth": "depth, mm"}
     figure, axes = plt.subplots(
         3, len(scenes), figsize=(2.7 * len(scenes), 7), sharex=True, squeeze=False
@@ -110,6 +111,8 @@ def plot(rows: Sequence[Row], path: Path) -> None:
                 values = [max(getattr(row, key), LEAST) for row in some]
                 axis.plot([row.sweeps for row in some], values, "o-", ms=3, label=variant)
             axis.set(xscale="log", yscale="log")
+            axis.set_xticks(sweeps, sweeps)
+            axis.set_xticks([], minor=True)
             axis.grid(alpha=0.3)
             if j == 0:
                 axis.set_ylabel(label)
