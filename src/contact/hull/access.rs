@@ -120,10 +120,11 @@ impl ConvexHull {
         self.box_shape.as_ref()
     }
 
-    /// Vertex `i`.
+    /// Vertex `i`: of a hull whose support mapping reads every vertex from where that was just
+    /// read.
     #[inline]
     pub(crate) fn vertex(&self, i: u32) -> DVec3 {
-        self.vertices[i as usize]
+        if self.coarse.is_none() { self.columns.vertex(i) } else { self.vertices[i as usize] }
     }
 
     /// The vertices as columns.
