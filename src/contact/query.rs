@@ -39,7 +39,8 @@ pub struct Accuracy {
 
 /// Chosen from what `hullcast tradeoff` measured (docs/tradeoff.md).
 impl Accuracy {
-    /// To rounding, the whole patch. No coarser tolerance was measured to be faster.
+    /// To rounding, the whole patch. No coarser tolerance was measured to be faster. Measured:
+    /// brackets at most 1.4e-13 of alpha wide.
     pub const EXACT: Self = Self {
         solver: Solver::Portal,
         relative_tolerance: 0.0,
@@ -48,7 +49,8 @@ impl Accuracy {
         max_iterations: 1000,
     };
 
-    /// The same, at most four points a pair: fewer to send and to solve for.
+    /// The same, at most four points a pair: fewer to send and to solve for. Measured: 2 to 7 %
+    /// more time; in 19 of 20 pairs the patch is at most 6 % of the hulls' size off.
     pub const FOUR_POINTS: Self = Self { max_points: 4, ..Self::EXACT };
 }
 

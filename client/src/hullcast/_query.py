@@ -45,9 +45,11 @@ class Accuracy:
     max_points: int = 0
 
     #: To rounding, the whole patch: the default. Chosen, as the other, from what
-    #: `hullcast tradeoff` measured (docs/tradeoff.md): no coarser tolerance is faster.
+    #: `hullcast tradeoff` measured (docs/tradeoff.md): no coarser tolerance is faster; brackets
+    #: at most 1.4e-13 of alpha wide.
     EXACT: ClassVar[Accuracy]
-    #: The same, at most four points a pair: fewer to send and to solve for.
+    #: The same, at most four points a pair: fewer to send and to solve for. Measured: 2 to 7 %
+    #: more time; in 19 of 20 pairs the patch is at most 6 % of the hulls' size off.
     FOUR_POINTS: ClassVar[Accuracy]
 
     def fill(self, message: Any) -> None:
