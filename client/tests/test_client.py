@@ -1,118 +1,18 @@
-"""The client against a real server: registering, querying, and every way to be refused."""
+"""The client against a real server: queries, and every way to be refused."""
 
 from __future__ import annotations
 
 import itertools
-import os
-import subprocess
-import sys
-import textwrap
 import threading
 
 import grpc
 import numpy as np
 import pytest
 from crowds import COLUMNS, CUBE, EVERYTHING, NO_PROXY, crowd, expect_same
-from shapes import FAMILIES, box, family
 
 import hullcast
 from hullcast import Flag, Outcome
 from hullcast._channel import Settings
-
-
-def test_registering_says_what_a_hull_is(client):
-    """A box of known numbers; an interior point and a duplicate change none of them."""
-    half = np.array([0.5, 1.0, 1.5])
-    points = np.concatenate([box(half).vertices, [[0.1, 0.2, 0.3]], box(half).vertices[:1]])
-    (hull,) = client.register([points])
-    assert (hull.vertex_count, hull.face_count, hull.edge_count) == (8, 6, 12)
-    assert hull.volume == pytest.approx(6, rel=1e-14)
-    assert hull.contraction_point == pytest.approx(np.zeros(3), abs=1e-15)
-    assert hull.inradius == pytest.approx(0.5, rel=1e-14)
-    assert hull.inradius <= 0.5
-    assert hull.circumradius == pytest.approx(np.linalg.norm(half), rel=1e-14)
-    assert hull.geometric_error < 1e-14
-    squares = (2 * half) ** 2
-    assert np.diag(hull.inertia) == pytest.approx(6 / 12 * (squares.sum() - squares), rel=1e-13)
-    assert hull.inertia == pytest.approx(hull.inertia.T)
-
-
-def test_radii_are_bounds_of_the_brute_force_ones(client):
-    """The budgets of every other test are in them: inradius not above, circumradius not below."""
-    rng = np.random.default_rng(38)
-    shapes = [shape for name in FAMILIES for shape in family(name, 4, rng)]
-    for shape, hull in zip(shapes, client.register([s.vertices for s in shapes]), strict=True):
-        planes = [shape.plane(face) for face in shape.faces]
-        assert hull.face_count == len(planes)
-        inner = min(n @ (middle - hull.contraction_point) for n, middle in planes)
-        outer = np.linalg.norm(shape.vertices - hull.contraction_point, axis=1).max()
-        assert inner * (1 - 1e-13) - 1e-15 <= hull.inradius <= inner * (1 + 1e-15)
-        assert outer * (1 - 1e-15) <= hull.circumradius <= outer * (1 + 1e-13)
-
-
-def test_registering_takes_arrays_and_meshes(client):
-    """Lists, float32 and Fortran order, objects with vertices: one hull, one id."""
-
-    class Mesh:
-        """As trimesh's, to the one attribute used."""
-
-        vertices = CUBE
-
-    forms = [CUBE, CUBE.tolist(), CUBE.astype(np.float32), np.asfortranarray(CUBE), Mesh()]
-    hulls = client.register(forms)
-    assert len({hull.id for hull in hulls}) == 1
-    assert len(set(hulls)) == 1
-
-
-def test_registering_many_takes_several_messages(client):
-    """More hulls than one message has: all there, in order."""
-    rng = np.random.default_rng(32)
-    points = CUBE + rng.uniform(-0.1, 0.1, (1030, 8, 3))
-    hulls = client.register(points)
-    assert [hull.id for hull in hulls] == [hullcast.hull_id(p) for p in points]
-
-
-def test_a_given_contraction_point_is_used(client):
-    """It names another hull, and comes back as given."""
-    center = np.array([0.25, 0.125, -0.0625])
-    plain, moved = client.register([CUBE, CUBE], contraction_points=[None, center])
-    assert (moved.contraction_point == center).all()
-    assert moved.inradius == pytest.approx(0.25)
-    assert plain.id != moved.id
-
-
-@pytest.mark.parametrize(
-    ("points", "center", "reason", "field", "point"),
-    [
-        (CUBE[:3], None, "TOO_FEW_POINTS", "vertices", None),
-        ([[0, 0, 0], [1, 1, 1], [2, 2, 2], [3, 3, 3]], None, "COLLINEAR", "vertices", None),
-        ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], None, "COPLANAR", "vertices", None),
-        ([*CUBE, [0, np.nan, 0]], None, "NOT_FINITE", "vertices", 8),
-        (CUBE * 1e60, None, "SIZE_OUT_OF_RANGE", "vertices", None),
-        (CUBE, [0.5, 0, 0], "CONTRACTION_POINT_NOT_INSIDE", "contraction_point", None),
-    ],
-)
-def test_one_bad_hull_does_not_sink_the_others(client, points, center, reason, field, point):
-    """The error says which hull, why and where; its results have the others."""
-    good = CUBE * 0.75
-    with pytest.raises(hullcast.HullRejected) as caught:
-        client.register([good, points, CUBE], contraction_points=[None, center, None])
-    error = caught.value
-    assert (error.reason, error.field, error.index) == (reason, field, 1)
-    if point is not None:
-        assert error.point == point
-        assert f"hulls[1].{field}[{point}]" in str(error)
-    first, second, third = error.results
-    assert first.id == hullcast.hull_id(good)
-    assert second.reason == reason
-    assert third.id == hullcast.hull_id(CUBE)
-
-
-def test_a_hull_is_not_a_list_of_hulls(client):
-    """The slip of forgetting the brackets is caught, not registered as nonsense."""
-    with pytest.raises(hullcast.InvalidArgument) as caught:
-        client.register(CUBE)
-    assert caught.value.reason == "NOT_A_LIST"
 
 
 def test_two_cubes_resting(client):
@@ -310,17 +210,6 @@ def test_a_timeout_is_an_exception_of_its_own(client):
     assert len(client.query(scene, pairs[:10])) == 10
 
 
-def test_no_server_is_unavailable():
-    """A port where none listens."""
-    with (
-        hullcast.connect("127.0.0.1:1", options=[*NO_PROXY, ("grpc.enable_retries", 0)]) as client,
-        pytest.raises(hullcast.Unavailable) as caught,
-    ):
-        client.register([CUBE])
-    assert isinstance(caught.value, ConnectionError)
-    assert caught.value.reason == "UNAVAILABLE"
-
-
 def test_a_too_large_answer_is_halved(client):
     """RESPONSE_TOO_LARGE is asked for again in halves, one message or several, and in order."""
 
@@ -377,61 +266,3 @@ def test_more_hulls_than_the_servers_cache_holds_are_asked_for_in_parts(client):
         with pytest.raises(hullcast.InvalidArgument, match="cache_bytes") as caught:
             small.find(scene)
     assert (caught.value.reason, caught.value.field) == ("HULLS_TOO_LARGE", "hull_ids")
-
-
-def test_a_unix_socket_serves_too(tmp_path):
-    """With an authority that HTTP/2 accepts."""
-    with hullcast.serve(listen=f"unix:{tmp_path}/socket") as client:
-        assert client.target.startswith("unix:")
-        assert len(client.register([CUBE])) == 1
-
-
-def test_a_store_outlives_its_server(tmp_path):
-    """A hull registered with one server is answered for by the next on the same store."""
-    with hullcast.serve(tmp_path) as client:
-        hulls = client.register([CUBE])
-    scene = hullcast.Scene(hulls, np.zeros((1, 3)), [[0, 0, 0, 1]])
-    with hullcast.serve(tmp_path) as client:
-        assert client.query(scene, [[0, 0]]).outcome.tolist() == [Outcome.CONTACT]
-
-
-def test_the_server_ends_with_its_parent(tmp_path):
-    """Even when the parent is killed, and so closes nothing itself."""
-    program = """
-        import hullcast, os, signal
-        client = hullcast.serve()
-        print(client._on_close.__self__._process.pid, flush=True)
-        os.kill(os.getpid(), signal.SIGKILL)
-    """
-    paths = os.pathsep.join(p for p in sys.path if p)
-    parent = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(program)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-        env={**os.environ, "PYTHONPATH": paths, "TMPDIR": str(tmp_path)},
-    )
-    server = int(parent.stdout)
-    for _ in range(200):
-        try:
-            with open(f"/proc/{server}/stat") as file:
-                if file.read().rpartition(")")[2].split()[0] == "Z":
-                    return  # ended; whoever inherited it has not asked yet
-        except FileNotFoundError:
-            return
-        threading.Event().wait(0.05)
-    pytest.fail("the server is still there")
-
-
-def test_a_server_that_does_not_start_says_why(tmp_path, monkeypatch):
-    """Its log's end is in the message; a missing binary has an error of its own."""
-    with pytest.raises(hullcast.ServerDidNotStart, match="no-such-flag"):
-        hullcast.serve(arguments=["--no-such-flag"])
-    monkeypatch.setenv("HULLCAST_BIN", str(tmp_path / "none"))
-    with pytest.raises(hullcast.ServerNotFound, match="HULLCAST_BIN"):
-        hullcast.serve()
-    monkeypatch.delenv("HULLCAST_BIN")
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(hullcast.ServerNotFound, match="PATH"):
-        hullcast.serve()

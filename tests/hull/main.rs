@@ -2,14 +2,14 @@
 
 mod check;
 mod clouds;
+mod faces;
 mod simplify;
+mod sizes;
 
 use std::collections::BTreeSet;
 
 use check::{Met, check};
-use clouds::{
-    Points, Random, box_grid, clouds, cube, moved, noisy, prism, random_cloud, rotated, scaled, sphere,
-};
+use clouds::{Points, Random, clouds, cube, moved, random_cloud, scaled, sphere};
 use glam::DVec3;
 use hullcast::contact::hull::{ConvexHull, HullError, HullErrorKind, HullOptions};
 
@@ -94,112 +94,6 @@ fn a_cube_is_known_by_hand() {
     }
 }
 
-/// Exact merging alone leaves hundreds of facets on turned shapes.
-#[test]
-fn turned_boxes_and_prisms_keep_their_faces() {
-    let mut random = Random::new(4);
-    let grid = box_grid(30);
-    assert_eq!(hull(&grid).vertex_count(), 8, "a point inside a face or an edge was kept");
-    assert_eq!(hull(&prism(1000, 0.5)).face_count(), 1002);
-    for _ in 0..3 {
-        let box_hull = hull(&rotated(&grid, &mut random));
-        assert_eq!((box_hull.face_count(), box_hull.edge_count()), (6, 12));
-        assert!((0..6).all(|face| box_hull.outline(face).len() == 4));
-        let prism_hull = hull(&rotated(&prism(1000, 0.5), &mut random));
-        assert_eq!((prism_hull.face_count(), prism_hull.edge_count()), (1002, 3000));
-        assert!(prism_hull.geometric_error() < 1e-14, "a fitted plane is tilted");
-    }
-}
-
-/// Opposite faces, rims and neighbours of thin shapes stay apart: a tolerance
-/// of the circumradius alone would make one face of a plate's two sides.
-#[test]
-fn thin_shapes_keep_their_faces() {
-    let mut random = Random::new(5);
-    for thin in [1.0, 1e-3, 1e-6, 1e-8] {
-        for by in [[1.0, 0.7, thin], [1.0, thin, 0.6 * thin]] {
-            let points = scaled(&prism(7, 1.0), by);
-            assert_eq!(hull(&points).face_count(), 9, "{by:?}");
-            assert_eq!(hull(&rotated(&points, &mut random)).face_count(), 9, "{by:?} turned");
-        }
-    }
-}
-
-/// Noise below the tolerance leaves a box's six faces; every point stays a
-/// vertex that supports.
-#[test]
-fn noise_on_faces_merges() {
-    let mut random = Random::new(6);
-    let mut vertices = 0;
-    for amount in [1e-15, 1e-12, 1e-9, 1e-7] {
-        let points = noisy(&rotated(&box_grid(8), &mut random), amount, &mut random);
-        let hull = hull(&points);
-        assert_eq!(hull.face_count(), 6, "{amount:e}");
-        assert!(hull.geometric_error() < 4.0 * amount + 1e-14);
-        vertices += hull.vertex_count();
-    }
-    assert!(vertices > 200, "{vertices}");
-}
-
-/// A hull is its shape: scaling by a power of two changes no bit in hull units.
-#[test]
-fn scaling_by_a_power_of_two_changes_no_bit() {
-    for cloud in clouds() {
-        let hull = hull(&cloud.points);
-        let size = cloud.points.iter().flatten().fold(0.0_f64, |m, c| m.max(c.abs()));
-        for k in [-60, -1, 1, 60] {
-            let power = 2_f64.powi(k);
-            // Within the range of sizes, and where no coordinate is rounded.
-            let exact = cloud.points.iter().flatten().all(|c| c * power / power == *c);
-            if !(1e-49..1e49).contains(&(size * power)) || !exact {
-                continue;
-            }
-            let other = ConvexHull::new(&scaled(&cloud.points, [power; 3])).unwrap();
-            assert_eq!(other.scale(), hull.scale() * power, "{}", cloud.name);
-            assert_eq!(other.volume(), hull.volume() * power * power * power);
-            let inertia = hull.inertia() * power * power * power * power * power;
-            assert_eq!(other.inertia(), inertia, "{}", cloud.name);
-            assert_eq!(other.contraction_point(), hull.contraction_point() * power);
-            assert_eq!(in_hull_units(&other), in_hull_units(&hull), "{}", cloud.name);
-        }
-    }
-}
-
-/// Found by fuzzing: the inradius of a needle with subnormal sides at its tip was rounded down
-/// by more than that of the same needle where they are normal.
-#[test]
-fn subnormal_sides_are_as_exact_as_others() {
-    let (tiny, mut built) = (4.4e-323, 0);
-    let mut random = Random::new(14);
-    for round in 0..40 {
-        let length = if round == 0 { 16472519.66517901 } else { 10_f64.powf(3.0 + 4.0 * random.signed()) };
-        let mut points =
-            vec![[tiny, tiny, length], [-tiny, tiny, length], [-tiny, -tiny, length], [tiny, -tiny, length]];
-        let radius = length * 1e-9;
-        points.extend(prism(6, 0.0).iter().take(6).map(|p| [p[0] * radius, p[1] * radius, -length]));
-        let units =
-            |points: &Points| ConvexHull::new(points).map(|hull| in_hull_units(&hull)).map_err(|e| e.kind);
-        let needle = units(&points);
-        built += usize::from(needle.is_ok());
-        for k in [40, 82] {
-            assert_eq!(units(&scaled(&points, [2_f64.powi(k); 3])), needle, "{length:e}");
-        }
-    }
-    assert!(built >= 10, "{built}");
-}
-
-/// All that queries read.
-fn in_hull_units(hull: &ConvexHull) -> impl PartialEq + std::fmt::Debug + use<> {
-    let faces = 0..hull.face_count();
-    (
-        hull.vertices().to_vec(),
-        (hull.unit_inradius(), hull.unit_circumradius()),
-        hull.faces().to_vec(),
-        faces.map(|f| (hull.outline(f).to_vec(), hull.face_neighbours(f).to_vec())).collect::<Vec<_>>(),
-        (hull.edge_vertices().to_vec(), hull.edge_faces().to_vec()),
-    )
-}
-
 /// The order in which points come changes their numbers and nothing else.
 #[test]
 fn order_changes_numbers_alone() {
@@ -233,26 +127,6 @@ fn duplicates_and_points_between_are_dropped() {
     assert_eq!(cube_hull.registered_count(), points.len());
     let signed = [[-0.0, 0.0, -0.0], [1.0, -0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -0.0, 1.0], [0.0, 0.0, 0.0]];
     assert_eq!(hull(&signed).registered_indices(), [0, 1, 2, 3]);
-}
-
-/// A facet that bends by one subnormal step: in floating point the middle point
-/// counts as in the plane and an extreme vertex would be lost.
-#[test]
-fn subnormal_coordinates_are_exact() {
-    let step = f64::from_bits(1);
-    let mut points: Points = cube().into_iter().map(|[x, y, z]| [x, y, z + 1.0]).collect();
-    points.push([0.25, 0.25, -step]);
-    assert_eq!(hull(&points).vertex_count(), 9);
-    points[8][2] = 0.0;
-    assert_eq!(hull(&points).vertex_count(), 8);
-    points[8][2] = step;
-    assert_eq!(hull(&points).vertex_count(), 8);
-    // One corner lower: three of the four others still span the middle.
-    points[0][2] = -step;
-    points[8] = [0.5, 0.5, 0.0];
-    assert_eq!(hull(&points).vertex_count(), 8);
-    points[8] = [0.5, 0.5, -step];
-    assert_eq!(hull(&points).vertex_count(), 9);
 }
 
 /// Closed forms. A wrong axis, sign or unit in the integrals shows here.
@@ -377,109 +251,4 @@ fn heap_bytes_follow_the_counts() {
         let (least, most) = (v * 24 + f * 32 + e * 16, v * 128 + f * 96 + e * 64);
         assert!((least..=most).contains(&hull.heap_bytes()), "{} of {v} vertices", hull.heap_bytes());
     }
-}
-
-/// Found by fuzzing: of needles of an aspect from 1e12 on the vertices about the
-/// contraction point are rounded by as much as keeps faces apart. Outlines turned
-/// round about their exact normals (areas were negative), corners and edges did not
-/// make a polyhedron (Euler's formula), and witnesses were outside. They are refused,
-/// by the aspect alone; all others hold every definition.
-#[test]
-fn needles_are_hulls_or_too_thin() {
-    let mut random = Random::new(13);
-    let (mut met, mut refused) = (Met::default(), 0);
-    for round in 0..3000 {
-        let length = 10_f64.powf(9.0 + 3.5 * random.signed());
-        let grid = |random: &mut Random| [(); 3].map(|()| (random.signed() * 104.0).round() / 32.0);
-        let mut points: Points = (0..4 + random.below(9)).map(|_| grid(&mut random)).collect();
-        // Some in a plane or on a line with others, to rounding.
-        for _ in 0..random.below(3) {
-            let [p, q, r] = [(); 3].map(|()| points[random.below(points.len())]);
-            points.push(std::array::from_fn(|k| p[k] + (q[k] - r[k])));
-            points.push(std::array::from_fn(|k| p[k] + 0.3 * (q[k] - p[k])));
-        }
-        let tip = grid(&mut random);
-        points.push(tip.map(|c| c * length));
-        if round % 3 == 0 {
-            points.push(std::array::from_fn(|k| tip[k] * length + points[0][k]));
-        }
-        match ConvexHull::new(&points) {
-            Ok(hull) => {
-                assert!(hull.inradius() > 7e-12 * hull.circumradius());
-                check(&points, &hull, &mut met);
-            }
-            Err(error) => {
-                assert!(error.detail.contains("too thin"), "{error}: {points:?}");
-                refused += 1;
-            }
-        }
-    }
-    assert!(met.hulls > 1500 && refused > 300, "{} hulls, {refused} refused", met.hulls);
-}
-
-/// Found by fuzzing, and none of the hull's: an edge as short as a third face, merged to
-/// the tolerance, is off its plane runs the other way in its neighbour's outline.
-#[test]
-fn edges_within_a_merged_face_may_fold() {
-    let [x, y] = [6.802236877180397e19, 5.7069614478038925e19];
-    let points = [
-        [3.6875, 3.09375, y],
-        [5.573204538870989e16, 3.09375, 0.0],
-        [0.0, 0.0, 0.78125],
-        [126701535232.0, 0.0, 0.0],
-        [3.09375, 3.09375, 0.0],
-        [0.0, 3.09375, 3.09375],
-        [3.6875, x, 6.642809450371482e16],
-        [x, y, 0.0],
-        [x, 3.6875, 1.7005592192950993e19],
-        [3.09375, 0.0, 3.09375],
-        [x, x, 114.0],
-    ];
-    check(&points, &hull(&points), &mut Met::default());
-}
-
-/// Found by fuzzing, and none of the hull's: where corners all but coincide, two faces may
-/// meet along an edge and along it again, a fold thinner than the merge tolerance, of which
-/// one side runs against the outlines.
-#[test]
-fn edges_beside_corners_that_nearly_coincide_may_fold_back() {
-    let [x, y] = [6.802236877180397e19, 5.7069614478038925e19];
-    let points = [
-        [3.6875, 3.09375, y],
-        [5.573204538870989e16, 3.09375, 0.0],
-        [3.09375, 1.125, 3.34375],
-        [0.0, 0.0, y],
-        [99.0, 3.09375, 3.09375],
-        [3.6875, x, 6.642809450371482e16],
-        [x, 99.0, 0.0],
-        [3.09375, 3.09375, 0.0],
-        [3.09375, 3.09375, 0.375],
-        [3.09375, 0.0, 3.09375],
-        [0.0, 0.0, 3.09375],
-        [3.09375, 0.0, 3.6875],
-        [3.6875, 0.0, 3321888768.0],
-        [y, 1.7005592192950993e19, 0.0],
-    ];
-    check(&points, &hull(&points), &mut Met::default());
-}
-
-/// Found by fuzzing: vertices that differ, but not once they are about the
-/// contraction point, made a face of no area, whose outline bounded nothing.
-#[test]
-fn vertices_that_coincide_about_the_contraction_point_make_no_face() {
-    let mut random = Random::new(12);
-    let mut coinciding = 0;
-    for size in [1e-10, 1e-15, 1e-18, 1e-40] {
-        for _ in 0..40 {
-            let mut points = vec![[1.0, 0.1, 0.0], [1.0, -1.0, 0.2], [0.5, 0.7, 1.0]];
-            points.extend(scaled(&sphere(6, &mut random), [size; 3]));
-            let hull = hull(&points);
-            check(&points, &hull, &mut Met::default());
-            assert!(hull.faces().iter().all(|face| face.area > 0.1 * size * size), "{size:e}");
-            let places: BTreeSet<_> =
-                hull.vertices().iter().map(|v| v.to_array().map(f64::to_bits)).collect();
-            coinciding += usize::from(places.len() < hull.vertex_count());
-        }
-    }
-    assert!(coinciding >= 80, "{coinciding}");
 }

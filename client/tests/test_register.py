@@ -1,0 +1,105 @@
+"""Hulls registered: what comes back, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from crowds import CUBE
+from shapes import FAMILIES, box, family
+
+import hullcast
+
+
+def test_registering_says_what_a_hull_is(client):
+    """A box of known numbers; an interior point and a duplicate change none of them."""
+    half = np.array([0.5, 1.0, 1.5])
+    points = np.concatenate([box(half).vertices, [[0.1, 0.2, 0.3]], box(half).vertices[:1]])
+    (hull,) = client.register([points])
+    assert (hull.vertex_count, hull.face_count, hull.edge_count) == (8, 6, 12)
+    assert hull.volume == pytest.approx(6, rel=1e-14)
+    assert hull.contraction_point == pytest.approx(np.zeros(3), abs=1e-15)
+    assert hull.inradius == pytest.approx(0.5, rel=1e-14)
+    assert hull.inradius <= 0.5
+    assert hull.circumradius == pytest.approx(np.linalg.norm(half), rel=1e-14)
+    assert hull.geometric_error < 1e-14
+    squares = (2 * half) ** 2
+    assert np.diag(hull.inertia) == pytest.approx(6 / 12 * (squares.sum() - squares), rel=1e-13)
+    assert hull.inertia == pytest.approx(hull.inertia.T)
+
+
+def test_radii_are_bounds_of_the_brute_force_ones(client):
+    """The budgets of every other test are in them: inradius not above, circumradius not below."""
+    rng = np.random.default_rng(38)
+    shapes = [shape for name in FAMILIES for shape in family(name, 4, rng)]
+    for shape, hull in zip(shapes, client.register([s.vertices for s in shapes]), strict=True):
+        planes = [shape.plane(face) for face in shape.faces]
+        assert hull.face_count == len(planes)
+        inner = min(n @ (middle - hull.contraction_point) for n, middle in planes)
+        outer = np.linalg.norm(shape.vertices - hull.contraction_point, axis=1).max()
+        assert inner * (1 - 1e-13) - 1e-15 <= hull.inradius <= inner * (1 + 1e-15)
+        assert outer * (1 - 1e-15) <= hull.circumradius <= outer * (1 + 1e-13)
+
+
+def test_registering_takes_arrays_and_meshes(client):
+    """Lists, float32 and Fortran order, objects with vertices: one hull, one id."""
+
+    class Mesh:
+        """As trimesh's, to the one attribute used."""
+
+        vertices = CUBE
+
+    forms = [CUBE, CUBE.tolist(), CUBE.astype(np.float32), np.asfortranarray(CUBE), Mesh()]
+    hulls = client.register(forms)
+    assert len({hull.id for hull in hulls}) == 1
+    assert len(set(hulls)) == 1
+
+
+def test_registering_many_takes_several_messages(client):
+    """More hulls than one message has: all there, in order."""
+    rng = np.random.default_rng(32)
+    points = CUBE + rng.uniform(-0.1, 0.1, (1030, 8, 3))
+    hulls = client.register(points)
+    assert [hull.id for hull in hulls] == [hullcast.hull_id(p) for p in points]
+
+
+def test_a_given_contraction_point_is_used(client):
+    """It names another hull, and comes back as given."""
+    center = np.array([0.25, 0.125, -0.0625])
+    plain, moved = client.register([CUBE, CUBE], contraction_points=[None, center])
+    assert (moved.contraction_point == center).all()
+    assert moved.inradius == pytest.approx(0.25)
+    assert plain.id != moved.id
+
+
+@pytest.mark.parametrize(
+    ("points", "center", "reason", "field", "point"),
+    [
+        (CUBE[:3], None, "TOO_FEW_POINTS", "vertices", None),
+        ([[0, 0, 0], [1, 1, 1], [2, 2, 2], [3, 3, 3]], None, "COLLINEAR", "vertices", None),
+        ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], None, "COPLANAR", "vertices", None),
+        ([*CUBE, [0, np.nan, 0]], None, "NOT_FINITE", "vertices", 8),
+        (CUBE * 1e60, None, "SIZE_OUT_OF_RANGE", "vertices", None),
+        (CUBE, [0.5, 0, 0], "CONTRACTION_POINT_NOT_INSIDE", "contraction_point", None),
+    ],
+)
+def test_one_bad_hull_does_not_sink_the_others(client, points, center, reason, field, point):
+    """The error says which hull, why and where; its results have the others."""
+    good = CUBE * 0.75
+    with pytest.raises(hullcast.HullRejected) as caught:
+        client.register([good, points, CUBE], contraction_points=[None, center, None])
+    error = caught.value
+    assert (error.reason, error.field, error.index) == (reason, field, 1)
+    if point is not None:
+        assert error.point == point
+        assert f"hulls[1].{field}[{point}]" in str(error)
+    first, second, third = error.results
+    assert first.id == hullcast.hull_id(good)
+    assert second.reason == reason
+    assert third.id == hullcast.hull_id(CUBE)
+
+
+def test_a_hull_is_not_a_list_of_hulls(client):
+    """The slip of forgetting the brackets is caught, not registered as nonsense."""
+    with pytest.raises(hullcast.InvalidArgument) as caught:
+        client.register(CUBE)
+    assert caught.value.reason == "NOT_A_LIST"

@@ -1,0 +1,85 @@
+"""Servers of one's own: sockets, stores, beginnings and ends."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+import threading
+
+import numpy as np
+import pytest
+from crowds import CUBE, NO_PROXY
+
+import hullcast
+from hullcast import Outcome
+
+
+def test_no_server_is_unavailable():
+    """A port where none listens."""
+    with (
+        hullcast.connect("127.0.0.1:1", options=[*NO_PROXY, ("grpc.enable_retries", 0)]) as client,
+        pytest.raises(hullcast.Unavailable) as caught,
+    ):
+        client.register([CUBE])
+    assert isinstance(caught.value, ConnectionError)
+    assert caught.value.reason == "UNAVAILABLE"
+
+
+def test_a_unix_socket_serves_too(tmp_path):
+    """With an authority that HTTP/2 accepts."""
+    with hullcast.serve(listen=f"unix:{tmp_path}/socket") as client:
+        assert client.target.startswith("unix:")
+        assert len(client.register([CUBE])) == 1
+
+
+def test_a_store_outlives_its_server(tmp_path):
+    """A hull registered with one server is answered for by the next on the same store."""
+    with hullcast.serve(tmp_path) as client:
+        hulls = client.register([CUBE])
+    scene = hullcast.Scene(hulls, np.zeros((1, 3)), [[0, 0, 0, 1]])
+    with hullcast.serve(tmp_path) as client:
+        assert client.query(scene, [[0, 0]]).outcome.tolist() == [Outcome.CONTACT]
+
+
+def test_the_server_ends_with_its_parent(tmp_path):
+    """Even when the parent is killed, and so closes nothing itself."""
+    program = """
+        import hullcast, os, signal
+        client = hullcast.serve()
+        print(client._on_close.__self__._process.pid, flush=True)
+        os.kill(os.getpid(), signal.SIGKILL)
+    """
+    paths = os.pathsep.join(p for p in sys.path if p)
+    parent = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(program)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        env={**os.environ, "PYTHONPATH": paths, "TMPDIR": str(tmp_path)},
+    )
+    server = int(parent.stdout)
+    for _ in range(200):
+        try:
+            with open(f"/proc/{server}/stat") as file:
+                if file.read().rpartition(")")[2].split()[0] == "Z":
+                    return  # ended; whoever inherited it has not asked yet
+        except FileNotFoundError:
+            return
+        threading.Event().wait(0.05)
+    pytest.fail("the server is still there")
+
+
+def test_a_server_that_does_not_start_says_why(tmp_path, monkeypatch):
+    """Its log's end is in the message; a missing binary has an error of its own."""
+    with pytest.raises(hullcast.ServerDidNotStart, match="no-such-flag"):
+        hullcast.serve(arguments=["--no-such-flag"])
+    monkeypatch.setenv("HULLCAST_BIN", str(tmp_path / "none"))
+    with pytest.raises(hullcast.ServerNotFound, match="HULLCAST_BIN"):
+        hullcast.serve()
+    monkeypatch.delenv("HULLCAST_BIN")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(hullcast.ServerNotFound, match="PATH"):
+        hullcast.serve()
