@@ -1,9 +1,10 @@
 //! Certified contact manifolds of convex hulls.
 //!
-//! [`contact`] is the geometry: pure, synchronous, with no network in it. With
-//! the feature `server` (default) `service` answers batches of queries over
-//! gRPC and `store` keeps the registered hulls. [`workload`] generates pairs for
-//! load tests and benchmarks.
+//! [`contact`] is the geometry: pure, synchronous, with no network in it; begin
+//! there. With the feature `server` (default) `service` answers batches of queries
+//! over gRPC: `proto` is the contract, `store` keeps the registered hulls,
+//! `broad_phase` finds pairs, `compute` has the threads, `metrics` and `trace` say
+//! what goes on. [`workload`] generates pairs for load tests and benchmarks.
 //!
 //! Conventions: units are the caller's (metres in the documentation), angles
 //! radians; right-handed; quaternions `x, y, z, w`. A pose maps the hull's own

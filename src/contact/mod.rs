@@ -10,6 +10,29 @@
 //!
 //! [`contact_manifold`] is the three steps in order. [`certificate`] checks an
 //! answer from the hulls alone.
+//!
+//! One cube sunk into another by a hundredth:
+//!
+//! ```
+//! use hullcast::contact::{Body, ConvexHull, Pose, Query, Workspace, certificate, contact_manifold};
+//!
+//! let sign = |corner: u32, axis: u32| if corner >> axis & 1 == 0 { -0.5 } else { 0.5 };
+//! let corners: Vec<[f64; 3]> = (0..8).map(|i| [sign(i, 0), sign(i, 1), sign(i, 2)]).collect();
+//! let cube = ConvexHull::new(&corners)?;
+//! let upright = [0.0, 0.0, 0.0, 1.0];
+//! let a = Body::new(&cube, Pose::new([0.0, 0.0, 0.0], upright)?);
+//! let b = Body::new(&cube, Pose::new([0.2, 0.0, 0.99], upright)?);
+//!
+//! let query = Query { margin: 0.01, ..Query::default() };
+//! let mut workspace = Workspace::default();
+//! let manifold = contact_manifold(&a, &b, &query, None, &mut workspace);
+//! assert!(manifold.alpha_lower <= 0.99 && 0.99 <= manifold.alpha_upper);
+//! assert_eq!(manifold.normal.to_array(), [0.0, 0.0, 1.0]);
+//! assert_eq!(manifold.points.len(), 4);
+//! assert!(manifold.points.iter().all(|point| (point.distance + 0.01).abs() < 1e-15));
+//! certificate::check(&a, &b, &query, manifold)?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod body;
 mod bounds;
@@ -70,6 +93,24 @@ struct Steps {
 ///
 /// A pair farther apart than the margin is answered with certified lower bounds
 /// alone: its `alpha_upper` is infinite, and it has no points and no basis.
+///
+/// A simulation's next step begins where the one before ended:
+///
+/// ```
+/// # use hullcast::contact::{Body, ConvexHull, InvalidPose, Pose, Query, Workspace, contact_manifold};
+/// # let corners = [[-1.0, -1.0, -1.0], [1.0, 1.0, -1.0], [-1.0, 1.0, 1.0], [1.0, -1.0, 1.0]];
+/// # let hull = ConvexHull::new(&corners)?;
+/// # let pose = |z: f64| Pose::new([0.1, 0.2, z], [0.0, 0.0, 0.0, 1.0]);
+/// let (query, mut workspace, mut warm) = (Query::default(), Workspace::default(), None);
+/// let ground = Body::new(&hull, pose(0.0)?);
+/// for step in 0..10 {
+///     let falling = Body::new(&hull, pose(1.5 - 0.01 * f64::from(step))?);
+///     let manifold = contact_manifold(&ground, &falling, &query, warm.as_ref(), &mut workspace);
+///     assert!(step == 0 || manifold.iterations == 1);
+///     warm = manifold.basis;
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub fn contact_manifold<'w>(
     a: &Body<'_>,
     b: &Body<'_>,

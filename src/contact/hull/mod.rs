@@ -114,6 +114,18 @@ impl ConvexHull {
 
     /// The hull of `points` as `options` say; see [`ConvexHull::new`].
     ///
+    /// ```
+    /// use hullcast::contact::{ConvexHull, HullOptions, Simplification};
+    ///
+    /// let ring = (0..32).map(|i| (11.25 * f64::from(i)).to_radians());
+    /// let wheel: Vec<[f64; 3]> =
+    ///     ring.flat_map(|t| [-0.1, 0.1].map(|z| [t.cos(), t.sin(), z])).collect();
+    /// let simplification = Some(Simplification { max_vertices: None, max_deviation: Some(0.1) });
+    /// let hull = ConvexHull::with_options(&wheel, &HullOptions { simplification, ..HullOptions::default() })?;
+    /// assert!(hull.vertex_count() < 32 && hull.deviation() <= 0.1);
+    /// # Ok::<(), hullcast::contact::HullError>(())
+    /// ```
+    ///
     /// # Errors
     /// [`HullErrorKind`] lists the clouds that are no hull.
     pub fn with_options(points: &[[f64; 3]], options: &HullOptions) -> Result<Self, HullError> {
