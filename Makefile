@@ -41,7 +41,7 @@ build: check-tools ## the server, target/release/hullcast
 # tests. A distribution's cargo may come without them.
 .PHONY: lint
 lint: check-tools $(if $(CLIENT),lint-python) ## rustfmt, clippy and ruff, warnings are errors
-	@if $(CARGO) fmt --version >/dev/null 2>&1; then set -x; $(CARGO) fmt --check; cd benches; $(CARGO) fmt --check; \
+	@if $(CARGO) fmt --version >/dev/null 2>&1; then set -x; $(CARGO) fmt --check; cd benches; $(CARGO) fmt --check; cd ../fuzz; $(CARGO) fmt --check; \
 	 else echo "rustfmt is not installed: formatting not checked"; fi
 	@if $(CARGO) clippy --version >/dev/null 2>&1; then set -x; \
 	 $(CARGO) clippy --release --locked --all-targets -- -D warnings; \
@@ -49,6 +49,10 @@ lint: check-tools $(if $(CLIENT),lint-python) ## rustfmt, clippy and ruff, warni
 	 $(CARGO) clippy --release --locked --all-targets --features playground -- -D warnings; \
 	 cd benches; $(CARGO) clippy --release --locked --all-targets --features service -- -D warnings; \
 	 else echo "clippy is not installed: lints not checked"; fi
+	@if $(CARGO) clippy --version >/dev/null 2>&1 && command -v c++ >/dev/null; then set -x; cd fuzz; \
+	 $(CARGO) clippy --release --locked --all-targets --no-default-features -- -D warnings; \
+	 else echo "no clippy, or no C++ compiler: fuzz targets not checked"; fi
+	@if git rev-parse HEAD >/dev/null 2>&1; then git apply --check fuzz/planted/*.patch; fi
 	@if PATH="$(TOOLS)/bin:$$PATH" cargo-deny --version >/dev/null 2>&1; then \
 	 PATH="$(TOOLS)/bin:$$PATH" $(CARGO) deny --offline check --hide-inclusion-graph licenses bans sources; \
 	 elif $(PYTHON) -c 'import tomllib' 2>/dev/null; then CARGO="$(CARGO)" $(PYTHON) scripts/licences; \

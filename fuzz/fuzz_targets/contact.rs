@@ -27,7 +27,7 @@ fuzz_target!(|scene: Scene| {
             assert!(answers.iter().zip(&other).all(|(m, n)| bits(m) == bits(n)), "{answers:?} {other:?}");
         }
         let cases = CASES.fetch_add(1, Ordering::Relaxed) + 1;
-        if cases % REPORTED == 0 {
+        if cases.is_multiple_of(REPORTED) {
             eprintln!("cases: {cases}");
         }
     }

@@ -117,7 +117,8 @@ impl Bytes<'_> {
             max_iterations: self.one_of(&[UNLIMITED, UNLIMITED, UNLIMITED, UNLIMITED, 1, 2, 5]),
             ..Accuracy::default()
         };
-        let wanted = self.one_of(&[Wanted::Points, Wanted::Points, Wanted::Points, Wanted::Growth, Wanted::Outcome]);
+        let wanted =
+            self.one_of(&[Wanted::Points, Wanted::Points, Wanted::Points, Wanted::Growth, Wanted::Outcome]);
         Query { margin: 0.0, accuracy, wanted }
     }
 }
