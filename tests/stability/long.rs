@@ -1,7 +1,7 @@
 //! Seeded sweeps: `make stability-long`. A million cases by the certificate, a
 //! hundred thousand by the exact answers with each solver; THOUSANDS for fewer.
 
-use hullcast::contact::{Flags, Outcome, Workspace, certificate, contact_manifold};
+use hullcast::contact::{Accuracy, Outcome, Workspace, certificate, contact_manifold};
 
 use crate::case::Case;
 use crate::judge::SOLVERS;
@@ -34,16 +34,26 @@ fn many_cases_by_the_exact_answers() {
     assert!(failures.is_empty(), "{failures:#?}");
 }
 
+/// Answers GAP_OPEN or UNDECIDED.
+#[derive(Clone, Copy, Default)]
+struct Open {
+    /// Of cases that limit the solver's iterations.
+    limited: usize,
+    /// Of others.
+    others: usize,
+}
+
 /// What a seed's case found: UNDECIDED, GAP_OPEN and all else by the certificate.
-fn violation(case: &Case, workspace: &mut Workspace, flagged: &mut usize) -> Option<String> {
+fn violation(case: &Case, workspace: &mut Workspace, open: &mut Open) -> Option<String> {
+    let limited = case.max_iterations < Accuracy::default().max_iterations;
+    let count = if limited { &mut open.limited } else { &mut open.others };
     let [a, b] = case.bodies();
     for solver in SOLVERS {
         for margin in [f64::INFINITY, 0.0].into_iter().chain(case.margins.iter().copied()) {
             let mut query = case.query(margin);
             query.accuracy.solver = solver;
             let answer = contact_manifold(&a, &b, &query, None, workspace);
-            let open = Flags { gap_open: true, estimated: answer.flags.estimated, ..Flags::default() };
-            *flagged += usize::from(answer.flags == open || answer.outcome == Outcome::Undecided);
+            *count += usize::from(answer.flags.gap_open || answer.outcome == Outcome::Undecided);
             if let Err(violation) = certificate::check(&a, &b, &query, answer) {
                 return Some(format!("{solver:?}, margin {margin:e}: {violation}\n{case:?}"));
             }
@@ -60,17 +70,23 @@ fn a_million_cases_by_the_certificate() {
     let counts = of_every_row(|mut row| {
         let random = &mut row.random(2);
         // Making large hulls' cases costs more than answering them: they are thinned out.
-        let (mut workspace, mut flagged, cases) = (Workspace::default(), 0, row.thinned_out(each));
+        let (mut workspace, mut open, cases) = (Workspace::default(), Open::default(), row.thinned_out(each));
         for _ in 0..cases {
             let case = row.case(random);
-            if let Some(violation) = violation(&case, &mut workspace, &mut flagged) {
+            if let Some(violation) = violation(&case, &mut workspace, &mut open) {
                 panic!("{}, {}: {violation}", row.axis, row.value);
             }
         }
-        (cases, flagged)
+        (cases, open)
     });
     let cases: usize = counts.iter().map(|(cases, _)| cases).sum();
-    let flagged: usize = counts.iter().map(|(_, flagged)| flagged).sum();
-    println!("{cases} cases by the certificate, {flagged} answers GAP_OPEN or UNDECIDED");
+    let open = |of: fn(&Open) -> usize| counts.iter().map(|(_, open)| of(open)).sum::<usize>();
+    let (limited, others) = (open(|open| open.limited), open(|open| open.others));
+    println!(
+        "{cases} cases by the certificate; GAP_OPEN or UNDECIDED: {limited} answers with limited \
+         iterations, {others} others"
+    );
+    assert!(limited > 0, "no limit was reached");
+    assert_eq!(others, 0, "left open without a limit");
     assert!(cases >= wanted, "{cases} of {wanted}");
 }
