@@ -48,7 +48,6 @@ _IN_FLIGHT = 6
 #: Times that pairs are asked for again after registering the hulls they lack.
 REGISTRATIONS = 3
 
-
 #: Times that one message is sent again because its answer was cut off. Each
 #: is a call with all of gRPC's own retries.
 _CUT_OFFS = 3
