@@ -105,8 +105,9 @@ test-lowest test-latest: test-%: build
 	$(VENV)-$*/bin/python -m pytest client -o norecursedirs= -k 'not ur5_in_pieces'
 
 .PHONY: package
-package: check-tools wheel ## what a release publishes: the crate, built from its package alone, and the wheel
+package: check-tools wheel ## what a release publishes: the crate, built from its package alone, the wheel, and the crates' licences
 	$(CARGO) publish --dry-run --locked
+	CARGO="$(CARGO)" $(PYTHON) scripts/licences --texts > $(TARGET)/wheels/THIRD-PARTY-LICENCES.txt
 
 .PHONY: bench
 bench: check-tools build $(VENV)/.demo ## contacts beside parry3d, then through the server from Python; writes docs/performance.md
