@@ -120,11 +120,10 @@ impl ConvexHull {
         self.box_shape.as_ref()
     }
 
-    /// Vertex `i`: of a hull whose support mapping reads every vertex from where that was just
-    /// read.
+    /// Vertex `i`.
     #[inline]
     pub(crate) fn vertex(&self, i: u32) -> DVec3 {
-        if self.coarse.is_none() { self.columns.vertex(i) } else { self.vertices[i as usize] }
+        self.vertices[i as usize]
     }
 
     /// The vertices as columns.
