@@ -243,7 +243,7 @@ stability: check-tools ## answers at the extremes against exact ones; writes doc
 stability-long: check-tools ## THOUSANDS=1000: so many cases by the certificate, a tenth by the exact answers; writes docs/fuzzing.md; an hour and more
 	mkdir -p out
 	$(STABILITY) --ignored --nocapture many_cases a_million_cases | tee out/stability-long.txt
-	grep -E '^\||cases|^test ' out/stability-long.txt > out/stability-closing.txt
+	grep -E '^\||cases by|^test .*(ok|FAILED)' out/stability-long.txt > out/stability-closing.txt
 	./scripts/section docs/fuzzing.md long out/stability-closing.txt
 
 # As root, who may mount the small disk that is filled and made read-only.

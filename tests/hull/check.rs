@@ -164,17 +164,20 @@ fn check_area(hull: &ConvexHull, face: usize) {
     assert!((area - seen).abs() <= slack && area >= 0.0, "area {area:e} of face {face}, seen {seen:e}");
 }
 
-/// Whether two faces meet along an edge and, nearer than `slack`, along a part of it again:
-/// a fold, of which one side runs against the outlines.
+/// Whether two faces meet along an edge and, nearer than `slack`, along a part of it again, or
+/// along a line that it is a part of: a fold, of which one side runs against the outlines.
 fn folds_back(hull: &ConvexHull, edge: [u32; 2], faces: [u32; 2], slack: f64) -> bool {
-    let [from, to] = edge.map(|v| hull.vertices()[v as usize]);
-    let off = |v: u32| {
-        let (p, along) = (hull.vertices()[v as usize] - from, to - from);
-        p.distance((p.dot(along) / along.length_squared()).clamp(0.0, 1.0) * along)
+    let lies_on = |part: [u32; 2], [from, to]: [u32; 2]| {
+        let [from, to] = [from, to].map(|v| hull.vertices()[v as usize]);
+        part.iter().all(|&v| {
+            let (p, along) = (hull.vertices()[v as usize] - from, to - from);
+            p.distance((p.dot(along) / along.length_squared()).clamp(0.0, 1.0) * along) <= slack
+        })
     };
     let mut others = hull.edge_vertices().iter().zip(hull.edge_faces());
     others.any(|(&ends, &[f, g])| {
-        ends != edge && ([f, g] == faces || [g, f] == faces) && ends.iter().all(|&v| off(v) <= slack)
+        let same_faces = [f, g] == faces || [g, f] == faces;
+        ends != edge && same_faces && (lies_on(ends, edge) || lies_on(edge, ends))
     })
 }
 
