@@ -60,21 +60,17 @@ pub(super) fn topology(surface: &Surface<'_>, groups: &Groups) -> Option<Topolog
 /// Where every face is one triangle, as on rounded bodies: their sides.
 fn triangles_edges(surface: &Surface<'_>, groups: &Groups) -> Vec<Edge> {
     let Triangulation { triangles, neighbours } = surface.triangulation;
-    let ends = |side: u32| {
-        let (triangle, i) = (triangles[side as usize / 3], side as usize % 3);
-        [triangle[i], triangle[(i + 1) % 3]]
-    };
-    // In their order by counting, as to no two the lower one is anyone's guess.
-    let sides = (0..3 * triangles.len() as u32).map(|side| (ends(side), side));
-    let lower = sides.filter(|([from, to], _)| from < to);
-    let by_end = Csr::from_ordered_pairs(surface.vertices.len(), lower.map(|([_, to], side)| (to, side)));
-    let starts = by_end.items.iter().map(|&side| (ends(side)[0], side));
-    let by_start = Csr::from_ordered_pairs(surface.vertices.len(), starts);
-    let edge = |&side: &u32| {
-        let (left, i) = (side as usize / 3, side as usize % 3);
-        (ends(side), [left as u32, neighbours[left][i]].map(|t| groups.of[t as usize]))
-    };
-    by_start.items.iter().map(edge).collect()
+    let mut edges = Vec::with_capacity(3 * triangles.len() / 2);
+    for ((corners, across), &left) in triangles.iter().zip(neighbours).zip(&groups.of) {
+        for side in 0..3 {
+            let (from, to) = (corners[side], corners[(side + 1) % 3]);
+            if from < to {
+                edges.push(([from, to], [left, groups.of[across[side] as usize]]));
+            }
+        }
+    }
+    sort(&mut edges);
+    edges
 }
 
 /// And their corners, in no order.
