@@ -85,6 +85,7 @@ impl<'a> Scene<'a> {
         let [t, ca, cb] = [t, ca, cb].map(|v| v * up);
         let ray = t + (b.pose.rotation * cb - a.pose.rotation * ca);
         let ray_m = t.length() + ca.length() + cb.length();
+        let d = ray * ray_unit;
         let highest = |body: &Body<'_>, n: DVec3| {
             (0..body.hull.vertex_count()).map(|v| n.dot(vertex(body, v))).fold(f64::NEG_INFINITY, f64::max)
         };
@@ -92,7 +93,7 @@ impl<'a> Scene<'a> {
         Self {
             a,
             b,
-            d: ray * ray_unit,
+            d,
             ray,
             ray_m,
             ray_unit,
@@ -102,7 +103,7 @@ impl<'a> Scene<'a> {
             world: a.pose.translation.length() + b.pose.translation.length(),
             normal,
             reach,
-            separation: normal.dot(ray * ray_unit) - reach,
+            separation: normal.dot(d) - reach,
         }
     }
 

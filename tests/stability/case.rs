@@ -4,9 +4,10 @@
 use std::rc::Rc;
 
 use hullcast::contact::{
-    Accuracy, Body, ConvexHull, HullOptions, Pose, Query, Workspace, certificate, contact_manifold,
+    Accuracy, Body, ConvexHull, HullOptions, Manifold, Pose, Query, Workspace, certificate, contact_manifold,
 };
 
+use super::judge::SOLVERS;
 use super::oracle::{Exact, Placed};
 use super::scene::{Random, box_points, cloud, prism_points, scaled};
 
@@ -147,17 +148,25 @@ impl Case {
         Query { margin, accuracy, ..Query::default() }
     }
 
-    pub(crate) fn solve(&self, query: &Query, workspace: &mut Workspace) -> hullcast::contact::Manifold {
+    pub(crate) fn solve(&self, query: &Query, workspace: &mut Workspace) -> Manifold {
         let [a, b] = self.bodies();
         contact_manifold(&a, &b, query, None, workspace).clone()
     }
 
     /// The answer, which its certificate must hold.
-    pub(crate) fn certified(&self, query: &Query) -> hullcast::contact::Manifold {
+    pub(crate) fn certified(&self, query: &Query) -> Manifold {
         let [a, b] = self.bodies();
         let m = self.solve(query, &mut Workspace::default());
         certificate::check(&a, &b, query, &m).unwrap_or_else(|v| panic!("{v}\n{m:?}\n{self:?}"));
         m
+    }
+
+    /// Of either solver.
+    pub(crate) fn certified_by_each(&self, query: &Query) -> [Manifold; 2] {
+        SOLVERS.map(|solver| {
+            let accuracy = Accuracy { solver, ..query.accuracy };
+            self.certified(&Query { accuracy, ..*query })
+        })
     }
 
     pub(crate) fn exact(&self) -> Exact {

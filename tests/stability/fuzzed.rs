@@ -1,9 +1,8 @@
 //! What fuzzing several places of each pair of hulls found, each with its cause.
 
-use hullcast::contact::Element;
+use hullcast::contact::{Element, Manifold};
 
 use crate::case::{Case, Shape, cuboid, turn};
-use crate::judge::SOLVERS;
 use crate::named::{LEVEL, judged};
 use crate::scene::{Random, box_points, scaled};
 
@@ -81,11 +80,20 @@ fn crossings_are_lifted_along_the_side_that_they_are_beside() {
             query.accuracy.feature_angle = feature_angle;
             let m = case.certified(&query);
             touching += usize::from(!m.flags.estimated);
-            let both = |id: [Element; 2]| id.iter().all(|e| matches!(e, Element::Edge(_)));
-            crossings += m.points.iter().filter(|p| both(p.id)).count();
+            crossings += m.points.iter().filter(|p| is_crossing(p.id)).count();
         }
     }
     assert!(touching > 600 && crossings > 400, "{touching} touching, {crossings} crossings");
+}
+
+/// Whether two edges make a point.
+fn is_crossing(id: [Element; 2]) -> bool {
+    id.iter().all(|e| matches!(e, Element::Edge(_)))
+}
+
+/// Whether alpha is below the normal doubles, and not 0 for centres that coincide.
+fn is_subnormal(m: &Manifold) -> bool {
+    !m.flags.coincident && m.alpha.is_subnormal()
 }
 
 /// None of the answer's: centres so near that alpha is below the normal doubles, a multiple
@@ -98,12 +106,8 @@ fn alphas_below_the_normal_doubles_hold_their_certificate() {
         let shapes = [0; 2].map(|_| Shape::centred(box_points([0; 3].map(|_| random.range(0.2, 1.0)))));
         let d = random.direction().map(|x| x * 10f64.powf(random.range(-323.0, -307.0)));
         let case = Case::new(shapes, d, [random.rotation(), random.rotation()]);
-        for solver in SOLVERS {
-            let mut query = case.query(f64::INFINITY);
-            query.accuracy.solver = solver;
-            let m = case.certified(&query);
-            subnormal += usize::from(!m.flags.coincident && m.alpha.is_subnormal());
-        }
+        let answers = case.certified_by_each(&case.query(f64::INFINITY));
+        subnormal += answers.iter().filter(|m| is_subnormal(m)).count();
     }
     assert!(subnormal > 300, "{subnormal}");
 }
@@ -153,15 +157,10 @@ fn edges_nearly_parallel_cross_within_both() {
         let off = 10f64.powf(random.range(-18.0, -11.0)) * [-1.0, 1.0][random.below(2)];
         let d = [slide, across + off, 1.0 + 10f64.powf(random.range(-18.0, -15.0))];
         let shapes = [roof.clone(), roof.clone()];
-        let mut case = Case::new(shapes, d, [LEVEL, upside_down]);
-        case.relative_tolerance = 0.0;
-        for solver in SOLVERS {
-            let mut query = case.query(f64::INFINITY);
-            query.accuracy.solver = solver;
-            let m = case.certified(&query);
-            let edges = |id: [Element; 2]| id.iter().all(|e| matches!(e, Element::Edge(_)));
+        let case = Case::new(shapes, d, [LEVEL, upside_down]);
+        for m in case.certified_by_each(&case.query(f64::INFINITY)) {
             let [point] = m.points[..] else { continue };
-            if edges(point.id) { crossings += 1 } else { corners += 1 }
+            if is_crossing(point.id) { crossings += 1 } else { corners += 1 }
         }
     }
     assert!(corners > 1000 && crossings > 500, "{corners} corners, {crossings} crossings");
@@ -179,13 +178,10 @@ fn contraction_points_below_the_normal_doubles_hold_their_certificate() {
         let half = [0; 3].map(|_| 10f64.powf(random.range(-4.0, 0.0)));
         let shapes = [Shape::about(box_points(half), Some(centre)), Shape::centred(box_points(half))];
         let case = Case::new(shapes, [0.0; 3], [random.rotation(), random.rotation()]);
-        for solver in SOLVERS {
-            for max_iterations in [2, 1000] {
-                let mut query = case.query(f64::INFINITY);
-                (query.accuracy.solver, query.accuracy.max_iterations) = (solver, max_iterations);
-                let m = case.certified(&query);
-                subnormal += usize::from(!m.flags.coincident && m.alpha.is_subnormal());
-            }
+        for max_iterations in [2, 1000] {
+            let mut query = case.query(f64::INFINITY);
+            query.accuracy.max_iterations = max_iterations;
+            subnormal += case.certified_by_each(&query).iter().filter(|m| is_subnormal(m)).count();
         }
     }
     assert!(subnormal > 500, "{subnormal}");
