@@ -132,17 +132,23 @@ def by_session(client: hullcast.Client, scene: Scene) -> Step:
     return lambda: count(session.step(scene.positions, scene.rotations))
 
 
+def coal_shapes(coal: Any, hulls: Sequence[npt.NDArray[np.float64]]) -> list[Any]:
+    """coal's hulls of the points."""
+    shapes: list[Any] = []
+    for vertices in hulls:
+        points = coal.StdVec_Vec3s()
+        for vertex in vertices:
+            points.append(vertex)
+        shapes.append(coal.Convex.convexHull(points, True, "Qt"))
+    return shapes
+
+
 def by_coal(scene: Scene) -> Step:
     """coal: collide, then the patch."""
     import coal as library  # pyright: ignore[reportMissingImports]
 
     coal: Any = library
-    shapes: list[Any] = []
-    for vertices in scene.hulls:
-        points = coal.StdVec_Vec3s()
-        for vertex in vertices:
-            points.append(vertex)
-        shapes.append(coal.Convex.convexHull(points, True, "Qt"))
+    shapes = coal_shapes(coal, scene.hulls)
     turns = [Rotation.from_quat(rotation).as_matrix() for rotation in scene.rotations]
     request = coal.CollisionRequest(coal.CollisionRequestFlag.CONTACT, 1)
     request.security_margin = scene.margin
@@ -202,35 +208,31 @@ def by_fcl(scene: Scene) -> Step:
     return step
 
 
-@dataclass
-class Cost:
-    """Of a call, medians: by the wall clock, and on all cores in this process and its server."""
-
-    seconds: float
-    cpu_seconds: float
-
-
-def cpu_seconds() -> float:
-    """That this process and those that it started have used."""
-    this = psutil.Process()
-    return sum(sum(p.cpu_times()[:2]) for p in (this, *this.children()))
-
-
-def costs(steps: Sequence[Step], seconds: float) -> list[Cost]:
-    """Of a call of each; in turns, so that a busy moment meets them all."""
-    walls: list[list[float]] = [[] for _ in steps]
-    used = [0.0 for _ in steps]
+def median_seconds(steps: Sequence[Step], seconds: float) -> list[float]:
+    """Of a call of each, the medians; in turns, so that a busy moment meets them all."""
+    times: list[list[float]] = [[] for _ in steps]
     end = time.perf_counter() + seconds * len(steps)
-    while time.perf_counter() < end or len(walls[0]) < 3:
-        for i, step in enumerate(steps):
-            before = cpu_seconds()
+    while time.perf_counter() < end or len(times[0]) < 3:
+        for step, taken in zip(steps, times, strict=True):
             step()  # the caches are its own again
             start = time.perf_counter()
             step()
-            walls[i].append(time.perf_counter() - start)
-            used[i] += (cpu_seconds() - before) / 2
-    rounds = len(walls[0])
-    return [Cost(float(np.median(w)), u / rounds) for w, u in zip(walls, used, strict=True)]
+            taken.append(time.perf_counter() - start)
+    return [float(np.median(taken)) for taken in times]
+
+
+def cpu_seconds(step: Step, seconds: float) -> float:
+    """Of a call, on all cores, in this process and those that it started."""
+    processes = (psutil.Process(), *psutil.Process().children())
+
+    def used() -> float:
+        return sum(sum(process.cpu_times()[:2]) for process in processes)
+
+    before, end, calls = used(), time.perf_counter() + seconds, 0
+    while calls == 0 or time.perf_counter() < end:
+        step()
+        calls += 1
+    return (used() - before) / calls
 
 
 def compare(client: hullcast.Client, name: str, scene: Scene, seconds: float) -> None:
@@ -260,10 +262,10 @@ def compare(client: hullcast.Client, name: str, scene: Scene, seconds: float) ->
             continue
         singles.append(make(one))
         names.append(name)
-    single, whole = costs(singles, seconds / 3), costs(wholes, seconds)
+    single, whole = median_seconds(singles, seconds / 3), median_seconds(wholes, seconds)
     for i, name in enumerate(names):
-        a_step, a_cpu = whole[i].seconds, whole[i].cpu_seconds
-        row = (single[i].seconds * 1e6, a_step * 1e6, pairs / a_step, pairs / a_cpu, *wholes[i]())
+        cpu = cpu_seconds(wholes[i], seconds)
+        row = (single[i] * 1e6, whole[i] * 1e6, pairs / whole[i], pairs / cpu, *wholes[i]())
         print(form.format(name, *(f"{x:,.0f}" for x in row)), flush=True)
 
 

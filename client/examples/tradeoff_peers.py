@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from peers import coal_shapes
 from scipy.spatial.transform import Rotation
 
 #: As `hullcast tradeoff` times its own.
@@ -59,12 +60,7 @@ def coal_peer() -> tuple[str, Maker, Callable[[], object]]:
     coal: Any = library
 
     def make(margin: float, hulls: list[Floats]) -> Callable[[int, int], Contender]:
-        shapes: list[Any] = []
-        for vertices in hulls:
-            points = coal.StdVec_Vec3s()
-            for vertex in vertices:
-                points.append(vertex)
-            shapes.append(coal.Convex.convexHull(points, True, "Qt"))
+        shapes = coal_shapes(coal, hulls)
         request = coal.CollisionRequest(coal.CollisionRequestFlag.CONTACT, 1)
         request.security_margin = margin
         patch_request = coal.ContactPatchRequest()
