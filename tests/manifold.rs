@@ -291,8 +291,8 @@ fn stopping_early_is_still_right() {
     assert!(decided_early > 1000 && open > 5000, "{decided_early} {open}");
 }
 
-/// Hulls large enough for the support mapping to climb: generic, and with
-/// plateaus that a climb could stop on (a fine prism's rims, a lattice's facets).
+/// Hulls large enough for the support mapping to have a map: generic, and with
+/// plateaus, where many vertices are as far (a fine prism's rims, a lattice's facets).
 /// Catches a bound built on a support point that is not the farthest.
 #[test]
 fn large_hulls_keep_their_certificates() {
@@ -310,7 +310,7 @@ fn large_hulls_keep_their_certificates() {
         hull(&lattice),
         box_hull([0.7, 0.5, 0.3]),
     ];
-    assert!(large[..4].iter().all(|h| h.vertex_count() > 512), "a hull too small to climb");
+    assert!(large[..4].iter().all(|h| h.vertex_count() > 512), "a hull too small for a map");
     let mut answered = 0;
     for _ in 0..600 {
         let (a, b) = (&large[random.below(5)], &large[random.below(5)]);

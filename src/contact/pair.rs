@@ -172,19 +172,6 @@ impl<'a> Pair<'a> {
         self.support_of(a, b)
     }
 
-    /// The same, or of large hulls perhaps a vertex beside it; `near` is a vertex
-    /// of `K` that may be near it.
-    pub(crate) fn likely_support(&self, n: DVec3, near: &Support) -> Support {
-        let a = self.a.likely_support(n, near.a);
-        let b = self.b.likely_support(-(self.rotation.transpose() * n), near.b);
-        self.support_of(a, b)
-    }
-
-    /// Whether [`Pair::likely_support`] is the support.
-    pub(crate) fn likely_is_sure(&self) -> bool {
-        self.a.likely_is_sure() && self.b.likely_is_sure()
-    }
-
     /// A direction of A's frame in B's.
     #[inline]
     pub(crate) fn direction_in_b(&self, n: DVec3) -> DVec3 {

@@ -7,6 +7,7 @@
 #![allow(unsafe_code)]
 
 mod columns;
+mod map;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
@@ -16,94 +17,22 @@ use super::ConvexHull;
 use columns::LANES;
 
 pub(crate) use columns::Columns;
-
-/// Hulls of more vertices have a coarse level: below, looking at all of them is
-/// as fast.
-const COARSE_ABOVE: usize = 512;
-
-/// Vertices of the coarse level.
-const COARSE: usize = 64;
-
-/// Some vertices of a large hull, far from each other: from the best of them few
-/// steps along edges lead to the best of all.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Coarse {
-    columns: Columns,
-    indices: Vec<u32>,
-}
-
-impl Coarse {
-    /// Farthest-point sampling, from the first vertex on; none for small hulls.
-    pub(crate) fn new(vertices: &[DVec3]) -> Option<Self> {
-        if vertices.len() <= COARSE_ABOVE {
-            return None;
-        }
-        let mut nearest = vec![f64::INFINITY; vertices.len()];
-        let (mut indices, mut next) = (Vec::with_capacity(COARSE), 0);
-        while indices.len() < COARSE {
-            indices.push(next as u32);
-            let from = vertices[next];
-            let mut most = f64::NEG_INFINITY;
-            for (i, (nearest, v)) in nearest.iter_mut().zip(vertices).enumerate() {
-                let distance = v.distance_squared(from);
-                if distance < *nearest {
-                    *nearest = distance;
-                }
-                if *nearest > most {
-                    (most, next) = (*nearest, i);
-                }
-            }
-        }
-        let chosen: Vec<DVec3> = indices.iter().map(|&i| vertices[i as usize]).collect();
-        Some(Self { columns: Columns::new(&chosen), indices })
-    }
-
-    pub(crate) fn heap_bytes(&self) -> usize {
-        self.columns.heap_bytes() + self.indices.capacity() * size_of::<u32>()
-    }
-}
+pub(crate) use map::SupportMap;
 
 impl ConvexHull {
-    /// A vertex with the largest `n . v`, or, of large hulls and to rounding,
-    /// perhaps one next to it: a bound needs [`ConvexHull::support`]. `near` is a
-    /// vertex that may be near it.
-    #[inline]
-    pub(crate) fn likely_support(&self, n: DVec3, near: u32) -> u32 {
-        let Some(coarse) = &self.coarse else { return self.support(n) };
-        let height = |v: u32| n.dot(self.vertices()[v as usize]);
-        let sampled = coarse.indices[farthest(&coarse.columns, n) as usize];
-        self.climb(n, if height(near) > height(sampled) { near } else { sampled })
-    }
-
-    /// Whether [`ConvexHull::likely_support`] is the support.
-    pub(crate) fn likely_is_sure(&self) -> bool {
-        self.coarse.is_none()
-    }
-
-    /// From vertex to better vertex along edges: a vertex better than all its
-    /// neighbours is the best of a convex hull. Ends, since each step is strictly
-    /// upwards.
-    fn climb(&self, n: DVec3, start: u32) -> u32 {
-        let height = |v: u32| n.dot(self.vertices()[v as usize]);
-        let (mut best, mut highest) = (start, height(start));
-        loop {
-            let from = best;
-            for &v in self.vertex_neighbours(from as usize) {
-                let h = height(v);
-                if h > highest {
-                    (best, highest) = (v, h);
-                }
-            }
-            if best == from {
-                return best;
-            }
-        }
-    }
-
     /// The vertex with the largest `n . v`, the lowest index of equals.
     #[inline]
     pub(crate) fn support(&self, n: DVec3) -> u32 {
-        farthest(&self.columns, n)
+        match &self.support_map {
+            Some(map) => self.mapped(map, n),
+            None => farthest(&self.columns, n),
+        }
+    }
+
+    /// Taken apart: small hulls are not to wait for it.
+    #[inline(never)]
+    fn mapped(&self, map: &SupportMap, n: DVec3) -> u32 {
+        map.farthest(&self.vertices, n).unwrap_or_else(|| farthest(&self.columns, n))
     }
 }
 

@@ -47,6 +47,12 @@ pub(crate) const REACH: f64 = 512.0;
 /// rounded once.
 pub(crate) const SUBNORMAL: f64 = f64::from_bits(4);
 
+/// Hull units: how far below another, along each of the directions through a cell's corners, a
+/// vertex is not farther along any direction in the cell, however its height is rounded: 3
+/// roundoffs of each of two heights along a direction no longer than `sqrt(3)`, and 4 of the
+/// direction's place in the cell, rounded up.
+pub(crate) const MAPPED: f64 = 64.0 * U;
+
 /// Cosines of face normals, and sines of edges, within this share of `U` tie.
 pub(crate) const TIE: f64 = 8.0;
 

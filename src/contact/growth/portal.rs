@@ -7,51 +7,99 @@
 //! replaces one corner, until there is none beyond. Finite, since the signs
 //! that choose the corner are exact (`triple`), with a bracket at every step.
 
+use std::ops::ControlFlow::{self, Break, Continue};
+
 use glam::DVec3;
 
-use super::triple::{self, Normal, Triple};
+use super::triple::{Normal, Triple};
 use super::{Cost, Goal, Growth, Separation, conclude, separates};
 use crate::contact::pair::{Pair, Support};
 use crate::contact::tolerance::{FIRST_STEPS, GAIN, STALL, U};
 
 /// Growth scale and normal. `seeds` are vertices of `K` worth trying first: a
 /// basis of an earlier answer, a simplex of another solver.
-pub(crate) fn solve(pair: &Pair<'_>, seeds: &[Support], goal: &Goal, cost: Cost) -> Growth {
-    let refine = if pair.likely_is_sure() { refine::<false> } else { refine::<true> };
-    match refine(pair, start(pair, seeds), goal, cost) {
+pub(crate) fn solve(pair: &Pair<'_>, seeds: &[Support], goal: &Goal, mut cost: Cost) -> Growth {
+    if seeds.is_empty() {
+        return refine(pair, inner_triangle(pair), false, goal, cost);
+    }
+    let start = match *seeds {
+        [s0, s1, s2] => match look(pair, [s0, s1, s2], goal, &mut cost) {
+            Break(growth) => return growth,
+            Continue(start) => start,
+        },
+        _ => None,
+    };
+    let Start { portal, wide } = start.unwrap_or_else(|| Start::plain(inside(pair, seeds)));
+    match refine(pair, portal, wide, goal, cost) {
         // Seeds that mislead cost a cold start.
-        Growth::Solved(misled)
-            if misled.gap_open && !seeds.is_empty() && misled.cost.iterations < goal.max_iterations =>
-        {
-            refine(pair, inner_triangle(pair), goal, misled.cost)
+        Growth::Solved(misled) if misled.gap_open && misled.cost.iterations < goal.max_iterations => {
+            refine(pair, inner_triangle(pair), false, goal, misled.cost)
         }
         solved => solved,
     }
 }
 
-/// Pivots until no vertex of `K` lies beyond the portal. `LARGE`: a likely
-/// support point costs less than the sure one.
-fn refine<const LARGE: bool>(pair: &Pair<'_>, mut portal: Triple, goal: &Goal, mut cost: Cost) -> Growth {
+/// A portal to go on from.
+struct Start {
+    portal: Triple,
+    /// It is known to be the last, and plain arithmetic does not show it.
+    wide: bool,
+}
+
+impl Start {
+    fn plain(portal: Triple) -> Self {
+        Self { portal, wide: false }
+    }
+}
+
+/// Whether three seeds are the basis: their bracket shows it by itself. Only to go on from them
+/// their cone has to hold the ray.
+fn look(
+    pair: &Pair<'_>,
+    seeds: [Support; 3],
+    goal: &Goal,
+    cost: &mut Cost,
+) -> ControlFlow<Growth, Option<Start>> {
+    let around = || Triple::around(pair, seeds).map(Start::plain);
+    // Of the last step nothing would be left to go on with.
+    let last = cost.iterations + 1 >= goal.max_iterations;
+    let Some((portal, normal)) = Triple::along(pair, seeds).filter(|_| !last) else {
+        return Continue(around());
+    };
+    let n = normal.n;
+    let w = pair.support(n);
+    cost.iterations += 1;
+    cost.support_calls += 2;
+    if goal.margin < f64::INFINITY && separates(pair, n, &w, goal.margin) {
+        return Break(Growth::Separated(Separation { direction: n, support: w, cost: *cost }));
+    }
+    let refined = refined(pair, &portal, normal, &w, 0.0);
+    if refined {
+        // A wide bracket would close about a cone beside the ray too.
+        let closest = Goal { relative_tolerance: 0.0, ..*goal };
+        let solution = conclude(pair, n, w, portal.supports(), &closest, *cost);
+        if !solution.gap_open && !solution.coarse {
+            return Break(Growth::Solved(solution));
+        }
+    }
+    Continue(around().map(|mut start| {
+        start.wide = refined;
+        if !refined {
+            start.portal.pivot(pair, w);
+        }
+        start
+    }))
+}
+
+/// Pivots until no vertex of `K` lies beyond the portal.
+fn refine(pair: &Pair<'_>, mut portal: Triple, mut wide: bool, goal: &Goal, mut cost: Cost) -> Growth {
     let mut best = Best::default();
-    let (mut wide, mut stalled) = (false, 0);
+    let mut stalled = 0;
     let uncompared = FIRST_STEPS.min(goal.max_iterations / 2);
-    let mut last = Support::default();
     loop {
         let normal = if wide { portal.wide_normal() } else { portal.normal() };
         let n = normal.n;
         cost.iterations += 1;
-        // A likely support point is as good as the sure one to go on to; it bounds nothing.
-        if LARGE {
-            cost.support_calls += 2;
-            let w = pair.likely_support(n, &last);
-            last = w;
-            let apart = goal.margin < f64::INFINITY && separates(pair, n, &w, goal.margin);
-            let must_know = cost.iterations >= goal.max_iterations || may_decide(pair, &portal, n, goal);
-            if !apart && !must_know && !refined(pair, &portal, normal, &w, goal.relative_tolerance) {
-                portal.pivot(pair, w);
-                continue;
-            }
-        }
         let w = pair.support(n);
         cost.support_calls += 2;
         if goal.margin < f64::INFINITY && separates(pair, n, &w, goal.margin) {
@@ -122,14 +170,8 @@ fn may_decide(pair: &Pair<'_>, portal: &Triple, n: DVec3, goal: &Goal) -> bool {
     goal.outcome_only && (goal.margin == f64::INFINITY || n.dot(pair.d) <= n.dot(portal.get(0).point))
 }
 
-/// The first triangle: the seeds themselves where their cone holds the ray,
-/// else inner points around it, replaced by the seeds beyond their plane.
-fn start(pair: &Pair<'_>, seeds: &[Support]) -> Triple {
-    if let &[s0, s1, s2] = seeds
-        && let Some(portal) = triple::around(pair, [s0, s1, s2])
-    {
-        return Triple::new(portal);
-    }
+/// Inner points around the ray, replaced by the seeds beyond their plane.
+fn inside(pair: &Pair<'_>, seeds: &[Support]) -> Triple {
     let mut portal = inner_triangle(pair);
     for seed in seeds {
         if !refined(pair, &portal, portal.normal(), seed, 0.0) {

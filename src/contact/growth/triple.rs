@@ -31,21 +31,6 @@ fn exact_turn(ray: DVec3, w: DVec3, u: DVec3) -> f64 {
     [minor(1, 2), minor(2, 0), minor(0, 1)].into_iter().find(|&m| m != 0.0).unwrap_or(0.0)
 }
 
-/// The three points anticlockwise about the ray, if their cone holds it.
-pub(crate) fn around(pair: &Pair<'_>, [u0, u1, u2]: [Support; 3]) -> Option<[Support; 3]> {
-    let [p0, p1, p2] = [u0.point, u1.point, u2.point];
-    let turns = [(p0, p1), (p1, p2), (p2, p0)].map(|(u, v)| turn(pair, pair.ray.cross(u), u, v));
-    let all = |sign: f64| turns.iter().fold(true, |all, &t| all & (sign * t > 0.0));
-    if !(all(1.0) | all(-1.0)) {
-        return None;
-    }
-    let last = [u2, u1];
-    let flip = usize::from(turns[0] < 0.0);
-    let along = [u0, last[1 - flip], last[flip]];
-    // Else the line of the ray meets their triangle behind the origin.
-    (volume(pair, along.map(|u| u.point)) > 0.0).then_some(along)
-}
-
 /// Sign of `det(u0, u1, u2)`.
 fn volume(pair: &Pair<'_>, [u0, u1, u2]: [DVec3; 3]) -> f64 {
     let value = u0.cross(u1).dot(u2);
@@ -66,6 +51,33 @@ pub(crate) struct Triple {
 impl Triple {
     pub(crate) fn new([u0, u1, u2]: [Support; 3]) -> Self {
         Self { places: [u0, u1, u2, Support::default()], at: 0x02_01_00, free: 3 }
+    }
+
+    /// The three points anticlockwise about the ray, if their cone holds it.
+    pub(crate) fn around(pair: &Pair<'_>, [u0, u1, u2]: [Support; 3]) -> Option<Self> {
+        let [p0, p1, p2] = [u0.point, u1.point, u2.point];
+        let turns = [(p0, p1), (p1, p2), (p2, p0)].map(|(u, v)| turn(pair, pair.ray.cross(u), u, v));
+        let all = |sign: f64| turns.iter().fold(true, |all, &t| all & (sign * t > 0.0));
+        if !(all(1.0) | all(-1.0)) {
+            return None;
+        }
+        let last = [u2, u1];
+        let flip = usize::from(turns[0] < 0.0);
+        let along = [u0, last[1 - flip], last[flip]];
+        // Else the line of the ray meets their triangle behind the origin.
+        (volume(pair, along.map(|u| u.point)) > 0.0).then(|| Self::new(along))
+    }
+
+    /// The three points in the order whose normal is along the ray, and that normal; none
+    /// where their triangle is thin.
+    #[inline]
+    pub(crate) fn along(pair: &Pair<'_>, [u0, u1, u2]: [Support; 3]) -> Option<(Self, Normal)> {
+        let normal = Normal::plain([u0, u1, u2].map(|u| u.point))?;
+        Some(if normal.n.dot(pair.ray) < 0.0 {
+            (Self::new([u0, u2, u1]), Normal { n: -normal.n, ..normal })
+        } else {
+            (Self::new([u0, u1, u2]), normal)
+        })
     }
 
     /// One of the three.
@@ -103,13 +115,8 @@ impl Triple {
     /// Its outward normal, in wide arithmetic where the triangle is thin.
     #[inline]
     pub(crate) fn normal(&self) -> Normal {
-        let (u0, u1, u2) = (self.get(0).point, self.get(1).point, self.get(2).point);
-        let (e1, e2) = (u1 - u0, u2 - u0);
-        let n = e1.cross(e2);
-        let (length_squared, sides_squared) = (n.length_squared(), e1.length_squared() * e2.length_squared());
-        if THIN * length_squared >= sides_squared {
-            // (length + sides)^2 at most.
-            Normal { n, error_squared: 2.0 * (length_squared + sides_squared) }
+        if let Some(normal) = Normal::plain([0, 1, 2].map(|i| self.get(i).point)) {
+            normal
         } else {
             // Taken apart: else the plain one would go through memory too.
             let Normal { n, error_squared } = self.wide_normal();
@@ -131,6 +138,19 @@ pub(crate) struct Normal {
     pub(crate) n: DVec3,
     /// Roundoffs of a length whose square this is are its error.
     pub(crate) error_squared: f64,
+}
+
+impl Normal {
+    /// Of a triangle that is not thin.
+    #[inline]
+    fn plain([u0, u1, u2]: [DVec3; 3]) -> Option<Self> {
+        let (e1, e2) = (u1 - u0, u2 - u0);
+        let n = e1.cross(e2);
+        let (length_squared, sides_squared) = (n.length_squared(), e1.length_squared() * e2.length_squared());
+        // (length + sides)^2 at most.
+        ((length_squared > 0.0) & (THIN * length_squared >= sides_squared))
+            .then_some(Self { n, error_squared: 2.0 * (length_squared + sides_squared) })
+    }
 }
 
 /// Weights `l` with `sum of l_i u_i = ray` (Cramer's rule); not finite where the

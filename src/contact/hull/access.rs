@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use super::{BoxShape, ConvexHull, Csr, Face};
-use crate::contact::support::{Coarse, Columns};
+use crate::contact::support::{Columns, SupportMap};
 
 /// In the caller's units, hull frame.
 impl ConvexHull {
@@ -103,7 +103,7 @@ impl ConvexHull {
         ];
         bytes(&self.vertices)
             + self.columns.heap_bytes()
-            + self.coarse.as_ref().map_or(0, Coarse::heap_bytes)
+            + self.support_map.as_ref().map_or(0, SupportMap::heap_bytes)
             + bytes(&self.registered)
             + bytes(&self.faces)
             + bytes(&self.edge_vertices)

@@ -13,7 +13,7 @@ use super::solid::{Centred, Solid};
 use super::topology::topology;
 use super::{ConvexHull, HullError, HullErrorKind, HullOptions};
 use crate::contact::exact::TriangleNormal;
-use crate::contact::support::{Coarse, Columns};
+use crate::contact::support::{Columns, SupportMap};
 
 pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexHull, HullError> {
     let solid = Solid::new(given)?;
@@ -37,11 +37,11 @@ pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexH
         edge_faces: shell.edge_faces,
         vertex_faces: shell.vertex_faces,
         vertex_edges: shell.vertex_edges,
+        support_map: SupportMap::new(&centred.vertices, &shell.vertex_neighbours),
         vertex_neighbours: shell.vertex_neighbours,
         box_shape: BoxShape::recognise(&centred.vertices, &shell.faces),
         faces: shell.faces,
         columns: Columns::new(&centred.vertices),
-        coarse: Coarse::new(&centred.vertices),
         vertices: centred.vertices,
         registered: solid.registered,
         registered_count: given.len() as u32,

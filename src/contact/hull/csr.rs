@@ -81,20 +81,20 @@ impl Csr {
     }
 
     /// No rows, with room.
-    pub(super) fn with_capacity(rows: usize, items: usize) -> Self {
+    pub(crate) fn with_capacity(rows: usize, items: usize) -> Self {
         let mut starts = Vec::with_capacity(rows + 1);
         starts.push(0);
         Self { starts, items: Vec::with_capacity(items) }
     }
 
     /// Adds a row.
-    pub(super) fn push_row(&mut self, row: &[u32]) {
+    pub(crate) fn push_row(&mut self, row: &[u32]) {
         self.items.extend_from_slice(row);
         self.starts.push(self.items.len() as u32);
     }
 
     /// Bytes on the heap.
-    pub(super) fn heap_bytes(&self) -> usize {
+    pub(crate) fn heap_bytes(&self) -> usize {
         (self.starts.capacity() + self.items.capacity()) * size_of::<u32>()
     }
 }

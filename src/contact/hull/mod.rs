@@ -20,7 +20,7 @@ mod solid;
 mod topology;
 
 pub(crate) use boxes::{BoxShape, octant};
-use csr::Csr;
+pub(crate) use csr::Csr;
 pub use error::{HullError, HullErrorKind};
 pub use face::Face;
 #[doc(hidden)]
@@ -53,13 +53,13 @@ impl Default for HullOptions {
 #[derive(Clone, Debug, PartialEq)]
 pub struct ConvexHull {
     /// Extreme vertices, hull units, in registered order.
-    vertices: Vec<DVec3>,
+    pub(super) vertices: Vec<DVec3>,
     /// The same, for the support mapping.
     pub(super) columns: super::support::Columns,
     /// Of boxes about the contraction point.
     box_shape: Option<BoxShape>,
     /// Of large hulls.
-    pub(super) coarse: Option<super::support::Coarse>,
+    pub(super) support_map: Option<super::support::SupportMap>,
     /// Per vertex its index among the points as registered; ascending.
     registered: Vec<u32>,
     /// Points as registered.
@@ -97,7 +97,7 @@ pub struct ConvexHull {
     /// Per vertex: edges ending in it, ascending.
     vertex_edges: Csr,
     /// Per vertex: its neighbours along the triangulation, ascending.
-    vertex_neighbours: Csr,
+    pub(super) vertex_neighbours: Csr,
 }
 
 impl ConvexHull {

@@ -1,0 +1,299 @@
+//! A map of all directions for large hulls: the surface of a cube in cells, and for each cell
+//! the few vertices that may be farthest along a direction through it. The farthest of these
+//! is, to the bit, the farthest of all.
+
+use std::hint::select_unpredictable;
+
+use glam::DVec3;
+
+use crate::contact::hull::Csr;
+use crate::contact::tolerance::MAPPED;
+
+/// Hulls of more vertices have a map: below, looking at all of them costs about as much.
+const ABOVE: usize = 512;
+
+/// Vertices a cell, about: with fewer cells each has more candidates, and the map is made
+/// sooner.
+const VERTICES_A_CELL: f64 = 3.3;
+
+/// Candidates of a cell: of more, as where the cell holds the normal of a face with many
+/// corners, looking at all vertices is as fast.
+const MOST: usize = 32;
+
+/// Of each direction the vertices that may be farthest along it.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct SupportMap {
+    /// Cells along an edge of the cube.
+    side: usize,
+    /// Of each cell, face by face and row by row, ascending; none where they are too many.
+    candidates: Csr,
+}
+
+impl SupportMap {
+    /// Of vertices in hull units, and their neighbours along a triangulation; none for small
+    /// hulls.
+    pub(crate) fn new(vertices: &[DVec3], neighbours: &Csr) -> Option<Self> {
+        if vertices.len() <= ABOVE {
+            return None;
+        }
+        let side = (vertices.len() as f64 / VERTICES_A_CELL / 6.0).sqrt().ceil() as usize;
+        let cells = 6 * side * side;
+        let mut candidates = Csr::with_capacity(cells, cells * MOST / 2);
+        let mut search = Search::new(vertices, neighbours);
+        let (mut near, mut row) = (0, Vec::new());
+        for place in 0..cells {
+            let cell = Cell::new(place / (side * side), [place % side, place / side % side], side);
+            near = search.find(&cell, near);
+            row.clear();
+            if search.found.len() <= MOST {
+                row.extend(search.found.iter().map(|found| found.0));
+                row.sort_unstable();
+            }
+            candidates.push_row(&row);
+        }
+        candidates.items.shrink_to_fit();
+        Some(Self { side, candidates })
+    }
+
+    /// The vertex farthest along `n`, the lowest index of equals; none where the map does not
+    /// say.
+    #[inline]
+    pub(crate) fn farthest(&self, vertices: &[DVec3], n: DVec3) -> Option<u32> {
+        let (mut farthest, mut largest) = (u32::MAX, f64::NEG_INFINITY);
+        for &v in self.candidates.row(self.cell(n)?) {
+            let p = vertices[v as usize];
+            let value = n.x * p.x + n.y * p.y + n.z * p.z;
+            let better = value > largest;
+            farthest = select_unpredictable(better, v, farthest);
+            largest = select_unpredictable(better, value, largest);
+        }
+        (farthest != u32::MAX).then_some(farthest)
+    }
+
+    /// The cell that a direction goes through, but for rounding; none for directions that are
+    /// none.
+    #[inline]
+    fn cell(&self, n: DVec3) -> Option<usize> {
+        let size = n.abs();
+        let axis = select_unpredictable(size.z > size.x.max(size.y), 2, usize::from(size.y > size.x));
+        let turned = [n.x, n.y, n.z, n.x, n.y];
+        let (along, x, y) = (turned[axis], turned[axis + 1], turned[axis + 2]);
+        let half = 0.5 * self.side as f64;
+        let scale = half / along.abs();
+        let place = |x: f64| ((x * scale + half) as usize).min(self.side - 1);
+        let face = 2 * axis + usize::from(along < 0.0);
+        (scale > 0.0 && scale < f64::INFINITY).then(|| (face * self.side + place(y)) * self.side + place(x))
+    }
+
+    pub(crate) fn heap_bytes(&self) -> usize {
+        self.candidates.heap_bytes()
+    }
+}
+
+/// The directions through one cell: sums of those through its corners.
+struct Cell {
+    axis: usize,
+    along: f64,
+    /// Its ends across the axis.
+    x: [f64; 2],
+    y: [f64; 2],
+}
+
+/// How far a vertex is along the directions through a cell's corners.
+type Heights = [f64; 4];
+
+impl Cell {
+    fn new(face: usize, [x, y]: [usize; 2], side: usize) -> Self {
+        let ends = |place: usize| [place, place + 1].map(|end| 2.0 * end as f64 / side as f64 - 1.0);
+        Self { axis: face / 2, along: [1.0, -1.0][face % 2], x: ends(x), y: ends(y) }
+    }
+
+    #[inline]
+    fn heights(&self, v: DVec3) -> Heights {
+        let v = v.to_array();
+        let (along, across, up) = (self.along * v[self.axis], v[(self.axis + 1) % 3], v[(self.axis + 2) % 3]);
+        let ([x0, x1], [y0, y1]) = (self.x.map(|x| along + x * across), self.y.map(|y| y * up));
+        [x0 + y0, x1 + y0, x0 + y1, x1 + y1]
+    }
+}
+
+/// Finds candidates, cell after cell.
+struct Search<'a> {
+    vertices: &'a [DVec3],
+    neighbours: &'a Csr,
+    /// The cell, counted, for which each vertex was last looked at.
+    seen: Vec<u32>,
+    cells: u32,
+    found: Vec<(u32, Heights)>,
+}
+
+impl<'a> Search<'a> {
+    fn new(vertices: &'a [DVec3], neighbours: &'a Csr) -> Self {
+        Self { vertices, neighbours, seen: vec![0; vertices.len()], cells: 0, found: Vec::new() }
+    }
+
+    /// Finds the vertices that may be farthest along a direction of the cell, or more than
+    /// [`MOST`]; gives the one farthest along its middle, of which `near` is near.
+    ///
+    /// Those that are farthest somewhere in the cell are connected: from one direction to
+    /// another the farthest changes along a face. And one that another is above at all four
+    /// corners is nowhere farthest.
+    fn find(&mut self, cell: &Cell, near: u32) -> u32 {
+        let top = self.climb(cell, near);
+        let Self { vertices, neighbours, seen, cells, found } = self;
+        *cells += 1;
+        seen[top as usize] = *cells;
+        found.clear();
+        found.push((top, cell.heights(vertices[top as usize])));
+        // At each corner, and in the middle.
+        let mut highest = [found[0].1; 5];
+        let mut next = 0;
+        while next < found.len() && found.len() <= 4 * MOST {
+            for &v in neighbours.row(found[next].0 as usize) {
+                if std::mem::replace(&mut seen[v as usize], *cells) == *cells {
+                    continue;
+                }
+                let at = cell.heights(vertices[v as usize]);
+                if is_below(&at, &highest) {
+                    continue;
+                }
+                found.push((v, at));
+                for corner in 0..4 {
+                    if at[corner] > highest[corner][corner] {
+                        highest[corner] = at;
+                    }
+                }
+            }
+            next += 1;
+        }
+        found.retain(|(_, at)| !is_below(at, &highest));
+        top
+    }
+
+    /// The vertex farthest along the middle of a cell: one that is better than all its
+    /// neighbours is the best of a convex hull, but for rounding.
+    fn climb(&self, cell: &Cell, near: u32) -> u32 {
+        let height = |v: u32| {
+            let at = cell.heights(self.vertices[v as usize]);
+            at[0] + at[3]
+        };
+        let (mut top, mut most) = (near, height(near));
+        loop {
+            let from = top;
+            for &v in self.neighbours.row(from as usize) {
+                let height = height(v);
+                let higher = height > most;
+                top = select_unpredictable(higher, v, top);
+                most = select_unpredictable(higher, height, most);
+            }
+            if top == from {
+                return top;
+            }
+        }
+    }
+}
+
+/// Whether one of `highest` is above at all four corners, by more than rounding.
+#[inline]
+fn is_below(at: &Heights, highest: &[Heights; 5]) -> bool {
+    let at = at.map(|height| height + MAPPED);
+    highest.iter().fold(false, |any, high| any | (0..4).fold(true, |all, k| all & (high[k] > at[k])))
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3Swizzles;
+
+    use super::*;
+    use crate::contact::ConvexHull;
+    use crate::contact::support::farthest;
+    use crate::workload::Random;
+
+    fn hulls() -> Vec<ConvexHull> {
+        let mut random = Random::new(3);
+        let mut sphere = |count: usize| (0..count).map(|_| random.direction()).collect::<Vec<_>>();
+        let stretched = |points: Vec<DVec3>, by: [f64; 3]| {
+            points.iter().map(|p| *p * DVec3::from_array(by)).collect::<Vec<_>>()
+        };
+        let ring = |n: usize, z: f64| {
+            (0..n).map(move |i| {
+                let (sin, cos) = (std::f64::consts::TAU * i as f64 / n as f64).sin_cos();
+                DVec3::new(cos, sin, z)
+            })
+        };
+        let bowl = |n: i32| {
+            let all = (-n..=n).flat_map(move |x| (-n..=n).map(move |y| (x, y)));
+            all.map(|(x, y)| DVec3::new(f64::from(x), f64::from(y), -0.01 * f64::from(x * x + y * y)))
+        };
+        [
+            sphere(600),
+            sphere(3000),
+            stretched(sphere(1000), [1.0, 1e-3, 1.0]),
+            stretched(sphere(1000), [1.0, 1e-7, 1e-3]),
+            // Two faces of 1,000 corners, and nearly coplanar caps on them.
+            ring(1000, -0.3).chain(ring(1000, 0.3)).collect(),
+            ring(400, -0.3).chain(sphere(900).iter().map(|p| *p * 0.9)).collect(),
+            // Vertices that are extreme by little more than rounding.
+            stretched(bowl(14).collect(), [0.1, 0.1, 1e-9]),
+        ]
+        .iter()
+        .map(|points| {
+            let points: Vec<[f64; 3]> = points.iter().map(|p| p.to_array()).collect();
+            ConvexHull::new(&points).expect("a hull")
+        })
+        .collect()
+    }
+
+    /// A candidate left out, a cell taken for another one, an order in which a tie goes to a
+    /// higher index: the vertex would be another one than the plain search's.
+    #[test]
+    fn the_farthest_candidate_is_the_farthest_vertex() {
+        let (mut mapped, mut plain) = (0, 0);
+        for hull in hulls() {
+            let map = hull.support_map.as_ref().expect("a map");
+            let mut random = Random::new(7);
+            let mut check = |n: DVec3| {
+                let expected = farthest(&hull.columns, n);
+                match map.farthest(&hull.vertices, n) {
+                    Some(v) => {
+                        assert_eq!(v, expected, "{} vertices, along {n}", hull.vertex_count());
+                        mapped += 1;
+                    }
+                    None => plain += 1,
+                }
+                assert_eq!(hull.support(n), expected);
+            };
+            for face in hull.faces() {
+                // Where all its corners tie, and a little beside.
+                check(face.normal);
+                check(face.normal + 1e-15 * random.direction());
+            }
+            for round in 0..20_000 {
+                let n = random.direction();
+                check(n * 10_f64.powi(round % 400 - 200));
+                // On the borders of cells, and where they meet.
+                let place = |x: f64| (x * map.side as f64).round() / map.side as f64;
+                let on_border =
+                    DVec3::new(place(n.x), n.y.signum(), if round % 2 == 0 { n.z } else { place(n.z) });
+                check([on_border, on_border.yzx(), on_border.zxy()][round as usize % 3]);
+            }
+            for none in [DVec3::ZERO, DVec3::NAN, DVec3::splat(f64::from_bits(1)), DVec3::INFINITY] {
+                assert_eq!(map.farthest(&hull.vertices, none), None);
+                check(none);
+            }
+        }
+        assert!(mapped > 250_000 && plain > 100, "{mapped} {plain}");
+    }
+
+    /// A map whose cells give up would only be seen in the time that queries take.
+    #[test]
+    fn candidates_are_few() {
+        let hull = &hulls()[1];
+        let map = hull.support_map.as_ref().expect("a map");
+        let counts: Vec<usize> = (0..6 * map.side * map.side).map(|i| map.candidates.row(i).len()).collect();
+        let sum: usize = counts.iter().sum();
+        assert!(counts.iter().all(|&count| count > 0), "{counts:?}");
+        assert!(sum < 16 * counts.len(), "{sum} in {} cells", counts.len());
+        assert!(map.heap_bytes() < 24 * hull.vertex_count());
+    }
+}
