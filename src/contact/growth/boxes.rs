@@ -7,7 +7,7 @@
 //! certify the one; the portal certifies the other, usually in one step, and goes on
 //! where rounding or a tie named the wrong facet.
 
-use glam::{DMat3, DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3, Vec3Swizzles};
 
 use crate::contact::hull::{BoxShape, octant};
 use crate::contact::pair::{Pair, Support, shift};
@@ -21,11 +21,13 @@ pub(crate) struct Boxes<'a> {
     half_b: DVec3,
     /// B's axes in A's, as columns.
     axes: DMat3,
+    /// The same without signs.
+    size: DMat3,
     ray: DVec3,
     /// Of A's face normals and of B's: how far the ray goes along each, and how far `K`
     /// reaches.
-    along: [[f64; 3]; 2],
-    reach: [[f64; 3]; 2],
+    along: [DVec3; 2],
+    reach: [DVec3; 2],
 }
 
 /// What of the boxes the largest growth scale belongs to.
@@ -49,18 +51,10 @@ impl<'a> Boxes<'a> {
         let (half_a, half_b) = (a.half * pair.scale_a, b.half * pair.scale_b);
         let axes = a.axes.transpose() * (pair.rotation * b.axes);
         let ray = a.axes.transpose() * pair.ray;
-        let (t, ha, hb) = (ray.to_array(), half_a.to_array(), half_b.to_array());
-        let c = axes.to_cols_array_2d();
-        let size = c.map(|column| column.map(f64::abs));
-        let (mut along, mut reach) = ([[0.0; 3]; 2], [[0.0; 3]; 2]);
-        for i in 0..3 {
-            let across = hb[0] * size[0][i] + hb[1] * size[1][i] + hb[2] * size[2][i];
-            (along[0][i], reach[0][i]) = (t[i].abs(), ha[i] + across);
-            let across = ha[0] * size[i][0] + ha[1] * size[i][1] + ha[2] * size[i][2];
-            along[1][i] = (t[0] * c[i][0] + t[1] * c[i][1] + t[2] * c[i][2]).abs();
-            reach[1][i] = hb[i] + across;
-        }
-        Some(Self { a, b, half_a, half_b, axes, ray, along, reach })
+        let size = axes.abs();
+        let along = [ray.abs(), (axes.transpose() * ray).abs()];
+        let reach = [half_a + size * half_b, half_b + size.transpose() * half_a];
+        Some(Self { a, b, half_a, half_b, axes, size, ray, along, reach })
     }
 
     /// The face normal, A's frame, along which the boxes seem farthest apart, where that is
@@ -68,8 +62,8 @@ impl<'a> Boxes<'a> {
     pub(crate) fn seem_apart(&self, pair: &Pair<'_>, margin: f64) -> Option<DVec3> {
         let mut best = (margin, 0, 0);
         for (hull, (along, reach)) in self.along.iter().zip(&self.reach).enumerate() {
-            for (i, (along, reach)) in along.iter().zip(reach).enumerate() {
-                let gap = shift(*along, pair.alpha_exponent) - reach;
+            let gaps = along.map(|along| shift(along, pair.alpha_exponent)) - reach;
+            for (i, gap) in gaps.to_array().into_iter().enumerate() {
                 if gap > best.0 {
                     best = (gap, hull, i);
                 }
@@ -95,30 +89,23 @@ impl<'a> Boxes<'a> {
 
     /// The largest growth scale of an axis, and the axis.
     fn best_axis(&self) -> (f64, Kind) {
-        let (t, ha, hb) = (self.ray.to_array(), self.half_a.to_array(), self.half_b.to_array());
-        let c = self.axes.to_cols_array_2d();
-        let size = c.map(|column| column.map(f64::abs));
-        let [of_a, of_b] = [0, 1].map(|hull| {
-            let (along, reach) = (self.along[hull], self.reach[hull]);
-            [0, 1, 2].map(|i| along[i] / reach[i])
+        let [of_a, of_b] = [0, 1].map(|hull| (self.along[hull] / self.reach[hull]).to_array());
+        // Of B's axes in turn, with A's three each.
+        let (half_a, half_b) = (self.half_a, self.half_b.to_array());
+        let of_edges = [0, 1, 2].map(|j| {
+            let (j1, j2) = ((j + 1) % 3, (j + 2) % 3);
+            let size = self.size.col(j);
+            let along = self.axes.col(j).cross(self.ray).abs();
+            let across_a = half_a.yzx() * size.zxy() + half_a.zxy() * size.yzx();
+            let across_b = half_b[j1] * self.size.col(j2) + half_b[j2] * self.size.col(j1);
+            (along / (across_a + across_b)).to_array()
         });
-        let mut of_edges = [0.0; 9];
-        for i in 0..3 {
-            let (i1, i2) = ((i + 1) % 3, (i + 2) % 3);
-            for j in 0..3 {
-                let (j1, j2) = ((j + 1) % 3, (j + 2) % 3);
-                let reach = (t[i2] * c[j][i1] - t[i1] * c[j][i2]).abs();
-                let across_a = ha[i1] * size[j][i2] + ha[i2] * size[j][i1];
-                let across_b = hb[j1] * size[j2][i] + hb[j2] * size[j1][i];
-                of_edges[3 * i + j] = reach / (across_a + across_b);
-            }
-        }
         let (i, a) = largest(&of_a);
         let (j, b) = largest(&of_b);
-        let (e, edges) = largest(&of_edges);
+        let (e, edges) = largest(of_edges.as_flattened());
         let faces = a.max(b);
         if edges * (1.0 - SAME_AXIS) > faces {
-            (edges, Kind::Edges(e / 3, e % 3))
+            (edges, Kind::Edges(e % 3, e / 3))
         } else if a.min(b) > faces * (1.0 - SAME_AXIS) {
             (faces, Kind::Faces(i, j))
         } else if a > b {
