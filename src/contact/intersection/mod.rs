@@ -11,6 +11,7 @@ mod clip;
 mod closest;
 mod outline;
 mod overlap;
+mod polygons;
 
 use glam::{DVec2, DVec3};
 
@@ -36,6 +37,7 @@ pub(crate) struct PlanePoint {
 pub(crate) struct Intersection {
     a: Outline,
     b: Outline,
+    polygons: polygons::Polygons,
     clip: clip::Clip,
     nearest: Vec<closest::Near>,
     /// Anticlockwise about the normal.
@@ -73,7 +75,8 @@ impl Intersection {
 
         let eps = pair.merge_distance();
         self.points.clear();
-        self.first = overlap::find(&self.a, &self.b, eps, &mut self.clip, &mut self.points);
+        self.first =
+            overlap::find(&self.a, &self.b, eps, &mut self.polygons, &mut self.clip, &mut self.points);
         self.estimated = self.points.is_empty();
         if self.estimated {
             let (point, gap) = closest::estimate(&self.a, &self.b, eps, &mut self.nearest);

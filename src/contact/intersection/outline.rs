@@ -29,7 +29,7 @@ pub(super) struct Corner {
 pub(super) struct Side {
     /// Unit, inward; NaN for an edge of no length.
     pub(super) inward: DVec2,
-    offset: f64,
+    pub(super) offset: f64,
 }
 
 impl Side {

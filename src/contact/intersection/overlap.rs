@@ -6,6 +6,7 @@ use glam::DVec2;
 use super::PlanePoint;
 use super::clip::{Clip, Made, Vertex};
 use super::outline::{Outline, height_on};
+use super::polygons::Polygons;
 use crate::contact::manifold::Element;
 
 /// Appends the vertices of the intersection, anticlockwise, and returns which has
@@ -15,9 +16,22 @@ pub(super) fn find(
     a: &Outline,
     b: &Outline,
     eps: f64,
+    polygons: &mut Polygons,
     clip: &mut Clip,
     points: &mut Vec<PlanePoint>,
 ) -> usize {
+    if !polygons.find(a, b, eps, points) {
+        clipped(a, b, eps, clip, points);
+    }
+    if !settled(points, eps) {
+        merge(points, eps);
+        straighten(points, eps);
+    }
+    lowest(points)
+}
+
+/// The same, with vertices nearer than `eps` still apart, of any two features.
+fn clipped(a: &Outline, b: &Outline, eps: f64, clip: &mut Clip, points: &mut Vec<PlanePoint>) {
     if b.corners.len() > 2 {
         clip.clip(a, b, eps);
         points.extend(clip.kept.iter().map(|v| {
@@ -33,11 +47,6 @@ pub(super) fn find(
     } else {
         thin(a, b, eps, points);
     }
-    if !settled(points, eps) {
-        merge(points, eps);
-        straighten(points, eps);
-    }
-    lowest(points)
 }
 
 /// Where the lowest id is. Without branches: where is anyone's guess.
@@ -215,4 +224,123 @@ fn flatten(points: &mut Vec<PlanePoint>, eps: f64) {
 fn aside(p: DVec2, q: DVec2, r: DVec2, eps: f64) -> bool {
     let area = (q - p).perp_dot(r - p);
     area * area > eps * eps * (r - p).length_squared()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::contact::intersection::outline::Corner;
+    use crate::workload::Random;
+
+    /// A strictly convex polygon, anticlockwise, on an ellipse.
+    fn polygon(random: &mut Random, count: usize, name: u32) -> Outline {
+        let mut angles: Vec<f64> = (0..count).map(|_| random.within(0.0, std::f64::consts::TAU)).collect();
+        angles.sort_by(f64::total_cmp);
+        let center = DVec2::new(random.within(-1.0, 1.0), random.within(-1.0, 1.0));
+        let (size, turn) = (random.within(0.1, 2.0), random.within(0.0, 3.0));
+        let corner = |(angle, vertex): (f64, u32)| {
+            let (sin, cos) = angle.sin_cos();
+            let at = center + DVec2::from_angle(turn).rotate(DVec2::new(size * cos, 0.6 * size * sin));
+            Corner { at, height: angle.sin() - at.y, vertex: name + vertex }
+        };
+        let mut outline = Outline::default();
+        outline.corners.extend(angles.into_iter().zip(0..).map(corner));
+        outline.set_sides();
+        outline
+    }
+
+    /// A sign lost, a corner of B left out or walked past, a crossing on the wrong side: what
+    /// two polygons share would be another polygon than what clipping leaves.
+    #[test]
+    fn polygons_share_what_clipping_leaves() {
+        let (eps, mut random) = (1e-12, Random::new(5));
+        let (mut polygons, mut clip) = (Polygons::default(), Clip::default());
+        let (mut kinds, mut large) = ([0; 4], 0);
+        for _ in 0..40_000 {
+            let [of_a, of_b] = [(); 2].map(|()| 3 + random.below(7));
+            let (a, b) = (polygon(&mut random, of_a, 0), polygon(&mut random, of_b, 100));
+            let (mut walked, mut cut) = (vec![], vec![]);
+            if !polygons.find(&a, &b, eps, &mut walked) {
+                assert!(walked.is_empty());
+                large += usize::from(of_a > 8 || of_b > 8);
+                continue;
+            }
+            assert!(of_a <= 8 && of_b <= 8);
+            clipped(&a, &b, eps, &mut clip, &mut cut);
+            assert_eq!(walked.len(), cut.len());
+            let crossings = walked.iter().filter(|p| p.id.iter().all(|e| matches!(e, Element::Edge(_))));
+            let kind = match (walked.is_empty(), crossings.count()) {
+                (true, _) => 0,
+                (_, 0) => 1,
+                (_, 2) => 2,
+                _ => 3,
+            };
+            kinds[kind] += 1;
+            if walked.is_empty() {
+                continue;
+            }
+            let (first, same) = (lowest(&walked), lowest(&cut));
+            walked.rotate_left(first);
+            cut.rotate_left(same);
+            for (p, q) in walked.iter().zip(&cut) {
+                assert_eq!(p.id, q.id);
+                // Near-parallel sides cross where rounding says.
+                let heights = (p.height_a - q.height_a).abs() + (p.height_b - q.height_b).abs();
+                assert!(p.at.distance(q.at) < 1e-9 && heights < 1e-9, "{p:?} {q:?}");
+            }
+        }
+        assert!(kinds.iter().all(|&count| count > 1000) && large > 5000, "{kinds:?} {large}");
+    }
+
+    /// Sides nearly parallel cross where rounding says. Lifted at one place on A and at another
+    /// on B, a witness would be off its side by as much as the side is steep there.
+    #[test]
+    fn a_crossing_is_lifted_where_it_is() {
+        let mut random = Random::new(6);
+        let mut polygons = Polygons::default();
+        let mut crossings = 0;
+        for round in 0..4000 {
+            let a = polygon(&mut random, 5, 0);
+            let turn = DVec2::from_angle(10_f64.powi(-3 - round % 8));
+            let about = a.corners[0].at.lerp(a.corners[1].at, random.unit());
+            let mut b = Outline::default();
+            let turned = |c: &Corner| Corner {
+                at: about + turn.rotate(c.at - about),
+                vertex: c.vertex + 100,
+                height: 100.0 * random.unit(),
+            };
+            b.corners.extend(a.corners.iter().map(turned));
+            b.set_sides();
+            let mut points = vec![];
+            polygons.find(&a, &b, 1e-13, &mut points);
+            for p in &points {
+                let [Element::Edge(_), Element::Edge(_)] = p.id else { continue };
+                crossings += 1;
+                for (outline, name, height) in [(&a, p.id[0], p.height_a), (&b, p.id[1], p.height_b)] {
+                    let side = (0..5).find(|&i| outline.side_name(i) == name).expect("a side");
+                    let ends = outline.side(side);
+                    assert!((height - height_on(ends, p.at)).abs() < 1e-12, "{height} {ends:?} {p:?}");
+                }
+            }
+        }
+        assert!(crossings > 5000, "{crossings}");
+    }
+
+    /// Where a corner lies on a side, or beside it by less than the merge distance, what stands
+    /// for the crossing is `clip`'s to say.
+    #[test]
+    fn a_corner_on_a_line_is_not_walked_past() {
+        let mut random = Random::new(9);
+        let mut polygons = Polygons::default();
+        for round in 0..2000 {
+            let (mut a, b) = (polygon(&mut random, 4, 0), polygon(&mut random, 5, 100));
+            let [from, to] = b.side(round % 5).map(|c| c.at);
+            let share = random.within(-1.0, 2.0);
+            let aside = b.sides[round % 5].inward * random.within(-0.9e-6, 0.9e-6);
+            let moved = from + share * (to - from) + aside - a.corners[round % 4].at;
+            a.corners.iter_mut().for_each(|c| c.at += moved);
+            a.set_sides();
+            assert!(!polygons.find(&a, &b, 1e-6, &mut vec![]));
+        }
+    }
 }
