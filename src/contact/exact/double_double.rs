@@ -69,9 +69,7 @@ impl std::ops::Add for Dd {
     type Output = Self;
     fn add(self, other: Self) -> Self {
         let high = two_sum(self.hi, other.hi);
-        let low = two_sum(self.lo, other.lo);
-        let sum = quick_two_sum(high.hi, high.lo + low.hi);
-        quick_two_sum(sum.hi, low.lo + sum.lo)
+        quick_two_sum(high.hi, high.lo + (self.lo + other.lo))
     }
 }
 

@@ -243,9 +243,10 @@ impl<'a> Merger<'a> {
     fn is_thin(&self, t: u32) -> bool {
         let [a, b, c] =
             self.surface.triangulation.triangles[t as usize].map(|v| self.surface.vertices[v as usize]);
-        let longest = (b - a).length().max((c - b).length()).max((a - c).length());
+        let [ab, bc, ca] = [b - a, c - b, a - c];
+        let longest = ab.length_squared().max(bc.length_squared()).max(ca.length_squared()).sqrt();
         // Of the vertices as centred, to be of one unit with the tolerance.
-        (b - a).cross(c - a).length() <= self.tolerance * longest
+        ab.cross(ca).length() <= self.tolerance * longest
     }
 
     /// Groups of thin triangles alone join a neighbour whose plane they fit:
