@@ -10,7 +10,7 @@ use crate::contact::hull::Csr;
 use crate::contact::tolerance::MAPPED;
 
 /// Hulls of more vertices have a map: below, looking at all of them costs about as much.
-const ABOVE: usize = 512;
+const ABOVE: usize = 256;
 
 /// Vertices a cell, about: with fewer cells each has more candidates, and the map is made
 /// sooner.
