@@ -132,20 +132,22 @@ fn outputs(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
     Ok(table)
 }
 
-/// Whole manifolds, each from the answer before a motion.
+/// Whole manifolds, and step 1 alone, each from the answer before a motion.
 fn warm(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
-    let names = ["parry3d f32", "hullcast"];
+    let names = ["parry3d f32", "hullcast", "hullcast, step 1 alone"];
     let mut table = Table::new("warm, motion", &names);
     for cell in cells {
         for step in STEPS {
             let moved = cell.moved(step);
             let hulls = ours::hulls(cell)?;
             let mut single = parry::single::Hulls::new(cell, &moved).ok_or(REFUSED)?;
-            let asked = query(Wanted::Points, Solver::Portal);
-            let mut whole = Scene::new(&hulls, cell, &moved, asked).ok_or(UNUSABLE)?;
+            let scene =
+                |wanted| Scene::new(&hulls, cell, &moved, query(wanted, Solver::Portal)).ok_or(UNUSABLE);
+            let (mut whole, mut growth) = (scene(Wanted::Points)?, scene(Wanted::Growth)?);
             let mut contenders = [
                 Contender { name: names[0], pass: Box::new(|| single.warm()) },
                 Contender { name: names[1], pass: Box::new(|| whole.warm()) },
+                Contender { name: names[2], pass: Box::new(|| growth.warm()) },
             ];
             let timings = interleave(&mut contenders, cell.pairs.len(), ROUNDS);
             record(&mut table, &format!("{}, {step:e}", cell.label), timings);
