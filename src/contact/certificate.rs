@@ -8,7 +8,7 @@
 use glam::DVec3;
 
 use super::exact::{Dd, Dd3, dd_cross, dd_dot, exponent_above, power_of_two, triple_product};
-use super::tolerance::{BAND, BRACKET, MERGE, NOISE, SUBNORMAL, U};
+use super::tolerance::{BAND, BRACKET, EDGE_ON, MERGE, NOISE, SUBNORMAL, U};
 use super::{Basis, Body, Feature, Manifold, Outcome, Query, Wanted};
 
 /// What of an answer is not as defined: `found` is beyond `allowed`.
@@ -245,7 +245,9 @@ fn points(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), V
         for (body, feature, at, n) in
             [(scene.a, feature_a, from_a, scene.normal), (scene.b, feature_b, from_b, -scene.normal)]
         {
-            at_most("witness outside its hull", outside(body, at), planarity + eps)?;
+            // On a face's plane, which the face is below along the normal.
+            let lifted = planarity / faced(body, feature, n);
+            at_most("witness outside its hull", outside(body, at), lifted + eps)?;
             let highest = (0..body.hull.vertex_count())
                 .map(|v| n.dot(vertex(body, v)))
                 .fold(f64::NEG_INFINITY, f64::max);
@@ -255,6 +257,13 @@ fn points(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), V
         }
     }
     Ok(())
+}
+
+/// Cosine of a touched face to the contact plane: below 1 within the feature angle, and where
+/// the normal was not asked for any closer. Of a face seen edge-on its two ends are taken.
+fn faced(body: &Body<'_>, feature: Feature, n: DVec3) -> f64 {
+    let Feature::Face(f) = feature else { return 1.0 };
+    (body.pose.rotation * body.hull.faces()[f as usize].normal).dot(n).clamp(EDGE_ON, 1.0)
 }
 
 /// How far a point is outside the planes of the hull's faces.

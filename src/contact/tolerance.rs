@@ -53,6 +53,13 @@ pub(crate) const SUBNORMAL: f64 = f64::from_bits(4);
 /// direction's place in the cell, rounded up.
 pub(crate) const MAPPED: f64 = 64.0 * U;
 
+/// Cosine of the angle of a face to the contact plane below which it counts as
+/// seen edge-on. Within the largest feature angle, 0.5 rad, it is above 0.87; of
+/// other faces that touch every corner supports, to what was asked of the bracket, and one
+/// as steep is else narrower than the merge distance, by which its lifted points would be
+/// off several times.
+pub(crate) const EDGE_ON: f64 = 0.5;
+
 /// Cosines of face normals, and sines of edges, within this share of `U` tie.
 pub(crate) const TIE: f64 = 8.0;
 

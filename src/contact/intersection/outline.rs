@@ -6,13 +6,7 @@ use super::Touched;
 use crate::contact::ConvexHull;
 use crate::contact::exact::orient2d;
 use crate::contact::manifold::Element;
-use crate::contact::tolerance::TURN;
-
-/// Cosine of the angle of a face to the contact plane below which it counts as
-/// seen edge-on. Within the largest feature angle, 0.5 rad, it is above 0.87; of
-/// other faces that touch every corner supports, and one as steep is narrower
-/// than the merge distance, by which its lifted points would be off several times.
-const EDGE_ON: f64 = 0.5;
+use crate::contact::tolerance::{EDGE_ON, TURN};
 
 /// A corner of a projected feature.
 #[derive(Clone, Copy, Debug)]
