@@ -16,10 +16,28 @@ use std::{
 
 use tokio::sync::oneshot;
 
+use crate::{budget::Caller, contact::Stop};
+
 /// Threads for computation; they end when the last clone is dropped.
 #[derive(Clone, Debug)]
 pub struct Compute {
     pool: Arc<Pool>,
+}
+
+/// Who asked for work, and how to stop it. Threads take turns between callers.
+#[derive(Clone, Debug)]
+pub struct Job {
+    /// Whose turn is used.
+    pub caller: Caller,
+    /// Set when nobody waits for the work any more.
+    pub stop: Arc<Stop>,
+}
+
+impl Job {
+    /// Work for `caller`, with a flag of its own.
+    pub fn new(caller: Caller) -> Self {
+        Self { caller, stop: Arc::default() }
+    }
 }
 
 /// Work in parts that any threads do in any order, at any time.

@@ -17,6 +17,8 @@
 #[cfg(feature = "server")]
 pub mod broad_phase;
 #[cfg(feature = "server")]
+pub mod budget;
+#[cfg(feature = "server")]
 pub mod compute;
 pub mod contact;
 #[cfg(feature = "server")]

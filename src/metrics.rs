@@ -60,14 +60,16 @@ pub(crate) enum Shed {
     RequestBytes,
     Connection,
     Hulls,
+    Memory,
 }
 
 /// In the order of the enum.
-const SHEDS: [(Shed, &str); 4] = [
+const SHEDS: [(Shed, &str); 5] = [
     (Shed::Pairs, "pairs_in_flight"),
     (Shed::RequestBytes, "request_bytes_in_flight"),
     (Shed::Connection, "connections"),
     (Shed::Hulls, "held_bytes"),
+    (Shed::Memory, "memory"),
 ];
 
 /// Counters, gauges and histograms of one server.
@@ -85,7 +87,7 @@ pub struct Metrics {
     pub(crate) queue_seconds: Histogram,
     pub(crate) compute_seconds: Histogram,
     pub(crate) solver_iterations: Counter,
-    sheds: [Counter; 4],
+    sheds: [Counter; 5],
     pub(crate) cache_bytes: Gauge,
     pub(crate) cache_hulls: Gauge,
     pub(crate) held_bytes: Gauge,

@@ -48,6 +48,7 @@ mod pair;
 mod query;
 mod reduce;
 mod simplex;
+pub mod stop;
 mod support;
 mod tolerance;
 
@@ -58,6 +59,7 @@ pub use bounds::Bounds;
 pub use hull::{ConvexHull, HullError, HullErrorKind, HullOptions, Simplification};
 pub use manifold::{Basis, ContactPoint, Element, Feature, Flags, Manifold, Outcome};
 pub use query::{Accuracy, Query, Solver, Wanted};
+pub use stop::{STEPS_BETWEEN_LOOKS, Stop, Stopped};
 pub use support::instruction_set;
 
 use distance::Decision;

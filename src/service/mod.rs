@@ -11,6 +11,7 @@ pub mod batch;
 mod call;
 mod connection;
 mod contacts;
+mod context;
 mod edge;
 mod error;
 mod find;

@@ -1,0 +1,86 @@
+//! A way to stop a long computation, and a meter of what it cost.
+//!
+//! A computation takes a [`Stop`] and calls [`Stop::spend`] with the number of elementary
+//! steps that it has done or is about to do. The call adds the steps to the meter and fails
+//! once somebody has asked the computation to stop. A step is about one nanosecond of plain
+//! arithmetic on the reference machine; an exact predicate counts as many steps as it was
+//! measured to take. A loop gathers small steps and spends them together, at most
+//! [`STEPS_BETWEEN_LOOKS`] at a time, so that the flag is looked at about once a millisecond.
+//!
+//! The geometry stays pure: the meter and the flag never change an answer, they only end it.
+
+use std::{
+    fmt,
+    sync::atomic::{AtomicBool, AtomicU64, Ordering},
+};
+
+/// The most steps that a computation does between two looks at its flag: about 1 ms.
+pub const STEPS_BETWEEN_LOOKS: u64 = 1 << 20;
+
+/// Asks a computation to stop, and counts its steps. Threads of one computation share it.
+#[derive(Debug, Default)]
+pub struct Stop {
+    stopped: AtomicBool,
+    steps: AtomicU64,
+    largest: AtomicU64,
+}
+
+/// The computation was asked to stop before it ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stopped;
+
+impl fmt::Display for Stopped {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("the computation was stopped")
+    }
+}
+
+impl std::error::Error for Stopped {}
+
+impl Stop {
+    /// Asks the computation to stop.
+    pub fn stop(&self) {
+        self.stopped.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether the computation was asked to stop.
+    pub fn is_stopped(&self) -> bool {
+        self.stopped.load(Ordering::Relaxed)
+    }
+
+    /// Counts `steps` elementary steps.
+    ///
+    /// # Errors
+    /// The computation was asked to stop.
+    pub fn spend(&self, steps: u64) -> Result<(), Stopped> {
+        self.steps.fetch_add(steps, Ordering::Relaxed);
+        self.largest.fetch_max(steps, Ordering::Relaxed);
+        if self.is_stopped() { Err(Stopped) } else { Ok(()) }
+    }
+
+    /// The steps that were counted so far.
+    pub fn steps(&self) -> u64 {
+        self.steps.load(Ordering::Relaxed)
+    }
+
+    /// The most steps that were counted at once: the longest time between two looks at the flag.
+    pub fn largest_between_looks(&self) -> u64 {
+        self.largest.load(Ordering::Relaxed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches a flag that is not looked at, and steps that are lost once it is set.
+    #[test]
+    fn steps_are_counted_and_a_stop_ends_them() {
+        let stop = Stop::default();
+        assert_eq!(stop.spend(3), Ok(()));
+        assert_eq!(stop.spend(7), Ok(()));
+        stop.stop();
+        assert_eq!(stop.spend(5), Err(Stopped));
+        assert_eq!((stop.steps(), stop.largest_between_looks()), (15, 7));
+    }
+}
