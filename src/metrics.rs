@@ -42,6 +42,11 @@ struct Flag {
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Part {
+    part: &'static str,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct Reason {
     reason: &'static str,
 }
@@ -72,6 +77,25 @@ const SHEDS: [(Shed, &str); 5] = [
     (Shed::Memory, "memory"),
 ];
 
+/// Why the server cut a call whose answer was ready.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Cut {
+    /// The peer did not take the answer in time.
+    AnswerNotRead,
+    /// The call's deadline passed while the peer was taking the answer.
+    Deadline,
+}
+
+/// In the order of the enum.
+const CUTS: [&str; 2] = ["answer_not_read", "deadline"];
+
+impl Cut {
+    /// The reason's name in metrics and logs.
+    pub(crate) fn name(self) -> &'static str {
+        CUTS[self as usize]
+    }
+}
+
 /// Counters, gauges and histograms of one server.
 pub struct Metrics {
     registry: Registry,
@@ -88,6 +112,8 @@ pub struct Metrics {
     pub(crate) compute_seconds: Histogram,
     pub(crate) solver_iterations: Counter,
     sheds: [Counter; 5],
+    cuts: [Counter; 2],
+    memory_bytes: Family<Part, Gauge>,
     pub(crate) cache_bytes: Gauge,
     pub(crate) cache_hulls: Gauge,
     pub(crate) held_bytes: Gauge,
@@ -122,6 +148,8 @@ impl Default for Metrics {
         let flags = add::<Family<Flag, Counter>>(r, "pair_flags", "Pairs answered, by flag");
         let help = "Calls and connections refused for want of room, by reason";
         let sheds = add::<Family<Reason, Counter>>(r, "sheds", help);
+        let help = "Calls cut although their answer was ready, by reason";
+        let cuts = add::<Family<Reason, Counter>>(r, "cuts", help);
         let request_seconds: Family<Method, Histogram, fn() -> Histogram> =
             Family::new_with_constructor(seconds);
         r.register("request_seconds", "From a call's headers to its end", request_seconds.clone());
@@ -147,6 +175,8 @@ impl Default for Metrics {
             compute_seconds,
             solver_iterations: add(r, "solver_iterations", "Iterations of the solver, summed over pairs"),
             sheds: SHEDS.map(|(_, reason)| sheds.get_or_create(&Reason { reason }).clone()),
+            cuts: CUTS.map(|reason| cuts.get_or_create(&Reason { reason }).clone()),
+            memory_bytes: add(r, "memory_bytes", "Memory that callers make the server hold, by part"),
             cache_bytes: add(r, "cache_bytes", "Heap of cached hulls"),
             cache_hulls: add(r, "cache_hulls", "Hulls cached"),
             held_bytes: add(r, "held_bytes", "Heap of the hulls that calls under way use"),
@@ -204,6 +234,16 @@ impl Metrics {
         for (counter, count) in self.flags.iter().zip(counts) {
             counter.inc_by(count);
         }
+    }
+
+    /// A call was cut although its answer was ready.
+    pub(crate) fn cut(&self, why: Cut) {
+        self.cuts[why as usize].inc();
+    }
+
+    /// What callers make the server hold for one part of the memory budget.
+    pub(crate) fn set_memory(&self, part: &'static str, bytes: u64) {
+        self.memory_bytes.get_or_create(&Part { part }).set(i64::try_from(bytes).unwrap_or(i64::MAX));
     }
 
     /// Something was refused for want of room.

@@ -15,8 +15,8 @@ use tonic::{Request, Response, Status, Streaming};
 use super::{
     App, ServiceError,
     batch::Batch,
-    edge::{Closing, Deadline},
     find::Finding,
+    middleware::{Closing, Deadline},
     steps::Steps,
     wire::{self, Scene},
 };

@@ -16,6 +16,10 @@ pub struct Limits {
     pub max_vertices_per_hull: u32,
     /// Pairs accepted and not yet answered, over all calls.
     pub max_pairs_in_flight: u32,
+    /// The memory that all callers together can make the server hold, the cache of hulls apart.
+    pub max_memory_bytes: u64,
+    /// Whether callers share memory, cached hulls and compute threads fairly.
+    pub shares: bool,
     /// Bytes of requests that have come and are not yet answered, over all calls.
     pub max_request_bytes_in_flight: u64,
     /// How long a call may take, but for streams; one that gives itself longer gets this.
@@ -46,6 +50,8 @@ impl Default for Limits {
             max_hulls_per_request: 16_384,
             max_vertices_per_hull: 16_384,
             max_pairs_in_flight: 1 << 20,
+            max_memory_bytes: 2 << 30,
+            shares: true,
             max_request_bytes_in_flight: 1 << 30,
             max_deadline_seconds: 300,
             max_stream_state_bytes: 1 << 28,

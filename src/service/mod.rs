@@ -2,17 +2,18 @@
 //!
 //! [`wire`] checks requests and writes responses, [`contacts`] with [`find`] and
 //! [`steps`], [`hulls`] and [`info`] are the handlers, [`batch`] computes. [`server`] runs it all on
-//! [`listener`]s, each [`connection`] behind an [`edge`], which holds for every call and
+//! [`listener`]s, each [`connection`] behind the [`middleware`], which holds for every call and
 //! asks [`security`] who may make it.
 
 mod admin;
 mod admission;
+mod answer_body;
 pub mod batch;
 mod call;
 mod connection;
 mod contacts;
 mod context;
-mod edge;
+mod cutoff;
 mod error;
 mod find;
 mod hulls;
@@ -20,10 +21,13 @@ mod info;
 mod injected;
 mod limits;
 mod listener;
+mod middleware;
 mod outputs;
+mod peers;
 #[cfg(feature = "playground")]
 mod playground;
 mod readiness;
+mod request_body;
 mod security;
 mod server;
 mod steps;
@@ -49,6 +53,7 @@ pub use server::{Serving, run};
 use tokio::sync::Semaphore;
 
 use crate::{
+    budget::{Callers, MemoryBudget, Part},
     compute::Compute,
     metrics::Metrics,
     store::{BlobStore, Registry, registry::Bounds},
@@ -63,6 +68,8 @@ pub struct App {
     /// For what streams keep from one message to the next.
     stream_room: Arc<Semaphore>,
     metrics: Arc<Metrics>,
+    memory: Arc<MemoryBudget>,
+    callers: Arc<Callers>,
     readiness: Mutex<Readiness>,
 }
 
@@ -88,7 +95,13 @@ impl App {
         let registry = Registry::new(blobs, compute, bounds, metrics.clone());
         let stream_room = steps::room(limits.max_stream_state_bytes);
         let readiness = Mutex::new(Readiness::Starting);
-        Ok(Self { limits, registry, engine, stream_room, metrics, readiness })
+        let caps = [
+            (Part::Arriving, limits.max_request_bytes_in_flight),
+            (Part::StreamState, limits.max_stream_state_bytes),
+        ];
+        let memory = MemoryBudget::new(limits.max_memory_bytes, limits.shares, &caps);
+        let callers = Arc::default();
+        Ok(Self { limits, registry, engine, stream_room, metrics, memory, callers, readiness })
     }
 
     /// What the server accepts.
@@ -111,11 +124,24 @@ impl App {
         &self.metrics
     }
 
+    /// The memory that callers make the server hold.
+    pub fn memory(&self) -> &Arc<MemoryBudget> {
+        &self.memory
+    }
+
+    /// Who calls.
+    pub fn callers(&self) -> &Arc<Callers> {
+        &self.callers
+    }
+
     /// The same as OpenMetrics text, gauges as they are now.
     pub fn metrics_text(&self) -> String {
         let metrics = &self.metrics;
         metrics.cache_bytes.set(i64::try_from(self.registry.cached_bytes()).unwrap_or(i64::MAX));
         metrics.cache_hulls.set(i64::try_from(self.registry.cached_hulls()).unwrap_or(i64::MAX));
+        for &part in Part::ALL {
+            metrics.set_memory(part.name(), self.memory.used_by(part));
+        }
         metrics.ready.set(self.readiness().welcomes().into());
         metrics.text()
     }

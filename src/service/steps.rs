@@ -9,7 +9,7 @@ use tonic::{Status, Streaming};
 use super::{
     App, ServiceError,
     contacts::answer,
-    edge::Closing,
+    middleware::Closing,
     wire::{self, Setting},
 };
 use crate::proto::{QueryContactsRequest, QueryContactsResponse};
