@@ -118,8 +118,14 @@ settings! {
     /// Most extreme vertices of a hull
     max_vertices_per_hull: u32 = |l: &Limits| l.max_vertices_per_hull,
         "HULLCAST_MAX_VERTICES_PER_HULL", "N";
+    /// Most points in the definition of a hull
+    max_points_per_hull: u32 = |l: &Limits| l.max_points_per_hull, "HULLCAST_MAX_POINTS_PER_HULL", "N";
     /// Most pairs accepted and not yet answered, over all calls
     max_pairs_in_flight: u32 = |l: &Limits| l.max_pairs_in_flight, "HULLCAST_MAX_PAIRS_IN_FLIGHT", "N";
+    /// Memory in bytes that all callers together can make the server hold, without the cached
+    /// hulls, or a share of the memory that the process may use, as in 25%
+    max_memory_bytes: Size = |l: &Limits| Size::Bytes(l.max_memory_bytes),
+        "HULLCAST_MAX_MEMORY_BYTES", "SIZE";
     /// Most bytes of requests that have come and are not yet answered, over all calls
     max_request_bytes_in_flight: u64 = |l: &Limits| l.max_request_bytes_in_flight,
         "HULLCAST_MAX_REQUEST_BYTES_IN_FLIGHT", "N";
@@ -194,6 +200,8 @@ impl Settings {
             max_bodies_per_request: self.max_bodies_per_request,
             max_hulls_per_request: self.max_hulls_per_request,
             max_vertices_per_hull: self.max_vertices_per_hull,
+            max_points_per_hull: self.max_points_per_hull,
+            max_memory_bytes: self.max_memory_bytes.bytes()?,
             max_pairs_in_flight: self.max_pairs_in_flight,
             max_request_bytes_in_flight: self.max_request_bytes_in_flight,
             max_deadline_seconds: self.max_deadline_seconds,

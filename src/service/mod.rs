@@ -49,6 +49,7 @@ pub use server::{Serving, run};
 use tokio::sync::Semaphore;
 
 use crate::{
+    budget::{MemoryBudget, Part},
     compute::Compute,
     metrics::Metrics,
     store::{BlobStore, Registry, registry::Bounds},
@@ -60,6 +61,7 @@ pub struct App {
     limits: Limits,
     registry: Registry,
     engine: Engine,
+    memory: Arc<MemoryBudget>,
     /// For what streams keep from one message to the next.
     stream_room: Arc<Semaphore>,
     metrics: Arc<Metrics>,
@@ -86,9 +88,14 @@ impl App {
         let (pairs, bytes) = (limits.max_pairs_in_flight, limits.max_message_bytes);
         let engine = Engine::new(compute.clone(), pairs, bytes, metrics.clone());
         let registry = Registry::new(blobs, compute, bounds, metrics.clone());
+        let caps = [
+            (Part::Arriving, limits.max_request_bytes_in_flight),
+            (Part::StreamState, limits.max_stream_state_bytes),
+        ];
+        let memory = MemoryBudget::new(limits.max_memory_bytes, true, &caps);
         let stream_room = steps::room(limits.max_stream_state_bytes);
         let readiness = Mutex::new(Readiness::Starting);
-        Ok(Self { limits, registry, engine, stream_room, metrics, readiness })
+        Ok(Self { limits, registry, engine, memory, stream_room, metrics, readiness })
     }
 
     /// What the server accepts.
@@ -104,6 +111,11 @@ impl App {
     /// What computes.
     pub fn engine(&self) -> &Engine {
         &self.engine
+    }
+
+    /// The memory that callers can make the server hold.
+    pub fn memory(&self) -> &Arc<MemoryBudget> {
+        &self.memory
     }
 
     /// What was counted.
