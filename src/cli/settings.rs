@@ -3,6 +3,7 @@
 
 use std::{
     fs,
+    net::IpAddr,
     path::{Path, PathBuf},
     sync::Arc,
     time::Duration,
@@ -23,6 +24,16 @@ pub(crate) enum LogFormat {
     Text,
     /// One JSON object a line.
     Json,
+}
+
+/// Whether something is done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum Switch {
+    /// It is.
+    On,
+    /// It is not.
+    Off,
 }
 
 /// Declares every setting once: its flag, its environment variable, its key in the file
@@ -118,8 +129,24 @@ settings! {
     /// Most extreme vertices of a hull
     max_vertices_per_hull: u32 = |l: &Limits| l.max_vertices_per_hull,
         "HULLCAST_MAX_VERTICES_PER_HULL", "N";
+    /// Most points in the definition of a hull
+    max_points_per_hull: u32 = |l: &Limits| l.max_points_per_hull, "HULLCAST_MAX_POINTS_PER_HULL", "N";
     /// Most pairs accepted and not yet answered, over all calls
     max_pairs_in_flight: u32 = |l: &Limits| l.max_pairs_in_flight, "HULLCAST_MAX_PAIRS_IN_FLIGHT", "N";
+    /// Memory in bytes that all callers together can make the server hold, without the cached
+    /// hulls, or a share of the memory that the process may use, as in 25%
+    max_memory_bytes: Size = |l: &Limits| Size::Bytes(l.max_memory_bytes),
+        "HULLCAST_MAX_MEMORY_BYTES", "SIZE";
+    /// Whether callers share memory, leases on hulls and compute threads fairly; off: one common
+    /// budget, first come, first served
+    shares: Switch = |_: &Limits| Switch::On, "HULLCAST_SHARES", "SWITCH" [value_enum];
+    /// Addresses of proxies: each of their connections counts as a caller of its own
+    trusted_proxies: Vec<IpAddr> = |_: &Limits| Vec::new(), "HULLCAST_TRUSTED_PROXIES", "ADDR"
+        [value_delimiter = ','];
+    /// Seconds that a request's message has to arrive, beside one for each MiB of it
+    message_seconds: f64 = |_: &Limits| 30.0, "HULLCAST_MESSAGE_SECONDS", "S";
+    /// Seconds that a caller has to take an answer, beside one for each MiB of it
+    answer_seconds: f64 = |_: &Limits| 30.0, "HULLCAST_ANSWER_SECONDS", "S";
     /// Most bytes of requests that have come and are not yet answered, over all calls
     max_request_bytes_in_flight: u64 = |l: &Limits| l.max_request_bytes_in_flight,
         "HULLCAST_MAX_REQUEST_BYTES_IN_FLIGHT", "N";
@@ -177,6 +204,9 @@ impl Settings {
             drain: seconds("drain_seconds", self.drain_seconds)?,
             max_connection_age: seconds("max_connection_age_seconds", self.max_connection_age_seconds)?,
             probe_every: seconds("probe_seconds", self.probe_seconds)?.max(SHORTEST_LOOP),
+            message_time: positive_seconds("message_seconds", self.message_seconds)?,
+            answer_time: positive_seconds("answer_seconds", self.answer_seconds)?,
+            trusted_proxies: self.trusted_proxies.iter().map(IpAddr::to_canonical).collect(),
             #[cfg(feature = "playground")]
             playground: self.playground,
             ..Serving::default()
@@ -194,6 +224,9 @@ impl Settings {
             max_bodies_per_request: self.max_bodies_per_request,
             max_hulls_per_request: self.max_hulls_per_request,
             max_vertices_per_hull: self.max_vertices_per_hull,
+            max_points_per_hull: self.max_points_per_hull,
+            max_memory_bytes: self.max_memory_bytes.bytes()?,
+            shares: self.shares == Switch::On,
             max_pairs_in_flight: self.max_pairs_in_flight,
             max_request_bytes_in_flight: self.max_request_bytes_in_flight,
             max_deadline_seconds: self.max_deadline_seconds,
@@ -214,6 +247,17 @@ const SHORTEST_LOOP: Duration = Duration::from_millis(10);
 pub(crate) fn seconds(name: &str, value: f64) -> Result<Duration, Error> {
     Ok(Duration::try_from_secs_f64(value).map_err(|error| format!("{name} {value}: {error}"))?)
 }
+
+/// A time that has to pass before something is given up.
+fn positive_seconds(name: &str, value: f64) -> Result<Duration, Error> {
+    match value {
+        0.001..=MOST_SECONDS => seconds(name, value),
+        _ => Err(format!("{name} is {value}: it must be from 0.001 to {MOST_SECONDS} seconds").into()),
+    }
+}
+
+/// A day.
+const MOST_SECONDS: f64 = 86_400.0;
 
 #[cfg(test)]
 mod tests {

@@ -92,13 +92,19 @@ fn trace_id(traceparent: &str) -> Option<&str> {
 }
 
 /// What a call takes for as long as it lasts.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Taken {
-    /// The fixed cost of a call: its headers, and what the transport keeps of it. None for a
-    /// health check that its connection may have without asking the budget.
-    pub(super) memory: Option<Permit>,
-    /// Of the calls that a connection may have a bounded number of.
-    pub(super) counted: Option<Counted>,
+    _memory: Option<Permit>,
+    _counted: Option<Counted>,
+}
+
+impl Taken {
+    /// `memory` is the fixed cost of a call: its headers, and what the transport keeps of it.
+    /// There is none for a health check that its connection may have without asking the
+    /// budget. `counted` is of the calls that a connection may have a bounded number of.
+    pub(super) fn new(memory: Option<Permit>, counted: Option<Counted>) -> Self {
+        Self { _memory: memory, _counted: counted }
+    }
 }
 
 /// A call under way. It ends when it is dropped: it is counted and logged, and its work stops.

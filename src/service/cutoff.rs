@@ -91,11 +91,12 @@ impl Cutoff {
             why = self.due() => Err(why),
         };
         // The work is dropped by now.
-        ended.map_err(|why| {
-            app.metrics().cut(why);
-            tracing::debug!(why = why.name(), "cut a call whose answer was not read");
-        })
-        .ok()
+        ended
+            .map_err(|why| {
+                app.metrics().cut(why);
+                tracing::debug!(why = why.name(), "cut a call whose answer was not read");
+            })
+            .ok()
     }
 
     /// Completes when the time has come.

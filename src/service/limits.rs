@@ -14,13 +14,17 @@ pub struct Limits {
     pub max_hulls_per_request: u32,
     /// Extreme vertices of one hull.
     pub max_vertices_per_hull: u32,
+    /// Points in the definition of one hull. They bound what building and simplifying costs.
+    pub max_points_per_hull: u32,
     /// Pairs accepted and not yet answered, over all calls.
     pub max_pairs_in_flight: u32,
-    /// The memory that all callers together can make the server hold, the cache of hulls apart.
+    /// Memory that all callers together can make the server hold, in bytes; the cached hulls
+    /// (`cache_bytes`) are not part of it.
     pub max_memory_bytes: u64,
-    /// Whether callers share memory, cached hulls and compute threads fairly.
+    /// Whether callers share memory, leases on hulls and compute threads fairly.
     pub shares: bool,
-    /// Bytes of requests that have come and are not yet answered, over all calls.
+    /// Bytes of requests that have come and are not yet answered, over all calls: the cap of
+    /// that part of the memory.
     pub max_request_bytes_in_flight: u64,
     /// How long a call may take, but for streams; one that gives itself longer gets this.
     pub max_deadline_seconds: u32,
@@ -49,6 +53,7 @@ impl Default for Limits {
             max_bodies_per_request: 131_072,
             max_hulls_per_request: 16_384,
             max_vertices_per_hull: 16_384,
+            max_points_per_hull: 262_144,
             max_pairs_in_flight: 1 << 20,
             max_memory_bytes: 2 << 30,
             shares: true,

@@ -110,7 +110,7 @@ impl Middleware {
                 Some(context.take(&self.app, Part::Connections, CALL_BYTES + headers.sum::<usize>())?)
             }
         };
-        Ok(Taken { memory, counted: watch.or(check) })
+        Ok(Taken::new(memory, watch.or(check)))
     }
 
     fn message_rules(&self, method: &str) -> MessageRules {
@@ -162,7 +162,7 @@ where
         let taken = token.and_then(|_| self.take(method, request.headers(), &fixed_cost));
         let (taken, refusal) = match taken {
             Ok(taken) => (taken, None),
-            Err(refusal) => (Taken { memory: None, counted: None }, Some(refusal)),
+            Err(refusal) => (Taken::default(), Some(refusal)),
         };
         let stop = context.job.stop.clone();
         let call = Call::new(self.app.clone(), method, span.clone(), traced.clone(), stop, taken);

@@ -65,11 +65,11 @@ pub struct App {
     limits: Limits,
     registry: Registry,
     engine: Engine,
+    memory: Arc<MemoryBudget>,
+    callers: Arc<Callers>,
     /// For what streams keep from one message to the next.
     stream_room: Arc<Semaphore>,
     metrics: Arc<Metrics>,
-    memory: Arc<MemoryBudget>,
-    callers: Arc<Callers>,
     readiness: Mutex<Readiness>,
 }
 
@@ -93,15 +93,15 @@ impl App {
         let (pairs, bytes) = (limits.max_pairs_in_flight, limits.max_message_bytes);
         let engine = Engine::new(compute.clone(), pairs, bytes, metrics.clone());
         let registry = Registry::new(blobs, compute, bounds, metrics.clone());
-        let stream_room = steps::room(limits.max_stream_state_bytes);
-        let readiness = Mutex::new(Readiness::Starting);
         let caps = [
             (Part::Arriving, limits.max_request_bytes_in_flight),
             (Part::StreamState, limits.max_stream_state_bytes),
         ];
         let memory = MemoryBudget::new(limits.max_memory_bytes, limits.shares, &caps);
+        let stream_room = steps::room(limits.max_stream_state_bytes);
+        let readiness = Mutex::new(Readiness::Starting);
         let callers = Arc::default();
-        Ok(Self { limits, registry, engine, stream_room, metrics, memory, callers, readiness })
+        Ok(Self { limits, registry, engine, memory, callers, stream_room, metrics, readiness })
     }
 
     /// What the server accepts.
@@ -119,14 +119,14 @@ impl App {
         &self.engine
     }
 
+    /// The memory that callers can make the server hold.
+    pub fn memory(&self) -> &Arc<MemoryBudget> {
+        &self.memory
+    }
+
     /// What was counted.
     pub fn metrics(&self) -> &Metrics {
         &self.metrics
-    }
-
-    /// The memory that callers make the server hold.
-    pub fn memory(&self) -> &Arc<MemoryBudget> {
-        &self.memory
     }
 
     /// Who calls.
@@ -142,6 +142,7 @@ impl App {
         for &part in Part::ALL {
             metrics.set_memory(part.name(), self.memory.used_by(part));
         }
+        metrics.request_bytes_in_flight.set(self.memory.used_by(Part::Arriving) as i64);
         metrics.ready.set(self.readiness().welcomes().into());
         metrics.text()
     }

@@ -7,8 +7,8 @@ use tonic::service::Routes;
 use tonic_health::{ServingStatus, server::HealthReporter};
 
 use super::{
-    App, OpenError, Readiness, Security, connection::Connections, contacts, hulls, info,
-    listener::Listener, middleware::Closing, peers::Peers,
+    App, OpenError, Readiness, Security, connection::Connections, contacts, hulls, info, listener::Listener,
+    middleware::Closing,
 };
 use crate::proto;
 

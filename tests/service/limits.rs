@@ -22,6 +22,9 @@ fn small() -> Limits {
         max_bodies_per_request: 10,
         max_hulls_per_request: 3,
         max_vertices_per_hull: 60,
+        max_points_per_hull: 62,
+        max_memory_bytes: 256 << 20,
+        shares: true,
         max_pairs_in_flight: 1000,
         max_request_bytes_in_flight: 200_000,
         max_deadline_seconds: 77,
@@ -50,6 +53,8 @@ async fn every_limit_is_published() {
     assert_eq!(published.max_bodies_per_request, limits.max_bodies_per_request);
     assert_eq!(published.max_hulls_per_request, limits.max_hulls_per_request);
     assert_eq!(published.max_vertices_per_hull, limits.max_vertices_per_hull);
+    assert_eq!(published.max_points_per_hull, limits.max_points_per_hull);
+    assert_eq!(published.max_memory_bytes, limits.max_memory_bytes);
     assert_eq!(published.max_pairs_in_flight, u64::from(limits.max_pairs_in_flight));
     assert_eq!(published.cache_bytes, limits.cache_bytes);
     assert_eq!(published.store_bytes, limits.store_bytes);

@@ -22,6 +22,8 @@ pub(in crate::service) fn server_info(limits: &Limits, threads: usize) -> proto:
             max_deadline_seconds: limits.max_deadline_seconds,
             max_connections: limits.max_connections,
             max_stream_state_bytes: limits.max_stream_state_bytes,
+            max_points_per_hull: limits.max_points_per_hull,
+            max_memory_bytes: limits.max_memory_bytes,
         }),
         instruction_set: crate::contact::instruction_set().into(),
         compute_threads: threads as u32,
