@@ -40,6 +40,18 @@ pub(crate) struct HullPoints {
     /// Absent: the centre of mass.
     #[serde(default)]
     pub(crate) contraction_point: Option<[f64; 3]>,
+    /// The planarity to register with, a share of the circumradius. A file without this key
+    /// means [`DEFAULT_PLANARITY`]; `null` means to register without a planarity.
+    #[serde(default = "default_planarity")]
+    pub(crate) planarity: Option<f64>,
+}
+
+/// The planarity of hulls whose scene file gives none. Measured on shapes whose coordinates are
+/// rounded as files round them: docs/tradeoff.md.
+const DEFAULT_PLANARITY: f64 = 1e-3;
+
+fn default_planarity() -> Option<f64> {
+    Some(DEFAULT_PLANARITY)
 }
 
 /// The pose of every body.

@@ -109,7 +109,7 @@ fn check_sizes(points: &[[f64; 3]], surface: &Triangulation, hull: &ConvexHull) 
 /// No vertex above a face's plane, its own near it.
 fn check_faces(hull: &ConvexHull, met: &mut Met) {
     let inner = (hull.unit_inradius() / 64.0).max(64.0 * U);
-    let tolerance = (1e-6 * hull.unit_circumradius()).min(inner) + 16.0 * U;
+    let tolerance = (hull.planarity() * hull.unit_circumradius()).min(inner).max(64.0 * U) + 16.0 * U;
     for face in 0..hull.face_count() {
         let (normal, offset) = (hull.faces()[face].normal, hull.faces()[face].offset);
         let planarity = hull.faces()[face].planarity;
@@ -124,6 +124,8 @@ fn check_faces(hull: &ConvexHull, met: &mut Met) {
         for &face in hull.vertex_faces(v) {
             let (normal, offset) = (hull.faces()[face as usize].normal, hull.faces()[face as usize].offset);
             assert!(normal.dot(*point) >= offset - hull.faces()[face as usize].planarity);
+            let out = beyond_outline(hull, face as usize, *point);
+            if out > 2.0 * tolerance { println!("beyond {out:e} of {tolerance:e}"); }
         }
     }
 }
@@ -147,6 +149,14 @@ fn check_outlines(hull: &ConvexHull) {
         }
         check_area(hull, face);
     }
+}
+
+/// How far a point is beyond the outline of a face, seen along its normal.
+fn beyond_outline(hull: &ConvexHull, face: usize, point: DVec3) -> f64 {
+    let (outline, normal) = (hull.outline(face), hull.faces()[face].normal);
+    let corner = |i: usize| hull.vertices()[outline[i % outline.len()] as usize];
+    let outward = |i: usize| (corner(i + 1) - corner(i)).cross(normal).normalize_or_zero();
+    (0..outline.len()).map(|i| outward(i).dot(point - corner(i))).fold(0.0, f64::max)
 }
 
 /// That of the outline as seen along the normal, but for how far its corners are

@@ -21,7 +21,7 @@ fn within(deviation: f64) -> Simplification {
 }
 
 /// The hulls of the example scenes: links of robots, and a pile.
-fn real() -> Vec<Points> {
+pub(crate) fn real() -> Vec<Points> {
     let mut hulls = Vec::new();
     for scene in ["panda", "anymal_c", "pile"] {
         let path = format!("{}/examples/scenes/{scene}.json", env!("CARGO_MANIFEST_DIR"));

@@ -57,7 +57,7 @@ async fn ids_are_those_of_the_document() {
     let (json, _) = rest.split_once("```").unwrap();
     let vectors: Value = serde_json::from_str(json).unwrap();
     let vectors = vectors.as_array().unwrap();
-    assert_eq!(vectors.len(), 5);
+    assert_eq!(vectors.len(), 8);
     let numbers = |value: &Value| -> Vec<f64> {
         value.as_array().map_or(vec![], |list| list.iter().map(|x| x.as_f64().unwrap()).collect())
     };
@@ -70,6 +70,7 @@ async fn ids_are_those_of_the_document() {
                 max_vertices: most.as_u64().map(|most| most as u32),
                 max_deviation: vector["max_deviation"].as_f64(),
             }),
+            planarity: vector["planarity"].as_f64(),
         };
         let info = register(&server, RegisterHullsRequest { hulls: vec![wire] }).await.remove(0).unwrap();
         let id: String = info.id.iter().map(|byte| format!("{byte:02x}")).collect();

@@ -10,7 +10,7 @@ import numpy as np
 
 from . import _arrays, _mesh, _packed
 from ._errors import HullRejected, InvalidArgument
-from ._hulls import Content, Hull, points_of
+from ._hulls import Content, Hull, Planarity, planarity_of, points_of
 from ._pb import hulls_pb2
 
 #: Of vertices in one message: far below the server's message limit, large
@@ -35,6 +35,7 @@ class Registration:
         contraction_points: Any = None,
         max_vertices: int | None = None,
         max_deviation: float | None = None,
+        planarity: Planarity = "default",
     ) -> Registration:
         """The call of `Client.register`'s arguments."""
         if hasattr(hulls, "vertices") or (isinstance(hulls, np.ndarray) and hulls.ndim == 2):
@@ -58,12 +59,16 @@ class Registration:
         for i, (shape, center) in enumerate(zip(shapes, contraction_points, strict=True)):
             if center is not None:
                 center = _arrays.floats(f"contraction_points[{i}]", center, 3)
-            if isinstance(shape, Hull) and center is None and max_vertices is max_deviation is None:
-                contents.append(shape.content)
-                continue
+            share = planarity_of(planarity)
+            if isinstance(shape, Hull):
+                share = planarity_of(planarity, shape.content.planarity)
+                as_it_is = center is None and max_vertices is max_deviation is None
+                if as_it_is and share == shape.content.planarity:
+                    contents.append(shape.content)
+                    continue
             # A copy of the caller's array, which may change later.
             points = _arrays.frozen(points_of(shape, f"hulls[{i}]"))
-            contents.append(Content(points, center, max_vertices, max_deviation))
+            contents.append(Content(points, center, max_vertices, max_deviation, share))
         volumes = [
             _mesh.closed(f"hulls[{i}]", content.points, getattr(shape, "faces", None))
             for i, (shape, content) in enumerate(zip(shapes, contents, strict=True))
@@ -85,6 +90,8 @@ class Registration:
                 hull.simplification.max_vertices = content.max_vertices
             if content.max_deviation is not None:
                 hull.simplification.max_deviation = content.max_deviation
+            if content.planarity is not None:
+                hull.planarity = content.planarity
             size += content.points.nbytes
         if request.hulls:
             yield request.SerializeToString()
@@ -151,6 +158,7 @@ def _hull(info: hulls_pb2.HullInfo, content: Content) -> Hull:
         edge_count=info.edge_count,
         geometric_error=info.geometric_error,
         deviation=info.deviation,
+        planarity=info.planarity,
         center_of_mass=np.array(info.center_of_mass),
         inertia=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),
         content=content,

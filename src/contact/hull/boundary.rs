@@ -166,7 +166,11 @@ impl<'a> Boundary<'a> {
         }
         let (from, to) = (self.vertex(piece.start), self.vertex(piece.end));
         let along = (to - from).normalize_or_zero();
-        let off = |i: usize| (i, (self.vertex(i) - from).cross(along).length());
+        let length = (to - from).length();
+        let off = |i: usize| {
+            let at = self.vertex(i) - from;
+            (i, (at - along * at.dot(along).clamp(0.0, length)).length())
+        };
         (piece.start + 1..piece.end).map(off).max_by(|(_, a), (_, b)| a.total_cmp(b))
     }
 

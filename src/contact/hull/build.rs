@@ -11,7 +11,7 @@ use super::merge::{Plane, Surface, groups};
 use super::quickhull::Triangulation;
 use super::solid::{Centred, Solid};
 use super::topology::topology;
-use super::{ConvexHull, HullError, HullErrorKind, HullOptions};
+use super::{ABSENT_PLANARITY, ConvexHull, HullError, HullErrorKind, HullOptions};
 use crate::contact::exact::TriangleNormal;
 use crate::contact::support::{Columns, SupportMap};
 
@@ -29,7 +29,9 @@ pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexH
     let contraction_point = given_center.unwrap_or(center_of_mass) + 0.0;
     let refused = || given_center.map_or_else(not_representable, not_inside);
     let centred = solid.centred(contraction_point, &normals).ok_or_else(refused)?;
-    let shell = Shell::new(&solid.triangulation, &centred, &normals).ok_or_else(not_representable)?;
+    let planarity = options.planarity.unwrap_or(ABSENT_PLANARITY);
+    let shell =
+        Shell::new(&solid.triangulation, &centred, &normals, planarity).ok_or_else(not_representable)?;
     Ok(ConvexHull {
         outlines: shell.outlines,
         face_neighbours: shell.face_neighbours,
@@ -46,6 +48,7 @@ pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexH
         registered: solid.registered,
         registered_count: given.len() as u32,
         deviation: 0.0,
+        planarity,
         scale: centred.scale,
         contraction_point,
         contraction_distance: length_of(contraction_point),
@@ -98,7 +101,12 @@ struct Shell {
 
 impl Shell {
     /// None where a face has no outline at double precision.
-    fn new(triangulation: &Triangulation, centred: &Centred, normals: &[TriangleNormal]) -> Option<Self> {
+    fn new(
+        triangulation: &Triangulation,
+        centred: &Centred,
+        normals: &[TriangleNormal],
+        planarity: f64,
+    ) -> Option<Self> {
         let Centred { vertices, circumradius, inradius, .. } = centred;
         let triangles = &triangulation.triangles;
         let sides = triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]);
@@ -111,7 +119,7 @@ impl Shell {
             circumradius: *circumradius,
             inradius: *inradius,
         };
-        let groups = groups(&surface);
+        let groups = groups(&surface, planarity);
         let topology = topology(&surface, &groups)?;
         let planes = &groups.planes;
         let across = topology.edge_faces.iter().flat_map(|&[f, g]| [(f, g), (g, f)]);

@@ -13,13 +13,12 @@ use super::quickhull::Triangulation;
 use crate::contact::exact::{Dd, TriangleNormal};
 use crate::contact::tolerance::U;
 
-/// Vertices of a face lie within this share of the circumradius of its plane …
-const PLANARITY_PER_CIRCUMRADIUS: f64 = 1e-6;
-/// … and within this share of the inradius, so that the two sides of a thin
-/// plate, or its sides and its rim, never become one face.
+/// Whatever planarity is asked for, vertices of a face lie within this share of the inradius
+/// of its plane, so that the two sides of a thin plate, or its sides and its rim, never become
+/// one face.
 const PLANARITY_PER_INRADIUS: f64 = 1.0 / 64.0;
-/// … but not less than rounding, hull units, however near the contraction point
-/// is to a face.
+/// The tolerance is at least this, hull units: the rounding of the vertices, which remains
+/// where a planarity of 0 is asked for or the contraction point is very near a face.
 const LEAST_PLANARITY: f64 = 64.0 * U;
 /// Vertices whose heights differ by less may be as high as each other; hull units.
 const PLATEAU: f64 = 64.0 * U;
@@ -63,10 +62,12 @@ pub(super) struct Groups {
     pub(super) tolerance: f64,
 }
 
-/// Groups the triangles, each group around its largest.
-pub(super) fn groups(surface: &Surface<'_>) -> Groups {
-    let tolerance = (PLANARITY_PER_CIRCUMRADIUS * surface.circumradius)
-        .min((PLANARITY_PER_INRADIUS * surface.inradius).max(LEAST_PLANARITY));
+/// Groups the triangles, each group around its largest. The planarity is a share of the
+/// circumradius.
+pub(super) fn groups(surface: &Surface<'_>, planarity: f64) -> Groups {
+    let tolerance = (planarity * surface.circumradius)
+        .min(PLANARITY_PER_INRADIUS * surface.inradius)
+        .max(LEAST_PLANARITY);
     let mut merger = Merger::new(surface, tolerance);
     // Sizes are not negative, so that their bits are in the same order.
     let size = |normal: &TriangleNormal| Reverse(normal.double_area.to_bits());

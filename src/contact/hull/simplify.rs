@@ -87,7 +87,9 @@ fn of_some(
     registered.sort_unstable();
     let points: Vec<[f64; 3]> = registered.iter().map(|&i| given[i as usize]).collect();
     let contraction_point = Some(whole.contraction_point.to_array());
-    let mut hull = build::build(&points, &HullOptions { contraction_point, ..HullOptions::default() })?;
+    let planarity = Some(whole.planarity);
+    let mut hull =
+        build::build(&points, &HullOptions { contraction_point, planarity, ..HullOptions::default() })?;
     hull.registered.iter_mut().for_each(|v| *v = registered[*v as usize]);
     hull.registered_count = whole.registered_count;
     hull.deviation = deviation;

@@ -37,7 +37,8 @@ fn definition(hull: proto::HullDefinition) -> Definition {
         max_vertices: wanted.max_vertices,
         max_deviation: wanted.max_deviation,
     });
-    Ok(HullDefinition { points: points.to_vec(), contraction_point, simplification })
+    let planarity = hull.planarity;
+    Ok(HullDefinition { points: points.to_vec(), contraction_point, simplification, planarity })
 }
 
 fn malformed(field: &str, found: usize, rule: &str) -> proto::HullError {
@@ -89,6 +90,7 @@ fn hull_info(id: HullId, hull: &ConvexHull) -> proto::HullInfo {
         geometric_error: hull.geometric_error(),
         registered_count: hull.registered_count() as u32,
         deviation: hull.deviation(),
+        planarity: hull.planarity(),
     }
 }
 
