@@ -142,6 +142,16 @@ impl Callers {
         Caller(account)
     }
 
+    /// The callers that are known at the moment by the name of a token.
+    pub fn named(&self) -> Vec<Caller> {
+        let known = locked(&self.known);
+        let named = known.iter().filter(|(key, _)| matches!(key, CallerKey::Token(_)));
+        let accounts: Vec<_> = named.filter_map(|(_, account)| account.upgrade()).collect();
+        // The last clone of an account takes the lock when it is dropped.
+        drop(known);
+        accounts.into_iter().map(Caller).collect()
+    }
+
     /// How many callers are known at the moment.
     pub fn count(&self) -> usize {
         locked(&self.known).len()
@@ -304,6 +314,17 @@ impl MemoryBudget {
     /// The bytes of the whole budget.
     pub fn limit(&self) -> u64 {
         self.limit
+    }
+
+    /// The most that all callers may hold for `part`; none where only the whole budget bounds it.
+    pub fn cap(&self, part: Part) -> Option<u64> {
+        let cap = locked(&self.state).caps[part as usize];
+        (cap != u64::MAX).then_some(cap)
+    }
+
+    /// The bytes that one caller holds.
+    pub fn held(&self, caller: &Caller) -> u64 {
+        locked(&self.state).shares.held(caller)
     }
 
     /// The bytes that all callers hold for `part`.

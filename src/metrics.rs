@@ -41,6 +41,12 @@ struct Flag {
     flag: &'static str,
 }
 
+/// A token, by its name.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Token {
+    token: String,
+}
+
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct Part {
     part: &'static str,
@@ -114,6 +120,8 @@ pub struct Metrics {
     sheds: [Counter; 5],
     cuts: [Counter; 2],
     memory_bytes: Family<Part, Gauge>,
+    token_memory_bytes: Family<Token, Gauge>,
+    pub(crate) callers: Gauge,
     pub(crate) cache_bytes: Gauge,
     pub(crate) cache_hulls: Gauge,
     pub(crate) held_bytes: Gauge,
@@ -176,6 +184,12 @@ impl Default for Metrics {
             solver_iterations: add(r, "solver_iterations", "Iterations of the solver, summed over pairs"),
             sheds: SHEDS.map(|(_, reason)| sheds.get_or_create(&Reason { reason }).clone()),
             cuts: CUTS.map(|reason| cuts.get_or_create(&Reason { reason }).clone()),
+            token_memory_bytes: add(
+                r,
+                "token_memory_bytes",
+                "Memory that a token's calls hold, by the token's name",
+            ),
+            callers: add(r, "callers", "Callers that share the server at the moment"),
             memory_bytes: add(r, "memory_bytes", "Memory that callers make the server hold, by part"),
             cache_bytes: add(r, "cache_bytes", "Heap of cached hulls"),
             cache_hulls: add(r, "cache_hulls", "Hulls cached"),
@@ -244,6 +258,15 @@ impl Metrics {
     /// What callers make the server hold for one part of the memory budget.
     pub(crate) fn set_memory(&self, part: &'static str, bytes: u64) {
         self.memory_bytes.get_or_create(&Part { part }).set(i64::try_from(bytes).unwrap_or(i64::MAX));
+    }
+
+    /// What the calls of each token hold, by the token's name.
+    pub(crate) fn set_token_memory(&self, held: impl IntoIterator<Item = (String, u64)>) {
+        self.token_memory_bytes.clear();
+        for (token, bytes) in held {
+            let bytes = i64::try_from(bytes).unwrap_or(i64::MAX);
+            self.token_memory_bytes.get_or_create(&Token { token }).set(bytes);
+        }
     }
 
     /// Something was refused for want of room.

@@ -26,7 +26,7 @@ use tracing_subscriber::{
 };
 
 use super::{
-    Error,
+    Error, descriptors,
     settings::{Given, LogFormat, Settings, seconds},
     traces::Traces,
 };
@@ -82,7 +82,9 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 async fn until_stopped(settings: &Settings, args: &Args) -> Result<(), Error> {
     let serving = settings.serving()?;
     let store = blobs::open(&settings.store)?;
-    let app = Arc::new(App::new(store, settings.limits()?, settings.compute_threads)?);
+    let mut limits = settings.limits()?;
+    limits.max_connections = descriptors::connections(limits.max_connections);
+    let app = Arc::new(App::new(store, limits, settings.compute_threads)?);
     app.engine().injected().delay(Duration::from_micros(args.inject_pair_delay_us));
     let grace = seconds("grace_seconds", settings.grace_seconds)?;
     // Before the address is printed: who reads it may stop the server at once.

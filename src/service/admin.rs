@@ -8,6 +8,7 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::{net::TcpListener, sync::Semaphore, time::timeout};
 
 use super::{App, server::ACCEPT_PAUSE};
+use crate::log_limit::Repeated;
 
 /// Connections at a time: scrapers and probes are few.
 const CONNECTIONS: usize = 64;
@@ -18,6 +19,8 @@ const CONNECTION_TIME: Duration = Duration::from_secs(60);
 /// A peer that does not say what it wants is gone.
 const HEADER_TIME: Duration = Duration::from_secs(5);
 
+static ACCEPT_FAILED: Repeated = Repeated::new();
+
 /// Answers on `listener` until dropped.
 pub async fn serve_admin(listener: TcpListener, app: Arc<App>) {
     let room = Arc::new(Semaphore::new(CONNECTIONS));
@@ -25,7 +28,9 @@ pub async fn serve_admin(listener: TcpListener, app: Arc<App>) {
         let io = match listener.accept().await {
             Ok((io, _)) => io,
             Err(error) => {
-                tracing::warn!(%error, "accept failed on the admin port");
+                if let Some(left_out) = ACCEPT_FAILED.due() {
+                    tracing::warn!(%error, left_out, "accept failed on the admin port");
+                }
                 tokio::time::sleep(ACCEPT_PAUSE).await;
                 continue;
             }

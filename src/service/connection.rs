@@ -27,16 +27,20 @@ use tokio::{
 use tonic::{body::Body, service::Routes};
 use tower::Service;
 
-#[cfg(feature = "playground")]
-use super::playground::{self, Page};
 use super::{
     App, Serving,
     admission::spread,
-    cutoff::{Cutoff, StreamExecutor},
+    cutoff::StreamExecutor,
     listener::Connection,
     middleware::{Closing, Middleware},
     peers::{Address, Peer, Peers},
 };
+#[cfg(feature = "playground")]
+use super::{
+    cutoff::Cutoff,
+    playground::{self, Page},
+};
+use crate::log_limit::Repeated;
 
 /// HTTP/2 settings that measurably matter for batches; the defaults are sized for pages.
 const FRAME_BYTES: u32 = 1 << 20;
@@ -108,7 +112,7 @@ impl Connections {
     pub(super) async fn serve(self: Arc<Self>, io: Connection, closing: Closing, peer: Peer) {
         let io = match self.encrypted(io, &peer).await {
             Ok(io) => io,
-            Err(error) => return tracing::debug!(%error, "no TLS connection"),
+            Err(error) => return report_handshake(&error),
         };
         let (close, closed) = watch::channel(false);
         let (app, routes, serving) = (self.app.clone(), self.routes.clone(), self.serving.clone());
@@ -207,6 +211,13 @@ impl Connections {
                 timeout(self.serving.greeting, io.encrypted(config)).await?
             }
         }
+    }
+}
+
+fn report_handshake(error: &io::Error) {
+    static FAILED: Repeated = Repeated::new();
+    if let Some(left_out) = FAILED.due() {
+        tracing::info!(%error, left_out, "a TLS handshake failed");
     }
 }
 

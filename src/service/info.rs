@@ -24,6 +24,7 @@ impl ServerService for Info {
         &self,
         _: Request<GetServerInfoRequest>,
     ) -> Result<Response<GetServerInfoResponse>, Status> {
-        Ok(Response::new(wire::server_info(self.app.limits(), self.app.engine().threads())))
+        let (limits, threads) = (self.app.limits(), self.app.engine().threads());
+        Ok(Response::new(wire::server_info(limits, threads, self.app.memory())))
     }
 }

@@ -26,14 +26,15 @@ use super::{
     App, Serving,
     answer_body::{AnswerBody, AnswerTimes},
     call::{self, BoxError, Call, Taken, is_long_lived},
-    context::CallContext,
-    error::ServiceError,
+    context::{CallContext, no_memory},
+    error::{Kind, ServiceError},
     peers::Peer,
     request_body::{MessageBody, MessageRules},
     wire,
 };
 use crate::{
-    budget::{MemoryBudget, Part},
+    budget::{Caller, MemoryBudget, Part},
+    log_limit::Repeated,
     trace,
 };
 
@@ -94,7 +95,7 @@ impl Middleware {
     }
 
     /// What the call takes for as long as it lasts.
-    fn take(&self, method: &str, headers: &HeaderMap, context: &CallContext) -> Result<Taken, ServiceError> {
+    fn take(&self, method: &str, headers: &HeaderMap, caller: &Caller) -> Result<Taken, ServiceError> {
         let watch = is_watch(method).then(|| {
             self.peer.watch().ok_or_else(|| {
                 let why = "the connection has too many Watch and reflection streams: close one first";
@@ -107,7 +108,9 @@ impl Middleware {
             Some(_) => None,
             None => {
                 let headers = headers.iter().map(|(name, value)| name.as_str().len() + value.len());
-                Some(context.take(&self.app, Part::Connections, CALL_BYTES + headers.sum::<usize>())?)
+                let bytes = (CALL_BYTES + headers.sum::<usize>()) as u64;
+                let memory = self.app.memory().take(caller, Part::Connections, bytes);
+                Some(memory.map_err(|why| no_memory(&self.app, why))?)
             }
         };
         Ok(Taken::new(memory, watch.or(check)))
@@ -157,12 +160,14 @@ where
         let caller = self.peer.caller(token.as_ref().ok().and_then(|name| name.as_deref()));
         // Health checks are answered whatever the budget holds; their messages are tiny.
         let memory = if is_health(method) { MemoryBudget::unlimited() } else { self.app.memory().clone() };
-        let context = CallContext::new(caller.clone(), memory);
-        let fixed_cost = CallContext::new(caller, self.app.memory().clone());
-        let taken = token.and_then(|_| self.take(method, request.headers(), &fixed_cost));
+        let context = CallContext::new(caller, memory);
+        let taken = token.and_then(|_| self.take(method, request.headers(), &context.job.caller));
         let (taken, refusal) = match taken {
             Ok(taken) => (taken, None),
-            Err(refusal) => (Taken::default(), Some(refusal)),
+            Err(refusal) => {
+                report(&refusal, method);
+                (Taken::default(), Some(refusal))
+            }
         };
         let stop = context.job.stop.clone();
         let call = Call::new(self.app.clone(), method, span.clone(), traced.clone(), stop, taken);
@@ -196,6 +201,16 @@ where
         };
         // What is traced finds the spans that are entered, whatever is logged.
         Box::pin(responded.instrument(span).instrument(traced))
+    }
+}
+
+/// Logs a refused token; the token itself is in no line.
+fn report(refusal: &ServiceError, method: &str) {
+    static REFUSED: Repeated = Repeated::new();
+    if matches!(refusal.kind, Kind::Unauthenticated | Kind::Forbidden)
+        && let Some(left_out) = REFUSED.due()
+    {
+        tracing::info!(reason = refusal.reason, method, left_out, "a call was refused for its token");
     }
 }
 

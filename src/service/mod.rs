@@ -53,7 +53,7 @@ pub use server::{Serving, run};
 use tokio::sync::Semaphore;
 
 use crate::{
-    budget::{Callers, MemoryBudget, Part},
+    budget::{Caller, Callers, MemoryBudget, Part},
     compute::Compute,
     metrics::Metrics,
     store::{BlobStore, Registry, registry::Bounds},
@@ -142,6 +142,9 @@ impl App {
         for &part in Part::ALL {
             metrics.set_memory(part.name(), self.memory.used_by(part));
         }
+        let held = |caller: Caller| (caller.key().to_string(), self.memory.held(&caller));
+        metrics.set_token_memory(self.callers.named().into_iter().map(held));
+        metrics.callers.set(self.callers.count() as i64);
         metrics.request_bytes_in_flight.set(self.memory.used_by(Part::Arriving) as i64);
         metrics.ready.set(self.readiness().welcomes().into());
         metrics.text()

@@ -146,8 +146,8 @@ impl Place {
         let most = peers.app.limits().max_connections;
         let mut open = locked(&peers.open);
         let theirs = open.by_address.get(&address).copied().unwrap_or(0);
-        // Of few places half are kept at most.
-        let kept = if theirs > 0 { KEPT_PLACES.min(most / 2) } else { 0 };
+        // Of few places an eighth is kept at most.
+        let kept = if theirs > 0 { KEPT_PLACES.min(most / 8) } else { 0 };
         if open.all.saturating_add(kept) >= most {
             return None;
         }
@@ -278,9 +278,9 @@ mod tests {
     /// is not given back.
     #[test]
     fn the_last_places_are_for_new_addresses() {
-        let peers = peers(Limits { max_connections: 40, ..Limits::default() });
+        let peers = peers(Limits { max_connections: 200, ..Limits::default() });
         let greedy: Vec<_> = std::iter::from_fn(|| peers.admit(ip("10.0.0.1"))).collect();
-        assert_eq!(greedy.len(), 40 - KEPT_PLACES as usize);
+        assert_eq!(greedy.len(), 200 - KEPT_PLACES as usize);
         let others: Vec<_> = (2..).map_while(|i| peers.admit(ip(&format!("10.0.1.{i}")))).collect();
         assert_eq!(others.len(), KEPT_PLACES as usize);
         drop((greedy, others));

@@ -10,7 +10,7 @@ use super::{
     App, OpenError, Readiness, Security, connection::Connections, contacts, hulls, info, listener::Listener,
     middleware::Closing,
 };
-use crate::proto;
+use crate::{log_limit::Repeated, proto};
 
 /// After a failed accept (too many open files), so that the loop does not spin.
 pub(super) const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
@@ -148,6 +148,8 @@ async fn routes(app: &Arc<App>) -> Result<(HealthReporter, Routes), OpenError> {
     Ok((reporter, routes))
 }
 
+static ACCEPT_FAILED: Repeated = Repeated::new();
+
 /// Accepts until told to stop, then waits for its connections, which end by themselves.
 async fn accept(listener: Listener, connections: Arc<Connections>, mut closing: Closing) {
     let mut open = JoinSet::new();
@@ -164,7 +166,9 @@ async fn accept(listener: Listener, connections: Arc<Connections>, mut closing: 
                     }
                 }
                 Err(error) => {
-                    tracing::warn!(%error, "accept failed");
+                    if let Some(left_out) = ACCEPT_FAILED.due() {
+                        tracing::warn!(%error, left_out, "accept failed");
+                    }
                     tokio::time::sleep(ACCEPT_PAUSE).await;
                 }
             },

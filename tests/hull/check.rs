@@ -125,7 +125,9 @@ fn check_faces(hull: &ConvexHull, met: &mut Met) {
             let (normal, offset) = (hull.faces()[face as usize].normal, hull.faces()[face as usize].offset);
             assert!(normal.dot(*point) >= offset - hull.faces()[face as usize].planarity);
             let out = beyond_outline(hull, face as usize, *point);
-            if out > 2.0 * tolerance { println!("beyond {out:e} of {tolerance:e}"); }
+            if out > 2.0 * tolerance {
+                println!("beyond {out:e} of {tolerance:e}");
+            }
         }
     }
 }

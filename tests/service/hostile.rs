@@ -119,7 +119,7 @@ async fn a_request_that_never_ends_is_cut_off() {
 }
 
 /// Catches memory that many half-sent requests hold without bound: at the limit they are
-/// held, one byte past it refused, and given back when they end.
+/// held, the first byte past it refused, and given back when they end.
 #[tokio::test(flavor = "multi_thread")]
 async fn bytes_of_requests_are_bounded_over_all_calls() {
     let limits =
@@ -135,7 +135,7 @@ async fn bytes_of_requests_are_bounded_over_all_calls() {
     };
     let held = [send(100_000), send(100_000)];
     server.until("hullcast_request_bytes_in_flight", 200_000.0).await;
-    let refused_call = send(1).await.unwrap().unwrap();
+    let refused_call = send(6).await.unwrap().unwrap();
     let status = tonic::Status::from_header_map(refused_call.headers()).unwrap();
     assert_eq!(refusal(&status), refused(Code::Unavailable, "TOO_BUSY", ""));
     assert!(held.iter().all(|call| !call.is_finished()));

@@ -12,6 +12,7 @@ mod hulls;
 mod lifecycle;
 mod limits;
 mod memory;
+mod messages;
 mod overload;
 #[cfg(feature = "playground")]
 mod playground;
@@ -20,3 +21,4 @@ mod sight;
 mod steps;
 mod stopping;
 mod support;
+mod unread;
