@@ -24,10 +24,11 @@ use tracing::Instrument;
 use super::{
     App, Security,
     call::{self, BoxError, Call, is_long_lived},
+    context::CallContext,
     error::ServiceError,
     wire,
 };
-use crate::trace;
+use crate::{budget::Caller, trace};
 
 /// When the caller stops waiting; an extension of requests that have one.
 #[derive(Clone, Copy, Debug)]
@@ -95,6 +96,8 @@ where
             return Box::pin(std::future::ready(Ok(call.answered(refused))));
         }
         request.extensions_mut().insert(self.closing.clone());
+        let context = CallContext::new(Caller::alone(), self.app.memory().clone());
+        request.extensions_mut().insert(context);
         let deadline = self.deadline(method, request.headers());
         if let Some(at) = deadline {
             request.extensions_mut().insert(Deadline(at));

@@ -12,6 +12,7 @@ mod call;
 mod connection;
 mod contacts;
 mod context;
+mod decode;
 mod edge;
 mod error;
 mod find;
@@ -20,10 +21,12 @@ mod info;
 mod injected;
 mod limits;
 mod listener;
+mod offload;
 mod outputs;
 #[cfg(feature = "playground")]
 mod playground;
 mod readiness;
+mod records;
 mod security;
 mod server;
 mod steps;
@@ -37,6 +40,7 @@ use std::{
 
 pub use admin::serve_admin;
 use batch::Engine;
+use context::CallContext;
 pub use error::{Kind, Place, ServiceError};
 pub use limits::Limits;
 pub use listener::Listener;
@@ -46,7 +50,6 @@ pub use security::{LoadError, Security, SecurityFiles};
 #[doc(hidden)]
 pub use server::handlers;
 pub use server::{Serving, run};
-use tokio::sync::Semaphore;
 
 use crate::{
     budget::{MemoryBudget, Part},
@@ -55,6 +58,9 @@ use crate::{
     store::{BlobStore, Registry, registry::Bounds},
 };
 
+/// An answer is in memory as a message and encoded.
+const ANSWER_COPIES: usize = 2;
+
 /// What every handler shares.
 #[derive(Debug)]
 pub struct App {
@@ -62,8 +68,6 @@ pub struct App {
     registry: Registry,
     engine: Engine,
     memory: Arc<MemoryBudget>,
-    /// For what streams keep from one message to the next.
-    stream_room: Arc<Semaphore>,
     metrics: Arc<Metrics>,
     readiness: Mutex<Readiness>,
 }
@@ -93,9 +97,8 @@ impl App {
             (Part::StreamState, limits.max_stream_state_bytes),
         ];
         let memory = MemoryBudget::new(limits.max_memory_bytes, true, &caps);
-        let stream_room = steps::room(limits.max_stream_state_bytes);
         let readiness = Mutex::new(Readiness::Starting);
-        Ok(Self { limits, registry, engine, memory, stream_room, metrics, readiness })
+        Ok(Self { limits, registry, engine, memory, metrics, readiness })
     }
 
     /// What the server accepts.
@@ -141,15 +144,27 @@ impl App {
         *self.readiness.lock().unwrap_or_else(PoisonError::into_inner) = readiness;
     }
 
-    /// A response that may be sent.
-    fn fitting<M: prost::Message>(&self, response: M) -> Result<tonic::Response<M>, ServiceError> {
-        let (bytes, limit) = (response.encoded_len(), self.limits.max_message_bytes);
-        if bytes > limit {
-            let message =
-                format!("the answer has {bytes} bytes, the limit is {limit}: ask for less at a time");
-            return Err(ServiceError::refused("RESPONSE_TOO_LARGE", message));
+    /// An answer that may be sent: it is within the message limit, and the call's budget has
+    /// room for it twice, as a message and encoded. The call holds that memory.
+    fn bounded_answer<M: prost::Message>(
+        &self,
+        context: &CallContext,
+        answer: M,
+    ) -> Result<tonic::Response<M>, ServiceError> {
+        let bytes = answer.encoded_len();
+        if bytes > self.limits.max_message_bytes {
+            return Err(self.answer_too_large(bytes));
         }
-        Ok(tonic::Response::new(response))
+        context.hold_answer(context.take(self, Part::Answers, ANSWER_COPIES * bytes)?);
+        Ok(tonic::Response::new(answer))
+    }
+
+    /// The error of an answer that has so many bytes, or more.
+    fn answer_too_large(&self, bytes: usize) -> ServiceError {
+        let limit = self.limits.max_message_bytes;
+        let message =
+            format!("the answer has at least {bytes} bytes, the limit is {limit}: ask for less at a time");
+        ServiceError::refused("RESPONSE_TOO_LARGE", message)
     }
 }
 
