@@ -27,7 +27,7 @@ use tracing_subscriber::{
 
 use super::{
     Error,
-    settings::{Given, LogFormat, Settings, seconds},
+    settings::{Given, LogFormat, Settings},
     traces::Traces,
 };
 
@@ -84,7 +84,7 @@ async fn until_stopped(settings: &Settings, args: &Args) -> Result<(), Error> {
     let store = blobs::open(&settings.store)?;
     let app = Arc::new(App::new(store, settings.limits()?, settings.compute_threads)?);
     app.engine().injected().delay(Duration::from_micros(args.inject_pair_delay_us));
-    let grace = seconds("grace_seconds", settings.grace_seconds)?;
+    let grace = settings.grace()?;
     // Before the address is printed: who reads it may stop the server at once.
     let shutdown = shutdown(grace, args.until_stdin_closes)?;
     let listeners = listeners(settings, &serving.security).await?;
