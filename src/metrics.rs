@@ -61,15 +61,17 @@ pub(crate) enum Shed {
     Connection,
     Hulls,
     Memory,
+    Store,
 }
 
 /// In the order of the enum.
-const SHEDS: [(Shed, &str); 5] = [
+const SHEDS: [(Shed, &str); 6] = [
     (Shed::Pairs, "pairs_in_flight"),
     (Shed::RequestBytes, "request_bytes_in_flight"),
     (Shed::Connection, "connections"),
     (Shed::Hulls, "held_bytes"),
     (Shed::Memory, "memory"),
+    (Shed::Store, "store_operations"),
 ];
 
 /// Counters, gauges and histograms of one server.
@@ -87,7 +89,7 @@ pub struct Metrics {
     pub(crate) queue_seconds: Histogram,
     pub(crate) compute_seconds: Histogram,
     pub(crate) solver_iterations: Counter,
-    sheds: [Counter; 5],
+    sheds: [Counter; SHEDS.len()],
     pub(crate) cache_bytes: Gauge,
     pub(crate) cache_hulls: Gauge,
     pub(crate) held_bytes: Gauge,

@@ -12,7 +12,7 @@ use super::{
 };
 use crate::{
     contact::{Basis, Body, Outcome, Workspace, contact_manifold},
-    store::{Hold, Hulls},
+    store::{Hulls, Lease},
 };
 
 /// A batch, ready to compute: checked, its hulls at hand.
@@ -29,7 +29,7 @@ pub struct Batch {
     /// What is kept of the answers: all that is sent, and perhaps bases.
     kept: Outputs,
     /// Given back with the answer.
-    hold: Option<Hold>,
+    lease: Option<Lease>,
 }
 
 impl Batch {
@@ -38,7 +38,7 @@ impl Batch {
         let Scene { setting, poses, warm_starts, invalid_bodies, .. } = scene;
         let kept = setting.outputs;
         let (hulls, poses) = (Arc::new(hulls), Arc::new(poses));
-        (Self { hulls, setting, poses, candidates: None, warm_starts, kept, hold: None }, invalid_bodies)
+        (Self { hulls, setting, poses, candidates: None, warm_starts, kept, lease: None }, invalid_bodies)
     }
 
     /// Pairs that may meet, 2 indices each: the answer has those that are not SEPARATED.
@@ -56,7 +56,7 @@ impl Batch {
             candidates: Some(candidates),
             warm_starts: Vec::new(),
             kept,
-            hold: None,
+            lease: None,
         }
     }
 
@@ -65,8 +65,8 @@ impl Batch {
     }
 
     /// Its hulls are in use until it is answered.
-    pub fn hold(&mut self, hold: Hold) {
-        self.hold = Some(hold);
+    pub fn lease(&mut self, lease: Lease) {
+        self.lease = Some(lease);
     }
 
     /// Its columns have the bases, whether they are sent or not.

@@ -15,21 +15,23 @@ use tonic::{Request, Response, Status, Streaming};
 use super::{
     App, ServiceError,
     batch::Batch,
+    context::CallContext,
     edge::{Closing, Deadline},
     find::Finding,
     steps::Steps,
     wire::{self, Scene},
 };
 use crate::{
+    compute::Job,
     metrics::Shed,
     proto::{
         QueryContactsRequest, QueryContactsResponse,
         contact_service_server::{ContactService, ContactServiceServer},
     },
-    store::{Hold, HullId, Hulls, NoRoom},
+    store::{HullId, Hulls, Lease, LeaseError},
 };
 
-/// When to ask again where other requests hold too much: what they take to be answered.
+/// When to ask again if other requests use too many hulls: about the time that they take.
 const HULLS_RETRY: Duration = Duration::from_millis(100);
 
 pub(super) fn service(app: Arc<App>) -> ContactServiceServer<impl ContactService> {
@@ -46,8 +48,9 @@ impl ContactService for Contacts {
         &self,
         request: Request<QueryContactsRequest>,
     ) -> Result<Response<QueryContactsResponse>, Status> {
+        let job = CallContext::of(&request).job;
         let scene = wire::scene(request.into_inner(), self.app.limits())?;
-        Ok(Response::new(answer(&self.app, scene, false).await?.0))
+        Ok(Response::new(answer(&self.app, scene, false, &job).await?.0))
     }
 
     type FindContactsStream = BoxStream<'static, Result<QueryContactsResponse, Status>>;
@@ -57,7 +60,8 @@ impl ContactService for Contacts {
         request: Request<QueryContactsRequest>,
     ) -> Result<Response<Self::FindContactsStream>, Status> {
         let deadline = request.extensions().get::<Deadline>().copied();
-        let finding = Finding::begin(self.app.clone(), request.into_inner()).await?;
+        let job = CallContext::of(&request).job;
+        let finding = Finding::begin(self.app.clone(), request.into_inner(), job).await?;
         let answers = stream::try_unfold(finding, move |mut finding| async move {
             let part = within(deadline, finding.next()).await?;
             Ok(part.map(|part| (part, finding)))
@@ -77,7 +81,8 @@ impl ContactService for Contacts {
         let closing = request.extensions().get::<Closing>().cloned();
         // Handlers without a connection, as in fuzzing, have none that closes.
         let closing = closing.unwrap_or_else(|| Closing(watch::channel(false).1));
-        let steps = Steps::new(self.app.clone(), request.into_inner(), closing);
+        let job = CallContext::of(&request).job;
+        let steps = Steps::new(self.app.clone(), request.into_inner(), closing, job);
         let answers = stream::try_unfold(steps, move |mut steps| async move {
             let step = within(deadline, steps.next()).await?;
             Ok(step.map(|answer| (answer, steps)))
@@ -105,12 +110,13 @@ pub(super) async fn answer(
     app: &App,
     scene: Scene,
     keep_bases: bool,
+    job: &Job,
 ) -> Result<(QueryContactsResponse, Vec<u32>), ServiceError> {
     let started = Instant::now();
     let (request_id, outputs) = (scene.request_id, scene.setting.outputs);
     let (pairs, bodies) = (scene.setting.pair_count(), scene.setting.body_hulls.len());
     let admission = app.engine().admit(pairs, outputs)?;
-    let (mut batch, missing_hulls, invalid_bodies) = assemble(app, scene).await?;
+    let (mut batch, missing_hulls, invalid_bodies) = assemble(app, scene, job).await?;
     if keep_bases {
         batch.keep_bases();
     }
@@ -142,11 +148,11 @@ pub(super) async fn answer(
 
 /// The scene with its hulls at hand, the indices of those that are missing, and of the
 /// bodies that are unusable.
-async fn assemble(app: &App, scene: Scene) -> Result<(Batch, Vec<u32>, Vec<u32>), ServiceError> {
-    let (hulls, hold) = fetch(app, &scene.setting.hull_ids).await?;
+async fn assemble(app: &App, scene: Scene, job: &Job) -> Result<(Batch, Vec<u32>, Vec<u32>), ServiceError> {
+    let (hulls, lease) = fetch(app, &scene.setting.hull_ids, job).await?;
     let missing = missing(&hulls);
     let (mut batch, invalid_bodies) = Batch::new(scene, hulls);
-    batch.hold(hold);
+    batch.lease(lease);
     Ok((batch, missing, invalid_bodies))
 }
 
@@ -155,17 +161,20 @@ pub(super) fn missing(hulls: &Hulls) -> Vec<u32> {
     hulls.iter().enumerate().filter(|(_, hull)| hull.is_err()).map(|(i, _)| i as u32).collect()
 }
 
-/// The hulls, in the order of their ids, in use until the hold is dropped.
-pub(super) async fn fetch(app: &App, ids: &[HullId]) -> Result<(Hulls, Hold), ServiceError> {
-    app.registry().hold(ids).await.map_err(|why| match why {
-        NoRoom::TooLarge => {
-            let limit = app.limits().cache_bytes;
-            let message = format!("the hulls take more than the {limit} bytes of cache_bytes: use fewer");
+/// The hulls, in the order of their ids, cached until the lease is dropped.
+pub(super) async fn fetch(app: &App, ids: &[HullId], job: &Job) -> Result<(Hulls, Lease), ServiceError> {
+    app.registry().lease(ids, job).await.map_err(|why| match why {
+        LeaseError::TooLarge => {
+            let (limit, all) = (app.registry().most_leased_alone(), app.limits().cache_bytes);
+            let message = format!(
+                "the hulls take more than the {limit} bytes that one caller may use of the {all} of \
+                 cache_bytes: use fewer"
+            );
             ServiceError::invalid("HULLS_TOO_LARGE", "hull_ids", message)
         }
-        NoRoom::Busy => {
+        LeaseError::Busy => {
             app.metrics().shed(Shed::Hulls);
-            let message = "other requests hold too many bytes of hulls; ask again";
+            let message = "other requests use too many bytes of hulls; ask again";
             ServiceError::unavailable("TOO_BUSY", HULLS_RETRY, message)
         }
     })

@@ -12,10 +12,10 @@ use super::{
 };
 use crate::{
     broad_phase::{BroadPhase, Rules},
-    compute::{Panicked, Parts},
+    compute::{Job, Panicked, Parts},
     contact::Body,
     proto::{QueryContactsRequest, QueryContactsResponse},
-    store::{Hold, Hulls, Missing},
+    store::{Hulls, Lease, Missing},
 };
 
 /// Candidates that are computed together, and so the most pairs of a message: the size at
@@ -41,7 +41,7 @@ pub(super) struct Finding {
     request_id: u64,
     setting: Arc<Setting>,
     hulls: Arc<Hulls>,
-    _hold: Hold,
+    _lease: Lease,
     poses: Arc<Poses>,
     broad_phase: Arc<BroadPhase>,
     /// Bodies from this one on have not been looked at.
@@ -56,11 +56,15 @@ pub(super) struct Finding {
 
 impl Finding {
     /// Checks the request, takes a place, and puts the bodies in a tree.
-    pub(super) async fn begin(app: Arc<App>, request: QueryContactsRequest) -> Result<Self, ServiceError> {
+    pub(super) async fn begin(
+        app: Arc<App>,
+        request: QueryContactsRequest,
+        job: Job,
+    ) -> Result<Self, ServiceError> {
         let (scene, rules) = wire::find(request, app.limits())?;
         let admission = app.engine().place(most_candidates(&app))?;
         let Scene { request_id, setting, poses, invalid_bodies, .. } = scene;
-        let (hulls, hold) = fetch(&app, &setting.hull_ids).await?;
+        let (hulls, lease) = fetch(&app, &setting.hull_ids, &job).await?;
         let hulls = Arc::new(hulls);
         // Nothing could be said of its bodies' pairs: there would be none to say it of.
         if hulls.iter().any(|hull| matches!(hull, Err(Missing::Unavailable))) {
@@ -78,7 +82,7 @@ impl Finding {
             request_id,
             setting,
             hulls,
-            _hold: hold,
+            _lease: lease,
             poses,
             broad_phase,
             next_body: 0,

@@ -12,7 +12,10 @@ use super::{
     edge::Closing,
     wire::{self, Setting},
 };
-use crate::proto::{QueryContactsRequest, QueryContactsResponse};
+use crate::{
+    compute::Job,
+    proto::{QueryContactsRequest, QueryContactsResponse},
+};
 
 /// When a client of a server that stops, or keeps too much for others, should ask again.
 const RETRY: Duration = Duration::from_millis(100);
@@ -31,6 +34,7 @@ pub(super) struct Steps {
     app: Arc<App>,
     requests: Streaming<QueryContactsRequest>,
     closing: Closing,
+    job: Job,
     previous: Previous,
 }
 
@@ -46,8 +50,13 @@ enum Previous {
 
 impl Steps {
     /// Ends when the requests do, and once `closing` is true: after the message under way.
-    pub(super) fn new(app: Arc<App>, requests: Streaming<QueryContactsRequest>, closing: Closing) -> Self {
-        Self { app, requests, closing, previous: Previous::None }
+    pub(super) fn new(
+        app: Arc<App>,
+        requests: Streaming<QueryContactsRequest>,
+        closing: Closing,
+        job: Job,
+    ) -> Self {
+        Self { app, requests, closing, job, previous: Previous::None }
     }
 
     /// The next answer; none at the end of the requests.
@@ -86,7 +95,7 @@ impl Steps {
             }
         };
         let setting = scene.setting.clone();
-        let (response, bases) = answer(&self.app, scene, true).await?;
+        let (response, bases) = answer(&self.app, scene, true, &self.job).await?;
         self.previous = match room.or_else(|| self.room_for(&setting)) {
             Some(room) => Previous::Kept { setting, bases, room },
             None => Previous::Dropped,

@@ -19,4 +19,6 @@ mod security;
 mod sight;
 mod steps;
 mod stopping;
+mod store_hung;
+mod store_tampered;
 mod support;
