@@ -43,6 +43,8 @@ pub struct Limits {
     pub max_page_size: u32,
     /// Within this a hull deleted by another server on the same store may still be answered for.
     pub cache_age_seconds: u32,
+    /// How long an operation of the store may take before the store is taken to hang.
+    pub store_seconds: u32,
 }
 
 impl Default for Limits {
@@ -66,6 +68,7 @@ impl Default for Limits {
             max_streams_per_connection: 1024,
             max_page_size: 10_000,
             cache_age_seconds: 60,
+            store_seconds: 20,
         }
     }
 }
@@ -83,6 +86,18 @@ const LEAST_MEMORY_BYTES: u64 = 256 << 20;
 /// The memory of the largest request in units of `max_message_bytes`: the message as it
 /// arrives, twice that decoded, and twice that for the answer, as a message and encoded.
 const REQUEST_MESSAGES: u64 = 1 + 2 + 2;
+/// The largest `store_seconds`: for longer, callers would wait for a store that does not answer.
+const MOST_STORE_SECONDS: u64 = 3600;
+
+/// The bytes of a blob beside its points, rounded up (docs/identity.md).
+const BLOB_HEAD_BYTES: u64 = 64;
+
+impl Limits {
+    /// The bytes of the largest blob: a message has at least as many bytes as the points in it.
+    pub fn max_blob_bytes(&self) -> u64 {
+        self.max_message_bytes as u64 + BLOB_HEAD_BYTES
+    }
+}
 
 /// Of a message on the wire: whether it is compressed, and its length.
 const FRAME_HEAD_BYTES: u64 = 5;
@@ -113,6 +128,7 @@ impl Limits {
             count("max_connections", self.max_connections),
             count("max_streams_per_connection", self.max_streams_per_connection),
             count("max_page_size", self.max_page_size),
+            ("store_seconds", self.store_seconds.into(), 1, MOST_STORE_SECONDS),
         ];
         for (name, value, least, most) in ranges {
             if !(least..=most).contains(&value) {
