@@ -23,9 +23,7 @@ fn every_planarity_gives_a_hull() {
     let mut random = Random::new(30);
     let mut all: Vec<(String, Vec<[f64; 3]>)> =
         clouds().into_iter().map(|cloud| (cloud.name, cloud.points)).collect();
-    all.push(("large sphere".into(), sphere(10_000, &mut random)));
-    all.push(("large globe".into(), globe(70, 140)));
-    all.extend((0..200).map(|seed| (format!("random {seed}"), random_cloud(seed))));
+    all.extend((0..150).map(|seed| (format!("random {seed}"), random_cloud(seed))));
     all.extend(real().into_iter().map(|points| ("real".into(), points)));
     let mut met = PLANARITIES.map(|_| Met::default());
     for (name, points) in all {
@@ -40,8 +38,11 @@ fn every_planarity_gives_a_hull() {
             assert_eq!((hull.volume(), hull.inertia()), (plain.volume(), plain.inertia()));
         }
     }
+    for points in [sphere(10_000, &mut random), globe(70, 140)] {
+        check(&points, &with(&points, PLANARITIES[4]), &mut met[4]);
+    }
     println!("{met:#?}");
-    assert!(met.iter().all(|met| met.hulls > 400));
+    assert!(met.iter().all(|met| met.hulls > 380));
     assert!(met.windows(2).all(|two| two[0].merged_faces <= two[1].merged_faces));
     assert!(met[4].merged_faces > 20_000 && met[4].inexact_faces > 2_000);
 }
