@@ -6,7 +6,7 @@ pub(crate) type Points = Vec<[f64; 3]>;
 
 /// Shapes of one kind.
 pub(crate) struct Group {
-    pub(crate) name: &'static str,
+    pub(crate) name: String,
     pub(crate) shapes: Vec<Points>,
 }
 
@@ -20,9 +20,12 @@ pub(crate) fn groups() -> Vec<Group> {
         rings.iter().flat_map(ring).collect()
     };
     vec![
-        Group { name: "boxes", shapes: vec![cuboid([0.04; 3]), cuboid([0.3, 0.2, 0.05]), cuboid([1.0; 3])] },
         Group {
-            name: "prisms",
+            name: "boxes".into(),
+            shapes: vec![cuboid([0.04; 3]), cuboid([0.3, 0.2, 0.05]), cuboid([1.0; 3])],
+        },
+        Group {
+            name: "prisms".into(),
             shapes: vec![
                 stack(6, &[(0.05, -0.05), (0.05, 0.05)]),
                 stack(12, &[(0.2, -0.05), (0.2, 0.05)]),
@@ -30,14 +33,14 @@ pub(crate) fn groups() -> Vec<Group> {
             ],
         },
         Group {
-            name: "barrels",
+            name: "barrels".into(),
             shapes: vec![
                 stack(24, &[(0.3, -0.45), (0.38, -0.2), (0.38, 0.2), (0.3, 0.45)]),
                 stack(16, &[(0.03, -0.05), (0.04, 0.0), (0.03, 0.05)]),
             ],
         },
         Group {
-            name: "frusta",
+            name: "frusta".into(),
             shapes: vec![
                 stack(12, &[(0.05, -0.05), (0.03, 0.05)]),
                 stack(12, &[(0.5, -0.3), (0.3, 0.3)]),
@@ -45,10 +48,10 @@ pub(crate) fn groups() -> Vec<Group> {
             ],
         },
         Group {
-            name: "cylinders",
+            name: "cylinders".into(),
             shapes: [32, 64, 128].map(|sides| stack(sides, &[(0.1, -0.1), (0.1, 0.1)])).into(),
         },
-        Group { name: "links", shapes: links() },
+        Group { name: "links".into(), shapes: links() },
     ]
 }
 
@@ -59,18 +62,25 @@ fn cuboid(size: [f64; 3]) -> Points {
 
 /// The robots' own hulls in the example scenes, whose names are `link/number`.
 fn links() -> Vec<Points> {
-    let mut links: Vec<Points> = Vec::new();
-    for scene in ["panda", "anymal_c"] {
-        let path = format!("{}/examples/scenes/{scene}.json", env!("CARGO_MANIFEST_DIR"));
-        let text = std::fs::read(&path).unwrap_or_else(|error| panic!("{path}: {error}"));
-        let scene: serde_json::Value = serde_json::from_slice(&text).expect("a scene");
-        for hull in scene["hulls"].as_array().expect("hulls") {
-            if hull["name"].as_str().is_some_and(|name| name.contains('/')) {
-                links.push(serde_json::from_value(hull["vertices"].clone()).expect("points"));
-            }
-        }
-    }
-    links
+    let scene = |name: &str| {
+        hulls_of(&format!("{}/examples/scenes/{name}.json", env!("CARGO_MANIFEST_DIR")), |hull| {
+            hull.contains('/')
+        })
+    };
+    ["panda", "anymal_c"].into_iter().flat_map(scene).collect()
+}
+
+/// All hulls of a scene file.
+pub(crate) fn group_of(path: &str) -> Group {
+    Group { name: "given".into(), shapes: hulls_of(path, |_| true) }
+}
+
+fn hulls_of(path: &str, wanted: impl Fn(&str) -> bool) -> Vec<Points> {
+    let text = std::fs::read(path).unwrap_or_else(|error| panic!("{path}: {error}"));
+    let scene: serde_json::Value = serde_json::from_slice(&text).expect("a scene");
+    let hulls = scene["hulls"].as_array().expect("hulls").iter();
+    let named = hulls.filter(|hull| wanted(hull["name"].as_str().unwrap_or_default()));
+    named.map(|hull| serde_json::from_value(hull["vertices"].clone()).expect("points")).collect()
 }
 
 /// How a file writes a coordinate.

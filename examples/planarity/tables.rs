@@ -31,8 +31,8 @@ fn lost(cell: &Cell) -> f64 {
     1.0 - cell.edges as f64 / cell.all_edges as f64
 }
 
-fn names(cells: &[Cell]) -> Vec<&'static str> {
-    let mut names: Vec<_> = cells.iter().map(|cell| cell.group).collect();
+fn names(cells: &[Cell]) -> Vec<&str> {
+    let mut names: Vec<_> = cells.iter().map(|cell| cell.group.as_str()).collect();
     names.dedup();
     names
 }
@@ -83,15 +83,15 @@ pub(crate) fn tables(cells: &[Cell], orientations: usize) -> String {
     table(&mut text, cells, "Largest error of a face over the circumradius", plain, |cell| {
         format!("{:.1e}", cell.error)
     });
-    let six = &[Rounding::Decimals(6)];
+    let two = &[Rounding::None, Rounding::Decimals(6)];
     let first = |cell: &Cell| {
         let same = |other: &&Cell| other.group == cell.group && other.rounding == cell.rounding;
         cells.iter().find(same).cloned().unwrap_or_else(|| cell.clone())
     };
-    table(&mut text, cells, "Time to build a hull, over that at 1e-6", six, |cell| {
+    table(&mut text, cells, "Time to build a hull, over that at 1e-6", two, |cell| {
         format!("{:.2}", cell.building / first(cell).building)
     });
-    table(&mut text, cells, "Time of a pair, over that at 1e-6", six, |cell| {
+    table(&mut text, cells, "Time of a pair, over that at 1e-6", two, |cell| {
         format!("{:.2}", cell.answering / first(cell).answering)
     });
     let alpha = cells.iter().map(|cell| cell.alpha).fold(0.0, f64::max);
