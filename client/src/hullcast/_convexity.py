@@ -61,7 +61,7 @@ _AT_ONCE = 1 << 20
 _DIRECTIONS = np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
 #: The volume by signed tetrahedra is exact unless parts overlap. An estimate by lines that
 #: agrees to this much shows that they do not.
-_AGREEMENT = 0.03
+_AGREEMENT = 0.1
 
 _Ids = npt.NDArray[np.int64]
 
@@ -98,7 +98,9 @@ def dents(points: Floats, faces: Any) -> Dents | None:
     if found is None:
         return None
     hull, mesh, open_edges = found
-    ratio = _filled(hull, mesh)
+    # Along the shape's own axes, so that thin shapes have lines in all three directions.
+    axes = np.linalg.svd(hull.reshape(-1, 3) - hull.mean(axis=(0, 1)), full_matrices=False)[2]
+    ratio = _filled(hull @ axes.T, mesh @ axes.T)
     signed = abs(_volume(mesh)) / abs(_volume(hull))
     if open_edges == 0 and abs(signed - ratio) <= _AGREEMENT:
         ratio = signed
@@ -108,13 +110,12 @@ def dents(points: Floats, faces: Any) -> Dents | None:
 def _dented(points: Floats, faces: Any) -> tuple[Floats, Floats, int] | None:
     """The hull's triangles, the mesh's and its open edges; None where it is convex, or flat."""
     corners = np.asarray(faces, dtype=np.int64)
-    used, corners = np.unique(corners, return_inverse=True)
-    scaled, corners = _normalised(points[used]), corners.reshape(-1, 3)
+    distinct, place = np.unique(points[corners.reshape(-1)], axis=0, return_inverse=True)
+    scaled, corners = _normalised(distinct), place.reshape(-1, 3)
     start = _quickhull.simplex(scaled)
     if start is None:
         return None
-    exact = np.unique(scaled, axis=0, return_inverse=True)[1].reshape(-1)
-    numbers = [exact, _welded(scaled)]
+    numbers = [np.arange(len(scaled)), _welded(scaled)]
     few = len(scaled) * len(corners) <= _FEW
     if few and _is_shell(scaled, scaled, corners, numbers):
         return None
@@ -254,7 +255,7 @@ def _areas(triangles: Floats) -> Floats:
 
 
 def _filled(hull: Floats, mesh: Floats) -> float:
-    """The share of the hull that the mesh fills, by lines along the three axes.
+    """The share of the hull that the mesh fills, by lines along the three coordinate axes.
 
     A point of the hull counts as empty where one of the lines through it meets the mesh on
     one side of it only, or nowhere: there the point sees the outside.
