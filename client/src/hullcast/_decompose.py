@@ -78,7 +78,7 @@ def decompose(
         Per piece its vertices (k, 3), in the mesh's frame.
 
     Raises:
-        InvalidArgument: vertices or faces that are none, NO_TRIANGLES, COPLANAR, or a
+        InvalidArgument: NOT_A_MESH, NO_TRIANGLES, COPLANAR, NOT_FINITE, or a
             threshold that is out of range; for a file, as `Client.register`.
         FileNotFound: no such file.
         ImportError: the extra `decompose` is not installed.
@@ -100,10 +100,16 @@ def decompose_all(
     found: list[list[Floats]] = []
     for number, mesh in enumerate(meshes, start=1):
         label = getattr(mesh, "label", "") or "the mesh"
-        vertices = _arrays.floats("mesh.vertices", getattr(mesh, "vertices", None), None, 3)
-        faces = _arrays.indices(
-            "mesh.faces", getattr(mesh, "faces", None), None, 3, below=len(vertices)
-        )
+        if not hasattr(mesh, "vertices"):
+            raise InvalidArgument(
+                "expected an object with vertices and faces, or the path of a mesh file, got "
+                f"{type(mesh).__name__}",
+                reason="NOT_A_MESH",
+                field="mesh",
+            )
+        vertices = _arrays.floats("mesh.vertices", mesh.vertices, None, 3)
+        corners = getattr(mesh, "faces", np.zeros((0, 3), dtype="<u4"))
+        faces = _arrays.indices("mesh.faces", corners, None, 3, below=len(vertices))
         if len(faces) == 0:
             raise InvalidArgument(f"{label} has no triangles", reason="NO_TRIANGLES", field="mesh")
         if not np.isfinite(vertices).all():

@@ -249,7 +249,7 @@ def _array(field: str, value: Any) -> Floats:
 def _named(ignored: Any) -> list[tuple[str, str]]:
     """The argument `ignored`, if it is pairs of names."""
     try:
-        pairs = [tuple(pair) for pair in ignored]
+        pairs = [() if isinstance(pair, str) else tuple(pair) for pair in ignored]
     except TypeError:
         pairs = [()]
     for i, pair in enumerate(pairs):
