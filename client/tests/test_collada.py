@@ -51,7 +51,7 @@ def document(
 
 
 def load(folder: Path, text: str) -> _mesh.Mesh:
-    """What the file is read as."""
+    """The mesh that is read from the file."""
     (folder / "a.dae").write_text(text)
     return _mesh.load(folder / "a.dae")
 

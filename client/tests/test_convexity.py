@@ -22,7 +22,7 @@ TUBE = turned([(0.1, 0), (1, 0), (1, 1), (0.1, 1)], 32)
 
 
 def judge(*parts: np.ndarray) -> _convexity.Dents | None:
-    """What is decided for the parts as one mesh."""
+    """The decision for the parts as one mesh."""
     made = solids.mesh(*parts)
     return _convexity.dents(made.vertices, made.faces)
 

@@ -18,13 +18,13 @@ import hullcast
 from hullcast import _mesh
 
 TETRA = np.array([[0, 0, 0], [0, 2, 0], [1, 0, 0], [0, 0, 3]], dtype=float)
-#: Of the tetrahedron, from 0.
+#: The tetrahedron's triangles, by vertices from 0.
 SIDES = [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]
 TRIANGLES = TETRA[SIDES]
 
 
 def load(folder: Path, name: str, data: str | bytes) -> _mesh.Mesh:
-    """What a file of this content is read as."""
+    """The mesh that is read from a file with this content."""
     path = folder / name
     path.write_bytes(data.encode() if isinstance(data, str) else data)
     return _mesh.load(path)

@@ -1,4 +1,4 @@
-"""URDF files: what is read, and how each fault is named."""
+"""URDF files: the parts that are read, and the name of each fault."""
 
 from __future__ import annotations
 
@@ -496,7 +496,7 @@ def test_an_srdf_that_is_none(tmp_path):
     ],
 )
 def test_what_cannot_be_decomposed(mesh, reason):
-    """Catches a crash of coacd, which takes what it is given."""
+    """Catches a crash of coacd, which checks nothing itself."""
     with pytest.raises(hullcast.InvalidArgument) as caught:
         hullcast.decompose(mesh)
     assert caught.value.reason == reason

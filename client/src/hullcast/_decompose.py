@@ -23,7 +23,7 @@ from ._arrays import Floats, Indices
 from ._errors import InvalidArgument
 from ._register import shape_of
 
-#: Of coacd's search: the same mesh gives the same pieces.
+#: The seed of coacd's search, so that one mesh always gives the same pieces.
 _SEED = 0
 
 
@@ -33,7 +33,7 @@ _THRESHOLDS = (0.01, 1.0)
 
 @dataclass(frozen=True)
 class Progress:
-    """What a decomposition is at."""
+    """The state of a decomposition."""
 
     #: The mesh: its file, or its link and file.
     mesh: str
@@ -60,26 +60,27 @@ def decompose(
 ) -> list[Floats]:
     """Convex pieces that together approximate a mesh, by coacd (extra `decompose`).
 
-    They are to be registered one by one, and given one group in a `Scene`, since
-    they overlap a little. Finding them takes seconds to minutes; what was found
-    is kept in files named by the mesh's content, and read again.
+    Register each piece as a hull, and give all pieces one group in a `Scene`, since
+    they overlap a little. The search takes seconds to minutes. Its result is kept in a
+    file named by the mesh's content, which is read the next time.
 
     Args:
         mesh: an object with `.vertices` (n, 3) and `.faces` (m, 3), as trimesh's,
             or the path of an OBJ, STL, DAE or PLY file.
         threshold: how concave a piece may remain, 0.01 to 1, coacd's measure:
             smaller means more pieces.
-        cache: the folder kept in; by default what the environment variable
-            HULLCAST_CACHE names, else `hullcast` in the user's cache folder.
-        progress: called with what is being done, whose text is a line to print. By
-            default such lines are printed on standard error where that is a terminal.
+        cache: the folder of these files. By default it is the environment variable
+            HULLCAST_CACHE, or `hullcast` in the user's cache folder.
+        progress: a function that is called with a record of each step: its `mesh`,
+            `number`, `total` and `state`; `str(record)` is a line to print. By default
+            these lines are printed on standard error if that is a terminal.
 
     Returns:
         Per piece its vertices (k, 3), in the mesh's frame.
 
     Raises:
-        InvalidArgument: NOT_A_MESH, NO_TRIANGLES, COPLANAR, NOT_FINITE, or a
-            threshold that is out of range; for a file, as `Client.register`.
+        InvalidArgument: NOT_A_MESH, NO_TRIANGLES, COPLANAR, NOT_FINITE, NO_PIECES, or
+            OUT_OF_RANGE for the threshold; for a file, as `Client.register`.
         FileNotFound: no such file.
         ImportError: the extra `decompose` is not installed.
     """

@@ -106,12 +106,12 @@ def distances(points: Floats, triangles: Floats) -> Floats:
 
 
 def cross(a: Floats, b: Floats) -> Floats:
-    """Of columns, (3, n)."""
+    """The cross products of the columns of two (3, n) arrays."""
     return np.stack(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     )
 
 
 def dot(a: Floats, b: Floats) -> Floats:
-    """Of columns, (3, n)."""
+    """The scalar products of the columns of two (3, n) arrays."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -169,8 +169,9 @@ class Robot:
     ) -> Scene:
         """The robot's bodies in a scene.
 
-        Of k configurations, k copies in worlds of their own: bodies `i * len(robot)`
-        to `(i + 1) * len(robot)` are copy i's, whose pairs are `pairs + i * len(robot)`.
+        For k configurations the scene has k copies, each in a world of its own. Copy i has
+        the bodies `i * len(robot)` to `(i + 1) * len(robot)`, and its pairs are
+        `pairs + i * len(robot)`.
 
         Args:
             hulls: of `shapes`, as `Client.register` returned them.
@@ -219,7 +220,7 @@ class Robot:
         return values, bool(lengths)
 
     def _motion(self, joint: Joint, values: Floats) -> Floats:
-        """(k, 4, 4): what the joint's values do."""
+        """(k, 4, 4): the motions that the joint's values make."""
         motion = np.tile(np.eye(4), (len(values), 1, 1))
         if joint.is_fixed:
             return motion

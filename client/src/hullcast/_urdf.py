@@ -23,7 +23,7 @@ _FREE = ("floating", "planar")
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """What a joint does to its child: `origin`, then a motion along or about `axis`."""
+    """A joint moves its child by `origin`, then along or about `axis`."""
 
     name: str
     kind: str
@@ -69,7 +69,7 @@ class Model:
 
 
 class _Invalid(Exception):
-    """What is wrong in a file, which the message does not name yet."""
+    """A fault in a file; the message does not name the file yet."""
 
     def __init__(self, message: str, reason: str = "NOT_A_ROBOT") -> None:
         super().__init__(message)

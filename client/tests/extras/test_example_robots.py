@@ -17,7 +17,7 @@ ROOT = Path(sysconfig.get_path("purelib")) / "cmeel.prefix/share"
 ROBOTS = ROOT / "example-robot-data/robots"
 FILES = sorted(ROBOTS.rglob("*.urdf"))
 
-#: Files that are no robots, and what is said of them.
+#: Files that are refused, and a part of the message.
 REFUSED = {
     "ur_description/urdf/ur3.urdf": "<robot> has no 'name'",
     "alex_description/urdf/alex_psyonic_hands.urdf": "'Left_index_q2' mimics 'index_q1'",
@@ -25,7 +25,7 @@ REFUSED = {
 
 
 def counted(path: Path) -> tuple[list[str], list[str]]:
-    """By a walk of the XML alone: the link of each collision element, and its shape's tag."""
+    """The link of each collision element and its shape's tag, by a plain walk of the XML."""
     links: list[str] = []
     shapes: list[str] = []
     for link in ElementTree.parse(path).getroot():

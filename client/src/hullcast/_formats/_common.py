@@ -1,4 +1,4 @@
-"""What the readers share: their error, numbers, and polygons cut into triangles."""
+"""The parts that all readers share: their error, numbers, polygons cut into triangles."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from .._arrays import Floats, Indices
 
-#: Of a polygon that is not convex; cutting takes time that grows with the square.
+#: The limit for polygons that are not convex: the time for one grows with its square.
 _MOST_CORNERS = 2000
 
 

@@ -17,7 +17,7 @@ from ._common import Unreadable, arrays, number, triangles, unsupported
 
 Element = ElementTree.Element
 
-#: Of nodes, which may contain each other many times over.
+#: The limits for nodes, because instances of nodes can multiply without end.
 _MOST_NODES = 100_000
 _DEEPEST = 100
 #: Primitives without area, and what belongs to a mesh without being a primitive.
