@@ -1,4 +1,4 @@
-//! How many bytes the store may have, where they are bounded.
+//! Bounds the bytes of the store, if a bound is configured.
 
 use std::sync::Arc;
 
@@ -63,7 +63,7 @@ impl Quota {
         Ok(())
     }
 
-    /// A blob of so many bytes was deleted.
+    /// A blob of `bytes` bytes was deleted.
     pub(super) async fn freed(&self, bytes: u64) {
         if let Some(used) = self.used.lock().await.as_mut() {
             *used = used.saturating_sub(bytes);
