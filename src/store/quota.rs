@@ -21,9 +21,10 @@ pub(super) struct Quota {
 }
 
 impl Quota {
-    /// Blobs of more than `max_blob_bytes` are not hulls, and do not count.
-    pub(super) fn new(limit: u64, max_blob_bytes: u64) -> Self {
-        let turns = Turns::new(1, MOST_WAITING, true);
+    /// Blobs of more than `max_blob_bytes` are not hulls, and do not count. `shares`: whether
+    /// callers share the places of waiting writes.
+    pub(super) fn new(limit: u64, max_blob_bytes: u64, shares: bool) -> Self {
+        let turns = Turns::new(1, MOST_WAITING, shares);
         Self { limit, max_blob_bytes, turns, used: Mutex::new(None) }
     }
 

@@ -151,7 +151,7 @@ impl<'a> Reader<'a> {
                 Err(Missing::Unknown)
             }
             Err(error) => {
-                tracing::error!(hull = %id, %error, "a stored hull cannot be built");
+                self.fault(id, format!("a stored hull cannot be built: {error}"));
                 Err(Missing::Unavailable)
             }
         }

@@ -133,7 +133,7 @@ impl Registry {
             compute,
             bounds,
             started: Instant::now(),
-            quota: Quota::new(bounds.store_bytes, bounds.max_blob_bytes),
+            quota: Quota::new(bounds.store_bytes, bounds.max_blob_bytes, bounds.shares),
             metrics,
         }
     }
