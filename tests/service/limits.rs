@@ -244,6 +244,9 @@ fn contradicting_limits_do_not_start() {
         |l| l.max_request_bytes_in_flight = l.max_message_bytes as u64 + 4,
         |l| l.max_pairs_in_flight = l.max_pairs_per_request - 1,
     ];
+    for store_seconds in [1, 3600] {
+        assert_eq!(Limits { store_seconds, ..Limits::default() }.contradiction(), None);
+    }
     for spoil in spoils {
         let mut limits = Limits::default();
         assert_eq!(limits.contradiction(), None);
