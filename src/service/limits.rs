@@ -43,7 +43,8 @@ pub struct Limits {
     pub max_page_size: u32,
     /// Within this a hull deleted by another server on the same store may still be answered for.
     pub cache_age_seconds: u32,
-    /// How long an operation of the store may take before the store is taken to hang.
+    /// How long an operation of the store may take before the store is taken to hang. Not
+    /// published: clients see only that the store is unavailable.
     pub store_seconds: u32,
 }
 

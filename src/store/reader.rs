@@ -135,14 +135,15 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// Reads and builds, in the caller's turn: what is read and not built yet stays bounded.
+    /// Reads and builds a hull in the caller's turn, so that the number of blobs that are read
+    /// and not built yet stays bounded.
     async fn loaded(&self, id: HullId) -> Result<Arc<Entry>, Missing> {
         let _turn = self.registry.loading.take(&self.job.caller).await.map_err(|_| {
             self.fault(id, "too many hulls of this caller wait to be loaded".into());
             Missing::Unavailable
         })?;
         let definition = self.definition(id).await?;
-        // What was once acknowledged is answered for, whatever the limit is by now.
+        // A hull that was once acknowledged is answered for, whatever the limit is now.
         match self.registry.compute.run(move || definition.build(usize::MAX)).await {
             Ok(Ok(hull)) => Ok(self.registry.entry(Arc::new(hull), false)),
             Ok(Err(error)) => {
@@ -150,7 +151,7 @@ impl<'a> Reader<'a> {
                 Err(Missing::Unknown)
             }
             Err(error) => {
-                tracing::error!(hull = %id, %error, "a stored hull cannot be built");
+                self.fault(id, format!("a stored hull cannot be built: {error}"));
                 Err(Missing::Unavailable)
             }
         }
@@ -212,7 +213,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// What an error of the store means for a hull.
+    /// How a hull is missing after an error of the store.
     fn missing(&self, id: HullId, error: &StoreError) -> Missing {
         self.registry.metrics.store_errors.inc();
         self.fault(id, error.to_string());
@@ -243,7 +244,7 @@ impl Drop for Reader<'_> {
     }
 }
 
-/// What is wrong with a blob.
+/// Why a blob is not its hull.
 #[derive(Clone, Copy, Debug)]
 enum Corrupt {
     /// Its hash is not its name.

@@ -1,4 +1,4 @@
-//! Answers for hulls by id: from the cache, else from the store.
+//! Answers for hulls by id: from the cache, otherwise from the store.
 
 use std::{
     fmt,
@@ -46,7 +46,8 @@ pub struct Bounds {
 /// Why a hull cannot be answered for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Missing {
-    /// The store does not have it, or what it has is not it: registering it (again) helps.
+    /// The store does not have the hull, or has something else under its name: registering the
+    /// hull (again) helps.
     Unknown,
     /// The store could not be read: trying again may help.
     Unavailable,
@@ -70,7 +71,7 @@ pub type Registered = Result<(HullId, Arc<ConvexHull>), RegisterError>;
 /// gathers their syncs.
 pub const AT_A_TIME: usize = 16;
 
-/// Hulls that are read and built at a time, over all requests; one caller alone has half.
+/// How many hulls are read and built at a time, over all requests. One caller has at most half.
 const LOADED_AT_A_TIME: u64 = 4 * AT_A_TIME as u64;
 
 /// Hulls that may wait to be loaded, over all requests.
@@ -132,7 +133,7 @@ impl Registry {
             compute,
             bounds,
             started: Instant::now(),
-            quota: Quota::new(bounds.store_bytes, bounds.max_blob_bytes),
+            quota: Quota::new(bounds.store_bytes, bounds.max_blob_bytes, bounds.shares),
             metrics,
         }
     }

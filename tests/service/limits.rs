@@ -253,6 +253,9 @@ fn contradicting_limits_do_not_start() {
         |l| l.max_memory_bytes = u64::MAX,
         |l| l.max_message_bytes = (2 << 30) + 1,
     ];
+    for store_seconds in [1, 3600] {
+        assert_eq!(Limits { store_seconds, ..Limits::default() }.contradiction(), None);
+    }
     for spoil in spoils {
         let mut limits = Limits::default();
         assert_eq!(limits.contradiction(), None);
