@@ -2,8 +2,8 @@
 
     python client/examples/planarity.py docs/planarity.csv docs/planarity.svg
 
-Above, the patches of rounded shapes that are whole, by the planarity of their faces. Below, what
-a coarse planarity costs on the same shapes unrounded.
+Above, the patches of rounded shapes that are whole, by the planarity of their faces. Below, the
+mean area of two roundings, and the cost of a coarse planarity on the same shapes unrounded.
 """
 
 from __future__ import annotations

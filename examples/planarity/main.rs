@@ -1,4 +1,5 @@
-//! What the planarity of a hull's faces costs and buys (docs/tradeoff.md): `make planarity`.
+//! Measures the cost and the use of the planarity of a hull's faces (docs/tradeoff.md):
+//! `make planarity`.
 //!
 //! Shapes are turned at random, rounded as files round coordinates, and stood on a face. Their
 //! patch is compared with that of the unrounded shape in the same pose, for every planarity.

@@ -8,7 +8,7 @@ pub(crate) type Points = Vec<[f64; 3]>;
 pub(crate) struct Group {
     pub(crate) name: String,
     pub(crate) shapes: Vec<Points>,
-    /// Of so many orientations one is taken.
+    /// The share of the orientations that are measured is one over this.
     pub(crate) thinned: usize,
 }
 
@@ -110,7 +110,7 @@ impl Rounding {
         }
     }
 
-    /// The double nearest to what is written.
+    /// The double nearest to the written number.
     pub(crate) fn of(self, x: f64) -> f64 {
         match self {
             Self::None => x,
