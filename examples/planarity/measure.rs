@@ -105,7 +105,7 @@ pub(crate) fn cells(groups: &[Group], orientations: usize) -> Vec<Cell> {
             for (seed, points) in group.shapes.iter().enumerate() {
                 let reference = Reference::new(points);
                 let mut random = Random(seed as u64);
-                for _ in 0..orientations {
+                for _ in 0..orientations.div_ceil(group.thinned) {
                     measure(points, &reference, random.rotation(), &mut row);
                 }
             }

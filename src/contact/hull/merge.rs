@@ -23,7 +23,7 @@ const LEAST_PLANARITY: f64 = 64.0 * U;
 /// Vertices whose heights differ by less may be as high as each other; hull units.
 const PLATEAU: f64 = 64.0 * U;
 /// How often a group that fits no plane is gathered anew with a quarter of the
-/// tolerance before its largest triangle stands alone.
+/// tolerance before its largest triangle becomes a face by itself.
 const ATTEMPTS: usize = 6;
 /// Not a group.
 const NONE: u32 = u32::MAX;
@@ -209,7 +209,7 @@ impl<'a> Merger<'a> {
         let mut others = f64::NEG_INFINITY;
         for &v in queue.iter() {
             for &w in surface.neighbours.row(v as usize) {
-                // Without branches: whether it is the face's own is anyone's guess.
+                // Selected without branches, because the branch would be unpredictable.
                 let own = vertex_met[w as usize] == *searches;
                 let height = if own { f64::NEG_INFINITY } else { height(w) };
                 others = if height > others { height } else { others };
@@ -246,11 +246,11 @@ impl<'a> Merger<'a> {
             self.surface.triangulation.triangles[t as usize].map(|v| self.surface.vertices[v as usize]);
         let [ab, bc, ca] = [b - a, c - b, a - c];
         let longest = ab.length_squared().max(bc.length_squared()).max(ca.length_squared()).sqrt();
-        // Of the vertices as centred, to be of one unit with the tolerance.
+        // These are the centred vertices, which have the same unit as the tolerance.
         ab.cross(ca).length() <= self.tolerance * longest
     }
 
-    /// Groups of thin triangles alone join a neighbour whose plane they fit:
+    /// Groups that consist of thin triangles join a neighbour whose plane they fit:
     /// a sliver is no face.
     fn absorb_thin_groups(&mut self) {
         for group in (0..self.planes.len()).rev() {

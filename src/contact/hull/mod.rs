@@ -37,7 +37,7 @@ pub struct HullOptions {
     /// Fewer vertices, about the contraction point of the whole hull; absent: all.
     pub simplification: Option<Simplification>,
     /// How far the vertices of one face may lie from one plane: a share of the circumradius from
-    /// 0 (rounding alone) to [`MAX_PLANARITY`]; absent: [`ABSENT_PLANARITY`]. At most 1/64 of
+    /// 0 (only rounding) to [`MAX_PLANARITY`]; absent: [`ABSENT_PLANARITY`]. At most 1/64 of
     /// the inradius is allowed however large this is.
     pub planarity: Option<f64>,
 }
