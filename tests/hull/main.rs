@@ -3,6 +3,7 @@
 mod check;
 mod clouds;
 mod faces;
+mod recorded;
 mod simplify;
 mod sizes;
 
