@@ -19,6 +19,7 @@ use super::{
     decode::decoded,
     find::Finding,
     middleware::{Closing, Deadline},
+    offload::FreedOnCompute,
     steps::Steps,
     wire::{self, Scene},
 };
@@ -64,6 +65,8 @@ impl ContactService for Contacts {
         let deadline = request.extensions().get::<Deadline>().copied();
         let context = CallContext::of(&request);
         let finding = Finding::begin(self.app.clone(), context, request.into_inner()).await?;
+        let bytes = finding.bytes();
+        let finding = FreedOnCompute::new(finding, bytes, &self.app);
         let answers = stream::try_unfold(finding, move |mut finding| async move {
             let part = within(deadline, finding.next()).await?;
             Ok(part.map(|part| (part, finding)))
@@ -130,6 +133,8 @@ pub(super) async fn answer(
     let started = Instant::now();
     let (request_id, outputs) = (scene.request_id, scene.setting.outputs);
     let (pairs, bodies) = (scene.setting.pair_count(), scene.setting.body_hulls.len());
+    let bytes = scene.memory.as_ref().map_or(0, |memory| memory.bytes() as usize);
+    let scene = FreedOnCompute::new(scene, bytes, app);
     let admission = app.engine().admit(pairs, outputs)?;
     let (mut batch, missing_hulls, invalid_bodies) = assemble(app, scene, &context.job).await?;
     if keep_bases {
@@ -163,10 +168,14 @@ pub(super) async fn answer(
 
 /// The scene with its hulls at hand, the indices of those that are missing, and of the
 /// bodies that are unusable.
-async fn assemble(app: &App, scene: Scene, job: &Job) -> Result<(Batch, Vec<u32>, Vec<u32>), ServiceError> {
+async fn assemble(
+    app: &App,
+    scene: FreedOnCompute<Scene>,
+    job: &Job,
+) -> Result<(Batch, Vec<u32>, Vec<u32>), ServiceError> {
     let (hulls, lease) = fetch(app, &scene.setting.hull_ids, job).await?;
     let missing = missing(&hulls);
-    let (mut batch, invalid_bodies) = Batch::new(scene, hulls);
+    let (mut batch, invalid_bodies) = Batch::new(scene.into_inner(), hulls);
     batch.lease(lease);
     Ok((batch, missing, invalid_bodies))
 }

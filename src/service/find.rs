@@ -47,7 +47,7 @@ pub(super) struct Finding {
     hulls: Arc<Hulls>,
     _lease: Lease,
     /// Of the setting, the poses and the rules.
-    _memory: Permit,
+    memory: Permit,
     poses: Arc<Poses>,
     broad_phase: Arc<BroadPhase>,
     /// Bodies from this one on have not been looked at.
@@ -94,7 +94,7 @@ impl Finding {
             setting,
             hulls,
             _lease: lease,
-            _memory: memory,
+            memory,
             poses,
             broad_phase,
             next_body: 0,
@@ -102,6 +102,11 @@ impl Finding {
             admission: Some(admission),
             left_out,
         })
+    }
+
+    /// The memory of its scene.
+    pub(super) fn bytes(&self) -> usize {
+        self.memory.bytes() as usize
     }
 
     /// The next pairs; none at the end. The first message always comes.

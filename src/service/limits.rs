@@ -1,7 +1,8 @@
-//! A limit on everything, in one place: what `GetServerInfo` publishes and the
-//! request's way enforces. Why each is what it is: docs/operations.md.
+//! The limits of a server, all in one place. `GetServerInfo` publishes them, and docs/operations.md
+//! states the reason of each.
 
-/// What a server accepts. Each is inclusive: at the limit is accepted, one past it refused.
+/// The limits of a server. Each is inclusive: a request at the limit is accepted, a request one
+/// past it is refused.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Encoded size of a message, either way.
@@ -30,8 +31,8 @@ pub struct Limits {
     pub max_deadline_seconds: u32,
     /// What streams keep from one message to the next, all together.
     pub max_stream_state_bytes: u64,
-    /// Heap of hulls: what is cached, and of that what requests use. One that needs more for
-    /// its own hulls is refused.
+    /// Heap of the hulls that are cached; requests use hulls from the cache. A request that
+    /// needs more for its own hulls is refused.
     pub cache_bytes: u64,
     /// Blobs of the store, summed; 0: unbounded.
     pub store_bytes: u64,
@@ -100,12 +101,12 @@ impl Limits {
     }
 }
 
-/// Of a message on the wire: whether it is compressed, and its length.
+/// Bytes before a message on the wire: whether the message is compressed, and its length.
 const FRAME_HEAD_BYTES: u64 = 5;
 
 impl Limits {
-    /// What is wrong with these limits, for people: a value outside its range, or two that
-    /// contradict each other; none where nothing is.
+    /// The fault of these limits, for people: a value outside its range, or two values that
+    /// contradict each other. None if the limits have no fault.
     pub fn contradiction(&self) -> Option<String> {
         let count = |name, value: u32| (name, u64::from(value), 1, u64::from(u32::MAX));
         let size = |name, value, least| (name, value, least, MOST_BYTES);
