@@ -105,3 +105,18 @@ def test_a_hull_is_not_a_list_of_hulls(client):
     with pytest.raises(hullcast.InvalidArgument) as caught:
         client.register(CUBE)
     assert caught.value.reason == "NOT_A_LIST"
+
+
+def test_a_hull_too_large_for_a_message_is_named():
+    """Catches an error of bytes that does not say which of several hulls is meant: a limit of 1 MB,
+    and a cloud of 60,000 points among cubes; the cubes are registered without it."""
+    cloud = np.random.default_rng(39).normal(size=(60_000, 3))
+    with hullcast.serve(arguments=["--max-message-bytes", "1048576"]) as client:
+        for hulls, place in (([CUBE, CUBE * 2, cloud], 2), ([cloud, CUBE], 0)):
+            with pytest.raises(hullcast.InvalidArgument) as caught:
+                client.register(hulls)
+            error = caught.value
+            assert (error.reason, error.place) == ("MESSAGE_TOO_LARGE", f"hulls[{place}]")
+            assert "60000 points" in error.message
+            assert "1048576" in error.message
+        assert len(client.register([CUBE, CUBE * 2])) == 2

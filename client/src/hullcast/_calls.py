@@ -193,10 +193,13 @@ class Calls(ABC):
 
     def _register(self, call: Registration, deadline: float | None) -> Steps[list[Hull]]:
         answers: list[bytes] = []
-        for data in call.requests():
+        for message, data in enumerate(call.requests()):
             link = self._link()
             begin = partial(link.call, REGISTER, data)
-            answers.append((yield from _asked(link, begin, deadline)))
+            try:
+                answers.append((yield from _asked(link, begin, deadline)))
+            except _errors.InvalidArgument as error:
+                raise call.named(error, message) from None
         return call.read(answers)
 
     def _restore(

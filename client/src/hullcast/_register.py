@@ -33,6 +33,8 @@ class Registration:
         self._dents = dents
         #: Per hull what warnings call it, or "".
         self._labels = labels
+        #: Hulls in each message of `requests`.
+        self._counts: list[int] = []
 
     @classmethod
     def of(
@@ -82,11 +84,13 @@ class Registration:
         return cls(contents, dents, [_label(shape, i) for i, shape in enumerate(shapes)])
 
     def requests(self) -> Iterator[bytes]:
-        """The messages, in order, none of them large."""
+        """The messages, in order, none of them large unless a hull is."""
+        self._counts = []
         request, size = _packed.RegisterHullsRequest(), 0
         for content in self._contents:
             too_large = size + content.points.nbytes > _BYTES_PER_MESSAGE
             if request.hulls and (too_large or len(request.hulls) == _HULLS_PER_MESSAGE):
+                self._counts.append(len(request.hulls))
                 yield request.SerializeToString()
                 request, size = _packed.RegisterHullsRequest(), 0
             hull = request.hulls.add(vertices=content.points.tobytes())
@@ -100,7 +104,24 @@ class Registration:
                 hull.planarity = content.planarity
             size += content.points.nbytes
         if request.hulls:
+            self._counts.append(len(request.hulls))
             yield request.SerializeToString()
+
+    def named(self, error: InvalidArgument, message: int) -> InvalidArgument:
+        """The error of a message, with the hull that makes the message too large."""
+        if error.reason != "MESSAGE_TOO_LARGE":
+            return error
+        first = sum(self._counts[:message])
+        sizes = [len(c.points) for c in self._contents[first : first + self._counts[message]]]
+        place = first + int(np.argmax(sizes))
+        label = self._labels[place] if place < len(self._labels) else f"hulls[{place}]"
+        return InvalidArgument(
+            f"{label} has {max(sizes)} points: {error.message}; register fewer points, such as "
+            "those of its convex hull",
+            reason=error.reason,
+            field="hulls",
+            index=place,
+        )
 
     def read(self, answers: Sequence[bytes]) -> list[Hull]:
         """The hulls, in the call's order.
