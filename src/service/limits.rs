@@ -94,10 +94,15 @@ const MOST_STORE_SECONDS: u64 = 3600;
 /// The bytes of a blob beside its points, rounded up (docs/identity.md).
 const BLOB_HEAD_BYTES: u64 = 64;
 
+/// Three doubles.
+const POINT_BYTES: u64 = 24;
+
 impl Limits {
-    /// The bytes of the largest blob: a message has at least as many bytes as the points in it.
+    /// The bytes of the largest blob that a registration can lead to: its points are within
+    /// `max_points_per_hull`, and have arrived in one message.
     pub fn max_blob_bytes(&self) -> u64 {
-        self.max_message_bytes as u64 + BLOB_HEAD_BYTES
+        let points = POINT_BYTES * u64::from(self.max_points_per_hull);
+        points.min(self.max_message_bytes as u64) + BLOB_HEAD_BYTES
     }
 }
 

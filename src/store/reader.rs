@@ -19,6 +19,7 @@ use super::{
     lease::{Lease, LeaseError, LeaseRequest},
     registry::Missing,
     scheduled::CallerStore,
+    turns::Turn,
 };
 use crate::{compute::Job, contact::ConvexHull, log_limit::Repeated, trace};
 
@@ -81,7 +82,8 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// Why it cannot be answered for.
     pub async fn definition(&self, id: HullId) -> Result<HullDefinition, Missing> {
-        self.verified(id).await.map_err(|error| self.missing(id, &error))?.ok_or(Missing::Unknown)
+        let _turn = self.turn(id).await?;
+        self.found(id).await
     }
 
     /// Whether the hull can be answered for. A blob that is not the hull any more cannot. A
@@ -93,6 +95,7 @@ impl<'a> Reader<'a> {
         if self.registry.cached(&id, self.registry.now_ms()).is_some() {
             return Ok(true);
         }
+        let _turn = self.turn(id).await?;
         match self.verified(id).await {
             Ok(found) => Ok(found.is_some()),
             Err(StoreError::Hung(_)) if self.registry.cache.get(&id).is_some() => Ok(true),
@@ -135,14 +138,10 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// Reads and builds a hull in the caller's turn, so that the number of blobs that are read
-    /// and not built yet stays bounded.
+    /// Reads and builds a hull in the caller's turn.
     async fn loaded(&self, id: HullId) -> Result<Arc<Entry>, Missing> {
-        let _turn = self.registry.loading.take(&self.job.caller).await.map_err(|_| {
-            self.fault(id, "too many hulls of this caller wait to be loaded".into());
-            Missing::Unavailable
-        })?;
-        let definition = self.definition(id).await?;
+        let _turn = self.turn(id).await?;
+        let definition = self.found(id).await?;
         // A hull that was once acknowledged is answered for, whatever the limit is now.
         match self.registry.compute.run(move || definition.build(usize::MAX)).await {
             Ok(Ok(hull)) => Ok(self.registry.entry(Arc::new(hull), false)),
@@ -155,6 +154,19 @@ impl<'a> Reader<'a> {
                 Err(Missing::Unavailable)
             }
         }
+    }
+
+    /// Waits until this caller may read one more hull.
+    async fn turn(&self, id: HullId) -> Result<Turn, Missing> {
+        self.registry.loading.take(&self.job.caller).await.map_err(|_| {
+            self.fault(id, "too many hulls of this caller wait to be loaded".into());
+            Missing::Unavailable
+        })
+    }
+
+    /// The definition of a hull, or why there is none.
+    async fn found(&self, id: HullId) -> Result<HullDefinition, Missing> {
+        self.verified(id).await.map_err(|error| self.missing(id, &error))?.ok_or(Missing::Unknown)
     }
 
     /// The definition that the store has under this id, if it is that hull's.

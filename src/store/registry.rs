@@ -71,9 +71,6 @@ pub type Registered = Result<(HullId, Arc<ConvexHull>), RegisterError>;
 /// gathers their syncs.
 pub const AT_A_TIME: usize = 16;
 
-/// How many hulls are read and built at a time, over all requests. One caller has at most half.
-const LOADED_AT_A_TIME: u64 = 4 * AT_A_TIME as u64;
-
 /// Hulls that may wait to be loaded, over all requests.
 const MOST_WAITING: u64 = 4096;
 
@@ -126,10 +123,12 @@ impl Registry {
     /// Hulls in `blobs`, built by `compute`.
     pub fn new(blobs: Opened, compute: Compute, bounds: Bounds, metrics: Arc<Metrics>) -> Self {
         Self {
+            // As many as the store has operations: each is read, verified and perhaps built in
+            // one turn, which bounds the blobs that are in memory.
+            loading: Turns::new(blobs.operations_at_a_time(), MOST_WAITING, bounds.shares),
             store: ScheduledStore::new(blobs, bounds.store_limit, bounds.shares),
             cache: cache(bounds.cache_bytes, &metrics),
             leases: Leases::new(bounds.cache_bytes, bounds.shares, &metrics),
-            loading: Turns::new(LOADED_AT_A_TIME, MOST_WAITING, bounds.shares),
             compute,
             bounds,
             started: Instant::now(),
