@@ -4,7 +4,7 @@
 //! there. With the feature `server` (default) `service` answers batches of queries
 //! over gRPC: `proto` is the contract, `store` keeps the registered hulls,
 //! `broad_phase` finds pairs, `compute` has the threads, `metrics` and `trace` say
-//! what goes on. [`workload`] generates pairs for load tests and benchmarks.
+//! what goes on, `log_limit` keeps callers from filling the log. [`workload`] generates pairs for load tests and benchmarks.
 //!
 //! Conventions: units are the caller's (metres in the documentation), angles
 //! radians; right-handed; quaternions `x, y, z, w`. A pose maps the hull's own
@@ -21,6 +21,8 @@ pub mod budget;
 #[cfg(feature = "server")]
 pub mod compute;
 pub mod contact;
+#[cfg(feature = "server")]
+pub mod log_limit;
 #[cfg(feature = "server")]
 pub mod metrics;
 #[cfg(feature = "server")]

@@ -41,6 +41,17 @@ struct Flag {
     flag: &'static str,
 }
 
+/// A token, by its name.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Token {
+    token: String,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Part {
+    part: &'static str,
+}
+
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct Reason {
     reason: &'static str,
@@ -61,16 +72,37 @@ pub(crate) enum Shed {
     Connection,
     Hulls,
     Memory,
+    Store,
 }
 
 /// In the order of the enum.
-const SHEDS: [(Shed, &str); 5] = [
+const SHEDS: [(Shed, &str); 6] = [
     (Shed::Pairs, "pairs_in_flight"),
     (Shed::RequestBytes, "request_bytes_in_flight"),
     (Shed::Connection, "connections"),
     (Shed::Hulls, "held_bytes"),
     (Shed::Memory, "memory"),
+    (Shed::Store, "store_operations"),
 ];
+
+/// Why the server cut a call whose answer was ready.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Cut {
+    /// The peer did not take the answer in time.
+    AnswerNotRead,
+    /// The call's deadline passed while the peer was taking the answer.
+    Deadline,
+}
+
+/// In the order of the enum.
+const CUTS: [&str; 2] = ["answer_not_read", "deadline"];
+
+impl Cut {
+    /// The reason's name in metrics and logs.
+    pub(crate) fn name(self) -> &'static str {
+        CUTS[self as usize]
+    }
+}
 
 /// Counters, gauges and histograms of one server.
 pub struct Metrics {
@@ -87,7 +119,13 @@ pub struct Metrics {
     pub(crate) queue_seconds: Histogram,
     pub(crate) compute_seconds: Histogram,
     pub(crate) solver_iterations: Counter,
-    sheds: [Counter; 5],
+    steps: Counter,
+    largest_steps_between_looks: Gauge,
+    sheds: [Counter; SHEDS.len()],
+    cuts: [Counter; 2],
+    memory_bytes: Family<Part, Gauge>,
+    token_memory_bytes: Family<Token, Gauge>,
+    pub(crate) callers: Gauge,
     pub(crate) cache_bytes: Gauge,
     pub(crate) cache_hulls: Gauge,
     pub(crate) held_bytes: Gauge,
@@ -122,6 +160,8 @@ impl Default for Metrics {
         let flags = add::<Family<Flag, Counter>>(r, "pair_flags", "Pairs answered, by flag");
         let help = "Calls and connections refused for want of room, by reason";
         let sheds = add::<Family<Reason, Counter>>(r, "sheds", help);
+        let help = "Calls cut although their answer was ready, by reason";
+        let cuts = add::<Family<Reason, Counter>>(r, "cuts", help);
         let request_seconds: Family<Method, Histogram, fn() -> Histogram> =
             Family::new_with_constructor(seconds);
         r.register("request_seconds", "From a call's headers to its end", request_seconds.clone());
@@ -146,7 +186,21 @@ impl Default for Metrics {
             queue_seconds,
             compute_seconds,
             solver_iterations: add(r, "solver_iterations", "Iterations of the solver, summed over pairs"),
+            steps: add(r, "steps", "Elementary steps of calls, each about a nanosecond"),
+            largest_steps_between_looks: add(
+                r,
+                "largest_steps_between_looks",
+                "The most steps that a call did between two looks at its stop flag",
+            ),
             sheds: SHEDS.map(|(_, reason)| sheds.get_or_create(&Reason { reason }).clone()),
+            cuts: CUTS.map(|reason| cuts.get_or_create(&Reason { reason }).clone()),
+            token_memory_bytes: add(
+                r,
+                "token_memory_bytes",
+                "Memory that a token's calls hold, by the token's name",
+            ),
+            callers: add(r, "callers", "Callers that share the server at the moment"),
+            memory_bytes: add(r, "memory_bytes", "Memory that callers make the server hold, by part"),
             cache_bytes: add(r, "cache_bytes", "Heap of cached hulls"),
             cache_hulls: add(r, "cache_hulls", "Hulls cached"),
             held_bytes: add(r, "held_bytes", "Heap of the hulls that calls under way use"),
@@ -203,6 +257,36 @@ impl Metrics {
         }
         for (counter, count) in self.flags.iter().zip(counts) {
             counter.inc_by(count);
+        }
+    }
+
+    /// A call was cut although its answer was ready.
+    pub(crate) fn cut(&self, why: Cut) {
+        self.cuts[why as usize].inc();
+    }
+
+    /// What callers make the server hold for one part of the memory budget.
+    pub(crate) fn set_memory(&self, part: &'static str, bytes: u64) {
+        self.memory_bytes.get_or_create(&Part { part }).set(i64::try_from(bytes).unwrap_or(i64::MAX));
+    }
+
+    /// What the calls of each token hold, by the token's name.
+    pub(crate) fn set_token_memory(&self, held: impl IntoIterator<Item = (String, u64)>) {
+        self.token_memory_bytes.clear();
+        for (token, bytes) in held {
+            let bytes = i64::try_from(bytes).unwrap_or(i64::MAX);
+            self.token_memory_bytes.get_or_create(&Token { token }).set(bytes);
+        }
+    }
+
+    /// A call did so many elementary steps, and at most `largest` of them between two looks
+    /// at its stop flag.
+    pub(crate) fn metered(&self, steps: u64, largest: u64) {
+        self.steps.inc_by(steps);
+        let largest = i64::try_from(largest).unwrap_or(i64::MAX);
+        // Two calls that end at once may leave the smaller value; the next one mends it.
+        if largest > self.largest_steps_between_looks.get() {
+            self.largest_steps_between_looks.set(largest);
         }
     }
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,10 +16,11 @@ import hullcast
 TETRAHEDRON = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
 
-def by_hand(options: bytes) -> bytes:
+def by_hand(version: int, options: bytes) -> bytes:
     """The documented byte string of the tetrahedron, hashed."""
     numbers = struct.pack("<12d", *(c for point in TETRAHEDRON for c in point))
-    return hashlib.sha256(b"hullcast\1\0\0\0" + options + b"\4\0\0\0" + numbers).digest()
+    head = b"hullcast" + struct.pack("<I", version)
+    return hashlib.sha256(head + options + b"\4\0\0\0" + numbers).digest()
 
 
 @pytest.mark.parametrize(
@@ -35,7 +38,51 @@ def by_hand(options: bytes) -> bytes:
 )
 def test_the_bytes_are_the_documented_ones(options, expected):
     """Version, contraction point, simplification, points."""
-    assert hullcast.hull_id(TETRAHEDRON, **options) == by_hand(expected)
+    assert hullcast.hull_id(TETRAHEDRON, **options, planarity=None) == by_hand(1, expected)
+    for planarity in (0.0, -0.0, 1e-4):
+        two = by_hand(2, expected + struct.pack("<d", planarity + 0.0))
+        assert hullcast.hull_id(TETRAHEDRON, **options, planarity=planarity) == two
+    default = by_hand(2, expected + struct.pack("<d", hullcast.DEFAULT_PLANARITY))
+    assert hullcast.hull_id(TETRAHEDRON, **options) == default
+
+
+def test_the_vectors_of_the_page(client: hullcast.Client):
+    """Catches an identity, here or in the server, that is not the documented one."""
+    page = (Path(__file__).parents[2] / "docs/identity.md").read_text(encoding="utf-8")
+    vectors = json.loads(page.split("```json\n")[1].split("```")[0])
+    assert len(vectors) == 8
+    for vector in vectors:
+        points = np.array(vector["vertices"]).reshape(-1, 3)
+        options = {key: vector.get(key) for key in ("max_vertices", "max_deviation", "planarity")}
+        center = vector.get("contraction_point")
+        assert hullcast.hull_id(points, center, **options).hex() == vector["id"], vector["name"]
+        hull = client.register([points], contraction_points=[center], **options)[0]
+        assert hull.id.hex() == vector["id"], vector["name"]
+
+
+def test_planarities(client: hullcast.Client):
+    """Catches a planarity that is not sent, not returned, or not kept by a hull registered again."""
+    sent = {"default": hullcast.DEFAULT_PLANARITY, None: None, 0: 0.0, 0.01: 0.01}
+    hulls = {}
+    for planarity, share in sent.items():
+        hull = hulls[planarity] = client.register([TETRAHEDRON], planarity=planarity)[0]
+        assert hull.id == hullcast.hull_id(TETRAHEDRON, planarity=planarity)
+        assert hull.planarity == (1e-6 if share is None else share)
+        # By itself it is registered as it was, and otherwise where a planarity is named.
+        assert client.register([hull])[0] == hull
+        assert client.register([hull], planarity=planarity)[0] == hull
+        assert client.register([hull], planarity=1e-5)[0].planarity == 1e-5
+        # With another option it keeps its planarity.
+        simpler = client.register([hull], max_vertices=4)[0]
+        expected = hullcast.hull_id(TETRAHEDRON, max_vertices=4, planarity=share)
+        assert simpler.id == expected
+    assert len({hull.id for hull in hulls.values()}) == len(sent)
+    for wrong in (-1e-9, 0.011, np.inf, np.nan):
+        with pytest.raises(hullcast.HullRejected, match="PLANARITY_OUT_OF_RANGE") as refused:
+            client.register([TETRAHEDRON], planarity=wrong)
+        assert refused.value.field == "planarity"
+    with pytest.raises(hullcast.InvalidArgument, match="planarity"):
+        client.register([TETRAHEDRON], planarity="coarse")
 
 
 def test_negative_zero_is_zero_and_order_counts():

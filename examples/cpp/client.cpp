@@ -76,6 +76,7 @@ v1::HullDefinition definition(const Hull& hull) {
     message.mutable_contraction_point()->Add(hull.contraction_point.begin(), hull.contraction_point.end());
     if (hull.max_vertices) message.mutable_simplification()->set_max_vertices(*hull.max_vertices);
     if (hull.max_deviation) message.mutable_simplification()->set_max_deviation(*hull.max_deviation);
+    if (hull.planarity) message.set_planarity(*hull.planarity);
     return message;
 }
 

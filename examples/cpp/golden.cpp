@@ -123,9 +123,10 @@ std::vector<IdentityVector> read_identity_vectors(const std::filesystem::path& r
     const std::size_t start = page.find(fence) + fence.size();
     std::vector<IdentityVector> vectors;
     for (const json& value : json::parse(page.substr(start, page.find("```", start) - start))) {
-        Hull hull{value.at("vertices"), value.value("contraction_point", std::vector<double>{}), {}, {}};
+        Hull hull{value.at("vertices"), value.value("contraction_point", std::vector<double>{}), {}, {}, {}};
         if (value.contains("max_vertices")) hull.max_vertices = value["max_vertices"].get<std::uint32_t>();
         if (value.contains("max_deviation")) hull.max_deviation = value["max_deviation"].get<double>();
+        if (value.contains("planarity")) hull.planarity = value["planarity"].get<double>();
         vectors.push_back({value.at("name"), hull, value.at("id"), value.value("bytes", "")});
     }
     return vectors;

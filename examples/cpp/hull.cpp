@@ -23,7 +23,7 @@ void put(std::string& bytes, const std::vector<double>& numbers) {
 
 std::string Hull::identity_bytes() const {
     std::string bytes = "hullcast";
-    put(bytes, std::uint32_t{1});  // the format's version
+    put(bytes, std::uint32_t{planarity ? 2u : 1u});  // the format's version
     bytes.push_back(contraction_point.empty() ? 0 : 1);
     put(bytes, contraction_point);
     bytes.push_back(max_vertices || max_deviation);
@@ -33,6 +33,7 @@ std::string Hull::identity_bytes() const {
         bytes.push_back(max_deviation.has_value());
         if (max_deviation) put(bytes, std::vector{*max_deviation});
     }
+    if (planarity) put(bytes, std::vector{*planarity});
     put(bytes, static_cast<std::uint32_t>(vertices.size() / 3));
     put(bytes, vertices);
     return bytes;

@@ -13,6 +13,8 @@ struct Hull {
     /// None or at least one of the two.
     std::optional<std::uint32_t> max_vertices = {};
     std::optional<double> max_deviation = {};
+    /// None: the server's 1e-6.
+    std::optional<double> planarity = {};
 
     /// The byte string of docs/identity.md.
     std::string identity_bytes() const;

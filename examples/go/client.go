@@ -35,6 +35,7 @@ func (c Client) register(ctx context.Context, hulls ...Hull) ([][]byte, error) {
 		request.Hulls = append(request.Hulls, &pb.HullDefinition{
 			Vertices: hull.Vertices, ContractionPoint: hull.ContractionPoint,
 			Simplification: hull.Simplification,
+			Planarity:      hull.Planarity,
 		})
 	}
 	response, err := c.hulls.RegisterHulls(ctx, request)

@@ -75,11 +75,12 @@ type IdentityVector struct {
 	ContractionPoint []float64 `json:"contraction_point"`
 	MaxVertices      *uint32   `json:"max_vertices"`
 	MaxDeviation     *float64  `json:"max_deviation"`
+	Planarity        *float64
 	ID, Bytes        string
 }
 
 func (v IdentityVector) hull() Hull {
-	hull := Hull{Vertices: v.Vertices, ContractionPoint: v.ContractionPoint}
+	hull := Hull{Vertices: v.Vertices, ContractionPoint: v.ContractionPoint, Planarity: v.Planarity}
 	if v.MaxVertices != nil || v.MaxDeviation != nil {
 		hull.Simplification = &pb.Simplification{MaxVertices: v.MaxVertices, MaxDeviation: v.MaxDeviation}
 	}

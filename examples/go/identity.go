@@ -15,6 +15,8 @@ type Hull struct {
 	ContractionPoint []float64
 	// Nil for none.
 	Simplification *pb.Simplification
+	// Nil for none: the server's 1e-6.
+	Planarity *float64
 }
 
 // IdentityBytes is the byte string of docs/identity.md.
@@ -27,7 +29,11 @@ func (h Hull) IdentityBytes() []byte {
 			write(value + 0) // -0.0 is written as 0.0
 		}
 	}
-	write(uint32(1)) // the format's version
+	version := uint32(1)
+	if h.Planarity != nil {
+		version = 2
+	}
+	write(version)
 	if len(h.ContractionPoint) == 0 {
 		write(uint8(0))
 	} else {
@@ -46,6 +52,9 @@ func (h Hull) IdentityBytes() []byte {
 		if limits.MaxDeviation != nil {
 			numbers([]float64{*limits.MaxDeviation})
 		}
+	}
+	if h.Planarity != nil {
+		numbers([]float64{*h.Planarity})
 	}
 	write(uint32(len(h.Vertices) / 3))
 	numbers(h.Vertices)

@@ -62,6 +62,7 @@ pub fn all() -> Vec<(&'static str, u8, Vec<u8>)> {
             vertices: [&CORNER[..3], &CORNER[..3]].concat().concat(),
             contraction_point: vec![0.1, 0.1, 0.1],
             simplification: None,
+            planarity: Some(1e-3),
         }],
     };
     let found = QueryContactsRequest {

@@ -206,6 +206,7 @@ pub(crate) fn definition(points: &HullPoints) -> HullDefinition {
         points: points.vertices.clone(),
         contraction_point: points.contraction_point,
         simplification: None,
+        planarity: points.planarity,
     }
 }
 
@@ -214,6 +215,7 @@ fn wire_definition(points: &HullPoints) -> proto::HullDefinition {
         vertices: points.vertices.as_flattened().to_vec(),
         contraction_point: points.contraction_point.map(Vec::from).unwrap_or_default(),
         simplification: None,
+        planarity: points.planarity,
     }
 }
 

@@ -1,6 +1,7 @@
 //! The subcommands.
 
 mod answer;
+mod descriptors;
 pub(crate) mod load;
 mod memory;
 mod npz;

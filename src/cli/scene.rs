@@ -40,6 +40,18 @@ pub(crate) struct HullPoints {
     /// Absent: the centre of mass.
     #[serde(default)]
     pub(crate) contraction_point: Option<[f64; 3]>,
+    /// The planarity to register with, a share of the circumradius. A file without this key
+    /// means [`DEFAULT_PLANARITY`]; `null` means to register without a planarity.
+    #[serde(default = "default_planarity")]
+    pub(crate) planarity: Option<f64>,
+}
+
+/// The planarity of hulls whose scene file gives none. Measured on shapes whose coordinates are
+/// rounded as files round them: docs/tradeoff.md.
+const DEFAULT_PLANARITY: f64 = 1e-3;
+
+fn default_planarity() -> Option<f64> {
+    Some(DEFAULT_PLANARITY)
 }
 
 /// The pose of every body.
@@ -223,6 +235,20 @@ mod tests {
         let without = GOOD.replace("\"frames\"", "\"other\"");
         let scene = Scene::parse(without.as_bytes()).unwrap();
         assert_eq!((scene.frames.len(), scene.frames[0].positions[5]), (1, 2.0));
+    }
+
+    /// Catches a default that is not sent, is not that of the Python client, or cannot be left out.
+    #[test]
+    fn a_hull_without_a_planarity_has_the_clients_default() {
+        let planarity = |hull: &str| {
+            let text = GOOD.replacen("\"volume_ratio\": 1", hull, 1);
+            Scene::parse(text.as_bytes()).unwrap().hulls[0].planarity
+        };
+        assert_eq!(planarity("\"volume_ratio\": 1"), Some(DEFAULT_PLANARITY));
+        assert_eq!(planarity("\"planarity\": null"), None);
+        assert_eq!(planarity("\"planarity\": 0.25"), Some(0.25), "its range is the server's to judge");
+        let python = include_str!("../../client/src/hullcast/_hulls.py");
+        assert!(python.contains(&format!("\nDEFAULT_PLANARITY = {DEFAULT_PLANARITY:e}\n")));
     }
 
     // Would catch an error that leaves a user to search a file of thousands of lines.

@@ -3,6 +3,7 @@
 
 use std::{
     fs,
+    net::IpAddr,
     path::{Path, PathBuf},
     sync::Arc,
     time::Duration,
@@ -23,6 +24,16 @@ pub(crate) enum LogFormat {
     Text,
     /// One JSON object a line.
     Json,
+}
+
+/// Whether something is done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum Switch {
+    /// It is.
+    On,
+    /// It is not.
+    Off,
 }
 
 /// Declares every setting once: its flag, its environment variable, its key in the file
@@ -126,6 +137,16 @@ settings! {
     /// hulls, or a share of the memory that the process may use, as in 25%
     max_memory_bytes: Size = |l: &Limits| Size::Bytes(l.max_memory_bytes),
         "HULLCAST_MAX_MEMORY_BYTES", "SIZE";
+    /// Whether callers share memory, leases on hulls and compute threads fairly; off: one common
+    /// budget, first come, first served
+    shares: Switch = |_: &Limits| Switch::On, "HULLCAST_SHARES", "SWITCH" [value_enum];
+    /// Addresses of proxies: each of their connections counts as a caller of its own
+    trusted_proxies: Vec<IpAddr> = |_: &Limits| Vec::new(), "HULLCAST_TRUSTED_PROXIES", "ADDR"
+        [value_delimiter = ','];
+    /// Seconds that a request's message has to arrive, beside one for each MiB of it
+    message_seconds: f64 = |_: &Limits| 30.0, "HULLCAST_MESSAGE_SECONDS", "S";
+    /// Seconds that a caller has to take an answer, beside one for each MiB of it
+    answer_seconds: f64 = |_: &Limits| 30.0, "HULLCAST_ANSWER_SECONDS", "S";
     /// Most bytes of requests that have come and are not yet answered, over all calls
     max_request_bytes_in_flight: u64 = |l: &Limits| l.max_request_bytes_in_flight,
         "HULLCAST_MAX_REQUEST_BYTES_IN_FLIGHT", "N";
@@ -148,6 +169,9 @@ settings! {
     max_page_size: u32 = |l: &Limits| l.max_page_size, "HULLCAST_MAX_PAGE_SIZE", "N";
     /// How long a hull that another server deleted may still be answered for
     cache_age_seconds: u32 = |l: &Limits| l.cache_age_seconds, "HULLCAST_CACHE_AGE_SECONDS", "S";
+    /// Seconds that an operation of the store may take; after that the store is taken to hang
+    /// until the operation returns (1 to 3600)
+    store_seconds: u32 = |l: &Limits| l.store_seconds, "HULLCAST_STORE_SECONDS", "S";
 }
 
 impl Given {
@@ -190,6 +214,9 @@ impl Settings {
             drain: seconds("drain_seconds", self.drain_seconds, 0.0)?,
             max_connection_age: seconds("max_connection_age_seconds", self.max_connection_age_seconds, 0.0)?,
             probe_every: seconds("probe_seconds", self.probe_seconds, SHORTEST_LOOP)?,
+            message_time: seconds("message_seconds", self.message_seconds, SHORTEST_TIME)?,
+            answer_time: seconds("answer_seconds", self.answer_seconds, SHORTEST_TIME)?,
+            trusted_proxies: self.trusted_proxies.iter().map(IpAddr::to_canonical).collect(),
             #[cfg(feature = "playground")]
             playground: self.playground,
             ..Serving::default()
@@ -217,6 +244,7 @@ impl Settings {
             max_vertices_per_hull: self.max_vertices_per_hull,
             max_points_per_hull: self.max_points_per_hull,
             max_memory_bytes: self.max_memory_bytes.bytes()?,
+            shares: self.shares == Switch::On,
             max_pairs_in_flight: self.max_pairs_in_flight,
             max_request_bytes_in_flight: self.max_request_bytes_in_flight,
             max_deadline_seconds: self.max_deadline_seconds,
@@ -227,12 +255,17 @@ impl Settings {
             max_streams_per_connection: self.max_streams_per_connection,
             max_page_size: self.max_page_size,
             cache_age_seconds: self.cache_age_seconds,
+            store_seconds: self.store_seconds,
+            ..Limits::default()
         })
     }
 }
 
 /// The shortest time between two runs of a loop, in seconds.
 const SHORTEST_LOOP: f64 = 0.01;
+
+/// The shortest time after which something is given up, in seconds.
+const SHORTEST_TIME: f64 = 0.001;
 
 /// The longest time that a setting may have: some thirty years, which no clock overflows.
 const LONGEST: f64 = 1e9;

@@ -56,7 +56,9 @@ use glam::DVec3;
 
 pub use body::{Body, InvalidPose, Pose};
 pub use bounds::Bounds;
-pub use hull::{ConvexHull, HullError, HullErrorKind, HullOptions, Simplification};
+pub use hull::{
+    ABSENT_PLANARITY, ConvexHull, HullError, HullErrorKind, HullOptions, MAX_PLANARITY, Simplification,
+};
 pub use manifold::{Basis, ContactPoint, Element, Feature, Flags, Manifold, Outcome};
 pub use query::{Accuracy, Query, Solver, Wanted};
 pub use stop::{STEPS_BETWEEN_LOOKS, Stop, Stopped};

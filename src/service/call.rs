@@ -1,24 +1,24 @@
-//! A call under way: its name, its log span, its bytes, and how it ended.
+//! A call under way: its name, its log span, and how it ended.
 
 use std::{
-    pin::Pin,
     sync::{
         Arc,
-        atomic::{AtomicU64, AtomicUsize, Ordering},
+        atomic::{AtomicU64, Ordering},
     },
-    task::{Context, Poll},
     time::Instant,
 };
 
 use bytes::Bytes;
 use http::HeaderMap;
-use hyper::body::{Body as HttpBody, Frame, SizeHint};
-use tonic::{Code, Status, body::Body};
-use tracing::Span;
+use hyper::body::Frame;
+use tonic::{Code, Status};
+use tracing::{Span, span::Entered};
 
-use super::{App, ServiceError};
+use super::{App, peers::Counted};
 use crate::{
-    metrics::{Call as Ended, Held, Shed},
+    budget::Permit,
+    contact::Stop,
+    metrics::{Call as Ended, Held},
     trace,
 };
 
@@ -91,7 +91,23 @@ fn trace_id(traceparent: &str) -> Option<&str> {
     (good && trace.bytes().any(|b| b != b'0')).then_some(trace)
 }
 
-/// A call under way; counted as ended when dropped.
+/// What a call takes for as long as it lasts.
+#[derive(Debug, Default)]
+pub(super) struct Taken {
+    _memory: Option<Permit>,
+    _counted: Option<Counted>,
+}
+
+impl Taken {
+    /// `memory` is the fixed cost of a call: its headers, and what the transport keeps of it.
+    /// There is none for a health check that its connection may have without asking the
+    /// budget. `counted` is of the calls that a connection may have a bounded number of.
+    pub(super) fn new(memory: Option<Permit>, counted: Option<Counted>) -> Self {
+        Self { _memory: memory, _counted: counted }
+    }
+}
+
+/// A call under way. It ends when it is dropped: it is counted and logged, and its work stops.
 #[derive(Debug)]
 pub(super) struct Call {
     app: Arc<App>,
@@ -100,35 +116,64 @@ pub(super) struct Call {
     method: &'static str,
     started: Instant,
     code: Code,
-    bytes: Arc<RequestBytes>,
+    stop: Arc<Stop>,
+    /// What the call takes of its connection and of the memory budget.
+    _taken: Taken,
     _in_flight: Held,
 }
 
 impl Call {
-    pub(super) fn new(app: Arc<App>, method: &'static str, span: Span, traced: Span) -> Self {
+    /// A call whose work `stop` stops.
+    pub(super) fn new(
+        app: Arc<App>,
+        method: &'static str,
+        span: Span,
+        traced: Span,
+        stop: Arc<Stop>,
+        taken: Taken,
+    ) -> Self {
         let in_flight = Held::new(&app.metrics().requests_in_flight, 1);
-        let bytes = Arc::new(RequestBytes { app: app.clone(), held: AtomicUsize::new(0) });
-        // Until it ends otherwise: whoever drops it has heard that the client left.
-        let code = Code::Cancelled;
-        Self { app, span, traced, method, started: Instant::now(), code, bytes, _in_flight: in_flight }
-    }
-
-    /// The request's body, counted.
-    pub(super) fn metered<B>(&self, body: B) -> Metered<B> {
-        Metered { body, bytes: self.bytes.clone() }
-    }
-
-    /// The response's body, whose end is the call's.
-    pub(super) fn answered(mut self, response: http::Response<Body>) -> http::Response<Body> {
-        if let Some(status) = Status::from_header_map(response.headers()) {
-            self.code = status.code();
+        Self {
+            app,
+            span,
+            traced,
+            method,
+            started: Instant::now(),
+            // Until it ends otherwise: a call is dropped early because its client left.
+            code: Code::Cancelled,
+            stop,
+            _taken: taken,
+            _in_flight: in_flight,
         }
-        response.map(|body| Body::new(Answer { body, call: self }))
+    }
+
+    pub(super) fn app(&self) -> &App {
+        &self.app
+    }
+
+    /// The spans of the call, entered: lines that are logged while they live name the call.
+    pub(super) fn enter(&self) -> [Entered<'_>; 2] {
+        [self.traced.enter(), self.span.enter()]
+    }
+
+    /// How the call ends, as far as is known.
+    pub(super) fn ended_with(&mut self, code: Code) {
+        self.code = code;
+    }
+
+    /// The trailers of an answer that ends in an error after it has begun.
+    pub(super) fn ended_early(&mut self, status: &Status) -> Result<Frame<Bytes>, Status> {
+        self.code = status.code();
+        let mut trailers = HeaderMap::new();
+        status.add_header(&mut trailers)?;
+        Ok(Frame::trailers(trailers))
     }
 }
 
 impl Drop for Call {
     fn drop(&mut self) {
+        self.stop.stop();
+        self.app.metrics().metered(self.stop.steps(), self.stop.largest_between_looks());
         let seconds = self.started.elapsed().as_secs_f64();
         let code = name(self.code);
         tracing::debug!(parent: &self.span, code, ms = seconds * 1e3, "ended");
@@ -160,114 +205,7 @@ fn name(code: Code) -> &'static str {
     }
 }
 
-/// Of one call's request, counted among all calls'.
-#[derive(Debug)]
-struct RequestBytes {
-    app: Arc<App>,
-    held: AtomicUsize,
-}
-
-impl RequestBytes {
-    fn take(&self, bytes: usize) -> Result<(), Status> {
-        let gauge = &self.app.metrics().request_bytes_in_flight;
-        let before = gauge.inc_by(bytes as i64);
-        self.held.fetch_add(bytes, Ordering::Relaxed);
-        if before as u64 + bytes as u64 <= self.app.limits().max_request_bytes_in_flight {
-            return Ok(());
-        }
-        self.app.metrics().shed(Shed::RequestBytes);
-        let message = "too many bytes of requests are under way; ask again";
-        Err(ServiceError::unavailable("TOO_BUSY", BYTES_RETRY, message).into())
-    }
-
-    fn release(&self) {
-        let held = self.held.swap(0, Ordering::Relaxed);
-        self.app.metrics().request_bytes_in_flight.dec_by(held as i64);
-    }
-}
-
-impl Drop for RequestBytes {
-    fn drop(&mut self) {
-        self.release();
-    }
-}
-
-/// Requests that large take some 100 ms to arrive and be answered.
-const BYTES_RETRY: std::time::Duration = std::time::Duration::from_millis(200);
-
 pub(super) type BoxError = Box<dyn std::error::Error + Send + Sync>;
-
-/// A request's body, its bytes counted as they come.
-#[derive(Debug)]
-pub(super) struct Metered<B> {
-    body: B,
-    bytes: Arc<RequestBytes>,
-}
-
-impl<B> HttpBody for Metered<B>
-where
-    B: HttpBody<Data = Bytes> + Unpin,
-    B::Error: Into<BoxError>,
-{
-    type Data = Bytes;
-    type Error = BoxError;
-
-    fn poll_frame(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-    ) -> Poll<Option<Result<Frame<Bytes>, BoxError>>> {
-        let frame = match Pin::new(&mut self.body).poll_frame(cx) {
-            Poll::Ready(Some(Ok(frame))) => frame,
-            other => return other.map_err(Into::into),
-        };
-        let bytes = frame.data_ref().map_or(0, Bytes::len);
-        Poll::Ready(Some(self.bytes.take(bytes).map(|()| frame).map_err(Into::into)))
-    }
-
-    fn is_end_stream(&self) -> bool {
-        self.body.is_end_stream()
-    }
-
-    fn size_hint(&self) -> SizeHint {
-        self.body.size_hint()
-    }
-}
-
-/// A response's body; the call ends with it.
-struct Answer {
-    body: Body,
-    call: Call,
-}
-
-impl HttpBody for Answer {
-    type Data = Bytes;
-    type Error = Status;
-
-    fn poll_frame(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-    ) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
-        let this = &mut *self;
-        let _entered = (this.call.traced.enter(), this.call.span.enter());
-        let polled = Pin::new(&mut this.body).poll_frame(cx);
-        if let Poll::Ready(Some(Ok(frame))) = &polled {
-            // An answer is under way: what it answers is done with.
-            this.call.bytes.release();
-            if let Some(status) = frame.trailers_ref().and_then(Status::from_header_map) {
-                this.call.code = status.code();
-            }
-        }
-        polled
-    }
-
-    fn is_end_stream(&self) -> bool {
-        self.body.is_end_stream()
-    }
-
-    fn size_hint(&self) -> SizeHint {
-        self.body.size_hint()
-    }
-}
 
 #[cfg(test)]
 mod tests {

@@ -15,31 +15,35 @@ use std::{
 use http::{Request, Response};
 use hyper::{body::Incoming, server::conn::http2};
 use hyper_util::{
-    rt::{TokioExecutor, TokioIo, TokioTimer},
+    rt::{TokioIo, TokioTimer},
     server::graceful::GracefulConnection,
     service::TowerToHyperService,
 };
 use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
-    sync::{OwnedSemaphorePermit, Semaphore, watch},
+    sync::{Notify, watch},
     time::{sleep, timeout},
 };
 use tonic::{body::Body, service::Routes};
 use tower::Service;
 
-#[cfg(feature = "playground")]
-use super::playground::{self, Page};
 use super::{
     App, Serving,
     admission::spread,
-    edge::{Closing, Edge},
+    cutoff::StreamExecutor,
     listener::Connection,
+    middleware::{Closing, Middleware},
+    peers::{Address, Peer, Peers},
 };
-use crate::metrics::{Held, Shed};
+#[cfg(feature = "playground")]
+use super::{
+    cutoff::Cutoff,
+    playground::{self, Page},
+};
+use crate::log_limit::Repeated;
 
 /// HTTP/2 settings that measurably matter for batches; the defaults are sized for pages.
 const FRAME_BYTES: u32 = 1 << 20;
-const WINDOW_BYTES: u32 = 8 << 20;
 
 /// A peer that does not answer a ping for this long is gone.
 const KEEP_ALIVE: Duration = Duration::from_secs(60);
@@ -59,39 +63,38 @@ const GREETING_BYTES: u64 = 24 + 9;
 pub(super) struct Connections {
     app: Arc<App>,
     routes: Routes,
-    serving: Serving,
-    http: http2::Builder<TokioExecutor>,
-    room: Arc<Semaphore>,
+    serving: Arc<Serving>,
+    peers: Arc<Peers>,
     /// Connections so far: spreads their ages.
     count: AtomicU64,
 }
 
 impl Connections {
     pub(super) fn new(app: Arc<App>, routes: Routes, serving: Serving) -> Self {
-        let limits = app.limits();
-        let room = Arc::new(Semaphore::new(limits.max_connections as usize));
-        let mut http = http2::Builder::new(TokioExecutor::new());
+        let peers = Peers::new(app.clone(), serving.trusted_proxies.clone(), app.limits().shares);
+        Self { app, routes, serving: Arc::new(serving), peers: Arc::new(peers), count: AtomicU64::new(0) }
+    }
+
+    /// A place for one more connection from `address`; none when there are too many.
+    pub(super) fn admit(&self, address: Address) -> Option<Peer> {
+        self.peers.admit(address)
+    }
+
+    /// HTTP/2 for one connection: its streams run beside their cutoffs.
+    fn http2(&self, window: u32, abort: &Arc<Notify>) -> http2::Builder<StreamExecutor> {
+        let mut http = http2::Builder::new(StreamExecutor::new(self.app.clone(), abort.clone()));
         http.timer(TokioTimer::new())
             .adaptive_window(false)
-            .initial_stream_window_size(WINDOW_BYTES)
-            .initial_connection_window_size(WINDOW_BYTES)
-            .max_frame_size(FRAME_BYTES)
+            .initial_stream_window_size(window)
+            .initial_connection_window_size(window)
+            .max_frame_size(FRAME_BYTES.min(window))
             .max_header_list_size(HEADER_BYTES)
             .max_pending_accept_reset_streams(Some(RESETS))
             .max_local_error_reset_streams(Some(RESETS))
-            .max_concurrent_streams(limits.max_streams_per_connection)
+            .max_concurrent_streams(self.app.limits().max_streams_per_connection)
             .keep_alive_interval(KEEP_ALIVE)
             .keep_alive_timeout(KEEP_ALIVE);
-        Self { app, routes, serving, http, room, count: AtomicU64::new(0) }
-    }
-
-    /// A place for one more connection; none when there are too many.
-    pub(super) fn admit(&self) -> Option<Place> {
-        let Ok(permit) = self.room.clone().try_acquire_owned() else {
-            self.app.metrics().shed(Shed::Connection);
-            return None;
-        };
-        Some(Place { _permit: permit, _counted: Held::new(&self.app.metrics().connections, 1) })
+        http
     }
 
     /// When a connection that begins now is told to close: nine to eleven tenths of the age,
@@ -106,65 +109,88 @@ impl Connections {
 
     /// Serves `io` until the peer leaves. Once `closing` is true or the connection is of age it
     /// is told to (GOAWAY), and what is under way has the time of the drain.
-    pub(super) async fn serve(self: Arc<Self>, io: Connection, closing: Closing, _place: Place) {
-        let io = match self.encrypted(io).await {
+    pub(super) async fn serve(self: Arc<Self>, io: Connection, closing: Closing, peer: Peer) {
+        let io = match self.encrypted(io, &peer).await {
             Ok(io) => io,
-            Err(error) => return tracing::debug!(%error, "no TLS connection"),
+            Err(error) => return report_handshake(&error),
         };
         let (close, closed) = watch::channel(false);
-        let security = self.serving.security.clone();
-        let edge = Edge::new(self.app.clone(), self.routes.clone(), security, Closing(closed));
+        let (app, routes, serving) = (self.app.clone(), self.routes.clone(), self.serving.clone());
+        let window = peer.window();
+        let calls = Middleware::new(app, routes, serving, peer, Closing(closed));
         #[cfg(feature = "playground")]
         if self.serving.playground {
-            return self.serve_page(io, edge, close, closing).await;
+            return self.serve_page(io, calls, window, close, closing).await;
         }
-        self.serve_http2(io, edge, close, closing).await;
+        self.serve_http2(io, calls, window, close, closing).await;
     }
 
-    async fn serve_http2<S>(&self, io: Connection, service: S, close: watch::Sender<bool>, closing: Closing)
-    where
+    async fn serve_http2<S>(
+        &self,
+        io: Connection,
+        service: S,
+        window: u32,
+        close: watch::Sender<bool>,
+        closing: Closing,
+    ) where
         S: Service<Request<Incoming>, Response = Response<Body>, Error = Infallible> + Clone + Send + 'static,
         S::Future: Send + 'static,
     {
         let read = Arc::new(AtomicU64::new(0));
         let io = TokioIo::new(Counted { io, read: read.clone() });
-        let connection = self.http.serve_connection(io, TowerToHyperService::new(service));
-        self.attend(connection, silence(&read, self.serving.greeting), close, closing).await;
+        let abort = Arc::new(Notify::new());
+        let connection = self.http2(window, &abort).serve_connection(io, TowerToHyperService::new(service));
+        let end = async {
+            tokio::select! {
+                () = silence(&read, self.serving.greeting) => "no HTTP/2 from a peer",
+                () = abort.notified() => "a peer takes nothing of an answer that was cut",
+            }
+        };
+        self.attend(connection, end, close, closing).await;
     }
 
     /// The same, and the playground's page: browsers that do not speak TLS speak HTTP/1.1.
     #[cfg(feature = "playground")]
-    async fn serve_page(&self, io: Connection, edge: Edge, close: watch::Sender<bool>, mut closing: Closing) {
+    async fn serve_page(
+        &self,
+        io: Connection,
+        calls: Middleware,
+        window: u32,
+        close: watch::Sender<bool>,
+        mut closing: Closing,
+    ) {
         let greeting = self.serving.greeting;
         let speaks_http1 = tokio::select! {
             greeted = timeout(greeting, playground::speaks_http1(&io)) => greeted,
             () = closing.heard() => return,
         };
         match speaks_http1 {
-            Ok(Ok(false)) => self.serve_http2(io, Page::over_http2(edge), close, closing).await,
+            Ok(Ok(false)) => self.serve_http2(io, Page::over_http2(calls), window, close, closing).await,
             Ok(Ok(true)) => {
-                let service = TowerToHyperService::new(Page::over_http1(edge));
+                let service = TowerToHyperService::new(Page::over_http1(calls));
                 let connection = playground::http1(greeting).serve_connection(TokioIo::new(io), service);
-                // Its own timer cuts off who does not say what it wants.
-                self.attend(connection, std::future::pending(), close, closing).await;
+                // Its own timer cuts off who does not say what it wants, and the cutoff who does
+                // not read what it asked for.
+                let served = self.attend(connection, std::future::pending(), close, closing);
+                Cutoff::new(Arc::default()).guard(&self.app, served).await;
             }
             Ok(Err(error)) => tracing::debug!(%error, "connection ended"),
             Err(_) => tracing::debug!("a peer does not say what it speaks"),
         }
     }
 
-    /// Until the connection ends by itself, or `silent` completes, or it has to go.
+    /// Until the connection ends by itself, or `end` says why it ends, or it has to go.
     async fn attend(
         &self,
         connection: impl GracefulConnection<Error = hyper::Error>,
-        silent: impl Future<Output = ()>,
+        end: impl Future<Output = &'static str>,
         close: watch::Sender<bool>,
         mut closing: Closing,
     ) {
         let mut connection = pin!(connection);
         tokio::select! {
             ended = connection.as_mut() => return report(ended),
-            () = silent => return tracing::debug!("no HTTP/2 from a peer"),
+            why = end => return tracing::debug!(why, "closed a connection"),
             () = closing.heard() => {}
             () = sleep(self.age()) => {}
         }
@@ -176,18 +202,23 @@ impl Connections {
         report(ended);
     }
 
-    async fn encrypted(&self, io: Connection) -> io::Result<Connection> {
+    async fn encrypted(&self, io: Connection, peer: &Peer) -> io::Result<Connection> {
         match self.serving.security.tls_config() {
             None => Ok(io),
-            Some(config) => timeout(self.serving.greeting, io.encrypted(config)).await?,
+            Some(config) => {
+                let busy = || io::Error::other("too many TLS handshakes are under way");
+                let _handshake = peer.handshake().ok_or_else(busy)?;
+                timeout(self.serving.greeting, io.encrypted(config)).await?
+            }
         }
     }
 }
 
-/// Of one connection, free again when dropped.
-pub(super) struct Place {
-    _permit: OwnedSemaphorePermit,
-    _counted: Held,
+fn report_handshake(error: &io::Error) {
+    static FAILED: Repeated = Repeated::new();
+    if let Some(left_out) = FAILED.due() {
+        tracing::info!(%error, left_out, "a TLS handshake failed");
+    }
 }
 
 fn report(ended: hyper::Result<()>) {

@@ -17,23 +17,24 @@ use super::{
     batch::Batch,
     context::CallContext,
     decode::decoded,
-    edge::{Closing, Deadline},
     find::Finding,
+    middleware::{Closing, Deadline},
     offload::FreedOnCompute,
     steps::Steps,
     wire::{self, Scene},
 };
 use crate::{
+    compute::Job,
     contact::Stop,
     metrics::Shed,
     proto::{
         Encoded, QueryContactsRequest, QueryContactsResponse,
         contact_service_server::{ContactService, ContactServiceServer},
     },
-    store::{Hold, HullId, Hulls, NoRoom},
+    store::{HullId, Hulls, Lease, LeaseError},
 };
 
-/// When to ask again where other requests hold too much: what they take to be answered.
+/// When to ask again if other requests use too many hulls: about the time that they take.
 const HULLS_RETRY: Duration = Duration::from_millis(100);
 
 pub(super) fn service(app: Arc<App>) -> ContactServiceServer<impl ContactService> {
@@ -135,7 +136,7 @@ pub(super) async fn answer(
     let bytes = scene.memory.as_ref().map_or(0, |memory| memory.bytes() as usize);
     let scene = FreedOnCompute::new(scene, bytes, app);
     let admission = app.engine().admit(pairs, outputs)?;
-    let (mut batch, missing_hulls, invalid_bodies) = assemble(app, scene).await?;
+    let (mut batch, missing_hulls, invalid_bodies) = assemble(app, scene, &context.job).await?;
     if keep_bases {
         batch.keep_bases();
     }
@@ -170,11 +171,12 @@ pub(super) async fn answer(
 async fn assemble(
     app: &App,
     scene: FreedOnCompute<Scene>,
+    job: &Job,
 ) -> Result<(Batch, Vec<u32>, Vec<u32>), ServiceError> {
-    let (hulls, hold) = fetch(app, &scene.setting.hull_ids).await?;
+    let (hulls, lease) = fetch(app, &scene.setting.hull_ids, job).await?;
     let missing = missing(&hulls);
     let (mut batch, invalid_bodies) = Batch::new(scene.into_inner(), hulls);
-    batch.hold(hold);
+    batch.lease(lease);
     Ok((batch, missing, invalid_bodies))
 }
 
@@ -183,17 +185,20 @@ pub(super) fn missing(hulls: &Hulls) -> Vec<u32> {
     hulls.iter().enumerate().filter(|(_, hull)| hull.is_err()).map(|(i, _)| i as u32).collect()
 }
 
-/// The hulls, in the order of their ids, in use until the hold is dropped.
-pub(super) async fn fetch(app: &App, ids: &[HullId]) -> Result<(Hulls, Hold), ServiceError> {
-    app.registry().hold(ids).await.map_err(|why| match why {
-        NoRoom::TooLarge => {
-            let limit = app.limits().cache_bytes;
-            let message = format!("the hulls take more than the {limit} bytes of cache_bytes: use fewer");
+/// The hulls, in the order of their ids, cached until the lease is dropped.
+pub(super) async fn fetch(app: &App, ids: &[HullId], job: &Job) -> Result<(Hulls, Lease), ServiceError> {
+    app.registry().lease(ids, job).await.map_err(|why| match why {
+        LeaseError::TooLarge => {
+            let (limit, all) = (app.registry().most_leased_alone(), app.limits().cache_bytes);
+            let message = format!(
+                "the hulls take more than the {limit} bytes that one caller may use of the {all} of \
+                 cache_bytes: use fewer"
+            );
             ServiceError::invalid("HULLS_TOO_LARGE", "hull_ids", message)
         }
-        NoRoom::Busy => {
+        LeaseError::Busy => {
             app.metrics().shed(Shed::Hulls);
-            let message = "other requests hold too many bytes of hulls; ask again";
+            let message = "other requests use too many bytes of hulls; ask again";
             ServiceError::unavailable("TOO_BUSY", HULLS_RETRY, message)
         }
     })

@@ -4,7 +4,10 @@
 //! The outermost layer makes one [`CallContext`] per call and puts it into the request's
 //! extensions. A handler takes it from there with [`CallContext::of`].
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::{
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
 
 use super::{App, ServiceError};
 use crate::{
@@ -20,6 +23,8 @@ pub(super) struct CallContext {
     /// flag is set when the call ends for any reason.
     pub(super) job: Job,
     memory: Arc<MemoryBudget>,
+    /// The memory of the messages that have arrived and are not decoded yet.
+    arrived: Arc<Mutex<Option<Permit>>>,
     /// The memory of the answer that the handler has computed and the transport has not taken.
     answer: Arc<Mutex<Option<Permit>>>,
 }
@@ -27,7 +32,7 @@ pub(super) struct CallContext {
 impl CallContext {
     /// The context of a call by `caller` whose memory counts in `memory`.
     pub(super) fn new(caller: Caller, memory: Arc<MemoryBudget>) -> Self {
-        Self { job: Job::new(caller), memory, answer: Arc::default() }
+        Self { job: Job::new(caller), memory, arrived: Arc::default(), answer: Arc::default() }
     }
 
     /// The context that the outermost layer gave the request. Handlers without that layer, as
@@ -43,6 +48,27 @@ impl CallContext {
     /// TOO_BUSY where there is no room now, MEMORY_TOO_LARGE where there never is.
     pub(super) fn take(&self, app: &App, part: Part, bytes: usize) -> Result<Permit, ServiceError> {
         self.memory.take(&self.job.caller, part, bytes as u64).map_err(|why| no_memory(app, why))
+    }
+
+    /// Takes memory for bytes of a message that are arriving.
+    ///
+    /// # Errors
+    /// TOO_BUSY where there is no room now, MEMORY_TOO_LARGE where there never is.
+    pub(super) fn arrive(&self, app: &App, bytes: usize) -> Result<(), ServiceError> {
+        let mut arrived = locked(&self.arrived);
+        let taken = match &mut *arrived {
+            Some(permit) => permit.grow(bytes as u64),
+            None => {
+                let taken = self.memory.take(&self.job.caller, Part::Arriving, bytes as u64);
+                taken.map(|permit| *arrived = Some(permit))
+            }
+        };
+        taken.map_err(|why| no_memory(app, why))
+    }
+
+    /// The messages that have arrived are decoded: their bytes are free.
+    pub(super) fn decoded(&self) {
+        drop(locked(&self.arrived).take());
     }
 
     /// Takes `more` bytes for a permit of the call.
@@ -61,12 +87,17 @@ impl CallContext {
 
     /// Keeps the permit of an answer until the transport has taken the answer over.
     pub(super) fn hold_answer(&self, permit: Permit) {
-        *self.answer.lock().unwrap_or_else(PoisonError::into_inner) = Some(permit);
+        *locked(&self.answer) = Some(permit);
     }
 
     /// The permit of the answer that is about to be sent.
     pub(super) fn take_answer(&self) -> Option<Permit> {
-        self.answer.lock().unwrap_or_else(PoisonError::into_inner).take()
+        locked(&self.answer).take()
+    }
+
+    /// The bytes of the answer that is about to be sent, as far as its memory was taken.
+    pub(super) fn answer_bytes(&self) -> usize {
+        locked(&self.answer).as_ref().map_or(0, |permit| permit.bytes() as usize)
     }
 }
 
@@ -74,7 +105,7 @@ impl CallContext {
 pub(super) fn no_memory(app: &App, why: NoMemory) -> ServiceError {
     match why.refusal {
         Refusal::Busy => {
-            app.metrics().shed(Shed::Memory);
+            app.metrics().shed(if why.part == Part::Arriving { Shed::RequestBytes } else { Shed::Memory });
             ServiceError::unavailable("TOO_BUSY", MEMORY_RETRY, format!("{why}; ask again"))
         }
         Refusal::TooLarge => {
@@ -84,4 +115,9 @@ pub(super) fn no_memory(app: &App, why: NoMemory) -> ServiceError {
 }
 
 /// A large request takes some 100 ms to arrive and to be answered.
-const MEMORY_RETRY: std::time::Duration = std::time::Duration::from_millis(200);
+const MEMORY_RETRY: Duration = Duration::from_millis(200);
+
+/// No panic leaves a permit half taken.
+fn locked(permit: &Mutex<Option<Permit>>) -> MutexGuard<'_, Option<Permit>> {
+    permit.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -96,6 +96,16 @@ impl ServiceError {
         Self::new(Kind::DeadlineExceeded, "DEADLINE_EXCEEDED", "the deadline passed".into(), None)
     }
 
+    /// The caller did not send the whole message in time.
+    pub fn message_late(message: impl Into<String>) -> Self {
+        Self::new(Kind::DeadlineExceeded, "MESSAGE_LATE", message.into(), None)
+    }
+
+    /// A caller has more of something than it may have at a time.
+    pub fn exhausted(reason: &'static str, message: impl Into<String>) -> Self {
+        Self::new(Kind::Exhausted, reason, message.into(), None)
+    }
+
     /// A bug of the server's: the logs say more.
     pub fn internal(message: impl Into<String>) -> Self {
         Self::new(Kind::Internal, "INTERNAL", message.into(), None)

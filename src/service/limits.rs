@@ -22,6 +22,8 @@ pub struct Limits {
     /// Memory that all callers together can make the server hold, in bytes; the cached hulls
     /// (`cache_bytes`) are not part of it.
     pub max_memory_bytes: u64,
+    /// Whether callers share memory, leases on hulls and compute threads fairly.
+    pub shares: bool,
     /// Bytes of requests that have come and are not yet answered, over all calls: the cap of
     /// that part of the memory.
     pub max_request_bytes_in_flight: u64,
@@ -42,6 +44,9 @@ pub struct Limits {
     pub max_page_size: u32,
     /// Within this a hull deleted by another server on the same store may still be answered for.
     pub cache_age_seconds: u32,
+    /// How long an operation of the store may take before the store is taken to hang. Not
+    /// published: clients see only that the store is unavailable.
+    pub store_seconds: u32,
 }
 
 impl Default for Limits {
@@ -55,6 +60,7 @@ impl Default for Limits {
             max_points_per_hull: 262_144,
             max_pairs_in_flight: 1 << 20,
             max_memory_bytes: 2 << 30,
+            shares: true,
             max_request_bytes_in_flight: 1 << 30,
             max_deadline_seconds: 300,
             max_stream_state_bytes: 1 << 28,
@@ -64,6 +70,7 @@ impl Default for Limits {
             max_streams_per_connection: 1024,
             max_page_size: 10_000,
             cache_age_seconds: 60,
+            store_seconds: 20,
         }
     }
 }
@@ -81,6 +88,18 @@ const LEAST_MEMORY_BYTES: u64 = 256 << 20;
 /// The memory of the largest request in units of `max_message_bytes`: the message as it
 /// arrives, twice that decoded, and twice that for the answer, as a message and encoded.
 const REQUEST_MESSAGES: u64 = 1 + 2 + 2;
+/// The largest `store_seconds`: for longer, callers would wait for a store that does not answer.
+const MOST_STORE_SECONDS: u64 = 3600;
+
+/// The bytes of a blob beside its points, rounded up (docs/identity.md).
+const BLOB_HEAD_BYTES: u64 = 64;
+
+impl Limits {
+    /// The bytes of the largest blob: a message has at least as many bytes as the points in it.
+    pub fn max_blob_bytes(&self) -> u64 {
+        self.max_message_bytes as u64 + BLOB_HEAD_BYTES
+    }
+}
 
 /// Bytes before a message on the wire: whether the message is compressed, and its length.
 const FRAME_HEAD_BYTES: u64 = 5;
@@ -111,6 +130,7 @@ impl Limits {
             count("max_connections", self.max_connections),
             count("max_streams_per_connection", self.max_streams_per_connection),
             count("max_page_size", self.max_page_size),
+            ("store_seconds", self.store_seconds.into(), 1, MOST_STORE_SECONDS),
         ];
         for (name, value, least, most) in ranges {
             if !(least..=most).contains(&value) {

@@ -14,6 +14,8 @@ use tokio::{
 };
 use tokio_rustls::{TlsAcceptor, rustls::ServerConfig, server::TlsStream};
 
+use super::peers::Address;
+
 /// A bound address.
 #[derive(Debug)]
 pub enum Listener {
@@ -51,15 +53,20 @@ impl Listener {
         }
     }
 
-    pub(super) async fn accept(&self) -> io::Result<Connection> {
+    /// The next connection, and who is at its other end.
+    pub(super) async fn accept(&self) -> io::Result<(Connection, Address)> {
         match self {
             Self::Tcp(listener) => {
-                let (stream, _) = listener.accept().await?;
-                // Nagle's algorithm costs 40 ms and more a call.
+                let (stream, peer) = listener.accept().await?;
+                // Nagle's algorithm costs 40 ms and more per call.
                 stream.set_nodelay(true)?;
-                Ok(Connection::Tcp(stream))
+                Ok((Connection::Tcp(stream), Address::Ip(peer.ip())))
             }
-            Self::Unix(listener, _) => Ok(Connection::Unix(listener.accept().await?.0)),
+            Self::Unix(listener, _) => {
+                let (stream, _) = listener.accept().await?;
+                let user = stream.peer_cred()?.uid();
+                Ok((Connection::Unix(stream), Address::User(user)))
+            }
         }
     }
 }

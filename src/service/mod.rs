@@ -2,18 +2,19 @@
 //!
 //! [`wire`] checks requests and writes responses, [`contacts`] with [`find`] and
 //! [`steps`], [`hulls`] and [`info`] are the handlers, [`batch`] computes. [`server`] runs it all on
-//! [`listener`]s, each [`connection`] behind an [`edge`], which holds for every call and
+//! [`listener`]s, each [`connection`] behind the [`middleware`], which holds for every call and
 //! asks [`security`] who may make it.
 
 mod admin;
 mod admission;
+mod answer_body;
 pub mod batch;
 mod call;
 mod connection;
 mod contacts;
 mod context;
+mod cutoff;
 mod decode;
-mod edge;
 mod error;
 mod find;
 mod hulls;
@@ -21,12 +22,15 @@ mod info;
 mod injected;
 mod limits;
 mod listener;
+mod middleware;
 mod offload;
 mod outputs;
+mod peers;
 #[cfg(feature = "playground")]
 mod playground;
 mod readiness;
 mod records;
+mod request_body;
 mod security;
 mod server;
 mod steps;
@@ -52,7 +56,7 @@ pub use server::handlers;
 pub use server::{Serving, run};
 
 use crate::{
-    budget::{MemoryBudget, Part},
+    budget::{Caller, Callers, MemoryBudget, Part},
     compute::Compute,
     metrics::Metrics,
     store::{BlobStore, Registry, registry::Bounds},
@@ -68,6 +72,7 @@ pub struct App {
     registry: Registry,
     engine: Engine,
     memory: Arc<MemoryBudget>,
+    callers: Arc<Callers>,
     metrics: Arc<Metrics>,
     readiness: Mutex<Readiness>,
 }
@@ -87,6 +92,9 @@ impl App {
             store_bytes: limits.store_bytes,
             cache_age: Duration::from_secs(limits.cache_age_seconds.into()),
             max_vertices: limits.max_vertices_per_hull as usize,
+            max_blob_bytes: limits.max_blob_bytes(),
+            store_limit: Duration::from_secs(limits.store_seconds.into()),
+            shares: limits.shares,
         };
         let metrics = Arc::new(Metrics::default());
         let (pairs, bytes) = (limits.max_pairs_in_flight, limits.max_message_bytes);
@@ -96,9 +104,10 @@ impl App {
             (Part::Arriving, limits.max_request_bytes_in_flight),
             (Part::StreamState, limits.max_stream_state_bytes),
         ];
-        let memory = MemoryBudget::new(limits.max_memory_bytes, true, &caps);
+        let memory = MemoryBudget::new(limits.max_memory_bytes, limits.shares, &caps);
         let readiness = Mutex::new(Readiness::Starting);
-        Ok(Self { limits, registry, engine, memory, metrics, readiness })
+        let callers = Arc::default();
+        Ok(Self { limits, registry, engine, memory, callers, metrics, readiness })
     }
 
     /// What the server accepts.
@@ -126,11 +135,23 @@ impl App {
         &self.metrics
     }
 
+    /// Who calls.
+    pub fn callers(&self) -> &Arc<Callers> {
+        &self.callers
+    }
+
     /// The same as OpenMetrics text, gauges as they are now.
     pub fn metrics_text(&self) -> String {
         let metrics = &self.metrics;
         metrics.cache_bytes.set(i64::try_from(self.registry.cached_bytes()).unwrap_or(i64::MAX));
         metrics.cache_hulls.set(i64::try_from(self.registry.cached_hulls()).unwrap_or(i64::MAX));
+        for &part in Part::ALL {
+            metrics.set_memory(part.name(), self.memory.used_by(part));
+        }
+        let held = |caller: Caller| (caller.key().to_string(), self.memory.held(&caller));
+        metrics.set_token_memory(self.callers.named().into_iter().map(held));
+        metrics.callers.set(self.callers.count() as i64);
+        metrics.request_bytes_in_flight.set(self.memory.used_by(Part::Arriving) as i64);
         metrics.ready.set(self.readiness().welcomes().into());
         metrics.text()
     }

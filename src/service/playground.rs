@@ -1,7 +1,7 @@
 //! The playground: a page that shows contacts, and gRPC-web, which pages call, on the port
 //! of the calls.
 //!
-//! Calls go through the same [`Edge`] as any other; only how they are written on the wire
+//! Calls go through the same [`Middleware`] as any other; only how they are written on the wire
 //! differs. Browsers speak HTTP/2 where there is TLS and HTTP/1.1 where there is none.
 
 use std::{
@@ -20,7 +20,7 @@ use tonic::body::Body;
 use tonic_web::{GrpcWebLayer, GrpcWebService};
 use tower::{Layer, Service};
 
-use super::{connection::HEADER_BYTES, edge::Edge, listener::Connection};
+use super::{connection::HEADER_BYTES, listener::Connection, middleware::Middleware};
 
 /// What the page is made of; `make playground` builds it.
 const FILES: [(&str, &str, &str); 4] = [
@@ -65,18 +65,18 @@ pub(super) fn http1(patience: Duration) -> http1::Builder {
 /// The page, gRPC-web and, over HTTP/2, gRPC.
 #[derive(Clone, Debug)]
 pub(super) struct Page {
-    calls: GrpcWebService<Edge>,
+    calls: GrpcWebService<Middleware>,
     /// No certificate says whose the server is.
     is_plain: bool,
 }
 
 impl Page {
-    pub(super) fn over_http1(edge: Edge) -> Self {
-        Self { calls: GrpcWebLayer::new().layer(edge), is_plain: true }
+    pub(super) fn over_http1(calls: Middleware) -> Self {
+        Self { calls: GrpcWebLayer::new().layer(calls), is_plain: true }
     }
 
-    pub(super) fn over_http2(edge: Edge) -> Self {
-        Self { calls: GrpcWebLayer::new().layer(edge), is_plain: false }
+    pub(super) fn over_http2(calls: Middleware) -> Self {
+        Self { calls: GrpcWebLayer::new().layer(calls), is_plain: false }
     }
 }
 

@@ -14,7 +14,7 @@ use super::{
 use crate::{
     budget::{Part, Permit},
     proto::HullRecord,
-    store::{AT_A_TIME, HullId, Missing},
+    store::{AT_A_TIME, HullId, Missing, Reader},
 };
 
 /// Bytes of memory of a record beside its columns: the message, and the summary of the hull.
@@ -51,23 +51,20 @@ impl Distinct {
 ///
 /// # Errors
 /// STORE_UNAVAILABLE.
-pub(super) async fn present(app: &App, ids: &[HullId]) -> Result<Vec<bool>, ServiceError> {
+pub(super) async fn present(
+    app: &App,
+    context: &CallContext,
+    ids: &[HullId],
+) -> Result<Vec<bool>, ServiceError> {
+    let reader = &app.registry().reader(&context.job);
     let distinct = Distinct::of(ids);
-    let looked_up = stream::iter(distinct.ids).map(|(id, _)| is_present(app, id)).buffered(AT_A_TIME);
+    let looked_up = stream::iter(distinct.ids).map(|(id, _)| is_present(reader, id)).buffered(AT_A_TIME);
     let present: Vec<bool> = looked_up.try_collect().await?;
     Ok(distinct.places.into_iter().map(|place| present[place]).collect())
 }
 
-/// Not merely stored: a blob that is not the hull any more cannot be answered for.
-async fn is_present(app: &App, id: HullId) -> Result<bool, ServiceError> {
-    if app.registry().is_cached(id) {
-        return Ok(true);
-    }
-    match app.registry().definition(id).await {
-        Ok(_) => Ok(true),
-        Err(Missing::Unknown) => Ok(false),
-        Err(Missing::Unavailable) => Err(unreadable()),
-    }
+async fn is_present(reader: &Reader<'_>, id: HullId) -> Result<bool, ServiceError> {
+    reader.has(id).await.map_err(|_| unreadable())
 }
 
 /// A record for each id, and the memory that all of them take.
@@ -82,7 +79,7 @@ pub(super) async fn records(
 ) -> Result<(Vec<HullRecord>, Permit), ServiceError> {
     let Distinct { ids, places } = Distinct::of(ids);
     let taken = Mutex::new(Taken { bytes: 0, memory: context.take(app, Part::Answers, 0)? });
-    let reading = Reading { app, context, parts, taken };
+    let reading = Reading { app, context, reader: app.registry().reader(&context.job), parts, taken };
     let read = |(id, times)| reading.record(id, times);
     let records: Vec<_> = stream::iter(ids).map(read).buffered(AT_A_TIME).try_collect().await?;
     let Taken { bytes, memory } = reading.taken.into_inner().unwrap_or_else(PoisonError::into_inner);
@@ -94,6 +91,7 @@ pub(super) async fn records(
 struct Reading<'a> {
     app: &'a App,
     context: &'a CallContext,
+    reader: Reader<'a>,
     parts: wire::Parts,
     taken: Mutex<Taken>,
 }
@@ -119,8 +117,8 @@ impl Reading<'_> {
     }
 
     async fn found(&self, id: HullId, times: usize) -> Result<Result<HullRecord, Missing>, ServiceError> {
-        let (registry, parts) = (self.app.registry(), self.parts);
-        let hull = match registry.get(id).await {
+        let parts = self.parts;
+        let hull = match self.reader.get(id).await {
             Ok(hull) => hull,
             Err(missing) => return Ok(Err(missing)),
         };
@@ -132,7 +130,7 @@ impl Reading<'_> {
         }
         let working = self.context.take(self.app, Part::Answers, working)?;
         let definition = match parts.vertices {
-            true => match registry.definition(id).await {
+            true => match self.reader.definition(id).await {
                 Ok(definition) => Some(definition),
                 Err(missing) => return Ok(Err(missing)),
             },
@@ -169,6 +167,7 @@ mod tests {
     use super::*;
     use crate::{
         budget::{Caller, MemoryBudget},
+        compute::Job,
         proto::GetHullsResponse,
         service::Limits,
         store::{HullDefinition, blobs},
@@ -196,7 +195,8 @@ mod tests {
             [radius * turn.cos(), radius * turn.sin(), z]
         };
         let definition = HullDefinition { points: (0..400).map(point).collect(), ..Default::default() };
-        let registered = app.registry().register(vec![definition]).await.remove(0);
+        let registered =
+            app.registry().register(vec![definition], &Job::new(Caller::alone())).await.remove(0);
         (app, registered.unwrap().0)
     }
 

@@ -1,16 +1,16 @@
 //! Runs the services on listeners until told to stop.
 
-use std::{future::Future, sync::Arc, time::Duration};
+use std::{future::Future, net::IpAddr, sync::Arc, time::Duration};
 
-use tokio::{sync::watch, task::JoinSet};
+use tokio::{sync::watch, task::JoinSet, time::timeout};
 use tonic::service::Routes;
 use tonic_health::{ServingStatus, server::HealthReporter};
 
 use super::{
-    App, OpenError, Readiness, Security, connection::Connections, contacts, edge::Closing, hulls, info,
-    listener::Listener,
+    App, OpenError, Readiness, Security, connection::Connections, contacts, hulls, info, listener::Listener,
+    middleware::Closing,
 };
-use crate::proto;
+use crate::{log_limit::Repeated, proto, store::StoreError};
 
 /// After a failed accept (too many open files), so that the loop does not spin.
 pub(super) const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
@@ -31,6 +31,12 @@ pub struct Serving {
     pub probe_every: Duration,
     /// By then a peer has spoken TLS, and again by then HTTP/2's preface: some round trips.
     pub greeting: Duration,
+    /// The time that a request's message has to arrive, beside a second for each MiB of it.
+    pub message_time: Duration,
+    /// The time that a caller has to take an answer, beside a second for each MiB of it.
+    pub answer_time: Duration,
+    /// Addresses of proxies: each of their connections counts as a caller of its own.
+    pub trusted_proxies: Vec<IpAddr>,
     /// Whether a page that shows contacts is served too, and gRPC-web with it; only with the
     /// feature `playground`.
     #[cfg(feature = "playground")]
@@ -46,6 +52,9 @@ impl Default for Serving {
             max_connection_age: Duration::ZERO,
             probe_every: Duration::from_secs(10),
             greeting: Duration::from_secs(10),
+            message_time: Duration::from_secs(30),
+            answer_time: Duration::from_secs(30),
+            trusted_proxies: Vec::new(),
             #[cfg(feature = "playground")]
             playground: false,
         }
@@ -107,7 +116,7 @@ const SERVICES: [&str; 4] = ["", HULL_SERVICE, "hullcast.v1.ContactService", "hu
 
 const HULL_SERVICE: &str = "hullcast.v1.HullService";
 
-/// The handlers without listener and edge: for fuzzing them with bytes.
+/// The handlers without listener and middleware: for fuzzing them with bytes.
 ///
 /// # Errors
 /// As [`run`].
@@ -139,6 +148,8 @@ async fn routes(app: &Arc<App>) -> Result<(HealthReporter, Routes), OpenError> {
     Ok((reporter, routes))
 }
 
+static ACCEPT_FAILED: Repeated = Repeated::new();
+
 /// Accepts until told to stop, then waits for its connections, which end by themselves.
 async fn accept(listener: Listener, connections: Arc<Connections>, mut closing: Closing) {
     let mut open = JoinSet::new();
@@ -148,14 +159,16 @@ async fn accept(listener: Listener, connections: Arc<Connections>, mut closing: 
             () = closing.heard() => break,
             Some(_) = open.join_next() => {}
             accepted = listener.accept() => match accepted {
-                Ok(io) => {
+                Ok((io, address)) => {
                     // Without a place the peer finds its connection closed.
-                    if let Some(place) = connections.admit() {
-                        open.spawn(connections.clone().serve(io, theirs.clone(), place));
+                    if let Some(peer) = connections.admit(address) {
+                        open.spawn(connections.clone().serve(io, theirs.clone(), peer));
                     }
                 }
                 Err(error) => {
-                    tracing::warn!(%error, "accept failed");
+                    if let Some(left_out) = ACCEPT_FAILED.due() {
+                        tracing::warn!(%error, left_out, "accept failed");
+                    }
                     tokio::time::sleep(ACCEPT_PAUSE).await;
                 }
             },
@@ -165,12 +178,21 @@ async fn accept(listener: Listener, connections: Arc<Connections>, mut closing: 
     while open.join_next().await.is_some() {}
 }
 
-/// Tries the store, for ever: registering is not served while it cannot be written to.
+/// A store that answers takes milliseconds; a machine that is busy may take longer.
+const SHORTEST_PROBE: Duration = Duration::from_secs(1);
+
+/// Tries the store, for ever: registering is not served while it cannot be written to. A probe
+/// that is not answered within an interval fails, so that a store that hangs is noticed within
+/// two.
 async fn probe(app: Arc<App>, reporter: HealthReporter, every: Duration) {
+    let within = every.max(SHORTEST_PROBE);
     let mut well = true;
     loop {
         tokio::time::sleep(every).await;
-        let probed = app.registry().probe().await;
+        let probed = timeout(within, app.registry().probe()).await.unwrap_or_else(|_| {
+            let why = format!("a probe was not answered within {} s", within.as_secs_f64());
+            Err(StoreError::Hung(why))
+        });
         if probed.is_ok() == well {
             continue;
         }

@@ -10,7 +10,7 @@ use super::{
     contacts::answer,
     context::CallContext,
     decode::decoded,
-    edge::Closing,
+    middleware::Closing,
     offload::FreedOnCompute,
     wire::{self, Scene, Setting},
 };

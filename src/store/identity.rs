@@ -11,8 +11,10 @@ use crate::contact::{ConvexHull, HullError, HullOptions, Simplification};
 
 /// First in the byte string.
 const MAGIC: &[u8; 8] = b"hullcast";
-/// Of the byte string.
+/// The version of byte strings without a planarity.
 const FORMAT: u32 = 1;
+/// The version of byte strings with a planarity.
+const FORMAT_WITH_PLANARITY: u32 = 2;
 const ABSENT: u8 = 0;
 const PRESENT: u8 = 1;
 
@@ -63,14 +65,17 @@ pub struct HullDefinition {
     pub contraction_point: Option<[f64; 3]>,
     /// Absent: the hull as it is.
     pub simplification: Option<Simplification>,
+    /// See [`HullOptions::planarity`].
+    pub planarity: Option<f64>,
 }
 
 impl HullDefinition {
     /// The bytes that are hashed and stored. -0.0 is written as 0.0.
     pub fn identity_bytes(&self) -> Vec<u8> {
-        let mut bytes = Vec::with_capacity(43 + 24 * self.points.len());
+        let mut bytes = Vec::with_capacity(72 + 24 * self.points.len());
         bytes.extend_from_slice(MAGIC);
-        bytes.extend_from_slice(&FORMAT.to_le_bytes());
+        let format = if self.planarity.is_some() { FORMAT_WITH_PLANARITY } else { FORMAT };
+        bytes.extend_from_slice(&format.to_le_bytes());
         match self.contraction_point {
             None => bytes.push(ABSENT),
             Some(point) => {
@@ -86,6 +91,9 @@ impl HullDefinition {
                 write_optional(&mut bytes, max_deviation.map(|deviation| (deviation + 0.0).to_le_bytes()));
             }
         }
+        if let Some(planarity) = self.planarity {
+            bytes.extend_from_slice(&(planarity + 0.0).to_le_bytes());
+        }
         bytes.extend_from_slice(&(self.points.len() as u32).to_le_bytes());
         for &point in &self.points {
             write_point(&mut bytes, point);
@@ -93,12 +101,17 @@ impl HullDefinition {
         bytes
     }
 
-    /// Reads identity bytes back; none when they are not ones of this version.
+    /// Reads identity bytes back; none when they are not ones of a version known here.
     pub fn from_identity_bytes(bytes: &[u8]) -> Option<Self> {
         let mut rest = Bytes(bytes);
-        if rest.take::<8>()? != *MAGIC || u32::from_le_bytes(rest.take()?) != FORMAT {
+        if rest.take::<8>()? != *MAGIC {
             return None;
         }
+        let has_planarity = match u32::from_le_bytes(rest.take()?) {
+            FORMAT => false,
+            FORMAT_WITH_PLANARITY => true,
+            _ => return None,
+        };
         let contraction_point = match rest.take()? {
             [ABSENT] => None,
             [PRESENT] => Some(rest.point()?),
@@ -112,12 +125,13 @@ impl HullDefinition {
             }),
             _ => return None,
         };
+        let planarity = if has_planarity { Some(f64::from_le_bytes(rest.take()?)) } else { None };
         let count = u32::from_le_bytes(rest.take()?) as usize;
         if rest.0.len() != count.checked_mul(24)? {
             return None;
         }
         let points = (0..count).map(|_| rest.point()).collect::<Option<_>>()?;
-        Some(Self { points, contraction_point, simplification })
+        Some(Self { points, contraction_point, simplification, planarity })
     }
 
     /// The hull.
@@ -125,8 +139,8 @@ impl HullDefinition {
     /// # Errors
     /// Why these points are not one.
     pub fn build(&self, max_vertices: usize) -> Result<ConvexHull, HullError> {
-        let Self { contraction_point, simplification, .. } = *self;
-        let options = HullOptions { contraction_point, max_vertices, simplification };
+        let Self { contraction_point, simplification, planarity, .. } = *self;
+        let options = HullOptions { contraction_point, max_vertices, simplification, planarity };
         ConvexHull::with_options(&self.points, &options)
     }
 }
@@ -205,7 +219,9 @@ mod tests {
         let with_point = HullDefinition { contraction_point: Some([0.1, 0.2, 0.3]), ..tetrahedron() };
         let both = HullDefinition { contraction_point: Some([0.1; 3]), ..simplified(Some(9), Some(0.5)) };
         let one = [simplified(Some(9), None), simplified(None, Some(0.5)), simplified(None, None)];
-        for definition in [plain, with_point, both].into_iter().chain(one) {
+        let flat = HullDefinition { planarity: Some(0.0), ..tetrahedron() };
+        let every = HullDefinition { planarity: Some(1e-3), ..both.clone() };
+        for definition in [plain, with_point, both, flat, every].into_iter().chain(one) {
             let bytes = definition.identity_bytes();
             assert_eq!(HullDefinition::from_identity_bytes(&bytes), Some(definition));
         }
@@ -214,7 +230,8 @@ mod tests {
     /// Catches a truncated or padded blob that is taken for a smaller hull.
     #[test]
     fn every_truncation_and_padding_is_refused() {
-        for definition in [tetrahedron(), simplified(Some(9), Some(0.5))] {
+        let flat = HullDefinition { planarity: Some(1e-3), ..tetrahedron() };
+        for definition in [tetrahedron(), simplified(Some(9), Some(0.5)), flat] {
             let bytes = definition.identity_bytes();
             for length in 0..bytes.len() {
                 assert_eq!(HullDefinition::from_identity_bytes(&bytes[..length]), None, "{length}");
@@ -235,6 +252,13 @@ mod tests {
         let zeros = [0.0, -0.0].map(|zero| id_of(&simplified(None, Some(zero)).identity_bytes()));
         assert_eq!(zeros[0], zeros[1]);
         assert_ne!(zeros[0], plain);
+        let planarities = [0.0, -0.0, 1e-6].map(|planarity| {
+            id_of(&HullDefinition { planarity: Some(planarity), ..tetrahedron() }.identity_bytes())
+        });
+        assert_eq!(planarities[0], planarities[1]);
+        assert_ne!(planarities[0], plain);
+        // What an absent planarity means, but another registration.
+        assert_ne!(planarities[2], plain);
     }
 
     /// Catches a key of the store that does not name its hull.

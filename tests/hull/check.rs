@@ -109,7 +109,7 @@ fn check_sizes(points: &[[f64; 3]], surface: &Triangulation, hull: &ConvexHull) 
 /// No vertex above a face's plane, its own near it.
 fn check_faces(hull: &ConvexHull, met: &mut Met) {
     let inner = (hull.unit_inradius() / 64.0).max(64.0 * U);
-    let tolerance = (1e-6 * hull.unit_circumradius()).min(inner) + 16.0 * U;
+    let tolerance = (hull.planarity() * hull.unit_circumradius()).min(inner).max(64.0 * U) + 16.0 * U;
     for face in 0..hull.face_count() {
         let (normal, offset) = (hull.faces()[face].normal, hull.faces()[face].offset);
         let planarity = hull.faces()[face].planarity;
@@ -124,6 +124,8 @@ fn check_faces(hull: &ConvexHull, met: &mut Met) {
         for &face in hull.vertex_faces(v) {
             let (normal, offset) = (hull.faces()[face as usize].normal, hull.faces()[face as usize].offset);
             assert!(normal.dot(*point) >= offset - hull.faces()[face as usize].planarity);
+            let out = beyond_outline(hull, face as usize, *point);
+            assert!(out <= 4.0 * tolerance, "vertex {v} is {out:e} beyond the outline of face {face}");
         }
     }
 }
@@ -147,6 +149,23 @@ fn check_outlines(hull: &ConvexHull) {
         }
         check_area(hull, face);
     }
+}
+
+/// How far a point is beyond the outline of a face, seen along its normal.
+fn beyond_outline(hull: &ConvexHull, face: usize, point: DVec3) -> f64 {
+    let (outline, normal) = (hull.outline(face), hull.faces()[face].normal);
+    let sides = (0..outline.len()).map(|i| {
+        let [from, to] =
+            [i, (i + 1) % outline.len()].map(|k| hull.vertices()[outline[k] as usize].reject_from(normal));
+        (point.reject_from(normal) - from, to - from)
+    });
+    if sides.clone().all(|(at, along)| along.cross(normal).dot(at) <= 0.0) {
+        return 0.0;
+    }
+    let distance = |(at, along): (DVec3, DVec3)| {
+        (at - along * (at.dot(along) / along.length_squared()).clamp(0.0, 1.0)).length()
+    };
+    sides.map(distance).fold(f64::INFINITY, f64::min)
 }
 
 /// That of the outline as seen along the normal, but for how far its corners are

@@ -3,6 +3,7 @@
 mod check;
 mod clouds;
 mod faces;
+mod planarity;
 mod simplify;
 mod sizes;
 

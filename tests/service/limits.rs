@@ -24,6 +24,7 @@ fn small() -> Limits {
         max_vertices_per_hull: 60,
         max_points_per_hull: 62,
         max_memory_bytes: 256 << 20,
+        shares: true,
         max_pairs_in_flight: 1000,
         max_request_bytes_in_flight: 200_000,
         max_deadline_seconds: 77,
@@ -34,6 +35,7 @@ fn small() -> Limits {
         max_streams_per_connection: 7,
         max_page_size: 2,
         cache_age_seconds: 9,
+        store_seconds: 7,
     }
 }
 
@@ -259,7 +261,7 @@ async fn a_store_at_its_limit_and_one_byte_past() {
 #[test]
 fn contradicting_limits_do_not_start() {
     type Spoil = fn(&mut Limits);
-    let spoils: [Spoil; 17] = [
+    let spoils: [Spoil; 19] = [
         |l| l.max_pairs_per_request = 0,
         |l| l.max_bodies_per_request = 0,
         |l| l.max_hulls_per_request = 0,
@@ -269,6 +271,8 @@ fn contradicting_limits_do_not_start() {
         |l| l.max_message_bytes = 1023,
         |l| l.max_connections = 0,
         |l| l.cache_bytes = 0,
+        |l| l.store_seconds = 0,
+        |l| l.store_seconds = 3601,
         |l| l.max_deadline_seconds = 0,
         |l| l.max_request_bytes_in_flight = l.max_message_bytes as u64 + 4,
         |l| l.max_pairs_in_flight = l.max_pairs_per_request - 1,
@@ -278,6 +282,9 @@ fn contradicting_limits_do_not_start() {
         |l| l.max_memory_bytes = u64::MAX,
         |l| l.max_message_bytes = (2 << 30) + 1,
     ];
+    for store_seconds in [1, 3600] {
+        assert_eq!(Limits { store_seconds, ..Limits::default() }.contradiction(), None);
+    }
     for spoil in spoils {
         let mut limits = Limits::default();
         assert_eq!(limits.contradiction(), None);

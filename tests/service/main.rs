@@ -12,6 +12,7 @@ mod hulls;
 mod lifecycle;
 mod limits;
 mod memory;
+mod messages;
 mod overload;
 #[cfg(feature = "playground")]
 mod playground;
@@ -19,4 +20,7 @@ mod security;
 mod sight;
 mod steps;
 mod stopping;
+mod store_hung;
+mod store_tampered;
 mod support;
+mod unread;

@@ -208,7 +208,7 @@ async fn hulls() -> Result<(String, String), Failure> {
             HullServiceClient::new(channel.clone()).register_hulls(request).await?;
             ids.extend(clouds.into_iter().map(|points| {
                 let definition =
-                    store::HullDefinition { points, contraction_point: None, simplification: None };
+                    store::HullDefinition { points, ..store::HullDefinition::default() };
                 id_of(&definition.identity_bytes()).0.to_vec()
             }));
         }

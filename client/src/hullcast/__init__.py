@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ._errors import (
         DeadlineExceeded,
         Error,
+        FileNotFound,
         HullRejected,
         InvalidArgument,
         NotConvexWarning,
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
         Unimplemented,
     )
     from ._export import Padded
-    from ._hulls import Hull, hull_id
+    from ._hulls import DEFAULT_PLANARITY, Hull, hull_id
     from ._manifolds import Manifold, Manifolds
     from ._query import Accuracy
     from ._robot import Robot
@@ -46,11 +47,13 @@ if TYPE_CHECKING:
     from ._wire import FeatureKind, Flag, Outcome
 
 __all__ = [
+    "DEFAULT_PLANARITY",
     "Accuracy",
     "Client",
     "DeadlineExceeded",
     "Error",
     "FeatureKind",
+    "FileNotFound",
     "Flag",
     "Hull",
     "HullRejected",
@@ -89,6 +92,7 @@ _HOMES = {
     "_errors": [
         "DeadlineExceeded",
         "Error",
+        "FileNotFound",
         "HullRejected",
         "InvalidArgument",
         "NotConvexWarning",
@@ -102,7 +106,7 @@ _HOMES = {
         "Unimplemented",
     ],
     "_export": ["Padded"],
-    "_hulls": ["Hull", "hull_id"],
+    "_hulls": ["DEFAULT_PLANARITY", "Hull", "hull_id"],
     "_manifolds": ["Manifold", "Manifolds"],
     "_query": ["Accuracy"],
     "_robot": ["Robot"],

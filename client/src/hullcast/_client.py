@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import grpc
 
 from . import _calls, _channel, _errors, _session, _status
-from ._hulls import Hull
+from ._hulls import Hull, Planarity
 from ._manifolds import Manifolds
 from ._query import Accuracy, Query
 from ._register import Registration
@@ -41,16 +41,17 @@ class Client(_calls.Calls):
         contraction_points: Any = None,
         max_vertices: int | None = None,
         max_deviation: float | None = None,
+        planarity: Planarity = "default",
         timeout: float | None = None,
     ) -> list[Hull]:
         """Registers convex hulls, each given by points; those already known cost little.
 
-        A mesh that is not convex or not closed is registered as its convex hull
+        A mesh that is not convex, or has holes, is registered as its convex hull
         with a `NotConvexWarning`.
 
         Args:
             hulls: per hull an array (n, 3), an object with such `.vertices`, as
-                trimesh's, a `Hull`, or the path of a mesh file (extra `mesh`).
+                trimesh's, a `Hull`, or the path of an OBJ, STL, DAE or PLY file.
                 Points inside are dropped, none is moved.
             contraction_points: per hull (3,), strictly inside, or None: the
                 centre of mass.
@@ -58,13 +59,24 @@ class Client(_calls.Calls):
                 that no point is farther than this from what is left: a subset of the
                 vertices, about the same contraction point. `Hull.deviation` is the
                 certified bound of what it cost.
+            planarity: how far the vertices of one face may lie from one plane, a share of
+                the circumradius from 0 to 0.01, so that coordinates that were rounded in
+                a file leave faces whole. No vertex moves, and `alpha` does not depend on
+                it; a contact point inside a face may be off its hull by at most this.
+                "default" means `DEFAULT_PLANARITY`, and for a `Hull` its own; None sends
+                none: the server takes 1e-6.
             timeout: seconds for the whole call; the client's by default.
 
         Raises:
             HullRejected: some are no hulls; the others are registered, see its `results`.
+            InvalidArgument: for a file: UNSUPPORTED_MESH, another format or a feature that
+                is not read; MALFORMED_MESH; NO_TRIANGLES; UNREADABLE_FILE.
+            FileNotFound: there is no such file.
         """
 
-        make = partial(Registration.of, hulls, contraction_points, max_vertices, max_deviation)
+        make = partial(
+            Registration.of, hulls, contraction_points, max_vertices, max_deviation, planarity
+        )
         return self._run(self._registering(make, timeout))
 
     def query(

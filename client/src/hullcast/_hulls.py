@@ -5,10 +5,19 @@ from __future__ import annotations
 import hashlib
 import struct
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from . import _arrays
 from ._arrays import Floats
+from ._errors import InvalidArgument
+
+
+#: What `register` sends as `planarity` unless told otherwise, a share of the circumradius. Measured
+#: on shapes whose coordinates are rounded as mesh files round them: docs/tradeoff.md.
+DEFAULT_PLANARITY = 1e-3
+
+#: A share of the circumradius; None: none is sent, and the server takes 1e-6.
+Planarity = float | Literal["default"] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,6 +30,7 @@ class Content:
     center: Floats | None = None
     max_vertices: int | None = None
     max_deviation: float | None = None
+    planarity: float | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,6 +64,9 @@ class Hull:
     #: Certified upper bound of the Hausdorff distance to the hull of all points; 0 unless
     #: simplified.
     deviation: float = field(compare=False, repr=False)
+    #: How far the vertices of one face were allowed to lie from one plane, as a share of the
+    #: circumradius. `geometric_error` has how far they do lie.
+    planarity: float = field(compare=False, repr=False)
     #: What it was registered by.
     content: Content = field(compare=False, repr=False)
 
@@ -75,6 +88,7 @@ def hull_id(
     *,
     max_vertices: int | None = None,
     max_deviation: float | None = None,
+    planarity: Planarity = "default",
 ) -> bytes:
     """The 32 bytes by which every server knows the hull of these points.
 
@@ -85,10 +99,12 @@ def hull_id(
             object with such `.vertices`, as trimesh's.
         contraction_point: (3,), or None for the centre of mass.
         max_vertices, max_deviation: the simplification asked for, if any.
+        planarity: as in `Client.register`.
     """
     # Adding 0.0 turns -0.0 into 0.0 and changes nothing else.
     points = points_of(vertices) + 0.0
-    parts = [b"hullcast", struct.pack("<I", 1)]
+    share = planarity_of(planarity)
+    parts = [b"hullcast", struct.pack("<I", 1 if share is None else 2)]
     if contraction_point is None:
         parts.append(b"\0")
     else:
@@ -101,8 +117,26 @@ def hull_id(
         parts.append(b"\0" if max_vertices is None else b"\1" + struct.pack("<I", max_vertices))
         deviation = None if max_deviation is None else struct.pack("<d", max_deviation + 0.0)
         parts.append(b"\0" if deviation is None else b"\1" + deviation)
+    if share is not None:
+        parts.append(struct.pack("<d", share + 0.0))
     parts += [struct.pack("<I", len(points)), points.tobytes()]
     return hashlib.sha256(b"".join(parts)).digest()
+
+
+def planarity_of(planarity: Planarity, default: float | None = DEFAULT_PLANARITY) -> float | None:
+    """The planarity to send. The server judges its range, as for every hull that it is sent."""
+    if planarity is None:
+        return None
+    if planarity == "default":
+        return default
+    try:
+        return float(planarity)
+    except (TypeError, ValueError):
+        raise InvalidArgument(
+            f'is {planarity!r}, expected a number from 0 to 0.01, None or "default"',
+            reason="NOT_A_NUMBER",
+            field="planarity",
+        ) from None
 
 
 def points_of(hull: Any, name: str = "vertices") -> Floats:

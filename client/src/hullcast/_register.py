@@ -8,9 +8,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from . import _arrays, _mesh, _packed
+from . import _arrays, _convexity, _mesh, _packed
 from ._errors import HullRejected, InvalidArgument
-from ._hulls import Content, Hull, points_of
+from ._hulls import Content, Hull, Planarity, planarity_of, points_of
 from ._pb import hulls_pb2
 
 #: Of vertices in one message: far below the server's message limit, large
@@ -23,10 +23,16 @@ class Registration:
     """One `register` call: the messages to send and the answer they make."""
 
     def __init__(
-        self, contents: Sequence[Content], volumes: Sequence[_mesh.Volume | None] = ()
+        self,
+        contents: Sequence[Content],
+        dents: Sequence[_convexity.Dents | None] = (),
+        labels: Sequence[str] = (),
     ) -> None:
         self._contents = contents
-        self._volumes = volumes
+        #: Per hull how its mesh differs from it, or None.
+        self._dents = dents
+        #: Per hull what warnings call it, or "".
+        self._labels = labels
 
     @classmethod
     def of(
@@ -35,6 +41,7 @@ class Registration:
         contraction_points: Any = None,
         max_vertices: int | None = None,
         max_deviation: float | None = None,
+        planarity: Planarity = "default",
     ) -> Registration:
         """The call of `Client.register`'s arguments."""
         if hasattr(hulls, "vertices") or (isinstance(hulls, np.ndarray) and hulls.ndim == 2):
@@ -58,17 +65,21 @@ class Registration:
         for i, (shape, center) in enumerate(zip(shapes, contraction_points, strict=True)):
             if center is not None:
                 center = _arrays.floats(f"contraction_points[{i}]", center, 3)
-            if isinstance(shape, Hull) and center is None and max_vertices is max_deviation is None:
-                contents.append(shape.content)
-                continue
+            share = planarity_of(planarity)
+            if isinstance(shape, Hull):
+                share = planarity_of(planarity, shape.content.planarity)
+                as_it_is = center is None and max_vertices is max_deviation is None
+                if as_it_is and share == shape.content.planarity:
+                    contents.append(shape.content)
+                    continue
             # A copy of the caller's array, which may change later.
             points = _arrays.frozen(points_of(shape, f"hulls[{i}]"))
-            contents.append(Content(points, center, max_vertices, max_deviation))
-        volumes = [
-            _mesh.closed(f"hulls[{i}]", content.points, getattr(shape, "faces", None))
+            contents.append(Content(points, center, max_vertices, max_deviation, share))
+        dents = [
+            _mesh.dents(f"hulls[{i}]", content.points, getattr(shape, "faces", None))
             for i, (shape, content) in enumerate(zip(shapes, contents, strict=True))
         ]
-        return cls(contents, volumes)
+        return cls(contents, dents, [_label(shape, i) for i, shape in enumerate(shapes)])
 
     def requests(self) -> Iterator[bytes]:
         """The messages, in order, none of them large."""
@@ -85,6 +96,8 @@ class Registration:
                 hull.simplification.max_vertices = content.max_vertices
             if content.max_deviation is not None:
                 hull.simplification.max_deviation = content.max_deviation
+            if content.planarity is not None:
+                hull.planarity = content.planarity
             size += content.points.nbytes
         if request.hulls:
             yield request.SerializeToString()
@@ -102,10 +115,10 @@ class Registration:
                 if result.WhichOneof("result") == "hull":
                     results.append(_hull(result.hull, self._contents[place]))
                 else:
-                    results.append(_rejected(place, result.error))
-        for i, (volume, hull) in enumerate(zip(self._volumes, results, strict=False)):
-            if volume is not None and isinstance(hull, Hull):
-                _mesh.warn_unless_convex(f"hulls[{i}]", volume, hull.volume)
+                    results.append(_rejected(place, result.error, self._labels))
+        for i, (dents, hull) in enumerate(zip(self._dents, results, strict=False)):
+            if dents is not None and isinstance(hull, Hull):
+                _mesh.warn(f"hulls[{i}]", self._labels[i], dents)
         refused = [result for result in results if isinstance(result, HullRejected)]
         if not refused:
             return results
@@ -128,9 +141,16 @@ def shape_of(hull: Any) -> Any:
     return hull
 
 
-def _rejected(place: int, error: hulls_pb2.HullError) -> HullRejected:
+def _label(shape: Any, place: int) -> str:
+    """What messages call a shape: a robot's body by its link, a file's mesh by its name."""
+    label = shape.label if isinstance(shape, _mesh.Mesh) else ""
+    return label if label.startswith("link ") else f"hulls[{place}]" + (label and f" ({label})")
+
+
+def _rejected(place: int, error: hulls_pb2.HullError, labels: Sequence[str]) -> HullRejected:
+    label = labels[place] if place < len(labels) else ""
     return HullRejected(
-        error.message,
+        error.message if label in ("", f"hulls[{place}]") else f"{label}: {error.message}",
         reason=error.reason,
         field=error.field,
         index=place,
@@ -151,6 +171,7 @@ def _hull(info: hulls_pb2.HullInfo, content: Content) -> Hull:
         edge_count=info.edge_count,
         geometric_error=info.geometric_error,
         deviation=info.deviation,
+        planarity=info.planarity,
         center_of_mass=np.array(info.center_of_mass),
         inertia=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),
         content=content,

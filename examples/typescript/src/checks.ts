@@ -12,10 +12,11 @@ import { hullId, identityBytes } from "./identity.js";
 export function identities(root: string): number {
   const vectors = readIdentityVectors(root);
   for (const vector of vectors) {
-    const { vertices, contraction_point: contractionPoint } = vector;
+    const { vertices, contraction_point: contractionPoint, planarity } = vector;
     const { max_vertices: maxVertices, max_deviation: maxDeviation } = vector;
     const simplified = maxVertices !== undefined || maxDeviation !== undefined;
-    const hull = { vertices, contractionPoint, simplification: simplified ? { maxVertices, maxDeviation } : undefined };
+    const simplification = simplified ? { maxVertices, maxDeviation } : undefined;
+    const hull = { vertices, contractionPoint, simplification, planarity };
     assert.equal(hullId(hull).toString("hex"), vector.id, vector.name);
     assert.equal(identityBytes(hull).toString("hex"), vector.bytes ?? identityBytes(hull).toString("hex"));
   }

@@ -38,6 +38,7 @@ export interface IdentityVector {
   contraction_point?: number[];
   max_vertices?: number;
   max_deviation?: number;
+  planarity?: number;
   id: string;
   bytes?: string;
 }

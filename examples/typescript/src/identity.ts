@@ -6,14 +6,16 @@ export interface Hull {
   /** Absent: the centre of mass; else three numbers. */
   contractionPoint?: number[];
   simplification?: { maxVertices?: number; maxDeviation?: number };
+  /** Absent: the server's 1e-6. */
+  planarity?: number;
 }
 
 /** The byte string of docs/identity.md. */
 export function identityBytes(hull: Hull): Buffer {
-  const { vertices, contractionPoint: point, simplification } = hull;
-  const bytes = Buffer.alloc(32 + 8 * ((point?.length ?? 0) + vertices.length));
+  const { vertices, contractionPoint: point, simplification, planarity } = hull;
+  const bytes = Buffer.alloc(40 + 8 * ((point?.length ?? 0) + vertices.length));
   let at = bytes.write("hullcast", "ascii");
-  at = bytes.writeUInt32LE(1, at); // the format's version
+  at = bytes.writeUInt32LE(planarity === undefined ? 1 : 2, at); // the format's version
   // -0.0 is written as 0.0.
   const numbers = (values: number[]) => values.forEach((value) => (at = bytes.writeDoubleLE(value + 0, at)));
   at = bytes.writeUInt8(point ? 1 : 0, at);
@@ -26,6 +28,7 @@ export function identityBytes(hull: Hull): Buffer {
     at = bytes.writeUInt8(maxDeviation === undefined ? 0 : 1, at);
     if (maxDeviation !== undefined) numbers([maxDeviation]);
   }
+  if (planarity !== undefined) numbers([planarity]);
   at = bytes.writeUInt32LE(vertices.length / 3, at);
   numbers(vertices);
   return bytes.subarray(0, at);

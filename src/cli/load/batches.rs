@@ -67,7 +67,12 @@ impl Batches {
         let hulls: Vec<HullPoints> = all
             .hulls
             .into_iter()
-            .map(|vertices| HullPoints { name: String::new(), vertices, contraction_point: None })
+            .map(|vertices| HullPoints {
+                name: String::new(),
+                vertices,
+                contraction_point: None,
+                planarity: None,
+            })
             .collect();
         let name = format!("{} {}", family.name(), regime.name());
         let scenes = all.pairs.chunks(pairs as usize).map(|part| Scene {

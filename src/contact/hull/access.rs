@@ -73,6 +73,12 @@ impl ConvexHull {
         self.faces.iter().map(|face| face.planarity).fold(0.0, f64::max) * self.scale + self.deviation
     }
 
+    /// How far the vertices of one face were allowed to lie from one plane, as a share of the
+    /// circumradius. How far they do lie is in [`ConvexHull::geometric_error`].
+    pub fn planarity(&self) -> f64 {
+        self.planarity
+    }
+
     /// Certified upper bound of the Hausdorff distance to the hull of all points; 0 where
     /// none was left out.
     pub fn deviation(&self) -> f64 {
@@ -124,6 +130,13 @@ impl ConvexHull {
     #[inline]
     pub(crate) fn vertex(&self, i: u32) -> DVec3 {
         self.vertices[i as usize]
+    }
+
+    /// How far vertices are from their faces' planes, and vertices between an edge's ends from
+    /// its line, at most.
+    #[inline]
+    pub(crate) fn merge_error(&self) -> f64 {
+        self.merge_error
     }
 
     /// The vertices as columns.

@@ -11,7 +11,7 @@ use super::merge::{Plane, Surface, groups};
 use super::quickhull::Triangulation;
 use super::solid::{Centred, Solid};
 use super::topology::topology;
-use super::{ConvexHull, HullError, HullErrorKind, HullOptions};
+use super::{ABSENT_PLANARITY, ConvexHull, HullError, HullErrorKind, HullOptions};
 use crate::contact::exact::TriangleNormal;
 use crate::contact::support::{Columns, SupportMap};
 
@@ -29,7 +29,9 @@ pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexH
     let contraction_point = given_center.unwrap_or(center_of_mass) + 0.0;
     let refused = || given_center.map_or_else(not_representable, not_inside);
     let centred = solid.centred(contraction_point, &normals).ok_or_else(refused)?;
-    let shell = Shell::new(&solid.triangulation, &centred, &normals).ok_or_else(not_representable)?;
+    let planarity = options.planarity.unwrap_or(ABSENT_PLANARITY);
+    let shell =
+        Shell::new(&solid.triangulation, &centred, &normals, planarity).ok_or_else(not_representable)?;
     Ok(ConvexHull {
         outlines: shell.outlines,
         face_neighbours: shell.face_neighbours,
@@ -40,12 +42,14 @@ pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexH
         support_map: SupportMap::new(&centred.vertices, &shell.vertex_neighbours),
         vertex_neighbours: shell.vertex_neighbours,
         box_shape: BoxShape::recognise(&centred.vertices, &shell.faces),
+        merge_error: shell.merge_error,
         faces: shell.faces,
         columns: Columns::new(&centred.vertices),
         vertices: centred.vertices,
         registered: solid.registered,
         registered_count: given.len() as u32,
         deviation: 0.0,
+        planarity,
         scale: centred.scale,
         contraction_point,
         contraction_distance: length_of(contraction_point),
@@ -94,11 +98,17 @@ struct Shell {
     vertex_faces: Csr,
     vertex_edges: Csr,
     vertex_neighbours: Csr,
+    merge_error: f64,
 }
 
 impl Shell {
     /// None where a face has no outline at double precision.
-    fn new(triangulation: &Triangulation, centred: &Centred, normals: &[TriangleNormal]) -> Option<Self> {
+    fn new(
+        triangulation: &Triangulation,
+        centred: &Centred,
+        normals: &[TriangleNormal],
+        planarity: f64,
+    ) -> Option<Self> {
         let Centred { vertices, circumradius, inradius, .. } = centred;
         let triangles = &triangulation.triangles;
         let sides = triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]);
@@ -111,7 +121,7 @@ impl Shell {
             circumradius: *circumradius,
             inradius: *inradius,
         };
-        let groups = groups(&surface);
+        let groups = groups(&surface, planarity);
         let topology = topology(&surface, &groups)?;
         let planes = &groups.planes;
         let across = topology.edge_faces.iter().flat_map(|&[f, g]| [(f, g), (g, f)]);
@@ -126,7 +136,9 @@ impl Shell {
             planarity: plane.planarity,
             isolation,
         };
+        let merge_error = planes.iter().map(|plane| plane.planarity).fold(topology.straightened, f64::max);
         Some(Self {
+            merge_error,
             faces: planes.iter().zip(&topology.face_areas).zip(isolation).map(face).collect(),
             face_neighbours: Csr::from_pairs(planes.len(), planes.len(), across),
             vertex_edges: Csr::from_ordered_pairs(vertices.len(), ends),

@@ -36,6 +36,8 @@ pub enum HullErrorKind {
     SimplificationOutOfRange,
     /// No hull of so few vertices was found within the deviation.
     SimplificationNotPossible,
+    /// The planarity is not a number from 0 to 0.01.
+    PlanarityOutOfRange,
 }
 
 impl HullErrorKind {
@@ -52,6 +54,7 @@ impl HullErrorKind {
             Self::NotRepresentable => "NOT_REPRESENTABLE",
             Self::SimplificationOutOfRange => "SIMPLIFICATION_OUT_OF_RANGE",
             Self::SimplificationNotPossible => "SIMPLIFICATION_NOT_POSSIBLE",
+            Self::PlanarityOutOfRange => "PLANARITY_OUT_OF_RANGE",
         }
     }
 
@@ -60,6 +63,7 @@ impl HullErrorKind {
         match self {
             Self::ContractionPointNotInside => "contraction_point",
             Self::SimplificationOutOfRange | Self::SimplificationNotPossible => "simplification",
+            Self::PlanarityOutOfRange => "planarity",
             _ => "vertices",
         }
     }

@@ -13,18 +13,17 @@ use super::quickhull::Triangulation;
 use crate::contact::exact::{Dd, TriangleNormal};
 use crate::contact::tolerance::U;
 
-/// Vertices of a face lie within this share of the circumradius of its plane …
-const PLANARITY_PER_CIRCUMRADIUS: f64 = 1e-6;
-/// … and within this share of the inradius, so that the two sides of a thin
-/// plate, or its sides and its rim, never become one face.
+/// Whatever planarity is asked for, vertices of a face lie within this share of the inradius
+/// of its plane, so that the two sides of a thin plate, or its sides and its rim, never become
+/// one face.
 const PLANARITY_PER_INRADIUS: f64 = 1.0 / 64.0;
-/// … but not less than rounding, hull units, however near the contraction point
-/// is to a face.
+/// The tolerance is at least this, hull units: the rounding of the vertices, which remains
+/// where a planarity of 0 is asked for or the contraction point is very near a face.
 const LEAST_PLANARITY: f64 = 64.0 * U;
 /// Vertices whose heights differ by less may be as high as each other; hull units.
 const PLATEAU: f64 = 64.0 * U;
 /// How often a group that fits no plane is gathered anew with a quarter of the
-/// tolerance before its largest triangle stands alone.
+/// tolerance before its largest triangle becomes a face by itself.
 const ATTEMPTS: usize = 6;
 /// Not a group.
 const NONE: u32 = u32::MAX;
@@ -63,10 +62,12 @@ pub(super) struct Groups {
     pub(super) tolerance: f64,
 }
 
-/// Groups the triangles, each group around its largest.
-pub(super) fn groups(surface: &Surface<'_>) -> Groups {
-    let tolerance = (PLANARITY_PER_CIRCUMRADIUS * surface.circumradius)
-        .min((PLANARITY_PER_INRADIUS * surface.inradius).max(LEAST_PLANARITY));
+/// Groups the triangles, each group around its largest. The planarity is a share of the
+/// circumradius.
+pub(super) fn groups(surface: &Surface<'_>, planarity: f64) -> Groups {
+    let tolerance = (planarity * surface.circumradius)
+        .min(PLANARITY_PER_INRADIUS * surface.inradius)
+        .max(LEAST_PLANARITY);
     let mut merger = Merger::new(surface, tolerance);
     // Sizes are not negative, so that their bits are in the same order.
     let size = |normal: &TriangleNormal| Reverse(normal.double_area.to_bits());
@@ -208,7 +209,7 @@ impl<'a> Merger<'a> {
         let mut others = f64::NEG_INFINITY;
         for &v in queue.iter() {
             for &w in surface.neighbours.row(v as usize) {
-                // Without branches: whether it is the face's own is anyone's guess.
+                // Selected without branches, because the branch would be unpredictable.
                 let own = vertex_met[w as usize] == *searches;
                 let height = if own { f64::NEG_INFINITY } else { height(w) };
                 others = if height > others { height } else { others };
@@ -245,11 +246,11 @@ impl<'a> Merger<'a> {
             self.surface.triangulation.triangles[t as usize].map(|v| self.surface.vertices[v as usize]);
         let [ab, bc, ca] = [b - a, c - b, a - c];
         let longest = ab.length_squared().max(bc.length_squared()).max(ca.length_squared()).sqrt();
-        // Of the vertices as centred, to be of one unit with the tolerance.
+        // These are the centred vertices, which have the same unit as the tolerance.
         ab.cross(ca).length() <= self.tolerance * longest
     }
 
-    /// Groups of thin triangles alone join a neighbour whose plane they fit:
+    /// Groups that consist of thin triangles join a neighbour whose plane they fit:
     /// a sliver is no face.
     fn absorb_thin_groups(&mut self) {
         for group in (0..self.planes.len()).rev() {

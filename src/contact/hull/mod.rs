@@ -36,11 +36,21 @@ pub struct HullOptions {
     pub max_vertices: usize,
     /// Fewer vertices, about the contraction point of the whole hull; absent: all.
     pub simplification: Option<Simplification>,
+    /// How far the vertices of one face may lie from one plane: a share of the circumradius from
+    /// 0 (only rounding) to [`MAX_PLANARITY`]; absent: [`ABSENT_PLANARITY`]. At most 1/64 of
+    /// the inradius is allowed however large this is.
+    pub planarity: Option<f64>,
 }
+
+/// The largest planarity that a hull may be registered with, a share of the circumradius.
+pub const MAX_PLANARITY: f64 = 0.01;
+/// The planarity of hulls that are registered without one. It never changes: the faces of
+/// stored hulls depend on it.
+pub const ABSENT_PLANARITY: f64 = 1e-6;
 
 impl Default for HullOptions {
     fn default() -> Self {
-        Self { contraction_point: None, max_vertices: 16_384, simplification: None }
+        Self { contraction_point: None, max_vertices: 16_384, simplification: None, planarity: None }
     }
 }
 
@@ -81,6 +91,11 @@ pub struct ConvexHull {
     center_of_mass: DVec3,
     /// About the centre of mass, unit density.
     inertia: DMat3,
+    /// As registered, or [`ABSENT_PLANARITY`].
+    planarity: f64,
+    /// How far vertices are from their faces' planes, and vertices between an edge's ends from
+    /// its line, at most; hull units.
+    merge_error: f64,
     /// After merging coplanar triangles.
     faces: Vec<Face>,
     /// Per face: its corners, anticlockwise from outside.
@@ -129,10 +144,24 @@ impl ConvexHull {
     /// # Errors
     /// [`HullErrorKind`] lists the clouds that are no hull.
     pub fn with_options(points: &[[f64; 3]], options: &HullOptions) -> Result<Self, HullError> {
+        check_planarity(options.planarity)?;
         match &options.simplification {
             None => build::build(points, options),
             Some(wanted) => simplify::simplified(points, options, wanted),
         }
+    }
+}
+
+fn check_planarity(planarity: Option<f64>) -> Result<(), HullError> {
+    match planarity {
+        Some(share) if !(0.0..=MAX_PLANARITY).contains(&share) => Err(HullError {
+            kind: HullErrorKind::PlanarityOutOfRange,
+            index: None,
+            detail: format!(
+                "planarity is {share}, must be from 0 to {MAX_PLANARITY} (a share of the circumradius)"
+            ),
+        }),
+        _ => Ok(()),
     }
 }
 

@@ -49,10 +49,26 @@ pub(super) fn simplified(
     wanted: &Simplification,
 ) -> Result<ConvexHull, HullError> {
     wanted.check()?;
-    let whole = build::build(given, options)?;
+    // The limit is for the hull that is kept, which is the simplified one.
+    let whole = build::build(given, &HullOptions { max_vertices: usize::MAX, ..*options })?;
     let most = wanted.max_vertices.map_or(usize::MAX, |most| most as usize);
+    let limit = options.max_vertices;
+    let too_many = || HullError {
+        kind: HullErrorKind::TooManyVertices,
+        index: None,
+        detail: format!(
+            "the simplified hull needs more than {limit} vertices, at most {limit} are allowed: \
+             ask for fewer, or for a larger deviation"
+        ),
+    };
+    if wanted.max_deviation.is_none() && most.min(whole.vertices().len()) > limit {
+        return Err(too_many());
+    }
     let mut inner = Inner::new(whole.vertices());
     loop {
+        if inner.taken.len() > limit {
+            return Err(too_many());
+        }
         // Bounds are of the vertices of the whole, each rounded once.
         let deviation = match inner.farthest() {
             None => 0.0,
@@ -69,7 +85,7 @@ pub(super) fn simplified(
             let detail = format!("{most} vertices leave a deviation of {deviation:e}");
             return Err(HullError { kind: HullErrorKind::SimplificationNotPossible, index: None, detail });
         }
-        match of_some(given, &whole, &inner.taken, deviation) {
+        match of_some(given, &whole, &inner.taken, deviation, limit) {
             Err(_) if !complete && inner.taken.len() < most => inner.take(),
             result => return result,
         }
@@ -82,12 +98,15 @@ fn of_some(
     whole: &ConvexHull,
     taken: &[u32],
     deviation: f64,
+    max_vertices: usize,
 ) -> Result<ConvexHull, HullError> {
     let mut registered: Vec<u32> = taken.iter().map(|&v| whole.registered[v as usize]).collect();
     registered.sort_unstable();
     let points: Vec<[f64; 3]> = registered.iter().map(|&i| given[i as usize]).collect();
     let contraction_point = Some(whole.contraction_point.to_array());
-    let mut hull = build::build(&points, &HullOptions { contraction_point, ..HullOptions::default() })?;
+    let planarity = Some(whole.planarity);
+    let options = HullOptions { contraction_point, max_vertices, planarity, simplification: None };
+    let mut hull = build::build(&points, &options)?;
     hull.registered.iter_mut().for_each(|v| *v = registered[*v as usize]);
     hull.registered_count = whole.registered_count;
     hull.deviation = deviation;

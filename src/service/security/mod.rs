@@ -66,14 +66,15 @@ impl Security {
         self.tls.as_ref().map(Tls::config)
     }
 
-    /// Whether a call of `path` with these headers may go on.
+    /// Whether a call of `path` with these headers may go on; the name of its token, where it
+    /// needs one.
     ///
     /// # Errors
     /// UNAUTHENTICATED without a known token, PERMISSION_DENIED with one that may not.
-    pub(super) fn check(&self, path: &str, headers: &HeaderMap) -> Result<(), ServiceError> {
+    pub(super) fn check(&self, path: &str, headers: &HeaderMap) -> Result<Option<Arc<str>>, ServiceError> {
         match (&self.tokens, needed(path)) {
-            (Some(tokens), Some(role)) => tokens.check(role, headers),
-            _ => Ok(()),
+            (Some(tokens), Some(role)) => tokens.check(role, headers).map(Some),
+            _ => Ok(None),
         }
     }
 }

@@ -1,10 +1,13 @@
 //! Bearer tokens: lists of those that are good, each list with a role.
 
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 use http::{HeaderMap, header::AUTHORIZATION};
 use sha2::{Digest, Sha256};
-use subtle::{Choice, ConstantTimeEq};
+use subtle::{ConditionallySelectable, ConstantTimeEq};
 
 use super::{
     SecurityFiles,
@@ -24,13 +27,21 @@ pub(super) enum Role {
 /// The lists; one that is missing is empty.
 #[derive(Debug)]
 pub(super) struct Tokens {
-    query: Option<Reloaded<Hashes>>,
-    register: Option<Reloaded<Hashes>>,
+    query: Option<Reloaded<List>>,
+    register: Option<Reloaded<List>>,
 }
 
-/// The tokens' SHA-256, so that none lies in memory and all have one length.
+/// The tokens of one list.
 #[derive(Debug)]
-struct Hashes(Vec<[u8; 32]>);
+struct List(Vec<Token>);
+
+/// A token's SHA-256, so that no token lies in memory and all have one length, and the name
+/// that metrics and logs know it by.
+#[derive(Debug)]
+struct Token {
+    hash: [u8; 32],
+    name: Arc<str>,
+}
 
 impl Tokens {
     /// None where no list is named: every call may do everything.
@@ -38,11 +49,14 @@ impl Tokens {
     /// # Errors
     /// A list cannot be read or has no token.
     pub(super) fn open(files: &SecurityFiles) -> Result<Option<Self>, LoadError> {
-        let list = |path: &PathBuf| match path.as_os_str().is_empty() {
+        let list = |path: &PathBuf, read| match path.as_os_str().is_empty() {
             true => Ok(None),
-            false => Reloaded::open(vec![path.clone()], hashes).map(Some),
+            false => Reloaded::open(vec![path.clone()], read).map(Some),
         };
-        let tokens = Self { query: list(&files.query_tokens)?, register: list(&files.register_tokens)? };
+        let tokens = Self {
+            query: list(&files.query_tokens, |contents| read(contents, "query"))?,
+            register: list(&files.register_tokens, |contents| read(contents, "register"))?,
+        };
         Ok((tokens.query.is_some() || tokens.register.is_some()).then_some(tokens))
     }
 
@@ -50,46 +64,78 @@ impl Tokens {
         [&self.query, &self.register].into_iter().flatten().for_each(Reloaded::reload);
     }
 
+    /// The name of the call's token, if the token may do what `needed` says.
+    ///
     /// # Errors
     /// UNAUTHENTICATED, PERMISSION_DENIED.
-    pub(super) fn check(&self, needed: Role, headers: &HeaderMap) -> Result<(), ServiceError> {
+    pub(super) fn check(&self, needed: Role, headers: &HeaderMap) -> Result<Arc<str>, ServiceError> {
         let token = bearer(headers).ok_or_else(|| {
             ServiceError::unauthenticated("MISSING_TOKEN", "the call needs `authorization: Bearer TOKEN`")
         })?;
         let hash: [u8; 32] = Sha256::digest(token).into();
-        let in_list =
-            |list: &Option<Reloaded<Hashes>>| list.as_ref().is_some_and(|list| list.get().contains(&hash));
-        match (in_list(&self.register), in_list(&self.query), needed) {
-            (true, _, _) | (_, true, Role::Query) => Ok(()),
-            (false, true, Role::Register) => {
+        let name = |list: &Option<Reloaded<List>>| list.as_ref().and_then(|list| list.get().name(&hash));
+        match (name(&self.register), name(&self.query), needed) {
+            (Some(name), _, _) | (_, Some(name), Role::Query) => Ok(name),
+            (None, Some(_), Role::Register) => {
                 Err(ServiceError::forbidden("TOKEN_MAY_NOT", "this token may query, not register or delete"))
             }
-            (false, false, _) => {
-                Err(ServiceError::unauthenticated("UNKNOWN_TOKEN", "the token is not known"))
-            }
+            (None, None, _) => Err(ServiceError::unauthenticated("UNKNOWN_TOKEN", "the token is not known")),
         }
     }
 }
 
-impl Hashes {
-    /// In a time that depends on how many there are, and on nothing else.
-    fn contains(&self, hash: &[u8; 32]) -> bool {
-        self.0.iter().fold(Choice::from(0), |found, known| found | known.ct_eq(hash)).into()
+impl List {
+    /// The name of the token with this hash, found in a time that depends on how many tokens
+    /// there are, and on nothing else.
+    fn name(&self, hash: &[u8; 32]) -> Option<Arc<str>> {
+        let found = (0..).zip(&self.0).fold(u64::MAX, |found, (index, token)| {
+            u64::conditional_select(&found, &index, token.hash.ct_eq(hash))
+        });
+        self.0.get(usize::try_from(found).ok()?).map(|token| token.name.clone())
     }
 }
 
-/// One token a line; empty lines and those that begin with `#` are not.
-fn hashes(contents: &[(&Path, Vec<u8>)]) -> Result<Hashes, LoadError> {
-    let mut hashes = Vec::new();
+/// Reads a list: a line is `token` or `name: token`; a comment begins with `#` at the line's
+/// start or after white space. A token without a name is called by its list and line.
+fn read(contents: &[(&Path, Vec<u8>)], list: &str) -> Result<List, LoadError> {
+    let mut tokens = Vec::new();
     for (path, bytes) in contents {
         let text = std::str::from_utf8(bytes).map_err(|error| LoadError::new(path, error))?;
-        let tokens = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
-        hashes.extend(tokens.map(|token| <[u8; 32]>::from(Sha256::digest(token))));
-        if hashes.is_empty() {
+        for (line, number) in text.lines().zip(1..) {
+            let line = without_comment(line).trim();
+            if line.is_empty() {
+                continue;
+            }
+            let (name, token) = match named(line) {
+                Some((name, token)) => (name.into(), token),
+                None => (format!("{list}.{number}").into(), line),
+            };
+            tokens.push(Token { hash: Sha256::digest(token).into(), name });
+        }
+        if tokens.is_empty() {
             return Err(LoadError::new(path, "no token in it"));
         }
     }
-    Ok(Hashes(hashes))
+    Ok(List(tokens))
+}
+
+fn without_comment(line: &str) -> &str {
+    let begins = |&(at, _): &(usize, &str)| line[..at].chars().next_back().is_none_or(char::is_whitespace);
+    let comment = line.match_indices('#').find(begins);
+    comment.map_or(line, |(at, _)| &line[..at])
+}
+
+/// The longest name of a token.
+const NAME_BYTES: usize = 32;
+
+/// The parts of `name: token`; none where the line is a token alone. A colon without white
+/// space after it belongs to a token.
+fn named(line: &str) -> Option<(&str, &str)> {
+    let (name, token) = line.split_once(':')?;
+    let is_name = (1..=NAME_BYTES).contains(&name.len())
+        && name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"_.-".contains(&byte));
+    let token = token.strip_prefix(char::is_whitespace)?.trim();
+    (is_name && !token.is_empty()).then_some((name, token))
 }
 
 fn bearer(headers: &HeaderMap) -> Option<&[u8]> {
@@ -120,7 +166,45 @@ mod tests {
     fn reason(tokens: &Tokens, role: Role, header: Option<&'static str>) -> &'static str {
         let headers = header.map(|value| (AUTHORIZATION, http::HeaderValue::from_static(value)));
         let headers = HeaderMap::from_iter(headers);
-        tokens.check(role, &headers).map_or_else(|error| error.reason, |()| "")
+        tokens.check(role, &headers).map_or_else(|error| error.reason, |_| "")
+    }
+
+    /// Catches a comment, a name or a colon that is taken for a part of a token, a token of
+    /// yesterday's file that is read otherwise, and a token that gets into a name.
+    #[test]
+    fn lines_are_tokens_with_names_and_comments() {
+        let long = format!("{}: five", "n".repeat(NAME_BYTES + 1));
+        let lines = [
+            "trainer: one  # of the cluster",
+            "two#2",
+            "three # rotated in May",
+            "a:b",
+            &long,
+            "   #four",
+            "white name: six",
+        ];
+        let (_directory, files) = lists(&lines.join("\n"), "admin: root");
+        let tokens = Tokens::open(&files).unwrap().unwrap();
+        let name = |token: &str| {
+            let value = http::HeaderValue::try_from(format!("Bearer {token}")).unwrap();
+            let headers = HeaderMap::from_iter([(AUTHORIZATION, value)]);
+            tokens.check(Role::Query, &headers).ok().map(|name| name.to_string())
+        };
+        let names = [
+            ("one", Some("trainer")),
+            ("two#2", Some("query.2")),
+            ("three", Some("query.3")),
+            ("a:b", Some("query.4")),
+            (&long, Some("query.5")),
+            ("white name: six", Some("query.7")),
+            ("root", Some("admin")),
+            ("trainer: one", None),
+            ("b", None),
+            ("#four", None),
+        ];
+        for (token, expected) in names {
+            assert_eq!(name(token).as_deref(), expected, "{token}");
+        }
     }
 
     /// Catches a prefix, a comment or an empty line taken for a token, and a role mistaken for

@@ -240,8 +240,9 @@ impl HullCounts {
             match field.tag {
                 1 => counts.vertices += field.elements::<8>()?.len(),
                 2 => counts.contraction_point += field.elements::<8>()?.len(),
-                // Read for its faults: the hull may be refused before it is read again.
+                // Read for their faults: the hull may be refused before it is read again.
                 3 => read_simplification(&mut proto::Simplification::default(), &field, meter)?,
+                4 => drop(field.double()?),
                 _ => {}
             }
         }
@@ -272,6 +273,7 @@ fn read_hull(
         vertices: Vec::with_capacity(counts.vertices),
         contraction_point: Vec::with_capacity(counts.contraction_point),
         simplification: None,
+        planarity: None,
     };
     let mut fields = Fields::nested(hull.bytes()?, 1);
     while let Some(field) = fields.next(meter)? {
@@ -279,6 +281,7 @@ fn read_hull(
             1 => append(&mut read.vertices, field.elements()?, f64::from_le_bytes, meter)?,
             2 => append(&mut read.contraction_point, field.elements()?, f64::from_le_bytes, meter)?,
             3 => read_simplification(read.simplification.get_or_insert_default(), &field, meter)?,
+            4 => read.planarity = Some(field.double()?),
             _ => {}
         }
     }

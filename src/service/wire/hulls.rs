@@ -21,9 +21,10 @@ pub(super) fn definition(hull: proto::HullDefinition) -> HullDefinition {
         max_deviation: wanted.max_deviation,
     });
     // The same memory, not a copy.
+    let planarity = hull.planarity;
     let points = bytemuck::try_cast_vec(hull.vertices);
     let points = points.unwrap_or_else(|(_, vertices)| vertices.as_chunks().0.to_vec());
-    HullDefinition { points, contraction_point, simplification }
+    HullDefinition { points, contraction_point, simplification, planarity }
 }
 
 /// The error of a hull that has a column of the wrong length.
@@ -86,6 +87,7 @@ fn hull_info(id: HullId, hull: &ConvexHull) -> proto::HullInfo {
         geometric_error: hull.geometric_error(),
         registered_count: hull.registered_count() as u32,
         deviation: hull.deviation(),
+        planarity: hull.planarity(),
     }
 }
 

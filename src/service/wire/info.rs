@@ -1,9 +1,22 @@
 //! The server's description.
 
-use crate::{proto, service::limits::Limits};
+use crate::{
+    budget::{MemoryBudget, Part},
+    proto,
+    service::limits::Limits,
+};
 
 /// What this server is and accepts.
-pub(in crate::service) fn server_info(limits: &Limits, threads: usize) -> proto::GetServerInfoResponse {
+pub(in crate::service) fn server_info(
+    limits: &Limits,
+    threads: usize,
+    memory: &MemoryBudget,
+) -> proto::GetServerInfoResponse {
+    let part = |&part: &Part| proto::MemoryPart {
+        name: part.name().into(),
+        bytes: memory.used_by(part),
+        max_bytes: memory.cap(part).unwrap_or(0),
+    };
     proto::GetServerInfoResponse {
         version: env!("CARGO_PKG_VERSION").into(),
         limits: Some(proto::Limits {
@@ -27,5 +40,6 @@ pub(in crate::service) fn server_info(limits: &Limits, threads: usize) -> proto:
         }),
         instruction_set: crate::contact::instruction_set().into(),
         compute_threads: threads as u32,
+        memory_parts: Part::ALL.iter().map(part).collect(),
     }
 }

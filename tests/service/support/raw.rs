@@ -2,6 +2,7 @@
 //! checks its own messages and never names a method that is not there.
 
 use std::{
+    collections::VecDeque,
     convert::Infallible,
     future::poll_fn,
     pin::Pin,
@@ -9,9 +10,9 @@ use std::{
 };
 
 use bytes::{BufMut, Bytes, BytesMut};
-use http::{HeaderMap, Request};
+use http::{HeaderMap, Request, Response};
 use hyper::{
-    body::{Body as _, Frame},
+    body::{Body as _, Frame, Incoming},
     client::conn::http2::{Connection, SendRequest, handshake},
 };
 use hyper_util::rt::{TokioExecutor, TokioIo};
@@ -26,6 +27,8 @@ pub(crate) enum Body {
     Unfinished(Bytes),
     /// Nothing, and no end.
     Never,
+    /// These pieces, each a frame of its own, then the end.
+    Pieces(VecDeque<Bytes>),
 }
 
 impl hyper::body::Body for Body {
@@ -41,6 +44,7 @@ impl hyper::body::Body for Body {
                 Poll::Ready(Some(Ok(Frame::data(std::mem::take(bytes)))))
             }
             Self::Never | Self::Unfinished(_) => Poll::Pending,
+            Self::Pieces(pieces) => Poll::Ready(pieces.pop_front().map(|piece| Ok(Frame::data(piece)))),
             Self::Whole(bytes) if bytes.is_empty() => Poll::Ready(None),
             Self::Whole(bytes) => Poll::Ready(Some(Ok(Frame::data(std::mem::take(bytes))))),
         }
@@ -60,6 +64,20 @@ pub(crate) async fn connection(
 /// An HTTP/2 connection.
 pub(crate) async fn connect(address: &str) -> SendRequest<Body> {
     let (client, connection) = connection(address).await;
+    tokio::spawn(connection);
+    client
+}
+
+/// An HTTP/2 connection from another loopback address, whose streams take so many bytes before
+/// the server has to wait for them to be read.
+pub(crate) async fn connect_from(from: &str, address: &str, window: u32) -> SendRequest<Body> {
+    let socket = tokio::net::TcpSocket::new_v4().unwrap();
+    socket.bind(format!("{from}:0").parse().unwrap()).unwrap();
+    let stream = socket.connect(address.parse().unwrap()).await.unwrap();
+    stream.set_nodelay(true).unwrap();
+    let mut http = hyper::client::conn::http2::Builder::new(TokioExecutor::new());
+    http.initial_stream_window_size(window).initial_connection_window_size(1 << 20);
+    let (client, connection) = http.handshake(TokioIo::new(stream)).await.unwrap();
     tokio::spawn(connection);
     client
 }
@@ -90,6 +108,16 @@ pub(crate) async fn status_on(
     body: Bytes,
 ) -> (Status, HeaderMap) {
     let response = client.send_request(call(path, headers, Body::Whole(body))).await.unwrap();
+    ended(response).await
+}
+
+/// The status that a response ends with.
+pub(crate) async fn status_in(response: Response<Incoming>) -> Status {
+    ended(response).await.0
+}
+
+/// The status that a response ends with, and the headers it came in.
+async fn ended(response: Response<Incoming>) -> (Status, HeaderMap) {
     if let Some(status) = Status::from_header_map(response.headers()) {
         return (status, response.headers().clone());
     }

@@ -84,6 +84,7 @@ pub(crate) fn wire_hull(definition: &HullDefinition) -> proto::HullDefinition {
             max_vertices: wanted.max_vertices,
             max_deviation: wanted.max_deviation,
         }),
+        planarity: definition.planarity,
     }
 }
 

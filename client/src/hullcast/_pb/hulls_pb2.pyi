@@ -8,14 +8,16 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class HullDefinition(_message.Message):
-    __slots__ = ("vertices", "contraction_point", "simplification")
+    __slots__ = ("vertices", "contraction_point", "simplification", "planarity")
     VERTICES_FIELD_NUMBER: _ClassVar[int]
     CONTRACTION_POINT_FIELD_NUMBER: _ClassVar[int]
     SIMPLIFICATION_FIELD_NUMBER: _ClassVar[int]
+    PLANARITY_FIELD_NUMBER: _ClassVar[int]
     vertices: _containers.RepeatedScalarFieldContainer[float]
     contraction_point: _containers.RepeatedScalarFieldContainer[float]
     simplification: Simplification
-    def __init__(self, vertices: _Optional[_Iterable[float]] = ..., contraction_point: _Optional[_Iterable[float]] = ..., simplification: _Optional[_Union[Simplification, _Mapping]] = ...) -> None: ...
+    planarity: float
+    def __init__(self, vertices: _Optional[_Iterable[float]] = ..., contraction_point: _Optional[_Iterable[float]] = ..., simplification: _Optional[_Union[Simplification, _Mapping]] = ..., planarity: _Optional[float] = ...) -> None: ...
 
 class Simplification(_message.Message):
     __slots__ = ("max_vertices", "max_deviation")
@@ -58,7 +60,7 @@ class HullError(_message.Message):
     def __init__(self, reason: _Optional[str] = ..., message: _Optional[str] = ..., field: _Optional[str] = ..., index: _Optional[int] = ...) -> None: ...
 
 class HullInfo(_message.Message):
-    __slots__ = ("id", "contraction_point", "vertex_count", "face_count", "edge_count", "volume", "center_of_mass", "inertia", "inradius", "circumradius", "geometric_error", "registered_count", "deviation")
+    __slots__ = ("id", "contraction_point", "vertex_count", "face_count", "edge_count", "volume", "center_of_mass", "inertia", "inradius", "circumradius", "geometric_error", "registered_count", "deviation", "planarity")
     ID_FIELD_NUMBER: _ClassVar[int]
     CONTRACTION_POINT_FIELD_NUMBER: _ClassVar[int]
     VERTEX_COUNT_FIELD_NUMBER: _ClassVar[int]
@@ -72,6 +74,7 @@ class HullInfo(_message.Message):
     GEOMETRIC_ERROR_FIELD_NUMBER: _ClassVar[int]
     REGISTERED_COUNT_FIELD_NUMBER: _ClassVar[int]
     DEVIATION_FIELD_NUMBER: _ClassVar[int]
+    PLANARITY_FIELD_NUMBER: _ClassVar[int]
     id: bytes
     contraction_point: _containers.RepeatedScalarFieldContainer[float]
     vertex_count: int
@@ -85,7 +88,8 @@ class HullInfo(_message.Message):
     geometric_error: float
     registered_count: int
     deviation: float
-    def __init__(self, id: _Optional[bytes] = ..., contraction_point: _Optional[_Iterable[float]] = ..., vertex_count: _Optional[int] = ..., face_count: _Optional[int] = ..., edge_count: _Optional[int] = ..., volume: _Optional[float] = ..., center_of_mass: _Optional[_Iterable[float]] = ..., inertia: _Optional[_Iterable[float]] = ..., inradius: _Optional[float] = ..., circumradius: _Optional[float] = ..., geometric_error: _Optional[float] = ..., registered_count: _Optional[int] = ..., deviation: _Optional[float] = ...) -> None: ...
+    planarity: float
+    def __init__(self, id: _Optional[bytes] = ..., contraction_point: _Optional[_Iterable[float]] = ..., vertex_count: _Optional[int] = ..., face_count: _Optional[int] = ..., edge_count: _Optional[int] = ..., volume: _Optional[float] = ..., center_of_mass: _Optional[_Iterable[float]] = ..., inertia: _Optional[_Iterable[float]] = ..., inradius: _Optional[float] = ..., circumradius: _Optional[float] = ..., geometric_error: _Optional[float] = ..., registered_count: _Optional[int] = ..., deviation: _Optional[float] = ..., planarity: _Optional[float] = ...) -> None: ...
 
 class GetHullsRequest(_message.Message):
     __slots__ = ("ids", "field_mask")

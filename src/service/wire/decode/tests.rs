@@ -251,6 +251,7 @@ fn the_bytes_that_prost_accepts_are_accepted() {
         vertices: vec![0.5; 12],
         contraction_point: vec![0.25; 3],
         simplification: Some(proto::Simplification { max_vertices: Some(9), max_deviation: Some(0.5) }),
+        planarity: Some(1e-3),
     };
     let hulls = proto::RegisterHullsRequest { hulls: vec![hull.clone(), hull] };
     let mask = prost_types::FieldMask { paths: vec!["info".into(), "faces".into()] };

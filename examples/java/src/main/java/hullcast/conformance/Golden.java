@@ -17,12 +17,13 @@ final class Golden {
       @SerializedName("contraction_point") double[] contractionPoint,
       @SerializedName("max_vertices") Integer maxVertices,
       @SerializedName("max_deviation") Double maxDeviation,
+      Double planarity,
       String id,
       String bytes) {
     Hull hull() {
       double[] point = contractionPoint == null ? new double[0] : contractionPoint;
       if (maxVertices == null && maxDeviation == null) {
-        return new Hull(vertices, point);
+        return new Hull(vertices, point, null, planarity);
       }
       Simplification.Builder simplification = Simplification.newBuilder();
       if (maxVertices != null) {
@@ -31,7 +32,7 @@ final class Golden {
       if (maxDeviation != null) {
         simplification.setMaxDeviation(maxDeviation);
       }
-      return new Hull(vertices, point, simplification.build());
+      return new Hull(vertices, point, simplification.build(), planarity);
     }
   }
 

@@ -17,12 +17,14 @@ import java.util.stream.DoubleStream;
  * @param vertices three numbers a point, in the hull's own frame
  * @param contractionPoint empty (the centre of mass is taken) or three numbers
  * @param simplification null for none
+ * @param planarity null for none: the server's 1e-6
  */
-record Hull(double[] vertices, double[] contractionPoint, Simplification simplification) {
-  private static final int MAX_HEADER_BYTES = 32;
+record Hull(
+    double[] vertices, double[] contractionPoint, Simplification simplification, Double planarity) {
+  private static final int MAX_HEADER_BYTES = 40;
 
   Hull(double[] vertices, double[] contractionPoint) {
-    this(vertices, contractionPoint, null);
+    this(vertices, contractionPoint, null, null);
   }
 
   /** The byte string of docs/identity.md. */
@@ -30,7 +32,7 @@ record Hull(double[] vertices, double[] contractionPoint, Simplification simplif
     int numbers = contractionPoint.length + vertices.length;
     ByteBuffer bytes = ByteBuffer.allocate(MAX_HEADER_BYTES + Double.BYTES * numbers);
     bytes.order(ByteOrder.LITTLE_ENDIAN).put("hullcast".getBytes(StandardCharsets.US_ASCII));
-    bytes.putInt(1); // the format's version
+    bytes.putInt(planarity == null ? 1 : 2); // the format's version
     put(bytes, contractionPoint.length > 0);
     put(bytes, contractionPoint);
     put(bytes, simplification != null);
@@ -43,6 +45,9 @@ record Hull(double[] vertices, double[] contractionPoint, Simplification simplif
       if (simplification.hasMaxDeviation()) {
         put(bytes, new double[] {simplification.getMaxDeviation()});
       }
+    }
+    if (planarity != null) {
+      put(bytes, new double[] {planarity});
     }
     bytes.putInt(vertices.length / 3);
     put(bytes, vertices);
@@ -75,6 +80,9 @@ record Hull(double[] vertices, double[] contractionPoint, Simplification simplif
             .addAllContractionPoint(DoubleStream.of(contractionPoint).boxed().toList());
     if (simplification != null) {
       definition.setSimplification(simplification);
+    }
+    if (planarity != null) {
+      definition.setPlanarity(planarity);
     }
     return definition.build();
   }

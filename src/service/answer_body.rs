@@ -1,0 +1,169 @@
+//! A response's body: its memory counts until the transport has sent it.
+//!
+//! The transport takes a whole frame of the body as soon as the peer makes room for a byte of
+//! it, and then keeps the frame until the peer has read it all. [`AnswerBody`] wraps the bytes
+//! of a frame together with the permit for their memory, so that the permit lives exactly as
+//! long as the bytes do, and hands them on in slices, so that a stream that is cut has at most
+//! one slice in the transport's queue. It also sets the call's [`Cutoff`]: an answer has to be
+//! taken within a stated time of when it is ready.
+
+use std::{
+    pin::Pin,
+    task::{Context, Poll, ready},
+    time::Duration,
+};
+
+use bytes::{Buf, Bytes};
+use hyper::body::{Body as HttpBody, Frame, SizeHint};
+use tokio::time::Instant;
+use tonic::{Status, body::Body};
+
+use super::{
+    App, ServiceError,
+    call::Call,
+    context::{CallContext, no_memory},
+    cutoff::Cutoff,
+    request_body::per_mebibyte,
+};
+use crate::{
+    budget::{Part, Permit},
+    metrics::Cut,
+};
+
+/// Bytes of an answer that are handed to the transport at a time.
+const SLICE_BYTES: usize = 256 << 10;
+
+/// When an answer has to be taken by the peer.
+#[derive(Clone, Debug)]
+pub(super) struct AnswerTimes {
+    /// The time for an answer to be taken, beside a second for each MiB of it.
+    pub(super) patience: Duration,
+    /// The call's own deadline.
+    pub(super) deadline: Option<Instant>,
+}
+
+impl AnswerTimes {
+    /// When an answer of so many bytes that is ready now has to be taken.
+    fn due(&self, bytes: usize) -> (Instant, Cut) {
+        let due = Instant::now() + self.patience + per_mebibyte(bytes);
+        match self.deadline {
+            Some(deadline) if deadline < due => (deadline, Cut::Deadline),
+            _ => (due, Cut::AnswerNotRead),
+        }
+    }
+}
+
+/// A response's body; the call ends with it.
+pub(super) struct AnswerBody {
+    body: Body,
+    call: Call,
+    context: CallContext,
+    times: AnswerTimes,
+    cutoff: Cutoff,
+    /// What of the present frame is not handed on yet.
+    frame: Bytes,
+    ended: bool,
+}
+
+impl AnswerBody {
+    /// The body of an answer that is ready now.
+    pub(super) fn new(body: Body, call: Call, context: CallContext, times: AnswerTimes) -> Self {
+        let cutoff = Cutoff::current();
+        cutoff.set(times.due(context.answer_bytes()));
+        Self { body, call, context, times, cutoff, frame: Bytes::new(), ended: false }
+    }
+
+    /// Counts a frame's memory until its bytes are sent.
+    fn counted(&self, bytes: Bytes) -> Result<Bytes, ServiceError> {
+        let length = bytes.len();
+        let permit = self.permit(length)?;
+        self.cutoff.queued(length);
+        self.cutoff.set(self.times.due(length));
+        Ok(Bytes::from_owner(Unsent { bytes, _permit: permit, cutoff: self.cutoff.clone() }))
+    }
+
+    /// The memory that the answer took while it was made, or new memory where it took none.
+    fn permit(&self, bytes: usize) -> Result<Permit, ServiceError> {
+        let app: &App = self.call.app();
+        match self.context.take_answer() {
+            None => self.context.take(app, Part::Answers, bytes),
+            Some(mut permit) => {
+                let more = (bytes as u64).saturating_sub(permit.bytes());
+                permit.grow(more).map_err(|why| no_memory(app, why))?;
+                permit.shrink_to(bytes as u64);
+                Ok(permit)
+            }
+        }
+    }
+}
+
+/// Bytes of an answer, with the permit for their memory.
+struct Unsent {
+    bytes: Bytes,
+    _permit: Permit,
+    cutoff: Cutoff,
+}
+
+impl AsRef<[u8]> for Unsent {
+    fn as_ref(&self) -> &[u8] {
+        &self.bytes
+    }
+}
+
+impl Drop for Unsent {
+    fn drop(&mut self) {
+        self.cutoff.freed(self.bytes.len());
+    }
+}
+
+impl HttpBody for AnswerBody {
+    type Data = Bytes;
+    type Error = Status;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
+        let this = &mut *self;
+        if this.ended {
+            return Poll::Ready(None);
+        }
+        if this.frame.is_empty() {
+            let polled = {
+                let _entered = this.call.enter();
+                Pin::new(&mut this.body).poll_frame(cx)
+            };
+            if polled.is_pending() {
+                // The peer owes nothing if it has read what there was: the server owes the rest.
+                this.cutoff.clear_if_all_is_sent();
+            }
+            let Some(frame) = ready!(polled) else { return Poll::Ready(None) };
+            let frame = frame?;
+            match frame.into_data() {
+                Ok(bytes) => match this.counted(bytes) {
+                    Ok(bytes) => this.frame = bytes,
+                    Err(refused) => {
+                        this.ended = true;
+                        return Poll::Ready(Some(this.call.ended_early(&refused.into())));
+                    }
+                },
+                Err(other) => {
+                    if let Some(status) = other.trailers_ref().and_then(Status::from_header_map) {
+                        this.call.ended_with(status.code());
+                    }
+                    return Poll::Ready(Some(Ok(other)));
+                }
+            }
+        }
+        let slice = this.frame.split_to(this.frame.remaining().min(SLICE_BYTES));
+        Poll::Ready(Some(Ok(Frame::data(slice))))
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.ended || (self.frame.is_empty() && self.body.is_end_stream())
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        SizeHint::default()
+    }
+}

@@ -1,0 +1,193 @@
+//! Ends calls whose peer does not take the answer.
+//!
+//! A peer decides how fast it reads, and an answer that nobody reads holds memory for as long
+//! as its stream lives. A timer inside the response's body cannot end such a stream, because
+//! the transport polls the body only while the peer makes room for more. So each stream's
+//! future runs beside a [`Cutoff`]: a time at which the stream ends, whatever the peer does.
+//!
+//! Over HTTP/2 the connection's executor ([`StreamExecutor`]) puts the cutoff beside the
+//! stream's future and drops the future when the time comes. h2 then discards what the stream
+//! has queued and resets it, so the caller sees CANCELLED. Where bytes of the answer survive
+//! that (a socket that takes nothing at all), the connection is closed. Over HTTP/1.1, where a
+//! connection has one call at a time, the cutoff closes the connection.
+
+use std::{
+    future::Future,
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+    },
+    time::Duration,
+};
+
+use tokio::{
+    sync::{Notify, watch},
+    time::{Instant, sleep, sleep_until},
+};
+
+use super::App;
+use crate::metrics::Cut;
+
+/// The time that h2 has to discard the answer of a stream that was cut. It needs one turn of
+/// the connection's task.
+const DISCARD: Duration = Duration::from_secs(1);
+
+tokio::task_local! {
+    /// The cutoff of the stream, or of the HTTP/1.1 connection, that the current task serves.
+    static CURRENT: Cutoff;
+}
+
+/// When a stream ends at the latest, and how many bytes of its answer are not sent yet.
+#[derive(Clone, Debug)]
+pub(super) struct Cutoff(Arc<State>);
+
+#[derive(Debug)]
+struct State {
+    due: watch::Sender<Option<(Instant, Cut)>>,
+    unsent: AtomicUsize,
+    abort: Arc<Notify>,
+}
+
+impl Cutoff {
+    /// A cutoff that is not set. `abort` closes the connection.
+    pub(super) fn new(abort: Arc<Notify>) -> Self {
+        Self(Arc::new(State { due: watch::Sender::new(None), unsent: 0.into(), abort }))
+    }
+
+    /// The cutoff of the stream that the current task serves; one that nobody waits for where
+    /// there is none, as in tests of the services alone.
+    pub(super) fn current() -> Self {
+        CURRENT.try_with(Clone::clone).unwrap_or_else(|_| Self::new(Arc::default()))
+    }
+
+    /// The stream ends at `at`, for the reason `why`, unless the cutoff changes before.
+    pub(super) fn set(&self, (at, why): (Instant, Cut)) {
+        self.0.due.send_replace(Some((at, why)));
+    }
+
+    /// The stream may go on if the peer has taken all of the answer so far.
+    pub(super) fn clear_if_all_is_sent(&self) {
+        if self.0.unsent.load(Ordering::Relaxed) == 0 {
+            self.0.due.send_if_modified(|due| due.take().is_some());
+        }
+    }
+
+    /// Counts `bytes` of the answer that the transport has not sent yet.
+    pub(super) fn queued(&self, bytes: usize) {
+        self.0.unsent.fetch_add(bytes, Ordering::Relaxed);
+    }
+
+    /// The memory of `bytes` is free: they were sent or discarded.
+    pub(super) fn freed(&self, bytes: usize) {
+        self.0.unsent.fetch_sub(bytes, Ordering::Relaxed);
+        self.clear_if_all_is_sent();
+    }
+
+    /// Runs `work`; none where the cutoff ended it.
+    pub(super) async fn guard<T>(&self, app: &App, work: impl Future<Output = T>) -> Option<T> {
+        let ended = tokio::select! {
+            biased;
+            done = CURRENT.scope(self.clone(), work) => Ok(done),
+            why = self.due() => Err(why),
+        };
+        // The work is dropped by now.
+        ended
+            .map_err(|why| {
+                app.metrics().cut(why);
+                tracing::debug!(why = why.name(), "cut a call whose answer was not read");
+            })
+            .ok()
+    }
+
+    /// Completes when the time has come.
+    async fn due(&self) -> Cut {
+        let mut due = self.0.due.subscribe();
+        loop {
+            let now = *due.borrow_and_update();
+            match now {
+                None => {
+                    if due.changed().await.is_err() {
+                        std::future::pending::<()>().await;
+                    }
+                }
+                Some((at, why)) => tokio::select! {
+                    () = sleep_until(at) => return why,
+                    _ = due.changed() => {}
+                },
+            }
+        }
+    }
+}
+
+/// Spawns the futures of a connection's streams, each beside a cutoff of its own.
+#[derive(Clone, Debug)]
+pub(super) struct StreamExecutor {
+    app: Arc<App>,
+    abort: Arc<Notify>,
+}
+
+impl StreamExecutor {
+    /// `abort` is notified when the connection has to be closed.
+    pub(super) fn new(app: Arc<App>, abort: Arc<Notify>) -> Self {
+        Self { app, abort }
+    }
+}
+
+impl<F> hyper::rt::Executor<F> for StreamExecutor
+where
+    F: Future + Send + 'static,
+    F::Output: Send,
+{
+    fn execute(&self, stream: F) {
+        let cutoff = Cutoff::new(self.abort.clone());
+        let app = self.app.clone();
+        tokio::spawn(async move {
+            if cutoff.guard(&app, stream).await.is_none() && cutoff.0.unsent.load(Ordering::Relaxed) > 0 {
+                sleep(DISCARD).await;
+                if cutoff.0.unsent.load(Ordering::Relaxed) > 0 {
+                    cutoff.0.abort.notify_one();
+                }
+            }
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches a cutoff that fires although it was cleared or moved, and one that never fires.
+    #[tokio::test(start_paused = true)]
+    async fn the_last_time_that_was_set_counts() {
+        let cutoff = Cutoff::new(Arc::default());
+        let start = Instant::now();
+        let second = Duration::from_secs(1);
+        cutoff.set((start + second, Cut::AnswerNotRead));
+        let due = tokio::spawn({
+            let cutoff = cutoff.clone();
+            async move { cutoff.due().await }
+        });
+        tokio::task::yield_now().await;
+        cutoff.clear_if_all_is_sent();
+        sleep(5 * second).await;
+        assert!(!due.is_finished());
+        cutoff.set((start + 10 * second, Cut::AnswerNotRead));
+        cutoff.set((start + 20 * second, Cut::Deadline));
+        assert_eq!(due.await.unwrap(), Cut::Deadline);
+        assert_eq!(start.elapsed().as_secs(), 20);
+    }
+
+    /// Catches a stream that may go on while a part of its answer is not read.
+    #[tokio::test(start_paused = true)]
+    async fn a_part_that_is_not_read_keeps_the_cutoff() {
+        let cutoff = Cutoff::new(Arc::default());
+        cutoff.queued(10);
+        cutoff.queued(5);
+        cutoff.set((Instant::now() + Duration::from_secs(1), Cut::AnswerNotRead));
+        cutoff.freed(10);
+        cutoff.clear_if_all_is_sent();
+        assert_eq!(cutoff.due().await, Cut::AnswerNotRead);
+        cutoff.freed(5);
+        assert_eq!(*cutoff.0.due.borrow(), None);
+    }
+}

@@ -1,0 +1,287 @@
+//! The outermost layer: what holds for every call, whatever its method.
+//!
+//! The layer names and counts the call, refuses a caller without the token that the method
+//! needs before a byte of the body is read, takes the call's fixed cost from the memory budget,
+//! bounds the request's messages ([`MessageBody`]) and the time and memory of the answer
+//! ([`AnswerBody`]), and enforces the deadline. Errors that the transport makes by itself (an
+//! unknown method, compression) get the code and the details of the contract.
+
+use std::{
+    convert::Infallible,
+    sync::Arc,
+    task::{Context, Poll},
+    time::Duration,
+};
+
+use bytes::Bytes;
+use futures_util::future::BoxFuture;
+use http::{HeaderMap, Request, Response};
+use hyper::body::Body as HttpBody;
+use tokio::{sync::watch, time::Instant};
+use tonic::{Status, body::Body, service::Routes};
+use tower::Service;
+use tracing::Instrument;
+
+use super::{
+    App, Serving,
+    answer_body::{AnswerBody, AnswerTimes},
+    call::{self, BoxError, Call, Taken, is_long_lived},
+    context::{CallContext, no_memory},
+    error::{Kind, ServiceError},
+    peers::Peer,
+    request_body::{MessageBody, MessageRules},
+    wire,
+};
+use crate::{
+    budget::{Caller, MemoryBudget, Part},
+    log_limit::Repeated,
+    trace,
+};
+
+/// The fixed cost of a call beside its headers: the transport's state, its task, and small
+/// buffers.
+const CALL_BYTES: usize = 8 << 10;
+
+/// The largest message of a health check or of reflection: a name.
+const NAME_BYTES: usize = 1 << 10;
+
+/// When the caller stops waiting; an extension of requests that have one.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Deadline(pub(super) Instant);
+
+/// True once the connection that a request came on is about to close; an extension of
+/// every request.
+#[derive(Clone, Debug)]
+pub(super) struct Closing(pub(super) watch::Receiver<bool>);
+
+impl Closing {
+    /// Completes once it is about to close.
+    pub(super) async fn heard(&mut self) {
+        if self.0.wait_for(|closing| *closing).await.is_err() {
+            // Nobody is left to say so.
+            std::future::pending().await
+        }
+    }
+}
+
+/// The layer around all routes, for one connection.
+#[derive(Clone, Debug)]
+pub(super) struct Middleware {
+    app: Arc<App>,
+    routes: Routes,
+    serving: Arc<Serving>,
+    peer: Peer,
+    closing: Closing,
+}
+
+impl Middleware {
+    pub(super) fn new(
+        app: Arc<App>,
+        routes: Routes,
+        serving: Arc<Serving>,
+        peer: Peer,
+        closing: Closing,
+    ) -> Self {
+        Self { app, routes, serving, peer, closing }
+    }
+
+    /// When the call ends at the latest: the caller's deadline, or the server's where that is
+    /// sooner or there is none.
+    fn deadline(&self, method: &str, headers: &HeaderMap) -> Option<Instant> {
+        let most = Duration::from_secs(self.app.limits().max_deadline_seconds.into());
+        let given = timeout(headers);
+        let allowed = if is_long_lived(method) { given } else { Some(given.unwrap_or(most).min(most)) };
+        allowed.and_then(|allowed| Instant::now().checked_add(allowed))
+    }
+
+    /// What the call takes for as long as it lasts.
+    fn take(&self, method: &str, headers: &HeaderMap, caller: &Caller) -> Result<Taken, ServiceError> {
+        let watch = is_watch(method).then(|| {
+            self.peer.watch().ok_or_else(|| {
+                let why = "the connection has too many Watch and reflection streams: close one first";
+                ServiceError::exhausted("TOO_MANY_WATCHES", why)
+            })
+        });
+        let watch = watch.transpose()?;
+        let check = if is_health(method) && watch.is_none() { self.peer.health_check() } else { None };
+        let memory = match check {
+            Some(_) => None,
+            None => {
+                let headers = headers.iter().map(|(name, value)| name.as_str().len() + value.len());
+                let bytes = (CALL_BYTES + headers.sum::<usize>()) as u64;
+                let memory = self.app.memory().take(caller, Part::Connections, bytes);
+                Some(memory.map_err(|why| no_memory(&self.app, why))?)
+            }
+        };
+        Ok(Taken::new(memory, watch.or(check)))
+    }
+
+    fn message_rules(&self, method: &str) -> MessageRules {
+        MessageRules {
+            max_bytes: if names_a_service(method) { NAME_BYTES } else { self.app.limits().max_message_bytes },
+            is_single: !["StreamContacts", "ServerReflectionInfo"].iter().any(|name| method.ends_with(name)),
+            patience: self.serving.message_time,
+        }
+    }
+}
+
+fn is_health(method: &str) -> bool {
+    method.starts_with("grpc.health.")
+}
+
+/// Whether the call is a stream that tools keep open.
+fn is_watch(method: &str) -> bool {
+    method.ends_with("/Watch") || method.ends_with("/ServerReflectionInfo")
+}
+
+/// Whether the method's messages are no more than a name.
+fn names_a_service(method: &str) -> bool {
+    is_health(method) || method.starts_with("grpc.reflection.")
+}
+
+impl<B> Service<Request<B>> for Middleware
+where
+    B: HttpBody<Data = Bytes> + Send + Unpin + 'static,
+    B::Error: Into<BoxError>,
+{
+    type Response = Response<Body>;
+    type Error = Infallible;
+    type Future = BoxFuture<'static, Result<Response<Body>, Infallible>>;
+
+    fn poll_ready(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), Infallible>> {
+        Service::<Request<B>>::poll_ready(&mut self.routes, cx)
+    }
+
+    fn call(&mut self, mut request: Request<B>) -> Self::Future {
+        let method = call::method(request.uri().path());
+        let traced = trace::call(method, request.headers());
+        let span = call::span(method, request.headers(), &traced);
+        let token = self.serving.security.check(request.uri().path(), request.headers());
+        let caller = self.peer.caller(token.as_ref().ok().and_then(|name| name.as_deref()));
+        // Health checks are answered whatever the budget holds; their messages are tiny.
+        let memory = if is_health(method) { MemoryBudget::unlimited() } else { self.app.memory().clone() };
+        let context = CallContext::new(caller, memory);
+        let taken = token.and_then(|_| self.take(method, request.headers(), &context.job.caller));
+        let (taken, refusal) = match taken {
+            Ok(taken) => (taken, None),
+            Err(refusal) => {
+                report(&refusal, method);
+                (Taken::default(), Some(refusal))
+            }
+        };
+        let stop = context.job.stop.clone();
+        let call = Call::new(self.app.clone(), method, span.clone(), traced.clone(), stop, taken);
+        let deadline = self.deadline(method, request.headers());
+        let times = AnswerTimes { patience: self.serving.answer_time, deadline };
+        if let Some(refusal) = refusal {
+            let response = Status::from(refusal).into_http();
+            return Box::pin(async move { Ok(answered(call, response, context, times)) });
+        }
+        request.extensions_mut().insert(self.closing.clone());
+        request.extensions_mut().insert(context.clone());
+        if let Some(at) = deadline {
+            request.extensions_mut().insert(Deadline(at));
+        }
+        let rules = self.message_rules(method);
+        let body = {
+            let (app, context) = (self.app.clone(), context.clone());
+            |body| MessageBody::new(body, app, context, rules)
+        };
+        let answer = self.routes.call(request.map(body));
+        let responded = async move {
+            let response = match deadline {
+                None => answer.await?,
+                // Dropping the call is what stops its computation.
+                Some(at) => match tokio::time::timeout_at(at, answer).await {
+                    Ok(response) => response?,
+                    Err(_) => Status::from(ServiceError::deadline_exceeded()).into_http(),
+                },
+            };
+            Ok(answered(call, completed(response), context, times))
+        };
+        // What is traced finds the spans that are entered, whatever is logged.
+        Box::pin(responded.instrument(span).instrument(traced))
+    }
+}
+
+/// Logs a refused token; the token itself is in no line.
+fn report(refusal: &ServiceError, method: &str) {
+    static REFUSED: Repeated = Repeated::new();
+    if matches!(refusal.kind, Kind::Unauthenticated | Kind::Forbidden)
+        && let Some(left_out) = REFUSED.due()
+    {
+        tracing::info!(reason = refusal.reason, method, left_out, "a call was refused for its token");
+    }
+}
+
+/// The response to the transport: the call ends with its body.
+fn answered(
+    mut call: Call,
+    response: Response<Body>,
+    context: CallContext,
+    times: AnswerTimes,
+) -> Response<Body> {
+    if let Some(status) = Status::from_header_map(response.headers()) {
+        call.ended_with(status.code());
+    }
+    context.decoded();
+    response.map(|body| Body::new(AnswerBody::new(body, call, context, times)))
+}
+
+/// An error that is the whole response (headers alone) gets the details of the contract; its
+/// other headers stay.
+fn completed(mut response: Response<Body>) -> Response<Body> {
+    let Some(status) = Status::from_header_map(response.headers()) else { return response };
+    if status.code() == tonic::Code::Ok || !status.details().is_empty() {
+        return response;
+    }
+    match wire::complete(status).add_header(response.headers_mut()) {
+        Ok(()) => response,
+        Err(status) => status.into_http(),
+    }
+}
+
+/// The `grpc-timeout` header: at most 8 digits and a unit. One that does not parse is
+/// ignored, as the protocol's other servers do.
+fn timeout(headers: &HeaderMap) -> Option<Duration> {
+    let text = headers.get("grpc-timeout")?.to_str().ok()?;
+    let (digits, unit) = text.split_at_checked(text.len().checked_sub(1)?)?;
+    if digits.is_empty() || digits.len() > 8 || !digits.bytes().all(|b| b.is_ascii_digit()) {
+        return None;
+    }
+    let value: u64 = digits.parse().ok()?;
+    match unit {
+        "H" => Some(Duration::from_secs(value * 3600)),
+        "M" => Some(Duration::from_secs(value * 60)),
+        "S" => Some(Duration::from_secs(value)),
+        "m" => Some(Duration::from_millis(value)),
+        "u" => Some(Duration::from_micros(value)),
+        "n" => Some(Duration::from_nanos(value)),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches a unit taken for another, and a malformed header that ends a call.
+    #[test]
+    fn timeouts_parse_by_the_protocol() {
+        let parse = |text: &'static str| {
+            timeout(&HeaderMap::from_iter([(
+                http::HeaderName::from_static("grpc-timeout"),
+                http::HeaderValue::from_static(text),
+            )]))
+        };
+        assert_eq!(parse("2H"), Some(Duration::from_secs(7200)));
+        assert_eq!(parse("3M"), Some(Duration::from_secs(180)));
+        assert_eq!(parse("4S"), Some(Duration::from_secs(4)));
+        assert_eq!(parse("99999999m"), Some(Duration::from_millis(99_999_999)));
+        assert_eq!(parse("5u"), Some(Duration::from_micros(5)));
+        assert_eq!(parse("6n"), Some(Duration::from_nanos(6)));
+        for malformed in ["", "S", "100000000m", "-1S", "+1S", "1s", "1", "1.5S"] {
+            assert_eq!(parse(malformed), None, "{malformed}");
+        }
+    }
+}

@@ -1,0 +1,320 @@
+//! Who is at the other end of a connection, and how many connections there may be.
+//!
+//! All connections together are at most `max_connections`. The last places are kept for
+//! addresses that have no open connection yet, so that one address that opens all it can does
+//! not shut out a health checker. TLS handshakes under way are shared between addresses as
+//! memory is (see [`Shares`]), because each costs a signature.
+
+use std::{
+    collections::HashMap,
+    net::IpAddr,
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicU64, AtomicUsize, Ordering},
+    },
+};
+
+use super::App;
+use crate::{
+    budget::{Caller, CallerKey, Part, Permit, Shares},
+    metrics::{Held, Shed},
+};
+
+/// Places that are kept for addresses without an open connection.
+const KEPT_PLACES: u32 = 16;
+
+/// TLS handshakes under way at a time, over all addresses.
+const HANDSHAKES: u64 = 256;
+
+/// Memory of an open connection beside its window: HTTP/2's state, read and write buffers,
+/// TLS's buffers, and the health checks that are answered without asking the budget.
+const CONNECTION_BYTES: u64 = 128 << 10;
+
+/// The window of a connection that may send large messages at full speed, and of one for which
+/// the budget has no room.
+const LARGE_WINDOW: u32 = 8 << 20;
+const SMALL_WINDOW: u32 = 64 << 10;
+
+/// The share of the memory budget, as a divisor, that large windows may take together.
+const WINDOWS_SHARE: u64 = 4;
+
+/// Health checks of one connection that are answered at a time without asking the budget.
+const FREE_HEALTH_CHECKS: usize = 16;
+
+/// Watch and reflection streams of one connection.
+const WATCHES: usize = 8;
+
+/// The other end of a connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Address {
+    /// Of TCP.
+    Ip(IpAddr),
+    /// The user at the other end of a Unix socket.
+    User(u32),
+}
+
+/// Who is connected.
+#[derive(Debug)]
+pub(super) struct Peers {
+    app: Arc<App>,
+    /// Addresses whose connections count one by one.
+    trusted_proxies: Vec<IpAddr>,
+    /// Off: everybody is one caller.
+    shares: bool,
+    open: Mutex<Open>,
+    handshakes: Mutex<Shares>,
+    count: AtomicU64,
+}
+
+#[derive(Debug, Default)]
+struct Open {
+    all: u32,
+    by_address: HashMap<CallerKey, u32>,
+}
+
+impl Peers {
+    pub(super) fn new(app: Arc<App>, trusted_proxies: Vec<IpAddr>, shares: bool) -> Self {
+        let handshakes = Mutex::new(Shares::new(HANDSHAKES, true));
+        Self { app, trusted_proxies, shares, open: Mutex::default(), handshakes, count: AtomicU64::new(0) }
+    }
+
+    /// A place for one more connection from `address`; none when there are too many.
+    pub(super) fn admit(self: &Arc<Self>, address: Address) -> Option<Peer> {
+        let admitted = self.try_admit(address);
+        if admitted.is_none() {
+            self.app.metrics().shed(Shed::Connection);
+        }
+        admitted
+    }
+
+    fn try_admit(self: &Arc<Self>, address: Address) -> Option<Peer> {
+        let place = Place::take(self, key(address))?;
+        let caller = self.app.callers().get(self.caller_key(address));
+        let (window, memory) = self.window(&caller)?;
+        let counted = Held::new(&self.app.metrics().connections, 1);
+        let connection = Arc::new(Connected {
+            caller,
+            health_checks: AtomicUsize::new(0),
+            watches: AtomicUsize::new(0),
+            _memory: memory,
+            _place: place,
+            _counted: counted,
+        });
+        Some(Peer { peers: self.clone(), connection, window })
+    }
+
+    fn caller_key(&self, address: Address) -> CallerKey {
+        match address {
+            _ if !self.shares => CallerKey::Everyone,
+            Address::Ip(ip) if self.trusted_proxies.contains(&ip.to_canonical()) => {
+                CallerKey::Connection(self.count.fetch_add(1, Ordering::Relaxed))
+            }
+            address => key(address),
+        }
+    }
+
+    /// The window of a new connection, and the memory for it and the connection; none where
+    /// there is not even room for a small one.
+    fn window(&self, caller: &Caller) -> Option<(u32, Permit)> {
+        let memory = self.app.memory();
+        let take = |window: u32| {
+            let bytes = CONNECTION_BYTES + u64::from(window);
+            memory.take(caller, Part::Connections, bytes).ok().map(|permit| (window, permit))
+        };
+        let large = memory.used_by(Part::Connections) + u64::from(LARGE_WINDOW);
+        let may_be_large = large <= memory.limit() / WINDOWS_SHARE;
+        may_be_large.then(|| take(LARGE_WINDOW)).flatten().or_else(|| take(SMALL_WINDOW))
+    }
+}
+
+fn key(address: Address) -> CallerKey {
+    match address {
+        Address::Ip(ip) => CallerKey::of_address(ip),
+        Address::User(user) => CallerKey::User(user),
+    }
+}
+
+/// The place of one connection; free again when it is dropped.
+#[derive(Debug)]
+struct Place {
+    peers: Arc<Peers>,
+    address: CallerKey,
+}
+
+impl Place {
+    fn take(peers: &Arc<Peers>, address: CallerKey) -> Option<Self> {
+        let most = peers.app.limits().max_connections;
+        let mut open = locked(&peers.open);
+        let theirs = open.by_address.get(&address).copied().unwrap_or(0);
+        // Of few places an eighth is kept at most.
+        let kept = if theirs > 0 { KEPT_PLACES.min(most / 8) } else { 0 };
+        if open.all.saturating_add(kept) >= most {
+            return None;
+        }
+        open.all += 1;
+        open.by_address.insert(address.clone(), theirs + 1);
+        drop(open);
+        Some(Self { peers: peers.clone(), address })
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let mut open = locked(&self.peers.open);
+        open.all = open.all.saturating_sub(1);
+        if let Some(theirs) = open.by_address.get_mut(&self.address) {
+            *theirs = theirs.saturating_sub(1);
+            if *theirs == 0 {
+                open.by_address.remove(&self.address);
+            }
+        }
+    }
+}
+
+/// The other end of an open connection. Clones are the same connection.
+#[derive(Clone, Debug)]
+pub(super) struct Peer {
+    peers: Arc<Peers>,
+    connection: Arc<Connected>,
+    window: u32,
+}
+
+#[derive(Debug)]
+struct Connected {
+    caller: Caller,
+    health_checks: AtomicUsize,
+    watches: AtomicUsize,
+    _memory: Permit,
+    _place: Place,
+    _counted: Held,
+}
+
+impl Peer {
+    /// The HTTP/2 window of the connection and of each of its streams, in bytes.
+    pub(super) fn window(&self) -> u32 {
+        self.window
+    }
+
+    /// Who calls: by the name of the call's token, where it has one.
+    pub(super) fn caller(&self, token: Option<&str>) -> Caller {
+        match token {
+            Some(name) if self.peers.shares => self.peers.app.callers().get(CallerKey::Token(name.into())),
+            _ => self.connection.caller.clone(),
+        }
+    }
+
+    /// Leave to do a TLS handshake; none while too many are under way.
+    pub(super) fn handshake(&self) -> Option<Handshake> {
+        locked_shares(&self.peers.handshakes).take(&self.connection.caller, 1).ok()?;
+        Some(Handshake(self.clone()))
+    }
+
+    /// One of the health checks that the connection may have without asking the budget.
+    pub(super) fn health_check(&self) -> Option<Counted> {
+        Counted::take(&self.connection, |connection| &connection.health_checks, FREE_HEALTH_CHECKS)
+    }
+
+    /// One of the Watch and reflection streams that the connection may have.
+    pub(super) fn watch(&self) -> Option<Counted> {
+        Counted::take(&self.connection, |connection| &connection.watches, WATCHES)
+    }
+}
+
+/// A TLS handshake under way.
+#[derive(Debug)]
+pub(super) struct Handshake(Peer);
+
+impl Drop for Handshake {
+    fn drop(&mut self) {
+        locked_shares(&self.0.peers.handshakes).give_back(&self.0.connection.caller, 1);
+    }
+}
+
+/// One of a bounded number of calls of a connection; given back when it is dropped.
+#[derive(Debug)]
+pub(super) struct Counted {
+    connection: Arc<Connected>,
+    of: fn(&Connected) -> &AtomicUsize,
+}
+
+impl Counted {
+    fn take(connection: &Arc<Connected>, of: fn(&Connected) -> &AtomicUsize, most: usize) -> Option<Self> {
+        let taken = of(connection)
+            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, |count| (count < most).then_some(count + 1));
+        taken.ok().map(|_| Self { connection: connection.clone(), of })
+    }
+}
+
+impl Drop for Counted {
+    fn drop(&mut self) {
+        (self.of)(&self.connection).fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// No panic leaves the counts half changed.
+fn locked(open: &Mutex<Open>) -> MutexGuard<'_, Open> {
+    open.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn locked_shares(shares: &Mutex<Shares>) -> MutexGuard<'_, Shares> {
+    shares.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{service::Limits, store::blobs};
+
+    fn peers(limits: Limits) -> Arc<Peers> {
+        let app = Arc::new(App::new(blobs::open("memory://").unwrap(), limits, 1).unwrap());
+        Arc::new(Peers::new(app, vec!["10.0.0.9".parse().unwrap()], true))
+    }
+
+    fn ip(text: &str) -> Address {
+        Address::Ip(text.parse().unwrap())
+    }
+
+    /// Catches an address that takes the last place from one that has none, and a place that
+    /// is not given back.
+    #[test]
+    fn the_last_places_are_for_new_addresses() {
+        let peers = peers(Limits { max_connections: 200, ..Limits::default() });
+        let greedy: Vec<_> = std::iter::from_fn(|| peers.admit(ip("10.0.0.1"))).collect();
+        assert_eq!(greedy.len(), 200 - KEPT_PLACES as usize);
+        let others: Vec<_> = (2..).map_while(|i| peers.admit(ip(&format!("10.0.1.{i}")))).collect();
+        assert_eq!(others.len(), KEPT_PLACES as usize);
+        drop((greedy, others));
+        assert_eq!(locked(&peers.open).all, 0);
+        assert!(locked(&peers.open).by_address.is_empty());
+        assert_eq!(peers.app.memory().used(), 0);
+        assert_eq!(peers.app.callers().count(), 0);
+    }
+
+    /// Catches windows that are in no budget: many connections get small ones.
+    #[test]
+    fn windows_shrink_with_the_budget() {
+        let peers =
+            peers(Limits { max_memory_bytes: 256 << 20, max_message_bytes: 16 << 20, ..Limits::default() });
+        let open: Vec<_> = (0..200).filter_map(|_| peers.admit(ip("10.0.0.1"))).collect();
+        let large = open.iter().filter(|peer| peer.window() == LARGE_WINDOW).count();
+        assert_eq!(large, 7, "a quarter of the budget");
+        assert_eq!(open.len(), 200);
+        assert!(peers.app.memory().used() <= 128 << 20);
+        // One address has half of the budget at most: another still finds room.
+        let more: Vec<_> = (0..2000).filter_map(|_| peers.admit(ip("10.0.0.1"))).collect();
+        assert!(more.len() < 800);
+        assert!(peers.admit(ip("10.0.0.2")).is_some());
+    }
+
+    /// Catches proxies whose clients count as one, and hosts that count as many.
+    #[test]
+    fn connections_of_a_trusted_proxy_count_one_by_one() {
+        let peers = peers(Limits::default());
+        let caller = |text| peers.admit(ip(text)).unwrap().caller(None).key().clone();
+        assert_eq!(caller("10.0.0.1"), caller("10.0.0.1"));
+        assert_ne!(caller("10.0.0.9"), caller("10.0.0.9"));
+        assert_eq!(caller("2001:db8::1"), caller("2001:db8::2"));
+        let named = peers.admit(ip("10.0.0.1")).unwrap().caller(Some("trainer"));
+        assert_eq!(named.key(), &CallerKey::Token("trainer".into()));
+    }
+}

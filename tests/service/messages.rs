@@ -1,0 +1,161 @@
+//! Messages that arrive slowly, in pieces, too many at a time, or never in full.
+
+use std::time::Duration;
+
+use bytes::Bytes;
+use hullcast::service::{Limits, Serving};
+use tonic::{Code, Status};
+
+use crate::support::{Setup, TestServer, raw, refusal, refused};
+
+const QUERY: &str = "/hullcast.v1.ContactService/QueryContacts";
+const STREAM: &str = "/hullcast.v1.ContactService/StreamContacts";
+const INFO: &str = "/hullcast.v1.ServerService/GetServerInfo";
+const CHECK: &str = "/grpc.health.v1.Health/Check";
+const WATCH: &str = "/grpc.health.v1.Health/Watch";
+
+const ARRIVING: &str = r#"hullcast_memory_bytes{part="arriving"}"#;
+
+/// A server whose callers have a third of a second to send a message.
+async fn impatient() -> TestServer {
+    let serving = Serving { message_time: Duration::from_millis(300), ..Serving::default() };
+    Setup { serving, ..Setup::default() }.start().await
+}
+
+/// The status of a call whose body is this.
+async fn status_of(server: &TestServer, path: &str, body: raw::Body) -> Status {
+    let mut client = raw::connect(&server.address).await;
+    let response = client.send_request(raw::call(path, &[], body)).await.unwrap();
+    raw::status_in(response).await
+}
+
+/// Catches memory that is taken for a length that is only declared: 500 calls that each send
+/// the five bytes of a head that announces 64 MiB.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_declared_length_takes_no_memory() {
+    let server = TestServer::start().await;
+    let mut client = raw::connect(&server.address).await;
+    let head = Bytes::from_static(&[0, 4, 0, 0, 0]);
+    let calls: Vec<_> = (0..500)
+        .map(|_| {
+            let call = raw::call(STREAM, &[], raw::Body::Unfinished(head.clone()));
+            tokio::spawn(client.send_request(call))
+        })
+        .collect();
+    server.until("hullcast_requests_in_flight", 500.0).await;
+    tokio::time::sleep(Duration::from_millis(100)).await;
+    assert_eq!(server.metric(ARRIVING), 0.0);
+    drop((calls, client));
+    server.until("hullcast_requests_in_flight", 0.0).await;
+}
+
+/// Catches a head, or a message, that is only read where it comes in one frame.
+#[tokio::test(flavor = "multi_thread")]
+async fn messages_may_come_a_byte_at_a_time() {
+    let server = TestServer::start().await;
+    // An unknown field of 300 bytes, which the server ignores.
+    let mut message = vec![0xfa, 0x3f, 0xac, 0x02];
+    message.extend([7; 300]);
+    let whole = raw::frame(false, &message);
+    for piece_bytes in [1, 2, 3, 4, 5, 6, 7, 100] {
+        let pieces = whole.chunks(piece_bytes).map(Bytes::copy_from_slice).collect();
+        let status = status_of(&server, INFO, raw::Body::Pieces(pieces)).await;
+        assert_eq!(status.code(), Code::Ok, "{piece_bytes}: {status}");
+    }
+    server.until(ARRIVING, 0.0).await;
+}
+
+/// Catches messages after the first that are decoded and thrown away for as long as their
+/// caller likes.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_method_that_takes_one_message_refuses_a_second() {
+    let server = TestServer::start().await;
+    let one = raw::frame(false, &[]);
+    let more = [&one[..], &one[..1], &raw::frame(false, &[0; 1000])[..700]];
+    for path in [QUERY, INFO, CHECK, WATCH, "/hullcast.v1.ContactService/FindContacts"] {
+        for more in more {
+            let joined = Bytes::from([&one[..], more].concat());
+            let apart = [one.clone(), Bytes::copy_from_slice(more)].into();
+            for body in [raw::Body::Whole(joined), raw::Body::Pieces(apart)] {
+                let status = status_of(&server, path, body).await;
+                let expected = refused(Code::InvalidArgument, "TOO_MANY_MESSAGES", "");
+                assert_eq!(refusal(&status), expected, "{path}");
+            }
+        }
+    }
+    server.until(ARRIVING, 0.0).await;
+}
+
+/// Catches a message that is held for as long as its caller likes, because its end never
+/// comes: within the message, between the message and the end of the request, and before the
+/// first byte of a request that has to have one.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_message_that_does_not_end_is_late() {
+    let server = impatient().await;
+    let whole = raw::frame(false, &[0x40; 500]);
+    let expected = refused(Code::DeadlineExceeded, "MESSAGE_LATE", "");
+    for path in [QUERY, INFO, CHECK, WATCH] {
+        for bytes in [0, 3, 5, 100, 505] {
+            let status = status_of(&server, path, raw::Body::Unfinished(whole.slice(..bytes))).await;
+            assert_eq!(refusal(&status), expected, "{path} {bytes}");
+        }
+    }
+    for bytes in [1, 5, 100] {
+        let status = status_of(&server, STREAM, raw::Body::Unfinished(whole.slice(..bytes))).await;
+        assert_eq!(refusal(&status), expected, "a stream, {bytes}");
+    }
+    server.until(ARRIVING, 0.0).await;
+}
+
+/// Catches a stream that ends because its caller has nothing to ask for a while.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stream_may_wait_between_messages() {
+    let server = impatient().await;
+    let mut client = raw::connect(&server.address).await;
+    let call = raw::call(STREAM, &[], raw::Body::Unfinished(raw::frame(false, &[])));
+    let response = tokio::time::timeout(Duration::from_secs(20), client.send_request(call));
+    let response = response.await.unwrap().unwrap();
+    assert!(Status::from_header_map(response.headers()).is_none());
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    assert_eq!(server.metric("hullcast_requests_in_flight"), 1.0);
+}
+
+/// Catches a health check that is shed, or that may send megabytes without a token.
+#[tokio::test(flavor = "multi_thread")]
+async fn health_is_answered_whatever_the_budget_holds() {
+    let limits = Limits { max_memory_bytes: 256 << 20, max_message_bytes: 16 << 20, ..Limits::default() };
+    let server = TestServer::with_limits(limits).await;
+    let caller = hullcast::budget::Caller::alone();
+    let mut filler = Vec::new();
+    for bytes in [1 << 27, 1 << 20, 1 << 12, 1] {
+        // Other callers' shares are off in this test: nothing is left for anybody.
+        while let Ok(permit) = server.app.memory().take(&caller, hullcast::budget::Part::Answers, bytes) {
+            filler.push(permit);
+        }
+    }
+    let status = status_of(&server, CHECK, raw::Body::Whole(raw::frame(false, &[]))).await;
+    assert_eq!(status.code(), Code::Ok, "{status}");
+    drop(filler);
+    for path in [CHECK, WATCH] {
+        let status = status_of(&server, path, raw::Body::Unfinished(raw::frame(false, &[0; 1025]))).await;
+        assert_eq!(refusal(&status), refused(Code::InvalidArgument, "MESSAGE_TOO_LARGE", ""), "{path}");
+    }
+}
+
+/// Catches Watch streams without number on one connection, and places that are not given back.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_connection_has_few_watch_streams() {
+    let server = TestServer::start().await;
+    let mut client = raw::connect(&server.address).await;
+    let mut open = Vec::new();
+    let watch = || raw::call(WATCH, &[], raw::Body::Whole(raw::frame(false, &[])));
+    for _ in 0..8 {
+        open.push(client.send_request(watch()).await.unwrap());
+    }
+    let ninth = raw::status_in(client.send_request(watch()).await.unwrap()).await;
+    assert_eq!(refusal(&ninth), refused(Code::ResourceExhausted, "TOO_MANY_WATCHES", ""));
+    drop(open);
+    server.until("hullcast_requests_in_flight", 0.0).await;
+    let again = client.send_request(watch()).await.unwrap();
+    assert!(Status::from_header_map(again.headers()).is_none());
+}

@@ -1,0 +1,117 @@
+//! Answers that nobody reads, and callers who take more than their share.
+
+use std::time::Duration;
+
+use hullcast::{
+    budget::Part,
+    proto::QueryContactsRequest,
+    service::{Limits, Serving},
+};
+use prost::Message;
+use tonic::{Code, Status};
+
+use crate::support::{
+    Setup, TestServer, raw, refusal, refused,
+    scenes::{ALL, outputs, register_request, two_boxes},
+};
+
+const QUERY: &str = "/hullcast.v1.ContactService/QueryContacts";
+const FIND: &str = "/hullcast.v1.ContactService/FindContacts";
+const INFO: &str = "/hullcast.v1.ServerService/GetServerInfo";
+const ANSWERS: &str = r#"hullcast_memory_bytes{part="answers"}"#;
+
+/// A server whose callers have half a second to read an answer.
+async fn impatient() -> TestServer {
+    let serving = Serving { answer_time: Duration::from_millis(500), ..Serving::default() };
+    Setup { serving, ..Setup::default() }.start().await
+}
+
+/// Catches an answer that is held for as long as its caller does not read it, in a budget
+/// that does not know of it: it counts while it waits, and the call is cut.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_answer_that_is_not_read_is_cut() {
+    let server = impatient().await;
+    for path in [QUERY, FIND] {
+        let request = match path {
+            QUERY => many_contacts(&server, 4000).await,
+            _ => row(&server, 4000).await,
+        };
+        let body = raw::Body::Whole(raw::frame(false, &request.encode_to_vec()));
+        let mut client = raw::connect_from("127.0.0.1", &server.address, 20_000).await;
+        let before = server.metric(r#"hullcast_cuts_total{reason="answer_not_read"}"#);
+        let unread = client.send_request(raw::call(path, &[], body)).await.unwrap();
+        assert!(Status::from_header_map(unread.headers()).is_none());
+        while server.metric(ANSWERS) < 200_000.0 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        server.until(r#"hullcast_cuts_total{reason="answer_not_read"}"#, before + 1.0).await;
+        server.until(ANSWERS, 0.0).await;
+        server.until("hullcast_requests_in_flight", 0.0).await;
+        // The connection goes on with its other calls.
+        let (status, _) = raw::status_on(&mut client, INFO, &[], raw::frame(false, &[])).await;
+        assert_eq!(status.code(), Code::Ok);
+        drop(unread);
+    }
+}
+
+/// Catches a deadline that ends with the first byte of the answer.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_deadline_holds_while_the_answer_is_read() {
+    let server = TestServer::start().await;
+    let request = many_contacts(&server, 4000).await;
+    let body = raw::Body::Whole(raw::frame(false, &request.encode_to_vec()));
+    let mut client = raw::connect_from("127.0.0.1", &server.address, 20_000).await;
+    let call = raw::call(QUERY, &[("grpc-timeout", "3S")], body);
+    let _unread = client.send_request(call).await.unwrap();
+    server.until(r#"hullcast_cuts_total{reason="deadline"}"#, 1.0).await;
+    server.until(ANSWERS, 0.0).await;
+}
+
+/// Catches one caller who takes everything: with all of one address's share held, another
+/// address is answered, and two connections of the first count together.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_caller_takes_no_more_than_its_share() {
+    let limits = Limits { max_memory_bytes: 1 << 30, ..Limits::default() };
+    let server = TestServer::with_limits(limits).await;
+    // Messages that never end: each holds what has arrived of it.
+    let hold = |from: &'static str| {
+        let address = server.address.clone();
+        async move {
+            let part = raw::frame(false, &vec![0; 60 << 20]).slice(..56 << 20);
+            let call = raw::call(QUERY, &[], raw::Body::Unfinished(part));
+            let mut client = raw::connect_from(from, &address, 1 << 20).await;
+            let response = client.send_request(call).await.unwrap();
+            raw::status_in(response).await
+        }
+    };
+    let mut greedy: Vec<_> = (0..12).map(|_| tokio::spawn(hold("127.0.0.2"))).collect();
+    // Some of its calls are refused: two connections of one address are one caller.
+    let (status, _, rest) = futures_util::future::select_all(greedy.drain(..)).await;
+    assert_eq!(refusal(&status.unwrap()), refused(Code::Unavailable, "TOO_BUSY", ""));
+    assert!(server.app.memory().used_by(Part::Arriving) <= 1 << 29, "half of the budget");
+    let request = many_contacts(&server, 2000).await;
+    let frame = raw::frame(false, &request.encode_to_vec());
+    let mut bystander = raw::connect_from("127.0.0.3", &server.address, 1 << 20).await;
+    let (status, _) = raw::status_on(&mut bystander, QUERY, &[], frame).await;
+    assert_eq!(status.code(), Code::Ok, "{status}");
+    rest.iter().for_each(tokio::task::JoinHandle::abort);
+    server.until(r#"hullcast_memory_bytes{part="arriving"}"#, 0.0).await;
+}
+
+/// Two boxes that overlap, asked for again and again, with every output.
+async fn many_contacts(server: &TestServer, pairs: usize) -> QueryContactsRequest {
+    let (shapes, mut request) = two_boxes();
+    server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
+    request.pairs = [0, 1].repeat(pairs);
+    request.outputs = outputs(&ALL);
+    request
+}
+
+/// A row of boxes, each of which overlaps the next.
+async fn row(server: &TestServer, bodies: usize) -> QueryContactsRequest {
+    let mut request = many_contacts(server, 0).await;
+    request.body_hulls = vec![0; bodies];
+    request.positions = (0..bodies).flat_map(|body| [0.9 * body as f64, 0.0, 0.0]).collect();
+    request.rotations = [0.0, 0.0, 0.0, 1.0].repeat(bodies);
+    request
+}
