@@ -131,9 +131,7 @@ async fn a_hull_that_is_named_many_times_takes_no_memory() {
     let answer = server.hulls().get_hulls(request(50)).await.unwrap().into_inner();
     assert_eq!(answer.hulls.len(), 50);
     assert!(answer.hulls.iter().all(|hull| *hull == answer.hulls[0] && hull.vertices.len() == 6000));
-    while server.app.memory().used() > 0 {
-        tokio::time::sleep(Duration::from_millis(1)).await;
-    }
+    server.until_calls_hold_nothing().await;
 }
 
 /// Catches a peer that holds a connection and says nothing, or half of a greeting.

@@ -135,12 +135,7 @@ async fn every_call_gives_its_memory_back() {
     let shapes: Vec<_> = (0..4).map(|seed| plain(round_points(50, seed))).collect();
     server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
     let memory = server.app.memory();
-    let nothing = async || {
-        while memory.used() > 0 {
-            tokio::time::sleep(std::time::Duration::from_millis(1)).await;
-        }
-    };
-    nothing().await;
+    server.until_calls_hold_nothing().await;
     // Small, decoded in place, and of 0.6 MiB, decoded on the compute threads.
     for bodies in [4, 10_000] {
         let mut good = of(&shapes, 100);
@@ -154,7 +149,7 @@ async fn every_call_gives_its_memory_back() {
         let mut found = server.contacts().find_contacts(find).await.unwrap().into_inner();
         found.message().await.unwrap();
         drop(found);
-        nothing().await;
+        server.until_calls_hold_nothing().await;
 
         server.app.engine().injected().allow(0);
         let mut contacts = server.contacts();
@@ -166,7 +161,7 @@ async fn every_call_gives_its_memory_back() {
         assert!(memory.used_by(Part::Decoded) >= 60 * bodies as u64);
         call.abort();
         server.app.engine().injected().open();
-        nothing().await;
+        server.until_calls_hold_nothing().await;
 
         let (requests, received) = tokio::sync::mpsc::channel(1);
         let mut received = received;
@@ -181,6 +176,6 @@ async fn every_call_gives_its_memory_back() {
             tokio::time::sleep(std::time::Duration::from_millis(1)).await;
         }
         drop((requests, answers));
-        nothing().await;
+        server.until_calls_hold_nothing().await;
     }
 }

@@ -240,8 +240,9 @@ impl HullCounts {
             match field.tag {
                 1 => counts.vertices += field.elements::<8>()?.len(),
                 2 => counts.contraction_point += field.elements::<8>()?.len(),
-                // Read for its faults: the hull may be refused before it is read again.
+                // Read for their faults: the hull may be refused before it is read again.
                 3 => read_simplification(&mut proto::Simplification::default(), &field, meter)?,
+                4 => drop(field.double()?),
                 _ => {}
             }
         }
