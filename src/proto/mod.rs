@@ -6,9 +6,13 @@
 pub mod bulk;
 mod codec;
 
-pub use codec::Codec;
+pub use codec::{Codec, Encoded, ServerCodec};
 
 tonic::include_proto!("hullcast.v1");
+// The servers' side of the services, whose methods receive encoded requests.
+tonic::include_proto!("hullcast.v1.ContactService");
+tonic::include_proto!("hullcast.v1.HullService");
+tonic::include_proto!("hullcast.v1.ServerService");
 
 /// Names the columns of messages, as in `proto/`; a message without any needs no more.
 macro_rules! columnar {

@@ -11,6 +11,7 @@ use super::{
     wire::{Columns, Invalid, Poses, Scene, Setting},
 };
 use crate::{
+    budget::Permit,
     contact::{Basis, Body, Outcome, Workspace, contact_manifold},
     store::{Hold, Hulls},
 };
@@ -30,15 +31,19 @@ pub struct Batch {
     kept: Outputs,
     /// Given back with the answer.
     hold: Option<Hold>,
+    /// The memory of the scene; none where no call is answered, or where the call keeps it.
+    _memory: Option<Permit>,
 }
 
 impl Batch {
     /// A scene with its hulls at hand, and the indices of its bodies that are unusable.
     pub fn new(scene: Scene, hulls: Hulls) -> (Self, Vec<u32>) {
-        let Scene { setting, poses, warm_starts, invalid_bodies, .. } = scene;
+        let Scene { setting, poses, warm_starts, invalid_bodies, memory, .. } = scene;
         let kept = setting.outputs;
         let (hulls, poses) = (Arc::new(hulls), Arc::new(poses));
-        (Self { hulls, setting, poses, candidates: None, warm_starts, kept, hold: None }, invalid_bodies)
+        let batch =
+            Self { hulls, setting, poses, candidates: None, warm_starts, kept, hold: None, _memory: memory };
+        (batch, invalid_bodies)
     }
 
     /// Pairs that may meet, 2 indices each: the answer has those that are not SEPARATED.
@@ -57,6 +62,7 @@ impl Batch {
             warm_starts: Vec::new(),
             kept,
             hold: None,
+            _memory: None,
         }
     }
 

@@ -13,17 +13,20 @@ use tokio::{
 use tonic::{Request, Response, Status, Streaming};
 
 use super::{
-    App, ServiceError,
+    App, Limits, ServiceError,
     batch::Batch,
+    context::CallContext,
+    decode::decoded,
     find::Finding,
     middleware::{Closing, Deadline},
     steps::Steps,
     wire::{self, Scene},
 };
 use crate::{
+    contact::Stop,
     metrics::Shed,
     proto::{
-        QueryContactsRequest, QueryContactsResponse,
+        Encoded, QueryContactsRequest, QueryContactsResponse,
         contact_service_server::{ContactService, ContactServiceServer},
     },
     store::{Hold, HullId, Hulls, NoRoom},
@@ -44,20 +47,22 @@ struct Contacts {
 impl ContactService for Contacts {
     async fn query_contacts(
         &self,
-        request: Request<QueryContactsRequest>,
+        request: Request<Encoded<QueryContactsRequest>>,
     ) -> Result<Response<QueryContactsResponse>, Status> {
-        let scene = wire::scene(request.into_inner(), self.app.limits())?;
-        Ok(Response::new(answer(&self.app, scene, false).await?.0))
+        let context = CallContext::of(&request);
+        let scene = scene(&self.app, &context, request.into_inner()).await?;
+        Ok(Response::new(answer(&self.app, &context, scene, false).await?.0))
     }
 
     type FindContactsStream = BoxStream<'static, Result<QueryContactsResponse, Status>>;
 
     async fn find_contacts(
         &self,
-        request: Request<QueryContactsRequest>,
+        request: Request<Encoded<QueryContactsRequest>>,
     ) -> Result<Response<Self::FindContactsStream>, Status> {
         let deadline = request.extensions().get::<Deadline>().copied();
-        let finding = Finding::begin(self.app.clone(), request.into_inner()).await?;
+        let context = CallContext::of(&request);
+        let finding = Finding::begin(self.app.clone(), context, request.into_inner()).await?;
         let answers = stream::try_unfold(finding, move |mut finding| async move {
             let part = within(deadline, finding.next()).await?;
             Ok(part.map(|part| (part, finding)))
@@ -71,13 +76,14 @@ impl ContactService for Contacts {
     /// read yet stays with the client.
     async fn stream_contacts(
         &self,
-        request: Request<Streaming<QueryContactsRequest>>,
+        request: Request<Streaming<Encoded<QueryContactsRequest>>>,
     ) -> Result<Response<Self::StreamContactsStream>, Status> {
         let deadline = request.extensions().get::<Deadline>().copied();
         let closing = request.extensions().get::<Closing>().cloned();
         // Handlers without a connection, as in fuzzing, have none that closes.
         let closing = closing.unwrap_or_else(|| Closing(watch::channel(false).1));
-        let steps = Steps::new(self.app.clone(), request.into_inner(), closing);
+        let context = CallContext::of(&request);
+        let steps = Steps::new(self.app.clone(), context, request.into_inner(), closing);
         let answers = stream::try_unfold(steps, move |mut steps| async move {
             let step = within(deadline, steps.next()).await?;
             Ok(step.map(|answer| (answer, steps)))
@@ -100,9 +106,23 @@ async fn within<T, E: Into<Status>>(
     }
 }
 
+/// The scene of a request that says everything itself.
+async fn scene(
+    app: &Arc<App>,
+    context: &CallContext,
+    request: Encoded<QueryContactsRequest>,
+) -> Result<Scene, ServiceError> {
+    let check = |request, memory, limits: &Limits, stop: &Stop| {
+        let scene = wire::stoppable_scene(request, limits, stop)?;
+        Ok(Scene { memory: Some(memory), ..scene })
+    };
+    decoded(app, context, request, check).await
+}
+
 /// The answer, and its bases where they are kept.
 pub(super) async fn answer(
     app: &App,
+    context: &CallContext,
     scene: Scene,
     keep_bases: bool,
 ) -> Result<(QueryContactsResponse, Vec<u32>), ServiceError> {
@@ -137,7 +157,7 @@ pub(super) async fn answer(
     }
     let bases = if keep_bases { columns.kept_bases(outputs) } else { Vec::new() };
     let response = wire::response(request_id, columns, missing_hulls, invalid_bodies);
-    Ok((app.fitting(response)?.into_inner(), bases))
+    Ok((app.bounded_answer(context, response)?.into_inner(), bases))
 }
 
 /// The scene with its hulls at hand, the indices of those that are missing, and of the

@@ -71,6 +71,20 @@ impl CallContext {
         drop(locked(&self.arrived).take());
     }
 
+    /// Takes `more` bytes for a permit of the call.
+    ///
+    /// # Errors
+    /// As [`Self::take`]; the permit keeps what it had.
+    pub(super) fn grow(&self, app: &App, permit: &mut Permit, more: usize) -> Result<(), ServiceError> {
+        permit.grow(more as u64).map_err(|why| no_memory(app, why))
+    }
+
+    /// Takes memory for what a stream keeps between messages; none where there is no room, with
+    /// which a stream can go on.
+    pub(super) fn keep(&self, bytes: usize) -> Option<Permit> {
+        self.memory.take(&self.job.caller, Part::StreamState, bytes as u64).ok()
+    }
+
     /// Keeps the permit of an answer until the transport has taken the answer over.
     pub(super) fn hold_answer(&self, permit: Permit) {
         *locked(&self.answer) = Some(permit);

@@ -4,17 +4,20 @@
 use std::{collections::VecDeque, sync::Arc};
 
 use super::{
-    App, ServiceError,
+    App, Limits, ServiceError,
     admission::Admission,
     batch::Batch,
     contacts::{fetch, missing},
+    context::CallContext,
+    decode::decoded,
     wire::{self, Columns, Poses, Scene, Setting},
 };
 use crate::{
     broad_phase::{BroadPhase, Rules},
+    budget::Permit,
     compute::{Panicked, Parts},
-    contact::Body,
-    proto::{QueryContactsRequest, QueryContactsResponse},
+    contact::{Body, Stop},
+    proto::{Encoded, QueryContactsRequest, QueryContactsResponse},
     store::{Hold, Hulls, Missing},
 };
 
@@ -38,10 +41,13 @@ const LARGEST_MARGIN: f64 = 1e101;
 /// A `FindContacts` call under way.
 pub(super) struct Finding {
     app: Arc<App>,
+    context: CallContext,
     request_id: u64,
     setting: Arc<Setting>,
     hulls: Arc<Hulls>,
     _hold: Hold,
+    /// Of the setting, the poses and the rules.
+    _memory: Permit,
     poses: Arc<Poses>,
     broad_phase: Arc<BroadPhase>,
     /// Bodies from this one on have not been looked at.
@@ -56,8 +62,16 @@ pub(super) struct Finding {
 
 impl Finding {
     /// Checks the request, takes a place, and puts the bodies in a tree.
-    pub(super) async fn begin(app: Arc<App>, request: QueryContactsRequest) -> Result<Self, ServiceError> {
-        let (scene, rules) = wire::find(request, app.limits())?;
+    pub(super) async fn begin(
+        app: Arc<App>,
+        context: CallContext,
+        request: Encoded<QueryContactsRequest>,
+    ) -> Result<Self, ServiceError> {
+        let check = |request, memory, limits: &Limits, stop: &Stop| {
+            let (scene, rules) = wire::find(request, limits, stop)?;
+            Ok((scene, rules, memory))
+        };
+        let (scene, rules, memory) = decoded(&app, &context, request, check).await?;
         let admission = app.engine().place(most_candidates(&app))?;
         let Scene { request_id, setting, poses, invalid_bodies, .. } = scene;
         let (hulls, hold) = fetch(&app, &setting.hull_ids).await?;
@@ -75,10 +89,12 @@ impl Finding {
         let left_out = Some((missing(&hulls), invalid_bodies));
         Ok(Self {
             app,
+            context,
             request_id,
             setting,
             hulls,
             _hold: hold,
+            _memory: memory,
             poses,
             broad_phase,
             next_body: 0,
@@ -105,7 +121,7 @@ impl Finding {
         }
         let Some((hulls, bodies)) = self.left_out.take() else { return Ok(None) };
         let answer = wire::response(self.request_id, Columns::default(), hulls, bodies);
-        Ok(Some(self.app.fitting(answer)?.into_inner()))
+        Ok(Some(self.app.bounded_answer(&self.context, answer)?.into_inner()))
     }
 
     /// The candidates that are not apart; none where all are.
@@ -121,7 +137,8 @@ impl Finding {
             return Ok(None);
         }
         let (hulls, bodies) = self.left_out.clone().unwrap_or_default();
-        let answer = self.app.fitting(wire::response(self.request_id, columns, hulls, bodies))?;
+        let answer = wire::response(self.request_id, columns, hulls, bodies);
+        let answer = self.app.bounded_answer(&self.context, answer)?;
         self.left_out = None;
         Ok(Some(answer.into_inner()))
     }

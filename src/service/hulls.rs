@@ -2,18 +2,25 @@
 
 use std::{iter::Peekable, sync::Arc, time::Duration};
 
-use futures_util::{StreamExt, TryStreamExt, stream};
 use tonic::{Request, Response, Status};
 
-use super::{App, ServiceError, wire};
+use super::{
+    App, Limits, ServiceError,
+    context::CallContext,
+    decode::decoded,
+    records::{present, records},
+    wire,
+};
 use crate::{
+    budget::{Part, Permit},
+    contact::Stop,
     proto::{
-        DeleteHullsRequest, DeleteHullsResponse, GetHullsRequest, GetHullsResponse, HasHullsRequest,
-        HasHullsResponse, HullRecord, ListHullsRequest, ListHullsResponse, RegisterHullResult,
-        RegisterHullsRequest, RegisterHullsResponse,
+        DeleteHullsRequest, DeleteHullsResponse, Encoded, GetHullsRequest, GetHullsResponse, HasHullsRequest,
+        HasHullsResponse, ListHullsRequest, ListHullsResponse, RegisterHullResult, RegisterHullsRequest,
+        RegisterHullsResponse,
         hull_service_server::{HullService, HullServiceServer},
     },
-    store::{AT_A_TIME, HullId, Missing, RegisterError, Registered, StoreError},
+    store::{RegisterError, Registered, StoreError},
 };
 
 /// Points of the hulls that are registered at a time: enough that all threads are busy,
@@ -22,6 +29,10 @@ const GROUP_POINTS: usize = 1 << 16;
 
 /// Of `ListHulls`, where the request names none.
 const DEFAULT_PAGE_SIZE: u32 = 1000;
+
+/// Bytes of memory for each hull of a page of `ListHulls`: as the store names it, and twice in
+/// the answer.
+const LISTED_BYTES: usize = 320;
 
 /// When a client of a store that cannot be read should ask again.
 const STORE_RETRY: Duration = Duration::from_millis(500);
@@ -38,67 +49,83 @@ struct Hulls {
 impl HullService for Hulls {
     async fn register_hulls(
         &self,
-        request: Request<RegisterHullsRequest>,
+        request: Request<Encoded<RegisterHullsRequest>>,
     ) -> Result<Response<RegisterHullsResponse>, Status> {
-        let definitions = wire::definitions(request.into_inner(), self.app.limits())?;
+        let context = CallContext::of(&request);
+        let (definitions, _memory) = self.decoded(&context, request).await?;
         let mut results = Vec::with_capacity(definitions.len());
         let mut left = definitions.into_iter().peekable();
         while left.peek().is_some() {
             results.extend(self.register(group(&mut left)).await?);
         }
-        Ok(self.app.fitting(RegisterHullsResponse { results })?)
+        Ok(self.app.bounded_answer(&context, RegisterHullsResponse { results })?)
     }
 
     async fn get_hulls(
         &self,
-        request: Request<GetHullsRequest>,
+        request: Request<Encoded<GetHullsRequest>>,
     ) -> Result<Response<GetHullsResponse>, Status> {
-        let request = request.into_inner();
-        let ids = wire::ids(&request.ids, self.app.limits())?;
-        let parts = wire::parts(request.field_mask)?;
-        let hulls: Vec<_> =
-            stream::iter(ids).map(|id| self.record(id, parts)).buffered(AT_A_TIME).try_collect().await?;
-        Ok(self.app.fitting(GetHullsResponse { hulls })?)
+        let context = CallContext::of(&request);
+        let ((ids, parts), _memory) = self.decoded(&context, request).await?;
+        let (hulls, memory) = records(&self.app, &context, &ids, parts).await?;
+        // The answer's exact size takes its place.
+        drop(memory);
+        Ok(self.app.bounded_answer(&context, GetHullsResponse { hulls })?)
     }
 
     async fn has_hulls(
         &self,
-        request: Request<HasHullsRequest>,
+        request: Request<Encoded<HasHullsRequest>>,
     ) -> Result<Response<HasHullsResponse>, Status> {
-        let ids = wire::ids(&request.into_inner().ids, self.app.limits())?;
-        let present: Vec<_> =
-            stream::iter(ids).map(|id| self.has(id)).buffered(AT_A_TIME).try_collect().await?;
-        Ok(self.app.fitting(HasHullsResponse { present })?)
+        let context = CallContext::of(&request);
+        let (ids, _memory) = self.decoded(&context, request).await?;
+        let present = present(&self.app, &ids).await?;
+        Ok(self.app.bounded_answer(&context, HasHullsResponse { present })?)
     }
 
     async fn list_hulls(
         &self,
-        request: Request<ListHullsRequest>,
+        request: Request<Encoded<ListHullsRequest>>,
     ) -> Result<Response<ListHullsResponse>, Status> {
-        let request = request.into_inner();
-        let after = wire::page_token(&request.page_token)?;
-        let size = if request.page_size == 0 { DEFAULT_PAGE_SIZE } else { request.page_size };
-        let size = size.min(self.app.limits().max_page_size);
-        let (blobs, more) = self.app.registry().list(after, size as usize).await.map_err(store_error)?;
-        Ok(self.app.fitting(wire::page(blobs, more))?)
+        let context = CallContext::of(&request);
+        let (listing, _memory) = self.decoded(&context, request).await?;
+        let size = if listing.page_size == 0 { DEFAULT_PAGE_SIZE } else { listing.page_size };
+        let size = size.min(self.app.limits().max_page_size) as usize;
+        let listed = context.take(&self.app, Part::Answers, size.saturating_mul(LISTED_BYTES))?;
+        let (blobs, more) = self.app.registry().list(listing.after, size).await.map_err(store_error)?;
+        let page = wire::page(blobs, more);
+        // The answer's exact size takes its place.
+        drop(listed);
+        Ok(self.app.bounded_answer(&context, page)?)
     }
 
     async fn delete_hulls(
         &self,
-        request: Request<DeleteHullsRequest>,
+        request: Request<Encoded<DeleteHullsRequest>>,
     ) -> Result<Response<DeleteHullsResponse>, Status> {
-        let ids = wire::ids(&request.into_inner().ids, self.app.limits())?;
+        let context = CallContext::of(&request);
+        let (ids, _memory) = self.decoded(&context, request).await?;
         let mut deleted = Vec::with_capacity(ids.len());
         // One after the other: an id that is named twice is deleted once.
         for id in ids {
             deleted.push(self.app.registry().delete(id).await.map_err(store_error)?);
         }
         tracing::info!(hulls = deleted.iter().filter(|deleted| **deleted).count(), "deleted");
-        Ok(self.app.fitting(DeleteHullsResponse { deleted })?)
+        Ok(self.app.bounded_answer(&context, DeleteHullsResponse { deleted })?)
     }
 }
 
 impl Hulls {
+    /// A request, and its memory.
+    async fn decoded<M: wire::Request>(
+        &self,
+        context: &CallContext,
+        request: Request<Encoded<M>>,
+    ) -> Result<(M::Decoded, Permit), ServiceError> {
+        let keep = |decoded, memory, _: &Limits, _: &Stop| Ok((decoded, memory));
+        decoded(&self.app, context, request.into_inner(), keep).await
+    }
+
     async fn register(&self, group: Vec<wire::Definition>) -> Result<Vec<RegisterHullResult>, ServiceError> {
         let (mut given, mut malformed) = (Vec::with_capacity(group.len()), Vec::with_capacity(group.len()));
         for definition in group {
@@ -110,36 +137,6 @@ impl Hulls {
             None => registered.next().map(registered_result),
         };
         malformed.into_iter().filter_map(result).collect()
-    }
-
-    async fn record(&self, id: HullId, parts: wire::Parts) -> Result<HullRecord, ServiceError> {
-        let registry = self.app.registry();
-        let found = async {
-            let hull = registry.get(id).await?;
-            let definition = match parts.vertices {
-                true => Some(registry.definition(id).await?),
-                false => None,
-            };
-            Ok(wire::record(id, &hull, definition.as_ref(), parts))
-        };
-        match found.await {
-            Ok(record) => Ok(record),
-            Err(Missing::Unknown) => Ok(wire::not_found(id)),
-            Err(Missing::Unavailable) => Err(unreadable()),
-        }
-    }
-
-    /// Not merely stored: a blob that is not the hull any more cannot be answered for.
-    async fn has(&self, id: HullId) -> Result<bool, ServiceError> {
-        let registry = self.app.registry();
-        if registry.is_cached(id) {
-            return Ok(true);
-        }
-        match registry.definition(id).await {
-            Ok(_) => Ok(true),
-            Err(Missing::Unknown) => Ok(false),
-            Err(Missing::Unavailable) => Err(unreadable()),
-        }
     }
 }
 

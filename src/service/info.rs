@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use tonic::{Request, Response, Status};
 
-use super::{App, wire};
+use super::{App, context::CallContext, decode::decoded, wire};
 use crate::proto::{
-    GetServerInfoRequest, GetServerInfoResponse,
+    Encoded, GetServerInfoRequest, GetServerInfoResponse,
     server_service_server::{ServerService, ServerServiceServer},
 };
 
@@ -22,9 +22,11 @@ struct Info {
 impl ServerService for Info {
     async fn get_server_info(
         &self,
-        _: Request<GetServerInfoRequest>,
+        request: Request<Encoded<GetServerInfoRequest>>,
     ) -> Result<Response<GetServerInfoResponse>, Status> {
-        let (limits, threads) = (self.app.limits(), self.app.engine().threads());
-        Ok(Response::new(wire::server_info(limits, threads, self.app.memory())))
+        let context = CallContext::of(&request);
+        decoded(&self.app, &context, request.into_inner(), |(), _, _, _| Ok(())).await?;
+        let info = wire::server_info(self.app.limits(), self.app.engine().threads(), self.app.memory());
+        Ok(self.app.bounded_answer(&context, info)?)
     }
 }

@@ -14,6 +14,7 @@ mod connection;
 mod contacts;
 mod context;
 mod cutoff;
+mod decode;
 mod error;
 mod find;
 mod hulls;
@@ -22,11 +23,13 @@ mod injected;
 mod limits;
 mod listener;
 mod middleware;
+mod offload;
 mod outputs;
 mod peers;
 #[cfg(feature = "playground")]
 mod playground;
 mod readiness;
+mod records;
 mod request_body;
 mod security;
 mod server;
@@ -41,6 +44,7 @@ use std::{
 
 pub use admin::serve_admin;
 use batch::Engine;
+use context::CallContext;
 pub use error::{Kind, Place, ServiceError};
 pub use limits::Limits;
 pub use listener::Listener;
@@ -50,7 +54,6 @@ pub use security::{LoadError, Security, SecurityFiles};
 #[doc(hidden)]
 pub use server::handlers;
 pub use server::{Serving, run};
-use tokio::sync::Semaphore;
 
 use crate::{
     budget::{Caller, Callers, MemoryBudget, Part},
@@ -58,6 +61,9 @@ use crate::{
     metrics::Metrics,
     store::{BlobStore, Registry, registry::Bounds},
 };
+
+/// An answer is in memory as a message and encoded.
+const ANSWER_COPIES: usize = 2;
 
 /// What every handler shares.
 #[derive(Debug)]
@@ -67,8 +73,6 @@ pub struct App {
     engine: Engine,
     memory: Arc<MemoryBudget>,
     callers: Arc<Callers>,
-    /// For what streams keep from one message to the next.
-    stream_room: Arc<Semaphore>,
     metrics: Arc<Metrics>,
     readiness: Mutex<Readiness>,
 }
@@ -98,10 +102,9 @@ impl App {
             (Part::StreamState, limits.max_stream_state_bytes),
         ];
         let memory = MemoryBudget::new(limits.max_memory_bytes, limits.shares, &caps);
-        let stream_room = steps::room(limits.max_stream_state_bytes);
         let readiness = Mutex::new(Readiness::Starting);
         let callers = Arc::default();
-        Ok(Self { limits, registry, engine, memory, callers, stream_room, metrics, readiness })
+        Ok(Self { limits, registry, engine, memory, callers, metrics, readiness })
     }
 
     /// What the server accepts.
@@ -159,15 +162,27 @@ impl App {
         *self.readiness.lock().unwrap_or_else(PoisonError::into_inner) = readiness;
     }
 
-    /// A response that may be sent.
-    fn fitting<M: prost::Message>(&self, response: M) -> Result<tonic::Response<M>, ServiceError> {
-        let (bytes, limit) = (response.encoded_len(), self.limits.max_message_bytes);
-        if bytes > limit {
-            let message =
-                format!("the answer has {bytes} bytes, the limit is {limit}: ask for less at a time");
-            return Err(ServiceError::refused("RESPONSE_TOO_LARGE", message));
+    /// An answer that may be sent: it is within the message limit, and the call's budget has
+    /// room for it twice, as a message and encoded. The call holds that memory.
+    fn bounded_answer<M: prost::Message>(
+        &self,
+        context: &CallContext,
+        answer: M,
+    ) -> Result<tonic::Response<M>, ServiceError> {
+        let bytes = answer.encoded_len();
+        if bytes > self.limits.max_message_bytes {
+            return Err(self.answer_too_large(bytes));
         }
-        Ok(tonic::Response::new(response))
+        context.hold_answer(context.take(self, Part::Answers, ANSWER_COPIES * bytes)?);
+        Ok(tonic::Response::new(answer))
+    }
+
+    /// The error of an answer that has so many bytes, or more.
+    fn answer_too_large(&self, bytes: usize) -> ServiceError {
+        let limit = self.limits.max_message_bytes;
+        let message =
+            format!("the answer has at least {bytes} bytes, the limit is {limit}: ask for less at a time");
+        ServiceError::refused("RESPONSE_TOO_LARGE", message)
     }
 }
 

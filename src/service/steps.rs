@@ -3,33 +3,30 @@
 
 use std::{sync::Arc, time::Duration};
 
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tonic::{Status, Streaming};
 
 use super::{
-    App, ServiceError,
+    App, Limits, ServiceError,
     contacts::answer,
+    context::CallContext,
+    decode::decoded,
     middleware::Closing,
-    wire::{self, Setting},
+    wire::{self, Scene, Setting},
 };
-use crate::proto::{QueryContactsRequest, QueryContactsResponse};
+use crate::{
+    budget::Permit,
+    contact::Stop,
+    proto::{Encoded, QueryContactsRequest, QueryContactsResponse},
+};
 
 /// When a client of a server that stops, or keeps too much for others, should ask again.
 const RETRY: Duration = Duration::from_millis(100);
 
-/// The unit in which what streams keep is counted.
-const KEPT_UNIT: usize = 1 << 10;
-
-/// What all streams together may keep between messages.
-pub(super) fn room(bytes: u64) -> Arc<Semaphore> {
-    let units = usize::try_from(bytes).unwrap_or(usize::MAX) / KEPT_UNIT;
-    Arc::new(Semaphore::new(units.min(Semaphore::MAX_PERMITS)))
-}
-
 /// A stream of requests being answered.
 pub(super) struct Steps {
     app: Arc<App>,
-    requests: Streaming<QueryContactsRequest>,
+    context: CallContext,
+    requests: Streaming<Encoded<QueryContactsRequest>>,
     closing: Closing,
     previous: Previous,
 }
@@ -41,13 +38,18 @@ enum Previous {
     /// There was no room to keep it.
     Dropped,
     /// What the next message may inherit.
-    Kept { setting: Arc<Setting>, bases: Vec<u32>, room: OwnedSemaphorePermit },
+    Kept { setting: Arc<Setting>, bases: Vec<u32>, memory: Permit },
 }
 
 impl Steps {
     /// Ends when the requests do, and once `closing` is true: after the message under way.
-    pub(super) fn new(app: Arc<App>, requests: Streaming<QueryContactsRequest>, closing: Closing) -> Self {
-        Self { app, requests, closing, previous: Previous::None }
+    pub(super) fn new(
+        app: Arc<App>,
+        context: CallContext,
+        requests: Streaming<Encoded<QueryContactsRequest>>,
+        closing: Closing,
+    ) -> Self {
+        Self { app, context, requests, closing, previous: Previous::None }
     }
 
     /// The next answer; none at the end of the requests.
@@ -66,36 +68,35 @@ impl Steps {
         }
     }
 
-    async fn step(&mut self, request: QueryContactsRequest) -> Result<QueryContactsResponse, ServiceError> {
+    async fn step(
+        &mut self,
+        request: Encoded<QueryContactsRequest>,
+    ) -> Result<QueryContactsResponse, ServiceError> {
         let previous = std::mem::replace(&mut self.previous, Previous::None);
-        let (scene, room) = match (request.inherit, previous) {
-            (false, previous) => {
-                drop(previous);
-                (wire::scene(request, self.app.limits())?, None)
-            }
-            (true, Previous::Kept { setting, bases, room }) => {
-                (wire::inherited(request, setting, bases)?, Some(room))
-            }
-            (true, Previous::None) => {
-                let why = "a stream's first message says everything itself";
-                return Err(ServiceError::invalid("NOTHING_TO_INHERIT", "inherit", why));
-            }
-            (true, Previous::Dropped) => {
-                let why = "the streams of this server keep too much: send the message in full";
-                return Err(ServiceError::unavailable("STATE_NOT_KEPT", RETRY, why));
-            }
+        let check = |request: QueryContactsRequest, memory, limits: &Limits, stop: &Stop| {
+            let (scene, kept) = match (request.inherit, previous) {
+                (false, _) => (wire::stoppable_scene(request, limits, stop)?, None),
+                (true, Previous::Kept { setting, bases, memory }) => {
+                    (wire::inherited(request, setting, bases, stop)?, Some(memory))
+                }
+                (true, Previous::None) => {
+                    let why = "a stream's first message says everything itself";
+                    return Err(ServiceError::invalid("NOTHING_TO_INHERIT", "inherit", why));
+                }
+                (true, Previous::Dropped) => {
+                    let why = "the streams of this server keep too much: send the message in full";
+                    return Err(ServiceError::unavailable("STATE_NOT_KEPT", RETRY, why));
+                }
+            };
+            Ok((Scene { memory: Some(memory), ..scene }, kept))
         };
+        let (scene, kept) = decoded(&self.app, &self.context, request, check).await?;
         let setting = scene.setting.clone();
-        let (response, bases) = answer(&self.app, scene, true).await?;
-        self.previous = match room.or_else(|| self.room_for(&setting)) {
-            Some(room) => Previous::Kept { setting, bases, room },
+        let (response, bases) = answer(&self.app, &self.context, scene, true).await?;
+        self.previous = match kept.or_else(|| self.context.keep(setting.kept_bytes())) {
+            Some(memory) => Previous::Kept { setting, bases, memory },
             None => Previous::Dropped,
         };
         Ok(response)
-    }
-
-    fn room_for(&self, setting: &Setting) -> Option<OwnedSemaphorePermit> {
-        let units = u32::try_from(setting.kept_bytes().div_ceil(KEPT_UNIT)).ok()?;
-        self.app.stream_room.clone().try_acquire_many_owned(units).ok()
     }
 }

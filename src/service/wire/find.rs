@@ -2,10 +2,11 @@
 
 use super::{
     Scene,
-    request::{has_length, out_of_range, scene},
+    request::{has_length, out_of_range, stoppable_scene},
 };
 use crate::{
     broad_phase::Rules,
+    contact::Stop,
     proto,
     service::{error::ServiceError, limits::Limits},
 };
@@ -13,10 +14,11 @@ use crate::{
 /// Checks a request of `FindContacts`.
 ///
 /// # Errors
-/// The first fault found, naming field and index.
+/// The first fault found, naming field and index, or that nobody waits any more.
 pub(in crate::service) fn find(
     mut request: proto::QueryContactsRequest,
     limits: &Limits,
+    stop: &Stop,
 ) -> Result<(Scene, Rules), ServiceError> {
     for (column, field) in [(&request.pairs, "pairs"), (&request.warm_starts, "warm_starts")] {
         if !column.is_empty() {
@@ -29,7 +31,7 @@ pub(in crate::service) fn find(
     }
     let [worlds, groups, ignored] =
         [&mut request.worlds, &mut request.groups, &mut request.ignored_groups].map(std::mem::take);
-    let scene = scene(request, limits)?;
+    let scene = stoppable_scene(request, limits, stop)?;
     let bodies = scene.setting.body_hulls.len();
     for (column, field) in [(&worlds, "worlds"), (&groups, "groups")] {
         if !column.is_empty() {

@@ -1,51 +1,48 @@
 //! Hulls in and out.
 
+use prost::Message;
+
+use super::fields::{BYTES_PER_STEP, Meter};
 use crate::{
-    contact::{ConvexHull, HullError, Simplification},
+    contact::{ConvexHull, HullError, Simplification, Stop},
     proto,
-    service::{
-        error::ServiceError,
-        limits::Limits,
-        wire::request::{at_most, hull_id},
-    },
+    service::error::ServiceError,
     store::{HullDefinition, HullId, StoredBlob},
 };
 
 /// A hull of a `RegisterHulls` request: its definition, or why this hull alone is refused.
 pub(in crate::service) type Definition = Result<HullDefinition, proto::HullError>;
 
-/// Checks a `RegisterHulls` request.
-pub(in crate::service) fn definitions(
-    request: proto::RegisterHullsRequest,
-    limits: &Limits,
-) -> Result<Vec<Definition>, ServiceError> {
-    at_most(request.hulls.len(), limits.max_hulls_per_request, "TOO_MANY_HULLS", "hulls")?;
-    Ok(request.hulls.into_iter().map(definition).collect())
-}
-
-fn definition(hull: proto::HullDefinition) -> Definition {
-    let (points, rest) = hull.vertices.as_chunks::<3>();
-    if !rest.is_empty() {
-        return Err(malformed("vertices", hull.vertices.len(), "3 per point"));
-    }
-    let contraction_point = match *hull.contraction_point {
-        [] => None,
-        [x, y, z] => Some([x, y, z]),
-        _ => return Err(malformed("contraction_point", hull.contraction_point.len(), "none or 3")),
-    };
+/// The definition of a hull whose columns have lengths that fit.
+pub(super) fn definition(hull: proto::HullDefinition) -> HullDefinition {
+    let contraction_point = hull.contraction_point.first_chunk().copied();
     let simplification = hull.simplification.map(|wanted| Simplification {
         max_vertices: wanted.max_vertices,
         max_deviation: wanted.max_deviation,
     });
     let planarity = hull.planarity;
-    Ok(HullDefinition { points: points.to_vec(), contraction_point, simplification, planarity })
+    // The same memory, not a copy.
+    let points = bytemuck::try_cast_vec(hull.vertices);
+    let points = points.unwrap_or_else(|(_, vertices)| vertices.as_chunks().0.to_vec());
+    HullDefinition { points, contraction_point, simplification, planarity }
 }
 
-fn malformed(field: &str, found: usize, rule: &str) -> proto::HullError {
+/// The error of a hull that has a column of the wrong length.
+pub(super) fn malformed(field: &str, found: usize, rule: &str) -> proto::HullError {
     proto::HullError {
         reason: "MALFORMED".into(),
         message: format!("{found} entries, expected {rule}"),
         field: field.into(),
+        index: None,
+    }
+}
+
+/// The error of a hull that has more points than the server builds hulls from.
+pub(super) fn too_many_points(points: usize, limit: u32) -> proto::HullError {
+    proto::HullError {
+        reason: "TOO_MANY_POINTS".into(),
+        message: format!("{points} points, the limit is {limit}: leave out points that are not extreme"),
+        field: "vertices".into(),
         index: None,
     }
 }
@@ -102,40 +99,71 @@ pub(in crate::service) struct Parts {
     pub(in crate::service) faces: bool,
 }
 
-/// Checks a `GetHulls` field mask.
-pub(in crate::service) fn parts(mask: Option<prost_types::FieldMask>) -> Result<Parts, ServiceError> {
-    let paths = mask.unwrap_or_default().paths;
-    if paths.is_empty() {
-        return Ok(Parts { info: true, ..Parts::default() });
-    }
-    let mut parts = Parts::default();
-    for (index, path) in paths.iter().enumerate() {
-        match path.as_str() {
-            "info" => parts.info = true,
-            "vertices" => parts.vertices = true,
-            "faces" => parts.faces = true,
-            _ => {
-                let message = format!("{path:?} is none of \"info\", \"vertices\", \"faces\"");
-                let field = "field_mask.paths";
-                return Err(ServiceError::invalid_at("UNKNOWN_PATH", field, index, message));
+/// Most letters of an unknown path that its error repeats.
+const SHOWN_LETTERS: usize = 40;
+
+impl Parts {
+    /// The parts that a `GetHulls` field mask names; "info" where it names none.
+    pub(super) fn named(paths: &[&str]) -> Result<Self, ServiceError> {
+        let mut parts = Self { info: paths.is_empty(), ..Self::default() };
+        for (index, path) in paths.iter().enumerate() {
+            match *path {
+                "info" => parts.info = true,
+                "vertices" => parts.vertices = true,
+                "faces" => parts.faces = true,
+                _ => {
+                    let shown: String = path.chars().take(SHOWN_LETTERS).collect();
+                    let message = format!("{shown:?} is none of \"info\", \"vertices\", \"faces\"");
+                    let field = "field_mask.paths";
+                    return Err(ServiceError::invalid_at("UNKNOWN_PATH", field, index, message));
+                }
             }
         }
+        Ok(parts)
     }
-    Ok(parts)
-}
-
-/// Checks the ids of a request.
-pub(in crate::service) fn ids<B: AsRef<[u8]>>(
-    ids: &[B],
-    limits: &Limits,
-) -> Result<Vec<HullId>, ServiceError> {
-    at_most(ids.len(), limits.max_hulls_per_request, "TOO_MANY_HULLS", "ids")?;
-    ids.iter().enumerate().map(|(index, bytes)| hull_id(bytes.as_ref(), "ids", index)).collect()
 }
 
 /// A hull that is not there.
 pub(in crate::service) fn not_found(id: HullId) -> proto::HullRecord {
     proto::HullRecord { id: id.0.to_vec(), ..Default::default() }
+}
+
+/// Bytes of the columns of a hull's record: its encoded size is some hundred bytes more.
+pub(in crate::service) fn record_bytes(hull: &ConvexHull, parts: Parts) -> usize {
+    let (vertices, faces) = (hull.vertex_count(), hull.face_count());
+    let vertices = if parts.vertices { vertices * (size_of::<[f64; 3]>() + size_of::<u32>()) } else { 0 };
+    let faces = match parts.faces {
+        true => (1 + faces + corners(hull)) * size_of::<u32>() + faces * size_of::<[f64; 3]>(),
+        false => 0,
+    };
+    vertices + faces
+}
+
+/// The corners of all faces.
+fn corners(hull: &ConvexHull) -> usize {
+    (0..hull.face_count()).map(|face| hull.face_outline(face).len()).sum()
+}
+
+/// The records of an answer in its order: record `places[i]` is entry i.
+///
+/// # Errors
+/// Nobody waits for the answer any more.
+pub(in crate::service) fn repeated(
+    records: Vec<proto::HullRecord>,
+    places: &[usize],
+    stop: &Stop,
+) -> Result<Vec<proto::HullRecord>, ServiceError> {
+    if records.len() == places.len() {
+        // No hull is repeated: they are in order.
+        return Ok(records);
+    }
+    let mut meter = Meter::new(stop);
+    let mut repeated = Vec::with_capacity(places.len());
+    for &place in places {
+        meter.spend((records[place].encoded_len() / BYTES_PER_STEP) as u64)?;
+        repeated.push(records[place].clone());
+    }
+    Ok(repeated)
 }
 
 /// A hull, as far as it is asked for. The vertices are those of its definition, bit for bit:
@@ -153,9 +181,13 @@ pub(in crate::service) fn record(
     if let Some(definition) = definition {
         record.vertex_indices = hull.registered_indices().to_vec();
         let points = record.vertex_indices.iter().filter_map(|&i| definition.points.get(i as usize));
-        record.vertices = points.flatten().copied().collect();
+        record.vertices.reserve_exact(3 * record.vertex_indices.len());
+        record.vertices.extend(points.flatten());
     }
     if parts.faces {
+        record.face_offsets.reserve_exact(1 + hull.face_count());
+        record.face_vertices.reserve_exact(corners(hull));
+        record.face_normals.reserve_exact(3 * hull.face_count());
         record.face_offsets.push(0);
         for face in 0..hull.face_count() {
             record.face_vertices.extend(hull.face_outline(face));
@@ -167,7 +199,7 @@ pub(in crate::service) fn record(
 }
 
 /// Checks a `ListHulls` page token: the last id of the page before.
-pub(in crate::service) fn page_token(token: &str) -> Result<Option<HullId>, ServiceError> {
+pub(super) fn page_token(token: &str) -> Result<Option<HullId>, ServiceError> {
     if token.is_empty() {
         return Ok(None);
     }

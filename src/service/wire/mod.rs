@@ -2,6 +2,8 @@
 //! in, columns out, errors to statuses.
 
 mod columns;
+mod decode;
+mod fields;
 mod find;
 mod hulls;
 mod info;
@@ -9,12 +11,13 @@ mod request;
 mod status;
 
 pub use columns::{Columns, Invalid, response};
+pub(super) use decode::{Bounds, Request};
 pub(super) use find::find;
 pub(super) use hulls::{
-    Definition, Parts, definitions, hull_error, ids, not_found, page, page_token, parts, record,
-    register_result,
+    Definition, Parts, hull_error, not_found, page, record, record_bytes, register_result, repeated,
 };
 pub(super) use info::server_info;
-pub use request::{Poses, Scene, Setting, inherited, scene};
+pub use request::{Poses, Scene, Setting, scene};
+pub(super) use request::{inherited, stoppable_scene};
 pub use status::DOMAIN;
 pub(super) use status::complete;

@@ -1,16 +1,27 @@
 //! A query as it came in, checked exhaustively.
 
-use std::sync::Arc;
+use std::{collections::HashSet, sync::Arc};
 
+use super::fields::Meter;
 use crate::{
-    contact::{Accuracy, Pose, Query, Solver},
+    budget::Permit,
+    contact::{Accuracy, Pose, Query, Solver, Stop},
     proto,
     service::{error::ServiceError, limits::Limits, outputs::Outputs},
     store::HullId,
 };
 
+/// Indices that are compared between two looks at whether somebody waits.
+const AT_A_TIME: usize = 1 << 16;
+
+/// Elementary steps of looking a hull's id up in a table.
+const ID_STEPS: u64 = 100;
+
+/// Elementary steps of checking a pose.
+const POSE_STEPS: u64 = 10;
+
 /// A checked request: every length fits, every index is in range, every option is known.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Scene {
     /// Echoed.
     pub request_id: u64,
@@ -22,6 +33,8 @@ pub struct Scene {
     pub invalid_bodies: Vec<u32>,
     /// Empty, or 6 vertex indices per pair, unchecked.
     pub warm_starts: Vec<u32>,
+    /// The memory that the scene takes of its call's budget; none where no call is answered.
+    pub memory: Option<Permit>,
 }
 
 /// Poses as they came. A body's is made where one of its pairs is computed: on the threads
@@ -52,6 +65,19 @@ pub struct Setting {
 /// # Errors
 /// The first fault found, naming field and index.
 pub fn scene(request: proto::QueryContactsRequest, limits: &Limits) -> Result<Scene, ServiceError> {
+    stoppable_scene(request, limits, &Stop::default())
+}
+
+/// Checks a request that says everything itself; `stop` ends the work.
+///
+/// # Errors
+/// The first fault found, naming field and index, or that nobody waits any more.
+pub(in crate::service) fn stoppable_scene(
+    request: proto::QueryContactsRequest,
+    limits: &Limits,
+    stop: &Stop,
+) -> Result<Scene, ServiceError> {
+    let meter = &mut Meter::new(stop);
     if request.inherit {
         return Err(ServiceError::invalid("FIELD_NOT_ALLOWED", "inherit", "inherit is of streams alone"));
     }
@@ -70,17 +96,17 @@ pub fn scene(request: proto::QueryContactsRequest, limits: &Limits) -> Result<Sc
     if !request.warm_starts.is_empty() {
         has_length(request.warm_starts.len(), 6 * pairs, "warm_starts", "none or 6 per pair")?;
     }
-    all_below(&request.body_hulls, request.hull_ids.len(), "body_hulls", "hulls")?;
-    all_below(&request.pairs, bodies, "pairs", "bodies")?;
+    all_below(&request.body_hulls, request.hull_ids.len(), "body_hulls", "hulls", meter)?;
+    all_below(&request.pairs, bodies, "pairs", "bodies", meter)?;
 
-    let hull_ids = distinct_ids(&request.hull_ids)?;
+    let hull_ids = distinct_ids(&request.hull_ids, meter)?;
     let outputs = outputs(&request.outputs);
     let query = Query {
         margin: margin(request.margin)?,
         accuracy: checked_accuracy(&accuracy)?,
         wanted: outputs.wanted(),
     };
-    let (poses, invalid_bodies) = Poses::of(request.positions, request.rotations);
+    let (poses, invalid_bodies) = Poses::of(request.positions, request.rotations, meter)?;
     let (body_hulls, pairs) = (request.body_hulls, request.pairs);
     Ok(Scene {
         request_id: request.request_id,
@@ -88,17 +114,19 @@ pub fn scene(request: proto::QueryContactsRequest, limits: &Limits) -> Result<Sc
         poses,
         invalid_bodies,
         warm_starts: request.warm_starts,
+        memory: None,
     })
 }
 
 /// Checks a request that inherits `setting`, and starts from `bases`: it has poses alone.
 ///
 /// # Errors
-/// The first fault found, naming the field.
-pub fn inherited(
+/// The first fault found, naming the field, or that nobody waits any more.
+pub(in crate::service) fn inherited(
     request: proto::QueryContactsRequest,
     setting: Arc<Setting>,
     bases: Vec<u32>,
+    stop: &Stop,
 ) -> Result<Scene, ServiceError> {
     let given = [
         (!request.hull_ids.is_empty(), "hull_ids"),
@@ -116,8 +144,10 @@ pub fn inherited(
         return Err(ServiceError::invalid("FIELD_NOT_ALLOWED", field, format!("{field} is inherited")));
     }
     pose_lengths(&request, setting.body_hulls.len())?;
-    let (poses, invalid_bodies) = Poses::of(request.positions, request.rotations);
-    Ok(Scene { request_id: request.request_id, setting, poses, invalid_bodies, warm_starts: bases })
+    let meter = &mut Meter::new(stop);
+    let (poses, invalid_bodies) = Poses::of(request.positions, request.rotations, meter)?;
+    let request_id = request.request_id;
+    Ok(Scene { request_id, setting, poses, invalid_bodies, warm_starts: bases, memory: None })
 }
 
 fn pose_lengths(request: &proto::QueryContactsRequest, bodies: usize) -> Result<(), ServiceError> {
@@ -172,37 +202,42 @@ pub(super) fn has_length(
     Err(ServiceError::invalid("LENGTH_MISMATCH", field, message))
 }
 
-fn all_below(column: &[u32], count: usize, field: &'static str, of: &str) -> Result<(), ServiceError> {
-    // Every index of every request: the largest is found several at a time.
-    let largest = column.iter().fold(0, |largest, &index| largest.max(index));
-    if column.is_empty() || (largest as usize) < count {
-        return Ok(());
-    }
-    match column.iter().position(|&index| index as usize >= count) {
-        None => Ok(()),
-        Some(at) => Err(ServiceError::invalid_at(
-            "INDEX_OUT_OF_RANGE",
-            field,
-            at,
-            format!("{} of {count} {of}", column[at]),
-        )),
-    }
-}
-
-fn distinct_ids<B: AsRef<[u8]>>(ids: &[B]) -> Result<Vec<HullId>, ServiceError> {
-    let parse = |(index, bytes): (usize, &B)| hull_id(bytes.as_ref(), "hull_ids", index);
-    let ids = ids.iter().enumerate().map(parse).collect::<Result<Vec<_>, _>>()?;
-    // By sorting: no ids that a sender may choose make it slow.
-    let mut order: Vec<usize> = (0..ids.len()).collect();
-    order.sort_unstable_by_key(|&index| (ids[index], index));
-    let again = order.windows(2).filter(|two| ids[two[0]] == ids[two[1]]).map(|two| two[1]).min();
-    match again {
-        None => Ok(ids),
-        Some(index) => {
-            let message = format!("hull {} is listed before: each hull once", ids[index]);
-            Err(ServiceError::invalid_at("DUPLICATE_HULL", "hull_ids", index, message))
+fn all_below(
+    column: &[u32],
+    count: usize,
+    field: &'static str,
+    of: &str,
+    meter: &mut Meter<'_>,
+) -> Result<(), ServiceError> {
+    for (first, some) in (0..).step_by(AT_A_TIME).zip(column.chunks(AT_A_TIME)) {
+        meter.spend(some.len() as u64)?;
+        // Every index of every request: the largest is found several at a time.
+        let largest = some.iter().fold(0, |largest, &index| largest.max(index));
+        if (largest as usize) < count {
+            continue;
+        }
+        if let Some(at) = some.iter().position(|&index| index as usize >= count) {
+            let message = format!("{} of {count} {of}", some[at]);
+            return Err(ServiceError::invalid_at("INDEX_OUT_OF_RANGE", field, first + at, message));
         }
     }
+    Ok(())
+}
+
+/// The ids, each once. The table's hash has a random key, so that no ids that a sender may
+/// choose make it slow.
+fn distinct_ids<B: AsRef<[u8]>>(ids: &[B], meter: &mut Meter<'_>) -> Result<Vec<HullId>, ServiceError> {
+    let (mut distinct, mut seen) = (Vec::with_capacity(ids.len()), HashSet::with_capacity(ids.len()));
+    for (index, bytes) in ids.iter().enumerate() {
+        meter.spend(ID_STEPS)?;
+        let id = hull_id(bytes.as_ref(), "hull_ids", index)?;
+        if !seen.insert(bytes.as_ref()) {
+            let message = format!("hull {id} is listed before: each hull once");
+            return Err(ServiceError::invalid_at("DUPLICATE_HULL", "hull_ids", index, message));
+        }
+        distinct.push(id);
+    }
+    Ok(distinct)
 }
 
 pub(super) fn hull_id(bytes: &[u8], field: &'static str, index: usize) -> Result<HullId, ServiceError> {
@@ -270,16 +305,30 @@ fn outputs(values: &[i32]) -> Outputs {
 }
 
 impl Poses {
-    /// And the bodies whose pose is not usable.
-    fn of(positions: Vec<f64>, rotations: Vec<f64>) -> (Self, Vec<u32>) {
+    /// The poses, and the bodies whose pose is not usable.
+    fn of(
+        positions: Vec<f64>,
+        rotations: Vec<f64>,
+        meter: &mut Meter<'_>,
+    ) -> Result<(Self, Vec<u32>), ServiceError> {
         let bodies = positions.as_chunks::<3>().0.iter().zip(rotations.as_chunks::<4>().0);
-        let mut invalid = Vec::new();
-        for (body, (position, rotation)) in bodies.enumerate() {
-            if Pose::check(*position, *rotation).is_err() {
+        let unusable =
+            |(position, rotation): (&[f64; 3], &[f64; 4])| Pose::check(*position, *rotation).is_err();
+        // Counted first, so that the list is allocated once.
+        let mut count = 0;
+        for body in bodies.clone() {
+            meter.spend(POSE_STEPS)?;
+            count += usize::from(unusable(body));
+        }
+        let mut invalid = Vec::with_capacity(count);
+        if count > 0 {
+            let unusable = bodies.enumerate().filter(|(_, body)| unusable(*body));
+            for (body, _) in unusable {
+                meter.spend(POSE_STEPS)?;
                 invalid.push(body as u32);
             }
         }
-        (Self { positions, rotations }, invalid)
+        Ok((Self { positions, rotations }, invalid))
     }
 
     /// The pose of a body; none where it is not usable.

@@ -1,0 +1,42 @@
+//! Requests are decoded here: the memory that they take comes from the call's budget, and a
+//! large request does not keep the thread that serves it.
+
+use std::sync::Arc;
+
+use super::{
+    App, ServiceError,
+    context::CallContext,
+    limits::Limits,
+    offload::offloaded,
+    wire::{Bounds, Request},
+};
+use crate::{
+    budget::{Part, Permit},
+    contact::Stop,
+    proto::Encoded,
+};
+
+/// Decodes a request, then checks it with `check`. The check receives the memory that was
+/// taken for the request from the call's budget, and does its work on the same thread.
+///
+/// # Errors
+/// Those of [`Request::decode`] and of `check`.
+pub(super) async fn decoded<M: Request, T: Send + 'static>(
+    app: &Arc<App>,
+    context: &CallContext,
+    message: Encoded<M>,
+    check: impl FnOnce(M::Decoded, Permit, &Limits, &Stop) -> Result<T, ServiceError> + Send + 'static,
+) -> Result<T, ServiceError> {
+    let length = message.len();
+    let decode = {
+        let (app, context, bytes) = (app.clone(), context.clone(), message.into_bytes());
+        move |stop: &Stop| {
+            let mut memory = context.take(&app, Part::Decoded, 0)?;
+            let mut take = |bytes| context.grow(&app, &mut memory, bytes);
+            let request = M::decode(&bytes, &mut Bounds::new(app.limits(), stop, &mut take))?;
+            drop(bytes);
+            check(request, memory, app.limits(), stop)
+        }
+    };
+    offloaded(app, context, length, decode).await
+}

@@ -1,0 +1,64 @@
+//! Work of the service itself, such as decoding and copying: small work is done on the thread
+//! that serves the call, large work on the compute threads, which take turns between callers
+//! and stop when nobody waits.
+
+use super::{App, ServiceError, context::CallContext};
+use crate::{
+    compute::{Compute, Panicked},
+    contact::Stop,
+};
+
+/// Work on more bytes than this is done on the compute threads. Up to this it takes at most
+/// about a millisecond, and a thread that serves calls may do it.
+const LARGE_BYTES: usize = 256 << 10;
+
+/// Does `work` on about `bytes` bytes.
+///
+/// # Errors
+/// Those of `work`; INTERNAL where it panicked.
+pub(super) async fn offloaded<T: Send + 'static>(
+    app: &App,
+    context: &CallContext,
+    bytes: usize,
+    work: impl FnOnce(&Stop) -> Result<T, ServiceError> + Send + 'static,
+) -> Result<T, ServiceError> {
+    if bytes <= LARGE_BYTES {
+        return work(&context.job.stop);
+    }
+    let stop = context.job.stop.clone();
+    app.engine().compute_threads().run(move || work(&stop)).await.unwrap_or_else(|Panicked(why)| {
+        tracing::error!(why, "work of the service panicked");
+        Err(ServiceError::internal("the request could not be worked on"))
+    })
+}
+
+/// A value whose memory a compute thread frees where it has many bytes: giving much memory back
+/// to the system takes milliseconds, in which a thread that serves calls would serve none.
+#[derive(Debug)]
+pub(super) struct FreedOnCompute<T: Send + 'static> {
+    value: Option<T>,
+    bytes: usize,
+    compute: Compute,
+}
+
+impl<T: Send + 'static> FreedOnCompute<T> {
+    /// A value of about `bytes` bytes.
+    pub(super) fn new(value: T, bytes: usize, app: &App) -> Self {
+        Self { value: Some(value), bytes, compute: app.engine().compute_threads().clone() }
+    }
+
+    /// The value, which its new owner frees.
+    pub(super) fn into_inner(mut self) -> Option<T> {
+        self.value.take()
+    }
+}
+
+impl<T: Send + 'static> Drop for FreedOnCompute<T> {
+    fn drop(&mut self) {
+        let large = self.value.take().filter(|_| self.bytes > LARGE_BYTES);
+        if let (Some(value), Ok(runtime)) = (large, tokio::runtime::Handle::try_current()) {
+            let compute = self.compute.clone();
+            runtime.spawn(async move { compute.run(move || drop(value)).await });
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! What `GetHulls` and `HasHulls` say of hulls. Each distinct hull is looked up once, however
+//! often the request names it, and the answer's size is known before the answer is built.
+
+use std::{
+    collections::HashMap,
+    sync::{Mutex, PoisonError},
+};
+
+use futures_util::{StreamExt, TryStreamExt, stream};
+
+use super::{
+    ANSWER_COPIES, App, ServiceError, context::CallContext, hulls::unreadable, offload::offloaded, wire,
+};
+use crate::{
+    budget::{Part, Permit},
+    proto::HullRecord,
+    store::{AT_A_TIME, HullId, Missing},
+};
+
+/// Bytes of memory of a record beside its columns: the message, and what is known of any hull.
+const RECORD_BYTES: usize = 512;
+
+/// Bytes of memory for each point of a definition while it is read: the blob and the points.
+const READ_BYTES_PER_POINT: usize = 48;
+
+/// The ids of a request without repetitions.
+struct Distinct {
+    /// Each id once, in the order in which the request names them first, and how often it does.
+    ids: Vec<(HullId, usize)>,
+    /// For each id of the request its index in `ids`.
+    places: Vec<usize>,
+}
+
+impl Distinct {
+    fn of(given: &[HullId]) -> Self {
+        let mut place_of = HashMap::with_capacity(given.len());
+        let (mut ids, mut places) = (Vec::with_capacity(given.len()), Vec::with_capacity(given.len()));
+        for &id in given {
+            let place = *place_of.entry(id).or_insert(ids.len());
+            if place == ids.len() {
+                ids.push((id, 0));
+            }
+            ids[place].1 += 1;
+            places.push(place);
+        }
+        Self { ids, places }
+    }
+}
+
+/// Whether the server can answer for each hull.
+///
+/// # Errors
+/// STORE_UNAVAILABLE.
+pub(super) async fn present(app: &App, ids: &[HullId]) -> Result<Vec<bool>, ServiceError> {
+    let distinct = Distinct::of(ids);
+    let looked_up = stream::iter(distinct.ids).map(|(id, _)| is_present(app, id)).buffered(AT_A_TIME);
+    let present: Vec<bool> = looked_up.try_collect().await?;
+    Ok(distinct.places.into_iter().map(|place| present[place]).collect())
+}
+
+/// Not merely stored: a blob that is not the hull any more cannot be answered for.
+async fn is_present(app: &App, id: HullId) -> Result<bool, ServiceError> {
+    if app.registry().is_cached(id) {
+        return Ok(true);
+    }
+    match app.registry().definition(id).await {
+        Ok(_) => Ok(true),
+        Err(Missing::Unknown) => Ok(false),
+        Err(Missing::Unavailable) => Err(unreadable()),
+    }
+}
+
+/// A record for each id, and the memory that all of them take.
+///
+/// # Errors
+/// RESPONSE_TOO_LARGE before the records are built, TOO_BUSY, STORE_UNAVAILABLE.
+pub(super) async fn records(
+    app: &App,
+    context: &CallContext,
+    ids: &[HullId],
+    parts: wire::Parts,
+) -> Result<(Vec<HullRecord>, Permit), ServiceError> {
+    let Distinct { ids, places } = Distinct::of(ids);
+    let taken = Mutex::new(Taken { bytes: 0, memory: context.take(app, Part::Answers, 0)? });
+    let reading = Reading { app, context, parts, taken };
+    let read = |(id, times)| reading.record(id, times);
+    let records: Vec<_> = stream::iter(ids).map(read).buffered(AT_A_TIME).try_collect().await?;
+    let Taken { bytes, memory } = reading.taken.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let repeat = move |stop: &_| Ok(wire::repeated(records, &places, stop)?);
+    Ok((offloaded(app, context, bytes, repeat).await?, memory))
+}
+
+/// Records being read for one answer.
+struct Reading<'a> {
+    app: &'a App,
+    context: &'a CallContext,
+    parts: wire::Parts,
+    taken: Mutex<Taken>,
+}
+
+/// What the records that were begun will take.
+struct Taken {
+    /// Of the encoded answer, at least.
+    bytes: usize,
+    memory: Permit,
+}
+
+impl Reading<'_> {
+    /// The record of a hull that the answer has `times` times.
+    async fn record(&self, id: HullId, times: usize) -> Result<HullRecord, ServiceError> {
+        match self.found(id, times).await? {
+            Ok(record) => Ok(record),
+            Err(Missing::Unknown) => {
+                self.take(times, 0)?;
+                Ok(wire::not_found(id))
+            }
+            Err(Missing::Unavailable) => Err(unreadable()),
+        }
+    }
+
+    async fn found(&self, id: HullId, times: usize) -> Result<Result<HullRecord, Missing>, ServiceError> {
+        let (registry, parts) = (self.app.registry(), self.parts);
+        let hull = match registry.get(id).await {
+            Ok(hull) => hull,
+            Err(missing) => return Ok(Err(missing)),
+        };
+        let bytes = wire::record_bytes(&hull, parts);
+        self.take(times, bytes)?;
+        let mut working = hull.heap_bytes();
+        if parts.vertices {
+            working += READ_BYTES_PER_POINT * hull.registered_count();
+        }
+        let working = self.context.take(self.app, Part::Answers, working)?;
+        let definition = match parts.vertices {
+            true => match registry.definition(id).await {
+                Ok(definition) => Some(definition),
+                Err(missing) => return Ok(Err(missing)),
+            },
+            false => None,
+        };
+        let build = move |_: &_| {
+            let record = wire::record(id, &hull, definition.as_ref(), parts);
+            drop((definition, hull, working));
+            Ok(record)
+        };
+        let record = offloaded(self.app, self.context, bytes, build).await?;
+        // Many small records, all at hand, are not to keep the thread.
+        tokio::task::coop::consume_budget().await;
+        Ok(Ok(record))
+    }
+
+    /// Takes the memory of `times` records with columns of so many bytes, unless the answer
+    /// would be too large to be sent.
+    fn take(&self, times: usize, bytes: usize) -> Result<(), ServiceError> {
+        let mut taken = self.taken.lock().unwrap_or_else(PoisonError::into_inner);
+        taken.bytes = taken.bytes.saturating_add(times.saturating_mul(bytes));
+        if taken.bytes > self.app.limits().max_message_bytes {
+            return Err(self.app.answer_too_large(taken.bytes));
+        }
+        let memory = times.saturating_mul(ANSWER_COPIES * (bytes + RECORD_BYTES));
+        self.context.grow(self.app, &mut taken.memory, memory)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches an id that is looked up twice, lost, or answered in another's place.
+    #[test]
+    fn repeated_ids_are_looked_up_once() {
+        let ids = [3, 1, 3, 3, 2, 1].map(|byte| HullId([byte; 32]));
+        let distinct = Distinct::of(&ids);
+        assert_eq!(distinct.ids, [(ids[0], 3), (ids[1], 2), (ids[4], 1)]);
+        let again: Vec<_> = distinct.places.iter().map(|&place| distinct.ids[place].0).collect();
+        assert_eq!(again, ids);
+    }
+}
