@@ -231,6 +231,14 @@ impl Shares {
     /// # Errors
     /// The caller would hold more than its share; nothing is added.
     pub fn take(&mut self, caller: &Caller, amount: u64) -> Result<(), Refusal> {
+        self.take_shared(caller, amount, amount)
+    }
+
+    /// Adds `amount` to what `caller` holds, of which only `new` is not held by others already.
+    ///
+    /// # Errors
+    /// The caller would hold more than its share; nothing is added.
+    pub fn take_shared(&mut self, caller: &Caller, amount: u64, new: u64) -> Result<(), Refusal> {
         if amount == 0 {
             return Ok(());
         }
@@ -238,18 +246,23 @@ impl Shares {
         if held_after > self.most_alone() {
             return Err(Refusal::TooLarge);
         }
-        let free_after = self.limit.saturating_sub(self.used).checked_sub(amount).ok_or(Refusal::Busy)?;
+        let free_after = self.limit.saturating_sub(self.used).checked_sub(new).ok_or(Refusal::Busy)?;
         if self.dynamic && held_after > free_after {
             return Err(Refusal::Busy);
         }
-        self.used += amount;
+        self.used += new;
         self.held.insert(caller.id(), held_after);
         Ok(())
     }
 
     /// Subtracts `amount` from what `caller` holds.
     pub fn give_back(&mut self, caller: &Caller, amount: u64) {
-        self.used = self.used.saturating_sub(amount);
+        self.give_back_shared(caller, amount, amount);
+    }
+
+    /// Subtracts `amount` from what `caller` holds, of which `free` is held by nobody else.
+    pub fn give_back_shared(&mut self, caller: &Caller, amount: u64, free: u64) {
+        self.used = self.used.saturating_sub(free);
         if let Some(held) = self.held.get_mut(&caller.id()) {
             *held = held.saturating_sub(amount);
             if *held == 0 {

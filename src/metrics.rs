@@ -72,15 +72,17 @@ pub(crate) enum Shed {
     Connection,
     Hulls,
     Memory,
+    Store,
 }
 
 /// In the order of the enum.
-const SHEDS: [(Shed, &str); 5] = [
+const SHEDS: [(Shed, &str); 6] = [
     (Shed::Pairs, "pairs_in_flight"),
     (Shed::RequestBytes, "request_bytes_in_flight"),
     (Shed::Connection, "connections"),
     (Shed::Hulls, "held_bytes"),
     (Shed::Memory, "memory"),
+    (Shed::Store, "store_operations"),
 ];
 
 /// Why the server cut a call whose answer was ready.
@@ -117,7 +119,7 @@ pub struct Metrics {
     pub(crate) queue_seconds: Histogram,
     pub(crate) compute_seconds: Histogram,
     pub(crate) solver_iterations: Counter,
-    sheds: [Counter; 5],
+    sheds: [Counter; SHEDS.len()],
     cuts: [Counter; 2],
     memory_bytes: Family<Part, Gauge>,
     token_memory_bytes: Family<Token, Gauge>,

@@ -55,7 +55,7 @@ async fn prune(args: &Args) -> Result<(), Error> {
     let before = i64::try_from(now.saturating_sub(args.older_than).as_millis())?;
     let (mut kept, mut removed, mut bytes, mut after) = (0_u64, 0_u64, 0_u64, None);
     loop {
-        let page = store.list(after, PAGE).await?;
+        let page = blobs::list(&*store, after, PAGE, u64::MAX).await?;
         let Some(last) = page.last() else { break };
         after = Some(last.id);
         for blob in page {

@@ -169,6 +169,9 @@ settings! {
     max_page_size: u32 = |l: &Limits| l.max_page_size, "HULLCAST_MAX_PAGE_SIZE", "N";
     /// How long a hull that another server deleted may still be answered for
     cache_age_seconds: u32 = |l: &Limits| l.cache_age_seconds, "HULLCAST_CACHE_AGE_SECONDS", "S";
+    /// Seconds that an operation of the store may take; after that the store is taken to hang
+    /// until the operation returns (1 to 3600)
+    store_seconds: u32 = |l: &Limits| l.store_seconds, "HULLCAST_STORE_SECONDS", "S";
 }
 
 impl Given {
@@ -237,6 +240,8 @@ impl Settings {
             max_streams_per_connection: self.max_streams_per_connection,
             max_page_size: self.max_page_size,
             cache_age_seconds: self.cache_age_seconds,
+            store_seconds: self.store_seconds,
+            ..Limits::default()
         })
     }
 }

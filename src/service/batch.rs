@@ -13,7 +13,7 @@ use super::{
 use crate::{
     budget::Permit,
     contact::{Basis, Body, Outcome, Workspace, contact_manifold},
-    store::{Hold, Hulls},
+    store::{Hulls, Lease},
 };
 
 /// A batch, ready to compute: checked, its hulls at hand.
@@ -30,7 +30,7 @@ pub struct Batch {
     /// What is kept of the answers: all that is sent, and perhaps bases.
     kept: Outputs,
     /// Given back with the answer.
-    hold: Option<Hold>,
+    lease: Option<Lease>,
     /// The memory of the scene; none where no call is answered, or where the call keeps it.
     _memory: Option<Permit>,
 }
@@ -42,7 +42,7 @@ impl Batch {
         let kept = setting.outputs;
         let (hulls, poses) = (Arc::new(hulls), Arc::new(poses));
         let batch =
-            Self { hulls, setting, poses, candidates: None, warm_starts, kept, hold: None, _memory: memory };
+            Self { hulls, setting, poses, candidates: None, warm_starts, kept, lease: None, _memory: memory };
         (batch, invalid_bodies)
     }
 
@@ -61,7 +61,7 @@ impl Batch {
             candidates: Some(candidates),
             warm_starts: Vec::new(),
             kept,
-            hold: None,
+            lease: None,
             _memory: None,
         }
     }
@@ -71,8 +71,8 @@ impl Batch {
     }
 
     /// Its hulls are in use until it is answered.
-    pub fn hold(&mut self, hold: Hold) {
-        self.hold = Some(hold);
+    pub fn lease(&mut self, lease: Lease) {
+        self.lease = Some(lease);
     }
 
     /// Its columns have the bases, whether they are sent or not.

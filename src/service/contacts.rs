@@ -29,10 +29,10 @@ use crate::{
         Encoded, QueryContactsRequest, QueryContactsResponse,
         contact_service_server::{ContactService, ContactServiceServer},
     },
-    store::{Hold, HullId, Hulls, NoRoom},
+    store::{HullId, Hulls, Lease, LeaseError},
 };
 
-/// When to ask again where other requests hold too much: what they take to be answered.
+/// When to ask again if other requests use too many hulls: about the time that they take.
 const HULLS_RETRY: Duration = Duration::from_millis(100);
 
 pub(super) fn service(app: Arc<App>) -> ContactServiceServer<impl ContactService> {
@@ -130,7 +130,7 @@ pub(super) async fn answer(
     let (request_id, outputs) = (scene.request_id, scene.setting.outputs);
     let (pairs, bodies) = (scene.setting.pair_count(), scene.setting.body_hulls.len());
     let admission = app.engine().admit(pairs, outputs)?;
-    let (mut batch, missing_hulls, invalid_bodies) = assemble(app, scene).await?;
+    let (mut batch, missing_hulls, invalid_bodies) = assemble(app, scene, &context.job).await?;
     if keep_bases {
         batch.keep_bases();
     }
@@ -162,11 +162,11 @@ pub(super) async fn answer(
 
 /// The scene with its hulls at hand, the indices of those that are missing, and of the
 /// bodies that are unusable.
-async fn assemble(app: &App, scene: Scene) -> Result<(Batch, Vec<u32>, Vec<u32>), ServiceError> {
-    let (hulls, hold) = fetch(app, &scene.setting.hull_ids).await?;
+async fn assemble(app: &App, scene: Scene, job: &Job) -> Result<(Batch, Vec<u32>, Vec<u32>), ServiceError> {
+    let (hulls, lease) = fetch(app, &scene.setting.hull_ids, job).await?;
     let missing = missing(&hulls);
     let (mut batch, invalid_bodies) = Batch::new(scene, hulls);
-    batch.hold(hold);
+    batch.lease(lease);
     Ok((batch, missing, invalid_bodies))
 }
 
@@ -175,17 +175,20 @@ pub(super) fn missing(hulls: &Hulls) -> Vec<u32> {
     hulls.iter().enumerate().filter(|(_, hull)| hull.is_err()).map(|(i, _)| i as u32).collect()
 }
 
-/// The hulls, in the order of their ids, in use until the hold is dropped.
-pub(super) async fn fetch(app: &App, ids: &[HullId]) -> Result<(Hulls, Hold), ServiceError> {
-    app.registry().hold(ids).await.map_err(|why| match why {
-        NoRoom::TooLarge => {
-            let limit = app.limits().cache_bytes;
-            let message = format!("the hulls take more than the {limit} bytes of cache_bytes: use fewer");
+/// The hulls, in the order of their ids, cached until the lease is dropped.
+pub(super) async fn fetch(app: &App, ids: &[HullId], job: &Job) -> Result<(Hulls, Lease), ServiceError> {
+    app.registry().lease(ids, job).await.map_err(|why| match why {
+        LeaseError::TooLarge => {
+            let (limit, all) = (app.registry().most_leased_alone(), app.limits().cache_bytes);
+            let message = format!(
+                "the hulls take more than the {limit} bytes that one caller may use of the {all} of \
+                 cache_bytes: use fewer"
+            );
             ServiceError::invalid("HULLS_TOO_LARGE", "hull_ids", message)
         }
-        NoRoom::Busy => {
+        LeaseError::Busy => {
             app.metrics().shed(Shed::Hulls);
-            let message = "other requests hold too many bytes of hulls; ask again";
+            let message = "other requests use too many bytes of hulls; ask again";
             ServiceError::unavailable("TOO_BUSY", HULLS_RETRY, message)
         }
     })

@@ -18,7 +18,7 @@ use crate::{
     compute::{Panicked, Parts},
     contact::{Body, Stop},
     proto::{Encoded, QueryContactsRequest, QueryContactsResponse},
-    store::{Hold, Hulls, Missing},
+    store::{Hulls, Lease, Missing},
 };
 
 /// Candidates that are computed together, and so the most pairs of a message: the size at
@@ -45,7 +45,7 @@ pub(super) struct Finding {
     request_id: u64,
     setting: Arc<Setting>,
     hulls: Arc<Hulls>,
-    _hold: Hold,
+    _lease: Lease,
     /// Of the setting, the poses and the rules.
     _memory: Permit,
     poses: Arc<Poses>,
@@ -74,7 +74,7 @@ impl Finding {
         let (scene, rules, memory) = decoded(&app, &context, request, check).await?;
         let admission = app.engine().place(most_candidates(&app))?;
         let Scene { request_id, setting, poses, invalid_bodies, .. } = scene;
-        let (hulls, hold) = fetch(&app, &setting.hull_ids).await?;
+        let (hulls, lease) = fetch(&app, &setting.hull_ids, &context.job).await?;
         let hulls = Arc::new(hulls);
         // Nothing could be said of its bodies' pairs: there would be none to say it of.
         if hulls.iter().any(|hull| matches!(hull, Err(Missing::Unavailable))) {
@@ -93,7 +93,7 @@ impl Finding {
             request_id,
             setting,
             hulls,
-            _hold: hold,
+            _lease: lease,
             _memory: memory,
             poses,
             broad_phase,

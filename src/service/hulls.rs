@@ -14,6 +14,8 @@ use super::{
 use crate::{
     budget::{Part, Permit},
     contact::Stop,
+    log_limit::Repeated,
+    metrics::Shed,
     proto::{
         DeleteHullsRequest, DeleteHullsResponse, Encoded, GetHullsRequest, GetHullsResponse, HasHullsRequest,
         HasHullsResponse, ListHullsRequest, ListHullsResponse, RegisterHullResult, RegisterHullsRequest,
@@ -56,7 +58,7 @@ impl HullService for Hulls {
         let mut results = Vec::with_capacity(definitions.len());
         let mut left = definitions.into_iter().peekable();
         while left.peek().is_some() {
-            results.extend(self.register(group(&mut left)).await?);
+            results.extend(self.register(group(&mut left), &context).await?);
         }
         Ok(self.app.bounded_answer(&context, RegisterHullsResponse { results })?)
     }
@@ -79,7 +81,7 @@ impl HullService for Hulls {
     ) -> Result<Response<HasHullsResponse>, Status> {
         let context = CallContext::of(&request);
         let (ids, _memory) = self.decoded(&context, request).await?;
-        let present = present(&self.app, &ids).await?;
+        let present = present(&self.app, &context, &ids).await?;
         Ok(self.app.bounded_answer(&context, HasHullsResponse { present })?)
     }
 
@@ -92,7 +94,8 @@ impl HullService for Hulls {
         let size = if listing.page_size == 0 { DEFAULT_PAGE_SIZE } else { listing.page_size };
         let size = size.min(self.app.limits().max_page_size) as usize;
         let listed = context.take(&self.app, Part::Answers, size.saturating_mul(LISTED_BYTES))?;
-        let (blobs, more) = self.app.registry().list(listing.after, size).await.map_err(store_error)?;
+        let page = self.app.registry().list(listing.after, size, &context.job).await;
+        let (blobs, more) = page.map_err(|error| store_error(&self.app, error))?;
         let page = wire::page(blobs, more);
         // The answer's exact size takes its place.
         drop(listed);
@@ -108,7 +111,8 @@ impl HullService for Hulls {
         let mut deleted = Vec::with_capacity(ids.len());
         // One after the other: an id that is named twice is deleted once.
         for id in ids {
-            deleted.push(self.app.registry().delete(id).await.map_err(store_error)?);
+            let done = self.app.registry().delete(id, &context.job).await;
+            deleted.push(done.map_err(|error| store_error(&self.app, error))?);
         }
         tracing::info!(hulls = deleted.iter().filter(|deleted| **deleted).count(), "deleted");
         Ok(self.app.bounded_answer(&context, DeleteHullsResponse { deleted })?)
@@ -126,15 +130,19 @@ impl Hulls {
         decoded(&self.app, context, request.into_inner(), keep).await
     }
 
-    async fn register(&self, group: Vec<wire::Definition>) -> Result<Vec<RegisterHullResult>, ServiceError> {
+    async fn register(
+        &self,
+        group: Vec<wire::Definition>,
+        context: &CallContext,
+    ) -> Result<Vec<RegisterHullResult>, ServiceError> {
         let (mut given, mut malformed) = (Vec::with_capacity(group.len()), Vec::with_capacity(group.len()));
         for definition in group {
             malformed.push(definition.map(|definition| given.push(definition)).err());
         }
-        let mut registered = self.app.registry().register(given).await.into_iter();
+        let mut registered = self.app.registry().register(given, &context.job).await.into_iter();
         let result = |malformed| match malformed {
             Some(error) => Some(Ok(wire::register_result(Err(error)))),
-            None => registered.next().map(registered_result),
+            None => registered.next().map(|registered| registered_result(&self.app, registered)),
         };
         malformed.into_iter().filter_map(result).collect()
     }
@@ -144,11 +152,18 @@ pub(super) fn unreadable() -> ServiceError {
     ServiceError::unavailable("STORE_UNAVAILABLE", STORE_RETRY, "the store could not be read")
 }
 
-fn store_error(error: StoreError) -> ServiceError {
-    tracing::warn!(%error, "the store failed");
+fn store_error(app: &App, error: StoreError) -> ServiceError {
+    static FAILED: Repeated = Repeated::new();
+    if let Some(left_out) = FAILED.due() {
+        tracing::warn!(%error, left_out, "the store failed");
+    }
     match error {
         StoreError::Full(_) => ServiceError::store_full(error.to_string()),
-        StoreError::Unavailable(_) => {
+        StoreError::Busy(_) => {
+            app.metrics().shed(Shed::Store);
+            ServiceError::unavailable("TOO_BUSY", STORE_RETRY, format!("{error}; ask again"))
+        }
+        StoreError::Unavailable(_) | StoreError::Hung(_) | StoreError::NotABlob(_) => {
             ServiceError::unavailable("STORE_UNAVAILABLE", STORE_RETRY, error.to_string())
         }
     }
@@ -168,14 +183,14 @@ fn group(left: &mut Peekable<impl Iterator<Item = wire::Definition>>) -> Vec<wir
 }
 
 /// A hull that is no hull is its own result; a store that fails is the call's.
-fn registered_result(registered: Registered) -> Result<RegisterHullResult, ServiceError> {
+fn registered_result(app: &App, registered: Registered) -> Result<RegisterHullResult, ServiceError> {
     match registered {
         Ok((id, hull)) => {
             tracing::debug!(hull = %id, vertices = hull.vertex_count(), "registered");
             Ok(wire::register_result(Ok((id, &hull))))
         }
         Err(RegisterError::Hull(error)) => Ok(wire::register_result(Err(wire::hull_error(&error)))),
-        Err(RegisterError::Store(error)) => Err(store_error(error)),
+        Err(RegisterError::Store(error)) => Err(store_error(app, error)),
         Err(RegisterError::Internal(error)) => {
             tracing::error!(%error, "a hull could not be built");
             Err(ServiceError::internal("a hull could not be built"))

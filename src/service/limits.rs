@@ -43,6 +43,11 @@ pub struct Limits {
     pub max_page_size: u32,
     /// Within this a hull deleted by another server on the same store may still be answered for.
     pub cache_age_seconds: u32,
+    /// How long an operation of the store may take before the store is taken to hang.
+    pub store_seconds: u32,
+    /// Whether callers share the cache and the store by dynamic thresholds, so that none of
+    /// them leaves nothing for the others.
+    pub shares: bool,
 }
 
 impl Default for Limits {
@@ -66,6 +71,8 @@ impl Default for Limits {
             max_streams_per_connection: 1024,
             max_page_size: 10_000,
             cache_age_seconds: 60,
+            store_seconds: 20,
+            shares: true,
         }
     }
 }
@@ -74,7 +81,18 @@ impl Default for Limits {
 /// server that answers for 2 GiB at a time is misconfigured.
 const MOST_MESSAGE_BYTES: usize = 2 << 30;
 
+/// The largest `store_seconds`: for longer, callers would wait for a store that does not answer.
+const MOST_STORE_SECONDS: u32 = 3600;
+
+/// The bytes of a blob beside its points, rounded up (docs/identity.md).
+const BLOB_HEAD_BYTES: u64 = 64;
+
 impl Limits {
+    /// The bytes of the largest blob: a message has at least as many bytes as the points in it.
+    pub fn max_blob_bytes(&self) -> u64 {
+        self.max_message_bytes as u64 + BLOB_HEAD_BYTES
+    }
+
     /// What makes these limits contradict each other, for people; none when they do not.
     pub fn contradiction(&self) -> Option<String> {
         let positive = [
@@ -96,6 +114,12 @@ impl Limits {
             return Some(format!(
                 "max_message_bytes is {}, outside 1024 to {MOST_MESSAGE_BYTES}",
                 self.max_message_bytes
+            ));
+        }
+        if !(1..=MOST_STORE_SECONDS).contains(&self.store_seconds) {
+            return Some(format!(
+                "store_seconds is {}, outside 1 to {MOST_STORE_SECONDS}",
+                self.store_seconds
             ));
         }
         if self.max_vertices_per_hull < 4 {

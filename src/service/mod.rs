@@ -92,6 +92,9 @@ impl App {
             store_bytes: limits.store_bytes,
             cache_age: Duration::from_secs(limits.cache_age_seconds.into()),
             max_vertices: limits.max_vertices_per_hull as usize,
+            max_blob_bytes: limits.max_blob_bytes(),
+            store_limit: Duration::from_secs(limits.store_seconds.into()),
+            shares: limits.shares,
         };
         let metrics = Arc::new(Metrics::default());
         let (pairs, bytes) = (limits.max_pairs_in_flight, limits.max_message_bytes);

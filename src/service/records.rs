@@ -14,7 +14,7 @@ use super::{
 use crate::{
     budget::{Part, Permit},
     proto::HullRecord,
-    store::{AT_A_TIME, HullId, Missing},
+    store::{AT_A_TIME, HullId, Missing, Reader},
 };
 
 /// Bytes of memory of a record beside its columns: the message, and what is known of any hull.
@@ -51,23 +51,17 @@ impl Distinct {
 ///
 /// # Errors
 /// STORE_UNAVAILABLE.
-pub(super) async fn present(app: &App, ids: &[HullId]) -> Result<Vec<bool>, ServiceError> {
+pub(super) async fn present(
+    app: &App,
+    context: &CallContext,
+    ids: &[HullId],
+) -> Result<Vec<bool>, ServiceError> {
     let distinct = Distinct::of(ids);
-    let looked_up = stream::iter(distinct.ids).map(|(id, _)| is_present(app, id)).buffered(AT_A_TIME);
+    let reader = &app.registry().reader(&context.job);
+    let has = |(id, _)| async move { reader.has(id).await.map_err(|_| unreadable()) };
+    let looked_up = stream::iter(distinct.ids).map(has).buffered(AT_A_TIME);
     let present: Vec<bool> = looked_up.try_collect().await?;
     Ok(distinct.places.into_iter().map(|place| present[place]).collect())
-}
-
-/// Not merely stored: a blob that is not the hull any more cannot be answered for.
-async fn is_present(app: &App, id: HullId) -> Result<bool, ServiceError> {
-    if app.registry().is_cached(id) {
-        return Ok(true);
-    }
-    match app.registry().definition(id).await {
-        Ok(_) => Ok(true),
-        Err(Missing::Unknown) => Ok(false),
-        Err(Missing::Unavailable) => Err(unreadable()),
-    }
 }
 
 /// A record for each id, and the memory that all of them take.
@@ -82,7 +76,8 @@ pub(super) async fn records(
 ) -> Result<(Vec<HullRecord>, Permit), ServiceError> {
     let Distinct { ids, places } = Distinct::of(ids);
     let taken = Mutex::new(Taken { bytes: 0, memory: context.take(app, Part::Answers, 0)? });
-    let reading = Reading { app, context, parts, taken };
+    let reader = app.registry().reader(&context.job);
+    let reading = Reading { app, context, reader, parts, taken };
     let read = |(id, times)| reading.record(id, times);
     let records: Vec<_> = stream::iter(ids).map(read).buffered(AT_A_TIME).try_collect().await?;
     let Taken { bytes, memory } = reading.taken.into_inner().unwrap_or_else(PoisonError::into_inner);
@@ -94,6 +89,7 @@ pub(super) async fn records(
 struct Reading<'a> {
     app: &'a App,
     context: &'a CallContext,
+    reader: Reader<'a>,
     parts: wire::Parts,
     taken: Mutex<Taken>,
 }
@@ -119,8 +115,8 @@ impl Reading<'_> {
     }
 
     async fn found(&self, id: HullId, times: usize) -> Result<Result<HullRecord, Missing>, ServiceError> {
-        let (registry, parts) = (self.app.registry(), self.parts);
-        let hull = match registry.get(id).await {
+        let parts = self.parts;
+        let hull = match self.reader.get(id).await {
             Ok(hull) => hull,
             Err(missing) => return Ok(Err(missing)),
         };
@@ -132,7 +128,7 @@ impl Reading<'_> {
         }
         let working = self.context.take(self.app, Part::Answers, working)?;
         let definition = match parts.vertices {
-            true => match registry.definition(id).await {
+            true => match self.reader.definition(id).await {
                 Ok(definition) => Some(definition),
                 Err(missing) => return Ok(Err(missing)),
             },

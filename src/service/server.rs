@@ -2,7 +2,7 @@
 
 use std::{future::Future, net::IpAddr, sync::Arc, time::Duration};
 
-use tokio::{sync::watch, task::JoinSet};
+use tokio::{sync::watch, task::JoinSet, time::timeout};
 use tonic::service::Routes;
 use tonic_health::{ServingStatus, server::HealthReporter};
 
@@ -10,7 +10,7 @@ use super::{
     App, OpenError, Readiness, Security, connection::Connections, contacts, hulls, info, listener::Listener,
     middleware::Closing,
 };
-use crate::{log_limit::Repeated, proto};
+use crate::{log_limit::Repeated, proto, store::StoreError};
 
 /// After a failed accept (too many open files), so that the loop does not spin.
 pub(super) const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
@@ -178,12 +178,21 @@ async fn accept(listener: Listener, connections: Arc<Connections>, mut closing: 
     while open.join_next().await.is_some() {}
 }
 
-/// Tries the store, for ever: registering is not served while it cannot be written to.
+/// A store that answers takes milliseconds; a machine that is busy may take longer.
+const SHORTEST_PROBE: Duration = Duration::from_secs(1);
+
+/// Tries the store, for ever: registering is not served while it cannot be written to. A probe
+/// that is not answered within an interval fails, so that a store that hangs is noticed within
+/// two.
 async fn probe(app: Arc<App>, reporter: HealthReporter, every: Duration) {
+    let within = every.max(SHORTEST_PROBE);
     let mut well = true;
     loop {
         tokio::time::sleep(every).await;
-        let probed = app.registry().probe().await;
+        let probed = timeout(within, app.registry().probe()).await.unwrap_or_else(|_| {
+            let why = format!("a probe was not answered within {} s", within.as_secs_f64());
+            Err(StoreError::Hung(why))
+        });
         if probed.is_ok() == well {
             continue;
         }

@@ -1,32 +1,32 @@
 //! Keeps blobs by the hash of their content.
 //!
-//! [`BlobStore`] is all that the registry asks of a store; [`Objects`] is the
-//! one implementation, over the `object_store` crate: a local directory with
-//! every write synced (file and directories) before it is acknowledged, an object
-//! store (`remote`), or memory, which forgets.
+//! [`BlobStore`] is all that the registry asks of a store. A directory is one
+//! (`directory`), with every write synced (file and directories) before it is acknowledged;
+//! over the `object_store` crate (`objects`) so are an object store (`remote`), and memory,
+//! which forgets.
 
-use std::{
-    error::Error as _,
-    fmt, io,
-    path::{Path as FsPath, PathBuf},
-    sync::Arc,
-};
+use std::{collections::BinaryHeap, fmt, path::Path, sync::Arc};
 
 use bytes::Bytes;
-use futures_util::{TryStreamExt, future::BoxFuture};
-use object_store::{
-    ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload, local::LocalFileSystem, memory::InMemory, path::Path,
-};
+use futures_util::future::BoxFuture;
+use object_store::{ObjectStore, memory::InMemory};
 
-use super::{HullId, identity::id_of};
+use super::{HullId, directory::DirectoryStore, identity::id_of, objects::Objects};
 
 /// Why the store did not do what was asked.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub enum StoreError {
     /// No room: the disk or the configured limit.
     Full(String),
     /// It could not be read or written; trying again may help.
     Unavailable(String),
+    /// It does not answer: an earlier operation has not returned in time.
+    Hung(String),
+    /// This caller waits for too many operations already; trying again may help.
+    Busy(String),
+    /// An entry of this name is there and cannot be a blob: it is not a regular file, it is
+    /// too large, or it may not be read. Its hull is not there; the others are not affected.
+    NotABlob(String),
 }
 
 impl fmt::Display for StoreError {
@@ -34,6 +34,9 @@ impl fmt::Display for StoreError {
         match self {
             Self::Full(why) => write!(f, "the store is full: {why}"),
             Self::Unavailable(why) => write!(f, "the store is unavailable: {why}"),
+            Self::Hung(why) => write!(f, "the store does not answer: {why}"),
+            Self::Busy(why) => write!(f, "the store is busy: {why}"),
+            Self::NotABlob(why) => write!(f, "the store's entry is not a blob: {why}"),
         }
     }
 }
@@ -41,7 +44,7 @@ impl fmt::Display for StoreError {
 impl std::error::Error for StoreError {}
 
 /// A blob, as listed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct StoredBlob {
     /// Its name.
     pub id: HullId,
@@ -51,24 +54,59 @@ pub struct StoredBlob {
     pub bytes: u64,
 }
 
-/// A durable map from id to bytes.
+/// A durable map from id to bytes. Blobs whose ids share the first byte are one shard.
 pub trait BlobStore: fmt::Debug + Send + Sync {
     /// Writes a blob; durable when it returns. An earlier one of that name is replaced.
     fn put(&self, id: HullId, blob: Bytes) -> BoxFuture<'_, Result<(), StoreError>>;
-    /// Reads a blob; none when there is no such.
-    fn get(&self, id: HullId) -> BoxFuture<'_, Result<Option<Bytes>, StoreError>>;
+    /// Reads a blob of at most `max_bytes`; none when there is no such. Whatever lies under
+    /// the name, at most one byte more is read.
+    fn get(&self, id: HullId, max_bytes: u64) -> BoxFuture<'_, Result<Option<Bytes>, StoreError>>;
     /// A blob's size; none when there is no such.
     fn size(&self, id: HullId) -> BoxFuture<'_, Result<Option<u64>, StoreError>>;
     /// Removes a blob; none to remove is no error.
     fn delete(&self, id: HullId) -> BoxFuture<'_, Result<(), StoreError>>;
-    /// At least `count` blobs, if there are, after `after`, by id; never a part of the
-    /// blobs that share a first byte.
-    fn list(&self, after: Option<HullId>, count: usize)
-    -> BoxFuture<'_, Result<Vec<StoredBlob>, StoreError>>;
+    /// The shards that may have blobs, in order.
+    fn shards(&self) -> BoxFuture<'_, Result<Vec<u8>, StoreError>>;
+    /// The first `count` blobs of a shard, by id, that come after `after` and have at most
+    /// `max_bytes`; fewer only if there are no more.
+    fn list(
+        &self,
+        shard: u8,
+        after: Option<HullId>,
+        count: usize,
+        max_bytes: u64,
+    ) -> BoxFuture<'_, Result<Vec<StoredBlob>, StoreError>>;
     /// Keeps `blob`, found under the name of `id` and not that hull, out of the way; where.
     fn set_aside(&self, id: HullId, blob: Bytes) -> BoxFuture<'_, Result<String, StoreError>>;
     /// Writes and removes something, to see whether it can.
     fn probe(&self) -> BoxFuture<'_, Result<(), StoreError>>;
+    /// How many operations it does side by side.
+    fn operations_at_a_time(&self) -> u64 {
+        64
+    }
+}
+
+/// The first `count` blobs of a store, by id, that come after `after` and have at most
+/// `max_bytes`; fewer only if there are no more. One shard is listed at a time.
+///
+/// # Errors
+/// The store could not be listed.
+pub async fn list(
+    store: &dyn BlobStore,
+    after: Option<HullId>,
+    count: usize,
+    max_bytes: u64,
+) -> Result<Vec<StoredBlob>, StoreError> {
+    let mut blobs = Vec::new();
+    for shard in store.shards().await? {
+        if blobs.len() >= count {
+            break;
+        }
+        if after.is_none_or(|after| shard >= after.0[0]) {
+            blobs.extend(store.list(shard, after, count - blobs.len(), max_bytes).await?);
+        }
+    }
+    Ok(blobs)
 }
 
 /// Why a `--store` could not be opened.
@@ -94,31 +132,29 @@ pub type Opened = Arc<dyn BlobStore>;
 /// The directory cannot be made or is not one, or the scheme is not of this build. Whether a
 /// bucket can be reached is not asked.
 pub fn open(url: &str) -> Result<Opened, OpenError> {
-    let (objects, root, absent): (Arc<dyn ObjectStore>, _, _) = match url.split_once("://") {
-        Some(("memory", _)) => (Arc::new(InMemory::new()), None, None),
+    match url.split_once("://") {
+        Some(("memory", _)) => Ok(Arc::new(Objects::new(Arc::new(InMemory::new()), None))),
         Some((scheme, _)) if scheme != "file" => match remote(scheme, url) {
             Some(opened) => {
                 let (objects, absent) = opened.map_err(|e| failed(url, &e))?;
-                (objects, None, Some(absent))
+                Ok(Arc::new(Objects::new(objects, Some(absent))))
             }
-            None => return Err(unknown_scheme(url, scheme)),
+            None => Err(unknown_scheme(url, scheme)),
         },
         _ => {
             let path = url.strip_prefix("file://").unwrap_or(url);
-            let (objects, root) = directory(path.as_ref()).map_err(|e| failed(url, &e))?;
-            (Arc::new(objects), Some(root), None)
+            Ok(Arc::new(DirectoryStore::open(path.as_ref()).map_err(|e| failed(url, &e))?))
         }
-    };
-    Ok(Arc::new(Objects { objects, root, absent }))
+    }
 }
 
-/// The same, of a directory that is there already.
+/// Opens a directory as [`open`] does, if it is there already.
 ///
 /// # Errors
 /// As [`open`]; there is no such directory.
 pub fn open_existing(url: &str) -> Result<Opened, OpenError> {
     let path = url.strip_prefix("file://").unwrap_or(url);
-    if !path.contains("://") && !FsPath::new(path).is_dir() {
+    if !path.contains("://") && !Path::new(path).is_dir() {
         return Err(OpenError(format!("store {url}: no such directory")));
     }
     open(url)
@@ -153,187 +189,74 @@ fn failed(url: &str, error: &dyn std::error::Error) -> OpenError {
     OpenError(format!("store {url}: {error}"))
 }
 
-/// The store in a directory, and the directory's own path.
-fn directory(path: &FsPath) -> io::Result<(LocalFileSystem, PathBuf)> {
-    std::fs::create_dir_all(path)?;
-    let store = LocalFileSystem::new_with_prefix(path).map_err(io::Error::other)?.with_fsync(true);
-    // Makes durable what a killed server made here and did not come to sync: the
-    // directory's own entry, and those of the shards in it.
-    let path = path.canonicalize()?;
-    std::fs::File::open(&path)?.sync_all()?;
-    if let Some(parent) = path.parent() {
-        // A parent that may not be opened is not one that was just made.
-        let _ = std::fs::File::open(parent).and_then(|parent| parent.sync_all());
-    }
-    Ok((store, path))
+/// The directory of a shard.
+pub(super) fn shard_name(shard: u8) -> String {
+    format!("{shard:02x}")
 }
 
-/// Blobs as objects, sharded by the first byte of their id: no directory of a million files.
-#[derive(Debug)]
-struct Objects {
-    objects: Arc<dyn ObjectStore>,
-    /// Of a directory.
-    root: Option<PathBuf>,
-    /// What an answer has to say for an object to be missing, where a missing bucket, an
-    /// outage of all hulls, has the same status; none: the status is enough.
-    absent: Option<&'static str>,
+/// The shard of a directory; none of another name.
+pub(super) fn shard_of_name(name: &str) -> Option<u8> {
+    let shard = u8::from_str_radix(name, 16).ok()?;
+    (name == shard_name(shard)).then_some(shard)
 }
 
-impl Objects {
-    /// A directory that is gone has nothing and takes everything: neither is what it says.
-    async fn still_there(&self) -> Result<(), StoreError> {
-        let Some(root) = &self.root else { return Ok(()) };
-        match tokio::fs::try_exists(root).await {
-            Ok(true) => Ok(()),
-            Ok(false) => Err(StoreError::Unavailable(format!("{} is gone", root.display()))),
-            Err(error) => Err(StoreError::Unavailable(format!("{}: {error}", root.display()))),
-        }
-    }
-
-    /// Not found is no error, where it is the object that was not found.
-    fn present<T>(&self, result: object_store::Result<T>) -> Result<Option<T>, StoreError> {
-        match result {
-            Ok(value) => Ok(Some(value)),
-            Err(error @ object_store::Error::NotFound { .. })
-                if self.absent.is_none_or(|absent| says(&error, absent)) =>
-            {
-                Ok(None)
-            }
-            Err(error) => Err(store_error(error)),
-        }
-    }
-
-    /// What is known of an object; none where there is no such.
-    async fn meta(&self, path: &Path) -> Result<Option<ObjectMeta>, StoreError> {
-        let mut found = self.objects.head(path).await;
-        if self.absent.is_some() && matches!(found, Err(object_store::Error::NotFound { .. })) {
-            // An answer without a body cannot say what is missing; a read's does.
-            found = self.objects.get(path).await.map(|found| found.meta);
-        }
-        self.present(found)
-    }
+/// The name under which bytes are set aside that were found in place of the blob of `id`. It
+/// has both hashes, so that what is found again and again is kept once.
+pub(super) fn quarantine_name(id: HullId, found: &[u8]) -> String {
+    let content = id_of(found).to_string();
+    format!("{id}-{}", &content[..16])
 }
 
-/// `ab/ab12…`: the whole id is the name, so that a file can be checked where it lies.
-fn key(id: HullId) -> Path {
-    let name = id.to_string();
-    Path::from_iter([&name[..2], &name])
+/// Of all that is offered, the `count` that come first.
+pub(super) struct FirstById<T> {
+    count: usize,
+    first: BinaryHeap<T>,
 }
 
-fn id_of_key(key: &Path) -> Option<HullId> {
-    key.filename()?.parse().ok()
-}
-
-impl BlobStore for Objects {
-    fn put(&self, id: HullId, blob: Bytes) -> BoxFuture<'_, Result<(), StoreError>> {
-        Box::pin(async move {
-            self.still_there().await?;
-            let written = self.objects.put(&key(id), PutPayload::from_bytes(blob)).await;
-            written.map(|_| ()).map_err(store_error)
-        })
+impl<T: Ord> FirstById<T> {
+    pub(super) fn new(count: usize) -> Self {
+        Self { count, first: BinaryHeap::new() }
     }
 
-    fn get(&self, id: HullId) -> BoxFuture<'_, Result<Option<Bytes>, StoreError>> {
-        Box::pin(async move {
-            let Some(found) = self.present(self.objects.get(&key(id)).await)? else {
-                return self.still_there().await.map(|()| None);
-            };
-            // Deleted between opening and reading is deleted.
-            self.present(found.bytes().await)
-        })
-    }
-
-    fn size(&self, id: HullId) -> BoxFuture<'_, Result<Option<u64>, StoreError>> {
-        Box::pin(async move {
-            match self.meta(&key(id)).await? {
-                Some(meta) => Ok(Some(meta.size)),
-                None => self.still_there().await.map(|()| None),
-            }
-        })
-    }
-
-    fn delete(&self, id: HullId) -> BoxFuture<'_, Result<(), StoreError>> {
-        Box::pin(async move { self.present(self.objects.delete(&key(id)).await).map(|_| ()) })
-    }
-
-    fn list(
-        &self,
-        after: Option<HullId>,
-        count: usize,
-    ) -> BoxFuture<'_, Result<Vec<StoredBlob>, StoreError>> {
-        Box::pin(async move {
-            let mut shards =
-                self.objects.list_with_delimiter(None).await.map_err(store_error)?.common_prefixes;
-            shards.sort();
-            let first = after.map(|id| format!("{:02x}", id.0[0]));
-            let mut blobs: Vec<StoredBlob> = Vec::new();
-            for shard in shards {
-                if first.as_ref().is_some_and(|first| shard.as_ref() < first.as_str()) {
-                    continue;
-                }
-                if blobs.len() >= count {
-                    break;
-                }
-                // What was set aside is not ours to list.
-                if shard.as_ref().len() != 2 {
-                    continue;
-                }
-                let start = blobs.len();
-                let mut objects = self.objects.list(Some(&shard));
-                while let Some(meta) = objects.try_next().await.map_err(store_error)? {
-                    // What is not a hull's name is not ours to list.
-                    let Some(id) =
-                        id_of_key(&meta.location).filter(|id| after.is_none_or(|after| *id > after))
-                    else {
-                        continue;
-                    };
-                    let created_unix_ms = meta.last_modified.timestamp_millis();
-                    blobs.push(StoredBlob { id, created_unix_ms, bytes: meta.size });
-                }
-                blobs[start..].sort_unstable_by_key(|blob| blob.id);
-            }
-            Ok(blobs)
-        })
-    }
-
-    fn set_aside(&self, id: HullId, blob: Bytes) -> BoxFuture<'_, Result<String, StoreError>> {
-        Box::pin(async move {
-            // Named by both hashes: found again and again it is kept once.
-            let content = id_of(&blob).to_string();
-            let path = Path::from_iter(["quarantine", &format!("{id}-{}", &content[..16])]);
-            if self.meta(&path).await?.is_none() {
-                self.objects.put(&path, PutPayload::from_bytes(blob)).await.map_err(store_error)?;
-            }
-            Ok(path.to_string())
-        })
-    }
-
-    fn probe(&self) -> BoxFuture<'_, Result<(), StoreError>> {
-        Box::pin(async move {
-            self.still_there().await?;
-            // A name of its own for each server on the store.
-            let path = Path::from(format!("probe-{}", std::process::id()));
-            self.objects.put(&path, PutPayload::from_static(b"probe")).await.map_err(store_error)?;
-            self.present(self.objects.delete(&path).await).map(|_| ())
-        })
-    }
-}
-
-/// Whether an error, or what caused it, has these words.
-fn says(error: &dyn std::error::Error, words: &str) -> bool {
-    error.to_string().contains(words) || error.source().is_some_and(|cause| says(cause, words))
-}
-
-fn store_error(error: object_store::Error) -> StoreError {
-    use io::ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};
-    let mut cause = error.source();
-    while let Some(inner) = cause {
-        if let Some(io) = inner.downcast_ref::<io::Error>()
-            && matches!(io.kind(), StorageFull | QuotaExceeded | FileTooLarge)
+    pub(super) fn offer(&mut self, item: T) {
+        if self.first.len() < self.count {
+            self.first.push(item);
+        } else if let Some(mut last) = self.first.peek_mut()
+            && item < *last
         {
-            return StoreError::Full(error.to_string());
+            *last = item;
         }
-        cause = inner.source();
     }
-    StoreError::Unavailable(error.to_string())
+
+    pub(super) fn sorted(self) -> Vec<T> {
+        self.first.into_sorted_vec()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches a listing that drops one of the first items, keeps a later one, or sorts them
+    /// wrongly.
+    #[test]
+    fn the_first_items_are_kept_in_order() {
+        let numbers: Vec<u32> = (0..500).map(|i| (i * 263) % 499).collect();
+        let mut sorted = numbers.clone();
+        sorted.sort_unstable();
+        for count in [0, 1, 7, 499, 500, 1000] {
+            let mut first = FirstById::new(count);
+            numbers.iter().for_each(|&number| first.offer(number));
+            assert_eq!(first.sorted(), sorted[..count.min(500)]);
+        }
+    }
+
+    /// Catches a directory that is taken for a shard and is not one.
+    #[test]
+    fn shards_are_two_lower_case_digits() {
+        assert!((0..=255).all(|shard| shard_of_name(&shard_name(shard)) == Some(shard)));
+        for name in ["", "a", "AB", "+a", "0ab", "g0", "quarantine"] {
+            assert_eq!(shard_of_name(name), None, "{name}");
+        }
+    }
 }

@@ -1,17 +1,27 @@
 //! The durable registry of hulls, and the bounded cache before it.
 //!
-//! [`identity`] is what a hull is called, [`blobs`] keeps its bytes,
-//! [`registry`] answers for it. Nothing here knows the wire.
+//! [`identity`] is what a hull is called. [`blobs`] says what keeps its bytes: `directory` (on
+//! `file_threads`) or `objects`. `scheduled` lets callers use it in `turns` and notices when it
+//! hangs. [`registry`] answers for hulls, with a `reader` for each request; `cache` has hulls in
+//! memory, and `lease` says how much of it requests may use. Nothing here knows the wire.
 
 pub mod blobs;
 mod cache;
+mod directory;
+mod file_threads;
 pub mod identity;
+mod lease;
+mod objects;
 mod quota;
+mod reader;
 pub mod registry;
 #[cfg(feature = "remote")]
 mod remote;
+mod scheduled;
+mod turns;
 
 pub use blobs::{BlobStore, Opened, StoreError, StoredBlob};
-pub use cache::{Hold, Hulls, NoRoom};
 pub use identity::{HullDefinition, HullId};
+pub use lease::{Hulls, Lease, LeaseError};
+pub use reader::Reader;
 pub use registry::{AT_A_TIME, Missing, RegisterError, Registered, Registry};

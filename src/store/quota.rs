@@ -1,33 +1,52 @@
 //! How many bytes the store may have, where they are bounded.
 
+use std::sync::Arc;
+
 use bytes::Bytes;
 use tokio::sync::Mutex;
 
-use super::{BlobStore, HullId, StoreError};
+use super::{BlobStore, HullId, StoreError, blobs::list, turns::Turns};
+use crate::budget::Caller;
 
 /// Blobs are written through it, so that they stay within a limit.
 #[derive(Debug)]
 pub(super) struct Quota {
     /// 0: unbounded.
     limit: u64,
+    max_blob_bytes: u64,
+    /// One write at a time, callers in turn.
+    turns: Arc<Turns>,
     /// Bytes in the store: counted when first needed, never at start.
     used: Mutex<Option<u64>>,
 }
 
 impl Quota {
-    pub(super) fn new(limit: u64) -> Self {
-        Self { limit, used: Mutex::new(None) }
+    /// Blobs of more than `max_blob_bytes` are not hulls, and do not count.
+    pub(super) fn new(limit: u64, max_blob_bytes: u64) -> Self {
+        let turns = Turns::new(1, MOST_WAITING, true);
+        Self { limit, max_blob_bytes, turns, used: Mutex::new(None) }
     }
 
     /// Writes a blob, if there is room.
-    pub(super) async fn put(&self, blobs: &dyn BlobStore, id: HullId, blob: Bytes) -> Result<(), StoreError> {
+    pub(super) async fn put(
+        &self,
+        blobs: &dyn BlobStore,
+        caller: &Caller,
+        id: HullId,
+        blob: Bytes,
+    ) -> Result<(), StoreError> {
         if self.limit == 0 {
             return blobs.put(id, blob).await;
         }
+        let _turn = self
+            .turns
+            .take(caller)
+            .await
+            .map_err(|_| StoreError::Busy("too many writes of this caller wait".into()))?;
         let mut used = self.used.lock().await;
         let before = match *used {
             Some(bytes) => bytes,
-            None => count(blobs).await?,
+            None => count(blobs, self.max_blob_bytes).await?,
         };
         let replaced = blobs.size(id).await?.unwrap_or(0);
         let after = before.saturating_sub(replaced) + blob.len() as u64;
@@ -52,11 +71,17 @@ impl Quota {
     }
 }
 
+/// Writes that may wait, over all requests.
+const MOST_WAITING: u64 = 4096;
+
+/// Blobs that are listed at a time.
+const PAGE: usize = 10_000;
+
 /// Bytes of all blobs.
-async fn count(blobs: &dyn BlobStore) -> Result<u64, StoreError> {
+async fn count(blobs: &dyn BlobStore, max_blob_bytes: u64) -> Result<u64, StoreError> {
     let (mut bytes, mut after) = (0, None);
     loop {
-        let listed = blobs.list(after, 1).await?;
+        let listed = list(blobs, after, PAGE, max_blob_bytes).await?;
         let Some(last) = listed.last() else { return Ok(bytes) };
         after = Some(last.id);
         bytes += listed.iter().map(|blob| blob.bytes).sum::<u64>();

@@ -6,27 +6,28 @@ use std::{
     time::{Duration, Instant},
 };
 
-use bytes::Bytes;
 use futures_util::{StreamExt, stream};
-use tracing::Instrument;
 
 use super::{
-    HullDefinition, HullId, Opened, StoreError, StoredBlob,
-    cache::{Budget, Entry, Hold, HullCache, Hulls, NoRoom, Taking, cache},
+    BlobStore, HullDefinition, HullId, Opened, StoreError, StoredBlob, blobs,
+    cache::{Entry, HullCache, cache},
     identity::id_of,
+    lease::{Hulls, Lease, LeaseError, LeaseRequest, Leases},
     quota::Quota,
+    reader::{NotLeased, Reader, VERIFIED_IN_PLACE},
+    scheduled::{CallerStore, ScheduledStore},
+    turns::Turns,
 };
 use crate::{
-    compute::{Compute, Panicked, Parts},
+    compute::{Compute, Job, Panicked, Parts},
     contact::{ConvexHull, HullError},
     metrics::Metrics,
-    trace,
 };
 
 /// What bounds a registry.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounds {
-    /// Heap of hulls: cached, and of those what requests hold.
+    /// Heap of cached hulls, those that requests lease among them.
     pub cache_bytes: u64,
     /// Blobs, summed; 0: unbounded.
     pub store_bytes: u64,
@@ -34,6 +35,12 @@ pub struct Bounds {
     pub cache_age: Duration,
     /// Extreme vertices of a hull that is registered.
     pub max_vertices: usize,
+    /// A larger blob is never read: no definition that is accepted has so many bytes.
+    pub max_blob_bytes: u64,
+    /// How long an operation of the store may take before the store is taken to hang.
+    pub store_limit: Duration,
+    /// Whether callers share leases, loads and operations of the store by dynamic thresholds.
+    pub shares: bool,
 }
 
 /// Why a hull cannot be answered for.
@@ -43,24 +50,6 @@ pub enum Missing {
     Unknown,
     /// The store could not be read: trying again may help.
     Unavailable,
-}
-
-/// Why a request does not have a hull.
-enum NotHeld {
-    Missing(Missing),
-    NoRoom(NoRoom),
-}
-
-impl From<Missing> for NotHeld {
-    fn from(why: Missing) -> Self {
-        Self::Missing(why)
-    }
-}
-
-impl From<NoRoom> for NotHeld {
-    fn from(why: NoRoom) -> Self {
-        Self::NoRoom(why)
-    }
 }
 
 /// Why a hull was not registered.
@@ -80,6 +69,19 @@ pub type Registered = Result<(HullId, Arc<ConvexHull>), RegisterError>;
 /// Hulls of one request that are read or written at a time: enough that a file system
 /// gathers their syncs.
 pub const AT_A_TIME: usize = 16;
+
+/// Hulls that are read and built at a time, over all requests; one caller alone has half.
+const LOADED_AT_A_TIME: u64 = 4 * AT_A_TIME as u64;
+
+/// Hulls that may wait to be loaded, over all requests.
+const MOST_WAITING: u64 = 4096;
+
+/// A definition, the bytes that are stored of it, and their name.
+struct Named {
+    id: HullId,
+    blob: Vec<u8>,
+    definition: HullDefinition,
+}
 
 /// Hulls to be built, each a part.
 struct Building {
@@ -107,151 +109,123 @@ impl Parts for Building {
 /// The registered hulls.
 #[derive(Debug)]
 pub struct Registry {
-    blobs: Opened,
-    cache: HullCache,
-    budget: Arc<Budget>,
-    compute: Compute,
-    bounds: Bounds,
+    pub(super) store: ScheduledStore,
+    pub(super) cache: HullCache,
+    leases: Arc<Leases>,
+    pub(super) loading: Arc<Turns>,
+    pub(super) compute: Compute,
+    pub(super) bounds: Bounds,
+    /// What `Entry::seen_ms` counts from.
     started: Instant,
     quota: Quota,
-    metrics: Arc<Metrics>,
+    pub(super) metrics: Arc<Metrics>,
 }
 
 impl Registry {
-    /// Hulls in `blobs`, computed on `compute`. Reads nothing yet.
+    /// Hulls in `blobs`, built by `compute`.
     pub fn new(blobs: Opened, compute: Compute, bounds: Bounds, metrics: Arc<Metrics>) -> Self {
-        let cache = cache(bounds.cache_bytes, &metrics);
-        let budget = Budget::new(bounds.cache_bytes, &metrics);
-        let quota = Quota::new(bounds.store_bytes);
-        Self { blobs, cache, budget, compute, bounds, started: Instant::now(), quota, metrics }
+        Self {
+            store: ScheduledStore::new(blobs, bounds.store_limit, bounds.shares),
+            cache: cache(bounds.cache_bytes, &metrics),
+            leases: Leases::new(bounds.cache_bytes, bounds.shares, &metrics),
+            loading: Turns::new(LOADED_AT_A_TIME, MOST_WAITING, bounds.shares),
+            compute,
+            bounds,
+            started: Instant::now(),
+            quota: Quota::new(bounds.store_bytes, bounds.max_blob_bytes),
+            metrics,
+        }
     }
 
-    /// Whether the hull is at hand: no waiting, no store.
-    pub fn is_cached(&self, id: HullId) -> bool {
-        self.cached(&id, self.now_ms()).is_some()
+    /// Reads hulls for one request.
+    pub fn reader<'a>(&'a self, job: &'a Job) -> Reader<'a> {
+        Reader::new(self, job)
     }
 
-    /// A request's hulls, distinct: at hand, or read from the store, once however many ask.
-    /// They count as in use until the hold is dropped.
+    /// A request's hulls, distinct: from the cache, or read from the store, once however many
+    /// ask. They stay cached until the lease is dropped.
     ///
     /// # Errors
-    /// There is no room for all of them; none is held.
-    pub async fn hold(&self, ids: &[HullId]) -> Result<(Hulls, Hold), NoRoom> {
-        let taking = Taking::new(&self.budget);
+    /// There is no room for all of them; none is leased.
+    pub async fn lease(&self, ids: &[HullId], job: &Job) -> Result<(Hulls, Lease), LeaseError> {
+        let request = LeaseRequest::new(&self.leases, &job.caller);
         let now_ms = self.now_ms();
         let cached: Vec<_> = ids.iter().map(|id| self.cached(id, now_ms)).collect();
-        let mut hold = taking.hold(cached.iter().flatten().cloned().collect())?;
+        let mut lease = request.lease(cached.iter().flatten().cloned().collect())?;
         self.metrics.cache_hits.inc_by(cached.iter().flatten().count() as u64);
         let hull = |entry: Option<Arc<Entry>>| entry.map(|entry| entry.hull.clone()).ok_or(Missing::Unknown);
         let mut found: Hulls = cached.into_iter().map(hull).collect();
         let missing: Vec<usize> = (0..ids.len()).filter(|&i| found[i].is_err()).collect();
+        if missing.is_empty() {
+            return Ok((found, lease));
+        }
+        let reader = self.reader(job);
         let load = |i: usize| {
-            let taking = &taking;
-            async move { (i, self.held(ids[i], taking).await) }
+            let (reader, request) = (&reader, &request);
+            async move { (i, reader.leased(ids[i], request).await) }
         };
         let mut loading = stream::iter(missing).map(load).buffer_unordered(AT_A_TIME);
-        while let Some((i, held)) = loading.next().await {
-            found[i] = match held {
+        while let Some((i, leased)) = loading.next().await {
+            found[i] = match leased {
                 Ok((hull, part)) => {
-                    hold.join(part);
+                    lease.join(part);
                     Ok(hull)
                 }
-                Err(NotHeld::Missing(why)) => Err(why),
-                Err(NotHeld::NoRoom(why)) => return Err(why),
+                Err(NotLeased::Missing(why)) => Err(why),
+                Err(NotLeased::NoRoom(why)) => return Err(why),
             };
         }
-        Ok((found, hold))
+        Ok((found, lease))
     }
 
-    /// One of them. Held before it is in the cache, which could have no room for it else.
-    async fn held(&self, id: HullId, taking: &Taking) -> Result<(Arc<ConvexHull>, Hold), NotHeld> {
-        let mut loaded = None;
-        let load = async {
-            let entry = self.load(id).await?;
-            loaded = Some(taking.hold(vec![entry.clone()])?);
-            Ok::<_, NotHeld>(entry)
-        };
-        let entry = self.cache.get_or_insert_async(&id, load).await?;
-        let hold = match loaded {
-            Some(hold) => hold,
-            None => taking.hold(vec![entry.clone()])?,
-        };
-        if self.is_stale(&entry, self.now_ms()) {
-            self.check(id, &entry).await?;
-        }
-        Ok((entry.hull.clone(), hold))
+    /// The most bytes of hulls that one caller can lease.
+    pub fn most_leased_alone(&self) -> u64 {
+        self.leases.most_alone()
     }
 
-    /// The hull; read from the store where it is not cached, once however many ask.
-    ///
-    /// # Errors
-    /// Why it cannot be answered for.
-    pub async fn get(&self, id: HullId) -> Result<Arc<ConvexHull>, Missing> {
-        let entry = self.cache.get_or_insert_async(&id, self.load(id)).await?;
-        if self.is_stale(&entry, self.now_ms()) {
-            self.check(id, &entry).await?;
-        }
-        Ok(entry.hull.clone())
-    }
-
-    fn cached(&self, id: &HullId, now_ms: u64) -> Option<Arc<Entry>> {
+    pub(super) fn cached(&self, id: &HullId, now_ms: u64) -> Option<Arc<Entry>> {
         self.cache.get(id).filter(|entry| !self.is_stale(entry, now_ms))
-    }
-
-    /// The points that the hull was registered with, verified; always from the store.
-    ///
-    /// # Errors
-    /// Why it cannot be answered for.
-    pub async fn definition(&self, id: HullId) -> Result<HullDefinition, Missing> {
-        let blob = self.blobs.get(id).await.map_err(|error| {
-            self.metrics.store_errors.inc();
-            tracing::warn!(hull = %id, %error, "cannot read a hull");
-            Missing::Unavailable
-        })?;
-        let blob = blob.ok_or(Missing::Unknown)?;
-        let intact = id_of(&blob) == id;
-        let definition = intact.then(|| HullDefinition::from_identity_bytes(&blob)).flatten();
-        if definition.is_none() {
-            self.quarantine(id, blob, intact).await;
-        }
-        definition.ok_or(Missing::Unknown)
     }
 
     /// Registers hulls, built on all compute threads: durable when this returns.
     /// Registering one again changes nothing. A result each, in their order: of one that
     /// is refused nothing is stored.
-    pub async fn register(&self, definitions: Vec<HullDefinition>) -> Vec<Registered> {
+    pub async fn register(&self, definitions: Vec<HullDefinition>, job: &Job) -> Vec<Registered> {
+        let store = &self.store.of(&job.caller);
         let looked_up: Vec<_> = stream::iter(definitions)
-            .map(|definition| async {
-                let blob = definition.identity_bytes();
-                let id = id_of(&blob);
-                (id, blob, definition, self.known(id).await)
+            .map(|definition| async move {
+                let named = self.named(definition).await?;
+                let known = self.known(store, named.id, named.blob.len()).await?;
+                Ok((named, known))
             })
             .buffered(AT_A_TIME)
             .collect()
             .await;
         let (mut new, mut known) = (Vec::new(), Vec::with_capacity(looked_up.len()));
-        for (id, blob, definition, found) in looked_up {
-            if let Ok(None) = found {
-                new.push(definition);
-            }
-            known.push((id, blob, found));
+        for looked_up in looked_up {
+            known.push(looked_up.map(|(Named { id, blob, definition }, found)| {
+                if found.is_none() {
+                    new.push(definition);
+                }
+                (id, blob, found)
+            }));
         }
         let building = Building { definitions: new, max_vertices: self.bounds.max_vertices };
         let mut built = self.compute.split(building).await.map(Vec::into_iter);
-        let results = known.into_iter().map(|(id, blob, found)| {
-            let hull = found.and_then(|found| match (found, &mut built) {
-                (Some(hull), _) => Ok((hull, false)),
+        let results = known.into_iter().map(|known| {
+            let hull = known.and_then(|(id, blob, found)| match (found, &mut built) {
+                (Some(hull), _) => Ok((id, hull, None)),
                 (None, Err(panicked)) => Err(RegisterError::Internal(panicked.clone())),
                 (None, Ok(built)) => match built.next() {
-                    Some(hull) => hull.map(|hull| (Arc::new(hull), true)).map_err(RegisterError::Hull),
+                    Some(Ok(hull)) => Ok((id, Arc::new(hull), Some(blob))),
+                    Some(Err(error)) => Err(RegisterError::Hull(error)),
                     None => Err(RegisterError::Internal(Panicked("a hull was not built".into()))),
                 },
             });
             async move {
-                let (hull, is_new) = hull?;
-                if is_new {
-                    self.store(id, blob, &hull).await?;
+                let (id, hull, to_write) = hull?;
+                if let Some(blob) = to_write {
+                    self.write(store, id, blob, &hull).await?;
                 }
                 Ok((id, hull))
             }
@@ -259,9 +233,27 @@ impl Registry {
         stream::iter(results).buffered(AT_A_TIME).collect().await
     }
 
-    /// Writes a new hull's blob; then it is at hand.
-    async fn store(&self, id: HullId, blob: Vec<u8>, hull: &Arc<ConvexHull>) -> Result<(), RegisterError> {
-        self.quota.put(&*self.blobs, id, blob.into()).await.map_err(|error| {
+    /// A definition with its name.
+    async fn named(&self, definition: HullDefinition) -> Result<Named, RegisterError> {
+        let name = |definition: HullDefinition| {
+            let blob = definition.identity_bytes();
+            Named { id: id_of(&blob), blob, definition }
+        };
+        if size_of_val(&definition.points[..]) <= VERIFIED_IN_PLACE {
+            return Ok(name(definition));
+        }
+        self.compute.run(move || name(definition)).await.map_err(RegisterError::Internal)
+    }
+
+    /// Writes a new hull's blob; then the hull is cached.
+    async fn write(
+        &self,
+        store: &CallerStore,
+        id: HullId,
+        blob: Vec<u8>,
+        hull: &Arc<ConvexHull>,
+    ) -> Result<(), RegisterError> {
+        self.quota.put(store, store.caller(), id, blob.into()).await.map_err(|error| {
             self.metrics.store_errors.inc();
             RegisterError::Store(error)
         })?;
@@ -271,9 +263,14 @@ impl Registry {
     }
 
     /// A hull that this process wrote and that is still in the store.
-    async fn known(&self, id: HullId) -> Result<Option<Arc<ConvexHull>>, RegisterError> {
+    async fn known(
+        &self,
+        store: &CallerStore,
+        id: HullId,
+        bytes: usize,
+    ) -> Result<Option<Arc<ConvexHull>>, RegisterError> {
         let Some(entry) = self.cache.get(&id).filter(|entry| entry.written) else { return Ok(None) };
-        if self.blobs.size(id).await.map_err(RegisterError::Store)?.is_none() {
+        if store.size(id).await.map_err(RegisterError::Store)? != Some(bytes as u64) {
             return Ok(None);
         }
         self.saw(&entry);
@@ -284,10 +281,11 @@ impl Registry {
     ///
     /// # Errors
     /// The store could not be read or written.
-    pub async fn delete(&self, id: HullId) -> Result<bool, StoreError> {
-        let size = self.blobs.size(id).await?;
+    pub async fn delete(&self, id: HullId, job: &Job) -> Result<bool, StoreError> {
+        let store = self.store.of(&job.caller);
+        let size = store.size(id).await?;
         if size.is_some() {
-            self.blobs.delete(id).await?;
+            store.delete(id).await?;
             self.metrics.deleted.inc();
         }
         // After the blob: a load under way meanwhile loses its place in the cache too.
@@ -304,8 +302,11 @@ impl Registry {
         &self,
         after: Option<HullId>,
         count: usize,
+        job: &Job,
     ) -> Result<(Vec<StoredBlob>, bool), StoreError> {
-        let mut page = self.blobs.list(after, count.saturating_add(1)).await?;
+        let store = self.store.of(&job.caller);
+        let mut page =
+            blobs::list(&store, after, count.saturating_add(1), self.bounds.max_blob_bytes).await?;
         let more = page.len() > count;
         page.truncate(count);
         Ok((page, more))
@@ -321,7 +322,7 @@ impl Registry {
     /// # Errors
     /// Why not.
     pub async fn probe(&self) -> Result<(), StoreError> {
-        self.blobs.probe().await
+        self.store.probe().await
     }
 
     /// How many hulls are cached.
@@ -329,74 +330,20 @@ impl Registry {
         self.cache.len()
     }
 
-    /// Keeps a copy of a blob that is not its hull, for people to look at. The blob itself
-    /// stays where it is, never served, until the hull is registered again: to move it would
-    /// race with that.
-    async fn quarantine(&self, id: HullId, blob: Bytes, intact: bool) {
-        self.metrics.quarantined.inc();
-        let bytes = blob.len();
-        let kept = self.blobs.set_aside(id, blob).await;
-        let copy = kept.as_ref().map_or_else(ToString::to_string, Clone::clone);
-        tracing::error!(hull = %id, bytes, intact, copy, "the store's blob is not this hull; registering it again repairs it");
-    }
-
-    async fn load(&self, id: HullId) -> Result<Arc<Entry>, Missing> {
-        self.metrics.cache_misses.inc();
-        let started = Instant::now();
-        let loaded = self.loaded(id).instrument(trace::load(&id)).await;
-        self.metrics.load_seconds.observe(started.elapsed().as_secs_f64());
-        loaded
-    }
-
-    async fn loaded(&self, id: HullId) -> Result<Arc<Entry>, Missing> {
-        let definition = self.definition(id).await?;
-        // What was once acknowledged is answered for, whatever the limit is by now.
-        match self.compute.run(move || definition.build(usize::MAX)).await {
-            Ok(Ok(hull)) => Ok(self.entry(Arc::new(hull), false)),
-            Ok(Err(error)) => {
-                tracing::error!(hull = %id, %error, "a stored hull is no hull to this version");
-                Err(Missing::Unknown)
-            }
-            Err(error) => {
-                tracing::error!(hull = %id, %error, "a stored hull cannot be built");
-                Err(Missing::Unavailable)
-            }
-        }
-    }
-
-    /// Whether a cached hull is still in the store: another server may have deleted it.
-    async fn check(&self, id: HullId, entry: &Entry) -> Result<(), Missing> {
-        match self.blobs.size(id).await {
-            Ok(Some(_)) => {
-                self.saw(entry);
-                Ok(())
-            }
-            Ok(None) => {
-                self.cache.remove(&id);
-                Err(Missing::Unknown)
-            }
-            Err(error) => {
-                self.metrics.store_errors.inc();
-                tracing::warn!(hull = %id, %error, "cannot check a cached hull");
-                Err(Missing::Unavailable)
-            }
-        }
-    }
-
-    fn entry(&self, hull: Arc<ConvexHull>, written: bool) -> Arc<Entry> {
+    pub(super) fn entry(&self, hull: Arc<ConvexHull>, written: bool) -> Arc<Entry> {
         Entry::new(hull, written, self.now_ms())
     }
 
-    fn is_stale(&self, entry: &Entry, now_ms: u64) -> bool {
+    pub(super) fn is_stale(&self, entry: &Entry, now_ms: u64) -> bool {
         let age = now_ms.saturating_sub(entry.seen_ms.load(Ordering::Relaxed));
         u128::from(age) >= self.bounds.cache_age.as_millis()
     }
 
-    fn saw(&self, entry: &Entry) {
+    pub(super) fn saw(&self, entry: &Entry) {
         entry.seen_ms.store(self.now_ms(), Ordering::Relaxed);
     }
 
-    fn now_ms(&self) -> u64 {
+    pub(super) fn now_ms(&self) -> u64 {
         u64::try_from(self.started.elapsed().as_millis()).unwrap_or(u64::MAX)
     }
 }

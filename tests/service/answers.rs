@@ -197,7 +197,8 @@ async fn an_invalid_pair_costs_no_other() {
 async fn a_cache_too_small_for_two_scenes_changes_no_bit() {
     let others: Vec<_> = (0..40).map(|seed| plain(round_points(40, 100 + seed))).collect();
     let bytes = async |shapes: &[HullDefinition], cache_bytes| {
-        let server = TestServer::with_limits(Limits { cache_bytes, ..Limits::default() }).await;
+        let server =
+            TestServer::with_limits(Limits { cache_bytes, shares: false, ..Limits::default() }).await;
         server.hulls().register_hulls(register_request(shapes)).await.unwrap();
         (server.app.registry().cached_bytes(), server)
     };

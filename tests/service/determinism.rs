@@ -58,7 +58,7 @@ fn first_message(frames: &[u8]) -> QueryContactsResponse {
 }
 
 async fn serving(store: &Arc<dyn BlobStore>, threads: usize, cache_bytes: u64) -> TestServer {
-    let limits = Limits { cache_bytes, ..Limits::default() };
+    let limits = Limits { cache_bytes, shares: false, ..Limits::default() };
     Setup { store: store.clone(), threads, limits, ..Setup::default() }.start().await
 }
 

@@ -35,6 +35,8 @@ fn small() -> Limits {
         max_streams_per_connection: 7,
         max_page_size: 2,
         cache_age_seconds: 9,
+        store_seconds: 7,
+        shares: true,
     }
 }
 
@@ -231,7 +233,7 @@ async fn a_store_at_its_limit_and_one_byte_past() {
 #[test]
 fn contradicting_limits_do_not_start() {
     type Spoil = fn(&mut Limits);
-    let spoils: [Spoil; 12] = [
+    let spoils: [Spoil; 14] = [
         |l| l.max_pairs_per_request = 0,
         |l| l.max_bodies_per_request = 0,
         |l| l.max_hulls_per_request = 0,
@@ -241,6 +243,8 @@ fn contradicting_limits_do_not_start() {
         |l| l.max_message_bytes = 1023,
         |l| l.max_connections = 0,
         |l| l.cache_bytes = 0,
+        |l| l.store_seconds = 0,
+        |l| l.store_seconds = 3601,
         |l| l.max_deadline_seconds = 0,
         |l| l.max_request_bytes_in_flight = l.max_message_bytes as u64 + 4,
         |l| l.max_pairs_in_flight = l.max_pairs_per_request - 1,

@@ -20,5 +20,7 @@ mod security;
 mod sight;
 mod steps;
 mod stopping;
+mod store_hung;
+mod store_tampered;
 mod support;
 mod unread;

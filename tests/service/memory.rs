@@ -28,7 +28,7 @@ async fn stored(count: u64) -> (Arc<dyn BlobStore>, Vec<HullDefinition>, u64) {
 }
 
 async fn with_cache(store: &Arc<dyn BlobStore>, cache_bytes: u64) -> TestServer {
-    let limits = Limits { cache_bytes, ..Limits::default() };
+    let limits = Limits { cache_bytes, shares: false, ..Limits::default() };
     // One more than the chunks of what is held up below: hulls are built on them.
     Setup { store: store.clone(), limits, threads: 3, ..Setup::default() }.start().await
 }

@@ -1,11 +1,13 @@
 /* Preloaded into a server: appends to the file $CALL_TRACE, one line each and in
  * order, what was synced and renamed (once it has been) and that something is
  * being sent (before it is). With $CALL_KILL=n the server is killed before the nth
- * of these calls. A tracer that needs no privilege and no package. */
+ * of these calls. While the file $CALL_HANG exists, a sync and an open relative to a
+ * directory do not return, as on a network file system whose server is gone. A tracer that needs no privilege and no package. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <fcntl.h>
 #include <signal.h>
+#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <sys/socket.h>
@@ -16,12 +18,18 @@
 static int trace = -1;
 static int kill_at = 0;
 static int calls = 0;
+static const char *hang = NULL;
 
 __attribute__((constructor)) static void start(void) {
     const char *path = getenv("CALL_TRACE");
     if (path) trace = open(path, O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0600);
     const char *at = getenv("CALL_KILL");
     if (at) kill_at = atoi(at);
+    hang = getenv("CALL_HANG");
+}
+
+static void wait_while_hung(void) {
+    while (hang && access(hang, F_OK) == 0) usleep(1000);
 }
 
 static void about_to(void) {
@@ -50,8 +58,25 @@ static void sending(int fd) {
 
 #define NEXT(name) ((__typeof__(&name))dlsym(RTLD_NEXT, #name))
 
-int fsync(int fd) { about_to(); return synced(NEXT(fsync)(fd), fd); }
-int fdatasync(int fd) { about_to(); return synced(NEXT(fdatasync)(fd), fd); }
+int fsync(int fd) { about_to(); wait_while_hung(); return synced(NEXT(fsync)(fd), fd); }
+int fdatasync(int fd) { about_to(); wait_while_hung(); return synced(NEXT(fdatasync)(fd), fd); }
+
+int openat(int directory, const char *path, int flags, ...) {
+    va_list arguments;
+    va_start(arguments, flags);
+    int mode = flags & (O_CREAT | __O_TMPFILE) ? va_arg(arguments, int) : 0;
+    va_end(arguments);
+    if (directory != AT_FDCWD) wait_while_hung();
+    return NEXT(openat)(directory, path, flags, mode);
+}
+int openat64(int directory, const char *path, int flags, ...) {
+    va_list arguments;
+    va_start(arguments, flags);
+    int mode = flags & (O_CREAT | __O_TMPFILE) ? va_arg(arguments, int) : 0;
+    va_end(arguments);
+    if (directory != AT_FDCWD) wait_while_hung();
+    return NEXT(openat64)(directory, path, flags, mode);
+}
 
 int rename(const char *from, const char *to) { about_to(); return renamed(NEXT(rename)(from, to), to); }
 int renameat(int a, const char *from, int b, const char *to) {

@@ -25,7 +25,7 @@ use crate::{
         outputs::Outputs,
         wire::Columns,
     },
-    store::Hold,
+    store::Lease,
     trace,
 };
 
@@ -155,7 +155,7 @@ impl Engine {
     }
 
     fn begin(&self, mut batch: Batch, admission: Admission) -> Run {
-        let taken = (admission, batch.hold.take());
+        let taken = (admission, batch.lease.take());
         Run {
             batch,
             stop: Arc::default(),
@@ -195,7 +195,7 @@ struct Run {
     spare: Arc<Spare>,
     injected: Arc<Injected>,
     /// Given back with the answer: whoever asks next finds it free.
-    taken: Mutex<Option<(Admission, Option<Hold>)>>,
+    taken: Mutex<Option<(Admission, Option<Lease>)>>,
 }
 
 /// Columns to be filled again, so that the steady state allocates none for chunks.

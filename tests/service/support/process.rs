@@ -28,14 +28,24 @@ impl Process {
     }
 
     /// None where it ended before it listened.
-    pub(crate) fn try_start(mut command: Command, store: &Path, arguments: &[&str]) -> Option<Self> {
+    pub(crate) fn try_start(command: Command, store: &Path, arguments: &[&str]) -> Option<Self> {
+        Self::spawn(command, store, arguments, Stdio::null())
+    }
+
+    /// A server whose log lines go to a file.
+    pub(crate) fn logging(store: &Path, arguments: &[&str], log: &Path) -> Self {
+        let log = std::fs::File::create(log).unwrap();
+        Self::spawn(Command::new(BINARY), store, arguments, log.into()).expect("it listens")
+    }
+
+    fn spawn(mut command: Command, store: &Path, arguments: &[&str], log: Stdio) -> Option<Self> {
         let mut child = command
             .args(["serve", "--listen", "127.0.0.1:0", "--store"])
             .arg(store)
             .args(arguments)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
-            .stderr(Stdio::null())
+            .stderr(log)
             .spawn()
             .unwrap_or_else(|error| panic!("{command:?}: {error}"));
         let stdin = child.stdin.take();

@@ -7,6 +7,7 @@ use std::sync::{
 
 use bytes::Bytes;
 use hullcast::store::{BlobStore, HullId, StoreError, StoredBlob, blobs};
+use tokio::sync::watch;
 
 type Future<'a, T> = futures_util::future::BoxFuture<'a, Result<T, StoreError>>;
 
@@ -20,6 +21,10 @@ pub(crate) struct Faulty {
     pub(crate) full: AtomicBool,
     /// What is read is one bit off.
     pub(crate) corrupt: AtomicBool,
+    /// No operation that begins now returns before this is false again.
+    pub(crate) hangs: watch::Sender<bool>,
+    /// Operations begun, probes apart.
+    pub(crate) begun: AtomicUsize,
     /// Blobs read.
     pub(crate) reads: AtomicUsize,
     /// Listings made.
@@ -33,12 +38,20 @@ impl Faulty {
             unreadable: false.into(),
             full: false.into(),
             corrupt: false.into(),
+            hangs: watch::Sender::new(false),
+            begun: 0.into(),
             reads: 0.into(),
             listings: 0.into(),
         })
     }
 
-    fn readable(&self) -> Result<(), StoreError> {
+    async fn returns(&self) {
+        let _ = self.hangs.subscribe().wait_for(|hangs| !hangs).await;
+    }
+
+    async fn readable(&self) -> Result<(), StoreError> {
+        self.begun.fetch_add(1, Ordering::SeqCst);
+        self.returns().await;
         match self.unreadable.load(Ordering::SeqCst) {
             true => Err(StoreError::Unavailable("on purpose".into())),
             false => Ok(()),
@@ -52,16 +65,16 @@ impl BlobStore for Faulty {
             if self.full.load(Ordering::SeqCst) {
                 return Err(StoreError::Full("on purpose".into()));
             }
-            self.readable()?;
+            self.readable().await?;
             self.inner.put(id, blob).await
         })
     }
 
-    fn get(&self, id: HullId) -> Future<'_, Option<Bytes>> {
+    fn get(&self, id: HullId, max_bytes: u64) -> Future<'_, Option<Bytes>> {
         Box::pin(async move {
             self.reads.fetch_add(1, Ordering::SeqCst);
-            self.readable()?;
-            let blob = self.inner.get(id).await?;
+            self.readable().await?;
+            let blob = self.inner.get(id, max_bytes).await?;
             if !self.corrupt.load(Ordering::SeqCst) {
                 return Ok(blob);
             }
@@ -75,36 +88,52 @@ impl BlobStore for Faulty {
 
     fn size(&self, id: HullId) -> Future<'_, Option<u64>> {
         Box::pin(async move {
-            self.readable()?;
+            self.readable().await?;
             self.inner.size(id).await
         })
     }
 
     fn delete(&self, id: HullId) -> Future<'_, ()> {
         Box::pin(async move {
-            self.readable()?;
+            self.readable().await?;
             self.inner.delete(id).await
         })
     }
 
-    fn list(&self, after: Option<HullId>, count: usize) -> Future<'_, Vec<StoredBlob>> {
+    fn shards(&self) -> Future<'_, Vec<u8>> {
         Box::pin(async move {
             self.listings.fetch_add(1, Ordering::SeqCst);
-            self.readable()?;
-            self.inner.list(after, count).await
+            self.readable().await?;
+            self.inner.shards().await
+        })
+    }
+
+    fn list(
+        &self,
+        shard: u8,
+        after: Option<HullId>,
+        count: usize,
+        max_bytes: u64,
+    ) -> Future<'_, Vec<StoredBlob>> {
+        Box::pin(async move {
+            self.readable().await?;
+            self.inner.list(shard, after, count, max_bytes).await
         })
     }
 
     fn set_aside(&self, id: HullId, blob: Bytes) -> Future<'_, String> {
         Box::pin(async move {
-            self.readable()?;
+            self.readable().await?;
             self.inner.set_aside(id, blob).await
         })
     }
 
     fn probe(&self) -> Future<'_, ()> {
         Box::pin(async move {
-            self.readable()?;
+            self.returns().await;
+            if self.unreadable.load(Ordering::SeqCst) {
+                return Err(StoreError::Unavailable("on purpose".into()));
+            }
             self.inner.probe().await
         })
     }

@@ -1,0 +1,164 @@
+//! Blobs as objects: in an object store over the network, or in memory.
+
+use std::{error::Error as _, io, sync::Arc};
+
+use bytes::Bytes;
+use futures_util::{TryStreamExt, future::BoxFuture};
+use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload, path::Path};
+
+use super::{
+    BlobStore, HullId, StoreError, StoredBlob,
+    blobs::{FirstById, quarantine_name, shard_name, shard_of_name},
+};
+
+/// Blobs as objects, sharded by the first byte of their id.
+#[derive(Debug)]
+pub(super) struct Objects {
+    objects: Arc<dyn ObjectStore>,
+    absent: Option<&'static str>,
+}
+
+impl Objects {
+    /// `absent`: the words by which an answer says that an object is missing, where a missing
+    /// bucket, which is an outage of all hulls, has the same status. Without it the status is
+    /// enough.
+    pub(super) fn new(objects: Arc<dyn ObjectStore>, absent: Option<&'static str>) -> Self {
+        Self { objects, absent }
+    }
+
+    /// Not found is no error, where it is the object that was not found.
+    fn present<T>(&self, result: object_store::Result<T>) -> Result<Option<T>, StoreError> {
+        match result {
+            Ok(value) => Ok(Some(value)),
+            Err(error @ object_store::Error::NotFound { .. })
+                if self.absent.is_none_or(|absent| says(&error, absent)) =>
+            {
+                Ok(None)
+            }
+            Err(error) => Err(store_error(error)),
+        }
+    }
+
+    /// What is known of an object; none where there is no such.
+    async fn meta(&self, path: &Path) -> Result<Option<ObjectMeta>, StoreError> {
+        let mut found = self.objects.head(path).await;
+        if self.absent.is_some() && matches!(found, Err(object_store::Error::NotFound { .. })) {
+            // An answer without a body cannot say what is missing; a read's does.
+            found = self.objects.get(path).await.map(|found| found.meta);
+        }
+        self.present(found)
+    }
+}
+
+/// `ab/ab12…`: the whole id is the name, so that a file can be checked where it lies.
+fn key(id: HullId) -> Path {
+    let name = id.to_string();
+    Path::from_iter([&name[..2], &name])
+}
+
+fn id_of_key(key: &Path) -> Option<HullId> {
+    key.filename()?.parse().ok()
+}
+
+impl BlobStore for Objects {
+    fn put(&self, id: HullId, blob: Bytes) -> BoxFuture<'_, Result<(), StoreError>> {
+        Box::pin(async move {
+            let written = self.objects.put(&key(id), PutPayload::from_bytes(blob)).await;
+            written.map(|_| ()).map_err(store_error)
+        })
+    }
+
+    fn get(&self, id: HullId, max_bytes: u64) -> BoxFuture<'_, Result<Option<Bytes>, StoreError>> {
+        Box::pin(async move {
+            let Some(found) = self.present(self.objects.get(&key(id)).await)? else { return Ok(None) };
+            if found.meta.size > max_bytes {
+                let size = found.meta.size;
+                let why = format!("{id} is {size} bytes long, more than the {max_bytes} of a hull");
+                return Err(StoreError::NotABlob(why));
+            }
+            // Deleted between opening and reading is deleted.
+            self.present(found.bytes().await)
+        })
+    }
+
+    fn size(&self, id: HullId) -> BoxFuture<'_, Result<Option<u64>, StoreError>> {
+        Box::pin(async move { Ok(self.meta(&key(id)).await?.map(|meta| meta.size)) })
+    }
+
+    fn delete(&self, id: HullId) -> BoxFuture<'_, Result<(), StoreError>> {
+        Box::pin(async move { self.present(self.objects.delete(&key(id)).await).map(|_| ()) })
+    }
+
+    fn shards(&self) -> BoxFuture<'_, Result<Vec<u8>, StoreError>> {
+        Box::pin(async move {
+            let found = self.objects.list_with_delimiter(None).await.map_err(store_error)?;
+            let mut shards: Vec<_> =
+                found.common_prefixes.iter().filter_map(|prefix| shard_of_name(prefix.as_ref())).collect();
+            shards.sort_unstable();
+            Ok(shards)
+        })
+    }
+
+    fn list(
+        &self,
+        shard: u8,
+        after: Option<HullId>,
+        count: usize,
+        max_bytes: u64,
+    ) -> BoxFuture<'_, Result<Vec<StoredBlob>, StoreError>> {
+        Box::pin(async move {
+            let prefix = Path::from(shard_name(shard));
+            let mut first = FirstById::new(count);
+            let mut objects = self.objects.list(Some(&prefix));
+            while let Some(meta) = objects.try_next().await.map_err(store_error)? {
+                // Objects of other names are not hulls.
+                let id = id_of_key(&meta.location).filter(|id| id.0[0] == shard);
+                if let Some(id) = id.filter(|id| after.is_none_or(|after| *id > after))
+                    && meta.size <= max_bytes
+                {
+                    let created_unix_ms = meta.last_modified.timestamp_millis();
+                    first.offer(StoredBlob { id, created_unix_ms, bytes: meta.size });
+                }
+            }
+            Ok(first.sorted())
+        })
+    }
+
+    fn set_aside(&self, id: HullId, blob: Bytes) -> BoxFuture<'_, Result<String, StoreError>> {
+        Box::pin(async move {
+            let path = Path::from_iter(["quarantine", &quarantine_name(id, &blob)]);
+            if self.meta(&path).await?.is_none() {
+                self.objects.put(&path, PutPayload::from_bytes(blob)).await.map_err(store_error)?;
+            }
+            Ok(path.to_string())
+        })
+    }
+
+    fn probe(&self) -> BoxFuture<'_, Result<(), StoreError>> {
+        Box::pin(async move {
+            // A name of its own for each server on the store.
+            let path = Path::from(format!("probe-{}", std::process::id()));
+            self.objects.put(&path, PutPayload::from_static(b"probe")).await.map_err(store_error)?;
+            self.present(self.objects.delete(&path).await).map(|_| ())
+        })
+    }
+}
+
+/// Whether an error, or what caused it, has these words.
+fn says(error: &dyn std::error::Error, words: &str) -> bool {
+    error.to_string().contains(words) || error.source().is_some_and(|cause| says(cause, words))
+}
+
+fn store_error(error: object_store::Error) -> StoreError {
+    use io::ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};
+    let mut cause = error.source();
+    while let Some(inner) = cause {
+        if let Some(io) = inner.downcast_ref::<io::Error>()
+            && matches!(io.kind(), StorageFull | QuotaExceeded | FileTooLarge)
+        {
+            return StoreError::Full(error.to_string());
+        }
+        cause = inner.source();
+    }
+    StoreError::Unavailable(error.to_string())
+}

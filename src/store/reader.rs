@@ -1,0 +1,261 @@
+//! One request's reading of hulls: from the cache, otherwise from the store.
+//!
+//! However many hulls of a request turn out to be missing or unusable, the request writes one
+//! log line, when its reader is dropped.
+
+use std::{
+    sync::{Arc, Mutex, PoisonError},
+    time::Instant,
+};
+
+use bytes::Bytes;
+use futures_util::future::BoxFuture;
+use tracing::Instrument;
+
+use super::{
+    BlobStore, HullDefinition, HullId, Registry, StoreError,
+    cache::Entry,
+    identity::id_of,
+    lease::{Lease, LeaseError, LeaseRequest},
+    registry::Missing,
+    scheduled::CallerStore,
+};
+use crate::{compute::Job, contact::ConvexHull, log_limit::Repeated, trace};
+
+/// Blobs up to this size are verified where they arrive, in some 100 us; others by the compute
+/// threads, so that none keeps the serving threads from other calls.
+pub(super) const VERIFIED_IN_PLACE: usize = 64 << 10;
+
+/// Reads hulls for one request.
+#[derive(Debug)]
+pub struct Reader<'a> {
+    registry: &'a Registry,
+    store: CallerStore,
+    job: &'a Job,
+    faults: Mutex<Option<Faults>>,
+}
+
+/// The hulls of a request that could not be read as they should have been.
+#[derive(Debug)]
+struct Faults {
+    hulls: u64,
+    first: HullId,
+    why: String,
+}
+
+/// Why a request does not have a hull.
+pub(super) enum NotLeased {
+    Missing(Missing),
+    NoRoom(LeaseError),
+}
+
+impl From<Missing> for NotLeased {
+    fn from(why: Missing) -> Self {
+        Self::Missing(why)
+    }
+}
+
+impl From<LeaseError> for NotLeased {
+    fn from(why: LeaseError) -> Self {
+        Self::NoRoom(why)
+    }
+}
+
+impl<'a> Reader<'a> {
+    pub(super) fn new(registry: &'a Registry, job: &'a Job) -> Self {
+        Self { registry, store: registry.store.of(&job.caller), job, faults: Mutex::default() }
+    }
+
+    /// The hull; read from the store where it is not cached, once however many ask.
+    ///
+    /// # Errors
+    /// Why it cannot be answered for.
+    pub async fn get(&self, id: HullId) -> Result<Arc<ConvexHull>, Missing> {
+        let entry = self.registry.cache.get_or_insert_async(&id, self.load(id)).await?;
+        self.check_if_stale(id, &entry).await?;
+        Ok(entry.hull.clone())
+    }
+
+    /// The points that the hull was registered with, verified; always from the store.
+    ///
+    /// # Errors
+    /// Why it cannot be answered for.
+    pub async fn definition(&self, id: HullId) -> Result<HullDefinition, Missing> {
+        self.verified(id).await.map_err(|error| self.missing(id, &error))?.ok_or(Missing::Unknown)
+    }
+
+    /// Whether the hull can be answered for. A blob that is not the hull any more cannot. A
+    /// cached hull is not looked for in a store that hangs.
+    ///
+    /// # Errors
+    /// The store could not be read.
+    pub async fn has(&self, id: HullId) -> Result<bool, Missing> {
+        if self.registry.cached(&id, self.registry.now_ms()).is_some() {
+            return Ok(true);
+        }
+        match self.verified(id).await {
+            Ok(found) => Ok(found.is_some()),
+            Err(StoreError::Hung(_)) if self.registry.cache.get(&id).is_some() => Ok(true),
+            Err(error) => match self.missing(id, &error) {
+                Missing::Unknown => Ok(false),
+                Missing::Unavailable => Err(Missing::Unavailable),
+            },
+        }
+    }
+
+    /// One of a request's hulls, leased before it is in the cache, which could otherwise find
+    /// no room for it.
+    pub(super) async fn leased(
+        &self,
+        id: HullId,
+        request: &LeaseRequest,
+    ) -> Result<(Arc<ConvexHull>, Lease), NotLeased> {
+        let mut loaded = None;
+        let load = async {
+            let entry = self.load(id).await?;
+            loaded = Some(request.lease(vec![entry.clone()])?);
+            Ok::<_, NotLeased>(entry)
+        };
+        let entry = self.registry.cache.get_or_insert_async(&id, load).await?;
+        let lease = match loaded {
+            Some(lease) => lease,
+            None => request.lease(vec![entry.clone()])?,
+        };
+        self.check_if_stale(id, &entry).await?;
+        Ok((entry.hull.clone(), lease))
+    }
+
+    fn load(&self, id: HullId) -> BoxFuture<'_, Result<Arc<Entry>, Missing>> {
+        Box::pin(async move {
+            self.registry.metrics.cache_misses.inc();
+            let started = Instant::now();
+            let loaded = self.loaded(id).instrument(trace::load(&id)).await;
+            self.registry.metrics.load_seconds.observe(started.elapsed().as_secs_f64());
+            loaded
+        })
+    }
+
+    /// Reads and builds, in the caller's turn: what is read and not built yet stays bounded.
+    async fn loaded(&self, id: HullId) -> Result<Arc<Entry>, Missing> {
+        let _turn = self.registry.loading.take(&self.job.caller).await.map_err(|_| {
+            self.fault(id, "too many hulls of this caller wait to be loaded".into());
+            Missing::Unavailable
+        })?;
+        let definition = self.definition(id).await?;
+        // What was once acknowledged is answered for, whatever the limit is by now.
+        match self.registry.build(definition, usize::MAX, self.job).await {
+            Ok(Ok(hull)) => Ok(self.registry.entry(Arc::new(hull), false)),
+            Ok(Err(error)) => {
+                self.fault(id, format!("a stored hull is not a hull to this version: {error}"));
+                Err(Missing::Unknown)
+            }
+            Err(error) => {
+                tracing::error!(hull = %id, %error, "a stored hull cannot be built");
+                Err(Missing::Unavailable)
+            }
+        }
+    }
+
+    /// The definition that the store has under this id, if it is that hull's.
+    async fn verified(&self, id: HullId) -> Result<Option<HullDefinition>, StoreError> {
+        let Some(blob) = self.store.get(id, self.registry.bounds.max_blob_bytes).await? else {
+            return Ok(None);
+        };
+        let verified = if blob.len() <= VERIFIED_IN_PLACE {
+            verify(id, &blob)
+        } else {
+            let blob = blob.clone();
+            let verified = self.registry.compute.run(move |_| verify(id, &blob), self.job).await;
+            verified.map_err(|panicked| StoreError::Unavailable(panicked.to_string()))?
+        };
+        match verified {
+            Ok(definition) => Ok(Some(definition)),
+            Err(why) => {
+                self.quarantine(id, blob, why).await;
+                Ok(None)
+            }
+        }
+    }
+
+    /// Keeps a copy of a blob that is not its hull, for people to look at. The blob itself
+    /// stays where it is, never served, until the hull is registered again: to move it would
+    /// race with that.
+    async fn quarantine(&self, id: HullId, blob: Bytes, why: Corrupt) {
+        self.registry.metrics.quarantined.inc();
+        let bytes = blob.len();
+        let copy = self.store.set_aside(id, blob).await.unwrap_or_else(|error| error.to_string());
+        let why = match why {
+            Corrupt::Content => "the blob is not this hull; registering the hull again repairs it",
+            Corrupt::Format => "the blob is of another version",
+        };
+        self.fault(id, format!("{why} ({bytes} bytes; copy: {copy})"));
+    }
+
+    /// Asks the store whether it still has a cached hull that was not seen there for long:
+    /// another server may have deleted it. While the store hangs, nobody can know, and the
+    /// cached hull is answered.
+    async fn check_if_stale(&self, id: HullId, entry: &Entry) -> Result<(), Missing> {
+        if !self.registry.is_stale(entry, self.registry.now_ms()) {
+            return Ok(());
+        }
+        match self.store.size(id).await {
+            Ok(Some(_)) => {
+                self.registry.saw(entry);
+                Ok(())
+            }
+            Ok(None) => {
+                self.registry.cache.remove(&id);
+                Err(Missing::Unknown)
+            }
+            Err(StoreError::Hung(_)) => Ok(()),
+            Err(error) => Err(self.missing(id, &error)),
+        }
+    }
+
+    /// What an error of the store means for a hull.
+    fn missing(&self, id: HullId, error: &StoreError) -> Missing {
+        self.registry.metrics.store_errors.inc();
+        self.fault(id, error.to_string());
+        match error {
+            StoreError::NotABlob(_) => Missing::Unknown,
+            _ => Missing::Unavailable,
+        }
+    }
+
+    fn fault(&self, id: HullId, why: String) {
+        let mut faults = self.faults.lock().unwrap_or_else(PoisonError::into_inner);
+        match &mut *faults {
+            Some(faults) => faults.hulls += 1,
+            None => *faults = Some(Faults { hulls: 1, first: id, why }),
+        }
+    }
+}
+
+impl Drop for Reader<'_> {
+    fn drop(&mut self) {
+        static UNREADABLE: Repeated = Repeated::new();
+        let faults = self.faults.get_mut().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(Faults { hulls, first, why }) = faults
+            && let Some(left_out) = UNREADABLE.due()
+        {
+            tracing::warn!(hulls, %first, why, left_out, "hulls of a request could not be read from the store");
+        }
+    }
+}
+
+/// What is wrong with a blob.
+#[derive(Clone, Copy, Debug)]
+enum Corrupt {
+    /// Its hash is not its name.
+    Content,
+    /// Its hash is its name, and this version cannot read it.
+    Format,
+}
+
+/// Whether these bytes are the hull that they are named as.
+fn verify(id: HullId, blob: &[u8]) -> Result<HullDefinition, Corrupt> {
+    if id_of(blob) != id {
+        return Err(Corrupt::Content);
+    }
+    HullDefinition::from_identity_bytes(blob).ok_or(Corrupt::Format)
+}

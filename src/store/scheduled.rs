@@ -1,0 +1,243 @@
+//! A store whose operations are scheduled and timed: what the registry uses.
+//!
+//! So many operations run at a time as the store does side by side; callers take turns
+//! ([`Turns`]). An operation that has begun runs to its end even if its caller goes away, so
+//! that its time is always measured. One that has not returned within the limit marks the
+//! store as hung: its caller, those who wait for their turn and those who come later get
+//! [`StoreError::Hung`] at once, and no operation begins until every operation that exceeded
+//! the limit has returned. A store that hangs therefore holds a bounded number of operations,
+//! and nobody waits for it longer than the limit.
+
+use std::{
+    future::Future,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicUsize, Ordering},
+    },
+    time::Duration,
+};
+
+use bytes::Bytes;
+use futures_util::future::BoxFuture;
+use tokio::{
+    pin,
+    sync::oneshot,
+    time::{Instant, timeout},
+};
+use tracing::Instrument;
+
+use super::{
+    BlobStore, HullId, Opened, StoreError, StoredBlob,
+    turns::{NoTurn, Turns},
+};
+use crate::budget::Caller;
+
+/// How many operations may wait for their turn. One caller alone may have half of them wait,
+/// which is a hundred requests of many hulls each.
+const MOST_WAITING: u64 = 4096;
+
+/// A store, shared by callers.
+#[derive(Clone, Debug)]
+pub(super) struct ScheduledStore {
+    shared: Arc<Shared>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    blobs: Opened,
+    turns: Arc<Turns>,
+    limit: Duration,
+    /// Operations that have exceeded the limit and have not returned.
+    hanging: AtomicUsize,
+    probing: AtomicBool,
+}
+
+impl ScheduledStore {
+    /// `limit`: how long an operation may take. `shares`: whether callers share the
+    /// operations by dynamic thresholds.
+    pub(super) fn new(blobs: Opened, limit: Duration, shares: bool) -> Self {
+        let turns = Turns::new(blobs.operations_at_a_time(), MOST_WAITING, shares);
+        let (hanging, probing) = (AtomicUsize::new(0), AtomicBool::new(false));
+        Self { shared: Arc::new(Shared { blobs, turns, limit, hanging, probing }) }
+    }
+
+    /// The store as `caller` may use it.
+    pub(super) fn of(&self, caller: &Caller) -> CallerStore {
+        CallerStore { shared: self.shared.clone(), caller: caller.clone() }
+    }
+
+    /// Tries whether the store can be written to. It takes no turn, so that it says nothing
+    /// about callers; one probe is under way at a time.
+    ///
+    /// # Errors
+    /// Why the store cannot be written to.
+    pub(super) async fn probe(&self) -> Result<(), StoreError> {
+        let shared = &self.shared;
+        shared.answers()?;
+        if shared.probing.swap(true, Ordering::AcqRel) {
+            return Err(StoreError::Hung("the last probe has not returned".into()));
+        }
+        let probing = Probing(shared.clone());
+        let blobs = shared.blobs.clone();
+        shared.timed(async move { blobs.probe().await }, probing).await
+    }
+}
+
+/// A probe under way.
+struct Probing(Arc<Shared>);
+
+impl Drop for Probing {
+    fn drop(&mut self) {
+        self.0.probing.store(false, Ordering::Release);
+    }
+}
+
+impl Shared {
+    /// Whether operations may begin.
+    fn answers(&self) -> Result<(), StoreError> {
+        match self.hanging.load(Ordering::Acquire) {
+            0 => Ok(()),
+            operations => Err(StoreError::Hung(format!(
+                "{operations} operations have not returned within {} s",
+                self.limit.as_secs_f64()
+            ))),
+        }
+    }
+
+    /// Runs an operation to its end, and keeps `slot` as long; its result, or that it has
+    /// exceeded the limit.
+    async fn timed<T: Send + 'static>(
+        self: &Arc<Self>,
+        operation: impl Future<Output = Result<T, StoreError>> + Send + 'static,
+        slot: impl Send + 'static,
+    ) -> Result<T, StoreError> {
+        let (send, receive) = oneshot::channel();
+        let shared = self.clone();
+        let run = async move {
+            let started = Instant::now();
+            pin!(operation);
+            let result = match timeout(shared.limit, &mut operation).await {
+                Ok(result) => result,
+                Err(_) => {
+                    let hanging = Hanging::new(&shared);
+                    let _ = send.send(Err(shared.answers().err().unwrap_or_else(gone)));
+                    let _ = operation.await;
+                    drop(hanging);
+                    let seconds = started.elapsed().as_secs_f64();
+                    tracing::info!(seconds, "an operation of the store that had exceeded its limit returned");
+                    return drop(slot);
+                }
+            };
+            drop(slot);
+            let _ = send.send(result);
+        };
+        tokio::spawn(run.in_current_span());
+        receive.await.unwrap_or_else(|_| Err(gone()))
+    }
+}
+
+fn gone() -> StoreError {
+    StoreError::Unavailable("the operation ended without a result".into())
+}
+
+/// An operation that has exceeded the limit.
+struct Hanging(Arc<Shared>);
+
+impl Hanging {
+    fn new(shared: &Arc<Shared>) -> Self {
+        let before = shared.hanging.fetch_add(1, Ordering::AcqRel);
+        if before == 0 {
+            let limit_seconds = shared.limit.as_secs_f64();
+            tracing::error!(
+                limit_seconds,
+                "the store hangs: an operation has not returned; no other begins before it does"
+            );
+        }
+        shared.turns.send_away();
+        Self(shared.clone())
+    }
+}
+
+impl Drop for Hanging {
+    fn drop(&mut self) {
+        self.0.hanging.fetch_sub(1, Ordering::AcqRel);
+    }
+}
+
+/// The store as one caller may use it.
+#[derive(Debug)]
+pub(super) struct CallerStore {
+    shared: Arc<Shared>,
+    caller: Caller,
+}
+
+impl CallerStore {
+    pub(super) fn caller(&self) -> &Caller {
+        &self.caller
+    }
+
+    /// Begins an operation when it is the caller's turn.
+    fn run<T: Send + 'static, F>(
+        &self,
+        operation: impl FnOnce(Opened) -> F + Send + 'static,
+    ) -> BoxFuture<'_, Result<T, StoreError>>
+    where
+        F: Future<Output = Result<T, StoreError>> + Send + 'static,
+    {
+        Box::pin(async move {
+            let shared = &self.shared;
+            shared.answers()?;
+            let slot = shared.turns.take(&self.caller).await.map_err(|why| match why {
+                NoTurn::Busy => StoreError::Busy("too many operations of this caller wait".into()),
+                NoTurn::SentAway => shared.answers().err().unwrap_or_else(gone),
+            })?;
+            // It may hang since.
+            shared.answers()?;
+            shared.timed(operation(shared.blobs.clone()), slot).await
+        })
+    }
+}
+
+impl BlobStore for CallerStore {
+    fn put(&self, id: HullId, blob: Bytes) -> BoxFuture<'_, Result<(), StoreError>> {
+        self.run(move |blobs| async move { blobs.put(id, blob).await })
+    }
+
+    fn get(&self, id: HullId, max_bytes: u64) -> BoxFuture<'_, Result<Option<Bytes>, StoreError>> {
+        self.run(move |blobs| async move { blobs.get(id, max_bytes).await })
+    }
+
+    fn size(&self, id: HullId) -> BoxFuture<'_, Result<Option<u64>, StoreError>> {
+        self.run(move |blobs| async move { blobs.size(id).await })
+    }
+
+    fn delete(&self, id: HullId) -> BoxFuture<'_, Result<(), StoreError>> {
+        self.run(move |blobs| async move { blobs.delete(id).await })
+    }
+
+    fn shards(&self) -> BoxFuture<'_, Result<Vec<u8>, StoreError>> {
+        self.run(|blobs| async move { blobs.shards().await })
+    }
+
+    fn list(
+        &self,
+        shard: u8,
+        after: Option<HullId>,
+        count: usize,
+        max_bytes: u64,
+    ) -> BoxFuture<'_, Result<Vec<StoredBlob>, StoreError>> {
+        self.run(move |blobs| async move { blobs.list(shard, after, count, max_bytes).await })
+    }
+
+    fn set_aside(&self, id: HullId, blob: Bytes) -> BoxFuture<'_, Result<String, StoreError>> {
+        self.run(move |blobs| async move { blobs.set_aside(id, blob).await })
+    }
+
+    fn probe(&self) -> BoxFuture<'_, Result<(), StoreError>> {
+        self.run(|blobs| async move { blobs.probe().await })
+    }
+
+    fn operations_at_a_time(&self) -> u64 {
+        self.shared.blobs.operations_at_a_time()
+    }
+}
