@@ -24,7 +24,7 @@ use crate::contact::{Bounds, Stop, Stopped};
 const STEPS_PER_PARTNER: u64 = 20;
 
 /// The bodies of a scene, which can be asked for each one's partners.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct BroadPhase {
     /// The bodies of all worlds but [`EVERY_WORLD`].
     worlds: Tree,

@@ -23,6 +23,8 @@ use super::{
     wire::{self, Scene},
 };
 use crate::{
+    budget::Part,
+    compute::Job,
     contact::Stop,
     metrics::Shed,
     proto::{
@@ -129,12 +131,14 @@ pub(super) async fn answer(
     let started = Instant::now();
     let (request_id, outputs) = (scene.request_id, scene.setting.outputs);
     let (pairs, bodies) = (scene.setting.pair_count(), scene.setting.body_hulls.len());
-    let admission = app.engine().admit(pairs, outputs)?;
-    let (mut batch, missing_hulls, invalid_bodies) = assemble(app, scene, &context.job).await?;
+    let job = &context.job;
+    let admission = app.engine().admit(pairs, outputs, &job.caller)?;
+    let (mut batch, missing_hulls, invalid_bodies) = assemble(app, scene, job).await?;
     if keep_bases {
         batch.keep_bases();
     }
-    let mut columns = app.engine().compute(batch, admission).await?;
+    let memory = context.take(app, Part::Answers, 0)?;
+    let (mut columns, memory) = app.engine().compute(batch, admission, job, memory).await?;
     debug_assert_eq!(columns.len(), pairs);
     if tracing::enabled!(tracing::Level::DEBUG) {
         let [contact, separated, undecided, invalid] = columns.outcome_counts();
@@ -157,7 +161,7 @@ pub(super) async fn answer(
     }
     let bases = if keep_bases { columns.kept_bases(outputs) } else { Vec::new() };
     let response = wire::response(request_id, columns, missing_hulls, invalid_bodies);
-    Ok((app.bounded_answer(context, response)?.into_inner(), bases))
+    Ok((app.counted_answer(context, response, memory)?, bases))
 }
 
 /// The scene with its hulls at hand, the indices of those that are missing, and of the

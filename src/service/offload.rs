@@ -4,13 +4,16 @@
 
 use super::{App, ServiceError, context::CallContext};
 use crate::{
-    compute::{Compute, Panicked},
+    compute::{Compute, ComputeError, Panicked},
     contact::Stop,
 };
 
 /// Work on more bytes than this is done on the compute threads. Up to this it takes at most
 /// about a millisecond, and a thread that serves calls may do it.
 const LARGE_BYTES: usize = 256 << 10;
+
+/// Bytes that are worked on in one elementary step.
+const BYTES_PER_STEP: usize = 2;
 
 /// Does `work` on about `bytes` bytes.
 ///
@@ -25,11 +28,19 @@ pub(super) async fn offloaded<T: Send + 'static>(
     if bytes <= LARGE_BYTES {
         return work(&context.job.stop);
     }
-    let stop = context.job.stop.clone();
-    app.engine().compute_threads().run(move || work(&stop)).await.unwrap_or_else(|Panicked(why)| {
-        tracing::error!(why, "work of the service panicked");
-        Err(ServiceError::internal("the request could not be worked on"))
-    })
+    match app.engine().compute_threads().run_steps(steps(bytes), work, &context.job).await {
+        Ok(done) => done,
+        Err(ComputeError::Stopped) => Err(ServiceError::deadline_exceeded()),
+        Err(ComputeError::Panicked(Panicked(why))) => {
+            tracing::error!(why, "work of the service panicked");
+            Err(ServiceError::internal("the request could not be worked on"))
+        }
+    }
+}
+
+/// The estimated steps of such work.
+fn steps(bytes: usize) -> u64 {
+    (bytes / BYTES_PER_STEP) as u64
 }
 
 /// A value whose memory a compute thread frees where it has many bytes: giving much memory back
@@ -55,10 +66,8 @@ impl<T: Send + 'static> FreedOnCompute<T> {
 
 impl<T: Send + 'static> Drop for FreedOnCompute<T> {
     fn drop(&mut self) {
-        let large = self.value.take().filter(|_| self.bytes > LARGE_BYTES);
-        if let (Some(value), Ok(runtime)) = (large, tokio::runtime::Handle::try_current()) {
-            let compute = self.compute.clone();
-            runtime.spawn(async move { compute.run(move || drop(value)).await });
+        if let Some(value) = self.value.take().filter(|_| self.bytes > LARGE_BYTES) {
+            self.compute.free(value);
         }
     }
 }

@@ -17,10 +17,15 @@ use super::{
     cache::Entry,
     identity::id_of,
     lease::{Lease, LeaseError, LeaseRequest},
-    registry::Missing,
+    registry::{BuildError, Missing},
     scheduled::CallerStore,
 };
-use crate::{compute::Job, contact::ConvexHull, log_limit::Repeated, trace};
+use crate::{
+    compute::{ComputeError, Job},
+    contact::ConvexHull,
+    log_limit::Repeated,
+    trace,
+};
 
 /// Blobs up to this size are verified where they arrive, in some 100 us; others by the compute
 /// threads, so that none keeps the serving threads from other calls.
@@ -143,14 +148,20 @@ impl<'a> Reader<'a> {
         })?;
         let definition = self.definition(id).await?;
         // What was once acknowledged is answered for, whatever the limit is by now.
-        match self.registry.build(definition, usize::MAX, self.job).await {
-            Ok(Ok(hull)) => Ok(self.registry.entry(Arc::new(hull), false)),
-            Ok(Err(error)) => {
+        let built = self.registry.build(vec![definition], usize::MAX, self.job).await;
+        match built.map(|hulls| hulls.into_iter().next()) {
+            Ok(Some(Ok(hull))) => Ok(self.registry.entry(Arc::new(hull), false)),
+            Ok(Some(Err(error))) => {
                 self.fault(id, format!("a stored hull is not a hull to this version: {error}"));
                 Err(Missing::Unknown)
             }
-            Err(error) => {
-                tracing::error!(hull = %id, %error, "a stored hull cannot be built");
+            Ok(None) | Err(BuildError::Compute(ComputeError::Stopped)) => Err(Missing::Unavailable),
+            Err(BuildError::NoMemory(why)) => {
+                self.fault(id, why.to_string());
+                Err(Missing::Unavailable)
+            }
+            Err(BuildError::Compute(ComputeError::Panicked(why))) => {
+                tracing::error!(hull = %id, %why, "a stored hull cannot be built");
                 Err(Missing::Unavailable)
             }
         }
@@ -166,7 +177,7 @@ impl<'a> Reader<'a> {
         } else {
             let blob = blob.clone();
             let verified = self.registry.compute.run(move |_| verify(id, &blob), self.job).await;
-            verified.map_err(|panicked| StoreError::Unavailable(panicked.to_string()))?
+            verified.map_err(|error| StoreError::Unavailable(error.to_string()))?
         };
         match verified {
             Ok(definition) => Ok(Some(definition)),
