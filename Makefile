@@ -140,6 +140,13 @@ tradeoff-families tradeoff-scenes: tradeoff-%: build $(VENV)/.bench
 	cp out/tradeoff-$*.png docs
 	./scripts/section docs/tradeoff.md $* out/tradeoff-$*.txt
 
+.PHONY: planarity
+planarity: check-tools $(VENV)/.test ## patches of rounded shapes by the planarity of faces; writes docs/tradeoff.md and its picture
+	mkdir -p out
+	$(CARGO) run --release --locked --no-default-features --example planarity -- docs/planarity.csv 1000 | tee out/planarity.txt
+	$(PY) client/examples/planarity.py docs/planarity.csv docs/planarity.svg
+	./scripts/section docs/tradeoff.md planarity out/planarity.txt
+
 .PHONY: simulation
 simulation: build $(VENV)/.test ## a rigid body simulation on several kinds of contacts; writes docs/simulation.md and its pictures
 	$(PY) client/examples/simulation --docs docs

@@ -37,7 +37,8 @@ def test_the_patch_is_the_exact_intersection(client, get_hulls, name, tilt):
     """
     rng = np.random.default_rng([21, FAMILIES.index(name)])
     shapes = family(name, 6, rng)
-    hulls = client.register([shape.vertices for shape in shapes])
+    # Without a planarity: the faces are those of the shapes, none merged with another.
+    hulls = client.register([shape.vertices for shape in shapes], planarity=None)
     faces = get_hulls(hulls)
     cases = [resting_case(rng, shapes, hulls, tilt) for _ in range(60)]
     m = ask(client, cases, margin=0.02, outputs=OUTPUTS)

@@ -27,7 +27,7 @@ use tracing_subscriber::{
 
 use super::{
     Error, descriptors,
-    settings::{Given, LogFormat, Settings, seconds},
+    settings::{Given, LogFormat, Settings},
     traces::Traces,
 };
 
@@ -86,7 +86,7 @@ async fn until_stopped(settings: &Settings, args: &Args) -> Result<(), Error> {
     limits.max_connections = descriptors::connections(limits.max_connections);
     let app = Arc::new(App::new(store, limits, settings.compute_threads)?);
     app.engine().injected().delay(Duration::from_micros(args.inject_pair_delay_us));
-    let grace = seconds("grace_seconds", settings.grace_seconds)?;
+    let grace = settings.grace()?;
     // Before the address is printed: who reads it may stop the server at once.
     let shutdown = shutdown(grace, args.until_stdin_closes)?;
     let listeners = listeners(settings, &serving.security).await?;

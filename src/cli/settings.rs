@@ -45,7 +45,7 @@ macro_rules! settings {
         #[derive(Clone, Debug, Default, Deserialize, clap::Args)]
         #[serde(deny_unknown_fields, default)]
         pub(crate) struct Given {
-            $($(#[doc = $doc])* #[arg(long, env = $env, value_name = $value $(, $($arg)*)?)]
+            $($(#[doc = $doc])* #[arg(long, env = $env, value_name = $value, allow_negative_numbers = true $(, $($arg)*)?)]
             $name: Option<$kind>,)*
         }
 
@@ -186,8 +186,15 @@ impl Settings {
     /// How to serve, with the files read that it names.
     ///
     /// # Errors
-    /// A file cannot be used, or a time is none.
+    /// A file cannot be used, or a value is outside its range.
     pub(crate) fn serving(&self) -> Result<Serving, Error> {
+        let (threads, share) = (self.compute_threads, self.otlp_share);
+        if threads > MOST_THREADS {
+            return Err(format!("compute_threads is {threads}, must be 0 to {MOST_THREADS}").into());
+        }
+        if !(0.0..=1.0).contains(&share) {
+            return Err(format!("otlp_share is {share}, must be 0 to 1").into());
+        }
         let files = SecurityFiles {
             tls_certificate: self.tls_certificate.clone(),
             tls_key: self.tls_key.clone(),
@@ -203,17 +210,25 @@ impl Settings {
         }
         Ok(Serving {
             security: Arc::new(Security::open(&files)?),
-            reload_every: seconds("reload_seconds", self.reload_seconds)?.max(SHORTEST_LOOP),
-            drain: seconds("drain_seconds", self.drain_seconds)?,
-            max_connection_age: seconds("max_connection_age_seconds", self.max_connection_age_seconds)?,
-            probe_every: seconds("probe_seconds", self.probe_seconds)?.max(SHORTEST_LOOP),
-            message_time: positive_seconds("message_seconds", self.message_seconds)?,
-            answer_time: positive_seconds("answer_seconds", self.answer_seconds)?,
+            reload_every: seconds("reload_seconds", self.reload_seconds, SHORTEST_LOOP)?,
+            drain: seconds("drain_seconds", self.drain_seconds, 0.0)?,
+            max_connection_age: seconds("max_connection_age_seconds", self.max_connection_age_seconds, 0.0)?,
+            probe_every: seconds("probe_seconds", self.probe_seconds, SHORTEST_LOOP)?,
+            message_time: seconds("message_seconds", self.message_seconds, SHORTEST_TIME)?,
+            answer_time: seconds("answer_seconds", self.answer_seconds, SHORTEST_TIME)?,
             trusted_proxies: self.trusted_proxies.iter().map(IpAddr::to_canonical).collect(),
             #[cfg(feature = "playground")]
             playground: self.playground,
             ..Serving::default()
         })
+    }
+
+    /// How long health says NOT_SERVING, when the server stops, before connections are closed.
+    ///
+    /// # Errors
+    /// The value is outside its range.
+    pub(crate) fn grace(&self) -> Result<Duration, Error> {
+        seconds("grace_seconds", self.grace_seconds, 0.0)
     }
 
     /// The limits among them.
@@ -246,23 +261,28 @@ impl Settings {
     }
 }
 
-/// More often would be a loop that does nothing else.
-const SHORTEST_LOOP: Duration = Duration::from_millis(10);
+/// The shortest time between two runs of a loop, in seconds.
+const SHORTEST_LOOP: f64 = 0.01;
 
-pub(crate) fn seconds(name: &str, value: f64) -> Result<Duration, Error> {
-    Ok(Duration::try_from_secs_f64(value).map_err(|error| format!("{name} {value}: {error}"))?)
-}
+/// The shortest time after which something is given up, in seconds.
+const SHORTEST_TIME: f64 = 0.001;
 
-/// A time that has to pass before something is given up.
-fn positive_seconds(name: &str, value: f64) -> Result<Duration, Error> {
-    match value {
-        0.001..=MOST_SECONDS => seconds(name, value),
-        _ => Err(format!("{name} is {value}: it must be from 0.001 to {MOST_SECONDS} seconds").into()),
+/// The longest time that a setting may have: some thirty years, which no clock overflows.
+const LONGEST: f64 = 1e9;
+
+/// Most threads that compute.
+const MOST_THREADS: usize = 4096;
+
+/// A setting in seconds, at least `least`.
+///
+/// # Errors
+/// The value is outside its range, or no number.
+fn seconds(name: &str, value: f64, least: f64) -> Result<Duration, Error> {
+    if (least..=LONGEST).contains(&value) {
+        return Ok(Duration::try_from_secs_f64(value)?);
     }
+    Err(format!("{name} is {value}, must be {least} to {LONGEST} seconds").into())
 }
-
-/// A day.
-const MOST_SECONDS: f64 = 86_400.0;
 
 #[cfg(test)]
 mod tests {
@@ -284,6 +304,33 @@ mod tests {
         assert_eq!(settings.cache_bytes, Size::Bytes(1));
         assert_eq!(settings.max_page_size, 3);
         assert_eq!(settings.limits().unwrap().max_pairs_per_request, Limits::default().max_pairs_per_request);
+    }
+
+    /// Catches a time or a number outside its range that is taken, or refused without its
+    /// name, value and range.
+    #[test]
+    fn values_outside_their_ranges_are_refused_by_name() {
+        type Spoil = fn(&mut Settings);
+        let spoils: [(Spoil, &str, &str); 10] = [
+            (|s| s.grace_seconds = -1.0, "grace_seconds is -1", "0 to 1000000000"),
+            (|s| s.grace_seconds = f64::NAN, "grace_seconds is NaN", "0 to 1000000000"),
+            (|s| s.drain_seconds = f64::INFINITY, "drain_seconds is inf", "0 to 1000000000"),
+            (|s| s.drain_seconds = 1e300, "drain_seconds is 1", "0 to 1000000000"),
+            (|s| s.max_connection_age_seconds = -0.5, "max_connection_age_seconds is -0.5", "0 to"),
+            (|s| s.probe_seconds = 0.0, "probe_seconds is 0", "0.01 to 1000000000"),
+            (|s| s.reload_seconds = 0.009, "reload_seconds is 0.009", "0.01 to 1000000000"),
+            (|s| s.compute_threads = 4097, "compute_threads is 4097", "0 to 4096"),
+            (|s| s.otlp_share = 1.5, "otlp_share is 1.5", "0 to 1"),
+            (|s| s.otlp_share = f64::NAN, "otlp_share is NaN", "0 to 1"),
+        ];
+        for (spoil, value, range) in spoils {
+            let mut settings = Given::default().or(Given::default());
+            assert!(settings.grace().is_ok() && settings.serving().is_ok());
+            spoil(&mut settings);
+            let error = settings.grace().map(|_| ()).and_then(|()| settings.serving().map(|_| ()));
+            let error = error.expect_err(value).to_string();
+            assert!(error.contains(value) && error.contains(range), "{error}");
+        }
     }
 
     /// Catches settings that `--print-config` writes and `--config` does not read.

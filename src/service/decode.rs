@@ -35,6 +35,7 @@ pub(super) async fn decoded<M: Request, T: Send + 'static>(
             let mut take = |bytes| context.grow(&app, &mut memory, bytes);
             let request = M::decode(&bytes, &mut Bounds::new(app.limits(), stop, &mut take))?;
             drop(bytes);
+            context.decoded();
             check(request, memory, app.limits(), stop)
         }
     };

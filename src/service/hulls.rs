@@ -13,6 +13,7 @@ use super::{
 };
 use crate::{
     budget::{Part, Permit},
+    compute::Job,
     contact::Stop,
     log_limit::Repeated,
     metrics::Shed,
@@ -58,7 +59,7 @@ impl HullService for Hulls {
         let mut results = Vec::with_capacity(definitions.len());
         let mut left = definitions.into_iter().peekable();
         while left.peek().is_some() {
-            results.extend(self.register(group(&mut left), &context).await?);
+            results.extend(self.register(group(&mut left), &context.job).await?);
         }
         Ok(self.app.bounded_answer(&context, RegisterHullsResponse { results })?)
     }
@@ -94,8 +95,8 @@ impl HullService for Hulls {
         let size = if listing.page_size == 0 { DEFAULT_PAGE_SIZE } else { listing.page_size };
         let size = size.min(self.app.limits().max_page_size) as usize;
         let listed = context.take(&self.app, Part::Answers, size.saturating_mul(LISTED_BYTES))?;
-        let page = self.app.registry().list(listing.after, size, &context.job).await;
-        let (blobs, more) = page.map_err(|error| store_error(&self.app, error))?;
+        let found = self.app.registry().list(listing.after, size, &context.job).await;
+        let (blobs, more) = found.map_err(|error| store_error(&self.app, error))?;
         let page = wire::page(blobs, more);
         // The answer's exact size takes its place.
         drop(listed);

@@ -26,7 +26,8 @@ impl ServerService for Info {
     ) -> Result<Response<GetServerInfoResponse>, Status> {
         let context = CallContext::of(&request);
         decoded(&self.app, &context, request.into_inner(), |(), _, _, _| Ok(())).await?;
-        let info = wire::server_info(self.app.limits(), self.app.engine().threads(), self.app.memory());
+        let (limits, threads) = (self.app.limits(), self.app.engine().threads());
+        let info = wire::server_info(limits, threads, self.app.memory());
         Ok(self.app.bounded_answer(&context, info)?)
     }
 }

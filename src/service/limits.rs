@@ -45,9 +45,6 @@ pub struct Limits {
     pub cache_age_seconds: u32,
     /// How long an operation of the store may take before the store is taken to hang.
     pub store_seconds: u32,
-    /// Whether callers share the cache and the store by dynamic thresholds, so that none of
-    /// them leaves nothing for the others.
-    pub shares: bool,
 }
 
 impl Default for Limits {
@@ -72,17 +69,25 @@ impl Default for Limits {
             max_page_size: 10_000,
             cache_age_seconds: 60,
             store_seconds: 20,
-            shares: true,
         }
     }
 }
 
-/// The largest `max_message_bytes`: an HTTP/2 gRPC message's length is 32 bits, and a
-/// server that answers for 2 GiB at a time is misconfigured.
-const MOST_MESSAGE_BYTES: usize = 2 << 30;
+/// The largest `max_message_bytes`: a gRPC message's length is 32 bits, and a server that
+/// answers for 2 GiB at a time is misconfigured.
+const MOST_MESSAGE_BYTES: u64 = 2 << 30;
 
+/// The largest of any other size: sums of them do not overflow.
+const MOST_BYTES: u64 = 1 << 50;
+
+/// The least `max_memory_bytes`: connections, small requests and their answers fit many times.
+const LEAST_MEMORY_BYTES: u64 = 256 << 20;
+
+/// The memory of the largest request in units of `max_message_bytes`: the message as it
+/// arrives, twice that decoded, and twice that for the answer, as a message and encoded.
+const REQUEST_MESSAGES: u64 = 1 + 2 + 2;
 /// The largest `store_seconds`: for longer, callers would wait for a store that does not answer.
-const MOST_STORE_SECONDS: u32 = 3600;
+const MOST_STORE_SECONDS: u64 = 3600;
 
 /// The bytes of a blob beside its points, rounded up (docs/identity.md).
 const BLOB_HEAD_BYTES: u64 = 64;
@@ -92,56 +97,69 @@ impl Limits {
     pub fn max_blob_bytes(&self) -> u64 {
         self.max_message_bytes as u64 + BLOB_HEAD_BYTES
     }
-
-    /// What makes these limits contradict each other, for people; none when they do not.
-    pub fn contradiction(&self) -> Option<String> {
-        let positive = [
-            ("max_pairs_per_request", self.max_pairs_per_request),
-            ("max_bodies_per_request", self.max_bodies_per_request),
-            ("max_hulls_per_request", self.max_hulls_per_request),
-            ("max_connections", self.max_connections),
-            ("max_streams_per_connection", self.max_streams_per_connection),
-            ("max_deadline_seconds", self.max_deadline_seconds),
-            ("max_page_size", self.max_page_size),
-        ];
-        if let Some((name, _)) = positive.iter().find(|(_, value)| *value == 0) {
-            return Some(format!("{name} is 0"));
-        }
-        if self.cache_bytes == 0 {
-            return Some("cache_bytes is 0: no query would have its hulls".into());
-        }
-        if !(1024..=MOST_MESSAGE_BYTES).contains(&self.max_message_bytes) {
-            return Some(format!(
-                "max_message_bytes is {}, outside 1024 to {MOST_MESSAGE_BYTES}",
-                self.max_message_bytes
-            ));
-        }
-        if !(1..=MOST_STORE_SECONDS).contains(&self.store_seconds) {
-            return Some(format!(
-                "store_seconds is {}, outside 1 to {MOST_STORE_SECONDS}",
-                self.store_seconds
-            ));
-        }
-        if self.max_vertices_per_hull < 4 {
-            return Some("max_vertices_per_hull is below 4: no hull has fewer".into());
-        }
-        if self.max_pairs_in_flight < self.max_pairs_per_request {
-            return Some(format!(
-                "max_pairs_in_flight ({}) is below max_pairs_per_request ({}): such a request would never run",
-                self.max_pairs_in_flight, self.max_pairs_per_request
-            ));
-        }
-        // The gRPC frame's head comes with a message.
-        if self.max_request_bytes_in_flight < self.max_message_bytes as u64 + FRAME_HEAD_BYTES {
-            return Some(format!(
-                "max_request_bytes_in_flight ({}) is below max_message_bytes ({}) and {FRAME_HEAD_BYTES}: \
-                 such a message would never arrive",
-                self.max_request_bytes_in_flight, self.max_message_bytes
-            ));
-        }
-        None
-    }
 }
 
 /// Of a message on the wire: whether it is compressed, and its length.
 const FRAME_HEAD_BYTES: u64 = 5;
+
+impl Limits {
+    /// What is wrong with these limits, for people: a value outside its range, or two that
+    /// contradict each other; none where nothing is.
+    pub fn contradiction(&self) -> Option<String> {
+        let count = |name, value: u32| (name, u64::from(value), 1, u64::from(u32::MAX));
+        let size = |name, value, least| (name, value, least, MOST_BYTES);
+        let ranges = [
+            ("max_message_bytes", self.max_message_bytes as u64, 1024, MOST_MESSAGE_BYTES),
+            count("max_pairs_per_request", self.max_pairs_per_request),
+            count("max_bodies_per_request", self.max_bodies_per_request),
+            count("max_hulls_per_request", self.max_hulls_per_request),
+            // No hull has fewer than 4 vertices.
+            ("max_vertices_per_hull", self.max_vertices_per_hull.into(), 4, u32::MAX.into()),
+            ("max_points_per_hull", self.max_points_per_hull.into(), 4, u32::MAX.into()),
+            count("max_pairs_in_flight", self.max_pairs_in_flight),
+            size("max_memory_bytes", self.max_memory_bytes, LEAST_MEMORY_BYTES),
+            size("max_request_bytes_in_flight", self.max_request_bytes_in_flight, 1),
+            count("max_deadline_seconds", self.max_deadline_seconds),
+            // 0: streams keep nothing.
+            size("max_stream_state_bytes", self.max_stream_state_bytes, 0),
+            size("cache_bytes", self.cache_bytes, 1),
+            // 0: unbounded.
+            size("store_bytes", self.store_bytes, 0),
+            count("max_connections", self.max_connections),
+            count("max_streams_per_connection", self.max_streams_per_connection),
+            count("max_page_size", self.max_page_size),
+            ("store_seconds", self.store_seconds.into(), 1, MOST_STORE_SECONDS),
+        ];
+        for (name, value, least, most) in ranges {
+            if !(least..=most).contains(&value) {
+                return Some(format!("{name} is {value}, must be {least} to {most}"));
+            }
+        }
+        let at_least = [
+            (
+                ("max_pairs_in_flight", u64::from(self.max_pairs_in_flight)),
+                ("max_pairs_per_request", u64::from(self.max_pairs_per_request)),
+                "the largest request would never run",
+            ),
+            (
+                ("max_points_per_hull", u64::from(self.max_points_per_hull)),
+                ("max_vertices_per_hull", u64::from(self.max_vertices_per_hull)),
+                "a hull of that many vertices could not be defined",
+            ),
+            (
+                ("max_request_bytes_in_flight", self.max_request_bytes_in_flight),
+                ("max_message_bytes and 5 bytes", self.max_message_bytes as u64 + FRAME_HEAD_BYTES),
+                "the largest message would never arrive",
+            ),
+            (
+                ("max_memory_bytes", self.max_memory_bytes),
+                ("10 times max_message_bytes", 2 * REQUEST_MESSAGES * self.max_message_bytes as u64),
+                "one caller may hold half of it, and the largest request takes 5 times its message",
+            ),
+        ];
+        let below = at_least.into_iter().find(|((_, value), (_, least), _)| value < least);
+        below.map(|((name, value), (other, least), why)| {
+            format!("{name} is {value}, must be at least {least} ({other}): {why}")
+        })
+    }
+}

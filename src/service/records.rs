@@ -56,12 +56,15 @@ pub(super) async fn present(
     context: &CallContext,
     ids: &[HullId],
 ) -> Result<Vec<bool>, ServiceError> {
-    let distinct = Distinct::of(ids);
     let reader = &app.registry().reader(&context.job);
-    let has = |(id, _)| async move { reader.has(id).await.map_err(|_| unreadable()) };
-    let looked_up = stream::iter(distinct.ids).map(has).buffered(AT_A_TIME);
+    let distinct = Distinct::of(ids);
+    let looked_up = stream::iter(distinct.ids).map(|(id, _)| is_present(reader, id)).buffered(AT_A_TIME);
     let present: Vec<bool> = looked_up.try_collect().await?;
     Ok(distinct.places.into_iter().map(|place| present[place]).collect())
+}
+
+async fn is_present(reader: &Reader<'_>, id: HullId) -> Result<bool, ServiceError> {
+    reader.has(id).await.map_err(|_| unreadable())
 }
 
 /// A record for each id, and the memory that all of them take.
@@ -76,8 +79,7 @@ pub(super) async fn records(
 ) -> Result<(Vec<HullRecord>, Permit), ServiceError> {
     let Distinct { ids, places } = Distinct::of(ids);
     let taken = Mutex::new(Taken { bytes: 0, memory: context.take(app, Part::Answers, 0)? });
-    let reader = app.registry().reader(&context.job);
-    let reading = Reading { app, context, reader, parts, taken };
+    let reading = Reading { app, context, reader: app.registry().reader(&context.job), parts, taken };
     let read = |(id, times)| reading.record(id, times);
     let records: Vec<_> = stream::iter(ids).map(read).buffered(AT_A_TIME).try_collect().await?;
     let Taken { bytes, memory } = reading.taken.into_inner().unwrap_or_else(PoisonError::into_inner);

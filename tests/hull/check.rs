@@ -125,9 +125,7 @@ fn check_faces(hull: &ConvexHull, met: &mut Met) {
             let (normal, offset) = (hull.faces()[face as usize].normal, hull.faces()[face as usize].offset);
             assert!(normal.dot(*point) >= offset - hull.faces()[face as usize].planarity);
             let out = beyond_outline(hull, face as usize, *point);
-            if out > 2.0 * tolerance {
-                println!("beyond {out:e} of {tolerance:e}");
-            }
+            assert!(out <= 4.0 * tolerance, "vertex {v} is {out:e} beyond the outline of face {face}");
         }
     }
 }
@@ -156,9 +154,18 @@ fn check_outlines(hull: &ConvexHull) {
 /// How far a point is beyond the outline of a face, seen along its normal.
 fn beyond_outline(hull: &ConvexHull, face: usize, point: DVec3) -> f64 {
     let (outline, normal) = (hull.outline(face), hull.faces()[face].normal);
-    let corner = |i: usize| hull.vertices()[outline[i % outline.len()] as usize];
-    let outward = |i: usize| (corner(i + 1) - corner(i)).cross(normal).normalize_or_zero();
-    (0..outline.len()).map(|i| outward(i).dot(point - corner(i))).fold(0.0, f64::max)
+    let sides = (0..outline.len()).map(|i| {
+        let [from, to] =
+            [i, (i + 1) % outline.len()].map(|k| hull.vertices()[outline[k] as usize].reject_from(normal));
+        (point.reject_from(normal) - from, to - from)
+    });
+    if sides.clone().all(|(at, along)| along.cross(normal).dot(at) <= 0.0) {
+        return 0.0;
+    }
+    let distance = |(at, along): (DVec3, DVec3)| {
+        (at - along * (at.dot(along) / along.length_squared()).clamp(0.0, 1.0)).length()
+    };
+    sides.map(distance).fold(f64::INFINITY, f64::min)
 }
 
 /// That of the outline as seen along the normal, but for how far its corners are

@@ -156,10 +156,13 @@ async fn every_hull_has_a_result_of_its_own() {
     torn.vertices.pop();
     let mut two = wire_hull(&good);
     two.contraction_point = vec![0.0, 0.0];
+    let planarities = [-1e-9, 0.011, f64::INFINITY, f64::NAN];
+    let bent = planarities.map(|planarity| HullDefinition { planarity: Some(planarity), ..good.clone() });
     request.hulls.extend([torn, two]);
+    request.hulls.extend(bent.iter().map(wire_hull));
 
     let results = register(&server, request).await;
-    assert_eq!(results.len(), 14);
+    assert_eq!(results.len(), 18);
     for (i, (_, reason, field, index)) in cases.into_iter().enumerate() {
         assert_eq!(results[2 * i].as_ref().unwrap().id, id(&good));
         let error = results[2 * i + 1].as_ref().unwrap_err();
@@ -169,7 +172,15 @@ async fn every_hull_has_a_result_of_its_own() {
         }
         assert!(!error.message.is_empty());
     }
-    for (result, field) in results[12..].iter().zip(["vertices", "contraction_point"]) {
+    for (result, value) in results[14..].iter().zip(planarities) {
+        let error = result.as_ref().unwrap_err();
+        assert_eq!((&*error.reason, &*error.field), ("PLANARITY_OUT_OF_RANGE", "planarity"));
+        assert!(
+            error.message.contains(&value.to_string()) && error.message.contains("0 to 0.01"),
+            "{error:?}"
+        );
+    }
+    for (result, field) in results[12..14].iter().zip(["vertices", "contraction_point"]) {
         let error = result.as_ref().unwrap_err();
         assert_eq!((&error.reason[..], &error.field[..]), ("MALFORMED", field));
     }
@@ -241,7 +252,9 @@ async fn hulls_come_back_as_the_library_has_them() {
     odd.points.push(odd.points[0]);
     let mut zero = plain(round_points(20, 3));
     zero.points[4] = [-0.0, 2.0, -0.0];
-    let shapes = [shapes(), vec![odd, zero]].concat();
+    // Merged as no other is, so that an answer for the hull without a planarity shows.
+    let merged = HullDefinition { planarity: Some(0.01), ..plain(round_points(200, 4)) };
+    let shapes = [shapes(), vec![odd, zero, merged]].concat();
     let infos = register(&server, register_request(&shapes)).await;
     let ids: Vec<_> = shapes.iter().map(id).collect();
     let records = get(&server, ids.clone(), &["info", "vertices", "faces"]).await.hulls;
@@ -263,6 +276,7 @@ async fn hulls_come_back_as_the_library_has_them() {
         assert_eq!(info.inradius, hull.inradius());
         assert_eq!(info.circumradius, hull.circumradius());
         assert_eq!(info.geometric_error, hull.geometric_error());
+        assert_eq!(info.planarity, shape.planarity.unwrap_or(1e-6));
 
         assert_eq!(record.vertex_indices, hull.registered_indices());
         let bits = |x: &f64| (x + 0.0).to_bits();

@@ -36,7 +36,6 @@ fn small() -> Limits {
         max_page_size: 2,
         cache_age_seconds: 9,
         store_seconds: 7,
-        shares: true,
     }
 }
 
@@ -233,7 +232,7 @@ async fn a_store_at_its_limit_and_one_byte_past() {
 #[test]
 fn contradicting_limits_do_not_start() {
     type Spoil = fn(&mut Limits);
-    let spoils: [Spoil; 14] = [
+    let spoils: [Spoil; 19] = [
         |l| l.max_pairs_per_request = 0,
         |l| l.max_bodies_per_request = 0,
         |l| l.max_hulls_per_request = 0,
@@ -248,11 +247,26 @@ fn contradicting_limits_do_not_start() {
         |l| l.max_deadline_seconds = 0,
         |l| l.max_request_bytes_in_flight = l.max_message_bytes as u64 + 4,
         |l| l.max_pairs_in_flight = l.max_pairs_per_request - 1,
+        |l| l.max_points_per_hull = l.max_vertices_per_hull - 1,
+        |l| l.max_memory_bytes = (256 << 20) - 1,
+        |l| l.max_memory_bytes = 10 * l.max_message_bytes as u64 - 1,
+        |l| l.max_memory_bytes = u64::MAX,
+        |l| l.max_message_bytes = (2 << 30) + 1,
     ];
     for spoil in spoils {
         let mut limits = Limits::default();
         assert_eq!(limits.contradiction(), None);
         spoil(&mut limits);
-        assert!(limits.contradiction().is_some(), "{limits:?}");
+        let why = limits.contradiction().unwrap_or_else(|| panic!("{limits:?}"));
+        let (name, rest) = why.split_once(" is ").expect(&why);
+        assert!(format!("{limits:?}").contains(name) && rest.contains(", must be "), "{why}");
     }
+    let exact = |message: usize| Limits {
+        max_message_bytes: message,
+        max_memory_bytes: 10 * message as u64,
+        max_request_bytes_in_flight: message as u64 + 5,
+        max_points_per_hull: Limits::default().max_vertices_per_hull,
+        ..Limits::default()
+    };
+    assert_eq!(exact(64 << 20).contradiction(), None);
 }

@@ -25,8 +25,16 @@ impl Shape {
 
     /// About a contraction point of its own.
     pub(crate) fn about(points: Vec<[f64; 3]>, contraction_point: Option<[f64; 3]>) -> Rc<Self> {
-        let options = HullOptions { contraction_point, ..HullOptions::default() };
-        match ConvexHull::with_options(&points, &options) {
+        Self::built(points, &HullOptions { contraction_point, ..HullOptions::default() })
+    }
+
+    /// With faces merged to this planarity.
+    pub(crate) fn merged(points: Vec<[f64; 3]>, planarity: f64) -> Rc<Self> {
+        Self::built(points, &HullOptions { planarity: Some(planarity), ..HullOptions::default() })
+    }
+
+    fn built(points: Vec<[f64; 3]>, options: &HullOptions) -> Rc<Self> {
+        match ConvexHull::with_options(&points, options) {
             Ok(hull) => Rc::new(Self { points, hull }),
             Err(error) => panic!("{error}: {points:?}"),
         }

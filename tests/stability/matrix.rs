@@ -2,6 +2,7 @@
 //! shows that they are what the row names.
 
 mod hulls;
+mod planarity;
 mod poses;
 mod resting;
 
@@ -83,6 +84,8 @@ pub(crate) fn rows() -> Vec<Row> {
     rows.extend(hulls::vertices());
     rows.extend(resting::facet_noise());
     rows.extend(resting::dihedral());
+    rows.extend(planarity::any());
+    rows.extend(planarity::resting());
     rows.extend(hulls::tiny());
     rows.extend(hulls::contraction_point());
     rows.extend(poses::centre_distance());

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ._errors import (
         DeadlineExceeded,
         Error,
+        FileNotFound,
         HullRejected,
         InvalidArgument,
         NotConvexWarning,
@@ -52,6 +53,7 @@ __all__ = [
     "DeadlineExceeded",
     "Error",
     "FeatureKind",
+    "FileNotFound",
     "Flag",
     "Hull",
     "HullRejected",
@@ -90,6 +92,7 @@ _HOMES = {
     "_errors": [
         "DeadlineExceeded",
         "Error",
+        "FileNotFound",
         "HullRejected",
         "InvalidArgument",
         "NotConvexWarning",

@@ -46,12 +46,12 @@ class Client(_calls.Calls):
     ) -> list[Hull]:
         """Registers convex hulls, each given by points; those already known cost little.
 
-        A mesh that is not convex or not closed is registered as its convex hull
+        A mesh that is not convex, or has holes, is registered as its convex hull
         with a `NotConvexWarning`.
 
         Args:
             hulls: per hull an array (n, 3), an object with such `.vertices`, as
-                trimesh's, a `Hull`, or the path of a mesh file (extra `mesh`).
+                trimesh's, a `Hull`, or the path of an OBJ, STL, DAE or PLY file.
                 Points inside are dropped, none is moved.
             contraction_points: per hull (3,), strictly inside, or None: the
                 centre of mass.
@@ -69,6 +69,9 @@ class Client(_calls.Calls):
 
         Raises:
             HullRejected: some are no hulls; the others are registered, see its `results`.
+            InvalidArgument: for a file: UNSUPPORTED_MESH, another format or a feature that
+                is not read; MALFORMED_MESH; NO_TRIANGLES; UNREADABLE_FILE.
+            FileNotFound: there is no such file.
         """
 
         make = partial(

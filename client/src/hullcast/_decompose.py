@@ -7,74 +7,184 @@ import hashlib
 import importlib.metadata
 import io
 import os
+import sys
 import tempfile
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from . import _arrays, _mesh
-from ._arrays import Floats
+from . import _arrays, _convexity
+from ._arrays import Floats, Indices
+from ._errors import InvalidArgument
 from ._register import shape_of
 
-#: Of coacd's search: the same mesh gives the same pieces.
+#: The seed of coacd's search, so that one mesh always gives the same pieces.
 _SEED = 0
 
 
+#: The least and the largest threshold that coacd takes.
+_THRESHOLDS = (0.01, 1.0)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """The state of a decomposition."""
+
+    #: The mesh: its file, or its link and file.
+    mesh: str
+    #: From 1 to `total`.
+    number: int
+    total: int
+    #: "computing" before pieces are searched for, then "computed"; or "cached".
+    state: str
+
+    def __str__(self) -> str:
+        return f"convex pieces of {self.mesh}, {self.number} of {self.total}: {self.state}"
+
+
+#: Called with each `Progress`; None for lines on standard error if that is a terminal.
+Report = Callable[[Progress], object] | None
+
+
 def decompose(
-    mesh: Any, *, threshold: float = 0.05, cache: str | os.PathLike[str] | None = None
+    mesh: Any,
+    *,
+    threshold: float = 0.05,
+    cache: str | os.PathLike[str] | None = None,
+    progress: Report = None,
 ) -> list[Floats]:
     """Convex pieces that together approximate a mesh, by coacd (extra `decompose`).
 
-    They are to be registered one by one, and given one group in a `Scene`, since
-    they overlap a little. Finding them takes seconds to minutes; what was found
-    is kept in files named by the mesh's content, and read again.
+    Register each piece as a hull, and give all pieces one group in a `Scene`, since
+    they overlap a little. The search takes seconds to minutes. Its result is kept in a
+    file named by the mesh's content, which is read the next time.
 
     Args:
         mesh: an object with `.vertices` (n, 3) and `.faces` (m, 3), as trimesh's,
-            or the path of a mesh file (extra `mesh`).
+            or the path of an OBJ, STL, DAE or PLY file.
         threshold: how concave a piece may remain, 0.01 to 1, coacd's measure:
             smaller means more pieces.
-        cache: the folder kept in; by default what the environment variable
-            HULLCAST_CACHE names, else `hullcast` in the user's cache folder.
+        cache: the folder of these files. By default it is the environment variable
+            HULLCAST_CACHE, or `hullcast` in the user's cache folder.
+        progress: a function that is called with a record of each step: its `mesh`,
+            `number`, `total` and `state`; `str(record)` is a line to print. By default
+            these lines are printed on standard error if that is a terminal.
 
     Returns:
         Per piece its vertices (k, 3), in the mesh's frame.
 
     Raises:
-        InvalidArgument: faces that fit no vertex.
+        InvalidArgument: NOT_A_MESH, NO_TRIANGLES, COPLANAR, NOT_FINITE, NO_PIECES, or
+            OUT_OF_RANGE for the threshold; for a file, as `Client.register`.
+        FileNotFound: no such file.
         ImportError: the extra `decompose` is not installed.
     """
-    try:
-        import coacd as library
-    except ImportError as error:
-        raise ImportError("decompose needs coacd: pip install 'hullcast[decompose]'") from error
-    shape = shape_of(mesh)
-    vertices = _arrays.floats("mesh.vertices", shape.vertices, None, 3)
-    faces = _arrays.indices("mesh.faces", shape.faces, None, 3, below=len(vertices))
-    parameters = f"coacd {importlib.metadata.version('coacd')} {threshold!r} {_SEED}"
-    name = hashlib.sha256(b"\0".join([parameters.encode(), vertices.tobytes(), faces.tobytes()]))
-    file = _folder(cache) / f"{name.hexdigest()}.npz"
-    try:
-        with np.load(file, allow_pickle=False) as kept:
-            return [np.asarray(kept[f"piece{i}"], dtype="<f8") for i in range(len(kept.files))]
-    except FileNotFoundError:
-        pass
-    coacd: Any = library
-    coacd.set_log_level("error")
-    found = coacd.run_coacd(coacd.Mesh(vertices, faces), threshold=threshold, seed=_SEED)
-    pieces = [np.ascontiguousarray(piece, dtype="<f8") for piece, _ in found]
-    with contextlib.suppress(OSError):  # a folder that cannot be written costs only time
-        _write(file, pieces)
+    check_threshold(threshold)
+    (pieces,) = decompose_all([shape_of(mesh)], threshold=threshold, cache=cache, progress=progress)
     return pieces
 
 
-def is_convex(vertices: Floats, faces: Any) -> bool:
-    """By the volume ratio, as `register` judges; a mesh with open edges is not."""
-    from scipy.spatial import ConvexHull
+def decompose_all(
+    meshes: Sequence[Any],
+    *,
+    threshold: float,
+    cache: str | os.PathLike[str] | None,
+    progress: Report,
+) -> list[list[Floats]]:
+    """Per mesh its pieces, as `decompose`."""
+    report = progress or _print
+    found: list[list[Floats]] = []
+    for number, mesh in enumerate(meshes, start=1):
+        label = getattr(mesh, "label", "") or "the mesh"
+        if not hasattr(mesh, "vertices"):
+            raise InvalidArgument(
+                "expected an object with vertices and faces, or the path of a mesh file, got "
+                f"{type(mesh).__name__}",
+                reason="NOT_A_MESH",
+                field="mesh",
+            )
+        vertices = _arrays.floats("mesh.vertices", mesh.vertices, None, 3)
+        corners = getattr(mesh, "faces", np.zeros((0, 3), dtype="<u4"))
+        faces = _arrays.indices("mesh.faces", corners, None, 3, below=len(vertices))
+        if len(faces) == 0:
+            raise InvalidArgument(f"{label} has no triangles", reason="NO_TRIANGLES", field="mesh")
+        if not np.isfinite(vertices).all():
+            raise InvalidArgument(
+                f"{label} has a coordinate that is not finite", reason="NOT_FINITE", field="mesh"
+            )
+        if _convexity.is_flat(vertices):
+            raise InvalidArgument(
+                f"{label} is flat: all its points are in one plane", reason="COPLANAR", field="mesh"
+            )
+        report_state = partial(_report, report, label, number, len(meshes))
+        found.append(_pieces(vertices, faces, threshold, cache, report_state))
+    return found
 
-    enclosed = _mesh.closed("mesh", vertices, faces)
-    return enclosed is None or _mesh.fills(enclosed, float(ConvexHull(vertices).volume))
+
+def check_threshold(threshold: Any) -> None:
+    """Refuses what coacd does not take."""
+    low, high = _THRESHOLDS
+    if not isinstance(threshold, (int, float, np.number)) or not low <= threshold <= high:
+        raise InvalidArgument(
+            f"{threshold!r} is not a number from {low:g} to {high:g}",
+            reason="OUT_OF_RANGE",
+            field="threshold",
+        )
+
+
+def _report(report: Callable[[Progress], object], mesh: str, n: int, of: int, state: str) -> None:
+    report(Progress(mesh, n, of, state))
+
+
+def _print(progress: Progress) -> None:
+    if sys.stderr is not None and sys.stderr.isatty():
+        print(progress, file=sys.stderr, flush=True)
+
+
+def _pieces(
+    vertices: Floats,
+    faces: Indices,
+    threshold: float,
+    cache: str | os.PathLike[str] | None,
+    report: Callable[[str], None],
+) -> list[Floats]:
+    """The pieces of one mesh, from the cache or from coacd."""
+    try:
+        import coacd as library
+    except ImportError as error:
+        raise ImportError(
+            "decomposing meshes needs coacd: install the extra `decompose` "
+            "(pip install './client[decompose]' in the clone), or pass decompose=False to Robot"
+        ) from error
+    parameters = f"coacd {importlib.metadata.version('coacd')} {float(threshold)!r} {_SEED}"
+    name = hashlib.sha256(b"\0".join([parameters.encode(), vertices.tobytes(), faces.tobytes()]))
+    file = _folder(cache) / f"{name.hexdigest()}.npz"
+    # A file that was cut short, or is no such file, is made again.
+    with contextlib.suppress(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        with np.load(file, allow_pickle=False) as kept:
+            pieces = [
+                _arrays.floats("piece", kept[f"piece{i}"], None, 3) for i in range(len(kept.files))
+            ]
+        if pieces:
+            report("cached")
+            return pieces
+    report("computing")
+    coacd: Any = library
+    coacd.set_log_level("error")
+    found = coacd.run_coacd(coacd.Mesh(vertices, faces), threshold=float(threshold), seed=_SEED)
+    pieces = [np.ascontiguousarray(piece, dtype="<f8") for piece, _ in found]
+    pieces = [piece for piece in pieces if not _convexity.is_flat(piece)]
+    if not pieces:
+        raise InvalidArgument("coacd found no convex pieces", reason="NO_PIECES", field="mesh")
+    with contextlib.suppress(OSError):  # a folder that cannot be written costs only time
+        _write(file, pieces)
+    report("computed")
+    return pieces
 
 
 def _folder(cache: str | os.PathLike[str] | None) -> Path:

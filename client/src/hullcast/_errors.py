@@ -114,12 +114,17 @@ class ServerDidNotStart(Error, RuntimeError):
     """The server that `serve` started ended or was silent; the message has its log's end."""
 
 
+class FileNotFound(InvalidArgument, FileNotFoundError):
+    """A file that was named does not exist: a mesh, a robot, or one that those name."""
+
+
 class NotConvexWarning(UserWarning):
     """A mesh was registered as its convex hull, which is another shape.
 
     Attributes:
         field: which mesh, such as "hulls[2]".
-        ratio: the mesh's volume over the hull's; of little meaning with open edges.
+        ratio: the share of its hull that the mesh fills, at most 1; an estimate to about
+            1 % where parts of the mesh overlap or edges are open.
         open_edges: edges that do not join two faces; 0 for a watertight mesh.
     """
 

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from . import _arrays, _mesh, _packed
+from . import _arrays, _convexity, _mesh, _packed
 from ._errors import HullRejected, InvalidArgument
 from ._hulls import Content, Hull, Planarity, planarity_of, points_of
 from ._pb import hulls_pb2
@@ -23,10 +23,16 @@ class Registration:
     """One `register` call: the messages to send and the answer they make."""
 
     def __init__(
-        self, contents: Sequence[Content], volumes: Sequence[_mesh.Volume | None] = ()
+        self,
+        contents: Sequence[Content],
+        dents: Sequence[_convexity.Dents | None] = (),
+        labels: Sequence[str] = (),
     ) -> None:
         self._contents = contents
-        self._volumes = volumes
+        #: Per hull how its mesh differs from it, or None.
+        self._dents = dents
+        #: Per hull what warnings call it, or "".
+        self._labels = labels
 
     @classmethod
     def of(
@@ -69,11 +75,11 @@ class Registration:
             # A copy of the caller's array, which may change later.
             points = _arrays.frozen(points_of(shape, f"hulls[{i}]"))
             contents.append(Content(points, center, max_vertices, max_deviation, share))
-        volumes = [
-            _mesh.closed(f"hulls[{i}]", content.points, getattr(shape, "faces", None))
+        dents = [
+            _mesh.dents(f"hulls[{i}]", content.points, getattr(shape, "faces", None))
             for i, (shape, content) in enumerate(zip(shapes, contents, strict=True))
         ]
-        return cls(contents, volumes)
+        return cls(contents, dents, [_label(shape, i) for i, shape in enumerate(shapes)])
 
     def requests(self) -> Iterator[bytes]:
         """The messages, in order, none of them large."""
@@ -109,10 +115,10 @@ class Registration:
                 if result.WhichOneof("result") == "hull":
                     results.append(_hull(result.hull, self._contents[place]))
                 else:
-                    results.append(_rejected(place, result.error))
-        for i, (volume, hull) in enumerate(zip(self._volumes, results, strict=False)):
-            if volume is not None and isinstance(hull, Hull):
-                _mesh.warn_unless_convex(f"hulls[{i}]", volume, hull.volume)
+                    results.append(_rejected(place, result.error, self._labels))
+        for i, (dents, hull) in enumerate(zip(self._dents, results, strict=False)):
+            if dents is not None and isinstance(hull, Hull):
+                _mesh.warn(f"hulls[{i}]", self._labels[i], dents)
         refused = [result for result in results if isinstance(result, HullRejected)]
         if not refused:
             return results
@@ -135,9 +141,16 @@ def shape_of(hull: Any) -> Any:
     return hull
 
 
-def _rejected(place: int, error: hulls_pb2.HullError) -> HullRejected:
+def _label(shape: Any, place: int) -> str:
+    """What messages call a shape: a robot's body by its link, a file's mesh by its name."""
+    label = shape.label if isinstance(shape, _mesh.Mesh) else ""
+    return label if label.startswith("link ") else f"hulls[{place}]" + (label and f" ({label})")
+
+
+def _rejected(place: int, error: hulls_pb2.HullError, labels: Sequence[str]) -> HullRejected:
+    label = labels[place] if place < len(labels) else ""
     return HullRejected(
-        error.message,
+        error.message if label in ("", f"hulls[{place}]") else f"{label}: {error.message}",
         reason=error.reason,
         field=error.field,
         index=place,

@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from . import _arrays, _decompose, _mesh, _urdf
+from . import _arrays, _convexity, _decompose, _mesh, _urdf
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument
 from ._hulls import Hull
@@ -32,34 +32,39 @@ class Robot:
     as in URDF.
 
     Args:
-        urdf: the file. Needs the extra `robot`.
-        packages: folders in which `package://name/...` is looked for as `name/...`,
-            before ROS_PACKAGE_PATH and the folders that the file is in.
+        urdf: the file. Its visuals are not read.
+        packages: a folder, or a list of folders, in which `package://name/...` and
+            `package:///name/...` are looked for as `name/...`, before ROS_PACKAGE_PATH,
+            AMENT_PREFIX_PATH and the folders that the file is in.
         srdf: an SRDF file; links that its `disable_collisions` names ignore each other.
         ignored: further pairs of names of links that ignore each other.
         decompose: whether meshes that are not convex, or not closed, are
             decomposed (extra `decompose`). If not, registering them takes their
             convex hulls, with a `NotConvexWarning` each.
-        threshold, cache: of the decomposition, as in `hullcast.decompose`.
+        threshold, cache, progress: of the decomposition, as in `hullcast.decompose`.
 
     Raises:
-        InvalidArgument: NOT_A_ROBOT, no tree of links and joints; UNSUPPORTED_JOINT,
-            a floating or planar one; UNKNOWN_LINK, in `ignored`.
-        FileNotFoundError: the file, or a mesh that it names.
-        ImportError: an extra is not installed.
+        InvalidArgument: NOT_A_ROBOT, the file is not URDF, or its links and joints are
+            not one tree; UNSUPPORTED_JOINT, a floating or planar one; COPLANAR, a flat
+            mesh; UNKNOWN_LINK, in `ignored`; NOT_AN_SRDF; for a mesh, as
+            `Client.register` for files. The message names file, link and element.
+        FileNotFound: the file, or a mesh that it names.
+        ImportError: a mesh is not convex, and the extra `decompose` is not installed.
     """
 
     def __init__(
         self,
         urdf: str | os.PathLike[str],
         *,
-        packages: _urdf.Paths = (),
+        packages: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
         srdf: str | os.PathLike[str] | None = None,
         ignored: Iterable[tuple[str, str]] = (),
         decompose: bool = True,
         threshold: float = 0.05,
         cache: str | os.PathLike[str] | None = None,
+        progress: _decompose.Report = None,
     ) -> None:
+        _decompose.check_threshold(threshold)
         model = _urdf.read(urdf, packages)
         self._model = model
         free = [joint for joint in model.joints if joint.is_free]
@@ -70,10 +75,24 @@ class Robot:
         self.joints: tuple[str, ...] = tuple(joint.name for joint in free)
         #: (joints, 2): lowest and highest value; infinite where there is no limit.
         self.limits: Floats = np.array([joint.limits for joint in free]).reshape(-1, 2)
+        dented = [
+            i
+            for i, (_, _, shape) in enumerate(model.shapes)
+            if decompose
+            and isinstance(shape, _mesh.Mesh)
+            and not _convexity.is_convex(shape.vertices, shape.faces)
+        ]
+        found = _decompose.decompose_all(
+            [model.shapes[i][2] for i in dented],
+            threshold=threshold,
+            cache=cache,
+            progress=progress,
+        )
+        pieces = dict(zip(dented, found, strict=True))
         bodies = [
             (link, piece)
-            for link, shape in model.shapes
-            for piece in (_pieces(shape, threshold, cache) if decompose else [shape])
+            for i, (link, _, shape) in enumerate(model.shapes)
+            for piece in pieces.get(i, [shape])
         ]
         #: Per body what `Client.register` takes, in its link's frame: points (k, 3),
         #: or a mesh. Cylinders are prisms of 32 sides, spheres polyhedra of 162
@@ -85,7 +104,7 @@ class Robot:
         self.groups: Indices = (self.body_links + 1).astype("<u4")
         disabled = [] if srdf is None else list(_urdf.disabled(srdf))
         known = [pair for pair in disabled if set(pair) <= set(self.links)]
-        silent = _ignoring(model, set(self.body_links.tolist()), [*known, *ignored])
+        silent = _ignoring(model, set(self.body_links.tolist()), [*known, *_named(ignored)])
         #: (k, 2): groups of links that ignore each other, as `Scene` takes them.
         self.ignored_groups: Indices = np.array(sorted(silent), "<u4").reshape(-1, 2) + 1
         #: (m, 2): all pairs of bodies that may meet, as `Client.query` takes them.
@@ -124,7 +143,7 @@ class Robot:
             InvalidArgument: a shape that does not fit, or UNKNOWN_JOINT.
         """
         values, several = self._values(joints)
-        roots = np.eye(4) if base is None else np.asarray(base, dtype="<f8")
+        roots = np.eye(4) if base is None else _array("base", base)
         if roots.shape[-2:] != (4, 4) or roots.ndim not in (2, 3):
             raise InvalidArgument(
                 f"expected shape (4, 4) or (k, 4, 4), got {roots.shape}",
@@ -150,8 +169,9 @@ class Robot:
     ) -> Scene:
         """The robot's bodies in a scene.
 
-        Of k configurations, k copies in worlds of their own: bodies `i * len(robot)`
-        to `(i + 1) * len(robot)` are copy i's, whose pairs are `pairs + i * len(robot)`.
+        For k configurations the scene has k copies, each in a world of its own. Copy i has
+        the bodies `i * len(robot)` to `(i + 1) * len(robot)`, and its pairs are
+        `pairs + i * len(robot)`.
 
         Args:
             hulls: of `shapes`, as `Client.register` returned them.
@@ -178,11 +198,11 @@ class Robot:
         if joints is None:
             return rest[None], False
         if not isinstance(joints, Mapping):
-            values = np.asarray(joints, dtype="<f8")
+            values = _array("joints", joints)
             several = values.ndim == 2
             return _arrays.floats("joints", np.atleast_2d(values), None, len(self.joints)), several
         named = cast("Mapping[Any, Any]", joints)
-        columns = {str(name): np.asarray(value, "<f8") for name, value in named.items()}
+        columns = {str(name): _array("joints", value) for name, value in named.items()}
         lengths = {column.shape for column in columns.values() if column.ndim}
         if len(lengths) > 1 or any(len(shape) > 1 for shape in lengths):
             raise InvalidArgument(
@@ -200,7 +220,7 @@ class Robot:
         return values, bool(lengths)
 
     def _motion(self, joint: Joint, values: Floats) -> Floats:
-        """(k, 4, 4): what the joint's values do."""
+        """(k, 4, 4): the motions that the joint's values make."""
         motion = np.tile(np.eye(4), (len(values), 1, 1))
         if joint.is_fixed:
             return motion
@@ -219,11 +239,29 @@ class Robot:
         return motion
 
 
-def _pieces(shape: Any, threshold: float, cache: str | os.PathLike[str] | None) -> list[Any]:
-    """The shape, or its convex pieces where it is a mesh that is not convex."""
-    if not isinstance(shape, _mesh.Mesh) or _decompose.is_convex(shape.vertices, shape.faces):
-        return [shape]
-    return list(_decompose.decompose(shape, threshold=threshold, cache=cache))
+def _array(field: str, value: Any) -> Floats:
+    """Numbers of any shape."""
+    try:
+        return np.asarray(value, dtype="<f8")
+    except (TypeError, ValueError) as error:
+        raise InvalidArgument(str(error), reason="NOT_AN_ARRAY", field=field) from None
+
+
+def _named(ignored: Any) -> list[tuple[str, str]]:
+    """The argument `ignored`, if it is pairs of names."""
+    try:
+        pairs = [() if isinstance(pair, str) else tuple(pair) for pair in ignored]
+    except TypeError:
+        pairs = [()]
+    for i, pair in enumerate(pairs):
+        if len(pair) != 2 or not all(isinstance(name, str) for name in pair):
+            raise InvalidArgument(
+                "expected pairs of names of links, such as [('hand', 'elbow')]",
+                reason="NOT_A_PAIR",
+                field="ignored",
+                index=i,
+            )
+    return cast("list[tuple[str, str]]", pairs)
 
 
 def _sorted(a: int, b: int) -> tuple[int, int]:

@@ -1,30 +1,29 @@
-"""URDF and SRDF files, read by yourdfpy: links, joints, collision shapes."""
+"""URDF and SRDF files: links, joints and collision shapes. Visuals are not looked at."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
-from . import _mesh
+from . import _convexity, _mesh, _primitives
 from ._arrays import Floats
-from ._errors import InvalidArgument
+from ._errors import FileNotFound, InvalidArgument
+from ._packages import Packages
 
-Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+Element = ElementTree.Element
 
 _MOVING = ("revolute", "continuous", "prismatic")
-_CYLINDER_SIDES = 32
-_SPHERE_DIVISIONS = 2
+_FREE = ("floating", "planar")
 
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """What a joint does to its child: `origin`, then a motion along or about `axis`."""
+    """A joint moves its child by `origin`, then along or about `axis`."""
 
     name: str
     kind: str
@@ -37,6 +36,7 @@ class Joint:
     axis: Floats
     limits: tuple[float, float]
     #: The joint whose value it takes, times the factor, plus the offset; "" for its own.
+    #: In a `Model` this joint has a value of its own, however long the chain in the file is.
     mimics: str
     factor: float
     offset: float
@@ -63,162 +63,346 @@ class Model:
     #: From the root outward, so that each one's parent is placed before it.
     ordered: tuple[Joint, ...]
     root: int
-    #: Per collision element its link and its points or mesh, in the link's frame.
-    shapes: tuple[tuple[int, Any], ...]
+    #: Per collision element its link, what messages call it, and its points or mesh in
+    #: the link's frame.
+    shapes: tuple[tuple[int, str, Any], ...]
 
 
-def read(urdf: str | os.PathLike[str], packages: Paths) -> Model:
+class _Invalid(Exception):
+    """A fault in a file; the message does not name the file yet."""
+
+    def __init__(self, message: str, reason: str = "NOT_A_ROBOT") -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+def read(urdf: Any, packages: Any) -> Model:
     """The model of a URDF file, its collision meshes loaded.
 
     Raises:
-        InvalidArgument, FileNotFoundError, ImportError: as `Robot`.
+        InvalidArgument, FileNotFound: as `Robot`.
     """
+    data = _mesh.read_file(urdf, "urdf")
+    path = Path(urdf).resolve()
+    folders = Packages(path.parent, packages)
     try:
-        import yourdfpy as library
-    except ImportError as error:
-        raise ImportError("URDF needs yourdfpy: pip install 'hullcast[robot]'") from error
-    path = Path(urdf)
-    if not path.is_file():
-        raise FileNotFoundError(os.fspath(urdf))
-    folders = [packages] if isinstance(packages, (str, os.PathLike)) else list(packages)
-    files = _Files(path.resolve().parent, [Path(folder) for folder in folders])
-    yourdfpy: Any = library
-    robot = yourdfpy.URDF.load(os.fspath(path), build_scene_graph=False, load_meshes=False).robot
-    links = tuple(link.name for link in robot.links)
-    place = {name: i for i, name in enumerate(links)}
-    joints = tuple(_joint(joint, place) for joint in robot.joints)
-    root, ordered = _tree(links, joints)
-    shapes = tuple(
-        (i, _shape(collision, files, link.name))
-        for i, link in enumerate(robot.links)
-        for collision in link.collisions
-    )
-    return Model(robot.name, links, joints, ordered, root, shapes)
+        return _model(_root(data, "robot"), folders)
+    except _Invalid as error:
+        raise InvalidArgument(f"{path.name}: {error}", reason=error.reason, field="urdf") from None
+    except FileNotFound as error:
+        raise FileNotFound(
+            f"{path.name}: {error.message}", reason=error.reason, field="urdf"
+        ) from None
 
 
-def disabled(srdf: str | os.PathLike[str]) -> Iterator[tuple[str, str]]:
+def disabled(srdf: Any) -> Iterator[tuple[str, str]]:
     """The pairs of link names of an SRDF file's `disable_collisions`."""
-    for element in ElementTree.parse(srdf).getroot().iter("disable_collisions"):
+    data = _mesh.read_file(srdf, "srdf")
+    try:
+        root = _root(data, "robot")
+    except _Invalid as error:
+        raise InvalidArgument(
+            f"{Path(srdf).name}: {error}", reason="NOT_AN_SRDF", field="srdf"
+        ) from None
+    for element in root.iter("disable_collisions"):
         yield element.get("link1", ""), element.get("link2", "")
 
 
-def _joint(joint: Any, place: dict[str, int]) -> Joint:
-    if joint.type != "fixed" and joint.type not in _MOVING:
-        raise InvalidArgument(
-            f"{joint.name} is {joint.type}: give its link's pose as `base` instead",
-            reason="UNSUPPORTED_JOINT",
-            field="urdf",
+def _root(data: bytes, tag: str) -> Element:
+    if not data.strip():
+        raise _Invalid("the file is empty")
+    try:
+        root = ElementTree.fromstring(data)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise _Invalid(f"the file is not XML: {error}") from None
+    others = {
+        "mujoco": "an MJCF file, of MuJoCo",
+        "mujocoinclude": "an MJCF file, of MuJoCo",
+        "sdf": "an SDF file, of Gazebo",
+        "COLLADA": "a COLLADA file, a mesh",
+    }
+    if root.tag != tag:
+        what = others.get(root.tag, f"XML whose root is <{root.tag}>")
+        raise _Invalid(f"this is {what}; needed is a file whose root is <{tag}>: convert it")
+    for element in root.iter():
+        if isinstance(element.tag, str) and "xacro" in element.tag.partition("}")[0]:
+            name = element.tag.rpartition("}")[2]
+            raise _Invalid(
+                f"<xacro:{name}> has to be expanded first: xacro robot.urdf.xacro > robot.urdf"
+            )
+    return root
+
+
+def _model(root: Element, packages: Packages) -> Model:
+    name = _attribute(root, "name", "<robot>")
+    elements = root.findall("link")
+    if not elements:
+        raise _Invalid("<robot> has no links")
+    links = _names(elements, "link")
+    place = {link: i for i, link in enumerate(links)}
+    found = root.findall("joint")
+    _names(found, "joint")
+    joints = _resolved([_joint(element, place) for element in found])
+    first, ordered = _tree(links, joints)
+    meshes: dict[Path, _mesh.Mesh] = {}
+    shapes: list[tuple[int, str, Any]] = []
+    for i, element in enumerate(elements):
+        for k, collision in enumerate(element.findall("collision")):
+            where = f"link {links[i]!r}, collision {k}"
+            label, shape = _shape(collision, where, packages, meshes)
+            shapes.append((i, label, shape))
+    return Model(name, links, joints, ordered, first, tuple(shapes))
+
+
+def _names(elements: Sequence[Element], kind: str) -> tuple[str, ...]:
+    """The names of all links or joints, which differ."""
+    names: dict[str, int] = {}
+    for i, element in enumerate(elements):
+        name = _attribute(element, "name", f"{kind} {i}")
+        if name in names:
+            raise _Invalid(f"{kind} {i} has the name {name!r}, which {kind} {names[name]} has too")
+        names[name] = i
+    return tuple(names)
+
+
+# Attributes.
+
+
+def _attribute(element: Element, attribute: str, where: str) -> str:
+    value = element.get(attribute)
+    if not value:
+        tag = "" if where.endswith(f"<{element.tag}>") else f" <{element.tag}>"
+        raise _Invalid(f"{where}:{tag} has no {attribute!r}".replace("::", ":"))
+    return value
+
+
+def _numbers(element: Element, attribute: str, count: int, where: str) -> Floats:
+    """Finite numbers; the attribute is there."""
+    text = _attribute(element, attribute, where)
+    what = f"{where}: <{element.tag} {attribute}={text!r}>"
+    if "${" in text or "$(" in text:
+        raise _Invalid(f"{what} has to be expanded by xacro first")
+    try:
+        values = np.array([float(word) for word in text.split()])
+    except ValueError:
+        values = np.array([np.nan])
+    if not np.isfinite(values).all() or len(values) != count:
+        numbers = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise _Invalid(f"{what} is not {numbers}")
+    return values
+
+
+def _number(element: Element, attribute: str, default: float, where: str) -> float:
+    if element.get(attribute) is None:
+        return default
+    return float(_numbers(element, attribute, 1, where)[0])
+
+
+def _positive(element: Element, attribute: str, count: int, where: str) -> Floats:
+    values = _numbers(element, attribute, count, where)
+    if not (values > 0).all():
+        text = element.get(attribute)
+        raise _Invalid(f"{where}: <{element.tag} {attribute}={text!r}> is not positive")
+    return values
+
+
+def _origin(parent: Element, where: str) -> Floats:
+    """(4, 4): the pose of an `<origin>`, the identity where there is none."""
+    pose = np.eye(4)
+    origin = parent.find("origin")
+    if origin is None:
+        return pose
+    if origin.get("xyz") is not None:
+        pose[:3, 3] = _numbers(origin, "xyz", 3, where)
+    if origin.get("rpy") is not None:
+        roll, pitch, yaw = _numbers(origin, "rpy", 3, where)
+        pose[:3, :3] = _about(2, yaw) @ _about(1, pitch) @ _about(0, roll)
+    return pose
+
+
+def _about(axis: int, angle: float) -> Floats:
+    """A rotation about a coordinate axis."""
+    turn = np.eye(3)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    turn[i, i] = turn[j, j] = np.cos(angle)
+    turn[j, i] = np.sin(angle)
+    turn[i, j] = -np.sin(angle)
+    return turn
+
+
+# Joints.
+
+
+def _joint(element: Element, place: dict[str, int]) -> Joint:
+    name = element.get("name", "")
+    where = f"joint {name!r}"
+    kind = _attribute(element, "type", where)
+    if kind in _FREE:
+        raise _Invalid(
+            f"{where} is {kind}, which is not read: give its link's pose as `base` instead",
+            "UNSUPPORTED_JOINT",
         )
-    for link in (joint.parent, joint.child):
+    if kind != "fixed" and kind not in _MOVING:
+        kinds = ", ".join((*_MOVING, "fixed"))
+        raise _Invalid(f"{where} has the type {kind!r}; the types are {kinds}")
+    ends: list[int] = []
+    for tag in ("parent", "child"):
+        end = element.find(tag)
+        if end is None:
+            raise _Invalid(f"{where} has no <{tag}>")
+        link = _attribute(end, "link", where)
         if link not in place:
-            raise _not_a_robot(f"{joint.name} names a link {link!r} that is not there")
-    axis = np.array([1.0, 0, 0] if joint.axis is None else joint.axis, dtype="<f8")
-    length = float(np.linalg.norm(axis))
-    if joint.type in _MOVING and not length > 0:
-        raise _not_a_robot(f"{joint.name} has no axis")
+            raise _Invalid(f"{where}: its {tag} {link!r} is not a link of the file")
+        ends.append(place[link])
+    axis = np.array([1.0, 0.0, 0.0])
     limits = (-np.inf, np.inf)
-    if joint.limit is not None and joint.type != "continuous":
-        low, high = joint.limit.lower, joint.limit.upper
-        limits = (-np.inf if low is None else low, np.inf if high is None else high)
-    mimic = joint.mimic
-    return Joint(
-        name=joint.name,
-        kind=joint.type,
-        parent=place[joint.parent],
-        child=place[joint.child],
-        origin=np.eye(4) if joint.origin is None else np.asarray(joint.origin, dtype="<f8"),
-        axis=axis / (length or 1.0),
-        limits=limits,
-        mimics="" if mimic is None else mimic.joint,
-        factor=1.0 if mimic is None or mimic.multiplier is None else mimic.multiplier,
-        offset=0.0 if mimic is None or mimic.offset is None else mimic.offset,
-    )
+    mimics, factor, offset = "", 1.0, 0.0
+    if kind in _MOVING:
+        given = element.find("axis")
+        axis = axis if given is None else _numbers(given, "xyz", 3, where)
+        length = float(np.linalg.norm(axis))
+        if not length > 0:
+            raise _Invalid(f"{where}: its axis is zero")
+        axis = axis / length
+        limit = element.find("limit")
+        if limit is not None and kind != "continuous":
+            limits = (
+                _number(limit, "lower", -np.inf, where),
+                _number(limit, "upper", np.inf, where),
+            )
+            if limits[0] > limits[1]:
+                raise _Invalid(f"{where}: its limits are {limits[0]:g} to {limits[1]:g}")
+        mimic = element.find("mimic")
+        if mimic is not None:
+            mimics = _attribute(mimic, "joint", where)
+            factor = _number(mimic, "multiplier", 1.0, where)
+            offset = _number(mimic, "offset", 0.0, where)
+    origin = _origin(element, where)
+    return Joint(name, kind, ends[0], ends[1], origin, axis, limits, mimics, factor, offset)
+
+
+def _resolved(joints: Sequence[Joint]) -> tuple[Joint, ...]:
+    """The joints, each mimicking one that has a value of its own, or none."""
+    by_name = {joint.name: joint for joint in joints}
+    resolved: list[Joint] = []
+    for joint in joints:
+        chain, factor, offset = [joint.name], joint.factor, joint.offset
+        last = joint
+        while last.mimics:
+            followed = by_name.get(last.mimics)
+            if followed is None:
+                raise _Invalid(f"joint {last.name!r} mimics {last.mimics!r}, which is no joint")
+            if followed.is_fixed:
+                raise _Invalid(f"joint {last.name!r} mimics {last.mimics!r}, which is fixed")
+            if followed.name in chain:
+                cycle = " -> ".join([*chain, followed.name])
+                raise _Invalid(f"joints mimic each other in a circle: {cycle}")
+            chain.append(followed.name)
+            if followed.mimics:
+                offset += factor * followed.offset
+                factor *= followed.factor
+            last = followed
+        mimics = last.name if joint.mimics else ""
+        resolved.append(replace(joint, mimics=mimics, factor=factor, offset=offset))
+    return tuple(resolved)
 
 
 def _tree(links: Sequence[str], joints: Sequence[Joint]) -> tuple[int, tuple[Joint, ...]]:
     """The root, and the joints from it outward."""
-    children = {joint.child for joint in joints}
-    roots = [i for i in range(len(links)) if i not in children]
-    if len(roots) != 1 or len(children) != len(joints):
-        raise _not_a_robot("links and joints are not one tree")
-    free = {joint.name for joint in joints if joint.is_free}
+    above: dict[int, Joint] = {}
     for joint in joints:
-        if joint.mimics and joint.mimics not in free:
-            raise _not_a_robot(f"{joint.name} mimics {joint.mimics!r}, which has no value")
-    placed, ordered, waiting = {roots[0]}, list[Joint](), list(joints)
+        other = above.setdefault(joint.child, joint)
+        if other is not joint:
+            raise _Invalid(
+                f"links and joints are not one tree: link {links[joint.child]!r} is the child of "
+                f"the joints {other.name!r} and {joint.name!r}"
+            )
+    roots = [i for i in range(len(links)) if i not in above]
+    if len(roots) > 1:
+        names = ", ".join(repr(links[i]) for i in roots[:5])
+        raise _Invalid(
+            f"links and joints are not one tree: {len(roots)} links have no parent ({names})"
+        )
+    children: dict[int, list[Joint]] = {}
+    for joint in joints:
+        children.setdefault(joint.parent, []).append(joint)
+    ordered: list[Joint] = []
+    waiting = list(roots)
     while waiting:
-        ready = [joint for joint in waiting if joint.parent in placed]
-        if not ready:
-            raise _not_a_robot("links and joints are not one tree")
-        ordered += ready
-        placed |= {joint.child for joint in ready}
-        waiting = [joint for joint in waiting if joint.child not in placed]
+        below = children.get(waiting.pop(0), [])
+        ordered += below
+        waiting += [joint.child for joint in below]
+    if len(ordered) < len(joints):
+        lost = next(joint for joint in joints if joint not in ordered)
+        raise _Invalid(
+            f"links and joints are not one tree: joint {lost.name!r} is part of a circle"
+        )
     return roots[0], tuple(ordered)
 
 
-def _not_a_robot(message: str) -> InvalidArgument:
-    return InvalidArgument(message, reason="NOT_A_ROBOT", field="urdf")
+# Collision shapes.
 
 
-def _shape(collision: Any, files: _Files, link: str) -> Any:
-    """Points or a mesh, in the link's frame."""
-    geometry = collision.geometry
-    pose = np.eye(4) if collision.origin is None else np.asarray(collision.origin, dtype="<f8")
-    if geometry.mesh is not None:
-        mesh = _mesh.load(files.find(geometry.mesh.filename))
-        scale = 1.0 if geometry.mesh.scale is None else np.asarray(geometry.mesh.scale)
-        # A mirrored mesh is inside out, which counts for nothing here.
-        return _mesh.Mesh(_placed(mesh.vertices * scale, pose), mesh.faces)
-    if geometry.box is not None:
-        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        return _placed(corners * np.asarray(geometry.box.size) / 2, pose)
-    if geometry.cylinder is not None:
-        return _placed(_cylinder(geometry.cylinder.radius, geometry.cylinder.length), pose)
-    if geometry.sphere is not None:
-        return _placed(_sphere(geometry.sphere.radius), pose)
-    raise _not_a_robot(f"{link} has a collision geometry other than mesh, box, cylinder, sphere")
+def _shape(
+    collision: Element, where: str, packages: Packages, meshes: dict[Path, _mesh.Mesh]
+) -> tuple[str, Any]:
+    """What messages call a collision element; its points or its mesh, in the link's frame."""
+    if collision.get("name"):
+        where = f"{where} {collision.get('name')!r}"
+    geometry = collision.find("geometry")
+    if geometry is None:
+        raise _Invalid(f"{where} has no <geometry>")
+    elements = list(geometry)
+    if len(elements) != 1:
+        raise _Invalid(f"{where}: <geometry> has {len(elements)} shapes instead of one")
+    element = elements[0]
+    pose = _origin(collision, where)
+    if element.tag == "mesh":
+        return _placed_mesh(element, pose, where, packages, meshes)
+    if element.tag not in _SHAPES:
+        kinds = ", ".join(f"<{kind}>" for kind in ("mesh", *_SHAPES))
+        raise _Invalid(f"{where}: <{element.tag}> is not a shape of URDF; they are {kinds}")
+    return where, _placed(_SHAPES[element.tag](element, where), pose)
+
+
+def _placed_mesh(
+    element: Element, pose: Floats, where: str, packages: Packages, meshes: dict[Path, _mesh.Mesh]
+) -> tuple[str, _mesh.Mesh]:
+    name = _attribute(element, "filename", where)
+    scale = np.ones(3)
+    if element.get("scale") is not None:
+        scale = _numbers(element, "scale", 3, where)
+        if not scale.all():
+            raise _Invalid(f"{where}: <mesh scale={element.get('scale')!r}> has a zero")
+    file = packages.find(name, where)
+    try:
+        if file not in meshes:
+            meshes[file] = _mesh.load(file)
+    except InvalidArgument as error:
+        raise _Invalid(f"{where}: {error.message}", error.reason) from None
+    # A mirrored mesh is inside out, which counts for nothing here.
+    points = _placed(meshes[file].vertices * scale, pose)
+    label = f"{where} ({file.name})"
+    if not np.isfinite(points).all():
+        raise _Invalid(f"{label} is too large, with its scale, for double precision")
+    if _convexity.is_flat(points):
+        raise _Invalid(
+            f"{label} is flat: all points are in one plane, and a body needs a volume", "COPLANAR"
+        )
+    return label, _mesh.Mesh(points, meshes[file].faces, label)
 
 
 def _placed(points: Floats, pose: Floats) -> Floats:
     return np.ascontiguousarray(points @ pose[:3, :3].T + pose[:3, 3])
 
 
-def _cylinder(radius: float, length: float) -> Floats:
-    angles = np.arange(_CYLINDER_SIDES) * (2 * np.pi / _CYLINDER_SIDES)
-    ring = radius * np.column_stack([np.cos(angles), np.sin(angles)])
-    ends = [np.full((_CYLINDER_SIDES, 1), z) for z in (-length / 2, length / 2)]
-    return np.concatenate([np.hstack([ring, end]) for end in ends])
+def _cylinder(element: Element, where: str) -> Floats:
+    radius = _positive(element, "radius", 1, where)[0]
+    return _primitives.cylinder(radius, _positive(element, "length", 1, where)[0])
 
 
-def _sphere(radius: float) -> Floats:
-    import trimesh as library
-
-    trimesh: Any = library
-    mesh = trimesh.creation.icosphere(subdivisions=_SPHERE_DIVISIONS, radius=radius)
-    return np.asarray(mesh.vertices, dtype="<f8")
-
-
-class _Files:
-    """Where the files are that a URDF names."""
-
-    def __init__(self, own: Path, packages: Sequence[Path]) -> None:
-        self._own = own
-        ros = os.environ.get("ROS_PACKAGE_PATH", "")
-        self._packages = [*packages, *(Path(entry) for entry in ros.split(os.pathsep) if entry)]
-
-    def find(self, name: str) -> Path:
-        """The file that a mesh's `filename` means."""
-        scheme, separator, rest = name.rpartition("://")
-        if not separator or scheme == "file":
-            places = [self._own / rest]  # an absolute path stays what it is
-        else:
-            # package://name/...: in the folder `name`, which the file may be in itself.
-            places = [folder / rest for folder in self._packages]
-            for above in (self._own, *self._own.parents):
-                places.append(above / rest)
-                if above.name == rest.partition("/")[0]:
-                    places.append(above.parent / rest)
-        for place in places:
-            if place.is_file():
-                return place
-        raise FileNotFoundError(f"{name}: give the folder of its package as `packages`")
+_SHAPES: dict[str, Callable[[Element, str], Floats]] = {
+    "box": lambda element, where: _primitives.box(_positive(element, "size", 3, where)),
+    "cylinder": _cylinder,
+    "sphere": lambda element, where: _primitives.sphere(_positive(element, "radius", 1, where)[0]),
+}

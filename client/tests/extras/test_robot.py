@@ -210,7 +210,10 @@ def test_a_link_that_is_not_convex(client, small, tmp_path, monkeypatch):
     again = hullcast.Robot(small, cache=tmp_path / "kept")
     for ours, theirs in zip(robot.shapes, again.shapes, strict=True):
         assert np.array_equal(getattr(ours, "vertices", ours), getattr(theirs, "vertices", theirs))
-    with pytest.warns(hullcast.NotConvexWarning, match=r"hulls\[5\] is not convex.*0\.857"):
+    with pytest.warns(
+        hullcast.NotConvexWarning,
+        match=r"link 'left', collision 0 \(ell\.obj\) is not convex.*0\.857",
+    ):
         client.register(hullcast.Robot(small, decompose=False).shapes)
 
 

@@ -132,6 +132,13 @@ impl ConvexHull {
         self.vertices[i as usize]
     }
 
+    /// How far vertices are from their faces' planes, and vertices between an edge's ends from
+    /// its line, at most.
+    #[inline]
+    pub(crate) fn merge_error(&self) -> f64 {
+        self.merge_error
+    }
+
     /// The vertices as columns.
     pub(crate) fn columns(&self) -> &Columns {
         &self.columns

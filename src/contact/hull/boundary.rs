@@ -166,11 +166,7 @@ impl<'a> Boundary<'a> {
         }
         let (from, to) = (self.vertex(piece.start), self.vertex(piece.end));
         let along = (to - from).normalize_or_zero();
-        let length = (to - from).length();
-        let off = |i: usize| {
-            let at = self.vertex(i) - from;
-            (i, (at - along * at.dot(along).clamp(0.0, length)).length())
-        };
+        let off = |i: usize| (i, (self.vertex(i) - from).cross(along).length());
         (piece.start + 1..piece.end).map(off).max_by(|(_, a), (_, b)| a.total_cmp(b))
     }
 
@@ -189,15 +185,18 @@ impl<'a> Boundary<'a> {
         [from.min(to), from.max(to)]
     }
 
-    /// Per edge its ends, lower first, and the faces on its left and right; ascending.
-    pub(super) fn edges(mut self) -> Vec<Edge> {
+    /// Per edge its ends, lower first, and the faces on its left and right; ascending. And how
+    /// far the vertices that were straightened away are from their edge's line at most.
+    pub(super) fn edges(mut self) -> (Vec<Edge>, f64) {
         self.trace();
         loop {
             let mut edges: Vec<Edge> = self.pieces.iter().map(|&piece| self.edge(piece)).collect();
             sort(&mut edges);
             let double = |two: &[Edge]| two[0].0 == two[1].0;
             if !edges.windows(2).any(double) || !self.split_doubles() {
-                return edges;
+                let off = self.pieces.iter().filter_map(|&piece| self.farthest_off(piece));
+                let straightened = off.map(|(_, distance)| distance).fold(0.0, f64::max);
+                return (edges, straightened);
             }
         }
     }

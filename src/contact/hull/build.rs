@@ -42,6 +42,7 @@ pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexH
         support_map: SupportMap::new(&centred.vertices, &shell.vertex_neighbours),
         vertex_neighbours: shell.vertex_neighbours,
         box_shape: BoxShape::recognise(&centred.vertices, &shell.faces),
+        merge_error: shell.merge_error,
         faces: shell.faces,
         columns: Columns::new(&centred.vertices),
         vertices: centred.vertices,
@@ -97,6 +98,7 @@ struct Shell {
     vertex_faces: Csr,
     vertex_edges: Csr,
     vertex_neighbours: Csr,
+    merge_error: f64,
 }
 
 impl Shell {
@@ -134,7 +136,9 @@ impl Shell {
             planarity: plane.planarity,
             isolation,
         };
+        let merge_error = planes.iter().map(|plane| plane.planarity).fold(topology.straightened, f64::max);
         Some(Self {
+            merge_error,
             faces: planes.iter().zip(&topology.face_areas).zip(isolation).map(face).collect(),
             face_neighbours: Csr::from_pairs(planes.len(), planes.len(), across),
             vertex_edges: Csr::from_ordered_pairs(vertices.len(), ends),

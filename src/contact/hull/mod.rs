@@ -93,6 +93,9 @@ pub struct ConvexHull {
     inertia: DMat3,
     /// As registered, or [`ABSENT_PLANARITY`].
     planarity: f64,
+    /// How far vertices are from their faces' planes, and vertices between an edge's ends from
+    /// its line, at most; hull units.
+    merge_error: f64,
     /// After merging coplanar triangles.
     faces: Vec<Face>,
     /// Per face: its corners, anticlockwise from outside.

@@ -20,21 +20,23 @@ pub(super) struct Topology {
     pub(super) edge_faces: Vec<[u32; 2]>,
     pub(super) outlines: Csr,
     pub(super) face_areas: Vec<f64>,
+    /// How far vertices between the ends of an edge are from its line at most; hull units.
+    pub(super) straightened: f64,
 }
 
 /// Reads edges and outlines off the groups' boundaries; none where a face has no
 /// outline at double precision (needles of an aspect beyond 1e13).
 pub(super) fn topology(surface: &Surface<'_>, groups: &Groups) -> Option<Topology> {
-    let (edges, corners) = if groups.planes.len() == groups.of.len() {
-        (triangles_edges(surface, groups), triangles_corners(surface, groups))
+    let (edges, corners, straightened) = if groups.planes.len() == groups.of.len() {
+        (triangles_edges(surface, groups), triangles_corners(surface, groups), 0.0)
     } else {
-        let edges = Boundary::new(surface, groups).edges();
+        let (edges, straightened) = Boundary::new(surface, groups).edges();
         let corners = Csr::from_pairs(
             groups.planes.len(),
             surface.vertices.len(),
             edges.iter().flat_map(|&([u, v], [f, g])| [(f, u), (f, v), (g, u), (g, v)]),
         );
-        (edges, corners)
+        (edges, corners, straightened)
     };
     let mut sweep = Sweep::default();
     let mut outlines = Csr::with_capacity(groups.planes.len(), corners.items.len());
@@ -54,7 +56,7 @@ pub(super) fn topology(surface: &Surface<'_>, groups: &Groups) -> Option<Topolog
     };
     let face_areas = (0..groups.planes.len()).map(area).collect();
     let (edge_vertices, edge_faces) = edges.into_iter().unzip();
-    Some(Topology { edge_vertices, edge_faces, outlines, face_areas })
+    Some(Topology { edge_vertices, edge_faces, outlines, face_areas, straightened })
 }
 
 /// Where every face is one triangle, as on rounded bodies: their sides.

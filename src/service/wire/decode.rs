@@ -262,6 +262,7 @@ fn read_hull(
         vertices: Vec::with_capacity(counts.vertices),
         contraction_point: Vec::with_capacity(counts.contraction_point),
         simplification: None,
+        planarity: None,
     };
     let mut fields = Fields::nested(hull.bytes()?, 1);
     while let Some(field) = fields.next(meter)? {
@@ -279,6 +280,7 @@ fn read_hull(
                     }
                 }
             }
+            4 => read.planarity = Some(field.double()?),
             _ => {}
         }
     }

@@ -20,8 +20,8 @@ pub(super) fn definition(hull: proto::HullDefinition) -> HullDefinition {
         max_vertices: wanted.max_vertices,
         max_deviation: wanted.max_deviation,
     });
-    let planarity = hull.planarity;
     // The same memory, not a copy.
+    let planarity = hull.planarity;
     let points = bytemuck::try_cast_vec(hull.vertices);
     let points = points.unwrap_or_else(|(_, vertices)| vertices.as_chunks().0.to_vec());
     HullDefinition { points, contraction_point, simplification, planarity }

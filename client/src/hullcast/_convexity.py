@@ -1,0 +1,308 @@
+"""Decides whether a mesh is convex, by distances from the surface of its convex hull.
+
+A mesh is taken for convex if two conditions hold:
+
+1. Each point of the convex hull's surface is within `TOLERANCE` of some triangle of the
+   mesh, so that no dent, hole, slot or gap between parts is deeper or wider than that.
+2. These distances, summed over the hull's surface, enclose at most `1 - CONVEX_RATIO` of
+   the hull's volume, so that a thin plate or profile has no dent as deep as itself.
+
+Only the distance from the hull to the nearest triangle counts. Triangles that overlap,
+appear twice, are turned inside out, lie inside, or meet without sharing corners change
+nothing, and neither does an edge that is open by less than the tolerance.
+
+`_is_shell` proves both conditions for most convex meshes in little time: the triangles that
+have the whole mesh below their planes are turned outward, and their sides cancel, so that
+together they surround the middle of the mesh. All other meshes go to `_missing`, which cuts
+the hull's surface into triangular cells. A cell is done when one triangle of the mesh is near
+all of its three corners (the distance to a convex set is a convex function, so that it is
+largest at a corner), or when the distance of its centre plus its radius is within the
+tolerance. A cell whose centre is too far refutes the mesh at once. Any other cell is cut in
+two, down to a sixteenth of the tolerance.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _nearest, _quickhull
+from ._arrays import Floats
+
+#: The largest distance between the hull's surface and a convex mesh, as a share of the
+#: diagonal of the mesh's bounding box. Real convex meshes have dents of 1e-3 from modelling.
+TOLERANCE = 0.01
+
+#: A convex mesh fills at least this share of its hull.
+CONVEX_RATIO = 0.99
+
+#: Vertices closer than this share of the diagonal count as one: files have single
+#: precision, or a few digits.
+_WELD = 1e-6
+#: The hull in use may miss points by these shares of the tolerance and of the mesh's
+#: smallest extent, which saves the vertices of fine meshes.
+_HULL_ERROR = 1 / 8
+_HULL_ERROR_OF_HEIGHT = 1 / 64
+#: A cell is cut at least down to this radius, unless the mesh has no gap at its corners.
+_SAMPLED_RADIUS = 0.1
+_SMALLEST_RADIUS = TOLERANCE / 16
+#: Lines along each axis, in each of the other two directions.
+_LINES = 48
+#: Triangles times vertices up to which no hull is needed.
+_FEW = 1 << 24
+#: Triangles times vertices that are multiplied in one array operation.
+_AT_ONCE = 1 << 20
+#: (26, 3): to the corners, the edges and the faces of a cube.
+_DIRECTIONS = np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+#: The volume by signed tetrahedra is exact unless parts overlap. An estimate by lines that
+#: agrees to this much shows that they do not.
+_AGREEMENT = 0.1
+
+_Ids = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Dents:
+    """How a mesh that is not convex differs from its convex hull."""
+
+    #: The share of its hull that the mesh fills, at most 1; an estimate to some 1 % where
+    #: parts of the mesh overlap or edges are open.
+    ratio: float
+    #: Sides of triangles that no neighbour has in the other direction.
+    open_edges: int
+
+
+def is_flat(points: Floats) -> bool:
+    """Whether all points are in one plane, to a billionth of their extent."""
+    return _quickhull.simplex(_normalised(points)) is None
+
+
+def is_convex(points: Floats, faces: Any) -> bool:
+    """Whether a mesh is convex, or flat.
+
+    Args:
+        points: (n, 3), finite.
+        faces: (m, 3), at least one, indices of points.
+    """
+    return _dented(points, faces) is None
+
+
+def dents(points: Floats, faces: Any) -> Dents | None:
+    """How a mesh differs from its convex hull; None where it is convex, or flat."""
+    found = _dented(points, faces)
+    if found is None:
+        return None
+    hull, mesh, open_edges = found
+    # Along the shape's own axes, so that thin shapes have lines in all three directions.
+    axes = np.linalg.svd(hull.reshape(-1, 3) - hull.mean(axis=(0, 1)), full_matrices=False)[2]
+    ratio = _filled(hull @ axes.T, mesh @ axes.T)
+    signed = abs(_volume(mesh)) / abs(_volume(hull))
+    if open_edges == 0 and abs(signed - ratio) <= _AGREEMENT:
+        ratio = signed
+    return Dents(min(ratio, 1.0), open_edges)
+
+
+def _dented(points: Floats, faces: Any) -> tuple[Floats, Floats, int] | None:
+    """The hull's triangles, the mesh's and its open edges; None where it is convex, or flat."""
+    corners = np.asarray(faces, dtype=np.int64)
+    distinct, place = np.unique(points[corners.reshape(-1)], axis=0, return_inverse=True)
+    scaled, corners = _normalised(distinct), place.reshape(-1, 3)
+    start = _quickhull.simplex(scaled)
+    if start is None:
+        return None
+    numbers = [np.arange(len(scaled)), _welded(scaled)]
+    few = len(scaled) * len(corners) <= _FEW
+    if few and _is_shell(scaled, scaled, corners, numbers):
+        return None
+    error = min(_HULL_ERROR * TOLERANCE, _HULL_ERROR_OF_HEIGHT * start[1])
+    facets = _quickhull.hull(scaled, start[0], max(error, 2 * _quickhull.FLAT))
+    outer = scaled[np.unique(facets)]
+    if not few and _is_shell(outer, scaled, corners, numbers):
+        return None
+    hull, mesh = scaled[facets], scaled[corners]
+    limit = (1 - CONVEX_RATIO) * abs(_volume(hull))
+    if _missing(hull, _nearest.Tree(mesh), limit, error) <= limit:
+        return None
+    return hull, mesh, min(_open_edges(same[corners]) for same in numbers)
+
+
+def _normalised(points: Floats) -> Floats:
+    """The points about their box's middle, divided by its diagonal."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    # By the largest extent first: its square may be out of range.
+    extent = float((high - low).max()) or 1.0
+    scaled = (points - (low + (high - low) / 2)) / extent
+    return scaled / (float(np.linalg.norm((high - low) / extent)) or 1.0)
+
+
+def _volume(triangles: Floats) -> float:
+    """Signed: positive where the triangles are turned outward."""
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    return float(np.einsum("ni,ni->", a, np.cross(b, c))) / 6
+
+
+def _is_shell(outer: Floats, points: Floats, corners: _Ids, numbers: Sequence[_Ids]) -> bool:
+    """Whether triangles that have all outer points below them surround the middle.
+
+    Args:
+        outer: (k, 3): the points that the hull has.
+        points, corners: the mesh.
+        numbers: per point a number, in one or more ways; points of one number are one point.
+    """
+    middle = outer.mean(axis=0)
+    a, b, c = points[corners].swapaxes(0, 1) - middle
+    normals = np.cross(b - a, c - a)
+    areas = np.linalg.norm(normals, axis=1) / 2
+    normals /= np.where(areas > 0, 2 * areas, np.inf)[:, None]
+    offsets = np.einsum("ni,ni->n", normals, a)
+    # Outward is where the middle is below.
+    outward = np.where(offsets[:, None] < 0, corners[:, ::-1], corners)
+    normals = np.where(offsets[:, None] < 0, -normals, normals)
+    offsets = np.abs(offsets)
+    kept = np.flatnonzero(areas > 0)
+    heights = np.zeros(0)
+    # A few extreme points first, which most triangles of other meshes are below.
+    extreme = np.unique(np.argmax(outer @ _DIRECTIONS.T, axis=0))
+    for some in (outer[extreme] - middle, outer - middle):
+        heights = np.empty(len(kept))
+        for part in np.array_split(np.arange(len(kept)), 1 + len(kept) * len(some) // _AT_ONCE):
+            heights[part] = (some @ normals[kept[part]].T).max(axis=0)
+        heights = (heights - offsets[kept]).clip(min=0.0)
+        # On a ray from the middle the hull is at most height / offset beyond the triangle.
+        below = heights <= TOLERANCE * offsets[kept]
+        kept, heights = kept[below], heights[below]
+        if not len(kept) or all(_open_edges(same[outward[kept]]) for same in numbers):
+            return False
+    solid = float((areas * offsets)[kept].sum()) / 3
+    return float((areas[kept] * heights).sum()) <= (1 - CONVEX_RATIO) * solid
+
+
+def _open_edges(corners: _Ids) -> int:
+    """Sides that are not walked as often one way as the other."""
+    sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    low, high = sides.min(axis=1), sides.max(axis=1)
+    _, edge = np.unique(low * (corners.max() + 1) + high, return_inverse=True)
+    # A side from a vertex to itself counts for nothing.
+    balance = np.bincount(edge.reshape(-1), weights=np.sign(sides[:, 1] - sides[:, 0]))
+    return int(np.abs(balance).sum())
+
+
+def _welded(points: Floats) -> _Ids:
+    """Per point a number, the same for points within the tolerance of each other.
+
+    Such points share a cell in at least one of eight grids that are half a cell
+    apart; whatever shares a cell gets the cell's lowest number, until all agree.
+    """
+    shifts = itertools.product((0.0, 0.5), repeat=3)
+    grids = [
+        np.unique(np.floor(points / (2 * _WELD) + shift), axis=0, return_inverse=True)[1]
+        for shift in shifts
+    ]
+    number = np.arange(len(points))
+    while True:
+        before = number
+        for cells in grids:
+            lowest = np.full(len(points), len(points))
+            np.minimum.at(lowest, cells.reshape(-1), number)
+            number = lowest[cells.reshape(-1)]
+        if (number == before).all():
+            return number
+
+
+def _missing(hull: Floats, mesh: _nearest.Tree, limit: float, error: float) -> float:
+    """The volume between the hull and the mesh; infinite where a point is too far.
+
+    Args:
+        hull, mesh: their triangles.
+        limit: the volume at which the caller knows enough.
+        error: how far the mesh may be above the hull.
+    """
+    cells, volume = hull, 0.0
+    while len(cells) and volume <= limit:
+        middles = cells.mean(axis=1)
+        radii = np.linalg.norm(cells - middles[:, None], axis=2).max(axis=1)
+        gaps, which = mesh.nearest(middles, TOLERANCE)
+        if gaps.max() > TOLERANCE:
+            return np.inf
+        one = np.repeat(mesh.triangles[which], 3, axis=0)
+        at_corners = _nearest.distances(cells.reshape(-1, 3), one).reshape(-1, 3).max(axis=1)
+        bound = np.minimum(at_corners, gaps + radii)
+        fine = (radii <= _SAMPLED_RADIUS) | (at_corners <= _SMALLEST_RADIUS)
+        done = ((bound <= TOLERANCE) & fine) | (radii <= _SMALLEST_RADIUS)
+        volume += float(np.sum(_areas(cells[done]) * (gaps[done] - error).clip(min=0.0)))
+        cells = _halved(cells[~done])
+    return volume
+
+
+def _halved(cells: Floats) -> Floats:
+    """Two cells of each: the longest side is cut, so that slivers become compact."""
+    ends = np.roll(cells, -1, axis=1)
+    longest = np.argmax(np.linalg.norm(ends - cells, axis=2), axis=1)
+    turned = (longest[:, None] + np.arange(3)) % 3
+    a, b, c = np.take_along_axis(cells, turned[:, :, None], axis=1).swapaxes(0, 1)
+    middle = (a + b) / 2
+    return np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])
+
+
+def _areas(triangles: Floats) -> Floats:
+    a, b, c = triangles.swapaxes(0, 1)
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+
+
+def _filled(hull: Floats, mesh: Floats) -> float:
+    """The share of the hull that the mesh fills, by lines along the three coordinate axes.
+
+    A point of the hull counts as empty where one of the lines through it meets the mesh on
+    one side of it only, or nowhere: there the point sees the outside.
+    """
+    low, high = hull.min(axis=(0, 1)), hull.max(axis=(0, 1))
+    step = (high - low) / _LINES
+    middles = low + (np.arange(_LINES)[:, None] + 0.5) * step
+    points = np.stack(np.meshgrid(*middles.T, indexing="ij"), axis=-1)
+    inside, filled = (np.ones((_LINES,) * 3, dtype=bool) for _ in range(2))
+    for axis in range(3):
+        for surface, kept in ((hull, inside), (mesh, filled)):
+            first, last = _ends(surface, axis, low, step)
+            at = points[..., axis]
+            kept &= (np.expand_dims(first, axis) <= at) & (at <= np.expand_dims(last, axis))
+    return float((filled & inside).sum() / max(1, inside.sum()))
+
+
+def _ends(triangles: Floats, axis: int, low: Floats, step: Floats) -> tuple[Floats, Floats]:
+    """(lines, lines): where each line along an axis first and last meets a triangle."""
+    first = np.full(_LINES * _LINES, np.inf)
+    last = np.full(_LINES * _LINES, -np.inf)
+    x, y = (i for i in range(3) if i != axis)
+    flat = triangles[:, :, (x, y)]
+    # The lines that the box of each triangle has.
+    begin = np.ceil((flat.min(axis=1) - low[[x, y]]) / step[[x, y]] - 0.5).astype(np.int64)
+    end = np.floor((flat.max(axis=1) - low[[x, y]]) / step[[x, y]] - 0.5).astype(np.int64)
+    begin, end = begin.clip(min=0), end.clip(max=_LINES - 1)
+    counts = (end - begin + 1).clip(min=0)
+    sizes = counts.prod(axis=1)
+    for part in np.array_split(np.arange(len(triangles)), 1 + int(sizes.sum()) // _nearest.PAIRS):
+        which = np.repeat(part, sizes[part])
+        place = np.arange(len(which)) - np.repeat(np.cumsum(sizes[part]) - sizes[part], sizes[part])
+        cell = begin[which] + np.stack(np.divmod(place, counts[which, 1]), axis=1)
+        point = low[[x, y]] + (cell + 0.5) * step[[x, y]]
+        a, b, c = flat[which].swapaxes(0, 1)
+        weights = np.stack([_turn(b, c, point), _turn(c, a, point), _turn(a, b, point)])
+        area = weights.sum(axis=0)
+        met = ((weights >= 0).all(axis=0) | (weights <= 0).all(axis=0)) & (area != 0)
+        weights = weights[:, met] / area[met]
+        at = np.einsum("in,ni->n", weights, triangles[which[met], :, axis])
+        line = cell[met, 0] * _LINES + cell[met, 1]
+        np.minimum.at(first, line, at)
+        np.maximum.at(last, line, at)
+    return first.reshape(_LINES, _LINES), last.reshape(_LINES, _LINES)
+
+
+def _turn(a: Floats, b: Floats, c: Floats) -> Floats:
+    """Twice the signed area of each triangle in the plane."""
+    u, v = b - a, c - a
+    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]

@@ -1,0 +1,115 @@
+"""The parts that all readers share: their error, numbers, polygons cut into triangles."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from .._arrays import Floats, Indices
+
+#: The limit for polygons that are not convex: the time for one grows with its square.
+_MOST_CORNERS = 2000
+
+
+class Unreadable(Exception):
+    """Why a file has no mesh that can be read.
+
+    Attributes:
+        reason: MALFORMED_MESH, or UNSUPPORTED_MESH for a feature that is not read.
+    """
+
+    def __init__(self, message: str, reason: str = "MALFORMED_MESH") -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+def unsupported(message: str) -> Unreadable:
+    """The file is sound but has a feature that is not read."""
+    return Unreadable(message, "UNSUPPORTED_MESH")
+
+
+def text_of(data: bytes, kind: str) -> str:
+    """The text of a file; binary data is refused."""
+    if b"\0" in data:
+        raise Unreadable(f"the file is binary, but {kind} is text")
+    return data.decode("utf-8-sig", errors="replace")
+
+
+def number(word: str, where: str) -> float:
+    """A finite number, as the formats write them."""
+    try:
+        value = float(word)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or "_" in word:
+        raise Unreadable(f"{where}: {word!r} is not a finite number")
+    return value
+
+
+def arrays(
+    vertices: Sequence[Sequence[float]], faces: Sequence[Sequence[int]]
+) -> tuple[Floats, Indices]:
+    """Arrays of the lists that a reader made."""
+    return (
+        np.array(vertices, dtype="<f8").reshape(-1, 3),
+        np.array(faces, dtype="<u4").reshape(-1, 3),
+    )
+
+
+def triangles(
+    polygon: Sequence[int], vertices: Sequence[Sequence[float]]
+) -> Iterable[tuple[int, int, int]]:
+    """The triangles of a simple polygon, which need not be convex, by cutting off ears.
+
+    Args:
+        polygon: indices of vertices, in order around the polygon.
+        vertices: at least as many as the indices need.
+    """
+    corners = list(polygon)
+    if len(corners) == 3:
+        return [(corners[0], corners[1], corners[2])]
+    points = np.array([vertices[i] for i in corners], dtype=np.float64)
+    # Newell's normal; the polygon is seen along its largest component.
+    normal = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)
+    axis = int(np.argmax(np.abs(normal)))
+    x, y = ((1, 2), (2, 0), (0, 1))[axis]
+    flat = points[:, [x, y]] if normal[axis] >= 0 else points[:, [y, x]]
+    before, after = np.roll(flat, 1, axis=0), np.roll(flat, -1, axis=0)
+    if (_turns(before, flat, after) >= 0).all():
+        return [(corners[0], b, c) for b, c in itertools.pairwise(corners[1:])]
+    if len(corners) > _MOST_CORNERS:
+        raise unsupported(
+            f"a polygon that is not convex has {len(corners)} corners; at most "
+            f"{_MOST_CORNERS} are read"
+        )
+    left = list(range(len(corners)))
+    found: list[tuple[int, int, int]] = []
+    while len(left) > 3:
+        ear = next((i for i in range(len(left)) if _is_ear(flat[left], i)), 0)
+        a, b, c = (left[(ear + k) % len(left)] for k in (-1, 0, 1))
+        found.append((corners[a], corners[b], corners[c]))
+        del left[ear]
+    a, b, c = left
+    found.append((corners[a], corners[b], corners[c]))
+    return found
+
+
+def _is_ear(outline: Floats, i: int) -> bool:
+    """Whether a corner is convex and no other corner is in its triangle."""
+    a, b, c = (outline[(i + k) % len(outline)] for k in (-1, 0, 1))
+    if not _turns(a, b, c) > 0:
+        return False
+    same = [(outline == corner).all(axis=1) for corner in (a, b, c)]
+    others = outline[~np.any(same, axis=0)]
+    sides = [_turns(a, b, others), _turns(b, c, others), _turns(c, a, others)]
+    return not (np.min(sides, axis=0) >= 0).any()
+
+
+def _turns(a: Floats, b: Floats, c: Floats) -> Floats:
+    """Positive where a, b, c turn left; of points or of columns of points."""
+    return (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (
+        c[..., 0] - a[..., 0]
+    )

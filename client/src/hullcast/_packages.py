@@ -1,0 +1,81 @@
+"""Where the files are that a URDF names."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, cast
+from urllib.parse import unquote
+
+from ._errors import FileNotFound, InvalidArgument
+
+#: The schemes whose first folder is a package's name.
+_PACKAGES = ("package", "model")
+
+
+class Packages:
+    """The folders that are searched for the file of a mesh.
+
+    Args:
+        own: the folder that the URDF is in.
+        packages: as `Robot` takes it.
+    """
+
+    def __init__(self, own: Path, packages: Any) -> None:
+        self._own = own
+        ros = _entries("ROS_PACKAGE_PATH")
+        ament = [prefix / "share" for prefix in _entries("AMENT_PREFIX_PATH")]
+        self._folders = [*_folders(packages), *ros, *ament]
+
+    def find(self, name: str, where: str) -> Path:
+        """The file that a mesh's `filename` means."""
+        scheme, separator, rest = name.rpartition("://")
+        scheme = scheme.lower()
+        if separator and scheme not in ("file", *_PACKAGES):
+            raise FileNotFound(
+                f"{where}: {name!r} is not read: files are named by package://, file:// or a path",
+                reason="FILE_NOT_FOUND",
+            )
+        for path in dict.fromkeys((rest, unquote(rest) if separator else rest)):
+            for place in self._places(scheme, path):
+                if place.is_file():
+                    return place
+        advice = ""
+        if scheme in _PACKAGES:
+            package = rest.strip("/").partition("/")[0]
+            advice = f"; give the folder that holds the package {package!r} as `packages`"
+        raise FileNotFound(f"{where}: {name!r} is not found{advice}", reason="FILE_NOT_FOUND")
+
+    def _places(self, scheme: str, path: str) -> Iterable[Path]:
+        if scheme not in _PACKAGES:
+            yield self._own / path  # an absolute path stays what it is
+            return
+        # package://name/... and package:///name/...: in the folder `name`.
+        path = path.lstrip("/")
+        package = path.partition("/")[0]
+        for folder in self._folders:
+            yield folder / path
+            if folder.name == package:
+                yield folder.parent / path
+        for above in (self._own, *self._own.parents):
+            yield above / path
+            if above.name == package:
+                yield above.parent / path
+
+
+def _entries(variable: str) -> list[Path]:
+    return [Path(entry) for entry in os.environ.get(variable, "").split(os.pathsep) if entry]
+
+
+def _folders(packages: Any) -> list[Path]:
+    try:
+        if isinstance(packages, (str, os.PathLike)):
+            return [Path(cast("str | os.PathLike[str]", packages)).resolve()]
+        return [Path(folder).resolve() for folder in packages]
+    except TypeError:
+        raise InvalidArgument(
+            f"expected a folder or a list of folders, got {type(packages).__name__}",
+            reason="NOT_A_PATH",
+            field="packages",
+        ) from None

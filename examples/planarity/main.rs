@@ -1,0 +1,33 @@
+//! What the planarity of a hull's faces costs and buys (docs/tradeoff.md): `make planarity`.
+//!
+//! Shapes are turned at random, rounded as files round coordinates, and stood on a face. Their
+//! patch is compared with that of the unrounded shape in the same pose, for every planarity.
+//! Writes a row per group of shapes, rounding and planarity to the CSV file that is named, and
+//! prints the tables of the page. Scene files add a group each, of their hulls.
+
+mod measure;
+mod shapes;
+mod tables;
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    let mut arguments = std::env::args().skip(1);
+    let (Some(path), Some(orientations)) = (arguments.next(), arguments.next()) else {
+        eprintln!("usage: planarity CSV ORIENTATIONS [SCENE.json]...");
+        return ExitCode::from(2);
+    };
+    let Ok(orientations) = orientations.parse() else {
+        eprintln!("ORIENTATIONS is {orientations:?}, must be a number");
+        return ExitCode::from(2);
+    };
+    let mut groups = shapes::groups();
+    groups.extend(arguments.map(|scene| shapes::group_of(&scene)));
+    let cells = measure::cells(&groups, orientations);
+    if let Err(error) = std::fs::write(&path, tables::csv(&cells)) {
+        eprintln!("{path}: {error}");
+        return ExitCode::from(2);
+    }
+    print!("{}", tables::tables(&cells, orientations));
+    ExitCode::SUCCESS
+}

@@ -1,0 +1,100 @@
+//! The tables of the page, and the rows that its picture is drawn from.
+
+use std::fmt::Write;
+
+use crate::measure::{Cell, PLANARITIES};
+use crate::shapes::{ROUNDINGS, Rounding};
+
+/// One row a cell.
+pub(crate) fn csv(cells: &[Cell]) -> String {
+    let mut text = String::from(
+        "group,rounding,planarity,cases,whole,mean area,least area,alpha,error,edges lost,building ns,answering ns\n",
+    );
+    for cell in cells {
+        let Cell { group, planarity, cases, alpha, error, least_area, .. } = cell;
+        let _ = writeln!(
+            text,
+            "{group},{},{planarity:e},{cases},{:.5},{:.5},{least_area:.5},{alpha:.1e},{error:.2e},{:.5},{:.0},{:.0}",
+            cell.rounding.name(),
+            cell.mean(cell.whole as f64),
+            cell.mean(cell.area),
+            lost(cell),
+            cell.mean(cell.building),
+            cell.mean(cell.answering),
+        );
+    }
+    text
+}
+
+/// Share of the edges sharper than the feature angle that are not there any more.
+fn lost(cell: &Cell) -> f64 {
+    1.0 - cell.edges as f64 / cell.all_edges as f64
+}
+
+fn names(cells: &[Cell]) -> Vec<&str> {
+    let mut names: Vec<_> = cells.iter().map(|cell| cell.group.as_str()).collect();
+    names.dedup();
+    names
+}
+
+fn header(text: &mut String, title: &str) {
+    let columns = PLANARITIES.map(|planarity| format!("{planarity:>9.0e}")).concat();
+    let _ = writeln!(text, "{title}\n{:28}{columns}", "planarity");
+}
+
+/// One line a group and rounding, one column a planarity.
+fn table(
+    text: &mut String,
+    cells: &[Cell],
+    title: &str,
+    roundings: &[Rounding],
+    value: impl Fn(&Cell) -> String,
+) {
+    header(text, title);
+    for name in names(cells) {
+        for &rounding in roundings {
+            let of = |cell: &&Cell| cell.group == name && cell.rounding == rounding;
+            let values: String = cells.iter().filter(of).map(|cell| format!("{:>9}", value(cell))).collect();
+            let _ = writeln!(text, "{:28}{values}", format!("{name}, {}", rounding.name()));
+        }
+    }
+    text.push('\n');
+}
+
+/// All tables.
+pub(crate) fn tables(cells: &[Cell], orientations: usize) -> String {
+    let mut text = format!("{orientations} orientations of each shape, standing on its largest face.\n\n");
+    let rounded = &ROUNDINGS[1..];
+    let percent = |share: f64| format!("{:.1}", 100.0 * share);
+    table(
+        &mut text,
+        cells,
+        "Whole patches, % (area within 1 % of the unrounded shape's)",
+        &ROUNDINGS,
+        |cell| percent(cell.mean(cell.whole as f64)),
+    );
+    table(&mut text, cells, "Mean area of the patch over the unrounded shape's", rounded, |cell| {
+        format!("{:.3}", cell.mean(cell.area))
+    });
+    let plain = &ROUNDINGS[..1];
+    table(&mut text, cells, "False merges: edges sharper than 0.01 rad that are lost, %", plain, |cell| {
+        percent(lost(cell))
+    });
+    table(&mut text, cells, "Largest error of a face over the circumradius", plain, |cell| {
+        format!("{:.1e}", cell.error)
+    });
+    let two = &[Rounding::None, Rounding::Decimals(6)];
+    let first = |cell: &Cell| {
+        let same = |other: &&Cell| other.group == cell.group && other.rounding == cell.rounding;
+        cells.iter().find(same).cloned().unwrap_or_else(|| cell.clone())
+    };
+    table(&mut text, cells, "Time to build a hull, over that at 1e-6", two, |cell| {
+        format!("{:.2}", cell.building / first(cell).building)
+    });
+    table(&mut text, cells, "Time of a pair, over that at 1e-6", two, |cell| {
+        format!("{:.2}", cell.answering / first(cell).answering)
+    });
+    let alpha = cells.iter().map(|cell| cell.alpha).fold(0.0, f64::max);
+    let _ = writeln!(text, "Largest relative difference of alpha between planarities: {alpha:.1e}");
+    text
+}
