@@ -134,13 +134,13 @@ impl Hulls {
     async fn register(
         &self,
         group: Vec<wire::Definition>,
-        context: &CallContext,
+        job: &Job,
     ) -> Result<Vec<RegisterHullResult>, ServiceError> {
         let (mut given, mut malformed) = (Vec::with_capacity(group.len()), Vec::with_capacity(group.len()));
         for definition in group {
             malformed.push(definition.map(|definition| given.push(definition)).err());
         }
-        let mut registered = self.app.registry().register(given, &context.job).await.into_iter();
+        let mut registered = self.app.registry().register(given, job).await.into_iter();
         let result = |malformed| match malformed {
             Some(error) => Some(Ok(wire::register_result(Err(error)))),
             None => registered.next().map(|registered| registered_result(&self.app, registered)),

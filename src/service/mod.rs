@@ -193,7 +193,7 @@ impl App {
         answer: QueryContactsResponse,
         mut memory: Permit,
     ) -> Result<QueryContactsResponse, ServiceError> {
-        let bytes = answer.encoded_len();
+        let bytes = prost::Message::encoded_len(&answer);
         if bytes > self.limits.max_message_bytes {
             return Err(self.answer_too_large(bytes));
         }

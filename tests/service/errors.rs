@@ -4,6 +4,7 @@ use std::{sync::atomic::Ordering, time::Duration};
 
 use bytes::Bytes;
 use hullcast::{
+    budget::Caller,
     proto::{
         Accuracy, GetHullsRequest, HasHullsRequest, HullDefinition, ListHullsRequest, Output,
         QueryContactsRequest, RegisterHullsRequest,

@@ -4,6 +4,7 @@
 use std::collections::HashSet;
 
 use hullcast::{
+    budget::Caller,
     proto::{DeleteHullsRequest, Outcome, QueryContactsRequest, QueryContactsResponse},
     service::Limits,
     store::HullDefinition,

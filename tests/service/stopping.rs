@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use hullcast::proto::QueryContactsRequest;
+use hullcast::{budget::Caller, proto::QueryContactsRequest};
 use prost::Message;
 
 use crate::support::{

@@ -11,7 +11,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
-use hullcast::compute::Compute;
+use hullcast::budget::{self, Part, Permit};
+use hullcast::compute::{Compute, Job};
 use hullcast::contact::{Body, ConvexHull, Pose, Query, Workspace, contact_manifold};
 use hullcast::proto::hull_service_client::HullServiceClient;
 use hullcast::proto::{HullDefinition, QueryContactsRequest, RegisterHullsRequest};
@@ -337,7 +338,7 @@ async fn cores() -> Result<String, Failure> {
                     let mut tasks = Vec::new();
                     for _ in 0..under_way {
                         let scene = wire::scene(request.clone(), &limits)?;
-                        let job = Job::new(Caller::alone());
+                        let job = Job::new(budget::Caller::alone());
                         let admission = engine.admit(PAIRS, scene.setting.outputs, &job.caller)?;
                         let (batch, _) = batch::Batch::new(scene, hulls.iter().cloned().map(Ok).collect());
                         let engine = engine.clone();
