@@ -238,8 +238,11 @@ mod tests {
         let bounds = || vec![cube(DVec3::ZERO, 1.0); bodies as usize];
         let one_group = Rules::new(vec![], vec![1; bodies as usize], vec![]);
         let worlds = Rules::new((0..bodies).collect(), vec![], vec![]);
-        let every_world =
-            Rules::new((0..bodies).map(|i| if i % 2 == 0 { EVERY_WORLD } else { i }).collect(), vec![], vec![]);
+        let every_world = Rules::new(
+            (0..bodies).map(|i| if i % 2 == 0 { EVERY_WORLD } else { i }).collect(),
+            vec![],
+            vec![],
+        );
         // 1,000 groups, each of which ignores each other.
         let ignored = (1..=1000).flat_map(|g| (1..=1000).flat_map(move |h| [g, h])).collect();
         let groups = Rules::new(vec![], (0..bodies).map(|i| 1 + i % 1000).collect(), ignored);

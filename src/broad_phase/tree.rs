@@ -108,7 +108,12 @@ impl Tree {
     }
 
     /// Adds a subtree of several worlds.
-    fn split_worlds(&mut self, worlds: &mut [World], leaves: &mut [Leaf], stop: &Stop) -> Result<(), Stopped> {
+    fn split_worlds(
+        &mut self,
+        worlds: &mut [World],
+        leaves: &mut [Leaf],
+        stop: &Stop,
+    ) -> Result<(), Stopped> {
         if let [World { leaves: of_world, .. }] = worlds {
             let (of_world, first) = (&mut leaves[of_world.clone()], of_world.start);
             self.worlds.push((of_world[0].world, self.nodes.len() as u32));
@@ -126,7 +131,8 @@ impl Tree {
     fn split_bodies(&mut self, leaves: &mut [Leaf], first: usize, stop: &Stop) -> Result<(), Stopped> {
         let node = self.open();
         if leaves.len() <= LEAF_BODIES {
-            let group = if leaves.iter().all(|leaf| leaf.group == leaves[0].group) { leaves[0].group } else { 0 };
+            let group =
+                if leaves.iter().all(|leaf| leaf.group == leaves[0].group) { leaves[0].group } else { 0 };
             let highest = leaves.iter().map(|leaf| leaf.body).max().unwrap_or(0);
             let (bounds, next) = (around(leaves), self.nodes.len() as u32);
             let (first, count) = (first as u32, leaves.len() as u32);

@@ -69,13 +69,7 @@ pub(super) struct Turn<W> {
 
 impl<W> Default for Turns<W> {
     fn default() -> Self {
-        Self {
-            accounts: HashMap::new(),
-            order: BTreeMap::new(),
-            now: 0,
-            running: 0,
-            next_number: 0,
-        }
+        Self { accounts: HashMap::new(), order: BTreeMap::new(), now: 0, running: 0, next_number: 0 }
     }
 }
 

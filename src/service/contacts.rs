@@ -167,8 +167,12 @@ pub(super) async fn answer(
 /// The scene with its hulls at hand, the indices of those that are missing, and of the
 /// bodies that are unusable.
 async fn assemble(app: &App, scene: Scene, job: &Job) -> Result<(Batch, Vec<u32>, Vec<u32>), ServiceError> {
-    let (hulls, lease) = fetch(app, &scene.setting.hull_ids, job).await?;
+    let setting = scene.setting.clone();
+    // A scene whose caller leaves while its hulls are read may be large, and is not freed here.
+    let waiting = app.engine().compute_threads().freed_here(scene);
+    let (hulls, lease) = fetch(app, &setting.hull_ids, job).await?;
     let missing = missing(&hulls);
+    let Some(scene) = waiting.into_inner() else { return Err(ServiceError::internal("the scene was lost")) };
     let (mut batch, invalid_bodies) = Batch::new(scene, hulls);
     batch.lease(lease);
     Ok((batch, missing, invalid_bodies))

@@ -97,10 +97,16 @@ impl Finding {
             let (scene, rules) = wire::find(request, limits, stop)?;
             Ok((scene, rules, memory))
         };
-        let (scene, rules, mut memory) = decoded(&app, &context, request, check).await?;
+        let decoded = decoded(&app, &context, request, check).await?;
+        let setting = decoded.0.setting.clone();
+        // A scene whose caller leaves while its hulls are read may be large, and is not freed here.
+        let waiting = app.engine().compute_threads().freed_here(decoded);
         let admission = app.engine().place(most_candidates(&app), &context.job.caller)?;
-        let Scene { request_id, setting, poses, invalid_bodies, .. } = scene;
         let (hulls, lease) = fetch(&app, &setting.hull_ids, &context.job).await?;
+        let Some((scene, rules, mut memory)) = waiting.into_inner() else {
+            return Err(ServiceError::internal("the scene was lost"));
+        };
+        let Scene { request_id, setting, poses, invalid_bodies, .. } = scene;
         let (hulls, poses) = (Arc::new(hulls), Arc::new(poses));
         // Nothing could be said of its bodies' pairs: there would be none to say it of.
         if hulls.iter().any(|hull| matches!(hull, Err(Missing::Unavailable))) {

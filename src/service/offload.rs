@@ -4,7 +4,7 @@
 
 use super::{App, ServiceError, context::CallContext};
 use crate::{
-    compute::{Compute, ComputeError, Panicked},
+    compute::{ComputeError, Panicked},
     contact::Stop,
 };
 
@@ -41,33 +41,4 @@ pub(super) async fn offloaded<T: Send + 'static>(
 /// The estimated steps of such work.
 fn steps(bytes: usize) -> u64 {
     (bytes / BYTES_PER_STEP) as u64
-}
-
-/// A value whose memory a compute thread frees where it has many bytes: giving much memory back
-/// to the system takes milliseconds, in which a thread that serves calls would serve none.
-#[derive(Debug)]
-pub(super) struct FreedOnCompute<T: Send + 'static> {
-    value: Option<T>,
-    bytes: usize,
-    compute: Compute,
-}
-
-impl<T: Send + 'static> FreedOnCompute<T> {
-    /// A value of about `bytes` bytes.
-    pub(super) fn new(value: T, bytes: usize, app: &App) -> Self {
-        Self { value: Some(value), bytes, compute: app.engine().compute_threads().clone() }
-    }
-
-    /// The value, which its new owner frees.
-    pub(super) fn into_inner(mut self) -> Option<T> {
-        self.value.take()
-    }
-}
-
-impl<T: Send + 'static> Drop for FreedOnCompute<T> {
-    fn drop(&mut self) {
-        if let Some(value) = self.value.take().filter(|_| self.bytes > LARGE_BYTES) {
-            self.compute.free(value);
-        }
-    }
 }

@@ -63,3 +63,52 @@ impl Parts for Building {
         Ok(parts)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::contact::Simplification;
+
+    /// Points all over a sphere, all of them extreme.
+    fn sphere(count: usize) -> Vec<[f64; 3]> {
+        let point = |i: usize| {
+            let z = 1.0 - (2.0 * i as f64 + 1.0) / count as f64;
+            let (sine, cosine) = (2.399_963_229_728_653 * i as f64).sin_cos();
+            let radius = (1.0 - z * z).sqrt();
+            [radius * cosine, radius * sine, z]
+        };
+        (0..count).map(point).collect()
+    }
+
+    /// Catches hulls whose building takes more memory than is taken of the budget for it: the
+    /// peak of building, and the definition twice, as points and as stored bytes.
+    #[test]
+    fn building_takes_no_more_than_is_counted() {
+        let cap = |count: usize| -> Vec<[f64; 3]> {
+            // Two caps of a prism with many sides.
+            (0..count)
+                .map(|i| {
+                    let angle = std::f64::consts::TAU * (i / 2) as f64 / (count / 2) as f64;
+                    [angle.cos(), angle.sin(), (i % 2) as f64]
+                })
+                .collect()
+        };
+        let wanted = Simplification { max_vertices: Some(64), max_deviation: None };
+        for (name, points, simplification) in [
+            ("4 points", sphere(4), None),
+            ("sphere of 100", sphere(100), None),
+            ("sphere of 4000", sphere(4000), None),
+            ("prism of 4000", cap(4000), None),
+            ("sphere of 300, simplified", sphere(300), Some(wanted)),
+        ] {
+            let definition = HullDefinition { points, simplification, ..HullDefinition::default() };
+            let made = allocation_counter::measure(|| {
+                definition.build(usize::MAX).unwrap();
+            });
+            let stored = 2 * size_of_val(&definition.points[..]);
+            let (peak, counted) = (made.bytes_max as usize + stored, building_bytes(&definition));
+            println!("{name}: {} bytes a point", peak / definition.points.len());
+            assert!(peak <= counted, "{name}: {peak} of {counted}");
+        }
+    }
+}

@@ -9,8 +9,8 @@ use std::{
 use futures_util::{StreamExt, stream};
 
 use super::{
-    building::{Building, building_bytes},
     BlobStore, HullDefinition, HullId, Opened, StoreError, StoredBlob, blobs,
+    building::{Building, building_bytes},
     cache::{Entry, HullCache, cache},
     identity::id_of,
     lease::{Hulls, Lease, LeaseError, LeaseRequest, Leases},

@@ -134,7 +134,12 @@ impl Engine {
         memory: Permit,
     ) -> Result<(Columns, Permit), ServiceError> {
         let pairs = batch.pair_count();
+        // A batch whose caller leaves while it waits is large, and not freed here.
+        let waiting = self.compute.freed_here(batch);
         self.admission.turn(&mut admission).instrument(trace::queue(pairs)).await;
+        let Some(batch) = waiting.into_inner() else {
+            return Err(ServiceError::internal("the batch was lost"));
+        };
         let started = Instant::now();
         let run = self.begin(batch, admission, job, memory);
         let unanswered = run.unanswered.clone();
@@ -158,9 +163,11 @@ impl Engine {
         }
         match self.compute.split(run, job).await? {
             Chunked::Answer(columns, memory) => Ok((columns, memory)),
-            Chunked::Large(chunks) => {
-                self.compute.run_steps(chunks.steps(), |stop| chunks.concatenated(stop), job).await?.map_err(Into::into)
-            }
+            Chunked::Large(chunks) => self
+                .compute
+                .run_steps(chunks.steps(), |stop| chunks.concatenated(stop), job)
+                .await?
+                .map_err(Into::into),
         }
     }
 
