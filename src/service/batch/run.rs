@@ -283,7 +283,10 @@ mod tests {
     fn run(engine: &Engine, batch: Batch) -> Run {
         let job = Job::new(Caller::alone());
         let admission = engine.place(batch.pair_count(), &job.caller).unwrap();
-        engine.begin(batch, admission, &job, Permit::unbounded(Part::Answers))
+        let mut memory = Permit::unbounded(Part::Answers);
+        // As in a server, the caller has an account already.
+        memory.grow(1).unwrap();
+        engine.begin(batch, admission, &job, memory)
     }
 
     fn answer(run: &Run, chunks: Vec<Columns>) -> (Columns, Permit) {
