@@ -16,11 +16,12 @@ use super::Error;
 use super::options::Asked;
 use super::remote::{Connection, RemoteArgs, root_cause};
 use super::scene::{Frame, HullPoints, Scene};
-use hullcast::compute::Compute;
+use hullcast::budget::{Caller, Part, Permit};
+use hullcast::compute::{Compute, Job};
 use hullcast::contact::ConvexHull;
 use hullcast::proto;
 use hullcast::proto::register_hull_result::Result as Registered;
-use hullcast::service::batch::{Batch, Engine};
+use hullcast::service::batch::{Batch, Bounds, Engine};
 use hullcast::service::{Kind, Limits, ServiceError, wire};
 use hullcast::store::identity::id_of;
 use hullcast::store::{HullDefinition, HullId, Missing};
@@ -128,7 +129,12 @@ impl Answerer {
             ids.push(id);
         }
         let compute = Compute::new(threads)?;
-        let engine = Engine::new(compute, limits.max_pairs_in_flight, MAX_ANSWER_BYTES, Arc::default());
+        let bounds = Bounds {
+            max_pairs_in_flight: limits.max_pairs_in_flight,
+            shares: false,
+            max_answer_bytes: MAX_ANSWER_BYTES,
+        };
+        let engine = Engine::new(compute, bounds, Arc::default());
         Ok((Self::Local(Arc::new(Local { engine, limits, hulls: built })), ids))
     }
 
@@ -182,12 +188,15 @@ impl Local {
         request: proto::QueryContactsRequest,
     ) -> Result<proto::QueryContactsResponse, ServiceError> {
         let scene = wire::scene(request, &self.limits)?;
-        let admission = self.engine.admit(scene.setting.pair_count(), scene.setting.outputs)?;
+        let job = Job::new(Caller::alone());
+        let (pairs, outputs) = (scene.setting.pair_count(), scene.setting.outputs);
+        let admission = self.engine.admit(pairs, outputs, &job.caller)?;
         let known = |id| self.hulls.get(id).cloned().ok_or(Missing::Unknown);
         let hulls = scene.setting.hull_ids.iter().map(known).collect();
         let request_id = scene.request_id;
         let (batch, invalid_bodies) = Batch::new(scene, hulls);
-        let columns = self.engine.compute(batch, admission).await?;
+        let memory = Permit::unbounded(Part::Answers);
+        let (columns, _memory) = self.engine.compute(batch, admission, &job, memory).await?;
         Ok(wire::response(request_id, columns, Vec::new(), invalid_bodies))
     }
 }

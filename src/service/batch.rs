@@ -1,10 +1,13 @@
 //! A batch of pairs, and the answer to each of them.
 
+mod chunks;
+mod cost;
 mod engine;
+mod run;
 
 use std::sync::Arc;
 
-pub use engine::Engine;
+pub use engine::{Bounds, Engine};
 
 use super::{
     outputs::Outputs,
@@ -70,6 +73,11 @@ impl Batch {
         self.candidates.as_deref().unwrap_or(&self.setting.pairs)
     }
 
+    /// How many pairs there are.
+    pub fn pair_count(&self) -> usize {
+        self.pairs().len() / 2
+    }
+
     /// Its hulls are in use until it is answered.
     pub fn lease(&mut self, lease: Lease) {
         self.lease = Some(lease);
@@ -82,8 +90,8 @@ impl Batch {
 }
 
 impl Batch {
-    /// Computes pair `pair` and adds it to `columns`.
-    fn pair(&self, pair: usize, workspace: &mut Workspace, columns: &mut Columns) {
+    /// Computes pair `pair` and adds it to `columns`. Returns the steps that it took.
+    fn pair(&self, pair: usize, workspace: &mut Workspace, columns: &mut Columns) -> u64 {
         let mut invalid = Invalid::default();
         let bodies = [0, 1].map(|side| self.pairs()[2 * pair + side]);
         let [a, b] = bodies.map(|body| self.body(body, &mut invalid));
@@ -93,7 +101,7 @@ impl Batch {
                 let manifold = contact_manifold(&a, &b, &self.setting.query, warm.as_ref(), workspace);
                 if self.candidates.is_some() {
                     if manifold.outcome == Outcome::Separated {
-                        return;
+                        return self.pair_steps(pair);
                     }
                     columns.push_pair(bodies);
                 }
@@ -101,6 +109,7 @@ impl Batch {
             }
             _ => columns.push_invalid(invalid, self.kept),
         }
+        self.pair_steps(pair)
     }
 
     fn body(&self, index: u32, invalid: &mut Invalid) -> Option<Body<'_>> {

@@ -17,7 +17,8 @@ pub struct Limits {
     pub max_vertices_per_hull: u32,
     /// Points in the definition of one hull. They bound what building and simplifying costs.
     pub max_points_per_hull: u32,
-    /// Pairs accepted and not yet answered, over all calls.
+    /// Pairs of one caller that are accepted and not yet answered. All callers together may have
+    /// less than twice as many.
     pub max_pairs_in_flight: u32,
     /// Memory that all callers together can make the server hold, in bytes; the cached hulls
     /// (`cache_bytes`) are not part of it.

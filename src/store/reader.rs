@@ -17,11 +17,16 @@ use super::{
     cache::Entry,
     identity::id_of,
     lease::{Lease, LeaseError, LeaseRequest},
-    registry::Missing,
+    registry::{BuildError, Missing},
     scheduled::CallerStore,
     turns::Turn,
 };
-use crate::{compute::Job, contact::ConvexHull, log_limit::Repeated, trace};
+use crate::{
+    compute::{ComputeError, Job},
+    contact::ConvexHull,
+    log_limit::Repeated,
+    trace,
+};
 
 /// Blobs up to this size are verified where they arrive, in some 100 us; others by the compute
 /// threads, so that none keeps the serving threads from other calls.
@@ -142,15 +147,21 @@ impl<'a> Reader<'a> {
     async fn loaded(&self, id: HullId) -> Result<Arc<Entry>, Missing> {
         let _turn = self.turn(id).await?;
         let definition = self.found(id).await?;
-        // A hull that was once acknowledged is answered for, whatever the limit is now.
-        match self.registry.compute.run(move || definition.build(usize::MAX)).await {
-            Ok(Ok(hull)) => Ok(self.registry.entry(Arc::new(hull), false)),
-            Ok(Err(error)) => {
+        // What was once acknowledged is answered for, whatever the limit is by now.
+        let built = self.registry.build(vec![definition], usize::MAX, self.job).await;
+        match built.map(|hulls| hulls.into_iter().next()) {
+            Ok(Some(Ok(hull))) => Ok(self.registry.entry(Arc::new(hull), false)),
+            Ok(Some(Err(error))) => {
                 self.fault(id, format!("a stored hull is not a hull to this version: {error}"));
                 Err(Missing::Unknown)
             }
-            Err(error) => {
-                self.fault(id, format!("a stored hull cannot be built: {error}"));
+            Ok(None) | Err(BuildError::Compute(ComputeError::Stopped)) => Err(Missing::Unavailable),
+            Err(BuildError::NoMemory(why)) => {
+                self.fault(id, why.to_string());
+                Err(Missing::Unavailable)
+            }
+            Err(BuildError::Compute(ComputeError::Panicked(why))) => {
+                tracing::error!(hull = %id, %why, "a stored hull cannot be built");
                 Err(Missing::Unavailable)
             }
         }
@@ -178,8 +189,8 @@ impl<'a> Reader<'a> {
             verify(id, &blob)
         } else {
             let blob = blob.clone();
-            let verified = self.registry.compute.run(move || verify(id, &blob)).await;
-            verified.map_err(|panicked| StoreError::Unavailable(panicked.to_string()))?
+            let verified = self.registry.compute.run(move |_| verify(id, &blob), self.job).await;
+            verified.map_err(|error| StoreError::Unavailable(error.to_string()))?
         };
         match verified {
             Ok(definition) => Ok(Some(definition)),

@@ -4,6 +4,7 @@ use std::{sync::atomic::Ordering, time::Duration};
 
 use bytes::Bytes;
 use hullcast::{
+    budget::Caller,
     proto::{
         Accuracy, GetHullsRequest, HasHullsRequest, HullDefinition, ListHullsRequest, Output,
         QueryContactsRequest, RegisterHullsRequest,
@@ -211,7 +212,7 @@ async fn too_busy_is_unavailable_with_a_pushback() {
     let (shapes, request) = two_boxes();
     server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
     let outputs = hullcast::service::Outputs::default();
-    let place = server.app.engine().admit(100, outputs).unwrap();
+    let place = server.app.engine().admit(100, outputs, &Caller::alone()).unwrap();
     let status = server.contacts().query_contacts(request.clone()).await.unwrap_err();
     assert_unavailable(&status, "TOO_BUSY");
     let stream = futures_util::stream::iter([request.clone()]);
@@ -224,7 +225,7 @@ async fn too_busy_is_unavailable_with_a_pushback() {
     server.contacts().query_contacts(request).await.unwrap();
     server.contacts().query_contacts(empty).await.unwrap();
     // Every place is given back.
-    drop(server.app.engine().admit(100, outputs).unwrap());
+    drop(server.app.engine().admit(100, outputs, &Caller::alone()).unwrap());
 }
 
 fn assert_unavailable(status: &Status, reason: &str) {

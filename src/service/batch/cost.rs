@@ -1,0 +1,41 @@
+//! What the pairs of a batch are estimated to cost, before they are computed.
+
+use super::Batch;
+use crate::contact::ConvexHull;
+
+/// Steps of a pair that is not computed since a hull or a pose is missing.
+const LEAST_STEPS: u64 = 50;
+
+/// Steps of a pair beside those that grow with its hulls.
+const PAIR_STEPS: u64 = 800;
+
+/// Steps for each vertex of a hull, up to the size from which a hull has a map of directions.
+const VERTEX_STEPS: u64 = 8;
+const MOST_VERTICES: u64 = 512;
+
+impl Batch {
+    /// The estimated steps of a pair.
+    pub(super) fn pair_steps(&self, pair: usize) -> u64 {
+        let hull = |side: usize| {
+            let body = self.pairs()[2 * pair + side];
+            self.hulls[self.setting.body_hulls[body as usize] as usize].as_ref().ok()
+        };
+        match (hull(0), hull(1)) {
+            (Some(a), Some(b)) => estimated_steps(a, b),
+            _ => LEAST_STEPS,
+        }
+    }
+
+    /// The estimated steps of the most expensive pair that its hulls could make: no pair costs
+    /// more than the most expensive hull with itself.
+    pub(super) fn most_steps(&self) -> u64 {
+        let hulls = self.hulls.iter().filter_map(|hull| hull.as_ref().ok());
+        hulls.map(|hull| estimated_steps(hull, hull)).max().unwrap_or(LEAST_STEPS)
+    }
+}
+
+/// The estimated steps of a pair of these hulls.
+fn estimated_steps(a: &ConvexHull, b: &ConvexHull) -> u64 {
+    let of = |hull: &ConvexHull| VERTEX_STEPS * (hull.vertex_count() as u64).min(MOST_VERTICES);
+    PAIR_STEPS + of(a) + of(b)
+}
