@@ -1,12 +1,14 @@
 //! The subcommands.
 
 mod answer;
+mod checked;
 pub(crate) mod load;
 mod memory;
 mod npz;
 mod options;
 pub(crate) mod prune;
 pub(crate) mod query;
+mod reach;
 mod remote;
 mod report;
 mod scene;

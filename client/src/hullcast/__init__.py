@@ -26,6 +26,9 @@ if TYPE_CHECKING:
         Error,
         HullRejected,
         InvalidArgument,
+        InvalidPoses,
+        InvalidPosesWarning,
+        MissingHullsWarning,
         NotConvexWarning,
         OutputNotAsked,
         ResourceExhausted,
@@ -38,6 +41,7 @@ if TYPE_CHECKING:
     )
     from ._export import Padded
     from ._hulls import Hull, hull_id
+    from ._manage import ServerInfo, StoredHull
     from ._manifolds import Manifold, Manifolds
     from ._query import Accuracy
     from ._robot import Robot
@@ -55,8 +59,11 @@ __all__ = [
     "Hull",
     "HullRejected",
     "InvalidArgument",
+    "InvalidPoses",
+    "InvalidPosesWarning",
     "Manifold",
     "Manifolds",
+    "MissingHullsWarning",
     "NotConvexWarning",
     "Outcome",
     "OutputNotAsked",
@@ -66,8 +73,10 @@ __all__ = [
     "Scene",
     "ServerDidNotStart",
     "ServerError",
+    "ServerInfo",
     "ServerNotFound",
     "Session",
+    "StoredHull",
     "Unauthenticated",
     "Unavailable",
     "Unimplemented",
@@ -91,6 +100,9 @@ _HOMES = {
         "Error",
         "HullRejected",
         "InvalidArgument",
+        "InvalidPoses",
+        "InvalidPosesWarning",
+        "MissingHullsWarning",
         "NotConvexWarning",
         "OutputNotAsked",
         "ResourceExhausted",
@@ -103,6 +115,7 @@ _HOMES = {
     ],
     "_export": ["Padded"],
     "_hulls": ["Hull", "hull_id"],
+    "_manage": ["ServerInfo", "StoredHull"],
     "_manifolds": ["Manifold", "Manifolds"],
     "_query": ["Accuracy"],
     "_robot": ["Robot"],

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import sys
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +13,7 @@ import numpy.typing as npt
 
 from . import _arrays
 from ._arrays import Floats, Indices
-from ._errors import InvalidArgument, NotConvexWarning
+from ._errors import InvalidArgument, NotConvexWarning, warn
 
 #: A mesh that fills less of its hull than this is not convex. Modelling and
 #: single precision cost real convex meshes some 1e-3; a visible dent is more.
@@ -146,7 +144,4 @@ def warn_unless_convex(name: str, mesh: Volume, hull_volume: float) -> None:
         ratio,
         mesh.open_edges,
     )
-    if sys.version_info >= (3, 12):
-        warnings.warn(warning, skip_file_prefixes=(os.path.dirname(__file__),))
-    else:  # the caller of a blocking `register`
-        warnings.warn(warning, stacklevel=7)
+    warn(warning)
