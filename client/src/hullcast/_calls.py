@@ -104,6 +104,9 @@ class Link(Protocol):
     def run(self, function: Callable[[], Any]) -> Any:
         """What a function that blocks returns."""
 
+    def shut(self) -> None:
+        """Closes the channel, if that does not need an event loop."""
+
     def abandon(self) -> None:
         """Called where the channel belongs to another process or event loop."""
 
@@ -123,7 +126,10 @@ class Calls(ABC):
         #: The server that `serve` started for this client.
         self._server = server
         # A client that is forgotten takes its server with it, as does the end of the process.
-        self._stop_server = None if server is None else weakref.finalize(self, server.close)
+        self._held: list[Link] = []
+        self._forget = (
+            None if server is None else weakref.finalize(self, _forgotten, server, self._held)
+        )
         self._closed = False
         self._lock = threading.Lock()
         self._opened: tuple[Any, Link] | None = None
@@ -320,13 +326,11 @@ class Calls(ABC):
     def _cause(self, error: _errors.Unavailable) -> _errors.Unavailable | None:
         """The error of a connection that cannot be made, if waiting does not help."""
         settings, several = self._settings, not isinstance(self._settings.target, str)
-        text = _reach.refused(self.target, error.message, several=several)
-        secured = settings.tls is not None and settings.tls is not False
-        if text is None:
-            for target in settings.addresses:
-                text = _reach.mismatch(target, error.message, tls=secured)
-                if text is not None:
-                    break
+        text = None if several else _reach.absent(self.target, settings.addresses)
+        for target in settings.addresses if text is None else ():
+            text = _reach.mismatch(target, error.message, settings.trust())
+            if text is not None:
+                break
         if text is None:
             return None
         return _errors.Unavailable(text, reason=error.reason)
@@ -433,6 +437,7 @@ class Calls(ABC):
                     if opened is not None:
                         opened[1].abandon()
                     opened = self._opened = (place, self._open())
+                    self._held[:] = [opened[1]]
         return opened[1]
 
     def _place(self) -> object:
@@ -451,13 +456,16 @@ class Calls(ABC):
         with self._lock:
             self._closed = True
             opened, self._opened = self._opened, None
-        return (None if opened is None else opened[1]), self._stop_server
+            self._held.clear()
+        link = None if opened is None else opened[1]
+        server = self._release_server()
+        return link, None if server is None else server.close
 
     def _release_server(self) -> Server | None:
         """The server that `serve` started, which then outlives this client."""
-        if self._stop_server is not None:
-            self._stop_server.detach()
-        server, self._server, self._stop_server = self._server, None, None
+        if self._forget is not None:
+            self._forget.detach()
+        server, self._server, self._forget = self._server, None, None
         return server
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -465,6 +473,13 @@ class Calls(ABC):
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.target!r})"
+
+
+def _forgotten(server: Server, held: list[Link]) -> None:
+    """Ends the server of a client that nobody has any more. An open connection would delay it."""
+    for link in held:
+        link.shut()
+    server.forget()
 
 
 def _unpickled(kind: type[Calls], settings: _channel.Settings, pairs_per_message: int) -> Calls:
@@ -483,6 +498,7 @@ def _after_fork() -> None:
     for client in list(_clients):
         inherited.append(client._opened)
         client._opened = None
+        client._held.clear()
         client._lock = threading.Lock()  # another thread may have held it
 
 

@@ -150,6 +150,21 @@ class Settings:
         targets = (self.target,) if isinstance(self.target, str) else tuple(self.target)
         return tuple(t.rpartition("/")[2] for t in targets if not t.startswith("unix:"))
 
+    def trust(self) -> ssl.SSLContext | None:
+        """A context that trusts what the client trusts; None without TLS.
+
+        The roots of gRPC credentials are not known, so that such a context trusts no one.
+        """
+        if self.tls is None or self.tls is False:
+            return None
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        context.set_alpn_protocols(["h2"])
+        if self.tls is True:
+            context.load_default_certs()
+        elif not isinstance(self.tls, grpc.ChannelCredentials):
+            context.load_verify_locations(cadata=_roots(self.tls).decode("ascii", "ignore"))
+        return context
+
     def metadata(self) -> Metadata:
         """Sent with a call that begins here and now."""
         token = () if self.token is None else (("authorization", f"Bearer {self.token}"),)

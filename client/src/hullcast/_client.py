@@ -318,6 +318,9 @@ class _Link:
     def run(self, function: Callable[[], Any]) -> Any:
         return _Later(function)
 
+    def shut(self) -> None:
+        self.channel.close()
+
     def abandon(self) -> None:
         pass  # only another process's, and that is seen to when forking
 

@@ -217,19 +217,26 @@ class Server:
             return self._log.read()[-2000:].decode(errors="replace").strip()
         return ""
 
-    def close(self) -> None:
-        """Ends the server: by its standard input, then by force. A forked child ends nothing."""
+    def close(self, patience: float = _EXIT_SECONDS) -> None:
+        """Ends the server: by its standard input, then by force. A forked child ends nothing.
+
+        `patience` is how many seconds the server gets each time, for calls under way.
+        """
         if self._owner != os.getpid():
             return
         process = self._process
         for end in (self.let_go, process.terminate, process.kill):
             end()
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(_EXIT_SECONDS)
+                process.wait(patience)
                 break
         if process.stdout is not None:
             process.stdout.close()
         self._log.close()
+
+    def forget(self) -> None:
+        """Ends the server of a client that nobody has any more, so that no call is under way."""
+        self.close(patience=1.0)
 
     def let_go(self) -> None:
         """Closes this process's end of the server's standard input."""

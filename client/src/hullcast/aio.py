@@ -186,6 +186,9 @@ class _Link:
     def run(self, function: Callable[[], Any]) -> Any:
         return asyncio.to_thread(function)
 
+    def shut(self) -> None:
+        pass  # only its event loop could
+
     def abandon(self) -> None:
         pass  # its event loop has ended, and its sockets with it
 
