@@ -30,7 +30,7 @@ pub struct Batch {
     candidates: Option<Vec<u32>>,
     /// Empty, or 6 per pair: registered indices of vertices, unchecked.
     warm_starts: Vec<u32>,
-    /// What is kept of the answers: all that is sent, and perhaps bases.
+    /// The outputs that are kept: all that are sent, and perhaps bases.
     kept: Outputs,
     /// Given back with the answer.
     lease: Option<Lease>,

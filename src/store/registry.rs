@@ -1,4 +1,4 @@
-//! Answers for hulls by id: from the cache, else from the store.
+//! Answers for hulls by id, from the cache or from the store.
 
 use std::{
     fmt,
@@ -101,7 +101,7 @@ pub type Registered = Result<(HullId, Arc<ConvexHull>), RegisterError>;
 /// gathers their syncs.
 pub const AT_A_TIME: usize = 16;
 
-/// Hulls that are read and built at a time, over all requests; one caller alone has half.
+/// Hulls that are read and built at a time, over all requests; one caller has at most half.
 const LOADED_AT_A_TIME: u64 = 4 * AT_A_TIME as u64;
 
 /// Hulls that may wait to be loaded, over all requests.

@@ -1,4 +1,4 @@
-//! What the pairs of a batch are estimated to cost, before they are computed.
+//! The estimated cost of a batch's pairs, before they are computed.
 
 use super::Batch;
 use crate::contact::ConvexHull;
