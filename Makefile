@@ -141,9 +141,10 @@ tradeoff-families tradeoff-scenes: tradeoff-%: build $(VENV)/.bench
 	./scripts/section docs/tradeoff.md $* out/tradeoff-$*.txt
 
 .PHONY: planarity
-planarity: check-tools $(VENV)/.test ## patches of rounded shapes by the planarity of faces; writes docs/tradeoff.md and its picture
+planarity: check-tools $(VENV)/.planarity ## patches of rounded shapes by the planarity of faces; writes docs/tradeoff.md and its picture
 	mkdir -p out
-	$(CARGO) run --release --locked --no-default-features --example planarity -- docs/planarity.csv 1000 | tee out/planarity.txt
+	$(PY) client/examples/planarity_meshes.py out/meshes.json
+	$(CARGO) run --release --locked --no-default-features --example planarity -- docs/planarity.csv 1000 out/meshes.json | tee out/planarity.txt
 	$(PY) client/examples/planarity.py docs/planarity.csv docs/planarity.svg
 	./scripts/section docs/tradeoff.md planarity out/planarity.txt
 
@@ -320,6 +321,10 @@ $(VENV)/.playground: client/requirements-playground.txt client/requirements-dev.
 	touch $@
 
 $(VENV)/.bench: client/requirements-bench.txt $(REQUIREMENTS) | check-tools
+	$(call install,$<)
+	touch $@
+
+$(VENV)/.planarity: client/requirements-planarity.txt client/requirements-dev.txt $(REQUIREMENTS) | check-tools
 	$(call install,$<)
 	touch $@
 

@@ -19,6 +19,7 @@ mod work;
 use std::{
     any::Any,
     fmt, io,
+    ops::{Deref, DerefMut},
     panic::{AssertUnwindSafe, catch_unwind},
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
@@ -230,29 +231,49 @@ impl Compute {
         self.pool.short.free(Box::new(value));
     }
 
-    /// A value that a compute thread frees, unless somebody takes it out.
-    pub fn freed_here<T: Send + 'static>(&self, value: T) -> FreedHere<T> {
-        FreedHere { value: Some(value), compute: self.clone() }
+    /// A value of about `bytes` bytes, which a compute thread frees if it is large.
+    pub fn freed_here<T: Send + 'static>(&self, value: T, bytes: usize) -> FreedHere<T> {
+        FreedHere { value: Some(value), bytes, compute: self.clone() }
     }
 }
 
-/// A value that a compute thread frees: see [`Compute::free`].
+/// Work on more bytes than this is done by the compute threads, freeing them too. Up to this it
+/// takes at most about a millisecond, and a thread that serves calls may do it.
+pub const LARGE_BYTES: usize = 256 << 10;
+
+/// A value that a compute thread frees if it is large: see [`Compute::free`].
 #[derive(Debug)]
 pub struct FreedHere<T: Send + 'static> {
+    /// None only while the wrapper is dropped or unwrapped.
     value: Option<T>,
+    bytes: usize,
     compute: Compute,
 }
 
 impl<T: Send + 'static> FreedHere<T> {
     /// The value; its new owner frees it.
-    pub fn into_inner(mut self) -> Option<T> {
-        self.value.take()
+    pub fn into_inner(mut self) -> T {
+        self.value.take().unwrap_or_else(|| unreachable!("a value is taken once"))
+    }
+}
+
+impl<T: Send + 'static> Deref for FreedHere<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        self.value.as_ref().unwrap_or_else(|| unreachable!("a value that is taken is not used"))
+    }
+}
+
+impl<T: Send + 'static> DerefMut for FreedHere<T> {
+    fn deref_mut(&mut self) -> &mut T {
+        self.value.as_mut().unwrap_or_else(|| unreachable!("a value that is taken is not used"))
     }
 }
 
 impl<T: Send + 'static> Drop for FreedHere<T> {
     fn drop(&mut self) {
-        if let Some(value) = self.value.take() {
+        if let Some(value) = self.value.take().filter(|_| self.bytes > LARGE_BYTES) {
             self.compute.free(value);
         }
     }

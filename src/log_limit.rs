@@ -1,4 +1,4 @@
-//! Log lines that callers can cause, at most one a second from each place in the code.
+//! Log lines that callers can cause: at most one per second from each place in the code.
 //!
 //! A caller who sends the same bad request in a loop must not fill the disk with log lines.
 //! A place in the code that writes such a line owns a [`Repeated`] and asks it first; the next
@@ -52,7 +52,7 @@ impl Repeated {
         let (now_ms, next_ms) = (ms(now), self.next_ms.load(Ordering::Relaxed));
         let after = now_ms.saturating_add(ms(INTERVAL));
         let is_due = now_ms >= next_ms
-            // Of several threads that find the line due, one writes it.
+            // If several threads find the line due, one of them writes it.
             && self.next_ms.compare_exchange(next_ms, after, Ordering::Relaxed, Ordering::Relaxed).is_ok();
         if is_due {
             return Some(self.left_out.swap(0, Ordering::Relaxed));

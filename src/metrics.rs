@@ -119,6 +119,8 @@ pub struct Metrics {
     pub(crate) queue_seconds: Histogram,
     pub(crate) compute_seconds: Histogram,
     pub(crate) solver_iterations: Counter,
+    steps: Counter,
+    largest_steps_between_looks: Gauge,
     sheds: [Counter; SHEDS.len()],
     cuts: [Counter; 2],
     memory_bytes: Family<Part, Gauge>,
@@ -184,6 +186,12 @@ impl Default for Metrics {
             queue_seconds,
             compute_seconds,
             solver_iterations: add(r, "solver_iterations", "Iterations of the solver, summed over pairs"),
+            steps: add(r, "steps", "Elementary steps of calls, each about a nanosecond"),
+            largest_steps_between_looks: add(
+                r,
+                "largest_steps_between_looks",
+                "The most steps that a call did between two looks at its stop flag",
+            ),
             sheds: SHEDS.map(|(_, reason)| sheds.get_or_create(&Reason { reason }).clone()),
             cuts: CUTS.map(|reason| cuts.get_or_create(&Reason { reason }).clone()),
             token_memory_bytes: add(
@@ -268,6 +276,17 @@ impl Metrics {
         for (token, bytes) in held {
             let bytes = i64::try_from(bytes).unwrap_or(i64::MAX);
             self.token_memory_bytes.get_or_create(&Token { token }).set(bytes);
+        }
+    }
+
+    /// A call did so many elementary steps, and at most `largest` of them between two looks
+    /// at its stop flag.
+    pub(crate) fn metered(&self, steps: u64, largest: u64) {
+        self.steps.inc_by(steps);
+        let largest = i64::try_from(largest).unwrap_or(i64::MAX);
+        // Two calls that end at once may leave the smaller value; the next one mends it.
+        if largest > self.largest_steps_between_looks.get() {
+            self.largest_steps_between_looks.set(largest);
         }
     }
 

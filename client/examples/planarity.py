@@ -2,8 +2,8 @@
 
     python client/examples/planarity.py docs/planarity.csv docs/planarity.svg
 
-Above, the patches of rounded shapes that are whole, by the planarity of their faces. Below, what
-a coarse planarity costs on the same shapes unrounded.
+Above, the patches of rounded shapes that are whole, by the planarity of their faces. Below, the
+mean area of two roundings, and the cost of a coarse planarity on the same shapes unrounded.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ def main() -> None:
     figure, axes = plt.subplots(2, 4, figsize=(15, 7), sharex=True, layout="constrained")
     panels = [(rounding, "whole", rounding) for rounding in ROUNDINGS]
     panels += [
-        ("unrounded", "edges lost", "edges sharper than 0.01 rad that are lost, %"),
-        ("unrounded", "error", "largest error of a face / circumradius"),
-        ("6 decimals", "mean area", "6 decimals: mean area of the patch / unrounded"),
-        ("5 decimals", "mean area", "5 decimals: mean area of the patch / unrounded"),
+        ("6 decimals", "mean area", "6 decimals: mean area / unrounded"),
+        ("5 decimals", "mean area", "5 decimals: mean area / unrounded"),
+        ("unrounded", "edges lost", "edges above 0.01 rad lost, %"),
+        ("unrounded", "error", "largest error of a face / radius"),
     ]
     for axis, (rounding, column, title) in zip(axes.flat, panels, strict=True):
         for group in groups:
@@ -53,6 +53,7 @@ def main() -> None:
             axis.set_ylim(-3, 105)
         if column == "error":
             axis.set_yscale("log")
+            axis.set_ylim(1e-7, 1e-2)
     axes[0, 0].set_ylabel("whole patches, %")
     for axis in axes[1]:
         axis.set_xlabel("planarity, share of the circumradius")

@@ -41,7 +41,7 @@ def test_a_body_without_a_pose_is_left_out(client, pile):
     """The others are drawn."""
     positions = pile.positions.copy()
     positions[2] = np.nan
-    m = client.query(pile.moved(positions, pile.rotations), [[0, 1], [0, 2]])
+    m = client.query(pile.moved(positions, pile.rotations), [[0, 1], [0, 2]], on_invalid="flag")
     assert [text.get_text() for text in m.plot().axes[0].texts] == ["0", "1"]
 
 

@@ -1,9 +1,11 @@
-//! What the planarity of a hull's faces costs and buys (docs/tradeoff.md): `make planarity`.
+//! Measures the cost and the use of the planarity of a hull's faces (docs/tradeoff.md):
+//! `make planarity`.
 //!
 //! Shapes are turned at random, rounded as files round coordinates, and stood on a face. Their
 //! patch is compared with that of the unrounded shape in the same pose, for every planarity.
 //! Writes a row per group of shapes, rounding and planarity to the CSV file that is named, and
-//! prints the tables of the page. Scene files add a group each, of their hulls.
+//! prints the tables of the page. Scene files add a group each, of their hulls, which are many:
+//! one in a hundred of the orientations is taken.
 
 mod measure;
 mod shapes;

@@ -8,6 +8,14 @@ pub(crate) type Points = Vec<[f64; 3]>;
 pub(crate) struct Group {
     pub(crate) name: String,
     pub(crate) shapes: Vec<Points>,
+    /// The share of the orientations that are measured is one over this.
+    pub(crate) thinned: usize,
+}
+
+impl Group {
+    fn new(name: &str, shapes: Vec<Points>) -> Self {
+        Self { name: name.to_owned(), shapes, thinned: 1 }
+    }
 }
 
 /// Boxes, prisms, barrels, frusta, fine cylinders, and the links of two robots; in metres.
@@ -20,38 +28,32 @@ pub(crate) fn groups() -> Vec<Group> {
         rings.iter().flat_map(ring).collect()
     };
     vec![
-        Group {
-            name: "boxes".into(),
-            shapes: vec![cuboid([0.04; 3]), cuboid([0.3, 0.2, 0.05]), cuboid([1.0; 3])],
-        },
-        Group {
-            name: "prisms".into(),
-            shapes: vec![
+        Group::new("boxes", vec![cuboid([0.04; 3]), cuboid([0.3, 0.2, 0.05]), cuboid([1.0; 3])]),
+        Group::new(
+            "prisms",
+            vec![
                 stack(6, &[(0.05, -0.05), (0.05, 0.05)]),
                 stack(12, &[(0.2, -0.05), (0.2, 0.05)]),
                 stack(5, &[(0.5, -0.4), (0.5, 0.4)]),
             ],
-        },
-        Group {
-            name: "barrels".into(),
-            shapes: vec![
+        ),
+        Group::new(
+            "barrels",
+            vec![
                 stack(24, &[(0.3, -0.45), (0.38, -0.2), (0.38, 0.2), (0.3, 0.45)]),
                 stack(16, &[(0.03, -0.05), (0.04, 0.0), (0.03, 0.05)]),
             ],
-        },
-        Group {
-            name: "frusta".into(),
-            shapes: vec![
+        ),
+        Group::new(
+            "frusta",
+            vec![
                 stack(12, &[(0.05, -0.05), (0.03, 0.05)]),
                 stack(12, &[(0.5, -0.3), (0.3, 0.3)]),
                 stack(4, &[(0.2, -0.1), (0.1, 0.1)]),
             ],
-        },
-        Group {
-            name: "cylinders".into(),
-            shapes: [32, 64, 128].map(|sides| stack(sides, &[(0.1, -0.1), (0.1, 0.1)])).into(),
-        },
-        Group { name: "links".into(), shapes: links() },
+        ),
+        Group::new("cylinders", [32, 64, 128].map(|sides| stack(sides, &[(0.1, -0.1), (0.1, 0.1)])).into()),
+        Group::new("links", links()),
     ]
 }
 
@@ -62,25 +64,30 @@ fn cuboid(size: [f64; 3]) -> Points {
 
 /// The robots' own hulls in the example scenes, whose names are `link/number`.
 fn links() -> Vec<Points> {
+    let own = |hull: &serde_json::Value| hull["name"].as_str().is_some_and(|name| name.contains('/'));
     let scene = |name: &str| {
-        hulls_of(&format!("{}/examples/scenes/{name}.json", env!("CARGO_MANIFEST_DIR")), |hull| {
-            hull.contains('/')
-        })
+        let path = format!("{}/examples/scenes/{name}.json", env!("CARGO_MANIFEST_DIR"));
+        hulls_of(&read(&path), own)
     };
     ["panda", "anymal_c"].into_iter().flat_map(scene).collect()
 }
 
-/// All hulls of a scene file.
+/// All hulls of a scene file, named as the scene is.
 pub(crate) fn group_of(path: &str) -> Group {
-    Group { name: "given".into(), shapes: hulls_of(path, |_| true) }
+    let scene = read(path);
+    let name = scene["name"].as_str().unwrap_or("given").to_owned();
+    Group { name, shapes: hulls_of(&scene, |_| true), thinned: 100 }
 }
 
-fn hulls_of(path: &str, wanted: impl Fn(&str) -> bool) -> Vec<Points> {
+fn read(path: &str) -> serde_json::Value {
     let text = std::fs::read(path).unwrap_or_else(|error| panic!("{path}: {error}"));
-    let scene: serde_json::Value = serde_json::from_slice(&text).expect("a scene");
+    serde_json::from_slice(&text).unwrap_or_else(|error| panic!("{path}: {error}"))
+}
+
+fn hulls_of(scene: &serde_json::Value, wanted: impl Fn(&serde_json::Value) -> bool) -> Vec<Points> {
     let hulls = scene["hulls"].as_array().expect("hulls").iter();
-    let named = hulls.filter(|hull| wanted(hull["name"].as_str().unwrap_or_default()));
-    named.map(|hull| serde_json::from_value(hull["vertices"].clone()).expect("points")).collect()
+    let points = |hull: &serde_json::Value| serde_json::from_value(hull["vertices"].clone()).expect("points");
+    hulls.filter(|hull| wanted(hull)).map(points).collect()
 }
 
 /// How a file writes a coordinate.
@@ -103,7 +110,7 @@ impl Rounding {
         }
     }
 
-    /// The double nearest to what is written.
+    /// The double nearest to the written number.
     pub(crate) fn of(self, x: f64) -> f64 {
         match self {
             Self::None => x,

@@ -1,13 +1,24 @@
 //! Any bytes sent to the real handlers are answered or refused, and a response
 //! is one that its own type reads, the same bytes when asked again: no panic
-//! (libFuzzer aborts on one). What is read in bulk is read as prost reads it.
+//! (libFuzzer aborts on one). Columns that are read in bulk are read as prost reads them.
+//! Decoding accepts the messages that prost accepts. It allocates at most the multiple of the
+//! message that docs/operations.md states, and at most the memory that it takes of the budget.
 #![no_main]
 
-use std::sync::{Arc, LazyLock};
+use std::{
+    alloc::{GlobalAlloc, Layout, System},
+    cell::Cell,
+    sync::{Arc, LazyLock},
+};
 
 use bytes::{BufMut, Bytes, BytesMut};
 use http_body_util::{BodyExt, Full};
-use hullcast::proto::{QueryContactsRequest, QueryContactsResponse};
+use hullcast::contact::Stop;
+use hullcast::proto::{
+    DeleteHullsRequest, GetHullsRequest, HasHullsRequest, ListHullsRequest, QueryContactsRequest,
+    QueryContactsResponse, RegisterHullsRequest,
+};
+use hullcast::service::wire::{CONSTANT_BYTES, HULL_BYTES, decoded_bytes};
 use hullcast::service::{App, Limits, handlers};
 use hullcast_fuzz::seeds;
 use libfuzzer_sys::fuzz_target;
@@ -16,17 +27,68 @@ use tokio::runtime::Runtime;
 use tonic::{body::Body, service::Routes};
 use tower::ServiceExt;
 
+/// Counts the bytes that each thread holds, and the most that it held.
+struct Counting;
+
+thread_local! {
+    static HELD: Cell<isize> = const { Cell::new(0) };
+    static MOST: Cell<isize> = const { Cell::new(0) };
+}
+
+fn count(bytes: isize) {
+    HELD.set(HELD.get() + bytes);
+    MOST.set(MOST.get().max(HELD.get()));
+}
+
+// SAFETY: all requests are the system allocator's; counting allocates nothing.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count(layout.size() as isize);
+        // SAFETY: as for this function.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        count(-(layout.size() as isize));
+        // SAFETY: as for this function.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// The most bytes that `work` held at a time beyond those that it began with.
+fn most_bytes<T>(work: impl FnOnce() -> T) -> (T, usize) {
+    let before = HELD.get();
+    MOST.set(before);
+    let result = work();
+    (result, (MOST.get() - before) as usize)
+}
+
 struct Server {
     runtime: Runtime,
     routes: Routes,
 }
 
-// Small limits, so that a fuzzer meets them.
+const MAX_HULLS: u32 = 16;
+
+/// Small limits, so that a fuzzer meets them.
+fn limits() -> Limits {
+    Limits {
+        max_pairs_per_request: 64,
+        max_bodies_per_request: 64,
+        max_hulls_per_request: MAX_HULLS,
+        max_vertices_per_hull: 64,
+        max_points_per_hull: 64,
+        ..Limits::default()
+    }
+}
+
 static SERVER: LazyLock<Server> = LazyLock::new(|| {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
-    let limits = Limits { max_pairs_per_request: 64, max_vertices_per_hull: 64, ..Limits::default() };
     let store = hullcast::store::blobs::open("memory://").expect("a store");
-    let app = Arc::new(App::new(store, limits, 1).expect("limits that agree"));
+    let app = Arc::new(App::new(store, limits(), 1).expect("limits that agree"));
     let routes = runtime.block_on(handlers(&app)).expect("handlers");
     // Hulls that the seeds' queries name.
     runtime.block_on(called(&routes, METHODS[2], &seeds::hulls().encode_to_vec()));
@@ -61,6 +123,22 @@ fn read_alike<M: hullcast::proto::bulk::Columnar>(bytes: &[u8]) {
     assert_eq!(bulk.map(|m| m.encode_to_vec()), prost.map(|m| m.encode_to_vec()));
 }
 
+/// Decodes the bytes as the handler of `method` does. Memory is bounded; bytes that prost
+/// refuses are refused, and bytes that it accepts are not called malformed.
+fn decoded_within_bounds<M: Message + Default>(method: &str, bytes: &[u8]) {
+    let (decoded, most) = most_bytes(|| decoded_bytes(method, bytes, &limits(), &Stop::default()));
+    let stated = 2 * bytes.len() + MAX_HULLS as usize * HULL_BYTES + CONSTANT_BYTES;
+    assert!(most <= stated, "{method}: {most} bytes for {} bytes", bytes.len());
+    let accepted = M::decode(bytes).is_ok();
+    match decoded {
+        Ok(taken) => {
+            assert!(most <= taken + CONSTANT_BYTES, "{method}: {most} bytes, {taken} taken");
+            assert!(accepted, "{method}: prost refuses the message");
+        }
+        Err(error) => assert!(!accepted || error.reason != "MALFORMED_MESSAGE", "{method}: {error}"),
+    }
+}
+
 fn framed(message: &[u8]) -> Bytes {
     let mut frame = BytesMut::with_capacity(5 + message.len());
     frame.put_u8(0);
@@ -74,6 +152,13 @@ fuzz_target!(|data: &[u8]| {
     let method = METHODS[usize::from(method) % METHODS.len()];
     read_alike::<QueryContactsRequest>(message);
     read_alike::<QueryContactsResponse>(message);
+    decoded_within_bounds::<QueryContactsRequest>("QueryContacts", message);
+    decoded_within_bounds::<QueryContactsRequest>("FindContacts", message);
+    decoded_within_bounds::<RegisterHullsRequest>("RegisterHulls", message);
+    decoded_within_bounds::<GetHullsRequest>("GetHulls", message);
+    decoded_within_bounds::<HasHullsRequest>("HasHulls", message);
+    decoded_within_bounds::<DeleteHullsRequest>("DeleteHulls", message);
+    decoded_within_bounds::<ListHullsRequest>("ListHulls", message);
     let server = &*SERVER;
     let body = server.runtime.block_on(called(&server.routes, method, message));
     if [METHODS[0], METHODS[5], METHODS[6]].contains(&method) {

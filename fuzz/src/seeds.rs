@@ -75,7 +75,16 @@ pub fn all() -> Vec<(&'static str, u8, Vec<u8>)> {
         ignored_groups: vec![1, 2],
         ..scene(1.0)
     };
+    // Elements that take two bytes each, and a group with an unknown field within.
+    let empty = |tag: u8| [tag << 3 | 2, 0].repeat(20);
+    let group = [0xa3, 0x38, 8, 1, 0xa4, 0x38];
+    let odd = [&query.encode_to_vec()[..], &group, &[13 << 3, 2], &[12 << 3 | 2, 2, 5 << 3, 9]].concat();
     vec![
+        ("query-odd", 0, odd),
+        ("query-empty-ids", 0, empty(3)),
+        ("register-empty", 2, empty(1)),
+        ("get-empty-ids", 3, empty(1)),
+        ("get-empty-masks", 3, empty(2)),
         ("query", 0, query.encode_to_vec()),
         ("query-everything", 0, everything.encode_to_vec()),
         ("query-invalid-body", 0, invalid.encode_to_vec()),

@@ -13,6 +13,7 @@ use tonic::{Code, Status};
 use tonic_types::StatusExt;
 
 use super::Error;
+use super::checked;
 use super::options::Asked;
 use super::remote::{Connection, RemoteArgs, root_cause};
 use super::scene::{Frame, HullPoints, Scene};
@@ -98,6 +99,12 @@ impl From<ServiceError> for Refusal {
     }
 }
 
+impl From<checked::Malformed> for Refusal {
+    fn from(error: checked::Malformed) -> Self {
+        Self { text: error.to_string(), retry_after: None, lost: false }
+    }
+}
+
 impl From<Status> for Refusal {
     fn from(status: Status) -> Self {
         let retry_after = status.get_details_retry_info().and_then(|info| info.retry_delay);
@@ -154,12 +161,11 @@ impl Answerer {
             let request = proto::RegisterHullsRequest { hulls: part.iter().map(wire_definition).collect() };
             let results =
                 service.register_hulls(request).await.map_err(|s| described(&s))?.into_inner().results;
-            for result in results {
-                ids.push(registered(ids.len(), result)?);
+            checked::registrations(part.len(), results.len())?;
+            for (points, result) in part.iter().zip(results) {
+                let content = id_of(&definition(points).identity_bytes());
+                ids.push(registered(ids.len(), content, result)?);
             }
-        }
-        if ids.len() != hulls.len() {
-            return Err(format!("the server answered for {} of {} hulls", ids.len(), hulls.len()).into());
         }
         Ok((Self::Remote(connection), ids))
     }
@@ -175,8 +181,11 @@ impl Answerer {
         match self {
             Self::Local(local) => local.answer(request).await.map_err(Into::into),
             Self::Remote(remote) => {
-                let response = remote.contacts().query_contacts(request).await;
-                response.map(tonic::Response::into_inner).map_err(Into::into)
+                let asked = proto::QueryContactsRequest { request_id: remote.next_request_id(), ..request };
+                let mut response = remote.contacts().query_contacts(asked.clone()).await?.into_inner();
+                checked::answer(&asked, &response)?;
+                response.request_id = request.request_id;
+                Ok(response)
             }
         }
     }
@@ -228,13 +237,9 @@ fn wire_definition(points: &HullPoints) -> proto::HullDefinition {
     }
 }
 
-fn registered(hull: usize, result: proto::RegisterHullResult) -> Result<HullId, Error> {
+fn registered(hull: usize, content: HullId, result: proto::RegisterHullResult) -> Result<HullId, Error> {
     match result.result {
-        Some(Registered::Hull(info)) => {
-            let id: [u8; 32] =
-                info.id.as_slice().try_into().map_err(|_| "the server gave an id that is not 32 bytes")?;
-            Ok(HullId(id))
-        }
+        Some(Registered::Hull(info)) => Ok(checked::registered(hull, content, &info.id)?),
         Some(Registered::Error(e)) => {
             let reason = format!("{}: {}", e.reason, e.message);
             Err(HullRefused { hull, field: e.field, index: e.index.map(|i| i as usize), reason }.into())

@@ -50,6 +50,7 @@ pub(crate) struct HullPoints {
 /// rounded as files round them: docs/tradeoff.md.
 const DEFAULT_PLANARITY: f64 = 1e-3;
 
+#[allow(clippy::unnecessary_wraps, reason = "serde wants the field's type")]
 fn default_planarity() -> Option<f64> {
     Some(DEFAULT_PLANARITY)
 }
@@ -235,6 +236,20 @@ mod tests {
         let without = GOOD.replace("\"frames\"", "\"other\"");
         let scene = Scene::parse(without.as_bytes()).unwrap();
         assert_eq!((scene.frames.len(), scene.frames[0].positions[5]), (1, 2.0));
+    }
+
+    /// Catches a default that is not sent, is not that of the Python client, or cannot be left out.
+    #[test]
+    fn a_hull_without_a_planarity_has_the_clients_default() {
+        let planarity = |hull: &str| {
+            let text = GOOD.replacen("\"volume_ratio\": 1", hull, 1);
+            Scene::parse(text.as_bytes()).unwrap().hulls[0].planarity
+        };
+        assert_eq!(planarity("\"volume_ratio\": 1"), Some(DEFAULT_PLANARITY));
+        assert_eq!(planarity("\"planarity\": null"), None);
+        assert_eq!(planarity("\"planarity\": 0.25"), Some(0.25), "its range is the server's to judge");
+        let python = include_str!("../../client/src/hullcast/_hulls.py");
+        assert!(python.contains(&format!("\nDEFAULT_PLANARITY = {DEFAULT_PLANARITY:e}\n")));
     }
 
     // Would catch an error that leaves a user to search a file of thousands of lines.

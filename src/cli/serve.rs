@@ -50,12 +50,11 @@ pub(crate) struct Args {
     until_stdin_closes: bool,
 }
 
-/// Threads that read and write files at a time: two requests' worth. Tokio starts far more
-/// than are needed where the machine is busy, up to 512 (400 were seen for 16 files at a
-/// time), and each keeps some 0.3 MiB.
-const FILE_THREADS: usize = 32;
+/// Threads for blocking work beside the store's, which has its own: certificates and tokens
+/// that are read again, and names that are looked up. Tokio alone would start up to 512.
+const BLOCKING_THREADS: usize = 8;
 
-/// After serving, for what is left of reads and writes of the store.
+/// The time that such work has to end after serving. The store's threads are not waited for.
 const RUNTIME_SHUTDOWN: Duration = Duration::from_secs(1);
 
 /// Runs it.
@@ -66,7 +65,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         print!("{}", toml::to_string(&settings)?);
         return Ok(());
     }
-    let runtime = Builder::new_multi_thread().enable_all().max_blocking_threads(FILE_THREADS).build()?;
+    let runtime = Builder::new_multi_thread().enable_all().max_blocking_threads(BLOCKING_THREADS).build()?;
     let traces = {
         let _entered = runtime.enter();
         observe(&settings)?

@@ -1,5 +1,5 @@
-//! What a server is configured with: defaults, then the file, then the
-//! environment, then flags; the later wins.
+//! The settings of a server: flags win over the environment, the environment over the file,
+//! and the file over the defaults.
 
 use std::{
     fs,
@@ -56,7 +56,7 @@ macro_rules! settings {
         }
 
         impl Given {
-            /// These, else those of `other`, else the defaults.
+            /// These settings. A setting that is absent here comes from `other`, or is the default.
             pub(crate) fn or(self, other: Self) -> Settings {
                 let limits = Limits::default();
                 $(let $name = self.$name.or(other.$name);)*
@@ -98,9 +98,9 @@ settings! {
     /// Serve a page that shows contacts on the same addresses, by feature playground (docs/playground.md)
     playground: bool = |_: &Limits| false, "HULLCAST_PLAYGROUND", "BOOL"
         [num_args = 0..=1, default_missing_value = "true"];
-    /// File of tokens, one a line, that may query; empty: none is needed
+    /// File of tokens, one per line, that may query; empty: none is needed
     query_tokens: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_QUERY_TOKENS", "FILE";
-    /// File of tokens, one a line, that may also register and delete
+    /// File of tokens, one per line, that may also register and delete
     register_tokens: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_REGISTER_TOKENS", "FILE";
     /// Seconds after which certificates and tokens are read again
     reload_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_RELOAD_SECONDS", "S";
@@ -111,7 +111,7 @@ settings! {
     otlp_endpoint: String = |_: &Limits| String::new(), "HULLCAST_OTLP_ENDPOINT", "URL";
     /// Share of calls that are traced, 0 to 1, where their callers do not say whether
     otlp_share: f64 = |_: &Limits| 1.0, "HULLCAST_OTLP_SHARE", "SHARE";
-    /// What is logged: error, warn, info, debug (every request), or a tracing filter
+    /// Level of the log: error, warn, info, debug (every request), or a tracing filter
     log: String = |_: &Limits| "info".into(), "HULLCAST_LOG", "FILTER";
     /// How logs are written
     log_format: LogFormat = |_: &Limits| LogFormat::Text, "HULLCAST_LOG_FORMAT", "FORMAT" [value_enum];

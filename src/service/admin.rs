@@ -1,17 +1,25 @@
 //! The operator's port: `/metrics`, `/livez`, `/readyz`, in plain HTTP.
 
-use std::{convert::Infallible, sync::Arc, time::Duration};
+use std::{
+    convert::Infallible,
+    sync::{Arc, Mutex, PoisonError},
+    time::Duration,
+};
 
 use http::{Method, Request, Response, StatusCode, header};
 use hyper::{body::Incoming, server::conn::http1, service::service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
-use tokio::{net::TcpListener, sync::Semaphore, time::timeout};
+use tokio::{net::TcpListener, time::timeout};
 
 use super::{App, server::ACCEPT_PAUSE};
-use crate::log_limit::Repeated;
+use crate::{
+    budget::{Caller, CallerKey, Shares},
+    log_limit::Repeated,
+};
 
-/// Connections at a time: scrapers and probes are few.
-const CONNECTIONS: usize = 64;
+/// Connections at a time: scrapers and probes are few. Addresses share them as callers share
+/// memory, so that no address shuts out the others.
+const CONNECTIONS: u64 = 64;
 
 /// In all, of a connection: each is for some requests.
 const CONNECTION_TIME: Duration = Duration::from_secs(60);
@@ -23,10 +31,10 @@ static ACCEPT_FAILED: Repeated = Repeated::new();
 
 /// Answers on `listener` until dropped.
 pub async fn serve_admin(listener: TcpListener, app: Arc<App>) {
-    let room = Arc::new(Semaphore::new(CONNECTIONS));
+    let places = Arc::new(Mutex::new(Shares::new(CONNECTIONS, true)));
     loop {
-        let io = match listener.accept().await {
-            Ok((io, _)) => io,
+        let (io, peer) = match listener.accept().await {
+            Ok(accepted) => accepted,
             Err(error) => {
                 if let Some(left_out) = ACCEPT_FAILED.due() {
                     tracing::warn!(%error, left_out, "accept failed on the admin port");
@@ -35,8 +43,9 @@ pub async fn serve_admin(listener: TcpListener, app: Arc<App>) {
                 continue;
             }
         };
+        let caller = app.callers().get(CallerKey::of_address(peer.ip()));
         // Past the limit a peer finds its connection closed.
-        let Ok(place) = room.clone().try_acquire_owned() else { continue };
+        let Some(place) = Place::take(&places, caller) else { continue };
         let app = app.clone();
         tokio::spawn(async move {
             let service = service_fn(|request| {
@@ -49,6 +58,25 @@ pub async fn serve_admin(listener: TcpListener, app: Arc<App>) {
             let _ = timeout(CONNECTION_TIME, connection).await;
             drop(place);
         });
+    }
+}
+
+/// The place of one connection; free again when it is dropped.
+struct Place {
+    places: Arc<Mutex<Shares>>,
+    caller: Caller,
+}
+
+impl Place {
+    fn take(places: &Arc<Mutex<Shares>>, caller: Caller) -> Option<Self> {
+        places.lock().unwrap_or_else(PoisonError::into_inner).take(&caller, 1).ok()?;
+        Some(Self { places: places.clone(), caller })
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.places.lock().unwrap_or_else(PoisonError::into_inner).give_back(&self.caller, 1);
     }
 }
 

@@ -173,6 +173,7 @@ impl Call {
 impl Drop for Call {
     fn drop(&mut self) {
         self.stop.stop();
+        self.app.metrics().metered(self.stop.steps(), self.stop.largest_between_looks());
         let seconds = self.started.elapsed().as_secs_f64();
         let code = name(self.code);
         tracing::debug!(parent: &self.span, code, ms = seconds * 1e3, "ended");

@@ -24,7 +24,7 @@ use super::{
 };
 use crate::{
     budget::Part,
-    compute::Job,
+    compute::{FreedHere, Job},
     contact::Stop,
     metrics::Shed,
     proto::{
@@ -65,6 +65,8 @@ impl ContactService for Contacts {
         let deadline = request.extensions().get::<Deadline>().copied();
         let context = CallContext::of(&request);
         let finding = Finding::begin(self.app.clone(), context, request.into_inner()).await?;
+        let bytes = finding.bytes();
+        let finding = self.app.engine().compute_threads().freed_here(finding, bytes);
         let answers = stream::try_unfold(finding, move |mut finding| async move {
             let part = within(deadline, finding.next()).await?;
             Ok(part.map(|part| (part, finding)))
@@ -131,6 +133,8 @@ pub(super) async fn answer(
     let started = Instant::now();
     let (request_id, outputs) = (scene.request_id, scene.setting.outputs);
     let (pairs, bodies) = (scene.setting.pair_count(), scene.setting.body_hulls.len());
+    let bytes = scene.memory.as_ref().map_or(0, |memory| memory.bytes() as usize);
+    let scene = app.engine().compute_threads().freed_here(scene, bytes);
     let job = &context.job;
     let admission = app.engine().admit(pairs, outputs, &job.caller)?;
     let (mut batch, missing_hulls, invalid_bodies) = assemble(app, scene, job).await?;
@@ -166,14 +170,14 @@ pub(super) async fn answer(
 
 /// The scene with its hulls at hand, the indices of those that are missing, and of the
 /// bodies that are unusable.
-async fn assemble(app: &App, scene: Scene, job: &Job) -> Result<(Batch, Vec<u32>, Vec<u32>), ServiceError> {
-    let setting = scene.setting.clone();
-    // A scene whose caller leaves while its hulls are read may be large, and is not freed here.
-    let waiting = app.engine().compute_threads().freed_here(scene);
-    let (hulls, lease) = fetch(app, &setting.hull_ids, job).await?;
+async fn assemble(
+    app: &App,
+    scene: FreedHere<Scene>,
+    job: &Job,
+) -> Result<(Batch, Vec<u32>, Vec<u32>), ServiceError> {
+    let (hulls, lease) = fetch(app, &scene.setting.hull_ids, job).await?;
     let missing = missing(&hulls);
-    let Some(scene) = waiting.into_inner() else { return Err(ServiceError::internal("the scene was lost")) };
-    let (mut batch, invalid_bodies) = Batch::new(scene, hulls);
+    let (mut batch, invalid_bodies) = Batch::new(scene.into_inner(), hulls);
     batch.lease(lease);
     Ok((batch, missing, invalid_bodies))
 }

@@ -20,7 +20,7 @@ use crate::{
 /// taken for the request from the call's budget, and does its work on the same thread.
 ///
 /// # Errors
-/// Those of [`Request::decode`] and of `check`.
+/// Those of [`Request::read`] and of `check`.
 pub(super) async fn decoded<M: Request, T: Send + 'static>(
     app: &Arc<App>,
     context: &CallContext,
@@ -33,7 +33,7 @@ pub(super) async fn decoded<M: Request, T: Send + 'static>(
         move |stop: &Stop| {
             let mut memory = context.take(&app, Part::Decoded, 0)?;
             let mut take = |bytes| context.grow(&app, &mut memory, bytes);
-            let request = M::decode(&bytes, &mut Bounds::new(app.limits(), stop, &mut take))?;
+            let request = M::read(&bytes, &mut Bounds::new(app.limits(), stop, &mut take))?;
             drop(bytes);
             context.decoded();
             check(request, memory, app.limits(), stop)

@@ -99,14 +99,12 @@ impl Finding {
             Ok((scene, rules, memory))
         };
         let decoded = decoded(&app, &context, request, check).await?;
-        let setting = decoded.0.setting.clone();
+        let (setting, bytes) = (decoded.0.setting.clone(), decoded.2.bytes() as usize);
         // A scene whose caller leaves while its hulls are read may be large, and is not freed here.
-        let waiting = app.engine().compute_threads().freed_here(decoded);
+        let waiting = app.engine().compute_threads().freed_here(decoded, bytes);
         let admission = app.engine().place(most_candidates(&app), &context.job.caller)?;
         let (hulls, lease) = fetch(&app, &setting.hull_ids, &context.job).await?;
-        let Some((scene, rules, mut memory)) = waiting.into_inner() else {
-            return Err(ServiceError::internal("the scene was lost"));
-        };
+        let (scene, rules, mut memory) = waiting.into_inner();
         let Scene { request_id, setting, poses, invalid_bodies, .. } = scene;
         let (hulls, poses) = (Arc::new(hulls), Arc::new(poses));
         // Nothing could be said of its bodies' pairs: there would be none to say it of.
@@ -134,6 +132,11 @@ impl Finding {
             admission: Some(admission),
             left_out,
         })
+    }
+
+    /// The memory of its scene.
+    pub(super) fn bytes(&self) -> usize {
+        self.memory.as_ref().map_or(0, |memory| memory.bytes() as usize)
     }
 
     /// The next pairs; none at the end. The first message always comes.

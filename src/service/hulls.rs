@@ -27,7 +27,7 @@ use crate::{
 };
 
 /// Points of the hulls that are registered at a time: enough that all threads are busy,
-/// and what is built but not stored yet stays small, some 25 MB.
+/// and the hulls that are built but not stored yet stay small, some 25 MB.
 const GROUP_POINTS: usize = 1 << 16;
 
 /// Of `ListHulls`, where the request names none.

@@ -1,7 +1,8 @@
-//! A limit on everything, in one place: what `GetServerInfo` publishes and the
-//! request's way enforces. Why each is what it is: docs/operations.md.
+//! The limits of a server, all in one place. `GetServerInfo` publishes them, and docs/operations.md
+//! states the reason of each.
 
-/// What a server accepts. Each is inclusive: at the limit is accepted, one past it refused.
+/// The limits of a server. Each is inclusive: a request at the limit is accepted, a request one
+/// past it is refused.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Encoded size of a message, either way.
@@ -31,8 +32,8 @@ pub struct Limits {
     pub max_deadline_seconds: u32,
     /// What streams keep from one message to the next, all together.
     pub max_stream_state_bytes: u64,
-    /// Heap of hulls: what is cached, and of that what requests use. One that needs more for
-    /// its own hulls is refused.
+    /// Heap of the hulls that are cached; requests use hulls from the cache. A request that
+    /// needs more for its own hulls is refused.
     pub cache_bytes: u64,
     /// Blobs of the store, summed; 0: unbounded.
     pub store_bytes: u64,
@@ -44,7 +45,8 @@ pub struct Limits {
     pub max_page_size: u32,
     /// Within this a hull deleted by another server on the same store may still be answered for.
     pub cache_age_seconds: u32,
-    /// How long an operation of the store may take before the store is taken to hang.
+    /// How long an operation of the store may take before the store is taken to hang. Not
+    /// published: clients see only that the store is unavailable.
     pub store_seconds: u32,
 }
 
@@ -93,19 +95,24 @@ const MOST_STORE_SECONDS: u64 = 3600;
 /// The bytes of a blob beside its points, rounded up (docs/identity.md).
 const BLOB_HEAD_BYTES: u64 = 64;
 
+/// Three doubles.
+const POINT_BYTES: u64 = 24;
+
 impl Limits {
-    /// The bytes of the largest blob: a message has at least as many bytes as the points in it.
+    /// The bytes of the largest blob that a registration can lead to: its points are within
+    /// `max_points_per_hull`, and have arrived in one message.
     pub fn max_blob_bytes(&self) -> u64 {
-        self.max_message_bytes as u64 + BLOB_HEAD_BYTES
+        let points = POINT_BYTES * u64::from(self.max_points_per_hull);
+        points.min(self.max_message_bytes as u64) + BLOB_HEAD_BYTES
     }
 }
 
-/// Of a message on the wire: whether it is compressed, and its length.
+/// Bytes before a message on the wire: whether the message is compressed, and its length.
 const FRAME_HEAD_BYTES: u64 = 5;
 
 impl Limits {
-    /// What is wrong with these limits, for people: a value outside its range, or two that
-    /// contradict each other; none where nothing is.
+    /// The fault of these limits, for people: a value outside its range, or two values that
+    /// contradict each other. None if the limits have no fault.
     pub fn contradiction(&self) -> Option<String> {
         let count = |name, value: u32| (name, u64::from(value), 1, u64::from(u32::MAX));
         let size = |name, value, least| (name, value, least, MOST_BYTES);

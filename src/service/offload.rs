@@ -4,13 +4,9 @@
 
 use super::{App, ServiceError, context::CallContext};
 use crate::{
-    compute::{ComputeError, Panicked},
+    compute::{ComputeError, LARGE_BYTES, Panicked},
     contact::Stop,
 };
-
-/// Work on more bytes than this is done on the compute threads. Up to this it takes at most
-/// about a millisecond, and a thread that serves calls may do it.
-const LARGE_BYTES: usize = 256 << 10;
 
 /// Bytes that are worked on in one elementary step.
 const BYTES_PER_STEP: usize = 2;

@@ -293,7 +293,8 @@ mod tests {
     /// Catches windows that are in no budget: many connections get small ones.
     #[test]
     fn windows_shrink_with_the_budget() {
-        let peers = peers(Limits { max_memory_bytes: 256 << 20, ..Limits::default() });
+        let peers =
+            peers(Limits { max_memory_bytes: 256 << 20, max_message_bytes: 16 << 20, ..Limits::default() });
         let open: Vec<_> = (0..200).filter_map(|_| peers.admit(ip("10.0.0.1"))).collect();
         let large = open.iter().filter(|peer| peer.window() == LARGE_WINDOW).count();
         assert_eq!(large, 7, "a quarter of the budget");

@@ -1,4 +1,4 @@
-//! What `GetHulls` and `HasHulls` say of hulls. Each distinct hull is looked up once, however
+//! The answers of `GetHulls` and `HasHulls`. Each distinct hull is looked up once, however
 //! often the request names it, and the answer's size is known before the answer is built.
 
 use std::{
@@ -17,7 +17,7 @@ use crate::{
     store::{AT_A_TIME, HullId, Missing, Reader},
 };
 
-/// Bytes of memory of a record beside its columns: the message, and what is known of any hull.
+/// Bytes of memory of a record beside its columns: the message, and the summary of the hull.
 const RECORD_BYTES: usize = 512;
 
 /// Bytes of memory for each point of a definition while it is read: the blob and the points.
@@ -34,7 +34,7 @@ struct Distinct {
 impl Distinct {
     fn of(given: &[HullId]) -> Self {
         let mut place_of = HashMap::with_capacity(given.len());
-        let (mut ids, mut places) = (Vec::with_capacity(given.len()), Vec::with_capacity(given.len()));
+        let (mut ids, mut places) = (Vec::new(), Vec::with_capacity(given.len()));
         for &id in given {
             let place = *place_of.entry(id).or_insert(ids.len());
             if place == ids.len() {
@@ -96,9 +96,9 @@ struct Reading<'a> {
     taken: Mutex<Taken>,
 }
 
-/// What the records that were begun will take.
+/// The size of the records that were begun.
 struct Taken {
-    /// Of the encoded answer, at least.
+    /// The encoded answer has at least so many bytes.
     bytes: usize,
     memory: Permit,
 }
@@ -147,7 +147,7 @@ impl Reading<'_> {
         Ok(Ok(record))
     }
 
-    /// Takes the memory of `times` records with columns of so many bytes, unless the answer
+    /// Takes the memory of `times` records with columns of `bytes` bytes. Refuses an answer that
     /// would be too large to be sent.
     fn take(&self, times: usize, bytes: usize) -> Result<(), ServiceError> {
         let mut taken = self.taken.lock().unwrap_or_else(PoisonError::into_inner);
@@ -162,7 +162,16 @@ impl Reading<'_> {
 
 #[cfg(test)]
 mod tests {
+    use prost::Message;
+
     use super::*;
+    use crate::{
+        budget::{Caller, MemoryBudget},
+        compute::Job,
+        proto::GetHullsResponse,
+        service::Limits,
+        store::{HullDefinition, blobs},
+    };
 
     /// Catches an id that is looked up twice, lost, or answered in another's place.
     #[test]
@@ -172,5 +181,85 @@ mod tests {
         assert_eq!(distinct.ids, [(ids[0], 3), (ids[1], 2), (ids[4], 1)]);
         let again: Vec<_> = distinct.places.iter().map(|&place| distinct.ids[place].0).collect();
         assert_eq!(again, ids);
+    }
+
+    const ALL: wire::Parts = wire::Parts { info: true, vertices: true, faces: true };
+
+    /// A server with one hull whose points are on a sphere, and the hull's id.
+    async fn with_a_hull(limits: Limits) -> (App, HullId) {
+        let app = App::new(blobs::open("memory://").unwrap(), limits, 1).unwrap();
+        // A spiral of Fibonacci.
+        let point = |i: usize| {
+            let (z, turn) = ((2 * i) as f64 / 399.0 - 1.0, 2.4 * i as f64);
+            let radius = (1.0 - z * z).max(0.0).sqrt();
+            [radius * turn.cos(), radius * turn.sin(), z]
+        };
+        let definition = HullDefinition { points: (0..400).map(point).collect(), ..Default::default() };
+        let registered =
+            app.registry().register(vec![definition], &Job::new(Caller::alone())).await.remove(0);
+        (app, registered.unwrap().0)
+    }
+
+    fn runtime() -> tokio::runtime::Runtime {
+        tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap()
+    }
+
+    /// Catches memory that grows with the repetitions of an id before the answer is known to
+    /// be too large to be sent.
+    #[test]
+    fn an_answer_too_large_is_refused_before_it_is_built() {
+        let runtime = runtime();
+        let limits = Limits { max_message_bytes: 1 << 20, ..Limits::default() };
+        let (app, id) = runtime.block_on(with_a_hull(limits));
+        let context = CallContext::new(Caller::alone(), app.memory().clone());
+        let ids = vec![id; 16_384];
+        let mut refused = None;
+        let made = allocation_counter::measure(|| {
+            refused = runtime.block_on(records(&app, &context, &ids, ALL)).err();
+        });
+        assert_eq!(refused.map(|error| error.reason), Some("RESPONSE_TOO_LARGE"));
+        // One record has some 50 kB. The tables of ids are all that is made; their memory is
+        // that of the decoded request.
+        assert!(made.bytes_max < (ids.len() * wire::HULL_BYTES / 2) as u64, "{made:?}");
+        assert_eq!(app.memory().used(), 0);
+    }
+
+    /// Catches records that take more memory than the budget was asked for, a repeated hull
+    /// that is read again, and an answer that is not what single requests are answered.
+    #[test]
+    fn repeated_hulls_share_what_is_read() {
+        let runtime = runtime();
+        let (app, id) = runtime.block_on(with_a_hull(Limits::default()));
+        let context = CallContext::new(Caller::alone(), app.memory().clone());
+        let ask = |ids: &[HullId]| runtime.block_on(records(&app, &context, ids, ALL)).unwrap();
+        let single = ask(&[id]).0.remove(0);
+        let unknown = HullId([1; 32]);
+        let one = allocation_counter::measure(|| drop(ask(&[id])));
+        let mut several = None;
+        let ids = [id, unknown, id, id, id];
+        let made = allocation_counter::measure(|| several = Some(ask(&ids)));
+        let (several, memory) = several.unwrap();
+        for (record, asked) in several.iter().zip(ids) {
+            let expected = if asked == id { single.clone() } else { wire::not_found(unknown) };
+            assert_eq!(*record, expected);
+        }
+        let encoded = GetHullsResponse { hulls: several }.encoded_len();
+        assert!(memory.bytes() >= 2 * encoded as u64, "{memory:?}, {encoded}");
+        let reading = one.bytes_max;
+        assert!(made.bytes_max <= memory.bytes() + reading, "{made:?}, {memory:?}, {reading}");
+        assert!(made.count_total < one.count_total + 200, "{made:?}, {one:?}");
+    }
+
+    /// Catches an answer that is built although its caller may not hold so much memory.
+    #[test]
+    fn records_are_not_built_without_room() {
+        let runtime = runtime();
+        let (app, id) = runtime.block_on(with_a_hull(Limits::default()));
+        let budget = MemoryBudget::new(1 << 20, false, &[]);
+        let context = CallContext::new(Caller::alone(), budget.clone());
+        let ids = vec![id; 100];
+        let refused = runtime.block_on(records(&app, &context, &ids, ALL)).unwrap_err();
+        assert_eq!(refused.reason, "MEMORY_TOO_LARGE");
+        assert_eq!(budget.used(), 0);
     }
 }

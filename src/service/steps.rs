@@ -15,6 +15,7 @@ use super::{
 };
 use crate::{
     budget::Permit,
+    compute::FreedHere,
     contact::Stop,
     proto::{Encoded, QueryContactsRequest, QueryContactsResponse},
 };
@@ -37,8 +38,14 @@ enum Previous {
     None,
     /// There was no room to keep it.
     Dropped,
-    /// What the next message may inherit.
-    Kept { setting: Arc<Setting>, bases: Vec<u32>, memory: Permit },
+    /// The state that the next message may inherit.
+    Kept { kept: FreedHere<Kept>, memory: Permit },
+}
+
+/// Hulls, bodies, pairs and options of a message, and the bases of its answer.
+struct Kept {
+    setting: Arc<Setting>,
+    bases: Vec<u32>,
 }
 
 impl Steps {
@@ -76,7 +83,8 @@ impl Steps {
         let check = |request: QueryContactsRequest, memory, limits: &Limits, stop: &Stop| {
             let (scene, kept) = match (request.inherit, previous) {
                 (false, _) => (wire::stoppable_scene(request, limits, stop)?, None),
-                (true, Previous::Kept { setting, bases, memory }) => {
+                (true, Previous::Kept { kept, memory }) => {
+                    let Kept { setting, bases } = kept.into_inner();
                     (wire::inherited(request, setting, bases, stop)?, Some(memory))
                 }
                 (true, Previous::None) => {
@@ -93,8 +101,10 @@ impl Steps {
         let (scene, kept) = decoded(&self.app, &self.context, request, check).await?;
         let setting = scene.setting.clone();
         let (response, bases) = answer(&self.app, &self.context, scene, true).await?;
-        self.previous = match kept.or_else(|| self.context.keep(setting.kept_bytes())) {
-            Some(memory) => Previous::Kept { setting, bases, memory },
+        let bytes = setting.kept_bytes();
+        let state = self.app.engine().compute_threads().freed_here(Kept { setting, bases }, bytes);
+        self.previous = match kept.or_else(|| self.context.keep(bytes)) {
+            Some(memory) => Previous::Kept { kept: state, memory },
             None => Previous::Dropped,
         };
         Ok(response)

@@ -13,7 +13,7 @@ use object_store::{ObjectStore, memory::InMemory};
 
 use super::{HullId, directory::DirectoryStore, identity::id_of, objects::Objects};
 
-/// Why the store did not do what was asked.
+/// Why an operation of the store failed.
 #[derive(Clone, Debug)]
 pub enum StoreError {
     /// No room: the disk or the configured limit.
@@ -160,7 +160,7 @@ pub fn open_existing(url: &str) -> Result<Opened, OpenError> {
     open(url)
 }
 
-/// A store over the network, and what its answers say where an object is missing.
+/// A store over the network, and the words by which it says that an object is missing.
 pub(super) type Remote = (Arc<dyn ObjectStore>, &'static str);
 
 #[cfg(feature = "remote")]
@@ -201,13 +201,13 @@ pub(super) fn shard_of_name(name: &str) -> Option<u8> {
 }
 
 /// The name under which bytes are set aside that were found in place of the blob of `id`. It
-/// has both hashes, so that what is found again and again is kept once.
+/// has both hashes, so that the same bytes are kept once, however often they are found.
 pub(super) fn quarantine_name(id: HullId, found: &[u8]) -> String {
     let content = id_of(found).to_string();
     format!("{id}-{}", &content[..16])
 }
 
-/// Of all that is offered, the `count` that come first.
+/// Keeps the first `count` of the items that are offered.
 pub(super) struct FirstById<T> {
     count: usize,
     first: BinaryHeap<T>,

@@ -16,7 +16,8 @@ use crate::{contact::ConvexHull, metrics::Metrics};
 /// 0.25 us against 0.27 to 0.96, and never over its bytes while 200,000 inserts churn it.
 pub(super) type HullCache = Cache<HullId, Arc<Entry>, HeapBytes, DefaultHashBuilder, Eviction>;
 
-/// Of a cached hull beside its heap: the entry, the hull's own struct and the cache's slot.
+/// The bytes of a cached hull beside its heap: the entry, the hull's own struct and the cache's
+/// slot.
 const ENTRY_BYTES: u64 = (size_of::<Entry>() + size_of::<ConvexHull>() + 128) as u64;
 
 /// For the cache's own tables, which grow when it is wrong: a hull of some 50 vertices.
@@ -66,7 +67,7 @@ impl Weighter<HullId, Arc<Entry>> for HeapBytes {
 pub(super) struct Entry {
     pub(super) hull: Arc<ConvexHull>,
     pub(super) bytes: u64,
-    /// This process wrote it: what it acknowledges again is known to be synced.
+    /// This process wrote it: its blob is known to be synced.
     pub(super) written: bool,
     /// When it was last known to be in the store, milliseconds since the registry started.
     pub(super) seen_ms: AtomicU64,
@@ -112,6 +113,42 @@ mod tests {
         assert!((100..109).all(|i| cache.get(&id(i)).is_some()));
         assert!(cache.weight() <= bytes);
         drop(leased);
+    }
+
+    /// Catches one caller's hulls that evict everybody's: while a flood of hulls goes through
+    /// the cache, each used as often as given, hulls that another caller uses every hundred
+    /// new hulls, a tenth of the cache, stay in it. Without the flood's uses none is evicted;
+    /// with three uses each, a hull of the other caller is evicted at most twice before the
+    /// cache knows that it is in use.
+    #[test]
+    fn a_flood_does_not_evict_hulls_in_use() {
+        for (uses, most_evicted) in [(0, 0), (1, 0), (3, 2)] {
+            let entries = entries(1);
+            let cache = cache(1000 * entries[0].bytes, &Metrics::default());
+            let id = |i: u64| HullId(std::array::from_fn(|byte| i.to_le_bytes()[byte % 8]));
+            let in_use = || (0..20).map(id);
+            for id in in_use().chain(in_use()) {
+                if cache.get(&id).is_none() {
+                    cache.insert(id, entries[0].clone());
+                }
+            }
+            let (mut used, mut evicted) = (0, 0);
+            for new in 100..20_100 {
+                cache.insert(id(new), entries[0].clone());
+                (0..uses).for_each(|_| assert!(cache.get(&id(new)).is_some()));
+                if new % 100 == 0 {
+                    for id in in_use() {
+                        used += 1;
+                        if cache.get(&id).is_none() {
+                            evicted += 1;
+                            cache.insert(id, entries[0].clone());
+                        }
+                    }
+                }
+            }
+            assert_eq!(used, 4000);
+            assert!(evicted <= 20 * most_evicted, "{evicted} with {uses} uses");
+        }
     }
 
     /// Catches a hull in steady use that gives way to hulls that come once and never again.

@@ -11,50 +11,22 @@
 //! `quarantine/`. A blob is written to `ab/ab12…#N`, synced, renamed into place, and its
 //! directory is synced (docs/durability.md).
 
-use std::{
-    ffi::CStr,
-    fs::File,
-    io::{self, Read, Write},
-    path::{Path, PathBuf},
-    sync::{
-        Arc,
-        atomic::{AtomicBool, AtomicU64, Ordering},
-    },
-};
+mod root;
+
+use std::{io, path::Path, sync::Arc};
 
 use bytes::Bytes;
 use futures_util::future::BoxFuture;
-use rustix::{
-    fs::{
-        AtFlags, CWD, Dir, FileType, Mode, OFlags, Stat, fstat, mkdirat, openat, renameat, statat, unlinkat,
-    },
-    io::Errno,
-};
+use root::Root;
 
-use super::{
-    BlobStore, HullId, StoreError, StoredBlob,
-    blobs::{FirstById, quarantine_name, shard_name, shard_of_name},
-    file_threads::FileThreads,
-};
-use crate::log_limit::Repeated;
+use super::{BlobStore, HullId, StoreError, StoredBlob, file_threads::FileThreads};
 
-/// Operations that run at a time: two requests' worth, so that one caller, who may have half
-/// of them, lets the file system gather the syncs of a whole request.
+/// How many operations run at a time. One caller may have half of them, as many as one request
+/// begins at a time, so that the file system can gather the syncs of a whole request.
 const AT_A_TIME: usize = 32;
 
 /// One more than `AT_A_TIME`: a probe never waits behind other operations.
 const THREADS: usize = AT_A_TIME + 1;
-
-/// How many names are tried for a temporary file, and for a directory that is moved away.
-const NAMES_TRIED: u64 = 1000;
-
-const QUARANTINE: &str = "quarantine";
-
-const DIRECTORY: OFlags = OFlags::DIRECTORY.union(OFlags::NOFOLLOW).union(OFlags::CLOEXEC);
-/// Without `NONBLOCK`, opening a FIFO waits for a writer.
-const BLOB: OFlags = OFlags::NOFOLLOW.union(OFlags::NONBLOCK).union(OFlags::NOCTTY).union(OFlags::CLOEXEC);
-const NEW: OFlags =
-    OFlags::WRONLY.union(OFlags::CREATE).union(OFlags::EXCL).union(OFlags::NOFOLLOW).union(OFlags::CLOEXEC);
 
 /// Blobs in a directory.
 #[derive(Debug)]
@@ -69,21 +41,7 @@ impl DirectoryStore {
     /// # Errors
     /// It cannot be made or is not a directory, or the system has no more threads.
     pub(super) fn open(path: &Path) -> io::Result<Self> {
-        std::fs::create_dir_all(path)?;
-        // Makes durable what a killed server created here and could not sync: the directory's
-        // own entry, and those of the shards in it.
-        let path = path.canonicalize()?;
-        File::from(openat(CWD, &path, DIRECTORY, Mode::empty())?).sync_all()?;
-        if let Some(parent) = path.parent() {
-            // This process has not just made a parent that it may not open.
-            let _ = File::open(parent).and_then(|parent| parent.sync_all());
-        }
-        let root = Root {
-            path,
-            synced_shards: std::array::from_fn(|_| AtomicBool::new(false)),
-            next_temporary: 1.into(),
-        };
-        Ok(Self { root: Arc::new(root), threads: FileThreads::start(THREADS)? })
+        Ok(Self { root: Arc::new(Root::open(path)?), threads: FileThreads::start(THREADS)? })
     }
 
     fn run<T: Send + 'static>(
@@ -142,312 +100,51 @@ impl BlobStore for DirectoryStore {
     }
 }
 
-/// The directory, for operations that block.
-#[derive(Debug)]
-struct Root {
-    /// Without links when the store was opened.
-    path: PathBuf,
-    /// Shards whose entry in the directory this process has synced: another server that made
-    /// one may have been killed before it did.
-    synced_shards: [AtomicBool; 256],
-    next_temporary: AtomicU64,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::blobs;
 
-impl Root {
-    /// The directory, opened anew for each operation: it may have been mounted again since.
-    /// A deleted directory would read as empty, so it is reported as unavailable.
-    fn open(&self) -> Result<File, StoreError> {
-        match openat(CWD, &self.path, DIRECTORY, Mode::empty()) {
-            Ok(root) => Ok(root.into()),
-            Err(Errno::NOENT) => Err(StoreError::Unavailable(format!("{} is gone", self.path.display()))),
-            Err(error) => Err(self.failed("", error)),
-        }
-    }
-
-    /// A directory in the root; none where there is no such.
-    fn subdirectory(&self, root: &File, name: &str) -> Result<Option<File>, StoreError> {
-        match openat(root, name, DIRECTORY, Mode::empty()) {
-            Ok(directory) => Ok(Some(directory.into())),
-            Err(Errno::NOENT) => Ok(None),
-            Err(Errno::NOTDIR | Errno::LOOP) => {
-                Err(StoreError::NotABlob(format!("{} is not a directory", self.path.join(name).display())))
-            }
-            Err(error) => Err(self.failed(name, error)),
-        }
-    }
-
-    /// A directory in the root, made where it is missing; and whether it was.
-    fn made(&self, root: &File, name: &str) -> Result<(File, bool), StoreError> {
-        let is_new = match mkdirat(root, name, Mode::from_raw_mode(0o777)) {
-            Ok(()) => true,
-            Err(Errno::EXIST) => false,
-            Err(error) => return Err(self.failed(name, error)),
-        };
-        match self.subdirectory(root, name) {
-            Ok(Some(directory)) => Ok((directory, is_new)),
-            Ok(None) => Err(StoreError::Unavailable(format!("{name} was removed meanwhile"))),
-            // Nothing can be written there before somebody removes what is in the way.
-            Err(error) => Err(StoreError::Unavailable(error.to_string())),
-        }
-    }
-
-    fn put(&self, id: HullId, blob: &[u8]) -> Result<(), StoreError> {
-        let root = self.open()?;
-        let (shard, is_new) = self.made(&root, &shard_name(id.0[0]))?;
-        let synced = &self.synced_shards[usize::from(id.0[0])];
-        if is_new || !synced.load(Ordering::Acquire) {
-            root.sync_all().map_err(|error| self.failed("", error))?;
-            synced.store(true, Ordering::Release);
-        }
-        let name = id.to_string();
-        match self.publish(&shard, &name, blob) {
-            Err(Failed { errno: Some(Errno::ISDIR), .. }) => {
-                self.move_away(&root, &shard, &name)?;
-                self.publish(&shard, &name, blob).map_err(|failed| failed.why)
-            }
-            published => published.map_err(|failed| failed.why),
-        }
-    }
-
-    /// Writes `name` in `directory`: whole and synced before it has its name.
-    fn publish(&self, directory: &File, name: &str, bytes: &[u8]) -> Result<(), Failed> {
-        let failed = |error: io::Error| Failed::new(self, name, error);
-        let (temporary, mut file) = self.temporary(directory, name).map_err(failed)?;
-        let written = (|| {
-            file.write_all(bytes)?;
-            file.sync_all()?;
-            Ok::<_, io::Error>(renameat(directory, &temporary, directory, name)?)
-        })();
-        if let Err(error) = written {
-            // Nobody reads it under this name: one that stays costs its bytes only.
-            let _ = unlinkat(directory, &temporary, AtFlags::empty());
-            return Err(failed(error));
-        }
-        directory.sync_all().map_err(failed)
-    }
-
-    /// A new file beside `name`, and its name.
-    fn temporary(&self, directory: &File, name: &str) -> io::Result<(String, File)> {
-        let mut last = Errno::EXIST;
-        for _ in 0..NAMES_TRIED {
-            let number = self.next_temporary.fetch_add(1, Ordering::Relaxed);
-            let temporary = format!("{name}#{}-{number}", std::process::id());
-            match openat(directory, &temporary, NEW, Mode::from_raw_mode(0o666)) {
-                Ok(file) => return Ok((temporary, file.into())),
-                Err(Errno::EXIST) => last = Errno::EXIST,
-                Err(error) => return Err(error.into()),
+    /// Catches a page that leaves out a blob, has one twice, is out of order or too long, or
+    /// ends early because entries before its end are not blobs.
+    #[tokio::test]
+    async fn pages_have_all_blobs_in_order() {
+        let directory = tempfile::tempdir().unwrap();
+        let store = DirectoryStore::open(directory.path()).unwrap();
+        let mut sizes = Vec::new();
+        for i in 0..600_u64 {
+            let id = HullId(std::array::from_fn(|byte| match byte {
+                0 => [0, 7, 7, 255][i as usize % 4],
+                byte => (i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (8 * (byte % 8))) as u8,
+            }));
+            let (name, bytes) = (id.to_string(), i % 3);
+            let shard = directory.path().join(&name[..2]);
+            std::fs::create_dir_all(&shard).unwrap();
+            if i % 5 == 0 {
+                std::fs::create_dir(shard.join(&name)).unwrap();
+            } else {
+                std::fs::write(shard.join(&name), vec![0; bytes as usize]).unwrap();
+                sizes.push((id, bytes));
             }
         }
-        Err(last.into())
-    }
-
-    /// Moves a directory that lies under a blob's name into quarantine, as it is.
-    fn move_away(&self, root: &File, shard: &File, name: &str) -> Result<(), StoreError> {
-        let (quarantine, _) = self.made(root, QUARANTINE)?;
-        for number in 1..=NAMES_TRIED {
-            // A rename to an empty directory's name replaces that directory: nothing is lost.
-            match renameat(shard, name, &quarantine, format!("{name}-directory-{number}")) {
-                Ok(()) => return Ok(()),
-                Err(Errno::EXIST | Errno::NOTEMPTY | Errno::NOTDIR) => {}
-                Err(error) => return Err(self.failed(name, error)),
-            }
-        }
-        Err(self.failed(name, Errno::EXIST))
-    }
-
-    fn get(&self, id: HullId, max_bytes: u64) -> Result<Option<Bytes>, StoreError> {
-        let Some(shard) = self.subdirectory(&self.open()?, &shard_name(id.0[0]))? else { return Ok(None) };
-        let name = id.to_string();
-        let refused = |what: String| Err(StoreError::NotABlob(format!("{name} is {what}")));
-        let file: File = match openat(&shard, &name, BLOB, Mode::empty()) {
-            Ok(file) => file.into(),
-            Err(Errno::NOENT) => return Ok(None),
-            Err(Errno::LOOP) => return refused("a symbolic link".into()),
-            // A socket, or a device without a driver.
-            Err(Errno::NXIO | Errno::NODEV) => return refused("not a regular file".into()),
-            Err(Errno::ACCESS | Errno::PERM) => return refused("not readable for this process".into()),
-            Err(error) => return Err(self.failed(&name, error)),
-        };
-        let status = fstat(&file).map_err(|error| self.failed(&name, error))?;
-        let Some(size) = blob_size(&status) else { return refused(kind(&status).into()) };
-        let too_large = |size: u64| format!("{size} bytes long, more than the {max_bytes} of a hull");
-        if size > max_bytes {
-            return refused(too_large(size));
-        }
-        let mut bytes = Vec::with_capacity(size as usize + 1);
-        file.take(max_bytes.saturating_add(1))
-            .read_to_end(&mut bytes)
-            .map_err(|error| self.failed(&name, error))?;
-        if bytes.len() as u64 > max_bytes {
-            return refused(too_large(bytes.len() as u64));
-        }
-        Ok(Some(bytes.into()))
-    }
-
-    fn size(&self, id: HullId) -> Result<Option<u64>, StoreError> {
-        let name = id.to_string();
-        let shard = match self.subdirectory(&self.open()?, &name[..2]) {
-            Ok(Some(shard)) => shard,
-            Ok(None) | Err(StoreError::NotABlob(_)) => return Ok(None),
-            Err(error) => return Err(error),
-        };
-        match statat(&shard, &name, AtFlags::SYMLINK_NOFOLLOW) {
-            Ok(status) => Ok(blob_size(&status)),
-            Err(Errno::NOENT) => Ok(None),
-            Err(error) => Err(self.failed(&name, error)),
-        }
-    }
-
-    fn delete(&self, id: HullId) -> Result<(), StoreError> {
-        let name = id.to_string();
-        let Some(shard) = self.subdirectory(&self.open()?, &name[..2])? else { return Ok(()) };
-        match unlinkat(&shard, &name, AtFlags::empty()) {
-            Ok(()) | Err(Errno::NOENT) => Ok(()),
-            Err(error) => Err(self.failed(&name, error)),
-        }
-    }
-
-    fn shards(&self) -> Result<Vec<u8>, StoreError> {
-        let mut shards = Vec::new();
-        self.each_name(&self.open()?, "", |name| shards.extend(shard_of_name(name)))?;
-        shards.sort_unstable();
-        Ok(shards)
-    }
-
-    fn list(
-        &self,
-        shard: u8,
-        mut after: Option<HullId>,
-        count: usize,
-        max_bytes: u64,
-    ) -> Result<Vec<StoredBlob>, StoreError> {
-        static LEFT_OUT: Repeated = Repeated::new();
-        let shard_name = shard_name(shard);
-        let (mut blobs, mut first_bad, mut bad) = (Vec::new(), None, 0_u64);
-        let directory = match self.subdirectory(&self.open()?, &shard_name) {
-            Ok(Some(directory)) => directory,
-            Ok(None) => return Ok(blobs),
-            Err(StoreError::NotABlob(why)) => {
-                if let Some(left_out) = LEFT_OUT.due() {
-                    tracing::warn!(why, left_out, "the listing of the store left a shard out");
-                }
-                return Ok(blobs);
-            }
-            Err(error) => return Err(error),
-        };
-        // Names first, and of a directory of any size no more than are wanted. Where some turn
-        // out to be no blobs, those after them are looked at.
-        while blobs.len() < count {
-            let wanted = count - blobs.len();
-            let mut first = FirstById::new(wanted);
-            self.each_name(&directory, &shard_name, |name| {
-                // Other names, as those of temporary files, are not hulls.
-                let id = name.parse::<HullId>().ok().filter(|id| id.0[0] == shard);
-                id.filter(|id| after.is_none_or(|after| *id > after)).map(|id| first.offer(id));
-            })?;
-            let ids = first.sorted();
-            for &id in &ids {
-                match statat(&directory, id.to_string(), AtFlags::SYMLINK_NOFOLLOW) {
-                    Ok(status) => match blob_size(&status).filter(|size| *size <= max_bytes) {
-                        Some(bytes) => {
-                            let created_unix_ms = modified_unix_ms(&status);
-                            blobs.push(StoredBlob { id, created_unix_ms, bytes });
-                        }
-                        None => {
-                            first_bad.get_or_insert(id);
-                            bad += 1;
-                        }
-                    },
-                    Err(Errno::NOENT) => {}
-                    Err(error) => return Err(self.failed(&id.to_string(), error)),
+        std::fs::write(directory.path().join("07/temporary#1"), "").unwrap();
+        std::fs::write(directory.path().join("0b"), "not a shard").unwrap();
+        sizes.sort_unstable();
+        for (page, max_bytes) in [(1, 2), (7, 2), (100, 2), (1000, 2), (7, 1), (1000, 0)] {
+            let wanted: Vec<_> = sizes.iter().filter(|(_, bytes)| *bytes <= max_bytes).collect();
+            assert!(wanted.len() > 100);
+            let (mut found, mut after) = (Vec::new(), None);
+            loop {
+                let blobs = blobs::list(&store, after, page, max_bytes).await.unwrap();
+                assert!(blobs.len() <= page);
+                after = blobs.last().map(|blob| blob.id);
+                let is_last = blobs.len() < page;
+                found.extend(blobs.into_iter().map(|blob| (blob.id, blob.bytes)));
+                if is_last {
+                    break;
                 }
             }
-            after = ids.last().copied();
-            if ids.len() < wanted {
-                break;
-            }
-        }
-        if let Some(first) = first_bad
-            && let Some(left_out) = LEFT_OUT.due()
-        {
-            tracing::warn!(entries = bad, %first, left_out, "the listing of the store left out entries that are not blobs");
-        }
-        Ok(blobs)
-    }
-
-    /// Calls `with` for each name of a directory that is text.
-    fn each_name(&self, directory: &File, path: &str, mut with: impl FnMut(&str)) -> Result<(), StoreError> {
-        let failed = |error| self.failed(path, error);
-        for entry in Dir::read_from(directory).map_err(failed)? {
-            let entry = entry.map_err(failed)?;
-            CStr::to_str(entry.file_name()).into_iter().for_each(&mut with);
-        }
-        Ok(())
-    }
-
-    fn set_aside(&self, id: HullId, blob: &[u8]) -> Result<String, StoreError> {
-        let root = self.open()?;
-        let (quarantine, is_new) = self.made(&root, QUARANTINE)?;
-        if is_new {
-            root.sync_all().map_err(|error| self.failed("", error))?;
-        }
-        let name = quarantine_name(id, blob);
-        if statat(&quarantine, &name, AtFlags::SYMLINK_NOFOLLOW).is_err() {
-            self.publish(&quarantine, &name, blob).map_err(|failed| failed.why)?;
-        }
-        Ok(format!("{QUARANTINE}/{name}"))
-    }
-
-    fn probe(&self) -> Result<(), StoreError> {
-        let root = self.open()?;
-        // A name of its own for each server on the store.
-        let name = format!("probe-{}", std::process::id());
-        self.publish(&root, &name, b"probe").map_err(|failed| failed.why)?;
-        match unlinkat(&root, &name, AtFlags::empty()) {
-            Ok(()) | Err(Errno::NOENT) => Ok(()),
-            Err(error) => Err(self.failed(&name, error)),
+            assert!(found.iter().eq(wanted), "pages of {page}");
         }
     }
-
-    fn failed(&self, name: &str, error: impl Into<io::Error>) -> StoreError {
-        use io::ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};
-        let error = error.into();
-        let why = format!("{}: {error}", self.path.join(name).display());
-        match error.kind() {
-            StorageFull | QuotaExceeded | FileTooLarge => StoreError::Full(why),
-            _ => StoreError::Unavailable(why),
-        }
-    }
-}
-
-/// Why a file was not written.
-struct Failed {
-    errno: Option<Errno>,
-    why: StoreError,
-}
-
-impl Failed {
-    fn new(root: &Root, name: &str, error: io::Error) -> Self {
-        Self { errno: Errno::from_io_error(&error), why: root.failed(name, error) }
-    }
-}
-
-/// The size of a regular file; none of anything else.
-fn blob_size(status: &Stat) -> Option<u64> {
-    let is_file = FileType::from_raw_mode(status.st_mode) == FileType::RegularFile;
-    u64::try_from(status.st_size).ok().filter(|_| is_file)
-}
-
-fn kind(status: &Stat) -> &'static str {
-    match FileType::from_raw_mode(status.st_mode) {
-        FileType::Directory => "a directory",
-        FileType::Fifo => "a FIFO",
-        FileType::CharacterDevice | FileType::BlockDevice => "a device",
-        _ => "not a regular file",
-    }
-}
-
-#[allow(clippy::unnecessary_cast, reason = "the types differ between systems")]
-fn modified_unix_ms(status: &Stat) -> i64 {
-    (status.st_mtime as i64).saturating_mul(1000).saturating_add(status.st_mtime_nsec as i64 / 1_000_000)
 }

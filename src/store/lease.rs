@@ -33,7 +33,7 @@ pub enum LeaseError {
     Busy,
 }
 
-/// What all requests together lease.
+/// The leases of all requests.
 #[derive(Debug)]
 pub(super) struct Leases {
     state: Mutex<State>,
@@ -64,7 +64,7 @@ impl Leases {
     }
 }
 
-/// What one request leases: every hull counts, once.
+/// One request's leases; every hull counts once.
 #[derive(Debug)]
 pub(super) struct LeaseRequest {
     leases: Arc<Leases>,
@@ -200,7 +200,7 @@ pub(super) mod tests {
         assert_eq!(used(), 2);
         drop(again);
         assert_eq!((used(), metrics.held_bytes.get()), (0, 0));
-        // What a request leases one after the other counts together, too.
+        // The leases of one request count together, even if it takes them one by one.
         let request = LeaseRequest::new(&leases, &caller);
         let mut whole = request.lease(entries[..2].to_vec()).unwrap();
         whole.join(request.lease(entries[2..3].to_vec()).unwrap());

@@ -1,7 +1,7 @@
 //! The durable registry of hulls, and the bounded cache before it.
 //!
-//! [`identity`] is what a hull is called. [`blobs`] says what keeps its bytes: `directory` (on
-//! `file_threads`) or `objects`. `scheduled` lets callers use it in `turns` and notices when it
+//! [`identity`] names a hull. [`blobs`] is the interface to the stores of bytes: `directory` (on
+//! `file_threads`) and `objects`. `scheduled` lets callers use it in `turns` and notices when it
 //! hangs. [`registry`] answers for hulls, with a `reader` for each request; `cache` has hulls in
 //! memory, and `lease` says how much of it requests may use. Nothing here knows the wire.
 

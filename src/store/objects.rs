@@ -19,14 +19,14 @@ pub(super) struct Objects {
 }
 
 impl Objects {
-    /// `absent`: the words by which an answer says that an object is missing, where a missing
-    /// bucket, which is an outage of all hulls, has the same status. Without it the status is
-    /// enough.
+    /// `absent`: the words by which an answer says that an object is missing. It is given for
+    /// stores that answer with the same status if the bucket is missing, which is an outage of
+    /// all hulls. Without it the status is enough.
     pub(super) fn new(objects: Arc<dyn ObjectStore>, absent: Option<&'static str>) -> Self {
         Self { objects, absent }
     }
 
-    /// Not found is no error, where it is the object that was not found.
+    /// Not found is no error if the object itself was not found.
     fn present<T>(&self, result: object_store::Result<T>) -> Result<Option<T>, StoreError> {
         match result {
             Ok(value) => Ok(Some(value)),
@@ -39,11 +39,11 @@ impl Objects {
         }
     }
 
-    /// What is known of an object; none where there is no such.
+    /// The description of an object; none if there is no such object.
     async fn meta(&self, path: &Path) -> Result<Option<ObjectMeta>, StoreError> {
         let mut found = self.objects.head(path).await;
         if self.absent.is_some() && matches!(found, Err(object_store::Error::NotFound { .. })) {
-            // An answer without a body cannot say what is missing; a read's does.
+            // An answer without a body cannot say whether the bucket or the object is missing.
             found = self.objects.get(path).await.map(|found| found.meta);
         }
         self.present(found)

@@ -1,4 +1,4 @@
-//! How many bytes the store may have, where they are bounded.
+//! Bounds the bytes of the store, if a bound is configured.
 
 use std::sync::Arc;
 
@@ -21,9 +21,10 @@ pub(super) struct Quota {
 }
 
 impl Quota {
-    /// Blobs of more than `max_blob_bytes` are not hulls, and do not count.
-    pub(super) fn new(limit: u64, max_blob_bytes: u64) -> Self {
-        let turns = Turns::new(1, MOST_WAITING, true);
+    /// Blobs of more than `max_blob_bytes` are not hulls, and do not count. `shares`: whether
+    /// callers share the places of waiting writes.
+    pub(super) fn new(limit: u64, max_blob_bytes: u64, shares: bool) -> Self {
+        let turns = Turns::new(1, MOST_WAITING, shares);
         Self { limit, max_blob_bytes, turns, used: Mutex::new(None) }
     }
 
@@ -63,7 +64,7 @@ impl Quota {
         Ok(())
     }
 
-    /// A blob of so many bytes was deleted.
+    /// A blob of `bytes` bytes was deleted.
     pub(super) async fn freed(&self, bytes: u64) {
         if let Some(used) = self.used.lock().await.as_mut() {
             *used = used.saturating_sub(bytes);

@@ -19,6 +19,7 @@ use super::{
     lease::{Lease, LeaseError, LeaseRequest},
     registry::{BuildError, Missing},
     scheduled::CallerStore,
+    turns::Turn,
 };
 use crate::{
     compute::{ComputeError, Job},
@@ -86,7 +87,8 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// Why it cannot be answered for.
     pub async fn definition(&self, id: HullId) -> Result<HullDefinition, Missing> {
-        self.verified(id).await.map_err(|error| self.missing(id, &error))?.ok_or(Missing::Unknown)
+        let _turn = self.turn(id).await?;
+        self.found(id).await
     }
 
     /// Whether the hull can be answered for. A blob that is not the hull any more cannot. A
@@ -98,6 +100,7 @@ impl<'a> Reader<'a> {
         if self.registry.cached(&id, self.registry.now_ms()).is_some() {
             return Ok(true);
         }
+        let _turn = self.turn(id).await?;
         match self.verified(id).await {
             Ok(found) => Ok(found.is_some()),
             Err(StoreError::Hung(_)) if self.registry.cache.get(&id).is_some() => Ok(true),
@@ -140,13 +143,10 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// Reads and builds, in the caller's turn: what is read and not built yet stays bounded.
+    /// Reads and builds a hull in the caller's turn.
     async fn loaded(&self, id: HullId) -> Result<Arc<Entry>, Missing> {
-        let _turn = self.registry.loading.take(&self.job.caller).await.map_err(|_| {
-            self.fault(id, "too many hulls of this caller wait to be loaded".into());
-            Missing::Unavailable
-        })?;
-        let definition = self.definition(id).await?;
+        let _turn = self.turn(id).await?;
+        let definition = self.found(id).await?;
         // What was once acknowledged is answered for, whatever the limit is by now.
         let built = self.registry.build(vec![definition], usize::MAX, self.job).await;
         match built.map(|hulls| hulls.into_iter().next()) {
@@ -165,6 +165,19 @@ impl<'a> Reader<'a> {
                 Err(Missing::Unavailable)
             }
         }
+    }
+
+    /// Waits until this caller may read one more hull.
+    async fn turn(&self, id: HullId) -> Result<Turn, Missing> {
+        self.registry.loading.take(&self.job.caller).await.map_err(|_| {
+            self.fault(id, "too many hulls of this caller wait to be loaded".into());
+            Missing::Unavailable
+        })
+    }
+
+    /// The definition of a hull, or why there is none.
+    async fn found(&self, id: HullId) -> Result<HullDefinition, Missing> {
+        self.verified(id).await.map_err(|error| self.missing(id, &error))?.ok_or(Missing::Unknown)
     }
 
     /// The definition that the store has under this id, if it is that hull's.
@@ -223,7 +236,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// What an error of the store means for a hull.
+    /// How a hull is missing after an error of the store.
     fn missing(&self, id: HullId, error: &StoreError) -> Missing {
         self.registry.metrics.store_errors.inc();
         self.fault(id, error.to_string());
@@ -254,7 +267,7 @@ impl Drop for Reader<'_> {
     }
 }
 
-/// What is wrong with a blob.
+/// Why a blob is not its hull.
 #[derive(Clone, Copy, Debug)]
 enum Corrupt {
     /// Its hash is not its name.

@@ -1,4 +1,4 @@
-//! Answers for hulls by id, from the cache or from the store.
+//! Answers for hulls by id: from the cache, otherwise from the store.
 
 use std::{
     fmt,
@@ -48,7 +48,8 @@ pub struct Bounds {
 /// Why a hull cannot be answered for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Missing {
-    /// The store does not have it, or what it has is not it: registering it (again) helps.
+    /// The store does not have the hull, or has something else under its name: registering the
+    /// hull (again) helps.
     Unknown,
     /// The store could not be read: trying again may help.
     Unavailable,
@@ -101,9 +102,6 @@ pub type Registered = Result<(HullId, Arc<ConvexHull>), RegisterError>;
 /// gathers their syncs.
 pub const AT_A_TIME: usize = 16;
 
-/// Hulls that are read and built at a time, over all requests; one caller has at most half.
-const LOADED_AT_A_TIME: u64 = 4 * AT_A_TIME as u64;
-
 /// Hulls that may wait to be loaded, over all requests.
 const MOST_WAITING: u64 = 4096;
 
@@ -140,15 +138,17 @@ impl Registry {
         metrics: Arc<Metrics>,
     ) -> Self {
         Self {
+            // As many as the store has operations: each is read, verified and perhaps built in
+            // one turn, which bounds the blobs that are in memory.
+            loading: Turns::new(blobs.operations_at_a_time(), MOST_WAITING, bounds.shares),
             store: ScheduledStore::new(blobs, bounds.store_limit, bounds.shares),
             cache: cache(bounds.cache_bytes, &metrics),
             leases: Leases::new(bounds.cache_bytes, bounds.shares, &metrics),
-            loading: Turns::new(LOADED_AT_A_TIME, MOST_WAITING, bounds.shares),
             compute,
             memory,
             bounds,
             started: Instant::now(),
-            quota: Quota::new(bounds.store_bytes, bounds.max_blob_bytes),
+            quota: Quota::new(bounds.store_bytes, bounds.max_blob_bytes, bounds.shares),
             metrics,
         }
     }

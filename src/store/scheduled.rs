@@ -1,4 +1,4 @@
-//! A store whose operations are scheduled and timed: what the registry uses.
+//! Schedules and times the operations of a store, for the registry.
 //!
 //! So many operations run at a time as the store does side by side; callers take turns
 //! ([`Turns`]). An operation that has begun runs to its end even if its caller goes away, so
@@ -32,8 +32,8 @@ use super::{
 };
 use crate::budget::Caller;
 
-/// How many operations may wait for their turn. One caller alone may have half of them wait,
-/// which is a hundred requests of many hulls each.
+/// How many operations may wait for their turn. Half of them may belong to one caller, which
+/// is enough for a hundred requests of many hulls each.
 const MOST_WAITING: u64 = 4096;
 
 /// A store, shared by callers.
@@ -116,17 +116,14 @@ impl Shared {
         let run = async move {
             let started = Instant::now();
             pin!(operation);
-            let result = match timeout(shared.limit, &mut operation).await {
-                Ok(result) => result,
-                Err(_) => {
-                    let hanging = Hanging::new(&shared);
-                    let _ = send.send(Err(shared.answers().err().unwrap_or_else(gone)));
-                    let _ = operation.await;
-                    drop(hanging);
-                    let seconds = started.elapsed().as_secs_f64();
-                    tracing::info!(seconds, "an operation of the store that had exceeded its limit returned");
-                    return drop(slot);
-                }
+            let Ok(result) = timeout(shared.limit, &mut operation).await else {
+                let hanging = Hanging::new(&shared);
+                let _ = send.send(Err(shared.answers().err().unwrap_or_else(gone)));
+                let _ = operation.await;
+                drop((hanging, slot));
+                let seconds = started.elapsed().as_secs_f64();
+                tracing::info!(seconds, "an operation of the store that had exceeded its limit returned");
+                return;
             };
             drop(slot);
             let _ = send.send(result);

@@ -1,10 +1,10 @@
 //! Slots that callers take in turn.
 //!
-//! A slot is the right to do one thing of a kind that only so many are done of at a time: an
-//! operation of the store, or a hull that is loaded. Callers share the slots by dynamic
-//! thresholds (see [`budget`](crate::budget)), so that one caller alone never has more than
-//! half of them. Callers who wait take turns, so that the one with a thousand requests waits
-//! no less than the one with a single request. How many may wait is bounded in the same way.
+//! A slot is the right to run one operation of the store, or to load one hull. Callers share
+//! the slots by dynamic thresholds (see [`budget`](crate::budget)), so that a single caller
+//! never has more than half of them. Callers take turns while they wait: a caller with a
+//! thousand requests does not delay another caller's single request by more than one of its
+//! own. The number of waiting requests is bounded in the same way.
 
 use std::{
     collections::{BTreeMap, HashMap, VecDeque},
@@ -15,7 +15,7 @@ use tokio::sync::oneshot;
 
 use crate::budget::{Caller, Shares};
 
-/// The slots, and who waits for one.
+/// The slots, and the requests that wait for one.
 #[derive(Debug)]
 pub(super) struct Turns {
     state: Mutex<State>,
@@ -43,12 +43,12 @@ struct Queue {
 pub(super) enum NoTurn {
     /// Too many of this caller's requests wait already.
     Busy,
-    /// All who waited were sent away.
+    /// All requests that waited were sent away.
     SentAway,
 }
 
 impl Turns {
-    /// `slots` to be used at a time, and room for `places` who wait. `shares`: whether callers
+    /// `slots` to be used at a time, and room for `places` requests that wait. `shares`: whether callers
     /// share both by dynamic thresholds; a single slot cannot be shared so.
     pub(super) fn new(slots: u64, places: u64, shares: bool) -> Arc<Self> {
         Arc::new(Self {
@@ -62,14 +62,14 @@ impl Turns {
         })
     }
 
-    /// A slot, when it is `caller`'s turn.
+    /// Waits for `caller`'s turn and takes a slot.
     ///
     /// # Errors
     /// No more of this caller's requests may wait, or all were sent away.
     pub(super) async fn take(self: &Arc<Self>, caller: &Caller) -> Result<Turn, NoTurn> {
         let mut waiting = {
             let mut state = self.locked();
-            // Whoever of this caller's waits is first.
+            // Requests of this caller that wait already come first.
             let is_first = !state.waiting.contains_key(&caller.id());
             if is_first && state.slots.take(caller, 1).is_ok() {
                 return Ok(Turn { turns: self.clone(), caller: caller.clone() });
@@ -90,7 +90,7 @@ impl Turns {
         }
     }
 
-    /// Sends all who wait away.
+    /// Sends all waiting requests away.
     pub(super) fn send_away(&self) {
         let mut state = self.locked();
         let state = &mut *state;
@@ -120,7 +120,7 @@ impl State {
         ticket
     }
 
-    /// Gives the free slots to those whose turn it is.
+    /// Gives the free slots to the callers whose turn it is.
     fn grant(&mut self) {
         let mut refused = 0;
         while refused < self.order.len() {

@@ -174,6 +174,30 @@ fn alpha_rises_by_no_more_than_the_deviations_allow() {
     assert!(changed > 500, "{changed}");
 }
 
+/// Catches a hull that is refused for its vertices although few would be kept, and a limit that
+/// the simplified hull escapes: of 300 vertices, with limits below, at and above what is kept.
+#[test]
+fn the_vertex_limit_is_for_the_simplified_hull() {
+    let points = sphere(300, &mut Random::new(11));
+    let limited = |max_vertices, wanted| {
+        let options = HullOptions { max_vertices, simplification: Some(wanted), ..HullOptions::default() };
+        ConvexHull::with_options(&points, &options).map_err(|error| error.kind)
+    };
+    let too_many = HullErrorKind::TooManyVertices;
+    assert_eq!(limited(50, vertices(50)).unwrap().vertex_count(), 50);
+    assert_eq!(limited(50, vertices(50)), simplified(&points, vertices(50)).map_err(|error| error.kind));
+    assert_eq!(limited(49, vertices(50)).unwrap_err(), too_many);
+    assert_eq!(limited(299, vertices(400)).unwrap_err(), too_many);
+    assert_eq!(limited(300, vertices(400)).unwrap().vertex_count(), 300);
+    let kept = limited(300, within(0.05)).unwrap().vertex_count();
+    assert!((20..290).contains(&kept), "{kept}");
+    assert_eq!(limited(kept, within(0.05)).unwrap().vertex_count(), kept);
+    assert_eq!(limited(kept - 1, within(0.05)).unwrap_err(), too_many);
+    assert_eq!(limited(299, within(0.0)).unwrap_err(), too_many);
+    let both = Simplification { max_vertices: Some(40), max_deviation: Some(0.5) };
+    assert!(limited(40, both).unwrap().deviation() <= 0.5);
+}
+
 /// Catches options that are taken for others, and refusals without a reason.
 #[test]
 fn what_cannot_be_is_refused() {

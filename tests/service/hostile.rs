@@ -4,7 +4,10 @@ use std::{collections::BTreeMap, time::Duration};
 
 use bytes::Bytes;
 use futures_util::future::join_all;
-use hullcast::{proto::GetServerInfoRequest, service::Limits};
+use hullcast::{
+    proto::{GetHullsRequest, GetServerInfoRequest},
+    service::Limits,
+};
 use prost::Message;
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},
@@ -13,8 +16,8 @@ use tokio::{
 use tonic::Code;
 
 use crate::support::{
-    Setup, TestServer, raw, refusal, refused,
-    scenes::{Random, register_request, two_boxes},
+    Setup, TestServer, invalid, raw, refusal, refused,
+    scenes::{Random, id, plain, register_request, round_points, two_boxes},
 };
 
 const INFO: &str = "/hullcast.v1.ServerService/GetServerInfo";
@@ -81,6 +84,54 @@ async fn spoilt_messages_are_refused_or_answered() {
     let known = ["InvalidArgument", "Ok", "Unimplemented", "DeadlineExceeded"];
     assert!(codes.keys().all(|code| known.contains(&code.as_str())), "{codes:?}");
     is_answered(&server).await;
+}
+
+/// Catches messages of very many very small elements that are decoded before they are counted,
+/// or that are refused without a name: 16 MiB of them, to every method with a repeated field.
+#[tokio::test(flavor = "multi_thread")]
+async fn messages_of_empty_elements_are_refused_by_name() {
+    const ELEMENTS: usize = 8 << 20;
+    let server = TestServer::start().await;
+    let empty = |tag: u8| [tag << 3 | 2, 0].repeat(ELEMENTS);
+    let mask = [&[0x12, 0x80, 0x80, 0x80, 0x08][..], &empty(1)].concat();
+    let cases = [
+        ("HullService/RegisterHulls", empty(1), invalid("TOO_MANY_HULLS", "hulls")),
+        ("HullService/GetHulls", empty(1), invalid("TOO_MANY_HULLS", "ids")),
+        ("HullService/GetHulls", mask, invalid("TOO_MANY_PATHS", "field_mask.paths")),
+        ("HullService/HasHulls", empty(1), invalid("TOO_MANY_HULLS", "ids")),
+        ("HullService/DeleteHulls", empty(1), invalid("TOO_MANY_HULLS", "ids")),
+        ("ContactService/QueryContacts", empty(3), invalid("TOO_MANY_HULLS", "hull_ids")),
+        ("ContactService/FindContacts", empty(3), invalid("TOO_MANY_HULLS", "hull_ids")),
+        ("ContactService/StreamContacts", empty(3), invalid("TOO_MANY_HULLS", "hull_ids")),
+        (
+            "ContactService/QueryContacts",
+            [13 << 3, 1].repeat(ELEMENTS),
+            invalid("TOO_MANY_OUTPUTS", "outputs"),
+        ),
+    ];
+    for (method, message, expected) in cases {
+        let path = format!("/hullcast.v1.{method}");
+        let (status, _) = raw::status_of(&server.address, &path, &[], raw::frame(false, &message)).await;
+        assert_eq!(refusal(&status), expected, "{method}");
+    }
+    is_answered(&server).await;
+}
+
+/// Catches one hull that a request names so often that the answer takes all memory; the answer
+/// is refused before it is built, and a few repetitions are answered.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_hull_that_is_named_many_times_takes_no_memory() {
+    let server = TestServer::start().await;
+    let shape = plain(round_points(2000, 1));
+    server.hulls().register_hulls(register_request(std::slice::from_ref(&shape))).await.unwrap();
+    let mask = prost_types::FieldMask { paths: vec!["info".into(), "vertices".into(), "faces".into()] };
+    let request = |times| GetHullsRequest { ids: vec![id(&shape); times], field_mask: Some(mask.clone()) };
+    let status = server.hulls().get_hulls(request(4000)).await.unwrap_err();
+    assert_eq!(refusal(&status), invalid("RESPONSE_TOO_LARGE", ""));
+    let answer = server.hulls().get_hulls(request(50)).await.unwrap().into_inner();
+    assert_eq!(answer.hulls.len(), 50);
+    assert!(answer.hulls.iter().all(|hull| *hull == answer.hulls[0] && hull.vertices.len() == 6000));
+    server.until_calls_hold_nothing().await;
 }
 
 /// Catches a peer that holds a connection and says nothing, or half of a greeting.

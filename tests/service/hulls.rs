@@ -412,7 +412,8 @@ async fn the_cache_stays_within_its_bytes() {
     register(&server, register_request(&shapes)).await;
     let mut most = 0;
     for seed in 0..30 {
-        let shapes = &shapes[seed * 3..][..10];
+        // One caller may use half of the cache.
+        let shapes = &shapes[seed * 3..][..4];
         let request = scene(shapes, 20, 30, seed as u64);
         let answer = server.contacts().query_contacts(request.clone()).await.unwrap().into_inner();
         assert!(answer.missing_hulls.is_empty());

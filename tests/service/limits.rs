@@ -2,7 +2,7 @@
 
 use hullcast::{
     proto::{
-        GetServerInfoRequest, ListHullsRequest, QueryContactsRequest,
+        GetHullsRequest, GetServerInfoRequest, ListHullsRequest, QueryContactsRequest,
         register_hull_result::Result as Registered,
     },
     service::Limits,
@@ -94,7 +94,7 @@ async fn registrations_at_their_limits_and_one_past() {
     // A sphere's points are all extreme; one inside is none.
     let mut with_inner = round_points(60, 5);
     with_inner.push([0.0; 3]);
-    let shapes = [plain(round_points(60, 4)), plain(with_inner), plain(round_points(61, 6))];
+    let shapes = [plain(round_points(60, 4)), plain(with_inner.clone()), plain(round_points(61, 6))];
     let results = hulls.register_hulls(register_request(&shapes)).await.unwrap().into_inner().results;
     let vertices = |result: &hullcast::proto::RegisterHullResult| match &result.result {
         Some(Registered::Hull(info)) => Ok((info.vertex_count, info.registered_count)),
@@ -105,6 +105,17 @@ async fn registrations_at_their_limits_and_one_past() {
     assert_eq!(vertices(&results[1]), Ok((60, 61)));
     assert_eq!(vertices(&results[2]), Err(("TOO_MANY_VERTICES".into(), "vertices".into())));
 
+    with_inner.push([0.0; 3]);
+    let at_limit = plain(with_inner.clone());
+    with_inner.push([0.0; 3]);
+    let shapes_again = [at_limit, plain(with_inner), plain(round_points(60, 4))];
+    let results = hulls.register_hulls(register_request(&shapes_again)).await.unwrap().into_inner().results;
+    assert_eq!(vertices(&results[0]), Ok((60, 62)));
+    assert_eq!(vertices(&results[1]), Err(("TOO_MANY_POINTS".into(), "vertices".into())));
+    assert_eq!(vertices(&results[2]), Ok((60, 60)));
+    let Some(Registered::Error(error)) = &results[1].result else { panic!("it is an error") };
+    assert!(error.message.contains("63 points, the limit is 62"), "{error:?}");
+
     let four = [&shapes[..], &shapes[..1]].concat();
     let status = hulls.register_hulls(register_request(&four)).await.unwrap_err();
     assert_eq!(refusal(&status), invalid("TOO_MANY_HULLS", "hulls"));
@@ -113,6 +124,24 @@ async fn registrations_at_their_limits_and_one_past() {
     hulls.has_hulls(request).await.unwrap();
     let status = hulls.has_hulls(hullcast::proto::HasHullsRequest { ids }).await.unwrap_err();
     assert_eq!(refusal(&status), invalid("TOO_MANY_HULLS", "ids"));
+}
+
+/// Catches lists without a setting of their own that are not limited, or one too few.
+#[tokio::test(flavor = "multi_thread")]
+async fn outputs_and_paths_at_their_limits_and_one_past() {
+    let server = TestServer::start().await;
+    let (shapes, query) = two_boxes();
+    server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
+    for count in [256, 257] {
+        let request = QueryContactsRequest { outputs: vec![1; count], ..query.clone() };
+        let answered = server.contacts().query_contacts(request).await.map(|_| ());
+        let mask = prost_types::FieldMask { paths: vec!["info".into(); count] };
+        let request = GetHullsRequest { ids: query.hull_ids.clone(), field_mask: Some(mask) };
+        let described = server.hulls().get_hulls(request).await.map(|_| ());
+        let expected = |reason, field| if count > 256 { Err(invalid(reason, field)) } else { Ok(()) };
+        assert_eq!(answered.map_err(|s| refusal(&s)), expected("TOO_MANY_OUTPUTS", "outputs"));
+        assert_eq!(described.map_err(|s| refusal(&s)), expected("TOO_MANY_PATHS", "field_mask.paths"));
+    }
 }
 
 /// Catches a message limit off by one: in bytes, of the message without its frame.
@@ -253,6 +282,9 @@ fn contradicting_limits_do_not_start() {
         |l| l.max_memory_bytes = u64::MAX,
         |l| l.max_message_bytes = (2 << 30) + 1,
     ];
+    for store_seconds in [1, 3600] {
+        assert_eq!(Limits { store_seconds, ..Limits::default() }.contradiction(), None);
+    }
     for spoil in spoils {
         let mut limits = Limits::default();
         assert_eq!(limits.contradiction(), None);

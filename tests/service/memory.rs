@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use hullcast::{
+    budget::Part,
     proto::{Output, QueryContactsRequest},
     service::Limits,
     store::{BlobStore, HullDefinition, blobs},
@@ -123,5 +124,58 @@ async fn what_requests_hold_together_is_bounded() {
         }
         server.contacts().query_contacts(of(theirs, 1)).await.unwrap();
         assert!(server.app.registry().cached_bytes() <= bytes * 3 / 4);
+    }
+}
+
+/// Catches memory of the budget that is not given back when a call ends: answered, refused for
+/// any reason, or given up, and by a stream when it ends, which keeps some until then.
+#[tokio::test(flavor = "multi_thread")]
+async fn every_call_gives_its_memory_back() {
+    let server = TestServer::start().await;
+    let shapes: Vec<_> = (0..4).map(|seed| plain(round_points(50, seed))).collect();
+    server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
+    let memory = server.app.memory();
+    server.until_calls_hold_nothing().await;
+    // Small, decoded in place, and of 0.6 MiB, decoded on the compute threads.
+    for bodies in [4, 10_000] {
+        let mut good = of(&shapes, 100);
+        good.positions = vec![0.25; 3 * bodies];
+        good.rotations = [0.0, 0.0, 0.0, 1.0].repeat(bodies);
+        good.body_hulls = (0..bodies as u32).map(|body| body % 4).collect();
+        let late_fault = QueryContactsRequest { margin: -1.0, ..good.clone() };
+        let find = QueryContactsRequest { pairs: vec![], margin: 1e-3, ..of(&shapes, 0) };
+        server.contacts().query_contacts(good.clone()).await.unwrap();
+        server.contacts().query_contacts(late_fault).await.unwrap_err();
+        let mut found = server.contacts().find_contacts(find).await.unwrap().into_inner();
+        found.message().await.unwrap();
+        drop(found);
+        server.until_calls_hold_nothing().await;
+
+        server.app.engine().injected().allow(0);
+        let mut contacts = server.contacts();
+        let request = good.clone();
+        let call = tokio::spawn(async move { contacts.query_contacts(request).await });
+        while memory.used_by(Part::Decoded) == 0 {
+            tokio::time::sleep(std::time::Duration::from_millis(1)).await;
+        }
+        assert!(memory.used_by(Part::Decoded) >= 60 * bodies as u64);
+        call.abort();
+        server.app.engine().injected().open();
+        server.until_calls_hold_nothing().await;
+
+        let (requests, received) = tokio::sync::mpsc::channel(1);
+        let mut received = received;
+        let stream = futures_util::stream::poll_fn(move |cx| received.poll_recv(cx));
+        let mut answers = server.contacts().stream_contacts(stream).await.unwrap().into_inner();
+        for _ in 0..3 {
+            requests.send(good.clone()).await.unwrap();
+            answers.message().await.unwrap().unwrap();
+        }
+        let kept = 4 * 32 + 4 * bodies as u64 + 8 * 100 + 24 * 100;
+        while memory.used_by(Part::StreamState) != kept || memory.used_by(Part::Decoded) > 0 {
+            tokio::time::sleep(std::time::Duration::from_millis(1)).await;
+        }
+        drop((requests, answers));
+        server.until_calls_hold_nothing().await;
     }
 }

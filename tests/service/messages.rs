@@ -45,8 +45,7 @@ async fn a_declared_length_takes_no_memory() {
     server.until("hullcast_requests_in_flight", 500.0).await;
     tokio::time::sleep(Duration::from_millis(100)).await;
     assert_eq!(server.metric(ARRIVING), 0.0);
-    calls.iter().for_each(tokio::task::JoinHandle::abort);
-    drop(client);
+    drop((calls, client));
     server.until("hullcast_requests_in_flight", 0.0).await;
 }
 
@@ -124,7 +123,7 @@ async fn a_stream_may_wait_between_messages() {
 /// Catches a health check that is shed, or that may send megabytes without a token.
 #[tokio::test(flavor = "multi_thread")]
 async fn health_is_answered_whatever_the_budget_holds() {
-    let limits = Limits { max_memory_bytes: 256 << 20, ..Limits::default() };
+    let limits = Limits { max_memory_bytes: 256 << 20, max_message_bytes: 16 << 20, ..Limits::default() };
     let server = TestServer::with_limits(limits).await;
     let caller = hullcast::budget::Caller::alone();
     let mut filler = Vec::new();

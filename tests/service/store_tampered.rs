@@ -49,7 +49,7 @@ async fn register(server: &TestServer, shapes: &[HullDefinition]) {
 async fn listed(server: &TestServer, page_size: u32) -> Vec<Vec<u8>> {
     let (mut ids, mut page_token) = (Vec::new(), String::new());
     loop {
-        let request = ListHullsRequest { page_size, page_token, ..ListHullsRequest::default() };
+        let request = ListHullsRequest { page_size, page_token };
         let page = server.hulls().list_hulls(request).await.unwrap().into_inner();
         ids.extend(page.hulls.into_iter().map(|hull| hull.id));
         page_token = page.next_page_token;
@@ -71,7 +71,7 @@ fn made(program: &str, path: &Path, arguments: &[&str]) -> bool {
     Command::new(program).arg(path).args(arguments).status().unwrap().success()
 }
 
-/// What is put in place of a blob, and how. Each is not a regular file within the limit.
+/// Entries that are put in place of a blob. None is a regular file within the limit.
 const CASES: [(&str, Tamper); 8] = [
     ("a sparse file of 3 GiB", |path| File::create(path).and_then(|file| file.set_len(3 << 30)).is_ok()),
     ("a FIFO", |path| made("mkfifo", path, &[])),
@@ -84,8 +84,8 @@ const CASES: [(&str, Tamper); 8] = [
     ("a link to a file", |path| symlink(path.ancestors().nth(3).unwrap().join("secret"), path).is_ok()),
 ];
 
-/// Catches an entry that is opened before it is examined: one that blocks a thread for good,
-/// is read into memory whole, ends a listing, or has the file that it links to copied. Each
+/// Catches an entry that is opened before it is examined: it blocks a thread for good, is read
+/// into memory whole, makes a listing fail, or has the file copied that it links to. Each entry
 /// costs its own hull only, until that hull is registered again.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_bad_entry_costs_its_own_hull_only() {

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use hullcast::{
+    budget::Part,
     proto::QueryContactsRequest,
     service::{Limits, Serving},
 };
@@ -87,7 +88,7 @@ async fn a_caller_takes_no_more_than_its_share() {
     // Some of its calls are refused: two connections of one address are one caller.
     let (status, _, rest) = futures_util::future::select_all(greedy.drain(..)).await;
     assert_eq!(refusal(&status.unwrap()), refused(Code::Unavailable, "TOO_BUSY", ""));
-    assert!(server.app.memory().used() <= 1 << 29, "half of the budget");
+    assert!(server.app.memory().used_by(Part::Arriving) <= 1 << 29, "half of the budget");
     let request = many_contacts(&server, 2000).await;
     let frame = raw::frame(false, &request.encode_to_vec());
     let mut bystander = raw::connect_from("127.0.0.3", &server.address, 1 << 20).await;

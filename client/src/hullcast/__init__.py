@@ -27,6 +27,9 @@ if TYPE_CHECKING:
         FileNotFound,
         HullRejected,
         InvalidArgument,
+        InvalidPoses,
+        InvalidPosesWarning,
+        MissingHullsWarning,
         NotConvexWarning,
         OutputNotAsked,
         ResourceExhausted,
@@ -39,6 +42,7 @@ if TYPE_CHECKING:
     )
     from ._export import Padded
     from ._hulls import DEFAULT_PLANARITY, Hull, hull_id
+    from ._manage import ServerInfo, StoredHull
     from ._manifolds import Manifold, Manifolds
     from ._query import Accuracy
     from ._robot import Robot
@@ -58,8 +62,11 @@ __all__ = [
     "Hull",
     "HullRejected",
     "InvalidArgument",
+    "InvalidPoses",
+    "InvalidPosesWarning",
     "Manifold",
     "Manifolds",
+    "MissingHullsWarning",
     "NotConvexWarning",
     "Outcome",
     "OutputNotAsked",
@@ -69,8 +76,10 @@ __all__ = [
     "Scene",
     "ServerDidNotStart",
     "ServerError",
+    "ServerInfo",
     "ServerNotFound",
     "Session",
+    "StoredHull",
     "Unauthenticated",
     "Unavailable",
     "Unimplemented",
@@ -95,6 +104,9 @@ _HOMES = {
         "FileNotFound",
         "HullRejected",
         "InvalidArgument",
+        "InvalidPoses",
+        "InvalidPosesWarning",
+        "MissingHullsWarning",
         "NotConvexWarning",
         "OutputNotAsked",
         "ResourceExhausted",
@@ -107,6 +119,7 @@ _HOMES = {
     ],
     "_export": ["Padded"],
     "_hulls": ["DEFAULT_PLANARITY", "Hull", "hull_id"],
+    "_manage": ["ServerInfo", "StoredHull"],
     "_manifolds": ["Manifold", "Manifolds"],
     "_query": ["Accuracy"],
     "_robot": ["Robot"],

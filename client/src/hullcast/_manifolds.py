@@ -13,10 +13,9 @@ from . import _export
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument, OutputNotAsked
 from ._export import Padded
+from ._names import FeatureKindArray, FlagArray, OutcomeArray
 from ._scene import Scene
 from ._wire import FeatureKind, Flag, Outcome
-
-Bytes = npt.NDArray[np.uint8]
 
 
 class Manifolds:
@@ -36,12 +35,12 @@ class Manifolds:
 
     def __init__(self, columns: Mapping[str, np.ndarray], scene: Scene | None = None) -> None:
         self._columns = dict(columns)
-        #: What was asked about; None when loaded from a file.
+        #: The scene that the query was about; None if the answer was loaded from a file.
         self.scene = scene
-        #: Outcome of each pair, uint8: compare with `Outcome`.
-        self.outcome: Bytes = self._columns["outcomes"]
+        #: Outcome of each pair, uint8: compare with `Outcome` or with a name, such as "CONTACT".
+        self.outcome: OutcomeArray = self._columns["outcomes"].view(OutcomeArray)
         #: Bits of `Flag` of each pair, uint8.
-        self.flags: Bytes = self._columns["flags"]
+        self.flags: FlagArray = self._columns["flags"].view(FlagArray)
         #: (n, 2): body indices A, B.
         self.pairs: Indices = self._columns["pairs"]
         #: Indices into `Scene.hull_ids` that were not answered for, ascending.
@@ -54,6 +53,11 @@ class Manifolds:
             return self._columns[wire]
         except KeyError:
             raise OutputNotAsked(name, output) from None
+
+    @property
+    def in_contact(self) -> npt.NDArray[np.bool_]:
+        """Whether each pair's outcome is CONTACT: within the margin."""
+        return np.equal(self.outcome, Outcome.CONTACT)
 
     @property
     def alpha(self) -> Floats:
@@ -127,9 +131,10 @@ class Manifolds:
         return self._column("point_ids", "point_ids", "FEATURES")
 
     @property
-    def feature_kinds(self) -> Bytes:
-        """(n, 2): `FeatureKind` of A and of B."""
-        return self._column("feature_kinds", "feature_kinds", "FEATURES")
+    def feature_kinds(self) -> FeatureKindArray:
+        """(n, 2): `FeatureKind` of A and of B; compare with it or with a name, such as "FACE"."""
+        column = self._column("feature_kinds", "feature_kinds", "FEATURES")
+        return column.view(FeatureKindArray)
 
     @property
     def feature_indices(self) -> Indices:
@@ -301,11 +306,12 @@ class Manifolds:
         counts = ", ".join(
             f"{count} {outcome.name}"
             for outcome in Outcome
-            if (count := int(np.count_nonzero(self.outcome == outcome)))
+            if (count := int(np.count_nonzero(self.outcome == int(outcome))))
         )
         text = f"{len(self)} pair{'' if len(self) == 1 else 's'}: {counts or 'none'}"
         if "point_counts" in self._columns:
-            text += f"; {int(self.point_offsets[-1])} points"
+            points = int(self.point_offsets[-1])
+            text += f"; {points} point{'' if points == 1 else 's'}"
         if flags := int(np.bitwise_or.reduce(self.flags, initial=0)):
             text += f"; flags {Flag(flags)!r}"
         return f"Manifolds({text})"

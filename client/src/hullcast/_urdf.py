@@ -171,8 +171,8 @@ def _names(elements: Sequence[Element], kind: str) -> tuple[str, ...]:
 def _attribute(element: Element, attribute: str, where: str) -> str:
     value = element.get(attribute)
     if not value:
-        tag = "" if where.endswith(f"<{element.tag}>") else f" <{element.tag}>"
-        raise _Invalid(f"{where}:{tag} has no {attribute!r}".replace("::", ":"))
+        tag = f"<{element.tag}>"
+        raise _Invalid(f"{where if where == tag else f'{where}: {tag}'} has no {attribute!r}")
     return value
 
 

@@ -11,7 +11,8 @@ use std::{cmp::Ordering, collections::BinaryHeap};
 
 use glam::DVec3;
 
-use super::{ConvexHull, HullError, HullErrorKind, HullOptions, build};
+use super::{BuildError, ConvexHull, HullError, HullErrorKind, HullOptions, build};
+use crate::contact::stop::{Meter, Stopped};
 use crate::contact::tolerance::{DISTANCE_ITERATIONS, NOISE, U};
 
 /// What a hull may be simplified to; a bound that is absent does not bind.
@@ -47,30 +48,49 @@ pub(super) fn simplified(
     given: &[[f64; 3]],
     options: &HullOptions,
     wanted: &Simplification,
-) -> Result<ConvexHull, HullError> {
+    meter: &Meter<'_>,
+) -> Result<ConvexHull, BuildError> {
     wanted.check()?;
-    let whole = build::build(given, options)?;
+    // The limit is for the hull that is kept, which is the simplified one.
+    let whole = build::build(given, &HullOptions { max_vertices: usize::MAX, ..*options }, meter)?;
     let most = wanted.max_vertices.map_or(usize::MAX, |most| most as usize);
+    let limit = options.max_vertices;
+    let too_many = || HullError {
+        kind: HullErrorKind::TooManyVertices,
+        index: None,
+        detail: format!(
+            "the simplified hull needs more than {limit} vertices, at most {limit} are allowed: \
+             ask for fewer, or for a larger deviation"
+        ),
+    };
+    if wanted.max_deviation.is_none() && most.min(whole.vertices().len()) > limit {
+        return Err(too_many().into());
+    }
     let mut inner = Inner::new(whole.vertices());
     loop {
+        if inner.taken.len() > limit {
+            return Err(too_many().into());
+        }
         // Bounds are of the vertices of the whole, each rounded once.
-        let deviation = match inner.farthest() {
+        let deviation = match inner.farthest(meter)? {
             None => 0.0,
             Some(distance) => (distance + NOISE * U) * whole.scale(),
         };
         let enough = wanted.max_deviation.is_none_or(|limit| deviation <= limit);
         let unbounded = wanted.max_deviation.is_none() && inner.taken.len() < most;
-        let complete = inner.farthest().is_none();
+        let complete = inner.farthest(meter)?.is_none();
         if !complete && (!enough || unbounded) && inner.taken.len() < most {
-            inner.take();
+            inner.take(meter)?;
             continue;
         }
         if !enough {
             let detail = format!("{most} vertices leave a deviation of {deviation:e}");
-            return Err(HullError { kind: HullErrorKind::SimplificationNotPossible, index: None, detail });
+            return Err(
+                HullError { kind: HullErrorKind::SimplificationNotPossible, index: None, detail }.into()
+            );
         }
-        match of_some(given, &whole, &inner.taken, deviation) {
-            Err(_) if !complete && inner.taken.len() < most => inner.take(),
+        match of_some(given, &whole, &inner.taken, deviation, limit, meter) {
+            Err(BuildError::Hull(_)) if !complete && inner.taken.len() < most => inner.take(meter)?,
             result => return result,
         }
     }
@@ -82,14 +102,16 @@ fn of_some(
     whole: &ConvexHull,
     taken: &[u32],
     deviation: f64,
-) -> Result<ConvexHull, HullError> {
+    max_vertices: usize,
+    meter: &Meter<'_>,
+) -> Result<ConvexHull, BuildError> {
     let mut registered: Vec<u32> = taken.iter().map(|&v| whole.registered[v as usize]).collect();
     registered.sort_unstable();
     let points: Vec<[f64; 3]> = registered.iter().map(|&i| given[i as usize]).collect();
     let contraction_point = Some(whole.contraction_point.to_array());
     let planarity = Some(whole.planarity);
-    let mut hull =
-        build::build(&points, &HullOptions { contraction_point, planarity, ..HullOptions::default() })?;
+    let options = HullOptions { contraction_point, max_vertices, planarity, simplification: None };
+    let mut hull = build::build(&points, &options, meter)?;
     hull.registered.iter_mut().for_each(|v| *v = registered[*v as usize]);
     hull.registered_count = whole.registered_count;
     hull.deviation = deviation;
@@ -146,13 +168,13 @@ impl<'a> Inner<'a> {
     }
 
     /// Upper bound of the distance of the farthest vertex left out; none when none is.
-    fn farthest(&mut self) -> Option<f64> {
+    fn farthest(&mut self, meter: &Meter<'_>) -> Result<Option<f64>, Stopped> {
         loop {
-            let mut top = self.left.peek_mut()?;
+            let Some(mut top) = self.left.peek_mut() else { return Ok(None) };
             if top.at == self.taken.len() {
-                return Some(top.distance);
+                return Ok(Some(top.distance));
             }
-            let bound = distance(self.vertices[top.vertex as usize], &self.points);
+            let bound = distance(self.vertices[top.vertex as usize], &self.points, meter)?;
             // A bound from before holds too.
             top.distance = top.distance.min(bound);
             top.at = self.taken.len();
@@ -160,22 +182,24 @@ impl<'a> Inner<'a> {
     }
 
     /// Takes the farthest.
-    fn take(&mut self) {
-        if self.farthest().is_some()
+    fn take(&mut self, meter: &Meter<'_>) -> Result<(), Stopped> {
+        if self.farthest(meter)?.is_some()
             && let Some(left) = self.left.pop()
         {
             self.taken.push(left.vertex);
             self.points.push(self.vertices[left.vertex as usize]);
         }
+        Ok(())
     }
 }
 
 /// Upper bound of the distance of `target` from the hull of `points`, hull units: that to a
 /// point of it, found as GJK does (Gilbert, Johnson and Keerthi, 1988).
-fn distance(target: DVec3, points: &[DVec3]) -> f64 {
+fn distance(target: DVec3, points: &[DVec3], meter: &Meter<'_>) -> Result<f64, Stopped> {
     let mut simplex = Corners::default().with(points[0]);
     let mut shortest = f64::INFINITY;
     for _ in 0..DISTANCE_ITERATIONS {
+        meter.spend(300 + points.len() as u64)?;
         let (nearest, kept) = nearest(target, &simplex);
         let away = target - nearest;
         // Less would be rounding: the bound is what was reached.
@@ -191,7 +215,7 @@ fn distance(target: DVec3, points: &[DVec3]) -> f64 {
         simplex = kept.with(next);
     }
     // Points are within 1 of the centre, weights sum to 1 within rounding.
-    shortest + NOISE * U
+    Ok(shortest + NOISE * U)
 }
 
 /// At most four points.

@@ -135,11 +135,9 @@ impl Engine {
     ) -> Result<(Columns, Permit), ServiceError> {
         let pairs = batch.pair_count();
         // A batch whose caller leaves while it waits is large, and not freed here.
-        let waiting = self.compute.freed_here(batch);
+        let waiting = self.compute.freed_here(batch, usize::MAX);
         self.admission.turn(&mut admission).instrument(trace::queue(pairs)).await;
-        let Some(batch) = waiting.into_inner() else {
-            return Err(ServiceError::internal("the batch was lost"));
-        };
+        let batch = waiting.into_inner();
         let started = Instant::now();
         let run = self.begin(batch, admission, job, memory);
         let unanswered = run.unanswered.clone();

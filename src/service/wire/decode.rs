@@ -3,16 +3,21 @@
 //! Each request is read twice. The first pass allocates nothing: it counts the elements of
 //! every repeated field and refuses counts over a limit, by name. Then the memory of the
 //! decoded request is taken from the call's budget, and the second pass reserves every column
-//! once and fills it. A request of n bytes therefore needs at most 2 n bytes, and in addition
-//! [`HULL_BYTES`] for each hull or id, of which a limit bounds the number. The factor 2 covers
-//! what validation adds to the columns themselves, which need at most n.
+//! once and fills it. A request of n bytes therefore needs at most 2 n bytes, in addition
+//! [`HULL_BYTES`] for each hull or id, of which a limit bounds the number, and
+//! [`CONSTANT_BYTES`]. The factor 2 covers what validation adds to the columns themselves,
+//! which need at most n.
 //!
 //! The bytes that prost accepts are accepted, and mean the same.
 
+#[cfg(test)]
+mod tests;
+
 use super::{
     fields::{Field, Fields, Meter, append},
+    find::find,
     hulls::{Definition, Parts, definition, malformed, page_token, too_many_points},
-    request::{at_most, hull_id},
+    request::{at_most, hull_id, stoppable_scene},
 };
 use crate::{
     contact::Stop,
@@ -30,11 +35,14 @@ const MAX_OUTPUTS: u32 = 256;
 /// Most entries of `field_mask.paths`: each path of today many times.
 const MAX_PATHS: u32 = 256;
 
-/// What a hull of a request takes beside its points, and an id in whatever form: in lists,
-/// in tables of ids, and in the error where the hull is refused.
-pub(in crate::service) const HULL_BYTES: usize = 512;
+/// Memory of a hull of a request beside its points, or of an id: its entries in lists and in
+/// tables of ids, and the error of a hull that is refused.
+pub const HULL_BYTES: usize = 512;
 
-/// What decoding one request may use.
+/// Memory that any request may need: for its outputs, the paths of its field mask, and an error.
+pub const CONSTANT_BYTES: usize = 8 << 10;
+
+/// The bounds of decoding one request.
 pub(in crate::service) struct Bounds<'a> {
     limits: &'a Limits,
     meter: Meter<'a>,
@@ -54,7 +62,7 @@ impl<'a> Bounds<'a> {
 
 /// A message that a client may send.
 pub(in crate::service) trait Request: Send + Sync + 'static {
-    /// What the message means, as far as one message shows it.
+    /// The decoded message.
     type Decoded: Send + 'static;
 
     /// Decodes a message.
@@ -62,7 +70,7 @@ pub(in crate::service) trait Request: Send + Sync + 'static {
     /// # Errors
     /// MALFORMED_MESSAGE, a limit that the message passes, a budget without room for it, or
     /// that nobody waits for it any more.
-    fn decode(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Self::Decoded, ServiceError>;
+    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Self::Decoded, ServiceError>;
 }
 
 /// How many elements each repeated field of a `QueryContactsRequest` has.
@@ -127,7 +135,7 @@ impl QueryCounts {
 impl Request for proto::QueryContactsRequest {
     type Decoded = Self;
 
-    fn decode(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Self, ServiceError> {
+    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Self, ServiceError> {
         let meter = &mut bounds.meter;
         let mut counts = QueryCounts::of(message, meter)?;
         counts.check(bounds.limits)?;
@@ -187,7 +195,7 @@ fn read_accuracy(
 impl Request for proto::RegisterHullsRequest {
     type Decoded = Vec<Definition>;
 
-    fn decode(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Vec<Definition>, ServiceError> {
+    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Vec<Definition>, ServiceError> {
         let (meter, limits) = (&mut bounds.meter, bounds.limits);
         let (mut hulls, mut doubles) = (0, 0);
         let mut fields = Fields::new(message);
@@ -232,6 +240,9 @@ impl HullCounts {
             match field.tag {
                 1 => counts.vertices += field.elements::<8>()?.len(),
                 2 => counts.contraction_point += field.elements::<8>()?.len(),
+                // Read for their faults: the hull may be refused before it is read again.
+                3 => read_simplification(&mut proto::Simplification::default(), &field, meter)?,
+                4 => drop(field.double()?),
                 _ => {}
             }
         }
@@ -269,22 +280,28 @@ fn read_hull(
         match field.tag {
             1 => append(&mut read.vertices, field.elements()?, f64::from_le_bytes, meter)?,
             2 => append(&mut read.contraction_point, field.elements()?, f64::from_le_bytes, meter)?,
-            3 => {
-                let wanted = read.simplification.get_or_insert_default();
-                let mut fields = Fields::nested(field.bytes()?, 2);
-                while let Some(field) = fields.next(meter)? {
-                    match field.tag {
-                        1 => wanted.max_vertices = Some(field.varint()? as u32),
-                        2 => wanted.max_deviation = Some(field.double()?),
-                        _ => {}
-                    }
-                }
-            }
+            3 => read_simplification(read.simplification.get_or_insert_default(), &field, meter)?,
             4 => read.planarity = Some(field.double()?),
             _ => {}
         }
     }
     Ok(read)
+}
+
+fn read_simplification(
+    simplification: &mut proto::Simplification,
+    field: &Field<'_>,
+    meter: &mut Meter<'_>,
+) -> Result<(), ServiceError> {
+    let mut fields = Fields::nested(field.bytes()?, 2);
+    while let Some(field) = fields.next(meter)? {
+        match field.tag {
+            1 => simplification.max_vertices = Some(field.varint()? as u32),
+            2 => simplification.max_deviation = Some(field.double()?),
+            _ => {}
+        }
+    }
+    Ok(())
 }
 
 /// The hull ids of a message that has them as field 1.
@@ -312,7 +329,7 @@ fn ids(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Vec<HullId>, ServiceEr
 impl Request for proto::HasHullsRequest {
     type Decoded = Vec<HullId>;
 
-    fn decode(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Vec<HullId>, ServiceError> {
+    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Vec<HullId>, ServiceError> {
         ids(message, bounds)
     }
 }
@@ -320,7 +337,7 @@ impl Request for proto::HasHullsRequest {
 impl Request for proto::DeleteHullsRequest {
     type Decoded = Vec<HullId>;
 
-    fn decode(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Vec<HullId>, ServiceError> {
+    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Vec<HullId>, ServiceError> {
         ids(message, bounds)
     }
 }
@@ -328,7 +345,7 @@ impl Request for proto::DeleteHullsRequest {
 impl Request for proto::GetHullsRequest {
     type Decoded = (Vec<HullId>, Parts);
 
-    fn decode(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Self::Decoded, ServiceError> {
+    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Self::Decoded, ServiceError> {
         let ids = ids(message, bounds)?;
         let paths = paths(message, &mut bounds.meter)?;
         Ok((ids, Parts::named(&paths)?))
@@ -370,7 +387,7 @@ pub(in crate::service) struct Listing {
 impl Request for proto::ListHullsRequest {
     type Decoded = Listing;
 
-    fn decode(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Listing, ServiceError> {
+    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Listing, ServiceError> {
         let (mut page_size, mut token) = (0, "");
         let mut fields = Fields::new(message);
         while let Some(field) = fields.next(&mut bounds.meter)? {
@@ -387,9 +404,55 @@ impl Request for proto::ListHullsRequest {
 impl Request for proto::GetServerInfoRequest {
     type Decoded = ();
 
-    fn decode(message: &[u8], bounds: &mut Bounds<'_>) -> Result<(), ServiceError> {
+    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<(), ServiceError> {
         let mut fields = Fields::new(message);
         while fields.next(&mut bounds.meter)?.is_some() {}
         Ok(())
     }
+}
+
+/// Decodes and checks a message as the handler of `method` does; how much memory that takes
+/// of the budget. For fuzzing, and for tests of memory.
+///
+/// # Errors
+/// Those of the handler.
+#[doc(hidden)]
+pub fn decoded_bytes(
+    method: &str,
+    message: &[u8],
+    limits: &Limits,
+    stop: &Stop,
+) -> Result<usize, ServiceError> {
+    fn decode<M: Request>(
+        message: &[u8],
+        limits: &Limits,
+        stop: &Stop,
+    ) -> Result<(M::Decoded, usize), ServiceError> {
+        let mut taken = 0;
+        let mut take = |bytes| {
+            taken += bytes;
+            Ok(())
+        };
+        let decoded = M::read(message, &mut Bounds::new(limits, stop, &mut take))?;
+        Ok((decoded, taken))
+    }
+    let bytes = match method {
+        "FindContacts" => {
+            let (request, bytes) = decode::<proto::QueryContactsRequest>(message, limits, stop)?;
+            find(request, limits, stop)?;
+            bytes
+        }
+        "RegisterHulls" => decode::<proto::RegisterHullsRequest>(message, limits, stop)?.1,
+        "GetHulls" => decode::<proto::GetHullsRequest>(message, limits, stop)?.1,
+        "HasHulls" => decode::<proto::HasHullsRequest>(message, limits, stop)?.1,
+        "DeleteHulls" => decode::<proto::DeleteHullsRequest>(message, limits, stop)?.1,
+        "ListHulls" => decode::<proto::ListHullsRequest>(message, limits, stop)?.1,
+        "GetServerInfo" => decode::<proto::GetServerInfoRequest>(message, limits, stop)?.1,
+        _ => {
+            let (request, bytes) = decode::<proto::QueryContactsRequest>(message, limits, stop)?;
+            stoppable_scene(request, limits, stop)?;
+            bytes
+        }
+    };
+    Ok(bytes)
 }

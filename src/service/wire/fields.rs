@@ -75,7 +75,7 @@ impl<'a> Meter<'a> {
         if self.gathered >= GATHERED_STEPS { self.finish() } else { Ok(()) }
     }
 
-    /// Spends what was gathered.
+    /// Spends the gathered steps.
     ///
     /// # Errors
     /// Nobody waits for the work any more.
@@ -90,7 +90,7 @@ pub(super) struct Field<'a> {
     /// The field's number in the contract.
     pub(super) tag: u32,
     wire_type: WireType,
-    /// What a length-delimited field contains, or the bytes of a fixed-width number.
+    /// The content of a length-delimited field, or the bytes of a fixed-width number.
     payload: &'a [u8],
     /// The value of a varint.
     varint: u64,
@@ -129,7 +129,7 @@ impl<'a> Field<'a> {
         std::str::from_utf8(self.bytes()?).map_err(Fault::malformed)
     }
 
-    /// The elements of a column that this field has: many where it is packed, else one.
+    /// The elements of a column that this field has: many if the column is packed, otherwise one.
     pub(super) fn elements<const WIDTH: usize>(&self) -> Result<&'a [[u8; WIDTH]], Fault> {
         if self.wire_type != WireType::LengthDelimited {
             self.checked(if WIDTH == 8 { WireType::SixtyFourBit } else { WireType::ThirtyTwoBit })?;
@@ -216,7 +216,7 @@ impl<'a> Fields<'a> {
         Ok(payload)
     }
 
-    /// Passes over what a group has, up to its end.
+    /// Passes over the content of a group, up to its end.
     fn skip_group(&mut self, tag: u32, depth: u32, meter: &mut Meter<'_>) -> Result<(), Fault> {
         loop {
             let (inner, wire_type) = decode_key(&mut self.rest).map_err(Fault::malformed)?;

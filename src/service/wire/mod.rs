@@ -12,6 +12,8 @@ mod status;
 
 pub use columns::{Columns, Invalid, response};
 pub(super) use decode::{Bounds, Request};
+#[doc(hidden)]
+pub use decode::{CONSTANT_BYTES, HULL_BYTES, decoded_bytes};
 pub(super) use find::find;
 pub(super) use hulls::{
     Definition, Parts, hull_error, not_found, page, record, record_bytes, register_result, repeated,

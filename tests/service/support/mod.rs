@@ -9,6 +9,7 @@ pub(crate) mod store;
 use std::{sync::Arc, time::Duration};
 
 use hullcast::{
+    budget::Part,
     proto::{
         contact_service_client::ContactServiceClient, hull_service_client::HullServiceClient,
         server_service_client::ServerServiceClient,
@@ -122,6 +123,14 @@ impl TestServer {
     /// Waits until a metric has this value.
     pub(crate) async fn until(&self, name: &str, value: f64) {
         while self.metric(name) != value {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    }
+
+    /// Waits until no call holds memory of the budget; connections hold theirs.
+    pub(crate) async fn until_calls_hold_nothing(&self) {
+        let memory = self.app.memory();
+        while memory.used() > memory.used_by(Part::Connections) {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
     }

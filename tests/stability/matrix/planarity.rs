@@ -9,7 +9,7 @@ use crate::scene::{Random, box_points, cloud, prism_points};
 const LEVEL: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
 const PLANARITIES: [f64; 4] = [0.0, 1e-4, 1e-3, 1e-2];
 
-/// As a file has a coordinate with so many decimals.
+/// Coordinates as a file writes them with this many decimals.
 fn rounded(points: &[[f64; 3]], digits: i32) -> Vec<[f64; 3]> {
     let unit = 10_f64.powi(digits);
     points.iter().map(|p| p.map(|x| (x * unit).round() / unit)).collect()
