@@ -256,7 +256,7 @@ mod tests {
         assert_eq!(letters.matches('b').count(), 50);
         let mut steps = HashMap::from([('a', 0), ('c', 0)]);
         for _ in 0..2000 {
-            if !turns.accounts.get(&3).is_some_and(|account| !account.waiting.is_empty()) {
+            if turns.accounts.get(&3).is_none_or(|account| account.waiting.is_empty()) {
                 turns.push(3, ('c', 500), 1);
             }
             for (letter, more) in taken(&mut turns, 1).1 {

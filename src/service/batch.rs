@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 pub use engine::{Bounds, Engine};
 
+use self::cost::LEAST_STEPS;
 use super::{
     outputs::Outputs,
     wire::{Columns, Invalid, Poses, Scene, Setting},
@@ -101,7 +102,7 @@ impl Batch {
                 let manifold = contact_manifold(&a, &b, &self.setting.query, warm.as_ref(), workspace);
                 if self.candidates.is_some() {
                     if manifold.outcome == Outcome::Separated {
-                        return self.pair_steps(pair);
+                        return workspace.take_steps();
                     }
                     columns.push_pair(bodies);
                 }
@@ -109,7 +110,7 @@ impl Batch {
             }
             _ => columns.push_invalid(invalid, self.kept),
         }
-        self.pair_steps(pair)
+        LEAST_STEPS + workspace.take_steps()
     }
 
     fn body(&self, index: u32, invalid: &mut Invalid) -> Option<Body<'_>> {

@@ -160,7 +160,7 @@ impl Engine {
             run = self.compute.run(|stop| run.cut(stop), job).await??;
         }
         match self.compute.split(run, job).await? {
-            Chunked::Answer(columns, memory) => Ok((columns, memory)),
+            Chunked::Answer(answer) => Ok(*answer),
             Chunked::Large(chunks) => self
                 .compute
                 .run_steps(chunks.steps(), |stop| chunks.concatenated(stop), job)

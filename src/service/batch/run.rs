@@ -58,7 +58,7 @@ pub(super) struct Run {
 
 /// A batch whose chunks are computed.
 pub(super) enum Chunked {
-    Answer(Columns, Permit),
+    Answer(Box<(Columns, Permit)>),
     /// To be put together as work of its own.
     Large(Computed),
 }
@@ -112,8 +112,7 @@ impl Parts for Run {
         if computed.bytes() > LARGE_BYTES {
             return Ok(Chunked::Large(computed));
         }
-        let (columns, memory) = computed.concatenated(&self.job.stop)?;
-        Ok(Chunked::Answer(columns, memory))
+        Ok(Chunked::Answer(Box::new(computed.concatenated(&self.job.stop)?)))
     }
 }
 
@@ -291,7 +290,7 @@ mod tests {
 
     fn answer(run: &Run, chunks: Vec<Columns>) -> (Columns, Permit) {
         match run.whole(chunks).unwrap() {
-            Chunked::Answer(columns, memory) => (columns, memory),
+            Chunked::Answer(answer) => *answer,
             Chunked::Large(computed) => computed.concatenated(&run.job.stop).unwrap(),
         }
     }
