@@ -161,8 +161,8 @@ mod tests {
         }
     }
 
-    fn cube(center: DVec3, half: f64) -> Option<Bounds> {
-        Some(Bounds { low: center - half, high: center + half })
+    fn cube(center: DVec3, half: f64) -> Bounds {
+        Bounds { low: center - half, high: center + half }
     }
 
     /// All pairs, by searches of `bodies` bodies each that are left after `steps` steps.
@@ -191,7 +191,11 @@ mod tests {
             let mut bounds = Vec::new();
             for _ in 0..bodies {
                 let center = DVec3::from_array([0; 3].map(|_| next(size) as f64));
-                bounds.push(if next(20) == 0 { None } else { cube(center, 0.5 + next(size / 4 + 1) as f64) });
+                bounds.push(if next(20) == 0 {
+                    None
+                } else {
+                    Some(cube(center, 0.5 + next(size / 4 + 1) as f64))
+                });
             }
             let mut some = |kinds: u64, of: [u32; 4]| -> Vec<u32> {
                 if next(2) == 0 {
@@ -235,7 +239,7 @@ mod tests {
     #[test]
     fn hostile_scenes_are_looked_up_from() {
         let bodies = 20_000_u32;
-        let bounds = || vec![cube(DVec3::ZERO, 1.0); bodies as usize];
+        let bounds = || vec![Some(cube(DVec3::ZERO, 1.0)); bodies as usize];
         let one_group = Rules::new(vec![], vec![1; bodies as usize], vec![]);
         let worlds = Rules::new((0..bodies).collect(), vec![], vec![]);
         let every_world = Rules::new(

@@ -53,7 +53,7 @@ pub struct Compute {
 /// Who asked for work, and how to stop it. Threads take turns between callers.
 #[derive(Clone, Debug)]
 pub struct Job {
-    /// Whose turn is used.
+    /// The caller whose turn is used.
     pub caller: Caller,
     /// Set when nobody waits for the work any more.
     pub stop: Arc<Stop>,
@@ -76,9 +76,9 @@ impl Job {
 
 /// Work in parts that any threads do in any order, at any time.
 pub trait Parts: Send + Sync + 'static {
-    /// What a part gives.
+    /// The result of a part.
     type Part: Send;
-    /// What all parts together give.
+    /// The result of all parts together.
     type Whole: Send;
 
     /// How many parts there are.
@@ -102,7 +102,7 @@ pub trait Parts: Send + Sync + 'static {
     fn whole(&self, parts: Vec<Self::Part>) -> Result<Self::Whole, Stopped>;
 }
 
-/// The computation panicked: a bug that ends its own call alone.
+/// The computation panicked: a bug that ends only its own call.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Panicked(pub String);
 
@@ -339,7 +339,7 @@ impl Drop for Pool {
     }
 }
 
-/// No panic leaves what is locked here half done.
+/// A panic cannot leave the locked value half changed, so a poisoned lock is as good as any other.
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

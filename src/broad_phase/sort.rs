@@ -10,7 +10,7 @@ const RUN: usize = 1 << 15;
 const RUN_STEPS: u64 = 25;
 const MERGE_STEPS: u64 = 4;
 
-/// The estimated steps of sorting so many keys.
+/// The estimated steps of sorting a number of keys.
 pub(super) fn steps(keys: usize) -> u64 {
     let merges = u64::from(keys.div_ceil(RUN).next_power_of_two().ilog2());
     keys as u64 * (RUN_STEPS + MERGE_STEPS * merges)

@@ -18,12 +18,12 @@ pub(super) struct Queue {
 #[derive(Default)]
 struct State {
     turns: Turns<Arc<dyn Work>>,
-    /// What a thread is to free before it begins another part.
+    /// Values that a thread frees before it begins another part.
     freed: Vec<Box<dyn Send>>,
     closed: bool,
 }
 
-/// What a thread does next.
+/// The next action of a thread.
 enum Next {
     Part(Turn<Arc<dyn Work>>),
     Free(Vec<Box<dyn Send>>),
@@ -56,11 +56,11 @@ impl Queue {
         self.changed.notify_one();
     }
 
-    /// Ends the threads, and drops what waits for them.
+    /// Ends the threads, and drops the work that waits for them.
     pub(super) fn close(&self) {
         let mut state = locked(&self.state);
         state.closed = true;
-        // Whoever waits for the work hears that it was dropped.
+        // The callers that wait for the work hear that it was dropped.
         let (works, freed) = (state.turns.clear(), std::mem::take(&mut state.freed));
         drop(state);
         drop((works, freed));
@@ -106,7 +106,7 @@ impl Queue {
     }
 }
 
-/// What a part cost that is done.
+/// The cost of a part that is done.
 struct Done {
     caller: u64,
     estimate: u64,

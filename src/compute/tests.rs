@@ -99,8 +99,8 @@ impl Parts for Turns {
     }
 }
 
-/// Catches work that waits for all of the work before it: what comes while a long one is
-/// under way takes turns with it.
+/// Catches work that waits for all of the work before it: work that is queued while a long
+/// piece is under way takes turns with that piece.
 #[tokio::test]
 async fn short_work_does_not_wait_for_long_work() {
     let compute = Compute::new(1).unwrap();
@@ -179,7 +179,7 @@ async fn work_that_nobody_waits_for_is_freed_before_the_next_part() {
             thread::yield_now();
         }
     }
-    // The same for a value that is only to be freed.
+    // A value that is only to be freed is freed in the same way.
     let value = Arc::new(());
     compute.free(value.clone());
     while Arc::strong_count(&value) > 1 {

@@ -3,7 +3,7 @@
 //!
 //! Turns are counted in cost, not in parts. Each caller has a virtual time: the steps that its
 //! parts have cost. The next part comes from the caller with the least virtual time, so callers
-//! who always have work get equal shares of the threads, whatever their parts cost. A part is
+//! that always have work get equal shares of the threads, whatever their parts cost. A part is
 //! charged with an estimate when a thread takes it, and the charge is corrected by the metered
 //! steps when the part is done. A caller who comes back starts at the virtual time of the part
 //! that began last: nobody saves up turns while idle, and nobody gets rid of a debt by pausing.
@@ -21,7 +21,7 @@ const SPARE_ACCOUNTS: usize = 64;
 #[derive(Debug)]
 pub(super) struct Turns<W> {
     accounts: HashMap<u64, Account<W>>,
-    /// The callers with waiting work, by virtual time, then by who waits the longest.
+    /// The callers with waiting work, by virtual time; of two with the same time, the one that waits longer is first.
     order: BTreeMap<(u64, u64), u64>,
     /// The virtual time at which the part that was taken last began.
     now: u64,
@@ -49,7 +49,7 @@ struct Waiting<W> {
     count: usize,
 }
 
-/// What a thread takes.
+/// Work that leaves the queue.
 #[derive(Debug)]
 pub(super) enum Taken<W> {
     Part(Turn<W>),
@@ -63,7 +63,7 @@ pub(super) struct Turn<W> {
     pub(super) work: W,
     pub(super) index: usize,
     pub(super) caller: u64,
-    /// What the caller was charged.
+    /// The steps that the caller was charged with.
     pub(super) estimate: u64,
 }
 
@@ -197,7 +197,7 @@ impl<W> Account<W> {
 mod tests {
     use super::*;
 
-    /// Work is named by a letter and costs what is written beside it.
+    /// Work is a letter and the steps that each of its parts costs.
     type Work = (char, u64);
 
     /// One thread takes `count` parts, each estimated at 10 steps; the letters in order, and the
@@ -250,13 +250,13 @@ mod tests {
         let mut turns = Turns::default();
         turns.push(1, ('a', 10), 100_000);
         assert_eq!(taken(&mut turns, 1000).1[&'a'], 10_000);
-        // Late, and for nothing of what it missed.
+        // The second caller comes late and gets nothing for the turns that it missed.
         turns.push(2, ('b', 10), 100);
         let (letters, _) = taken(&mut turns, 100);
         assert_eq!(letters.matches('b').count(), 50);
         let mut steps = HashMap::from([('a', 0), ('c', 0)]);
         for _ in 0..2000 {
-            if !turns.accounts.get(&3).is_some_and(|account| !account.waiting.is_empty()) {
+            if turns.accounts.get(&3).is_none_or(|account| account.waiting.is_empty()) {
                 turns.push(3, ('c', 500), 1);
             }
             for (letter, more) in taken(&mut turns, 1).1 {

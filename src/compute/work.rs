@@ -6,10 +6,10 @@ use tokio::sync::oneshot;
 
 use super::{ComputeError, Job, Parts, caught, locked};
 
-/// What a part costs at least: a thread's way to it and back.
+/// The least steps of a part: those that a thread takes to get the part and to return its result.
 pub(super) const LEAST_STEPS: u64 = 2_000;
 
-/// Work and what is done of it.
+/// Work and the results of the parts that are done.
 pub(super) struct Shared<W: Parts> {
     work: W,
     job: Job,
@@ -84,7 +84,7 @@ impl<W: Parts> Shared<W> {
         Self { work, job: job.clone(), done: Mutex::new(done) }
     }
 
-    /// Answers with what the parts give together.
+    /// Answers with the result of all parts together.
     pub(super) fn finish(&self, parts: Result<Vec<W::Part>, ComputeError>) {
         let awaited = locked(&self.done).answer.as_ref().is_some_and(|answer| !answer.is_closed());
         if !awaited {

@@ -1,15 +1,15 @@
-//! How much is computed at a time, in pairs. What is more than that waits or is refused.
+//! A bound on the pairs that are computed at a time. Further batches wait or are refused.
 //!
 //! A batch takes a place for each of its pairs before anything is done for it; without places
-//! it is shed. One caller alone may have `max_pairs_in_flight` places. Several callers share
+//! it is shed. A caller that is alone may have `max_pairs_in_flight` places. Several callers share
 //! twice as many by dynamic thresholds ([`Shares`]), so that each of n greedy callers has
-//! 2/(n+1) of `max_pairs_in_flight` and as much stays free for a caller who comes later. The
+//! 2/(n+1) of `max_pairs_in_flight` and as much stays free for the next caller. The
 //! memory of the pairs is bounded elsewhere, by the memory budget.
 //!
 //! A caller's large batches then wait for their turn, first come, first served, so that they end
 //! one after the other and not all late. Small batches do not wait, and no batch waits for
 //! another caller's: the compute threads take turns between callers and between batches, so a
-//! small batch is delayed by some chunks and not by whole batches. A caller who gives up waiting
+//! small batch is delayed by some chunks and not by whole batches. A batch whose caller gives up
 //! leaves the queue.
 
 use std::{
@@ -76,7 +76,7 @@ struct Lane {
     waiting: AtomicUsize,
 }
 
-/// How fast pairs were computed of late.
+/// The pairs that were computed per second in the last moments.
 #[derive(Debug)]
 struct Throughput {
     measured: Instant,
@@ -169,8 +169,9 @@ impl AdmissionQueue {
         self.metrics.queue_seconds.observe(arrived.elapsed().as_secs_f64());
     }
 
-    /// When half of what is under way is done, at the throughput of late. Callers that are
-    /// refused one after the other are told different times, or they would come back together.
+    /// The time in which half of the pairs under way are computed, at the latest throughput.
+    /// Callers that are refused one after the other get different times, so that they do not
+    /// come back together.
     fn retry_after(&self, computed: u64) -> Duration {
         let mut throughput = locked(&self.throughput);
         let elapsed = throughput.measured.elapsed();
@@ -214,7 +215,7 @@ impl Drop for Admission {
     }
 }
 
-/// One who waits for places in a lane.
+/// A batch that waits for places in a lane.
 struct Waiting<'a>(&'a Lane);
 
 impl<'a> Waiting<'a> {
@@ -241,7 +242,7 @@ fn weight(pairs: usize) -> u32 {
     u32::try_from(pairs.max(1)).unwrap_or(u32::MAX)
 }
 
-/// No panic leaves what is locked here half done.
+/// A panic cannot leave the locked value half changed, so a poisoned lock is as good as any other.
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -260,8 +261,8 @@ mod tests {
         std::array::from_fn(|user| callers.get(CallerKey::User(user as u32)))
     }
 
-    /// Catches a place that is not given back, one too many given away, and one caller alone who
-    /// gets less than the whole.
+    /// Catches a place that is not given back, one too many given away, and a caller without others
+    /// that gets less than the whole.
     #[test]
     fn places_are_counted_in_pairs() {
         let (queue, caller) = (queue(100), &Caller::alone());
@@ -277,8 +278,8 @@ mod tests {
         assert!(queue.admit(100, caller, 0).is_ok());
     }
 
-    /// Catches a caller who is shed because of others who take all that they can, and callers
-    /// that are shares of nothing where shares are off.
+    /// Catches a caller that is shed because others take all that they can, and thresholds that
+    /// hold although shares are off.
     #[test]
     fn greedy_callers_leave_places_for_others() {
         let queue = queue(900);
@@ -363,7 +364,7 @@ mod tests {
         let distinct: std::collections::HashSet<_> = times.iter().collect();
         assert_eq!(distinct.len(), 100);
         for time in times {
-            // Half of 1000 pairs at 1000 a second.
+            // Half of 1000 pairs at 1000 pairs per second.
             assert!((0.375..=0.625).contains(&time.as_secs_f64()), "{time:?}");
         }
         locked(&queue.throughput).per_second = 1e9;

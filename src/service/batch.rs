@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 pub use engine::{Bounds, Engine};
 
+use self::cost::LEAST_STEPS;
 use super::{
     outputs::Outputs,
     wire::{Columns, Invalid, Poses, Scene, Setting},
@@ -30,7 +31,7 @@ pub struct Batch {
     candidates: Option<Vec<u32>>,
     /// Empty, or 6 per pair: registered indices of vertices, unchecked.
     warm_starts: Vec<u32>,
-    /// What is kept of the answers: all that is sent, and perhaps bases.
+    /// The outputs that are kept: all that are sent, and perhaps bases.
     kept: Outputs,
     /// Given back with the answer.
     lease: Option<Lease>,
@@ -101,7 +102,7 @@ impl Batch {
                 let manifold = contact_manifold(&a, &b, &self.setting.query, warm.as_ref(), workspace);
                 if self.candidates.is_some() {
                     if manifold.outcome == Outcome::Separated {
-                        return self.pair_steps(pair);
+                        return workspace.take_steps();
                     }
                     columns.push_pair(bodies);
                 }
@@ -109,7 +110,7 @@ impl Batch {
             }
             _ => columns.push_invalid(invalid, self.kept),
         }
-        self.pair_steps(pair)
+        LEAST_STEPS + workspace.take_steps()
     }
 
     fn body(&self, index: u32, invalid: &mut Invalid) -> Option<Body<'_>> {

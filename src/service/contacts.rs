@@ -76,8 +76,8 @@ impl ContactService for Contacts {
 
     type StreamContactsStream = BoxStream<'static, Result<QueryContactsResponse, Status>>;
 
-    /// One message at a time, in order: a batch uses all threads by itself, and what is not
-    /// read yet stays with the client.
+    /// One message at a time, in order: a batch uses all threads by itself, and messages that
+    /// are not read yet stay with the client.
     async fn stream_contacts(
         &self,
         request: Request<Streaming<Encoded<QueryContactsRequest>>>,

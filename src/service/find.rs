@@ -1,10 +1,11 @@
 //! `FindContacts`: the broad phase names candidates, some thousand at a time, and those
-//! that are not apart are streamed, sorted. What is not read yet is not computed.
+//! that are not apart are streamed, sorted. Pairs are computed only when the caller has read
+//! the pairs before them.
 //!
 //! Everything here is done on the compute threads in parts of about a millisecond: the bounds of
-//! the bodies, the tree, and the search, which is left after so many steps and continued in the
-//! next part. How far a part comes depends on steps alone and not on time, so the messages are
-//! the same on every machine.
+//! the bodies, the tree, and the search, which is left after a number of steps and continued in
+//! the next part. How far a part comes depends on its steps and not on time, so the messages
+//! are the same on every machine.
 
 use std::{
     collections::VecDeque,
@@ -47,8 +48,8 @@ const SMALL_SCENE: usize = 512;
 const SEARCHED_BODIES: u32 = 64;
 const SEARCHES: u32 = 16;
 
-/// Indices after which a part leaves the rest of its bodies for later, so that what is
-/// found and not yet computed stays small however crowded the scene is.
+/// Indices after which a part leaves the rest of its bodies for later, so that few pairs are
+/// found and not yet computed, however crowded the scene is.
 const SEARCHED_INDICES: usize = 1 << 14;
 
 /// Beyond every body's reach, and finite: positions are within 1e100.
@@ -61,7 +62,7 @@ pub(super) struct Finding {
     request_id: u64,
     bodies: Bodies,
     _lease: Lease,
-    /// Of the setting, the poses, the broad phase and the searches.
+    /// The memory of the setting, the poses, the broad phase and the searches.
     memory: Option<Permit>,
     broad_phase: Arc<BroadPhase>,
     /// Bodies from this one on have not been looked at.
@@ -144,7 +145,7 @@ impl Finding {
             match self.answer(&candidates).await {
                 Ok(None) => {}
                 Ok(answer) => return Ok(answer),
-                // What a client would do.
+                // The answer is split, as a client would split the request.
                 Err(error) if error.reason == "RESPONSE_TOO_LARGE" && candidates.len() > 2 => {
                     let (first, second) = candidates.split_at(candidates.len() / 4 * 2);
                     self.waiting.push_front(second.to_vec());
@@ -230,7 +231,7 @@ impl Finding {
 }
 
 impl Drop for Finding {
-    /// A compute thread frees what is large.
+    /// A compute thread frees the large parts.
     fn drop(&mut self) {
         let broad_phase = std::mem::take(&mut self.broad_phase);
         let poses = std::mem::take(&mut self.bodies.poses);

@@ -6,7 +6,7 @@ use super::HullDefinition;
 use crate::{
     budget::Permit,
     compute::Parts,
-    contact::{ConvexHull, HullError, Stop, Stopped},
+    contact::{BuildError, ConvexHull, HullError, Stop, Stopped},
 };
 
 /// Bytes that building takes at most for each point of a definition, the definition, its blob
@@ -55,8 +55,11 @@ impl Parts for Building {
     }
 
     fn part(&self, index: usize) -> Result<Self::Part, Stopped> {
-        self.stop.spend(self.steps(index))?;
-        Ok(self.definitions[index].build(self.max_vertices))
+        match self.definitions[index].build_stoppable(self.max_vertices, &self.stop) {
+            Ok(hull) => Ok(Ok(hull)),
+            Err(BuildError::Hull(error)) => Ok(Err(error)),
+            Err(BuildError::Stopped) => Err(Stopped),
+        }
     }
 
     fn whole(&self, parts: Vec<Self::Part>) -> Result<Self::Whole, Stopped> {

@@ -207,7 +207,9 @@ async fn an_expired_deadline_is_deadline_exceeded() {
 /// Catches a busy server that takes on more, and one that does not say when to come back.
 #[tokio::test(flavor = "multi_thread")]
 async fn too_busy_is_unavailable_with_a_pushback() {
-    let limits = Limits { max_pairs_per_request: 100, max_pairs_in_flight: 100, ..Limits::default() };
+    // Nothing is kept free for other callers.
+    let limits =
+        Limits { max_pairs_per_request: 100, max_pairs_in_flight: 100, shares: false, ..Limits::default() };
     let server = TestServer::with_limits(limits).await;
     let (shapes, request) = two_boxes();
     server.hulls().register_hulls(register_request(&shapes)).await.unwrap();

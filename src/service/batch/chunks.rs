@@ -1,4 +1,4 @@
-//! How a batch is cut into chunks, by what its pairs are estimated to cost.
+//! Cuts a batch into chunks by the estimated cost of its pairs.
 //!
 //! A chunk costs about a millisecond at most, so that threads can take turns and look at the
 //! stop flag often, and has at most 64 pairs, so that every thread has its share of a small
@@ -61,7 +61,7 @@ impl Chunks {
         matches!(self, Self::Unknown)
     }
 
-    /// How many chunks there are of a batch of so many pairs.
+    /// The number of chunks of a batch with `pairs` pairs.
     pub(super) fn count(&self, pairs: usize) -> usize {
         match self {
             Self::Equal | Self::Unknown => pairs.div_ceil(CHUNK_PAIRS),

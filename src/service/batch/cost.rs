@@ -1,17 +1,11 @@
-//! What the pairs of a batch are estimated to cost, before they are computed.
+//! The estimated cost of a batch's pairs, before they are computed.
 
 use super::Batch;
-use crate::contact::ConvexHull;
+use crate::contact::estimated_steps;
 
-/// Steps of a pair that is not computed since a hull or a pose is missing.
-const LEAST_STEPS: u64 = 50;
-
-/// Steps of a pair beside those that grow with its hulls.
-const PAIR_STEPS: u64 = 800;
-
-/// Steps for each vertex of a hull, up to the size from which a hull has a map of directions.
-const VERTEX_STEPS: u64 = 8;
-const MOST_VERTICES: u64 = 512;
+/// Steps of a pair beside its computation, and of a pair that is not computed since a hull or a
+/// pose is missing.
+pub(super) const LEAST_STEPS: u64 = 50;
 
 impl Batch {
     /// The estimated steps of a pair.
@@ -32,10 +26,4 @@ impl Batch {
         let hulls = self.hulls.iter().filter_map(|hull| hull.as_ref().ok());
         hulls.map(|hull| estimated_steps(hull, hull)).max().unwrap_or(LEAST_STEPS)
     }
-}
-
-/// The estimated steps of a pair of these hulls.
-fn estimated_steps(a: &ConvexHull, b: &ConvexHull) -> u64 {
-    let of = |hull: &ConvexHull| VERTEX_STEPS * (hull.vertex_count() as u64).min(MOST_VERTICES);
-    PAIR_STEPS + of(a) + of(b)
 }

@@ -2,8 +2,8 @@
 //! the same bytes however they were split.
 //!
 //! Small batches are computed on the thread that serves the call, since handing a batch to
-//! other threads and back costs 20 to 40 us. What is small is decided by the estimated cost of
-//! the batch, and so are its chunks ([`Chunks`]).
+//! other threads and back costs 20 to 40 us. The estimated cost of a batch decides whether it is
+//! small, and how it is cut into chunks ([`Chunks`]).
 
 use std::{
     sync::{
@@ -35,7 +35,7 @@ use crate::{
     trace,
 };
 
-/// Computes batches, so many pairs at a time and no more.
+/// Computes batches, up to a number of pairs at a time.
 #[derive(Debug)]
 pub struct Engine {
     compute: Compute,
@@ -50,7 +50,7 @@ pub struct Engine {
 /// What bounds an engine.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounds {
-    /// Pairs that one caller alone may have computed at a time.
+    /// The most pairs in flight of one caller.
     pub max_pairs_in_flight: u32,
     /// Whether callers share the pairs in flight by dynamic thresholds.
     pub shares: bool,
@@ -88,8 +88,8 @@ impl Engine {
         self.compute.threads()
     }
 
-    /// Refuses what can be refused before any work: answers that are too large, and more pairs
-    /// than there are places for. The places are free again when the admission is dropped.
+    /// Takes places for a batch's pairs. Refuses a batch before any work if its answer would be
+    /// too large, or if there are no places for it. The places are free again when the admission is dropped.
     ///
     /// # Errors
     /// RESPONSE_TOO_LARGE, TOO_BUSY.
@@ -101,7 +101,7 @@ impl Engine {
         self.place(pairs, caller)
     }
 
-    /// Places for so many pairs, whatever their answers' size.
+    /// Places for pairs whose answer may have any size.
     ///
     /// # Errors
     /// TOO_BUSY.
@@ -160,7 +160,7 @@ impl Engine {
             run = self.compute.run(|stop| run.cut(stop), job).await??;
         }
         match self.compute.split(run, job).await? {
-            Chunked::Answer(columns, memory) => Ok((columns, memory)),
+            Chunked::Answer(answer) => Ok(*answer),
             Chunked::Large(chunks) => self
                 .compute
                 .run_steps(chunks.steps(), |stop| chunks.concatenated(stop), job)

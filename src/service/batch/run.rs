@@ -21,7 +21,7 @@ use crate::{
 /// Chunks' columns that are kept to be filled again: those of a large batch.
 const SPARE_CHUNKS: usize = 512;
 
-/// A chunk's columns are kept up to this: some 8 points a pair, every output.
+/// The most bytes of a chunk's columns that are kept: some 8 points per pair, every output.
 const SPARE_BYTES: usize = 64 << 10;
 
 /// Chunks of fewer bytes are put together by the thread that computed the last of them: about
@@ -45,20 +45,20 @@ pub(super) struct Run {
     pub(super) chunks: Chunks,
     pub(super) unanswered: Arc<OnceLock<Unanswered>>,
     job: Job,
-    /// Of the columns that are computed.
+    /// The memory of the columns that are computed.
     memory: Mutex<Option<Permit>>,
     answer_bytes: AtomicUsize,
     max_answer_bytes: usize,
     pairs_computed: Arc<AtomicU64>,
     spare: Arc<Spare>,
     injected: Arc<Injected>,
-    /// Given back with the answer: whoever asks next finds it free.
+    /// Given back with the answer, so that the next request finds the places free.
     taken: Mutex<Option<(Admission, Option<Lease>)>>,
 }
 
 /// A batch whose chunks are computed.
 pub(super) enum Chunked {
-    Answer(Columns, Permit),
+    Answer(Box<(Columns, Permit)>),
     /// To be put together as work of its own.
     Large(Computed),
 }
@@ -112,8 +112,7 @@ impl Parts for Run {
         if computed.bytes() > LARGE_BYTES {
             return Ok(Chunked::Large(computed));
         }
-        let (columns, memory) = computed.concatenated(&self.job.stop)?;
-        Ok(Chunked::Answer(columns, memory))
+        Ok(Chunked::Answer(Box::new(computed.concatenated(&self.job.stop)?)))
     }
 }
 
@@ -240,7 +239,7 @@ impl Computed {
     }
 }
 
-/// No panic leaves what is locked here half done.
+/// A panic cannot leave the locked value half changed, so a poisoned lock is as good as any other.
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -291,7 +290,7 @@ mod tests {
 
     fn answer(run: &Run, chunks: Vec<Columns>) -> (Columns, Permit) {
         match run.whole(chunks).unwrap() {
-            Chunked::Answer(columns, memory) => (columns, memory),
+            Chunked::Answer(answer) => *answer,
             Chunked::Large(computed) => computed.concatenated(&run.job.stop).unwrap(),
         }
     }
