@@ -24,5 +24,11 @@ mod scenes;
 #[macro_use]
 mod support;
 
+mod building;
+mod collected;
 mod declared;
+mod elements;
+mod messages;
+mod queries;
 mod unfinished;
+mod unread;

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use crate::{
+    messages::unknown_field,
     raw,
     support::{
         QUERY, REGISTER, STREAM, WATCH,
@@ -59,19 +60,6 @@ async fn send_part(peer: &mut Peer, path: &str, part: &[u8]) -> std::io::Result<
         Ok(sent) => sent,
         Err(_) => Ok(()),
     }
-}
-
-/// An unknown field of so many bytes: a valid message of every type.
-fn unknown_field(bytes: usize) -> Vec<u8> {
-    let mut message = vec![0xfa, 0x3f];
-    let mut length = bytes;
-    while length >= 128 {
-        message.push((length % 128) as u8 | 128);
-        length /= 128;
-    }
-    message.push(length as u8);
-    message.resize(message.len() + bytes, 7);
-    message
 }
 
 async fn open_requests(arena: &Arena) {

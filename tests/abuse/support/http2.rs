@@ -232,18 +232,19 @@ async fn read(
     seen: Arc<Seen>,
 ) {
     while let Ok((kind, flags, stream, payload)) = read_frame(&mut reading).await {
-        let reply = match kind {
-            SETTINGS if flags & ACK == 0 => Some(frame(SETTINGS, ACK, 0, &[])),
-            PING if flags & ACK == 0 => Some(frame(PING, ACK, 0, &payload)),
-            _ => None,
+        // The server's windows hold once its settings are acknowledged. A ping may stay without
+        // an answer: a flood that fills the connection must not keep the reader from reading.
+        let sent = match kind {
+            SETTINGS if flags & ACK == 0 => writer.lock().await.write_all(&frame(SETTINGS, ACK, 0, &[])).await,
+            PING if flags & ACK == 0 => match writer.try_lock() {
+                Ok(mut writer) => writer.write_all(&frame(PING, ACK, 0, &payload)).await,
+                Err(_) => Ok(()),
+            },
+            _ => Ok(()),
         };
         seen.lock().take(kind, flags, stream, &payload);
         seen.changed.notify_waiters();
-        // A flood that fills the connection must not keep the reader from reading.
-        if let Some(reply) = reply
-            && let Ok(mut writer) = writer.try_lock()
-            && writer.write_all(&reply).await.is_err()
-        {
+        if sent.is_err() {
             break;
         }
     }

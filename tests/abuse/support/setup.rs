@@ -34,6 +34,8 @@ pub(crate) struct Setup {
     pub(crate) over_unix: bool,
     /// A limit for the shell's `ulimit`, as `-n 64`.
     pub(crate) ulimit: Option<String>,
+    /// Another size of the cache of hulls.
+    pub(crate) cache: Option<u64>,
     /// Fills the store's directory before the server starts.
     pub(crate) fill_store: Option<fn(&Path)>,
 }
@@ -47,6 +49,7 @@ impl Setup {
             tls: false,
             over_unix: false,
             ulimit: None,
+            cache: None,
             fill_store: None,
         }
     }
@@ -61,6 +64,10 @@ impl Setup {
 
     pub(crate) fn over_unix(self) -> Self {
         Self { over_unix: true, ..self }
+    }
+
+    pub(crate) fn cache(self, bytes: u64) -> Self {
+        Self { cache: Some(bytes), ..self }
     }
 
     pub(crate) fn with(mut self, argument: impl Into<String>) -> Self {
@@ -79,7 +86,7 @@ impl Setup {
 
     /// Bytes of the cache of hulls.
     pub(crate) fn cache_bytes(&self) -> u64 {
-        self.size.of(1 << 30) as u64
+        self.cache.unwrap_or(self.size.of(1 << 30) as u64)
     }
 
     /// The largest message.
@@ -94,7 +101,6 @@ impl Setup {
             Size::Full => vec![],
             Size::Tenth => vec![
                 format!("--max-memory-bytes={}", self.memory_bytes()),
-                tenth("cache-bytes", 1 << 30),
                 tenth("max-message-bytes", 64 << 20),
                 tenth("max-request-bytes-in-flight", 1 << 30),
                 tenth("max-stream-state-bytes", 256 << 20),
@@ -112,6 +118,7 @@ impl Setup {
                 tenth("answer-seconds", 30),
             ],
         };
+        flags.push(format!("--cache-bytes={}", self.cache_bytes()));
         flags.extend(self.arguments.iter().cloned());
         flags
     }
