@@ -126,8 +126,10 @@ fn axes(points: impl Iterator<Item = DVec3> + Clone) -> [DVec3; 3] {
     };
     let along = farthest(&|p| (p - first).length_squared()).normalize_or(DVec3::X);
     let other = farthest(&|p| along.cross(p - first).length_squared());
-    let across = along.cross(other).normalize_or(along.any_orthonormal_vector());
-    [along, across.cross(along), across]
+    // Twice, so that the axes are orthogonal to rounding even if both directions are nearly one.
+    let reject = |v: DVec3| (v - along * along.dot(v)).normalize_or(along.any_orthonormal_vector());
+    let other = reject(reject(other));
+    [along, other, along.cross(other)]
 }
 
 impl PointTree {
@@ -203,9 +205,9 @@ impl PointTree {
     ) -> Result<Added, Stopped> {
         let mut best = Best { added: self.first, height: n.dot(self.first.point) };
         near.iter().for_each(|&added| best.improve(n, added));
-        // Points are within 1 of the centre: of the axes, the coordinates along them and both
-        // sums of products.
-        let rounding = NOISE * U * n.abs().element_sum();
+        // Points are within 1 of the centre; the axes, the coordinates along them and both sums of
+        // products are rounded.
+        let rounding = 2.0 * NOISE * U * n.abs().element_sum();
         // Nodes that wait, with their bounds.
         let mut open = [(0_u32, f64::INFINITY); MOST_OPEN];
         let mut count = 1;
@@ -219,19 +221,21 @@ impl PointTree {
             let node = &self.nodes[node as usize];
             let bounds = node.bounds(n).map(|bound| bound + rounding);
             let highest = bounds.iter().fold(f64::NEG_INFINITY, |a, &b| if b > a { b } else { a });
-            // The child of the highest bound is looked at first: it is pushed last.
-            for is_highest in [false, true] {
-                for c in 0..CHILDREN {
-                    if (bounds[c] == highest) != is_highest || bounds[c] < best.height {
+            // The child of the highest bound is looked at first: a leaf at once, another pushed last.
+            let is_leaf = |c: usize| node.nodes[c] == 0;
+            let order = |c: usize| (bounds[c] == highest) == is_leaf(c);
+            for first in [true, false] {
+                for c in (0..CHILDREN).filter(|&c| order(c) == first) {
+                    if bounds[c] < best.height {
                         continue;
                     }
-                    if node.nodes[c] != 0 && count < MOST_OPEN {
-                        open[count] = (node.nodes[c], bounds[c]);
-                        count += 1;
-                    } else if node.nodes[c] == 0 {
+                    if is_leaf(c) {
                         let places = node.starts[c] as usize..node.ends[c] as usize;
                         meter.count(HEIGHT * places.len() as u64);
                         self.look_at(places, n, &mut best);
+                    } else if count < MOST_OPEN {
+                        open[count] = (node.nodes[c], bounds[c]);
+                        count += 1;
                     }
                 }
             }
@@ -320,8 +324,8 @@ mod tests {
         let meter = Meter::new(&stop);
         let (mut ties, mut asked) = (0, 0);
         for count in [1, 2, 8, 9, 17, 100, 1000] {
-            for fine in [1.0, 0.001] {
-                let mut whole = || (8.0 * random.within(-1.0, 1.0)).round();
+            for fine in [0.1, 0.001] {
+                let mut whole = || (3.0 * random.within(-1.0, 1.0)).round();
                 let mut vector = || DVec3::new(whole(), whole(), whole());
                 let all: Vec<DVec3> = (0..count).map(|_| vector() * fine).collect();
                 let mut order: Vec<u32> = (0..count as u32).collect();
