@@ -1,22 +1,48 @@
-//! The threads that compute, beside the async runtime's, so that a long batch
+//! The threads that compute, beside the async runtime's threads, so that a long computation
 //! never keeps the server from answering a short one.
 //!
-//! Work comes in parts of some 100 us. Threads take parts from the work under way
-//! in turn: whatever comes late waits for as many parts as there is other work, not
-//! for all of it.
+//! Work comes in parts of about a millisecond at most. Threads take parts in turns: first
+//! between callers, by what their parts cost ([`turns`]), then between one caller's pieces of
+//! work. Work whose parts take longer, such as building a large hull, has threads of its own
+//! that run at a lower priority, so that it never delays short parts.
+//!
+//! Work ends early when its [`Job`] is stopped, or when the future that waits for it is dropped.
+//! Its parts then leave the queue, and a compute thread frees its memory before it begins
+//! another part.
+
+mod queue;
+#[cfg(test)]
+mod tests;
+mod turns;
+mod work;
 
 use std::{
     any::Any,
-    collections::VecDeque,
     fmt, io,
+    ops::{Deref, DerefMut},
     panic::{AssertUnwindSafe, catch_unwind},
-    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicU64, Ordering},
+    },
     thread,
 };
 
 use tokio::sync::oneshot;
 
-use crate::{budget::Caller, contact::Stop};
+use self::{queue::Queue, work::Shared};
+use crate::{
+    budget::Caller,
+    contact::{STEPS_BETWEEN_LOOKS, Stop, Stopped},
+};
+
+/// Work with a part of more estimated steps than this has the threads of long parts: about 4 ms.
+const LONG_STEPS: u64 = 4 * STEPS_BETWEEN_LOOKS;
+
+/// The nice values of the threads: below the threads that serve, which have 0, so that the
+/// system runs a serving thread first.
+const NICE: i32 = 5;
+const NICE_OF_LONG: i32 = 10;
 
 /// Threads for computation; they end when the last clone is dropped.
 #[derive(Clone, Debug)]
@@ -27,37 +53,56 @@ pub struct Compute {
 /// Who asked for work, and how to stop it. Threads take turns between callers.
 #[derive(Clone, Debug)]
 pub struct Job {
-    /// Whose turn is used.
+    /// The caller whose turn is used.
     pub caller: Caller,
     /// Set when nobody waits for the work any more.
     pub stop: Arc<Stop>,
+    /// The steps of `stop` that the caller was charged with.
+    charged: Arc<AtomicU64>,
 }
 
 impl Job {
     /// Work for `caller`, with a flag of its own.
     pub fn new(caller: Caller) -> Self {
-        Self { caller, stop: Arc::default() }
+        Self { caller, stop: Arc::default(), charged: Arc::default() }
+    }
+
+    /// The steps that were counted since the last call: each step once, whichever threads call.
+    fn take_uncharged(&self) -> u64 {
+        let steps = self.stop.steps();
+        steps.saturating_sub(self.charged.fetch_max(steps, Ordering::Relaxed))
     }
 }
 
 /// Work in parts that any threads do in any order, at any time.
 pub trait Parts: Send + Sync + 'static {
-    /// What a part gives.
+    /// The result of a part.
     type Part: Send;
-    /// What all parts together give.
+    /// The result of all parts together.
     type Whole: Send;
 
-    /// How many.
+    /// How many parts there are.
     fn count(&self) -> usize;
 
-    /// Does part `index`.
-    fn part(&self, index: usize) -> Self::Part;
+    /// The estimated steps of part `index`.
+    fn steps(&self, _index: usize) -> u64 {
+        STEPS_BETWEEN_LOOKS
+    }
+
+    /// Does part `index`. The part counts its steps with the stop flag of the work's job.
+    ///
+    /// # Errors
+    /// The job was stopped.
+    fn part(&self, index: usize) -> Result<Self::Part, Stopped>;
 
     /// Puts the parts together, in order.
-    fn whole(&self, parts: Vec<Self::Part>) -> Self::Whole;
+    ///
+    /// # Errors
+    /// The job was stopped.
+    fn whole(&self, parts: Vec<Self::Part>) -> Result<Self::Whole, Stopped>;
 }
 
-/// The computation panicked: a bug, that ends its own call alone.
+/// The computation panicked: a bug that ends only its own call.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Panicked(pub String);
 
@@ -67,8 +112,40 @@ impl fmt::Display for Panicked {
     }
 }
 
+/// Why work has no result.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ComputeError {
+    /// The work's job was stopped.
+    Stopped,
+    /// The work panicked.
+    Panicked(Panicked),
+}
+
+impl fmt::Display for ComputeError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Stopped => Stopped.fmt(f),
+            Self::Panicked(panicked) => panicked.fmt(f),
+        }
+    }
+}
+
+impl std::error::Error for ComputeError {}
+
+impl From<Stopped> for ComputeError {
+    fn from(_: Stopped) -> Self {
+        Self::Stopped
+    }
+}
+
+impl From<Panicked> for ComputeError {
+    fn from(panicked: Panicked) -> Self {
+        Self::Panicked(panicked)
+    }
+}
+
 impl Compute {
-    /// Starts `threads` threads; 0: one a core.
+    /// Starts `threads` threads, and as many for long parts; 0: one for each core.
     ///
     /// # Errors
     /// The system has no more threads.
@@ -77,55 +154,150 @@ impl Compute {
             0 => thread::available_parallelism().map_or(1, usize::from),
             threads => threads,
         };
-        let queue = Arc::new(Queue::default());
-        // Dropped on failure: those that started end.
-        let compute = Self { pool: Arc::new(Pool { queue: queue.clone(), threads }) };
-        for i in 0..threads {
-            let queue = queue.clone();
-            thread::Builder::new().name(format!("compute-{i}")).spawn(move || queue.work())?;
+        let pool = Pool { short: Arc::default(), long: Arc::default(), threads };
+        // Dropped on failure: the threads that started end.
+        let compute = Self { pool: Arc::new(pool) };
+        let kinds = [("compute", NICE, &compute.pool.short), ("long", NICE_OF_LONG, &compute.pool.long)];
+        for (name, nice, queue) in kinds {
+            for i in 0..threads {
+                let queue = queue.clone();
+                let run = move || {
+                    lower_priority(nice);
+                    queue.work();
+                };
+                thread::Builder::new().name(format!("{name}-{i}")).spawn(run)?;
+            }
         }
         Ok(compute)
     }
 
-    /// How many threads compute.
+    /// How many threads compute short parts.
     pub fn threads(&self) -> usize {
         self.pool.threads
     }
 
-    /// Does `work` in one piece.
+    /// Does `work` in one piece of a few milliseconds at most.
     ///
     /// # Errors
-    /// It panicked.
+    /// The work panicked, or was stopped before it began.
     pub async fn run<T: Send + 'static>(
         &self,
-        work: impl FnOnce() -> T + Send + 'static,
-    ) -> Result<T, Panicked> {
-        let whole = self.split(Piece(Mutex::new(Some(work)))).await?;
-        whole.ok_or_else(|| Panicked("the work was done before".into()))
+        work: impl FnOnce(&Stop) -> T + Send + 'static,
+        job: &Job,
+    ) -> Result<T, ComputeError> {
+        self.run_steps(STEPS_BETWEEN_LOOKS, work, job).await
     }
 
-    /// Does `work` in parts, on all threads that are free.
+    /// Does `work` in one piece of about `steps` steps, which looks at the stop flag while it
+    /// goes on.
     ///
     /// # Errors
-    /// A part panicked.
-    pub async fn split<W: Parts>(&self, work: W) -> Result<W::Whole, Panicked> {
+    /// The work panicked, or was stopped before it began.
+    pub async fn run_steps<T: Send + 'static>(
+        &self,
+        steps: u64,
+        work: impl FnOnce(&Stop) -> T + Send + 'static,
+        job: &Job,
+    ) -> Result<T, ComputeError> {
+        let piece = Piece { work: Mutex::new(Some(work)), steps, stop: job.stop.clone() };
+        let whole = self.split(piece, job).await?;
+        whole.ok_or_else(|| Panicked("the work was done before".into()).into())
+    }
+
+    /// Does `work` in parts, on all threads that are free. Dropping the future ends the work.
+    ///
+    /// # Errors
+    /// A part panicked, or the job was stopped.
+    pub async fn split<W: Parts>(&self, work: W, job: &Job) -> Result<W::Whole, ComputeError> {
         let (send, receive) = oneshot::channel();
         let count = work.count();
-        let done = Done { left: count, parts: (0..count).map(|_| None).collect(), answer: Some(send) };
-        let work = Arc::new(Shared { work, done: Mutex::new(done) });
-        if count == 0 {
-            work.finish(Ok(Vec::new()));
-        } else {
-            self.pool.queue.push(UnderWay { work, next: 0, count });
-        }
-        receive.await.unwrap_or_else(|_| Err(Panicked("the threads dropped the work".into())))
+        let is_long = (0..count).any(|index| work.steps(index) > LONG_STEPS);
+        let queue = if is_long { &self.pool.long } else { &self.pool.short };
+        let work = Arc::new(Shared::new(work, count, job, send));
+        let _removed_when_dropped = match count {
+            0 => {
+                work.finish(Ok(Vec::new()));
+                None
+            }
+            _ => Some(queue.push(work, count)),
+        };
+        let dropped = || Err(Panicked("the threads dropped the work".into()).into());
+        receive.await.unwrap_or_else(|_| dropped())
+    }
+
+    /// Has a compute thread free a value: giving much memory back to the system takes
+    /// milliseconds, in which a thread that serves calls would serve none.
+    pub fn free(&self, value: impl Send + 'static) {
+        self.pool.short.free(Box::new(value));
+    }
+
+    /// A value of about `bytes` bytes, which a compute thread frees if it is large.
+    pub fn freed_here<T: Send + 'static>(&self, value: T, bytes: usize) -> FreedHere<T> {
+        FreedHere { value: Some(value), bytes, compute: self.clone() }
     }
 }
 
-/// A closure as work of one part.
-struct Piece<F>(Mutex<Option<F>>);
+/// Work on more bytes than this is done by the compute threads, freeing them too. Up to this it
+/// takes at most about a millisecond, and a thread that serves calls may do it.
+pub const LARGE_BYTES: usize = 256 << 10;
 
-impl<T: Send + 'static, F: FnOnce() -> T + Send + 'static> Parts for Piece<F> {
+/// A value that a compute thread frees if it is large: see [`Compute::free`].
+#[derive(Debug)]
+pub struct FreedHere<T: Send + 'static> {
+    /// None only while the wrapper is dropped or unwrapped.
+    value: Option<T>,
+    bytes: usize,
+    compute: Compute,
+}
+
+impl<T: Send + 'static> FreedHere<T> {
+    /// The value; its new owner frees it.
+    pub fn into_inner(mut self) -> T {
+        self.value.take().unwrap_or_else(|| unreachable!("a value is taken once"))
+    }
+}
+
+impl<T: Send + 'static> Deref for FreedHere<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        self.value.as_ref().unwrap_or_else(|| unreachable!("a value that is taken is not used"))
+    }
+}
+
+impl<T: Send + 'static> DerefMut for FreedHere<T> {
+    fn deref_mut(&mut self) -> &mut T {
+        self.value.as_mut().unwrap_or_else(|| unreachable!("a value that is taken is not used"))
+    }
+}
+
+impl<T: Send + 'static> Drop for FreedHere<T> {
+    fn drop(&mut self) {
+        if let Some(value) = self.value.take().filter(|_| self.bytes > LARGE_BYTES) {
+            self.compute.free(value);
+        }
+    }
+}
+
+/// The system runs this thread after those that serve. Where it cannot, all are alike.
+fn lower_priority(nice: i32) {
+    // On Linux the call is about the calling thread, elsewhere about the whole process.
+    #[cfg(target_os = "linux")]
+    if let Err(error) = rustix::process::setpriority_process(None, nice) {
+        tracing::debug!(%error, nice, "compute threads keep the priority of the process");
+    }
+    #[cfg(not(target_os = "linux"))]
+    let _ = nice;
+}
+
+/// A closure as work of one part.
+struct Piece<F> {
+    work: Mutex<Option<F>>,
+    steps: u64,
+    stop: Arc<Stop>,
+}
+
+impl<T: Send + 'static, F: FnOnce(&Stop) -> T + Send + 'static> Parts for Piece<F> {
     type Part = Option<T>;
     type Whole = Option<T>;
 
@@ -133,125 +305,23 @@ impl<T: Send + 'static, F: FnOnce() -> T + Send + 'static> Parts for Piece<F> {
         1
     }
 
-    fn part(&self, _: usize) -> Option<T> {
-        let work = locked(&self.0).take();
-        work.map(|work| work())
+    fn steps(&self, _: usize) -> u64 {
+        self.steps
     }
 
-    fn whole(&self, parts: Vec<Option<T>>) -> Option<T> {
-        parts.into_iter().next().flatten()
-    }
-}
-
-/// Work and what is done of it.
-struct Shared<W: Parts> {
-    work: W,
-    done: Mutex<Done<W>>,
-}
-
-struct Done<W: Parts> {
-    left: usize,
-    parts: Vec<Option<W::Part>>,
-    /// None once answered.
-    answer: Option<oneshot::Sender<Result<W::Whole, Panicked>>>,
-}
-
-/// Work of any kind, as the threads see it.
-trait Work: Send + Sync {
-    /// Does a part; the last one answers.
-    fn part(&self, index: usize);
-}
-
-impl<W: Parts> Work for Shared<W> {
-    fn part(&self, index: usize) {
-        let part = caught(|| self.work.part(index));
-        let mut done = locked(&self.done);
-        match part {
-            Err(panicked) => {
-                drop(done);
-                self.finish(Err(panicked));
-            }
-            Ok(part) => {
-                done.parts[index] = Some(part);
-                done.left -= 1;
-                if done.left == 0 {
-                    let parts = std::mem::take(&mut done.parts);
-                    drop(done);
-                    self.finish(Ok(parts.into_iter().flatten().collect()));
-                }
-            }
-        }
-    }
-}
-
-impl<W: Parts> Shared<W> {
-    fn finish(&self, parts: Result<Vec<W::Part>, Panicked>) {
-        let whole = parts.and_then(|parts| caught(|| self.work.whole(parts)));
-        let answer = locked(&self.done).answer.take();
-        // Whoever waited may be gone: nothing to do then.
-        let _ = answer.map(|answer| answer.send(whole));
-    }
-}
-
-/// Work under way, some parts of which nobody has begun.
-struct UnderWay {
-    work: Arc<dyn Work>,
-    next: usize,
-    count: usize,
-}
-
-#[derive(Default)]
-struct Queue {
-    state: Mutex<State>,
-    changed: Condvar,
-}
-
-#[derive(Default)]
-struct State {
-    under_way: VecDeque<UnderWay>,
-    closed: bool,
-}
-
-impl Queue {
-    fn push(&self, work: UnderWay) {
-        let parts = work.count;
-        locked(&self.state).under_way.push_back(work);
-        match parts {
-            1 => self.changed.notify_one(),
-            _ => self.changed.notify_all(),
-        }
+    fn part(&self, _: usize) -> Result<Option<T>, Stopped> {
+        let work = locked(&self.work).take();
+        Ok(work.map(|work| work(&self.stop)))
     }
 
-    /// Does parts until closed.
-    fn work(&self) {
-        while let Some((work, index)) = self.next() {
-            work.part(index);
-        }
-    }
-
-    /// The next part of the work whose turn it is; none when closed.
-    fn next(&self) -> Option<(Arc<dyn Work>, usize)> {
-        let mut state = locked(&self.state);
-        loop {
-            if state.closed {
-                return None;
-            }
-            if let Some(mut first) = state.under_way.pop_front() {
-                let index = first.next;
-                first.next += 1;
-                let work = first.work.clone();
-                if first.next < first.count {
-                    state.under_way.push_back(first);
-                }
-                return Some((work, index));
-            }
-            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
-        }
+    fn whole(&self, parts: Vec<Option<T>>) -> Result<Option<T>, Stopped> {
+        Ok(parts.into_iter().next().flatten())
     }
 }
 
 struct Pool {
-    queue: Arc<Queue>,
+    short: Arc<Queue>,
+    long: Arc<Queue>,
     threads: usize,
 }
 
@@ -263,16 +333,13 @@ impl fmt::Debug for Pool {
 
 impl Drop for Pool {
     fn drop(&mut self) {
-        let mut state = locked(&self.queue.state);
-        state.closed = true;
-        // Whoever waits for them hears that they were dropped.
-        state.under_way.clear();
-        drop(state);
-        self.queue.changed.notify_all();
+        for queue in [&self.short, &self.long] {
+            queue.close();
+        }
     }
 }
 
-/// No panic leaves what is locked here half done.
+/// A panic cannot leave the locked value half changed, so a poisoned lock is as good as any other.
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -288,146 +355,4 @@ pub fn caught<T>(work: impl FnOnce() -> T) -> Result<T, Panicked> {
 fn text(payload: &(dyn Any + Send)) -> String {
     let text = payload.downcast_ref::<&str>().map(|s| (*s).to_owned());
     text.or_else(|| payload.downcast_ref::<String>().cloned()).unwrap_or_else(|| "no message".into())
-}
-
-#[cfg(test)]
-mod tests {
-    use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-
-    use super::*;
-
-    /// Catches a bug in one call's computation that takes the process with it, or a thread.
-    #[tokio::test]
-    async fn a_panic_is_an_error_of_its_own_call() {
-        let compute = Compute::new(2).unwrap();
-        for _ in 0..10 {
-            let failed = compute.run(|| -> u32 { panic!("on purpose") }).await;
-            assert_eq!(failed, Err(Panicked("on purpose".into())));
-            assert_eq!(compute.run(|| 7).await, Ok(7));
-        }
-    }
-
-    /// Parts that number themselves, while they are not `held`.
-    struct Numbers {
-        count: usize,
-        fails_at: Option<usize>,
-        begun: Arc<AtomicUsize>,
-        held: Arc<AtomicBool>,
-    }
-
-    fn wait_while(held: &AtomicBool) {
-        while held.load(Ordering::SeqCst) {
-            thread::yield_now();
-        }
-    }
-
-    impl Parts for Numbers {
-        type Part = usize;
-        type Whole = Vec<usize>;
-
-        fn count(&self) -> usize {
-            self.count
-        }
-
-        fn part(&self, index: usize) -> usize {
-            self.begun.fetch_add(1, Ordering::SeqCst);
-            wait_while(&self.held);
-            assert_ne!(Some(index), self.fails_at, "on purpose");
-            index
-        }
-
-        fn whole(&self, parts: Vec<usize>) -> Vec<usize> {
-            parts
-        }
-    }
-
-    fn numbers(count: usize) -> Numbers {
-        Numbers { count, fails_at: None, begun: Arc::default(), held: Arc::default() }
-    }
-
-    /// Catches parts lost, doubled or out of order, none at all, and a part's panic that is
-    /// not heard of, or heard of while others of its kind go on.
-    #[tokio::test]
-    async fn parts_come_back_in_order() {
-        for threads in [1, 2, 7] {
-            let compute = Compute::new(threads).unwrap();
-            assert_eq!(compute.threads(), threads);
-            for count in [0, 1, 2, 3, 100, 1001] {
-                assert_eq!(compute.split(numbers(count)).await, Ok((0..count).collect()));
-            }
-            let failing = Numbers { fails_at: Some(50), ..numbers(100) };
-            let failed = compute.split(failing).await.unwrap_err();
-            assert!(failed.0.contains("on purpose"), "{failed}");
-        }
-    }
-
-    /// Parts that say when their turn was.
-    struct Turns {
-        count: usize,
-        turn: Arc<AtomicUsize>,
-        held: Arc<AtomicBool>,
-    }
-
-    impl Parts for Turns {
-        type Part = usize;
-        type Whole = Vec<usize>;
-
-        fn count(&self) -> usize {
-            self.count
-        }
-
-        fn part(&self, _: usize) -> usize {
-            let turn = self.turn.fetch_add(1, Ordering::SeqCst);
-            wait_while(&self.held);
-            turn
-        }
-
-        fn whole(&self, parts: Vec<usize>) -> Vec<usize> {
-            parts
-        }
-    }
-
-    /// Catches work that waits for all of the work before it: what comes while a long one is
-    /// under way takes turns with it.
-    #[tokio::test]
-    async fn short_work_does_not_wait_for_long_work() {
-        let compute = Compute::new(1).unwrap();
-        let (turn, held) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicBool::new(true)));
-        let turns = |count| Turns { count, turn: turn.clone(), held: held.clone() };
-        let mut long = Box::pin(compute.split(turns(1000)));
-        assert!(futures_util::poll!(long.as_mut()).is_pending());
-        while turn.load(Ordering::SeqCst) == 0 {
-            thread::yield_now();
-        }
-        // Polled once: it is under way before the long one goes on.
-        let mut short = Box::pin(compute.split(turns(2)));
-        assert!(futures_util::poll!(short.as_mut()).is_pending());
-        held.store(false, Ordering::SeqCst);
-        assert_eq!(short.await, Ok(vec![2, 4]));
-        assert_eq!(long.await.unwrap().len(), 1000);
-    }
-
-    /// Catches threads that outlive their owner, and work that nobody waits for any more.
-    #[tokio::test]
-    async fn dropping_the_threads_ends_them() {
-        let compute = Compute::new(1).unwrap();
-        let long = numbers(1000);
-        let (held, begun) = (long.held.clone(), long.begun.clone());
-        held.store(true, Ordering::SeqCst);
-        let mut waiting = Box::pin({
-            let compute = compute.clone();
-            async move { compute.split(long).await }
-        });
-        assert!(futures_util::poll!(waiting.as_mut()).is_pending());
-        while begun.load(Ordering::SeqCst) == 0 {
-            thread::yield_now();
-        }
-        drop(waiting);
-        drop(compute);
-        held.store(false, Ordering::SeqCst);
-        while Arc::strong_count(&held) > 1 {
-            thread::yield_now();
-        }
-        assert!(begun.load(Ordering::SeqCst) < 1000, "all of it was done");
-    }
 }

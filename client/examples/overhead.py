@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -68,18 +69,21 @@ def own_work(
 
     query = make()
     link = client._link()
-    answers = {
-        span: link.call(_calls.QUERY, query.message(span).data, None).result()
-        for span in query.spans(client.pairs_per_message)
-    }
+    answers = {}
+    for span in query.spans(client.pairs_per_message):
+        message = query.message(span)
+        answer = link.call(_calls.QUERY, message.data, None).result()
+        answers[span] = message.request_id, answer
 
     def work() -> hullcast.Manifolds:
         query = make()
-        parts = [
-            query.read(span, query.message(span), answers[span])
-            for span in query.spans(client.pairs_per_message)
-        ]
-        return hullcast.Manifolds(_answers.merge(parts), scene)
+        parts = []
+        for span in query.spans(client.pairs_per_message):
+            number, answer = answers[span]
+            # The answer is to another message with the same content.
+            message = replace(query.message(span), request_id=number)
+            parts.append(query.read(span, message, answer))
+        return query.delivered(_answers.merge(parts))
 
     return work
 

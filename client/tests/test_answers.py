@@ -227,5 +227,5 @@ def test_a_server_of_the_first_contract_is_read():
     assert columns["iterations"].tolist() == [3, 4]
     assert np.isnan(columns["kept_areas"]).tolist() == [True, True]
     older.kept_areas.extend([0.5])
-    with pytest.raises(hullcast.ServerError, match="1 entries in kept_areas, expected 2"):
+    with pytest.raises(hullcast.ServerError, match="kept_areas has 1 entries, expected 2"):
         _answers.read(older.SerializeToString(), ("DIAGNOSTICS",), PAIRS)

@@ -103,7 +103,8 @@ def test_bodies_that_are_in_no_pair_are_named(client):
     scene = hullcast.Scene(
         [hull, b"\7" * 32], positions, [[0, 0, 0, 1]] * 4, body_hulls=[0, 0, 1, 0]
     )
-    found = client.find(scene)
+    with pytest.warns(hullcast.MissingHullsWarning, match="1 of 2 hulls"):
+        found = client.find(scene, on_invalid="flag")
     assert found.pairs.tolist() == [[0, 3]]
     assert found.invalid_bodies.tolist() == [1]
     assert found.missing_hulls.tolist() == [1]

@@ -98,8 +98,7 @@ def test_files(client, tmp_path):
         client.register([tmp_path / "ell.obj"])
     with pytest.raises(FileNotFoundError):
         client.register([tmp_path / "none.stl"])
-    with pytest.raises(hullcast.InvalidArgument, match="NOT_A_LIST"):
-        client.register(str(tmp_path / "box.stl"))
+    assert client.register(str(tmp_path / "box.stl")) == hulls[:1]  # one file is a list of one
     (tmp_path / "empty.obj").write_text("v 0 0 0\n")
     with pytest.raises(hullcast.InvalidArgument, match="NO_TRIANGLES"):
         client.register([tmp_path / "empty.obj"])

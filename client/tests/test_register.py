@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 from crowds import CUBE
@@ -100,8 +102,75 @@ def test_one_bad_hull_does_not_sink_the_others(client, points, center, reason, f
     assert third.id == hullcast.hull_id(CUBE)
 
 
-def test_a_hull_is_not_a_list_of_hulls(client):
-    """The slip of forgetting the brackets is caught, not registered as nonsense."""
-    with pytest.raises(hullcast.InvalidArgument) as caught:
-        client.register(CUBE)
-    assert caught.value.reason == "NOT_A_LIST"
+def test_a_hull_too_large_for_a_message_is_named():
+    """Catches an error of bytes that does not say which of several hulls is meant: a limit of 1 MB,
+    and a cloud of 60,000 points among cubes; the cubes are registered without it."""
+    cloud = np.random.default_rng(39).normal(size=(60_000, 3))
+    with hullcast.serve(arguments=["--max-message-bytes", "1048576"]) as client:
+        for hulls, place in (([CUBE, CUBE * 2, cloud], 2), ([cloud, CUBE], 0)):
+            with pytest.raises(hullcast.InvalidArgument) as caught:
+                client.register(hulls)
+            error = caught.value
+            assert (error.reason, error.place) == ("MESSAGE_TOO_LARGE", f"hulls[{place}]")
+            assert "60000 points" in error.message
+            assert "1048576" in error.message
+        assert len(client.register([CUBE, CUBE * 2])) == 2
+class Duck:
+    """A mesh as other libraries have it."""
+
+    def __init__(self, vertices):
+        self.vertices = vertices
+
+
+class FakeScene:
+    """The two attributes of a trimesh.Scene that are used."""
+
+    geometry = ()
+
+    def dump(self):
+        return [Duck(CUBE), Duck(CUBE * 2)]
+
+
+@pytest.mark.parametrize(
+    "hulls",
+    [
+        CUBE,
+        CUBE.tolist(),
+        Duck(CUBE),
+        [CUBE],
+        (CUBE,),
+        CUBE[None],
+        iter([CUBE]),
+        {1: CUBE}.values(),
+    ],
+    ids=["array", "rows", "mesh", "list", "tuple", "stack", "iterator", "values"],
+)
+def test_one_hull_or_several(client, hulls):
+    """Catches one hull that is taken for a list of points, and an iterable that is refused."""
+    assert [hull.id for hull in client.register(hulls)] == [hullcast.hull_id(CUBE)]
+
+
+def test_shapes_of_other_libraries(client):
+    """Catches a scipy hull whose vertex indices are taken for points, and a scene that is not
+    taken apart."""
+    scipy = pytest.importorskip("scipy.spatial")
+    (hull,) = client.register(scipy.ConvexHull(CUBE))
+    assert hull.id == hullcast.hull_id(CUBE)
+    assert client.register([hull]) == [hull] == client.register(hull)
+    assert [part.id for part in client.register(FakeScene())] == [
+        hullcast.hull_id(CUBE), hullcast.hull_id(CUBE * 2)
+    ]  # fmt: skip
+
+
+def test_faces_are_those_that_features_number(client, get_hulls):
+    """Catches faces in another order than the server's, and a hull that cannot be pickled."""
+    (hull,) = client.register(CUBE)
+    faces = get_hulls([hull])
+    assert [face.tolist() for face in hull.faces] == faces._faces[hull.id]
+    assert sorted(map(len, hull.faces)) == [4] * 6
+    copy = pickle.loads(pickle.dumps(hull))
+    assert copy == hull
+    assert len(copy.faces) == 6  # they are kept once read
+    (fresh,) = client.register(CUBE * 3)
+    with pytest.raises(hullcast.Error, match="NO_SERVER"):
+        _ = pickle.loads(pickle.dumps(fresh)).faces

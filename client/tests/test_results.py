@@ -181,6 +181,6 @@ def test_what_is_shown(client):
     m = client.query(scene, [[0, 1]])
     assert repr(m) == "Manifolds(1 pair: 1 CONTACT; 4 points)"
     unknown = hullcast.Scene([b"\7" * 32], [[0, 0, 0]], [[0, 0, 0, 1]], worlds=[3])
-    assert repr(unknown) == "Scene(1 bodies of 1 hull in 1 worlds)"
+    assert repr(unknown) == "Scene(1 body of 1 hull in 1 world)"
     text = repr(client.query(unknown, [[0, 0]], outputs=["ALPHA"]))
     assert text.startswith("Manifolds(1 pair: 1 INVALID; flags <Flag.UNKNOWN_HULL")

@@ -48,7 +48,7 @@ def test_the_server_ends_with_its_parent(tmp_path):
     program = """
         import hullcast, os, signal
         client = hullcast.serve()
-        print(client._on_close.__self__._process.pid, flush=True)
+        print(client._server._process.pid, flush=True)
         os.kill(os.getpid(), signal.SIGKILL)
     """
     paths = os.pathsep.join(p for p in sys.path if p)

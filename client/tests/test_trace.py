@@ -75,7 +75,14 @@ def test_each_kind_of_call_is_of_the_callers_trace(logged: SimpleNamespace) -> N
             client.find(scene)
         with Within(5), client.session(scene, [[0, 1]]) as session:
             session.step(scene.positions, scene.rotations)
-    expected = {"RegisterHulls": 2, "QueryContacts": 3, "FindContacts": 4, "StreamContacts": 5}
+    # The first call is preceded by one that asks whether a server is there.
+    expected = {
+        "GetServerInfo": 2,
+        "RegisterHulls": 2,
+        "QueryContacts": 3,
+        "FindContacts": 4,
+        "StreamContacts": 5,
+    }
     assert logged.calls() == {name: f"{trace:032x}" for name, trace in expected.items()}
 
 
@@ -96,4 +103,6 @@ def test_tasks_keep_their_traces_apart(logged: SimpleNamespace) -> None:
             await query()
 
     asyncio.run(run())
-    assert logged.calls() == {"RegisterHulls": f"{6:032x}", "QueryContacts": None}
+    trace = f"{6:032x}"
+    expected = {"GetServerInfo": trace, "RegisterHulls": trace, "QueryContacts": None}
+    assert logged.calls() == expected

@@ -66,7 +66,7 @@ def test_the_wheel_alone_answers(wheel, tmp_path):
             scene = hullcast.Scene(client.register([cube]), [[0, 0, 0], [0, 0, 0.99]],
                                    [[0, 0, 0, 1]] * 2, body_hulls=[0, 0])
             m = client.query(scene, [[0, 1]])
-            print(m.distance.round(9).tolist(), client._on_close.__self__._process.args[0])
+            print(m.distance.round(9).tolist(), client._server._process.args[0])
     """
     venv.create(tmp_path / "env", with_pip=True)
     python = tmp_path / "env/bin/python"

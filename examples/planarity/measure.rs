@@ -1,5 +1,6 @@
 //! Patches, faces and times of every shape, rounding and planarity.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
 use glam::{DQuat, DVec3};
@@ -17,6 +18,8 @@ const DEPTH: f64 = 1e-3;
 const MARGIN: f64 = 1e-2;
 /// Two faces at a larger angle than this, the default feature angle, are apart to the contacts.
 const FEATURE_ANGLE: f64 = 1e-2;
+/// Orientations of each shape in which times are taken.
+const TIMED: usize = 20;
 /// A patch is whole where its area is within this share of the unrounded shape's.
 const WHOLE: f64 = 0.01;
 
@@ -38,7 +41,7 @@ pub(crate) struct Cell {
     /// Edges sharper than the feature angle, here and in the unrounded shape at the first planarity.
     pub(crate) edges: usize,
     pub(crate) all_edges: usize,
-    /// Nanoseconds, all cases together.
+    /// Nanoseconds, sums over the timed cases.
     pub(crate) building: f64,
     pub(crate) answering: f64,
 }
@@ -98,26 +101,44 @@ fn area(manifold: &Manifold) -> f64 {
 
 /// Every cell, the planarities of a rounding side by side.
 pub(crate) fn cells(groups: &[Group], orientations: usize) -> Vec<Cell> {
-    let mut cells = Vec::new();
-    for group in groups {
-        for rounding in ROUNDINGS {
-            let mut row = PLANARITIES.map(|planarity| Cell::new(&group.name, rounding, planarity));
-            for (seed, points) in group.shapes.iter().enumerate() {
-                let reference = Reference::new(points);
-                let mut random = Random(seed as u64);
-                for _ in 0..orientations.div_ceil(group.thinned) {
-                    measure(points, &reference, random.rotation(), &mut row);
-                }
-            }
-            eprintln!("{} {}", group.name, rounding.name());
-            cells.extend(row);
+    let rows: Vec<_> = groups.iter().flat_map(|group| ROUNDINGS.map(|rounding| (group, rounding))).collect();
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let next = AtomicUsize::new(0);
+    let work = || {
+        let mut done = Vec::new();
+        while let Some(&(group, rounding)) = rows.get(next.fetch_add(1, Ordering::Relaxed)) {
+            done.push(row(group, rounding, orientations.div_ceil(group.thinned)));
+        }
+        done
+    };
+    let mut done: Vec<Vec<Cell>> = std::thread::scope(|scope| {
+        let handles: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+        handles.into_iter().flat_map(|handle| handle.join().expect("rows")).collect()
+    });
+    let place = |cells: &Vec<Cell>| {
+        rows.iter()
+            .position(|(group, rounding)| (&group.name, *rounding) == (&cells[0].group, cells[0].rounding))
+    };
+    done.sort_by_key(place);
+    done.concat()
+}
+
+/// One group and rounding.
+fn row(group: &Group, rounding: Rounding, orientations: usize) -> Vec<Cell> {
+    let mut row = PLANARITIES.map(|planarity| Cell::new(&group.name, rounding, planarity));
+    for (seed, points) in group.shapes.iter().enumerate() {
+        let reference = Reference::new(points);
+        let mut random = Random(seed as u64);
+        for i in 0..orientations {
+            measure(points, &reference, random.rotation(), i < TIMED, &mut row);
         }
     }
-    cells
+    eprintln!("{} {}", group.name, rounding.name());
+    row.into()
 }
 
 /// One orientation in the file: every planarity.
-fn measure(points: &[[f64; 3]], reference: &Reference, turned: DQuat, row: &mut [Cell]) {
+fn measure(points: &[[f64; 3]], reference: &Reference, turned: DQuat, timed: bool, row: &mut [Cell]) {
     let floor = floor(8.0 * reference.hull.circumradius());
     let mut workspace = Workspace::default();
     let rounding = row[0].rounding;
@@ -136,21 +157,13 @@ fn measure(points: &[[f64; 3]], reference: &Reference, turned: DQuat, row: &mut 
     let (true_area, _) = ask(&Standing { hull: &reference.hull, pose: standing(reference.upright) });
     let mut first_alpha = None;
     for cell in row {
-        let build = || {
-            let start = Instant::now();
-            let hull = hull(&written, cell.planarity);
-            (hull, start.elapsed().as_nanos() as f64)
-        };
-        let ((_, first), (hull, second)) = (build(), build());
-        cell.building += first.min(second);
+        let hull = hull(&written, cell.planarity);
         let shape = Standing { hull: &hull, pose: standing(reference.upright * turned.conjugate()) };
         let (area, alpha) = ask(&shape);
-        let mut timed = || {
-            let start = Instant::now();
-            ask(&shape);
-            start.elapsed().as_nanos() as f64
-        };
-        cell.answering += timed().min(timed()).min(timed());
+        if timed {
+            cell.building += fastest(|| self::hull(&written, cell.planarity));
+            cell.answering += fastest(|| ask(&shape));
+        }
         let share = area / true_area;
         cell.cases += 1;
         cell.area += share;
@@ -162,6 +175,16 @@ fn measure(points: &[[f64; 3]], reference: &Reference, turned: DQuat, row: &mut 
         cell.edges += sharp_edges(&hull).min(reference.edges);
         cell.all_edges += reference.edges;
     }
+}
+
+/// Nanoseconds of the fastest of three runs.
+fn fastest<T>(mut run: impl FnMut() -> T) -> f64 {
+    let mut once = || {
+        let start = Instant::now();
+        std::hint::black_box(run());
+        start.elapsed().as_nanos() as f64
+    };
+    once().min(once()).min(once())
 }
 
 /// A slab whose top is the plane z = 0.

@@ -7,20 +7,17 @@ use crate::shapes::{ROUNDINGS, Rounding};
 
 /// One row a cell.
 pub(crate) fn csv(cells: &[Cell]) -> String {
-    let mut text = String::from(
-        "group,rounding,planarity,cases,whole,mean area,least area,alpha,error,edges lost,building ns,answering ns\n",
-    );
+    let mut text =
+        String::from("group,rounding,planarity,cases,whole,mean area,least area,alpha,error,edges lost\n");
     for cell in cells {
         let Cell { group, planarity, cases, alpha, error, least_area, .. } = cell;
         let _ = writeln!(
             text,
-            "{group},{},{planarity:e},{cases},{:.5},{:.5},{least_area:.5},{alpha:.1e},{error:.2e},{:.5},{:.0},{:.0}",
+            "{group},{},{planarity:e},{cases},{:.5},{:.5},{least_area:.5},{alpha:.1e},{error:.2e},{:.5}",
             cell.rounding.name(),
             cell.mean(cell.whole as f64),
             cell.mean(cell.area),
             lost(cell),
-            cell.mean(cell.building),
-            cell.mean(cell.answering),
         );
     }
     text

@@ -13,14 +13,16 @@ use tonic::{Code, Status};
 use tonic_types::StatusExt;
 
 use super::Error;
+use super::checked;
 use super::options::Asked;
 use super::remote::{Connection, RemoteArgs, root_cause};
 use super::scene::{Frame, HullPoints, Scene};
-use hullcast::compute::Compute;
+use hullcast::budget::{Caller, Part, Permit};
+use hullcast::compute::{Compute, Job};
 use hullcast::contact::ConvexHull;
 use hullcast::proto;
 use hullcast::proto::register_hull_result::Result as Registered;
-use hullcast::service::batch::{Batch, Engine};
+use hullcast::service::batch::{Batch, Bounds, Engine};
 use hullcast::service::{Kind, Limits, ServiceError, wire};
 use hullcast::store::identity::id_of;
 use hullcast::store::{HullDefinition, HullId, Missing};
@@ -97,6 +99,12 @@ impl From<ServiceError> for Refusal {
     }
 }
 
+impl From<checked::Malformed> for Refusal {
+    fn from(error: checked::Malformed) -> Self {
+        Self { text: error.to_string(), retry_after: None, lost: false }
+    }
+}
+
 impl From<Status> for Refusal {
     fn from(status: Status) -> Self {
         let retry_after = status.get_details_retry_info().and_then(|info| info.retry_delay);
@@ -128,7 +136,12 @@ impl Answerer {
             ids.push(id);
         }
         let compute = Compute::new(threads)?;
-        let engine = Engine::new(compute, limits.max_pairs_in_flight, MAX_ANSWER_BYTES, Arc::default());
+        let bounds = Bounds {
+            max_pairs_in_flight: limits.max_pairs_in_flight,
+            shares: false,
+            max_answer_bytes: MAX_ANSWER_BYTES,
+        };
+        let engine = Engine::new(compute, bounds, Arc::default());
         Ok((Self::Local(Arc::new(Local { engine, limits, hulls: built })), ids))
     }
 
@@ -148,12 +161,11 @@ impl Answerer {
             let request = proto::RegisterHullsRequest { hulls: part.iter().map(wire_definition).collect() };
             let results =
                 service.register_hulls(request).await.map_err(|s| described(&s))?.into_inner().results;
-            for result in results {
-                ids.push(registered(ids.len(), result)?);
+            checked::registrations(part.len(), results.len())?;
+            for (points, result) in part.iter().zip(results) {
+                let content = id_of(&definition(points).identity_bytes());
+                ids.push(registered(ids.len(), content, result)?);
             }
-        }
-        if ids.len() != hulls.len() {
-            return Err(format!("the server answered for {} of {} hulls", ids.len(), hulls.len()).into());
         }
         Ok((Self::Remote(connection), ids))
     }
@@ -169,8 +181,11 @@ impl Answerer {
         match self {
             Self::Local(local) => local.answer(request).await.map_err(Into::into),
             Self::Remote(remote) => {
-                let response = remote.contacts().query_contacts(request).await;
-                response.map(tonic::Response::into_inner).map_err(Into::into)
+                let asked = proto::QueryContactsRequest { request_id: remote.next_request_id(), ..request };
+                let mut response = remote.contacts().query_contacts(asked.clone()).await?.into_inner();
+                checked::answer(&asked, &response)?;
+                response.request_id = request.request_id;
+                Ok(response)
             }
         }
     }
@@ -182,12 +197,15 @@ impl Local {
         request: proto::QueryContactsRequest,
     ) -> Result<proto::QueryContactsResponse, ServiceError> {
         let scene = wire::scene(request, &self.limits)?;
-        let admission = self.engine.admit(scene.setting.pair_count(), scene.setting.outputs)?;
+        let job = Job::new(Caller::alone());
+        let (pairs, outputs) = (scene.setting.pair_count(), scene.setting.outputs);
+        let admission = self.engine.admit(pairs, outputs, &job.caller)?;
         let known = |id| self.hulls.get(id).cloned().ok_or(Missing::Unknown);
         let hulls = scene.setting.hull_ids.iter().map(known).collect();
         let request_id = scene.request_id;
         let (batch, invalid_bodies) = Batch::new(scene, hulls);
-        let columns = self.engine.compute(batch, admission).await?;
+        let memory = Permit::unbounded(Part::Answers);
+        let (columns, _memory) = self.engine.compute(batch, admission, &job, memory).await?;
         Ok(wire::response(request_id, columns, Vec::new(), invalid_bodies))
     }
 }
@@ -219,13 +237,9 @@ fn wire_definition(points: &HullPoints) -> proto::HullDefinition {
     }
 }
 
-fn registered(hull: usize, result: proto::RegisterHullResult) -> Result<HullId, Error> {
+fn registered(hull: usize, content: HullId, result: proto::RegisterHullResult) -> Result<HullId, Error> {
     match result.result {
-        Some(Registered::Hull(info)) => {
-            let id: [u8; 32] =
-                info.id.as_slice().try_into().map_err(|_| "the server gave an id that is not 32 bytes")?;
-            Ok(HullId(id))
-        }
+        Some(Registered::Hull(info)) => Ok(checked::registered(hull, content, &info.id)?),
         Some(Registered::Error(e)) => {
             let reason = format!("{}: {}", e.reason, e.message);
             Err(HullRefused { hull, field: e.field, index: e.index.map(|i| i as usize), reason }.into())

@@ -1,6 +1,7 @@
 //! The subcommands.
 
 mod answer;
+mod checked;
 mod descriptors;
 pub(crate) mod load;
 mod memory;
@@ -8,6 +9,7 @@ mod npz;
 mod options;
 pub(crate) mod prune;
 pub(crate) mod query;
+mod reach;
 mod remote;
 mod report;
 mod scene;

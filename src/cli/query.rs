@@ -77,9 +77,40 @@ async fn answered(args: &Args) -> Result<(), Error> {
         if args.json { answered.write_json(&mut out) } else { answered.write_table(&mut out, args.all) };
     match written.and_then(|()| out.flush()) {
         // `hullcast query ... | head` is no failure.
-        Err(e) if e.kind() == io::ErrorKind::BrokenPipe => Ok(()),
-        other => Ok(other?),
+        Err(e) if e.kind() == io::ErrorKind::BrokenPipe => {}
+        other => other?,
     }
+    all_answered(&columns, scene.body_hulls.len())
+}
+
+/// An error if a pair was not answered: a script must not take such a pair for one without contact.
+fn all_answered(columns: &proto::QueryContactsResponse, bodies: usize) -> Result<(), Error> {
+    const INVALID: u8 = proto::Outcome::Invalid as u8;
+    const SHOWN: usize = 8;
+    let pairs = columns.outcomes.iter().filter(|&&outcome| outcome == INVALID).count();
+    let unusable = &columns.invalid_bodies;
+    if !unusable.is_empty() {
+        let mut names: Vec<String> = unusable.iter().take(SHOWN).map(u32::to_string).collect();
+        if unusable.len() > SHOWN {
+            names.push("...".into());
+        }
+        let message = format!(
+            "unusable poses: {} of {bodies} bodies (bodies {}), so that {pairs} of {} pairs are INVALID. \
+             A position is finite and at most 1e100, a quaternion's norm 0.25 to 4",
+            unusable.len(),
+            names.join(", "),
+            columns.outcomes.len()
+        );
+        return Err(message.into());
+    }
+    if pairs > 0 {
+        let message = format!(
+            "{pairs} of {} pairs are INVALID: the server has lost or cannot read their hulls; ask again",
+            columns.outcomes.len()
+        );
+        return Err(message.into());
+    }
+    Ok(())
 }
 
 /// The whole request's columns, asked for in parts.

@@ -2,6 +2,7 @@
 
 use std::error::Error as StdError;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use tonic::metadata::{Ascii, MetadataValue};
@@ -10,9 +11,11 @@ use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
 use tonic::{Request, Status};
 
-use super::Error;
+use super::{Error, reach};
+use hullcast::proto::GetServerInfoRequest;
 use hullcast::proto::contact_service_client::ContactServiceClient;
 use hullcast::proto::hull_service_client::HullServiceClient;
+use hullcast::proto::server_service_client::ServerServiceClient;
 
 /// Of messages, either way: the servers' limits are the ones that count.
 const MAX_MESSAGE_BYTES: usize = 2 << 30;
@@ -26,7 +29,8 @@ const KEEP_ALIVE: Duration = Duration::from_secs(10);
 /// Which server, if any.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub(crate) struct RemoteArgs {
-    /// Ask this server (host:port, unix:PATH, or https://host:port) instead of this process.
+    /// Ask this server instead of this process: host:port, unix:PATH, http://host:port or
+    /// https://host:port. The port is 50051 if the address has none.
     #[arg(long, value_name = "ADDRESS")]
     pub(crate) remote: Option<String>,
     /// PEM file of the authorities that the server's certificate may be of [default: the system's].
@@ -53,10 +57,7 @@ impl Connection {
     /// # Errors
     /// No server there, or a file cannot be read.
     pub(crate) async fn open(address: &str, args: &RemoteArgs) -> Result<Self, Error> {
-        let url = match address.contains("://") || address.starts_with("unix:") {
-            true => address.to_owned(),
-            false => format!("http://{address}"),
-        };
+        let url = reach::url(address)?;
         let mut endpoint = Endpoint::from_shared(url.clone())?
             .initial_stream_window_size(WINDOW_BYTES)
             .initial_connection_window_size(WINDOW_BYTES)
@@ -67,9 +68,27 @@ impl Connection {
         if url.starts_with("https://") {
             endpoint = endpoint.tls_config(args.tls()?)?;
         }
-        let channel = endpoint.connect().await;
-        let channel = channel.map_err(|e| format!("no server at {address}: {}", root_cause(&e)))?;
-        Ok(Self(InterceptedService::new(channel, args.token()?)))
+        let channel = match endpoint.connect().await {
+            Ok(channel) => channel,
+            Err(error) => return Err(reach::failed(address, &url, &error).await.into()),
+        };
+        let connection = Self(InterceptedService::new(channel, args.token()?));
+        // A connection without TLS counts as open before the server has said anything.
+        let mut server = ServerServiceClient::new(connection.0.clone());
+        match server.get_server_info(GetServerInfoRequest {}).await {
+            // Only tonic's own statuses have a source; any other answer shows that a server is there.
+            Err(status) if status.source().is_some() => {
+                Err(reach::failed(address, &url, &status).await.into())
+            }
+            _ => Ok(connection),
+        }
+    }
+
+    /// A number for the next request, by which its answer is recognised.
+    pub(crate) fn next_request_id(&self) -> u64 {
+        static NEXT: AtomicU64 = AtomicU64::new(1);
+        // The process's id is in it, so that a proxy cannot mix up two processes' answers.
+        (u64::from(std::process::id()) << 32).wrapping_add(NEXT.fetch_add(1, Ordering::Relaxed))
     }
 
     /// Queries on this connection.
@@ -90,11 +109,14 @@ impl Connection {
 impl RemoteArgs {
     fn tls(&self) -> Result<ClientTlsConfig, Error> {
         let mut tls = match &self.tls_ca {
-            Some(path) => ClientTlsConfig::new().ca_certificate(Certificate::from_pem(read(path)?)),
+            Some(path) => {
+                ClientTlsConfig::new().ca_certificate(Certificate::from_pem(pem("--tls-ca", path)?))
+            }
             None => ClientTlsConfig::new().with_native_roots(),
         };
         if let (Some(certificate), Some(key)) = (&self.tls_certificate, &self.tls_key) {
-            tls = tls.identity(Identity::from_pem(read(certificate)?, read(key)?));
+            let certificate = pem("--tls-certificate", certificate)?;
+            tls = tls.identity(Identity::from_pem(certificate, pem("--tls-key", key)?));
         }
         Ok(tls)
     }
@@ -103,12 +125,26 @@ impl RemoteArgs {
         let Some(path) = &self.token_file else { return Ok(Token(None)) };
         let text = String::from_utf8(read(path)?)?;
         let token = text.lines().next().unwrap_or_default().trim();
+        if token.is_empty() || !token.bytes().all(|byte| byte.is_ascii_graphic()) {
+            let path = path.display();
+            let rule = "the first line is the token: one or more visible ASCII characters";
+            return Err(format!("--token-file {path}: {rule}").into());
+        }
         Ok(Token(Some(format!("Bearer {token}").parse()?)))
     }
 }
 
 fn read(path: &PathBuf) -> Result<Vec<u8>, Error> {
     Ok(std::fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?)
+}
+
+/// A PEM file's content, checked for a PEM block: TLS would start without the file's content.
+fn pem(option: &str, path: &PathBuf) -> Result<Vec<u8>, Error> {
+    let content = read(path)?;
+    if content.windows(11).any(|bytes| bytes == b"-----BEGIN ") {
+        return Ok(content);
+    }
+    Err(format!("{option} {}: not a PEM file (it has no line -----BEGIN ...-----)", path.display()).into())
 }
 
 /// Sent with every call, if there is one.

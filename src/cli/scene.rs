@@ -50,6 +50,7 @@ pub(crate) struct HullPoints {
 /// rounded as files round them: docs/tradeoff.md.
 const DEFAULT_PLANARITY: f64 = 1e-3;
 
+#[allow(clippy::unnecessary_wraps, reason = "serde wants the field's type")]
 fn default_planarity() -> Option<f64> {
     Some(DEFAULT_PLANARITY)
 }

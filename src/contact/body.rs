@@ -6,23 +6,26 @@ use super::ConvexHull;
 
 /// Positions beyond this (caller's units, per coordinate) are refused.
 pub(super) const MAX_POSITION: f64 = 1e100;
-/// A quaternion's norm may be off 1 by this much.
-pub(super) const MAX_NORM_ERROR: f64 = 1e-3;
+/// A quaternion is normalised if its norm is at least this,
+pub(super) const MIN_NORM: f64 = 0.25;
+/// and at most this. Rounding and drift stay far inside the range; a quaternion outside it is
+/// more likely to be an error of the caller.
+pub(super) const MAX_NORM: f64 = 4.0;
 
 /// Why a pose is not usable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InvalidPose {
-    /// A coordinate is not finite or beyond 1e100.
+    /// A coordinate is not finite, or its magnitude is above 1e100.
     Position,
-    /// A component is not finite or the norm outside 1 +- 1e-3.
+    /// A component is not finite, or the norm is not in 0.25 to 4.
     Rotation,
 }
 
 impl std::fmt::Display for InvalidPose {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
-            Self::Position => "position is not finite or beyond 1e100",
-            Self::Rotation => "rotation is not finite or its norm is outside 1 +- 1e-3",
+            Self::Position => "a position's coordinate is not finite, or its magnitude is above 1e100",
+            Self::Rotation => "a quaternion's component is not finite, or its norm is not in 0.25 to 4",
         })
     }
 }
@@ -39,7 +42,8 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// From a position and a quaternion `x, y, z, w`, which is normalised.
+    /// A pose from a position and a quaternion `x, y, z, w`. A quaternion of norm 0.25 to 4 is
+    /// normalised.
     ///
     /// # Errors
     /// [`InvalidPose`] names what is not usable.
@@ -58,7 +62,7 @@ impl Pose {
         Ok(Self { translation: DVec3::from_array(position), rotation })
     }
 
-    /// Whether [`Pose::new`] takes them; the quaternion's norm, squared.
+    /// Checks a position and a quaternion for [`Pose::new`]; returns the quaternion's squared norm.
     ///
     /// # Errors
     /// As [`Pose::new`].
@@ -68,7 +72,7 @@ impl Pose {
             return Err(InvalidPose::Position);
         }
         let norm_squared = x * x + y * y + z * z + w * w;
-        if !((norm_squared.sqrt() - 1.0).abs() <= MAX_NORM_ERROR) {
+        if !(MIN_NORM * MIN_NORM..=MAX_NORM * MAX_NORM).contains(&norm_squared) {
             return Err(InvalidPose::Rotation);
         }
         Ok(norm_squared)

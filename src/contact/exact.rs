@@ -25,6 +25,15 @@ const SAFE_HIGH: u64 = 1023 + 280;
 /// is good to 2^-58 relative (its error is below 2^-98).
 const SLIVER_SINE: f64 = power_of_two(-40);
 
+/// Steps of an orientation test that the rounded value decides, as measured.
+const ROUNDED_STEPS: u64 = 10;
+/// Steps of an orientation test whose points are nearly in one plane, as measured.
+const NEAR_PLANE_STEPS: u64 = 300;
+/// Share of the product of three sides above which the rounded value certainly decides.
+const SURELY_ROUNDED: f64 = 64.0 * U;
+/// Steps of an orientation test, or of a normal, by integers of any length, as measured.
+pub(crate) const WIDE_STEPS: u64 = 10_000;
+
 /// 2^`exponent`, for exponents of normal numbers; others are clamped to them.
 pub(crate) const fn power_of_two(exponent: i32) -> f64 {
     let clamped = if exponent < -1022 {
@@ -66,6 +75,16 @@ impl VectorArea {
         let (ab, ab_exponent) = normalised(exact_difference(b, a));
         let (ac, ac_exponent) = normalised(exact_difference(c, a));
         Self { mantissa: dd_cross(ab, ac), exponents: [ab_exponent, ac_exponent] }
+    }
+
+    /// About how many elementary steps its unit normal takes beyond the area itself.
+    pub(crate) fn normal_steps(&self) -> u64 {
+        if self.is_sliver() { WIDE_STEPS } else { 0 }
+    }
+
+    /// Whether the area is noise in double-double numbers.
+    fn is_sliver(&self) -> bool {
+        DVec3::from_array(self.mantissa.map(Dd::value)).abs().max_element() < SLIVER_SINE
     }
 
     /// Where the unit of length is 2^`unit`.
@@ -122,11 +141,27 @@ fn normalised(v: Dd3) -> (Dd3, i32) {
     (v.map(|x| x.scaled(power)), exponent)
 }
 
+/// About how many elementary steps [`orient3d`] took for these points to find `value`.
+#[inline]
+pub(crate) fn orient3d_steps(points: [DVec3; 4], value: f64) -> u64 {
+    if !are_safe(&points) {
+        return WIDE_STEPS;
+    }
+    let [a, b, c, d] = points;
+    let size = [a, b, c].iter().fold(1.0, |size, &p| size * (p - d).abs().element_sum());
+    if value.abs() > SURELY_ROUNDED * size { ROUNDED_STEPS } else { NEAR_PLANE_STEPS }
+}
+
+/// Whether `robust` is exact for these points. All of them: one branch in place of twelve.
+#[inline]
+fn are_safe(points: &[DVec3; 4]) -> bool {
+    points.iter().fold(true, |safe, p| safe & is_safe(p.x) & is_safe(p.y) & is_safe(p.z))
+}
+
 /// Where `d` lies of the plane through `a`, `b`, `c`: only the sign is exact.
 /// Negative on the side from which `a`, `b`, `c` run anticlockwise, zero on it.
 pub(crate) fn orient3d(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
-    // All of them: one branch in place of twelve.
-    if [a, b, c, d].iter().fold(true, |safe, p| safe & is_safe(p.x) & is_safe(p.y) & is_safe(p.z)) {
+    if are_safe(&[a, b, c, d]) {
         let coord = |p: DVec3| Coord3D { x: p.x, y: p.y, z: p.z };
         robust::orient3d(coord(a), coord(b), coord(c), coord(d))
     } else {
@@ -142,6 +177,17 @@ pub(crate) fn orient2d(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
     } else {
         wide::orient2d(a, b, c)
     }
+}
+
+/// About how many elementary steps [`orient2d`] took for these points to find `value`.
+#[inline]
+pub(crate) fn orient2d_steps(points: [[f64; 2]; 3], value: f64) -> u64 {
+    if !points.iter().flatten().all(|&x| is_safe(x)) {
+        return WIDE_STEPS / 4;
+    }
+    let [a, b, c] = points;
+    let size = |p: [f64; 2]| (p[0] - c[0]).abs() + (p[1] - c[1]).abs();
+    if value.abs() > SURELY_ROUNDED * size(a) * size(b) { ROUNDED_STEPS } else { NEAR_PLANE_STEPS / 4 }
 }
 
 /// Whether three points lie on one line, exactly.

@@ -37,6 +37,7 @@
 mod body;
 mod bounds;
 pub mod certificate;
+mod cost;
 mod distance;
 pub(crate) mod exact;
 mod gauss_map;
@@ -56,8 +57,10 @@ use glam::DVec3;
 
 pub use body::{Body, InvalidPose, Pose};
 pub use bounds::Bounds;
+pub use cost::estimated_steps;
 pub use hull::{
-    ABSENT_PLANARITY, ConvexHull, HullError, HullErrorKind, HullOptions, MAX_PLANARITY, Simplification,
+    ABSENT_PLANARITY, BuildError, ConvexHull, HullError, HullErrorKind, HullOptions, MAX_PLANARITY,
+    Simplification,
 };
 pub use manifold::{Basis, ContactPoint, Element, Feature, Flags, Manifold, Outcome};
 pub use query::{Accuracy, Query, Solver, Wanted};
@@ -77,6 +80,16 @@ use tolerance::{MERGE, NOISE, U};
 pub struct Workspace {
     turned: Columns,
     steps: Steps,
+    /// Elementary steps of the pairs since they were last taken.
+    counted: u64,
+}
+
+impl Workspace {
+    /// The elementary steps ([`Stop`]) of the pairs that were computed with this workspace since
+    /// the last call.
+    pub fn take_steps(&mut self) -> u64 {
+        std::mem::take(&mut self.counted)
+    }
 }
 
 /// What the steps leave for each other.
@@ -122,51 +135,10 @@ pub fn contact_manifold<'w>(
     warm: Option<&Basis>,
     workspace: &'w mut Workspace,
 ) -> &'w Manifold {
-    let Workspace { turned, steps } = workspace;
+    let Workspace { turned, steps, counted } = workspace;
     let pair = &mut Pair::new(a, b);
-    // In pair units; a margin that overflows there is beyond every distance.
-    let margin = query.margin / pair.unit;
-    steps.manifold.reset();
-    if let Some(reach) = spheres_apart(pair, margin) {
-        steps.manifold.set_apart(pair, pair.ray, reach, Cost::default());
-        return &steps.manifold;
-    }
-
-    // Step 1.
-    let goal = Goal::new(&query.accuracy, margin, query.wanted == Wanted::Outcome);
-    let mut solution = match growth(pair, query.accuracy.solver, warm, &goal, turned) {
-        Growth::Solved(solution) => solution,
-        Growth::Separated(Separation { direction, support, cost }) => {
-            let reach = direction.dot(support.point) / direction.length();
-            steps.manifold.set_apart(pair, direction, reach, cost);
-            return &steps.manifold;
-        }
-    };
-    let certain = solution.upper <= 1.0 || margin == f64::INFINITY;
-    if query.wanted == Wanted::Points {
-        steps.find_points(pair, &solution, &query.accuracy);
-    }
-
-    let near = certain || (query.wanted == Wanted::Points && steps.points_within(margin));
-    let outcome = if near {
-        Outcome::Contact
-    } else {
-        match distance::decide(pair, &solution.triple, margin, &mut solution.cost) {
-            Decision::Within => Outcome::Contact,
-            Decision::Unknown => Outcome::Undecided,
-            Decision::Beyond(direction, support) => {
-                let reach = direction.dot(support.point) / direction.length();
-                steps.manifold.set_apart(pair, direction, reach, solution.cost);
-                return &steps.manifold;
-            }
-        }
-    };
-    // An outcome alone asks for no bracket.
-    solution.gap_open &= query.wanted != Wanted::Outcome;
-    steps.manifold.set_solved(pair, &solution, outcome);
-    if query.wanted == Wanted::Points {
-        steps.lift_points(pair, &query.accuracy);
-    }
+    steps.answer(pair, query, warm, turned);
+    *counted += cost::PAIR + cost::ITERATION * u64::from(steps.manifold.iterations) + pair.count.steps();
     &steps.manifold
 }
 
@@ -178,6 +150,59 @@ fn spheres_apart(pair: &Pair<'_>, margin: f64) -> Option<f64> {
 }
 
 impl Steps {
+    /// Answers a pair.
+    fn answer<'a>(
+        &mut self,
+        pair: &mut Pair<'a>,
+        query: &Query,
+        warm: Option<&Basis>,
+        turned: &'a mut Columns,
+    ) {
+        // In pair units; a margin that overflows there is beyond every distance.
+        let margin = query.margin / pair.unit;
+        self.manifold.reset();
+        if let Some(reach) = spheres_apart(pair, margin) {
+            self.manifold.set_apart(pair, pair.ray, reach, Cost::default());
+            return;
+        }
+
+        // Step 1.
+        let goal = Goal::new(&query.accuracy, margin, query.wanted == Wanted::Outcome);
+        let mut solution = match growth(pair, query.accuracy.solver, warm, &goal, turned) {
+            Growth::Solved(solution) => solution,
+            Growth::Separated(Separation { direction, support, cost }) => {
+                let reach = direction.dot(support.point) / direction.length();
+                self.manifold.set_apart(pair, direction, reach, cost);
+                return;
+            }
+        };
+        let certain = solution.upper <= 1.0 || margin == f64::INFINITY;
+        if query.wanted == Wanted::Points {
+            self.find_points(pair, &solution, &query.accuracy);
+        }
+
+        let near = certain || (query.wanted == Wanted::Points && self.points_within(margin));
+        let outcome = if near {
+            Outcome::Contact
+        } else {
+            match distance::decide(pair, &solution.triple, margin, &mut solution.cost) {
+                Decision::Within => Outcome::Contact,
+                Decision::Unknown => Outcome::Undecided,
+                Decision::Beyond(direction, support) => {
+                    let reach = direction.dot(support.point) / direction.length();
+                    self.manifold.set_apart(pair, direction, reach, solution.cost);
+                    return;
+                }
+            }
+        };
+        // An outcome alone asks for no bracket.
+        solution.gap_open &= query.wanted != Wanted::Outcome;
+        self.manifold.set_solved(pair, &solution, outcome);
+        if query.wanted == Wanted::Points {
+            self.lift_points(pair, &query.accuracy);
+        }
+    }
+
     /// Steps 2 and 3.
     fn find_points(&mut self, pair: &Pair<'_>, solution: &Solution, accuracy: &Accuracy) {
         let n = solution.normal;

@@ -5,6 +5,7 @@
 
 use glam::{DMat3, DVec3};
 
+use super::cost::{Count, scan_steps};
 use super::support::{Columns, farthest_both};
 use super::tolerance::{BAND, BRACKET, MERGE, NOISE, TRIPLE_PRODUCT, U};
 use super::{Body, ConvexHull};
@@ -72,6 +73,8 @@ pub(crate) struct Pair<'a> {
     pub(crate) translation_a: DVec3,
     /// B's vertices in A's frame, pair units, where B is small.
     turned: Option<&'a Columns>,
+    /// The steps taken for this pair.
+    pub(crate) count: Count,
 }
 
 /// Hulls of more vertices are not turned: what it costs is not won back.
@@ -129,6 +132,7 @@ impl<'a> Pair<'a> {
             rotation_a: ra,
             translation_a: a.pose.translation,
             turned: None,
+            count: Count::default(),
         }
     }
 
@@ -166,8 +170,14 @@ impl<'a> Pair<'a> {
     #[inline]
     pub(crate) fn support(&self, n: DVec3) -> Support {
         let (a, b) = match self.turned {
-            Some(turned) => farthest_both(self.a.columns(), turned, n),
-            None => (self.a.support(n), self.b.support(-self.direction_in_b(n))),
+            Some(turned) => {
+                self.count.add(scan_steps(self.a.vertex_count() + self.b.vertex_count()));
+                farthest_both(self.a.columns(), turned, n)
+            }
+            None => (
+                self.a.counted_support(n, &self.count),
+                self.b.counted_support(-self.direction_in_b(n), &self.count),
+            ),
         };
         self.support_of(a, b)
     }

@@ -10,12 +10,17 @@
 //! The geometry stays pure: the meter and the flag never change an answer, they only end it.
 
 use std::{
+    cell::Cell,
     fmt,
     sync::atomic::{AtomicBool, AtomicU64, Ordering},
 };
 
 /// The most steps that a computation does between two looks at its flag: about 1 ms.
 pub const STEPS_BETWEEN_LOOKS: u64 = 1 << 20;
+
+/// Steps that a [`Meter`] gathers before it spends them: a share of [`STEPS_BETWEEN_LOOKS`] that
+/// leaves room for the last loop's own steps.
+const GATHERED: u64 = STEPS_BETWEEN_LOOKS / 16;
 
 /// Asks a computation to stop, and counts its steps. Threads of one computation share it.
 #[derive(Debug, Default)]
@@ -69,6 +74,50 @@ impl Stop {
     }
 }
 
+/// Gathers the small steps of one thread, so that a tight loop touches no shared memory.
+///
+/// The meter spends what it gathered when that is enough to be worth a look at the flag, and
+/// the rest when it is dropped.
+pub(crate) struct Meter<'a> {
+    stop: &'a Stop,
+    gathered: Cell<u64>,
+}
+
+impl<'a> Meter<'a> {
+    pub(crate) fn new(stop: &'a Stop) -> Self {
+        Self { stop, gathered: Cell::new(0) }
+    }
+
+    /// Counts steps without a look at the flag.
+    #[inline]
+    pub(crate) fn count(&self, steps: u64) {
+        self.gathered.set(self.gathered.get() + steps);
+    }
+
+    /// Counts steps, and looks at the flag where enough were gathered.
+    ///
+    /// # Errors
+    /// The computation was asked to stop.
+    #[inline]
+    pub(crate) fn spend(&self, steps: u64) -> Result<(), Stopped> {
+        self.count(steps);
+        if self.gathered.get() < GATHERED { Ok(()) } else { self.look() }
+    }
+
+    /// Spends what was gathered.
+    #[cold]
+    fn look(&self) -> Result<(), Stopped> {
+        self.stop.spend(self.gathered.take())
+    }
+}
+
+impl Drop for Meter<'_> {
+    fn drop(&mut self) {
+        // The computation has ended already: only the count is of interest.
+        let _ = self.look();
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -82,5 +131,24 @@ mod tests {
         stop.stop();
         assert_eq!(stop.spend(5), Err(Stopped));
         assert_eq!((stop.steps(), stop.largest_between_looks()), (15, 7));
+    }
+
+    /// Catches steps that a meter keeps for itself, a look for every step, and a stop that the
+    /// meter does not see.
+    #[test]
+    fn a_meter_gathers_steps_and_sees_the_stop() {
+        let stop = Stop::default();
+        let meter = Meter::new(&stop);
+        for _ in 0..GATHERED {
+            assert_eq!(meter.spend(3), Ok(()));
+        }
+        let spent = stop.steps();
+        assert!(spent <= 3 * GATHERED && spent > 2 * GATHERED);
+        assert!((GATHERED..GATHERED + 3).contains(&stop.largest_between_looks()));
+        stop.stop();
+        let seen = (0..GATHERED).take_while(|_| meter.spend(1).is_ok()).count() as u64;
+        assert!(seen < GATHERED);
+        drop(meter);
+        assert_eq!(stop.steps(), 3 * GATHERED + seen + 1);
     }
 }

@@ -14,6 +14,7 @@ mod x86;
 use glam::DVec3;
 
 use super::ConvexHull;
+use super::cost::{Count, MAPPED_CALL, scan_steps};
 use columns::LANES;
 
 pub(crate) use columns::Columns;
@@ -23,16 +24,27 @@ impl ConvexHull {
     /// The vertex with the largest `n . v`, the lowest index of equals.
     #[inline]
     pub(crate) fn support(&self, n: DVec3) -> u32 {
-        match &self.support_map {
-            Some(map) => self.mapped(map, n),
-            None => farthest(&self.columns, n),
-        }
+        self.counted_support(n, &Count::default())
     }
 
-    /// Taken apart: small hulls are not to wait for it.
+    /// [`ConvexHull::support`], which counts its steps.
+    #[inline]
+    pub(crate) fn counted_support(&self, n: DVec3, count: &Count) -> u32 {
+        if let Some(map) = &self.support_map {
+            return self.mapped(map, n, count);
+        }
+        count.add(scan_steps(self.vertices.len()));
+        farthest(&self.columns, n)
+    }
+
+    /// A function of its own, so that small hulls are not slowed down by its code.
     #[inline(never)]
-    fn mapped(&self, map: &SupportMap, n: DVec3) -> u32 {
-        map.farthest(&self.vertices, n).unwrap_or_else(|| farthest(&self.columns, n))
+    fn mapped(&self, map: &SupportMap, n: DVec3, count: &Count) -> u32 {
+        count.add(MAPPED_CALL);
+        map.farthest(&self.vertices, n).unwrap_or_else(|| {
+            count.add(scan_steps(self.vertices.len()));
+            farthest(&self.columns, n)
+        })
     }
 }
 

@@ -1,50 +1,85 @@
-//! How much is computed at a time, in pairs: what is beyond it waits, what is beyond
-//! that is refused.
+//! A bound on the pairs that are computed at a time. Further batches wait or are refused.
 //!
-//! A batch takes a place for each of its pairs before anything is done for it; without
-//! room it is shed. Large batches then wait for their turn, first come, first served, so
-//! that they end one after the other and not all late. Small ones do not wait: the
-//! compute threads take chunks of all batches in turn, so a small one is delayed by
-//! some chunks and not by some batches. Whoever gives up waiting leaves the queue.
+//! A batch takes a place for each of its pairs before anything is done for it; without places
+//! it is shed. A caller that is alone may have `max_pairs_in_flight` places. Several callers share
+//! twice as many by dynamic thresholds ([`Shares`]), so that each of n greedy callers has
+//! 2/(n+1) of `max_pairs_in_flight` and as much stays free for the next caller. The
+//! memory of the pairs is bounded elsewhere, by the memory budget.
+//!
+//! A caller's large batches then wait for their turn, first come, first served, so that they end
+//! one after the other and not all late. Small batches do not wait, and no batch waits for
+//! another caller's: the compute threads take turns between callers and between batches, so a
+//! small batch is delayed by some chunks and not by whole batches. A batch whose caller gives up
+//! leaves the queue.
 
 use std::{
-    sync::{Arc, Mutex, PoisonError},
+    collections::HashMap,
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError, Weak,
+        atomic::{AtomicUsize, Ordering},
+    },
     time::{Duration, Instant},
 };
 
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
 
 use super::ServiceError;
-use crate::metrics::{Held, Metrics, Shed};
+use crate::{
+    budget::{Caller, Shares},
+    metrics::{Held, Metrics, Shed},
+};
 
 /// Batches up to this many pairs do not wait: some milliseconds of work.
 const SMALL_PAIRS: u32 = 4096;
 
-/// Pairs of large batches that are computed at a time: enough chunks for every thread of
-/// the largest machines, and one batch more so that none waits for another's last chunk.
+/// Pairs of one caller's large batches that are computed at a time: enough chunks for every
+/// thread of the largest machines, and one batch more so that none waits for another's last
+/// chunk.
 const TURN_PAIRS: u32 = 65_536;
+
+/// Lanes of callers that are gone are kept up to about this many.
+const SPARE_LANES: usize = 64;
 
 /// When a server with too much to do asks to be asked again, at the soonest and at the latest.
 const SOONEST: Duration = Duration::from_millis(20);
 const LATEST: Duration = Duration::from_secs(5);
 
-/// So often the pace is taken.
-const PACE_EVERY: Duration = Duration::from_millis(100);
+/// The throughput is measured anew after this time.
+const THROUGHPUT_EVERY: Duration = Duration::from_millis(100);
 
-/// The places and the turns.
+/// Places for pairs, and the turns of large batches.
 #[derive(Debug)]
-pub(super) struct Room {
-    places: Arc<Semaphore>,
-    turns: Arc<Semaphore>,
-    size: u32,
-    pace: Mutex<Pace>,
+pub(super) struct AdmissionQueue {
+    state: Mutex<State>,
+    /// Places were given back.
+    freed: Notify,
+    throughput: Mutex<Throughput>,
     metrics: Arc<Metrics>,
 }
 
-/// How fast pairs were computed of late.
 #[derive(Debug)]
-struct Pace {
-    taken: Instant,
+struct State {
+    places: Shares,
+    /// The callers with batches that are admitted or wait for places, and some that are gone.
+    lanes: HashMap<u64, Weak<Lane>>,
+    /// So many lanes are searched for those of callers that are gone.
+    forget_at: usize,
+}
+
+/// The batches of one caller.
+#[derive(Debug)]
+struct Lane {
+    turns: Arc<Semaphore>,
+    /// Held by the first of those that wait for places.
+    first: tokio::sync::Mutex<()>,
+    /// How many wait for places. New batches are refused meanwhile: they would overtake.
+    waiting: AtomicUsize,
+}
+
+/// The pairs that were computed per second in the last moments.
+#[derive(Debug)]
+struct Throughput {
+    measured: Instant,
     computed: u64,
     per_second: f64,
     refused: u32,
@@ -54,50 +89,72 @@ struct Pace {
 #[derive(Debug)]
 pub struct Admission {
     pairs: u32,
-    _places: OwnedSemaphorePermit,
-    _counted: Held,
+    queue: Arc<AdmissionQueue>,
+    caller: Caller,
+    lane: Arc<Lane>,
     turn: Option<OwnedSemaphorePermit>,
+    _counted: Held,
 }
 
-impl Room {
-    pub(super) fn new(size: u32, metrics: Arc<Metrics>) -> Self {
-        Self {
-            places: Arc::new(Semaphore::new(size as usize)),
-            turns: Arc::new(Semaphore::new(TURN_PAIRS as usize)),
-            size,
-            pace: Mutex::new(Pace { taken: Instant::now(), computed: 0, per_second: 0.0, refused: 0 }),
+impl AdmissionQueue {
+    /// Places for `pairs` pairs of one caller; `shares`: several callers share twice as many.
+    pub(super) fn new(pairs: u32, shares: bool, metrics: Arc<Metrics>) -> Arc<Self> {
+        let limit = if shares { 2 * u64::from(pairs) } else { u64::from(pairs) };
+        let places = Shares::new(limit, shares);
+        let measured = Instant::now();
+        Arc::new(Self {
+            state: Mutex::new(State { places, lanes: HashMap::new(), forget_at: SPARE_LANES }),
+            freed: Notify::new(),
+            throughput: Mutex::new(Throughput { measured, computed: 0, per_second: 0.0, refused: 0 }),
             metrics,
-        }
+        })
     }
 
     /// Places for a batch; `computed` pairs are done since the start.
     ///
     /// # Errors
     /// TOO_BUSY.
-    pub(super) fn admit(&self, pairs: usize, computed: u64) -> Result<Admission, ServiceError> {
-        let pairs = weight(pairs);
-        let Ok(places) = self.places.clone().try_acquire_many_owned(pairs) else {
+    pub(super) fn admit(
+        self: &Arc<Self>,
+        pairs: usize,
+        caller: &Caller,
+        computed: u64,
+    ) -> Result<Admission, ServiceError> {
+        self.take(weight(pairs), caller, false).ok_or_else(|| {
             self.metrics.shed(Shed::Pairs);
             let message = "too many pairs are being computed; ask again";
-            return Err(ServiceError::unavailable("TOO_BUSY", self.retry_after(computed), message));
-        };
-        Ok(self.admitted(pairs, places))
+            ServiceError::unavailable("TOO_BUSY", self.retry_after(computed), message)
+        })
     }
 
-    /// The same for the later parts of a call: waits until there are some.
-    ///
-    /// # Errors
-    /// INTERNAL.
-    pub(super) async fn next(&self, pairs: usize) -> Result<Admission, ServiceError> {
-        let pairs = weight(pairs);
-        let places = self.places.clone().acquire_many_owned(pairs).await;
-        let places = places.map_err(|_| ServiceError::internal("there are no places any more"))?;
-        Ok(self.admitted(pairs, places))
+    /// Places for a later part of a call: waits until there are some.
+    pub(super) async fn next(self: &Arc<Self>, pairs: usize, caller: &Caller) -> Admission {
+        let lane = locked(&self.state).lane(caller);
+        let _waiting = Waiting::new(&lane);
+        let _first = lane.first.lock().await;
+        loop {
+            let mut freed = std::pin::pin!(self.freed.notified());
+            // From here on no place is given back unheard.
+            freed.as_mut().enable();
+            if let Some(admission) = self.take(weight(pairs), caller, true) {
+                return admission;
+            }
+            freed.await;
+        }
     }
 
-    fn admitted(&self, pairs: u32, places: OwnedSemaphorePermit) -> Admission {
+    /// Places for a batch, if there are enough. `is_first`: nobody of the caller's waits before it.
+    fn take(self: &Arc<Self>, pairs: u32, caller: &Caller, is_first: bool) -> Option<Admission> {
+        let mut state = locked(&self.state);
+        let lane = state.lane(caller);
+        if !is_first && lane.waiting.load(Ordering::Relaxed) > 0 {
+            return None;
+        }
+        state.places.take(caller, pairs.into()).ok()?;
+        drop(state);
         let counted = Held::new(&self.metrics.pairs_in_flight, pairs as usize);
-        Admission { pairs, _places: places, _counted: counted, turn: None }
+        let (queue, caller) = (self.clone(), caller.clone());
+        Some(Admission { pairs, queue, caller, lane, turn: None, _counted: counted })
     }
 
     /// Waits until the batch may be computed.
@@ -105,27 +162,72 @@ impl Room {
         let arrived = Instant::now();
         if admission.pairs > SMALL_PAIRS {
             let _queued = Held::new(&self.metrics.pairs_queued, admission.pairs as usize);
-            // Never closed: an error cannot be.
-            admission.turn =
-                self.turns.clone().acquire_many_owned(admission.pairs.min(TURN_PAIRS)).await.ok();
+            // The semaphore is never closed, so there is no error.
+            let turns = admission.lane.turns.clone();
+            admission.turn = turns.acquire_many_owned(admission.pairs.min(TURN_PAIRS)).await.ok();
         }
         self.metrics.queue_seconds.observe(arrived.elapsed().as_secs_f64());
     }
 
-    /// When half of what is under way is done, at the pace of late; neighbours in time are
-    /// told different times, or they would come back together.
+    /// The time in which half of the pairs under way are computed, at the latest throughput.
+    /// Callers that are refused one after the other get different times, so that they do not
+    /// come back together.
     fn retry_after(&self, computed: u64) -> Duration {
-        let mut pace = self.pace.lock().unwrap_or_else(PoisonError::into_inner);
-        let elapsed = pace.taken.elapsed();
-        if elapsed >= PACE_EVERY {
-            pace.per_second = computed.saturating_sub(pace.computed) as f64 / elapsed.as_secs_f64();
-            (pace.taken, pace.computed) = (Instant::now(), computed);
+        let mut throughput = locked(&self.throughput);
+        let elapsed = throughput.measured.elapsed();
+        if elapsed >= THROUGHPUT_EVERY {
+            throughput.per_second =
+                computed.saturating_sub(throughput.computed) as f64 / elapsed.as_secs_f64();
+            (throughput.measured, throughput.computed) = (Instant::now(), computed);
         }
-        pace.refused = pace.refused.wrapping_add(1);
-        let spread = 0.75 + 0.5 * spread(pace.refused.into());
-        let under_way = f64::from(self.size) - self.places.available_permits() as f64;
-        let seconds = 0.5 * under_way / pace.per_second.max(1.0) * spread;
+        throughput.refused = throughput.refused.wrapping_add(1);
+        let spread = 0.75 + 0.5 * spread(throughput.refused.into());
+        let under_way = locked(&self.state).places.used() as f64;
+        let seconds = 0.5 * under_way / throughput.per_second.max(1.0) * spread;
         Duration::try_from_secs_f64(seconds).unwrap_or(LATEST).clamp(SOONEST, LATEST)
+    }
+}
+
+impl State {
+    /// The lane of a caller: the same one for as long as anybody holds it.
+    fn lane(&mut self, caller: &Caller) -> Arc<Lane> {
+        if let Some(lane) = self.lanes.get(&caller.id()).and_then(Weak::upgrade) {
+            return lane;
+        }
+        if self.lanes.len() >= self.forget_at {
+            self.lanes.retain(|_, lane| lane.strong_count() > 0);
+            self.forget_at = 2 * self.lanes.len() + SPARE_LANES;
+        }
+        let lane = Arc::new(Lane {
+            turns: Arc::new(Semaphore::new(TURN_PAIRS as usize)),
+            first: tokio::sync::Mutex::default(),
+            waiting: AtomicUsize::new(0),
+        });
+        self.lanes.insert(caller.id(), Arc::downgrade(&lane));
+        lane
+    }
+}
+
+impl Drop for Admission {
+    fn drop(&mut self) {
+        locked(&self.queue.state).places.give_back(&self.caller, self.pairs.into());
+        self.queue.freed.notify_waiters();
+    }
+}
+
+/// A batch that waits for places in a lane.
+struct Waiting<'a>(&'a Lane);
+
+impl<'a> Waiting<'a> {
+    fn new(lane: &'a Lane) -> Self {
+        lane.waiting.fetch_add(1, Ordering::Relaxed);
+        Self(lane)
+    }
+}
+
+impl Drop for Waiting<'_> {
+    fn drop(&mut self) {
+        self.0.waiting.fetch_sub(1, Ordering::Relaxed);
     }
 }
 
@@ -135,78 +237,139 @@ pub(super) fn spread(n: u64) -> f64 {
     (n as f64 * 0.618_033_988_749_895).fract()
 }
 
-/// No pairs are a batch too.
+/// A batch without pairs has the weight of one pair.
 fn weight(pairs: usize) -> u32 {
     u32::try_from(pairs.max(1)).unwrap_or(u32::MAX)
+}
+
+/// A panic cannot leave the locked value half changed, so a poisoned lock is as good as any other.
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::budget::{CallerKey, Callers};
 
-    fn room(size: u32) -> Room {
-        Room::new(size, Arc::default())
+    fn queue(pairs: u32) -> Arc<AdmissionQueue> {
+        AdmissionQueue::new(pairs, true, Arc::default())
     }
 
-    /// Catches a place that is not given back, and one too many given away.
+    fn callers<const N: usize>() -> [Caller; N] {
+        let callers = Arc::new(Callers::default());
+        std::array::from_fn(|user| callers.get(CallerKey::User(user as u32)))
+    }
+
+    /// Catches a place that is not given back, one too many given away, and a caller without others
+    /// that gets less than the whole.
     #[test]
     fn places_are_counted_in_pairs() {
-        let room = room(100);
-        let sixty = room.admit(60, 0).unwrap();
-        let forty = room.admit(40, 0).unwrap();
-        assert_eq!(room.admit(0, 0).unwrap_err().reason, "TOO_BUSY");
+        let (queue, caller) = (queue(100), &Caller::alone());
+        let sixty = queue.admit(60, caller, 0).unwrap();
+        let forty = queue.admit(40, caller, 0).unwrap();
+        assert_eq!(queue.admit(0, caller, 0).unwrap_err().reason, "TOO_BUSY");
         drop(forty);
-        assert!(room.admit(41, 0).is_err());
-        let forty = room.admit(40, 0).unwrap();
-        assert_eq!(room.metrics.pairs_in_flight.get(), 100);
+        assert!(queue.admit(41, caller, 0).is_err());
+        let forty = queue.admit(40, caller, 0).unwrap();
+        assert_eq!(queue.metrics.pairs_in_flight.get(), 100);
         drop((sixty, forty));
-        assert_eq!(room.metrics.pairs_in_flight.get(), 0);
-        assert!(room.admit(100, 0).is_ok());
+        assert_eq!(queue.metrics.pairs_in_flight.get(), 0);
+        assert!(queue.admit(100, caller, 0).is_ok());
     }
 
-    /// Catches a small batch that waits behind large ones, large ones out of turn, and a place
-    /// in the queue kept by who has left it.
+    /// Catches a caller that is shed because others take all that they can, and thresholds that
+    /// hold although shares are off.
+    #[test]
+    fn greedy_callers_leave_places_for_others() {
+        let queue = queue(900);
+        let [a, b, late] = &callers();
+        let mut held = Vec::new();
+        for _ in 0..1000 {
+            held.extend([a, b].into_iter().filter_map(|caller| queue.admit(10, caller, 0).ok()));
+        }
+        let of = |caller: &Caller| locked(&queue.state).places.held(caller);
+        assert_eq!((of(a), of(b)), (600, 600), "two thirds of 900 each");
+        assert!(queue.admit(300, late, 0).is_ok());
+        drop(held);
+        assert!(queue.admit(900, late, 0).is_ok());
+
+        let all = AdmissionQueue::new(900, false, Arc::default());
+        let _whole = all.admit(900, a, 0).unwrap();
+        assert!(all.admit(1, b, 0).is_err());
+    }
+
+    /// Catches a small batch that waits behind large ones, large ones out of turn, a place in the
+    /// queue kept by who has left it, and a batch that waits for another caller's.
     #[tokio::test]
     async fn large_batches_wait_in_turn_and_small_ones_do_not() {
-        let room = room(1 << 20);
-        let mut first = room.admit(TURN_PAIRS as usize, 0).unwrap();
-        room.turn(&mut first).await;
+        let queue = queue(1 << 20);
+        let [caller, other] = &callers();
+        let mut first = queue.admit(TURN_PAIRS as usize, caller, 0).unwrap();
+        queue.turn(&mut first).await;
         let mut admissions = [SMALL_PAIRS + 1, SMALL_PAIRS + 1, TURN_PAIRS + 1, SMALL_PAIRS]
-            .map(|pairs| room.admit(pairs as usize, 0).unwrap());
+            .map(|pairs| queue.admit(pairs as usize, caller, 0).unwrap());
         let [gone, second, third, small] = &mut admissions;
-        let mut gone = Box::pin(room.turn(gone));
-        let mut second = Box::pin(room.turn(second));
-        let mut third = Box::pin(room.turn(third));
+        let mut gone = Box::pin(queue.turn(gone));
+        let mut second = Box::pin(queue.turn(second));
+        let mut third = Box::pin(queue.turn(third));
         for waiting in [&mut gone, &mut second, &mut third] {
             assert!(futures_util::poll!(waiting.as_mut()).is_pending());
         }
-        assert_eq!(room.metrics.pairs_queued.get(), i64::from(2 * SMALL_PAIRS + TURN_PAIRS + 3));
-        room.turn(small).await;
+        assert_eq!(queue.metrics.pairs_queued.get(), i64::from(2 * SMALL_PAIRS + TURN_PAIRS + 3));
+        queue.turn(small).await;
+        let mut of_other = queue.admit(TURN_PAIRS as usize, other, 0).unwrap();
+        queue.turn(&mut of_other).await;
         drop(gone);
         drop(first);
         assert!(futures_util::poll!(third.as_mut()).is_pending(), "larger than what is left");
         second.await;
         assert!(futures_util::poll!(third.as_mut()).is_pending());
         drop(third);
-        assert_eq!(room.metrics.pairs_queued.get(), 0);
+        assert_eq!(queue.metrics.pairs_queued.get(), 0);
+    }
+
+    /// Catches a part of a call that waits for ever, one that a new batch overtakes, and lanes
+    /// that are kept for ever.
+    #[tokio::test]
+    async fn later_parts_wait_for_places_in_order() {
+        let queue = queue(100);
+        let [caller, other] = &callers();
+        let whole = queue.admit(100, caller, 0).unwrap();
+        let mut first = Box::pin(queue.next(60, caller));
+        let mut second = Box::pin(queue.next(40, caller));
+        assert!(futures_util::poll!(first.as_mut()).is_pending());
+        assert!(futures_util::poll!(second.as_mut()).is_pending());
+        assert!(queue.admit(1, other, 0).is_ok());
+        drop(whole);
+        assert!(queue.admit(1, caller, 0).is_err(), "others wait");
+        let first = first.await;
+        let second = second.await;
+        assert!(queue.admit(1, caller, 0).is_err(), "all places are taken");
+        drop((first, second));
+        assert!(queue.admit(100, caller, 0).is_ok());
+        for many in &callers::<1000>() {
+            assert!(queue.admit(1, many, 0).is_ok());
+        }
+        assert!(locked(&queue.state).lanes.len() <= 2 * SPARE_LANES);
     }
 
     /// Catches a time to come back that does not follow the backlog, or is the same for all.
     #[test]
     fn the_busier_the_later() {
-        let room = room(1000);
-        let _all = room.admit(1000, 0).unwrap();
-        room.pace.lock().unwrap().per_second = 1000.0;
-        let times: Vec<_> = (0..100).map(|_| room.retry_after(0)).collect();
+        let queue = queue(1000);
+        let _all = queue.admit(1000, &Caller::alone(), 0).unwrap();
+        locked(&queue.throughput).per_second = 1000.0;
+        let times: Vec<_> = (0..100).map(|_| queue.retry_after(0)).collect();
         let distinct: std::collections::HashSet<_> = times.iter().collect();
         assert_eq!(distinct.len(), 100);
         for time in times {
-            // Half of 1000 pairs at 1000 a second.
+            // Half of 1000 pairs at 1000 pairs per second.
             assert!((0.375..=0.625).contains(&time.as_secs_f64()), "{time:?}");
         }
-        room.pace.lock().unwrap().per_second = 1e9;
-        assert_eq!(room.retry_after(0), SOONEST);
-        room.pace.lock().unwrap().per_second = 0.0;
-        assert_eq!(room.retry_after(0), LATEST);
+        locked(&queue.throughput).per_second = 1e9;
+        assert_eq!(queue.retry_after(0), SOONEST);
+        locked(&queue.throughput).per_second = 0.0;
+        assert_eq!(queue.retry_after(0), LATEST);
     }
 }

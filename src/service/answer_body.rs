@@ -89,7 +89,7 @@ impl AnswerBody {
             None => self.context.take(app, Part::Answers, bytes),
             Some(mut permit) => {
                 let more = (bytes as u64).saturating_sub(permit.bytes());
-                permit.grow(more).map_err(|why| no_memory(app, why))?;
+                permit.grow(more).map_err(|why| no_memory(app.metrics(), why))?;
                 permit.shrink_to(bytes as u64);
                 Ok(permit)
             }

@@ -1,11 +1,15 @@
 //! A batch of pairs, and the answer to each of them.
 
+mod chunks;
+mod cost;
 mod engine;
+mod run;
 
 use std::sync::Arc;
 
-pub use engine::Engine;
+pub use engine::{Bounds, Engine};
 
+use self::cost::LEAST_STEPS;
 use super::{
     outputs::Outputs,
     wire::{Columns, Invalid, Poses, Scene, Setting},
@@ -27,7 +31,7 @@ pub struct Batch {
     candidates: Option<Vec<u32>>,
     /// Empty, or 6 per pair: registered indices of vertices, unchecked.
     warm_starts: Vec<u32>,
-    /// What is kept of the answers: all that is sent, and perhaps bases.
+    /// The outputs that are kept: all that are sent, and perhaps bases.
     kept: Outputs,
     /// Given back with the answer.
     lease: Option<Lease>,
@@ -70,6 +74,11 @@ impl Batch {
         self.candidates.as_deref().unwrap_or(&self.setting.pairs)
     }
 
+    /// How many pairs there are.
+    pub fn pair_count(&self) -> usize {
+        self.pairs().len() / 2
+    }
+
     /// Its hulls are in use until it is answered.
     pub fn lease(&mut self, lease: Lease) {
         self.lease = Some(lease);
@@ -82,8 +91,8 @@ impl Batch {
 }
 
 impl Batch {
-    /// Computes pair `pair` and adds it to `columns`.
-    fn pair(&self, pair: usize, workspace: &mut Workspace, columns: &mut Columns) {
+    /// Computes pair `pair` and adds it to `columns`. Returns the steps that it took.
+    fn pair(&self, pair: usize, workspace: &mut Workspace, columns: &mut Columns) -> u64 {
         let mut invalid = Invalid::default();
         let bodies = [0, 1].map(|side| self.pairs()[2 * pair + side]);
         let [a, b] = bodies.map(|body| self.body(body, &mut invalid));
@@ -93,7 +102,7 @@ impl Batch {
                 let manifold = contact_manifold(&a, &b, &self.setting.query, warm.as_ref(), workspace);
                 if self.candidates.is_some() {
                     if manifold.outcome == Outcome::Separated {
-                        return;
+                        return workspace.take_steps();
                     }
                     columns.push_pair(bodies);
                 }
@@ -101,6 +110,7 @@ impl Batch {
             }
             _ => columns.push_invalid(invalid, self.kept),
         }
+        LEAST_STEPS + workspace.take_steps()
     }
 
     fn body(&self, index: u32, invalid: &mut Invalid) -> Option<Body<'_>> {

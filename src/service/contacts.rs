@@ -19,12 +19,12 @@ use super::{
     decode::decoded,
     find::Finding,
     middleware::{Closing, Deadline},
-    offload::FreedOnCompute,
     steps::Steps,
     wire::{self, Scene},
 };
 use crate::{
-    compute::Job,
+    budget::Part,
+    compute::{FreedHere, Job},
     contact::Stop,
     metrics::Shed,
     proto::{
@@ -66,7 +66,7 @@ impl ContactService for Contacts {
         let context = CallContext::of(&request);
         let finding = Finding::begin(self.app.clone(), context, request.into_inner()).await?;
         let bytes = finding.bytes();
-        let finding = FreedOnCompute::new(finding, bytes, &self.app);
+        let finding = self.app.engine().compute_threads().freed_here(finding, bytes);
         let answers = stream::try_unfold(finding, move |mut finding| async move {
             let part = within(deadline, finding.next()).await?;
             Ok(part.map(|part| (part, finding)))
@@ -76,8 +76,8 @@ impl ContactService for Contacts {
 
     type StreamContactsStream = BoxStream<'static, Result<QueryContactsResponse, Status>>;
 
-    /// One message at a time, in order: a batch uses all threads by itself, and what is not
-    /// read yet stays with the client.
+    /// One message at a time, in order: a batch uses all threads by itself, and messages that
+    /// are not read yet stay with the client.
     async fn stream_contacts(
         &self,
         request: Request<Streaming<Encoded<QueryContactsRequest>>>,
@@ -134,13 +134,15 @@ pub(super) async fn answer(
     let (request_id, outputs) = (scene.request_id, scene.setting.outputs);
     let (pairs, bodies) = (scene.setting.pair_count(), scene.setting.body_hulls.len());
     let bytes = scene.memory.as_ref().map_or(0, |memory| memory.bytes() as usize);
-    let scene = FreedOnCompute::new(scene, bytes, app);
-    let admission = app.engine().admit(pairs, outputs)?;
-    let (mut batch, missing_hulls, invalid_bodies) = assemble(app, scene, &context.job).await?;
+    let scene = app.engine().compute_threads().freed_here(scene, bytes);
+    let job = &context.job;
+    let admission = app.engine().admit(pairs, outputs, &job.caller)?;
+    let (mut batch, missing_hulls, invalid_bodies) = assemble(app, scene, job).await?;
     if keep_bases {
         batch.keep_bases();
     }
-    let mut columns = app.engine().compute(batch, admission).await?;
+    let memory = context.take(app, Part::Answers, 0)?;
+    let (mut columns, memory) = app.engine().compute(batch, admission, job, memory).await?;
     debug_assert_eq!(columns.len(), pairs);
     if tracing::enabled!(tracing::Level::DEBUG) {
         let [contact, separated, undecided, invalid] = columns.outcome_counts();
@@ -163,14 +165,14 @@ pub(super) async fn answer(
     }
     let bases = if keep_bases { columns.kept_bases(outputs) } else { Vec::new() };
     let response = wire::response(request_id, columns, missing_hulls, invalid_bodies);
-    Ok((app.bounded_answer(context, response)?.into_inner(), bases))
+    Ok((app.counted_answer(context, response, memory)?, bases))
 }
 
 /// The scene with its hulls at hand, the indices of those that are missing, and of the
 /// bodies that are unusable.
 async fn assemble(
     app: &App,
-    scene: FreedOnCompute<Scene>,
+    scene: FreedHere<Scene>,
     job: &Job,
 ) -> Result<(Batch, Vec<u32>, Vec<u32>), ServiceError> {
     let (hulls, lease) = fetch(app, &scene.setting.hull_ids, job).await?;

@@ -13,7 +13,7 @@ use super::{App, ServiceError};
 use crate::{
     budget::{Caller, MemoryBudget, NoMemory, Part, Permit, Refusal},
     compute::Job,
-    metrics::Shed,
+    metrics::{Metrics, Shed},
 };
 
 /// What belongs to one call. Clones belong to the same call.
@@ -47,7 +47,7 @@ impl CallContext {
     /// # Errors
     /// TOO_BUSY where there is no room now, MEMORY_TOO_LARGE where there never is.
     pub(super) fn take(&self, app: &App, part: Part, bytes: usize) -> Result<Permit, ServiceError> {
-        self.memory.take(&self.job.caller, part, bytes as u64).map_err(|why| no_memory(app, why))
+        self.memory.take(&self.job.caller, part, bytes as u64).map_err(|why| no_memory(app.metrics(), why))
     }
 
     /// Takes memory for bytes of a message that are arriving.
@@ -63,7 +63,7 @@ impl CallContext {
                 taken.map(|permit| *arrived = Some(permit))
             }
         };
-        taken.map_err(|why| no_memory(app, why))
+        taken.map_err(|why| no_memory(app.metrics(), why))
     }
 
     /// The messages that have arrived are decoded: their bytes are free.
@@ -76,7 +76,7 @@ impl CallContext {
     /// # Errors
     /// As [`Self::take`]; the permit keeps what it had.
     pub(super) fn grow(&self, app: &App, permit: &mut Permit, more: usize) -> Result<(), ServiceError> {
-        permit.grow(more as u64).map_err(|why| no_memory(app, why))
+        permit.grow(more as u64).map_err(|why| no_memory(app.metrics(), why))
     }
 
     /// Takes memory for what a stream keeps between messages; none where there is no room, with
@@ -102,10 +102,10 @@ impl CallContext {
 }
 
 /// The error of a call that found no memory.
-pub(super) fn no_memory(app: &App, why: NoMemory) -> ServiceError {
+pub(super) fn no_memory(metrics: &Metrics, why: NoMemory) -> ServiceError {
     match why.refusal {
         Refusal::Busy => {
-            app.metrics().shed(if why.part == Part::Arriving { Shed::RequestBytes } else { Shed::Memory });
+            metrics.shed(if why.part == Part::Arriving { Shed::RequestBytes } else { Shed::Memory });
             ServiceError::unavailable("TOO_BUSY", MEMORY_RETRY, format!("{why}; ask again"))
         }
         Refusal::TooLarge => {

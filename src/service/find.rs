@@ -1,7 +1,16 @@
 //! `FindContacts`: the broad phase names candidates, some thousand at a time, and those
-//! that are not apart are streamed, sorted. What is not read yet is not computed.
+//! that are not apart are streamed, sorted. Pairs are computed only when the caller has read
+//! the pairs before them.
+//!
+//! Everything here is done on the compute threads in parts of about a millisecond: the bounds of
+//! the bodies, the tree, and the search, which is left after a number of steps and continued in
+//! the next part. How far a part comes depends on its steps and not on time, so the messages
+//! are the same on every machine.
 
-use std::{collections::VecDeque, sync::Arc};
+use std::{
+    collections::VecDeque,
+    sync::{Arc, Mutex, PoisonError},
+};
 
 use super::{
     App, Limits, ServiceError,
@@ -13,10 +22,10 @@ use super::{
     wire::{self, Columns, Poses, Scene, Setting},
 };
 use crate::{
-    broad_phase::{BroadPhase, Rules},
-    budget::Permit,
-    compute::{Panicked, Parts},
-    contact::{Body, Stop},
+    broad_phase::{BroadPhase, Rules, STEPS_PER_BODY, Search, TREE_BYTES_PER_BODY},
+    budget::{Part, Permit},
+    compute::{ComputeError, Parts},
+    contact::{Body, Bounds, STEPS_BETWEEN_LOOKS, Stop, Stopped},
     proto::{Encoded, QueryContactsRequest, QueryContactsResponse},
     store::{Hulls, Lease, Missing},
 };
@@ -25,15 +34,23 @@ use crate::{
 /// which a message costs next to nothing beside its pairs.
 const CANDIDATES: usize = 4096;
 
-/// Bodies of which a thread looks for the partners at a time: some 100 us.
-const BODIES_PER_PART: u32 = 64;
+/// Bodies whose bounds are found in a part.
+const BOUNDED_BODIES: usize = 256;
 
-/// Bodies of which the partners are looked for before any of their pairs is computed.
-const BODIES_AT_A_TIME: u32 = 1024;
+/// Estimated steps of the bounds of a body: six times the support mapping.
+const BOUNDS_STEPS: u64 = 2_000;
 
-/// Indices after which a thread leaves the rest of its bodies for later, so that what is
-/// found and not yet computed stays small however crowded the scene is.
-const INDICES_PER_PART: usize = 1 << 14;
+/// Scenes of fewer bodies are prepared in one part.
+const SMALL_SCENE: usize = 512;
+
+/// Bodies whose partners are looked for in a part, and how many such parts there are before any
+/// of their pairs is computed.
+const SEARCHED_BODIES: u32 = 64;
+const SEARCHES: u32 = 16;
+
+/// Indices after which a part leaves the rest of its bodies for later, so that few pairs are
+/// found and not yet computed, however crowded the scene is.
+const SEARCHED_INDICES: usize = 1 << 14;
 
 /// Beyond every body's reach, and finite: positions are within 1e100.
 const LARGEST_MARGIN: f64 = 1e101;
@@ -43,21 +60,31 @@ pub(super) struct Finding {
     app: Arc<App>,
     context: CallContext,
     request_id: u64,
-    setting: Arc<Setting>,
-    hulls: Arc<Hulls>,
+    bodies: Bodies,
     _lease: Lease,
-    /// Of the setting, the poses and the rules.
-    memory: Permit,
-    poses: Arc<Poses>,
+    /// The memory of the setting, the poses, the broad phase and the searches.
+    memory: Option<Permit>,
     broad_phase: Arc<BroadPhase>,
     /// Bodies from this one on have not been looked at.
     next_body: u32,
-    /// Candidates in order, in parts; 2 indices a pair.
+    /// Searches for the pairs of consecutive bodies before `next_body`, in order.
+    searches: VecDeque<Search>,
+    /// Pairs in order that were found before those of the searches; 2 indices per pair.
+    found: Vec<u32>,
+    /// Candidates in order, cut to be computed together.
     waiting: VecDeque<Vec<u32>>,
     /// The place that was taken before there was any work, until it is used.
     admission: Option<Admission>,
     /// Sent with the first message: hulls and bodies that are in no pair.
     left_out: Option<(Vec<u32>, Vec<u32>)>,
+}
+
+/// The bodies of a scene.
+#[derive(Clone)]
+struct Bodies {
+    setting: Arc<Setting>,
+    hulls: Arc<Hulls>,
+    poses: Arc<Poses>,
 }
 
 impl Finding {
@@ -71,33 +98,36 @@ impl Finding {
             let (scene, rules) = wire::find(request, limits, stop)?;
             Ok((scene, rules, memory))
         };
-        let (scene, rules, memory) = decoded(&app, &context, request, check).await?;
-        let admission = app.engine().place(most_candidates(&app))?;
-        let Scene { request_id, setting, poses, invalid_bodies, .. } = scene;
+        let decoded = decoded(&app, &context, request, check).await?;
+        let (setting, bytes) = (decoded.0.setting.clone(), decoded.2.bytes() as usize);
+        // A scene whose caller leaves while its hulls are read may be large, and is not freed here.
+        let waiting = app.engine().compute_threads().freed_here(decoded, bytes);
+        let admission = app.engine().place(most_candidates(&app), &context.job.caller)?;
         let (hulls, lease) = fetch(&app, &setting.hull_ids, &context.job).await?;
-        let hulls = Arc::new(hulls);
+        let (scene, rules, mut memory) = waiting.into_inner();
+        let Scene { request_id, setting, poses, invalid_bodies, .. } = scene;
+        let (hulls, poses) = (Arc::new(hulls), Arc::new(poses));
         // Nothing could be said of its bodies' pairs: there would be none to say it of.
         if hulls.iter().any(|hull| matches!(hull, Err(Missing::Unavailable))) {
             return Err(super::hulls::unreadable());
         }
-        let poses = Arc::new(poses);
-        let built = app.engine().compute_threads().run({
-            let (setting, hulls, poses) = (setting.clone(), hulls.clone(), poses.clone());
-            move || broad_phase(&setting, &hulls, &poses, rules)
-        });
-        let broad_phase = Arc::new(built.await.map_err(panicked)?);
-        let left_out = Some((missing(&hulls), invalid_bodies));
+        let bodies = Bodies { setting, hulls, poses };
+        let sorting = rules.sorting_bytes();
+        context.grow(&app, &mut memory, bodies.searched_bytes() + sorting)?;
+        let left_out = Some((missing(&bodies.hulls), invalid_bodies));
+        let broad_phase = Arc::new(broad_phase(&app, &context, &bodies, rules).await?);
+        memory.shrink_to(memory.bytes() - sorting as u64);
         Ok(Self {
             app,
             context,
             request_id,
-            setting,
-            hulls,
+            bodies,
             _lease: lease,
-            memory,
-            poses,
+            memory: Some(memory),
             broad_phase,
             next_body: 0,
+            searches: VecDeque::new(),
+            found: Vec::new(),
             waiting: VecDeque::new(),
             admission: Some(admission),
             left_out,
@@ -106,7 +136,7 @@ impl Finding {
 
     /// The memory of its scene.
     pub(super) fn bytes(&self) -> usize {
-        self.memory.bytes() as usize
+        self.memory.as_ref().map_or(0, |memory| memory.bytes() as usize)
     }
 
     /// The next pairs; none at the end. The first message always comes.
@@ -115,7 +145,7 @@ impl Finding {
             match self.answer(&candidates).await {
                 Ok(None) => {}
                 Ok(answer) => return Ok(answer),
-                // What a client would do.
+                // The answer is split, as a client would split the request.
                 Err(error) if error.reason == "RESPONSE_TOO_LARGE" && candidates.len() > 2 => {
                     let (first, second) = candidates.split_at(candidates.len() / 4 * 2);
                     self.waiting.push_front(second.to_vec());
@@ -131,41 +161,82 @@ impl Finding {
 
     /// The candidates that are not apart; none where all are.
     async fn answer(&mut self, candidates: &[u32]) -> Result<Option<QueryContactsResponse>, ServiceError> {
+        let (engine, job) = (self.app.engine(), &self.context.job);
         let admission = match self.admission.take() {
             Some(admission) => admission,
-            None => self.app.engine().next_place(candidates.len() / 2).await?,
+            None => engine.next_place(candidates.len() / 2, &job.caller).await,
         };
-        let (hulls, setting, poses) = (self.hulls.clone(), self.setting.clone(), self.poses.clone());
+        let Bodies { setting, hulls, poses } = self.bodies.clone();
         let batch = Batch::of_candidates(hulls, setting, poses, candidates.to_vec());
-        let columns = self.app.engine().compute(batch, admission).await?;
+        let memory = self.context.take(&self.app, Part::Answers, 0)?;
+        let (columns, memory) = engine.compute(batch, admission, job, memory).await?;
         if columns.is_empty() {
             return Ok(None);
         }
         let (hulls, bodies) = self.left_out.clone().unwrap_or_default();
         let answer = wire::response(self.request_id, columns, hulls, bodies);
-        let answer = self.app.bounded_answer(&self.context, answer)?;
+        let answer = self.app.counted_answer(&self.context, answer, memory)?;
         self.left_out = None;
-        Ok(Some(answer.into_inner()))
+        Ok(Some(answer))
     }
 
     /// Candidates to be computed together; none when all have been.
     async fn candidates(&mut self) -> Result<Option<Vec<u32>>, ServiceError> {
-        while self.waiting.is_empty() && self.next_body < self.broad_phase.bodies() {
+        while self.waiting.is_empty() {
+            let most = 2 * most_candidates(&self.app);
+            if self.found.len() >= most || (self.searches.is_empty() && !self.found.is_empty()) {
+                let found = std::mem::take(&mut self.found);
+                // All of the searches before it, or some whole messages.
+                let whole = if self.searches.is_empty() { found.len() } else { found.len() / most * most };
+                let (now, later) = found.split_at(whole);
+                self.waiting.extend(now.chunks(most).map(<[u32]>::to_vec));
+                self.found = later.to_vec();
+                break;
+            }
+            if self.searches.is_empty() && self.next_body >= self.broad_phase.bodies() {
+                break;
+            }
             self.search().await?;
         }
         Ok(self.waiting.pop_front())
     }
 
-    /// Looks for the partners of the next bodies.
+    /// Looks for the partners of the next bodies, a part of each search.
     async fn search(&mut self) -> Result<(), ServiceError> {
-        let first = self.next_body;
-        let end = self.broad_phase.bodies().min(first.saturating_add(BODIES_AT_A_TIME));
-        let search = Search { broad_phase: self.broad_phase.clone(), first, end };
-        let Found { pairs, next_body } =
-            self.app.engine().compute_threads().split(search).await.map_err(panicked)?;
-        self.next_body = next_body;
-        self.waiting.extend(pairs.chunks(2 * most_candidates(&self.app)).map(<[u32]>::to_vec));
+        if self.searches.is_empty() {
+            let bodies = self.broad_phase.bodies();
+            for _ in 0..SEARCHES {
+                let end = bodies.min(self.next_body.saturating_add(SEARCHED_BODIES));
+                if self.next_body < end {
+                    self.searches.push_back(Search::new(self.next_body, end));
+                }
+                self.next_body = end;
+            }
+        }
+        let searches = std::mem::take(&mut self.searches);
+        let searches = searches.into_iter().map(|search| Mutex::new(Some(search))).collect();
+        let stop = self.context.job.stop.clone();
+        let work = Searching { broad_phase: self.broad_phase.clone(), searches, stop };
+        let searched = self.app.engine().compute_threads().split(work, &self.context.job).await;
+        self.searches = searched.map_err(failed)?.into();
+        while let Some(first) = self.searches.front_mut() {
+            self.found.append(&mut first.pairs);
+            if !first.is_done() {
+                break;
+            }
+            self.searches.pop_front();
+        }
         Ok(())
+    }
+}
+
+impl Drop for Finding {
+    /// A compute thread frees the large parts.
+    fn drop(&mut self) {
+        let broad_phase = std::mem::take(&mut self.broad_phase);
+        let poses = std::mem::take(&mut self.bodies.poses);
+        let searches = std::mem::take(&mut self.searches);
+        self.app.engine().compute_threads().free((broad_phase, poses, searches, self.memory.take()));
     }
 }
 
@@ -174,64 +245,121 @@ fn most_candidates(app: &App) -> usize {
     CANDIDATES.min(app.limits().max_pairs_per_request as usize)
 }
 
-fn panicked(why: Panicked) -> ServiceError {
-    tracing::error!(%why, "a broad phase failed");
-    ServiceError::internal("the broad phase failed")
+fn failed(error: ComputeError) -> ServiceError {
+    match error {
+        ComputeError::Stopped => ServiceError::deadline_exceeded(),
+        ComputeError::Panicked(why) => {
+            tracing::error!(%why, "a broad phase failed");
+            ServiceError::internal("the broad phase failed")
+        }
+    }
 }
 
-/// The bodies that can be in a pair.
-fn broad_phase(setting: &Setting, hulls: &Hulls, poses: &Poses, rules: Rules) -> BroadPhase {
-    let margin = setting.query.margin.min(LARGEST_MARGIN);
-    let bounds = setting.body_hulls.iter().enumerate().map(|(body, &hull)| {
-        let hull = hulls[hull as usize].as_ref().ok()?;
-        Some(Body::new(hull, poses.get(body)?).bounds(margin))
-    });
-    BroadPhase::new(bounds, rules)
+impl Bodies {
+    fn count(&self) -> usize {
+        self.setting.body_hulls.len()
+    }
+
+    /// The most bytes that the broad phase and the searches take.
+    fn searched_bytes(&self) -> usize {
+        let searches = self.count().div_ceil(SEARCHED_BODIES as usize).min(SEARCHES as usize);
+        // A body may have every other as its partner.
+        let search = size_of::<u32>() * (SEARCHED_INDICES + 3 * self.count());
+        self.count() * TREE_BYTES_PER_BODY + searches * search
+    }
+
+    /// The bounds of a body; none if it can be in no pair.
+    fn bounds(&self, body: usize) -> Option<Bounds> {
+        let hull = self.hulls[self.setting.body_hulls[body] as usize].as_ref().ok()?;
+        let margin = self.setting.query.margin.min(LARGEST_MARGIN);
+        Some(Body::new(hull, self.poses.get(body)?).bounds(margin))
+    }
 }
 
-/// The candidates of bodies `first` to `end`.
-struct Search {
-    broad_phase: Arc<BroadPhase>,
-    first: u32,
-    end: u32,
+/// The broad phase of a scene.
+async fn broad_phase(
+    app: &App,
+    context: &CallContext,
+    bodies: &Bodies,
+    rules: Rules,
+) -> Result<BroadPhase, ServiceError> {
+    let (compute, job) = (app.engine().compute_threads(), &context.job);
+    let count = bodies.count();
+    let building = STEPS_PER_BODY * count as u64 + rules.sorting_steps();
+    let built = if count <= SMALL_SCENE {
+        let bodies = bodies.clone();
+        let all = move |stop: &Stop| {
+            stop.spend(BOUNDS_STEPS * count as u64)?;
+            BroadPhase::new((0..count).map(|body| bodies.bounds(body)).collect(), rules, stop)
+        };
+        compute.run_steps(BOUNDS_STEPS * count as u64 + building, all, job).await
+    } else {
+        let bounding = Bounding { bodies: bodies.clone(), stop: job.stop.clone() };
+        let bounds = compute.split(bounding, job).await.map_err(failed)?;
+        compute.run_steps(building, move |stop| BroadPhase::new(bounds, rules, stop), job).await
+    };
+    built.map_err(failed)?.map_err(|stopped| failed(stopped.into()))
 }
 
-/// Candidates in order; 2 indices a pair.
-struct Found {
-    pairs: Vec<u32>,
-    /// The body up to which they are all there.
-    next_body: u32,
+/// The bounds of all bodies, some bodies a part.
+struct Bounding {
+    bodies: Bodies,
+    stop: Arc<Stop>,
 }
 
-impl Parts for Search {
-    type Part = Found;
-    type Whole = Found;
+impl Parts for Bounding {
+    type Part = Vec<Option<Bounds>>;
+    type Whole = Vec<Option<Bounds>>;
 
     fn count(&self) -> usize {
-        (self.end - self.first).div_ceil(BODIES_PER_PART) as usize
+        self.bodies.count().div_ceil(BOUNDED_BODIES)
     }
 
-    fn part(&self, index: usize) -> Found {
-        let mut body = self.first + index as u32 * BODIES_PER_PART;
-        let end = self.end.min(body + BODIES_PER_PART);
-        let (mut pairs, mut scratch) = (Vec::new(), Vec::new());
-        while body < end && pairs.len() < INDICES_PER_PART {
-            self.broad_phase.pairs_of(body, &mut pairs, &mut scratch);
-            body += 1;
-        }
-        Found { pairs, next_body: body }
+    fn steps(&self, _: usize) -> u64 {
+        BOUNDS_STEPS * BOUNDED_BODIES as u64
     }
 
-    /// Up to the first part that left some for later: what comes after is looked for again.
-    fn whole(&self, parts: Vec<Found>) -> Found {
-        let mut found = Found { pairs: Vec::new(), next_body: self.first };
-        for (index, part) in (0..).zip(parts) {
-            if found.next_body != self.first + index * BODIES_PER_PART {
-                break;
-            }
-            found.pairs.extend_from_slice(&part.pairs);
-            found.next_body = part.next_body;
+    fn part(&self, index: usize) -> Result<Self::Part, Stopped> {
+        let first = index * BOUNDED_BODIES;
+        let bodies = first..self.bodies.count().min(first + BOUNDED_BODIES);
+        self.stop.spend(BOUNDS_STEPS * bodies.len() as u64)?;
+        Ok(bodies.map(|body| self.bodies.bounds(body)).collect())
+    }
+
+    fn whole(&self, parts: Vec<Self::Part>) -> Result<Self::Whole, Stopped> {
+        Ok(parts.concat())
+    }
+}
+
+/// Searches that are continued, each a part.
+struct Searching {
+    broad_phase: Arc<BroadPhase>,
+    searches: Vec<Mutex<Option<Search>>>,
+    stop: Arc<Stop>,
+}
+
+impl Parts for Searching {
+    type Part = Option<Search>;
+    type Whole = Vec<Search>;
+
+    fn count(&self) -> usize {
+        self.searches.len()
+    }
+
+    /// Those of an ordinary scene; the steps that are counted correct it.
+    fn steps(&self, _: usize) -> u64 {
+        1_000 * u64::from(SEARCHED_BODIES)
+    }
+
+    fn part(&self, index: usize) -> Result<Self::Part, Stopped> {
+        let mut search = self.searches[index].lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(search) = &mut search {
+            self.broad_phase.search(search, STEPS_BETWEEN_LOOKS, SEARCHED_INDICES, &self.stop)?;
         }
-        found
+        Ok(search)
+    }
+
+    fn whole(&self, parts: Vec<Self::Part>) -> Result<Self::Whole, Stopped> {
+        Ok(parts.into_iter().flatten().collect())
     }
 }

@@ -6,7 +6,7 @@ use tonic::{Request, Response, Status};
 
 use super::{
     App, Limits, ServiceError,
-    context::CallContext,
+    context::{CallContext, no_memory},
     decode::decoded,
     records::{present, records},
     wire,
@@ -192,6 +192,8 @@ fn registered_result(app: &App, registered: Registered) -> Result<RegisterHullRe
         }
         Err(RegisterError::Hull(error)) => Ok(wire::register_result(Err(wire::hull_error(&error)))),
         Err(RegisterError::Store(error)) => Err(store_error(app, error)),
+        Err(RegisterError::NoMemory(why)) => Err(no_memory(app.metrics(), why)),
+        Err(RegisterError::Stopped) => Err(ServiceError::deadline_exceeded()),
         Err(RegisterError::Internal(error)) => {
             tracing::error!(%error, "a hull could not be built");
             Err(ServiceError::internal("a hull could not be built"))

@@ -17,7 +17,8 @@ pub struct Limits {
     pub max_vertices_per_hull: u32,
     /// Points in the definition of one hull. They bound what building and simplifying costs.
     pub max_points_per_hull: u32,
-    /// Pairs accepted and not yet answered, over all calls.
+    /// Pairs of one caller that are accepted and not yet answered. All callers together may have
+    /// less than twice as many.
     pub max_pairs_in_flight: u32,
     /// Memory that all callers together can make the server hold, in bytes; the cached hulls
     /// (`cache_bytes`) are not part of it.
@@ -94,10 +95,15 @@ const MOST_STORE_SECONDS: u64 = 3600;
 /// The bytes of a blob beside its points, rounded up (docs/identity.md).
 const BLOB_HEAD_BYTES: u64 = 64;
 
+/// Three doubles.
+const POINT_BYTES: u64 = 24;
+
 impl Limits {
-    /// The bytes of the largest blob: a message has at least as many bytes as the points in it.
+    /// The bytes of the largest blob that a registration can lead to: its points are within
+    /// `max_points_per_hull`, and have arrived in one message.
     pub fn max_blob_bytes(&self) -> u64 {
-        self.max_message_bytes as u64 + BLOB_HEAD_BYTES
+        let points = POINT_BYTES * u64::from(self.max_points_per_hull);
+        points.min(self.max_message_bytes as u64) + BLOB_HEAD_BYTES
     }
 }
 

@@ -110,7 +110,7 @@ impl Middleware {
                 let headers = headers.iter().map(|(name, value)| name.as_str().len() + value.len());
                 let bytes = (CALL_BYTES + headers.sum::<usize>()) as u64;
                 let memory = self.app.memory().take(caller, Part::Connections, bytes);
-                Some(memory.map_err(|why| no_memory(&self.app, why))?)
+                Some(memory.map_err(|why| no_memory(self.app.metrics(), why))?)
             }
         };
         Ok(Taken::new(memory, watch.or(check)))

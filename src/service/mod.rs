@@ -56,9 +56,10 @@ pub use server::handlers;
 pub use server::{Serving, run};
 
 use crate::{
-    budget::{Caller, Callers, MemoryBudget, Part},
+    budget::{Caller, Callers, MemoryBudget, Part, Permit},
     compute::Compute,
     metrics::Metrics,
+    proto::QueryContactsResponse,
     store::{BlobStore, Registry, registry::Bounds},
 };
 
@@ -97,14 +98,18 @@ impl App {
             shares: limits.shares,
         };
         let metrics = Arc::new(Metrics::default());
-        let (pairs, bytes) = (limits.max_pairs_in_flight, limits.max_message_bytes);
-        let engine = Engine::new(compute.clone(), pairs, bytes, metrics.clone());
-        let registry = Registry::new(blobs, compute, bounds, metrics.clone());
         let caps = [
             (Part::Arriving, limits.max_request_bytes_in_flight),
             (Part::StreamState, limits.max_stream_state_bytes),
         ];
         let memory = MemoryBudget::new(limits.max_memory_bytes, limits.shares, &caps);
+        let of_engine = batch::Bounds {
+            max_pairs_in_flight: limits.max_pairs_in_flight,
+            shares: limits.shares,
+            max_answer_bytes: limits.max_message_bytes,
+        };
+        let engine = Engine::new(compute.clone(), of_engine, metrics.clone());
+        let registry = Registry::new(blobs, compute, bounds, memory.clone(), metrics.clone());
         let readiness = Mutex::new(Readiness::Starting);
         let callers = Arc::default();
         Ok(Self { limits, registry, engine, memory, callers, metrics, readiness })
@@ -178,6 +183,23 @@ impl App {
         }
         context.hold_answer(context.take(self, Part::Answers, ANSWER_COPIES * bytes)?);
         Ok(tonic::Response::new(answer))
+    }
+
+    /// An answer whose columns were counted while they were computed: it may be sent, and counts
+    /// with what it takes encoded.
+    fn counted_answer(
+        &self,
+        context: &CallContext,
+        answer: QueryContactsResponse,
+        mut memory: Permit,
+    ) -> Result<QueryContactsResponse, ServiceError> {
+        let bytes = prost::Message::encoded_len(&answer);
+        if bytes > self.limits.max_message_bytes {
+            return Err(self.answer_too_large(bytes));
+        }
+        context.grow(self, &mut memory, bytes)?;
+        context.hold_answer(memory);
+        Ok(answer)
     }
 
     /// The error of an answer that has so many bytes, or more.

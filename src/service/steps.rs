@@ -11,11 +11,11 @@ use super::{
     context::CallContext,
     decode::decoded,
     middleware::Closing,
-    offload::FreedOnCompute,
     wire::{self, Scene, Setting},
 };
 use crate::{
     budget::Permit,
+    compute::FreedHere,
     contact::Stop,
     proto::{Encoded, QueryContactsRequest, QueryContactsResponse},
 };
@@ -39,7 +39,7 @@ enum Previous {
     /// There was no room to keep it.
     Dropped,
     /// The state that the next message may inherit.
-    Kept { kept: FreedOnCompute<Kept>, memory: Permit },
+    Kept { kept: FreedHere<Kept>, memory: Permit },
 }
 
 /// Hulls, bodies, pairs and options of a message, and the bases of its answer.
@@ -102,7 +102,7 @@ impl Steps {
         let setting = scene.setting.clone();
         let (response, bases) = answer(&self.app, &self.context, scene, true).await?;
         let bytes = setting.kept_bytes();
-        let state = FreedOnCompute::new(Kept { setting, bases }, bytes, &self.app);
+        let state = self.app.engine().compute_threads().freed_here(Kept { setting, bases }, bytes);
         self.previous = match kept.or_else(|| self.context.keep(bytes)) {
             Some(memory) => Previous::Kept { kept: state, memory },
             None => Previous::Dropped,

@@ -7,7 +7,7 @@ use std::{fmt, str::FromStr};
 
 use sha2::{Digest, Sha256};
 
-use crate::contact::{ConvexHull, HullError, HullOptions, Simplification};
+use crate::contact::{BuildError, ConvexHull, HullError, HullOptions, Simplification, Stop};
 
 /// First in the byte string.
 const MAGIC: &[u8; 8] = b"hullcast";
@@ -139,9 +139,20 @@ impl HullDefinition {
     /// # Errors
     /// Why these points are not one.
     pub fn build(&self, max_vertices: usize) -> Result<ConvexHull, HullError> {
+        ConvexHull::with_options(&self.points, &self.options(max_vertices))
+    }
+
+    /// The hull, unless `stop` ends the build before.
+    ///
+    /// # Errors
+    /// Why these points are not one; the build was stopped.
+    pub fn build_stoppable(&self, max_vertices: usize, stop: &Stop) -> Result<ConvexHull, BuildError> {
+        ConvexHull::with_options_stoppable(&self.points, &self.options(max_vertices), stop)
+    }
+
+    fn options(&self, max_vertices: usize) -> HullOptions {
         let Self { contraction_point, simplification, planarity, .. } = *self;
-        let options = HullOptions { contraction_point, max_vertices, simplification, planarity };
-        ConvexHull::with_options(&self.points, &options)
+        HullOptions { contraction_point, max_vertices, simplification, planarity }
     }
 }
 

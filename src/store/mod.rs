@@ -6,6 +6,7 @@
 //! memory, and `lease` says how much of it requests may use. Nothing here knows the wire.
 
 pub mod blobs;
+mod building;
 mod cache;
 mod directory;
 mod file_threads;

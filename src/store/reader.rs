@@ -17,10 +17,16 @@ use super::{
     cache::Entry,
     identity::id_of,
     lease::{Lease, LeaseError, LeaseRequest},
-    registry::Missing,
+    registry::{BuildError, Missing},
     scheduled::CallerStore,
+    turns::Turn,
 };
-use crate::{compute::Job, contact::ConvexHull, log_limit::Repeated, trace};
+use crate::{
+    compute::{ComputeError, Job},
+    contact::ConvexHull,
+    log_limit::Repeated,
+    trace,
+};
 
 /// Blobs up to this size are verified where they arrive, in some 100 us; others by the compute
 /// threads, so that none keeps the serving threads from other calls.
@@ -81,7 +87,8 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// Why it cannot be answered for.
     pub async fn definition(&self, id: HullId) -> Result<HullDefinition, Missing> {
-        self.verified(id).await.map_err(|error| self.missing(id, &error))?.ok_or(Missing::Unknown)
+        let _turn = self.turn(id).await?;
+        self.found(id).await
     }
 
     /// Whether the hull can be answered for. A blob that is not the hull any more cannot. A
@@ -93,6 +100,7 @@ impl<'a> Reader<'a> {
         if self.registry.cached(&id, self.registry.now_ms()).is_some() {
             return Ok(true);
         }
+        let _turn = self.turn(id).await?;
         match self.verified(id).await {
             Ok(found) => Ok(found.is_some()),
             Err(StoreError::Hung(_)) if self.registry.cache.get(&id).is_some() => Ok(true),
@@ -135,26 +143,41 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// Reads and builds a hull in the caller's turn, so that the number of blobs that are read
-    /// and not built yet stays bounded.
+    /// Reads and builds a hull in the caller's turn.
     async fn loaded(&self, id: HullId) -> Result<Arc<Entry>, Missing> {
-        let _turn = self.registry.loading.take(&self.job.caller).await.map_err(|_| {
-            self.fault(id, "too many hulls of this caller wait to be loaded".into());
-            Missing::Unavailable
-        })?;
-        let definition = self.definition(id).await?;
-        // A hull that was once acknowledged is answered for, whatever the limit is now.
-        match self.registry.compute.run(move || definition.build(usize::MAX)).await {
-            Ok(Ok(hull)) => Ok(self.registry.entry(Arc::new(hull), false)),
-            Ok(Err(error)) => {
+        let _turn = self.turn(id).await?;
+        let definition = self.found(id).await?;
+        // What was once acknowledged is answered for, whatever the limit is by now.
+        let built = self.registry.build(vec![definition], usize::MAX, self.job).await;
+        match built.map(|hulls| hulls.into_iter().next()) {
+            Ok(Some(Ok(hull))) => Ok(self.registry.entry(Arc::new(hull), false)),
+            Ok(Some(Err(error))) => {
                 self.fault(id, format!("a stored hull is not a hull to this version: {error}"));
                 Err(Missing::Unknown)
             }
-            Err(error) => {
-                self.fault(id, format!("a stored hull cannot be built: {error}"));
+            Ok(None) | Err(BuildError::Compute(ComputeError::Stopped)) => Err(Missing::Unavailable),
+            Err(BuildError::NoMemory(why)) => {
+                self.fault(id, why.to_string());
+                Err(Missing::Unavailable)
+            }
+            Err(BuildError::Compute(ComputeError::Panicked(why))) => {
+                tracing::error!(hull = %id, %why, "a stored hull cannot be built");
                 Err(Missing::Unavailable)
             }
         }
+    }
+
+    /// Waits until this caller may read one more hull.
+    async fn turn(&self, id: HullId) -> Result<Turn, Missing> {
+        self.registry.loading.take(&self.job.caller).await.map_err(|_| {
+            self.fault(id, "too many hulls of this caller wait to be loaded".into());
+            Missing::Unavailable
+        })
+    }
+
+    /// The definition of a hull, or why there is none.
+    async fn found(&self, id: HullId) -> Result<HullDefinition, Missing> {
+        self.verified(id).await.map_err(|error| self.missing(id, &error))?.ok_or(Missing::Unknown)
     }
 
     /// The definition that the store has under this id, if it is that hull's.
@@ -166,8 +189,8 @@ impl<'a> Reader<'a> {
             verify(id, &blob)
         } else {
             let blob = blob.clone();
-            let verified = self.registry.compute.run(move || verify(id, &blob)).await;
-            verified.map_err(|panicked| StoreError::Unavailable(panicked.to_string()))?
+            let verified = self.registry.compute.run(move |_| verify(id, &blob), self.job).await;
+            verified.map_err(|error| StoreError::Unavailable(error.to_string()))?
         };
         match verified {
             Ok(definition) => Ok(Some(definition)),

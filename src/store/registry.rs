@@ -10,6 +10,7 @@ use futures_util::{StreamExt, stream};
 
 use super::{
     BlobStore, HullDefinition, HullId, Opened, StoreError, StoredBlob, blobs,
+    building::{Building, building_bytes},
     cache::{Entry, HullCache, cache},
     identity::id_of,
     lease::{Hulls, Lease, LeaseError, LeaseRequest, Leases},
@@ -19,8 +20,9 @@ use super::{
     turns::Turns,
 };
 use crate::{
-    compute::{Compute, Job, Panicked, Parts},
-    contact::{ConvexHull, HullError},
+    budget::{MemoryBudget, NoMemory, Part},
+    compute::{Compute, ComputeError, Job, Panicked},
+    contact::{ConvexHull, HullError, Stopped},
     metrics::Metrics,
 };
 
@@ -60,8 +62,37 @@ pub enum RegisterError {
     Hull(HullError),
     /// The store did not take it.
     Store(StoreError),
+    /// The caller's budget has no room for building it.
+    NoMemory(NoMemory),
+    /// Nobody waits for it any more.
+    Stopped,
     /// A bug: it could not be built.
     Internal(Panicked),
+}
+
+/// Why hulls were not built.
+#[derive(Clone, Debug)]
+pub(super) enum BuildError {
+    NoMemory(NoMemory),
+    Compute(ComputeError),
+}
+
+impl From<BuildError> for RegisterError {
+    fn from(error: BuildError) -> Self {
+        match error {
+            BuildError::NoMemory(why) => Self::NoMemory(why),
+            BuildError::Compute(error) => error.into(),
+        }
+    }
+}
+
+impl From<ComputeError> for RegisterError {
+    fn from(error: ComputeError) -> Self {
+        match error {
+            ComputeError::Stopped => Self::Stopped,
+            ComputeError::Panicked(panicked) => Self::Internal(panicked),
+        }
+    }
 }
 
 /// A hull that was registered, or why it was not.
@@ -70,9 +101,6 @@ pub type Registered = Result<(HullId, Arc<ConvexHull>), RegisterError>;
 /// Hulls of one request that are read or written at a time: enough that a file system
 /// gathers their syncs.
 pub const AT_A_TIME: usize = 16;
-
-/// How many hulls are read and built at a time, over all requests. One caller has at most half.
-const LOADED_AT_A_TIME: u64 = 4 * AT_A_TIME as u64;
 
 /// Hulls that may wait to be loaded, over all requests.
 const MOST_WAITING: u64 = 4096;
@@ -84,29 +112,6 @@ struct Named {
     definition: HullDefinition,
 }
 
-/// Hulls to be built, each a part.
-struct Building {
-    definitions: Vec<HullDefinition>,
-    max_vertices: usize,
-}
-
-impl Parts for Building {
-    type Part = Result<ConvexHull, HullError>;
-    type Whole = Vec<Self::Part>;
-
-    fn count(&self) -> usize {
-        self.definitions.len()
-    }
-
-    fn part(&self, index: usize) -> Self::Part {
-        self.definitions[index].build(self.max_vertices)
-    }
-
-    fn whole(&self, parts: Vec<Self::Part>) -> Self::Whole {
-        parts
-    }
-}
-
 /// The registered hulls.
 #[derive(Debug)]
 pub struct Registry {
@@ -115,6 +120,7 @@ pub struct Registry {
     leases: Arc<Leases>,
     pub(super) loading: Arc<Turns>,
     pub(super) compute: Compute,
+    memory: Arc<MemoryBudget>,
     pub(super) bounds: Bounds,
     /// What `Entry::seen_ms` counts from.
     started: Instant,
@@ -123,14 +129,23 @@ pub struct Registry {
 }
 
 impl Registry {
-    /// Hulls in `blobs`, built by `compute`.
-    pub fn new(blobs: Opened, compute: Compute, bounds: Bounds, metrics: Arc<Metrics>) -> Self {
+    /// Hulls in `blobs`, built by `compute` with memory of `memory`.
+    pub fn new(
+        blobs: Opened,
+        compute: Compute,
+        bounds: Bounds,
+        memory: Arc<MemoryBudget>,
+        metrics: Arc<Metrics>,
+    ) -> Self {
         Self {
+            // As many as the store has operations: each is read, verified and perhaps built in
+            // one turn, which bounds the blobs that are in memory.
+            loading: Turns::new(blobs.operations_at_a_time(), MOST_WAITING, bounds.shares),
             store: ScheduledStore::new(blobs, bounds.store_limit, bounds.shares),
             cache: cache(bounds.cache_bytes, &metrics),
             leases: Leases::new(bounds.cache_bytes, bounds.shares, &metrics),
-            loading: Turns::new(LOADED_AT_A_TIME, MOST_WAITING, bounds.shares),
             compute,
+            memory,
             bounds,
             started: Instant::now(),
             quota: Quota::new(bounds.store_bytes, bounds.max_blob_bytes, bounds.shares),
@@ -195,7 +210,7 @@ impl Registry {
         let store = &self.store.of(&job.caller);
         let looked_up: Vec<_> = stream::iter(definitions)
             .map(|definition| async move {
-                let named = self.named(definition).await?;
+                let named = self.named(definition, job).await?;
                 let known = self.known(store, named.id, named.blob.len()).await?;
                 Ok((named, known))
             })
@@ -211,12 +226,11 @@ impl Registry {
                 (id, blob, found)
             }));
         }
-        let building = Building { definitions: new, max_vertices: self.bounds.max_vertices };
-        let mut built = self.compute.split(building).await.map(Vec::into_iter);
+        let mut built = self.build(new, self.bounds.max_vertices, job).await.map(Vec::into_iter);
         let results = known.into_iter().map(|known| {
             let hull = known.and_then(|(id, blob, found)| match (found, &mut built) {
                 (Some(hull), _) => Ok((id, hull, None)),
-                (None, Err(panicked)) => Err(RegisterError::Internal(panicked.clone())),
+                (None, Err(error)) => Err(error.clone().into()),
                 (None, Ok(built)) => match built.next() {
                     Some(Ok(hull)) => Ok((id, Arc::new(hull), Some(blob))),
                     Some(Err(error)) => Err(RegisterError::Hull(error)),
@@ -234,8 +248,24 @@ impl Registry {
         stream::iter(results).buffered(AT_A_TIME).collect().await
     }
 
+    /// Builds hulls on all compute threads that are free, until the job is stopped. The memory
+    /// for it is taken before the work is queued, and given back when the work is done or
+    /// dropped.
+    pub(super) async fn build(
+        &self,
+        definitions: Vec<HullDefinition>,
+        max_vertices: usize,
+        job: &Job,
+    ) -> Result<Vec<Result<ConvexHull, HullError>>, BuildError> {
+        let bytes = definitions.iter().map(building_bytes).sum::<usize>();
+        let memory = self.memory.take(&job.caller, Part::Building, bytes as u64);
+        let memory = memory.map_err(BuildError::NoMemory)?;
+        let building = Building { definitions, max_vertices, stop: job.stop.clone(), _memory: memory };
+        self.compute.split(building, job).await.map_err(BuildError::Compute)
+    }
+
     /// A definition with its name.
-    async fn named(&self, definition: HullDefinition) -> Result<Named, RegisterError> {
+    async fn named(&self, definition: HullDefinition, job: &Job) -> Result<Named, RegisterError> {
         let name = |definition: HullDefinition| {
             let blob = definition.identity_bytes();
             Named { id: id_of(&blob), blob, definition }
@@ -243,7 +273,7 @@ impl Registry {
         if size_of_val(&definition.points[..]) <= VERIFIED_IN_PLACE {
             return Ok(name(definition));
         }
-        self.compute.run(move || name(definition)).await.map_err(RegisterError::Internal)
+        Ok(self.compute.run(move |_| name(definition), job).await?)
     }
 
     /// Writes a new hull's blob; then the hull is cached.
@@ -354,6 +384,8 @@ impl fmt::Display for RegisterError {
         match self {
             Self::Hull(error) => error.fmt(f),
             Self::Store(error) => error.fmt(f),
+            Self::NoMemory(error) => error.fmt(f),
+            Self::Stopped => Stopped.fmt(f),
             Self::Internal(error) => error.fmt(f),
         }
     }

@@ -116,17 +116,14 @@ impl Shared {
         let run = async move {
             let started = Instant::now();
             pin!(operation);
-            let result = match timeout(shared.limit, &mut operation).await {
-                Ok(result) => result,
-                Err(_) => {
-                    let hanging = Hanging::new(&shared);
-                    let _ = send.send(Err(shared.answers().err().unwrap_or_else(gone)));
-                    let _ = operation.await;
-                    drop(hanging);
-                    let seconds = started.elapsed().as_secs_f64();
-                    tracing::info!(seconds, "an operation of the store that had exceeded its limit returned");
-                    return drop(slot);
-                }
+            let Ok(result) = timeout(shared.limit, &mut operation).await else {
+                let hanging = Hanging::new(&shared);
+                let _ = send.send(Err(shared.answers().err().unwrap_or_else(gone)));
+                let _ = operation.await;
+                drop((hanging, slot));
+                let seconds = started.elapsed().as_secs_f64();
+                tracing::info!(seconds, "an operation of the store that had exceeded its limit returned");
+                return;
             };
             drop(slot);
             let _ = send.send(result);

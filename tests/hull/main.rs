@@ -4,6 +4,7 @@ mod check;
 mod clouds;
 mod faces;
 mod planarity;
+mod recorded;
 mod simplify;
 mod sizes;
 

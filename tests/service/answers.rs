@@ -154,7 +154,7 @@ async fn an_invalid_pair_costs_no_other() {
     request.positions[3 * 3] = f64::NAN;
     request.positions[3 * 4 + 1] = 1.1e100;
     request.rotations[4 * 5..4 * 6].fill(0.0);
-    request.rotations[4 * 6..4 * 7].copy_from_slice(&[0.0, 0.0, 0.0, 1.002]);
+    request.rotations[4 * 6..4 * 7].copy_from_slice(&[0.0, 0.0, 0.0, 4.002]);
     let answer = server.contacts().query_contacts(request.clone()).await.unwrap().into_inner();
     assert_same(&answer, &expected(&request, &shapes()));
     assert_eq!(answer.invalid_bodies, [3, 4, 5, 6]);

@@ -4,6 +4,7 @@ use std::{sync::atomic::Ordering, time::Duration};
 
 use bytes::Bytes;
 use hullcast::{
+    budget::Caller,
     proto::{
         Accuracy, GetHullsRequest, HasHullsRequest, HullDefinition, ListHullsRequest, Output,
         QueryContactsRequest, RegisterHullsRequest,
@@ -206,12 +207,14 @@ async fn an_expired_deadline_is_deadline_exceeded() {
 /// Catches a busy server that takes on more, and one that does not say when to come back.
 #[tokio::test(flavor = "multi_thread")]
 async fn too_busy_is_unavailable_with_a_pushback() {
-    let limits = Limits { max_pairs_per_request: 100, max_pairs_in_flight: 100, ..Limits::default() };
+    // Nothing is kept free for other callers.
+    let limits =
+        Limits { max_pairs_per_request: 100, max_pairs_in_flight: 100, shares: false, ..Limits::default() };
     let server = TestServer::with_limits(limits).await;
     let (shapes, request) = two_boxes();
     server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
     let outputs = hullcast::service::Outputs::default();
-    let place = server.app.engine().admit(100, outputs).unwrap();
+    let place = server.app.engine().admit(100, outputs, &Caller::alone()).unwrap();
     let status = server.contacts().query_contacts(request.clone()).await.unwrap_err();
     assert_unavailable(&status, "TOO_BUSY");
     let stream = futures_util::stream::iter([request.clone()]);
@@ -224,7 +227,7 @@ async fn too_busy_is_unavailable_with_a_pushback() {
     server.contacts().query_contacts(request).await.unwrap();
     server.contacts().query_contacts(empty).await.unwrap();
     // Every place is given back.
-    drop(server.app.engine().admit(100, outputs).unwrap());
+    drop(server.app.engine().admit(100, outputs, &Caller::alone()).unwrap());
 }
 
 fn assert_unavailable(status: &Status, reason: &str) {

@@ -4,6 +4,7 @@
 use std::collections::HashSet;
 
 use hullcast::{
+    budget::Caller,
     proto::{DeleteHullsRequest, Outcome, QueryContactsRequest, QueryContactsResponse},
     service::Limits,
     store::HullDefinition,
@@ -276,7 +277,7 @@ async fn limits_hold_and_large_answers_are_cut() {
 
     let status = server.contacts().find_contacts(at(&shapes, &[[0.0; 3]; 101])).await.unwrap_err();
     assert_eq!(refusal(&status), invalid("TOO_MANY_BODIES", "body_hulls"));
-    let place = server.app.engine().place(1).unwrap();
+    let place = server.app.engine().place(1, &Caller::alone()).unwrap();
     let status = server.contacts().find_contacts(request.clone()).await.unwrap_err();
     assert_eq!(refusal(&status), refused(Code::Unavailable, "TOO_BUSY", ""));
     drop(place);
@@ -299,7 +300,7 @@ async fn limits_hold_and_large_answers_are_cut() {
         tiny.contacts().find_contacts(at(&prism, &[[0.0; 3], [0.0, 0.0, 0.9]])).await.unwrap().into_inner();
     assert_eq!(refusal(&stream.message().await.unwrap_err()), invalid("RESPONSE_TOO_LARGE", ""));
     // Every place is given back.
-    drop(server.app.engine().place(1000).unwrap());
+    drop(server.app.engine().place(1000, &Caller::alone()).unwrap());
 }
 
 /// Catches a malformed request that is answered, or refused without saying where.

@@ -2,13 +2,16 @@
 
 use std::time::Duration;
 
-use hullcast::proto::QueryContactsRequest;
+use hullcast::{
+    budget::{Caller, Part},
+    proto::QueryContactsRequest,
+};
 use prost::Message;
 
 use crate::support::{
-    TestServer,
+    Setup, TestServer,
     raw::{frame, status_of},
-    scenes::{ALL, outputs, register_request, scene, shapes},
+    scenes::{ALL, outputs, plain, register_request, round_points, scene, shapes},
 };
 
 /// So many pairs that no machine computes them before it hears that nobody waits.
@@ -34,7 +37,7 @@ async fn settled(server: &TestServer) -> u64 {
     server.until("hullcast_requests_in_flight", 0.0).await;
     let limit = server.app.limits().max_pairs_in_flight as usize;
     let nothing = hullcast::service::Outputs::OUTCOME;
-    while let Err(refused) = server.app.engine().admit(limit, nothing) {
+    while let Err(refused) = server.app.engine().admit(limit, nothing, &Caller::alone()) {
         assert_eq!(refused.reason, "TOO_BUSY");
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
@@ -104,4 +107,46 @@ async fn an_expired_call_stops_computing() {
         let computed = settled(&server).await - before;
         assert!(computed < PAIRS as u64, "{computed} of {PAIRS}");
     }
+}
+
+/// Catches registrations that are in no budget while they wait to be built, and that keep their
+/// memory, or are built, after their callers have left.
+#[tokio::test(flavor = "multi_thread")]
+async fn registrations_that_nobody_waits_for_give_their_memory_back() {
+    const CALLS: usize = 10;
+    let server = Setup { threads: 1, ..Setup::default() }.start().await;
+    let known = shapes();
+    server.hulls().register_hulls(register_request(&known)).await.unwrap();
+    // The only thread for short parts is kept by pairs that may not be computed.
+    let injected = server.app.engine().injected();
+    injected.allow(0);
+    let mut contacts = server.contacts();
+    let request = QueryContactsRequest { outputs: outputs(&ALL), ..scene(&known[..3], 20, 200, 1) };
+    let query = tokio::spawn(async move { contacts.query_contacts(request).await });
+    server.until("hullcast_pairs_in_flight", 200.0).await;
+    let calls: Vec<_> = (0..CALLS as u64)
+        .map(|seed| {
+            let mut hulls = server.hulls();
+            let request = register_request(&[plain(round_points(500, 100 + seed))]);
+            tokio::spawn(async move { hulls.register_hulls(request).await })
+        })
+        .collect();
+    let used = |part| server.app.memory().used_by(part);
+    let one = 500 * 256;
+    while used(Part::Building) < (CALLS * one) as u64 {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+    for call in calls {
+        call.abort();
+        assert!(call.await.unwrap_err().is_cancelled());
+    }
+    injected.open();
+    assert_eq!(query.await.unwrap().unwrap().into_inner().outcomes.len(), 200);
+    server.until("hullcast_requests_in_flight", 0.0).await;
+    for &part in &[Part::Building, Part::Decoded, Part::Answers] {
+        while used(part) > 0 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    }
+    assert_eq!(server.metric("hullcast_registered_total"), known.len() as f64);
 }

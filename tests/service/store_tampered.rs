@@ -49,7 +49,7 @@ async fn register(server: &TestServer, shapes: &[HullDefinition]) {
 async fn listed(server: &TestServer, page_size: u32) -> Vec<Vec<u8>> {
     let (mut ids, mut page_token) = (Vec::new(), String::new());
     loop {
-        let request = ListHullsRequest { page_size, page_token, ..ListHullsRequest::default() };
+        let request = ListHullsRequest { page_size, page_token };
         let page = server.hulls().list_hulls(request).await.unwrap().into_inner();
         ids.extend(page.hulls.into_iter().map(|hull| hull.id));
         page_token = page.next_page_token;

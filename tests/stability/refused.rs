@@ -57,12 +57,27 @@ fn contraction_points_on_the_surface_are_refused() {
 #[test]
 fn bad_poses_name_their_reason() {
     let turned = |norm: f64| Pose::new([0.0; 3], [0.0, 0.6 * norm, 0.0, 0.8 * norm]);
-    assert!([1.0, 1.0 + 9.9e-4, 1.0 - 9.9e-4].iter().all(|&norm| turned(norm).is_ok()));
-    for norm in [0.0, 1.0 + 2e-3, 1.0 - 2e-3, f64::NAN, f64::INFINITY, 1e-300, 1e300] {
+    assert!([0.2500001, 0.5, 1.0 - 9.9e-4, 1.0, 1.01, 3.9999].iter().all(|&norm| turned(norm).is_ok()));
+    for norm in [0.0, 0.2499999, 4.0001, f64::NAN, f64::INFINITY, 1e-300, 1e300] {
         assert_eq!(turned(norm), Err(InvalidPose::Rotation), "{norm}");
     }
     for x in [f64::NAN, f64::INFINITY, -1.1e100] {
         assert_eq!(Pose::new([0.0, x, 0.0], [0.0, 0.0, 0.0, 1.0]), Err(InvalidPose::Position), "{x}");
+    }
+}
+
+/// Catches a quaternion of norm 0.25 to 4 that is not normalised, and a limit that is off by one
+/// unit in the last place. Scaling by a power of two is exact, so the poses are equal bit by bit.
+#[test]
+fn quaternions_are_normalised() {
+    let quaternion = [0.5, -0.5, 0.5, 0.5];
+    let scaled = |by: f64| Pose::new([1.0, 2.0, 3.0], quaternion.map(|c| c * by));
+    let unit = scaled(1.0).expect("a unit quaternion");
+    for by in [0.25, 0.5, 2.0, 4.0] {
+        assert_eq!(scaled(by), Ok(unit), "{by}");
+    }
+    for by in [0.25f64.next_down(), 4.0f64.next_up()] {
+        assert_eq!(scaled(by), Err(InvalidPose::Rotation), "{by}");
     }
 }
 

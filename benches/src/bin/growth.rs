@@ -11,7 +11,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
-use hullcast::compute::Compute;
+use hullcast::budget::{self, Part, Permit};
+use hullcast::compute::{Compute, Job};
 use hullcast::contact::{Body, ConvexHull, Pose, Query, Workspace, contact_manifold};
 use hullcast::proto::hull_service_client::HullServiceClient;
 use hullcast::proto::{HullDefinition, QueryContactsRequest, RegisterHullsRequest};
@@ -324,8 +325,11 @@ async fn cores() -> Result<String, Failure> {
                 let limits = Limits::default();
                 let engine = Arc::new(batch::Engine::new(
                     Compute::new(threads)?,
-                    limits.max_pairs_in_flight,
-                    limits.max_message_bytes,
+                    batch::Bounds {
+                        max_pairs_in_flight: limits.max_pairs_in_flight,
+                        shares: false,
+                        max_answer_bytes: limits.max_message_bytes,
+                    },
                     Arc::default(),
                 ));
                 let mut answered = 0;
@@ -334,14 +338,18 @@ async fn cores() -> Result<String, Failure> {
                     let mut tasks = Vec::new();
                     for _ in 0..under_way {
                         let scene = wire::scene(request.clone(), &limits)?;
-                        let admission = engine.admit(PAIRS, scene.setting.outputs)?;
+                        let job = Job::new(budget::Caller::alone());
+                        let admission = engine.admit(PAIRS, scene.setting.outputs, &job.caller)?;
                         let (batch, _) = batch::Batch::new(scene, hulls.iter().cloned().map(Ok).collect());
                         let engine = engine.clone();
-                        tasks.push(tokio::spawn(async move { engine.compute(batch, admission).await }));
+                        let memory = Permit::unbounded(Part::Answers);
+                        tasks.push(tokio::spawn(async move {
+                            engine.compute(batch, admission, &job, memory).await
+                        }));
                         answered += 1;
                     }
                     for task in tasks {
-                        black_box(task.await??.len());
+                        black_box(task.await??.0.len());
                     }
                 }
                 *rate = rate.max(answered as f64 * PAIRS as f64 / start.elapsed().as_secs_f64());

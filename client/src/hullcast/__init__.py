@@ -27,6 +27,9 @@ if TYPE_CHECKING:
         FileNotFound,
         HullRejected,
         InvalidArgument,
+        InvalidPoses,
+        InvalidPosesWarning,
+        MissingHullsWarning,
         NotConvexWarning,
         OutputNotAsked,
         ResourceExhausted,
@@ -39,11 +42,13 @@ if TYPE_CHECKING:
     )
     from ._export import Padded
     from ._hulls import DEFAULT_PLANARITY, Hull, hull_id
+    from ._manage import ServerInfo, StoredHull
     from ._manifolds import Manifold, Manifolds
     from ._query import Accuracy
     from ._robot import Robot
     from ._scene import Scene
     from ._serve import serve
+    from ._shapes import Shape, box, capsule, cone, cylinder, prism, sphere
     from ._wire import FeatureKind, Flag, Outcome
 
 __all__ = [
@@ -58,8 +63,11 @@ __all__ = [
     "Hull",
     "HullRejected",
     "InvalidArgument",
+    "InvalidPoses",
+    "InvalidPosesWarning",
     "Manifold",
     "Manifolds",
+    "MissingHullsWarning",
     "NotConvexWarning",
     "Outcome",
     "OutputNotAsked",
@@ -69,18 +77,27 @@ __all__ = [
     "Scene",
     "ServerDidNotStart",
     "ServerError",
+    "ServerInfo",
     "ServerNotFound",
     "Session",
+    "Shape",
+    "StoredHull",
     "Unauthenticated",
     "Unavailable",
     "Unimplemented",
     "__version__",
     "aio",
+    "box",
+    "capsule",
+    "cone",
     "connect",
+    "cylinder",
     "decompose",
     "from_wxyz",
     "hull_id",
+    "prism",
     "serve",
+    "sphere",
 ]
 
 # Each name is loaded when it is first used, so that a program that only may
@@ -95,6 +112,9 @@ _HOMES = {
         "FileNotFound",
         "HullRejected",
         "InvalidArgument",
+        "InvalidPoses",
+        "InvalidPosesWarning",
+        "MissingHullsWarning",
         "NotConvexWarning",
         "OutputNotAsked",
         "ResourceExhausted",
@@ -107,11 +127,13 @@ _HOMES = {
     ],
     "_export": ["Padded"],
     "_hulls": ["DEFAULT_PLANARITY", "Hull", "hull_id"],
+    "_manage": ["ServerInfo", "StoredHull"],
     "_manifolds": ["Manifold", "Manifolds"],
     "_query": ["Accuracy"],
     "_robot": ["Robot"],
     "_scene": ["Scene"],
     "_serve": ["serve"],
+    "_shapes": ["Shape", "box", "capsule", "cone", "cylinder", "prism", "sphere"],
     "_wire": ["FeatureKind", "Flag", "Outcome"],
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

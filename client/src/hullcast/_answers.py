@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from . import _packed
-from ._errors import ServerError
+from . import _checked, _packed
 from ._pb import contacts_pb2
 from ._wire import LATER_COLUMNS, OUTPUT_COLUMNS, PAIR_COLUMNS, POINT_COLUMNS
 
@@ -26,7 +25,7 @@ class _Reader:
 
     def __init__(self, data: bytes) -> None:
         self._data = data
-        self.message = _packed.QueryContactsResponse.FromString(data)
+        self.message = _checked.parsed(_packed.QueryContactsResponse.FromString, data)
         self._typed: contacts_pb2.QueryContactsResponse | None = None
 
     def column(self, name: str, rows: int, width: int) -> np.ndarray:
@@ -39,33 +38,34 @@ class _Reader:
             values = self._real(name, kind)
         if len(values) == 0 and name in LATER_COLUMNS:
             values = np.full(rows * width, np.nan)
-        if len(values) != rows * width:
-            raise ServerError(
-                f"{len(values)} entries in {name}, expected {rows * width}",
-                reason="MALFORMED_ANSWER",
-            )
+        _checked.length(name, len(values), rows * width)
         return values if width == 1 else values.reshape(rows, width)
 
     def _real(self, name: str, kind: np.dtype) -> np.ndarray:
         if name not in _packed.COLUMN_TYPES:
             return np.frombuffer(getattr(self.message, name), dtype=kind)
         if self._typed is None:
-            self._typed = contacts_pb2.QueryContactsResponse.FromString(self._data)
+            read = contacts_pb2.QueryContactsResponse.FromString
+            self._typed = _checked.parsed(read, self._data)
         return np.array(getattr(self._typed, name), dtype=kind)
 
 
-def read(data: bytes, outputs: Sequence[str], pairs: np.ndarray | None) -> Columns:
-    """The columns of one message.
+def read(
+    data: bytes, outputs: Sequence[str], pairs: np.ndarray | None, request_id: int = 0
+) -> Columns:
+    """The columns of one message, each checked for its length.
 
     Args:
         data: a serialised QueryContactsResponse.
-        outputs: what was asked for.
+        outputs: the outputs asked for.
         pairs: (n, 2), the pairs that were asked for; None: the answer names them.
+        request_id: of the request.
 
     Raises:
-        ServerError: MALFORMED_ANSWER, a column's length does not fit.
+        ServerError: MALFORMED_ANSWER, the bytes are no answer to this request.
     """
     reader = _Reader(data)
+    _checked.request_id(reader.message.request_id, request_id)
     count = len(reader.message.outcomes) if pairs is None else len(pairs)
     columns = {
         "outcomes": reader.column("outcomes", count, 1),
@@ -78,7 +78,7 @@ def read(data: bytes, outputs: Sequence[str], pairs: np.ndarray | None) -> Colum
     for name in wanted:
         if name in PAIR_COLUMNS:
             columns[name] = reader.column(name, count, PAIR_COLUMNS[name])
-    points = int(columns["point_counts"].sum()) if "point_counts" in columns else 0
+    points = int(columns["point_counts"].sum(dtype=np.uint64)) if "point_counts" in columns else 0
     for name in wanted:
         if name in POINT_COLUMNS:
             columns[name] = reader.column(name, points, POINT_COLUMNS[name])

@@ -1,53 +1,109 @@
-"""What users pass as arrays, brought to one form or refused by name."""
+"""Arrays that users pass: brought to one form, or refused by name."""
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from . import _tensors
+from ._arguments import kind, shown
 from ._errors import InvalidArgument
 
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.uint32]
 
-#: A pose's matrix may be off a rotation by this much, as the server takes
-#: quaternions whose norm is within 1e-3 of 1.
+#: A pose's matrix may differ from a rotation by this much, entry by entry.
 _ROTATION_ERROR = 1e-3
+
+#: The server's rules for poses (`src/contact/body.rs`).
+_MAX_POSITION = 1e100
+_MIN_NORM, _MAX_NORM = 0.25, 4.0
 
 
 def floats(field: str, value: Any, *shape: int | None) -> Floats:
     """`value` as a contiguous little-endian float64 array; None in `shape` is any length."""
-    try:
-        array = np.ascontiguousarray(value, dtype="<f8")
-    except (TypeError, ValueError) as error:
-        raise InvalidArgument(str(error), reason="NOT_AN_ARRAY", field=field) from None
+    given = _array(field, value, shape)
+    if given.dtype.kind not in "fiu" and given.size:
+        raise InvalidArgument(
+            f"expected numbers, shape {_wanted(shape)}, got {_content(given, value)}",
+            reason="NOT_AN_ARRAY",
+            field=field,
+        )
+    array = np.ascontiguousarray(given, dtype="<f8").reshape(given.shape)
     array = array.reshape(0, *shape[1:]) if array.size == 0 and None not in shape[1:] else array
     _check_shape(field, array, shape)
     return array
 
 
-def indices(field: str, value: Any, *shape: int | None, below: int | None = None) -> Indices:
-    """`value` as a contiguous little-endian uint32 array, each entry under `below`."""
-    array: npt.NDArray[Any] = np.asarray(value)
+def indices(
+    field: str, value: Any, *shape: int | None, below: int | None = None, of: str = ""
+) -> Indices:
+    """`value` as a contiguous little-endian uint32 array, each entry under `below`.
+
+    `of` says what is counted by `below`, such as "the scene has 3 bodies".
+    """
+    array = _array(field, value, shape)
     if array.size == 0:
         array = np.zeros((0, *(length or 0 for length in shape[1:])), dtype="<u4")
     if array.dtype.kind not in "iu":
         raise InvalidArgument(
-            f"expected integers, got {array.dtype}", reason="NOT_INTEGERS", field=field
+            f"expected integers, shape {_wanted(shape)}, got {_content(array, value)}",
+            reason="NOT_INTEGERS",
+            field=field,
         )
     _check_shape(field, array, shape)
     limit = 2**32 if below is None else below
     if array.size and (array.min() < 0 or array.max() >= limit):
-        wrong = np.flatnonzero((array < 0) | (array >= limit))[0]
-        raise InvalidArgument(
-            f"{array.flat[wrong]} is not in 0 .. {limit}",
+        wrong = int(np.flatnonzero((array < 0) | (array >= limit))[0])
+        allowed = f"0 to {limit - 1}" if limit else "nothing"
+        error = InvalidArgument(
+            f"{array.flat[wrong]} is out of range: {of or 'expected'}"
+            f"{', so that ' if of else ' '}{allowed}{' is allowed' if of else ''}",
             reason="INDEX_OUT_OF_RANGE",
             field=field,
-            index=int(wrong),
+            index=wrong,
         )
+        error.entry = tuple(int(i) for i in np.unravel_index(wrong, array.shape))
+        raise error
     return np.ascontiguousarray(array, dtype="<u4")
+
+
+def _array(field: str, value: Any, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
+    """`value` as a numpy array of whatever kind; iterables without a length are read once."""
+    expected = f"expected an array of shape {_wanted(shape)}"
+    if value is None or isinstance(value, (str, bytes, Mapping)):
+        raise InvalidArgument(f"{expected}, got {kind(value)}", reason="NOT_AN_ARRAY", field=field)
+    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):  # type: ignore[no-untyped-call]
+        raise InvalidArgument(
+            f"{expected}, got an array with masked entries", reason="NOT_AN_ARRAY", field=field
+        )
+    try:
+        array = _tensors.as_numpy(value)
+        if array is None:
+            if isinstance(value, Iterable) and not hasattr(value, "__getitem__"):
+                value = list(value)  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+            array = np.asarray(value)
+    except InvalidArgument:
+        raise
+    except Exception as error:  # whatever a foreign object's conversion raises
+        raise InvalidArgument(f"{expected}: {error}", reason="NOT_AN_ARRAY", field=field) from None
+    if array.dtype.kind == "O" and array.ndim and array.size:
+        # Fractions and decimals are numbers; None would become NaN.
+        real = all(not isinstance(entry, (str, bytes, type(None))) for entry in array.flat)
+        with contextlib.suppress(TypeError, ValueError, OverflowError):
+            array = array.astype("<f8") if real else array
+    return array
+
+
+def _content(array: npt.NDArray[Any], value: Any) -> str:
+    """What an array of no numbers holds, for an error message."""
+    if array.ndim == 0:
+        return f"{shown(value)} of type {kind(value)}"
+    return "rows of different lengths or objects" if array.dtype.kind == "O" else str(array.dtype)
 
 
 def frozen(array: Floats) -> Floats:
@@ -62,18 +118,29 @@ def _check_shape(field: str, array: npt.NDArray[Any], shape: tuple[int | None, .
         want is None or want == have for want, have in zip(shape, array.shape, strict=True)
     )
     if not expected:
-        wanted = ", ".join("n" if want is None else str(want) for want in shape)
         raise InvalidArgument(
-            f"expected shape ({wanted}), got {array.shape}", reason="WRONG_SHAPE", field=field
+            f"expected shape {_wanted(shape)}, got {array.shape}", reason="WRONG_SHAPE", field=field
         )
 
 
-def from_wxyz(quaternions: npt.ArrayLike) -> Floats:
+def _wanted(shape: tuple[int | None, ...]) -> str:
+    lengths = ["n" if want is None else str(want) for want in shape]
+    return f"({', '.join(lengths)}{',' if len(lengths) == 1 else ''})"
+
+
+def from_wxyz(quaternions: Any) -> Floats:
     """Quaternions `w, x, y, z` (MuJoCo, Isaac) as the `x, y, z, w` of this package.
 
     Takes and returns shape (..., 4).
     """
-    return np.ascontiguousarray(np.roll(np.asarray(quaternions, dtype="<f8"), -1, axis=-1))
+    array = _array("quaternions", quaternions, (None, 4))
+    if array.ndim == 0 or array.shape[-1] != 4 or array.dtype.kind not in "fiu":
+        raise InvalidArgument(
+            f"expected numbers of shape (..., 4), got {array.dtype} of shape {array.shape}",
+            reason="WRONG_SHAPE",
+            field="quaternions",
+        )
+    return np.ascontiguousarray(np.roll(array.astype("<f8"), -1, axis=-1))
 
 
 def poses(positions: Any, rotations: Any, count: int | None) -> tuple[Floats, Floats]:
@@ -85,32 +152,68 @@ def poses(positions: Any, rotations: Any, count: int | None) -> tuple[Floats, Fl
         count: n, or None for any.
     """
     if rotations is None:
-        matrices = floats("poses", positions, count, 4, 4)
+        matrices = _array("positions", positions, (count, 4, 4))
+        if matrices.shape[-1:] == (3,) or (matrices.size == 0 and matrices.ndim == 1 and count):
+            raise InvalidArgument(
+                "missing: with positions of shape (n, 3), give rotations as quaternions (n, 4) in "
+                "the order x, y, z, w, as matrices (n, 3, 3) or as a scipy Rotation",
+                reason="MISSING_ARGUMENT",
+                field="rotations",
+            )
+        matrices = floats("positions", matrices, count, 4, 4)
         bottom = matrices[:, 3, :]
         wrong = np.flatnonzero((bottom != (0.0, 0.0, 0.0, 1.0)).any(axis=1))
         if wrong.size:
             raise InvalidArgument(
-                "the last row of a pose is 0, 0, 0, 1",
+                f"the last row is {bottom[wrong[0]].tolist()}, expected 0, 0, 0, 1",
                 reason="NOT_A_POSE",
-                field="poses",
+                field="positions",
                 index=int(wrong[0]),
             )
-        return np.ascontiguousarray(matrices[:, :3, 3]), quaternions("poses", matrices[:, :3, :3])
+        turns = quaternions("positions", matrices[:, :3, :3])
+        return np.ascontiguousarray(matrices[:, :3, 3]), turns
     position_array = floats("positions", positions, count, 3)
     if hasattr(rotations, "as_quat"):
         rotations = np.atleast_2d(rotations.as_quat())
-    rotation_array = np.asarray(rotations, dtype="<f8")
+    rotation_array = _array("rotations", rotations, (len(position_array), 4))
     if rotation_array.ndim == 3:
         matrices = floats("rotations", rotation_array, len(position_array), 3, 3)
         return position_array, quaternions("rotations", matrices)
     return position_array, floats("rotations", rotation_array, len(position_array), 4)
 
 
+def unusable(positions: Floats, rotations: Floats) -> Indices:
+    """The bodies whose poses the server does not take, ascending."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        near = (np.abs(positions) <= _MAX_POSITION).all(axis=1)
+        squared = np.einsum("ni,ni->n", rotations, rotations)
+        turned = (squared >= _MIN_NORM**2) & (squared <= _MAX_NORM**2)
+    return np.flatnonzero(~(near & turned)).astype("<u4")
+
+
+def why_unusable(position: Floats, rotation: Floats) -> tuple[str, str]:
+    """Which argument makes a body's pose unusable, and why."""
+    text = f"({', '.join(f'{c:g}' for c in position)})"
+    if not np.isfinite(position).all():
+        return "positions", f"its position {text} is not finite"
+    if not (np.abs(position) <= _MAX_POSITION).all():
+        return "positions", f"its position {text} is beyond {_MAX_POSITION:g}"
+    text = f"({', '.join(f'{c:g}' for c in rotation)})"
+    if not np.isfinite(rotation).all():
+        return "rotations", f"its rotation {text} is not finite"
+    with np.errstate(over="ignore"):
+        norm = float(np.linalg.norm(rotation))
+    if _MIN_NORM <= norm <= _MAX_NORM:
+        return "rotations", "the server refuses its pose"  # a server of an earlier version
+    allowed = f"{_MIN_NORM:g} to {_MAX_NORM:g} is allowed"
+    return "rotations", f"its rotation {text} has norm {norm:g}, {allowed}"
+
+
 def quaternions(field: str, matrices: Floats) -> Floats:
     """Unit quaternions xyzw of rotation matrices (n, 3, 3).
 
     By the largest of the four components (Shepperd 1978), which never divides
-    by less than 1/2. NaN stays NaN: the server answers for such a body.
+    by less than 1/2. NaN stays NaN: the answer reports such a body.
     """
     products = np.einsum("nki,nkj->nij", matrices, matrices)
     with np.errstate(invalid="ignore"):
@@ -118,7 +221,7 @@ def quaternions(field: str, matrices: Floats) -> Floats:
         wrong = np.flatnonzero((off > _ROTATION_ERROR) | (np.linalg.det(matrices) < 0.0))
     if wrong.size:
         raise InvalidArgument(
-            "not a rotation (orthonormal, determinant 1)",
+            "the matrix is not a rotation: expected orthonormal rows and determinant 1",
             reason="NOT_A_ROTATION",
             field=field,
             index=int(wrong[0]),

@@ -8,41 +8,50 @@ import ipaddress
 import json
 import os
 import socket
+import ssl
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import grpc
 
+from . import _arguments
+from ._arguments import kind, shown
 from ._errors import InvalidArgument
 
 Target = str | Sequence[str]
 Metadata = tuple[tuple[str, str], ...]
+#: The port of an address that names none.
+DEFAULT_PORT = 50051
+_FORMS = "host, host:port, unix:PATH, dns:///host:port, http://host:port or https://host:port"
 Tls = bool | bytes | str | os.PathLike[str] | grpc.ChannelCredentials | None
 
-#: Attempts and waits (seconds, each give or take a fifth) of a call that finds
-#: its server UNAVAILABLE: about 12 s in all, longer than a balancer takes to
-#: see that a server is gone and than a server takes to start again. Every call
-#: is idempotent. A server that is too busy says itself when to come back
-#: (`grpc-retry-pushback-ms`), which gRPC obeys. gRPC allows no more than 5.
-_SERVICE_CONFIG: dict[str, Any] = {
-    "loadBalancingConfig": [{"round_robin": {}}],
-    "methodConfig": [
-        {
-            "name": [{}],
-            "retryPolicy": {
-                "maxAttempts": 5,
-                "initialBackoff": "0.2s",
-                "backoffMultiplier": 4,
-                "maxBackoff": "8s",
-                "retryableStatusCodes": ["UNAVAILABLE"],
-            },
-        }
-    ],
-    # Where more than half of many attempts fail, retrying only adds to the load.
-    "retryThrottling": {"maxTokens": 200, "tokenRatio": 0.5},
-}
+
+# A call that finds its server UNAVAILABLE is tried again for about 12 s in all, longer than a
+# balancer takes to see that a server is gone and than a server takes to start again. Every call
+# is idempotent. A server that is too busy says itself when to come back
+# (`grpc-retry-pushback-ms`), which gRPC obeys. gRPC allows no more than 5 attempts.
+def service_config(attempts: int) -> dict[str, Any]:
+    """gRPC's balancing over several servers, and its retries."""
+    retries = {
+        "maxAttempts": attempts,
+        "initialBackoff": "0.2s",
+        "backoffMultiplier": 4,
+        "maxBackoff": "8s",
+        "retryableStatusCodes": ["UNAVAILABLE"],
+    }
+    return {
+        "loadBalancingConfig": [{"round_robin": {}}],
+        "methodConfig": [
+            {"name": [{}], "retryPolicy": retries},
+            # It asks whether a server is there at all, so that a failure is an answer.
+            {"name": [{"service": "hullcast.v1.ServerService"}]},
+        ],
+        # If more than half of many attempts fail, retrying only adds to the load.
+        "retryThrottling": {"maxTokens": 200, "tokenRatio": 0.5},
+    }
+
 
 _OPTIONS: dict[str, Any] = {
     # The server's limits are the ones that count.
@@ -51,7 +60,7 @@ _OPTIONS: dict[str, Any] = {
     # Columns are megabytes: fewer frames, and windows that take a whole message.
     "grpc.http2.max_frame_size": 1 << 20,
     "grpc.http2.lookahead_bytes": 8 << 20,
-    "grpc.service_config": json.dumps(_SERVICE_CONFIG),
+    "grpc.service_config": json.dumps(service_config(attempts=5)),
     # A request larger than this is not retried: the server's message limit.
     "grpc.per_rpc_retry_buffer_size": 64 << 20,
     # A server that is back is found within the retries.
@@ -59,11 +68,15 @@ _OPTIONS: dict[str, Any] = {
     "grpc.min_reconnect_backoff_ms": 1000,
     "grpc.max_reconnect_backoff_ms": 2000,
     "grpc.dns_min_time_between_resolutions_ms": 5000,
-    # A peer that vanished without a word is noticed during a call, early enough for another
-    # to answer within the usual timeout; no pings between calls.
-    "grpc.keepalive_time_ms": 15_000,
-    "grpc.keepalive_timeout_ms": 15_000,
+    # A peer that is frozen or vanished without a word is noticed after some 20 s of a call, early
+    # enough for another to answer within the usual timeout. No pings are sent between calls.
+    # gRPC waits for a ping's answer by the third option, and for any data by the second.
+    "grpc.keepalive_time_ms": 10_000,
+    "grpc.keepalive_timeout_ms": 10_000,
+    "grpc.http2.ping_timeout_ms": 10_000,
     "grpc.keepalive_permit_without_calls": 0,
+    # Pings are not held back while a call waits for its answer and sends nothing.
+    "grpc.http2.max_pings_without_data": 0,
     # A forked child must not write into its parent's connections.
     "grpc.use_local_subchannel_pool": 1,
 }
@@ -71,13 +84,58 @@ _OPTIONS: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Settings:
-    """What a client is made of, and all that is kept of it when it is pickled."""
+    """All settings of a client, and all that is kept of it when it is pickled."""
 
     target: Target
     tls: Tls = None
     token: str | None = dataclasses.field(default=None, repr=False)
     timeout: float | None = 60
     options: tuple[tuple[str, Any], ...] = ()
+
+    @classmethod
+    def of(cls, target: Any, tls: Any, token: Any, timeout: Any, options: Any) -> Settings:
+        """The settings of `connect`'s arguments, each checked.
+
+        Raises:
+            InvalidArgument: naming the argument.
+        """
+        if isinstance(target, os.PathLike):
+            target = f"unix:{os.fspath(target)}"
+        several = not isinstance(target, str)
+        if several and (isinstance(target, (bytes, Mapping)) or not isinstance(target, Iterable)):
+            raise InvalidArgument(
+                f"expected an address or a list of addresses, got {kind(target)}",
+                reason="WRONG_TYPE",
+                field="target",
+            )
+        entries = list(target) if several else [target]  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+        if not entries:
+            raise InvalidArgument("the list has no address", reason="NO_ADDRESS", field="target")
+        read = [_entry(entry, i if several else None) for i, entry in enumerate(entries)]
+        for i, (_, text) in enumerate(read):
+            if len(read) > 1 and text.startswith(("unix:", "dns:", "ipv4:", "ipv6:")):
+                raise InvalidArgument(
+                    f"{shown(entries[i])} is not host:port, the form of addresses in a list",
+                    reason="NOT_AN_ADDRESS",
+                    field="target",
+                    index=i,
+                )
+        schemes = {scheme for scheme, _ in read} - {""}
+        if len(schemes) > 1 or (schemes and len({scheme for scheme, _ in read}) > 1):
+            raise InvalidArgument(
+                "some addresses begin with http:// or https:// and others do not",
+                reason="MIXED_ADDRESSES",
+                field="target",
+            )
+        tls = _tls(tls, schemes)
+        addresses = tuple(address for _, address in read)
+        return cls(
+            addresses if several else addresses[0],
+            tls,
+            _token(token),
+            _arguments.seconds("timeout", timeout),
+            _options(options),
+        )
 
     def open(self, module: Any) -> Any:
         """A channel of `grpc` or `grpc.aio`. Nothing is connected yet."""
@@ -86,6 +144,27 @@ class Settings:
         if self.tls is None or self.tls is False:
             return module.insecure_channel(target, options=options)
         return module.secure_channel(target, _credentials(self.tls), options=options)
+
+    @property
+    def addresses(self) -> tuple[str, ...]:
+        """The `host:port` that a socket can be opened to."""
+        targets = (self.target,) if isinstance(self.target, str) else tuple(self.target)
+        return tuple(t.rpartition("/")[2] for t in targets if not t.startswith("unix:"))
+
+    def trust(self) -> ssl.SSLContext | None:
+        """A context that trusts what the client trusts; None without TLS.
+
+        The roots of gRPC credentials are not known, so that such a context trusts no one.
+        """
+        if self.tls is None or self.tls is False:
+            return None
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        context.set_alpn_protocols(["h2"])
+        if self.tls is True:
+            context.load_default_certs()
+        elif not isinstance(self.tls, grpc.ChannelCredentials):
+            context.load_verify_locations(cadata=_roots(self.tls).decode("ascii", "ignore"))
+        return context
 
     def metadata(self) -> Metadata:
         """Sent with a call that begins here and now."""
@@ -112,6 +191,152 @@ def channel_options(target: Target, own: Iterable[tuple[str, Any]]) -> list[tupl
         merged["grpc.default_authority"] = "localhost"
     merged.update(own)
     return list(merged.items())
+
+
+def _entry(entry: Any, place: int | None) -> tuple[str, str]:
+    """Scheme ("http", "https" or "") and gRPC's form of an address, with a port."""
+    if not isinstance(entry, str):
+        raise InvalidArgument(
+            f"expected {_FORMS}, got {kind(entry)}",
+            reason="WRONG_TYPE",
+            field="target",
+            index=place,
+        )
+
+    def wrong() -> InvalidArgument:
+        return InvalidArgument(
+            f"{shown(entry)} is not an address: expected {_FORMS}",
+            reason="NOT_AN_ADDRESS",
+            field="target",
+            index=place,
+        )
+
+    if entry.startswith("unix:") and len(entry) > 5:
+        return "", entry
+    for prefix in ("dns:", "ipv4:", "ipv6:"):
+        if entry.startswith(prefix) and not entry[len(prefix) :].isdecimal():
+            # gRPC's own forms: `dns://server/name`, and lists of numeric addresses.
+            rest = entry[len(prefix) :]
+            head, slash, last = rest.rpartition("/")
+            hosts = [_with_port(host, wrong, numeric=prefix == "ipv6:") for host in last.split(",")]
+            return "", f"{prefix}{head}{slash}{','.join(hosts)}"
+    scheme, separator, rest = entry.partition("://")
+    if not separator:
+        return "", _with_port(entry, wrong)
+    if scheme not in ("http", "https"):
+        raise wrong()
+    return scheme, _with_port(rest.removesuffix("/"), wrong)
+
+
+def _with_port(text: str, wrong: Any, *, numeric: bool = False) -> str:
+    """`host:port` of a host with or without a port."""
+    host, colon, port = text.rpartition(":")
+    if not colon or "]" in port:
+        host, port = text, str(DEFAULT_PORT)
+    bare = host[1:-1] if host.startswith("[") and host.endswith("]") else host
+    if (
+        not bare
+        or any(c.isspace() or c in "/?#@[]" for c in bare)
+        or (":" in bare and bare == host)
+    ):
+        raise wrong()
+    if not (port.isascii() and port.isdecimal() and 0 < int(port) < 2**16):
+        raise wrong()
+    return f"{host}:{port}"
+
+
+def _tls(tls: Any, schemes: set[str]) -> Any:
+    if "http" in schemes and tls not in (None, False):
+        raise InvalidArgument(
+            "the address begins with http://, which is without TLS: use https://",
+            reason="CONTRADICTION",
+            field="tls",
+        )
+    if "https" in schemes:
+        if tls is False:
+            raise InvalidArgument(
+                "the address begins with https://, which is with TLS: use http://",
+                reason="CONTRADICTION",
+                field="tls",
+            )
+        tls = True if tls is None else tls
+    if tls is None or isinstance(tls, (bool, grpc.ChannelCredentials)):
+        return tls
+    _roots(tls)  # refused now, not at the first call
+    return tls
+
+
+def _roots(tls: Any) -> bytes:
+    """The PEM bytes of the authorities to trust."""
+    if isinstance(tls, bytes):
+        content, name = tls, "the bytes"
+    elif isinstance(tls, (str, os.PathLike)):
+        name = os.fspath(tls)  # pyright: ignore[reportUnknownArgumentType, reportUnknownVariableType]
+        try:
+            with open(name, "rb") as file:
+                content = file.read()
+        except (OSError, ValueError) as error:
+            why = error.strerror if isinstance(error, OSError) else error
+            raise InvalidArgument(
+                f"cannot read {shown(name)}: {why}", reason="FILE_NOT_READ", field="tls"
+            ) from None
+    else:
+        raise InvalidArgument(
+            "expected True, PEM bytes, the path of a PEM file or grpc.ChannelCredentials, got "
+            f"{kind(tls)}",
+            reason="WRONG_TYPE",
+            field="tls",
+        )
+    try:
+        text = content.decode("ascii", errors="ignore")
+        ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_verify_locations(cadata=text)
+    except (ssl.SSLError, ValueError):
+        raise InvalidArgument(
+            f"{name!s:.60} has no certificate in PEM form (-----BEGIN CERTIFICATE-----)",
+            reason="NOT_PEM",
+            field="tls",
+        ) from None
+    return content
+
+
+def _token(token: Any) -> str | None:
+    if token is None:
+        return None
+    if not isinstance(token, str):
+        raise InvalidArgument(
+            f"expected a str, got {kind(token)}", reason="WRONG_TYPE", field="token"
+        )
+    token = token.strip()  # a file's last line ends with a line break
+    if not token or not all("!" <= c <= "~" for c in token):
+        # The token itself is a secret, so the text does not show it.
+        raise InvalidArgument(
+            "expected one or more visible ASCII characters, without spaces",
+            reason="NOT_A_TOKEN",
+            field="token",
+        )
+    return token
+
+
+def _options(options: Any) -> tuple[tuple[str, Any], ...]:
+    expected = "expected pairs of a gRPC option's name and its value (an int or a str)"
+    pairs = options.items() if isinstance(options, Mapping) else options  # pyright: ignore[reportUnknownVariableType, reportUnknownMemberType]
+    if isinstance(pairs, (str, bytes)) or not isinstance(pairs, Iterable):
+        raise InvalidArgument(
+            f"{expected}, got {kind(options)}", reason="WRONG_TYPE", field="options"
+        )
+    kept: list[tuple[str, Any]] = []
+    for i, pair in enumerate(pairs):  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+        good = isinstance(pair, (tuple, list)) and len(pair) == 2 and isinstance(pair[0], str)  # pyright: ignore[reportUnknownArgumentType]
+        if (
+            not good
+            or not isinstance(pair[1], (int, str, bytes))
+            or (isinstance(pair[1], int) and not -(2**31) <= pair[1] < 2**31)
+        ):
+            raise InvalidArgument(
+                f"{expected}, got {shown(pair)}", reason="WRONG_TYPE", field="options", index=i
+            )
+        kept.append((pair[0], pair[1]))  # pyright: ignore[reportUnknownArgumentType]
+    return tuple(kept)
 
 
 def address(target: Target) -> str:
@@ -156,7 +381,4 @@ def _credentials(tls: Any) -> grpc.ChannelCredentials:
         return tls
     if tls is True:
         return grpc.ssl_channel_credentials()
-    if isinstance(tls, bytes):
-        return grpc.ssl_channel_credentials(root_certificates=tls)
-    with open(tls, "rb") as file:
-        return grpc.ssl_channel_credentials(root_certificates=file.read())
+    return grpc.ssl_channel_credentials(root_certificates=_roots(tls))

@@ -9,12 +9,13 @@ import weakref
 from collections.abc import Callable, Iterable
 from functools import partial
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import grpc
 
 from . import _calls, _channel, _errors, _session, _status
 from ._hulls import Hull, Planarity
+from ._manage import ServerInfo, StoredHull
 from ._manifolds import Manifolds
 from ._query import Accuracy, Query
 from ._register import Registration
@@ -36,7 +37,7 @@ class Client(_calls.Calls):
 
     def register(
         self,
-        hulls: Iterable[Any],
+        hulls: Any,
         *,
         contraction_points: Any = None,
         max_vertices: int | None = None,
@@ -50,9 +51,10 @@ class Client(_calls.Calls):
         with a `NotConvexWarning`.
 
         Args:
-            hulls: per hull an array (n, 3), an object with such `.vertices`, as
-                trimesh's, a `Hull`, or the path of an OBJ, STL, DAE or PLY file.
-                Points inside are dropped, none is moved.
+            hulls: one hull or an iterable of hulls. Each is an array (n, 3), an object
+                with such `.vertices`, as trimesh's, a scipy `ConvexHull`, a `Hull`, or
+                the path of an OBJ, STL, DAE or PLY file; a `trimesh.Scene` counts as its
+                parts. Points inside are dropped, none is moved.
             contraction_points: per hull (3,), strictly inside, or None: the
                 centre of mass.
             max_vertices, max_deviation: simplify to at most so many vertices, and so
@@ -88,25 +90,34 @@ class Client(_calls.Calls):
         accuracy: Accuracy | None = None,
         outputs: Iterable[str] | None = None,
         warm: Manifolds | None = None,
+        on_invalid: Literal["raise", "flag"] = "raise",
         timeout: float | None = None,
     ) -> Manifolds:
         """The contact manifold of each pair.
 
-        Hulls that the server does not have are registered (again) where the
-        scene was made with `Hull` objects, and the pairs asked for again.
+        Hulls that the server does not have are registered (again) if the scene
+        was made with `Hull` objects, and the pairs asked for again.
 
         Args:
             scene: the bodies.
-            pairs: (n, 2) integers, body indices A, B.
-            margin: contact points are wanted where the hulls are within it;
-                infinity gives every pair its numbers and points.
+            pairs: (n, 2) integers, body indices A, B; or an iterable of pairs.
+            margin: a pair gets contact points if its hulls are within this distance
+                of each other; infinity gives every pair its numbers and points.
             accuracy: the solver and how exact; to rounding by default.
             outputs: names of `OUTCOME`, `ALPHA`, `NORMAL`, `POINTS`, `WITNESS_B`,
                 `FEATURES`, `BASES`, `DIAGNOSTICS`: what is computed and sent;
                 by default ALPHA, NORMAL and POINTS.
             warm: earlier manifolds of the same pairs, with output BASES: where
                 the solver starts.
-            timeout: seconds for the whole call; the client's by default.
+            on_invalid: "raise" raises `InvalidPoses` if a body's position is not finite
+                or beyond 1e100, or its quaternion's norm is not in 0.25 to 4; "flag"
+                only answers INVALID for the pairs of such bodies.
+            timeout: seconds above 0 for the whole call, infinity for no limit; the
+                client's by default.
+
+        Raises:
+            InvalidPoses: it names the bodies, and has the whole answer (`.manifolds`).
+            InvalidArgument: naming the argument.
         """
 
         make = partial(
@@ -117,6 +128,7 @@ class Client(_calls.Calls):
             accuracy=accuracy,
             outputs=outputs,
             warm=warm,
+            on_invalid=on_invalid,
         )
         return self._run(self._querying(make, timeout))
 
@@ -127,6 +139,7 @@ class Client(_calls.Calls):
         margin: float = 0.0,
         accuracy: Accuracy | None = None,
         outputs: Iterable[str] | None = None,
+        on_invalid: Literal["raise", "flag"] = "raise",
         timeout: float | None = None,
     ) -> Manifolds:
         """The contact manifolds of all pairs within the margin; the server finds them.
@@ -134,12 +147,22 @@ class Client(_calls.Calls):
         Those are the pairs that `query` would not answer SEPARATED, of all that the
         scene's worlds and groups let meet: `.pairs`, the lower body first, sorted.
         Bodies with an unusable pose or a hull that the server does not have are in no
-        pair: `.invalid_bodies` and `.missing_hulls` name them.
+        pair: `InvalidPoses` is raised for the former unless `on_invalid` is "flag";
+        `.invalid_bodies` and `.missing_hulls` name them.
 
         The arguments are those of `query`; the margin is finite.
         """
 
-        make = partial(Query, scene, None, margin=margin, accuracy=accuracy, outputs=outputs)
+        make = partial(
+            Query,
+            scene,
+            None,
+            margin=margin,
+            accuracy=accuracy,
+            outputs=outputs,
+            on_invalid=on_invalid,
+            find=True,
+        )
         return self._run(self._finding(make, timeout))
 
     def session(
@@ -151,16 +174,49 @@ class Client(_calls.Calls):
         accuracy: Accuracy | None = None,
         outputs: Iterable[str] | None = None,
         warm: Manifolds | None = None,
+        on_invalid: Literal["raise", "flag"] = "raise",
     ) -> Session:
         """A step loop over the same bodies and pairs, of which each step sends poses alone.
 
         The arguments are those of `query`; the scene's poses are not used. The first
-        step makes the connection.
+        step makes the connection. A step that raises `InvalidPoses` has been answered,
+        and the next one goes on from it.
         """
         make = partial(
-            Query, scene, pairs, margin=margin, accuracy=accuracy, outputs=outputs, warm=warm
+            Query,
+            scene,
+            pairs,
+            margin=margin,
+            accuracy=accuracy,
+            outputs=outputs,
+            warm=warm,
+            on_invalid=on_invalid,
         )
         return Session(self, make)
+
+    def info(self, *, timeout: float | None = None) -> ServerInfo:
+        """What the server is, and its limits."""
+        return self._run(self._informing(timeout))
+
+    def ping(self, *, timeout: float | None = None) -> float:
+        """Seconds until the server answered a small call; an exception if it did not."""
+        return self._run(self._pinging(timeout))
+
+    def hulls(self, *, timeout: float | None = None) -> list[StoredHull]:
+        """Every hull in the server's store, sorted by id."""
+        return self._run(self._listing(timeout))
+
+    def delete(self, hulls: Any, *, timeout: float | None = None) -> list[bool]:
+        """Removes hulls from the server's store; registering them again always works.
+
+        Args:
+            hulls: one, or an iterable: `Hull`, what `hulls()` returns, or ids.
+            timeout: seconds for the whole call; the client's by default.
+
+        Returns:
+            Whether each hull was there.
+        """
+        return self._run(self._deleting(hulls, timeout))
 
     def _open(self) -> _calls.Link:
         return _Link(self._settings.open(grpc), self._settings.metadata)
@@ -246,10 +302,9 @@ class _Link:
     def __init__(self, channel: grpc.Channel, metadata: Callable[[], _channel.Metadata]) -> None:
         self.channel = channel
         self._metadata = metadata
-        self._unary: dict[str, Any] = {
-            name: channel.unary_unary(name) for name in (_calls.REGISTER, _calls.QUERY)
-        }
+        self._unary: dict[str, Any] = {name: channel.unary_unary(name) for name in _calls.UNARY}
         self._stream: Any = channel.unary_stream(_calls.FIND)
+        self.proven = False
 
     def start(self, method: str, data: bytes, timeout: float | None) -> Any:
         return self._unary[method].future(data, timeout=timeout, metadata=self._metadata())
@@ -269,6 +324,12 @@ class _Link:
 
     def pause(self, seconds: float) -> Any:
         return _Later(partial(time.sleep, seconds))
+
+    def run(self, function: Callable[[], Any]) -> Any:
+        return _Later(function)
+
+    def shut(self) -> None:
+        self.channel.close()
 
     def abandon(self) -> None:
         pass  # only another process's, and that is seen to when forking
@@ -297,20 +358,15 @@ class _Stream:
             answer = next(self._call, None)
         except grpc.RpcError:
             if self._watch.expired:
-                raise late() from None
+                raise _calls.late() from None
             raise
         finally:
             self._watch.set(None)
         if self._watch.expired:  # just now: the stream is of no use any more
-            raise late()
+            raise _calls.late()
         if answer is None:
             raise _calls.stream_ended()
         return answer
-
-
-def late() -> _errors.DeadlineExceeded:
-    """A step that took longer than it may."""
-    return _errors.DeadlineExceeded("no answer in time", reason="DEADLINE_EXCEEDED")
 
 
 def _nothing() -> None:

@@ -2,18 +2,52 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import warnings
 from typing import Any
 
 
-class Error(Exception):
-    """What every exception of this package is.
+def warn(warning: Warning) -> None:
+    """Warns at the place that called this package."""
+    folder = os.path.dirname(__file__) + os.sep
+    level, frame = 1, sys._getframe()
+    while frame is not None and frame.f_code.co_filename.startswith(folder):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(warning, stacklevel=level)
+
+
+class _Pickled:
+    """An exception that is pickled and copied with all of its attributes.
+
+    Python's own way calls the class with `args` alone, which fails for a class that takes
+    other arguments.
+    """
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        args: tuple[Any, ...] = self.args  # type: ignore[attr-defined]
+        return _unpickled, (type(self), args, self.__dict__.copy())
+
+
+def _unpickled(kind: type[BaseException], args: tuple[Any, ...], state: dict[str, Any]) -> Any:
+    error = kind.__new__(kind)
+    error.args = args
+    error.__dict__.update(state)
+    return error
+
+
+class Error(_Pickled, Exception):
+    """The base class of every exception of this package.
 
     Attributes:
-        reason: stable and upper case, such as "INDEX_OUT_OF_RANGE"; "" where none is known.
-        field: the argument at fault, such as "pairs"; "" where none is.
-        index: the entry of the field at fault, or None.
+        reason: stable and upper case, such as "INDEX_OUT_OF_RANGE"; "" if none is known.
+        field: the argument at fault, such as "pairs"; "" if no argument is.
+        index: the entry of the field at fault, counted through all rows, or None.
         retry_after: seconds after which the server says to try again, or None.
     """
+
+    #: The entry of an array at fault, one index per axis; empty if there is none.
+    entry: tuple[int, ...] = ()
 
     def __init__(
         self,
@@ -33,7 +67,9 @@ class Error(Exception):
 
     @property
     def place(self) -> str:
-        """Field and index as one text, such as "pairs[7]"."""
+        """Field and index as one text, such as "pairs[1, 0]"."""
+        if self.entry:
+            return f"{self.field}[{', '.join(map(str, self.entry))}]"
         return self.field + ("" if self.index is None else f"[{self.index}]")
 
     def __str__(self) -> str:
@@ -42,6 +78,29 @@ class Error(Exception):
 
 class InvalidArgument(Error, ValueError):
     """The request is malformed; found here or by the server."""
+
+
+class InvalidPoses(InvalidArgument):
+    """Bodies have a position or a rotation that is not usable, so that their pairs are INVALID.
+
+    Attributes:
+        bodies: the indices of these bodies, ascending.
+        reasons: one text per body.
+        manifolds: the whole answer, in which the pairs of all other bodies are as usual.
+    """
+
+    def __init__(
+        self, message: str, bodies: Any, reasons: tuple[str, ...], manifolds: Any, **known: Any
+    ) -> None:
+        super().__init__(message, **known)
+        self.bodies = bodies
+        self.reasons = reasons
+        self.manifolds = manifolds
+
+    @property
+    def place(self) -> str:
+        """Empty: the message names the bodies."""
+        return ""
 
 
 class HullRejected(InvalidArgument):
@@ -118,7 +177,15 @@ class FileNotFound(InvalidArgument, FileNotFoundError):
     """A file that was named does not exist: a mesh, a robot, or one that those name."""
 
 
-class NotConvexWarning(UserWarning):
+class InvalidPosesWarning(UserWarning):
+    """Poses that are not usable were answered with INVALID pairs; the text counts them."""
+
+
+class MissingHullsWarning(UserWarning):
+    """The server lacks some hulls, so that their pairs are INVALID; the text counts them."""
+
+
+class NotConvexWarning(_Pickled, UserWarning):
     """A mesh was registered as its convex hull, which is another shape.
 
     Attributes:

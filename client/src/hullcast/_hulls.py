@@ -5,11 +5,18 @@ from __future__ import annotations
 import hashlib
 import struct
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal
 
-from . import _arrays
+import numpy as np
+import numpy.typing as npt
+
+from . import _arguments, _arrays
 from ._arrays import Floats
-from ._errors import InvalidArgument
+from ._errors import Error, InvalidArgument
+
+if TYPE_CHECKING:
+    from ._channel import Settings
 
 
 #: What `register` sends as `planarity` unless told otherwise, a share of the circumradius. Measured
@@ -31,6 +38,17 @@ class Content:
     max_vertices: int | None = None
     max_deviation: float | None = None
     planarity: float | None = None
+
+    @cached_property
+    def identity(self) -> bytes:
+        """The id that every server gives to this content."""
+        return hull_id(
+            self.points,
+            self.center,
+            max_vertices=self.max_vertices,
+            max_deviation=self.max_deviation,
+            planarity=self.planarity,
+        )
 
 
 @dataclass(frozen=True, repr=False)
@@ -67,8 +85,34 @@ class Hull:
     #: How far the vertices of one face were allowed to lie from one plane, as a share of the
     #: circumradius. `geometric_error` has how far they do lie.
     planarity: float = field(compare=False, repr=False)
-    #: What it was registered by.
+    #: The points and options that it was registered with.
     content: Content = field(compare=False, repr=False)
+    #: The server that it was registered with; not kept when it is pickled, since a token is in it.
+    home: Settings | None = field(default=None, compare=False, repr=False)
+
+    @cached_property
+    def faces(self) -> tuple[npt.NDArray[np.uint32], ...]:
+        """Per face its corners, anticlockwise seen from outside, as indices of `vertices`.
+
+        `Manifolds.feature_indices` numbers these faces. They are read from the server at the
+        first use, by a connection of their own.
+
+        Raises:
+            Error: NO_SERVER, the hull was unpickled: register it again.
+        """
+        if self.home is None:
+            raise Error(
+                "a hull that was unpickled knows no server: register it again to read its faces",
+                reason="NO_SERVER",
+                field="faces",
+            )
+        from ._client import Client
+
+        with Client(self.home) as client:
+            return client._run(client._facing(self))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "home": None}
 
     @property
     def vertices(self) -> Floats:
@@ -101,6 +145,10 @@ def hull_id(
         max_vertices, max_deviation: the simplification asked for, if any.
         planarity: as in `Client.register`.
     """
+    if max_vertices is not None:
+        max_vertices = _arguments.integer("max_vertices", max_vertices, 0, 2**32 - 1)
+    if max_deviation is not None:
+        max_deviation = _arguments.number("max_deviation", max_deviation, 0)
     # Adding 0.0 turns -0.0 into 0.0 and changes nothing else.
     points = points_of(vertices) + 0.0
     share = planarity_of(planarity)
@@ -140,5 +188,7 @@ def planarity_of(planarity: Planarity, default: float | None = DEFAULT_PLANARITY
 
 
 def points_of(hull: Any, name: str = "vertices") -> Floats:
-    """(n, 3) of an array or of an object with `.vertices`."""
+    """(n, 3) of an array, of an object with `.vertices`, or of a scipy `ConvexHull`."""
+    if hasattr(hull, "simplices") and hasattr(hull, "points"):
+        return _arrays.floats(f"{name}.points", hull.points, None, 3)
     return _arrays.floats(name, getattr(hull, "vertices", hull), None, 3)

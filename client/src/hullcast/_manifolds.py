@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, cast, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from . import _export
+from . import _answers, _arguments, _export, _tensors
+from ._arguments import kind
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument, OutputNotAsked
 from ._export import Padded
+from ._names import FeatureKindArray, FlagArray, OutcomeArray
 from ._scene import Scene
 from ._wire import FeatureKind, Flag, Outcome
-
-Bytes = npt.NDArray[np.uint8]
 
 
 class Manifolds:
@@ -36,12 +36,12 @@ class Manifolds:
 
     def __init__(self, columns: Mapping[str, np.ndarray], scene: Scene | None = None) -> None:
         self._columns = dict(columns)
-        #: What was asked about; None when loaded from a file.
+        #: The scene that the query was about; None if the answer was loaded from a file.
         self.scene = scene
-        #: Outcome of each pair, uint8: compare with `Outcome`.
-        self.outcome: Bytes = self._columns["outcomes"]
+        #: Outcome of each pair, uint8: compare with `Outcome` or with a name, such as "CONTACT".
+        self.outcome: OutcomeArray = self._columns["outcomes"].view(OutcomeArray)
         #: Bits of `Flag` of each pair, uint8.
-        self.flags: Bytes = self._columns["flags"]
+        self.flags: FlagArray = self._columns["flags"].view(FlagArray)
         #: (n, 2): body indices A, B.
         self.pairs: Indices = self._columns["pairs"]
         #: Indices into `Scene.hull_ids` that were not answered for, ascending.
@@ -54,6 +54,11 @@ class Manifolds:
             return self._columns[wire]
         except KeyError:
             raise OutputNotAsked(name, output) from None
+
+    @property
+    def in_contact(self) -> npt.NDArray[np.bool_]:
+        """Whether each pair's outcome is CONTACT: within the margin."""
+        return np.equal(self.outcome, Outcome.CONTACT)
 
     @property
     def alpha(self) -> Floats:
@@ -127,9 +132,10 @@ class Manifolds:
         return self._column("point_ids", "point_ids", "FEATURES")
 
     @property
-    def feature_kinds(self) -> Bytes:
-        """(n, 2): `FeatureKind` of A and of B."""
-        return self._column("feature_kinds", "feature_kinds", "FEATURES")
+    def feature_kinds(self) -> FeatureKindArray:
+        """(n, 2): `FeatureKind` of A and of B; compare with it or with a name, such as "FACE"."""
+        column = self._column("feature_kinds", "feature_kinds", "FEATURES")
+        return column.view(FeatureKindArray)
 
     @property
     def feature_indices(self) -> Indices:
@@ -216,6 +222,79 @@ class Manifolds:
             self._column("point_counts", "points", "POINTS")
         return _export.dataframe(self._columns, rows)
 
+    def to_torch(self) -> dict[str, Any]:
+        """The columns that were asked for as torch tensors on the CPU, by their attributes' names.
+
+        They share the columns' memory. `tensor.to("cuda")` copies one to a device.
+
+        Raises:
+            ImportError: torch is not installed.
+        """
+        return _tensors.to_torch(self._arrays())
+
+    def to_jax(self) -> dict[str, Any]:
+        """The columns that were asked for as jax arrays, by their attributes' names.
+
+        jax keeps 64 bits only with its setting `jax_enable_x64`.
+
+        Raises:
+            ImportError: jax is not installed.
+        """
+        return _tensors.to_jax(self._arrays())
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """The columns by their attributes' names."""
+        single = {name: name.removesuffix("s") for name in self._columns}
+        return {
+            single[name] if hasattr(self, single[name]) else name: column
+            for name, column in self._columns.items()
+        }
+
+    @classmethod
+    def concat(cls, manifolds: Iterable[Manifolds]) -> Manifolds:
+        """The pairs of several answers as one, in their order.
+
+        The numbers of bodies are kept as they are. The scene is kept if all answers
+        have the same one. All answers need the same outputs.
+
+        Raises:
+            InvalidArgument: there is none, or the outputs differ.
+        """
+        if isinstance(manifolds, (Manifolds, Manifold, str, Mapping)) or not isinstance(
+            manifolds, Iterable
+        ):
+            raise InvalidArgument(
+                f"expected a list of Manifolds, got {kind(manifolds)}",
+                reason="WRONG_TYPE",
+                field="manifolds",
+            )
+        parts = list(manifolds)
+        for i, part in enumerate(parts):
+            _arguments.instance(f"manifolds[{i}]", part, Manifolds, "Manifolds")
+        if not parts:
+            raise InvalidArgument(
+                "expected one or more, got none", reason="EMPTY", field="manifolds"
+            )
+        # What was computed from other columns is computed again.
+        derived = ("point_offsets", "witness_bs")
+        kept = [name for name in parts[0]._columns if name not in derived]
+        if all("witness_bs" in part._columns for part in parts):
+            kept.append("witness_bs")
+        for i, part in enumerate(parts):
+            odd = {name for name in part._columns if name not in derived} ^ (
+                set(kept) - set(derived)
+            )
+            if odd:
+                raise InvalidArgument(
+                    f"{min(odd)} is not in every answer: expected the same outputs in all",
+                    reason="OTHER_OUTPUTS",
+                    field="manifolds",
+                    index=i,
+                )
+        scene = parts[0].scene if all(part.scene is parts[0].scene for part in parts) else None
+        columns = [{name: part._columns[name] for name in kept} for part in parts]
+        return cls(_answers.merge(columns), scene)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the columns as a numpy `npz` file, without the scene."""
         _export.save(path, self._columns)
@@ -230,16 +309,22 @@ class Manifolds:
         return cls(_export.load(path))
 
     def plot(
-        self, *, pairs: npt.ArrayLike | None = None, path: str | os.PathLike[str] | None = None
+        self,
+        *,
+        pairs: npt.ArrayLike | None = None,
+        path: str | os.PathLike[str] | None = None,
+        ax: Any = None,
     ) -> Any:
         """A picture of bodies and contacts, by matplotlib (extra `plot`); needs no display.
 
         Hulls, their patches' polygons, normals and witness pairs, the points
-        coloured by distance. Needs the outputs NORMAL and POINTS.
+        coloured by distance. Needs the outputs NORMAL and POINTS. A notebook shows the
+        picture if the call is the last line of a cell.
 
         Args:
             pairs: indices of the pairs to draw; by default all.
             path: where the picture is written too, such as "contacts.png".
+            ax: matplotlib axes with projection="3d" to draw into; by default new ones.
 
         Returns:
             The `matplotlib.figure.Figure`.
@@ -247,7 +332,8 @@ class Manifolds:
         from . import _plot
 
         shown, bodies, scene = self._drawn(pairs)
-        return _plot.picture(bodies, shown.pairs, shown.normal, shown._drawn_points(), scene, path)
+        points = shown._drawn_points()
+        return _plot.picture(bodies, shown.pairs, shown.normal, points, scene, path, ax)
 
     def log(
         self,
@@ -301,11 +387,12 @@ class Manifolds:
         counts = ", ".join(
             f"{count} {outcome.name}"
             for outcome in Outcome
-            if (count := int(np.count_nonzero(self.outcome == outcome)))
+            if (count := int(np.count_nonzero(self.outcome == int(outcome))))
         )
         text = f"{len(self)} pair{'' if len(self) == 1 else 's'}: {counts or 'none'}"
         if "point_counts" in self._columns:
-            text += f"; {int(self.point_offsets[-1])} points"
+            points = int(self.point_offsets[-1])
+            text += f"; {points} point{'' if points == 1 else 's'}"
         if flags := int(np.bitwise_or.reduce(self.flags, initial=0)):
             text += f"; flags {Flag(flags)!r}"
         return f"Manifolds({text})"

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +11,7 @@ import numpy as np
 
 from . import _arrays, _convexity
 from ._arrays import Floats, Indices
-from ._errors import FileNotFound, InvalidArgument, NotConvexWarning
+from ._errors import FileNotFound, InvalidArgument, NotConvexWarning, warn
 from ._formats import _common, dae, obj, ply, stl
 
 _READERS = {".dae": dae.read, ".obj": obj.read, ".ply": ply.read, ".stl": stl.read}
@@ -74,8 +72,8 @@ def read_file(path: Any, field: str = "") -> bytes:
     Raises:
         FileNotFound, InvalidArgument: as `load`.
     """
+    name = str(path)
     try:
-        name = os.fspath(path)
         return Path(path).read_bytes()
     except FileNotFoundError:
         raise FileNotFound(
@@ -104,7 +102,7 @@ def dents(name: str, points: Floats, faces: Any) -> _convexity.Dents | None:
     return _convexity.dents(points, corners)
 
 
-def warn(field: str, label: str, found: _convexity.Dents) -> None:
+def warn_of_dents(field: str, label: str, found: _convexity.Dents) -> None:
     """Says that a hull is not the shape of the mesh that it was made of."""
     what = "is not convex"
     if found.open_edges:
@@ -116,7 +114,4 @@ def warn(field: str, label: str, found: _convexity.Dents) -> None:
         found.ratio,
         found.open_edges,
     )
-    if sys.version_info >= (3, 12):
-        warnings.warn(warning, skip_file_prefixes=(os.path.dirname(__file__),))
-    else:  # the caller of a blocking `register`
-        warnings.warn(warning, stacklevel=7)
+    warn(warning)

@@ -6,20 +6,28 @@ Everything but the call itself, so that every way of calling shares it.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from . import _answers, _arrays, _packed
+from . import _answers, _arguments, _arrays, _checked, _packed
 from ._arrays import Indices
-from ._errors import InvalidArgument
+from ._errors import InvalidArgument, InvalidPoses, MissingHullsWarning, warn
 from ._manifolds import Manifolds
 from ._pb import contacts_pb2
 from ._scene import Scene
-from ._wire import DEFAULT_OUTPUTS
+from ._wire import DEFAULT_OUTPUTS, Flag
+
+#: The numbers of this process's requests, by which answers are recognised. They begin anywhere,
+#: so that two processes behind one proxy hardly ever have one in common.
+_request_ids = itertools.count(1 + int.from_bytes(os.urandom(6), "little"))
+
+#: Bodies that a message about unusable poses describes.
+_DESCRIBED = 5
 
 #: A message that carries more bodies than this many a pair is sent with only
 #: the bodies that its pairs name.
@@ -52,18 +60,19 @@ class Accuracy:
     #: more time; in 19 of 20 pairs the patch is at most 6 % of the hulls' size off.
     FOUR_POINTS: ClassVar[Accuracy]
 
+    def __post_init__(self) -> None:
+        known = [key.removeprefix("SOLVER_") for key in contacts_pb2.Solver.keys()[1:]]
+        _arguments.one_of("solver", self.solver, known)
+        # The class is frozen, but a numpy scalar is better kept as a float.
+        for name, high in (("relative_tolerance", 1.0), ("feature_angle", 0.5)):
+            value = _arguments.number(name, getattr(self, name), 0, high)
+            object.__setattr__(self, name, value)
+        most = _arguments.integer("max_points", self.max_points, 0, 2**32 - 1)
+        object.__setattr__(self, "max_points", most)
+
     def fill(self, message: Any) -> None:
         """Writes it into a request's `accuracy`."""
-        enum = message.DESCRIPTOR.fields_by_name["solver"].enum_type
-        value = enum.values_by_name.get(f"SOLVER_{self.solver}")
-        if value is None or value.number == 0:
-            known = [v.name.removeprefix("SOLVER_") for v in enum.values[1:]]
-            raise InvalidArgument(
-                f"{self.solver!r} is none of {', '.join(known)}",
-                reason="UNKNOWN_VALUE",
-                field="accuracy.solver",
-            )
-        message.solver = value.number
+        message.solver = contacts_pb2.Solver.Value(f"SOLVER_{self.solver}")
         message.relative_tolerance = self.relative_tolerance
         message.feature_angle = self.feature_angle
         message.max_points = self.max_points
@@ -91,12 +100,13 @@ class Message:
     """A request, and what its own numbering of hulls and bodies stands for."""
 
     data: bytes
+    request_id: int
     hulls: Indices | None = None
     bodies: Indices | None = None
 
 
 class Query:
-    """One `query` or (with `pairs` None) `find`.
+    """One `query` or (with `find`) one `find`.
 
     Raises:
         InvalidArgument: shapes that do not fit, an index or a name that is not known.
@@ -111,14 +121,23 @@ class Query:
         accuracy: Accuracy | None = None,
         outputs: Iterable[str] | None = None,
         warm: Manifolds | None = None,
+        on_invalid: str = "raise",
+        find: bool = False,
     ) -> None:
+        _arguments.instance("scene", scene, Scene, "a hullcast.Scene")
         #: The bodies asked about.
         self.scene = scene
-        self._pairs = (
-            None if pairs is None else _arrays.indices("pairs", pairs, None, 2, below=len(scene))
-        )
+        self._on_invalid = _arguments.one_of("on_invalid", on_invalid, ("raise", "flag"))
+        self._pairs = None if find else own_pairs(pairs, len(scene))
         self._outputs = output_names(outputs)
+        margin = _arguments.number("margin", margin, 0, infinite=not find)
+        if accuracy is not None:
+            _arguments.instance("accuracy", accuracy, Accuracy, "a hullcast.Accuracy")
+        if warm is not None:
+            _arguments.instance("warm", warm, Manifolds, "the hullcast.Manifolds of a query")
         self._bases = None if warm is None else warm.bases
+        #: Whether some message had only the bodies that its pairs name.
+        self._compacted = False
         if self._bases is not None and len(self._bases) != _length(self._pairs):
             raise InvalidArgument(
                 f"{len(self._bases)} manifolds for another number of pairs",
@@ -140,13 +159,13 @@ class Query:
         return _length(self._pairs)
 
     def move(self, positions: Any, rotations: Any) -> None:
-        """The same query of the bodies at new poses."""
+        """The query of the bodies at new poses."""
         self.scene = self.scene.moved(positions, rotations)
 
-    def start_from(self, found: Manifolds) -> None:
+    def start_from(self, columns: _answers.Columns) -> None:
         """The next messages in full start from an answer's bases, if it has them."""
         if "BASES" in self._outputs:
-            self._bases = found.bases
+            self._bases = columns["bases"]
 
     def spans(self, pairs_per_message: int) -> list[Span]:
         """The query in parts of about equal size, none larger; one where there is no pair."""
@@ -165,7 +184,9 @@ class Query:
             columns.append(("warm_starts", self._bases[span.start : span.stop]))
         if len(scene) <= _BODIES_PER_PAIR * len(pairs):
             columns += [("pairs", pairs), *self._bodies()]
-            return Message(_packed.request(self._with(scene.hull_ids), columns))
+            rest = self._with(scene.hull_ids)
+            return Message(_packed.request(rest, columns), rest.request_id)
+        self._compacted = True
         bodies, pairs = _compact(pairs.reshape(-1), self._body_scratch)
         hulls, body_hulls = _compact(scene.body_hulls[bodies], self._hull_scratch)
         columns += [
@@ -175,17 +196,19 @@ class Query:
             ("rotations", scene.rotations[bodies]),
         ]
         rest = self._with([scene.hull_ids[int(i)] for i in hulls])
-        return Message(_packed.request(rest, columns), hulls, bodies)
+        return Message(_packed.request(rest, columns), rest.request_id, hulls, bodies)
 
-    def step_message(self, before: Message) -> bytes:
+    def step_message(self, before: Message) -> Message:
         """The request that inherits from `before` on a stream: the poses of its bodies."""
         positions, rotations = self.scene.positions, self.scene.rotations
         if before.bodies is not None:
             positions, rotations = positions[before.bodies], rotations[before.bodies]
-        rest = contacts_pb2.QueryContactsRequest(inherit=True)
-        return _packed.request(rest, [("positions", positions), ("rotations", rotations)])
+        number = next(_request_ids)
+        rest = contacts_pb2.QueryContactsRequest(inherit=True, request_id=number)
+        data = _packed.request(rest, [("positions", positions), ("rotations", rotations)])
+        return replace(before, data=data, request_id=number)
 
-    def find_message(self) -> bytes:
+    def find_message(self) -> Message:
         """The request to find the pairs."""
         scene = self.scene
         columns = self._bodies()
@@ -193,11 +216,12 @@ class Query:
             column = getattr(scene, name)
             if column is not None:
                 columns.append((name, column))
-        return _packed.request(self._with(scene.hull_ids), columns)
+        rest = self._with(scene.hull_ids)
+        return Message(_packed.request(rest, columns), rest.request_id)
 
     def _with(self, hull_ids: Sequence[bytes]) -> contacts_pb2.QueryContactsRequest:
-        """What all messages have, and the hulls of one."""
-        rest = contacts_pb2.QueryContactsRequest(hull_ids=hull_ids)
+        """The options of all messages, the hulls of one, and a number of its own."""
+        rest = contacts_pb2.QueryContactsRequest(hull_ids=hull_ids, request_id=next(_request_ids))
         rest.MergeFrom(self._common)
         return rest
 
@@ -209,16 +233,93 @@ class Query:
             ("rotations", scene.rotations),
         ]
 
-    def read(self, span: Span | None, message: Message | None, data: bytes) -> _answers.Columns:
-        """The answer to `message`, hulls and bodies numbered as the scene does."""
-        asked = None
-        if span is not None and self._pairs is not None:
-            asked = self._pairs[span.start : span.stop]
-        columns = _answers.read(data, self._outputs, asked)
-        if message is not None and message.bodies is not None and message.hulls is not None:
-            columns["missing_hulls"] = np.sort(message.hulls[columns["missing_hulls"]])
-            columns["invalid_bodies"] = np.sort(message.bodies[columns["invalid_bodies"]])
+    def read(self, span: Span, message: Message, data: bytes) -> _answers.Columns:
+        """The checked answer to `message`, with the scene's numbers of hulls and bodies.
+
+        Raises:
+            ServerError: MALFORMED_ANSWER.
+        """
+        assert self._pairs is not None
+        pairs = self._pairs[span.start : span.stop]
+        columns = _answers.read(data, self._outputs, pairs, message.request_id)
+        for name, own, count in (
+            ("missing_hulls", message.hulls, len(self.scene.hull_ids)),
+            ("invalid_bodies", message.bodies, len(self.scene)),
+        ):
+            _checked.ascending(name, columns[name], count if own is None else len(own))
+            if own is not None:
+                columns[name] = np.sort(own[columns[name]])
+        _checked.columns(columns, pairs, self.scene.body_hulls)
         return columns
+
+    def read_found(self, message: Message, answers: Sequence[bytes]) -> _answers.Columns:
+        """The checked answer to a `find_message`.
+
+        Raises:
+            ServerError: MALFORMED_ANSWER.
+        """
+        if not answers:
+            raise _checked.malformed("FindContacts ended without a message, expected one or more")
+        parts: list[_answers.Columns] = []
+        last: tuple[int, int] | None = None
+        for data in answers:
+            part = _answers.read(data, self._outputs, None, message.request_id)
+            _checked.ascending("missing_hulls", part["missing_hulls"], len(self.scene.hull_ids))
+            _checked.ascending("invalid_bodies", part["invalid_bodies"], len(self.scene))
+            last = _checked.found_pairs(part["pairs"], part["outcomes"], len(self.scene), last)
+            _checked.columns(part, part["pairs"], self.scene.body_hulls)
+            parts.append(part)
+        return _answers.merge(parts)
+
+    def delivered(self, columns: _answers.Columns) -> Manifolds:
+        """The answer as the caller gets it.
+
+        Raises:
+            InvalidPoses: some bodies have unusable poses, and the query does not flag them.
+        """
+        if self._compacted:
+            # The server has not seen the bodies that no pair names.
+            unseen = _arrays.unusable(self.scene.positions, self.scene.rotations)
+            columns["invalid_bodies"] = np.union1d(columns["invalid_bodies"], unseen)
+        found = Manifolds(columns, self.scene)
+        if len(found.missing_hulls):
+            lost = int(
+                np.count_nonzero(found.flags & int(Flag.UNKNOWN_HULL | Flag.HULL_UNAVAILABLE))
+            )
+            warn(
+                MissingHullsWarning(
+                    f"the server does not have {len(found.missing_hulls)} of "
+                    f"{len(self.scene.hull_ids)} hulls, so that {lost} of {len(found)} pairs are "
+                    "INVALID: make the scene with Hull objects, not ids, or register the hulls"
+                )
+            )
+        if len(found.invalid_bodies) and self._on_invalid == "raise":
+            raise self._invalid(found)
+        return found
+
+    def _invalid(self, found: Manifolds) -> InvalidPoses:
+        """The error that names bodies and reasons."""
+        scene, bodies = self.scene, found.invalid_bodies
+        known = [_arrays.why_unusable(scene.positions[i], scene.rotations[i]) for i in bodies]
+        texts = [f"body {i}: {why}" for i, (_, why) in zip(bodies, known, strict=True)]
+        more = len(texts) - _DESCRIBED
+        listed = "; ".join(texts[:_DESCRIBED]) + (f"; and {more} more" if more > 0 else "")
+        return InvalidPoses(
+            f"{len(bodies)} of {len(scene)} bodies have an unusable pose ({listed}). The answer is "
+            'in the attribute manifolds; on_invalid="flag" answers INVALID without an exception',
+            bodies,
+            tuple(why for _, why in known),
+            found,
+            reason="INVALID_POSES",
+            field=known[0][0],
+            index=int(bodies[0]),
+        )
+
+
+def own_pairs(pairs: Any, bodies: int) -> Indices:
+    """Pairs as (n, 2) body indices of a scene of so many bodies."""
+    counted = f"the scene has {bodies} bod{'y' if bodies == 1 else 'ies'}"
+    return _arrays.indices("pairs", pairs, None, 2, below=bodies, of=counted)
 
 
 def _length(pairs: Indices | None) -> int:
@@ -239,16 +340,28 @@ def _compact(numbers: Indices, scratch: Indices) -> tuple[Indices, Indices]:
 
 
 def output_names(outputs: Iterable[str] | None) -> Sequence[str]:
-    """Those asked for, each known; the default for None."""
+    """Those asked for, each known and in upper case; the default for None."""
     if outputs is None:
         return DEFAULT_OUTPUTS
-    names = (outputs,) if isinstance(outputs, str) else tuple(outputs)
-    known = contacts_pb2.Output.keys()
-    for i, name in enumerate(names):
-        if f"OUTPUT_{name}" not in known[1:]:
-            choices = ", ".join(key.removeprefix("OUTPUT_") for key in known[1:])
+    known = [key.removeprefix("OUTPUT_") for key in contacts_pb2.Output.keys()[1:]]
+    given: Any = (outputs,) if isinstance(outputs, str) else outputs
+    if isinstance(given, (bytes, Mapping)) or not isinstance(given, Iterable):
+        raise InvalidArgument(
+            f"expected a list of {', '.join(known)}, got {_arguments.shown(outputs)}",
+            reason="WRONG_TYPE",
+            field="outputs",
+        )
+    names: list[str] = []
+    for i, name in enumerate(given):  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+        # The command line writes "witness-b".
+        plain = name.upper().replace("-", "_") if isinstance(name, str) else ""
+        if plain not in known:
             raise InvalidArgument(
-                f"{name!r} is none of {choices}", reason="UNKNOWN_VALUE", field="outputs", index=i
+                f"{_arguments.shown(name)} is none of {', '.join(known)}",
+                reason="UNKNOWN_VALUE",
+                field="outputs",
+                index=i,
             )
+        names.append(plain)
     # Empty means the default on the wire; outcomes always come.
-    return names or ("OUTCOME",)
+    return tuple(names) or ("OUTCOME",)

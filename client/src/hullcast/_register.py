@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import numbers
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
 
-from . import _arrays, _convexity, _mesh, _packed
+from . import _arguments, _arrays, _channel, _checked, _convexity, _mesh, _packed
+from ._arguments import kind
 from ._errors import HullRejected, InvalidArgument
 from ._hulls import Content, Hull, Planarity, planarity_of, points_of
 from ._pb import hulls_pb2
@@ -33,6 +35,8 @@ class Registration:
         self._dents = dents
         #: Per hull what warnings call it, or "".
         self._labels = labels
+        #: Hulls in each message of `requests`.
+        self._counts: list[int] = []
 
     @classmethod
     def of(
@@ -44,20 +48,26 @@ class Registration:
         planarity: Planarity = "default",
     ) -> Registration:
         """The call of `Client.register`'s arguments."""
-        if hasattr(hulls, "vertices") or (isinstance(hulls, np.ndarray) and hulls.ndim == 2):
-            raise InvalidArgument(
-                "register takes a list of hulls", reason="NOT_A_LIST", field="hulls"
-            )
-        if isinstance(hulls, (str, os.PathLike)):
-            raise InvalidArgument(
-                "register takes a list of files", reason="NOT_A_LIST", field="hulls"
-            )
-        shapes = [shape_of(hull) for hull in hulls]
+        shapes = shapes_of(hulls)
+        if max_vertices is not None:
+            max_vertices = _arguments.integer("max_vertices", max_vertices, 4, 2**32 - 1)
+        if max_deviation is not None:
+            max_deviation = _arguments.number("max_deviation", max_deviation, 0)
         if contraction_points is None:
             contraction_points = [None] * len(shapes)
+        elif isinstance(contraction_points, (str, bytes, Mapping)) or not isinstance(
+            contraction_points, Iterable
+        ):
+            raise InvalidArgument(
+                f"expected one point (3,) or None per hull, got {kind(contraction_points)}",
+                reason="WRONG_TYPE",
+                field="contraction_points",
+            )
+        contraction_points = list(contraction_points)
         if len(contraction_points) != len(shapes):
             raise InvalidArgument(
-                f"{len(contraction_points)} for {len(shapes)} hulls",
+                f"{len(contraction_points)} entries for {len(shapes)} "
+                f"hull{'' if len(shapes) == 1 else 's'}, expected one (a point or None) per hull",
                 reason="LENGTH_MISMATCH",
                 field="contraction_points",
             )
@@ -76,17 +86,19 @@ class Registration:
             points = _arrays.frozen(points_of(shape, f"hulls[{i}]"))
             contents.append(Content(points, center, max_vertices, max_deviation, share))
         dents = [
-            _mesh.dents(f"hulls[{i}]", content.points, getattr(shape, "faces", None))
+            _mesh.dents(f"hulls[{i}]", content.points, _faces(shape))
             for i, (shape, content) in enumerate(zip(shapes, contents, strict=True))
         ]
         return cls(contents, dents, [_label(shape, i) for i, shape in enumerate(shapes)])
 
     def requests(self) -> Iterator[bytes]:
-        """The messages, in order, none of them large."""
+        """The messages, in order, none of them large unless a hull is."""
+        self._counts = []
         request, size = _packed.RegisterHullsRequest(), 0
         for content in self._contents:
             too_large = size + content.points.nbytes > _BYTES_PER_MESSAGE
             if request.hulls and (too_large or len(request.hulls) == _HULLS_PER_MESSAGE):
+                self._counts.append(len(request.hulls))
                 yield request.SerializeToString()
                 request, size = _packed.RegisterHullsRequest(), 0
             hull = request.hulls.add(vertices=content.points.tobytes())
@@ -100,25 +112,53 @@ class Registration:
                 hull.planarity = content.planarity
             size += content.points.nbytes
         if request.hulls:
+            self._counts.append(len(request.hulls))
             yield request.SerializeToString()
 
-    def read(self, answers: Sequence[bytes]) -> list[Hull]:
+    def named(self, error: InvalidArgument, message: int) -> InvalidArgument:
+        """The error of a message, with the hull that makes the message too large."""
+        if error.reason != "MESSAGE_TOO_LARGE":
+            return error
+        first = sum(self._counts[:message])
+        sizes = [len(c.points) for c in self._contents[first : first + self._counts[message]]]
+        place = first + int(np.argmax(sizes))
+        label = self._labels[place] if place < len(self._labels) else f"hulls[{place}]"
+        return InvalidArgument(
+            f"{label} has {max(sizes)} points: {error.message}; register fewer points, such as "
+            "those of its convex hull",
+            reason=error.reason,
+            field="hulls",
+            index=place,
+        )
+
+    def read(self, answers: Sequence[bytes], home: _channel.Settings | None = None) -> list[Hull]:
         """The hulls, in the call's order.
+
+        Args:
+            answers: one per message of `requests`.
+            home: where the hulls are registered.
 
         Raises:
             HullRejected: some were refused; it has the others.
+            ServerError: MALFORMED_ANSWER.
         """
         results: list[Any] = []
-        for answer in answers:
-            for result in hulls_pb2.RegisterHullsResponse.FromString(answer).results:
+        for answer, count in zip(answers, self._counts, strict=True):
+            message = _checked.parsed(hulls_pb2.RegisterHullsResponse.FromString, answer)
+            _checked.length("results", len(message.results), count)
+            for result in message.results:
                 place = len(results)
-                if result.WhichOneof("result") == "hull":
-                    results.append(_hull(result.hull, self._contents[place]))
+                known = result.WhichOneof("result")
+                _checked.result_kind(place, known)
+                if known == "hull":
+                    content = self._contents[place]
+                    _checked.hull(place, result.hull, content)
+                    results.append(_hull(result.hull, content, home))
                 else:
                     results.append(_rejected(place, result.error, self._labels))
         for i, (dents, hull) in enumerate(zip(self._dents, results, strict=False)):
             if dents is not None and isinstance(hull, Hull):
-                _mesh.warn(f"hulls[{i}]", self._labels[i], dents)
+                _mesh.warn_of_dents(f"hulls[{i}]", self._labels[i], dents)
         refused = [result for result in results if isinstance(result, HullRejected)]
         if not refused:
             return results
@@ -134,11 +174,76 @@ class Registration:
         raise error
 
 
+def shapes_of(hulls: Any) -> list[Any]:
+    """The shapes of an iterable of them, or of one; a trimesh.Scene counts as its parts."""
+    if isinstance(hulls, Mapping):
+        raise InvalidArgument(
+            "expected a hull or a list of hulls, got a dict: give list(hulls.values())",
+            reason="NOT_A_LIST",
+            field="hulls",
+        )
+    if hulls is None or isinstance(hulls, (bytes, numbers.Number)):
+        raise InvalidArgument(
+            f"expected a hull or a list of hulls, got {kind(hulls)}",
+            reason="NOT_A_LIST",
+            field="hulls",
+        )
+    if not _is_single(hulls):
+        if not isinstance(hulls, Iterable):
+            raise InvalidArgument(
+                "expected points (n, 3), an object with vertices, a file, or a list of these, got "
+                f"{kind(hulls)}",
+                reason="NOT_A_LIST",
+                field="hulls",
+            )
+        given = list(hulls)  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+    else:
+        given = [hulls]
+    shapes: list[Any] = []
+    for hull in given:  # pyright: ignore[reportUnknownVariableType]
+        shapes += _parts(hull) if _is_scene(hull) else [shape_of(hull)]
+    return shapes
+
+
+def _is_single(hulls: Any) -> bool:
+    """Whether the argument is one hull, not several."""
+    if isinstance(hulls, (Hull, str, os.PathLike)) or _is_scene(hulls):
+        return True
+    if hasattr(hulls, "vertices") or getattr(hulls, "ndim", 0) == 2:
+        return True
+    if isinstance(hulls, (list, tuple)) and hulls:
+        # Rows of three numbers are the points of one hull.
+        first = hulls[0]  # pyright: ignore[reportUnknownVariableType]
+        row = isinstance(first, (list, tuple)) or getattr(first, "ndim", 0) == 1
+        return row and len(first) == 3 and all(isinstance(x, numbers.Real) for x in first)  # pyright: ignore[reportUnknownArgumentType, reportUnknownVariableType]
+    return False
+
+
+def _is_scene(shape: Any) -> bool:
+    """Whether it is a `trimesh.Scene`, which may not be installed."""
+    return hasattr(shape, "geometry") and callable(getattr(shape, "dump", None))
+
+
+def _parts(scene: Any) -> list[Any]:
+    """The meshes of a `trimesh.Scene`, each where the scene has it."""
+    parts = [part for part in scene.dump() if hasattr(part, "vertices")]
+    if not parts:
+        raise InvalidArgument(
+            "the trimesh.Scene has no meshes", reason="NO_TRIANGLES", field="hulls"
+        )
+    return parts
+
+
 def shape_of(hull: Any) -> Any:
-    """What has the points: a mesh file's mesh, else the thing itself."""
+    """The object that has the points: a mesh file's mesh, otherwise the object itself."""
     if isinstance(hull, (str, os.PathLike)):
         return _mesh.load(cast("str | os.PathLike[str]", hull))
     return hull
+
+
+def _faces(shape: Any) -> Any:
+    """A mesh's faces; a hull is convex without a check."""
+    return None if isinstance(shape, Hull) else getattr(shape, "faces", None)
 
 
 def _label(shape: Any, place: int) -> str:
@@ -158,7 +263,7 @@ def _rejected(place: int, error: hulls_pb2.HullError, labels: Sequence[str]) -> 
     )
 
 
-def _hull(info: hulls_pb2.HullInfo, content: Content) -> Hull:
+def _hull(info: hulls_pb2.HullInfo, content: Content, home: _channel.Settings | None) -> Hull:
     xx, yy, zz, xy, xz, yz = info.inertia
     return Hull(
         id=info.id,
@@ -175,4 +280,5 @@ def _hull(info: hulls_pb2.HullInfo, content: Content) -> Hull:
         center_of_mass=np.array(info.center_of_mass),
         inertia=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),
         content=content,
+        home=home,
     )

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from . import _arrays
+from ._arguments import kind
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument
 from ._hulls import Content, Hull
@@ -17,12 +19,13 @@ class Scene:
     """Bodies, each a hull at a pose that maps the hull's frame to the world.
 
     Args:
-        hulls: one hull a body (`Hull`, or its 32-byte id), or distinct hulls
-            with `body_hulls`. A `Hull` is registered again where a server lost it.
+        hulls: one hull per body (`Hull`, or its 32-byte id), or distinct hulls
+            with `body_hulls`. A `Hull` is registered again if a server lost it.
         positions: (n, 3): world position of each hull frame's origin; or
             (n, 4, 4) homogeneous matrices, without `rotations`.
-        rotations: (n, 4) quaternions x, y, z, w with norm within 1e-3 of 1
-            (`from_wxyz` for the other order), (n, 3, 3), or a scipy `Rotation`.
+        rotations: (n, 4) quaternions x, y, z, w (`from_wxyz` for the other order),
+            (n, 3, 3), or a scipy `Rotation`. Quaternions of norm 0.25 to 4 are
+            normalised; with any other norm, the body's pose is unusable.
         body_hulls: (n,): per body an index into `hulls`.
         worlds: (n,), for `find`: only bodies of one world meet; a body of world
             2^32 - 1 meets every other world's.
@@ -44,6 +47,13 @@ class Scene:
         groups: Any = None,
         ignored_groups: Any = None,
     ) -> None:
+        if isinstance(hulls, (Hull, bytes)):
+            hulls = [hulls]
+        elif isinstance(hulls, (str, Mapping)) or not isinstance(hulls, Iterable):
+            raise InvalidArgument(
+                f"expected a list of hulls, got {kind(hulls)}", reason="WRONG_TYPE", field="hulls"
+            )
+        hulls = list(hulls)
         ids = [_id(i, hull) for i, hull in enumerate(hulls)]
         # The wire wants each hull once, however often the caller names it.
         place: dict[bytes, int] = {}
@@ -56,7 +66,9 @@ class Scene:
             self.body_hulls: Indices = distinct
         else:
             self.body_hulls = distinct[
-                _arrays.indices("body_hulls", body_hulls, None, below=len(ids))
+                _arrays.indices(
+                    "body_hulls", body_hulls, None, below=len(ids), of=f"there are {len(ids)} hulls"
+                )
             ]
         count = len(self.body_hulls)
         self.positions: Floats
@@ -69,16 +81,42 @@ class Scene:
             if ignored_groups is None
             else _arrays.indices("ignored_groups", ignored_groups, None, 2)
         )
+        if self.ignored_groups is not None and (self.ignored_groups == 0).any():
+            raise InvalidArgument(
+                "group 0 is no group: a row has two numbers above 0",
+                reason="VALUE_OUT_OF_RANGE",
+                field="ignored_groups",
+            )
 
     def __len__(self) -> int:
         return len(self.body_hulls)
 
     def __repr__(self) -> str:
         hulls = len(self.hull_ids)
-        text = f"{len(self)} bodies of {hulls} hull{'' if hulls == 1 else 's'}"
+        bodies = f"{len(self)} bod{'y' if len(self) == 1 else 'ies'}"
+        text = f"{bodies} of {hulls} hull{'' if hulls == 1 else 's'}"
         if self.worlds is not None:
-            text += f" in {len(np.unique(self.worlds))} worlds"
+            worlds = len(np.unique(self.worlds))
+            text += f" in {worlds} world{'' if worlds == 1 else 's'}"
         return f"Scene({text})"
+
+    def plot(self, *, path: str | os.PathLike[str] | None = None, ax: Any = None) -> Any:
+        """A picture of all bodies, by matplotlib (extra `plot`); needs no display.
+
+        Bodies with an unusable pose are left out.
+
+        Args:
+            path: where the picture is written too, such as "scene.png".
+            ax: matplotlib axes with projection="3d" to draw into; by default new ones.
+
+        Returns:
+            The `matplotlib.figure.Figure`.
+        """
+        from . import _plot
+
+        unusable = _arrays.unusable(self.positions, self.rotations)
+        bodies = np.setdiff1d(np.arange(len(self)), unusable)
+        return _plot.bodies_alone(bodies, self, path, ax)
 
     def moved(self, positions: Any, rotations: Any = None) -> Scene:
         """The same bodies at new poses, given in any form that `Scene` takes."""
@@ -99,9 +137,14 @@ def _id(place: int, hull: Any) -> bytes:
     id = hull.id if isinstance(hull, Hull) else hull
     if not isinstance(id, bytes) or len(id) != 32:
         raise InvalidArgument(
-            "expected a Hull or the 32 bytes of its id; arrays are registered first",
+            f"expected a Hull or the 32 bytes of its id, got {_described(id)}: "
+            "register shapes first, with client.register",
             reason="NOT_A_HULL",
             field="hulls",
             index=place,
         )
     return id
+
+
+def _described(value: Any) -> str:
+    return f"{len(value)} bytes" if isinstance(value, bytes) else kind(value)

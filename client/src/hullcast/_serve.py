@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import importlib.metadata
+import json
 import os
 import shutil
+import signal
 import subprocess
 import tempfile
 import threading
-from collections.abc import Callable, Sequence
+import weakref
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+from . import _arguments
+from ._channel import Settings, service_config
 from ._client import Client
-from ._errors import ServerDidNotStart, ServerNotFound
+from ._errors import InvalidArgument, ServerDidNotStart, ServerNotFound
 
 _LISTENING = "listening on "
 _EXIT_SECONDS = 10.0
@@ -25,33 +31,39 @@ def serve(
     listen: str = "127.0.0.1:0",
     arguments: Sequence[str] = (),
     timeout: float | None = 60,
-    start_timeout: float = 30,
+    start_timeout: float | None = 30,
 ) -> Client:
     """Starts a server and returns a client of it.
 
-    The server ends when the client is closed, and also when this process ends
-    in whatever way, since its standard input closes then.
+    The server ends when the client is closed or no longer used, and also when
+    this process ends in whatever way, since the server's standard input closes
+    then. A forked child may use the client, and does not keep the server alive.
 
     The binary is the one that the environment variable HULLCAST_BIN names, else
     the package's own, else `hullcast` on PATH.
 
     Args:
-        store: where hulls are kept, a directory or URL; None: a directory that is
-            removed at the end.
+        store: where hulls are kept, a directory or URL; None: in the server's
+            memory, until it ends.
         listen: "host:port" (port 0: any free one) or "unix:PATH".
         arguments: further arguments of `hullcast serve`.
         timeout: of the client's calls, as in `connect`.
-        start_timeout: seconds until the server must listen.
+        start_timeout: seconds until the server must listen; None or infinity: no limit.
 
     Raises:
+        InvalidArgument: naming the argument.
         ServerNotFound: no binary.
         ServerDidNotStart: it ended or was silent.
     """
+    # The server is on this machine: a proxy that the environment names is not for it. Once it has
+    # ended, it does not come back.
+    options = (
+        ("grpc.enable_http_proxy", 0),
+        ("grpc.service_config", json.dumps(service_config(attempts=2))),
+    )
+    Settings.of("localhost", None, None, timeout, ())  # refused before a server is started
     server = start(store, listen=listen, arguments=arguments, start_timeout=start_timeout)
-    # It is on this machine: whatever proxy the environment names is not for it.
-    client = Client.connect(server.target, timeout=timeout, options=[("grpc.enable_http_proxy", 0)])
-    client._on_close = server.close
-    return client
+    return Client(Settings.of(server.target, None, None, timeout, options), server=server)
 
 
 def start(
@@ -59,29 +71,62 @@ def start(
     *,
     listen: str,
     arguments: Sequence[str] = (),
-    start_timeout: float = 30,
+    start_timeout: float | None = 30,
 ) -> Server:
     """A server that listens; arguments and errors are those of `serve`."""
-    binary = find_binary()
-    scratch = tempfile.mkdtemp(prefix="hullcast-")
+    if store is None:
+        store = "memory://"
+    elif not isinstance(store, (str, os.PathLike)) or not os.fspath(store):
+        raise InvalidArgument(
+            f"expected a directory or a URL, got {_arguments.shown(store)}",
+            reason="WRONG_TYPE",
+            field="store",
+        )
+    if not isinstance(listen, str) or ":" not in listen:
+        raise InvalidArgument(
+            f'expected "host:port" or "unix:PATH", got {_arguments.shown(listen)}',
+            reason="NOT_AN_ADDRESS",
+            field="listen",
+        )
+    seconds = _arguments.seconds("start_timeout", start_timeout)
+    command = [find_binary(), "serve", "--listen", listen, "--store", os.fspath(store)]
+    command += ["--until-stdin-closes", *_words(arguments)]
+    # The file has no name: nothing is left of it, however this process ends.
+    log = tempfile.TemporaryFile(prefix="hullcast-")  # noqa: SIM115 (it lives with the server)
     try:
-        place = Path(scratch, "store") if store is None else store
-        command = [binary, "serve", "--listen", listen, "--store", os.fspath(place)]
-        command += ["--until-stdin-closes", *arguments]
-        with open(Path(scratch, "log"), "wb") as log:
-            process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log
-            )
+        process = subprocess.Popen(
+            command, bufsize=0, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log
+        )
     except BaseException:
-        shutil.rmtree(scratch, ignore_errors=True)
+        log.close()
         raise
-    server = Server(process, scratch)
+    server = Server(process, log)
     try:
-        server.target = server.wait_until_listening(start_timeout)
+        server.target = server.wait_until_listening(seconds)
     except BaseException:
         server.close()
         raise
     return server
+
+
+def _words(arguments: Any) -> list[str]:
+    """Arguments of a command line, each a text."""
+    expected = 'expected a list of str, such as ["--compute-threads", "4"]'
+    if isinstance(arguments, (str, bytes, Mapping)) or not isinstance(arguments, Iterable):
+        raise InvalidArgument(
+            f"{expected}, got {_arguments.shown(arguments)}", reason="WRONG_TYPE", field="arguments"
+        )
+    words: list[str] = []
+    for i, word in enumerate(arguments):  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+        if not isinstance(word, (str, os.PathLike)) or "\0" in os.fspath(word):  # pyright: ignore[reportUnknownArgumentType]
+            raise InvalidArgument(
+                f"{expected}, got {_arguments.shown(word)}",
+                reason="WRONG_TYPE",
+                field="arguments",
+                index=i,
+            )
+        words.append(os.fspath(word))  # pyright: ignore[reportUnknownArgumentType]
+    return words
 
 
 def find_binary() -> str:
@@ -94,7 +139,8 @@ def find_binary() -> str:
     found = _own_binary() or shutil.which("hullcast")
     if found is None:
         raise ServerNotFound(
-            "no hullcast binary: set HULLCAST_BIN, or put it on PATH (cargo install hullcast)",
+            "no hullcast binary: set HULLCAST_BIN to its path, or put it on PATH "
+            "(`cargo build --release` in a clone makes target/release/hullcast)",
             reason="NO_BINARY",
         )
     return found
@@ -113,21 +159,40 @@ def _own_binary() -> str | None:
 
 
 class Server:
-    """The process, and the directory that goes with it."""
+    """The process of a server, and its log."""
 
     #: The address on its first line.
     target: str
 
-    def __init__(self, process: subprocess.Popen[bytes], scratch: str) -> None:
+    def __init__(self, process: subprocess.Popen[bytes], log: Any) -> None:
         self._process = process
-        self._scratch = scratch
+        self._log = log
+        self._owner = os.getpid()
+        _servers.add(self)
 
     @property
     def ended(self) -> bool:
-        """Whether the process has, by itself or killed."""
-        return self._process.poll() is not None
+        """Whether the process has ended, by itself or killed."""
+        return self.how_it_ended() is not None
 
-    def wait_until_listening(self, seconds: float) -> str:
+    def how_it_ended(self, seconds: float = 0.0) -> str | None:
+        """How the process has ended, at most so many seconds from now; None while it runs."""
+        if self._owner != os.getpid():  # a forked child cannot wait for its parent's server
+            return None
+        code = self._process.poll()
+        if code is None and seconds:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                code = self._process.wait(seconds)
+        if code is None:
+            return None
+        if code >= 0:
+            last = self._log_end().rpartition("\n")[2][-300:]
+            return f"exit code {code}" + (f": {last}" if last else "")
+        with contextlib.suppress(ValueError):
+            return f"signal {-code}, {signal.Signals(-code).name}"
+        return f"signal {-code}"
+
+    def wait_until_listening(self, seconds: float | None) -> str:
         """The address on the server's first line."""
         line: list[bytes] = []
         assert self._process.stdout is not None
@@ -147,25 +212,47 @@ class Server:
     def _log_end(self) -> str:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(1)  # so that its last words are there
-        return Path(self._scratch, "log").read_bytes()[-2000:].decode(errors="replace").strip()
+        with contextlib.suppress(OSError, ValueError):  # ValueError: closed
+            self._log.seek(0)
+            return self._log.read()[-2000:].decode(errors="replace").strip()
+        return ""
 
-    def close(self) -> None:
-        """Ends the server: by its standard input, then by force."""
+    def close(self, patience: float = _EXIT_SECONDS) -> None:
+        """Ends the server: by its standard input, then by force. A forked child ends nothing.
+
+        `patience` is how many seconds the server gets each time, for calls under way.
+        """
+        if self._owner != os.getpid():
+            return
         process = self._process
-        for end in (_close_input(process), process.terminate, process.kill):
+        for end in (self.let_go, process.terminate, process.kill):
             end()
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(_EXIT_SECONDS)
+                process.wait(patience)
                 break
         if process.stdout is not None:
             process.stdout.close()
-        shutil.rmtree(self._scratch, ignore_errors=True)
+        self._log.close()
 
+    def forget(self) -> None:
+        """Ends the server of a client that nobody has any more, so that no call is under way."""
+        self.close(patience=1.0)
 
-def _close_input(process: subprocess.Popen[bytes]) -> Callable[[], None]:
-    def close() -> None:
-        if process.stdin is not None:
+    def let_go(self) -> None:
+        """Closes this process's end of the server's standard input."""
+        if self._process.stdin is not None:
             with contextlib.suppress(OSError):
-                process.stdin.close()
+                self._process.stdin.close()
 
-    return close
+
+_servers: weakref.WeakSet[Server] = weakref.WeakSet()
+
+
+def _after_fork() -> None:
+    """A child that holds the standard input open would keep the server alive after its parent."""
+    for server in list(_servers):
+        server.let_go()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)

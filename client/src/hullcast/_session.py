@@ -77,6 +77,7 @@ class Steps:
         query, deadline = self._query, self._calls._deadline(timeout)
         query.move(positions, rotations)
         parts: dict[Span, _answers.Columns] = {}
+        yield from self._calls._ready(deadline)
         self._busy = True
         try:
             yield from self._exchange(self._lanes, parts, deadline)
@@ -95,9 +96,9 @@ class Steps:
             raise
         finally:
             self._busy = False
-        found = Manifolds(_answers.merge([parts[lane.span] for lane in self._lanes]), query.scene)
-        query.start_from(found)
-        return found
+        columns = _answers.merge([parts[lane.span] for lane in self._lanes])
+        query.start_from(columns)
+        return query.delivered(columns)
 
     def _exchange(
         self, lanes: Iterable[_Lane], parts: dict[Span, _answers.Columns], deadline: float | None
@@ -123,19 +124,21 @@ class Steps:
             except _errors.Unavailable as error:
                 lane.drop()
                 lane.failures += 1
-                pause = _calls.pause_before(error, lane.failures, deadline)
+                pause = self._calls._pause_before(error, lane.failures, deadline)
                 if pause:
                     yield self._calls._link().pause(pause)
                 waiting.append(lane)
             else:
                 lane.failures = 0
+                assert lane.message is not None
                 parts[lane.span] = self._query.read(lane.span, lane.message, data)
 
     def _next_message(self, lane: _Lane) -> tuple[_calls.Stream, bytes]:
         """The poses where the lane's stream has the rest, else all and a new stream."""
         link = self._calls._link()  # another one in a forked child, or another event loop
         if lane.stream is not None and lane.message is not None and lane.link is link:
-            return lane.stream, self._query.step_message(lane.message)
+            lane.message = self._query.step_message(lane.message)
+            return lane.stream, lane.message.data
         lane.drop()
         lane.message = self._query.message(lane.span)
         lane.link, lane.stream = link, link.open(STREAM)

@@ -125,7 +125,7 @@ def _root(data: bytes, tag: str) -> Element:
         what = others.get(root.tag, f"XML whose root is <{root.tag}>")
         raise _Invalid(f"this is {what}; needed is a file whose root is <{tag}>: convert it")
     for element in root.iter():
-        if isinstance(element.tag, str) and "xacro" in element.tag.partition("}")[0]:
+        if "xacro" in element.tag.partition("}")[0]:
             name = element.tag.rpartition("}")[2]
             raise _Invalid(
                 f"<xacro:{name}> has to be expanded first: xacro robot.urdf.xacro > robot.urdf"
@@ -171,8 +171,8 @@ def _names(elements: Sequence[Element], kind: str) -> tuple[str, ...]:
 def _attribute(element: Element, attribute: str, where: str) -> str:
     value = element.get(attribute)
     if not value:
-        tag = "" if where.endswith(f"<{element.tag}>") else f" <{element.tag}>"
-        raise _Invalid(f"{where}:{tag} has no {attribute!r}".replace("::", ":"))
+        tag = f"<{element.tag}>"
+        raise _Invalid(f"{where if where == tag else f'{where}: {tag}'} has no {attribute!r}")
     return value
 
 

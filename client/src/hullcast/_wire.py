@@ -5,7 +5,22 @@ from __future__ import annotations
 import enum
 
 
-class Outcome(enum.IntEnum):
+class _Named(enum.IntEnum):
+    """Compares with its number and with its name, of either case."""
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, str):
+            return self.name == other.upper()
+        return int(self) == other
+
+    def __ne__(self, other: object) -> bool:
+        return not self == other
+
+    def __hash__(self) -> int:
+        return hash(int(self))
+
+
+class Outcome(_Named):
     """What is known of a pair's distance and the margin."""
 
     #: Within the margin, to rounding.
@@ -37,7 +52,7 @@ class Flag(enum.IntFlag):
     INVALID_BODY = 64
 
 
-class FeatureKind(enum.IntEnum):
+class FeatureKind(_Named):
     """What of a hull touches."""
 
     NONE = 0

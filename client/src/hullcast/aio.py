@@ -16,7 +16,7 @@ import contextlib
 from collections.abc import Callable, Coroutine, Generator, Iterable
 from functools import partial
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, Literal, NoReturn, ParamSpec, TypeVar
 
 import grpc
 
@@ -49,6 +49,10 @@ class Client(_calls.Calls):
     register = _awaited(_client.Client.register)
     query = _awaited(_client.Client.query)
     find = _awaited(_client.Client.find)
+    info = _awaited(_client.Client.info)
+    ping = _awaited(_client.Client.ping)
+    hulls = _awaited(_client.Client.hulls)
+    delete = _awaited(_client.Client.delete)
 
     def session(
         self,
@@ -59,10 +63,18 @@ class Client(_calls.Calls):
         accuracy: Accuracy | None = None,
         outputs: Iterable[str] | None = None,
         warm: Manifolds | None = None,
+        on_invalid: Literal["raise", "flag"] = "raise",
     ) -> Session:
         """As `hullcast.Client.session`: not awaited itself, its steps are."""
         make = partial(
-            Query, scene, pairs, margin=margin, accuracy=accuracy, outputs=outputs, warm=warm
+            Query,
+            scene,
+            pairs,
+            margin=margin,
+            accuracy=accuracy,
+            outputs=outputs,
+            warm=warm,
+            on_invalid=on_invalid,
         )
         return Session(self, make)
 
@@ -100,6 +112,12 @@ class Client(_calls.Calls):
         if stop_server is not None:
             await asyncio.to_thread(stop_server)
 
+    def __enter__(self) -> NoReturn:
+        raise _plain_with()
+
+    def __exit__(self, *error: object) -> None:
+        """There, so that `with` reaches the message of `__enter__`."""
+
     async def __aenter__(self) -> Self:
         return self
 
@@ -119,6 +137,12 @@ class Session(_session.Steps):
 
     step = _awaited(_client.Session.step)
 
+    def __enter__(self) -> NoReturn:
+        raise _plain_with()
+
+    def __exit__(self, *error: object) -> None:
+        """There, so that `with` reaches the message of `__enter__`."""
+
     async def __aenter__(self) -> Self:
         return self
 
@@ -137,10 +161,9 @@ class _Link:
     def __init__(self, channel: Any, metadata: Callable[[], _channel.Metadata]) -> None:
         self.channel = channel
         self._metadata = metadata
-        self._unary: dict[str, Any] = {
-            name: channel.unary_unary(name) for name in (_calls.REGISTER, _calls.QUERY)
-        }
+        self._unary: dict[str, Any] = {name: channel.unary_unary(name) for name in _calls.UNARY}
         self._stream: Any = channel.unary_stream(_calls.FIND)
+        self.proven = False
 
     def start(self, method: str, data: bytes, timeout: float | None) -> Any:
         return self._unary[method](data, timeout=timeout, metadata=self._metadata())
@@ -157,6 +180,12 @@ class _Link:
 
     def pause(self, seconds: float) -> Any:
         return asyncio.sleep(seconds)
+
+    def run(self, function: Callable[[], Any]) -> Any:
+        return asyncio.to_thread(function)
+
+    def shut(self) -> None:
+        pass  # only its event loop could
 
     def abandon(self) -> None:
         pass  # its event loop has ended, and its sockets with it
@@ -177,13 +206,17 @@ class _Stream:
         try:
             answer = await asyncio.wait_for(self._call.read(), timeout)
         except asyncio.TimeoutError:
-            raise _client.late() from None
+            raise _calls.late() from None
         if not isinstance(answer, bytes):  # grpc.aio.EOF, which its types do not know
             raise _calls.stream_ended()
         return answer
 
     def cancel(self) -> None:
         self._call.cancel()
+
+
+def _plain_with() -> TypeError:
+    return TypeError("hullcast.aio is for asyncio: write `async with` in place of `with`")
 
 
 class _Starting:
@@ -196,10 +229,16 @@ class _Starting:
     async def _started(self) -> Client:
         blocking = await asyncio.to_thread(self._start)
         # It has not been used, so there is no connection to close.
-        return Client(blocking._settings, on_close=blocking._begin_close()[1])
+        return Client(blocking._settings, server=blocking._release_server())
 
     def __await__(self) -> Generator[Any, Any, Client]:
         return self._started().__await__()
+
+    def __enter__(self) -> NoReturn:
+        raise _plain_with()
+
+    def __exit__(self, *error: object) -> None:
+        """There, so that `with` reaches the message of `__enter__`."""
 
     async def __aenter__(self) -> Client:
         self._client = await self._started()

@@ -17,6 +17,11 @@ impl ConvexHull {
         self.faces.len()
     }
 
+    /// Corners of the face that has the most.
+    pub fn largest_face(&self) -> usize {
+        self.largest_face as usize
+    }
+
     /// Edges between faces.
     pub fn edge_count(&self) -> usize {
         self.edge_vertices.len()

@@ -3,7 +3,12 @@
 use glam::DVec3;
 
 use super::merge::{Groups, Surface};
-use super::topology::{Edge, sort};
+use super::sort::sort;
+use super::topology::{Edge, sort_edges};
+use crate::contact::stop::{Meter, Stopped};
+
+/// Steps of one side of a triangle, or of one vertex of a chain.
+const SIDE: u64 = 6;
 
 /// Between two faces: their common boundary, straightened.
 #[derive(Clone, Copy, Debug)]
@@ -26,10 +31,11 @@ pub(super) struct Boundary<'a> {
     traced: Vec<bool>,
     chains: Vec<u32>,
     pieces: Vec<Piece>,
+    meter: &'a Meter<'a>,
 }
 
 impl<'a> Boundary<'a> {
-    pub(super) fn new(surface: &'a Surface<'a>, groups: &'a Groups) -> Self {
+    pub(super) fn new(surface: &'a Surface<'a>, groups: &'a Groups, meter: &'a Meter<'a>) -> Self {
         let triangles = surface.normals.len();
         let mut boundary = Self {
             surface,
@@ -38,7 +44,9 @@ impl<'a> Boundary<'a> {
             traced: vec![false; 3 * triangles],
             chains: Vec::new(),
             pieces: Vec::new(),
+            meter,
         };
+        meter.count(SIDE * 3 * triangles as u64);
         for (t, side) in boundary.sides() {
             if boundary.separates(t, side) {
                 let start = boundary.start(t, side);
@@ -76,20 +84,22 @@ impl<'a> Boundary<'a> {
 
     /// Chains from corner to corner, then loops without a corner, each once:
     /// with the lower group on the left.
-    fn trace(&mut self) {
+    fn trace(&mut self) -> Result<(), Stopped> {
         for loops in [false, true] {
+            self.meter.spend(SIDE * 3 * self.surface.normals.len() as u64)?;
             for (t, side) in self.sides() {
                 let is_start = loops || self.is_corner(self.start(t, side));
                 let is_lower = self.group(t) < self.group(self.across(t, side));
                 if is_start && is_lower && !self.traced[3 * t as usize + side] {
-                    self.trace_chain(t, side);
+                    self.trace_chain(t, side)?;
                 }
             }
         }
+        Ok(())
     }
 
     /// Follows the boundary with the group of `t` on the left.
-    fn trace_chain(&mut self, mut t: u32, mut side: usize) {
+    fn trace_chain(&mut self, mut t: u32, mut side: usize) -> Result<(), Stopped> {
         let faces = [self.group(t), self.group(self.across(t, side))];
         let start = self.chains.len();
         let first = self.start(t, side);
@@ -101,7 +111,7 @@ impl<'a> Boundary<'a> {
             if self.is_corner(end) || end == first {
                 break;
             }
-            (t, side) = self.following(t, side);
+            (t, side) = self.following(t, side)?;
         }
         let end = self.chains.len() - 1;
         let whole = Piece { start, end, faces };
@@ -109,19 +119,21 @@ impl<'a> Boundary<'a> {
     }
 
     /// The next side of the boundary of `t`'s group.
-    fn following(&self, t: u32, side: usize) -> (u32, usize) {
+    fn following(&self, t: u32, side: usize) -> Result<(u32, usize), Stopped> {
         // About the side's end, within the group, to where the group ends.
         let (mut t, mut side) = (t, (side + 1) % 3);
         while !self.separates(t, side) {
+            self.meter.spend(SIDE)?;
             let pivot = self.start(t, side);
             t = self.across(t, side);
             side = self.surface.triangulation.slot(t, pivot);
         }
-        (t, side)
+        Ok((t, side))
     }
 
     /// Cuts a loop without corners into three, so that it bounds a polygon.
-    fn open_loop(&mut self, whole: Piece) {
+    fn open_loop(&mut self, whole: Piece) -> Result<(), Stopped> {
+        self.meter.spend(SIDE * (whole.end - whole.start) as u64)?;
         let first = self.vertex(whole.start);
         let far = |i: &usize| (self.vertex(*i) - first).length_squared();
         let middle = (whole.start + 1..whole.end).max_by(|i, j| far(i).total_cmp(&far(j)));
@@ -129,23 +141,25 @@ impl<'a> Boundary<'a> {
         let halves = [Piece { end: middle, ..whole }, Piece { start: middle, ..whole }];
         let before = self.pieces.len();
         for half in halves {
-            self.straighten(half);
+            self.straighten(half)?;
         }
         if self.pieces.len() == before + 2 {
-            let cut = (before..before + 2).find(|&i| self.split(i));
-            debug_assert!(cut.is_some(), "a loop of triangles' sides has three vertices");
+            let cut = self.split(before)? || self.split(before + 1)?;
+            debug_assert!(cut, "a loop of triangles' sides has three vertices");
         }
+        Ok(())
     }
 
     /// Keeps a chain as one edge where it is straight to the merge tolerance,
     /// else cuts it at the vertex farthest off.
-    fn straighten(&mut self, whole: Piece) {
+    fn straighten(&mut self, whole: Piece) -> Result<(), Stopped> {
         if whole.end - whole.start < 2 {
-            return self.pieces.push(whole);
+            self.pieces.push(whole);
+            return Ok(());
         }
         let mut open = vec![whole];
         while let Some(piece) = open.pop() {
-            match self.farthest_off(piece) {
+            match self.farthest_off(piece)? {
                 Some((cut, distance)) if distance > self.groups.tolerance => {
                     open.push(Piece { start: cut, ..piece });
                     open.push(Piece { end: cut, ..piece });
@@ -153,6 +167,7 @@ impl<'a> Boundary<'a> {
                 _ => self.pieces.push(piece),
             }
         }
+        Ok(())
     }
 
     fn vertex(&self, place: usize) -> DVec3 {
@@ -160,23 +175,24 @@ impl<'a> Boundary<'a> {
     }
 
     /// The vertex inside the chain that is farthest from the line through its ends.
-    fn farthest_off(&self, piece: Piece) -> Option<(usize, f64)> {
+    fn farthest_off(&self, piece: Piece) -> Result<Option<(usize, f64)>, Stopped> {
+        self.meter.spend(SIDE * (piece.end - piece.start) as u64)?;
         if piece.end - piece.start < 2 {
-            return None;
+            return Ok(None);
         }
         let (from, to) = (self.vertex(piece.start), self.vertex(piece.end));
         let along = (to - from).normalize_or_zero();
         let off = |i: usize| (i, (self.vertex(i) - from).cross(along).length());
-        (piece.start + 1..piece.end).map(off).max_by(|(_, a), (_, b)| a.total_cmp(b))
+        Ok((piece.start + 1..piece.end).map(off).max_by(|(_, a), (_, b)| a.total_cmp(b)))
     }
 
     /// Cuts piece `i` at its farthest vertex; false where it has none inside.
-    fn split(&mut self, i: usize) -> bool {
+    fn split(&mut self, i: usize) -> Result<bool, Stopped> {
         let piece = self.pieces[i];
-        let Some((cut, _)) = self.farthest_off(piece) else { return false };
+        let Some((cut, _)) = self.farthest_off(piece)? else { return Ok(false) };
         self.pieces[i].end = cut;
         self.pieces.push(Piece { start: cut, ..piece });
-        true
+        Ok(true)
     }
 
     /// The piece's ends, lower vertex first.
@@ -187,16 +203,19 @@ impl<'a> Boundary<'a> {
 
     /// Per edge its ends, lower first, and the faces on its left and right; ascending. And how
     /// far the vertices that were straightened away are from their edge's line at most.
-    pub(super) fn edges(mut self) -> (Vec<Edge>, f64) {
-        self.trace();
+    pub(super) fn edges(mut self) -> Result<(Vec<Edge>, f64), Stopped> {
+        self.trace()?;
         loop {
             let mut edges: Vec<Edge> = self.pieces.iter().map(|&piece| self.edge(piece)).collect();
-            sort(&mut edges);
+            sort_edges(&mut edges, self.meter)?;
             let double = |two: &[Edge]| two[0].0 == two[1].0;
-            if !edges.windows(2).any(double) || !self.split_doubles() {
-                let off = self.pieces.iter().filter_map(|&piece| self.farthest_off(piece));
-                let straightened = off.map(|(_, distance)| distance).fold(0.0, f64::max);
-                return (edges, straightened);
+            if !edges.windows(2).any(double) || !self.split_doubles()? {
+                let mut straightened = 0.0f64;
+                for &piece in &self.pieces {
+                    let farthest = self.farthest_off(piece)?;
+                    straightened = straightened.max(farthest.map_or(0.0, |(_, distance)| distance));
+                }
+                return Ok((edges, straightened));
             }
         }
     }
@@ -204,16 +223,21 @@ impl<'a> Boundary<'a> {
     /// Two edges between the same corners bound a face that is a mere lens: all
     /// but the direct one are cut, so that it is a polygon. False where none has
     /// a vertex left inside to be cut at.
-    fn split_doubles(&mut self) -> bool {
+    fn split_doubles(&mut self) -> Result<bool, Stopped> {
         let mut order: Vec<usize> = (0..self.pieces.len()).collect();
         let length = |i: usize| self.pieces[i].end - self.pieces[i].start;
-        order.sort_unstable_by_key(|&i| (self.ends(self.pieces[i]), length(i), i));
+        let key = |i: usize| (self.ends(self.pieces[i]), length(i), i);
+        sort(&mut order, self.meter, |&i, &j| key(i).cmp(&key(j)))?;
         let doubles: Vec<usize> = order
             .windows(2)
             .filter(|w| self.ends(self.pieces[w[0]]) == self.ends(self.pieces[w[1]]))
             .map(|w| w[1])
             .collect();
-        doubles.into_iter().filter(|&i| self.split(i)).count() > 0
+        let mut any = false;
+        for i in doubles {
+            any |= self.split(i)?;
+        }
+        Ok(any)
     }
 
     fn edge(&self, piece: Piece) -> Edge {

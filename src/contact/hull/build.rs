@@ -11,35 +11,45 @@ use super::merge::{Plane, Surface, groups};
 use super::quickhull::Triangulation;
 use super::solid::{Centred, Solid};
 use super::topology::topology;
-use super::{ABSENT_PLANARITY, ConvexHull, HullError, HullErrorKind, HullOptions};
+use super::{ABSENT_PLANARITY, BuildError, ConvexHull, HullError, HullErrorKind, HullOptions};
 use crate::contact::exact::TriangleNormal;
+use crate::contact::stop::{Meter, Stopped};
 use crate::contact::support::{Columns, SupportMap};
 
-pub(super) fn build(given: &[[f64; 3]], options: &HullOptions) -> Result<ConvexHull, HullError> {
-    let solid = Solid::new(given)?;
+/// Steps of one pair of an index list: it is counted and placed, twice.
+pub(super) const LISTED: u64 = 8;
+
+pub(super) fn build(
+    given: &[[f64; 3]],
+    options: &HullOptions,
+    meter: &Meter<'_>,
+) -> Result<ConvexHull, BuildError> {
+    let solid = Solid::new(given, meter)?;
     if solid.points.len() > options.max_vertices {
-        return Err(too_many_vertices(solid.points.len(), options.max_vertices));
+        return Err(too_many_vertices(solid.points.len(), options.max_vertices).into());
     }
-    let (normals, areas) = solid.normals();
-    let mass = mass(&solid.scaled, &solid.triangulation.triangles, &areas);
+    let (normals, areas) = solid.normals(meter)?;
+    let mass = mass(&solid.scaled, &solid.triangulation.triangles, &areas, meter)?;
     // Powers of two, one at a time: no product of them is out of range before the end.
     let [length, area] = [solid.unit, solid.unit * solid.unit];
     let center_of_mass = mass.center * length;
     let given_center = options.contraction_point.map(DVec3::from_array);
     let contraction_point = given_center.unwrap_or(center_of_mass) + 0.0;
     let refused = || given_center.map_or_else(not_representable, not_inside);
-    let centred = solid.centred(contraction_point, &normals).ok_or_else(refused)?;
+    let centred = solid.centred(contraction_point, &normals, meter)?.ok_or_else(refused)?;
     let planarity = options.planarity.unwrap_or(ABSENT_PLANARITY);
-    let shell =
-        Shell::new(&solid.triangulation, &centred, &normals, planarity).ok_or_else(not_representable)?;
+    let shell = Shell::new(&solid.triangulation, &centred, &normals, planarity, meter)?;
+    let shell = shell.ok_or_else(not_representable)?;
+    let largest_face = shell.outlines.longest_row() as u32;
     Ok(ConvexHull {
         outlines: shell.outlines,
+        largest_face,
         face_neighbours: shell.face_neighbours,
         edge_vertices: shell.edge_vertices,
         edge_faces: shell.edge_faces,
         vertex_faces: shell.vertex_faces,
         vertex_edges: shell.vertex_edges,
-        support_map: SupportMap::new(&centred.vertices, &shell.vertex_neighbours),
+        support_map: SupportMap::new(&centred.vertices, &shell.vertex_neighbours, meter)?,
         vertex_neighbours: shell.vertex_neighbours,
         box_shape: BoxShape::recognise(&centred.vertices, &shell.faces),
         merge_error: shell.merge_error,
@@ -108,9 +118,11 @@ impl Shell {
         centred: &Centred,
         normals: &[TriangleNormal],
         planarity: f64,
-    ) -> Option<Self> {
+        meter: &Meter<'_>,
+    ) -> Result<Option<Self>, Stopped> {
         let Centred { vertices, circumradius, inradius, .. } = centred;
         let triangles = &triangulation.triangles;
+        meter.spend(LISTED * 3 * triangles.len() as u64)?;
         let sides = triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]);
         let vertex_neighbours = Csr::from_pairs(vertices.len(), vertices.len(), sides);
         let surface = Surface {
@@ -121,14 +133,16 @@ impl Shell {
             circumradius: *circumradius,
             inradius: *inradius,
         };
-        let groups = groups(&surface, planarity);
-        let topology = topology(&surface, &groups)?;
+        let groups = groups(&surface, planarity, meter)?;
+        let Some(topology) = topology(&surface, &groups, meter)? else { return Ok(None) };
         let planes = &groups.planes;
+        meter.spend(LISTED * 3 * triangles.len() as u64)?;
         let across = topology.edge_faces.iter().flat_map(|&[f, g]| [(f, g), (g, f)]);
         let ends = topology.edge_vertices.iter().zip(0..).flat_map(|(&[u, v], edge)| [(u, edge), (v, edge)]);
         let at_corners = triangles.iter().zip(&groups.of).flat_map(|(t, &group)| t.map(|v| (v, group)));
         let vertex_faces = Csr::from_pairs(vertices.len(), planes.len(), at_corners);
-        let isolation = isolation(planes, &vertex_faces);
+        let isolation = isolation(planes, &vertex_faces, meter)?;
+        meter.spend(LISTED * 2 * topology.edge_faces.len() as u64)?;
         let face = |((plane, &area), isolation): ((&Plane, &f64), Isolation)| Face {
             normal: plane.normal,
             offset: plane.offset,
@@ -137,16 +151,18 @@ impl Shell {
             isolation,
         };
         let merge_error = planes.iter().map(|plane| plane.planarity).fold(topology.straightened, f64::max);
-        Some(Self {
+        let face_neighbours = Csr::from_pairs(planes.len(), planes.len(), across);
+        meter.spend(LISTED * 2 * topology.edge_faces.len() as u64)?;
+        Ok(Some(Self {
             merge_error,
             faces: planes.iter().zip(&topology.face_areas).zip(isolation).map(face).collect(),
-            face_neighbours: Csr::from_pairs(planes.len(), planes.len(), across),
+            face_neighbours,
             vertex_edges: Csr::from_ordered_pairs(vertices.len(), ends),
             outlines: topology.outlines,
             edge_vertices: topology.edge_vertices,
             edge_faces: topology.edge_faces,
             vertex_faces,
             vertex_neighbours,
-        })
+        }))
     }
 }

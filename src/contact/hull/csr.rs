@@ -13,6 +13,11 @@ impl Csr {
         self.starts.len() - 1
     }
 
+    /// How many items the longest list has.
+    pub(super) fn longest_row(&self) -> usize {
+        self.starts.windows(2).map(|ends| (ends[1] - ends[0]) as usize).max().unwrap_or(0)
+    }
+
     /// List `i`.
     pub(crate) fn row(&self, i: usize) -> &[u32] {
         &self.items[self.starts[i] as usize..self.starts[i + 1] as usize]

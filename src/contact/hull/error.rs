@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use crate::contact::stop::Stopped;
+
 /// Why a cloud of points is not a hull.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HullError {
@@ -76,3 +78,35 @@ impl fmt::Display for HullError {
 }
 
 impl std::error::Error for HullError {}
+
+/// Why a hull that may be stopped was not built.
+#[derive(Clone, Debug, PartialEq)]
+pub enum BuildError {
+    /// The points make no hull.
+    Hull(HullError),
+    /// The caller's [`Stop`](crate::contact::Stop) ended the build.
+    Stopped,
+}
+
+impl From<HullError> for BuildError {
+    fn from(error: HullError) -> Self {
+        Self::Hull(error)
+    }
+}
+
+impl From<Stopped> for BuildError {
+    fn from(_: Stopped) -> Self {
+        Self::Stopped
+    }
+}
+
+impl fmt::Display for BuildError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Hull(error) => error.fmt(f),
+            Self::Stopped => Stopped.fmt(f),
+        }
+    }
+}
+
+impl std::error::Error for BuildError {}

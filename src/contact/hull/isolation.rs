@@ -3,6 +3,7 @@
 
 use super::Csr;
 use super::merge::Plane;
+use crate::contact::stop::{Meter, Stopped};
 
 /// Vertices with more faces than this are not looked around: a fan of n faces
 /// has n^2 pairs. Their faces count as not apart from anything.
@@ -20,10 +21,16 @@ pub(crate) struct Isolation {
 }
 
 /// Of each plane.
-pub(super) fn isolation(planes: &[Plane], vertex_faces: &Csr) -> Vec<Isolation> {
+pub(super) fn isolation(
+    planes: &[Plane],
+    vertex_faces: &Csr,
+    meter: &Meter<'_>,
+) -> Result<Vec<Isolation>, Stopped> {
     let mut cosines = vec![-1.0; planes.len()];
     for v in 0..vertex_faces.rows() {
         let faces = vertex_faces.row(v);
+        let looked_at = faces.len().min(MOST_FACES) as u64;
+        meter.spend(looked_at * looked_at + faces.len() as u64)?;
         if faces.len() > MOST_FACES {
             faces.iter().for_each(|&f| cosines[f as usize] = 1.0);
             continue;
@@ -40,5 +47,5 @@ pub(super) fn isolation(planes: &[Plane], vertex_faces: &Csr) -> Vec<Isolation> 
             cosines[f as usize] = closest;
         }
     }
-    cosines.into_iter().zip(planes).map(|(cosine, plane)| Isolation { cosine, gap: plane.gap }).collect()
+    Ok(cosines.into_iter().zip(planes).map(|(cosine, plane)| Isolation { cosine, gap: plane.gap }).collect())
 }

@@ -3,6 +3,10 @@
 use glam::{DMat3, DVec3};
 
 use crate::contact::exact::{Dd, Dd3, dd_dot, exact_difference};
+use crate::contact::stop::{Meter, Stopped};
+
+/// Steps of one tetrahedron's part of a sum.
+const PART: u64 = 60;
 
 /// Of a solid, in the units of its vertices.
 pub(super) struct Mass {
@@ -14,12 +18,18 @@ pub(super) struct Mass {
 
 /// Adds up the tetrahedra between the triangles, of so large vector areas twice, and
 /// one point.
-pub(super) fn mass(points: &[DVec3], triangles: &[[u32; 3]], areas: &[Dd3]) -> Mass {
+pub(super) fn mass(
+    points: &[DVec3],
+    triangles: &[[u32; 3]],
+    areas: &[Dd3],
+    meter: &Meter<'_>,
+) -> Result<Mass, Stopped> {
     let corners = |t: &[u32; 3]| t.map(|v| points[v as usize]);
     // From a vertex every tetrahedron is positive, so that the sums lose nothing.
     let apex = points[triangles[0][0] as usize];
     let (mut six_volume, mut moment) = (Dd::default(), [Dd::default(); 3]);
     for (triangle, &area) in triangles.iter().zip(areas) {
+        meter.spend(PART)?;
         let [a, b, c] = corners(triangle);
         let part = six_times_volume(area, a, apex);
         six_volume = six_volume + part;
@@ -32,6 +42,7 @@ pub(super) fn mass(points: &[DVec3], triangles: &[[u32; 3]], areas: &[Dd3]) -> M
     // its volume / 20 times (sum of x x^T over corners + the sum's own).
     let mut second = DMat3::ZERO;
     for (triangle, &area) in triangles.iter().zip(areas) {
+        meter.spend(PART)?;
         let [a, b, c] = corners(triangle);
         let part = six_times_volume_nearly(area, a, center);
         let (a, b, c) = (a - center, b - center, c - center);
@@ -40,7 +51,8 @@ pub(super) fn mass(points: &[DVec3], triangles: &[[u32; 3]], areas: &[Dd3]) -> M
     }
     let second = second * (1.0 / 120.0);
     let trace = second.x_axis.x + second.y_axis.y + second.z_axis.z;
-    Mass { volume: six_volume / 6.0, center, inertia: DMat3::from_diagonal(DVec3::splat(trace)) - second }
+    let inertia = DMat3::from_diagonal(DVec3::splat(trace)) - second;
+    Ok(Mass { volume: six_volume / 6.0, center, inertia })
 }
 
 /// The same to some 20 roundoffs: in double-double only where it is a small difference.

@@ -4,14 +4,21 @@
 //! rounded corners in no common plane. So a face is a connected group of
 //! triangles whose vertices lie within a tolerance of one plane. No vertex moves.
 
-use std::{cmp::Reverse, ops::Range};
+use std::ops::Range;
 
 use glam::DVec3;
 
 use super::csr::Csr;
 use super::quickhull::Triangulation;
+use super::sort::sort;
 use crate::contact::exact::{Dd, TriangleNormal};
+use crate::contact::stop::{Meter, Stopped};
 use crate::contact::tolerance::U;
+
+/// Steps of one triangle of a group that is gathered, fitted or moved.
+const TRIANGLE: u64 = 20;
+/// Steps of the height of one vertex along a normal.
+const HEIGHT: u64 = 3;
 
 /// Whatever planarity is asked for, vertices of a face lie within this share of the inradius
 /// of its plane, so that the two sides of a thin plate, or its sides and its rim, never become
@@ -64,23 +71,23 @@ pub(super) struct Groups {
 
 /// Groups the triangles, each group around its largest. The planarity is a share of the
 /// circumradius.
-pub(super) fn groups(surface: &Surface<'_>, planarity: f64) -> Groups {
+pub(super) fn groups(surface: &Surface<'_>, planarity: f64, meter: &Meter<'_>) -> Result<Groups, Stopped> {
     let tolerance = (planarity * surface.circumradius)
         .min(PLANARITY_PER_INRADIUS * surface.inradius)
         .max(LEAST_PLANARITY);
-    let mut merger = Merger::new(surface, tolerance);
+    let mut merger = Merger::new(surface, tolerance, meter);
     // Sizes are not negative, so that their bits are in the same order.
-    let size = |normal: &TriangleNormal| Reverse(normal.double_area.to_bits());
-    let mut order: Vec<_> = surface.normals.iter().map(size).zip(0..).collect();
-    order.sort_unstable();
+    let size = |normal: &TriangleNormal| normal.double_area.to_bits();
+    let mut order: Vec<(u64, u32)> = surface.normals.iter().map(size).zip(0..).collect();
+    sort(&mut order, meter, |(size, t), (other, u)| other.cmp(size).then(t.cmp(u)))?;
     for (_, seed) in order {
         if merger.of[seed as usize] == NONE {
-            merger.gather(seed);
+            merger.gather(seed)?;
         }
     }
-    merger.absorb_thin_groups();
+    merger.absorb_thin_groups()?;
     let Merger { of, planes, .. } = merger;
-    Groups { of, planes, tolerance }
+    Ok(Groups { of, planes, tolerance })
 }
 
 struct Merger<'a> {
@@ -96,10 +103,11 @@ struct Merger<'a> {
     vertex_met: Vec<u32>,
     searches: u32,
     queue: Vec<u32>,
+    meter: &'a Meter<'a>,
 }
 
 impl<'a> Merger<'a> {
-    fn new(surface: &'a Surface<'a>, tolerance: f64) -> Self {
+    fn new(surface: &'a Surface<'a>, tolerance: f64, meter: &'a Meter<'a>) -> Self {
         let triangles = surface.normals.len();
         Self {
             surface,
@@ -112,11 +120,12 @@ impl<'a> Merger<'a> {
             vertex_met: vec![0; surface.vertices.len()],
             searches: 0,
             queue: Vec::with_capacity(16),
+            meter,
         }
     }
 
     /// Makes a face around `seed`.
-    fn gather(&mut self, seed: u32) {
+    fn gather(&mut self, seed: u32) -> Result<(), Stopped> {
         // Half the tolerance, as the fitted plane is not quite the seed's.
         let mut reach = 0.5 * self.tolerance;
         let mut members = std::mem::take(&mut self.members);
@@ -126,9 +135,9 @@ impl<'a> Merger<'a> {
             members.truncate(start);
             members.push(seed);
             if attempts < ATTEMPTS {
-                self.flood(&mut members, start, reach);
+                self.flood(&mut members, start, reach)?;
             }
-            let plane = self.fit(&members[start..]);
+            let plane = self.fit(&members[start..])?;
             if members.len() == start + 1 || plane.planarity <= self.tolerance {
                 break plane;
             }
@@ -140,11 +149,12 @@ impl<'a> Merger<'a> {
         self.planes.push(plane);
         self.ranges.push(start..members.len());
         self.members = members;
+        Ok(())
     }
 
     /// Adds the free triangles connected to the seed, `members[start]`, whose vertices
     /// are within `reach` of its plane. Those turned away from it must be thin.
-    fn flood(&mut self, members: &mut Vec<u32>, start: usize, reach: f64) {
+    fn flood(&mut self, members: &mut Vec<u32>, start: usize, reach: f64) -> Result<(), Stopped> {
         let seed = members[start];
         let normal = self.surface.normals[seed as usize].unit;
         let floor = self.lowest(&[seed], normal) - reach;
@@ -152,6 +162,7 @@ impl<'a> Merger<'a> {
         self.triangle_met[seed as usize] = self.searches;
         let mut done = start;
         while done < members.len() {
+            self.meter.spend(2 * TRIANGLE)?;
             for t in self.surface.triangulation.neighbours[members[done] as usize] {
                 let known = std::mem::replace(&mut self.triangle_met[t as usize], self.searches);
                 if known != self.searches
@@ -164,6 +175,7 @@ impl<'a> Merger<'a> {
             }
             done += 1;
         }
+        Ok(())
     }
 
     /// Smallest `normal . v` over the triangles' vertices.
@@ -174,7 +186,7 @@ impl<'a> Merger<'a> {
 
     /// The plane whose normal is the triangles' mean, weighted by area, so that
     /// slivers weigh nothing, and which no vertex of the hull is above.
-    fn fit(&mut self, triangles: &[u32]) -> Plane {
+    fn fit(&mut self, triangles: &[u32]) -> Result<Plane, Stopped> {
         let normals = self.surface.normals;
         let normal = if let [alone] = triangles {
             normals[*alone as usize].unit
@@ -184,6 +196,7 @@ impl<'a> Merger<'a> {
             let first = normals[triangles[0] as usize];
             let mut sum = [Dd::default(); 3];
             for &t in triangles {
+                self.meter.spend(TRIANGLE)?;
                 let TriangleNormal { unit, double_area } = normals[t as usize];
                 let weighted = (unit * (double_area / first.double_area)).to_array();
                 sum.iter_mut().zip(weighted).for_each(|(s, w)| *s = *s + w);
@@ -193,13 +206,14 @@ impl<'a> Merger<'a> {
         self.plane(triangles, normal)
     }
 
-    fn plane(&mut self, triangles: &[u32], normal: DVec3) -> Plane {
-        let Self { surface, vertex_met, searches, queue, .. } = self;
+    fn plane(&mut self, triangles: &[u32], normal: DVec3) -> Result<Plane, Stopped> {
+        let Self { surface, vertex_met, searches, queue, meter, .. } = self;
         let height = |v: u32| normal.dot(surface.vertices[v as usize]);
         *searches += 1;
         queue.clear();
         let (mut lowest, mut highest) = (f64::INFINITY, f64::NEG_INFINITY);
         for v in triangles.iter().flat_map(|&t| surface.triangulation.triangles[t as usize]) {
+            meter.spend(HEIGHT)?;
             if std::mem::replace(&mut vertex_met[v as usize], *searches) != *searches {
                 lowest = lowest.min(height(v));
                 highest = highest.max(height(v));
@@ -208,6 +222,7 @@ impl<'a> Merger<'a> {
         }
         let mut others = f64::NEG_INFINITY;
         for &v in queue.iter() {
+            meter.spend(HEIGHT * surface.neighbours.row(v as usize).len() as u64)?;
             for &w in surface.neighbours.row(v as usize) {
                 // Selected without branches, because the branch would be unpredictable.
                 let own = vertex_met[w as usize] == *searches;
@@ -215,17 +230,18 @@ impl<'a> Merger<'a> {
                 others = if height > others { height } else { others };
             }
         }
-        let offset = if others >= highest - PLATEAU { self.climb(normal, highest) } else { highest };
+        let offset = if others >= highest - PLATEAU { self.climb(normal, highest)? } else { highest };
         // Both ends carry a dot product's rounding, at lengths below 1.
         let planarity = (offset - lowest) + 8.0 * U;
-        Plane { normal, offset, planarity, gap: offset - planarity - others }
+        Ok(Plane { normal, offset, planarity, gap: offset - planarity - others })
     }
 
     /// Largest `normal . v` over all vertices: climbs from those in the queue, the highest of
     /// them at `best`, through neighbours as high as the highest so far to rounding, so that a
     /// plateau or a dent of rounding does not end the climb.
-    fn climb(&mut self, normal: DVec3, mut best: f64) -> f64 {
+    fn climb(&mut self, normal: DVec3, mut best: f64) -> Result<f64, Stopped> {
         while let Some(v) = self.queue.pop() {
+            self.meter.spend(HEIGHT * self.surface.neighbours.row(v as usize).len() as u64)?;
             for &w in self.surface.neighbours.row(v as usize) {
                 if std::mem::replace(&mut self.vertex_met[w as usize], self.searches) != self.searches {
                     let height = normal.dot(self.surface.vertices[w as usize]);
@@ -236,7 +252,7 @@ impl<'a> Merger<'a> {
                 }
             }
         }
-        best
+        Ok(best)
     }
 
     /// Whether a triangle's smallest height is below the tolerance. (Of one whose
@@ -252,8 +268,9 @@ impl<'a> Merger<'a> {
 
     /// Groups that consist of thin triangles join a neighbour whose plane they fit:
     /// a sliver is no face.
-    fn absorb_thin_groups(&mut self) {
+    fn absorb_thin_groups(&mut self) -> Result<(), Stopped> {
         for group in (0..self.planes.len()).rev() {
+            self.meter.spend(TRIANGLE * self.members_of(group).len() as u64)?;
             if !self.members_of(group).iter().all(|&t| self.is_thin(t)) {
                 continue;
             }
@@ -265,11 +282,12 @@ impl<'a> Merger<'a> {
             let start = members.len();
             members.extend_from_within(self.ranges[host].clone());
             members.extend_from_within(moved);
-            self.planes[host] = self.plane(&members[start..], self.planes[host].normal);
+            self.planes[host] = self.plane(&members[start..], self.planes[host].normal)?;
             self.ranges[host] = start..members.len();
             self.members = members;
         }
         self.drop_empty_groups();
+        Ok(())
     }
 
     fn members_of(&self, group: usize) -> &[u32] {

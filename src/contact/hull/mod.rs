@@ -3,6 +3,8 @@
 
 use glam::{DMat3, DVec3};
 
+use super::stop::{Meter, Stop};
+
 mod access;
 mod boundary;
 mod boxes;
@@ -17,11 +19,12 @@ mod merge;
 mod quickhull;
 mod simplify;
 mod solid;
+mod sort;
 mod topology;
 
 pub(crate) use boxes::{BoxShape, octant};
 pub(crate) use csr::Csr;
-pub use error::{HullError, HullErrorKind};
+pub use error::{BuildError, HullError, HullErrorKind};
 pub use face::Face;
 #[doc(hidden)]
 pub use quickhull::Triangulation;
@@ -100,6 +103,8 @@ pub struct ConvexHull {
     faces: Vec<Face>,
     /// Per face: its corners, anticlockwise from outside.
     outlines: Csr,
+    /// Corners of the face that has the most.
+    largest_face: u32,
     /// Per face: the faces across its edges, ascending.
     face_neighbours: Csr,
     /// Lower vertex first; ascending.
@@ -144,10 +149,34 @@ impl ConvexHull {
     /// # Errors
     /// [`HullErrorKind`] lists the clouds that are no hull.
     pub fn with_options(points: &[[f64; 3]], options: &HullOptions) -> Result<Self, HullError> {
+        Self::with_options_stoppable(points, options, &Stop::default()).map_err(never_stopped)
+    }
+
+    /// The hull of `points` as `options` say, unless `stop` ends the build before: the build
+    /// counts its steps there and looks at the flag about once a millisecond.
+    ///
+    /// ```
+    /// use hullcast::contact::{BuildError, ConvexHull, HullOptions, Stop};
+    ///
+    /// let corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    /// let stop = Stop::default();
+    /// let hull = ConvexHull::with_options_stoppable(&corners, &HullOptions::default(), &stop)?;
+    /// assert!(hull.vertex_count() == 4 && stop.steps() > 0);
+    /// # Ok::<(), BuildError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`HullErrorKind`] lists the clouds that are no hull; the build was stopped.
+    pub fn with_options_stoppable(
+        points: &[[f64; 3]],
+        options: &HullOptions,
+        stop: &Stop,
+    ) -> Result<Self, BuildError> {
         check_planarity(options.planarity)?;
+        let meter = Meter::new(stop);
         match &options.simplification {
-            None => build::build(points, options),
-            Some(wanted) => simplify::simplified(points, options, wanted),
+            None => build::build(points, options, &meter),
+            Some(wanted) => simplify::simplified(points, options, wanted, &meter),
         }
     }
 }
@@ -165,11 +194,25 @@ fn check_planarity(planarity: Option<f64>) -> Result<(), HullError> {
     }
 }
 
+/// The error of a build that nobody can stop.
+fn never_stopped(error: BuildError) -> HullError {
+    match error {
+        BuildError::Hull(error) => error,
+        BuildError::Stopped => HullError {
+            kind: HullErrorKind::NotRepresentable,
+            index: None,
+            detail: "internal: the build was stopped, but nobody asked for it".to_owned(),
+        },
+    }
+}
+
 /// The triangles of which the hull of `points` is made, over indices of
 /// `points`: for tests of their exactness.
 #[doc(hidden)]
 pub fn triangulate(points: &[[f64; 3]]) -> Result<Triangulation, HullError> {
-    let solid::Solid { registered, mut triangulation, .. } = solid::Solid::new(points)?;
+    let stop = Stop::default();
+    let solid = solid::Solid::new(points, &Meter::new(&stop)).map_err(never_stopped)?;
+    let solid::Solid { registered, mut triangulation, .. } = solid;
     triangulation.triangles.iter_mut().flatten().for_each(|v| *v = registered[*v as usize]);
     Ok(triangulation)
 }

@@ -13,14 +13,19 @@
 use glam::DVec3;
 
 use super::cloud::Cloud;
-use super::{HullError, HullErrorKind};
-use crate::contact::exact::{collinear, orient3d};
+use super::{BuildError, HullError, HullErrorKind};
+use crate::contact::exact::{collinear, orient3d, orient3d_steps};
+use crate::contact::stop::{Meter, Stopped};
 use crate::contact::tolerance::U;
 
 /// Not an index.
 const NONE: u32 = u32::MAX;
 /// Mark of a triangle that is no longer part of the hull.
 const REMOVED: u32 = u32::MAX;
+/// Steps of one rounded comparison of a point with a triangle's plane.
+const COMPARISON: u64 = 4;
+/// Steps of making, linking or moving one triangle.
+const TRIANGLE: u64 = 20;
 
 /// A closed, exactly convex surface. Every vertex is extreme; coplanar
 /// triangles stay apart.
@@ -34,17 +39,17 @@ pub struct Triangulation {
 
 /// Triangulates the hull of `cloud`. Returned is the cloud of its extreme
 /// points alone, which the triangles index.
-pub(super) fn triangulate(cloud: Cloud) -> Result<(Cloud, Triangulation), HullError> {
-    let surface = Quickhull::new(&cloud)?.run()?;
-    let extreme = extreme_points(&cloud, &surface)?;
-    let kept = cloud.subset(&extreme);
-    if extreme.len() == surface.vertex_count(cloud.points.len()) {
-        return Ok((kept, renumbered(surface, &extreme, cloud.points.len())));
+pub(super) fn triangulate(cloud: Cloud, meter: &Meter<'_>) -> Result<(Cloud, Triangulation), BuildError> {
+    let surface = Quickhull::new(&cloud, meter)?.run()?;
+    let extreme = extreme_points(&cloud, &surface, meter)?;
+    let kept = cloud.subset(&extreme, meter)?;
+    if extreme.len() == surface.vertex_count(cloud.points.len(), meter)? {
+        return Ok((kept, renumbered(surface, &extreme, cloud.points.len(), meter)?));
     }
     // Points inside a flat face or a straight edge were corners on the way:
     // anew without them. All that are left are extreme.
-    let surface = Quickhull::new(&kept)?.run()?;
-    if extreme_points(&kept, &surface)?.len() != kept.points.len() {
+    let surface = Quickhull::new(&kept, meter)?.run()?;
+    if extreme_points(&kept, &surface, meter)?.len() != kept.points.len() {
         return Err(inconsistent("an extreme point is missing from its hull"));
     }
     Ok((kept, surface))
@@ -56,10 +61,16 @@ impl Triangulation {
     }
 
     /// Number of different vertices, all below `limit`.
-    fn vertex_count(&self, limit: usize) -> usize {
+    fn vertex_count(&self, limit: usize, meter: &Meter<'_>) -> Result<usize, Stopped> {
         let mut used = vec![false; limit];
-        self.triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
-        used.iter().filter(|&&u| u).count()
+        let mut count = 0;
+        for triangle in &self.triangles {
+            meter.spend(COMPARISON)?;
+            for &v in triangle {
+                count += usize::from(!std::mem::replace(&mut used[v as usize], true));
+            }
+        }
+        Ok(count)
     }
 
     /// The slot of `corner` in triangle `t`.
@@ -84,17 +95,25 @@ impl Triangulation {
 }
 
 /// Vertices numbered by their place in `kept`.
-fn renumbered(mut surface: Triangulation, kept: &[u32], limit: usize) -> Triangulation {
+fn renumbered(
+    mut surface: Triangulation,
+    kept: &[u32],
+    limit: usize,
+    meter: &Meter<'_>,
+) -> Result<Triangulation, Stopped> {
     let mut place = vec![NONE; limit];
     kept.iter().zip(0..).for_each(|(&v, i)| place[v as usize] = i);
-    surface.triangles.iter_mut().flatten().for_each(|v| *v = place[*v as usize]);
-    surface
+    for triangle in &mut surface.triangles {
+        meter.spend(COMPARISON)?;
+        triangle.iter_mut().for_each(|v| *v = place[*v as usize]);
+    }
+    Ok(surface)
 }
 
 /// The vertices that are on at least three different planes, ascending: on a
 /// convex surface, those that are no mixture of others. Checks on the way that
 /// the surface is convex.
-fn extreme_points(cloud: &Cloud, surface: &Triangulation) -> Result<Vec<u32>, HullError> {
+fn extreme_points(cloud: &Cloud, surface: &Triangulation, meter: &Meter<'_>) -> Result<Vec<u32>, BuildError> {
     let mut creases = vec![0_u32; cloud.points.len()];
     for (t, corners) in (0..).zip(&surface.triangles) {
         for side in 0..3 {
@@ -102,7 +121,9 @@ fn extreme_points(cloud: &Cloud, surface: &Triangulation) -> Result<Vec<u32>, Hu
                 continue;
             }
             let [a, b, c] = corners.map(|v| cloud.points[v as usize]);
-            let bend = orient3d(a, b, c, cloud.points[surface.opposite(t, side) as usize]);
+            let across = cloud.points[surface.opposite(t, side) as usize];
+            let bend = orient3d(a, b, c, across);
+            meter.spend(COMPARISON + orient3d_steps([a, b, c, across], bend))?;
             if bend < 0.0 {
                 return Err(inconsistent("the surface is not convex"));
             }
@@ -146,6 +167,7 @@ struct Rim {
 
 struct Quickhull<'a> {
     cloud: &'a Cloud,
+    meter: &'a Meter<'a>,
     faces: Vec<Face>,
     /// Per point: the next of its face's list.
     next: Vec<u32>,
@@ -158,10 +180,11 @@ struct Quickhull<'a> {
 
 impl<'a> Quickhull<'a> {
     /// Starts from a tetrahedron of far apart points.
-    fn new(cloud: &'a Cloud) -> Result<Self, HullError> {
+    fn new(cloud: &'a Cloud, meter: &'a Meter<'a>) -> Result<Self, BuildError> {
         let count = cloud.points.len();
         let mut hull = Self {
             cloud,
+            meter,
             faces: Vec::with_capacity(4 * count.min(1 << 16)),
             next: vec![NONE; count],
             rim_at: vec![NONE; count],
@@ -169,19 +192,19 @@ impl<'a> Quickhull<'a> {
             rim: Vec::with_capacity(32),
             insertions: 0,
         };
-        let [a, b, c, d] = first_tetrahedron(cloud)?;
+        let [a, b, c, d] = first_tetrahedron(cloud, meter)?;
         hull.add_face([a, b, c], [1, 2, 3]);
         hull.add_face([b, a, d], [0, 3, 2]);
         hull.add_face([c, b, d], [0, 1, 3]);
         hull.add_face([a, c, d], [0, 2, 1]);
         for point in (0..count as u32).filter(|p| ![a, b, c, d].contains(p)) {
-            hull.assign(point, 0);
+            hull.assign(point, 0)?;
         }
         Ok(hull)
     }
 
     /// Takes in, face by face, the farthest point above it until none is left.
-    fn run(mut self) -> Result<Triangulation, HullError> {
+    fn run(mut self) -> Result<Triangulation, BuildError> {
         let mut face = 0;
         // Faces are appended and never revived, and each step takes in a point
         // for good: bounded by the number of points.
@@ -189,9 +212,10 @@ impl<'a> Quickhull<'a> {
             if self.faces[face].first != NONE {
                 self.insert(face as u32)?;
             }
+            self.meter.spend(1)?;
             face += 1;
         }
-        Ok(self.surface())
+        Ok(self.surface()?)
     }
 
     fn add_face(&mut self, corners: [u32; 3], neighbours: [u32; 3]) {
@@ -224,15 +248,19 @@ impl<'a> Quickhull<'a> {
             height > 0.0
         } else {
             let [a, b, c] = face.corners.map(|v| self.cloud.points[v as usize]);
-            orient3d(a, b, c, self.cloud.points[point as usize]) < 0.0
+            let d = self.cloud.points[point as usize];
+            let side = orient3d(a, b, c, d);
+            self.meter.count(orient3d_steps([a, b, c, d], side));
+            side < 0.0
         };
         above.then_some(height)
     }
 
     /// Gives `point` to the first face from `start` on that it is above; one
     /// above none is inside.
-    fn assign(&mut self, point: u32, start: usize) {
+    fn assign(&mut self, point: u32, start: usize) -> Result<(), Stopped> {
         for index in start..self.faces.len() {
+            self.meter.spend(COMPARISON)?;
             if let Some(height) = self.height_above(&self.faces[index], point) {
                 let face = &mut self.faces[index];
                 self.next[point as usize] = face.first;
@@ -240,16 +268,17 @@ impl<'a> Quickhull<'a> {
                 if height > face.height {
                     (face.farthest, face.height) = (point, height);
                 }
-                return;
+                return Ok(());
             }
         }
+        Ok(())
     }
 
     /// Takes in the farthest point above `face`.
-    fn insert(&mut self, face: u32) -> Result<(), HullError> {
+    fn insert(&mut self, face: u32) -> Result<(), BuildError> {
         let apex = self.faces[face as usize].farthest;
         self.insertions += 1;
-        self.find_seen(face, apex);
+        self.find_seen(face, apex)?;
         self.sort_rim()?;
         let start = self.faces.len();
         self.raise_cone(apex)?;
@@ -261,7 +290,7 @@ impl<'a> Quickhull<'a> {
             while point != NONE {
                 let following = self.next[point as usize];
                 if point != apex {
-                    self.assign(point, start);
+                    self.assign(point, start)?;
                 }
                 point = following;
             }
@@ -270,7 +299,7 @@ impl<'a> Quickhull<'a> {
     }
 
     /// Collects the faces that `apex` sees, from `face` on, and their rim.
-    fn find_seen(&mut self, face: u32, apex: u32) {
+    fn find_seen(&mut self, face: u32, apex: u32) -> Result<(), Stopped> {
         let (is_seen, is_not) = (2 * self.insertions, 2 * self.insertions + 1);
         self.seen.clear();
         self.rim.clear();
@@ -278,6 +307,7 @@ impl<'a> Quickhull<'a> {
         self.faces[face as usize].mark = is_seen;
         let mut done = 0;
         while done < self.seen.len() {
+            self.meter.spend(TRIANGLE)?;
             let current = self.seen[done] as usize;
             done += 1;
             for side in 0..3 {
@@ -296,10 +326,12 @@ impl<'a> Quickhull<'a> {
                 }
             }
         }
+        Ok(())
     }
 
     /// Orders the rim's sides along the rim, which must be one simple cycle.
-    fn sort_rim(&mut self) -> Result<(), HullError> {
+    fn sort_rim(&mut self) -> Result<(), BuildError> {
+        self.meter.spend(COMPARISON * self.rim.len() as u64)?;
         let mut simple = true;
         for (i, side) in (0..).zip(&self.rim) {
             let place = &mut self.rim_at[side.from as usize];
@@ -325,12 +357,13 @@ impl<'a> Quickhull<'a> {
     }
 
     /// Joins every side of the rim to `apex`.
-    fn raise_cone(&mut self, apex: u32) -> Result<(), HullError> {
+    fn raise_cone(&mut self, apex: u32) -> Result<(), BuildError> {
         let (start, count) = (self.faces.len() as u32, self.rim.len() as u32);
         if u64::from(start) + u64::from(count) >= u64::from(NONE) {
             return Err(inconsistent("more triangles on the way than indices of 32 bits can name"));
         }
         for i in 0..count {
+            self.meter.spend(TRIANGLE)?;
             let Rim { from, to, beyond } = self.rim[i as usize];
             let (next, previous) = (start + (i + 1) % count, start + (i + count - 1) % count);
             self.add_face([from, to, apex], [beyond, next, previous]);
@@ -345,53 +378,81 @@ impl<'a> Quickhull<'a> {
     }
 
     /// The faces that are left.
-    fn surface(&self) -> Triangulation {
+    fn surface(&self) -> Result<Triangulation, Stopped> {
         let mut place = vec![NONE; self.faces.len()];
-        let alive = || self.faces.iter().enumerate().filter(|(_, face)| face.mark != REMOVED);
-        alive().zip(0..).for_each(|((old, _), new)| place[old] = new);
-        let mut surface = Triangulation::with_capacity(2 * self.cloud.points.len());
-        for (_, face) in alive() {
-            surface.triangles.push(face.corners);
-            surface.neighbours.push(face.neighbours.map(|n| place[n as usize]));
+        let mut count = 0;
+        for (face, place) in self.faces.iter().zip(&mut place) {
+            self.meter.spend(COMPARISON)?;
+            if face.mark != REMOVED {
+                *place = count;
+                count += 1;
+            }
         }
-        surface
+        let mut surface = Triangulation::with_capacity(2 * self.cloud.points.len());
+        for face in &self.faces {
+            self.meter.spend(COMPARISON)?;
+            if face.mark != REMOVED {
+                surface.triangles.push(face.corners);
+                surface.neighbours.push(face.neighbours.map(|n| place[n as usize]));
+            }
+        }
+        Ok(surface)
     }
 }
 
 /// Four points that are exactly not in one plane, far apart where rounding can
 /// tell, with the fourth below the other three.
-fn first_tetrahedron(cloud: &Cloud) -> Result<[u32; 4], HullError> {
+fn first_tetrahedron(cloud: &Cloud, meter: &Meter<'_>) -> Result<[u32; 4], BuildError> {
     let (points, scaled) = (&cloud.points, &cloud.scaled);
     let a = 0;
-    let b = farthest(scaled, |p| (p - scaled[a]).length_squared());
+    let b = farthest(scaled, meter, |p| (p - scaled[a]).length_squared())?;
     let along = scaled[b] - scaled[a];
-    let c = farthest(scaled, |p| along.cross(p - scaled[a]).length_squared());
-    let bends = |i: usize| !collinear(points[a], points[b], points[i]);
-    let Some(c) = std::iter::once(c).chain(0..points.len()).find(|&i| bends(i)) else {
+    let mut c = farthest(scaled, meter, |p| along.cross(p - scaled[a]).length_squared())?;
+    // Exactly, where rounding was wrong; then the first point that is off the line will do.
+    let steps = |i: usize| orient3d_steps([points[a], points[b], points[i], points[i]], 0.0);
+    let on_line = |i: usize| collinear(points[a], points[b], points[i]);
+    if on_line(c) {
+        c = 0;
+        while c < points.len() && on_line(c) {
+            meter.spend(steps(c))?;
+            c += 1;
+        }
+    }
+    if c == points.len() {
         let detail = format!("all {} distinct points lie on one line", points.len());
-        return Err(HullError { kind: HullErrorKind::Collinear, index: None, detail });
-    };
+        return Err(HullError { kind: HullErrorKind::Collinear, index: None, detail }.into());
+    }
     let normal = along.cross(scaled[c] - scaled[a]);
-    let d = farthest(scaled, |p| normal.dot(p - scaled[a]).abs());
+    let mut d = farthest(scaled, meter, |p| normal.dot(p - scaled[a]).abs())?;
     let side = |i: usize| orient3d(points[a], points[b], points[c], points[i]);
-    let Some(d) = std::iter::once(d).chain(0..points.len()).find(|&i| side(i) != 0.0) else {
+    if side(d) == 0.0 {
+        d = 0;
+        while d < points.len() && side(d) == 0.0 {
+            meter.spend(steps(d))?;
+            d += 1;
+        }
+    }
+    if d == points.len() {
         let detail = format!("all {} distinct points lie in one plane", points.len());
-        return Err(HullError { kind: HullErrorKind::Coplanar, index: None, detail });
-    };
+        return Err(HullError { kind: HullErrorKind::Coplanar, index: None, detail }.into());
+    }
     let (b, c) = if side(d) > 0.0 { (b, c) } else { (c, b) };
     Ok([a, b, c, d].map(|i| i as u32))
 }
 
 /// The first index of the largest value.
-fn farthest(points: &[DVec3], distance: impl Fn(DVec3) -> f64) -> usize {
-    let better = |best: (usize, f64), (i, &p): (usize, &DVec3)| {
+fn farthest(points: &[DVec3], meter: &Meter<'_>, distance: impl Fn(DVec3) -> f64) -> Result<usize, Stopped> {
+    let mut best = (0, f64::NEG_INFINITY);
+    for (i, &p) in points.iter().enumerate() {
+        meter.spend(COMPARISON)?;
         let d = distance(p);
-        if d > best.1 { (i, d) } else { best }
-    };
-    points.iter().enumerate().fold((0, f64::NEG_INFINITY), better).0
+        best = if d > best.1 { (i, d) } else { best };
+    }
+    Ok(best.0)
 }
 
 /// What exact arithmetic rules out: reported, never trusted.
-fn inconsistent(what: &str) -> HullError {
+fn inconsistent(what: &str) -> BuildError {
     HullError { kind: HullErrorKind::NotRepresentable, index: None, detail: format!("internal: {what}") }
+        .into()
 }

@@ -5,10 +5,16 @@ use std::cmp::Ordering;
 use glam::DVec3;
 
 use super::boundary::Boundary;
+use super::build::LISTED;
 use super::csr::Csr;
 use super::merge::{Groups, Surface};
 use super::quickhull::Triangulation;
-use crate::contact::exact::orient2d;
+use super::sort::sort;
+use crate::contact::exact::{orient2d, orient2d_steps};
+use crate::contact::stop::{Meter, Stopped};
+
+/// Steps of one side of a triangle, or of one corner of an outline, of which little is asked.
+const CORNER: u64 = 10;
 
 /// An edge's ends, lower vertex first, and the faces on the left and right of going
 /// from the one to the other.
@@ -26,11 +32,16 @@ pub(super) struct Topology {
 
 /// Reads edges and outlines off the groups' boundaries; none where a face has no
 /// outline at double precision (needles of an aspect beyond 1e13).
-pub(super) fn topology(surface: &Surface<'_>, groups: &Groups) -> Option<Topology> {
+pub(super) fn topology(
+    surface: &Surface<'_>,
+    groups: &Groups,
+    meter: &Meter<'_>,
+) -> Result<Option<Topology>, Stopped> {
+    meter.spend(LISTED * 3 * groups.of.len() as u64)?;
     let (edges, corners, straightened) = if groups.planes.len() == groups.of.len() {
-        (triangles_edges(surface, groups), triangles_corners(surface, groups), 0.0)
+        (triangles_edges(surface, groups, meter)?, triangles_corners(surface, groups), 0.0)
     } else {
-        let (edges, straightened) = Boundary::new(surface, groups).edges();
+        let (edges, straightened) = Boundary::new(surface, groups, meter).edges()?;
         let corners = Csr::from_pairs(
             groups.planes.len(),
             surface.vertices.len(),
@@ -41,11 +52,12 @@ pub(super) fn topology(surface: &Surface<'_>, groups: &Groups) -> Option<Topolog
     let mut sweep = Sweep::default();
     let mut outlines = Csr::with_capacity(groups.planes.len(), corners.items.len());
     for (face, plane) in groups.planes.iter().enumerate() {
-        outlines.push_row(sweep.outline(surface.vertices, corners.row(face), plane.normal));
+        outlines.push_row(sweep.outline(surface.vertices, corners.row(face), plane.normal, meter)?);
     }
     if (0..groups.planes.len()).any(|face| outlines.row(face).len() < 3) {
-        return None;
+        return Ok(None);
     }
+    meter.spend(CORNER * outlines.items.len() as u64)?;
     // The length of the vector area: of an outline thinner than its vertices'
     // rounding the vector itself may point anywhere.
     let area = |face: usize| {
@@ -56,11 +68,12 @@ pub(super) fn topology(surface: &Surface<'_>, groups: &Groups) -> Option<Topolog
     };
     let face_areas = (0..groups.planes.len()).map(area).collect();
     let (edge_vertices, edge_faces) = edges.into_iter().unzip();
-    Some(Topology { edge_vertices, edge_faces, outlines, face_areas, straightened })
+    Ok(Some(Topology { edge_vertices, edge_faces, outlines, face_areas, straightened }))
 }
 
 /// Where every face is one triangle, as on rounded bodies: their sides.
-fn triangles_edges(surface: &Surface<'_>, groups: &Groups) -> Vec<Edge> {
+fn triangles_edges(surface: &Surface<'_>, groups: &Groups, meter: &Meter<'_>) -> Result<Vec<Edge>, Stopped> {
+    meter.spend(CORNER * 3 * groups.of.len() as u64)?;
     let Triangulation { triangles, neighbours } = surface.triangulation;
     let mut edges = Vec::with_capacity(3 * triangles.len() / 2);
     for ((corners, across), &left) in triangles.iter().zip(neighbours).zip(&groups.of) {
@@ -71,8 +84,8 @@ fn triangles_edges(surface: &Surface<'_>, groups: &Groups) -> Vec<Edge> {
             }
         }
     }
-    sort(&mut edges);
-    edges
+    sort_edges(&mut edges, meter)?;
+    Ok(edges)
 }
 
 /// And their corners, in no order.
@@ -85,10 +98,11 @@ fn triangles_corners(surface: &Surface<'_>, groups: &Groups) -> Csr {
 }
 
 /// By vertices, then by faces.
-pub(super) fn sort(edges: &mut [Edge]) {
-    edges.sort_unstable_by_key(|([u, v], [left, right])| {
+pub(super) fn sort_edges(edges: &mut Vec<Edge>, meter: &Meter<'_>) -> Result<(), Stopped> {
+    let key = |([u, v], [left, right]): &Edge| {
         [u, v, left, right].into_iter().fold(0_u128, |key, &part| key << 32 | u128::from(part))
-    });
+    };
+    sort(edges, meter, |e, f| key(e).cmp(&key(f)))
 }
 
 /// A corner in the plane of its face, and its vertex.
@@ -106,7 +120,13 @@ impl Sweep {
     /// The convex polygon of `corners` seen against `normal`, anticlockwise and
     /// strictly convex: A. M. Andrew's monotone chain (1979) on exact turns. Less than
     /// three of a face thinner than the rounding of its vertices.
-    fn outline(&mut self, vertices: &[DVec3], corners: &[u32], normal: DVec3) -> &[u32] {
+    fn outline(
+        &mut self,
+        vertices: &[DVec3],
+        corners: &[u32],
+        normal: DVec3,
+        meter: &Meter<'_>,
+    ) -> Result<&[u32], Stopped> {
         // Dropping the normal's largest coordinate keeps the others exact.
         let size = normal.abs();
         let flat = |v: u32| {
@@ -131,22 +151,25 @@ impl Sweep {
                 (false, true, _) => [b, c, a],
                 _ => [c, a, b],
             };
-            match orient2d(a.0, b.0, c.0) {
+            let turn = orient2d(a.0, b.0, c.0);
+            meter.spend(CORNER + orient2d_steps([a.0, b.0, c.0], turn))?;
+            match turn {
                 turn if turn > 0.0 => outline.extend([a.1, b.1, c.1]),
                 turn if turn < 0.0 => outline.extend([a.1, c.1, b.1]),
                 _ => {}
             }
-            return outline;
+            return Ok(outline);
         }
+        meter.spend(CORNER * corners.len() as u64)?;
         sorted.clear();
         sorted.extend(corners.iter().map(|&v| (flat(v), v)));
-        sorted.sort_unstable_by(along);
+        sort(sorted, meter, along)?;
         sorted.dedup_by_key(|(p, _)| *p);
         polygon.clear();
-        add_chain(polygon, sorted.iter());
-        add_chain(polygon, sorted.iter().rev());
+        add_chain(polygon, sorted.iter(), meter)?;
+        add_chain(polygon, sorted.iter().rev(), meter)?;
         outline.extend(polygon.iter().map(|(_, v)| *v));
-        outline
+        Ok(outline)
     }
 }
 
@@ -156,11 +179,17 @@ fn along((p, v): &Corner, (q, w): &Corner) -> Ordering {
 }
 
 /// Adds the convex chain of `points`, without its last.
-fn add_chain<'a>(polygon: &mut Vec<Corner>, points: impl Iterator<Item = &'a Corner>) {
+fn add_chain<'a>(
+    polygon: &mut Vec<Corner>,
+    points: impl Iterator<Item = &'a Corner>,
+    meter: &Meter<'_>,
+) -> Result<(), Stopped> {
     let start = polygon.len();
     for &(p, v) in points {
         while let [.., (a, _), (b, _)] = polygon[start..] {
-            if orient2d(a, b, p) > 0.0 {
+            let turn = orient2d(a, b, p);
+            meter.spend(CORNER + orient2d_steps([a, b, p], turn))?;
+            if turn > 0.0 {
                 break;
             }
             polygon.pop();
@@ -168,4 +197,5 @@ fn add_chain<'a>(polygon: &mut Vec<Corner>, points: impl Iterator<Item = &'a Cor
         polygon.push((p, v));
     }
     polygon.pop();
+    Ok(())
 }

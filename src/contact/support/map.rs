@@ -7,6 +7,7 @@ use std::hint::select_unpredictable;
 use glam::DVec3;
 
 use crate::contact::hull::Csr;
+use crate::contact::stop::{Meter, Stopped};
 use crate::contact::tolerance::MAPPED;
 
 /// Hulls of more vertices have a map: below, looking at all of them costs about as much.
@@ -20,6 +21,9 @@ const VERTICES_A_CELL: f64 = 3.3;
 /// corners, looking at all vertices is as fast.
 const MOST: usize = 32;
 
+/// Steps of looking at one neighbour of a vertex: its heights, against the highest ones.
+const NEIGHBOUR: u64 = 10;
+
 /// Of each direction the vertices that may be farthest along it.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct SupportMap {
@@ -32,9 +36,13 @@ pub(crate) struct SupportMap {
 impl SupportMap {
     /// Of vertices in hull units, and their neighbours along a triangulation; none for small
     /// hulls.
-    pub(crate) fn new(vertices: &[DVec3], neighbours: &Csr) -> Option<Self> {
+    pub(crate) fn new(
+        vertices: &[DVec3],
+        neighbours: &Csr,
+        meter: &Meter<'_>,
+    ) -> Result<Option<Self>, Stopped> {
         if vertices.len() <= ABOVE {
-            return None;
+            return Ok(None);
         }
         let side = (vertices.len() as f64 / VERTICES_A_CELL / 6.0).sqrt().ceil() as usize;
         let cells = 6 * side * side;
@@ -43,7 +51,7 @@ impl SupportMap {
         let (mut near, mut row) = (0, Vec::new());
         for place in 0..cells {
             let cell = Cell::new(place / (side * side), [place % side, place / side % side], side);
-            near = search.find(&cell, near);
+            near = search.find(&cell, near, meter)?;
             row.clear();
             if search.found.len() <= MOST {
                 row.extend(search.found.iter().map(|found| found.0));
@@ -52,7 +60,7 @@ impl SupportMap {
             candidates.push_row(&row);
         }
         candidates.items.shrink_to_fit();
-        Some(Self { side, candidates })
+        Ok(Some(Self { side, candidates }))
     }
 
     /// The vertex farthest along `n`, the lowest index of equals; none where the map does not
@@ -138,8 +146,8 @@ impl<'a> Search<'a> {
     /// Those that are farthest somewhere in the cell are connected: from one direction to
     /// another the farthest changes along a face. And one that another is above at all four
     /// corners is nowhere farthest.
-    fn find(&mut self, cell: &Cell, near: u32) -> u32 {
-        let top = self.climb(cell, near);
+    fn find(&mut self, cell: &Cell, near: u32, meter: &Meter<'_>) -> Result<u32, Stopped> {
+        let top = self.climb(cell, near, meter)?;
         let Self { vertices, neighbours, seen, cells, found } = self;
         *cells += 1;
         seen[top as usize] = *cells;
@@ -149,6 +157,7 @@ impl<'a> Search<'a> {
         let mut highest = [found[0].1; 5];
         let mut next = 0;
         while next < found.len() && found.len() <= 4 * MOST {
+            meter.spend(NEIGHBOUR * neighbours.row(found[next].0 as usize).len() as u64)?;
             for &v in neighbours.row(found[next].0 as usize) {
                 if std::mem::replace(&mut seen[v as usize], *cells) == *cells {
                     continue;
@@ -167,12 +176,12 @@ impl<'a> Search<'a> {
             next += 1;
         }
         found.retain(|(_, at)| !is_below(at, &highest));
-        top
+        Ok(top)
     }
 
     /// The vertex farthest along the middle of a cell: one that is better than all its
     /// neighbours is the best of a convex hull, but for rounding.
-    fn climb(&self, cell: &Cell, near: u32) -> u32 {
+    fn climb(&self, cell: &Cell, near: u32, meter: &Meter<'_>) -> Result<u32, Stopped> {
         let height = |v: u32| {
             let at = cell.heights(self.vertices[v as usize]);
             at[0] + at[3]
@@ -180,6 +189,7 @@ impl<'a> Search<'a> {
         let (mut top, mut most) = (near, height(near));
         loop {
             let from = top;
+            meter.spend(NEIGHBOUR / 2 * self.neighbours.row(from as usize).len() as u64)?;
             for &v in self.neighbours.row(from as usize) {
                 let height = height(v);
                 let higher = height > most;
@@ -187,7 +197,7 @@ impl<'a> Search<'a> {
                 most = select_unpredictable(higher, height, most);
             }
             if top == from {
-                return top;
+                return Ok(top);
             }
         }
     }

@@ -1,7 +1,7 @@
 //! An answer as columns: manifolds in, a response out.
 
 use crate::{
-    contact::{Element, Feature, Manifold, Outcome},
+    contact::{Element, Feature, Manifold, Outcome, Stop, Stopped},
     proto::{self, FeatureKind, Flag},
     service::outputs::Outputs,
     store::Missing,
@@ -9,6 +9,9 @@ use crate::{
 
 /// No index: a basis, feature or id that is not there.
 const NONE: u32 = u32::MAX;
+
+/// Bytes that are copied between two looks at whether somebody waits: about half a millisecond.
+const BYTES_BETWEEN_LOOKS: usize = 2 << 20;
 
 /// Declares the columns once, and what concerns each of them alike.
 macro_rules! columns {
@@ -23,14 +26,33 @@ macro_rules! columns {
         }
 
         impl Columns {
+            /// Bytes that are copied in one elementary step.
+            pub const BYTES_PER_STEP: usize = 4;
+
             /// The parts, one after the other, allocated once.
-            pub fn concatenated(parts: &[Self]) -> Self {
+            ///
+            /// # Errors
+            /// Nobody waits for the whole any more.
+            pub fn concatenated(parts: &[Self], stop: &Stop) -> Result<Self, Stopped> {
+                let mut copied = 0;
                 let points = parts.iter().map(|part| part.points).sum();
                 let solver_iterations = parts.iter().map(|part| part.solver_iterations).sum();
                 let mut whole = Self { points, solver_iterations, ..Self::default() };
                 $(whole.$column.reserve_exact(parts.iter().map(|part| part.$column.len()).sum());
-                parts.iter().for_each(|part| whole.$column.extend_from_slice(&part.$column));)*
-                whole
+                for part in parts {
+                    whole.$column.extend_from_slice(&part.$column);
+                    copied += size_of_val(&part.$column[..]);
+                    if copied > BYTES_BETWEEN_LOOKS {
+                        stop.spend((std::mem::take(&mut copied) / Self::BYTES_PER_STEP) as u64)?;
+                    }
+                })*
+                stop.spend((copied / Self::BYTES_PER_STEP) as u64)?;
+                Ok(whole)
+            }
+
+            /// The bytes of what it has.
+            pub fn filled_bytes(&self) -> usize {
+                0 $(+ size_of_val(&self.$column[..]))*
             }
 
             /// No pairs; the room stays.

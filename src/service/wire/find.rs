@@ -43,5 +43,5 @@ pub(in crate::service) fn find(
         let message = "0 is no group";
         return Err(ServiceError::invalid_at("VALUE_OUT_OF_RANGE", "ignored_groups", at, message));
     }
-    Ok((scene, Rules::new(worlds, groups, ignored.as_chunks::<2>().0)))
+    Ok((scene, Rules::new(worlds, groups, ignored)))
 }

@@ -39,7 +39,7 @@ pub struct Scene {
 
 /// Poses as they came. A body's is made where one of its pairs is computed: on the threads
 /// that compute, and from 56 bytes instead of 104.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Poses {
     positions: Vec<f64>,
     rotations: Vec<f64>,

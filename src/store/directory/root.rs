@@ -253,21 +253,22 @@ impl Root {
             self.each_name(&directory, &shard_name, |name| {
                 // Other names, as those of temporary files, are not hulls.
                 let id = name.parse::<HullId>().ok().filter(|id| id.0[0] == shard);
-                id.filter(|id| after.is_none_or(|after| *id > after)).map(|id| first.offer(id));
+                if let Some(id) = id.filter(|id| after.is_none_or(|after| *id > after)) {
+                    first.offer(id);
+                }
             })?;
             let ids = first.sorted();
             for &id in &ids {
                 match statat(&directory, id.to_string(), AtFlags::SYMLINK_NOFOLLOW) {
-                    Ok(status) => match blob_size(&status).filter(|size| *size <= max_bytes) {
-                        Some(bytes) => {
+                    Ok(status) => {
+                        if let Some(bytes) = blob_size(&status).filter(|size| *size <= max_bytes) {
                             let created_unix_ms = modified_unix_ms(&status);
                             blobs.push(StoredBlob { id, created_unix_ms, bytes });
-                        }
-                        None => {
+                        } else {
                             first_bad.get_or_insert(id);
                             bad += 1;
                         }
-                    },
+                    }
                     Err(Errno::NOENT) => {}
                     Err(error) => return Err(self.failed(&id.to_string(), error)),
                 }

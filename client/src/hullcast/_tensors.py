@@ -1,0 +1,74 @@
+"""Arrays of other libraries, on their way in and out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+#: Devices of the DLPack protocol whose memory this process reads: CPU, and pinned host memory.
+_HOST = (1, 3, 11)
+
+
+def as_numpy(value: Any) -> npt.NDArray[Any] | None:
+    """The array of an object that exports one (torch, jax, cupy, warp); None for other objects.
+
+    Host memory is not copied. Device memory is copied to the host by the library it belongs to.
+    """
+    if isinstance(value, np.ndarray):
+        return value  # pyright: ignore[reportUnknownVariableType]
+    if not hasattr(value, "__dlpack__") or isinstance(value, np.generic):
+        return None
+    if hasattr(value, "detach"):  # torch exports no tensor that records gradients
+        value = value.detach()
+    device = value.__dlpack_device__()[0] if hasattr(value, "__dlpack_device__") else 1
+    if int(device) not in _HOST:
+        value = _on_host(value)
+        if isinstance(value, np.ndarray):
+            return value  # pyright: ignore[reportUnknownVariableType]
+    try:
+        return np.from_dlpack(value)
+    except (BufferError, RuntimeError, TypeError):
+        # A type that DLPack does not have for numpy, such as bfloat16 or read-only memory.
+        if hasattr(value, "__array__"):
+            return np.asarray(value)
+        raise
+
+
+def _on_host(value: Any) -> Any:
+    """A device's array in host memory: torch by `cpu`, warp by `numpy`, cupy by `get`."""
+    for method in ("cpu", "numpy", "get"):
+        if callable(getattr(value, method, None)):
+            return getattr(value, method)()
+    if hasattr(value, "__array__"):  # jax
+        return np.asarray(value)
+    return np.from_dlpack(value, device="cpu")
+
+
+def to_torch(columns: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:
+    """The columns as torch tensors on the CPU, which share the columns' memory."""
+    try:
+        import torch as library
+    except ImportError as error:
+        raise ImportError("to_torch needs torch: pip install torch") from error
+    torch: Any = library
+    return {name: torch.from_numpy(_plain(column)) for name, column in columns.items()}
+
+
+def to_jax(columns: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:
+    """The columns as jax arrays.
+
+    jax keeps 64 bits only with its setting `jax_enable_x64`; without it, they are rounded to 32.
+    """
+    try:
+        import jax.numpy as library
+    except ImportError as error:
+        raise ImportError("to_jax needs jax: pip install jax") from error
+    jax: Any = library
+    return {name: jax.asarray(_plain(column)) for name, column in columns.items()}
+
+
+def _plain(column: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """A column without this package's array types, of an own memory that can be written to."""
+    return np.require(np.asarray(column).view(np.ndarray), requirements=["C", "W"])

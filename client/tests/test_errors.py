@@ -1,0 +1,79 @@
+"""Exceptions and warnings as objects: pickled, copied, raised in other processes."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import multiprocessing
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+
+import hullcast
+from hullcast import _errors
+
+KINDS = {
+    name: kind
+    for name, kind in vars(_errors).items()
+    if inspect.isclass(kind) and issubclass(kind, (Exception, Warning)) and not name.startswith("_")
+}
+#: Arguments of those that take others than a message.
+ARGUMENTS = {
+    "OutputNotAsked": ("alpha", "ALPHA"),
+    "NotConvexWarning": ("is not convex", "hulls[2]", 0.5, 3),
+    "InvalidPoses": ("some", np.array([1, 2]), ("far", "nan"), None),
+}
+
+
+def made(name: str) -> BaseException:
+    """One with every attribute set."""
+    kind = KINDS[name]
+    error = kind(*ARGUMENTS.get(name, ("it went wrong",)))
+    if isinstance(error, hullcast.Error):
+        error.reason, error.field, error.index = "SOME_REASON", "pairs", 3
+        error.entry, error.retry_after = (1, 1), 0.5
+    if isinstance(error, hullcast.HullRejected):
+        error.point, error.results = 7, [hullcast.HullRejected("inner", point=1)]
+    if isinstance(error, hullcast.Unavailable):
+        error.cut_off = True
+    return error
+
+
+def described(error: BaseException) -> tuple[object, ...]:
+    return type(error), str(error), error.args, repr(sorted(vars(error).items(), key=str))
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_all_survive_pickling_and_copying(name):
+    """Catches a process pool that breaks, or never returns, because an exception does not load."""
+    error = made(name)
+    for protocol in range(pickle.HIGHEST_PROTOCOL + 1):
+        again = pickle.loads(pickle.dumps(error, protocol))
+        assert described(again)[:3] == described(error)[:3]
+    assert described(copy.copy(error)) == described(error)
+    assert str(copy.deepcopy(error)) == str(error)
+
+
+def test_all_are_public_and_known():
+    """Catches an exception that this test does not have, and one that users cannot name."""
+    assert len(KINDS) >= 15
+    for name in KINDS:
+        assert getattr(hullcast, name) is KINDS[name]
+
+
+def _raises(name: str) -> None:
+    error = made(name)
+    if isinstance(error, Warning):
+        warnings.warn(error, stacklevel=1)
+    raise error
+
+
+def test_a_pool_returns_them():
+    """Catches a worker's exception that hangs the pool, of every kind at once."""
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        for name in KINDS:
+            with pytest.raises(KINDS[name]) as caught:
+                pool.apply_async(_raises, (name,)).get(60)
+            assert str(caught.value) == str(made(name))

@@ -1,0 +1,162 @@
+//! Where a server is, and why it cannot be reached.
+//!
+//! The Python client says the same (`client/src/hullcast/_channel.py`, `_reach.py`).
+
+use std::error::Error as StdError;
+use std::io;
+use std::time::Duration;
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+
+use super::Error;
+use super::remote::root_cause;
+
+/// The port of an address that names none.
+const DEFAULT_PORT: u16 = 50051;
+/// How long a peer may take to say what it speaks.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// An HTTP/2 client's first bytes: the preface, and an empty SETTINGS frame.
+const GREETING: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
+
+/// The URL of an address: `host`, `host:port`, `unix:PATH`, `http://host:port`, `https://host:port`.
+///
+/// # Errors
+/// It is none of these.
+pub(crate) fn url(address: &str) -> Result<String, Error> {
+    if address.starts_with("unix:") {
+        return Ok(address.to_owned());
+    }
+    let (scheme, rest) = address.split_once("://").unwrap_or(("http", address));
+    let forms = "host, host:port, unix:PATH, http://host:port or https://host:port";
+    let wrong = || -> Error { format!("{address:?} is not an address: expected {forms}").into() };
+    if !["http", "https"].contains(&scheme) {
+        return Err(wrong());
+    }
+    let rest = rest.strip_suffix('/').unwrap_or(rest);
+    // The brackets of an IPv6 address keep its colons apart from the port's.
+    let (host, port) = match rest.rsplit_once(':') {
+        Some((host, port)) if !port.contains(']') => (host, Some(port)),
+        _ => (rest, None),
+    };
+    let bare = host.strip_prefix('[').and_then(|h| h.strip_suffix(']')).unwrap_or(host);
+    let bracketed = bare.len() < host.len();
+    let foreign = |c: char| c.is_whitespace() || "/?#@[]".contains(c) || (c == ':' && !bracketed);
+    if bare.is_empty() || bare.contains(foreign) {
+        return Err(wrong());
+    }
+    let port = match port {
+        None => DEFAULT_PORT,
+        Some(text) => text.parse().ok().filter(|&port| port > 0).ok_or_else(wrong)?,
+    };
+    Ok(format!("{scheme}://{host}:{port}"))
+}
+
+/// A failed connection as a sentence that names the cause and the remedy.
+pub(crate) async fn failed(address: &str, url: &str, error: &(dyn StdError + 'static)) -> String {
+    match cause(error) {
+        Some(io::ErrorKind::ConnectionRefused) => {
+            return format!(
+                "no hullcast server at {address} (connection refused); start one with `hullcast serve`"
+            );
+        }
+        Some(io::ErrorKind::NotFound) if address.starts_with("unix:") => {
+            return format!(
+                "no hullcast server at {address} (no such socket); start one with `hullcast serve --listen {address}`"
+            );
+        }
+        _ => {}
+    }
+    let text = root_cause(error);
+    if url.starts_with("https://") {
+        if text.contains("InvalidContentType") || text.contains("corrupt message") {
+            return format!("the server at {address} does not speak TLS: use http:// in place of https://");
+        }
+        if text.contains("invalid peer certificate") {
+            return format!(
+                "the certificate of the server at {address} is not trusted ({text}); \
+                 give the PEM file of its authority by --tls-ca"
+            );
+        }
+    } else if let Some(authority) = url.strip_prefix("http://") {
+        match greeting(authority).await.as_slice() {
+            [0x15 | 0x16, 0x03, ..] => {
+                return format!("the server at {address} speaks TLS: use https://");
+            }
+            // The fourth byte of a frame is its type; a server begins with SETTINGS, type 4.
+            [_, _, _, kind, ..] if *kind != 4 => {
+                return format!("the server at {address} does not speak HTTP/2: it is not a hullcast server");
+            }
+            _ => {}
+        }
+    }
+    if text.contains("lookup address") {
+        return format!("no host of the name in {address}: {text}");
+    }
+    format!("no server at {address}: {text}")
+}
+
+/// The first bytes that a plain peer answers to HTTP/2's preface; none if it says nothing.
+async fn greeting(authority: &str) -> Vec<u8> {
+    let mut answer = [0; 9];
+    let exchange = async {
+        let mut stream = TcpStream::connect(authority).await?;
+        stream.write_all(GREETING).await?;
+        stream.read(&mut answer).await
+    };
+    let read = tokio::time::timeout(PATIENCE, exchange).await;
+    let count = read.map_or(0, |result| result.unwrap_or(0));
+    answer[..count].to_vec()
+}
+
+/// The kind of the first operating system error among the causes.
+fn cause(error: &(dyn StdError + 'static)) -> Option<io::ErrorKind> {
+    let mut next = Some(error);
+    while let Some(error) = next {
+        if let Some(found) = error.downcast_ref::<io::Error>()
+            && found.raw_os_error().is_some()
+        {
+            return Some(found.kind());
+        }
+        next = error.source();
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches a missing port that becomes HTTP's, and an address that is dialled although it is
+    /// none.
+    #[test]
+    fn addresses_have_a_port_and_a_scheme() {
+        for (address, expected) in [
+            ("localhost", "http://localhost:50051"),
+            ("localhost:1", "http://localhost:1"),
+            ("http://localhost", "http://localhost:50051"),
+            ("https://localhost/", "https://localhost:50051"),
+            ("https://10.0.0.1:443", "https://10.0.0.1:443"),
+            ("[::1]", "http://[::1]:50051"),
+            ("https://[::1]:7", "https://[::1]:7"),
+            ("unix:/run/x", "unix:/run/x"),
+        ] {
+            assert_eq!(url(address).expect(address), expected);
+        }
+        for wrong in [
+            "",
+            ":1",
+            "host:",
+            "host:0",
+            "host:65536",
+            "host:x",
+            "ftp://host",
+            "http://a/b",
+            "::1",
+            "a b",
+            "u@h",
+        ] {
+            assert!(url(wrong).is_err(), "{wrong}");
+        }
+    }
+}

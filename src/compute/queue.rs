@@ -1,0 +1,142 @@
+//! The queue between those who have work and the threads that do it.
+
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+
+use super::{
+    locked,
+    turns::{Taken, Turn, Turns},
+    work::{LEAST_STEPS, Work},
+};
+
+/// Parts that wait for the threads of one kind.
+#[derive(Default)]
+pub(super) struct Queue {
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+#[derive(Default)]
+struct State {
+    turns: Turns<Arc<dyn Work>>,
+    /// Values that a thread frees before it begins another part.
+    freed: Vec<Box<dyn Send>>,
+    closed: bool,
+}
+
+/// The next action of a thread.
+enum Next {
+    Part(Turn<Arc<dyn Work>>),
+    Free(Vec<Box<dyn Send>>),
+    /// Work that was stopped before a part of it began.
+    Stopped(Arc<dyn Work>),
+}
+
+impl Queue {
+    /// Queues work until it is done or the result is dropped.
+    pub(super) fn push(self: &Arc<Self>, work: Arc<dyn Work>, count: usize) -> Queued {
+        let caller = work.job().caller.id();
+        let number = locked(&self.state).turns.push(caller, work, count);
+        match count {
+            1 => self.changed.notify_one(),
+            _ => self.changed.notify_all(),
+        }
+        Queued { queue: self.clone(), caller, number }
+    }
+
+    /// Has a thread free a value before it begins another part.
+    pub(super) fn free(&self, value: Box<dyn Send>) {
+        let mut state = locked(&self.state);
+        if state.closed {
+            // Freed here, after the lock.
+            drop(state);
+            return;
+        }
+        state.freed.push(value);
+        drop(state);
+        self.changed.notify_one();
+    }
+
+    /// Ends the threads, and drops the work that waits for them.
+    pub(super) fn close(&self) {
+        let mut state = locked(&self.state);
+        state.closed = true;
+        // The callers that wait for the work hear that it was dropped.
+        let (works, freed) = (state.turns.clear(), std::mem::take(&mut state.freed));
+        drop(state);
+        drop((works, freed));
+        self.changed.notify_all();
+    }
+
+    /// Does parts until closed.
+    pub(super) fn work(&self) {
+        let mut done = None;
+        while let Some(next) = self.next(done.take()) {
+            match next {
+                Next::Part(turn) => {
+                    turn.work.part(turn.index);
+                    done = Some(Done::new(turn));
+                }
+                Next::Free(freed) => drop(freed),
+                Next::Stopped(work) => work.stopped(),
+            }
+        }
+    }
+
+    /// The next part of the work whose turn it is, once the part that was `done` is charged; none
+    /// when closed.
+    fn next(&self, done: Option<Done>) -> Option<Next> {
+        let mut state = locked(&self.state);
+        if let Some(Done { caller, estimate, metered }) = done {
+            state.turns.done(caller, estimate, metered);
+        }
+        loop {
+            if state.closed {
+                return None;
+            }
+            if !state.freed.is_empty() {
+                return Some(Next::Free(std::mem::take(&mut state.freed)));
+            }
+            let is_stopped = |work: &Arc<dyn Work>| work.job().stop.is_stopped();
+            match state.turns.take(is_stopped, |work, index| work.steps(index)) {
+                Some(Taken::Part(turn)) => return Some(Next::Part(turn)),
+                Some(Taken::Stopped(work)) => return Some(Next::Stopped(work)),
+                None => state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner),
+            }
+        }
+    }
+}
+
+/// The cost of a part that is done.
+struct Done {
+    caller: u64,
+    estimate: u64,
+    metered: u64,
+}
+
+impl Done {
+    /// The last reference to the work may go here, outside the lock.
+    fn new(turn: Turn<Arc<dyn Work>>) -> Self {
+        let Turn { work, caller, estimate, .. } = turn;
+        let metered = match work.job().take_uncharged() {
+            0 => estimate,
+            metered => metered.max(LEAST_STEPS),
+        };
+        Self { caller, estimate, metered }
+    }
+}
+
+/// Work in a queue; dropped, it leaves the queue and its memory is freed.
+pub(super) struct Queued {
+    queue: Arc<Queue>,
+    caller: u64,
+    number: u64,
+}
+
+impl Drop for Queued {
+    fn drop(&mut self) {
+        let removed = locked(&self.queue.state).turns.remove(self.caller, self.number);
+        if let Some(work) = removed {
+            self.queue.free(Box::new(work));
+        }
+    }
+}

@@ -1,0 +1,317 @@
+//! The order in which threads take work: in turns between callers, then between one caller's
+//! pieces of work.
+//!
+//! Turns are counted in cost, not in parts. Each caller has a virtual time: the steps that its
+//! parts have cost. The next part comes from the caller with the least virtual time, so callers
+//! that always have work get equal shares of the threads, whatever their parts cost. A part is
+//! charged with an estimate when a thread takes it, and the charge is corrected by the metered
+//! steps when the part is done. A caller who comes back starts at the virtual time of the part
+//! that began last: nobody saves up turns while idle, and nobody gets rid of a debt by pausing.
+//!
+//! P. Goyal, H. M. Vin and H. Cheng, *Start-time Fair Queueing*, IEEE/ACM Transactions on
+//! Networking 5(5), 1997, section II, doi:10.1109/90.649569. The steps of a turn are O(log n)
+//! for n callers.
+
+use std::collections::{BTreeMap, HashMap, VecDeque};
+
+/// Accounts of callers without work that are kept at least: their debts are still due.
+const SPARE_ACCOUNTS: usize = 64;
+
+/// Work of many callers that waits for threads.
+#[derive(Debug)]
+pub(super) struct Turns<W> {
+    accounts: HashMap<u64, Account<W>>,
+    /// The callers with waiting work, by virtual time; of two with the same time, the one that waits longer is first.
+    order: BTreeMap<(u64, u64), u64>,
+    /// The virtual time at which the part that was taken last began.
+    now: u64,
+    /// Parts that are taken and not done.
+    running: usize,
+    /// Numbers pieces of work, and places in the order.
+    next_number: u64,
+}
+
+#[derive(Debug)]
+struct Account<W> {
+    time: u64,
+    /// The caller's key in the order, beside its time.
+    place: u64,
+    running: usize,
+    waiting: VecDeque<Waiting<W>>,
+}
+
+/// Work of which some parts have not been taken.
+#[derive(Debug)]
+struct Waiting<W> {
+    number: u64,
+    work: W,
+    next: usize,
+    count: usize,
+}
+
+/// Work that leaves the queue.
+#[derive(Debug)]
+pub(super) enum Taken<W> {
+    Part(Turn<W>),
+    /// Work that was stopped before all of its parts were taken.
+    Stopped(W),
+}
+
+/// A part that a thread has taken.
+#[derive(Debug)]
+pub(super) struct Turn<W> {
+    pub(super) work: W,
+    pub(super) index: usize,
+    pub(super) caller: u64,
+    /// The steps that the caller was charged with.
+    pub(super) estimate: u64,
+}
+
+impl<W> Default for Turns<W> {
+    fn default() -> Self {
+        Self { accounts: HashMap::new(), order: BTreeMap::new(), now: 0, running: 0, next_number: 0 }
+    }
+}
+
+impl<W: Clone> Turns<W> {
+    /// Adds work of `count` parts, at least one. Returns the number of the work.
+    pub(super) fn push(&mut self, caller: u64, work: W, count: usize) -> u64 {
+        if self.accounts.len() > SPARE_ACCOUNTS + 2 * self.order.len() {
+            let now = self.now;
+            self.accounts.retain(|_, account| !account.is_settled(now));
+        }
+        let number = self.number();
+        let now = self.now;
+        let account = self.accounts.entry(caller).or_insert_with(Account::new);
+        let was_idle = account.waiting.is_empty();
+        account.waiting.push_back(Waiting { number, work, next: 0, count });
+        if was_idle {
+            account.time = account.time.max(now);
+            self.enqueue(caller);
+        }
+        number
+    }
+
+    /// Takes the next part, and charges its caller with `estimate(work, index)` steps. Work that
+    /// `is_stopped` is taken out instead of being begun.
+    pub(super) fn take(
+        &mut self,
+        is_stopped: impl Fn(&W) -> bool,
+        estimate: impl Fn(&W, usize) -> u64,
+    ) -> Option<Taken<W>> {
+        loop {
+            let ((time, _), caller) = self.order.pop_first()?;
+            let Some(account) = self.accounts.get_mut(&caller) else { continue };
+            let Some(mut first) = account.waiting.pop_front() else { continue };
+            if is_stopped(&first.work) {
+                self.enqueue(caller);
+                self.forget_if_settled(caller);
+                return Some(Taken::Stopped(first.work));
+            }
+            let (work, index) = (first.work.clone(), first.next);
+            first.next += 1;
+            if first.next < first.count {
+                account.waiting.push_back(first);
+            }
+            let estimate = estimate(&work, index);
+            account.time = time.saturating_add(estimate);
+            account.running += 1;
+            self.running += 1;
+            self.now = self.now.max(time);
+            self.enqueue(caller);
+            return Some(Taken::Part(Turn { work, index, caller, estimate }));
+        }
+    }
+
+    /// A part that was taken is done; it cost `metered` steps.
+    pub(super) fn done(&mut self, caller: u64, estimate: u64, metered: u64) {
+        self.running = self.running.saturating_sub(1);
+        if let Some(account) = self.accounts.get_mut(&caller) {
+            self.order.remove(&(account.time, account.place));
+            account.running = account.running.saturating_sub(1);
+            account.time = account.time.saturating_sub(estimate).saturating_add(metered);
+            self.enqueue(caller);
+        }
+        if self.running == 0 && self.order.is_empty() {
+            // Nobody waits: no caller owes anything to another.
+            self.accounts.clear();
+            return;
+        }
+        self.forget_if_settled(caller);
+    }
+
+    /// Takes work out whose parts nobody waits for any more.
+    pub(super) fn remove(&mut self, caller: u64, number: u64) -> Option<W> {
+        let account = self.accounts.get_mut(&caller)?;
+        let at = account.waiting.iter().position(|waiting| waiting.number == number)?;
+        let removed = account.waiting.remove(at);
+        if account.waiting.is_empty() {
+            self.order.remove(&(account.time, account.place));
+            self.forget_if_settled(caller);
+        }
+        removed.map(|removed| removed.work)
+    }
+
+    /// Takes all work out.
+    pub(super) fn clear(&mut self) -> Vec<W> {
+        self.order.clear();
+        let accounts = self.accounts.drain().flat_map(|(_, account)| account.waiting);
+        accounts.map(|waiting| waiting.work).collect()
+    }
+
+    /// Puts a caller with waiting work into the order, behind those of the same time.
+    fn enqueue(&mut self, caller: u64) {
+        let place = self.number();
+        if let Some(account) = self.accounts.get_mut(&caller)
+            && !account.waiting.is_empty()
+        {
+            account.place = place;
+            self.order.insert((account.time, place), caller);
+        }
+    }
+
+    fn forget_if_settled(&mut self, caller: u64) {
+        if self.accounts.get(&caller).is_some_and(|account| account.is_settled(self.now)) {
+            self.accounts.remove(&caller);
+        }
+    }
+
+    fn number(&mut self) -> u64 {
+        self.next_number += 1;
+        self.next_number
+    }
+}
+
+impl<W> Account<W> {
+    fn new() -> Self {
+        Self { time: 0, place: 0, running: 0, waiting: VecDeque::new() }
+    }
+
+    /// Whether a new account would have the same turns.
+    fn is_settled(&self, now: u64) -> bool {
+        self.waiting.is_empty() && self.running == 0 && self.time <= now
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Work is a letter and the steps that each of its parts costs.
+    type Work = (char, u64);
+
+    /// One thread takes `count` parts, each estimated at 10 steps; the letters in order, and the
+    /// steps of each letter.
+    fn taken(turns: &mut Turns<Work>, count: usize) -> (String, HashMap<char, u64>) {
+        let (mut letters, mut steps) = (String::new(), HashMap::new());
+        for _ in 0..count {
+            let Some(Taken::Part(turn)) = turns.take(|_| false, |_, _| 10) else { break };
+            let (letter, cost) = turn.work;
+            letters.push(letter);
+            *steps.entry(letter).or_default() += cost;
+            turns.done(turn.caller, turn.estimate, cost);
+        }
+        (letters, steps)
+    }
+
+    /// Catches a caller who gets more of the threads than another because its parts cost more,
+    /// or because it has more pieces of work.
+    #[test]
+    fn callers_get_equal_steps_whatever_their_parts_cost() {
+        let mut turns = Turns::default();
+        turns.push(1, ('a', 1000), 10_000);
+        for _ in 0..50 {
+            turns.push(2, ('b', 10), 10_000);
+        }
+        turns.push(3, ('c', 70), 10_000);
+        let (_, steps) = taken(&mut turns, 20_000);
+        let most = steps.values().max().unwrap();
+        for (letter, steps) in &steps {
+            assert!(most - steps <= 2 * 1000, "{letter} got {steps} of {most}");
+        }
+        assert!(*most > 100_000);
+    }
+
+    /// Catches parts out of order, and one piece of a caller's work that waits for all of another.
+    #[test]
+    fn one_callers_pieces_take_turns() {
+        let mut turns = Turns::default();
+        turns.push(1, ('a', 10), 4);
+        turns.push(1, ('b', 10), 2);
+        turns.push(2, ('c', 10), 3);
+        assert_eq!(taken(&mut turns, 100).0, "acbcacbaa");
+        assert!(turns.accounts.is_empty() && turns.order.is_empty());
+    }
+
+    /// Catches turns that are saved up while idle, and a debt that a pause wipes out: a caller who
+    /// sends one costly part at a time gets no more than one whose parts are cheap.
+    #[test]
+    fn pauses_neither_save_nor_wipe_out() {
+        let mut turns = Turns::default();
+        turns.push(1, ('a', 10), 100_000);
+        assert_eq!(taken(&mut turns, 1000).1[&'a'], 10_000);
+        // The second caller comes late and gets nothing for the turns that it missed.
+        turns.push(2, ('b', 10), 100);
+        let (letters, _) = taken(&mut turns, 100);
+        assert_eq!(letters.matches('b').count(), 50);
+        let mut steps = HashMap::from([('a', 0), ('c', 0)]);
+        for _ in 0..2000 {
+            if turns.accounts.get(&3).is_none_or(|account| account.waiting.is_empty()) {
+                turns.push(3, ('c', 500), 1);
+            }
+            for (letter, more) in taken(&mut turns, 1).1 {
+                *steps.entry(letter).or_default() += more;
+            }
+        }
+        assert!(steps[&'c'] > 1000 && steps[&'c'] <= steps[&'a'] + 2 * 500, "{steps:?}");
+    }
+
+    /// Catches several threads that all take the costly parts of one caller before the first of
+    /// them is metered.
+    #[test]
+    fn parts_under_way_count_by_their_estimate() {
+        let mut turns = Turns::default();
+        turns.push(1, ('a', 10), 100);
+        turns.push(2, ('b', 10), 100);
+        let mut letters = String::new();
+        for _ in 0..6 {
+            let Some(Taken::Part(turn)) = turns.take(|_| false, |_, _| 10) else { panic!("no part") };
+            letters.push(turn.work.0);
+        }
+        assert_eq!(letters, "ababab");
+    }
+
+    /// Catches stopped work that is begun, work that is removed and begun all the same, and
+    /// accounts that are kept for ever.
+    #[test]
+    fn stopped_and_removed_work_is_not_begun() {
+        let mut turns = Turns::default();
+        turns.push(1, ('a', 10), 3);
+        let b = turns.push(1, ('b', 10), 3);
+        let c = turns.push(2, ('c', 10), 3);
+        turns.push(3, ('d', 10), 2);
+        assert_eq!(turns.remove(1, b), Some(('b', 10)));
+        assert_eq!(turns.remove(1, b), None);
+        assert_eq!(turns.remove(2, c), Some(('c', 10)));
+        let (mut stopped, mut begun) = (Vec::new(), String::new());
+        while let Some(taken) = turns.take(|work| work.0 == 'a', |_, _| 10) {
+            match taken {
+                Taken::Stopped(work) => stopped.push(work),
+                Taken::Part(turn) => {
+                    begun.push(turn.work.0);
+                    turns.done(turn.caller, turn.estimate, 10);
+                }
+            }
+        }
+        assert_eq!((&stopped[..], &begun[..]), (&[('a', 10)][..], "dd"));
+        assert!(turns.accounts.is_empty());
+        for caller in 0..10_000 {
+            turns.push(caller, ('e', 10), 1);
+            if caller % 2 == 0 {
+                taken(&mut turns, 1);
+            }
+        }
+        assert!(turns.accounts.len() <= SPARE_ACCOUNTS + 2 * turns.order.len() + 1);
+        assert_eq!(turns.clear().len(), 5000);
+    }
+}

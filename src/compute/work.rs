@@ -1,0 +1,98 @@
+//! Work of any kind, as the threads see it.
+
+use std::sync::Mutex;
+
+use tokio::sync::oneshot;
+
+use super::{ComputeError, Job, Parts, caught, locked};
+
+/// The least steps of a part: those that a thread takes to get the part and to return its result.
+pub(super) const LEAST_STEPS: u64 = 2_000;
+
+/// Work and the results of the parts that are done.
+pub(super) struct Shared<W: Parts> {
+    work: W,
+    job: Job,
+    done: Mutex<Done<W>>,
+}
+
+struct Done<W: Parts> {
+    left: usize,
+    parts: Vec<Option<W::Part>>,
+    /// None once answered.
+    answer: Option<oneshot::Sender<Result<W::Whole, ComputeError>>>,
+}
+
+/// Work of any kind, as the threads see it.
+pub(super) trait Work: Send + Sync {
+    fn job(&self) -> &Job;
+
+    /// The estimated steps of a part.
+    fn steps(&self, index: usize) -> u64;
+
+    /// Does a part; the last one answers.
+    fn part(&self, index: usize);
+
+    /// Answers that the work was stopped.
+    fn stopped(&self);
+}
+
+impl<W: Parts> Work for Shared<W> {
+    fn job(&self) -> &Job {
+        &self.job
+    }
+
+    fn steps(&self, index: usize) -> u64 {
+        self.work.steps(index).max(LEAST_STEPS)
+    }
+
+    fn part(&self, index: usize) {
+        let part = caught(|| self.work.part(index));
+        let mut done = locked(&self.done);
+        match part.map_err(ComputeError::from).and_then(|part| part.map_err(ComputeError::from)) {
+            Err(error) => {
+                drop(done);
+                self.finish(Err(error));
+            }
+            Ok(part) => {
+                done.parts[index] = Some(part);
+                done.left -= 1;
+                if done.left == 0 {
+                    let parts = std::mem::take(&mut done.parts);
+                    drop(done);
+                    self.finish(Ok(parts.into_iter().flatten().collect()));
+                }
+            }
+        }
+    }
+
+    fn stopped(&self) {
+        self.finish(Err(ComputeError::Stopped));
+    }
+}
+
+impl<W: Parts> Shared<W> {
+    /// Work of `count` parts that is answered through `answer`.
+    pub(super) fn new(
+        work: W,
+        count: usize,
+        job: &Job,
+        answer: oneshot::Sender<Result<W::Whole, ComputeError>>,
+    ) -> Self {
+        let parts = (0..count).map(|_| None).collect();
+        let done = Done { left: count, parts, answer: Some(answer) };
+        Self { work, job: job.clone(), done: Mutex::new(done) }
+    }
+
+    /// Answers with the result of all parts together.
+    pub(super) fn finish(&self, parts: Result<Vec<W::Part>, ComputeError>) {
+        let awaited = locked(&self.done).answer.as_ref().is_some_and(|answer| !answer.is_closed());
+        if !awaited {
+            return;
+        }
+        let whole = parts.and_then(|parts| Ok(caught(|| self.work.whole(parts))??));
+        let answer = locked(&self.done).answer.take();
+        // The waiter may be gone: nothing is left to do then.
+        let _ = answer.map(|answer| answer.send(whole));
+    }
+}

@@ -1,0 +1,382 @@
+//! A batch while it is computed.
+
+use std::{
+    cell::RefCell,
+    ops::Range,
+    sync::{
+        Arc, Mutex, MutexGuard, OnceLock, PoisonError,
+        atomic::{AtomicU64, AtomicUsize, Ordering},
+    },
+};
+
+use super::{Batch, Engine, chunks::Chunks};
+use crate::{
+    budget::{NoMemory, Permit},
+    compute::{Job, Parts},
+    contact::{Stop, Stopped, Workspace},
+    service::{admission::Admission, injected::Injected, wire::Columns},
+    store::Lease,
+};
+
+/// Chunks' columns that are kept to be filled again: those of a large batch.
+const SPARE_CHUNKS: usize = 512;
+
+/// The most bytes of a chunk's columns that are kept: some 8 points per pair, every output.
+const SPARE_BYTES: usize = 64 << 10;
+
+/// Chunks of fewer bytes are put together by the thread that computed the last of them: about
+/// 1 ms.
+const LARGE_BYTES: usize = 4 << 20;
+
+/// Steps that pairs are counted in before they are spent, so that threads do not contend for the
+/// meter.
+const GATHERED_STEPS: u64 = 1 << 16;
+
+/// Why the rest of a batch is not computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Unanswered {
+    TooLarge,
+    NoMemory(NoMemory),
+}
+
+/// A batch being computed.
+pub(super) struct Run {
+    pub(super) batch: Batch,
+    pub(super) chunks: Chunks,
+    pub(super) unanswered: Arc<OnceLock<Unanswered>>,
+    job: Job,
+    /// The memory of the columns that are computed.
+    memory: Mutex<Option<Permit>>,
+    answer_bytes: AtomicUsize,
+    max_answer_bytes: usize,
+    pairs_computed: Arc<AtomicU64>,
+    spare: Arc<Spare>,
+    injected: Arc<Injected>,
+    /// Given back with the answer, so that the next request finds the places free.
+    taken: Mutex<Option<(Admission, Option<Lease>)>>,
+}
+
+/// A batch whose chunks are computed.
+pub(super) enum Chunked {
+    Answer(Box<(Columns, Permit)>),
+    /// To be put together as work of its own.
+    Large(Computed),
+}
+
+/// The chunks of an answer, in order.
+pub(super) struct Computed {
+    chunks: Vec<Columns>,
+    memory: Permit,
+    spare: Arc<Spare>,
+}
+
+/// Columns to be filled again, so that the steady state allocates none for chunks.
+#[derive(Debug, Default)]
+pub(super) struct Spare(Mutex<Vec<Columns>>);
+
+impl Spare {
+    fn take(&self) -> Columns {
+        locked(&self.0).pop().unwrap_or_default()
+    }
+
+    fn keep(&self, chunks: Vec<Columns>) {
+        let mut spare = locked(&self.0);
+        let room = SPARE_CHUNKS.saturating_sub(spare.len());
+        let small = chunks.into_iter().filter(|columns| columns.heap_bytes() <= SPARE_BYTES);
+        spare.extend(small.take(room).map(|mut columns| {
+            columns.clear();
+            columns
+        }));
+    }
+}
+
+thread_local! {
+    static WORKSPACE: RefCell<Workspace> = RefCell::default();
+}
+
+impl Parts for Run {
+    type Part = Columns;
+    type Whole = Chunked;
+
+    fn count(&self) -> usize {
+        self.chunks.count(self.batch.pair_count())
+    }
+
+    fn part(&self, index: usize) -> Result<Columns, Stopped> {
+        self.chunk(self.chunks.pairs(index, self.batch.pair_count()))
+    }
+
+    fn whole(&self, chunks: Vec<Columns>) -> Result<Chunked, Stopped> {
+        let computed = self.computed(chunks)?;
+        drop(locked(&self.taken).take());
+        if computed.bytes() > LARGE_BYTES {
+            return Ok(Chunked::Large(computed));
+        }
+        Ok(Chunked::Answer(Box::new(computed.concatenated(&self.job.stop)?)))
+    }
+}
+
+impl Run {
+    pub(super) fn new(
+        engine: &Engine,
+        batch: Batch,
+        chunks: Chunks,
+        job: &Job,
+        memory: Permit,
+        taken: (Admission, Option<Lease>),
+    ) -> Self {
+        let (max_answer_bytes, pairs_computed, spare, injected) = engine.shared();
+        Self {
+            batch,
+            chunks,
+            unanswered: Arc::default(),
+            job: job.clone(),
+            memory: Mutex::new(Some(memory)),
+            answer_bytes: AtomicUsize::new(0),
+            max_answer_bytes,
+            pairs_computed,
+            spare,
+            injected,
+            taken: Mutex::new(Some(taken)),
+        }
+    }
+
+    /// Cuts the batch into chunks by its pairs.
+    pub(super) fn cut(mut self, stop: &Stop) -> Result<Self, Stopped> {
+        self.chunks = Chunks::by_pairs(&self.batch, stop)?;
+        Ok(self)
+    }
+
+    /// Computes the batch on this thread.
+    pub(super) fn inline(&self) -> Result<(Columns, Permit), Stopped> {
+        let chunk = self.chunk(0..self.batch.pair_count())?;
+        let computed = self.computed(vec![chunk])?;
+        drop(locked(&self.taken).take());
+        computed.concatenated(&self.job.stop)
+    }
+
+    fn computed(&self, chunks: Vec<Columns>) -> Result<Computed, Stopped> {
+        let memory = locked(&self.memory).take().ok_or(Stopped)?;
+        let mut computed = Computed { chunks, memory, spare: self.spare.clone() };
+        let bytes = computed.bytes() as u64;
+        computed.memory.grow(bytes).map_err(|why| self.unanswered(Unanswered::NoMemory(why)))?;
+        Ok(computed)
+    }
+
+    /// The columns of these pairs, unless nobody waits for them.
+    fn chunk(&self, pairs: Range<usize>) -> Result<Columns, Stopped> {
+        self.look()?;
+        let mut columns = self.spare.take();
+        self.injected.pass(pairs.len());
+        // Taken out for the time of the chunk: one that panics leaves a new one behind.
+        let mut workspace = WORKSPACE.take();
+        let computed = self.pairs(pairs, &mut workspace, &mut columns);
+        WORKSPACE.set(workspace);
+        computed?;
+        let mut memory = locked(&self.memory);
+        let grown = memory.as_mut().map(|memory| memory.grow(columns.heap_bytes() as u64));
+        drop(memory);
+        if let Some(Err(why)) = grown {
+            return Err(self.unanswered(Unanswered::NoMemory(why)));
+        }
+        let bytes = columns.wire_bytes(self.batch.setting.outputs);
+        if self.answer_bytes.fetch_add(bytes, Ordering::Relaxed) + bytes > self.max_answer_bytes {
+            return Err(self.unanswered(Unanswered::TooLarge));
+        }
+        Ok(columns)
+    }
+
+    /// Adds these pairs to `columns`.
+    fn pairs(
+        &self,
+        pairs: Range<usize>,
+        workspace: &mut Workspace,
+        columns: &mut Columns,
+    ) -> Result<(), Stopped> {
+        self.pairs_computed.fetch_add(pairs.len() as u64, Ordering::Relaxed);
+        let mut steps = 0;
+        for pair in pairs {
+            steps += self.batch.pair(pair, workspace, columns);
+            if steps >= GATHERED_STEPS {
+                self.job.stop.spend(std::mem::take(&mut steps))?;
+                self.look()?;
+            }
+        }
+        self.job.stop.spend(steps)
+    }
+
+    /// Whether somebody waits for the answer, and it can still be given.
+    fn look(&self) -> Result<(), Stopped> {
+        let ends = self.job.stop.is_stopped() || self.unanswered.get().is_some();
+        if ends { Err(Stopped) } else { Ok(()) }
+    }
+
+    fn unanswered(&self, why: Unanswered) -> Stopped {
+        // The first reason counts.
+        let _ = self.unanswered.set(why);
+        Stopped
+    }
+}
+
+impl Computed {
+    /// The bytes that the columns have together.
+    fn bytes(&self) -> usize {
+        self.chunks.iter().map(Columns::filled_bytes).sum()
+    }
+
+    /// The estimated steps of putting the chunks together.
+    pub(super) fn steps(&self) -> u64 {
+        (self.bytes() / Columns::BYTES_PER_STEP) as u64
+    }
+
+    /// The answer. Its permit has the memory of the whole, that of the chunks is given back.
+    pub(super) fn concatenated(self, stop: &Stop) -> Result<(Columns, Permit), Stopped> {
+        let Self { chunks, mut memory, spare } = self;
+        let columns = Columns::concatenated(&chunks, stop)?;
+        spare.keep(chunks);
+        memory.shrink_to(columns.heap_bytes() as u64);
+        Ok((columns, memory))
+    }
+}
+
+/// A panic cannot leave the locked value half changed, so a poisoned lock is as good as any other.
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        budget::{Caller, MemoryBudget, Part, Refusal},
+        compute::Compute,
+        contact::ConvexHull,
+        proto::{Output, QueryContactsRequest},
+        service::{batch::Bounds, limits::Limits, wire},
+        workload::{Family, Regime, Workload},
+    };
+
+    fn engine(max_answer_bytes: usize) -> Engine {
+        let bounds = Bounds { max_pairs_in_flight: 1 << 20, shares: true, max_answer_bytes };
+        Engine::new(Compute::new(1).unwrap(), bounds, Arc::default())
+    }
+
+    /// Generated pairs, every output asked for.
+    fn batch(family: Family, regime: Regime, pairs: usize) -> Batch {
+        let workload = Workload::generate(family, regime, pairs, 1).unwrap();
+        let hulls = workload.hulls.iter().map(|points| Ok(Arc::new(ConvexHull::new(points).unwrap())));
+        let request = QueryContactsRequest {
+            hull_ids: (0..workload.hulls.len() as u8).map(|i| vec![i; 32]).collect(),
+            body_hulls: workload.pairs.iter().flat_map(|pair| pair.hulls.map(|hull| hull as u32)).collect(),
+            positions: workload.pairs.iter().flat_map(|pair| pair.positions).flatten().collect(),
+            rotations: workload.pairs.iter().flat_map(|pair| pair.rotations).flatten().collect(),
+            pairs: (0..2 * pairs as u32).collect(),
+            outputs: (1..=Output::Diagnostics as i32).collect(),
+            margin: 0.01,
+            ..Default::default()
+        };
+        let scene = wire::scene(request, &Limits::default()).unwrap();
+        Batch::new(scene, hulls.collect()).0
+    }
+
+    fn run(engine: &Engine, batch: Batch) -> Run {
+        let job = Job::new(Caller::alone());
+        let admission = engine.place(batch.pair_count(), &job.caller).unwrap();
+        let mut memory = Permit::unbounded(Part::Answers);
+        // As in a server, the caller has an account already.
+        memory.grow(1).unwrap();
+        engine.begin(batch, admission, &job, memory)
+    }
+
+    fn answer(run: &Run, chunks: Vec<Columns>) -> (Columns, Permit) {
+        match run.whole(chunks).unwrap() {
+            Chunked::Answer(answer) => *answer,
+            Chunked::Large(computed) => computed.concatenated(&run.job.stop).unwrap(),
+        }
+    }
+
+    /// Catches an allocation for every pair, or every chunk of pairs: once buffers have grown,
+    /// chunks allocate nothing, and an answer only its columns.
+    #[test]
+    fn the_steady_state_allocates_nothing_per_pair() {
+        let engine = engine(64 << 20);
+        for regime in Regime::ALL {
+            for pairs in [1000, 4096] {
+                // Again and again: chunks' buffers go round.
+                for round in 0..8 {
+                    let run = run(&engine, batch(Family::Poly16, regime, pairs));
+                    let mut chunks = Vec::with_capacity(run.count());
+                    let made = allocation_counter::measure(|| {
+                        chunks.extend((0..run.count()).map(|index| run.part(index).unwrap()));
+                    });
+                    assert!(round < 4 || made.count_total == 0, "{regime:?} {pairs}: {made:?}");
+                    let made = allocation_counter::measure(|| {
+                        assert_eq!(answer(&run, chunks).0.len(), pairs);
+                    });
+                    assert!(made.count_total <= 22, "columns, each once: {made:?}");
+                }
+            }
+        }
+        assert!(engine.pairs_computed() > 100_000);
+    }
+
+    /// Catches columns that are in no budget while they are computed or once they are whole, and
+    /// a batch that goes on without memory.
+    #[test]
+    fn columns_are_counted_from_the_first_chunk_on() {
+        let engine = engine(64 << 20);
+        let of = || batch(Family::Poly16, Regime::Resting, 1000);
+        let budget = MemoryBudget::new(16 << 20, true, &[]);
+        let mut run = run(&engine, of());
+        run.memory = Mutex::new(Some(budget.take(&run.job.caller, Part::Answers, 0).unwrap()));
+        let mut held = 0;
+        let mut chunks = Vec::new();
+        for index in 0..run.count() {
+            let chunk = run.part(index).unwrap();
+            held += chunk.heap_bytes() as u64;
+            assert_eq!(budget.used_by(Part::Answers), held);
+            chunks.push(chunk);
+        }
+        let (columns, memory) = answer(&run, chunks);
+        assert_eq!((memory.bytes(), budget.used()), (columns.heap_bytes() as u64, memory.bytes()));
+        assert!(memory.bytes() > 100_000);
+        let tight = MemoryBudget::new(held, true, &[]);
+        let run = Run {
+            memory: Mutex::new(Some(tight.take(&run.job.caller, Part::Answers, 0).unwrap())),
+            ..self::run(&engine, of())
+        };
+        let refused = (0..run.count()).find(|&index| run.part(index).is_err()).unwrap();
+        assert!(refused > 3 && refused < run.count());
+        let no_memory = NoMemory { part: Part::Answers, refusal: Refusal::TooLarge };
+        assert_eq!(run.unanswered.get(), Some(&Unanswered::NoMemory(no_memory)));
+        assert!(run.part(refused + 1).is_err());
+    }
+
+    /// Catches bytes that depend on the chunks, chunks that lose or repeat a pair, and a chunk that
+    /// costs much more than a millisecond: the same pairs, cut equally and by their cost.
+    #[test]
+    fn the_same_columns_whatever_the_chunks() {
+        let engine = engine(1 << 30);
+        let mut most = 0;
+        for family in [Family::Box, Family::Poly16, Family::Poly256] {
+            let [equal, by_pairs] = [false, true].map(|by_pairs| {
+                let run = run(&engine, batch(family, Regime::Shallow, 500));
+                let run = if by_pairs { run.cut(&Stop::default()).unwrap() } else { run };
+                let mut next = 0;
+                let chunks = (0..run.count()).map(|index| {
+                    let pairs = run.chunks.pairs(index, 500);
+                    assert_eq!(pairs.start, next);
+                    next = pairs.end;
+                    run.part(index).unwrap()
+                });
+                let chunks = chunks.collect();
+                assert_eq!(next, 500);
+                most = most.max(run.job.stop.largest_between_looks());
+                answer(&run, chunks).0
+            });
+            // NaN is NaN: compared as text.
+            assert_eq!(format!("{equal:?}"), format!("{by_pairs:?}"), "{family:?}");
+        }
+        assert!(most > 0 && most <= 2 * crate::contact::STEPS_BETWEEN_LOOKS, "{most}");
+    }
+}

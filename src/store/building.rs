@@ -1,0 +1,116 @@
+//! Hulls being built on the compute threads.
+
+use std::sync::Arc;
+
+use super::HullDefinition;
+use crate::{
+    budget::Permit,
+    compute::Parts,
+    contact::{BuildError, ConvexHull, HullError, Stop, Stopped},
+};
+
+/// Bytes that building takes at most for each point of a definition, the definition, its blob
+/// and the hull among them. Measured: `building_takes_no_more_than_is_counted`.
+const BYTES_PER_POINT: usize = 1280;
+
+/// Bytes that building takes for any definition.
+const BYTES_PER_HULL: usize = 2 << 10;
+
+/// Steps of building for each point of a definition.
+const STEPS_PER_POINT: u64 = 3_000;
+
+/// Steps of simplifying for each pair of points of a definition.
+const SIMPLIFYING_STEPS: u64 = 500;
+
+/// The most bytes that building a hull takes.
+pub(super) fn building_bytes(definition: &HullDefinition) -> usize {
+    BYTES_PER_HULL + BYTES_PER_POINT * definition.points.len()
+}
+
+/// Hulls to be built, each a part.
+pub(super) struct Building {
+    pub(super) definitions: Vec<HullDefinition>,
+    pub(super) max_vertices: usize,
+    pub(super) stop: Arc<Stop>,
+    /// Given back with the definitions.
+    pub(super) _memory: Permit,
+}
+
+impl Parts for Building {
+    type Part = Result<ConvexHull, HullError>;
+    type Whole = Vec<Self::Part>;
+
+    fn count(&self) -> usize {
+        self.definitions.len()
+    }
+
+    fn steps(&self, index: usize) -> u64 {
+        let definition = &self.definitions[index];
+        let points = definition.points.len() as u64;
+        let simplifying = match definition.simplification {
+            Some(_) => points.saturating_mul(points).saturating_mul(SIMPLIFYING_STEPS),
+            None => 0,
+        };
+        simplifying.saturating_add(STEPS_PER_POINT * points)
+    }
+
+    fn part(&self, index: usize) -> Result<Self::Part, Stopped> {
+        match self.definitions[index].build_stoppable(self.max_vertices, &self.stop) {
+            Ok(hull) => Ok(Ok(hull)),
+            Err(BuildError::Hull(error)) => Ok(Err(error)),
+            Err(BuildError::Stopped) => Err(Stopped),
+        }
+    }
+
+    fn whole(&self, parts: Vec<Self::Part>) -> Result<Self::Whole, Stopped> {
+        Ok(parts)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::contact::Simplification;
+
+    /// Points all over a sphere, all of them extreme.
+    fn sphere(count: usize) -> Vec<[f64; 3]> {
+        let point = |i: usize| {
+            let z = 1.0 - (2.0 * i as f64 + 1.0) / count as f64;
+            let (sine, cosine) = (2.399_963_229_728_653 * i as f64).sin_cos();
+            let radius = (1.0 - z * z).sqrt();
+            [radius * cosine, radius * sine, z]
+        };
+        (0..count).map(point).collect()
+    }
+
+    /// Catches hulls whose building takes more memory than is taken of the budget for it: the
+    /// peak of building, and the definition twice, as points and as stored bytes.
+    #[test]
+    fn building_takes_no_more_than_is_counted() {
+        // The corners of a prism with many sides.
+        let prism = |count: usize| -> Vec<[f64; 3]> {
+            (0..count)
+                .map(|i| {
+                    let angle = std::f64::consts::TAU * (i / 2) as f64 / (count / 2) as f64;
+                    [angle.cos(), angle.sin(), (i % 2) as f64]
+                })
+                .collect()
+        };
+        let wanted = Simplification { max_vertices: Some(64), max_deviation: None };
+        for (name, points, simplification) in [
+            ("4 points", sphere(4), None),
+            ("sphere of 100", sphere(100), None),
+            ("sphere of 4000", sphere(4000), None),
+            ("prism of 4000", prism(4000), None),
+            ("sphere of 300, simplified", sphere(300), Some(wanted)),
+        ] {
+            let definition = HullDefinition { points, simplification, ..HullDefinition::default() };
+            let made = allocation_counter::measure(|| {
+                definition.build(usize::MAX).unwrap();
+            });
+            let stored = 2 * size_of_val(&definition.points[..]);
+            let (peak, counted) = (made.bytes_max as usize + stored, building_bytes(&definition));
+            assert!(peak <= counted, "{name}: {peak} of {counted}");
+        }
+    }
+}
