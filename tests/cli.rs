@@ -109,6 +109,40 @@ fn a_server_answers_as_this_process_does() -> Outcome {
     Ok(())
 }
 
+/// Catches a diverged scene that looks like one without contacts to a script: the exit code and the
+/// count say that pairs were not answered, in this process and from a server.
+#[test]
+fn unusable_poses_are_counted_and_fail() -> Outcome {
+    let folder = scratch("unusable")?;
+    let server = Server::start(&folder.join("store"))?;
+    let scene = |rotation: &str| -> Result<PathBuf, Box<dyn Error>> {
+        let path = folder.join("scene.json");
+        let content = format!(
+            r#"{{"format": "hullcast.scene.v1", "name": "two", "margin": 0.5,
+            "hulls": [{{"vertices": [[0,0,0],[1,0,0],[0,1,0],[0,0,1]]}}],
+            "bodies": [{{"hull": 0, "position": [0,0,0], "rotation": [0,0,0,1]}},
+                       {{"hull": 0, "position": [0,0,0.5], "rotation": {rotation}}}],
+            "pairs": [[0,1],[0,0]]}}"#
+        );
+        std::fs::write(&path, content)?;
+        Ok(path)
+    };
+    for remote in [&[][..], &["--remote", &server.address]] {
+        for rotation in ["[0,0,0,0]", "[0,0,0,0.2]", "[0,0,0,4.1]"] {
+            let output = hullcast(&[&["query", text(&scene(rotation)?), "--json"], remote].concat())?;
+            assert_eq!(output.status.code(), Some(1), "{rotation}");
+            let said = String::from_utf8(output.stderr)?;
+            assert!(said.contains("1 of 2 bodies (bodies 1)") && said.contains("1 of 2 pairs"), "{said}");
+            let answer: Value = serde_json::from_slice(&output.stdout)?;
+            assert_eq!(answer["pairs"].as_array().ok_or("no pairs")?.len(), 2, "the answer is printed");
+        }
+        for rotation in ["[0,0,0,0.3]", "[0,0,0,3.9]", "[0,0,0,1.01]"] {
+            printed(&[&["query", text(&scene(rotation)?)], remote].concat())?;
+        }
+    }
+    Ok(())
+}
+
 /// Catches an error that leaves the user to search the file.
 #[test]
 fn bad_scenes_are_refused_by_field_and_index() -> Outcome {

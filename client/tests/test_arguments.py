@@ -26,10 +26,32 @@ class Opaque:
 #: Of no use as any number.
 NO_NUMBER: list[Any] = ["1", "1cm", b"1", [], [1.0], {}, {"a": 1}, 1j, object(), Opaque(), True]
 REALS: list[Any] = [*NO_NUMBER, NAN, -1, -1e-300, -INF, np.float32(-1), 10**400 * -1]
-TIMES: list[Any] = [*REALS, 0, 0.0, -0.0, np.int64(0), fractions.Fraction(-1, 3), decimal.Decimal("NaN")]
+TIMES: list[Any] = [
+    *REALS,
+    0,
+    0.0,
+    -0.0,
+    np.int64(0),
+    fractions.Fraction(-1, 3),
+    decimal.Decimal("NaN"),
+]
 COUNTS: list[Any] = [*NO_NUMBER, -1, 1.0, 1.5, NAN, 2**40, None, np.float64(3)]
 WORDS: list[Any] = ["", "x", "Raise", None, 1, 1.5, True, [], {}, b"raise", object()]
-NO_ARRAY: list[Any] = [None, "abc", b"abc", {}, {"a": 1}, 5, 1.5, object(), Opaque(), [["a"]], [[None] * 3], [1, [2, 3]], 1j]
+NO_ARRAY: list[Any] = [
+    None,
+    "abc",
+    b"abc",
+    {},
+    {"a": 1},
+    5,
+    1.5,
+    object(),
+    Opaque(),
+    [["a"]],
+    [[None] * 3],
+    [1, [2, 3]],
+    1j,
+]
 
 
 def scene() -> hullcast.Scene:

@@ -178,7 +178,8 @@ def test_an_invalid_body_costs_only_its_own_pairs(client):
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("relative_tolerance", 2.0), ("feature_angle", 0.6), ("feature_angle", -0.1)]
+    ("field", "value"),
+    [("relative_tolerance", 2.0), ("feature_angle", 0.6), ("feature_angle", -0.1)],
 )
 def test_what_the_server_refuses_is_named(client, field, value):
     """Catches a refusal by the server that reaches the caller without its reason and its field."""

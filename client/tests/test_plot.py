@@ -73,3 +73,44 @@ def test_what_cannot_be_drawn_says_so(client, pile, tmp_path):
         client.query(ids, [[0, 1]]).plot()
     with pytest.raises(hullcast.OutputNotAsked):
         client.query(pile, [[0, 1]], outputs=["ALPHA"]).plot()
+
+
+def test_round_hulls_are_drawn(client):
+    """Catches a hull without sharp edges, of which the newest matplotlib draws nothing but an error."""
+    hulls = client.register([hullcast.sphere(1), hullcast.capsule(0.5, 1)])
+    scene = hullcast.Scene(hulls, [[0, 0, 0], [0, 0, 1.9]], [[0, 0, 0, 1]] * 2)
+    figure = client.query(scene, [[0, 1]], margin=0.1).plot()
+    assert figure.axes[0].get_title().startswith("1 pair, ")
+    assert figure._repr_png_()[1:4] == b"PNG"
+
+
+def test_a_scene_is_drawn_without_contacts(pile, tmp_path):
+    """Catches a scene that can only be drawn with an answer, and an unusable pose that raises."""
+    figure = pile.plot(path=tmp_path / "scene.png")
+    assert figure.axes[0].get_title() == "4 bodies"
+    assert (tmp_path / "scene.png").read_bytes() == figure._repr_png_()
+    positions = pile.positions.copy()
+    positions[1] = np.inf
+    assert pile.moved(positions, pile.rotations).plot().axes[0].get_title() == "3 bodies"
+
+
+def test_axes_of_the_callers(client, pile):
+    """Catches a new figure for axes that were given, and flat axes that fail without a word."""
+    from matplotlib.figure import Figure
+
+    figure = Figure()
+    axes = figure.add_subplot(1, 2, 2, projection="3d")
+    m = client.query(pile, [[0, 1]], margin=0.02)
+    assert m.plot(ax=axes) is figure
+    assert len(axes.collections) > 4
+    assert pile.plot(ax=axes) is figure
+    for wrong in (figure.add_subplot(1, 2, 1), figure, 5, "ax"):
+        with pytest.raises(hullcast.InvalidArgument, match="ax: expected matplotlib axes"):
+            m.plot(ax=wrong)
+
+
+def test_a_figure_is_pickled(pile):
+    """Catches a figure that a pool cannot return."""
+    import pickle
+
+    assert len(pickle.loads(pickle.dumps(pile.plot())).axes) == 1

@@ -133,7 +133,16 @@ class FakeScene:
 
 @pytest.mark.parametrize(
     "hulls",
-    [CUBE, CUBE.tolist(), Duck(CUBE), [CUBE], (CUBE,), CUBE[None], iter([CUBE]), {1: CUBE}.values()],
+    [
+        CUBE,
+        CUBE.tolist(),
+        Duck(CUBE),
+        [CUBE],
+        (CUBE,),
+        CUBE[None],
+        iter([CUBE]),
+        {1: CUBE}.values(),
+    ],
     ids=["array", "rows", "mesh", "list", "tuple", "stack", "iterator", "values"],
 )
 def test_one_hull_or_several(client, hulls):

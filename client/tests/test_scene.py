@@ -201,7 +201,9 @@ def test_find_sends_worlds_and_groups():
         groups=[1, 2],
         ignored_groups=[[1, 2]],
     )
-    request = contacts_pb2.QueryContactsRequest.FromString(Query(scene, None, find=True).find_message().data)
+    request = contacts_pb2.QueryContactsRequest.FromString(
+        Query(scene, None, find=True).find_message().data
+    )
     assert list(request.worlds) == [0, 2**32 - 1]
     assert list(request.groups) == [1, 2]
     assert list(request.ignored_groups) == [1, 2]

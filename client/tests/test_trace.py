@@ -76,7 +76,13 @@ def test_each_kind_of_call_is_of_the_callers_trace(logged: SimpleNamespace) -> N
         with Within(5), client.session(scene, [[0, 1]]) as session:
             session.step(scene.positions, scene.rotations)
     # The first call is preceded by one that asks whether a server is there.
-    expected = {"GetServerInfo": 2, "RegisterHulls": 2, "QueryContacts": 3, "FindContacts": 4, "StreamContacts": 5}
+    expected = {
+        "GetServerInfo": 2,
+        "RegisterHulls": 2,
+        "QueryContacts": 3,
+        "FindContacts": 4,
+        "StreamContacts": 5,
+    }
     assert logged.calls() == {name: f"{trace:032x}" for name, trace in expected.items()}
 
 

@@ -41,7 +41,12 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]
     with socket.create_server(("127.0.0.1", 0)) as gone:
         free = gone.getsockname()[1]
     files = {name: str(folder / f"{name}.pem") for name in ("ca", "other", "no")}
-    options = ["--tls-certificate", str(folder / "certificate.pem"), "--tls-key", str(folder / "key.pem")]
+    options = [
+        "--tls-certificate",
+        str(folder / "certificate.pem"),
+        "--tls-key",
+        str(folder / "key.pem"),
+    ]
     with Server() as plain, Server("memory://", *options) as secured:
         yield {
             "plain": plain.address.rpartition(":")[2],
@@ -202,19 +207,22 @@ def test_a_frozen_server_is_left_for_another():
     own = [_channel._OPTIONS[name] for name in names]
     assert own[0] + max(own[1:]) <= 30_000
     options = [*NO_PROXY, *((name, value // 10) for name, value in zip(names, own, strict=True))]
-    with Server() as a, Server() as b:
-        with hullcast.connect([a.address, b.address], options=options) as client:
-            hulls = client.register(CUBE)
-            scene = hullcast.Scene(hulls, np.zeros((1, 3)), [[0, 0, 0, 1]])
-            sessions = [client.session(scene, [[0, 0]]) for _ in range(2)]
+    with (
+        Server() as a,
+        Server() as b,
+        hullcast.connect([a.address, b.address], options=options) as client,
+    ):
+        hulls = client.register(CUBE)
+        scene = hullcast.Scene(hulls, np.zeros((1, 3)), [[0, 0, 0, 1]])
+        sessions = [client.session(scene, [[0, 0]]) for _ in range(2)]
+        for session in sessions:
+            session.step(scene.positions, scene.rotations)
+        os.kill(a.process.pid, signal.SIGSTOP)
+        try:
+            for _ in range(4):
+                assert client.query(scene, [[0, 0]], timeout=40).in_contact.all()
             for session in sessions:
-                session.step(scene.positions, scene.rotations)
-            os.kill(a.process.pid, signal.SIGSTOP)
-            try:
-                for _ in range(4):
-                    assert client.query(scene, [[0, 0]], timeout=40).in_contact.all()
-                for session in sessions:
-                    m = session.step(scene.positions, scene.rotations, timeout=40)
-                    assert m.in_contact.all()
-            finally:
-                os.kill(a.process.pid, signal.SIGCONT)
+                m = session.step(scene.positions, scene.rotations, timeout=40)
+                assert m.in_contact.all()
+        finally:
+            os.kill(a.process.pid, signal.SIGCONT)

@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from ._robot import Robot
     from ._scene import Scene
     from ._serve import serve
+    from ._shapes import Shape, box, capsule, cone, cylinder, prism, sphere
     from ._wire import FeatureKind, Flag, Outcome
 
 __all__ = [
@@ -79,17 +80,24 @@ __all__ = [
     "ServerInfo",
     "ServerNotFound",
     "Session",
+    "Shape",
     "StoredHull",
     "Unauthenticated",
     "Unavailable",
     "Unimplemented",
     "__version__",
     "aio",
+    "box",
+    "capsule",
+    "cone",
     "connect",
+    "cylinder",
     "decompose",
     "from_wxyz",
     "hull_id",
+    "prism",
     "serve",
+    "sphere",
 ]
 
 # Each name is loaded when it is first used, so that a program that only may
@@ -125,6 +133,7 @@ _HOMES = {
     "_robot": ["Robot"],
     "_scene": ["Scene"],
     "_serve": ["serve"],
+    "_shapes": ["Shape", "box", "capsule", "cone", "cylinder", "prism", "sphere"],
     "_wire": ["FeatureKind", "Flag", "Outcome"],
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

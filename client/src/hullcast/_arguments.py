@@ -1,4 +1,4 @@
-"""Single values that users pass: brought to one form, or refused with their name, value and range."""
+"""Single values that users pass: brought to one form, or refused with name, value and range."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -93,10 +94,8 @@ def _array(field: str, value: Any, shape: tuple[int | None, ...]) -> npt.NDArray
     if array.dtype.kind == "O" and array.ndim and array.size:
         # Fractions and decimals are numbers; None would become NaN.
         real = all(not isinstance(entry, (str, bytes, type(None))) for entry in array.flat)
-        try:
+        with contextlib.suppress(TypeError, ValueError, OverflowError):
             array = array.astype("<f8") if real else array
-        except (TypeError, ValueError, OverflowError):
-            pass
     return array
 
 

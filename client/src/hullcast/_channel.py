@@ -27,6 +27,7 @@ DEFAULT_PORT = 50051
 _FORMS = "host, host:port, unix:PATH, dns:///host:port, http://host:port or https://host:port"
 Tls = bool | bytes | str | os.PathLike[str] | grpc.ChannelCredentials | None
 
+
 # A call that finds its server UNAVAILABLE is tried again for about 12 s in all, longer than a
 # balancer takes to see that a server is gone and than a server takes to start again. Every call
 # is idempotent. A server that is too busy says itself when to come back
@@ -233,7 +234,11 @@ def _with_port(text: str, wrong: Any, *, numeric: bool = False) -> str:
     if not colon or "]" in port:
         host, port = text, str(DEFAULT_PORT)
     bare = host[1:-1] if host.startswith("[") and host.endswith("]") else host
-    if not bare or any(c.isspace() or c in "/?#@[]" for c in bare) or (":" in bare and bare == host):
+    if (
+        not bare
+        or any(c.isspace() or c in "/?#@[]" for c in bare)
+        or (":" in bare and bare == host)
+    ):
         raise wrong()
     if not (port.isascii() and port.isdecimal() and 0 < int(port) < 2**16):
         raise wrong()
@@ -322,8 +327,10 @@ def _options(options: Any) -> tuple[tuple[str, Any], ...]:
     kept: list[tuple[str, Any]] = []
     for i, pair in enumerate(pairs):  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
         good = isinstance(pair, (tuple, list)) and len(pair) == 2 and isinstance(pair[0], str)  # pyright: ignore[reportUnknownArgumentType]
-        if not good or not isinstance(pair[1], (int, str, bytes)) or (
-            isinstance(pair[1], int) and not -(2**31) <= pair[1] < 2**31
+        if (
+            not good
+            or not isinstance(pair[1], (int, str, bytes))
+            or (isinstance(pair[1], int) and not -(2**31) <= pair[1] < 2**31)
         ):
             raise InvalidArgument(
                 f"{expected}, got {shown(pair)}", reason="WRONG_TYPE", field="options", index=i

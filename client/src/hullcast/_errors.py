@@ -182,7 +182,7 @@ class InvalidPosesWarning(UserWarning):
 
 
 class MissingHullsWarning(UserWarning):
-    """The server does not have some hulls, so that their pairs are INVALID; the text counts them."""
+    """The server lacks some hulls, so that their pairs are INVALID; the text counts them."""
 
 
 class NotConvexWarning(_Pickled, UserWarning):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from . import _arguments
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument
 from ._wire import PAIR_COLUMNS, POINT_COLUMNS
@@ -98,8 +100,7 @@ def padded(
     slots: int,
 ) -> Padded:
     """Ragged points as k slots a pair: the deepest where there are more."""
-    if slots < 0:
-        raise InvalidArgument(f"{slots} slots", reason="VALUE_OUT_OF_RANGE", field="k")
+    slots = _arguments.integer("k", slots, 0, 2**31 - 1)
     pair = np.repeat(np.arange(len(counts)), counts)
     # By pair, then depth; equals keep their order.
     order = np.lexsort((distance, pair))
@@ -131,7 +132,9 @@ def dataframe(columns: Mapping[str, np.ndarray], rows: str) -> Any:
     pandas: Any = library
     if rows not in ("pairs", "points"):
         raise InvalidArgument(
-            f"{rows!r} is none of pairs, points", reason="UNKNOWN_VALUE", field="rows"
+            f"{_arguments.shown(rows)} is none of pairs, points",
+            reason="UNKNOWN_VALUE",
+            field="rows",
         )
     series: dict[str, Any] = {"pair": np.arange(len(columns["outcomes"]))}
     for name, values in columns.items():
@@ -188,12 +191,18 @@ def load(path: str | os.PathLike[str]) -> Columns:
         with np.load(path, allow_pickle=False) as file:
             written = str(file["format"]) if "format" in file.files else ""
             columns = {name: file[name] for name in file.files if name in _widths()}
-    except ValueError as error:
-        raise InvalidArgument(str(error), reason="NOT_MANIFOLDS", field="path") from None
+    except (ValueError, EOFError, zipfile.BadZipFile, KeyError, AttributeError):
+        raise InvalidArgument(
+            f"{os.fspath(path)} is not an npz file: expected one that Manifolds.save wrote",
+            reason="NOT_MANIFOLDS",
+            field="path",
+        ) from None
     missing = [name for name in (*_ALWAYS, *_OF_SCENE) if name not in columns]
     if written != _FORMAT or missing:
         raise InvalidArgument(
-            f"not {_FORMAT}: {os.fspath(path)}", reason="NOT_MANIFOLDS", field="path"
+            f"{os.fspath(path)} is an npz file, but not one that Manifolds.save wrote ({_FORMAT})",
+            reason="NOT_MANIFOLDS",
+            field="path",
         )
     pairs = len(columns["outcomes"])
     points = int(columns["point_counts"].sum()) if "point_counts" in columns else 0

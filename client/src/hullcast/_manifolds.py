@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, cast, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from . import _export
+from . import _answers, _arguments, _export, _tensors
+from ._arguments import kind
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument, OutputNotAsked
 from ._export import Padded
@@ -221,6 +222,79 @@ class Manifolds:
             self._column("point_counts", "points", "POINTS")
         return _export.dataframe(self._columns, rows)
 
+    def to_torch(self) -> dict[str, Any]:
+        """The columns that were asked for as torch tensors on the CPU, by their attributes' names.
+
+        They share the columns' memory. `tensor.to("cuda")` copies one to a device.
+
+        Raises:
+            ImportError: torch is not installed.
+        """
+        return _tensors.to_torch(self._arrays())
+
+    def to_jax(self) -> dict[str, Any]:
+        """The columns that were asked for as jax arrays, by their attributes' names.
+
+        jax keeps 64 bits only with its setting `jax_enable_x64`.
+
+        Raises:
+            ImportError: jax is not installed.
+        """
+        return _tensors.to_jax(self._arrays())
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """The columns by their attributes' names."""
+        single = {name: name.removesuffix("s") for name in self._columns}
+        return {
+            single[name] if hasattr(self, single[name]) else name: column
+            for name, column in self._columns.items()
+        }
+
+    @classmethod
+    def concat(cls, manifolds: Iterable[Manifolds]) -> Manifolds:
+        """The pairs of several answers as one, in their order.
+
+        The numbers of bodies are kept as they are. The scene is kept if all answers
+        have the same one. All answers need the same outputs.
+
+        Raises:
+            InvalidArgument: there is none, or the outputs differ.
+        """
+        if isinstance(manifolds, (Manifolds, Manifold, str, Mapping)) or not isinstance(
+            manifolds, Iterable
+        ):
+            raise InvalidArgument(
+                f"expected a list of Manifolds, got {kind(manifolds)}",
+                reason="WRONG_TYPE",
+                field="manifolds",
+            )
+        parts = list(manifolds)
+        for i, part in enumerate(parts):
+            _arguments.instance(f"manifolds[{i}]", part, Manifolds, "Manifolds")
+        if not parts:
+            raise InvalidArgument(
+                "expected one or more, got none", reason="EMPTY", field="manifolds"
+            )
+        # What was computed from other columns is computed again.
+        derived = ("point_offsets", "witness_bs")
+        kept = [name for name in parts[0]._columns if name not in derived]
+        if all("witness_bs" in part._columns for part in parts):
+            kept.append("witness_bs")
+        for i, part in enumerate(parts):
+            odd = {name for name in part._columns if name not in derived} ^ (
+                set(kept) - set(derived)
+            )
+            if odd:
+                raise InvalidArgument(
+                    f"{min(odd)} is not in every answer: expected the same outputs in all",
+                    reason="OTHER_OUTPUTS",
+                    field="manifolds",
+                    index=i,
+                )
+        scene = parts[0].scene if all(part.scene is parts[0].scene for part in parts) else None
+        columns = [{name: part._columns[name] for name in kept} for part in parts]
+        return cls(_answers.merge(columns), scene)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the columns as a numpy `npz` file, without the scene."""
         _export.save(path, self._columns)
@@ -235,16 +309,22 @@ class Manifolds:
         return cls(_export.load(path))
 
     def plot(
-        self, *, pairs: npt.ArrayLike | None = None, path: str | os.PathLike[str] | None = None
+        self,
+        *,
+        pairs: npt.ArrayLike | None = None,
+        path: str | os.PathLike[str] | None = None,
+        ax: Any = None,
     ) -> Any:
         """A picture of bodies and contacts, by matplotlib (extra `plot`); needs no display.
 
         Hulls, their patches' polygons, normals and witness pairs, the points
-        coloured by distance. Needs the outputs NORMAL and POINTS.
+        coloured by distance. Needs the outputs NORMAL and POINTS. A notebook shows the
+        picture if the call is the last line of a cell.
 
         Args:
             pairs: indices of the pairs to draw; by default all.
             path: where the picture is written too, such as "contacts.png".
+            ax: matplotlib axes with projection="3d" to draw into; by default new ones.
 
         Returns:
             The `matplotlib.figure.Figure`.
@@ -252,7 +332,8 @@ class Manifolds:
         from . import _plot
 
         shown, bodies, scene = self._drawn(pairs)
-        return _plot.picture(bodies, shown.pairs, shown.normal, shown._drawn_points(), scene, path)
+        points = shown._drawn_points()
+        return _plot.picture(bodies, shown.pairs, shown.normal, points, scene, path, ax)
 
     def log(
         self,

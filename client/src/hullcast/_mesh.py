@@ -72,8 +72,8 @@ def read_file(path: Any, field: str = "") -> bytes:
     Raises:
         FileNotFound, InvalidArgument: as `load`.
     """
+    name = str(path)
     try:
-        name = os.fspath(path)
         return Path(path).read_bytes()
     except FileNotFoundError:
         raise FileNotFound(

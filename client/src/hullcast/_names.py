@@ -71,9 +71,7 @@ class EnumArray(np.ndarray[Any, np.dtype[np.uint8]]):
     def __repr__(self) -> str:
         start = f"{type(self).__name__}("
         plain = self.view(np.ndarray)
-        text = np.array2string(
-            plain, formatter={"int": self._name}, separator=", ", prefix=start
-        )
+        text = np.array2string(plain, formatter={"int": self._name}, separator=", ", prefix=start)
         return f"{start}{text})"
 
 

@@ -69,13 +69,15 @@ def _entries(variable: str) -> list[Path]:
 
 
 def _folders(packages: Any) -> list[Path]:
+    name = type(cast(object, packages)).__name__
     try:
         if isinstance(packages, (str, os.PathLike)):
             return [Path(cast("str | os.PathLike[str]", packages)).resolve()]
-        return [Path(folder).resolve() for folder in packages]
+        folders = cast("Iterable[str | os.PathLike[str]]", packages)
+        return [Path(folder).resolve() for folder in folders]
     except TypeError:
         raise InvalidArgument(
-            f"expected a folder or a list of folders, got {type(packages).__name__}",
+            f"expected a folder or a list of folders, got {name}",
             reason="NOT_A_PATH",
             field="packages",
         ) from None

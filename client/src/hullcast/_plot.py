@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import os
 from typing import Any
 
 import numpy as np
 
 from . import _drawing
+from ._arguments import kind
 from ._arrays import Floats, Indices
+from ._errors import InvalidArgument
 from ._export import Columns
 from ._scene import Scene
 
@@ -23,6 +26,7 @@ def picture(
     points: Columns,
     scene: Scene,
     path: str | os.PathLike[str] | None,
+    ax: Any = None,
 ) -> Any:
     """The figure that `Manifolds.plot` returns.
 
@@ -32,18 +36,11 @@ def picture(
         points: `point_counts` (n,), `witness_as` and `witness_bs` (p, 3), `distances` (p,).
         scene: the bodies' hulls and poses.
         path: where it is written too, or None.
+        ax: the axes to draw into; None for new ones.
     """
-    try:
-        from matplotlib import cm, colors
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ImportError(
-            "plot needs matplotlib and scipy: pip install 'hullcast[plot]'"
-        ) from error
-    figure: Any = Figure(figsize=(9, 7), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)  # draws without a display
-    axes: Any = figure.add_subplot(projection="3d", computed_zorder=False)
+    figure, axes = _axes(ax)
+    from matplotlib import cm, colors
+
     # Of many bodies only those that touch are numbered.
     touching = pairs[points["point_counts"] > 0]
     numbered = set((touching if len(bodies) > _NUMBERED else bodies).reshape(-1).tolist())
@@ -61,10 +58,68 @@ def picture(
     if corners:
         _frame(axes, np.concatenate(corners))
     axes.set(xlabel="x", ylabel="y", zlabel="z")
-    axes.set_title(f"{len(normals)} pairs, {len(distances)} contact points")
+    if len(normals) or len(distances):
+        axes.set_title(f"{_count(len(normals), 'pair')}, {_count(len(distances), 'contact point')}")
+    else:
+        axes.set_title(_count(len(bodies), "body", "bodies"))
     if path is not None:
         figure.savefig(path)
     return figure
+
+
+def bodies_alone(
+    bodies: Any, scene: Scene, path: str | os.PathLike[str] | None, ax: Any = None
+) -> Any:
+    """The figure that `Scene.plot` returns."""
+    nothing = {
+        "point_counts": np.zeros(0, dtype="<u4"),
+        "witness_as": np.zeros((0, 3)),
+        "witness_bs": np.zeros((0, 3)),
+        "distances": np.zeros(0),
+    }
+    no_pairs = np.zeros((0, 2), dtype="<u4")
+    return picture(bodies, no_pairs, np.zeros((0, 3)), nothing, scene, path, ax)
+
+
+def _count(number: int, one: str, several: str = "") -> str:
+    return f"{number} {one if number == 1 else several or one + 's'}"
+
+
+def _axes(ax: Any) -> tuple[Any, Any]:
+    """Figure and axes to draw into."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ImportError(
+            "plot needs matplotlib and scipy: pip install 'hullcast[plot]'"
+        ) from error
+    if ax is not None:
+        if not hasattr(ax, "add_collection3d"):
+            raise InvalidArgument(
+                'expected matplotlib axes with projection="3d", such as '
+                f'plt.figure().add_subplot(projection="3d"), got {kind(ax)}',
+                reason="WRONG_TYPE",
+                field="ax",
+            )
+        return ax.figure, ax
+
+    class Picture(Figure):
+        """A figure that a notebook shows without further settings."""
+
+        def _repr_png_(self) -> bytes:
+            written = io.BytesIO()
+            self.savefig(written, format="png")
+            return written.getvalue()
+
+        def __reduce_ex__(self, protocol: Any) -> Any:
+            # As a plain figure: this class has no name that pickle could find.
+            make, arguments, *rest = super().__reduce_ex__(2)
+            return (make, (Figure, *arguments[1:]), *rest)
+
+    figure: Any = Picture(figsize=(9, 7), dpi=120, layout="constrained")
+    FigureCanvasAgg(figure)  # draws without a display
+    return figure, figure.add_subplot(projection="3d", computed_zorder=False)
 
 
 def _draw_body(axes: Any, scene: Scene, body: int, numbered: bool) -> Floats:
@@ -80,9 +135,11 @@ def _draw_body(axes: Any, scene: Scene, body: int, numbered: bool) -> Floats:
             vertices[triangles], facecolors=colour, alpha=0.2, shade=True, linewidths=0, zorder=1
         )
     )
-    axes.add_collection3d(
-        Line3DCollection(vertices[edges], colors=colour, linewidths=0.8, zorder=2)
-    )
+    # A round hull has no edges to draw, and matplotlib takes no collection of none.
+    if len(edges):
+        axes.add_collection3d(
+            Line3DCollection(vertices[edges], colors=colour, linewidths=0.8, zorder=2)
+        )
     used = np.unique(triangles)
     if numbered:
         box = {"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.7, "linewidth": 0}

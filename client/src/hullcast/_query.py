@@ -283,7 +283,9 @@ class Query:
             columns["invalid_bodies"] = np.union1d(columns["invalid_bodies"], unseen)
         found = Manifolds(columns, self.scene)
         if len(found.missing_hulls):
-            lost = int(np.count_nonzero(found.flags & int(Flag.UNKNOWN_HULL | Flag.HULL_UNAVAILABLE)))
+            lost = int(
+                np.count_nonzero(found.flags & int(Flag.UNKNOWN_HULL | Flag.HULL_UNAVAILABLE))
+            )
             warn(
                 MissingHullsWarning(
                     f"the server does not have {len(found.missing_hulls)} of "

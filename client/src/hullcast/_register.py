@@ -263,9 +263,7 @@ def _rejected(place: int, error: hulls_pb2.HullError, labels: Sequence[str]) -> 
     )
 
 
-def _hull(
-    info: hulls_pb2.HullInfo, content: Content, home: _channel.Settings | None
-) -> Hull:
+def _hull(info: hulls_pb2.HullInfo, content: Content, home: _channel.Settings | None) -> Hull:
     xx, yy, zz, xy, xz, yz = info.inertia
     return Hull(
         id=info.id,

@@ -8,6 +8,7 @@ import numpy as np
 
 from . import _drawing
 from ._arrays import Floats
+from ._errors import InvalidArgument
 from ._export import Columns
 from ._scene import Scene
 
@@ -43,6 +44,13 @@ def log(
     except ImportError as error:
         raise ImportError("log needs rerun: pip install 'hullcast[rerun]'") from error
     rerun: Any = library
+    if recording is None and rerun.get_global_data_recording() is None:
+        raise InvalidArgument(
+            "there is no recording, so that nothing would be kept: call rerun.init(NAME, "
+            "spawn=True) for a viewer, or rerun.init(NAME) and rerun.save(FILE), first",
+            reason="NO_RECORDING",
+            field="recording",
+        )
     to = {"recording": recording}
     for body in bodies:
         entity = f"{path}/bodies/{int(body)}"

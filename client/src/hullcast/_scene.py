@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -98,6 +99,24 @@ class Scene:
             worlds = len(np.unique(self.worlds))
             text += f" in {worlds} world{'' if worlds == 1 else 's'}"
         return f"Scene({text})"
+
+    def plot(self, *, path: str | os.PathLike[str] | None = None, ax: Any = None) -> Any:
+        """A picture of all bodies, by matplotlib (extra `plot`); needs no display.
+
+        Bodies with an unusable pose are left out.
+
+        Args:
+            path: where the picture is written too, such as "scene.png".
+            ax: matplotlib axes with projection="3d" to draw into; by default new ones.
+
+        Returns:
+            The `matplotlib.figure.Figure`.
+        """
+        from . import _plot
+
+        unusable = _arrays.unusable(self.positions, self.rotations)
+        bodies = np.setdiff1d(np.arange(len(self)), unusable)
+        return _plot.bodies_alone(bodies, self, path, ax)
 
     def moved(self, positions: Any, rotations: Any = None) -> Scene:
         """The same bodies at new poses, given in any form that `Scene` takes."""

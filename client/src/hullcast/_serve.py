@@ -92,7 +92,7 @@ def start(
     command = [find_binary(), "serve", "--listen", listen, "--store", os.fspath(store)]
     command += ["--until-stdin-closes", *_words(arguments)]
     # The file has no name: nothing is left of it, however this process ends.
-    log = tempfile.TemporaryFile(prefix="hullcast-")
+    log = tempfile.TemporaryFile(prefix="hullcast-")  # noqa: SIM115 (it lives with the server)
     try:
         process = subprocess.Popen(
             command, bufsize=0, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log
@@ -111,7 +111,7 @@ def start(
 
 def _words(arguments: Any) -> list[str]:
     """Arguments of a command line, each a text."""
-    expected = "expected a list of str, such as [\"--compute-threads\", \"4\"]"
+    expected = 'expected a list of str, such as ["--compute-threads", "4"]'
     if isinstance(arguments, (str, bytes, Mapping)) or not isinstance(arguments, Iterable):
         raise InvalidArgument(
             f"{expected}, got {_arguments.shown(arguments)}", reason="WRONG_TYPE", field="arguments"

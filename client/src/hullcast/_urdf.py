@@ -125,7 +125,7 @@ def _root(data: bytes, tag: str) -> Element:
         what = others.get(root.tag, f"XML whose root is <{root.tag}>")
         raise _Invalid(f"this is {what}; needed is a file whose root is <{tag}>: convert it")
     for element in root.iter():
-        if isinstance(element.tag, str) and "xacro" in element.tag.partition("}")[0]:
+        if "xacro" in element.tag.partition("}")[0]:
             name = element.tag.rpartition("}")[2]
             raise _Invalid(
                 f"<xacro:{name}> has to be expanded first: xacro robot.urdf.xacro > robot.urdf"

@@ -161,9 +161,7 @@ class _Link:
     def __init__(self, channel: Any, metadata: Callable[[], _channel.Metadata]) -> None:
         self.channel = channel
         self._metadata = metadata
-        self._unary: dict[str, Any] = {
-            name: channel.unary_unary(name) for name in _calls.UNARY
-        }
+        self._unary: dict[str, Any] = {name: channel.unary_unary(name) for name in _calls.UNARY}
         self._stream: Any = channel.unary_stream(_calls.FIND)
         self.proven = False
 

@@ -14,17 +14,18 @@ import os
 import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from . import _arrays, _serve
+from ._arguments import one_of, seconds
 from ._arrays import Indices
 from ._client import Client
-from ._errors import InvalidArgument, Unavailable
+from ._errors import InvalidArgument, InvalidPosesWarning, Unavailable, warn
 from ._manifolds import Manifolds
-from ._query import Accuracy, output_names
+from ._query import Accuracy, Query, output_names, own_pairs
 from ._scene import Scene
 from ._wire import OUTPUT_COLUMNS, POINT_COLUMNS
 
@@ -43,6 +44,7 @@ def query(
     margin: float = 0.0,
     accuracy: Accuracy | None = None,
     outputs: Iterable[str] | None = None,
+    on_invalid: Literal["raise", "flag"] = "flag",
     timeout: float | None = 60,
     store: str | os.PathLike[str] | None = None,
     arguments: Sequence[str] = (),
@@ -61,6 +63,9 @@ def query(
         scene: hulls and bodies; its poses are not used, nor are its worlds and groups.
         pairs: (m, 2), those of every row.
         margin, accuracy, outputs, timeout: as of `Client.query`.
+        on_invalid: "flag" answers INVALID for pairs of bodies with an unusable pose, and
+            warns with their number, once per batch; "raise" fails the batch with
+            `InvalidPoses`.
         store: of the servers; by default each has a directory of its own that it removes.
         arguments: further arguments of `hullcast serve`, such as `--compute-threads`.
         options: of `map_batches`, such as `batch_size`, `num_cpus` and `concurrency`.
@@ -75,10 +80,14 @@ def query(
         InvalidArgument: pairs or outputs that make no query.
     """
     if pairs is not None:
-        pairs = _own_pairs(pairs, len(scene))
+        pairs = own_pairs(pairs, len(scene))
     names = output_names(outputs)
     ray = _library()
-    asked = {"margin": margin, "accuracy": accuracy, "outputs": names, "timeout": timeout}
+    one_of("on_invalid", on_invalid, ("raise", "flag"))
+    asked = {"margin": margin, "accuracy": accuracy, "outputs": names}
+    # Refused here, not in a task.
+    Query(scene, [] if pairs is None else pairs, **asked)
+    asked |= {"on_invalid": on_invalid, "timeout": seconds("timeout", timeout) or np.inf}
     here = ray.get_runtime_context().get_node_id()
     servers = ray.remote(_Servers).options(**_placed(here)).remote(store, tuple(arguments))
     job = _Job(scene, pairs, asked, columns_of(names), servers)
@@ -106,19 +115,24 @@ def _answered(batch: Batch, job: _Job) -> Batch:
     own = (
         [job.pairs] * rows
         if job.pairs is not None
-        else [_own_pairs(p, bodies) for p in batch["pairs"]]
+        else [own_pairs(p, bodies) for p in batch["pairs"]]
     )
     pairs = np.concatenate([pairs + row * bodies for row, pairs in enumerate(own)])
     scene = job.scene._many(
         _poses("positions", batch, bodies, 3), _poses("rotations", batch, bodies, 4)
     )
     found = _ask(job, scene, pairs)
+    if len(found.invalid_bodies):
+        warn(
+            InvalidPosesWarning(
+                f"{len(found.invalid_bodies)} of {len(scene)} bodies in "
+                f"{len(np.unique(found.invalid_bodies // bodies))} of {rows} rows have an unusable "
+                f"pose: {np.count_nonzero(found.outcome == 'INVALID')} of {len(found)} pairs are "
+                "INVALID"
+            )
+        )
     ends = np.cumsum([len(pairs) for pairs in own])
     return {**batch, **_split(found, job, ends)}
-
-
-def _own_pairs(pairs: Any, bodies: int) -> Indices:
-    return _arrays.indices("pairs", pairs, None, 2, below=bodies)
 
 
 def _poses(field: str, batch: Batch, bodies: int, width: int) -> npt.NDArray[np.float64]:

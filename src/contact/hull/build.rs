@@ -142,7 +142,7 @@ impl Shell {
         let at_corners = triangles.iter().zip(&groups.of).flat_map(|(t, &group)| t.map(|v| (v, group)));
         let vertex_faces = Csr::from_pairs(vertices.len(), planes.len(), at_corners);
         let isolation = isolation(planes, &vertex_faces, meter)?;
-        meter.spend(LISTED * 4 * topology.edge_faces.len() as u64)?;
+        meter.spend(LISTED * 2 * topology.edge_faces.len() as u64)?;
         let face = |((plane, &area), isolation): ((&Plane, &f64), Isolation)| Face {
             normal: plane.normal,
             offset: plane.offset,
@@ -151,10 +151,12 @@ impl Shell {
             isolation,
         };
         let merge_error = planes.iter().map(|plane| plane.planarity).fold(topology.straightened, f64::max);
+        let face_neighbours = Csr::from_pairs(planes.len(), planes.len(), across);
+        meter.spend(LISTED * 2 * topology.edge_faces.len() as u64)?;
         Ok(Some(Self {
             merge_error,
             faces: planes.iter().zip(&topology.face_areas).zip(isolation).map(face).collect(),
-            face_neighbours: Csr::from_pairs(planes.len(), planes.len(), across),
+            face_neighbours,
             vertex_edges: Csr::from_ordered_pairs(vertices.len(), ends),
             outlines: topology.outlines,
             edge_vertices: topology.edge_vertices,

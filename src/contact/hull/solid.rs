@@ -23,6 +23,9 @@ const NORMAL: u64 = 100;
 /// roundings are as large as what keeps faces apart, a share of the inradius.
 const THINNEST: f64 = 65536.0 * U;
 
+/// Hull units: more than the rounding of two inradii.
+const SURELY: f64 = 256.0 * U;
+
 /// The exact hull of the points, vertices in registered order.
 pub(super) struct Solid {
     /// Caller's units.
@@ -85,6 +88,33 @@ impl Solid {
         normals: &[TriangleNormal],
         meter: &Meter<'_>,
     ) -> Result<Option<Centred>, Stopped> {
+        let centred = self.about(center, normals, meter)?;
+        Ok(centred.filter(|c| c.inradius > THINNEST * c.circumradius))
+    }
+
+    /// Whether [`Solid::centred`] may succeed for this solid, or for one of fewer of its vertices
+    /// of which the farthest from `center` is the same.
+    ///
+    /// The true distance of the surface from `center` does not grow when vertices are left out,
+    /// and an inradius is that distance to a few dozen roundoffs. So an inradius that is too
+    /// small by more than [`SURELY`] is too small with fewer vertices, too.
+    pub(super) fn may_surround(
+        &self,
+        center: DVec3,
+        normals: &[TriangleNormal],
+        meter: &Meter<'_>,
+    ) -> Result<bool, Stopped> {
+        let centred = self.about(center, normals, meter)?;
+        Ok(centred.is_some_and(|c| c.inradius + SURELY > THINNEST * c.circumradius))
+    }
+
+    /// About `center`, which must be strictly inside.
+    fn about(
+        &self,
+        center: DVec3,
+        normals: &[TriangleNormal],
+        meter: &Meter<'_>,
+    ) -> Result<Option<Centred>, Stopped> {
         if !center.is_finite() || !self.surrounds(center, normals, meter)? {
             return Ok(None);
         }
@@ -111,8 +141,7 @@ impl Solid {
             - (1.0 + 8.0 * U) * moved * shrink
             - f64::MIN_POSITIVE;
         let (scale, circumradius) = (power_of_two(exponent), radius * shrink);
-        let thick = inradius > THINNEST * circumradius;
-        Ok(thick.then_some(Centred { vertices, scale, inradius, circumradius }))
+        Ok(Some(Centred { vertices, scale, inradius, circumradius }))
     }
 
     /// Whether `center` is strictly inside, exactly.

@@ -31,8 +31,7 @@ def read(data: bytes) -> tuple[Floats, Indices]:
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise Unreadable(f"the file is not XML: {error}") from None
     for element in root.iter():
-        if isinstance(element.tag, str):
-            element.tag = element.tag.rpartition("}")[2]
+        element.tag = element.tag.rpartition("}")[2]
     if root.tag != "COLLADA":
         raise Unreadable(f"the root element is <{root.tag}>, not <COLLADA>")
     scene = _Scene(root)

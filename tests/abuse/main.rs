@@ -1,0 +1,34 @@
+//! Attacks on the real server, and what a bystander notices of them.
+//!
+//! Each attack comes from one loopback address while a bystander on another one alternates
+//! small queries, larger queries and health checks. The tests assert what issue reports of
+//! denial of service are about: memory stays within the configured budget, everything that an
+//! attack held is free soon after it ends, each answer to the bystander is right, and the
+//! bystander is served before the attacker's backlog is. Latencies are reported, never
+//! asserted.
+//!
+//! Each attack has two forms. `tenth` runs in `make test`: a tenth of the size against a tenth
+//! of the budgets. `full` runs in `make test-abuse`: default limits. One attack runs at a time.
+//!
+//! `HULLCAST_ABUSE_BIN` names another server to attack, for example one of an older version.
+//! Settings that such a server does not know have to be removed by a wrapper script.
+#![cfg(feature = "server")]
+
+#[path = "../service/support/raw.rs"]
+#[allow(dead_code, reason = "shared with the tests of the service")]
+mod raw;
+#[path = "../service/support/scenes.rs"]
+#[allow(dead_code, reason = "shared with the tests of the service")]
+mod scenes;
+
+#[macro_use]
+mod support;
+
+mod building;
+mod collected;
+mod declared;
+mod elements;
+mod messages;
+mod queries;
+mod unfinished;
+mod unread;
