@@ -18,7 +18,9 @@ use hullcast::{
 };
 use tokio::task::JoinHandle;
 use tonic::{Code, Request, Status, transport::Channel};
-use tonic_health::pb::{HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient};
+use tonic_health::pb::{
+    HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient,
+};
 
 use super::{latency::Latencies, server::REGISTER_TOKEN};
 use crate::scenes::{assert_same, expected, outputs, plain, register_request, round_points, scene, shapes};
@@ -82,11 +84,7 @@ impl Bystander {
         Working { done, answered, queries, health }
     }
 
-    async fn ask_queries(
-        mut self,
-        done: Arc<AtomicBool>,
-        answered: Arc<AtomicUsize>,
-    ) -> (Latencies, usize) {
+    async fn ask_queries(mut self, done: Arc<AtomicBool>, answered: Arc<AtomicUsize>) -> (Latencies, usize) {
         let (mut latencies, mut retries) = (Latencies::default(), 0);
         while !done.load(Ordering::SeqCst) {
             for (request, expected) in self.questions.iter() {

@@ -114,7 +114,9 @@ async fn freed(
             elapsed < FREE_WITHIN,
             "{title}: {elapsed:?} after the attack {} MiB are resident, {} MiB before it, {} MiB of hulls \
              are cached, and the budget holds {parts:?}, before it {idle_parts:?}",
-            bytes >> 20, idle_bytes >> 20, cached >> 20
+            bytes >> 20,
+            idle_bytes >> 20,
+            cached >> 20
         );
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
@@ -124,8 +126,13 @@ async fn freed(
 fn report(title: &str, undisturbed: &Experience, attacked: &Experience, peak: u64, freed: Duration) {
     println!(
         "\n| {title} | {} | {} | {} | {} | {} | {} | {:.1} |",
-        undisturbed.queries, attacked.queries, undisturbed.health, attacked.health, attacked.retries,
-        peak >> 20, freed.as_secs_f64()
+        undisturbed.queries,
+        attacked.queries,
+        undisturbed.health,
+        attacked.health,
+        attacked.retries,
+        peak >> 20,
+        freed.as_secs_f64()
     );
 }
 
