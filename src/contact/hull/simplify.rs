@@ -30,7 +30,7 @@ use super::solid::Solid;
 use super::{BuildError, ConvexHull, HullError, HullErrorKind, HullOptions, build};
 use crate::contact::stop::{Meter, Stopped};
 use crate::contact::tolerance::{NOISE, U};
-use distance::distance;
+use distance::{Trace, distance};
 use points::PointTree;
 
 mod distance;
@@ -141,6 +141,8 @@ struct Inner<'a> {
     /// For each number of vertices, less one, the deviation that they leave; caller's units.
     deviations: Vec<f64>,
     points: PointTree,
+    /// Of the vertices, by their indices.
+    traces: Vec<Trace>,
     left: BinaryHeap<Left>,
 }
 
@@ -155,7 +157,8 @@ impl<'a> Inner<'a> {
         let rest = (0..vertices.len()).filter(|&v| v != first);
         let left = rest.map(|v| Left { distance: f64::INFINITY, vertex: v as u32, at: 0 }).collect();
         let points = PointTree::new(vertices, first as u32, meter)?;
-        Ok(Self { given, whole, taken: vec![first as u32], deviations: Vec::new(), points, left })
+        let (taken, traces) = (vec![first as u32], vec![Trace::default(); vertices.len()]);
+        Ok(Self { given, whole, taken, deviations: Vec::new(), points, traces, left })
     }
 
     /// How far the hull of the first `count` vertices taken is from the whole at most.
@@ -184,7 +187,9 @@ impl<'a> Inner<'a> {
             if top.at == self.taken.len() {
                 return Ok(Some(top.distance));
             }
-            let bound = distance(self.whole.vertices()[top.vertex as usize], &self.points, meter)?;
+            let vertex = top.vertex as usize;
+            let trace = &mut self.traces[vertex];
+            let bound = distance(self.whole.vertices()[vertex], &self.points, trace, meter)?;
             // A bound from before holds too.
             top.distance = top.distance.min(bound);
             top.at = self.taken.len();

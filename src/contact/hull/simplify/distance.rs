@@ -10,16 +10,26 @@
 
 use glam::DVec3;
 
-use super::points::{Added, PointTree};
+use super::points::{Added, Guess, PointTree};
 use crate::contact::stop::{Meter, Stopped};
 use crate::contact::tolerance::{DISTANCE_ITERATIONS, NOISE, U};
 
 /// Steps of finding the nearest point of a simplex.
 const SIMPLEX: u64 = 250;
 
+/// The answers of a search, one for each of its first steps. The next search for the same target
+/// asks much the same.
+pub(super) type Trace = [Guess; 12];
+
 /// An upper bound of the distance of `target` from the hull of the points in the tree, hull
 /// units.
-pub(super) fn distance(target: DVec3, points: &PointTree, meter: &Meter<'_>) -> Result<f64, Stopped> {
+pub(super) fn distance(
+    target: DVec3,
+    points: &PointTree,
+    trace: &mut Trace,
+    meter: &Meter<'_>,
+) -> Result<f64, Stopped> {
+    let mut steps = 0;
     let mut simplex = Corners::default().with(points.first());
     let mut known = None;
     let mut shortest = f64::INFINITY;
@@ -32,7 +42,8 @@ pub(super) fn distance(target: DVec3, points: &PointTree, meter: &Meter<'_>) -> 
             break;
         }
         shortest = away.length();
-        let next = points.farthest_along(away, kept.points(), meter)?;
+        let next = points.farthest_along(away, kept.points(), &mut trace[steps], meter)?;
+        steps = (steps + 1).min(trace.len() - 1);
         if away.dot(next.point) <= away.dot(nearest) || kept.has(next) {
             break;
         }
