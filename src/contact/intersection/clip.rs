@@ -27,7 +27,7 @@ pub(super) fn are_large(a: &Outline, b: &Outline) -> bool {
 }
 
 /// A vertex of the intersection.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Vertex {
     pub(super) at: DVec2,
     pub(super) made: Made,
@@ -36,7 +36,7 @@ pub(super) struct Vertex {
 }
 
 /// What makes a vertex, by places in the two outlines.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Made {
     /// A corner of the subject inside the window.
     Own(u32),
@@ -45,9 +45,12 @@ pub(super) enum Made {
     Window { corner: u32, near: bool },
     /// A side of the subject and one of the window.
     Crossing(u32, u32),
+    /// Two sides of the window that are not neighbours. Most are cut off again by the sides
+    /// between; those that are left are named by their nearest corner when all is cut.
+    Meeting([u32; 2]),
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 enum Line {
     /// A side of the subject.
     Own(u32),
@@ -99,20 +102,32 @@ impl Clip {
     /// Keeps the part of `subject` (a point, a segment or a polygon) inside
     /// `window`, a polygon; in order, with vertices nearer than `eps` still apart.
     pub(super) fn clip(&mut self, subject: &Outline, window: &Outline, eps: f64) {
-        self.kept.clear();
-        let corners = subject.corners.iter().zip(0..);
-        self.kept.extend(corners.map(|(c, i)| Vertex { at: c.at, made: Made::Own(i), line: Line::Own(i) }));
-        let mut on_line = false;
-        if are_large(subject, window) {
-            on_line = self.clip_chain(window, eps);
+        self.begin(subject);
+        let on_line = if are_large(subject, window) {
+            self.cut_chain(window, eps)
         } else {
-            for j in 0..window.sides.len() {
-                on_line |= self.cut(window, j as u32, eps);
-            }
-        }
+            self.cut_plainly(window, eps)
+        };
         if on_line {
             self.cut_corners(window, eps);
         }
+        for v in &mut self.kept {
+            if let Made::Meeting(sides) = v.made {
+                v.made = Made::Window { corner: nearest_corner(window, v.at, sides), near: true };
+            }
+        }
+    }
+
+    /// Keeps all of `subject`.
+    fn begin(&mut self, subject: &Outline) {
+        self.kept.clear();
+        let corners = subject.corners.iter().zip(0..);
+        self.kept.extend(corners.map(|(c, i)| Vertex { at: c.at, made: Made::Own(i), line: Line::Own(i) }));
+    }
+
+    /// Cuts by every side of the window; whether a vertex was within `eps` of one.
+    fn cut_plainly(&mut self, window: &Outline, eps: f64) -> bool {
+        (0..window.sides.len() as u32).fold(false, |on_line, j| on_line | self.cut(window, j, eps))
     }
 
     /// Cuts by side `j` of the window; whether a vertex is within `eps` of it.
@@ -258,7 +273,7 @@ fn crossing(window: &Outline, p: &Vertex, q: &Vertex, share: f64, j: u32) -> Ver
             } else if window.next(k as usize) == j as usize {
                 (Made::Window { corner: j, near: false }, window.corners[j as usize].at)
             } else {
-                (Made::Window { corner: nearest_corner(window, at, [k, j]), near: true }, at)
+                (Made::Meeting([k, j]), at)
             };
             Vertex { at, made, line: p.line }
         }
@@ -266,7 +281,8 @@ fn crossing(window: &Outline, p: &Vertex, q: &Vertex, share: f64, j: u32) -> Ver
 }
 
 /// The corner of the window that is nearest to the point where two of its sides meet that are
-/// not neighbours. Large windows look only at the corners between these sides.
+/// not neighbours. Large windows look only at the corners between these sides, none of which
+/// cut.
 #[cold]
 fn nearest_corner(window: &Outline, at: DVec2, [k, j]: [u32; 2]) -> u32 {
     let distance = |i: u32| window.corners[i as usize].at.distance_squared(at);

@@ -27,7 +27,6 @@
 //! therefore opens few nodes beside those on the way to the answer: it takes about the logarithm
 //! of the number of points, as adding a point does.
 
-
 use glam::DVec3;
 
 use crate::contact::stop::{Meter, Stopped};
@@ -142,6 +141,7 @@ impl PointTree {
     /// The tree over `all` points, with the one of index `first` in the set.
     pub(super) fn new(all: &[DVec3], first: u32, meter: &Meter<'_>) -> Result<Self, Stopped> {
         let mut order: Vec<u32> = (0..all.len() as u32).collect();
+        meter.spend(16 * HEIGHT * all.len() as u64)?;
         let map = Map::new(all);
         let round: Vec<DVec3> = all.iter().map(|&p| map.point(p)).collect();
         // Nodes to be made, with their points.
@@ -149,7 +149,7 @@ impl PointTree {
         let mut nodes = Vec::new();
         while nodes.len() < ranges.len() {
             let range = ranges[nodes.len()].clone();
-            meter.spend(32 * HEIGHT * range.len() as u64)?;
+            meter.spend(16 * HEIGHT * range.len() as u64)?;
             let middle = range.start + halve(&round, &mut order[range.clone()]);
             let quarter = range.start + halve(&round, &mut order[range.start..middle]);
             let last = middle + halve(&round, &mut order[middle..range.end]);
