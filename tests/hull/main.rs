@@ -6,6 +6,7 @@ mod faces;
 mod recorded;
 mod simplify;
 mod sizes;
+mod stopping;
 
 use std::collections::BTreeSet;
 

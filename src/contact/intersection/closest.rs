@@ -14,6 +14,7 @@ use super::PlanePoint;
 use super::clip::are_large;
 use super::outline::{Corner, Outline};
 use crate::contact::manifold::Element;
+use crate::contact::tolerance::{MERGE, U};
 
 /// A pair of nearest points: on A, on B, what they lie on.
 #[derive(Clone, Copy, Debug)]
@@ -39,14 +40,20 @@ pub(super) struct Closest {
 /// of the closest set where it is not unique), each lifted to its own feature.
 pub(super) fn estimate(a: &Outline, b: &Outline, eps: f64, scratch: &mut Scratch) -> Closest {
     let Scratch { nearest, candidates } = scratch;
-    let mut chosen_from = 0;
-    if are_large(a, b) {
-        candidates.choose(a, b, eps, &mut chosen_from);
-    } else {
+    if !are_large(a, b) {
         candidates.all(a, b);
+        return among(a, b, eps, nearest, candidates);
     }
-    let closest = among(a, b, eps, nearest, candidates);
-    Closest { looked_at: closest.looked_at + chosen_from, ..closest }
+    let mut looked_at = 0;
+    let (u, distance) = direction(a, b, &mut looked_at);
+    looked_at += candidates.choose(a, b, u, distance + eps);
+    let mut closest = among(a, b, eps, nearest, candidates);
+    if closest.gap > distance + eps {
+        // They overlap, by little: no corner is as near to a side as the polygons are.
+        looked_at += closest.looked_at + candidates.choose(a, b, u, closest.gap + eps);
+        closest = among(a, b, eps, nearest, candidates);
+    }
+    Closest { looked_at: closest.looked_at + looked_at, ..closest }
 }
 
 /// The same among the pairs of candidates.
@@ -118,16 +125,17 @@ impl Candidates {
         }
     }
 
-    /// Of two large polygons, those of which a pair may be closest to within `eps`.
+    /// Of two large polygons, those of which a pair may be within `distance` of each other,
+    /// whatever the unit direction `u` from A to B. How many corners it looked at.
     #[cold]
-    fn choose(&mut self, a: &Outline, b: &Outline, eps: f64, looked_at: &mut u64) {
-        let (u, distance) = direction(a, b, looked_at);
+    fn choose(&mut self, a: &Outline, b: &Outline, u: DVec2, distance: f64) -> u64 {
         let top = |outline: &Outline, u: DVec2| {
             outline.corners.iter().map(|c| u.dot(c.at)).fold(f64::NEG_INFINITY, f64::max)
         };
         let (top_a, top_b) = (top(a, u), top(b, -u));
-        // Each height is rounded by a few roundoffs, a share of `eps`.
-        let most = distance + 3.0 * eps + (top_a + top_b);
+        // Each height is rounded by a few roundoffs.
+        let rounding = MERGE * U * (top_a.abs() + top_b.abs() + distance);
+        let most = distance + (top_a + top_b) + rounding;
         for (outline, u, top, i) in [(a, u, top_a, 0), (b, -u, top_b, 1)] {
             self.depths.clear();
             self.depths.extend(outline.corners.iter().map(|c| top - u.dot(c.at)));
@@ -135,8 +143,8 @@ impl Candidates {
             choose(&mut self.corners[i], self.depths.len(), most, depth);
             let side_depth = |i: usize| depth(i).min(depth(outline.next(i)));
             choose(&mut self.sides[i], self.depths.len(), most, side_depth);
-            *looked_at += 4 * self.depths.len() as u64;
         }
+        4 * (a.corners.len() + b.corners.len()) as u64
     }
 }
 
@@ -246,7 +254,7 @@ mod tests {
                 b.corners.clone_from(&a.corners);
                 b.corners.iter_mut().for_each(|c| c.at = -c.at);
             }
-            let away = DVec2::from_angle(random.within(0.0, 6.3)) * random.within(4.5, 6.0);
+            let away = DVec2::from_angle(random.within(0.0, 6.3)) * random.within(6.9, 9.0);
             b.corners.iter_mut().for_each(|c| c.at += away);
             b.set_sides();
             let few = estimate(&a, &b, 1e-13, &mut scratch);
