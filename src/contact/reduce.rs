@@ -51,7 +51,7 @@ impl PartialOrd for Gap {
 }
 
 impl Ord for Gap {
-    /// Of equals the lower point is the better.
+    /// If two are equal, the lower point is the better.
     fn cmp(&self, other: &Self) -> Ordering {
         self.area.total_cmp(&other.area).then(other.best.cmp(&self.best))
     }
@@ -107,7 +107,7 @@ fn gap(points: &[PlanePoint], from: usize, to: usize, looked_at: &mut u64) -> Op
     best
 }
 
-/// Of a convex polygon, its corners in order.
+/// The doubled area of a convex polygon, its corners in order.
 fn doubled_area(points: &[PlanePoint]) -> f64 {
     let [first, rest @ ..] = points else { return 0.0 };
     rest.windows(2).map(|two| (two[0].at - first.at).perp_dot(two[1].at - first.at)).sum::<f64>().abs()

@@ -1,4 +1,4 @@
-//! Hull building that is stopped, and what it costs.
+//! Hull building that is stopped, and its cost.
 
 use hullcast::contact::{
     BuildError, ConvexHull, HullOptions, STEPS_BETWEEN_LOOKS, Simplification, Stop,
@@ -69,7 +69,7 @@ fn a_stopped_build_ends() {
                 let at = stop.steps();
                 (build.join().unwrap(), at)
             });
-            // A look under way, and what the meter spends at the end.
+            // One look under way, and the last one.
             assert!(stop.steps() <= at + 2 * STEPS_BETWEEN_LOOKS, "{name}: {at}, {}", stop.steps());
             match built {
                 Err(BuildError::Stopped) => stopped_on_the_way += usize::from(tenth > 0),
@@ -118,7 +118,7 @@ fn simplification_takes_little_more_than_its_vertices() {
     for count in [1024, 2048, 4096] {
         let now = steps(count, false);
         assert!(now < 3 * before, "{now} after {before}");
-        // Of hulls tried on the way about the logarithm of their number is built.
+        // Only about the logarithm of the number of hulls on the way is built.
         assert!(steps(count, true) < 2 * now);
         before = now;
     }

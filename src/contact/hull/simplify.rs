@@ -36,10 +36,10 @@ use points::PointTree;
 mod distance;
 mod points;
 
-/// What a hull may be simplified to; a bound that is absent does not bind.
+/// The bounds of a simplified hull; an absent bound does not bind.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Simplification {
-    /// At most so many vertices, at least 4.
+    /// The most vertices, at least 4.
     pub max_vertices: Option<u32>,
     /// The Hausdorff distance to the whole hull is at most this; caller's units.
     pub max_deviation: Option<f64>,
@@ -126,7 +126,7 @@ impl PartialOrd for Left {
 }
 
 impl Ord for Left {
-    /// Of equals the lower vertex is the larger, to be taken first.
+    /// If two are equal, the lower vertex is the larger, to be taken first.
     fn cmp(&self, other: &Self) -> Ordering {
         self.distance.total_cmp(&other.distance).then(other.vertex.cmp(&self.vertex))
     }
@@ -141,7 +141,7 @@ struct Inner<'a> {
     /// For each number of vertices, less one, the deviation that they leave; caller's units.
     deviations: Vec<f64>,
     points: PointTree,
-    /// Of the vertices, by their indices.
+    /// The traces of the vertices, by their indices.
     traces: Vec<Trace>,
     left: BinaryHeap<Left>,
 }
@@ -180,7 +180,7 @@ impl<'a> Inner<'a> {
         Ok(self.deviations[count - 1])
     }
 
-    /// Upper bound of the distance of the farthest vertex left out; none when none is.
+    /// Upper bound of the distance of the farthest vertex left out; none if none is left out.
     fn farthest(&mut self, meter: &Meter<'_>) -> Result<Option<f64>, Stopped> {
         loop {
             let Some(mut top) = self.left.peek_mut() else { return Ok(None) };

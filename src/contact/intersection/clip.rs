@@ -1,5 +1,5 @@
 //! A feature clipped by a face: Sutherland and Hodgman, *Reentrant polygon clipping* (1974,
-//! doi:10.1145/360767.360802), with what makes each vertex carried along.
+//! doi:10.1145/360767.360802). Each vertex carries the features that make it.
 //!
 //! A side of the window cuts where the subject passes from more than `eps`
 //! inside to more than `eps` outside; a vertex within `eps` of the side's line is
@@ -31,17 +31,17 @@ pub(super) fn are_large(a: &Outline, b: &Outline) -> bool {
 pub(super) struct Vertex {
     pub(super) at: DVec2,
     pub(super) made: Made,
-    /// What the outline follows from here.
+    /// The line that the outline follows from here.
     line: Line,
 }
 
-/// What makes a vertex, by places in the two outlines.
+/// The features that make a vertex, by places in the two outlines.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Made {
     /// A corner of the subject inside the window.
     Own(u32),
-    /// A corner of the window inside the subject; or only near, where two sides
-    /// meet that are not neighbours: those between lie within `eps` of here.
+    /// A corner of the window inside the subject; or only near: two sides meet here
+    /// that are not neighbours, and those between lie within `eps` of here.
     Window { corner: u32, near: bool },
     /// A side of the subject and one of the window.
     Crossing(u32, u32),
@@ -65,13 +65,13 @@ struct Run {
 }
 
 impl Run {
-    /// Those whose distance is no less than `least`, where they are one run, but
+    /// The vertices whose distance is no less than `least`, if they are one run, but
     /// neither all nor none.
     fn of(distances: &[f64], least: f64) -> Option<Self> {
         let (mut first, mut count, mut starts) = (0, 0, 0);
         let mut before = *distances.last()? >= least;
         for (i, &distance) in distances.iter().enumerate() {
-            // Without branches: which vertices they are is anyone's guess.
+            // Without branches, because they would be unpredictable.
             let inside = distance >= least;
             let starts_here = inside & !before;
             first = if starts_here { i } else { first };
@@ -88,7 +88,7 @@ impl Run {
 pub(super) struct Clip {
     pub(super) kept: Vec<Vertex>,
     next: Vec<Vertex>,
-    /// Of each vertex from the side that cuts.
+    /// The distance of each vertex from the side that cuts.
     distances: Vec<f64>,
     chain: Chain,
 }
@@ -157,7 +157,7 @@ impl Clip {
         on_line
     }
 
-    /// Of a polygon that leaves the window across side `j` once, and comes back once.
+    /// Cuts a polygon that leaves the window across side `j` once, and comes back once.
     fn keep_run(&mut self, window: &Outline, inside: &Run, j: u32, eps: f64) {
         let Self { kept, next, distances, .. } = self;
         next.clear();
@@ -175,7 +175,7 @@ impl Clip {
         next.extend(enters);
     }
 
-    /// Of a segment, or of a polygon that rounding makes leave more than once.
+    /// Cuts a segment, or a polygon that rounding makes leave more than once.
     fn keep_each(&mut self, window: &Outline, j: u32, eps: f64) {
         let Self { kept, next, distances, .. } = self;
         next.clear();
@@ -198,7 +198,7 @@ impl Clip {
         }
     }
 
-    /// Cuts what is more than `eps` beyond a sharp corner, across the corner.
+    /// Cuts the part more than `eps` beyond a sharp corner, across the corner.
     #[cold]
     fn cut_corners(&mut self, window: &Outline, eps: f64) {
         let Self { kept, next, .. } = self;
@@ -206,7 +206,7 @@ impl Clip {
         for (j, corner) in window.corners.iter().enumerate() {
             let sides = [before, j].map(|side| window.sides[side].inward);
             before = j;
-            // Of sides at right angles and wider ones `eps` is near the corner itself.
+            // At right angles and wider ones `eps` is near the corner itself.
             if !((sides[0] + sides[1]).length_squared() < SHARP) {
                 continue;
             }

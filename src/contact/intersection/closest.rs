@@ -16,7 +16,7 @@ use super::outline::{Corner, Outline};
 use crate::contact::manifold::Element;
 use crate::contact::tolerance::{MERGE, U};
 
-/// A pair of nearest points: on A, on B, what they lie on.
+/// A pair of nearest points: on A, on B, and the features that they lie on.
 #[derive(Clone, Copy, Debug)]
 struct Near {
     a: DVec2,
@@ -56,7 +56,7 @@ pub(super) fn estimate(a: &Outline, b: &Outline, eps: f64, scratch: &mut Scratch
     Closest { looked_at: closest.looked_at + looked_at, ..closest }
 }
 
-/// The same among the pairs of candidates.
+/// The estimated point among the pairs of candidates.
 fn among(a: &Outline, b: &Outline, eps: f64, nearest: &mut Vec<Near>, candidates: &Candidates) -> Closest {
     nearest.clear();
     let mut least = f64::INFINITY;
@@ -73,7 +73,7 @@ fn among(a: &Outline, b: &Outline, eps: f64, nearest: &mut Vec<Near>, candidates
         least = least.min(distance);
     });
     nearest.retain(|near| near.a.distance(near.b) <= least + eps);
-    // Of several equally near pairs the two ends of the closest set.
+    // If several pairs are equally near: the two ends of the closest set.
     let across = nearest.first().map_or(DVec2::X, |near| (near.b - near.a).perp());
     let key = |near: &&Near| across.dot(near.a + near.b);
     let first = nearest.iter().min_by(|p, q| key(p).total_cmp(&key(q)));
@@ -125,8 +125,9 @@ impl Candidates {
         }
     }
 
-    /// Of two large polygons, those of which a pair may be within `distance` of each other,
-    /// whatever the unit direction `u` from A to B. How many corners it looked at.
+    /// Chooses the corners and sides of two large polygons of which a pair may be within
+    /// `distance` of each other, whatever the unit direction `u` from A to B. Returns how many
+    /// corners it looked at.
     #[cold]
     fn choose(&mut self, a: &Outline, b: &Outline, u: DVec2, distance: f64) -> u64 {
         let top = |outline: &Outline, u: DVec2| {
@@ -250,7 +251,7 @@ mod tests {
             let [of_a, of_b] = [(); 2].map(|()| 40 + random.below(80));
             let (a, mut b) = (random_polygon(&mut random, of_a, 0), random_polygon(&mut random, of_b, 1000));
             if round % 2 == 0 {
-                // The same polygon, turned by half a turn: sides opposite are parallel.
+                // The polygon is A turned by half a turn, so that opposite sides are parallel.
                 b.corners.clone_from(&a.corners);
                 b.corners.iter_mut().for_each(|c| c.at = -c.at);
             }

@@ -330,7 +330,7 @@ mod tests {
         let mut random = Random::new(22);
         let (mut merged, mut straightened) = (0, 0);
         for _ in 0..20_000 {
-            let mut points: Vec<PlanePoint> = (0..1 + random.below(12))
+            let mut points: Vec<PlanePoint> = (0..=random.below(12))
                 .map(|_| PlanePoint {
                     at: DVec2::new(random.below(4) as f64, random.below(4) as f64),
                     height_a: 0.0,

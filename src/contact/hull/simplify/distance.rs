@@ -37,7 +37,7 @@ pub(super) fn distance(
         meter.spend(SIMPLEX)?;
         let (nearest, kept) = nearest(target, &simplex, known);
         let away = target - nearest;
-        // Less would be rounding: the bound is what was reached.
+        // Less would be rounding: the bound is the shortest distance reached.
         if !(away.length() < shortest * (1.0 - NOISE * U)) {
             break;
         }
@@ -47,7 +47,7 @@ pub(super) fn distance(
         if away.dot(next.point) <= away.dot(nearest) || kept.has(next) {
             break;
         }
-        // Of three points that were four the nearest point may be another.
+        // Three points that were four may have another nearest point.
         known = (!kept.surround).then_some(nearest);
         simplex = kept.with(next);
     }
@@ -118,9 +118,9 @@ fn nearest(target: DVec3, simplex: &Corners, known: Option<DVec3>) -> (DVec3, Co
     (nearest, kept)
 }
 
-/// The foot of the perpendicular from `target`, where it is inside; of four points `target`
-/// itself, where they surround it. Whatever rounding does to the weights, they are not
-/// negative and sum to 1: the foot is a point of the hull.
+/// The foot of the perpendicular from `target`, if it is inside; `target` itself if four points
+/// surround it. However the weights are rounded, they are not negative and sum to 1: the foot is
+/// a point of the hull.
 fn foot(target: DVec3, corners: &[DVec3]) -> Option<DVec3> {
     let weights = match *corners {
         [_] => [1.0, 0.0, 0.0, 0.0],

@@ -20,8 +20,8 @@
 //!
 //! The bound takes, for each axis of the node, the end of the box that is farther along `n`, and
 //! adds an allowance for all roundings. A point that it leaves out is certainly lower, so the
-//! answer is to the bit the one that looking at every point gives. Of equally high points the
-//! answer is the one that was added first.
+//! answer is to the bit the one that looking at every point gives. If several points are equally
+//! high, the answer is the one that was added first.
 //!
 //! A patch of a smooth surface is flat to the square of its size, and so is its box. A search
 //! therefore opens few nodes beside those on the way to the answer: it takes about the logarithm
@@ -145,7 +145,8 @@ impl PointTree {
         let map = Map::new(all);
         let round: Vec<DVec3> = all.iter().map(|&p| map.point(p)).collect();
         // Nodes to be made, with their points.
-        let mut ranges = vec![0..all.len()];
+        let mut ranges = Vec::new();
+        ranges.push(0..all.len());
         let mut nodes = Vec::new();
         while nodes.len() < ranges.len() {
             let range = ranges[nodes.len()].clone();
@@ -230,15 +231,15 @@ impl PointTree {
             meter.spend(BOUNDS)?;
             let node = &self.nodes[node as usize];
             let bounds = node.bounds(mapped).map(|bound| f64::from(bound) + offset + rounding);
-            for c in 0..CHILDREN {
-                if bounds[c] < best.height {
+            for (c, bound) in bounds.into_iter().enumerate() {
+                if bound < best.height {
                     continue;
                 }
                 if node.nodes[c] == 0 {
                     meter.count(HEIGHT * u64::from(node.ends[c] - node.starts[c]));
                     (node.starts[c]..node.ends[c]).for_each(|place| best.improve(n, self.at(place)));
                 } else if count < MOST_OPEN {
-                    open[count] = (node.nodes[c], bounds[c]);
+                    open[count] = (node.nodes[c], bound);
                     count += 1;
                 }
             }
@@ -275,14 +276,14 @@ impl Best {
 /// factor of the points' covariance.
 struct Map {
     mean: DVec3,
-    /// Of the factor: its first column, of the second the lower two, of the third the last.
+    /// The lower triangle of the factor, column by column.
     factor: [f64; 6],
     /// The largest coordinate of a mapped point.
     reach: f64,
 }
 
-/// Roundoffs of single precision in a bound, of the largest product in it: of three axes, of two
-/// sums of products each, and of what was rounded before.
+/// Roundoffs of single precision in a bound, as a share of its largest product: three axes, two
+/// sums of products for each, and the rounding of their factors.
 const SINGLE_ROUNDING: f64 = 64.0 * (f32::EPSILON / 2.0) as f64;
 
 impl Map {

@@ -1,6 +1,6 @@
 //! A large convex polygon clipped by another in linear time.
 //!
-//! It computes what cutting by one side of the window after another computes, to the bit, but
+//! The result is the same, to the bit, as that of cutting by one side after another, but
 //! each cut looks only at the vertices near its line. Along a convex polygon the distance from a
 //! line falls to its least value and rises again. The sides of the window turn around once,
 //! and the nearest vertex moves around the polygon with them (rotating calipers; G. T.
