@@ -1,8 +1,8 @@
-//! What a pair costs, in elementary steps ([`Stop`](super::Stop)): estimated before it is
+//! The cost of a pair, in elementary steps ([`Stop`](super::Stop)): estimated before it is
 //! computed, and counted while it is.
 //!
-//! The estimate goes by the hulls' vertices and faces; it is what a typical pair takes. The
-//! count goes by what was done: each support call counts the vertices that it looked at, and
+//! The estimate goes by the hulls' vertices and faces; it is meant for a typical pair. The
+//! count goes by the work done: each support call counts the vertices that it looked at, and
 //! each polygon its sides. It is kept in coarse places, so that counting takes no time that
 //! can be measured.
 
@@ -43,7 +43,7 @@ impl Count {
     }
 }
 
-/// Steps of a support call that looks at all of so many vertices.
+/// Steps of a support call that looks at all of a hull's vertices.
 #[inline]
 pub(crate) fn scan_steps(vertices: usize) -> u64 {
     4 + (vertices / VERTICES_A_STEP) as u64

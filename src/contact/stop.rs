@@ -76,8 +76,8 @@ impl Stop {
 
 /// Gathers the small steps of one thread, so that a tight loop touches no shared memory.
 ///
-/// The meter spends what it gathered when that is enough to be worth a look at the flag, and
-/// the rest when it is dropped.
+/// The meter spends the gathered steps when they are worth a look at the flag, and the rest
+/// when it is dropped.
 pub(crate) struct Meter<'a> {
     stop: &'a Stop,
     gathered: Cell<u64>,
@@ -104,7 +104,7 @@ impl<'a> Meter<'a> {
         if self.gathered.get() < GATHERED { Ok(()) } else { self.look() }
     }
 
-    /// Spends what was gathered.
+    /// Spends the gathered steps.
     #[cold]
     fn look(&self) -> Result<(), Stopped> {
         self.stop.spend(self.gathered.take())

@@ -7,6 +7,7 @@ mod planarity;
 mod recorded;
 mod simplify;
 mod sizes;
+mod stopping;
 
 use std::collections::BTreeSet;
 

@@ -140,7 +140,7 @@ fn lines() -> Vec<String> {
     definitions().iter().map(built).collect()
 }
 
-/// Catches every change of what a stored definition is simplified to: another vertex taken,
+/// Catches every change of the hull that a stored definition is simplified to: another vertex taken,
 /// a distance rounded otherwise, a build that is tried earlier or later than before.
 #[test]
 fn simplified_hulls_are_those_recorded() {

@@ -46,7 +46,6 @@ impl<'a> Boundary<'a> {
             pieces: Vec::new(),
             meter,
         };
-        meter.count(SIDE * 3 * triangles as u64);
         for (t, side) in boundary.sides() {
             if boundary.separates(t, side) {
                 let start = boundary.start(t, side);
@@ -204,6 +203,8 @@ impl<'a> Boundary<'a> {
     /// Per edge its ends, lower first, and the faces on its left and right; ascending. And how
     /// far the vertices that were straightened away are from their edge's line at most.
     pub(super) fn edges(mut self) -> Result<(Vec<Edge>, f64), Stopped> {
+        // Of finding the corners.
+        self.meter.spend(SIDE * 3 * self.surface.normals.len() as u64)?;
         self.trace()?;
         loop {
             let mut edges: Vec<Edge> = self.pieces.iter().map(|&piece| self.edge(piece)).collect();

@@ -9,8 +9,8 @@ use std::ops::Range;
 use glam::DVec3;
 
 use super::csr::Csr;
-use super::quickhull::Triangulation;
 use super::sort::sort;
+use super::triangulation::Triangulation;
 use crate::contact::exact::{Dd, TriangleNormal};
 use crate::contact::stop::{Meter, Stopped};
 use crate::contact::tolerance::U;

@@ -21,14 +21,15 @@ mod simplify;
 mod solid;
 mod sort;
 mod topology;
+mod triangulation;
 
 pub(crate) use boxes::{BoxShape, octant};
 pub(crate) use csr::Csr;
 pub use error::{BuildError, HullError, HullErrorKind};
 pub use face::Face;
-#[doc(hidden)]
-pub use quickhull::Triangulation;
 pub use simplify::Simplification;
+#[doc(hidden)]
+pub use triangulation::Triangulation;
 
 /// How a hull is built.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -30,16 +30,16 @@ use super::solid::Solid;
 use super::{BuildError, ConvexHull, HullError, HullErrorKind, HullOptions, build};
 use crate::contact::stop::{Meter, Stopped};
 use crate::contact::tolerance::{NOISE, U};
-use distance::distance;
+use distance::{Trace, distance};
 use points::PointTree;
 
 mod distance;
 mod points;
 
-/// What a hull may be simplified to; a bound that is absent does not bind.
+/// The bounds of a simplified hull; an absent bound does not bind.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Simplification {
-    /// At most so many vertices, at least 4.
+    /// The most vertices, at least 4.
     pub max_vertices: Option<u32>,
     /// The Hausdorff distance to the whole hull is at most this; caller's units.
     pub max_deviation: Option<f64>,
@@ -143,7 +143,7 @@ impl PartialOrd for Left {
 }
 
 impl Ord for Left {
-    /// Of equals the lower vertex is the larger, to be taken first.
+    /// If two are equal, the lower vertex is the larger, to be taken first.
     fn cmp(&self, other: &Self) -> Ordering {
         self.distance.total_cmp(&other.distance).then(other.vertex.cmp(&self.vertex))
     }
@@ -158,6 +158,8 @@ struct Inner<'a> {
     /// For each number of vertices, less one, the deviation that they leave; caller's units.
     deviations: Vec<f64>,
     points: PointTree,
+    /// The traces of the vertices, by their indices.
+    traces: Vec<Trace>,
     left: BinaryHeap<Left>,
 }
 
@@ -172,7 +174,8 @@ impl<'a> Inner<'a> {
         let rest = (0..vertices.len()).filter(|&v| v != first);
         let left = rest.map(|v| Left { distance: f64::INFINITY, vertex: v as u32, at: 0 }).collect();
         let points = PointTree::new(vertices, first as u32, meter)?;
-        Ok(Self { given, whole, taken: vec![first as u32], deviations: Vec::new(), points, left })
+        let (taken, traces) = (vec![first as u32], vec![Trace::default(); vertices.len()]);
+        Ok(Self { given, whole, taken, deviations: Vec::new(), points, traces, left })
     }
 
     /// How far the hull of the first `count` vertices taken is from the whole at most.
@@ -194,14 +197,16 @@ impl<'a> Inner<'a> {
         Ok(self.deviations[count - 1])
     }
 
-    /// Upper bound of the distance of the farthest vertex left out; none when none is.
+    /// Upper bound of the distance of the farthest vertex left out; none if none is left out.
     fn farthest(&mut self, meter: &Meter<'_>) -> Result<Option<f64>, Stopped> {
         loop {
             let Some(mut top) = self.left.peek_mut() else { return Ok(None) };
             if top.at == self.taken.len() {
                 return Ok(Some(top.distance));
             }
-            let bound = distance(self.whole.vertices()[top.vertex as usize], &self.points, meter)?;
+            let vertex = top.vertex as usize;
+            let trace = &mut self.traces[vertex];
+            let bound = distance(self.whole.vertices()[vertex], &self.points, trace, meter)?;
             // A bound from before holds too.
             top.distance = top.distance.min(bound);
             top.at = self.taken.len();

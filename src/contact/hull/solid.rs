@@ -4,8 +4,9 @@ use glam::DVec3;
 
 use super::BuildError;
 use super::cloud::Cloud;
-use super::quickhull::{Triangulation, triangulate};
+use super::quickhull::triangulate;
 use super::sort::sort;
+use super::triangulation::Triangulation;
 use crate::contact::exact::{
     Dd3, TriangleNormal, VectorArea, counted_orient3d, depth_below, exact_difference, exponent_above,
     normal_of, power_of_two,

@@ -8,8 +8,8 @@ use super::boundary::Boundary;
 use super::build::LISTED;
 use super::csr::Csr;
 use super::merge::{Groups, Surface};
-use super::quickhull::Triangulation;
 use super::sort::sort;
+use super::triangulation::Triangulation;
 use crate::contact::exact::{orient2d, orient2d_steps};
 use crate::contact::stop::{Meter, Stopped};
 

@@ -1,5 +1,5 @@
 //! A feature clipped by a face: Sutherland and Hodgman, *Reentrant polygon clipping* (1974,
-//! doi:10.1145/360767.360802), with what makes each vertex carried along.
+//! doi:10.1145/360767.360802). Each vertex carries the features that make it.
 //!
 //! A side of the window cuts where the subject passes from more than `eps`
 //! inside to more than `eps` outside; a vertex within `eps` of the side's line is
@@ -27,27 +27,30 @@ pub(super) fn are_large(a: &Outline, b: &Outline) -> bool {
 }
 
 /// A vertex of the intersection.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Vertex {
     pub(super) at: DVec2,
     pub(super) made: Made,
-    /// What the outline follows from here.
+    /// The line that the outline follows from here.
     line: Line,
 }
 
-/// What makes a vertex, by places in the two outlines.
-#[derive(Clone, Copy, Debug)]
+/// The features that make a vertex, by places in the two outlines.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Made {
     /// A corner of the subject inside the window.
     Own(u32),
-    /// A corner of the window inside the subject; or only near, where two sides
-    /// meet that are not neighbours: those between lie within `eps` of here.
+    /// A corner of the window inside the subject; or only near: two sides meet here
+    /// that are not neighbours, and those between lie within `eps` of here.
     Window { corner: u32, near: bool },
     /// A side of the subject and one of the window.
     Crossing(u32, u32),
+    /// Two sides of the window that are not neighbours. Most are cut off again by the sides
+    /// between; those that are left are named by their nearest corner when all is cut.
+    Meeting([u32; 2]),
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 enum Line {
     /// A side of the subject.
     Own(u32),
@@ -62,13 +65,13 @@ struct Run {
 }
 
 impl Run {
-    /// Those whose distance is no less than `least`, where they are one run, but
+    /// The vertices whose distance is no less than `least`, if they are one run, but
     /// neither all nor none.
     fn of(distances: &[f64], least: f64) -> Option<Self> {
         let (mut first, mut count, mut starts) = (0, 0, 0);
         let mut before = *distances.last()? >= least;
         for (i, &distance) in distances.iter().enumerate() {
-            // Without branches: which vertices they are is anyone's guess.
+            // Without branches, because they would be unpredictable.
             let inside = distance >= least;
             let starts_here = inside & !before;
             first = if starts_here { i } else { first };
@@ -85,7 +88,7 @@ impl Run {
 pub(super) struct Clip {
     pub(super) kept: Vec<Vertex>,
     next: Vec<Vertex>,
-    /// Of each vertex from the side that cuts.
+    /// The distance of each vertex from the side that cuts.
     distances: Vec<f64>,
     chain: Chain,
 }
@@ -99,20 +102,32 @@ impl Clip {
     /// Keeps the part of `subject` (a point, a segment or a polygon) inside
     /// `window`, a polygon; in order, with vertices nearer than `eps` still apart.
     pub(super) fn clip(&mut self, subject: &Outline, window: &Outline, eps: f64) {
-        self.kept.clear();
-        let corners = subject.corners.iter().zip(0..);
-        self.kept.extend(corners.map(|(c, i)| Vertex { at: c.at, made: Made::Own(i), line: Line::Own(i) }));
-        let mut on_line = false;
-        if are_large(subject, window) {
-            on_line = self.clip_chain(window, eps);
+        self.begin(subject);
+        let on_line = if are_large(subject, window) {
+            self.cut_chain(window, eps)
         } else {
-            for j in 0..window.sides.len() {
-                on_line |= self.cut(window, j as u32, eps);
-            }
-        }
+            self.cut_plainly(window, eps)
+        };
         if on_line {
             self.cut_corners(window, eps);
         }
+        for v in &mut self.kept {
+            if let Made::Meeting(sides) = v.made {
+                v.made = Made::Window { corner: nearest_corner(window, v.at, sides), near: true };
+            }
+        }
+    }
+
+    /// Keeps all of `subject`.
+    fn begin(&mut self, subject: &Outline) {
+        self.kept.clear();
+        let corners = subject.corners.iter().zip(0..);
+        self.kept.extend(corners.map(|(c, i)| Vertex { at: c.at, made: Made::Own(i), line: Line::Own(i) }));
+    }
+
+    /// Cuts by every side of the window; whether a vertex was within `eps` of one.
+    fn cut_plainly(&mut self, window: &Outline, eps: f64) -> bool {
+        (0..window.sides.len() as u32).fold(false, |on_line, j| on_line | self.cut(window, j, eps))
     }
 
     /// Cuts by side `j` of the window; whether a vertex is within `eps` of it.
@@ -142,7 +157,7 @@ impl Clip {
         on_line
     }
 
-    /// Of a polygon that leaves the window across side `j` once, and comes back once.
+    /// Cuts a polygon that leaves the window across side `j` once, and comes back once.
     fn keep_run(&mut self, window: &Outline, inside: &Run, j: u32, eps: f64) {
         let Self { kept, next, distances, .. } = self;
         next.clear();
@@ -160,7 +175,7 @@ impl Clip {
         next.extend(enters);
     }
 
-    /// Of a segment, or of a polygon that rounding makes leave more than once.
+    /// Cuts a segment, or a polygon that rounding makes leave more than once.
     fn keep_each(&mut self, window: &Outline, j: u32, eps: f64) {
         let Self { kept, next, distances, .. } = self;
         next.clear();
@@ -183,7 +198,7 @@ impl Clip {
         }
     }
 
-    /// Cuts what is more than `eps` beyond a sharp corner, across the corner.
+    /// Cuts the part more than `eps` beyond a sharp corner, across the corner.
     #[cold]
     fn cut_corners(&mut self, window: &Outline, eps: f64) {
         let Self { kept, next, .. } = self;
@@ -191,7 +206,7 @@ impl Clip {
         for (j, corner) in window.corners.iter().enumerate() {
             let sides = [before, j].map(|side| window.sides[side].inward);
             before = j;
-            // Of sides at right angles and wider ones `eps` is near the corner itself.
+            // At right angles and wider ones `eps` is near the corner itself.
             if !((sides[0] + sides[1]).length_squared() < SHARP) {
                 continue;
             }
@@ -258,7 +273,7 @@ fn crossing(window: &Outline, p: &Vertex, q: &Vertex, share: f64, j: u32) -> Ver
             } else if window.next(k as usize) == j as usize {
                 (Made::Window { corner: j, near: false }, window.corners[j as usize].at)
             } else {
-                (Made::Window { corner: nearest_corner(window, at, [k, j]), near: true }, at)
+                (Made::Meeting([k, j]), at)
             };
             Vertex { at, made, line: p.line }
         }
@@ -266,7 +281,8 @@ fn crossing(window: &Outline, p: &Vertex, q: &Vertex, share: f64, j: u32) -> Ver
 }
 
 /// The corner of the window that is nearest to the point where two of its sides meet that are
-/// not neighbours. Large windows look only at the corners between these sides.
+/// not neighbours. Large windows look only at the corners between these sides, none of which
+/// cut.
 #[cold]
 fn nearest_corner(window: &Outline, at: DVec2, [k, j]: [u32; 2]) -> u32 {
     let distance = |i: u32| window.corners[i as usize].at.distance_squared(at);

@@ -278,3 +278,21 @@ fn doubled_area(corners: &[Corner]) -> f64 {
     let Some(first) = corners.first() else { return 0.0 };
     corners.windows(2).map(|w| (w[0].at - first.at).perp_dot(w[1].at - first.at)).sum()
 }
+
+/// A strictly convex polygon, anticlockwise, on an ellipse.
+#[cfg(test)]
+pub(super) fn random_polygon(random: &mut crate::workload::Random, count: usize, name: u32) -> Outline {
+    let mut angles: Vec<f64> = (0..count).map(|_| random.within(0.0, std::f64::consts::TAU)).collect();
+    angles.sort_by(f64::total_cmp);
+    let center = DVec2::new(random.within(-1.0, 1.0), random.within(-1.0, 1.0));
+    let (size, turn) = (random.within(0.1, 2.0), random.within(0.0, 3.0));
+    let corner = |(angle, vertex): (f64, u32)| {
+        let (sin, cos) = angle.sin_cos();
+        let at = center + DVec2::from_angle(turn).rotate(DVec2::new(size * cos, 0.6 * size * sin));
+        Corner { at, height: angle.sin() - at.y, vertex: name + vertex }
+    };
+    let mut outline = Outline::default();
+    outline.corners.extend(angles.into_iter().zip(0..).map(corner));
+    outline.set_sides();
+    outline
+}

@@ -79,6 +79,8 @@ fn lifted(v: &Vertex, subject: &Outline, window: &Outline) -> [(Element, f64); 2
             [(Element::Inside, subject.height(v.at)), (name, height)]
         }
         Made::Crossing(i, j) => [side(subject, i), side(window, window.side_beside(j, v.at))],
+        // None is left of these.
+        Made::Meeting([_, j]) => [(Element::Inside, subject.height(v.at)), side(window, j)],
     }
 }
 
@@ -205,6 +207,12 @@ fn straighten(points: &mut Vec<PlanePoint>, eps: f64) {
     if doubled_area * doubled_area <= 64.0 * eps * eps * reach_squared {
         flatten(points, eps);
     }
+    drop_straight(points, eps);
+}
+
+/// Drops vertices closer than `eps` to the line between their neighbours, one after another, but
+/// not the last two.
+fn drop_straight(points: &mut Vec<PlanePoint>, eps: f64) {
     // The vertices kept so far are at `..kept`, those still to be looked at from `i` on.
     let (mut kept, count) = (0, points.len());
     for i in 0..count {
@@ -243,25 +251,8 @@ fn aside(p: DVec2, q: DVec2, r: DVec2, eps: f64) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::contact::intersection::outline::Corner;
+    use crate::contact::intersection::outline::{Corner, random_polygon as polygon};
     use crate::workload::Random;
-
-    /// A strictly convex polygon, anticlockwise, on an ellipse.
-    fn polygon(random: &mut Random, count: usize, name: u32) -> Outline {
-        let mut angles: Vec<f64> = (0..count).map(|_| random.within(0.0, std::f64::consts::TAU)).collect();
-        angles.sort_by(f64::total_cmp);
-        let center = DVec2::new(random.within(-1.0, 1.0), random.within(-1.0, 1.0));
-        let (size, turn) = (random.within(0.1, 2.0), random.within(0.0, 3.0));
-        let corner = |(angle, vertex): (f64, u32)| {
-            let (sin, cos) = angle.sin_cos();
-            let at = center + DVec2::from_angle(turn).rotate(DVec2::new(size * cos, 0.6 * size * sin));
-            Corner { at, height: angle.sin() - at.y, vertex: name + vertex }
-        };
-        let mut outline = Outline::default();
-        outline.corners.extend(angles.into_iter().zip(0..).map(corner));
-        outline.set_sides();
-        outline
-    }
 
     /// A sign lost, a corner of B left out or walked past, a crossing on the wrong side: what
     /// two polygons share would be another polygon than what clipping leaves.
@@ -304,6 +295,66 @@ mod tests {
             }
         }
         assert!(kinds.iter().all(|&count| count > 1000) && large > 5000, "{kinds:?} {large}");
+    }
+
+    /// Catches a merge or a straightening in one pass that keeps other points than removing them
+    /// one at a time, at the seam between the last point and the first above all.
+    #[test]
+    fn one_pass_keeps_what_removing_one_at_a_time_keeps() {
+        fn merge_slowly(points: &mut Vec<PlanePoint>, eps: f64) {
+            let mut i = 0;
+            while points.len() > 1 && i < points.len() {
+                let next = if i + 1 == points.len() { 0 } else { i + 1 };
+                if points[i].at.distance_squared(points[next].at) > eps * eps {
+                    i += 1;
+                } else if rank(&points[next]) < rank(&points[i]) {
+                    points.remove(i);
+                } else {
+                    points.remove(next);
+                    i -= usize::from(next < i);
+                }
+            }
+        }
+        fn drop_slowly(points: &mut Vec<PlanePoint>, eps: f64) {
+            let mut i = 0;
+            while points.len() > 2 && i < points.len() {
+                let previous = points[if i == 0 { points.len() - 1 } else { i - 1 }].at;
+                let next = points[if i + 1 == points.len() { 0 } else { i + 1 }].at;
+                if aside(previous, points[i].at, next, eps) {
+                    i += 1;
+                } else {
+                    points.remove(i);
+                }
+            }
+        }
+        let mut random = Random::new(22);
+        let (mut merged, mut straightened) = (0, 0);
+        for _ in 0..20_000 {
+            let mut points: Vec<PlanePoint> = (0..=random.below(12))
+                .map(|_| PlanePoint {
+                    at: DVec2::new(random.below(4) as f64, random.below(4) as f64),
+                    height_a: 0.0,
+                    height_b: 0.0,
+                    id: [
+                        [Element::Inside, Element::Vertex(random.below(9) as u32)][random.below(2)],
+                        [Element::Inside, Element::Vertex(random.below(9) as u32)][random.below(2)],
+                    ],
+                })
+                .collect();
+            let mut expected = points.clone();
+            merge_slowly(&mut expected, 1.1);
+            merged += usize::from(expected.len() < points.len());
+            merge(&mut points, 1.1);
+            let ids =
+                |points: &[PlanePoint]| points.iter().map(|p| (p.at.to_array(), p.id)).collect::<Vec<_>>();
+            assert_eq!(ids(&points), ids(&expected));
+            expected.clone_from(&points);
+            drop_slowly(&mut expected, 0.3);
+            straightened += usize::from(expected.len() < points.len());
+            drop_straight(&mut points, 0.3);
+            assert_eq!(ids(&points), ids(&expected));
+        }
+        assert!(merged > 5000 && straightened > 1000, "{merged} {straightened}");
     }
 
     /// Sides nearly parallel cross where rounding says. Lifted at one place on A and at another

@@ -10,16 +10,26 @@
 
 use glam::DVec3;
 
-use super::points::{Added, PointTree};
+use super::points::{Added, Guess, PointTree};
 use crate::contact::stop::{Meter, Stopped};
 use crate::contact::tolerance::{DISTANCE_ITERATIONS, NOISE, U};
 
 /// Steps of finding the nearest point of a simplex.
 const SIMPLEX: u64 = 250;
 
+/// The answers of a search, one for each of its first steps. The next search for the same target
+/// asks much the same.
+pub(super) type Trace = [Guess; 12];
+
 /// An upper bound of the distance of `target` from the hull of the points in the tree, hull
 /// units.
-pub(super) fn distance(target: DVec3, points: &PointTree, meter: &Meter<'_>) -> Result<f64, Stopped> {
+pub(super) fn distance(
+    target: DVec3,
+    points: &PointTree,
+    trace: &mut Trace,
+    meter: &Meter<'_>,
+) -> Result<f64, Stopped> {
+    let mut steps = 0;
     let mut simplex = Corners::default().with(points.first());
     let mut known = None;
     let mut shortest = f64::INFINITY;
@@ -27,16 +37,17 @@ pub(super) fn distance(target: DVec3, points: &PointTree, meter: &Meter<'_>) -> 
         meter.spend(SIMPLEX)?;
         let (nearest, kept) = nearest(target, &simplex, known);
         let away = target - nearest;
-        // Less would be rounding: the bound is what was reached.
+        // Less would be rounding: the bound is the shortest distance reached.
         if !(away.length() < shortest * (1.0 - NOISE * U)) {
             break;
         }
         shortest = away.length();
-        let next = points.farthest_along(away, kept.points(), meter)?;
+        let next = points.farthest_along(away, kept.points(), &mut trace[steps], meter)?;
+        steps = (steps + 1).min(trace.len() - 1);
         if away.dot(next.point) <= away.dot(nearest) || kept.has(next) {
             break;
         }
-        // Of three points that were four the nearest point may be another.
+        // Three points that were four may have another nearest point.
         known = (!kept.surround).then_some(nearest);
         simplex = kept.with(next);
     }
@@ -107,9 +118,9 @@ fn nearest(target: DVec3, simplex: &Corners, known: Option<DVec3>) -> (DVec3, Co
     (nearest, kept)
 }
 
-/// The foot of the perpendicular from `target`, where it is inside; of four points `target`
-/// itself, where they surround it. Whatever rounding does to the weights, they are not
-/// negative and sum to 1: the foot is a point of the hull.
+/// The foot of the perpendicular from `target`, if it is inside; `target` itself if four points
+/// surround it. However the weights are rounded, they are not negative and sum to 1: the foot is
+/// a point of the hull.
 fn foot(target: DVec3, corners: &[DVec3]) -> Option<DVec3> {
     let weights = match *corners {
         [_] => [1.0, 0.0, 0.0, 0.0],

@@ -14,21 +14,18 @@
 //! ```text
 //! add(point):              grow the boxes on the way from the root to the point's leaf
 //! farthest_along(n, near): best = the best of `near`; visit(root), where
-//!   visit(node):           for each child, the one of the highest bound first:
-//!                              if bound(child.box, n) is below the best height: leave it out
+//!   visit(node):           for each child whose bound(box, n) is not below the best height:
 //!                              leaf: compare its points; else: visit(child)
 //! ```
 //!
 //! The bound takes, for each axis of the node, the end of the box that is farther along `n`, and
 //! adds an allowance for all roundings. A point that it leaves out is certainly lower, so the
-//! answer is to the bit the one that looking at every point gives. Of equally high points the
-//! answer is the one that was added first.
+//! answer is to the bit the one that looking at every point gives. If several points are equally
+//! high, the answer is the one that was added first.
 //!
 //! A patch of a smooth surface is flat to the square of its size, and so is its box. A search
 //! therefore opens few nodes beside those on the way to the answer: it takes about the logarithm
 //! of the number of points, as adding a point does.
-
-use std::ops::Range;
 
 use glam::DVec3;
 
@@ -68,7 +65,13 @@ pub(super) struct PointTree {
 pub(super) struct Added {
     pub(super) point: DVec3,
     before: u32,
+    /// Its place in the tree.
+    place: u32,
 }
+
+/// The place of a point that answered a question. The first place is as good as any other.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Guess(u32);
 
 /// A number for each child of a node.
 type Each<T> = [T; CHILDREN];
@@ -138,14 +141,16 @@ impl PointTree {
     /// The tree over `all` points, with the one of index `first` in the set.
     pub(super) fn new(all: &[DVec3], first: u32, meter: &Meter<'_>) -> Result<Self, Stopped> {
         let mut order: Vec<u32> = (0..all.len() as u32).collect();
+        meter.spend(16 * HEIGHT * all.len() as u64)?;
         let map = Map::new(all);
         let round: Vec<DVec3> = all.iter().map(|&p| map.point(p)).collect();
         // Nodes to be made, with their points.
-        let mut ranges = vec![0..all.len()];
+        let mut ranges = Vec::new();
+        ranges.push(0..all.len());
         let mut nodes = Vec::new();
         while nodes.len() < ranges.len() {
             let range = ranges[nodes.len()].clone();
-            meter.spend(32 * HEIGHT * range.len() as u64)?;
+            meter.spend(16 * HEIGHT * range.len() as u64)?;
             let middle = range.start + halve(&round, &mut order[range.clone()]);
             let quarter = range.start + halve(&round, &mut order[range.start..middle]);
             let last = middle + halve(&round, &mut order[middle..range.end]);
@@ -170,7 +175,7 @@ impl PointTree {
         order.iter().zip(0..).for_each(|(&i, place)| places[i as usize] = place);
         let points = order.iter().map(|&i| all[i as usize]).collect();
         let (added, point) = (vec![ABSENT; all.len()], all[first as usize]);
-        let first_added = Added { point, before: 0 };
+        let first_added = Added { point, before: 0, place: places[first as usize] };
         let mut tree = Self { points, added, places, nodes, map, first: first_added, count: 0 };
         tree.add(first);
         Ok(tree)
@@ -201,15 +206,18 @@ impl PointTree {
     }
 
     /// The point of the set that is farthest along `n`, of equals the one added first. `near` are
-    /// points of the set that are about as far.
+    /// points of the set that may be about as far, and so may be `guess`, the answer to an earlier
+    /// question, which becomes the answer to this one.
     pub(super) fn farthest_along(
         &self,
         n: DVec3,
         near: &[Added],
+        guess: &mut Guess,
         meter: &Meter<'_>,
     ) -> Result<Added, Stopped> {
         let mut best = Best { added: self.first, height: n.dot(self.first.point) };
         near.iter().for_each(|&added| best.improve(n, added));
+        best.improve(n, self.at(guess.0));
         let (mapped, offset, rounding) = self.map.direction(n);
         // Nodes that wait, with their bounds.
         let mut open = [(0_u32, f64::INFINITY); MOST_OPEN];
@@ -223,37 +231,27 @@ impl PointTree {
             meter.spend(BOUNDS)?;
             let node = &self.nodes[node as usize];
             let bounds = node.bounds(mapped).map(|bound| f64::from(bound) + offset + rounding);
-            let highest = bounds.iter().fold(f64::NEG_INFINITY, |a, &b| if b > a { b } else { a });
-            // The child of the highest bound is looked at first: a leaf at once, another pushed last.
-            let is_leaf = |c: usize| node.nodes[c] == 0;
-            let order = |c: usize| (bounds[c] == highest) == is_leaf(c);
-            for first in [true, false] {
-                for c in (0..CHILDREN).filter(|&c| order(c) == first) {
-                    if bounds[c] < best.height {
-                        continue;
-                    }
-                    if is_leaf(c) {
-                        let places = node.starts[c] as usize..node.ends[c] as usize;
-                        meter.count(HEIGHT * places.len() as u64);
-                        self.look_at(places, n, &mut best);
-                    } else if count < MOST_OPEN {
-                        open[count] = (node.nodes[c], bounds[c]);
-                        count += 1;
-                    }
+            for (c, bound) in bounds.into_iter().enumerate() {
+                if bound < best.height {
+                    continue;
+                }
+                if node.nodes[c] == 0 {
+                    meter.count(HEIGHT * u64::from(node.ends[c] - node.starts[c]));
+                    (node.starts[c]..node.ends[c]).for_each(|place| best.improve(n, self.at(place)));
+                } else if count < MOST_OPEN {
+                    open[count] = (node.nodes[c], bound);
+                    count += 1;
                 }
             }
         }
+        guess.0 = best.added.place;
         Ok(best.added)
     }
 
-    /// The points of a leaf.
+    /// The point at a place of the tree.
     #[inline]
-    fn look_at(&self, places: Range<usize>, n: DVec3, best: &mut Best) {
-        for (&point, &before) in self.points[places.clone()].iter().zip(&self.added[places]) {
-            if before != ABSENT {
-                best.improve(n, Added { point, before });
-            }
-        }
+    fn at(&self, place: u32) -> Added {
+        Added { point: self.points[place as usize], before: self.added[place as usize], place }
     }
 }
 
@@ -267,7 +265,8 @@ impl Best {
     #[inline]
     fn improve(&mut self, n: DVec3, added: Added) {
         let height = n.dot(added.point);
-        if height > self.height || (height == self.height && added.before < self.added.before) {
+        let better = height > self.height || (height == self.height && added.before < self.added.before);
+        if better && added.before != ABSENT {
             *self = Self { added, height };
         }
     }
@@ -277,14 +276,14 @@ impl Best {
 /// factor of the points' covariance.
 struct Map {
     mean: DVec3,
-    /// Of the factor: its first column, of the second the lower two, of the third the last.
+    /// The lower triangle of the factor, column by column.
     factor: [f64; 6],
     /// The largest coordinate of a mapped point.
     reach: f64,
 }
 
-/// Roundoffs of single precision in a bound, of the largest product in it: of three axes, of two
-/// sums of products each, and of what was rounded before.
+/// Roundoffs of single precision in a bound, as a share of its largest product: three axes, two
+/// sums of products for each, and the rounding of their factors.
 const SINGLE_ROUNDING: f64 = 64.0 * (f32::EPSILON / 2.0) as f64;
 
 impl Map {
@@ -365,6 +364,7 @@ mod tests {
                     order.swap(i, random.below(i + 1));
                 }
                 let mut tree = PointTree::new(&all, order[0], &meter).unwrap();
+                let mut guess = Guess::default();
                 let mut set = vec![all[order[0] as usize]];
                 for &i in &order[1..] {
                     tree.add(i);
@@ -373,8 +373,9 @@ mod tests {
                         if random.below(2) == 0 { random.direction() } else { set[random.below(set.len())] };
                     let higher = |best: DVec3, &p: &DVec3| if n.dot(p) > n.dot(best) { p } else { best };
                     let expected = set.iter().fold(set[0], higher);
-                    let near = [tree.first(), tree.farthest_along(-n, &[], &meter).unwrap()];
-                    let found = tree.farthest_along(n, &near[..random.below(3)], &meter).unwrap();
+                    let near =
+                        [tree.first(), tree.farthest_along(-n, &[], &mut Guess::default(), &meter).unwrap()];
+                    let found = tree.farthest_along(n, &near[..random.below(3)], &mut guess, &meter).unwrap();
                     assert_eq!(found.point, expected);
                     assert_eq!(found.before as usize, set.iter().position(|p| *p == expected).unwrap());
                     ties += usize::from(set.iter().filter(|p| n.dot(**p) == n.dot(expected)).count() > 1);
