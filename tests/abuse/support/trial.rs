@@ -2,7 +2,7 @@
 
 use std::{
     sync::{
-        Mutex, PoisonError,
+        Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, AtomicU64, Ordering},
     },
     time::{Duration, Instant},
@@ -32,10 +32,15 @@ const LONGEST: Duration = Duration::from_secs(300);
 /// One attack at a time.
 static ALONE: Mutex<()> = Mutex::new(());
 
+/// The right to attack; one test has it at a time.
+pub(crate) fn alone() -> MutexGuard<'static, ()> {
+    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// Attacks a server of its own and asserts what has to hold. The attack prepares, calls
 /// [`Arena::begin`], and has let go of everything when it returns.
 pub(crate) fn trial(title: &str, setup: Setup, attack: impl AsyncFnOnce(&Arena)) {
-    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let _alone = alone();
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
     let runtime = runtime.expect("a runtime");
     runtime.block_on(run(title, setup, attack));
