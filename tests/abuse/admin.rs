@@ -22,9 +22,13 @@ async fn admin(arena: &Arena) {
         b"GET /metrics HTTP/1.1\r\nhost: ".to_vec(),
         [b"GET /metrics HTTP/1.1\r\nx: ".to_vec(), vec![b'x'; 10 << 20]].concat(),
         b"GET /metrics HTTP/1.1\r\nhost: here\r\n\r\n".repeat(10_000),
-        [b"POST / HTTP/1.1\r\nhost: here\r\ncontent-length: 9999999999\r\n\r\n".to_vec(), vec![0; 10 << 20]].concat(),
-        [b"POST / HTTP/1.1\r\nhost: here\r\ntransfer-encoding: chunked\r\n\r\n".to_vec(), b"1\r\nx\r\n".repeat(1 << 20)]
+        [b"POST / HTTP/1.1\r\nhost: here\r\ncontent-length: 9999999999\r\n\r\n".to_vec(), vec![0; 10 << 20]]
             .concat(),
+        [
+            b"POST / HTTP/1.1\r\nhost: here\r\ntransfer-encoding: chunked\r\n\r\n".to_vec(),
+            b"1\r\nx\r\n".repeat(1 << 20),
+        ]
+        .concat(),
     ];
     let attackers = (0..arena.size().of(500)).map(async |i: usize| {
         let stream = dial::tcp(ATTACKER, arena.server.admin).await?;

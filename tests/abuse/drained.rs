@@ -8,7 +8,13 @@ use crate::{
     messages::same_pair,
     raw,
     scenes::{box_points, plain},
-    support::{QUERY, STREAM, arena::Arena, http2::Windows, server::Server, setup::{Setup, Size}},
+    support::{
+        QUERY, STREAM,
+        arena::Arena,
+        http2::Windows,
+        server::Server,
+        setup::{Setup, Size},
+    },
 };
 
 /// Catches a server that a caller keeps from stopping: calls that compute, answers that nobody
@@ -24,7 +30,8 @@ fn an_attacked_server_stops_in_time() {
         let question = raw::frame(false, &same_pair(&ids, 13_000, 0.9).encode_to_vec());
         let mut held = Vec::new();
         for _ in 0..10 {
-            let mut peer = arena.peer(Windows { stream: 1000, connection: 1 << 20 }).await.expect("a connection");
+            let mut peer =
+                arena.peer(Windows { stream: 1000, connection: 1 << 20 }).await.expect("a connection");
             peer.ask(QUERY, &question).await.expect("a call");
             let stream = peer.call(STREAM, &[]).await.expect("a call");
             peer.body(stream, &question, false).await.expect("a message");

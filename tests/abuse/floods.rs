@@ -13,7 +13,7 @@ use crate::{
         INFO, QUERY, STREAM,
         arena::Arena,
         http2::{
-            CONTINUATION, DATA, END_HEADERS, HEADERS, PING, RST_STREAM, SETTINGS, Peer, Windows, frame,
+            CONTINUATION, DATA, END_HEADERS, HEADERS, PING, Peer, RST_STREAM, SETTINGS, Windows, frame,
             header_block, literal,
         },
     },

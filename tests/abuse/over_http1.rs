@@ -60,7 +60,8 @@ async fn declared(arena: &Arena) {
     let mut declared = vec![0];
     declared.extend((bytes as u32).to_be_bytes());
     let whole = [head(QUERY, &content_length(bytes + 5)), declared.clone()].concat();
-    let chunked = [head(QUERY, "transfer-encoding: chunked"), b"5\r\n".to_vec(), declared, b"\r\n".to_vec()].concat();
+    let chunked =
+        [head(QUERY, "transfer-encoding: chunked"), b"5\r\n".to_vec(), declared, b"\r\n".to_vec()].concat();
     hold(arena, &[whole, chunked], arena.size().of(1000)).await;
 }
 

@@ -30,7 +30,8 @@ async fn one_address(arena: &Arena) {
     let wanted = (budget * 0.75) as usize / bytes + 1;
     let clients = join_all((0..2).map(|_| hold(arena, ATTACKER, wanted, &whole))).await;
     let metrics = arena.server.metrics().await;
-    let held: f64 = parts(&metrics).iter().filter_map(|part| part.rsplit_once("} ")?.1.parse::<f64>().ok()).sum();
+    let held: f64 =
+        parts(&metrics).iter().filter_map(|part| part.rsplit_once("} ")?.1.parse::<f64>().ok()).sum();
     assert!(held <= budget * 0.55, "{held} bytes of {budget} for one address and a bystander");
     assert!(held >= budget * 0.2, "{held} bytes of {budget}: the address was refused too early");
     // What stays free is there for an address that comes later.

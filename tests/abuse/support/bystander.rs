@@ -11,8 +11,7 @@ use std::{
 use hullcast::{
     proto::{
         QueryContactsRequest, QueryContactsResponse, contact_service_client::ContactServiceClient,
-        hull_service_client::HullServiceClient,
-        register_hull_result::Result as Registered,
+        hull_service_client::HullServiceClient, register_hull_result::Result as Registered,
     },
     store::HullDefinition,
 };
