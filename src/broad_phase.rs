@@ -13,12 +13,14 @@ mod rules;
 mod sort;
 mod tree;
 
+use std::ops::Range;
+
 use self::tree::{Leaf, Query, Tree};
 pub use self::{
     rules::{EVERY_WORLD, Rules},
     tree::{STEPS_PER_BODY, TREE_BYTES_PER_BODY},
 };
-use crate::contact::{Bounds, Stop, Stopped};
+use crate::contact::{Bounds, STEPS_BETWEEN_LOOKS, Stop, Stopped};
 
 /// Steps of putting one partner in order, once all partners of a body are known.
 const STEPS_PER_PARTNER: u64 = 20;
@@ -49,12 +51,12 @@ pub struct Search {
     reached: Reached,
 }
 
-/// How far the search for one body's partners is: at a node of a tree.
-#[derive(Clone, Copy, Debug)]
+/// The nodes of a tree that the search for one body's partners has still to look at.
+#[derive(Clone, Debug)]
 enum Reached {
     Nothing,
-    Worlds(usize),
-    Everywhere(usize),
+    Worlds(Range<usize>),
+    Everywhere(Range<usize>),
 }
 
 impl Search {
@@ -102,11 +104,15 @@ impl BroadPhase {
     /// # Errors
     /// The computation was stopped.
     pub fn search(&self, search: &mut Search, steps: u64, most: usize, stop: &Stop) -> Result<(), Stopped> {
-        let mut left = steps;
-        while !search.is_done() && search.pairs.len() < most && left > 0 {
-            let before = left;
-            self.advance(search, &mut left);
-            stop.spend(before - left)?;
+        let mut rest = steps;
+        while rest > 0 && !search.is_done() && search.pairs.len() < most {
+            let some = rest.min(STEPS_BETWEEN_LOOKS);
+            let mut left = some;
+            while left > 0 && !search.is_done() && search.pairs.len() < most {
+                self.advance(search, &mut left);
+            }
+            rest -= some - left;
+            stop.spend(some - left)?;
         }
         Ok(())
     }
@@ -118,22 +124,23 @@ impl BroadPhase {
             let (world, group) = (self.rules.world(body), self.rules.group(body));
             let leaf = Leaf { bounds, body, world, group };
             let mut query = Query { leaf, rules: &self.rules, found: &mut search.partners, left };
-            if let Reached::Nothing = search.reached {
-                search.reached = Reached::Worlds(self.worlds.first_of(world));
+            let mut reached = std::mem::replace(&mut search.reached, Reached::Nothing);
+            if let Reached::Nothing = reached {
+                reached = Reached::Worlds(self.worlds.subtree_of(world));
             }
-            if let Reached::Worlds(at) = search.reached {
-                if let Some(at) = self.worlds.partners(at, self.worlds.end_of(world), &mut query) {
-                    search.reached = Reached::Worlds(at);
+            if let Reached::Worlds(nodes) = reached {
+                if let Some(left) = self.worlds.partners(nodes, &mut query) {
+                    search.reached = Reached::Worlds(left);
                     return;
                 }
-                search.reached = Reached::Everywhere(0);
+                // The bodies of every world do not meet each other.
+                let nodes = if world == EVERY_WORLD { 0..0 } else { self.everywhere.subtree_of(EVERY_WORLD) };
+                reached = Reached::Everywhere(nodes);
             }
-            // The bodies of every world do not meet each other.
-            let end = if world == EVERY_WORLD { 0 } else { self.everywhere.end_of(EVERY_WORLD) };
-            if let Reached::Everywhere(at) = search.reached
-                && let Some(at) = self.everywhere.partners(at, end, &mut query)
+            if let Reached::Everywhere(nodes) = reached
+                && let Some(left) = self.everywhere.partners(nodes, &mut query)
             {
-                search.reached = Reached::Everywhere(at);
+                search.reached = Reached::Everywhere(left);
                 return;
             }
         }
@@ -142,7 +149,6 @@ impl BroadPhase {
         *left = left.saturating_sub(1 + STEPS_PER_PARTNER * partners);
         search.pairs.extend(search.partners.drain(..).flat_map(|other| [body, other]));
         search.next += 1;
-        search.reached = Reached::Nothing;
     }
 }
 

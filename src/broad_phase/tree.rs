@@ -15,7 +15,7 @@
 
 use std::ops::Range;
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 
 use super::{EVERY_WORLD, Rules};
 use crate::contact::{Bounds, Stop, Stopped};
@@ -24,8 +24,8 @@ use crate::contact::{Bounds, Stop, Stopped};
 const LEAF_BODIES: usize = 4;
 
 /// Steps of looking at a node, and at a body of a leaf node.
-const NODE_STEPS: u64 = 6;
-const BODY_STEPS: u64 = 4;
+const NODE_STEPS: u64 = 12;
+const BODY_STEPS: u64 = 8;
 
 /// Steps of putting one body on one side of a median.
 const SPLIT_STEPS: u64 = 12;
@@ -53,9 +53,32 @@ struct World {
     leaves: Range<usize>,
 }
 
+/// Bounds in single precision, rounded outward: nodes with them take half the cache, and the
+/// bodies' own bounds decide.
+#[derive(Clone, Copy, Debug)]
+struct NodeBounds {
+    low: Vec3,
+    high: Vec3,
+}
+
+impl NodeBounds {
+    fn around(Bounds { low, high }: Bounds) -> Self {
+        let down = |x: f64| (x as f32).next_down();
+        let up = |x: f64| (x as f32).next_up();
+        Self {
+            low: Vec3::new(down(low.x), down(low.y), down(low.z)),
+            high: Vec3::new(up(high.x), up(high.y), up(high.z)),
+        }
+    }
+
+    fn meets(&self, other: &Self) -> bool {
+        (self.low.cmple(other.high) & other.low.cmple(self.high)).all()
+    }
+}
+
 #[derive(Clone, Copy, Debug)]
 struct Node {
-    bounds: Bounds,
+    bounds: NodeBounds,
     /// The node that follows this one's subtree.
     next: u32,
     /// The first body of a leaf node, and how many it has; 0 of an inner node.
@@ -134,7 +157,7 @@ impl Tree {
             let group =
                 if leaves.iter().all(|leaf| leaf.group == leaves[0].group) { leaves[0].group } else { 0 };
             let highest = leaves.iter().map(|leaf| leaf.body).max().unwrap_or(0);
-            let (bounds, next) = (around(leaves), self.nodes.len() as u32);
+            let (bounds, next) = (NodeBounds::around(around(leaves)), self.nodes.len() as u32);
             let (first, count) = (first as u32, leaves.len() as u32);
             self.nodes[node] = Node { bounds, next, first, count, highest, group };
             return Ok(());
@@ -149,7 +172,7 @@ impl Tree {
 
     /// Adds a node whose subtree follows.
     fn open(&mut self) -> usize {
-        let bounds = Bounds { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
+        let bounds = NodeBounds { low: Vec3::INFINITY, high: Vec3::NEG_INFINITY };
         self.nodes.push(Node { bounds, next: 0, first: 0, count: 0, highest: 0, group: 0 });
         self.nodes.len() - 1
     }
@@ -158,23 +181,17 @@ impl Tree {
     fn close(&mut self, node: usize) {
         let low = self.nodes[node + 1];
         let high = self.nodes[low.next as usize];
-        let bounds = union(low.bounds, high.bounds);
+        let bounds = NodeBounds {
+            low: low.bounds.low.min(high.bounds.low),
+            high: low.bounds.high.max(high.bounds.high),
+        };
         let group = if low.group == high.group { low.group } else { 0 };
         let highest = low.highest.max(high.highest);
         self.nodes[node] = Node { bounds, next: high.next, first: 0, count: 0, highest, group };
     }
 
-    /// The node where a search for bodies that meet `world` begins.
-    pub(super) fn first_of(&self, world: u32) -> usize {
-        self.subtree_of(world).start
-    }
-
-    /// The node where it ends.
-    pub(super) fn end_of(&self, world: u32) -> usize {
-        self.subtree_of(world).end
-    }
-
-    fn subtree_of(&self, world: u32) -> Range<usize> {
+    /// The nodes of a search for bodies that meet `world`.
+    pub(super) fn subtree_of(&self, world: u32) -> Range<usize> {
         if world == EVERY_WORLD {
             return 0..self.nodes.len();
         }
@@ -187,21 +204,23 @@ impl Tree {
         }
     }
 
-    /// Adds the partners of a body from node `at` to node `end`. Returns the node where the
-    /// search was left, or none if it is complete.
-    pub(super) fn partners(&self, mut at: usize, end: usize, query: &mut Query<'_>) -> Option<usize> {
+    /// Adds the partners of a body from these nodes. Returns the nodes where the search was left,
+    /// or none if it is complete.
+    pub(super) fn partners(&self, nodes: Range<usize>, query: &mut Query<'_>) -> Option<Range<usize>> {
+        let Range { start: mut at, end } = nodes;
         let Leaf { bounds, body, group, .. } = query.leaf;
+        let node_bounds = NodeBounds::around(bounds);
         let rule_steps = query.rules.steps();
         let mut left = *query.left;
         while at < end {
             if left == 0 {
                 *query.left = 0;
-                return Some(at);
+                return Some(at..end);
             }
             left = left.saturating_sub(NODE_STEPS);
             let node = &self.nodes[at];
             let may_have = node.highest > body && (group == 0 || node.group != group);
-            if !may_have || !node.bounds.meets(&bounds) {
+            if !may_have || !node.bounds.meets(&node_bounds) {
                 at = node.next as usize;
                 continue;
             }

@@ -132,8 +132,8 @@ async fn registrations_that_nobody_waits_for_give_their_memory_back() {
         })
         .collect();
     let used = |part| server.app.memory().used_by(part);
-    let one = 500 * 256;
-    while used(Part::Building) < (CALLS * one) as u64 {
+    // Each is counted with more than a kilobyte per point.
+    while used(Part::Building) < (CALLS * 500 * 1024) as u64 {
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
     for call in calls {
@@ -148,5 +148,7 @@ async fn registrations_that_nobody_waits_for_give_their_memory_back() {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
     }
-    assert_eq!(server.metric("hullcast_registered_total"), known.len() as f64);
+    // The thread may have begun one of them before the pairs.
+    let registered = server.metric("hullcast_registered_total") as usize - known.len();
+    assert!(registered <= 1, "{registered} of {CALLS} were built");
 }
