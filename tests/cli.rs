@@ -191,11 +191,11 @@ fn an_unusable_pose_costs_its_own_pairs() -> Outcome {
     let scene = r#"{"format": "hullcast.scene.v1", "name": "three",
         "hulls": [{"vertices": [[0,0,0],[1,0,0],[0,1,0],[0,0,1]]}],
         "bodies": [{"hull": 0, "position": [0,0,0], "rotation": [0,0,0,1]},
-                   {"hull": 0, "position": [0,0,0.1], "rotation": [0,0,0,2]},
+                   {"hull": 0, "position": [0,0,0.1], "rotation": [0,0,0,5]},
                    {"hull": 0, "position": [0,0,0.1], "rotation": [0,0,0,1]}],
         "pairs": [[0,1],[0,2]]}"#;
     std::fs::write(&path, scene)?;
-    let answer: Value = serde_json::from_slice(&printed(&["query", text(&path), "--json"])?)?;
+    let answer: Value = serde_json::from_slice(&hullcast(&["query", text(&path), "--json"])?.stdout)?;
     assert_eq!(answer["invalid_bodies"], serde_json::json!([1]));
     assert_eq!(answer["pairs"][0]["outcome"], "INVALID");
     assert_eq!(answer["pairs"][0]["flags"], serde_json::json!(["INVALID_BODY"]));
@@ -271,7 +271,7 @@ fn no_server_is_an_error() -> Outcome {
         let output = hullcast(&[command, &["--remote", &address]].concat())?;
         assert_eq!(output.status.code(), Some(1));
         let said = String::from_utf8(output.stderr)?;
-        assert!(said.contains(&format!("no server at {address}")), "{said}");
+        assert!(said.contains(&format!("no hullcast server at {address} (connection refused)")), "{said}");
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! Checks what a server answers before anything of the answer is used.
+//! Checks of a server's answers, before anything of an answer is used.
 //!
 //! A server of another make, a proxy or a cache may send an answer of another request, or columns
 //! that do not fit together. The Python client makes the same checks (`client/src/hullcast/_checked.py`).

@@ -14,7 +14,7 @@ use super::remote::root_cause;
 
 /// The port of an address that names none.
 const DEFAULT_PORT: u16 = 50051;
-/// How long a peer may take to say what it speaks.
+/// The time in which a peer has to answer.
 const PATIENCE: Duration = Duration::from_secs(2);
 /// An HTTP/2 client's first bytes: the preface, and an empty SETTINGS frame.
 const GREETING: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
@@ -52,7 +52,7 @@ pub(crate) fn url(address: &str) -> Result<String, Error> {
     Ok(format!("{scheme}://{host}:{port}"))
 }
 
-/// A failed connection as a sentence that names the cause and the remedy.
+/// A failed connection as a sentence that names the cause and, if it is known, the remedy.
 pub(crate) async fn failed(address: &str, url: &str, error: &(dyn StdError + 'static)) -> String {
     match cause(error) {
         Some(io::ErrorKind::ConnectionRefused) => {
@@ -62,38 +62,46 @@ pub(crate) async fn failed(address: &str, url: &str, error: &(dyn StdError + 'st
         }
         Some(io::ErrorKind::NotFound) if address.starts_with("unix:") => {
             return format!(
-                "no hullcast server at {address} (no such socket); start one with `hullcast serve --listen {address}`"
+                "no hullcast server at {address} (no such socket); \
+                 start one with `hullcast serve --listen {address}`"
             );
         }
         _ => {}
     }
-    let text = root_cause(error);
-    if url.starts_with("https://") {
-        if text.contains("InvalidContentType") || text.contains("corrupt message") {
-            return format!("the server at {address} does not speak TLS: use http:// in place of https://");
-        }
-        if text.contains("invalid peer certificate") {
-            return format!(
-                "the certificate of the server at {address} is not trusted ({text}); \
-                 give the PEM file of its authority by --tls-ca"
-            );
-        }
-    } else if let Some(authority) = url.strip_prefix("http://") {
-        match greeting(authority).await.as_slice() {
-            [0x15 | 0x16, 0x03, ..] => {
-                return format!("the server at {address} speaks TLS: use https://");
-            }
-            // The fourth byte of a frame is its type; a server begins with SETTINGS, type 4.
-            [_, _, _, kind, ..] if *kind != 4 => {
-                return format!("the server at {address} does not speak HTTP/2: it is not a hullcast server");
-            }
-            _ => {}
-        }
+    if let Some(text) = mismatch(address, url, error).await {
+        return text;
     }
+    let text = root_cause(error);
     if text.contains("lookup address") {
         return format!("no host of the name in {address}: {text}");
     }
     format!("no server at {address}: {text}")
+}
+
+/// The sentence for a peer that is there but cannot be spoken to; none for another cause, which
+/// may pass.
+pub(crate) async fn mismatch(address: &str, url: &str, error: &(dyn StdError + 'static)) -> Option<String> {
+    if let Some(authority) = url.strip_prefix("http://") {
+        return match greeting(authority).await.as_slice() {
+            [0x15 | 0x16, 0x03, ..] => Some(format!("the server at {address} speaks TLS: use https://")),
+            // The fourth byte of a frame is its type; a server begins with SETTINGS, type 4.
+            [_, _, _, kind, ..] if *kind != 4 => {
+                let text = "does not speak HTTP/2: it is not a hullcast server";
+                Some(format!("the server at {address} {text}"))
+            }
+            _ => None,
+        };
+    }
+    let text = root_cause(error);
+    if text.contains("InvalidContentType") || text.contains("corrupt message") {
+        return Some(format!("the server at {address} does not speak TLS: use http:// in place of https://"));
+    }
+    text.contains("invalid peer certificate").then(|| {
+        format!(
+            "the certificate of the server at {address} is not trusted ({text}); \
+             give the PEM file of its authority by --tls-ca"
+        )
+    })
 }
 
 /// The first bytes that a plain peer answers to HTTP/2's preface; none if it says nothing.

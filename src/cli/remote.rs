@@ -77,9 +77,11 @@ impl Connection {
         let mut server = ServerServiceClient::new(connection.0.clone());
         match server.get_server_info(GetServerInfoRequest {}).await {
             // Only tonic's own statuses have a source; any other answer shows that a server is there.
-            Err(status) if status.source().is_some() => {
-                Err(reach::failed(address, &url, &status).await.into())
-            }
+            // A connection that breaks may be another one the next time, so that the call itself says so.
+            Err(status) if status.source().is_some() => match reach::mismatch(address, &url, &status).await {
+                Some(text) => Err(text.into()),
+                None => Ok(connection),
+            },
             _ => Ok(connection),
         }
     }

@@ -14,8 +14,13 @@ use super::ConvexHull;
 pub(crate) const PAIR: u64 = 200;
 /// Steps of one iteration of a solver beside its support calls.
 pub(crate) const ITERATION: u64 = 40;
-/// Steps for each side of a projected face: it is projected, clipped, merged and lifted.
-pub(crate) const SIDE: u64 = 40;
+/// Steps for each side of a projected feature.
+pub(crate) const SIDE: u64 = 20;
+/// Steps of measuring one vertex of a large polygon from a line, or one pair of a corner and a
+/// side.
+pub(crate) const LOOK: u64 = 5;
+/// Steps of lifting, merging and writing one contact point.
+pub(crate) const POINT: u64 = 30;
 /// Iterations of a typical pair.
 const ITERATIONS: u64 = 8;
 /// Vertices that the support mapping looks at in one step.
@@ -60,5 +65,5 @@ pub fn estimated_steps(a: &ConvexHull, b: &ConvexHull) -> u64 {
         if hull.support_map.is_some() { MAPPED_CALL } else { scan_steps(hull.vertex_count()) }
     };
     let sides = a.largest_face() as u64 + b.largest_face() as u64;
-    PAIR + ITERATIONS * (ITERATION + call(a) + call(b)) + SIDE * sides
+    PAIR + ITERATIONS * (ITERATION + call(a) + call(b)) + (SIDE + 2 * LOOK + POINT) * sides
 }

@@ -8,6 +8,7 @@
 use glam::DVec3;
 use robust::{Coord, Coord3D};
 
+use super::stop::Meter;
 use super::tolerance::U;
 
 mod double_double;
@@ -141,15 +142,24 @@ fn normalised(v: Dd3) -> (Dd3, i32) {
     (v.map(|x| x.scaled(power)), exponent)
 }
 
-/// About how many elementary steps [`orient3d`] took for these points to find `value`.
+/// [`orient3d`], which counts its steps. `sure`: values beyond it are certainly decided in
+/// double precision.
 #[inline]
-pub(crate) fn orient3d_steps(points: [DVec3; 4], value: f64) -> u64 {
-    if !are_safe(&points) {
-        return WIDE_STEPS;
-    }
+pub(crate) fn counted_orient3d(points: [DVec3; 4], sure: f64, meter: &Meter<'_>) -> f64 {
     let [a, b, c, d] = points;
-    let size = [a, b, c].iter().fold(1.0, |size, &p| size * (p - d).abs().element_sum());
-    if value.abs() > SURELY_ROUNDED * size { ROUNDED_STEPS } else { NEAR_PLANE_STEPS }
+    if !are_safe(&points) {
+        meter.count(WIDE_STEPS);
+        return wide::orient3d(a, b, c, d);
+    }
+    let value = adaptive_orient3d(a, b, c, d);
+    meter.count(if value.abs() > sure { ROUNDED_STEPS } else { NEAR_PLANE_STEPS });
+    value
+}
+
+/// The size beyond which the value of [`orient3d`] is certainly decided in double precision, of
+/// points that are at most `extent` apart.
+pub(crate) fn sure_orient3d(extent: f64) -> f64 {
+    SURELY_ROUNDED * extent * extent * extent
 }
 
 /// Whether `robust` is exact for these points. All of them: one branch in place of twelve.
@@ -161,12 +171,13 @@ fn are_safe(points: &[DVec3; 4]) -> bool {
 /// Where `d` lies of the plane through `a`, `b`, `c`: only the sign is exact.
 /// Negative on the side from which `a`, `b`, `c` run anticlockwise, zero on it.
 pub(crate) fn orient3d(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
-    if are_safe(&[a, b, c, d]) {
-        let coord = |p: DVec3| Coord3D { x: p.x, y: p.y, z: p.z };
-        robust::orient3d(coord(a), coord(b), coord(c), coord(d))
-    } else {
-        wide::orient3d(a, b, c, d)
-    }
+    if are_safe(&[a, b, c, d]) { adaptive_orient3d(a, b, c, d) } else { wide::orient3d(a, b, c, d) }
+}
+
+#[inline]
+fn adaptive_orient3d(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
+    let coord = |p: DVec3| Coord3D { x: p.x, y: p.y, z: p.z };
+    robust::orient3d(coord(a), coord(b), coord(c), coord(d))
 }
 
 /// Which way `a`, `b`, `c` turn: only the sign is exact. Positive anticlockwise.

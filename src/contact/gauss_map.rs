@@ -239,7 +239,13 @@ impl Scratch {
         if near.is_empty() && support.len() >= 3 {
             let flat =
                 |f: &u32| cosine(*f) > 0.0 && hull.outline(*f as usize).iter().all(|&v| supports.contains(v));
-            near.extend(at_support().filter(flat).map(|f| Near { feature: f, measure: cosine(f) }));
+            // Each once: a face has many corners, and it takes a look at all to see it is flat.
+            seen.clear(hull.face_count());
+            for f in at_support() {
+                if seen.insert(f) && flat(&f) {
+                    near.push(Near { feature: f, measure: cosine(f) });
+                }
+            }
         }
         if let &[only] = near.as_slice() {
             return Some(only.feature);

@@ -98,7 +98,7 @@ struct Steps {
     manifold: Manifold,
     gauss_map: gauss_map::Scratch,
     intersection: Intersection,
-    kept: Vec<usize>,
+    reduce: reduce::Scratch,
     /// The last feature angle with its sine and cosine.
     feature_angle: Option<(f64, f64, f64)>,
 }
@@ -244,7 +244,8 @@ impl Steps {
         let most = accuracy.max_points as usize;
         if most != 0 && found.points.len() > most {
             found.points.rotate_left(std::mem::take(&mut found.first));
-            self.manifold.kept_area = reduce::reduce(&mut found.points, most, rounding, &mut self.kept);
+            self.manifold.kept_area = reduce::reduce(&mut found.points, most, rounding, &mut self.reduce);
+            pair.count.add(cost::LOOK * self.reduce.take_looked_at());
             self.manifold.flags.reduced = true;
         }
         self.manifold.flags.estimated = found.estimated;

@@ -1,6 +1,6 @@
 //! Hulls being built on the compute threads.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use super::HullDefinition;
 use crate::{
@@ -32,8 +32,8 @@ pub(super) struct Building {
     pub(super) definitions: Vec<HullDefinition>,
     pub(super) max_vertices: usize,
     pub(super) stop: Arc<Stop>,
-    /// Given back with the definitions.
-    pub(super) _memory: Permit,
+    /// Given back before the caller hears of the hulls, or when the work is dropped.
+    pub(super) memory: Mutex<Option<Permit>>,
 }
 
 impl Parts for Building {
@@ -63,6 +63,7 @@ impl Parts for Building {
     }
 
     fn whole(&self, parts: Vec<Self::Part>) -> Result<Self::Whole, Stopped> {
+        drop(self.memory.lock().unwrap_or_else(PoisonError::into_inner).take());
         Ok(parts)
     }
 }

@@ -2,7 +2,7 @@
 
 use std::{
     fmt,
-    sync::{Arc, atomic::Ordering},
+    sync::{Arc, Mutex, atomic::Ordering},
     time::{Duration, Instant},
 };
 
@@ -260,7 +260,8 @@ impl Registry {
         let bytes = definitions.iter().map(building_bytes).sum::<usize>();
         let memory = self.memory.take(&job.caller, Part::Building, bytes as u64);
         let memory = memory.map_err(BuildError::NoMemory)?;
-        let building = Building { definitions, max_vertices, stop: job.stop.clone(), _memory: memory };
+        let (stop, memory) = (job.stop.clone(), Mutex::new(Some(memory)));
+        let building = Building { definitions, max_vertices, stop, memory };
         self.compute.split(building, job).await.map_err(BuildError::Compute)
     }
 

@@ -3,11 +3,7 @@
 use std::time::Duration;
 
 use futures_util::future::join_all;
-use hullcast::{
-    contact::Simplification,
-    proto::RegisterHullsRequest,
-    store::HullDefinition,
-};
+use hullcast::{contact::Simplification, proto::RegisterHullsRequest, store::HullDefinition};
 use prost::Message;
 
 use crate::{

@@ -23,29 +23,35 @@ attacks! {
 async fn empty_elements(arena: &Arena) {
     let bytes = arena.setup.message_bytes();
     let mask = field(2, &repeated(&[0x0a, 0], bytes - 16));
-    flood(arena, vec![
-        // hulls, ids, hull_ids, the paths of field_mask, outputs
-        (REGISTER, repeated(&[0x0a, 0], bytes)),
-        (GET, repeated(&[0x0a, 0], bytes)),
-        (HAS, repeated(&[0x0a, 0], bytes)),
-        (QUERY, repeated(&[0x1a, 0], bytes)),
-        (GET, mask),
-        (QUERY, repeated(&[0x68, 1], bytes)),
-    ])
+    flood(
+        arena,
+        vec![
+            // hulls, ids, hull_ids, the paths of field_mask, outputs
+            (REGISTER, repeated(&[0x0a, 0], bytes)),
+            (GET, repeated(&[0x0a, 0], bytes)),
+            (HAS, repeated(&[0x0a, 0], bytes)),
+            (QUERY, repeated(&[0x1a, 0], bytes)),
+            (GET, mask),
+            (QUERY, repeated(&[0x68, 1], bytes)),
+        ],
+    )
     .await;
 }
 
 async fn columns(arena: &Arena) {
     let bytes = arena.setup.message_bytes();
-    flood(arena, vec![
-        // pairs and positions, an element each; positions in chunks of one element and of none
-        (QUERY, repeated(&[0x3d, 1, 0, 0, 0], bytes)),
-        (QUERY, repeated(&[0x29, 0, 0, 0, 0, 0, 0, 0, 0], bytes)),
-        (QUERY, repeated(&[0x2a, 8, 0, 0, 0, 0, 0, 0, 0, 0], bytes)),
-        (QUERY, repeated(&[0x2a, 0], bytes)),
-        // the vertices of one hull, in chunks of one element
-        (REGISTER, field(1, &repeated(&[0x0a, 8, 0, 0, 0, 0, 0, 0, 0, 0], bytes - 16))),
-    ])
+    flood(
+        arena,
+        vec![
+            // pairs and positions, an element each; positions in chunks of one element and of none
+            (QUERY, repeated(&[0x3d, 1, 0, 0, 0], bytes)),
+            (QUERY, repeated(&[0x29, 0, 0, 0, 0, 0, 0, 0, 0], bytes)),
+            (QUERY, repeated(&[0x2a, 8, 0, 0, 0, 0, 0, 0, 0, 0], bytes)),
+            (QUERY, repeated(&[0x2a, 0], bytes)),
+            // the vertices of one hull, in chunks of one element
+            (REGISTER, field(1, &repeated(&[0x0a, 8, 0, 0, 0, 0, 0, 0, 0, 0], bytes - 16))),
+        ],
+    )
     .await;
 }
 
@@ -54,13 +60,16 @@ async fn fields(arena: &Arena) {
     let mut unknown = Vec::new();
     varint(&mut unknown, 1000 << 3);
     unknown.push(1);
-    flood(arena, vec![
-        // accuracy, request_id, an unknown number, an unknown group in a group in a group
-        (QUERY, repeated(&[0x62, 0], bytes)),
-        (QUERY, repeated(&[0x08, 1], bytes)),
-        (QUERY, repeated(&unknown, bytes)),
-        (QUERY, repeated(&[0xa3, 6], bytes)),
-    ])
+    flood(
+        arena,
+        vec![
+            // accuracy, request_id, an unknown number, an unknown group in a group in a group
+            (QUERY, repeated(&[0x62, 0], bytes)),
+            (QUERY, repeated(&[0x08, 1], bytes)),
+            (QUERY, repeated(&unknown, bytes)),
+            (QUERY, repeated(&[0xa3, 6], bytes)),
+        ],
+    )
     .await;
 }
 

@@ -24,11 +24,19 @@ mod scenes;
 #[macro_use]
 mod support;
 
+mod admin;
 mod building;
 mod collected;
+mod connections;
 mod declared;
+mod drained;
 mod elements;
+mod floods;
 mod messages;
+#[cfg(feature = "playground")]
+mod over_http1;
 mod queries;
+mod shares;
+mod stored;
 mod unfinished;
 mod unread;

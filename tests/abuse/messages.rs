@@ -76,7 +76,9 @@ pub(crate) fn row(id: &[u8], bodies: usize, step: f64) -> QueryContactsRequest {
 /// A prism with faces of so many sides, one unit high.
 pub(crate) fn prism(sides: usize) -> HullDefinition {
     let corner = |i: usize| (std::f64::consts::TAU * i as f64 / sides as f64).sin_cos();
-    plain((0..2 * sides).map(|i| (corner(i % sides), i / sides)).map(|((s, c), z)| [c, s, z as f64]).collect())
+    plain(
+        (0..2 * sides).map(|i| (corner(i % sides), i / sides)).map(|((s, c), z)| [c, s, z as f64]).collect(),
+    )
 }
 
 /// Points on circles of latitude: each four neighbours lie in one plane to rounding.

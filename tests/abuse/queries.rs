@@ -8,12 +8,7 @@ use crate::{
     messages::{few_points, globe, prism, row, same_pair},
     raw,
     scenes::{box_points, plain},
-    support::{
-        FIND, QUERY,
-        arena::Arena,
-        http2::Windows,
-        setup::Size,
-    },
+    support::{FIND, QUERY, arena::Arena, http2::Windows, setup::Size},
 };
 
 attacks! {

@@ -1,4 +1,4 @@
-"""What a client does, whichever way it waits.
+"""The operations of a client, for both ways of waiting.
 
 Each operation is a generator that yields the call it waits for next and is sent
 the answer, or thrown the call's error. The clients (`_client.py`, `aio.py`)
@@ -46,7 +46,7 @@ FIND = "/hullcast.v1.ContactService/FindContacts"
 #: The methods of one request and one answer.
 UNARY = (REGISTER, QUERY, _manage.INFO, _manage.LIST, _manage.DELETE, _manage.GET)
 
-#: Seconds in which a server that is there answers the first call, which only asks what it is.
+#: Seconds in which a server answers the first call, GetServerInfo.
 _PROOF_SECONDS = 5.0
 
 #: Messages of one call under way at once: enough that the server always has
@@ -102,7 +102,7 @@ class Link(Protocol):
         """Nothing for a while."""
 
     def run(self, function: Callable[[], Any]) -> Any:
-        """What a function that blocks returns."""
+        """The result of a function that blocks."""
 
     def shut(self) -> None:
         """Closes the channel, if that does not need an event loop."""

@@ -152,7 +152,7 @@ class Settings:
         return tuple(t.rpartition("/")[2] for t in targets if not t.startswith("unix:"))
 
     def trust(self) -> ssl.SSLContext | None:
-        """A context that trusts what the client trusts; None without TLS.
+        """A context that trusts the same certificates as the client; None without TLS.
 
         The roots of gRPC credentials are not known, so that such a context trusts no one.
         """

@@ -1,4 +1,4 @@
-"""Checks what a server answers before anything of the answer is used.
+"""Checks of a server's answers, before anything of an answer is used.
 
 A server of another make, a proxy or a cache may send an answer to another request, or columns that
 do not fit together. Each defect is a `ServerError` with the reason MALFORMED_ANSWER. The command
@@ -195,7 +195,7 @@ def hull(place: int, info: Any, content: Content | None) -> None:
     Args:
         place: the hull's index in the call.
         info: a `HullInfo`.
-        content: what was registered; None if it is not known.
+        content: the content that was registered; None if it is not known.
     """
     name = f"hulls[{place}]"
     if content is not None and info.id != content.identity:

@@ -20,7 +20,7 @@ def warn(warning: Warning) -> None:
 class _Pickled:
     """An exception that is pickled and copied with all of its attributes.
 
-    Python's own way calls the class with `args` alone, which fails for a class that takes
+    Python's own way calls the class with only `args`, which fails for a class that takes
     other arguments.
     """
 

@@ -1,4 +1,4 @@
-"""What a server says of itself and of the hulls it stores: requests and checked answers."""
+"""A server's description of itself and of its stored hulls: requests and checked answers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _LAST_MOMENT = 253_402_300_799_999
 
 @dataclass(frozen=True)
 class ServerInfo:
-    """What a server is, and what it accepts."""
+    """A server's version, means and limits."""
 
     #: Its version, such as "0.1.0".
     version: str
@@ -140,7 +140,7 @@ def delete_requests(ids: Sequence[bytes]) -> Iterator[tuple[int, bytes]]:
 
 
 def read_deleted(data: bytes, count: int) -> list[bool]:
-    """Of each hull of a message, whether it was there."""
+    """Whether each hull of a message was there."""
     answer = _checked.parsed(hulls_pb2.DeleteHullsResponse.FromString, data)
     _checked.length("deleted", len(answer.deleted), count)
     return list(answer.deleted)

@@ -114,12 +114,19 @@ def _axes(ax: Any) -> tuple[Any, Any]:
 
         def __reduce_ex__(self, protocol: Any) -> Any:
             # As a plain figure: this class has no name that pickle could find.
-            make, arguments, *rest = super().__reduce_ex__(2)
-            return (make, (Figure, *arguments[1:]), *rest)
+            state = super().__reduce_ex__(2)[2]
+            return _plain_figure, (), state
 
     figure: Any = Picture(figsize=(9, 7), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)  # draws without a display
     return figure, figure.add_subplot(projection="3d", computed_zorder=False)
+
+
+def _plain_figure() -> Any:
+    """An empty figure, for pickle to fill."""
+    from matplotlib.figure import Figure
+
+    return Figure.__new__(Figure)
 
 
 def _draw_body(axes: Any, scene: Scene, body: int, numbered: bool) -> Floats:

@@ -13,7 +13,7 @@ import ssl
 _GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + b"\0\0\0\x04" + bytes(5)
 #: OpenSSL's numbers for a certificate of another host name, and of another address.
 _HOST_MISMATCH = (62, 64)
-#: Seconds that a peer may take to say what it speaks.
+#: Seconds in which a peer has to answer.
 _PATIENCE = 2.0
 
 
@@ -52,8 +52,8 @@ def mismatch(target: str, details: str, trust: ssl.SSLContext | None) -> str | N
 
     Args:
         target: `host:port`.
-        details: the text of gRPC. For a name with several addresses it is of the last one alone.
-        trust: what the client trusts; None if it does not speak TLS.
+        details: the text of gRPC. For a name with several addresses, it is about the last one only.
+        trust: the certificates that the client trusts; None if it does not speak TLS.
     """
     answer = _greeting(target)
     # The fourth byte of a frame is its type; a server begins with SETTINGS, type 4.

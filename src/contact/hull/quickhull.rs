@@ -14,7 +14,7 @@ use glam::DVec3;
 
 use super::cloud::Cloud;
 use super::{BuildError, HullError, HullErrorKind};
-use crate::contact::exact::{collinear, orient3d, orient3d_steps};
+use crate::contact::exact::{collinear, counted_orient3d, sure_orient3d};
 use crate::contact::stop::{Meter, Stopped};
 use crate::contact::tolerance::U;
 
@@ -24,6 +24,8 @@ const NONE: u32 = u32::MAX;
 const REMOVED: u32 = u32::MAX;
 /// Steps of one rounded comparison of a point with a triangle's plane.
 const COMPARISON: u64 = 4;
+/// Steps of an exact test for collinearity.
+const COLLINEAR: u64 = 1000;
 /// Steps of making, linking or moving one triangle.
 const TRIANGLE: u64 = 20;
 
@@ -114,6 +116,7 @@ fn renumbered(
 /// convex surface, those that are no mixture of others. Checks on the way that
 /// the surface is convex.
 fn extreme_points(cloud: &Cloud, surface: &Triangulation, meter: &Meter<'_>) -> Result<Vec<u32>, BuildError> {
+    let sure = sure_orient3d(cloud.unit);
     let mut creases = vec![0_u32; cloud.points.len()];
     for (t, corners) in (0..).zip(&surface.triangles) {
         for side in 0..3 {
@@ -122,8 +125,8 @@ fn extreme_points(cloud: &Cloud, surface: &Triangulation, meter: &Meter<'_>) -> 
             }
             let [a, b, c] = corners.map(|v| cloud.points[v as usize]);
             let across = cloud.points[surface.opposite(t, side) as usize];
-            let bend = orient3d(a, b, c, across);
-            meter.spend(COMPARISON + orient3d_steps([a, b, c, across], bend))?;
+            meter.spend(COMPARISON)?;
+            let bend = counted_orient3d([a, b, c, across], sure, meter);
             if bend < 0.0 {
                 return Err(inconsistent("the surface is not convex"));
             }
@@ -168,6 +171,8 @@ struct Rim {
 struct Quickhull<'a> {
     cloud: &'a Cloud,
     meter: &'a Meter<'a>,
+    /// See [`sure_orient3d`].
+    sure: f64,
     faces: Vec<Face>,
     /// Per point: the next of its face's list.
     next: Vec<u32>,
@@ -185,6 +190,7 @@ impl<'a> Quickhull<'a> {
         let mut hull = Self {
             cloud,
             meter,
+            sure: sure_orient3d(cloud.unit),
             faces: Vec::with_capacity(4 * count.min(1 << 16)),
             next: vec![NONE; count],
             rim_at: vec![NONE; count],
@@ -249,9 +255,7 @@ impl<'a> Quickhull<'a> {
         } else {
             let [a, b, c] = face.corners.map(|v| self.cloud.points[v as usize]);
             let d = self.cloud.points[point as usize];
-            let side = orient3d(a, b, c, d);
-            self.meter.count(orient3d_steps([a, b, c, d], side));
-            side < 0.0
+            counted_orient3d([a, b, c, d], self.sure, self.meter) < 0.0
         };
         above.then_some(height)
     }
@@ -409,12 +413,14 @@ fn first_tetrahedron(cloud: &Cloud, meter: &Meter<'_>) -> Result<[u32; 4], Build
     let along = scaled[b] - scaled[a];
     let mut c = farthest(scaled, meter, |p| along.cross(p - scaled[a]).length_squared())?;
     // Exactly, where rounding was wrong; then the first point that is off the line will do.
-    let steps = |i: usize| orient3d_steps([points[a], points[b], points[i], points[i]], 0.0);
-    let on_line = |i: usize| collinear(points[a], points[b], points[i]);
+    let on_line = |i: usize| {
+        meter.count(COLLINEAR);
+        collinear(points[a], points[b], points[i])
+    };
     if on_line(c) {
         c = 0;
         while c < points.len() && on_line(c) {
-            meter.spend(steps(c))?;
+            meter.spend(COMPARISON)?;
             c += 1;
         }
     }
@@ -424,11 +430,12 @@ fn first_tetrahedron(cloud: &Cloud, meter: &Meter<'_>) -> Result<[u32; 4], Build
     }
     let normal = along.cross(scaled[c] - scaled[a]);
     let mut d = farthest(scaled, meter, |p| normal.dot(p - scaled[a]).abs())?;
-    let side = |i: usize| orient3d(points[a], points[b], points[c], points[i]);
+    let sure = sure_orient3d(cloud.unit);
+    let side = |i: usize| counted_orient3d([points[a], points[b], points[c], points[i]], sure, meter);
     if side(d) == 0.0 {
         d = 0;
         while d < points.len() && side(d) == 0.0 {
-            meter.spend(steps(d))?;
+            meter.spend(COMPARISON)?;
             d += 1;
         }
     }

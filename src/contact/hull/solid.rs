@@ -7,8 +7,8 @@ use super::cloud::Cloud;
 use super::quickhull::{Triangulation, triangulate};
 use super::sort::sort;
 use crate::contact::exact::{
-    Dd3, TriangleNormal, VectorArea, depth_below, exact_difference, exponent_above, normal_of, orient3d,
-    orient3d_steps, power_of_two,
+    Dd3, TriangleNormal, VectorArea, counted_orient3d, depth_below, exact_difference, exponent_above,
+    normal_of, power_of_two,
 };
 use crate::contact::stop::{Meter, Stopped};
 use crate::contact::tolerance::U;
@@ -159,9 +159,7 @@ impl Solid {
             if normal.unit.dot(below) > 16.0 * U * below.length() {
                 continue;
             }
-            let side = orient3d(a, b, c, center);
-            meter.count(orient3d_steps([a, b, c, center], side));
-            if !(side > 0.0) {
+            if !(counted_orient3d([a, b, c, center], f64::INFINITY, meter) > 0.0) {
                 return Ok(false);
             }
         }

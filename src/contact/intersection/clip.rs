@@ -1,14 +1,30 @@
-//! A feature clipped by a face: Sutherland and Hodgman, *Reentrant polygon
-//! clipping* (1974), with what makes each vertex carried along.
+//! A feature clipped by a face: Sutherland and Hodgman, *Reentrant polygon clipping* (1974,
+//! doi:10.1145/360767.360802), with what makes each vertex carried along.
 //!
 //! A side of the window cuts where the subject passes from more than `eps`
 //! inside to more than `eps` outside; a vertex within `eps` of the side's line is
 //! on it, and stands for the crossing itself. Within `eps` of both sides of a
 //! sharp corner may be far beyond the corner: there it is cut off.
+//!
+//! Every side of the window looks at every vertex that is left, which is fastest for the few
+//! sides of most faces but quadratic. Large polygons are cut by [`chain`], which gives the same
+//! vertices in linear time.
 
 use glam::DVec2;
 
-use super::outline::Outline;
+use super::outline::{Outline, Side};
+use chain::Chain;
+
+mod chain;
+
+/// Products of the numbers of sides above which polygons are cut as a [`Chain`].
+const LARGE: usize = 1024;
+
+/// Whether two polygons are so large that looking at every pair of sides would take too long.
+pub(super) fn are_large(a: &Outline, b: &Outline) -> bool {
+    let [a, b] = [a, b].map(|outline| outline.corners.len());
+    a > 2 && b > 2 && a * b > LARGE
+}
 
 /// A vertex of the intersection.
 #[derive(Clone, Copy, Debug)]
@@ -71,9 +87,15 @@ pub(super) struct Clip {
     next: Vec<Vertex>,
     /// Of each vertex from the side that cuts.
     distances: Vec<f64>,
+    chain: Chain,
 }
 
 impl Clip {
+    /// Vertices that were looked at since the last call, beside those of small polygons.
+    pub(super) fn take_looked_at(&mut self) -> u64 {
+        std::mem::take(&mut self.chain.looked_at)
+    }
+
     /// Keeps the part of `subject` (a point, a segment or a polygon) inside
     /// `window`, a polygon; in order, with vertices nearer than `eps` still apart.
     pub(super) fn clip(&mut self, subject: &Outline, window: &Outline, eps: f64) {
@@ -81,8 +103,12 @@ impl Clip {
         let corners = subject.corners.iter().zip(0..);
         self.kept.extend(corners.map(|(c, i)| Vertex { at: c.at, made: Made::Own(i), line: Line::Own(i) }));
         let mut on_line = false;
-        for j in 0..window.sides.len() {
-            on_line |= self.cut(window, j as u32, eps);
+        if are_large(subject, window) {
+            on_line = self.clip_chain(window, eps);
+        } else {
+            for j in 0..window.sides.len() {
+                on_line |= self.cut(window, j as u32, eps);
+            }
         }
         if on_line {
             self.cut_corners(window, eps);
@@ -118,7 +144,7 @@ impl Clip {
 
     /// Of a polygon that leaves the window across side `j` once, and comes back once.
     fn keep_run(&mut self, window: &Outline, inside: &Run, j: u32, eps: f64) {
-        let Self { kept, next, distances } = self;
+        let Self { kept, next, distances, .. } = self;
         next.clear();
         let unwrapped = inside.count.min(kept.len() - inside.first);
         next.extend_from_slice(&kept[inside.first..][..unwrapped]);
@@ -126,23 +152,17 @@ impl Clip {
         let wrapped = |i: usize| if i >= kept.len() { i - kept.len() } else { i };
         let leaves = [inside.count - 1, inside.count].map(|i| wrapped(inside.first + i));
         let enters = [wrapped(inside.first + kept.len() - 1), inside.first];
-        let crossing = |[p, q]: [usize; 2]| {
-            let share = distances[p] / (distances[p] - distances[q]);
-            crossing(window, &kept[p], &kept[q], share, j)
-        };
-        if distances[leaves[0]] > eps {
-            next.push(crossing(leaves));
-        }
+        let [leaves, enters] = [leaves, enters].map(|two| two.map(|i| (&kept[i], distances[i])));
+        let (leaves, enters) = Cut { window, j, eps, leaves, enters }.vertices();
+        next.extend(leaves);
         let last = next.len() - 1;
         next[last].line = Line::Window(j);
-        if distances[inside.first] > eps {
-            next.push(crossing(enters));
-        }
+        next.extend(enters);
     }
 
     /// Of a segment, or of a polygon that rounding makes leave more than once.
     fn keep_each(&mut self, window: &Outline, j: u32, eps: f64) {
-        let Self { kept, next, distances } = self;
+        let Self { kept, next, distances, .. } = self;
         next.clear();
         let closed = kept.len() > 2;
         for (i, (&p, &from)) in kept.iter().zip(distances.iter()).enumerate() {
@@ -197,6 +217,31 @@ impl Clip {
     }
 }
 
+/// Where the outline leaves the window across side `j` and where it comes back, between the
+/// vertices inside and outside, each with its distance from the side.
+struct Cut<'a> {
+    window: &'a Outline,
+    j: u32,
+    eps: f64,
+    leaves: [(&'a Vertex, f64); 2],
+    enters: [(&'a Vertex, f64); 2],
+}
+
+impl Cut<'_> {
+    fn crossing(&self, [(p, from), (q, to)]: [(&Vertex, f64); 2]) -> Vertex {
+        crossing(self.window, p, q, from / (from - to), self.j)
+    }
+
+    /// The last vertex before the side of the window, a new one if the last inside is not on the
+    /// side's line; and the first vertex of the way back, if it is new.
+    fn vertices(&self) -> (Option<Vertex>, Option<Vertex>) {
+        let leaves = (self.leaves[0].1 > self.eps)
+            .then(|| Vertex { line: Line::Window(self.j), ..self.crossing(self.leaves) });
+        let enters = (self.enters[1].1 > self.eps).then(|| self.crossing(self.enters));
+        (leaves, enters)
+    }
+}
+
 /// Square of the sum of the unit inward directions of a corner's sides: 2 at a
 /// right angle.
 const SHARP: f64 = 1.999;
@@ -213,16 +258,27 @@ fn crossing(window: &Outline, p: &Vertex, q: &Vertex, share: f64, j: u32) -> Ver
             } else if window.next(k as usize) == j as usize {
                 (Made::Window { corner: j, near: false }, window.corners[j as usize].at)
             } else {
-                (Made::Window { corner: nearest_corner(window, at), near: true }, at)
+                (Made::Window { corner: nearest_corner(window, at, [k, j]), near: true }, at)
             };
             Vertex { at, made, line: p.line }
         }
     }
 }
 
+/// The corner of the window that is nearest to the point where two of its sides meet that are
+/// not neighbours. Large windows look only at the corners between these sides.
 #[cold]
-fn nearest_corner(window: &Outline, at: DVec2) -> u32 {
-    let distance = |i: &u32| window.corners[*i as usize].at.distance_squared(at);
-    let corners = 0..window.corners.len() as u32;
-    corners.min_by(|i, j| distance(i).total_cmp(&distance(j))).unwrap_or(0)
+fn nearest_corner(window: &Outline, at: DVec2, [k, j]: [u32; 2]) -> u32 {
+    let distance = |i: u32| window.corners[i as usize].at.distance_squared(at);
+    let nearer = |i: &u32, j: &u32| distance(*i).total_cmp(&distance(*j)).then(i.cmp(j));
+    let count = window.corners.len() as u32;
+    let (low, high) = (k.min(j), k.max(j));
+    let nearest = if count as usize * count as usize <= LARGE {
+        (0..count).min_by(nearer)
+    } else if high - low <= count / 2 {
+        (low..=high).min_by(nearer)
+    } else {
+        (high..count).chain(0..=low).min_by(nearer)
+    };
+    nearest.unwrap_or(0)
 }

@@ -15,6 +15,7 @@ mod polygons;
 
 use glam::{DVec2, DVec3};
 
+use super::cost::{LOOK, POINT, SIDE};
 use super::manifold::Element;
 use super::pair::Pair;
 use outline::{Outline, View};
@@ -39,7 +40,7 @@ pub(crate) struct Intersection {
     b: Outline,
     polygons: polygons::Polygons,
     clip: clip::Clip,
-    nearest: Vec<closest::Near>,
+    closest: closest::Scratch,
     /// Anticlockwise about the normal.
     pub(crate) points: Vec<PlanePoint>,
     /// Which of them has the lowest id: answers begin there.
@@ -69,17 +70,22 @@ impl Intersection {
         self.b.project(pair.b, feature_b, &from_b);
         self.planarity = self.a.planarity + self.b.planarity;
         self.b.set_sides();
-        if self.b.corners.len() <= 2 {
+        if self.b.corners.len() <= 2 || clip::are_large(&self.a, &self.b) {
             self.a.set_sides();
         }
+        let sides = self.a.corners.len() + self.b.corners.len();
+        pair.count.add(SIDE * sides as u64);
 
         let eps = pair.merge_distance();
         self.points.clear();
         self.first =
             overlap::find(&self.a, &self.b, eps, &mut self.polygons, &mut self.clip, &mut self.points);
+        pair.count.add(LOOK * self.clip.take_looked_at() + POINT * self.points.len() as u64);
         self.estimated = self.points.is_empty();
         if self.estimated {
-            let (point, gap) = closest::estimate(&self.a, &self.b, eps, &mut self.nearest);
+            let closest = closest::estimate(&self.a, &self.b, eps, &mut self.closest);
+            let closest::Closest { point, gap, looked_at } = closest;
+            pair.count.add(LOOK * looked_at);
             self.points.push(point);
             // Near a sharp corner what clipping cuts may be farther out than the corner is.
             self.estimated = gap > eps;

@@ -159,21 +159,33 @@ fn rank(p: &PlanePoint) -> (u8, [Element; 2]) {
     (kind, p.id)
 }
 
-/// Of neighbours closer than `eps` keeps the one of the lowest rank.
+/// Of neighbours closer than `eps` keeps the one of the lowest rank: in one pass, and then
+/// between the last and the first, each of which may give way to the other several times.
 fn merge(points: &mut Vec<PlanePoint>, eps: f64) {
-    let mut i = 0;
-    while points.len() > 1 && i < points.len() {
-        let next = if i + 1 == points.len() { 0 } else { i + 1 };
-        if points[i].at.distance_squared(points[next].at) > eps * eps {
-            i += 1;
-        } else if rank(&points[next]) < rank(&points[i]) {
-            points.remove(i);
-        } else {
-            points.remove(next);
-            // A removed first vertex moves all others down.
-            i -= usize::from(next < i);
+    let Some(&first) = points.first() else { return };
+    let are_one = |p: &PlanePoint, q: &PlanePoint| !(p.at.distance_squared(q.at) > eps * eps);
+    let (mut kept, mut current) = (0, first);
+    for i in 1..points.len() {
+        let next = points[i];
+        if !are_one(&current, &next) {
+            points[kept] = current;
+            kept += 1;
+            current = next;
+        } else if rank(&next) < rank(&current) {
+            current = next;
         }
     }
+    points[kept] = current;
+    points.truncate(kept + 1);
+    let mut start = 0;
+    while points.len() - start > 1 && are_one(&current, &points[start]) {
+        if rank(&points[start]) < rank(&current) {
+            points.pop();
+            break;
+        }
+        start += 1;
+    }
+    points.drain(..start);
 }
 
 /// Drops vertices closer than `eps` to the line between their neighbours; of an
@@ -193,16 +205,18 @@ fn straighten(points: &mut Vec<PlanePoint>, eps: f64) {
     if doubled_area * doubled_area <= 64.0 * eps * eps * reach_squared {
         flatten(points, eps);
     }
-    let mut i = 0;
-    while points.len() > 2 && i < points.len() {
-        let previous = points[if i == 0 { points.len() - 1 } else { i - 1 }].at;
-        let next = points[if i + 1 == points.len() { 0 } else { i + 1 }].at;
-        if aside(previous, points[i].at, next, eps) {
-            i += 1;
-        } else {
-            points.remove(i);
+    // The vertices kept so far are at `..kept`, those still to be looked at from `i` on.
+    let (mut kept, count) = (0, points.len());
+    for i in 0..count {
+        let previous = points[if kept == 0 { count - 1 } else { kept - 1 }].at;
+        let next = points[if i + 1 < count { i + 1 } else { 0 }].at;
+        let are_two = kept + (count - i) <= 2;
+        if are_two || aside(previous, points[i].at, next, eps) {
+            points[kept] = points[i];
+            kept += 1;
         }
     }
+    points.truncate(kept);
 }
 
 /// Keeps the two ends of an outline that is all one line.

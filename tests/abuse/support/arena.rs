@@ -10,9 +10,7 @@ use std::{
 };
 
 use hullcast::{
-    proto::{
-        contact_service_client::ContactServiceClient, hull_service_client::HullServiceClient,
-    },
+    proto::{contact_service_client::ContactServiceClient, hull_service_client::HullServiceClient},
     store::HullDefinition,
 };
 use tonic::transport::Channel;

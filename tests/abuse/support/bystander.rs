@@ -12,15 +12,18 @@ use hullcast::{
     proto::{
         QueryContactsRequest, QueryContactsResponse, contact_service_client::ContactServiceClient,
         hull_service_client::HullServiceClient,
+        register_hull_result::Result as Registered,
     },
     store::HullDefinition,
 };
 use tokio::task::JoinHandle;
 use tonic::{Code, Request, Status, transport::Channel};
-use tonic_health::pb::{HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient};
+use tonic_health::pb::{
+    HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient,
+};
 
 use super::{latency::Latencies, server::REGISTER_TOKEN};
-use crate::scenes::{assert_same, expected, outputs, register_request, scene, shapes};
+use crate::scenes::{assert_same, expected, outputs, plain, register_request, round_points, scene, shapes};
 
 /// After this long without an answer a call counts as lost.
 const LOST: Duration = Duration::from_secs(60);
@@ -31,6 +34,7 @@ const PAUSE: Duration = Duration::from_millis(5);
 /// A bystander; clones share its connection.
 #[derive(Clone)]
 pub(crate) struct Bystander {
+    channel: Channel,
     contacts: ContactServiceClient<Channel>,
     health: HealthClient<Channel>,
     questions: Arc<[(QueryContactsRequest, QueryContactsResponse); 2]>,
@@ -61,7 +65,15 @@ impl Bystander {
         hulls.register_hulls(with_token(register_request(&shapes))).await.expect("its hulls");
         let questions = Arc::new([question(&shapes, 1), question(&shapes, 200)]);
         let contacts = ContactServiceClient::new(channel.clone());
-        Self { contacts, health: HealthClient::new(channel), questions }
+        Self { contacts, health: HealthClient::new(channel.clone()), channel, questions }
+    }
+
+    /// Registers a hull that the store does not have.
+    pub(crate) async fn register_a_new_hull(&self) {
+        let mut hulls = HullServiceClient::new(self.channel.clone());
+        let request = register_request(&[plain(round_points(30, 99))]);
+        let answer = hulls.register_hulls(with_token(request)).await.expect("an answer").into_inner();
+        assert!(matches!(answer.results[0].result, Some(Registered::Hull(_))), "{answer:?}");
     }
 
     /// Works until it is told to stop.
@@ -72,11 +84,7 @@ impl Bystander {
         Working { done, answered, queries, health }
     }
 
-    async fn ask_queries(
-        mut self,
-        done: Arc<AtomicBool>,
-        answered: Arc<AtomicUsize>,
-    ) -> (Latencies, usize) {
+    async fn ask_queries(mut self, done: Arc<AtomicBool>, answered: Arc<AtomicUsize>) -> (Latencies, usize) {
         let (mut latencies, mut retries) = (Latencies::default(), 0);
         while !done.load(Ordering::SeqCst) {
             for (request, expected) in self.questions.iter() {

@@ -235,7 +235,9 @@ async fn read(
         // The server's windows hold once its settings are acknowledged. A ping may stay without
         // an answer: a flood that fills the connection must not keep the reader from reading.
         let sent = match kind {
-            SETTINGS if flags & ACK == 0 => writer.lock().await.write_all(&frame(SETTINGS, ACK, 0, &[])).await,
+            SETTINGS if flags & ACK == 0 => {
+                writer.lock().await.write_all(&frame(SETTINGS, ACK, 0, &[])).await
+            }
             PING if flags & ACK == 0 => match writer.try_lock() {
                 Ok(mut writer) => writer.write_all(&frame(PING, ACK, 0, &payload)).await,
                 Err(_) => Ok(()),

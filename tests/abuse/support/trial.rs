@@ -2,7 +2,7 @@
 
 use std::{
     sync::{
-        Mutex, PoisonError,
+        Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, AtomicU64, Ordering},
     },
     time::{Duration, Instant},
@@ -32,10 +32,15 @@ const LONGEST: Duration = Duration::from_secs(300);
 /// One attack at a time.
 static ALONE: Mutex<()> = Mutex::new(());
 
+/// The right to attack; one test has it at a time.
+pub(crate) fn alone() -> MutexGuard<'static, ()> {
+    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// Attacks a server of its own and asserts what has to hold. The attack prepares, calls
 /// [`Arena::begin`], and has let go of everything when it returns.
 pub(crate) fn trial(title: &str, setup: Setup, attack: impl AsyncFnOnce(&Arena)) {
-    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let _alone = alone();
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
     let runtime = runtime.expect("a runtime");
     runtime.block_on(run(title, setup, attack));
@@ -109,7 +114,9 @@ async fn freed(
             elapsed < FREE_WITHIN,
             "{title}: {elapsed:?} after the attack {} MiB are resident, {} MiB before it, {} MiB of hulls \
              are cached, and the budget holds {parts:?}, before it {idle_parts:?}",
-            bytes >> 20, idle_bytes >> 20, cached >> 20
+            bytes >> 20,
+            idle_bytes >> 20,
+            cached >> 20
         );
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
@@ -119,8 +126,13 @@ async fn freed(
 fn report(title: &str, undisturbed: &Experience, attacked: &Experience, peak: u64, freed: Duration) {
     println!(
         "\n| {title} | {} | {} | {} | {} | {} | {} | {:.1} |",
-        undisturbed.queries, attacked.queries, undisturbed.health, attacked.health, attacked.retries,
-        peak >> 20, freed.as_secs_f64()
+        undisturbed.queries,
+        attacked.queries,
+        undisturbed.health,
+        attacked.health,
+        attacked.retries,
+        peak >> 20,
+        freed.as_secs_f64()
     );
 }
 

@@ -21,10 +21,11 @@ const SIMPLEX: u64 = 250;
 /// units.
 pub(super) fn distance(target: DVec3, points: &PointTree, meter: &Meter<'_>) -> Result<f64, Stopped> {
     let mut simplex = Corners::default().with(points.first());
+    let mut known = None;
     let mut shortest = f64::INFINITY;
     for _ in 0..DISTANCE_ITERATIONS {
         meter.spend(SIMPLEX)?;
-        let (nearest, kept) = nearest(target, &simplex);
+        let (nearest, kept) = nearest(target, &simplex, known);
         let away = target - nearest;
         // Less would be rounding: the bound is what was reached.
         if !(away.length() < shortest * (1.0 - NOISE * U)) {
@@ -35,6 +36,8 @@ pub(super) fn distance(target: DVec3, points: &PointTree, meter: &Meter<'_>) -> 
         if away.dot(next.point) <= away.dot(nearest) || kept.has(next) {
             break;
         }
+        // Of three points that were four the nearest point may be another.
+        known = (!kept.surround).then_some(nearest);
         simplex = kept.with(next);
     }
     // Points are within 1 of the centre, weights sum to 1 within rounding.
@@ -46,6 +49,8 @@ pub(super) fn distance(target: DVec3, points: &PointTree, meter: &Meter<'_>) -> 
 struct Corners {
     points: [Added; 4],
     len: usize,
+    /// They are three of four that surround the target.
+    surround: bool,
 }
 
 impl Corners {
@@ -61,17 +66,23 @@ impl Corners {
     fn with(mut self, p: Added) -> Self {
         self.points[self.len] = p;
         self.len += 1;
+        self.surround = false;
         self
     }
 }
 
 /// The point of the hull of some points that is nearest to `target`, and those whose hull it
-/// is in.
-fn nearest(target: DVec3, simplex: &Corners) -> (DVec3, Corners) {
-    let mut nearest = simplex.points[0].point;
-    let (mut shortest, mut holder) = (nearest.distance_squared(target), 1);
+/// is in. `known` is the nearest point of all but the last of the points, of whose hull each
+/// holds a part: then only the faces with the last are looked at.
+fn nearest(target: DVec3, simplex: &Corners, known: Option<DVec3>) -> (DVec3, Corners) {
+    let all = 1_u32 << simplex.len;
+    let (first, mut nearest, mut holder) = match known {
+        Some(known) => (all / 2, known, all / 2 - 1),
+        None => (1, simplex.points[0].point, 1),
+    };
+    let mut shortest = nearest.distance_squared(target);
     // The faces of every dimension.
-    for face in 1_u32..1 << simplex.len {
+    for face in first..all {
         let (mut corners, mut len) = ([DVec3::ZERO; 4], 0);
         for (i, corner) in simplex.points().iter().enumerate() {
             if face >> i & 1 == 1 {
@@ -86,13 +97,13 @@ fn nearest(target: DVec3, simplex: &Corners) -> (DVec3, Corners) {
         }
     }
     let mut kept = Corners::default();
-    // Four points that surround the target leave no room for a fifth, and need none.
-    for (i, &corner) in simplex.points().iter().enumerate().take(4) {
+    for (i, &corner) in simplex.points().iter().enumerate() {
         if holder >> i & 1 == 1 && kept.len < 3 {
-            kept.points[kept.len] = corner;
-            kept.len += 1;
+            kept = kept.with(corner);
         }
     }
+    // Four points that surround the target leave no room for a fifth, and need none.
+    kept.surround = holder == 0b1111;
     (nearest, kept)
 }
 
@@ -109,8 +120,14 @@ fn foot(target: DVec3, corners: &[DVec3]) -> Option<DVec3> {
         }
         [a, b, c] => {
             let n = (b - a).cross(c - a);
-            let part = |u: DVec3, v: DVec3| n.dot((u - target).cross(v - target)) / n.length_squared();
-            [part(b, c), part(c, a), part(a, b), 0.0]
+            let (at, bt, ct) = (a - target, b - target, c - target);
+            let parts = [n.dot(bt.cross(ct)), n.dot(ct.cross(at)), n.dot(at.cross(bt))];
+            // Outside, even if the division underflows: most triangles end here.
+            if parts.iter().any(|&part| part < -f64::MIN_POSITIVE) {
+                return None;
+            }
+            let [u, v, w] = parts.map(|part| part / n.length_squared());
+            [u, v, w, 0.0]
         }
         [a, b, c, d] => {
             let volume = |p: DVec3, q: DVec3, r: DVec3, s: DVec3| (q - p).cross(r - p).dot(s - p);

@@ -3,12 +3,13 @@
 //! All points that may ever be in the set are known in advance. They are sorted into a tree
 //! with four children for each node: their number is halved twice, along the longest side of
 //! their box (a k-d tree; J. L. Bentley, *Multidimensional binary search trees used for
-//! associative searching*, 1975, doi:10.1145/361002.361007), after a linear map that makes the
-//! whole set about as wide as long. Each child has axes of its own, two along the surface that
-//! its points lie on and one across it (an OBB tree; S. Gottschalk, M. C. Lin and D. Manocha,
-//! *OBBTree*, 1996, doi:10.1145/237170.237244), and the box along these axes around those of
-//! its points that are in the set. The four boxes of a node are measured together, which
-//! compiles to vector instructions.
+//! associative searching*, 1975, doi:10.1145/361002.361007). Each child has axes of its own, two
+//! along the surface that its points lie on and one across it (an OBB tree; S. Gottschalk,
+//! M. C. Lin and D. Manocha, *OBBTree*, 1996, doi:10.1145/237170.237244), and the box along
+//! these axes around those of its points that are in the set. All this is done after a linear
+//! map that makes the whole set about as wide as long, so that a needle is no harder than a
+//! ball. The four boxes of a node are measured together in single precision, which compiles to
+//! vector instructions.
 //!
 //! ```text
 //! add(point):              grow the boxes on the way from the root to the point's leaf
@@ -57,6 +58,7 @@ pub(super) struct PointTree {
     places: Vec<u32>,
     /// The root first.
     nodes: Vec<Node>,
+    map: Map,
     first: Added,
     count: u32,
 }
@@ -75,12 +77,12 @@ type Each<T> = [T; CHILDREN];
 #[derive(Default)]
 struct Node {
     /// For each axis its coordinates, unit: along the surface, along it, and across it.
-    axes: [[Each<f64>; 3]; 3],
+    axes: [[Each<f32>; 3]; 3],
     /// Along each axis.
-    low: [Each<f64>; 3],
-    high: [Each<f64>; 3],
+    low: [Each<f32>; 3],
+    high: [Each<f32>; 3],
     /// 0 if a point of the child is in the set, otherwise negative infinity.
-    filled: Each<f64>,
+    filled: Each<f32>,
     /// The place of the child's own node, or 0 for a leaf.
     nodes: Each<u32>,
     /// The child's points are at `starts..ends`.
@@ -91,12 +93,12 @@ struct Node {
 impl Node {
     /// No point of a child that is in the set is higher along `n`, but for rounding.
     #[inline]
-    fn bounds(&self, n: DVec3) -> Each<f64> {
+    fn bounds(&self, n: [f32; 3]) -> Each<f32> {
         let mut bounds = self.filled;
         for axis in 0..3 {
             let [x, y, z] = &self.axes[axis];
             for c in 0..CHILDREN {
-                let along = x[c] * n.x + y[c] * n.y + z[c] * n.z;
+                let along = x[c] * n[0] + y[c] * n[1] + z[c] * n[2];
                 let (low, high) = (along * self.low[axis][c], along * self.high[axis][c]);
                 bounds[c] += if low > high { low } else { high };
             }
@@ -109,7 +111,7 @@ impl Node {
         let new = self.filled[c] != 0.0;
         self.filled[c] = 0.0;
         for axis in 0..3 {
-            let along = DVec3::from_array(self.axes[axis].map(|each| each[c])).dot(point);
+            let along = DVec3::from_array(self.axes[axis].map(|each| f64::from(each[c]))).dot(point) as f32;
             let (low, high) = (&mut self.low[axis][c], &mut self.high[axis][c]);
             (*low, *high) = if new { (along, along) } else { (low.min(along), high.max(along)) };
         }
@@ -126,15 +128,18 @@ fn axes(points: impl Iterator<Item = DVec3> + Clone) -> [DVec3; 3] {
     };
     let along = farthest(&|p| (p - first).length_squared()).normalize_or(DVec3::X);
     let other = farthest(&|p| along.cross(p - first).length_squared());
-    let across = along.cross(other).normalize_or(along.any_orthonormal_vector());
-    [along, across.cross(along), across]
+    // Twice, so that the axes are orthogonal to rounding even if both directions are nearly one.
+    let reject = |v: DVec3| (v - along * along.dot(v)).normalize_or(along.any_orthonormal_vector());
+    let other = reject(reject(other));
+    [along, other, along.cross(other)]
 }
 
 impl PointTree {
     /// The tree over `all` points, with the one of index `first` in the set.
     pub(super) fn new(all: &[DVec3], first: u32, meter: &Meter<'_>) -> Result<Self, Stopped> {
         let mut order: Vec<u32> = (0..all.len() as u32).collect();
-        let round = rounded(all);
+        let map = Map::new(all);
+        let round: Vec<DVec3> = all.iter().map(|&p| map.point(p)).collect();
         // Nodes to be made, with their points.
         let mut ranges = vec![0..all.len()];
         let mut nodes = Vec::new();
@@ -145,12 +150,12 @@ impl PointTree {
             let quarter = range.start + halve(&round, &mut order[range.start..middle]);
             let last = middle + halve(&round, &mut order[middle..range.end]);
             let ends = [quarter, middle, last, range.end];
-            let mut node = Node { filled: [f64::NEG_INFINITY; CHILDREN], ..Node::default() };
+            let mut node = Node { filled: [f32::NEG_INFINITY; CHILDREN], ..Node::default() };
             let mut start = range.start;
             for (c, end) in ends.into_iter().enumerate() {
-                let own = axes(order[start..end].iter().map(|&i| all[i as usize]));
+                let own = axes(order[start..end].iter().map(|&i| round[i as usize]));
                 for (axis, own) in own.iter().enumerate() {
-                    (0..3).for_each(|k| node.axes[axis][k][c] = own[k]);
+                    (0..3).for_each(|k| node.axes[axis][k][c] = own[k] as f32);
                 }
                 (node.starts[c], node.ends[c]) = (start as u32, end as u32);
                 if end - start > LEAF {
@@ -165,7 +170,8 @@ impl PointTree {
         order.iter().zip(0..).for_each(|(&i, place)| places[i as usize] = place);
         let points = order.iter().map(|&i| all[i as usize]).collect();
         let (added, point) = (vec![ABSENT; all.len()], all[first as usize]);
-        let mut tree = Self { points, added, places, nodes, first: Added { point, before: 0 }, count: 0 };
+        let first_added = Added { point, before: 0 };
+        let mut tree = Self { points, added, places, nodes, map, first: first_added, count: 0 };
         tree.add(first);
         Ok(tree)
     }
@@ -176,6 +182,7 @@ impl PointTree {
         let point = self.points[place as usize];
         self.added[place as usize] = self.count;
         self.count += 1;
+        let point = self.map.point(point);
         let mut at = 0;
         loop {
             let node = &mut self.nodes[at];
@@ -203,9 +210,7 @@ impl PointTree {
     ) -> Result<Added, Stopped> {
         let mut best = Best { added: self.first, height: n.dot(self.first.point) };
         near.iter().for_each(|&added| best.improve(n, added));
-        // Points are within 1 of the centre: of the axes, the coordinates along them and both
-        // sums of products.
-        let rounding = NOISE * U * n.abs().element_sum();
+        let (mapped, offset, rounding) = self.map.direction(n);
         // Nodes that wait, with their bounds.
         let mut open = [(0_u32, f64::INFINITY); MOST_OPEN];
         let mut count = 1;
@@ -217,21 +222,23 @@ impl PointTree {
             }
             meter.spend(BOUNDS)?;
             let node = &self.nodes[node as usize];
-            let bounds = node.bounds(n).map(|bound| bound + rounding);
+            let bounds = node.bounds(mapped).map(|bound| f64::from(bound) + offset + rounding);
             let highest = bounds.iter().fold(f64::NEG_INFINITY, |a, &b| if b > a { b } else { a });
-            // The child of the highest bound is looked at first: it is pushed last.
-            for is_highest in [false, true] {
-                for c in 0..CHILDREN {
-                    if (bounds[c] == highest) != is_highest || bounds[c] < best.height {
+            // The child of the highest bound is looked at first: a leaf at once, another pushed last.
+            let is_leaf = |c: usize| node.nodes[c] == 0;
+            let order = |c: usize| (bounds[c] == highest) == is_leaf(c);
+            for first in [true, false] {
+                for c in (0..CHILDREN).filter(|&c| order(c) == first) {
+                    if bounds[c] < best.height {
                         continue;
                     }
-                    if node.nodes[c] != 0 && count < MOST_OPEN {
-                        open[count] = (node.nodes[c], bounds[c]);
-                        count += 1;
-                    } else if node.nodes[c] == 0 {
+                    if is_leaf(c) {
                         let places = node.starts[c] as usize..node.ends[c] as usize;
                         meter.count(HEIGHT * places.len() as u64);
                         self.look_at(places, n, &mut best);
+                    } else if count < MOST_OPEN {
+                        open[count] = (node.nodes[c], bounds[c]);
+                        count += 1;
                     }
                 }
             }
@@ -266,26 +273,55 @@ impl Best {
     }
 }
 
-/// The points, mapped so that the set is about as wide in every direction: by the inverse of the
-/// Cholesky factor of their covariance.
-fn rounded(all: &[DVec3]) -> Vec<DVec3> {
-    let count = all.len().max(1) as f64;
-    let mean = all.iter().sum::<DVec3>() / count;
-    let of = |i: usize, j: usize| all.iter().map(|&p| (p - mean)[i] * (p - mean)[j]).sum::<f64>() / count;
-    // A variance that rounding makes zero or less leaves its coordinate as it is.
-    let root = |x: f64| if x > 0.0 { x.sqrt() } else { 1.0 };
-    let a = root(of(0, 0));
-    let (b, d) = (of(1, 0) / a, of(2, 0) / a);
-    let c = root(of(1, 1) - b * b);
-    let e = (of(2, 1) - b * d) / c;
-    let f = root(of(2, 2) - d * d - e * e);
-    let map = |&p: &DVec3| {
-        let q = p - mean;
-        let x = q.x / a;
-        let y = (q.y - b * x) / c;
-        DVec3::new(x, y, (q.z - d * x - e * y) / f)
-    };
-    all.iter().map(map).collect()
+/// Makes a set about as wide in every direction: `p = mean + factor * q`, with the Cholesky
+/// factor of the points' covariance.
+struct Map {
+    mean: DVec3,
+    /// Of the factor: its first column, of the second the lower two, of the third the last.
+    factor: [f64; 6],
+    /// The largest coordinate of a mapped point.
+    reach: f64,
+}
+
+/// Roundoffs of single precision in a bound, of the largest product in it: of three axes, of two
+/// sums of products each, and of what was rounded before.
+const SINGLE_ROUNDING: f64 = 64.0 * (f32::EPSILON / 2.0) as f64;
+
+impl Map {
+    fn new(all: &[DVec3]) -> Self {
+        let count = all.len().max(1) as f64;
+        let mean = all.iter().sum::<DVec3>() / count;
+        let of = |i: usize, j: usize| all.iter().map(|&p| (p - mean)[i] * (p - mean)[j]).sum::<f64>() / count;
+        // A variance that rounding makes zero or less leaves its coordinate as it is.
+        let root = |x: f64| if x > 0.0 { x.sqrt() } else { 1.0 };
+        let a = root(of(0, 0));
+        let (b, d) = (of(1, 0) / a, of(2, 0) / a);
+        let c = root(of(1, 1) - b * b);
+        let e = (of(2, 1) - b * d) / c;
+        let f = root(of(2, 2) - d * d - e * e);
+        let mut map = Self { mean, factor: [a, b, d, c, e, f], reach: 0.0 };
+        map.reach = all.iter().fold(0.0, |reach, &p| map.point(p).abs().max_element().max(reach));
+        map
+    }
+
+    fn point(&self, p: DVec3) -> DVec3 {
+        let [a, b, d, c, e, f] = self.factor;
+        let p = p - self.mean;
+        let x = p.x / a;
+        let y = (p.y - b * x) / c;
+        DVec3::new(x, y, (p.z - d * x - e * y) / f)
+    }
+
+    /// A direction, so that a point's height along `n` is the second number more than that of
+    /// the mapped point along the mapped direction; and how much a bound of the height may be
+    /// too low.
+    fn direction(&self, n: DVec3) -> ([f32; 3], f64, f64) {
+        let [a, b, d, c, e, f] = self.factor;
+        let mapped = DVec3::new(a * n.x + b * n.y + d * n.z, c * n.y + e * n.z, f * n.z);
+        let rounding = SINGLE_ROUNDING * mapped.abs().element_sum() * self.reach
+            + 4.0 * NOISE * U * n.abs().element_sum() * (1.0 + self.reach);
+        (mapped.to_array().map(|x| x as f32), n.dot(self.mean), rounding)
+    }
 }
 
 /// Orders the indices so that the first half's points come before the others along the
@@ -320,8 +356,8 @@ mod tests {
         let meter = Meter::new(&stop);
         let (mut ties, mut asked) = (0, 0);
         for count in [1, 2, 8, 9, 17, 100, 1000] {
-            for fine in [1.0, 0.001] {
-                let mut whole = || (8.0 * random.within(-1.0, 1.0)).round();
+            for fine in [0.1, 0.001] {
+                let mut whole = || (3.0 * random.within(-1.0, 1.0)).round();
                 let mut vector = || DVec3::new(whole(), whole(), whole());
                 let all: Vec<DVec3> = (0..count).map(|_| vector() * fine).collect();
                 let mut order: Vec<u32> = (0..count as u32).collect();

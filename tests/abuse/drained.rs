@@ -1,0 +1,43 @@
+//! A server that is told to stop while it is attacked.
+
+use std::time::Duration;
+
+use prost::Message;
+
+use crate::{
+    messages::same_pair,
+    raw,
+    scenes::{box_points, plain},
+    support::{QUERY, STREAM, arena::Arena, http2::Windows, server::Server, setup::{Setup, Size}},
+};
+
+/// Catches a server that a caller keeps from stopping: calls that compute, answers that nobody
+/// reads, messages that do not end and connections that say nothing.
+#[test]
+fn an_attacked_server_stops_in_time() {
+    let _alone = crate::support::trial::alone();
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
+    runtime.expect("a runtime").block_on(async {
+        let setup = Setup::new(Size::Tenth).with("--grace-seconds=0").with("--drain-seconds=1");
+        let arena = Arena::new(setup).await;
+        let ids = arena.register(&[plain(box_points(0.5, 0.5, 0.5))]).await;
+        let question = raw::frame(false, &same_pair(&ids, 13_000, 0.9).encode_to_vec());
+        let mut held = Vec::new();
+        for _ in 0..10 {
+            let mut peer = arena.peer(Windows { stream: 1000, connection: 1 << 20 }).await.expect("a connection");
+            peer.ask(QUERY, &question).await.expect("a call");
+            let stream = peer.call(STREAM, &[]).await.expect("a call");
+            peer.body(stream, &question, false).await.expect("a message");
+            let stream = peer.call(STREAM, &[]).await.expect("a call");
+            peer.body(stream, &question[..question.len() / 2], false).await.expect("half a message");
+            held.push(peer);
+        }
+        let mut server: Server = arena.server;
+        server.terminate();
+        // Far more than the second of the drain, far less than the calls would take.
+        let status = tokio::time::timeout(Duration::from_secs(20), server.ended()).await;
+        let status = status.expect("the server stops although it is attacked");
+        assert!(status.success(), "{status}");
+        assert!(!server.log().contains("panicked"), "{}", server.log());
+    });
+}
