@@ -83,7 +83,7 @@ pub(super) async fn records(
     let read = |(id, times)| reading.record(id, times);
     let records: Vec<_> = stream::iter(ids).map(read).buffered(AT_A_TIME).try_collect().await?;
     let Taken { bytes, memory } = reading.taken.into_inner().unwrap_or_else(PoisonError::into_inner);
-    let repeat = move |stop: &_| Ok(wire::repeated(records, &places, stop)?);
+    let repeat = move |stop: &_| wire::repeated(records, &places, stop);
     Ok((offloaded(app, context, bytes, repeat).await?, memory))
 }
 

@@ -251,7 +251,7 @@ impl HullCounts {
 
     /// Why the hull cannot be defined so.
     fn refusal(&self, limits: &Limits) -> Option<proto::HullError> {
-        if self.vertices % 3 != 0 {
+        if !self.vertices.is_multiple_of(3) {
             return Some(malformed("vertices", self.vertices, "3 per point"));
         }
         if self.vertices / 3 > limits.max_points_per_hull as usize {

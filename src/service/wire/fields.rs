@@ -290,7 +290,7 @@ mod tests {
     #[test]
     fn reading_looks_at_the_flag() {
         let group = [&nested_groups(1)[..2], &[8, 1].repeat(1 << 20)[..], &nested_groups(1)[2..]].concat();
-        for (bytes, fields) in [(vec![0x1a, 0].repeat(1 << 20), 1 << 20), (group, 1)] {
+        for (bytes, fields) in [([0x1a, 0].repeat(1 << 20), 1 << 20), (group, 1)] {
             let stop = Stop::default();
             assert_eq!(count(&bytes, &stop), Ok(fields));
             assert!(stop.steps() >= FIELD_STEPS << 20, "{}", stop.steps());

@@ -160,7 +160,7 @@ fn large_messages() -> Vec<(&'static str, Vec<u8>)> {
         ("RegisterHulls", hulls(unpacked(1, 30_000))),
         ("RegisterHulls", hulls([field(1, &[0; 96]), field(3, &[8, 9]).repeat(10_000)].concat())),
         ("RegisterHulls", field(1, &field(2, &vec![0; LARGE]))),
-        ("RegisterHulls", vec![0x0a, 0].repeat(100)),
+        ("RegisterHulls", [0x0a, 0].repeat(100)),
         ("GetHulls", [field(1, &[7; 32]).repeat(100), field(900, &vec![0; LARGE])].concat()),
         ("GetHulls", field(2, &field(1, &vec![1; LARGE]))),
         ("HasHulls", field(1, &[7; 32]).repeat(100)),
