@@ -96,6 +96,7 @@ PARAMETERS: dict[str, tuple[Callable[[Any], Callable[[Any], Any]], list[Any]]] =
     "register.timeout": (lambda v: lambda c: c.register(CUBE, timeout=v), TIMES),
     "register.max_vertices": (lambda v: lambda c: c.register(CUBE, max_vertices=v), [v for v in COUNTS if v is not None] + [3, 0]),
     "register.max_deviation": (lambda v: lambda c: c.register(CUBE, max_deviation=v), [*REALS, INF]),
+    "register.planarity": (lambda v: lambda c: c.register(CUBE, planarity=v), [*NO_NUMBER, "Default"]),
     "register.contraction_points": (lambda v: lambda c: c.register([CUBE], contraction_points=v), [1, 1.5, "x", b"x", {}, [], [None, None], [[0, 0]], ["abc"], object(), [[NAN, "a", 0]]]),
     "info.timeout": (lambda v: lambda c: c.info(timeout=v), TIMES),
     "ping.timeout": (lambda v: lambda c: c.ping(timeout=v), TIMES),
@@ -128,6 +129,7 @@ PARAMETERS: dict[str, tuple[Callable[[Any], Callable[[Any], Any]], list[Any]]] =
     "hull_id.vertices": (lambda v: lambda _: hullcast.hull_id(v), NO_ARRAY),
     "hull_id.max_vertices": (lambda v: lambda _: hullcast.hull_id(CUBE, max_vertices=v), [v for v in COUNTS if v is not None]),
     "hull_id.max_deviation": (lambda v: lambda _: hullcast.hull_id(CUBE, max_deviation=v), [*REALS, INF]),
+    "hull_id.planarity": (lambda v: lambda _: hullcast.hull_id(CUBE, planarity=v), [*NO_NUMBER, "Default"]),
     "hull_id.contraction_point": (lambda v: lambda _: hullcast.hull_id(CUBE, v), [v for v in NO_ARRAY if v is not None]),
 }  # fmt: skip
 #: How a message says what is allowed.

@@ -287,6 +287,7 @@ HULL_DEFECTS: dict[str, dict[str, Any]] = {
     "circumradius": {"circumradius": 0.4},
     "geometric_error": {"geometric_error": NAN},
     "deviation": {"deviation": -1.0},
+    "planarity": {"planarity": NAN},
     "9 vertices": {"vertex_count": 9},
     "20 edges": {"edge_count": 20},
     "3 faces": {"face_count": 3},

@@ -8,7 +8,7 @@ import pages
 import pytest
 
 #: Pages and the outputs that each shows; `extras/` has those that need a robot or ray.
-SHOWN = {"first-contacts": 7, "finding": 2, "loops": 2, "workers": 1, "accuracy": 4}
+SHOWN = {"first-contacts": 9, "finding": 2, "loops": 2, "workers": 1, "accuracy": 5}
 
 
 @pytest.mark.parametrize("page", SHOWN)

@@ -40,7 +40,7 @@ def number(
     """
     top = f"to {high:g}" if high < math.inf else "or more" + (", or infinity" if infinite else "")
     expected = f"expected a number, {low:g} {top}"
-    result = _real(field, value, expected)
+    result = real(field, value, expected)
     # NaN is in no range.
     if not low <= result <= high or (result == math.inf and not infinite):
         raise InvalidArgument(
@@ -74,7 +74,7 @@ def seconds(field: str, value: Any) -> float | None:
     if value is None:
         return None
     expected = "expected a number of seconds above 0, or None or infinity for no limit"
-    result = _real(field, value, expected)
+    result = real(field, value, expected)
     if not result > 0:
         raise InvalidArgument(
             f"got {shown(value)}, {expected}", reason="VALUE_OUT_OF_RANGE", field=field
@@ -108,9 +108,14 @@ def instance(field: str, value: Any, wanted: type, expected: str) -> None:
         )
 
 
-def _real(field: str, value: Any, expected: str) -> float:
-    real = isinstance(value, (numbers.Real, Decimal, np.integer, np.floating))
-    if isinstance(value, (bool, np.bool_)) or not real:
+def real(field: str, value: Any, expected: str) -> float:
+    """A real number of any type; one too large for a float is infinity.
+
+    Raises:
+        InvalidArgument: WRONG_TYPE, with the text `expected`.
+    """
+    good = isinstance(value, (numbers.Real, Decimal, np.integer, np.floating))
+    if isinstance(value, (bool, np.bool_)) or not good:
         raise InvalidArgument(f"got {shown(value)}, {expected}", reason="WRONG_TYPE", field=field)
     try:
         return float(value)

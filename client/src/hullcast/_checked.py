@@ -213,7 +213,7 @@ def hull(place: int, info: Any, content: Content | None) -> None:
             raise malformed(f"{name}.{field} is {value}, expected a finite number above 0")
     if not info.inradius <= info.circumradius < np.inf:
         raise malformed(f"{name}.circumradius is {info.circumradius}, below the inradius")
-    for field in ("geometric_error", "deviation"):
+    for field in ("geometric_error", "deviation", "planarity"):
         value = getattr(info, field)
         if not 0 <= value < np.inf:
             raise malformed(f"{name}.{field} is {value}, expected a finite number, 0 or more")

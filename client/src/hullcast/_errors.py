@@ -30,7 +30,11 @@ class _Pickled:
 
 
 def _unpickled(kind: type[BaseException], args: tuple[Any, ...], state: dict[str, Any]) -> Any:
-    error = kind.__new__(kind)
+    # The layout is that of the innermost built-in class, of which a class may have several.
+    base: type = kind
+    while base.__module__ != "builtins":
+        base = base.__base__ or object
+    error = base.__new__(kind)
     error.args = args
     error.__dict__.update(state)
     return error

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from . import _arguments, _arrays
 from ._arrays import Floats
-from ._errors import Error, InvalidArgument
+from ._errors import Error
 
 if TYPE_CHECKING:
     from ._channel import Settings
@@ -175,16 +175,10 @@ def planarity_of(planarity: Planarity, default: float | None = DEFAULT_PLANARITY
     """The planarity to send. The server judges its range, as for every hull that it is sent."""
     if planarity is None:
         return None
-    if planarity == "default":
+    if isinstance(planarity, str) and planarity == "default":
         return default
-    try:
-        return float(planarity)
-    except (TypeError, ValueError):
-        raise InvalidArgument(
-            f'is {planarity!r}, expected a number from 0 to 0.01, None or "default"',
-            reason="NOT_A_NUMBER",
-            field="planarity",
-        ) from None
+    expected = 'expected a number, 0 to 0.01, or None or "default"'
+    return _arguments.real("planarity", planarity, expected)
 
 
 def points_of(hull: Any, name: str = "vertices") -> Floats:

@@ -9,7 +9,7 @@ from typing import Any, cast, overload
 import numpy as np
 import numpy.typing as npt
 
-from . import _answers, _arguments, _export, _tensors
+from . import _arguments, _export, _tensors
 from ._arguments import kind
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument, OutputNotAsked
@@ -260,6 +260,8 @@ class Manifolds:
         Raises:
             InvalidArgument: there is none, or the outputs differ.
         """
+        from . import _answers  # which loads protobuf
+
         if isinstance(manifolds, (Manifolds, Manifold, str, Mapping)) or not isinstance(
             manifolds, Iterable
         ):

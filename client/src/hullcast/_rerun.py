@@ -44,7 +44,7 @@ def log(
     except ImportError as error:
         raise ImportError("log needs rerun: pip install 'hullcast[rerun]'") from error
     rerun: Any = library
-    if recording is None and rerun.get_global_data_recording() is None:
+    if recording is None and rerun.get_data_recording() is None:
         raise InvalidArgument(
             "there is no recording, so that nothing would be kept: call rerun.init(NAME, "
             "spawn=True) for a viewer, or rerun.init(NAME) and rerun.save(FILE), first",

@@ -85,3 +85,10 @@ def test_what_cannot_be_written_says_so(client, tmp_path):
     m.save(tmp_path / "m.npz")
     with pytest.raises(hullcast.InvalidArgument, match="NO_SCENE"):
         hullcast.Manifolds.load(tmp_path / "m.npz").log()
+
+
+def test_without_a_recording_the_user_is_told(client):
+    """Catches a log that goes nowhere in silence, because `rerun.init` was not called."""
+    m = client.query(make_pile(client), [[0, 1]], margin=0.02)
+    with pytest.raises(hullcast.InvalidArgument, match=r"NO_RECORDING.*rerun\.init"):
+        m.log()
