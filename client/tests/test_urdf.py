@@ -394,11 +394,12 @@ def test_progress_of_decomposition(tmp_path, monkeypatch, capfd):
 
     monkeypatch.setitem(__import__("sys").modules, "coacd", Coacd)
     monkeypatch.setattr(_decompose.importlib.metadata, "version", lambda _: "0")
-    (tmp_path / "bars.stl").write_bytes(stl(np.concatenate(BARS)))
+    bowl = solids.turned([(0, 0), (1, 0), (1, 1), (0.9, 1), (0.9, 0.1), (0, 0.1)], 24)
+    (tmp_path / "bowl.stl").write_bytes(stl(bowl))
     (tmp_path / "cube.stl").write_bytes(CUBE)
     elements = "".join(
         f'<collision><geometry><mesh filename="{name}.stl"/></geometry></collision>'
-        for name in ("bars", "cube", "bars")
+        for name in ("bowl", "cube", "bowl")
     )
     (tmp_path / "r.urdf").write_text(f'<robot name="r"><link name="a">{elements}</link></robot>')
     heard: list[_decompose.Progress] = []
@@ -410,8 +411,8 @@ def test_progress_of_decomposition(tmp_path, monkeypatch, capfd):
         (1, 2, "computed"),
         (2, 2, "cached"),
     ]
-    assert heard[2].mesh == "link 'a', collision 2 (bars.stl)"
-    text = "convex pieces of link 'a', collision 2 (bars.stl), 2 of 2: cached"
+    assert heard[2].mesh == "link 'a', collision 2 (bowl.stl)"
+    text = "convex pieces of link 'a', collision 2 (bowl.stl), 2 of 2: cached"
     assert str(heard[2]) == text
     hullcast.Robot(tmp_path / "r.urdf", **options)
     assert capfd.readouterr() == ("", "")
@@ -421,7 +422,7 @@ def test_progress_of_decomposition(tmp_path, monkeypatch, capfd):
     # A file of the cache that was cut short is made again.
     for kept in (tmp_path / "kept").iterdir():
         kept.write_bytes(kept.read_bytes()[:100])
-    assert len(hullcast.decompose(solids.mesh(*BARS), **options)) == 2
+    assert len(hullcast.decompose(solids.mesh(bowl), **options)) == 2
     assert len(hullcast.Robot(tmp_path / "r.urdf", **options)) == 5
 
 
@@ -500,3 +501,28 @@ def test_what_cannot_be_decomposed(mesh, reason):
     with pytest.raises(hullcast.InvalidArgument) as caught:
         hullcast.decompose(mesh)
     assert caught.value.reason == reason
+
+
+def test_separate_convex_parts_are_the_pieces(client, tmp_path, monkeypatch):
+    """Catches coacd's detour over two overlapping bars, which takes a minute and moves them by 3 cm:
+    the pieces are the bars, exactly, and a cube in their dent is 0.2 from them."""
+    monkeypatch.setitem(__import__("sys").modules, "coacd", None)
+    (tmp_path / "bars.stl").write_bytes(stl(np.concatenate([*BARS, BARS[0], BARS[1][:, ::-1]])))
+    robot = hullcast.Robot(mesh_robot(tmp_path, "bars.stl", None), cache=tmp_path / "kept")
+    corners = [sorted(map(tuple, bar.reshape(-1, 3).tolist())) for bar in BARS]
+    expected = sorted(sorted(set(corner)) for corner in corners)
+    assert sorted(sorted(map(tuple, shape.tolist())) for shape in robot.shapes) == expected
+    cube = box((0.7, 0.7, -0.2), (1.1, 1.1, 0.2)).reshape(-1, 3)
+    scene = hullcast.Scene(
+        client.register([cube, *robot.shapes]), np.zeros((3, 3)), [[0, 0, 0, 1]] * 3
+    )
+    near = client.query(scene, [[0, 1], [0, 2]], margin=0.19)
+    assert near.outcome.tolist() == [hullcast.Outcome.SEPARATED] * 2
+    assert client.query(scene, [[0, 1], [0, 2]], margin=1).separation == pytest.approx([0.2, 0.2])
+    # Parts that are open, flat, not convex or too many need coacd.
+    bowl = solids.turned([(0, 0), (1, 0), (1, 1), (0.9, 1), (0.9, 0.1), (0, 0.1)], 24)
+    small = [box((i, 0, 0), (i + 0.5, 1, 1)) for i in range(65)]
+    for parts in ((BARS[0], BARS[1][1:]), (*BARS, BARS[0] * [1, 1, 0]), (*BARS, bowl + 3), small):
+        with pytest.raises(ImportError, match="coacd"):
+            hullcast.decompose(solids.mesh(*parts), cache=tmp_path / "kept")
+    assert len(hullcast.decompose(solids.mesh(*small[:64]), cache=tmp_path / "kept")) == 64
