@@ -115,6 +115,8 @@ def test_a_hull_too_large_for_a_message_is_named():
             assert "60000 points" in error.message
             assert "1048576" in error.message
         assert len(client.register([CUBE, CUBE * 2])) == 2
+
+
 class Duck:
     """A mesh as other libraries have it."""
 
