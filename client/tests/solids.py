@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import struct
 from collections.abc import Sequence
 from types import SimpleNamespace
 
@@ -112,3 +113,9 @@ def canonical(triangles: np.ndarray) -> list[tuple[tuple[float, ...], ...]]:
 def corners_of(low: Sequence[float], high: Sequence[float]) -> list[tuple[float, ...]]:
     """The eight corners of a box, sorted."""
     return sorted(itertools.product(*zip(map(float, low), map(float, high), strict=True)))
+
+
+def stl(triangles: np.ndarray) -> bytes:
+    """A binary STL file."""
+    rows = (struct.pack("<12fH", 0, 0, 0, *np.ravel(t), 0) for t in triangles)
+    return b" " * 80 + struct.pack("<I", len(triangles)) + b"".join(rows)

@@ -3,27 +3,17 @@
 from __future__ import annotations
 
 import itertools
-import struct
 import warnings
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import solids
-from solids import BARS, box
+from solids import BARS, box, stl
 
 import hullcast
-from hullcast import _decompose
 
 BOX = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
 LINKS = "".join(f'<link name="{name}">{BOX}</link>' for name in "abcd")
-
-
-def stl(triangles: np.ndarray) -> bytes:
-    """A binary STL file."""
-    rows = (struct.pack("<12fH", 0, 0, 0, *np.ravel(t), 0) for t in triangles)
-    return b" " * 80 + struct.pack("<I", len(triangles)) + b"".join(rows)
 
 
 def with_collision(inside: str) -> str:
@@ -373,58 +363,6 @@ def test_warnings_name_the_link(client, tmp_path):
         client.register([tmp_path / "bars.stl"])
 
 
-def test_progress_of_decomposition(tmp_path, monkeypatch, capfd):
-    """Catches minutes of silence: the callback hears of each mesh that is not convex, which one,
-    of how many, and whether it was kept; by default a terminal does, and nothing else."""
-
-    class Coacd:
-        """Finds the two bars."""
-
-        @staticmethod
-        def run_coacd(*_: object, **__: object) -> list:
-            return [(bar.reshape(-1, 3), None) for bar in BARS]
-
-        @staticmethod
-        def Mesh(*_: object) -> None:  # coacd's own name
-            return None
-
-        @staticmethod
-        def set_log_level(_: str) -> None:
-            return None
-
-    monkeypatch.setitem(__import__("sys").modules, "coacd", Coacd)
-    monkeypatch.setattr(_decompose.importlib.metadata, "version", lambda _: "0")
-    (tmp_path / "bars.stl").write_bytes(stl(np.concatenate(BARS)))
-    (tmp_path / "cube.stl").write_bytes(CUBE)
-    elements = "".join(
-        f'<collision><geometry><mesh filename="{name}.stl"/></geometry></collision>'
-        for name in ("bars", "cube", "bars")
-    )
-    (tmp_path / "r.urdf").write_text(f'<robot name="r"><link name="a">{elements}</link></robot>')
-    heard: list[_decompose.Progress] = []
-    options = {"cache": tmp_path / "kept"}
-    robot = hullcast.Robot(tmp_path / "r.urdf", progress=heard.append, **options)
-    assert len(robot) == 5
-    assert [(p.number, p.total, p.state) for p in heard] == [
-        (1, 2, "computing"),
-        (1, 2, "computed"),
-        (2, 2, "cached"),
-    ]
-    assert heard[2].mesh == "link 'a', collision 2 (bars.stl)"
-    text = "convex pieces of link 'a', collision 2 (bars.stl), 2 of 2: cached"
-    assert str(heard[2]) == text
-    hullcast.Robot(tmp_path / "r.urdf", **options)
-    assert capfd.readouterr() == ("", "")
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    hullcast.Robot(tmp_path / "r.urdf", **options)
-    assert text in capfd.readouterr().err
-    # A file of the cache that was cut short is made again.
-    for kept in (tmp_path / "kept").iterdir():
-        kept.write_bytes(kept.read_bytes()[:100])
-    assert len(hullcast.decompose(solids.mesh(*BARS), **options)) == 2
-    assert len(hullcast.Robot(tmp_path / "r.urdf", **options)) == 5
-
-
 @pytest.mark.parametrize(
     ("arguments", "field"),
     [
@@ -480,23 +418,3 @@ def test_an_srdf_that_is_none(tmp_path):
         assert (caught.value.reason, caught.value.field) == ("NOT_AN_SRDF", "srdf")
     with pytest.raises(hullcast.InvalidArgument, match="is a directory"):
         hullcast.Robot(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("mesh", "reason"),
-    [
-        (solids.mesh(box((0, 0, 0), (1, 1, 0))), "COPLANAR"),
-        (solids.mesh(box((0, 0, 0), (1, 1, np.nan))), "NOT_FINITE"),
-        (SimpleNamespace(vertices=np.eye(3), faces=np.zeros((0, 3), int)), "NO_TRIANGLES"),
-        (SimpleNamespace(vertices=np.eye(3), faces=[[0, 1, 3]]), "INDEX_OUT_OF_RANGE"),
-        (SimpleNamespace(vertices=np.eye(3)), "NO_TRIANGLES"),
-        (np.eye(3), "NOT_A_MESH"),
-        (None, "NOT_A_MESH"),
-        ("none.obj", "FILE_NOT_FOUND"),
-    ],
-)
-def test_what_cannot_be_decomposed(mesh, reason):
-    """Catches a crash of coacd, which checks nothing itself."""
-    with pytest.raises(hullcast.InvalidArgument) as caught:
-        hullcast.decompose(mesh)
-    assert caught.value.reason == reason

@@ -107,6 +107,67 @@ def dents(points: Floats, faces: Any) -> Dents | None:
     return Dents(min(ratio, 1.0), open_edges)
 
 
+def convex_parts(points: Floats, faces: Any, most: int) -> list[Floats] | None:
+    """The points of each connected part of a mesh, if all parts are closed and convex.
+
+    Args:
+        points, faces: as for `is_convex`.
+        most: the largest number of parts.
+
+    Returns:
+        One array (k, 3) per part, parts of equal points once; None if some part is not closed,
+        not convex or flat, or if there are more.
+    """
+    corners = np.asarray(faces, dtype=np.int64)
+    distinct, place = np.unique(points[corners.reshape(-1)], axis=0, return_inverse=True)
+    corners = place.reshape(-1, 3)
+    same = _welded(_normalised(distinct))[corners]
+    # A triangle that appears again, in either winding, adds nothing.
+    _, first = np.unique(np.sort(same, axis=1), axis=0, return_index=True)
+    corners, same = corners[first], same[first]
+    parts = _connected(same)
+    kinds = np.unique(parts)
+    if len(kinds) > most:
+        return None
+    found: dict[bytes, Floats] = {}
+    for kind in kinds:
+        mine = parts == kind
+        part = np.ascontiguousarray(distinct[np.unique(corners[mine])])
+        closed = (_edges(same[mine])[1] == 2).all()
+        if not closed or is_flat(part) or not is_convex(distinct, corners[mine]):
+            return None
+        found[part.tobytes()] = part
+    return list(found.values())
+
+
+def _edges(corners: _Ids) -> tuple[_Ids, _Ids]:
+    """Per side of each triangle, (3 m,), the number of its edge; per edge its triangles' count."""
+    low, high = corners, np.roll(corners, -1, axis=1)
+    low, high = np.minimum(low, high).reshape(-1), np.maximum(low, high).reshape(-1)
+    _, edge, counts = np.unique(
+        low * (corners.max() + 1) + high, return_inverse=True, return_counts=True
+    )
+    return edge.reshape(-1), counts
+
+
+def _connected(corners: _Ids) -> _Ids:
+    """Per triangle the number of its part: triangles join over edges that only two of them have."""
+    edge, counts = _edges(corners)
+    order = np.argsort(edge, kind="stable")
+    starts = np.cumsum(counts) - counts
+    pairs = starts[counts == 2]
+    one, other = order[pairs] // 3, order[pairs + 1] // 3
+    number = np.arange(len(corners))
+    while True:
+        before = number.copy()
+        lowest = np.minimum(number[one], number[other])
+        np.minimum.at(number, one, lowest)
+        np.minimum.at(number, other, lowest)
+        number = number[number]
+        if (number == before).all():
+            return number
+
+
 def _dented(points: Floats, faces: Any) -> tuple[Floats, Floats, int] | None:
     """The hull's triangles, the mesh's and its open edges; None where it is convex, or flat."""
     corners = np.asarray(faces, dtype=np.int64)

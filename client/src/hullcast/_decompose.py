@@ -27,6 +27,8 @@ from ._register import shape_of
 _SEED = 0
 
 
+#: A mesh of up to so many separate convex parts has them as its pieces, exactly.
+_MOST_PARTS = 64
 #: The least and the largest threshold that coacd takes.
 _THRESHOLDS = (0.01, 1.0)
 
@@ -59,6 +61,9 @@ def decompose(
     progress: Report = None,
 ) -> list[Floats]:
     """Convex pieces that together approximate a mesh, by coacd (extra `decompose`).
+
+    A mesh of separate convex parts, which may overlap, has these parts as its pieces. They
+    are exact, and coacd is not needed for them.
 
     Register each piece as a hull, and give all pieces one group in a `Scene`, since
     they overlap a little. The search takes seconds to minutes. Its result is kept in a
@@ -153,7 +158,11 @@ def _pieces(
     cache: str | os.PathLike[str] | None,
     report: Callable[[str], None],
 ) -> list[Floats]:
-    """The pieces of one mesh, from the cache or from coacd."""
+    """The pieces of one mesh: its parts if they are convex, or from the cache or from coacd."""
+    parts = _convexity.convex_parts(vertices, faces, _MOST_PARTS)
+    if parts is not None:
+        report("computed")
+        return parts
     try:
         import coacd as library
     except ImportError as error:
