@@ -43,7 +43,8 @@ def test_rounded_cubes_stand_on_four_corners(client: hullcast.Client, size: floa
     test is not vacuous, and alpha is the same either way."""
     rotation = pytest.importorskip("scipy.spatial.transform").Rotation
     turns = rotation.random(40, random_state=18)
-    cube = size * np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    ends = (-0.5, 0.5)
+    cube = size * np.array([[x, y, z] for x in ends for y in ends for z in ends])
     shapes = [np.round(turn.apply(cube), 6) for turn in turns]
     back = turns.inv().as_quat()
     assert corners_touched(client, shapes, back, size, "default") == [4] * 40
