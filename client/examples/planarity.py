@@ -57,7 +57,7 @@ def main() -> None:
     axes[0, 0].set_ylabel("whole patches, %")
     for axis in axes[1]:
         axis.set_xlabel("planarity, share of the circumradius")
-    axes[0, 0].legend(loc="lower right", fontsize=9, title="dotted: the default", title_fontsize=9)
+    axes[0, 0].legend(loc="lower left", fontsize=9, title="dotted: the default", title_fontsize=9)
     metadata = {"Date": None} if target.endswith(".svg") else None
     figure.savefig(target, metadata=metadata)
 

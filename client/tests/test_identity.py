@@ -61,7 +61,7 @@ def test_the_vectors_of_the_page(client: hullcast.Client):
 
 
 def test_planarities(client: hullcast.Client):
-    """Catches a planarity that is not sent, not returned, or not kept by a hull registered again."""
+    """Catches a planarity that is not sent, not returned, or lost by a hull registered again."""
     sent = {"default": hullcast.DEFAULT_PLANARITY, None: None, 0: 0.0, 0.01: 0.01}
     hulls = {}
     for planarity, share in sent.items():
