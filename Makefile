@@ -259,6 +259,14 @@ stability-long: check-tools ## THOUSANDS=1000: so many cases by the certificate,
 test-faults: check-tools ## kill -9 a thousand times, full and vanished disks, torn blobs; needs root
 	$(CARGO) test --release --locked --test faults -- --ignored --nocapture --test-threads 1
 
+.PHONY: test-abuse
+test-abuse: check-tools ## every attack at full size on a server with default limits; writes docs/reliability.md; 20 minutes and more
+	mkdir -p out
+	$(CARGO) test --release --locked --features playground --test abuse -- --ignored --nocapture --test-threads 1 | tee out/abuse.txt
+	{ echo '| attack | queries before, ms | queries during, ms | health before, ms | health during, ms | retries | peak, MiB | free after, s |'; \
+	 echo '|---|---|---|---|---|--:|--:|--:|'; grep '^|' out/abuse.txt; } > out/abuse-table.txt
+	./scripts/section docs/reliability.md abuse out/abuse-table.txt
+
 FUZZ_SECONDS ?= 600
 
 .PHONY: fuzz fuzz-report fuzz-planted

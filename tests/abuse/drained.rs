@@ -11,7 +11,7 @@ use crate::{
     support::{
         QUERY, STREAM,
         arena::Arena,
-        http2::Windows,
+        http2::{Peer, Windows},
         server::Server,
         setup::{Setup, Size},
     },
@@ -32,11 +32,8 @@ fn an_attacked_server_stops_in_time() {
         for _ in 0..10 {
             let mut peer =
                 arena.peer(Windows { stream: 1000, connection: 1 << 20 }).await.expect("a connection");
-            peer.ask(QUERY, &question).await.expect("a call");
-            let stream = peer.call(STREAM, &[]).await.expect("a call");
-            peer.body(stream, &question, false).await.expect("a message");
-            let stream = peer.call(STREAM, &[]).await.expect("a call");
-            peer.body(stream, &question[..question.len() / 2], false).await.expect("half a message");
+            // The server may close a connection whose answers are not read: that is its defence.
+            let _ = hold(&mut peer, &question).await;
             held.push(peer);
         }
         let mut server: Server = arena.server;
@@ -47,4 +44,14 @@ fn an_attacked_server_stops_in_time() {
         assert!(status.success(), "{status}");
         assert!(!server.log().contains("panicked"), "{}", server.log());
     });
+}
+
+/// A call that computes and whose answer is not read, a stream that is not read, and a message
+/// that does not end.
+async fn hold(peer: &mut Peer, question: &[u8]) -> std::io::Result<()> {
+    peer.ask(QUERY, question).await?;
+    let stream = peer.call(STREAM, &[]).await?;
+    peer.body(stream, question, false).await?;
+    let stream = peer.call(STREAM, &[]).await?;
+    peer.body(stream, &question[..question.len() / 2], false).await
 }

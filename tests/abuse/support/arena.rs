@@ -82,16 +82,6 @@ impl Arena {
         }
     }
 
-    /// Works at `backlog` and asserts that the bystander's next `count` queries are answered
-    /// before the backlog is done.
-    pub(crate) async fn bystander_overtakes<T>(&self, count: usize, backlog: impl Future<Output = T>) {
-        tokio::select! {
-            biased;
-            () = self.bystander_answered(count) => {}
-            _ = backlog => panic!("the backlog was done before {count} queries of the bystander"),
-        }
-    }
-
     /// An attacker's connection of whatever kind the trial is about.
     pub(crate) async fn stream(&self) -> io::Result<Box<dyn Stream>> {
         match &self.server.certificate {

@@ -160,11 +160,6 @@ impl Peer {
         self.until(|state| state.ended.contains_key(&stream)).await
     }
 
-    /// Waits until the server has ended so many streams.
-    pub(crate) async fn ended_streams(&self, count: usize) -> io::Result<()> {
-        self.until(|state| state.ended.len() >= count).await
-    }
-
     /// Bytes of answers received on a stream.
     pub(crate) fn received(&self, stream: u32) -> usize {
         self.seen.lock().received.get(&stream).copied().unwrap_or(0)

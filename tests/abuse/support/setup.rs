@@ -107,7 +107,8 @@ impl Setup {
                 tenth("max-pairs-per-request", 131_072),
                 tenth("max-bodies-per-request", 131_072),
                 tenth("max-hulls-per-request", 16_384),
-                tenth("max-vertices-per-hull", 16_384),
+                // Two faces of a tenth of the sides, rounded up.
+                tenth("max-vertices-per-hull", 16_400),
                 tenth("max-points-per-hull", 262_144),
                 tenth("max-pairs-in-flight", 1 << 20),
                 tenth("max-connections", 10_000),
