@@ -412,6 +412,7 @@ impl Permit {
     }
 
     /// Moves `bytes` of this permit into a permit of their own; at most what this one holds.
+    #[must_use = "the bytes are given back when the permit is dropped"]
     pub fn split(&mut self, bytes: u64) -> Self {
         let bytes = bytes.min(self.bytes);
         self.bytes -= bytes;

@@ -87,7 +87,7 @@ impl Connection {
     }
 
     /// A number for the next request, by which its answer is recognised.
-    pub(crate) fn next_request_id(&self) -> u64 {
+    pub(crate) fn next_request_id() -> u64 {
         static NEXT: AtomicU64 = AtomicU64::new(1);
         // The process's id is in it, so that a proxy cannot mix up two processes' answers.
         (u64::from(std::process::id()) << 32).wrapping_add(NEXT.fetch_add(1, Ordering::Relaxed))

@@ -256,7 +256,6 @@ impl Settings {
             max_page_size: self.max_page_size,
             cache_age_seconds: self.cache_age_seconds,
             store_seconds: self.store_seconds,
-            ..Limits::default()
         })
     }
 }

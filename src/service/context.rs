@@ -56,12 +56,11 @@ impl CallContext {
     /// TOO_BUSY where there is no room now, MEMORY_TOO_LARGE where there never is.
     pub(super) fn arrive(&self, app: &App, bytes: usize) -> Result<(), ServiceError> {
         let mut arrived = locked(&self.arrived);
-        let taken = match &mut *arrived {
-            Some(permit) => permit.grow(bytes as u64),
-            None => {
-                let taken = self.memory.take(&self.job.caller, Part::Arriving, bytes as u64);
-                taken.map(|permit| *arrived = Some(permit))
-            }
+        let taken = if let Some(permit) = &mut *arrived {
+            permit.grow(bytes as u64)
+        } else {
+            let taken = self.memory.take(&self.job.caller, Part::Arriving, bytes as u64);
+            taken.map(|permit| *arrived = Some(permit))
         };
         taken.map_err(|why| no_memory(app.metrics(), why))
     }
@@ -69,14 +68,6 @@ impl CallContext {
     /// The messages that have arrived are decoded: their bytes are free.
     pub(super) fn decoded(&self) {
         drop(locked(&self.arrived).take());
-    }
-
-    /// Takes `more` bytes for a permit of the call.
-    ///
-    /// # Errors
-    /// As [`Self::take`]; the permit keeps what it had.
-    pub(super) fn grow(&self, app: &App, permit: &mut Permit, more: usize) -> Result<(), ServiceError> {
-        permit.grow(more as u64).map_err(|why| no_memory(app.metrics(), why))
     }
 
     /// Takes memory for what a stream keeps between messages; none where there is no room, with
@@ -99,6 +90,14 @@ impl CallContext {
     pub(super) fn answer_bytes(&self) -> usize {
         locked(&self.answer).as_ref().map_or(0, |permit| permit.bytes() as usize)
     }
+}
+
+/// Takes `more` bytes for a permit of a call.
+///
+/// # Errors
+/// TOO_BUSY, MEMORY_TOO_LARGE; the permit keeps what it had.
+pub(super) fn grow(app: &App, permit: &mut Permit, more: usize) -> Result<(), ServiceError> {
+    permit.grow(more as u64).map_err(|why| no_memory(app.metrics(), why))
 }
 
 /// The error of a call that found no memory.

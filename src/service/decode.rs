@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::{
     App, ServiceError,
-    context::CallContext,
+    context::{CallContext, grow},
     limits::Limits,
     offload::offloaded,
     wire::{Bounds, Request},
@@ -32,7 +32,7 @@ pub(super) async fn decoded<M: Request, T: Send + 'static>(
         let (app, context, bytes) = (app.clone(), context.clone(), message.into_bytes());
         move |stop: &Stop| {
             let mut memory = context.take(&app, Part::Decoded, 0)?;
-            let mut take = |bytes| context.grow(&app, &mut memory, bytes);
+            let mut take = |bytes| grow(&app, &mut memory, bytes);
             let request = M::read(&bytes, &mut Bounds::new(app.limits(), stop, &mut take))?;
             drop(bytes);
             context.decoded();

@@ -17,7 +17,7 @@ use super::{
     admission::Admission,
     batch::Batch,
     contacts::{fetch, missing},
-    context::CallContext,
+    context::{CallContext, grow},
     decode::decoded,
     wire::{self, Columns, Poses, Scene, Setting},
 };
@@ -113,7 +113,7 @@ impl Finding {
         }
         let bodies = Bodies { setting, hulls, poses };
         let sorting = rules.sorting_bytes();
-        context.grow(&app, &mut memory, bodies.searched_bytes() + sorting)?;
+        grow(&app, &mut memory, bodies.searched_bytes() + sorting)?;
         let left_out = Some((missing(&bodies.hulls), invalid_bodies));
         let broad_phase = Arc::new(broad_phase(&app, &context, &bodies, rules).await?);
         memory.shrink_to(memory.bytes() - sorting as u64);

@@ -104,14 +104,13 @@ impl Middleware {
         });
         let watch = watch.transpose()?;
         let check = if is_health(method) && watch.is_none() { self.peer.health_check() } else { None };
-        let memory = match check {
-            Some(_) => None,
-            None => {
-                let headers = headers.iter().map(|(name, value)| name.as_str().len() + value.len());
-                let bytes = (CALL_BYTES + headers.sum::<usize>()) as u64;
-                let memory = self.app.memory().take(caller, Part::Connections, bytes);
-                Some(memory.map_err(|why| no_memory(self.app.metrics(), why))?)
-            }
+        let memory = if check.is_some() {
+            None
+        } else {
+            let headers = headers.iter().map(|(name, value)| name.as_str().len() + value.len());
+            let bytes = (CALL_BYTES + headers.sum::<usize>()) as u64;
+            let memory = self.app.memory().take(caller, Part::Connections, bytes);
+            Some(memory.map_err(|why| no_memory(self.app.metrics(), why))?)
         };
         Ok(Taken::new(memory, watch.or(check)))
     }

@@ -197,7 +197,7 @@ impl App {
         if bytes > self.limits.max_message_bytes {
             return Err(self.answer_too_large(bytes));
         }
-        context.grow(self, &mut memory, bytes)?;
+        context::grow(self, &mut memory, bytes)?;
         context.hold_answer(memory);
         Ok(answer)
     }

@@ -9,7 +9,11 @@ use std::{
 use futures_util::{StreamExt, TryStreamExt, stream};
 
 use super::{
-    ANSWER_COPIES, App, ServiceError, context::CallContext, hulls::unreadable, offload::offloaded, wire,
+    ANSWER_COPIES, App, ServiceError,
+    context::{CallContext, grow},
+    hulls::unreadable,
+    offload::offloaded,
+    wire,
 };
 use crate::{
     budget::{Part, Permit},
@@ -156,7 +160,7 @@ impl Reading<'_> {
             return Err(self.app.answer_too_large(taken.bytes));
         }
         let memory = times.saturating_mul(ANSWER_COPIES * (bytes + RECORD_BYTES));
-        self.context.grow(self.app, &mut taken.memory, memory)
+        grow(self.app, &mut taken.memory, memory)
     }
 }
 

@@ -34,7 +34,8 @@ async fn status_of(server: &TestServer, path: &str, body: raw::Body) -> Status {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_declared_length_takes_no_memory() {
     let server = TestServer::start().await;
-    let mut client = raw::connect(&server.address).await;
+    let (mut client, connection) = raw::connection(&server.address).await;
+    let connection = tokio::spawn(connection);
     let head = Bytes::from_static(&[0, 4, 0, 0, 0]);
     let calls: Vec<_> = (0..500)
         .map(|_| {
@@ -45,7 +46,8 @@ async fn a_declared_length_takes_no_memory() {
     server.until("hullcast_requests_in_flight", 500.0).await;
     tokio::time::sleep(Duration::from_millis(100)).await;
     assert_eq!(server.metric(ARRIVING), 0.0);
-    drop((calls, client));
+    connection.abort();
+    drop(calls);
     server.until("hullcast_requests_in_flight", 0.0).await;
 }
 
