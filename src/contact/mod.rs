@@ -138,7 +138,9 @@ pub fn contact_manifold<'w>(
     let Workspace { turned, steps, counted } = workspace;
     let pair = &mut Pair::new(a, b);
     steps.answer(pair, query, warm, turned);
-    *counted += cost::PAIR + cost::ITERATION * u64::from(steps.manifold.iterations) + pair.count.steps();
+    *counted += cost::PAIR
+        + cost::ITERATION * u64::from(steps.manifold.iterations)
+        + pair.steps(steps.manifold.support_calls);
     &steps.manifold
 }
 

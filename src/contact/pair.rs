@@ -73,7 +73,7 @@ pub(crate) struct Pair<'a> {
     pub(crate) translation_a: DVec3,
     /// B's vertices in A's frame, pair units, where B is small.
     turned: Option<&'a Columns>,
-    /// The steps taken for this pair.
+    /// The steps taken for this pair, but for [`Pair::steps`].
     pub(crate) count: Count,
 }
 
@@ -170,16 +170,22 @@ impl<'a> Pair<'a> {
     #[inline]
     pub(crate) fn support(&self, n: DVec3) -> Support {
         let (a, b) = match self.turned {
-            Some(turned) => {
-                self.count.add(scan_steps(self.a.vertex_count() + self.b.vertex_count()));
-                farthest_both(self.a.columns(), turned, n)
-            }
+            Some(turned) => farthest_both(self.a.columns(), turned, n),
             None => (
                 self.a.counted_support(n, &self.count),
                 self.b.counted_support(-self.direction_in_b(n), &self.count),
             ),
         };
         self.support_of(a, b)
+    }
+
+    /// The steps taken for this pair, in which so many vertices were asked of the support
+    /// mapping. Calls that look at all vertices of both hulls are counted here: their time is
+    /// too short to be counted one by one.
+    pub(crate) fn steps(&self, support_calls: u32) -> u64 {
+        let scan = scan_steps(self.a.vertex_count() + self.b.vertex_count());
+        let scans = if self.turned.is_some() { u64::from(support_calls / 2) } else { 0 };
+        self.count.steps() + scans * scan
     }
 
     /// A direction of A's frame in B's.
