@@ -181,7 +181,8 @@ impl Answerer {
         match self {
             Self::Local(local) => local.answer(request).await.map_err(Into::into),
             Self::Remote(remote) => {
-                let asked = proto::QueryContactsRequest { request_id: Connection::next_request_id(), ..request };
+                let asked =
+                    proto::QueryContactsRequest { request_id: Connection::next_request_id(), ..request };
                 let mut response = remote.contacts().query_contacts(asked.clone()).await?.into_inner();
                 checked::answer(&asked, &response)?;
                 response.request_id = request.request_id;

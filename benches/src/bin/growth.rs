@@ -208,8 +208,7 @@ async fn hulls() -> Result<(String, String), Failure> {
             let request = registration(&clouds);
             HullServiceClient::new(channel.clone()).register_hulls(request).await?;
             ids.extend(clouds.into_iter().map(|points| {
-                let definition =
-                    store::HullDefinition { points, ..store::HullDefinition::default() };
+                let definition = store::HullDefinition { points, ..store::HullDefinition::default() };
                 id_of(&definition.identity_bytes()).0.to_vec()
             }));
         }
