@@ -259,7 +259,10 @@ stability-long: check-tools ## THOUSANDS=1000: so many cases by the certificate,
 test-faults: check-tools ## kill -9 a thousand times, full and vanished disks, torn blobs; needs root
 	$(CARGO) test --release --locked --test faults -- --ignored --nocapture --test-threads 1
 
-.PHONY: test-abuse
+.PHONY: test-abuse test-abuse-short
+test-abuse-short: check-tools ## every attack at a tenth of the size against a tenth of the budgets; two minutes
+	$(CARGO) test --release --locked --test abuse
+
 test-abuse: check-tools ## every attack at full size on a server with default limits; writes docs/reliability.md; 20 minutes and more
 	mkdir -p out
 	$(CARGO) test --release --locked --features playground --test abuse -- --ignored --nocapture --test-threads 1 | tee out/abuse.txt

@@ -120,16 +120,26 @@ impl Cutoff {
 }
 
 /// Spawns the futures of a connection's streams, each beside a cutoff of its own.
+///
+/// A stream that its peer resets counts no longer among the connection's concurrent streams, but
+/// its future lives until its task has run. A peer that resets calls as fast as it makes them
+/// ("rapid reset", CVE-2023-44487) would otherwise pile up futures without bound, so the executor
+/// counts them, and a connection that has too many is closed.
 #[derive(Clone, Debug)]
 pub(super) struct StreamExecutor {
     app: Arc<App>,
     abort: Arc<Notify>,
+    /// The futures that have not ended.
+    living: Arc<AtomicUsize>,
 }
+
+/// For each concurrent stream that a connection may have, the futures that may be alive.
+const FUTURES_PER_STREAM: usize = 4;
 
 impl StreamExecutor {
     /// `abort` is notified when the connection has to be closed.
     pub(super) fn new(app: Arc<App>, abort: Arc<Notify>) -> Self {
-        Self { app, abort }
+        Self { app, abort, living: Arc::default() }
     }
 }
 
@@ -139,10 +149,18 @@ where
     F::Output: Send,
 {
     fn execute(&self, stream: F) {
+        let most = FUTURES_PER_STREAM * self.app.limits().max_streams_per_connection as usize;
+        if self.living.fetch_add(1, Ordering::Relaxed) >= most {
+            self.living.fetch_sub(1, Ordering::Relaxed);
+            self.abort.notify_one();
+            return;
+        }
         let cutoff = Cutoff::new(self.abort.clone());
-        let app = self.app.clone();
+        let (app, living) = (self.app.clone(), self.living.clone());
         tokio::spawn(async move {
-            if cutoff.guard(&app, stream).await.is_none() && cutoff.0.unsent.load(Ordering::Relaxed) > 0 {
+            let ended = cutoff.guard(&app, stream).await;
+            living.fetch_sub(1, Ordering::Relaxed);
+            if ended.is_none() && cutoff.0.unsent.load(Ordering::Relaxed) > 0 {
                 sleep(DISCARD).await;
                 if cutoff.0.unsent.load(Ordering::Relaxed) > 0 {
                     cutoff.0.abort.notify_one();

@@ -7,8 +7,8 @@
 //! bystander is served before the attacker's backlog is. Latencies are reported, never
 //! asserted.
 //!
-//! Each attack has two forms. `tenth` runs in `make test`: a tenth of the size against a tenth
-//! of the budgets. `full` runs in `make test-abuse`: default limits. One attack runs at a time.
+//! Each attack has two forms. `tenth` runs in `make test-abuse-short`: a tenth of the size against
+//! a tenth of the budgets. `full` runs in `make test-abuse`: default limits. One attack runs at a time.
 //!
 //! `HULLCAST_ABUSE_BIN` names another server to attack, for example one of an older version.
 //! Settings that such a server does not know have to be removed by a wrapper script.
