@@ -33,6 +33,10 @@ use crate::{
 /// Bytes of an answer that are handed to the transport at a time.
 const SLICE_BYTES: usize = 256 << 10;
 
+/// A call whose deadline passes ends with DEADLINE_EXCEEDED if its peer takes that. Only after this
+/// time is its stream cut.
+const AFTER_DEADLINE: Duration = Duration::from_secs(1);
+
 /// When an answer has to be taken by the peer.
 #[derive(Clone, Debug)]
 pub(super) struct AnswerTimes {
@@ -46,7 +50,7 @@ impl AnswerTimes {
     /// When an answer of so many bytes that is ready now has to be taken.
     fn due(&self, bytes: usize) -> (Instant, Cut) {
         let due = Instant::now() + self.patience + per_mebibyte(bytes);
-        match self.deadline {
+        match self.deadline.map(|deadline| deadline + AFTER_DEADLINE) {
             Some(deadline) if deadline < due => (deadline, Cut::Deadline),
             _ => (due, Cut::AnswerNotRead),
         }
