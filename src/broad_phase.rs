@@ -10,7 +10,6 @@
 //! occupies a thread for long.
 
 mod rules;
-mod sort;
 mod tree;
 
 use std::ops::Range;

@@ -1,7 +1,13 @@
 //! Which bodies never meet, wherever they are.
 
-use super::sort::sorted;
-use crate::contact::{Stop, Stopped};
+use crate::contact::{
+    Stop, Stopped,
+    sort::{self, sort},
+    stop::Meter,
+};
+
+/// Steps of comparing and moving two keys.
+const COMPARISON: u64 = 2;
 
 /// The world that meets every other.
 pub const EVERY_WORLD: u32 = u32::MAX;
@@ -34,7 +40,7 @@ impl Rules {
 
     /// The estimated steps of sorting.
     pub fn sorting_steps(&self) -> u64 {
-        super::sort::steps(self.given.len() / 2)
+        sort::steps(self.given.len() / 2, COMPARISON)
     }
 
     /// Sorts the ignored pairs, so that [`Self::may_meet`] knows them.
@@ -47,7 +53,9 @@ impl Rules {
             keys.extend(chunk.as_chunks::<2>().0.iter().map(|&[g, h]| key(g, h)));
             stop.spend(2 * chunk.len() as u64)?;
         }
-        self.ignored = sorted(keys, stop)?;
+        sort(&mut keys, &Meter::new(stop), COMPARISON, Ord::cmp)?;
+        keys.dedup();
+        self.ignored = keys;
         Ok(())
     }
 

@@ -49,6 +49,7 @@ mod pair;
 mod query;
 mod reduce;
 mod simplex;
+pub(crate) mod sort;
 pub mod stop;
 mod support;
 mod tolerance;

@@ -2,6 +2,8 @@
 
 use std::{fmt, time::Duration};
 
+use crate::contact::Stopped;
+
 /// Whose fault it is and whether trying again helps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
@@ -109,6 +111,13 @@ impl ServiceError {
     /// A bug of the server's: the logs say more.
     pub fn internal(message: impl Into<String>) -> Self {
         Self::new(Kind::Internal, "INTERNAL", message.into(), None)
+    }
+}
+
+/// Work is stopped when nobody waits for it: the caller has left, or its deadline has passed.
+impl From<Stopped> for ServiceError {
+    fn from(_: Stopped) -> Self {
+        Self::deadline_exceeded()
     }
 }
 

@@ -5,7 +5,7 @@
 use super::{App, ServiceError, context::CallContext};
 use crate::{
     compute::{ComputeError, LARGE_BYTES, Panicked},
-    contact::Stop,
+    contact::{Stop, Stopped},
 };
 
 /// Bytes that are worked on in one elementary step.
@@ -26,7 +26,7 @@ pub(super) async fn offloaded<T: Send + 'static>(
     }
     match app.engine().compute_threads().run_steps(steps(bytes), work, &context.job).await {
         Ok(done) => done,
-        Err(ComputeError::Stopped) => Err(ServiceError::deadline_exceeded()),
+        Err(ComputeError::Stopped) => Err(Stopped.into()),
         Err(ComputeError::Panicked(Panicked(why))) => {
             tracing::error!(why, "work of the service panicked");
             Err(ServiceError::internal("the request could not be worked on"))

@@ -3,8 +3,9 @@
 use glam::DVec3;
 
 use super::merge::{Groups, Surface};
-use super::sort::sort;
+
 use super::topology::{Edge, sort_edges};
+use crate::contact::sort::{COMPARISON, sort};
 use crate::contact::stop::{Meter, Stopped};
 
 /// Steps of one side of a triangle, or of one vertex of a chain.
@@ -228,7 +229,7 @@ impl<'a> Boundary<'a> {
         let mut order: Vec<usize> = (0..self.pieces.len()).collect();
         let length = |i: usize| self.pieces[i].end - self.pieces[i].start;
         let key = |i: usize| (self.ends(self.pieces[i]), length(i), i);
-        sort(&mut order, self.meter, |&i, &j| key(i).cmp(&key(j)))?;
+        sort(&mut order, self.meter, COMPARISON, |&i, &j| key(i).cmp(&key(j)))?;
         let doubles: Vec<usize> = order
             .windows(2)
             .filter(|w| self.ends(self.pieces[w[0]]) == self.ends(self.pieces[w[1]]))

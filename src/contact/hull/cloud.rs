@@ -4,9 +4,9 @@ use std::cmp::Ordering;
 
 use glam::DVec3;
 
-use super::sort::sort;
 use super::{BuildError, HullError, HullErrorKind};
 use crate::contact::exact::{exponent_above, power_of_two};
+use crate::contact::sort::{COMPARISON, sort};
 use crate::contact::stop::{Meter, Stopped};
 
 /// Points that are read, moved or written between two looks at the meter.
@@ -46,7 +46,7 @@ impl Cloud {
             meter.spend(PASS * block.len() as u64)?;
             order.extend(block.iter().zip(start..).map(|(&p, i)| (DVec3::from_array(p) + 0.0, i)));
         }
-        sort(&mut order, meter, |(p, i), (q, j)| lexicographic(*p, *q).then(i.cmp(j)))?;
+        sort(&mut order, meter, COMPARISON, |(p, i), (q, j)| lexicographic(*p, *q).then(i.cmp(j)))?;
         drop_duplicates(&mut order, meter)?;
         if order.len() < 4 {
             let detail = format!("{} distinct points of {}, at least 4 needed", order.len(), given.len());

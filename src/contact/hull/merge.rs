@@ -9,9 +9,10 @@ use std::ops::Range;
 use glam::DVec3;
 
 use super::csr::Csr;
-use super::sort::sort;
+
 use super::triangulation::Triangulation;
 use crate::contact::exact::{Dd, TriangleNormal};
+use crate::contact::sort::{COMPARISON, sort};
 use crate::contact::stop::{Meter, Stopped};
 use crate::contact::tolerance::U;
 
@@ -79,7 +80,7 @@ pub(super) fn groups(surface: &Surface<'_>, planarity: f64, meter: &Meter<'_>) -
     // Sizes are not negative, so that their bits are in the same order.
     let size = |normal: &TriangleNormal| normal.double_area.to_bits();
     let mut order: Vec<(u64, u32)> = surface.normals.iter().map(size).zip(0..).collect();
-    sort(&mut order, meter, |(size, t), (other, u)| other.cmp(size).then(t.cmp(u)))?;
+    sort(&mut order, meter, COMPARISON, |(size, t), (other, u)| other.cmp(size).then(t.cmp(u)))?;
     for (_, seed) in order {
         if merger.of[seed as usize] == NONE {
             merger.gather(seed)?;

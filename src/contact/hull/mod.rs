@@ -19,7 +19,6 @@ mod merge;
 mod quickhull;
 mod simplify;
 mod solid;
-mod sort;
 mod topology;
 mod triangulation;
 

@@ -5,12 +5,13 @@ use glam::DVec3;
 use super::BuildError;
 use super::cloud::Cloud;
 use super::quickhull::triangulate;
-use super::sort::sort;
+
 use super::triangulation::Triangulation;
 use crate::contact::exact::{
     Dd3, TriangleNormal, VectorArea, counted_orient3d, depth_below, exact_difference, exponent_above,
     normal_of, power_of_two,
 };
+use crate::contact::sort::{COMPARISON, sort};
 use crate::contact::stop::{Meter, Stopped};
 use crate::contact::tolerance::U;
 
@@ -50,7 +51,9 @@ impl Solid {
     pub(super) fn new(given: &[[f64; 3]], meter: &Meter<'_>) -> Result<Self, BuildError> {
         let (cloud, mut triangulation) = triangulate(Cloud::new(given, meter)?, meter)?;
         let mut order: Vec<u32> = (0..cloud.points.len() as u32).collect();
-        sort(&mut order, meter, |&i, &j| cloud.registered[i as usize].cmp(&cloud.registered[j as usize]))?;
+        sort(&mut order, meter, COMPARISON, |&i, &j| {
+            cloud.registered[i as usize].cmp(&cloud.registered[j as usize])
+        })?;
         let mut place = vec![0; order.len()];
         order.iter().zip(0..).for_each(|(&old, new)| place[old as usize] = new);
         for triangle in &mut triangulation.triangles {

@@ -8,9 +8,10 @@ use super::boundary::Boundary;
 use super::build::LISTED;
 use super::csr::Csr;
 use super::merge::{Groups, Surface};
-use super::sort::sort;
+
 use super::triangulation::Triangulation;
 use crate::contact::exact::{orient2d, orient2d_steps};
+use crate::contact::sort::{COMPARISON, sort};
 use crate::contact::stop::{Meter, Stopped};
 
 /// Steps of one side of a triangle, or of one corner of an outline, of which little is asked.
@@ -102,7 +103,7 @@ pub(super) fn sort_edges(edges: &mut Vec<Edge>, meter: &Meter<'_>) -> Result<(),
     let key = |([u, v], [left, right]): &Edge| {
         [u, v, left, right].into_iter().fold(0_u128, |key, &part| key << 32 | u128::from(part))
     };
-    sort(edges, meter, |e, f| key(e).cmp(&key(f)))
+    sort(edges, meter, COMPARISON, |e, f| key(e).cmp(&key(f)))
 }
 
 /// A corner in the plane of its face, and its vertex.
@@ -163,7 +164,7 @@ impl Sweep {
         meter.spend(CORNER * corners.len() as u64)?;
         sorted.clear();
         sorted.extend(corners.iter().map(|&v| (flat(v), v)));
-        sort(sorted, meter, along)?;
+        sort(sorted, meter, COMPARISON, along)?;
         sorted.dedup_by_key(|(p, _)| *p);
         polygon.clear();
         add_chain(polygon, sorted.iter(), meter)?;

@@ -14,13 +14,13 @@
 mod tests;
 
 use super::{
-    fields::{Field, Fields, Meter, append},
+    fields::{Field, Fields, append},
     find::find,
     hulls::{Definition, Parts, definition, malformed, page_token, too_many_points},
     request::{at_most, hull_id, stoppable_scene},
 };
 use crate::{
-    contact::Stop,
+    contact::{Stop, stop::Meter},
     proto::{
         self,
         bulk::{Column, Columnar},
@@ -85,7 +85,7 @@ struct QueryCounts {
 }
 
 impl QueryCounts {
-    fn of(message: &[u8], meter: &mut Meter<'_>) -> Result<Self, ServiceError> {
+    fn of(message: &[u8], meter: &Meter<'_>) -> Result<Self, ServiceError> {
         let mut counts = Self::default();
         // Says which tags are columns; it stays empty.
         let mut empty = proto::QueryContactsRequest::default();
@@ -136,7 +136,7 @@ impl Request for proto::QueryContactsRequest {
     type Decoded = Self;
 
     fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Self, ServiceError> {
-        let meter = &mut bounds.meter;
+        let meter = &bounds.meter;
         let mut counts = QueryCounts::of(message, meter)?;
         counts.check(bounds.limits)?;
         (bounds.take)(counts.bytes())?;
@@ -177,7 +177,7 @@ impl Request for proto::QueryContactsRequest {
 fn read_accuracy(
     accuracy: &mut proto::Accuracy,
     field: &Field<'_>,
-    meter: &mut Meter<'_>,
+    meter: &Meter<'_>,
 ) -> Result<(), ServiceError> {
     let mut fields = Fields::nested(field.bytes()?, 1);
     while let Some(field) = fields.next(meter)? {
@@ -196,7 +196,7 @@ impl Request for proto::RegisterHullsRequest {
     type Decoded = Vec<Definition>;
 
     fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Vec<Definition>, ServiceError> {
-        let (meter, limits) = (&mut bounds.meter, bounds.limits);
+        let (meter, limits) = (&bounds.meter, bounds.limits);
         let (mut hulls, mut doubles) = (0, 0);
         let mut fields = Fields::new(message);
         while let Some(field) = fields.next(meter)? {
@@ -233,7 +233,7 @@ struct HullCounts {
 }
 
 impl HullCounts {
-    fn of(hull: &Field<'_>, meter: &mut Meter<'_>) -> Result<Self, ServiceError> {
+    fn of(hull: &Field<'_>, meter: &Meter<'_>) -> Result<Self, ServiceError> {
         let mut counts = Self::default();
         let mut fields = Fields::nested(hull.bytes()?, 1);
         while let Some(field) = fields.next(meter)? {
@@ -267,7 +267,7 @@ impl HullCounts {
 fn read_hull(
     hull: &Field<'_>,
     counts: &HullCounts,
-    meter: &mut Meter<'_>,
+    meter: &Meter<'_>,
 ) -> Result<proto::HullDefinition, ServiceError> {
     let mut read = proto::HullDefinition {
         vertices: Vec::with_capacity(counts.vertices),
@@ -291,7 +291,7 @@ fn read_hull(
 fn read_simplification(
     simplification: &mut proto::Simplification,
     field: &Field<'_>,
-    meter: &mut Meter<'_>,
+    meter: &Meter<'_>,
 ) -> Result<(), ServiceError> {
     let mut fields = Fields::nested(field.bytes()?, 2);
     while let Some(field) = fields.next(meter)? {
@@ -308,7 +308,7 @@ fn read_simplification(
 fn ids(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Vec<HullId>, ServiceError> {
     let mut count = 0;
     let mut fields = Fields::new(message);
-    while let Some(field) = fields.next(&mut bounds.meter)? {
+    while let Some(field) = fields.next(&bounds.meter)? {
         if field.tag == 1 {
             field.bytes()?;
             count += 1;
@@ -318,7 +318,7 @@ fn ids(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Vec<HullId>, ServiceEr
     (bounds.take)(count * HULL_BYTES)?;
     let mut ids = Vec::with_capacity(count);
     let mut fields = Fields::new(message);
-    while let Some(field) = fields.next(&mut bounds.meter)? {
+    while let Some(field) = fields.next(&bounds.meter)? {
         if field.tag == 1 {
             ids.push(hull_id(field.bytes()?, "ids", ids.len())?);
         }
@@ -347,13 +347,13 @@ impl Request for proto::GetHullsRequest {
 
     fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Self::Decoded, ServiceError> {
         let ids = ids(message, bounds)?;
-        let paths = paths(message, &mut bounds.meter)?;
+        let paths = paths(message, &bounds.meter)?;
         Ok((ids, Parts::named(&paths)?))
     }
 }
 
 /// The paths of the field mask. They stay in the message: at most [`MAX_PATHS`] references.
-fn paths<'a>(message: &'a [u8], meter: &mut Meter<'_>) -> Result<Vec<&'a str>, ServiceError> {
+fn paths<'a>(message: &'a [u8], meter: &Meter<'_>) -> Result<Vec<&'a str>, ServiceError> {
     let (mut paths, mut count) = (Vec::new(), 0);
     let mut fields = Fields::new(message);
     while let Some(field) = fields.next(meter)? {
@@ -390,7 +390,7 @@ impl Request for proto::ListHullsRequest {
     fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Listing, ServiceError> {
         let (mut page_size, mut token) = (0, "");
         let mut fields = Fields::new(message);
-        while let Some(field) = fields.next(&mut bounds.meter)? {
+        while let Some(field) = fields.next(&bounds.meter)? {
             match field.tag {
                 1 => page_size = field.varint()? as u32,
                 2 => token = field.text()?,
@@ -406,7 +406,7 @@ impl Request for proto::GetServerInfoRequest {
 
     fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<(), ServiceError> {
         let mut fields = Fields::new(message);
-        while fields.next(&mut bounds.meter)?.is_some() {}
+        while fields.next(&bounds.meter)?.is_some() {}
         Ok(())
     }
 }

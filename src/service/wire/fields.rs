@@ -8,7 +8,7 @@
 use prost::encoding::{WireType, decode_key, decode_varint};
 
 use crate::{
-    contact::{Stop, Stopped},
+    contact::{Stopped, stop::Meter},
     service::error::ServiceError,
 };
 
@@ -20,9 +20,6 @@ const FIELD_STEPS: u64 = 5;
 
 /// Bytes that are copied for one elementary step, the system's work for new pages included.
 pub(super) const BYTES_PER_STEP: usize = 4;
-
-/// Steps that are gathered before they are spent: a quarter of a millisecond.
-const GATHERED_STEPS: u64 = 1 << 18;
 
 /// Why reading ended before the message did.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -49,38 +46,8 @@ impl From<Fault> for ServiceError {
     fn from(fault: Fault) -> Self {
         match fault {
             Fault::Malformed(why) => Self::refused("MALFORMED_MESSAGE", format!("the message: {why}")),
-            Fault::Stopped => Self::deadline_exceeded(),
+            Fault::Stopped => Stopped.into(),
         }
-    }
-}
-
-/// Gathers small steps and spends them together.
-#[derive(Debug)]
-pub(super) struct Meter<'a> {
-    stop: &'a Stop,
-    gathered: u64,
-}
-
-impl<'a> Meter<'a> {
-    pub(super) fn new(stop: &'a Stop) -> Self {
-        Self { stop, gathered: 0 }
-    }
-
-    /// Counts `steps` elementary steps.
-    ///
-    /// # Errors
-    /// Nobody waits for the work any more.
-    pub(super) fn spend(&mut self, steps: u64) -> Result<(), Fault> {
-        self.gathered += steps;
-        if self.gathered >= GATHERED_STEPS { self.finish() } else { Ok(()) }
-    }
-
-    /// Spends the gathered steps.
-    ///
-    /// # Errors
-    /// Nobody waits for the work any more.
-    pub(super) fn finish(&mut self) -> Result<(), Fault> {
-        Ok(self.stop.spend(std::mem::take(&mut self.gathered))?)
     }
 }
 
@@ -143,7 +110,7 @@ impl<'a> Field<'a> {
     }
 
     /// Gives the elements of a column of varints to `each`.
-    pub(super) fn varints(&self, meter: &mut Meter<'_>, mut each: impl FnMut(u64)) -> Result<(), Fault> {
+    pub(super) fn varints(&self, meter: &Meter<'_>, mut each: impl FnMut(u64)) -> Result<(), Fault> {
         if self.wire_type != WireType::LengthDelimited {
             each(self.varint()?);
             return Ok(());
@@ -177,7 +144,7 @@ impl<'a> Fields<'a> {
     }
 
     /// The next field; none at the end. A group is one field without content.
-    pub(super) fn next(&mut self, meter: &mut Meter<'_>) -> Result<Option<Field<'a>>, Fault> {
+    pub(super) fn next(&mut self, meter: &Meter<'_>) -> Result<Option<Field<'a>>, Fault> {
         if self.rest.is_empty() {
             return Ok(None);
         }
@@ -190,7 +157,7 @@ impl<'a> Fields<'a> {
         tag: u32,
         wire_type: WireType,
         depth: u32,
-        meter: &mut Meter<'_>,
+        meter: &Meter<'_>,
     ) -> Result<Field<'a>, Fault> {
         meter.spend(FIELD_STEPS)?;
         let mut field = Field { tag, wire_type, payload: &[], varint: 0 };
@@ -217,7 +184,7 @@ impl<'a> Fields<'a> {
     }
 
     /// Passes over the content of a group, up to its end.
-    fn skip_group(&mut self, tag: u32, depth: u32, meter: &mut Meter<'_>) -> Result<(), Fault> {
+    fn skip_group(&mut self, tag: u32, depth: u32, meter: &Meter<'_>) -> Result<(), Fault> {
         loop {
             let (inner, wire_type) = decode_key(&mut self.rest).map_err(Fault::malformed)?;
             if wire_type == WireType::EndGroup {
@@ -239,7 +206,7 @@ pub(super) fn append<T, const WIDTH: usize>(
     column: &mut Vec<T>,
     elements: &[[u8; WIDTH]],
     read: fn([u8; WIDTH]) -> T,
-    meter: &mut Meter<'_>,
+    meter: &Meter<'_>,
 ) -> Result<(), Fault> {
     const AT_A_TIME: usize = 256 << 10;
     for some in elements.chunks(AT_A_TIME / WIDTH) {
@@ -254,6 +221,10 @@ mod tests {
     use prost::encoding::encode_key;
 
     use super::*;
+    use crate::contact::{STEPS_BETWEEN_LOOKS, Stop};
+
+    /// A quarter of a millisecond.
+    const GATHERED_STEPS: u64 = STEPS_BETWEEN_LOOKS / 4;
 
     /// Groups within groups, the innermost empty.
     fn nested_groups(levels: usize) -> Vec<u8> {
@@ -264,11 +235,10 @@ mod tests {
     }
 
     fn count(bytes: &[u8], stop: &Stop) -> Result<usize, Fault> {
-        let (mut fields, mut meter, mut count) = (Fields::new(bytes), Meter::new(stop), 0);
-        while fields.next(&mut meter)?.is_some() {
+        let (mut fields, meter, mut count) = (Fields::new(bytes), Meter::new(stop), 0);
+        while fields.next(&meter)?.is_some() {
             count += 1;
         }
-        meter.finish()?;
         Ok(count)
     }
 

@@ -2,9 +2,9 @@
 
 use prost::Message;
 
-use super::fields::{BYTES_PER_STEP, Meter};
+use super::fields::BYTES_PER_STEP;
 use crate::{
-    contact::{ConvexHull, HullError, Simplification, Stop},
+    contact::{ConvexHull, HullError, Simplification, Stop, stop::Meter},
     proto,
     service::error::ServiceError,
     store::{HullDefinition, HullId, StoredBlob},
@@ -157,7 +157,7 @@ pub(in crate::service) fn repeated(
         // No hull is repeated: they are in order.
         return Ok(records);
     }
-    let mut meter = Meter::new(stop);
+    let meter = Meter::new(stop);
     let mut repeated = Vec::with_capacity(places.len());
     for &place in places {
         meter.spend((records[place].encoded_len() / BYTES_PER_STEP) as u64)?;

@@ -2,10 +2,9 @@
 
 use std::{collections::HashSet, sync::Arc};
 
-use super::fields::Meter;
 use crate::{
     budget::Permit,
-    contact::{Accuracy, Pose, Query, Solver, Stop},
+    contact::{Accuracy, Pose, Query, Solver, Stop, stop::Meter},
     proto,
     service::{error::ServiceError, limits::Limits, outputs::Outputs},
     store::HullId,
@@ -77,7 +76,7 @@ pub(in crate::service) fn stoppable_scene(
     limits: &Limits,
     stop: &Stop,
 ) -> Result<Scene, ServiceError> {
-    let meter = &mut Meter::new(stop);
+    let meter = &Meter::new(stop);
     if request.inherit {
         return Err(ServiceError::invalid("FIELD_NOT_ALLOWED", "inherit", "inherit is of streams alone"));
     }
@@ -144,7 +143,7 @@ pub(in crate::service) fn inherited(
         return Err(ServiceError::invalid("FIELD_NOT_ALLOWED", field, format!("{field} is inherited")));
     }
     pose_lengths(&request, setting.body_hulls.len())?;
-    let meter = &mut Meter::new(stop);
+    let meter = &Meter::new(stop);
     let (poses, invalid_bodies) = Poses::of(request.positions, request.rotations, meter)?;
     let request_id = request.request_id;
     Ok(Scene { request_id, setting, poses, invalid_bodies, warm_starts: bases, memory: None })
@@ -207,7 +206,7 @@ fn all_below(
     count: usize,
     field: &'static str,
     of: &str,
-    meter: &mut Meter<'_>,
+    meter: &Meter<'_>,
 ) -> Result<(), ServiceError> {
     for (first, some) in (0..).step_by(AT_A_TIME).zip(column.chunks(AT_A_TIME)) {
         meter.spend(some.len() as u64)?;
@@ -226,7 +225,7 @@ fn all_below(
 
 /// The ids, each once. The table's hash has a random key, so that no ids that a sender may
 /// choose make it slow.
-fn distinct_ids<B: AsRef<[u8]>>(ids: &[B], meter: &mut Meter<'_>) -> Result<Vec<HullId>, ServiceError> {
+fn distinct_ids<B: AsRef<[u8]>>(ids: &[B], meter: &Meter<'_>) -> Result<Vec<HullId>, ServiceError> {
     let (mut distinct, mut seen) = (Vec::with_capacity(ids.len()), HashSet::with_capacity(ids.len()));
     for (index, bytes) in ids.iter().enumerate() {
         meter.spend(ID_STEPS)?;
@@ -309,7 +308,7 @@ impl Poses {
     fn of(
         positions: Vec<f64>,
         rotations: Vec<f64>,
-        meter: &mut Meter<'_>,
+        meter: &Meter<'_>,
     ) -> Result<(Self, Vec<u32>), ServiceError> {
         let bodies = positions.as_chunks::<3>().0.iter().zip(rotations.as_chunks::<4>().0);
         let unusable =

@@ -199,8 +199,9 @@ fn nothing_is_allocated_without_room() {
     let (limits, stop) = (limits(), Stop::default());
     let made = allocation_counter::measure(|| {
         let mut take = |_| Err(none());
-        let bounds = &mut Bounds::new(&limits, &stop, &mut take);
-        assert_eq!(proto::QueryContactsRequest::read(&message, bounds).err(), Some(none()));
+        let mut bounds = Bounds::new(&limits, &stop, &mut take);
+        assert_eq!(proto::QueryContactsRequest::read(&message, &mut bounds).err(), Some(none()));
+        drop(bounds);
         let bounds = &mut Bounds::new(&limits, &stop, &mut take);
         let hulls = field(1, &field(1, &vec![0; 24 * 3000]));
         assert_eq!(proto::RegisterHullsRequest::read(&hulls, bounds).err(), Some(none()));

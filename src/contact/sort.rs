@@ -8,21 +8,30 @@
 
 use std::cmp::Ordering;
 
-use crate::contact::stop::{Meter, Stopped};
+use super::stop::{Meter, Stopped};
 
 /// Items sorted at once: well below a millisecond's comparisons.
 const RUN: usize = 4096;
-/// Steps of one comparison and the moves that it causes.
-const COMPARISON: u64 = 6;
+/// Steps of comparing and moving items whose keys are looked up, as those of points are.
+pub(crate) const COMPARISON: u64 = 6;
 
-/// Sorts `items` by an order in which no two different items are equal.
-pub(super) fn sort<T: Copy>(
+/// The estimated steps of sorting so many items, where a comparison and the moves that it causes
+/// take `comparison` steps.
+pub(crate) fn steps(items: usize, comparison: u64) -> u64 {
+    let merges = items.div_ceil(RUN).next_power_of_two().ilog2();
+    comparison * items as u64 * u64::from(RUN.ilog2() + merges)
+}
+
+/// Sorts `items` by an order in which no two different items are equal. A comparison and the
+/// moves that it causes take `comparison` steps.
+pub(crate) fn sort<T: Copy>(
     items: &mut Vec<T>,
     meter: &Meter<'_>,
+    comparison: u64,
     order: impl Fn(&T, &T) -> Ordering,
 ) -> Result<(), Stopped> {
     for run in items.chunks_mut(RUN) {
-        meter.spend(COMPARISON * run.len() as u64 * u64::from(run.len().ilog2()))?;
+        meter.spend(comparison * run.len() as u64 * u64::from(run.len().ilog2()))?;
         run.sort_unstable_by(&order);
     }
     let mut merged = Vec::new();
@@ -33,7 +42,7 @@ pub(super) fn sort<T: Copy>(
         for two in items.chunks(2 * length) {
             let (mut left, mut right) = two.split_at(length.min(two.len()));
             while let (Some(first), Some(second)) = (left.first(), right.first()) {
-                meter.spend(COMPARISON)?;
+                meter.spend(comparison)?;
                 if order(first, second).is_le() {
                     merged.push(*first);
                     left = &left[1..];
@@ -67,13 +76,14 @@ mod tests {
             let mut expected = items.clone();
             expected.sort_unstable();
             let stop = Stop::default();
-            assert_eq!(sort(&mut items, &Meter::new(&stop), Ord::cmp), Ok(()));
+            assert_eq!(sort(&mut items, &Meter::new(&stop), COMPARISON, Ord::cmp), Ok(()));
+            assert!(stop.steps() <= steps(length, COMPARISON), "{length}: {stop:?}");
             assert_eq!(items, expected);
             assert!(stop.largest_between_looks() <= STEPS_BETWEEN_LOOKS);
             if length > 5 * RUN {
                 let stop = Stop::default();
                 stop.stop();
-                assert_eq!(sort(&mut items, &Meter::new(&stop), Ord::cmp), Err(Stopped));
+                assert_eq!(sort(&mut items, &Meter::new(&stop), COMPARISON, Ord::cmp), Err(Stopped));
                 assert!(stop.steps() <= 2 * STEPS_BETWEEN_LOOKS);
             }
         }
