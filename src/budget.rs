@@ -4,32 +4,23 @@
 //! arrive, columns that are decoded, hulls that are built, answers until they are sent, the
 //! state of streams, and the windows of connections. Code takes a [`Permit`] before it
 //! allocates and drops it when the memory is free again. Each permit belongs to one [`Part`],
-//! so that operators see which part is full.
-//!
-//! # Shares
-//!
-//! Several callers share one budget by dynamic thresholds: a caller may take more only while
-//! it then holds at most as much as stays free. One caller alone can therefore use half of the
-//! budget; n greedy callers each get 1/(n+1) of it, and a share of 1/(n+1) always stays free
-//! for a caller who comes later. The rule needs no configuration and no count of callers, and
-//! it costs one comparison. [`Shares`] is that rule; the memory budget and the leases on
-//! cached hulls both use it.
-//!
-//! A. K. Choudhury and E. L. Hahne, *Dynamic Queue Length Thresholds for Shared-Memory Packet
-//! Switches*, IEEE/ACM Transactions on Networking 6(2), 1998, section III,
-//! doi:10.1109/90.664262 (with their factor alpha = 1).
+//! so that operators see which part is full. Callers ([`Caller`]) share the budget by the rule of
+//! [`Shares`].
 //!
 //! This module knows neither gRPC nor HTTP.
 
+mod caller;
+mod shares;
+
 use std::{
-    collections::HashMap,
     fmt,
-    net::{IpAddr, Ipv6Addr},
-    sync::{
-        Arc, Mutex, MutexGuard, PoisonError, Weak,
-        atomic::{AtomicU64, Ordering},
-    },
+    sync::{Arc, Mutex},
 };
+
+pub use caller::{Caller, CallerKey, Callers};
+pub use shares::{Refusal, Shares, Slot, Slots};
+
+use crate::lock::locked;
 
 /// Declares every part of the budget once: its variant, its name in metrics and in
 /// `GetServerInfo`, and what it counts.
@@ -71,206 +62,6 @@ parts! {
 }
 
 const PARTS: usize = Part::ALL.len();
-
-/// Who calls: the unit that shares are counted by.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub enum CallerKey {
-    /// The name of the token that authenticated the call.
-    Token(String),
-    /// The peer's address; of an IPv6 address its /64 network.
-    Address(IpAddr),
-    /// The user at the other end of a Unix socket.
-    User(u32),
-    /// One connection of a trusted proxy, behind which many callers may be.
-    Connection(u64),
-    /// Everybody, where shares are off, and calls that did not come over a connection.
-    Everyone,
-}
-
-impl CallerKey {
-    /// The key of a peer's address: an IPv6 host can choose its last 64 bits freely, so they
-    /// do not count.
-    pub fn of_address(address: IpAddr) -> Self {
-        Self::Address(match address.to_canonical() {
-            IpAddr::V6(address) => Ipv6Addr::from_bits(address.to_bits() & !u128::from(u64::MAX)).into(),
-            address @ IpAddr::V4(_) => address,
-        })
-    }
-}
-
-impl fmt::Display for CallerKey {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Token(name) => f.write_str(name),
-            Self::Address(address @ IpAddr::V4(_)) => write!(f, "{address}"),
-            Self::Address(address @ IpAddr::V6(_)) => write!(f, "{address}/64"),
-            Self::User(user) => write!(f, "uid {user}"),
-            Self::Connection(connection) => write!(f, "connection {connection}"),
-            Self::Everyone => f.write_str("everyone"),
-        }
-    }
-}
-
-/// The callers that are known at the moment.
-#[derive(Debug, Default)]
-pub struct Callers {
-    known: Mutex<HashMap<CallerKey, Weak<Account>>>,
-    next: AtomicU64,
-}
-
-/// One caller; clones are the same caller. The caller is forgotten with the last clone.
-#[derive(Clone, Debug)]
-pub struct Caller(Arc<Account>);
-
-#[derive(Debug)]
-struct Account {
-    key: CallerKey,
-    id: u64,
-    callers: Weak<Callers>,
-}
-
-impl Callers {
-    /// The caller with this key: the same one for as long as anybody holds it.
-    pub fn get(self: &Arc<Self>, key: CallerKey) -> Caller {
-        let mut known = locked(&self.known);
-        if let Some(account) = known.get(&key).and_then(Weak::upgrade) {
-            return Caller(account);
-        }
-        let id = self.next.fetch_add(1, Ordering::Relaxed);
-        let account = Arc::new(Account { key: key.clone(), id, callers: Arc::downgrade(self) });
-        known.insert(key, Arc::downgrade(&account));
-        Caller(account)
-    }
-
-    /// The callers that are known at the moment by the name of a token.
-    pub fn named(&self) -> Vec<Caller> {
-        let known = locked(&self.known);
-        let named = known.iter().filter(|(key, _)| matches!(key, CallerKey::Token(_)));
-        let accounts: Vec<_> = named.filter_map(|(_, account)| account.upgrade()).collect();
-        // The last clone of an account takes the lock when it is dropped.
-        drop(known);
-        accounts.into_iter().map(Caller).collect()
-    }
-
-    /// How many callers are known at the moment.
-    pub fn count(&self) -> usize {
-        locked(&self.known).len()
-    }
-}
-
-impl Drop for Account {
-    fn drop(&mut self) {
-        let Some(callers) = self.callers.upgrade() else { return };
-        let mut known = locked(&callers.known);
-        // Another thread may have made a new account of this key in the meantime.
-        if known.get(&self.key).is_some_and(|account| account.strong_count() == 0) {
-            known.remove(&self.key);
-        }
-    }
-}
-
-impl Caller {
-    /// A caller of its own, known to nobody: for calls that did not come over a connection.
-    pub fn alone() -> Self {
-        Self(Arc::new(Account { key: CallerKey::Everyone, id: u64::MAX, callers: Weak::new() }))
-    }
-
-    /// A number that no other living caller has.
-    pub fn id(&self) -> u64 {
-        self.0.id
-    }
-
-    /// Who it is, for logs.
-    pub fn key(&self) -> &CallerKey {
-        &self.0.key
-    }
-}
-
-/// Why a caller cannot take more.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Refusal {
-    /// There is not enough left for this caller now; trying again later may help.
-    Busy,
-    /// It would not fit even if nobody else held anything.
-    TooLarge,
-}
-
-/// A quantity that callers share by dynamic thresholds. The owner locks it.
-#[derive(Debug)]
-pub struct Shares {
-    limit: u64,
-    /// Off: any caller may take all that is free.
-    dynamic: bool,
-    used: u64,
-    held: HashMap<u64, u64>,
-}
-
-impl Shares {
-    /// Nobody holds anything of `limit` yet.
-    pub fn new(limit: u64, dynamic: bool) -> Self {
-        Self { limit, dynamic, used: 0, held: HashMap::new() }
-    }
-
-    /// What all callers hold together.
-    pub fn used(&self) -> u64 {
-        self.used
-    }
-
-    /// What one caller holds.
-    pub fn held(&self, caller: &Caller) -> u64 {
-        self.held.get(&caller.id()).copied().unwrap_or(0)
-    }
-
-    /// The most that one caller can hold when nobody else holds anything.
-    pub fn most_alone(&self) -> u64 {
-        if self.dynamic { self.limit / 2 } else { self.limit }
-    }
-
-    /// Adds `amount` to what `caller` holds.
-    ///
-    /// # Errors
-    /// The caller would hold more than its share; nothing is added.
-    pub fn take(&mut self, caller: &Caller, amount: u64) -> Result<(), Refusal> {
-        self.take_shared(caller, amount, amount)
-    }
-
-    /// Adds `amount` to what `caller` holds, of which only `new` is not held by others already.
-    ///
-    /// # Errors
-    /// The caller would hold more than its share; nothing is added.
-    pub fn take_shared(&mut self, caller: &Caller, amount: u64, new: u64) -> Result<(), Refusal> {
-        if amount == 0 {
-            return Ok(());
-        }
-        let held_after = self.held(caller).saturating_add(amount);
-        if held_after > self.most_alone() {
-            return Err(Refusal::TooLarge);
-        }
-        let free_after = self.limit.saturating_sub(self.used).checked_sub(new).ok_or(Refusal::Busy)?;
-        if self.dynamic && held_after > free_after {
-            return Err(Refusal::Busy);
-        }
-        self.used += new;
-        self.held.insert(caller.id(), held_after);
-        Ok(())
-    }
-
-    /// Subtracts `amount` from what `caller` holds.
-    pub fn give_back(&mut self, caller: &Caller, amount: u64) {
-        self.give_back_shared(caller, amount, amount);
-    }
-
-    /// Subtracts `amount` from what `caller` holds, of which `free` is held by nobody else.
-    pub fn give_back_shared(&mut self, caller: &Caller, amount: u64, free: u64) {
-        self.used = self.used.saturating_sub(free);
-        if let Some(held) = self.held.get_mut(&caller.id()) {
-            *held = held.saturating_sub(amount);
-            if *held == 0 {
-                self.held.remove(&caller.id());
-            }
-        }
-    }
-}
 
 /// Why there is no memory for a caller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -410,24 +201,6 @@ impl Permit {
         state.parts[self.part as usize] = state.parts[self.part as usize].saturating_sub(less);
         state.shares.give_back(&self.caller, less);
     }
-
-    /// Moves `bytes` of this permit into a permit of their own; at most what this one holds.
-    #[must_use = "the bytes are given back when the permit is dropped"]
-    pub fn split(&mut self, bytes: u64) -> Self {
-        let bytes = bytes.min(self.bytes);
-        self.bytes -= bytes;
-        Self { budget: self.budget.clone(), caller: self.caller.clone(), part: self.part, bytes }
-    }
-
-    /// Counts the bytes under another part from now on. A part's cap is not asked: the memory
-    /// is there already.
-    pub fn move_to(&mut self, part: Part) {
-        let mut state = locked(&self.budget.state);
-        state.parts[self.part as usize] = state.parts[self.part as usize].saturating_sub(self.bytes);
-        state.parts[part as usize] = state.parts[part as usize].saturating_add(self.bytes);
-        drop(state);
-        self.part = part;
-    }
 }
 
 impl Drop for Permit {
@@ -436,19 +209,9 @@ impl Drop for Permit {
     }
 }
 
-/// No panic leaves what is locked here half done.
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn callers(count: u32) -> Vec<Caller> {
-        let callers = Arc::new(Callers::default());
-        (0..count).map(|user| callers.get(CallerKey::User(user))).collect()
-    }
 
     /// Catches bytes that are not given back, given back twice, or counted under another part.
     #[test]
@@ -461,66 +224,14 @@ mod tests {
         let answers = budget.take(&caller, Part::Answers, 700).unwrap();
         assert_eq!(budget.used(), 1000);
         assert!(budget.take(&caller, Part::Decoded, 1).is_err());
-        let half = arriving.split(150);
-        assert_eq!((arriving.bytes(), half.bytes(), budget.used_by(Part::Arriving)), (150, 150, 300));
-        drop(half);
-        arriving.move_to(Part::Decoded);
-        assert_eq!((budget.used_by(Part::Arriving), budget.used_by(Part::Decoded)), (0, 150));
+        arriving.shrink_to(150);
+        assert_eq!((arriving.bytes(), budget.used_by(Part::Arriving)), (150, 150));
+        arriving.shrink_to(200);
+        assert_eq!(budget.used_by(Part::Arriving), 150);
         arriving.shrink_to(50);
         assert_eq!(budget.used(), 750);
         drop((arriving, answers));
         assert!(Part::ALL.iter().all(|&part| budget.used_by(part) == 0));
         assert_eq!(budget.used(), 0);
-    }
-
-    /// Catches a greedy caller who leaves nothing for those who come later: n greedy callers
-    /// get 1/(n+1) each, however they take turns.
-    #[test]
-    fn greedy_callers_leave_a_share_free() {
-        for count in [1, 2, 5] {
-            let callers = callers(count);
-            let mut shares = Shares::new(1 << 20, true);
-            let mut refused = 0;
-            while refused < count {
-                refused = 0;
-                for caller in &callers {
-                    refused += u32::from(shares.take(caller, 64).is_err());
-                }
-            }
-            let fair = (1 << 20) / (u64::from(count) + 1);
-            for caller in &callers {
-                assert!(shares.held(caller).abs_diff(fair) <= 64 * u64::from(count), "{count}");
-            }
-            let late = Caller::alone();
-            assert_eq!(shares.take(&late, fair / 4), Ok(()));
-        }
-    }
-
-    /// Catches a request that can never fit and is told to come back.
-    #[test]
-    fn what_never_fits_is_told_apart_from_what_does_not_fit_now() {
-        let callers = callers(2);
-        let mut shares = Shares::new(1000, true);
-        assert_eq!(shares.take(&callers[0], 501), Err(Refusal::TooLarge));
-        assert_eq!(shares.take(&callers[0], 500), Ok(()));
-        assert_eq!(shares.take(&callers[1], 300), Err(Refusal::Busy));
-        shares.give_back(&callers[0], 500);
-        assert_eq!(shares.take(&callers[1], 300), Ok(()));
-        assert_eq!(shares.used(), 300);
-    }
-
-    /// Catches callers that are remembered for ever, and one caller who is taken for two.
-    #[test]
-    fn callers_are_known_while_somebody_holds_them() {
-        let callers = Arc::new(Callers::default());
-        let address = |text: &str| callers.get(CallerKey::of_address(text.parse().unwrap()));
-        let (a, b) = (address("2001:db8::1"), address("2001:db8::ffff:2"));
-        assert_eq!(a.id(), b.id(), "one /64 is one caller");
-        let c = address("2001:db8:0:1::1");
-        assert_ne!(a.id(), c.id());
-        assert_eq!(address("::ffff:10.0.0.1").key(), address("10.0.0.1").key());
-        assert_eq!(callers.count(), 2);
-        drop((a, b, c));
-        assert_eq!(callers.count(), 0);
     }
 }

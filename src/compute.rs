@@ -22,7 +22,7 @@ use std::{
     ops::{Deref, DerefMut},
     panic::{AssertUnwindSafe, catch_unwind},
     sync::{
-        Arc, Mutex, MutexGuard, PoisonError,
+        Arc, Mutex,
         atomic::{AtomicU64, Ordering},
     },
     thread,
@@ -34,6 +34,7 @@ use self::{queue::Queue, work::Shared};
 use crate::{
     budget::Caller,
     contact::{STEPS_BETWEEN_LOOKS, Stop, Stopped},
+    lock::locked,
 };
 
 /// Work with a part of more estimated steps than this has the threads of long parts: about 4 ms.
@@ -337,11 +338,6 @@ impl Drop for Pool {
             queue.close();
         }
     }
-}
-
-/// A panic cannot leave the locked value half changed, so a poisoned lock is as good as any other.
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// `work`, here and now, its panic caught.

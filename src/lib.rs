@@ -22,6 +22,8 @@ pub mod budget;
 pub mod compute;
 pub mod contact;
 #[cfg(feature = "server")]
+mod lock;
+#[cfg(feature = "server")]
 pub mod log_limit;
 #[cfg(feature = "server")]
 pub mod metrics;

@@ -16,7 +16,8 @@ const RUN: usize = 4096;
 pub(crate) const COMPARISON: u64 = 6;
 
 /// The estimated steps of sorting so many items, where a comparison and the moves that it causes
-/// take `comparison` steps.
+/// take `comparison` steps. The broad phase asks for it.
+#[cfg(any(test, feature = "server"))]
 pub(crate) fn steps(items: usize, comparison: u64) -> u64 {
     let merges = items.div_ceil(RUN).next_power_of_two().ilog2();
     comparison * items as u64 * u64::from(RUN.ilog2() + merges)

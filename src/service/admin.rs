@@ -1,10 +1,6 @@
 //! The operator's port: `/metrics`, `/livez`, `/readyz`, in plain HTTP.
 
-use std::{
-    convert::Infallible,
-    sync::{Arc, Mutex, PoisonError},
-    time::Duration,
-};
+use std::{convert::Infallible, sync::Arc, time::Duration};
 
 use http::{Method, Request, Response, StatusCode, header};
 use hyper::{body::Incoming, server::conn::http1, service::service_fn};
@@ -13,7 +9,7 @@ use tokio::{net::TcpListener, time::timeout};
 
 use super::{App, server::ACCEPT_PAUSE};
 use crate::{
-    budget::{Caller, CallerKey, Shares},
+    budget::{CallerKey, Slots},
     log_limit::Repeated,
 };
 
@@ -31,7 +27,7 @@ static ACCEPT_FAILED: Repeated = Repeated::new();
 
 /// Answers on `listener` until dropped.
 pub async fn serve_admin(listener: TcpListener, app: Arc<App>) {
-    let places = Arc::new(Mutex::new(Shares::new(CONNECTIONS, true)));
+    let slots = Slots::new(CONNECTIONS);
     loop {
         let (io, peer) = match listener.accept().await {
             Ok(accepted) => accepted,
@@ -45,7 +41,7 @@ pub async fn serve_admin(listener: TcpListener, app: Arc<App>) {
         };
         let caller = app.callers().get(CallerKey::of_address(peer.ip()));
         // Past the limit a peer finds its connection closed.
-        let Some(place) = Place::take(&places, caller) else { continue };
+        let Some(slot) = slots.take(&caller) else { continue };
         let app = app.clone();
         tokio::spawn(async move {
             let service = service_fn(|request| {
@@ -56,27 +52,8 @@ pub async fn serve_admin(listener: TcpListener, app: Arc<App>) {
             http.timer(TokioTimer::new()).header_read_timeout(HEADER_TIME);
             let connection = http.serve_connection(TokioIo::new(io), service);
             let _ = timeout(CONNECTION_TIME, connection).await;
-            drop(place);
+            drop(slot);
         });
-    }
-}
-
-/// The place of one connection; free again when it is dropped.
-struct Place {
-    places: Arc<Mutex<Shares>>,
-    caller: Caller,
-}
-
-impl Place {
-    fn take(places: &Arc<Mutex<Shares>>, caller: Caller) -> Option<Self> {
-        places.lock().unwrap_or_else(PoisonError::into_inner).take(&caller, 1).ok()?;
-        Some(Self { places: places.clone(), caller })
-    }
-}
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        self.places.lock().unwrap_or_else(PoisonError::into_inner).give_back(&self.caller, 1);
     }
 }
 

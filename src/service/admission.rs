@@ -15,7 +15,7 @@
 use std::{
     collections::HashMap,
     sync::{
-        Arc, Mutex, MutexGuard, PoisonError, Weak,
+        Arc, Mutex, Weak,
         atomic::{AtomicUsize, Ordering},
     },
     time::{Duration, Instant},
@@ -26,6 +26,7 @@ use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
 use super::ServiceError;
 use crate::{
     budget::{Caller, Shares},
+    lock::locked,
     metrics::{Held, Metrics, Shed},
 };
 
@@ -240,11 +241,6 @@ pub(super) fn spread(n: u64) -> f64 {
 /// A batch without pairs has the weight of one pair.
 fn weight(pairs: usize) -> u32 {
     u32::try_from(pairs.max(1)).unwrap_or(u32::MAX)
-}
-
-/// A panic cannot leave the locked value half changed, so a poisoned lock is as good as any other.
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

@@ -55,7 +55,31 @@ pub(super) fn method(path: &str) -> &'static str {
 
 /// Whether a call of it may last as long as its client likes.
 pub(super) fn is_long_lived(method: &str) -> bool {
-    ["StreamContacts", "Watch", "ServerReflectionInfo"].iter().any(|name| method.ends_with(name))
+    is_watch(method) || method.ends_with("/StreamContacts")
+}
+
+/// Whether a call of it is a stream that tools keep open.
+pub(super) fn is_watch(method: &str) -> bool {
+    method.ends_with("/Watch") || is_reflection(method)
+}
+
+/// Whether its request is one message.
+pub(super) fn takes_one_message(method: &str) -> bool {
+    !method.ends_with("/StreamContacts") && !is_reflection(method)
+}
+
+/// Whether it is a health check.
+pub(super) fn is_health(method: &str) -> bool {
+    method.starts_with("grpc.health.")
+}
+
+/// Whether its messages are no more than a name.
+pub(super) fn names_a_service(method: &str) -> bool {
+    is_health(method) || is_reflection(method)
+}
+
+fn is_reflection(method: &str) -> bool {
+    method.starts_with("grpc.reflection.")
 }
 
 /// A span that names the call in every line logged for it: the client's id, or one of ours,

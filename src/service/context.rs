@@ -5,7 +5,7 @@
 //! extensions. A handler takes it from there with [`CallContext::of`].
 
 use std::{
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{Arc, Mutex},
     time::Duration,
 };
 
@@ -13,6 +13,7 @@ use super::{App, ServiceError};
 use crate::{
     budget::{Caller, MemoryBudget, NoMemory, Part, Permit, Refusal},
     compute::Job,
+    lock::locked,
     metrics::{Metrics, Shed},
 };
 
@@ -115,8 +116,3 @@ pub(super) fn no_memory(metrics: &Metrics, why: NoMemory) -> ServiceError {
 
 /// A large request takes some 100 ms to arrive and to be answered.
 const MEMORY_RETRY: Duration = Duration::from_millis(200);
-
-/// No panic leaves a permit half taken.
-fn locked(permit: &Mutex<Option<Permit>>) -> MutexGuard<'_, Option<Permit>> {
-    permit.lock().unwrap_or_else(PoisonError::into_inner)
-}

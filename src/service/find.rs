@@ -9,7 +9,7 @@
 
 use std::{
     collections::VecDeque,
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex},
 };
 
 use super::{
@@ -26,6 +26,7 @@ use crate::{
     budget::{Part, Permit},
     compute::{ComputeError, Parts},
     contact::{Body, Bounds, STEPS_BETWEEN_LOOKS, Stop, Stopped},
+    lock::locked,
     proto::{Encoded, QueryContactsRequest, QueryContactsResponse},
     store::{Hulls, Lease, Missing},
 };
@@ -352,7 +353,7 @@ impl Parts for Searching {
     }
 
     fn part(&self, index: usize) -> Result<Self::Part, Stopped> {
-        let mut search = self.searches[index].lock().unwrap_or_else(PoisonError::into_inner).take();
+        let mut search = locked(&self.searches[index]).take();
         if let Some(search) = &mut search {
             self.broad_phase.search(search, STEPS_BETWEEN_LOOKS, SEARCHED_INDICES, &self.stop)?;
         }

@@ -10,6 +10,8 @@ use std::{
     time::{Duration, Instant},
 };
 
+use crate::lock::locked;
+
 /// Nothing, but for tests.
 #[derive(Debug, Default)]
 pub struct Injected {
@@ -63,7 +65,7 @@ impl Injected {
     }
 
     fn allowed(&self) -> MutexGuard<'_, usize> {
-        self.allowed.lock().unwrap_or_else(PoisonError::into_inner)
+        locked(&self.allowed)
     }
 }
 

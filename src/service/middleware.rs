@@ -25,7 +25,9 @@ use tracing::Instrument;
 use super::{
     App, Serving,
     answer_body::{AnswerBody, AnswerTimes},
-    call::{self, BoxError, Call, Taken, is_long_lived},
+    call::{
+        self, BoxError, Call, Taken, is_health, is_long_lived, is_watch, names_a_service, takes_one_message,
+    },
     context::{CallContext, no_memory},
     error::{Kind, ServiceError},
     peers::Peer,
@@ -118,24 +120,10 @@ impl Middleware {
     fn message_rules(&self, method: &str) -> MessageRules {
         MessageRules {
             max_bytes: if names_a_service(method) { NAME_BYTES } else { self.app.limits().max_message_bytes },
-            is_single: !["StreamContacts", "ServerReflectionInfo"].iter().any(|name| method.ends_with(name)),
+            is_single: takes_one_message(method),
             patience: self.serving.message_time,
         }
     }
-}
-
-fn is_health(method: &str) -> bool {
-    method.starts_with("grpc.health.")
-}
-
-/// Whether the call is a stream that tools keep open.
-fn is_watch(method: &str) -> bool {
-    method.ends_with("/Watch") || method.ends_with("/ServerReflectionInfo")
-}
-
-/// Whether the method's messages are no more than a name.
-fn names_a_service(method: &str) -> bool {
-    is_health(method) || method.starts_with("grpc.reflection.")
 }
 
 impl<B> Service<Request<B>> for Middleware

@@ -38,7 +38,7 @@ pub mod wire;
 
 use std::{
     fmt,
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex},
     time::Duration,
 };
 
@@ -58,6 +58,7 @@ pub use server::{Serving, run};
 use crate::{
     budget::{Caller, Callers, MemoryBudget, Part, Permit},
     compute::Compute,
+    lock::locked,
     metrics::Metrics,
     proto::QueryContactsResponse,
     store::{BlobStore, Registry, registry::Bounds},
@@ -163,11 +164,11 @@ impl App {
 
     /// Whether new calls are welcome.
     pub fn readiness(&self) -> Readiness {
-        self.readiness.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        locked(&self.readiness).clone()
     }
 
     fn set_readiness(&self, readiness: Readiness) {
-        *self.readiness.lock().unwrap_or_else(PoisonError::into_inner) = readiness;
+        *locked(&self.readiness) = readiness;
     }
 
     /// An answer that may be sent: it is within the message limit, and the call's budget has

@@ -3,20 +3,21 @@
 //! All connections together are at most `max_connections`. The last places are kept for
 //! addresses that have no open connection yet, so that one address that opens all it can does
 //! not shut out a health checker. TLS handshakes under way are shared between addresses as
-//! memory is (see [`Shares`]), because each costs a signature.
+//! memory is (see [`Slots`]), because each costs a signature.
 
 use std::{
     collections::HashMap,
     net::IpAddr,
     sync::{
-        Arc, Mutex, MutexGuard, PoisonError,
+        Arc, Mutex,
         atomic::{AtomicU64, AtomicUsize, Ordering},
     },
 };
 
 use super::App;
 use crate::{
-    budget::{Caller, CallerKey, Part, Permit, Shares},
+    budget::{Caller, CallerKey, Part, Permit, Slot, Slots},
+    lock::locked,
     metrics::{Held, Shed},
 };
 
@@ -62,7 +63,7 @@ pub(super) struct Peers {
     /// Off: everybody is one caller.
     shares: bool,
     open: Mutex<Open>,
-    handshakes: Mutex<Shares>,
+    handshakes: Arc<Slots>,
     count: AtomicU64,
 }
 
@@ -74,7 +75,7 @@ struct Open {
 
 impl Peers {
     pub(super) fn new(app: Arc<App>, trusted_proxies: Vec<IpAddr>, shares: bool) -> Self {
-        let handshakes = Mutex::new(Shares::new(HANDSHAKES, true));
+        let handshakes = Slots::new(HANDSHAKES);
         Self { app, trusted_proxies, shares, open: Mutex::default(), handshakes, count: AtomicU64::new(0) }
     }
 
@@ -204,9 +205,8 @@ impl Peer {
     }
 
     /// Leave to do a TLS handshake; none while too many are under way.
-    pub(super) fn handshake(&self) -> Option<Handshake> {
-        locked_shares(&self.peers.handshakes).take(&self.connection.caller, 1).ok()?;
-        Some(Handshake(self.clone()))
+    pub(super) fn handshake(&self) -> Option<Slot> {
+        self.peers.handshakes.take(&self.connection.caller)
     }
 
     /// One of the health checks that the connection may have without asking the budget.
@@ -217,16 +217,6 @@ impl Peer {
     /// One of the Watch and reflection streams that the connection may have.
     pub(super) fn watch(&self) -> Option<Counted> {
         Counted::take(&self.connection, |connection| &connection.watches, WATCHES)
-    }
-}
-
-/// A TLS handshake under way.
-#[derive(Debug)]
-pub(super) struct Handshake(Peer);
-
-impl Drop for Handshake {
-    fn drop(&mut self) {
-        locked_shares(&self.0.peers.handshakes).give_back(&self.0.connection.caller, 1);
     }
 }
 
@@ -249,15 +239,6 @@ impl Drop for Counted {
     fn drop(&mut self) {
         (self.of)(&self.connection).fetch_sub(1, Ordering::Relaxed);
     }
-}
-
-/// No panic leaves the counts half changed.
-fn locked(open: &Mutex<Open>) -> MutexGuard<'_, Open> {
-    open.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-fn locked_shares(shares: &Mutex<Shares>) -> MutexGuard<'_, Shares> {
-    shares.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

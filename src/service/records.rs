@@ -17,6 +17,7 @@ use super::{
 };
 use crate::{
     budget::{Part, Permit},
+    lock::locked,
     proto::HullRecord,
     store::{AT_A_TIME, HullId, Missing, Reader},
 };
@@ -154,7 +155,7 @@ impl Reading<'_> {
     /// Takes the memory of `times` records with columns of `bytes` bytes. Refuses an answer that
     /// would be too large to be sent.
     fn take(&self, times: usize, bytes: usize) -> Result<(), ServiceError> {
-        let mut taken = self.taken.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut taken = locked(&self.taken);
         taken.bytes = taken.bytes.saturating_add(times.saturating_mul(bytes));
         if taken.bytes > self.app.limits().max_message_bytes {
             return Err(self.app.answer_too_large(taken.bytes));

@@ -1,12 +1,13 @@
 //! Hulls being built on the compute threads.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use super::HullDefinition;
 use crate::{
     budget::Permit,
     compute::Parts,
     contact::{BuildError, ConvexHull, HullError, Stop, Stopped},
+    lock::locked,
 };
 
 /// Bytes that building takes at most for each point of a definition, the definition, its blob
@@ -63,7 +64,7 @@ impl Parts for Building {
     }
 
     fn whole(&self, parts: Vec<Self::Part>) -> Result<Self::Whole, Stopped> {
-        drop(self.memory.lock().unwrap_or_else(PoisonError::into_inner).take());
+        drop(locked(&self.memory).take());
         Ok(parts)
     }
 }

@@ -7,7 +7,7 @@
 use std::{
     fmt, io,
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc, Mutex,
         mpsc::{Receiver, SyncSender, TrySendError, sync_channel},
     },
     thread,
@@ -16,6 +16,7 @@ use std::{
 use tokio::sync::oneshot;
 
 use crate::compute::caught;
+use crate::lock::locked;
 
 type Task = Box<dyn FnOnce() + Send>;
 
@@ -78,7 +79,7 @@ impl FileThreads {
 
 /// The next task; none when the threads are to end.
 fn next(queue: &Mutex<Receiver<Task>>) -> Option<Task> {
-    queue.lock().unwrap_or_else(PoisonError::into_inner).recv().ok()
+    locked(queue).recv().ok()
 }
 
 #[cfg(test)]

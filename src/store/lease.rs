@@ -10,7 +10,7 @@
 use std::{
     collections::{HashMap, hash_map},
     sync::{
-        Arc, Mutex, MutexGuard, PoisonError,
+        Arc, Mutex,
         atomic::{AtomicU64, Ordering},
     },
 };
@@ -21,6 +21,7 @@ use super::{Missing, cache::Entry};
 use crate::{
     budget::{Caller, Shares},
     contact::ConvexHull,
+    lock::locked,
     metrics::Metrics,
 };
 
@@ -55,12 +56,7 @@ impl Leases {
 
     /// The most bytes that one caller can lease.
     pub(super) fn most_alone(&self) -> u64 {
-        self.locked().shares.most_alone()
-    }
-
-    /// No panic leaves the state half changed.
-    fn locked(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        locked(&self.state).shares.most_alone()
     }
 }
 
@@ -83,7 +79,7 @@ impl LeaseRequest {
             Lease { leases: self.leases.clone(), caller: self.caller.clone(), entries: Vec::new() };
         let bytes: u64 = entries.iter().map(|entry| entry.bytes).sum();
         let bytes_after = self.bytes.fetch_add(bytes, Ordering::Relaxed) + bytes;
-        let mut guard = self.leases.locked();
+        let mut guard = locked(&self.leases.state);
         let state = &mut *guard;
         if bytes_after > state.shares.most_alone() {
             return Err(LeaseError::TooLarge);
@@ -148,7 +144,7 @@ impl Drop for Lease {
         if self.entries.is_empty() {
             return;
         }
-        let mut state = self.leases.locked();
+        let mut state = locked(&self.leases.state);
         for entry in &self.entries {
             state.subtract(&self.caller, entry);
         }
@@ -186,7 +182,7 @@ pub(super) mod tests {
         let lease = |range: std::ops::Range<usize>| {
             LeaseRequest::new(&leases, &caller).lease(entries[range].to_vec())
         };
-        let used = || leases.locked().shares.used() / entries[0].bytes;
+        let used = || locked(&leases.state).shares.used() / entries[0].bytes;
         assert_eq!(lease(0..4).unwrap_err(), LeaseError::TooLarge);
         let first = lease(0..2).unwrap();
         let again = lease(0..2).unwrap();
@@ -208,7 +204,7 @@ pub(super) mod tests {
         assert_eq!(lease(3..4).unwrap_err(), LeaseError::Busy);
         drop(whole);
         assert_eq!(used(), 0);
-        assert!(leases.locked().counts.is_empty());
+        assert!(locked(&leases.state).counts.is_empty());
         assert!(entries.iter().all(|entry| entry.leases.load(Ordering::Relaxed) == 0));
     }
 
@@ -222,8 +218,8 @@ pub(super) mod tests {
         let lease = |caller: usize, range: std::ops::Range<usize>| {
             LeaseRequest::new(&leases, &callers[caller]).lease(entries[range].to_vec())
         };
-        let used = || leases.locked().shares.used() / entries[0].bytes;
-        let held = |caller: usize| leases.locked().shares.held(&callers[caller]) / entries[0].bytes;
+        let used = || locked(&leases.state).shares.used() / entries[0].bytes;
+        let held = |caller: usize| locked(&leases.state).shares.held(&callers[caller]) / entries[0].bytes;
         assert_eq!(lease(0, 0..7).unwrap_err(), LeaseError::TooLarge);
         let greedy = lease(0, 0..6).unwrap();
         assert_eq!(lease(0, 6..7).unwrap_err(), LeaseError::Busy);
@@ -237,6 +233,6 @@ pub(super) mod tests {
         drop(greedy);
         assert_eq!((used(), held(0), held(1)), (6, 0, 4), "three of them are still leased");
         drop((shared, own, late));
-        assert_eq!((used(), leases.locked().counts.len()), (0, 0));
+        assert_eq!((used(), locked(&leases.state).counts.len()), (0, 0));
     }
 }

@@ -24,6 +24,7 @@ use super::{
 use crate::{
     compute::{ComputeError, Job},
     contact::ConvexHull,
+    lock::locked,
     log_limit::Repeated,
     trace,
 };
@@ -247,7 +248,7 @@ impl<'a> Reader<'a> {
     }
 
     fn fault(&self, id: HullId, why: String) {
-        let mut faults = self.faults.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut faults = locked(&self.faults);
         match &mut *faults {
             Some(faults) => faults.hulls += 1,
             None => *faults = Some(Faults { hulls: 1, first: id, why }),

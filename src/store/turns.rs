@@ -8,12 +8,13 @@
 
 use std::{
     collections::{BTreeMap, HashMap, VecDeque},
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{Arc, Mutex},
 };
 
 use tokio::sync::oneshot;
 
 use crate::budget::{Caller, Shares};
+use crate::lock::locked;
 
 /// The slots, and the requests that wait for one.
 #[derive(Debug)]
@@ -68,7 +69,7 @@ impl Turns {
     /// No more of this caller's requests may wait, or all were sent away.
     pub(super) async fn take(self: &Arc<Self>, caller: &Caller) -> Result<Turn, NoTurn> {
         let mut waiting = {
-            let mut state = self.locked();
+            let mut state = locked(&self.state);
             // Requests of this caller that wait already come first.
             let is_first = !state.waiting.contains_key(&caller.id());
             if is_first && state.slots.take(caller, 1).is_ok() {
@@ -92,18 +93,13 @@ impl Turns {
 
     /// Sends all waiting requests away.
     pub(super) fn send_away(&self) {
-        let mut state = self.locked();
+        let mut state = locked(&self.state);
         let state = &mut *state;
         for queue in state.waiting.values() {
             state.places.give_back(&queue.caller, queue.tickets.len() as u64);
         }
         state.waiting.clear();
         state.order.clear();
-    }
-
-    /// No panic leaves the state half changed.
-    fn locked(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -176,7 +172,7 @@ struct Waiting<'a> {
 impl Drop for Waiting<'_> {
     fn drop(&mut self) {
         let Some(mut granted) = self.granted.take() else { return };
-        let mut state = self.turns.locked();
+        let mut state = locked(&self.turns.state);
         // A slot that was granted and not heard of goes to the next.
         if !state.leave(self.caller, self.ticket) && granted.try_recv().is_ok() {
             state.slots.give_back(self.caller, 1);
@@ -194,7 +190,7 @@ pub(super) struct Turn {
 
 impl Drop for Turn {
     fn drop(&mut self) {
-        let mut state = self.turns.locked();
+        let mut state = locked(&self.turns.state);
         state.slots.give_back(&self.caller, 1);
         state.grant();
     }
@@ -218,7 +214,7 @@ mod tests {
 
     /// Whether nobody has a slot and nobody waits.
     fn is_idle(turns: &Turns) -> bool {
-        let state = turns.locked();
+        let state = locked(&turns.state);
         state.slots.used() + state.places.used() == 0 && state.waiting.is_empty() && state.order.is_empty()
     }
 

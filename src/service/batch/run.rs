@@ -7,7 +7,7 @@ use std::{
     cell::RefCell,
     ops::Range,
     sync::{
-        Arc, Mutex, MutexGuard, OnceLock, PoisonError,
+        Arc, Mutex, OnceLock,
         atomic::{AtomicU64, AtomicUsize, Ordering},
     },
 };
@@ -17,6 +17,7 @@ use crate::{
     budget::{NoMemory, Permit},
     compute::{Job, Parts},
     contact::{Stop, Stopped, Workspace},
+    lock::locked,
     service::{admission::Admission, injected::Injected, wire::Columns},
     store::Lease,
 };
@@ -240,9 +241,4 @@ impl Computed {
         memory.shrink_to(columns.heap_bytes() as u64);
         Ok((columns, memory))
     }
-}
-
-/// A panic cannot leave the locked value half changed, so a poisoned lock is as good as any other.
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

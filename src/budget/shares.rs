@@ -1,0 +1,194 @@
+//! How callers share a quantity: dynamic thresholds.
+//!
+//! A caller may take more only while it then holds at most as much as stays free. One caller
+//! alone can therefore use half of the quantity; n greedy callers each get 1/(n+1) of it, and a
+//! share of 1/(n+1) always stays free for a caller who comes later. The rule needs no
+//! configuration and no count of callers, and it costs one comparison. The memory budget, the
+//! leases on cached hulls, the places of admission and of the store, and connections use it.
+//!
+//! A. K. Choudhury and E. L. Hahne, *Dynamic Queue Length Thresholds for Shared-Memory Packet
+//! Switches*, IEEE/ACM Transactions on Networking 6(2), 1998, section III,
+//! doi:10.1109/90.664262 (with their factor alpha = 1).
+
+use std::{
+    collections::HashMap,
+    sync::{Arc, Mutex},
+};
+
+use super::Caller;
+use crate::lock::locked;
+
+/// Why a caller cannot take more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refusal {
+    /// There is not enough left for this caller now; trying again later may help.
+    Busy,
+    /// It would not fit even if nobody else held anything.
+    TooLarge,
+}
+
+/// A quantity that callers share by dynamic thresholds. The owner locks it.
+#[derive(Debug)]
+pub struct Shares {
+    limit: u64,
+    /// Off: any caller may take all that is free.
+    dynamic: bool,
+    used: u64,
+    held: HashMap<u64, u64>,
+}
+
+impl Shares {
+    /// Nobody holds anything of `limit` yet.
+    pub fn new(limit: u64, dynamic: bool) -> Self {
+        Self { limit, dynamic, used: 0, held: HashMap::new() }
+    }
+
+    /// What all callers hold together.
+    pub fn used(&self) -> u64 {
+        self.used
+    }
+
+    /// What one caller holds.
+    pub fn held(&self, caller: &Caller) -> u64 {
+        self.held.get(&caller.id()).copied().unwrap_or(0)
+    }
+
+    /// The most that one caller can hold when nobody else holds anything.
+    pub fn most_alone(&self) -> u64 {
+        if self.dynamic { self.limit / 2 } else { self.limit }
+    }
+
+    /// Adds `amount` to what `caller` holds.
+    ///
+    /// # Errors
+    /// The caller would hold more than its share; nothing is added.
+    pub fn take(&mut self, caller: &Caller, amount: u64) -> Result<(), Refusal> {
+        self.take_shared(caller, amount, amount)
+    }
+
+    /// Adds `amount` to what `caller` holds, of which only `new` is not held by others already.
+    ///
+    /// # Errors
+    /// The caller would hold more than its share; nothing is added.
+    pub fn take_shared(&mut self, caller: &Caller, amount: u64, new: u64) -> Result<(), Refusal> {
+        if amount == 0 {
+            return Ok(());
+        }
+        let held_after = self.held(caller).saturating_add(amount);
+        if held_after > self.most_alone() {
+            return Err(Refusal::TooLarge);
+        }
+        let free_after = self.limit.saturating_sub(self.used).checked_sub(new).ok_or(Refusal::Busy)?;
+        if self.dynamic && held_after > free_after {
+            return Err(Refusal::Busy);
+        }
+        self.used += new;
+        self.held.insert(caller.id(), held_after);
+        Ok(())
+    }
+
+    /// Subtracts `amount` from what `caller` holds.
+    pub fn give_back(&mut self, caller: &Caller, amount: u64) {
+        self.give_back_shared(caller, amount, amount);
+    }
+
+    /// Subtracts `amount` from what `caller` holds, of which `free` is held by nobody else.
+    pub fn give_back_shared(&mut self, caller: &Caller, amount: u64, free: u64) {
+        self.used = self.used.saturating_sub(free);
+        if let Some(held) = self.held.get_mut(&caller.id()) {
+            *held = held.saturating_sub(amount);
+            if *held == 0 {
+                self.held.remove(&caller.id());
+            }
+        }
+    }
+}
+
+/// Slots that callers share by dynamic thresholds.
+#[derive(Debug)]
+pub struct Slots(Mutex<Shares>);
+
+impl Slots {
+    /// So many slots, all free.
+    pub fn new(count: u64) -> Arc<Self> {
+        Arc::new(Self(Mutex::new(Shares::new(count, true))))
+    }
+
+    /// A slot for `caller`; none where it has its share already.
+    pub fn take(self: &Arc<Self>, caller: &Caller) -> Option<Slot> {
+        locked(&self.0).take(caller, 1).ok()?;
+        Some(Slot { slots: self.clone(), caller: caller.clone() })
+    }
+}
+
+/// One slot; free again when it is dropped.
+#[derive(Debug)]
+pub struct Slot {
+    slots: Arc<Slots>,
+    caller: Caller,
+}
+
+impl Drop for Slot {
+    fn drop(&mut self) {
+        locked(&self.slots.0).give_back(&self.caller, 1);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::budget::{CallerKey, Callers};
+
+    fn callers(count: u32) -> Vec<Caller> {
+        let callers = Arc::new(Callers::default());
+        (0..count).map(|user| callers.get(CallerKey::User(user))).collect()
+    }
+
+    /// Catches a greedy caller who leaves nothing for those who come later: n greedy callers
+    /// get 1/(n+1) each, however they take turns.
+    #[test]
+    fn greedy_callers_leave_a_share_free() {
+        for count in [1, 2, 5] {
+            let callers = callers(count);
+            let mut shares = Shares::new(1 << 20, true);
+            let mut refused = 0;
+            while refused < count {
+                refused = 0;
+                for caller in &callers {
+                    refused += u32::from(shares.take(caller, 64).is_err());
+                }
+            }
+            let fair = (1 << 20) / (u64::from(count) + 1);
+            for caller in &callers {
+                assert!(shares.held(caller).abs_diff(fair) <= 64 * u64::from(count), "{count}");
+            }
+            let late = Caller::alone();
+            assert_eq!(shares.take(&late, fair / 4), Ok(()));
+        }
+    }
+
+    /// Catches a request that can never fit and is told to come back.
+    #[test]
+    fn what_never_fits_is_told_apart_from_what_does_not_fit_now() {
+        let callers = callers(2);
+        let mut shares = Shares::new(1000, true);
+        assert_eq!(shares.take(&callers[0], 501), Err(Refusal::TooLarge));
+        assert_eq!(shares.take(&callers[0], 500), Ok(()));
+        assert_eq!(shares.take(&callers[1], 300), Err(Refusal::Busy));
+        shares.give_back(&callers[0], 500);
+        assert_eq!(shares.take(&callers[1], 300), Ok(()));
+        assert_eq!(shares.used(), 300);
+    }
+
+    /// Catches a slot that is not given back, and a caller who takes the last one.
+    #[test]
+    fn slots_are_shared_and_given_back() {
+        let slots = Slots::new(8);
+        let callers = callers(2);
+        let greedy: Vec<_> = std::iter::from_fn(|| slots.take(&callers[0])).collect();
+        assert_eq!(greedy.len(), 4);
+        assert!(slots.take(&callers[1]).is_some());
+        drop(greedy);
+        assert_eq!(locked(&slots.0).used(), 0);
+    }
+}
