@@ -1,4 +1,4 @@
-//! Which setting to take for which need, and what each knob is worth by itself.
+//! Recommends a setting for each need, and shows the effect of each knob by itself.
 
 use std::fmt::Write;
 
@@ -8,15 +8,15 @@ use super::cases::Pool;
 use super::settings::{Center, Setting};
 use super::table::{Figures, PeerRow, Row};
 
-/// A need: what errors it bears.
+/// A need, and the errors that it tolerates.
 pub(super) struct Need {
     pub(super) name: &'static str,
     what: &'static str,
     bears: fn(&Setting, &Figures) -> bool,
 }
 
-/// In ascending tolerance. Knobs that change which number is asked for (the contraction point)
-/// stay at their default.
+/// The needs, in ascending order of tolerance. A knob that changes which number is computed (the
+/// contraction point) stays at its default.
 pub(super) const NEEDS: [Need; 4] = [
     Need {
         name: "exact",
@@ -40,15 +40,16 @@ pub(super) const NEEDS: [Need; 4] = [
     },
 ];
 
-/// Knobs at a level that a user does not choose for speed.
+/// Whether the setting has defaults for the knobs that a user does not choose for speed.
 fn is_offered(setting: &Setting) -> bool {
     setting.center == Setting::DEFAULT.center && setting.max_iterations == Setting::DEFAULT.max_iterations
 }
 
-/// Settings within this of the fastest are as fast: the simplest of them is taken.
+/// Settings within this factor of the fastest count as equally fast; the simplest of them is taken.
 const AS_FAST: f64 = 1.03;
 
-/// Of the settings that a need bears the simplest among the fastest; `warm` or from nothing.
+/// The recommended setting for a need: the simplest among the fastest that satisfy it, with or without
+/// a warm start.
 pub(super) fn choice<'a>(rows: &'a [Row], need: &Need, warm: bool) -> Option<&'a Row> {
     let fit = |row: &&Row| {
         row.setting.warm == warm && is_offered(&row.setting) && (need.bears)(&row.setting, &row.figures)
@@ -63,7 +64,7 @@ pub(super) fn choice<'a>(rows: &'a [Row], need: &Need, warm: bool) -> Option<&'a
     })
 }
 
-/// Says it in words; `rows` are of all cells together.
+/// The recommendations as text. `rows` are those of all cells together.
 pub(super) fn text(rows: &[Row]) -> String {
     let mut text = String::new();
     let _ = writeln!(text, "What to take for which need (time over the default's, from nothing):\n");
@@ -85,7 +86,7 @@ pub(super) fn text(rows: &[Row]) -> String {
     text
 }
 
-/// A few of our settings, and peers: the same measures, against the same truth.
+/// A table of a few of our settings beside other libraries, by the same measures and the same truth.
 pub(super) fn beside(pool: Pool, rows: &[Row], peers: &[PeerRow]) -> String {
     let default = Setting::DEFAULT;
     let ours = [
@@ -136,7 +137,7 @@ pub(super) fn beside(pool: Pool, rows: &[Row], peers: &[PeerRow]) -> String {
     text
 }
 
-/// Of [`beside`]: names and widths.
+/// The columns of [`beside`]: names and widths.
 const COLUMNS: [(&str, usize); 13] = [
     ("", 20),
     ("time", 7),
@@ -153,7 +154,7 @@ const COLUMNS: [(&str, usize); 13] = [
     ("jump %", 8),
 ];
 
-/// The figures that decide.
+/// The main figures as text.
 pub(super) fn described(f: &Figures) -> String {
     format!(
         "time x{:.2}, gap {:.1e}, normal {:.1e} short of optimal (p95), angle {:.1e} rad (p95), \
