@@ -2,17 +2,17 @@
 //!
 //! The check uses no solver, no Gauss map and none of the frames of the other modules. It goes through
 //! all vertices and faces, in the world's axes about A's centre, so each contact point costs time
-//! linear in the sizes of both hulls. It is meant for tests and for audits of single answers.
+//! linear in the sizes of both hulls.
 //!
 //! ```text
-//! check(A, B, query, answer):                      s(n) = n.d - h_K(n), r = n.d / h_K(n)
+//! check(A, B, query, answer):                      with s(n) = n.d - h_K(n), g(n) = n.d / h_K(n)
 //!     n is a unit vector
-//!     SEPARATED: s(n) >= margin, stated separation <= s(n), alpha_lower <= r
+//!     SEPARATED: s(n) >= margin, stated separation <= s(n), alpha_lower <= g(n)
 //!     otherwise: alpha_lower <= alpha <= alpha_upper, and the bracket is as narrow as asked
-//!                alpha_lower <= r                   the normal proves the lower bound
-//!                weights of the basis <= alpha_upper        and the basis the upper one
+//!                alpha_lower <= g(n)                       the normal proves the lower bound,
+//!                sum of the basis' weights <= alpha_upper  and the basis the upper one
 //!                stated separation = s(n)
-//!                each point: distance >= s(n), both witnesses on their hulls and features
+//!                each point: distance >= s(n), both witnesses on their hulls near the support planes
 //! ```
 //!
 //! Each comparison allows for rounding, with the shares in `tolerance`.

@@ -6,16 +6,16 @@
 //! `n` touches the feature on whose tile it lies:
 //!
 //! ```text
-//!      f ──────e────── g         f, g, h  faces
-//!       `.     ·n    .´          e        edge between the faces f and g
-//!         `.   v   .´            v        vertex of the three faces
-//!           `.   .´              n        here the direction touches v; within the feature angle
-//!             `h´                         of the arc e it touches the edge e
+//!      f ------e------ g         f, g, h  faces
+//!       `.    .n     .'          e        edge between the faces f and g
+//!         `.   v   .'            v        vertex of the three faces
+//!           `.   .'              n        here the direction touches v; within the feature angle
+//!             `h'                         of the arc e it touches the edge e
 //! ```
 //!
-//! A direction computed in floating point never hits a point or an arc exactly. So faces and edges are
-//! expanded by the *feature angle*: a face within this angle of `n` beats an edge, and an edge within it
-//! beats a vertex.
+//! A computed direction almost never hits a point or an arc exactly. So faces and edges are expanded by
+//! the *feature angle*: a face within this angle of `n` beats an edge, and an edge within it beats a
+//! vertex.
 //!
 //! ```text
 //! touched_feature(hull, n):
@@ -30,8 +30,8 @@
 //!
 //! Ties go to the larger face, then to the lowest index, so the result depends neither on the order of
 //! the search nor on that of the basis. The first line is a shortcut that takes time linear in the
-//! number of features at one vertex, and it gives the same result as the search. The search takes
-//! time linear in the number of features at `S` and of faces within the angle.
+//! number of features at one or two vertices, and it gives the same result as the search. The search
+//! takes time linear in the number of features at `S` and of faces within the angle.
 //!
 //! For B the direction is `-n`, in B's frame.
 
@@ -142,8 +142,8 @@ fn lone_feature(hull: &ConvexHull, direction: &Direction<'_>) -> Option<Touched>
     if others.all(|u| u == w) { lone_edge(hull, [v, w], direction) } else { None }
 }
 
-/// The edge between two vertices, if it is perpendicular to the direction to within `depth` and all
-/// other edges at its ends fall away.
+/// The edge between two vertices, if both ends support to within `depth` and all other edges at its
+/// ends fall away from the direction.
 fn lone_edge(hull: &ConvexHull, [v, w]: [u32; 2], direction: &Direction<'_>) -> Option<Touched> {
     let ends = [v.min(w), v.max(w)];
     let edge = hull.vertex_edges(v as usize).iter().find(|&&e| hull.edge_vertices()[e as usize] == ends)?;

@@ -25,7 +25,7 @@
 //! ```
 //!
 //! [`certificate`] checks an answer against its definition. It reads only the two hulls and shares no
-//! solver with the other modules.
+//! solver with the other modules. `docs/algorithm.md` lists the symbols that the comments use.
 //!
 //! An example: one cube penetrates another by 0.01.
 //!
@@ -123,8 +123,7 @@ struct Steps {
 /// Computes the contact manifold of `a` and `b`: the paper's three steps, in order.
 ///
 /// `warm` is the basis of an earlier answer for the same two hulls. A basis that no longer fits costs
-/// a cold start and changes nothing else. The answer is stored in `workspace` and valid until the
-/// next call.
+/// no more than a cold start. The answer is stored in `workspace` and valid until the next call.
 ///
 /// Lengths are in the caller's units. The normal and the witnesses are in the world frame.
 ///

@@ -3,8 +3,9 @@
 //! The growth scale `alpha` is the smallest scale at which both hulls, grown about their contraction
 //! points, touch (C. J. Ong and E. G. Gilbert, *Growth distances: new measures for object separation
 //! and penetration*, IEEE Transactions on Robotics and Automation 12(6), 1996). Silcowitz, Niebe and
-//! Erleben (SCA 2010, section 3) find it by a ray cast. With the centre offset `d` and the centred
-//! Minkowski difference `K`, which contains the origin, the ray along `d` leaves `K` at `d / alpha`:
+//! Erleben (SCA 2010, section 3) find it by a ray cast. Let `d` be the offset between the contraction
+//! points, and `K` the Minkowski difference of the hulls, each about its own contraction point. `K`
+//! contains the origin, and the ray along `d` leaves `K` at `d / alpha`:
 //!
 //! ```text
 //!          ______
@@ -16,7 +17,8 @@
 //!         \__ K _/
 //! ```
 //!
-//! Two proofs need no trust in a solver, so any solver can return a bracket of alpha:
+//! Two proofs need no trust in a solver, so any solver can return a bracket of alpha. Here `h_K(n)` is
+//! the support value of `K`, the largest `n.u` over its points `u`:
 //!
 //! - Every direction `n` proves the lower bound `alpha >= n.d / h_K(n)`, because all of `K` lies on one
 //!   side of its support plane ([`lower_bound`]).
@@ -222,6 +224,7 @@ pub(crate) fn conclude(
 ) -> Solution {
     let lower = lower_bound(pair, n, &support);
     let is_open = |upper: f64| !(upper - lower <= pair.closed_width(upper, goal.relative_tolerance));
+    // Plain weights first. Wide ones are worth their cost only if the bracket is open and matters.
     let mut upper = upper_bound(pair, &triple, triple::weights(pair.ray, &triple));
     if is_open(upper) && !decides(pair, upper, goal) {
         upper = upper.min(upper_bound(pair, &triple, triple::wide_weights(pair.ray, &triple)));
