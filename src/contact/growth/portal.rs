@@ -66,7 +66,8 @@ pub(crate) fn solve(pair: &Pair<'_>, seeds: &[Support], goal: &Goal, mut cost: C
 /// A portal to start the refinement from.
 struct Start {
     portal: Triple,
-    /// No vertex of `K` lies beyond the portal, but double precision does not prove its bracket.
+    /// Whether to continue in wide arithmetic: no vertex of `K` lies beyond the portal, but double
+    /// precision does not prove its bracket.
     wide: bool,
 }
 
