@@ -1,7 +1,7 @@
 //! Orientation tests and triangle normals that are correct for every finite input.
 //!
 //! An orientation test returns the sign of a determinant: on which side of a plane (or of a line) a
-//! point lies. Three levels of arithmetic decide it, each only if the level before cannot:
+//! point lies. The cheapest of three levels of arithmetic that is certain decides it:
 //!
 //! ```text
 //! rounded    the determinant in doubles, if it exceeds its error bound    some 10 steps
