@@ -31,7 +31,7 @@
 use std::collections::{BTreeMap, HashMap, VecDeque};
 
 /// Settled accounts are swept out once there are more accounts than this plus twice the number of
-/// callers with waiting work. Until then the sweep would cost more than the memory that it frees.
+/// callers with waiting work. Fewer accounts are not worth a sweep.
 const SPARE_ACCOUNTS: usize = 64;
 
 /// The work of all callers that waits for threads.
