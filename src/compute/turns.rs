@@ -1,8 +1,8 @@
 //! The order in which threads take work: turns between callers, then between the pieces of work of
 //! one caller. The algorithm is start-time fair queueing.
 //!
-//! Callers share the threads by cost, not by number of parts. Each caller has a *virtual time*, the
-//! sum of the steps that its parts have cost. The next part comes from the caller with the least
+//! Callers share the threads by cost, not by number of parts. Each caller has a *virtual time*, which
+//! advances by the steps that its parts cost. The next part comes from the caller with the least
 //! virtual time:
 //!
 //! ```text

@@ -4,9 +4,9 @@
 //! point lies. The cheapest of three levels of arithmetic that is certain decides it:
 //!
 //! ```text
-//! rounded    the determinant in doubles, if it exceeds its error bound    some 10 steps
-//! expansions exact sums of doubles, extended until the sign is certain    some 300 steps
-//! integers   of any length, for coordinates whose products may underflow  some 10,000 steps
+//! rounded     the determinant in doubles, if it exceeds its error bound    about 10 steps
+//! expansions  exact sums of doubles, extended until the sign is certain    about 300 steps
+//! integers    of any length, for coordinates whose products may underflow  about 10,000 steps
 //! ```
 //!
 //! The first two levels are the adaptive predicates of the crate `robust` (J. R. Shewchuk,

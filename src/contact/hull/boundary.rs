@@ -16,7 +16,7 @@
 //!   v1            v5             v1      v5      (v2 and v4 were within the tolerance)
 //! ```
 //!
-//! A vertex that is dropped stays a vertex of the hull and of the support mapping; it only is no
+//! A vertex that is dropped stays a vertex of the hull and of the support mapping; it is just not a
 //! corner of a face. Two cases need extra cuts, so that every face is bounded by a polygon. A
 //! chain without a corner is a loop (one group surrounds another); it is cut into three. Two
 //! edges between the same two corners would bound a face with two corners; all but the shortest

@@ -6,10 +6,11 @@
 //! the face then decide, both computed once when the hull is built:
 //!
 //! - The smallest angle `c` between `m` and the normal of another face that shares a vertex. If
-//!   `a + b < c`, no other face is within `b` of `n`.
+//!   `a + b < c`, none of these other faces is within `b` of `n`.
 //! - The gap: how much lower, along `m`, every other vertex is than the lowest vertex of the face.
 //!   All vertices are within 1 of the contraction point, so along `n` the other vertices are still
-//!   lower by at least `gap cos a - 2 sin a`. If that is positive, only the face supports.
+//!   lower by at least `gap cos a - 2 sin a`. If that exceeds the depth within which a vertex
+//!   counts as touched, only the vertices of the face are touched.
 //!
 //! ```text
 //!            m  n

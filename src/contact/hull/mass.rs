@@ -13,7 +13,7 @@
 //!
 //! The apex for volume and centre is a vertex, so every `w` is positive and the sums lose nothing
 //! to cancellation. The apex for the second moment is the centre. Both passes are linear. The
-//! integration over signed tetrahedra is that of S. Lien and J. T. Kajiya, *A symbolic method for
+//! integration over tetrahedra is that of S. L. Lien and J. T. Kajiya, *A symbolic method for
 //! calculating the integral properties of arbitrary nonconvex polyhedra*, IEEE Computer Graphics
 //! and Applications 4(10), 1984. Terms that cancel are computed in double-double numbers, because
 //! the volumes of a plate's tetrahedra are small differences of large products.

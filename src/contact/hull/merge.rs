@@ -1,7 +1,7 @@
 //! Merges triangles into faces.
 //!
 //! Merging triangles that are exactly coplanar is not enough: a box that is turned in space has
-//! rounded corners, of which no four are in one plane. (A box with a grid of 30 points per edge
+//! rounded corners, of which no four are in one plane. (A box with a grid of 30 cells per edge
 //! has 221 exact facets after a rotation.) So a face is a connected group of triangles whose
 //! vertices lie within a tolerance of one plane. Groups grow around the largest triangles:
 //!

@@ -12,9 +12,11 @@
 //! ```
 //!
 //! The Hausdorff distance between the two hulls (the *deviation*) is the distance of the farthest
-//! vertex that was left out, because the distance to a convex set is a convex function. Each
-//! distance is computed as the distance to a known point of the inner hull ([`mod@distance`]). So
-//! it is an upper bound even if the search for the nearest point ends early.
+//! vertex that was left out: the distance to a convex set is a convex function, so its largest
+//! value over the whole hull is at a vertex. Each distance is computed as the distance to a known
+//! point of the inner hull ([`mod@distance`]). So it is an upper bound even if the search for the
+//! nearest point ends early. The greedy order gives nested hulls and a deviation after every vertex,
+//! so one pass serves both limits.
 //!
 //! Distances only fall while vertices are taken. A distance that was computed earlier is therefore
 //! still an upper bound, and is computed again only when it is the largest of all: a lazy priority
@@ -22,7 +24,7 @@
 //! 1978, doi:10.1007/BFb0006528). The distance of a vertex is computed about five times, and each
 //! computation asks a tree of points ([`points`]) about ten questions. So simplifying `n` vertices
 //! takes about `n` times the time of one question, which grows more slowly than the square root of
-//! `n`. Without the queue and the tree the time would be cubic.
+//! `n`. Without the queue and the tree the time would grow with the cube of `n`.
 //!
 //! The second loop does not try to build a hull after every vertex. If the contraction point is
 //! not inside the hull of the first `k` vertices by more than rounding, it is not inside the hull

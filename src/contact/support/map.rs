@@ -1,4 +1,5 @@
-//! The map of directions: makes the support mapping of a large hull independent of its size.
+//! The map of directions, by which the support mapping of a large hull takes constant time for most
+//! directions.
 //!
 //! The faces of a cube about the origin are divided into square cells. Every direction goes through
 //! one cell. For each cell the map lists the *candidates*, the few vertices that may be farthest
