@@ -216,7 +216,8 @@ impl Compute {
         whole.ok_or_else(|| Panicked("the work was done before".into()).into())
     }
 
-    /// Does `work` in parts, on all threads that are free. Dropping the future stops the work.
+    /// Does `work` in parts, on all threads that are free. If the future is dropped, the parts that
+    /// have not begun are never done.
     ///
     /// # Errors
     /// A part panicked, or the job was stopped.
