@@ -1,9 +1,12 @@
-// Points out of pasted text.
+// Reads points from pasted text.
 
-/** More text than that is not a hull. */
+/** Longer text is refused. */
 const MOST_CHARACTERS = 8 << 20;
 
-/** Three numbers a point, out of OBJ, of JSON or of lines of three numbers. Throws words. */
+/**
+ * Reads three numbers per point from OBJ, JSON or lines of three numbers. Throws an error with a message for the
+ * reader.
+ */
 export function parsePoints(text: string): number[] {
   if (text.length > MOST_CHARACTERS) throw new Error('That is more than 8 MB of text.');
   const trimmed = text.trim();
@@ -14,7 +17,7 @@ export function parsePoints(text: string): number[] {
   return points;
 }
 
-/** Lines `v x y z` of OBJ, or `x y z`; other lines of an OBJ file say nothing of points. */
+/** Lines `v x y z` of an OBJ file, or lines `x y z`. The other lines of an OBJ file are skipped. */
 function fromLines(text: string): number[] {
   const lines = text.split(/\r?\n/).map((line) => line.replace(/#.*/, '').trim());
   const isObj = lines.some((line) => /^v\s/.test(line));
@@ -25,7 +28,7 @@ function fromLines(text: string): number[] {
   });
 }
 
-/** `[[x, y, z], ...]`, or an object with `vertices`, or a scene, whose first hull it is. */
+/** Points of `[[x, y, z], ...]`, of an object with `vertices`, or of the first hull of a scene. */
 function fromJson(text: string): number[] {
   let value: unknown;
   try {

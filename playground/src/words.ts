@@ -1,4 +1,4 @@
-// Answers and errors in words.
+// Answers and errors as text.
 
 import { Code, ConnectError } from '@connectrpc/connect';
 import { FeatureKind, Flag, Outcome } from './generated/hullcast/v1/contacts_pb.js';
@@ -25,7 +25,7 @@ export function short(value: number): string {
   return text.replaceAll('-', '−');
 }
 
-/** One sentence or two, for those who look and for those who listen. */
+/** One or two sentences, for sighted readers and screen readers alike. */
 export function summary({ answer, shown }: Contacts): string {
   const count = shown.points.length;
   const points = `${count} contact point${count === 1 ? '' : 's'}`;
@@ -64,7 +64,7 @@ export function featureInWords({ kind, indices }: Feature): string {
   }
 }
 
-/** What of a hull makes a point. */
+/** The part of a hull that makes a contact point. */
 export function elementInWords(first: number, second: number): string {
   if (first === NONE) return 'inside its face';
   return first === second ? `vertex ${first}` : `edge ${first}–${second}`;
