@@ -14,8 +14,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Unit roundoff.
 const U: f64 = f64::EPSILON / 2.0;
 
-/// Of the larger hull's circumradius: of a hull smaller than this the sides are known, in the
-/// units of both, to some thousandths alone, and a bracket may stay open.
+/// A share of the larger hull's circumradius. If a hull is smaller than this, its sides are known,
+/// in units of both hulls, to some thousandths only, and the bracket may stay open.
 const MINUTE: f64 = 1e-11;
 
 /// Questions answered so far; `scripts/fuzz` reads the count from the output.

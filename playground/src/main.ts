@@ -113,7 +113,7 @@ element('share').addEventListener('click', async (event) => {
   history.replaceState(null, '', toHash(scene));
   // The clipboard exists only on secure pages. Without it the page's address is still the link.
   const isCopied = await navigator.clipboard?.writeText(location.href).then(() => true, () => false);
-  button.textContent = isCopied ? 'Copied' : 'It is the page’s address';
+  button.textContent = isCopied ? 'Copied' : 'Copy it from the address bar';
   setTimeout(() => (button.textContent = 'Copy link'), 2000);
 });
 element('token-form').addEventListener('submit', (event) => {

@@ -8,11 +8,11 @@ const MOST_CHARACTERS = 8 << 20;
  * reader.
  */
 export function parsePoints(text: string): number[] {
-  if (text.length > MOST_CHARACTERS) throw new Error('That is more than 8 MB of text.');
+  if (text.length > MOST_CHARACTERS) throw new Error('The text is too long: at most 8 MB are accepted.');
   const trimmed = text.trim();
   const points = /^[[{]/.test(trimmed) ? fromJson(trimmed) : fromLines(trimmed);
   if (points.length < 12) {
-    throw new Error(`A hull needs at least 4 points; ${points.length / 3} found.`);
+    throw new Error(`A hull needs at least 4 points; the text has ${points.length / 3}.`);
   }
   return points;
 }
@@ -34,10 +34,10 @@ function fromJson(text: string): number[] {
   try {
     value = JSON.parse(text);
   } catch (error) {
-    throw new Error(`This is not JSON: ${(error as Error).message}`);
+    throw new Error(`The text is not JSON: ${(error as Error).message}`);
   }
   const rows = vertices(value);
-  if (!rows) throw new Error('JSON needs a list of [x, y, z], or an object with "vertices".');
+  if (!rows) throw new Error('JSON must be a list of [x, y, z], or an object with "vertices".');
   return rows.flatMap((row, i) => point(row, `point ${i + 1}`));
 }
 
@@ -51,6 +51,6 @@ function vertices(value: unknown): unknown[] | undefined {
 
 function point(numbers: unknown, where: string): number[] {
   const good = Array.isArray(numbers) && numbers.length === 3 && numbers.every(Number.isFinite);
-  if (!good) throw new Error(`Not three numbers: ${where}.`);
+  if (!good) throw new Error(`Three finite numbers are needed: ${where} has something else.`);
   return numbers as number[];
 }

@@ -44,7 +44,7 @@ export async function register(shape: Shape): Promise<Hull> {
   const { results } = await hulls.registerHulls({ hulls: [{ vertices: shape.points }] });
   const result = results[0]?.result;
   if (result?.case === 'error') throw new HullRefused(`${result.value.message} (${result.value.reason}).`);
-  if (result?.case !== 'hull') throw new Error('The server answered nothing.');
+  if (result?.case !== 'hull') throw new Error('The server’s answer is empty.');
   const paths = ['info', 'vertices', 'faces'];
   const records = await hulls.getHulls({ ids: [result.value.id], fieldMask: { paths } });
   return hullOf(records.hulls[0]!);
@@ -71,7 +71,7 @@ function hullOf(record: HullRecord): Hull {
 /** The server no longer has a hull, so it must be registered again. */
 export class HullMissing extends Error {
   constructor() {
-    super('The server has forgotten a hull.');
+    super('The server no longer has a hull; reload the page.');
   }
 }
 

@@ -88,5 +88,5 @@ function numbers(fields: URLSearchParams, key: string, count: number, otherwise:
 }
 
 function wrong(key: string): Error {
-  return new Error(`The link's “${key}” cannot be read; this is the first scene instead.`);
+  return new Error(`The link’s “${key}” cannot be read; the page shows its first scene instead.`);
 }
