@@ -185,7 +185,7 @@ async fn who_gives_up_waiting_leaves_the_queue() {
 
     let mut late = Request::new(request(30_000));
     late.set_timeout(Duration::from_millis(50));
-    // A client without a deadline of its own, so that the status is the server's.
+    // A new connection. The request's header tells the server the deadline.
     let mut contacts =
         hullcast::proto::contact_service_client::ContactServiceClient::new(channel(&server.address).await);
     let status = contacts.query_contacts(late).await.unwrap_err();
