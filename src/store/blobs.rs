@@ -24,8 +24,8 @@ pub enum StoreError {
     Hung(String),
     /// This caller waits for too many operations already; trying again may help.
     Busy(String),
-    /// An entry of this name is there and cannot be a blob: it is not a regular file, it is
-    /// too large, or it may not be read. Its hull is not there; the others are not affected.
+    /// There is an entry of this name that cannot be a blob: it is not a regular file, is too
+    /// large, or may not be read. Its hull counts as missing; other hulls are not affected.
     NotABlob(String),
 }
 
@@ -56,7 +56,7 @@ pub struct StoredBlob {
 
 /// A durable map from id to bytes. Blobs whose ids share the first byte are one shard.
 pub trait BlobStore: fmt::Debug + Send + Sync {
-    /// Writes a blob; durable when it returns. An earlier one of that name is replaced.
+    /// Writes a blob, which is durable when this returns. An earlier blob of that name is replaced.
     fn put(&self, id: HullId, blob: Bytes) -> BoxFuture<'_, Result<(), StoreError>>;
     /// Reads a blob of at most `max_bytes`; none if there is none. Whatever entry has that name, at
     /// most one byte more is read.

@@ -21,8 +21,8 @@ use root::Root;
 
 use super::{BlobStore, HullId, StoreError, StoredBlob, file_threads::FileThreads};
 
-/// How many operations run at a time. One caller may have half of them, as many as one request
-/// begins at a time, so that the file system can gather the syncs of a whole request.
+/// How many operations run at a time. One caller may have half of them, which is as many as one
+/// request starts at a time, so that the file system can gather the syncs of a whole request.
 const AT_A_TIME: usize = 32;
 
 /// One thread more than `AT_A_TIME`, so that a probe never waits behind other operations.

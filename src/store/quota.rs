@@ -21,7 +21,7 @@ pub(super) struct Quota {
 }
 
 impl Quota {
-    /// Blobs of more than `max_blob_bytes` are not hulls, and do not count. `shares`: whether
+    /// Blobs of more than `max_blob_bytes` are not hulls and do not count. `shares` says whether
     /// callers share the places of waiting writes.
     pub(super) fn new(limit: u64, max_blob_bytes: u64, shares: bool) -> Self {
         let turns = Turns::new(1, MOST_WAITING, shares);
