@@ -29,7 +29,7 @@ pub enum Kind {
 /// The place of the fault in the request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Place {
-    /// As the contract names it; a dotted path for nested messages.
+    /// The field's name in the contract; a dotted path for nested messages.
     pub field: &'static str,
     /// The index of the element at fault, if one is.
     pub index: Option<usize>,
