@@ -205,8 +205,8 @@ fn an_unusable_pose_costs_its_own_pairs() -> Outcome {
     Ok(())
 }
 
-/// Runs `hullcast load` with verification of every batch. Catches a run that does not check what it
-/// claims to check, or that loses batches.
+/// Runs `hullcast load` with verification of every batch. Catches a run that leaves out some
+/// checks, or that loses batches.
 #[test]
 fn load_counts_and_checks_every_batch() -> Outcome {
     let folder = scratch("load")?;

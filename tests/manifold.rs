@@ -105,7 +105,7 @@ fn crossed_edges_are_one_point() {
 }
 
 /// The feature pairs that generic poses produce: 0 is a vertex, 1 an edge, 2 a face. Vertex on
-/// vertex and vertex on edge need a tie.
+/// vertex and vertex on edge occur only in a tie.
 const GENERIC: [(usize, usize); 6] = [(0, 2), (2, 0), (1, 1), (1, 2), (2, 1), (2, 2)];
 
 struct Coverage {

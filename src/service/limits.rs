@@ -88,8 +88,8 @@ const MOST_BYTES: u64 = 1 << 50;
 /// The least `max_memory_bytes`: enough for many connections, small requests and their answers.
 const LEAST_MEMORY_BYTES: u64 = 256 << 20;
 
-/// The memory of the largest request, in units of `max_message_bytes`: the arriving message once,
-/// the decoded request twice, and the answer twice, as a message and encoded.
+/// The memory of the largest request, in units of `max_message_bytes`: one for the arriving message,
+/// two for the decoded request, and two for the answer (as a message and encoded).
 const REQUEST_MESSAGES: u64 = 1 + 2 + 2;
 /// The largest `store_seconds`. With a longer limit callers would wait too long for a store that
 /// does not answer.

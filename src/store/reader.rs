@@ -98,7 +98,6 @@ impl<'a> Reader<'a> {
     ///
     /// # Errors
     /// The store could not be read.
-    /// The store could not be read.
     pub async fn has(&self, id: HullId) -> Result<bool, Missing> {
         if self.registry.cached(&id, self.registry.now_ms()).is_some() {
             return Ok(true);

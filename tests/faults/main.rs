@@ -1,7 +1,7 @@
 //! Injects faults into the real server and its store: `make test-faults`.
 //!
 //! The tests are ignored otherwise, because they take minutes and some need root (they mount a
-//! tmpfs). Each prints what it did and what was lost; these lines are the rows of
+//! tmpfs). Each prints its actions and its losses; these lines are the rows of
 //! docs/reliability.md.
 #![cfg(feature = "server")]
 

@@ -33,7 +33,7 @@ pub(super) enum Chunks {
 }
 
 impl Chunks {
-    /// The chunks of a batch, as far as they are known from its hulls.
+    /// The chunks of a batch, as far as its hulls determine them.
     pub(super) fn of(batch: &Batch) -> Self {
         let most = batch.most_steps().saturating_mul(CHUNK_PAIRS as u64);
         if most <= CHUNK_STEPS { Self::Equal } else { Self::Unknown }

@@ -22,7 +22,7 @@ const POSE_STEPS: u64 = 10;
 /// A checked request: all lengths fit, all indices are in range, all options are known.
 #[derive(Debug)]
 pub struct Scene {
-    /// Echoed.
+    /// The request's id, which the answer repeats.
     pub request_id: u64,
     /// The hulls, bodies, pairs and options.
     pub setting: Arc<Setting>,
