@@ -1,4 +1,4 @@
-//! The matrix as a table, a page and a picture.
+//! Writes the matrix as a table, a page and a picture.
 
 use std::fmt::Write as _;
 
@@ -7,7 +7,7 @@ use crate::matrix::Score;
 
 const SOLVERS: [&str; 2] = ["PORTAL", "GJK_RAY_CAST"];
 
-/// What of a cell is counted: name and number.
+/// The counts of a cell, with their names.
 fn counts(cell: &Cell) -> [(&'static str, usize); 6] {
     [
         ("cases", cell.cases),
@@ -33,13 +33,13 @@ pub(crate) fn failures(scores: &[Score]) -> Vec<String> {
     cells(scores).flat_map(of).collect()
 }
 
-/// The share of a cell's cases that a flag excuses something of, ESTIMATED aside.
+/// The share of a cell's cases with a flag that excuses an error; ESTIMATED is left out.
 fn flagged(cell: &Cell) -> String {
     let flagged = cell.gap_open + cell.coincident + cell.undecided;
     if flagged == 0 { "·".into() } else { format!("{:.1} %", 100.0 * flagged as f64 / cell.cases as f64) }
 }
 
-/// Markdown: a line a row and solver.
+/// The Markdown table with one line per row and solver.
 pub(crate) fn table(scores: &[Score]) -> String {
     let names = counts(&scores[0].cells[0]).map(|(name, _)| name);
     let [names, measures] = [names.join(" | "), MEASURES.join(" | ")];
@@ -65,7 +65,7 @@ pub(crate) fn table(scores: &[Score]) -> String {
     text
 }
 
-/// A line a solver: all rows together.
+/// The Markdown table with one line per solver, over all rows.
 pub(crate) fn summary(scores: &[Score]) -> String {
     let mut text = format!("| solver | cells | cases | failures | {} |\n", MEASURES.join(" | "));
     let _ = writeln!(text, "|---|--:|--:|--:|{}", "--:|".repeat(MEASURES.len()));
@@ -81,7 +81,8 @@ pub(crate) fn summary(scores: &[Score]) -> String {
     text
 }
 
-/// How many features were held against the definition, and how often ESTIMATED was due.
+/// The number of features that were compared with the definition, and of answers that had to be
+/// ESTIMATED.
 pub(crate) fn features(scores: &[Score]) -> ([usize; 3], usize) {
     let met = || scores.iter().flat_map(|s| &s.cells).map(|cell| cell.met);
     let touched = met().fold([0; 3], |sum, met| std::array::from_fn(|i| sum[i] + met.touched[i]));
@@ -119,7 +120,7 @@ is due; the column of the share leaves ESTIMATED aside. A failure is anything
 wrong without a flag. The rows of powers of two also compare the bits of alpha, bracket, normal and basis.
 ";
 
-/// The page of the matrix: what is measured, on what, the sums, the picture, the rows.
+/// The page of the matrix: the measures, the totals, the picture and the rows.
 pub(crate) fn page(scores: &[Score], provenance: &str) -> String {
     let picture = "![Worst error of each row as a share of its budget](stability.svg)";
     let ([vertices, edges, faces], due) = features(scores);
@@ -131,13 +132,13 @@ pub(crate) fn page(scores: &[Score], provenance: &str) -> String {
     )
 }
 
-/// Pixels of a cell, of the labels, of the head.
+/// Pixels: the width and height of a cell, the width of the labels, the height of the head.
 const CELL: [usize; 2] = [34, 13];
 const LABELS: usize = 250;
 const HEAD: usize = 100;
 
-/// An SVG heat map: a row of the matrix a line, a column a measure and solver,
-/// the colour the worst error's share of its budget.
+/// An SVG heat map with one line per row of the matrix and one column per measure and solver. The
+/// colour is the worst error's share of its budget.
 pub(crate) fn heat_map(scores: &[Score]) -> String {
     let width = LABELS + (2 * MEASURES.len() + 1) * CELL[0] + 20;
     let height = HEAD + scores.len() * CELL[1] + 50;
