@@ -18,11 +18,11 @@ html_theme = "furo"
 html_title = "hullcast"
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
-# Pages show bodies of JSON with comments and shells with outputs.
+# Pages have JSON with comments and shell commands with their output, which are not valid in any language.
 highlight_language = "none"
 suppress_warnings = ["misc.highlighting_failure"]
 
-#: What the side lists: title, pages.
+#: The table of contents of the sidebar: titles and their pages.
 CONTENTS = {
     "Python": [
         *(f"docs/python/{page}" for page in ("first-contacts", "robots", "finding", "loops")),
@@ -49,7 +49,7 @@ CONTENTS = {
 
 
 def list_the_pages(_app, page, source):
-    """Into the first page, which as a file stays without the site's markup."""
+    """Adds the tables of contents to the first page, so that its file has no markup of the site."""
     if page == root_doc:
         for caption, pages in CONTENTS.items():
             listed = "\n".join(pages)

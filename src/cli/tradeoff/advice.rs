@@ -66,7 +66,7 @@ pub(super) fn choice<'a>(rows: &'a [Row], need: &Need, warm: bool) -> Option<&'a
 /// Says it in words; `rows` are of all cells together.
 pub(super) fn text(rows: &[Row]) -> String {
     let mut text = String::new();
-    let _ = writeln!(text, "Setting to choose for each need (time over the default's, both cold):\n");
+    let _ = writeln!(text, "Setting to choose for each need (time over that of the default, cold):\n");
     for need in NEEDS {
         let _ = writeln!(text, "{}: {}", need.name, need.what);
         for warm in [false, true] {
