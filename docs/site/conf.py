@@ -18,7 +18,7 @@ html_theme = "furo"
 html_title = "hullcast"
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
-# Pages have JSON with comments and shell commands with their output, which are not valid in any language.
+# Blocks of JSON with comments, and of commands with their output, have no valid language.
 highlight_language = "none"
 suppress_warnings = ["misc.highlighting_failure"]
 
@@ -29,22 +29,22 @@ CONTENTS = {
         *(f"docs/python/{page}" for page in ("workers", "batch-jobs", "accuracy")),
         "docs/site/python",
     ],
-    "Any language": [
+    "Other languages": [
         *(f"docs/{page}" for page in ("protocol", "languages", "grpcurl", "errors", "identity")),
         "docs/site/rust",
     ],
-    "What is computed": [
+    "Computation": [
         *(f"docs/{page}" for page in ("algorithm", "playground", "hulls", "find")),
         "examples/scenes/README",
     ],
-    "How well": [
+    "Speed and accuracy": [
         *(f"docs/{page}" for page in ("performance", "tradeoff", "simulation")),
         *(f"docs/{page}" for page in ("stability", "fuzzing", "workload")),
         "tests/golden/README",
     ],
-    "Running it": [f"docs/{page}" for page in ("operations", "durability", "reliability")]
+    "Operations": [f"docs/{page}" for page in ("operations", "durability", "reliability")]
     + ["docs/cluster", "docs/capacity"],
-    "Changing it": ["ARCHITECTURE", "CONTRIBUTING", "CHANGELOG", "docs/licences"],
+    "Development": ["ARCHITECTURE", "CONTRIBUTING", "CHANGELOG", "docs/licences"],
 }
 
 
