@@ -116,7 +116,7 @@ def main() -> None:
     arguments = parser.parse_args()
     rows: dict[str, list[Row]] = {"one world": [], f"worlds of {BODIES_PER_WORLD}": []}
     lines = [
-        "| | bodies | pairs found | find | outcomes alone | query of the pairs | find, a body |",
+        "| | bodies | pairs found | find | outcomes only | query of the pairs | find, per body |",
         "|---|---|---|---|---|---|---|",
     ]
     with hullcast.serve() as client:

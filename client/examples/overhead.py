@@ -96,8 +96,8 @@ def main() -> None:
     arguments = parser.parse_args()
     seconds: float = arguments.seconds
     form = "{:>10}{:>12}{:>14}{:>12}{:>14}{:>14}{:>14}"
-    print("microseconds a call, cold and warm; the client's own work in it, and that a pair")
-    print(form.format("pairs", "query", "its own", "ns a pair", "warm query", "session", "pairs/s"))
+    print("microseconds per call, cold and warm; the client's own work in a call, and per pair")
+    print(form.format("pairs", "query", "its own", "ns/pair", "warm query", "session", "pairs/s"))
     outputs = ("ALPHA", "NORMAL", "POINTS", "BASES")
     with hullcast.serve() as client:
         for size in arguments.sizes:

@@ -240,9 +240,7 @@ def compare(client: hullcast.Client, name: str, scene: Scene, seconds: float) ->
     pairs = len(scene.pairs)
     print(f"{name}: {len(scene.positions):,} bodies, {pairs:,} pairs")
     form = "{:<18}{:>12}{:>12}{:>12}{:>16}{:>10}{:>10}"
-    print(
-        form.format("", "us, 1 pair", "us a step", "pairs/s", "pairs/CPU-s", "touching", "points")
-    )
+    print(form.format("", "us, 1 pair", "us/step", "pairs/s", "pairs/CPU-s", "touching", "points"))
     m = client.query(bodies_of(client, scene), scene.pairs, margin=scene.margin)
     one = scene.only(int(np.argmax(m.point_counts)))
     makers: list[tuple[str, Callable[[Scene], Step]]] = [

@@ -59,7 +59,7 @@ const UNUSABLE: &str = "a pose is not usable";
 /// Whole manifolds without a warm start, and step 1 by itself.
 fn cold(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
     let names =
-        ["parry3d f32", "parry3d f64", "hullcast", "hullcast, paper's solver", "hullcast, step 1 alone"];
+        ["parry3d f32", "parry3d f64", "hullcast", "hullcast, paper's solver", "hullcast, step 1 only"];
     let mut table = Table::new("cold", &names);
     for cell in cells {
         let hulls = ours::hulls(cell)?;
@@ -134,7 +134,7 @@ fn outputs(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
 
 /// Whole manifolds, and step 1 by itself, each with the answer before a motion as its warm start.
 fn warm(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
-    let names = ["parry3d f32", "hullcast", "hullcast, step 1 alone"];
+    let names = ["parry3d f32", "hullcast", "hullcast, step 1 only"];
     let mut table = Table::new("warm, motion", &names);
     for cell in cells {
         for step in STEPS {

@@ -20,7 +20,7 @@ const PAIRS: usize = 200;
 /// Motion between warm passes: a length, and an angle in radians.
 const STEP: f64 = 1e-2;
 const CLOUDS: [usize; 4] = [16, 64, 256, 4096];
-const CONTENDERS: [&str; 4] = ["parry3d f32", "hullcast, step 1 alone", "hullcast", "hullcast, warm"];
+const CONTENDERS: [&str; 4] = ["parry3d f32", "hullcast, step 1 only", "hullcast", "hullcast, warm"];
 const BUILDERS: [&str; 2] = ["parry3d f32", "hullcast"];
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -32,12 +32,12 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 fn tables() -> Result<(), Box<dyn Error>> {
-    let mut text = String::from("| instructions a pair |");
+    let mut text = String::from("| instructions per pair |");
     head(&mut text, &CONTENDERS)?;
     for cell in cells::generate(PAIRS)? {
         row(&mut text, "contact", &cell.label, &CONTENDERS, PAIRS)?;
     }
-    text.push_str("\n\n| instructions a point of a hull built |");
+    text.push_str("\n\n| instructions per point of a hull |");
     head(&mut text, &BUILDERS)?;
     for count in CLOUDS {
         row(&mut text, "hull", &count.to_string(), &BUILDERS, clouds(count).len() * count)?;
@@ -109,7 +109,7 @@ fn run(kind: &str, label: &str, contender: &str) -> Result<(), Box<dyn Error>> {
         counted(&mut || peer.cold());
         return Ok(());
     }
-    let wanted = if contender == "hullcast, step 1 alone" { Wanted::Growth } else { Wanted::Points };
+    let wanted = if contender == "hullcast, step 1 only" { Wanted::Growth } else { Wanted::Points };
     let accuracy = Accuracy { solver: Solver::Portal, ..Accuracy::default() };
     let hulls = ours::hulls(cell)?;
     let query = Query { margin: MARGIN, wanted, accuracy };

@@ -69,7 +69,7 @@ fn least(mut work: impl FnMut() -> f64) -> f64 {
 /// Two hulls of points on a sphere that overlap by a few percent, in random poses.
 fn vertices() -> Result<(String, String), Failure> {
     let mut text = String::from(
-        "| vertices | manifold, cold | manifold, warm | building | heap | bytes a vertex |\n|---|---|---|---|---|---|",
+        "| vertices | manifold, cold | manifold, warm | building | heap | bytes per vertex |\n|---|---|---|---|---|---|",
     );
     let mut csv = String::new();
     let mut lines = [vec![], vec![], vec![]];
@@ -132,14 +132,14 @@ fn vertices() -> Result<(String, String), Failure> {
     write!(
         text,
         "\n\nExponents from 256 vertices on: cold {cold:.2}, warm {warm:.2}, building {building:.2}. \
-         The warm poses are those of the basis."
+         A warm query has the poses of its basis."
     )?;
     Ok((text, csv))
 }
 
 /// One query, by its number of pairs, split into messages as the client splits it.
 async fn batches() -> Result<(String, String), Failure> {
-    let mut text = String::from("| pairs in a query | time | ns a pair |\n|---|---|---|");
+    let mut text = String::from("| pairs in a query | time | ns per pair |\n|---|---|---|");
     let (mut csv, mut line) = (String::new(), vec![]);
     let server = Server::hullcast()?;
     let mut count = 1;
@@ -193,7 +193,7 @@ async fn closed_loops(caller: &Caller, messages: Vec<Bytes>) -> Result<(), Failu
 /// Pairs of hulls drawn at random from the registered hulls, by the number of these.
 async fn hulls() -> Result<(String, String), Failure> {
     let mut text = String::from(
-        "| hulls registered | registering one | ns a pair, one message at a time |\n|---|---|---|",
+        "| registered hulls | time to register one | ns per pair, one message at a time |\n|---|---|---|",
     );
     let (mut csv, mut line) = (String::new(), vec![]);
     let server = Server::hullcast()?;
@@ -234,7 +234,7 @@ async fn hulls() -> Result<(String, String), Failure> {
     }
     write!(
         text,
-        "\n\nExponent: {:.2}. 16-vertex hulls in memory, each message 4,096 pairs of hulls drawn at random.",
+        "\n\nExponent: {:.2}. 16-vertex hulls in memory; each message has 4,096 pairs of hulls drawn at random.",
         exponent(&line, 1.0)
     )?;
     Ok((text, csv))
@@ -251,7 +251,7 @@ fn registration(clouds: &[Vec<[f64; 3]>]) -> RegisterHullsRequest {
 /// Registering many hulls in one call, with servers of one compute thread and of two.
 async fn registering() -> Result<String, Failure> {
     let mut text =
-        String::from("| registering, so many in a call | 1 thread | 2 threads | times |\n|---|---|---|---|");
+        String::from("| hulls registered in one call | 1 thread | 2 threads | ratio |\n|---|---|---|---|");
     for (count, vertices) in [(4096, 16), (1024, 256), (64, 4096)] {
         let mut best = [f64::INFINITY; 2];
         for round in 0..ROUNDS {
@@ -270,7 +270,7 @@ async fn registering() -> Result<String, Failure> {
         let [one, two] = best.map(|seconds| seconds * 1e6);
         write!(
             text,
-            "\n| {count} of {vertices} points | {one:.1} us a hull | {two:.1} us | {:.2} |",
+            "\n| {count} of {vertices} points | {one:.1} us per hull | {two:.1} us | {:.2} |",
             one / two
         )?;
         eprintln!("{}", text.lines().last().unwrap_or_default());
@@ -302,7 +302,7 @@ fn drawn(ids: &[Vec<u8>], random: &mut Random) -> Bytes {
 /// The batch engine by itself, on one thread and on two.
 async fn cores() -> Result<String, Failure> {
     let mut text = String::from(
-        "| batch engine, 4,096 pairs a batch | 1 thread | 2 threads | times |\n|---|---|---|---|",
+        "| batch engine, 4,096 pairs per batch | 1 thread | 2 threads | ratio |\n|---|---|---|---|",
     );
     for (family, regime, under_way) in [
         (Family::Box, Regime::Resting, 1),

@@ -111,7 +111,7 @@ async fn measured(
 /// Large messages: the server's CPU time besides computing, and that of an echo of the same bytes.
 async fn batches() -> Result<String, Failure> {
     let mut text = String::from(
-        "| 4,096 pairs a message | bytes a pair, to and fro | transport | echo | ratio | computing | library alone | pairs/s |\n\
+        "| 4,096 pairs per message | bytes per pair, request + answer | transport | echo | ratio | computing | library only | pairs/s |\n\
          |---|---|---|---|---|---|---|---|",
     );
     for (family, regime) in [
@@ -179,8 +179,8 @@ async fn small() -> Result<String, Failure> {
         ratios.push(one / other);
     }
     let mut text = format!(
-        "One pair a unary call: median {:.1} us, a call that does nothing {:.1} us, ratio {:.2}.\n\n\
-         | one pair a message | messages under way | messages/s | server's CPU a message |\n|---|---|---|---|",
+        "One pair per unary call: median {:.1} us; a call that does nothing {:.1} us, ratio {:.2}.\n\n\
+         | one pair per message | messages under way | messages/s | server's CPU per message |\n|---|---|---|---|",
         median(ours),
         median(theirs),
         median(ratios)
@@ -197,7 +197,7 @@ async fn small() -> Result<String, Failure> {
         ("one stream", 1, 1, &message),
         ("one stream", 1, 256, &message),
         ("four streams", 4, 256, &message),
-        ("four streams, poses alone (`inherit`)", 4, 256, &step),
+        ("four streams, only poses (`inherit`)", 4, 256, &step),
     ] {
         let mut rows = [vec![], vec![]];
         for _ in 0..ROUNDS {
@@ -304,7 +304,7 @@ async fn sizes() -> Result<String, Failure> {
     ];
     let cells = [Regime::Separated, Regime::Shallow, Regime::Resting];
     let mut text = String::from(
-        "| bytes of the answer a pair, boxes | separated | shallow | resting |\n|---|---|---|---|",
+        "| bytes of the answer per pair, boxes | separated | shallow | resting |\n|---|---|---|---|",
     );
     let server = Server::hullcast()?;
     for (label, mask) in masks {
@@ -327,10 +327,10 @@ async fn networks() -> Result<String, Failure> {
     batch.register(&server.address).await?;
     let message = batch.message(&[]);
     let mut text = String::from(
-        "| box shallow, 4,096 pairs a message | 1 under way | 4 under way | 16 under way |\n|---|---|---|---|",
+        "| box shallow, 4,096 pairs per message | 1 under way | 4 under way | 16 under way |\n|---|---|---|---|",
     );
     for (label, delay, bytes_per_second) in [
-        ("the proxy alone", Duration::ZERO, 1e12),
+        ("the proxy without limits", Duration::ZERO, 1e12),
         ("1 Gbit/s, 1 ms each way", Duration::from_millis(1), 125e6),
         ("1 Gbit/s, 10 ms each way", Duration::from_millis(10), 125e6),
     ] {

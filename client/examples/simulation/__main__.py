@@ -51,7 +51,7 @@ FRAMES = 40
 OPEN, CLOSE = "<!-- simulation -->", "<!-- /simulation -->"
 HEAD = [
     "| scene | contacts | sweeps | drift, m | jitter, mJ/kg | depth, mm "
-    "| points a step | contacts, ms | solver, ms |",
+    "| points per step | contacts, ms | solver, ms |",
     "|---|---|---|---|---|---|---|---|---|",
 ]
 

@@ -30,12 +30,12 @@ pub(super) const NEEDS: [Need; 4] = [
     },
     Need {
         name: "light",
-        what: "at most four points a pair, normals within 1e-3",
+        what: "at most four points per pair, normals within 1e-3",
         bears: |s, f| (1..=4).contains(&s.max_points) && f.optimality[1] <= 1e-3 && f.hausdorff[1] <= 0.1,
     },
     Need {
         name: "rough",
-        what: "many rough answers: normals within 2e-2, one point will do",
+        what: "many rough answers: normals within 2e-2, one point is enough",
         bears: |_, f| f.optimality[1] <= 0.02,
     },
 ];
@@ -67,18 +67,18 @@ pub(super) fn choice<'a>(rows: &'a [Row], need: &Need, warm: bool) -> Option<&'a
 /// The recommendations as text. `rows` are those of all cells together.
 pub(super) fn text(rows: &[Row]) -> String {
     let mut text = String::new();
-    let _ = writeln!(text, "What to take for which need (time over the default's, from nothing):\n");
+    let _ = writeln!(text, "Setting to choose for each need (time over that of the default, cold):\n");
     for need in NEEDS {
         let _ = writeln!(text, "{}: {}", need.name, need.what);
         for warm in [false, true] {
-            let start = if warm { "from the answer before" } else { "from nothing" };
+            let start = if warm { "warm" } else { "cold" };
             let _ = match choice(rows, &need, warm) {
                 None => writeln!(text, "  {start}: nothing measured fits"),
                 Some(row) => writeln!(text, "  {start}: {}\n    {}", row.setting, described(&row.figures)),
             };
         }
     }
-    let _ = writeln!(text, "\nEach knob by itself, all others at their default:\n");
+    let _ = writeln!(text, "\nOne option changed, all others at their default:\n");
     let alone = |row: &&Row| row.setting.changed().len() <= 1;
     for row in rows.iter().filter(alone) {
         let _ = writeln!(text, "  {}\n    {}", row.setting, described(&row.figures));
@@ -106,10 +106,10 @@ pub(super) fn beside(pool: Pool, rows: &[Row], peers: &[PeerRow]) -> String {
     let all = ours.into_iter().filter_map(of);
     let all = all.chain(peers.iter().map(|peer| (peer.name.as_str(), &peer.figures)));
     let what = match pool {
-        Pool::All => "All pairs but deep ones",
+        Pool::All => "All pairs except deep ones",
         Pool::Deep => "Deep pairs",
     };
-    let mut text = format!("{what}, settings and others (p95 unless it says p50):\n\n");
+    let mut text = format!("{what}, settings and other libraries (p95 unless p50 is named):\n\n");
     let mut line = |cells: [&str; COLUMNS.len()]| {
         let width = COLUMNS[0].1;
         let figures = COLUMNS.iter().zip(cells).skip(1).map(|(&(_, width), cell)| format!("{cell:>width$}"));
@@ -157,8 +157,8 @@ const COLUMNS: [(&str, usize); 13] = [
 /// The main figures as text.
 pub(super) fn described(f: &Figures) -> String {
     format!(
-        "time x{:.2}, gap {:.1e}, normal {:.1e} short of optimal (p95), angle {:.1e} rad (p95), \
-         depth x{:.2} the least translation (p95), patch {:.1e} of the size off (p95), area x{:.2} (p5), flagged {:.1} %, jumps {:.1} %",
+        "time x{:.2}, gap {:.1e} (max), normal {:.1e} short of optimal (p95), angle {:.1e} rad (p95), \
+         depth x{:.2} the minimum translation (p95), patch {:.1e} of the size off (p95), area x{:.2} (p5), flagged {:.1} %, jumps {:.1} %",
         f.relative_time,
         f.gap[1],
         f.optimality[1],
