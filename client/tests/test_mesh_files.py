@@ -319,7 +319,11 @@ def test_a_ply_file(tmp_path, form, types):
         (b"property float y", b"property float v", "no properties x, y and z"),
         (b"vertex_indices", b"corners", "no list of integers vertex_indices"),
         (b"uchar int vertex", b"uchar float vertex", "no list of integers vertex_indices"),
-        (b"3 0 3 1 0.5", b"3 0 4 1 0.5", "face 2 names a vertex that is not in 0 .. 4"),
+        (
+            b"3 0 3 1 0.5",
+            b"3 0 4 1 0.5",
+            "face 2 refers to a vertex that does not exist; the file has 4",
+        ),
         (b"3 0 3 1 0.5", b"2 0 3 0.5", "face 2 has 2 corners"),
         (b"3 0 3 1 0.5", b"3 0 -3 1 0.5", "-3.0 is not an index"),
         (b"3 0 3 1 0.5", b"3 0 3 1 nan", "face 2: 'nan'"),

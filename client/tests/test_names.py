@@ -54,9 +54,9 @@ def test_single_values_compare_with_names(m):
 @pytest.mark.parametrize("name", ["TOUCHING", "", "CONTACT "])
 def test_a_name_that_is_none_is_refused(m, name):
     """Catches a misspelt name that is silently false everywhere."""
-    with pytest.raises(hullcast.InvalidArgument, match="none of CONTACT, SEPARATED"):
+    with pytest.raises(hullcast.InvalidArgument, match="expected one of CONTACT, SEPARATED"):
         _ = m.outcome == name
-    with pytest.raises(hullcast.InvalidArgument, match="none of ESTIMATED"):
+    with pytest.raises(hullcast.InvalidArgument, match="expected one of ESTIMATED"):
         _ = m.flags & name
 
 

@@ -137,7 +137,7 @@ FAULTS = {
     ),
     "two roots": (f'<robot name="r">{LINKS}</robot>', ["one tree", "'a', 'b', 'c', 'd'"]),
     "a mimic without joint": (with_joint('<mimic multiplier="2"/>'), ["joint 'j'", "'joint'"]),
-    "a mimic of nothing": (with_joint('<mimic joint="k"/>'), ["joint 'j'", "'k'", "no joint"]),
+    "a mimic of nothing": (with_joint('<mimic joint="k"/>'), ["joint 'j'", "'k'", "not a joint"]),
     "a mimic of itself": (with_joint('<mimic joint="j"/>'), ["j -> j"]),
     "a multiplier of words": (
         with_joint('<mimic joint="j" multiplier="x"/>'),

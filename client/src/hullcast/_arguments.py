@@ -101,7 +101,9 @@ def one_of(field: str, value: Any, known: Iterable[str]) -> str:
     if isinstance(value, str) and value in words:
         return value
     raise InvalidArgument(
-        f"{shown(value)} is none of {', '.join(words)}", reason="UNKNOWN_VALUE", field=field
+        f"got {shown(value)}, expected one of {', '.join(words)}",
+        reason="UNKNOWN_VALUE",
+        field=field,
     )
 
 

@@ -440,7 +440,10 @@ class Calls(ABC):
         if opened is None or opened[0] is not place:
             with self._lock:
                 if self._closed:
-                    raise _errors.Error("the client is closed", reason="CLOSED")
+                    raise _errors.Error(
+                        "the client is closed: make a new one with hullcast.connect",
+                        reason="CLOSED",
+                    )
                 opened = self._opened
                 if opened is None or opened[0] is not place:
                     if opened is not None:
@@ -529,7 +532,10 @@ def lacks_hulls(part: _answers.Columns) -> bool:
 
 def stream_ended() -> _errors.Unavailable:
     """The error for a stream that ended without an error before every message was answered."""
-    error = _errors.Unavailable("the server ended the stream", reason="STREAM_ENDED")
+    error = _errors.Unavailable(
+        "the server ended the stream before it had answered every message",
+        reason="STREAM_ENDED",
+    )
     error.cut_off = True
     return error
 
@@ -554,7 +560,7 @@ def halves_of(span: Span, error: _errors.Error) -> list[Span]:
 
 def late() -> _errors.DeadlineExceeded:
     """The error for a call that exceeded its timeout."""
-    return _errors.DeadlineExceeded("no answer in time", reason="DEADLINE_EXCEEDED")
+    return _errors.DeadlineExceeded("no answer within the timeout", reason="DEADLINE_EXCEEDED")
 
 
 def remaining(deadline: float | None) -> float | None:

@@ -111,12 +111,16 @@ class Settings:
             )
         entries = list(target) if several else [target]  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
         if not entries:
-            raise InvalidArgument("the list has no address", reason="NO_ADDRESS", field="target")
+            raise InvalidArgument(
+                "the list is empty: expected one or more addresses",
+                reason="NO_ADDRESS",
+                field="target",
+            )
         read = [_entry(entry, i if several else None) for i, entry in enumerate(entries)]
         for i, (_, text) in enumerate(read):
             if len(read) > 1 and text.startswith(("unix:", "dns:", "ipv4:", "ipv6:")):
                 raise InvalidArgument(
-                    f"{shown(entries[i])} is not host:port, the form of addresses in a list",
+                    f"got {shown(entries[i])}, expected host:port in a list of addresses",
                     reason="NOT_AN_ADDRESS",
                     field="target",
                     index=i,
@@ -124,7 +128,7 @@ class Settings:
         schemes = {scheme for scheme, _ in read} - {""}
         if len(schemes) > 1 or (schemes and len({scheme for scheme, _ in read}) > 1):
             raise InvalidArgument(
-                "some addresses begin with http:// or https:// and others do not",
+                "expected the same prefix (http://, https:// or none) in all addresses",
                 reason="MIXED_ADDRESSES",
                 field="target",
             )
@@ -251,14 +255,14 @@ def _with_port(text: str, wrong: Any, *, numeric: bool = False) -> str:
 def _tls(tls: Any, schemes: set[str]) -> Any:
     if "http" in schemes and tls not in (None, False):
         raise InvalidArgument(
-            "the address begins with http://, which is without TLS: use https://",
+            "the address begins with http://, which excludes TLS: use https://, or leave out tls=",
             reason="CONTRADICTION",
             field="tls",
         )
     if "https" in schemes:
         if tls is False:
             raise InvalidArgument(
-                "the address begins with https://, which is with TLS: use http://",
+                "the address begins with https://, which needs TLS: use http://, or leave out tls=",
                 reason="CONTRADICTION",
                 field="tls",
             )
@@ -347,14 +351,18 @@ def address(target: Target) -> str:
     if isinstance(target, str):
         return target
     if not target:
-        raise InvalidArgument("no address", reason="NO_ADDRESS", field="target")
+        raise InvalidArgument(
+            "expected one or more addresses, got none", reason="NO_ADDRESS", field="target"
+        )
     if len(target) == 1:
         return target[0]
     found = [_resolved(i, entry) for i, entry in enumerate(target)]
     families = {family for family, _ in found}
     if len(families) > 1:
         raise InvalidArgument(
-            "IPv4 and IPv6 addresses in one list", reason="MIXED_ADDRESSES", field="target"
+            "expected only IPv4 or only IPv6 addresses in a list, got both",
+            reason="MIXED_ADDRESSES",
+            field="target",
         )
     return f"{families.pop()}:" + ",".join(text for _, text in found)
 
@@ -364,7 +372,10 @@ def _resolved(place: int, entry: str) -> tuple[str, str]:
     host, colon, port = entry.rpartition(":")
     if not colon or not port.isdecimal() or "/" in host:
         raise InvalidArgument(
-            f"{entry!r} is not host:port", reason="NOT_AN_ADDRESS", field="target", index=place
+            f"got {entry!r}, expected host:port",
+            reason="NOT_AN_ADDRESS",
+            field="target",
+            index=place,
         )
     bare = host.removeprefix("[").removesuffix("]")
     try:
@@ -374,7 +385,10 @@ def _resolved(place: int, entry: str) -> tuple[str, str]:
             number = ipaddress.ip_address(socket.gethostbyname(bare))
         except OSError as error:
             raise InvalidArgument(
-                f"{bare}: {error}", reason="NAME_NOT_FOUND", field="target", index=place
+                f"the host name {bare!r} cannot be resolved: {error}",
+                reason="NAME_NOT_FOUND",
+                field="target",
+                index=place,
             ) from None
     return ("ipv4", f"{number}:{port}") if number.version == 4 else ("ipv6", f"[{number}]:{port}")
 

@@ -69,7 +69,7 @@ def ascending(name: str, column: Indices, count: int) -> None:
     if len(column) == 0:
         return
     if int(column.max()) >= count:
-        raise malformed(f"{name} has {column.max()}, but the request has {count}")
+        raise malformed(f"{name} has the index {column.max()}, expected less than {count}")
     if (np.diff(column.astype(np.int64)) <= 0).any():
         raise malformed(f"{name} is not ascending")
 

@@ -137,7 +137,7 @@ def check_threshold(threshold: Any) -> None:
     low, high = _THRESHOLDS
     if not isinstance(threshold, (int, float, np.number)) or not low <= threshold <= high:
         raise InvalidArgument(
-            f"{threshold!r} is not a number from {low:g} to {high:g}",
+            f"got {threshold!r}, expected a number, {low:g} to {high:g}",
             reason="OUT_OF_RANGE",
             field="threshold",
         )

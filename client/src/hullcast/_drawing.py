@@ -24,7 +24,8 @@ def points_of(scene: Scene, body: int) -> Floats:
     content = scene.contents[int(scene.body_hulls[body])]
     if content is None:
         raise InvalidArgument(
-            "the scene was made with this body's hull id alone, without its points",
+            "the scene has only this hull's id, and drawing needs its points: make the scene with "
+            "Hull objects",
             reason="NO_GEOMETRY",
             field="hulls",
             index=int(scene.body_hulls[body]),

@@ -132,7 +132,7 @@ def dataframe(columns: Mapping[str, np.ndarray], rows: str) -> Any:
     pandas: Any = library
     if rows not in ("pairs", "points"):
         raise InvalidArgument(
-            f"{_arguments.shown(rows)} is none of pairs, points",
+            f"got {_arguments.shown(rows)}, expected pairs or points",
             reason="UNKNOWN_VALUE",
             field="rows",
         )

@@ -104,7 +104,7 @@ class Hull:
         """
         if self.home is None:
             raise Error(
-                "a hull that was unpickled knows no server: register it again to read its faces",
+                "an unpickled hull has no connection: register it again to read its faces",
                 reason="NO_SERVER",
                 field="faces",
             )

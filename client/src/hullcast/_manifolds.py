@@ -404,7 +404,11 @@ class Manifolds:
     ) -> tuple[Manifolds, npt.NDArray[np.uint32], Scene]:
         """The pairs to draw, the bodies in them that have a usable pose, and the scene."""
         if self.scene is None:
-            raise InvalidArgument("a loaded answer has no scene", reason="NO_SCENE", field="scene")
+            raise InvalidArgument(
+                "an answer that was loaded from a file has no scene: draw the answer of a query",
+                reason="NO_SCENE",
+                field="scene",
+            )
         shown = self if pairs is None else self[np.asarray(pairs)]
         return shown, np.setdiff1d(shown.pairs, self.invalid_bodies), self.scene
 

@@ -40,7 +40,7 @@ class EnumArray(np.ndarray[Any, np.dtype[np.uint8]]):
             member = cls.kinds.__members__.get(value.upper())
             if member is None:
                 raise InvalidArgument(
-                    f"{value!r} is none of {', '.join(cls.kinds.__members__)}",
+                    f"got {value!r}, expected one of {', '.join(cls.kinds.__members__)}",
                     reason="UNKNOWN_VALUE",
                     field=cls.__name__,
                 )

@@ -148,7 +148,8 @@ class Query:
         self._compacted = False
         if self._bases is not None and len(self._bases) != _length(self._pairs):
             raise InvalidArgument(
-                f"{len(self._bases)} manifolds for another number of pairs",
+                f"got {len(self._bases)} pairs, expected {_length(self._pairs)}: give the answer "
+                "of an earlier query of the same pairs",
                 reason="LENGTH_MISMATCH",
                 field="warm",
             )
@@ -369,7 +370,7 @@ def output_names(outputs: Iterable[str] | None) -> Sequence[str]:
         plain = name.upper().replace("-", "_") if isinstance(name, str) else ""
         if plain not in known:
             raise InvalidArgument(
-                f"{_arguments.shown(name)} is none of {', '.join(known)}",
+                f"got {_arguments.shown(name)}, expected one of {', '.join(known)}",
                 reason="UNKNOWN_VALUE",
                 field="outputs",
                 index=i,

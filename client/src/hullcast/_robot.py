@@ -161,7 +161,10 @@ class Robot:
         values = np.broadcast_to(values, (count, len(self.joints)))
         if roots.ndim == 3 and len(roots) != count:
             raise InvalidArgument(
-                f"{len(roots)} for {count} configurations", reason="LENGTH_MISMATCH", field="base"
+                f"got {len(roots)} poses for {count} configurations, expected one pose, or one per "
+                "configuration",
+                reason="LENGTH_MISMATCH",
+                field="base",
             )
         of = np.zeros((len(self.links), count, 4, 4))
         of[self._model.root] = roots
@@ -188,7 +191,10 @@ class Robot:
         """
         if len(hulls) != len(self):
             raise InvalidArgument(
-                f"{len(hulls)} for {len(self)} shapes", reason="LENGTH_MISMATCH", field="hulls"
+                f"got {len(hulls)} hulls for {len(self)} shapes, expected one hull per shape, in "
+                "the order of Robot.shapes",
+                reason="LENGTH_MISMATCH",
+                field="hulls",
             )
         poses = self.poses(joints, base=base)
         copies = len(poses) if poses.ndim == 4 else 1
@@ -215,13 +221,15 @@ class Robot:
         lengths = {column.shape for column in columns.values() if column.ndim}
         if len(lengths) > 1 or any(len(shape) > 1 for shape in lengths):
             raise InvalidArgument(
-                f"values of shapes {sorted(lengths)}", reason="WRONG_SHAPE", field="joints"
+                f"got values of shapes {sorted(lengths)}, expected numbers or arrays (k,)",
+                reason="WRONG_SHAPE",
+                field="joints",
             )
         values = np.tile(rest, (next(iter(lengths), (1,))[0], 1))
         for name, column in columns.items():
             if name not in self.joints:
                 raise InvalidArgument(
-                    f"{name!r} is none of {', '.join(self.joints)}",
+                    f"got the joint {name!r}, expected one of {', '.join(self.joints)}",
                     reason="UNKNOWN_JOINT",
                     field="joints",
                 )
@@ -302,7 +310,9 @@ def _ignoring(
         for name in names:
             if name not in model.links:
                 raise InvalidArgument(
-                    f"{name!r} is no link", reason="UNKNOWN_LINK", field="ignored"
+                    f"got the link {name!r}, expected links of the URDF file",
+                    reason="UNKNOWN_LINK",
+                    field="ignored",
                 )
         a, b = (model.links.index(name) for name in names)
         if a != b and a in used and b in used:

@@ -84,7 +84,7 @@ class Scene:
         )
         if self.ignored_groups is not None and (self.ignored_groups == 0).any():
             raise InvalidArgument(
-                "group 0 is no group: a row has two numbers above 0",
+                "got group 0, which means no group: expected two numbers above 0 in each row",
                 reason="VALUE_OUT_OF_RANGE",
                 field="ignored_groups",
             )

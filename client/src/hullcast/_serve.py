@@ -142,7 +142,9 @@ def find_binary() -> str:
     named = os.environ.get("HULLCAST_BIN")
     if named:
         if not os.path.isfile(named):
-            raise ServerNotFound(f"HULLCAST_BIN names no file: {named}", reason="NO_BINARY")
+            raise ServerNotFound(
+                f"HULLCAST_BIN is {named!r}, which is not a file", reason="NO_BINARY"
+            )
         return named
     found = _own_binary() or shutil.which("hullcast")
     if found is None:
@@ -211,7 +213,13 @@ class Server:
         reader.join(seconds)
         text = line[0].decode(errors="replace").strip() if line else ""
         if not text.startswith(_LISTENING):
-            state = "was silent" if not line else f"said {text!r}" if text else "ended"
+            state = (
+                "did not print its address in time"
+                if not line
+                else f"printed {text!r} instead of its address"
+                if text
+                else "ended before it listened"
+            )
             raise ServerDidNotStart(
                 f"{self._process.args!r} {state}: {self._log_end()}", reason="NOT_LISTENING"
             )

@@ -72,7 +72,9 @@ class Steps:
         self, positions: Any, rotations: Any, timeout: float | None
     ) -> _calls.Steps[Manifolds]:
         if self._closed:
-            raise _errors.Error("the session is closed", reason="CLOSED")
+            raise _errors.Error(
+                "the session is closed: open a new one with client.session", reason="CLOSED"
+            )
         query, deadline = self._query, self._calls._deadline(timeout)
         query.move(positions, rotations)
         parts: dict[Span, _answers.Columns] = {}

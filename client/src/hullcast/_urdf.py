@@ -123,7 +123,7 @@ def _root(data: bytes, tag: str) -> Element:
     }
     if root.tag != tag:
         what = others.get(root.tag, f"XML whose root is <{root.tag}>")
-        raise _Invalid(f"this is {what}; needed is a file whose root is <{tag}>: convert it")
+        raise _Invalid(f"this is {what}, expected a file whose root is <{tag}>: convert it")
     for element in root.iter():
         if "xacro" in element.tag.partition("}")[0]:
             name = element.tag.rpartition("}")[2]
@@ -244,7 +244,7 @@ def _joint(element: Element, place: dict[str, int]) -> Joint:
         )
     if kind != "fixed" and kind not in _MOVING:
         kinds = ", ".join((*_MOVING, "fixed"))
-        raise _Invalid(f"{where} has the type {kind!r}; the types are {kinds}")
+        raise _Invalid(f"{where} has the type {kind!r}, expected one of {kinds}")
     ends: list[int] = []
     for tag in ("parent", "child"):
         end = element.find(tag)
@@ -271,7 +271,9 @@ def _joint(element: Element, place: dict[str, int]) -> Joint:
                 _number(limit, "upper", np.inf, where),
             )
             if limits[0] > limits[1]:
-                raise _Invalid(f"{where}: its limits are {limits[0]:g} to {limits[1]:g}")
+                raise _Invalid(
+                    f"{where}: its limits are {limits[0]:g} to {limits[1]:g}, in the wrong order"
+                )
         mimic = element.find("mimic")
         if mimic is not None:
             mimics = _attribute(mimic, "joint", where)
@@ -291,7 +293,9 @@ def _resolved(joints: Sequence[Joint]) -> tuple[Joint, ...]:
         while last.mimics:
             followed = by_name.get(last.mimics)
             if followed is None:
-                raise _Invalid(f"joint {last.name!r} mimics {last.mimics!r}, which is no joint")
+                raise _Invalid(
+                    f"joint {last.name!r} mimics {last.mimics!r}, which is not a joint of the file"
+                )
             if followed.is_fixed:
                 raise _Invalid(f"joint {last.name!r} mimics {last.mimics!r}, which is fixed")
             if followed.name in chain:
@@ -361,7 +365,7 @@ def _shape(
         return _placed_mesh(element, pose, where, packages, meshes)
     if element.tag not in _SHAPES:
         kinds = ", ".join(f"<{kind}>" for kind in ("mesh", *_SHAPES))
-        raise _Invalid(f"{where}: <{element.tag}> is not a shape of URDF; they are {kinds}")
+        raise _Invalid(f"{where}: got the shape <{element.tag}>, expected one of {kinds}")
     return where, _placed(_SHAPES[element.tag](element, where), pose)
 
 
@@ -373,7 +377,9 @@ def _placed_mesh(
     if element.get("scale") is not None:
         scale = _numbers(element, "scale", 3, where)
         if not scale.all():
-            raise _Invalid(f"{where}: <mesh scale={element.get('scale')!r}> has a zero")
+            raise _Invalid(
+                f"{where}: <mesh scale={element.get('scale')!r}> has a zero, expected other numbers"
+            )
     file = packages.find(name, where)
     try:
         if file not in meshes:
@@ -384,7 +390,7 @@ def _placed_mesh(
     points = _placed(meshes[file].vertices * scale, pose)
     label = f"{where} ({file.name})"
     if not np.isfinite(points).all():
-        raise _Invalid(f"{label} is too large, with its scale, for double precision")
+        raise _Invalid(f"{label}: its scaled coordinates are too large for double precision")
     if _convexity.is_flat(points):
         raise _Invalid(
             f"{label} is flat: all points are in one plane, and a body needs a volume", "COPLANAR"

@@ -124,7 +124,7 @@ def test_what_makes_no_query_is_refused_before_the_job(client):
     scene, _ = rows_of(client)
     with pytest.raises(hullcast.InvalidArgument, match="NOPE"):
         hullcast.ray.query(None, scene, PAIRS, outputs=["NOPE"])
-    with pytest.raises(hullcast.InvalidArgument, match=f"{BODIES} is not in"):
+    with pytest.raises(hullcast.InvalidArgument, match=f"{BODIES} is out of range"):
         hullcast.ray.query(None, scene, [[0, BODIES]])
     with pytest.raises(hullcast.InvalidArgument, match=r"ray\.init"):
         hullcast.ray.query(None, scene, PAIRS)

@@ -88,12 +88,16 @@ class _Scene:
             raise Unreadable(f"the node {_name(node)} contains itself")
         self._visited += 1
         if len(above) > _DEEPEST or self._visited > _MOST_NODES:
-            raise unsupported(f"its nodes are over {_MOST_NODES}, or over {_DEEPEST} deep")
+            raise unsupported(
+                f"it has more than {_MOST_NODES} nodes, or nodes more than {_DEEPEST} levels deep"
+            )
         for child in node:
             if child.tag in _TRANSFORMS:
                 pose = pose @ _TRANSFORMS[child.tag](child)
             elif child.tag == "skew":
-                raise unsupported(f"<skew> of the node {_name(node)} is not read; apply it")
+                raise unsupported(
+                    f"<skew> of the node {_name(node)} is not read; export the mesh without it"
+                )
             elif child.tag == "instance_controller":
                 raise unsupported(
                     f"the node {_name(node)} has a skin or a morph (<instance_controller>), "
@@ -108,7 +112,9 @@ class _Scene:
     def _target(self, instance: Element, tag: str) -> Element:
         url = instance.get("url", "")
         if not url.startswith("#"):
-            raise unsupported(f"<{instance.tag}> names another file, {url!r}, which is not read")
+            raise unsupported(
+                f"<{instance.tag}> refers to another file, {url!r}, which is not read"
+            )
         return self._named(url, tag)
 
     def _named(self, reference: str | None, tag: str) -> Element:
@@ -154,10 +160,11 @@ class _Scene:
             for polygon in _PRIMITIVES[primitive.tag](primitive, stride, name):
                 indices = polygon[offset::stride]
                 if len(indices) < 3:
-                    raise Unreadable(f"a polygon of the geometry {name} has under 3 corners")
+                    raise Unreadable(f"a polygon of the geometry {name} has fewer than 3 corners")
                 if max(indices) >= count:
                     raise Unreadable(
-                        f"the geometry {name} names vertex {max(indices)}, of {count} vertices"
+                        f"the geometry {name} refers to vertex {max(indices)}, "
+                        f"but its {count} vertices are numbered from 0"
                     )
                 faces += triangles([places[source] + i for i in indices], vertices)
         return arrays(vertices, faces)
@@ -175,7 +182,7 @@ class _Scene:
         columns = [i for i, p in enumerate(accessor.findall("param")) if p.get("name")]
         if len(columns) != 3:
             raise unsupported(
-                f"the positions of the geometry {name} have {len(columns)} coordinates"
+                f"the positions of the geometry {name} have {len(columns)} coordinates, expected 3"
             )
         if stride <= max(columns) or start + stride * (count - 1) + max(columns) >= len(values):
             raise Unreadable(f"the positions of the geometry {name} end before their accessor does")

@@ -73,7 +73,9 @@ def read(data: bytes) -> tuple[Floats, Indices]:
         if len(polygon) < 3:
             raise Unreadable(f"face {i} has {len(polygon)} corners, at least 3 are needed")
         if min(polygon) < 0 or max(polygon) >= len(vertices):
-            raise Unreadable(f"face {i} names a vertex that is not in 0 .. {len(vertices)}")
+            raise Unreadable(
+                f"face {i} refers to a vertex that does not exist; the file has {len(vertices)}"
+            )
         faces += triangles(polygon, vertices)
     return arrays(vertices, faces)
 
