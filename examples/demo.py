@@ -165,7 +165,7 @@ PALETTE = [(126, 176, 160), (150, 170, 214), (222, 184, 120), (200, 146, 160), (
 
 
 def body_colour(name, index):
-    """A body's colour: light and orange for robot links, grey for fixed bodies, else a palette."""
+    """A body's colour: light and orange for robot links, grey for fixed bodies, others varied."""
     if name.split()[0] in ("table", "ground", "floor", "wall"):
         return GROUND
     if "/" in name:

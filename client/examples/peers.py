@@ -132,7 +132,7 @@ def by_session(client: hullcast.Client, scene: Scene) -> Step:
 
 
 def coal_shapes(coal: Any, hulls: Sequence[npt.NDArray[np.float64]]) -> list[Any]:
-    """coal's convex hulls of the points."""
+    """Makes coal's convex hulls of the points."""
     shapes: list[Any] = []
     for vertices in hulls:
         points = coal.StdVec_Vec3s()

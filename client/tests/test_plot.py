@@ -1,4 +1,4 @@
-"""Pictures: counts of what is drawn."""
+"""Pictures, checked by the number of things drawn."""
 
 from __future__ import annotations
 

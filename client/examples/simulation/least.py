@@ -258,7 +258,7 @@ def key(features: tuple[Indices, Indices]) -> tuple[int, int]:
 
 
 def distinct(at: Floats) -> list[int]:
-    """The indices of distinct points; of points that coincide (to 1e-9 m), the first."""
+    """The indices of distinct points: only the first of several points within 1e-9 m counts."""
     kept: list[int] = []
     for i, point in enumerate(at):
         if all(np.abs(point - at[j]).max() > 1e-9 for j in kept):

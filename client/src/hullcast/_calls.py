@@ -552,7 +552,7 @@ _TOO_LARGE = (
 
 
 def halves_of(span: Span, error: _errors.Error) -> list[Span]:
-    """Splits a span in two if its message or response was too large; else raises the error."""
+    """Splits a span in two if its message or response was too large, or raises the error."""
     if error.reason not in _TOO_LARGE or span.stop - span.start < 2:
         raise error
     return span.halves()

@@ -235,7 +235,7 @@ def _parts(scene: Any) -> list[Any]:
 
 
 def shape_of(hull: Any) -> Any:
-    """The object that has the points: for a path the mesh read from the file, else the object."""
+    """The object that has the points: `hull` itself, or the mesh that is read from its path."""
     if isinstance(hull, (str, os.PathLike)):
         return _mesh.load(cast("str | os.PathLike[str]", hull))
     return hull

@@ -135,7 +135,7 @@ class Steps:
                 parts[lane.span] = self._query.read(lane.span, lane.message, data)
 
     def _next_message(self, lane: _Lane) -> tuple[_calls.Stream, bytes]:
-        """The stream and the next message: only the poses if the stream has the rest, else all."""
+        """The stream and the next message, which has only the poses if the stream has the rest."""
         link = self._calls._link()  # it changes in a forked child or another event loop
         if lane.stream is not None and lane.message is not None and lane.link is link:
             lane.message = self._query.step_message(lane.message)

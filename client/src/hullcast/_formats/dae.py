@@ -301,7 +301,7 @@ def _rotate(element: Element) -> Floats:
 
 
 def _lookat(element: Element) -> Floats:
-    """The pose of a viewer at the first point that looks along its -z axis at the second point."""
+    """The pose of a viewer at the first point whose -z axis points at the second point."""
     eye, target, up = _numbers(element, 9).reshape(3, 3)
     back = eye - target
     right = np.cross(up, back)
