@@ -82,6 +82,7 @@ types: $(VENV)/.extras ## runs pyright in strict mode
 test-rust: check-tools ## runs the Rust tests: first the default build, then only the geometry
 	$(CARGO) test --release --locked
 	$(CARGO) test --release --locked --no-default-features
+	$(MAKE) test-abuse-short
 
 .PHONY: test-python
 test-python: build $(VENV)/.test ## runs the Python tests against the real server
@@ -155,6 +156,11 @@ simulation: build $(VENV)/.test ## runs a rigid body simulation on several kinds
 .PHONY: bench-service
 bench-service: check-tools build ## compares the server with an echo server for the same bytes; writes docs/performance.md
 	cd benches && $(CARGO) run --release --locked --features service --bin transport
+
+# As `make bench-versions BASELINE=path/to/hullcast`.
+.PHONY: bench-versions
+bench-versions: check-tools build ## compares this server with the one at BASELINE under the same load, both in turns
+	cd benches && HULLCAST_BASELINE="$(abspath $(BASELINE))" $(CARGO) run --release --locked --features service --bin versions
 
 .PHONY: bench-counts
 bench-counts: check-tools ## compares the number of instructions with parry3d's by valgrind, for machines with noisy timings; writes docs/performance.md
@@ -260,8 +266,8 @@ test-faults: check-tools ## tests kill -9 a thousand times, full and vanished di
 	$(CARGO) test --release --locked --test faults -- --ignored --nocapture --test-threads 1
 
 .PHONY: test-abuse test-abuse-short
-test-abuse-short: check-tools ## runs every attack at a tenth of its size against a tenth of the budgets; takes two minutes
-	$(CARGO) test --release --locked --test abuse
+test-abuse-short: check-tools ## runs the attacks over TCP at a tenth of their size against a tenth of the budgets; takes a minute
+	$(CARGO) test --release --locked --test abuse -- --skip over_tls --skip over_unix
 
 test-abuse: check-tools ## runs every attack at full size on a server with default limits; writes docs/reliability.md; takes over 20 minutes
 	mkdir -p out

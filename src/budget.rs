@@ -17,7 +17,7 @@ use std::{
     sync::{Arc, Mutex},
 };
 
-pub use caller::{Caller, CallerKey, Callers};
+pub use caller::{Caller, CallerKey, CallerStream, Callers};
 pub use shares::{Refusal, Shares, Slot, Slots};
 
 use crate::lock::locked;
@@ -146,9 +146,15 @@ impl MemoryBudget {
     /// # Errors
     /// The budget, its part or the caller's share has no room; nothing is taken.
     pub fn take(self: &Arc<Self>, caller: &Caller, part: Part, bytes: u64) -> Result<Permit, NoMemory> {
-        let mut permit = Permit { budget: self.clone(), caller: caller.clone(), part, bytes: 0 };
+        let mut permit = self.covered(caller, part, 0);
         permit.grow(bytes)?;
         Ok(permit)
+    }
+
+    /// A permit that holds nothing yet and takes only what it holds beyond `covered` bytes from the
+    /// budget. The caller of this function has taken these bytes already, with another permit.
+    pub fn covered(self: &Arc<Self>, caller: &Caller, part: Part, covered: u64) -> Permit {
+        Permit { budget: self.clone(), caller: caller.clone(), part, bytes: 0, covered }
     }
 }
 
@@ -159,15 +165,17 @@ pub struct Permit {
     caller: Caller,
     part: Part,
     bytes: u64,
+    /// The first bytes, which another permit has taken from the budget.
+    covered: u64,
 }
 
 impl Permit {
     /// A permit without a bound: for code that runs outside a server.
     pub fn unbounded(part: Part) -> Self {
-        Self { budget: MemoryBudget::unlimited(), caller: Caller::alone(), part, bytes: 0 }
+        MemoryBudget::unlimited().covered(&Caller::alone(), part, 0)
     }
 
-    /// How many bytes it holds.
+    /// How many bytes it holds, with the covered ones.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
@@ -177,6 +185,45 @@ impl Permit {
     /// # Errors
     /// There is no room for them; the permit keeps what it had.
     pub fn grow(&mut self, more: u64) -> Result<(), NoMemory> {
+        let bytes_after = self.bytes.saturating_add(more);
+        self.charge(bytes_after.saturating_sub(self.covered) - self.charged())?;
+        self.bytes = bytes_after;
+        Ok(())
+    }
+
+    /// Takes the covered bytes from the budget too, for a permit that outlives the one that covers them.
+    ///
+    /// # Errors
+    /// There is no room for them; the permit keeps what it had.
+    pub fn uncover(&mut self) -> Result<(), NoMemory> {
+        self.charge(self.bytes - self.charged())?;
+        self.covered = 0;
+        Ok(())
+    }
+
+    /// Gives all but `bytes` back; a permit that holds less stays as it is.
+    pub fn shrink_to(&mut self, bytes: u64) {
+        let charged_before = self.charged();
+        self.bytes = self.bytes.min(bytes);
+        let less = charged_before - self.charged();
+        if less == 0 {
+            return;
+        }
+        let mut state = locked(&self.budget.state);
+        state.parts[self.part as usize] = state.parts[self.part as usize].saturating_sub(less);
+        state.shares.give_back(&self.caller, less);
+    }
+
+    /// The bytes that it has taken from the budget.
+    fn charged(&self) -> u64 {
+        self.bytes.saturating_sub(self.covered)
+    }
+
+    /// Takes `more` bytes from the budget. Nothing is locked for small messages, which need none.
+    fn charge(&self, more: u64) -> Result<(), NoMemory> {
+        if more == 0 {
+            return Ok(());
+        }
         let refused = |refusal| NoMemory { part: self.part, refusal };
         let mut state = locked(&self.budget.state);
         let part_after = state.parts[self.part as usize].saturating_add(more);
@@ -185,21 +232,7 @@ impl Permit {
         }
         state.shares.take(&self.caller, more).map_err(refused)?;
         state.parts[self.part as usize] = part_after;
-        drop(state);
-        self.bytes += more;
         Ok(())
-    }
-
-    /// Gives all but `bytes` back; a permit that holds less stays as it is.
-    pub fn shrink_to(&mut self, bytes: u64) {
-        let less = self.bytes.saturating_sub(bytes);
-        if less == 0 {
-            return;
-        }
-        self.bytes -= less;
-        let mut state = locked(&self.budget.state);
-        state.parts[self.part as usize] = state.parts[self.part as usize].saturating_sub(less);
-        state.shares.give_back(&self.caller, less);
     }
 }
 
@@ -233,5 +266,29 @@ mod tests {
         drop((arriving, answers));
         assert!(Part::ALL.iter().all(|&part| budget.used_by(part) == 0));
         assert_eq!(budget.used(), 0);
+    }
+
+    /// Catches covered bytes that are taken, others that are not, and bytes that are given back without
+    /// having been taken.
+    #[test]
+    fn a_permit_takes_what_is_beyond_its_covered_bytes() {
+        let caller = Caller::alone();
+        let budget = MemoryBudget::new(1000, false, &[]);
+        let used = || budget.used_by(Part::Answers);
+        let mut permit = budget.covered(&caller, Part::Answers, 100);
+        permit.grow(60).unwrap();
+        assert_eq!((permit.bytes(), used()), (60, 0));
+        permit.grow(60).unwrap();
+        assert_eq!((permit.bytes(), used()), (120, 20));
+        assert!(permit.grow(981).is_err());
+        assert_eq!((permit.bytes(), used()), (120, 20));
+        permit.shrink_to(110);
+        assert_eq!(used(), 10);
+        permit.shrink_to(50);
+        assert_eq!((permit.bytes(), used()), (50, 0));
+        permit.uncover().unwrap();
+        assert_eq!((permit.bytes(), used()), (50, 50));
+        drop(permit);
+        assert_eq!((used(), budget.used()), (0, 0));
     }
 }

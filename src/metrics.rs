@@ -98,6 +98,9 @@ pub(crate) enum Cut {
 const CUTS: [&str; 2] = ["answer_not_read", "deadline"];
 
 impl Cut {
+    /// All reasons, in the order of the enum.
+    pub(crate) const ALL: [Self; 2] = [Self::AnswerNotRead, Self::Deadline];
+
     /// The reason's name in metrics and logs.
     pub(crate) fn name(self) -> &'static str {
         CUTS[self as usize]

@@ -6,7 +6,7 @@ use std::{
     net::{IpAddr, Ipv6Addr},
     sync::{
         Arc, Mutex, Weak,
-        atomic::{AtomicU64, Ordering},
+        atomic::{AtomicU64, AtomicUsize, Ordering},
     },
 };
 
@@ -66,8 +66,13 @@ pub struct Caller(Arc<Account>);
 struct Account {
     key: CallerKey,
     id: u64,
+    streams: AtomicUsize,
     callers: Weak<Callers>,
 }
+
+/// A stream of a caller; it counts until it is dropped.
+#[derive(Debug)]
+pub struct CallerStream(Caller);
 
 impl Callers {
     /// The caller with this key: the same one for as long as anybody holds it.
@@ -77,7 +82,8 @@ impl Callers {
             return Caller(account);
         }
         let id = self.next.fetch_add(1, Ordering::Relaxed);
-        let account = Arc::new(Account { key: key.clone(), id, callers: Arc::downgrade(self) });
+        let account =
+            Arc::new(Account { key: key.clone(), id, streams: 0.into(), callers: Arc::downgrade(self) });
         known.insert(key, Arc::downgrade(&account));
         Caller(account)
     }
@@ -112,7 +118,12 @@ impl Drop for Account {
 impl Caller {
     /// A caller of its own, known to nobody: for calls that did not come over a connection.
     pub fn alone() -> Self {
-        Self(Arc::new(Account { key: CallerKey::Everyone, id: u64::MAX, callers: Weak::new() }))
+        Self(Arc::new(Account {
+            key: CallerKey::Everyone,
+            id: u64::MAX,
+            streams: 0.into(),
+            callers: Weak::new(),
+        }))
     }
 
     /// A number that no other living caller has.
@@ -120,9 +131,28 @@ impl Caller {
         self.0.id
     }
 
+    /// Counts a stream of this caller.
+    pub fn stream(&self) -> CallerStream {
+        self.0.streams.fetch_add(1, Ordering::Relaxed);
+        CallerStream(self.clone())
+    }
+
     /// Who it is, for logs.
     pub fn key(&self) -> &CallerKey {
         &self.0.key
+    }
+}
+
+impl CallerStream {
+    /// The number of streams of this caller, with this one.
+    pub fn count(&self) -> usize {
+        self.0.0.streams.load(Ordering::Relaxed)
+    }
+}
+
+impl Drop for CallerStream {
+    fn drop(&mut self) {
+        self.0.0.streams.fetch_sub(1, Ordering::Relaxed);
     }
 }
 

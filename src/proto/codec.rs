@@ -15,8 +15,9 @@ use super::bulk::{Columnar, decode, encode};
 /// Buffers start small, since most calls are, and grow once, to the message's size.
 const BUFFER_BYTES: usize = 4 << 10;
 
-/// Messages of a stream are gathered up to this before they are handed to the connection.
-const GATHERED_BYTES: usize = 64 << 10;
+/// Messages of a stream are gathered up to this before they are handed to the connection. The buffer lives
+/// as long as its call, so it has to stay small.
+const GATHERED_BYTES: usize = 16 << 10;
 
 /// A message of type `M` as it came: its bytes, not decoded and not checked.
 #[derive(Clone, Debug)]

@@ -4,10 +4,12 @@
 //! it, and then keeps the frame until the peer has read it all. [`AnswerBody`] wraps the bytes
 //! of a frame together with the permit for their memory, so that the permit lives exactly as
 //! long as the bytes do, and hands them on in slices, so that a stream that is cut has at most
-//! one slice in the transport's queue. It also sets the call's [`Cutoff`]: an answer has to be
-//! taken within a stated time of when it is ready.
+//! one slice in the transport's queue. It puts the large answers, which are encoded already, in
+//! the place of the empty messages that tonic encodes for them. It also sets the call's
+//! [`Cutoff`]: an answer has to be taken within a stated time of when it is ready.
 
 use std::{
+    collections::VecDeque,
     pin::Pin,
     task::{Context, Poll, ready},
     time::Duration,
@@ -19,11 +21,11 @@ use tokio::time::Instant;
 use tonic::{Status, body::Body};
 
 use super::{
-    App, ServiceError,
+    ServiceError,
     call::Call,
-    context::{CallContext, no_memory},
+    context::{Answer, CallContext, no_memory},
     cutoff::Cutoff,
-    request_body::per_mebibyte,
+    request_body::{HEAD_BYTES, per_mebibyte},
 };
 use crate::{
     budget::{Part, Permit},
@@ -64,8 +66,8 @@ pub(super) struct AnswerBody {
     context: CallContext,
     times: AnswerTimes,
     cutoff: Cutoff,
-    /// What of the present frame is not handed on yet.
-    frame: Bytes,
+    /// What is to be handed on to the transport.
+    queued: VecDeque<Bytes>,
     ended: bool,
 }
 
@@ -74,37 +76,71 @@ impl AnswerBody {
     pub(super) fn new(body: Body, call: Call, context: CallContext, times: AnswerTimes) -> Self {
         let cutoff = Cutoff::current();
         cutoff.set(times.due(context.answer_bytes()));
-        Self { body, call, context, times, cutoff, frame: Bytes::new(), ended: false }
+        Self { body, call, context, times, cutoff, queued: VecDeque::new(), ended: false }
     }
 
-    /// Counts a frame's memory until its bytes are sent.
-    fn counted(&self, bytes: Bytes) -> Result<Bytes, ServiceError> {
+    /// Separates a frame of tonic's into small messages, which stay together, and large answers, which take
+    /// the place of an empty message each.
+    fn separate(&mut self, mut frame: Bytes) -> Result<(), ServiceError> {
+        let mut small = 0;
+        while let Some((&[flag, ref length @ ..], _)) = frame[small..].split_first_chunk::<HEAD_BYTES>() {
+            let length = u32::from_be_bytes(*length) as usize;
+            let large = if flag == 0 && length == 0 { self.context.next_answer() } else { None };
+            let Some(Answer { bytes, memory }) = large else {
+                small += HEAD_BYTES + length;
+                continue;
+            };
+            self.queue_small(frame.split_to(small))?;
+            frame.advance(HEAD_BYTES);
+            small = 0;
+            self.queue(bytes, memory);
+        }
+        self.queue_small(frame)
+    }
+
+    /// The next slice for the transport.
+    fn slice(&mut self) -> Option<Bytes> {
+        let bytes = self.queued.front_mut()?;
+        let slice = bytes.split_to(bytes.remaining().min(SLICE_BYTES));
+        if bytes.is_empty() {
+            self.queued.pop_front();
+        }
+        Some(slice)
+    }
+
+    /// Queues small messages, whose memory the call has, for the transport. If more bytes are not sent yet,
+    /// they take memory of their own.
+    fn queue_small(&mut self, bytes: Bytes) -> Result<(), ServiceError> {
+        if bytes.is_empty() {
+            return Ok(());
+        }
+        let metrics = self.call.app().metrics();
+        let mut memory = self.context.covered(Part::Answers);
+        memory.grow(bytes.len() as u64).map_err(|why| no_memory(metrics, why))?;
+        if !self.cutoff.is_all_sent() {
+            memory.uncover().map_err(|why| no_memory(metrics, why))?;
+        }
+        self.queue(bytes, memory);
+        Ok(())
+    }
+
+    /// Queues bytes for the transport. Their memory counts until they are sent.
+    fn queue(&mut self, bytes: Bytes, memory: Permit) {
         let length = bytes.len();
-        let permit = self.permit(length)?;
         self.cutoff.queued(length);
         self.cutoff.set(self.times.due(length));
-        Ok(Bytes::from_owner(Unsent { bytes, _permit: permit, cutoff: self.cutoff.clone() }))
-    }
-
-    /// The memory that the answer took while it was made, or new memory where it took none.
-    fn permit(&self, bytes: usize) -> Result<Permit, ServiceError> {
-        let app: &App = self.call.app();
-        match self.context.take_answer() {
-            None => self.context.take(app, Part::Answers, bytes),
-            Some(mut permit) => {
-                let more = (bytes as u64).saturating_sub(permit.bytes());
-                permit.grow(more).map_err(|why| no_memory(app.metrics(), why))?;
-                permit.shrink_to(bytes as u64);
-                Ok(permit)
-            }
-        }
+        self.queued.push_back(Bytes::from_owner(Unsent {
+            bytes,
+            _memory: memory,
+            cutoff: self.cutoff.clone(),
+        }));
     }
 }
 
 /// Bytes of an answer, with the permit for their memory.
 struct Unsent {
     bytes: Bytes,
-    _permit: Permit,
+    _memory: Permit,
     cutoff: Cutoff,
 }
 
@@ -129,10 +165,10 @@ impl HttpBody for AnswerBody {
         cx: &mut Context<'_>,
     ) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
         let this = &mut *self;
-        if this.ended {
-            return Poll::Ready(None);
-        }
-        if this.frame.is_empty() {
+        while !this.ended {
+            if let Some(slice) = this.slice() {
+                return Poll::Ready(Some(Ok(Frame::data(slice))));
+            }
             let polled = {
                 let _entered = this.call.enter();
                 Pin::new(&mut this.body).poll_frame(cx)
@@ -141,16 +177,14 @@ impl HttpBody for AnswerBody {
                 // The peer owes nothing if it has read what there was: the server owes the rest.
                 this.cutoff.clear_if_all_is_sent();
             }
-            let Some(frame) = ready!(polled) else { return Poll::Ready(None) };
-            let frame = frame?;
-            match frame.into_data() {
-                Ok(bytes) => match this.counted(bytes) {
-                    Ok(bytes) => this.frame = bytes,
-                    Err(refused) => {
+            let Some(frame) = ready!(polled) else { break };
+            match frame?.into_data() {
+                Ok(bytes) => {
+                    if let Err(refused) = this.separate(bytes) {
                         this.ended = true;
                         return Poll::Ready(Some(this.call.ended_early(&refused.into())));
                     }
-                },
+                }
                 Err(other) => {
                     if let Some(status) = other.trailers_ref().and_then(Status::from_header_map) {
                         this.call.ended_with(status.code());
@@ -159,12 +193,11 @@ impl HttpBody for AnswerBody {
                 }
             }
         }
-        let slice = this.frame.split_to(this.frame.remaining().min(SLICE_BYTES));
-        Poll::Ready(Some(Ok(Frame::data(slice))))
+        Poll::Ready(None)
     }
 
     fn is_end_stream(&self) -> bool {
-        self.ended || (self.frame.is_empty() && self.body.is_end_stream())
+        self.ended || (self.queued.is_empty() && self.body.is_end_stream())
     }
 
     fn size_hint(&self) -> SizeHint {

@@ -14,6 +14,7 @@ use tonic::{Request, Response, Status, Streaming};
 
 use super::{
     App, Limits, ServiceError,
+    answer::counted_answer,
     batch::Batch,
     context::CallContext,
     decode::decoded,
@@ -141,7 +142,7 @@ pub(super) async fn answer(
     if keep_bases {
         batch.keep_bases();
     }
-    let memory = context.take(app, Part::Answers, 0)?;
+    let memory = context.covered(Part::Answers);
     let (mut columns, memory) = app.engine().compute(batch, admission, job, memory).await?;
     debug_assert_eq!(columns.len(), pairs);
     if tracing::enabled!(tracing::Level::DEBUG) {
@@ -165,7 +166,7 @@ pub(super) async fn answer(
     }
     let bases = if keep_bases { columns.kept_bases(outputs) } else { Vec::new() };
     let response = wire::response(request_id, columns, missing_hulls, invalid_bodies);
-    Ok((app.counted_answer(context, response, memory)?, bases))
+    Ok((counted_answer(app, context, response, memory).await?, bases))
 }
 
 /// The batch of a scene with its hulls, the indices of missing hulls, and the indices of unusable

@@ -4,9 +4,12 @@
 //! extensions. A handler gets it with [`CallContext::of`].
 
 use std::{
+    collections::VecDeque,
     sync::{Arc, Mutex},
     time::Duration,
 };
+
+use bytes::{Bytes, BytesMut};
 
 use super::{App, ServiceError};
 use crate::{
@@ -16,6 +19,21 @@ use crate::{
     metrics::{Metrics, Shed},
 };
 
+/// Messages up to this size, in either direction, pass through tonic's buffers. A call takes the memory for
+/// them once ([`CALL_BYTES`]), and not for each message, so that a stream of hundreds of thousands of
+/// small messages per second locks nothing.
+///
+/// Larger messages wait in the [`CallContext`] and tonic passes an empty message in their place, because tonic
+/// keeps its buffers, as large as the largest message, until the call ends.
+pub(super) const SMALL_BYTES: usize = 4 << 10;
+
+/// A received frame may hold this many bytes of messages that tonic has not asked for yet.
+const FRAME_BYTES: u64 = 8 << 10;
+
+/// The memory that each call takes when it begins: its own state, [`FRAME_BYTES`] of a received frame, and
+/// [`SMALL_BYTES`] of messages as they arrive, decoded, and as answers.
+pub(super) const CALL_BYTES: usize = 32 << 10;
+
 /// The state of one call. Clones belong to the same call.
 #[derive(Clone, Debug)]
 pub(super) struct CallContext {
@@ -23,16 +41,30 @@ pub(super) struct CallContext {
     /// work. The flag is set when the call ends for any reason.
     pub(super) job: Job,
     memory: Arc<MemoryBudget>,
-    /// The memory of messages that have arrived but are not decoded yet.
-    arrived: Arc<Mutex<Option<Permit>>>,
-    /// The memory of an answer that the handler has computed but the transport has not taken.
-    answer: Arc<Mutex<Option<Permit>>>,
+    /// The large messages that have arrived and are not decoded yet.
+    arrived: Arc<Mutex<VecDeque<Arrived>>>,
+    /// The large answers that are encoded and not on their way to the transport yet.
+    answers: Arc<Mutex<VecDeque<Answer>>>,
+}
+
+/// A message that has arrived whole, in pieces.
+#[derive(Debug)]
+pub(super) struct Arrived {
+    pub(super) pieces: Vec<Bytes>,
+    pub(super) memory: Permit,
+}
+
+/// An encoded answer with its head.
+#[derive(Debug)]
+pub(super) struct Answer {
+    pub(super) bytes: Bytes,
+    pub(super) memory: Permit,
 }
 
 impl CallContext {
     /// The context of a call by `caller` whose memory is charged to `memory`.
     pub(super) fn new(caller: Caller, memory: Arc<MemoryBudget>) -> Self {
-        Self { job: Job::new(caller), memory, arrived: Arc::default(), answer: Arc::default() }
+        Self { job: Job::new(caller), memory, arrived: Arc::default(), answers: Arc::default() }
     }
 
     /// The context that the outermost layer gave the request. Handlers without that layer, as in
@@ -50,24 +82,42 @@ impl CallContext {
         self.memory.take(&self.job.caller, part, bytes as u64).map_err(|why| no_memory(app.metrics(), why))
     }
 
-    /// Takes memory for arriving bytes of a message.
-    ///
-    /// # Errors
-    /// TOO_BUSY if there is no room now, MEMORY_TOO_LARGE if there never is.
-    pub(super) fn arrive(&self, app: &App, bytes: usize) -> Result<(), ServiceError> {
-        let mut arrived = locked(&self.arrived);
-        let taken = if let Some(permit) = &mut *arrived {
-            permit.grow(bytes as u64)
-        } else {
-            let taken = self.memory.take(&self.job.caller, Part::Arriving, bytes as u64);
-            taken.map(|permit| *arrived = Some(permit))
-        };
-        taken.map_err(|why| no_memory(app.metrics(), why))
+    /// A permit that holds nothing yet, for a part of the call that exists once at a time: the call's own
+    /// memory covers its first [`SMALL_BYTES`].
+    pub(super) fn covered(&self, part: Part) -> Permit {
+        self.memory.covered(&self.job.caller, part, SMALL_BYTES as u64)
     }
 
-    /// Releases the memory of the arrived messages, which are decoded now.
-    pub(super) fn decoded(&self) {
-        drop(locked(&self.arrived).take());
+    /// A permit that holds nothing yet, for a received frame.
+    pub(super) fn covered_frame(&self) -> Permit {
+        self.memory.covered(&self.job.caller, Part::Arriving, FRAME_BYTES)
+    }
+
+    /// Keeps a large message until its turn to be decoded.
+    pub(super) fn keep_arrived(&self, message: Arrived) {
+        locked(&self.arrived).push_back(message);
+    }
+
+    /// The message that tonic hands on as `passed`: a small one as it is, and a large one in the order
+    /// of arrival.
+    pub(super) fn arrived(&self, passed: Bytes) -> Arrived {
+        let large = if passed.is_empty() { locked(&self.arrived).pop_front() } else { None };
+        large.unwrap_or_else(|| Arrived { pieces: vec![passed], memory: self.covered(Part::Arriving) })
+    }
+
+    /// Keeps a large answer until the transport asks for it.
+    pub(super) fn keep_answer(&self, answer: Answer) {
+        locked(&self.answers).push_back(answer);
+    }
+
+    /// The next large answer.
+    pub(super) fn next_answer(&self) -> Option<Answer> {
+        locked(&self.answers).pop_front()
+    }
+
+    /// The bytes of the large answers that wait for the transport.
+    pub(super) fn answer_bytes(&self) -> usize {
+        locked(&self.answers).iter().map(|answer| answer.bytes.len()).sum()
     }
 
     /// Takes memory for the state that a stream keeps between messages; none if there is no room. A
@@ -75,20 +125,26 @@ impl CallContext {
     pub(super) fn keep(&self, bytes: usize) -> Option<Permit> {
         self.memory.take(&self.job.caller, Part::StreamState, bytes as u64).ok()
     }
+}
 
-    /// Keeps the permit of an answer until the transport has taken over the answer.
-    pub(super) fn hold_answer(&self, permit: Permit) {
-        *locked(&self.answer) = Some(permit);
+impl Arrived {
+    /// The message's length.
+    pub(super) fn len(&self) -> usize {
+        self.pieces.iter().map(Bytes::len).sum()
     }
 
-    /// The permit of the answer that is about to be sent.
-    pub(super) fn take_answer(&self) -> Option<Permit> {
-        locked(&self.answer).take()
-    }
-
-    /// The bytes taken for the answer that is about to be sent.
-    pub(super) fn answer_bytes(&self) -> usize {
-        locked(&self.answer).as_ref().map_or(0, |permit| permit.bytes() as usize)
+    /// The message in one piece. Each piece is freed as soon as it is copied.
+    pub(super) fn joined(self) -> (Bytes, Permit) {
+        let length = self.len();
+        let Self { mut pieces, memory } = self;
+        if pieces.len() == 1 {
+            return (pieces.remove(0), memory);
+        }
+        let mut whole = BytesMut::with_capacity(length);
+        for piece in pieces {
+            whole.extend_from_slice(&piece);
+        }
+        (whole.freeze(), memory)
     }
 }
 

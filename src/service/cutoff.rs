@@ -15,13 +15,13 @@ use std::{
     future::Future,
     sync::{
         Arc,
-        atomic::{AtomicUsize, Ordering},
+        atomic::{AtomicU64, AtomicUsize, Ordering},
     },
     time::Duration,
 };
 
 use tokio::{
-    sync::{Notify, watch},
+    sync::Notify,
     time::{Instant, sleep, sleep_until},
 };
 
@@ -38,20 +38,51 @@ tokio::task_local! {
 }
 
 /// When a stream ends at the latest, and how many bytes of its answer are not sent yet.
+///
+/// A stream may answer hundreds of thousands of messages per second, and each of them sets the time and
+/// clears it again. So that costs two stores: the waiting side is woken only for a time that is earlier
+/// than the one at which it wakes up anyway, and looks then whether the time has moved.
 #[derive(Clone, Debug)]
 pub(super) struct Cutoff(Arc<State>);
 
 #[derive(Debug)]
 struct State {
-    due: watch::Sender<Option<(Instant, Cut)>>,
+    /// The zero of the times below.
+    start: Instant,
+    /// When the stream ends, and why ([`packed`]); [`NEVER`] while the peer owes nothing.
+    due: AtomicU64,
+    /// The `due` for which the waiting side wakes up.
+    awaited: AtomicU64,
+    /// `due` is earlier than `awaited`.
+    is_earlier: Notify,
     unsent: AtomicUsize,
     abort: Arc<Notify>,
+}
+
+/// The time of a stream that may go on.
+const NEVER: u64 = u64::MAX;
+
+/// A time in milliseconds and, in the two lowest bits, the reason.
+fn packed(milliseconds: u64, why: Cut) -> u64 {
+    milliseconds << 2 | why as u64
+}
+
+/// The reason of a packed time.
+fn reason(packed: u64) -> Option<Cut> {
+    Cut::ALL.get((packed & 3) as usize).copied()
 }
 
 impl Cutoff {
     /// A cutoff that is not set. `abort` closes the connection.
     pub(super) fn new(abort: Arc<Notify>) -> Self {
-        Self(Arc::new(State { due: watch::Sender::new(None), unsent: 0.into(), abort }))
+        Self(Arc::new(State {
+            start: Instant::now(),
+            due: NEVER.into(),
+            awaited: NEVER.into(),
+            is_earlier: Notify::new(),
+            unsent: 0.into(),
+            abort,
+        }))
     }
 
     /// The cutoff of the stream that the current task serves; one that nobody waits for where
@@ -62,24 +93,39 @@ impl Cutoff {
 
     /// The stream ends at `at`, for the reason `why`, unless the cutoff changes before.
     pub(super) fn set(&self, (at, why): (Instant, Cut)) {
-        self.0.due.send_replace(Some((at, why)));
+        let state = &*self.0;
+        let milliseconds = at.saturating_duration_since(state.start).as_nanos().div_ceil(1_000_000);
+        let due = packed(milliseconds as u64, why);
+        state.due.store(due, Ordering::SeqCst);
+        if due < state.awaited.load(Ordering::SeqCst) {
+            state.is_earlier.notify_one();
+        }
+    }
+
+    /// Whether the transport has sent all of the answer so far.
+    pub(super) fn is_all_sent(&self) -> bool {
+        self.0.unsent.load(Ordering::SeqCst) == 0
     }
 
     /// The stream may go on if the peer has taken all of the answer so far.
     pub(super) fn clear_if_all_is_sent(&self) {
-        if self.0.unsent.load(Ordering::Relaxed) == 0 {
-            self.0.due.send_if_modified(|due| due.take().is_some());
+        let due = self.0.due.load(Ordering::SeqCst);
+        let change =
+            |from, to| self.0.due.compare_exchange(from, to, Ordering::SeqCst, Ordering::SeqCst).is_ok();
+        if due != NEVER && self.is_all_sent() && change(due, NEVER) && !self.is_all_sent() {
+            // More was queued meanwhile, and its time may have been this very millisecond.
+            change(NEVER, due);
         }
     }
 
     /// Counts `bytes` of the answer that the transport has not sent yet.
     pub(super) fn queued(&self, bytes: usize) {
-        self.0.unsent.fetch_add(bytes, Ordering::Relaxed);
+        self.0.unsent.fetch_add(bytes, Ordering::SeqCst);
     }
 
     /// The memory of `bytes` is free: they were sent or discarded.
     pub(super) fn freed(&self, bytes: usize) {
-        self.0.unsent.fetch_sub(bytes, Ordering::Relaxed);
+        self.0.unsent.fetch_sub(bytes, Ordering::SeqCst);
         self.clear_if_all_is_sent();
     }
 
@@ -101,19 +147,25 @@ impl Cutoff {
 
     /// Completes when the time has come.
     async fn due(&self) -> Cut {
-        let mut due = self.0.due.subscribe();
+        let state = &*self.0;
         loop {
-            let now = *due.borrow_and_update();
-            match now {
-                None => {
-                    if due.changed().await.is_err() {
-                        std::future::pending::<()>().await;
+            let due = state.due.load(Ordering::SeqCst);
+            state.awaited.store(due, Ordering::SeqCst);
+            if state.due.load(Ordering::SeqCst) < due {
+                // It was set before `awaited` said that it had to wake this side.
+                continue;
+            }
+            let Some(why) = reason(due).filter(|_| due != NEVER) else {
+                state.is_earlier.notified().await;
+                continue;
+            };
+            tokio::select! {
+                () = sleep_until(state.start + Duration::from_millis(due >> 2)) => {
+                    if state.due.load(Ordering::SeqCst) <= due {
+                        return why;
                     }
                 }
-                Some((at, why)) => tokio::select! {
-                    () = sleep_until(at) => return why,
-                    _ = due.changed() => {}
-                },
+                () = state.is_earlier.notified() => {}
             }
         }
     }
@@ -160,9 +212,9 @@ where
         tokio::spawn(async move {
             let ended = cutoff.guard(&app, stream).await;
             living.fetch_sub(1, Ordering::Relaxed);
-            if ended.is_none() && cutoff.0.unsent.load(Ordering::Relaxed) > 0 {
+            if ended.is_none() && !cutoff.is_all_sent() {
                 sleep(DISCARD).await;
-                if cutoff.0.unsent.load(Ordering::Relaxed) > 0 {
+                if !cutoff.is_all_sent() {
                     cutoff.0.abort.notify_one();
                 }
             }
@@ -206,6 +258,6 @@ mod tests {
         cutoff.clear_if_all_is_sent();
         assert_eq!(cutoff.due().await, Cut::AnswerNotRead);
         cutoff.freed(5);
-        assert_eq!(*cutoff.0.due.borrow(), None);
+        assert_eq!(cutoff.0.due.load(Ordering::SeqCst), NEVER);
     }
 }

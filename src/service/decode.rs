@@ -27,15 +27,16 @@ pub(super) async fn decoded<M: Request, T: Send + 'static>(
     message: Encoded<M>,
     check: impl FnOnce(M::Decoded, Permit, &Limits, &Stop) -> Result<T, ServiceError> + Send + 'static,
 ) -> Result<T, ServiceError> {
-    let length = message.len();
+    let arrived = context.arrived(message.into_bytes());
+    let length = arrived.len();
     let decode = {
-        let (app, context, bytes) = (app.clone(), context.clone(), message.into_bytes());
+        let (app, context) = (app.clone(), context.clone());
         move |stop: &Stop| {
-            let mut memory = context.take(&app, Part::Decoded, 0)?;
+            let (bytes, arriving) = arrived.joined();
+            let mut memory = context.covered(Part::Decoded);
             let mut take = |bytes| grow(&app, &mut memory, bytes);
             let request = M::read(&bytes, &mut Bounds::new(app.limits(), stop, &mut take))?;
-            drop(bytes);
-            context.decoded();
+            drop((bytes, arriving));
             check(request, memory, app.limits(), stop)
         }
     };

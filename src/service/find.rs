@@ -15,6 +15,7 @@ use std::{
 use super::{
     App, Limits, ServiceError,
     admission::Admission,
+    answer::{answer, counted_answer},
     batch::Batch,
     contacts::{fetch, missing},
     context::{CallContext, grow},
@@ -158,8 +159,8 @@ impl Finding {
             }
         }
         let Some((hulls, bodies)) = self.left_out.take() else { return Ok(None) };
-        let answer = wire::response(self.request_id, Columns::default(), hulls, bodies);
-        Ok(Some(self.app.bounded_answer(&self.context, answer)?.into_inner()))
+        let response = wire::response(self.request_id, Columns::default(), hulls, bodies);
+        Ok(Some(answer(&self.app, &self.context, response).await?))
     }
 
     /// The answer for the candidates that are not separated; none if all are.
@@ -178,7 +179,7 @@ impl Finding {
         }
         let (hulls, bodies) = self.left_out.clone().unwrap_or_default();
         let answer = wire::response(self.request_id, columns, hulls, bodies);
-        let answer = self.app.counted_answer(&self.context, answer, memory)?;
+        let answer = counted_answer(&self.app, &self.context, answer, memory).await?;
         self.left_out = None;
         Ok(Some(answer))
     }

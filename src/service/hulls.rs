@@ -6,6 +6,7 @@ use tonic::{Request, Response, Status};
 
 use super::{
     App, Limits, ServiceError,
+    answer::answer,
     context::{CallContext, no_memory},
     decode::decoded,
     records::{present, records},
@@ -60,7 +61,7 @@ impl HullService for Hulls {
         while left.peek().is_some() {
             results.extend(self.register(group(&mut left), &context.job).await?);
         }
-        Ok(self.app.bounded_answer(&context, RegisterHullsResponse { results })?)
+        Ok(Response::new(answer(&self.app, &context, RegisterHullsResponse { results }).await?))
     }
 
     async fn get_hulls(
@@ -72,7 +73,7 @@ impl HullService for Hulls {
         let (hulls, memory) = records(&self.app, &context, &ids, parts).await?;
         // The answer is charged with its exact size instead.
         drop(memory);
-        Ok(self.app.bounded_answer(&context, GetHullsResponse { hulls })?)
+        Ok(Response::new(answer(&self.app, &context, GetHullsResponse { hulls }).await?))
     }
 
     async fn has_hulls(
@@ -82,7 +83,7 @@ impl HullService for Hulls {
         let context = CallContext::of(&request);
         let (ids, _memory) = self.decoded(&context, request).await?;
         let present = present(&self.app, &context, &ids).await?;
-        Ok(self.app.bounded_answer(&context, HasHullsResponse { present })?)
+        Ok(Response::new(answer(&self.app, &context, HasHullsResponse { present }).await?))
     }
 
     async fn list_hulls(
@@ -99,7 +100,7 @@ impl HullService for Hulls {
         let page = wire::page(blobs, more);
         // The answer is charged with its exact size instead.
         drop(listed);
-        Ok(self.app.bounded_answer(&context, page)?)
+        Ok(Response::new(answer(&self.app, &context, page).await?))
     }
 
     async fn delete_hulls(
@@ -115,7 +116,7 @@ impl HullService for Hulls {
             deleted.push(done.map_err(|error| store_error(&self.app, error))?);
         }
         tracing::info!(hulls = deleted.iter().filter(|deleted| **deleted).count(), "deleted");
-        Ok(self.app.bounded_answer(&context, DeleteHullsResponse { deleted })?)
+        Ok(Response::new(answer(&self.app, &context, DeleteHullsResponse { deleted }).await?))
     }
 }
 

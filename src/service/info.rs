@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use tonic::{Request, Response, Status};
 
-use super::{App, context::CallContext, decode::decoded, wire};
+use super::{App, answer::answer, context::CallContext, decode::decoded, wire};
 use crate::proto::{
     Encoded, GetServerInfoRequest, GetServerInfoResponse,
     server_service_server::{ServerService, ServerServiceServer},
@@ -28,6 +28,6 @@ impl ServerService for Info {
         decoded(&self.app, &context, request.into_inner(), |(), _, _, _| Ok(())).await?;
         let (limits, threads) = (self.app.limits(), self.app.engine().threads());
         let info = wire::server_info(limits, threads, self.app.memory());
-        Ok(self.app.bounded_answer(&context, info)?)
+        Ok(Response::new(answer(&self.app, &context, info).await?))
     }
 }

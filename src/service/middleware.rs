@@ -28,7 +28,7 @@ use super::{
     call::{
         self, BoxError, Call, Taken, is_health, is_long_lived, is_watch, names_a_service, takes_one_message,
     },
-    context::{CallContext, no_memory},
+    context::{CALL_BYTES, CallContext, no_memory},
     error::{Kind, ServiceError},
     peers::Peer,
     request_body::{MessageBody, MessageRules},
@@ -39,10 +39,6 @@ use crate::{
     log_limit::Repeated,
     trace,
 };
-
-/// The fixed cost of a call beside its headers: the transport's state, its task, and small
-/// buffers.
-const CALL_BYTES: usize = 8 << 10;
 
 /// The largest message of a health check or of reflection: a name.
 const NAME_BYTES: usize = 1 << 10;
@@ -211,7 +207,6 @@ fn answered(
     if let Some(status) = Status::from_header_map(response.headers()) {
         call.ended_with(status.code());
     }
-    context.decoded();
     response.map(|body| Body::new(AnswerBody::new(body, call, context, times)))
 }
 

@@ -7,6 +7,7 @@
 
 mod admin;
 mod admission;
+mod answer;
 mod answer_body;
 pub mod batch;
 mod call;
@@ -44,7 +45,6 @@ use std::{
 
 pub use admin::serve_admin;
 use batch::Engine;
-use context::CallContext;
 pub use error::{Kind, Place, ServiceError};
 pub use limits::Limits;
 pub use listener::Listener;
@@ -56,16 +56,12 @@ pub use server::handlers;
 pub use server::{Serving, run};
 
 use crate::{
-    budget::{Caller, Callers, MemoryBudget, Part, Permit},
+    budget::{Caller, Callers, MemoryBudget, Part},
     compute::Compute,
     lock::locked,
     metrics::Metrics,
-    proto::QueryContactsResponse,
     store::{BlobStore, Registry, registry::Bounds},
 };
-
-/// An answer is held in memory twice: as a message and encoded.
-const ANSWER_COPIES: usize = 2;
 
 /// The state that all handlers share.
 #[derive(Debug)]
@@ -170,46 +166,6 @@ impl App {
 
     fn set_readiness(&self, readiness: Readiness) {
         *locked(&self.readiness) = readiness;
-    }
-
-    /// Checks that an answer is within the message limit, and takes the memory for it twice, as a
-    /// message and encoded. The call holds that memory.
-    fn bounded_answer<M: prost::Message>(
-        &self,
-        context: &CallContext,
-        answer: M,
-    ) -> Result<tonic::Response<M>, ServiceError> {
-        let bytes = answer.encoded_len();
-        if bytes > self.limits.max_message_bytes {
-            return Err(self.answer_too_large(bytes));
-        }
-        context.hold_answer(context.take(self, Part::Answers, ANSWER_COPIES * bytes)?);
-        Ok(tonic::Response::new(answer))
-    }
-
-    /// Checks an answer whose columns were charged while they were computed, and takes the memory
-    /// for its encoded form.
-    fn counted_answer(
-        &self,
-        context: &CallContext,
-        answer: QueryContactsResponse,
-        mut memory: Permit,
-    ) -> Result<QueryContactsResponse, ServiceError> {
-        let bytes = prost::Message::encoded_len(&answer);
-        if bytes > self.limits.max_message_bytes {
-            return Err(self.answer_too_large(bytes));
-        }
-        context::grow(self, &mut memory, bytes)?;
-        context.hold_answer(memory);
-        Ok(answer)
-    }
-
-    /// The error for an answer of at least `bytes` bytes.
-    fn answer_too_large(&self, bytes: usize) -> ServiceError {
-        let limit = self.limits.max_message_bytes;
-        let message =
-            format!("the answer has at least {bytes} bytes, the limit is {limit}: ask for less at a time");
-        ServiceError::refused("RESPONSE_TOO_LARGE", message)
     }
 }
 

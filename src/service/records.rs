@@ -9,7 +9,8 @@ use std::{
 use futures_util::{StreamExt, TryStreamExt, stream};
 
 use super::{
-    ANSWER_COPIES, App, ServiceError,
+    App, ServiceError,
+    answer::{ANSWER_COPIES, too_large},
     context::{CallContext, grow},
     hulls::unreadable,
     offload::offloaded,
@@ -159,7 +160,7 @@ impl Reading<'_> {
         let mut taken = locked(&self.taken);
         taken.bytes = taken.bytes.saturating_add(times.saturating_mul(bytes));
         if taken.bytes > self.app.limits().max_message_bytes {
-            return Err(self.app.answer_too_large(taken.bytes));
+            return Err(too_large(self.app, taken.bytes));
         }
         let memory = times.saturating_mul(ANSWER_COPIES * (bytes + RECORD_BYTES));
         grow(self.app, &mut taken.memory, memory)

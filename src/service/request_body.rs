@@ -1,11 +1,15 @@
 //! A request's body as whole messages.
 //!
 //! gRPC puts five bytes before each message: a flag, and the message's length. tonic allocates
-//! the length that a caller declares before a byte of the message is there, and it has no time
-//! limit within a message. [`MessageBody`] therefore reads the five bytes itself, refuses a
-//! message that is too long, takes memory for each byte that arrives, and hands a message on
-//! only when the whole of it is there. Arrived bytes are copied into segments of their own,
-//! because a received buffer keeps a whole read buffer of the connection alive.
+//! the length that a caller declares before a byte of the message is there, keeps that buffer until the
+//! call ends, and has no time limit within a message. [`MessageBody`] therefore reads the five bytes
+//! itself, refuses a message that is too long, takes memory for each byte that arrives, and hands a
+//! message on only when the whole of it is there. A large message goes to the [`CallContext`], where the
+//! handler finds it, and tonic gets an empty message in its place. Arrived bytes are copied into
+//! segments of their own, because a received buffer keeps a whole read buffer of the connection alive.
+//!
+//! A received frame may hold thousands of small messages. They are read off the frame one at a time, when
+//! tonic asks for the next one, so that a message that nobody has asked for takes no memory of its own.
 //!
 //! A method that takes one message gets one: more bytes after it are refused, and the end of
 //! the request is due within the message's own time.
@@ -24,12 +28,17 @@ use hyper::body::{Body as HttpBody, Frame, SizeHint};
 use tokio::time::{Instant, Sleep, sleep_until};
 use tonic::Status;
 
-use super::{App, ServiceError, call::BoxError, context::CallContext};
+use super::{
+    App, ServiceError,
+    call::BoxError,
+    context::{Arrived, CallContext, SMALL_BYTES, grow},
+};
+use crate::budget::{Part, Permit};
 
 /// The bytes before each message: a flag that says whether it is compressed, and its length.
 pub(super) const HEAD_BYTES: usize = 5;
 
-/// A message is copied into pieces of at most this size as it arrives, so that memory is taken
+/// A large message is copied into pieces of at most this size as it arrives, so that memory is taken
 /// as bytes arrive and not as they are declared.
 const SEGMENT_BYTES: usize = 256 << 10;
 
@@ -50,9 +59,15 @@ pub(super) struct MessageBody<B> {
     app: Arc<App>,
     context: CallContext,
     rules: MessageRules,
+    /// What is not read yet of the frame that was received last.
+    received: Bytes,
+    /// The memory of that frame, if a part of it has to wait.
+    waiting: Option<Permit>,
     message: Message,
-    /// Whole messages, to be handed on.
+    /// The head and the bytes of a whole message, to be handed on.
     whole: VecDeque<Bytes>,
+    /// The number of messages that were complete.
+    complete: usize,
     /// When the message under way is due; none while a stream's caller sends none.
     due: Option<Pin<Box<Sleep>>>,
     started: Instant,
@@ -67,43 +82,66 @@ struct Message {
     /// Bytes of the message that are still to come, once its head is there.
     missing: usize,
     segments: Vec<BytesMut>,
-    /// Messages that were complete before it.
-    before: usize,
+    memory: Option<Permit>,
 }
 
 impl<B> MessageBody<B> {
     pub(super) fn new(body: B, app: Arc<App>, context: CallContext, rules: MessageRules) -> Self {
         let started = Instant::now();
         let due = rules.is_single.then(|| Box::pin(sleep_until(started + rules.patience)));
-        let (message, whole) = (Message::default(), VecDeque::new());
-        Self { body, app, context, rules, message, whole, due, started, ended: false }
+        Self {
+            body,
+            app,
+            context,
+            rules,
+            received: Bytes::new(),
+            waiting: None,
+            message: Message::default(),
+            whole: VecDeque::new(),
+            complete: 0,
+            due,
+            started,
+            ended: false,
+        }
     }
 
-    /// Adds bytes that arrived.
-    fn arrived(&mut self, mut bytes: Bytes) -> Result<(), ServiceError> {
-        while !bytes.is_empty() {
-            if self.rules.is_single && self.message.before > 0 {
+    /// Reads received bytes until a message is whole. The rest of the frame waits until tonic asks for the
+    /// next message, and keeps the memory of the whole frame.
+    fn read(&mut self) -> Result<(), ServiceError> {
+        let frame_bytes = self.received.len();
+        self.read_message()?;
+        if self.received.is_empty() {
+            self.waiting = None;
+        } else if self.waiting.is_none() {
+            let mut memory = self.context.covered_frame();
+            grow(&self.app, &mut memory, frame_bytes)?;
+            self.waiting = Some(memory);
+        }
+        Ok(())
+    }
+
+    fn read_message(&mut self) -> Result<(), ServiceError> {
+        while !self.received.is_empty() && self.whole.is_empty() {
+            if self.rules.is_single && self.complete > 0 {
                 let why = "the request has more than one message: this method takes one";
                 return Err(ServiceError::refused("TOO_MANY_MESSAGES", why));
             }
             if self.message.head_bytes == 0 {
-                self.begin();
-                if let Some(whole) = self.whole_frame(&bytes)? {
-                    self.whole.push_back(whole);
-                    self.complete();
+                if let Some(small) = self.small_message() {
+                    self.whole.push_back(small);
+                    self.completed();
                     return Ok(());
                 }
+                self.begin();
             }
             if self.message.head_bytes < HEAD_BYTES {
-                self.read_head(&mut bytes)?;
+                self.read_head()?;
             } else {
-                self.read_segment(&mut bytes)?;
+                self.read_segment()?;
             }
             if self.message.head_bytes == HEAD_BYTES && self.message.missing == 0 {
-                self.whole.push_back(Bytes::copy_from_slice(&self.message.head));
-                let segments = std::mem::take(&mut self.message.segments);
-                self.whole.extend(segments.into_iter().map(BytesMut::freeze));
-                self.complete();
+                self.hand_on();
+                self.completed();
             }
         }
         Ok(())
@@ -118,28 +156,25 @@ impl<B> MessageBody<B> {
         }
     }
 
-    fn complete(&mut self) {
-        self.message = Message { before: self.message.before + 1, ..Message::default() };
+    fn completed(&mut self) {
+        self.complete += 1;
         if !self.rules.is_single {
             self.due = None;
         }
     }
 
-    /// A small message that came as one frame, as most do: handed on as it is, since tonic
-    /// copies it at once.
-    fn whole_frame(&mut self, frame: &Bytes) -> Result<Option<Bytes>, ServiceError> {
-        let Some((head, message)) = frame.split_first_chunk::<HEAD_BYTES>() else { return Ok(None) };
+    /// A small message that is whole in the received frame, as most are: it is handed on as it is, since
+    /// tonic copies it at once.
+    fn small_message(&mut self) -> Option<Bytes> {
+        let (head, rest) = self.received.split_first_chunk::<HEAD_BYTES>()?;
         let length = declared(*head);
-        if message.len() != length || length > SEGMENT_BYTES.min(self.rules.max_bytes) {
-            return Ok(None);
-        }
-        self.context.arrive(&self.app, length)?;
-        Ok(Some(frame.clone()))
+        let is_small = length > 0 && length <= SMALL_BYTES.min(self.rules.max_bytes);
+        (is_small && rest.len() >= length).then(|| self.received.split_to(HEAD_BYTES + length))
     }
 
-    fn read_head(&mut self, bytes: &mut Bytes) -> Result<(), ServiceError> {
+    fn read_head(&mut self) -> Result<(), ServiceError> {
         let have = self.message.head_bytes;
-        let part = bytes.split_to(bytes.len().min(HEAD_BYTES - have));
+        let part = self.received.split_to(self.received.len().min(HEAD_BYTES - have));
         self.message.head[have..have + part.len()].copy_from_slice(&part);
         self.message.head_bytes += part.len();
         if self.message.head_bytes < HEAD_BYTES {
@@ -157,19 +192,47 @@ impl<B> MessageBody<B> {
         Ok(())
     }
 
-    fn read_segment(&mut self, bytes: &mut Bytes) -> Result<(), ServiceError> {
+    fn read_segment(&mut self) -> Result<(), ServiceError> {
         let message = &mut self.message;
         let full = message.segments.last().is_none_or(|segment| segment.len() == segment.capacity());
         if full {
             let capacity = message.missing.min(SEGMENT_BYTES);
-            self.context.arrive(&self.app, capacity)?;
+            let memory = message.memory.get_or_insert_with(|| self.context.covered(Part::Arriving));
+            grow(&self.app, memory, capacity)?;
             message.segments.push(BytesMut::with_capacity(capacity));
         }
         let Some(segment) = message.segments.last_mut() else { return Ok(()) };
-        let part = bytes.split_to(bytes.len().min(message.missing).min(segment.capacity() - segment.len()));
+        let room = segment.capacity() - segment.len();
+        let part = self.received.split_to(self.received.len().min(message.missing).min(room));
         segment.extend_from_slice(&part);
         message.missing -= part.len();
         Ok(())
+    }
+
+    /// Hands a whole message on: a small one to tonic, which copies it, any other to the handler. An empty
+    /// message counts as large, so that each empty message that tonic passes on stands for another one.
+    fn hand_on(&mut self) {
+        let Message { head, segments, memory, .. } = std::mem::take(&mut self.message);
+        let length = declared(head);
+        let pieces = segments.into_iter().map(BytesMut::freeze);
+        if length > 0 && length <= SMALL_BYTES {
+            self.whole.push_back(Bytes::copy_from_slice(&head));
+            self.whole.extend(pieces);
+            return;
+        }
+        let memory = memory.unwrap_or_else(|| self.context.covered(Part::Arriving));
+        self.context.keep_arrived(Arrived { pieces: pieces.collect(), memory });
+        // The flag stays, since tonic refuses a message that says that it is compressed.
+        self.whole.push_back(Bytes::copy_from_slice(&[head[0], 0, 0, 0, 0]));
+    }
+
+    /// Ends the body with an error; what has arrived is freed.
+    fn refuse(&mut self, why: ServiceError) -> BoxError {
+        self.ended = true;
+        self.whole.clear();
+        (self.received, self.waiting) = (Bytes::new(), None);
+        self.message = Message::default();
+        Status::from(why).into()
     }
 
     fn late(&self) -> ServiceError {
@@ -209,35 +272,36 @@ where
             if this.ended {
                 return Poll::Ready(None);
             }
-            let refused = match Pin::new(&mut this.body).poll_frame(cx) {
-                Poll::Ready(None) => {
-                    this.ended = true;
-                    continue;
+            if !this.received.is_empty() {
+                if let Err(why) = this.read() {
+                    return Poll::Ready(Some(Err(this.refuse(why))));
                 }
+                continue;
+            }
+            match Pin::new(&mut this.body).poll_frame(cx) {
+                Poll::Ready(None) => this.ended = true,
                 Poll::Ready(Some(Err(error))) => {
                     this.ended = true;
                     return Poll::Ready(Some(Err(error.into())));
                 }
                 Poll::Ready(Some(Ok(frame))) => match frame.into_data() {
-                    Ok(bytes) => this.arrived(bytes).err(),
+                    Ok(bytes) => this.received = bytes,
                     Err(trailers) => return Poll::Ready(Some(Ok(trailers))),
                 },
-                Poll::Pending => match this.due.as_mut().map(|due| due.poll_unpin(cx)) {
-                    Some(Poll::Ready(())) => Some(this.late()),
-                    _ => return Poll::Pending,
-                },
-            };
-            if let Some(error) = refused {
-                this.ended = true;
-                this.whole.clear();
-                this.message = Message::default();
-                return Poll::Ready(Some(Err(Status::from(error).into())));
+                Poll::Pending => {
+                    let is_late = this.due.as_mut().is_some_and(|due| due.poll_unpin(cx).is_ready());
+                    if !is_late {
+                        return Poll::Pending;
+                    }
+                    let late = this.late();
+                    return Poll::Ready(Some(Err(this.refuse(late))));
+                }
             }
         }
     }
 
     fn is_end_stream(&self) -> bool {
-        self.whole.is_empty() && (self.ended || self.body.is_end_stream())
+        self.whole.is_empty() && (self.ended || (self.received.is_empty() && self.body.is_end_stream()))
     }
 
     fn size_hint(&self) -> SizeHint {

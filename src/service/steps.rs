@@ -1,7 +1,10 @@
 //! Answers a stream of requests in order, one at a time. Each request may inherit from the one
 //! before.
 
-use std::{sync::Arc, time::Duration};
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use tonic::{Status, Streaming};
 
@@ -14,7 +17,7 @@ use super::{
     wire::{self, Scene, Setting},
 };
 use crate::{
-    budget::Permit,
+    budget::{CallerStream, Permit},
     compute::FreedHere,
     contact::Stop,
     proto::{Encoded, QueryContactsRequest, QueryContactsResponse},
@@ -30,7 +33,14 @@ pub(super) struct Steps {
     requests: Streaming<Encoded<QueryContactsRequest>>,
     closing: Closing,
     previous: Previous,
+    /// The time spent on messages since the stream last gave way to other calls.
+    busy: Duration,
+    stream: CallerStream,
 }
+
+/// The streams of one caller give way to the other calls of their threads after this time of work, which
+/// they share. Streams of small messages that are all there already would otherwise never do so.
+const TURN: Duration = Duration::from_millis(2);
 
 /// The previous message of the stream.
 enum Previous {
@@ -57,11 +67,16 @@ impl Steps {
         requests: Streaming<Encoded<QueryContactsRequest>>,
         closing: Closing,
     ) -> Self {
-        Self { app, context, requests, closing, previous: Previous::None }
+        let stream = context.job.caller.stream();
+        Self { app, context, requests, closing, previous: Previous::None, busy: Duration::ZERO, stream }
     }
 
     /// The next answer; none after the last request.
     pub(super) async fn next(&mut self) -> Result<Option<QueryContactsResponse>, Status> {
+        if self.busy >= TURN / self.stream.count().max(1) as u32 {
+            self.busy = Duration::ZERO;
+            tokio::task::yield_now().await;
+        }
         let request = tokio::select! {
             biased;
             () = self.closing.heard() => {
@@ -72,7 +87,12 @@ impl Steps {
         };
         match request {
             None => Ok(None),
-            Some(request) => Ok(Some(self.step(request).await?)),
+            Some(request) => {
+                let begun = Instant::now();
+                let answer = self.step(request).await?;
+                self.busy += begun.elapsed();
+                Ok(Some(answer))
+            }
         }
     }
 

@@ -32,6 +32,7 @@ mod declared;
 mod drained;
 mod elements;
 mod floods;
+mod idle;
 mod messages;
 #[cfg(feature = "playground")]
 mod over_http1;

@@ -23,21 +23,46 @@ attacks! {
     ignored_pairs: "FindContacts with 4.5 million ignored pairs" => ignored_pairs;
     /// Catches worlds that cost a search each.
     worlds: "FindContacts with 65,000 worlds" => worlds;
+    /// Catches turns that follow the order of arrival instead of the callers.
+    backlog: "16 batches of 512 costly pairs that are sent at once" => backlog;
+}
+
+/// The number of the bystander's queries that are answered before the attacker's backlog is.
+const BEFORE_BACKLOG: usize = 20;
+
+/// Pairs of two faces of thousands of sides. One is turned a little, so that each side crosses another.
+async fn faces(arena: &Arena) -> impl Fn(usize) -> QueryContactsRequest {
+    let ids = arena.register(&[prism(arena.size().of(8192))]).await;
+    move |pairs| {
+        let mut request = few_points(same_pair(&ids, pairs, 0.9));
+        let (sin, cos) = 1e-4_f64.sin_cos();
+        request.rotations[6..].copy_from_slice(&[sin, cos]);
+        request
+    }
 }
 
 async fn clipping(arena: &Arena) {
-    let ids = arena.register(&[prism(arena.size().of(8192))]).await;
+    let faces = faces(arena).await;
     arena.begin().await;
-    let questions: Vec<_> = [32, 64, 32, 64]
-        .map(|pairs| {
-            let mut request = few_points(same_pair(&ids, pairs, 0.9));
-            // Turned a little, so that each side crosses another one.
-            let (sin, cos) = 1e-4_f64.sin_cos();
-            request.rotations[6..].copy_from_slice(&[sin, cos]);
-            (QUERY, request)
-        })
-        .into();
-    flood(arena, &questions).await;
+    flood(arena, &[32, 64, 32, 64].map(|pairs| (QUERY, faces(pairs)))).await;
+}
+
+async fn backlog(arena: &Arena) {
+    let question = raw::frame(false, &faces(arena).await(512).encode_to_vec());
+    arena.begin().await;
+    let sent = (0..16).map(async |_| {
+        let mut peer = arena.peer(Windows::OPEN).await.expect("a connection");
+        let call = peer.ask(QUERY, &question).await.expect("a call");
+        (peer, call)
+    });
+    let sent = join_all(sent).await;
+    // A call that is refused ends at once, so the last one to end is computed.
+    tokio::select! {
+        () = arena.bystander_answered(BEFORE_BACKLOG) => {}
+        _ = join_all(sent.iter().map(|(peer, call)| peer.ended(*call))) => {
+            panic!("the backlog ended before the bystander's query number {BEFORE_BACKLOG}")
+        }
+    }
 }
 
 async fn degenerate(arena: &Arena) {

@@ -1,4 +1,5 @@
 //! Compares two versions of the server under the same load. Run by `make bench-versions BASELINE=path`.
+//! An argument selects the rows whose label contains it.
 //!
 //! Both servers run all the time. The rounds alternate between them, so that a change of the machine's
 //! speed meets both alike, and each figure is the median over the rounds of the ratio within one round.
@@ -105,6 +106,9 @@ async fn compare(
     label: &str,
     measure: impl AsyncFn(usize) -> Result<Sample, Failure>,
 ) -> Result<(), Failure> {
+    if !std::env::args().nth(1).is_none_or(|part| label.contains(&part)) {
+        return Ok(());
+    }
     let (mut before, mut cpu, mut rate) = (vec![], vec![], vec![]);
     for round in 0..ROUNDS {
         // Each version comes first in every second round.

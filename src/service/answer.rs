@@ -1,0 +1,76 @@
+//! Answers on their way to the transport.
+//!
+//! tonic encodes a message on the thread that serves the connection, into a buffer that it keeps until the
+//! call ends. That suits small answers. A large answer is encoded here instead: on the compute threads, into
+//! memory that the call has taken. It then waits in the call's context, tonic encodes an empty message in
+//! its place, and the response's body puts it back ([`AnswerBody`](super::answer_body::AnswerBody)).
+
+use bytes::{BufMut, Bytes, BytesMut};
+
+use super::{
+    App, ServiceError,
+    context::{Answer, CallContext, SMALL_BYTES, grow},
+    offload::offloaded,
+    request_body::HEAD_BYTES,
+};
+use crate::{
+    budget::{Part, Permit},
+    proto::bulk::{Columnar, encode},
+};
+
+/// An answer is held in memory twice: as a message and encoded.
+pub(super) const ANSWER_COPIES: usize = 2;
+
+/// Checks that an answer is within the message limit, takes the memory for it, and encodes it if it is large.
+/// Returns the message that tonic has to encode.
+///
+/// # Errors
+/// RESPONSE_TOO_LARGE; TOO_BUSY or MEMORY_TOO_LARGE if there is no memory.
+pub(super) async fn answer<M: Columnar + Send + 'static>(
+    app: &App,
+    context: &CallContext,
+    message: M,
+) -> Result<M, ServiceError> {
+    let mut memory = context.covered(Part::Answers);
+    grow(app, &mut memory, message.encoded_len())?;
+    counted_answer(app, context, message, memory).await
+}
+
+/// Does as [`answer`] with an answer whose memory is taken already.
+pub(super) async fn counted_answer<M: Columnar + Send + 'static>(
+    app: &App,
+    context: &CallContext,
+    message: M,
+    mut memory: Permit,
+) -> Result<M, ServiceError> {
+    let length = message.encoded_len();
+    if length > app.limits().max_message_bytes {
+        return Err(too_large(app, length));
+    }
+    // An empty message stands for a large one, so it is never passed on as it is.
+    if length > 0 && length <= SMALL_BYTES {
+        return Ok(message);
+    }
+    grow(app, &mut memory, HEAD_BYTES + length)?;
+    let bytes = offloaded(app, context, length, move |_| Ok(framed(message, length))).await?;
+    memory.shrink_to(bytes.len() as u64);
+    context.keep_answer(Answer { bytes, memory });
+    Ok(M::default())
+}
+
+/// A message of `length` bytes with its head.
+fn framed<M: Columnar>(message: M, length: usize) -> Bytes {
+    let mut bytes = BytesMut::with_capacity(HEAD_BYTES + length);
+    bytes.put_u8(0);
+    bytes.put_u32(length as u32);
+    encode(message, &mut bytes);
+    bytes.freeze()
+}
+
+/// The error for an answer of at least `bytes` bytes.
+pub(super) fn too_large(app: &App, bytes: usize) -> ServiceError {
+    let limit = app.limits().max_message_bytes;
+    let message =
+        format!("the answer has at least {bytes} bytes, the limit is {limit}: ask for less at a time");
+    ServiceError::refused("RESPONSE_TOO_LARGE", message)
+}
