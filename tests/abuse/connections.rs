@@ -23,7 +23,8 @@ attacks! {
     /// Catches long-lived calls that no budget counts.
     watches: "1,024 Watch streams on many connections" => watches;
     /// Catches unfinished handshakes that keep other clients from finishing theirs.
-    handshakes: "endless TLS handshakes: complete, broken off and left half done", |s: Setup| s.tls() => handshakes;
+    handshakes: "endless TLS handshakes: complete, broken off and left half done",
+        |s: Setup| s.tls() => handshakes;
     /// Catches a server that fails, or fills its log, when it has no file descriptors left.
     descriptors: "100 idle connections to a server that may open 64 files",
         |s: Setup| Setup { ulimit: Some("-n 64".into()), ..s } => descriptors;

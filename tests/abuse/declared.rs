@@ -18,9 +18,11 @@ attacks! {
     lengths_in_a_small_address_space: "1,000 streams that declare the largest message, 8 GiB of addresses",
         |s: Setup| Setup { ulimit: Some("-v 8388608".into()), ..s } => some_lengths;
     /// Catches a reservation that is bounded only on TCP.
-    lengths_over_unix: "1,000 streams that declare the largest message, over a Unix socket", |s: Setup| s.over_unix() => some_lengths;
+    lengths_over_unix: "1,000 streams that declare the largest message, over a Unix socket",
+        |s: Setup| s.over_unix() => some_lengths;
     /// Catches a reservation that is bounded only without TLS.
-    lengths_over_tls: "1,000 streams that declare the largest message, over TLS", |s: Setup| s.tls() => some_lengths;
+    lengths_over_tls: "1,000 streams that declare the largest message, over TLS",
+        |s: Setup| s.tls() => some_lengths;
 }
 
 async fn many_lengths(arena: &Arena) {

@@ -25,8 +25,8 @@ attacks! {
     corrupt: "HasHulls of 1,000 corrupt hulls", |s: Setup| Setup { fill_store: Some(corrupt_blobs), ..s }
         => corrupt;
     /// Catches listings and look-ups of a large store that delay other callers.
-    listings: "ListHulls of a large store and HasHulls of uncached hulls in a loop", |s: Setup| s.cache(2 << 20)
-        => listings;
+    listings: "ListHulls of a large store and HasHulls of uncached hulls in a loop",
+        |s: Setup| s.cache(2 << 20) => listings;
     /// Catches one caller's hulls that keep the hulls of all others out of the cache.
     evicting: "one caller's hulls that evict those of all others", |s: Setup| s.cache(4 << 20) => evicting;
     /// Catches page tokens that the server trusts without a check.

@@ -16,16 +16,18 @@ attacks! {
     /// Catches messages that hold the whole budget because they never end.
     streams: "1 GiB of messages on streams that stop in the middle" => half_messages_on_streams;
     /// Catches unfinished messages to the health service, which needs no token.
-    health: "messages to Health/Watch that stop in the middle, without a token", |s: Setup| s.tokens() => half_messages_to_health;
+    health: "messages to Health/Watch that stop in the middle, without a token",
+        |s: Setup| s.tokens() => half_messages_to_health;
     /// Catches unfinished messages that are bounded only on TCP.
-    over_unix: "1 GiB of messages that stop in the middle, over a Unix socket", |s: Setup| s.over_unix() => half_messages_on_streams;
+    over_unix: "1 GiB of messages that stop in the middle, over a Unix socket",
+        |s: Setup| s.over_unix() => half_messages_on_streams;
     /// Catches decoded messages that are kept in memory until the request ends, although it never ends.
     open_requests: "whole messages of requests that do not end" => open_requests;
     /// Catches messages after the first one that are decoded for an unlimited time.
     further_messages: "a second and third message to methods that take one" => further_messages;
     /// Catches such messages to the health service, which needs no token.
-    further_messages_to_health: "a second and third message to Health/Watch, without a token", |s: Setup| s.tokens()
-        => further_messages_to_health;
+    further_messages_to_health: "a second and third message to Health/Watch, without a token",
+        |s: Setup| s.tokens() => further_messages_to_health;
     /// Catches callers that hold memory with a message that arrives at one byte per second.
     slowly: "messages that arrive at one byte per second" => one_byte_a_second;
 }

@@ -21,7 +21,8 @@ attacks! {
     /// Catches answers that stay in memory for as long as their caller does not read them.
     queries: "150 answers of 50 MB that are never read" => unread_queries;
     /// Catches unread answers that are bounded only on TCP.
-    over_unix: "150 answers of 50 MB that are never read, over a Unix socket", |s: Setup| s.over_unix() => unread_queries;
+    over_unix: "150 answers of 50 MB that are never read, over a Unix socket",
+        |s: Setup| s.over_unix() => unread_queries;
     /// Catches unread answers that are bounded only without TLS.
     over_tls: "150 answers of 50 MB that are never read, over TLS", |s: Setup| s.tls() => unread_queries;
     /// Catches answers that a caller reads at one byte per second.
