@@ -1,11 +1,11 @@
-//! A response's body: its memory counts until the transport has sent it.
+//! The body of a response, whose memory is counted until the transport has sent it.
 //!
-//! The transport takes a whole frame of the body as soon as the peer makes room for a byte of
-//! it, and then keeps the frame until the peer has read it all. [`AnswerBody`] wraps the bytes
-//! of a frame together with the permit for their memory, so that the permit lives exactly as
-//! long as the bytes do, and hands them on in slices, so that a stream that is cut has at most
-//! one slice in the transport's queue. It also sets the call's [`Cutoff`]: an answer has to be
-//! taken within a stated time of when it is ready.
+//! The transport takes a whole frame of the body as soon as the peer makes room for a byte of it, and keeps
+//! the frame until the peer has read all of it. Therefore [`AnswerBody`] wraps the bytes of a frame
+//! together with the permit for their memory, so that the permit lives exactly as long as the bytes. It
+//! hands the bytes on in slices, so that a stream that is cut has at most one slice in the transport's
+//! queue. It also sets the call's [`Cutoff`], because the caller has to take an answer within a limited
+//! time after it is ready.
 
 use std::{
     pin::Pin,
@@ -30,24 +30,24 @@ use crate::{
     metrics::Cut,
 };
 
-/// Bytes of an answer that are handed to the transport at a time.
+/// The bytes of an answer that are handed to the transport at a time.
 const SLICE_BYTES: usize = 256 << 10;
 
-/// A call whose deadline passes ends with DEADLINE_EXCEEDED if its peer takes that. Only after this
-/// time is its stream cut.
+/// A call whose deadline passes ends with DEADLINE_EXCEEDED, if its peer still reads that. After this
+/// additional time the stream is cut.
 const AFTER_DEADLINE: Duration = Duration::from_secs(1);
 
-/// When an answer has to be taken by the peer.
+/// The times by which the peer has to take an answer.
 #[derive(Clone, Debug)]
 pub(super) struct AnswerTimes {
-    /// The time for an answer to be taken, beside a second for each MiB of it.
+    /// The time for the peer to take an answer, plus a second per MiB of it.
     pub(super) patience: Duration,
     /// The call's own deadline.
     pub(super) deadline: Option<Instant>,
 }
 
 impl AnswerTimes {
-    /// When an answer of so many bytes that is ready now has to be taken.
+    /// The time by which an answer of `bytes` bytes that is ready now has to be taken.
     fn due(&self, bytes: usize) -> (Instant, Cut) {
         let due = Instant::now() + self.patience + per_mebibyte(bytes);
         match self.deadline.map(|deadline| deadline + AFTER_DEADLINE) {
@@ -57,14 +57,14 @@ impl AnswerTimes {
     }
 }
 
-/// A response's body; the call ends with it.
+/// The body of a response. The call ends when the body is dropped.
 pub(super) struct AnswerBody {
     body: Body,
     call: Call,
     context: CallContext,
     times: AnswerTimes,
     cutoff: Cutoff,
-    /// What of the present frame is not handed on yet.
+    /// The part of the current frame that has not been handed on yet.
     frame: Bytes,
     ended: bool,
 }
@@ -86,7 +86,7 @@ impl AnswerBody {
         Ok(Bytes::from_owner(Unsent { bytes, _permit: permit, cutoff: self.cutoff.clone() }))
     }
 
-    /// The memory that the answer took while it was made, or new memory where it took none.
+    /// The permit for the memory that the answer took while it was made; new memory if it took none.
     fn permit(&self, bytes: usize) -> Result<Permit, ServiceError> {
         let app: &App = self.call.app();
         match self.context.take_answer() {
@@ -138,7 +138,8 @@ impl HttpBody for AnswerBody {
                 Pin::new(&mut this.body).poll_frame(cx)
             };
             if polled.is_pending() {
-                // The peer owes nothing if it has read what there was: the server owes the rest.
+                // If the peer has read everything so far, it is not late: the server has not produced the
+                // rest yet.
                 this.cutoff.clear_if_all_is_sent();
             }
             let Some(frame) = ready!(polled) else { return Poll::Ready(None) };

@@ -1,14 +1,13 @@
-//! A request's body as whole messages.
+//! The body of a request, received as whole messages.
 //!
-//! gRPC puts five bytes before each message: a flag, and the message's length. tonic allocates
-//! the length that a caller declares before a byte of the message is there, and it has no time
-//! limit within a message. [`MessageBody`] therefore reads the five bytes itself, refuses a
-//! message that is too long, takes memory for each byte that arrives, and hands a message on
-//! only when the whole of it is there. Arrived bytes are copied into segments of their own,
-//! because a received buffer keeps a whole read buffer of the connection alive.
+//! gRPC puts five bytes before each message: a flag and the message's length. tonic allocates the declared
+//! length before any byte of the message has arrived, and has no time limit within a message. Therefore
+//! [`MessageBody`] reads the five bytes itself, refuses a message that is too long, takes memory as the
+//! bytes arrive, and hands a message on only when all of it is there. The bytes are copied into separate
+//! segments, because a received buffer would keep a whole read buffer of the connection alive.
 //!
-//! A method that takes one message gets one: more bytes after it are refused, and the end of
-//! the request is due within the message's own time.
+//! If a method takes one message, further bytes after it are refused, and the request has to end within the
+//! time for the message.
 
 use std::{
     collections::VecDeque,
@@ -26,34 +25,34 @@ use tonic::Status;
 
 use super::{App, ServiceError, call::BoxError, context::CallContext};
 
-/// The bytes before each message: a flag that says whether it is compressed, and its length.
+/// The bytes before each message: a flag that tells whether it is compressed, and its length.
 pub(super) const HEAD_BYTES: usize = 5;
 
-/// A message is copied into pieces of at most this size as it arrives, so that memory is taken
-/// as bytes arrive and not as they are declared.
+/// As it arrives, a message is copied into segments of at most this size, so that memory is taken for
+/// arrived bytes and not for declared ones.
 const SEGMENT_BYTES: usize = 256 << 10;
 
-/// What a method lets a caller send.
+/// The limits on the messages of a method's request.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MessageRules {
-    /// The largest message.
+    /// The largest message in bytes.
     pub(super) max_bytes: usize,
-    /// Whether the request is one message.
+    /// Whether the request is a single message.
     pub(super) is_single: bool,
-    /// The time that a message has to arrive, beside a second for each MiB of it.
+    /// The time for a message to arrive, plus a second per MiB of it.
     pub(super) patience: Duration,
 }
 
-/// A request's body, as whole messages.
+/// The body of a request, received as whole messages.
 pub(super) struct MessageBody<B> {
     body: B,
     app: Arc<App>,
     context: CallContext,
     rules: MessageRules,
     message: Message,
-    /// Whole messages, to be handed on.
+    /// Whole messages that have not been handed on yet.
     whole: VecDeque<Bytes>,
-    /// When the message under way is due; none while a stream's caller sends none.
+    /// The time by which the current message has to be complete; none for a stream between messages.
     due: Option<Pin<Box<Sleep>>>,
     started: Instant,
     ended: bool,
@@ -64,10 +63,10 @@ pub(super) struct MessageBody<B> {
 struct Message {
     head: [u8; HEAD_BYTES],
     head_bytes: usize,
-    /// Bytes of the message that are still to come, once its head is there.
+    /// The bytes of the message that have not arrived yet, once its header is known.
     missing: usize,
     segments: Vec<BytesMut>,
-    /// Messages that were complete before it.
+    /// The number of messages that were completed before this one.
     before: usize,
 }
 
@@ -79,7 +78,7 @@ impl<B> MessageBody<B> {
         Self { body, app, context, rules, message, whole, due, started, ended: false }
     }
 
-    /// Adds bytes that arrived.
+    /// Adds arrived bytes.
     fn arrived(&mut self, mut bytes: Bytes) -> Result<(), ServiceError> {
         while !bytes.is_empty() {
             if self.rules.is_single && self.message.before > 0 {
@@ -109,8 +108,8 @@ impl<B> MessageBody<B> {
         Ok(())
     }
 
-    /// The time of a stream's message begins with its first byte, that of a single one with
-    /// the call.
+    /// Starts the time of a message. For a stream it starts with the message's first byte, for a single
+    /// message with the call.
     fn begin(&mut self) {
         if !self.rules.is_single {
             self.started = Instant::now();
@@ -125,8 +124,8 @@ impl<B> MessageBody<B> {
         }
     }
 
-    /// A small message that came as one frame, as most do: handed on as it is, since tonic
-    /// copies it at once.
+    /// Returns a small message that arrived as one frame, which is the usual case. It is handed on without
+    /// a copy, because tonic copies it at once.
     fn whole_frame(&mut self, frame: &Bytes) -> Result<Option<Bytes>, ServiceError> {
         let Some((head, message)) = frame.split_first_chunk::<HEAD_BYTES>() else { return Ok(None) };
         let length = declared(*head);
@@ -178,13 +177,13 @@ impl<B> MessageBody<B> {
     }
 }
 
-/// The length that a message's head declares.
+/// The length that a message's header declares.
 fn declared(head: [u8; HEAD_BYTES]) -> usize {
     let [_, length @ ..] = head;
     u32::from_be_bytes(length) as usize
 }
 
-/// A second for each MiB: the least speed at which a caller may send or read.
+/// A second per MiB, the lowest speed at which a caller may send or read.
 pub(super) fn per_mebibyte(bytes: usize) -> Duration {
     Duration::from_secs((bytes >> 20) as u64)
 }
