@@ -76,7 +76,9 @@ impl fmt::Display for NoMemory {
         let name = self.part.name();
         match self.refusal {
             Refusal::Busy => write!(f, "the memory budget has no room for this caller now (part {name})"),
-            Refusal::TooLarge => write!(f, "one caller may not hold that much memory (part {name})"),
+            Refusal::TooLarge => {
+                write!(f, "the call needs more memory than one caller may hold (part {name})")
+            }
         }
     }
 }

@@ -126,7 +126,7 @@ impl AdmissionQueue {
     ) -> Result<Admission, ServiceError> {
         self.take(weight(pairs), caller, false).ok_or_else(|| {
             self.metrics.shed(Shed::Pairs);
-            let message = "too many pairs are being computed; ask again";
+            let message = "too many pairs are being computed: retry later";
             ServiceError::unavailable("TOO_BUSY", self.retry_after(computed), message)
         })
     }

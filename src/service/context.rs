@@ -105,11 +105,9 @@ pub(super) fn no_memory(metrics: &Metrics, why: NoMemory) -> ServiceError {
     match why.refusal {
         Refusal::Busy => {
             metrics.shed(if why.part == Part::Arriving { Shed::RequestBytes } else { Shed::Memory });
-            ServiceError::unavailable("TOO_BUSY", MEMORY_RETRY, format!("{why}; ask again"))
+            ServiceError::unavailable("TOO_BUSY", MEMORY_RETRY, format!("{why}: retry later"))
         }
-        Refusal::TooLarge => {
-            ServiceError::refused("MEMORY_TOO_LARGE", format!("{why}; ask for less at a time"))
-        }
+        Refusal::TooLarge => ServiceError::refused("MEMORY_TOO_LARGE", format!("{why}: split the request")),
     }
 }
 

@@ -207,8 +207,9 @@ impl App {
     /// The error for an answer of at least `bytes` bytes.
     fn answer_too_large(&self, bytes: usize) -> ServiceError {
         let limit = self.limits.max_message_bytes;
-        let message =
-            format!("the answer has at least {bytes} bytes, the limit is {limit}: ask for less at a time");
+        let message = format!(
+            "the answer has at least {bytes} bytes, at most {limit} are allowed: request less at a time"
+        );
         ServiceError::refused("RESPONSE_TOO_LARGE", message)
     }
 }

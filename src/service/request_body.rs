@@ -82,7 +82,7 @@ impl<B> MessageBody<B> {
     fn arrived(&mut self, mut bytes: Bytes) -> Result<(), ServiceError> {
         while !bytes.is_empty() {
             if self.rules.is_single && self.message.before > 0 {
-                let why = "the request has more than one message: this method takes one";
+                let why = "the request has more than one message, but this method takes one";
                 return Err(ServiceError::refused("TOO_MANY_MESSAGES", why));
             }
             if self.message.head_bytes == 0 {
@@ -146,7 +146,8 @@ impl<B> MessageBody<B> {
         }
         let (length, limit) = (declared(self.message.head), self.rules.max_bytes);
         if length > limit {
-            let message = format!("the message has {length} bytes, at most {limit} are allowed");
+            let message =
+                format!("the message has {length} bytes, at most {limit} are allowed: send less per message");
             return Err(ServiceError::refused("MESSAGE_TOO_LARGE", message));
         }
         self.message.missing = length;
@@ -173,7 +174,7 @@ impl<B> MessageBody<B> {
 
     fn late(&self) -> ServiceError {
         let seconds = self.started.elapsed().as_secs();
-        ServiceError::message_late(format!("the request was not complete after {seconds} s"))
+        ServiceError::message_late(format!("the message had not arrived in full after {seconds} s"))
     }
 }
 

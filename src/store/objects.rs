@@ -73,7 +73,7 @@ impl BlobStore for Objects {
             let Some(found) = self.present(self.objects.get(&key(id)).await)? else { return Ok(None) };
             if found.meta.size > max_bytes {
                 let size = found.meta.size;
-                let why = format!("{id} is {size} bytes long, more than the {max_bytes} of a hull");
+                let why = format!("{id} is {size} bytes long, but a hull has at most {max_bytes}");
                 return Err(StoreError::NotABlob(why));
             }
             // A blob that is deleted between opening and reading counts as deleted.
