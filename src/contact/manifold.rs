@@ -9,7 +9,8 @@ pub enum Outcome {
     Contact,
     /// Certified farther apart than the margin.
     Separated,
-    /// An iteration limit was reached before the outcome was known.
+    /// A search reached its iteration limit, or stopped making progress (a stall) while its bracket was
+    /// still open, before the outcome was known.
     #[default]
     Undecided,
 }
