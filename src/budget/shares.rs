@@ -92,7 +92,7 @@ impl Shares {
         self.give_back_shared(caller, amount, amount);
     }
 
-    /// Subtracts `amount` from the holding of `caller`. Of it, `free` is held by no other caller.
+    /// Subtracts `amount` from the holding of `caller`; no other caller holds `free` of it.
     pub fn give_back_shared(&mut self, caller: &Caller, amount: u64, free: u64) {
         self.used = self.used.saturating_sub(free);
         if let Some(held) = self.held.get_mut(&caller.id()) {

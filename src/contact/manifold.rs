@@ -56,8 +56,8 @@ pub enum Element {
     Vertex(u32),
     /// An edge, or a side of a face's outline, lower vertex first.
     Edge([u32; 2]),
-    /// The inside of the face. Also used where this hull adds nothing, because the other hull's
-    /// vertex alone determines the point.
+    /// The inside of the face. Also used if this hull adds nothing, because only the other hull's vertex
+    /// determines the point.
     Inside,
 }
 

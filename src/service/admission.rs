@@ -1,7 +1,7 @@
 //! Limits the pairs that are computed at a time. Further batches wait or are refused.
 //!
 //! A batch takes a place for each of its pairs before any work is done for it. If there are not enough
-//! places, it is refused. A caller that is alone may hold `max_pairs_in_flight` places. Several callers
+//! places, it is refused. A single caller may hold `max_pairs_in_flight` places. Several callers
 //! share twice as many by dynamic thresholds ([`Shares`]): each of n greedy callers gets 2/(n+1) of
 //! `max_pairs_in_flight`, and as much stays free for the next caller. If shares are off, all callers
 //! together have `max_pairs_in_flight` places. The memory of the pairs is limited separately, by the memory

@@ -95,7 +95,7 @@ impl CallContext {
 /// Takes `more` bytes for a permit of a call.
 ///
 /// # Errors
-/// TOO_BUSY, MEMORY_TOO_LARGE; the permit keeps what it had.
+/// TOO_BUSY, MEMORY_TOO_LARGE. The permit keeps the bytes that it had.
 pub(super) fn grow(app: &App, permit: &mut Permit, more: usize) -> Result<(), ServiceError> {
     permit.grow(more as u64).map_err(|why| no_memory(app.metrics(), why))
 }

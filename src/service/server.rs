@@ -18,7 +18,7 @@ pub(super) const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 /// How a server serves its calls. Its `Limits` say which requests it accepts.
 #[derive(Clone, Debug)]
 pub struct Serving {
-    /// Who may connect and call.
+    /// The rules for connecting and calling: TLS and tokens.
     pub security: Arc<Security>,
     /// The interval at which certificates and tokens are read again; the files may change while the
     /// server runs.

@@ -21,7 +21,7 @@ pub(super) struct Objects {
 impl Objects {
     /// `absent` is for stores that give the same status for a missing object and for a missing
     /// bucket. A missing bucket is an outage of all hulls; an error whose text contains `absent` is
-    /// about a missing object. Without it the status alone decides.
+    /// about a missing object. Without it only the status decides.
     pub(super) fn new(objects: Arc<dyn ObjectStore>, absent: Option<&'static str>) -> Self {
         Self { objects, absent }
     }

@@ -338,7 +338,7 @@ async fn another_servers_deletion_is_seen_within_the_cache_age() {
     register(&here, register_request(&shapes)).await;
     let it = vec![id(&shapes[0])];
     assert_eq!(delete(&there, it.clone()).await, [true]);
-    // Deleted by the other server and registered here again: the cached copy alone must not count
+    // Deleted by the other server and registered here again: the cached copy by itself must not count
     // as stored.
     register(&here, register_request(&shapes)).await;
     assert_eq!(has(&there, it.clone()).await, [true]);

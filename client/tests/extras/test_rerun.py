@@ -1,4 +1,4 @@
-"""What is logged to rerun recordings, and that rerun can read them."""
+"""Tests what is logged to rerun recordings, and that rerun can read them."""
 
 from __future__ import annotations
 

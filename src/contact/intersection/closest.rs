@@ -253,7 +253,7 @@ mod tests {
     use crate::workload::Random;
 
     /// Polygons that are apart, with parallel sides and opposite corners among them: the chosen pairs must
-    /// give what all pairs give, to the bit. Catches a direction so wrong that the closest pair is left
+    /// give the result of all pairs, bit for bit. Catches a direction so wrong that the closest pair is left
     /// out, and a bound that does not allow for rounding.
     #[test]
     fn few_pairs_give_what_all_pairs_give() {
