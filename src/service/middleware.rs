@@ -1,8 +1,8 @@
 //! The outermost layer, which applies to every call of every method.
 //!
-//! For each call, the layer: names and counts the call; before it reads any of the body, refuses a caller
-//! without the token that the method needs; takes the call's fixed cost from the memory budget; limits the
-//! request's messages ([`MessageBody`]) and the time and memory of the answer ([`AnswerBody`]); and
+//! The layer names and counts each call. Before it reads any of the body, it refuses a caller without the
+//! token that the method needs, and takes the call's fixed cost from the memory budget. It limits the
+//! request's messages ([`MessageBody`]) and the time and memory of the answer ([`AnswerBody`]), and it
 //! enforces the deadline. Errors that the transport itself produces (an unknown method, compression) get
 //! the code and the details of the contract.
 

@@ -80,7 +80,8 @@ pub async fn run(
 ) -> Result<(), OpenError> {
     let (mut reporter, routes) = routes(&app).await?;
     let drain = serving.drain;
-    // Set before the first connection is accepted, and before the probe can find a failing store.
+    // The state is set before the first connection is accepted, and before the probe can find a failing
+    // store.
     app.set_readiness(Readiness::Ready);
     let mut beside = JoinSet::new();
     beside.spawn(reload(serving.security.clone(), serving.reload_every));
