@@ -185,8 +185,8 @@ where
             };
             Ok(answered(call, completed(response), context, times))
         };
-        // Both spans are entered, so that traced work finds its parent whether or not the log has the
-        // other.
+        // Both spans are entered: traced work takes its parent from the entered spans, even if nothing is
+        // logged.
         Box::pin(responded.instrument(span).instrument(traced))
     }
 }

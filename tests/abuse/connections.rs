@@ -153,7 +153,7 @@ async fn flood(arena: &Arena, path: &str, headers: &[(&str, &str)], question: &[
         loop {
             let Ok(mut peer) = arena.peer(Windows::OPEN).await else { continue };
             while let Ok(call) = peer.call(path, headers).await {
-                // The server may refuse the call from its headers alone.
+                // The server may refuse the call as soon as it has the headers.
                 let _ = peer.body(call, question, true).await;
                 if peer.ended(call).await.is_err() {
                     break;

@@ -1,4 +1,4 @@
-//! Runs one attack: measures before it, during it and after it, and asserts what must hold.
+//! Runs one attack: measures before it, during it and after it, and asserts the limits that must hold.
 
 use std::{
     sync::{
@@ -37,8 +37,8 @@ pub(crate) fn alone() -> MutexGuard<'static, ()> {
     ALONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Starts a server, runs the attack on it, and asserts what must hold. The attack prepares its data, calls
-/// [`Arena::begin`], and has released everything when it returns.
+/// Starts a server, runs the attack on it, and asserts the limits that must hold. The attack prepares its
+/// data, calls [`Arena::begin`], and has released everything when it returns.
 pub(crate) fn trial(title: &str, setup: Setup, attack: impl AsyncFnOnce(&Arena)) {
     let _alone = alone();
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
