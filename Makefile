@@ -40,7 +40,7 @@ build: check-tools ## builds the server, target/release/hullcast
 # Separate from `test`, because a user's tests must not fail with another version of rustfmt
 # or clippy. A distribution's cargo may come without these tools.
 .PHONY: lint
-lint: check-tools $(if $(CLIENT),lint-python) ## runs rustfmt, clippy and ruff; warnings are errors
+lint: check-tools $(if $(CLIENT),lint-python) ## runs rustfmt, clippy, ruff and the check of the prose; warnings are errors
 	@if $(CARGO) fmt --version >/dev/null 2>&1; then set -x; $(CARGO) fmt --check; cd benches; $(CARGO) fmt --check; cd ../fuzz; $(CARGO) fmt --check; \
 	 else echo "rustfmt is not installed: formatting not checked"; fi
 	@if $(CARGO) clippy --version >/dev/null 2>&1; then set -x; \
@@ -52,7 +52,7 @@ lint: check-tools $(if $(CLIENT),lint-python) ## runs rustfmt, clippy and ruff; 
 	@if $(CARGO) clippy --version >/dev/null 2>&1 && command -v c++ >/dev/null; then set -x; cd fuzz; \
 	 $(CARGO) clippy --release --locked --all-targets --no-default-features -- -D warnings; \
 	 else echo "no clippy, or no C++ compiler: fuzz targets not checked"; fi
-	@if git rev-parse HEAD >/dev/null 2>&1; then git apply --check fuzz/planted/*.patch; fi
+	@if git rev-parse HEAD >/dev/null 2>&1; then git apply --check fuzz/planted/*.patch; $(PYTHON) scripts/plain-english; fi
 	@if PATH="$(TOOLS)/bin:$$PATH" cargo-deny --version >/dev/null 2>&1; then \
 	 PATH="$(TOOLS)/bin:$$PATH" $(CARGO) deny --offline check --hide-inclusion-graph licenses bans sources; \
 	 elif $(PYTHON) -c 'import tomllib' 2>/dev/null; then CARGO="$(CARGO)" $(PYTHON) scripts/licences; \

@@ -1,11 +1,10 @@
-//! The memory that callers can make the server hold, and each caller's share of it.
+//! Limits the memory that callers can make the server hold, and shares it between them.
 //!
-//! [`MemoryBudget`] bounds everything that a caller can make the server hold: bytes that
-//! arrive, columns that are decoded, hulls that are built, answers until they are sent, the
-//! state of streams, and the windows of connections. Code takes a [`Permit`] before it
-//! allocates and drops it when the memory is free again. Each permit belongs to one [`Part`],
-//! so that operators see which part is full. Callers ([`Caller`]) share the budget by the rule of
-//! [`Shares`].
+//! [`MemoryBudget`] limits everything that a caller can make the server hold: bytes that arrive, decoded
+//! columns, hulls being built, answers until they are sent, the state of streams, and the windows of
+//! connections. Code takes a [`Permit`] before it allocates memory, and drops it when the memory is free
+//! again. Each permit belongs to one [`Part`], so that operators see which part is full. Callers
+//! ([`Caller`]) share the budget by the rule of [`Shares`].
 //!
 //! This module knows neither gRPC nor HTTP.
 
@@ -22,11 +21,11 @@ pub use shares::{Refusal, Shares, Slot, Slots};
 
 use crate::lock::locked;
 
-/// Declares every part of the budget once: its variant, its name in metrics and in
-/// `GetServerInfo`, and what it counts.
+/// Declares every part of the budget in one place: its variant, its name in metrics and in `GetServerInfo`,
+/// and the memory that it counts.
 macro_rules! parts {
     ($($(#[doc = $doc:literal])* $part:ident = $name:literal;)*) => {
-        /// What a permit's memory is used for.
+        /// The use of a permit's memory.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum Part {
             $($(#[doc = $doc])* $part,)*
@@ -57,18 +56,18 @@ parts! {
     Building = "building";
     /// Answers, from their first computed column until the transport has sent them.
     Answers = "answers";
-    /// What streams keep from one message to the next.
+    /// The state that streams keep from one message to the next.
     StreamState = "stream_state";
 }
 
 const PARTS: usize = Part::ALL.len();
 
-/// Why there is no memory for a caller.
+/// The reason why a caller gets no memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NoMemory {
-    /// What the memory was wanted for.
+    /// The part for which the memory was requested.
     pub part: Part,
-    /// Whether trying again may help.
+    /// Whether a retry can succeed.
     pub refusal: Refusal,
 }
 
@@ -77,7 +76,9 @@ impl fmt::Display for NoMemory {
         let name = self.part.name();
         match self.refusal {
             Refusal::Busy => write!(f, "the memory budget has no room for this caller now (part {name})"),
-            Refusal::TooLarge => write!(f, "one caller may not hold that much memory (part {name})"),
+            Refusal::TooLarge => {
+                write!(f, "the call needs more memory than one caller may hold (part {name})")
+            }
         }
     }
 }
@@ -99,8 +100,8 @@ struct State {
 }
 
 impl MemoryBudget {
-    /// A budget of `limit` bytes. `shares`: whether callers share it by dynamic thresholds.
-    /// `caps` bound single parts.
+    /// A budget of `limit` bytes. `shares` tells whether callers share it by dynamic thresholds. `caps`
+    /// limit single parts.
     pub fn new(limit: u64, shares: bool, caps: &[(Part, u64)]) -> Arc<Self> {
         let mut state =
             State { shares: Shares::new(limit, shares), parts: [0; PARTS], caps: [u64::MAX; PARTS] };
@@ -110,17 +111,18 @@ impl MemoryBudget {
         Arc::new(Self { limit, state: Mutex::new(state) })
     }
 
-    /// A budget without a bound: for code that runs outside a server.
+    /// A budget without a limit, for code that runs outside a server.
     pub fn unlimited() -> Arc<Self> {
         Self::new(u64::MAX, false, &[])
     }
 
-    /// The bytes of the whole budget.
+    /// The size of the whole budget in bytes.
     pub fn limit(&self) -> u64 {
         self.limit
     }
 
-    /// The most that all callers may hold for `part`; none where only the whole budget bounds it.
+    /// The most bytes that all callers together may hold for `part`; none if only the whole budget limits
+    /// it.
     pub fn cap(&self, part: Part) -> Option<u64> {
         let cap = locked(&self.state).caps[part as usize];
         (cap != u64::MAX).then_some(cap)
@@ -144,7 +146,7 @@ impl MemoryBudget {
     /// Takes `bytes` for `caller`. The bytes are free again when the permit is dropped.
     ///
     /// # Errors
-    /// The budget, its part or the caller's share has no room; nothing is taken.
+    /// The budget, its part or the caller's share has no room. Then nothing is taken.
     pub fn take(self: &Arc<Self>, caller: &Caller, part: Part, bytes: u64) -> Result<Permit, NoMemory> {
         let mut permit = self.covered(caller, part, 0);
         permit.grow(bytes)?;
@@ -158,7 +160,7 @@ impl MemoryBudget {
     }
 }
 
-/// Bytes that a caller holds for one part; they are free again when it is dropped.
+/// Bytes that a caller holds for one part. They are free again when this is dropped.
 #[derive(Debug)]
 pub struct Permit {
     budget: Arc<MemoryBudget>,
@@ -170,7 +172,7 @@ pub struct Permit {
 }
 
 impl Permit {
-    /// A permit without a bound: for code that runs outside a server.
+    /// A permit without a limit, for code that runs outside a server.
     pub fn unbounded(part: Part) -> Self {
         MemoryBudget::unlimited().covered(&Caller::alone(), part, 0)
     }
@@ -183,7 +185,7 @@ impl Permit {
     /// Takes `more` bytes.
     ///
     /// # Errors
-    /// There is no room for them; the permit keeps what it had.
+    /// There is no room for them. The permit keeps the bytes that it had.
     pub fn grow(&mut self, more: u64) -> Result<(), NoMemory> {
         let bytes_after = self.bytes.saturating_add(more);
         self.charge(bytes_after.saturating_sub(self.covered) - self.charged())?;
@@ -246,7 +248,7 @@ impl Drop for Permit {
 mod tests {
     use super::*;
 
-    /// Catches bytes that are not given back, given back twice, or counted under another part.
+    /// Catches bytes that are not given back, given back twice, or counted for another part.
     #[test]
     fn permits_count_their_bytes_until_they_are_dropped() {
         let caller = Caller::alone();

@@ -1,8 +1,8 @@
 //! Log lines that callers can cause: at most one per second from each place in the code.
 //!
-//! A caller who sends the same bad request in a loop must not fill the disk with log lines.
-//! A place in the code that writes such a line owns a [`Repeated`] and asks it first; the next
-//! line that is written says how many were left out:
+//! A caller that sends the same bad request in a loop must not fill the disk with log lines. Each place in
+//! the code that writes such a line owns a [`Repeated`] and asks it first. The next line that is written
+//! tells how many were left out:
 //!
 //! ```
 //! use hullcast::log_limit::Repeated;
@@ -24,25 +24,25 @@ use std::{
 /// The shortest time between two lines from one place.
 const INTERVAL: Duration = Duration::from_secs(1);
 
-/// What times are counted from.
+/// The start of the times below.
 static STARTED: LazyLock<Instant> = LazyLock::new(Instant::now);
 
 /// One place in the code that writes a log line.
 #[derive(Debug, Default)]
 pub struct Repeated {
-    /// When the next line may be written, in milliseconds since `STARTED`.
+    /// The time at which the next line may be written, in milliseconds since `STARTED`.
     next_ms: AtomicU64,
     left_out: AtomicU64,
 }
 
 impl Repeated {
-    /// A place that has written nothing yet.
+    /// A place that has not written a line yet.
     pub const fn new() -> Self {
         Self { next_ms: AtomicU64::new(0), left_out: AtomicU64::new(0) }
     }
 
-    /// Whether the line may be written now. If so, the number of lines that were left out
-    /// since the last one; otherwise this line is counted as left out.
+    /// Returns the number of lines left out since the last one if a line may be written now. Otherwise
+    /// counts this line as left out and returns none.
     pub fn due(&self) -> Option<u64> {
         self.due_at(STARTED.elapsed())
     }
@@ -66,8 +66,8 @@ impl Repeated {
 mod tests {
     use super::*;
 
-    /// Catches a limit that lets a second line through within the second, keeps silent after
-    /// it, or loses count of the lines that were left out.
+    /// Catches a second line within the second, a line that is missing after it, and a wrong count of the
+    /// lines that were left out.
     #[test]
     fn one_line_a_second_with_the_number_left_out() {
         let place = Repeated::new();

@@ -1,8 +1,7 @@
-//! What is counted while serving, for Prometheus.
+//! The metrics of a server, for Prometheus.
 //!
-//! Whoever counts holds the counter itself: no look-up by name, no lock but a
-//! histogram's own. [`Metrics::text`] is what `/metrics` answers with; names
-//! and meaning are in its `# HELP` lines.
+//! Code that counts holds the counter itself, so there is no look-up by name, and only histograms have a
+//! lock. [`Metrics::text`] is the answer of `/metrics`; its `# HELP` lines explain each metric.
 
 use std::fmt;
 
@@ -17,12 +16,12 @@ use prometheus_client::{
     registry::{Metric, Registry},
 };
 
-/// A call's method and how it ended.
+/// The method of a call, and the code with which it ended.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
 pub struct Call {
-    /// `Service/Method`, of the contract; `other` for what is not in it.
+    /// `Service/Method` as in the contract; `other` for every other path.
     pub method: &'static str,
-    /// The gRPC code, in words.
+    /// The name of the gRPC code.
     pub code: &'static str,
 }
 
@@ -41,7 +40,7 @@ struct Flag {
     flag: &'static str,
 }
 
-/// A token, by its name.
+/// The label of a metric that is counted per token.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct Token {
     token: String,
@@ -57,14 +56,14 @@ struct Reason {
     reason: &'static str,
 }
 
-/// In the order of their numbers on the wire, from 1.
+/// The names of the outcomes, in the order of their numbers on the wire, which begin at 1.
 const OUTCOMES: [&str; 4] = ["contact", "separated", "undecided", "invalid"];
 
-/// In the order of their bits on the wire.
+/// The names of the flags, in the order of their bits on the wire.
 pub(crate) const FLAGS: [&str; 7] =
     ["estimated", "coincident", "gap_open", "reduced", "unknown_hull", "hull_unavailable", "invalid_body"];
 
-/// What there was no room for.
+/// The resource for lack of which a call or connection was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Shed {
     Pairs,
@@ -75,7 +74,7 @@ pub(crate) enum Shed {
     Store,
 }
 
-/// In the order of the enum.
+/// The reasons and their names, in the order of the enum.
 const SHEDS: [(Shed, &str); 6] = [
     (Shed::Pairs, "pairs_in_flight"),
     (Shed::RequestBytes, "request_bytes_in_flight"),
@@ -94,7 +93,7 @@ pub(crate) enum Cut {
     Deadline,
 }
 
-/// In the order of the enum.
+/// The names of the reasons, in the order of the enum.
 const CUTS: [&str; 2] = ["answer_not_read", "deadline"];
 
 impl Cut {
@@ -150,7 +149,7 @@ impl fmt::Debug for Metrics {
     }
 }
 
-/// 10 us to 84 s.
+/// A histogram of times, with buckets from 10 us to 84 s.
 fn seconds() -> Histogram {
     Histogram::new(exponential_buckets(1e-5, 2.0, 24))
 }
@@ -229,7 +228,7 @@ fn add<M: Metric + Default + Clone>(registry: &mut Registry, name: &str, help: &
 }
 
 impl Metrics {
-    /// Everything, as OpenMetrics text.
+    /// All metrics as OpenMetrics text.
     pub fn text(&self) -> String {
         if let Some(bytes) = resident_bytes() {
             self.resident_bytes.set(bytes);
@@ -240,18 +239,18 @@ impl Metrics {
         text
     }
 
-    /// A call ended.
+    /// Counts a call that has ended.
     pub(crate) fn ended(&self, call: &Call, seconds: f64) {
         self.requests.get_or_create(call).inc();
         self.request_seconds.get_or_create(&Method { method: call.method }).observe(seconds);
     }
 
-    /// Pairs were answered: per outcome, and their flags.
+    /// Counts answered pairs by outcome and by flag.
     pub(crate) fn answered(&self, outcomes: [usize; 4], flags: &[u8]) {
         for (counter, count) in self.pairs.iter().zip(outcomes) {
             counter.inc_by(count as u64);
         }
-        // Few pairs have any.
+        // Few pairs have flags.
         let mut counts = [0; 8];
         for flags in flags.iter().filter(|flags| **flags != 0) {
             for (bit, count) in counts.iter_mut().enumerate() {
@@ -263,17 +262,17 @@ impl Metrics {
         }
     }
 
-    /// A call was cut although its answer was ready.
+    /// Counts a call that was cut although its answer was ready.
     pub(crate) fn cut(&self, why: Cut) {
         self.cuts[why as usize].inc();
     }
 
-    /// What callers make the server hold for one part of the memory budget.
+    /// Sets the memory that callers hold for one part of the budget.
     pub(crate) fn set_memory(&self, part: &'static str, bytes: u64) {
         self.memory_bytes.get_or_create(&Part { part }).set(i64::try_from(bytes).unwrap_or(i64::MAX));
     }
 
-    /// What the calls of each token hold, by the token's name.
+    /// Sets the memory that the calls of each token hold, by the token's name.
     pub(crate) fn set_token_memory(&self, held: impl IntoIterator<Item = (String, u64)>) {
         self.token_memory_bytes.clear();
         for (token, bytes) in held {
@@ -282,24 +281,24 @@ impl Metrics {
         }
     }
 
-    /// A call did so many elementary steps, and at most `largest` of them between two looks
-    /// at its stop flag.
+    /// Adds the elementary steps of a call. `largest` is the most steps that it did between two checks of
+    /// its stop flag.
     pub(crate) fn metered(&self, steps: u64, largest: u64) {
         self.steps.inc_by(steps);
         let largest = i64::try_from(largest).unwrap_or(i64::MAX);
-        // Two calls that end at once may leave the smaller value; the next one mends it.
+        // If two calls end at once, the smaller value may stay; the next call corrects it.
         if largest > self.largest_steps_between_looks.get() {
             self.largest_steps_between_looks.set(largest);
         }
     }
 
-    /// Something was refused for want of room.
+    /// Counts a refusal for lack of room.
     pub(crate) fn shed(&self, what: Shed) {
         self.sheds[what as usize].inc();
     }
 }
 
-/// Of this process, where the system says.
+/// The resident memory of this process in bytes; none if the system does not report it.
 pub(crate) fn resident_bytes() -> Option<i64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
@@ -307,7 +306,7 @@ pub(crate) fn resident_bytes() -> Option<i64> {
     Some(kib * 1024)
 }
 
-/// What a gauge counts, counted back when dropped.
+/// An amount added to a gauge, which is subtracted again when this is dropped.
 #[derive(Debug)]
 pub(crate) struct Held {
     gauge: Gauge,
@@ -332,7 +331,7 @@ impl Drop for Held {
 mod tests {
     use super::*;
 
-    /// Catches an outcome or flag counted under another's name.
+    /// Catches an outcome or flag that is counted under another name.
     #[test]
     fn outcomes_and_flags_have_their_names() {
         use crate::proto::{Flag, Outcome};

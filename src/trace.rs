@@ -1,15 +1,15 @@
-//! What a call is to a tracing system: a span of its own, beside the one that names it in
-//! the logs, and in it one for each thing that takes time. Nobody sees them, and they cost
-//! next to nothing, where nothing exports them (`--otlp-endpoint`, feature `otlp`).
+//! Spans for tracing systems. Each call has a span in addition to the one that names it in the logs, and
+//! inner spans for the parts that take time. If nothing exports the spans (`--otlp-endpoint`, feature
+//! `otlp`), they are not visible and cost next to nothing.
 
 use http::HeaderMap;
 use tonic::Code;
 use tracing::Span;
 
-/// Target of the spans that are exported and not logged.
+/// The target of the spans that are exported and not logged.
 pub const TARGET: &str = "hullcast::trace";
 
-/// A call's span; the caller's, by W3C `traceparent`, is its parent.
+/// The span of a call. Its parent is the caller's span, if a W3C `traceparent` header names one.
 pub(crate) fn call(method: &'static str, headers: &HeaderMap) -> Span {
     let (service, name) = method.split_once('/').unwrap_or(("", method));
     let span = tracing::info_span!(
@@ -29,7 +29,7 @@ pub(crate) fn call(method: &'static str, headers: &HeaderMap) -> Span {
     span
 }
 
-/// The trace that the span is in; none where nothing exports it.
+/// The id of the trace that contains the span; none if nothing exports it.
 pub(crate) fn id(span: &Span) -> Option<String> {
     #[cfg(feature = "otlp")]
     return otel::id(span);
@@ -40,27 +40,27 @@ pub(crate) fn id(span: &Span) -> Option<String> {
     }
 }
 
-/// A batch's wait for its turn.
+/// The span of a batch's wait for its turn.
 pub(crate) fn queue(pairs: usize) -> Span {
     tracing::info_span!(target: TARGET, "queue", pairs = number(pairs))
 }
 
-/// A batch's computation.
+/// The span of a batch's computation.
 pub(crate) fn compute(pairs: usize) -> Span {
     tracing::info_span!(target: TARGET, "compute", pairs = number(pairs))
 }
 
-/// OpenTelemetry has no unsigned numbers: they would be text.
+/// OpenTelemetry has no unsigned numbers, and would export them as text.
 fn number(count: usize) -> i64 {
     i64::try_from(count).unwrap_or(i64::MAX)
 }
 
-/// Reading and building a hull that was not cached.
+/// The span of reading and building a hull that was not cached.
 pub(crate) fn load(hull: &dyn std::fmt::Display) -> Span {
     tracing::info_span!(target: TARGET, "load", %hull)
 }
 
-/// The call ended.
+/// Records the code with which the call ended.
 pub(crate) fn ended(span: &Span, code: Code) {
     #[cfg(feature = "otlp")]
     otel::ended(span, code);
@@ -94,7 +94,7 @@ mod otel {
 
     pub(super) fn adopt(span: &Span, headers: &HeaderMap) {
         if !span.is_disabled() && headers.contains_key("traceparent") {
-            // Fails for a span that has begun: this one has not.
+            // This fails only for a span that has already begun, and this one has not.
             let _ = span.set_parent(TraceContextPropagator::new().extract(&Headers(headers)));
         }
     }
@@ -104,7 +104,7 @@ mod otel {
         (!span.is_disabled()).then(trace)
     }
 
-    /// An error of the server's is the span's; the caller's own is not.
+    /// Marks the span as failed for the server's own errors only, not for errors of the caller.
     pub(super) fn ended(span: &Span, code: Code) {
         span.set_attribute("rpc.grpc.status_code", i64::from(i32::from(code)));
         if matches!(

@@ -344,8 +344,8 @@ impl Random {
 mod tests {
     use super::*;
 
-    /// Measures every pair's growth scale, or its gap along the face normal, again. Catches a workload
-    /// that is not what its name says.
+    /// Measures every pair's growth scale again, or its gap along the face normal. Catches a workload that
+    /// does not match its name.
     #[test]
     fn every_pair_is_of_its_regime() {
         let query = Query { margin: f64::INFINITY, wanted: Wanted::Growth, ..Query::default() };

@@ -119,7 +119,7 @@ def test_a_sender_may_split_a_column(name: str, form: str):
 
 
 def test_a_record_between_others_is_found():
-    """A split column is read whose records are apart from each other, the first one empty."""
+    """Reads a column in three records, of which one is empty and one follows other fields."""
     message = answer()
     rest = answer()
     rest.ClearField("distances")

@@ -63,7 +63,7 @@ def test_poses_are_those_of_scipy():
 
 
 def test_what_cannot_be_drawn_says_so(client, pile, tmp_path):
-    """Without a scene, the hulls' points or the outputs, the error says what is missing."""
+    """Without a scene, the hulls' points or the outputs, the error names the missing part."""
     m = client.query(pile, [[0, 1]])
     m.save(tmp_path / "m.npz")
     with pytest.raises(hullcast.InvalidArgument, match="NO_SCENE"):

@@ -42,7 +42,7 @@ CONTENTS = {
         *(f"docs/{page}" for page in ("stability", "fuzzing", "workload")),
         "tests/golden/README",
     ],
-    "Operations": [f"docs/{page}" for page in ("operations", "durability", "reliability")]
+    "Operations": [f"docs/{page}" for page in ("operations", "budget", "durability", "reliability")]
     + ["docs/cluster", "docs/capacity"],
     "Development": ["ARCHITECTURE", "CONTRIBUTING", "CHANGELOG", "docs/licences"],
 }

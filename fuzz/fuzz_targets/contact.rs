@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 const U: f64 = f64::EPSILON / 2.0;
 
 /// A share of the larger hull's circumradius. If a hull is smaller than this, its sides are known,
-/// in units of both hulls, to some thousandths only, and the bracket may stay open.
+/// in units of both hulls, only to some thousandths, and the bracket may stay open.
 const MINUTE: f64 = 1e-11;
 
 /// Questions answered so far; `scripts/fuzz` reads the count from the output.

@@ -82,7 +82,7 @@ impl<'a> Bytes<'a> {
         std::array::from_fn(|_| self.coordinate())
     }
 
-    /// A unit vector: of a small grid, which produces many ties, or an arbitrary one.
+    /// A unit vector, either from a small grid, which produces many ties, or an arbitrary one.
     pub(crate) fn direction(&mut self) -> glam::DVec3 {
         let grid = match self.below(3) {
             0 => [(); 3].map(|()| f64::from(self.below(3)) - 1.0),

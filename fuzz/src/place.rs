@@ -53,7 +53,8 @@ impl Bytes<'_> {
                 *position = std::array::from_fn(|k| position[k] + off[k]);
             }
         }
-        // A pose out of range is the handlers' to refuse, so such a coordinate becomes 0.
+        // The handlers refuse a pose that is out of range, so the geometry never sees such a coordinate. It
+        // becomes 0 here.
         for x in place.positions.iter_mut().flatten() {
             *x = if x.abs() <= 1e100 { *x } else { 0.0 };
         }

@@ -27,7 +27,7 @@ impl Shape {
 }
 
 impl Bytes<'_> {
-    /// A hull: of the first of several point sets that has one.
+    /// The hull of the first of several point sets that has one.
     pub(crate) fn shape(&mut self, most: u8) -> Shape {
         let points = self.cloud(most);
         let contraction_point = match self.below(8) {

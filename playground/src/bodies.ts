@@ -8,7 +8,7 @@ import type { Body, Feature, Hull, Side } from './model.js';
 const MANY_EDGES = 100;
 
 export class BodyView {
-  /** Everything of the body, at its pose. */
+  /** All objects that show the body, at its pose. */
   readonly group = new Group();
   private readonly solid = new Group();
   private readonly grown = new Group();

@@ -36,7 +36,7 @@ export function summary({ answer, shown }: Contacts): string {
     case Outcome.SEPARATED:
       return `Separated: certified farther apart than the margin. The numbers shown are for an infinite margin: ${alpha}.`;
     case Outcome.UNDECIDED:
-      return 'Undecided: the iteration limit was reached.';
+      return 'Undecided: the iterations ended before the outcome was known.';
     default:
       return `Not answered. ${flagsInWords(answer.flags).join(' ')}`;
   }

@@ -1,4 +1,4 @@
-//! Who calls.
+//! Identifies callers.
 
 use std::{
     collections::HashMap,
@@ -12,24 +12,24 @@ use std::{
 
 use crate::lock::locked;
 
-/// Who calls: the unit that shares are counted by.
+/// The key of a caller, the unit by which shares are counted.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum CallerKey {
     /// The name of the token that authenticated the call.
     Token(String),
-    /// The peer's address; of an IPv6 address its /64 network.
+    /// The peer's address. For IPv6, the address of its /64 network.
     Address(IpAddr),
     /// The user at the other end of a Unix socket.
     User(u32),
-    /// One connection of a trusted proxy, behind which many callers may be.
+    /// One connection of a trusted proxy, which may carry the calls of many clients.
     Connection(u64),
-    /// Everybody, where shares are off, and calls that did not come over a connection.
+    /// All callers, if shares are off; also calls that did not come over a connection.
     Everyone,
 }
 
 impl CallerKey {
-    /// The key of a peer's address: an IPv6 host can choose its last 64 bits freely, so they
-    /// do not count.
+    /// The key of a peer's address. The last 64 bits of an IPv6 address are left out, because a host can
+    /// choose them freely.
     pub fn of_address(address: IpAddr) -> Self {
         Self::Address(match address.to_canonical() {
             IpAddr::V6(address) => Ipv6Addr::from_bits(address.to_bits() & !u128::from(u64::MAX)).into(),
@@ -51,14 +51,14 @@ impl fmt::Display for CallerKey {
     }
 }
 
-/// The callers that are known at the moment.
+/// The callers that are currently known.
 #[derive(Debug, Default)]
 pub struct Callers {
     known: Mutex<HashMap<CallerKey, Weak<Account>>>,
     next: AtomicU64,
 }
 
-/// One caller; clones are the same caller. The caller is forgotten with the last clone.
+/// One caller. Clones are the same caller, and the caller is forgotten with the last clone.
 #[derive(Clone, Debug)]
 pub struct Caller(Arc<Account>);
 
@@ -75,7 +75,7 @@ struct Account {
 pub struct CallerStream(Caller);
 
 impl Callers {
-    /// The caller with this key: the same one for as long as anybody holds it.
+    /// The caller with this key. It is the same caller for as long as a clone of it exists.
     pub fn get(self: &Arc<Self>, key: CallerKey) -> Caller {
         let mut known = locked(&self.known);
         if let Some(account) = known.get(&key).and_then(Weak::upgrade) {
@@ -88,7 +88,7 @@ impl Callers {
         Caller(account)
     }
 
-    /// The callers that are known at the moment by the name of a token.
+    /// The currently known callers that are identified by a token.
     pub fn named(&self) -> Vec<Caller> {
         let known = locked(&self.known);
         let named = known.iter().filter(|(key, _)| matches!(key, CallerKey::Token(_)));
@@ -98,7 +98,7 @@ impl Callers {
         accounts.into_iter().map(Caller).collect()
     }
 
-    /// How many callers are known at the moment.
+    /// The number of currently known callers.
     pub fn count(&self) -> usize {
         locked(&self.known).len()
     }
@@ -116,7 +116,7 @@ impl Drop for Account {
 }
 
 impl Caller {
-    /// A caller of its own, known to nobody: for calls that did not come over a connection.
+    /// A new caller that is not registered anywhere, for calls that did not come over a connection.
     pub fn alone() -> Self {
         Self(Arc::new(Account {
             key: CallerKey::Everyone,
@@ -160,7 +160,7 @@ impl Drop for CallerStream {
 mod tests {
     use super::*;
 
-    /// Catches callers that are remembered for ever, and one caller who is taken for two.
+    /// Catches callers that are never forgotten, and one caller that counts as two.
     #[test]
     fn callers_are_known_while_somebody_holds_them() {
         let callers = Arc::new(Callers::default());

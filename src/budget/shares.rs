@@ -1,10 +1,10 @@
-//! How callers share a quantity: dynamic thresholds.
+//! Shares a quantity between callers by dynamic thresholds.
 //!
-//! A caller may take more only while it then holds at most as much as stays free. One caller
-//! alone can therefore use half of the quantity; n greedy callers each get 1/(n+1) of it, and a
-//! share of 1/(n+1) always stays free for a caller who comes later. The rule needs no
-//! configuration and no count of callers, and it costs one comparison. The memory budget, the
-//! leases on cached hulls, the places of admission and of the store, and connections use it.
+//! A caller may take more only if it then holds at most as much as stays free. A single caller can
+//! therefore use half of the quantity. With n greedy callers, each gets 1/(n+1) of it, and a share of
+//! 1/(n+1) always stays free for a caller that comes later. The rule needs no configuration and no count of
+//! callers, and costs one comparison. It is used for the memory budget, the leases on cached hulls, the
+//! places of admission and of the store, and connections.
 //!
 //! A. K. Choudhury and E. L. Hahne, *Dynamic Queue Length Thresholds for Shared-Memory Packet
 //! Switches*, IEEE/ACM Transactions on Networking 6(2), 1998, section III,
@@ -18,58 +18,58 @@ use std::{
 use super::Caller;
 use crate::lock::locked;
 
-/// Why a caller cannot take more.
+/// The reason why a caller cannot take more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Refusal {
-    /// There is not enough left for this caller now; trying again later may help.
+    /// There is not enough left for this caller now. A later retry can succeed.
     Busy,
-    /// It would not fit even if nobody else held anything.
+    /// The amount would not fit even if no other caller held anything.
     TooLarge,
 }
 
-/// A quantity that callers share by dynamic thresholds. The owner locks it.
+/// A quantity that callers share by dynamic thresholds. Its owner has to lock it.
 #[derive(Debug)]
 pub struct Shares {
     limit: u64,
-    /// Off: any caller may take all that is free.
+    /// If false, any caller may take everything that is free.
     dynamic: bool,
     used: u64,
     held: HashMap<u64, u64>,
 }
 
 impl Shares {
-    /// Nobody holds anything of `limit` yet.
+    /// A quantity of `limit`, all of it free.
     pub fn new(limit: u64, dynamic: bool) -> Self {
         Self { limit, dynamic, used: 0, held: HashMap::new() }
     }
 
-    /// What all callers hold together.
+    /// The amount that all callers hold together.
     pub fn used(&self) -> u64 {
         self.used
     }
 
-    /// What one caller holds.
+    /// The amount that one caller holds.
     pub fn held(&self, caller: &Caller) -> u64 {
         self.held.get(&caller.id()).copied().unwrap_or(0)
     }
 
-    /// The most that one caller can hold when nobody else holds anything.
+    /// The most that one caller can hold if no other caller holds anything.
     pub fn most_alone(&self) -> u64 {
         if self.dynamic { self.limit / 2 } else { self.limit }
     }
 
-    /// Adds `amount` to what `caller` holds.
+    /// Adds `amount` to the holding of `caller`.
     ///
     /// # Errors
-    /// The caller would hold more than its share; nothing is added.
+    /// The caller would hold more than its share. Then nothing is added.
     pub fn take(&mut self, caller: &Caller, amount: u64) -> Result<(), Refusal> {
         self.take_shared(caller, amount, amount)
     }
 
-    /// Adds `amount` to what `caller` holds, of which only `new` is not held by others already.
+    /// Adds `amount` to the holding of `caller`. Only `new` of it is not already held by others.
     ///
     /// # Errors
-    /// The caller would hold more than its share; nothing is added.
+    /// The caller would hold more than its share. Then nothing is added.
     pub fn take_shared(&mut self, caller: &Caller, amount: u64, new: u64) -> Result<(), Refusal> {
         if amount == 0 {
             return Ok(());
@@ -87,12 +87,12 @@ impl Shares {
         Ok(())
     }
 
-    /// Subtracts `amount` from what `caller` holds.
+    /// Subtracts `amount` from the holding of `caller`.
     pub fn give_back(&mut self, caller: &Caller, amount: u64) {
         self.give_back_shared(caller, amount, amount);
     }
 
-    /// Subtracts `amount` from what `caller` holds, of which `free` is held by nobody else.
+    /// Subtracts `amount` from the holding of `caller`; no other caller holds `free` of it.
     pub fn give_back_shared(&mut self, caller: &Caller, amount: u64, free: u64) {
         self.used = self.used.saturating_sub(free);
         if let Some(held) = self.held.get_mut(&caller.id()) {
@@ -109,19 +109,19 @@ impl Shares {
 pub struct Slots(Mutex<Shares>);
 
 impl Slots {
-    /// So many slots, all free.
+    /// `count` slots, all free.
     pub fn new(count: u64) -> Arc<Self> {
         Arc::new(Self(Mutex::new(Shares::new(count, true))))
     }
 
-    /// A slot for `caller`; none where it has its share already.
+    /// A slot for `caller`; none if the caller already has its share.
     pub fn take(self: &Arc<Self>, caller: &Caller) -> Option<Slot> {
         locked(&self.0).take(caller, 1).ok()?;
         Some(Slot { slots: self.clone(), caller: caller.clone() })
     }
 }
 
-/// One slot; free again when it is dropped.
+/// One slot, free again when this is dropped.
 #[derive(Debug)]
 pub struct Slot {
     slots: Arc<Slots>,
@@ -144,8 +144,8 @@ mod tests {
         (0..count).map(|user| callers.get(CallerKey::User(user))).collect()
     }
 
-    /// Catches a greedy caller who leaves nothing for those who come later: n greedy callers
-    /// get 1/(n+1) each, however they take turns.
+    /// Catches a greedy caller that leaves nothing for callers that come later: n greedy callers must get
+    /// 1/(n+1) each, in whatever order they take.
     #[test]
     fn greedy_callers_leave_a_share_free() {
         for count in [1, 2, 5] {
@@ -167,7 +167,7 @@ mod tests {
         }
     }
 
-    /// Catches a request that can never fit and is told to come back.
+    /// Catches a request that can never fit but is told to retry.
     #[test]
     fn what_never_fits_is_told_apart_from_what_does_not_fit_now() {
         let callers = callers(2);
@@ -180,7 +180,7 @@ mod tests {
         assert_eq!(shares.used(), 300);
     }
 
-    /// Catches a slot that is not given back, and a caller who takes the last one.
+    /// Catches a slot that is not given back, and a caller that takes the last one.
     #[test]
     fn slots_are_shared_and_given_back() {
         let slots = Slots::new(8);

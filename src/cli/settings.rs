@@ -131,7 +131,8 @@ settings! {
         "HULLCAST_MAX_VERTICES_PER_HULL", "N";
     /// Most points in the definition of a hull
     max_points_per_hull: u32 = |l: &Limits| l.max_points_per_hull, "HULLCAST_MAX_POINTS_PER_HULL", "N";
-    /// Most pairs accepted and not yet answered, over all calls
+    /// Most pairs of one caller that are accepted and not yet answered; several callers together
+    /// may have less than twice as many, or with shares off only as many
     max_pairs_in_flight: u32 = |l: &Limits| l.max_pairs_in_flight, "HULLCAST_MAX_PAIRS_IN_FLIGHT", "N";
     /// Memory in bytes that all callers together can make the server hold, without the cached
     /// hulls, or a share of the memory that the process may use, as in 25%

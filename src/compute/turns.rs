@@ -38,7 +38,7 @@ const SPARE_ACCOUNTS: usize = 64;
 #[derive(Debug)]
 pub(super) struct Turns<W> {
     accounts: HashMap<u64, Account<W>>,
-    /// The callers with waiting work, by virtual time and place. Of callers with the same time, the one
+    /// The callers with waiting work, by virtual time and place. If callers have the same time, the one
     /// that has waited longest is first.
     order: BTreeMap<(u64, u64), u64>,
     /// The virtual time at which the last part began.

@@ -200,8 +200,8 @@ fn adaptive_orient3d(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     robust::orient3d(coord(a), coord(b), coord(c), coord(d))
 }
 
-/// Which way `a`, `b`, `c` turn. Only the sign is exact: it is positive if they turn anticlockwise,
-/// and zero if they are on one line.
+/// The orientation of `a`, `b`, `c`. Only the sign is exact: it is positive if they turn anticlockwise, and
+/// zero if they are on one line.
 pub(crate) fn orient2d(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
     if [a, b, c].iter().fold(true, |safe, p| safe & is_safe(p[0]) & is_safe(p[1])) {
         let coord = |p: [f64; 2]| Coord { x: p[0], y: p[1] };

@@ -9,7 +9,8 @@ pub enum Outcome {
     Contact,
     /// Certified farther apart than the margin.
     Separated,
-    /// An iteration limit was reached before the outcome was known.
+    /// A search reached its iteration limit, or stopped making progress (a stall) while its bracket was
+    /// still open, before the outcome was known.
     #[default]
     Undecided,
 }
@@ -55,8 +56,8 @@ pub enum Element {
     Vertex(u32),
     /// An edge, or a side of a face's outline, lower vertex first.
     Edge([u32; 2]),
-    /// The inside of the face. Also used where this hull adds nothing, because the other hull's
-    /// vertex alone determines the point.
+    /// The inside of the face. Also used if this hull adds nothing, because only the other hull's vertex
+    /// determines the point.
     Inside,
 }
 

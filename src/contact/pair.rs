@@ -58,7 +58,7 @@ pub(crate) struct Pair<'a> {
     pub(crate) alpha_exponent: i32,
     /// The sum of the lengths that enter `d`, pair units.
     pub(crate) m: f64,
-    /// The same sum in units of `ray`.
+    /// This sum in units of `ray`.
     pub(crate) ray_m: f64,
     /// Sum of the inradii, rounded down; pair units.
     pub(crate) inradius: f64,

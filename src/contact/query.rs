@@ -1,6 +1,6 @@
 //! A query about a pair: the margin, the accuracy, and how far to compute.
 
-/// Which solver finds the growth scale.
+/// The solver of the growth scale.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Solver {
     /// Portal refinement, which starts inside the Minkowski difference.
@@ -25,7 +25,7 @@ pub enum Wanted {
 /// Settings that trade accuracy for speed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Accuracy {
-    /// Which solver finds the growth scale.
+    /// The solver of the growth scale.
     pub solver: Solver,
     /// Width of the bracket, relative to alpha, at which the solver may stop: 0 to 1. With 0 it stops
     /// at rounding level.

@@ -1,10 +1,9 @@
-//! Packed numeric columns, moved in bulk: prost's generated code reads and writes
-//! them an element at a time, which was most of what the server did for a batch
-//! beside computing it.
+//! Reads and writes packed numeric columns in bulk. prost's generated code handles them one element at a
+//! time, which took most of the server's time for a batch apart from the computation.
 //!
-//! The messages are prost's own, and so are their bytes but for the order of
-//! fields: columns come last. What is not a well-formed packed column (a sender may
-//! split a column or leave it unpacked, and bytes may be anything) is left to prost.
+//! The messages are prost's own. Their bytes are also those of prost, except that the columns come last.
+//! Anything that is not a well-formed packed column is left to prost: a sender may split a column or leave
+//! it unpacked, and the bytes may be arbitrary.
 
 use bytes::{Buf, BufMut, Bytes};
 use prost::{
@@ -21,9 +20,9 @@ pub enum Column<'a> {
     Fixed32s(&'a mut Vec<u32>),
 }
 
-/// A message that knows its columns; any other has none.
+/// A message that knows its columns. By default it has none.
 pub trait Columnar: Message + Default {
-    /// Tags of its columns, ascending.
+    /// The tags of the message's columns, in ascending order.
     const COLUMNS: &'static [u32] = &[];
 
     /// The column with this tag.
@@ -51,7 +50,7 @@ pub fn decode<M: Columnar>(mut bytes: Bytes) -> Result<M, DecodeError> {
     Ok(message)
 }
 
-/// Writes a message: `encoded_len` bytes, its columns last.
+/// Writes a message with its columns last. The number of bytes is prost's `encoded_len`.
 pub fn encode<M: Columnar>(mut message: M, buffer: &mut impl BufMut) {
     let mut columns = M::default();
     for &tag in M::COLUMNS {
@@ -68,7 +67,8 @@ pub fn encode<M: Columnar>(mut message: M, buffer: &mut impl BufMut) {
 }
 
 impl Column<'_> {
-    /// Adds a packed column's elements; false, and nothing read, where there is none.
+    /// Appends the elements of a packed column. Returns false and reads nothing if `bytes` do not begin
+    /// with one.
     fn extend(self, bytes: &mut Bytes) -> bool {
         let width = match self {
             Self::Doubles(_) => size_of::<f64>(),
@@ -96,7 +96,7 @@ impl Column<'_> {
         match (self, other) {
             (Self::Doubles(a), Self::Doubles(b)) => std::mem::swap(a, b),
             (Self::Fixed32s(a), Self::Fixed32s(b)) => std::mem::swap(a, b),
-            _ => unreachable!("a tag's column is of one type"),
+            _ => unreachable!("the columns of a tag have one type"),
         }
     }
 
@@ -130,10 +130,10 @@ mod tests {
         Accuracy, FILE_DESCRIPTOR_SET, QueryContactsRequest, QueryContactsResponse, columnar_messages,
     };
 
-    /// Every column filled, each with values of its own, odd bits among them.
+    /// Fills every column with its own values, including unusual bit patterns.
     fn filled<M: Columnar>(mut message: M) -> M {
         for &tag in M::COLUMNS {
-            match message.column(tag).expect("a tag listed is a column") {
+            match message.column(tag).expect("each listed tag has a column") {
                 Column::Doubles(column) => {
                     column.extend((0..100 + tag).map(|i| f64::from(i) / f64::from(tag)));
                     column.extend([f64::NAN, -0.0, f64::INFINITY, 5e-324]);
@@ -166,7 +166,7 @@ mod tests {
         })
     }
 
-    /// Bit for bit, NaN included.
+    /// Compares bit by bit, NaN included.
     #[track_caller]
     fn assert_same<M: Columnar>(found: &M, expected: &M) {
         assert_eq!(found.encode_to_vec(), expected.encode_to_vec());
@@ -178,8 +178,8 @@ mod tests {
         buffer.into()
     }
 
-    /// Catches a column under another column's tag, of the wrong type, or forgotten: it would
-    /// be read as prost reads it, only slowly.
+    /// Catches a column with the tag of another, of the wrong type, or missing from the list. A missing
+    /// column would still be read by prost, only slowly.
     #[test]
     fn the_columns_are_those_of_the_contract() {
         let set = FileDescriptorSet::decode(FILE_DESCRIPTOR_SET).unwrap();
@@ -196,8 +196,8 @@ mod tests {
         assert_eq!(checked, 8 + 18);
     }
 
-    /// Catches bytes that prost reads otherwise than they were meant, a length that is not the
-    /// one announced, and an empty column that is sent.
+    /// Catches bytes that prost reads differently from the written message, a length that differs from the
+    /// announced one, and an empty column that is sent.
     #[test]
     fn what_is_written_prost_reads() {
         let bytes = written(request());
@@ -209,8 +209,8 @@ mod tests {
         assert!(written(QueryContactsResponse::default()).is_empty());
     }
 
-    /// Catches a message of prost's (or any other sender's) that is read otherwise: columns in
-    /// their place, split, unpacked, empty, mixed, unknown fields between.
+    /// Catches a message of prost or of any other sender that is read differently: columns in their place,
+    /// split, unpacked, empty, mixed, or with unknown fields between them.
     #[test]
     fn what_any_sender_writes_is_read_as_prost_reads_it() {
         assert_same(&decode::<QueryContactsRequest>(request().encode_to_vec().into()).unwrap(), &request());
@@ -221,7 +221,7 @@ mod tests {
 
         let mut mixed = Vec::new();
         for part in 0..5u32 {
-            // Packed, split by other fields and by an unknown one.
+            // The column is packed, and split by other fields and by an unknown one.
             encode_key(5, WireType::LengthDelimited, &mut mixed);
             encode_varint(u64::from(8 * part), &mut mixed);
             (0..part).for_each(|i| mixed.put_f64_le(f64::from(10 * part + i)));
@@ -243,8 +243,8 @@ mod tests {
         assert_eq!(found.positions[..4], [0.5, 10.0, 1.5, 20.0]);
     }
 
-    /// Catches bytes cut or changed anywhere that are read where prost reads none, or
-    /// otherwise, or that take down the reader.
+    /// Catches truncated or changed bytes that are accepted although prost refuses them, that are read
+    /// differently from prost, or that make the reader panic.
     #[test]
     fn damaged_bytes_are_refused_as_prost_refuses_them() {
         let mut short = request();

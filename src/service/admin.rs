@@ -74,7 +74,7 @@ fn answer(app: &App, request: &Request<Incoming>) -> Response<String> {
             let code = if readiness.welcomes() { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
             plain(code, format!("{readiness}\n"))
         }
-        _ => plain(StatusCode::NOT_FOUND, "/metrics, /livez or /readyz\n".into()),
+        _ => plain(StatusCode::NOT_FOUND, "not found; the paths are /metrics, /livez and /readyz\n".into()),
     }
 }
 

@@ -1,16 +1,16 @@
-//! A bound on the pairs that are computed at a time. Further batches wait or are refused.
+//! Limits the pairs that are computed at a time. Further batches wait or are refused.
 //!
-//! A batch takes a place for each of its pairs before anything is done for it; without places
-//! it is shed. A caller that is alone may have `max_pairs_in_flight` places. Several callers share
-//! twice as many by dynamic thresholds ([`Shares`]), so that each of n greedy callers has
-//! 2/(n+1) of `max_pairs_in_flight` and as much stays free for the next caller. The
-//! memory of the pairs is bounded elsewhere, by the memory budget.
+//! A batch takes a place for each of its pairs before any work is done for it. If there are not enough
+//! places, it is refused. A single caller may hold `max_pairs_in_flight` places. Several callers
+//! share twice as many by dynamic thresholds ([`Shares`]): each of n greedy callers gets 2/(n+1) of
+//! `max_pairs_in_flight`, and as much stays free for the next caller. If shares are off, all callers
+//! together have `max_pairs_in_flight` places. The memory of the pairs is limited separately, by the memory
+//! budget.
 //!
-//! A caller's large batches then wait for their turn, first come, first served, so that they end
-//! one after the other and not all late. Small batches do not wait, and no batch waits for
-//! another caller's: the compute threads take turns between callers and between batches, so a
-//! small batch is delayed by some chunks and not by whole batches. A batch whose caller gives up
-//! leaves the queue.
+//! A caller's large batches then wait for their turn in the order of their arrival, so that they end one
+//! after the other instead of all late. Small batches do not wait, and no batch waits for another caller's.
+//! The compute threads take turns between callers and between batches, so a small batch is delayed by some
+//! chunks, not by whole batches. A batch whose caller leaves also leaves the queue.
 
 use std::{
     collections::HashMap,
@@ -30,29 +30,29 @@ use crate::{
     metrics::{Held, Metrics, Shed},
 };
 
-/// Batches up to this many pairs do not wait: some milliseconds of work.
+/// Batches of up to this many pairs do not wait. They take some milliseconds.
 const SMALL_PAIRS: u32 = 4096;
 
-/// Pairs of one caller's large batches that are computed at a time: enough chunks for every
-/// thread of the largest machines, and one batch more so that none waits for another's last
-/// chunk.
+/// The most pairs of one caller's large batches that are computed at a time. They are enough chunks for
+/// every thread of the largest machines, and for one batch more, so that no batch waits for the last chunk
+/// of another.
 const TURN_PAIRS: u32 = 65_536;
 
-/// Lanes of callers that are gone are kept up to about this many.
+/// About this many lanes of callers without batches are kept before they are removed.
 const SPARE_LANES: usize = 64;
 
-/// When a server with too much to do asks to be asked again, at the soonest and at the latest.
+/// The shortest and the longest time after which a refused caller is told to retry.
 const SOONEST: Duration = Duration::from_millis(20);
 const LATEST: Duration = Duration::from_secs(5);
 
-/// The throughput is measured anew after this time.
+/// The throughput is measured again after this time.
 const THROUGHPUT_EVERY: Duration = Duration::from_millis(100);
 
-/// Places for pairs, and the turns of large batches.
+/// The places for pairs, and the turns of large batches.
 #[derive(Debug)]
 pub(super) struct AdmissionQueue {
     state: Mutex<State>,
-    /// Places were given back.
+    /// Notified when places are given back.
     freed: Notify,
     throughput: Mutex<Throughput>,
     metrics: Arc<Metrics>,
@@ -61,9 +61,10 @@ pub(super) struct AdmissionQueue {
 #[derive(Debug)]
 struct State {
     places: Shares,
-    /// The callers with batches that are admitted or wait for places, and some that are gone.
+    /// The lanes of callers with batches that are admitted or wait for places. Some lanes may belong to
+    /// callers that have left.
     lanes: HashMap<u64, Weak<Lane>>,
-    /// So many lanes are searched for those of callers that are gone.
+    /// When there are this many lanes, those of callers that have left are removed.
     forget_at: usize,
 }
 
@@ -71,13 +72,14 @@ struct State {
 #[derive(Debug)]
 struct Lane {
     turns: Arc<Semaphore>,
-    /// Held by the first of those that wait for places.
+    /// Held by the first batch that waits for places.
     first: tokio::sync::Mutex<()>,
-    /// How many wait for places. New batches are refused meanwhile: they would overtake.
+    /// The number of batches that wait for places. New batches of this caller are refused meanwhile,
+    /// because they would overtake the waiting ones.
     waiting: AtomicUsize,
 }
 
-/// The pairs that were computed per second in the last moments.
+/// The number of pairs computed per second, measured over the last moments.
 #[derive(Debug)]
 struct Throughput {
     measured: Instant,
@@ -86,7 +88,7 @@ struct Throughput {
     refused: u32,
 }
 
-/// A place for each pair of a batch, free again when dropped.
+/// The places of a batch, one per pair. They are free again when this is dropped.
 #[derive(Debug)]
 pub struct Admission {
     pairs: u32,
@@ -98,7 +100,8 @@ pub struct Admission {
 }
 
 impl AdmissionQueue {
-    /// Places for `pairs` pairs of one caller; `shares`: several callers share twice as many.
+    /// A queue with `pairs` places for one caller. If `shares` is true, several callers share twice as
+    /// many.
     pub(super) fn new(pairs: u32, shares: bool, metrics: Arc<Metrics>) -> Arc<Self> {
         let limit = if shares { 2 * u64::from(pairs) } else { u64::from(pairs) };
         let places = Shares::new(limit, shares);
@@ -111,10 +114,10 @@ impl AdmissionQueue {
         })
     }
 
-    /// Places for a batch; `computed` pairs are done since the start.
+    /// Takes the places for a batch. `computed` is the number of pairs computed since the start.
     ///
     /// # Errors
-    /// TOO_BUSY.
+    /// TOO_BUSY if there are not enough places.
     pub(super) fn admit(
         self: &Arc<Self>,
         pairs: usize,
@@ -123,19 +126,19 @@ impl AdmissionQueue {
     ) -> Result<Admission, ServiceError> {
         self.take(weight(pairs), caller, false).ok_or_else(|| {
             self.metrics.shed(Shed::Pairs);
-            let message = "too many pairs are being computed; ask again";
+            let message = "too many pairs are being computed: retry later";
             ServiceError::unavailable("TOO_BUSY", self.retry_after(computed), message)
         })
     }
 
-    /// Places for a later part of a call: waits until there are some.
+    /// Takes the places for a later part of a call; waits until there are enough.
     pub(super) async fn next(self: &Arc<Self>, pairs: usize, caller: &Caller) -> Admission {
         let lane = locked(&self.state).lane(caller);
         let _waiting = Waiting::new(&lane);
         let _first = lane.first.lock().await;
         loop {
             let mut freed = std::pin::pin!(self.freed.notified());
-            // From here on no place is given back unheard.
+            // From here on, no notification of freed places is missed.
             freed.as_mut().enable();
             if let Some(admission) = self.take(weight(pairs), caller, true) {
                 return admission;
@@ -144,7 +147,8 @@ impl AdmissionQueue {
         }
     }
 
-    /// Places for a batch, if there are enough. `is_first`: nobody of the caller's waits before it.
+    /// Takes the places for a batch, if there are enough. `is_first` means that no other batch of the
+    /// caller waits before this one.
     fn take(self: &Arc<Self>, pairs: u32, caller: &Caller, is_first: bool) -> Option<Admission> {
         let mut state = locked(&self.state);
         let lane = state.lane(caller);
@@ -170,9 +174,8 @@ impl AdmissionQueue {
         self.metrics.queue_seconds.observe(arrived.elapsed().as_secs_f64());
     }
 
-    /// The time in which half of the pairs under way are computed, at the latest throughput.
-    /// Callers that are refused one after the other get different times, so that they do not
-    /// come back together.
+    /// The time in which half of the pairs in flight will be computed, at the latest throughput. Callers
+    /// that are refused one after the other get different times, so that they do not all return together.
     fn retry_after(&self, computed: u64) -> Duration {
         let mut throughput = locked(&self.throughput);
         let elapsed = throughput.measured.elapsed();
@@ -190,7 +193,7 @@ impl AdmissionQueue {
 }
 
 impl State {
-    /// The lane of a caller: the same one for as long as anybody holds it.
+    /// The lane of a caller. It is the same lane for as long as any batch of the caller holds it.
     fn lane(&mut self, caller: &Caller) -> Arc<Lane> {
         if let Some(lane) = self.lanes.get(&caller.id()).and_then(Weak::upgrade) {
             return lane;
@@ -232,8 +235,8 @@ impl Drop for Waiting<'_> {
     }
 }
 
-/// The `n`-th of numbers in [0, 1) that are spread evenly however many there are: multiples
-/// of the golden ratio.
+/// The `n`-th number of a sequence in [0, 1) that is evenly spread however many of its numbers are used:
+/// the multiples of the golden ratio, modulo 1.
 pub(super) fn spread(n: u64) -> f64 {
     (n as f64 * 0.618_033_988_749_895).fract()
 }
@@ -257,8 +260,8 @@ mod tests {
         std::array::from_fn(|user| callers.get(CallerKey::User(user as u32)))
     }
 
-    /// Catches a place that is not given back, one too many given away, and a caller without others
-    /// that gets less than the whole.
+    /// Catches a place that is not given back, a place that is given away twice, and a caller without
+    /// others that gets less than all places.
     #[test]
     fn places_are_counted_in_pairs() {
         let (queue, caller) = (queue(100), &Caller::alone());
@@ -274,8 +277,8 @@ mod tests {
         assert!(queue.admit(100, caller, 0).is_ok());
     }
 
-    /// Catches a caller that is shed because others take all that they can, and thresholds that
-    /// hold although shares are off.
+    /// Catches a caller that is refused because others take everything, and thresholds that apply although
+    /// shares are off.
     #[test]
     fn greedy_callers_leave_places_for_others() {
         let queue = queue(900);
@@ -295,8 +298,8 @@ mod tests {
         assert!(all.admit(1, b, 0).is_err());
     }
 
-    /// Catches a small batch that waits behind large ones, large ones out of turn, a place in the
-    /// queue kept by who has left it, and a batch that waits for another caller's.
+    /// Catches a small batch that waits behind large ones, large batches out of order, a place in the queue
+    /// that is kept after its batch has left, and a batch that waits for another caller's.
     #[tokio::test]
     async fn large_batches_wait_in_turn_and_small_ones_do_not() {
         let queue = queue(1 << 20);
@@ -325,8 +328,8 @@ mod tests {
         assert_eq!(queue.metrics.pairs_queued.get(), 0);
     }
 
-    /// Catches a part of a call that waits for ever, one that a new batch overtakes, and lanes
-    /// that are kept for ever.
+    /// Catches a part of a call that waits for ever, a part that a new batch overtakes, and lanes that are
+    /// never removed.
     #[tokio::test]
     async fn later_parts_wait_for_places_in_order() {
         let queue = queue(100);
@@ -350,7 +353,7 @@ mod tests {
         assert!(locked(&queue.state).lanes.len() <= 2 * SPARE_LANES);
     }
 
-    /// Catches a time to come back that does not follow the backlog, or is the same for all.
+    /// Catches a retry time that does not follow the backlog, or that is the same for all callers.
     #[test]
     fn the_busier_the_later() {
         let queue = queue(1000);

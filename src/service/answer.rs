@@ -71,6 +71,6 @@ fn framed<M: Columnar>(message: M, length: usize) -> Bytes {
 pub(super) fn too_large(app: &App, bytes: usize) -> ServiceError {
     let limit = app.limits().max_message_bytes;
     let message =
-        format!("the answer has at least {bytes} bytes, the limit is {limit}: ask for less at a time");
+        format!("the answer has at least {bytes} bytes, at most {limit} are allowed: request less at a time");
     ServiceError::refused("RESPONSE_TOO_LARGE", message)
 }

@@ -1,4 +1,4 @@
-//! A response's body: its memory counts until the transport has sent it.
+//! The body of a response, whose memory is counted until the transport has sent it.
 //!
 //! The transport takes a whole frame of the body as soon as the peer makes room for a byte of
 //! it, and then keeps the frame until the peer has read it all. [`AnswerBody`] wraps the bytes
@@ -32,24 +32,24 @@ use crate::{
     metrics::Cut,
 };
 
-/// Bytes of an answer that are handed to the transport at a time.
+/// The bytes of an answer that are handed to the transport at a time.
 const SLICE_BYTES: usize = 256 << 10;
 
-/// A call whose deadline passes ends with DEADLINE_EXCEEDED if its peer takes that. Only after this
-/// time is its stream cut.
+/// A call whose deadline passes ends with DEADLINE_EXCEEDED, if its peer still reads that. After this
+/// additional time the stream is cut.
 const AFTER_DEADLINE: Duration = Duration::from_secs(1);
 
-/// When an answer has to be taken by the peer.
+/// The times by which the peer has to take an answer.
 #[derive(Clone, Debug)]
 pub(super) struct AnswerTimes {
-    /// The time for an answer to be taken, beside a second for each MiB of it.
+    /// The time for the peer to take an answer, plus a second per MiB of it.
     pub(super) patience: Duration,
     /// The call's own deadline.
     pub(super) deadline: Option<Instant>,
 }
 
 impl AnswerTimes {
-    /// When an answer of so many bytes that is ready now has to be taken.
+    /// The time by which an answer of `bytes` bytes that is ready now has to be taken.
     fn due(&self, bytes: usize) -> (Instant, Cut) {
         let due = Instant::now() + self.patience + per_mebibyte(bytes);
         match self.deadline.map(|deadline| deadline + AFTER_DEADLINE) {
@@ -59,7 +59,7 @@ impl AnswerTimes {
     }
 }
 
-/// A response's body; the call ends with it.
+/// The body of a response. The call ends when the body is dropped.
 pub(super) struct AnswerBody {
     body: Body,
     call: Call,
@@ -174,7 +174,8 @@ impl HttpBody for AnswerBody {
                 Pin::new(&mut this.body).poll_frame(cx)
             };
             if polled.is_pending() {
-                // The peer owes nothing if it has read what there was: the server owes the rest.
+                // If the peer has read everything so far, it is not late: the server has not produced the
+                // rest yet.
                 this.cutoff.clear_if_all_is_sent();
             }
             let Some(frame) = ready!(polled) else { break };

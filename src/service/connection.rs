@@ -1,4 +1,4 @@
-//! One connection, from its first byte to its end.
+//! Serves one connection from its first byte to its end.
 
 use std::{
     convert::Infallible,
@@ -42,30 +42,30 @@ use super::{
 };
 use crate::log_limit::Repeated;
 
-/// HTTP/2 settings that measurably matter for batches; the defaults are sized for pages.
+/// The largest HTTP/2 frame. Large frames measurably speed up batches; the default size suits web pages.
 const FRAME_BYTES: u32 = 1 << 20;
 
-/// A peer that does not answer a ping for this long is gone.
+/// A peer that does not answer a PING within this time is considered gone.
 const KEEP_ALIVE: Duration = Duration::from_secs(60);
 
-/// Of one call's headers: tokens and trace contexts fit many times.
+/// The most bytes of one call's headers, several times the size of a token and a trace context.
 pub(super) const HEADER_BYTES: u32 = 16 << 10;
 
-/// Streams that a peer reset before they were looked at, or that were reset for its errors:
-/// more, and the connection ends ("rapid reset").
+/// The number of streams that the peer reset before the server handled them, or that the server reset
+/// because of the peer's errors. With more, the connection is closed ("rapid reset").
 const RESETS: usize = 1024;
 
-/// HTTP/2's preface and the head of the frame behind it.
+/// The bytes of the HTTP/2 preface and of the header of the frame after it.
 const GREETING_BYTES: u64 = 24 + 9;
 
-/// What connections have in common.
+/// The state that all connections share.
 #[derive(Debug)]
 pub(super) struct Connections {
     app: Arc<App>,
     routes: Routes,
     serving: Arc<Serving>,
     peers: Arc<Peers>,
-    /// Connections so far: spreads their ages.
+    /// The number of connections so far, from which their ages are spread.
     count: AtomicU64,
 }
 
@@ -75,12 +75,12 @@ impl Connections {
         Self { app, routes, serving: Arc::new(serving), peers: Arc::new(peers), count: AtomicU64::new(0) }
     }
 
-    /// A place for one more connection from `address`; none when there are too many.
+    /// A place for another connection from `address`; none if there are too many.
     pub(super) fn admit(&self, address: Address) -> Option<Peer> {
         self.peers.admit(address)
     }
 
-    /// HTTP/2 for one connection: its streams run beside their cutoffs.
+    /// Configures HTTP/2 for one connection. Each of its streams has a cutoff.
     fn http2(&self, window: u32, abort: &Arc<Notify>) -> http2::Builder<StreamExecutor> {
         let mut http = http2::Builder::new(StreamExecutor::new(self.app.clone(), abort.clone()));
         http.timer(TokioTimer::new())
@@ -97,8 +97,8 @@ impl Connections {
         http
     }
 
-    /// When a connection that begins now is told to close: nine to eleven tenths of the age,
-    /// so that those that began together do not end together.
+    /// The age at which a new connection is told to close: 0.9 to 1.1 times the configured age, so that
+    /// connections that began together do not end together.
     fn age(&self) -> Duration {
         let most = self.serving.max_connection_age;
         if most.is_zero() {
@@ -107,8 +107,8 @@ impl Connections {
         most.mul_f64(0.9 + 0.2 * spread(self.count.fetch_add(1, Ordering::Relaxed)))
     }
 
-    /// Serves `io` until the peer leaves. Once `closing` is true or the connection is of age it
-    /// is told to (GOAWAY), and what is under way has the time of the drain.
+    /// Serves `io` until the peer leaves. When `closing` becomes true or the connection reaches its age,
+    /// the peer is told to close (GOAWAY), and calls in progress have the drain time to finish.
     pub(super) async fn serve(self: Arc<Self>, io: Connection, closing: Closing, peer: Peer) {
         let io = match self.encrypted(io, &peer).await {
             Ok(io) => io,
@@ -142,14 +142,14 @@ impl Connections {
         let connection = self.http2(window, &abort).serve_connection(io, TowerToHyperService::new(service));
         let end = async {
             tokio::select! {
-                () = silence(&read, self.serving.greeting) => "no HTTP/2 from a peer",
-                () = abort.notified() => "a peer takes nothing of an answer that was cut",
+                () = silence(&read, self.serving.greeting) => "the peer did not begin HTTP/2 in time",
+                () = abort.notified() => "the peer takes nothing of an answer that was cut",
             }
         };
         self.attend(connection, end, close, closing).await;
     }
 
-    /// The same, and the playground's page: browsers that do not speak TLS speak HTTP/1.1.
+    /// Serves HTTP/2, or the playground's page over HTTP/1.1, which browsers use without TLS.
     #[cfg(feature = "playground")]
     async fn serve_page(
         &self,
@@ -169,17 +169,18 @@ impl Connections {
             Ok(Ok(true)) => {
                 let service = TowerToHyperService::new(Page::over_http1(calls));
                 let connection = playground::http1(greeting).serve_connection(TokioIo::new(io), service);
-                // Its own timer cuts off who does not say what it wants, and the cutoff who does
-                // not read what it asked for.
+                // A peer that sends no request is disconnected by HTTP/1.1's own timer; one that does not
+                // read its answer, by the cutoff.
                 let served = self.attend(connection, std::future::pending(), close, closing);
                 Cutoff::new(Arc::default()).guard(&self.app, served).await;
             }
             Ok(Err(error)) => tracing::debug!(%error, "connection ended"),
-            Err(_) => tracing::debug!("a peer does not say what it speaks"),
+            Err(_) => tracing::debug!("a peer sent nothing from which its protocol could be told"),
         }
     }
 
-    /// Until the connection ends by itself, or `end` says why it ends, or it has to go.
+    /// Drives the connection until it ends by itself, until `end` returns the reason to close it, or until
+    /// it is told to close and has drained.
     async fn attend(
         &self,
         connection: impl GracefulConnection<Error = hyper::Error>,
@@ -206,7 +207,7 @@ impl Connections {
         match self.serving.security.tls_config() {
             None => Ok(io),
             Some(config) => {
-                let busy = || io::Error::other("too many TLS handshakes are under way");
+                let busy = || io::Error::other("too many TLS handshakes are in progress");
                 let _handshake = peer.handshake().ok_or_else(busy)?;
                 timeout(self.serving.greeting, io.encrypted(config)).await?
             }
@@ -227,7 +228,7 @@ fn report(ended: hyper::Result<()>) {
     }
 }
 
-/// Completes when a peer had time to greet and has not.
+/// Completes if the peer has not begun HTTP/2 within the time for it.
 async fn silence(read: &AtomicU64, greeting: Duration) {
     sleep(greeting).await;
     if read.load(Ordering::Relaxed) >= GREETING_BYTES {
@@ -235,7 +236,7 @@ async fn silence(read: &AtomicU64, greeting: Duration) {
     }
 }
 
-/// Counts the bytes that were read.
+/// A connection that counts the bytes read from it.
 struct Counted {
     io: Connection,
     read: Arc<AtomicU64>,

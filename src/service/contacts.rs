@@ -194,14 +194,14 @@ pub(super) async fn fetch(app: &App, ids: &[HullId], job: &Job) -> Result<(Hulls
         LeaseError::TooLarge => {
             let (limit, all) = (app.registry().most_leased_alone(), app.limits().cache_bytes);
             let message = format!(
-                "the hulls take more than the {limit} bytes that one caller may use of the {all} of \
-                 cache_bytes: use fewer"
+                "the hulls take more than {limit} bytes, the most that one caller may use of the hull cache \
+                 (cache_bytes is {all}): use fewer or smaller hulls per request"
             );
             ServiceError::invalid("HULLS_TOO_LARGE", "hull_ids", message)
         }
         LeaseError::Busy => {
             app.metrics().shed(Shed::Hulls);
-            let message = "other requests use too many bytes of hulls; ask again";
+            let message = "other requests use too much of the hull cache: retry later";
             ServiceError::unavailable("TOO_BUSY", HULLS_RETRY, message)
         }
     })

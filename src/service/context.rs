@@ -151,7 +151,7 @@ impl Arrived {
 /// Takes `more` bytes for a permit of a call.
 ///
 /// # Errors
-/// TOO_BUSY, MEMORY_TOO_LARGE; the permit keeps what it had.
+/// TOO_BUSY, MEMORY_TOO_LARGE. The permit keeps the bytes that it had.
 pub(super) fn grow(app: &App, permit: &mut Permit, more: usize) -> Result<(), ServiceError> {
     permit.grow(more as u64).map_err(|why| no_memory(app.metrics(), why))
 }
@@ -161,11 +161,9 @@ pub(super) fn no_memory(metrics: &Metrics, why: NoMemory) -> ServiceError {
     match why.refusal {
         Refusal::Busy => {
             metrics.shed(if why.part == Part::Arriving { Shed::RequestBytes } else { Shed::Memory });
-            ServiceError::unavailable("TOO_BUSY", MEMORY_RETRY, format!("{why}; ask again"))
+            ServiceError::unavailable("TOO_BUSY", MEMORY_RETRY, format!("{why}: retry later"))
         }
-        Refusal::TooLarge => {
-            ServiceError::refused("MEMORY_TOO_LARGE", format!("{why}; ask for less at a time"))
-        }
+        Refusal::TooLarge => ServiceError::refused("MEMORY_TOO_LARGE", format!("{why}: split the request")),
     }
 }
 

@@ -1,15 +1,15 @@
-//! Ends calls whose peer does not take the answer.
+//! Ends calls whose peer does not read the answer.
 //!
-//! A peer decides how fast it reads, and an answer that nobody reads holds memory for as long
-//! as its stream lives. A timer inside the response's body cannot end such a stream, because
-//! the transport polls the body only while the peer makes room for more. So each stream's
-//! future runs beside a [`Cutoff`]: a time at which the stream ends, whatever the peer does.
+//! The peer decides how fast it reads, and an unread answer holds memory for as long as its stream lives. A
+//! timer inside the response's body cannot end such a stream, because the transport polls the body only
+//! while the peer makes room for more. Therefore each stream's future runs together with a [`Cutoff`]: a
+//! time at which the stream ends, whatever the peer does.
 //!
-//! Over HTTP/2 the connection's executor ([`StreamExecutor`]) puts the cutoff beside the
-//! stream's future and drops the future when the time comes. h2 then discards what the stream
-//! has queued and resets it, so the caller sees CANCELLED. Where bytes of the answer survive
-//! that (a socket that takes nothing at all), the connection is closed. Over HTTP/1.1, where a
-//! connection has one call at a time, the cutoff closes the connection.
+//! Over HTTP/2, the connection's executor ([`StreamExecutor`]) runs the stream's future together with the
+//! cutoff, and drops the future at that time. h2 then discards the bytes that the stream has queued and
+//! resets the stream, so the caller sees CANCELLED. If bytes of the answer remain after that, because the
+//! socket takes nothing at all, the connection is closed. Over HTTP/1.1 a connection has one call at a
+//! time, and the cutoff closes the connection.
 
 use std::{
     future::Future,
@@ -28,8 +28,8 @@ use tokio::{
 use super::App;
 use crate::metrics::Cut;
 
-/// The time that h2 has to discard the answer of a stream that was cut. It needs one turn of
-/// the connection's task.
+/// The time for h2 to discard the answer of a stream that was cut, which takes one turn of the connection's
+/// task.
 const DISCARD: Duration = Duration::from_secs(1);
 
 tokio::task_local! {
@@ -85,13 +85,13 @@ impl Cutoff {
         }))
     }
 
-    /// The cutoff of the stream that the current task serves; one that nobody waits for where
-    /// there is none, as in tests of the services alone.
+    /// The cutoff of the stream that the current task serves. If there is none, as in tests that call a
+    /// service directly, a cutoff that nothing waits for.
     pub(super) fn current() -> Self {
         CURRENT.try_with(Clone::clone).unwrap_or_else(|_| Self::new(Arc::default()))
     }
 
-    /// The stream ends at `at`, for the reason `why`, unless the cutoff changes before.
+    /// Sets the time and the reason of the stream's end. A later call replaces them.
     pub(super) fn set(&self, (at, why): (Instant, Cut)) {
         let state = &*self.0;
         let milliseconds = at.saturating_duration_since(state.start).as_nanos().div_ceil(1_000_000);
@@ -107,7 +107,7 @@ impl Cutoff {
         self.0.unsent.load(Ordering::SeqCst) == 0
     }
 
-    /// The stream may go on if the peer has taken all of the answer so far.
+    /// Removes the cutoff if the peer has taken all of the answer so far.
     pub(super) fn clear_if_all_is_sent(&self) {
         let due = self.0.due.load(Ordering::SeqCst);
         let change =
@@ -123,29 +123,29 @@ impl Cutoff {
         self.0.unsent.fetch_add(bytes, Ordering::SeqCst);
     }
 
-    /// The memory of `bytes` is free: they were sent or discarded.
+    /// Records that the memory of `bytes` is free, because they were sent or discarded.
     pub(super) fn freed(&self, bytes: usize) {
         self.0.unsent.fetch_sub(bytes, Ordering::SeqCst);
         self.clear_if_all_is_sent();
     }
 
-    /// Runs `work`; none where the cutoff ended it.
+    /// Runs `work`. Returns none if the cutoff ended it.
     pub(super) async fn guard<T>(&self, app: &App, work: impl Future<Output = T>) -> Option<T> {
         let ended = tokio::select! {
             biased;
             done = CURRENT.scope(self.clone(), work) => Ok(done),
             why = self.due() => Err(why),
         };
-        // The work is dropped by now.
+        // The work has already been dropped here.
         ended
             .map_err(|why| {
                 app.metrics().cut(why);
-                tracing::debug!(why = why.name(), "cut a call whose answer was not read");
+                tracing::debug!(why = why.name(), "cut a call whose answer was not read in time");
             })
             .ok()
     }
 
-    /// Completes when the time has come.
+    /// Waits for the cutoff and returns its reason.
     async fn due(&self) -> Cut {
         let state = &*self.0;
         loop {
@@ -171,21 +171,21 @@ impl Cutoff {
     }
 }
 
-/// Spawns the futures of a connection's streams, each beside a cutoff of its own.
+/// Spawns the futures of a connection's streams, each with its own cutoff.
 ///
-/// A stream that its peer resets counts no longer among the connection's concurrent streams, but
-/// its future lives until its task has run. A peer that resets calls as fast as it makes them
-/// ("rapid reset", CVE-2023-44487) would otherwise pile up futures without bound, so the executor
-/// counts them, and a connection that has too many is closed.
+/// A stream that its peer resets no longer counts as one of the connection's concurrent streams, but its
+/// future lives until its task has run. A peer that resets calls as fast as it makes them ("rapid reset",
+/// CVE-2023-44487) could accumulate futures without limit. Therefore the executor counts the futures, and a
+/// connection with too many is closed.
 #[derive(Clone, Debug)]
 pub(super) struct StreamExecutor {
     app: Arc<App>,
     abort: Arc<Notify>,
-    /// The futures that have not ended.
+    /// The number of futures that have not ended.
     living: Arc<AtomicUsize>,
 }
 
-/// For each concurrent stream that a connection may have, the futures that may be alive.
+/// The number of futures that may be alive for each concurrent stream that a connection may have.
 const FUTURES_PER_STREAM: usize = 4;
 
 impl StreamExecutor {
@@ -226,7 +226,7 @@ where
 mod tests {
     use super::*;
 
-    /// Catches a cutoff that fires although it was cleared or moved, and one that never fires.
+    /// Catches a cutoff that fires although it was removed or changed, and one that never fires.
     #[tokio::test(start_paused = true)]
     async fn the_last_time_that_was_set_counts() {
         let cutoff = Cutoff::new(Arc::default());
@@ -247,7 +247,7 @@ mod tests {
         assert_eq!(start.elapsed().as_secs(), 20);
     }
 
-    /// Catches a stream that may go on while a part of its answer is not read.
+    /// Catches a cutoff that is removed although a part of the answer has not been read.
     #[tokio::test(start_paused = true)]
     async fn a_part_that_is_not_read_keeps_the_cutoff() {
         let cutoff = Cutoff::new(Arc::default());

@@ -254,7 +254,7 @@ fn failed(error: ComputeError) -> ServiceError {
         ComputeError::Stopped => ServiceError::deadline_exceeded(),
         ComputeError::Panicked(why) => {
             tracing::error!(%why, "a broad phase failed");
-            ServiceError::internal("the broad phase failed")
+            ServiceError::internal("the broad phase failed; the server's log has the reason")
         }
     }
 }

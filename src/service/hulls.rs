@@ -150,7 +150,7 @@ impl Hulls {
 }
 
 pub(super) fn unreadable() -> ServiceError {
-    ServiceError::unavailable("STORE_UNAVAILABLE", STORE_RETRY, "the store could not be read")
+    ServiceError::unavailable("STORE_UNAVAILABLE", STORE_RETRY, "the store could not be read: retry later")
 }
 
 fn store_error(app: &App, error: StoreError) -> ServiceError {
@@ -162,7 +162,7 @@ fn store_error(app: &App, error: StoreError) -> ServiceError {
         StoreError::Full(_) => ServiceError::store_full(error.to_string()),
         StoreError::Busy(_) => {
             app.metrics().shed(Shed::Store);
-            ServiceError::unavailable("TOO_BUSY", STORE_RETRY, format!("{error}; ask again"))
+            ServiceError::unavailable("TOO_BUSY", STORE_RETRY, format!("{error}: retry later"))
         }
         StoreError::Unavailable(_) | StoreError::Hung(_) | StoreError::NotABlob(_) => {
             ServiceError::unavailable("STORE_UNAVAILABLE", STORE_RETRY, error.to_string())
@@ -196,7 +196,7 @@ fn registered_result(app: &App, registered: Registered) -> Result<RegisterHullRe
         Err(RegisterError::Stopped) => Err(ServiceError::deadline_exceeded()),
         Err(RegisterError::Internal(error)) => {
             tracing::error!(%error, "a hull could not be built");
-            Err(ServiceError::internal("a hull could not be built"))
+            Err(ServiceError::internal("a hull could not be built; the server's log has the reason"))
         }
     }
 }

@@ -50,7 +50,7 @@ impl Injected {
         self.changed.notify_all();
     }
 
-    /// Called before `pairs` pairs are computed; waits as the test demands.
+    /// Must be called before `pairs` pairs are computed; waits as the test demands.
     pub(super) fn pass(&self, pairs: usize) {
         let delay = self.delay.load(Ordering::Relaxed);
         if delay > 0 {

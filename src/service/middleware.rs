@@ -1,10 +1,10 @@
-//! The outermost layer: what holds for every call, whatever its method.
+//! The outermost layer, which applies to every call of every method.
 //!
-//! The layer names and counts the call, refuses a caller without the token that the method
-//! needs before a byte of the body is read, takes the call's fixed cost from the memory budget,
-//! bounds the request's messages ([`MessageBody`]) and the time and memory of the answer
-//! ([`AnswerBody`]), and enforces the deadline. Errors that the transport makes by itself (an
-//! unknown method, compression) get the code and the details of the contract.
+//! The layer names and counts each call. Before it reads any of the body, it refuses a caller without the
+//! token that the method needs, and takes the call's fixed cost from the memory budget. It limits the
+//! request's messages ([`MessageBody`]) and the time and memory of the answer ([`AnswerBody`]), and it
+//! enforces the deadline. Errors that the transport itself produces (an unknown method, compression) get
+//! the code and the details of the contract.
 
 use std::{
     convert::Infallible,
@@ -43,20 +43,19 @@ use crate::{
 /// The largest message of a health check or of reflection: a name.
 const NAME_BYTES: usize = 1 << 10;
 
-/// When the caller stops waiting; an extension of requests that have one.
+/// The time at which the caller stops waiting. An extension of each request that has one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Deadline(pub(super) Instant);
 
-/// True once the connection that a request came on is about to close; an extension of
-/// every request.
+/// Becomes true when the request's connection is about to close. An extension of every request.
 #[derive(Clone, Debug)]
 pub(super) struct Closing(pub(super) watch::Receiver<bool>);
 
 impl Closing {
-    /// Completes once it is about to close.
+    /// Completes when the connection is about to close.
     pub(super) async fn heard(&mut self) {
         if self.0.wait_for(|closing| *closing).await.is_err() {
-            // Nobody is left to say so.
+            // The sender is gone, so the value can no longer become true.
             std::future::pending().await
         }
     }
@@ -83,8 +82,8 @@ impl Middleware {
         Self { app, routes, serving, peer, closing }
     }
 
-    /// When the call ends at the latest: the caller's deadline, or the server's where that is
-    /// sooner or there is none.
+    /// The latest time at which the call ends: the caller's deadline, or the server's if that is earlier or
+    /// the caller has none. Long-lived calls have only the caller's.
     fn deadline(&self, method: &str, headers: &HeaderMap) -> Option<Instant> {
         let most = Duration::from_secs(self.app.limits().max_deadline_seconds.into());
         let given = timeout(headers);
@@ -92,7 +91,7 @@ impl Middleware {
         allowed.and_then(|allowed| Instant::now().checked_add(allowed))
     }
 
-    /// What the call takes for as long as it lasts.
+    /// Takes the resources that the call holds until its end.
     fn take(&self, method: &str, headers: &HeaderMap, caller: &Caller) -> Result<Taken, ServiceError> {
         let watch = is_watch(method).then(|| {
             self.peer.watch().ok_or_else(|| {
@@ -141,7 +140,7 @@ where
         let span = call::span(method, request.headers(), &traced);
         let token = self.serving.security.check(request.uri().path(), request.headers());
         let caller = self.peer.caller(token.as_ref().ok().and_then(|name| name.as_deref()));
-        // Health checks are answered whatever the budget holds; their messages are tiny.
+        // Health checks are answered even if the budget is full; their messages are tiny.
         let memory = if is_health(method) { MemoryBudget::unlimited() } else { self.app.memory().clone() };
         let context = CallContext::new(caller, memory);
         let taken = token.and_then(|_| self.take(method, request.headers(), &context.job.caller));
@@ -174,7 +173,7 @@ where
         let responded = async move {
             let response = match deadline {
                 None => answer.await?,
-                // Dropping the call is what stops its computation.
+                // Dropping the call stops its computation.
                 Some(at) => match tokio::time::timeout_at(at, answer).await {
                     Ok(response) => response?,
                     Err(_) => Status::from(ServiceError::deadline_exceeded()).into_http(),
@@ -182,12 +181,13 @@ where
             };
             Ok(answered(call, completed(response), context, times))
         };
-        // What is traced finds the spans that are entered, whatever is logged.
+        // Both spans are entered: traced work takes its parent from the entered spans, even if nothing is
+        // logged.
         Box::pin(responded.instrument(span).instrument(traced))
     }
 }
 
-/// Logs a refused token; the token itself is in no line.
+/// Logs that a call was refused for its token. The token itself is never logged.
 fn report(refusal: &ServiceError, method: &str) {
     static REFUSED: Repeated = Repeated::new();
     if matches!(refusal.kind, Kind::Unauthenticated | Kind::Forbidden)
@@ -197,7 +197,7 @@ fn report(refusal: &ServiceError, method: &str) {
     }
 }
 
-/// The response to the transport: the call ends with its body.
+/// Wraps the response for the transport. The call ends when its body ends.
 fn answered(
     mut call: Call,
     response: Response<Body>,
@@ -210,8 +210,8 @@ fn answered(
     response.map(|body| Body::new(AnswerBody::new(body, call, context, times)))
 }
 
-/// An error that is the whole response (headers alone) gets the details of the contract; its
-/// other headers stay.
+/// Adds the details of the contract to an error that is the whole response (headers only). Its other
+/// headers stay.
 fn completed(mut response: Response<Body>) -> Response<Body> {
     let Some(status) = Status::from_header_map(response.headers()) else { return response };
     if status.code() == tonic::Code::Ok || !status.details().is_empty() {
@@ -223,8 +223,8 @@ fn completed(mut response: Response<Body>) -> Response<Body> {
     }
 }
 
-/// The `grpc-timeout` header: at most 8 digits and a unit. One that does not parse is
-/// ignored, as the protocol's other servers do.
+/// The `grpc-timeout` header: at most 8 digits and a unit. A malformed header is ignored, as in other gRPC
+/// servers.
 fn timeout(headers: &HeaderMap) -> Option<Duration> {
     let text = headers.get("grpc-timeout")?.to_str().ok()?;
     let (digits, unit) = text.split_at_checked(text.len().checked_sub(1)?)?;
@@ -247,7 +247,7 @@ fn timeout(headers: &HeaderMap) -> Option<Duration> {
 mod tests {
     use super::*;
 
-    /// Catches a unit taken for another, and a malformed header that ends a call.
+    /// Catches a unit that is mistaken for another, and a malformed header that ends a call.
     #[test]
     fn timeouts_parse_by_the_protocol() {
         let parse = |text: &'static str| {

@@ -29,7 +29,7 @@ pub(super) async fn offloaded<T: Send + 'static>(
         Err(ComputeError::Stopped) => Err(Stopped.into()),
         Err(ComputeError::Panicked(Panicked(why))) => {
             tracing::error!(why, "work of the service panicked");
-            Err(ServiceError::internal("the request could not be worked on"))
+            Err(ServiceError::internal("the request could not be processed; the server's log has the reason"))
         }
     }
 }

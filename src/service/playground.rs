@@ -93,11 +93,14 @@ impl Service<Request<Incoming>> for Page {
 
     fn call(&mut self, request: Request<Incoming>) -> Self::Future {
         let answer = match *request.method() {
-            _ if self.is_plain && !names_no_site(&request) => {
-                plain(StatusCode::FORBIDDEN, "over plain text: by address or as localhost")
-            }
+            _ if self.is_plain && !names_no_site(&request) => plain(
+                StatusCode::FORBIDDEN,
+                "without TLS the page is only served under an IP address or localhost",
+            ),
             Method::GET | Method::HEAD => file(request.uri().path()),
-            _ if !is_grpc(&request) => plain(StatusCode::UNSUPPORTED_MEDIA_TYPE, "gRPC or gRPC-web"),
+            _ if !is_grpc(&request) => {
+                plain(StatusCode::UNSUPPORTED_MEDIA_TYPE, "the content type must be that of gRPC or gRPC-web")
+            }
             _ => return Either::Right(Box::pin(self.calls.call(request))),
         };
         Either::Left(ready(Ok(answer)))
@@ -126,7 +129,7 @@ fn is_grpc<B>(request: &Request<B>) -> bool {
 /// Answers GET and HEAD; hyper leaves out the body for HEAD.
 fn file(path: &str) -> Response<Body> {
     let Some((_, kind, text)) = FILES.iter().find(|(name, ..)| *name == path) else {
-        return plain(StatusCode::NOT_FOUND, "the page is at /");
+        return plain(StatusCode::NOT_FOUND, "not found; the page is at /");
     };
     answer(StatusCode::OK, kind, text)
 }

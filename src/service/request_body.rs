@@ -1,4 +1,4 @@
-//! A request's body as whole messages.
+//! The body of a request, received as whole messages.
 //!
 //! gRPC puts five bytes before each message: a flag, and the message's length. tonic allocates
 //! the length that a caller declares before a byte of the message is there, keeps that buffer until the
@@ -11,8 +11,8 @@
 //! A received frame may hold thousands of small messages. They are read off the frame one at a time, when
 //! tonic asks for the next one, so that a message that nobody has asked for takes no memory of its own.
 //!
-//! A method that takes one message gets one: more bytes after it are refused, and the end of
-//! the request is due within the message's own time.
+//! If a method takes one message, further bytes after it are refused, and the request has to end within the
+//! time for the message.
 
 use std::{
     collections::VecDeque,
@@ -35,25 +35,25 @@ use super::{
 };
 use crate::budget::{Part, Permit};
 
-/// The bytes before each message: a flag that says whether it is compressed, and its length.
+/// The bytes before each message: a flag that tells whether it is compressed, and its length.
 pub(super) const HEAD_BYTES: usize = 5;
 
 /// A large message is copied into pieces of at most this size as it arrives, so that memory is taken
 /// as bytes arrive and not as they are declared.
 const SEGMENT_BYTES: usize = 256 << 10;
 
-/// What a method lets a caller send.
+/// The limits on the messages of a method's request.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MessageRules {
-    /// The largest message.
+    /// The largest message in bytes.
     pub(super) max_bytes: usize,
-    /// Whether the request is one message.
+    /// Whether the request is a single message.
     pub(super) is_single: bool,
-    /// The time that a message has to arrive, beside a second for each MiB of it.
+    /// The time for a message to arrive, plus a second per MiB of it.
     pub(super) patience: Duration,
 }
 
-/// A request's body, as whole messages.
+/// The body of a request, received as whole messages.
 pub(super) struct MessageBody<B> {
     body: B,
     app: Arc<App>,
@@ -79,7 +79,7 @@ pub(super) struct MessageBody<B> {
 struct Message {
     head: [u8; HEAD_BYTES],
     head_bytes: usize,
-    /// Bytes of the message that are still to come, once its head is there.
+    /// The bytes of the message that have not arrived yet, once its header is known.
     missing: usize,
     segments: Vec<BytesMut>,
     memory: Option<Permit>,
@@ -123,7 +123,7 @@ impl<B> MessageBody<B> {
     fn read_message(&mut self) -> Result<(), ServiceError> {
         while !self.received.is_empty() && self.whole.is_empty() {
             if self.rules.is_single && self.complete > 0 {
-                let why = "the request has more than one message: this method takes one";
+                let why = "the request has more than one message, but this method takes one";
                 return Err(ServiceError::refused("TOO_MANY_MESSAGES", why));
             }
             if self.message.head_bytes == 0 {
@@ -147,8 +147,8 @@ impl<B> MessageBody<B> {
         Ok(())
     }
 
-    /// The time of a stream's message begins with its first byte, that of a single one with
-    /// the call.
+    /// Starts the time of a message. For a stream it starts with the message's first byte, for a single
+    /// message with the call.
     fn begin(&mut self) {
         if !self.rules.is_single {
             self.started = Instant::now();
@@ -182,7 +182,8 @@ impl<B> MessageBody<B> {
         }
         let (length, limit) = (declared(self.message.head), self.rules.max_bytes);
         if length > limit {
-            let message = format!("the message has {length} bytes, at most {limit} are allowed");
+            let message =
+                format!("the message has {length} bytes, at most {limit} are allowed: send less per message");
             return Err(ServiceError::refused("MESSAGE_TOO_LARGE", message));
         }
         self.message.missing = length;
@@ -237,17 +238,17 @@ impl<B> MessageBody<B> {
 
     fn late(&self) -> ServiceError {
         let seconds = self.started.elapsed().as_secs();
-        ServiceError::message_late(format!("the request was not complete after {seconds} s"))
+        ServiceError::message_late(format!("the message had not arrived in full after {seconds} s"))
     }
 }
 
-/// The length that a message's head declares.
+/// The length that a message's header declares.
 fn declared(head: [u8; HEAD_BYTES]) -> usize {
     let [_, length @ ..] = head;
     u32::from_be_bytes(length) as usize
 }
 
-/// A second for each MiB: the least speed at which a caller may send or read.
+/// A second per MiB, the lowest speed at which a caller may send or read.
 pub(super) fn per_mebibyte(bytes: usize) -> Duration {
     Duration::from_secs((bytes >> 20) as u64)
 }

@@ -18,7 +18,7 @@ pub(super) const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 /// How a server serves its calls. Its `Limits` say which requests it accepts.
 #[derive(Clone, Debug)]
 pub struct Serving {
-    /// Who may connect and call.
+    /// The rules for connecting and calling: TLS and tokens.
     pub security: Arc<Security>,
     /// The interval at which certificates and tokens are read again; the files may change while the
     /// server runs.
@@ -80,7 +80,8 @@ pub async fn run(
 ) -> Result<(), OpenError> {
     let (mut reporter, routes) = routes(&app).await?;
     let drain = serving.drain;
-    // Set before the first connection is accepted, and before the probe can find a failing store.
+    // The state is set before the first connection is accepted, and before the probe can find a failing
+    // store.
     app.set_readiness(Readiness::Ready);
     let mut beside = JoinSet::new();
     beside.spawn(reload(serving.security.clone(), serving.reload_every));

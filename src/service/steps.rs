@@ -109,11 +109,12 @@ impl Steps {
                     (wire::inherited(request, setting, bases, stop)?, Some(memory))
                 }
                 (true, Previous::None) => {
-                    let why = "a stream's first message says everything itself";
+                    let why = "the first message of a stream has nothing to inherit: send the scene in full";
                     return Err(ServiceError::invalid("NOTHING_TO_INHERIT", "inherit", why));
                 }
                 (true, Previous::Dropped) => {
-                    let why = "the streams of this server keep too much: send the message in full";
+                    let why = "there was no memory to keep the stream's state: \
+                               open a new stream and send the scene in full";
                     return Err(ServiceError::unavailable("STATE_NOT_KEPT", RETRY, why));
                 }
             };

@@ -183,7 +183,9 @@ fn unknown_scheme(url: &str, scheme: &str) -> OpenError {
             ));
         }
     };
-    OpenError(format!("store {url}: needs the feature \"{feature}\", which this build is without"))
+    OpenError(format!(
+        "store {url}: this build does not support it; build hullcast with the feature \"{feature}\""
+    ))
 }
 
 fn failed(url: &str, error: &dyn std::error::Error) -> OpenError {

@@ -71,7 +71,7 @@ impl FileThreads {
         });
         match self.tasks.try_send(task) {
             Ok(()) => receive.await.unwrap_or_else(|_| Err("the file threads ended".into())),
-            Err(TrySendError::Full(_)) => Err("too many file operations wait".into()),
+            Err(TrySendError::Full(_)) => Err("too many file operations are waiting".into()),
             Err(TrySendError::Disconnected(_)) => Err("the file threads ended".into()),
         }
     }

@@ -21,7 +21,7 @@ pub(super) struct Objects {
 impl Objects {
     /// `absent` is for stores that give the same status for a missing object and for a missing
     /// bucket. A missing bucket is an outage of all hulls; an error whose text contains `absent` is
-    /// about a missing object. Without it the status alone decides.
+    /// about a missing object. Without it only the status decides.
     pub(super) fn new(objects: Arc<dyn ObjectStore>, absent: Option<&'static str>) -> Self {
         Self { objects, absent }
     }
@@ -73,7 +73,7 @@ impl BlobStore for Objects {
             let Some(found) = self.present(self.objects.get(&key(id)).await)? else { return Ok(None) };
             if found.meta.size > max_bytes {
                 let size = found.meta.size;
-                let why = format!("{id} is {size} bytes long, more than the {max_bytes} of a hull");
+                let why = format!("{id} is {size} bytes long, but a hull has at most {max_bytes}");
                 return Err(StoreError::NotABlob(why));
             }
             // A blob that is deleted between opening and reading counts as deleted.

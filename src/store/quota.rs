@@ -43,7 +43,7 @@ impl Quota {
             .turns
             .take(caller)
             .await
-            .map_err(|_| StoreError::Busy("too many writes of this caller wait".into()))?;
+            .map_err(|_| StoreError::Busy("too many writes of this caller are waiting".into()))?;
         let mut used = self.used.lock().await;
         let before = match *used {
             Some(bytes) => bytes,
@@ -53,7 +53,8 @@ impl Quota {
         let after = before.saturating_sub(replaced) + blob.len() as u64;
         if after > self.limit {
             *used = Some(before);
-            let why = format!("{after} bytes would pass the limit of {}", self.limit);
+            let why =
+                format!("it would have {after} bytes, at most {} are allowed: delete hulls", self.limit);
             return Err(StoreError::Full(why));
         }
         // The lock is held, so two writers cannot both use the last room. A write that fails or is

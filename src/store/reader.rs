@@ -154,7 +154,7 @@ impl<'a> Reader<'a> {
         match built.map(|hulls| hulls.into_iter().next()) {
             Ok(Some(Ok(hull))) => Ok(self.registry.entry(Arc::new(hull), false)),
             Ok(Some(Err(error))) => {
-                self.fault(id, format!("a stored hull is not a hull to this version: {error}"));
+                self.fault(id, format!("this version cannot build a stored hull: {error}"));
                 Err(Missing::Unknown)
             }
             Ok(None) | Err(BuildError::Compute(ComputeError::Stopped)) => Err(Missing::Unavailable),

@@ -163,7 +163,7 @@ impl Registry {
     /// lease is dropped.
     ///
     /// # Errors
-    /// There is no room for all of them; then none is leased.
+    /// There is no room for all of them. Then no hull is leased.
     pub async fn lease(&self, ids: &[HullId], job: &Job) -> Result<(Hulls, Lease), LeaseError> {
         let request = LeaseRequest::new(&self.leases, &job.caller);
         let now_ms = self.now_ms();

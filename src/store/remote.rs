@@ -59,7 +59,7 @@ fn retries() -> RetryConfig {
     RetryConfig { backoff, max_retries: MAX_RETRIES, retry_timeout: RETRIES }
 }
 
-/// Plain text is allowed only if the environment says so, for example `AWS_ALLOW_HTTP=true`.
+/// Plain text is allowed only if the environment allows it, for example by `AWS_ALLOW_HTTP=true`.
 fn options(provider: &str) -> ClientOptions {
     let plain = std::env::var(format!("{provider}_ALLOW_HTTP"));
     let plain = plain.is_ok_and(|value| value.eq_ignore_ascii_case("true") || value == "1");

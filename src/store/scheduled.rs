@@ -75,7 +75,7 @@ impl ScheduledStore {
         let shared = &self.shared;
         shared.answers()?;
         if shared.probing.swap(true, Ordering::AcqRel) {
-            return Err(StoreError::Hung("the last probe has not returned".into()));
+            return Err(StoreError::Hung("the previous probe has not returned".into()));
         }
         let probing = Probing(shared.clone());
         let blobs = shared.blobs.clone();
@@ -185,7 +185,7 @@ impl CallerStore {
             let shared = &self.shared;
             shared.answers()?;
             let slot = shared.turns.take(&self.caller).await.map_err(|why| match why {
-                NoTurn::Busy => StoreError::Busy("too many operations of this caller wait".into()),
+                NoTurn::Busy => StoreError::Busy("too many operations of this caller are waiting".into()),
                 NoTurn::SentAway => shared.answers().err().unwrap_or_else(gone),
             })?;
             // The store may hang since then.

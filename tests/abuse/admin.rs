@@ -1,4 +1,4 @@
-//! The operator's port.
+//! Attacks on the admin port (metrics and health for the operator).
 
 use std::io;
 
@@ -11,8 +11,8 @@ use crate::support::{
 };
 
 attacks! {
-    /// Catches connections, headers and answers of the operator's port that are in no limit.
-    admin: "connections to the operator's port that say nothing, too much, or read nothing" => admin;
+    /// Catches connections, headers and answers of the admin port that no limit covers.
+    admin: "connections to the admin port that send nothing or too much, or read nothing" => admin;
 }
 
 async fn admin(arena: &Arena) {
@@ -40,7 +40,7 @@ async fn admin(arena: &Arena) {
     drop(held);
 }
 
-/// Says it, until the server takes no more of it.
+/// Writes `said` for at most 500 ms: a server that defends itself stops reading before the end.
 async fn wait_longer(mut stream: TcpStream, said: &[u8]) -> io::Result<TcpStream> {
     let time = std::time::Duration::from_millis(500);
     let _ = tokio::time::timeout(time, stream.write_all(said)).await;

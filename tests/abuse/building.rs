@@ -1,4 +1,4 @@
-//! Registrations that cost more than they look, and callers who leave.
+//! Registrations that cost more than their size suggests, and callers that leave before the end.
 
 use std::time::Duration;
 
@@ -14,15 +14,16 @@ use crate::{
 };
 
 attacks! {
-    /// Catches work that goes on after its caller left, and waiting calls that keep memory
-    /// which nothing counts.
+    /// Catches work that continues after its caller has left, and waiting calls whose memory no budget
+    /// counts.
     simplification: "simplifying 4 hulls of 8,192 points; 40 cancelled registrations of 59 MiB behind it"
         => simplification;
-    /// Catches building without a bound of the points.
+    /// Catches a hull that is built without a limit on the number of its points.
     points: "2.8 million points in one definition" => points;
     /// Catches hulls on which every decision needs exact arithmetic.
     degenerate: "hulls that force exact arithmetic everywhere" => degenerate;
-    /// Catches batches that are computed for nobody, and memory of cancelled calls.
+    /// Catches batches that are computed after their callers have left, and cancelled calls that keep
+    /// memory.
     cancelled: "maximal batches that are cancelled at once, again and again" => cancelled;
 }
 
@@ -55,7 +56,7 @@ async fn simplification(arena: &Arena) {
         let _ = peer.reset(*call).await;
     }
     for _ in 0..40 {
-        // A call that is refused is a defence.
+        // The server may defend itself by refusing the call.
         let Ok(mut peer) = arena.peer(Windows::OPEN).await else { continue };
         if let Ok(call) = peer.ask(REGISTER, &behind).await {
             let _ = peer.reset(call).await;
@@ -65,8 +66,8 @@ async fn simplification(arena: &Arena) {
     arena.bystander_answered(arena.size().of(400)).await;
 }
 
-/// Sends the messages again and again, each on connections of its own, until the bystander was
-/// answered often enough.
+/// Sends each message again and again on connections of its own, until the bystander has been answered
+/// often enough.
 async fn flood(arena: &Arena, messages: &[Vec<u8>]) {
     let callers = messages.iter().map(async |message| {
         loop {
@@ -94,7 +95,7 @@ async fn degenerate(arena: &Arena) {
         crate::support::setup::Size::Full => 128,
         crate::support::setup::Size::Tenth => 40,
     };
-    // A contraction point of its own makes each hull a new one, of which nothing is cached.
+    // A different contraction point makes each message a new hull, so that the cache cannot help.
     let messages: Vec<_> = (0..8)
         .map(|i| {
             let shape = if i % 2 == 0 { globe(side, side - 1) } else { lattice(side) };

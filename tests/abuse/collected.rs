@@ -10,7 +10,7 @@ use crate::{
 };
 
 attacks! {
-    /// Catches sizes that are checked after everything was collected.
+    /// Catches an answer whose size is checked only after the whole answer was collected.
     repeated_ids: "GetHulls that names one hull of 16,384 vertices 4,000 times" => repeated_ids;
 }
 
@@ -25,7 +25,7 @@ async fn repeated_ids(arena: &Arena) {
     let flood = join_all(callers.into_iter().map(async |mut hulls| {
         loop {
             let answer = hulls.get_hulls(with_token(request.clone())).await;
-            assert!(answer.is_err(), "an answer of gigabytes");
+            assert!(answer.is_err(), "the server sent an answer of gigabytes");
         }
     }));
     tokio::select! {

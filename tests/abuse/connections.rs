@@ -1,4 +1,4 @@
-//! Connections and long-lived calls without number.
+//! Unlimited numbers of connections and of long-lived calls.
 
 use std::{io, time::Duration};
 
@@ -18,26 +18,28 @@ use crate::{
 };
 
 attacks! {
-    /// Catches an address that takes all connections, and lets no health checker in.
+    /// Catches one address that can take all connections, so that a health checker cannot connect.
     idle: "all the connections that one address can open" => idle;
-    /// Catches long-lived calls that are in no budget.
+    /// Catches long-lived calls that no budget counts.
     watches: "1,024 Watch streams on many connections" => watches;
-    /// Catches handshakes that keep others from theirs.
-    handshakes: "TLS handshakes without end, whole, broken off and half", |s: Setup| s.tls() => handshakes;
-    /// Catches a server that logs and fails for want of descriptors.
-    descriptors: "100 idle connections where 64 files may be open",
+    /// Catches unfinished handshakes that keep other clients from finishing theirs.
+    handshakes: "endless TLS handshakes: complete, broken off and left half done",
+        |s: Setup| s.tls() => handshakes;
+    /// Catches a server that fails, or fills its log, when it has no file descriptors left.
+    descriptors: "100 idle connections to a server that may open 64 files",
         |s: Setup| Setup { ulimit: Some("-n 64".into()), ..s } => descriptors;
-    /// Catches refused tokens that cost more than they should, and log lines without number.
-    tokens: "calls with wrong tokens without end", |s: Setup| s.tokens() => tokens;
-    /// Catches paths that reach a method without its name.
-    paths: "paths that are nearly a method's, without a token", |s: Setup| s.tokens() => paths;
+    /// Catches refused tokens that cost too much to refuse, and a log line for each refused token.
+    tokens: "endless calls with wrong tokens", |s: Setup| s.tokens() => tokens;
+    /// Catches a path that reaches a method although it is not the method's exact path, so that the check
+    /// of the token is passed by.
+    paths: "paths that resemble a method's path, without a token", |s: Setup| s.tokens() => paths;
 }
 
-/// An address without an open connection.
+/// An address that has no open connection.
 const NEWCOMER: &str = "127.0.0.5";
 
 async fn idle(arena: &Arena) {
-    // The attacker needs as many descriptors as the server.
+    // The attacker needs as many file descriptors as the server.
     let limit = rustix::process::getrlimit(rustix::process::Resource::Nofile).maximum;
     let room = limit.map_or(usize::MAX, |limit| limit as usize).saturating_sub(200);
     let count = arena.size().of(11_000).min(room);
@@ -78,7 +80,7 @@ async fn watches(arena: &Arena) {
 }
 
 async fn handshakes(arena: &Arena) {
-    // The record's head and the beginning of a ClientHello.
+    // The header of a TLS record and the beginning of a ClientHello.
     let half = [22, 3, 1, 2, 0, 1, 0, 1, 252, 3, 3];
     arena.begin().await;
     let mut held = Vec::new();
@@ -113,7 +115,7 @@ async fn descriptors(arena: &Arena) {
         }
     }
     arena.bystander_answered(arena.size().of(800)).await;
-    // The store needs descriptors too.
+    // A registration opens files too, so the store must also have kept some descriptors.
     arena.bystander.register_a_new_hull().await;
     drop(held);
     assert!(arena.server.log().lines().count() < 40, "{}", arena.server.log());
@@ -124,7 +126,7 @@ async fn tokens(arena: &Arena) {
     let wrong = format!("Bearer {}", "x".repeat(REGISTER_TOKEN.len()));
     arena.begin().await;
     flood(arena, crate::support::QUERY, &[("authorization", &wrong)], &question).await;
-    assert!(arena.server.log().lines().count() < 100, "each refused token is a line");
+    assert!(arena.server.log().lines().count() < 100, "each refused token wrote a log line");
 }
 
 async fn paths(arena: &Arena) {
@@ -144,14 +146,14 @@ async fn paths(arena: &Arena) {
     }
 }
 
-/// Makes the same call again and again, until the bystander was answered often enough. No
-/// call is answered with a message.
+/// Makes the call again and again until the bystander has been answered often enough. Asserts that no call
+/// receives an answer message.
 async fn flood(arena: &Arena, path: &str, headers: &[(&str, &str)], question: &[u8]) {
     let attackers = (0..4).map(async |_| {
         loop {
             let Ok(mut peer) = arena.peer(Windows::OPEN).await else { continue };
             while let Ok(call) = peer.call(path, headers).await {
-                // The server may refuse the call from its headers alone.
+                // The server may refuse the call as soon as it has the headers.
                 let _ = peer.body(call, question, true).await;
                 if peer.ended(call).await.is_err() {
                     break;

@@ -1,4 +1,4 @@
-//! Lengths that are declared, and bytes that never come.
+//! Messages whose headers declare a length that the caller never sends.
 
 use std::io;
 
@@ -9,18 +9,20 @@ use crate::support::{
 };
 
 attacks! {
-    /// Catches memory that is reserved for a length that a caller only declares.
+    /// Catches memory that is reserved for a declared length before the bytes arrive.
     lengths: "10,000 streams that declare the largest message and send 5 bytes" => many_lengths;
-    /// Catches the same before a caller has shown a token.
+    /// Catches that reservation for a caller that has not presented a token.
     lengths_without_a_token: "2,000 health streams without a token that declare 4 MiB", |s: Setup| s.tokens()
         => watch_lengths;
-    /// Catches an allocator that ends the process where the address space is bounded.
+    /// Catches an allocation failure that ends the process when the address space is limited.
     lengths_in_a_small_address_space: "1,000 streams that declare the largest message, 8 GiB of addresses",
         |s: Setup| Setup { ulimit: Some("-v 8388608".into()), ..s } => some_lengths;
-    /// Catches the same over a Unix socket.
-    lengths_over_unix: "the same 1,000 streams over a Unix socket", |s: Setup| s.over_unix() => some_lengths;
-    /// Catches the same behind TLS.
-    lengths_over_tls: "the same 1,000 streams over TLS", |s: Setup| s.tls() => some_lengths;
+    /// Catches a reservation that is bounded only on TCP.
+    lengths_over_unix: "1,000 streams that declare the largest message, over a Unix socket",
+        |s: Setup| s.over_unix() => some_lengths;
+    /// Catches a reservation that is bounded only without TLS.
+    lengths_over_tls: "1,000 streams that declare the largest message, over TLS",
+        |s: Setup| s.tls() => some_lengths;
 }
 
 async fn many_lengths(arena: &Arena) {
@@ -40,7 +42,7 @@ async fn declare(arena: &Arena, path: &str, connections: usize, bytes: usize) {
     arena.begin().await;
     let mut peers = Vec::new();
     for _ in 0..connections {
-        // A connection that the server refuses or closes is a defence.
+        // The server may defend itself by refusing or closing the connection.
         if let Ok(mut peer) = arena.peer(Windows::OPEN).await {
             let _ = declarations(&mut peer, path, arena.size().of(1000), bytes).await;
             peers.push(peer);

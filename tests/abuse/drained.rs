@@ -17,8 +17,8 @@ use crate::{
     },
 };
 
-/// Catches a server that a caller keeps from stopping: calls that compute, answers that nobody
-/// reads, messages that do not end and connections that say nothing.
+/// Catches a server that its callers can keep from stopping, with calls that compute, answers that nobody
+/// reads, messages that do not end, and connections that send nothing.
 #[test]
 fn an_attacked_server_stops_in_time() {
     let _alone = crate::support::trial::alone();
@@ -32,13 +32,14 @@ fn an_attacked_server_stops_in_time() {
         for _ in 0..10 {
             let mut peer =
                 arena.peer(Windows { stream: 1000, connection: 1 << 20 }).await.expect("a connection");
-            // The server may close a connection whose answers are not read: that is its defence.
+            // The server may defend itself by closing a connection whose answers are not read.
             let _ = hold(&mut peer, &question).await;
             held.push(peer);
         }
         let mut server: Server = arena.server;
         server.terminate();
-        // Far more than the second of the drain, far less than the calls would take.
+        // The drain takes 1 s and the calls would take much longer than 20 s, so this limit tells the two
+        // apart.
         let status = tokio::time::timeout(Duration::from_secs(20), server.ended()).await;
         let status = status.expect("the server stops although it is attacked");
         assert!(status.success(), "{status}");
@@ -46,8 +47,8 @@ fn an_attacked_server_stops_in_time() {
     });
 }
 
-/// A call that computes and whose answer is not read, a stream that is not read, and a message
-/// that does not end.
+/// Starts a call that computes and whose answer is not read, a stream that is not read, and a message that
+/// does not end.
 async fn hold(peer: &mut Peer, question: &[u8]) -> std::io::Result<()> {
     peer.ask(QUERY, question).await?;
     let stream = peer.call(STREAM, &[]).await?;

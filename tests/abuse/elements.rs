@@ -1,5 +1,5 @@
-//! Messages of many small elements, and other forms of protobuf that cost more to decode than
-//! to send.
+//! Messages of many small elements, and other forms of protobuf that cost the server more to decode than
+//! they cost the sender.
 
 use futures_util::future::join_all;
 
@@ -10,13 +10,14 @@ use crate::{
 };
 
 attacks! {
-    /// Catches elements that are counted after they were allocated.
-    empty: "64 MiB of empty elements of two bytes, to every method that has such" => empty_elements;
-    /// Catches columns that are decoded element after element, or that grow without a count.
-    columns: "64 MiB of unpacked and of split columns" => columns;
-    /// Catches fields that are decoded again and again, and recursion without a bound.
+    /// Catches elements that are allocated before they are counted.
+    empty: "64 MiB of empty elements of two bytes, to every method with repeated messages" => empty_elements;
+    /// Catches packed arrays that are decoded one element at a time, or that grow without a limit on their
+    /// count.
+    columns: "64 MiB of repeated numbers, unpacked or split into many packed pieces" => columns;
+    /// Catches repeated singular fields that are decoded in full each time, and recursion without a limit.
     fields: "64 MiB of repeated singular fields, unknown fields and nested groups" => fields;
-    /// Catches the same over a Unix socket.
+    /// Catches elements that are counted in time only on TCP.
     over_unix: "64 MiB of empty elements over a Unix socket", |s: Setup| s.over_unix() => empty_elements;
 }
 
@@ -26,7 +27,7 @@ async fn empty_elements(arena: &Arena) {
     flood(
         arena,
         vec![
-            // hulls, ids, hull_ids, the paths of field_mask, outputs
+            // One row each for hulls, ids, hull_ids, the paths of field_mask, and outputs.
             (REGISTER, repeated(&[0x0a, 0], bytes)),
             (GET, repeated(&[0x0a, 0], bytes)),
             (HAS, repeated(&[0x0a, 0], bytes)),
@@ -43,12 +44,13 @@ async fn columns(arena: &Arena) {
     flood(
         arena,
         vec![
-            // pairs and positions, an element each; positions in chunks of one element and of none
+            // Pairs and positions as unpacked elements; positions in packed pieces of one element and of
+            // none.
             (QUERY, repeated(&[0x3d, 1, 0, 0, 0], bytes)),
             (QUERY, repeated(&[0x29, 0, 0, 0, 0, 0, 0, 0, 0], bytes)),
             (QUERY, repeated(&[0x2a, 8, 0, 0, 0, 0, 0, 0, 0, 0], bytes)),
             (QUERY, repeated(&[0x2a, 0], bytes)),
-            // the vertices of one hull, in chunks of one element
+            // The vertices of one hull, in packed pieces of one element.
             (REGISTER, field(1, &repeated(&[0x0a, 8, 0, 0, 0, 0, 0, 0, 0, 0], bytes - 16))),
         ],
     )
@@ -63,7 +65,7 @@ async fn fields(arena: &Arena) {
     flood(
         arena,
         vec![
-            // accuracy, request_id, an unknown number, an unknown group in a group in a group
+            // accuracy; request_id; a number with an unknown tag; an unknown group nested in two others.
             (QUERY, repeated(&[0x62, 0], bytes)),
             (QUERY, repeated(&[0x08, 1], bytes)),
             (QUERY, repeated(&unknown, bytes)),
@@ -73,8 +75,8 @@ async fn fields(arena: &Arena) {
     .await;
 }
 
-/// Sends each message on two connections, again and again, until the bystander was answered
-/// often enough beside each.
+/// Sends each message again and again on two connections, until the bystander has been answered often
+/// enough during each one.
 async fn flood(arena: &Arena, messages: Vec<(&'static str, Vec<u8>)>) {
     arena.begin().await;
     let answers = arena.size().of(400) / messages.len();

@@ -1,4 +1,4 @@
-//! Floods of HTTP/2 frames that mean nothing.
+//! Floods of HTTP/2 frames that carry no useful data.
 
 use std::{io, time::Duration};
 
@@ -20,30 +20,30 @@ use crate::{
 };
 
 attacks! {
-    /// Catches calls that are reset as fast as they are made (CVE-2023-44487) and pile up.
+    /// Catches calls that accumulate when they are reset as fast as they are made (CVE-2023-44487).
     rapid_reset: "calls that are reset as fast as they are made" => rapid_reset;
-    /// Catches headers that never end and are kept (CVE-2024-27316).
+    /// Catches a header block that never ends and is kept in memory (CVE-2024-27316).
     continuation: "headers that never end" => continuation;
-    /// Catches answers to settings that pile up for a peer that does not read them.
-    settings: "settings without end, answers not read" => settings;
-    /// Catches answers to pings that pile up for a peer that does not read them.
-    pings: "pings without end, answers not read" => pings;
+    /// Catches acknowledgements of SETTINGS that accumulate for a peer that does not read them.
+    settings: "endless SETTINGS frames whose acknowledgements are not read" => settings;
+    /// Catches answers to PING that accumulate for a peer that does not read them.
+    pings: "endless PING frames whose answers are not read" => pings;
     /// Catches headers that grow when they are decompressed.
     hpack: "headers that are small until they are decompressed" => hpack;
-    /// Catches calls that hold their headers and nothing else for as long as they like.
+    /// Catches calls that can keep their headers in memory for an unlimited time without sending a message.
     headers: "10,000 calls of 15 KiB of headers each, whose messages never come" => large_headers;
-    /// Catches frames that cost more to keep than their bytes, while a stream computes.
+    /// Catches small frames whose bookkeeping costs more memory than their bytes, while a stream computes.
     small_frames: "frames of one byte while a stream computes" => small_frames;
-    /// Catches frames that no window counts, while a stream computes.
-    empty_frames: "frames of no byte while a stream computes" => empty_frames;
+    /// Catches empty frames, which flow control does not count, while a stream computes.
+    empty_frames: "empty frames while a stream computes" => empty_frames;
 }
 
-/// Lets 4 attackers attack again and again, each with connections of its own, until the
-/// bystander was answered often enough.
+/// Runs 4 attackers, each of which repeats the attack on new connections, until the bystander has been
+/// answered often enough.
 async fn again_and_again(arena: &Arena, attack: impl AsyncFn(&Arena) -> io::Result<()>) {
     let attackers = (0..4).map(async |_| {
         loop {
-            // An attack ends in an error where the server ends the connection.
+            // The attack ends in an error when the server closes the connection.
             let _ = attack(arena).await;
         }
     });
@@ -88,7 +88,7 @@ async fn continuation(arena: &Arena) {
 }
 
 async fn settings(arena: &Arena) {
-    // Nothing of it changes anything: ENABLE_PUSH is 0 as it was.
+    // The frame sets ENABLE_PUSH to 0, which it already is, so it changes nothing.
     never_read(arena, frame(SETTINGS, 0, 0, &[0, 2, 0, 0, 0, 0])).await;
 }
 
@@ -96,7 +96,7 @@ async fn pings(arena: &Arena) {
     never_read(arena, frame(PING, 0, 0, b"pingpong")).await;
 }
 
-/// Sends a frame without end and reads nothing.
+/// Sends the frame again and again and reads nothing.
 async fn never_read(arena: &Arena, flood: Vec<u8>) {
     use tokio::io::AsyncWriteExt;
     let flood = flood.repeat(1000);
@@ -106,7 +106,7 @@ async fn never_read(arena: &Arena, flood: Vec<u8>) {
         stream.write_all(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n").await?;
         stream.write_all(&frame(SETTINGS, 0, 0, &[])).await?;
         loop {
-            // A server that stops reading defends itself: the writer waits then.
+            // The server may defend itself by no longer reading; then this write waits.
             stream.write_all(&flood).await?;
         }
     })
@@ -117,7 +117,7 @@ async fn hpack(arena: &Arena) {
     arena.begin().await;
     again_and_again(arena, async |arena| {
         let mut peer = arena.peer(Windows::OPEN).await?;
-        // A literal that the table keeps, and then one byte for each use of it.
+        // One header that is stored in the HPACK table, then one byte for each further use of it.
         let mut bomb = header_block(QUERY, &[]);
         let mut kept = Vec::new();
         literal(&mut kept, "x", &"b".repeat(4000));
@@ -156,14 +156,14 @@ async fn empty_frames(arena: &Arena) {
     beside_computing(arena, &[]).await;
 }
 
-/// Sends frames of this payload while the stream's first message is computed, on 4 connections.
+/// On each of 4 connections, sends frames with this payload while the stream's first message is computed.
 async fn beside_computing(arena: &Arena, payload: &[u8]) {
     let ids = arena.register(&[plain(box_points(0.5, 0.5, 0.5))]).await;
     let question = same_pair(&ids, arena.size().of(131_072), 0.9).encode_to_vec();
     let question = raw::frame(false, &question);
     arena.begin().await;
     again_and_again(arena, async |arena| {
-        // The answer is not read, so that the stream does not come to read on.
+        // The answer is not read, so that the server does not come to read the rest of the stream.
         let mut peer = arena.peer(Windows { stream: 1000, connection: 1 << 20 }).await?;
         let stream = peer.call(STREAM, &[]).await?;
         peer.body(stream, &question, false).await?;

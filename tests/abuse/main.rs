@@ -1,17 +1,17 @@
-//! Attacks on the real server, and what a bystander notices of them.
+//! Attacks on the real server, and their effect on a bystander.
 //!
-//! Each attack comes from one loopback address while a bystander on another one alternates
-//! small queries, larger queries and health checks. The tests assert what issue reports of
-//! denial of service are about: memory stays within the configured budget, everything that an
-//! attack held is free soon after it ends, each answer to the bystander is right, and the
-//! bystander is served before the attacker's backlog is. Latencies are reported, never
-//! asserted.
+//! Each attack comes from one loopback address. Meanwhile a bystander on another address alternates small
+//! queries, larger queries and health checks. The tests assert the properties that denial-of-service
+//! reports are about: memory stays within the configured budget; all memory that an attack held is free
+//! soon after it ends; each answer to the bystander is right; and the bystander is served before the
+//! attacker's backlog. Latencies are reported, never asserted.
 //!
-//! Each attack has two forms. `tenth` runs in `make test-abuse-short`: a tenth of the size against
-//! a tenth of the budgets. `full` runs in `make test-abuse`: default limits. One attack runs at a time.
+//! Each attack has two tests. `tenth` is run by `make test-abuse-short`: the attack at a tenth of its size
+//! against a tenth of the budgets. `full` is run by `make test-abuse`, with the default limits. One attack
+//! runs at a time.
 //!
-//! `HULLCAST_ABUSE_BIN` names another server to attack, for example one of an older version.
-//! Settings that such a server does not know have to be removed by a wrapper script.
+//! `HULLCAST_ABUSE_BIN` names another server binary to attack, for example an older version. If that server
+//! does not know some of the settings, it needs a wrapper script that removes them.
 #![cfg(feature = "server")]
 
 #[path = "../service/support/raw.rs"]

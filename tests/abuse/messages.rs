@@ -7,7 +7,7 @@ use hullcast::{
 
 use crate::scenes::{outputs, plain};
 
-/// Appends a number as protobuf writes it.
+/// Appends a number as a protobuf varint.
 pub(crate) fn varint(message: &mut Vec<u8>, mut value: usize) {
     while value >= 128 {
         message.push((value % 128) as u8 | 128);
@@ -16,7 +16,7 @@ pub(crate) fn varint(message: &mut Vec<u8>, mut value: usize) {
     message.push(value as u8);
 }
 
-/// A field of bytes: its tag, its length and its content.
+/// A length-delimited protobuf field: tag, length and content.
 pub(crate) fn field(number: usize, content: &[u8]) -> Vec<u8> {
     let mut message = Vec::with_capacity(content.len() + 16);
     varint(&mut message, number << 3 | 2);
@@ -25,17 +25,18 @@ pub(crate) fn field(number: usize, content: &[u8]) -> Vec<u8> {
     message
 }
 
-/// An unknown field of so many bytes: a valid message of every type.
+/// An unknown field of `bytes` bytes. It is a valid message of every type.
 pub(crate) fn unknown_field(bytes: usize) -> Vec<u8> {
     field(1023, &vec![7; bytes])
 }
 
-/// `unit` again and again, at most so many bytes.
+/// Repeats `unit` as often as fits in `bytes` bytes.
 pub(crate) fn repeated(unit: &[u8], bytes: usize) -> Vec<u8> {
     unit.repeat(bytes / unit.len())
 }
 
-/// Two bodies of the first two hulls in front of each other, asked for `pairs` times.
+/// A request for the same pair `pairs` times: one body of the first and one of the last hull, `distance`
+/// apart.
 pub(crate) fn same_pair(ids: &[Vec<u8>], pairs: usize, distance: f64) -> QueryContactsRequest {
     QueryContactsRequest {
         hull_ids: ids.to_vec(),
@@ -55,13 +56,13 @@ pub(crate) fn same_pair(ids: &[Vec<u8>], pairs: usize, distance: f64) -> QueryCo
     }
 }
 
-/// The same, with answers of few points.
+/// Limits the answer of a request to 4 points per pair.
 pub(crate) fn few_points(mut request: QueryContactsRequest) -> QueryContactsRequest {
     request.accuracy = Some(Accuracy { max_points: 4, ..Default::default() });
     request
 }
 
-/// A row of bodies of one hull, each `step` from the next.
+/// A row of bodies of one hull; neighbours are `step` apart.
 pub(crate) fn row(id: &[u8], bodies: usize, step: f64) -> QueryContactsRequest {
     QueryContactsRequest {
         hull_ids: vec![id.to_vec()],
@@ -73,7 +74,7 @@ pub(crate) fn row(id: &[u8], bodies: usize, step: f64) -> QueryContactsRequest {
     }
 }
 
-/// A prism with faces of so many sides, one unit high.
+/// A prism of height 1 whose two large faces have `sides` sides.
 pub(crate) fn prism(sides: usize) -> HullDefinition {
     let corner = |i: usize| (std::f64::consts::TAU * i as f64 / sides as f64).sin_cos();
     plain(
@@ -81,7 +82,7 @@ pub(crate) fn prism(sides: usize) -> HullDefinition {
     )
 }
 
-/// Points on circles of latitude: each four neighbours lie in one plane to rounding.
+/// Points on circles of latitude. Each four neighbours lie in one plane up to rounding.
 pub(crate) fn globe(rings: usize, around: usize) -> HullDefinition {
     let mut points = Vec::with_capacity(rings * around);
     for ring in 1..=rings {
@@ -94,8 +95,8 @@ pub(crate) fn globe(rings: usize, around: usize) -> HullDefinition {
     plain(points)
 }
 
-/// A lattice on the surface of a cube, moved by less than a rounding error of its size: most
-/// decisions need exact arithmetic.
+/// A lattice on the surface of a cube, with each point moved by less than the rounding error of its
+/// coordinates. Most decisions need exact arithmetic.
 pub(crate) fn lattice(side: usize) -> HullDefinition {
     let mut random = crate::scenes::Random(5);
     let mut points = Vec::new();

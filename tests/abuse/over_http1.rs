@@ -1,4 +1,4 @@
-//! The same attacks over HTTP/1.1 and gRPC-web, which the playground brings.
+//! Attacks over HTTP/1.1 and gRPC-web, which a server with the playground accepts.
 
 use std::{io, time::Duration};
 
@@ -14,21 +14,22 @@ use crate::{
 };
 
 attacks! {
-    /// Catches lengths that are only declared, by HTTP/1.1 or by the message's head.
+    /// Catches memory that is reserved for a declared length, in the HTTP/1.1 header or in the message
+    /// header.
     declared: "1,000 gRPC-web requests that declare the largest message" => declared;
-    /// Catches messages that hold memory because they never end.
+    /// Catches unfinished messages that hold memory for an unlimited time.
     unfinished: "1 GiB of gRPC-web messages that stop in the middle" => unfinished;
-    /// Catches requests that arrive in the smallest pieces.
+    /// Catches a cost per piece that makes tiny HTTP chunks expensive.
     chunks: "gRPC-web messages in chunks of one byte" => chunks;
-    /// Catches headers that do not end.
+    /// Catches a block of headers that grows without a limit.
     headers: "headers of HTTP/1.1 that do not end" => headers;
-    /// Catches answers that nobody reads.
+    /// Catches answers that stay in memory because the caller does not read them.
     unread: "100 gRPC-web answers that are never read" => unread;
-    /// Catches elements that are counted after they were allocated.
+    /// Catches elements that are allocated before they are counted.
     elements: "64 MiB of empty elements over gRPC-web" => elements;
 }
 
-/// The head of a gRPC-web request.
+/// The request line and headers of a gRPC-web request.
 fn head(path: &str, length: &str) -> Vec<u8> {
     format!(
         "POST {path} HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-type: application/grpc-web+proto\r\n{length}\r\n\r\n"
@@ -40,8 +41,8 @@ fn content_length(bytes: usize) -> String {
     format!("content-length: {bytes}")
 }
 
-/// Says each thing on a connection of its own, until the server takes no more of it, and holds
-/// the connections until the bystander was answered often enough.
+/// Opens `connections` connections and sends one of `said` on each, until the server takes no more of it.
+/// Holds the connections until the bystander has been answered often enough.
 async fn hold(arena: &Arena, said: &[Vec<u8>], connections: usize) {
     arena.begin().await;
     let say = (0..connections).map(async |i: usize| {

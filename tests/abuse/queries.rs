@@ -1,4 +1,4 @@
-//! Pairs and scenes that cost more than their number says.
+//! Pairs and scenes that cost more to compute than their number suggests.
 
 use futures_util::future::join_all;
 use hullcast::proto::QueryContactsRequest;
@@ -12,16 +12,15 @@ use crate::{
 };
 
 attacks! {
-    /// Catches clipping in quadratic time, and rules that count pairs where they should count
-    /// cost.
+    /// Catches clipping in quadratic time, and limits that count pairs although they should count cost.
     clipping: "pairs of two faces of 8,192 sides, in batches of 32 and 64" => clipping;
     /// Catches pairs on which every decision needs exact arithmetic.
     degenerate: "131,072 near-degenerate pairs at a time" => degenerate;
-    /// Catches searches that find nothing and that nothing stops.
+    /// Catches a search for pairs that finds nothing and cannot be interrupted.
     one_group: "FindContacts: bodies at one place, all of one group" => one_group;
-    /// Catches rules that are sorted on a serving thread.
+    /// Catches ignored pairs that are sorted on a thread that serves connections.
     ignored_pairs: "FindContacts with 4.5 million ignored pairs" => ignored_pairs;
-    /// Catches worlds that cost a search each.
+    /// Catches a fixed cost per world of the search for pairs.
     worlds: "FindContacts with 65,000 worlds" => worlds;
     /// Catches turns that follow the order of arrival instead of the callers.
     backlog: "16 batches of 512 costly pairs that are sent at once" => backlog;
@@ -82,7 +81,7 @@ async fn degenerate(arena: &Arena) {
     flood(arena, &requests).await;
 }
 
-/// Bodies of one box, all at one place.
+/// A scene of bodies of one box, all at the same position.
 async fn crowd(arena: &Arena, bodies: usize) -> QueryContactsRequest {
     let ids = arena.register(&[plain(box_points(0.5, 0.5, 0.5))]).await;
     row(&ids[0], bodies, 0.0)
@@ -119,8 +118,8 @@ async fn worlds(arena: &Arena) {
     flood(arena, &[(FIND, request.clone()), (FIND, request)]).await;
 }
 
-/// Asks the questions again and again, each on a connection of its own, until the bystander was
-/// answered often enough. The calls under way are cancelled then.
+/// Sends each request again and again on a connection of its own, until the bystander has been answered
+/// often enough. Then the calls in progress are cancelled.
 async fn flood(arena: &Arena, questions: &[(&'static str, QueryContactsRequest)]) {
     let callers = questions.iter().map(async |(path, request)| {
         let question = raw::frame(false, &request.encode_to_vec());

@@ -1,5 +1,5 @@
-//! The store and the cache: hulls that are not there, hulls of others, and a directory that was
-//! tampered with.
+//! Attacks on the store and the cache: missing hulls, hulls of other callers, and a store directory that
+//! someone has tampered with.
 
 use std::{
     fs::File,
@@ -19,31 +19,32 @@ use crate::{
 };
 
 attacks! {
-    /// Catches a log line, or a read of the store, for each of many missing hulls.
+    /// Catches a log line or a read of the store for each of many missing hulls.
     missing: "HasHulls and queries of 16,384 hulls that are not there" => missing;
     /// Catches a log line for each of many corrupt hulls.
     corrupt: "HasHulls of 1,000 corrupt hulls", |s: Setup| Setup { fill_store: Some(corrupt_blobs), ..s }
         => corrupt;
-    /// Catches listings and look-ups of a large store that keep others waiting.
-    listings: "ListHulls of a large store and HasHulls of uncached hulls in a loop", |s: Setup| s.cache(2 << 20)
-        => listings;
-    /// Catches one caller's hulls that keep everybody else's out of the cache.
-    evicting: "one caller's hulls that evict everybody's", |s: Setup| s.cache(4 << 20) => evicting;
-    /// Catches page tokens that are believed.
+    /// Catches listings and look-ups of a large store that delay other callers.
+    listings: "ListHulls of a large store and HasHulls of uncached hulls in a loop",
+        |s: Setup| s.cache(2 << 20) => listings;
+    /// Catches one caller's hulls that keep the hulls of all others out of the cache.
+    evicting: "one caller's hulls that evict those of all others", |s: Setup| s.cache(4 << 20) => evicting;
+    /// Catches page tokens that the server trusts without a check.
     page_tokens: "forged page tokens" => page_tokens;
-    /// Catches files that are opened before they are looked at: each bad entry costs itself only.
+    /// Catches files that are opened before their kind and size are checked. A bad entry may only fail its
+    /// own hull.
     tampered: "a store with a sparse file of 3 GiB, a FIFO, links in a loop and out of the store",
         |s: Setup| Setup { fill_store: Some(tamper), ..s } => tampered;
 }
 
-/// The name of a hull that was never registered.
+/// A hull id that was never registered.
 fn name(kind: u8, number: usize) -> Vec<u8> {
     let mut id = vec![kind; 32];
     id[1..9].copy_from_slice(&(number as u64 * 0x9e37_79b9).to_be_bytes());
     id
 }
 
-/// The file of a hull.
+/// The file in which the store keeps the hull `id`.
 fn file(store: &Path, id: &[u8]) -> PathBuf {
     let name: String = id.iter().map(|byte| format!("{byte:02x}")).collect();
     let directory = store.join(&name[..2]);
@@ -51,9 +52,9 @@ fn file(store: &Path, id: &[u8]) -> PathBuf {
     directory.join(name)
 }
 
-/// Asks for all of `ids` with HasHulls from 4 callers, again and again, until the bystander was
-/// answered often enough. The calls are refused or answered, whatever the store holds. Gives
-/// how many calls were answered or refused.
+/// Asks for all of `ids` with HasHulls from 4 callers, again and again, until the bystander has been
+/// answered often enough. Each call must be answered or refused, whatever the store contains. Returns the
+/// number of calls.
 async fn ask(arena: &Arena, ids: &[Vec<u8>]) -> usize {
     let asked = std::sync::atomic::AtomicUsize::new(0);
     let callers = join_all((0..4).map(async |_| {
@@ -97,7 +98,7 @@ async fn corrupt(arena: &Arena) {
     assert!(lines <= asked + 20, "{lines} lines for {asked} requests");
 }
 
-/// Some hundred hulls, of which the cache has room for a part.
+/// Registers more hulls than fit in the cache, and returns their ids.
 async fn many_hulls(arena: &Arena) -> Vec<Vec<u8>> {
     let shapes: Vec<_> =
         (0..arena.size().of(2000)).map(|seed| plain(round_points(60, seed as u64))).collect();
@@ -128,7 +129,7 @@ async fn evicting(arena: &Arena) {
         loop {
             for some in ids.chunks(20).skip(i).step_by(4) {
                 let request = same_pair(some, 100, 1.5);
-                // Refused where the caller would hold more than its share.
+                // A call is refused if its caller would hold more than its share.
                 let _ = contacts.query_contacts(with_token(request)).await;
             }
         }
@@ -150,10 +151,10 @@ async fn page_tokens(arena: &Arena) {
     arena.bystander_answered(arena.size().of(100)).await;
 }
 
-/// How many bad entries there are of each kind.
+/// The number of bad entries of each kind.
 const BAD: usize = 70;
 
-/// A file that no client may see.
+/// The content of a file outside the store, which no client may see.
 const SECRET: &str = "root of all evil";
 
 fn tamper(store: &Path) {
@@ -176,7 +177,7 @@ fn tamper(store: &Path) {
 async fn tampered(arena: &Arena) {
     let ids: Vec<_> = (1..=5).flat_map(|kind| (0..BAD).map(move |number| name(kind, number))).collect();
     arena.begin().await;
-    // Each kind alone, so that one that fails does not hide the others.
+    // Each kind is asked for separately, so that the failure of one does not hide the others.
     for kind in ids.chunks(BAD) {
         ask(arena, kind).await;
     }
@@ -184,7 +185,7 @@ async fn tampered(arena: &Arena) {
     let request = ListHullsRequest { page_size: 1000, page_token: String::new() };
     let listed = hulls.list_hulls(with_token(request)).await.expect("a listing").into_inner().hulls;
     assert!(listed.len() >= 5, "the bystander's hulls are listed");
-    // Another hull can still be stored, and the linked file is nowhere in the store.
+    // Another hull can still be stored, and no file of the store contains the content of the linked file.
     arena.register(&[plain(round_points(20, 1))]).await;
     let copies = Command::new("grep").args(["-rlsD", "skip", SECRET]).arg(arena.server.store()).output();
     let copies = copies.expect("grep").stdout;

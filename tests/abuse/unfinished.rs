@@ -1,4 +1,4 @@
-//! Messages that stop in the middle, and requests that do not end after their message.
+//! Messages that stop in the middle, and requests that stay open after their message.
 
 use std::time::Duration;
 
@@ -15,19 +15,21 @@ use crate::{
 attacks! {
     /// Catches messages that hold the whole budget because they never end.
     streams: "1 GiB of messages on streams that stop in the middle" => half_messages_on_streams;
-    /// Catches the same on the health service, without a token.
-    health: "the same on Health/Watch without a token", |s: Setup| s.tokens() => half_messages_to_health;
-    /// Catches the same over a Unix socket.
-    over_unix: "the same over a Unix socket", |s: Setup| s.over_unix() => half_messages_on_streams;
-    /// Catches decoded messages that are held until a request ends that never does.
+    /// Catches unfinished messages to the health service, which needs no token.
+    health: "messages to Health/Watch that stop in the middle, without a token",
+        |s: Setup| s.tokens() => half_messages_to_health;
+    /// Catches unfinished messages that are bounded only on TCP.
+    over_unix: "1 GiB of messages that stop in the middle, over a Unix socket",
+        |s: Setup| s.over_unix() => half_messages_on_streams;
+    /// Catches decoded messages that are kept in memory until the request ends, although it never ends.
     open_requests: "whole messages of requests that do not end" => open_requests;
-    /// Catches messages after the first that are decoded for as long as the caller likes.
+    /// Catches messages after the first one that are decoded for an unlimited time.
     further_messages: "a second and third message to methods that take one" => further_messages;
-    /// Catches the same on the health service, without a token.
-    further_messages_to_health: "the same to Health/Watch without a token", |s: Setup| s.tokens()
-        => further_messages_to_health;
-    /// Catches callers who hold memory with a message that arrives at one byte a second.
-    slowly: "messages that arrive at one byte a second" => one_byte_a_second;
+    /// Catches such messages to the health service, which needs no token.
+    further_messages_to_health: "a second and third message to Health/Watch, without a token",
+        |s: Setup| s.tokens() => further_messages_to_health;
+    /// Catches callers that hold memory with a message that arrives at one byte per second.
+    slowly: "messages that arrive at one byte per second" => one_byte_a_second;
 }
 
 async fn half_messages_on_streams(arena: &Arena) {
@@ -38,14 +40,14 @@ async fn half_messages_to_health(arena: &Arena) {
     half_messages(arena, WATCH).await;
 }
 
-/// Sends all but the end of sixteen of the largest messages, and waits for the bystander.
+/// Sends sixteen of the largest messages without their last byte, and waits for the bystander.
 async fn half_messages(arena: &Arena, path: &str) {
     let whole = raw::frame(false, &vec![0; arena.setup.message_bytes()]);
     arena.begin().await;
     let mut peers = Vec::new();
     for _ in 0..16 {
         if let Ok(mut peer) = arena.peer(Windows::OPEN).await {
-            // The server may refuse, which ends the stream.
+            // The server may refuse the call, which ends the stream.
             let _ = send_part(&mut peer, path, &whole[..whole.len() - 1]).await;
             peers.push(peer);
         }
@@ -55,7 +57,7 @@ async fn half_messages(arena: &Arena, path: &str) {
 
 async fn send_part(peer: &mut Peer, path: &str, part: &[u8]) -> std::io::Result<()> {
     let stream = peer.call(path, &[]).await?;
-    // A server that neither takes the rest nor refuses it has stopped reading, which is enough.
+    // If the server neither takes the rest nor refuses it, it has stopped reading, which is defence enough.
     match tokio::time::timeout(Duration::from_secs(5), peer.body(stream, part, false)).await {
         Ok(sent) => sent,
         Err(_) => Ok(()),
@@ -83,8 +85,8 @@ async fn further_messages_to_health(arena: &Arena) {
     send_further(arena, WATCH, 1000).await;
 }
 
-/// Sends message after message to methods that take one, until the bystander was answered
-/// often enough.
+/// Sends message after message to methods that take one, until the bystander has been answered often
+/// enough.
 async fn send_further(arena: &Arena, path: &str, bytes: usize) {
     let message = raw::frame(false, &unknown_field(bytes));
     arena.begin().await;
@@ -123,5 +125,5 @@ async fn one_byte_a_second(arena: &Arena) {
         futures_util::future::join_all(dribbles),
         arena.bystander_answered(arena.size().of(400))
     );
-    assert!(ended.iter().all(Result::is_err), "a message may take for ever");
+    assert!(ended.iter().all(Result::is_err), "the server waits for a message without a limit");
 }

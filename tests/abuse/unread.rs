@@ -18,27 +18,28 @@ use crate::{
 };
 
 attacks! {
-    /// Catches answers that are held for as long as their caller does not read them.
+    /// Catches answers that stay in memory for as long as their caller does not read them.
     queries: "150 answers of 50 MB that are never read" => unread_queries;
-    /// Catches the same over a Unix socket.
-    over_unix: "the same over a Unix socket", |s: Setup| s.over_unix() => unread_queries;
-    /// Catches the same behind TLS.
-    over_tls: "the same over TLS", |s: Setup| s.tls() => unread_queries;
-    /// Catches answers that a caller reads at one byte a second.
-    slowly: "answers that are read at one byte a second" => one_byte_a_second;
+    /// Catches unread answers that are bounded only on TCP.
+    over_unix: "150 answers of 50 MB that are never read, over a Unix socket",
+        |s: Setup| s.over_unix() => unread_queries;
+    /// Catches unread answers that are bounded only without TLS.
+    over_tls: "150 answers of 50 MB that are never read, over TLS", |s: Setup| s.tls() => unread_queries;
+    /// Catches answers that a caller reads at one byte per second.
+    slowly: "answers that are read at one byte per second" => one_byte_a_second;
     /// Catches hulls that calls pin for as long as nobody reads their answers.
     pinned: "40 FindContacts that pin 40 hulls in a small cache and are never read",
         |s: Setup| s.cache(16 << 20) => pinned;
-    /// Catches windows of connections that are in no budget.
+    /// Catches flow-control windows that no budget counts.
     windows: "600 connections that fill their windows and read nothing" => windows;
-    /// Catches answers of the reflection service that are in no budget.
-    reflection: "answers of reflection that are never read" => reflection;
+    /// Catches answers of the reflection service that no budget counts.
+    reflection: "answers of the reflection service that are never read" => reflection;
 }
 
-/// The server may send so little that each answer gets stuck after its first bytes.
+/// The server may send so little that each answer stops after its first bytes.
 const STUCK: Windows = Windows { stream: 1000, connection: i32::MAX as u32 };
 
-/// The bytes of a query whose answer has some 350 bytes a pair.
+/// The bytes of a query whose answer has about 350 bytes per pair.
 async fn question(arena: &Arena, pairs: usize) -> Bytes {
     let ids = arena.register(&[plain(box_points(0.5, 0.5, 0.5))]).await;
     raw::frame(false, &same_pair(&ids, pairs, 0.9).encode_to_vec())
@@ -76,7 +77,7 @@ async fn one_byte_a_second(arena: &Arena) {
             }
         }
     });
-    // The server ends each call, because its answer is not taken in time.
+    // The server ends each call, because the caller does not take its answer in time.
     tokio::join!(join_all(calls), arena.bystander_answered(arena.size().of(400)));
 }
 
@@ -104,7 +105,7 @@ async fn windows(arena: &Arena) {
     let connections = (0..arena.size().of(600)).map(async |_| {
         let mut peer = arena.peer(STUCK).await?;
         let call = peer.call(STREAM, &[]).await?;
-        // Until the server takes no more.
+        // Send until the server takes no more.
         let fill = async { while peer.body(call, &question, false).await.is_ok() {} };
         let _ = tokio::time::timeout(Duration::from_millis(500), fill).await;
         Ok::<Peer, io::Error>(peer)
@@ -115,7 +116,7 @@ async fn windows(arena: &Arena) {
 }
 
 async fn reflection(arena: &Arena) {
-    // file_containing_symbol
+    // A `file_containing_symbol` request of the reflection service.
     let question = raw::frame(false, &field(4, b"hullcast.v1.ContactService"));
     let questions = question.repeat(arena.size().of(1000));
     arena.begin().await;

@@ -10,7 +10,7 @@ use robust::{Coord, Coord3D};
 /// Unit roundoff.
 const U: f64 = f64::EPSILON / 2.0;
 
-/// Counts of what the checks met, so that a sweep can show that it was not vacuous.
+/// Counts of the cases that the checks met, so that a sweep can show that it was not vacuous.
 #[derive(Debug, Default)]
 pub(crate) struct Met {
     pub(crate) hulls: usize,

@@ -1,7 +1,7 @@
 //! Compares simplified hulls with a recording (tests/golden/simplified.txt).
 //!
 //! The store keeps the definition of a hull, and the hull is simplified again whenever it is
-//! loaded. So a definition has to give the same hull, to the bit, in every later version.
+//! loaded. So a definition has to give the same hull, bit for bit, in every later version.
 
 use std::fmt::Write;
 

@@ -119,7 +119,7 @@ fn simplification_takes_little_more_than_its_vertices() {
     for count in [1024, 2048, 4096] {
         let now = steps(count, false);
         assert!(now < 3 * before, "{now} after {before}");
-        // Of the hulls that could be tried on the way, only about a logarithmic number is built.
+        // Only about a logarithmic number of the hulls that could be tried on the way is built.
         assert!(steps(count, true) < 2 * now);
         before = now;
     }

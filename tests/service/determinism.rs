@@ -36,7 +36,7 @@ fn mixed() -> QueryContactsRequest {
     request
 }
 
-/// The same bodies, for FindContacts.
+/// A request of FindContacts for the same bodies.
 fn to_be_found() -> QueryContactsRequest {
     QueryContactsRequest { pairs: vec![], warm_starts: vec![], margin: 0.05, ..mixed() }
 }

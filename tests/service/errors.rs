@@ -269,8 +269,8 @@ async fn an_answer_that_would_be_too_large_is_refused() {
     server.contacts().query_contacts(request).await.unwrap();
 }
 
-/// Catches an unreadable store that is reported as not having the hull: the client would register
-/// the hull again, where it should retry.
+/// Catches an unreadable store that is reported as a missing hull: the client would register the hull again
+/// instead of retrying.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_store_that_cannot_be_read_is_unavailable_not_unknown() {
     let store = Faulty::new();

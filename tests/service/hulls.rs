@@ -338,8 +338,8 @@ async fn another_servers_deletion_is_seen_within_the_cache_age() {
     register(&here, register_request(&shapes)).await;
     let it = vec![id(&shapes[0])];
     assert_eq!(delete(&there, it.clone()).await, [true]);
-    // Deleted by the other server and registered here again: the cached copy alone must not count
-    // as stored.
+    // The other server deleted the hull and this one registers it again. The cached copy by itself must not
+    // count as stored.
     register(&here, register_request(&shapes)).await;
     assert_eq!(has(&there, it.clone()).await, [true]);
     assert_eq!(delete(&there, it.clone()).await, [true]);

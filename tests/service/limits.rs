@@ -115,7 +115,7 @@ async fn registrations_at_their_limits_and_one_past() {
     assert_eq!(vertices(&results[1]), Err(("TOO_MANY_POINTS".into(), "vertices".into())));
     assert_eq!(vertices(&results[2]), Ok((60, 60)));
     let Some(Registered::Error(error)) = &results[1].result else { panic!("it is an error") };
-    assert!(error.message.contains("63 points, the limit is 62"), "{error:?}");
+    assert!(error.message.contains("got 63 points, at most 62 are allowed"), "{error:?}");
 
     let four = [&shapes[..], &shapes[..1]].concat();
     let status = hulls.register_hulls(register_request(&four)).await.unwrap_err();

@@ -94,7 +94,7 @@ pub(crate) struct Case {
     pub(crate) max_iterations: u32,
     /// Outcomes are checked at these margins, and always at 0.
     pub(crate) margins: Vec<f64>,
-    /// The same scene at another scale; its alpha must have the same bits.
+    /// This scene at another scale. Its alpha must have the same bits.
     pub(crate) twin: Option<Box<Case>>,
     /// The contact must have at least this many points.
     pub(crate) least_points: usize,

@@ -131,7 +131,7 @@ fn sharp_corners_that_nearly_touch_are_no_estimate() {
     let d = [-1.127161555820639, 1.4147214450740229, 0.8540473453848052];
     let near = Case::new(shapes.clone(), d, rotations);
     judged(&near);
-    // The same pair, moved by lengths around the merge distance.
+    // This pair, moved by lengths around the merge distance.
     let random = &mut Random(13);
     for _ in 0..500 {
         let by = scaled(random.direction(), 10f64.powf(random.range(-15.5, -13.0)));

@@ -68,7 +68,7 @@ pub(crate) struct Met {
     pub(crate) patches: usize,
     pub(crate) contact: usize,
     pub(crate) separated: usize,
-    /// Growth distance alone would report CONTACT, but the hulls are farther apart than the margin.
+    /// Growth distance would report CONTACT, but the hulls are farther apart than the margin.
     pub(crate) ghosts: usize,
     /// Answers flagged GAP_OPEN, and answers flagged COINCIDENT.
     pub(crate) open: usize,

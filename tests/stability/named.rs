@@ -167,8 +167,8 @@ fn boxes_of_five_millimetres() {
     }
 }
 
-/// bullet3#2157, newton#3773. A cylinder of 1 cm, 0.1 mm deep, on a triangle of 320 m. The
-/// triangle's far corners drown the depth: 58 m was reported.
+/// bullet3#2157, newton#3773. A cylinder of 1 cm lies 0.1 mm deep in a triangle of 320 m. The rounding of
+/// the triangle's far corners exceeds the depth, and 58 m was reported.
 #[test]
 fn small_hulls_on_a_huge_triangle() {
     let cylinder = Shape::new(prism_points(16, 0.01, 0.01));

@@ -128,7 +128,7 @@ fn check_certificate(a: &Body, b: &Body, query: &Query, answer: &Manifold, cell:
 
 fn check_numbers(truth: &Truth, answer: &Manifold, cell: &mut Cell) {
     let condition = truth.outer / truth.inner;
-    // The contraction points are the hulls' origins. Of the lengths that enter the offset, `M`,
+    // The contraction points are the hulls' origins. Among the lengths that enter the offset, `M`,
     // only the distance of the origins remains.
     let noise = 16.0 * U * truth.distance;
     let exact = truth.alpha;

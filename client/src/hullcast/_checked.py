@@ -134,7 +134,7 @@ def _numbers(found: Columns, invalid: npt.NDArray[np.bool_], some_invalid: bool)
 
 
 def _misplaced(found: Columns, pairs: Indices, body_hulls: Indices) -> npt.NDArray[np.bool_]:
-    """Which pairs have flags that contradict `invalid_bodies` or `missing_hulls`."""
+    """The pairs whose flags contradict `invalid_bodies` or `missing_hulls`."""
     flags = found["flags"]
     unusable = np.zeros(len(body_hulls), dtype=bool)
     unusable[found["invalid_bodies"]] = True

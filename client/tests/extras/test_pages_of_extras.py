@@ -1,4 +1,4 @@
-"""The pages about robots and ray print what they show."""
+"""The code on the pages about robots and ray prints the output that the pages show."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is logged to rerun recordings, and that rerun can read them."""
+"""Tests the entities that are logged to rerun recordings, and that rerun can read them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ rerun = pytest.importorskip("rerun")
 
 @pytest.fixture
 def written(monkeypatch):
-    """Collects what is logged, by entity, while it is also logged for real."""
+    """Collects the logged data by entity, while it is also logged for real."""
     entities: dict[str, list] = {}
     log = rerun.log
 

@@ -31,7 +31,7 @@ def said(output: str) -> list[str]:
 
 
 def test_the_page_is_what_comes(client: hullcast.Client):
-    """Reflection is enough for both tools, and the page shows what they print.
+    """Reflection is enough for both tools, and the page shows their output.
 
     ghz prints times, so it is only checked that every call was answered. With HULLCAST_WRITE_PAGE
     set, the outputs are written to the page instead.

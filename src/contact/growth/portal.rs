@@ -210,8 +210,8 @@ fn inside(pair: &Pair<'_>, seeds: &[Support]) -> Triple {
 }
 
 /// A triangle across and around the ray, with its corners a little inside the inner ball. It is
-/// perpendicular to the ray, so the first support point is the one along the ray. Of the openings
-/// tried (0.02 to 0.99 along the ray) this one took the fewest steps.
+/// perpendicular to the ray, so the first support point is the one along the ray. This opening took the
+/// fewest steps of those tried (0.02 to 0.99 along the ray).
 fn inner_triangle(pair: &Pair<'_>) -> Triple {
     let along = pair.ray.normalize();
     let (e1, e2) = along.any_orthonormal_pair();

@@ -84,13 +84,13 @@ fn scaled(inertia: DMat3, area: f64, length: f64) -> DMat3 {
 }
 
 fn too_many_vertices(count: usize, limit: usize) -> HullError {
-    let detail = format!("{count} extreme vertices, at most {limit} allowed");
+    let detail = format!("the hull has {count} extreme vertices, at most {limit} are allowed: simplify it");
     HullError { kind: HullErrorKind::TooManyVertices, index: None, detail }
 }
 
 fn not_inside(point: DVec3) -> HullError {
     let DVec3 { x, y, z } = point;
-    let detail = format!("({x:e}, {y:e}, {z:e}) is not inside by more than rounding");
+    let detail = format!("({x:e}, {y:e}, {z:e}) is not inside the hull by more than rounding");
     HullError { kind: HullErrorKind::ContractionPointNotInside, index: None, detail }
 }
 

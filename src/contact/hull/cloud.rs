@@ -49,7 +49,8 @@ impl Cloud {
         sort(&mut order, meter, COMPARISON, |(p, i), (q, j)| lexicographic(*p, *q).then(i.cmp(j)))?;
         drop_duplicates(&mut order, meter)?;
         if order.len() < 4 {
-            let detail = format!("{} distinct points of {}, at least 4 needed", order.len(), given.len());
+            let detail =
+                format!("got {} distinct points of {}, at least 4 are needed", order.len(), given.len());
             return Err(HullError { kind: HullErrorKind::TooFewPoints, index: None, detail }.into());
         }
         let (mut points, mut registered) = (Vec::with_capacity(order.len()), Vec::with_capacity(order.len()));

@@ -57,7 +57,7 @@ impl Simplification {
         let refused =
             |detail| HullError { kind: HullErrorKind::SimplificationOutOfRange, index: None, detail };
         if let Some(vertices) = self.max_vertices.filter(|&vertices| vertices < 4) {
-            return Err(refused(format!("max_vertices is {vertices}: no hull has fewer than 4")));
+            return Err(refused(format!("max_vertices is {vertices}, must be at least 4")));
         }
         match self.max_deviation {
             Some(deviation) if !(deviation >= 0.0) => {
@@ -97,7 +97,9 @@ pub(super) fn simplified(
         deviation = inner.deviation(count, meter)?;
     }
     if !is_enough(deviation) {
-        let detail = format!("{most} vertices leave a deviation of {deviation:e}");
+        let detail = format!(
+            "with {most} vertices the deviation is {deviation:e}: allow more vertices or a larger deviation"
+        );
         return Err(HullError { kind: HullErrorKind::SimplificationNotPossible, index: None, detail }.into());
     }
     // Take as many more as a hull about the contraction point needs.
@@ -121,8 +123,8 @@ fn too_many_vertices(limit: usize) -> HullError {
         kind: HullErrorKind::TooManyVertices,
         index: None,
         detail: format!(
-            "the simplified hull needs more than {limit} vertices, at most {limit} are allowed: \
-             ask for fewer, or for a larger deviation"
+            "the simplified hull needs more than the {limit} vertices that are allowed: \
+             set max_vertices, or allow a larger deviation"
         ),
     }
 }

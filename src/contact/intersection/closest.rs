@@ -160,8 +160,8 @@ impl Candidates {
     }
 }
 
-/// Chooses, of `count` items, those whose depth is at most `most`: at most [`MOST`], those of least
-/// depth, in ascending order.
+/// Chooses those of `count` items whose depth is at most `most`. If there are more than [`MOST`], chooses
+/// the [`MOST`] items of least depth. The chosen items are in ascending order.
 fn choose(chosen: &mut Vec<usize>, count: usize, most: f64, depth: impl Fn(usize) -> f64) {
     chosen.clear();
     chosen.extend((0..count).filter(|&i| depth(i) <= most));
@@ -253,7 +253,7 @@ mod tests {
     use crate::workload::Random;
 
     /// Polygons that are apart, with parallel sides and opposite corners among them: the chosen pairs must
-    /// give what all pairs give, to the bit. Catches a direction so wrong that the closest pair is left
+    /// give the result of all pairs, bit for bit. Catches a direction so wrong that the closest pair is left
     /// out, and a bound that does not allow for rounding.
     #[test]
     fn few_pairs_give_what_all_pairs_give() {

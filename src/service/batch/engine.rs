@@ -182,7 +182,7 @@ impl Engine {
             (None, ComputeError::Stopped) => ServiceError::deadline_exceeded(),
             (None, ComputeError::Panicked(Panicked(why))) => {
                 tracing::error!(why, "a batch panicked");
-                ServiceError::internal("the computation failed")
+                ServiceError::internal("the computation failed; the server's log has the reason")
             }
         }
     }
@@ -197,6 +197,6 @@ impl Engine {
 fn too_large(limit: usize) -> ServiceError {
     ServiceError::refused(
         "RESPONSE_TOO_LARGE",
-        format!("the answer would pass {limit} bytes: ask for fewer pairs or outputs"),
+        format!("the answer would have more than {limit} bytes: request fewer pairs or outputs"),
     )
 }

@@ -172,7 +172,8 @@ impl Run {
         self.look()?;
         let mut columns = self.spare.take();
         self.injected.pass(pairs.len());
-        // Taken out while the chunk is computed: after a panic the thread gets a new workspace.
+        // The workspace is taken out while the chunk is computed, so that the thread gets a new one after a
+        // panic.
         let mut workspace = WORKSPACE.take();
         let computed = self.pairs(pairs, &mut workspace, &mut columns);
         WORKSPACE.set(workspace);

@@ -1,4 +1,4 @@
-//! Decides who may connect and make calls, by TLS and by tokens with roles.
+//! Decides which clients may connect and make calls, by TLS and by tokens with roles.
 
 mod reloaded;
 mod tls;

@@ -75,7 +75,9 @@ impl<T> Reloaded<T> {
                 *self.current.write().unwrap_or_else(PoisonError::into_inner) = current;
                 tracing::info!(files = ?self.paths, "read again");
             }
-            Err(error) => tracing::error!(%error, "not taken: what was read before stays in force"),
+            Err(error) => {
+                tracing::error!(%error, "changed files cannot be used: their previous contents stay in force")
+            }
         }
     }
 }

@@ -70,16 +70,20 @@ impl Tokens {
     /// UNAUTHENTICATED, PERMISSION_DENIED.
     pub(super) fn check(&self, needed: Role, headers: &HeaderMap) -> Result<Arc<str>, ServiceError> {
         let token = bearer(headers).ok_or_else(|| {
-            ServiceError::unauthenticated("MISSING_TOKEN", "the call needs `authorization: Bearer TOKEN`")
+            let why = "the call needs the header `authorization: Bearer TOKEN`";
+            ServiceError::unauthenticated("MISSING_TOKEN", why)
         })?;
         let hash: [u8; 32] = Sha256::digest(token).into();
         let name = |list: &Option<Reloaded<List>>| list.as_ref().and_then(|list| list.get().name(&hash));
         match (name(&self.register), name(&self.query), needed) {
             (Some(name), _, _) | (_, Some(name), Role::Query) => Ok(name),
             (None, Some(_), Role::Register) => {
-                Err(ServiceError::forbidden("TOKEN_MAY_NOT", "this token may query, not register or delete"))
+                let why = "this token may query, but not register or delete hulls: use one that may";
+                Err(ServiceError::forbidden("TOKEN_MAY_NOT", why))
             }
-            (None, None, _) => Err(ServiceError::unauthenticated("UNKNOWN_TOKEN", "the token is not known")),
+            (None, None, _) => {
+                Err(ServiceError::unauthenticated("UNKNOWN_TOKEN", "the server does not know this token"))
+            }
         }
     }
 }

@@ -239,8 +239,8 @@ impl HullCounts {
             match field.tag {
                 1 => counts.vertices += field.elements::<8>()?.len(),
                 2 => counts.contraction_point += field.elements::<8>()?.len(),
-                // Read here for their faults, because the hull may be refused before it is read
-                // again.
+                // The values are read here to find their faults, because the hull may be refused before it
+                // is read again.
                 3 => read_simplification(&mut proto::Simplification::default(), &field, meter)?,
                 4 => drop(field.double()?),
                 _ => {}

@@ -45,7 +45,9 @@ impl From<Stopped> for Fault {
 impl From<Fault> for ServiceError {
     fn from(fault: Fault) -> Self {
         match fault {
-            Fault::Malformed(why) => Self::refused("MALFORMED_MESSAGE", format!("the message: {why}")),
+            Fault::Malformed(why) => {
+                Self::refused("MALFORMED_MESSAGE", format!("the message cannot be decoded: {why}"))
+            }
             Fault::Stopped => Stopped.into(),
         }
     }

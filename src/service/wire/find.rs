@@ -23,12 +23,12 @@ pub(in crate::service) fn find(
 ) -> Result<(Scene, Rules), ServiceError> {
     for (column, field) in [(&request.pairs, "pairs"), (&request.warm_starts, "warm_starts")] {
         if !column.is_empty() {
-            let message = format!("{field}: FindContacts finds the pairs");
+            let message = format!("FindContacts finds the pairs itself: leave `{field}` empty");
             return Err(ServiceError::invalid("FIELD_NOT_ALLOWED", field, message));
         }
     }
     if request.margin == f64::INFINITY {
-        return Err(out_of_range("margin", request.margin, "finite: every pair would be found"));
+        return Err(out_of_range("margin", request.margin, "finite, otherwise every pair would be found"));
     }
     let [worlds, groups, ignored] =
         [&mut request.worlds, &mut request.groups, &mut request.ignored_groups].map(std::mem::take);
@@ -39,9 +39,9 @@ pub(in crate::service) fn find(
             has_length(column.len(), bodies, field, "none or one per body")?;
         }
     }
-    has_length(ignored.len(), ignored.len() & !1, "ignored_groups", "2 per entry")?;
+    has_length(ignored.len(), ignored.len() & !1, "ignored_groups", "2 per pair of groups")?;
     if let Some(at) = ignored.iter().position(|&group| group == 0) {
-        let message = "0 is no group";
+        let message = "got 0, which means no group: groups that ignore each other must be above 0";
         return Err(ServiceError::invalid_at("VALUE_OUT_OF_RANGE", "ignored_groups", at, message));
     }
     Ok((scene, Rules::new(worlds, groups, ignored)))

@@ -32,7 +32,7 @@ pub(super) fn definition(hull: proto::HullDefinition) -> HullDefinition {
 pub(super) fn malformed(field: &str, found: usize, rule: &str) -> proto::HullError {
     proto::HullError {
         reason: "MALFORMED".into(),
-        message: format!("{found} entries, expected {rule}"),
+        message: format!("got {found} entries, expected {rule}"),
         field: field.into(),
         index: None,
     }
@@ -42,7 +42,9 @@ pub(super) fn malformed(field: &str, found: usize, rule: &str) -> proto::HullErr
 pub(super) fn too_many_points(points: usize, limit: u32) -> proto::HullError {
     proto::HullError {
         reason: "TOO_MANY_POINTS".into(),
-        message: format!("{points} points, the limit is {limit}: leave out points that are not extreme"),
+        message: format!(
+            "got {points} points, at most {limit} are allowed: leave out points that are not extreme"
+        ),
         field: "vertices".into(),
         index: None,
     }
@@ -114,7 +116,7 @@ impl Parts {
                 "faces" => parts.faces = true,
                 _ => {
                     let shown: String = path.chars().take(SHOWN_LETTERS).collect();
-                    let message = format!("{shown:?} is none of \"info\", \"vertices\", \"faces\"");
+                    let message = format!("got {shown:?}, expected \"info\", \"vertices\" or \"faces\"");
                     let field = "field_mask.paths";
                     return Err(ServiceError::invalid_at("UNKNOWN_PATH", field, index, message));
                 }
@@ -205,7 +207,8 @@ pub(super) fn page_token(token: &str) -> Result<Option<HullId>, ServiceError> {
         return Ok(None);
     }
     token.parse().map(Some).map_err(|_| {
-        ServiceError::invalid("MALFORMED_PAGE_TOKEN", "page_token", "not a token that this server gave")
+        let why = "expected the `next_page_token` of an earlier answer, or nothing for the first page";
+        ServiceError::invalid("MALFORMED_PAGE_TOKEN", "page_token", why)
     })
 }
 

@@ -79,7 +79,8 @@ pub(in crate::service) fn stoppable_scene(
 ) -> Result<Scene, ServiceError> {
     let meter = &Meter::new(stop);
     if request.inherit {
-        return Err(ServiceError::invalid("FIELD_NOT_ALLOWED", "inherit", "inherit is of streams alone"));
+        let why = "`inherit` is only valid on StreamContacts: send the scene in full";
+        return Err(ServiceError::invalid("FIELD_NOT_ALLOWED", "inherit", why));
     }
     let accuracy = request.accuracy.unwrap_or_default();
     refuse_foreign(&request.worlds, "worlds")?;
@@ -96,8 +97,8 @@ pub(in crate::service) fn stoppable_scene(
     if !request.warm_starts.is_empty() {
         has_length(request.warm_starts.len(), 6 * pairs, "warm_starts", "none or 6 per pair")?;
     }
-    all_below(&request.body_hulls, request.hull_ids.len(), "body_hulls", "hulls", meter)?;
-    all_below(&request.pairs, bodies, "pairs", "bodies", meter)?;
+    all_below(&request.body_hulls, request.hull_ids.len(), "body_hulls", ["hull", "hulls"], meter)?;
+    all_below(&request.pairs, bodies, "pairs", ["body", "bodies"], meter)?;
 
     let hull_ids = distinct_ids(&request.hull_ids, meter)?;
     let outputs = outputs(&request.outputs);
@@ -141,7 +142,8 @@ pub(in crate::service) fn inherited(
         (!request.warm_starts.is_empty(), "warm_starts"),
     ];
     if let Some((_, field)) = given.into_iter().find(|(given, _)| *given) {
-        return Err(ServiceError::invalid("FIELD_NOT_ALLOWED", field, format!("{field} is inherited")));
+        let why = "must not be set together with `inherit`: it is inherited from the previous message";
+        return Err(ServiceError::invalid("FIELD_NOT_ALLOWED", field, why));
     }
     pose_lengths(&request, setting.body_hulls.len())?;
     let meter = &Meter::new(stop);
@@ -174,7 +176,8 @@ fn refuse_foreign(column: &[u32], field: &'static str) -> Result<(), ServiceErro
     if column.is_empty() {
         return Ok(());
     }
-    Err(ServiceError::invalid("FIELD_NOT_ALLOWED", field, format!("{field} is of FindContacts alone")))
+    let message = format!("`{field}` is only valid on FindContacts");
+    Err(ServiceError::invalid("FIELD_NOT_ALLOWED", field, message))
 }
 
 pub(super) fn at_most(
@@ -186,7 +189,8 @@ pub(super) fn at_most(
     if count <= limit as usize {
         return Ok(());
     }
-    Err(ServiceError::invalid(reason, field, format!("{count} entries, the limit is {limit}")))
+    let message = format!("got {count}, at most {limit} are allowed: send fewer per request");
+    Err(ServiceError::invalid(reason, field, message))
 }
 
 pub(super) fn has_length(
@@ -198,7 +202,7 @@ pub(super) fn has_length(
     if found == expected {
         return Ok(());
     }
-    let message = format!("{found} entries, {expected} expected: {rule}");
+    let message = format!("got {found} entries, expected {expected} ({rule})");
     Err(ServiceError::invalid("LENGTH_MISMATCH", field, message))
 }
 
@@ -206,7 +210,7 @@ fn all_below(
     column: &[u32],
     count: usize,
     field: &'static str,
-    of: &str,
+    [one, many]: [&str; 2],
     meter: &Meter<'_>,
 ) -> Result<(), ServiceError> {
     for (first, some) in (0..).step_by(AT_A_TIME).zip(column.chunks(AT_A_TIME)) {
@@ -218,7 +222,8 @@ fn all_below(
             continue;
         }
         if let Some(at) = some.iter().position(|&index| index as usize >= count) {
-            let message = format!("{} of {count} {of}", some[at]);
+            let noun = if count == 1 { one } else { many };
+            let message = format!("{one} index {} is out of range: the scene has {count} {noun}", some[at]);
             return Err(ServiceError::invalid_at("INDEX_OUT_OF_RANGE", field, first + at, message));
         }
     }
@@ -233,7 +238,7 @@ fn distinct_ids<B: AsRef<[u8]>>(ids: &[B], meter: &Meter<'_>) -> Result<Vec<Hull
         meter.spend(ID_STEPS)?;
         let id = hull_id(bytes.as_ref(), "hull_ids", index)?;
         if !seen.insert(bytes.as_ref()) {
-            let message = format!("hull {id} is listed before: each hull once");
+            let message = format!("hull {id} was listed before: list each hull once");
             return Err(ServiceError::invalid_at("DUPLICATE_HULL", "hull_ids", index, message));
         }
         distinct.push(id);
@@ -244,7 +249,7 @@ fn distinct_ids<B: AsRef<[u8]>>(ids: &[B], meter: &Meter<'_>) -> Result<Vec<Hull
 pub(super) fn hull_id(bytes: &[u8], field: &'static str, index: usize) -> Result<HullId, ServiceError> {
     let id = bytes.try_into().map(HullId);
     id.map_err(|_| {
-        let message = format!("{} bytes, a hull's id has 32", bytes.len());
+        let message = format!("got {} bytes, expected the 32 bytes of a hull id", bytes.len());
         ServiceError::invalid_at("MALFORMED_ID", field, index, message)
     })
 }
@@ -257,7 +262,7 @@ fn margin(margin: f64) -> Result<f64, ServiceError> {
 }
 
 pub(super) fn out_of_range(field: &'static str, value: f64, rule: &str) -> ServiceError {
-    ServiceError::invalid("VALUE_OUT_OF_RANGE", field, format!("{value}, must be {rule}"))
+    ServiceError::invalid("VALUE_OUT_OF_RANGE", field, format!("got {value}, must be {rule}"))
 }
 
 fn checked_accuracy(accuracy: &proto::Accuracy) -> Result<Accuracy, ServiceError> {
@@ -282,7 +287,8 @@ fn checked_accuracy(accuracy: &proto::Accuracy) -> Result<Accuracy, ServiceError
 /// The error for an unknown option. To ignore it would be a wrong answer, since another computation
 /// was requested.
 fn unknown_value(field: &'static str, value: i32) -> ServiceError {
-    ServiceError::invalid("UNKNOWN_VALUE", field, format!("{value} is not a value of this version"))
+    let message = format!("got {value}, which this version of the server does not know");
+    ServiceError::invalid("UNKNOWN_VALUE", field, message)
 }
 
 /// The set of requested outputs. Unknown values come from newer clients, which can do without those

@@ -67,7 +67,9 @@ impl Root {
     fn descriptor(&self) -> Result<File, StoreError> {
         match openat(CWD, &self.path, DIRECTORY, Mode::empty()) {
             Ok(root) => Ok(root.into()),
-            Err(Errno::NOENT) => Err(StoreError::Unavailable(format!("{} is gone", self.path.display()))),
+            Err(Errno::NOENT) => {
+                Err(StoreError::Unavailable(format!("the directory {} does not exist", self.path.display())))
+            }
             Err(error) => Err(self.failed("", error)),
         }
     }
@@ -93,7 +95,7 @@ impl Root {
         };
         match self.subdirectory(root, name) {
             Ok(Some(directory)) => Ok((directory, is_new)),
-            Ok(None) => Err(StoreError::Unavailable(format!("{name} was removed meanwhile"))),
+            Ok(None) => Err(StoreError::Unavailable(format!("{name} was removed during the operation"))),
             // Nothing can be written there until an operator removes the entry.
             Err(error) => Err(StoreError::Unavailable(error.to_string())),
         }
@@ -181,7 +183,7 @@ impl Root {
         };
         let status = fstat(&file).map_err(|error| self.failed(&name, error))?;
         let Some(size) = blob_size(&status) else { return refused(kind(&status).into()) };
-        let too_large = |size: u64| format!("{size} bytes long, more than the {max_bytes} of a hull");
+        let too_large = |size: u64| format!("{size} bytes long, but a hull has at most {max_bytes}");
         if size > max_bytes {
             return refused(too_large(size));
         }

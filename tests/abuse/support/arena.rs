@@ -1,4 +1,4 @@
-//! What an attack works with.
+//! The server under attack, with connections for the attacker and for the bystander.
 
 use std::{
     io,
@@ -24,11 +24,11 @@ use super::{
 };
 use crate::scenes::{id, register_request};
 
-/// The addresses of the two sides.
+/// The loopback addresses of the attacker and of the bystander.
 pub(crate) const ATTACKER: &str = "127.0.0.2";
 pub(crate) const BYSTANDER: &str = "127.0.0.3";
 
-/// The server, and the two sides' ways to it.
+/// The server, and the means of the attacker and the bystander to reach it.
 pub(crate) struct Arena {
     pub(crate) setup: Setup,
     pub(crate) server: Server,
@@ -36,7 +36,7 @@ pub(crate) struct Arena {
     begun: Mutex<Option<Begun>>,
 }
 
-/// What was measured when the attack began.
+/// The bystander's work and the idle state of the server, as of the beginning of the attack.
 pub(crate) struct Begun {
     pub(crate) working: Working,
     pub(crate) idle_bytes: u64,
@@ -55,7 +55,7 @@ impl Arena {
         self.setup.size
     }
 
-    /// The attack begins: what it finds is the idle state, and the bystander starts to work.
+    /// Begins the attack: records the current state as the idle state and starts the bystander's work.
     pub(crate) async fn begin(&self) {
         let idle_parts = parts(&self.server.metrics().await);
         let idle_bytes = status_bytes(self.server.pid(), "VmRSS");
@@ -82,7 +82,7 @@ impl Arena {
         }
     }
 
-    /// An attacker's connection of whatever kind the trial is about.
+    /// Opens a connection for the attacker, of the kind that the setup asks for: Unix socket, TLS or TCP.
     pub(crate) async fn stream(&self) -> io::Result<Box<dyn Stream>> {
         match &self.server.certificate {
             _ if self.setup.over_unix => dial::unix(&self.server.socket).await,
@@ -91,12 +91,12 @@ impl Arena {
         }
     }
 
-    /// An attacker's HTTP/2 connection that reads as much as `windows` say.
+    /// Opens an HTTP/2 connection for the attacker, which lets the server send as much as `windows` allows.
     pub(crate) async fn peer(&self, windows: Windows) -> io::Result<Peer> {
         Peer::open(self.stream().await?, windows).await
     }
 
-    /// An ordinary channel from the attacker's address.
+    /// Opens an ordinary gRPC channel from the attacker's address.
     pub(crate) async fn channel(&self) -> Channel {
         dial::channel(ATTACKER, self.server.address, self.server.certificate.clone()).await
     }
@@ -109,7 +109,7 @@ impl Arena {
         HullServiceClient::new(self.channel().await).max_decoding_message_size(usize::MAX)
     }
 
-    /// Registers hulls from the attacker's address, one call each, and gives their ids.
+    /// Registers hulls from the attacker's address, one per call, and returns their ids.
     pub(crate) async fn register(&self, shapes: &[HullDefinition]) -> Vec<Vec<u8>> {
         let mut hulls = self.hulls().await;
         for shape in shapes {
@@ -125,7 +125,7 @@ impl Arena {
     }
 }
 
-/// The lines of the memory budget in the metrics.
+/// The lines of the metrics that belong to the memory budget.
 pub(crate) fn parts(metrics: &str) -> Vec<String> {
     let is_part = |line: &&str| {
         line.starts_with("hullcast_memory_bytes{") || line.starts_with("hullcast_request_bytes_in_flight ")

@@ -1,4 +1,4 @@
-//! A well-behaved client on an address of its own. It checks each answer to the bit.
+//! A well-behaved client on its own address. It compares each answer bit by bit with the expected one.
 
 use std::{
     sync::{
@@ -24,13 +24,13 @@ use tonic_health::pb::{
 use super::{latency::Latencies, server::REGISTER_TOKEN};
 use crate::scenes::{assert_same, expected, outputs, plain, register_request, round_points, scene, shapes};
 
-/// After this long without an answer a call counts as lost.
+/// A call that has no answer after this time counts as lost.
 const LOST: Duration = Duration::from_secs(60);
 
-/// The pause between two rounds: a simulation's step.
+/// The pause between two rounds, about one step of a simulation.
 const PAUSE: Duration = Duration::from_millis(5);
 
-/// A bystander; clones share its connection.
+/// A bystander. Clones share its connection.
 #[derive(Clone)]
 pub(crate) struct Bystander {
     channel: Channel,
@@ -39,16 +39,16 @@ pub(crate) struct Bystander {
     questions: Arc<[(QueryContactsRequest, QueryContactsResponse); 2]>,
 }
 
-/// What a bystander met.
+/// The latencies and retries of a bystander.
 #[derive(Default)]
 pub(crate) struct Experience {
     pub(crate) queries: Latencies,
     pub(crate) health: Latencies,
-    /// How often it was told to come back.
+    /// The number of calls that the server refused with a request to retry later.
     pub(crate) retries: usize,
 }
 
-/// A bystander at work.
+/// A bystander whose calls are in progress.
 pub(crate) struct Working {
     done: Arc<AtomicBool>,
     answered: Arc<AtomicUsize>,
@@ -57,7 +57,7 @@ pub(crate) struct Working {
 }
 
 impl Bystander {
-    /// Registers its hulls and works out what the answers have to be.
+    /// Registers the bystander's hulls and computes the expected answers.
     pub(crate) async fn new(channel: Channel) -> Self {
         let shapes = shapes();
         let mut hulls = HullServiceClient::new(channel.clone());
@@ -67,7 +67,7 @@ impl Bystander {
         Self { contacts, health: HealthClient::new(channel.clone()), channel, questions }
     }
 
-    /// Registers a hull that the store does not have.
+    /// Registers a hull that is not yet in the store.
     pub(crate) async fn register_a_new_hull(&self) {
         let mut hulls = HullServiceClient::new(self.channel.clone());
         let request = register_request(&[plain(round_points(30, 99))]);
@@ -75,7 +75,7 @@ impl Bystander {
         assert!(matches!(answer.results[0].result, Some(Registered::Hull(_))), "{answer:?}");
     }
 
-    /// Works until it is told to stop.
+    /// Starts the queries and health checks, which continue until [`Working::stop`].
     pub(crate) fn start(&self) -> Working {
         let (done, answered) = <(Arc<AtomicBool>, Arc<AtomicUsize>)>::default();
         let queries = tokio::spawn(self.clone().ask_queries(done.clone(), answered.clone()));
@@ -120,12 +120,12 @@ impl Bystander {
 }
 
 impl Working {
-    /// Queries answered so far.
+    /// The number of queries answered so far.
     pub(crate) fn answered(&self) -> Arc<AtomicUsize> {
         self.answered.clone()
     }
 
-    /// Ends the work after the call under way.
+    /// Ends the work after the calls in progress, and returns the measurements.
     pub(crate) async fn stop(self) -> Experience {
         self.done.store(true, Ordering::SeqCst);
         let (queries, retries) = self.queries.await.expect("the bystander's queries");
@@ -141,7 +141,7 @@ fn question(shapes: &[HullDefinition], pairs: usize) -> (QueryContactsRequest, Q
     (request, answer)
 }
 
-/// A call with the token that may do everything; servers without tokens ignore it.
+/// Adds the token that permits every method. A server without tokens ignores it.
 pub(crate) fn with_token<T>(message: T) -> Request<T> {
     let mut request = Request::new(message);
     let value = format!("Bearer {REGISTER_TOKEN}").parse().expect("a header");
@@ -149,7 +149,7 @@ pub(crate) fn with_token<T>(message: T) -> Request<T> {
     request
 }
 
-/// How long the server asks to wait; the call may fail in no other way.
+/// The time that the server asks the client to wait. Any other failure of the call fails the test.
 fn pushback(status: &Status) -> Duration {
     assert_eq!(status.code(), Code::Unavailable, "the bystander is told {status:?}");
     let pushback = status.metadata().get("grpc-retry-pushback-ms").and_then(|value| value.to_str().ok());

@@ -24,7 +24,7 @@ impl<T: AsyncRead + AsyncWrite + Send + Unpin> Stream for T {}
 /// A TCP connection whose own address is `from`.
 pub(crate) async fn tcp(from: &str, to: SocketAddr) -> io::Result<TcpStream> {
     let socket = TcpSocket::new_v4()?;
-    // Thousands of connections that ended would use up the ports.
+    // Without reuse, thousands of closed connections would use up the local ports.
     socket.set_reuseaddr(true)?;
     socket.bind(format!("{from}:0").parse().expect("an address"))?;
     let stream = socket.connect(to).await?;
@@ -32,7 +32,7 @@ pub(crate) async fn tcp(from: &str, to: SocketAddr) -> io::Result<TcpStream> {
     Ok(stream)
 }
 
-/// The same, encrypted; `certificate` is the one to trust.
+/// A TLS connection whose own address is `from`. `certificate` is the one to trust.
 pub(crate) async fn tls(from: &str, to: SocketAddr, certificate: &str) -> io::Result<Box<dyn Stream>> {
     let name = ServerName::try_from("localhost").expect("a name");
     let stream = tcp(from, to).await?;

@@ -1,4 +1,4 @@
-//! HTTP/2 by hand, for a peer that keeps to none of its manners.
+//! A minimal HTTP/2 client for tests that break the protocol's rules or never read.
 
 use std::{
     collections::HashMap,
@@ -32,11 +32,11 @@ const INITIAL_WINDOW_SIZE: u16 = 4;
 /// The payload of the frames that carry a request's bytes; every peer accepts this size.
 const FRAME_BYTES: usize = 16_384;
 
-/// The window of a connection before anybody enlarges it.
+/// The initial flow-control window of a connection (RFC 9113, section 6.9.2).
 const FIRST_WINDOW: u32 = 65_535;
 
-/// How many bytes the server may send before the peer allows more, on each stream and on the
-/// connection. The peer allows more only when told to.
+/// The number of bytes that the server may send on each stream and on the connection. The peer enlarges the
+/// windows only when a test tells it to.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Windows {
     pub(crate) stream: u32,
@@ -44,7 +44,7 @@ pub(crate) struct Windows {
 }
 
 impl Windows {
-    /// The peer reads whatever comes, up to 2 GiB.
+    /// The peer reads everything, up to 2 GiB.
     pub(crate) const OPEN: Self = Self { stream: i32::MAX as u32, connection: i32::MAX as u32 };
 }
 
@@ -62,10 +62,10 @@ struct Seen {
     changed: Notify,
 }
 
-/// What the server has sent.
+/// The state of the connection as learned from the server's frames.
 #[derive(Default)]
 struct State {
-    /// What may be sent on the connection, and beside what may be sent on each stream.
+    /// Bytes that the peer may still send on the connection; `stream_windows` has the same for each stream.
     window: i64,
     stream_windows: HashMap<u32, i64>,
     initial_window: i64,
@@ -76,7 +76,7 @@ struct State {
 }
 
 impl Peer {
-    /// Greets, and waits for the server's settings.
+    /// Sends the preface and settings, and waits for the server's settings.
     pub(crate) async fn open(stream: Box<dyn Stream>, windows: Windows) -> io::Result<Self> {
         let (reading, writing) = tokio::io::split(stream);
         let writer = Arc::new(AsyncMutex::new(writing));
@@ -99,19 +99,19 @@ impl Peer {
         Ok(peer)
     }
 
-    /// Sends bytes as they are.
+    /// Sends raw bytes.
     pub(crate) async fn send(&self, bytes: &[u8]) -> io::Result<()> {
         self.writer.lock().await.write_all(bytes).await
     }
 
-    /// The number of the next stream.
+    /// Takes the number of the next stream.
     pub(crate) fn next_stream(&mut self) -> u32 {
         let stream = self.next;
         self.next += 2;
         stream
     }
 
-    /// Begins a call of `path`.
+    /// Begins a call of `path`: sends its headers only.
     pub(crate) async fn call(&mut self, path: &str, headers: &[(&str, &str)]) -> io::Result<u32> {
         let stream = self.next_stream();
         self.send(&frame(HEADERS, END_HEADERS, stream, &header_block(path, headers))).await?;
@@ -135,14 +135,14 @@ impl Peer {
         }
     }
 
-    /// A whole call; it is not waited for.
+    /// Sends a whole call without waiting for the answer.
     pub(crate) async fn ask(&mut self, path: &str, body: &[u8]) -> io::Result<u32> {
         let stream = self.call(path, &[]).await?;
         self.body(stream, body, true).await?;
         Ok(stream)
     }
 
-    /// Takes a call back.
+    /// Cancels a call with RST_STREAM.
     pub(crate) async fn reset(&self, stream: u32) -> io::Result<()> {
         const CANCEL: [u8; 4] = 8u32.to_be_bytes();
         self.send(&frame(RST_STREAM, 0, stream, &CANCEL)).await
@@ -155,12 +155,12 @@ impl Peer {
         self.send(&both).await
     }
 
-    /// Waits until the server has ended a stream, well or not.
+    /// Waits until the server has ended a stream, with success or with an error.
     pub(crate) async fn ended(&self, stream: u32) -> io::Result<()> {
         self.until(|state| state.ended.contains_key(&stream)).await
     }
 
-    /// Bytes of answers received on a stream.
+    /// The number of answer bytes received on a stream.
     pub(crate) fn received(&self, stream: u32) -> usize {
         self.seen.lock().received.get(&stream).copied().unwrap_or(0)
     }
@@ -233,8 +233,8 @@ async fn read(
     seen: Arc<Seen>,
 ) {
     while let Ok((kind, flags, stream, payload)) = read_frame(&mut reading).await {
-        // The server's windows hold once its settings are acknowledged. A ping may stay without
-        // an answer: a flood that fills the connection must not keep the reader from reading.
+        // The server's settings apply once they are acknowledged. A PING may stay unanswered: if a flood
+        // fills the connection, writing the answer would block this reader.
         let sent = match kind {
             SETTINGS if flags & ACK == 0 => {
                 writer.lock().await.write_all(&frame(SETTINGS, ACK, 0, &[])).await
@@ -307,7 +307,7 @@ pub(crate) fn frame(kind: u8, flags: u8, stream: u32, payload: &[u8]) -> Vec<u8>
     frame
 }
 
-/// The headers of a gRPC call, each as a literal that no table keeps.
+/// The headers of a gRPC call. Each is an HPACK literal that is not stored in the table.
 pub(crate) fn header_block(path: &str, headers: &[(&str, &str)]) -> Vec<u8> {
     let always = [
         (":method", "POST"),
@@ -324,7 +324,7 @@ pub(crate) fn header_block(path: &str, headers: &[(&str, &str)]) -> Vec<u8> {
     block
 }
 
-/// A header as a literal that no table keeps.
+/// Appends a header as an HPACK literal that is not stored in the table.
 pub(crate) fn literal(block: &mut Vec<u8>, name: &str, value: &str) {
     block.push(0);
     for text in [name, value] {
@@ -333,7 +333,7 @@ pub(crate) fn literal(block: &mut Vec<u8>, name: &str, value: &str) {
     }
 }
 
-/// HPACK's integers of 7 bits (RFC 7541, section 5.1).
+/// Appends an HPACK integer with a prefix of 7 bits (RFC 7541, section 5.1).
 fn length(block: &mut Vec<u8>, mut length: usize) {
     if length < 127 {
         return block.push(length as u8);

@@ -15,7 +15,7 @@ impl Latencies {
         self.0.len()
     }
 
-    /// The smallest latency that so many per cent of the calls did not exceed.
+    /// The smallest latency that `percent` per cent of the calls did not exceed.
     fn percentile(&self, percent: usize) -> Duration {
         let mut sorted = self.0.clone();
         sorted.sort_unstable();

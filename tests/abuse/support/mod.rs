@@ -1,5 +1,5 @@
-//! The stage of every attack: a server as a process, an attacker's tools, a bystander, and the
-//! assertions that hold for all attacks.
+//! The parts that all attacks share: a server as a process, an attacker's tools, a bystander, and the
+//! assertions after each attack.
 
 pub(crate) mod arena;
 pub(crate) mod bystander;
@@ -20,8 +20,8 @@ pub(crate) const INFO: &str = "/hullcast.v1.ServerService/GetServerInfo";
 pub(crate) const WATCH: &str = "/grpc.health.v1.Health/Watch";
 pub(crate) const REFLECTION: &str = "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo";
 
-/// Declares attacks: for each one a test of a tenth of the size, which `make test` runs, and
-/// one of the full size, which `make test-abuse` runs.
+/// Declares attacks. Each attack becomes two tests: one of a tenth of the size, which `make
+/// test-abuse-short` runs, and one of the full size, which `make test-abuse` runs.
 macro_rules! attacks {
     ($($(#[doc = $doc:literal])* $name:ident: $title:literal $(, $with:expr)? => $attack:path;)*) => { $(
         $(#[doc = $doc])*

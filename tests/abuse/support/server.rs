@@ -1,4 +1,4 @@
-//! The attacked server: the real binary, watched from outside.
+//! The server under attack: the real binary, observed from outside.
 
 use std::{
     fs::File,
@@ -18,7 +18,7 @@ use super::{dial, setup::Setup};
 pub(crate) const QUERY_TOKEN: &str = "may-query";
 pub(crate) const REGISTER_TOKEN: &str = "may-register";
 
-/// From where the tests read the metrics.
+/// The address from which the tests read the metrics.
 const OBSERVER: &str = "127.0.0.9";
 
 /// `hullcast serve`; killed when dropped.
@@ -26,15 +26,15 @@ pub(crate) struct Server {
     child: Child,
     pub(crate) address: SocketAddr,
     pub(crate) admin: SocketAddr,
-    /// The Unix socket on which it listens too.
+    /// The Unix socket on which the server also listens.
     pub(crate) socket: PathBuf,
-    /// The certificate that clients have to trust, where TCP is encrypted.
+    /// The certificate that clients have to trust; none if TCP is not encrypted.
     pub(crate) certificate: Option<String>,
     directory: TempDir,
 }
 
 impl Server {
-    /// Starts it and waits until it listens.
+    /// Starts the server and waits until it listens.
     pub(crate) fn start(setup: &Setup) -> Self {
         let directory = tempfile::tempdir().expect("a directory");
         let path = |name: &str| directory.path().join(name);
@@ -73,7 +73,10 @@ impl Server {
         let mut next = |beginning: &str| {
             let line = lines.next().and_then(Result::ok);
             line.and_then(|line| Some(line.strip_prefix(beginning)?.to_owned())).unwrap_or_else(|| {
-                panic!("it does not start: {}", std::fs::read_to_string(path("log")).unwrap_or_default())
+                panic!(
+                    "the server does not start: {}",
+                    std::fs::read_to_string(path("log")).unwrap_or_default()
+                )
             })
         };
         let address = next("listening on ").parse().expect("an address");
@@ -86,13 +89,13 @@ impl Server {
         self.child.id()
     }
 
-    /// Tells it to stop.
+    /// Sends SIGTERM to the server.
     pub(crate) fn terminate(&self) {
         let status = Command::new("kill").args(["-TERM", &self.pid().to_string()]).status();
         assert!(status.expect("kill").success());
     }
 
-    /// Waits until it has ended.
+    /// Waits until the server's process has ended.
     pub(crate) async fn ended(&mut self) -> ExitStatus {
         loop {
             if let Some(status) = self.child.try_wait().expect("its status") {
@@ -107,13 +110,13 @@ impl Server {
         self.directory.path().join("store")
     }
 
-    /// Everything that it has logged.
+    /// The server's whole log.
     pub(crate) fn log(&self) -> String {
         let bytes = std::fs::read(self.directory.path().join("log")).unwrap_or_default();
         String::from_utf8_lossy(&bytes).into_owned()
     }
 
-    /// What /metrics answers; asked again where the admin port is too busy.
+    /// The text of /metrics. The request is repeated while the admin port is too busy.
     pub(crate) async fn metrics(&self) -> String {
         loop {
             if let Ok(text) = get(self.admin, "/metrics").await
@@ -125,7 +128,7 @@ impl Server {
         }
     }
 
-    /// The value of one metric; none where the server does not have it.
+    /// The value of one metric; none if the server does not have it.
     pub(crate) async fn metric(&self, name: &str) -> Option<f64> {
         value(&self.metrics().await, name)
     }
@@ -143,7 +146,7 @@ pub(crate) fn value(metrics: &str, name: &str) -> Option<f64> {
     metrics.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')?.parse().ok())
 }
 
-/// A field of /proc/PID/status in bytes, as `VmRSS`; 0 once the process is gone.
+/// A field of /proc/PID/status in bytes, for example `VmRSS`; 0 if the process has ended.
 pub(crate) fn status_bytes(pid: u32, field: &str) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix(field)?.strip_prefix(':'));
@@ -171,7 +174,7 @@ fn tokens(directory: &Path) -> Vec<String> {
     vec![format!("--query-tokens={query}"), format!("--register-tokens={register}")]
 }
 
-/// The flags of a certificate that signs itself, and the certificate.
+/// Writes a self-signed certificate, and returns the server's flags for it and the certificate.
 fn encryption(directory: &Path) -> (Vec<String>, String) {
     let key = KeyPair::generate().expect("a key");
     let params = CertificateParams::new(["localhost".to_owned()]).expect("a name");

@@ -1,18 +1,18 @@
-//! How an attacked server is configured.
+//! The configuration of a server under attack.
 
 use std::path::Path;
 
-/// How large an attack is, and how large the budgets that it meets.
+/// The size of an attack and of the budgets of the server under attack.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Size {
-    /// A tenth of the default limits, for every run of the tests.
+    /// A tenth of the default limits, for `make test-abuse-short`.
     Tenth,
-    /// The default limits.
+    /// The default limits, for `make test-abuse`.
     Full,
 }
 
 impl Size {
-    /// This many, or a tenth of it.
+    /// `full` at full size, otherwise a tenth of it.
     pub(crate) fn of(self, full: usize) -> usize {
         match self {
             Self::Full => full,
@@ -21,20 +21,20 @@ impl Size {
     }
 }
 
-/// What a server is started with.
+/// The settings with which a server is started.
 pub(crate) struct Setup {
     pub(crate) size: Size,
-    /// Settings beside those of the size, as flags.
+    /// Command-line flags in addition to those of the size.
     pub(crate) arguments: Vec<String>,
-    /// Whether calls need a token; the attacker has none of them.
+    /// Whether calls need a token. The attacker has no token.
     pub(crate) tokens: bool,
     /// Whether TCP is encrypted.
     pub(crate) tls: bool,
-    /// Whether the attacker comes over a Unix socket; the bystander comes over TCP.
+    /// Whether the attacker connects over a Unix socket. The bystander always uses TCP.
     pub(crate) over_unix: bool,
-    /// A limit for the shell's `ulimit`, as `-n 64`.
+    /// Arguments for the shell's `ulimit`, for example `-n 64`.
     pub(crate) ulimit: Option<String>,
-    /// Another size of the cache of hulls.
+    /// The size of the hull cache in bytes; none for the default of the size.
     pub(crate) cache: Option<u64>,
     /// Fills the store's directory before the server starts.
     pub(crate) fill_store: Option<fn(&Path)>,
@@ -75,26 +75,26 @@ impl Setup {
         self
     }
 
-    /// Bytes of the memory budget.
+    /// The memory budget in bytes.
     pub(crate) fn memory_bytes(&self) -> u64 {
         match self.size {
             Size::Full => 2 << 30,
-            // The least that a server accepts.
+            // The smallest budget that the server accepts.
             Size::Tenth => 256 << 20,
         }
     }
 
-    /// Bytes of the cache of hulls.
+    /// The size of the hull cache in bytes.
     pub(crate) fn cache_bytes(&self) -> u64 {
         self.cache.unwrap_or(self.size.of(1 << 30) as u64)
     }
 
-    /// The largest message.
+    /// The largest message in bytes.
     pub(crate) fn message_bytes(&self) -> usize {
         self.size.of(64 << 20)
     }
 
-    /// The settings of the size.
+    /// The server's command-line flags for this size.
     pub(crate) fn flags(&self) -> Vec<String> {
         let tenth = |name: &str, full: usize| format!("--{name}={}", Size::Tenth.of(full));
         let mut flags = match self.size {
@@ -107,7 +107,7 @@ impl Setup {
                 tenth("max-pairs-per-request", 131_072),
                 tenth("max-bodies-per-request", 131_072),
                 tenth("max-hulls-per-request", 16_384),
-                // Two faces of a tenth of the sides, rounded up.
+                // Enough for two faces with a tenth of the sides, rounded up.
                 tenth("max-vertices-per-hull", 16_400),
                 tenth("max-points-per-hull", 262_144),
                 tenth("max-pairs-in-flight", 1 << 20),

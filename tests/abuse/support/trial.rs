@@ -1,4 +1,4 @@
-//! One attack: before, while and after.
+//! Runs one attack: measures before it, during it and after it, and asserts the limits that must hold.
 
 use std::{
     sync::{
@@ -17,28 +17,28 @@ use super::{
     setup::{Setup, Size},
 };
 
-/// Memory that a server may use beside its budget and its cache.
+/// Memory in bytes that the server may use in addition to its budget and its cache.
 const BESIDE_BUDGETS: u64 = 256 << 20;
 
-/// Memory that a server may keep of an attack that has ended.
+/// Memory in bytes that the server may keep after an attack has ended.
 const KEPT: u64 = 64 << 20;
 
-/// Everything that an attack held is free this long after it ended.
+/// The time within which all memory that an attack held must be free after its end.
 const FREE_WITHIN: Duration = Duration::from_secs(10);
 
-/// An attack that takes longer has stopped the server.
+/// If an attack takes longer, the server counts as stopped.
 const LONGEST: Duration = Duration::from_secs(300);
 
-/// One attack at a time.
+/// Held by the test whose attack is running.
 static ALONE: Mutex<()> = Mutex::new(());
 
-/// The right to attack; one test has it at a time.
+/// Waits for the right to attack, which only one test has at a time.
 pub(crate) fn alone() -> MutexGuard<'static, ()> {
     ALONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Attacks a server of its own and asserts what has to hold. The attack prepares, calls
-/// [`Arena::begin`], and has let go of everything when it returns.
+/// Starts a server, runs the attack on it, and asserts the limits that must hold. The attack prepares its
+/// data, calls [`Arena::begin`], and has released everything when it returns.
 pub(crate) fn trial(title: &str, setup: Setup, attack: impl AsyncFnOnce(&Arena)) {
     let _alone = alone();
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
@@ -67,7 +67,7 @@ async fn run(title: &str, setup: Setup, attack: impl AsyncFnOnce(&Arena)) {
             tokio::runtime::Handle::current().block_on(async {
                 tokio::select! {
                     () = guard.tripped() => panic!(
-                        "{title}: the server holds {} MiB after {:?}; at most {} MiB are allowed",
+                        "{title}: the server uses {} MiB after {:?} of the attack; at most {} MiB are allowed",
                         guard.most.load(Ordering::SeqCst) >> 20, attacked.elapsed(), bound >> 20
                     ),
                     ended = tokio::time::timeout(LONGEST, attack(&arena)) => {
@@ -82,18 +82,26 @@ async fn run(title: &str, setup: Setup, attack: impl AsyncFnOnce(&Arena)) {
     let experience = working.stop().await;
     let freed = freed(title, &arena, left, idle_bytes, &idle_parts).await;
     let peak = status_bytes(pid, "VmHWM");
-    assert!(peak <= bound, "{title}: {} MiB of at most {} MiB", peak >> 20, bound >> 20);
+    assert!(
+        peak <= bound,
+        "{title}: the server's peak is {} MiB; at most {} MiB are allowed",
+        peak >> 20,
+        bound >> 20
+    );
     assert!(experience.health.count() > 0 && experience.queries.count() > 0);
     let log = arena.server.log();
     assert!(!log.contains("panicked"), "{title}: {log}");
     if let Some(steps) = arena.server.metric("hullcast_largest_steps_between_looks").await {
         let most = STEPS_BETWEEN_LOOKS as f64;
-        assert!(steps <= most, "{title}: {steps} steps between two looks at the flag");
+        assert!(
+            steps <= most,
+            "{title}: {steps} steps between two checks of the stop flag; at most {most} are allowed"
+        );
     }
     report(title, &undisturbed, &experience, peak, freed);
 }
 
-/// Whether every part of the budget holds at most what it held before the attack.
+/// Whether every part of the budget holds at most as much as before the attack.
 fn are_free(parts: &[String], idle_parts: &[String]) -> bool {
     let value = |line: &str| line.rsplit_once(' ').and_then(|(_, value)| value.parse::<f64>().ok());
     let named = |line: &String| line.rsplit_once(' ').map(|(name, _)| name.to_owned());
@@ -102,7 +110,7 @@ fn are_free(parts: &[String], idle_parts: &[String]) -> bool {
         .all(|part| idle_parts.iter().any(|idle| named(idle) == named(part) && value(part) <= value(idle)))
 }
 
-/// Waits until what the attack held is free, and says how long that took.
+/// Waits until all memory that the attack held is free, and returns how long that took.
 async fn freed(
     title: &str,
     arena: &Arena,
@@ -121,7 +129,7 @@ async fn freed(
         }
         assert!(
             elapsed < FREE_WITHIN,
-            "{title}: {elapsed:?} after the attack {} MiB are resident, {} MiB before it, {} MiB of hulls \
+            "{title}: {elapsed:?} after the attack {} MiB are resident ({} MiB before it), {} MiB of hulls \
              are cached, and the budget holds {parts:?}, before it {idle_parts:?}",
             bytes >> 20,
             idle_bytes >> 20,
@@ -131,7 +139,7 @@ async fn freed(
     }
 }
 
-/// A row of the table.
+/// Prints a row of the table of attacks.
 fn report(title: &str, undisturbed: &Experience, attacked: &Experience, peak: u64, freed: Duration) {
     println!(
         "\n| {title} | {} | {} | {} | {} | {} | {} | {:.1} |",
@@ -145,7 +153,7 @@ fn report(title: &str, undisturbed: &Experience, attacked: &Experience, peak: u6
     );
 }
 
-/// Ends the server before it takes the machine's memory.
+/// Kills the server if it exceeds its memory bound, so that it does not exhaust the machine's memory.
 #[derive(Default)]
 struct Guard {
     most: AtomicU64,
@@ -174,7 +182,7 @@ impl Guard {
     }
 }
 
-/// Ends the watch, also where the attack panics.
+/// Ends the watch, even if the attack panics.
 struct Done<'a>(&'a Guard);
 
 impl Drop for Done<'_> {

@@ -127,7 +127,7 @@ impl TestServer {
         }
     }
 
-    /// Waits until no call holds memory of the budget. Connections keep theirs.
+    /// Waits until no call holds memory of the budget. The memory of open connections is not counted.
     pub(crate) async fn until_calls_hold_nothing(&self) {
         let memory = self.app.memory();
         while memory.used() > memory.used_by(Part::Connections) {

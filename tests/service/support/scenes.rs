@@ -1,4 +1,4 @@
-//! Seeded scenes, and the answers that the library alone gives for them.
+//! Seeded scenes, and the answers that the library gives for them without the server.
 
 use hullcast::{
     contact::{

@@ -120,7 +120,7 @@ pub(super) fn margin() -> Vec<Row> {
 }
 
 /// A flat plate with a small box beside it. The growth normal is nearly the plate's own normal, and
-/// the separation along it is small, so growth distance alone would report a contact (a "ghost")
+/// the separation along it is small, so growth distance would report a contact (a "ghost")
 /// although the hulls are far apart.
 pub(super) fn ghosts() -> Vec<Row> {
     let row = |thin: f64| {

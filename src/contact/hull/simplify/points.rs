@@ -18,7 +18,7 @@
 //!
 //! The bound takes, for each axis of a box, the end that is farther along `n`, and adds an
 //! allowance for all roundings. A point that the bound rules out is certainly lower than the best
-//! one. So the answer is, to the bit, the answer of a scan over all points. If several points are
+//! one. So the answer is exactly the answer of a scan over all points. If several points are
 //! equally high, the answer is the point that was added first.
 //!
 //! Two choices make it fast. The four boxes of a node are evaluated together in single precision,

@@ -1,6 +1,6 @@
 //! A large convex polygon clipped by another in linear time.
 //!
-//! The result equals that of cutting by one side after another, to the bit, but each cut examines only
+//! The result equals that of cutting by one side after another, bit for bit, but each cut examines only
 //! the vertices near its line. Along a convex polygon the distance from a line falls to its least
 //! value and rises again. The directions of the window's sides turn around once, and the vertex of
 //! least distance moves around the polygon with them. These are rotating calipers (G. T. Toussaint,
@@ -18,10 +18,10 @@
 //! removed at most once, every cut adds at most two, and `at` goes around once. Polygons of `n` and `m`
 //! sides therefore take `O(n + m)` time.
 //!
-//! A walk ends only where the distance exceeds the least one by more than all the rounding that may
-//! have accumulated, which is a share of `eps` for each cut. Hence a vertex that was not examined is
-//! farther than `eps` inside. Rounding alone can make several runs beyond one side. Such a cut is done
-//! as in the plain version.
+//! A walk ends only where the distance exceeds the least one by more than all the rounding that may have
+//! accumulated, which is a share of `eps` for each cut. Hence a vertex that was not examined is farther
+//! than `eps` inside. Because of rounding, several runs of vertices may lie beyond one side. Such a cut is
+//! done as in the plain version.
 
 use super::{Clip, Cut, Line, Side, Vertex};
 use crate::contact::intersection::outline::Outline;
@@ -243,9 +243,9 @@ mod tests {
     use crate::contact::intersection::outline::{Corner, random_polygon};
     use crate::workload::Random;
 
-    /// Polygons in every position, with corners on lines and nearly parallel sides: the chain must keep
-    /// what the plain version keeps, to the bit. Catches a walk that passes the nearest vertex, a run that
-    /// leaves a vertex beyond a side or loses one inside, crossings linked in the wrong order, and an
+    /// Polygons in every position, with corners on lines and nearly parallel sides: the chain must keep the
+    /// same outline as the plain version, bit for bit. Catches a walk that passes the nearest vertex, a run
+    /// that leaves a vertex beyond a side or loses one inside, crossings linked in the wrong order, and an
     /// outline that begins elsewhere.
     #[test]
     fn a_chain_keeps_what_the_plain_version_keeps() {

@@ -106,7 +106,10 @@ fn points_of_a_hull_at_their_limit_and_one_past() {
     for (refused, found) in [(&read[1], points + 1), (&read[2], 10 * points)] {
         let error = refused.as_ref().unwrap_err();
         assert_eq!((&*error.reason, &*error.field), ("TOO_MANY_POINTS", "vertices"));
-        assert!(error.message.starts_with(&format!("{found} points, the limit is {points}")), "{error:?}");
+        assert!(
+            error.message.starts_with(&format!("got {found} points, at most {points} are allowed")),
+            "{error:?}"
+        );
     }
     assert!(made.bytes_max <= (24 * (points + 4) + 4 * HULL_BYTES) as u64, "{made:?}");
 }
