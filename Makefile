@@ -46,7 +46,7 @@ lint: check-tools $(if $(CLIENT),lint-python) ## rustfmt, clippy and ruff, warni
 	@if $(CARGO) clippy --version >/dev/null 2>&1; then set -x; \
 	 $(CARGO) clippy --release --locked --all-targets -- -D warnings; \
 	 $(CARGO) clippy --release --locked --all-targets --no-default-features -- -D warnings; \
-	 $(CARGO) clippy --release --locked --all-targets --features playground -- -D warnings; \
+	 $(CARGO) clippy --release --locked --all-targets --no-default-features --features server -- -D warnings; \
 	 cd benches; $(CARGO) clippy --release --locked --all-targets --features service -- -D warnings; \
 	 else echo "clippy is not installed: lints not checked"; fi
 	@if $(CARGO) clippy --version >/dev/null 2>&1 && command -v c++ >/dev/null; then set -x; cd fuzz; \
@@ -185,8 +185,8 @@ playground: $(VENV)/.test ## playground/dist again, after a change of playground
 
 .PHONY: test-playground
 test-playground: check-tools $(VENV)/.playground ## the playground on the wire and in Chromium, where that is; its bundle against its sources, where npm is
-	$(CARGO) test --release --locked --features playground --test service playground
-	$(CARGO) build --release --locked --features playground
+	$(CARGO) test --release --locked --test service playground
+	$(CARGO) build --release --locked
 	$(PY) -m pytest client/tests/extras/test_playground.py
 
 .PHONY: test-languages
@@ -265,7 +265,7 @@ test-abuse-short: check-tools ## every attack at a tenth of the size against a t
 
 test-abuse: check-tools ## every attack at full size on a server with default limits; writes docs/reliability.md; 20 minutes and more
 	mkdir -p out
-	$(CARGO) test --release --locked --features playground --test abuse -- --ignored --nocapture --test-threads 1 | tee out/abuse.txt
+	$(CARGO) test --release --locked --test abuse -- --ignored --nocapture --test-threads 1 | tee out/abuse.txt
 	{ echo '| attack | queries before, ms | queries during, ms | health before, ms | health during, ms | retries | peak, MiB | free after, s |'; \
 	 echo '|---|---|---|---|---|--:|--:|--:|'; grep '^|' out/abuse.txt; } > out/abuse-table.txt
 	./scripts/section docs/reliability.md abuse out/abuse-table.txt

@@ -14,7 +14,7 @@ pub(crate) const HELP: &str = "\
 Exit codes:
   0  success
   1  any other failure, such as a file that cannot be written, or a load run with failed calls
-  2  a wrong option or value of an option
+  2  a wrong option, or a wrong value of an option or a setting
   3  faulty input: a scene, hull, settings, token or PEM file
   4  no server can be reached, or the server that is there does not speak the protocol
   5  the server refused the call, or failed
@@ -25,7 +25,7 @@ Exit codes:
 pub(crate) enum Exit {
     /// None of the others.
     Failed = 1,
-    /// A wrong option, or a wrong value of one.
+    /// A wrong option, or a wrong value of an option or a setting.
     Usage = 2,
     /// A file given by the user is faulty.
     Input = 3,

@@ -63,7 +63,9 @@ pub(crate) fn complete(command: Command) -> Command {
         let help = arg.get_help().map(ToString::to_string).unwrap_or_default();
         let place = SUBJECTS.iter().position(|(_, names)| names.contains(&name.as_str()));
         let heading = place.map_or("Limits", |place| SUBJECTS[place].0);
-        arg.help(format!("{help} [default: {}]", shown(default))).help_heading(heading)
+        let size = default.as_integer().filter(|_| name.ends_with("_bytes")).and_then(in_mebibytes);
+        arg.help(format!("{help} [default: {}{}]", shown(default), size.unwrap_or_default()))
+            .help_heading(heading)
     };
     command.after_help(exit::HELP).mut_subcommand("serve", |serve| serve.mut_args(described))
 }
@@ -78,6 +80,12 @@ fn shown(value: &toml::Value) -> String {
         toml::Value::Float(number) => number.to_string(),
         other => other.to_string(),
     }
+}
+
+/// A large size in words.
+fn in_mebibytes(bytes: i64) -> Option<String> {
+    const MEBIBYTE: i64 = 1 << 20;
+    (bytes >= MEBIBYTE && bytes % MEBIBYTE == 0).then(|| format!(", {} MiB", bytes / MEBIBYTE))
 }
 
 #[cfg(test)]

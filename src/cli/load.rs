@@ -18,6 +18,7 @@ use runner::Runner;
 use super::Error;
 use super::answer::{Answerer, another_connection};
 use super::options::{AccuracyArgs, OutputArg};
+use super::progress::Progress;
 use super::remote::RemoteArgs;
 use super::scene::HullPoints;
 use super::settings::MOST_THREADS;
@@ -65,9 +66,15 @@ pub(crate) struct Args {
           help_heading = "Batches")]
     margin: Option<f64>,
     /// Column groups to compute.
-    #[arg(long, value_enum, ignore_case = true, value_delimiter = ',', value_name = "NAMES",
-          help_heading = "Batches",
-          default_values_t = [OutputArg::Alpha, OutputArg::Normal, OutputArg::Points])]
+    #[arg(
+        long,
+        value_enum,
+        ignore_case = true,
+        value_delimiter = ',',
+        value_name = "NAMES",
+        help_heading = "Batches",
+        default_value = "alpha,normal,points"
+    )]
     outputs: Vec<OutputArg>,
     #[command(flatten)]
     accuracy: AccuracyArgs,
@@ -176,7 +183,9 @@ pub(crate) fn run(args: &Args) -> Result<(), Error> {
 }
 
 async fn loaded(args: &Args) -> Result<(), Error> {
+    let progress = Progress::waiting("making batches");
     let batches = args.batches()?;
+    drop(progress);
     let (answerers, ids) = args.answerers(batches.hulls()).await?;
     let margin = args.margin.unwrap_or(batches.margin());
     let sampled =

@@ -29,12 +29,14 @@ impl Progress {
     }
 
     /// Progress of work in parts whose number is not known.
-    pub(crate) fn endless(what: &str) -> Self {
-        Self::begin(
-            ProgressBar::with_draw_target(None, hidden()),
-            "{spinner} {msg} {pos}, {elapsed} so far",
-            what,
-        )
+    pub(crate) fn counting(what: &str) -> Self {
+        let bar = ProgressBar::with_draw_target(None, hidden());
+        Self::begin(bar, "{spinner} {msg} {pos}, {elapsed} so far", what)
+    }
+
+    /// Progress of work of which nothing but its time can be told.
+    pub(crate) fn waiting(what: &str) -> Self {
+        Self::begin(ProgressBar::with_draw_target(None, hidden()), "{spinner} {msg}, {elapsed} so far", what)
     }
 
     fn begin(bar: ProgressBar, template: &str, what: &str) -> Self {

@@ -55,7 +55,7 @@ pub(crate) fn run(args: &Args) -> Result<(), Error> {
 
 async fn prune(args: &Args) -> Result<(), Error> {
     let store = blobs::open_existing(&args.store).map_err(|error| Exit::Usage.error(format!("--{error}")))?;
-    let progress = Progress::endless("hulls seen:");
+    let progress = Progress::counting("hulls seen:");
     let now = SystemTime::now().duration_since(UNIX_EPOCH)?;
     let before = i64::try_from(now.saturating_sub(args.older_than).as_millis())?;
     let (mut kept, mut removed, mut bytes, mut after) = (0_u64, 0_u64, 0_u64, None);

@@ -10,7 +10,7 @@ use super::options::{AccuracyArgs, OutputArg};
 use super::progress::Progress;
 use super::remote::RemoteArgs;
 use super::report::Answered;
-use super::scene::Scene;
+use super::scene::{Scene, unusable_poses};
 use super::settings::MOST_THREADS;
 use super::values::{count, counted, margin};
 use hullcast::proto;
@@ -33,9 +33,15 @@ pub(crate) struct Args {
           help_heading = "Question")]
     margin: Option<f64>,
     /// Column groups to compute.
-    #[arg(long, value_enum, ignore_case = true, value_delimiter = ',', value_name = "NAMES",
-          help_heading = "Question",
-          default_values_t = [OutputArg::Alpha, OutputArg::Normal, OutputArg::Points, OutputArg::Features, OutputArg::Bases])]
+    #[arg(
+        long,
+        value_enum,
+        ignore_case = true,
+        value_delimiter = ',',
+        value_name = "NAMES",
+        help_heading = "Question",
+        default_value = "alpha,normal,points,features,bases"
+    )]
     outputs: Vec<OutputArg>,
     #[command(flatten)]
     accuracy: AccuracyArgs,
@@ -95,23 +101,12 @@ async fn answered(args: &Args) -> Result<(), Error> {
 /// An error if a pair was not answered: a script must not take such a pair for one without contact.
 fn all_answered(columns: &proto::QueryContactsResponse, bodies: usize) -> Result<(), Error> {
     const INVALID: u8 = proto::Outcome::Invalid as u8;
-    const SHOWN: usize = 8;
     let pairs = columns.outcomes.iter().filter(|&&outcome| outcome == INVALID).count();
     let of_all = format!("{pairs} of {}", counted(columns.outcomes.len(), "pair"));
-    let unusable = &columns.invalid_bodies;
-    if !unusable.is_empty() {
-        let mut names: Vec<String> = unusable.iter().take(SHOWN).map(u32::to_string).collect();
-        if unusable.len() > SHOWN {
-            names.push("...".into());
-        }
-        return Err(Exit::Unanswered.error(format!(
-            "unusable poses: {} of {} (bodies {}), so that {of_all} {} INVALID. \
-             A position is finite and at most 1e100, a quaternion's norm 0.25 to 4",
-            unusable.len(),
-            counted(bodies, "body"),
-            names.join(", "),
-            if pairs == 1 { "is" } else { "are" }
-        )));
+    if !columns.invalid_bodies.is_empty() {
+        let verb = if pairs == 1 { "is" } else { "are" };
+        let unusable = unusable_poses(&columns.invalid_bodies, bodies);
+        return Err(Exit::Unanswered.error(format!("{unusable}; {of_all} {verb} INVALID")));
     }
     if pairs > 0 {
         return Err(Exit::Unanswered

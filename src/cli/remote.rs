@@ -63,6 +63,7 @@ impl Connection {
     /// No server there, or a file cannot be read.
     pub(crate) async fn open(address: &str, args: &RemoteArgs) -> Result<Self, Error> {
         let url = reach::url(address)?;
+        let token = args.token()?;
         let mut endpoint = Endpoint::from_shared(url.clone())?
             .initial_stream_window_size(WINDOW_BYTES)
             .initial_connection_window_size(WINDOW_BYTES)
@@ -77,7 +78,7 @@ impl Connection {
             Ok(channel) => channel,
             Err(error) => return Err(Exit::Unreachable.error(reach::failed(address, &url, &error).await)),
         };
-        let connection = Self(InterceptedService::new(channel, args.token()?));
+        let connection = Self(InterceptedService::new(channel, token));
         // A connection without TLS counts as open before the server has said anything.
         let mut server = ServerServiceClient::new(connection.0.clone());
         match server.get_server_info(GetServerInfoRequest {}).await {

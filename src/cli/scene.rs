@@ -9,7 +9,10 @@ use std::path::Path;
 use serde::Deserialize;
 use serde_json::error::Category;
 
+use super::Error;
+use super::exit::Exit;
 use super::values::{counted, did_you_mean};
+use hullcast::contact::Pose;
 
 const FORMAT: &str = "hullcast.scene.v1";
 
@@ -150,6 +153,24 @@ impl Scene {
         Ok(file.into_scene())
     }
 
+    /// An error if a pose of any configuration is unusable, so that its pairs would be INVALID.
+    ///
+    /// # Errors
+    /// Names the configuration, and how many bodies and which have such poses.
+    pub(crate) fn check_poses(&self) -> Result<(), Error> {
+        for (number, frame) in self.frames.iter().enumerate() {
+            let (positions, rotations) = (frame.positions.as_chunks().0, frame.rotations.as_chunks().0);
+            let poses = (0..).zip(positions.iter().zip(rotations));
+            let unusable = poses.filter(|&(_, (&at, &turned))| Pose::check(at, turned).is_err());
+            let unusable: Vec<u32> = unusable.map(|(body, _)| body).collect();
+            if !unusable.is_empty() {
+                let text = unusable_poses(&unusable, self.body_hulls.len());
+                return Err(Exit::Unanswered.error(format!("{}, configuration {number}: {text}", self.name)));
+            }
+        }
+        Ok(())
+    }
+
     /// The configuration of this name, or of this number.
     ///
     /// # Errors
@@ -179,6 +200,22 @@ impl Scene {
             did_you_mean(wanted, names)
         ))
     }
+}
+
+/// What is wrong with the poses of `unusable`, of so many bodies in all.
+pub(crate) fn unusable_poses(unusable: &[u32], bodies: usize) -> String {
+    const SHOWN: usize = 8;
+    let mut names: Vec<String> = unusable.iter().take(SHOWN).map(u32::to_string).collect();
+    if unusable.len() > SHOWN {
+        names.push("...".into());
+    }
+    format!(
+        "unusable poses: {} of {} (bodies {}), where a position is finite and at most 1e100, and a \
+         quaternion's norm 0.25 to 4",
+        unusable.len(),
+        counted(bodies, "body"),
+        names.join(", ")
+    )
 }
 
 /// The fault of a text that is no scene: either no JSON, or JSON with another content.

@@ -84,7 +84,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 
 async fn until_stopped(settings: &Settings, args: &Args) -> Result<(), Error> {
     let serving = settings.serving()?;
-    let store = blobs::open(&settings.store).map_err(|error| Exit::Usage.error(error))?;
+    let store = blobs::open(&settings.store).map_err(|error| Exit::Usage.error(format!("--{error}")))?;
     let mut limits = settings.limits()?;
     limits.max_connections = descriptors::connections(limits.max_connections);
     if let Some(fault) = limits.contradiction() {

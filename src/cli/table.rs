@@ -136,10 +136,12 @@ fn few_digits(x: f64) -> String {
         // Not `-0`.
         return (x + 0.0).to_string();
     }
-    let exponent = x.abs().log10().floor() as i32;
+    let scientific = format!("{x:.3e}");
+    // Of the rounded number: 9.9999e-5 is written as 0.0001.
+    let exponent = scientific.split('e').nth(1).and_then(|text| text.parse().ok());
     match exponent {
-        -4..DIGITS => places(x, (DIGITS - 1 - exponent) as usize),
-        _ => format!("{x:.3e}"),
+        Some(exponent @ -4..DIGITS) => places(x, (DIGITS - 1 - exponent) as usize),
+        _ => scientific,
     }
 }
 
@@ -156,6 +158,8 @@ mod tests {
             (1.0, "1.000"),
             (-0.000_132_492_8, "-0.0001325"),
             (0.000_099_9, "9.990e-5"),
+            (0.000_099_999_99, "0.0001000"),
+            (9999.99, "1.000e4"),
             (12.345_678, "12.35"),
             (1234.5678, "1235"),
             (123_456.7, "1.235e5"),

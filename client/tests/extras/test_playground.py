@@ -1,6 +1,6 @@
 """The playground's page in Chromium, held against the client's answers from the same server.
 
-Needs a server built with the feature `playground` (`make test-playground`).
+Needs a server built with the default features (`make test-playground`).
 HULLCAST_WRITE_PICTURE writes docs/playground.png.
 """
 

@@ -47,6 +47,7 @@ impl Batches {
     /// The scene is faulty or asks about no pair.
     pub(crate) fn of_scene(path: &Path, pairs: Option<u32>) -> Result<Self, Error> {
         let mut scene = Scene::read("--scene", path)?;
+        scene.check_poses()?;
         if scene.pairs.is_empty() {
             return Err(Exit::Input.error(format!("--scene {}: pairs: is empty", path.display())));
         }

@@ -57,6 +57,7 @@ pub(crate) struct Args {
 /// A scene is faulty or has no pair to measure, or the results cannot be written.
 pub(crate) fn run(args: &Args) -> Result<(), Error> {
     let pairs = args.pairs as usize;
+    let progress = Progress::waiting("making pairs");
     let cells = match &args.scenes[..] {
         [] => cases::generated(pairs)?,
         scenes => {
@@ -71,6 +72,7 @@ pub(crate) fn run(args: &Args) -> Result<(), Error> {
             scenes.iter().map(of).collect::<Result<_, _>>()?
         }
     };
+    drop(progress);
     if let Some(path) = &args.ask {
         return peers::ask(&cells, path);
     }
