@@ -1,4 +1,4 @@
-"""Runs a page of the documentation: its Python as one program, its outputs compared."""
+"""Runs a page of the documentation: its Python code as one program, with its outputs compared."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _BLOCK = re.compile(r"^```(python|text)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 
 def run(page: Path, folder: Path) -> int:
-    """Runs it in a folder, expects what it says it prints; how many outputs those were."""
+    """Runs a page in a folder, asserts its shown outputs, and returns their number."""
     blocks = _BLOCK.findall(page.read_text())
     program = folder / f"{page.stem.replace('-', '_')}.py"
     program.write_text("\n".join(text for kind, text in blocks if kind == "python"))

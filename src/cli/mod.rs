@@ -30,5 +30,5 @@ pub(crate) mod tradeoff;
 mod trust;
 mod values;
 
-/// What a subcommand fails with: shown to the user as it is.
+/// The error of a subcommand. Its text is shown to the user as it is.
 pub(crate) type Error = Box<dyn std::error::Error>;

@@ -1,4 +1,4 @@
-//! An answer, and the answer as JSON; `table` and `arrays` have its other forms.
+//! An answer, and the answer as JSON. `table` and `arrays` have its other forms.
 
 use std::io::{self, Write};
 
@@ -10,15 +10,15 @@ use hullcast::proto::{self, Flag, Outcome};
 /// A frame of a scene and its answer.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Answered<'a> {
-    /// What was asked.
+    /// The scene of the query.
     pub(crate) scene: &'a Scene,
-    /// In which configuration.
+    /// The configuration of the query.
     pub(crate) frame: &'a Frame,
-    /// What was answered; columns that were not asked for are empty.
+    /// The answer. Columns that were not asked for are empty.
     pub(crate) columns: &'a proto::QueryContactsResponse,
 }
 
-/// One pair of the JSON; what was not asked for is left out.
+/// A pair in the JSON. Fields that were not asked for are left out.
 #[derive(Serialize)]
 struct PairJson<'a> {
     pair: [u32; 2],
@@ -66,13 +66,13 @@ fn no_names(names: &[&str; 2]) -> bool {
     names.iter().all(|name| name.is_empty())
 }
 
-/// Row `i` of a column with `N` entries a row; none where it was not asked for.
+/// Row `i` of a column with `N` entries per row; none if the column was not asked for.
 pub(super) fn row<T: Copy, const N: usize>(column: &[T], i: usize) -> Option<[T; N]> {
     column.as_chunks::<N>().0.get(i).copied()
 }
 
 impl Answered<'_> {
-    /// Every pair as JSON, one a line; infinities and NaN are null.
+    /// Writes every pair as JSON, one per line. Infinities and NaN are written as null.
     ///
     /// # Errors
     /// The output cannot be written.
@@ -135,13 +135,13 @@ fn json<T: Serialize + ?Sized>(value: &T) -> io::Result<String> {
     Ok(serde_json::to_string(value)?)
 }
 
-/// The contract's name; `UNKNOWN` for one of a newer server.
+/// The outcome's name in the contract; `UNKNOWN` for an outcome of a newer server.
 pub(super) fn outcome_name(outcome: u8) -> &'static str {
     let known = Outcome::try_from(i32::from(outcome)).ok().filter(|known| *known != Outcome::Unspecified);
     known.and_then(|known| known.as_str_name().strip_prefix("OUTCOME_")).unwrap_or("UNKNOWN")
 }
 
-/// The contract's names of the flags that are set; flags of a newer server have none.
+/// The names, in the contract, of the flags that are set. Flags of a newer server are left out.
 pub(super) fn flag_names(flags: u8) -> Vec<&'static str> {
     let set = (0..u8::BITS).map(|bit| i32::from(flags) & 1 << bit).filter(|&flag| flag != 0);
     set.filter_map(|flag| Flag::try_from(flag).ok()?.as_str_name().strip_prefix("FLAG_")).collect()

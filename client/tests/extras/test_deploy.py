@@ -1,4 +1,4 @@
-"""deploy/kubernetes.yaml by Kubernetes' own schemas, and the Slurm job of docs/cluster.md."""
+"""Checks deploy/kubernetes.yaml by its schemas, and runs the Slurm job of docs/cluster.md."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ KINDS = {manifest["kind"]: manifest for manifest in MANIFESTS}
 
 @pytest.mark.parametrize("version", ["1.31", "1.37"])
 def test_every_manifest_is_of_its_schema(version: str):
-    """Catches a field misspelt or in the wrong place, which Kubernetes drops without a word."""
+    """Catches a misspelt or misplaced field, which Kubernetes drops without a message."""
     for manifest in MANIFESTS:
         kubernetes_validate.validate(manifest, version, strict=True)
     misspelt = KINDS["PodDisruptionBudget"] | {"spec": {"maxUnavailabel": 1}}
@@ -33,7 +33,7 @@ def test_every_manifest_is_of_its_schema(version: str):
 
 
 def test_the_parts_fit_together():
-    """Catches a port, label or name that one part gives and another does not know."""
+    """Catches a port, label or name that one manifest refers to and another does not define."""
     deployment, service = KINDS["Deployment"], KINDS["Service"]
     pod = deployment["spec"]["template"]
     labels = pod["metadata"]["labels"]
@@ -59,7 +59,7 @@ def test_the_parts_fit_together():
 
 
 def test_the_server_knows_every_setting():
-    """Catches a variable that the server ignores because it has another name."""
+    """Catches a variable that the server ignores because its name is wrong."""
     (container,) = KINDS["Deployment"]["spec"]["template"]["spec"]["containers"]
     environment = {
         entry["name"]: entry.get("value", "4")
@@ -84,8 +84,10 @@ with hullcast.connect(os.environ["HULLCAST_TARGET"]) as client:
 
 
 def test_the_slurm_job_runs(tmp_path: Path):
-    """The page's script, with one node: a job that is refused, never finds its server, or leaves it
-    running behind."""
+    """Runs the page's script with one node.
+
+    Catches a job that is refused, that never finds its server, or that leaves its server running.
+    """
     page = (FILE.parents[1] / "docs/cluster.md").read_text()
     (script,) = re.findall(r"```bash\n(#!/bin/bash\n#SBATCH.*?)```", page, re.DOTALL)
     commands = tmp_path / "bin"
@@ -114,6 +116,6 @@ def test_the_slurm_job_runs(tmp_path: Path):
 
 
 def hullcast_runs(socket: Path) -> bool:
-    """Whether a process was started with this socket and still is."""
+    """Whether a process that was started with this socket is still running."""
     lines = [p.read_bytes() for p in Path("/proc").glob("[0-9]*/cmdline") if p.exists()]
     return any(f"unix:{socket}".encode() in line for line in lines)
