@@ -46,7 +46,7 @@ lint: check-tools $(if $(CLIENT),lint-python) ## runs rustfmt, clippy, ruff and 
 	@if $(CARGO) clippy --version >/dev/null 2>&1; then set -x; \
 	 $(CARGO) clippy --release --locked --all-targets -- -D warnings; \
 	 $(CARGO) clippy --release --locked --all-targets --no-default-features -- -D warnings; \
-	 $(CARGO) clippy --release --locked --all-targets --features playground -- -D warnings; \
+	 $(CARGO) clippy --release --locked --all-targets --no-default-features --features server -- -D warnings; \
 	 cd benches; $(CARGO) clippy --release --locked --all-targets --features service -- -D warnings; \
 	 else echo "clippy is not installed: lints not checked"; fi
 	@if $(CARGO) clippy --version >/dev/null 2>&1 && command -v c++ >/dev/null; then set -x; cd fuzz; \
@@ -191,8 +191,8 @@ playground: $(VENV)/.test ## builds playground/dist; run it after a change of pl
 
 .PHONY: test-playground
 test-playground: check-tools $(VENV)/.playground ## tests the playground on the wire and, if Chromium is installed, in it; compares its bundle with its sources if npm is installed
-	$(CARGO) test --release --locked --features playground --test service playground
-	$(CARGO) build --release --locked --features playground
+	$(CARGO) test --release --locked --test service playground
+	$(CARGO) build --release --locked
 	$(PY) -m pytest client/tests/extras/test_playground.py
 
 .PHONY: test-languages
@@ -271,7 +271,7 @@ test-abuse-short: check-tools ## runs the attacks over TCP at a tenth of their s
 
 test-abuse: check-tools ## runs every attack at full size on a server with default limits; writes docs/reliability.md; takes over 20 minutes
 	mkdir -p out
-	$(CARGO) test --release --locked --features playground --test abuse -- --ignored --nocapture --test-threads 1 | tee out/abuse.txt
+	$(CARGO) test --release --locked --test abuse -- --ignored --nocapture --test-threads 1 | tee out/abuse.txt
 	{ echo '| attack | queries before, ms | queries during, ms | health before, ms | health during, ms | retries | peak, MiB | free after, s |'; \
 	 echo '|---|---|---|---|---|--:|--:|--:|'; grep '^|' out/abuse.txt; } > out/abuse-table.txt
 	./scripts/section docs/reliability.md abuse out/abuse-table.txt

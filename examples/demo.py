@@ -141,7 +141,7 @@ def report(example):
     """Prints one line per frame."""
     document = example.document
     print(
-        f"\n{document['name']}: {len(example.hulls)} hulls "
+        f"\n{document['name']}: {len(example.hulls)} shapes "
         f"({sum(h.vertex_count for h in example.hulls)} vertices), {len(document['bodies'])} bodies, "
         f"{len(example.pairs)} pairs, margin {document['margin'] * 1e3:g} mm"
     )

@@ -7,7 +7,7 @@ mod cli;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 /// Transport and batches allocate in large blocks from several threads; measured some 30 %
 /// less CPU than with the system's allocator.
@@ -34,21 +34,28 @@ enum Command {
     Load(Box<cli::load::Args>),
     /// Removes old hulls from a store.
     Prune(cli::prune::Args),
+    /// Prints a script that completes commands and options in a shell.
+    Completions(cli::completions::Args),
 }
 
 fn main() -> ExitCode {
-    let result = match Arguments::parse().command {
+    let mut command = cli::help::complete(Arguments::command());
+    let matches = command.get_matches_mut();
+    let arguments =
+        Arguments::from_arg_matches(&matches).unwrap_or_else(|error| error.format(&mut command).exit());
+    let result = match arguments.command {
         Command::Serve(args) => cli::serve::run(*args),
         Command::Query(args) => cli::query::run(&args),
         Command::Tradeoff(args) => cli::tradeoff::run(&args),
         Command::Load(args) => cli::load::run(&args),
         Command::Prune(args) => cli::prune::run(&args),
+        Command::Completions(args) => cli::completions::run(&args, command),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("hullcast: {error}");
-            ExitCode::FAILURE
+            cli::exit::code(&error)
         }
     }
 }

@@ -9,6 +9,15 @@ use std::process::{Child, Command, Output, Stdio};
 
 use serde_json::Value;
 
+#[path = "cli/failures.rs"]
+mod failures;
+#[path = "cli/secured.rs"]
+mod secured;
+#[path = "cli/serving.rs"]
+mod serving;
+#[path = "cli/shown.rs"]
+mod shown;
+
 type Outcome = Result<(), Box<dyn Error>>;
 
 const BINARY: &str = env!("CARGO_BIN_EXE_hullcast");
@@ -35,9 +44,14 @@ struct Server {
 
 impl Server {
     fn start(store: &Path) -> Result<Self, Box<dyn Error>> {
+        Self::start_with(store, &[])
+    }
+
+    fn start_with(store: &Path, arguments: &[&str]) -> Result<Self, Box<dyn Error>> {
         let mut process = Command::new(BINARY)
             .args(["serve", "--listen", "127.0.0.1:0", "--until-stdin-closes", "--store"])
             .arg(store)
+            .args(arguments)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
@@ -127,12 +141,19 @@ fn unusable_poses_are_counted_and_fail() -> Outcome {
         std::fs::write(&path, content)?;
         Ok(path)
     };
+    for command in [&["load", "--count", "1", "--scene"][..], &["tradeoff", "--pairs", "1"]] {
+        let path = scene("[0,0,0,0]")?;
+        let output = hullcast(&[command, &[text(&path)]].concat())?;
+        let said = String::from_utf8(output.stderr)?;
+        assert_eq!(output.status.code(), Some(6), "{said}");
+        assert!(said.contains("1 of 2 bodies (bodies 1)"), "{said}");
+    }
     for remote in [&[][..], &["--remote", &server.address]] {
         for rotation in ["[0,0,0,0]", "[0,0,0,0.2]", "[0,0,0,4.1]"] {
             let output = hullcast(&[&["query", text(&scene(rotation)?), "--json"], remote].concat())?;
-            assert_eq!(output.status.code(), Some(1), "{rotation}");
+            assert_eq!(output.status.code(), Some(6), "{rotation}");
             let said = String::from_utf8(output.stderr)?;
-            assert!(said.contains("1 of 2 bodies (bodies 1)") && said.contains("1 of 2 pairs"), "{said}");
+            assert!(said.contains("1 of 2 bodies (bodies 1)") && said.contains("1 of 2 pairs is"), "{said}");
             let answer: Value = serde_json::from_slice(&output.stdout)?;
             assert_eq!(answer["pairs"].as_array().ok_or("no pairs")?.len(), 2, "the answer is printed");
         }
@@ -172,16 +193,12 @@ fn bad_scenes_are_refused_by_field_and_index() -> Outcome {
         for remote in [&[][..], &["--remote", &server.address]] {
             let output = hullcast(&[&["query", text(&path)], remote].concat())?;
             let said = String::from_utf8(output.stderr)?;
-            assert_eq!(output.status.code(), Some(1), "{place}{said}");
+            assert_eq!(output.status.code(), Some(3), "{place}{said}");
             assert!(said.contains(place), "expected {place:?} in {said:?}");
             assert!(output.stdout.is_empty());
         }
     }
     std::fs::write(&path, good)?;
-    let output = hullcast(&["query", text(&path), "--frame", "1"])?;
-    assert!(String::from_utf8(output.stderr)?.contains("--frame 1"));
-    let output = hullcast(&["query", text(&path), "--feature-angle", "2"])?;
-    assert!(String::from_utf8(output.stderr)?.contains("accuracy.feature_angle"));
     Ok(())
 }
 
@@ -273,7 +290,7 @@ fn no_server_is_an_error() -> Outcome {
     let address = std::net::TcpListener::bind("127.0.0.1:0")?.local_addr()?.to_string();
     for command in [&["query", text(&panda)][..], &["load", "--pairs", "10"]] {
         let output = hullcast(&[command, &["--remote", &address]].concat())?;
-        assert_eq!(output.status.code(), Some(1));
+        assert_eq!(output.status.code(), Some(4));
         let said = String::from_utf8(output.stderr)?;
         assert!(said.contains(&format!("no hullcast server at {address} (connection refused)")), "{said}");
     }

@@ -137,7 +137,7 @@ def test_the_command_line_has_the_same(guarded: Secured) -> None:
     for option, name in files.items():
         command += [f"--{option}", str(guarded.directory / name)]
     refused = subprocess.run(command, capture_output=True, text=True)
-    assert refused.returncode == 1
+    assert refused.returncode == 5
     assert "MISSING_TOKEN" in refused.stderr
     command += ["--token-file", str(guarded.directory / "token")]
     assert subprocess.run(command, capture_output=True).returncode == 0

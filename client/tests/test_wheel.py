@@ -57,12 +57,15 @@ def test_the_wheel_alone_answers(wheel, tmp_path):
     """The wheel works in an empty environment, without anything from this one."""
     program = """
         import sys
+        import urllib.request
         import numpy as np
         import hullcast
 
         assert hullcast.__file__.startswith(sys.prefix), hullcast.__file__
         cube = np.array([[x, y, z] for x in (-.5, .5) for y in (-.5, .5) for z in (-.5, .5)])
-        with hullcast.serve() as client:
+        with hullcast.serve(arguments=["--playground"]) as client:
+            page = urllib.request.urlopen(f"http://{client.target}/", timeout=30).read()
+            assert b"playground.js" in page, page
             scene = hullcast.Scene(client.register([cube]), [[0, 0, 0], [0, 0, 0.99]],
                                    [[0, 0, 0, 1]] * 2, body_hulls=[0, 0])
             m = client.query(scene, [[0, 1]])

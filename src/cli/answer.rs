@@ -3,7 +3,7 @@
 //! Both take a request of the wire format and return a response of it. In this process the request goes
 //! through the service's own batch engine, without the network and without a store.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::error::Error as StdError;
 use std::fmt;
 use std::sync::Arc;
@@ -14,9 +14,12 @@ use tonic_types::StatusExt;
 
 use super::Error;
 use super::checked;
+use super::exit::Exit;
 use super::options::Asked;
+use super::progress::Progress;
 use super::remote::{Connection, RemoteArgs, root_cause};
 use super::scene::{Frame, HullPoints, Scene};
+use super::values::counted;
 use hullcast::budget::{Caller, Part, Permit};
 use hullcast::compute::{Compute, Job};
 use hullcast::contact::ConvexHull;
@@ -79,6 +82,8 @@ pub(crate) struct Refusal {
     pub(crate) retry_after: Option<Duration>,
     /// Whether the server or the connection was lost, so that another server may answer.
     pub(crate) lost: bool,
+    /// The exit code for it.
+    pub(crate) exit: Exit,
 }
 
 impl fmt::Display for Refusal {
@@ -91,17 +96,18 @@ impl StdError for Refusal {}
 
 impl From<ServiceError> for Refusal {
     fn from(error: ServiceError) -> Self {
-        let retry_after = match error.kind {
-            Kind::Unavailable { retry_after } => Some(retry_after),
-            _ => None,
+        let (retry_after, exit) = match error.kind {
+            Kind::Unavailable { retry_after } => (Some(retry_after), Exit::Refused),
+            Kind::Invalid => (None, Exit::Input),
+            _ => (None, Exit::Refused),
         };
-        Self { text: error.to_string(), retry_after, lost: false }
+        Self { text: error.to_string(), retry_after, lost: false, exit }
     }
 }
 
 impl From<checked::Malformed> for Refusal {
     fn from(error: checked::Malformed) -> Self {
-        Self { text: error.to_string(), retry_after: None, lost: false }
+        Self { text: error.to_string(), retry_after: None, lost: false, exit: Exit::Refused }
     }
 }
 
@@ -110,7 +116,12 @@ impl From<Status> for Refusal {
         let retry_after = status.get_details_retry_info().and_then(|info| info.retry_delay);
         // A status with a cause was made by tonic in this process, not sent by a server.
         let lost = retry_after.is_none() && (status.code() == Code::Unavailable || status.source().is_some());
-        Self { text: described(&status), retry_after, lost }
+        let exit = match status.code() {
+            _ if lost => Exit::Unreachable,
+            Code::InvalidArgument => Exit::Input,
+            _ => Exit::Refused,
+        };
+        Self { text: described(&status), retry_after, lost, exit }
     }
 }
 
@@ -124,7 +135,9 @@ impl Answerer {
         let limits = Limits::default();
         let mut built = HashMap::new();
         let mut ids = Vec::with_capacity(hulls.len());
+        let progress = Progress::new("building hulls", hulls.len());
         for (i, points) in hulls.iter().enumerate() {
+            progress.add(1);
             let definition = definition(points);
             let id = id_of(&definition.identity_bytes());
             let hull = definition.build(limits.max_vertices_per_hull as usize).map_err(|e| HullRefused {
@@ -156,19 +169,23 @@ impl Answerer {
         hulls: &[HullPoints],
     ) -> Result<(Self, Vec<HullId>), Error> {
         let connection = Connection::open(address, args).await?;
+        let content: Vec<HullId> = hulls.iter().map(|h| id_of(&definition(h).identity_bytes())).collect();
+        // A caller who may only query can ask for hulls that others have registered.
+        let lacking = lacking(&connection, &content).await?;
+        let progress = Progress::new("registering hulls", lacking.len());
         let mut service = connection.hulls();
-        let mut ids = Vec::with_capacity(hulls.len());
-        for part in hulls.chunks(HULLS_PER_MESSAGE) {
-            let request = proto::RegisterHullsRequest { hulls: part.iter().map(wire_definition).collect() };
-            let results =
-                service.register_hulls(request).await.map_err(|s| described(&s))?.into_inner().results;
-            checked::registrations(part.len(), results.len())?;
-            for (points, result) in part.iter().zip(results) {
-                let content = id_of(&definition(points).identity_bytes());
-                ids.push(registered(ids.len(), content, result)?);
+        for part in lacking.chunks(HULLS_PER_MESSAGE) {
+            let definitions = part.iter().map(|&hull| wire_definition(&hulls[hull])).collect();
+            let request = proto::RegisterHullsRequest { hulls: definitions };
+            let answer = service.register_hulls(request).await;
+            let results = answer.map_err(|s| not_registered(&s, lacking.len(), hulls.len()))?.into_inner();
+            checked::registrations(part.len(), results.results.len())?;
+            for (&hull, result) in part.iter().zip(results.results) {
+                registered(hull, content[hull], result)?;
             }
+            progress.add(part.len());
         }
-        Ok((Self::Remote(connection), ids))
+        Ok((Self::Remote(connection), content))
     }
 
     /// Answers a request.
@@ -239,6 +256,34 @@ fn wire_definition(points: &HullPoints) -> proto::HullDefinition {
     }
 }
 
+/// The hulls, by their place among `ids`, that the server does not have. Each is named once.
+async fn lacking(connection: &Connection, ids: &[HullId]) -> Result<Vec<usize>, Error> {
+    let mut seen = HashSet::new();
+    let distinct: Vec<usize> = (0..ids.len()).filter(|&hull| seen.insert(ids[hull])).collect();
+    let mut service = connection.hulls();
+    let mut lacking = Vec::new();
+    for part in distinct.chunks(HULLS_PER_MESSAGE) {
+        let request = proto::HasHullsRequest { ids: part.iter().map(|&hull| ids[hull].0.to_vec()).collect() };
+        let present = service.has_hulls(request).await.map_err(Refusal::from)?.into_inner().present;
+        checked::registrations(part.len(), present.len())?;
+        lacking.extend(part.iter().zip(present).filter(|(_, present)| !present).map(|(&hull, _)| hull));
+    }
+    Ok(lacking)
+}
+
+/// Why `lacking` of the hulls were not registered.
+fn not_registered(status: &Status, lacking: usize, hulls: usize) -> Error {
+    let refusal = Refusal::from(status.clone());
+    if status.code() != Code::PermissionDenied {
+        return refusal.into();
+    }
+    refusal.exit.error(format!(
+        "the server lacks {lacking} of {}, and the token may not register them ({refusal}); \
+         register them first, with a token of the server's --register-tokens",
+        counted(hulls, "hull")
+    ))
+}
+
 fn registered(hull: usize, content: HullId, result: proto::RegisterHullResult) -> Result<HullId, Error> {
     match result.result {
         Some(Registered::Hull(info)) => Ok(checked::registered(hull, content, &info.id)?),
@@ -246,7 +291,7 @@ fn registered(hull: usize, content: HullId, result: proto::RegisterHullResult) -
             let reason = format!("{}: {}", e.reason, e.message);
             Err(HullRefused { hull, field: e.field, index: e.index.map(|i| i as usize), reason }.into())
         }
-        None => Err("the server gave a result that this version does not know".into()),
+        None => Err(Exit::Refused.error("the server gave a result that this version does not know")),
     }
 }
 

@@ -7,7 +7,7 @@ mod runner;
 mod sheet;
 mod tally;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -18,8 +18,11 @@ use runner::Runner;
 use super::Error;
 use super::answer::{Answerer, another_connection};
 use super::options::{AccuracyArgs, OutputArg};
+use super::progress::Progress;
 use super::remote::RemoteArgs;
 use super::scene::HullPoints;
+use super::settings::MOST_THREADS;
+use super::values::{count, margin, number};
 use hullcast::store::HullId;
 use hullcast::workload::{Family, Regime};
 
@@ -37,84 +40,111 @@ use hullcast::workload::{Family, Regime};
 /// where a call failed or an answer was wrong.
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct Args {
-    /// Batches from a scene file: each of its configurations in turn.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["family", "regime"])]
+    /// Batches from a scene file: each of its configurations in turn [default: generated batches].
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["family", "regime"], help_heading = "Batches")]
     scene: Option<PathBuf>,
     /// Batches of generated hulls.
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, ignore_case = true, default_value_t, help_heading = "Batches")]
     family: FamilyArg,
     /// How the generated pairs meet.
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, ignore_case = true, default_value_t, help_heading = "Batches")]
     regime: RegimeArg,
     /// Pairs a batch; a scene's pairs are repeated up to it [default: 4096, or the scene's].
-    #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "COUNT", value_parser = count(1, u32::MAX), allow_negative_numbers = true,
+          help_heading = "Batches")]
     pairs: Option<u32>,
     /// Distinct generated batches.
-    #[arg(long, value_name = "COUNT", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "COUNT", default_value_t = 8, value_parser = count(1, u32::MAX),
+          allow_negative_numbers = true, help_heading = "Batches")]
     batches: u32,
     /// Of the generated hulls and poses.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = count(0, u64::MAX), allow_negative_numbers = true,
+          help_heading = "Batches")]
     seed: u64,
-    #[command(flatten)]
-    remote: RemoteArgs,
-    /// Batches under way at once.
-    #[arg(long, value_name = "COUNT", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..))]
-    concurrency: u32,
-    /// Closed loops level by level: start:end:step batches under way at once.
-    #[arg(long, value_name = "RANGE", conflicts_with = "concurrency")]
-    concurrency_range: Option<Range>,
-    /// An open loop level by level: start:end:step batches a second.
-    #[arg(long, value_name = "RANGE", conflicts_with_all = ["concurrency", "concurrency_range"])]
-    request_rate_range: Option<Range>,
-    /// When the batches of an open loop are due.
-    #[arg(long, value_enum, default_value_t)]
-    request_distribution: Distribution,
-    /// A level whose latency is above this, in milliseconds, is too much: the last.
-    #[arg(long, value_name = "MS", default_value_t = f64::INFINITY)]
-    latency_threshold: f64,
-    /// The percentile that the threshold is held against.
-    #[arg(long, value_name = "PERCENT", default_value_t = 99.0, value_parser = percent)]
-    percentile: f64,
-    /// Search the range for the most load within the threshold.
-    #[arg(long, requires = "latency_threshold")]
-    binary_search: bool,
-    /// Times that a batch is sent again that was shed, or whose server was lost.
-    #[arg(long, value_name = "COUNT", default_value_t = 0)]
-    retries: u32,
-    /// Write the levels as comma-separated values.
-    #[arg(long, value_name = "FILE")]
-    csv: Option<PathBuf>,
-    /// Draw latency against offered load, as SVG.
-    #[arg(long, value_name = "FILE")]
-    plot: Option<PathBuf>,
-    /// Connections, shared evenly: `--remote` may be several servers on one store,
-    /// separated by commas, which take turns [default: one a server].
-    #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u32).range(1..))]
-    connections: Option<u32>,
-    /// How long each level lasts.
-    #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = seconds)]
-    duration: f64,
-    /// End after this many batches; 0: by time alone.
-    #[arg(long, value_name = "COUNT", default_value_t = 0)]
-    count: u64,
-    /// Check one answer in so many; 1: every one, 0: none.
-    #[arg(long, value_name = "COUNT", default_value_t = 16)]
-    verify: u64,
     /// Contact points are wanted within it; inf: everywhere [default: 0.005, or the scene's].
-    #[arg(long, value_name = "LENGTH")]
+    #[arg(long, value_name = "LENGTH", value_parser = margin, allow_negative_numbers = true,
+          help_heading = "Batches")]
     margin: Option<f64>,
     /// Column groups to compute.
-    #[arg(long, value_enum, value_delimiter = ',', value_name = "NAMES",
-          default_values_t = [OutputArg::Alpha, OutputArg::Normal, OutputArg::Points])]
+    #[arg(
+        long,
+        value_enum,
+        ignore_case = true,
+        value_delimiter = ',',
+        value_name = "NAMES",
+        help_heading = "Batches",
+        default_value = "alpha,normal,points"
+    )]
     outputs: Vec<OutputArg>,
-    /// Compute threads in this process; 0: one a core.
-    #[arg(long, value_name = "COUNT", default_value_t = 0)]
-    threads: usize,
-    /// Print the summary as JSON.
-    #[arg(long)]
-    json: bool,
     #[command(flatten)]
     accuracy: AccuracyArgs,
+    /// Batches under way at once.
+    #[arg(long, value_name = "COUNT", default_value_t = 4, value_parser = count(1, u32::MAX),
+          allow_negative_numbers = true, help_heading = "Load")]
+    concurrency: u32,
+    /// Closed loops level by level: start:end:step batches under way at once [default: one level].
+    #[arg(
+        long,
+        value_name = "RANGE",
+        conflicts_with = "concurrency",
+        allow_negative_numbers = true,
+        help_heading = "Load"
+    )]
+    concurrency_range: Option<Range>,
+    /// An open loop level by level: start:end:step batches a second [default: a closed loop].
+    #[arg(long, value_name = "RANGE", conflicts_with_all = ["concurrency", "concurrency_range"],
+          allow_negative_numbers = true, help_heading = "Load")]
+    request_rate_range: Option<Range>,
+    /// When the batches of an open loop are due.
+    #[arg(long, value_enum, ignore_case = true, default_value_t, help_heading = "Load")]
+    request_distribution: Distribution,
+    /// A level whose latency is above this, in milliseconds, is too much: the last.
+    #[arg(long, value_name = "MS", default_value_t = f64::INFINITY, value_parser = number(0.0, f64::INFINITY),
+          allow_negative_numbers = true, help_heading = "Load")]
+    latency_threshold: f64,
+    /// The percentile that the threshold is held against.
+    #[arg(long, value_name = "PERCENT", default_value_t = 99.0, value_parser = number(0.0, 100.0),
+          allow_negative_numbers = true, help_heading = "Load")]
+    percentile: f64,
+    /// Search the range for the most load within the threshold.
+    #[arg(long, requires = "latency_threshold", help_heading = "Load")]
+    binary_search: bool,
+    /// How long each level lasts.
+    #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = number(0.0, 1e7),
+          allow_negative_numbers = true, help_heading = "Load")]
+    duration: f64,
+    /// End after this many batches; 0: by time alone.
+    #[arg(long, value_name = "COUNT", default_value_t = 0, value_parser = count(0, u64::MAX),
+          allow_negative_numbers = true, help_heading = "Load")]
+    count: u64,
+    /// Times that a batch is sent again that was shed, or whose server was lost.
+    #[arg(long, value_name = "COUNT", default_value_t = 0, value_parser = count(0, u32::MAX),
+          allow_negative_numbers = true, help_heading = "Load")]
+    retries: u32,
+    /// Check one answer in so many; 1: every one, 0: none.
+    #[arg(long, value_name = "COUNT", default_value_t = 16, value_parser = count(0, u64::MAX),
+          allow_negative_numbers = true, help_heading = "Results")]
+    verify: u64,
+    /// Write the levels as comma-separated values [default: no file].
+    #[arg(long, value_name = "FILE", help_heading = "Results")]
+    csv: Option<PathBuf>,
+    /// Draw latency against offered load, as SVG [default: no file].
+    #[arg(long, value_name = "FILE", help_heading = "Results")]
+    plot: Option<PathBuf>,
+    /// Print the summary as JSON.
+    #[arg(long, help_heading = "Results")]
+    json: bool,
+    /// Compute threads in this process; 0: one a core.
+    #[arg(long, value_name = "COUNT", default_value_t = 0, value_parser = count(0, MOST_THREADS),
+          allow_negative_numbers = true, help_heading = "Who answers")]
+    threads: usize,
+    #[command(flatten)]
+    remote: RemoteArgs,
+    /// Connections, shared evenly: `--remote` may be several servers on one store,
+    /// separated by commas, which take turns [default: one a server].
+    #[arg(long, value_name = "COUNT", value_parser = count(1, u32::MAX), allow_negative_numbers = true,
+          help_heading = "Who answers")]
+    connections: Option<u32>,
 }
 
 #[derive(clap::ValueEnum, Clone, Copy, Debug, Default)]
@@ -144,16 +174,6 @@ enum Distribution {
     Poisson,
 }
 
-fn percent(text: &str) -> Result<f64, String> {
-    let value: f64 = text.parse().map_err(|e| format!("{e}"))?;
-    if (0.0..=100.0).contains(&value) { Ok(value) } else { Err("expected 0 to 100".into()) }
-}
-
-fn seconds(text: &str) -> Result<f64, String> {
-    let value: f64 = text.parse().map_err(|e| format!("{e}"))?;
-    if (0.0..=1e7).contains(&value) { Ok(value) } else { Err("expected 0 to 1e7".into()) }
-}
-
 /// Runs `hullcast load`.
 ///
 /// # Errors
@@ -164,7 +184,9 @@ pub(crate) fn run(args: &Args) -> Result<(), Error> {
 }
 
 async fn loaded(args: &Args) -> Result<(), Error> {
+    let progress = Progress::waiting("making batches");
     let batches = args.batches()?;
+    drop(progress);
     let (answerers, ids) = args.answerers(batches.hulls()).await?;
     let margin = args.margin.unwrap_or(batches.margin());
     let sampled =
@@ -194,12 +216,16 @@ async fn loaded(args: &Args) -> Result<(), Error> {
         print!("{}", sheet::table(&rows));
     }
     if let Some(path) = &args.csv {
-        std::fs::write(path, sheet::csv(&rows))?;
+        write("--csv", path, sheet::csv(&rows))?;
     }
     if let Some(path) = &args.plot {
-        std::fs::write(path, sheet::svg(batches.title(), &rows))?;
+        write("--plot", path, sheet::svg(batches.title(), &rows))?;
     }
     clean.map_err(Into::into)
+}
+
+fn write(option: &str, path: &Path, text: String) -> Result<(), String> {
+    std::fs::write(path, text).map_err(|error| format!("{option} {}: {error}", path.display()))
 }
 
 impl Args {

@@ -1,23 +1,34 @@
 //! The subcommands.
 
 mod answer;
+mod arrays;
 mod checked;
+pub(crate) mod completions;
 mod descriptors;
+pub(crate) mod exit;
+pub(crate) mod help;
 pub(crate) mod load;
 mod memory;
 mod npz;
 mod options;
+mod progress;
 pub(crate) mod prune;
 pub(crate) mod query;
 mod reach;
+#[cfg(test)]
+mod refusals;
 mod remote;
 mod report;
 mod scene;
 pub(crate) mod serve;
+mod serve_values;
 pub(crate) mod settings;
+mod table;
 #[cfg_attr(not(feature = "otlp"), path = "no_traces.rs")]
 mod traces;
 pub(crate) mod tradeoff;
+mod trust;
+mod values;
 
 /// The error of a subcommand. Its text is shown to the user as it is.
 pub(crate) type Error = Box<dyn std::error::Error>;

@@ -57,7 +57,19 @@ impl<W: Write> Npz<W> {
     /// # Errors
     /// The array cannot be written, or the archive would exceed the 4 GiB of a plain ZIP archive.
     pub(crate) fn array<T: Number>(&mut self, name: &str, column: &[T], width: usize) -> io::Result<()> {
-        let data = npy(column, width);
+        self.entry(name, &npy(column, width))
+    }
+
+    /// Adds a text as an array without dimensions, as numpy stores a string.
+    ///
+    /// # Errors
+    /// As [`Self::array`].
+    pub(crate) fn text(&mut self, name: &str, text: &str) -> io::Result<()> {
+        let letters: Vec<u8> = text.chars().flat_map(|letter| u32::from(letter).to_le_bytes()).collect();
+        self.entry(name, &with_header(&format!("<U{}", letters.len() / 4), "()", &letters))
+    }
+
+    fn entry(&mut self, name: &str, data: &[u8]) -> io::Result<()> {
         let name = format!("{name}.npy");
         let (offset, size) = (small(self.written)?, small(data.len() as u64)?);
         let mut entry = Vec::new();
@@ -65,7 +77,7 @@ impl<W: Write> Npz<W> {
         for field in [VERSION, 0, 0, 0, DATE] {
             entry.extend_from_slice(&field.to_le_bytes());
         }
-        for field in [crc32(&data), size, size] {
+        for field in [crc32(data), size, size] {
             entry.extend_from_slice(&field.to_le_bytes());
         }
         entry.extend_from_slice(&(name.len() as u16).to_le_bytes());
@@ -74,7 +86,7 @@ impl<W: Write> Npz<W> {
         self.write(&LOCAL_HEADER.to_le_bytes())?;
         self.write(&entry)?;
         self.write(name.as_bytes())?;
-        self.write(&data)?;
+        self.write(data)?;
         self.directory.extend_from_slice(&CENTRAL_HEADER.to_le_bytes());
         self.directory.extend_from_slice(&VERSION.to_le_bytes());
         self.directory.extend_from_slice(&entry);
@@ -119,16 +131,23 @@ fn small(bytes: u64) -> io::Result<u32> {
 fn npy<T: Number>(column: &[T], width: usize) -> Vec<u8> {
     let rows = column.len() / width;
     let shape = if width == 1 { format!("({rows},)") } else { format!("({rows}, {width})") };
-    let mut header = format!("{{'descr': '{}', 'fortran_order': False, 'shape': {shape}, }}", T::DTYPE);
+    let mut data = Vec::with_capacity(size_of_val(column));
+    column.iter().for_each(|number| number.write(&mut data));
+    with_header(T::DTYPE, &shape, &data)
+}
+
+/// A `.npy` file's bytes, from those of its array.
+fn with_header(dtype: &str, shape: &str, data: &[u8]) -> Vec<u8> {
+    let mut header = format!("{{'descr': '{dtype}', 'fortran_order': False, 'shape': {shape}, }}");
     // The magic and version (8 bytes) and the length (2) come before the header; a line feed ends it.
     let padding = (ALIGNMENT - (header.len() + 11) % ALIGNMENT) % ALIGNMENT;
     header.extend(std::iter::repeat_n(' ', padding));
     header.push('\n');
-    let mut bytes = Vec::with_capacity(10 + header.len() + size_of_val(column));
+    let mut bytes = Vec::with_capacity(10 + header.len() + data.len());
     bytes.extend_from_slice(b"\x93NUMPY\x01\x00");
     bytes.extend_from_slice(&(header.len() as u16).to_le_bytes());
     bytes.extend_from_slice(header.as_bytes());
-    column.iter().for_each(|number| number.write(&mut bytes));
+    bytes.extend_from_slice(data);
     bytes
 }
 

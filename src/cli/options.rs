@@ -2,22 +2,26 @@
 
 use clap::{Args, ValueEnum};
 
+use super::values::{count, number};
 use hullcast::proto;
 
 /// Speed against accuracy.
 #[derive(Args, Clone, Debug, Default)]
+#[command(next_help_heading = "Speed against accuracy")]
 pub(crate) struct AccuracyArgs {
     /// Which solver finds the growth scale.
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, ignore_case = true, default_value_t)]
     solver: SolverArg,
     /// Width of the bracket over alpha that is good enough, 0 to 1; 0: to rounding.
-    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, allow_negative_numbers = true,
+          value_parser = number(0.0, 1.0))]
     relative_tolerance: f64,
     /// Faces and edges within it of the normal count as touched, 0 to 0.5 [default: 0.01].
-    #[arg(long, value_name = "RADIANS")]
+    #[arg(long, value_name = "RADIANS", allow_negative_numbers = true, value_parser = number(0.0, 0.5))]
     feature_angle: Option<f64>,
     /// Contact points a pair at most; 0: all.
-    #[arg(long, value_name = "COUNT", default_value_t = 0)]
+    #[arg(long, value_name = "COUNT", default_value_t = 0, allow_negative_numbers = true,
+          value_parser = count(0, u32::MAX))]
     max_points: u32,
 }
 
@@ -27,10 +31,11 @@ enum SolverArg {
     #[default]
     Portal,
     /// The paper's GJK-based ray cast.
+    #[value(alias = "gjk_ray_cast")]
     GjkRayCast,
 }
 
-/// A column group of the answer.
+/// A column group of the answer: `witness-b`, or as Python and the protocol write it, `WITNESS_B`.
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum OutputArg {
     /// Outcomes and flags alone.
@@ -42,12 +47,13 @@ pub(crate) enum OutputArg {
     /// Witnesses on A and distances.
     Points,
     /// Witnesses on B.
+    #[value(alias = "witness_b")]
     WitnessB,
     /// Kinds and indices of the features, and the points' ids.
     Features,
     /// Bases, to start the next query from.
     Bases,
-    /// Iterations and support calls.
+    /// Iterations, support calls, and the share of the patch that a cut to few points keeps.
     Diagnostics,
 }
 

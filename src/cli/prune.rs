@@ -3,6 +3,9 @@
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::Error;
+use super::exit::Exit;
+use super::progress::Progress;
+use super::values::counted;
 use hullcast::store::blobs;
 
 /// Hulls listed per page.
@@ -17,18 +20,19 @@ const PAGE: usize = 10_000;
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct Args {
     /// The store: a directory or file://PATH.
-    #[arg(long, env = "HULLCAST_STORE", value_name = "URL")]
+    #[arg(long, env = "HULLCAST_STORE", value_name = "URL", help_heading = "What is removed")]
     store: String,
     /// A number and its unit: s, m, h or d, as in 30d.
-    #[arg(long, value_name = "TIME", value_parser = age)]
+    #[arg(long, value_name = "TIME", value_parser = age, help_heading = "What is removed",
+          allow_negative_numbers = true)]
     older_than: Duration,
     /// Only say what would be removed.
-    #[arg(long)]
+    #[arg(long, help_heading = "What is removed")]
     dry_run: bool,
 }
 
 fn age(text: &str) -> Result<Duration, String> {
-    let wrong = || format!("{text:?} is not a number and one of s, m, h, d");
+    let wrong = || "expected a whole number of at least 0 and its unit, s, m, h or d, as in 30d".to_owned();
     let unit = text.chars().last().ok_or_else(wrong)?;
     let seconds = match unit {
         's' => 1,
@@ -50,7 +54,8 @@ pub(crate) fn run(args: &Args) -> Result<(), Error> {
 }
 
 async fn prune(args: &Args) -> Result<(), Error> {
-    let store = blobs::open_existing(&args.store)?;
+    let store = blobs::open_existing(&args.store).map_err(|error| Exit::Usage.error(format!("--{error}")))?;
+    let progress = Progress::counting("hulls seen:");
     let now = SystemTime::now().duration_since(UNIX_EPOCH)?;
     let before = i64::try_from(now.saturating_sub(args.older_than).as_millis())?;
     let (mut kept, mut removed, mut bytes, mut after) = (0_u64, 0_u64, 0_u64, None);
@@ -59,6 +64,7 @@ async fn prune(args: &Args) -> Result<(), Error> {
         let Some(last) = page.last() else { break };
         after = Some(last.id);
         for blob in page {
+            progress.add(1);
             if blob.created_unix_ms >= before {
                 kept += 1;
                 continue;
@@ -71,7 +77,8 @@ async fn prune(args: &Args) -> Result<(), Error> {
         }
     }
     let verb = if args.dry_run { "would remove" } else { "removed" };
-    println!("{verb} {removed} hulls, {bytes} bytes; kept {kept}");
+    drop(progress);
+    println!("{verb} {}, {}; kept {kept}", counted(removed, "hull"), counted(bytes, "byte"));
     Ok(())
 }
 

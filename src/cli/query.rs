@@ -5,10 +5,14 @@ use std::path::PathBuf;
 
 use super::Error;
 use super::answer::{Answerer, request};
+use super::exit::Exit;
 use super::options::{AccuracyArgs, OutputArg};
+use super::progress::Progress;
 use super::remote::RemoteArgs;
 use super::report::Answered;
-use super::scene::Scene;
+use super::scene::{Scene, unusable_poses};
+use super::settings::MOST_THREADS;
+use super::values::{count, counted, margin};
 use hullcast::proto;
 
 /// Pairs per request. This is well below every server's default limit, and so is the answer.
@@ -21,32 +25,42 @@ const PAIRS_PER_REQUEST: usize = 32_768;
 pub(crate) struct Args {
     /// A scene file, hullcast.scene.v1.
     scene: PathBuf,
-    #[command(flatten)]
-    remote: RemoteArgs,
-    /// Write the answer's columns to a .npz file.
-    #[arg(long, value_name = "FILE")]
-    out: Option<PathBuf>,
-    /// Print JSON instead of a table.
-    #[arg(long)]
-    json: bool,
-    /// Which configuration, from 0.
-    #[arg(long, value_name = "INDEX", default_value_t = 0)]
-    frame: usize,
+    /// Which configuration: its name, or its number from 0 [default: the first].
+    #[arg(long, value_name = "NAME", allow_negative_numbers = true, help_heading = "Question")]
+    frame: Option<String>,
     /// Contact points are wanted within it; inf: everywhere [default: the scene's].
-    #[arg(long, value_name = "LENGTH")]
+    #[arg(long, value_name = "LENGTH", allow_negative_numbers = true, value_parser = margin,
+          help_heading = "Question")]
     margin: Option<f64>,
     /// Column groups to compute.
-    #[arg(long, value_enum, value_delimiter = ',', value_name = "NAMES",
-          default_values_t = [OutputArg::Alpha, OutputArg::Normal, OutputArg::Points, OutputArg::Features, OutputArg::Bases])]
+    #[arg(
+        long,
+        value_enum,
+        ignore_case = true,
+        value_delimiter = ',',
+        value_name = "NAMES",
+        help_heading = "Question",
+        default_value = "alpha,normal,points,features,bases"
+    )]
     outputs: Vec<OutputArg>,
-    /// Print separated pairs too.
-    #[arg(long)]
-    all: bool,
-    /// Compute threads in this process; 0: one a core.
-    #[arg(long, value_name = "COUNT", default_value_t = 0)]
-    threads: usize,
     #[command(flatten)]
     accuracy: AccuracyArgs,
+    /// Print separated pairs too.
+    #[arg(long, help_heading = "Answer")]
+    all: bool,
+    /// Print JSON instead of a table.
+    #[arg(long, help_heading = "Answer")]
+    json: bool,
+    /// Write the answer's columns to a .npz file, which `Manifolds.load` of the Python client reads
+    /// [default: no file].
+    #[arg(long, value_name = "FILE", help_heading = "Answer")]
+    out: Option<PathBuf>,
+    /// Compute threads in this process; 0: one a core.
+    #[arg(long, value_name = "COUNT", default_value_t = 0, allow_negative_numbers = true,
+          value_parser = count(0, MOST_THREADS), help_heading = "Who answers")]
+    threads: usize,
+    #[command(flatten)]
+    remote: RemoteArgs,
 }
 
 /// Runs `hullcast query`.
@@ -58,10 +72,11 @@ pub(crate) fn run(args: &Args) -> Result<(), Error> {
 }
 
 async fn answered(args: &Args) -> Result<(), Error> {
-    let scene = Scene::read(&args.scene).map_err(|e| format!("{}: {e}", args.scene.display()))?;
-    let frame = scene.frames.get(args.frame).ok_or_else(|| {
-        format!("--frame {}: {} has {} frames, from 0", args.frame, args.scene.display(), scene.frames.len())
-    })?;
+    let scene = Scene::read("", &args.scene)?;
+    let frame = match &args.frame {
+        Some(wanted) => scene.frame(wanted).map_err(|text| Exit::Usage.error(text))?,
+        None => &scene.frames[0],
+    };
     let (answerer, ids) = match &args.remote.remote {
         Some(address) => Answerer::remote(address, &args.remote, &scene.hulls).await?,
         None => Answerer::local(&scene.hulls, args.threads)?,
@@ -70,7 +85,7 @@ async fn answered(args: &Args) -> Result<(), Error> {
     let columns = answer(&answerer, request(&scene, frame, &ids, &asked)).await?;
     let answered = Answered { scene: &scene, frame, columns: &columns };
     if let Some(path) = &args.out {
-        answered.write_npz(path).map_err(|e| format!("{}: {e}", path.display()))?;
+        answered.write_npz(path, &asked.outputs).map_err(|e| format!("--out {}: {e}", path.display()))?;
     }
     let mut out = io::BufWriter::new(io::stdout().lock());
     let written =
@@ -86,29 +101,16 @@ async fn answered(args: &Args) -> Result<(), Error> {
 /// Fails if a pair was not answered, because a script must not take such a pair for one without contact.
 fn all_answered(columns: &proto::QueryContactsResponse, bodies: usize) -> Result<(), Error> {
     const INVALID: u8 = proto::Outcome::Invalid as u8;
-    const SHOWN: usize = 8;
     let pairs = columns.outcomes.iter().filter(|&&outcome| outcome == INVALID).count();
-    let unusable = &columns.invalid_bodies;
-    if !unusable.is_empty() {
-        let mut names: Vec<String> = unusable.iter().take(SHOWN).map(u32::to_string).collect();
-        if unusable.len() > SHOWN {
-            names.push("...".into());
-        }
-        let message = format!(
-            "unusable poses: {} of {bodies} bodies (bodies {}), so that {pairs} of {} pairs are INVALID. \
-             A position is finite and at most 1e100, a quaternion's norm 0.25 to 4",
-            unusable.len(),
-            names.join(", "),
-            columns.outcomes.len()
-        );
-        return Err(message.into());
+    let of_all = format!("{pairs} of {}", counted(columns.outcomes.len(), "pair"));
+    if !columns.invalid_bodies.is_empty() {
+        let verb = if pairs == 1 { "is" } else { "are" };
+        let unusable = unusable_poses(&columns.invalid_bodies, bodies);
+        return Err(Exit::Unanswered.error(format!("{unusable}; {of_all} {verb} INVALID")));
     }
     if pairs > 0 {
-        let message = format!(
-            "{pairs} of {} pairs are INVALID: the server has lost or cannot read their hulls; ask again",
-            columns.outcomes.len()
-        );
-        return Err(message.into());
+        return Err(Exit::Unanswered
+            .error(format!("{of_all} INVALID: the server has lost or cannot read their hulls; ask again")));
     }
     Ok(())
 }
@@ -119,12 +121,14 @@ async fn answer(
     mut request: proto::QueryContactsRequest,
 ) -> Result<proto::QueryContactsResponse, Error> {
     let pairs = std::mem::take(&mut request.pairs);
+    let progress = Progress::new("pairs", pairs.len() / 2);
     let mut whole = proto::QueryContactsResponse::default();
     let mut rest = pairs.as_slice();
     loop {
         let (now, later) = rest.split_at(rest.len().min(2 * PAIRS_PER_REQUEST));
         request.pairs = now.to_vec();
         append(&mut whole, answerer.answer(request.clone()).await?);
+        progress.add(now.len() / 2);
         rest = later;
         if rest.is_empty() {
             return Ok(whole);

@@ -19,6 +19,17 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// An HTTP/2 client's first bytes: the preface, and an empty SETTINGS frame.
 const GREETING: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
 
+/// The addresses of an option, separated by commas, each checked.
+///
+/// # Errors
+/// One of them is no address.
+pub(crate) fn addresses(text: &str) -> Result<String, String> {
+    for address in text.split(',') {
+        url(address).map_err(|error| error.to_string())?;
+    }
+    Ok(text.to_owned())
+}
+
 /// The URL of an address: `host`, `host:port`, `unix:PATH`, `http://host:port`, `https://host:port`.
 ///
 /// # Errors

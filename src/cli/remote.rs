@@ -1,16 +1,19 @@
 //! The server that a subcommand asks: its address, TLS and the caller's token.
 
 use std::error::Error as StdError;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use tonic::metadata::{Ascii, MetadataValue};
 use tonic::service::Interceptor;
 use tonic::service::interceptor::InterceptedService;
-use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
+use tonic::transport::{Channel, ClientTlsConfig, Endpoint, Identity};
 use tonic::{Request, Status};
 
+use super::exit::Exit;
+use super::trust::Trust;
 use super::{Error, reach};
 use hullcast::proto::GetServerInfoRequest;
 use hullcast::proto::contact_service_client::ContactServiceClient;
@@ -28,21 +31,23 @@ const KEEP_ALIVE: Duration = Duration::from_secs(10);
 
 /// Which server, if any.
 #[derive(clap::Args, Clone, Debug, Default)]
+#[command(next_help_heading = "Who answers")]
 pub(crate) struct RemoteArgs {
     /// Ask this server instead of this process: host:port, unix:PATH, http://host:port or
-    /// https://host:port. The port is 50051 if the address has none.
-    #[arg(long, value_name = "ADDRESS")]
+    /// https://host:port. The port is 50051 if the address has none [default: this process].
+    #[arg(long, value_name = "ADDRESS", value_parser = reach::addresses)]
     pub(crate) remote: Option<String>,
-    /// PEM file of the authorities that the server's certificate may be of [default: the system's].
+    /// PEM file of the authorities that the server's certificate may be of, or of a certificate that
+    /// signs itself [default: the system's].
     #[arg(long, value_name = "FILE", requires = "remote")]
     tls_ca: Option<PathBuf>,
-    /// PEM file of this client's certificate, where the server asks for one.
+    /// PEM file of this client's certificate, where the server asks for one [default: none].
     #[arg(long, value_name = "FILE", requires = "tls_key")]
     tls_certificate: Option<PathBuf>,
-    /// PEM file of its private key.
+    /// PEM file of its private key [default: none].
     #[arg(long, value_name = "FILE", requires = "tls_certificate")]
     tls_key: Option<PathBuf>,
-    /// File whose first line is the token to send.
+    /// File whose first line is the token to send [default: no token].
     #[arg(long, value_name = "FILE", requires = "remote")]
     token_file: Option<PathBuf>,
 }
@@ -58,6 +63,7 @@ impl Connection {
     /// There is no server, or a file cannot be read.
     pub(crate) async fn open(address: &str, args: &RemoteArgs) -> Result<Self, Error> {
         let url = reach::url(address)?;
+        let token = args.token()?;
         let mut endpoint = Endpoint::from_shared(url.clone())?
             .initial_stream_window_size(WINDOW_BYTES)
             .initial_connection_window_size(WINDOW_BYTES)
@@ -66,20 +72,20 @@ impl Connection {
             .keep_alive_timeout(KEEP_ALIVE)
             .tcp_nodelay(true);
         if url.starts_with("https://") {
-            endpoint = endpoint.tls_config(args.tls()?)?;
+            endpoint = args.encrypted(endpoint)?;
         }
         let channel = match endpoint.connect().await {
             Ok(channel) => channel,
-            Err(error) => return Err(reach::failed(address, &url, &error).await.into()),
+            Err(error) => return Err(Exit::Unreachable.error(reach::failed(address, &url, &error).await)),
         };
-        let connection = Self(InterceptedService::new(channel, args.token()?));
+        let connection = Self(InterceptedService::new(channel, token));
         // Without TLS, a connection counts as open before the server has sent anything.
         let mut server = ServerServiceClient::new(connection.0.clone());
         match server.get_server_info(GetServerInfoRequest {}).await {
             // Only statuses that tonic makes itself have a source, so any other answer shows that a server
             // is there. If a connection merely broke, the next one may work: the call itself will tell.
             Err(status) if status.source().is_some() => match reach::mismatch(address, &url, &status).await {
-                Some(text) => Err(text.into()),
+                Some(text) => Err(Exit::Unreachable.error(text)),
                 None => Ok(connection),
             },
             _ => Ok(connection),
@@ -109,44 +115,45 @@ impl Connection {
 }
 
 impl RemoteArgs {
-    fn tls(&self) -> Result<ClientTlsConfig, Error> {
-        let mut tls = match &self.tls_ca {
-            Some(path) => {
-                ClientTlsConfig::new().ca_certificate(Certificate::from_pem(pem("--tls-ca", path)?))
-            }
-            None => ClientTlsConfig::new().with_native_roots(),
-        };
+    /// The endpoint with TLS as these arguments say.
+    fn encrypted(&self, endpoint: Endpoint) -> Result<Endpoint, Error> {
+        let mut tls = ClientTlsConfig::new();
         if let (Some(certificate), Some(key)) = (&self.tls_certificate, &self.tls_key) {
             let certificate = pem("--tls-certificate", certificate)?;
             tls = tls.identity(Identity::from_pem(certificate, pem("--tls-key", key)?));
         }
-        Ok(tls)
+        let Some(path) = &self.tls_ca else { return Ok(endpoint.tls_config(tls.with_native_roots())?) };
+        let trust = Trust::new(&pem("--tls-ca", path)?)
+            .map_err(|why| Exit::Input.error(format!("--tls-ca {}: {why}", path.display())))?;
+        Ok(endpoint.tls_config_with_verifier(tls, Arc::new(trust))?)
     }
 
     fn token(&self) -> Result<Token, Error> {
         let Some(path) = &self.token_file else { return Ok(Token(None)) };
-        let text = String::from_utf8(read(path)?)?;
+        let text = String::from_utf8_lossy(&read("--token-file", path)?).into_owned();
         let token = text.lines().next().unwrap_or_default().trim();
         if token.is_empty() || !token.bytes().all(|byte| byte.is_ascii_graphic()) {
             let path = path.display();
             let rule = "the first line is the token: one or more visible ASCII characters";
-            return Err(format!("--token-file {path}: {rule}").into());
+            return Err(Exit::Input.error(format!("--token-file {path}: {rule}")));
         }
         Ok(Token(Some(format!("Bearer {token}").parse()?)))
     }
 }
 
-fn read(path: &PathBuf) -> Result<Vec<u8>, Error> {
-    Ok(std::fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?)
+fn read(option: &str, path: &Path) -> Result<Vec<u8>, Error> {
+    std::fs::read(path)
+        .map_err(|error| Exit::Input.error(format!("{option} {}: cannot be read: {error}", path.display())))
 }
 
 /// The content of a PEM file. Fails if it has no PEM block, since TLS would ignore such a file.
-fn pem(option: &str, path: &PathBuf) -> Result<Vec<u8>, Error> {
-    let content = read(path)?;
+fn pem(option: &str, path: &Path) -> Result<Vec<u8>, Error> {
+    let content = read(option, path)?;
     if content.windows(11).any(|bytes| bytes == b"-----BEGIN ") {
         return Ok(content);
     }
-    Err(format!("{option} {}: not a PEM file (it has no line -----BEGIN ...-----)", path.display()).into())
+    let path = path.display();
+    Err(Exit::Input.error(format!("{option} {path}: not a PEM file (it has no line -----BEGIN ...-----)")))
 }
 
 /// The token that is sent with every call, if there is one.

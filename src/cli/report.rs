@@ -1,12 +1,9 @@
-//! Writes an answer as a table, as JSON or as numpy arrays.
+//! An answer, and the answer as JSON. `table` and `arrays` have its other forms.
 
-use std::fs::File;
 use std::io::{self, Write};
-use std::path::Path;
 
 use serde::Serialize;
 
-use super::npz::Npz;
 use super::scene::{Frame, Scene};
 use hullcast::proto::{self, Flag, Outcome};
 
@@ -49,6 +46,8 @@ struct PairJson<'a> {
     iterations: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
     support_calls: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    kept_area: Option<f64>,
 }
 
 #[derive(Serialize)]
@@ -68,7 +67,7 @@ fn no_names(names: &[&str; 2]) -> bool {
 }
 
 /// Row `i` of a column with `N` entries per row; none if the column was not asked for.
-fn row<T: Copy, const N: usize>(column: &[T], i: usize) -> Option<[T; N]> {
+pub(super) fn row<T: Copy, const N: usize>(column: &[T], i: usize) -> Option<[T; N]> {
     column.as_chunks::<N>().0.get(i).copied()
 }
 
@@ -109,6 +108,7 @@ impl Answered<'_> {
             basis: row(&c.bases, i),
             iterations: c.iterations.get(i).copied(),
             support_calls: c.support_calls.get(i).copied(),
+            kept_area: c.kept_areas.get(i).copied(),
         }
     }
 
@@ -122,137 +122,12 @@ impl Answered<'_> {
         }
     }
 
-    fn bodies(&self, i: usize) -> [u32; 2] {
+    pub(super) fn bodies(&self, i: usize) -> [u32; 2] {
         [self.scene.pairs[2 * i], self.scene.pairs[2 * i + 1]]
     }
 
-    fn point_count(&self, i: usize) -> usize {
+    pub(super) fn point_count(&self, i: usize) -> usize {
         self.columns.point_counts.get(i).map_or(0, |&n| n as usize)
-    }
-
-    /// Writes one line per pair (separated pairs only if `all`), then the sums.
-    ///
-    /// # Errors
-    /// The output cannot be written.
-    pub(crate) fn write_table(&self, out: &mut impl Write, all: bool) -> io::Result<()> {
-        let c = self.columns;
-        let names: Vec<String> = (0..c.outcomes.len()).map(|i| self.label(i)).collect();
-        let width = names.iter().map(String::len).max().unwrap_or(0).max(4);
-        writeln!(
-            out,
-            "{:<width$}  {:<9}  {:>20}  {:>9}  {:>13}  {:^29}  points  deepest",
-            "pair", "outcome", "alpha", "bracket", "separation", "normal"
-        )?;
-        let mut first = 0;
-        for (i, name) in names.iter().enumerate() {
-            let points = first..first + self.point_count(i);
-            first = points.end;
-            if all || c.outcomes[i] != Outcome::Separated as u8 {
-                write!(out, "{name:<width$}  {:<9}  ", outcome_name(c.outcomes[i]))?;
-                self.write_numbers(out, i, points)?;
-            }
-        }
-        self.write_sums(out)
-    }
-
-    /// The pair's body indices with their names.
-    fn label(&self, i: usize) -> String {
-        let name = |body: u32| match self.scene.body_names[body as usize].as_str() {
-            "" => format!("{body}"),
-            name => format!("{body} {name}"),
-        };
-        let [a, b] = self.bodies(i);
-        format!("{} - {}", name(a), name(b))
-    }
-
-    fn write_numbers(
-        &self,
-        out: &mut impl Write,
-        i: usize,
-        points: std::ops::Range<usize>,
-    ) -> io::Result<()> {
-        let c = self.columns;
-        let number = |x: Option<f64>| x.map_or_else(|| "-".into(), |x| format!("{x:.6e}"));
-        let alpha = c.alphas.get(i).map_or_else(|| "-".into(), |a| format!("{a:.16}"));
-        let bracket = c.alpha_uppers.get(i).zip(c.alpha_lowers.get(i)).map(|(u, l)| u - l);
-        let bracket = bracket.map_or_else(|| "-".into(), |w| format!("{w:.2e}"));
-        let normal = row::<_, 3>(&c.normals, i)
-            .map_or_else(|| "-".into(), |[x, y, z]| format!("{x:9.6} {y:9.6} {z:9.6}"));
-        let deepest = c.distances.get(points.clone()).and_then(|d| d.iter().copied().reduce(f64::min));
-        write!(
-            out,
-            "{alpha:>20}  {bracket:>9}  {:>13}  {normal:^29}  {:>6}  {}",
-            number(c.separations.get(i).copied()),
-            points.len(),
-            number(deepest)
-        )?;
-        for flag in flag_names(c.flags[i]) {
-            write!(out, "  {flag}")?;
-        }
-        writeln!(out)
-    }
-
-    fn write_sums(&self, out: &mut impl Write) -> io::Result<()> {
-        let c = self.columns;
-        let count = |outcome: Outcome| c.outcomes.iter().filter(|&&o| o == outcome as u8).count();
-        let points: u64 = c.point_counts.iter().map(|&n| u64::from(n)).sum();
-        let frame = if self.frame.name.is_empty() { String::new() } else { format!(", {}", self.frame.name) };
-        write!(
-            out,
-            "{}{frame}: {} pairs: {} contact, {} separated",
-            self.scene.name,
-            c.outcomes.len(),
-            count(Outcome::Contact),
-            count(Outcome::Separated)
-        )?;
-        for (outcome, name) in [(Outcome::Undecided, "undecided"), (Outcome::Invalid, "invalid")] {
-            if count(outcome) > 0 {
-                write!(out, ", {} {name}", count(outcome))?;
-            }
-        }
-        writeln!(out, "; {points} points")
-    }
-
-    /// Writes `pairs` and the columns under their names in the wire format. Columns with several numbers
-    /// per row become two-dimensional arrays.
-    ///
-    /// # Errors
-    /// The file cannot be written.
-    pub(crate) fn write_npz(&self, path: &Path) -> io::Result<()> {
-        let c = self.columns;
-        let mut file = Npz::new(io::BufWriter::new(File::create(path)?));
-        file.array("pairs", &self.scene.pairs, 2)?;
-        file.array("outcomes", &c.outcomes, 1)?;
-        file.array("flags", &c.flags, 1)?;
-        let floats: [(&str, &[f64], usize); 8] = [
-            ("alphas", &c.alphas, 1),
-            ("alpha_lowers", &c.alpha_lowers, 1),
-            ("alpha_uppers", &c.alpha_uppers, 1),
-            ("separations", &c.separations, 1),
-            ("normals", &c.normals, 3),
-            ("witness_as", &c.witness_as, 3),
-            ("distances", &c.distances, 1),
-            ("witness_bs", &c.witness_bs, 3),
-        ];
-        for (name, column, width) in floats {
-            file.array(name, column, width)?;
-        }
-        file.array("feature_kinds", &c.feature_kinds, 2)?;
-        let integers: [(&str, &[u32], usize); 8] = [
-            ("point_counts", &c.point_counts, 1),
-            ("feature_indices", &c.feature_indices, 4),
-            ("point_ids", &c.point_ids, 4),
-            ("bases", &c.bases, 6),
-            ("iterations", &c.iterations, 1),
-            ("support_calls", &c.support_calls, 1),
-            ("missing_hulls", &c.missing_hulls, 1),
-            ("invalid_bodies", &c.invalid_bodies, 1),
-        ];
-        for (name, column, width) in integers {
-            file.array(name, column, width)?;
-        }
-        file.finish()?;
-        Ok(())
     }
 }
 
@@ -261,13 +136,13 @@ fn json<T: Serialize + ?Sized>(value: &T) -> io::Result<String> {
 }
 
 /// The outcome's name in the contract; `UNKNOWN` for an outcome of a newer server.
-fn outcome_name(outcome: u8) -> &'static str {
+pub(super) fn outcome_name(outcome: u8) -> &'static str {
     let known = Outcome::try_from(i32::from(outcome)).ok().filter(|known| *known != Outcome::Unspecified);
     known.and_then(|known| known.as_str_name().strip_prefix("OUTCOME_")).unwrap_or("UNKNOWN")
 }
 
 /// The names, in the contract, of the flags that are set. Flags of a newer server are left out.
-fn flag_names(flags: u8) -> Vec<&'static str> {
+pub(super) fn flag_names(flags: u8) -> Vec<&'static str> {
     let set = (0..u8::BITS).map(|bit| i32::from(flags) & 1 << bit).filter(|&flag| flag != 0);
     set.filter_map(|flag| Flag::try_from(flag).ok()?.as_str_name().strip_prefix("FLAG_")).collect()
 }

@@ -7,6 +7,12 @@ use std::fmt;
 use std::path::Path;
 
 use serde::Deserialize;
+use serde_json::error::Category;
+
+use super::Error;
+use super::exit::Exit;
+use super::values::{counted, did_you_mean};
+use hullcast::contact::Pose;
 
 const FORMAT: &str = "hullcast.scene.v1";
 
@@ -69,6 +75,8 @@ pub(crate) struct Frame {
 /// A defect of a scene file, and its place.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct SceneError {
+    /// The file as the user gave it, with its option if it has one; empty if there is no file.
+    pub(crate) file: String,
     /// The place, such as `hulls[3].vertices[7]`; empty for the whole file.
     pub(crate) place: String,
     /// The defect, for display.
@@ -77,11 +85,12 @@ pub(crate) struct SceneError {
 
 impl fmt::Display for SceneError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.place.is_empty() {
-            f.write_str(&self.message)
-        } else {
-            write!(f, "{}: {}", self.place, self.message)
+        for part in [&self.file, &self.place] {
+            if !part.is_empty() {
+                write!(f, "{part}: ")?;
+            }
         }
+        f.write_str(&self.message)
     }
 }
 
@@ -118,14 +127,15 @@ struct FileFrame {
 }
 
 impl Scene {
-    /// Reads a scene file.
+    /// Reads a scene file. `option` is the option that names the file, or empty.
     ///
     /// # Errors
-    /// [`SceneError`] names the field and index at fault.
-    pub(crate) fn read(path: &Path) -> Result<Self, SceneError> {
-        let text = std::fs::read(path)
-            .map_err(|e| SceneError { place: String::new(), message: format!("cannot be read: {e}") })?;
-        Self::parse(&text)
+    /// [`SceneError`] names file, field and index at fault.
+    pub(crate) fn read(option: &str, path: &Path) -> Result<Self, SceneError> {
+        let file = format!("{option} {}", path.display()).trim_start().to_owned();
+        let fault = |message| SceneError { file: file.clone(), place: String::new(), message };
+        let text = std::fs::read(path).map_err(|e| fault(format!("cannot be read: {e}")))?;
+        Self::parse(&text).map_err(|e| SceneError { file: file.clone(), ..e })
     }
 
     /// Reads a scene from JSON text.
@@ -136,21 +146,93 @@ impl Scene {
         let mut json = serde_json::Deserializer::from_slice(text);
         let file: File = serde_path_to_error::deserialize(&mut json).map_err(|e| {
             let place = e.path().to_string();
-            SceneError {
-                place: if place == "." { String::new() } else { place },
-                message: e.into_inner().to_string(),
-            }
+            not_a_scene(if place == "." { String::new() } else { place }, &e.into_inner())
         })?;
-        json.end().map_err(|e| SceneError { place: String::new(), message: e.to_string() })?;
+        json.end().map_err(|e| not_a_scene(String::new(), &e))?;
         file.check()?;
         Ok(file.into_scene())
     }
+
+    /// An error if a pose of any configuration is unusable, so that its pairs would be INVALID.
+    ///
+    /// # Errors
+    /// Names the configuration, and how many bodies and which have such poses.
+    pub(crate) fn check_poses(&self) -> Result<(), Error> {
+        for (number, frame) in self.frames.iter().enumerate() {
+            let (positions, rotations) = (frame.positions.as_chunks().0, frame.rotations.as_chunks().0);
+            let poses = (0..).zip(positions.iter().zip(rotations));
+            let unusable = poses.filter(|&(_, (&at, &turned))| Pose::check(at, turned).is_err());
+            let unusable: Vec<u32> = unusable.map(|(body, _)| body).collect();
+            if !unusable.is_empty() {
+                let text = unusable_poses(&unusable, self.body_hulls.len());
+                return Err(Exit::Unanswered.error(format!("{}, configuration {number}: {text}", self.name)));
+            }
+        }
+        Ok(())
+    }
+
+    /// The configuration of this name, or of this number.
+    ///
+    /// # Errors
+    /// There is none; the message names those that there are.
+    pub(crate) fn frame(&self, wanted: &str) -> Result<&Frame, String> {
+        const SHOWN: usize = 8;
+        if let Some(frame) = self.frames.iter().find(|frame| !frame.name.is_empty() && frame.name == wanted) {
+            return Ok(frame);
+        }
+        if let Some(frame) = wanted.parse().ok().and_then(|index: usize| self.frames.get(index)) {
+            return Ok(frame);
+        }
+        let last = self.frames.len() - 1;
+        let names = self.frames.iter().map(|frame| frame.name.as_str()).filter(|name| !name.is_empty());
+        let mut shown: Vec<&str> = names.clone().take(SHOWN).collect();
+        if names.clone().count() > SHOWN {
+            shown.push("...");
+        }
+        let by_number = if last == 0 { "0".into() } else { format!("0 to {last}") };
+        let allowed = match shown.is_empty() {
+            true => by_number,
+            false => format!("{by_number}, or a name: {}", shown.join(", ")),
+        };
+        Err(format!(
+            "--frame {wanted}: {} has no such configuration; expected {allowed}{}",
+            self.name,
+            did_you_mean(wanted, names)
+        ))
+    }
+}
+
+/// What is wrong with the poses of `unusable`, of so many bodies in all.
+pub(crate) fn unusable_poses(unusable: &[u32], bodies: usize) -> String {
+    const SHOWN: usize = 8;
+    let mut names: Vec<String> = unusable.iter().take(SHOWN).map(u32::to_string).collect();
+    if unusable.len() > SHOWN {
+        names.push("...".into());
+    }
+    format!(
+        "unusable poses: {} of {} (bodies {}), where a position is finite and at most 1e100, and a \
+         quaternion's norm 0.25 to 4",
+        unusable.len(),
+        counted(bodies, "body"),
+        names.join(", ")
+    )
+}
+
+/// The fault of a text that is no scene: either no JSON, or JSON with another content.
+fn not_a_scene(place: String, error: &serde_json::Error) -> SceneError {
+    let message = match error.classify() {
+        Category::Data => error.to_string(),
+        Category::Io | Category::Syntax | Category::Eof => {
+            format!("not JSON ({error}); expected a scene file, {FORMAT}")
+        }
+    };
+    SceneError { file: String::new(), place, message }
 }
 
 impl File {
     /// Checks the rules that the types do not express: indices in range, and one pose per body.
     fn check(&self) -> Result<(), SceneError> {
-        let fail = |place: String, message: String| Err(SceneError { place, message });
+        let fail = |place: String, message: String| Err(SceneError { file: String::new(), place, message });
         if self.format != FORMAT {
             return fail("format".into(), format!("is {:?}, expected {FORMAT:?}", self.format));
         }
@@ -158,7 +240,7 @@ impl File {
             if body.hull as usize >= self.hulls.len() {
                 return fail(
                     format!("bodies[{i}].hull"),
-                    format!("is {}, but there are {} hulls", body.hull, self.hulls.len()),
+                    format!("is {}, but the scene has {}", body.hull, counted(self.hulls.len(), "hull")),
                 );
             }
         }
@@ -167,7 +249,10 @@ impl File {
                 if count != self.bodies.len() {
                     return fail(
                         format!("frames[{i}].{key}"),
-                        format!("has {count} entries for {} bodies", self.bodies.len()),
+                        format!(
+                            "has {count} entries, expected one for each of the {}",
+                            counted(self.bodies.len(), "body")
+                        ),
                     );
                 }
             }
@@ -177,7 +262,7 @@ impl File {
                 if body as usize >= self.bodies.len() {
                     return fail(
                         format!("pairs[{i}][{k}]"),
-                        format!("is {body}, but there are {} bodies", self.bodies.len()),
+                        format!("is {body}, but the scene has {}", counted(self.bodies.len(), "body")),
                     );
                 }
             }
@@ -270,6 +355,27 @@ mod tests {
             assert_ne!(text, GOOD, "{place}");
             assert_eq!(Scene::parse(text.as_bytes()).unwrap_err().place, place, "{to}");
         }
-        assert!(Scene::parse(b"{").is_err() && Scene::parse(format!("{GOOD} x").as_bytes()).is_err());
+        for text in [&b"{"[..], b"", b"# A page", format!("{GOOD} x").as_bytes()] {
+            assert!(Scene::parse(text).unwrap_err().to_string().contains("not JSON ("));
+        }
+    }
+
+    /// Catches a configuration that is found by its number alone, or not at all, and a message that
+    /// does not say which there are.
+    #[test]
+    fn frames_have_names_and_numbers() {
+        let second =
+            r#"}, {"name": "1", "positions": [[0,0,0],[0,0,4]], "rotations": [[0,0,0,1],[0,0,0,1]]}]"#;
+        let text = GOOD.replacen("}],\n        \"pairs\"", &format!("{second},\n        \"pairs\""), 1);
+        let scene = Scene::parse(text.as_bytes()).unwrap();
+        let height = |wanted: &str| scene.frame(wanted).map(|frame| frame.positions[5]);
+        for (wanted, expected) in [("f", 3.0), ("0", 3.0), ("1", 4.0)] {
+            assert_eq!(height(wanted), Ok(expected), "{wanted}");
+        }
+        for wrong in ["2", "-1", "", "F1", "1.0"] {
+            let error = height(wrong).unwrap_err();
+            assert!(error.starts_with(&format!("--frame {wrong}: ")), "{error}");
+            assert!(error.contains("expected 0 to 1, or a name: f, 1"), "{error}");
+        }
     }
 }

@@ -2,6 +2,7 @@
 
 use std::{
     io::{self, Read, Write},
+    net::{IpAddr, Ipv4Addr, Ipv6Addr},
     path::PathBuf,
     sync::Arc,
     time::Duration,
@@ -19,7 +20,7 @@ use tokio::{
     sync::oneshot,
 };
 use tracing_subscriber::{
-    EnvFilter, Layer,
+    Layer,
     filter::{FilterExt, filter_fn},
     layer::SubscriberExt,
     util::SubscriberInitExt,
@@ -27,8 +28,11 @@ use tracing_subscriber::{
 
 use super::{
     Error, descriptors,
-    settings::{Given, LogFormat, Settings},
+    exit::Exit,
+    serve_values,
+    settings::{DEFAULT_STORE, Given, LogFormat, Settings},
     traces::Traces,
+    values::count,
 };
 
 /// `hullcast serve`
@@ -36,17 +40,17 @@ use super::{
 pub(crate) struct Args {
     #[command(flatten)]
     given: Given,
-    /// A TOML file with the same settings, named as the flags, with underscores
-    #[arg(long, env = "HULLCAST_CONFIG", value_name = "FILE")]
+    /// A TOML file with the same settings, named as the flags, with underscores [default: none]
+    #[arg(long, env = "HULLCAST_CONFIG", value_name = "FILE", help_heading = "Settings")]
     config: Option<PathBuf>,
     /// Print the settings in force as such a file, and exit
-    #[arg(long)]
+    #[arg(long, help_heading = "Settings")]
     print_config: bool,
     /// Sleep so many microseconds for every pair: for tests of overload
-    #[arg(long, hide = true, default_value_t = 0)]
+    #[arg(long, hide = true, default_value_t = 0, value_parser = count(0, u64::MAX), allow_negative_numbers = true)]
     inject_pair_delay_us: u64,
     /// Stop when standard input closes, as when the parent process ends
-    #[arg(long)]
+    #[arg(long, help_heading = "Stopping")]
     until_stdin_closes: bool,
 }
 
@@ -80,9 +84,12 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 
 async fn until_stopped(settings: &Settings, args: &Args) -> Result<(), Error> {
     let serving = settings.serving()?;
-    let store = blobs::open(&settings.store)?;
+    let store = blobs::open(&settings.store).map_err(|error| Exit::Usage.error(format!("--{error}")))?;
     let mut limits = settings.limits()?;
     limits.max_connections = descriptors::connections(limits.max_connections);
+    if let Some(fault) = limits.contradiction() {
+        return Err(Exit::Usage.error(fault));
+    }
     let app = Arc::new(App::new(store, limits, settings.compute_threads)?);
     app.engine().injected().delay(Duration::from_micros(args.inject_pair_delay_us));
     let grace = settings.grace()?;
@@ -93,10 +100,11 @@ async fn until_stopped(settings: &Settings, args: &Args) -> Result<(), Error> {
         "" => None,
         address => {
             let bound = TcpListener::bind(address).await;
-            Some(bound.map_err(|error| format!("admin_listen {address}: {error}"))?)
+            let named = |error: io::Error| io::Error::new(error.kind(), format!("{address}: {error}"));
+            Some(bound.map_err(|error| not_bound("--admin-listen", &named(error)))?)
         }
     };
-    announce(&listeners, admin.as_ref())?;
+    announce(settings, serving.security.encrypts(), &listeners, admin.as_ref())?;
     if let Some(admin) = admin {
         tokio::spawn(serve_admin(admin, app.clone()));
     }
@@ -115,13 +123,12 @@ async fn until_stopped(settings: &Settings, args: &Args) -> Result<(), Error> {
 async fn listeners(settings: &Settings, security: &Security) -> Result<Vec<Listener>, Error> {
     let mut listeners = Vec::with_capacity(settings.listen.len());
     for address in &settings.listen {
-        let listener = Listener::bind(address).await?;
+        let listener = Listener::bind(address).await.map_err(|error| not_bound("--listen", &error))?;
         if listener.is_exposed()? && !security.encrypts() && !settings.allow_plaintext {
-            return Err(format!(
-                "{address}: other machines can reach it and nothing is encrypted: \
+            return Err(Exit::Usage.error(format!(
+                "--listen {address}: other machines can reach it and nothing is encrypted: \
                  give --tls-certificate and --tls-key, or --allow-plaintext"
-            )
-            .into());
+            )));
         }
         listeners.push(listener);
     }
@@ -164,16 +171,52 @@ fn spawn_reload_on_hangup(security: Arc<Security>) -> io::Result<()> {
     Ok(())
 }
 
-/// Prints one line per listener to standard output, for which scripts wait, then one for the admin port.
-fn announce(listeners: &[Listener], admin: Option<&TcpListener>) -> io::Result<()> {
-    let mut out = io::stdout().lock();
-    for listener in listeners {
-        writeln!(out, "listening on {listener}")?;
-    }
+/// Why an address was not bound.
+fn not_bound(option: &str, error: &io::Error) -> Error {
+    let remedy = match error.kind() {
+        io::ErrorKind::AddrInUse => "; another server has it: stop that one, or choose another port",
+        _ => "",
+    };
+    Exit::Usage.error(format!("{option} {error}{remedy}"))
+}
+
+/// One line a listener, first on standard output: what scripts wait for. Then the admin port's,
+/// and for people where the playground is and where hulls are kept if nobody chose it.
+fn announce(
+    settings: &Settings,
+    encrypts: bool,
+    listeners: &[Listener],
+    admin: Option<&TcpListener>,
+) -> io::Result<()> {
+    let mut text: String = listeners.iter().map(|listener| format!("listening on {listener}\n")).collect();
     if let Some(admin) = admin {
-        writeln!(out, "admin on {}", admin.local_addr()?)?;
+        text += &format!("admin on {}\n", admin.local_addr()?);
     }
+    if settings.playground {
+        let urls = listeners.iter().filter_map(|listener| page(listener, encrypts));
+        text.extend(urls.map(|url| format!("playground at {url}\n")));
+    }
+    if settings.store == DEFAULT_STORE {
+        let folder = std::path::absolute(DEFAULT_STORE)?;
+        text += &format!("hulls are kept in {} (the default of --store)\n", folder.display());
+    }
+    // At once: a script may close the pipe as soon as it has read the first line.
+    let mut out = io::stdout().lock();
+    out.write_all(text.as_bytes())?;
     out.flush()
+}
+
+/// Where a browser finds the playground; nowhere on a Unix socket.
+fn page(listener: &Listener, encrypts: bool) -> Option<String> {
+    let Listener::Tcp(listener) = listener else { return None };
+    let mut address = listener.local_addr().ok()?;
+    match address.ip() {
+        IpAddr::V4(ip) if ip.is_unspecified() => address.set_ip(Ipv4Addr::LOCALHOST.into()),
+        IpAddr::V6(ip) if ip.is_unspecified() => address.set_ip(Ipv6Addr::LOCALHOST.into()),
+        _ => {}
+    }
+    let scheme = if encrypts { "https" } else { "http" };
+    Some(format!("{scheme}://{address}/"))
 }
 
 /// Completes when standard input closes. Reading happens on a thread of its own, because a read of
@@ -191,7 +234,8 @@ async fn stdin_closed() {
 
 /// Sends logs to standard error, and traces to a collector if one is configured.
 fn observe(settings: &Settings) -> Result<Option<Traces>, Error> {
-    let filter = EnvFilter::try_new(&settings.log).map_err(|error| format!("log: {error}"))?;
+    let named = |why| Exit::Usage.error(format!("log {:?}: {why}", settings.log));
+    let filter = serve_values::filter(&settings.log).map_err(named)?;
     let filter = filter.and(filter_fn(|metadata| metadata.target() != trace::TARGET));
     let log = tracing_subscriber::fmt::layer().with_writer(io::stderr);
     let log = match settings.log_format {

@@ -13,7 +13,16 @@ use clap::ValueEnum;
 use hullcast::service::{Limits, Security, SecurityFiles, Serving};
 use serde::{Deserialize, Serialize};
 
-use super::{Error, memory::Size};
+use super::{
+    Error,
+    exit::Exit,
+    memory::Size,
+    serve_values::{admin_address, collector, limit, listen_address, log_filter, proxy, size},
+    values::{count, did_you_mean, number},
+};
+
+/// Where hulls are kept if nobody says where.
+pub(crate) const DEFAULT_STORE: &str = "hullcast-store";
 
 /// How logs are written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
@@ -63,6 +72,9 @@ macro_rules! settings {
                 settings!(@complete limits $($name = $default;)*)
             }
         }
+
+        /// The names of all settings.
+        pub(crate) const NAMES: &[&str] = &[$(stringify!($name)),*];
     };
     (@complete $limits:ident $($name:ident = $default:expr;)*) => {
         Settings { $($name: $name.unwrap_or_else(|| ($default)(&$limits)),)* }
@@ -72,20 +84,25 @@ macro_rules! settings {
 settings! {
     /// Address to answer on: host:port (port 0: any free one) or unix:PATH; may be repeated
     listen: Vec<String> = |_: &Limits| vec!["127.0.0.1:50051".into()],
-        "HULLCAST_LISTEN", "ADDR" [value_delimiter = ','];
+        "HULLCAST_LISTEN", "ADDR" [value_delimiter = ',', value_parser = listen_address];
     /// Where hulls are kept: a directory, file://PATH, memory:// (which forgets), or by feature
     /// s3://BUCKET/PREFIX, gs:// or az:// (docs/durability.md)
-    store: String = |_: &Limits| "hullcast-store".into(), "HULLCAST_STORE", "URL";
+    store: String = |_: &Limits| DEFAULT_STORE.into(), "HULLCAST_STORE", "URL";
     /// Threads that compute; 0: one a core
-    compute_threads: usize = |_: &Limits| 0, "HULLCAST_COMPUTE_THREADS", "N";
+    compute_threads: usize = |_: &Limits| 0, "HULLCAST_COMPUTE_THREADS", "N"
+        [value_parser = count(0, MOST_THREADS)];
     /// Seconds after SIGTERM in which health says NOT_SERVING and calls are still accepted
-    grace_seconds: f64 = |_: &Limits| 3.0, "HULLCAST_GRACE_SECONDS", "S";
+    grace_seconds: f64 = |_: &Limits| 3.0, "HULLCAST_GRACE_SECONDS", "S"
+        [value_parser = number(0.0, LONGEST)];
     /// Seconds about which a connection is told to close; 0: never
-    max_connection_age_seconds: f64 = |_: &Limits| 0.0, "HULLCAST_MAX_CONNECTION_AGE_SECONDS", "S";
+    max_connection_age_seconds: f64 = |_: &Limits| 0.0, "HULLCAST_MAX_CONNECTION_AGE_SECONDS", "S"
+        [value_parser = number(0.0, LONGEST)];
     /// Seconds between two tries whether the store can be written to
-    probe_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_PROBE_SECONDS", "S";
+    probe_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_PROBE_SECONDS", "S"
+        [value_parser = number(SHORTEST_LOOP, LONGEST)];
     /// Seconds that calls in flight have to finish when the server stops
-    drain_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_DRAIN_SECONDS", "S";
+    drain_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_DRAIN_SECONDS", "S"
+        [value_parser = number(0.0, LONGEST)];
     /// PEM file of the server's certificate and those it leads to; empty: plain text
     tls_certificate: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_TLS_CERTIFICATE", "FILE";
     /// PEM file of the certificate's private key
@@ -95,7 +112,7 @@ settings! {
     /// Serve without TLS to other machines, as behind a proxy that has it
     allow_plaintext: bool = |_: &Limits| false, "HULLCAST_ALLOW_PLAINTEXT", "BOOL"
         [num_args = 0..=1, default_missing_value = "true"];
-    /// Serve a page that shows contacts on the same addresses, by feature playground (docs/playground.md)
+    /// Serve a page that shows contacts on the same addresses, and print its URL (docs/playground.md)
     playground: bool = |_: &Limits| false, "HULLCAST_PLAYGROUND", "BOOL"
         [num_args = 0..=1, default_missing_value = "true"];
     /// File of tokens, one per line, that may query; empty: none is needed
@@ -103,83 +120,121 @@ settings! {
     /// File of tokens, one per line, that may also register and delete
     register_tokens: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_REGISTER_TOKENS", "FILE";
     /// Seconds after which certificates and tokens are read again
-    reload_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_RELOAD_SECONDS", "S";
+    reload_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_RELOAD_SECONDS", "S"
+        [value_parser = number(SHORTEST_LOOP, LONGEST)];
     /// Address of /metrics, /livez and /readyz, plain HTTP; empty: none
-    admin_listen: String = |_: &Limits| String::new(), "HULLCAST_ADMIN_LISTEN", "ADDR";
+    admin_listen: String = |_: &Limits| String::new(), "HULLCAST_ADMIN_LISTEN", "ADDR"
+        [value_parser = admin_address];
     /// Collector that traces are sent to, http://HOST:PORT or https://HOST:PORT (OTLP on gRPC);
     /// empty: none. By feature otlp (docs/operations.md)
-    otlp_endpoint: String = |_: &Limits| String::new(), "HULLCAST_OTLP_ENDPOINT", "URL";
+    otlp_endpoint: String = |_: &Limits| String::new(), "HULLCAST_OTLP_ENDPOINT", "URL"
+        [value_parser = collector];
     /// Share of calls that are traced, 0 to 1, where their callers do not say whether
-    otlp_share: f64 = |_: &Limits| 1.0, "HULLCAST_OTLP_SHARE", "SHARE";
-    /// Level of the log: error, warn, info, debug (every request), or a tracing filter
-    log: String = |_: &Limits| "info".into(), "HULLCAST_LOG", "FILTER";
+    otlp_share: f64 = |_: &Limits| 1.0, "HULLCAST_OTLP_SHARE", "SHARE"
+        [value_parser = number(0.0, 1.0)];
+    /// Level of the log: error, warn, info, debug (every request), trace, off; or a filter, as in
+    /// debug,h2=debug: a level alone leaves out what the libraries below log about their frames
+    log: String = |_: &Limits| "info".into(), "HULLCAST_LOG", "FILTER"
+        [value_parser = log_filter];
     /// How logs are written
     log_format: LogFormat = |_: &Limits| LogFormat::Text, "HULLCAST_LOG_FORMAT", "FORMAT" [value_enum];
     /// Largest message in bytes, either way
-    max_message_bytes: usize = |l: &Limits| l.max_message_bytes, "HULLCAST_MAX_MESSAGE_BYTES", "N";
+    max_message_bytes: usize = |l: &Limits| l.max_message_bytes, "HULLCAST_MAX_MESSAGE_BYTES", "N"
+        [value_parser = limit::<usize>("max_message_bytes")];
     /// Most pairs in a request
     max_pairs_per_request: u32 = |l: &Limits| l.max_pairs_per_request,
-        "HULLCAST_MAX_PAIRS_PER_REQUEST", "N";
+        "HULLCAST_MAX_PAIRS_PER_REQUEST", "N"
+        [value_parser = limit::<u32>("max_pairs_per_request")];
     /// Most bodies in a request
     max_bodies_per_request: u32 = |l: &Limits| l.max_bodies_per_request,
-        "HULLCAST_MAX_BODIES_PER_REQUEST", "N";
+        "HULLCAST_MAX_BODIES_PER_REQUEST", "N"
+        [value_parser = limit::<u32>("max_bodies_per_request")];
     /// Most hulls in a request
     max_hulls_per_request: u32 = |l: &Limits| l.max_hulls_per_request,
-        "HULLCAST_MAX_HULLS_PER_REQUEST", "N";
+        "HULLCAST_MAX_HULLS_PER_REQUEST", "N"
+        [value_parser = limit::<u32>("max_hulls_per_request")];
     /// Most extreme vertices of a hull
     max_vertices_per_hull: u32 = |l: &Limits| l.max_vertices_per_hull,
-        "HULLCAST_MAX_VERTICES_PER_HULL", "N";
+        "HULLCAST_MAX_VERTICES_PER_HULL", "N"
+        [value_parser = limit::<u32>("max_vertices_per_hull")];
     /// Most points in the definition of a hull
-    max_points_per_hull: u32 = |l: &Limits| l.max_points_per_hull, "HULLCAST_MAX_POINTS_PER_HULL", "N";
+    max_points_per_hull: u32 = |l: &Limits| l.max_points_per_hull, "HULLCAST_MAX_POINTS_PER_HULL", "N"
+        [value_parser = limit::<u32>("max_points_per_hull")];
     /// Most pairs of one caller that are accepted and not yet answered; several callers together
     /// may have less than twice as many, or with shares off only as many
-    max_pairs_in_flight: u32 = |l: &Limits| l.max_pairs_in_flight, "HULLCAST_MAX_PAIRS_IN_FLIGHT", "N";
+    max_pairs_in_flight: u32 = |l: &Limits| l.max_pairs_in_flight, "HULLCAST_MAX_PAIRS_IN_FLIGHT", "N"
+        [value_parser = limit::<u32>("max_pairs_in_flight")];
     /// Memory in bytes that all callers together can make the server hold, without the cached
     /// hulls, or a share of the memory that the process may use, as in 25%
     max_memory_bytes: Size = |l: &Limits| Size::Bytes(l.max_memory_bytes),
-        "HULLCAST_MAX_MEMORY_BYTES", "SIZE";
+        "HULLCAST_MAX_MEMORY_BYTES", "SIZE"
+        [value_parser = size("max_memory_bytes")];
     /// Whether callers share memory, leases on hulls and compute threads fairly; off: one common
     /// budget, first come, first served
     shares: Switch = |_: &Limits| Switch::On, "HULLCAST_SHARES", "SWITCH" [value_enum];
     /// Addresses of proxies: each of their connections counts as a caller of its own
     trusted_proxies: Vec<IpAddr> = |_: &Limits| Vec::new(), "HULLCAST_TRUSTED_PROXIES", "ADDR"
-        [value_delimiter = ','];
+        [value_delimiter = ',', value_parser = proxy];
     /// Seconds that a request's message has to arrive, beside one for each MiB of it
-    message_seconds: f64 = |_: &Limits| 30.0, "HULLCAST_MESSAGE_SECONDS", "S";
+    message_seconds: f64 = |_: &Limits| 30.0, "HULLCAST_MESSAGE_SECONDS", "S"
+        [value_parser = number(SHORTEST_TIME, LONGEST)];
     /// Seconds that a caller has to take an answer, beside one for each MiB of it
-    answer_seconds: f64 = |_: &Limits| 30.0, "HULLCAST_ANSWER_SECONDS", "S";
+    answer_seconds: f64 = |_: &Limits| 30.0, "HULLCAST_ANSWER_SECONDS", "S"
+        [value_parser = number(SHORTEST_TIME, LONGEST)];
     /// Most bytes of requests that have come and are not yet answered, over all calls
     max_request_bytes_in_flight: u64 = |l: &Limits| l.max_request_bytes_in_flight,
-        "HULLCAST_MAX_REQUEST_BYTES_IN_FLIGHT", "N";
+        "HULLCAST_MAX_REQUEST_BYTES_IN_FLIGHT", "N"
+        [value_parser = limit::<u64>("max_request_bytes_in_flight")];
     /// Most seconds that a call may take, but for streams
-    max_deadline_seconds: u32 = |l: &Limits| l.max_deadline_seconds, "HULLCAST_MAX_DEADLINE_SECONDS", "S";
+    max_deadline_seconds: u32 = |l: &Limits| l.max_deadline_seconds, "HULLCAST_MAX_DEADLINE_SECONDS", "S"
+        [value_parser = limit::<u32>("max_deadline_seconds")];
     /// Most connections
-    max_connections: u32 = |l: &Limits| l.max_connections, "HULLCAST_MAX_CONNECTIONS", "N";
+    max_connections: u32 = |l: &Limits| l.max_connections, "HULLCAST_MAX_CONNECTIONS", "N"
+        [value_parser = limit::<u32>("max_connections")];
     /// Bytes that streams keep from one message to the next, all together
     max_stream_state_bytes: u64 = |l: &Limits| l.max_stream_state_bytes,
-        "HULLCAST_MAX_STREAM_STATE_BYTES", "N";
+        "HULLCAST_MAX_STREAM_STATE_BYTES", "N"
+        [value_parser = limit::<u64>("max_stream_state_bytes")];
     /// Bytes of heap for hulls, cached and in use, or a share of the memory that the process
     /// may use (machine and cgroups), as in 25%
-    cache_bytes: Size = |l: &Limits| Size::Bytes(l.cache_bytes), "HULLCAST_CACHE_BYTES", "SIZE";
+    cache_bytes: Size = |l: &Limits| Size::Bytes(l.cache_bytes), "HULLCAST_CACHE_BYTES", "SIZE"
+        [value_parser = size("cache_bytes")];
     /// Most bytes in the store; 0: unbounded
-    store_bytes: u64 = |l: &Limits| l.store_bytes, "HULLCAST_STORE_BYTES", "N";
+    store_bytes: u64 = |l: &Limits| l.store_bytes, "HULLCAST_STORE_BYTES", "N"
+        [value_parser = limit::<u64>("store_bytes")];
     /// Most concurrent calls on a connection
     max_streams_per_connection: u32 = |l: &Limits| l.max_streams_per_connection,
-        "HULLCAST_MAX_STREAMS_PER_CONNECTION", "N";
+        "HULLCAST_MAX_STREAMS_PER_CONNECTION", "N"
+        [value_parser = limit::<u32>("max_streams_per_connection")];
     /// Most hulls in a page of a listing
-    max_page_size: u32 = |l: &Limits| l.max_page_size, "HULLCAST_MAX_PAGE_SIZE", "N";
+    max_page_size: u32 = |l: &Limits| l.max_page_size, "HULLCAST_MAX_PAGE_SIZE", "N"
+        [value_parser = limit::<u32>("max_page_size")];
     /// How long a hull that another server deleted may still be answered for
-    cache_age_seconds: u32 = |l: &Limits| l.cache_age_seconds, "HULLCAST_CACHE_AGE_SECONDS", "S";
+    cache_age_seconds: u32 = |l: &Limits| l.cache_age_seconds, "HULLCAST_CACHE_AGE_SECONDS", "S"
+        [value_parser = limit::<u32>("cache_age_seconds")];
     /// Seconds that an operation of the store may take; after that the store is taken to hang
     /// until the operation returns (1 to 3600)
-    store_seconds: u32 = |l: &Limits| l.store_seconds, "HULLCAST_STORE_SECONDS", "S";
+    store_seconds: u32 = |l: &Limits| l.store_seconds, "HULLCAST_STORE_SECONDS", "S"
+        [value_parser = limit::<u32>("store_seconds")];
 }
 
 impl Given {
     /// Reads a TOML file. An unknown key is an error.
     pub(crate) fn read(path: &Path) -> Result<Self, Error> {
-        let text = fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
-        Ok(toml::from_str(&text).map_err(|error| format!("{}: {error}", path.display()))?)
+        let fault = |why: String| Exit::Input.error(format!("--config {}: {why}", path.display()));
+        let text = fs::read_to_string(path).map_err(|error| fault(format!("cannot be read: {error}")))?;
+        Self::parse(&text).map_err(fault)
+    }
+
+    fn parse(text: &str) -> Result<Self, String> {
+        let table: toml::Table = text.parse().map_err(|error: toml::de::Error| error.to_string())?;
+        if let Some(unknown) = table.keys().find(|key| !NAMES.contains(&key.as_str())) {
+            let near = did_you_mean(unknown, NAMES.iter().copied());
+            return Err(format!(
+                "there is no setting `{unknown}`{near} (`hullcast serve --print-config` prints all settings)"
+            ));
+        }
+        toml::from_str(text).map_err(|error| error.to_string())
     }
 }
 
@@ -191,10 +246,12 @@ impl Settings {
     pub(crate) fn serving(&self) -> Result<Serving, Error> {
         let (threads, share) = (self.compute_threads, self.otlp_share);
         if threads > MOST_THREADS {
-            return Err(format!("compute_threads is {threads}, must be 0 to {MOST_THREADS}").into());
+            return Err(
+                Exit::Usage.error(format!("compute_threads is {threads}, must be 0 to {MOST_THREADS}"))
+            );
         }
         if !(0.0..=1.0).contains(&share) {
-            return Err(format!("otlp_share is {share}, must be 0 to 1").into());
+            return Err(Exit::Usage.error(format!("otlp_share is {share}, must be 0 to 1")));
         }
         let files = SecurityFiles {
             tls_certificate: self.tls_certificate.clone(),
@@ -204,13 +261,14 @@ impl Settings {
             register_tokens: self.register_tokens.clone(),
         };
         if self.playground && cfg!(not(feature = "playground")) {
-            return Err(
-                "playground: this server was built without it: cargo build --release --features playground"
-                    .into(),
-            );
+            let remedy = "cargo build --release --features playground";
+            return Err(Exit::Usage.error(format!("playground: this server was built without it: {remedy}")));
         }
         Ok(Serving {
-            security: Arc::new(Security::open(&files)?),
+            security: Arc::new(
+                Security::open(&files)
+                    .map_err(|error| Exit::Input.error(self.names_file(error.path(), &error)))?,
+            ),
             reload_every: seconds("reload_seconds", self.reload_seconds, SHORTEST_LOOP)?,
             drain: seconds("drain_seconds", self.drain_seconds, 0.0)?,
             max_connection_age: seconds("max_connection_age_seconds", self.max_connection_age_seconds, 0.0)?,
@@ -222,6 +280,19 @@ impl Settings {
             playground: self.playground,
             ..Serving::default()
         })
+    }
+
+    /// A fault of a file with the setting that names the file.
+    fn names_file(&self, path: &Path, fault: &dyn std::fmt::Display) -> String {
+        let files = [
+            ("tls_certificate ", &self.tls_certificate),
+            ("tls_key ", &self.tls_key),
+            ("tls_client_ca ", &self.tls_client_ca),
+            ("query_tokens ", &self.query_tokens),
+            ("register_tokens ", &self.register_tokens),
+        ];
+        let setting = files.into_iter().find(|(_, file)| file.as_path() == path).map_or("", |(name, _)| name);
+        format!("{setting}{fault}")
     }
 
     /// How long health says NOT_SERVING before connections are closed, when the server stops.
@@ -271,7 +342,7 @@ const SHORTEST_TIME: f64 = 0.001;
 const LONGEST: f64 = 1e9;
 
 /// Largest number of compute threads.
-const MOST_THREADS: usize = 4096;
+pub(crate) const MOST_THREADS: usize = 4096;
 
 /// The value of a setting in seconds, at least `least`.
 ///
@@ -281,7 +352,7 @@ fn seconds(name: &str, value: f64, least: f64) -> Result<Duration, Error> {
     if (least..=LONGEST).contains(&value) {
         return Ok(Duration::try_from_secs_f64(value)?);
     }
-    Err(format!("{name} is {value}, must be {least} to {LONGEST} seconds").into())
+    Err(Exit::Usage.error(format!("{name} is {value}, must be {least} to {LONGEST} seconds")))
 }
 
 #[cfg(test)]
@@ -291,6 +362,9 @@ mod tests {
     /// Catches a misspelt key in a file that silently means the default.
     #[test]
     fn unknown_keys_are_refused() {
+        let error = Given::parse("cache_byte = 1").expect_err("unknown");
+        assert!(error.contains("`cache_byte`; did you mean `cache_bytes`?"), "{error}");
+        assert!(Given::parse("nothing_like_it = 1").is_err_and(|error| !error.contains("did you mean")));
         assert!(toml::from_str::<Given>("cache_byte = 1").is_err());
         assert_eq!(toml::from_str::<Given>("cache_bytes = 1").unwrap().cache_bytes, Some(Size::Bytes(1)));
     }

@@ -114,12 +114,18 @@ impl Limits {
 const FRAME_HEAD_BYTES: u64 = 5;
 
 impl Limits {
-    /// A message about the first fault of these limits: a value outside its range, or two values
-    /// that contradict each other. None if there is no fault.
-    pub fn contradiction(&self) -> Option<String> {
+    /// The values that the limit called `name` may have. None if there is no such limit, or any
+    /// value is allowed.
+    pub fn range(name: &str) -> Option<(u64, u64)> {
+        let ranges = Self::default().ranges();
+        ranges.into_iter().find(|&(limit, ..)| limit == name).map(|(_, _, least, most)| (least, most))
+    }
+
+    /// Each limit's name and value, and the least and the most that it may be.
+    fn ranges(&self) -> [(&'static str, u64, u64, u64); 18] {
         let count = |name, value: u32| (name, u64::from(value), 1, u64::from(u32::MAX));
         let size = |name, value, least| (name, value, least, MOST_BYTES);
-        let ranges = [
+        [
             ("max_message_bytes", self.max_message_bytes as u64, 1024, MOST_MESSAGE_BYTES),
             count("max_pairs_per_request", self.max_pairs_per_request),
             count("max_bodies_per_request", self.max_bodies_per_request),
@@ -139,9 +145,16 @@ impl Limits {
             count("max_connections", self.max_connections),
             count("max_streams_per_connection", self.max_streams_per_connection),
             count("max_page_size", self.max_page_size),
+            // 0: hulls are looked for in the store each time.
+            ("cache_age_seconds", self.cache_age_seconds.into(), 0, u32::MAX.into()),
             ("store_seconds", self.store_seconds.into(), 1, MOST_STORE_SECONDS),
-        ];
-        for (name, value, least, most) in ranges {
+        ]
+    }
+
+    /// The fault of these limits, for people: a value outside its range, or two values that
+    /// contradict each other. None if the limits have no fault.
+    pub fn contradiction(&self) -> Option<String> {
+        for (name, value, least, most) in self.ranges() {
             if !(least..=most).contains(&value) {
                 return Some(format!("{name} is {value}, must be {least} to {most}"));
             }

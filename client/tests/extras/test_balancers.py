@@ -131,7 +131,7 @@ def test_no_replica_at_all_is_unavailable(way: str, tmp_path: Path):
             client.register([CUBE])
         command = [find_binary(), "load", "--remote", target, "--pairs", "10"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-        assert done.returncode == 1
+        assert done.returncode == 4
         assert "Unavailable: no replica answers" in done.stderr
 
 

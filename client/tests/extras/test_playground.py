@@ -1,6 +1,6 @@
 """Tests the playground's page in Chromium against the client's results from the same server.
 
-Needs a server built with the feature `playground` (`make test-playground`). With
+Needs a server built with the default features (`make test-playground`). With
 HULLCAST_WRITE_PICTURE set, writes docs/playground.png.
 """
 

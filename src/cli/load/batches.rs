@@ -7,8 +7,11 @@ use prost::Message;
 
 use crate::cli::Error;
 use crate::cli::answer::{definition, request};
+use crate::cli::exit::Exit;
 use crate::cli::options::Asked;
+use crate::cli::progress::Progress;
 use crate::cli::scene::{Frame, HullPoints, Scene};
+use crate::cli::values::counted;
 use hullcast::contact::{Body, ConvexHull, Workspace, contact_manifold};
 use hullcast::proto;
 use hullcast::service::Limits;
@@ -43,13 +46,15 @@ impl Batches {
     /// # Errors
     /// The scene is not valid, or has no pairs.
     pub(crate) fn of_scene(path: &Path, pairs: Option<u32>) -> Result<Self, Error> {
-        let mut scene = Scene::read(path).map_err(|e| format!("{}: {e}", path.display()))?;
+        let mut scene = Scene::read("--scene", path)?;
+        scene.check_poses()?;
         if scene.pairs.is_empty() {
-            return Err(format!("{}: pairs: is empty", path.display()).into());
+            return Err(Exit::Input.error(format!("--scene {}: pairs: is empty", path.display())));
         }
         let count = pairs.map_or(scene.pairs.len() / 2, |n| n as usize);
         scene.pairs = scene.pairs.iter().copied().cycle().take(2 * count).collect();
-        Ok(Self { title: format!("{}, {count} pairs a batch", scene.name), scenes: vec![scene] })
+        let title = format!("{}, {} a batch", scene.name, counted(count, "pair"));
+        Ok(Self { title, scenes: vec![scene] })
     }
 
     /// `count` batches of `pairs` pairs from a generated workload, where each body is in one pair.
@@ -89,7 +94,7 @@ impl Batches {
             margin: GENERATED_MARGIN,
         });
         let scenes = scenes.collect();
-        Ok(Self { title: format!("{name}, {pairs} pairs a batch"), scenes })
+        Ok(Self { title: format!("{name}, {} a batch", counted(pairs, "pair")), scenes })
     }
 
     /// Title for display.
@@ -120,7 +125,9 @@ impl Batches {
         let mut expected = Vec::new();
         if verify > 0 {
             let library = Oracle::new(self.hulls(), ids)?;
+            let progress = Progress::new("batches computed, to check answers by", requests.len());
             for request in &requests {
+                progress.add(1);
                 expected.push(library.answer(request.clone())?.encode_to_vec());
             }
         }

@@ -21,17 +21,21 @@ impl FromStr for Range {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || {
+            "expected start:end:step or start:end or start: numbers above 0, end at least start, \
+             10000 steps at most"
+                .to_owned()
+        };
         let numbers: Result<Vec<f64>, _> = text.split(':').map(str::parse).collect();
-        let numbers = numbers.map_err(|error| format!("{text}: {error}"))?;
-        let (start, end, step) = match numbers[..] {
+        let (start, end, step) = match numbers.map_err(|_| wrong())?[..] {
             [start] => (start, start, 1.0),
             [start, end] => (start, end, 1.0),
             [start, end, step] => (start, end, step),
-            _ => return Err(format!("{text}: expected start:end:step")),
+            _ => return Err(wrong()),
         };
         let good = start > 0.0 && end >= start && step > 0.0 && end.is_finite();
         let most = (end - start) / step <= 10_000.0;
-        if good && most { Ok(Self { start, end, step }) } else { Err(format!("{text}: not a range of load")) }
+        if good && most { Ok(Self { start, end, step }) } else { Err(wrong()) }
     }
 }
 

@@ -8,6 +8,7 @@ use hdrhistogram::Histogram;
 
 use super::levels::Level;
 use super::sheet::Row;
+use crate::cli::values::counted;
 
 /// Counts of one loop, or of all loops together.
 #[derive(Debug)]
@@ -107,9 +108,9 @@ impl Tally {
         let _ = writeln!(text, "{title}");
         let _ = writeln!(
             text,
-            "{} batches, {} pairs in {seconds:.2} s: {:.0} pairs/s",
-            self.latency.len(),
-            self.pairs,
+            "{}, {} in {seconds:.2} s: {:.0} pairs/s",
+            counted(self.latency.len(), "batch"),
+            counted(self.pairs, "pair"),
             self.pairs as f64 / seconds
         );
         let _ = writeln!(
@@ -122,8 +123,10 @@ impl Tally {
         );
         let _ = writeln!(
             text,
-            "checked bit for bit: {} batches, {} pairs; {} batches differ",
-            self.checked_batches, self.checked_pairs, self.wrong_batches
+            "checked bit for bit: {}, {}; {} wrong",
+            counted(self.checked_batches, "batch"),
+            counted(self.checked_pairs, "pair"),
+            self.wrong_batches
         );
         if self.shed > 0 {
             let _ = writeln!(text, "shed by a busy server: {}", self.shed);
@@ -187,7 +190,9 @@ impl Tally {
         match (errors, self.wrong_batches, self.latency.len()) {
             (0, 0, 1..) => Ok(()),
             (0, 0, _) => Err("no batch was answered".into()),
-            (errors, differing, _) => Err(format!("{errors} calls failed, {differing} answers differ")),
+            (errors, differing, _) => {
+                Err(format!("{} failed, {} wrong", counted(errors, "call"), counted(differing, "answer")))
+            }
         }
     }
 }
@@ -208,7 +213,7 @@ mod tests {
         }
         let text = all.text("t", Duration::from_secs(2));
         assert!(text.contains("3 batches, 30 pairs in 2.00 s: 15 pairs/s"), "{text}");
-        assert!(text.contains("p50 2.0") && text.contains("3 batches, 30 pairs; 0 batches differ"), "{text}");
+        assert!(text.contains("p50 2.0") && text.contains("3 batches, 30 pairs; 0 wrong"), "{text}");
         assert_eq!(all.verdict(), Ok(()));
     }
 
@@ -219,7 +224,7 @@ mod tests {
         let mut wrong = Tally::default();
         wrong.answered(10, Duration::from_millis(1)).unwrap();
         wrong.checked(10, false);
-        assert_eq!(wrong.verdict(), Err("0 calls failed, 1 answers differ".into()));
+        assert_eq!(wrong.verdict(), Err("0 calls failed, 1 answer wrong".into()));
         let mut failed = Tally::default();
         failed.answered(10, Duration::from_millis(1)).unwrap();
         failed.failed("Unavailable: busy".into());

@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 
-use super::super::{Error, scene::Scene};
+use super::super::{Error, exit::Exit, scene::Scene};
 use hullcast::contact::{Body, ConvexHull, HullOptions, Outcome, Pose, Query, Workspace, contact_manifold};
 use hullcast::workload::{Family, Random, Regime, Workload};
 
@@ -150,8 +150,12 @@ fn deep(family: Family, pairs: usize) -> Result<Cell, Error> {
 /// The pairs of a scene file that are in contact, taken evenly over its frames. If there are none,
 /// `pairs` random pairs of its hulls are brought into shallow overlap.
 pub(super) fn of_scene(scene: &Scene, pairs: usize) -> Result<Cell, Error> {
+    scene.check_poses()?;
     let hulls: Vec<Vec<[f64; 3]>> = scene.hulls.iter().map(|hull| hull.vertices.clone()).collect();
-    let built = hulls.iter().map(|points| ConvexHull::with_options(points, &HullOptions::default()));
+    let built = hulls.iter().enumerate().map(|(i, points)| {
+        ConvexHull::with_options(points, &HullOptions::default())
+            .map_err(|e| Exit::Input.error(format!("{}, hulls[{i}]: {e}", scene.name)))
+    });
     let built: Vec<ConvexHull> = built.collect::<Result<_, _>>()?;
     let mut random = Random::new(3);
     let mut cases = Vec::new();
@@ -171,7 +175,7 @@ pub(super) fn of_scene(scene: &Scene, pairs: usize) -> Result<Cell, Error> {
             }
         }
     }
-    if cases.is_empty() {
+    if cases.is_empty() && !built.is_empty() {
         cases = (0..pairs).filter_map(|_| brought_together(&built, &mut random)).collect();
     }
     let every = cases.len().div_ceil(pairs).max(1);

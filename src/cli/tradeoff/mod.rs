@@ -13,10 +13,11 @@ mod truth;
 use std::collections::HashMap;
 use std::path::PathBuf;
 
-use indicatif::{ProgressBar, ProgressStyle};
-
 use super::Error;
+use super::exit::Exit;
+use super::progress::Progress;
 use super::scene::Scene;
+use super::values::count;
 use cases::Pool;
 use chart::{Chart, Series};
 use measure::{Prepared, Sample};
@@ -36,16 +37,17 @@ pub(crate) struct Args {
     /// Scene files, hullcast.scene.v1; a file may be hulls alone, with empty bodies and pairs.
     scenes: Vec<PathBuf>,
     /// Where the results go, without an ending.
-    #[arg(long, value_name = "FILE", default_value = "tradeoff")]
+    #[arg(long, value_name = "FILE", default_value = "tradeoff", help_heading = "Results")]
     out: PathBuf,
     /// Pairs of each kind at most.
-    #[arg(long, value_name = "COUNT", default_value_t = 96, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "COUNT", default_value_t = 96, value_parser = count(1, u32::MAX),
+          allow_negative_numbers = true, help_heading = "Pairs")]
     pairs: u32,
-    /// Writes the pairs for another library to answer, as JSON, and measures nothing.
-    #[arg(long, value_name = "FILE", conflicts_with = "peer")]
+    /// Writes the pairs for another library to answer, as JSON, and measures nothing [default: measures].
+    #[arg(long, value_name = "FILE", conflicts_with = "peer", help_heading = "Other libraries")]
     ask: Option<PathBuf>,
-    /// A file of another library's answers, judged beside ours.
-    #[arg(long, value_name = "FILE")]
+    /// A file of another library's answers, judged beside ours; may be repeated [default: none].
+    #[arg(long, value_name = "FILE", help_heading = "Other libraries")]
     peer: Vec<PathBuf>,
 }
 
@@ -55,20 +57,22 @@ pub(crate) struct Args {
 /// A scene is not valid or has no pair to measure, or the results cannot be written.
 pub(crate) fn run(args: &Args) -> Result<(), Error> {
     let pairs = args.pairs as usize;
+    let progress = Progress::waiting("making pairs");
     let cells = match &args.scenes[..] {
         [] => cases::generated(pairs)?,
         scenes => {
             let of = |path: &PathBuf| -> Result<_, Error> {
-                let scene = Scene::read(path).map_err(|e| format!("{}: {e}", path.display()))?;
+                let scene = Scene::read("", path)?;
                 let cell = cases::of_scene(&scene, pairs)?;
                 match cell.cases.is_empty() {
-                    true => Err(format!("{}: no pair to measure", path.display()).into()),
+                    true => Err(Exit::Input.error(format!("{}: no pair to measure", path.display()))),
                     false => Ok(cell),
                 }
             };
             scenes.iter().map(of).collect::<Result<_, _>>()?
         }
     };
+    drop(progress);
     if let Some(path) = &args.ask {
         return peers::ask(&cells, path);
     }
@@ -83,7 +87,7 @@ pub(crate) fn run(args: &Args) -> Result<(), Error> {
     let csv = table::csv(&rows, &others).into_bytes();
     for (ending, bytes) in [("csv", csv), ("svg", chart.svg().into_bytes()), ("png", chart.png()?)] {
         let path = args.out.with_extension(ending);
-        std::fs::write(&path, bytes).map_err(|e| format!("{}: {e}", path.display()))?;
+        std::fs::write(&path, bytes).map_err(|e| format!("--out {}: {e}", path.display()))?;
     }
     print!("{}", advice::text(&all));
     for pool in [Pool::All, Pool::Deep] {
@@ -97,10 +101,16 @@ pub(crate) fn run(args: &Args) -> Result<(), Error> {
 
 /// Measures every setting and judges every other library, on every cell and on each whole pool.
 fn measured(cells: Vec<cases::Cell>, peers: &[Peer]) -> Result<(Vec<Row>, Vec<PeerRow>), Error> {
-    let cells: Vec<Prepared> = cells.into_iter().map(Prepared::new).collect::<Result<_, _>>()?;
+    let progress = Progress::new("kinds of pairs prepared", cells.len());
+    let prepared = cells.into_iter().map(|cell| {
+        let prepared = Prepared::new(cell);
+        progress.add(1);
+        prepared
+    });
+    let cells: Vec<Prepared> = prepared.collect::<Result<_, _>>()?;
+    drop(progress);
     let grid = Setting::grid();
-    let progress = ProgressBar::new(grid.len() as u64)
-        .with_style(ProgressStyle::with_template("{bar:40} {pos}/{len} settings, {eta} left")?);
+    let progress = Progress::new("settings", grid.len());
     // The first setting is the one by which times are divided: one run warms up, one is kept.
     let median = |prepared: &Prepared, setting: &Setting| -> f64 {
         let [median] = Sorted::new(prepared.measure(setting).iter().map(|s| s.nanoseconds)).at([0.5]);
@@ -135,14 +145,16 @@ fn measured(cells: Vec<cases::Cell>, peers: &[Peer]) -> Result<(Vec<Row>, Vec<Pe
     for &setting in &grid {
         let of_setting = figures(&|_, prepared| prepared.measure(&setting));
         rows.extend(of_setting.into_iter().map(|(cell, figures)| Row { cell, setting, figures }));
-        progress.inc(1);
+        progress.add(1);
     }
-    progress.finish_and_clear();
+    drop(progress);
+    let progress = Progress::new("other libraries", peers.len());
     let mut others = Vec::new();
     for peer in peers {
         let of_peer = figures(&|i, prepared| prepared.judge(peer.answers(i)));
         let row = |(cell, figures)| PeerRow { cell, name: peer.name.clone(), figures };
         others.extend(of_peer.into_iter().map(row));
+        progress.add(1);
     }
     Ok((rows, others))
 }

@@ -8,7 +8,7 @@ use std::path::Path;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::super::Error;
+use super::super::{Error, exit::Exit};
 use super::cases::{Case, Cell, Placement};
 
 /// The questions for another library: the hulls and pairs of every cell.
@@ -105,7 +105,7 @@ pub(super) fn ask(cells: &[Cell], path: &Path) -> Result<(), Error> {
         pairs: cell.cases.iter().map(pair).collect(),
     });
     let text = serde_json::to_vec(&Asked { cells: cells.collect() })?;
-    std::fs::write(path, text).map_err(|e| format!("{}: {e}", path.display()).into())
+    std::fs::write(path, text).map_err(|e| format!("--ask {}: {e}", path.display()).into())
 }
 
 impl Peer {
@@ -114,12 +114,17 @@ impl Peer {
     /// # Errors
     /// The file is not valid, or it answers other pairs than those of `cells`.
     pub(super) fn read(path: &Path, cells: &[Cell]) -> Result<Self, Error> {
-        let at = |e: &dyn std::fmt::Display| -> Error { format!("{}: {e}", path.display()).into() };
-        let text = std::fs::read(path).map_err(|e| at(&e))?;
-        let peer: Self = serde_json::from_slice(&text).map_err(|e| at(&e))?;
+        let at = |why: &dyn std::fmt::Display| Exit::Input.error(format!("--peer {}: {why}", path.display()));
+        let text = std::fs::read(path).map_err(|e| at(&format!("cannot be read: {e}")))?;
+        let expected = "expected the answers to the pairs that --ask writes, as JSON";
+        let peer: Self = serde_json::from_slice(&text).map_err(|e| at(&format!("{expected} ({e})")))?;
         let asked = cells.iter().map(|cell| (cell.name.as_str(), cell.cases.len()));
         let answered = peer.cells.iter().map(|cell| (cell.name.as_str(), cell.pairs.len()));
-        if asked.eq(answered) { Ok(peer) } else { Err(at(&"answers other pairs than these")) }
+        if asked.eq(answered) {
+            Ok(peer)
+        } else {
+            Err(at(&"answers other pairs than these; ask again with the same scenes and --pairs"))
+        }
     }
 
     /// The answers for a cell, by its index.

@@ -10,17 +10,25 @@ use sha2::{Digest, Sha256};
 
 /// Why files were refused; the text names the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct LoadError(String);
+pub struct LoadError {
+    path: PathBuf,
+    why: String,
+}
 
 impl LoadError {
     pub(super) fn new(path: &Path, why: impl fmt::Display) -> Self {
-        Self(format!("{}: {why}", path.display()))
+        Self { path: path.into(), why: why.to_string() }
+    }
+
+    /// The file at fault.
+    pub fn path(&self) -> &Path {
+        &self.path
     }
 }
 
 impl fmt::Display for LoadError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
+        write!(f, "{}: {}", self.path.display(), self.why)
     }
 }
 

@@ -1,0 +1,279 @@
+//! Every option with wrong values: the message names the option, the value and what is allowed.
+
+use std::collections::BTreeSet;
+
+use clap::{Arg, ArgAction, Command, CommandFactory};
+
+use super::help::complete;
+use crate::Arguments;
+
+/// No numbers at all, or none that are finite and at least 0.
+const NO_NUMBERS: [&str; 11] = ["", " ", "abc", "nan", "-1", "-inf", "1,5", "0x10", "1e", "1 2", "ten"];
+/// No whole numbers of 64 bits.
+const NO_COUNTS: [&str; 6] = ["1.5", "1e3", "inf", "99999999999999999999", "-0.5", "½"];
+const NO_NAMES: [&str; 10] = ["", " ", "x", "1", "-", "none", "alpha;normal", "*", "ünknown", "true,"];
+const NO_SWITCHES: [&str; 10] = ["", " ", "maybe", "2", "-1", "yes", "oui", "truee", "nil", "1.0"];
+const NO_ADDRESSES: [&str; 10] =
+    ["x", ":1", "a:", "a:65536", "a:-1", "::1:1", "a b:1", "[a]:1", "a:b:c", "ftp://a:1"];
+const NO_PROXIES: [&str; 10] =
+    ["", "x", "10.0.0", "10.0.0.1:5", "10.0.0.0/8", "[::1]", "256.0.0.1", "localhost", "::g", "10.0.0.1;::1"];
+const NO_SERVERS: [&str; 10] =
+    ["", ":1", "host:", "host:0", "host:65536", "host:x", "ftp://host", "http://a/b", "::1", "a b"];
+
+const OUTPUTS: &str =
+    "[possible values: outcome, alpha, normal, points, witness-b, features, bases, diagnostics]";
+const SIZE: &str = "to 1125899906842624 bytes (KiB, MiB and GiB are known), or a share from 0% to 100%";
+
+/// An option, values outside its range beside those that are none of its type, and what is allowed.
+type Case = (&'static str, &'static [&'static str], &'static str);
+
+const OF_ANY_QUERY: [Case; 7] = [
+    ("solver", &NO_NAMES, "[possible values: portal, gjk-ray-cast]"),
+    ("relative-tolerance", &["1.01", "2", "inf"], "expected a number from 0 to 1"),
+    ("feature-angle", &["0.51", "inf"], "expected a number from 0 to 0.5"),
+    ("max-points", &["4294967296"], "expected a whole number from 0 to 4294967295"),
+    ("margin", &["-0.1"], "expected a number of at least 0, or inf"),
+    ("outputs", &NO_NAMES, OUTPUTS),
+    ("threads", &["4097"], "expected a whole number from 0 to 4096"),
+];
+const OF_LOAD: [Case; 14] = [
+    ("family", &NO_NAMES, "[possible values: box, poly16, poly64, poly256]"),
+    ("regime", &NO_NAMES, "[possible values: shallow, resting, separated]"),
+    ("request-distribution", &NO_NAMES, "[possible values: constant, poisson]"),
+    ("pairs", &["0", "4294967296"], "expected a whole number from 1 to 4294967295"),
+    ("batches", &["0", "4294967296"], "expected a whole number from 1 to 4294967295"),
+    ("seed", &["18446744073709551616"], "expected a whole number from 0 to 18446744073709551615"),
+    ("concurrency", &["0", "4294967296"], "expected a whole number from 1 to 4294967295"),
+    ("connections", &["0"], "expected a whole number from 1 to 4294967295"),
+    ("latency-threshold", &["-0.5"], "expected a number from 0 to inf"),
+    ("percentile", &["100.1", "inf"], "expected a number from 0 to 100"),
+    ("duration", &["10000001", "inf"], "expected a number from 0 to 10000000"),
+    ("count", &["18446744073709551616"], "expected a whole number from 0 to 18446744073709551615"),
+    ("retries", &["4294967296"], "expected a whole number from 0 to 4294967295"),
+    ("verify", &["18446744073709551616"], "expected a whole number from 0 to 18446744073709551615"),
+];
+const RANGES: [Case; 2] = [
+    (
+        "concurrency-range",
+        &["0", "3:1", "1:2:0", "1:inf", "1:2:3:4", "1:1e9:0.001"],
+        "expected start:end:step",
+    ),
+    (
+        "request-rate-range",
+        &["0", "3:1", "1:2:0", "1:inf", "1:2:3:4", ":"],
+        "numbers above 0, end at least start",
+    ),
+];
+const OF_SERVE: [Case; 38] = [
+    ("listen", &NO_ADDRESSES, "expected host:port with a port from 0 to 65535"),
+    ("admin-listen", &NO_ADDRESSES, "expected host:port with a port from 0 to 65535"),
+    ("otlp-endpoint", &NO_ADDRESSES, "expected http://HOST:PORT or https://HOST:PORT"),
+    ("trusted-proxies", &NO_PROXIES, "expected an IP address"),
+    (
+        "log",
+        &["", "verbose", "6", "hullcast", "info,loud", "h2=x"],
+        "expected error, warn, info, debug, trace or off",
+    ),
+    ("log-format", &NO_NAMES, "[possible values: text, json]"),
+    ("shares", &NO_NAMES, "[possible values: on, off]"),
+    ("allow-plaintext", &NO_SWITCHES, "[possible values: true, false]"),
+    ("playground", &NO_SWITCHES, "[possible values: true, false]"),
+    ("compute-threads", &["4097"], "expected a whole number from 0 to 4096"),
+    ("grace-seconds", &["1e10", "inf"], "expected a number from 0 to 1000000000"),
+    ("drain-seconds", &["1e10", "inf"], "expected a number from 0 to 1000000000"),
+    ("max-connection-age-seconds", &["1e10"], "expected a number from 0 to 1000000000"),
+    ("probe-seconds", &["0", "0.009"], "expected a number from 0.01 to 1000000000"),
+    ("reload-seconds", &["0", "0.009"], "expected a number from 0.01 to 1000000000"),
+    ("message-seconds", &["0", "0.0009"], "expected a number from 0.001 to 1000000000"),
+    ("answer-seconds", &["0", "0.0009"], "expected a number from 0.001 to 1000000000"),
+    ("otlp-share", &["1.1", "inf"], "expected a number from 0 to 1"),
+    ("max-message-bytes", &["1023", "2147483649"], "expected a whole number from 1024 to 2147483648"),
+    ("max-pairs-per-request", &["0", "4294967296"], "expected a whole number from 1 to 4294967295"),
+    ("max-bodies-per-request", &["0", "4294967296"], "expected a whole number from 1 to 4294967295"),
+    ("max-hulls-per-request", &["0", "4294967296"], "expected a whole number from 1 to 4294967295"),
+    ("max-vertices-per-hull", &["3", "4294967296"], "expected a whole number from 4 to 4294967295"),
+    ("max-points-per-hull", &["3", "4294967296"], "expected a whole number from 4 to 4294967295"),
+    ("max-pairs-in-flight", &["0", "4294967296"], "expected a whole number from 1 to 4294967295"),
+    ("max-deadline-seconds", &["0", "4294967296"], "expected a whole number from 1 to 4294967295"),
+    ("max-connections", &["0", "4294967296"], "expected a whole number from 1 to 4294967295"),
+    ("max-streams-per-connection", &["0"], "expected a whole number from 1 to 4294967295"),
+    ("max-page-size", &["0", "4294967296"], "expected a whole number from 1 to 4294967295"),
+    ("cache-age-seconds", &["4294967296"], "expected a whole number from 0 to 4294967295"),
+    ("store-seconds", &["0", "3601"], "expected a whole number from 1 to 3600"),
+    ("store-bytes", &["1125899906842625"], "expected a whole number from 0 to 1125899906842624"),
+    ("max-stream-state-bytes", &["1125899906842625"], "expected a whole number from 0 to 1125899906842624"),
+    ("max-request-bytes-in-flight", &["0"], "expected a whole number from 1 to 1125899906842624"),
+    ("max-memory-bytes", &["0", "268435455", "255MiB", "101%", "1MB"], SIZE),
+    ("cache-bytes", &["0", "1048577GiB", "-1%", "nan%", "1 MiB"], SIZE),
+    ("inject-pair-delay-us", &["18446744073709551616"], "expected a whole number from 0 to"),
+    ("max-memory-bytes", &["10 %", "%", "MiB"], "expected 268435456 to 1125899906842624 bytes"),
+];
+const OF_PRUNE: [Case; 1] = [(
+    "older-than",
+    &["d", "30", "1.5h", "30 d", "1w", "99999999999999999999d", "9999999999999999999d", "1d1h"],
+    "expected a whole number of at least 0 and its unit, s, m, h or d, as in 30d",
+)];
+const OF_TRADEOFF: [Case; 1] =
+    [("pairs", &["0", "4294967296"], "expected a whole number from 1 to 4294967295")];
+const OF_REMOTE: [Case; 1] =
+    [("remote", &NO_SERVERS, "expected host, host:port, unix:PATH, http://host:port or")];
+
+/// Options whose values are names, files and folders: tests/cli.rs runs the binary with wrong ones.
+const NAMES_AND_FILES: [(&str, &[&str]); 5] = [
+    (
+        "serve",
+        &[
+            "config",
+            "store",
+            "tls-certificate",
+            "tls-key",
+            "tls-client-ca",
+            "query-tokens",
+            "register-tokens",
+        ],
+    ),
+    ("query", &["frame", "out", "tls-ca", "tls-certificate", "tls-key", "token-file"]),
+    ("tradeoff", &["out", "ask", "peer"]),
+    ("load", &["scene", "csv", "plot", "tls-ca", "tls-certificate", "tls-key", "token-file"]),
+    ("prune", &["store"]),
+];
+
+/// What a subcommand does not start without.
+fn needed(subcommand: &str) -> &'static [&'static str] {
+    match subcommand {
+        "query" => &["scene.json"],
+        "prune" => &["--store", "s", "--older-than", "1d"],
+        _ => &[],
+    }
+}
+
+fn cases(subcommand: &str) -> Vec<Case> {
+    match subcommand {
+        "query" => [&OF_ANY_QUERY[..], &OF_REMOTE].concat(),
+        "load" => [&OF_ANY_QUERY[..], &OF_LOAD, &RANGES, &OF_REMOTE].concat(),
+        "serve" => OF_SERVE.to_vec(),
+        "prune" => OF_PRUNE.to_vec(),
+        "tradeoff" => OF_TRADEOFF.to_vec(),
+        other => panic!("{other} has no cases"),
+    }
+}
+
+/// The wrong values of a case: its own, and those that are none of its type.
+fn wrong_values(case: &Case) -> Vec<&'static str> {
+    let (_, own, allowed) = *case;
+    let mut values = own.to_vec();
+    if allowed.contains("number") || allowed.contains("bytes") || allowed.contains("start:end") {
+        values.extend(NO_NUMBERS);
+    }
+    if allowed.contains("whole number") {
+        values.extend(NO_COUNTS);
+    }
+    values
+}
+
+fn command() -> Command {
+    let mut command = complete(Arguments::command());
+    command.build();
+    command
+}
+
+fn refusal(subcommand: &str, words: &[&str]) -> String {
+    // An option that is given twice would be another error.
+    let given = |option: &str| words.iter().any(|word| word.starts_with(option));
+    let needed = needed(subcommand).chunks(2).filter(|pair| !given(pair[0])).flatten().copied();
+    let line = ["hullcast", subcommand].into_iter().chain(needed).chain(words.iter().copied());
+    match command().try_get_matches_from(line) {
+        Ok(_) => "accepted".into(),
+        Err(error) => {
+            assert_eq!(error.exit_code(), 2);
+            error.to_string()
+        }
+    }
+}
+
+/// Catches an option that takes a wrong value, or refuses it without its name, the value or the
+/// values that are allowed; and an option that is not in the tables.
+#[test]
+fn wrong_values_are_refused_by_option_value_and_range() {
+    let (mut tried, mut faults) = (0, Vec::new());
+    for (subcommand, files) in NAMES_AND_FILES {
+        let mut seen: BTreeSet<String> = files.iter().map(|&name| name.to_owned()).collect();
+        for case in cases(subcommand) {
+            let (option, _, allowed) = case;
+            for value in wrong_values(&case) {
+                let said = refusal(subcommand, &[&format!("--{option}={value}")]);
+                let names_all = said.contains(&format!("--{option}")) && said.contains(allowed);
+                if !names_all || !shows(&said, value) {
+                    faults.push(format!("--{option}={value:?}: {said}"));
+                }
+                tried += 1;
+            }
+            // As a word of its own a negative number is the option's value as well.
+            if allowed.contains("number") {
+                let said = refusal(subcommand, &[&format!("--{option}"), "-1"]);
+                if !said.contains(&format!("'-1' for '--{option}")) || !said.contains(allowed) {
+                    faults.push(format!("--{option} -1: {said}"));
+                }
+            }
+            seen.insert(option.to_owned());
+        }
+        let command = command();
+        let own = command.find_subcommand(subcommand).expect(subcommand);
+        let options: BTreeSet<String> = own.get_arguments().filter(takes_values).filter_map(long).collect();
+        assert_eq!(seen, options, "the options of {subcommand}");
+        for switch in own.get_arguments().filter(|arg| matches!(arg.get_action(), ArgAction::SetTrue)) {
+            let name = long(switch).expect("a switch has a name");
+            let said = refusal(subcommand, &[&format!("--{name}=1")]);
+            if !said.contains(&format!("'1' for '--{name}'")) {
+                faults.push(format!("--{name}=1: {said}"));
+            }
+        }
+    }
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+    assert!(tried > 700, "{tried} values tried");
+}
+
+/// Whether a message shows the value at fault; of a list, the part at fault.
+fn shows(said: &str, value: &str) -> bool {
+    let is_shown = |text: &str| said.contains(&format!("'{text}'"));
+    is_shown(value)
+        || value.split(',').any(is_shown)
+        || (value.is_empty() && said.contains("but none was supplied"))
+}
+
+fn takes_values(arg: &&Arg) -> bool {
+    !arg.is_positional() && matches!(arg.get_action(), ArgAction::Set | ArgAction::Append)
+}
+
+fn long(arg: &Arg) -> Option<String> {
+    arg.get_long().map(str::to_owned)
+}
+
+/// Catches an option that is unknown and refused without a hint at the one that was meant.
+#[test]
+fn misspelt_options_and_commands_have_suggestions() {
+    for (subcommand, option, meant) in [
+        ("query", "--output", "--outputs"),
+        ("query", "--remot", "--remote"),
+        ("serve", "--lisen", "--listen"),
+        ("load", "--conncurrency", "--concurrency"),
+    ] {
+        let said = refusal(subcommand, &[option]);
+        assert!(said.contains(option) && said.contains(meant), "{said}");
+    }
+    let said = refusal("qeury", &[]);
+    assert!(said.contains("'qeury'") && said.contains("'query'"), "{said}");
+}
+
+/// Catches an output, or a solver, that is known in one spelling only.
+#[test]
+fn names_are_known_in_either_spelling() {
+    let line =
+        |words: &[&str]| command().try_get_matches_from([&["hullcast", "query", "s.json"], words].concat());
+    for outputs in ["witness-b", "WITNESS_B", "witness_b", "Witness-B", "ALPHA,witness_b,Diagnostics"] {
+        assert!(line(&["--outputs", outputs]).is_ok(), "{outputs}");
+    }
+    for solver in ["gjk-ray-cast", "GJK_RAY_CAST", "gjk_ray_cast", "PORTAL"] {
+        assert!(line(&["--solver", solver]).is_ok(), "{solver}");
+    }
+}

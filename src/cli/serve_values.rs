@@ -1,0 +1,174 @@
+//! Values of the server's settings: addresses, limits, log filters.
+//!
+//! As in `values`, the command line's parser adds the option's name and the value to a message.
+
+use std::net::IpAddr;
+
+use hullcast::service::Limits;
+use tracing_subscriber::{EnvFilter, filter::LevelFilter};
+
+use super::memory::Size;
+use super::values::count;
+
+/// The range of a limit.
+fn range(name: &str) -> (u64, u64) {
+    Limits::range(name).unwrap_or((0, u64::MAX))
+}
+
+/// A parser of the limit called `name`.
+pub(crate) fn limit<T: TryFrom<u64>>(name: &'static str) -> impl Fn(&str) -> Result<T, String> + Clone {
+    let (least, most) = range(name);
+    let parse = count(least, most);
+    move |text| parse(text)?.try_into().map_err(|_| format!("expected a whole number from {least} to {most}"))
+}
+
+/// A parser of a size within the range of the limit called `name`, or of a share.
+pub(crate) fn size(name: &'static str) -> impl Fn(&str) -> Result<Size, String> + Clone {
+    let (least, most) = range(name);
+    move |text| {
+        let size: Option<Size> = text.parse().ok();
+        let allowed = |size: &Size| match size {
+            Size::Bytes(bytes) => (least..=most).contains(bytes),
+            Size::Share(_) => true,
+        };
+        size.filter(allowed).ok_or_else(|| {
+            format!(
+                "expected {least} to {most} bytes (KiB, MiB and GiB are known), or a share from 0% to 100%"
+            )
+        })
+    }
+}
+
+/// An address to answer on.
+///
+/// # Errors
+/// It is neither host and port nor a Unix socket.
+pub(crate) fn listen_address(text: &str) -> Result<String, String> {
+    let is_unix = text.strip_prefix("unix:").is_some_and(|path| !path.is_empty());
+    if is_unix || is_host_and_port(text) {
+        return Ok(text.into());
+    }
+    Err("expected host:port with a port from 0 to 65535 (0: any free one), or unix:PATH".into())
+}
+
+/// An address of the admin port; empty: none.
+///
+/// # Errors
+/// It is not host and port.
+pub(crate) fn admin_address(text: &str) -> Result<String, String> {
+    if text.is_empty() || is_host_and_port(text) {
+        return Ok(text.into());
+    }
+    Err("expected host:port with a port from 0 to 65535 (0: any free one), or nothing".into())
+}
+
+fn is_host_and_port(text: &str) -> bool {
+    let Some((host, port)) = text.rsplit_once(':') else { return false };
+    let bare = host.strip_prefix('[').and_then(|host| host.strip_suffix(']'));
+    // The brackets keep the colons of an IPv6 address apart from the port's.
+    let is_host = match bare {
+        Some(bare) => bare.parse::<IpAddr>().is_ok_and(|address| address.is_ipv6()),
+        None => !host.is_empty() && !host.contains(|c: char| c.is_whitespace() || ":/?#@[]".contains(c)),
+    };
+    is_host && port.parse::<u16>().is_ok()
+}
+
+/// A proxy's address.
+///
+/// # Errors
+/// It is no IP address.
+pub(crate) fn proxy(text: &str) -> Result<IpAddr, String> {
+    text.parse().map_err(|_| "expected an IP address, as in 10.0.0.1 or ::1".into())
+}
+
+/// The address of a collector of traces; empty: none.
+///
+/// # Errors
+/// It is not a URL of `http` or `https` with a host.
+pub(crate) fn collector(text: &str) -> Result<String, String> {
+    let rest = text.strip_prefix("http://").or_else(|| text.strip_prefix("https://"));
+    if text.is_empty() || rest.is_some_and(|rest| text.parse::<http::Uri>().is_ok() && !rest.starts_with('/'))
+    {
+        return Ok(text.into());
+    }
+    Err("expected http://HOST:PORT or https://HOST:PORT, or nothing".into())
+}
+
+/// A filter of the log, checked.
+///
+/// # Errors
+/// It is neither a level nor a filter.
+pub(crate) fn log_filter(text: &str) -> Result<String, String> {
+    filter(text).map(|_| text.into())
+}
+
+/// The filter that a setting of the log means.
+///
+/// A level alone is that of hullcast: below `info` the libraries that it uses stay at `info`,
+/// because HTTP/2 logs every frame. A filter of several parts is taken as it is.
+///
+/// # Errors
+/// It is neither a level nor a filter.
+pub(crate) fn filter(text: &str) -> Result<EnvFilter, String> {
+    let allowed = "expected error, warn, info, debug, trace or off, or a filter as in hullcast=debug,h2=info";
+    let filter = match level(text) {
+        Some(level) if level > LevelFilter::INFO => EnvFilter::try_new(format!("info,hullcast={level}")),
+        Some(level) => EnvFilter::try_new(level.to_string()),
+        // A part without a level would be the name of a module, of which everything is logged: a
+        // misspelt level is one.
+        None if !text.contains('[') && text.split(',').any(is_no_directive) => return Err(allowed.into()),
+        None => EnvFilter::try_new(text),
+    };
+    filter.map_err(|error| format!("{allowed} ({error})"))
+}
+
+fn is_no_directive(part: &str) -> bool {
+    !part.contains('=') && level(part).is_none()
+}
+
+fn level(text: &str) -> Option<LevelFilter> {
+    // An empty text would be the level of errors.
+    text.parse().ok().filter(|_| !text.is_empty())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches an address that is refused, and one that the system would refuse later without the
+    /// option's name.
+    #[test]
+    fn addresses_have_a_host_and_a_port() {
+        for good in ["localhost:0", "0.0.0.0:50051", "[::1]:1", "a.example:65535"] {
+            assert!(listen_address(good).is_ok() && admin_address(good).is_ok(), "{good}");
+        }
+        assert!(listen_address("unix:/run/x").is_ok() && admin_address("unix:/run/x").is_err());
+        assert!(admin_address("").is_ok() && listen_address("").is_err());
+        for wrong in ["x", ":1", "a:", "a:65536", "a:-1", "::1:1", "[a]:1", "http://a:1", "a b:1", "unix:"] {
+            assert!(listen_address(wrong).is_err() && admin_address(wrong).is_err(), "{wrong}");
+        }
+        for good in ["", "http://a:1", "https://a"] {
+            assert!(collector(good).is_ok(), "{good}");
+        }
+        for wrong in ["a:1", "http://", "ftp://a", "http:///x", "http://a b"] {
+            assert!(collector(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    /// Catches a misspelt level that is taken for a module's name, so that nothing is logged; and
+    /// levels that let the frames of HTTP/2 through.
+    #[test]
+    fn a_level_is_that_of_hullcast() {
+        let parts = |text: &str| filter(text).map(|filter| filter.to_string());
+        assert_eq!(parts("warn"), Ok("warn".into()));
+        for (level, own) in [("debug", "hullcast=debug"), ("TRACE", "hullcast=trace")] {
+            let filter = parts(level).expect(level);
+            assert!(filter.contains(own) && filter.contains("info") && filter.len() < 25, "{filter}");
+        }
+        assert!(parts("debug,h2=debug").is_ok_and(|filter| filter.contains("h2=debug")));
+        assert!(parts("hullcast[{id=1}]=debug").is_ok());
+        for wrong in ["verbose", "", "debugg", "hullcast", "info,verbose", "hullcast=loud", "6"] {
+            assert!(filter(wrong).is_err(), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,219 @@
+//! Options whose values are names, files and folders: what is said of wrong ones, and the exit codes.
+//!
+//! Values that are wrong by themselves are tested beside the options (`src/cli/refusals.rs`).
+
+use std::path::Path;
+
+use super::{Outcome, Server, hullcast, scenes, scratch, text};
+
+/// Files with faults, and one that does not exist.
+struct Faulty {
+    page: String,
+    absent: String,
+    nowhere: String,
+    words: String,
+    pem: String,
+}
+
+fn file(folder: &Path, name: &str, content: &str) -> Result<String, std::io::Error> {
+    let path = folder.join(name);
+    std::fs::write(&path, content)?;
+    Ok(text(&path).to_owned())
+}
+
+impl Faulty {
+    fn write(folder: &Path) -> Result<Self, std::io::Error> {
+        let pem = "-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n";
+        Ok(Self {
+            page: file(folder, "page.md", "# A page\n")?,
+            absent: text(&folder.join("absent")).to_owned(),
+            nowhere: text(&folder.join("absent/file")).to_owned(),
+            words: file(folder, "words", "two words\n")?,
+            pem: file(folder, "faulty.pem", pem)?,
+        })
+    }
+}
+
+/// Expects a command to fail with this exit code and these texts, and without an answer.
+fn refused(command: &[&str], exit: i32, texts: &[&str]) -> Outcome {
+    let output = hullcast(command)?;
+    let said = String::from_utf8(output.stderr)?;
+    assert_eq!(output.status.code(), Some(exit), "{command:?}: {said}");
+    for text in texts {
+        assert!(said.contains(text), "{command:?}: {text:?} is not in {said}");
+    }
+    assert!(output.stdout.is_empty(), "{command:?}");
+    Ok(())
+}
+
+/// Catches a scene or a configuration that is faulty or missing and is not named with its option,
+/// what is expected of it, and the exit code that scripts tell such failures by.
+#[test]
+fn wrong_scenes_are_refused_by_option_and_value() -> Outcome {
+    let Faulty { page, absent, nowhere, .. } = Faulty::write(&scratch("files-scenes")?)?;
+    let scene = scenes().join("panda.json");
+    let scene = text(&scene);
+    // The scene of a query, and of the other commands.
+    refused(&["query", &page], 3, &[&page, "not JSON (", "expected a scene file, hullcast.scene.v1"])?;
+    refused(&["query", &absent], 3, &[&absent, "cannot be read: No such file"])?;
+    refused(&["tradeoff", &page], 3, &[&page, "not JSON ("])?;
+    refused(&["load", "--scene", &page], 3, &["--scene", &page, "not JSON ("])?;
+    refused(&["load", "--scene", &absent], 3, &["--scene", &absent, "cannot be read"])?;
+    for (frame, hint) in
+        [("grap", "did you mean `grasp`?"), ("6", "expected 0 to 5, or a name: home, "), ("-1", "0 to 5")]
+    {
+        refused(&["query", scene, "--frame", frame], 2, &[&format!("--frame {frame}: "), hint])?;
+    }
+    refused(&["query", scene, "--out", &nowhere], 1, &["--out", &nowhere, "No such file"])?;
+    Ok(())
+}
+
+/// Catches a certificate or token of a caller that is faulty and is not named with its option.
+#[test]
+fn wrong_files_of_callers_are_refused_by_option_and_value() -> Outcome {
+    let Faulty { absent, words, pem, .. } = Faulty::write(&scratch("files-callers")?)?;
+    let https = ["--remote", "https://localhost:1"];
+    let few = ["--count", "1", "--pairs", "1"];
+    let scene = scenes().join("panda.json");
+    let scene = text(&scene);
+    // Of the server that is asked.
+    for command in [&["query", scene][..], &[&["load"][..], &few].concat()] {
+        let no_token = "the first line is the token: one or more visible ASCII characters";
+        for (option, more, faulty) in [
+            ("--tls-ca", &[][..], "not a PEM file"),
+            ("--tls-certificate", &["--tls-key", &pem], "not a PEM file"),
+            ("--tls-key", &["--tls-certificate", &pem], "not a PEM file"),
+            ("--token-file", &[], no_token),
+        ] {
+            for (value, text) in [(&absent, "cannot be read: No such file"), (&words, faulty)] {
+                let line = [command, &https, &[option, value], more].concat();
+                refused(&line, 3, &[option, value, text])?;
+            }
+        }
+        let line = [command, &https, &["--tls-ca", &pem]].concat();
+        refused(&line, 3, &["--tls-ca", &pem])?;
+    }
+    Ok(())
+}
+
+/// Catches results that cannot be written, and answers of other libraries that cannot be read,
+/// without the option that names them.
+#[test]
+fn wrong_files_of_results_are_refused_by_option_and_value() -> Outcome {
+    let Faulty { page, absent, nowhere, .. } = Faulty::write(&scratch("files-results")?)?;
+    let few = ["--count", "1", "--pairs", "1"];
+    // Of results.
+    for option in ["--csv", "--plot"] {
+        let output = hullcast(&[&["load", option, &nowhere][..], &few].concat())?;
+        let said = String::from_utf8(output.stderr)?;
+        assert!(said.contains(option) && said.contains(&nowhere), "{said}");
+        assert_eq!(output.status.code(), Some(1));
+    }
+    refused(&["tradeoff", "--pairs", "1", "--ask", &nowhere], 1, &["--ask", &nowhere, "No such file"])?;
+    refused(&["tradeoff", "--pairs", "1", "--peer", &absent], 3, &["--peer", &absent, "cannot be read"])?;
+    refused(&["tradeoff", "--pairs", "1", "--peer", &page], 3, &["--peer", &page, "as JSON"])?;
+    Ok(())
+}
+
+/// Catches a file or folder of a store or a server that is faulty and is not named.
+#[test]
+fn wrong_files_of_servers_are_refused_by_option_and_value() -> Outcome {
+    let folder = scratch("files-servers")?;
+    let Faulty { page, absent, pem, .. } = Faulty::write(&folder)?;
+    let empty = file(&folder, "empty", "# no token\n")?;
+    let unknown = file(&folder, "unknown.toml", "listn = [\"localhost:1\"]\n")?;
+    let syntax = file(&folder, "syntax.toml", "listen = [\n")?;
+    let kind = file(&folder, "kind.toml", "drain_seconds = \"long\"\n")?;
+    let range = file(&folder, "range.toml", "drain_seconds = -1\n")?;
+    // Of a server.
+    refused(&["serve", "--config", &absent], 3, &["--config", &absent, "cannot be read"])?;
+    refused(&["serve", "--config", &unknown], 3, &["--config", &unknown, "`listn`; did you mean `listen`?"])?;
+    refused(&["serve", "--config", &syntax], 3, &["--config", &syntax, "line 1"])?;
+    refused(&["serve", "--config", &kind], 3, &["--config", &kind, "drain_seconds", "long"])?;
+    refused(&["serve", "--config", &range], 2, &["drain_seconds is -1", "0 to 1000000000 seconds"])?;
+    for (value, expected) in
+        [("ftp://x", "a directory, file://"), ("s3://bucket", "feature"), (&page, "store")]
+    {
+        refused(&["serve", "--store", value, "--listen", "127.0.0.1:0"], 2, &["--store", value, expected])?;
+    }
+    for (option, beside) in [("--tls-certificate", "--tls-key"), ("--tls-key", "--tls-certificate")] {
+        let name = option.trim_start_matches('-').replace('-', "_");
+        refused(&["serve", option, &absent, beside, &pem], 3, &[&name, &absent, "No such file"])?;
+        refused(
+            &["serve", option, &pem],
+            3,
+            &[&beside.trim_start_matches('-').replace('-', "_"), "is missing"],
+        )?;
+    }
+    for option in ["--query-tokens", "--register-tokens"] {
+        let name = option.trim_start_matches('-').replace('-', "_");
+        refused(&["serve", option, &absent], 3, &[&name, &absent, "No such file"])?;
+        refused(&["serve", option, &empty], 3, &[&name, &empty, "no token in it"])?;
+    }
+    let tls = ["--tls-certificate", &pem, "--tls-key", &pem];
+    refused(&[&["serve", "--tls-client-ca", &absent], &tls[..]].concat(), 3, &["tls_client_ca", &absent])?;
+    refused(&[&["serve"], &tls[..]].concat(), 3, &["tls_", &pem])?;
+    let contradiction = ["serve", "--max-pairs-in-flight", "5", "--store", "memory://"];
+    refused(
+        &contradiction,
+        2,
+        &["max_pairs_in_flight is 5, must be at least 131072 (max_pairs_per_request)"],
+    )?;
+    refused(
+        &["prune", "--store", &absent, "--older-than", "1d"],
+        2,
+        &["--store", &absent, "no such directory"],
+    )?;
+    Ok(())
+}
+
+/// Catches an address in use, or open to other machines, that is not named with a way out.
+#[test]
+fn addresses_that_cannot_be_served_are_named() -> Outcome {
+    let folder = scratch("bound")?;
+    let server = Server::start(&folder.join("store"))?;
+    let store = ["--store", "memory://"];
+    let refused = |arguments: &[&str]| -> Result<String, Box<dyn std::error::Error>> {
+        let output = hullcast(&[&["serve"], arguments, &store].concat())?;
+        assert_eq!(output.status.code(), Some(2));
+        Ok(String::from_utf8(output.stderr)?)
+    };
+    let said = refused(&["--listen", &server.address])?;
+    assert!(said.contains(&format!("--listen {}: ", server.address)), "{said}");
+    assert!(said.contains("another server has it: stop that one, or choose another port"), "{said}");
+    let said = refused(&["--listen", "127.0.0.1:0", "--admin-listen", &server.address])?;
+    assert!(said.contains(&format!("--admin-listen {}: ", server.address)), "{said}");
+    let said = refused(&["--listen", "0.0.0.0:0"])?;
+    assert!(said.contains("--listen 0.0.0.0:0: ") && said.contains("--allow-plaintext"), "{said}");
+    Ok(())
+}
+
+/// Catches a usage error that does not have the code of one, and codes that the help does not list.
+#[test]
+fn the_help_lists_the_exit_codes() -> Outcome {
+    assert_eq!(hullcast(&["query"])?.status.code(), Some(2));
+    assert_eq!(hullcast(&["query", "x", "--no-such-option"])?.status.code(), Some(2));
+    let help = String::from_utf8(hullcast(&["--help"])?.stdout)?;
+    for code in ["0  success", "1  ", "2  ", "3  ", "4  ", "5  ", "6  "] {
+        assert!(help.contains(&format!("\n  {code}")), "{code}: {help}");
+    }
+    Ok(())
+}
+
+/// Catches a shell without completions, and a script that does not know the options.
+#[test]
+fn every_shell_has_completions() -> Outcome {
+    for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
+        let output = hullcast(&["completions", shell])?;
+        let script = String::from_utf8(output.stdout)?;
+        assert_eq!(output.status.code(), Some(0));
+        // Two of the shells complete no values.
+        let value = if ["bash", "zsh", "fish"].contains(&shell) { "witness-b" } else { "outputs" };
+        for word in ["relative-tolerance", value, "older-than", "completions"] {
+            assert!(script.contains(word), "{shell} lacks {word}");
+        }
+    }
+    let said = String::from_utf8(hullcast(&["completions", "cmd"])?.stderr)?;
+    assert!(said.contains("'cmd' for '<SHELL>'") && said.contains("bash"), "{said}");
+    Ok(())
+}
