@@ -1,0 +1,201 @@
+"""Every block and command of every page is run, or is in the one list of `not_run.py` and checked.
+
+A page that is new is found by itself: its blocks fail here until something holds them.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import urllib.request
+from pathlib import Path
+
+import commands
+import not_run
+import pages
+import pytest
+import stage
+from blocks import ROOT, Block, blocks_of, every_block, listed, without_blocks
+from blocks import pages as every_page
+from crowds import Server
+from replicas import free_ports
+from shell import Shell
+from test_pages import EXTRAS, SHOWN
+
+#: The programs of the languages' blocks: each block is such a file, built by `make test-languages`.
+PROGRAMS = {
+    "go": "examples/go/first/main.go",
+    "typescript": "examples/typescript/src/first.ts",
+    "java": "examples/java/src/main/java/hullcast/conformance/First.java",
+    "cpp": "examples/cpp/first.cpp",
+}
+
+
+def is_page_run(page: str) -> bool:
+    """Whether its Python is run as one program, and its outputs are compared."""
+    path = Path(page)
+    return page == "README.md" or (
+        path.parent == Path("docs/python") and path.stem in {*SHOWN, *EXTRAS}
+    )
+
+
+INDENTED = re.compile(r"^(?![-*+\d ]).*\n\n {4,}\S", re.MULTILINE)
+
+
+def holder(block: Block) -> str | None:
+    """What holds a block; None if nothing does."""
+    if reason := not_run.reason(block):
+        return f"not run: {reason}"
+    if block.mark:
+        return "written by a command of this repository"
+    if block.kind == "python":
+        if block.page in stage.PAGES:
+            return "run on a stage"
+        return "run as the page's program" if is_page_run(block.page) else None
+    if block.kind == "text" and block.after in ("python", "text") and is_page_run(block.page):
+        return "compared with what the page's program prints"
+    if block.kind in PROGRAMS:
+        return "a program of examples/"
+    return "commands" if commands.is_shell(block) else None
+
+
+def test_no_block_is_left_out():
+    """Catches a block that is neither run nor in the list, and an entry without a block."""
+    blocks = every_block()
+    alone = [block.where for block in blocks if holder(block) is None]
+    assert alone == [], "neither run by a test nor listed in client/tests/not_run.py"
+    assert len(blocks) > 90, len(blocks)
+    for page, text, _ in not_run.BLOCKS:
+        assert any(b.page == page and text in b.text for b in blocks), (page, text)
+
+
+def test_a_block_that_nothing_holds_is_noticed():
+    """Catches a rule that takes everything."""
+    for kind, text in [
+        ("python", "print(1)"),
+        ("", "an output"),
+        ("text", "hullcast serve"),
+        ("json", "{}"),
+        ("bash", "curl localhost"),
+        ("", "make test\nand some more"),
+        ("rust", "fn main() {}"),
+    ]:
+        block = Block("docs/new.md", 1, kind, text, "", "")
+        assert holder(block) is None, (kind, text)
+
+
+def test_blocks_are_found_as_they_are_written(tmp_path, monkeypatch):
+    """Catches a fence that is not seen: indented, longer, of tildes; and one within another."""
+    monkeypatch.setattr("blocks.ROOT", tmp_path)
+    page = tmp_path / "page.md"
+    page.write_text(
+        "a\n\n```\none\n```\n```text\ntwo\n```\n\n- item\n\n  ```sh\n  three\n  ```\n\n"
+        "````md\n```\nfour\n```\n````\n\n~~~\nfive\n~~~\n\n<!-- own -->\n```\nsix\n```\n<!-- /own -->\n"
+    )
+    found = [(b.line, b.kind, b.text.strip(), b.mark, b.after) for b in blocks_of(page)]
+    assert found == [
+        (3, "", "one", "", ""),
+        (6, "text", "two", "", ""),
+        (12, "sh", "three", "", ""),
+        (16, "md", "```\nfour\n```", "", ""),
+        (22, "", "five", "", ""),
+        (27, "", "six", "own", ""),
+    ]
+
+
+def test_no_page_has_code_that_is_only_indented():
+    """Catches a block of four spaces, which has no kind and would be seen by nothing. After an item
+    of a list such lines go on with the item."""
+    for page in every_page():
+        found = INDENTED.search(without_blocks(page))
+        assert not found, f"{page.relative_to(ROOT)}: {found[0]!r}"
+    assert INDENTED.search("Text:\n\n    code\n")
+    assert not INDENTED.search("- item\n\n    more of it\n")
+
+
+def test_every_program_that_is_not_run_has_its_reason():
+    """hullcast and openssl are run; what is listed is what the checks know."""
+    assert {*not_run.PROGRAMS, "hullcast", "openssl"} == set(commands.CHECKS)
+    lines = [line for block in every_block() for line in commands.shown(block)]
+    for text in not_run.COMMANDS:
+        assert any(text in line for line in lines), text
+
+
+def runs(line: str) -> bool:
+    return commands.program_of(line) not in not_run.PROGRAMS and not any(
+        text in line for text in not_run.COMMANDS
+    )
+
+
+RUN = [
+    block
+    for block in every_block()
+    if commands.is_shell(block) and not not_run.reason(block) and not block.mark
+    if any(runs(line) for line in commands.shown(block))
+]
+
+
+@pytest.mark.parametrize("block", RUN, ids=lambda block: block.where)
+def test_the_commands_of_a_block_run(block, tmp_path):
+    """In an empty folder: a server that does not start, a command that fails."""
+    with Shell(tmp_path) as shell:
+        for line in filter(runs, commands.shown(block)):
+            shell.run(line)
+
+
+@pytest.mark.parametrize("page", stage.PAGES)
+def test_the_programs_of_a_page_of_parts_run(page, tmp_path):
+    """Each block on its own, where the names that it takes for granted are there."""
+    blocks = [block for block in blocks_of(ROOT / page) if block.kind == "python"]
+    assert len(blocks) > 3
+    stage.run(blocks, tmp_path, without=stage.statements_without_their_package())
+
+
+def test_what_needs_a_package_is_python():
+    """The blocks that are run where the package is, and everywhere at least compiled."""
+    for block in every_block():
+        if block.kind == "python":
+            compile(block.text, block.where, "exec", flags=ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
+
+
+def test_every_written_block_has_its_writer():
+    """Catches a mark that no command knows, so that its text would only look measured."""
+    names = ("Makefile", "scripts/", "client/examples/", "benches/", "src/cli/")
+    files = [ROOT / name for name in listed() if name.startswith(names)]
+    sources = [file.read_text(errors="replace") for file in files]
+    marks = {(block.page, block.mark) for block in every_block() if block.mark}
+    for page, mark in marks:
+        word = re.compile(rf"\b{mark}\b")
+        assert any(word.search(source) for source in sources), f"{page}: {mark}"
+    assert len(marks) > 5
+
+
+@pytest.mark.parametrize("language", PROGRAMS)
+def test_the_page_shows_the_program_that_is_run(language):
+    """`make test-languages` builds and runs the file."""
+    blocks = [block for block in blocks_of(ROOT / "docs/languages.md") if block.kind == language]
+    assert [block.text for block in blocks] == [(ROOT / PROGRAMS[language]).read_text()]
+    others = [block for block in every_block() if block.kind == language]
+    assert len(others) == 1, others
+
+
+def test_the_metrics_of_the_autoscaler_are_the_servers():
+    """Catches a rule of docs/cluster.md that would find nothing."""
+    (rule,) = [b.text for b in blocks_of(ROOT / "docs/cluster.md") if "seriesQuery" in b.text]
+    (port,) = free_ports(1)
+    with (
+        Server("memory://", "--admin-listen", f"127.0.0.1:{port}"),
+        urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=30) as answer,
+    ):
+        metrics = set(re.findall(r"^(\w+)", answer.read().decode(), re.MULTILINE))
+    named = set(re.findall(r"(hullcast_\w+_(?:sum|count))\b", rule))
+    assert len(named) == 2
+    assert named <= metrics
+
+
+def test_the_pages_that_are_run_are_there():
+    """Catches a page that was renamed, so that its test reads nothing."""
+    named = [f"docs/python/{name}.md" for name in (*SHOWN, *EXTRAS)]
+    for page in ["README.md", *stage.PAGES, *named]:
+        assert any(block.kind == "python" for block in blocks_of(ROOT / page)), page
+    assert pages.DOCS == ROOT / "docs/python"
