@@ -31,7 +31,27 @@ test: check-tools test-rust $(if $(CLIENT),test-python) ## every test, Rust and 
 
 .PHONY: check-tools
 check-tools: ## says plainly what this machine lacks
-	@CARGO="$(CARGO)" PYTHON="$(PYTHON)" ./scripts/check-tools
+	@CARGO="$(CARGO)" PYTHON="$(PYTHON)" PATH="$(TOOLS)/bin:$$PATH" ./scripts/check-tools $(NEEDS)
+
+# What some targets need beyond that. `check-tools`, which comes before everything that is built,
+# fails by the name of what is missing and the way to install it. With AVAILABLE=1 a target does
+# what this machine can, and says what it leaves out.
+lint: NEEDS := $(if $(AVAILABLE),,rustfmt clippy cxx deny)
+playground: NEEDS := npm
+test-playground: NEEDS := chromium $(if $(AVAILABLE),,npm)
+test-tools: NEEDS := go
+test-balancers: NEEDS := root ip haproxy nginx
+test-faults: NEEDS := root
+capacity: NEEDS := unshare ip
+bench-counts: NEEDS := valgrind
+fuzz fuzz-planted: NEEDS := nightly cargo-fuzz cxx
+fuzz fuzz-planted: check-tools
+test-extras types bench-ray test-lowest test-latest: NEEDS := python3.11
+test-languages: override LANGUAGES += $(if $(AVAILABLE),--available)
+
+# A test that is skipped because its subject is missing fails these targets.
+test-extras test-playground test-s3 test-otlp test-deploy test-balancers test-tools: \
+  export PYTEST_ADDOPTS := $(if $(AVAILABLE),,--no-skips)
 
 .PHONY: build
 build: check-tools ## the server, target/release/hullcast
@@ -184,13 +204,13 @@ playground: $(VENV)/.test ## playground/dist again, after a change of playground
 	cd playground && npm ci --silent && PROTOC="$(abspath $(PY)) -m grpc_tools.protoc" npm run --silent build
 
 .PHONY: test-playground
-test-playground: check-tools $(VENV)/.playground ## the playground on the wire and in Chromium, where that is; its bundle against its sources, where npm is
+test-playground: check-tools $(VENV)/.playground ## the playground on the wire and in Chromium; its bundle against its sources; needs Chromium and npm
 	$(CARGO) test --release --locked --features playground --test service playground
 	$(CARGO) build --release --locked --features playground
 	$(PY) -m pytest client/tests/extras/test_playground.py
 
 .PHONY: test-languages
-test-languages: build $(VENV)/.test ## clients in Go, TypeScript, Java and C++ against the real server, where their tools are
+test-languages: build $(VENV)/.test ## clients in Go, TypeScript, Java and C++ against the real server; AVAILABLE=1: those whose tools are installed
 	$(PY) scripts/test-languages $(LANGUAGES)
 
 S3S_FS := 0.14.0
@@ -217,7 +237,7 @@ capacity: build $(VENV)/.demo ## what a replica costs a pair, and a cluster ther
 	unshare --user --map-root-user --net env PATH="$$PATH:/usr/sbin" $(PY) scripts/capacity
 
 .PHONY: test-deploy
-test-deploy: build $(VENV)/.deploy ## the Kubernetes manifests by their schemas, the Slurm job
+test-deploy: build $(VENV)/.deploy ## the Kubernetes manifests by their schemas
 	$(PY) -m pytest client/tests/extras/test_deploy.py
 
 .PHONY: test-balancers
