@@ -63,7 +63,8 @@ def test_the_programs_that_need_a_package(python, tmp_path):
     readme = blocks_of(ROOT / "client/README.md")
     (tasks,) = [b for b in blocks_of(pages.DOCS / "workers.md") if "@ray.remote" in b.text]
     blocks = [block for block in readme if block.kind == "python"]
-    stage.run(blocks, tmp_path, python=python)
+    recording = "import rerun\nrerun.init('page')\nrerun.save('page.rrd')"
+    stage.run(blocks, tmp_path, before=recording, python=python)
     before = (
         "import ray\nray.init(num_cpus=1, include_dashboard=False)\nscenes = [names()['scene']]"
     )
