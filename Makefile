@@ -1,5 +1,5 @@
-# Each target sets up what it needs; nothing has to be installed by hand beyond
-# what `make check-tools` names.
+# Each target sets up its own requirements. Only the tools that `make check-tools` lists
+# have to be installed by hand.
 
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
@@ -13,29 +13,29 @@ TARGET := $(abspath $(or $(CARGO_TARGET_DIR),target))
 BIN    := $(TARGET)/release/hullcast
 CLIENT := $(wildcard client/pyproject.toml)
 
-# The Python package finds the server here.
+# The path at which the Python package finds the server.
 export HULLCAST_BIN := $(BIN)
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PIP_NO_INPUT := 1
 
 .PHONY: help
-help: ## this list
+help: ## prints this list
 	@grep -hE '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F':.*## ' '{printf "  make %-15s %s\n", $$1, $$2}'
 
 .PHONY: demo
-demo: check-tools build $(VENV)/.demo ## contacts of real scenes through a server of its own, with a picture
+demo: check-tools build $(VENV)/.demo ## starts a server, computes the contacts of real scenes on it, and draws a picture
 	$(PY) examples/demo.py
 
 .PHONY: test
-test: check-tools test-rust $(if $(CLIENT),test-python) ## every test, Rust and Python
+test: check-tools test-rust $(if $(CLIENT),test-python) ## runs every test, Rust and Python
 
 .PHONY: check-tools
-check-tools: ## says plainly what this machine lacks
+check-tools: ## lists the tools that are missing on this machine
 	@CARGO="$(CARGO)" PYTHON="$(PYTHON)" PATH="$(TOOLS)/bin:$$PATH" ./scripts/check-tools $(NEEDS)
 
-# What some targets need beyond that. `check-tools`, which comes before everything that is built,
-# fails by the name of what is missing and the way to install it. With AVAILABLE=1 a target does
-# what this machine can, and says what it leaves out.
+# The tools that single targets need in addition. `check-tools` runs before anything is built, names
+# each missing tool with the way to install it, and fails. With AVAILABLE=1 a target does what is
+# possible on this machine, and prints what it leaves out.
 lint: NEEDS := $(if $(AVAILABLE),,rustfmt clippy cxx deny)
 playground: NEEDS := npm
 test-playground: NEEDS := chromium $(if $(AVAILABLE),,npm)
@@ -49,18 +49,18 @@ fuzz fuzz-planted: check-tools
 test-extras types bench-ray test-lowest test-latest: NEEDS := python3.11
 test-languages: override LANGUAGES += $(if $(AVAILABLE),--available)
 
-# A test that is skipped because its subject is missing fails these targets.
+# These targets fail if one of their tests is skipped, because its subject is then missing.
 test-extras test-playground test-s3 test-otlp test-deploy test-balancers test-tools: \
   export PYTEST_ADDOPTS := $(if $(AVAILABLE),,--no-skips)
 
 .PHONY: build
-build: check-tools ## the server, target/release/hullcast
+build: check-tools ## builds the server, target/release/hullcast
 	$(CARGO) build --release --locked
 
-# Apart from `test`: another version's rustfmt or clippy must not fail a user's
-# tests. A distribution's cargo may come without them.
+# Separate from `test`, because a user's tests must not fail with another version of rustfmt
+# or clippy. A distribution's cargo may come without these tools.
 .PHONY: lint
-lint: check-tools $(if $(CLIENT),lint-python) ## rustfmt, clippy and ruff, warnings are errors
+lint: check-tools $(if $(CLIENT),lint-python) ## runs rustfmt, clippy and ruff; warnings are errors
 	@if $(CARGO) fmt --version >/dev/null 2>&1; then set -x; $(CARGO) fmt --check; cd benches; $(CARGO) fmt --check; cd ../fuzz; $(CARGO) fmt --check; \
 	 else echo "rustfmt is not installed: formatting not checked"; fi
 	@if $(CARGO) clippy --version >/dev/null 2>&1; then set -x; \
@@ -78,46 +78,46 @@ lint: check-tools $(if $(CLIENT),lint-python) ## rustfmt, clippy and ruff, warni
 	 elif $(PYTHON) -c 'import tomllib' 2>/dev/null; then CARGO="$(CARGO)" $(PYTHON) scripts/licences; \
 	 else echo "neither cargo-deny (make audit does it) nor Python 3.11: licences not checked"; fi
 
-# Tools that are built when first needed; they outlive `make clean`.
+# Tools that are built when first needed. `make clean` keeps them.
 TOOLS := $(HOME)/.cache/hullcast-tools
 
 .PHONY: audit
-audit: check-tools ## licences, bans, sources and advisories of every dependency, by cargo-deny
+audit: check-tools ## checks licences, bans, sources and advisories of every dependency with cargo-deny
 	PATH="$(TOOLS)/bin:$$PATH" cargo-deny --version >/dev/null 2>&1 || $(CARGO) install --locked --root "$(TOOLS)" cargo-deny
 	PATH="$(TOOLS)/bin:$$PATH" $(CARGO) deny check --hide-inclusion-graph
 
 .PHONY: licences
-licences: check-tools ## docs/licences.md again, after a change of the dependencies
+licences: check-tools ## writes docs/licences.md; run it after a change of the dependencies
 	CARGO="$(CARGO)" $(PYTHON) scripts/licences --list
 
 .PHONY: lint-python
-lint-python: $(VENV)/.lint ## ruff
+lint-python: $(VENV)/.lint ## runs ruff
 	cd client && ../$(VENV)/bin/ruff check && ../$(VENV)/bin/ruff format --check
 
 .PHONY: types
-types: $(VENV)/.extras ## pyright, strictly
+types: $(VENV)/.extras ## runs pyright in strict mode
 	cd client && ../$(VENV)/bin/pyright --pythonpath ../$(PY)
 
 .PHONY: test-rust
-test-rust: check-tools ## the Rust tests: everything, then the geometry alone
+test-rust: check-tools ## runs the Rust tests: first the default build, then only the geometry
 	$(CARGO) test --release --locked
 	$(CARGO) test --release --locked --no-default-features
 
 .PHONY: test-python
-test-python: build $(VENV)/.test ## the Python tests, against the real server
+test-python: build $(VENV)/.test ## runs the Python tests against the real server
 	$(PY) -m pytest client
 
 .PHONY: test-extras
-test-extras: build $(VENV)/.extras ## the Python tests that need heavy packages: real robots, decomposition, rerun, ray; types
+test-extras: build $(VENV)/.extras ## runs the Python tests that need large packages (real robots, decomposition, rerun, ray), then pyright
 	$(PY) -m pytest client/tests/extras
 	$(MAKE) types
 
 .PHONY: wheel
-wheel: check-tools $(VENV)/.test ## the Python package with the server in it, optimised for good: target/wheels
+wheel: check-tools $(VENV)/.test ## builds the Python package with the server in it, fully optimised: target/wheels
 	cd client && ../$(PY) -m maturin build --profile dist --out $(TARGET)/wheels
 
 .PHONY: test-versions
-test-versions: test-lowest test-latest ## the Python tests on the oldest and the newest packages allowed
+test-versions: test-lowest test-latest ## runs the Python tests with the oldest and with the newest allowed packages
 
 .PHONY: test-lowest test-latest
 test-lowest test-latest: test-%: build
@@ -125,29 +125,29 @@ test-lowest test-latest: test-%: build
 	$(VENV)-$*/bin/python -m pytest client -o norecursedirs= -k 'not ur5_in_pieces'
 
 .PHONY: package
-package: check-tools wheel ## what a release publishes: the crate, built from its package alone, the wheel, and the crates' licences
+package: check-tools wheel ## builds the parts of a release: the crate (built from its package only), the wheel and the crates' licences
 	$(CARGO) publish --dry-run --locked
 	CARGO="$(CARGO)" $(PYTHON) scripts/licences --texts > $(TARGET)/wheels/THIRD-PARTY-LICENCES.txt
 
 .PHONY: bench
-bench: check-tools build $(VENV)/.demo ## contacts beside parry3d, then through the server from Python; writes docs/performance.md
+bench: check-tools build $(VENV)/.demo ## compares contacts with parry3d, then measures the server from Python; writes docs/performance.md
 	cd benches && $(CARGO) run --release --locked --bin contact
 	$(PY) client/examples/throughput.py | tee /dev/stderr | ./scripts/section docs/performance.md throughput -
 	./scripts/headline
 
 .PHONY: bench-python
-bench-python: build $(VENV)/.bench ## the Python client's own cost, and coal and python-fcl on one scene; writes docs/performance.md
+bench-python: build $(VENV)/.bench ## measures the Python client's own cost, and coal and python-fcl on one scene; writes docs/performance.md
 	$(PY) client/examples/overhead.py | tee /dev/stderr | ./scripts/section docs/performance.md python-overhead -
 	$(PY) client/examples/peers.py | tee /dev/stderr | ./scripts/section docs/performance.md python-peers -
 
 .PHONY: bench-find
-bench-find: build $(VENV)/.test ## what finding the pairs costs, to 100,000 bodies and 10,000 worlds; writes docs/find.md and its picture
+bench-find: build $(VENV)/.test ## measures the cost of finding pairs, up to 100,000 bodies and 10,000 worlds; writes docs/find.md and its picture
 	$(PY) client/examples/find.py --docs docs
 
 TRADEOFF_PEERS := parry3d parry3d-f64 coal mujoco
 
 .PHONY: tradeoff tradeoff-families tradeoff-scenes
-tradeoff: tradeoff-families tradeoff-scenes ## speed against accuracy, every setting, beside parry3d, coal and MuJoCo; writes docs/tradeoff.md and its plots
+tradeoff: tradeoff-families tradeoff-scenes ## plots speed against accuracy for every setting, and for parry3d, coal and MuJoCo; writes docs/tradeoff.md and its plots
 
 tradeoff-families: TRADEOFF =
 tradeoff-scenes: TRADEOFF = examples/scenes/panda.json examples/scenes/pile.json
@@ -161,7 +161,7 @@ tradeoff-families tradeoff-scenes: tradeoff-%: build $(VENV)/.bench
 	./scripts/section docs/tradeoff.md $* out/tradeoff-$*.txt
 
 .PHONY: planarity
-planarity: check-tools $(VENV)/.planarity ## patches of rounded shapes by the planarity of faces; writes docs/tradeoff.md and its picture
+planarity: check-tools $(VENV)/.planarity ## measures the patches of rounded shapes for each planarity of faces; writes docs/tradeoff.md and its picture
 	mkdir -p out
 	$(PY) client/examples/planarity_meshes.py out/meshes.json
 	$(CARGO) run --release --locked --no-default-features --example planarity -- docs/planarity.csv 1000 out/meshes.json | tee out/planarity.txt
@@ -169,54 +169,54 @@ planarity: check-tools $(VENV)/.planarity ## patches of rounded shapes by the pl
 	./scripts/section docs/tradeoff.md planarity out/planarity.txt
 
 .PHONY: simulation
-simulation: build $(VENV)/.test ## a rigid body simulation on several kinds of contacts; writes docs/simulation.md and its pictures
+simulation: build $(VENV)/.test ## runs a rigid body simulation on several kinds of contacts; writes docs/simulation.md and its pictures
 	$(PY) client/examples/simulation --docs docs
 
 .PHONY: bench-service
-bench-service: check-tools build ## the server beside an echo of the same bytes; writes docs/performance.md
+bench-service: check-tools build ## compares the server with an echo server for the same bytes; writes docs/performance.md
 	cd benches && $(CARGO) run --release --locked --features service --bin transport
 
 .PHONY: bench-counts
-bench-counts: check-tools ## instructions beside parry3d, by valgrind, where time is too noisy; writes docs/performance.md
+bench-counts: check-tools ## compares the number of instructions with parry3d's by valgrind, for machines with noisy timings; writes docs/performance.md
 	cd benches && $(CARGO) run --release --locked --bin counts
 
 .PHONY: bench-growth
-bench-growth: check-tools build $(VENV)/.demo ## time by vertices, batch size, hulls and cores; writes docs/performance.md and its picture
+bench-growth: check-tools build $(VENV)/.demo ## measures the time by number of vertices, pairs, hulls and cores; writes docs/performance.md and its picture
 	cd benches && $(CARGO) run --release --locked --features service --bin growth
 	$(PY) benches/growth.py
 
 .PHONY: bench-ray
-bench-ray: build $(VENV)/.extras ## a batch job on ray beside the same in one process; writes docs/python/batch-jobs.md
+bench-ray: build $(VENV)/.extras ## compares a batch job on ray with the same job in one process; writes docs/python/batch-jobs.md
 	mkdir -p out
 	$(PY) client/examples/ray_scenes.py | tee out/ray.txt
 	./scripts/section docs/python/batch-jobs.md ray out/ray.txt
 
 .PHONY: stubs
-stubs: $(VENV)/.test ## the Python protobuf modules again, after a change of proto/
+stubs: $(VENV)/.test ## generates the Python protobuf modules; run it after a change of proto/
 	PY=$(PY) ./scripts/stubs
 
 .PHONY: protocol
-protocol: $(VENV)/.test ## docs/protocol.md again, after a change of the comments of proto/
+protocol: $(VENV)/.test ## generates docs/protocol.md; run it after a change of the comments of proto/
 	$(PY) scripts/protocol-docs
 
 .PHONY: playground
-playground: $(VENV)/.test ## playground/dist again, after a change of playground/ or proto/; needs npm
+playground: $(VENV)/.test ## builds playground/dist; run it after a change of playground/ or proto/; needs npm
 	cd playground && npm ci --silent && PROTOC="$(abspath $(PY)) -m grpc_tools.protoc" npm run --silent build
 
 .PHONY: test-playground
-test-playground: check-tools $(VENV)/.playground ## the playground on the wire and in Chromium; its bundle against its sources; needs Chromium and npm
+test-playground: check-tools $(VENV)/.playground ## tests the playground on the wire and in Chromium, and compares its bundle with its sources; needs Chromium and npm
 	$(CARGO) test --release --locked --features playground --test service playground
 	$(CARGO) build --release --locked --features playground
 	$(PY) -m pytest client/tests/extras/test_playground.py
 
 .PHONY: test-languages
-test-languages: build $(VENV)/.test ## clients in Go, TypeScript, Java and C++ against the real server; AVAILABLE=1: those whose tools are installed
+test-languages: build $(VENV)/.test ## tests clients in Go, TypeScript, Java and C++ against the real server; with AVAILABLE=1 only those whose tools are installed
 	$(PY) scripts/test-languages $(LANGUAGES)
 
 S3S_FS := 0.14.0
 
 .PHONY: test-s3
-test-s3: $(VENV)/.s3 $(TOOLS)/s3s-fs-$(S3S_FS)/bin/s3s-fs ## replicas on two S3 servers that fail in many ways; builds the server with S3 in target/s3
+test-s3: $(VENV)/.s3 $(TOOLS)/s3s-fs-$(S3S_FS)/bin/s3s-fs ## tests replicas on two S3 servers with many kinds of faults; builds the server with S3 in target/s3
 	$(CARGO) build --release --locked --features s3 --target-dir $(TARGET)/s3
 	PATH="$(TOOLS)/s3s-fs-$(S3S_FS)/bin:$$PATH" HULLCAST_BIN=$(TARGET)/s3/release/hullcast $(PY) -m pytest client/tests/extras/test_s3.py
 
@@ -224,28 +224,28 @@ $(TOOLS)/s3s-fs-$(S3S_FS)/bin/s3s-fs:
 	$(CARGO) install --locked --root $(TOOLS)/s3s-fs-$(S3S_FS) --features binary s3s-fs@$(S3S_FS)
 
 .PHONY: lint-stores
-lint-stores: check-tools ## clippy with the stores that are not in the default build: S3, GCS, Azure
+lint-stores: check-tools ## runs clippy with the stores that are not in the default build: S3, GCS, Azure
 	$(CARGO) clippy --release --locked --all-targets --features s3,gcs,azure -- -D warnings
 
 .PHONY: test-otlp
-test-otlp: $(VENV)/.otlp ## traces from Python through the server to a collector; builds the server with OTLP in target/otlp
+test-otlp: $(VENV)/.otlp ## tests traces from Python through the server to a collector; builds the server with OTLP in target/otlp
 	$(CARGO) build --release --locked --features otlp --target-dir $(TARGET)/otlp
 	HULLCAST_BIN=$(TARGET)/otlp/release/hullcast $(PY) -m pytest client/tests/extras/test_otlp.py
 
 .PHONY: capacity
-capacity: build $(VENV)/.demo ## what a replica costs a pair, and a cluster therefore needs; writes docs/capacity.md
+capacity: build $(VENV)/.demo ## measures a replica's cost per pair, and the size of a cluster that follows from it; writes docs/capacity.md
 	unshare --user --map-root-user --net env PATH="$$PATH:/usr/sbin" $(PY) scripts/capacity
 
 .PHONY: test-deploy
-test-deploy: build $(VENV)/.deploy ## the Kubernetes manifests by their schemas
+test-deploy: build $(VENV)/.deploy ## checks the Kubernetes manifests against their schemas
 	$(PY) -m pytest client/tests/extras/test_deploy.py
 
 .PHONY: test-balancers
-test-balancers: build $(VENV)/.test ## three replicas behind HAProxy, nginx and the client itself, killed, drained and cut off under load; as root
+test-balancers: build $(VENV)/.test ## kills, drains and cuts off three replicas under load, behind HAProxy, nginx and the client's own balancing; needs root
 	$(PY) -m pytest -s client/tests/extras/test_balancers.py
 
 .PHONY: test-tools
-test-tools: build $(VENV)/.test out/bin/grpcurl out/bin/ghz ## docs/grpcurl.md as it stands, with grpcurl and ghz; needs Go
+test-tools: build $(VENV)/.test out/bin/grpcurl out/bin/ghz ## runs the commands of docs/grpcurl.md with grpcurl and ghz; needs Go
 	PATH="$(abspath out/bin):$$PATH" $(PY) -m pytest client/tests/extras/test_tools.py
 
 out/bin/grpcurl: MODULE := github.com/fullstorydev/grpcurl/cmd/grpcurl@v1.9.3
@@ -253,37 +253,37 @@ out/bin/ghz: MODULE := github.com/bojand/ghz/cmd/ghz@v0.93.0
 out/bin/grpcurl out/bin/ghz:
 	GOBIN=$(abspath out/bin) go install $(MODULE)
 
-# The full workload is 12,000 pairs with exact answers; a subset is in tests/golden.
+# The full workload has 12,000 pairs with exact answers; a subset is in tests/golden.
 .PHONY: workload
-workload: check-tools ## WORKLOAD=file: every pair of a workload file against its exact answer
+workload: check-tools ## WORKLOAD=file: compares every pair of a workload file with its exact answer
 	@test -n "$(WORKLOAD)" || { echo "make workload WORKLOAD=path/to/workload.bin"; exit 2; }
 	$(CARGO) run --release --locked --no-default-features --example workload -- "$(WORKLOAD)"
 
 STABILITY := $(CARGO) test --release --locked --no-default-features --test stability --
 
 .PHONY: stability
-stability: check-tools ## answers at the extremes against exact ones; writes docs/stability.md and its picture
+stability: check-tools ## compares answers at numerical extremes with exact ones; writes docs/stability.md and its picture
 	STABILITY="$(abspath docs)" PROVENANCE="$$(./scripts/provenance)" $(STABILITY) --ignored --nocapture the_whole_matrix_is_met
 	@digest() { $(CARGO) test --locked --no-default-features --test stability "$$@" -- --nocapture the_same_pairs_give_the_same_bits | grep '^digest'; }; \
 	 debug=$$(digest); release=$$(digest --release); echo "debug: $$debug, release: $$release"; test "$$debug" = "$$release"
 
 .PHONY: stability-long
-stability-long: check-tools ## THOUSANDS=1000: so many cases by the certificate, a tenth by the exact answers; writes docs/fuzzing.md; an hour and more
+stability-long: check-tools ## THOUSANDS=1000: checks that many thousand cases by their certificates, and a tenth of them exactly; writes docs/fuzzing.md; takes over an hour
 	mkdir -p out
 	$(STABILITY) --ignored --nocapture many_cases a_million_cases | tee out/stability-long.txt
 	grep -E '^\||cases by|^test .*(ok|FAILED)' out/stability-long.txt > out/stability-closing.txt
 	./scripts/section docs/fuzzing.md long out/stability-closing.txt
 
-# As root, who may mount the small disk that is filled and made read-only.
+# Needs root to mount a small disk, which is filled and made read-only.
 .PHONY: test-faults
-test-faults: check-tools ## kill -9 a thousand times, full and vanished disks, torn blobs; needs root
+test-faults: check-tools ## tests kill -9 a thousand times, full and vanished disks, and torn blobs; needs root
 	$(CARGO) test --release --locked --test faults -- --ignored --nocapture --test-threads 1
 
 .PHONY: test-abuse test-abuse-short
-test-abuse-short: check-tools ## every attack at a tenth of the size against a tenth of the budgets; two minutes
+test-abuse-short: check-tools ## runs every attack at a tenth of its size against a tenth of the budgets; takes two minutes
 	$(CARGO) test --release --locked --test abuse
 
-test-abuse: check-tools ## every attack at full size on a server with default limits; writes docs/reliability.md; 20 minutes and more
+test-abuse: check-tools ## runs every attack at full size on a server with default limits; writes docs/reliability.md; takes over 20 minutes
 	mkdir -p out
 	$(CARGO) test --release --locked --features playground --test abuse -- --ignored --nocapture --test-threads 1 | tee out/abuse.txt
 	{ echo '| attack | queries before, ms | queries during, ms | health before, ms | health during, ms | retries | peak, MiB | free after, s |'; \
@@ -293,30 +293,30 @@ test-abuse: check-tools ## every attack at full size on a server with default li
 FUZZ_SECONDS ?= 600
 
 .PHONY: fuzz fuzz-report fuzz-planted
-fuzz: ## FUZZ_SECONDS=600 of each fuzz target; needs nightly Rust and cargo-fuzz
+fuzz: ## runs each fuzz target for FUZZ_SECONDS (600); needs nightly Rust and cargo-fuzz
 	./scripts/fuzz run --seconds $(FUZZ_SECONDS)
 
-fuzz-report: ## what was fuzzed on this machine: cases, hours, coverage; writes docs/fuzzing.md
+fuzz-report: ## reports the fuzzing on this machine (cases, hours, coverage); writes docs/fuzzing.md
 	mkdir -p out
 	./scripts/fuzz report | tee out/fuzz-report.txt
 	./scripts/section docs/fuzzing.md report out/fuzz-report.txt
 
-fuzz-planted: ## known faults, planted one by one in a copy: fuzzing finds each
+fuzz-planted: ## plants known faults one by one in a copy of the source; fuzzing must find each
 	./scripts/fuzz planted --seconds $(FUZZ_SECONDS)
 
 .PHONY: clean
-clean: ## removes what was built
+clean: ## removes all built files
 	rm -rf target benches/target $(VENV) $(VENV)-* out
 
-# Sphinx on the repository's own pages; every link and reference is checked.
+# Runs Sphinx on the repository's own pages, and checks every link and reference.
 .PHONY: docs
-docs: $(VENV)/.docs ## the documentation's site with the references of both libraries: out/site/README.html
+docs: $(VENV)/.docs ## builds the documentation site with the references of both libraries: out/site/README.html
 	rm -rf out/site
 	$(PY) -m sphinx --builder html --fail-on-warning --keep-going --quiet --conf-dir docs/site --doctree-dir out/doctrees . out/site
 	RUSTDOCFLAGS="-D warnings -A rustdoc::private-intra-doc-links" $(CARGO) doc --locked --no-deps --lib
 	cp -r $(TARGET)/doc out/site/rust
 
-# The packages, pinned; the client itself is used in place.
+# The pinned Python packages. The client itself is used in place.
 REQUIREMENTS := client/requirements.txt
 
 $(VENV)/.demo: examples/requirements.txt $(REQUIREMENTS) | check-tools
@@ -367,7 +367,7 @@ $(VENV)/.docs: docs/site/requirements.txt $(REQUIREMENTS) | check-tools
 	$(call install,$<)
 	touch $@
 
-# An interrupted installation leaves no interpreter that looks usable.
+# If an earlier installation was interrupted, pip does not run: make the environment again.
 define install
 	$(PY) -m pip --version >/dev/null 2>&1 || { rm -rf $(VENV); $(PYTHON) -m venv $(VENV); }
 	$(PY) -m pip install --quiet --requirement $(1)

@@ -18,7 +18,7 @@ mod contract {
     pub(super) fn compile() {
         println!("cargo:rerun-if-changed=proto");
         let descriptors = protox::compile(FILES, ["proto"]).expect("the contract compiles");
-        // The comments are for the generated code, not for what reflection sends.
+        // Comments go into the generated code, but not into the descriptors that reflection sends.
         let mut bare = descriptors.clone();
         bare.file.iter_mut().for_each(|file| file.source_code_info = None);
         let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
@@ -31,7 +31,7 @@ mod contract {
             .expect("the contract generates");
     }
 
-    /// The services as the server implements them: its methods receive encoded requests.
+    /// The definitions of the services for the server, whose methods receive encoded requests.
     fn servers(descriptors: &FileDescriptorSet) -> Vec<manual::Service> {
         let services = descriptors.file.iter().flat_map(|file| {
             file.service.iter().map(|service| {
@@ -55,12 +55,12 @@ mod contract {
         services.collect()
     }
 
-    /// `.hullcast.v1.Name` as a path in the crate.
+    /// Converts `.hullcast.v1.Name` to a path in the crate.
     fn rust_type(name: &str) -> String {
         format!("crate::proto::{}", name.rsplit('.').next().unwrap_or(name))
     }
 
-    /// `QueryContacts` as `query_contacts`.
+    /// Converts `QueryContacts` to `query_contacts`.
     fn snake_case(name: &str) -> String {
         let word = |(index, letter): (usize, char)| {
             let underscore = (index > 0 && letter.is_uppercase()).then_some('_');

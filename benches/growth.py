@@ -1,4 +1,4 @@
-"""Plots docs/growth.csv, which `cargo run --bin growth` writes: docs/growth.svg."""
+"""Plots docs/growth.csv, which `cargo run --bin growth` writes, as docs/growth.svg."""
 
 import csv
 import pathlib

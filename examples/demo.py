@@ -1,10 +1,9 @@
-"""Contacts of real scenes, answered by a server that this script starts and stops.
+"""Computes the contacts of real scenes, with a server that this script starts and stops.
 
     make demo
 
-Registers the hulls of examples/scenes, asks for the contacts of every
-configuration, checks the answers against the vertices, prints what was found
-and draws it.
+Registers the hulls of examples/scenes, queries the contacts of every configuration, checks the
+results against the vertices, prints a summary and draws a picture.
 """
 
 import json
@@ -28,27 +27,27 @@ REPEATS = 5
 
 @dataclass
 class Frame:
-    """One configuration and its answer."""
+    """One configuration and its result."""
 
     name: str
     scene: hullcast.Scene
     answer: hullcast.Manifolds
-    seconds: float  # of the fastest round trip, numpy to numpy
+    seconds: float  # the fastest round trip, from numpy to numpy
 
 
 @dataclass
 class Example:
-    """A scene file, registered."""
+    """A scene file whose hulls are registered."""
 
     document: dict
     hulls: list
     pairs: np.ndarray
     frames: list
-    outlines: list  # per hull: faces, each its corners (k, 3)
+    outlines: list  # for each hull its faces, each an array of corners (k, 3)
 
 
 def load(client, path):
-    """Registers a scene's hulls and asks for the contacts of each of its frames."""
+    """Registers a scene's hulls and queries the contacts of each of its frames."""
     document = json.loads(path.read_text())
     hulls = client.register([np.array(h["vertices"]) for h in document["hulls"]])
     bodies, pairs = document["bodies"], np.array(document["pairs"])
@@ -72,7 +71,7 @@ def load(client, path):
 
 
 def outlines(client, hulls):
-    """The faces that the server found, coplanar triangles merged: per hull a list of corner arrays."""
+    """The server's faces, with coplanar triangles merged: for each hull a list of corner arrays."""
     with grpc.insecure_channel(client.target, options=[("grpc.enable_http_proxy", 0)]) as channel:
         get = channel.unary_unary(
             "/hullcast.v1.HullService/GetHulls",
@@ -93,7 +92,7 @@ def outlines(client, hulls):
 
 
 def matrices(rotations):
-    """(n, 3, 3) of quaternions x, y, z, w."""
+    """(n, 3, 3): the rotation matrices of quaternions x, y, z, w."""
     x, y, z, w = (rotations / np.linalg.norm(rotations, axis=1)[:, None]).T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -104,12 +103,12 @@ def matrices(rotations):
 
 
 def check(example, frame):
-    """Checks every pair from the definitions alone, with the vertices as they are in the file.
+    """Checks every pair using only definitions and the vertices of the file.
 
-    Of every pair: outcome known, bracket in order, normal of unit length. Of
-    every pair in contact: the separation is what the vertices' extents along the
-    normal say, alpha is at least the bound that they give, and no point is
-    deeper than the separation. Returns how many were in contact.
+    For every pair, the outcome is known, the bracket is in order and the normal has unit length.
+    For every pair in contact, the separation follows from the vertices' extents along the normal,
+    alpha is the bound that they give, and no point is deeper than the separation. Returns the
+    number of pairs in contact.
     """
     m, bodies = frame.answer, example.document["bodies"]
     turn = matrices(np.array(frame.scene.rotations))
@@ -139,7 +138,7 @@ def check(example, frame):
 
 
 def report(example):
-    """Prints a line a frame."""
+    """Prints one line per frame."""
     document = example.document
     print(
         f"\n{document['name']}: {len(example.hulls)} hulls "
@@ -158,15 +157,15 @@ def report(example):
         )
 
 
-# --- the picture ------------------------------------------------------------------------------
+# --- The picture ------------------------------------------------------------------------------
 
 STEEL, ORANGE, GROUND = (222, 226, 232), (243, 146, 55), (214, 212, 206)
-HEADER = 72  # pixels over a picture
+HEADER = 72  # height of the header above a picture, in pixels
 PALETTE = [(126, 176, 160), (150, 170, 214), (222, 184, 120), (200, 146, 160), (158, 190, 120), (184, 164, 206)]
 
 
 def body_colour(name, index):
-    """Links of a robot light and orange, what stands still grey, the rest by a palette."""
+    """A body's colour: light and orange for robot links, grey for fixed bodies, others varied."""
     if name.split()[0] in ("table", "ground", "floor", "wall"):
         return GROUND
     if "/" in name:
@@ -176,7 +175,7 @@ def body_colour(name, index):
 
 
 def panel(example, frame, camera, size, scale, *, length, radius, hidden, hide=()):
-    """One frame drawn; `scale` (m) is the distance at the ends of the colour ramp."""
+    """Draws one frame. `scale` is the distance, in metres, at both ends of the colour ramp."""
     document, m = example.document, frame.answer
     turn = matrices(np.array(frame.scene.rotations))
     bodies, colours = [], []
@@ -206,7 +205,7 @@ def panel(example, frame, camera, size, scale, *, length, radius, hidden, hide=(
 
 
 def draw(panda, anymal, pile, path):
-    """Five robot configurations around the pile."""
+    """Draws five robot configurations around the pile."""
     width, height, gap = 640, 420, 10
     arm = render.Camera((1.75, -1.05, 1.05), (0.36, -0.02, 0.33), 1.95)
     hand = render.Camera((1.00, 0.62, 0.40), (0.50, 0.14, 0.10), 1.55)

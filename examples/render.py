@@ -1,7 +1,7 @@
-"""Draws convex bodies with numpy and Pillow: a z-buffer, shadows, outlines, contact points.
+"""Draws convex bodies with numpy and Pillow: a z-buffer, shadows, outlines and contact points.
 
-World frame, z up. A body is a list of faces; a face is its corners (k, 3),
-anticlockwise seen from outside.
+Points are in the world frame, with z up. A body is a list of faces. A face is an array of its
+corners (k, 3), anticlockwise seen from outside.
 """
 
 from dataclasses import dataclass
@@ -18,14 +18,17 @@ _SHADOW_PIXELS = 1400
 
 @dataclass
 class Camera:
-    """Looks from `eye` at `target`; `lens` is the focal length over the picture's height."""
+    """A camera at `eye` that looks at `target`.
+
+    `lens` is the focal length over the picture's height.
+    """
 
     eye: tuple
     target: tuple
     lens: float = 1.6
 
     def axes(self):
-        """Rows: right, down, forward."""
+        """The rows are the directions right, down and forward."""
         forward = np.subtract(self.target, self.eye).astype(float)
         forward /= np.linalg.norm(forward)
         right = np.cross(forward, [0, 0, 1])
@@ -34,7 +37,10 @@ class Camera:
 
 
 class View:
-    """A camera over a picture of width x height pixels: world points to pixels and 1/depth."""
+    """A camera with a picture of width x height pixels.
+
+    It maps world points to pixels and 1/depth.
+    """
 
     def __init__(self, camera, width, height):
         self.width, self.height = width, height
@@ -52,12 +58,12 @@ class View:
         return normal @ (self._eye - point) > 0
 
     def plane(self, normal, point):
-        """1/depth of a plane as a x + b y + c over pixels x, y."""
+        """A plane's 1/depth, as coefficients (a, b, c) of a x + b y + c at pixel (x, y)."""
         a, b, c = self._axes @ normal / (normal @ (point - self._eye))
         return a / self._focus, b / self._focus, c - (a * self.width + b * self.height) / 2 / self._focus
 
     def world(self, inverse):
-        """World points of the pixels, from their 1/depth."""
+        """The world points seen at the pixels, from their 1/depth."""
         y, x = np.indices(inverse.shape) + 0.5
         ray = np.stack([x - self.width / 2, y - self.height / 2, np.full(x.shape, self._focus)], axis=-1)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -65,7 +71,10 @@ class View:
 
 
 class Sun:
-    """The light's orthographic view of some points; nearer is larger, as with 1/depth."""
+    """The light's orthographic view of some points.
+
+    Nearer points have a larger depth, as with 1/depth.
+    """
 
     def __init__(self, points):
         light = _LIGHT / np.linalg.norm(_LIGHT)
@@ -93,7 +102,7 @@ class Sun:
 
 
 def rasterise(view, faces, normals):
-    """The nearest face of every pixel (-1: none), and its depth as the view measures it."""
+    """The nearest face at every pixel (-1 for none), and its depth in the view's measure."""
     depth = np.full((view.height, view.width), -np.inf)
     nearest = np.full(depth.shape, -1, np.int32)
     for index, (corners, normal) in enumerate(zip(faces, normals)):
@@ -121,9 +130,9 @@ def rasterise(view, faces, normals):
 
 
 def draw(bodies, colours, camera, size):
-    """A picture (Pillow) of the bodies, its View, and 1/distance of every pixel (-inf: nothing there).
+    """Draws the bodies; returns the picture, its View, and the 1/depth of every pixel.
 
-    `colours` is one RGB a body.
+    `colours` has one RGB colour per body. The 1/depth is -inf where nothing is drawn.
     """
     width, height = size
     view = View(camera, width * _OVERSAMPLING, height * _OVERSAMPLING)
@@ -148,14 +157,14 @@ def draw(bodies, colours, camera, size):
 
 
 def _normal(corners):
-    """Newell's: right for any convex polygon, however its corners crowd."""
+    """Newell's normal, which is accurate for any convex polygon, however close its corners are."""
     following = np.roll(corners, -1, axis=0)
     normal = np.cross(corners - corners[0], following - corners[0]).sum(axis=0)
     return normal / np.linalg.norm(normal)
 
 
 def _sunlight(faces, normals, view, nearest, depth):
-    """Share of the light (0 to 1) that reaches every pixel, softened over 3 x 3 texels."""
+    """The share of the light, 0 to 1, that reaches every pixel, softened over 3 x 3 texels."""
     sun = Sun(np.concatenate(faces))
     _, shadow = rasterise(sun, faces, normals)
     seen = nearest >= 0
@@ -172,9 +181,9 @@ def _sunlight(faces, normals, view, nearest, depth):
 
 
 def draw_contacts(picture, view, depth, points, normals, colours, length, radius, hidden):
-    """Contact points as dots of `radius` (pixels), normals as lines of `length` (world).
+    """Draws contact points as dots of `radius` pixels, normals as lines of `length` world units.
 
-    Where a body is in front, as opaque as `hidden` (0 to 1) says.
+    A contact behind a body is drawn with the opacity `hidden`, 0 to 1.
     """
     layer = Image.new("RGBA", (picture.width * 2, picture.height * 2))
     pen = ImageDraw.Draw(layer)
@@ -197,7 +206,7 @@ _RAMP = np.array([[43, 120, 228], [255, 205, 52], [214, 40, 40]])
 
 
 def ramp(values):
-    """RGB rows for values 0 to 1: blue, yellow, red."""
+    """RGB rows for values from 0 to 1: blue, yellow, red."""
     values = np.clip(values, 0, 1)
     return np.column_stack([np.interp(values, _STOPS, _RAMP[:, c]) for c in range(3)])
 
@@ -208,7 +217,7 @@ def font(size):
 
 
 def colour_bar(width, height, low, high, title):
-    """The legend of `ramp`, labelled at its ends."""
+    """The legend of `ramp`, with labels at its ends."""
     bar = Image.new("RGB", (width, height), tuple(int(c) for c in BACKGROUND))
     pen, text = ImageDraw.Draw(bar), font(15)
     strip = ramp(np.linspace(0, 1, width)).astype(np.uint8)

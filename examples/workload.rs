@@ -1,8 +1,7 @@
-//! Holds every pair of a workload file (docs/workload.md) against its exact
-//! answer, with both solvers: `make workload WORKLOAD=path`.
+//! Checks every pair of a workload file (docs/workload.md) against its exact answer, with both solvers; run by `make
+//! workload WORKLOAD=path`.
 //!
-//! Prints counts and the worst share of each error budget; fails if any pair
-//! passes one.
+//! Prints counts and the worst share of each error budget. Fails if any pair exceeds a budget.
 
 #[path = "../tests/workload/check.rs"]
 mod check;
@@ -19,7 +18,7 @@ use std::process::ExitCode;
 
 use hullcast::contact::Solver;
 
-/// Violations shown of each family, regime and solver.
+/// The number of violations that are printed for each family, regime and solver.
 const SHOWN: usize = 5;
 
 fn main() -> ExitCode {

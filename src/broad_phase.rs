@@ -1,13 +1,26 @@
-//! Which bodies of a scene may meet: a tree over their bounds, and rules that tell bodies apart.
+//! The broad phase: finds the pairs of bodies of a scene that may be in contact.
 //!
-//! The bodies are in a static tree of boxes ([`tree`]), the bodies of one world in one subtree
-//! of it. A body's partners are the bodies with a higher index, so each pair is found once, and
-//! pairs come out sorted without ever being together in memory.
+//! A pair is found if the bounds of both bodies overlap and no rule keeps the bodies apart (worlds,
+//! collision groups; [`Rules`]). The bounds are in a static tree of boxes ([`tree`]), in which the
+//! bodies of one world form one subtree. The *partners* of a body are the bodies with a higher index
+//! that may meet it. So each pair is found once, and the pairs come out in ascending order without
+//! ever being in memory all together:
 //!
-//! Building takes O(n log n) steps for n bodies. Both building and searching look at a stop
-//! flag about once a millisecond. A search can also be left after any number of steps and
-//! continued later, so a scene in which the rules keep apart whatever the boxes let meet never
+//! ```text
+//! for each body, in order:
+//!     search the subtree of its world, and the bodies that are in every world
+//!     partners = the bodies found with a higher index that no rule keeps apart
+//!     append (body, partner) for each partner, ascending
+//! ```
+//!
+//! Building takes `O(n log n)` steps for `n` bodies. Building and searching check a stop flag
+//! about once per millisecond. A search can also be suspended after any number of steps and resumed
+//! later. So even a scene in which all boxes overlap and the rules keep all bodies apart never
 //! occupies a thread for long.
+//!
+//! The tree is the project's own for two reasons. The construction of a general-purpose R-tree
+//! crate cannot be interrupted. And one tree with the world as a fourth coordinate was slow for
+//! scenes of many worlds.
 
 mod rules;
 mod tree;
@@ -21,36 +34,39 @@ pub use self::{
 };
 use crate::contact::{Bounds, STEPS_BETWEEN_LOOKS, Stop, Stopped};
 
-/// Steps of putting one partner in order, once all partners of a body are known.
+/// Steps per partner to sort the partners of a body, once they are all known.
 const STEPS_PER_PARTNER: u64 = 20;
 
-/// The bodies of a scene, which can be asked for each one's partners.
+/// The bodies of a scene, ready for searches for pairs.
 #[derive(Debug, Default)]
 pub struct BroadPhase {
-    /// The bodies of all worlds but [`EVERY_WORLD`].
+    /// The bodies that are in one world.
     worlds: Tree,
-    /// The bodies of [`EVERY_WORLD`].
+    /// The bodies that are in every world ([`EVERY_WORLD`]).
     everywhere: Tree,
-    /// The bounds of each body; none if the body is in no pair.
+    /// The bounds of each body; `None` for a body that is in no pair.
     bounds: Vec<Option<Bounds>>,
     rules: Rules,
 }
 
-/// A search for the pairs of consecutive bodies, which can be left and continued.
+/// A search for the pairs of a range of bodies. It can be suspended and resumed.
 #[derive(Debug)]
 pub struct Search {
-    /// The pairs that were found, in ascending order; 2 indices per pair. The owner may take
-    /// them at any time.
+    /// The pairs found so far, in ascending order, 2 indices per pair. The owner may take them out
+    /// at any time.
     pub pairs: Vec<u32>,
+    /// The body whose partners are searched for next.
     next: u32,
+    /// The first body after the range.
     end: u32,
-    /// The partners of body `next` that were found so far.
+    /// The partners of body `next` found so far.
     partners: Vec<u32>,
-    /// How far the search for the partners of body `next` is.
+    /// How far the search for the partners of body `next` has got.
     reached: Reached,
 }
 
-/// The nodes of a tree that the search for one body's partners has still to look at.
+/// How far the search for the partners of one body has got: the tree that is being searched, and the
+/// nodes of it that are still to be visited.
 #[derive(Clone, Debug)]
 enum Reached {
     Nothing,
@@ -59,20 +75,20 @@ enum Reached {
 }
 
 impl Search {
-    /// A search for the pairs whose lower index is in `first..end`.
+    /// Starts a search for the pairs whose lower index is in `first..end`.
     pub fn new(first: u32, end: u32) -> Self {
         let (pairs, partners) = (Vec::new(), Vec::new());
         Self { pairs, next: first, end, partners, reached: Reached::Nothing }
     }
 
-    /// Whether every pair was found.
+    /// Whether the search has found all its pairs.
     pub fn is_done(&self) -> bool {
         self.next >= self.end
     }
 }
 
 impl BroadPhase {
-    /// A broad phase of bodies with these bounds. A body without bounds is in no pair.
+    /// Builds the broad phase of bodies with these bounds. A body without bounds is in no pair.
     ///
     /// # Errors
     /// The computation was stopped.
@@ -92,13 +108,13 @@ impl BroadPhase {
         Ok(Self { worlds, everywhere, bounds, rules })
     }
 
-    /// How many bodies there are, with those that are in no pair.
+    /// The number of bodies, including those that are in no pair.
     pub fn bodies(&self) -> u32 {
         self.bounds.len() as u32
     }
 
-    /// Continues a search for about `steps` steps, or until it is done or has `most` indices of
-    /// pairs.
+    /// Resumes a search. Returns after about `steps` steps, or once the search is done or holds
+    /// `most` indices of pairs.
     ///
     /// # Errors
     /// The computation was stopped.
@@ -116,7 +132,7 @@ impl BroadPhase {
         Ok(())
     }
 
-    /// Looks for partners of the next body until they are all known or no steps are left.
+    /// Searches for partners of the next body, until they are all known or no steps are left.
     fn advance(&self, search: &mut Search, left: &mut u64) {
         let body = search.next;
         if let Some(bounds) = self.bounds.get(body as usize).copied().flatten() {
@@ -132,7 +148,7 @@ impl BroadPhase {
                     search.reached = Reached::Worlds(left);
                     return;
                 }
-                // The bodies of every world do not meet each other.
+                // Two bodies that are in every world do not meet each other.
                 let nodes = if world == EVERY_WORLD { 0..0 } else { self.everywhere.subtree_of(EVERY_WORLD) };
                 reached = Reached::Everywhere(nodes);
             }
@@ -157,7 +173,7 @@ mod tests {
 
     use super::*;
 
-    /// Numbers that look random and are the same every time.
+    /// A random generator that gives the same numbers every time.
     fn numbers() -> impl FnMut(u64) -> u64 {
         let mut state = 1_u64;
         move |below| {
@@ -170,7 +186,7 @@ mod tests {
         Bounds { low: center - half, high: center + half }
     }
 
-    /// All pairs, by searches of `bodies` bodies each that are left after `steps` steps.
+    /// All pairs, found by searches of `bodies` bodies each that are suspended after `steps` steps.
     fn found(broad_phase: &BroadPhase, bodies: usize, steps: u64) -> (Vec<u32>, Stop) {
         let (mut pairs, stop) = (Vec::new(), Stop::default());
         for first in (0..broad_phase.bodies()).step_by(bodies) {
@@ -183,9 +199,9 @@ mod tests {
         (pairs, stop)
     }
 
-    /// Catches a pair that the tree loses, invents or finds twice, pairs out of order, a rule
-    /// that is not kept, and a search that depends on where it was left: 200 scenes of boxes,
-    /// worlds and groups against all pairs one by one.
+    /// Catches a pair that the tree loses, invents or finds twice, pairs out of order, a rule that is
+    /// not kept, and a search whose result depends on where it was suspended. Compares 200 scenes of
+    /// boxes, worlds and groups with a check of every pair.
     #[test]
     fn the_pairs_are_those_of_every_pair_looked_at() {
         let mut next = numbers();
@@ -239,8 +255,8 @@ mod tests {
         assert!(pairs_found > 20_000 && kept_apart > 20_000, "{pairs_found} found, {kept_apart} apart");
     }
 
-    /// Catches a scene that keeps a thread although its pairs are all ruled out: the largest
-    /// number of steps between two looks, over scenes in which every box meets every other.
+    /// Catches a scene that occupies a thread although the rules exclude all its pairs. Measures the
+    /// largest number of steps between two checks of the flag in scenes in which all boxes overlap.
     #[test]
     fn hostile_scenes_are_looked_up_from() {
         let bodies = 20_000_u32;
@@ -252,7 +268,7 @@ mod tests {
             vec![],
             vec![],
         );
-        // 1,000 groups, each of which ignores each other.
+        // 1,000 groups, each of which ignores every other.
         let ignored = (1..=1000).flat_map(|g| (1..=1000).flat_map(move |h| [g, h])).collect();
         let groups = Rules::new(vec![], (0..bodies).map(|i| 1 + i % 1000).collect(), ignored);
         for (name, rules, most) in [
@@ -264,7 +280,7 @@ mod tests {
             let stop = Stop::default();
             let broad_phase = BroadPhase::new(bounds(), rules, &stop).unwrap();
             let mut search = Search::new(0, bodies);
-            // Some of the scene: all of it is for the stop flag to end.
+            // Search only a part of the scene. The whole would take too long without the stop flag.
             for _ in 0..20 {
                 broad_phase.search(&mut search, 1 << 20, usize::MAX, &stop).unwrap();
             }

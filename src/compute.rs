@@ -1,14 +1,21 @@
-//! The threads that compute, beside the async runtime's threads, so that a long computation
-//! never keeps the server from answering a short one.
+//! The compute threads. They are separate from the threads of the async runtime, so that a long
+//! computation never keeps the server from answering a short one.
 //!
-//! Work comes in parts of about a millisecond at most. Threads take parts in turns: first
-//! between callers, by what their parts cost ([`turns`]), then between one caller's pieces of
-//! work. Work whose parts take longer, such as building a large hull, has threads of its own
-//! that run at a lower priority, so that it never delays short parts.
+//! Work comes in parts that take about a millisecond at most. Threads take parts in turns: first
+//! between callers, in equal shares of the cost of their parts ([`turns`]), then between the pieces
+//! of work of one caller:
 //!
-//! Work ends early when its [`Job`] is stopped, or when the future that waits for it is dropped.
-//! Its parts then leave the queue, and a compute thread frees its memory before it begins
-//! another part.
+//! ```text
+//! caller 1:  work a  [a0 a1 a2 a3 ...]  \
+//!            work b  [b0 b1]             >  turns:  a0 c0 b0 c1 a1 c2 b1 a2 ...  ->  threads
+//! caller 2:  work c  [c0 c1 c2]         /
+//! ```
+//!
+//! Work with longer parts, such as building a large hull, has threads of its own that run at a
+//! lower priority, so that it never delays short parts.
+//!
+//! Work ends early if its [`Job`] is stopped, or if the future that waits for it is dropped. Its
+//! parts then leave the queue, and a compute thread frees its memory before it begins another part.
 
 mod queue;
 #[cfg(test)]
@@ -37,73 +44,77 @@ use crate::{
     lock::locked,
 };
 
-/// Work with a part of more estimated steps than this has the threads of long parts: about 4 ms.
+/// Work with a part of more estimated steps than this runs on the threads for long parts. The value
+/// is about 4 ms.
 const LONG_STEPS: u64 = 4 * STEPS_BETWEEN_LOOKS;
 
-/// The nice values of the threads: below the threads that serve, which have 0, so that the
-/// system runs a serving thread first.
+/// The nice value of the threads for short parts. Serving threads have 0, which is a higher priority,
+/// so the system runs a serving thread first.
 const NICE: i32 = 5;
+/// The nice value of the threads for long parts.
 const NICE_OF_LONG: i32 = 10;
 
-/// Threads for computation; they end when the last clone is dropped.
+/// A pool of compute threads. The threads end when the last clone of this handle is dropped.
 #[derive(Clone, Debug)]
 pub struct Compute {
     pool: Arc<Pool>,
 }
 
-/// Who asked for work, and how to stop it. Threads take turns between callers.
+/// The caller that asked for work, and the flag that stops it. Several pieces of work can share a
+/// job.
 #[derive(Clone, Debug)]
 pub struct Job {
-    /// The caller whose turn is used.
+    /// The caller that is charged for the work, and whose turns the work takes.
     pub caller: Caller,
-    /// Set when nobody waits for the work any more.
+    /// Counts the steps of the work. It is stopped when nobody waits for the work any more.
     pub stop: Arc<Stop>,
-    /// The steps of `stop` that the caller was charged with.
+    /// The number of steps of `stop` that the caller has been charged for.
     charged: Arc<AtomicU64>,
 }
 
 impl Job {
-    /// Work for `caller`, with a flag of its own.
+    /// A job of `caller` with a new stop flag.
     pub fn new(caller: Caller) -> Self {
         Self { caller, stop: Arc::default(), charged: Arc::default() }
     }
 
-    /// The steps that were counted since the last call: each step once, whichever threads call.
+    /// The number of steps counted since the last call. Each step is returned once, whichever threads
+    /// call.
     fn take_uncharged(&self) -> u64 {
         let steps = self.stop.steps();
         steps.saturating_sub(self.charged.fetch_max(steps, Ordering::Relaxed))
     }
 }
 
-/// Work in parts that any threads do in any order, at any time.
+/// Work that is divided into parts. Any thread may do any part, in any order and at any time.
 pub trait Parts: Send + Sync + 'static {
     /// The result of a part.
     type Part: Send;
     /// The result of all parts together.
     type Whole: Send;
 
-    /// How many parts there are.
+    /// The number of parts.
     fn count(&self) -> usize;
 
-    /// The estimated steps of part `index`.
+    /// The estimated number of steps of part `index`.
     fn steps(&self, _index: usize) -> u64 {
         STEPS_BETWEEN_LOOKS
     }
 
-    /// Does part `index`. The part counts its steps with the stop flag of the work's job.
+    /// Does part `index`. The part counts its steps in the [`Stop`] of the work's job.
     ///
     /// # Errors
     /// The job was stopped.
     fn part(&self, index: usize) -> Result<Self::Part, Stopped>;
 
-    /// Puts the parts together, in order.
+    /// Combines the results of all parts, which are given in order.
     ///
     /// # Errors
     /// The job was stopped.
     fn whole(&self, parts: Vec<Self::Part>) -> Result<Self::Whole, Stopped>;
 }
 
-/// The computation panicked: a bug that ends only its own call.
+/// The computation panicked, with this message. A panic is a bug, and it ends only its own call.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Panicked(pub String);
 
@@ -113,7 +124,7 @@ impl fmt::Display for Panicked {
     }
 }
 
-/// Why work has no result.
+/// The reason why work has no result.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ComputeError {
     /// The work's job was stopped.
@@ -146,17 +157,17 @@ impl From<Panicked> for ComputeError {
 }
 
 impl Compute {
-    /// Starts `threads` threads, and as many for long parts; 0: one for each core.
+    /// Starts `threads` threads for short parts and as many for long parts. 0 means one per core.
     ///
     /// # Errors
-    /// The system has no more threads.
+    /// The system refused to start a thread.
     pub fn new(threads: usize) -> io::Result<Self> {
         let threads = match threads {
             0 => thread::available_parallelism().map_or(1, usize::from),
             threads => threads,
         };
         let pool = Pool { short: Arc::default(), long: Arc::default(), threads };
-        // Dropped on failure: the threads that started end.
+        // If a thread cannot be started, `compute` is dropped, and the threads that started end.
         let compute = Self { pool: Arc::new(pool) };
         let kinds = [("compute", NICE, &compute.pool.short), ("long", NICE_OF_LONG, &compute.pool.long)];
         for (name, nice, queue) in kinds {
@@ -172,12 +183,12 @@ impl Compute {
         Ok(compute)
     }
 
-    /// How many threads compute short parts.
+    /// The number of threads for short parts.
     pub fn threads(&self) -> usize {
         self.pool.threads
     }
 
-    /// Does `work` in one piece of a few milliseconds at most.
+    /// Runs `work` as one part, which should take a few milliseconds at most.
     ///
     /// # Errors
     /// The work panicked, or was stopped before it began.
@@ -189,8 +200,8 @@ impl Compute {
         self.run_steps(STEPS_BETWEEN_LOOKS, work, job).await
     }
 
-    /// Does `work` in one piece of about `steps` steps, which looks at the stop flag while it
-    /// goes on.
+    /// Runs `work` as one part of about `steps` steps. If it is long, the work should check the stop
+    /// flag that it is given.
     ///
     /// # Errors
     /// The work panicked, or was stopped before it began.
@@ -205,7 +216,8 @@ impl Compute {
         whole.ok_or_else(|| Panicked("the work was done before".into()).into())
     }
 
-    /// Does `work` in parts, on all threads that are free. Dropping the future ends the work.
+    /// Does `work` in parts, on all threads that are free. If the future is dropped, the parts that
+    /// have not begun are never done.
     ///
     /// # Errors
     /// A part panicked, or the job was stopped.
@@ -226,33 +238,33 @@ impl Compute {
         receive.await.unwrap_or_else(|_| dropped())
     }
 
-    /// Has a compute thread free a value: giving much memory back to the system takes
-    /// milliseconds, in which a thread that serves calls would serve none.
+    /// Frees a value on a compute thread. Returning much memory to the system takes milliseconds, in
+    /// which a thread that serves calls could not serve any.
     pub fn free(&self, value: impl Send + 'static) {
         self.pool.short.free(Box::new(value));
     }
 
-    /// A value of about `bytes` bytes, which a compute thread frees if it is large.
+    /// Wraps a value of about `bytes` bytes, so that a compute thread frees it if it is large.
     pub fn freed_here<T: Send + 'static>(&self, value: T, bytes: usize) -> FreedHere<T> {
         FreedHere { value: Some(value), bytes, compute: self.clone() }
     }
 }
 
-/// Work on more bytes than this is done by the compute threads, freeing them too. Up to this it
-/// takes at most about a millisecond, and a thread that serves calls may do it.
+/// Work on more bytes than this runs on the compute threads, and so does freeing them. Work on fewer
+/// bytes takes at most about a millisecond, and a thread that serves calls may do it.
 pub const LARGE_BYTES: usize = 256 << 10;
 
-/// A value that a compute thread frees if it is large: see [`Compute::free`].
+/// A value that a compute thread frees if it is large; see [`Compute::free`].
 #[derive(Debug)]
 pub struct FreedHere<T: Send + 'static> {
-    /// None only while the wrapper is dropped or unwrapped.
+    /// `None` only while the wrapper is dropped or unwrapped.
     value: Option<T>,
     bytes: usize,
     compute: Compute,
 }
 
 impl<T: Send + 'static> FreedHere<T> {
-    /// The value; its new owner frees it.
+    /// Unwraps the value. Its new owner then frees it.
     pub fn into_inner(mut self) -> T {
         self.value.take().unwrap_or_else(|| unreachable!("a value is taken once"))
     }
@@ -280,9 +292,10 @@ impl<T: Send + 'static> Drop for FreedHere<T> {
     }
 }
 
-/// The system runs this thread after those that serve. Where it cannot, all are alike.
+/// Lowers the priority of the calling thread, so that the system prefers the serving threads. If the
+/// system cannot do that, the thread keeps the priority of the process.
 fn lower_priority(nice: i32) {
-    // On Linux the call is about the calling thread, elsewhere about the whole process.
+    // On Linux the call changes the calling thread, on other systems the whole process.
     #[cfg(target_os = "linux")]
     if let Err(error) = rustix::process::setpriority_process(None, nice) {
         tracing::debug!(%error, nice, "compute threads keep the priority of the process");
@@ -291,7 +304,7 @@ fn lower_priority(nice: i32) {
     let _ = nice;
 }
 
-/// A closure as work of one part.
+/// A closure as work with one part.
 struct Piece<F> {
     work: Mutex<Option<F>>,
     steps: u64,
@@ -340,14 +353,15 @@ impl Drop for Pool {
     }
 }
 
-/// `work`, here and now, its panic caught.
+/// Runs `work` on the calling thread and catches a panic.
 ///
 /// # Errors
-/// It panicked.
+/// The work panicked.
 pub fn caught<T>(work: impl FnOnce() -> T) -> Result<T, Panicked> {
     catch_unwind(AssertUnwindSafe(work)).map_err(|payload| Panicked(text(&*payload)))
 }
 
+/// The message of a panic.
 fn text(payload: &(dyn Any + Send)) -> String {
     let text = payload.downcast_ref::<&str>().map(|s| (*s).to_owned());
     text.or_else(|| payload.downcast_ref::<String>().cloned()).unwrap_or_else(|| "no message".into())

@@ -1,17 +1,23 @@
 //! Certified contact manifolds of convex hulls.
 //!
-//! [`contact`] is the geometry: pure, synchronous, with no network in it; begin
-//! there. With the feature `server` (default) `service` answers batches of queries
-//! over gRPC: `proto` is the contract, `store` keeps the registered hulls,
-//! `broad_phase` finds pairs, `compute` has the threads, `metrics` and `trace` say
-//! what goes on, `log_limit` keeps callers from filling the log. [`workload`] generates pairs for load tests and benchmarks.
+//! Begin with [`contact`], the geometry: it is pure and synchronous, and uses no network. These
+//! modules need the feature `server`, which is on by default:
 //!
-//! Conventions: units are the caller's (metres in the documentation), angles
-//! radians; right-handed; quaternions `x, y, z, w`. A pose maps the hull's own
-//! frame to the world. The contact normal is unit, in the world frame, from A
-//! to B; separations and distances are negative when overlapping.
+//! - `service` answers batches of queries over gRPC, by the contract in `proto`.
+//! - `store` keeps the registered hulls.
+//! - `broad_phase` finds pairs.
+//! - `compute` runs the compute threads; `budget` limits the memory that callers make the server hold.
+//! - `metrics` and `trace` report the server's activity; `log_limit` keeps callers from filling the log.
+//!
+//! [`workload`], which needs no feature, generates pairs for load tests and benchmarks.
+//!
+//! Conventions: lengths are in the caller's units (metres in the documentation), angles in radians.
+//! Frames are right-handed, and quaternions are `x, y, z, w`. A pose maps the hull's own frame to the
+//! world. The contact normal is a unit vector in the world frame that points from A to B. Separations
+//! and distances are negative for overlapping hulls.
 
-// Here and not in Cargo.toml: modules shared by tests are `pub` for nobody's sake.
+// Not in Cargo.toml, where the lint would also apply to the tests: their shared modules have `pub` items
+// that are not exported.
 #![warn(unreachable_pub)]
 
 #[cfg(feature = "server")]

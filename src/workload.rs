@@ -1,8 +1,8 @@
-//! Generated pairs for load tests and benchmarks: families of hulls in regimes
-//! of contact, the same for the same seed.
+//! Generated pairs for load tests and benchmarks: families of hulls, in regimes of contact. The same
+//! seed gives the same pairs.
 //!
-//! Half extents are 0.3 to 1. A hull's origin is its centre of mass, so that
-//! the default contraction point is the origin to rounding.
+//! Half extents are 0.3 to 1. The origin of a hull's frame is its centre of mass, so the default
+//! contraction point is the origin to rounding.
 
 use std::f64::consts::TAU;
 
@@ -12,18 +12,18 @@ use crate::contact::{
     Body, ConvexHull, HullError, InvalidPose, Manifold, Pose, Query, Wanted, Workspace, contact_manifold,
 };
 
-/// Distinct hulls of a workload.
+/// Number of distinct hulls in a workload.
 const HULLS: usize = 32;
-/// The first body is within it, each coordinate.
+/// Each coordinate of the first body's position is within plus and minus this.
 const HALF_WORLD: f64 = 5.0;
-/// Standard deviation of the offset between the centres of resting faces, per tangent.
+/// Standard deviation of the offset between the centres of resting faces, along each tangent.
 const REST_OFFSET: f64 = 0.03;
-/// Draws of a resting pair at most: small faces miss each other now and then.
+/// Largest number of draws for a resting pair. Another draw is needed when small faces miss each other.
 const REST_ATTEMPTS: usize = 32;
-/// Sine of the angle between normals that are one to rounding.
+/// Normals are equal, to rounding, if the sine of the angle between them is below this.
 const SAME_DIRECTION: f64 = 1e-9;
 
-/// What the hulls are.
+/// The shape of the hulls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Family {
     /// Boxes.
@@ -37,10 +37,10 @@ pub enum Family {
 }
 
 impl Family {
-    /// Every family, by number of vertices.
+    /// Every family, in order of the number of vertices.
     pub const ALL: [Self; 4] = [Self::Box, Self::Poly16, Self::Poly64, Self::Poly256];
 
-    /// As the command line and the tables write it.
+    /// The name that the command line and the tables use.
     pub fn name(self) -> &'static str {
         match self {
             Self::Box => "box",
@@ -56,7 +56,7 @@ impl Family {
 pub enum Regime {
     /// Random orientations, growth scale 0.95 to 0.995.
     Shallow,
-    /// A face on a face, random spin, gap -0.01 to 0.002.
+    /// A face of B on a face of A with a random spin, gap -0.01 to 0.002.
     Resting,
     /// Random orientations, growth scale 1.02 to 1.5.
     Separated,
@@ -66,7 +66,7 @@ impl Regime {
     /// Every regime.
     pub const ALL: [Self; 3] = [Self::Shallow, Self::Resting, Self::Separated];
 
-    /// As the command line and the tables write it.
+    /// The name that the command line and the tables use.
     pub fn name(self) -> &'static str {
         match self {
             Self::Shallow => "shallow",
@@ -76,34 +76,34 @@ impl Regime {
     }
 }
 
-/// Hulls, and pairs of them.
+/// Hulls, and pairs of these hulls.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Workload {
-    /// What the hulls are.
+    /// The shape of the hulls.
     pub family: Family,
-    /// How they meet.
+    /// How the two hulls of each pair meet.
     pub regime: Regime,
     /// Vertices of each hull, in its own frame.
     pub hulls: Vec<Vec<[f64; 3]>>,
-    /// What is asked about.
+    /// The pairs to query.
     pub pairs: Vec<Pair>,
 }
 
-/// Two hulls, each at its own pose.
+/// Two hulls, each with a pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pair {
-    /// A and B, indices into the workload's hulls.
+    /// The hulls of A and B, as indices into the workload's hulls.
     pub hulls: [usize; 2],
     /// World position of each hull's origin.
     pub positions: [[f64; 3]; 2],
-    /// Quaternions x, y, z, w.
+    /// Rotation of each hull, as a quaternion x, y, z, w.
     pub rotations: [[f64; 4]; 2],
 }
 
-/// Generation met a hull or a pose that is not valid: a bug of this module.
+/// Generation produced a hull or a pose that is not valid, which is a bug of this module.
 #[derive(Clone, Debug, PartialEq)]
 pub enum WorkloadError {
-    /// A generated cloud is no hull.
+    /// A generated point cloud has no valid hull.
     Hull(HullError),
     /// A generated pose is not usable.
     Pose(InvalidPose),
@@ -133,10 +133,10 @@ impl std::fmt::Display for WorkloadError {
 impl std::error::Error for WorkloadError {}
 
 impl Workload {
-    /// `pairs` pairs of the family in the regime.
+    /// Generates `pairs` pairs of the family in the regime.
     ///
     /// # Errors
-    /// None is expected; see [`WorkloadError`].
+    /// No error is expected; see [`WorkloadError`].
     pub fn generate(family: Family, regime: Regime, pairs: usize, seed: u64) -> Result<Self, WorkloadError> {
         let mut random = Random::new(seed);
         let mut all = Vec::with_capacity(HULLS);
@@ -165,7 +165,7 @@ impl Workload {
     }
 }
 
-/// A hull about its centre of mass.
+/// A hull whose origin is its centre of mass.
 struct Shape {
     vertices: Vec<[f64; 3]>,
     hull: ConvexHull,
@@ -187,7 +187,7 @@ impl Shape {
         Ok(Self { vertices, hull })
     }
 
-    /// The mean corner and the outward normal of a face, hull frame.
+    /// The mean of a face's corners, and its outward normal; hull frame.
     fn face(&self, face: usize) -> (DVec3, DVec3) {
         let corners = self.hull.face_outline(face);
         let count = corners.len() as f64;
@@ -196,20 +196,20 @@ impl Shape {
     }
 }
 
-/// The signs of a box's corner: x by bit 0, y by bit 1, z by bit 2.
+/// The signs of a box's corner: bit 0 of `corner` gives x, bit 1 y, bit 2 z.
 fn corner_signs(corner: u32) -> DVec3 {
     let sign = |bit: u32| if corner >> bit & 1 == 0 { -1.0 } else { 1.0 };
     DVec3::new(sign(0), sign(1), sign(2))
 }
 
-/// Places pairs: B's offset from A and its rotation.
+/// Places pairs: computes B's offset from A and B's rotation.
 struct Placer {
     workspace: Workspace,
 }
 
 impl Placer {
-    /// Random, the growth scale within `range`: at a unit offset first, then
-    /// stretched, since the growth scale is homogeneous in it.
+    /// A random rotation and direction with a growth scale within `range`. The growth scale is linear in
+    /// the offset, so it is measured for a unit offset, and the offset is scaled.
     fn grown(
         &mut self,
         [a, b]: [&Shape; 2],
@@ -223,8 +223,8 @@ impl Placer {
         Ok((direction * (random.within(range[0], range[1]) / alpha), rotation_b))
     }
 
-    /// A random face of B on a random face of A; drawn again while another
-    /// feature than these two is what touches first.
+    /// Puts a random face of B on a random face of A. Draws again while other features than these two
+    /// touch first.
     fn resting(
         &mut self,
         [a, b]: [&Shape; 2],
@@ -242,7 +242,7 @@ impl Placer {
         Ok((placed.offset, placed.rotation_b))
     }
 
-    /// Step 1's answer with A at the origin.
+    /// The answer of step 1 with A at the origin.
     fn measure(
         &mut self,
         [a, b]: [&Shape; 2],
@@ -256,11 +256,11 @@ impl Placer {
     }
 }
 
-/// B resting on A.
+/// A placement of B on A.
 struct Resting {
     offset: DVec3,
     rotation_b: DQuat,
-    /// Of A's face, world frame.
+    /// Normal of A's face, world frame.
     normal: DVec3,
 }
 
@@ -278,12 +278,13 @@ fn face_on_face([a, b]: [&Shape; 2], rotation_a: DQuat, random: &mut Random) -> 
     Resting { offset, rotation_b, normal }
 }
 
-/// SplitMix64 (Steele, Lea, Flood 2014): tiny, and the same on every machine.
+/// The SplitMix64 generator (G. L. Steele, D. Lea and C. H. Flood, *Fast splittable pseudorandom number
+/// generators*, 2014, doi:10.1145/2660193.2660195): small, and identical on every machine.
 #[derive(Clone, Debug)]
 pub struct Random(u64);
 
 impl Random {
-    /// A sequence of its own for every seed.
+    /// A generator whose sequence depends on the seed only.
     pub fn new(seed: u64) -> Self {
         Self(seed)
     }
@@ -297,27 +298,27 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// Uniform in [0, 1).
+    /// A uniform number in [0, 1).
     pub fn unit(&mut self) -> f64 {
         (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// Uniform in [low, high).
+    /// A uniform number in [low, high).
     pub fn within(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.unit()
     }
 
-    /// Uniform in 0 .. count; `count` is at least 1.
+    /// A uniform integer in `0..count`; `count` is at least 1.
     pub fn below(&mut self, count: usize) -> usize {
         ((u128::from(self.bits()) * count as u128) >> 64) as usize
     }
 
-    /// Standard normal, by Box and Muller.
+    /// A standard normal number, by the Box-Muller transform.
     pub fn normal(&mut self) -> f64 {
         (-2.0 * (1.0 - self.unit()).ln()).sqrt() * (TAU * self.unit()).cos()
     }
 
-    /// Uniform on the unit sphere.
+    /// A uniform direction on the unit sphere.
     pub fn direction(&mut self) -> DVec3 {
         let z = self.within(-1.0, 1.0);
         let (sine, cosine) = self.within(0.0, TAU).sin_cos();
@@ -325,7 +326,7 @@ impl Random {
         DVec3::new(radius * cosine, radius * sine, z)
     }
 
-    /// Uniform over rotations, after Shoemake.
+    /// A uniform rotation, by Shoemake's method.
     pub fn rotation(&mut self) -> DQuat {
         let share = self.unit();
         let (s1, c1) = self.within(0.0, TAU).sin_cos();
@@ -343,8 +344,8 @@ impl Random {
 mod tests {
     use super::*;
 
-    /// Catches a workload that is not what its name says: every pair's growth
-    /// scale, or its gap along the face normal, is measured again.
+    /// Measures every pair's growth scale, or its gap along the face normal, again. Catches a workload
+    /// that is not what its name says.
     #[test]
     fn every_pair_is_of_its_regime() {
         let query = Query { margin: f64::INFINITY, wanted: Wanted::Growth, ..Query::default() };

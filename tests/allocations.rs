@@ -1,4 +1,4 @@
-//! A pair costs no allocation once the buffers have grown.
+//! A pair allocates nothing once the workspace's buffers have grown.
 
 mod scene;
 
@@ -7,7 +7,9 @@ use hullcast::contact::{
 };
 use scene::{IDENTITY, Random, at, box_hull, cloud, hull, prism_points, scaled};
 
-/// Catches a buffer made anew for every pair.
+/// Solves 2000 pairs with both solvers twice and counts the allocations of the second pass. Catches
+/// a buffer that is made anew for every pair. The counts of outcomes show that reduction, estimates
+/// and separation were all exercised.
 #[test]
 fn pairs_allocate_nothing_once_the_buffers_have_grown() {
     let random = &mut Random(12);
@@ -22,7 +24,7 @@ fn pairs_allocate_nothing_once_the_buffers_have_grown() {
         .map(|_| {
             let [a, b] = [random.below(5), random.below(5)].map(|i| &shapes[i]);
             let position = scaled(random.direction(), random.range(0.0, 1.5));
-            // Aligned ones rest face on face.
+            // Aligned hulls rest face on face.
             let rotations =
                 if random.below(2) == 0 { [IDENTITY; 2] } else { [(); 2].map(|()| random.rotation()) };
             [at(a, [0.0; 3], rotations[0]), at(b, position, rotations[1])]

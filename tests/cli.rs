@@ -1,4 +1,4 @@
-//! The command line as a user meets it: the real binary, its output, its exit code.
+//! The command line as a user meets it: the real binary, its output and its exit code.
 
 #![cfg(feature = "server")]
 
@@ -17,7 +17,7 @@ fn scenes() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/scenes")
 }
 
-/// A folder of its own for a test, empty.
+/// An empty folder for one test.
 fn scratch(name: &str) -> Result<PathBuf, Box<dyn Error>> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("cli-{name}"));
     if folder.exists() {
@@ -27,7 +27,7 @@ fn scratch(name: &str) -> Result<PathBuf, Box<dyn Error>> {
     Ok(folder)
 }
 
-/// A server, ended with the test.
+/// A running server, killed when dropped.
 struct Server {
     process: Child,
     address: String,
@@ -60,7 +60,7 @@ fn hullcast(arguments: &[&str]) -> Result<Output, Box<dyn Error>> {
     Ok(Command::new(BINARY).args(arguments).stdin(Stdio::null()).output()?)
 }
 
-/// What it prints, when it succeeds.
+/// The standard output of a command that must succeed.
 fn printed(arguments: &[&str]) -> Result<Vec<u8>, Box<dyn Error>> {
     let output = hullcast(arguments)?;
     if output.status.success() {
@@ -73,8 +73,8 @@ fn text(path: &Path) -> &str {
     path.to_str().expect("the repository's path is text")
 }
 
-/// Catches any difference between the library in this process and a server:
-/// another order, another split, a number that loses bits on its way.
+/// Queries the same scenes in this process and on a server, and compares the output byte by byte.
+/// Catches another order, another split of the batch, and a number that loses bits on its way.
 #[test]
 fn a_server_answers_as_this_process_does() -> Outcome {
     let folder = scratch("same")?;
@@ -109,8 +109,8 @@ fn a_server_answers_as_this_process_does() -> Outcome {
     Ok(())
 }
 
-/// Catches a diverged scene that looks like one without contacts to a script: the exit code and the
-/// count say that pairs were not answered, in this process and from a server.
+/// Unusable poses must be counted on standard error and give exit code 1, in this process and on a
+/// server. Catches a diverged scene that looks to a script like a scene without contacts.
 #[test]
 fn unusable_poses_are_counted_and_fail() -> Outcome {
     let folder = scratch("unusable")?;
@@ -143,7 +143,8 @@ fn unusable_poses_are_counted_and_fail() -> Outcome {
     Ok(())
 }
 
-/// Catches an error that leaves the user to search the file.
+/// Each broken scene must be refused with the field and the index of the error. Catches a message
+/// that leaves the user to search the file.
 #[test]
 fn bad_scenes_are_refused_by_field_and_index() -> Outcome {
     let folder = scratch("bad")?;
@@ -184,7 +185,8 @@ fn bad_scenes_are_refused_by_field_and_index() -> Outcome {
     Ok(())
 }
 
-/// Catches an invalid pose that ends the query, or is not named in the answer.
+/// A pose with a quaternion of norm 5 must invalidate only its own pairs. Catches an invalid pose
+/// that ends the whole query, or that the answer does not name.
 #[test]
 fn an_unusable_pose_costs_its_own_pairs() -> Outcome {
     let path = scratch("pose")?.join("scene.json");
@@ -203,7 +205,8 @@ fn an_unusable_pose_costs_its_own_pairs() -> Outcome {
     Ok(())
 }
 
-/// Catches a load run that does not check what it says it checks, or loses batches.
+/// Runs `hullcast load` with verification of every batch. Catches a run that leaves out some
+/// checks, or that loses batches.
 #[test]
 fn load_counts_and_checks_every_batch() -> Outcome {
     let folder = scratch("load")?;
@@ -239,8 +242,9 @@ fn load_counts_and_checks_every_batch() -> Outcome {
     Ok(())
 }
 
-/// Catches a load run that gives a batch up whose server was lost although another is there, or
-/// that hides the loss: of two servers the second ends every connection as soon as it has it.
+/// A load run on two servers, of which the second drops every connection at once. Catches a run
+/// that gives up a lost server's batch although another server is there, and a run that hides the
+/// loss.
 #[test]
 fn load_sends_again_what_a_lost_server_did_not_answer() -> Outcome {
     let folder = scratch("lost")?;
@@ -261,7 +265,7 @@ fn load_sends_again_what_a_lost_server_did_not_answer() -> Outcome {
     Ok(())
 }
 
-/// Catches success where there is no server.
+/// Catches success without a server.
 #[test]
 fn no_server_is_an_error() -> Outcome {
     let panda = scenes().join("panda.json");
@@ -276,7 +280,7 @@ fn no_server_is_an_error() -> Outcome {
     Ok(())
 }
 
-/// Catches a scene that is damaged, grown, or published without its licence.
+/// Catches a scene file that is damaged, has grown, or is published without its licence.
 #[test]
 fn committed_scenes_are_whole() -> Outcome {
     for (name, bodies, frames, licence) in [

@@ -1,4 +1,4 @@
-//! Golden cases: pairs with exact answers from rational arithmetic, which
+//! Golden cases: pairs with exact answers from rational arithmetic, computed by a program that
 //! shares no code with the library (tests/golden/README.md).
 
 use glam::{DMat3, DVec3};
@@ -31,14 +31,14 @@ impl Side {
         Self { hull, pose, vertices, center, position, rotation: rotation(q) }
     }
 
-    /// Largest n . (v - p), n in the world.
+    /// The largest `n . (v - p)` over the vertices; n is a world direction.
     fn support(&self, n: DVec3) -> f64 {
         let local = self.rotation.transpose() * n;
         self.vertices.iter().map(|v| local.dot(*v - self.center)).fold(f64::NEG_INFINITY, f64::max)
     }
 }
 
-/// As the definition says, not as the library computes it.
+/// The rotation matrix by its definition, independent of the library's formula.
 fn rotation([x, y, z, w]: [f64; 4]) -> DMat3 {
     let turn = DMat3::from_cols(DVec3::new(0.0, z, -y), DVec3::new(-z, 0.0, x), DVec3::new(y, -x, 0.0));
     let s = 2.0 / (x * x + y * y + z * z + w * w);
@@ -69,10 +69,10 @@ fn cases() -> Vec<Value> {
     file["cases"].as_array().expect("cases").clone()
 }
 
-/// Either solver gives every golden case its exact answer: the outcome, a
-/// bracket that holds the exact growth scale to the last bit, an optimal normal
-/// (several may be), the separation along it, and the patch. Ties, sizes, far
-/// places and ghosts are among them, each with its reason in the file.
+/// Both solvers must give the exact answer of every golden case: the outcome, a bracket that
+/// contains the exact growth scale to the last bit, an optimal normal (several may be optimal), the
+/// separation along that normal, and the patch. The cases include ties, extreme sizes, places far
+/// from the origin and ghosts; the file states the reason for each.
 #[test]
 fn answers_are_the_exact_ones() {
     let (mut contacts, mut patches) = (0, 0);
@@ -108,8 +108,8 @@ fn answers_are_the_exact_ones() {
     assert!(contacts >= 70 && patches >= 16, "{contacts} contacts, {patches} patches");
 }
 
-/// Alpha, the normal's optimality and the separation, within twice the budgets:
-/// this side is rounded too.
+/// Alpha, the normal's optimality and the separation, within twice the budgets, because this side
+/// of the comparison is rounded too.
 fn check_numbers(name: &str, case: &Value, a: &Side, b: &Side, answer: &Manifold) {
     let budget = 2.0 * number(&case["alpha_budget"]);
     let exact = number(&case["alpha_below"]);
@@ -125,7 +125,8 @@ fn check_numbers(name: &str, case: &Value, a: &Side, b: &Side, answer: &Manifold
     assert!(!answer.points.is_empty(), "{name}");
 }
 
-/// The points on A are the corners of the exact intersection.
+/// The witnesses on A and the exact intersection are the same polygon: the corners of each lie on
+/// the other.
 fn check_patch(name: &str, case: &Value, answer: &Manifold) {
     let exact = points(&case["patch"]);
     let found: Vec<_> = answer.points.iter().map(|p| p.witness_a).collect();
@@ -139,7 +140,7 @@ fn check_patch(name: &str, case: &Value, answer: &Manifold) {
     }
 }
 
-/// From a point to a convex polygon in space.
+/// The distance from a point to a convex polygon in space.
 fn distance_to_polygon(p: DVec3, corners: &[DVec3]) -> f64 {
     let sides = || (0..corners.len()).map(|i| (corners[i], corners[(i + 1) % corners.len()]));
     let normal: DVec3 = sides().map(|(s, e)| (s - corners[0]).cross(e - corners[0])).sum();

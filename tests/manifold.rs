@@ -1,5 +1,5 @@
-//! Contact manifolds: closed forms, the table of feature pairs, and seeded
-//! sweeps checked by the certificate.
+//! Contact manifolds: closed forms, the table of feature pairs, and seeded sweeps whose answers are
+//! checked by the certificate.
 
 mod scene;
 
@@ -27,8 +27,9 @@ fn solve(a: &Body<'_>, b: &Body<'_>, query: &Query) -> Manifold {
     manifold
 }
 
-/// Closed form: alpha is dz / (sum of half heights), the patch the overlap of
-/// two squares. Catches a wrong sign of normal or distance, a lost corner.
+/// A box of half height 0.25 stacked on one of half height 0.5, centres 0.7 apart. Closed form:
+/// alpha is 0.7 / 0.75, the separation is -0.05, and the patch is the overlap of two squares.
+/// Catches a wrong sign of the normal or a distance, and a lost corner.
 #[test]
 fn stacked_boxes_touch_on_the_overlap_of_their_faces() {
     let (a, b) = (box_hull([1.0, 1.0, 0.5]), box_hull([0.5, 0.5, 0.25]));
@@ -56,13 +57,14 @@ fn stacked_boxes_touch_on_the_overlap_of_their_faces() {
     }
 }
 
-/// A cube standing on its corner: one point, made by B's vertex inside A's
-/// face. Catches a face chosen for the wrong hull and a misnamed point.
+/// A cube of half extent 0.5 stands on its corner, 0.01 deep in a box. Its height over the corner
+/// is sqrt(0.75), so the contact is one point below its centre, made by B's vertex inside A's face.
+/// Catches a face chosen for the wrong hull, and a point named by the wrong features.
 #[test]
 fn a_corner_on_a_face_is_one_point() {
     let (ground, cube) = (box_hull([2.0, 2.0, 0.5]), box_hull([0.5, 0.5, 0.5]));
     let half = (0.5 * (1.0 / 3f64.sqrt()).acos()).sin_cos();
-    // Turns (1, 1, 1) / sqrt(3) into z: about the axis (1, -1, 0) / sqrt(2).
+    // Rotates (1, 1, 1) / sqrt(3) to z, about the axis (1, -1, 0) / sqrt(2).
     let axis = 0.5f64.sqrt();
     let rotation = [axis * half.0, -axis * half.0, 0.0, half.1];
     let height = 0.5 + 0.75f64.sqrt() - 0.01;
@@ -80,8 +82,8 @@ fn a_corner_on_a_face_is_one_point() {
     }
 }
 
-/// Two roofs crossing at right angles touch in one point, on two edges.
-/// Catches an arc test of the wrong orientation.
+/// Two roofs with crossed ridges, 0.05 apart and 0.05 deep. They touch in one point made by two
+/// edges, whose distance is the gap. Catches an arc test of the wrong orientation.
 #[test]
 fn crossed_edges_are_one_point() {
     let roof = |up: f64, along_x: bool| {
@@ -102,7 +104,8 @@ fn crossed_edges_are_one_point() {
     }
 }
 
-/// Vertex on vertex and vertex on edge need a tie.
+/// The feature pairs that generic poses produce: 0 is a vertex, 1 an edge, 2 a face. Vertex on
+/// vertex and vertex on edge occur only in a tie.
 const GENERIC: [(usize, usize); 6] = [(0, 2), (2, 0), (1, 1), (1, 2), (2, 1), (2, 2)];
 
 struct Coverage {
@@ -143,10 +146,9 @@ fn shapes(random: &mut Random) -> Vec<ConvexHull> {
     shapes
 }
 
-/// Random shapes at every depth, both solvers, cold and warm: each answer is
-/// checked by the certificate, the solvers' brackets meet, their outcomes are
-/// the same. Catches a solver that stops early, a bound of the wrong sign, a
-/// warm start that changes the answer.
+/// Random shapes at every depth, with both solvers, with and without a warm start. The certificate
+/// checks each answer; the solvers' brackets must overlap and their outcomes must be equal. Catches
+/// a solver that stops early, a bound of the wrong sign, and a warm start that changes the answer.
 #[test]
 fn every_answer_carries_its_certificate() {
     let random = &mut Random(7);
@@ -160,7 +162,8 @@ fn every_answer_carries_its_certificate() {
         let body_a = at(a, origin, random.rotation());
         let turned = random.rotation();
         let along = |by: f64| at(b, std::array::from_fn(|i| origin[i] + by * direction[i]), turned);
-        // Along the direction to the growth scale wanted, from one solved pair.
+        // Solves the pair once to learn its alpha, then moves B along the direction to the wanted
+        // growth scale.
         let alpha = solve(&body_a, &along(reach), &everything(Solver::Portal)).alpha;
         let wanted = match random.below(6) {
             0 => random.range(0.05, 0.9),
@@ -189,7 +192,8 @@ fn every_answer_carries_its_certificate() {
         if let Some([fa, fb]) = &portal.features {
             covered.kinds[kind(fa)][kind(fb)] += 1;
         }
-        // No distance to decide: step 1 alone is counted.
+        // With an infinite margin no distance has to be decided, so only the growth step's
+        // iterations count.
         let query = everything(Solver::Portal);
         let warm = contact_manifold(&body_a, &body_b, &query, portal.basis.as_ref(), &mut workspace);
         certificate::check(&body_a, &body_b, &query, warm).expect("a warm answer");
@@ -206,8 +210,9 @@ fn every_answer_carries_its_certificate() {
     assert!(GENERIC.iter().all(|&(i, j)| covered.kinds[i][j] > 10), "{:?}", covered.kinds);
 }
 
-/// Coincident centres have no direction: alpha is 0, and the manifold is that
-/// of an offset along the thinnest direction. Catches 0/0.
+/// A plate of half thickness 0.1 in contact with itself. The centres coincide and give no
+/// direction, so alpha is 0 and the manifold is that of an offset along the thinnest direction:
+/// separation -0.2, four points. Catches a division 0/0.
 #[test]
 fn coincident_centres_are_flagged_and_still_answered() {
     let plate = box_hull([0.1, 1.0, 1.0]);
@@ -224,8 +229,9 @@ fn coincident_centres_are_flagged_and_still_answered() {
     }
 }
 
-/// A reduced patch keeps the deepest point and most of the area. Catches a
-/// reduction that keeps neighbours, or forgets to say so.
+/// A 17-gon tilted on a 24-gon, whose patch is reduced to 1, 2, 3, 4 and 8 points. The reduced
+/// patch must keep the deepest point and most of the area, and report the kept share. Catches a
+/// reduction that keeps neighbouring points, or that does not set its flag.
 #[test]
 fn reduction_keeps_the_deepest_and_the_largest() {
     let (a, b) = (hull(&prism_points(24, 1.0, 0.5)), hull(&prism_points(17, 0.9, 0.5)));
@@ -252,8 +258,9 @@ fn reduction_keeps_the_deepest_and_the_largest() {
     }
 }
 
-/// What is asked for does not change what is answered, and a capped solver's
-/// bracket still holds the answer. Catches an early exit that decides wrongly.
+/// Random pairs, asked for each kind of result and with limits of 1 to 10 iterations. The requested
+/// results must not change the values, and the bracket of a limited solver must still contain the
+/// answer. Catches an early exit that decides wrongly.
 #[test]
 fn stopping_early_is_still_right() {
     let random = &mut Random(99);
@@ -291,9 +298,9 @@ fn stopping_early_is_still_right() {
     assert!(decided_early > 1000 && open > 5000, "{decided_early} {open}");
 }
 
-/// Hulls large enough for the support mapping to have a map: generic, and with
-/// plateaus, where many vertices are as far (a fine prism's rims, a lattice's facets).
-/// Catches a bound built on a support point that is not the farthest.
+/// Hulls with more than 512 vertices, for which the support mapping builds a map of directions:
+/// generic ones, and ones with plateaus, where many vertices are equally far (a fine prism's rims,
+/// a lattice's facets). Catches a bound built on a support point that is not the farthest.
 #[test]
 fn large_hulls_keep_their_certificates() {
     let random = &mut Random(5);
@@ -330,15 +337,16 @@ fn large_hulls_keep_their_certificates() {
     assert_eq!(answered, 1200);
 }
 
-/// Boxes start where the closed form says, rarely a step away. Catches a sign or
-/// an axis mixed up in it, which the portal would mend silently.
+/// Two boxes in random axes and orders of corners. The closed form over the separating axes must
+/// name the facet, so that the portal needs one iteration and rarely more. Catches a wrong sign or
+/// axis in the closed form, which the portal would correct silently.
 #[test]
 fn the_closed_form_of_boxes_names_the_facet() {
     let random = &mut Random(3);
     let (mut steps, mut worst) = (0, 0);
     for _ in 0..3000 {
         let boxes: [ConvexHull; 2] = std::array::from_fn(|_| {
-            // In any axes of its own, in any order of corners.
+            // Each box has axes of its own and its corners in any order.
             let half = std::array::from_fn(|_| random.range(0.2, 1.0));
             let turn = glam::DQuat::from_array(random.rotation());
             let mut corners =

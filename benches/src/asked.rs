@@ -1,58 +1,59 @@
-//! Files of `hullcast tradeoff`: the pairs that it asks others about, and their answers.
+//! The files that `hullcast tradeoff` exchanges with other libraries: the pairs it asks about, and
+//! the answers.
 
 use serde::{Deserialize, Serialize};
 
-/// All of them.
+/// A file of questions.
 #[derive(Debug, Deserialize)]
 pub struct Asked {
-    /// Of one kind each.
+    /// The pairs, grouped by kind.
     pub cells: Vec<AskedCell>,
 }
 
 /// Pairs of one kind.
 #[derive(Debug, Deserialize)]
 pub struct AskedCell {
-    /// For people.
+    /// Name of the kind, for display.
     pub name: String,
-    /// Contacts are wanted within it.
+    /// Contacts are wanted for hulls within this distance.
     pub margin: f64,
-    /// Each in its own frame.
+    /// Points of each hull, in the hull's own frame.
     pub hulls: Vec<Vec<[f64; 3]>>,
-    /// Of those hulls.
+    /// Pairs of those hulls.
     pub pairs: Vec<AskedPair>,
 }
 
-/// Poses are a position and a unit quaternion x, y, z, w.
+/// A pair with its poses. A pose is a position and a unit quaternion x, y, z, w.
 #[derive(Debug, Deserialize)]
 pub struct AskedPair {
     /// Indices into the cell's hulls.
     pub hulls: [usize; 2],
-    /// Of the first hull.
+    /// Pose of the first hull.
     pub a: [f64; 7],
-    /// Of the second.
+    /// Pose of the second hull.
     pub b: [f64; 7],
-    /// Of the second, moved by next to nothing.
+    /// Pose of the second hull after a tiny movement.
     pub nudged: [f64; 7],
 }
 
-/// To one pair.
+/// The answer for one pair.
 #[derive(Debug, Serialize)]
 pub struct Answer {
-    /// The fastest of three calls.
+    /// Duration of the fastest of three calls.
     pub nanoseconds: f64,
-    /// None: no contact within the margin.
+    /// The contact; none if there is no contact within the margin.
     pub contact: Option<Contact>,
-    /// With B nudged.
+    /// The contact with the second hull at its nudged pose.
     pub nudged: Option<Contact>,
 }
 
-/// World frame.
+/// A contact, world frame.
 #[derive(Debug, Serialize)]
 pub struct Contact {
-    /// Unit, from A to B.
+    /// Unit normal from A to B.
     pub normal: [f64; 3],
-    /// Of the deepest point; negative: overlapping.
+    /// Separation of the deepest point; negative if overlapping.
     pub separation: f64,
-    /// Midway between the hulls.
+    /// Contact points, each midway between the hulls.
     pub points: Vec<[f64; 3]>,
 }

@@ -1,22 +1,23 @@
-//! What is timed: the project's own generated families and regimes, as plain
-//! numbers for every contender.
+//! The pairs that are timed: the project's generated families and regimes, as plain numbers that
+//! every contender can read.
 
 use hullcast::workload::{Family, Random, Regime, Workload, WorkloadError};
 
-/// Contacts within it are wanted, as `prediction` for parry3d: lengths are some 0.3 to 1.
+/// Contacts are wanted within this distance, which parry3d calls `prediction`. The hulls' lengths are
+/// about 0.3 to 1.
 pub const MARGIN: f64 = 0.005;
 
-/// Of the generated pairs.
+/// Seed of the generated pairs.
 const SEED: u64 = 1;
 
-/// Where a hull is: position and quaternion `x, y, z, w`.
+/// A hull's pose: position and quaternion `x, y, z, w`.
 #[derive(Clone, Copy)]
 pub struct Place {
     pub position: [f64; 3],
     pub rotation: [f64; 4],
 }
 
-/// Two hulls and where they are.
+/// Two hulls and their poses.
 #[derive(Clone)]
 pub struct Pair {
     pub hulls: [usize; 2],
@@ -31,10 +32,10 @@ pub struct Cell {
     pub pairs: Vec<Pair>,
 }
 
-/// So many pairs of each family in each regime.
+/// Generates `pairs` pairs of each family in each regime.
 ///
 /// # Errors
-/// None is expected.
+/// No error is expected.
 pub fn generate(pairs: usize) -> Result<Vec<Cell>, WorkloadError> {
     let kinds = Family::ALL.into_iter().flat_map(|family| Regime::ALL.map(|regime| (family, regime)));
     kinds.map(|(family, regime)| cell(family, regime, pairs)).collect()
@@ -50,11 +51,11 @@ fn cell(family: Family, regime: Regime, pairs: usize) -> Result<Cell, WorkloadEr
     Ok(Cell { label, pairs: pairs.collect(), hulls: workload.hulls })
 }
 
-/// Shallow and separated pairs of each family, each with hulls of its own, together so
-/// large that no pass finds them in a cache.
+/// Shallow and separated pairs of each family. Each pair has hulls of its own, and together they are
+/// so large that no pass finds them in a cache.
 ///
 /// # Errors
-/// None is expected.
+/// No error is expected.
 pub fn streamed() -> Result<Vec<Cell>, WorkloadError> {
     let kinds = Family::ALL.into_iter().flat_map(|f| [Regime::Shallow, Regime::Separated].map(|r| (f, r)));
     kinds
@@ -84,12 +85,12 @@ pub fn sphere(count: usize, seed: u64) -> Vec<[f64; 3]> {
 }
 
 impl Cell {
-    /// The same with every B moved by `step` along, and turned by `step` radians
-    /// about, a direction that varies from pair to pair.
+    /// A copy of the cell in which every B is moved by `step` along a direction, and rotated by `step`
+    /// radians about it. The direction varies from pair to pair.
     pub fn moved(&self, step: f64) -> Self {
         let mut cell = self.clone();
         for (index, pair) in cell.pairs.iter_mut().enumerate() {
-            // Points of a golden-angle spiral: spread over the sphere, no randomness.
+            // The directions are points of a golden-angle spiral: spread over the sphere, not random.
             let z = 1.0 - (2 * index + 1) as f64 / self.pairs.len() as f64;
             let turn = index as f64 * 2.399963229728653;
             let radius = (1.0 - z * z).sqrt();
@@ -106,7 +107,7 @@ impl Cell {
     }
 }
 
-/// The quaternion that turns as `q` and then as `p`.
+/// The quaternion of the rotation `q` followed by the rotation `p`, where `q` is the second argument.
 fn multiply([px, py, pz, pw]: [f64; 4], [x, y, z, w]: [f64; 4]) -> [f64; 4] {
     [
         pw * x + px * w + py * z - pz * y,

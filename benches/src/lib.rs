@@ -1,4 +1,4 @@
-//! Timing hullcast beside parry3d, in one process and one thread.
+//! Benchmarks of hullcast and parry3d, in one process and one thread.
 
 pub mod asked;
 pub mod cells;

@@ -1,4 +1,4 @@
-//! hullcast, through its public function alone.
+//! hullcast as a contender, through its public function only.
 
 use hullcast::contact::{Basis, Body, ConvexHull, HullError, Pose, Query, Workspace, contact_manifold};
 
@@ -9,9 +9,9 @@ pub fn hulls(cell: &Cell) -> Result<Vec<ConvexHull>, HullError> {
     cell.hulls.iter().map(|points| ConvexHull::new(points)).collect()
 }
 
-/// Pairs at two poses, and what is asked of them.
+/// Pairs at two poses each, and the query about them.
 pub struct Scene<'a> {
-    /// The poses of a cell and of the same moved.
+    /// For each pair the bodies at their poses in the cell, and in the moved cell.
     pairs: Vec<[[Body<'a>; 2]; 2]>,
     phase: usize,
     bases: Vec<Option<Basis>>,
@@ -20,7 +20,7 @@ pub struct Scene<'a> {
 }
 
 impl<'a> Scene<'a> {
-    /// `None` where a pose is not usable.
+    /// A scene of the pairs. `None` if a pose is not usable.
     pub fn new(hulls: &'a [ConvexHull], cell: &Cell, moved: &Cell, query: Query) -> Option<Self> {
         let bodies = |pair: &Pair| {
             let [a, b] = pair.places.map(|place| Pose::new(place.position, place.rotation).ok());
@@ -32,7 +32,7 @@ impl<'a> Scene<'a> {
         Some(Self { pairs, phase: 0, bases, query, workspace: Workspace::default() })
     }
 
-    /// Every pair from nothing. The number of pairs with points.
+    /// Computes every pair without a warm start. Returns the number of pairs with points.
     pub fn cold(&mut self) -> usize {
         let mut touching = 0;
         for [[a, b], _] in &self.pairs {
@@ -42,7 +42,8 @@ impl<'a> Scene<'a> {
         touching
     }
 
-    /// Every pair at its other pose, from its basis of the pass before.
+    /// Computes every pair at its other pose, from its basis of the previous pass. Returns the number of
+    /// pairs with points.
     pub fn warm(&mut self) -> usize {
         self.phase ^= 1;
         let mut touching = 0;

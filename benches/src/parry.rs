@@ -1,17 +1,17 @@
 //! parry3d's convex polyhedra and cuboids, in single and in double precision.
 //!
-//! Called through the function that its dispatcher ends in, on types known at
-//! compile time, with its buffers kept: the fastest way a user has.
+//! The calls go to the function in which parry3d's dispatcher ends, on types known at compile time, and
+//! reuse its buffers. That is the fastest way open to a user.
 
-/// How many pairs a pass answered with points.
+/// The number of pairs that a pass answered with points.
 type Touching = usize;
 
-/// As `hullcast tradeoff` times its own: the fastest of so many.
+/// The time of an answer is that of the fastest of this many calls, as in `hullcast tradeoff`.
 const ROUNDS: usize = 3;
 
 macro_rules! peer {
     ($module:ident, $parry:ident, $real:ty) => {
-        /// One precision.
+        /// parry3d in one precision.
         pub mod $module {
             use $parry::math::{Pose3, Rot3, Vector};
             use $parry::query::details::{contact_manifold_cuboid_cuboid, contact_manifold_pfm_pfm};
@@ -24,12 +24,12 @@ macro_rules! peer {
 
             type Manifold = ContactManifold<(), ()>;
 
-            /// One of its shapes.
+            /// A shape of parry3d.
             pub trait Shape: Sized {
-                /// From the points of a hull; `None` where it refuses them.
+                /// The shape of a hull's points; `None` if parry3d refuses them.
                 fn build(points: &[[f64; 3]]) -> Option<Self>;
 
-                /// From A's frame to B's.
+                /// Computes the contact manifold; `relative` maps B's frame to A's.
                 fn contact(relative: &Pose3, a: &Self, b: &Self, margin: $real, manifold: &mut Manifold);
             }
 
@@ -46,7 +46,8 @@ macro_rules! peer {
             }
 
             impl Shape for Cuboid {
-                /// Of corners at plus and minus the half extents alone, to rounding.
+                /// `None` unless the points are the eight corners at plus and minus the half extents, to
+                /// rounding.
                 fn build(points: &[[f64; 3]]) -> Option<Self> {
                     let half = points.first()?.map(f64::abs);
                     let near = |p: &[f64; 3]| (0..3).all(|i| (p[i].abs() - half[i]).abs() < 1e-12 * half[i]);
@@ -62,7 +63,7 @@ macro_rules! peer {
             /// The shapes and pairs of a cell.
             pub struct Peer<S> {
                 hulls: Vec<S>,
-                /// The poses of a cell and of the same moved.
+                /// For each pair the hulls, the poses in the cell, and the poses in the moved cell.
                 pairs: Vec<([usize; 2], [[Pose3; 2]; 2])>,
                 phase: usize,
                 manifolds: Vec<Manifold>,
@@ -80,7 +81,7 @@ macro_rules! peer {
             }
 
             impl<S: Shape> Peer<S> {
-                /// `None` where it refuses a hull.
+                /// The shapes of a cell; `None` if parry3d refuses a hull.
                 pub fn new(cell: &Cell, moved: &Cell) -> Option<Self> {
                     let poses = |pair: &Pair| [0, 1].map(|side| pose(&pair.places[side]));
                     let pairs = cell.pairs.iter().zip(&moved.pairs);
@@ -90,7 +91,7 @@ macro_rules! peer {
                     Some(Self { hulls, pairs: pairs.collect(), phase: 0, manifolds })
                 }
 
-                /// Every pair from nothing.
+                /// Computes every pair without a warm start.
                 pub fn cold(&mut self) -> Touching {
                     let mut touching = 0;
                     let manifold = &mut self.manifolds[0];
@@ -103,7 +104,7 @@ macro_rules! peer {
                     touching
                 }
 
-                /// Every pair at its other pose, from its manifold of the pass before.
+                /// Computes every pair at its other pose, from its manifold of the previous pass.
                 pub fn warm(&mut self) -> Touching {
                     self.phase ^= 1;
                     let mut touching = 0;
@@ -124,12 +125,12 @@ macro_rules! peer {
                 S::contact(&poses[0].inv_mul(&poses[1]), &hulls[a], &hulls[b], MARGIN as $real, manifold);
             }
 
-            /// Hulls from their points; `None` where it refuses one.
+            /// The shapes of hulls from their points; `None` if parry3d refuses one.
             pub fn built(hulls: &[Vec<[f64; 3]>]) -> Option<Vec<ConvexPolyhedron>> {
                 hulls.iter().map(|points| build(points)).collect()
             }
 
-            /// One pair from nothing, and again with B nudged.
+            /// Answers one pair without a warm start, and again with B nudged.
             pub fn answer(hulls: &[ConvexPolyhedron], pair: &AskedPair, margin: f64) -> Answer {
                 let [a, b] = pair.hulls.map(|hull| &hulls[hull]);
                 let mut manifold = Manifold::new();
@@ -163,7 +164,7 @@ macro_rules! peer {
                 ConvexPolyhedron::contact(&relative, a, b, margin as $real, manifold);
             }
 
-            /// `None` where it has no point.
+            /// The contact in a manifold; `None` if it has no point.
             fn found(poses: &[Pose3; 2], manifold: &Manifold) -> Option<Contact> {
                 let array = |v: Vector| v.to_array().map(f64::from);
                 let deepest = manifold.points.iter().map(|p| f64::from(p.dist)).reduce(f64::min)?;
@@ -178,10 +179,10 @@ macro_rules! peer {
                 })
             }
 
-            /// Whatever the hulls are.
+            /// The shapes for hulls of any kind.
             pub type Hulls = Peer<ConvexPolyhedron>;
 
-            /// What it has for boxes alone.
+            /// The shapes that parry3d has for boxes only.
             pub type Cuboids = Peer<Cuboid>;
         }
     };

@@ -1,18 +1,18 @@
-//! Results as text, and into docs/performance.md between the marks of their section.
+//! Formats results as text and writes them into docs/performance.md, between the marks of a section.
 
 use std::fmt::Write as _;
 use std::{fs, io, process::Command};
 
 use crate::rounds::Timing;
 
-/// A table: rows of cells, one contender a column, `time (ratio)`.
+/// A table with one row per cell and one column per contender, each entry `time (ratio)`.
 pub struct Table {
     text: String,
     csv: String,
 }
 
 impl Table {
-    /// `label` names the rows.
+    /// An empty table. `label` is the heading of the column of row names.
     pub fn new(label: &str, contenders: &[&str]) -> Self {
         let mut text = format!("| {label} |");
         for name in contenders {
@@ -25,7 +25,7 @@ impl Table {
         }
     }
 
-    /// One row; the first timing is the reference, shown without a ratio.
+    /// Adds a row. The first timing is the reference, which is shown without a ratio.
     pub fn row(&mut self, label: &str, timings: &[Timing]) {
         let _ = write!(self.text, "\n| {label} |");
         for (index, timing) in timings.iter().enumerate() {
@@ -40,12 +40,12 @@ impl Table {
         }
     }
 
-    /// Markdown.
+    /// The table as Markdown.
     pub fn text(&self) -> &str {
         &self.text
     }
 
-    /// Every figure, for other programs.
+    /// All figures as comma-separated values, for other programs.
     pub fn csv(&self) -> &str {
         &self.csv
     }
@@ -55,22 +55,22 @@ fn short(nanoseconds: f64) -> String {
     if nanoseconds < 1e4 { format!("{nanoseconds:.0} ns") } else { format!("{:.1} us", nanoseconds / 1e3) }
 }
 
-/// Machine and how busy it was, date and commit: as every page of measurements has it.
+/// The machine, its load, the date and the commit, as every page of measurements states them.
 ///
 /// # Errors
-/// Where the script cannot be run.
+/// The script cannot be run.
 pub fn provenance() -> io::Result<String> {
     let output = Command::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../scripts/provenance")).output()?;
     Ok(String::from_utf8_lossy(&output.stdout).trim().to_string())
 }
 
-/// Where the results go.
+/// The directory of the results.
 pub const DOCS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs");
 
 /// Puts `text` between `<!-- section -->` and `<!-- /section -->` of performance.md.
 ///
 /// # Errors
-/// Where the file cannot be read or written or has no such marks.
+/// The file cannot be read or written, or it lacks these marks.
 pub fn replace_section(section: &str, text: &str) -> io::Result<()> {
     let path = format!("{DOCS}/performance.md");
     let (open, close) = (format!("<!-- {section} -->"), format!("<!-- /{section} -->"));

@@ -1,28 +1,28 @@
-//! Interleaved timing: in each round every contender does its pass once, so
-//! that a slow moment of the machine hits all of them, and what is compared is
-//! the median over the rounds of the ratio within a round.
+//! Interleaved timing. In each round every contender makes its pass once, so that a slow moment of the
+//! machine hits all of them. The figure compared is the median, over the rounds, of the ratio within a
+//! round.
 
 use std::time::Instant;
 
-/// One of those compared.
+/// One of the programs compared.
 pub struct Contender<'a> {
     pub name: &'static str,
     /// One pass over all items; the sum is returned so that nothing is optimised away.
     pub pass: Box<dyn FnMut() -> usize + 'a>,
 }
 
-/// How one contender did.
+/// The result of one contender.
 pub struct Timing {
     pub name: &'static str,
-    /// Median nanoseconds an item.
+    /// Median nanoseconds per item.
     pub nanoseconds: f64,
-    /// Median of the reference's time over this one's: how many times faster.
+    /// Median of the reference's time divided by this contender's: how many times faster it is.
     pub ratio: f64,
     /// Quartiles of that ratio.
     pub quartiles: [f64; 2],
 }
 
-/// Times `contenders`, the first being the reference, over `items` items a pass.
+/// Times `contenders` over passes of `items` items. The first contender is the reference.
 pub fn interleave(contenders: &mut [Contender], items: usize, rounds: usize) -> Vec<Timing> {
     let count = contenders.len();
     let mut times = vec![Vec::with_capacity(rounds); count];
@@ -31,7 +31,7 @@ pub fn interleave(contenders: &mut [Contender], items: usize, rounds: usize) -> 
     }
     for round in 0..rounds {
         for turn in 0..count {
-            // Who goes first rotates: none always follows the same one.
+            // The first contender of a round rotates.
             let index = (round + turn) % count;
             let start = Instant::now();
             std::hint::black_box((contenders[index].pass)());

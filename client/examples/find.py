@@ -1,18 +1,18 @@
-"""What finding the pairs costs against the number of bodies, and of worlds.
+"""Measures the cost of finding pairs against the number of bodies, and of worlds.
 
     python client/examples/find.py [--docs FOLDER]
 
-Boxes and polyhedra of 16 vertices, turned at random, as dense as a loose heap
-(some two contacts a body), in one world of 1,000 to 100,000 bodies, and ten
-bodies in each of 100 to 10,000 worlds that lie on top of each other. "find" has
-the server find the pairs and answer for them; "query" asks for the pairs just
-found by name, so that the difference is the broad phase and the candidates that
-it names in vain. Server and client share this machine. --docs writes the table
-and the picture of docs/find.md.
+The scenes have boxes and polyhedra of 16 vertices at random orientations, as dense as a loose heap
+(about two contacts per body). There are scenes of one world with 1,000 to 100,000 bodies, and
+scenes of 100 to 10,000 worlds with ten bodies each, which all occupy the same space. "find" lets
+the server find the pairs and compute their contacts. "query" requests the pairs that "find"
+returned. The difference between the two is the cost of the broad phase and of its candidate pairs
+that are not in contact. Server and client share this machine. --docs writes the table and the
+picture of docs/find.md.
 """
 
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
-# matplotlib has not all its types.
+# matplotlib is only partly typed.
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ import hullcast
 BODIES = (1_000, 3_000, 10_000, 30_000, 100_000)
 WORLDS = (100, 1_000, 3_000, 10_000)
 BODIES_PER_WORLD = 10
-#: Edge of the cube that a body has for itself; the hulls are some 0.9 across.
+#: The edge of the cube of space per body; the hulls are about 0.9 across.
 ROOM = 0.85
 MARGIN = 0.01
 OPEN, CLOSE = "<!-- cost -->", "<!-- /cost -->"
 
 
 def register(client: hullcast.Client) -> list[hullcast.Hull]:
-    """Boxes and polyhedra."""
+    """Registers random boxes and polyhedra."""
     rng = np.random.default_rng(5)
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     boxes = [corners * rng.uniform(0.2, 0.5, 3) for _ in range(8)]
@@ -46,7 +46,7 @@ def register(client: hullcast.Client) -> list[hullcast.Hull]:
 
 
 def heap(hulls: list[hullcast.Hull], bodies: int, worlds: int | None) -> hullcast.Scene:
-    """Bodies at random in one world, or as many in each of several."""
+    """Bodies at random poses, all in one world, or divided evenly among several worlds."""
     rng = np.random.default_rng(bodies)
     together = bodies if worlds is None else bodies // worlds
     rotations = rng.normal(size=(bodies, 4))
@@ -60,7 +60,7 @@ def heap(hulls: list[hullcast.Hull], bodies: int, worlds: int | None) -> hullcas
 
 
 def median(work: Callable[[], hullcast.Manifolds], seconds: float) -> float:
-    """Seconds of the median of at least three runs."""
+    """The median duration of at least three runs, in seconds."""
     times: list[float] = []
     begin = time.perf_counter()
     while len(times) < 3 or time.perf_counter() - begin < seconds:
@@ -73,7 +73,7 @@ def median(work: Callable[[], hullcast.Manifolds], seconds: float) -> float:
 def measure(
     client: hullcast.Client, scene: hullcast.Scene, seconds: float
 ) -> tuple[int, list[float]]:
-    """Pairs found; seconds of find, of the outcomes alone, and of query."""
+    """The number of pairs found; the seconds of find, of find with outcomes only, and of query."""
     found = client.find(scene, margin=MARGIN)
     again = client.query(scene, found.pairs, margin=MARGIN)
     assert again.alpha.tobytes() == found.alpha.tobytes()
@@ -88,7 +88,7 @@ Row = tuple[str, int, int, list[float]]
 
 
 def draw(rows: dict[str, list[Row]], path: Path) -> None:
-    """Time a body against bodies."""
+    """Plots the time per body against the number of bodies."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -116,7 +116,7 @@ def main() -> None:
     arguments = parser.parse_args()
     rows: dict[str, list[Row]] = {"one world": [], f"worlds of {BODIES_PER_WORLD}": []}
     lines = [
-        "| | bodies | pairs found | find | outcomes alone | query of the pairs | find, a body |",
+        "| | bodies | pairs found | find | outcomes only | query of the pairs | find, per body |",
         "|---|---|---|---|---|---|---|",
     ]
     with hullcast.serve() as client:

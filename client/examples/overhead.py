@@ -1,12 +1,12 @@
-"""What the Python client itself costs, and what a step loop saves.
+"""Measures the cost of the Python client itself, and the saving of a step loop.
 
     python client/examples/overhead.py [--seconds 2] [--sizes 1 64]
 
-For batches of several sizes: a `query` from numpy arrays to numpy arrays; the
-part of it that is the client's own work (making the messages and reading the
-answers, timed without a server on messages kept from a real call); the same
-query warm, with bases asked for and given; and a step of a session. Pairs of
-polytopes of 16 vertices in random places, some touching.
+For batches of several sizes, the table has the time of a `query` from numpy arrays to numpy arrays;
+the part of it that the client itself takes (to make the messages and read the responses, measured
+without a server on messages of a real call); a warm query, whose bases are requested and given
+back; and a step of a session. The pairs are polytopes of 16 vertices at random positions, some of
+them in contact.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ MARGIN = 0.01
 def scene_of(
     client: hullcast.Client, pairs: int
 ) -> tuple[hullcast.Scene, np.ndarray[tuple[int, int], np.dtype[np.uint32]]]:
-    """Bodies, each pair's two near each other, each body in one pair."""
+    """A scene with each body in one pair, and the two bodies of a pair near each other."""
     rng = np.random.default_rng(7)
     points = rng.normal(size=(SHAPES, VERTICES, 3))
     hulls = client.register(points / np.linalg.norm(points, axis=2, keepdims=True))
@@ -46,7 +46,7 @@ def scene_of(
 
 
 def median_seconds(call: Callable[[], object], seconds: float) -> float:
-    """Of one call, the median over as many as there is time for."""
+    """The median duration of a call, over as many calls as fit into the given seconds."""
     call()
     times: list[float] = []
     end = time.perf_counter() + seconds
@@ -62,7 +62,7 @@ def own_work(
     scene: hullcast.Scene,
     pairs: np.ndarray[tuple[int, int], np.dtype[np.uint32]],
 ) -> Callable[[], object]:
-    """All that `query` does but the calls, on the answers of a real one."""
+    """All the work of `query` except the calls, on the responses of a real query."""
 
     def make() -> Query:
         return Query(scene, pairs, margin=MARGIN)
@@ -80,7 +80,7 @@ def own_work(
         parts = []
         for span in query.spans(client.pairs_per_message):
             number, answer = answers[span]
-            # The answer is to another message with the same content.
+            # The response belongs to another message with the same content.
             message = replace(query.message(span), request_id=number)
             parts.append(query.read(span, message, answer))
         return query.delivered(_answers.merge(parts))
@@ -96,8 +96,8 @@ def main() -> None:
     arguments = parser.parse_args()
     seconds: float = arguments.seconds
     form = "{:>10}{:>12}{:>14}{:>12}{:>14}{:>14}{:>14}"
-    print("microseconds a call, cold and warm; the client's own work in it, and that a pair")
-    print(form.format("pairs", "query", "its own", "ns a pair", "warm query", "session", "pairs/s"))
+    print("microseconds per call, cold and warm; the client's own work in a call, and per pair")
+    print(form.format("pairs", "query", "its own", "ns/pair", "warm query", "session", "pairs/s"))
     outputs = ("ALPHA", "NORMAL", "POINTS", "BASES")
     with hullcast.serve() as client:
         for size in arguments.sizes:

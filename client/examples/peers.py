@@ -1,16 +1,15 @@
-"""Scenes through hullcast's server, and in process through coal and python-fcl.
+"""Compares hullcast's server with coal and python-fcl, which run in this process.
 
     python client/examples/peers.py [--seconds 3] [--scene examples/scenes/pile.json]
 
-The scenes are a settled pile of 1,000 hulls with the pairs near each other, and
-pairs of boxes and of polytopes of 16 vertices in shallow overlap. Each contender
-answers for every pair whether it touches within the margin, with normal and
-points where it does, from numpy arrays of poses to Python: coal by `collide` and
-`computeContactPatch` (the whole patch, one depth), python-fcl by `collide` (one
-point), hullcast by `query` (the whole patch, each point's depth, certified) and
-by a session's steps. Geometry and registration are not timed. hullcast's server
-is another process on the same cores; "CPU" is what both use of them together.
-A contender that is not installed is left out.
+The scenes are a settled pile of 1,000 hulls with the pairs that are near each other; and pairs of
+boxes, and of polytopes of 16 vertices, in shallow overlap. For every pair, each contender tells
+whether the hulls are within the margin, and gives the normal and the contact points if they are.
+The time runs from numpy arrays of poses to results in Python. coal uses `collide` and
+`computeContactPatch` (the whole patch, with one depth), python-fcl `collide` (one point), and
+hullcast `query` (the whole patch, with a certified depth per point) and the steps of a session.
+Geometry and registration are not timed. hullcast's server is another process on the same cores;
+"CPU" is the time of both processes together. A contender that is not installed is left out.
 """
 
 from __future__ import annotations
@@ -35,13 +34,13 @@ import hullcast
 
 PILE = Path(__file__).resolve().parents[2] / "examples/scenes/pile.json"
 
-#: Generated pairs, some messages of them.
+#: The number of generated pairs, which are several messages.
 FAMILY_PAIRS = 16 * throughput.PAIRS_PER_MESSAGE
 
 
 @dataclass
 class Scene:
-    """What a scene file says."""
+    """The content of a scene file."""
 
     hulls: list[npt.NDArray[np.float64]]
     body_hulls: npt.NDArray[np.int64]
@@ -51,7 +50,7 @@ class Scene:
     margin: float
 
     def only(self, pair: int) -> Scene:
-        """The two bodies of one pair."""
+        """A scene of the two bodies of one pair."""
         bodies = self.pairs[pair]
         return Scene(
             self.hulls,
@@ -63,12 +62,12 @@ class Scene:
         )
 
 
-#: Answers for all pairs at their poses: how many touch, with how many points.
+#: Computes all pairs at their poses; returns the number of pairs in contact and of contact points.
 Step = Callable[[], tuple[int, int]]
 
 
 def load(path: Path) -> Scene:
-    """A scene of the examples, in its first frame."""
+    """Loads a scene file of the examples, in its first frame."""
     file = json.loads(path.read_text())
     bodies: Any = file["bodies"]
     frame = file["frames"][0] if "frames" in file else None
@@ -85,7 +84,7 @@ def load(path: Path) -> Scene:
 
 
 def family(client: hullcast.Client, hulls: list[npt.NDArray[np.float64]]) -> Scene:
-    """Pairs of these hulls, turned at random, in shallow overlap."""
+    """Pairs of these hulls at random orientations, in shallow overlap."""
     pairs = np.arange(2 * FAMILY_PAIRS).reshape(-1, 2)
     made = throughput.shallow(client, client.register(hulls), pairs)
     kinds = made.body_hulls.astype(np.int64)
@@ -93,30 +92,30 @@ def family(client: hullcast.Client, hulls: list[npt.NDArray[np.float64]]) -> Sce
 
 
 def boxes() -> list[npt.NDArray[np.float64]]:
-    """Of half sizes from 0.3 to 1."""
+    """Boxes with half extents from 0.3 to 1."""
     return list(throughput.SIGNS * throughput.half_extents()[:, None, :])
 
 
 def polytopes() -> list[npt.NDArray[np.float64]]:
-    """8 points on a sphere and those opposite, scaled along its axes: centred as boxes are."""
+    """8 points on a sphere and their opposites, scaled along the axes; centred like the boxes."""
     points = np.random.default_rng(3).normal(size=(throughput.SHAPES, 8, 3))
     points /= np.linalg.norm(points, axis=2, keepdims=True)
     return list(np.hstack([points, -points]) * throughput.half_extents()[:, None, :])
 
 
 def bodies_of(client: hullcast.Client, scene: Scene) -> hullcast.Scene:
-    """The scene as hullcast takes it."""
+    """The scene in hullcast's form."""
     hulls = client.register(scene.hulls)
     return hullcast.Scene(hulls, scene.positions, scene.rotations, body_hulls=scene.body_hulls)
 
 
 def count(m: hullcast.Manifolds) -> tuple[int, int]:
-    """Pairs with points, and points."""
+    """The number of pairs with contact points, and the number of points."""
     return int(np.count_nonzero(m.point_counts)), len(m.witness_b)
 
 
 def by_query(client: hullcast.Client, scene: Scene) -> Step:
-    """hullcast, a plain query a step."""
+    """hullcast, with one query per step."""
     bodies = bodies_of(client, scene)
 
     def step() -> tuple[int, int]:
@@ -127,13 +126,13 @@ def by_query(client: hullcast.Client, scene: Scene) -> Step:
 
 
 def by_session(client: hullcast.Client, scene: Scene) -> Step:
-    """hullcast, a step loop."""
+    """hullcast, with a step loop."""
     session = client.session(bodies_of(client, scene), scene.pairs, margin=scene.margin)
     return lambda: count(session.step(scene.positions, scene.rotations))
 
 
 def coal_shapes(coal: Any, hulls: Sequence[npt.NDArray[np.float64]]) -> list[Any]:
-    """coal's hulls of the points."""
+    """Makes coal's convex hulls of the points."""
     shapes: list[Any] = []
     for vertices in hulls:
         points = coal.StdVec_Vec3s()
@@ -144,7 +143,7 @@ def coal_shapes(coal: Any, hulls: Sequence[npt.NDArray[np.float64]]) -> list[Any
 
 
 def by_coal(scene: Scene) -> Step:
-    """coal: collide, then the patch."""
+    """coal: `collide`, then the contact patch."""
     import coal as library  # pyright: ignore[reportMissingImports]
 
     coal: Any = library
@@ -176,7 +175,7 @@ def by_coal(scene: Scene) -> Step:
 
 
 def by_fcl(scene: Scene) -> Step:
-    """python-fcl: one contact point a pair, and no margin."""
+    """python-fcl: one contact point per pair, and no margin."""
     import fcl as library  # pyright: ignore[reportMissingImports]
 
     fcl: Any = library
@@ -209,12 +208,15 @@ def by_fcl(scene: Scene) -> Step:
 
 
 def median_seconds(steps: Sequence[Step], seconds: float) -> list[float]:
-    """Of a call of each, the medians; in turns, so that a busy moment meets them all."""
+    """The median duration of each step.
+
+    Steps take turns, so that a busy moment affects all of them.
+    """
     times: list[list[float]] = [[] for _ in steps]
     end = time.perf_counter() + seconds * len(steps)
     while time.perf_counter() < end or len(times[0]) < 3:
         for step, taken in zip(steps, times, strict=True):
-            step()  # the caches are its own again
+            step()  # warms the caches for this contender
             start = time.perf_counter()
             step()
             taken.append(time.perf_counter() - start)
@@ -222,7 +224,7 @@ def median_seconds(steps: Sequence[Step], seconds: float) -> list[float]:
 
 
 def cpu_seconds(step: Step, seconds: float) -> float:
-    """Of a call, on all cores, in this process and those that it started."""
+    """The CPU seconds of a step, on all cores, in this process and its child processes."""
     processes = (psutil.Process(), *psutil.Process().children())
 
     def used() -> float:
@@ -236,13 +238,11 @@ def cpu_seconds(step: Step, seconds: float) -> float:
 
 
 def compare(client: hullcast.Client, name: str, scene: Scene, seconds: float) -> None:
-    """Prints what a step of the scene costs each contender, and one pair alone."""
+    """Prints the cost of a step of the whole scene, and of one pair, for each contender."""
     pairs = len(scene.pairs)
     print(f"{name}: {len(scene.positions):,} bodies, {pairs:,} pairs")
     form = "{:<18}{:>12}{:>12}{:>12}{:>16}{:>10}{:>10}"
-    print(
-        form.format("", "us, 1 pair", "us a step", "pairs/s", "pairs/CPU-s", "touching", "points")
-    )
+    print(form.format("", "us, 1 pair", "us/step", "pairs/s", "pairs/CPU-s", "touching", "points"))
     m = client.query(bodies_of(client, scene), scene.pairs, margin=scene.margin)
     one = scene.only(int(np.argmax(m.point_counts)))
     makers: list[tuple[str, Callable[[Scene], Step]]] = [

@@ -2,8 +2,9 @@
 
     python client/examples/planarity.py docs/planarity.csv docs/planarity.svg
 
-Above, the patches of rounded shapes that are whole, by the planarity of their faces. Below, the
-mean area of two roundings, and the cost of a coarse planarity on the same shapes unrounded.
+The upper row shows the share of contact patches of rounded shapes that are whole, against the
+planarity of the faces. The lower row shows the mean patch area for two roundings, and the cost of a
+coarse planarity on the same shapes without rounding.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Hulls of real meshes, as a scene file for `make planarity`.
+"""Writes the hulls of real meshes to a scene file, for `make planarity`.
 
     python client/examples/planarity_meshes.py out/meshes.json
 
-The meshes are those of the package example-robot-data: the first 150, in an order that is drawn
-once, whose hulls have at most 600 vertices and differ.
+The meshes come from the package example-robot-data. In a fixed random order, the first 150 meshes
+are taken whose hulls are distinct and have at most 600 vertices.
 """
 
 from __future__ import annotations

@@ -1,11 +1,12 @@
-"""A batch job on ray beside the same job in one process.
+"""Compares a batch job on ray with the same job in one process.
 
     python client/examples/ray_scenes.py [--scenes 2000] [--tasks 2]
 
-Scenes of 64 bodies, polytopes of 16 vertices in a box, and 512 pairs each. In one
-process scene by scene, then many scenes in one query; then `hullcast.ray.query`, the
-rows put into ray's store and the answers read back from it. Ray's start is not counted,
-its servers' is: the first time is with it, the second with servers that run.
+Each scene has 64 bodies, polytopes of 16 vertices in a box, and 512 pairs. The job runs in one
+process, first with one query per scene, then with many scenes per query. Then it runs with
+`hullcast.ray.query`, including the time to read the results from ray's store. The time to start ray
+is not counted. The time to start ray's servers is counted in the first of two runs; the second run
+uses running servers.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ import hullcast.ray
 Floats = np.ndarray[Any, Any]
 
 BODIES, PAIRS, MARGIN = 64, 512, 0.01
-#: Scenes in one query, where there are several.
+#: The number of scenes in one query, if there are several.
 TOGETHER = 32
 
 
 @dataclass(frozen=True)
 class Job:
-    """What is asked: hulls in many scenes, the same pairs in each."""
+    """The job: hulls in many scenes, with the same pairs in each scene."""
 
     points: Floats
     positions: Floats
@@ -51,7 +52,7 @@ class Job:
         return cls(points, positions, rotations, pairs)
 
     def report(self, name: str, run: Callable[[], int]) -> None:
-        """Runs it, which gives the contacts found, and prints how long it took."""
+        """Runs a function that returns the number of contacts, and prints its duration."""
         start = time.perf_counter()
         contacts = run()
         seconds = time.perf_counter() - start
@@ -72,7 +73,7 @@ def main() -> None:
 
 
 def in_one_process(job: Job) -> hullcast.Scene:
-    """Scene by scene, then many in a query; the first scene is given back."""
+    """Runs the job with one query per scene, then with many scenes per query; returns a scene."""
     with hullcast.serve() as client:
         hulls = client.register(job.points)
         kinds = np.arange(BODIES) % len(hulls)
@@ -105,9 +106,9 @@ def in_one_process(job: Job) -> hullcast.Scene:
 
 
 def on_ray(job: Job, scene: hullcast.Scene, tasks: int) -> None:
-    """The same as a data set of ray's, twice."""
+    """Runs the job on a dataset of ray, twice."""
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-    os.environ["RAY_AUTH_MODE"] = "disabled"  # else it writes into the home folder
+    os.environ["RAY_AUTH_MODE"] = "disabled"  # otherwise ray writes to the home folder
     ray: Any = library
     ray.init(num_cpus=tasks, include_dashboard=False, log_to_driver=False)
     ray.data.DataContext.get_current().enable_progress_bars = False
@@ -126,12 +127,12 @@ def on_ray(job: Job, scene: hullcast.Scene, tasks: int) -> None:
 
 
 def in_columns(batch: dict[str, np.ndarray[Any, Any]]) -> dict[str, np.ndarray[Any, Any]]:
-    """Positions and rotations apart."""
+    """Splits the data into positions and rotations."""
     return {"positions": batch["data"][..., :3], "rotations": batch["data"][..., 3:]}
 
 
 def touching(outcomes: np.ndarray[Any, Any]) -> int:
-    """Pairs in contact."""
+    """The number of pairs in contact."""
     return int(np.count_nonzero(outcomes == hullcast.Outcome.CONTACT))
 
 

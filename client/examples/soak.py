@@ -1,16 +1,16 @@
-"""Loads a server for a long time and watches its memory.
+"""Loads a server for a long time and checks its memory.
 
     python client/examples/soak.py --registrations 1000000 --hulls 100000 --rounds 2000
 
-First hulls are registered, again and again, and queried; then everything at once:
-rounds of registering, querying, finding, stepping, deleting, hulls large and small,
-from several threads. The store is put on a file system in memory (/dev/shm), so that
-no disk is waited for. Writes soak.csv and soak.svg; fails where an answer is wrong,
-or the server's memory passes the cache's budget plus a constant.
+In the first part, hulls are registered again and again, and queried. In the second part, several
+threads run rounds that register, query, find, step and delete, with small and large hulls. The
+store is on a file system in memory (/dev/shm), so that no time is spent on a disk. The program
+writes soak.csv and soak.svg. It fails if a result is wrong, or if the server's memory exceeds the
+cache's budget plus a constant.
 """
 
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
-# matplotlib has not all its types.
+# matplotlib is only partly typed.
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ import hullcast
 from hullcast._pb import hulls_pb2
 from hullcast._serve import find_binary
 
-#: What the server has beside its cache: buffers of calls, threads, the program, and what
-#: the allocator holds back.
+#: The memory of the server outside its cache, in bytes: buffers of calls, threads, the program, and
+#: memory that the allocator retains.
 BESIDE = 192 << 20
-#: Hulls registered in one call of the first part.
+#: The number of hulls that one call of the first part registers.
 BATCH = 1000
-#: Hulls of a round of the second, and threads that make rounds.
+#: The number of hulls of a round of the second part, and the number of threads that run rounds.
 ROUND = 200
 THREADS = 4
 _OPTIONS = [("grpc.enable_http_proxy", 0)]
@@ -49,7 +49,7 @@ _REST = [0.0, 0.0, 0.0, 1.0]
 
 @dataclass
 class Server:
-    """A server and what was seen of it."""
+    """A server and the measurements of it."""
 
     target: str
     admin: str
@@ -57,14 +57,14 @@ class Server:
     began: float = field(default_factory=time.monotonic)
 
     def metrics(self) -> dict[str, float]:
-        """Every sample of /metrics."""
+        """The value of every sample in /metrics."""
         with urllib.request.urlopen(f"http://{self.admin}/metrics", timeout=60) as response:
             lines = response.read().decode().splitlines()
         samples = (line.rsplit(" ", 1) for line in lines if not line.startswith("#"))
         return {name: float(value) for name, value in samples}
 
     def look(self) -> None:
-        """One more row."""
+        """Adds one row of measurements."""
         metrics = self.metrics()
         names = ("hullcast_resident_bytes", "hullcast_cache_bytes")
         resident, cached = (int(metrics[name]) for name in names)
@@ -74,7 +74,7 @@ class Server:
 
 @contextlib.contextmanager
 def serving(cache: int) -> Generator[Server]:
-    """A server with a cache of so many bytes."""
+    """Starts a server with a cache of `cache` bytes."""
     memory = "/dev/shm" if os.path.isdir("/dev/shm") else None
     with tempfile.TemporaryDirectory(dir=memory) as store:
         command = [find_binary(), "serve", "--listen", "127.0.0.1:0", "--store", store]
@@ -91,7 +91,7 @@ def serving(cache: int) -> Generator[Server]:
 
 
 def register(server: Server, registrations: int, count: int) -> None:
-    """So many registrations of so many distinct hulls, each call followed by a query."""
+    """Registers `registrations` times, of `count` distinct hulls; a query follows each call."""
     rng = np.random.default_rng(1)
     batch = min(BATCH, count)
     with hullcast.connect(server.target, options=_OPTIONS) as client:
@@ -106,7 +106,7 @@ def register(server: Server, registrations: int, count: int) -> None:
 
 
 def mix(server: Server, rounds: int) -> dict[str, int]:
-    """So many rounds of everything, from several threads at once; what was answered."""
+    """Runs rounds of all operations from several threads at once; returns the counts of results."""
     totals: dict[str, int] = {}
     with (
         hullcast.connect(server.target, options=_OPTIONS) as client,
@@ -121,7 +121,7 @@ def mix(server: Server, rounds: int) -> dict[str, int]:
 
 def _round(client: hullcast.Client, target: str, number: int) -> dict[str, int]:
     rng = np.random.default_rng(number)
-    # Overlapping rounds share hulls; one in fifty is large.
+    # Overlapping rounds share hulls, and one hull in fifty is large.
     seeds = rng.integers(0, 20 * ROUND, size=ROUND)
     hulls = client.register([_cloud(seed, 600 if seed % 50 == 0 else 24) for seed in seeds])
     scene = hullcast.Scene(hulls, rng.uniform(0, 15, (ROUND, 3)), [_REST] * ROUND)
@@ -129,7 +129,7 @@ def _round(client: hullcast.Client, target: str, number: int) -> dict[str, int]:
     counts = {"registered": len(hulls)}
     counts["queried"] = _answered(client.query(scene, pairs, margin=0.5))
     counts["found"] = _answered(client.find(scene, margin=0.5))
-    # Others may delete what this round uses: the client registers it again.
+    # Other rounds may delete hulls that this round uses; the client registers them again.
     ids = [hull.id for hull in hulls[: ROUND // 10]]
     with grpc.insecure_channel(target, options=_OPTIONS) as channel:
         delete: Any = channel.unary_unary(
@@ -152,7 +152,10 @@ def _cloud(seed: int, points: int) -> np.ndarray[Any, Any]:
 
 
 def _answered(answer: hullcast.Manifolds) -> int:
-    """Pairs. Of a hull that another round deleted meanwhile, again and again, nothing is said."""
+    """The number of pairs that were answered.
+
+    A pair may be unanswered if another round kept deleting one of its hulls.
+    """
     unsaid = answer.outcome == hullcast.Outcome.INVALID
     assert bool(np.all(answer.flags[unsaid] == hullcast.Flag.UNKNOWN_HULL))
     return len(answer.outcome) - int(unsaid.sum())
@@ -164,7 +167,7 @@ def _write(server: Server, parted: float, cache: int, out: Path) -> None:
     matplotlib.use("svg")
     import matplotlib.pyplot as plt
 
-    # A thousand points are a picture; the highest of each stretch.
+    # Reduce the rows to about a thousand for the plot: the highest of each stretch.
     step = -(-len(server.rows) // 1000)
     rows = [
         max(server.rows[i : i + step], key=lambda row: row[2])
@@ -185,7 +188,7 @@ def _write(server: Server, parted: float, cache: int, out: Path) -> None:
 
 
 def main() -> None:
-    """Runs it."""
+    """Runs both parts and checks the memory."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--registrations", type=int, default=100_000)
     parser.add_argument("--hulls", type=int, default=20_000)

@@ -1,12 +1,13 @@
-"""Contact manifolds a second from numpy arrays, through the server, into numpy arrays.
+"""Measures contact manifolds per second from numpy arrays to numpy arrays, through the server.
 
     python client/examples/throughput.py [--seconds 5] [--connect HOST:PORT]
 
-Box pairs, whole manifolds from a cold start, 4,096 pairs a message: "shallow",
-at random orientations with a growth scale of .95 to .995 (mostly one point), and
-"resting", face on face at random spin (four to eight points). Server and client
-share this machine's cores unless --connect names another. Printed for several
-messages under way, and for one at a time, which a single blocking caller gets.
+The pairs are boxes, whole manifolds are computed from a cold start, and a message has 4,096 pairs.
+In "shallow" pairs the boxes have random orientations and a growth scale of .95 to .995 (mostly one
+contact point). In "resting" pairs a face lies on a face at a random spin (four to eight points).
+Server and client share this machine's cores, unless --connect names a server on another machine.
+The rates are for several messages in flight, and for one message at a time, which is the rate of a
+single blocking caller.
 """
 
 from __future__ import annotations
@@ -23,25 +24,25 @@ MESSAGES = 16
 SHAPES = 64
 
 
-#: Corners of the unit cube, (8, 3).
+#: (8, 3): the corners of a cube of half extent 1.
 SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 
 
 def half_extents() -> np.ndarray:
-    """Of each box, (SHAPES, 3)."""
+    """(SHAPES, 3): the half extents of the boxes."""
     return np.random.default_rng(0).uniform(0.3, 1.0, (SHAPES, 3))
 
 
 def shallow(
     client: hullcast.Client, hulls: list[hullcast.Hull], pairs: np.ndarray
 ) -> hullcast.Scene:
-    """Random poses, brought into shallow overlap."""
+    """Random poses, moved into shallow overlap."""
     rng = np.random.default_rng(1)
     rotations = random_rotations(rng, pairs.size)
     positions = rng.uniform(-5, 5, (len(pairs), 2, 3))
     kinds = rng.integers(SHAPES, size=pairs.size)
     scene = hullcast.Scene(hulls, positions.reshape(-1, 3), rotations, body_hulls=kinds)
-    # The growth scale is linear in the offset of B, so one query says where to put it.
+    # The growth scale is linear in the offset of B, so one query is enough to find the offset.
     m = client.query(scene, pairs, margin=np.inf, outputs=["ALPHA"])
     target = rng.uniform(0.95, 0.995, len(pairs))
     offset = positions[:, 1] - positions[:, 0]
@@ -52,7 +53,7 @@ def shallow(
 def resting(
     client: hullcast.Client, hulls: list[hullcast.Hull], pairs: np.ndarray
 ) -> hullcast.Scene:
-    """B's bottom face on A's top face, turned about their normal, 1e-3 deep."""
+    """B's bottom face on A's top face, rotated about their normal, 1e-3 deep."""
     rng, half = np.random.default_rng(2), half_extents()
     count = len(pairs)
     kinds = rng.integers(SHAPES, size=(count, 2))
@@ -70,27 +71,27 @@ def resting(
 
 
 def random_rotations(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Unit quaternions xyzw, (count, 4)."""
+    """(count, 4): random unit quaternions x, y, z, w."""
     q = rng.normal(size=(count, 4))
     return q / np.linalg.norm(q, axis=1, keepdims=True)
 
 
 def times(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Products of quaternions xyzw: first q, then p."""
+    """The products of quaternions x, y, z, w: the rotation q, then the rotation p."""
     vector = p[:, 3:] * q[:, :3] + q[:, 3:] * p[:, :3] + np.cross(p[:, :3], q[:, :3])
     scalar = p[:, 3] * q[:, 3] - np.sum(p[:, :3] * q[:, :3], axis=1)
     return np.column_stack([vector, scalar])
 
 
 def turned(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Vectors turned by quaternions."""
+    """Vectors rotated by quaternions."""
     twice = 2 * np.cross(q[:, :3], v)
     return v + q[:, 3:] * twice + np.cross(q[:, :3], twice)
 
 
 def rate(client: hullcast.Client, scene: hullcast.Scene, pairs: np.ndarray, seconds: float):
-    """Manifolds a second, points a manifold, and how many cores the client used."""
-    client.query(scene, pairs)  # the server loads the hulls
+    """Manifolds per second, points per manifold, and the number of cores that the client used."""
+    client.query(scene, pairs)  # lets the server load the hulls
     done = points = 0
     start, used = time.perf_counter(), time.process_time()
     while (wall := time.perf_counter() - start) < seconds:

@@ -1,13 +1,13 @@
-"""coal and MuJoCo on the pairs of `hullcast tradeoff --ask`, for it to judge.
+"""Runs coal and MuJoCo on the pairs of `hullcast tradeoff --ask`, which then judges their results.
 
     hullcast tradeoff --ask pairs.json
     python client/examples/tradeoff_peers.py pairs.json --out peers
     hullcast tradeoff --peer peers/coal.json --peer peers/mujoco.json
 
-Each answers in this process on one thread, hulls and poses ready: coal by `collide`
-and `computeContactPatch`, MuJoCo by `mj_collision` on a model of the two hulls alone
-(its meshes are in single precision). Of each pair the fastest of three calls, each
-with the cost of a call from Python, which is printed: that of a call that does nothing.
+Each peer runs in this process on one thread, with hulls and poses prepared. coal uses `collide` and
+`computeContactPatch`. MuJoCo uses `mj_collision` on a model that has only the two hulls; its meshes
+are in single precision. The time of a pair is that of the fastest of three calls. It includes the
+overhead of a call from Python; the duration of a call that does nothing is printed for comparison.
 A peer that is not installed is left out.
 """
 
@@ -27,7 +27,7 @@ import numpy.typing as npt
 from peers import coal_shapes
 from scipy.spatial.transform import Rotation
 
-#: As `hullcast tradeoff` times its own.
+#: The number of calls per pair, as in `hullcast tradeoff`.
 ROUNDS = 3
 
 Floats = npt.NDArray[np.float64]
@@ -35,26 +35,29 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass
 class Contact:
-    """World frame; the normal points from A to B, points are midway."""
+    """A contact in the world frame.
+
+    The normal points from A to B; points are midway between the hulls.
+    """
 
     normal: list[float]
     separation: float
     points: list[list[float]]
 
 
-#: Of two hulls: places them by a position and quaternion each, then a call to be timed, then
-#: what that found.
+#: Three functions for two hulls: one that places them by a position and quaternion each, one that
+#: is timed, and one that returns what the timed one found.
 Contender = tuple[
     Callable[[Sequence[float], Sequence[float]], None],
     Callable[[], object],
     Callable[[], "Contact | None"],
 ]
-#: From a margin and all hulls to a contender for each pair of them.
+#: From a margin and all hulls to a function that makes the contender for a pair of hulls.
 Maker = Callable[[float, list[Floats]], Callable[[int, int], Contender]]
 
 
 def coal_peer() -> tuple[str, Maker, Callable[[], object]]:
-    """Its name, what makes contenders, and a call that does nothing."""
+    """coal's name, a maker of its contenders, and a call that does nothing."""
     import coal as library  # pyright: ignore[reportMissingImports]
 
     coal: Any = library
@@ -107,7 +110,7 @@ GEOM = '<geom name="{i}" type="mesh" mesh="{i}" contype="0" conaffinity="0"/>'
 
 
 def mujoco_peer() -> tuple[str, Maker, Callable[[], object]]:
-    """The same."""
+    """MuJoCo's name, a maker of its contenders, and a call that does nothing."""
     import mujoco as library  # pyright: ignore[reportMissingImports]
 
     mujoco: Any = library
@@ -150,7 +153,7 @@ def mujoco_peer() -> tuple[str, Maker, Callable[[], object]]:
 
 
 def fastest(call: Callable[[], object], rounds: int = ROUNDS) -> int:
-    """Nanoseconds of the fastest of so many calls."""
+    """The duration of the fastest of `rounds` calls, in nanoseconds."""
     times: list[int] = []
     for _ in range(rounds):
         begin = time.perf_counter_ns()
@@ -160,7 +163,7 @@ def fastest(call: Callable[[], object], rounds: int = ROUNDS) -> int:
 
 
 def answers(make: Maker, cell: dict[str, Any]) -> list[dict[str, Any]]:
-    """To every pair of a cell."""
+    """The results for every pair of a cell."""
     contender_of = make(cell["margin"], [np.array(hull) for hull in cell["hulls"]])
     answered: list[dict[str, Any]] = []
     for pair in cell["pairs"]:
@@ -177,7 +180,7 @@ def answers(make: Maker, cell: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def main() -> None:
-    """Answers and writes."""
+    """Runs the peers and writes their results."""
     parser = argparse.ArgumentParser(description="coal and MuJoCo on the pairs of a tradeoff")
     parser.add_argument("pairs", type=Path, help="what `hullcast tradeoff --ask` wrote")
     parser.add_argument("--out", type=Path, default=Path("."), help="folder of the answers")

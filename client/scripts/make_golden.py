@@ -2,8 +2,8 @@
 
     python client/scripts/make_golden.py
 
-Inputs are chosen here; every answer comes from the exact oracle of the tests.
-Rust and Python read the file alike (tests/golden/README.md has the format).
+The inputs are chosen here, and every answer comes from the tests' exact oracle. The Rust tests and
+the Python tests read the same file (tests/golden/README.md describes the format).
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ UNIT = box((0.5, 0.5, 0.5))
 
 
 def case(name, why, a, b, d, *, q=UPRIGHT, margin=0.0, origin=(0.0, 0.0, 0.0), faces=None, **more):
-    """One case: hull `a` at `origin`, hull `b` at `d` from it, turned by `q`.
+    """Makes one case: hull `a` at `origin`, and hull `b` at offset `d` from it, rotated by `q`.
 
-    `faces`: the faces, by index in `Shape.faces`, whose intersection is the patch.
+    `faces` has the faces whose intersection is the patch, as indices into `Shape.faces`.
     """
     centers = more.get("centers", ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
     origin = np.array(origin, dtype=float)
@@ -95,30 +95,30 @@ def above(x: Fraction) -> float:
 
 
 def inradius(shape: Shape, center) -> float:
-    """Of the ball about the contraction point."""
+    """The radius of the largest ball about the contraction point inside the shape."""
     planes = [shape.plane(face) for face in shape.faces]
     return min(float(normal @ (middle - center)) for normal, middle in planes)
 
 
 def facing(shape: Shape, direction) -> int:
-    """The face whose normal is nearest to a direction of the hull's frame."""
+    """The face whose normal is nearest to a direction in the hull's frame."""
     return int(np.argmax([shape.plane(f)[0] @ direction for f in shape.faces]))
 
 
 def on_top(name, why, a, b, d, **more):
-    """B's bottom on A's top; the patch is their intersection."""
+    """A case with B's bottom face on A's top face; the patch is their intersection."""
     q = np.array(more.get("q", UPRIGHT))
     down = matrix(q).T @ (0.0, 0.0, -1.0)
     return case(name, why, a, b, d, faces=(facing(a, (0, 0, 1)), facing(b, down)), **more)
 
 
 def tilted(angle: float) -> list[float]:
-    """A turn about x."""
+    """A rotation about x."""
     return [math.sin(angle / 2), 0.0, 0.0, math.cos(angle / 2)]
 
 
 def resting(rng, a: Shape, b: Shape, gap: float, name: str, why: str):
-    """The first face of B laid on A's top face."""
+    """A case with the first face of B laid on A's top face."""
     top = facing(a, (0, 0, 1))
     normal_a, middle_a = a.plane(a.faces[top])
     normal_b, middle_b = b.plane(b.faces[0])
@@ -128,7 +128,7 @@ def resting(rng, a: Shape, b: Shape, gap: float, name: str, why: str):
 
 
 def cases():
-    """All of them, in the order of the file."""
+    """All cases, in the order of the file."""
     rng = np.random.default_rng(20100702)
     yield from resting_cases(rng)
     yield from tied_cases()
@@ -139,7 +139,7 @@ def cases():
 
 
 def resting_cases(rng):
-    """A face on a face."""
+    """Cases with a face on a face."""
     yield on_top(
         "cubes_stacked",
         "equal aligned cubes: slivers where sides coincide",
@@ -205,7 +205,7 @@ def resting_cases(rng):
 
 
 def tied_cases():
-    """Several normals are optimal, or several pivots possible."""
+    """Cases with several optimal normals, or several possible pivots."""
     yield case("cubes_along_edge_diagonal", "two normals are optimal", UNIT, UNIT, (0.75, 0.75, 0))
     yield case(
         "cubes_along_diagonal",
@@ -240,7 +240,7 @@ def tied_cases():
 
 
 def touching_cases():
-    """Exactly touching, coincident, or apart along a plain direction."""
+    """Cases of hulls that touch exactly, coincide, or are apart along a plain direction."""
     yield case("touching_faces", "exactly touching is CONTACT", UNIT, UNIT, (0.25, 0, 1))
     yield case("touching_edges", "exactly touching along an edge", UNIT, UNIT, (1, 0.25, 1))
     yield case("touching_corners", "exactly touching at a corner", UNIT, UNIT, (1, 1, 1))
@@ -269,7 +269,7 @@ def touching_cases():
 
 
 def sized_cases():
-    """Thin, long, tiny, huge and far away."""
+    """Cases of hulls that are thin, long, tiny, huge or far away."""
     yield case(
         "large_plate",
         "a unit cube on a plate of half size 2e4",
@@ -342,7 +342,7 @@ def sized_cases():
 
 
 def bounded_cases():
-    """Contraction points of their own, and margins at and beside the distance."""
+    """Cases with given contraction points, and with margins at and near the distance."""
     yield case(
         "contraction_point_aside",
         "growth about points near a face",
@@ -378,7 +378,7 @@ def bounded_cases():
 
 
 def random_cases(rng):
-    """Nothing special."""
+    """Random cases without special features."""
     for i in range(4):
         a, b = (
             poly(16, rng),
@@ -392,7 +392,7 @@ def random_cases(rng):
 
 
 def scaled(shape: Shape, power: int) -> Shape:
-    """All lengths times a power of two."""
+    """A shape with all lengths multiplied by a power of two."""
     return Shape(shape.family, np.ldexp(shape.vertices, power))
 
 
@@ -401,7 +401,7 @@ def main() -> None:
     path = ROOT / "tests/golden/contacts.json"
     lines = [json.dumps(case) for case in cases()]
     head = '{"format": "hullcast.golden.v1", "cases": [\n'
-    path.write_text(head + ",\n".join(lines) + "\n]}\n")  # a line a case, to compare
+    path.write_text(head + ",\n".join(lines) + "\n]}\n")  # one line per case, for diffs
     print(f"{len(lines)} cases in {path.relative_to(ROOT)}")
 
 

@@ -35,7 +35,9 @@ def listed(*patterns: str) -> list[str]:
     """The repository's files, those that are not committed yet among them."""
     command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", *patterns]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    return [name for name in done.stdout.splitlines() if (ROOT / name).exists()]
+    # During a merge a file is listed once per version.
+    names = dict.fromkeys(done.stdout.splitlines())
+    return [name for name in names if (ROOT / name).exists()]
 
 
 def pages() -> list[Path]:

@@ -1,4 +1,4 @@
-"""Pairs of shapes at poses, aimed at regimes; the exact answer sets the distance."""
+"""Pairs of shapes at poses, generated for regimes; the exact growth scale sets the distance."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ import hullcast
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A pair with the floats that the server is sent."""
+    """A pair, with the exact numbers that are sent to the server."""
 
     shapes: tuple[Shape, Shape]
     hulls: tuple[hullcast.Hull, hullcast.Hull]
-    #: (2, 3)
+    #: (2, 3): the positions of A and B.
     positions: np.ndarray
-    #: (2, 4) xyzw
+    #: (2, 4): the quaternions x, y, z, w of A and B.
     rotations: np.ndarray
     margin: float = 0.0
-    #: Faces that were laid on each other, where the regime does that.
+    #: The faces that were laid on each other, in the resting regime.
     faces: tuple[list[int], list[int]] | None = None
 
     @cached_property
     def exact(self) -> ExactPair:
-        """The oracle's view of it."""
+        """The exact oracle for this pair."""
         bodies = [
             ExactBody.make(shape.vertices, hull.contraction_point, position, rotation)
             for shape, hull, position, rotation in zip(
@@ -38,12 +38,12 @@ class Case:
         return ExactPair(*bodies)
 
     def moved(self, offset: np.ndarray) -> Case:
-        """B at `offset` from A."""
+        """The case with B at `offset` from A."""
         positions = np.stack([self.positions[0], self.positions[0] + offset])
         return Case(self.shapes, self.hulls, positions, self.rotations, self.margin, self.faces)
 
     def at_alpha(self, alpha: float) -> Case:
-        """B moved along the centre line so that the growth scale is `alpha`, to rounding."""
+        """The case with B moved along the centre line to a growth scale of `alpha`, to rounding."""
         turned = [
             matrix(q) @ h.contraction_point for q, h in zip(self.rotations, self.hulls, strict=True)
         ]
@@ -53,7 +53,7 @@ class Case:
 
 
 def ask(client: hullcast.Client, cases: list[Case], **options) -> hullcast.Manifolds:
-    """The cases as one scene, each its own two bodies."""
+    """Queries the cases as one scene, in which each case has two bodies of its own."""
     hulls = [hull for case in cases for hull in case.hulls]
     positions = np.concatenate([case.positions for case in cases])
     rotations = np.concatenate([case.rotations for case in cases])
@@ -62,23 +62,23 @@ def ask(client: hullcast.Client, cases: list[Case], **options) -> hullcast.Manif
 
 
 def matrix(q: np.ndarray) -> np.ndarray:
-    """The rotation of a quaternion x, y, z, w."""
+    """The rotation matrix of a quaternion x, y, z, w."""
     x, y, z, w = q
     turn = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + 2 / (q @ q) * (w * turn + turn @ turn)
 
 
 def random_rotation(rng: np.random.Generator) -> np.ndarray:
-    """A quaternion, uniform over rotations."""
+    """A random quaternion, uniform over rotations."""
     q = rng.normal(size=4)
     return q / np.linalg.norm(q)
 
 
 def rotation_between(u: np.ndarray, v: np.ndarray, spin: float) -> np.ndarray:
-    """A quaternion that takes unit u to unit v, then turns about v."""
+    """A quaternion that takes unit u to unit v, then rotates by `spin` about v."""
     half = np.cross(u, v)
     w = 1 + u @ v
-    if w < 1e-6:  # opposite: half a turn about anything square to u
+    if w < 1e-6:  # u and v are opposite: half a turn about any axis perpendicular to u
         half, w = np.cross(u, np.eye(3)[np.argmin(np.abs(u))]), 0.0
     first = np.array([*half, w])
     first /= np.linalg.norm(first)
@@ -92,7 +92,7 @@ def _times(p: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def random_case(rng, shapes, hulls) -> Case:
-    """Random orientations, B in a random direction."""
+    """Random orientations, with B in a random direction from A."""
     i, j = rng.integers(len(shapes), size=2)
     direction = rng.normal(size=3)
     position = rng.uniform(-5, 5, 3)
@@ -105,7 +105,7 @@ def random_case(rng, shapes, hulls) -> Case:
 
 
 def resting_case(rng, shapes, hulls, tilt: float = 0.0) -> Case:
-    """A face of A against a face of B, at random spin and a gap in [-.01, .002]."""
+    """A face of A against a face of B, at a random spin and a gap in [-.01, .002]."""
     i, j = rng.integers(len(shapes), size=2)
     face_a = shapes[i].faces[rng.integers(len(shapes[i].faces))]
     face_b = shapes[j].faces[rng.integers(len(shapes[j].faces))]
@@ -134,7 +134,7 @@ def resting_case(rng, shapes, hulls, tilt: float = 0.0) -> Case:
 
 
 def regime_cases(regime: str, rng, shapes, hulls, count: int) -> list[Case]:
-    """Cases of a regime; `margin` of each is what it is asked with."""
+    """Cases of a regime. Each must be queried with its own `margin`."""
     if regime == "resting":
         return [resting_case(rng, shapes, hulls) for _ in range(count)]
     low, high, margin = {

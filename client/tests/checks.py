@@ -1,6 +1,6 @@
-"""What must hold of every answer, checked against the exact one.
+"""Properties that every result must have, checked against the exact solution.
 
-The budgets are the documented ones; u is the unit roundoff of double.
+The budgets are those of the documentation; u is the unit roundoff of double precision.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ NONE = 2**32 - 1
 
 @dataclass
 class Coverage:
-    """What a sweep has met, so that a test can say it was not vacuous."""
+    """Counts the kinds of results in a sweep, so that a test can assert that it was not vacuous."""
 
     counts: Counter[str] = field(default_factory=Counter)
 
     def note(self, pair: hullcast.Manifold) -> None:
-        """Counts an answer's outcome, flags, features and number of points."""
+        """Counts a result's outcome, flags, features and number of points."""
         self.counts[pair.outcome.name] += 1
         for flag in Flag:
             self.counts[str(flag.name)] += bool(pair.flags & flag)
@@ -38,7 +38,7 @@ class Coverage:
 
 
 class Budget:
-    """Lengths of a pair and the errors that they allow."""
+    """The lengths of a pair, and the error budgets that follow from them."""
 
     def __init__(self, case: Case, tolerance: float = 0.0) -> None:
         a, b = case.hulls
@@ -54,26 +54,26 @@ class Budget:
         self.tolerance = tolerance
 
     def alpha(self, alpha: float) -> float:
-        """Of alpha, and of the normal's optimality."""
+        """The budget of alpha, and of the normal's optimality."""
         return alpha * (self.tolerance + 16 * U * self.R / self.r) + 16 * U * self.M / self.r
 
     def width(self, upper: float) -> float:
-        """Of the bracket."""
+        """The largest allowed width of the bracket."""
         return upper * (self.tolerance + 64 * U * self.R / self.r) + 32 * U * self.M / self.r
 
     @property
     def separation(self) -> float:
-        """Of lengths along the normal, and of the margin's rounding band."""
+        """The budget of lengths along the normal, and of the margin's rounding band."""
         return 64 * U * (self.R + self.d) + 16 * U * self.M
 
     @property
     def world(self) -> float:
-        """Of world points against their features."""
+        """The budget of world points against their features."""
         return 64 * U * (self.R + self.M) + 4 * U * self.L
 
 
 def check(case: Case, pair: hullcast.Manifold, hulls: Hulls, tolerance: float = 0.0) -> None:
-    """Everything that holds of one pair's answer (all outputs asked for)."""
+    """Checks all properties of one pair's result, which must have all outputs."""
     budget = Budget(case, tolerance)
     check_outcome(case, pair, budget)
     check_growth(case, pair, budget)
@@ -89,11 +89,11 @@ def check(case: Case, pair: hullcast.Manifold, hulls: Hulls, tolerance: float = 
 
 
 def check_outcome(case: Case, pair: hullcast.Manifold, budget: Budget) -> None:
-    """CONTACT and SEPARATED as the exact distance says, but for the rounding band."""
+    """The outcome agrees with the exact distance, except within the rounding band."""
     if np.isinf(case.margin):
         assert pair.outcome == Outcome.CONTACT
         return
-    # Squares, to stay rational.
+    # Compare squares, which stay rational.
     distance, margin = case.exact.distance_squared, Fraction(case.margin)
     if distance <= margin**2:
         assert pair.outcome == Outcome.CONTACT, pair
@@ -104,7 +104,7 @@ def check_outcome(case: Case, pair: hullcast.Manifold, budget: Budget) -> None:
 
 
 def check_growth(case: Case, pair: hullcast.Manifold, budget: Budget) -> None:
-    """Exact alpha in the bracket; the bracket as tight as asked, and alpha near it."""
+    """Exact alpha is in the bracket, the bracket is as tight as requested, and alpha is near it."""
     alpha = case.exact.growth[0]
     assert Fraction(pair.alpha_lower) <= alpha, pair
     if pair.outcome == Outcome.SEPARATED:
@@ -116,7 +116,7 @@ def check_growth(case: Case, pair: hullcast.Manifold, budget: Budget) -> None:
 
 
 def check_rejection(case: Case, pair: hullcast.Manifold, budget: Budget) -> None:
-    """Lower bounds that are bounds, a direction that separates, and nothing more."""
+    """For SEPARATED, the bounds hold, the direction separates, and there are no points."""
     exact = case.exact
     assert Fraction(pair.alpha) <= exact.growth[0]
     assert pair.alpha_upper == np.inf
@@ -129,7 +129,7 @@ def check_rejection(case: Case, pair: hullcast.Manifold, budget: Budget) -> None
 
 
 def check_normal(case: Case, pair: hullcast.Manifold, budget: Budget) -> None:
-    """The normal is optimal (not: the expected one), and the separation is its s(n)."""
+    """The normal is optimal (it need not be a particular one), and the separation is its s(n)."""
     exact, n = case.exact, pair.normal
     alpha = exact.growth[0]
     assert abs(n @ n - 1) <= 16 * U
@@ -137,7 +137,7 @@ def check_normal(case: Case, pair: hullcast.Manifold, budget: Budget) -> None:
     assert float(alpha - reached) <= budget.alpha(float(alpha)), pair
     s = exact.separation(n)
     assert abs(float(Fraction(pair.separation) - s)) <= budget.separation, pair
-    # The paper's relation (1), for a normal that is optimal to the budget.
+    # The paper's relation (1), for a normal that is optimal within the budget.
     apart, gap = abs(1 - float(alpha)), budget.alpha(float(alpha))
     assert budget.r * (apart - gap) - budget.separation <= abs(pair.separation)
     if not pair.flags & Flag.COINCIDENT:
@@ -145,7 +145,7 @@ def check_normal(case: Case, pair: hullcast.Manifold, budget: Budget) -> None:
 
 
 def check_points(case: Case, pair: hullcast.Manifold, budget: Budget) -> None:
-    """At least one point; witnesses apart along the normal only; none deeper than s(n)."""
+    """There are points, no deeper than s(n), and witnesses differ only along the normal."""
     assert len(pair.distance) >= 1, pair
     assert len(np.unique(pair.point_ids, axis=0)) == len(pair.distance), pair
     apart = pair.witness_b - pair.witness_a - pair.distance[:, None] * pair.normal
@@ -155,7 +155,7 @@ def check_points(case: Case, pair: hullcast.Manifold, budget: Budget) -> None:
 
 
 def check_witnesses(case: Case, pair: hullcast.Manifold, budget: Budget, hulls: Hulls) -> None:
-    """Each witness lies on the feature that the answer names."""
+    """Each witness lies on the feature that the result names."""
     kinds, indices = pair.feature_kinds, pair.feature_indices.reshape(2, 2)
     for side, witnesses in enumerate((pair.witness_a, pair.witness_b)):
         turn = matrix(case.rotations[side])
@@ -167,7 +167,7 @@ def check_witnesses(case: Case, pair: hullcast.Manifold, budget: Budget, hulls: 
 
 
 def distance_to_polygon(point: np.ndarray, corners: np.ndarray) -> float:
-    """From a point to a vertex (1 corner), a segment (2) or a convex polygon in space."""
+    """The distance from a point to a vertex (1 corner), a segment (2) or a convex polygon."""
     if len(corners) > 2:
         sides = np.roll(corners, -1, axis=0) - corners
         normal = np.sum(np.cross(sides, np.roll(sides, -1, axis=0)), axis=0)
@@ -183,7 +183,7 @@ def distance_to_polygon(point: np.ndarray, corners: np.ndarray) -> float:
 
 
 class Hulls:
-    """The server's faces, by hull: what a face's index means."""
+    """The faces of each hull, as the server numbers them."""
 
     def __init__(self, faces: dict[bytes, list[list[int]]]) -> None:
         self._faces = faces
@@ -202,5 +202,5 @@ class Hulls:
         return vertices[index[:1]]
 
     def face(self, hull: hullcast.Hull, index: int) -> list[int]:
-        """A face's corners as registered indices."""
+        """A face's corners, as indices of the registered points."""
         return self._faces[hull.id][index]

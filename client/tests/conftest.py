@@ -1,4 +1,4 @@
-"""A real server for the whole run, started as a user would."""
+"""Fixtures: a real server for the whole run, started as a user would start it."""
 
 from __future__ import annotations
 
@@ -35,21 +35,21 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 @pytest.fixture(scope="session")
 def client() -> Iterator[hullcast.Client]:
-    """A client of a server of its own."""
+    """A client of a server that is started for the tests."""
     with hullcast.serve() as client:
         yield client
 
 
 @pytest.fixture(scope="session")
 def channel(client: hullcast.Client) -> Iterator[grpc.Channel]:
-    """A bare channel to the same server, for what the client does not offer."""
+    """A plain gRPC channel to the same server, for calls that the client does not offer."""
     with grpc.insecure_channel(client.target, options=[("grpc.enable_http_proxy", 0)]) as channel:
         yield channel
 
 
 @pytest.fixture(scope="session")
 def get_hulls(channel: grpc.Channel) -> Callable[[list[hullcast.Hull]], Hulls]:
-    """The faces that the server knows of some hulls."""
+    """A function that gets the faces of some hulls from the server."""
     call = channel.unary_unary(
         "/hullcast.v1.HullService/GetHulls",
         request_serializer=hulls_pb2.GetHullsRequest.SerializeToString,

@@ -15,11 +15,11 @@ import hullcast
 from hullcast._serve import find_binary
 
 CUBE = box((0.5, 0.5, 0.5)).vertices
-#: Servers of the tests are on this machine.
+#: The servers of the tests are on this machine, so no proxy is used.
 NO_PROXY = [("grpc.enable_http_proxy", 0)]
 EVERYTHING = ("ALPHA", "NORMAL", "POINTS", "WITNESS_B", "FEATURES", "BASES", "DIAGNOSTICS")
-#: Of every process of ray: nothing is reported or written into the home folder, and a busy
-#: machine has its time.
+#: Settings of every ray process: it does not report usage or write into the home folder, and has
+#: enough time to start on a busy machine.
 RAY_SETTINGS = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_AUTH_MODE": "disabled",
@@ -34,7 +34,7 @@ COLUMNS = (
 
 
 def crowd_of(hulls: list[hullcast.Hull], bodies: int, rng: np.random.Generator) -> hullcast.Scene:
-    """Many bodies of a few hulls, some touching."""
+    """Many bodies with a few different hulls, some of them touching."""
     side = 1.1 * bodies ** (1 / 3)
     return hullcast.Scene(
         hulls,
@@ -52,7 +52,7 @@ def crowd(client: hullcast.Client, bodies: int, seed: int = 31) -> hullcast.Scen
 
 
 def make_pile(client: hullcast.Client) -> hullcast.Scene:
-    """A prism and a turned box on a slab, and a box that touches nothing."""
+    """A prism and a rotated box on a slab, and a box that touches nothing."""
     shapes = [box((1.5, 1.5, 0.2)), prism(6, 0.5, 0.4), box((0.4, 0.3, 0.3)), box((0.2, 0.2, 0.2))]
     hulls = client.register([shape.vertices for shape in shapes])
     turn = [0, 0, np.sin(0.3), np.cos(0.3)]
@@ -64,7 +64,7 @@ def make_pile(client: hullcast.Client) -> hullcast.Scene:
 
 
 def expect_same(a: hullcast.Manifolds, b: hullcast.Manifolds) -> None:
-    """Every column bit for bit, NaN included."""
+    """Asserts that all columns are equal bit for bit, NaN included."""
     for name in COLUMNS:
         ours, theirs = getattr(a, name), getattr(b, name)
         assert ours.dtype == theirs.dtype
@@ -72,7 +72,7 @@ def expect_same(a: hullcast.Manifolds, b: hullcast.Manifolds) -> None:
 
 
 class Server:
-    """A real server that can be killed and started again on its port."""
+    """A real server that can be killed and started again on the same port."""
 
     def __init__(self, store: Path | str = "memory://", *arguments: str) -> None:
         self._store = os.fspath(store)
@@ -81,7 +81,7 @@ class Server:
         self.start()
 
     def start(self) -> None:
-        """Listens on the port of before."""
+        """Starts the server on the previous port."""
         self.process = subprocess.Popen(
             [
                 *(find_binary(), "serve", "--listen", self.address, "--store", self._store),
@@ -97,7 +97,7 @@ class Server:
         self.address = line.removeprefix("listening on ").strip()
 
     def kill(self) -> None:
-        """Ends it as a crash would."""
+        """Kills the server, as a crash would."""
         self.process.kill()
         self.process.wait(10)
         for pipe in (self.process.stdin, self.process.stdout):

@@ -1,4 +1,4 @@
-"""A mock server: it answers with bytes that a test gives it, right or wrong."""
+"""A mock server, which responds with bytes that a test provides, correct or not."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Answer = Callable[[bytes], list[bytes]]
 
 
 class Mock(grpc.GenericRpcHandler):
-    """Answers each method by a function of the request's bytes; it never computes a contact."""
+    """Responds to each method with a function of the request's bytes; it computes no contacts."""
 
     def __init__(self) -> None:
         self.answers: dict[str, Answer] = {}
@@ -39,7 +39,7 @@ class Mock(grpc.GenericRpcHandler):
 
 @contextmanager
 def mock_server() -> Iterator[tuple[Mock, str]]:
-    """The mock, and where it listens."""
+    """Starts a mock server, and yields it and its address."""
     mock = Mock()
     with ThreadPoolExecutor(8) as pool:
         server = grpc.server(pool, handlers=[mock], options=[("grpc.so_reuseport", 0)])

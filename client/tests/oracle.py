@@ -1,12 +1,12 @@
-"""Exact answers for pairs of convex hulls, in rational arithmetic.
+"""Exact solutions for pairs of convex hulls, in rational arithmetic.
 
-The truth that the tests hold the server against: the exact answer for the
-given floats. Nothing here is shared with the server, nothing is rounded before
-the end, no tolerance decides. It is slow, some milliseconds a pair, and simple.
+The tests compare the server with these solutions, which are exact for the given floats. This module
+shares no code with the server, rounds nothing before the end, and uses no tolerances. It is simple
+but slow: some milliseconds per pair.
 
-A quaternion q gives the rotation I + (2 / |q|^2)(...), rational without a
-square root. Vertices are kept as integers over one common denominator, so that
-the simplex needs no greatest common divisors.
+A quaternion q gives the rotation I + (2 / |q|^2)(...), which is rational and needs no square root.
+Vertices are kept as integers over one common denominator, so that the simplex method needs no
+greatest common divisors.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ Integers = tuple[int, int, int]
 
 
 def exact(values: Sequence[float]) -> Vector:
-    """Three floats as the rationals that they are."""
+    """Converts three floats to the rationals with the same values."""
     x, y, z = (Fraction(float(v)) for v in values)
     return x, y, z
 
 
 def dot(a, b):
-    """Of any numbers."""
+    """The dot product of vectors of any numbers."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a, b):
-    """Of any numbers."""
+    """The cross product of vectors of any numbers."""
     return (
         a[1] * b[2] - a[2] * b[1],
         a[2] * b[0] - a[0] * b[2],
@@ -43,22 +43,22 @@ def cross(a, b):
 
 
 def add(a, b):
-    """Of any numbers."""
+    """The sum of vectors of any numbers."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 def sub(a, b):
-    """Of any numbers."""
+    """The difference of vectors of any numbers."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 def scaled(k, a):
-    """Of any numbers."""
+    """A vector of any numbers, multiplied by k."""
     return k * a[0], k * a[1], k * a[2]
 
 
 def rotation(quaternion: Sequence[float]) -> tuple[Vector, Vector, Vector]:
-    """Rows of the exact rotation of a quaternion x, y, z, w of any norm."""
+    """The rows of the exact rotation matrix of a quaternion x, y, z, w of any norm."""
     x, y, z, w = (Fraction(float(v)) for v in quaternion)
     s = 2 / (x * x + y * y + z * z + w * w)
     return (
@@ -70,17 +70,17 @@ def rotation(quaternion: Sequence[float]) -> tuple[Vector, Vector, Vector]:
 
 @dataclass(frozen=True)
 class ExactBody:
-    """A hull at a pose: exact world points."""
+    """A hull at a pose, with exact world points."""
 
-    #: Relative to the position of the hull frame's origin.
+    #: World axes, relative to `position`.
     vertices: tuple[Vector, ...]
-    #: Relative to it too.
+    #: The contraction point, relative to `position` too.
     center: Vector
     position: Vector
 
     @staticmethod
     def make(vertices, contraction_point, position, quaternion) -> ExactBody:
-        """From the floats that the server has: (n, 3), (3,), (3,), (4,) xyzw."""
+        """Makes a body from the server's floats: (n, 3), (3,), (3,), and (4,) as x, y, z, w."""
         rows = rotation(quaternion)
 
         def turn(point) -> Vector:
@@ -91,7 +91,7 @@ class ExactBody:
 
 
 def _integers(vectors: Sequence[Vector]) -> tuple[list[Integers], int]:
-    """Vectors over one common denominator: numerators, and the denominator.
+    """Numerators of vectors over one common denominator, and the denominator.
 
     The denominator has 80 bits to spare, so that small lengths are integers too.
     """
@@ -101,11 +101,11 @@ def _integers(vectors: Sequence[Vector]) -> tuple[list[Integers], int]:
 
 
 class ExactPair:
-    """Two bodies: their growth scale, support values and distance."""
+    """Two bodies, with their growth scale, support values and distance."""
 
     def __init__(self, a: ExactBody, b: ExactBody) -> None:
         self.a, self.b = a, b
-        #: pB - pA.
+        #: The centre offset pB - pA.
         self.d: Vector = sub(add(b.position, b.center), add(a.position, a.center))
         rim_a = [sub(v, a.center) for v in a.vertices]
         rim_b = [sub(v, b.center) for v in b.vertices]
@@ -115,26 +115,26 @@ class ExactPair:
         self._d = everything[-1]
 
     def _extreme(self, n) -> Integers:
-        """The vertex of the centred Minkowski difference K farthest along n."""
+        """The vertex of the centred Minkowski difference K that is farthest along n."""
         far_a = max(self._a, key=lambda v: dot(n, v))
         return sub(far_a, min(self._b, key=lambda v: dot(n, v)))
 
     def support(self, n: Sequence[float | Fraction]) -> Fraction:
-        """h_K(n) for a direction of any length."""
+        """The support value h_K(n) for a direction n of any length."""
         direction = [Fraction(c) for c in n]
         return dot(direction, self._extreme(direction)) / self._unit
 
     def separation(self, n: Sequence[float | Fraction]) -> Fraction:
-        """s(n) = n.d - h_K(n), for n as it is: not normalised."""
+        """The separation s(n) = n.d - h_K(n) for n as it is, without normalisation."""
         return dot([Fraction(c) for c in n], self.d) - self.support(n)
 
     @functools.cached_property
     def growth(self) -> tuple[Fraction, Vector]:
-        """Growth scale alpha, and an optimal normal n: h_K(n) = 1 (n = 0 where d = 0)."""
+        """The growth scale alpha, and an optimal normal n with h_K(n) = 1 (n = 0 if d = 0)."""
         if self._d == (0, 0, 0):
             return Fraction(0), self.d
-        # The start is three points on the axes, too near the centre to matter.
-        # Should K be flatter than that, they are moved nearer.
+        # The simplex method starts from three points on the axes, too near the centre to matter. If
+        # K is flatter than that, they are moved nearer.
         size = max(abs(c) for v in (*self._a, *self._b) for c in v)
         for bits in itertools.count(10, 20):
             found = self._simplex(max(1, size >> bits))
@@ -143,13 +143,13 @@ class ExactPair:
         raise AssertionError
 
     def _simplex(self, start: int) -> tuple[Fraction, Vector] | None:
-        """The primal simplex on min sum l_i : sum l_i c_i = d, l >= 0.
+        """Solves min sum l_i subject to sum l_i c_i = d, l >= 0, by the primal simplex method.
 
-        The columns c_i are the vertices of K, priced hull by hull, and `start`
-        times the axes. The right-hand side is d + (e, e^2, e^3) for an
-        infinitesimal e, that is, rows are compared in lexicographic order: so it
-        ends at ties too. With only vertices of K in the last basis, l and n are
-        feasible and complementary, whatever the start was; else None.
+        The columns c_i are the vertices of K, priced hull by hull, and `start` times the axes. The
+        right-hand side is d + (e, e^2, e^3) for an infinitesimal e; that is, rows are compared in
+        lexicographic order. So the method also ends at ties. If the last basis has only vertices of
+        K, then l and n are feasible and complementary, whatever the start was. Otherwise the result
+        is None.
         """
         axes = [[start if row == i else 0 for row in range(3)] for i in range(3)]
         basis = [scaled(1 if self._d[i] >= 0 else -1, axes[i]) for i in range(3)]
@@ -160,7 +160,7 @@ class ExactPair:
             det = dot(c0, rows[0])
             if det < 0:
                 det, rows = -det, [scaled(-1, row) for row in rows]
-            # n / det is 1 on the basis: optimal if it is more on no vertex.
+            # n / det is 1 on the basis. It is optimal if it exceeds 1 at no vertex.
             n = add(add(rows[0], rows[1]), rows[2])
             entering = self._extreme(n)
             if dot(n, entering) <= det:
@@ -176,14 +176,14 @@ class ExactPair:
 
     @functools.cached_property
     def distance_squared(self) -> Fraction:
-        """Of the hulls from each other; 0 where they touch or overlap.
+        """The squared distance between the hulls; 0 if they touch or overlap.
 
-        Wolfe, Finding the nearest point in a polytope (1976): finite, and exact in
-        rational arithmetic. Ends with x.p >= x.x for every vertex p of B - A.
+        Wolfe's algorithm (Finding the nearest point in a polytope, 1976) is finite, and exact in
+        rational arithmetic. It ends when x.p >= x.x for every vertex p of B - A.
         """
 
         def nearest_vertex(x):
-            return sub(self._d, self._extreme(x))  # least x.p, since p = d - (a - b)
+            return sub(self._d, self._extreme(x))  # minimises x.p, because p = d - (a - b)
 
         corral = [nearest_vertex(self._d)]
         weights = [Fraction(1)]
@@ -215,7 +215,7 @@ def _combine(weights, points):
 
 
 def _affine_minimum(points) -> list[Fraction]:
-    """Weights, summing to 1, of the point nearest to 0 in the plane through up to 4 points."""
+    """The weights, with sum 1, of the point nearest to 0 in the affine hull of up to 4 points."""
     origin, *others = points
     if not others:
         return [Fraction(1)]
@@ -226,7 +226,7 @@ def _affine_minimum(points) -> list[Fraction]:
 
 
 def _solve(rows: list[list[Fraction]]) -> list[Fraction]:
-    """Gauss-Jordan elimination of a regular system, the right-hand side in the last column."""
+    """Gauss-Jordan elimination of a regular system, with the right-hand side in the last column."""
     size = len(rows)
     for column in range(size):
         pivot = next(i for i in range(column, size) if rows[i][column])
@@ -241,11 +241,11 @@ def _solve(rows: list[list[Fraction]]) -> list[Fraction]:
 
 
 def patch(face_a: Sequence[Vector], face_b: Sequence[Vector], n: Vector) -> list[Vector]:
-    """The corners of the faces' intersection seen along n, lifted onto A's face.
+    """The corners of the faces' intersection as seen along n, lifted onto A's face.
 
-    Faces: corners of convex polygons in space, of any orientation, neither in a
-    plane along n. Clips by half-planes (Sutherland and Hodgman 1974) in the
-    coordinates left when the one along which n is largest is dropped.
+    A face is given by its corners, a convex polygon of any orientation that is not in a plane along
+    n. The polygons are clipped by half-planes (Sutherland and Hodgman 1974) in two coordinates; the
+    coordinate in which n is largest is dropped.
     """
     k = max(range(3), key=lambda i: abs(n[i]))
     i, j = (k + 1) % 3, (k + 2) % 3

@@ -1,4 +1,4 @@
-"""Runs a page of the documentation: its Python as one program, its outputs compared."""
+"""Runs a page of the documentation: its Python code as one program, with its outputs compared."""
 
 from __future__ import annotations
 
@@ -16,8 +16,11 @@ DOCS = Path(__file__).resolve().parents[2] / "docs/python"
 
 
 def run(page: Path, folder: Path, python: Path | None = None, **environment: str) -> int:
-    """Runs it in an empty folder, expects what it says it prints; how many outputs those were.
-    Another environment's `python` has its own hullcast; this one's takes it from the sources."""
+    """Runs a page in an empty folder, asserts its shown outputs, and returns their number.
+
+    The interpreter `python` of another environment uses the hullcast that is installed there. The
+    interpreter of the tests uses the one in the sources.
+    """
     blocks = [(b.kind, b.text) for b in blocks_of(page) if not not_run.reason(b)]
     program = folder / f"{page.stem.replace('-', '_')}.py"
     program.write_text("\n".join(text for kind, text in blocks if kind == "python"))

@@ -1,5 +1,7 @@
-"""Replicas on one store, each in a network of its own where that is allowed, the balancers of
-deploy/ before them, and load on it all."""
+"""Replicas with a shared store, the balancers of deploy/, and load on them.
+
+Each replica may be in a network namespace of its own, if that is permitted.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,7 @@ ENV = {"PATH": os.environ["PATH"] + ":/usr/sbin"}
 
 
 def free_ports(count: int) -> list[int]:
-    """Of this network's loopback, free a moment ago."""
+    """Ports of the loopback address that were free a moment ago."""
     sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
     ports = [s.getsockname()[1] for s in sockets]
     for s in sockets:
@@ -40,9 +42,9 @@ def free_ports(count: int) -> list[int]:
 
 
 class Cable:
-    """Between this network and a network namespace with one end of it and nothing else.
+    """A virtual cable from this network to a network namespace that has only this connection.
 
-    Addresses are of 198.18.0.0/15, which is kept for tests of networks (RFC 2544).
+    Its addresses are in 198.18.0.0/15, which is reserved for network tests (RFC 2544).
     """
 
     def __init__(self, number: int) -> None:
@@ -67,15 +69,15 @@ class Cable:
             raise
 
     def cut(self) -> None:
-        """What is sent either way is lost without a word."""
+        """Cuts the cable: packets are lost in both directions without an error."""
         self._ip("-n", self.name, "link", "set", "eth0", "down")
 
     def mend(self) -> None:
-        """As before."""
+        """Restores the connection."""
         self._ip("-n", self.name, "link", "set", "eth0", "up")
 
     def remove(self) -> None:
-        """The cable, which would go later than its namespace, and the namespace."""
+        """Removes the cable, which would otherwise outlast its namespace, and the namespace."""
         self._ip("link", "del", self.here)
         self._ip("netns", "del", self.name)
 
@@ -86,7 +88,7 @@ class Cable:
 
 @contextmanager
 def cables(count: int) -> Iterator[list[Cable]]:
-    """Or the test is skipped, where network namespaces are not allowed."""
+    """Makes cables; skips the test if network namespaces are not permitted."""
     if os.geteuid() != 0 or not shutil.which("ip", path=ENV["PATH"]):
         pytest.skip("network namespaces need root and the command ip (Debian: iproute2)")
     with ExitStack() as stack:
@@ -98,7 +100,7 @@ def cables(count: int) -> Iterator[list[Cable]]:
 
 
 class Replica:
-    """One server, on an address that it keeps."""
+    """One server, which keeps its address when it is restarted."""
 
     def __init__(self, store: Path, cable: Cable | None = None) -> None:
         self.store = store
@@ -109,7 +111,7 @@ class Replica:
         self.start()
 
     def start(self) -> None:
-        """Waits until it listens."""
+        """Starts the server and waits until it listens."""
         command = ["ip", "netns", "exec", self.cable.name] if self.cable else []
         command += [find_binary(), "serve", "--listen", self.address, "--store", str(self.store)]
         command += ["--admin-listen", f"{self.host}:{self.admin}", "--compute-threads", "1"]
@@ -122,13 +124,13 @@ class Replica:
         assert self.process.stdout.readline().startswith("listening on ")
 
     def stop(self, how: signal.Signals) -> None:
-        """By SIGKILL or SIGTERM, waited for; or SIGSTOP and SIGCONT."""
+        """Sends a signal: SIGKILL or SIGTERM (and waits for the end), SIGSTOP or SIGCONT."""
         self.process.send_signal(how)
         if how in (signal.SIGKILL, signal.SIGTERM):
             self.process.wait(timeout=60)
 
     def pairs(self) -> int:
-        """Answered since it was started."""
+        """The number of pairs that it has answered since it started."""
         page = f"http://{self.host}:{self.admin}/metrics"
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         with opener.open(page, timeout=10) as lines:
@@ -137,7 +139,7 @@ class Replica:
         return round(sum(float(line.split()[-1]) for line in found))
 
     def has(self, ids: list[bytes]) -> list[bool]:
-        """Of each hull."""
+        """For each hull, whether the replica has it."""
         with grpc.insecure_channel(self.address, NO_PROXY) as channel:
             call = channel.unary_unary(
                 "/hullcast.v1.HullService/HasHulls",
@@ -149,7 +151,7 @@ class Replica:
 
 @contextmanager
 def replicas(store: Path, cables: list[Cable] | None = None) -> Iterator[list[Replica]]:
-    """Three, each at the end of a cable if there are any."""
+    """Three replicas, each at the end of a cable if cables are given."""
     all_three: list[Replica] = []
     try:
         for place in range(3):
@@ -163,7 +165,7 @@ def replicas(store: Path, cables: list[Cable] | None = None) -> Iterator[list[Re
 
 @contextmanager
 def haproxy(all_three: list[Replica], folder: Path) -> Iterator[str]:
-    """With deploy/haproxy.cfg."""
+    """HAProxy with deploy/haproxy.cfg."""
     (port,) = free_ports(1)
     environment = ENV | {"HULLCAST_BIND": f"127.0.0.1:{port}"}
     for number, replica in enumerate(all_three, 1):
@@ -176,7 +178,7 @@ def haproxy(all_three: list[Replica], folder: Path) -> Iterator[str]:
 
 @contextmanager
 def nginx(all_three: list[Replica], folder: Path) -> Iterator[str]:
-    """With deploy/nginx.conf, its addresses replaced."""
+    """nginx with deploy/nginx.conf, with the replicas' addresses in it."""
     (port,) = free_ports(1)
     text = (DEPLOY / "nginx.conf").read_text().replace("listen 50050", f"listen 127.0.0.1:{port}")
     for number, replica in enumerate(all_three, 1):
@@ -191,7 +193,7 @@ def nginx(all_three: list[Replica], folder: Path) -> Iterator[str]:
 
 @contextmanager
 def round_robin(all_three: list[Replica], folder: Path) -> Iterator[list[str]]:
-    """By the client itself."""
+    """No balancer: the client itself spreads its calls."""
     yield [replica.address for replica in all_three]
 
 
@@ -224,9 +226,9 @@ def _listens(port: int) -> bool:
 
 
 class Load:
-    """From Python, threads that query, and register new hulls; and `hullcast load`, from Rust.
+    """Load until it is stopped: Python threads that register and query, and `hullcast load`.
 
-    Both until told to stop; what fails is kept.
+    Failures are collected in `failures`.
     """
 
     def __init__(self, target: str | list[str], threads: int = 3) -> None:
@@ -268,7 +270,7 @@ class Load:
                     self.failures.append(f"{self._phase}: {error!r}")
 
     def more(self, phase: str, queries: int = 300) -> None:
-        """Waits for so many more answers."""
+        """Waits until `queries` more queries are answered."""
         self._phase = phase
         wanted = self.counts["queries"] + queries
         deadline = time.monotonic() + 240
@@ -277,7 +279,7 @@ class Load:
             time.sleep(0.02)
 
     def stop(self) -> dict:
-        """Ends it; what `hullcast load` counted."""
+        """Stops the load; returns the counts of `hullcast load`."""
         self.stopping.set()
         self._rust.send_signal(signal.SIGINT)
         for thread in self._threads:

@@ -1,4 +1,4 @@
-"""Convex shapes for the tests, with their faces found here, by brute force."""
+"""Convex shapes for the tests. Their faces are found by brute force."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """Points whose every one is a corner, in the hull's own frame."""
+    """Points that are all corners of their hull, in the hull's own frame."""
 
     family: str
     #: (n, 3)
@@ -19,10 +19,10 @@ class Shape:
 
     @cached_property
     def faces(self) -> list[list[int]]:
-        """Each face's corners in order, anticlockwise seen from outside.
+        """The corners of each face in order, anticlockwise seen from outside.
 
-        A plane through three vertices is a face's if all others are below it.
-        Only for shapes whose faces are far from parallel to their neighbours.
+        A plane through three vertices contains a face if all other vertices are below it. This only
+        works for shapes whose neighbouring faces are far from parallel.
         """
         v = self.vertices
         size = np.ptp(v, axis=0).max()
@@ -41,7 +41,7 @@ class Shape:
         return list(found.values())
 
     def plane(self, face: list[int]) -> tuple[np.ndarray, np.ndarray]:
-        """A face's outward unit normal and the mean of its corners."""
+        """A face's outward unit normal, and the mean of its corners."""
         p = self.vertices[face]
         normal = np.cross(p[1] - p[0], p[2] - p[0])
         return normal / np.linalg.norm(normal), p.mean(axis=0)
@@ -56,7 +56,7 @@ def _ordered(v: np.ndarray, on: np.ndarray, normal: np.ndarray) -> list[int]:
 
 
 def box(half_extents) -> Shape:
-    """A box about the origin."""
+    """A box centred at the origin."""
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
     return Shape("box", signs * np.asarray(half_extents, dtype=float))
 
@@ -70,20 +70,20 @@ def prism(sides: int, radius: float, half_height: float) -> Shape:
 
 
 def tetra(rng: np.random.Generator) -> Shape:
-    """A tetrahedron that is not flat."""
+    """A random tetrahedron that is not flat."""
     corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) * 0.5
     return Shape("tetra", corners + rng.uniform(-0.2, 0.2, (4, 3)))
 
 
 def poly(count: int, rng: np.random.Generator) -> Shape:
-    """Points on an ellipsoid, so that each is a corner."""
+    """Random points on an ellipsoid, which are all corners."""
     points = rng.normal(size=(count, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     return Shape(f"poly{count}", points * rng.uniform(0.4, 1.0, 3))
 
 
 def family(name: str, count: int, rng: np.random.Generator) -> list[Shape]:
-    """Some shapes of a family, sizes about 1."""
+    """Some random shapes of a family, with sizes of about 1."""
     make = {
         "box": lambda: box(rng.uniform(0.3, 1.0, 3)),
         "prism": lambda: prism(int(rng.integers(3, 13)), *rng.uniform(0.3, 1.0, 2)),

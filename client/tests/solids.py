@@ -1,4 +1,4 @@
-"""Triangle meshes for the tests, as (m, 3, 3) arrays of corners turned outward."""
+"""Triangle meshes for the tests, as (m, 3, 3) arrays of corners, oriented outward."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy as np
 
 
 def mesh(*parts: np.ndarray) -> SimpleNamespace:
-    """The parts as one mesh; every triangle has corners of its own."""
+    """The parts as one mesh, in which every triangle has its own corners."""
     points = np.concatenate(parts).reshape(-1, 3)
     return SimpleNamespace(vertices=points, faces=np.arange(len(points)).reshape(-1, 3))
 
 
 def box(low: Sequence[float], high: Sequence[float]) -> np.ndarray:
-    """A box between two corners: twelve triangles."""
+    """A box between two corners, as twelve triangles."""
     found = []
     for axis in range(3):
         for side in (0, 1):
@@ -45,7 +45,7 @@ def grid(points: np.ndarray) -> np.ndarray:
 
 
 def turned(profile: Sequence[tuple[float, float]], sides: int) -> np.ndarray:
-    """The solid between a closed profile of (radius, height), turned about the z axis."""
+    """The solid of revolution of a closed profile of (radius, height) about the z axis."""
     angles = np.arange(sides) * (2 * np.pi / sides)
     radius, height = np.array(profile, dtype=float).T
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -60,7 +60,7 @@ def turned(profile: Sequence[tuple[float, float]], sides: int) -> np.ndarray:
 
 
 def sphere(rings: int, sides: int) -> np.ndarray:
-    """The unit sphere by latitudes and longitudes."""
+    """The unit sphere, cut along latitudes and longitudes."""
     angles = np.linspace(-np.pi / 2, np.pi / 2, rings)
     profile = [(float(np.cos(a)), float(np.sin(a))) for a in angles]
     return turned([(0.0, -1.0), *profile[1:-1], (0.0, 1.0)], sides)
@@ -74,7 +74,7 @@ def cylinder(sides: int, radius: float = 1.0, height: float = 2.0) -> np.ndarray
 
 
 def halved(triangles: np.ndarray, times: int = 1) -> np.ndarray:
-    """Each triangle cut into four, in its plane."""
+    """Each triangle cut into four triangles in its plane."""
     for _ in range(times):
         a, b, c = triangles.swapaxes(0, 1)
         x, y, z = (b + c) / 2, (c + a) / 2, (a + b) / 2
@@ -84,24 +84,24 @@ def halved(triangles: np.ndarray, times: int = 1) -> np.ndarray:
 
 
 def inverted(triangles: np.ndarray) -> np.ndarray:
-    """Turned inside out."""
+    """The triangles turned inside out."""
     return triangles[:, ::-1]
 
 
 def rotation(rng: np.random.Generator) -> np.ndarray:
-    """A random rotation."""
+    """A random rotation matrix."""
     q, r = np.linalg.qr(rng.normal(size=(3, 3)))
     q *= np.sign(np.diag(r))
     q[:, 0] *= np.linalg.det(q)
     return q
 
 
-#: Two bars that overlap in their corner. Together they are an L of volume 3 in a hull of 3.5.
+#: Two bars that overlap in their corner. Together they form an L of volume 3 with a hull of 3.5.
 BARS = (box((-0.5, -0.5, -0.5), (1.5, 0.5, 0.5)), box((-0.5, -0.5, -0.5), (0.5, 1.5, 0.5)))
 
 
 def canonical(triangles: np.ndarray) -> list[tuple[tuple[float, ...], ...]]:
-    """The triangles, each from its least corner on, sorted: equal for equal surfaces."""
+    """The triangles, each from its least corner on, sorted; equal for equal surfaces."""
     found = []
     for triangle in np.asarray(triangles, dtype=float).tolist():
         corners = [tuple(corner) for corner in triangle]
@@ -116,6 +116,6 @@ def corners_of(low: Sequence[float], high: Sequence[float]) -> list[tuple[float,
 
 
 def stl(triangles: np.ndarray) -> bytes:
-    """A binary STL file."""
+    """The bytes of a binary STL file."""
     rows = (struct.pack("<12fH", 0, 0, 0, *np.ravel(t), 0) for t in triangles)
     return b" " * 80 + struct.pack("<I", len(triangles)) + b"".join(rows)

@@ -1,4 +1,4 @@
-"""The client with `await`: the same arguments, results and errors."""
+"""The asyncio client has the same arguments, results and errors as the blocking client."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import hullcast
 
 
 def test_the_same_signatures():
-    """A parameter of one client that the other lacks would be a twin drifting."""
+    """Catches a parameter or a docstring that only one of the two clients has."""
     for name in ("register", "query", "find", "connect"):
         ours, theirs = getattr(hullcast.aio.Client, name), getattr(hullcast.Client, name)
         assert inspect.signature(ours) == inspect.signature(theirs)
@@ -24,7 +24,7 @@ def test_the_same_signatures():
 
 @pytest.mark.parametrize("per_message", [4096, 60])
 def test_answers_are_the_blocking_clients(client, per_message):
-    """Every column bit for bit, in one message and in many; several tasks at once."""
+    """Every column is equal bit for bit, in one message and in many, from several tasks at once."""
     scene = crowd(client, 200)
     pairs = np.random.default_rng(51).integers(200, size=(500, 2))
     expected = client.query(scene, pairs, margin=0.1, outputs=EVERYTHING)
@@ -41,7 +41,7 @@ def test_answers_are_the_blocking_clients(client, per_message):
 
 
 def test_errors_are_the_blocking_clients(client):
-    """Refused by the server, found here, out of time, not there, closed."""
+    """Errors are equal: refused by the server or the client, timed out, or closed."""
     scene = crowd(client, 300)
     pairs = np.random.default_rng(52).integers(300, size=(20000, 2))
 
@@ -68,7 +68,7 @@ def test_errors_are_the_blocking_clients(client):
 
 
 def test_a_cancelled_task_leaves_the_client_usable(client):
-    """And no call of it under way."""
+    """Catches calls that stay in flight after their task was cancelled."""
     scene = crowd(client, 300)
     pairs = np.random.default_rng(53).integers(300, size=(100_000, 2))
 
@@ -85,7 +85,7 @@ def test_a_cancelled_task_leaves_the_client_usable(client):
 
 
 def test_one_client_in_one_event_loop_after_another(client):
-    """A notebook's `asyncio.run` twice: the second loop gets a channel of its own."""
+    """Calling `asyncio.run` twice, as in a notebook, gives the second loop a channel of its own."""
     scene = crowd(client, 10)
     other = hullcast.aio.connect(client.target, options=NO_PROXY)
     copy = pickle.loads(pickle.dumps(other))
@@ -96,7 +96,7 @@ def test_one_client_in_one_event_loop_after_another(client):
 
 
 def test_serving_over_a_unix_socket(tmp_path):
-    """Started and stopped without blocking the loop; awaited, or entered."""
+    """The server is started and stopped without blocking the loop, by `await` or `async with`."""
 
     async def run() -> None:
         async with hullcast.aio.serve(listen=f"unix:{tmp_path}/socket") as client:

@@ -1,4 +1,4 @@
-"""Reading answers: columns as bytes, and every other form that the wire allows."""
+"""Reading responses, in which a column may have any form that protobuf allows."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ DOUBLES = {"alphas", "alpha_lowers", "alpha_uppers", "separations", "normals", "
 
 
 def answer() -> contacts_pb2.QueryContactsResponse:
-    """Two pairs with one and two points, every number another."""
+    """Two pairs with one and two points, in which all numbers are different."""
     numbers = iter(range(1, 1000))
 
     def some(count: int) -> list[int]:
@@ -42,7 +42,7 @@ def answer() -> contacts_pb2.QueryContactsResponse:
 
 
 def varint(value: int) -> bytes:
-    """As protobuf writes one."""
+    """A number as a protobuf varint."""
     out = b""
     while value > 127:
         out, value = out + bytes([value & 127 | 128]), value >> 7
@@ -50,7 +50,7 @@ def varint(value: int) -> bytes:
 
 
 def column_field(name: str):
-    """The wire's number and the numpy type of a column."""
+    """A column's field number and its numpy type."""
     return (
         contacts_pb2.QueryContactsResponse.DESCRIPTOR.fields_by_name[name].number,
         _packed.COLUMN_TYPES[name],
@@ -58,14 +58,14 @@ def column_field(name: str):
 
 
 def packed(name: str, values) -> bytes:
-    """One packed record of a column, by hand."""
+    """One packed record of a column, encoded by hand."""
     number, kind = column_field(name)
     data = np.asarray(values, dtype=kind).tobytes()
     return varint(number << 3 | 2) + varint(len(data)) + data
 
 
 def unpacked(name: str, values) -> bytes:
-    """A column as one record an element, by hand."""
+    """A column with one record per element, encoded by hand."""
     number, kind = column_field(name)
     wire_type = 1 if kind == "<f8" else 5
     return b"".join(
@@ -74,7 +74,7 @@ def unpacked(name: str, values) -> bytes:
 
 
 def expect_equal(found: _answers.Columns, message: contacts_pb2.QueryContactsResponse) -> None:
-    """Every column holds the message's numbers."""
+    """Asserts that every column has the message's numbers."""
     checked = 0
     for name, values in found.items():
         if name in _packed.COLUMN_TYPES and name != "pairs":
@@ -88,7 +88,7 @@ def expect_equal(found: _answers.Columns, message: contacts_pb2.QueryContactsRes
 
 
 def test_columns_are_read_as_bytes():
-    """The fast way gives the numbers, and arrays that can be written to."""
+    """The fast path gives the right numbers, and arrays that are writable."""
     message = answer()
     found = _answers.read(message.SerializeToString(), OUTPUTS, PAIRS)
     expect_equal(found, message)
@@ -100,7 +100,10 @@ def test_columns_are_read_as_bytes():
 )
 @pytest.mark.parametrize("form", ["split", "unpacked", "mixed"])
 def test_a_sender_may_split_a_column(name: str, form: str):
-    """Several records, or one an element, or both: legal, and not to be read as the last alone."""
+    """A column may be several records, one per element, or both.
+
+    Catches that only the last is read.
+    """
     message = answer()
     values = list(getattr(message, name))
     rest = answer()
@@ -116,7 +119,7 @@ def test_a_sender_may_split_a_column(name: str, form: str):
 
 
 def test_a_record_between_others_is_found():
-    """A split whose records are apart from each other, the first one empty."""
+    """A split column is read whose records are apart from each other, the first one empty."""
     message = answer()
     rest = answer()
     rest.ClearField("distances")
@@ -128,7 +131,7 @@ def test_a_record_between_others_is_found():
 
 @pytest.mark.parametrize("name", ["outcomes", "flags", "alphas", "point_ids", "feature_kinds"])
 def test_a_column_of_wrong_length_is_refused(name: str):
-    """A short answer must not become numbers of other pairs."""
+    """Catches a short column whose numbers would be assigned to the wrong pairs."""
     message = answer()
     setattr(message, name, b"") if name in ("outcomes", "flags", "feature_kinds") else getattr(
         message, name
@@ -139,14 +142,14 @@ def test_a_column_of_wrong_length_is_refused(name: str):
 
 
 def test_fields_of_a_newer_server_are_ignored():
-    """An unknown field is no error."""
+    """Unknown fields are ignored."""
     message = answer()
     data = message.SerializeToString() + varint(999 << 3 | 2) + b"\3abc"
     expect_equal(_answers.read(data, OUTPUTS, PAIRS), message)
 
 
 def test_found_pairs_come_with_the_answer():
-    """Of `find` the answer itself says how many pairs there are."""
+    """For `find`, the number of pairs is taken from the response."""
     message = answer()
     message.pairs.extend([0, 1, 1, 2])
     found = _answers.read(message.SerializeToString(), OUTPUTS, None)
@@ -154,7 +157,10 @@ def test_found_pairs_come_with_the_answer():
 
 
 def test_parts_merge_in_order():
-    """Columns in the order of the parts; hulls and bodies named once, ascending."""
+    """Columns are joined in the order of the parts.
+
+    Each hull and body is listed once, ascending.
+    """
     one, two = answer(), answer()
     two.alphas[0] = 50.0
     two.missing_hulls[0] = 1
@@ -167,7 +173,7 @@ def test_parts_merge_in_order():
 
 
 def test_manifolds_give_columns_and_records():
-    """`m[i]` has the entries of pair i alone, and witnesses on B are computed."""
+    """`m[i]` has only the entries of pair i, and witness points on B are computed."""
     message = answer()
     m = hullcast.Manifolds(_answers.read(message.SerializeToString(), OUTPUTS, PAIRS))
     assert len(m) == 2
@@ -208,7 +214,7 @@ def test_manifolds_give_columns_and_records():
     ],
 )
 def test_a_column_not_asked_for_names_its_output(column: str, output: str):
-    """Of the batch and of one pair alike; and it is an AttributeError, so hasattr works."""
+    """The error names the output, for a batch and for one pair; `hasattr` works as well."""
     m = hullcast.Manifolds(_answers.read(answer().SerializeToString(), ("OUTCOME",), PAIRS))
     with pytest.raises(hullcast.OutputNotAsked, match=output) as caught:
         getattr(m, column)
@@ -219,7 +225,7 @@ def test_a_column_not_asked_for_names_its_output(column: str, output: str):
 
 
 def test_a_server_of_the_first_contract_is_read():
-    """Catches an answer refused whole because an older server lacks a later column."""
+    """Catches that a response is refused because an older server lacks a newer column."""
     older = answer()
     older.iterations.extend([3, 4])
     older.support_calls.extend([5, 6])

@@ -7,7 +7,10 @@ from __future__ import annotations
 
 import ast
 import re
+import sys
 import urllib.request
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
 
 import commands
@@ -177,6 +180,20 @@ def test_the_page_shows_the_program_that_is_run(language):
     assert [block.text for block in blocks] == [(ROOT / PROGRAMS[language]).read_text()]
     others = [block for block in every_block() if block.kind == language]
     assert len(others) == 1, others
+
+
+def test_the_counts_of_the_languages_page_are_up_to_date():
+    """Catches an output of `make test-languages` from before a golden case or an identity was added."""
+    script = SourceFileLoader("languages", str(ROOT / "scripts/test-languages"))
+    module = module_from_spec(spec_from_loader(script.name, script))
+    sys.modules[script.name] = module  # its dataclass looks there
+    script.exec_module(module)
+    counts = ", ".join(f"{count} {what}" for what, count in module.expected().items())
+    shown = [b.text for b in blocks_of(ROOT / "docs/languages.md") if "falsified" in b.text]
+    lines = shown[0].splitlines()
+    assert len(lines) == len(PROGRAMS)
+    for name, line in zip(module.LANGUAGES, lines, strict=True):
+        assert line.startswith(f"{name}: {counts}, {len(module.FALSE)} falsified")
 
 
 def test_the_metrics_of_the_autoscaler_are_the_servers():

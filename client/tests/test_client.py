@@ -1,4 +1,4 @@
-"""The client against a real server: queries, and every way to be refused."""
+"""The client against a real server: queries, and every kind of refusal."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hullcast._channel import Settings
 
 
 def test_two_cubes_resting(client):
-    """The README's example: closed forms for every number."""
+    """The README's example, in which every number has a closed form."""
     hulls = client.register([CUBE])
     scene = hullcast.Scene(
         hulls, [[0, 0, 0], [0.25, 0, 0.999]], [[0, 0, 0, 1]] * 2, body_hulls=[0, 0]
@@ -35,7 +35,7 @@ def test_two_cubes_resting(client):
 
 
 def test_an_empty_query_is_answered(client):
-    """No pairs: no rows, but the columns are there."""
+    """A query without pairs gives columns without rows."""
     m = client.query(crowd(client, 4), np.zeros((0, 2), dtype=int), outputs=EVERYTHING)
     assert len(m) == 0
     assert m.alpha.shape == (0,)
@@ -45,7 +45,7 @@ def test_an_empty_query_is_answered(client):
 
 @pytest.mark.parametrize("per_message", [1000, 999, 37])
 def test_splitting_changes_no_bit(client, per_message):
-    """A query in many messages, renumbered bodies and all, is the query in one."""
+    """A query in many messages, with renumbered bodies, gives the same bits as in one message."""
     scene = crowd(client, 300)
     pairs = np.random.default_rng(33).integers(300, size=(1000, 2))
     whole = client.query(scene, pairs, margin=0.1, outputs=EVERYTHING)
@@ -58,7 +58,7 @@ def test_splitting_changes_no_bit(client, per_message):
 
 
 def test_threads_may_share_a_client(client):
-    """Queries from several threads at once get their own answers."""
+    """Queries from several threads at once each get their own results."""
     scene = crowd(client, 200)
     pairs = [np.random.default_rng(seed).integers(200, size=(500, 2)) for seed in range(6)]
     expected = [client.query(scene, p, outputs=EVERYTHING) for p in pairs]
@@ -93,7 +93,7 @@ def test_threads_may_share_a_client(client):
     ],
 )
 def test_only_what_was_asked_for_comes(client, outputs, present):
-    """Each output alone: its columns as when all are asked for, the others raise."""
+    """Each single output gives its columns with the usual values. Other columns raise an error."""
     scene = crowd(client, 60)
     pairs = np.random.default_rng(34).integers(60, size=(100, 2))
     everything = client.query(scene, pairs, margin=0.2, outputs=EVERYTHING)
@@ -111,7 +111,7 @@ def test_only_what_was_asked_for_comes(client, outputs, present):
 
 
 def test_a_warm_start_changes_no_number_much_and_saves_work(client):
-    """From its own bases the solver has next to nothing to do; from useless ones it still answers."""
+    """Starting from its own bases saves the solver most work; useless bases do no harm."""
     scene = crowd(client, 200)
     pairs = np.random.default_rng(35).integers(200, size=(400, 2))
     cold = client.query(scene, pairs, margin=np.inf, outputs=EVERYTHING)
@@ -127,7 +127,7 @@ def test_a_warm_start_changes_no_number_much_and_saves_work(client):
 
 
 def test_a_warm_start_needs_bases_of_as_many_pairs(client):
-    """Refused here, naming what is missing."""
+    """The client refuses a warm start with another number of pairs, or without bases."""
     scene = crowd(client, 4)
     short = client.query(scene, [[0, 1]], outputs=["BASES"])
     with pytest.raises(hullcast.InvalidArgument, match="warm"):
@@ -137,7 +137,7 @@ def test_a_warm_start_needs_bases_of_as_many_pairs(client):
 
 
 def test_an_unknown_hull_costs_only_its_own_pairs(client):
-    """INVALID and flagged, numbers NaN; the scene's hull is named; the others are answered."""
+    """Pairs with an unknown hull are INVALID, flagged and NaN. The others are answered as usual."""
     (hull,) = client.register([CUBE])
     scene = hullcast.Scene(
         [hull, b"\x07" * 32], np.zeros((3, 3)), [[0, 0, 0, 1]] * 3, body_hulls=[0, 0, 1]
@@ -152,10 +152,10 @@ def test_an_unknown_hull_costs_only_its_own_pairs(client):
 
 
 def test_an_invalid_body_costs_only_its_own_pairs(client):
-    """A position or rotation that is NaN, too far or of norm 0 or 4.1; whole scenes and parts of them.
+    """Only pairs of bodies with an unusable pose are INVALID, in whole scenes and in parts of them.
 
-    Catches a quaternion of norm 0.25 to 4 that is refused, and a body that is not reported because
-    no pair names it.
+    A position may be NaN or too far, a norm 0 or 4.1. Catches that a quaternion of norm 0.25 to 4
+    is refused, and that a body is not reported because no pair names it.
     """
     (hull,) = client.register([CUBE])
     count = 40
@@ -182,9 +182,9 @@ def test_an_invalid_body_costs_only_its_own_pairs(client):
     [("relative_tolerance", 2.0), ("feature_angle", 0.6), ("feature_angle", -0.1)],
 )
 def test_what_the_server_refuses_is_named(client, field, value):
-    """Catches a refusal by the server that reaches the caller without its reason and its field."""
+    """Catches that a refusal by the server reaches the caller without its reason and field."""
     accuracy = hullcast.Accuracy()
-    object.__setattr__(accuracy, field, value)  # past the client's own check
+    object.__setattr__(accuracy, field, value)  # bypasses the client's own check
     with pytest.raises(hullcast.InvalidArgument) as caught:
         client.query(crowd(client, 4), [[0, 1]], accuracy=accuracy)
     assert (caught.value.reason, caught.value.field) == ("VALUE_OUT_OF_RANGE", f"accuracy.{field}")
@@ -192,7 +192,7 @@ def test_what_the_server_refuses_is_named(client, field, value):
 
 
 def test_a_timeout_is_an_exception_of_its_own(client):
-    """Of a call that cannot be done in no time; the client is usable after it."""
+    """A call with too short a timeout raises DeadlineExceeded, and the client stays usable."""
     scene = crowd(client, 300)
     pairs = np.random.default_rng(36).integers(300, size=(20000, 2))
     with pytest.raises(hullcast.DeadlineExceeded) as caught:
@@ -202,10 +202,10 @@ def test_a_timeout_is_an_exception_of_its_own(client):
 
 
 def test_a_too_large_answer_is_halved(client):
-    """RESPONSE_TOO_LARGE is asked for again in halves, one message or several, and in order."""
+    """After RESPONSE_TOO_LARGE the query is repeated in halves, for one or several messages."""
 
     class Refusing(grpc.UnaryUnaryClientInterceptor):
-        """Refuses every query of more than 20 pairs, with the server's own words."""
+        """Makes every query of more than 20 pairs fail."""
 
         refused = 0
 
@@ -216,7 +216,7 @@ def test_a_too_large_answer_is_halved(client):
                 pairs = contacts_pb2.QueryContactsRequest.FromString(request).pairs
                 if len(pairs) > 2 * 20:
                     Refusing.refused += 1
-                    request = b"\xff"  # not a message: the call fails, see below
+                    request = b"\xff"  # malformed, so the call fails; see `as_too_large`
             return continuation(details, request)
 
     scene = crowd(client, 50)
@@ -244,7 +244,7 @@ def test_a_too_large_answer_is_halved(client):
 
 
 def test_more_hulls_than_the_servers_cache_holds_are_asked_for_in_parts(client):
-    """HULLS_TOO_LARGE is too large in its own way: halves have fewer hulls."""
+    """After HULLS_TOO_LARGE the query is repeated in halves, which have fewer hulls."""
     clouds = list(np.random.default_rng(38).normal(size=(200, 30, 3)))
     positions = np.random.default_rng(39).normal(size=(200, 3))
     pairs = np.stack([np.arange(199), np.arange(1, 200)], axis=1)

@@ -1,4 +1,4 @@
-"""COLLADA files: units, nodes, instances and primitives, against triangles written down here."""
+"""COLLADA files: units, nodes, instances and primitives, compared with triangles given here."""
 
 from __future__ import annotations
 
@@ -51,19 +51,19 @@ def document(
 
 
 def load(folder: Path, text: str) -> _mesh.Mesh:
-    """The mesh that is read from the file."""
+    """Writes the text to a file and reads its mesh."""
     (folder / "a.dae").write_text(text)
     return _mesh.load(folder / "a.dae")
 
 
 def read(folder: Path, text: str) -> np.ndarray:
-    """(m, 3, 3): the triangles that are read."""
+    """(m, 3, 3): the triangles that are read from the text."""
     mesh = load(folder, text)
     return mesh.vertices[mesh.faces]
 
 
 def same(found: np.ndarray, expected: np.ndarray) -> bool:
-    """Whether they are the same triangles, to rounding."""
+    """Whether both have the same triangles, to rounding."""
     return canonical(np.round(found, 9) + 0.0) == canonical(np.round(expected, 9) + 0.0)
 
 
@@ -80,13 +80,15 @@ def same(found: np.ndarray, expected: np.ndarray) -> bool:
     ],
 )
 def test_the_unit_and_the_axes_of_a_file(tmp_path, asset, meters):
-    """Catches lengths in a file's unit that are taken for metres. Axes stay as they are written,
-    as robot software leaves them."""
+    """Catches lengths in a file's unit that are taken for metres.
+
+    Axes stay as they are written, because robot software does not convert them either.
+    """
     assert same(read(tmp_path, document(asset=asset)), TRIANGLES * meters)
 
 
 def test_a_file_in_centimetres(client, tmp_path):
-    """Catches a robot a hundred times too large: hull and robot of a file in centimetres."""
+    """Catches a hull or robot a hundred times too large, from a file in centimetres."""
     (tmp_path / "a.dae").write_text(document(asset='<unit name="centimeter" meter="0.01"/>'))
     (tmp_path / "a.urdf").write_text(
         '<robot name="r"><link name="a"><collision><geometry><mesh filename="a.dae"/></geometry>'
@@ -99,12 +101,12 @@ def test_a_file_in_centimetres(client, tmp_path):
 
 
 def moved(x: float, y: float, z: float) -> np.ndarray:
-    """The tetrahedron elsewhere."""
+    """The tetrahedron, translated."""
     return TRIANGLES + np.array([x, y, z])
 
 
 def rotation(axis: int, degrees: float) -> np.ndarray:
-    """About a coordinate axis."""
+    """A rotation about a coordinate axis, as a (3, 3) matrix."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     i, j = (axis + 1) % 3, (axis + 2) % 3
     turn = np.eye(3)
@@ -163,7 +165,7 @@ SHEAR = np.array([[1, 0.5, 0, 7], [0, 2, 0, 8], [0, 0.25, -1, 9], [0, 0, 0, 1]])
     ],
 )
 def test_nodes(tmp_path, nodes, expected):
-    """Catches transforms that are left out, or applied in another order."""
+    """Catches transforms that are left out or applied in another order."""
     library = (
         f'<library_nodes><node id="part"><translate>0 4 0</translate>{INSTANCE}</node>'
         "</library_nodes>"
@@ -172,7 +174,7 @@ def test_nodes(tmp_path, nodes, expected):
 
 
 def test_the_unit_scales_transforms_too(tmp_path):
-    """Catches a translation in metres beside coordinates in centimetres."""
+    """Catches a translation that is taken in metres when the coordinates are in centimetres."""
     nodes = f"<node><translate>100 0 0</translate>{INSTANCE}</node>"
     text = document(asset='<unit meter="0.01"/>', nodes=nodes)
     assert same(read(tmp_path, text), TRIANGLES * 0.01 + [1, 0, 0])
@@ -235,8 +237,10 @@ def test_primitives(tmp_path, primitives, expected):
 
 
 def test_polygons_of_many_corners(tmp_path):
-    """Catches quads that are read as triangles: a polylist of a quad and a triangle keeps its
-    corners and its area."""
+    """Catches quads that are read as triangles.
+
+    A polylist of a quad and a triangle must keep its corners and its area.
+    """
     primitive = f'<polylist count="2">{VERTEX}<vcount>4 3</vcount><p>0 2 1 3 0 1 2</p></polylist>'
     square = POSITIONS.replace("0 0 0 0 2 0 1 0 0 0 0 3", "0 0 0 1 1 0 1 0 0 0 1 0")
     found = read(tmp_path, document(positions=square, primitives=primitive))
@@ -259,12 +263,12 @@ def test_polygons_of_many_corners(tmp_path):
     ids=["offset and stride", "a parameter without a name", "extra"],
 )
 def test_accessors(tmp_path, positions):
-    """Catches positions that are taken from the start of an array, three by three."""
+    """Catches an ignored accessor: positions that are read from the start of the array."""
     assert same(read(tmp_path, document(positions=positions)), TRIANGLES)
 
 
 def test_several_geometries_and_versions(tmp_path):
-    """Catches geometries after the first that are lost, and the namespace of another version."""
+    """Catches that geometries after the first are lost, or that another namespace is not read."""
     other = POSITIONS.replace('"p', '"q').replace("#p", "#q").replace('"v"', '"w"')
     other = other.replace("0 0 0 0 2 0 1 0 0 0 0 3", "0 0 0 0 4 0 2 0 0 0 0 6")
     geometries = (
@@ -325,7 +329,7 @@ def test_several_geometries_and_versions(tmp_path):
         (
             document(primitives=PRIMITIVE.replace("3 2<", "4 2<")),
             "MALFORMED_MESH",
-            "vertex 4, of 4",
+            "vertex 4, but its 4 vertices are numbered from 0",
         ),
         (
             document(primitives=PRIMITIVE.replace("3 2<", "3<")),
@@ -364,7 +368,7 @@ def test_several_geometries_and_versions(tmp_path):
     ],
 )
 def test_files_that_are_refused(tmp_path, text, reason, named):
-    """Catches geometry that is left out or misplaced in silence."""
+    """Catches geometry that is silently left out or misplaced."""
     with pytest.raises(hullcast.InvalidArgument) as caught:
         load(tmp_path, text)
     assert caught.value.reason == reason
@@ -373,11 +377,11 @@ def test_files_that_are_refused(tmp_path, text, reason, named):
 
 
 def test_nodes_that_multiply(tmp_path):
-    """Catches a hang: 40 nodes, each with two instances of the next, are 2^40 geometries."""
+    """Catches a hang: 40 nodes, each with two instances of the next, expand to 2^40 geometries."""
     library = "".join(
         f'<node id="n{i}">{2 * f"""<instance_node url="#n{i + 1}"/>"""}</node>' for i in range(40)
     )
     library = f'<library_nodes>{library}<node id="n40">{INSTANCE}</node></library_nodes>'
     text = document(nodes='<node><instance_node url="#n0"/></node>', library=library)
-    with pytest.raises(hullcast.InvalidArgument, match="nodes are over 100000"):
+    with pytest.raises(hullcast.InvalidArgument, match="more than 100000 nodes"):
         load(tmp_path, text)

@@ -1,4 +1,4 @@
-"""Convexity of meshes: by geometry, whatever their triangles are like."""
+"""The test of convexity depends on a mesh's geometry only, not on how it is triangulated."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ TUBE = turned([(0.1, 0), (1, 0), (1, 1), (0.1, 1)], 32)
 
 
 def judge(*parts: np.ndarray) -> _convexity.Dents | None:
-    """The decision for the parts as one mesh."""
+    """The result for the parts as one mesh."""
     made = solids.mesh(*parts)
     return _convexity.dents(made.vertices, made.faces)
 
 
-#: Shapes that are not convex, and the share of their hull that they fill.
+#: Shapes that are not convex, with the share of their hull that they fill.
 DENTED = {
     "an L of overlapping bars": (BARS, 6 / 7),
     "the bars doubled": ((*BARS, *BARS), 6 / 7),
@@ -59,8 +59,11 @@ DENTED = {
 
 @pytest.mark.parametrize("name", DENTED)
 def test_shapes_that_are_not_convex(name):
-    """Catches a volume that counts overlapping, doubled, inverted or open parts wrongly: each
-    shape is refused in any position and order, with the share of its hull that it fills."""
+    """Catches a volume that counts overlapping, doubled, inverted or open parts wrongly.
+
+    Each shape is found not convex in any position and order of triangles, with the share of its
+    hull that it fills.
+    """
     parts, ratio = DENTED[name]
     rng = np.random.default_rng(181)
     for turn in (np.eye(3), solids.rotation(rng)):
@@ -75,7 +78,7 @@ def test_shapes_that_are_not_convex(name):
 
 
 def with_t_junctions() -> np.ndarray:
-    """A cube one side of which is cut into strips whose corners no other side has."""
+    """A cube with one side cut into strips, whose corners are on no other side."""
     strips = [
         np.array([[[1, 0, a], [1, 1, a], [1, 1, b]], [[1, 0, a], [1, 1, b], [1, 0, b]]])
         for a, b in ((0, 0.3), (0.3, 0.35), (0.35, 1))
@@ -85,7 +88,7 @@ def with_t_junctions() -> np.ndarray:
 
 
 def mixed(triangles: np.ndarray) -> np.ndarray:
-    """Every second triangle inside out."""
+    """The triangles, with every second one inside out."""
     flipped = triangles.copy()
     flipped[::2] = inverted(flipped[::2])
     return flipped
@@ -122,8 +125,10 @@ HULLS = {
 
 @pytest.mark.parametrize("name", HULLS)
 def test_convex_shapes(name):
-    """Catches false alarms: every form of a convex surface is accepted, in any position, exact,
-    in single precision and with six decimals."""
+    """Catches false alarms: every form of a convex surface is accepted.
+
+    The positions vary, and coordinates are exact, in single precision or with six decimals.
+    """
     rng = np.random.default_rng(182)
     for turn in (np.eye(3), solids.rotation(rng), solids.rotation(rng)):
         exact = [part @ turn.T + [0.3, -0.2, 0.1] for part in HULLS[name]]
@@ -135,19 +140,21 @@ def test_convex_shapes(name):
 
 @pytest.mark.parametrize("size", [1e-150, 1e-6, 1.0, 1e150])
 def test_the_size_of_a_mesh_does_not_matter(size):
-    """Catches absolute tolerances, and squares that are out of range."""
+    """Catches absolute tolerances, and squares that overflow or underflow."""
     assert judge(CUBE * size) is None
     assert judge(*(bar * size for bar in BARS)).ratio == pytest.approx(6 / 7, abs=0.03)
 
 
 def column_taken_out(depth: float) -> np.ndarray:
-    """A unit cube without a square column at one edge, in two boxes."""
+    """A unit cube without a square column at one edge, as two boxes."""
     return np.concatenate([box((0, 0, 0), (1, 1 - depth, 1)), box((0, 0, 0), (1 - depth, 1, 1))])
 
 
 def test_the_stated_tolerance():
-    """Catches a tolerance other than the documented one: the hull is half the column's side above
-    the dent, and 1 % of the cube's diagonal decides."""
+    """Catches a tolerance other than the documented 1 % of the bounding box's diagonal.
+
+    The middle of the hull's facet above the dent is half the column's side from the mesh.
+    """
     limit = 2 * _convexity.TOLERANCE * 3**0.5
     assert _convexity.TOLERANCE == 0.01
     for share in (0.2, 0.5, 0.9):
@@ -157,8 +164,11 @@ def test_the_stated_tolerance():
 
 
 def test_a_narrow_hole_is_found_wherever_it_is():
-    """Catches sampling that misses a hole: of a plate with a square hole of 4 % of its diagonal,
-    which is 0.3 % of its area, and again with the hole filled."""
+    """Catches sampling that misses a small hole, wherever it is.
+
+    A plate has a square hole whose side is 4 % of the plate's diagonal, which is 0.3 % of its area.
+    With the hole filled the plate is convex.
+    """
     rng = np.random.default_rng(183)
     for _ in range(20):
         x, y = rng.uniform(0.1, 0.8, 2)
@@ -174,8 +184,11 @@ def test_a_narrow_hole_is_found_wherever_it_is():
 
 
 def test_distances_to_triangles():
-    """Catches a wrong nearest point: against the least over a fine grid of points of each
-    triangle, degenerate ones too, and the tree against all triangles one by one."""
+    """Catches a wrong nearest point.
+
+    Each distance is compared with the least over a fine grid of points on the triangle; some
+    triangles are degenerate. The tree's result is compared with that of all triangles one by one.
+    """
     rng = np.random.default_rng(184)
     triangles = rng.uniform(-0.5, 0.5, (200, 3, 3)) * rng.choice([0.05, 0.3], (200, 1, 1))
     triangles += rng.uniform(-0.3, 0.3, (200, 1, 3))
@@ -203,8 +216,11 @@ def test_distances_to_triangles():
 
 
 def test_the_hull_has_all_points_within_its_error():
-    """Catches a hull that loses points: no point is above a facet by more than the error, the
-    facets close, and the volume is that of scipy's hull."""
+    """Catches a hull that loses points.
+
+    No point may be above a facet by more than the error, the facets must form a closed surface, and
+    the volume must equal that of scipy's hull.
+    """
     spatial = pytest.importorskip("scipy.spatial")
     rng = np.random.default_rng(185)
     clouds = [
@@ -234,7 +250,7 @@ def test_the_hull_has_all_points_within_its_error():
 
 
 def test_flat_meshes_have_no_answer():
-    """Catches a crash at a mesh in one plane, on one line or of one point."""
+    """Catches a crash for a mesh that lies in one plane, on one line or in one point."""
     flat = CUBE * [1, 1, 0]
     for points in (flat, CUBE * [1, 0, 0], CUBE * 0):
         assert judge(points) is None
@@ -243,8 +259,11 @@ def test_flat_meshes_have_no_answer():
 
 
 def test_a_cube_in_the_dent_of_overlapping_bars(client):
-    """Catches an L that passes for its hull: registering it warns with the true ratio, and the
-    bars by themselves are 0.2 from a cube that the hull overlaps by 0.42."""
+    """Catches an L that is accepted as its hull.
+
+    Registering the L warns with the true ratio. The bars by themselves are 0.2 from a cube that the
+    L's hull overlaps by 0.42.
+    """
     cube = box((0.7, 0.7, -0.2), (1.1, 1.1, 0.2)).reshape(-1, 3)
     with pytest.warns(hullcast.NotConvexWarning) as caught:
         hull = client.register([solids.mesh(*BARS)])

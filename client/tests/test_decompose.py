@@ -16,11 +16,15 @@ BOWL = solids.turned([(0, 0), (1, 0), (1, 1), (0.9, 1), (0.9, 0.1), (0, 0.1)], 2
 
 
 def test_progress_of_decomposition(tmp_path, monkeypatch, capfd):
-    """Catches minutes of silence: the callback hears of each mesh that is not convex, which one,
-    of how many, and whether it was kept; by default a terminal does, and nothing else."""
+    """Catches minutes without any message.
+
+    The callback is told about each mesh that is not convex: its name, its number, the total, and
+    whether it was cached. Without a callback the progress is only printed if standard error is a
+    terminal.
+    """
 
     class Coacd:
-        """Finds the two bars."""
+        """A substitute for coacd that always finds the two bars."""
 
         @staticmethod
         def run_coacd(*_: object, **__: object) -> list:
@@ -60,7 +64,7 @@ def test_progress_of_decomposition(tmp_path, monkeypatch, capfd):
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     hullcast.Robot(tmp_path / "r.urdf", **options)
     assert text in capfd.readouterr().err
-    # A file of the cache that was cut short is made again.
+    # A truncated cache file is computed again.
     for kept in (tmp_path / "kept").iterdir():
         kept.write_bytes(kept.read_bytes()[:100])
     assert len(hullcast.decompose(solids.mesh(BOWL), **options)) == 2
@@ -88,8 +92,11 @@ def test_what_cannot_be_decomposed(mesh, reason):
 
 
 def test_separate_convex_parts_are_the_pieces(client, tmp_path, monkeypatch):
-    """Catches coacd's detour over two overlapping bars, which takes a minute and moves them by 3 cm:
-    the pieces are the bars, exactly, and a cube in their dent is 0.2 from them."""
+    """Catches that coacd is used for two overlapping convex bars.
+
+    coacd takes a minute and moves the bars by 3 cm. The pieces must be exactly the bars, and a cube
+    in their dent is 0.2 from them.
+    """
     monkeypatch.setitem(__import__("sys").modules, "coacd", None)
     (tmp_path / "r.urdf").write_text(
         '<robot name="r"><link name="a"><collision><geometry><mesh filename="bars.stl"/></geometry>'
@@ -107,7 +114,7 @@ def test_separate_convex_parts_are_the_pieces(client, tmp_path, monkeypatch):
     near = client.query(scene, [[0, 1], [0, 2]], margin=0.19)
     assert near.outcome.tolist() == [hullcast.Outcome.SEPARATED] * 2
     assert client.query(scene, [[0, 1], [0, 2]], margin=1).separation == pytest.approx([0.2, 0.2])
-    # Parts that are open, flat, not convex or too many need coacd.
+    # Parts that are open, flat, not convex or too many do need coacd.
     small = [box((i, 0, 0), (i + 0.5, 1, 1)) for i in range(65)]
     for parts in ((BARS[0], BARS[1][1:]), (*BARS, BARS[0] * [1, 1, 0]), (*BARS, BOWL + 3), small):
         with pytest.raises(ImportError, match="coacd"):

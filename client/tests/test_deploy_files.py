@@ -1,7 +1,8 @@
-"""deploy/Containerfile, deploy/hullcast.service and the Slurm job of docs/cluster.md against the
-server as it is.
+"""Checks deploy/Containerfile and deploy/hullcast.service against the actual server.
 
-No image is built: what the file says is compared with what it is said of.
+Also runs the Slurm job of docs/cluster.md, with one node.
+
+No image is built. The settings in the files are compared with the server's settings.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ ROOT = Path(__file__).resolve().parents[2]
 UNIT = ROOT / "deploy/hullcast.service"
 CUBE = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
-#: What gcr.io/distroless/cc has.
+#: The libraries in gcr.io/distroless/cc.
 LIBRARIES = {"libc", "libm", "libgcc_s", "libdl", "libpthread", "librt", "ld-linux", "linux-vdso"}
 
 
@@ -49,7 +50,7 @@ def environment() -> dict[str, str]:
 
 
 def settings(**environment: str) -> dict[str, object]:
-    """What the server makes of an environment."""
+    """The server's settings for an environment."""
     done = subprocess.run(
         [find_binary(), "serve", "--print-config"],
         env=os.environ | environment, capture_output=True, text=True, check=True,
@@ -58,8 +59,10 @@ def settings(**environment: str) -> dict[str, object]:
 
 
 def test_the_image_is_of_the_server_as_it_is() -> None:
-    """Catches a path, port, setting or user of which one line of the file knows and another does
-    not, and an environment variable that the server does not read."""
+    """Catches paths, ports or users that contradict each other in the Containerfile.
+
+    Also catches a setting or an environment variable that the server does not have.
+    """
     said = last_stage()
     build, final = (rest for word, rest in instructions() if word == "FROM")
     assert build.endswith(" AS build")
@@ -80,7 +83,7 @@ def test_the_image_is_of_the_server_as_it_is() -> None:
     ports = [str(known["listen"][0]), str(known["admin_listen"])]
     assert said["EXPOSE"] == [" ".join(address.rpartition(":")[2] for address in ports)]
     assert all(address.startswith("0.0.0.0:") for address in ports)
-    # Each of its variables is one that changes something.
+    # Each variable must change some setting.
     plain = settings()
     for name, value in environment().items():
         assert settings(**{name: value}) != plain, name
@@ -88,7 +91,7 @@ def test_the_image_is_of_the_server_as_it_is() -> None:
 
 @pytest.mark.skipif(not shutil.which("ldd"), reason="no ldd")
 def test_the_binary_needs_no_library_that_the_image_lacks() -> None:
-    """Catches a dependency that links a library of the system: the image has few."""
+    """Catches a dependency that links a system library, because the image has few."""
     done = subprocess.run(["ldd", find_binary()], capture_output=True, text=True, check=True)
     needed = {Path(line.split()[0]).name.split(".so")[0] for line in done.stdout.splitlines()}
     assert {re.sub(r"(ld-linux)-.*", r"\1", name) for name in needed} <= LIBRARIES
@@ -96,9 +99,9 @@ def test_the_binary_needs_no_library_that_the_image_lacks() -> None:
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may become another user")
 def test_it_serves_as_the_images_user(tmp_path: Path) -> None:
-    """Catches a server that needs to be root, or to write anywhere but in its store."""
+    """Catches a server that needs to be root, or that writes outside its store."""
     user, group = (int(number) for number in last_stage()["USER"][0].split(":"))
-    # A directory of root's that its user may enter, as the image's root is, and the binary in it.
+    # A directory of root that other users may enter, like the image's root, with the binary in it.
     place = Path(tmp_path.anchor, "tmp", f"hullcast-{os.getpid()}")
     store = place / "store"
     store.mkdir(parents=True)
@@ -128,7 +131,7 @@ def test_it_serves_as_the_images_user(tmp_path: Path) -> None:
 
 
 def test_the_unit_gives_the_server_its_time() -> None:
-    """Catches a unit that kills a server that still drains, or names what the server does not."""
+    """Catches a unit that kills a draining server, or has a setting unknown to the server."""
     unit = UNIT.read_text()
     (command,) = re.findall(r"^ExecStart=/usr/local/bin/hullcast (.*)$", unit, re.MULTILINE)
     assert command.split()[:2] == ["serve", "--config"]
@@ -143,7 +146,7 @@ def test_the_unit_gives_the_server_its_time() -> None:
 
 @pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="no systemd")
 def test_systemd_knows_every_word_of_the_unit(tmp_path: Path) -> None:
-    """Catches a misspelt setting, which systemd leaves out without refusing the unit."""
+    """Catches a misspelt setting, which systemd ignores without refusing the unit."""
 
     def verify(text: str) -> str:
         unit = tmp_path / "hullcast.service"

@@ -1,5 +1,7 @@
-"""What the documents name is there: links, files, targets of make; README's program does what it
-says. `test_blocks.py` and `test_commands.py` have their code."""
+"""Links, files and make targets in the documents exist, and README's program works.
+
+`test_blocks.py` and `test_commands.py` check the code of the pages.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,7 @@ def _listed(*patterns: str) -> list[str]:
 
 
 def _code() -> list[tuple[Path, str]]:
-    """Every piece of code in a document, fenced or in a line, its continued lines joined."""
+    """Every piece of code in the documents, fenced or inline, with continued lines joined."""
     return [
         (page, (fenced or inline).replace("\\\n", " "))
         for page in _documents()
@@ -45,7 +47,7 @@ def _anchors(page: Path) -> set[str]:
 
 
 def test_every_link_leads_somewhere():
-    """To a file of this repository, and to a heading of it where one is named."""
+    """Each link leads to a file of this repository, and to a heading of it if one is given."""
     links = 0
     for page in _documents():
         for link in _LINK.findall(_FENCE.sub("", page.read_text())):
@@ -62,7 +64,7 @@ def test_every_link_leads_somewhere():
 
 
 def test_every_target_of_make_is_one():
-    """`make X`, and in CONTRIBUTING the names that follow one without a make of their own."""
+    """Targets after `make` exist. In CONTRIBUTING further targets may follow without `make`."""
     rules = _TARGET.findall((ROOT / "Makefile").read_text())
     targets = {name for rule in rules for name in rule.split()}
     named = 0
@@ -93,7 +95,7 @@ def test_every_feature_is_one():
 
 
 def test_every_file_that_is_named_is_there():
-    """By the end of its path: the pages on the code name files from where they are in it."""
+    """A document may name a file by the end of its path, relative to the document's topic."""
     ends = {name[start:] for name in _listed() for start in _starts(name)}
     named = 0
     for page, code in _code():
@@ -104,7 +106,7 @@ def test_every_file_that_is_named_is_there():
 
 
 def test_every_crates_licence_is_listed():
-    """Catches a dependency that came or went without `make licences`."""
+    """Catches a change of the dependencies without `make licences`."""
     lock = re.findall(r'^name = "(.*)"$', (ROOT / "Cargo.lock").read_text(), re.MULTILINE)
     page = (ROOT / "docs/licences.md").read_text()
     rows = re.findall(r"^\| .* \| (.*) \|$", page.partition("<!-- crates -->")[2], re.MULTILINE)

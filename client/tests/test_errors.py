@@ -1,4 +1,4 @@
-"""Exceptions and warnings as objects: pickled, copied, raised in other processes."""
+"""Exceptions and warnings can be pickled, copied and raised in other processes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ KINDS = {
     for name, kind in vars(_errors).items()
     if inspect.isclass(kind) and issubclass(kind, (Exception, Warning)) and not name.startswith("_")
 }
-#: Arguments of those that take others than a message.
+#: The arguments of the classes that take more than a message.
 ARGUMENTS = {
     "OutputNotAsked": ("alpha", "ALPHA"),
     "NotConvexWarning": ("is not convex", "hulls[2]", 0.5, 3),
@@ -28,7 +28,7 @@ ARGUMENTS = {
 
 
 def made(name: str) -> BaseException:
-    """One with every attribute set."""
+    """An exception or warning of a class, with every attribute set."""
     kind = KINDS[name]
     error = kind(*ARGUMENTS.get(name, ("it went wrong",)))
     if isinstance(error, hullcast.Error):
@@ -47,7 +47,7 @@ def described(error: BaseException) -> tuple[object, ...]:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_all_survive_pickling_and_copying(name):
-    """Catches a process pool that breaks, or never returns, because an exception does not load."""
+    """Catches a process pool that fails or hangs because an exception cannot be unpickled."""
     error = made(name)
     for protocol in range(pickle.HIGHEST_PROTOCOL + 1):
         again = pickle.loads(pickle.dumps(error, protocol))
@@ -57,7 +57,7 @@ def test_all_survive_pickling_and_copying(name):
 
 
 def test_all_are_public_and_known():
-    """Catches an exception that this test does not have, and one that users cannot name."""
+    """Catches an exception class that is missing in this test or is not public."""
     assert len(KINDS) >= 15
     for name in KINDS:
         assert getattr(hullcast, name) is KINDS[name]
@@ -71,7 +71,7 @@ def _raises(name: str) -> None:
 
 
 def test_a_pool_returns_them():
-    """Catches a worker's exception that hangs the pool, of every kind at once."""
+    """Catches a worker's exception, of any class, that hangs the pool."""
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         for name in KINDS:
             with pytest.raises(KINDS[name]) as caught:

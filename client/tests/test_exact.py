@@ -1,9 +1,8 @@
-"""Every answer against the exact one, over families and regimes.
+"""Compares every result with the exact solution, over families of shapes and regimes.
 
-A wrong answer of any kind is caught here: a bracket that misses the exact
-growth scale, a normal that is not optimal, a ghost, a point off its hull, an
-overlap without points. The counts at the end say that the sweeps met what they
-aim at.
+These tests catch wrong results of any kind: a bracket that misses the exact growth scale, a normal
+that is not optimal, a false contact, a point off its hull, an overlap without points. The counts at
+the end assert that the sweeps met the intended cases.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def check_all(client, get_hulls, cases: list[Case], **accuracy) -> Coverage:
-    """Asks for every case with both solvers and checks every answer."""
+    """Queries every case with both solvers, and checks every result."""
     coverage = Coverage()
     faces: Hulls = get_hulls(list({hull for case in cases for hull in case.hulls}))
     for margin, group in itertools.groupby(cases, key=lambda case: case.margin):
@@ -48,7 +47,7 @@ def check_all(client, get_hulls, cases: list[Case], **accuracy) -> Coverage:
 
 @pytest.fixture(scope="module")
 def shapes(client):
-    """Some shapes of each family and their hulls."""
+    """Some shapes of each family, with their hulls."""
     rng = np.random.default_rng(11)
     made = {name: family(name, 6, rng) for name in FAMILIES}
     made["mixed"] = [shape for shapes in made.values() for shape in shapes[:2]]
@@ -80,9 +79,9 @@ def test_families_and_regimes(client, get_hulls, shapes, name, regime):
 
 
 def test_every_kind_of_contact(client, get_hulls, shapes):
-    """Faces, edges and vertices against each other in all six ways, and points that are estimated.
+    """Faces, edges and vertices touch each other in all combinations; some points are estimated.
 
-    Small feature angle, so that random orientations meet edges and vertices too.
+    The default feature angle is small, so random orientations also meet edges and vertices.
     """
     rng = np.random.default_rng(12)
     cases = regime_cases("shallow", rng, *shapes["mixed"], 150)
@@ -103,7 +102,7 @@ def test_every_kind_of_contact(client, get_hulls, shapes):
 
 
 def aligned(client, pairs) -> list[Case]:
-    """Cases of upright shapes: (shape a, shape b, d)."""
+    """Cases of upright shapes, from tuples (shape a, shape b, d)."""
     unique = list({id(s): s for a, b, _ in pairs for s in (a, b)}.values())
     hulls = dict(
         zip(
@@ -126,10 +125,10 @@ def aligned(client, pairs) -> list[Case]:
 
 
 def test_integer_boxes_tie(client, get_hulls):
-    """Boxes with integer sides at integer offsets: the ray meets edges and corners of K.
+    """Boxes with integer sides at integer offsets, where the ray meets edges and corners of K.
 
-    Where several normals are optimal a pivot without a rule cycles or finds no
-    exit edge, and exact touching is decided by the last bit.
+    If several normals are optimal, a pivot without a rule for ties cycles or finds no exit edge.
+    Exact touching depends on the last bit.
     """
     rng = np.random.default_rng(13)
     boxes = [box(half) for half in itertools.product((1, 2, 3), (1, 2), (1, 3))]
@@ -148,7 +147,7 @@ def test_integer_boxes_tie(client, get_hulls):
 
 
 def test_prisms_and_diagonals_tie(client, get_hulls):
-    """Cubes along (1,1,1) and (1,1,0), equal prisms along their axis, at several scales."""
+    """Cubes along (1,1,1) and (1,1,0), and equal prisms along their axis, at several scales."""
     cube, six = box((0.5, 0.5, 0.5)), prism(6, 0.5, 0.5)
     offsets = [(1, 1, 1), (1, 1, 0), (1, 0, 0), (-1, 1, -1), (0, 0, 1), (1, -1, 1e-9)]
     pairs = [
@@ -162,7 +161,7 @@ def test_prisms_and_diagonals_tie(client, get_hulls):
 
 
 def test_identical_poses_are_coincident(client, get_hulls):
-    """The centres coincide: alpha 0, a unit normal, points, the flag; one ulp apart is no longer noise."""
+    """Identical poses give alpha 0, a unit normal, points and COINCIDENT; at 1e-290 they do not."""
     shapes = [box((0.5, 0.25, 1)), prism(5, 0.5, 0.5)]
     cases = aligned(client, [(s, s, (0.0, 0.0, 0.0)) for s in shapes])
     for pair in ask(client, cases, outputs=OUTPUTS):
@@ -180,7 +179,7 @@ def test_identical_poses_are_coincident(client, get_hulls):
 
 
 def test_loose_tolerance_is_still_certified(client, get_hulls, shapes):
-    """A bracket as wide as asked, the exact value in it, alpha and normal within it."""
+    """The bracket is at most as wide as requested, and contains the exact value."""
     rng = np.random.default_rng(14)
     for tolerance in (1e-6, 1e-2, 0.5):
         cases = regime_cases("shallow", rng, *shapes["mixed"], 20)
@@ -188,7 +187,7 @@ def test_loose_tolerance_is_still_certified(client, get_hulls, shapes):
 
 
 def test_bracket_of_plates_and_needles(client):
-    """Aspect ratios to 1e6: the budget grows with R/r and still holds, never silently missed."""
+    """For aspect ratios to 1e6 the budget, which grows with R/r, still holds or is flagged."""
     rng = np.random.default_rng(15)
     aspects = (1e-2, 1e-4, 1e-6)
     flat = [box((1, 0.7, aspect)) for aspect in aspects]
@@ -226,7 +225,7 @@ def test_far_from_the_origin(client, get_hulls, shapes, offset):
 
 
 def test_scaling_by_a_power_of_two_changes_no_bit(client):
-    """Every tolerance is relative: alpha, its bracket and the normal are the same bits."""
+    """All tolerances are relative, so alpha, its bracket and the normal have the same bits."""
     rng = np.random.default_rng(17)
     shape_list = family("poly16", 2, rng) + family("box", 2, rng)
     answers = []

@@ -1,4 +1,4 @@
-"""The pairs that the server finds: those that asking for every pair has, to the bit."""
+"""The pairs that the server finds equal those of querying every pair, bit for bit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ EVERY_WORLD = 2**32 - 1
 
 
 def may_meet(scene: hullcast.Scene, a: int, b: int) -> bool:
-    """By the words of `Scene`."""
+    """Whether two bodies may meet, by the documentation of `Scene`."""
     if scene.worlds is not None:
         v, w = (int(scene.worlds[body]) for body in (a, b))
         everywhere = (v == EVERY_WORLD) + (w == EVERY_WORLD)
@@ -30,14 +30,14 @@ def may_meet(scene: hullcast.Scene, a: int, b: int) -> bool:
 
 
 def exhaustive(client: hullcast.Client, scene: hullcast.Scene, margin: float) -> hullcast.Manifolds:
-    """The pairs that are not apart, of all that may meet."""
+    """The pairs that are not SEPARATED, out of all pairs that may meet."""
     pairs = [ab for ab in itertools.combinations(range(len(scene)), 2) if may_meet(scene, *ab)]
     found = client.query(scene, np.reshape(pairs, (-1, 2)), margin=margin, outputs=EVERYTHING)
     return found[found.outcome != Outcome.SEPARATED]
 
 
 def scenes(client: hullcast.Client) -> list[hullcast.Scene]:
-    """A crowd as it is, in worlds, in groups, and in both."""
+    """A crowd without options, in worlds, in groups, and in both."""
     plain = crowd(client, 150)
     rng = np.random.default_rng(71)
     worlds = rng.choice([0, 1, 5, EVERY_WORLD], size=150)
@@ -57,7 +57,7 @@ def scenes(client: hullcast.Client) -> list[hullcast.Scene]:
 
 
 def test_what_is_found_is_what_asking_for_all_has(client):
-    """Columns that change places on the way, worlds or groups that are not sent."""
+    """Catches columns that are mixed up, and worlds or groups that are not sent."""
     counts = []
     for scene in scenes(client):
         for margin in (0.0, 0.1):
@@ -70,7 +70,7 @@ def test_what_is_found_is_what_asking_for_all_has(client):
 
 
 def test_many_messages_are_one_answer(client):
-    """More pairs than one message has; default outputs, and outcomes alone."""
+    """There are more pairs than one message has, with default outputs and with outcomes only."""
     hull = client.register([CUBE])[0]
     scene = hullcast.Scene([hull], np.zeros((150, 3)), [[0, 0, 0, 1]] * 150, body_hulls=[0] * 150)
     found = client.find(scene)
@@ -84,7 +84,7 @@ def test_many_messages_are_one_answer(client):
 
 
 def test_nothing_to_find(client):
-    """No bodies, one, and two that are apart: empty columns of the right shapes."""
+    """No bodies, one body, or two that are apart give empty columns of the right shapes."""
     hull = client.register([CUBE])[0]
     for count in range(3):
         positions = np.arange(3 * count).reshape(-1, 3) * 5.0
@@ -96,7 +96,7 @@ def test_nothing_to_find(client):
 
 
 def test_bodies_that_are_in_no_pair_are_named(client):
-    """An unusable pose, and a hull that only the id is known of."""
+    """Bodies with an unusable pose or an unknown hull are listed, and are in no pair."""
     hull = client.register([CUBE])[0]
     positions = np.zeros((4, 3))
     positions[1] = np.nan
@@ -111,7 +111,7 @@ def test_bodies_that_are_in_no_pair_are_named(client):
 
 
 def test_a_server_that_lost_the_hulls_gets_them_back():
-    """Found on a new server that has none of them."""
+    """A restarted server without any hulls gives the same result again."""
     with Server() as server, hullcast.connect(server.address, options=NO_PROXY) as client:
         poses = crowd(client, 40)
         hulls = client.register([CUBE])
@@ -132,14 +132,14 @@ def test_a_server_that_lost_the_hulls_gets_them_back():
     ],
 )
 def test_what_is_refused_is_named(client, options, reason, field):
-    """By the server or here."""
+    """The server or the client refuses a bad option, with reason and field."""
     with pytest.raises(hullcast.InvalidArgument) as caught:
         client.find(crowd(client, 4), **options)
     assert (caught.value.reason, caught.value.field) == (reason, field)
 
 
 def test_a_timeout_ends_the_call(client):
-    """Of a stream too; the client is usable after it."""
+    """A timeout ends a call with a stream of responses, too. The client stays usable."""
     scene = crowd(client, 2000)
     with pytest.raises(hullcast.DeadlineExceeded):
         client.find(scene, margin=5.0, timeout=1e-4)
@@ -147,7 +147,7 @@ def test_a_timeout_ends_the_call(client):
 
 
 def test_the_same_with_await(client):
-    """Several at a time, and one cancelled."""
+    """The asyncio client gives the same results, several at a time, after a cancelled call too."""
     some = scenes(client)
 
     async def run() -> list[hullcast.Manifolds]:

@@ -1,4 +1,4 @@
-"""Golden cases through the server; `tests/golden.rs` reads the same file."""
+"""The golden cases through the server. `tests/golden.rs` reads the same file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CASES = json.loads(FILE.read_text())["cases"]
 @pytest.mark.parametrize("solver", ["PORTAL", "GJK_RAY_CAST"])
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case["name"])
 def test_answers_are_the_exact_ones(client: hullcast.Client, case: dict, solver: str):
-    """The outcome, the bracket, the normal's optimality, the separation and the patch."""
+    """The outcome, the bracket, the normal's optimality, the separation and the patch are right."""
     sides = [case["a"], case["b"]]
     hulls = client.register(
         [side["vertices"] for side in sides],
@@ -40,7 +40,7 @@ def test_answers_are_the_exact_ones(client: hullcast.Client, case: dict, solver:
         return
     exact = ExactPair(*(ExactBody.make(*side.values()) for side in sides))
     n, budget = pair.normal, case["alpha_budget"]
-    assert abs(pair.alpha - case["alpha_below"]) <= budget * 1.01  # the file's is rounded too
+    assert abs(pair.alpha - case["alpha_below"]) <= budget * 1.01  # the file's numbers are rounded
     reached = dot([Fraction(c) for c in n], exact.d) / exact.support(n)
     assert case["alpha_below"] - float(reached) <= budget * 1.01
     assert abs(pair.separation - float(exact.separation(n))) <= case["length_budget"]
@@ -54,7 +54,7 @@ def test_answers_are_the_exact_ones(client: hullcast.Client, case: dict, solver:
 
 
 def test_the_file_is_what_the_script_writes():
-    """Its answers are the oracle's for its inputs, so that it was not edited by hand."""
+    """The answers in the file are the oracle's, so the file was not edited by hand."""
     for case in CASES:
         exact = ExactPair(*(ExactBody.make(*case[side].values()) for side in "ab"))
         alpha = exact.growth[0]

@@ -1,4 +1,4 @@
-"""A hull's identity: the documented bytes, and the server's own answer."""
+"""A hull's id: the documented bytes, and the server's id."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TETRAHEDRON = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0
 
 
 def by_hand(version: int, options: bytes) -> bytes:
-    """The documented byte string of the tetrahedron, hashed."""
+    """The hash of the documented byte string for the tetrahedron."""
     numbers = struct.pack("<12d", *(c for point in TETRAHEDRON for c in point))
     head = b"hullcast" + struct.pack("<I", version)
     return hashlib.sha256(head + options + b"\4\0\0\0" + numbers).digest()
@@ -37,7 +37,7 @@ def by_hand(version: int, options: bytes) -> bytes:
     ],
 )
 def test_the_bytes_are_the_documented_ones(options, expected):
-    """Version, contraction point, simplification, points."""
+    """The bytes are version, contraction point, simplification, planarity and points."""
     assert hullcast.hull_id(TETRAHEDRON, **options, planarity=None) == by_hand(1, expected)
     for planarity in (0.0, -0.0, 1e-4):
         two = by_hand(2, expected + struct.pack("<d", planarity + 0.0))
@@ -47,7 +47,7 @@ def test_the_bytes_are_the_documented_ones(options, expected):
 
 
 def test_the_vectors_of_the_page(client: hullcast.Client):
-    """Catches an identity, here or in the server, that is not the documented one."""
+    """Catches an id, of the client or the server, that differs from the documented one."""
     page = (Path(__file__).parents[2] / "docs/identity.md").read_text(encoding="utf-8")
     vectors = json.loads(page.split("```json\n")[1].split("```")[0])
     assert len(vectors) == 8
@@ -61,18 +61,18 @@ def test_the_vectors_of_the_page(client: hullcast.Client):
 
 
 def test_planarities(client: hullcast.Client):
-    """Catches a planarity that is not sent, not returned, or lost by a hull registered again."""
+    """Catches a planarity that is not sent, not returned, or lost when registered again."""
     sent = {"default": hullcast.DEFAULT_PLANARITY, None: None, 0: 0.0, 0.01: 0.01}
     hulls = {}
     for planarity, share in sent.items():
         hull = hulls[planarity] = client.register([TETRAHEDRON], planarity=planarity)[0]
         assert hull.id == hullcast.hull_id(TETRAHEDRON, planarity=planarity)
         assert hull.planarity == (1e-6 if share is None else share)
-        # By itself it is registered as it was, and otherwise where a planarity is named.
+        # A hull keeps its planarity when it is registered again, unless another is given.
         assert client.register([hull])[0] == hull
         assert client.register([hull], planarity=planarity)[0] == hull
         assert client.register([hull], planarity=1e-5)[0].planarity == 1e-5
-        # With another option it keeps its planarity.
+        # It also keeps its planarity with another option.
         simpler = client.register([hull], max_vertices=4)[0]
         expected = hullcast.hull_id(TETRAHEDRON, max_vertices=4, planarity=share)
         assert simpler.id == expected
@@ -86,7 +86,7 @@ def test_planarities(client: hullcast.Client):
 
 
 def test_negative_zero_is_zero_and_order_counts():
-    """-0.0 is the same number, hence the same hull; another order is another registration."""
+    """-0.0 equals 0.0, so the hull is the same. Another order of points is another hull."""
     negated = -np.abs(np.array(TETRAHEDRON))
     negated[negated != 0] *= -1
     assert np.signbit(negated).any()
@@ -95,7 +95,7 @@ def test_negative_zero_is_zero_and_order_counts():
 
 
 def test_the_server_gives_the_same(client: hullcast.Client):
-    """So that a client knows a hull's id without asking."""
+    """The client computes the same id as the server, so it knows the id without a call."""
     rng = np.random.default_rng(5)
     shapes = [shape for name in FAMILIES for shape in family(name, 2, rng)]
     points = [shape.vertices for shape in shapes]
@@ -108,7 +108,7 @@ def test_the_server_gives_the_same(client: hullcast.Client):
 
 
 def test_simplified_hulls(client: hullcast.Client):
-    """Ids, limits kept, a bound that a point left out does not pass; named where it cannot be."""
+    """Simplified hulls have the right ids and keep the limits; impossible limits are refused."""
     points = np.random.default_rng(6).normal(size=(150, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     for options in (
@@ -120,9 +120,9 @@ def test_simplified_hulls(client: hullcast.Client):
         assert hull.id == hullcast.hull_id(points, **options)
         assert hull.vertex_count <= options.get("max_vertices", 150)
         assert 0 < hull.deviation <= options.get("max_deviation", 1)
-        # About the same centre: no point was nearer to it than this.
+        # The contraction point is unchanged, so fewer vertices give a smaller inradius.
         assert hull.inradius < client.register([points])[0].inradius
-        # Registered again as it was, by itself.
+        # Registering the hull object again keeps its options.
         assert client.register([hull])[0] == hull
     with pytest.raises(hullcast.HullRejected, match="SIMPLIFICATION_NOT_POSSIBLE"):
         client.register([points], max_vertices=4, max_deviation=1e-3)

@@ -1,4 +1,4 @@
-"""Poses that are not usable: raised by default, in every kind of call, with the whole answer."""
+"""Unusable poses raise an error by default in every kind of call, with the whole result."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ SPOILED = {
 
 @pytest.fixture
 def row(client):
-    """Four cubes, each touching the next."""
+    """Four cubes in a row, each touching the next."""
     positions = np.zeros((4, 3))
     positions[:, 0] = 0.9 * np.arange(4)
     return hullcast.Scene(client.register([CUBE]) * 4, positions, [[0, 0, 0, 1]] * 4)
 
 
 def spoiled(scene: hullcast.Scene, name: str, body: int) -> hullcast.Scene:
-    """The scene with one body's pose unusable."""
+    """The scene with an unusable pose of one body."""
     argument, value, _ = SPOILED[name]
     poses = {"positions": scene.positions.copy(), "rotations": scene.rotations.copy()}
     poses[argument][body] = value
@@ -63,7 +63,7 @@ def test_every_call_raises_and_names_body_and_reason(client, row, name):
 
 
 def test_a_session_goes_on_after_it(client, row):
-    """Catches a session that is broken, or that gives an older answer, after the exception."""
+    """Catches a session that is unusable, or gives an older result, after the exception."""
     expected = client.query(row, PAIRS, outputs=EVERYTHING)
     with client.session(row, PAIRS, outputs=EVERYTHING) as session:
         for name in SPOILED:
@@ -78,7 +78,7 @@ def test_a_session_goes_on_after_it(client, row):
 
 
 def test_with_await(client, row):
-    """Catches an asyncio client that is silent."""
+    """Catches an asyncio client that does not raise."""
     bad = spoiled(row, "nan", 1)
 
     async def run() -> None:
@@ -96,7 +96,7 @@ def test_with_await(client, row):
 
 @pytest.mark.parametrize("count", [4, 400])
 def test_a_body_in_no_pair_counts_too(client, row, count):
-    """Catches an answer that depends on whether a large scene was sent in part."""
+    """Catches a result that depends on whether only a part of a large scene was sent."""
     scene = hullcast.Scene(
         row.hull_ids[:1], np.zeros((count, 3)), [[0, 0, 0, 1]] * count, body_hulls=[0] * count
     )
@@ -107,7 +107,7 @@ def test_a_body_in_no_pair_counts_too(client, row, count):
 
 
 def test_many_bodies_are_counted_and_some_are_named(client, row):
-    """Catches a message of a million lines; the exception has all of them and is pickled."""
+    """Catches a message of a million lines. The exception has all bodies and can be pickled."""
     with pytest.raises(hullcast.InvalidPoses) as caught:
         client.query(
             hullcast.Scene(row.hull_ids, np.full((50, 3), np.nan), [[0, 0, 0, 1]] * 50, body_hulls=[0] * 50),
@@ -124,7 +124,7 @@ def test_many_bodies_are_counted_and_some_are_named(client, row):
 
 
 def test_quaternions_are_normalised(client, row):
-    """Catches a norm of 0.25 to 4 that is refused or changes an answer; a power of two is exact."""
+    """Catches a norm of 0.25 to 4 that is refused or changes the result (2^k: no bit)."""
     turns = np.random.default_rng(5).normal(size=(4, 4))
     turns /= np.linalg.norm(turns, axis=1, keepdims=True)
     expected = client.query(row.moved(row.positions, turns), PAIRS, outputs=EVERYTHING)

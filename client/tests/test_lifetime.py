@@ -1,4 +1,4 @@
-"""Servers of `serve` end with whatever they belong to, and leave nothing behind."""
+"""Servers of `serve` end with their client and process, and leave no files."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def ends(process: int) -> bool:
         except FileNotFoundError:
             return True
         if state == "Z":
-            return True  # ended; the parent has not asked yet
+            return True  # it has ended, and its parent has not waited for it yet
         threading.Event().wait(0.05)
     return False
 
 
 def run(program: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """In a process of its own whose scratch files are in the folder."""
+    """Runs a program in a process of its own, whose temporary files are in the folder."""
     paths = os.pathsep.join(p for p in sys.path if p)
     return subprocess.run(
         [sys.executable, "-c", textwrap.dedent(program)],
@@ -44,7 +44,7 @@ def run(program: str, folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_a_cell_that_is_run_again_leaves_one_server():
-    """Catches a server for each client that is forgotten."""
+    """Catches one running server per client that was garbage collected."""
     processes = []
     for _ in range(3):
         client = hullcast.serve()
@@ -59,7 +59,7 @@ def test_a_cell_that_is_run_again_leaves_one_server():
 
 
 def test_the_end_of_the_process_ends_the_server(tmp_path):
-    """Catches a server of a program that closes nothing, and files that it leaves."""
+    """Catches a server or files that remain after a program that closes nothing."""
     program = """
         import hullcast
         client = hullcast.serve()
@@ -73,7 +73,7 @@ def test_the_end_of_the_process_ends_the_server(tmp_path):
 
 
 def test_a_forked_child_does_not_keep_the_server_of_a_killed_parent(tmp_path):
-    """Catches a child that holds the server's standard input open; and files that are left."""
+    """Catches a child that keeps the server's standard input open, and files that remain."""
     program = """
         import hullcast, os, signal, time
         client = hullcast.serve()
@@ -97,7 +97,7 @@ def test_a_forked_child_does_not_keep_the_server_of_a_killed_parent(tmp_path):
         out.seek(0)
         server, child = map(int, out.read().split())
     try:
-        os.kill(child, 0)  # it lives
+        os.kill(child, 0)  # the child is alive
         assert ends(server)
         assert not list(scratch.iterdir())
     finally:
@@ -105,7 +105,7 @@ def test_a_forked_child_does_not_keep_the_server_of_a_killed_parent(tmp_path):
 
 
 def test_a_forked_child_may_use_the_server_and_ends_nothing(tmp_path):
-    """Catches a child whose end, or whose garbage, stops its parent's server."""
+    """Catches a child whose end or garbage collection stops its parent's server."""
     program = """
         import gc, os, sys
         import hullcast
@@ -125,7 +125,7 @@ def test_a_forked_child_may_use_the_server_and_ends_nothing(tmp_path):
 
 
 def test_no_folder_is_made():
-    """Catches a scratch folder, which nobody removes once the process is killed."""
+    """Catches a temporary folder, which nothing would remove if the process were killed."""
     before = set(os.listdir(tempfile.gettempdir()))
     with hullcast.serve() as client:
         client.register(CUBE)

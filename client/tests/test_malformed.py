@@ -1,4 +1,4 @@
-"""Wrong answers, from a mock server: each defect raises MALFORMED_ANSWER, in every kind of call."""
+"""Malformed responses from a mock server raise MALFORMED_ANSWER in every kind of call."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def scene() -> hullcast.Scene:
 
 
 def answer(find: bool = False) -> Contacts:
-    """A contact with one point; and for `query` a pair whose hull is missing, its body unusable."""
+    """A contact with one point; for `query` also a pair with a missing hull and a bad body."""
     n = 1 if find else 2
     good = Contacts(
         outcomes=b"\1\4"[:n],
@@ -62,7 +62,7 @@ def answer(find: bool = False) -> Contacts:
 
 
 def put(name: str, index: int, value: Any) -> Callable[[Any], None]:
-    """Changes one entry of a column."""
+    """Returns a function that changes one entry of a column."""
 
     def spoil(message: Any) -> None:
         column = getattr(message, name)
@@ -77,7 +77,7 @@ def put(name: str, index: int, value: Any) -> Callable[[Any], None]:
 
 
 def cut(name: str) -> Callable[[Any], None]:
-    """Takes the last entry of a column away."""
+    """Returns a function that removes the last entry of a column."""
 
     def spoil(message: Any) -> None:
         kept = list(getattr(message, name))[:-1]
@@ -91,7 +91,7 @@ def cut(name: str) -> Callable[[Any], None]:
 
 
 def more(name: str, *values: Any) -> Callable[[Any], None]:
-    """Adds entries to a column."""
+    """Returns a function that adds entries to a column."""
 
     def spoil(message: Any) -> None:
         if isinstance(getattr(message, name), bytes):
@@ -112,10 +112,10 @@ LENGTHS = [
     "point_ids", "bases", "iterations", "support_calls", "kept_areas",
 ]  # fmt: skip
 
-#: Per defect a text of the message, and what makes it.
+#: For each defect, a part of the error's text and a function that makes the defect.
 DEFECTS: list[tuple[str, Callable[[Any], None]]] = [
     ("request_id", another_request),
-    # One entry of one is none, which an older server may send of `kept_areas`.
+    # For one pair, cutting `kept_areas` leaves it empty, which an older server may send.
     *[(name, cut(name)) for name in LENGTHS if name != "kept_areas"],
     *[(name, more(name, *([0] * 7))) for name in LENGTHS],
     ("witness_as", put("point_counts", 0, 2**32 - 1)),
@@ -180,11 +180,11 @@ def expect_malformed(call: Callable[[], Any], text: str) -> None:
 
 
 def good(message: Any) -> None:
-    """No defect."""
+    """Makes no defect."""
 
 
 def test_the_mock_can_answer_well(served):
-    """Catches a table in which everything fails for another reason."""
+    """Catches a table in which every case fails for another reason."""
     mock, client = served
     mock.answers = {
         "QueryContacts": lambda r: [spoiled(r, good)],
@@ -209,17 +209,17 @@ def test_a_query_refuses_every_defect(served, number):
 
 @pytest.mark.parametrize("number", range(len(DEFECTS + OF_FIND)))
 def test_find_refuses_every_defect(served, number):
-    """The columns are the same as of `query`; the pairs come from the server as well."""
+    """The columns are checked as in `query`. The pairs, which come from the server, are too."""
     mock, client = served
     text, spoil = (DEFECTS + OF_FIND)[number]
     mock.answers = {"FindContacts": lambda r: [spoiled(r, spoil, find=True)]}
-    # A column of the wrong length may be found out by that of another column.
+    # A column of the wrong length may be noticed through the length of another column.
     text = "malformed" if text in LENGTHS else text
     expect_malformed(lambda: client.find(scene(), outputs=EVERYTHING), text)
 
 
 def test_find_refuses_messages_that_do_not_follow(served):
-    """Catches an empty stream taken for no pairs, and a message that comes twice."""
+    """Catches an empty stream that is taken for no pairs, and a message that is repeated."""
     mock, client = served
     mock.answers = {"FindContacts": lambda r: []}
     expect_malformed(lambda: client.find(scene()), "without a message")
@@ -228,7 +228,7 @@ def test_find_refuses_messages_that_do_not_follow(served):
 
 
 def test_a_stream_with_an_extra_answer_is_not_read_on(served):
-    """Catches a session that gives the answers of earlier steps for ever."""
+    """Catches a session that from then on gives the responses of earlier steps."""
     mock, client = served
     mock.answers = {"StreamContacts": lambda r: [spoiled(r, good)] * 2}
     with client.session(scene(), PAIRS, outputs=EVERYTHING, on_invalid="flag") as session:
@@ -236,7 +236,7 @@ def test_a_stream_with_an_extra_answer_is_not_read_on(served):
             session.step(POSITIONS, TURNS)
         expect_malformed(lambda: session.step(POSITIONS, TURNS), "answers another request")
         with pytest.warns(hullcast.MissingHullsWarning):
-            session.step(POSITIONS, TURNS)  # on another stream
+            session.step(POSITIONS, TURNS)  # on a new stream
 
 
 @pytest.mark.parametrize("data", [b"\xff", b"\x0a\xff", b"\x08"])
@@ -296,7 +296,7 @@ HULL_DEFECTS: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("text", HULL_DEFECTS)
 def test_register_refuses_every_defect(served, text):
-    """Catches a hull under another's id, and numbers that no hull has."""
+    """Catches a hull under another hull's id, and numbers that no hull can have."""
     mock, client = served
     info = record()
     for name, value in HULL_DEFECTS[text].items():
@@ -312,7 +312,7 @@ def test_register_refuses_every_defect(served, text):
 
 @pytest.mark.parametrize("count", [0, 1, 3])
 def test_register_refuses_another_number_of_results(served, count):
-    """Catches a call that returns fewer hulls than it was given, and an empty result."""
+    """Catches a call that returns another number of hulls than given, and an empty result."""
     mock, client = served
     results = [hulls_pb2.RegisterHullResult(hull=record())] * count
     message = hulls_pb2.RegisterHullsResponse(results=results)
@@ -324,7 +324,7 @@ def test_register_refuses_another_number_of_results(served, count):
 
 
 def test_the_other_calls_refuse_their_defects(served):
-    """Catches a list of stored hulls that never ends, and a deletion counted for another hull."""
+    """Catches a list of hulls that never ends, and deletions that are assigned to other hulls."""
     mock, client = served
     page = hulls_pb2.ListHullsResponse(
         hulls=[hulls_pb2.StoredHull(id=IDS[1])], next_page_token="again"

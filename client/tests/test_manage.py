@@ -1,4 +1,4 @@
-"""What a server is and stores: `info`, `ping`, `hulls`, `delete`; blocking and with `await`."""
+"""`info`, `ping`, `hulls` and `delete`, blocking and with `await`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import hullcast
 
 
 def test_info_is_the_servers(client):
-    """Catches a limit that is missing or of another name."""
+    """Catches a limit that is missing or has another name."""
     info = client.info()
     assert info.version
     assert info.instruction_set in ("scalar", "avx2", "avx512")
@@ -25,7 +25,7 @@ def test_info_is_the_servers(client):
 
 
 def test_stored_hulls_are_listed_and_deleted():
-    """Catches a page that is left out, and an answer for another hull."""
+    """Catches a page of the list that is skipped, and a deletion assigned to another hull."""
     rng = np.random.default_rng(2)
     with Server() as server, hullcast.connect(server.address, options=NO_PROXY) as client:
         assert client.hulls() == []
@@ -58,7 +58,7 @@ def test_with_await(client):
 
 
 def test_faces_of_a_hull_that_was_deleted(client):
-    """Catches faces that cannot be read any more although the hull has all it was made of."""
+    """Catches faces that cannot be read although the hull object has everything to register it."""
     (hull,) = client.register(CUBE * 9)
     client.delete(hull)
     assert len(hull.faces) == 6

@@ -1,4 +1,4 @@
-"""Meshes: convex ones pass in silence, others are hulled aloud; files."""
+"""Convex meshes are registered without a warning, others as their hulls with one; mesh files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import hullcast
 
 
 def mesh(shape: Shape, scale: float = 1.0, rng: np.random.Generator | None = None):
-    """Triangles of a shape, each with corners of its own, as STL has them, in single precision."""
+    """The triangles of a shape, each with its own corners and in single precision, as in STL."""
     triangles = [[face[0], b, c] for face in shape.faces for b, c in itertools.pairwise(face[1:])]
     points = shape.vertices[np.array(triangles).reshape(-1)] * scale
     if rng is not None:
@@ -25,13 +25,16 @@ def mesh(shape: Shape, scale: float = 1.0, rng: np.random.Generator | None = Non
 
 
 def ell(depth: float):
-    """A unit cube with a corner column taken out: volume 1 - depth^2, its hull's 1 - depth^2 / 2."""
+    """A unit cube without a corner column.
+
+    Its volume is 1 - depth^2, its hull's 1 - depth^2 / 2.
+    """
     d = 1 - depth
     outline = np.array([[0, 0], [1, 0], [1, d], [d, d], [d, 1], [0, 1]], dtype=float)
     points = np.concatenate([np.column_stack([outline, np.full(6, z)]) for z in (0.0, 1.0)])
     faces = [[i, (i + 1) % 6, 6 + (i + 1) % 6] for i in range(6)]
     faces += [[i, 6 + (i + 1) % 6, 6 + i] for i in range(6)]
-    # Fans about the dent's corner, which sees the whole outline.
+    # Fans around the dent's corner, from which the whole outline is visible.
     fan = [(3, i, (i + 1) % 6) for i in range(6) if 3 not in (i, (i + 1) % 6)]
     faces += [[6 + a, 6 + b, 6 + c] for a, b, c in fan]
     faces += [[a, c, b] for a, b, c in fan]
@@ -39,7 +42,7 @@ def ell(depth: float):
 
 
 def test_convex_meshes_pass_in_silence(client):
-    """Of every family, tiny and huge, inside out, with single precision's noise."""
+    """Meshes of every family, tiny and huge, inside out, with rounding noise, give no warning."""
     rng = np.random.default_rng(81)
     meshes = []
     for name, scale in itertools.product(FAMILIES, (1e-6, 1.0, 1e6)):
@@ -52,7 +55,7 @@ def test_convex_meshes_pass_in_silence(client):
 
 @pytest.mark.parametrize("depth", [0.2, 0.5, 0.9])
 def test_a_dent_is_told_with_its_ratio(client, depth):
-    """A closed form of the ratio; the warning says which mesh, and points at the caller."""
+    """The ratio has a closed form. The warning names the mesh, and points at the calling line."""
     with pytest.warns(hullcast.NotConvexWarning, match=r"hulls\[1\] is not convex") as caught:
         cube, hull = client.register([CUBE, ell(depth)])
     warning = caught.list[0].message
@@ -64,7 +67,7 @@ def test_a_dent_is_told_with_its_ratio(client, depth):
 
 
 def test_a_hole_is_told(client):
-    """A convex mesh without one triangle: three open edges."""
+    """A convex mesh without one triangle has three open edges."""
     rng = np.random.default_rng(82)
     whole = mesh(family("poly16", 1, rng)[0])
     holed = SimpleNamespace(vertices=whole.vertices, faces=whole.faces[1:])
@@ -75,13 +78,13 @@ def test_a_hole_is_told(client):
 
 
 def test_a_mesh_whose_faces_fit_no_vertex_is_refused(client):
-    """Named, before anything is sent."""
+    """The error names the argument, and nothing is sent."""
     with pytest.raises(hullcast.InvalidArgument, match=r"hulls\[0\].faces"):
         client.register([SimpleNamespace(vertices=CUBE, faces=[[0, 1, 8]])])
 
 
 def test_files(client, tmp_path):
-    """OBJ and binary STL; the same hull of a mesh as of its file."""
+    """OBJ and binary STL files give the same hull as their mesh."""
     trimesh = pytest.importorskip("trimesh")
     box = trimesh.creation.box((1, 2, 3))
     box.export(tmp_path / "box.stl")
@@ -93,7 +96,7 @@ def test_files(client, tmp_path):
         hulls = client.register([tmp_path / "box.stl", str(tmp_path / "box.obj"), box])
     for hull in hulls:
         assert hull.volume == pytest.approx(6)
-        assert len(hull.vertices) == 8  # corners that triangles share are sent once
+        assert len(hull.vertices) == 8  # corners that triangles share are sent only once
     with pytest.warns(hullcast.NotConvexWarning, match=r"0\.857"):
         client.register([tmp_path / "ell.obj"])
     with pytest.raises(FileNotFoundError):

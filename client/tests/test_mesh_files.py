@@ -1,6 +1,6 @@
 """Mesh files: each format's features are read as it defines them, or refused by name.
 
-The expected triangles are written down here, or made by a second way of reading.
+The expected triangles are given here, or read by a second method.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ import hullcast
 from hullcast import _mesh
 
 TETRA = np.array([[0, 0, 0], [0, 2, 0], [1, 0, 0], [0, 0, 3]], dtype=float)
-#: The tetrahedron's triangles, by vertices from 0.
+#: The tetrahedron's triangles, as indices of vertices from 0.
 SIDES = [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]
 TRIANGLES = TETRA[SIDES]
 
 
 def load(folder: Path, name: str, data: str | bytes) -> _mesh.Mesh:
-    """The mesh that is read from a file with this content."""
+    """Writes a file with this content and reads its mesh."""
     path = folder / name
     path.write_bytes(data.encode() if isinstance(data, str) else data)
     return _mesh.load(path)
@@ -36,13 +36,13 @@ def triangles(mesh: _mesh.Mesh) -> list:
 
 
 def area(mesh: _mesh.Mesh) -> np.ndarray:
-    """(3,): the vector sum of the triangles' areas, and with it of the polygons'."""
+    """(3,): the vector sum of the triangles' areas, which equals that of the polygons' areas."""
     a, b, c = mesh.vertices[mesh.faces].swapaxes(0, 1)
     return np.cross(b - a, c - a).sum(axis=0) / 2
 
 
 def refused(folder: Path, name: str, data: str | bytes, reason: str) -> str:
-    """The message of the refusal, which names the file."""
+    """The message of the refusal, which must name the file."""
     with pytest.raises(hullcast.InvalidArgument) as caught:
         load(folder, name, data)
     assert caught.value.reason == reason
@@ -90,7 +90,7 @@ FACES = "f 1 2 3\nf 1 3 4\nf 1 4 2\nf 2 4 3\n"
     ],
 )
 def test_an_obj_file(tmp_path, text):
-    """Catches a reading of a feature of OBJ other than its definition."""
+    """Catches a feature of OBJ that is not read as the format defines it."""
     assert triangles(load(tmp_path, "a.obj", text)) == canonical(TRIANGLES)
 
 
@@ -119,13 +119,16 @@ def test_an_obj_file(tmp_path, text):
     ],
 )
 def test_obj_files_that_are_refused(tmp_path, text, reason, named):
-    """Catches a line that is skipped in silence: each is named."""
+    """Catches a line that is silently skipped; the message names each."""
     assert named in refused(tmp_path, "a.obj", text, reason)
 
 
 def test_polygons_are_cut_within_their_outline(tmp_path):
-    """Catches a fan that leaves a polygon: an arrowhead, a comb and a square with points on its
-    sides, from every first corner, keep their area; each triangle is turned as the polygon is."""
+    """Catches a triangulation that leaves the polygon's outline.
+
+    An arrowhead, a comb and a square with points on its sides keep their area from every first
+    corner, and each triangle is oriented as the polygon.
+    """
     arrow = [(0, 0), (2, 1), (0, 2), (1, 1)]
     teeth = [(x, y) for i in range(6) for x, y in ((2 * i, 3), (2 * i + 1, 0.5))]
     comb = [(0, 0), *teeth[::-1][:-1]][::-1]
@@ -211,7 +214,7 @@ SECOND = TRIANGLES + np.array([5, 0, 0])
     ],
 )
 def test_an_stl_file(tmp_path, data, expected):
-    """Catches binary taken for text, and solids after the first that are lost."""
+    """Catches a binary file that is taken for text, and solids after the first that are lost."""
     assert triangles(load(tmp_path, "a.stl", data)) == canonical(expected)
 
 
@@ -241,7 +244,7 @@ def test_an_stl_file(tmp_path, data, expected):
     ],
 )
 def test_stl_files_that_are_refused(tmp_path, data, reason, named):
-    """Catches a file that was cut or extended and is read in part."""
+    """Catches a truncated or extended file that is read in part."""
     assert named in refused(tmp_path, "a.stl", data, reason)
 
 
@@ -270,7 +273,7 @@ POLYGONS = [[0, 1, 2], [0, 2, 3], [0, 3, 1]]
 
 
 def ply(form: str, real: str, length: str, index: str, name: str) -> bytes:
-    """A PLY file with properties in an unusual order and elements between."""
+    """A PLY file with properties in an unusual order, and with further elements in between."""
     codes = {"float": "f", "double": "d", "uchar": "B", "uint8": "B", "int": "i", "uint32": "I"}
     codes |= {"ushort": "H", "int16": "h", "float64": "d", "char": "b"}
     head = HEADER.format(form, real, length, index, name).encode()
@@ -298,7 +301,7 @@ def ply(form: str, real: str, length: str, index: str, name: str) -> bytes:
     ],
 )
 def test_a_ply_file(tmp_path, form, types):
-    """Catches a byte order, a type, an order of properties or an element read wrongly."""
+    """Catches a byte order, a type, an order of properties or an element that is read wrongly."""
     mesh = load(tmp_path, "a.ply", ply(form, *types))
     assert triangles(mesh) == canonical(TETRA[POLYGONS])
 
@@ -316,7 +319,11 @@ def test_a_ply_file(tmp_path, form, types):
         (b"property float y", b"property float v", "no properties x, y and z"),
         (b"vertex_indices", b"corners", "no list of integers vertex_indices"),
         (b"uchar int vertex", b"uchar float vertex", "no list of integers vertex_indices"),
-        (b"3 0 3 1 0.5", b"3 0 4 1 0.5", "face 2 names a vertex that is not in 0 .. 4"),
+        (
+            b"3 0 3 1 0.5",
+            b"3 0 4 1 0.5",
+            "face 2 refers to a vertex that does not exist; the file has 4",
+        ),
         (b"3 0 3 1 0.5", b"2 0 3 0.5", "face 2 has 2 corners"),
         (b"3 0 3 1 0.5", b"3 0 -3 1 0.5", "-3.0 is not an index"),
         (b"3 0 3 1 0.5", b"3 0 3 1 nan", "face 2: 'nan'"),
@@ -324,14 +331,14 @@ def test_a_ply_file(tmp_path, form, types):
     ],
 )
 def test_ply_files_that_are_refused(tmp_path, old, new, named):
-    """Catches a header or an element that is misread in silence."""
+    """Catches a header or an element that is silently misread."""
     data = ply("ascii", "float", "uchar", "int", "vertex_indices")
     assert data.count(old) == 1
     assert named in refused(tmp_path, "a.ply", data.replace(old, new), "MALFORMED_MESH")
 
 
 def test_ply_strips_and_cut_ends(tmp_path):
-    """Catches strips that are left out, and binary data that ends early or late."""
+    """Catches strips that are left out, and binary data that ends too early or too late."""
     data = ply("ascii", "float", "uchar", "int", "vertex_indices")
     strips = data.replace(b"element face 3", b"element tristrips 3")
     assert "triangle strips" in refused(tmp_path, "a.ply", strips, "UNSUPPORTED_MESH")
@@ -345,7 +352,7 @@ def test_ply_strips_and_cut_ends(tmp_path):
 
 @pytest.mark.parametrize("name", ["a.step", "a.STP", "a.glb", "a.xml", "a.obj.txt", "a"])
 def test_other_formats_name_those_that_are_read(tmp_path, client, name):
-    """Catches the error of another package, such as a missing module."""
+    """Catches an error of another package, such as a missing module."""
     (tmp_path / name).write_text("ISO-10303-21;\n")
     with pytest.raises(hullcast.InvalidArgument, match="OBJ, STL, DAE or PLY") as caught:
         client.register([tmp_path / name])
@@ -354,7 +361,7 @@ def test_other_formats_name_those_that_are_read(tmp_path, client, name):
 
 @pytest.mark.parametrize("suffix", ["obj", "stl", "dae", "ply", "STL"])
 def test_files_that_are_no_meshes(tmp_path, client, suffix):
-    """Catches errors of others: an empty file, text, bytes, a folder, no file, no permission."""
+    """Catches foreign errors for empty files, text, random bytes, folders and missing files."""
     assert "empty" in refused(tmp_path, f"a.{suffix}", b"", "MALFORMED_MESH")
     refused(tmp_path, f"b.{suffix}", b"hello\n", "MALFORMED_MESH")
     for seed in range(20):
@@ -370,8 +377,11 @@ def test_files_that_are_no_meshes(tmp_path, client, suffix):
 
 
 def test_files_that_were_cut_or_changed(tmp_path):
-    """Catches another package's error, or a crash: each sound file cut at each byte, and with
-    random bytes changed, is read, or refused by our own error."""
+    """Catches foreign errors and crashes for damaged files.
+
+    Valid files are truncated at many places, or get random bytes. The result must be a mesh or this
+    package's own error.
+    """
     samples = {
         "a.obj": (VERTICES + FACES).encode(),
         "a.stl": text_of(TRIANGLES).encode(),
@@ -401,7 +411,7 @@ def test_files_that_were_cut_or_changed(tmp_path):
 
 
 def test_equal_vertices_are_one_and_unused_ones_are_none(tmp_path):
-    """Catches vertices that no triangle has, which would make the hull larger."""
+    """Catches vertices without triangles, which would make the hull larger."""
     soup = box((0, 0, 0), (1, 2, 3))
     mesh = load(tmp_path, "a.stl", binary(soup))
     assert sorted(map(tuple, mesh.vertices.tolist())) == list(

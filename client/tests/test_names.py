@@ -1,4 +1,4 @@
-"""Outcomes, flags and features compare with names and print names."""
+"""Outcomes, flags and features compare equal to names and print names."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hullcast import FeatureKind, Flag, Outcome
 
 @pytest.fixture
 def m(client):
-    """A contact of faces, a pair apart, and one that is not answered."""
+    """Three pairs: a contact of faces, a separated pair, and a pair that is not answered."""
     scene = hullcast.Scene(
         client.register(CUBE), [[0, 0, 0], [0, 0, 0.99], [0, 0, 5], [np.nan, 0, 0]],
         [[0, 0, 0, 1]] * 4, body_hulls=[0] * 4,
@@ -24,7 +24,7 @@ def m(client):
 
 
 def test_columns_compare_with_names(m):
-    """Catches a comparison with a name that is false everywhere, in silence."""
+    """Catches a comparison with a name that is silently false everywhere."""
     assert (m.outcome == "CONTACT").tolist() == [True, False, False]
     assert ("contact" == m.outcome).tolist() == [True, False, False]  # noqa: SIM300
     assert (m.outcome != "CONTACT").tolist() == [False, True, True]
@@ -39,7 +39,7 @@ def test_columns_compare_with_names(m):
 
 
 def test_single_values_compare_with_names(m):
-    """Catches an entry that compares otherwise than its column."""
+    """Catches an entry that compares differently from its column."""
     assert m.outcome[0] == "CONTACT"
     assert m.outcome[1] != "CONTACT"
     assert [outcome == "separated" for outcome in m.outcome] == [False, True, False]
@@ -53,15 +53,15 @@ def test_single_values_compare_with_names(m):
 
 @pytest.mark.parametrize("name", ["TOUCHING", "", "CONTACT "])
 def test_a_name_that_is_none_is_refused(m, name):
-    """Catches a slip that is false everywhere."""
-    with pytest.raises(hullcast.InvalidArgument, match="none of CONTACT, SEPARATED"):
+    """Catches a misspelt name that is silently false everywhere."""
+    with pytest.raises(hullcast.InvalidArgument, match="expected one of CONTACT, SEPARATED"):
         _ = m.outcome == name
-    with pytest.raises(hullcast.InvalidArgument, match="none of ESTIMATED"):
+    with pytest.raises(hullcast.InvalidArgument, match="expected one of ESTIMATED"):
         _ = m.flags & name
 
 
 def test_names_are_printed(m):
-    """Catches numbers that nobody knows, and an array that prints nothing of a later version."""
+    """Catches numbers without meaning in printed results, and values that do not print at all."""
     assert str(m.outcome) == "[CONTACT SEPARATED INVALID]"
     assert repr(m.outcome) == "OutcomeArray([CONTACT, SEPARATED, INVALID])"
     assert str(m.flags) == "[- - INVALID_BODY]"

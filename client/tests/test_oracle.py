@@ -1,4 +1,4 @@
-"""The oracle itself, against closed forms: it must be right before it can judge."""
+"""Tests the oracle against closed forms, since it must be right to judge the server."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def pair(a, b, d, rotation_b=UPRIGHT) -> ExactPair:
 
 
 def test_aligned_boxes_have_their_closed_forms():
-    """Of aligned boxes K is a box: alpha is the largest |d_i| / h_i, the distance a norm.
+    """For aligned boxes, K is a box: alpha is the largest |d_i| / h_i, and the distance is a norm.
 
-    Ties (several largest) are where a simplex without a rule for them would not end.
+    A simplex method without a rule for ties (several largest ratios) would not end.
     """
     ties = 0
     for d in np.ndindex(5, 5, 5):
@@ -42,7 +42,7 @@ def test_aligned_boxes_have_their_closed_forms():
 
 
 def test_growth_is_optimal_and_homogeneous():
-    """Primal and dual agree, no direction does better than n, and alpha(k d) = k alpha(d)."""
+    """Primal and dual agree, no direction is better than n, and alpha(k d) = k alpha(d)."""
     rng = np.random.default_rng(1)
     for a, b in [(tetra(rng), prism(5, 0.5, 0.5)), (poly(16, rng), box((1, 0.5, 1e-6)))]:
         d = rng.normal(size=3)
@@ -57,7 +57,7 @@ def test_growth_is_optimal_and_homogeneous():
 
 
 def test_distance_agrees_with_growth_and_separation():
-    """Overlapping exactly when alpha <= 1; else s(n) is a lower bound that some direction nears."""
+    """The hulls overlap exactly if alpha <= 1, and s(n) is a lower bound of their distance."""
     rng = np.random.default_rng(2)
     apart = 0
     for _ in range(30):
@@ -71,7 +71,7 @@ def test_distance_agrees_with_growth_and_separation():
 
 
 def test_patch_agrees_with_another_clipper():
-    """The exact clip against shapely's, looking along z at faces that lie in z = 0 and z = 1."""
+    """The exact clipping agrees with shapely's, for faces in z = 0 and z = 1 seen along z."""
     rng = np.random.default_rng(3)
     met = 0
     for _ in range(50):

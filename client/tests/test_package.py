@@ -1,4 +1,4 @@
-"""What ships beside the code: examples that run, stubs that match the contract."""
+"""The parts that ship beside the code: examples that run, and stubs that match the protocol."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[2]
     ],
 )
 def test_examples_run(script, expected):
-    """As a user would run them; what they print is not measured here."""
+    """The examples run as a user would run them. The figures that they print are not checked."""
     done = subprocess.run(
         [sys.executable, str(ROOT / "client/examples" / script[0]), *script[1:]],
         capture_output=True,
@@ -39,8 +39,10 @@ def test_examples_run(script, expected):
 
 
 def test_others_answer_the_pairs_of_a_tradeoff(tmp_path):
-    """Catches files that the two programs read differently: what is asked is answered by those
-    that are installed, and judged beside ours."""
+    """Catches files that `hullcast tradeoff` and the peers' program read differently.
+
+    The installed peers answer the requested pairs, and `hullcast tradeoff` judges their answers.
+    """
     binary = find_binary()
     script = ROOT / "client/examples/tradeoff_peers.py"
     asked, pairs = tmp_path / "pairs.json", ["--pairs", "1"]
@@ -63,7 +65,7 @@ def test_others_answer_the_pairs_of_a_tradeoff(tmp_path):
 
 
 def python(program: str) -> str:
-    """What a program prints, in an interpreter of its own."""
+    """The output of a program that runs in an interpreter of its own."""
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(program)],
         capture_output=True,
@@ -77,9 +79,9 @@ def python(program: str) -> str:
 
 
 def test_importing_is_light():
-    """Neither grpc nor numpy is waited for before anything is used.
+    """Importing hullcast loads neither grpc nor numpy.
 
-    Modules are counted, since times vary.
+    The test looks at the loaded modules, since times vary.
     """
     loaded = python(
         """
@@ -95,7 +97,7 @@ def test_importing_is_light():
 
 
 def test_using_loads_only_what_is_used():
-    """Scenes and saved answers without grpc; a client without any extra."""
+    """Scenes and saved results do not load grpc. A client loads no extra package."""
     program = """
         import sys, grpc, numpy
         from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
@@ -117,7 +119,7 @@ def test_using_loads_only_what_is_used():
 
 
 def test_every_public_name_is_there():
-    """Those of `__all__`, from the module that makes each, and nothing else by accident."""
+    """`__all__` matches the modules that define the names, and nothing else is public."""
     assert dir(hullcast) == sorted(hullcast.__all__)
     homes = {name for names in hullcast._HOMES.values() for name in names}
     assert homes | {"__version__", "aio"} == set(hullcast.__all__)
@@ -128,13 +130,13 @@ def test_every_public_name_is_there():
 
 
 def test_one_version():
-    """The package's is the server's; the wheel takes the server's."""
+    """The package has the server's version, which the wheel takes."""
     manifest = (ROOT / "Cargo.toml").read_text()
     assert f'\nversion = "{hullcast.__version__}"\n' in manifest
 
 
 def test_stubs_are_those_of_the_contract(tmp_path):
-    """A change of proto/ without `make stubs` would leave the client speaking the old one."""
+    """Catches a change of proto/ without `make stubs`, after which the client is out of date."""
     pytest.importorskip("grpc_tools")
     subprocess.run(
         [str(ROOT / "scripts/stubs")],

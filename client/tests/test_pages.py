@@ -1,4 +1,4 @@
-"""The documentation's pages do what they say."""
+"""The documentation's pages print the outputs that they show."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 import pages
 import pytest
 
-#: Pages and the outputs that each shows.
+#: Pages and the number of outputs that each shows.
 SHOWN = {"first-contacts": 9, "finding": 2, "loops": 2, "workers": 1, "accuracy": 5}
 #: The same of those that need a robot or ray, which `extras/` runs.
 EXTRAS = {"robots": 3, "batch-jobs": 2}
@@ -15,12 +15,12 @@ EXTRAS = {"robots": 3, "batch-jobs": 2}
 
 @pytest.mark.parametrize("page", SHOWN)
 def test_a_page_prints_what_it_shows(page, tmp_path):
-    """Its program runs as a user's would, and its outputs are those printed."""
+    """A page's program runs as a user would run it, and prints the outputs on the page."""
     assert pages.run(pages.DOCS / f"{page}.md", tmp_path) == SHOWN[page]
 
 
 def test_no_page_is_left_out():
-    """Of the folder; and what they link to is there."""
+    """All pages of the folder are tested, and the files that they link to exist."""
     found = {page.stem: page.read_text() for page in pages.DOCS.glob("*.md")}
     assert set(found) == {*SHOWN, *EXTRAS}
     links = [link for text in found.values() for link in re.findall(r"\]\(([^)#:]+)[#)]", text)]

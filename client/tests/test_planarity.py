@@ -1,4 +1,4 @@
-"""Shapes whose coordinates are rounded, as mesh files have them, stand on whole faces."""
+"""Shapes with rounded coordinates, as in mesh files, stand on whole faces."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 
 import hullcast
 
-#: A cube of 4 cm, turned and written with six decimals; the first line has the quaternion that
-#: turns it back.
+#: A cube of 4 cm, rotated and written with six decimals. The first line has the quaternion of the
+#: inverse rotation.
 TURNED_CUBE = Path(__file__).parent / "meshes/turned_cube.obj"
 FLOOR = np.array([[x, y, z] for x in (-2, 2) for y in (-2, 2) for z in (-0.2, 0)])
 
@@ -18,7 +18,7 @@ FLOOR = np.array([[x, y, z] for x in (-2, 2) for y in (-2, 2) for z in (-0.2, 0)
 def corners_touched(
     client: hullcast.Client, shapes: list, turns: list, size: float, planarity: object
 ) -> list[int]:
-    """Contact points of each cube, turned back so that it stands 0.1 mm deep in a floor."""
+    """The number of contact points of each cube, rotated back to stand 0.1 mm deep in a floor."""
     floor, *cubes = client.register([FLOOR, *shapes], planarity=planarity)
     above = [[0, 0, size / 2 - 1e-4]] * len(cubes)
     scene = hullcast.Scene(
@@ -30,7 +30,7 @@ def corners_touched(
 
 
 def test_the_cube_of_a_file_stands_on_four_corners(client: hullcast.Client):
-    """Catches a default that is finer than the rounding of the file: 3 of 4 corners touched."""
+    """Catches a default planarity below the file's rounding: only 3 of 4 corners touch then."""
     pytest.importorskip("trimesh")
     quaternion = TURNED_CUBE.read_text(encoding="utf-8").splitlines()[0].split("quaternion")[1]
     turn = [float(x) for x in quaternion.split()]
@@ -39,8 +39,10 @@ def test_the_cube_of_a_file_stands_on_four_corners(client: hullcast.Client):
 
 @pytest.mark.parametrize("size", [0.04, 1.0])
 def test_rounded_cubes_stand_on_four_corners(client: hullcast.Client, size: float):
-    """Catches the same in 40 orientations. Without a planarity most lose a corner, so that the
-    test is not vacuous, and alpha is the same either way."""
+    """Catches a lost corner in 40 orientations.
+
+    Without a planarity most orientations lose a corner, so the test is not vacuous.
+    """
     rotation = pytest.importorskip("scipy.spatial.transform").Rotation
     turns = rotation.random(40, random_state=18)
     cube = size * np.array(

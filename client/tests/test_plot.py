@@ -1,4 +1,4 @@
-"""Pictures: what is on them, counted."""
+"""Pictures, checked by the number of things drawn."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def pile(client):
 
 
 def test_a_pile_is_drawn(client, pile, tmp_path):
-    """Four bodies, a patch for each contact, a file that is an image."""
+    """Four bodies and a patch for each contact are drawn, and the file is an image."""
     m = client.query(pile, [[0, 1], [0, 2], [0, 3], [1, 2]], margin=0.02)
     assert m.point_counts.tolist() == [6, 4, 0, 0]
     figure = m.plot(path=tmp_path / "pile.png")
@@ -34,11 +34,11 @@ def test_a_pile_is_drawn(client, pile, tmp_path):
     assert axes.get_title() == "4 pairs, 10 contact points"
     assert [text.get_text() for text in axes.texts] == ["0", "1", "2", "3"]
     assert len(m.plot(pairs=[1]).axes[0].texts) == 2
-    assert len(m.plot(pairs=[2]).axes) == 1  # no points, so no scale of colours
+    assert len(m.plot(pairs=[2]).axes) == 1  # no points, so there is no colour bar
 
 
 def test_a_body_without_a_pose_is_left_out(client, pile):
-    """The others are drawn."""
+    """A body with an unusable pose is left out; the others are drawn."""
     positions = pile.positions.copy()
     positions[2] = np.nan
     m = client.query(pile.moved(positions, pile.rotations), [[0, 1], [0, 2]], on_invalid="flag")
@@ -46,13 +46,13 @@ def test_a_body_without_a_pose_is_left_out(client, pile):
 
 
 def test_only_real_edges_are_drawn():
-    """A box has 12, a hexagonal prism 18: not the diagonals of their faces."""
+    """A box has 12 edges and a hexagonal prism 18; the diagonals of their faces are not drawn."""
     assert len(_drawing.surface(CUBE)[1]) == 12
     assert len(_drawing.surface(prism(6, 0.5, 0.4).vertices)[1]) == 18
 
 
 def test_poses_are_those_of_scipy():
-    """The rotation by a quaternion, against another's."""
+    """The rotation by a quaternion agrees with scipy's."""
     from scipy.spatial.transform import Rotation
 
     turn = Rotation.from_quat(np.random.default_rng(91).normal(size=4))
@@ -63,7 +63,7 @@ def test_poses_are_those_of_scipy():
 
 
 def test_what_cannot_be_drawn_says_so(client, pile, tmp_path):
-    """Without scene, without points of the hulls, without the outputs."""
+    """Without a scene, the hulls' points or the outputs, the error says what is missing."""
     m = client.query(pile, [[0, 1]])
     m.save(tmp_path / "m.npz")
     with pytest.raises(hullcast.InvalidArgument, match="NO_SCENE"):
@@ -76,7 +76,7 @@ def test_what_cannot_be_drawn_says_so(client, pile, tmp_path):
 
 
 def test_round_hulls_are_drawn(client):
-    """Catches a hull without sharp edges, of which the newest matplotlib draws nothing but an error."""
+    """Catches a hull without sharp edges, for which the newest matplotlib raises an error."""
     hulls = client.register([hullcast.sphere(1), hullcast.capsule(0.5, 1)])
     scene = hullcast.Scene(hulls, [[0, 0, 0], [0, 0, 1.9]], [[0, 0, 0, 1]] * 2)
     figure = client.query(scene, [[0, 1]], margin=0.1).plot()
@@ -85,7 +85,7 @@ def test_round_hulls_are_drawn(client):
 
 
 def test_a_scene_is_drawn_without_contacts(pile, tmp_path):
-    """Catches a scene that can only be drawn with an answer, and an unusable pose that raises."""
+    """Catches a scene that can only be drawn with results, and an unusable pose that raises."""
     figure = pile.plot(path=tmp_path / "scene.png")
     assert figure.axes[0].get_title() == "4 bodies"
     assert (tmp_path / "scene.png").read_bytes() == figure._repr_png_()
@@ -95,7 +95,7 @@ def test_a_scene_is_drawn_without_contacts(pile, tmp_path):
 
 
 def test_axes_of_the_callers(client, pile):
-    """Catches a new figure for axes that were given, and flat axes that fail without a word."""
+    """Catches a new figure in spite of given axes, and flat axes that fail without a message."""
     from matplotlib.figure import Figure
 
     figure = Figure()
@@ -110,7 +110,7 @@ def test_axes_of_the_callers(client, pile):
 
 
 def test_a_figure_is_pickled(pile):
-    """Catches a figure that a pool cannot return."""
+    """Catches a figure that a process pool cannot return."""
     import pickle
 
     assert len(pickle.loads(pickle.dumps(pile.plot())).axes) == 1

@@ -1,4 +1,4 @@
-"""The contract's page, and clients of another version of the contract than the server's."""
+"""The protocol's page, and clients with another version of the protocol than the server's."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CASES = json.loads((ROOT / "tests/golden/contacts.json").read_text())["cases"]
 
 
 def test_the_page_is_what_the_comments_say(tmp_path: Path):
-    """Catches a change of proto/ after which `make protocol` was not run."""
+    """Catches a change of proto/ without `make protocol`."""
     pytest.importorskip("grpc_tools")
     written = tmp_path / "protocol.md"
     subprocess.run([sys.executable, ROOT / "scripts/protocol-docs", written], check=True)
@@ -27,7 +27,7 @@ def test_the_page_is_what_the_comments_say(tmp_path: Path):
 
 
 class Contract:
-    """Messages and calls of a descriptor set, which need not be this version's."""
+    """The messages and calls of a descriptor set, which may be of another version."""
 
     def __init__(self, path: Path, channel: grpc.Channel) -> None:
         pool = descriptor_pool.DescriptorPool()
@@ -53,12 +53,12 @@ class Contract:
 
 @pytest.fixture
 def first(channel: grpc.Channel) -> Contract:
-    """The contract as it was first committed, with a choice of precision."""
+    """The protocol as it was first committed, with a choice of precision."""
     return Contract(ROOT / "tests/golden/first_contract.binpb", channel)
 
 
 def scene(contract: Contract, case: dict, ids: list[bytes]):
-    """The case's one pair, in the messages of a contract."""
+    """A request for the case's pair, as a message of a protocol version."""
     distinct = list(dict.fromkeys(ids))
     return contract.message("QueryContactsRequest")(
         hull_ids=distinct,
@@ -71,8 +71,11 @@ def scene(contract: Contract, case: dict, ids: list[bytes]):
 
 
 def test_a_client_of_the_first_contract_is_answered(first: Contract):
-    """Catches a server that an older client no longer understands, or that no longer understands it:
-    a field renumbered, a default that changed its meaning, a value given up that is refused."""
+    """Catches a server that no longer understands an older client, or the reverse.
+
+    For example a field was renumbered, a default changed its meaning, or a removed value is
+    refused.
+    """
     assert "precision" in first.message("Accuracy").DESCRIPTOR.fields_by_name
     register = first.call("HullService", "RegisterHulls")
     query = first.call("ContactService", "QueryContacts")
@@ -86,7 +89,7 @@ def test_a_client_of_the_first_contract_is_answered(first: Contract):
         ids = [result.hull.id for result in register(request, timeout=60).results]
         requests.append(scene(first, case, ids))
         requests[-1].request_id = number
-        # What was since taken off the wire.
+        # This field has been removed since.
         requests[-1].accuracy.precision = number % 2
         answers.append(query(requests[-1], timeout=60))
         outcomes = first.pool.FindEnumTypeByName("hullcast.v1.Outcome").values_by_number
@@ -103,7 +106,7 @@ def test_a_client_of_the_first_contract_is_answered(first: Contract):
 
 
 def test_a_newer_client_is_answered(client: hullcast.Client, channel: grpc.Channel):
-    """Catches a server that refuses a field or an output of a version after its own."""
+    """Catches a server that refuses a field or an output of a later version."""
     case = CASES[0]
     sides = [case["a"], case["b"]]
     points = [side["contraction_point"] for side in sides]
@@ -112,7 +115,7 @@ def test_a_newer_client_is_answered(client: hullcast.Client, channel: grpc.Chann
     query = present.call("ContactService", "QueryContacts")
     request = scene(present, case, [hull.id for hull in hulls])
     known = query(request, timeout=60)
-    # Field 1000, a varint; outputs that ask for the default's columns and one that is not known.
+    # Field 1000, a varint; and outputs with the default columns and an unknown one.
     unknown = bytes([0xC0, 0x3E, 0x01])
     newer = present.message("QueryContactsRequest").FromString(
         request.SerializeToString() + unknown

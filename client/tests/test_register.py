@@ -1,4 +1,4 @@
-"""Hulls registered: what comes back, and what is refused."""
+"""Registering hulls: the returned numbers, and refusals."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import hullcast
 
 
 def test_registering_says_what_a_hull_is(client):
-    """A box of known numbers; an interior point and a duplicate change none of them."""
+    """A box has known numbers, and an interior point and a duplicate do not change them."""
     half = np.array([0.5, 1.0, 1.5])
     points = np.concatenate([box(half).vertices, [[0.1, 0.2, 0.3]], box(half).vertices[:1]])
     (hull,) = client.register([points])
@@ -30,10 +30,10 @@ def test_registering_says_what_a_hull_is(client):
 
 
 def test_radii_are_bounds_of_the_brute_force_ones(client):
-    """The budgets of every other test are in them: inradius not above, circumradius not below."""
+    """The inradius is not too large, and the circumradius not too small, as other tests assume."""
     rng = np.random.default_rng(38)
     shapes = [shape for name in FAMILIES for shape in family(name, 4, rng)]
-    # Without a planarity: none of the shapes' faces is merged with another.
+    # Without a planarity, no two faces of these shapes are merged.
     hulls = client.register([s.vertices for s in shapes], planarity=None)
     for shape, hull in zip(shapes, hulls, strict=True):
         planes = [shape.plane(face) for face in shape.faces]
@@ -45,10 +45,10 @@ def test_radii_are_bounds_of_the_brute_force_ones(client):
 
 
 def test_registering_takes_arrays_and_meshes(client):
-    """Lists, float32 and Fortran order, objects with vertices: one hull, one id."""
+    """Lists, float32, Fortran order and objects with vertices give one hull with one id."""
 
     class Mesh:
-        """As trimesh's, to the one attribute used."""
+        """Like a trimesh mesh, with the one attribute that is used."""
 
         vertices = CUBE
 
@@ -59,7 +59,7 @@ def test_registering_takes_arrays_and_meshes(client):
 
 
 def test_registering_many_takes_several_messages(client):
-    """More hulls than one message has: all there, in order."""
+    """If there are more hulls than fit one message, all are registered in order."""
     rng = np.random.default_rng(32)
     points = CUBE + rng.uniform(-0.1, 0.1, (1030, 8, 3))
     hulls = client.register(points)
@@ -67,7 +67,7 @@ def test_registering_many_takes_several_messages(client):
 
 
 def test_a_given_contraction_point_is_used(client):
-    """It names another hull, and comes back as given."""
+    """A given contraction point makes another hull, and is returned as given."""
     center = np.array([0.25, 0.125, -0.0625])
     plain, moved = client.register([CUBE, CUBE], contraction_points=[None, center])
     assert (moved.contraction_point == center).all()
@@ -87,7 +87,7 @@ def test_a_given_contraction_point_is_used(client):
     ],
 )
 def test_one_bad_hull_does_not_sink_the_others(client, points, center, reason, field, point):
-    """The error says which hull, why and where; its results have the others."""
+    """The error has the hull, the reason and the place; `results` has the other hulls."""
     good = CUBE * 0.75
     with pytest.raises(hullcast.HullRejected) as caught:
         client.register([good, points, CUBE], contraction_points=[None, center, None])
@@ -103,8 +103,11 @@ def test_one_bad_hull_does_not_sink_the_others(client, points, center, reason, f
 
 
 def test_a_hull_too_large_for_a_message_is_named():
-    """Catches an error of bytes that does not say which of several hulls is meant: a limit of 1 MB,
-    and a cloud of 60,000 points among cubes; the cubes are registered without it."""
+    """Catches an error about bytes that does not say which hull is too large.
+
+    The limit is 1 MB, and a cloud of 60,000 points is among cubes. The cubes can be registered
+    without it.
+    """
     cloud = np.random.default_rng(39).normal(size=(60_000, 3))
     with hullcast.serve(arguments=["--max-message-bytes", "1048576"]) as client:
         for hulls, place in (([CUBE, CUBE * 2, cloud], 2), ([cloud, CUBE], 0)):
@@ -118,7 +121,7 @@ def test_a_hull_too_large_for_a_message_is_named():
 
 
 class Duck:
-    """A mesh as other libraries have it."""
+    """A mesh as in other libraries."""
 
     def __init__(self, vertices):
         self.vertices = vertices
@@ -153,8 +156,10 @@ def test_one_hull_or_several(client, hulls):
 
 
 def test_shapes_of_other_libraries(client):
-    """Catches a scipy hull whose vertex indices are taken for points, and a scene that is not
-    taken apart."""
+    """Catches a scipy hull whose vertex indices are taken for points.
+
+    Also catches a scene that is not split into its parts.
+    """
     scipy = pytest.importorskip("scipy.spatial")
     (hull,) = client.register(scipy.ConvexHull(CUBE))
     assert hull.id == hullcast.hull_id(CUBE)
@@ -172,7 +177,7 @@ def test_faces_are_those_that_features_number(client, get_hulls):
     assert sorted(map(len, hull.faces)) == [4] * 6
     copy = pickle.loads(pickle.dumps(hull))
     assert copy == hull
-    assert len(copy.faces) == 6  # they are kept once read
+    assert len(copy.faces) == 6  # faces that were read are kept
     (fresh,) = client.register(CUBE * 3)
     with pytest.raises(hullcast.Error, match="NO_SERVER"):
         _ = pickle.loads(pickle.dumps(fresh)).faces

@@ -1,4 +1,4 @@
-"""Servers that are replaced under load: no call may fail."""
+"""Servers are replaced under load, and no call may fail."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RESTARTS = int(os.environ.get("HULLCAST_RESTARTS", "6"))
 
 
 def _restart(server: Server) -> None:
-    """As a supervisor does: told to stop, waited for, started again."""
+    """Restarts a server as a supervisor does: stops it, waits, and starts it again."""
     server.process.send_signal(signal.SIGTERM)
     server.process.wait(60)
     assert server.process.returncode == 0
@@ -28,10 +28,10 @@ def _restart(server: Server) -> None:
 
 
 def test_rolling_restarts_fail_no_call(tmp_path: Path) -> None:
-    """Catches a drain that turns a call away, cuts one off, or answers it wrongly.
+    """Catches a draining server that refuses a call, cuts one off, or answers it wrongly.
 
-    Two servers on one store, each stopped and started in turn, while four
-    threads query and one steps a session. Connections are of age soon, too.
+    Two servers with one store are restarted in turn, while four threads query and one steps a
+    session. Connections are also closed for their age after 0.5 s.
     """
     arguments = ("--grace-seconds", "0.3", "--drain-seconds", "20")
     arguments += ("--max-connection-age-seconds", "0.5")
@@ -72,7 +72,7 @@ def test_rolling_restarts_fail_no_call(tmp_path: Path) -> None:
                     for server in (first, second):
                         before = sum(counts)
                         _restart(server)
-                        # Only while calls are answered was it a test.
+                        # The restart only tested something if calls were answered during it.
                         assert errors or sum(counts) > before
             finally:
                 done.set()

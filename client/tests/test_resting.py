@@ -15,14 +15,14 @@ OUTPUTS = ("ALPHA", "NORMAL", "POINTS", "FEATURES")
 
 
 def plane_of(normal: np.ndarray) -> np.ndarray:
-    """Two unit vectors across a normal, (3, 2)."""
+    """(3, 2): two unit vectors perpendicular to a normal."""
     across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     across /= np.linalg.norm(across)
     return np.stack([across, np.cross(normal, across)], axis=1)
 
 
 def polygon(case: Case, side: int, face: list[int], plane: np.ndarray) -> shapely.Polygon:
-    """A face's outline seen along the normal, about A's position."""
+    """A face's outline as seen along the normal, relative to A's position."""
     corners = case.shapes[side].vertices[face] @ matrix(case.rotations[side]).T
     corners += case.positions[side] - case.positions[0]
     return shapely.Polygon(corners @ plane)
@@ -31,13 +31,13 @@ def polygon(case: Case, side: int, face: list[int], plane: np.ndarray) -> shapel
 @pytest.mark.parametrize("name", FAMILIES)
 @pytest.mark.parametrize("tilt", [0.0, 1e-6, 0.008])
 def test_the_patch_is_the_exact_intersection(client, get_hulls, name, tilt):
-    """For every pair whose faces meet, to 1e-9 R (Hausdorff): no corner lost, doubled or moved.
+    """The patch equals the exact intersection of the faces, to a Hausdorff distance of 1e-9 R.
 
-    Tilts stay below the feature angle, within which the whole patch is wanted.
+    Tilts stay below the feature angle, within which the whole patch is computed.
     """
     rng = np.random.default_rng([21, FAMILIES.index(name)])
     shapes = family(name, 6, rng)
-    # Without a planarity: the faces are those of the shapes, none merged with another.
+    # Without a planarity, no two faces of these shapes are merged.
     hulls = client.register([shape.vertices for shape in shapes], planarity=None)
     faces = get_hulls(hulls)
     cases = [resting_case(rng, shapes, hulls, tilt) for _ in range(60)]
@@ -60,16 +60,16 @@ def test_the_patch_is_the_exact_intersection(client, get_hulls, name, tilt):
         assert len(found) >= 3
         radius = sum(hull.circumradius for hull in case.hulls)
         patch = shapely.Polygon(found)
-        assert patch.is_valid  # in order around, none twice
+        assert patch.is_valid  # the points are in order around the patch, without repetition
         assert shapely.hausdorff_distance(patch, exact) <= 1e-9 * radius
         met += 1
-    # Small faces of a many-sided hull need not be the optimal normal's.
+    # A small face of a hull with many faces need not be the one of the optimal normal.
     assert met >= (50 if name in ("box", "prism") else 30 if name != "poly64" else 10)
     assert laid >= met * 0.9
 
 
 def test_the_feature_angle_is_a_cliff(client):
-    """Cubes tilted by 0.9, 1.1 times the feature angle: the patch below, its low edge above."""
+    """A tilt of 0.9 times the feature angle gives the whole patch; 1.1 times only an edge."""
     cube = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * 0.5
     hulls = client.register([cube])
     for angle in (1e-3, 1e-2, 0.1):

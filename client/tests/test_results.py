@@ -1,4 +1,4 @@
-"""Results in other forms: some pairs, one body's, dense, data frames, files, text."""
+"""Other forms of results: some pairs, one body's contacts, dense arrays, data frames, files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def scene(client):
 
 @pytest.fixture(scope="module")
 def some(client, scene):
-    """All pairs of a small crowd, in contact and not."""
+    """All pairs of a small crowd, some of them in contact."""
     pairs = [[i, j] for i in range(60) for j in range(60) if (i + j) % 2 or i <= j]
     m = client.query(scene, pairs, margin=0.05, outputs=EVERYTHING)
     assert np.count_nonzero(m.point_counts) > 100
@@ -28,7 +28,7 @@ def some(client, scene):
 
 
 def test_some_pairs_are_those_pairs_asked_alone(client, scene, some):
-    """Slices, masks and indices, ragged points and all."""
+    """Slices, masks and indices select pairs together with their points."""
     chosen = np.random.default_rng(71).permutation(len(some))[:200]
     alone = client.query(scene, some.pairs[chosen], margin=0.05, outputs=EVERYTHING)
     expect_same(some[chosen], alone)
@@ -43,7 +43,7 @@ def test_some_pairs_are_those_pairs_asked_alone(client, scene, some):
 
 
 def test_contacts_of_a_body_are_seen_from_it(client, scene, some):
-    """Every pair of it with points, turned: numbers as when asked the other way round."""
+    """The pairs of a body are turned such that it is A, with the numbers of the swapped query."""
     body = int(np.bincount(some.pairs[some.point_counts > 0].reshape(-1)).argmax())
     mine = some.contacts_of(body)
     rows = np.flatnonzero((some.pairs == body).any(axis=1) & (some.point_counts > 0))
@@ -75,7 +75,7 @@ def test_contacts_of_a_body_are_seen_from_it(client, scene, some):
 
 @pytest.mark.parametrize("k", [0, 1, 4, 30])
 def test_padded_points_are_the_deepest(some, k):
-    """Slot by slot against a plain loop; unused slots as documented."""
+    """Each slot agrees with a plain loop, and unused slots are as documented."""
     dense = some.padded(k)
     assert dense.mask.shape == (len(some), k)
     for i, one in enumerate(some):
@@ -92,7 +92,7 @@ def test_padded_points_are_the_deepest(some, k):
 
 
 def test_padding_needs_no_more_than_points(client, scene):
-    """What was not asked for is None; no slots fewer than none."""
+    """Arrays of outputs that were not requested are None, and `k` must not be negative."""
     m = client.query(scene, [[0, 1]], outputs=["POINTS"])
     assert m.padded(2).witness_b is None
     assert m.padded(2).point_ids is None
@@ -103,10 +103,10 @@ def test_padding_needs_no_more_than_points(client, scene):
 
 
 def test_saved_and_loaded(client, scene, some, tmp_path):
-    """Bit for bit, also of few outputs; what was not asked for stays so."""
+    """Loaded results are equal bit for bit, and still lack the outputs that were not requested."""
     path = tmp_path / "answer"
     some.save(path)
-    assert path.exists()  # under the very name given
+    assert path.exists()  # under exactly the given name
     expect_same(Manifolds.load(path), some)
     few = client.query(scene, [[0, 1], [1, 2]], outputs=["ALPHA"])
     few.save(path)
@@ -118,7 +118,7 @@ def test_saved_and_loaded(client, scene, some, tmp_path):
 
 
 def test_other_files_are_not_loaded(some, tmp_path):
-    """Not npz, not ours, or a column cut short."""
+    """Files that are not npz, are not manifolds, or have a truncated column are refused."""
     path = tmp_path / "x.npz"
     path.write_bytes(b"nothing of the kind")
     with pytest.raises(hullcast.InvalidArgument, match="NOT_MANIFOLDS"):
@@ -136,7 +136,7 @@ def test_other_files_are_not_loaded(some, tmp_path):
 
 
 def test_data_frames(client, scene, some):
-    """Every column has its name; points repeat their pair's."""
+    """Every column has its name, and points repeat the columns of their pair."""
     pytest.importorskip("pandas")
     pairs = some.to_dataframe("pairs")
     assert len(pairs) == len(some)
@@ -171,7 +171,7 @@ def test_data_frames(client, scene, some):
 
 
 def test_what_is_shown(client):
-    """One line of what matters."""
+    """The texts of hulls, scenes and results are one line each."""
     (hull,) = client.register([CUBE])
     assert repr(hull) == (
         f"Hull({hull.id.hex()[:12]}: 8 vertices, 6 faces, radii 0.5 to 0.866, volume 1)"

@@ -1,4 +1,4 @@
-"""Servers that go, come back, forget, or are too busy; processes that fork."""
+"""Servers that stop, come back, lose hulls or are too busy; and processes that fork."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ RESTING = [[0.0, 0, 0, 1]]
 
 
 def stored(server: Server) -> set[bytes]:
-    """The hulls that one server has."""
+    """The ids of the hulls that one server has."""
     with grpc.insecure_channel(server.address, options=NO_PROXY) as channel:
         call = channel.unary_unary("/hullcast.v1.HullService/ListHulls")
         answer = call(hulls_pb2.ListHullsRequest().SerializeToString(), timeout=10)
@@ -40,7 +40,7 @@ def connect(server: Server, **options: object) -> hullcast.Client:
 
 @pytest.mark.parametrize("per_message", [4096, 100])
 def test_hulls_that_a_server_lost_are_registered_again(per_message):
-    """It comes back with an empty store: the same answer, bit for bit, and the hulls there."""
+    """After a restart with an empty store, a query registers the hulls again."""
     with Server() as server, connect(server) as client:
         client.pairs_per_message = per_message
         scene = crowd(client, 100)
@@ -54,7 +54,7 @@ def test_hulls_that_a_server_lost_are_registered_again(per_message):
 
 
 def test_lost_hulls_come_back_with_all_they_were_made_of():
-    """A contraction point is part of the content; a hull of which only the id is known stays lost."""
+    """A lost hull is restored with its contraction point, unless only its id is known."""
     with Server() as server, connect(server) as client:
         shift = [0.25, 0, 0]
         hulls = client.register([CUBE, CUBE * 2], contraction_points=[shift, None])
@@ -73,7 +73,7 @@ def test_lost_hulls_come_back_with_all_they_were_made_of():
 
 
 def test_what_a_caller_does_to_its_array_later_changes_no_hull(client):
-    """The vertices kept are a copy."""
+    """The hull's vertices are a copy."""
     points = CUBE.copy()
     (hull,) = client.register([points])
     points *= 5
@@ -84,7 +84,7 @@ def test_what_a_caller_does_to_its_array_later_changes_no_hull(client):
 
 
 def test_a_server_killed_and_started_again_is_waited_for(tmp_path):
-    """Of a request beyond gRPC's own retry buffer too (256 KiB): it is larger than that."""
+    """A query waits for a restarted server, even beyond gRPC's default retry buffer (256 KiB)."""
     with Server(tmp_path) as server, connect(server) as client:
         client.pairs_per_message = 100_000
         scene = crowd(client, 20_000)
@@ -100,7 +100,7 @@ def test_a_server_killed_and_started_again_is_waited_for(tmp_path):
 
 
 def test_a_server_killed_in_the_middle_of_calls(tmp_path):
-    """Nothing is lost: what was under way is asked again, half-read answers too."""
+    """Calls in flight are repeated, even if part of a response had arrived."""
     with Server(tmp_path) as server, connect(server) as client, ThreadPoolExecutor(1) as pool:
         client.pairs_per_message = 500
         scene = crowd(client, 1000)
@@ -115,7 +115,7 @@ def test_a_server_killed_in_the_middle_of_calls(tmp_path):
 
 
 def test_no_server_is_given_up_at_the_deadline():
-    """The retries end with the call's timeout, as unavailable or late."""
+    """Retries end with the call's timeout, with Unavailable or DeadlineExceeded."""
     with Server() as server:
         server.kill()
         with (
@@ -126,7 +126,7 @@ def test_no_server_is_given_up_at_the_deadline():
 
 
 def test_a_busy_server_is_tried_again_when_it_says(monkeypatch):
-    """Far more under way than it takes: refused without retries, answered with them."""
+    """A query that is too large for a busy server fails without retries, and works with them."""
     with Server(
         "memory://", "--max-pairs-in-flight", "3000", "--max-pairs-per-request", "3000"
     ) as server:
@@ -155,7 +155,7 @@ def test_a_busy_server_is_tried_again_when_it_says(monkeypatch):
 
 
 def test_calls_are_spread_over_a_list_of_servers():
-    """By hulls registered one a call: both have some, and the other takes all when one dies."""
+    """Calls are spread over both servers, and go to the other one when one is killed."""
     rng = np.random.default_rng(65)
     shapes = [shape.vertices for shape in family("poly16", 12, rng)]
     with (
@@ -168,7 +168,7 @@ def test_calls_are_spread_over_a_list_of_servers():
         assert at_a | at_b == {hull.id for hull in hulls}
         assert at_a
         assert at_b
-        # Either server may be asked; what it lacks it is told.
+        # Either server may get a query, and hulls that it lacks are registered.
         scene = hullcast.Scene(hulls, np.zeros((10, 3)), RESTING * 10)
         for _ in range(4):
             m = client.query(scene, [[i, i] for i in range(10)])
@@ -180,7 +180,7 @@ def test_calls_are_spread_over_a_list_of_servers():
 
 
 def test_a_dns_name_is_a_target():
-    """With the scheme that is looked up again as the addresses change."""
+    """A `dns:///` name, which is resolved again when its addresses change, works as a target."""
     with Server() as server:
         port = server.address.rpartition(":")[2]
         with hullcast.connect(f"dns:///localhost:{port}", options=NO_PROXY) as client:
@@ -188,7 +188,7 @@ def test_a_dns_name_is_a_target():
 
 
 def test_lists_of_addresses():
-    """What gRPC takes, and what is refused by name."""
+    """Lists are converted to gRPC's form, or refused with a reason."""
     assert address("host:1") == "host:1"
     assert address(["host:1"]) == "host:1"
     assert address(["127.0.0.1:1", "127.0.0.2:22"]) == "ipv4:127.0.0.1:1,127.0.0.2:22"
@@ -205,7 +205,7 @@ def test_lists_of_addresses():
 
 
 def test_options_are_merged():
-    """One of the caller's replaces that one alone; a Unix socket's authority is added."""
+    """An option of the caller replaces only that option. A Unix socket gets an authority."""
     ours = dict(channel_options("host:1", ()))
     theirs = dict(channel_options("unix:x", [("grpc.keepalive_time_ms", 5), ("own", 1)]))
     added = {"grpc.keepalive_time_ms": 5, "own": 1, "grpc.default_authority": "localhost"}
@@ -217,7 +217,7 @@ def test_options_are_merged():
 
 
 def test_a_client_is_pickled_as_its_settings(client):
-    """A worker's copy connects by itself; the token is kept but not shown."""
+    """An unpickled client connects by itself. The token is kept but not shown."""
     configured = hullcast.connect(
         client.target, token="secret", timeout=30, options=[*NO_PROXY, ("own", 1)]
     )
@@ -227,7 +227,7 @@ def test_a_client_is_pickled_as_its_settings(client):
     assert (copy.timeout, copy.pairs_per_message) == (30, 77)
     assert "secret" not in repr(copy._settings)
     assert len(copy.register([CUBE])) == 1
-    pickle.loads(pickle.dumps(client)).close()  # the server is the original's
+    pickle.loads(pickle.dumps(client)).close()  # the copy does not own the server
     assert len(client.register([CUBE])) == 1
     copy.close()
     with pytest.raises(hullcast.Error, match="CLOSED"):
@@ -239,14 +239,14 @@ def _ask(client: hullcast.Client, scene: hullcast.Scene) -> bytes:
 
 
 def test_workers_of_a_pool(client):
-    """Spawned, and given client and scene with the task."""
+    """Spawned workers get client and scene with their task."""
     scene = crowd(client, 3)
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         assert pool.apply(_ask, (client, scene)) == _ask(client, scene)
 
 
 def test_a_forked_child_has_a_connection_of_its_own():
-    """Children and parent all answer, at once; a child's end stops no server."""
+    """Parent and children query at the same time, and a child's end stops no server."""
     program = """
         import os, sys, threading
         from crowds import crowd, expect_same, EVERYTHING
@@ -281,7 +281,7 @@ def test_a_forked_child_has_a_connection_of_its_own():
 
 
 def test_ten_thousand_connects_leave_nothing_behind(client):
-    """Memory and files after the last are what they were after the first few hundred."""
+    """Memory and open files after the last connection are as after the first few hundred."""
 
     def connects(count: int) -> tuple[int, int]:
         for i in range(count):

@@ -1,4 +1,4 @@
-"""Scenes and requests: every form of input, and what is refused before it is sent."""
+"""Scenes and requests: every accepted form of input, and refusals before anything is sent."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ def sent(query: Query, span: Span | None = None) -> contacts_pb2.QueryContactsRe
 
 
 def rotations(count: int, seed: int = 0) -> np.ndarray:
-    """Quaternions (count, 4)."""
+    """(count, 4): random quaternions."""
     rng = np.random.default_rng(seed)
     return np.array([random_rotation(rng) for _ in range(count)])
 
 
 def test_each_hull_is_sent_once():
-    """One hull a body, many alike: the wire wants distinct ones and an index a body."""
+    """With one hull per body, a message has each distinct hull once, and an index per body."""
     scene = hullcast.Scene([IDS[1], IDS[0], IDS[1]], np.zeros((3, 3)), rotations(3))
     assert scene.hull_ids == (IDS[1], IDS[0])
     assert scene.body_hulls.tolist() == [0, 1, 0]
@@ -39,7 +39,10 @@ def test_each_hull_is_sent_once():
 
 
 def test_rotations_of_every_form_are_the_same():
-    """Matrices, scipy's Rotation, poses and w-first quaternions, all six signs of a quarter turn too."""
+    """Matrices, scipy's Rotation, poses and w-first quaternions give the same rotations.
+
+    Quarter turns about the axes, in which components vanish, are included.
+    """
     quarter = np.sqrt(0.5)
     q = np.concatenate([rotations(50), np.eye(4), quarter * np.eye(4)[:3] + [0, 0, 0, quarter]])
     n = len(q)
@@ -49,7 +52,7 @@ def test_rotations_of_every_form_are_the_same():
     poses[:, :3, 3] = np.arange(3 * n).reshape(n, 3)
 
     class Rotation:
-        """As scipy.spatial.transform.Rotation, to the one method used."""
+        """Like scipy.spatial.transform.Rotation, with the one method that is used."""
 
         def as_quat(self) -> np.ndarray:
             return q
@@ -69,7 +72,7 @@ def test_rotations_of_every_form_are_the_same():
 
 
 def test_moving_keeps_the_rest():
-    """New poses, same bodies; the old scene is as it was."""
+    """A moved scene has new poses and the same bodies. The original scene is unchanged."""
     scene = hullcast.Scene(IDS[:2], np.zeros((2, 3)), rotations(2), groups=[1, 2])
     moved = scene.moved(np.ones((2, 3)), rotations(2, 1))
     assert moved.hull_ids == scene.hull_ids
@@ -95,7 +98,7 @@ def test_moving_keeps_the_rest():
     ],
 )  # fmt: skip
 def test_what_a_scene_refuses(make, reason, field, index):
-    """Named by reason, field and index, before anything is sent."""
+    """The error has reason, field and index, and nothing is sent."""
     with pytest.raises(hullcast.InvalidArgument) as caught:
         make()
     assert (caught.value.reason, caught.value.field, caught.value.index) == (reason, field, index)
@@ -114,7 +117,7 @@ def test_what_a_scene_refuses(make, reason, field, index):
     ],
 )  # fmt: skip
 def test_what_a_query_refuses(pairs, options, reason, field, index):
-    """Named by reason, field and index, before anything is sent."""
+    """The error has reason, field and index, and nothing is sent."""
     scene = hullcast.Scene(IDS[:2], np.zeros((2, 3)), rotations(2))
     with pytest.raises(hullcast.InvalidArgument) as caught:
         Query(scene, pairs, **options)
@@ -122,7 +125,7 @@ def test_what_a_query_refuses(pairs, options, reason, field, index):
 
 
 def test_the_request_is_what_protobuf_reads():
-    """Columns put in as bytes are the real packed fields."""
+    """Columns that are inserted as bytes are read as the real packed fields."""
     scene = hullcast.Scene(IDS[:2], [[1, 2, 3], [4, 5, 6]], rotations(2))
     accuracy = hullcast.Accuracy(
         "GJK_RAY_CAST", relative_tolerance=0.5, feature_angle=0, max_points=4
@@ -137,14 +140,14 @@ def test_the_request_is_what_protobuf_reads():
     assert request.outputs == [contacts_pb2.OUTPUT_BASES]
     assert request.accuracy.solver == contacts_pb2.SOLVER_GJK_RAY_CAST
     assert request.accuracy.relative_tolerance == 0.5
-    assert request.accuracy.HasField("feature_angle")  # 0 is not the default
+    assert request.accuracy.HasField("feature_angle")  # 0 must be sent, since it is not the default
     assert request.accuracy.feature_angle == 0
     assert request.accuracy.max_points == 4
     assert not request.warm_starts
 
 
 def test_a_message_carries_only_what_its_pairs_name():
-    """Split and renumbered, every pair still names the same hulls and poses."""
+    """After a split and renumbering, every pair still has the same hulls and poses."""
     rng = np.random.default_rng(4)
     count = 500
     scene = hullcast.Scene(
@@ -171,7 +174,7 @@ def test_a_message_carries_only_what_its_pairs_name():
 
 
 def test_answers_are_numbered_as_the_scene():
-    """What a renumbered message says of its hulls and bodies is said of the scene's."""
+    """The hulls and bodies in the response to a renumbered message are numbered as in the scene."""
     scene = hullcast.Scene(IDS, np.zeros((100, 3)), rotations(100), body_hulls=np.arange(100) % 4)
     query = Query(scene, [[50, 7]], outputs=["OUTCOME"])
     (span,) = query.spans(4096)
@@ -192,7 +195,7 @@ def test_answers_are_numbered_as_the_scene():
 
 
 def test_find_sends_worlds_and_groups():
-    """The whole scene, without pairs."""
+    """The request has the whole scene, without pairs."""
     scene = hullcast.Scene(
         IDS[:2],
         np.zeros((2, 3)),
@@ -212,14 +215,14 @@ def test_find_sends_worlds_and_groups():
 
 
 def test_every_register_column_is_bytes():
-    """A column left at its real type would be filled number by number."""
+    """Catches a column with its real type, which would be filled number by number."""
     for field in _packed.RegisterHullsRequest.DESCRIPTOR.fields:
         assert field.type not in (field.TYPE_DOUBLE, field.TYPE_FIXED32)
 
 
 @pytest.mark.parametrize("count", [0, 1, 15, 16, 2047, 2048, 262_144])
 def test_columns_are_written_as_protobuf_does(count):
-    """Empty, and with lengths of one to four bytes: the real type reads the same numbers."""
+    """Empty columns, and columns whose lengths take one to four bytes, are read correctly."""
     rng = np.random.default_rng(count)
     for name, number in _packed._REQUEST_COLUMNS.items():
         field = contacts_pb2.QueryContactsRequest.DESCRIPTOR.fields_by_name[name]

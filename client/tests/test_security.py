@@ -1,4 +1,4 @@
-"""TLS and tokens of the client, against a server that insists on them."""
+"""The client's TLS and tokens, against a server that requires them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NO_PROXY = [("grpc.enable_http_proxy", 0)]
 
 @dataclass
 class Secured:
-    """A server with mutual TLS and tokens, and what a client needs for it."""
+    """A server with TLS and perhaps tokens, and the files that a client needs for it."""
 
     target: str
     roots: bytes
@@ -86,7 +86,7 @@ def _secured(directory: Path, *arguments: str) -> Iterator[Secured]:
 
 
 def test_roots_are_given_as_bytes_path_or_credentials(tls: Secured) -> None:
-    """Catches a form of `tls` that does not connect, and a client that trusts anybody."""
+    """Catches a form of `tls` that does not connect, and a client that trusts any server."""
     for roots in (tls.roots, tls.directory / "ca.pem", grpc.ssl_channel_credentials(tls.roots)):
         with hullcast.connect(tls.target, tls=roots, options=NO_PROXY) as client:
             assert client.register([CUBE])[0].vertex_count == 8
@@ -99,7 +99,7 @@ def test_roots_are_given_as_bytes_path_or_credentials(tls: Secured) -> None:
 
 
 def test_a_client_certificate_and_a_token_are_asked_for(guarded: Secured) -> None:
-    """Catches a token that does not travel, or not with every call, and a role mistaken."""
+    """Catches a token that is not sent with every call, and a wrong role."""
 
     def connect(token: str | None) -> hullcast.Client:
         return hullcast.connect(
@@ -129,7 +129,7 @@ def test_a_client_certificate_and_a_token_are_asked_for(guarded: Secured) -> Non
 
 
 def test_the_command_line_has_the_same(guarded: Secured) -> None:
-    """Catches TLS, certificate or token of `hullcast load` that does not reach the server."""
+    """Catches a certificate or token of `hullcast load` that does not reach the server."""
     (guarded.directory / "token").write_text("writer\n")
     command = [find_binary(), "load", "--remote", f"https://{guarded.target}", "--count", "4"]
     command += ["--pairs", "16", "--duration", "60"]

@@ -1,4 +1,4 @@
-"""Servers of one's own: sockets, stores, beginnings and ends."""
+"""Servers started by `serve`: sockets, stores, start and end."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hullcast import Outcome
 
 
 def test_no_server_is_unavailable():
-    """A port where none listens."""
+    """Nothing listens on the port."""
     with (
         hullcast.connect("127.0.0.1:1", options=[*NO_PROXY, ("grpc.enable_retries", 0)]) as client,
         pytest.raises(hullcast.Unavailable) as caught,
@@ -28,14 +28,14 @@ def test_no_server_is_unavailable():
 
 
 def test_a_unix_socket_serves_too(tmp_path):
-    """With an authority that HTTP/2 accepts."""
+    """The client sends an authority that HTTP/2 accepts."""
     with hullcast.serve(listen=f"unix:{tmp_path}/socket") as client:
         assert client.target.startswith("unix:")
         assert len(client.register([CUBE])) == 1
 
 
 def test_a_store_outlives_its_server(tmp_path):
-    """A hull registered with one server is answered for by the next on the same store."""
+    """A hull registered with one server is known to the next server with the same store."""
     with hullcast.serve(tmp_path) as client:
         hulls = client.register([CUBE])
     scene = hullcast.Scene(hulls, np.zeros((1, 3)), [[0, 0, 0, 1]])
@@ -44,7 +44,7 @@ def test_a_store_outlives_its_server(tmp_path):
 
 
 def test_the_server_ends_with_its_parent(tmp_path):
-    """Even when the parent is killed, and so closes nothing itself."""
+    """The server ends even if its parent is killed and so cannot close anything."""
     program = """
         import hullcast, os, signal
         client = hullcast.serve()
@@ -65,7 +65,7 @@ def test_the_server_ends_with_its_parent(tmp_path):
         try:
             with open(f"/proc/{server}/stat") as file:
                 if file.read().rpartition(")")[2].split()[0] == "Z":
-                    return  # ended; whoever inherited it has not asked yet
+                    return  # it has ended, and its new parent has not waited for it yet
         except FileNotFoundError:
             return
         threading.Event().wait(0.05)
@@ -73,7 +73,7 @@ def test_the_server_ends_with_its_parent(tmp_path):
 
 
 def test_a_server_that_does_not_start_says_why(tmp_path, monkeypatch):
-    """Its log's end is in the message; a missing binary has an error of its own."""
+    """The message has the end of the server's log. A missing binary is another error."""
     with pytest.raises(hullcast.ServerDidNotStart, match="no-such-flag"):
         hullcast.serve(arguments=["--no-such-flag"])
     monkeypatch.setenv("HULLCAST_BIN", str(tmp_path / "none"))

@@ -1,4 +1,4 @@
-"""Step loops: the same answers as queries that start from the last one's bases, whatever happens."""
+"""Step loops give the results of queries that start from the previous bases, in all conditions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hullcast import Flag, Outcome, _session
 
 
 def walk(scene: hullcast.Scene, steps: int) -> list[hullcast.Scene]:
-    """The bodies drifting and turning a little, each its own way."""
+    """The scene at several steps, in which each body drifts and rotates a little."""
     rng = np.random.default_rng(111)
     drift = rng.normal(0, 2e-3, scene.positions.shape)
     spin = rng.normal(0, 2e-3, scene.rotations.shape)
@@ -36,7 +36,7 @@ def walk(scene: hullcast.Scene, steps: int) -> list[hullcast.Scene]:
 def replay(
     client: hullcast.Client, poses: list[hullcast.Scene], pairs: np.ndarray
 ) -> list[hullcast.Manifolds]:
-    """What plain queries answer, each started from the last one's bases."""
+    """The results of plain queries, each of which starts from the previous bases."""
     answers: list[hullcast.Manifolds] = []
     for scene in poses:
         warm = answers[-1] if answers else None
@@ -46,7 +46,7 @@ def replay(
 
 @pytest.mark.parametrize("per_message", [4096, 40])
 def test_steps_are_warm_queries(client, per_message):
-    """Bit for bit, over one stream and over eight, of which each has some of the bodies."""
+    """Steps equal warm queries bit for bit, over one stream and over eight."""
     poses = walk(crowd(client, 400), 5)
     pairs = np.random.default_rng(112).integers(400, size=(500, 2))
     expected = replay(client, poses, pairs)
@@ -63,11 +63,11 @@ def test_steps_are_warm_queries(client, per_message):
             session.step(scene.positions, scene.rotations)
         assert len(other.query(scene, pairs[:3])) == 3  # the client stays open
     work = [m.iterations.sum() for m in expected]
-    assert max(work[1:]) < work[0]  # so that warm is not cold by accident
+    assert max(work[1:]) < work[0]  # so the warm steps really start warm
 
 
 def test_steps_with_await(client):
-    """The same answers, several sessions at once; the same arguments."""
+    """The asyncio client has the same results and arguments, in several sessions at once."""
     poses = walk(crowd(client, 100), 4)
     pairs = np.random.default_rng(113).integers(100, size=(300, 2))
     expected = replay(client, poses, pairs)
@@ -91,7 +91,7 @@ def test_steps_with_await(client):
 
 
 def test_a_warm_session_starts_warm(client):
-    """From an earlier answer's bases."""
+    """The first step starts from the bases of an earlier result."""
     poses = walk(crowd(client, 50), 2)
     pairs = np.random.default_rng(114).integers(50, size=(100, 2))
     before, after = replay(client, poses, pairs)
@@ -101,7 +101,7 @@ def test_a_warm_session_starts_warm(client):
 
 @pytest.mark.parametrize("kind", ["killed", "stopped"])
 def test_a_session_outlives_its_server(kind):
-    """Killed, or told to end, and started again without its hulls: the same bits go on."""
+    """The server is killed or stopped, and restarted without its hulls; the results stay equal."""
     with Server() as server, hullcast.connect(server.address, options=NO_PROXY) as client:
         poses = walk(crowd(client, 60), 6)
         pairs = np.random.default_rng(115).integers(60, size=(200, 2))
@@ -119,7 +119,7 @@ def test_a_session_outlives_its_server(kind):
 
 
 def test_a_session_moves_to_another_replica():
-    """One of two servers dies for good; the other knows neither hulls nor session."""
+    """One of two servers is killed, and the other has neither the hulls nor the session."""
     with (
         Server() as a,
         Server() as b,
@@ -140,7 +140,7 @@ def test_a_session_moves_to_another_replica():
 
 
 def test_no_room_for_what_streams_keep():
-    """A server that keeps nothing between messages is sent all of it, each time."""
+    """A server that keeps no state between messages gets a full message for each step."""
     with (
         Server("memory://", "--max-stream-state-bytes", "0") as server,
         hullcast.connect(server.address, options=NO_PROXY) as client,
@@ -154,7 +154,7 @@ def test_no_room_for_what_streams_keep():
 
 
 def test_answers_too_large_are_halved():
-    """A stream whose answer would pass the limit becomes two, and so on; the answers are the same."""
+    """A stream whose response would be too large is split in two, with the same results."""
     with (
         Server("memory://", "--max-message-bytes", "65536") as server,
         hullcast.connect(server.address, options=NO_PROXY) as client,
@@ -171,7 +171,7 @@ def test_answers_too_large_are_halved():
 
 
 def test_a_step_that_takes_too_long(client):
-    """It ends at its timeout, and the next one answers; so does one after it was interrupted."""
+    """A step ends at its timeout, or by cancellation, and the next step works."""
     poses = walk(crowd(client, 300), 2)
     pairs = np.random.default_rng(119).integers(300, size=(60_000, 2))
     with client.session(poses[0], pairs, margin=1.0) as session:
@@ -199,7 +199,7 @@ def test_a_step_that_takes_too_long(client):
 
 
 def test_what_a_step_refuses(client):
-    """Shapes that do not fit; the session goes on. What is wrong with the query is said at once."""
+    """Wrong shapes raise an error, and the session continues. A wrong query fails at once."""
     scene = crowd(client, 10)
     with client.session(scene, [[0, 1]], margin=0.1) as session:
         with pytest.raises(hullcast.InvalidArgument, match="positions"):
@@ -221,7 +221,7 @@ def test_what_a_step_refuses(client):
 
 
 def test_sessions_leave_no_thread_behind(client):
-    """Closed or forgotten, gRPC's thread for the requests ends, and the one that keeps time."""
+    """The threads of closed or garbage collected sessions end: gRPC's and the one for timeouts."""
     scene = crowd(client, 10)
     before = threading.active_count()
     for i in range(200):
@@ -240,7 +240,7 @@ def test_sessions_leave_no_thread_behind(client):
 
 
 def test_a_forked_child_steps_on_its_own():
-    """A session from before the fork goes on in both processes."""
+    """A session from before the fork continues in both processes."""
     program = """
         import os
         from crowds import crowd, expect_same, EVERYTHING

@@ -1,4 +1,4 @@
-"""The shapes that come with the package: inside the true ones, by at most the stated error."""
+"""The package's shapes are inside the true shapes, by at most the stated error."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import hullcast
 
 Spatial = pytest.importorskip("scipy.spatial")
 
-#: Per shape: how far a point is outside the true one, and some points of its surface.
+#: How far each point is outside the true shape.
 Outside = Callable[[np.ndarray], np.ndarray]
 
 
@@ -40,12 +40,12 @@ ROUND: dict[str, tuple[Any, float, Outside]] = {
 
 @pytest.mark.parametrize("name", ROUND)
 def test_round_shapes_are_inside_by_the_stated_error(client, name):
-    """Catches a vertex outside, and an error that is too small or far too large."""
+    """Catches a vertex outside the true shape, and an error that is too small or far too large."""
     shape, volume, outside = ROUND[name]
     assert outside(shape.vertices).max() < 1e-14 * 10
     hull = Spatial.ConvexHull(shape.vertices)
-    # The true surface lies between the hull and the hull grown by the error: a direction's support
-    # differs by at most the error, and for some direction by nearly that.
+    # The true surface lies between the hull and the hull grown by the error. So the support in any
+    # direction differs by at most the error, and in some direction by nearly the error.
     rng = np.random.default_rng(1)
     directions = np.concatenate([rng.normal(size=(20000, 3)), hull.equations[:, :3]])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -62,11 +62,11 @@ def test_round_shapes_are_inside_by_the_stated_error(client, name):
     (registered,) = client.register(shape)
     assert registered.volume == pytest.approx(hull.volume)
     assert registered.volume < volume
-    assert registered.vertex_count == len(shape.vertices)  # each is a corner
+    assert registered.vertex_count == len(shape.vertices)  # each vertex is a corner
 
 
 def test_flat_shapes_are_exact(client):
-    """Catches half lengths taken for whole ones, and a prism that is turned."""
+    """Catches half lengths that are taken for full ones, and a prism that is rotated."""
     box, cube, prism = client.register(
         [hullcast.box((1, 2, 3)), hullcast.box(2), hullcast.prism(6, 1, 2)]
     )
@@ -78,7 +78,7 @@ def test_flat_shapes_are_exact(client):
 
 @pytest.mark.parametrize("bad", [0, -1, float("nan"), float("inf"), "1", None, True, 1e51, [1], 1j])
 def test_sizes_are_checked(bad):
-    """Catches a shape of no size; the message names the argument and the range."""
+    """Catches a shape of no size; the message has the argument and the range."""
     calls = {
         "radius": [
             lambda: hullcast.sphere(bad),
@@ -93,7 +93,7 @@ def test_sizes_are_checked(bad):
             lambda: hullcast.prism(3, 1, bad),
         ],
         "length": [lambda: hullcast.capsule(1, bad)],
-        # Among numbers, numpy takes True for 1.
+        # In an array of numbers, numpy takes True for 1.
         "size": [
             lambda: hullcast.box(bad),
             lambda: hullcast.box((1, 0 if bad is True else bad, 1)),

@@ -1,4 +1,4 @@
-"""The simulation example: its own contacts by least translation, and a box that comes to rest."""
+"""The simulation example: its contacts by least translation, and a box that comes to rest."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ EXAMPLE = Path(__file__).resolve().parents[1] / "examples/simulation"
 
 @pytest.fixture(scope="module", autouse=True)
 def example():
-    """Its modules are found as when it runs."""
+    """Makes the example's modules importable, as when the example runs."""
     sys.path.insert(0, str(EXAMPLE))
     yield
     sys.path.remove(str(EXAMPLE))
@@ -30,9 +30,11 @@ def turns(rng, count):
 
 
 def test_no_direction_is_shorter():
-    """Catches an axis that is left out, or one that is no normal of the difference: the
-    separation is that of the support planes, and no other direction has a larger one,
-    among those near it and everywhere; faces and edge pairs both win."""
+    """Catches an axis that is left out, or that is not a normal of the Minkowski difference.
+
+    The separation is that of the support planes. No other direction, near or far, has a larger one.
+    In some cases a face's normal is the best, in others that of an edge pair.
+    """
     import least
     from world import matrices
 
@@ -64,8 +66,10 @@ def test_no_direction_is_shorter():
 
 
 def test_the_steps_after_the_normal_are_the_servers(client):
-    """Catches a wrong feature, a clip that loses a corner and a lift to the wrong hull: where
-    both normals agree, so do points and distances."""
+    """Catches a wrong feature, a clip that loses a corner, and a lift to the wrong hull.
+
+    If both methods have the same normal, they must have the same points and distances.
+    """
     import contacts
     import least
     from world import matrices
@@ -111,8 +115,11 @@ def test_the_steps_after_the_normal_are_the_servers(client):
 
 @pytest.mark.parametrize("by_least", [False, True])
 def test_a_box_comes_to_rest(client, by_least):
-    """Catches impulses of the wrong sign or point, and friction that pushes: a box let go on
-    an edge ends on its face, at rest, no deeper than the slop and what a step falls."""
+    """Catches impulses with a wrong sign or point, and friction that pushes.
+
+    A box that is released on an edge ends at rest on its face, no deeper than the slop plus the
+    fall of one step.
+    """
     import scenes
     from world import World
 

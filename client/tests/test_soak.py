@@ -1,4 +1,4 @@
-"""The long run of docs/reliability.md, shorter."""
+"""A short version of the long run in docs/reliability.md."""
 
 from __future__ import annotations
 
@@ -14,8 +14,11 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_memory_is_bounded_under_everything_at_once() -> None:
-    """Catches memory that grows with what a server has done: the script fails where it passes
-    the cache and a constant, and the cache is less than half of what goes through it."""
+    """Catches memory that grows with the work that a server has done.
+
+    The script fails if memory exceeds the cache plus a constant. The cache is less than half of the
+    data that passes through it.
+    """
     command = [sys.executable, str(ROOT / "client/examples/soak.py"), "--cache-bytes", "4000000"]
     command += ["--registrations", "10000", "--hulls", "3000", "--rounds", "24"]
     path = str(Path(hullcast.__file__).parents[1])

@@ -1,4 +1,4 @@
-"""Arrays of other libraries, in and out: by numpy's own DLPack where the libraries are not there."""
+"""Arrays of other libraries, in and out; numpy's own DLPack stands in for missing libraries."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hullcast import _tensors
 
 
 class Exported:
-    """An array of another library: only DLPack, no sequence and no `__array__`."""
+    """An array of another library, with DLPack but neither `__array__` nor a sequence's methods."""
 
     def __init__(self, array: np.ndarray) -> None:
         self._array = array
@@ -27,7 +27,7 @@ class Exported:
 
 
 class Recorded(Exported):
-    """As torch: a tensor that records gradients exports nothing until it is detached."""
+    """Like a torch tensor that records gradients: it exports nothing until it is detached."""
 
     def __dlpack__(self, **options: Any) -> Any:
         raise BufferError("requires grad")
@@ -37,7 +37,7 @@ class Recorded(Exported):
 
 
 class OnDevice(Exported):
-    """As torch's on CUDA: its memory is not this process's until it is copied."""
+    """Like a torch tensor on CUDA: this process cannot read its memory until it is copied."""
 
     def __dlpack__(self, **options: Any) -> Any:
         raise AssertionError("device memory was read")
@@ -50,7 +50,7 @@ class OnDevice(Exported):
 
 
 class Unknown(OnDevice):
-    """As cupy's, which is copied by `get`."""
+    """Like a cupy array, which is copied by `get`."""
 
     cpu = None  # type: ignore[assignment]
 
@@ -59,7 +59,7 @@ class Unknown(OnDevice):
 
 
 class Converted:
-    """Only `__array__`, as pandas has."""
+    """An object with only `__array__`, like those of pandas."""
 
     def __init__(self, array: np.ndarray) -> None:
         self._array = array
@@ -83,7 +83,7 @@ def test_arrays_of_other_libraries_are_taken(client, kind):
 
 
 def test_host_memory_is_not_copied():
-    """Catches a copy per step of arrays that are on the CPU already."""
+    """Catches a copy, in each step, of arrays that are already on the CPU."""
     array = np.zeros((1000, 3))
     assert np.shares_memory(_tensors.as_numpy(Exported(array)), array)
 
@@ -108,7 +108,7 @@ def columns(client: hullcast.Client) -> hullcast.Manifolds:
 
 @pytest.mark.parametrize("library", ["torch", "jax"])
 def test_columns_go_out(client, library):
-    """Catches a column of another name or type, and a copy that torch does not need."""
+    """Catches a column with another name or type, and a copy that torch does not need."""
     m = columns(client)
     if importlib.util.find_spec(library):
         found = getattr(m, f"to_{library}")()
@@ -124,7 +124,7 @@ def test_columns_go_out(client, library):
 
 
 def test_answers_are_put_together(client):
-    """Catches points that are counted to another pair, and a scene that is not of all."""
+    """Catches points that are assigned to another pair, and a scene that not all parts have."""
     m = columns(client)
     both = hullcast.Manifolds.concat([m, m[:0], m])
     assert len(both) == 2

@@ -1,4 +1,4 @@
-"""The trace that a caller is in reaches the server, whose log names it."""
+"""The caller's trace reaches the server, whose log contains it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NO_PROXY = [("grpc.enable_http_proxy", 0)]
 
 @pytest.fixture
 def logged(tmp_path: Path) -> Iterator[SimpleNamespace]:
-    """A server that logs every call, and its log once it has ended."""
+    """A server that logs every call, and a function that ends it and returns its log."""
     command = [find_binary(), "serve", "--listen", "127.0.0.1:0", "--store", "memory://"]
     command += ["--log", "debug", "--log-format", "json", "--until-stdin-closes"]
     log = tmp_path / "log"
@@ -46,7 +46,7 @@ def logged(tmp_path: Path) -> Iterator[SimpleNamespace]:
 
 
 class Within:
-    """Callers of a remote parent's span, without OpenTelemetry's SDK: `within(trace_id)`."""
+    """Puts calls into a remote parent's span, without OpenTelemetry's SDK."""
 
     def __init__(self, trace_id: int) -> None:
         parent = trace.SpanContext(trace_id, 0xABC, True, trace.TraceFlags(1))
@@ -64,8 +64,10 @@ def _scene(hulls: list[hullcast.Hull]) -> hullcast.Scene:
 
 
 def test_each_kind_of_call_is_of_the_callers_trace(logged: SimpleNamespace) -> None:
-    """Catches a call that is sent without the trace, one that is sent with the trace of the
-    first or of the caller who connected, and one that invents a trace."""
+    """Catches a call without the caller's trace or with an invented one.
+
+    Also catches a call with the trace of the first call, or of the caller who connected.
+    """
     with Within(1), hullcast.connect(logged.target, options=NO_PROXY) as client:
         with Within(2):
             scene = _scene(client.register([CUBE]))
@@ -75,7 +77,7 @@ def test_each_kind_of_call_is_of_the_callers_trace(logged: SimpleNamespace) -> N
             client.find(scene)
         with Within(5), client.session(scene, [[0, 1]]) as session:
             session.step(scene.positions, scene.rotations)
-    # The first call is preceded by one that asks whether a server is there.
+    # Before the first call, the client asks whether a server is there.
     expected = {
         "GetServerInfo": 2,
         "RegisterHulls": 2,
@@ -87,7 +89,7 @@ def test_each_kind_of_call_is_of_the_callers_trace(logged: SimpleNamespace) -> N
 
 
 def test_tasks_keep_their_traces_apart(logged: SimpleNamespace) -> None:
-    """Catches a task's call sent with another task's trace, or with one where it has none."""
+    """Catches a call with another task's trace, or with a trace although its task has none."""
 
     async def run() -> None:
         async with hullcast.aio.connect(logged.target, options=NO_PROXY) as client:

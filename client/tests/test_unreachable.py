@@ -1,4 +1,4 @@
-"""Failures that do not pass: each at once, naming the cause and the remedy, from Python and Rust."""
+"""Permanent failures are reported at once, with cause and remedy, from Python and Rust."""
 
 from __future__ import annotations
 
@@ -59,7 +59,8 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]
     web.shutdown()
 
 
-#: Per failure: the target, the roots, texts of Python's message, and of the command line's.
+#: For each failure: the target, the root certificates, and parts of the messages of Python and of
+#: the command line.
 FAILURES = [
     ("127.0.0.1:{free}", None, ["no hullcast server at", "connection refused", "hullcast serve"], None),
     ("http://localhost:{free}", None, ["connection refused", "hullcast serve"], None),
@@ -98,7 +99,7 @@ def test_each_fails_at_once_and_says_why(places, number):
             with pytest.raises(hullcast.Unavailable) as caught:
                 call()
             expect(str(caught.value), texts)
-        assert time.monotonic() - started < 8  # gRPC's own retries take 12 s a call
+        assert time.monotonic() - started < 8  # gRPC's own retries take 12 s per call
 
     async def run() -> None:
         async with hullcast.aio.connect(target, tls=tls, options=NO_PROXY) as client:
@@ -115,7 +116,7 @@ def test_each_fails_at_once_and_says_why(places, number):
 
 
 def test_what_is_right_is_answered(places):
-    """Catches addresses and roots that are refused although they are right."""
+    """Catches addresses and root certificates that are refused although they are right."""
     good = [
         (f"localhost:{places['plain']}", None),
         (f"http://localhost:{places['plain']}/", False),
@@ -132,7 +133,7 @@ def test_what_is_right_is_answered(places):
 
 
 def test_a_port_that_is_not_given():
-    """Catches gRPC's own default, which is 443."""
+    """Catches gRPC's own default port, which is 443."""
     for target, expected in {
         "localhost": "localhost:50051",
         "http://localhost": "localhost:50051",
@@ -166,7 +167,7 @@ def test_a_file_that_is_not_pem_is_refused_at_once(places):
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM, signal.SIGABRT])
 def test_the_own_server_that_has_ended_is_named_at_once(how):
-    """Catches fourteen seconds until a server that cannot come back is given up."""
+    """Catches fourteen seconds of waiting for a server that cannot come back."""
     with hullcast.serve() as client:
         scene = hullcast.Scene(client.register(CUBE), np.zeros((1, 3)), [[0, 0, 0, 1]])
         session = client.session(scene, [[0, 0]])
@@ -201,8 +202,10 @@ def test_a_server_that_answered_before_is_waited_for():
 
 
 def tenth_of_the_intervals() -> list[tuple[str, int]]:
-    """gRPC's options for a silent peer at a tenth of the package's own, which have to add up to
-    less than a call's usual timeout."""
+    """gRPC's options for a silent peer, at a tenth of the package's own intervals.
+
+    The package's own intervals must add up to less than a call's usual timeout.
+    """
     names = ("grpc.keepalive_time_ms", "grpc.keepalive_timeout_ms", "grpc.http2.ping_timeout_ms")
     own = [_channel._OPTIONS[name] for name in names]
     assert own[0] + max(own[1:]) <= 30_000

@@ -1,4 +1,4 @@
-"""URDF files: the parts that are read, and the name of each fault."""
+"""URDF files: the parts that are read, and the message for each fault."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ LINKS = "".join(f'<link name="{name}">{BOX}</link>' for name in "abcd")
 
 
 def with_collision(inside: str) -> str:
-    """A robot of one link with this in its second collision element."""
+    """A robot with one link, which has this content in its second collision element."""
     return f'<robot name="r"><link name="arm">{BOX}<collision>{inside}</collision></link></robot>'
 
 
 def with_joint(inside: str, attributes: str = 'name="j" type="revolute"') -> str:
-    """A robot of two links with this in its joint."""
+    """A robot with two links and one joint, which has this content."""
     return (
         f'<robot name="r"><link name="a">{BOX}</link><link name="b">{BOX}</link>'
         f'<joint {attributes}>{inside}<parent link="a"/><child link="b"/></joint></robot>'
@@ -137,7 +137,7 @@ FAULTS = {
     ),
     "two roots": (f'<robot name="r">{LINKS}</robot>', ["one tree", "'a', 'b', 'c', 'd'"]),
     "a mimic without joint": (with_joint('<mimic multiplier="2"/>'), ["joint 'j'", "'joint'"]),
-    "a mimic of nothing": (with_joint('<mimic joint="k"/>'), ["joint 'j'", "'k'", "no joint"]),
+    "a mimic of nothing": (with_joint('<mimic joint="k"/>'), ["joint 'j'", "'k'", "not a joint"]),
     "a mimic of itself": (with_joint('<mimic joint="j"/>'), ["j -> j"]),
     "a multiplier of words": (
         with_joint('<mimic joint="j" multiplier="x"/>'),
@@ -200,7 +200,7 @@ def test_a_fault_of_a_mesh_is_named(tmp_path, name, data, reason, named):
 
 
 def test_visuals_are_not_read(tmp_path):
-    """Catches a robot that is refused for a picture: visuals without files, names or sense."""
+    """Catches a robot that is refused because of visuals without files, names or valid numbers."""
     visual = '<visual><origin xyz="x"/><geometry><mesh filename="none.xyz"/></geometry></visual>'
     text = f'<robot name="r"><material/><link name="a">{visual}<visual/>{BOX}</link></robot>'
     (tmp_path / "robot.urdf").write_text(text)
@@ -223,13 +223,16 @@ CUBE = stl(box((0, 0, 0), (1, 1, 1)))
     ],
 )
 def test_where_meshes_are_looked_for(tmp_path, monkeypatch, uri):
-    """Catches forms of a package's address that robots use and that are not found: by `packages`,
-    one or several, the package's own folder, and both variables of ROS."""
+    """Catches forms of a package's address that robots use and that are not found.
+
+    The package is found through `packages` (one or several), its own folder, or either ROS
+    variable.
+    """
     (tmp_path / "my_pkg/meshes").mkdir(parents=True)
     (tmp_path / "my_pkg/meshes/cube.stl").write_bytes(CUBE)
     (tmp_path / "robots").mkdir()
     path = mesh_robot(tmp_path / "robots", uri.format(tmp_path), None)
-    assert len(hullcast.Robot(path)) == 1  # a folder above the file has it
+    assert len(hullcast.Robot(path)) == 1  # a folder above the file contains the package
     if "pkg" not in uri.partition("://")[2] or "{0}" in uri:
         return
     other = tmp_path / "elsewhere/deep"
@@ -248,7 +251,7 @@ def test_where_meshes_are_looked_for(tmp_path, monkeypatch, uri):
 
 
 def test_names_with_escapes(tmp_path):
-    """Catches a space that is written as %20, and a percent sign that is none."""
+    """Catches a space written as %20 that is not decoded, and a literal %20 that is."""
     for name, uri in (("a b.stl", "package://my_pkg/a%20b.stl"), ("a%20b.stl", "a%20b.stl")):
         folder = tmp_path / "my_pkg"
         folder.mkdir(exist_ok=True)
@@ -258,7 +261,7 @@ def test_names_with_escapes(tmp_path):
 
 
 def chain(*joints: str) -> str:
-    """Links l0, l1, ... that joints j0, j1, ... slide along x from l0."""
+    """A robot with links l0, l1, ... in which joint ji slides link l(i+1) along x from l0."""
     links = "".join(f'<link name="l{i}">{BOX}</link>' for i in range(len(joints) + 1))
     text = "".join(
         f'<joint name="j{i}" type="prismatic"><parent link="l0"/><child link="l{i + 1}"/>'
@@ -290,8 +293,10 @@ def chain(*joints: str) -> str:
     ],
 )
 def test_joints_that_mimic_others(tmp_path, mimics, free, expected):
-    """Catches chains that are refused, orders of declaration that matter, and factors or offsets
-    that are not multiplied along a chain."""
+    """Catches chains that are refused, and an order of declaration that matters.
+
+    Also catches factors or offsets that are not combined along a chain.
+    """
     (tmp_path / "robot.urdf").write_text(chain(*mimics))
     robot = hullcast.Robot(tmp_path / "robot.urdf")
     assert robot.joints == tuple(free)
@@ -299,7 +304,7 @@ def test_joints_that_mimic_others(tmp_path, mimics, free, expected):
 
 
 def test_circles_of_mimics_are_named(tmp_path):
-    """Catches a hang: three joints that follow each other, and one that follows them."""
+    """Catches a hang: joints that mimic each other in a cycle, or a joint in the cycle."""
     mimics = [f'<mimic joint="j{i}"/>' for i in (1, 2, 1)]
     (tmp_path / "robot.urdf").write_text(chain(*mimics))
     with pytest.raises(hullcast.InvalidArgument, match="j1 -> j2 -> j1"):
@@ -311,8 +316,10 @@ def test_circles_of_mimics_are_named(tmp_path):
 
 
 def test_shapes_and_their_origins(client, tmp_path):
-    """Catches an angle in another order: fixed axes, roll then pitch then yaw; sizes and volumes
-    by closed forms."""
+    """Catches angles in a wrong order: rpy is roll, then pitch, then yaw about fixed axes.
+
+    Sizes and volumes have closed forms.
+    """
     origin = '<origin xyz="1 2 3" rpy="0.3 -0.4 0.5"/>'
     shapes = [
         '<box size="2 4 6"/>',
@@ -338,7 +345,7 @@ def test_shapes_and_their_origins(client, tmp_path):
     assert np.ptp(own[3], axis=0) == pytest.approx([1, 2, 3])
     assert own[3].min(axis=0) == pytest.approx([0, -2, 0])
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # a mirrored mesh is no less convex
+        warnings.simplefilter("error")  # a mirrored mesh is still convex
         hulls = client.register(robot.shapes)
     area = 32 * 0.5 * 0.25 * np.sin(2 * np.pi / 32)
     volumes = [hull.volume for hull in hulls]
@@ -348,7 +355,7 @@ def test_shapes_and_their_origins(client, tmp_path):
 
 
 def test_warnings_name_the_link(client, tmp_path):
-    """Catches `hulls[1]`, from which nobody can tell which of a robot's meshes is meant."""
+    """Catches a warning with only `hulls[1]`, which does not identify a robot's mesh."""
     (tmp_path / "bars.stl").write_bytes(stl(np.concatenate(BARS)))
     (tmp_path / "robot.urdf").write_text(
         f'<robot name="r"><link name="base">{BOX}<collision name="bars"><geometry>'
@@ -409,7 +416,7 @@ def test_values_of_joints_that_are_refused(tmp_path, joints, base, field):
 
 
 def test_an_srdf_that_is_none(tmp_path):
-    """Catches a parser's error: each file is named."""
+    """Catches a parser's own error: the message must name the file."""
     (tmp_path / "robot.urdf").write_text(with_joint(""))
     for text in ("", "hello", "<sdf/>"):
         (tmp_path / "robot.srdf").write_text(text)

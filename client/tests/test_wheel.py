@@ -1,4 +1,4 @@
-"""The wheel, as a user gets it: client and server, in an environment of its own."""
+"""The wheel as a user gets it, with client and server, in an environment of its own."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory) -> Path:
-    """Built from the same objects as the binary under test, so within seconds."""
+    """A wheel that is built from the same objects as the tested binary, so within seconds."""
     pytest.importorskip("maturin")
     out = tmp_path_factory.mktemp("wheel")
     command = [sys.executable, "-m", "maturin", "build", "--profile", "release", "--out", str(out)]
@@ -32,7 +32,7 @@ def wheel(tmp_path_factory) -> Path:
 
 
 def test_what_the_wheel_has(wheel):
-    """The package with its types and stubs, the server, the licences; no test, no source of Rust."""
+    """The wheel has the package with types and stubs, the server and the licences, and no tests."""
     with zipfile.ZipFile(wheel) as file:
         names = file.namelist()
         (metadata,) = (name for name in names if name.endswith(".dist-info/METADATA"))
@@ -54,8 +54,7 @@ def test_what_the_wheel_has(wheel):
 
 
 def test_the_wheel_alone_runs_the_readmes_program(wheel, tmp_path):
-    """Installed with its dependencies, the newest, into an empty environment; nothing of this one
-    is seen."""
+    """The wheel works in an empty environment with the newest packages, without anything from here."""
     venv.create(tmp_path / "env", with_pip=True)
     python = tmp_path / "env/bin/python"
     clean = {k: v for k, v in os.environ.items() if k not in ("HULLCAST_BIN", "PYTHONPATH")}

@@ -18,38 +18,38 @@ html_theme = "furo"
 html_title = "hullcast"
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
-# Pages show bodies of JSON with comments and shells with outputs.
+# Blocks of JSON with comments, and of commands with their output, have no valid language.
 highlight_language = "none"
 suppress_warnings = ["misc.highlighting_failure"]
 
-#: What the side lists: title, pages.
+#: The table of contents of the sidebar: titles and their pages.
 CONTENTS = {
     "Python": [
         *(f"docs/python/{page}" for page in ("first-contacts", "robots", "finding", "loops")),
         *(f"docs/python/{page}" for page in ("workers", "batch-jobs", "accuracy")),
         "docs/site/python",
     ],
-    "Any language": [
+    "Other languages": [
         *(f"docs/{page}" for page in ("protocol", "languages", "grpcurl", "errors", "identity")),
         "docs/site/rust",
     ],
-    "What is computed": [
+    "Computation": [
         *(f"docs/{page}" for page in ("algorithm", "playground", "hulls", "find")),
         "examples/scenes/README",
     ],
-    "How well": [
+    "Speed and accuracy": [
         *(f"docs/{page}" for page in ("performance", "tradeoff", "simulation")),
         *(f"docs/{page}" for page in ("stability", "fuzzing", "workload")),
         "tests/golden/README",
     ],
-    "Running it": [f"docs/{page}" for page in ("operations", "durability", "reliability")]
+    "Operations": [f"docs/{page}" for page in ("operations", "durability", "reliability")]
     + ["docs/cluster", "docs/capacity"],
-    "Changing it": ["ARCHITECTURE", "CONTRIBUTING", "CHANGELOG", "docs/licences"],
+    "Development": ["ARCHITECTURE", "CONTRIBUTING", "CHANGELOG", "docs/licences"],
 }
 
 
 def list_the_pages(_app, page, source):
-    """Into the first page, which as a file stays without the site's markup."""
+    """Adds the tables of contents to the first page, so that its file has no markup of the site."""
     if page == root_doc:
         for caption, pages in CONTENTS.items():
             listed = "\n".join(pages)

@@ -36,7 +36,7 @@ int check_answers(Client& client, const std::vector<Case>& cases) {
 
 namespace {
 
-/// The call has to fail, and to say of itself what is wanted.
+/// Asserts that the call fails with INVALID_ARGUMENT and with this reason and field.
 void refused(const std::string& reason, const std::string& field, const std::function<void()>& call) {
     try {
         call();
@@ -60,7 +60,7 @@ int check_errors(Client& client, const Case& golden) {
     v1::QueryContactsRequest inherits;
     inherits.set_inherit(true);
     refused("NOTHING_TO_INHERIT", "inherit", [&] { client.stream({inherits}); });
-    // One bad hull does not sink the other.
+    // One invalid hull does not affect the other.
     v1::RegisterHullsRequest hulls;
     *hulls.add_hulls() = definition({{0, 0, 0, 1, 0, 0, 0, 1, 0, 1, 1, 0}, {}});
     *hulls.add_hulls() = definition(golden.a.hull());
@@ -68,7 +68,7 @@ int check_errors(Client& client, const Case& golden) {
     const v1::HullError& flat = registered.results(0).error();
     expect(flat.reason() == "COPLANAR" && flat.field() == "vertices", flat.ShortDebugString());
     expect(registered.results(1).has_hull(), registered.ShortDebugString());
-    // Nor does an unknown hull sink the pairs that are not its own.
+    // Nor does an unknown hull affect the pairs of other hulls.
     v1::QueryContactsRequest unknown = golden.request();
     const int stranger = unknown.hull_ids_size();
     unknown.add_hull_ids(std::string(32, '\0'));

@@ -3,18 +3,18 @@
 #include "client.h"
 #include "golden.h"
 
-// What is checked; each says how many it checked, and throws where something is otherwise.
+// The checks. Each returns the number of things that it checked, and throws if one is wrong.
 
 int check_identities(const std::filesystem::path& root);
-/// Every case with either solver.
+/// Queries every case with both solvers.
 int check_answers(Client& client, const std::vector<Case>& cases);
 int check_errors(Client& client, const Case& golden);
-/// Poses alone after a stream's first message: each answer is that of the request in full, warm
-/// from the bases before.
+/// Sends only poses after a stream's first message. Each answer must equal that of the full request
+/// with the previous bases as warm starts.
 int check_steps(Client& client, const Case& golden);
-/// A request that takes many times its deadline.
+/// Sends a request that takes many times its deadline.
 int check_deadline(Client& client, const Case& golden);
-/// A server with TLS and tokens: its authority has to be trusted, a token sent, and the token's
-/// role has to allow the call. `arguments`: its target, the authority's certificate, tokens that
-/// may register and query; or none.
+/// Calls a server with TLS and tokens. The client must trust its authority and send a token, and
+/// the token's role must allow the call. `arguments` are the target, the authority's certificate, a
+/// token that may register and a token that may query; or empty, to skip the check.
 int check_secured(const std::vector<std::string>& arguments, const Case& golden);

@@ -7,7 +7,7 @@ namespace v1 = hullcast::v1;
 
 namespace {
 
-/// What the server takes and gives by default; gRPC's own default is 4 MiB.
+/// The server's default message limit in both directions. gRPC's own default is 4 MiB.
 constexpr int MAX_MESSAGE_BYTES = 64 << 20;
 
 void succeeded(const grpc::Status& status) {

@@ -71,7 +71,7 @@ void Case::check(const v1::QueryContactsResponse& answer) const {
     expect(answer.alpha_lowers(0) <= alpha_below && answer.alpha_uppers(0) >= alpha_above,
            "the bracket does not hold alpha");
     if (found == v1::OUTCOME_SEPARATED) return;
-    // Twice the budgets: this side is rounded too.
+    // Twice the budgets, because the numbers computed here are rounded too.
     expect(std::abs(answer.alphas(0) - alpha_below) <= 2 * alpha_budget, "alpha");
     const Vector n = {answer.normals(0), answer.normals(1), answer.normals(2)};
     const Vector centers = b.position - a.position + rotate(b.rotation, b.contraction_point) -

@@ -9,7 +9,7 @@
 #include "hullcast/v1/contacts.pb.h"
 #include "vector.h"
 
-/// A hull at its pose.
+/// A hull at a pose.
 struct Side {
     std::vector<Vector> vertices;
     Vector contraction_point;
@@ -17,11 +17,11 @@ struct Side {
     Quaternion rotation;
 
     Hull hull() const;
-    /// Largest n . (v - contraction point), n in the world.
+    /// The largest n . (v - contraction point) over the vertices v; n is in the world frame.
     double support(Vector n) const;
 };
 
-/// One of tests/golden/contacts.json, which tests/golden/README.md describes.
+/// A case of tests/golden/contacts.json, which tests/golden/README.md describes.
 struct Case {
     std::string name;
     Side a, b;
@@ -31,23 +31,23 @@ struct Case {
     std::optional<std::vector<Vector>> patch;
     double patch_budget;
 
-    /// The case's scene and its one pair.
+    /// The request for the case's scene and its one pair.
     hullcast::v1::QueryContactsRequest request() const;
-    /// Holds the answer of that pair against the exact one; throws where it is another.
+    /// Compares the answer for that pair with the exact one; throws if they differ.
     void check(const hullcast::v1::QueryContactsResponse& answer) const;
 };
 
-/// One of docs/identity.md.
+/// A test vector of docs/identity.md.
 struct IdentityVector {
     std::string name;
     Hull hull;
     std::string id;
-    /// Empty where the page does not give them.
+    /// Empty if the page does not give the bytes.
     std::string bytes;
 };
 
 std::vector<Case> read_cases(const std::filesystem::path& root);
 std::vector<IdentityVector> read_identity_vectors(const std::filesystem::path& root);
 
-/// Throws `otherwise` unless it holds.
+/// Throws `otherwise` unless `holds` is true.
 void expect(bool holds, const std::string& otherwise);

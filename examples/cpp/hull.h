@@ -5,22 +5,22 @@
 #include <string>
 #include <vector>
 
-/// A cloud of points to register, three numbers a point, in the hull's own frame.
+/// A cloud of points to register: three numbers per point, in the hull's own frame.
 struct Hull {
     std::vector<double> vertices;
-    /// Empty (the centre of mass is taken) or three numbers.
+    /// Three numbers; or empty for the centre of mass.
     std::vector<double> contraction_point;
-    /// None or at least one of the two.
+    /// Both absent for no simplification.
     std::optional<std::uint32_t> max_vertices = {};
     std::optional<double> max_deviation = {};
-    /// None: the server's 1e-6.
+    /// If absent, the server uses 1e-6.
     std::optional<double> planarity = {};
 
-    /// The byte string of docs/identity.md.
+    /// The byte string that docs/identity.md defines.
     std::string identity_bytes() const;
-    /// Names the hull on every server: 32 bytes.
+    /// The hull's id on every server: 32 bytes.
     std::string id() const;
 };
 
-/// Lower-case hexadecimal digits.
+/// Converts bytes to lower-case hexadecimal digits.
 std::string hex(const std::string& bytes);

@@ -1,5 +1,5 @@
-// Holds a server, and this language's generated code, against the golden cases and the documented
-// errors. Prints what it counted.
+// Tests a server, and the generated code for C++, against the golden cases and the documented
+// errors. Prints the number of checks of each kind.
 //
 //     conformance ROOT TARGET [SECURE_TARGET AUTHORITY_PEM REGISTER_TOKEN QUERY_TOKEN]
 

@@ -7,7 +7,7 @@
 #include <vector>
 
 using Vector = std::array<double, 3>;
-/// x, y, z, w.
+/// In the order x, y, z, w.
 using Quaternion = std::array<double, 4>;
 
 inline Vector operator+(Vector a, Vector b) { return {a[0] + b[0], a[1] + b[1], a[2] + b[2]}; }
@@ -28,7 +28,7 @@ inline Vector rotate(Quaternion q, Vector v) {
 
 inline Quaternion inverse(Quaternion q) { return {-q[0], -q[1], -q[2], q[3]}; }
 
-/// From a point to a convex polygon in space.
+/// The distance from a point to a convex polygon in space.
 inline double distance_to_polygon(Vector p, const std::vector<Vector>& corners) {
     const auto side = [&](std::size_t i) { return corners[(i + 1) % corners.size()] - corners[i]; };
     Vector normal = {};

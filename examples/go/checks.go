@@ -29,7 +29,7 @@ func checkIdentities(root string) (int, error) {
 	return len(vectors), err
 }
 
-// checkAnswers asks for every case with either solver.
+// checkAnswers queries every case with both solvers.
 func (c Client) checkAnswers(ctx context.Context, cases []Case) (count int, err error) {
 	for _, golden := range cases {
 		if _, err := c.register(ctx, golden.A.hull(), golden.B.hull()); err != nil {
@@ -51,7 +51,7 @@ func (c Client) checkAnswers(ctx context.Context, cases []Case) (count int, err 
 	return count, nil
 }
 
-// refusal is what an error says of itself: code, reason, and the field at fault.
+// refusal describes an error by its code, reason and field.
 func refusal(err error) string {
 	said := status.Convert(err)
 	reason, field := "", ""
@@ -91,7 +91,7 @@ func (c Client) checkErrors(ctx context.Context, golden Case) (int, error) {
 	if err := expect(err, "InvalidArgument hullcast/NOTHING_TO_INHERIT inherit"); err != nil {
 		return 0, err
 	}
-	// One bad hull does not sink the other.
+	// One invalid hull does not affect the other.
 	flat := &pb.HullDefinition{Vertices: []float64{0, 0, 0, 1, 0, 0, 0, 1, 0, 1, 1, 0}}
 	good := &pb.HullDefinition{Vertices: golden.A.hull().Vertices}
 	registered, err := c.hulls.RegisterHulls(ctx, &pb.RegisterHullsRequest{Hulls: []*pb.HullDefinition{flat, good}})
@@ -102,7 +102,7 @@ func (c Client) checkErrors(ctx context.Context, golden Case) (int, error) {
 	if refused.GetReason() != "COPLANAR" || refused.GetField() != "vertices" || registered.Results[1].GetHull() == nil {
 		return 0, fmt.Errorf("a flat hull: %v", registered.Results)
 	}
-	// Nor does an unknown hull sink the pairs that are not its own.
+	// Nor does an unknown hull affect the pairs of other hulls.
 	unknown := golden.request()
 	unknown.HullIds = append(unknown.HullIds, make([]byte, 32))
 	unknown.BodyHulls = append(unknown.BodyHulls, uint32(len(unknown.HullIds)-1))
@@ -121,7 +121,7 @@ func (c Client) checkErrors(ctx context.Context, golden Case) (int, error) {
 	return 5, nil
 }
 
-// stream sends each request after the answer to the one before.
+// stream sends each request after the answer to the previous one.
 func (c Client) stream(ctx context.Context, requests ...*pb.QueryContactsRequest) (answers []*pb.QueryContactsResponse, err error) {
 	stream, err := c.contacts.StreamContacts(ctx)
 	if err != nil {
@@ -146,8 +146,8 @@ func (c Client) stream(ctx context.Context, requests ...*pb.QueryContactsRequest
 	return answers, nil
 }
 
-// checkSteps sends poses alone after a stream's first message, and compares each answer with
-// that of the request in full, warm from the bases before.
+// checkSteps sends only poses after a stream's first message. Each answer must equal that of the
+// full request with the previous bases as warm starts.
 func (c Client) checkSteps(ctx context.Context, golden Case) (int, error) {
 	const steps = 8
 	full := golden.request()
@@ -180,7 +180,7 @@ func (c Client) checkSteps(ctx context.Context, golden Case) (int, error) {
 	return len(answers), nil
 }
 
-// checkDeadline gives a request that takes many times its deadline.
+// checkDeadline sends a request that takes many times its deadline.
 func (c Client) checkDeadline(ctx context.Context, golden Case) (int, error) {
 	request := golden.request()
 	request.Pairs = slices.Repeat(request.Pairs, 131072)

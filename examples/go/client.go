@@ -9,10 +9,10 @@ import (
 	"google.golang.org/grpc"
 )
 
-// What the server takes and gives by default; gRPC's own default is 4 MiB.
+// The server's default message limit in both directions. gRPC's own default is 4 MiB.
 const maxMessageBytes = 64 << 20
 
-// Client has the two services that matter.
+// Client has the hull service and the contact service.
 type Client struct {
 	hulls    pb.HullServiceClient
 	contacts pb.ContactServiceClient
@@ -28,7 +28,7 @@ func connect(target string, options ...grpc.DialOption) (Client, error) {
 	return Client{pb.NewHullServiceClient(connection), pb.NewContactServiceClient(connection)}, nil
 }
 
-// register gives the ids, after comparing them with those computed here.
+// register returns the ids, after comparing them with those computed here.
 func (c Client) register(ctx context.Context, hulls ...Hull) ([][]byte, error) {
 	request := &pb.RegisterHullsRequest{}
 	for _, hull := range hulls {
@@ -56,7 +56,7 @@ func (c Client) register(ctx context.Context, hulls ...Hull) ([][]byte, error) {
 	return ids, nil
 }
 
-// request is the case's scene and its one pair.
+// request is the request for the case's scene and its one pair.
 func (c Case) request() *pb.QueryContactsRequest {
 	a, b := c.A.hull().ID(), c.B.hull().ID()
 	request := &pb.QueryContactsRequest{

@@ -11,7 +11,7 @@ import (
 	pb "github.com/hullcast/hullcast/examples/go/hullcastv1"
 )
 
-// Case is one of tests/golden/contacts.json, which tests/golden/README.md describes.
+// Case is a case of tests/golden/contacts.json, which tests/golden/README.md describes.
 type Case struct {
 	Name         string
 	A, B         Side
@@ -25,7 +25,7 @@ type Case struct {
 	PatchBudget  float64 `json:"patch_budget"`
 }
 
-// Side is a hull at its pose.
+// Side is a hull at a pose.
 type Side struct {
 	Vertices         []Vector
 	ContractionPoint Vector `json:"contraction_point"`
@@ -41,7 +41,7 @@ func (s Side) hull() Hull {
 	return hull
 }
 
-// support is the largest n . (v - contraction point), n in the world.
+// support is the largest n . (v - contraction point) over the vertices v; n is in the world frame.
 func (s Side) support(n Vector) float64 {
 	local, most := rotate(inverse(s.Rotation), n), math.Inf(-1)
 	for _, vertex := range s.Vertices {
@@ -68,7 +68,7 @@ func readCases(root string) ([]Case, error) {
 	return file.Cases, nil
 }
 
-// IdentityVector is one of docs/identity.md.
+// IdentityVector is a test vector of docs/identity.md.
 type IdentityVector struct {
 	Name             string
 	Vertices         []float64
@@ -97,7 +97,7 @@ func readIdentityVectors(root string) (vectors []IdentityVector, err error) {
 	return vectors, json.Unmarshal([]byte(block), &vectors)
 }
 
-// check holds the answer of the case's one pair against the exact one.
+// check compares the answer for the case's one pair with the exact one.
 func (c Case) check(answer *pb.QueryContactsResponse) error {
 	outcome := pb.Outcome(answer.Outcomes[0])
 	if outcome.String() != "OUTCOME_"+c.Outcome {
@@ -110,7 +110,7 @@ func (c Case) check(answer *pb.QueryContactsResponse) error {
 	if c.Outcome == "SEPARATED" {
 		return nil
 	}
-	// Twice the budgets: this side is rounded too.
+	// Twice the budgets, because the numbers computed here are rounded too.
 	if math.Abs(alpha-c.AlphaBelow) > 2*c.AlphaBudget {
 		return fmt.Errorf("alpha %v, not %v", alpha, c.AlphaBelow)
 	}

@@ -8,18 +8,18 @@ import (
 	pb "github.com/hullcast/hullcast/examples/go/hullcastv1"
 )
 
-// Hull is a cloud of points to register, three numbers a point, in the hull's own frame.
+// Hull is a cloud of points to register: three numbers per point, in the hull's own frame.
 type Hull struct {
 	Vertices []float64
-	// Empty (the centre of mass is taken) or three numbers.
+	// Three numbers; or empty for the centre of mass.
 	ContractionPoint []float64
-	// Nil for none.
+	// Nil for no simplification.
 	Simplification *pb.Simplification
-	// Nil for none: the server's 1e-6.
+	// If nil, the server uses 1e-6.
 	Planarity *float64
 }
 
-// IdentityBytes is the byte string of docs/identity.md.
+// IdentityBytes is the byte string that docs/identity.md defines.
 func (h Hull) IdentityBytes() []byte {
 	var out bytes.Buffer
 	out.WriteString("hullcast")
@@ -61,7 +61,7 @@ func (h Hull) IdentityBytes() []byte {
 	return out.Bytes()
 }
 
-// ID names the hull on every server.
+// ID is the hull's id on every server: 32 bytes.
 func (h Hull) ID() []byte {
 	sum := sha256.Sum256(h.IdentityBytes())
 	return sum[:]

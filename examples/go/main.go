@@ -1,5 +1,5 @@
-// Command conformance holds a server, and this language's generated code, against the golden
-// cases and the documented errors. It prints what it counted.
+// Command conformance tests a server, and the generated code for Go, against the golden cases and
+// the documented errors. It prints the number of checks of each kind.
 //
 //	go run . ROOT TARGET [SECURE_TARGET AUTHORITY_PEM REGISTER_TOKEN QUERY_TOKEN]
 package main

@@ -10,7 +10,7 @@ import (
 	"google.golang.org/grpc/status"
 )
 
-// token is sent with every call, over TLS alone.
+// token is sent with every call, and only over TLS.
 type token string
 
 func (t token) GetRequestMetadata(context.Context, ...string) (map[string]string, error) {
@@ -19,8 +19,8 @@ func (t token) GetRequestMetadata(context.Context, ...string) (map[string]string
 
 func (t token) RequireTransportSecurity() bool { return true }
 
-// checkSecured goes to a server with TLS and tokens: its authority has to be trusted, a token
-// sent, and the token's role has to allow the call.
+// checkSecured calls a server with TLS and tokens. The client must trust its authority and send a
+// token, and the token's role must allow the call.
 func checkSecured(ctx context.Context, arguments []string, golden Case) (int, error) {
 	if len(arguments) == 0 {
 		return 0, nil

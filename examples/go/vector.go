@@ -2,7 +2,7 @@ package main
 
 import "math"
 
-// Vector has three numbers.
+// Vector is a vector of three numbers.
 type Vector [3]float64
 
 func (a Vector) add(b Vector) Vector { return Vector{a[0] + b[0], a[1] + b[1], a[2] + b[2]} }
@@ -16,7 +16,7 @@ func (a Vector) cross(b Vector) Vector {
 	return Vector{a[1]*b[2] - a[2]*b[1], a[2]*b[0] - a[0]*b[2], a[0]*b[1] - a[1]*b[0]}
 }
 
-// rotate turns v by the quaternion q: x, y, z, w.
+// rotate rotates v by the quaternion q, in the order x, y, z, w.
 func rotate(q [4]float64, v Vector) Vector {
 	axis, w := Vector{q[0], q[1], q[2]}, q[3]
 	s := 2 / (axis.dot(axis) + w*w)
@@ -26,7 +26,7 @@ func rotate(q [4]float64, v Vector) Vector {
 
 func inverse(q [4]float64) [4]float64 { return [4]float64{-q[0], -q[1], -q[2], q[3]} }
 
-// distanceToPolygon is that of p from a convex polygon in space.
+// distanceToPolygon is the distance from p to a convex polygon in space.
 func distanceToPolygon(p Vector, corners []Vector) float64 {
 	var normal Vector
 	next := func(i int) Vector { return corners[(i+1)%len(corners)] }

@@ -1,11 +1,9 @@
-//! Measures the cost and the use of the planarity of a hull's faces (docs/tradeoff.md):
-//! `make planarity`.
+//! Measures the cost and the benefit of the planarity of a hull's faces (docs/tradeoff.md); run by `make planarity`.
 //!
-//! Shapes are turned at random, rounded as files round coordinates, and stood on a face. Their
-//! patch is compared with that of the unrounded shape in the same pose, for every planarity.
-//! Writes a row per group of shapes, rounding and planarity to the CSV file that is named, and
-//! prints the tables of the page. Scene files add a group each, of their hulls, which are many:
-//! one in a hundred of the orientations is taken.
+//! Shapes are rotated at random, rounded as files round coordinates, and placed on a face. For every planarity, the
+//! contact patch is compared with that of the unrounded shape in the same pose. The program writes one row per group of
+//! shapes, rounding and planarity to the given CSV file, and prints the tables of the page. Each scene file adds a
+//! group with its hulls. These are many, so only one in a hundred of the orientations is measured.
 
 mod measure;
 mod shapes;

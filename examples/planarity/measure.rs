@@ -1,4 +1,4 @@
-//! Patches, faces and times of every shape, rounding and planarity.
+//! Patches, faces and times for every shape, rounding and planarity.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
@@ -12,36 +12,35 @@ use crate::shapes::{Group, ROUNDINGS, Rounding};
 
 pub(crate) const PLANARITIES: [f64; 11] = [1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 7e-4, 1e-3, 2e-3, 5e-3, 1e-2];
 
-/// How deep a shape stands in the floor, and within what distance contact points are wanted: shares
-/// of its circumradius.
+/// How deep a shape is sunk into the floor, and the margin for contact points; both as shares of the circumradius.
 const DEPTH: f64 = 1e-3;
 const MARGIN: f64 = 1e-2;
-/// Two faces at a larger angle than this, the default feature angle, are apart to the contacts.
+/// Two faces at an angle larger than this, the default feature angle, count as different features for contacts.
 const FEATURE_ANGLE: f64 = 1e-2;
-/// Orientations of each shape in which times are taken.
+/// The number of orientations of each shape in which times are measured.
 const TIMED: usize = 20;
-/// A patch is whole where its area is within this share of the unrounded shape's.
+/// A patch is whole if its area is within this share of the unrounded shape's area.
 const WHOLE: f64 = 0.01;
 
-/// One group, rounding and planarity; sums over shapes and orientations.
+/// The figures of one group, rounding and planarity; most are sums over shapes and orientations.
 #[derive(Clone, Debug)]
 pub(crate) struct Cell {
     pub(crate) group: String,
     pub(crate) rounding: Rounding,
     pub(crate) planarity: f64,
     pub(crate) cases: usize,
-    /// Sum of the areas over the unrounded shape's.
+    /// The sum of the areas, each divided by the unrounded shape's.
     pub(crate) area: f64,
     pub(crate) least_area: f64,
     pub(crate) whole: usize,
-    /// Largest relative difference of alpha from that at the first planarity.
+    /// The largest relative difference of alpha from its value at the first planarity.
     pub(crate) alpha: f64,
-    /// Largest `geometric_error` over the circumradius.
+    /// The largest `geometric_error`, divided by the circumradius.
     pub(crate) error: f64,
-    /// Edges sharper than the feature angle, here and in the unrounded shape at the first planarity.
+    /// The number of edges sharper than the feature angle, here and in the unrounded shape at the first planarity.
     pub(crate) edges: usize,
     pub(crate) all_edges: usize,
-    /// Nanoseconds, sums over the timed cases.
+    /// Nanoseconds, summed over the timed cases.
     pub(crate) building: f64,
     pub(crate) answering: f64,
 }
@@ -52,10 +51,10 @@ struct Standing<'a> {
     pose: Pose,
 }
 
-/// The unrounded shape, and how it stands on its largest face.
+/// The unrounded shape, and its pose when it stands on its largest face.
 struct Reference {
     hull: ConvexHull,
-    /// Turns the face downwards.
+    /// The rotation that turns the face downwards.
     upright: DQuat,
     height: f64,
     edges: usize,
@@ -88,7 +87,7 @@ fn sharp_edges(hull: &ConvexHull) -> usize {
     hull.edge_faces().iter().filter(sharp).count()
 }
 
-/// Area of the patch along the normal; 0 where there is no contact.
+/// The area of the patch, projected along the normal; 0 if there is no contact.
 fn area(manifold: &Manifold) -> f64 {
     if manifold.outcome != Outcome::Contact || manifold.points.len() < 3 {
         return 0.0;
@@ -99,7 +98,7 @@ fn area(manifold: &Manifold) -> f64 {
     0.5 * sum.dot(manifold.normal).abs()
 }
 
-/// Every cell, the planarities of a rounding side by side.
+/// All cells, with the planarities of one rounding next to each other.
 pub(crate) fn cells(groups: &[Group], orientations: usize) -> Vec<Cell> {
     let rows: Vec<_> = groups.iter().flat_map(|group| ROUNDINGS.map(|rounding| (group, rounding))).collect();
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
@@ -123,7 +122,7 @@ pub(crate) fn cells(groups: &[Group], orientations: usize) -> Vec<Cell> {
     done.concat()
 }
 
-/// One group and rounding.
+/// The cells of one group and rounding, one per planarity.
 fn row(group: &Group, rounding: Rounding, orientations: usize) -> Vec<Cell> {
     let mut row = PLANARITIES.map(|planarity| Cell::new(&group.name, rounding, planarity));
     for (seed, points) in group.shapes.iter().enumerate() {
@@ -137,7 +136,7 @@ fn row(group: &Group, rounding: Rounding, orientations: usize) -> Vec<Cell> {
     row.into()
 }
 
-/// One orientation in the file: every planarity.
+/// Measures one orientation of a shape with every planarity, and adds the figures to the row.
 fn measure(points: &[[f64; 3]], reference: &Reference, turned: DQuat, timed: bool, row: &mut [Cell]) {
     let floor = floor(8.0 * reference.hull.circumradius());
     let mut workspace = Workspace::default();
@@ -177,7 +176,7 @@ fn measure(points: &[[f64; 3]], reference: &Reference, turned: DQuat, timed: boo
     }
 }
 
-/// Nanoseconds of the fastest of three runs.
+/// The duration of the fastest of three runs, in nanoseconds.
 fn fastest<T>(mut run: impl FnMut() -> T) -> f64 {
     let mut once = || {
         let start = Instant::now();
@@ -215,7 +214,7 @@ impl Cell {
         }
     }
 
-    /// A mean over the cases.
+    /// The mean over the cases of a sum.
     pub(crate) fn mean(&self, sum: f64) -> f64 {
         sum / self.cases as f64
     }
@@ -225,7 +224,7 @@ impl Cell {
 struct Random(u64);
 
 impl Random {
-    /// Uniform in [0, 1).
+    /// A random number, uniform in [0, 1).
     fn unit(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -234,7 +233,7 @@ impl Random {
         ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// A uniform rotation.
+    /// A random rotation, uniform over all rotations.
     fn rotation(&mut self) -> DQuat {
         let (u, v, w) = (self.unit(), self.unit(), self.unit());
         let (s, c) = (std::f64::consts::TAU * v).sin_cos();

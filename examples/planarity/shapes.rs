@@ -1,4 +1,4 @@
-//! The shapes that are measured, and how files round their coordinates.
+//! The measured shapes, and how files round their coordinates.
 
 use std::f64::consts::TAU;
 
@@ -8,7 +8,7 @@ pub(crate) type Points = Vec<[f64; 3]>;
 pub(crate) struct Group {
     pub(crate) name: String,
     pub(crate) shapes: Vec<Points>,
-    /// The share of the orientations that are measured is one over this.
+    /// One in this many of the orientations is measured.
     pub(crate) thinned: usize,
 }
 
@@ -62,7 +62,7 @@ fn cuboid(size: [f64; 3]) -> Points {
     (0..8).map(|i| std::array::from_fn(|k| sign(i, k) * size[k])).collect()
 }
 
-/// The robots' own hulls in the example scenes, whose names are `link/number`.
+/// The robots' hulls in the example scenes. Their names have the form `link/number`.
 fn links() -> Vec<Points> {
     let own = |hull: &serde_json::Value| hull["name"].as_str().is_some_and(|name| name.contains('/'));
     let scene = |name: &str| {
@@ -72,7 +72,7 @@ fn links() -> Vec<Points> {
     ["panda", "anymal_c"].into_iter().flat_map(scene).collect()
 }
 
-/// All hulls of a scene file, named as the scene is.
+/// All hulls of a scene file, as a group with the scene's name.
 pub(crate) fn group_of(path: &str) -> Group {
     let scene = read(path);
     let name = scene["name"].as_str().unwrap_or("given").to_owned();
@@ -90,7 +90,7 @@ fn hulls_of(scene: &serde_json::Value, wanted: impl Fn(&serde_json::Value) -> bo
     hulls.filter(|hull| wanted(hull)).map(points).collect()
 }
 
-/// How a file writes a coordinate.
+/// How a file rounds a coordinate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Rounding {
     None,

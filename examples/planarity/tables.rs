@@ -1,11 +1,11 @@
-//! The tables of the page, and the rows that its picture is drawn from.
+//! The tables of the page, and the rows from which its picture is drawn.
 
 use std::fmt::Write;
 
 use crate::measure::{Cell, PLANARITIES};
 use crate::shapes::{ROUNDINGS, Rounding};
 
-/// One row a cell.
+/// One row per cell.
 pub(crate) fn csv(cells: &[Cell]) -> String {
     let mut text =
         String::from("group,rounding,planarity,cases,whole,mean area,least area,alpha,error,edges lost\n");
@@ -23,7 +23,7 @@ pub(crate) fn csv(cells: &[Cell]) -> String {
     text
 }
 
-/// Share of the edges sharper than the feature angle that are not there any more.
+/// The share of edges sharper than the feature angle that the hull has lost.
 fn lost(cell: &Cell) -> f64 {
     1.0 - cell.edges as f64 / cell.all_edges as f64
 }
@@ -39,7 +39,7 @@ fn header(text: &mut String, title: &str) {
     let _ = writeln!(text, "{title}\n{:28}{columns}", "planarity");
 }
 
-/// One line a group and rounding, one column a planarity.
+/// One line per group and rounding, and one column per planarity.
 fn table(
     text: &mut String,
     cells: &[Cell],

@@ -1,13 +1,13 @@
-"""Makes pile.json: mixed hulls dropped into a tray until they lie still.
+"""Makes pile.json: mixed hulls, dropped into a tray and simulated until they are at rest.
 
     pip install numpy scipy ./client
     python make_pile.py [--bodies 1000] [--out pile.json]
 
-A small rigid-body solver: every contact comes from a hullcast server, impulses
-from projected Gauss-Seidel with friction, started from the last step's
-impulses by the contact points' ids, poses from semi-implicit Euler. Gyroscopic
-torque is left out. Pairs of a step are independent within one colour of the
-contact graph, so that numpy solves a colour at once.
+This is a small rigid body simulator. All contacts come from a hullcast server. Impulses are
+computed by projected Gauss-Seidel with friction, starting from the impulses of the previous step,
+which are found by the contact points' ids. Poses are integrated by the semi-implicit Euler method.
+Gyroscopic torque is left out. Pairs of one colour of the contact graph are independent, so numpy
+solves all pairs of a colour at once.
 """
 
 import argparse
@@ -24,23 +24,25 @@ HERE = Path(__file__).parent
 GRAVITY = np.array([0, 0, -9.81])
 STEP = 1 / 120
 FRICTION = 0.6
-# Points are kept up to this far apart, so that a body is stopped before it sinks in.
+# Contact points are kept up to this distance, so that a body is stopped before it sinks in.
 MARGIN = 0.01
-# Penetration left alone, share of the rest that a step removes, and the speed at most (m/s).
+# The penetration that is not corrected (m), the share of the rest that one step removes, and the
+# largest speed of this correction (m/s).
 SLOP, RECOVERY, RECOVERY_SPEED = 2e-4, 0.2, 0.5
 ITERATIONS = 20
-# 1/s, of linear and angular velocity; at first, and from CALM seconds on, when all have landed.
+# The damping of linear and angular velocity (1/s): at first, and after CALM seconds, when all
+# bodies have landed.
 DAMPING, CALM_DAMPING, CALM = 0.5, 5.0, 8.0
-# As if dropped in syrup: nothing moves farther than MARGIN in a step, so nothing is passed through.
+# The largest speed. No body moves farther than MARGIN in a step, so none passes through another.
 SPEED = MARGIN / STEP
 POINTS = 4
-TRAY = 2.1  # half the inner side, m
-COLUMNS = 1.6  # half the side of the block of bodies that is dropped, m
+TRAY = 2.1  # half of the inner side, in metres
+COLUMNS = 1.6  # half of the side of the block of bodies that is dropped, in metres
 SCENE_MARGIN = 0.002
 
 
 def make_shapes(rng):
-    """Dynamic hulls, each about its centre of mass, then the tray's two."""
+    """The hulls that move, each about its centre of mass, and the two hulls of the tray."""
     clouds = {
         "cube": shapes.box([0.2, 0.2, 0.2]),
         "brick": shapes.box([0.3, 0.2, 0.12]),
@@ -64,7 +66,7 @@ def make_shapes(rng):
 
 
 class World:
-    """Bodies' state; the last five, the tray, do not move."""
+    """The state of the bodies. The last five, which are the tray, do not move."""
 
     def __init__(self, count, seed):
         rng = np.random.default_rng(seed)
@@ -87,7 +89,7 @@ class World:
         self.position[count:] = [[0, 0, -0.1], [0, edge, 0.25], [0, -edge, 0.25], [edge, 0, 0.25], [-edge, 0, 0.25]]
         quarter = Rotation.from_euler("z", [[0], [0], [0], [90], [90]], degrees=True)
         self.rotation = Rotation.concatenate([Rotation.random(count, rng=rng), quarter])
-        self.velocity = np.zeros((total, 6))  # linear, angular; world
+        self.velocity = np.zeros((total, 6))  # linear and angular, world frame
         properties = [shapes.mass_properties(h) for h in self.hulls]
         volume = np.array([p[0] for p in properties])[self.body_hulls]
         self.mass = 1000 * volume
@@ -98,7 +100,7 @@ class World:
         self.inverse_inertia[count:] = 0
 
     def boxes(self):
-        """Axis-aligned world boxes, low and high corners."""
+        """The low and high corners of the bodies' axis-aligned boxes, world frame."""
         low = np.empty_like(self.position)
         high = np.empty_like(self.position)
         turn = self.rotation.as_matrix()
@@ -109,7 +111,7 @@ class World:
         return low, high
 
     def pairs(self, margin):
-        """Pairs (n, 2) with a moving body whose boxes come within the margin: a sweep along x."""
+        """(n, 2): pairs with a moving body and boxes within the margin, by a sweep along x."""
         low, high = self.boxes()
         low, high = low - margin / 2, high + margin / 2
         order = np.argsort(low[:, 0], kind="stable")
@@ -124,20 +126,20 @@ class World:
         return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
     def kinetic_energy(self):
-        """Joules, per moving body."""
+        """The kinetic energy of each moving body, in joules."""
         linear, angular = self.velocity[: self.count, :3], self.velocity[: self.count, 3:]
         local = self.rotation[: self.count].inv().apply(angular)
         spin = np.einsum("bi,bij,bj->b", local, self.inertia[: self.count], local)
         return 0.5 * (self.mass[: self.count] * (linear**2).sum(axis=1) + spin)
 
     def integrate(self):
-        """Moves every body by its velocity."""
+        """Moves every body by its velocity for one step."""
         self.position += STEP * self.velocity[:, :3]
         self.rotation = Rotation.from_rotvec(STEP * self.velocity[:, 3:]) * self.rotation
 
 
 class Contacts:
-    """Constraint rows of one step: per manifold POINTS slots of a normal and two tangents."""
+    """The constraint rows of a step: POINTS slots per manifold, each a normal and two tangents."""
 
     def __init__(self, world, manifolds, pairs, memory):
         counts = np.diff(manifolds.point_offsets)
@@ -165,7 +167,7 @@ class Contacts:
             self.response[..., side + 3 : side + 6] = np.einsum("pij,pskj->pski", inertia[body], spin)
         resistance = np.einsum("pskj,pskj->psk", self.jacobian, self.response)
         self.softness = np.divide(1, resistance, out=np.zeros_like(resistance), where=resistance > 0)
-        # Apart: may close the gap within a step. Sunk in: pushed out slowly.
+        # A gap may be closed within the step but not crossed. A penetration is removed slowly.
         gap = manifolds.distance
         push = np.minimum(RECOVERY * np.maximum(-gap - SLOP, 0) / STEP, RECOVERY_SPEED)
         self.target = np.zeros(shape)
@@ -175,7 +177,7 @@ class Contacts:
         self.colours = _colours(self.a, self.b, world.count)
 
     def solve(self, velocity):
-        """Projected Gauss-Seidel, colour by colour, on the velocities in place."""
+        """Runs projected Gauss-Seidel, colour by colour, and changes the velocities in place."""
         warm = np.einsum("pskj,psk->pj", self.response, self.impulse)
         np.add.at(velocity, self.a, warm[:, :6])
         np.add.at(velocity, self.b, warm[:, 6:])
@@ -204,7 +206,7 @@ class Contacts:
 
 
 class Memory:
-    """Impulses of the last step by point: bodies and the features that make it."""
+    """The impulses of the previous step, by bodies and point ids."""
 
     def __init__(self):
         self.keys = np.empty(0, _KEY)
@@ -227,13 +229,13 @@ _KEY = np.dtype("S24")
 
 
 def _keys(a, b, ids):
-    """One sortable value a point; big endian, so that bytes sort as numbers do."""
+    """One sortable key per point. It is big-endian, so that bytes sort like numbers."""
     columns = np.column_stack([a, b, ids]).astype(">u4")
     return np.ascontiguousarray(columns).view(_KEY)[:, 0]
 
 
 def _frame(normal):
-    """(n, 3, 3): the normal and two tangents."""
+    """(n, 3, 3): each normal and two tangents."""
     least = np.argmin(np.abs(normal), axis=1)
     tangent = np.cross(normal, np.eye(3)[least])
     tangent /= np.linalg.norm(tangent, axis=1)[:, None]
@@ -241,7 +243,7 @@ def _frame(normal):
 
 
 def _colours(a, b, moving):
-    """Rows grouped so that no moving body is in a group twice."""
+    """Groups of rows in which no moving body occurs twice."""
     used = [0] * moving
     colours = {}
     for row, (i, j) in enumerate(zip(a.tolist(), b.tolist())):
@@ -255,7 +257,7 @@ def _colours(a, b, moving):
 
 
 def simulate(client, world, seconds):
-    """Runs until the bodies lie still or the time is over; returns the figures of the last step."""
+    """Runs until the bodies are at rest or time is over; returns the figures of the last step."""
     hulls = client.register(world.hulls)
     body_hulls = [hulls[i] for i in world.body_hulls]
     memory, accuracy = Memory(), hullcast.Accuracy(max_points=POINTS)
@@ -295,7 +297,7 @@ def simulate(client, world, seconds):
 
 
 def document(client, world, figures):
-    """The settled scene as a scene file's content."""
+    """The content of a scene file with the settled scene."""
     pairs = world.pairs(SCENE_MARGIN)
     hulls = client.register(world.hulls)
     quaternions = world.rotation.as_quat(canonical=True)

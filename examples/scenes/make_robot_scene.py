@@ -1,10 +1,10 @@
-"""Makes panda.json and anymal_c.json: real robots' collision hulls at several configurations.
+"""Makes panda.json and anymal_c.json: collision hulls of real robots in several configurations.
 
     pip install numpy scipy example-robot-data        # about 130 MB of wheels
     python make_robot_scene.py [--robots FOLDER] [--out FOLDER]
 
-The hulls are the convex hulls of the URDFs' collision geometry. Bodies that
-touch are sunk into each other by SINK, as a simulator leaves them.
+The hulls are the convex hulls of the URDFs' collision geometry. Bodies in contact are sunk into
+each other by SINK metres, as a simulator leaves them.
 """
 
 import argparse
@@ -27,7 +27,7 @@ MARGIN = 0.002
 
 
 class Scene:
-    """Hulls and bodies, and a growing list of frames."""
+    """Hulls and bodies, with a growing list of frames."""
 
     def __init__(self, robot_model, objects):
         self.robot = robot_model
@@ -37,12 +37,12 @@ class Scene:
         self.frames = []
 
     def add(self, name, angles, base, placed):
-        """A frame: joint values, base pose, and the (4, 4) of every object."""
+        """Adds a frame: joint values, the base's pose, and the pose (4, 4) of every object."""
         poses = self.robot.piece_poses(angles, base) + [placed[o] for o in self.objects]
         self.frames.append((name, np.array(poses)))
 
     def pairs(self):
-        """Pairs whose bounding spheres are within the margin in some frame, ignored links left out."""
+        """Pairs with bounding spheres within the margin in some frame, without ignored links."""
         low = np.array([v.min(axis=0) for v in self.vertices], float)
         high = np.array([v.max(axis=0) for v in self.vertices], float)
         middle = (low + high) / 2
@@ -59,7 +59,7 @@ class Scene:
         return chosen
 
     def document(self, name, licence, origin):
-        """The scene file's content; equal shapes share one hull."""
+        """The scene file's content. Equal shapes share one hull."""
         hulls, index, body_hulls = [], {}, []
         sources = [(p.source, p.volume_ratio) for p in self.robot.pieces] + [("made by the script", 1.0)] * len(
             self.objects
@@ -99,14 +99,14 @@ def _columns(poses):
 
 
 def standing(vertices, xy, rotation=None, on=0.0):
-    """The pose in which the hull stands at height `on`, sunk into it by SINK."""
+    """The pose in which the hull stands on the height `on`, sunk in by SINK."""
     rotation = rotation or Rotation.identity()
     lowest = rotation.apply(vertices)[:, 2].min()
     return pose([*xy, on - lowest - SINK], rotation)
 
 
 def yaw(degrees):
-    """A turn about the vertical."""
+    """A rotation about the vertical axis."""
     return Rotation.from_euler("z", degrees, degrees=True)
 
 
@@ -114,11 +114,11 @@ def yaw(degrees):
 
 PANDA_JOINTS = [f"panda_joint{i}" for i in range(1, 8)]
 PANDA_HOME = np.array([0, -np.pi / 4, 0, -3 * np.pi / 4, 0, np.pi / 2, np.pi / 4])
-PAD_OFFSET = 2e-5  # the finger pads' inner faces stand this far past the middle when closed
+PAD_OFFSET = 2e-5  # the finger pads' inner faces are this far past the middle when closed
 
 
 def reach(arm, target, start):
-    """Joint values that bring the tool centre to `target` (4, 4), by least squares from `start`."""
+    """Joint values that bring the tool centre to the pose `target` (4, 4), by least squares."""
 
     def error(values):
         hand = arm.link_poses(dict(zip(PANDA_JOINTS, values)))["panda_hand_tcp"]
@@ -177,7 +177,7 @@ def panda(folder):
         scene.add(name, dict(zip(PANDA_JOINTS, values)) | fingers, base, placed)
         return values
 
-    # The tool centre is 15 mm above the part's middle; the pads close along the hand's y.
+    # The tool centre is 15 mm above the middle of the part. The pads close along the hand's y axis.
     part_to_tool = pose([0, 0, 0.015], down)
     grasp = at_rest["part"] @ part_to_tool
     scene.add("home", dict(zip(PANDA_JOINTS, PANDA_HOME)) | open_hand, base, at_rest)
@@ -187,7 +187,7 @@ def panda(folder):
     frame("lift", lifted @ part_to_tool, holding, at_rest | {"part": lifted}, over)
     stacked = standing(objects["part"], [0.55, -0.25], yaw(35), on=crate_top + 0.02 - SINK)
     frame("stack", stacked @ part_to_tool, holding, at_rest | {"part": stacked}, over)
-    # Fingertips reach 9.5 mm past the tool centre.
+    # The fingertips reach 9.5 mm past the tool centre.
     press = pose([0.35, 0.42, disc_top + 0.02 - SINK + 0.0095 - SINK], yaw(70) * down)
     frame("press", press, closed, at_rest, over)
     return scene.document(
@@ -201,12 +201,12 @@ def panda(folder):
 # --- ANYmal C on the ground -------------------------------------------------------------------
 
 LEGS = ("LF", "RF", "LH", "RH")
-# Flat ground: a point of the plane and its normal.
+# Flat ground, given by a point of the plane and its normal.
 GROUND = (np.zeros(3), np.array([0.0, 0, 1]))
 
 
 class Quadruped:
-    """ANYmal C with feet that can be put on planes."""
+    """ANYmal C with feet that can be placed on planes."""
 
     def __init__(self, model):
         self.model = model
@@ -215,13 +215,13 @@ class Quadruped:
         }
 
     def foot(self, leg, angles, base):
-        """World vertices of a foot's ball."""
+        """The world vertices of a foot's ball."""
         piece = self.feet[leg]
         world = self.model.link_poses(angles, base)[piece.link] @ piece.origin
         return piece.vertices @ world[:3, :3].T + world[:3, 3]
 
     def stand(self, base, plan, guess):
-        """Joint values that put each foot at (x, y) of `plan`, its lowest vertex SINK inside a plane."""
+        """Joint values that place each foot at (x, y) of `plan`, sunk into its plane by SINK."""
         angles = dict(guess)
         for leg, (xy, (point, normal), lift) in plan.items():
             names = [f"{leg}_{joint}" for joint in ("HAA", "HFE", "KFE")]
@@ -239,7 +239,7 @@ class Quadruped:
 
 
 def stance(hfe, kfe, haa=0.1):
-    """Joint values with knees bent inward, front and hind legs mirrored."""
+    """Joint values for inward-bent knees; front and hind legs are mirrored."""
     angles = {}
     for leg in LEGS:
         front, left = leg[1] == "F", leg[0] == "L"
@@ -252,7 +252,7 @@ def stance(hfe, kfe, haa=0.1):
 
 
 def footprints(length, width, planes=None, lifts=None, shift=(0, 0)):
-    """Where each foot goes: (x, y), plane, height above it."""
+    """The target of each foot: (x, y), plane, and height above the plane."""
     planes, lifts = planes or {}, lifts or {}
     return {
         leg: (
@@ -317,7 +317,7 @@ def anymal(folder):
     frame("ramp", pose([0, 0, 0.52], Rotation.from_euler("y", -7, degrees=True)),
           footprints(0.40, 0.25, planes={"LF": face, "RF": face}), upright, {"ramp": ramp})
     frame("lie down", pose([0, 0, 0.09 - SINK]), footprints(0.40, 0.32), crouched)
-    # The front face ends 0.4145 + 0.11 m ahead of the base's origin.
+    # The front face is 0.4145 + 0.11 m ahead of the base's origin.
     crate = standing(objects["crate"], [0.2 + 0.5245 + 0.2 - SINK, 0])
     frame("push", pose([0.2, 0, 0.45]), footprints(0.33, 0.25, shift=(0.12, 0)), upright,
           {"crate": crate, "box": standing(objects["box"], crate[:2, 3], yaw(28), on=0.6 - SINK)})

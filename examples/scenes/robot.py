@@ -22,7 +22,7 @@ class Piece:
     origin: np.ndarray  # (4, 4), link frame
     vertices: np.ndarray
     source: str
-    volume_ratio: float  # of the mesh to its hull; 1 for a primitive
+    volume_ratio: float  # the mesh's volume over its hull's; 1 for a primitive
 
 
 @dataclass
@@ -42,10 +42,10 @@ class Robot:
     root: str
     pieces: list
     joints: list
-    ignored: set = field(default_factory=set)  # pairs of link names, sorted
+    ignored: set = field(default_factory=set)  # sorted pairs of link names
 
     def link_poses(self, angles, base=None):
-        """World (4, 4) of every link, for joint values by name (absent: 0)."""
+        """The world pose (4, 4) of every link, from joint values by name (0 if missing)."""
         poses = {self.root: np.eye(4) if base is None else base}
         waiting = list(self.joints)
         while waiting:
@@ -57,19 +57,19 @@ class Robot:
         return poses
 
     def piece_poses(self, angles, base=None):
-        """World (4, 4) of every piece, in the order of `pieces`."""
+        """The world pose (4, 4) of every piece, in the order of `pieces`."""
         links = self.link_poses(angles, base)
         return [links[piece.link] @ piece.origin for piece in self.pieces]
 
     def rigid_group(self, link):
-        """The link that `link` is fixed to, through fixed joints all the way up."""
+        """The topmost link to which `link` is connected through fixed joints only."""
         parents = {j.child: j.parent for j in self.joints if j.kind == "fixed"}
         while link in parents:
             link = parents[link]
         return link
 
     def ignores(self, a, b):
-        """Whether two links are one rigid body, joined, or named so by the SRDF."""
+        """Whether two links are one rigid body, joined, or disabled by the SRDF."""
         group_a, group_b = self.rigid_group(a), self.rigid_group(b)
         joined = {
             (self.rigid_group(j.parent), self.rigid_group(j.child)) for j in self.joints if j.kind != "fixed"
@@ -83,7 +83,7 @@ class Robot:
 
 
 def pose(xyz=(0, 0, 0), rotation=None):
-    """A (4, 4) from a position and a scipy rotation."""
+    """A pose (4, 4) from a position and a scipy rotation."""
     matrix = np.eye(4)
     matrix[:3, 3] = xyz
     if rotation is not None:
@@ -92,7 +92,7 @@ def pose(xyz=(0, 0, 0), rotation=None):
 
 
 def load(urdf, srdf, packages):
-    """Reads a robot; `packages` is the folder that package:// paths are relative to."""
+    """Reads a robot. Paths with package:// are relative to the folder `packages`."""
     root = ElementTree.parse(urdf).getroot()
     joints = [_joint(element) for element in root.findall("joint")]
     children = {j.child for j in joints}
@@ -102,7 +102,8 @@ def load(urdf, srdf, packages):
         for link in links
         for index, element in enumerate(link.findall("collision"))
     ]
-    # "Never" lists what a sampler never saw touch, which is no reason to look away.
+    # The reason "Never" only means that a sampler never saw the links touch, so such pairs are
+    # kept.
     ignored = {
         tuple(sorted((e.get("link1"), e.get("link2"))))
         for e in ElementTree.parse(srdf).getroot().findall("disable_collisions")
@@ -113,7 +114,7 @@ def load(urdf, srdf, packages):
 
 
 def read_stl(path):
-    """Triangles (n, 3, 3) of a binary STL file, float32."""
+    """(n, 3, 3): the triangles of a binary STL file, float32."""
     data = Path(path).read_bytes()
     count = int(np.frombuffer(data, "<u4", 1, 80)[0])
     record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])

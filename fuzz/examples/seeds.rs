@@ -1,4 +1,4 @@
-//! Writes the seeds of `decode` into a directory.
+//! Writes the seeds of the target `decode` into a directory.
 
 fn main() -> std::io::Result<()> {
     let directory = std::path::PathBuf::from(std::env::args_os().nth(1).expect("a directory"));

@@ -1,6 +1,7 @@
-//! Any pair with any options is answered as its certificate says, by both
-//! solvers, cold and warm, either way round, no two answers contradict each other,
-//! none is left open without a limit, and a power of two changes no bit.
+//! Every pair, with any options, must get an answer that its certificate accepts, from both
+//! solvers, with and without a warm start, and with A and B exchanged. No two answers may
+//! contradict each other, none may be left open without a limit of iterations, and scaling by a
+//! power of two may change no bit.
 #![no_main]
 
 use hullcast::contact::{
@@ -13,11 +14,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Unit roundoff.
 const U: f64 = f64::EPSILON / 2.0;
 
-/// Of the larger hull's circumradius: of a hull smaller than this the sides are known, in the
-/// units of both, to some thousandths alone, and a bracket may stay open.
+/// A share of the larger hull's circumradius. If a hull is smaller than this, its sides are known,
+/// in units of both hulls, to some thousandths only, and the bracket may stay open.
 const MINUTE: f64 = 1e-11;
 
-/// Pairs of hulls with a place and a question. `scripts/fuzz` reads how many.
+/// Questions answered so far; `scripts/fuzz` reads the count from the output.
 static CASES: AtomicU64 = AtomicU64::new(0);
 const REPORTED: u64 = 10_000;
 
@@ -37,13 +38,13 @@ fuzz_target!(|scene: Scene| {
     }
 });
 
-/// What of an answer is of no unit.
+/// The parts of an answer that have no unit of length.
 fn bits(m: &Manifold) -> (Outcome, [u64; 6], Option<Basis>, usize) {
     let numbers = [m.alpha, m.alpha_lower, m.alpha_upper, m.normal.x, m.normal.y, m.normal.z];
     (m.outcome, numbers.map(f64::to_bits), m.basis, m.points.len())
 }
 
-/// Each answer, checked.
+/// The answers of both solvers to a question, each checked.
 fn answered(
     hulls: [&hullcast::contact::ConvexHull; 2],
     question: &Question,
@@ -79,7 +80,7 @@ fn hold(a: &Body<'_>, b: &Body<'_>, query: &Query, answer: &Manifold) {
             || (answer.flags.gap_open && query.wanted != Wanted::Outcome && !minute);
         assert!(!open, "left open\n{query:?} {answer:?}");
     }
-    // An outcome alone promises no numbers.
+    // A query for the outcome only makes no promise about the numbers.
     if query.wanted != Wanted::Outcome
         && let Err(violation) = certificate::check(a, b, query, answer)
     {
@@ -87,7 +88,7 @@ fn hold(a: &Body<'_>, b: &Body<'_>, query: &Query, answer: &Manifold) {
     }
 }
 
-/// Beyond this separation no rounding excuses a CONTACT.
+/// The separation above which no rounding excuses a CONTACT.
 struct Apart(f64);
 
 impl Apart {
@@ -99,8 +100,8 @@ impl Apart {
         Self(question.query.margin + 2.0 * U * (64.0 * (outer + m) + 16.0 * m))
     }
 
-    /// Brackets that have no growth scale in common, and outcomes that no rounding
-    /// excuses, cannot both be right.
+    /// Two brackets without a common growth scale cannot both be right, and neither can two
+    /// different outcomes that no rounding excuses.
     fn agree(&self, one: &Manifold, other: &Manifold) {
         let bracket = |m: &Manifold| (m.alpha_lower, m.alpha_upper);
         let ((low, high), (lower, upper)) = (bracket(one), bracket(other));

@@ -1,8 +1,10 @@
-//! Any bytes sent to the real handlers are answered or refused, and a response
-//! is one that its own type reads, the same bytes when asked again: no panic
-//! (libFuzzer aborts on one). Columns that are read in bulk are read as prost reads them.
-//! Decoding accepts the messages that prost accepts. It allocates at most the multiple of the
-//! message that docs/operations.md states, and at most the memory that it takes of the budget.
+//! Any bytes sent to the real handlers must be answered or refused without a panic (libFuzzer
+//! aborts on one). A response must decode as its own type, and a repeated request must give the
+//! same bytes. Columns that are read in bulk must have the values that prost reads.
+//!
+//! Decoding must accept the messages that prost accepts. It may allocate at most the multiple of
+//! the message that docs/operations.md states, and at most the memory that it takes from the
+//! budget.
 #![no_main]
 
 use std::{
@@ -27,7 +29,7 @@ use tokio::runtime::Runtime;
 use tonic::{body::Body, service::Routes};
 use tower::ServiceExt;
 
-/// Counts the bytes that each thread holds, and the most that it held.
+/// An allocator that counts the bytes that each thread holds, and the most that it has held.
 struct Counting;
 
 thread_local! {
@@ -40,7 +42,7 @@ fn count(bytes: isize) {
     MOST.set(MOST.get().max(HELD.get()));
 }
 
-// SAFETY: all requests are the system allocator's; counting allocates nothing.
+// SAFETY: every request goes to the system allocator; counting allocates nothing.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count(layout.size() as isize);
@@ -58,7 +60,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// The most bytes that `work` held at a time beyond those that it began with.
+/// Runs `work` and returns the most bytes that it held at one time, beyond those held before.
 fn most_bytes<T>(work: impl FnOnce() -> T) -> (T, usize) {
     let before = HELD.get();
     MOST.set(before);
@@ -73,7 +75,7 @@ struct Server {
 
 const MAX_HULLS: u32 = 16;
 
-/// Small limits, so that a fuzzer meets them.
+/// Small limits, so that a fuzzer reaches them.
 fn limits() -> Limits {
     Limits {
         max_pairs_per_request: 64,
@@ -90,12 +92,12 @@ static SERVER: LazyLock<Server> = LazyLock::new(|| {
     let store = hullcast::store::blobs::open("memory://").expect("a store");
     let app = Arc::new(App::new(store, limits(), 1).expect("limits that agree"));
     let routes = runtime.block_on(handlers(&app)).expect("handlers");
-    // Hulls that the seeds' queries name.
+    // Registers the hulls that the seeds' queries name.
     runtime.block_on(called(&routes, METHODS[2], &seeds::hulls().encode_to_vec()));
     Server { runtime, routes }
 });
 
-/// The body of the answer to a call, as it is on the wire.
+/// The body of the response to a call, as on the wire.
 async fn called(routes: &Routes, method: &str, message: &[u8]) -> Bytes {
     let request = http::Request::post(method)
         .header("content-type", "application/grpc")
@@ -116,15 +118,15 @@ const METHODS: [&str; 7] = [
     "/hullcast.v1.ContactService/FindContacts",
 ];
 
-/// The bytes, read in bulk and by prost, are the same message or none.
+/// The bytes, read in bulk and by prost, must be the same message, or be refused by both.
 fn read_alike<M: hullcast::proto::bulk::Columnar>(bytes: &[u8]) {
     let bulk = hullcast::proto::bulk::decode::<M>(Bytes::copy_from_slice(bytes)).ok();
     let prost = M::decode(bytes).ok();
     assert_eq!(bulk.map(|m| m.encode_to_vec()), prost.map(|m| m.encode_to_vec()));
 }
 
-/// Decodes the bytes as the handler of `method` does. Memory is bounded; bytes that prost
-/// refuses are refused, and bytes that it accepts are not called malformed.
+/// Decodes the bytes as the handler of `method` does. Its memory must be bounded. Bytes that prost
+/// refuses must be refused, and bytes that prost accepts must not be called malformed.
 fn decoded_within_bounds<M: Message + Default>(method: &str, bytes: &[u8]) {
     let (decoded, most) = most_bytes(|| decoded_bytes(method, bytes, &limits(), &Stop::default()));
     let stated = 2 * bytes.len() + MAX_HULLS as usize * HULL_BYTES + CONSTANT_BYTES;

@@ -1,4 +1,4 @@
-//! A hull from any points is refused with a reason or holds every definition.
+//! A hull of arbitrary points must be refused with a reason or satisfy every definition.
 #![no_main]
 
 use hullcast::contact::ConvexHull;
@@ -10,13 +10,13 @@ mod check;
 
 fuzz_target!(|cloud: Cloud| {
     let Cloud(points) = cloud;
-    // The check's own predicates underflow beside coordinates of below 2^-280.
+    // The check's own predicates underflow on coordinates below 2^-280.
     let size = points.iter().flatten().fold(0.0f64, |size, c| size.max(c.abs()));
     let checked = points.iter().flatten().all(|c| *c == 0.0 || c.abs() > 1e-60 * size);
     match ConvexHull::new(&points) {
         Ok(hull) if checked => check::check(&points, &hull, &mut check::Met::default()),
         Ok(_) => {}
-        // What the builder holds to be impossible.
+        // The builder must never report a state that it considers impossible.
         Err(error) => assert!(!error.detail.contains("internal"), "{error}"),
     }
 });

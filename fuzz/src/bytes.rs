@@ -1,10 +1,10 @@
-//! Numbers from a fuzzer's bytes, near what breaks geometry: a small grid, off it
-//! by ulps, powers of two, and any bits at all.
+//! Numbers from a fuzzer's bytes that are near the limits of geometry: a small grid, values off it
+//! by some ulps, powers of two, and arbitrary bits.
 
 use libfuzzer_sys::arbitrary::{Result, Unstructured};
 
-/// Reads a fuzzer's bytes; once they end, bytes that all of them seed: a short
-/// input is as rich as a long one.
+/// Reads a fuzzer's bytes. After the last one it continues with pseudo-random bytes seeded by all
+/// of them, so that a short input makes as rich a scene as a long one.
 pub(crate) struct Bytes<'a> {
     rest: &'a [u8],
     seed: u64,
@@ -13,7 +13,7 @@ pub(crate) struct Bytes<'a> {
 impl<'a> Bytes<'a> {
     pub(crate) fn all(u: &mut Unstructured<'a>) -> Result<Self> {
         let rest = u.bytes(u.len())?;
-        // FNV-1a.
+        // The seed is the FNV-1a hash of the bytes.
         let add = |hash: u64, &byte: &u8| (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3);
         Ok(Self { rest, seed: rest.iter().fold(0xcbf2_9ce4_8422_2325, add) })
     }
@@ -43,29 +43,29 @@ impl<'a> Bytes<'a> {
         (0..8).fold(0, |bits, _| bits << 8 | u64::from(self.byte()))
     }
 
-    /// A multiple of 1/32 below 4.
+    /// A multiple of 1/32 of absolute value at most 4.
     pub(crate) fn grid(&mut self) -> f64 {
         f64::from(self.byte() as i8) / 32.0
     }
 
-    /// In (0, 1].
+    /// A number in (0, 1].
     pub(crate) fn share(&mut self) -> f64 {
         (f64::from(self.byte()) + 1.0) / 256.0
     }
 
-    /// Off by some ulps.
+    /// `x` moved by up to 128 ulps.
     pub(crate) fn nudged(&mut self, x: f64) -> f64 {
         f64::from_bits(x.to_bits().wrapping_add_signed(i64::from(self.byte() as i8)))
     }
 
-    /// 0, or between rounding and 1, of either sign.
+    /// 0, or a number of either sign whose size is between rounding and 1.
     pub(crate) fn little(&mut self) -> f64 {
         let byte = self.byte();
         let size = 10f64.powf(-17.0 * f64::from(byte >> 1) / 127.0);
         [size, -size][usize::from(byte & 1)] * f64::from(self.below(4).min(1))
     }
 
-    /// A coordinate: most are grid values of about 1.
+    /// A coordinate. Three in four are grid values, or near them.
     pub(crate) fn coordinate(&mut self) -> f64 {
         match self.below(8) {
             0..=3 => self.grid(),
@@ -82,7 +82,7 @@ impl<'a> Bytes<'a> {
         std::array::from_fn(|_| self.coordinate())
     }
 
-    /// A unit vector: of a small grid, whose ties are many, or any.
+    /// A unit vector: of a small grid, which produces many ties, or an arbitrary one.
     pub(crate) fn direction(&mut self) -> glam::DVec3 {
         let grid = match self.below(3) {
             0 => [(); 3].map(|()| f64::from(self.below(3)) - 1.0),
@@ -91,7 +91,7 @@ impl<'a> Bytes<'a> {
         glam::DVec3::from_array(grid).try_normalize().unwrap_or(glam::DVec3::Z)
     }
 
-    /// A quaternion: of the cube's turns, near them, or any.
+    /// A quaternion: a turn of the cube, one near it, or an arbitrary one.
     pub(crate) fn rotation(&mut self) -> [f64; 4] {
         let half = 0.5f64.sqrt();
         let turns =

@@ -1,4 +1,4 @@
-//! Hulls, places and questions from a fuzzer's bytes.
+//! Makes hulls, poses and queries from a fuzzer's bytes.
 
 mod bytes;
 mod place;

@@ -1,11 +1,11 @@
-//! Where two hulls are: anywhere, at a growth scale, face on face, point on point.
+//! Poses of two hulls: arbitrary, at a growth scale, face on face, or point on point.
 
 use glam::{DMat3, DQuat, DVec3};
 use hullcast::contact::{Body, ConvexHull, Pose, Query, Workspace, contact_manifold};
 
 use crate::bytes::Bytes;
 
-/// A position and a rotation of each hull.
+/// The positions and rotations of both hulls.
 #[derive(Clone, Debug)]
 pub struct Place {
     pub positions: [[f64; 3]; 2],
@@ -18,7 +18,7 @@ impl Place {
         [0, 1].map(|side| Body::new(hulls[side], pose(side)))
     }
 
-    /// B where its contraction point is `d` from A's.
+    /// The pose of B whose contraction point is `d` from A's.
     fn at(hulls: [&ConvexHull; 2], rotations: [[f64; 4]; 2], d: DVec3) -> Self {
         let [a, b] = [0, 1].map(|side| turned(rotations[side]) * hulls[side].contraction_point());
         Self { positions: [[0.0; 3], (d - b + a).to_array()], rotations }
@@ -53,7 +53,7 @@ impl Bytes<'_> {
                 *position = std::array::from_fn(|k| position[k] + off[k]);
             }
         }
-        // What is no pose is the handlers' to refuse.
+        // A pose out of range is the handlers' to refuse, so such a coordinate becomes 0.
         for x in place.positions.iter_mut().flatten() {
             *x = if x.abs() <= 1e100 { *x } else { 0.0 };
         }
@@ -74,7 +74,8 @@ impl Bytes<'_> {
         Place::at(hulls, rotations, size * wanted / alpha.max(f64::MIN_POSITIVE) * direction)
     }
 
-    /// A corner, a middle of an edge or of a face of a hull, and the normal there.
+    /// A corner of a face, the middle of an edge or of the face, or a point inside; and the face's
+    /// normal.
     fn spot(&mut self, hull: &ConvexHull) -> (DVec3, DVec3) {
         let face = usize::from(self.byte()) % hull.face_count();
         let outline = hull.outline(face);
@@ -89,7 +90,7 @@ impl Bytes<'_> {
         (hull.contraction_point() + at * hull.scale(), hull.face_normal(face))
     }
 
-    /// B's face on A's, tilted, spun and lifted by a little or nothing.
+    /// B's face on A's face, tilted, spun and lifted by a small amount or not at all.
     fn face_on_face(&mut self, hulls: [&ConvexHull; 2], size: f64) -> Place {
         let [(at_a, normal_a), (at_b, normal_b)] = hulls.map(|hull| self.spot(hull));
         let rotation = self.rotation();
@@ -106,7 +107,7 @@ impl Bytes<'_> {
         Place { positions: [[0.0; 3], position.to_array()], rotations: [rotation, other] }
     }
 
-    /// A spot of B where one of A is, or nearly.
+    /// Places a spot of B at a spot of A, or near it.
     fn point_on_point(&mut self, hulls: [&ConvexHull; 2], size: f64) -> Place {
         let [(at_a, _), (at_b, _)] = hulls.map(|hull| self.spot(hull));
         let rotations = [self.rotation(), self.rotation()];

@@ -1,4 +1,4 @@
-//! What one input is: two hulls, and several places and questions for them.
+//! The content of one input: two hulls, and several poses and queries for them.
 
 use hullcast::contact::{Accuracy, ConvexHull, Query, Wanted, Workspace, contact_manifold};
 use libfuzzer_sys::arbitrary::{self, Arbitrary, Unstructured};
@@ -7,17 +7,17 @@ use crate::bytes::Bytes;
 use crate::place::Place;
 use crate::shape::Shape;
 
-/// Iterations that no pair needs.
+/// More iterations than any pair needs.
 pub const UNLIMITED: u32 = 1000;
 
-/// Lengths from here on are turned without losing a bit below the normal doubles, unless by
-/// as much as nothing.
+/// Coordinates of at least this size can be rotated without losing bits that matter, even if
+/// products of them fall below the normal doubles.
 const LEAST_TURNED: f64 = 1e-200;
 
-/// Of each pair of hulls.
+/// The number of questions per pair of hulls.
 const QUESTIONS: usize = 8;
 
-/// Points of a hull, or of none.
+/// Points, which may or may not have a hull.
 #[derive(Debug)]
 pub struct Cloud(pub Vec<[f64; 3]>);
 
@@ -25,17 +25,17 @@ pub struct Cloud(pub Vec<[f64; 3]>);
 pub struct Scene {
     shapes: [Shape; 2],
     pub questions: Vec<Question>,
-    /// Asked again with everything so many times as large: a power of two.
+    /// If set, a power of two: all questions are asked again with everything scaled by it.
     pub scale: Option<f64>,
 }
 
-/// Two hulls somewhere, and what is asked of them.
+/// The poses of two hulls, and a query about them.
 #[derive(Clone, Debug)]
 pub struct Question {
     pub place: Place,
-    /// Of either solver.
+    /// The query; its solver is set by the target, which runs both.
     pub query: Query,
-    /// What a client may send as a warm start, registered vertices or not.
+    /// A warm start as a client may send it; its indices may not be registered vertices.
     pub odd_warm_start: [u32; 6],
 }
 
@@ -44,7 +44,8 @@ impl Scene {
         self.shapes.each_ref().map(|shape| &shape.hull)
     }
 
-    /// With lengths that are as exact as these, if they and the hulls can be, turned too.
+    /// The scene with all lengths multiplied by `by`. None if the hulls or lengths would leave the
+    /// accepted range, or could not be rotated as exactly as before.
     pub fn scaled(&self, by: f64) -> Option<Self> {
         let exact = |x: f64| x == 0.0 || x.abs() >= LEAST_TURNED;
         let length = |x: f64| Some(x * by).filter(|&y| exact(x) && exact(y) && y.is_finite());
@@ -96,7 +97,7 @@ impl Bytes<'_> {
             3 => self.little().abs() * size,
             4 => self.one_of(&[1e-9, 0.01, 1.0]),
             5 => {
-                // As far apart as they are along the growth normal, to an ulp or so.
+                // The separation along the growth normal, off by some ulps.
                 let [a, b] = place.bodies(hulls);
                 let open = Query { margin: f64::INFINITY, ..Query::default() };
                 let found = contact_manifold(&a, &b, &open, None, &mut Workspace::default()).separation;
@@ -108,7 +109,7 @@ impl Bytes<'_> {
         Question { place, query, odd_warm_start }
     }
 
-    /// Anything but a margin.
+    /// A query without a margin.
     fn query(&mut self) -> Query {
         let accuracy = Accuracy {
             relative_tolerance: self.one_of(&[0.0, 0.0, 0.0, 0.0, 1e-9, 1e-3, 0.1, 1.0]),
@@ -123,7 +124,7 @@ impl Bytes<'_> {
     }
 }
 
-/// All that is needed to make a test of it.
+/// Prints everything that is needed to make a test of the scene.
 impl std::fmt::Debug for Scene {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Scene")

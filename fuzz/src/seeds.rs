@@ -1,4 +1,4 @@
-//! Well-formed messages from which the fuzzer of the handlers starts.
+//! Well-formed messages with which the fuzzing of the handlers starts.
 
 use hullcast::proto::{Accuracy, GetHullsRequest, HullDefinition, ListHullsRequest};
 use hullcast::proto::{QueryContactsRequest, RegisterHullsRequest};
@@ -11,7 +11,7 @@ fn cube() -> Vec<[f64; 3]> {
     (0..8).map(|i| [0, 1, 2].map(|k| if i >> k & 1 == 1 { 1.0 } else { -1.0 })).collect()
 }
 
-/// What the fuzzer's server has from the start.
+/// The hulls that the fuzzer's server has registered from the start.
 pub fn hulls() -> RegisterHullsRequest {
     let definition = |points: &[[f64; 3]]| HullDefinition { vertices: points.concat(), ..Default::default() };
     RegisterHullsRequest { hulls: vec![definition(&CORNER), definition(&cube())] }
@@ -25,7 +25,7 @@ fn ids() -> Vec<Vec<u8>> {
     vec![id(CORNER.to_vec()), id(cube())]
 }
 
-/// Two bodies, a pair.
+/// Two bodies and one pair.
 fn scene(margin: f64) -> QueryContactsRequest {
     QueryContactsRequest {
         request_id: 7,
@@ -39,7 +39,7 @@ fn scene(margin: f64) -> QueryContactsRequest {
     }
 }
 
-/// Each a name, the place of its method in the fuzzer's list, and the message.
+/// The seeds: a name, the index of the method in the fuzzer's list, and the message.
 pub fn all() -> Vec<(&'static str, u8, Vec<u8>)> {
     let query = scene(f64::INFINITY);
     let everything = QueryContactsRequest {
@@ -75,7 +75,7 @@ pub fn all() -> Vec<(&'static str, u8, Vec<u8>)> {
         ignored_groups: vec![1, 2],
         ..scene(1.0)
     };
-    // Elements that take two bytes each, and a group with an unknown field within.
+    // Elements of two bytes each, and a group that contains an unknown field.
     let empty = |tag: u8| [tag << 3 | 2, 0].repeat(20);
     let group = [0xa3, 0x38, 8, 1, 0xa4, 0x38];
     let odd = [&query.encode_to_vec()[..], &group, &[13 << 3, 2], &[12 << 3 | 2, 2, 5 << 3, 9]].concat();

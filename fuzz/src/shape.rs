@@ -1,11 +1,11 @@
-//! Points of hulls: families of shapes, and what brings them near degeneracy.
+//! Points of hulls: families of shapes, and changes that bring them near degeneracy.
 
 use glam::{DQuat, DVec3};
 use hullcast::contact::{ConvexHull, HullOptions};
 
 use crate::bytes::Bytes;
 
-/// Points with the hull that they have.
+/// Points and their hull.
 pub(crate) struct Shape {
     pub(crate) points: Vec<[f64; 3]>,
     pub(crate) contraction_point: Option<[f64; 3]>,
@@ -13,7 +13,7 @@ pub(crate) struct Shape {
 }
 
 impl Shape {
-    /// None of what the builder refuses; it must not hold anything to be impossible.
+    /// None if the builder refuses the points. The refusal must not be an internal error.
     pub(crate) fn new(points: Vec<[f64; 3]>, contraction_point: Option<[f64; 3]>) -> Option<Self> {
         let options = HullOptions { contraction_point, ..HullOptions::default() };
         match ConvexHull::with_options(&points, &options) {
@@ -27,7 +27,7 @@ impl Shape {
 }
 
 impl Bytes<'_> {
-    /// A hull: of the first points read that have one.
+    /// A hull: of the first of several point sets that has one.
     pub(crate) fn shape(&mut self, most: u8) -> Shape {
         let points = self.cloud(most);
         let contraction_point = match self.below(8) {
@@ -42,7 +42,7 @@ impl Bytes<'_> {
             .unwrap_or_else(|| Shape::new(cuboid([1.0; 3]), None).expect("a cube"))
     }
 
-    /// Points of a hull, or of none.
+    /// Points, which may or may not have a hull.
     pub(crate) fn cloud(&mut self, most: u8) -> Vec<[f64; 3]> {
         let mut points = if self.below(4) == 0 { self.points(most) } else { self.family(most) };
         let [which, also] = [self.byte(), self.byte()];
@@ -91,7 +91,7 @@ impl Bytes<'_> {
         points.iter_mut().for_each(|p| *p = change(*p));
     }
 
-    /// A shape of about unit size about the origin.
+    /// A shape of about unit size, about the origin.
     fn family(&mut self, most: u8) -> Vec<[f64; 3]> {
         let count = 4 + usize::from(self.below(most - 3));
         match self.below(7) {
@@ -100,7 +100,7 @@ impl Bytes<'_> {
                 let half = [(); 3].map(|()| self.one_of(&[0.25, 0.5, 1.0, 2.0, 3.0, 1e-3]));
                 cuboid(half)
             }
-            // A prism, a frustum or, with a tip far away, a needle.
+            // A prism, a frustum, or a needle if its tip is far away.
             2 | 3 => {
                 let sides = (count / 2).max(3);
                 let (radius, top) = (self.share(), self.one_of(&[1.0, 1.0, 0.5, 1e-3, 0.0]));
@@ -119,7 +119,7 @@ impl Bytes<'_> {
         }
     }
 
-    /// Points in faces, on edges and beside them.
+    /// Adds points in faces, on edges and beside them.
     fn dotted(&mut self, points: &mut Vec<[f64; 3]>, most: u8) {
         let corners = points.len();
         for _ in 0..self.below(most) {
@@ -132,7 +132,7 @@ impl Bytes<'_> {
         }
     }
 
-    /// Of some of the points a point between them, often near one or all but outside.
+    /// A point between some of the points, often near one of them or almost outside.
     fn between(&mut self, points: &[[f64; 3]]) -> [f64; 3] {
         let [p, q, r, s] = [(); 4].map(|()| points[usize::from(self.byte()) % points.len()]);
         let weights = [self.share(), self.share(), self.share(), self.little().abs()];
@@ -141,8 +141,8 @@ impl Bytes<'_> {
         std::array::from_fn(part)
     }
 
-    /// Points of any kind: some are made of earlier ones, so that they are equal,
-    /// on a line or in a plane to rounding.
+    /// Points of any kind. Some are made from earlier ones, so that they are equal, on a line or in
+    /// a plane, to rounding.
     fn points(&mut self, most: u8) -> Vec<[f64; 3]> {
         let mut points: Vec<[f64; 3]> = Vec::new();
         for _ in 0..4 + self.below(most - 3) {
@@ -170,8 +170,8 @@ fn cuboid([x, y, z]: [f64; 3]) -> Vec<[f64; 3]> {
     (0..8).map(|i| [side(i, 0, x), side(i, 1, y), side(i, 2, z)]).collect()
 }
 
-/// The points that are numbers of a size that a hull may have, and a corner of a box
-/// beyond the largest: where they were flat, no more.
+/// The points whose coordinates are in the accepted range, and four corners of a box around them,
+/// so that they are not flat.
 fn boxed(points: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
     let mut points = points;
     points.retain(|p| p.iter().all(|x| x.abs() < 1e40));

@@ -1,20 +1,20 @@
-// One question at a time, the newest.
+// Keeps one call under way at a time, always about the newest scene.
 
 import { HullMissing, query, register } from './service.js';
 import { SIDES, type Contacts, type Hull, type Scene, type Shape, type Side } from './model.js';
 
 export interface Listener {
-  /** The hull of a side is known. */
+  /** The hull of a side is registered and known. */
   hull(side: Side, hull: Hull): void;
-  /** What was asked last, of this scene, is answered. */
+  /** The latest question, about this scene, has its answer. */
   contacts(contacts: Contacts, scene: Scene): void;
-  /** It could not be. */
+  /** The latest question failed. */
   failed(error: unknown): void;
   /** Whether a question is under way. */
   busy(isBusy: boolean): void;
 }
 
-/** Asks about a scene as often as it changed, one call at a time. */
+/** Asks about the scene after changes, one call at a time. */
 export class Asking {
   private readonly known = new Map<Shape, Hull>();
   private readonly shown: Partial<Record<Side, Hull>> = {};
@@ -26,7 +26,7 @@ export class Asking {
     private readonly listener: Listener,
   ) {}
 
-  /** Something changed: asks once the call under way is answered. */
+  /** Reports a change: the scene is queried as soon as the call under way has ended. */
   ask(): void {
     this.changed = true;
     if (!this.busy) void this.run();
@@ -48,7 +48,7 @@ export class Asking {
   }
 
   private async once(): Promise<void> {
-    // The answer is about the scene of this moment.
+    // The answer belongs to the scene as it is now, so take a copy.
     const shapes = SIDES.map((side) => this.scene().bodies[side].shape);
     const scene = structuredClone(this.scene());
     for (const isLast of [false, true]) {

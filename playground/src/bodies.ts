@@ -1,4 +1,4 @@
-// A hull in the scene: as it is, and grown about its contraction point.
+// A hull in the scene, at its own size and grown about its contraction point.
 
 import { BufferGeometry, Float32BufferAttribute, Group, Mesh } from 'three';
 import { corners, edges, Pose, vertex } from './geometry.js';
@@ -8,7 +8,7 @@ import type { Body, Feature, Hull, Side } from './model.js';
 const MANY_EDGES = 100;
 
 export class BodyView {
-  /** At the body's pose. */
+  /** Everything of the body, at its pose. */
   readonly group = new Group();
   private readonly solid = new Group();
   private readonly grown = new Group();
@@ -25,7 +25,7 @@ export class BodyView {
     this.hull = hull;
     for (const group of [this.solid, this.grown, this.feature, this.focus]) clear(group);
     const outline = outlineOf(hull);
-    // Many edges are a texture, few are lines.
+    // With many edges the lines are thin and faint, otherwise they would hide the hull.
     const fine = outline.length / 6 > MANY_EDGES;
     const mesh = new Mesh(surface(hull), glass(this.side, fine ? 0.5 : 0.36));
     mesh.userData.side = this.side;
@@ -35,7 +35,7 @@ export class BodyView {
     this.focus.add(lines(outline, { name: 'ink', width: 3.2, opacity: 0.55 }));
   }
 
-  /** What the pointer can take hold of. */
+  /** The surface that the pointer can grab. */
   get mesh(): Mesh | undefined {
     return this.solid.children[0] as Mesh | undefined;
   }
@@ -46,7 +46,7 @@ export class BodyView {
     this.group.quaternion.copy(rotation);
   }
 
-  /** Every point `v` at `c + alpha (v - c)`; not shown at nothing. */
+  /** Moves every point `v` to `c + alpha (v - c)`. Hidden if alpha is almost 0 or not finite. */
   setGrown(alpha: number, isShown: boolean): void {
     this.grown.visible = isShown && alpha > 1e-6 && Number.isFinite(alpha);
     const [x, y, z] = this.hull?.centre ?? [0, 0, 0];
@@ -54,7 +54,7 @@ export class BodyView {
     this.grown.position.set(x, y, z).multiplyScalar(1 - alpha);
   }
 
-  /** The face, edge or vertex that touches, drawn strong. */
+  /** Highlights the face, edge or vertex that touches. */
   setFeature(feature: Feature | undefined): void {
     clear(this.feature);
     if (!this.hull || !feature) return;
@@ -74,7 +74,7 @@ function outlineOf(hull: Hull): number[] {
   return edges(hull).flatMap(({ ends }) => ends.flatMap((i) => vertex(hull, i).toArray()));
 }
 
-/** Faces are convex: a fan each. */
+/** The triangles of the hull: faces are convex, so each is one fan. */
 function surface(hull: Hull): BufferGeometry {
   const corner = (i: number) => hull.vertices.slice(3 * i, 3 * i + 3);
   const triangles = hull.faces.flatMap((face) =>

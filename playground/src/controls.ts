@@ -1,4 +1,4 @@
-// The forms: hulls, pasted points, and what is asked.
+// The forms: hulls, pasted points and query settings.
 
 import { OWN, SIDES, type Scene, type Settings, type Shape, type Side } from './model.js';
 import { element } from './numbers.js';
@@ -10,7 +10,8 @@ type Numeric = Exclude<keyof Settings, 'solver'>;
 interface Control {
   setting: Numeric;
   most: number;
-  /** From the slider's place to the number, and back. */
+  /** Converts the slider's position to the number. */
+  /** Converts the number to the slider's position. */
   value: (place: number) => number;
   place: (value: number) => number;
 }
@@ -18,7 +19,7 @@ interface Control {
 const same = (value: number) => value;
 
 const CONTROLS: Record<string, Control> = {
-  // 0, then 1e-4 to 10, evenly by ratio.
+  // 0, then 1e-4 to 10 on a logarithmic scale.
   margin: {
     setting: 'margin',
     most: Number.MAX_VALUE,
@@ -37,8 +38,8 @@ const CONTROLS: Record<string, Control> = {
 };
 
 /**
- * Wires the forms; `changed` after every change of the scene, `reshaped` before it where a hull is
- * another. Returns what shows a scene.
+ * Connects the forms to the scene. `changed` is called after every change of the scene; `reshaped` is called before
+ * it if a hull was replaced. Returns a function that shows a scene in the forms.
  */
 export function controls(scene: () => Scene, changed: () => void, reshaped: () => void): () => void {
   const settings = numericControls(scene, changed);
@@ -107,7 +108,7 @@ function chooser(side: Side, scene: () => Scene, changed: () => void, reshaped: 
   return show;
 }
 
-/** Asks for points; `use` gets the shape. */
+/** Shows the dialog for pasted points; `use` receives the shape. */
 function paste(side: Side, use: (shape: Shape) => void): void {
   const dialog = element<HTMLDialogElement>('paste');
   const text = element<HTMLTextAreaElement>('paste-text');

@@ -1,5 +1,5 @@
-// Figure 2: the Gauss maps of A and, negated, of B: unit spheres on which a face is the point
-// of its normal, an edge the arc between its two faces, a vertex the region between its edges.
+// Figure 2: the Gauss maps of A and of B, the latter negated. Each is a unit sphere on which a face is the point of
+// its normal, an edge the arc between the normals of its two faces, and a vertex the region between its edges' arcs.
 
 import { Group, InstancedMesh, Matrix4, Mesh, SphereGeometry, Vector3, type Camera } from 'three';
 import { FeatureKind } from './generated/hullcast/v1/contacts_pb.js';
@@ -8,17 +8,17 @@ import { clear, lines, plain } from './look.js';
 import { SIDES, type Answer, type Feature, type Hull, type Scene, type Side } from './model.js';
 import { View } from './view.js';
 
-/** Between the spheres' centres and the picture's middle. */
+/** The distance of each sphere's centre from the middle of the picture. */
 const ASIDE = 1.28;
 const AWAY = 5.5;
-/** Of an arc's pieces, in radians. */
+/** The length of an arc's segments, in radians. */
 const PIECE = 0.08;
 
 export class GaussMaps {
   private readonly view: View;
   private readonly maps: Record<Side, GaussMap>;
 
-  /** Seen from the same direction as `stage` is. */
+  /** The maps are seen from the same direction as `stage`. */
   constructor(frame: HTMLElement, stage: Camera) {
     this.view = new View(frame);
     this.maps = { a: new GaussMap('a'), b: new GaussMap('b') };
@@ -62,9 +62,9 @@ export class GaussMaps {
 
 class GaussMap {
   readonly group = new Group();
-  /** Of the normal that is shown, from the sphere's centre. */
+  /** The tip of the normal's pin, from the sphere's centre; undefined without an answer. */
   tip: Vector3 | undefined;
-  /** Turned as the hull is. */
+  /** Has the hull's rotation. */
   private readonly turned = new Group();
   private readonly tiles = new Group();
   private readonly touched = new Group();
@@ -106,7 +106,7 @@ class GaussMap {
     const dot = this.dots([n], 0.035, 'normal');
     dot.renderOrder = 4;
     this.normal.add(dot);
-    // Faces and edges within it count as touched.
+    // The feature angle: faces and edges within this circle count as touching.
     if (angle > 0) this.normal.add(lines(cap(n, angle), { name: 'normal', width: 1.5, onTop: true }));
   }
 
@@ -123,12 +123,12 @@ class GaussMap {
     }
   }
 
-  /** Of a face, hull frame; B's are negated. */
+  /** The normal of a face in the hull's frame; B's is negated. */
   private normalOf(face: number): Vector3 {
     return new Vector3(...this.hull!.faceNormals[face]!).multiplyScalar(this.side === 'b' ? -1 : 1);
   }
 
-  /** In pieces, from one face's normal to the other's. */
+  /** The segments of the arc from one face's normal to the other's. */
   private arc({ faces }: Edge): number[] {
     const [from, to] = faces.map((f) => this.normalOf(f)) as [Vector3, Vector3];
     const angle = from.angleTo(to);
@@ -151,7 +151,7 @@ function slerp(from: Vector3, to: Vector3, angle: number, share: number): Vector
   return from.clone().multiplyScalar(p).addScaledVector(to, q).divideScalar(Math.sin(angle)).normalize();
 }
 
-/** The circle on the sphere so far from `n`. */
+/** The circle on the sphere at this angle from `n`. */
 function cap(n: Vector3, angle: number): number[] {
   const across = new Vector3(Math.abs(n.x) < 0.8 ? 1 : 0, Math.abs(n.x) < 0.8 ? 0 : 1, 0).cross(n).normalize();
   const other = n.clone().cross(across);

@@ -1,10 +1,10 @@
-// Hulls in the world, and the contact plane.
+// Hulls in the world frame, and the contact plane.
 
 import { Quaternion, Vector3 } from 'three';
 import { FeatureKind } from './generated/hullcast/v1/contacts_pb.js';
 import type { Answer, Body, Feature, Hull, Triple } from './model.js';
 
-/** A body's pose, to take points of its hull to the world. */
+/** A body's pose; maps points of its hull to the world. */
 export class Pose {
   readonly position: Vector3;
   readonly rotation: Quaternion;
@@ -23,7 +23,7 @@ export function vertex(hull: Hull, i: number): Vector3 {
   return new Vector3().fromArray(hull.vertices, 3 * i);
 }
 
-/** The vertices of a feature, hull frame; those of a face anticlockwise seen from outside. */
+/** The vertices of a feature in the hull's frame; those of a face are anticlockwise seen from outside. */
 export function corners(hull: Hull, { kind, indices }: Feature): Vector3[] {
   const registered = (index: number) => vertex(hull, hull.vertexOf.get(index) ?? 0);
   switch (kind) {
@@ -39,13 +39,13 @@ export function corners(hull: Hull, { kind, indices }: Feature): Vector3[] {
 }
 
 export interface Edge {
-  /** Vertices, lower first. */
+  /** The vertices, the lower index first. */
   ends: [number, number];
-  /** The faces on its two sides. */
+  /** The faces on both sides. */
   faces: [number, number];
 }
 
-/** Each edge once. */
+/** The edges of the hull, each once. */
 export function edges(hull: Hull): Edge[] {
   const found = new Map<string, Edge>();
   hull.faces.forEach((face, f) =>
@@ -61,9 +61,9 @@ export function edges(hull: Hull): Edge[] {
 }
 
 /**
- * Where the two hulls, grown to alpha, touch: `pA + sum l_i a_i`, with `l` from
- * `sum l_i (a_i - b_i) = pB - pA` over the basis' three pairs of vertices, all about the
- * contraction points. None where the three are degenerate.
+ * The point where the two hulls touch when grown by alpha: `pA + sum l_i a_i`. The weights `l` solve
+ * `sum l_i (a_i - b_i) = pB - pA` over the basis's three pairs of vertices, all relative to the contraction points.
+ * Undefined if the three pairs are degenerate.
  */
 export function touch(answer: Answer, a: [Hull, Pose], b: [Hull, Pose]): Vector3 | undefined {
   const about = ([hull, pose]: [Hull, Pose], registered: number) => {
@@ -84,17 +84,17 @@ export function touch(answer: Answer, a: [Hull, Pose], b: [Hull, Pose]): Vector3
   return centre;
 }
 
-/** Coordinates on a plane across the normal. */
+/** 2D coordinates on a plane perpendicular to the normal. */
 export class Plane {
   private readonly right: Vector3;
   private readonly up: Vector3;
 
-  /** As seen from the side that the camera is on: its right stays right. */
+  /** Seen from the camera's side of the plane: right in the picture is right on the plane. */
   constructor(normal: Triple, cameraRight: Vector3, cameraUp: Vector3) {
     const n = new Vector3(...normal);
     const across = (direction: Vector3) => direction.clone().addScaledVector(n, -n.dot(direction));
     const [right, up] = [across(cameraRight), across(cameraUp)];
-    // Of the two the one that says more of the plane.
+    // Use the longer of the two projections, which is the more accurate.
     const isRight = right.lengthSq() >= up.lengthSq();
     this.right = isRight ? right.normalize() : n.clone().cross(up).normalize();
     if (!isRight && this.right.dot(cameraRight) < 0) this.right.negate();
@@ -102,13 +102,13 @@ export class Plane {
     if (this.up.dot(cameraUp) < 0) this.up.negate();
   }
 
-  /** Right and up. */
+  /** The coordinates to the right and up. */
   of(p: Vector3): [number, number] {
     return [p.dot(this.right), p.dot(this.up)];
   }
 }
 
-/** Points round their middle, anticlockwise: a convex outline's order. */
+/** Points in anticlockwise order about their mean, the order of a convex outline. */
 export function round(points: [number, number][]): [number, number][] {
   const middle = [0, 1].map((i) => points.reduce((sum, p) => sum + p[i]!, 0) / points.length);
   const angle = ([x, y]: [number, number]) => Math.atan2(y - middle[1]!, x - middle[0]!);

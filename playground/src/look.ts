@@ -1,4 +1,4 @@
-// Colours, as the style sheet has them, and what is drawn with them.
+// The colours of the style sheet, and the objects that are drawn with them.
 
 import {
   Color,
@@ -17,18 +17,18 @@ export type Name = 'a' | 'b' | 'contact' | 'normal' | 'ink' | 'sphere';
 
 export interface LineLook {
   name: Name;
-  /** CSS pixels. */
+  /** Width in CSS pixels. */
   width: number;
   opacity?: number;
-  /** Seen through what is before it. */
+  /** Drawn also where other objects are in front. */
   onTop?: boolean;
 }
 
 type Material = LineMaterial | MeshBasicMaterial | MeshStandardMaterial;
 
 /**
- * One material for each look, for ever: a material that goes takes its program off the graphics
- * card, and what is drawn anew at every answer would be compiled anew.
+ * One material for each appearance, kept for the life of the page. Disposing of a material removes its program from
+ * the graphics card, and the program would have to be compiled again for every answer.
  */
 const materials = new Map<string, { material: Material; name: Name }>();
 
@@ -41,7 +41,7 @@ function shared<M extends Material>(name: Name, key: string, make: () => M): M {
   return material;
 }
 
-/** The colour of this name in the scheme, light or dark, that the reader has. */
+/** The colour of this name in the reader's colour scheme, light or dark. */
 function colour(name: Name): Color {
   return new Color(getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim());
 }
@@ -51,7 +51,7 @@ darkness.addEventListener('change', () => {
   for (const { material, name } of materials.values()) material.color.copy(colour(name));
 });
 
-/** Segments, six numbers each. */
+/** Line segments, six coordinates each. */
 export function lines(segments: number[], { name, width, opacity = 1, onTop = false }: LineLook): LineSegments2 {
   const geometry = new LineSegmentsGeometry();
   geometry.setPositions(segments);
@@ -66,25 +66,25 @@ export function lines(segments: number[], { name, width, opacity = 1, onTop = fa
   return object;
 }
 
-/** A hull's faces: light falls on them, and they are seen through. */
+/** A material for a hull's faces: lit and transparent. */
 export function glass(name: Name, opacity: number): MeshStandardMaterial {
   const settings = { transparent: true, opacity, roughness: 0.75, flatShading: true, side: DoubleSide, depthWrite: false };
   return shared(name, `glass ${name} ${opacity}`, () => new MeshStandardMaterial(settings));
 }
 
-/** One colour everywhere, whatever is before it. */
+/** A material of uniform colour that is drawn also where other objects are in front. */
 export function marker(name: Name, opacity = 1): MeshBasicMaterial {
   const settings = { transparent: true, opacity, side: DoubleSide, depthTest: false, depthWrite: false };
   return shared(name, `marker ${name} ${opacity}`, () => new MeshBasicMaterial(settings));
 }
 
-/** One colour everywhere. */
+/** A material of uniform colour. */
 export function plain(name: Name, opacity = 1): MeshBasicMaterial {
   const settings = { transparent: opacity < 1, opacity };
   return shared(name, `plain ${name} ${opacity}`, () => new MeshBasicMaterial(settings));
 }
 
-/** Takes everything out of a group, and its shapes off the graphics card. */
+/** Removes all objects from a group, and their geometries from the graphics card. */
 export function clear(group: Object3D): void {
   for (const child of [...group.children]) {
     const { geometry, dispose } = child as Partial<InstancedMesh>;
@@ -94,7 +94,7 @@ export function clear(group: Object3D): void {
   }
 }
 
-/** Marks a geometry that many objects share. */
+/** Marks a geometry that many objects share, so that `clear` keeps it. */
 export function kept<G extends BufferGeometry>(geometry: G): G {
   geometry.userData.isKept = true;
   return geometry;

@@ -1,4 +1,4 @@
-// The playground: a scene, the question about it, and its pictures.
+// The playground: a scene, the query about it, and its pictures.
 
 import { Asking } from './asking.js';
 import { controls } from './controls.js';
@@ -12,11 +12,11 @@ import { firstScene, fromHash, toHash } from './share.js';
 import { Stage, type Shown } from './stage.js';
 import { asksForToken, errorInWords } from './words.js';
 
-/** Browsers allow few changes of the address. */
+/** Browsers limit how often a page may change its address. */
 const ADDRESS_MS = 300;
 
 let scene = firstScene();
-/** The camera has to look at hulls that are not there yet. */
+/** Set while the camera has to be aimed at hulls that are not known yet. */
 let isFitDue = true;
 let answered: { scene: Scene; answer: Answer } | undefined;
 
@@ -50,7 +50,7 @@ const asking = new Asking(() => scene, {
   },
 });
 
-/** A body or a setting is another. */
+/** A body or a setting has changed. */
 function changed(): void {
   stage.setPoses(scene);
   asking.ask();
@@ -87,7 +87,7 @@ function addressLater(): void {
   timer = setTimeout(() => history.replaceState(null, '', toHash(scene)), ADDRESS_MS);
 }
 
-/** Begins with the scene of a link. */
+/** Starts with the scene of a link. */
 function begin(hash: string): void {
   const notice = element('notice');
   notice.hidden = true;
@@ -111,9 +111,9 @@ element('again').addEventListener('click', () => begin(''));
 element('share').addEventListener('click', async (event) => {
   const button = event.currentTarget as HTMLButtonElement;
   history.replaceState(null, '', toHash(scene));
-  // Only secure pages have a clipboard; the address is the link all the same.
+  // The clipboard exists only on secure pages. Without it the page's address is still the link.
   const isCopied = await navigator.clipboard?.writeText(location.href).then(() => true, () => false);
-  button.textContent = isCopied ? 'Copied' : 'It is the page’s address';
+  button.textContent = isCopied ? 'Copied' : 'Copy it from the address bar';
   setTimeout(() => (button.textContent = 'Copy link'), 2000);
 });
 element('token-form').addEventListener('submit', (event) => {

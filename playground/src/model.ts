@@ -1,4 +1,4 @@
-// What the page shows: two bodies, and what is asked about them.
+// The data of the page: two bodies, and the query about them.
 
 import type { FeatureKind, Outcome } from './generated/hullcast/v1/contacts_pb.js';
 
@@ -6,14 +6,14 @@ export type Side = 'a' | 'b';
 export const SIDES: readonly Side[] = ['a', 'b'];
 
 export type Triple = [number, number, number];
-/** x, y, z, w. */
+/** A quaternion x, y, z, w. */
 export type Quad = [number, number, number, number];
 
-/** What a body is made of: a preset by its name, or points of the reader's own. */
+/** The points of a body: a preset by name, or the reader's own. */
 export interface Shape {
-  /** Of the preset; `OWN` for points that were pasted. */
+  /** The preset's name, or `OWN` for pasted points. */
   name: string;
-  /** Three a point, hull frame. */
+  /** Three coordinates per point, hull frame. */
   points: number[];
 }
 
@@ -33,31 +33,31 @@ export interface Settings {
   solver: 'portal' | 'gjk';
 }
 
-/** Everything that a link to a scene holds. */
+/** Everything that a link to a scene contains. */
 export interface Scene {
   bodies: Record<Side, Body>;
   settings: Settings;
-  /** Where the camera is, seen from what it looks at. */
+  /** The camera's position relative to the point that it looks at. */
   view: Triple;
 }
 
 /** A registered hull, as the server describes it. */
 export interface Hull {
   id: Uint8Array;
-  /** Three a vertex, hull frame. */
+  /** Three coordinates per vertex, hull frame. */
   vertices: number[];
-  /** From the index that a point was registered with to its vertex. */
+  /** Maps the index of a registered point to its vertex. */
   vertexOf: Map<number, number>;
-  /** Per face its vertices, anticlockwise seen from outside. */
+  /** The vertices of each face, anticlockwise seen from outside. */
   faces: number[][];
-  /** Unit, outward, hull frame. */
+  /** Outward unit normals, hull frame. */
   faceNormals: Triple[];
   centre: Triple;
   inradius: number;
   circumradius: number;
 }
 
-/** What a hull touches with, by the indices of the contract. */
+/** The feature with which a hull touches, in the indices of the contract. */
 export interface Feature {
   kind: FeatureKind;
   indices: [number, number];
@@ -66,7 +66,7 @@ export interface Feature {
 export interface ContactPoint {
   onA: Triple;
   distance: number;
-  /** Indices of two vertices of A, then of B; NONE inside a face. */
+  /** The indices of two vertices of A, then of B; NONE if the point is inside a face. */
   id: [number, number, number, number];
 }
 
@@ -83,17 +83,17 @@ export interface Answer {
   normal: Triple;
   points: ContactPoint[];
   features: Record<Side, Feature>;
-  /** Three vertices of A, three of B. */
+  /** Three vertices of A, then three of B. */
   basis: number[];
   iterations: number;
   supportCalls: number;
   keptArea: number;
 }
 
-/** The answer to what was asked, and what is shown. */
+/** The answer to the query, and the answer that is shown. */
 export interface Contacts {
   answer: Answer;
-  /** The same, but for a separated pair, whose numbers beyond the margin are asked for too. */
+  /** Equal to `answer`, except for a separated pair: then the answer at an infinite margin. */
   shown: Answer;
   milliseconds: number;
 }

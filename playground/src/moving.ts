@@ -1,17 +1,17 @@
-// Moving and turning a body: by pointer, finger and key.
+// Moves and turns the bodies by pointer, finger and keyboard.
 
 import { Plane, Quaternion, Raycaster, Vector2, Vector3 } from 'three';
 import type { Stage } from './stage.js';
 import { SIDES, type Body, type Quad, type Scene, type Side, type Triple } from './model.js';
 
-/** Of a pointer's way across the picture. */
+/** The rotation per pixel of a drag. */
 const RADIANS_PER_PIXEL = 0.008;
-/** Of a key, in circumradii and in radians; a tenth with Control. */
+/** The step of a key press: a share of the circumradius, and radians; a tenth of it with Control. */
 const KEY_STEP = 0.02;
 const KEY_TURN = Math.PI / 90;
 
 export interface Moving {
-  /** Whether a drag turns instead of moving; a modifier or the other button does the other. */
+  /** Whether a drag turns the body. Otherwise it moves it; Shift or the right button does the other. */
   turns: boolean;
 }
 
@@ -35,7 +35,7 @@ export function movable(
     body.position = to.toArray().map((value) => rounded(value, step)) as Triple;
   };
 
-  /** The ray under a pointer. */
+  /** The ray through the pointer's position. */
   const ray = (event: PointerEvent) => {
     const { left, top, width, height } = canvas.getBoundingClientRect();
     const at = new Vector2((2 * (event.clientX - left)) / width - 1, 1 - (2 * (event.clientY - top)) / height);
@@ -44,7 +44,7 @@ export function movable(
     return caster;
   };
 
-  // Before the camera's own listener, which a taken body stops.
+  // Capture phase: runs before the camera's own listener, which must not see a drag of a body.
   canvas.addEventListener(
     'pointerdown',
     (event) => {
@@ -118,10 +118,10 @@ const KEYS: Record<string, [Axis, number]> = {
   PageDown: ['back', 1],
 };
 
-/** The axis about which a key turns. */
+/** The axis about which each key turns. */
 const TURNS: Record<Axis, Axis> = { right: 'up', up: 'right', back: 'back' };
 
-/** The world's axes, as they lie nearest to the picture's: keys move along them. */
+/** The world axes that are nearest to the picture's axes; keys move along them. */
 function screenAxes(across: (x: number, y: number) => Vector3): Record<Axis, Vector3> {
   const world = [new Vector3(1, 0, 0), new Vector3(0, 1, 0), new Vector3(0, 0, 1)];
   const nearest = (direction: Vector3) => {
@@ -135,6 +135,6 @@ function screenAxes(across: (x: number, y: number) => Vector3): Record<Axis, Vec
 
 function rounded(value: number, step: number): number {
   const steps = Math.round(value / step);
-  // By a division where it can be: the quotient's shortest text has no tail of digits.
+  // Divide if possible: the quotient's shortest decimal text has no tail of digits.
   return (step < 1 ? steps / Math.round(1 / step) : steps * step) || 0;
 }

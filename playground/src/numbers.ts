@@ -1,4 +1,4 @@
-// The answer as text. Each number's element holds all its digits in `value`.
+// Shows the answer as text. The element of each number holds all its digits in `value`.
 
 import { Outcome } from './generated/hullcast/v1/contacts_pb.js';
 import type { Answer, Contacts } from './model.js';
@@ -8,7 +8,7 @@ export function element<T extends Element = HTMLElement>(id: string): T {
   return document.getElementById(id) as unknown as T;
 }
 
-/** After it has been still for so long, the status is said to those who listen. */
+/** After this time without a change, the status is announced to screen readers. */
 const STILL_MS = 400;
 
 export function showNumbers(contacts: Contacts): void {
@@ -38,7 +38,7 @@ export function showNumbers(contacts: Contacts): void {
 
 let timer = 0;
 
-/** Live text is not read out while it changes. */
+/** Shows the status and flags. Screen readers do not announce the text while it keeps changing. */
 function say(words: string, flags: string[]): void {
   const status = element('status');
   status.setAttribute('aria-live', 'off');
@@ -87,7 +87,7 @@ function data(value: number): HTMLDataElement {
   return element;
 }
 
-/** From 0 to 2 along the picture; what is beyond is at its end. */
+/** Draws the bracket on a line from 0 to 2; values beyond the ends are drawn at the ends. */
 function showBracket({ lower, upper }: Answer): void {
   const x = (value: number) => 12 + 148 * Math.min(Math.max(value, 0), 2);
   const [from, to] = [x(lower), x(upper)];

@@ -1,5 +1,5 @@
-// Figure 3: the touched features, projected along the normal onto the contact plane, and their
-// intersection, whose corners are the contact points.
+// Figure 3: the touching features, projected along the normal onto the contact plane, and their intersection, whose
+// corners are the contact points.
 
 import { Vector3, type Camera } from 'three';
 import { corners, Plane, Pose, round } from './geometry.js';
@@ -11,14 +11,14 @@ type Flat = [number, number];
 const WIDTH = 400;
 const HEIGHT = 300;
 const PADDING = 46;
-/** More distances, or nearer ones, would be written over each other; the table has them. */
+/** More labels than this, or labels nearer than `NEAR`, would overlap; the table shows all distances. */
 const MOST_LABELS = 8;
 const NEAR = 30;
 
 export class Projection {
   private redraw: () => void = () => {};
 
-  /** As seen from where `camera` is. */
+  /** The picture is seen from the side of `camera`. */
   constructor(
     private readonly svg: SVGSVGElement,
     private readonly camera: Camera,
@@ -26,7 +26,7 @@ export class Projection {
     svg.setAttribute('viewBox', `0 0 ${WIDTH} ${HEIGHT}`);
   }
 
-  /** The camera moved. */
+  /** Draws again after the camera moved. */
   draw(): void {
     this.redraw();
   }
@@ -58,7 +58,7 @@ export class Projection {
     });
   }
 
-  /** A polygon, a segment or a dot. */
+  /** Draws a polygon, a segment or a dot. */
   private shape(outline: Flat[], kind: string): void {
     if (outline.length === 1) {
       this.add('circle', { class: kind, cx: outline[0]![0], cy: outline[0]![1], r: 5 });
@@ -67,7 +67,7 @@ export class Projection {
     }
   }
 
-  /** With its label away from the middle. */
+  /** Draws a contact point, its label on the side away from the middle. */
   private point([x, y]: Flat, middle: Flat, text: string): void {
     this.add('circle', { class: 'point', cx: x, cy: y, r: 4 });
     const [right, down] = [x - middle[0], y - middle[1]];
@@ -85,7 +85,7 @@ export class Projection {
   }
 }
 
-/** From the plane into the picture, with as much room to the left as to the right. */
+/** The map from the plane to the picture that shows all points, centred. */
 function fit(points: Flat[]): (p: Flat) => Flat {
   const ends = [0, 1].map((axis) => {
     const along = points.map((p) => p[axis]!);

@@ -1,4 +1,4 @@
-/** Vertices of some of the arm's links, three numbers each; build.mjs makes it. */
+/** Vertices of two links of the arm, three numbers each; made by build.mjs. */
 declare module 'hullcast:robot' {
   const links: [number[], number[]];
   export default links;

@@ -1,4 +1,4 @@
-// The calls that the page makes, over gRPC-web.
+// The gRPC-web calls of the page.
 
 import { createClient, type Interceptor } from '@connectrpc/connect';
 import { createGrpcWebTransport } from '@connectrpc/connect-web';
@@ -18,7 +18,7 @@ const TIMEOUT_MS = 10_000;
 
 let token = '';
 
-/** For servers that ask for one; kept by this page alone, until it is left. */
+/** Sets the token for servers that require one. Only this page keeps it, until it is closed. */
 export function setToken(given: string): void {
   token = given;
 }
@@ -36,15 +36,15 @@ const transport = createGrpcWebTransport({
 const hulls = createClient(HullService, transport);
 const contacts = createClient(ContactService, transport);
 
-/** A hull that cannot be one, with the server's reason. */
+/** The points have no valid hull; the message is the server's reason. */
 export class HullRefused extends Error {}
 
-/** Registers a shape and reads what the server made of it. */
+/** Registers a shape and reads the hull that the server made of it. */
 export async function register(shape: Shape): Promise<Hull> {
   const { results } = await hulls.registerHulls({ hulls: [{ vertices: shape.points }] });
   const result = results[0]?.result;
   if (result?.case === 'error') throw new HullRefused(`${result.value.message} (${result.value.reason}).`);
-  if (result?.case !== 'hull') throw new Error('The server answered nothing.');
+  if (result?.case !== 'hull') throw new Error('The server’s answer is empty.');
   const paths = ['info', 'vertices', 'faces'];
   const records = await hulls.getHulls({ ids: [result.value.id], fieldMask: { paths } });
   return hullOf(records.hulls[0]!);
@@ -68,18 +68,18 @@ function hullOf(record: HullRecord): Hull {
   };
 }
 
-/** The server has forgotten a hull: it has to be registered again. */
+/** The server no longer has a hull, so it must be registered again. */
 export class HullMissing extends Error {
   constructor() {
-    super('The server has forgotten a hull.');
+    super('The server no longer has a hull; reload the page.');
   }
 }
 
-/** The contacts of A with B. */
+/** Queries the contacts of A with B. */
 export async function query(scene: Scene, registered: Hull[]): Promise<Contacts> {
   const started = performance.now();
   const answer = await ask(scene, registered, scene.settings.margin);
-  // A separated pair's numbers are bounds alone: what it would be at any margin is shown.
+  // The numbers of a separated pair are only bounds, so show the answer at an infinite margin.
   const shown = answer.outcome === Outcome.SEPARATED ? await ask(scene, registered, Infinity) : answer;
   return { answer, shown, milliseconds: performance.now() - started };
 }
@@ -107,13 +107,13 @@ function accuracy(settings: Settings) {
   return { solver, featureAngle, maxPoints, relativeTolerance };
 }
 
-/** The server takes what is within a thousandth of it; a link may hold anything. */
+/** The quaternion normalised, unless its norm is already near 1: a link may contain any rotation. */
 function unit(q: Quad): Quad {
   const norm = Math.hypot(...q);
   return Math.abs(norm - 1) < 1e-4 || norm === 0 ? q : (q.map((value) => value / norm) as Quad);
 }
 
-/** Of its one pair. */
+/** The answer about the response's only pair. */
 function answerOf(response: QueryContactsResponse): Answer {
   const { featureKinds, featureIndices, pointIds, witnessAs } = response;
   const feature = (i: number): Feature => ({

@@ -19,14 +19,14 @@ export const PRESETS: Record<string, Preset> = {
   cylinder: { label: 'Cylinder', points: () => prism(32, 0.45, 0.4) },
   poly16: { label: '16 points (poly16)', points: () => ellipsoid(16, [0.7, 0.55, 0.45]) },
   ball: { label: 'Ball', points: () => ellipsoid(120, [0.5, 0.5, 0.5]) },
-  // Of the Panda arm: its link 5 and its hand.
+  // Two links of the Panda arm: link 5 and the hand.
   link: { label: 'Robot link', points: () => grown(robotLinks[0], 4) },
   hand: { label: 'Robot hand', points: () => grown(robotLinks[1], 6) },
 };
 
 const made = new Map<string, Shape>();
 
-/** The preset of this name, always the same object. */
+/** The preset of this name; always the same object. */
 export function preset(name: string): Shape | undefined {
   const found = Object.hasOwn(PRESETS, name) ? PRESETS[name] : undefined;
   if (found && !made.has(name)) made.set(name, { name, points: found.points() });
@@ -38,7 +38,7 @@ function box(x: number, y: number, z: number): number[] {
   return signs.flatMap((i) => signs.flatMap((j) => signs.flatMap((k) => [i * x, j * y, k * z])));
 }
 
-/** About the z axis. */
+/** A prism whose axis is z. */
 function prism(sides: number, radius: number, half: number): number[] {
   return Array.from({ length: sides }, (_, i) => {
     const angle = (2 * Math.PI * i) / sides;
@@ -47,7 +47,7 @@ function prism(sides: number, radius: number, half: number): number[] {
   }).flat();
 }
 
-/** Spread evenly by the golden angle, from pole to pole. */
+/** Points spread evenly by the golden angle, from pole to pole. */
 function ellipsoid(count: number, [x, y, z]: Triple): number[] {
   return Array.from({ length: count }, (_, i) => {
     const height = 1 - (2 * i + 1) / count;
@@ -57,7 +57,7 @@ function ellipsoid(count: number, [x, y, z]: Triple): number[] {
   }).flat();
 }
 
-/** About its middle, so many times as large: links are decimetres, the other shapes a metre. */
+/** The points, scaled about their middle. The links measure decimetres, the other shapes about a metre. */
 function grown(points: readonly number[], factor: number): number[] {
   const middle = [0, 1, 2].map((axis) => {
     const along = points.filter((_, i) => i % 3 === axis);

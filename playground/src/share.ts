@@ -1,9 +1,9 @@
-// A scene as the part of the page's address behind the #, and back.
+// Converts a scene to the part of the page's address after the #, and back.
 
 import { OWN, SIDES, type Body, type Quad, type Scene, type Settings, type Triple } from './model.js';
 import { preset } from './shapes.js';
 
-/** What the page begins with. */
+/** The scene with which the page starts. */
 export function firstScene(): Scene {
   return {
     bodies: {
@@ -38,7 +38,7 @@ export function toHash(scene: Scene): string {
   return `#${fields.map(([key, value]) => `${key}=${encodeURIComponent(value).replaceAll('%2C', ',')}`).join('&')}`;
 }
 
-/** What is missing is as in the first scene; throws words where something cannot be. */
+/** Missing fields are those of the first scene. Throws an error with a message if a field is invalid. */
 export function fromHash(hash: string): Scene {
   const fields = new URLSearchParams(hash.replace(/^#/, ''));
   const scene = firstScene();
@@ -78,7 +78,7 @@ function readSettings(settings: Settings, fields: URLSearchParams): void {
   settings.solver = solver;
 }
 
-/** So many finite numbers, or any number of them where `count` is 0. */
+/** The finite numbers of a field; `count` of them, or any number if `count` is 0. */
 function numbers(fields: URLSearchParams, key: string, count: number, otherwise: number[]): number[] {
   const text = fields.get(key);
   if (text === null) return otherwise;
@@ -88,5 +88,5 @@ function numbers(fields: URLSearchParams, key: string, count: number, otherwise:
 }
 
 function wrong(key: string): Error {
-  return new Error(`The link's “${key}” cannot be read; this is the first scene instead.`);
+  return new Error(`The link’s “${key}” cannot be read; the page shows its first scene instead.`);
 }

@@ -1,4 +1,4 @@
-// Figure 1: the two hulls, as they are and grown until they touch, and their contact.
+// Figure 1: the two hulls, at their own size and grown until they touch, and their contact.
 
 import {
   BufferGeometry,
@@ -16,13 +16,13 @@ import { clear, kept, lines, marker, type Name } from './look.js';
 import { SIDES, type Answer, type Hull, type Scene, type Side, type Triple } from './model.js';
 import { View } from './view.js';
 
-/** About a fitted body, in circumradii: it may be grown. */
+/** The space around a fitted body, in circumradii: it may be shown grown. */
 const ROOM = 0.82;
 
 const BALL = kept(new SphereGeometry(1, 16, 12));
 const CONE = kept(new ConeGeometry(0.035, 0.1, 20));
 
-/** What the reader may leave out. */
+/** The parts that the reader may hide. */
 export interface Shown {
   grown: boolean;
   points: boolean;
@@ -48,7 +48,7 @@ export class Stage {
     });
   }
 
-  /** Looks from where the scene says at the middle of the bodies. */
+  /** Looks at the middle of the bodies from the scene's camera position. */
   look(scene: Scene): void {
     const { a, b } = scene.bodies;
     this.controls.target.addVectors(new Vector3(...a.position), new Vector3(...b.position)).multiplyScalar(0.5);
@@ -56,7 +56,7 @@ export class Stage {
     this.controls.update();
   }
 
-  /** Looks at both bodies, from the side that it looked from. */
+  /** Brings both bodies into view without changing the direction of view. */
   fit(scene: Scene): void {
     const { a, b } = scene.bodies;
     const [from, to] = [new Vector3(...a.position), new Vector3(...b.position)];
@@ -68,12 +68,12 @@ export class Stage {
     this.look({ ...scene, view: direction.toArray() });
   }
 
-  /** Where the camera is, seen from what it looks at. */
+  /** The camera's position relative to the point that it looks at. */
   get from(): Triple {
     return this.view.camera.position.clone().sub(this.controls.target).toArray();
   }
 
-  /** The larger circumradius: what sizes are measured by. */
+  /** The larger circumradius, the unit of all drawn sizes. */
   get size(): number {
     return Math.max(...SIDES.map((side) => this.hulls[side]?.circumradius ?? 0)) || 1;
   }
@@ -134,7 +134,7 @@ export class Stage {
     });
   }
 
-  /** From A to B. */
+  /** Draws the normal, from A to B. */
   private drawNormal(from: Vector3, n: Vector3): void {
     const tip = from.clone().addScaledVector(n, 0.75 * this.size);
     const foot = from.clone().addScaledVector(n, 0.65 * this.size);

@@ -1,4 +1,4 @@
-// A picture in three dimensions: a canvas that is drawn again when something changed.
+// A three-dimensional picture: a canvas that is drawn again after changes.
 
 import {
   AmbientLight,
@@ -11,7 +11,7 @@ import {
 } from 'three';
 import { darkness } from './look.js';
 
-/** Words of the picture: they stay upright and readable. */
+/** A text in the picture, which stays upright and readable. */
 interface Label {
   element: HTMLElement;
   at: Vector3;
@@ -21,7 +21,7 @@ export class View {
   readonly scene = new Scene();
   readonly camera = new PerspectiveCamera(32, 1, 0.01, 1000);
   readonly canvas: HTMLCanvasElement;
-  /** Before each drawing. */
+  /** Called before each drawing. */
   beforeDraw: () => void = () => {};
   private readonly renderer: WebGLRenderer;
   private readonly labels = new Map<string, Label>();
@@ -34,7 +34,7 @@ export class View {
     this.camera.up.set(0, 0, 1);
     const sun = new DirectionalLight(0xffffff, 2);
     sun.position.set(1, 1.5, 3);
-    // From where the reader is.
+    // The light comes from the reader's side.
     this.camera.add(sun);
     this.scene.add(this.camera, new AmbientLight(0xffffff, 0.9));
     new ResizeObserver(() => this.resize()).observe(frame);
@@ -57,7 +57,7 @@ export class View {
     });
   }
 
-  /** Shows `text` at `at`; undefined: not at all. */
+  /** Shows `text` at `at`, or removes the label if `at` is undefined. */
   label(key: string, text: string, at: Vector3 | undefined, kind = key): void {
     const label = this.labels.get(key);
     if (!at) {
@@ -75,7 +75,7 @@ export class View {
     this.labels.set(key, { element, at: at.clone() });
   }
 
-  /** Removes the labels whose keys begin so. */
+  /** Removes the labels whose keys begin with `prefix`. */
   unlabel(prefix: string): void {
     for (const key of [...this.labels.keys()]) if (key.startsWith(prefix)) this.label(key, '', undefined);
   }

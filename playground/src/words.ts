@@ -1,4 +1,4 @@
-// Answers and errors in words.
+// Answers and errors as text.
 
 import { Code, ConnectError } from '@connectrpc/connect';
 import { FeatureKind, Flag, Outcome } from './generated/hullcast/v1/contacts_pb.js';
@@ -6,12 +6,12 @@ import { ErrorInfoSchema } from './generated/google/rpc/details_pb.js';
 import { NONE, type Answer, type Contacts, type Feature } from './model.js';
 
 const FLAGS: [Flag, string][] = [
-  [Flag.ESTIMATED, 'Estimated: the projected features miss each other, so there is one estimated point.'],
-  [Flag.COINCIDENT, 'Coincident: the centres coincide, so the growth scale is 0 and the normal arbitrary.'],
-  [Flag.GAP_OPEN, 'Gap open: the bracket is wider than asked.'],
-  [Flag.REDUCED, 'Reduced: “most points” dropped some of the points.'],
-  [Flag.HULL_UNAVAILABLE, 'The server could not read a hull from its store; try again.'],
-  [Flag.INVALID_BODY, 'A position or rotation is not usable.'],
+  [Flag.ESTIMATED, 'Estimated: the projected features do not overlap, so the one contact point is an estimate.'],
+  [Flag.COINCIDENT, 'Coincident: the centres coincide, so the growth scale is 0 and the normal is arbitrary.'],
+  [Flag.GAP_OPEN, 'Gap open: the bracket is wider than the tolerance allows.'],
+  [Flag.REDUCED, 'Reduced: some points were dropped because of “Most points”.'],
+  [Flag.HULL_UNAVAILABLE, 'Hull unavailable: the server could not read a hull from its store; try again.'],
+  [Flag.INVALID_BODY, 'Invalid body: a position or rotation is out of range.'],
 ];
 
 export function flagsInWords(flags: number): string[] {
@@ -25,7 +25,7 @@ export function short(value: number): string {
   return text.replaceAll('-', '−');
 }
 
-/** One sentence or two, for those who look and for those who listen. */
+/** One or two sentences, for sighted readers and screen readers alike. */
 export function summary({ answer, shown }: Contacts): string {
   const count = shown.points.length;
   const points = `${count} contact point${count === 1 ? '' : 's'}`;
@@ -34,9 +34,9 @@ export function summary({ answer, shown }: Contacts): string {
     case Outcome.CONTACT:
       return `Contact: the hulls ${met(shown)}; ${alpha}, ${points}.`;
     case Outcome.SEPARATED:
-      return `Separated: certified farther apart than the margin. Shown is the answer without a margin: ${alpha}.`;
+      return `Separated: certified farther apart than the margin. The numbers shown are for an infinite margin: ${alpha}.`;
     case Outcome.UNDECIDED:
-      return 'Undecided: an iteration limit was met.';
+      return 'Undecided: the iteration limit was reached.';
     default:
       return `Not answered. ${flagsInWords(answer.flags).join(' ')}`;
   }
@@ -64,7 +64,7 @@ export function featureInWords({ kind, indices }: Feature): string {
   }
 }
 
-/** What of a hull makes a point. */
+/** The part of a hull that makes a contact point. */
 export function elementInWords(first: number, second: number): string {
   if (first === NONE) return 'inside its face';
   return first === second ? `vertex ${first}` : `edge ${first}–${second}`;
@@ -77,14 +77,14 @@ export function errorInWords(error: unknown): string {
   switch (error.code) {
     case Code.Unauthenticated:
     case Code.PermissionDenied:
-      return `The server wants a token: ${error.rawMessage}.`;
+      return `The server requires a token: ${error.rawMessage}.`;
     case Code.Unavailable:
       return `The server is too busy or is stopping: ${error.rawMessage}.`;
     case Code.Unknown:
     case Code.Internal:
-      return `The server cannot be reached, or said what this page does not know: ${error.rawMessage}.`;
+      return `The server cannot be reached, or sent an answer that this page does not understand: ${error.rawMessage}.`;
     default:
-      return `The server refuses${info ? ` (${info.reason})` : ''}: ${error.rawMessage}${field}.`;
+      return `The server refused the request${info ? ` (${info.reason})` : ''}: ${error.rawMessage}${field}.`;
   }
 }
 

@@ -1,4 +1,4 @@
-//! Which bodies never meet, wherever they are.
+//! The rules that keep bodies apart regardless of their positions: worlds and collision groups.
 
 use crate::contact::{
     Stop, Stopped,
@@ -6,44 +6,48 @@ use crate::contact::{
     stop::Meter,
 };
 
-/// Steps of comparing and moving two keys.
+/// Steps to compare and move two keys.
 const COMPARISON: u64 = 2;
 
-/// The world that meets every other.
+/// The world of a body that is in every world: it meets the bodies of every other world.
 pub const EVERY_WORLD: u32 = u32::MAX;
 
-/// Which bodies never meet, wherever they are.
+/// The rules that keep bodies apart regardless of their positions.
 #[derive(Clone, Debug, Default)]
 pub struct Rules {
-    /// Empty, or one per body: only bodies of one world meet. [`EVERY_WORLD`] meets every other
-    /// world, and not itself.
+    /// The world of each body, or empty if all bodies are in world 0. Only bodies of the same world
+    /// meet. A body of [`EVERY_WORLD`] meets the bodies of all other worlds, but no other body of
+    /// [`EVERY_WORLD`].
     worlds: Vec<u32>,
-    /// Empty, or one per body: bodies of one group never meet; 0 is none.
+    /// The group of each body, or empty if no body has a group. Bodies of the same group never
+    /// meet. 0 means no group.
     groups: Vec<u32>,
-    /// Pairs of groups that ignore each other, as they were given; empty once sorted.
+    /// The pairs of groups that ignore each other, as given, 2 groups per pair. Empty once sorted.
     given: Vec<u32>,
-    /// The same pairs, each once, the lower group in the higher half; sorted.
+    /// The pairs of groups that ignore each other, each once, in ascending order. The lower group is
+    /// in the higher half of the number.
     ignored: Vec<u64>,
 }
 
 impl Rules {
-    /// Rules with these columns. `ignored` has 2 groups per pair, in either order.
+    /// Rules with these worlds and groups per body, each possibly empty. `ignored` has 2 groups per
+    /// pair of groups that ignore each other, in either order.
     pub fn new(worlds: Vec<u32>, groups: Vec<u32>, ignored: Vec<u32>) -> Self {
         Self { worlds, groups, given: ignored, ignored: Vec::new() }
     }
 
-    /// The most bytes that sorting takes beside the columns.
+    /// The largest number of bytes that sorting takes besides the given lists.
     pub fn sorting_bytes(&self) -> usize {
-        // A key per pair, and as many again while they are merged.
+        // One key per pair, and as many again while runs are merged.
         self.given.len() / 2 * 2 * size_of::<u64>()
     }
 
-    /// The estimated steps of sorting.
+    /// The estimated number of steps that sorting takes.
     pub fn sorting_steps(&self) -> u64 {
         sort::steps(self.given.len() / 2, COMPARISON)
     }
 
-    /// Sorts the ignored pairs, so that [`Self::may_meet`] knows them.
+    /// Sorts the ignored pairs. [`Self::may_meet`] needs them sorted.
     pub(super) fn sort(&mut self, stop: &Stop) -> Result<(), Stopped> {
         if self.given.is_empty() {
             return Ok(());
@@ -74,12 +78,13 @@ impl Rules {
         g == 0 || h == 0 || (g != h && self.ignored.binary_search(&key(g, h)).is_err())
     }
 
-    /// The steps of [`Self::may_meet`]: a cache miss for most halvings of a long list.
+    /// The number of steps of [`Self::may_meet`]: most halvings of a long list miss the cache.
     pub(super) fn steps(&self) -> u64 {
         2 + 10 * u64::from(self.ignored.len().checked_ilog2().map_or(0, |halvings| halvings + 1))
     }
 }
 
+/// The key of a pair of groups, independent of their order.
 fn key(g: u32, h: u32) -> u64 {
     u64::from(g.min(h)) << 32 | u64::from(g.max(h))
 }

@@ -1,17 +1,32 @@
-//! A static tree over boxes.
+//! A static tree of boxes (a bounding volume hierarchy) that is searched without a stack.
 //!
-//! The tree halves its bodies again and again at the median of their centres, along the axis on
-//! which the centres are spread the most; the bodies of one world stay together. The nodes are
-//! stored in the order in which a search visits them (preorder), and each node knows the node
-//! that follows its subtree. A search is therefore one loop without a stack, and its whole state
-//! is one index: it can be left and continued at any node.
+//! Building splits the bodies into halves again and again, at the median of their centres along the
+//! axis on which the centres are spread the most. First whole worlds are split, then the bodies of
+//! each world, so that the bodies of one world form one subtree.
 //!
-//! A node also has the highest body of its subtree, since only partners with a higher index are
-//! looked for, and the group of its bodies if they are all of one: a body of that group has no
-//! partner there.
+//! The nodes are stored in the order in which a search visits them (preorder), and each node stores
+//! the index of the node that follows its subtree. A search is one loop:
 //!
-//! Building takes O(n log n) steps, and a search O(log n) for each partner in scenes whose boxes
-//! overlap a few others each.
+//! ```text
+//!           0              nodes: 0 1 2 3 4 5 6
+//!         /   \            next:  7 4 3 4 7 6 7
+//!       1       4
+//!      / \     / \         at = 0
+//!     2   3   5   6        while at < end:
+//!                              if the box of node `at` does not overlap: at = next[at]
+//!                              otherwise: test its bodies if it is a leaf; at = at + 1
+//! ```
+//!
+//! So the whole state of a search is one index, and a search can be suspended and resumed at any
+//! node. This layout is that of B. Smits, *Efficiency issues for ray tracing*, 1998,
+//! doi:10.1080/10867651.1998.10487488.
+//!
+//! Two more tests skip subtrees. A node stores the highest body of its subtree, because only
+//! partners with a higher index are wanted. And it stores the group of its bodies if they are all
+//! of one group, because a body of that group has no partner there.
+//!
+//! Building takes `O(n log n)` steps. If each box overlaps only a few others, a search takes
+//! `O(log n)` steps per partner.
 
 use std::ops::Range;
 
@@ -20,24 +35,25 @@ use glam::{DVec3, Vec3};
 use super::{EVERY_WORLD, Rules};
 use crate::contact::{Bounds, Stop, Stopped};
 
-/// The most bodies of a leaf node.
+/// The largest number of bodies in a leaf node.
 const LEAF_BODIES: usize = 4;
 
-/// Steps of looking at a node, and at a body of a leaf node.
+/// Steps to visit a node.
 const NODE_STEPS: u64 = 12;
+/// Steps to test a body of a leaf node.
 const BODY_STEPS: u64 = 8;
 
-/// Steps of putting one body on one side of a median.
+/// Steps per body to split bodies at a median.
 const SPLIT_STEPS: u64 = 12;
 
-/// The estimated steps of building a tree, for each of its bodies.
+/// The estimated number of steps per body to build a tree.
 pub const STEPS_PER_BODY: u64 = 250;
 
-/// The most bytes that a broad phase takes for each body, with those of building it.
+/// The largest number of bytes per body that a broad phase takes, including those of building it.
 pub const TREE_BYTES_PER_BODY: usize =
     size_of::<Option<Bounds>>() + 2 * size_of::<Leaf>() + 2 * size_of::<Node>();
 
-/// A body, as the tree knows it.
+/// A body with all that the tree stores of it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Leaf {
     pub(super) bounds: Bounds,
@@ -53,8 +69,8 @@ struct World {
     leaves: Range<usize>,
 }
 
-/// Bounds in single precision, rounded outward: nodes with them take half the cache, and the
-/// bodies' own bounds decide.
+/// Bounds in single precision, rounded outward. They halve the cache that nodes take. A pair is
+/// decided by the bodies' own bounds in double precision.
 #[derive(Clone, Copy, Debug)]
 struct NodeBounds {
     low: Vec3,
@@ -76,26 +92,28 @@ impl NodeBounds {
     }
 }
 
+/// A node of the tree: an inner node or a leaf.
 #[derive(Clone, Copy, Debug)]
 struct Node {
     bounds: NodeBounds,
-    /// The node that follows this one's subtree.
+    /// The index of the node that follows the subtree of this node.
     next: u32,
-    /// The first body of a leaf node, and how many it has; 0 of an inner node.
+    /// For a leaf node, the index of its first body in [`Tree::leaves`].
     first: u32,
+    /// The number of bodies of a leaf node; 0 for an inner node.
     count: u32,
-    /// The highest body of the subtree.
+    /// The highest body index in the subtree.
     highest: u32,
-    /// The group of all bodies of the subtree; 0 if they have several or one has none.
+    /// The group of all bodies in the subtree; 0 if they are of several groups or one has no group.
     group: u32,
 }
 
-/// Bodies in a tree.
+/// A static tree of bodies; see the module's documentation.
 #[derive(Debug, Default)]
 pub(super) struct Tree {
     nodes: Vec<Node>,
     leaves: Vec<Leaf>,
-    /// Each world, and the node of its subtree; ascending.
+    /// The worlds, ascending, each with the root node of its subtree.
     worlds: Vec<(u32, u32)>,
 }
 
@@ -104,12 +122,12 @@ pub(super) struct Query<'a> {
     pub(super) leaf: Leaf,
     pub(super) rules: &'a Rules,
     pub(super) found: &'a mut Vec<u32>,
-    /// The steps that are left until the search is left.
+    /// The number of steps that are left until the search is suspended.
     pub(super) left: &'a mut u64,
 }
 
 impl Tree {
-    /// A tree of these bodies.
+    /// Builds a tree of these bodies.
     pub(super) fn new(mut leaves: Vec<Leaf>, stop: &Stop) -> Result<Self, Stopped> {
         by_world(&mut leaves, stop)?;
         let mut worlds = Vec::new();
@@ -130,7 +148,7 @@ impl Tree {
         Ok(tree)
     }
 
-    /// Adds a subtree of several worlds.
+    /// Appends the subtree of one or more worlds.
     fn split_worlds(
         &mut self,
         worlds: &mut [World],
@@ -150,7 +168,8 @@ impl Tree {
         Ok(())
     }
 
-    /// Adds a subtree of bodies of one world, which begin with leaf `first`.
+    /// Appends the subtree of bodies of one world. `first` is the index of the first of them in
+    /// [`Tree::leaves`].
     fn split_bodies(&mut self, leaves: &mut [Leaf], first: usize, stop: &Stop) -> Result<(), Stopped> {
         let node = self.open();
         if leaves.len() <= LEAF_BODIES {
@@ -170,7 +189,7 @@ impl Tree {
         Ok(())
     }
 
-    /// Adds a node whose subtree follows.
+    /// Appends a node that is completed once its subtree is known. Returns the index of the node.
     fn open(&mut self) -> usize {
         let bounds = NodeBounds { low: Vec3::INFINITY, high: Vec3::NEG_INFINITY };
         self.nodes.push(Node { bounds, next: 0, first: 0, count: 0, highest: 0, group: 0 });
@@ -190,7 +209,7 @@ impl Tree {
         self.nodes[node] = Node { bounds, next: high.next, first: 0, count: 0, highest, group };
     }
 
-    /// The nodes of a search for bodies that meet `world`.
+    /// The nodes that a search for bodies of `world` visits; all nodes for [`EVERY_WORLD`].
     pub(super) fn subtree_of(&self, world: u32) -> Range<usize> {
         if world == EVERY_WORLD {
             return 0..self.nodes.len();
@@ -204,8 +223,8 @@ impl Tree {
         }
     }
 
-    /// Adds the partners of a body from these nodes. Returns the nodes where the search was left,
-    /// or none if it is complete.
+    /// Searches `nodes` for partners of a body and adds them to the query. Returns the nodes that are
+    /// still to be visited if the search is suspended, or `None` if it is complete.
     pub(super) fn partners(&self, nodes: Range<usize>, query: &mut Query<'_>) -> Option<Range<usize>> {
         let Range { start: mut at, end } = nodes;
         let Leaf { bounds, body, group, .. } = query.leaf;
@@ -251,14 +270,14 @@ fn by_world(leaves: &mut [Leaf], stop: &Stop) -> Result<(), Stopped> {
     stop.spend(SPLIT_STEPS * leaves.len() as u64)
 }
 
-/// Two halves of `items`, the one below the other along the axis on which their centres are
-/// spread the most.
+/// Splits `items` into two halves at the median of their centres, along the axis on which the centres
+/// are spread the most. The first half is the lower one.
 fn halves<'a, T>(
     items: &'a mut [T],
     bounds: impl Fn(&T) -> Bounds,
     stop: &Stop,
 ) -> Result<(&'a mut [T], &'a mut [T]), Stopped> {
-    // Twice the centre.
+    // This is twice the centre, which has the same order.
     let center = |item: &T| bounds(item).low + bounds(item).high;
     let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     for item in &*items {
@@ -279,6 +298,7 @@ fn around(leaves: &[Leaf]) -> Bounds {
     leaves.iter().fold(none, |around, leaf| union(around, leaf.bounds))
 }
 
+/// The box around two boxes.
 fn union(a: Bounds, b: Bounds) -> Bounds {
     Bounds { low: a.low.min(b.low), high: a.high.max(b.high) }
 }

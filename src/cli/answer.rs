@@ -1,7 +1,7 @@
-//! Who answers a query: the library in this process, or a server.
+//! Answers a query with the library in this process, or asks a server.
 //!
-//! Both take the wire's request and give its response. In process the request
-//! goes the service's own way, without the network and without a store.
+//! Both take a request of the wire format and return a response of it. In this process the request goes
+//! through the service's own batch engine, without the network and without a store.
 
 use std::collections::HashMap;
 use std::error::Error as StdError;
@@ -27,12 +27,12 @@ use hullcast::service::{Kind, Limits, ServiceError, wire};
 use hullcast::store::identity::id_of;
 use hullcast::store::{HullDefinition, HullId, Missing};
 
-/// Of answers in this process: no message carries them.
+/// Limit of the size of an answer computed in this process, where no message carries it.
 const MAX_ANSWER_BYTES: usize = 2 << 30;
-/// Hulls in one registration message: some megabytes at most for everyday hulls.
+/// Hulls per registration message. For ordinary hulls that is at most some megabytes.
 const HULLS_PER_MESSAGE: usize = 256;
 
-/// Answers queries.
+/// The source of answers.
 #[derive(Clone, Debug)]
 pub(crate) enum Answerer {
     /// The library in this process.
@@ -49,7 +49,7 @@ pub(crate) struct Local {
     hulls: HashMap<HullId, Arc<ConvexHull>>,
 }
 
-/// A hull of the scene was refused.
+/// The error for a hull of the scene that was refused.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct HullRefused {
     hull: usize,
@@ -70,14 +70,14 @@ impl fmt::Display for HullRefused {
 
 impl StdError for HullRefused {}
 
-/// A query was not answered.
+/// The error for a query that was not answered.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Refusal {
-    /// In words, why.
+    /// The reason, in words.
     pub(crate) text: String,
-    /// When to ask again, of who is too busy.
+    /// How long to wait before asking again, if the server was too busy.
     pub(crate) retry_after: Option<Duration>,
-    /// The server or the connection is gone: another may answer.
+    /// Whether the server or the connection was lost, so that another server may answer.
     pub(crate) lost: bool,
 }
 
@@ -108,17 +108,18 @@ impl From<checked::Malformed> for Refusal {
 impl From<Status> for Refusal {
     fn from(status: Status) -> Self {
         let retry_after = status.get_details_retry_info().and_then(|info| info.retry_delay);
-        // A status with a cause is tonic's own: no server has given it.
+        // A status with a cause was made by tonic in this process, not sent by a server.
         let lost = retry_after.is_none() && (status.code() == Code::Unavailable || status.source().is_some());
         Self { text: described(&status), retry_after, lost }
     }
 }
 
 impl Answerer {
-    /// In this process, on `threads` threads (0: one a core), with these hulls.
+    /// Answers in this process, on `threads` threads (0: one per core), for these hulls. Also returns the
+    /// ids of the hulls.
     ///
     /// # Errors
-    /// A hull is refused, or the system has no more threads.
+    /// A hull is refused, or the system cannot start the threads.
     pub(crate) fn local(hulls: &[HullPoints], threads: usize) -> Result<(Self, Vec<HullId>), Error> {
         let limits = Limits::default();
         let mut built = HashMap::new();
@@ -145,10 +146,10 @@ impl Answerer {
         Ok((Self::Local(Arc::new(Local { engine, limits, hulls: built })), ids))
     }
 
-    /// The server that `args` names at `address`, the hulls registered there.
+    /// Connects to the server at `address` and registers the hulls there. Also returns their ids.
     ///
     /// # Errors
-    /// No server there, it refuses a hull, or it fails.
+    /// There is no server, or it refuses a hull, or it fails.
     pub(crate) async fn remote(
         address: &str,
         args: &RemoteArgs,
@@ -170,7 +171,7 @@ impl Answerer {
         Ok((Self::Remote(connection), ids))
     }
 
-    /// The answer, or in words why there is none.
+    /// Answers a request.
     ///
     /// # Errors
     /// The request is refused, or the server fails.
@@ -211,15 +212,15 @@ impl Local {
     }
 }
 
-/// Another connection to the server at `address`; its hulls are there.
+/// Another connection to the server at `address`, where the hulls are registered already.
 ///
 /// # Errors
-/// No server there.
+/// There is no server.
 pub(crate) async fn another_connection(address: &str, args: &RemoteArgs) -> Result<Answerer, Error> {
     Ok(Answerer::Remote(Connection::open(address, args).await?))
 }
 
-/// As the store names it.
+/// The hull's definition as the store identifies it.
 pub(crate) fn definition(points: &HullPoints) -> HullDefinition {
     HullDefinition {
         points: points.vertices.clone(),
@@ -252,20 +253,20 @@ fn registered(hull: usize, content: HullId, result: proto::RegisterHullResult) -
 /// A status as a sentence.
 fn described(status: &Status) -> String {
     match status.code() {
-        // Tonic's words for its own failures say less than their cause does.
+        // For its own failures, the cause says more than tonic's message.
         Code::Unknown | Code::Unavailable if status.source().is_some() => root_cause(status),
         code => format!("{code:?}: {}", status.message()),
     }
 }
 
-/// A frame of a scene as a request; `ids` are the scene's hulls'.
+/// The request for a frame of a scene. `ids` are the ids of the scene's hulls.
 pub(crate) fn request(
     scene: &Scene,
     frame: &Frame,
     ids: &[HullId],
     asked: &Asked,
 ) -> proto::QueryContactsRequest {
-    // The wire names each hull once; a scene may give the same points twice.
+    // The wire format names each hull once, but a scene may give the same points twice.
     let mut place = HashMap::new();
     let mut distinct = Vec::new();
     let hulls: Vec<u32> = ids

@@ -1,7 +1,7 @@
-//! Checks of a server's answers, before anything of an answer is used.
+//! Checks a server's answers before any part of an answer is used.
 //!
-//! A server of another make, a proxy or a cache may send an answer of another request, or columns
-//! that do not fit together. The Python client makes the same checks (`client/src/hullcast/_checked.py`).
+//! A server of another make, a proxy or a cache may send the answer to another request, or columns that
+//! do not fit together. The Python client makes the same checks (`client/src/hullcast/_checked.py`).
 
 use std::error::Error as StdError;
 use std::fmt;
@@ -18,7 +18,7 @@ const KNOWN_FLAGS: u8 = 127;
 /// A normal's squared length may differ from 1 by this much.
 const NORMAL_ERROR: f64 = 1e-6;
 
-/// An answer that no correct server gives to this request.
+/// An answer that no correct server gives to the request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Malformed(String);
 
@@ -99,7 +99,7 @@ impl Asked {
 fn lengths(asked: &Asked, pairs: usize, response: &proto::QueryContactsResponse) -> Result<(), Malformed> {
     let any_points = asked.points || asked.witness_b || asked.features;
     let points: usize = response.point_counts.iter().map(|&count| count as usize).sum();
-    // A server of the first contract does not send `kept_areas`.
+    // A server of the first version of the contract does not send `kept_areas`.
     let kept = asked.diagnostics && !response.kept_areas.is_empty();
     let expected = |asked: bool, count: usize| if asked { count } else { 0 };
     for (name, found, wanted) in [
@@ -216,7 +216,7 @@ fn numbers(asked: &Asked, response: &proto::QueryContactsResponse, pair: usize) 
 /// Checks the id that a server gives to a hull against the hash of the hull's content.
 ///
 /// # Errors
-/// The server gave another id.
+/// The server gave a different id.
 pub(crate) fn registered(hull: usize, content: HullId, id: &[u8]) -> Result<HullId, Malformed> {
     if id == content.0 {
         return Ok(content);
@@ -227,7 +227,7 @@ pub(crate) fn registered(hull: usize, content: HullId, id: &[u8]) -> Result<Hull
 /// Checks the number of results of a registration.
 ///
 /// # Errors
-/// There are not as many as hulls.
+/// Their number differs from that of the hulls.
 pub(crate) fn registrations(hulls: usize, results: usize) -> Result<(), Malformed> {
     if hulls == results {
         return Ok(());
@@ -254,7 +254,8 @@ mod tests {
         }
     }
 
-    /// A contact with one point, and a pair whose hull is missing and whose body is unusable.
+    /// The answer for two pairs: a contact with one point, and a pair whose hull is missing and whose body
+    /// is unusable.
     fn good() -> proto::QueryContactsResponse {
         let nan = f64::NAN;
         proto::QueryContactsResponse {
@@ -330,8 +331,8 @@ mod tests {
         assert_eq!(defects.len(), 32);
     }
 
-    /// Catches an answer of a newer server that is refused for a flag that this version does not
-    /// know, and one of an older server that is refused for a column that it does not have.
+    /// Catches two refusals: of a newer server's answer for a flag that this version does not know, and of
+    /// an older server's answer for a column that it does not have.
     #[test]
     fn other_versions_are_read() {
         let mut newer = good();
@@ -342,7 +343,7 @@ mod tests {
         assert_eq!(answer(&asked(), &older), Ok(()));
     }
 
-    /// Catches a hull that is taken for another.
+    /// Catches a hull that is mistaken for another.
     #[test]
     fn ids_are_the_contents_hash() {
         let content = HullId([3; 32]);

@@ -1,13 +1,13 @@
-//! File descriptors: each connection needs one, and so do the store and the admin port.
+//! File descriptors. Each connection needs one, and so do the store and the admin port.
 
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
-/// Descriptors that are kept for the store, the admin port, the listeners and the runtime. Of
-/// a process that may open few, half are kept.
+/// Descriptors that are reserved for the store, the admin port, the listeners and the runtime. If the
+/// process may open only few, half of them are reserved.
 const KEPT: u64 = 128;
 
-/// Raises the limit of open descriptors as far as the system allows, and lowers
-/// `max_connections` to what the limit has room for.
+/// Raises the limit of open descriptors as far as the system allows, and returns `max_connections`,
+/// lowered if the limit leaves too few descriptors for it.
 pub(crate) fn connections(max_connections: u32) -> u32 {
     let Some(limit) = raised() else { return max_connections };
     let allowed = room(limit);
@@ -24,7 +24,7 @@ pub(crate) fn connections(max_connections: u32) -> u32 {
     u32::try_from(allowed).unwrap_or(max_connections)
 }
 
-/// The most descriptors that the process may open, now raised; none where there is no limit.
+/// Raises the limit and returns how many descriptors the process may open; none if there is no limit.
 fn raised() -> Option<u64> {
     let Rlimit { current, maximum } = getrlimit(Resource::Nofile);
     if current != maximum && setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum }).is_ok() {
@@ -33,7 +33,7 @@ fn raised() -> Option<u64> {
     current
 }
 
-/// The connections that a limit of open descriptors has room for; at least one.
+/// The number of connections that a limit of open descriptors allows; at least one.
 fn room(limit: u64) -> u64 {
     (limit - KEPT.min(limit / 2)).max(1)
 }
@@ -42,8 +42,7 @@ fn room(limit: u64) -> u64 {
 mod tests {
     use super::*;
 
-    /// Catches connections that take the store's descriptors, and a limit below which there
-    /// are no connections at all.
+    /// Catches connections that take the store's descriptors, and a limit so low that no connections remain.
     #[test]
     fn some_descriptors_are_kept() {
         assert_eq!([1, 64, 256, 1024].map(room), [1, 32, 128, 896]);

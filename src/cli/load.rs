@@ -1,4 +1,4 @@
-//! `hullcast load`: batches in a closed or an open loop, timed and checked.
+//! `hullcast load`: sends batches in a closed or an open loop, times them and checks the answers.
 
 mod batches;
 mod levels;
@@ -157,7 +157,8 @@ fn seconds(text: &str) -> Result<f64, String> {
 /// Runs `hullcast load`.
 ///
 /// # Errors
-/// The load cannot be prepared, or the run was not clean; its summary is printed either way.
+/// The load cannot be prepared, or a call failed, or an answer was wrong. The summary is printed in
+/// all but the first case.
 pub(crate) fn run(args: &Args) -> Result<(), Error> {
     tokio::runtime::Runtime::new()?.block_on(loaded(args))
 }
@@ -211,7 +212,7 @@ impl Args {
         }
     }
 
-    /// Connections to the servers in turn, or this process; and the hulls there.
+    /// The connections, which go to the servers in turn, or this process; and the ids of the hulls there.
     async fn answerers(&self, hulls: &[HullPoints]) -> Result<(Vec<Answerer>, Vec<HullId>), Error> {
         let Some(remote) = &self.remote.remote else {
             let (local, ids) = Answerer::local(hulls, self.threads)?;
@@ -246,9 +247,9 @@ impl Args {
     }
 }
 
-/// Sets it when the user has had enough; a second interrupt ends the process.
+/// Sets `interrupted` when the user interrupts the run. A second interrupt ends the process.
 async fn note_interrupt(interrupted: Arc<AtomicBool>) {
-    // Where the system has no signals, time alone ends a run.
+    // On a system without signals, only the time limit ends a run.
     while tokio::signal::ctrl_c().await.is_ok() {
         if interrupted.swap(true, Ordering::Relaxed) {
             std::process::exit(130);

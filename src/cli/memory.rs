@@ -1,4 +1,4 @@
-//! How much memory this process may use, and sizes as shares of it.
+//! The memory that this process may use, and sizes given as shares of it.
 
 use std::{
     fmt, fs,
@@ -8,20 +8,20 @@ use std::{
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Bytes, or a share of the memory that the process may use.
+/// A size in bytes, or as a share of the memory that the process may use.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Size {
-    /// So many.
+    /// A number of bytes.
     Bytes(u64),
-    /// In percent.
+    /// A share in percent.
     Share(f64),
 }
 
 impl Size {
-    /// Bytes; of a share, on this machine and in this cgroup.
+    /// The size in bytes. A share refers to this machine and this cgroup.
     ///
     /// # Errors
-    /// The system does not say how much memory there is.
+    /// The size is a share, and the system does not report its memory.
     pub(crate) fn bytes(self) -> Result<u64, String> {
         match self {
             Self::Bytes(bytes) => Ok(bytes),
@@ -74,7 +74,7 @@ impl fmt::Display for Size {
     }
 }
 
-/// A number where it is one, else text.
+/// Written as a number if the size is in bytes, otherwise as text.
 impl Serialize for Size {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
@@ -99,8 +99,8 @@ impl<'de> Deserialize<'de> for Size {
     }
 }
 
-/// The machine's memory, or what the cgroups of this process allow where that is less; `root`
-/// is `/`. Of version 2 every group on the way up limits, of version 1 the file says it all.
+/// The machine's memory in bytes, or the limit of this process's cgroups if that is less. `root` is `/`
+/// outside tests. In both versions of cgroups every group on the path to the root may set a limit.
 fn available(root: &Path) -> Option<u64> {
     let read = |path: PathBuf| fs::read_to_string(path).ok();
     let info = read(root.join("proc/meminfo"))?;
@@ -119,7 +119,7 @@ fn available(root: &Path) -> Option<u64> {
             _ => continue,
         };
         let base = root.join(base);
-        // In a container the path is the host's and the group is mounted at the base.
+        // In a container the path is the host's, and the group is mounted at the base.
         for group in base.join(path.trim_start_matches('/')).ancestors() {
             if let Some(limit) = read(group.join(file)).and_then(|text| text.trim().parse::<u64>().ok()) {
                 least = least.min(limit);
@@ -153,7 +153,8 @@ mod tests {
         }
     }
 
-    /// Catches a cache sized by the machine where the container has less, of either version.
+    /// Catches a cache that is sized by the machine although the container has less memory, with either
+    /// version of cgroups.
     #[test]
     fn the_least_of_machine_and_cgroups_counts() {
         let root = tempfile::tempdir().unwrap();

@@ -19,5 +19,5 @@ pub(crate) mod settings;
 mod traces;
 pub(crate) mod tradeoff;
 
-/// What a subcommand fails with: shown to the user as it is.
+/// The error of a subcommand. Its text is shown to the user as it is.
 pub(crate) type Error = Box<dyn std::error::Error>;

@@ -1,11 +1,11 @@
-//! What a build without the feature `otlp` has of traces: a refusal.
+//! Traces in a build without the feature `otlp`: opening them is refused.
 
 use tracing::Subscriber;
 use tracing_subscriber::{Layer, layer::Identity};
 
 use super::Error;
 
-/// There are none.
+/// A type without values, because such a build has no traces.
 pub(crate) enum Traces {}
 
 impl Traces {

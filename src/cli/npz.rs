@@ -1,25 +1,24 @@
 //! Numpy's `.npz`: a ZIP archive of `.npy` arrays, uncompressed, as `numpy.savez` writes it.
 //!
-//! Formats: numpy's `numpy.lib.format`, version 1.0; PKWARE's APPNOTE 6.3, sections 4.3.7,
-//! 4.3.12 and 4.3.16. Times are the format's earliest, so that the same arrays give the same
-//! bytes.
+//! Formats: numpy's `numpy.lib.format`, version 1.0; PKWARE's APPNOTE 6.3, sections 4.3.7, 4.3.12 and
+//! 4.3.16. All times are the format's earliest, so that equal arrays give equal bytes.
 
 use std::io::{self, Write};
 
 const LOCAL_HEADER: u32 = 0x0403_4b50;
 const CENTRAL_HEADER: u32 = 0x0201_4b50;
 const CENTRAL_END: u32 = 0x0605_4b50;
-/// ZIP 2.0, and 1980-01-01.
+/// Version 2.0 of ZIP. The date is 1980-01-01.
 const VERSION: u16 = 20;
 const DATE: u16 = 1 << 5 | 1;
-/// The `.npy` data begins at a multiple of it.
+/// The data of a `.npy` file begins at a multiple of this.
 const ALIGNMENT: usize = 64;
 
-/// A number that numpy knows.
+/// A number type of numpy.
 pub(crate) trait Number: Copy {
-    /// Numpy's name of the type, little endian.
+    /// Numpy's name of the type in little-endian order.
     const DTYPE: &str;
-    /// Adds the little-endian bytes.
+    /// Appends the number's bytes, little endian.
     fn write(self, bytes: &mut Vec<u8>);
 }
 
@@ -48,15 +47,15 @@ pub(crate) struct Npz<W> {
 }
 
 impl<W: Write> Npz<W> {
-    /// Into `out`.
+    /// An empty archive that is written to `out`.
     pub(crate) fn new(out: W) -> Self {
         Self { out, written: 0, directory: Vec::new(), entries: 0 }
     }
 
-    /// Adds an array with `width` numbers a row; one-dimensional where that is 1.
+    /// Adds an array with rows of `width` numbers. The array is one-dimensional if `width` is 1.
     ///
     /// # Errors
-    /// It cannot be written, or is past the 4 GiB of a plain ZIP archive.
+    /// The array cannot be written, or the archive would exceed the 4 GiB of a plain ZIP archive.
     pub(crate) fn array<T: Number>(&mut self, name: &str, column: &[T], width: usize) -> io::Result<()> {
         let data = npy(column, width);
         let name = format!("{name}.npy");
@@ -87,10 +86,10 @@ impl<W: Write> Npz<W> {
         Ok(())
     }
 
-    /// Writes the archive's directory and gives back what it was written into.
+    /// Writes the archive's directory and returns `out`.
     ///
     /// # Errors
-    /// It cannot be written, or is past the 4 GiB of a plain ZIP archive.
+    /// The directory cannot be written, or the archive would exceed the 4 GiB of a plain ZIP archive.
     pub(crate) fn finish(mut self) -> io::Result<W> {
         let (offset, size) = (small(self.written)?, small(self.directory.len() as u64)?);
         let mut end = std::mem::take(&mut self.directory);
@@ -116,12 +115,12 @@ fn small(bytes: u64) -> io::Result<u32> {
     u32::try_from(bytes).map_err(|_| io::Error::other("the archive would pass 4 GiB"))
 }
 
-/// A `.npy` file's bytes.
+/// The bytes of a `.npy` file.
 fn npy<T: Number>(column: &[T], width: usize) -> Vec<u8> {
     let rows = column.len() / width;
     let shape = if width == 1 { format!("({rows},)") } else { format!("({rows}, {width})") };
     let mut header = format!("{{'descr': '{}', 'fortran_order': False, 'shape': {shape}, }}", T::DTYPE);
-    // Before it: magic and version (8 bytes), its length (2); at its end a line feed.
+    // The magic and version (8 bytes) and the length (2) come before the header; a line feed ends it.
     let padding = (ALIGNMENT - (header.len() + 11) % ALIGNMENT) % ALIGNMENT;
     header.extend(std::iter::repeat_n(' ', padding));
     header.push('\n');
@@ -133,7 +132,7 @@ fn npy<T: Number>(column: &[T], width: usize) -> Vec<u8> {
     bytes
 }
 
-/// CRC-32 as ZIP has it: polynomial 0xedb88320, reflected.
+/// The CRC-32 of ZIP: polynomial 0xedb88320, reflected.
 fn crc32(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(!0, |crc, &byte| {
         let at = (crc ^ u32::from(byte)) & 0xff;
@@ -160,7 +159,7 @@ static CRC_TABLE: [u32; 256] = {
 mod tests {
     use super::*;
 
-    /// Catches a wrong table or order of bits: the check value that CRC catalogues give.
+    /// Compares with the check value of CRC catalogues. Catches a wrong table or a wrong order of bits.
     #[test]
     fn the_checksum_is_zips() {
         assert_eq!(crc32(b"123456789"), 0xcbf4_3926);

@@ -1,4 +1,4 @@
-//! Options that `query` and `load` share.
+//! Options that `query` and `load` have in common.
 
 use clap::{Args, ValueEnum};
 
@@ -51,19 +51,19 @@ pub(crate) enum OutputArg {
     Diagnostics,
 }
 
-/// What is asked of every pair.
+/// The parts of a query that are the same for every pair.
 #[derive(Clone, Debug)]
 pub(crate) struct Asked {
-    /// Contact points are wanted within it.
+    /// Contact points are computed for hulls within this distance.
     pub(crate) margin: f64,
-    /// Speed against accuracy.
+    /// Settings that trade accuracy for speed.
     pub(crate) accuracy: proto::Accuracy,
-    /// What is computed and sent.
+    /// Numbers of the outputs to compute and send.
     pub(crate) outputs: Vec<i32>,
 }
 
 impl AccuracyArgs {
-    /// With a margin and outputs, what is asked. Values out of range are refused by whoever answers.
+    /// The query with a margin and outputs. The server or the library refuses values out of range.
     pub(crate) fn asked(&self, margin: f64, outputs: &[OutputArg]) -> Asked {
         let solver = match self.solver {
             SolverArg::Portal => proto::Solver::Portal,

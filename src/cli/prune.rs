@@ -5,7 +5,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use super::Error;
 use hullcast::store::blobs;
 
-/// Hulls listed at a time.
+/// Hulls listed per page.
 const PAGE: usize = 10_000;
 
 /// Removes hulls that were last written longer ago than this.
@@ -41,10 +41,10 @@ fn age(text: &str) -> Result<Duration, String> {
     count.checked_mul(seconds).map(Duration::from_secs).ok_or_else(wrong)
 }
 
-/// Runs it.
+/// Runs `hullcast prune`.
 ///
 /// # Errors
-/// The store cannot be opened, listed or written to; what was removed before stays removed.
+/// The store cannot be opened, listed or written to. Hulls removed before the error stay removed.
 pub(crate) fn run(args: &Args) -> Result<(), Error> {
     tokio::runtime::Runtime::new()?.block_on(prune(args))
 }
@@ -79,7 +79,7 @@ async fn prune(args: &Args) -> Result<(), Error> {
 mod tests {
     use super::*;
 
-    /// Catches a unit taken for another: a store emptied of what is minutes old.
+    /// Catches a wrong unit, which could empty a store of hulls that are minutes old.
     #[test]
     fn ages_have_units() {
         for (text, seconds) in [("90s", 90), ("2m", 120), ("3h", 10_800), ("30d", 2_592_000), ("0d", 0)] {

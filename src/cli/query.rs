@@ -1,4 +1,4 @@
-//! `hullcast query`: the contacts of a scene, from this process or from a server.
+//! `hullcast query`: computes the contacts of a scene, in this process or on a server.
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -11,7 +11,7 @@ use super::report::Answered;
 use super::scene::Scene;
 use hullcast::proto;
 
-/// Pairs a request: well below every server's default limit, its answer too.
+/// Pairs per request. This is well below every server's default limit, and so is the answer.
 const PAIRS_PER_REQUEST: usize = 32_768;
 
 /// The contacts of a scene file, from the library in this process or from a server.
@@ -52,7 +52,7 @@ pub(crate) struct Args {
 /// Runs `hullcast query`.
 ///
 /// # Errors
-/// The scene is faulty, or the answer cannot be had or written.
+/// The scene is not valid, or there is no answer, or it cannot be written.
 pub(crate) fn run(args: &Args) -> Result<(), Error> {
     tokio::runtime::Runtime::new()?.block_on(answered(args))
 }
@@ -76,14 +76,14 @@ async fn answered(args: &Args) -> Result<(), Error> {
     let written =
         if args.json { answered.write_json(&mut out) } else { answered.write_table(&mut out, args.all) };
     match written.and_then(|()| out.flush()) {
-        // `hullcast query ... | head` is no failure.
+        // A closed pipe, as in `hullcast query ... | head`, is not a failure.
         Err(e) if e.kind() == io::ErrorKind::BrokenPipe => {}
         other => other?,
     }
     all_answered(&columns, scene.body_hulls.len())
 }
 
-/// An error if a pair was not answered: a script must not take such a pair for one without contact.
+/// Fails if a pair was not answered, because a script must not take such a pair for one without contact.
 fn all_answered(columns: &proto::QueryContactsResponse, bodies: usize) -> Result<(), Error> {
     const INVALID: u8 = proto::Outcome::Invalid as u8;
     const SHOWN: usize = 8;
@@ -113,7 +113,7 @@ fn all_answered(columns: &proto::QueryContactsResponse, bodies: usize) -> Result
     Ok(())
 }
 
-/// The whole request's columns, asked for in parts.
+/// The columns of the whole request, which is sent in parts.
 async fn answer(
     answerer: &Answerer,
     mut request: proto::QueryContactsRequest,
@@ -132,7 +132,7 @@ async fn answer(
     }
 }
 
-/// Adds the columns of the next pairs.
+/// Appends the columns of a part.
 fn append(whole: &mut proto::QueryContactsResponse, part: proto::QueryContactsResponse) {
     whole.outcomes.extend(part.outcomes);
     whole.flags.extend(part.flags);
@@ -152,7 +152,7 @@ fn append(whole: &mut proto::QueryContactsResponse, part: proto::QueryContactsRe
     whole.iterations.extend(part.iterations);
     whole.support_calls.extend(part.support_calls);
     whole.kept_areas.extend(part.kept_areas);
-    // Of the request as a whole, so the same in every part.
+    // These describe the whole request, so every part has the same.
     whole.missing_hulls = part.missing_hulls;
     whole.invalid_bodies = part.invalid_bodies;
 }

@@ -1,6 +1,6 @@
-//! Where a server is, and why it cannot be reached.
+//! Parses a server's address, and explains why a server cannot be reached.
 //!
-//! The Python client says the same (`client/src/hullcast/_channel.py`, `_reach.py`).
+//! The Python client gives the same explanations (`client/src/hullcast/_channel.py`, `_reach.py`).
 
 use std::error::Error as StdError;
 use std::io;
@@ -12,9 +12,9 @@ use tokio::net::TcpStream;
 use super::Error;
 use super::remote::root_cause;
 
-/// The port of an address that names none.
+/// The port if the address has none.
 const DEFAULT_PORT: u16 = 50051;
-/// The time in which a peer has to answer.
+/// The time within which a peer must answer.
 const PATIENCE: Duration = Duration::from_secs(2);
 /// An HTTP/2 client's first bytes: the preface, and an empty SETTINGS frame.
 const GREETING: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
@@ -22,7 +22,7 @@ const GREETING: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
 /// The URL of an address: `host`, `host:port`, `unix:PATH`, `http://host:port`, `https://host:port`.
 ///
 /// # Errors
-/// It is none of these.
+/// The address has none of these forms.
 pub(crate) fn url(address: &str) -> Result<String, Error> {
     if address.starts_with("unix:") {
         return Ok(address.to_owned());
@@ -34,7 +34,7 @@ pub(crate) fn url(address: &str) -> Result<String, Error> {
         return Err(wrong());
     }
     let rest = rest.strip_suffix('/').unwrap_or(rest);
-    // The brackets of an IPv6 address keep its colons apart from the port's.
+    // The brackets of an IPv6 address separate its colons from that of the port.
     let (host, port) = match rest.rsplit_once(':') {
         Some((host, port)) if !port.contains(']') => (host, Some(port)),
         _ => (rest, None),
@@ -78,7 +78,7 @@ pub(crate) async fn failed(address: &str, url: &str, error: &(dyn StdError + 'st
     format!("no server at {address}: {text}")
 }
 
-/// The sentence for a peer that is there but cannot be spoken to; none for another cause, which
+/// The explanation for a peer that is there but speaks another protocol. None for other causes, which
 /// may pass.
 pub(crate) async fn mismatch(address: &str, url: &str, error: &(dyn StdError + 'static)) -> Option<String> {
     if let Some(authority) = url.strip_prefix("http://") {
@@ -104,7 +104,7 @@ pub(crate) async fn mismatch(address: &str, url: &str, error: &(dyn StdError + '
     })
 }
 
-/// The first bytes that a plain peer answers to HTTP/2's preface; none if it says nothing.
+/// The first bytes of a plain-text peer's answer to the HTTP/2 preface; empty if it does not answer.
 async fn greeting(authority: &str) -> Vec<u8> {
     let mut answer = [0; 9];
     let exchange = async {
@@ -117,7 +117,7 @@ async fn greeting(authority: &str) -> Vec<u8> {
     answer[..count].to_vec()
 }
 
-/// The kind of the first operating system error among the causes.
+/// The kind of the first operating system error in the chain of causes.
 fn cause(error: &(dyn StdError + 'static)) -> Option<io::ErrorKind> {
     let mut next = Some(error);
     while let Some(error) = next {
@@ -135,8 +135,7 @@ fn cause(error: &(dyn StdError + 'static)) -> Option<io::ErrorKind> {
 mod tests {
     use super::*;
 
-    /// Catches a missing port that becomes HTTP's, and an address that is dialled although it is
-    /// none.
+    /// Catches a missing port that becomes HTTP's default, and a malformed address that is dialled.
     #[test]
     fn addresses_have_a_port_and_a_scheme() {
         for (address, expected) in [

@@ -1,4 +1,4 @@
-//! The server that a subcommand asks: where it is, and who asks.
+//! The server that a subcommand asks: its address, TLS and the caller's token.
 
 use std::error::Error as StdError;
 use std::path::PathBuf;
@@ -17,13 +17,13 @@ use hullcast::proto::contact_service_client::ContactServiceClient;
 use hullcast::proto::hull_service_client::HullServiceClient;
 use hullcast::proto::server_service_client::ServerServiceClient;
 
-/// Of messages, either way: the servers' limits are the ones that count.
+/// Largest message in either direction. It is so large that only the server's own limits matter.
 const MAX_MESSAGE_BYTES: usize = 2 << 30;
-/// HTTP/2 flow control: a batch of some thousand pairs fits.
+/// Window of HTTP/2 flow control: a batch of some thousand pairs fits.
 const WINDOW_BYTES: u32 = 8 << 20;
-/// A server that cannot be reached says nothing: so long until a connection is given up,
+/// Time after which an attempt to connect is given up, because an unreachable server sends nothing.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
-/// and so long, twice, until a call under way notices.
+/// Interval and timeout of keep-alive pings: a call under way notices a lost server after twice this.
 const KEEP_ALIVE: Duration = Duration::from_secs(10);
 
 /// Which server, if any.
@@ -52,10 +52,10 @@ pub(crate) struct RemoteArgs {
 pub(crate) struct Connection(InterceptedService<Channel, Token>);
 
 impl Connection {
-    /// A connection of its own to the server at `address`.
+    /// Opens a new connection to the server at `address`.
     ///
     /// # Errors
-    /// No server there, or a file cannot be read.
+    /// There is no server, or a file cannot be read.
     pub(crate) async fn open(address: &str, args: &RemoteArgs) -> Result<Self, Error> {
         let url = reach::url(address)?;
         let mut endpoint = Endpoint::from_shared(url.clone())?
@@ -73,11 +73,11 @@ impl Connection {
             Err(error) => return Err(reach::failed(address, &url, &error).await.into()),
         };
         let connection = Self(InterceptedService::new(channel, args.token()?));
-        // A connection without TLS counts as open before the server has said anything.
+        // Without TLS, a connection counts as open before the server has sent anything.
         let mut server = ServerServiceClient::new(connection.0.clone());
         match server.get_server_info(GetServerInfoRequest {}).await {
-            // Only tonic's own statuses have a source; any other answer shows that a server is there.
-            // A connection that breaks may be another one the next time, so that the call itself says so.
+            // Only statuses that tonic makes itself have a source, so any other answer shows that a server
+            // is there. If a connection merely broke, the next one may work: the call itself will tell.
             Err(status) if status.source().is_some() => match reach::mismatch(address, &url, &status).await {
                 Some(text) => Err(text.into()),
                 None => Ok(connection),
@@ -89,18 +89,18 @@ impl Connection {
     /// A number for the next request, by which its answer is recognised.
     pub(crate) fn next_request_id() -> u64 {
         static NEXT: AtomicU64 = AtomicU64::new(1);
-        // The process's id is in it, so that a proxy cannot mix up two processes' answers.
+        // The process id is part of it, so that a proxy cannot mix up the answers of two processes.
         (u64::from(std::process::id()) << 32).wrapping_add(NEXT.fetch_add(1, Ordering::Relaxed))
     }
 
-    /// Queries on this connection.
+    /// A client for queries on this connection.
     pub(crate) fn contacts(&self) -> ContactServiceClient<InterceptedService<Channel, Token>> {
         ContactServiceClient::new(self.0.clone())
             .max_decoding_message_size(MAX_MESSAGE_BYTES)
             .max_encoding_message_size(MAX_MESSAGE_BYTES)
     }
 
-    /// Registrations on this connection.
+    /// A client for registrations on this connection.
     pub(crate) fn hulls(&self) -> HullServiceClient<InterceptedService<Channel, Token>> {
         HullServiceClient::new(self.0.clone())
             .max_decoding_message_size(MAX_MESSAGE_BYTES)
@@ -140,7 +140,7 @@ fn read(path: &PathBuf) -> Result<Vec<u8>, Error> {
     Ok(std::fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?)
 }
 
-/// A PEM file's content, checked for a PEM block: TLS would start without the file's content.
+/// The content of a PEM file. Fails if it has no PEM block, since TLS would ignore such a file.
 fn pem(option: &str, path: &PathBuf) -> Result<Vec<u8>, Error> {
     let content = read(path)?;
     if content.windows(11).any(|bytes| bytes == b"-----BEGIN ") {
@@ -149,7 +149,7 @@ fn pem(option: &str, path: &PathBuf) -> Result<Vec<u8>, Error> {
     Err(format!("{option} {}: not a PEM file (it has no line -----BEGIN ...-----)", path.display()).into())
 }
 
-/// Sent with every call, if there is one.
+/// The token that is sent with every call, if there is one.
 #[derive(Clone, Debug)]
 pub(crate) struct Token(Option<MetadataValue<Ascii>>);
 
@@ -162,7 +162,7 @@ impl Interceptor for Token {
     }
 }
 
-/// Tonic's words for its own failures say less than their cause does.
+/// The innermost cause of an error. For its own failures, tonic's message says less than the cause.
 pub(crate) fn root_cause(error: &(dyn StdError + 'static)) -> String {
     let mut cause = error;
     while let Some(next) = cause.source() {

@@ -1,4 +1,4 @@
-//! An answer as a table, as JSON and as numpy arrays.
+//! Writes an answer as a table, as JSON or as numpy arrays.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -13,15 +13,15 @@ use hullcast::proto::{self, Flag, Outcome};
 /// A frame of a scene and its answer.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Answered<'a> {
-    /// What was asked.
+    /// The scene of the query.
     pub(crate) scene: &'a Scene,
-    /// In which configuration.
+    /// The configuration of the query.
     pub(crate) frame: &'a Frame,
-    /// What was answered; columns that were not asked for are empty.
+    /// The answer. Columns that were not asked for are empty.
     pub(crate) columns: &'a proto::QueryContactsResponse,
 }
 
-/// One pair of the JSON; what was not asked for is left out.
+/// A pair in the JSON. Fields that were not asked for are left out.
 #[derive(Serialize)]
 struct PairJson<'a> {
     pair: [u32; 2],
@@ -67,13 +67,13 @@ fn no_names(names: &[&str; 2]) -> bool {
     names.iter().all(|name| name.is_empty())
 }
 
-/// Row `i` of a column with `N` entries a row; none where it was not asked for.
+/// Row `i` of a column with `N` entries per row; none if the column was not asked for.
 fn row<T: Copy, const N: usize>(column: &[T], i: usize) -> Option<[T; N]> {
     column.as_chunks::<N>().0.get(i).copied()
 }
 
 impl Answered<'_> {
-    /// Every pair as JSON, one a line; infinities and NaN are null.
+    /// Writes every pair as JSON, one per line. Infinities and NaN are written as null.
     ///
     /// # Errors
     /// The output cannot be written.
@@ -130,7 +130,7 @@ impl Answered<'_> {
         self.columns.point_counts.get(i).map_or(0, |&n| n as usize)
     }
 
-    /// A line a pair (separated ones only when `all`), then the sums.
+    /// Writes one line per pair (separated pairs only if `all`), then the sums.
     ///
     /// # Errors
     /// The output cannot be written.
@@ -155,7 +155,7 @@ impl Answered<'_> {
         self.write_sums(out)
     }
 
-    /// The body indices with their names.
+    /// The pair's body indices with their names.
     fn label(&self, i: usize) -> String {
         let name = |body: u32| match self.scene.body_names[body as usize].as_str() {
             "" => format!("{body}"),
@@ -213,8 +213,8 @@ impl Answered<'_> {
         writeln!(out, "; {points} points")
     }
 
-    /// The columns as the wire names them, those with several numbers a row as
-    /// two-dimensional arrays, and `pairs`.
+    /// Writes `pairs` and the columns under their names in the wire format. Columns with several numbers
+    /// per row become two-dimensional arrays.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -260,13 +260,13 @@ fn json<T: Serialize + ?Sized>(value: &T) -> io::Result<String> {
     Ok(serde_json::to_string(value)?)
 }
 
-/// The contract's name; `UNKNOWN` for one of a newer server.
+/// The outcome's name in the contract; `UNKNOWN` for an outcome of a newer server.
 fn outcome_name(outcome: u8) -> &'static str {
     let known = Outcome::try_from(i32::from(outcome)).ok().filter(|known| *known != Outcome::Unspecified);
     known.and_then(|known| known.as_str_name().strip_prefix("OUTCOME_")).unwrap_or("UNKNOWN")
 }
 
-/// The contract's names of the flags that are set; flags of a newer server have none.
+/// The names, in the contract, of the flags that are set. Flags of a newer server are left out.
 fn flag_names(flags: u8) -> Vec<&'static str> {
     let set = (0..u8::BITS).map(|bit| i32::from(flags) & 1 << bit).filter(|&flag| flag != 0);
     set.filter_map(|flag| Flag::try_from(flag).ok()?.as_str_name().strip_prefix("FLAG_")).collect()

@@ -1,7 +1,7 @@
-//! Scene files, `hullcast.scene.v1`: hulls, bodies, configurations, pairs.
+//! Scene files, `hullcast.scene.v1`: hulls, bodies, configurations and pairs.
 //!
-//! The format is described in `examples/scenes/README.md`. Unknown keys are
-//! ignored, so that a file may say where it comes from.
+//! `examples/scenes/README.md` describes the format. Unknown keys are ignored, so that a file may state
+//! its origin.
 
 use std::fmt;
 use std::path::Path;
@@ -10,44 +10,44 @@ use serde::Deserialize;
 
 const FORMAT: &str = "hullcast.scene.v1";
 
-/// Bodies in one or more configurations, and the pairs that are asked about.
+/// Bodies in one or more configurations, and the pairs to query.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Scene {
-    /// For people.
+    /// Name for display.
     pub(crate) name: String,
-    /// Shapes, each in its own frame.
+    /// The hulls, each in its own frame.
     pub(crate) hulls: Vec<HullPoints>,
-    /// Per body: index into `hulls`.
+    /// For each body, an index into `hulls`.
     pub(crate) body_hulls: Vec<u32>,
-    /// Per body, for people.
+    /// For each body, a name for display.
     pub(crate) body_names: Vec<String>,
-    /// Configurations, at least one.
+    /// The configurations, at least one.
     pub(crate) frames: Vec<Frame>,
-    /// Two body indices a pair.
+    /// Two body indices per pair.
     pub(crate) pairs: Vec<u32>,
-    /// Contact points are wanted within it.
+    /// Contact points are computed for hulls within this distance, caller's units.
     pub(crate) margin: f64,
 }
 
 /// A hull as it is registered.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub(crate) struct HullPoints {
-    /// For people.
+    /// Name for display.
     #[serde(default)]
     pub(crate) name: String,
-    /// Hull frame, caller's units.
+    /// Points, hull frame, caller's units.
     pub(crate) vertices: Vec<[f64; 3]>,
-    /// Absent: the centre of mass.
+    /// Contraction point, hull frame; the centre of mass if absent.
     #[serde(default)]
     pub(crate) contraction_point: Option<[f64; 3]>,
-    /// The planarity to register with, a share of the circumradius. A file without this key
-    /// means [`DEFAULT_PLANARITY`]; `null` means to register without a planarity.
+    /// The planarity to register with, as a share of the circumradius. A file without this key means
+    /// [`DEFAULT_PLANARITY`]; `null` means to register without a planarity.
     #[serde(default = "default_planarity")]
     pub(crate) planarity: Option<f64>,
 }
 
-/// The planarity of hulls whose scene file gives none. Measured on shapes whose coordinates are
-/// rounded as files round them: docs/tradeoff.md.
+/// The planarity of hulls whose scene file gives none. It was measured on shapes whose coordinates
+/// are rounded as in common files: docs/tradeoff.md.
 const DEFAULT_PLANARITY: f64 = 1e-3;
 
 #[allow(clippy::unnecessary_wraps, reason = "serde wants the field's type")]
@@ -58,20 +58,20 @@ fn default_planarity() -> Option<f64> {
 /// The pose of every body.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Frame {
-    /// For people; empty where the file has no frames.
+    /// Name for display; empty if the file has no frames.
     pub(crate) name: String,
-    /// 3 per body.
+    /// 3 numbers per body.
     pub(crate) positions: Vec<f64>,
-    /// 4 per body: x, y, z, w.
+    /// 4 numbers per body: x, y, z, w.
     pub(crate) rotations: Vec<f64>,
 }
 
-/// What is wrong with a scene file, and where in it.
+/// A defect of a scene file, and its place.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct SceneError {
-    /// Such as `hulls[3].vertices[7]`; empty: the whole file.
+    /// The place, such as `hulls[3].vertices[7]`; empty for the whole file.
     pub(crate) place: String,
-    /// For people.
+    /// The defect, for display.
     pub(crate) message: String,
 }
 
@@ -148,7 +148,7 @@ impl Scene {
 }
 
 impl File {
-    /// What the types do not say: indices in range, one pose a body.
+    /// Checks the rules that the types do not express: indices in range, and one pose per body.
     fn check(&self) -> Result<(), SceneError> {
         let fail = |place: String, message: String| Err(SceneError { place, message });
         if self.format != FORMAT {
@@ -228,7 +228,7 @@ mod tests {
         "frames": [{"name": "f", "positions": [[0,0,0],[0,0,3]], "rotations": [[0,0,0,1],[0,0,0,1]]}],
         "pairs": [[0,1]]}"#;
 
-    // Would catch a frame that is dropped, or poses taken from the bodies although frames are given.
+    // Catches a frame that is dropped, and poses taken from the bodies although the file has frames.
     #[test]
     fn frames_replace_the_bodies_poses() {
         let scene = Scene::parse(GOOD.as_bytes()).unwrap();
@@ -238,7 +238,7 @@ mod tests {
         assert_eq!((scene.frames.len(), scene.frames[0].positions[5]), (1, 2.0));
     }
 
-    /// Catches a default that is not sent, is not that of the Python client, or cannot be left out.
+    /// Catches a default that is not sent, differs from the Python client's, or cannot be turned off.
     #[test]
     fn a_hull_without_a_planarity_has_the_clients_default() {
         let planarity = |hull: &str| {
@@ -252,7 +252,7 @@ mod tests {
         assert!(python.contains(&format!("\nDEFAULT_PLANARITY = {DEFAULT_PLANARITY:e}\n")));
     }
 
-    // Would catch an error that leaves a user to search a file of thousands of lines.
+    // Catches an error that does not name its place in a file of thousands of lines.
     #[test]
     fn errors_name_field_and_index() {
         let cases = [

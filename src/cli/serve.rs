@@ -1,4 +1,4 @@
-//! `hullcast serve`: answers queries over gRPC until told to stop.
+//! `hullcast serve`: answers queries over gRPC until it is told to stop.
 
 use std::{
     io::{self, Read, Write},
@@ -50,14 +50,14 @@ pub(crate) struct Args {
     until_stdin_closes: bool,
 }
 
-/// Threads for blocking work beside the store's, which has its own: certificates and tokens
-/// that are read again, and names that are looked up. Tokio alone would start up to 512.
+/// Threads for blocking work outside the store, which has threads of its own: reading certificates and
+/// tokens again, and looking up names. By default tokio would start up to 512.
 const BLOCKING_THREADS: usize = 8;
 
-/// The time that such work has to end after serving. The store's threads are not waited for.
+/// The time that this work has to end after serving. The store's threads are not waited for.
 const RUNTIME_SHUTDOWN: Duration = Duration::from_secs(1);
 
-/// Runs it.
+/// Runs `hullcast serve`.
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     let file = args.config.as_deref().map(Given::read).transpose()?.unwrap_or_default();
     let settings = args.given.clone().or(file);
@@ -86,7 +86,7 @@ async fn until_stopped(settings: &Settings, args: &Args) -> Result<(), Error> {
     let app = Arc::new(App::new(store, limits, settings.compute_threads)?);
     app.engine().injected().delay(Duration::from_micros(args.inject_pair_delay_us));
     let grace = settings.grace()?;
-    // Before the address is printed: who reads it may stop the server at once.
+    // Installed before the address is printed: a reader of the address may stop the server at once.
     let shutdown = shutdown(grace, args.until_stdin_closes)?;
     let listeners = listeners(settings, &serving.security).await?;
     let admin = match settings.admin_listen.as_str() {
@@ -110,7 +110,8 @@ async fn until_stopped(settings: &Settings, args: &Args) -> Result<(), Error> {
     Ok(serve(listeners, app, serving, shutdown).await?)
 }
 
-/// The addresses, bound; none that other machines can reach in plain text unless that is meant.
+/// Binds the addresses. Refuses one that other machines can reach in plain text, unless the settings
+/// allow it.
 async fn listeners(settings: &Settings, security: &Security) -> Result<Vec<Listener>, Error> {
     let mut listeners = Vec::with_capacity(settings.listen.len());
     for address in &settings.listen {
@@ -127,9 +128,10 @@ async fn listeners(settings: &Settings, security: &Security) -> Result<Vec<Liste
     Ok(listeners)
 }
 
-/// Completes when the server is told to stop, with the grace that balancers have: a
-/// supervisor's signal is meant for them to hear of first, whoever interrupts or leaves
-/// does not wait for them. Told again, the process ends at once.
+/// Completes when the server is told to stop, and returns the grace period. After a supervisor's
+/// signal load balancers must hear of the stop first, so there is a grace period. After an interrupt,
+/// or after the end of standard input, there is none. If the server is told to stop again, the process
+/// ends at once.
 fn shutdown(grace: Duration, until_stdin_closes: bool) -> io::Result<impl Future<Output = Duration>> {
     let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
     Ok(async move {
@@ -150,7 +152,7 @@ fn shutdown(grace: Duration, until_stdin_closes: bool) -> io::Result<impl Future
     })
 }
 
-/// As daemons do; the files are read from time to time anyway.
+/// Reads certificates and tokens again after SIGHUP, as daemons do. They are also read periodically.
 fn spawn_reload_on_hangup(security: Arc<Security>) -> io::Result<()> {
     let mut hangup = signal(SignalKind::hangup())?;
     tokio::spawn(async move {
@@ -162,7 +164,7 @@ fn spawn_reload_on_hangup(security: Arc<Security>) -> io::Result<()> {
     Ok(())
 }
 
-/// One line a listener, first on standard output: what scripts wait for. Then the admin port's.
+/// Prints one line per listener to standard output, for which scripts wait, then one for the admin port.
 fn announce(listeners: &[Listener], admin: Option<&TcpListener>) -> io::Result<()> {
     let mut out = io::stdout().lock();
     for listener in listeners {
@@ -174,8 +176,8 @@ fn announce(listeners: &[Listener], admin: Option<&TcpListener>) -> io::Result<(
     out.flush()
 }
 
-/// Completes when standard input closes. A thread of its own: a read of standard input
-/// cannot be cancelled, and must not keep the runtime from ending.
+/// Completes when standard input closes. Reading happens on a thread of its own, because a read of
+/// standard input cannot be cancelled and must not keep the runtime from ending.
 async fn stdin_closed() {
     let (closed, wait) = oneshot::channel();
     std::thread::spawn(move || {
@@ -187,7 +189,7 @@ async fn stdin_closed() {
     let _ = wait.await;
 }
 
-/// Logs to standard error, traces to a collector where one is configured.
+/// Sends logs to standard error, and traces to a collector if one is configured.
 fn observe(settings: &Settings) -> Result<Option<Traces>, Error> {
     let filter = EnvFilter::try_new(&settings.log).map_err(|error| format!("log: {error}"))?;
     let filter = filter.and(filter_fn(|metadata| metadata.target() != trace::TARGET));

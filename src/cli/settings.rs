@@ -1,5 +1,5 @@
-//! The settings of a server: flags win over the environment, the environment over the file,
-//! and the file over the defaults.
+//! The settings of a server. A flag wins over the environment, the environment over the file, and the
+//! file over the default.
 
 use std::{
     fs,
@@ -36,8 +36,8 @@ pub(crate) enum Switch {
     Off,
 }
 
-/// Declares every setting once: its flag, its environment variable, its key in the file
-/// and its default.
+/// Declares every setting once, with its flag, its environment variable, its key in the file and its
+/// default.
 macro_rules! settings {
     ($($(#[doc = $doc:literal])* $name:ident: $kind:ty = $default:expr, $env:literal, $value:literal
         $([$($arg:tt)*])?;)*) => {
@@ -49,7 +49,7 @@ macro_rules! settings {
             $name: Option<$kind>,)*
         }
 
-        /// Settings, complete.
+        /// The complete settings.
         #[derive(Clone, Debug, PartialEq, Serialize)]
         pub(crate) struct Settings {
             $($(#[doc = $doc])* pub(crate) $name: $kind,)*
@@ -175,7 +175,7 @@ settings! {
 }
 
 impl Given {
-    /// Reads a TOML file; an unknown key is an error.
+    /// Reads a TOML file. An unknown key is an error.
     pub(crate) fn read(path: &Path) -> Result<Self, Error> {
         let text = fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
         Ok(toml::from_str(&text).map_err(|error| format!("{}: {error}", path.display()))?)
@@ -183,7 +183,7 @@ impl Given {
 }
 
 impl Settings {
-    /// How to serve, with the files read that it names.
+    /// The parameters for serving. Reads the security files that the settings name.
     ///
     /// # Errors
     /// A file cannot be used, or a value is outside its range.
@@ -223,7 +223,7 @@ impl Settings {
         })
     }
 
-    /// How long health says NOT_SERVING, when the server stops, before connections are closed.
+    /// How long health says NOT_SERVING before connections are closed, when the server stops.
     ///
     /// # Errors
     /// The value is outside its range.
@@ -231,10 +231,10 @@ impl Settings {
         seconds("grace_seconds", self.grace_seconds, 0.0)
     }
 
-    /// The limits among them.
+    /// The limits among the settings.
     ///
     /// # Errors
-    /// A share of a memory that the system does not tell.
+    /// A size is a share, and the system does not report its memory.
     pub(crate) fn limits(&self) -> Result<Limits, Error> {
         Ok(Limits {
             max_message_bytes: self.max_message_bytes,
@@ -263,19 +263,19 @@ impl Settings {
 /// The shortest time between two runs of a loop, in seconds.
 const SHORTEST_LOOP: f64 = 0.01;
 
-/// The shortest time after which something is given up, in seconds.
+/// The shortest time limit, in seconds.
 const SHORTEST_TIME: f64 = 0.001;
 
-/// The longest time that a setting may have: some thirty years, which no clock overflows.
+/// The longest time of a setting: about thirty years, which overflows no clock.
 const LONGEST: f64 = 1e9;
 
-/// Most threads that compute.
+/// Largest number of compute threads.
 const MOST_THREADS: usize = 4096;
 
-/// A setting in seconds, at least `least`.
+/// The value of a setting in seconds, at least `least`.
 ///
 /// # Errors
-/// The value is outside its range, or no number.
+/// The value is outside its range, or is not a number.
 fn seconds(name: &str, value: f64, least: f64) -> Result<Duration, Error> {
     if (least..=LONGEST).contains(&value) {
         return Ok(Duration::try_from_secs_f64(value)?);
@@ -287,14 +287,14 @@ fn seconds(name: &str, value: f64, least: f64) -> Result<Duration, Error> {
 mod tests {
     use super::*;
 
-    /// Catches a typing error in a file that is silently a default.
+    /// Catches a misspelt key in a file that silently means the default.
     #[test]
     fn unknown_keys_are_refused() {
         assert!(toml::from_str::<Given>("cache_byte = 1").is_err());
         assert_eq!(toml::from_str::<Given>("cache_bytes = 1").unwrap().cache_bytes, Some(Size::Bytes(1)));
     }
 
-    /// Catches an order of precedence the other way round.
+    /// Catches a reversed order of precedence.
     #[test]
     fn flags_win_over_the_file_and_the_file_over_defaults() {
         let flags = Given { cache_bytes: Some(Size::Bytes(1)), ..Given::default() };
@@ -305,8 +305,7 @@ mod tests {
         assert_eq!(settings.limits().unwrap().max_pairs_per_request, Limits::default().max_pairs_per_request);
     }
 
-    /// Catches a time or a number outside its range that is taken, or refused without its
-    /// name, value and range.
+    /// Catches a value outside its range that is accepted, or refused without its name, value and range.
     #[test]
     fn values_outside_their_ranges_are_refused_by_name() {
         type Spoil = fn(&mut Settings);
@@ -332,7 +331,7 @@ mod tests {
         }
     }
 
-    /// Catches settings that `--print-config` writes and `--config` does not read.
+    /// Catches settings that `--print-config` writes and `--config` cannot read.
     #[test]
     fn printed_settings_read_back() {
         let settings = Given::default().or(Given::default());

@@ -1,4 +1,4 @@
-//! Traces to an OpenTelemetry collector, over OTLP on gRPC.
+//! Sends traces to an OpenTelemetry collector, over OTLP on gRPC.
 
 use std::time::Duration;
 
@@ -16,17 +16,17 @@ use tracing_subscriber::{Layer, filter::filter_fn, registry::LookupSpan};
 
 use super::Error;
 
-/// At the end, for what is not sent yet; a collector that does not answer costs no more.
+/// The time at the end for sending the remaining spans. A collector that does not answer costs no more.
 const FLUSH: Duration = Duration::from_secs(2);
 
-/// Sends spans from a thread of its own; what does not get through is dropped.
+/// Sends spans from a thread of its own. Spans that cannot be sent are dropped.
 pub(crate) struct Traces(SdkTracerProvider);
 
 impl Traces {
-    /// To be called where a runtime is entered. Connects when there is something to send.
+    /// Opens the exporter. Must be called inside a runtime. It connects when there are spans to send.
     ///
     /// # Errors
-    /// The endpoint is no URL, or the share none.
+    /// The endpoint is not a URL, or the share is not within 0 to 1.
     pub(crate) fn open(endpoint: &str, share: f64) -> Result<Self, Error> {
         if !(0.0..=1.0).contains(&share) {
             return Err(format!("otlp_share {share}: not within 0 to 1").into());
@@ -49,7 +49,7 @@ impl Traces {
         Ok(Self(provider.build()))
     }
 
-    /// Takes the spans that are for it.
+    /// The layer that receives the spans to be sent.
     pub(crate) fn layer<S: Subscriber + for<'a> LookupSpan<'a>>(&self) -> impl Layer<S> + use<S> {
         tracing_opentelemetry::layer()
             .with_tracer(self.0.tracer("hullcast"))
@@ -61,7 +61,7 @@ impl Traces {
             .with_filter(filter_fn(|metadata| metadata.is_span() && metadata.target() == trace::TARGET))
     }
 
-    /// Sends what is left.
+    /// Sends the remaining spans.
     pub(crate) fn flush(self) {
         if let Err(error) = self.0.shutdown_with_timeout(FLUSH) {
             tracing::warn!(%error, "traces were not sent");

@@ -1,4 +1,4 @@
-//! The queue between those who have work and the threads that do it.
+//! The queue between the calls that submit work and the threads that do it.
 
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 
@@ -8,7 +8,7 @@ use super::{
     work::{LEAST_STEPS, Work},
 };
 
-/// Parts that wait for the threads of one kind.
+/// Work that waits for the threads of one kind (short or long parts).
 #[derive(Default)]
 pub(super) struct Queue {
     state: Mutex<State>,
@@ -18,7 +18,7 @@ pub(super) struct Queue {
 #[derive(Default)]
 struct State {
     turns: Turns<Arc<dyn Work>>,
-    /// Values that a thread frees before it begins another part.
+    /// Values to be freed. A thread that looks for its next part frees them first.
     freed: Vec<Box<dyn Send>>,
     closed: bool,
 }
@@ -32,7 +32,8 @@ enum Next {
 }
 
 impl Queue {
-    /// Queues work until it is done or the result is dropped.
+    /// Adds work of `count` parts to the queue. The work leaves the queue when all of its parts are
+    /// taken, or when the returned guard is dropped.
     pub(super) fn push(self: &Arc<Self>, work: Arc<dyn Work>, count: usize) -> Queued {
         let caller = work.job().caller.id();
         let number = locked(&self.state).turns.push(caller, work, count);
@@ -43,11 +44,11 @@ impl Queue {
         Queued { queue: self.clone(), caller, number }
     }
 
-    /// Has a thread free a value before it begins another part.
+    /// Hands a value to the threads, which free it before they begin another part.
     pub(super) fn free(&self, value: Box<dyn Send>) {
         let mut state = locked(&self.state);
         if state.closed {
-            // Freed here, after the lock.
+            // No thread is left, so the value is freed here, after the lock is released.
             drop(state);
             return;
         }
@@ -56,18 +57,18 @@ impl Queue {
         self.changed.notify_one();
     }
 
-    /// Ends the threads, and drops the work that waits for them.
+    /// Ends the threads and drops the work that waits for them.
     pub(super) fn close(&self) {
         let mut state = locked(&self.state);
         state.closed = true;
-        // The callers that wait for the work hear that it was dropped.
+        // Dropping the work closes its channels, so the callers that wait for it get an error.
         let (works, freed) = (state.turns.clear(), std::mem::take(&mut state.freed));
         drop(state);
         drop((works, freed));
         self.changed.notify_all();
     }
 
-    /// Does parts until closed.
+    /// The loop of a thread: does parts until the queue is closed.
     pub(super) fn work(&self) {
         let mut done = None;
         while let Some(next) = self.next(done.take()) {
@@ -82,8 +83,8 @@ impl Queue {
         }
     }
 
-    /// The next part of the work whose turn it is, once the part that was `done` is charged; none
-    /// when closed.
+    /// Charges the part that was `done`, then waits for the next action of this thread. Returns `None`
+    /// once the queue is closed.
     fn next(&self, done: Option<Done>) -> Option<Next> {
         let mut state = locked(&self.state);
         if let Some(Done { caller, estimate, metered }) = done {
@@ -106,7 +107,7 @@ impl Queue {
     }
 }
 
-/// The cost of a part that is done.
+/// The cost of a part that is done, in steps.
 struct Done {
     caller: u64,
     estimate: u64,
@@ -114,7 +115,8 @@ struct Done {
 }
 
 impl Done {
-    /// The last reference to the work may go here, outside the lock.
+    /// The cost of the part of this turn. If the turn holds the last reference to the work, the work
+    /// is freed here, outside the lock.
     fn new(turn: Turn<Arc<dyn Work>>) -> Self {
         let Turn { work, caller, estimate, .. } = turn;
         let metered = match work.job().take_uncharged() {
@@ -125,7 +127,7 @@ impl Done {
     }
 }
 
-/// Work in a queue; dropped, it leaves the queue and its memory is freed.
+/// A guard for work in a queue. When it is dropped, the work leaves the queue and is freed.
 pub(super) struct Queued {
     queue: Arc<Queue>,
     caller: u64,

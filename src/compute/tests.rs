@@ -1,4 +1,4 @@
-//! Threads that take turns, end work and free its memory.
+//! Tests of the compute threads: turns, panics, and work that ends early.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
@@ -8,7 +8,7 @@ fn job() -> Job {
     Job::new(Caller::alone())
 }
 
-/// Catches a bug in one call's computation that takes the process with it, or a thread.
+/// Catches a panic in the computation of one call that ends the process or a thread.
 #[tokio::test]
 async fn a_panic_is_an_error_of_its_own_call() {
     let compute = Compute::new(2).unwrap();
@@ -19,7 +19,7 @@ async fn a_panic_is_an_error_of_its_own_call() {
     }
 }
 
-/// Parts that number themselves, while they are not `held`.
+/// Work whose parts return their own index. A part waits while `held` is set.
 struct Numbers {
     count: usize,
     fails_at: Option<usize>,
@@ -57,8 +57,8 @@ fn numbers(count: usize) -> Numbers {
     Numbers { count, fails_at: None, begun: Arc::default(), held: Arc::default() }
 }
 
-/// Catches parts lost, doubled or out of order, none at all, and a part's panic that is
-/// not heard of, or heard of while others of its kind go on.
+/// Catches parts that are lost, done twice or out of order, work of no parts that is never answered,
+/// and the panic of a part that the caller is not told of.
 #[tokio::test]
 async fn parts_come_back_in_order() {
     for threads in [1, 2, 7] {
@@ -73,7 +73,7 @@ async fn parts_come_back_in_order() {
     }
 }
 
-/// Parts that say when their turn was.
+/// Work whose parts return the number of their turn. A part waits while `held` is set.
 struct Turns {
     count: usize,
     turn: Arc<AtomicUsize>,
@@ -99,8 +99,8 @@ impl Parts for Turns {
     }
 }
 
-/// Catches work that waits for all of the work before it: work that is queued while a long
-/// piece is under way takes turns with that piece.
+/// Catches work that waits for all of the work before it: work that is queued while long work is
+/// under way must take turns with it.
 #[tokio::test]
 async fn short_work_does_not_wait_for_long_work() {
     let compute = Compute::new(1).unwrap();
@@ -112,7 +112,7 @@ async fn short_work_does_not_wait_for_long_work() {
     while turn.load(Ordering::SeqCst) == 0 {
         thread::yield_now();
     }
-    // Polled once: it is under way before the long one goes on.
+    // Polling once puts the short work into the queue before the long work goes on.
     let mut short = Box::pin(compute.split(turns(2), &other));
     assert!(futures_util::poll!(short.as_mut()).is_pending());
     held.store(false, Ordering::SeqCst);
@@ -120,7 +120,7 @@ async fn short_work_does_not_wait_for_long_work() {
     assert_eq!(long.await.unwrap().len(), 1000);
 }
 
-/// Catches threads that outlive their owner, and work that nobody waits for any more.
+/// Catches threads that outlive their owner, and work that goes on although nobody waits for it.
 #[tokio::test]
 async fn dropping_the_threads_ends_them() {
     let compute = Compute::new(1).unwrap();
@@ -144,8 +144,8 @@ async fn dropping_the_threads_ends_them() {
     assert!(begun.load(Ordering::SeqCst) < 1000, "all of it was done");
 }
 
-/// Catches queued work whose memory waits for its turn after its caller has left, or after
-/// its job was stopped: it is freed before the next part begins.
+/// Catches queued work that keeps its memory until its turn although its caller has left or its job
+/// was stopped: the memory must be freed before the next part begins.
 #[tokio::test]
 async fn work_that_nobody_waits_for_is_freed_before_the_next_part() {
     let compute = Compute::new(1).unwrap();
@@ -179,7 +179,7 @@ async fn work_that_nobody_waits_for_is_freed_before_the_next_part() {
             thread::yield_now();
         }
     }
-    // A value that is only to be freed is freed in the same way.
+    // A value that is handed over to be freed is freed in the same way.
     let value = Arc::new(());
     compute.free(value.clone());
     while Arc::strong_count(&value) > 1 {
@@ -187,8 +187,8 @@ async fn work_that_nobody_waits_for_is_freed_before_the_next_part() {
     }
 }
 
-/// Catches long parts that keep the threads of short ones: with one thread for each, a short
-/// part ends while a long one is held.
+/// Catches long parts that occupy the threads for short parts. With one thread of each kind, short
+/// parts must end while a long part is held.
 #[tokio::test]
 async fn long_parts_do_not_delay_short_ones() {
     let compute = Compute::new(1).unwrap();
@@ -205,8 +205,7 @@ async fn long_parts_do_not_delay_short_ones() {
     assert_eq!(under_way.await, Ok(()));
 }
 
-/// Catches steps that are charged twice, or not at all, when several pieces of work share a
-/// job.
+/// Catches steps that are charged twice or not at all if several pieces of work share a job.
 #[test]
 fn each_step_is_charged_once() {
     let job = job();

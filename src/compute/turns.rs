@@ -1,46 +1,67 @@
-//! The order in which threads take work: in turns between callers, then between one caller's
-//! pieces of work.
+//! The order in which threads take work: turns between callers, then between the pieces of work of
+//! one caller. The algorithm is start-time fair queueing.
 //!
-//! Turns are counted in cost, not in parts. Each caller has a virtual time: the steps that its
-//! parts have cost. The next part comes from the caller with the least virtual time, so callers
-//! that always have work get equal shares of the threads, whatever their parts cost. A part is
-//! charged with an estimate when a thread takes it, and the charge is corrected by the metered
-//! steps when the part is done. A caller who comes back starts at the virtual time of the part
-//! that began last: nobody saves up turns while idle, and nobody gets rid of a debt by pausing.
+//! Callers share the threads by cost, not by number of parts. Each caller has a *virtual time*, which
+//! advances by the steps that its parts cost. The next part comes from the caller with the least
+//! virtual time:
 //!
-//! P. Goyal, H. M. Vin and H. Cheng, *Start-time Fair Queueing*, IEEE/ACM Transactions on
-//! Networking 5(5), 1997, section II, doi:10.1109/90.649569. The steps of a turn are O(log n)
-//! for n callers.
+//! ```text
+//! push(caller, work):  if the caller has no waiting work: time = max(time, now)
+//!                      append the work to the caller's list
+//! take():              caller = the one with waiting work and the least time
+//!                      part = the next part of the caller's first piece of work
+//!                      move that piece of work to the end of the list, or remove it if it has no more parts
+//!                      now = max(now, time);  time = time + estimate(part)
+//! done(part):          time = time - estimate(part) + metered steps
+//! ```
+//!
+//! Callers that always have work therefore get equal shares of the threads, whatever their parts
+//! cost. A part is charged with an estimate when it is taken, so that several threads do not all
+//! take parts of one caller, and the charge is corrected by the metered steps when the part is done.
+//! `now` is the virtual time at which the last part began. A caller that returns after a pause
+//! starts at `now` at least. So no caller saves up turns while it is idle; and since a time above
+//! `now` is kept, no caller gets rid of a debt by pausing.
+//!
+//! Each operation takes `O(log n)` steps for `n` callers, besides finding a piece of work that is
+//! removed. Fairness by a fixed order of callers (round robin) would favour callers with costly
+//! parts. The paper is P. Goyal, H. M. Vin and H. Cheng, *Start-time Fair Queueing*, IEEE/ACM
+//! Transactions on Networking 5(5), 1997, section II, doi:10.1109/90.649569. A departure: the paper
+//! knows the length of a packet when it is sent; here the cost of a part is known only afterwards.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 
-/// Accounts of callers without work that are kept at least: their debts are still due.
+/// Settled accounts are swept out once there are more accounts than this plus twice the number of
+/// callers with waiting work. Fewer accounts are not worth a sweep.
 const SPARE_ACCOUNTS: usize = 64;
 
-/// Work of many callers that waits for threads.
+/// The work of all callers that waits for threads.
 #[derive(Debug)]
 pub(super) struct Turns<W> {
     accounts: HashMap<u64, Account<W>>,
-    /// The callers with waiting work, by virtual time; of two with the same time, the one that waits longer is first.
+    /// The callers with waiting work, by virtual time and place. Of callers with the same time, the one
+    /// that has waited longest is first.
     order: BTreeMap<(u64, u64), u64>,
-    /// The virtual time at which the part that was taken last began.
+    /// The virtual time at which the last part began.
     now: u64,
-    /// Parts that are taken and not done.
+    /// The number of parts that are taken and not done.
     running: usize,
-    /// Numbers pieces of work, and places in the order.
+    /// The last number given to a piece of work or to a place in the order.
     next_number: u64,
 }
 
+/// The account of one caller.
 #[derive(Debug)]
 struct Account<W> {
+    /// The virtual time of the caller, in steps.
     time: u64,
-    /// The caller's key in the order, beside its time.
+    /// The second half of the caller's key in the order; the time is the first half.
     place: u64,
+    /// The number of parts of this caller that are taken and not done.
     running: usize,
     waiting: VecDeque<Waiting<W>>,
 }
 
-/// Work of which some parts have not been taken.
+/// A piece of work of which some parts have not been taken.
 #[derive(Debug)]
 struct Waiting<W> {
     number: u64,
@@ -49,9 +70,10 @@ struct Waiting<W> {
     count: usize,
 }
 
-/// Work that leaves the queue.
+/// The result of [`Turns::take`].
 #[derive(Debug)]
 pub(super) enum Taken<W> {
+    /// The next part.
     Part(Turn<W>),
     /// Work that was stopped before all of its parts were taken.
     Stopped(W),
@@ -63,7 +85,7 @@ pub(super) struct Turn<W> {
     pub(super) work: W,
     pub(super) index: usize,
     pub(super) caller: u64,
-    /// The steps that the caller was charged with.
+    /// The number of steps that the caller was charged with.
     pub(super) estimate: u64,
 }
 
@@ -74,7 +96,7 @@ impl<W> Default for Turns<W> {
 }
 
 impl<W: Clone> Turns<W> {
-    /// Adds work of `count` parts, at least one. Returns the number of the work.
+    /// Adds work of `count` parts, at least one. Returns a number that identifies the work.
     pub(super) fn push(&mut self, caller: u64, work: W, count: usize) -> u64 {
         if self.accounts.len() > SPARE_ACCOUNTS + 2 * self.order.len() {
             let now = self.now;
@@ -92,8 +114,8 @@ impl<W: Clone> Turns<W> {
         number
     }
 
-    /// Takes the next part, and charges its caller with `estimate(work, index)` steps. Work that
-    /// `is_stopped` is taken out instead of being begun.
+    /// Takes the next part and charges its caller with `estimate(work, index)` steps. If the next work
+    /// `is_stopped`, removes it and returns [`Taken::Stopped`]. Returns `None` if no work waits.
     pub(super) fn take(
         &mut self,
         is_stopped: impl Fn(&W) -> bool,
@@ -123,7 +145,7 @@ impl<W: Clone> Turns<W> {
         }
     }
 
-    /// A part that was taken is done; it cost `metered` steps.
+    /// Records that a part is done, and replaces its estimated cost by the `metered` steps.
     pub(super) fn done(&mut self, caller: u64, estimate: u64, metered: u64) {
         self.running = self.running.saturating_sub(1);
         if let Some(account) = self.accounts.get_mut(&caller) {
@@ -133,14 +155,15 @@ impl<W: Clone> Turns<W> {
             self.enqueue(caller);
         }
         if self.running == 0 && self.order.is_empty() {
-            // Nobody waits: no caller owes anything to another.
+            // No caller has work, so no caller owes anything to another.
             self.accounts.clear();
             return;
         }
         self.forget_if_settled(caller);
     }
 
-    /// Takes work out whose parts nobody waits for any more.
+    /// Removes the work with this number, because nobody waits for it any more. Returns `None` if all
+    /// of its parts have been taken.
     pub(super) fn remove(&mut self, caller: u64, number: u64) -> Option<W> {
         let account = self.accounts.get_mut(&caller)?;
         let at = account.waiting.iter().position(|waiting| waiting.number == number)?;
@@ -152,14 +175,14 @@ impl<W: Clone> Turns<W> {
         removed.map(|removed| removed.work)
     }
 
-    /// Takes all work out.
+    /// Removes and returns all work.
     pub(super) fn clear(&mut self) -> Vec<W> {
         self.order.clear();
         let accounts = self.accounts.drain().flat_map(|(_, account)| account.waiting);
         accounts.map(|waiting| waiting.work).collect()
     }
 
-    /// Puts a caller with waiting work into the order, behind those of the same time.
+    /// Puts a caller into the order, if it has waiting work, behind other callers of the same time.
     fn enqueue(&mut self, caller: u64) {
         let place = self.number();
         if let Some(account) = self.accounts.get_mut(&caller)
@@ -170,6 +193,7 @@ impl<W: Clone> Turns<W> {
         }
     }
 
+    /// Removes the account of a caller that has neither work nor a debt.
     fn forget_if_settled(&mut self, caller: u64) {
         if self.accounts.get(&caller).is_some_and(|account| account.is_settled(self.now)) {
             self.accounts.remove(&caller);
@@ -187,7 +211,7 @@ impl<W> Account<W> {
         Self { time: 0, place: 0, running: 0, waiting: VecDeque::new() }
     }
 
-    /// Whether a new account would have the same turns.
+    /// Whether the account can be removed: a new account would get the same turns.
     fn is_settled(&self, now: u64) -> bool {
         self.waiting.is_empty() && self.running == 0 && self.time <= now
     }
@@ -197,11 +221,11 @@ impl<W> Account<W> {
 mod tests {
     use super::*;
 
-    /// Work is a letter and the steps that each of its parts costs.
+    /// Work for the tests: a letter, and the steps that each of its parts costs.
     type Work = (char, u64);
 
-    /// One thread takes `count` parts, each estimated at 10 steps; the letters in order, and the
-    /// steps of each letter.
+    /// Takes `count` parts on one thread, each estimated at 10 steps. Returns the letters in order, and
+    /// the sum of the steps of each letter.
     fn taken(turns: &mut Turns<Work>, count: usize) -> (String, HashMap<char, u64>) {
         let (mut letters, mut steps) = (String::new(), HashMap::new());
         for _ in 0..count {
@@ -214,8 +238,8 @@ mod tests {
         (letters, steps)
     }
 
-    /// Catches a caller who gets more of the threads than another because its parts cost more,
-    /// or because it has more pieces of work.
+    /// Catches a caller that gets more of the threads than another because its parts cost more, or
+    /// because it has more pieces of work.
     #[test]
     fn callers_get_equal_steps_whatever_their_parts_cost() {
         let mut turns = Turns::default();
@@ -232,7 +256,8 @@ mod tests {
         assert!(*most > 100_000);
     }
 
-    /// Catches parts out of order, and one piece of a caller's work that waits for all of another.
+    /// Catches parts out of order, and a piece of work that waits for all of another piece of the same
+    /// caller.
     #[test]
     fn one_callers_pieces_take_turns() {
         let mut turns = Turns::default();
@@ -243,8 +268,8 @@ mod tests {
         assert!(turns.accounts.is_empty() && turns.order.is_empty());
     }
 
-    /// Catches turns that are saved up while idle, and a debt that a pause wipes out: a caller who
-    /// sends one costly part at a time gets no more than one whose parts are cheap.
+    /// Catches turns that are saved up while a caller is idle, and a debt that a pause wipes out: a
+    /// caller that sends one costly part at a time must get no more than a caller with cheap parts.
     #[test]
     fn pauses_neither_save_nor_wipe_out() {
         let mut turns = Turns::default();
@@ -266,8 +291,7 @@ mod tests {
         assert!(steps[&'c'] > 1000 && steps[&'c'] <= steps[&'a'] + 2 * 500, "{steps:?}");
     }
 
-    /// Catches several threads that all take the costly parts of one caller before the first of
-    /// them is metered.
+    /// Catches several threads that all take parts of one caller before the first part is metered.
     #[test]
     fn parts_under_way_count_by_their_estimate() {
         let mut turns = Turns::default();
@@ -281,8 +305,8 @@ mod tests {
         assert_eq!(letters, "ababab");
     }
 
-    /// Catches stopped work that is begun, work that is removed and begun all the same, and
-    /// accounts that are kept for ever.
+    /// Catches stopped work that is begun, removed work that is begun all the same, and accounts that
+    /// are never removed.
     #[test]
     fn stopped_and_removed_work_is_not_begun() {
         let mut turns = Turns::default();

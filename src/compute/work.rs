@@ -1,4 +1,4 @@
-//! Work of any kind, as the threads see it.
+//! Work of any kind behind one interface for the threads, and the collection of its results.
 
 use std::sync::Mutex;
 
@@ -6,10 +6,11 @@ use tokio::sync::oneshot;
 
 use super::{ComputeError, Job, Parts, caught, locked};
 
-/// The least steps of a part: those that a thread takes to get the part and to return its result.
+/// The smallest number of steps that a part is charged with: those that a thread takes to get the
+/// part and to return its result.
 pub(super) const LEAST_STEPS: u64 = 2_000;
 
-/// Work and the results of the parts that are done.
+/// Work, and the results of its parts that are done.
 pub(super) struct Shared<W: Parts> {
     work: W,
     job: Job,
@@ -17,23 +18,26 @@ pub(super) struct Shared<W: Parts> {
 }
 
 struct Done<W: Parts> {
+    /// The number of parts that are not done.
     left: usize,
+    /// The result of each part, once it is done.
     parts: Vec<Option<W::Part>>,
-    /// None once answered.
+    /// The channel to the waiting future; `None` once the answer was sent.
     answer: Option<oneshot::Sender<Result<W::Whole, ComputeError>>>,
 }
 
-/// Work of any kind, as the threads see it.
+/// The interface of work for the threads.
 pub(super) trait Work: Send + Sync {
     fn job(&self) -> &Job;
 
-    /// The estimated steps of a part.
+    /// The estimated number of steps of a part.
     fn steps(&self, index: usize) -> u64;
 
-    /// Does a part; the last one answers.
+    /// Does a part and stores its result. The answer is sent when the last part is done, or when a
+    /// part fails.
     fn part(&self, index: usize);
 
-    /// Answers that the work was stopped.
+    /// Sends the answer that the work was stopped.
     fn stopped(&self);
 }
 
@@ -72,7 +76,7 @@ impl<W: Parts> Work for Shared<W> {
 }
 
 impl<W: Parts> Shared<W> {
-    /// Work of `count` parts that is answered through `answer`.
+    /// Work of `count` parts whose result is sent through `answer`.
     pub(super) fn new(
         work: W,
         count: usize,
@@ -84,7 +88,7 @@ impl<W: Parts> Shared<W> {
         Self { work, job: job.clone(), done: Mutex::new(done) }
     }
 
-    /// Answers with the result of all parts together.
+    /// Combines the parts and sends the result, unless nobody waits for it.
     pub(super) fn finish(&self, parts: Result<Vec<W::Part>, ComputeError>) {
         let awaited = locked(&self.done).answer.as_ref().is_some_and(|answer| !answer.is_closed());
         if !awaited {
@@ -92,7 +96,7 @@ impl<W: Parts> Shared<W> {
         }
         let whole = parts.and_then(|parts| Ok(caught(|| self.work.whole(parts))??));
         let answer = locked(&self.done).answer.take();
-        // The waiter may be gone: nothing is left to do then.
+        // The send fails if the waiting future is gone. Then nothing is left to do.
         let _ = answer.map(|answer| answer.send(whole));
     }
 }

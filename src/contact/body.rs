@@ -4,12 +4,12 @@ use glam::{DMat3, DVec3};
 
 use super::ConvexHull;
 
-/// Positions beyond this (caller's units, per coordinate) are refused.
+/// Positions with a coordinate beyond this magnitude (caller's units) are refused.
 pub(super) const MAX_POSITION: f64 = 1e100;
-/// A quaternion is normalised if its norm is at least this,
+/// The least norm of a quaternion that is accepted and normalised.
 pub(super) const MIN_NORM: f64 = 0.25;
-/// and at most this. Rounding and drift stay far inside the range; a quaternion outside it is
-/// more likely to be an error of the caller.
+/// The largest norm of a quaternion that is accepted and normalised. Rounding and drift stay far
+/// inside this range, so a norm outside it is more likely to be an error of the caller.
 pub(super) const MAX_NORM: f64 = 4.0;
 
 /// Why a pose is not usable.
@@ -32,7 +32,7 @@ impl std::fmt::Display for InvalidPose {
 
 impl std::error::Error for InvalidPose {}
 
-/// Maps a hull's own frame to the world.
+/// A pose: maps a hull's own frame to the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     /// World position of the hull frame's origin.
@@ -42,16 +42,16 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// A pose from a position and a quaternion `x, y, z, w`. A quaternion of norm 0.25 to 4 is
-    /// normalised.
+    /// A pose from a position (caller's units) and a quaternion `x, y, z, w`. The quaternion's norm must
+    /// be in 0.25 to 4; the quaternion is normalised.
     ///
     /// # Errors
-    /// [`InvalidPose`] names what is not usable.
+    /// [`InvalidPose`] says whether the position or the rotation is not usable.
     pub fn new(position: [f64; 3], rotation: [f64; 4]) -> Result<Self, InvalidPose> {
         let norm_squared = Self::check(position, rotation)?;
         let [x, y, z, w] = rotation;
-        // I + (2 / |q|^2) (...): rational in the quaternion, so that exact
-        // arithmetic can follow it.
+        // The matrix is I + (2 / |q|^2) (...), which is rational in the quaternion, so that exact
+        // arithmetic can follow it without a square root.
         let s = 2.0 / norm_squared;
         let (xs, ys, zs) = (x * s, y * s, z * s);
         let rotation = DMat3::from_cols(
@@ -62,10 +62,10 @@ impl Pose {
         Ok(Self { translation: DVec3::from_array(position), rotation })
     }
 
-    /// Checks a position and a quaternion for [`Pose::new`]; returns the quaternion's squared norm.
+    /// Makes the checks of [`Pose::new`] and returns the quaternion's squared norm.
     ///
     /// # Errors
-    /// As [`Pose::new`].
+    /// Those of [`Pose::new`].
     #[inline]
     pub fn check(position: [f64; 3], [x, y, z, w]: [f64; 4]) -> Result<f64, InvalidPose> {
         if !position.iter().all(|c| c.abs() <= MAX_POSITION) {
@@ -84,7 +84,7 @@ impl Pose {
 pub struct Body<'a> {
     /// The shape.
     pub hull: &'a ConvexHull,
-    /// Where it is.
+    /// Its position and rotation in the world.
     pub pose: Pose,
 }
 

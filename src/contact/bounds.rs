@@ -1,4 +1,5 @@
-//! Boxes around bodies, for a broad phase that loses nothing.
+//! Bounding boxes of bodies for the broad phase. They are rounded outward, so that the broad phase
+//! never loses a pair within the margin.
 
 use glam::DVec3;
 
@@ -14,24 +15,24 @@ pub struct Bounds {
 }
 
 impl Bounds {
-    /// Whether they have a point in common; surfaces count.
+    /// Whether the two boxes have a point in common, touching surfaces included.
     pub fn meets(&self, other: &Self) -> bool {
         self.low.cmple(other.high).all() && other.low.cmple(self.high).all()
     }
 }
 
 impl Body<'_> {
-    /// A box in the world, caller's units, with every point within `margin / 2` of the hull
-    /// in it. Rounded outward, so that bodies whose boxes do not meet are SEPARATED for
-    /// [`contact_manifold`](super::contact_manifold) at that margin: its rounding band around
-    /// the margin is in the box too.
+    /// A box in the world (caller's units) that contains every point within `margin / 2` of the hull.
+    /// The box is rounded outward and includes half of the rounding band around the margin. Hence two
+    /// bodies whose boxes do not meet are SEPARATED for [`contact_manifold`](super::contact_manifold)
+    /// at that margin.
     pub fn bounds(&self, margin: f64) -> Bounds {
         let (hull, pose) = (self.hull, &self.pose);
         let center = hull.contraction_point();
         let reach = 0.5 * margin;
         let slack = reach + REACH * U * (hull.circumradius() + center.length() + margin);
         let bound = |axis: usize, sign: f64| {
-            // The axis in the hull's own frame.
+            // The world axis in the hull's own frame.
             let n = pose.rotation.row(axis) * sign;
             let farthest = n.dot(hull.vertices()[hull.support(n) as usize]) * hull.scale();
             let offset = n.dot(center) + farthest + slack;
@@ -48,9 +49,9 @@ mod tests {
     use super::*;
     use crate::contact::{ConvexHull, Pose};
 
-    /// Catches a box that is not the hull's (axes mixed up, the contraction point forgotten
-    /// or turned the other way), a margin that is lost, and rounding inwards: a box turned by
-    /// a right angle has bounds that are known exactly.
+    /// The bounds of a box that is rotated by a right angle are known exactly. Catches bounds with
+    /// exchanged axes, a contraction point that is forgotten or has the wrong sign, a margin that is
+    /// lost, and inward rounding.
     #[test]
     fn a_turned_boxs_bounds_are_its_own() {
         let corners: Vec<[f64; 3]> = (0..8)
@@ -58,7 +59,7 @@ mod tests {
             .collect();
         let hull = ConvexHull::new(&corners).unwrap();
         let half = std::f64::consts::FRAC_1_SQRT_2;
-        // About z by a right angle: x becomes y, y becomes -x.
+        // A right angle about z takes x to y, and y to -x.
         for (rotation, low, high) in [
             ([0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 2.0, 3.0]),
             ([0.0, 0.0, half, half], [-2.0, 0.0, 0.0], [0.0, 1.0, 3.0]),

@@ -1,9 +1,24 @@
-//! Checks an answer from the definitions alone: no solver, no Gauss map, no
-//! frame of the solver's. Brute force over vertices and faces, in the world's
-//! axes about A's centre.
+//! Checks an answer against its definition, without trusting the solver that found it.
 //!
-//! What it cannot show it leaves open: that a CONTACT pair whose projections
-//! miss each other is within the margin is the distance's to say.
+//! The check uses no solver, no Gauss map and none of the frames of the other modules. It goes through
+//! all vertices and faces, in the world's axes about A's centre, so each contact point costs time
+//! linear in the sizes of both hulls.
+//!
+//! ```text
+//! check(A, B, query, answer):                      with s(n) = n.d - h_K(n), g(n) = n.d / h_K(n)
+//!     n is a unit vector
+//!     SEPARATED: s(n) >= margin, stated separation <= s(n), alpha_lower <= g(n)
+//!     otherwise: alpha_lower <= alpha <= alpha_upper, and the bracket is as narrow as asked
+//!                alpha_lower <= g(n)                       the normal proves the lower bound,
+//!                sum of the basis' weights <= alpha_upper  and the basis the upper one
+//!                stated separation = s(n)
+//!                each point: distance >= s(n), both witnesses on their hulls near the support planes
+//! ```
+//!
+//! Each comparison allows for rounding, with the shares in `tolerance`.
+//!
+//! One property stays unchecked. If the projected features of a CONTACT pair miss each other, nothing
+//! here shows that the hulls are within the margin: that needs the distance between the hulls.
 
 use glam::DVec3;
 
@@ -11,14 +26,14 @@ use super::exact::{Dd, Dd3, dd_cross, dd_dot, exponent_above, power_of_two, trip
 use super::tolerance::{BAND, BRACKET, EDGE_ON, MERGE, NOISE, SUBNORMAL, U};
 use super::{Basis, Body, Feature, Manifold, Outcome, Query, Wanted};
 
-/// What of an answer is not as defined: `found` is beyond `allowed`.
+/// A property that an answer does not have: `found` exceeds `allowed`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Violation {
     /// The property.
     pub property: &'static str,
     /// The value that violates it, caller's units.
     pub found: f64,
-    /// Its bound.
+    /// The largest value that the property allows, caller's units.
     pub allowed: f64,
 }
 
@@ -53,22 +68,22 @@ fn at_most(property: &'static str, found: f64, allowed: f64) -> Result<(), Viola
     if found <= allowed { Ok(()) } else { Err(Violation { property, found, allowed }) }
 }
 
-/// The pair in the world's axes, A's centre the origin; caller's units.
+/// The pair in the world's axes with A's centre as the origin; caller's units.
 struct Scene<'a> {
     a: &'a Body<'a>,
     b: &'a Body<'a>,
     d: DVec3,
-    /// `d` times a power of two that brings the lengths that enter it near 1: where they are
-    /// subnormal, turning them would lose most of it.
+    /// `d` times a power of two that brings the lengths that enter it near 1. Subnormal lengths would
+    /// lose most of their bits when they are rotated.
     ray: DVec3,
-    /// The same of the lengths that enter it.
+    /// The sum of the lengths that enter `d`, times the same power of two.
     ray_m: f64,
-    /// `d = ray_unit * ray`, `m = ray_unit * ray_m`, as far as doubles can say it.
+    /// The power of two: `d = ray_unit * ray` and `m = ray_unit * ray_m`, to the range of doubles.
     ray_unit: f64,
     m: f64,
     inradius: f64,
     circumradius: f64,
-    /// World points cost rounding of their own.
+    /// Distances of both bodies from the world's origin: world points are rounded in proportion.
     world: f64,
     normal: DVec3,
     /// Support value of the centred Minkowski difference along the normal.
@@ -107,18 +122,18 @@ impl<'a> Scene<'a> {
         }
     }
 
-    /// The growth scale along the normal: a lower bound of alpha, but for rounding.
+    /// The growth scale along the normal. It is a lower bound of alpha, except for rounding.
     fn growth(&self) -> f64 {
         self.normal.dot(self.ray) / self.reach * self.ray_unit
     }
 
-    /// The rounding band of a separation.
+    /// How much a separation may be off by rounding.
     fn band(&self) -> f64 {
         U * (BAND * (self.circumradius + self.d.length()) + NOISE * self.m)
     }
 }
 
-/// A vertex about its hull's contraction point, world axes.
+/// A vertex relative to its hull's contraction point, world axes.
 fn vertex(body: &Body<'_>, v: usize) -> DVec3 {
     body.pose.rotation * (body.hull.vertices()[v] * body.hull.scale())
 }
@@ -143,21 +158,21 @@ fn bracket(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), 
         return at_most("alpha of coincident centres", alpha, 0.0);
     }
     let growth = scene.growth();
-    // Nothing has to show that alpha is at least 0.
+    // A lower bound of 0 needs no proof.
     at_most(
         "lower end of the bracket above what the normal shows",
         alpha_lower,
         growth.max(0.0) + SUBNORMAL,
     )?;
-    // An outcome alone asks for no bracket.
+    // A query for the outcome only does not ask for a bracket.
     if flags.gap_open || query.wanted == Wanted::Outcome {
         return Ok(());
     }
     let wide = alpha_upper * tolerance + 2.0 * noise + SUBNORMAL;
     at_most("width of the bracket", alpha_upper - alpha_lower, wide)?;
     at_most("optimality gap of the normal", alpha - growth, alpha * tolerance + noise + SUBNORMAL)?;
-    // A solver that stops early may stop before it has a basis, and so may one for
-    // hulls so thin that rounding alone leaves alpha open by as much as it is.
+    // A solver that stops early may stop before it has a basis. The same holds for hulls so thin
+    // that rounding leaves alpha open by as much as alpha itself.
     let early = query.accuracy.relative_tolerance > 0.0
         || tolerance >= 1.0
         || manifold.iterations >= query.accuracy.max_iterations;
@@ -166,14 +181,14 @@ fn bracket(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), 
     at_most("what the basis shows above the upper end of the bracket", shown, alpha_upper + SUBNORMAL)
 }
 
-/// The upper bound of alpha that a basis shows, without the allowance for noise.
+/// The upper bound of alpha that a basis proves, without the allowance for noise.
 fn shown_upper(scene: &Scene<'_>, basis: &Basis) -> f64 {
     let find = |body: &Body<'_>, registered| {
         body.hull.vertex_of_registered(registered).map(|v| vertex(body, v as usize))
     };
     let corner = |i: usize| Some(find(scene.a, basis.a[i])? - find(scene.b, basis.b[i])?);
     let (Some(u0), Some(u1), Some(u2)) = (corner(0), corner(1), corner(2)) else { return f64::INFINITY };
-    // Scaled, so that no product of three overflows or underflows; by powers of
+    // Scale, so that no product of three lengths overflows or underflows. The factors are powers of
     // two, so that a flat triple stays flat.
     let [size, far] =
         [scene.circumradius, scene.ray.abs().max_element()].map(|x| power_of_two(exponent_above(x)));
@@ -185,8 +200,8 @@ fn shown_upper(scene: &Scene<'_>, basis: &Basis) -> f64 {
         let rounding = NOISE * U * (l0 + l1 + l2 + m);
         l0 + l1 + l2 + (missing.length() - rounding).max(0.0) * size / scene.inradius
     };
-    // Where a weight is 0 its rounding may be far below 0 in a thin triple, and
-    // the other two, or the only other, alone show the bound.
+    // In a thin triple, a weight that should be 0 may be rounded to far below 0. Then two of the
+    // points, or one, prove the bound without the rest.
     let [w01, w12, w20] = [[u0, u1], [u1, u2], [u2, u0]].map(|[u, v]| weights_of_two(d, u, v));
     let [w0, w1, w2] = [u0, u1, u2].map(|u| d.dot(u) / u.length_squared());
     let candidates = [
@@ -206,13 +221,13 @@ fn wide(v: DVec3) -> Dd3 {
     v.to_array().map(Dd::from)
 }
 
-/// Weights with which three vectors make `d` (Cramer's rule).
+/// Weights whose combination of the three vectors is `d` (Cramer's rule).
 fn weights_of_three(d: DVec3, u0: DVec3, u1: DVec3, u2: DVec3) -> [f64; 3] {
     let volume = triple_product(u0, u1, u2);
     [(d, u1, u2), (u0, d, u2), (u0, u1, d)].map(|(a, b, c)| triple_product(a, b, c) / volume)
 }
 
-/// Weights with which two vectors come nearest to `d`.
+/// Weights whose combination of the two vectors comes nearest to `d`.
 fn weights_of_two(d: DVec3, u: DVec3, v: DVec3) -> [f64; 2] {
     let across = dd_cross(wide(u), wide(v));
     let whole = dd_dot(across, across).value();
@@ -228,14 +243,14 @@ fn points(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), V
     let planarity = scene.a.hull.geometric_error() + scene.b.hull.geometric_error();
     let eps = 2.0 * MERGE * U * (scene.circumradius + scene.m) + 4.0 * U * scene.world;
     let sine = query.accuracy.feature_angle.sin();
-    // The basis belongs to the features, and it is in the support plane to what was asked,
-    // unless a limit stopped the solver.
+    // The basis belongs to the features. It lies in the support plane to the tolerance asked for,
+    // unless an iteration limit stopped the solver.
     let stopped = manifold.flags.gap_open || manifold.iterations >= query.accuracy.max_iterations;
     let gap = if stopped { f64::INFINITY } else { query.accuracy.relative_tolerance };
     for p in &manifold.points {
         let slack = scene.band() + 2.0 * planarity + eps;
         at_most("separation above the distance of a point", scene.separation - p.distance, slack)?;
-        // An open bracket's basis need not support, nor its features touch.
+        // With an open bracket the basis need not support, and the features need not touch.
         if manifold.flags.estimated || manifold.flags.gap_open {
             continue;
         }
@@ -245,7 +260,7 @@ fn points(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), V
         for (body, feature, at, n) in
             [(scene.a, feature_a, from_a, scene.normal), (scene.b, feature_b, from_b, -scene.normal)]
         {
-            // On a face's plane, which the face is below along the normal.
+            // The witness lies on the face's plane. The face is below that plane along the normal.
             let lifted = planarity / faced(body, feature, n);
             at_most("witness outside its hull", outside(body, at), lifted + eps)?;
             let highest = (0..body.hull.vertex_count())
@@ -259,8 +274,8 @@ fn points(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), V
     Ok(())
 }
 
-/// Cosine of a touched face to the contact plane: below 1 within the feature angle, and where
-/// the normal was not asked for any closer. Of a face seen edge-on its two ends are taken.
+/// Cosine of a touched face to the contact plane. It is below 1 within the feature angle, and if the
+/// query asked for a loose normal. A face seen edge-on is replaced by its two ends, hence the clamp.
 fn faced(body: &Body<'_>, feature: Feature, n: DVec3) -> f64 {
     let Feature::Face(f) = feature else { return 1.0 };
     (body.pose.rotation * body.hull.faces()[f as usize].normal).dot(n).clamp(EDGE_ON, 1.0)

@@ -1,31 +1,32 @@
-//! The cost of a pair, in elementary steps ([`Stop`](super::Stop)): estimated before it is
-//! computed, and counted while it is.
+//! The cost of a pair in elementary steps ([`Stop`](super::Stop)): an estimate before the pair is
+//! computed, and a count of the steps while it is computed.
 //!
-//! The estimate goes by the hulls' vertices and faces; it is meant for a typical pair. The
-//! count goes by the work done: each support call counts the vertices that it looked at, and
-//! each polygon its sides. It is kept in coarse places, so that counting takes no time that
-//! can be measured.
+//! The estimate depends on the vertices and faces of the hulls, and is meant for a typical pair. The
+//! count depends on the work that is done: each support call counts the vertices that it
+//! evaluated, and each polygon counts its sides. Only a few coarse places count, so that counting
+//! takes no measurable time.
 
 use std::cell::Cell;
 
 use super::ConvexHull;
 
-/// Steps of a pair beside its support calls and polygons: its frame and its answer.
+/// Steps per pair besides its support calls and polygons: setting up the frame and writing the
+/// answer.
 pub(crate) const PAIR: u64 = 200;
-/// Steps of one iteration of a solver beside its support calls.
+/// Steps per iteration of a solver, besides its support calls.
 pub(crate) const ITERATION: u64 = 40;
-/// Steps for each side of a projected feature.
+/// Steps per side of a projected feature.
 pub(crate) const SIDE: u64 = 20;
-/// Steps of measuring one vertex of a large polygon from a line, or one pair of a corner and a
-/// side.
+/// Steps to measure the distance of one vertex of a large polygon from a line, or to compare one
+/// corner with one side.
 pub(crate) const LOOK: u64 = 5;
-/// Steps of lifting, merging and writing one contact point.
+/// Steps to lift, merge and write one contact point.
 pub(crate) const POINT: u64 = 30;
-/// Iterations of a typical pair.
+/// The number of iterations for a typical pair.
 const ITERATIONS: u64 = 8;
-/// Vertices that the support mapping looks at in one step.
+/// The number of vertices that the support mapping evaluates in one step.
 const VERTICES_A_STEP: usize = 2;
-/// Steps of a support call by the map of directions.
+/// Steps of a support call that uses the map of directions.
 pub(crate) const MAPPED_CALL: u64 = 40;
 
 /// Counts the steps of one pair.
@@ -43,14 +44,14 @@ impl Count {
     }
 }
 
-/// Steps of a support call that looks at all of a hull's vertices.
+/// Steps of a support call that evaluates all vertices of a hull.
 #[inline]
 pub(crate) fn scan_steps(vertices: usize) -> u64 {
     4 + (vertices / VERTICES_A_STEP) as u64
 }
 
-/// The steps that a contact manifold of these hulls typically takes: for the sizes of work
-/// units, and for the share of a caller before the true steps are known.
+/// The number of steps that a contact manifold of these two hulls typically takes. The service uses
+/// it to size work units, and to charge a caller before the true number of steps is known.
 ///
 /// ```
 /// use hullcast::contact::{ConvexHull, estimated_steps};

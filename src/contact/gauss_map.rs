@@ -1,10 +1,39 @@
-//! Step 2: from the normal to the feature it touches (Silcowitz et al. 2010,
-//! section 4).
+//! Step 2: from the contact normal to the feature that it touches, by the Gauss map.
 //!
-//! The Gauss map tiles the unit sphere with a hull's normals: a face is a
-//! point, an edge the arc between its two faces, a vertex the region between
-//! its edges. Near-parallel faces and edges count as touched within the feature
-//! angle: a face within it of the normal beats an edge, an edge beats a vertex.
+//! After Silcowitz, Niebe and Erleben (SCA 2010, section 4). The Gauss map tiles the unit sphere of
+//! directions by a hull's features: a face is a point (its normal), an edge is the arc between the
+//! normals of its two faces, and a vertex is the region between the arcs of its edges. The direction
+//! `n` touches the feature on whose tile it lies:
+//!
+//! ```text
+//!      f ------e------ g         f, g, h  faces
+//!       `.    .n     .'          e        edge between the faces f and g
+//!         `.   v   .'            v        vertex of the three faces
+//!           `.   .'              n        here the direction touches v; within the feature angle
+//!             `h'                         of the arc e it touches the edge e
+//! ```
+//!
+//! A computed direction almost never hits a point or an arc exactly. So faces and edges are expanded by
+//! the *feature angle*: a face within this angle of `n` beats an edge, and an edge within it beats a
+//! vertex.
+//!
+//! ```text
+//! touched_feature(hull, n):
+//!     a vertex, edge or face at the support point stands apart from all others: take it
+//!     S = vertices within rounding of the farthest one along n
+//!     faces within the angle of n, reached from S: the nearest
+//!     otherwise faces with all corners in S: the nearest
+//!     otherwise edges at S within the angle whose arc holds n, or edges with both ends in S:
+//!         the one most nearly perpendicular to n
+//!     otherwise the vertex of S with the lowest index
+//! ```
+//!
+//! Ties go to the larger face, then to the lowest index, so the result depends neither on the order of
+//! the search nor on that of the basis. The first line is a shortcut that takes time linear in the
+//! number of features at one or two vertices, and it gives the same result as the search. The search
+//! takes time linear in the number of features at `S` and of faces within the angle.
+//!
+//! For B the direction is `-n`, in B's frame.
 
 use glam::DVec3;
 
@@ -19,13 +48,13 @@ pub(crate) enum Touched {
     Face(u32),
 }
 
-/// What is asked of a Gauss map.
+/// The direction to look up in a Gauss map, and the tolerances.
 pub(crate) struct Direction<'s> {
-    /// Unit, hull frame, outward: the normal for A, its opposite for B.
+    /// The outward direction: unit, hull frame. It is the normal for A and its opposite for B.
     pub(crate) n: DVec3,
-    /// Vertices known to be farthest along it: the support point and the basis.
+    /// Vertices known to be farthest along it: first the support point, then those of the basis.
     pub(crate) known: &'s [u32],
-    /// How far below the farthest a vertex still supports; hull units.
+    /// How far below the farthest vertex another one still counts as supporting; hull units.
     pub(crate) depth: f64,
     /// Sine and cosine of the feature angle.
     pub(crate) sine: f64,
@@ -41,15 +70,16 @@ pub(crate) struct Scratch {
     near: Vec<Near>,
 }
 
-/// A candidate and how near it is to the direction.
+/// A candidate feature and how near it is to the direction.
 #[derive(Clone, Copy, Debug)]
 struct Near {
     feature: u32,
-    /// Cosine of a face's normal, sine of an edge.
+    /// For a face the cosine of its normal to the direction, for an edge the sine.
     measure: f64,
 }
 
-/// A set of indices, emptied at no cost.
+/// A set of indices that is emptied in constant time: an index is in the set if it has the current
+/// stamp.
 #[derive(Debug, Default)]
 struct Marks {
     stamps: Vec<u32>,
@@ -68,7 +98,7 @@ impl Marks {
         }
     }
 
-    /// Whether `i` was new.
+    /// Adds `i`. Returns whether it was not in the set before.
     #[inline]
     fn insert(&mut self, i: u32) -> bool {
         let slot = &mut self.stamps[i as usize];
@@ -83,7 +113,7 @@ impl Marks {
     }
 }
 
-/// The feature of `hull` that a plane across the direction touches.
+/// The feature of `hull` that a support plane perpendicular to the direction touches.
 pub(crate) fn touched_feature(
     hull: &ConvexHull,
     direction: &Direction<'_>,
@@ -95,12 +125,12 @@ pub(crate) fn touched_feature(
     scratch.search(hull, direction)
 }
 
-/// What the direction touches, where it stands so far apart that nothing else
-/// has to be looked at: the vertex, the edge or the face of the known vertices.
+/// The touched feature, if it is a vertex, edge or face of the known vertices that stands apart so far
+/// that no other feature has to be examined.
 fn lone_feature(hull: &ConvexHull, direction: &Direction<'_>) -> Option<Touched> {
     let v = direction.known[0];
-    // The basis of a vertex names it three times. What an edge's names may also be
-    // a face's, which is far more often touched.
+    // The basis of a vertex names it three times. The vertices that a basis of an edge names may
+    // also belong to a face, and faces are touched far more often, so the face is tried first.
     if direction.known.iter().fold(true, |all, &u| all & (u == v)) && stands_out(hull, v, v, direction) {
         return Some(Touched::Vertex(v));
     }
@@ -112,8 +142,8 @@ fn lone_feature(hull: &ConvexHull, direction: &Direction<'_>) -> Option<Touched>
     if others.all(|u| u == w) { lone_edge(hull, [v, w], direction) } else { None }
 }
 
-/// The edge between two vertices, if it lies across the direction and all others
-/// at its ends fall away.
+/// The edge between two vertices, if both ends support to within `depth` and all other edges at its
+/// ends fall away from the direction.
 fn lone_edge(hull: &ConvexHull, [v, w]: [u32; 2], direction: &Direction<'_>) -> Option<Touched> {
     let ends = [v.min(w), v.max(w)];
     let edge = hull.vertex_edges(v as usize).iter().find(|&&e| hull.edge_vertices()[e as usize] == ends)?;
@@ -123,11 +153,13 @@ fn lone_edge(hull: &ConvexHull, [v, w]: [u32; 2], direction: &Direction<'_>) -> 
         .then_some(Touched::Edge(*edge))
 }
 
-/// Whether from a vertex all sides of triangles but the one to `except` fall away, by more than
-/// the feature angle and the hull's merge error: then none of them is touched, nor their other
-/// ends. No face at the vertex is touched either, since it has a triangle there, of whose sides
-/// one at least falls away; along a touched face it would fall by no more than the feature angle
-/// and the face's planarity. An edge through merged vertices begins with such a side too.
+/// Whether every triangle side at vertex `v`, except the one to `except`, falls away from the direction
+/// by more than the feature angle and the hull's merge error.
+///
+/// Then none of these sides is touched, and neither are the vertices at their other ends. No face at
+/// `v` is touched either. It has a triangle at `v`, and at least one side of that triangle falls away.
+/// Along a touched face it would fall by no more than the feature angle and the face's planarity. An
+/// edge that runs through merged vertices also begins with such a side.
 fn stands_out(hull: &ConvexHull, v: u32, except: u32, direction: &Direction<'_>) -> bool {
     let at = hull.vertex(v);
     let sine_squared = direction.sine * direction.sine * (1.0 + LONE);
@@ -140,15 +172,15 @@ fn stands_out(hull: &ConvexHull, v: u32, except: u32, direction: &Direction<'_>)
     })
 }
 
-/// The face that the direction touches, where it stands so far apart that no
-/// other face is within the feature angle of the direction and no vertex but its
-/// own supports: then nothing else has to be looked at.
+/// The touched face at the support point, if it stands apart so far that no other face is within the
+/// feature angle of the direction and only its own vertices support. Then nothing else has to be
+/// examined.
 fn lone_face(hull: &ConvexHull, direction: &Direction<'_>) -> Option<u32> {
     let Direction { n, known, depth, sine, cosine } = *direction;
     let normal = |f: u32| hull.faces()[f as usize].normal;
     let (mut face, mut along) = (0, 0.0);
     for &f in hull.vertex_faces(known[0] as usize) {
-        // Without branches: which is nearest is anyone's guess.
+        // Without branches, because they would be unpredictable.
         let m_dot_n = normal(f).dot(n);
         let nearer = m_dot_n > along;
         face = if nearer { f } else { face };
@@ -159,16 +191,17 @@ fn lone_face(hull: &ConvexHull, direction: &Direction<'_>) -> Option<u32> {
         return None;
     }
     let (across, apart) = (across_squared.sqrt(), hull.faces()[face as usize].isolation);
-    // cos(a + b) > cos(c) for the angle a to this face, the feature angle b and
-    // the angle c to the next face.
+    // Let a be the angle from the direction to this face's normal, b the feature angle, and c the
+    // angle from this face to the next. The next face is out of reach if cos(a + b) > cos(c).
     let next_is_far = along * cosine - across * sine > apart.cosine + LONE;
-    // Turned by the angle a, vertices within 1 of the centre rise by sin a at most.
+    // All vertices are within 1 of the centre, so turning the direction by a changes the height of
+    // a vertex by at most sin a, and the difference of two heights by at most twice that.
     let others_are_low = along * apart.gap - 2.0 * across > depth + LONE;
     (next_is_far && others_are_low).then_some(face)
 }
 
 impl Scratch {
-    /// By the definition.
+    /// Finds the touched feature by its definition.
     fn search(&mut self, hull: &ConvexHull, direction: &Direction<'_>) -> Touched {
         self.find_support(hull, direction);
         if let Some(face) = self.touched_face(hull, direction) {
@@ -180,8 +213,8 @@ impl Scratch {
         Touched::Vertex(self.support.iter().copied().min().unwrap_or(0))
     }
 
-    /// All vertices within `depth` of the farthest: connected along the hull's
-    /// edges, since what a half space cuts off a convex polytope is.
+    /// Collects all vertices within `depth` of the farthest. They are connected along the hull's edges,
+    /// as is every part that a half space cuts off a convex polytope.
     fn find_support(&mut self, hull: &ConvexHull, direction: &Direction<'_>) {
         let Self { vertices: marks, support, .. } = self;
         let height = |v: u32| direction.n.dot(hull.vertex(v));
@@ -205,9 +238,10 @@ impl Scratch {
         }
     }
 
-    /// Of the faces within the feature angle, reached from the support set through
-    /// such faces, and of those all of whose corners support, the one nearest the
-    /// direction; of equals the larger, then the lower index.
+    /// The touched face. Candidates are the faces within the feature angle that are reached from the
+    /// support set through such faces. If there are none, they are the faces whose corners are all in the
+    /// support set. The candidate nearest to the direction wins; among equals the larger, then the one
+    /// with the lower index.
     fn touched_face(&mut self, hull: &ConvexHull, direction: &Direction<'_>) -> Option<u32> {
         let Self { vertices: supports, support, faces: seen, near } = self;
         let n = direction.n;
@@ -234,12 +268,12 @@ impl Scratch {
                 }
             }
         }
-        // A face that lies in the support plane is nearer than none, however its
-        // few roundoffs of height tilt it.
+        // A face that lies in the support plane is touched even if rounding of its few heights tilts it
+        // out of the feature angle.
         if near.is_empty() && support.len() >= 3 {
             let flat =
                 |f: &u32| cosine(*f) > 0.0 && hull.outline(*f as usize).iter().all(|&v| supports.contains(v));
-            // Each once: a face has many corners, and it takes a look at all to see it is flat.
+            // Test each face once: a face has many corners, and the test goes through all of them.
             seen.clear(hull.face_count());
             for f in at_support() {
                 if seen.insert(f) && flat(&f) {
@@ -256,9 +290,9 @@ impl Scratch {
         tied.min_by(|&f, &g| area(g).total_cmp(&area(f)).then(f.cmp(&g)))
     }
 
-    /// Of the edges at the support set that are across the direction to within the
-    /// feature angle and whose arc holds its projection, and of those with both
-    /// ends in the set, the one most across; of equals the lowest index.
+    /// The touched edge. Candidates are the edges at the support set that are perpendicular to the
+    /// direction to within the feature angle and whose arc holds its projection, and the edges with both
+    /// ends in the set. The one most nearly perpendicular wins; among equals the one with the lowest index.
     fn touched_edge(&mut self, hull: &ConvexHull, direction: &Direction<'_>) -> Option<u32> {
         let Self { vertices: supports, support, near, .. } = self;
         near.clear();
@@ -280,7 +314,8 @@ impl Scratch {
     }
 }
 
-/// Whether `n`, projected across the edge, lies between the normals of its faces.
+/// Whether `n`, projected on the plane perpendicular to the edge, lies between the normals of the
+/// edge's two faces.
 fn arc_holds(hull: &ConvexHull, edge: u32, along: DVec3, n: DVec3) -> bool {
     let [m0, m1] = hull.edge_faces()[edge as usize].map(|f| hull.faces()[f as usize].normal);
     let side = m0.cross(m1).dot(along).signum();
@@ -292,8 +327,8 @@ mod tests {
     use super::*;
     use crate::contact::HullOptions;
 
-    /// Directions on and around the faces, edges and vertices of hulls with flat
-    /// and fine parts. Catches a feature called lone that another one outdoes.
+    /// Tries directions on and around the faces, edges and vertices of hulls with flat and fine parts.
+    /// Catches a feature that counts as standing apart although the whole search finds another one.
     #[test]
     fn a_lone_feature_is_what_the_whole_search_finds() {
         let boxes = |half: [f64; 3]| {
@@ -312,7 +347,7 @@ mod tests {
             ring(7, 1.0, -0.5).chain(ring(7, 1.0, 0.5)).collect(),
             ring(300, 1.0, -0.5).chain(ring(300, 0.999, 0.5)).collect(),
             ring(40, 1.0, 0.0).chain(ring(40, 0.9, 0.004)).chain(ring(3, 0.1, -1.0)).collect(),
-            // A cone flat enough to be one face, whose tip is steep.
+            // A cone that is flat enough to merge into one face, although its tip is steep.
             ring(40, 1.0, -0.5)
                 .chain(ring(40, 1.0, 0.5))
                 .chain([[0.0, 0.0, 0.508]])
@@ -325,14 +360,14 @@ mod tests {
             (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
         };
         let mut scratch = Scratch::default();
-        // Merged coarsely, so that faces are not where their triangles are.
+        // With a coarse merge tolerance, faces do not lie where their triangles are.
         let planarities = [None, Some(1e-3), Some(0.01)];
         for (points, planarity) in clouds.iter().flat_map(|points| planarities.map(|p| (points, p))) {
             let options = HullOptions { planarity, ..HullOptions::default() };
             let hull = ConvexHull::with_options(points, &options).expect("a hull");
             for round in 0..4000 {
                 let tilt = 10_f64.powi(-(round % 8));
-                // Along a face's normal, across an edge, or anywhere, and a little off.
+                // Along a face's normal, perpendicular to an edge, or anywhere; slightly perturbed.
                 let edge = round as usize % hull.edge_count();
                 let [f, g] = hull.edge_faces()[edge].map(|f| hull.faces()[f as usize].normal);
                 let share = [0.0, 0.5, 0.3][round as usize / 32 % 3];

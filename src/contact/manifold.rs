@@ -1,34 +1,34 @@
-//! What is answered of a pair: value, bound and status.
+//! The answer for a pair: values, bounds and status.
 
 use glam::DVec3;
 
-/// What is known of the distance between the hulls and the margin.
+/// How the distance between the hulls compares with the margin.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Outcome {
-    /// Within the margin, to rounding.
+    /// Within the margin, or so near to it that rounding leaves it open.
     Contact,
     /// Certified farther apart than the margin.
     Separated,
-    /// An iteration limit was met before the outcome was known.
+    /// An iteration limit was reached before the outcome was known.
     #[default]
     Undecided,
 }
 
-/// What an answer has to be read with.
+/// Qualifications of an answer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Flags {
-    /// The projected features miss each other: one estimated point.
+    /// The projected features do not meet: the one contact point is an estimate.
     pub estimated: bool,
-    /// The centres coincide to rounding: alpha is 0, the normal arbitrary.
+    /// The centres coincide to rounding: alpha is 0 and the normal is arbitrary.
     pub coincident: bool,
-    /// The bracket of alpha is wider than asked.
+    /// The bracket of alpha is wider than the query asked for.
     pub gap_open: bool,
-    /// `max_points` dropped points.
+    /// Points were dropped to keep at most `max_points`.
     pub reduced: bool,
 }
 
-/// The optimal triple of vertex pairs of step 1: `(a[i], b[i])`, each an index
-/// of its hull's vertices as registered. The best warm start.
+/// The optimal triple of vertex pairs of step 1. Pair `i` is `(a[i], b[i])`, in indices of the
+/// vertices as registered. It is the best warm start for the same two hulls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Basis {
     /// Vertices of A.
@@ -37,30 +37,31 @@ pub struct Basis {
     pub b: [u32; 3],
 }
 
-/// What of a hull touches, with indices of its vertices as registered.
+/// The feature of a hull that touches, with indices of the vertices as registered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Feature {
     /// A vertex.
     Vertex(u32),
     /// An edge, lower vertex first.
     Edge([u32; 2]),
-    /// A face: its index in the hull.
+    /// A face, by its index in the hull.
     Face(u32),
 }
 
-/// What of a hull made a contact point, with indices of its vertices as registered.
+/// The part of a hull that made a contact point, with indices of the vertices as registered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Element {
     /// A vertex.
     Vertex(u32),
-    /// An edge or a side of a face's outline, lower vertex first.
+    /// An edge, or a side of a face's outline, lower vertex first.
     Edge([u32; 2]),
-    /// The inside of the face (or nothing of its own: the other hull made the point).
+    /// The inside of the face. Also used where this hull adds nothing, because the other hull's
+    /// vertex alone determines the point.
     Inside,
 }
 
 impl Element {
-    /// In the same order as the elements.
+    /// A number that orders elements in the same way as their own order does.
     pub(crate) fn key(self) -> u128 {
         let [kind, first, second] = match self {
             Self::Vertex(v) => [0, v, 0],
@@ -75,44 +76,45 @@ impl Element {
 /// One contact point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContactPoint {
-    /// World point on A's feature.
+    /// Point on A's feature, world frame.
     pub witness_a: DVec3,
-    /// Signed, along the normal; the witness on B is `witness_a + distance * normal`.
+    /// Signed distance along the normal. The witness on B is `witness_a + distance * normal`.
     pub distance: f64,
-    /// What of A and of B made it: the same while the same features do.
+    /// The parts of A and of B that made the point. The id stays the same as long as the same parts
+    /// make the point.
     pub id: [Element; 2],
 }
 
 /// The answer for a pair.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Manifold {
-    /// Within the margin or beyond.
+    /// Within the margin, beyond it, or undecided.
     pub outcome: Outcome,
-    /// What the numbers have to be read with.
+    /// Qualifications of the numbers below.
     pub flags: Flags,
-    /// Growth scale; for a separated pair a certified lower bound of it.
+    /// Growth scale. For a separated pair it is a certified lower bound.
     pub alpha: f64,
-    /// Certified lower end of the bracket of alpha.
+    /// Certified lower bound of alpha.
     pub alpha_lower: f64,
-    /// Certified upper end; infinity for a separated pair.
+    /// Certified upper bound of alpha; infinite for a separated pair.
     pub alpha_upper: f64,
-    /// Unit, world frame, from A to B; for a separated pair the separating direction.
+    /// Contact normal: unit, world frame, from A to B. For a separated pair it is a separating direction.
     pub normal: DVec3,
-    /// Signed separation along the normal; for a separated pair a certified
-    /// lower bound of the distance.
+    /// Signed separation along the normal, negative if overlapping. For a separated pair it is a
+    /// certified lower bound of the distance.
     pub separation: f64,
-    /// Features of A and B, when points were asked for.
+    /// Touching features of A and B, if points were asked for.
     pub features: Option<[Feature; 2]>,
-    /// Contact points, anticlockwise about the normal.
+    /// Contact points in order, anticlockwise about the normal.
     pub points: Vec<ContactPoint>,
-    /// Share of the patch's area that the points still span: 1 unless `max_points` dropped
-    /// some, and where the patch has no area.
+    /// Share of the patch's area that the remaining points span. It is below 1 only if `max_points`
+    /// dropped points of a patch that has an area.
     pub kept_area: f64,
     /// Best warm start; none for a separated pair.
     pub basis: Option<Basis>,
     /// Solver iterations.
     pub iterations: u32,
-    /// Support mapping calls, each hull counted.
+    /// Support mapping calls, counted for each hull.
     pub support_calls: u32,
 }
 

@@ -1,17 +1,33 @@
-//! Contact manifolds of two convex hulls, after Silcowitz, Niebe and Erleben,
-//! *Contact Point Generation for Convex Polytopes in Interactive Rigid Body
-//! Dynamics* (SCA 2010): one file a step of the paper.
+//! Contact manifolds of two convex hulls.
 //!
-//! | step | file |
-//! |---|---|
-//! | 1: growth scale and contact normal | `growth` |
-//! | 2: from the normal to a pair of features | `gauss_map` |
-//! | 3: from the features to contact points | `intersection` |
+//! [`contact_manifold`] takes two hulls, each at a pose, and returns their growth scale, the contact
+//! normal and the contact points. It follows M. Silcowitz, S. Niebe and K. Erleben, *Contact Point
+//! Generation for Convex Polytopes in Interactive Rigid Body Dynamics* (SCA 2010). The *growth scale*
+//! `alpha` is the smallest factor by which both hulls, scaled about a point inside each, touch.
+//! The paper's three steps are three modules:
 //!
-//! [`contact_manifold`] is the three steps in order. [`certificate`] checks an
-//! answer from the hulls alone.
+//! | step | paper | module |
+//! |---|---|---|
+//! | 1: growth scale and contact normal, by a ray cast | section 3 | `growth` |
+//! | 2: the pair of features that the normal touches, by Gauss maps | section 4 | `gauss_map` |
+//! | 3: contact points, by intersecting the two features | section 5 | `intersection` |
 //!
-//! One cube sunk into another by a hundredth:
+//! ```text
+//! contact_manifold(A, B, query):
+//!     bring A and B into one frame                                      (pair)
+//!     the bounding spheres are farther apart than the margin: SEPARATED
+//!     alpha, normal n, basis = growth of A and B, or SEPARATED          (step 1)
+//!     feature of A along n, feature of B along -n                       (step 2)
+//!     points = intersection of the two features                         (step 3)
+//!     alpha <= 1, or a point within the margin: CONTACT
+//!     otherwise the distance between the hulls decides                  (distance)
+//!     keep at most max_points of the points                             (reduce)
+//! ```
+//!
+//! [`certificate`] checks an answer against its definition. It reads only the two hulls and shares no
+//! solver with the other modules. `docs/algorithm.md` lists the symbols that the comments use.
+//!
+//! An example: one cube penetrates another by 0.01.
 //!
 //! ```
 //! use hullcast::contact::{Body, ConvexHull, Pose, Query, Workspace, certificate, contact_manifold};
@@ -76,12 +92,12 @@ use pair::{Pair, Support, shift};
 use support::Columns;
 use tolerance::{MERGE, NOISE, U};
 
-/// Buffers reused from pair to pair, so that the steady state allocates nothing.
+/// Buffers that are reused from pair to pair, so that after the first pairs no call allocates.
 #[derive(Debug, Default)]
 pub struct Workspace {
     turned: Columns,
     steps: Steps,
-    /// Elementary steps of the pairs since they were last taken.
+    /// Elementary steps of the pairs computed since the last [`Workspace::take_steps`].
     counted: u64,
 }
 
@@ -93,26 +109,28 @@ impl Workspace {
     }
 }
 
-/// What the steps leave for each other.
+/// The answer, and the buffers and cached values of the steps.
 #[derive(Debug, Default)]
 struct Steps {
     manifold: Manifold,
     gauss_map: gauss_map::Scratch,
     intersection: Intersection,
     reduce: reduce::Scratch,
-    /// The last feature angle with its sine and cosine.
+    /// The last feature angle with its sine and cosine: most pairs of a batch share one angle.
     feature_angle: Option<(f64, f64, f64)>,
 }
 
-/// The contact manifold of `a` and `b`: the paper's three steps, in order.
+/// Computes the contact manifold of `a` and `b`: the paper's three steps, in order.
 ///
-/// `warm` is the basis of an earlier answer for the same hulls; a useless one
-/// costs only a cold start. The answer lives in `workspace` until the next call.
+/// `warm` is the basis of an earlier answer for the same two hulls. A basis that no longer fits costs
+/// no more than a cold start. The answer is stored in `workspace` and valid until the next call.
 ///
-/// A pair farther apart than the margin is answered with certified lower bounds
-/// alone: its `alpha_upper` is infinite, and it has no points and no basis.
+/// Lengths are in the caller's units. The normal and the witnesses are in the world frame.
 ///
-/// A simulation's next step begins where the one before ended:
+/// A pair farther apart than the margin gets only certified lower bounds: its `alpha_upper` is
+/// infinite, and it has no points and no basis.
+///
+/// A simulation passes the basis of one step to the next:
 ///
 /// ```
 /// # use hullcast::contact::{Body, ConvexHull, InvalidPose, Pose, Query, Workspace, contact_manifold};
@@ -145,15 +163,15 @@ pub fn contact_manifold<'w>(
     &steps.manifold
 }
 
-/// Where the spheres around the hulls are farther apart than the margin: how
-/// far `K` reaches at most along the line of centres.
+/// If the bounding spheres are farther apart than the margin (pair units), returns how far `K`
+/// reaches at most along the line of centres.
 fn spheres_apart(pair: &Pair<'_>, margin: f64) -> Option<f64> {
     let reach = pair.circumradius;
     (pair.distance - reach > margin + pair.rounding_band()).then_some(reach)
 }
 
 impl Steps {
-    /// Answers a pair.
+    /// Computes the answer for a pair and stores it in `self.manifold`.
     fn answer<'a>(
         &mut self,
         pair: &mut Pair<'a>,
@@ -161,7 +179,7 @@ impl Steps {
         warm: Option<&Basis>,
         turned: &'a mut Columns,
     ) {
-        // In pair units; a margin that overflows there is beyond every distance.
+        // The margin in pair units. If it overflows to infinity there, it exceeds every distance.
         let margin = query.margin / pair.unit;
         self.manifold.reset();
         if let Some(reach) = spheres_apart(pair, margin) {
@@ -169,7 +187,7 @@ impl Steps {
             return;
         }
 
-        // Step 1.
+        // Step 1: growth scale and normal.
         let goal = Goal::new(&query.accuracy, margin, query.wanted == Wanted::Outcome);
         let mut solution = match growth(pair, query.accuracy.solver, warm, &goal, turned) {
             Growth::Solved(solution) => solution,
@@ -198,7 +216,7 @@ impl Steps {
                 }
             }
         };
-        // An outcome alone asks for no bracket.
+        // A query for the outcome only does not ask for a bracket, so none can be too wide.
         solution.gap_open &= query.wanted != Wanted::Outcome;
         self.manifold.set_solved(pair, &solution, outcome);
         if query.wanted == Wanted::Points {
@@ -206,10 +224,10 @@ impl Steps {
         }
     }
 
-    /// Steps 2 and 3.
+    /// Steps 2 and 3: finds the two features and the contact points of their intersection.
     fn find_points(&mut self, pair: &Pair<'_>, solution: &Solution, accuracy: &Accuracy) {
         let n = solution.normal;
-        // A triple that still has inner points is no basis, and names nothing that touches.
+        // A triple that still contains inner points is not a basis: those points name no vertices.
         let complete = solution.triple.iter().all(|u| u.a != Support::INNER);
         let [u0, u1, u2] = if complete { solution.triple } else { [solution.support; 3] };
         let known = |vertex: fn(&Support) -> u32| [solution.support, u0, u1, u2].each_ref().map(vertex);
@@ -232,15 +250,15 @@ impl Steps {
         self.manifold.features = Some([named(pair.a, features[0]), named(pair.b, features[1])]);
     }
 
-    /// Whether a contact point, a point of each hull to its faces' planarity,
-    /// shows that the hulls are within the margin of each other.
+    /// Whether a contact point shows that the hulls are within the margin of each other. Each of its two
+    /// witnesses lies on its hull to within the planarity of the face.
     fn points_within(&self, margin: f64) -> bool {
         let found = &self.intersection;
         !found.estimated
             && found.points.iter().any(|p| (p.height_b - p.height_a).abs() + found.planarity <= margin)
     }
 
-    /// The points found, in the world.
+    /// Reduces the points found to `max_points`, transforms them to the world and stores them.
     fn lift_points(&mut self, pair: &Pair<'_>, accuracy: &Accuracy) {
         let found = &mut self.intersection;
         let rounding = pair.rounding_band();
@@ -270,8 +288,8 @@ impl Manifold {
         self.points.clear();
     }
 
-    /// Apart: `direction` (A's frame, any length) certifies it, along which `K`
-    /// reaches `reach` at most. All numbers are certified lower bounds.
+    /// Fills in the answer for a separated pair. `direction` (A's frame, any length) certifies the
+    /// separation, and `K` reaches at most `reach` along it. All numbers are certified lower bounds.
     fn set_apart(&mut self, pair: &Pair<'_>, direction: DVec3, reach: f64, cost: Cost) {
         let n = direction.normalize();
         let noise = |m: f64| NOISE * U * m;
@@ -300,7 +318,7 @@ impl Manifold {
     }
 }
 
-/// The triple as registered vertices, once no inner point is left in it.
+/// The triple in indices of the vertices as registered; none if it contains an inner point.
 fn basis(pair: &Pair<'_>, triple: &[Support; 3]) -> Option<Basis> {
     let complete = triple.iter().all(|u| u.a != Support::INNER);
     complete.then(|| Basis {

@@ -1,7 +1,8 @@
-//! Two bodies reduced to one frame: A's axes, A's contraction point the origin,
-//! lengths in *pair units* (a power of two of the caller's that brings the
-//! larger hull to about 1). Everything between the poses and the answer happens
-//! here, so that nothing is computed far from the origin.
+//! Two bodies in one frame.
+//!
+//! The frame has A's axes and A's contraction point as its origin. Its lengths are in *pair units*, a
+//! power of two of the caller's units that brings the larger hull to about 1. Every computation
+//! between the poses and the answer happens in this frame, so nothing is computed far from the origin.
 
 use glam::{DMat3, DVec3};
 
@@ -10,7 +11,8 @@ use super::support::{Columns, farthest_both};
 use super::tolerance::{BAND, BRACKET, MERGE, NOISE, TRIPLE_PRODUCT, U};
 use super::{Body, ConvexHull};
 
-/// A vertex of the centred Minkowski difference `K = (A - pA) - (B - pB)`.
+/// A vertex of the centred Minkowski difference `K = (A - pA) - (B - pB)`, and the two vertices whose
+/// difference it is.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Support {
     /// A's frame, pair units.
@@ -22,15 +24,15 @@ pub(crate) struct Support {
 }
 
 impl Support {
-    /// Stands for no vertex.
+    /// Replaces a vertex index in a point that is not a vertex.
     pub(crate) const INNER: u32 = u32::MAX;
 
-    /// A point of `K` that is no vertex of it.
+    /// A point of `K` that is not one of its vertices.
     pub(crate) fn inner(point: DVec3) -> Self {
         Self { point, a: Self::INNER, b: Self::INNER }
     }
 
-    /// Whether the same vertices make both.
+    /// Whether both points come from the same pair of vertices.
     pub(crate) fn same(&self, other: &Self) -> bool {
         (self.a == other.a) & (self.b == other.b) & (self.a != Self::INNER)
     }
@@ -40,50 +42,51 @@ impl Support {
 pub(crate) struct Pair<'a> {
     pub(crate) a: &'a ConvexHull,
     pub(crate) b: &'a ConvexHull,
-    /// Pair units per hull unit of A and of B, powers of two, the larger 1.
+    /// Pair units per hull unit of A and of B: powers of two, the larger one is 1.
     pub(crate) scale_a: f64,
     pub(crate) scale_b: f64,
-    /// B's axes in A's frame: rotation alone.
+    /// B's axes in A's frame, without translation or scale.
     pub(crate) rotation: DMat3,
     /// Centre offset `pB - pA`, pair units.
     pub(crate) d: DVec3,
-    /// Its length.
+    /// Length of `d`.
     pub(crate) distance: f64,
-    /// `d` times a power of two that brings its largest coordinate into
-    /// [1, 2): alpha is homogeneous, so that no alpha is too small to solve.
+    /// `d` times a power of two that brings its largest coordinate into [1, 2). Alpha is homogeneous
+    /// in `d`, so solving for the ray instead works for however small an alpha.
     pub(crate) ray: DVec3,
     /// `alpha = 2^alpha_exponent` times the growth scale of `ray`.
     pub(crate) alpha_exponent: i32,
-    /// The lengths that enter `d`, pair units.
+    /// The sum of the lengths that enter `d`, pair units.
     pub(crate) m: f64,
-    /// The same in units of `ray`.
+    /// The same sum in units of `ray`.
     pub(crate) ray_m: f64,
     /// Sum of the inradii, rounded down; pair units.
     pub(crate) inradius: f64,
     /// Sum of the circumradii, rounded up; pair units.
     pub(crate) circumradius: f64,
-    /// Above this a triple product of the ray and two points of `K` has the sign
-    /// that double precision gives it.
+    /// A triple product of the ray and two points of `K` whose magnitude exceeds this has the correct
+    /// sign in double precision.
     pub(crate) sure_turn: f64,
     /// Caller's units per pair unit, a power of two.
     pub(crate) unit: f64,
-    /// World from A's axes, and the world point of the frame's origin is
-    /// `translation + rotation_a * (contraction point of A)`.
+    /// Rotation from A's axes to the world's. The origin of the pair's frame is the world point
+    /// `translation_a + rotation_a * (contraction point of A)`.
     pub(crate) rotation_a: DMat3,
     pub(crate) translation_a: DVec3,
-    /// B's vertices in A's frame, pair units, where B is small.
+    /// B's vertices in A's frame, pair units, if B is small.
     turned: Option<&'a Columns>,
-    /// The steps taken for this pair, but for [`Pair::steps`].
+    /// The steps counted for this pair so far, without the scans that [`Pair::steps`] adds.
     pub(crate) count: Count,
 }
 
-/// Hulls of more vertices are not turned: what it costs is not won back.
+/// A hull with more vertices is not rotated in advance: the support calls would not earn back the
+/// cost.
 const MOST_TURNED: usize = 32;
 
-/// Powers of two up to which offsets are squared and rotated without loss.
+/// The largest exponent of lengths that can be squared and rotated without overflow or underflow.
 const SAFE_EXPONENT: i32 = 400;
 
-/// Of [`Pair::ray`]: its coordinates are below 2.
+/// A bound of the length of [`Pair::ray`], whose coordinates are below 2.
 const LONGEST_RAY: f64 = 4.0;
 
 impl<'a> Pair<'a> {
@@ -93,8 +96,8 @@ impl<'a> Pair<'a> {
         let (scale_a, scale_b) = (hull_a.scale() / unit, hull_b.scale() / unit);
         let (ra, rb) = (a.pose.rotation, b.pose.rotation);
 
-        // d is formed in the world, translations subtracted first, scaled where
-        // rotating offsets near the ends of the range would lose something.
+        // d is formed in the world, where the translations are subtracted first. Near the ends of the
+        // range of doubles the offsets are scaled, because rotating them there would lose bits.
         let (mut ca, mut cb) = (hull_a.contraction_point(), hull_b.contraction_point());
         let (mut reach_a, mut reach_b) = (hull_a.contraction_distance(), hull_b.contraction_distance());
         let mut t = b.pose.translation - a.pose.translation;
@@ -136,7 +139,8 @@ impl<'a> Pair<'a> {
         }
     }
 
-    /// Turns B into A's frame once for all support points, where that pays.
+    /// Rotates B's vertices into A's frame once for all support calls, if B is small enough for that to
+    /// pay.
     pub(crate) fn turn(&mut self, buffer: &'a mut Columns) {
         if self.b.vertex_count() <= MOST_TURNED {
             buffer.turn(self.b.columns(), self.scale_b, &self.rotation);
@@ -144,13 +148,13 @@ impl<'a> Pair<'a> {
         }
     }
 
-    /// Vertex `i` of A, about A's contraction point.
+    /// Vertex `i` of A, relative to A's contraction point.
     #[inline]
     pub(crate) fn vertex_a(&self, i: u32) -> DVec3 {
         self.a.vertex(i) * self.scale_a
     }
 
-    /// Vertex `i` of B, about B's contraction point.
+    /// Vertex `i` of B in A's axes, relative to B's contraction point.
     #[inline]
     pub(crate) fn vertex_b(&self, i: u32) -> DVec3 {
         match self.turned {
@@ -159,14 +163,14 @@ impl<'a> Pair<'a> {
         }
     }
 
-    /// The vertex of `K` that these two make.
+    /// The vertex of `K` that vertex `a` of A and vertex `b` of B make.
     #[inline]
     pub(crate) fn support_of(&self, a: u32, b: u32) -> Support {
         Support { point: self.vertex_a(a) - self.vertex_b(b), a, b }
     }
 
-    /// The vertex of `K` farthest along `n` (A's frame, any length); of equals
-    /// the lowest index in each hull.
+    /// The vertex of `K` farthest along `n` (A's frame, any length). Among equals the lowest index wins
+    /// in each hull.
     #[inline]
     pub(crate) fn support(&self, n: DVec3) -> Support {
         let (a, b) = match self.turned {
@@ -179,56 +183,57 @@ impl<'a> Pair<'a> {
         self.support_of(a, b)
     }
 
-    /// The steps taken for this pair, in which so many vertices were asked of the support
-    /// mapping. Calls that look at all vertices of both hulls are counted here: their time is
-    /// too short to be counted one by one.
+    /// The elementary steps taken for this pair, with `support_calls` calls of the support mapping.
+    /// Calls that scan all vertices of both hulls are counted here, because each is too short to be
+    /// counted when it is made.
     pub(crate) fn steps(&self, support_calls: u32) -> u64 {
         let scan = scan_steps(self.a.vertex_count() + self.b.vertex_count());
         let scans = if self.turned.is_some() { u64::from(support_calls / 2) } else { 0 };
         self.count.steps() + scans * scan
     }
 
-    /// A direction of A's frame in B's.
+    /// A direction of A's frame, in B's frame.
     #[inline]
     pub(crate) fn direction_in_b(&self, n: DVec3) -> DVec3 {
         self.rotation.transpose() * n
     }
 
-    /// Half the width of the band around the margin inside which a pair counts
-    /// as within it; pair units.
+    /// Half the width of the band around the margin in which rounding leaves the outcome open and the
+    /// pair counts as within the margin; pair units.
     pub(crate) fn rounding_band(&self) -> f64 {
         U * (BAND * (self.circumradius + self.distance) + NOISE * self.m)
     }
 
-    /// Points of the contact plane closer than this are one; pair units.
+    /// Points of the contact plane closer than this count as one point; pair units.
     pub(crate) fn merge_distance(&self) -> f64 {
         MERGE * U * (self.circumradius + self.m)
     }
 
-    /// The widest bracket that counts as closed, for a growth scale of `ray`
-    /// with the upper end `upper`.
+    /// The widest bracket that counts as closed, for a growth scale of `ray` with the upper bound
+    /// `upper`.
     pub(crate) fn closed_width(&self, upper: f64, relative_tolerance: f64) -> f64 {
         upper * (relative_tolerance + BRACKET * U * self.circumradius / self.inradius)
             + 2.0 * NOISE * U * self.ray_m / self.inradius
     }
 
-    /// A direction of A's frame in the world; unit if `n` is.
+    /// The world's unit vector along a direction of A's frame.
     pub(crate) fn direction_to_world(&self, n: DVec3) -> DVec3 {
         (self.rotation_a * n).normalize()
     }
 
-    /// An offset in the pair's frame along the world's axes, caller's units.
+    /// An offset in the pair's frame, in the world's axes and the caller's units.
     pub(crate) fn offset_to_world(&self, offset: DVec3) -> DVec3 {
         self.rotation_a * offset * self.unit
     }
 
-    /// From the origin of A's frame to its contraction point, the same.
+    /// The offset from the origin of A's own frame to A's contraction point, in the world's axes and the
+    /// caller's units.
     pub(crate) fn center_offset_a(&self) -> DVec3 {
         self.rotation_a * self.a.contraction_point()
     }
 }
 
-/// The power of two at or below `x`: `x` times `2^-exponent(x)` is in [1, 2).
+/// The exponent of the power of two at or below `x`, so that `x * 2^-exponent(x)` is in [1, 2);
 /// 0 for 0.
 #[inline]
 fn exponent(x: f64) -> i32 {

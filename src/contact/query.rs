@@ -1,19 +1,19 @@
-//! What is asked of a pair.
+//! A query about a pair: the margin, the accuracy, and how far to compute.
 
 /// Which solver finds the growth scale.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Solver {
-    /// Portal refinement from inside.
+    /// Portal refinement, which starts inside the Minkowski difference.
     #[default]
     Portal,
-    /// The paper's GJK-based ray cast.
+    /// The paper's ray cast, based on GJK.
     GjkRayCast,
 }
 
-/// How far the computation goes; each includes the one before.
+/// How far the computation goes. Each level includes the one before it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Wanted {
-    /// The outcome alone: stops as soon as it is decided.
+    /// Only the outcome: the computation stops as soon as the outcome is decided.
     Outcome,
     /// Growth scale, bracket, normal and separation: step 1.
     Growth,
@@ -22,25 +22,26 @@ pub enum Wanted {
     Points,
 }
 
-/// Speed against accuracy.
+/// Settings that trade accuracy for speed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Accuracy {
     /// Which solver finds the growth scale.
     pub solver: Solver,
-    /// Width of the bracket over alpha that is good enough, 0 to 1; 0: to rounding.
+    /// Width of the bracket, relative to alpha, at which the solver may stop: 0 to 1. With 0 it stops
+    /// at rounding level.
     pub relative_tolerance: f64,
-    /// Radians, 0 to 0.5: faces and edges within it of the normal count as touched.
+    /// Radians, 0 to 0.5. Faces and edges within this angle of the normal count as touched.
     pub feature_angle: f64,
-    /// Points a pair; 0: all.
+    /// Largest number of contact points per pair; 0 keeps all.
     pub max_points: u32,
-    /// Solver iterations a pair, at least 1.
+    /// Largest number of solver iterations per pair, at least 1.
     pub max_iterations: u32,
 }
 
-/// Chosen from what `hullcast tradeoff` measured (docs/tradeoff.md).
+/// Settings chosen from the measurements of `hullcast tradeoff` (docs/tradeoff.md).
 impl Accuracy {
-    /// To rounding, the whole patch. No coarser tolerance was measured to be faster. Measured:
-    /// brackets at most 1.4e-13 of alpha wide.
+    /// Solves to rounding level and keeps the whole patch. No coarser tolerance measured faster.
+    /// Measured: brackets at most 1.4e-13 of alpha wide.
     pub const EXACT: Self = Self {
         solver: Solver::Portal,
         relative_tolerance: 0.0,
@@ -49,8 +50,9 @@ impl Accuracy {
         max_iterations: 1000,
     };
 
-    /// The same, at most four points a pair: fewer to send and to solve for. Measured: 2 to 7 %
-    /// more time; in 19 of 20 pairs the patch is at most 6 % of the hulls' size off.
+    /// [`Accuracy::EXACT`] with at most four points per pair, so that there are fewer points to send
+    /// and to solve for. Measured: 2 to 7 % more time; in 19 of 20 pairs the patch is off by at most
+    /// 6 % of the hulls' size.
     pub const FOUR_POINTS: Self = Self { max_points: 4, ..Self::EXACT };
 }
 
@@ -61,12 +63,13 @@ impl Default for Accuracy {
     }
 }
 
-/// What is asked of a pair.
+/// A query about a pair.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Query {
-    /// Contact points are wanted where the hulls are within it: at least 0, infinity for every pair.
+    /// Contact points are computed for hulls within this distance of each other, caller's units. At
+    /// least 0; infinity includes every pair.
     pub margin: f64,
-    /// Speed against accuracy.
+    /// Settings that trade accuracy for speed.
     pub accuracy: Accuracy,
     /// How far the computation goes.
     pub wanted: Wanted,

@@ -1,22 +1,35 @@
-//! Reduction of a patch to a few points.
+//! Reduces the points of a patch to a few.
 //!
-//! Points are kept one at a time, always the one that adds most area to the polygon of those
-//! kept. On a convex outline a point adds area to the one gap that it is in: between the kept
-//! point before it and the one after it. So each gap knows its best point, the gaps wait in a
-//! heap, and a new point only splits its own gap in two, which look for their best points again
-//! (the Douglas-Peucker idea of cutting at the farthest point; doi:10.3138/FM57-6770-U75U-7727).
-//! `n` points of which `k` are kept take about `n log k`, and `n k` at worst.
+//! The points are the corners of a convex polygon. The first one kept is the deepest. Then the method
+//! repeatedly keeps the point that adds the most area to the polygon of the points kept so far.
+//!
+//! ```text
+//!       2 . . . 3         Kept: 0 and 3. The gap from 0 to 3 holds 1 and 2; 2 is farther from the
+//!      .        |         line 0-3 and is that gap's best. Keeping it splits the gap into 0-2,
+//!     1         |         which holds 1, and 2-3, which is empty.
+//!      .        |
+//!        0 ---- 4
+//! ```
+//!
+//! On a convex outline a point adds area only to its own *gap*, between the kept points before and
+//! after it. So each gap stores its best point, the gaps wait in a heap, and keeping a point splits
+//! one gap in two. Only those two search for their best points again. Splitting at the farthest point
+//! is the idea of D. H. Douglas and T. K. Peucker, *Algorithms for the reduction of the number of
+//! points required to represent a digitized line or its caricature*, 1973,
+//! doi:10.3138/FM57-6770-U75U-7727.
+//!
+//! Keeping `k` of `n` points typically takes `O(n log k)` time, and `O(n k)` in the worst case.
 
 use std::{cmp::Ordering, collections::BinaryHeap};
 
 use super::intersection::PlanePoint;
 
-/// Buffers.
+/// Buffers, reused from pair to pair.
 #[derive(Debug, Default)]
 pub(crate) struct Scratch {
     kept: Vec<bool>,
     gaps: BinaryHeap<Gap>,
-    /// Points that were looked at since they were last taken.
+    /// Points examined since the last [`Scratch::take_looked_at`].
     looked_at: u64,
 }
 
@@ -26,10 +39,11 @@ impl Scratch {
     }
 }
 
-/// The points between two kept ones, and the best of them.
+/// The points between two neighbouring kept points, and the best of them.
 #[derive(Debug)]
 struct Gap {
-    /// The area that the best adds, doubled; with one kept point its distance squared.
+    /// Twice the area that the best point adds. With only one kept point it is the squared distance
+    /// from that point.
     area: f64,
     best: usize,
     from: usize,
@@ -51,16 +65,18 @@ impl PartialOrd for Gap {
 }
 
 impl Ord for Gap {
-    /// If two are equal, the lower point is the better.
+    /// Compares the areas. With equal areas the gap whose best point has the lower index is greater.
     fn cmp(&self, other: &Self) -> Ordering {
         self.area.total_cmp(&other.area).then(other.best.cmp(&self.best))
     }
 }
 
-/// Keeps `max` of more points, in their order: the deepest (within `rounding` of
-/// it the lowest id), then, one at a time, the one that adds most area to the
-/// polygon of those kept; the second is the one farthest from the first.
-/// The share of the polygon's area that is left; 1 where it has none.
+/// Keeps `max` of the points, without changing their order, and returns the share of the polygon's
+/// area that is left (1 if the polygon has no area).
+///
+/// The first point kept is the deepest; among points within `rounding` of it the one with the lowest
+/// id. The second is the one farthest from the first. Each further one is the point that adds the most
+/// area to the polygon of those kept.
 pub(crate) fn reduce(points: &mut Vec<PlanePoint>, max: usize, rounding: f64, scratch: &mut Scratch) -> f64 {
     let whole = doubled_area(points);
     let depth = |p: &PlanePoint| p.height_b - p.height_a;
@@ -86,7 +102,8 @@ pub(crate) fn reduce(points: &mut Vec<PlanePoint>, max: usize, rounding: f64, sc
     if whole > 0.0 { (doubled_area(points) / whole).clamp(0.0, 1.0) } else { 1.0 }
 }
 
-/// The gap between two kept points, or around the only one; none without points in it.
+/// The gap between two kept points, or the gap around a single one if `from` is `to`. None if there
+/// are no points in it.
 fn gap(points: &[PlanePoint], from: usize, to: usize, looked_at: &mut u64) -> Option<Gap> {
     let (p, q) = (points[from].at, points[to].at);
     let added = |i: usize| {
@@ -107,7 +124,7 @@ fn gap(points: &[PlanePoint], from: usize, to: usize, looked_at: &mut u64) -> Op
     best
 }
 
-/// The doubled area of a convex polygon, its corners in order.
+/// Twice the area of a convex polygon whose corners are given in order.
 fn doubled_area(points: &[PlanePoint]) -> f64 {
     let [first, rest @ ..] = points else { return 0.0 };
     rest.windows(2).map(|two| (two[0].at - first.at).perp_dot(two[1].at - first.at)).sum::<f64>().abs()
@@ -121,7 +138,7 @@ mod tests {
     use crate::contact::manifold::Element;
     use crate::workload::Random;
 
-    /// The definition: every point is compared in every round.
+    /// The definition: every round compares every point.
     fn reduce_slowly(points: &[PlanePoint], max: usize) -> Vec<u32> {
         let at = |i: usize| points[i].at;
         let mut kept = vec![0];
@@ -141,8 +158,8 @@ mod tests {
         kept.iter().map(|&i| i as u32).collect()
     }
 
-    /// Catches a gap that is looked for on the wrong side, one lost or not split, and a tie that
-    /// goes to another point: on regular polygons every round ties.
+    /// Catches a gap that is searched on the wrong side, a gap that is lost or not split, and a tie that
+    /// goes to another point. On regular polygons every round has ties.
     #[test]
     fn gaps_keep_the_points_that_comparing_all_keeps() {
         let mut random = Random::new(41);
@@ -154,7 +171,7 @@ mod tests {
                 let jitter = if round % 2 == 0 { 0.0 } else { random.within(-0.2, 0.2) };
                 let angle = std::f64::consts::TAU * (i as f64 + jitter) / count as f64;
                 let at = DVec2::from_angle(angle) * DVec2::new(4.0, 3.0);
-                // The first is the deepest.
+                // The first point is the deepest.
                 let height_b = if i == 0 { -1.0 } else { 0.0 };
                 PlanePoint { at, height_a: 0.0, height_b, id: [Element::Vertex(i as u32), Element::Inside] }
             };

@@ -1,6 +1,22 @@
-//! GJK's simplex: at most four points of `K`, reduced to the fewest whose hull
-//! holds the point closest to a target (Ericson, *Real-Time Collision
-//! Detection*, 2005, section 5.1, for the regions of a triangle).
+//! GJK's simplex: at most four points of `K`, and the point of their convex hull that is closest to a
+//! target.
+//!
+//! [`Simplex::closest_to`] also drops the points that do not determine the closest point. With the
+//! target as the origin, the cases are (C. Ericson, *Real-Time Collision Detection*, 2005, section
+//! 5.1):
+//!
+//! ```text
+//! 1 point:   the point itself
+//! 2 points:  the origin's projection on the segment, or the nearer end
+//! 3 points:  the foot of the triangle's normal if it is inside all three sides;
+//!            otherwise the nearest of the three segments' points
+//! 4 points:  the origin if it is inside; otherwise the nearest of the four triangles' points
+//! ```
+//!
+//! All cases take constant time. In double precision the result is unreliable once the target is
+//! within rounding of the simplex. [`Simplex::wide_closest_to`] then does the same in double-double
+//! arithmetic: it computes the foot of the origin on every vertex, edge and triangle and takes the
+//! nearest.
 
 use glam::DVec3;
 
@@ -8,12 +24,12 @@ use super::exact::{Dd, Dd3, dd_cross, dd_dot, exact_difference};
 use super::pair::Support;
 use super::tolerance::THIN;
 
-/// At most four points.
+/// A simplex of at most four points.
 #[derive(Default)]
 pub(crate) struct Simplex {
     points: [Support; 4],
     len: usize,
-    /// Whether the last point came after the closest point of the others was found.
+    /// Whether the last point was added after the simplex was last reduced.
     grown: bool,
 }
 
@@ -33,13 +49,13 @@ impl Simplex {
         &self.points[..self.len]
     }
 
-    /// Whether the target was inside all four.
+    /// Whether the simplex has four points. After a reduction that means that the target is inside.
     pub(crate) fn is_full(&self) -> bool {
         self.len == 4
     }
 
-    /// Whether it is a triangle so thin that in double precision the closest point may
-    /// be far from it.
+    /// Whether the simplex is a triangle so thin that in double precision its computed closest point
+    /// may be far from it.
     pub(crate) fn is_thin(&self) -> bool {
         let &[u0, u1, u2] = self.points() else { return false };
         let (e1, e2) = (u1.point - u0.point, u2.point - u0.point);
@@ -50,7 +66,7 @@ impl Simplex {
         self.points().iter().any(|p| p.same(w))
     }
 
-    /// Adds a point to at most three: one beyond their closest point's plane.
+    /// Adds `w`, a point beyond the plane through the closest point. A simplex of four stays unchanged.
     pub(crate) fn push(&mut self, w: Support) {
         if self.len < 4 {
             self.points[self.len] = w;
@@ -59,8 +75,8 @@ impl Simplex {
         }
     }
 
-    /// The vector from `target` to the closest point of the simplex, which is
-    /// reduced to the points that hold it.
+    /// The vector from `target` to the closest point of the simplex. Keeps only the points that
+    /// determine the closest point.
     pub(crate) fn closest_to(&mut self, target: DVec3) -> DVec3 {
         let at = |i: usize| self.points[i].point - target;
         let (vector, kept) = match self.len {
@@ -74,21 +90,23 @@ impl Simplex {
         vector
     }
 
-    /// The same in wide arithmetic: the direction holds where the target is
-    /// nearer than roundoffs of the points.
+    /// [`Simplex::closest_to`] in wide arithmetic. The direction is correct even if the target is
+    /// nearer to the simplex than the points' roundoff.
     #[cold]
     pub(crate) fn wide_closest_to(&mut self, target: DVec3) -> DVec3 {
         let points: Vec<Dd3> = self.points().iter().map(|p| exact_difference(p.point, target)).collect();
         if self.is_full() && surrounded(&points) {
             return DVec3::ZERO;
         }
-        // The new point holds the closest one; where it gains a rounding alone, the simplex
-        // without it would be measured as near, kept, and grown by it again, without end.
+        // The closest point of a grown simplex lies on a face that contains the new point. If that
+        // point gains no more than a rounding, the simplex without it could seem nearest, be kept, and
+        // be grown by the same point again, without end.
         let has_new = |set: &&&[usize]| !self.grown || set.contains(&(self.len - 1));
         let subsets = SUBSETS.iter().filter(|set| set.iter().all(|&i| i < self.len)).filter(has_new);
         let feet = subsets.filter_map(|set| Some((foot(&points, set)?, Kept::of(set))));
-        // Widely too: of a thin triangle and its side nearly as near the side would
-        // win a tie, the corner beyond it be dropped and found again, without end.
+        // The comparison is in wide arithmetic as well. A thin triangle and one of its sides are almost
+        // equally near. In doubles the side would win the tie, and the corner that is dropped would be
+        // found again, without end.
         let length = |p: &Dd3| dd_dot(*p, *p);
         let nearest = feet.min_by(|(p, _), (q, _)| (length(p) - length(q)).value().total_cmp(&0.0));
         let (vector, kept) = nearest.unwrap_or_default();
@@ -105,7 +123,7 @@ impl Simplex {
     }
 }
 
-/// The faces of every dimension of four points.
+/// The vertices, edges and triangles of four points, by the points' indices.
 const SUBSETS: [&[usize]; 14] = [
     &[0],
     &[1],
@@ -127,7 +145,8 @@ fn minus(a: Dd3, b: Dd3) -> Dd3 {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
-/// The foot of the origin on a face of the points, if it is inside.
+/// The foot of the perpendicular from the origin on a vertex, edge or triangle of the points, if it
+/// lies inside.
 fn foot(points: &[Dd3], face: &[usize]) -> Option<Dd3> {
     let times = |v: Dd3, by: Dd| v.map(|x| x * by);
     let over = |v: Dd3, by: Dd| v.map(|x| x / by);
@@ -142,8 +161,9 @@ fn foot(points: &[Dd3], face: &[usize]) -> Option<Dd3> {
         }
         [i, j, k] => {
             let mut corners = [i, j, k].map(|i| points[i]);
-            // From the corner nearest to the origin: of a needle whose base is there the
-            // sides from its tip are nearly one, and their product loses twice as much.
+            // Take the sides from the corner nearest to the origin. In a needle whose base is near the
+            // origin the two sides from the tip are nearly parallel, and their cross product loses
+            // twice as many bits.
             let length = |p: &Dd3| dd_dot(*p, *p).value();
             let nearest = (0..3).min_by(|&a, &b| length(&corners[a]).total_cmp(&length(&corners[b])));
             corners.rotate_left(nearest.unwrap_or(0));
@@ -156,7 +176,7 @@ fn foot(points: &[Dd3], face: &[usize]) -> Option<Dd3> {
     }
 }
 
-/// Whether the origin is inside four points.
+/// Whether the origin is inside the tetrahedron of four points.
 fn surrounded(points: &[Dd3]) -> bool {
     [[0, 1, 2, 3], [0, 1, 3, 2], [0, 2, 3, 1], [1, 2, 3, 0]].iter().all(|&[i, j, k, other]| {
         let n = dd_cross(minus(points[j], points[i]), minus(points[k], points[i]));
@@ -166,7 +186,7 @@ fn surrounded(points: &[Dd3]) -> bool {
     })
 }
 
-/// Indices of the points that hold the closest point.
+/// The indices of the points that determine the closest point.
 #[derive(Clone, Copy, Default)]
 struct Kept {
     indices: [usize; 4],
@@ -197,7 +217,7 @@ fn segment(p: &[DVec3], [i, j]: [usize; 2]) -> (DVec3, Kept) {
 fn triangle(p: &[DVec3], [i, j, k]: [usize; 3]) -> (DVec3, Kept) {
     let (a, b, c) = (p[i], p[j], p[k]);
     let n = (b - a).cross(c - a);
-    // Inside all three sides: the foot of the normal; else on one of the sides.
+    // Inside all three sides the closest point is the foot of the normal. Otherwise it is on a side.
     let inside = [(a, b), (b, c), (c, a)].iter().all(|&(u, v)| n.dot(u.cross(v)) > 0.0);
     if inside && n.length_squared() > 0.0 {
         return (n * (n.dot(a) / n.length_squared()), Kept::of(&[i, j, k]));

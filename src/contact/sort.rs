@@ -1,30 +1,33 @@
-//! Sorting that can be stopped.
+//! A sort that can be stopped.
 //!
-//! A sort of the standard library cannot be interrupted, and one of some 100,000 points takes
-//! milliseconds. So longer lists are sorted run by run, and the runs are merged two by two
-//! (bottom-up merge sort, D. E. Knuth, *The Art of Computer Programming*, volume 3, section
-//! 5.2.4). The meter is looked at between the runs and while they are merged. Time
-//! `O(n log n)`, memory for a second list.
+//! The sort of the standard library cannot be interrupted, and it takes milliseconds for 100,000
+//! points. So a long list is sorted in runs, and the runs are merged two by two (bottom-up merge
+//! sort; D. E. Knuth, *The Art of Computer Programming*, volume 3, section 5.2.4). The meter is
+//! checked between the runs and while they are merged. The sort takes `O(n log n)` time and memory
+//! for a second list.
 
 use std::cmp::Ordering;
 
 use super::stop::{Meter, Stopped};
 
-/// Items sorted at once: well below a millisecond's comparisons.
+/// The number of items that are sorted without a check. Sorting them takes well below a millisecond.
 const RUN: usize = 4096;
-/// Steps of comparing and moving items whose keys are looked up, as those of points are.
+/// Steps to compare and move items whose keys are looked up in another list, as for points.
 pub(crate) const COMPARISON: u64 = 6;
 
-/// The estimated steps of sorting so many items, where a comparison and the moves that it causes
-/// take `comparison` steps. The broad phase asks for it.
+/// The estimated steps to sort `items` items, if a comparison and the moves that it causes take
+/// `comparison` steps. The broad phase uses this estimate.
 #[cfg(any(test, feature = "server"))]
 pub(crate) fn steps(items: usize, comparison: u64) -> u64 {
     let merges = items.div_ceil(RUN).next_power_of_two().ilog2();
     comparison * items as u64 * u64::from(RUN.ilog2() + merges)
 }
 
-/// Sorts `items` by an order in which no two different items are equal. A comparison and the
-/// moves that it causes take `comparison` steps.
+/// Sorts `items` by `order`, in which no two different items may be equal. `comparison` is the
+/// number of steps of one comparison and the moves that it causes.
+///
+/// # Errors
+/// The computation was stopped. The items are then in no particular order.
 pub(crate) fn sort<T: Copy>(
     items: &mut Vec<T>,
     meter: &Meter<'_>,
@@ -67,8 +70,8 @@ mod tests {
     use crate::contact::stop::{STEPS_BETWEEN_LOOKS, Stop};
     use crate::workload::Random;
 
-    /// Catches a run that is left out, merged twice or merged in the wrong order, at lengths
-    /// around every boundary between runs, and a sort that is never interrupted.
+    /// Catches a run that is left out, merged twice or merged in the wrong order, and a sort that is
+    /// never interrupted. The lengths are around the boundaries between runs.
     #[test]
     fn long_lists_are_sorted_and_the_sort_can_be_stopped() {
         let mut random = Random::new(1);

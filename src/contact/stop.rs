@@ -1,13 +1,13 @@
-//! A way to stop a long computation, and a meter of what it cost.
+//! A flag that stops a long computation, and a count of the work that it has done.
 //!
-//! A computation takes a [`Stop`] and calls [`Stop::spend`] with the number of elementary
-//! steps that it has done or is about to do. The call adds the steps to the meter and fails
-//! once somebody has asked the computation to stop. A step is about one nanosecond of plain
-//! arithmetic on the reference machine; an exact predicate counts as many steps as it was
-//! measured to take. A loop gathers small steps and spends them together, at most
-//! [`STEPS_BETWEEN_LOOKS`] at a time, so that the flag is looked at about once a millisecond.
+//! A computation takes a [`Stop`] and calls [`Stop::spend`] with the number of elementary steps
+//! that it has done or is about to do. The call adds the steps to the count, and fails once the
+//! computation has been asked to stop. A step is about one nanosecond of plain arithmetic on the
+//! reference machine; an exact predicate counts as the number of steps that it was measured to
+//! take. A loop gathers small steps and spends them together, at most [`STEPS_BETWEEN_LOOKS`] at
+//! a time, so that the flag is checked about once per millisecond.
 //!
-//! The geometry stays pure: the meter and the flag never change an answer, they only end it.
+//! The count and the flag never change a result. They only end the computation early.
 
 use std::{
     cell::Cell,
@@ -15,14 +15,14 @@ use std::{
     sync::atomic::{AtomicBool, AtomicU64, Ordering},
 };
 
-/// The most steps that a computation does between two looks at its flag: about 1 ms.
+/// The largest number of steps between two checks of the flag: about 1 ms.
 pub const STEPS_BETWEEN_LOOKS: u64 = 1 << 20;
 
-/// Steps that a [`Meter`] gathers before it spends them: a share of [`STEPS_BETWEEN_LOOKS`] that
-/// leaves room for the last loop's own steps.
+/// The number of steps that a [`Meter`] gathers before it spends them. It is a share of
+/// [`STEPS_BETWEEN_LOOKS`], so that the steps of one more call of [`Meter::spend`] still fit.
 const GATHERED: u64 = STEPS_BETWEEN_LOOKS / 16;
 
-/// Asks a computation to stop, and counts its steps. Threads of one computation share it.
+/// Asks a computation to stop, and counts its steps. The threads of one computation share it.
 #[derive(Debug, Default)]
 pub struct Stop {
     stopped: AtomicBool,
@@ -63,12 +63,13 @@ impl Stop {
         if self.is_stopped() { Err(Stopped) } else { Ok(()) }
     }
 
-    /// The steps that were counted so far.
+    /// The number of steps counted so far.
     pub fn steps(&self) -> u64 {
         self.steps.load(Ordering::Relaxed)
     }
 
-    /// The most steps that were counted at once: the longest time between two looks at the flag.
+    /// The largest number of steps in one call of [`Stop::spend`]: the longest time between two
+    /// checks of the flag.
     pub fn largest_between_looks(&self) -> u64 {
         self.largest.load(Ordering::Relaxed)
     }
@@ -76,8 +77,8 @@ impl Stop {
 
 /// Gathers the small steps of one thread, so that a tight loop touches no shared memory.
 ///
-/// The meter spends the gathered steps when they are worth a look at the flag, and the rest
-/// when it is dropped.
+/// The meter spends the gathered steps whenever there are enough of them, and spends the rest when
+/// it is dropped.
 pub(crate) struct Meter<'a> {
     stop: &'a Stop,
     gathered: Cell<u64>,
@@ -88,13 +89,13 @@ impl<'a> Meter<'a> {
         Self { stop, gathered: Cell::new(0) }
     }
 
-    /// Counts steps without a look at the flag.
+    /// Counts steps without checking the flag.
     #[inline]
     pub(crate) fn count(&self, steps: u64) {
         self.gathered.set(self.gathered.get() + steps);
     }
 
-    /// Counts steps, and looks at the flag where enough were gathered.
+    /// Counts steps, and checks the flag if enough steps were gathered.
     ///
     /// # Errors
     /// The computation was asked to stop.
@@ -104,7 +105,7 @@ impl<'a> Meter<'a> {
         if self.gathered.get() < GATHERED { Ok(()) } else { self.look() }
     }
 
-    /// Spends the gathered steps.
+    /// Spends the gathered steps and checks the flag.
     #[cold]
     fn look(&self) -> Result<(), Stopped> {
         self.stop.spend(self.gathered.take())
@@ -113,7 +114,7 @@ impl<'a> Meter<'a> {
 
 impl Drop for Meter<'_> {
     fn drop(&mut self) {
-        // The computation has ended already: only the count is of interest.
+        // The computation has already ended, so only the count matters.
         let _ = self.look();
     }
 }
@@ -122,7 +123,7 @@ impl Drop for Meter<'_> {
 mod tests {
     use super::*;
 
-    /// Catches a flag that is not looked at, and steps that are lost once it is set.
+    /// Catches a flag that is not checked, and steps that are lost once the flag is set.
     #[test]
     fn steps_are_counted_and_a_stop_ends_them() {
         let stop = Stop::default();
@@ -133,8 +134,8 @@ mod tests {
         assert_eq!((stop.steps(), stop.largest_between_looks()), (15, 7));
     }
 
-    /// Catches steps that a meter keeps for itself, a look for every step, and a stop that the
-    /// meter does not see.
+    /// Catches steps that a meter never passes on, a check of the flag for every step, and a stop
+    /// that the meter does not see.
     #[test]
     fn a_meter_gathers_steps_and_sees_the_stop() {
         let stop = Stop::default();

@@ -1,8 +1,12 @@
-//! The support mapping of a hull: its vertex farthest along a direction.
+//! The support mapping of a hull: the vertex that is farthest along a direction.
 //!
-//! The only home of SIMD and of `unsafe`. Every version computes
-//! `(n.x v.x + n.y v.y) + n.z v.z` without fused operations and takes the
-//! lowest index of equals, so that all give the same vertex, to the bit.
+//! A hull of up to 256 vertices scans all of them; the coordinates are stored by column so that
+//! SIMD instructions evaluate up to eight vertices at once. A larger hull has a map of directions
+//! ([`SupportMap`]), which leaves a few candidates to compare.
+//!
+//! Every version computes `(n.x v.x + n.y v.y) + n.z v.z` without fused multiply-add, and takes the
+//! lowest index if several vertices tie. So all versions return the same vertex on every machine.
+//! The function [`scalar`] is the definition. This module is the only one with SIMD and `unsafe`.
 
 #![allow(unsafe_code)]
 
@@ -21,13 +25,14 @@ pub(crate) use columns::Columns;
 pub(crate) use map::SupportMap;
 
 impl ConvexHull {
-    /// The vertex with the largest `n . v`, the lowest index of equals.
+    /// The vertex `v` with the largest `n . v`; the lowest index if several tie. `n` is in the hull
+    /// frame and need not be a unit vector.
     #[inline]
     pub(crate) fn support(&self, n: DVec3) -> u32 {
         self.counted_support(n, &Count::default())
     }
 
-    /// [`ConvexHull::support`], which counts its steps.
+    /// [`ConvexHull::support`], and counts its steps in `count`.
     #[inline]
     pub(crate) fn counted_support(&self, n: DVec3, count: &Count) -> u32 {
         if let Some(map) = &self.support_map {
@@ -37,7 +42,8 @@ impl ConvexHull {
         farthest(&self.columns, n)
     }
 
-    /// A function of its own, so that small hulls are not slowed down by its code.
+    /// The support mapping of a large hull. It is a separate function so that its code does not slow
+    /// down small hulls.
     #[inline(never)]
     fn mapped(&self, map: &SupportMap, n: DVec3, count: &Count) -> u32 {
         count.add(MAPPED_CALL);
@@ -48,42 +54,42 @@ impl ConvexHull {
     }
 }
 
-/// By the widest instructions there are.
+/// The vertex farthest along `n`, by a scan with the widest instructions that the CPU has.
 #[inline]
 fn farthest(columns: &Columns, n: DVec3) -> u32 {
     #[cfg(target_arch = "x86_64")]
     {
         if is_x86_feature_detected!("avx512f") {
-            // SAFETY: the instructions are there.
+            // SAFETY: the check above shows that the CPU has these instructions.
             return unsafe { x86::avx512(columns, n.x, n.y, n.z) };
         }
         if is_x86_feature_detected!("avx2") {
-            // SAFETY: the instructions are there.
+            // SAFETY: the check above shows that the CPU has these instructions.
             return unsafe { x86::avx2(columns, n.x, n.y, n.z) };
         }
     }
     scalar(columns, n)
 }
 
-/// The vertex of `a` farthest along `n` and that of `b` farthest along its
-/// opposite.
+/// The vertex of `a` that is farthest along `n`, and the vertex of `b` that is farthest along `-n`.
 #[inline]
 pub(crate) fn farthest_both(a: &Columns, b: &Columns, n: DVec3) -> (u32, u32) {
     #[cfg(target_arch = "x86_64")]
     {
         if is_x86_feature_detected!("avx512f") {
-            // SAFETY: the instructions are there.
+            // SAFETY: the check above shows that the CPU has these instructions.
             return unsafe { x86::avx512_both(a, b, n.x, n.y, n.z) };
         }
         if is_x86_feature_detected!("avx2") {
-            // SAFETY: the instructions are there.
+            // SAFETY: the check above shows that the CPU has these instructions.
             return unsafe { x86::avx2_both(a, b, n.x, n.y, n.z) };
         }
     }
     (scalar(a, n), scalar(b, -n))
 }
 
-/// The instructions that the support mapping uses on this machine.
+/// The name of the instruction set that the support mapping uses on this machine: "avx512", "avx2"
+/// or "scalar".
 pub fn instruction_set() -> &'static str {
     #[cfg(target_arch = "x86_64")]
     {
@@ -97,7 +103,7 @@ pub fn instruction_set() -> &'static str {
     "scalar"
 }
 
-/// The definition; what every other version must give to the bit.
+/// The definition of the support mapping. Every other version must return the same vertex.
 fn scalar(columns: &Columns, n: DVec3) -> u32 {
     let (mut best, mut largest) = (0, f64::NEG_INFINITY);
     for (g, group) in columns.groups().iter().enumerate() {
@@ -115,8 +121,8 @@ fn scalar(columns: &Columns, n: DVec3) -> u32 {
 mod tests {
     use super::*;
 
-    /// A version that breaks ties otherwise, fuses operations or reads past the
-    /// end would differ here: integer coordinates tie all the time.
+    /// Catches a version that breaks ties in another way, fuses operations or reads past the end.
+    /// Integer coordinates make ties frequent.
     #[test]
     fn every_version_gives_the_same_vertex() {
         let mut state = 1_u64;
@@ -138,15 +144,15 @@ mod tests {
                 #[cfg(target_arch = "x86_64")]
                 {
                     if is_x86_feature_detected!("avx512f") {
-                        // SAFETY: the instructions are there.
+                        // SAFETY: the check above shows that the CPU has these instructions.
                         assert_eq!(unsafe { x86::avx512(&columns, n.x, n.y, n.z) }, expected);
-                        // SAFETY: the instructions are there.
+                        // SAFETY: the check above shows that the CPU has these instructions.
                         assert_eq!(unsafe { x86::avx512_both(&before, &columns, n.x, n.y, n.z) }, both);
                     }
                     if is_x86_feature_detected!("avx2") {
-                        // SAFETY: the instructions are there.
+                        // SAFETY: the check above shows that the CPU has these instructions.
                         assert_eq!(unsafe { x86::avx2(&columns, n.x, n.y, n.z) }, expected);
-                        // SAFETY: the instructions are there.
+                        // SAFETY: the check above shows that the CPU has these instructions.
                         assert_eq!(unsafe { x86::avx2_both(&before, &columns, n.x, n.y, n.z) }, both);
                     }
                 }

@@ -1,4 +1,4 @@
-//! The operator's port: `/metrics`, `/livez`, `/readyz`, in plain HTTP.
+//! The operator's port: `/metrics`, `/livez` and `/readyz` in plain HTTP.
 
 use std::{convert::Infallible, sync::Arc, time::Duration};
 
@@ -13,19 +13,19 @@ use crate::{
     log_limit::Repeated,
 };
 
-/// Connections at a time: scrapers and probes are few. Addresses share them as callers share
+/// Connections at a time; scrapers and probes are few. Addresses share them as callers share
 /// memory, so that no address shuts out the others.
 const CONNECTIONS: u64 = 64;
 
-/// In all, of a connection: each is for some requests.
+/// The lifetime of a connection, which is enough for several requests.
 const CONNECTION_TIME: Duration = Duration::from_secs(60);
 
-/// A peer that does not say what it wants is gone.
+/// A peer that has not sent its request's header after this time is disconnected.
 const HEADER_TIME: Duration = Duration::from_secs(5);
 
 static ACCEPT_FAILED: Repeated = Repeated::new();
 
-/// Answers on `listener` until dropped.
+/// Answers requests on `listener` until the future is dropped.
 pub async fn serve_admin(listener: TcpListener, app: Arc<App>) {
     let slots = Slots::new(CONNECTIONS);
     loop {
@@ -40,7 +40,7 @@ pub async fn serve_admin(listener: TcpListener, app: Arc<App>) {
             }
         };
         let caller = app.callers().get(CallerKey::of_address(peer.ip()));
-        // Past the limit a peer finds its connection closed.
+        // Beyond the limit the connection is closed.
         let Some(slot) = slots.take(&caller) else { continue };
         let app = app.clone();
         tokio::spawn(async move {

@@ -1,4 +1,4 @@
-//! A batch of pairs, and the answer to each of them.
+//! A batch of pairs, and the computation of each pair's answer.
 
 mod chunks;
 mod cost;
@@ -20,27 +20,27 @@ use crate::{
     store::{Hulls, Lease},
 };
 
-/// A batch, ready to compute: checked, its hulls at hand.
+/// A batch that is ready to be computed: checked, with its hulls.
 #[derive(Debug)]
 pub struct Batch {
     hulls: Arc<Hulls>,
     setting: Arc<Setting>,
     poses: Arc<Poses>,
-    /// Pairs in place of the setting's, of which those that are SEPARATED are left out of
-    /// the answer.
+    /// Pairs that replace the setting's pairs. The answer leaves out those that are SEPARATED.
     candidates: Option<Vec<u32>>,
     /// Empty, or 6 per pair: registered indices of vertices, unchecked.
     warm_starts: Vec<u32>,
-    /// The outputs that are kept: all that are sent, and perhaps bases.
+    /// The outputs that are kept: all that are sent, and the bases if a stream keeps them.
     kept: Outputs,
-    /// Given back with the answer.
+    /// The lease on the hulls, released with the answer.
     lease: Option<Lease>,
-    /// The memory of the scene; none where no call is answered, or where the call keeps it.
+    /// The memory of the scene. None if the batch belongs to no call, or if the call keeps the
+    /// memory.
     _memory: Option<Permit>,
 }
 
 impl Batch {
-    /// A scene with its hulls at hand, and the indices of its bodies that are unusable.
+    /// A batch of a scene with its hulls, and the indices of the scene's unusable bodies.
     pub fn new(scene: Scene, hulls: Hulls) -> (Self, Vec<u32>) {
         let Scene { setting, poses, warm_starts, invalid_bodies, memory, .. } = scene;
         let kept = setting.outputs;
@@ -50,7 +50,8 @@ impl Batch {
         (batch, invalid_bodies)
     }
 
-    /// Pairs that may meet, 2 indices each: the answer has those that are not SEPARATED.
+    /// A batch of pairs that may meet, 2 indices per pair. Its answer contains those that are not
+    /// SEPARATED.
     pub fn of_candidates(
         hulls: Arc<Hulls>,
         setting: Arc<Setting>,
@@ -74,17 +75,17 @@ impl Batch {
         self.candidates.as_deref().unwrap_or(&self.setting.pairs)
     }
 
-    /// How many pairs there are.
+    /// The number of pairs.
     pub fn pair_count(&self) -> usize {
         self.pairs().len() / 2
     }
 
-    /// Its hulls are in use until it is answered.
+    /// Keeps the hulls leased until the batch is answered.
     pub fn lease(&mut self, lease: Lease) {
         self.lease = Some(lease);
     }
 
-    /// Its columns have the bases, whether they are sent or not.
+    /// Adds the bases to the columns, even if they are not sent.
     pub fn keep_bases(&mut self) {
         self.kept.bases = true;
     }
@@ -129,7 +130,8 @@ impl Batch {
         Some(Body::new(hull?, pose?))
     }
 
-    /// An earlier basis; one that names no vertices of these hulls is none.
+    /// The pair's basis from an earlier answer; none if it contains indices that are not registered
+    /// for these hulls.
     fn warm_start(&self, pair: usize, a: &Body<'_>, b: &Body<'_>) -> Option<Basis> {
         let (bases, _) = self.warm_starts.as_chunks::<6>();
         let &[a0, a1, a2, b0, b1, b2] = bases.get(pair)?;

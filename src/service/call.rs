@@ -1,4 +1,4 @@
-//! A call under way: its name, its log span, and how it ended.
+//! A call in progress: its name, its log span, and its end.
 
 use std::{
     sync::{
@@ -22,7 +22,7 @@ use crate::{
     trace,
 };
 
-/// The methods of the contract, as metrics and logs name them.
+/// The methods of the contract.
 const METHODS: [&str; 14] = [
     "/hullcast.v1.ContactService/QueryContacts",
     "/hullcast.v1.ContactService/FindContacts",
@@ -40,40 +40,40 @@ const METHODS: [&str; 14] = [
     "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo",
 ];
 
-/// Where a client or a proxy says which call this is.
+/// The header in which a client or a proxy names the call.
 const REQUEST_ID: &str = "x-request-id";
 
-/// Longer ones are not ours to log.
+/// Longer ids are not logged.
 const REQUEST_ID_BYTES: usize = 64;
 
-/// The method without the slash before it; `other` for what is not of the contract, since
-/// anybody can send anything.
+/// The method's name for metrics and logs, without the leading slash. Any other path is `other`,
+/// because clients can send arbitrary paths.
 pub(super) fn method(path: &str) -> &'static str {
     let known = METHODS.into_iter().find(|known| *known == path);
     known.and_then(|known| known.strip_prefix('/')).unwrap_or("other")
 }
 
-/// Whether a call of it may last as long as its client likes.
+/// Whether a call of the method may last as long as its client wants.
 pub(super) fn is_long_lived(method: &str) -> bool {
     is_watch(method) || method.ends_with("/StreamContacts")
 }
 
-/// Whether a call of it is a stream that tools keep open.
+/// Whether the method is a stream that tools keep open.
 pub(super) fn is_watch(method: &str) -> bool {
     method.ends_with("/Watch") || is_reflection(method)
 }
 
-/// Whether its request is one message.
+/// Whether the method's request is a single message.
 pub(super) fn takes_one_message(method: &str) -> bool {
     !method.ends_with("/StreamContacts") && !is_reflection(method)
 }
 
-/// Whether it is a health check.
+/// Whether the method is a health check.
 pub(super) fn is_health(method: &str) -> bool {
     method.starts_with("grpc.health.")
 }
 
-/// Whether its messages are no more than a name.
+/// Whether the method's messages contain little more than a name.
 pub(super) fn names_a_service(method: &str) -> bool {
     is_health(method) || is_reflection(method)
 }
@@ -82,8 +82,9 @@ fn is_reflection(method: &str) -> bool {
     method.starts_with("grpc.reflection.")
 }
 
-/// A span that names the call in every line logged for it: the client's id, or one of ours,
-/// and the trace that it is in: `traced`'s, else the one that a W3C `traceparent` names.
+/// A span that names the call in every line logged for it. It has an id, given by the client or by
+/// this server, and the id of the call's trace, taken from `traced` or else from a W3C
+/// `traceparent` header.
 pub(super) fn span(method: &'static str, headers: &HeaderMap, traced: &Span) -> Span {
     static NEXT: AtomicU64 = AtomicU64::new(1);
     let given = headers.get(REQUEST_ID).and_then(|value| value.to_str().ok());
@@ -104,7 +105,7 @@ pub(super) fn span(method: &'static str, headers: &HeaderMap, traced: &Span) -> 
     span
 }
 
-/// Of `version-trace-parent-flags`.
+/// The trace id in `version-trace-parent-flags`.
 fn trace_id(traceparent: &str) -> Option<&str> {
     let mut parts = traceparent.split('-');
     let (version, trace, parent) = (parts.next()?, parts.next()?, parts.next()?);
@@ -115,7 +116,7 @@ fn trace_id(traceparent: &str) -> Option<&str> {
     (good && trace.bytes().any(|b| b != b'0')).then_some(trace)
 }
 
-/// What a call takes for as long as it lasts.
+/// The resources that a call holds until it ends.
 #[derive(Debug, Default)]
 pub(super) struct Taken {
     _memory: Option<Permit>,
@@ -123,15 +124,15 @@ pub(super) struct Taken {
 }
 
 impl Taken {
-    /// `memory` is the fixed cost of a call: its headers, and what the transport keeps of it.
-    /// There is none for a health check that its connection may have without asking the
-    /// budget. `counted` is of the calls that a connection may have a bounded number of.
+    /// `memory` is the fixed cost of a call: its headers, and the state that the transport keeps.
+    /// It is none for a health check that its connection may have without asking the budget.
+    /// `counted` is for calls of which a connection may have only a limited number.
     pub(super) fn new(memory: Option<Permit>, counted: Option<Counted>) -> Self {
         Self { _memory: memory, _counted: counted }
     }
 }
 
-/// A call under way. It ends when it is dropped: it is counted and logged, and its work stops.
+/// A call in progress. When it is dropped it is counted and logged, and its work stops.
 #[derive(Debug)]
 pub(super) struct Call {
     app: Arc<App>,
@@ -141,13 +142,13 @@ pub(super) struct Call {
     started: Instant,
     code: Code,
     stop: Arc<Stop>,
-    /// What the call takes of its connection and of the memory budget.
+    /// The resources that the call holds of its connection and of the memory budget.
     _taken: Taken,
     _in_flight: Held,
 }
 
 impl Call {
-    /// A call whose work `stop` stops.
+    /// A call; dropping it stops the work of `stop`.
     pub(super) fn new(
         app: Arc<App>,
         method: &'static str,
@@ -163,7 +164,8 @@ impl Call {
             traced,
             method,
             started: Instant::now(),
-            // Until it ends otherwise: a call is dropped early because its client left.
+            // The code if nothing else is recorded: a call that is dropped early was left by its
+            // client.
             code: Code::Cancelled,
             stop,
             _taken: taken,
@@ -175,17 +177,17 @@ impl Call {
         &self.app
     }
 
-    /// The spans of the call, entered: lines that are logged while they live name the call.
+    /// Enters the call's spans: lines that are logged while the guards live name the call.
     pub(super) fn enter(&self) -> [Entered<'_>; 2] {
         [self.traced.enter(), self.span.enter()]
     }
 
-    /// How the call ends, as far as is known.
+    /// Records the code with which the call ends, as far as it is known.
     pub(super) fn ended_with(&mut self, code: Code) {
         self.code = code;
     }
 
-    /// The trailers of an answer that ends in an error after it has begun.
+    /// The trailers of an answer that has begun and ends with an error.
     pub(super) fn ended_early(&mut self, status: &Status) -> Result<Frame<Bytes>, Status> {
         self.code = status.code();
         let mut trailers = HeaderMap::new();
@@ -206,7 +208,7 @@ impl Drop for Call {
     }
 }
 
-/// As the protocol writes it.
+/// The code's name in the gRPC protocol.
 fn name(code: Code) -> &'static str {
     match code {
         Code::Ok => "OK",
@@ -235,7 +237,7 @@ pub(super) type BoxError = Box<dyn std::error::Error + Send + Sync>;
 mod tests {
     use super::*;
 
-    /// Catches a label that anybody can invent: each would be a time series for ever.
+    /// Catches a metric label that clients can invent: each would be a time series for ever.
     #[test]
     fn methods_that_are_not_there_have_one_name() {
         assert_eq!(method("/hullcast.v1.HullService/GetHulls"), "hullcast.v1.HullService/GetHulls");
@@ -245,7 +247,7 @@ mod tests {
         assert!(is_long_lived(method(METHODS[2])) && !is_long_lived(method(METHODS[0])));
     }
 
-    /// Catches a malformed context that is logged as a trace.
+    /// Catches a malformed trace context whose id is logged.
     #[test]
     fn trace_ids_are_of_well_formed_contexts() {
         let trace = "4bf92f3577b34da6a3ce929d0e0e4736";

@@ -1,4 +1,4 @@
-//! `ContactService`: batches of pairs in, contact manifolds out.
+//! `ContactService`: receives batches of pairs and returns contact manifolds.
 
 use std::{future::Future, sync::Arc, time::Duration};
 
@@ -34,7 +34,7 @@ use crate::{
     store::{HullId, Hulls, Lease, LeaseError},
 };
 
-/// When to ask again if other requests use too many hulls: about the time that they take.
+/// When to retry if other requests hold too many hulls: about the time for which they hold them.
 const HULLS_RETRY: Duration = Duration::from_millis(100);
 
 pub(super) fn service(app: Arc<App>) -> ContactServiceServer<impl ContactService> {
@@ -76,15 +76,15 @@ impl ContactService for Contacts {
 
     type StreamContactsStream = BoxStream<'static, Result<QueryContactsResponse, Status>>;
 
-    /// One message at a time, in order: a batch uses all threads by itself, and messages that
-    /// are not read yet stay with the client.
+    /// Answers one message at a time, in order. A batch uses all threads by itself, and messages
+    /// that are not read yet stay with the client.
     async fn stream_contacts(
         &self,
         request: Request<Streaming<Encoded<QueryContactsRequest>>>,
     ) -> Result<Response<Self::StreamContactsStream>, Status> {
         let deadline = request.extensions().get::<Deadline>().copied();
         let closing = request.extensions().get::<Closing>().cloned();
-        // Handlers without a connection, as in fuzzing, have none that closes.
+        // Handlers without a connection, as in fuzzing, never close.
         let closing = closing.unwrap_or_else(|| Closing(watch::channel(false).1));
         let context = CallContext::of(&request);
         let steps = Steps::new(self.app.clone(), context, request.into_inner(), closing);
@@ -96,7 +96,7 @@ impl ContactService for Contacts {
     }
 }
 
-/// A part of a stream's answer, if it comes before the call's deadline.
+/// A part of a stream's answer, or an error if it does not come before the call's deadline.
 async fn within<T, E: Into<Status>>(
     deadline: Option<Deadline>,
     part: impl Future<Output = Result<T, E>>,
@@ -110,7 +110,7 @@ async fn within<T, E: Into<Status>>(
     }
 }
 
-/// The scene of a request that says everything itself.
+/// The scene of a request that inherits nothing.
 async fn scene(
     app: &Arc<App>,
     context: &CallContext,
@@ -123,7 +123,7 @@ async fn scene(
     decoded(app, context, request, check).await
 }
 
-/// The answer, and its bases where they are kept.
+/// The answer to a scene, and its bases if `keep_bases` is set.
 pub(super) async fn answer(
     app: &App,
     context: &CallContext,
@@ -168,8 +168,8 @@ pub(super) async fn answer(
     Ok((app.counted_answer(context, response, memory)?, bases))
 }
 
-/// The scene with its hulls at hand, the indices of those that are missing, and of the
-/// bodies that are unusable.
+/// The batch of a scene with its hulls, the indices of missing hulls, and the indices of unusable
+/// bodies.
 async fn assemble(
     app: &App,
     scene: FreedHere<Scene>,
@@ -182,12 +182,12 @@ async fn assemble(
     Ok((batch, missing, invalid_bodies))
 }
 
-/// The indices of those that are.
+/// The indices of missing hulls.
 pub(super) fn missing(hulls: &Hulls) -> Vec<u32> {
     hulls.iter().enumerate().filter(|(_, hull)| hull.is_err()).map(|(i, _)| i as u32).collect()
 }
 
-/// The hulls, in the order of their ids, cached until the lease is dropped.
+/// Leases the hulls. They are in the order of `ids`, and stay cached until the lease is dropped.
 pub(super) async fn fetch(app: &App, ids: &[HullId], job: &Job) -> Result<(Hulls, Lease), ServiceError> {
     app.registry().lease(ids, job).await.map_err(|why| match why {
         LeaseError::TooLarge => {

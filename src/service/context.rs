@@ -1,8 +1,7 @@
-//! What a handler knows of the call that it answers: who calls, when to stop, and the memory
-//! that the call holds.
+//! The context of a call: its caller, the flag that stops its work, and the memory that it holds.
 //!
-//! The outermost layer makes one [`CallContext`] per call and puts it into the request's
-//! extensions. A handler takes it from there with [`CallContext::of`].
+//! The outermost layer creates one [`CallContext`] per call and stores it in the request's
+//! extensions. A handler gets it with [`CallContext::of`].
 
 use std::{
     sync::{Arc, Mutex},
@@ -17,27 +16,27 @@ use crate::{
     metrics::{Metrics, Shed},
 };
 
-/// What belongs to one call. Clones belong to the same call.
+/// The state of one call. Clones belong to the same call.
 #[derive(Clone, Debug)]
 pub(super) struct CallContext {
-    /// Whose turn it is on the compute threads, and the flag that stops the call's work. The
-    /// flag is set when the call ends for any reason.
+    /// The caller whose turn the work uses on the compute threads, and the flag that stops the
+    /// work. The flag is set when the call ends for any reason.
     pub(super) job: Job,
     memory: Arc<MemoryBudget>,
-    /// The memory of the messages that have arrived and are not decoded yet.
+    /// The memory of messages that have arrived but are not decoded yet.
     arrived: Arc<Mutex<Option<Permit>>>,
-    /// The memory of the answer that the handler has computed and the transport has not taken.
+    /// The memory of an answer that the handler has computed but the transport has not taken.
     answer: Arc<Mutex<Option<Permit>>>,
 }
 
 impl CallContext {
-    /// The context of a call by `caller` whose memory counts in `memory`.
+    /// The context of a call by `caller` whose memory is charged to `memory`.
     pub(super) fn new(caller: Caller, memory: Arc<MemoryBudget>) -> Self {
         Self { job: Job::new(caller), memory, arrived: Arc::default(), answer: Arc::default() }
     }
 
-    /// The context that the outermost layer gave the request. Handlers without that layer, as
-    /// in fuzzing, get one without a bound.
+    /// The context that the outermost layer gave the request. Handlers without that layer, as in
+    /// fuzzing, get one without limits.
     pub(super) fn of<T>(request: &tonic::Request<T>) -> Self {
         let given = request.extensions().get::<Self>().cloned();
         given.unwrap_or_else(|| Self::new(Caller::alone(), MemoryBudget::unlimited()))
@@ -46,15 +45,15 @@ impl CallContext {
     /// Takes memory for a part of the call.
     ///
     /// # Errors
-    /// TOO_BUSY where there is no room now, MEMORY_TOO_LARGE where there never is.
+    /// TOO_BUSY if there is no room now, MEMORY_TOO_LARGE if there never is.
     pub(super) fn take(&self, app: &App, part: Part, bytes: usize) -> Result<Permit, ServiceError> {
         self.memory.take(&self.job.caller, part, bytes as u64).map_err(|why| no_memory(app.metrics(), why))
     }
 
-    /// Takes memory for bytes of a message that are arriving.
+    /// Takes memory for arriving bytes of a message.
     ///
     /// # Errors
-    /// TOO_BUSY where there is no room now, MEMORY_TOO_LARGE where there never is.
+    /// TOO_BUSY if there is no room now, MEMORY_TOO_LARGE if there never is.
     pub(super) fn arrive(&self, app: &App, bytes: usize) -> Result<(), ServiceError> {
         let mut arrived = locked(&self.arrived);
         let taken = if let Some(permit) = &mut *arrived {
@@ -66,18 +65,18 @@ impl CallContext {
         taken.map_err(|why| no_memory(app.metrics(), why))
     }
 
-    /// The messages that have arrived are decoded: their bytes are free.
+    /// Releases the memory of the arrived messages, which are decoded now.
     pub(super) fn decoded(&self) {
         drop(locked(&self.arrived).take());
     }
 
-    /// Takes memory for what a stream keeps between messages; none where there is no room, with
-    /// which a stream can go on.
+    /// Takes memory for the state that a stream keeps between messages; none if there is no room. A
+    /// stream can go on without it.
     pub(super) fn keep(&self, bytes: usize) -> Option<Permit> {
         self.memory.take(&self.job.caller, Part::StreamState, bytes as u64).ok()
     }
 
-    /// Keeps the permit of an answer until the transport has taken the answer over.
+    /// Keeps the permit of an answer until the transport has taken over the answer.
     pub(super) fn hold_answer(&self, permit: Permit) {
         *locked(&self.answer) = Some(permit);
     }
@@ -87,7 +86,7 @@ impl CallContext {
         locked(&self.answer).take()
     }
 
-    /// The bytes of the answer that is about to be sent, as far as its memory was taken.
+    /// The bytes taken for the answer that is about to be sent.
     pub(super) fn answer_bytes(&self) -> usize {
         locked(&self.answer).as_ref().map_or(0, |permit| permit.bytes() as usize)
     }
@@ -101,7 +100,7 @@ pub(super) fn grow(app: &App, permit: &mut Permit, more: usize) -> Result<(), Se
     permit.grow(more as u64).map_err(|why| no_memory(app.metrics(), why))
 }
 
-/// The error of a call that found no memory.
+/// The error of a call for which there is no memory.
 pub(super) fn no_memory(metrics: &Metrics, why: NoMemory) -> ServiceError {
     match why.refusal {
         Refusal::Busy => {
@@ -114,5 +113,5 @@ pub(super) fn no_memory(metrics: &Metrics, why: NoMemory) -> ServiceError {
     }
 }
 
-/// A large request takes some 100 ms to arrive and to be answered.
+/// A large request takes about 100 ms to arrive and to be answered.
 const MEMORY_RETRY: Duration = Duration::from_millis(200);

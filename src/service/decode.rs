@@ -1,5 +1,5 @@
-//! Requests are decoded here: the memory that they take comes from the call's budget, and a
-//! large request does not keep the thread that serves it.
+//! Decodes requests. The memory comes from the call's budget, and a large request does not delay
+//! the other calls of its thread.
 
 use std::sync::Arc;
 
@@ -16,8 +16,8 @@ use crate::{
     proto::Encoded,
 };
 
-/// Decodes a request, then checks it with `check`. The check receives the memory that was
-/// taken for the request from the call's budget, and does its work on the same thread.
+/// Decodes a request, then checks it with `check`. The check receives the memory that was taken for
+/// the request from the call's budget, and runs on the same thread.
 ///
 /// # Errors
 /// Those of [`Request::read`] and of `check`.

@@ -1,50 +1,50 @@
-//! Why a call is refused, in the service's own words; `wire` turns it into a status.
+//! The service's own errors. `wire` converts them to gRPC statuses.
 
 use std::{fmt, time::Duration};
 
 use crate::contact::Stopped;
 
-/// Whose fault it is and whether trying again helps.
+/// Error class: who caused the error, and whether a retry can succeed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// The request is malformed as a whole.
+    /// The request is malformed or over a limit; a retry fails too.
     Invalid,
-    /// Trying again later helps.
+    /// A later retry can succeed.
     Unavailable {
-        /// When.
+        /// The time to wait before the retry.
         retry_after: Duration,
     },
     /// A quota is used up.
     Exhausted,
-    /// Nobody knows who calls.
+    /// The call has no known token.
     Unauthenticated,
-    /// The caller is known and may not.
+    /// The caller is known but may not make this call.
     Forbidden,
     /// The caller's deadline passed.
     DeadlineExceeded,
-    /// A bug of the server's.
+    /// A bug in the server.
     Internal,
 }
 
-/// Where in the request the fault is.
+/// The place of the fault in the request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Place {
-    /// As the contract names it; a dotted path for nested messages.
+    /// The field's name in the contract; a dotted path for nested messages.
     pub field: &'static str,
-    /// The element, where one is at fault.
+    /// The index of the element at fault, if one is.
     pub index: Option<usize>,
 }
 
 /// Why a call is refused.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ServiceError {
-    /// Whose fault.
+    /// The error class.
     pub kind: Kind,
-    /// Stable, upper case: `ErrorInfo.reason`.
+    /// The reason, stable and in upper case: `ErrorInfo.reason`.
     pub reason: &'static str,
-    /// For people.
+    /// The message for people.
     pub message: String,
-    /// Where in the request.
+    /// The place of the fault in the request, if there is one.
     pub place: Option<Place>,
 }
 
@@ -68,7 +68,7 @@ impl ServiceError {
         Self::new(Kind::Invalid, reason, message.into(), Some(Place { field, index: Some(index) }))
     }
 
-    /// The request is refused for its size or form, without one field at fault.
+    /// The request is refused for its size or form, and no single field is at fault.
     pub fn refused(reason: &'static str, message: impl Into<String>) -> Self {
         Self::new(Kind::Invalid, reason, message.into(), None)
     }
@@ -78,12 +78,12 @@ impl ServiceError {
         Self::new(Kind::Unavailable { retry_after }, reason, message.into(), None)
     }
 
-    /// The call has no token that is known.
+    /// The call has no known token.
     pub fn unauthenticated(reason: &'static str, message: impl Into<String>) -> Self {
         Self::new(Kind::Unauthenticated, reason, message.into(), None)
     }
 
-    /// The caller is known and may not do this.
+    /// The caller is known but may not make this call.
     pub fn forbidden(reason: &'static str, message: impl Into<String>) -> Self {
         Self::new(Kind::Forbidden, reason, message.into(), None)
     }
@@ -103,18 +103,18 @@ impl ServiceError {
         Self::new(Kind::DeadlineExceeded, "MESSAGE_LATE", message.into(), None)
     }
 
-    /// A caller has more of something than it may have at a time.
+    /// The caller has reached the limit of something that it may have at a time.
     pub fn exhausted(reason: &'static str, message: impl Into<String>) -> Self {
         Self::new(Kind::Exhausted, reason, message.into(), None)
     }
 
-    /// A bug of the server's: the logs say more.
+    /// A bug in the server; the log has the details.
     pub fn internal(message: impl Into<String>) -> Self {
         Self::new(Kind::Internal, "INTERNAL", message.into(), None)
     }
 }
 
-/// Work is stopped when nobody waits for it: the caller has left, or its deadline has passed.
+/// Work is stopped if the caller has left, or if its deadline has passed.
 impl From<Stopped> for ServiceError {
     fn from(_: Stopped) -> Self {
         Self::deadline_exceeded()

@@ -1,11 +1,11 @@
-//! `FindContacts`: the broad phase names candidates, some thousand at a time, and those
-//! that are not apart are streamed, sorted. Pairs are computed only when the caller has read
-//! the pairs before them.
+//! `FindContacts`: the broad phase finds candidate pairs, some thousand at a time, and those that
+//! are not separated are streamed in order. Pairs are computed only when the caller has read the
+//! pairs before them.
 //!
-//! Everything here is done on the compute threads in parts of about a millisecond: the bounds of
-//! the bodies, the tree, and the search, which is left after a number of steps and continued in
-//! the next part. How far a part comes depends on its steps and not on time, so the messages
-//! are the same on every machine.
+//! All work is done on the compute threads in parts of about a millisecond: the bounds of the
+//! bodies, the tree, and the search, which pauses after a number of steps and continues in the next
+//! part. The progress of a part depends on its steps and not on time, so the messages are the same
+//! on every machine.
 
 use std::{
     collections::VecDeque,
@@ -31,32 +31,32 @@ use crate::{
     store::{Hulls, Lease, Missing},
 };
 
-/// Candidates that are computed together, and so the most pairs of a message: the size at
-/// which a message costs next to nothing beside its pairs.
+/// The number of candidates that are computed together, and so the most pairs per message. At this
+/// size a message costs next to nothing compared with its pairs.
 const CANDIDATES: usize = 4096;
 
-/// Bodies whose bounds are found in a part.
+/// The number of bodies whose bounds are computed in one part.
 const BOUNDED_BODIES: usize = 256;
 
-/// Estimated steps of the bounds of a body: six times the support mapping.
+/// The estimated steps of a body's bounds: six support mappings.
 const BOUNDS_STEPS: u64 = 2_000;
 
-/// Scenes of fewer bodies are prepared in one part.
+/// A scene with fewer bodies is prepared in one part.
 const SMALL_SCENE: usize = 512;
 
-/// Bodies whose partners are looked for in a part, and how many such parts there are before any
-/// of their pairs is computed.
+/// The number of bodies per search, and the number of searches that run before any of their pairs
+/// is computed.
 const SEARCHED_BODIES: u32 = 64;
 const SEARCHES: u32 = 16;
 
-/// Indices after which a part leaves the rest of its bodies for later, so that few pairs are
-/// found and not yet computed, however crowded the scene is.
+/// The number of found indices after which a part leaves the rest of its bodies for later. It
+/// limits the pairs that are found but not computed, however crowded the scene is.
 const SEARCHED_INDICES: usize = 1 << 14;
 
-/// Beyond every body's reach, and finite: positions are within 1e100.
+/// A finite margin beyond the reach of every body: positions are within 1e100.
 const LARGEST_MARGIN: f64 = 1e101;
 
-/// A `FindContacts` call under way.
+/// A `FindContacts` call in progress.
 pub(super) struct Finding {
     app: Arc<App>,
     context: CallContext,
@@ -66,17 +66,17 @@ pub(super) struct Finding {
     /// The memory of the setting, the poses, the broad phase and the searches.
     memory: Option<Permit>,
     broad_phase: Arc<BroadPhase>,
-    /// Bodies from this one on have not been looked at.
+    /// The first body that is in no search yet.
     next_body: u32,
-    /// Searches for the pairs of consecutive bodies before `next_body`, in order.
+    /// The searches, in order, for the pairs of consecutive bodies before `next_body`.
     searches: VecDeque<Search>,
-    /// Pairs in order that were found before those of the searches; 2 indices per pair.
+    /// The ordered pairs that were found before those of the searches; 2 indices per pair.
     found: Vec<u32>,
-    /// Candidates in order, cut to be computed together.
+    /// Ordered candidates, cut into groups that are computed together.
     waiting: VecDeque<Vec<u32>>,
-    /// The place that was taken before there was any work, until it is used.
+    /// The admission that was taken before any work, until it is used.
     admission: Option<Admission>,
-    /// Sent with the first message: hulls and bodies that are in no pair.
+    /// The missing hulls and the unusable bodies, to be sent with the first message.
     left_out: Option<(Vec<u32>, Vec<u32>)>,
 }
 
@@ -89,7 +89,7 @@ struct Bodies {
 }
 
 impl Finding {
-    /// Checks the request, takes a place, and puts the bodies in a tree.
+    /// Checks the request, takes an admission, and builds the tree of the bodies.
     pub(super) async fn begin(
         app: Arc<App>,
         context: CallContext,
@@ -101,14 +101,16 @@ impl Finding {
         };
         let decoded = decoded(&app, &context, request, check).await?;
         let (setting, bytes) = (decoded.0.setting.clone(), decoded.2.bytes() as usize);
-        // A scene whose caller leaves while its hulls are read may be large, and is not freed here.
+        // The caller may leave while the hulls are read; the scene may be large and must not be
+        // freed on this thread.
         let waiting = app.engine().compute_threads().freed_here(decoded, bytes);
         let admission = app.engine().place(most_candidates(&app), &context.job.caller)?;
         let (hulls, lease) = fetch(&app, &setting.hull_ids, &context.job).await?;
         let (scene, rules, mut memory) = waiting.into_inner();
         let Scene { request_id, setting, poses, invalid_bodies, .. } = scene;
         let (hulls, poses) = (Arc::new(hulls), Arc::new(poses));
-        // Nothing could be said of its bodies' pairs: there would be none to say it of.
+        // An unavailable hull fails the call: its bodies' pairs are unknown, so no pair could carry
+        // the flag.
         if hulls.iter().any(|hull| matches!(hull, Err(Missing::Unavailable))) {
             return Err(super::hulls::unreadable());
         }
@@ -135,18 +137,18 @@ impl Finding {
         })
     }
 
-    /// The memory of its scene.
+    /// The bytes of the scene's memory.
     pub(super) fn bytes(&self) -> usize {
         self.memory.as_ref().map_or(0, |memory| memory.bytes() as usize)
     }
 
-    /// The next pairs; none at the end. The first message always comes.
+    /// The next message; none at the end. There is always a first message.
     pub(super) async fn next(&mut self) -> Result<Option<QueryContactsResponse>, ServiceError> {
         while let Some(candidates) = self.candidates().await? {
             match self.answer(&candidates).await {
                 Ok(None) => {}
                 Ok(answer) => return Ok(answer),
-                // The answer is split, as a client would split the request.
+                // Split the answer, as a client would split the request.
                 Err(error) if error.reason == "RESPONSE_TOO_LARGE" && candidates.len() > 2 => {
                     let (first, second) = candidates.split_at(candidates.len() / 4 * 2);
                     self.waiting.push_front(second.to_vec());
@@ -160,7 +162,7 @@ impl Finding {
         Ok(Some(self.app.bounded_answer(&self.context, answer)?.into_inner()))
     }
 
-    /// The candidates that are not apart; none where all are.
+    /// The answer for the candidates that are not separated; none if all are.
     async fn answer(&mut self, candidates: &[u32]) -> Result<Option<QueryContactsResponse>, ServiceError> {
         let (engine, job) = (self.app.engine(), &self.context.job);
         let admission = match self.admission.take() {
@@ -181,13 +183,13 @@ impl Finding {
         Ok(Some(answer))
     }
 
-    /// Candidates to be computed together; none when all have been.
+    /// The next candidates to be computed together; none when all have been.
     async fn candidates(&mut self) -> Result<Option<Vec<u32>>, ServiceError> {
         while self.waiting.is_empty() {
             let most = 2 * most_candidates(&self.app);
             if self.found.len() >= most || (self.searches.is_empty() && !self.found.is_empty()) {
                 let found = std::mem::take(&mut self.found);
-                // All of the searches before it, or some whole messages.
+                // All pairs found if no search is open, otherwise a whole number of messages.
                 let whole = if self.searches.is_empty() { found.len() } else { found.len() / most * most };
                 let (now, later) = found.split_at(whole);
                 self.waiting.extend(now.chunks(most).map(<[u32]>::to_vec));
@@ -202,7 +204,7 @@ impl Finding {
         Ok(self.waiting.pop_front())
     }
 
-    /// Looks for the partners of the next bodies, a part of each search.
+    /// Continues each search by one part.
     async fn search(&mut self) -> Result<(), ServiceError> {
         if self.searches.is_empty() {
             let bodies = self.broad_phase.bodies();
@@ -232,7 +234,7 @@ impl Finding {
 }
 
 impl Drop for Finding {
-    /// A compute thread frees the large parts.
+    /// Leaves the large parts to a compute thread to free.
     fn drop(&mut self) {
         let broad_phase = std::mem::take(&mut self.broad_phase);
         let poses = std::mem::take(&mut self.bodies.poses);
@@ -241,7 +243,7 @@ impl Drop for Finding {
     }
 }
 
-/// Pairs that are computed together.
+/// The number of pairs that are computed together.
 fn most_candidates(app: &App) -> usize {
     CANDIDATES.min(app.limits().max_pairs_per_request as usize)
 }
@@ -264,7 +266,7 @@ impl Bodies {
     /// The most bytes that the broad phase and the searches take.
     fn searched_bytes(&self) -> usize {
         let searches = self.count().div_ceil(SEARCHED_BODIES as usize).min(SEARCHES as usize);
-        // A body may have every other as its partner.
+        // A body may have every other body as its partner.
         let search = size_of::<u32>() * (SEARCHED_INDICES + 3 * self.count());
         self.count() * TREE_BYTES_PER_BODY + searches * search
     }
@@ -277,7 +279,7 @@ impl Bodies {
     }
 }
 
-/// The broad phase of a scene.
+/// Builds the broad phase of a scene.
 async fn broad_phase(
     app: &App,
     context: &CallContext,
@@ -302,7 +304,7 @@ async fn broad_phase(
     built.map_err(failed)?.map_err(|stopped| failed(stopped.into()))
 }
 
-/// The bounds of all bodies, some bodies a part.
+/// Computes the bounds of all bodies, [`BOUNDED_BODIES`] per part.
 struct Bounding {
     bodies: Bodies,
     stop: Arc<Stop>,
@@ -332,7 +334,7 @@ impl Parts for Bounding {
     }
 }
 
-/// Searches that are continued, each a part.
+/// Continues searches; each is one part.
 struct Searching {
     broad_phase: Arc<BroadPhase>,
     searches: Vec<Mutex<Option<Search>>>,
@@ -347,7 +349,7 @@ impl Parts for Searching {
         self.searches.len()
     }
 
-    /// Those of an ordinary scene; the steps that are counted correct it.
+    /// The steps of an ordinary scene; they are corrected by the steps that the search counts.
     fn steps(&self, _: usize) -> u64 {
         1_000 * u64::from(SEARCHED_BODIES)
     }

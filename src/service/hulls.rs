@@ -1,4 +1,4 @@
-//! `HullService`: hulls registered, described, listed and deleted.
+//! `HullService`: registers, describes, lists and deletes hulls.
 
 use std::{iter::Peekable, sync::Arc, time::Duration};
 
@@ -26,18 +26,17 @@ use crate::{
     store::{RegisterError, Registered, StoreError},
 };
 
-/// Points of the hulls that are registered at a time: enough that all threads are busy,
-/// and the hulls that are built but not stored yet stay small, some 25 MB.
+/// The number of points that are registered at a time. It keeps all threads busy, and limits the
+/// hulls that are built but not stored yet to about 25 MB.
 const GROUP_POINTS: usize = 1 << 16;
 
-/// Of `ListHulls`, where the request names none.
+/// The page size of `ListHulls` if the request gives none.
 const DEFAULT_PAGE_SIZE: u32 = 1000;
 
-/// Bytes of memory for each hull of a page of `ListHulls`: as the store names it, and twice in
-/// the answer.
+/// Bytes of memory per hull on a page of `ListHulls`: the store's entry, and the answer twice.
 const LISTED_BYTES: usize = 320;
 
-/// When a client of a store that cannot be read should ask again.
+/// The time after which a client should retry if the store cannot be read.
 const STORE_RETRY: Duration = Duration::from_millis(500);
 
 pub(super) fn service(app: Arc<App>) -> HullServiceServer<impl HullService> {
@@ -71,7 +70,7 @@ impl HullService for Hulls {
         let context = CallContext::of(&request);
         let ((ids, parts), _memory) = self.decoded(&context, request).await?;
         let (hulls, memory) = records(&self.app, &context, &ids, parts).await?;
-        // The answer's exact size takes its place.
+        // The answer is charged with its exact size instead.
         drop(memory);
         Ok(self.app.bounded_answer(&context, GetHullsResponse { hulls })?)
     }
@@ -98,7 +97,7 @@ impl HullService for Hulls {
         let found = self.app.registry().list(listing.after, size, &context.job).await;
         let (blobs, more) = found.map_err(|error| store_error(&self.app, error))?;
         let page = wire::page(blobs, more);
-        // The answer's exact size takes its place.
+        // The answer is charged with its exact size instead.
         drop(listed);
         Ok(self.app.bounded_answer(&context, page)?)
     }
@@ -110,7 +109,7 @@ impl HullService for Hulls {
         let context = CallContext::of(&request);
         let (ids, _memory) = self.decoded(&context, request).await?;
         let mut deleted = Vec::with_capacity(ids.len());
-        // One after the other: an id that is named twice is deleted once.
+        // In order, so that an id that is named twice is deleted once.
         for id in ids {
             let done = self.app.registry().delete(id, &context.job).await;
             deleted.push(done.map_err(|error| store_error(&self.app, error))?);
@@ -121,7 +120,7 @@ impl HullService for Hulls {
 }
 
 impl Hulls {
-    /// A request, and its memory.
+    /// A decoded request, and its memory.
     async fn decoded<M: wire::Request>(
         &self,
         context: &CallContext,
@@ -170,7 +169,7 @@ fn store_error(app: &App, error: StoreError) -> ServiceError {
     }
 }
 
-/// The next hulls that are registered together: at least one.
+/// The next hulls to be registered together; at least one.
 fn group(left: &mut Peekable<impl Iterator<Item = wire::Definition>>) -> Vec<wire::Definition> {
     let mut points = 0;
     std::iter::from_fn(|| {
@@ -183,7 +182,7 @@ fn group(left: &mut Peekable<impl Iterator<Item = wire::Definition>>) -> Vec<wir
     .collect()
 }
 
-/// A hull that is no hull is its own result; a store that fails is the call's.
+/// A refused hull is a result of its own; a failing store fails the call.
 fn registered_result(app: &App, registered: Registered) -> Result<RegisterHullResult, ServiceError> {
     match registered {
         Ok((id, hull)) => {

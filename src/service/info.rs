@@ -1,4 +1,4 @@
-//! `ServerService`: what this server is and what it accepts.
+//! `ServerService`: describes the server and its limits.
 
 use std::sync::Arc;
 

@@ -1,4 +1,4 @@
-//! What tests of overload put in the way of pairs, so that they know the capacity.
+//! Slows or stops the computation of pairs, so that tests of overload know the server's capacity.
 
 use std::{
     cell::Cell,
@@ -12,36 +12,37 @@ use std::{
 
 use crate::lock::locked;
 
-/// Nothing, but for tests.
+/// Controls for tests. By default they do nothing.
 #[derive(Debug, Default)]
 pub struct Injected {
-    /// Nanoseconds that a pair takes, asleep.
+    /// The time in nanoseconds that a pair takes, asleep.
     delay: AtomicU64,
     gated: AtomicBool,
-    /// Pairs that may pass the gate.
+    /// The number of pairs that may pass the gate.
     allowed: Mutex<usize>,
     changed: Condvar,
 }
 
 thread_local! {
-    /// When this thread's last pairs were to be done.
+    /// The time at which this thread's last pairs were due.
     static DUE: Cell<Option<Instant>> = const { Cell::new(None) };
 }
 
 impl Injected {
-    /// Every pair takes so much longer, asleep.
+    /// Makes every pair take this much longer, asleep.
     pub fn delay(&self, per_pair: Duration) {
         self.delay.store(per_pair.as_nanos() as u64, Ordering::Relaxed);
     }
 
-    /// From now on so many more pairs are computed and no others, until `open`.
+    /// Allows `pairs` more pairs to be computed. From the first call on, no others are computed
+    /// until `open`.
     pub fn allow(&self, pairs: usize) {
         *self.allowed() += pairs;
         self.gated.store(true, Ordering::Relaxed);
         self.changed.notify_all();
     }
 
-    /// All pairs are computed again.
+    /// Allows all pairs again.
     pub fn open(&self) {
         let allowed = self.allowed();
         self.gated.store(false, Ordering::Relaxed);
@@ -49,7 +50,7 @@ impl Injected {
         self.changed.notify_all();
     }
 
-    /// Before so many pairs are computed.
+    /// Called before `pairs` pairs are computed; waits as the test demands.
     pub(super) fn pass(&self, pairs: usize) {
         let delay = self.delay.load(Ordering::Relaxed);
         if delay > 0 {
@@ -69,8 +70,8 @@ impl Injected {
     }
 }
 
-/// Asleep for so long; a thread that the system woke late makes up for it with its next pairs,
-/// or a busy machine would be taken for a server that does less than it could.
+/// Sleeps for `duration`. A thread that the system woke late sleeps less for its next pairs;
+/// otherwise a busy machine would look like a server that does less than it could.
 fn sleep(duration: Duration) {
     let now = Instant::now();
     let late = DUE.get().filter(|due| *due <= now && now - *due < duration);

@@ -1,11 +1,11 @@
-//! The limits of a server, all in one place. `GetServerInfo` publishes them, and docs/operations.md
-//! states the reason of each.
+//! The limits of a server. `GetServerInfo` publishes them, and docs/operations.md states the reason
+//! for each.
 
 /// The limits of a server. Each is inclusive: a request at the limit is accepted, a request one
 /// past it is refused.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Encoded size of a message, either way.
+    /// Encoded bytes of a message, in either direction.
     pub max_message_bytes: usize,
     /// Pairs in one request.
     pub max_pairs_per_request: u32,
@@ -15,27 +15,28 @@ pub struct Limits {
     pub max_hulls_per_request: u32,
     /// Extreme vertices of one hull.
     pub max_vertices_per_hull: u32,
-    /// Points in the definition of one hull. They bound what building and simplifying costs.
+    /// Points in the definition of one hull. They determine the cost of building and simplifying
+    /// it.
     pub max_points_per_hull: u32,
-    /// Pairs of one caller that are accepted and not yet answered. All callers together may have
+    /// Pairs of one caller that are accepted and not answered yet. All callers together may have
     /// less than twice as many.
     pub max_pairs_in_flight: u32,
-    /// Memory that all callers together can make the server hold, in bytes; the cached hulls
-    /// (`cache_bytes`) are not part of it.
+    /// Bytes of memory that all callers together can make the server hold. The cached hulls
+    /// (`cache_bytes`) are not included.
     pub max_memory_bytes: u64,
     /// Whether callers share memory, leases on hulls and compute threads fairly.
     pub shares: bool,
-    /// Bytes of requests that have come and are not yet answered, over all calls: the cap of
-    /// that part of the memory.
+    /// Bytes of requests that have arrived and are not answered yet, over all calls. This is the
+    /// cap on that part of the memory.
     pub max_request_bytes_in_flight: u64,
-    /// How long a call may take, but for streams; one that gives itself longer gets this.
+    /// The longest time of a call, except for streams. A longer deadline is shortened to this.
     pub max_deadline_seconds: u32,
-    /// What streams keep from one message to the next, all together.
+    /// Bytes that all streams together keep from one message to the next.
     pub max_stream_state_bytes: u64,
-    /// Heap of the hulls that are cached; requests use hulls from the cache. A request that
-    /// needs more for its own hulls is refused.
+    /// Heap bytes of all cached hulls. Requests use hulls from the cache, so a request whose own
+    /// hulls need more is refused.
     pub cache_bytes: u64,
-    /// Blobs of the store, summed; 0: unbounded.
+    /// Total bytes of the blobs in the store; 0 stands for no limit.
     pub store_bytes: u64,
     /// Connections open at a time; one more is closed at once.
     pub max_connections: u32,
@@ -43,10 +44,11 @@ pub struct Limits {
     pub max_streams_per_connection: u32,
     /// Hulls in one page of `ListHulls`.
     pub max_page_size: u32,
-    /// Within this a hull deleted by another server on the same store may still be answered for.
+    /// The time for which a hull that another server on the same store has deleted may still be
+    /// used.
     pub cache_age_seconds: u32,
-    /// How long an operation of the store may take before the store is taken to hang. Not
-    /// published: clients see only that the store is unavailable.
+    /// The time that an operation of the store may take before the store counts as hung. It is not
+    /// published: clients only see that the store is unavailable.
     pub store_seconds: u32,
 }
 
@@ -76,43 +78,44 @@ impl Default for Limits {
     }
 }
 
-/// The largest `max_message_bytes`: a gRPC message's length is 32 bits, and a server that
-/// answers for 2 GiB at a time is misconfigured.
+/// The largest `max_message_bytes`. The length of a gRPC message has 32 bits, and a server that
+/// accepts more than 2 GiB at a time is misconfigured.
 const MOST_MESSAGE_BYTES: u64 = 2 << 30;
 
-/// The largest of any other size: sums of them do not overflow.
+/// The largest value of any other size, so that sums of sizes do not overflow.
 const MOST_BYTES: u64 = 1 << 50;
 
-/// The least `max_memory_bytes`: connections, small requests and their answers fit many times.
+/// The least `max_memory_bytes`: enough for many connections, small requests and their answers.
 const LEAST_MEMORY_BYTES: u64 = 256 << 20;
 
-/// The memory of the largest request in units of `max_message_bytes`: the message as it
-/// arrives, twice that decoded, and twice that for the answer, as a message and encoded.
+/// The memory of the largest request, in units of `max_message_bytes`: one for the arriving message,
+/// two for the decoded request, and two for the answer (as a message and encoded).
 const REQUEST_MESSAGES: u64 = 1 + 2 + 2;
-/// The largest `store_seconds`: for longer, callers would wait for a store that does not answer.
+/// The largest `store_seconds`. With a longer limit callers would wait too long for a store that
+/// does not answer.
 const MOST_STORE_SECONDS: u64 = 3600;
 
-/// The bytes of a blob beside its points, rounded up (docs/identity.md).
+/// The bytes of a blob besides its points, rounded up (docs/identity.md).
 const BLOB_HEAD_BYTES: u64 = 64;
 
-/// Three doubles.
+/// The bytes of a point: three doubles.
 const POINT_BYTES: u64 = 24;
 
 impl Limits {
-    /// The bytes of the largest blob that a registration can lead to: its points are within
-    /// `max_points_per_hull`, and have arrived in one message.
+    /// The bytes of the largest blob that a registration can produce: its points are within
+    /// `max_points_per_hull` and arrived in one message.
     pub fn max_blob_bytes(&self) -> u64 {
         let points = POINT_BYTES * u64::from(self.max_points_per_hull);
         points.min(self.max_message_bytes as u64) + BLOB_HEAD_BYTES
     }
 }
 
-/// Bytes before a message on the wire: whether the message is compressed, and its length.
+/// The bytes in front of a message on the wire: the compression flag and the length.
 const FRAME_HEAD_BYTES: u64 = 5;
 
 impl Limits {
-    /// The fault of these limits, for people: a value outside its range, or two values that
-    /// contradict each other. None if the limits have no fault.
+    /// A message about the first fault of these limits: a value outside its range, or two values
+    /// that contradict each other. None if there is no fault.
     pub fn contradiction(&self) -> Option<String> {
         let count = |name, value: u32| (name, u64::from(value), 1, u64::from(u32::MAX));
         let size = |name, value, least| (name, value, least, MOST_BYTES);
@@ -131,7 +134,7 @@ impl Limits {
             // 0: streams keep nothing.
             size("max_stream_state_bytes", self.max_stream_state_bytes, 0),
             size("cache_bytes", self.cache_bytes, 1),
-            // 0: unbounded.
+            // 0: no limit.
             size("store_bytes", self.store_bytes, 0),
             count("max_connections", self.max_connections),
             count("max_streams_per_connection", self.max_streams_per_connection),

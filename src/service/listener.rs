@@ -1,4 +1,4 @@
-//! Where calls come from: TCP and Unix sockets.
+//! Listens for connections on TCP and Unix sockets.
 
 use std::{
     fmt, io,
@@ -26,10 +26,10 @@ pub enum Listener {
 }
 
 impl Listener {
-    /// Binds `host:port` (port 0: any free one) or `unix:PATH`.
+    /// Binds `host:port` (port 0: any free port) or `unix:PATH`.
     ///
     /// # Errors
-    /// What the system says, naming the address.
+    /// The system's error, with the address.
     pub async fn bind(address: &str) -> io::Result<Self> {
         let named = |error: io::Error| io::Error::new(error.kind(), format!("{address}: {error}"));
         match address.strip_prefix("unix:") {
@@ -42,10 +42,10 @@ impl Listener {
         }
     }
 
-    /// Whether other machines can reach it.
+    /// Whether other machines can reach the address.
     ///
     /// # Errors
-    /// The system does not say where it is bound.
+    /// The system cannot tell the bound address.
     pub fn is_exposed(&self) -> io::Result<bool> {
         match self {
             Self::Tcp(listener) => Ok(!listener.local_addr()?.ip().to_canonical().is_loopback()),
@@ -53,12 +53,12 @@ impl Listener {
         }
     }
 
-    /// The next connection, and who is at its other end.
+    /// Accepts the next connection; returns it with the peer's address.
     pub(super) async fn accept(&self) -> io::Result<(Connection, Address)> {
         match self {
             Self::Tcp(listener) => {
                 let (stream, peer) = listener.accept().await?;
-                // Nagle's algorithm costs 40 ms and more per call.
+                // Nagle's algorithm delays each call by 40 ms or more.
                 stream.set_nodelay(true)?;
                 Ok((Connection::Tcp(stream), Address::Ip(peer.ip())))
             }
@@ -71,7 +71,7 @@ impl Listener {
     }
 }
 
-/// As a client writes it: the port is the bound one.
+/// The address as a client writes it, with the port that was bound.
 impl fmt::Display for Listener {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -92,7 +92,8 @@ impl Drop for Listener {
     }
 }
 
-/// Removes the socket that a killed server left; one that answers is kept, and binding fails.
+/// Removes the socket that a killed server left behind. A socket that still answers is kept, and
+/// binding fails.
 async fn remove_stale(path: &Path) -> io::Result<()> {
     use std::os::unix::fs::FileTypeExt;
     let is_socket = std::fs::symlink_metadata(path).is_ok_and(|m| m.file_type().is_socket());
@@ -111,10 +112,10 @@ pub(super) enum Connection {
 }
 
 impl Connection {
-    /// The same, encrypted, where it is TCP.
+    /// Encrypts a TCP connection; other connections stay as they are.
     ///
     /// # Errors
-    /// The peer does not speak TLS, or not as `config` asks.
+    /// The peer does not speak TLS, or not as `config` requires.
     pub(super) async fn encrypted(self, config: Arc<ServerConfig>) -> io::Result<Self> {
         match self {
             Self::Tcp(stream) => {
@@ -126,7 +127,7 @@ impl Connection {
     }
 }
 
-/// Calls the same method of whatever stream it is.
+/// Calls a method of the stream, whatever its kind.
 macro_rules! forward {
     ($connection:expr, $method:ident $(, $argument:expr)*) => {
         match $connection.get_mut() {

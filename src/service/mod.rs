@@ -1,9 +1,9 @@
-//! The gRPC services. The request's way is wire -> handlers -> batch -> wire.
+//! The gRPC services. A request passes through wire -> handlers -> batch -> wire.
 //!
-//! [`wire`] checks requests and writes responses, [`contacts`] with [`find`] and
-//! [`steps`], [`hulls`] and [`info`] are the handlers, [`batch`] computes. [`server`] runs it all on
-//! [`listener`]s, each [`connection`] behind the [`middleware`], which holds for every call and
-//! asks [`security`] who may make it.
+//! [`wire`] checks requests and writes responses. The handlers are [`contacts`] with [`find`] and
+//! [`steps`], [`hulls`], and [`info`]; [`batch`] computes. [`server`] runs the services on
+//! [`listener`]s. Each [`connection`] passes its calls through the [`middleware`], which applies to
+//! every call and asks [`security`] whether the caller may make it.
 
 mod admin;
 mod admission;
@@ -64,10 +64,10 @@ use crate::{
     store::{BlobStore, Registry, registry::Bounds},
 };
 
-/// An answer is in memory as a message and encoded.
+/// An answer is held in memory twice: as a message and encoded.
 const ANSWER_COPIES: usize = 2;
 
-/// What every handler shares.
+/// The state that all handlers share.
 #[derive(Debug)]
 pub struct App {
     limits: Limits,
@@ -80,7 +80,8 @@ pub struct App {
 }
 
 impl App {
-    /// Hulls in `blobs`, computed on `threads` threads (0: one a core).
+    /// The state of a server that keeps its hulls in `blobs` and computes on `threads` threads (0:
+    /// one per core).
     ///
     /// # Errors
     /// The limits contradict each other, or the threads could not be started.
@@ -116,37 +117,37 @@ impl App {
         Ok(Self { limits, registry, engine, memory, callers, metrics, readiness })
     }
 
-    /// What the server accepts.
+    /// The limits of the server.
     pub fn limits(&self) -> &Limits {
         &self.limits
     }
 
-    /// The hulls.
+    /// The registry of hulls.
     pub fn registry(&self) -> &Registry {
         &self.registry
     }
 
-    /// What computes.
+    /// The engine that computes batches.
     pub fn engine(&self) -> &Engine {
         &self.engine
     }
 
-    /// The memory that callers can make the server hold.
+    /// The budget of the memory that callers can make the server hold.
     pub fn memory(&self) -> &Arc<MemoryBudget> {
         &self.memory
     }
 
-    /// What was counted.
+    /// The metrics.
     pub fn metrics(&self) -> &Metrics {
         &self.metrics
     }
 
-    /// Who calls.
+    /// The callers.
     pub fn callers(&self) -> &Arc<Callers> {
         &self.callers
     }
 
-    /// The same as OpenMetrics text, gauges as they are now.
+    /// The metrics as OpenMetrics text, with current gauges.
     pub fn metrics_text(&self) -> String {
         let metrics = &self.metrics;
         metrics.cache_bytes.set(i64::try_from(self.registry.cached_bytes()).unwrap_or(i64::MAX));
@@ -162,7 +163,7 @@ impl App {
         metrics.text()
     }
 
-    /// Whether new calls are welcome.
+    /// Whether the server accepts new calls.
     pub fn readiness(&self) -> Readiness {
         locked(&self.readiness).clone()
     }
@@ -171,8 +172,8 @@ impl App {
         *locked(&self.readiness) = readiness;
     }
 
-    /// An answer that may be sent: it is within the message limit, and the call's budget has
-    /// room for it twice, as a message and encoded. The call holds that memory.
+    /// Checks that an answer is within the message limit, and takes the memory for it twice, as a
+    /// message and encoded. The call holds that memory.
     fn bounded_answer<M: prost::Message>(
         &self,
         context: &CallContext,
@@ -186,8 +187,8 @@ impl App {
         Ok(tonic::Response::new(answer))
     }
 
-    /// An answer whose columns were counted while they were computed: it may be sent, and counts
-    /// with what it takes encoded.
+    /// Checks an answer whose columns were charged while they were computed, and takes the memory
+    /// for its encoded form.
     fn counted_answer(
         &self,
         context: &CallContext,
@@ -203,7 +204,7 @@ impl App {
         Ok(answer)
     }
 
-    /// The error of an answer that has so many bytes, or more.
+    /// The error for an answer of at least `bytes` bytes.
     fn answer_too_large(&self, bytes: usize) -> ServiceError {
         let limit = self.limits.max_message_bytes;
         let message =

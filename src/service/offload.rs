@@ -1,6 +1,6 @@
-//! Work of the service itself, such as decoding and copying: small work is done on the thread
-//! that serves the call, large work on the compute threads, which take turns between callers
-//! and stop when nobody waits.
+//! Runs work of the service itself, such as decoding and copying. Small work runs on the thread
+//! that serves the call. Large work runs on the compute threads, which take turns between callers
+//! and stop if the caller has left.
 
 use super::{App, ServiceError, context::CallContext};
 use crate::{
@@ -8,13 +8,13 @@ use crate::{
     contact::{Stop, Stopped},
 };
 
-/// Bytes that are worked on in one elementary step.
+/// Bytes per elementary step of such work.
 const BYTES_PER_STEP: usize = 2;
 
-/// Does `work` on about `bytes` bytes.
+/// Runs `work`, which handles about `bytes` bytes.
 ///
 /// # Errors
-/// Those of `work`; INTERNAL where it panicked.
+/// Those of `work`; INTERNAL if it panicked.
 pub(super) async fn offloaded<T: Send + 'static>(
     app: &App,
     context: &CallContext,
@@ -34,7 +34,7 @@ pub(super) async fn offloaded<T: Send + 'static>(
     }
 }
 
-/// The estimated steps of such work.
+/// The estimated steps of work on `bytes` bytes.
 fn steps(bytes: usize) -> u64 {
     (bytes / BYTES_PER_STEP) as u64
 }

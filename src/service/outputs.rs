@@ -1,9 +1,9 @@
-//! What of an answer is computed and sent.
+//! The parts of an answer that are computed and sent.
 
 use crate::contact::Wanted;
 
-/// A set of outputs. Outcomes and flags always are; what is not asked for is
-/// neither computed nor sent.
+/// A set of outputs. Outcomes and flags are always computed and sent; other outputs only if
+/// requested.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Outputs {
     /// The growth scale and its bracket.
@@ -14,16 +14,16 @@ pub struct Outputs {
     pub points: bool,
     /// Witnesses on B.
     pub witness_b: bool,
-    /// Kinds and indices of the features, and the points' ids.
+    /// The kinds and indices of the features, and the ids of the points.
     pub features: bool,
-    /// Bases, to start the next query from.
+    /// The bases, from which the next query can start.
     pub bases: bool,
-    /// Iterations, support calls and what reduction kept.
+    /// Iterations, support calls, and the area kept by reduction.
     pub diagnostics: bool,
 }
 
 impl Outputs {
-    /// Outcomes and flags alone.
+    /// Only outcomes and flags.
     pub const OUTCOME: Self = Self {
         alpha: false,
         normal: false,
@@ -34,12 +34,12 @@ impl Outputs {
         diagnostics: false,
     };
 
-    /// Whether points are counted, for any column of theirs.
+    /// Whether the answer has point counts, for any of the points' columns.
     pub fn any_points(self) -> bool {
         self.points || self.witness_b || self.features
     }
 
-    /// How far the computation has to go.
+    /// The kind of result that the computation has to produce.
     pub fn wanted(self) -> Wanted {
         if self.any_points() {
             Wanted::Points

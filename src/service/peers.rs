@@ -1,8 +1,8 @@
-//! Who is at the other end of a connection, and how many connections there may be.
+//! Identifies the peers of connections, and limits the number of connections.
 //!
-//! All connections together are at most `max_connections`. The last places are kept for
-//! addresses that have no open connection yet, so that one address that opens all it can does
-//! not shut out a health checker. TLS handshakes under way are shared between addresses as
+//! All connections together are at most `max_connections`. The last places are reserved for
+//! addresses that have no open connection yet, so that one address that opens as many as it can
+//! does not shut out a health checker. TLS handshakes in progress are shared between addresses as
 //! memory is (see [`Slots`]), because each costs a signature.
 
 use std::{
@@ -21,46 +21,46 @@ use crate::{
     metrics::{Held, Shed},
 };
 
-/// Places that are kept for addresses without an open connection.
+/// The places reserved for addresses without an open connection.
 const KEPT_PLACES: u32 = 16;
 
-/// TLS handshakes under way at a time, over all addresses.
+/// TLS handshakes in progress at a time, over all addresses.
 const HANDSHAKES: u64 = 256;
 
-/// Memory of an open connection beside its window: HTTP/2's state, read and write buffers,
-/// TLS's buffers, and the health checks that are answered without asking the budget.
+/// The memory of an open connection besides its window: the state of HTTP/2, read and write
+/// buffers, the buffers of TLS, and the health checks that are answered without asking the budget.
 const CONNECTION_BYTES: u64 = 128 << 10;
 
-/// The window of a connection that may send large messages at full speed, and of one for which
-/// the budget has no room.
+/// The HTTP/2 window of a connection that may receive large messages at full speed, and of one for
+/// which the budget has no more room.
 const LARGE_WINDOW: u32 = 8 << 20;
 const SMALL_WINDOW: u32 = 64 << 10;
 
-/// The share of the memory budget, as a divisor, that large windows may take together.
+/// The fraction of the memory budget that large windows may take together, as a divisor.
 const WINDOWS_SHARE: u64 = 4;
 
-/// Health checks of one connection that are answered at a time without asking the budget.
+/// Health checks per connection that are answered at a time without asking the budget.
 const FREE_HEALTH_CHECKS: usize = 16;
 
-/// Watch and reflection streams of one connection.
+/// Watch and reflection streams per connection.
 const WATCHES: usize = 8;
 
-/// The other end of a connection.
+/// The peer's address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Address {
-    /// Of TCP.
+    /// The peer's IP address.
     Ip(IpAddr),
-    /// The user at the other end of a Unix socket.
+    /// The user id of the peer of a Unix socket.
     User(u32),
 }
 
-/// Who is connected.
+/// The open connections.
 #[derive(Debug)]
 pub(super) struct Peers {
     app: Arc<App>,
-    /// Addresses whose connections count one by one.
+    /// The addresses of proxies: each of their connections is a separate caller.
     trusted_proxies: Vec<IpAddr>,
-    /// Off: everybody is one caller.
+    /// If false, all connections are one caller.
     shares: bool,
     open: Mutex<Open>,
     handshakes: Arc<Slots>,
@@ -79,7 +79,7 @@ impl Peers {
         Self { app, trusted_proxies, shares, open: Mutex::default(), handshakes, count: AtomicU64::new(0) }
     }
 
-    /// A place for one more connection from `address`; none when there are too many.
+    /// Admits a connection from `address`; none if there are too many.
     pub(super) fn admit(self: &Arc<Self>, address: Address) -> Option<Peer> {
         let admitted = self.try_admit(address);
         if admitted.is_none() {
@@ -114,8 +114,8 @@ impl Peers {
         }
     }
 
-    /// The window of a new connection, and the memory for it and the connection; none where
-    /// there is not even room for a small one.
+    /// The window of a new connection, and the memory for the connection with that window. None if
+    /// there is no room even for a small window.
     fn window(&self, caller: &Caller) -> Option<(u32, Permit)> {
         let memory = self.app.memory();
         let take = |window: u32| {
@@ -135,7 +135,7 @@ fn key(address: Address) -> CallerKey {
     }
 }
 
-/// The place of one connection; free again when it is dropped.
+/// The place of one connection; free again when this is dropped.
 #[derive(Debug)]
 struct Place {
     peers: Arc<Peers>,
@@ -147,7 +147,7 @@ impl Place {
         let most = peers.app.limits().max_connections;
         let mut open = locked(&peers.open);
         let theirs = open.by_address.get(&address).copied().unwrap_or(0);
-        // Of few places an eighth is kept at most.
+        // If there are few places, at most an eighth is reserved.
         let kept = if theirs > 0 { KEPT_PLACES.min(most / 8) } else { 0 };
         if open.all.saturating_add(kept) >= most {
             return None;
@@ -172,7 +172,7 @@ impl Drop for Place {
     }
 }
 
-/// The other end of an open connection. Clones are the same connection.
+/// The peer of an open connection. Clones are of the same connection.
 #[derive(Clone, Debug)]
 pub(super) struct Peer {
     peers: Arc<Peers>,
@@ -196,7 +196,8 @@ impl Peer {
         self.window
     }
 
-    /// Who calls: by the name of the call's token, where it has one.
+    /// The caller of a call: the token's name if the call has a token, otherwise the connection's
+    /// caller.
     pub(super) fn caller(&self, token: Option<&str>) -> Caller {
         match token {
             Some(name) if self.peers.shares => self.peers.app.callers().get(CallerKey::Token(name.into())),
@@ -204,23 +205,24 @@ impl Peer {
         }
     }
 
-    /// Leave to do a TLS handshake; none while too many are under way.
+    /// Permission for a TLS handshake; none while too many are in progress.
     pub(super) fn handshake(&self) -> Option<Slot> {
         self.peers.handshakes.take(&self.connection.caller)
     }
 
-    /// One of the health checks that the connection may have without asking the budget.
+    /// A place for a health check that needs no room in the budget; none if the connection has too
+    /// many.
     pub(super) fn health_check(&self) -> Option<Counted> {
         Counted::take(&self.connection, |connection| &connection.health_checks, FREE_HEALTH_CHECKS)
     }
 
-    /// One of the Watch and reflection streams that the connection may have.
+    /// A place for a Watch or reflection stream; none if the connection has too many.
     pub(super) fn watch(&self) -> Option<Counted> {
         Counted::take(&self.connection, |connection| &connection.watches, WATCHES)
     }
 }
 
-/// One of a bounded number of calls of a connection; given back when it is dropped.
+/// A place among a limited number of calls of a connection; free again when this is dropped.
 #[derive(Debug)]
 pub(super) struct Counted {
     connection: Arc<Connected>,
@@ -255,8 +257,8 @@ mod tests {
         Address::Ip(text.parse().unwrap())
     }
 
-    /// Catches an address that takes the last place from one that has none, and a place that
-    /// is not given back.
+    /// Catches an address that takes the last place from an address without connections, and a
+    /// place that is not released.
     #[test]
     fn the_last_places_are_for_new_addresses() {
         let peers = peers(Limits { max_connections: 200, ..Limits::default() });
@@ -271,7 +273,8 @@ mod tests {
         assert_eq!(peers.app.callers().count(), 0);
     }
 
-    /// Catches windows that are in no budget: many connections get small ones.
+    /// Catches windows that are in no budget: when many connections are open, new ones must get
+    /// small windows.
     #[test]
     fn windows_shrink_with_the_budget() {
         let peers =
@@ -281,13 +284,14 @@ mod tests {
         assert_eq!(large, 7, "a quarter of the budget");
         assert_eq!(open.len(), 200);
         assert!(peers.app.memory().used() <= 128 << 20);
-        // One address has half of the budget at most: another still finds room.
+        // One address may have half of the budget at most, so another address still finds room.
         let more: Vec<_> = (0..2000).filter_map(|_| peers.admit(ip("10.0.0.1"))).collect();
         assert!(more.len() < 800);
         assert!(peers.admit(ip("10.0.0.2")).is_some());
     }
 
-    /// Catches proxies whose clients count as one, and hosts that count as many.
+    /// Catches a proxy whose clients count as one caller, and a host with many addresses that
+    /// counts as many.
     #[test]
     fn connections_of_a_trusted_proxy_count_one_by_one() {
         let peers = peers(Limits::default());

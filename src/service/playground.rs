@@ -1,8 +1,7 @@
-//! The playground: a page that shows contacts, and gRPC-web, which pages call, on the port
-//! of the calls.
+//! The playground: a page that shows contacts, and gRPC-web for pages, on the same port as gRPC.
 //!
-//! Calls go through the same [`Middleware`] as any other; only how they are written on the wire
-//! differs. Browsers speak HTTP/2 where there is TLS and HTTP/1.1 where there is none.
+//! These calls go through the same [`Middleware`] as all others and differ only in their encoding.
+//! Browsers speak HTTP/2 to a server with TLS, and HTTP/1.1 to one without.
 
 use std::{
     convert::Infallible,
@@ -22,7 +21,7 @@ use tower::{Layer, Service};
 
 use super::{connection::HEADER_BYTES, listener::Connection, middleware::Middleware};
 
-/// What the page is made of; `make playground` builds it.
+/// The files of the page, built by `make playground`.
 const FILES: [(&str, &str, &str); 4] = [
     ("/", "text/html; charset=utf-8", include_str!("../../playground/dist/index.html")),
     ("/playground.css", "text/css; charset=utf-8", include_str!("../../playground/dist/playground.css")),
@@ -30,21 +29,21 @@ const FILES: [(&str, &str, &str); 4] = [
     ("/licences.txt", "text/plain; charset=utf-8", include_str!("../../playground/dist/licences.txt")),
 ];
 
-/// The page loads nothing from elsewhere, runs nothing but its own file and is nobody's frame.
+/// The page may load nothing from other origins, run only its own file, and not be framed.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
                       img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// Between two looks at a peer that sent one byte.
+/// The pause before looking again at a peer that has sent only one byte.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// Whether the first bytes of `io` are HTTP/1.1's; they stay unread. Over TLS and Unix sockets
-/// there is only HTTP/2.
+/// Whether the first bytes of `io` are those of HTTP/1.1; they stay unread. TLS and Unix sockets
+/// carry only HTTP/2.
 ///
 /// # Errors
-/// What the system says.
+/// The system's error.
 pub(super) async fn speaks_http1(io: &Connection) -> io::Result<bool> {
     let Connection::Tcp(stream) = io else { return Ok(false) };
-    // HTTP/2 begins with PRI: what else begins with P goes on otherwise.
+    // HTTP/2 begins with "PRI"; an HTTP/1.1 request that begins with P has another second letter.
     let mut first = [0; 2];
     loop {
         match (stream.peek(&mut first).await?, first) {
@@ -55,18 +54,18 @@ pub(super) async fn speaks_http1(io: &Connection) -> io::Result<bool> {
     }
 }
 
-/// Of connections that speak HTTP/1.1: a peer has `patience` to say what it wants, each time.
+/// The protocol of HTTP/1.1 connections. A peer has `patience` for sending each request's header.
 pub(super) fn http1(patience: Duration) -> http1::Builder {
     let mut http = http1::Builder::new();
     http.timer(TokioTimer::new()).header_read_timeout(patience).max_buf_size(HEADER_BYTES as usize);
     http
 }
 
-/// The page, gRPC-web and, over HTTP/2, gRPC.
+/// Serves the page, gRPC-web and, over HTTP/2, gRPC.
 #[derive(Clone, Debug)]
 pub(super) struct Page {
     calls: GrpcWebService<Middleware>,
-    /// No certificate says whose the server is.
+    /// Without TLS no certificate proves which server this is.
     is_plain: bool,
 }
 
@@ -105,8 +104,9 @@ impl Service<Request<Incoming>> for Page {
     }
 }
 
-/// Whether the server is asked for by its address or as localhost. A site elsewhere whose name
-/// was made to lead here would otherwise be the same origin, and its pages could call.
+/// Whether the request names the server by an IP address or as localhost. Otherwise a site
+/// elsewhere whose name resolves to this server would have the same origin, and its pages could
+/// call the server.
 fn names_no_site<B>(request: &Request<B>) -> bool {
     let host =
         request.headers().get(header::HOST).and_then(|host| host.to_str().ok()?.parse::<Authority>().ok());
@@ -116,13 +116,14 @@ fn names_no_site<B>(request: &Request<B>) -> bool {
     })
 }
 
-/// Browsers send other kinds to any site, and these only where it allowed them to beforehand.
+/// Whether the content type is gRPC's. Browsers send other types to any site, but these only after
+/// the site has allowed it.
 fn is_grpc<B>(request: &Request<B>) -> bool {
     let kind = request.headers().get(header::CONTENT_TYPE);
     kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/grpc"))
 }
 
-/// HEAD too: hyper leaves the body out.
+/// Answers GET and HEAD; hyper leaves out the body for HEAD.
 fn file(path: &str) -> Response<Body> {
     let Some((_, kind, text)) = FILES.iter().find(|(name, ..)| *name == path) else {
         return plain(StatusCode::NOT_FOUND, "the page is at /");
@@ -139,7 +140,7 @@ fn answer(code: StatusCode, kind: &'static str, text: &'static str) -> Response<
     *response.status_mut() = code;
     let headers = [
         (header::CONTENT_TYPE, kind),
-        // Of this server's version, whatever was here before.
+        // The files belong to this server's version, so a cached copy must be revalidated.
         (header::CACHE_CONTROL, "no-cache"),
         (header::CONTENT_SECURITY_POLICY, POLICY),
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),

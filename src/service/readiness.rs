@@ -1,22 +1,22 @@
-//! Whether new calls are welcome, for probes.
+//! Whether the server accepts new calls, for probes.
 
 use std::fmt;
 
-/// Where the server is in its life.
+/// The state of the server.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Readiness {
-    /// It does not serve yet.
+    /// The server does not serve yet.
     Starting,
-    /// All is well.
+    /// The server and its store work.
     Ready,
-    /// What is cached is answered; the store fails, for this reason.
+    /// The store fails, for the given reason; cached hulls are still served.
     Degraded(String),
-    /// It was told to stop.
+    /// The server was told to stop.
     Stopping,
 }
 
 impl Readiness {
-    /// Whether a balancer should send calls here.
+    /// Whether a load balancer should send calls to this server.
     pub fn welcomes(&self) -> bool {
         matches!(self, Self::Ready | Self::Degraded(_))
     }

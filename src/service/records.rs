@@ -1,5 +1,5 @@
-//! The answers of `GetHulls` and `HasHulls`. Each distinct hull is looked up once, however
-//! often the request names it, and the answer's size is known before the answer is built.
+//! The answers of `GetHulls` and `HasHulls`. Each distinct hull is looked up once, however often
+//! the request names it, and the size of the answer is known before the answer is built.
 
 use std::{
     collections::HashMap,
@@ -22,17 +22,17 @@ use crate::{
     store::{AT_A_TIME, HullId, Missing, Reader},
 };
 
-/// Bytes of memory of a record beside its columns: the message, and the summary of the hull.
+/// Bytes of memory of a record besides its columns: the message, and the summary of the hull.
 const RECORD_BYTES: usize = 512;
 
-/// Bytes of memory for each point of a definition while it is read: the blob and the points.
+/// Bytes of memory per point of a definition while it is read: the blob and the points.
 const READ_BYTES_PER_POINT: usize = 48;
 
 /// The ids of a request without repetitions.
 struct Distinct {
-    /// Each id once, in the order in which the request names them first, and how often it does.
+    /// Each id once, in the order of its first occurrence, with the number of its occurrences.
     ids: Vec<(HullId, usize)>,
-    /// For each id of the request its index in `ids`.
+    /// For each id of the request, its index in `ids`.
     places: Vec<usize>,
 }
 
@@ -101,15 +101,15 @@ struct Reading<'a> {
     taken: Mutex<Taken>,
 }
 
-/// The size of the records that were begun.
+/// The size of the records that were started.
 struct Taken {
-    /// The encoded answer has at least so many bytes.
+    /// The encoded answer has at least this many bytes.
     bytes: usize,
     memory: Permit,
 }
 
 impl Reading<'_> {
-    /// The record of a hull that the answer has `times` times.
+    /// The record of a hull that occurs `times` times in the answer.
     async fn record(&self, id: HullId, times: usize) -> Result<HullRecord, ServiceError> {
         match self.found(id, times).await? {
             Ok(record) => Ok(record),
@@ -147,13 +147,14 @@ impl Reading<'_> {
             Ok(record)
         };
         let record = offloaded(self.app, self.context, bytes, build).await?;
-        // Many small records, all at hand, are not to keep the thread.
+        // Gives way to other calls, since many small cached records would otherwise occupy the
+        // thread.
         tokio::task::coop::consume_budget().await;
         Ok(Ok(record))
     }
 
     /// Takes the memory of `times` records with columns of `bytes` bytes. Refuses an answer that
-    /// would be too large to be sent.
+    /// would be too large to send.
     fn take(&self, times: usize, bytes: usize) -> Result<(), ServiceError> {
         let mut taken = locked(&self.taken);
         taken.bytes = taken.bytes.saturating_add(times.saturating_mul(bytes));
@@ -190,10 +191,10 @@ mod tests {
 
     const ALL: wire::Parts = wire::Parts { info: true, vertices: true, faces: true };
 
-    /// A server with one hull whose points are on a sphere, and the hull's id.
+    /// A server with one hull of points on a sphere, and the hull's id.
     async fn with_a_hull(limits: Limits) -> (App, HullId) {
         let app = App::new(blobs::open("memory://").unwrap(), limits, 1).unwrap();
-        // A spiral of Fibonacci.
+        // A Fibonacci spiral.
         let point = |i: usize| {
             let (z, turn) = ((2 * i) as f64 / 399.0 - 1.0, 2.4 * i as f64);
             let radius = (1.0 - z * z).max(0.0).sqrt();
@@ -209,8 +210,8 @@ mod tests {
         tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap()
     }
 
-    /// Catches memory that grows with the repetitions of an id before the answer is known to
-    /// be too large to be sent.
+    /// Catches memory that grows with the repetitions of an id before the answer is known to be too
+    /// large.
     #[test]
     fn an_answer_too_large_is_refused_before_it_is_built() {
         let runtime = runtime();
@@ -223,14 +224,14 @@ mod tests {
             refused = runtime.block_on(records(&app, &context, &ids, ALL)).err();
         });
         assert_eq!(refused.map(|error| error.reason), Some("RESPONSE_TOO_LARGE"));
-        // One record has some 50 kB. The tables of ids are all that is made; their memory is
-        // that of the decoded request.
+        // One record has about 50 kB. Only the tables of ids may be allocated; their memory belongs
+        // to the decoded request.
         assert!(made.bytes_max < (ids.len() * wire::HULL_BYTES / 2) as u64, "{made:?}");
         assert_eq!(app.memory().used(), 0);
     }
 
-    /// Catches records that take more memory than the budget was asked for, a repeated hull
-    /// that is read again, and an answer that is not what single requests are answered.
+    /// Catches records that take more memory than was charged, a repeated hull that is read again,
+    /// and an answer that differs from those of single requests.
     #[test]
     fn repeated_hulls_share_what_is_read() {
         let runtime = runtime();
@@ -255,7 +256,7 @@ mod tests {
         assert!(made.count_total < one.count_total + 200, "{made:?}, {one:?}");
     }
 
-    /// Catches an answer that is built although its caller may not hold so much memory.
+    /// Catches an answer that is built although its caller may not hold that much memory.
     #[test]
     fn records_are_not_built_without_room() {
         let runtime = runtime();

@@ -12,33 +12,35 @@ use super::{
 };
 use crate::{log_limit::Repeated, proto, store::StoreError};
 
-/// After a failed accept (too many open files), so that the loop does not spin.
+/// The pause after a failed accept (too many open files), so that the loop does not spin.
 pub(super) const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
-/// How a server serves; what it accepts is its `Limits`.
+/// How a server serves its calls. Its `Limits` say which requests it accepts.
 #[derive(Clone, Debug)]
 pub struct Serving {
     /// Who may connect and call.
     pub security: Arc<Security>,
-    /// How often certificates and tokens are read again; they may change under the server.
+    /// The interval at which certificates and tokens are read again; the files may change while the
+    /// server runs.
     pub reload_every: Duration,
-    /// How long calls under way have to end once their connection is about to close.
+    /// The time for calls in progress to end once their connection is about to close.
     pub drain: Duration,
-    /// After about this long a connection is told to close, so that its client finds new
-    /// servers; zero: never.
+    /// The approximate age at which a connection is told to close, so that its client finds new
+    /// servers; zero stands for never.
     pub max_connection_age: Duration,
-    /// How often the store is tried.
+    /// The interval at which the store is probed.
     pub probe_every: Duration,
-    /// By then a peer has spoken TLS, and again by then HTTP/2's preface: some round trips.
+    /// The time for a peer's TLS handshake, and again for its HTTP/2 preface: enough for several
+    /// round trips.
     pub greeting: Duration,
-    /// The time that a request's message has to arrive, beside a second for each MiB of it.
+    /// The time for a request's message to arrive, plus a second per MiB of it.
     pub message_time: Duration,
-    /// The time that a caller has to take an answer, beside a second for each MiB of it.
+    /// The time for a caller to read an answer, plus a second per MiB of it.
     pub answer_time: Duration,
-    /// Addresses of proxies: each of their connections counts as a caller of its own.
+    /// The addresses of proxies: each of their connections is a separate caller.
     pub trusted_proxies: Vec<IpAddr>,
-    /// Whether a page that shows contacts is served too, and gRPC-web with it; only with the
-    /// feature `playground`.
+    /// Whether to serve the page that shows contacts, and gRPC-web with it; only with the feature
+    /// `playground`.
     #[cfg(feature = "playground")]
     pub playground: bool,
 }
@@ -63,11 +65,10 @@ impl Default for Serving {
 
 /// Serves `app` on `listeners` until `shutdown` completes.
 ///
-/// It completes with the grace: for so long health says NOT_SERVING and calls are accepted
-/// all the same, so that balancers hear of it before anybody is turned away. Then no
-/// connection is accepted any more, those that are open are told to close (GOAWAY), streams
-/// end after the message under way, and calls have `serving.drain` to finish before their
-/// connections are cut.
+/// `shutdown` returns the grace period. During the grace period health reports NOT_SERVING while
+/// calls are still accepted, so that load balancers notice before any call is refused. After it no
+/// new connection is accepted, open connections are told to close (GOAWAY), streams end after the
+/// message in progress, and calls have `serving.drain` to finish before their connections are cut.
 ///
 /// # Errors
 /// The reflection service could not be built.
@@ -79,7 +80,7 @@ pub async fn run(
 ) -> Result<(), OpenError> {
     let (mut reporter, routes) = routes(&app).await?;
     let drain = serving.drain;
-    // Before anybody is served, and before a failing store is found.
+    // Set before the first connection is accepted, and before the probe can find a failing store.
     app.set_readiness(Readiness::Ready);
     let mut beside = JoinSet::new();
     beside.spawn(reload(serving.security.clone(), serving.reload_every));
@@ -94,7 +95,7 @@ pub async fn run(
 
     let grace = shutdown.await;
     tracing::info!(grace_seconds = grace.as_secs_f64(), drain_seconds = drain.as_secs_f64(), "stopping");
-    // It would say SERVING again.
+    // Stop the probe, which would report SERVING again.
     beside.shutdown().await;
     app.set_readiness(Readiness::Stopping);
     for service in SERVICES {
@@ -102,7 +103,8 @@ pub async fn run(
     }
     tokio::time::sleep(grace).await;
     close.send_replace(true);
-    // Watchers have heard it: what they wait for ends, or they would be waited for.
+    // Watchers have received the status by now. End their streams, for which the server would
+    // otherwise wait.
     for service in SERVICES {
         reporter.clear_service_status(service).await;
     }
@@ -111,15 +113,15 @@ pub async fn run(
     Ok(())
 }
 
-/// What health answers for; the empty name is the server as a whole.
+/// The names that health answers for; the empty name stands for the whole server.
 const SERVICES: [&str; 4] = ["", HULL_SERVICE, "hullcast.v1.ContactService", "hullcast.v1.ServerService"];
 
 const HULL_SERVICE: &str = "hullcast.v1.HullService";
 
-/// The handlers without listener and middleware: for fuzzing them with bytes.
+/// The handlers without listeners and middleware, for fuzzing them with bytes.
 ///
 /// # Errors
-/// As [`run`].
+/// Those of [`run`].
 #[doc(hidden)]
 pub async fn handlers(app: &Arc<App>) -> Result<Routes, OpenError> {
     Ok(routes(app).await?.1)
@@ -135,7 +137,7 @@ async fn routes(app: &Arc<App>) -> Result<(HealthReporter, Routes), OpenError> {
         tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(proto::FILE_DESCRIPTOR_SET)
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
-            // What errors carry, so that tools can show it.
+            // The types of the error details, so that tools can show them.
             .register_encoded_file_descriptor_set(tonic_types::pb::FILE_DESCRIPTOR_SET)
     };
     let routes = Routes::default()
@@ -150,7 +152,7 @@ async fn routes(app: &Arc<App>) -> Result<(HealthReporter, Routes), OpenError> {
 
 static ACCEPT_FAILED: Repeated = Repeated::new();
 
-/// Accepts until told to stop, then waits for its connections, which end by themselves.
+/// Accepts connections until told to stop, then waits for the open ones, which end by themselves.
 async fn accept(listener: Listener, connections: Arc<Connections>, mut closing: Closing) {
     let mut open = JoinSet::new();
     let theirs = closing.clone();
@@ -160,7 +162,7 @@ async fn accept(listener: Listener, connections: Arc<Connections>, mut closing: 
             Some(_) = open.join_next() => {}
             accepted = listener.accept() => match accepted {
                 Ok((io, address)) => {
-                    // Without a place the peer finds its connection closed.
+                    // Beyond the limit the connection is closed.
                     if let Some(peer) = connections.admit(address) {
                         open.spawn(connections.clone().serve(io, theirs.clone(), peer));
                     }
@@ -178,12 +180,13 @@ async fn accept(listener: Listener, connections: Arc<Connections>, mut closing: 
     while open.join_next().await.is_some() {}
 }
 
-/// A store that answers takes milliseconds; a machine that is busy may take longer.
+/// The shortest time limit of a probe. A working store answers in milliseconds; a busy machine may
+/// take longer.
 const SHORTEST_PROBE: Duration = Duration::from_secs(1);
 
-/// Tries the store, for ever: registering is not served while it cannot be written to. A probe
-/// that is not answered within an interval fails, so that a store that hangs is noticed within
-/// two.
+/// Probes the store for ever; while it cannot be written to, HullService is not serving. A probe
+/// that is not answered within an interval fails, so that a hung store is noticed within two
+/// intervals.
 async fn probe(app: Arc<App>, reporter: HealthReporter, every: Duration) {
     let within = every.max(SHORTEST_PROBE);
     let mut well = true;
@@ -217,7 +220,7 @@ async fn reload(security: Arc<Security>, every: Duration) {
     loop {
         tokio::time::sleep(every).await;
         let security = security.clone();
-        // Files: not on the threads that serve.
+        // Reading files blocks, so it must not run on the threads that serve.
         let _ = tokio::task::spawn_blocking(move || security.reload()).await;
     }
 }

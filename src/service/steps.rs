@@ -1,5 +1,5 @@
-//! A stream of requests: answered in order, one at a time, each perhaps inheriting
-//! from the one before.
+//! Answers a stream of requests in order, one at a time. Each request may inherit from the one
+//! before.
 
 use std::{sync::Arc, time::Duration};
 
@@ -20,10 +20,10 @@ use crate::{
     proto::{Encoded, QueryContactsRequest, QueryContactsResponse},
 };
 
-/// When a client of a server that stops, or keeps too much for others, should ask again.
+/// The time after which to retry if the server stops, or if streams keep too much state.
 const RETRY: Duration = Duration::from_millis(100);
 
-/// A stream of requests being answered.
+/// A stream of requests in progress.
 pub(super) struct Steps {
     app: Arc<App>,
     context: CallContext,
@@ -32,24 +32,25 @@ pub(super) struct Steps {
     previous: Previous,
 }
 
-/// The message before.
+/// The previous message of the stream.
 enum Previous {
-    /// There was none.
+    /// There was no previous message.
     None,
-    /// There was no room to keep it.
+    /// There was no memory to keep its state.
     Dropped,
     /// The state that the next message may inherit.
     Kept { kept: FreedHere<Kept>, memory: Permit },
 }
 
-/// Hulls, bodies, pairs and options of a message, and the bases of its answer.
+/// The hulls, bodies, pairs and options of a message, and the bases of its answer.
 struct Kept {
     setting: Arc<Setting>,
     bases: Vec<u32>,
 }
 
 impl Steps {
-    /// Ends when the requests do, and once `closing` is true: after the message under way.
+    /// A stream that ends with its requests, or after the message in progress once `closing` is
+    /// true.
     pub(super) fn new(
         app: Arc<App>,
         context: CallContext,
@@ -59,7 +60,7 @@ impl Steps {
         Self { app, context, requests, closing, previous: Previous::None }
     }
 
-    /// The next answer; none at the end of the requests.
+    /// The next answer; none after the last request.
     pub(super) async fn next(&mut self) -> Result<Option<QueryContactsResponse>, Status> {
         let request = tokio::select! {
             biased;

@@ -1,9 +1,9 @@
-//! Keeps blobs by the hash of their content.
+//! Stores of blobs that are named by the hash of their content.
 //!
-//! [`BlobStore`] is all that the registry asks of a store. A directory is one
-//! (`directory`), with every write synced (file and directories) before it is acknowledged;
-//! over the `object_store` crate (`objects`) so are an object store (`remote`), and memory,
-//! which forgets.
+//! [`BlobStore`] is the interface that the registry needs. It has two implementations. `directory`
+//! keeps blobs as files and syncs every write (the file and its directories) before it is
+//! acknowledged. `objects` keeps them by the `object_store` crate, in an object store over the
+//! network (`remote`) or in memory, which keeps nothing over a restart.
 
 use std::{collections::BinaryHeap, fmt, path::Path, sync::Arc};
 
@@ -16,16 +16,16 @@ use super::{HullId, directory::DirectoryStore, identity::id_of, objects::Objects
 /// Why an operation of the store failed.
 #[derive(Clone, Debug)]
 pub enum StoreError {
-    /// No room: the disk or the configured limit.
+    /// No room: the disk or the configured limit is full.
     Full(String),
-    /// It could not be read or written; trying again may help.
+    /// The store could not be read or written; trying again may help.
     Unavailable(String),
-    /// It does not answer: an earlier operation has not returned in time.
+    /// The store does not answer: an earlier operation has not returned in time.
     Hung(String),
     /// This caller waits for too many operations already; trying again may help.
     Busy(String),
-    /// An entry of this name is there and cannot be a blob: it is not a regular file, it is
-    /// too large, or it may not be read. Its hull is not there; the others are not affected.
+    /// There is an entry of this name that cannot be a blob: it is not a regular file, is too
+    /// large, or may not be read. Its hull counts as missing; other hulls are not affected.
     NotABlob(String),
 }
 
@@ -43,27 +43,27 @@ impl fmt::Display for StoreError {
 
 impl std::error::Error for StoreError {}
 
-/// A blob, as listed.
+/// A blob, as a listing describes it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct StoredBlob {
     /// Its name.
     pub id: HullId,
-    /// When it was last written, milliseconds since 1970 (UTC).
+    /// The time of the last write, in milliseconds since 1970 (UTC).
     pub created_unix_ms: i64,
-    /// Its size.
+    /// Its size in bytes.
     pub bytes: u64,
 }
 
 /// A durable map from id to bytes. Blobs whose ids share the first byte are one shard.
 pub trait BlobStore: fmt::Debug + Send + Sync {
-    /// Writes a blob; durable when it returns. An earlier one of that name is replaced.
+    /// Writes a blob, which is durable when this returns. An earlier blob of that name is replaced.
     fn put(&self, id: HullId, blob: Bytes) -> BoxFuture<'_, Result<(), StoreError>>;
-    /// Reads a blob of at most `max_bytes`; none when there is no such. Whatever lies under
-    /// the name, at most one byte more is read.
+    /// Reads a blob of at most `max_bytes`; none if there is none. Whatever entry has that name, at
+    /// most one byte more is read.
     fn get(&self, id: HullId, max_bytes: u64) -> BoxFuture<'_, Result<Option<Bytes>, StoreError>>;
-    /// A blob's size; none when there is no such.
+    /// The size of a blob in bytes; none if there is none.
     fn size(&self, id: HullId) -> BoxFuture<'_, Result<Option<u64>, StoreError>>;
-    /// Removes a blob; none to remove is no error.
+    /// Removes a blob. It is no error if there is none.
     fn delete(&self, id: HullId) -> BoxFuture<'_, Result<(), StoreError>>;
     /// The shards that may have blobs, in order.
     fn shards(&self) -> BoxFuture<'_, Result<Vec<u8>, StoreError>>;
@@ -76,11 +76,12 @@ pub trait BlobStore: fmt::Debug + Send + Sync {
         count: usize,
         max_bytes: u64,
     ) -> BoxFuture<'_, Result<Vec<StoredBlob>, StoreError>>;
-    /// Keeps `blob`, found under the name of `id` and not that hull, out of the way; where.
+    /// Keeps a copy of `blob`, which was found under the name of `id` but is not that hull. Returns
+    /// the copy's place.
     fn set_aside(&self, id: HullId, blob: Bytes) -> BoxFuture<'_, Result<String, StoreError>>;
-    /// Writes and removes something, to see whether it can.
+    /// Writes and removes a small object, to test whether the store can be written to.
     fn probe(&self) -> BoxFuture<'_, Result<(), StoreError>>;
-    /// How many operations it does side by side.
+    /// How many operations the store runs at a time.
     fn operations_at_a_time(&self) -> u64 {
         64
     }
@@ -121,16 +122,16 @@ impl fmt::Display for OpenError {
 
 impl std::error::Error for OpenError {}
 
-/// An opened store.
+/// An open store.
 pub type Opened = Arc<dyn BlobStore>;
 
-/// Opens a directory (a plain path or `file://`), created where it is missing, or
-/// `memory://`, which keeps nothing over a restart, or by feature a bucket: `s3://`, `gs://`
-/// or `az://` with its name and perhaps a prefix.
+/// Opens a store: a directory (a plain path or `file://`), which is created if it is missing;
+/// `memory://`, which keeps nothing over a restart; or, with the feature of its provider, a bucket:
+/// `s3://`, `gs://` or `az://` followed by its name and an optional prefix.
 ///
 /// # Errors
-/// The directory cannot be made or is not one, or the scheme is not of this build. Whether a
-/// bucket can be reached is not asked.
+/// The directory cannot be created or is not a directory, or this build does not support the
+/// scheme. Whether a bucket can be reached is not tested.
 pub fn open(url: &str) -> Result<Opened, OpenError> {
     match url.split_once("://") {
         Some(("memory", _)) => Ok(Arc::new(Objects::new(Arc::new(InMemory::new()), None))),
@@ -148,10 +149,10 @@ pub fn open(url: &str) -> Result<Opened, OpenError> {
     }
 }
 
-/// Opens a directory as [`open`] does, if it is there already.
+/// Opens a store as [`open`] does, but does not create a directory.
 ///
 /// # Errors
-/// As [`open`]; there is no such directory.
+/// Those of [`open`]; the directory does not exist.
 pub fn open_existing(url: &str) -> Result<Opened, OpenError> {
     let path = url.strip_prefix("file://").unwrap_or(url);
     if !path.contains("://") && !Path::new(path).is_dir() {
@@ -160,7 +161,7 @@ pub fn open_existing(url: &str) -> Result<Opened, OpenError> {
     open(url)
 }
 
-/// A store over the network, and the words by which it says that an object is missing.
+/// A store over the network, and the words by which its errors say that an object is missing.
 pub(super) type Remote = (Arc<dyn ObjectStore>, &'static str);
 
 #[cfg(feature = "remote")]
@@ -189,25 +190,25 @@ fn failed(url: &str, error: &dyn std::error::Error) -> OpenError {
     OpenError(format!("store {url}: {error}"))
 }
 
-/// The directory of a shard.
+/// The name of a shard's directory.
 pub(super) fn shard_name(shard: u8) -> String {
     format!("{shard:02x}")
 }
 
-/// The shard of a directory; none of another name.
+/// The shard of a directory; none if the name is not a shard's.
 pub(super) fn shard_of_name(name: &str) -> Option<u8> {
     let shard = u8::from_str_radix(name, 16).ok()?;
     (name == shard_name(shard)).then_some(shard)
 }
 
-/// The name under which bytes are set aside that were found in place of the blob of `id`. It
-/// has both hashes, so that the same bytes are kept once, however often they are found.
+/// The name for a copy of bytes that were found in place of the blob of `id`. It contains both
+/// hashes, so that equal bytes are kept once, however often they are found.
 pub(super) fn quarantine_name(id: HullId, found: &[u8]) -> String {
     let content = id_of(found).to_string();
     format!("{id}-{}", &content[..16])
 }
 
-/// Keeps the first `count` of the items that are offered.
+/// Keeps the first `count` of the offered items, in their order.
 pub(super) struct FirstById<T> {
     count: usize,
     first: BinaryHeap<T>,
@@ -251,7 +252,7 @@ mod tests {
         }
     }
 
-    /// Catches a directory that is taken for a shard and is not one.
+    /// Catches a directory that is not a shard and is taken for one.
     #[test]
     fn shards_are_two_lower_case_digits() {
         assert!((0..=255).all(|shard| shard_of_name(&shard_name(shard)) == Some(shard)));

@@ -10,17 +10,17 @@ use crate::{
     lock::locked,
 };
 
-/// Bytes that building takes at most for each point of a definition, the definition, its blob
-/// and the hull among them. Measured: `building_takes_no_more_than_is_counted`.
+/// The most bytes that building takes per point of a definition, including the definition, its blob
+/// and the hull. Measured by the test `building_takes_no_more_than_is_counted`.
 const BYTES_PER_POINT: usize = 1280;
 
-/// Bytes that building takes for any definition.
+/// The bytes that building takes for any definition.
 const BYTES_PER_HULL: usize = 2 << 10;
 
-/// Steps of building for each point of a definition.
+/// The steps of building, per point of a definition.
 const STEPS_PER_POINT: u64 = 3_000;
 
-/// Steps of simplifying for each pair of points of a definition.
+/// The steps of simplifying, per pair of points of a definition.
 const SIMPLIFYING_STEPS: u64 = 500;
 
 /// The most bytes that building a hull takes.
@@ -28,12 +28,12 @@ pub(super) fn building_bytes(definition: &HullDefinition) -> usize {
     BYTES_PER_HULL + BYTES_PER_POINT * definition.points.len()
 }
 
-/// Hulls to be built, each a part.
+/// Hulls to be built; each is one part.
 pub(super) struct Building {
     pub(super) definitions: Vec<HullDefinition>,
     pub(super) max_vertices: usize,
     pub(super) stop: Arc<Stop>,
-    /// Given back before the caller hears of the hulls, or when the work is dropped.
+    /// Released before the caller receives the hulls, or when the work is dropped.
     pub(super) memory: Mutex<Option<Permit>>,
 }
 
@@ -74,7 +74,7 @@ mod tests {
     use super::*;
     use crate::contact::Simplification;
 
-    /// Points all over a sphere, all of them extreme.
+    /// Points spread over a sphere, all of them extreme.
     fn sphere(count: usize) -> Vec<[f64; 3]> {
         let point = |i: usize| {
             let z = 1.0 - (2.0 * i as f64 + 1.0) / count as f64;
@@ -85,8 +85,8 @@ mod tests {
         (0..count).map(point).collect()
     }
 
-    /// Catches hulls whose building takes more memory than is taken of the budget for it: the
-    /// peak of building, and the definition twice, as points and as stored bytes.
+    /// Catches hulls whose building takes more memory than is charged for it. The memory is the
+    /// peak of building, and the definition twice: as points and as stored bytes.
     #[test]
     fn building_takes_no_more_than_is_counted() {
         // The corners of a prism with many sides.

@@ -1,4 +1,4 @@
-//! The hulls in memory: a cache with a bound on its bytes. Leased hulls stay in it
+//! The hulls in memory: a cache with a limit in bytes. Leased hulls are never evicted
 //! ([`lease`](super::lease)).
 
 use std::sync::{
@@ -12,22 +12,25 @@ use quick_cache::{DefaultHashBuilder, Lifecycle, OptionsBuilder, Weighter, sync:
 use super::HullId;
 use crate::{contact::ConvexHull, metrics::Metrics};
 
-/// Measured beside moka 0.12 (2,000 entries, two busy cores, four shards): a hit in 0.11 to
-/// 0.25 us against 0.27 to 0.96, and never over its bytes while 200,000 inserts churn it.
+/// Measured against moka 0.12 (2,000 entries, two busy cores, four shards): a hit takes 0.11 to
+/// 0.25 us instead of 0.27 to 0.96 us, and the cache never exceeds its limit during 200,000
+/// inserts.
 pub(super) type HullCache = Cache<HullId, Arc<Entry>, HeapBytes, DefaultHashBuilder, Eviction>;
 
-/// The bytes of a cached hull beside its heap: the entry, the hull's own struct and the cache's
+/// The bytes of a cached hull besides its heap: the entry, the hull's own struct and the cache's
 /// slot.
 const ENTRY_BYTES: u64 = (size_of::<Entry>() + size_of::<ConvexHull>() + 128) as u64;
 
-/// For the cache's own tables, which grow when it is wrong: a hull of some 50 vertices.
+/// The size of a hull with about 50 vertices. It sizes the cache's own tables, which grow if it is
+/// too large.
 const TYPICAL_HULL_BYTES: u64 = 16 << 10;
 
-/// A cache of `bytes`.
+/// A cache of at most `bytes` bytes.
 pub(super) fn cache(bytes: u64, metrics: &Metrics) -> HullCache {
     let items = usize::try_from(bytes / TYPICAL_HULL_BYTES).unwrap_or(usize::MAX);
     let options = OptionsBuilder::new()
-        // Each part has its share of the bytes: of several, one could not hold what all can.
+        // One shard: with several, a hull that fits in the limit may not fit in its shard's part of
+        // it.
         .shards(1)
         .estimated_items_capacity(items.clamp(16, 1 << 20))
         .weight_capacity(bytes)
@@ -67,11 +70,12 @@ impl Weighter<HullId, Arc<Entry>> for HeapBytes {
 pub(super) struct Entry {
     pub(super) hull: Arc<ConvexHull>,
     pub(super) bytes: u64,
-    /// This process wrote it: its blob is known to be synced.
+    /// Whether this process wrote the hull, so that its blob is known to be synced.
     pub(super) written: bool,
-    /// When it was last known to be in the store, milliseconds since the registry started.
+    /// The time at which it was last known to be in the store, in milliseconds since the registry
+    /// started.
     pub(super) seen_ms: AtomicU64,
-    /// How many requests lease it; written under the lock of all leases.
+    /// How many leases there are on it; written under the lock of all leases.
     pub(super) leases: AtomicU32,
 }
 
@@ -90,7 +94,7 @@ mod tests {
         store::lease::{LeaseRequest, Leases, tests::entries},
     };
 
-    /// Catches a hull that is evicted while it is leased, and a cache that stays over its bytes.
+    /// Catches a hull that is evicted while it is leased, and a cache that exceeds its limit.
     #[test]
     fn leased_hulls_are_not_evicted() {
         let entries = entries(200);
@@ -106,7 +110,7 @@ mod tests {
             assert!(cache.weight() <= bytes);
             assert!((0..9.min(i)).all(|i| cache.get(&id(i)).is_some()), "{i}");
         }
-        // Then they give way to others that are leased.
+        // Without a lease they are evicted in favour of other leased hulls.
         drop(leased);
         let leased = request().lease(entries[100..109].to_vec()).unwrap();
         (100..109).for_each(|i| cache.insert(id(i), entries[i].clone()));
@@ -115,11 +119,10 @@ mod tests {
         drop(leased);
     }
 
-    /// Catches one caller's hulls that evict everybody's: while a flood of hulls goes through
-    /// the cache, each used as often as given, hulls that another caller uses every hundred
-    /// new hulls, a tenth of the cache, stay in it. Without the flood's uses none is evicted;
-    /// with three uses each, a hull of the other caller is evicted at most twice before the
-    /// cache knows that it is in use.
+    /// A flood of new hulls passes through the cache, each used 0, 1 or 3 times. Another caller
+    /// uses 20 hulls after every hundred new ones. Catches a flood that evicts the other caller's
+    /// hulls: with 0 or 1 uses none may be evicted; with 3 uses each of them at most twice, before
+    /// the cache knows that it is in use.
     #[test]
     fn a_flood_does_not_evict_hulls_in_use() {
         for (uses, most_evicted) in [(0, 0), (1, 0), (3, 2)] {
@@ -151,7 +154,7 @@ mod tests {
         }
     }
 
-    /// Catches a hull in steady use that gives way to hulls that come once and never again.
+    /// Catches a hull in steady use that is evicted in favour of hulls that are used once.
     #[test]
     fn what_is_used_stays() {
         let entries = entries(250);

@@ -1,15 +1,15 @@
-//! Blobs as files of a local directory that is not trusted.
+//! Blobs as files in a local directory that is not trusted.
 //!
-//! Anything may lie under a blob's name: a file of several gigabytes, a FIFO, a device, a
-//! symbolic link to a system file. Every file is therefore opened relative to the descriptor
-//! of its directory, without following links and without blocking, and examined on its own
-//! descriptor before it is read: it must be a regular file within the size limit. At most one
-//! byte past the limit is read, so a file that grows meanwhile is refused too. An entry that
-//! fails this costs its own hull only ([`StoreError::NotABlob`]).
+//! Any kind of entry may have a blob's name: a file of several gigabytes, a FIFO, a device, a
+//! symbolic link to a system file. Therefore every file is opened relative to the descriptor of its
+//! directory, without following links and without blocking, and is examined through its own
+//! descriptor before it is read: it must be a regular file within the size limit. At most one byte
+//! past the limit is read, so a file that grows meanwhile is refused too. An entry that fails these
+//! tests affects only its own hull ([`StoreError::NotABlob`]).
 //!
-//! Layout: `ab/ab12…`, the id in hexadecimal under its first two digits; beside it
-//! `quarantine/`. A blob is written to `ab/ab12…#N`, synced, renamed into place, and its
-//! directory is synced (docs/durability.md).
+//! The path of a blob is `ab/ab12…`: the id in hexadecimal, in a directory named by its first two
+//! digits. The directory `quarantine/` lies beside these. A blob is written to `ab/ab12…#N`, synced
+//! and renamed into place; then its directory is synced (docs/durability.md).
 
 mod root;
 
@@ -21,11 +21,11 @@ use root::Root;
 
 use super::{BlobStore, HullId, StoreError, StoredBlob, file_threads::FileThreads};
 
-/// How many operations run at a time. One caller may have half of them, as many as one request
-/// begins at a time, so that the file system can gather the syncs of a whole request.
+/// How many operations run at a time. One caller may have half of them, which is as many as one
+/// request starts at a time, so that the file system can gather the syncs of a whole request.
 const AT_A_TIME: usize = 32;
 
-/// One more than `AT_A_TIME`: a probe never waits behind other operations.
+/// One thread more than `AT_A_TIME`, so that a probe never waits behind other operations.
 const THREADS: usize = AT_A_TIME + 1;
 
 /// Blobs in a directory.
@@ -36,10 +36,10 @@ pub(super) struct DirectoryStore {
 }
 
 impl DirectoryStore {
-    /// Opens the directory at `path`, which is created where it is missing.
+    /// Opens the directory at `path`, which is created if it is missing.
     ///
     /// # Errors
-    /// It cannot be made or is not a directory, or the system has no more threads.
+    /// The path cannot be created or is not a directory, or the system has no more threads.
     pub(super) fn open(path: &Path) -> io::Result<Self> {
         Ok(Self { root: Arc::new(Root::open(path)?), threads: FileThreads::start(THREADS)? })
     }
@@ -105,8 +105,8 @@ mod tests {
     use super::*;
     use crate::store::blobs;
 
-    /// Catches a page that leaves out a blob, has one twice, is out of order or too long, or
-    /// ends early because entries before its end are not blobs.
+    /// Catches a page that misses or repeats a blob, is out of order or too long, or ends early
+    /// because some entries are not blobs.
     #[tokio::test]
     async fn pages_have_all_blobs_in_order() {
         let directory = tempfile::tempdir().unwrap();

@@ -1,8 +1,8 @@
-//! Threads for file operations, beside the ones of the async runtime.
+//! Threads for file operations, separate from those of the async runtime.
 //!
-//! A file operation can block for good, as on a network file system whose server is gone. On
-//! threads of their own, blocked operations keep no other work of the process from running.
-//! Nobody waits for these threads to end: the process may exit while one of them is blocked.
+//! A file operation can block for ever, for example on a network file system whose server is gone.
+//! On separate threads, blocked operations keep no other work of the process from running. Nothing
+//! waits for these threads to end: the process may exit while one of them is blocked.
 
 use std::{
     fmt, io,
@@ -20,11 +20,11 @@ use crate::lock::locked;
 
 type Task = Box<dyn FnOnce() + Send>;
 
-/// How many operations may wait for a thread. The registry starts far fewer at a time; one
-/// more than this fails.
+/// How many operations may wait for a thread; one more fails. The registry starts far fewer at a
+/// time.
 const WAITING: usize = 256;
 
-/// The threads; they end when this is dropped and their last operation has returned.
+/// The threads. They end when this is dropped and their last operation has returned.
 pub(super) struct FileThreads {
     tasks: SyncSender<Task>,
 }
@@ -54,11 +54,11 @@ impl FileThreads {
         Ok(Self { tasks })
     }
 
-    /// Runs `operation` on one of the threads; not at all if nobody waits for it any more when
-    /// its turn comes.
+    /// Runs `operation` on one of the threads. It does not run if its caller has left before its
+    /// turn.
     ///
     /// # Errors
-    /// It panicked, or too many operations wait for a thread.
+    /// The operation panicked, or too many operations wait for a thread.
     pub(super) async fn run<T: Send + 'static>(
         &self,
         operation: impl FnOnce() -> T + Send + 'static,
@@ -77,7 +77,7 @@ impl FileThreads {
     }
 }
 
-/// The next task; none when the threads are to end.
+/// The next task; none if the threads have to end.
 fn next(queue: &Mutex<Receiver<Task>>) -> Option<Task> {
     locked(queue).recv().ok()
 }
@@ -88,8 +88,8 @@ mod tests {
 
     use super::*;
 
-    /// Catches operations that wait without bound behind blocked ones, one that runs although
-    /// nobody waits for it, and a panic that takes a thread with it.
+    /// Catches operations that wait without bound behind blocked ones, an operation that runs
+    /// although its caller has left, and a panic that ends a thread.
     #[tokio::test]
     async fn waiting_operations_are_bounded() {
         let threads = FileThreads::start(1).unwrap();

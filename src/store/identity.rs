@@ -1,7 +1,7 @@
-//! What a hull is called: the SHA-256 of its content (docs/identity.md).
+//! The name of a hull: the SHA-256 of its content (docs/identity.md).
 //!
-//! The byte string that is hashed is also what is stored, so that a blob
-//! proves by its name that it is the one that was acknowledged.
+//! The hashed bytes are also the stored bytes, so that a blob proves by its name that it is the
+//! blob that was acknowledged.
 
 use std::{fmt, str::FromStr};
 
@@ -9,7 +9,7 @@ use sha2::{Digest, Sha256};
 
 use crate::contact::{BuildError, ConvexHull, HullError, HullOptions, Simplification, Stop};
 
-/// First in the byte string.
+/// The first bytes of the byte string.
 const MAGIC: &[u8; 8] = b"hullcast";
 /// The version of byte strings without a planarity.
 const FORMAT: u32 = 1;
@@ -34,7 +34,7 @@ impl fmt::Debug for HullId {
     }
 }
 
-/// Not 64 lower-case hexadecimal digits.
+/// The text is not 64 lower-case hexadecimal digits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotAnId;
 
@@ -56,14 +56,15 @@ impl FromStr for HullId {
     }
 }
 
-/// What a hull is registered as: its content, before anything is computed.
+/// The definition of a hull, as it is registered.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct HullDefinition {
-    /// Hull frame, caller's units, in the caller's order.
+    /// The points, in the hull's frame, the caller's units and the caller's order.
     pub points: Vec<[f64; 3]>,
-    /// Hull frame, caller's units; absent: the centre of mass.
+    /// The contraction point, in the hull's frame and the caller's units; the centre of mass if
+    /// absent.
     pub contraction_point: Option<[f64; 3]>,
-    /// Absent: the hull as it is.
+    /// The simplification; if absent, the hull keeps all its vertices.
     pub simplification: Option<Simplification>,
     /// See [`HullOptions::planarity`].
     pub planarity: Option<f64>,
@@ -101,7 +102,7 @@ impl HullDefinition {
         bytes
     }
 
-    /// Reads identity bytes back; none when they are not ones of a version known here.
+    /// Reads identity bytes; none if they are invalid or of a version that is not known here.
     pub fn from_identity_bytes(bytes: &[u8]) -> Option<Self> {
         let mut rest = Bytes(bytes);
         if rest.take::<8>()? != *MAGIC {
@@ -134,18 +135,18 @@ impl HullDefinition {
         Some(Self { points, contraction_point, simplification, planarity })
     }
 
-    /// The hull.
+    /// Builds the hull.
     ///
     /// # Errors
-    /// Why these points are not one.
+    /// The reason why these points have no valid hull.
     pub fn build(&self, max_vertices: usize) -> Result<ConvexHull, HullError> {
         ConvexHull::with_options(&self.points, &self.options(max_vertices))
     }
 
-    /// The hull, unless `stop` ends the build before.
+    /// Builds the hull, unless `stop` ends the build.
     ///
     /// # Errors
-    /// Why these points are not one; the build was stopped.
+    /// The reason why these points have no valid hull, or that the build was stopped.
     pub fn build_stoppable(&self, max_vertices: usize, stop: &Stop) -> Result<ConvexHull, BuildError> {
         ConvexHull::with_options_stoppable(&self.points, &self.options(max_vertices), stop)
     }
@@ -156,7 +157,7 @@ impl HullDefinition {
     }
 }
 
-/// The name of identity bytes.
+/// The id of identity bytes.
 pub fn id_of(identity_bytes: &[u8]) -> HullId {
     HullId(Sha256::digest(identity_bytes).into())
 }
@@ -178,7 +179,7 @@ fn write_point(bytes: &mut Vec<u8>, point: [f64; 3]) {
     }
 }
 
-/// What is left to read.
+/// The bytes that are still to be read.
 struct Bytes<'a>(&'a [u8]);
 
 impl Bytes<'_> {
@@ -188,7 +189,7 @@ impl Bytes<'_> {
         Some(*head)
     }
 
-    /// Outside, whether it could be read; inside, whether it is there.
+    /// The outer option is none if the bytes cannot be read, the inner one if the value is absent.
     #[allow(clippy::option_option, reason = "two questions")]
     fn optional<const N: usize>(&mut self) -> Option<Option<[u8; N]>> {
         match self.take()? {
@@ -223,7 +224,7 @@ mod tests {
         HullDefinition { simplification, ..tetrahedron() }
     }
 
-    /// Catches a field written but not read, or read in another place.
+    /// Catches a field that is written but not read, or read in another place.
     #[test]
     fn bytes_read_back() {
         let plain = tetrahedron();
@@ -251,7 +252,7 @@ mod tests {
         }
     }
 
-    /// Catches two ids for one hull, and one id for two.
+    /// Catches two ids for one hull, and one id for two hulls.
     #[test]
     fn the_sign_of_zero_is_no_content_and_the_point_is() {
         let plain = id_of(&tetrahedron().identity_bytes());
@@ -268,11 +269,11 @@ mod tests {
         });
         assert_eq!(planarities[0], planarities[1]);
         assert_ne!(planarities[0], plain);
-        // What an absent planarity means, but another registration.
+        // The default planarity written out is a different registration.
         assert_ne!(planarities[2], plain);
     }
 
-    /// Catches a key of the store that does not name its hull.
+    /// Catches an id that does not survive the round trip through its text.
     #[test]
     fn ids_read_back() {
         let id = id_of(b"any");

@@ -1,11 +1,12 @@
-//! Leases: cached hulls that requests use, and how much of the cache each caller may use so.
+//! Leases: the cached hulls that requests use, and the share of the cache that each caller may
+//! lease.
 //!
-//! A request leases all of its hulls or none, and leased hulls stay in the cache. The hulls
-//! that are leased at a time are bounded by the bytes of the cache, so that the cache can always
-//! make room for them. Callers share these bytes by dynamic thresholds (see
-//! [`budget`](crate::budget)): a caller may lease more only while it then holds at most as much
-//! as stays free. A hull that several callers lease takes its bytes once, and counts for each
-//! of them once, however many of a caller's requests lease it.
+//! A request leases all of its hulls or none, and leased hulls stay in the cache. The limit on all
+//! leases is the size of the cache, so that the cache can always make room for them. Callers share
+//! this limit by dynamic thresholds (see [`budget`](crate::budget)): a caller may lease more only
+//! while it then holds at most as many bytes as stay free. A hull that several callers lease counts
+//! once in the total and once for each of these callers, however many of a caller's requests lease
+//! it.
 
 use std::{
     collections::{HashMap, hash_map},
@@ -25,12 +26,12 @@ use crate::{
     metrics::Metrics,
 };
 
-/// Why a request cannot have its hulls.
+/// Why a request cannot lease its hulls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LeaseError {
-    /// They take more than one caller may ever lease.
+    /// The hulls take more than one caller may ever lease.
     TooLarge,
-    /// Requests hold too much at the moment.
+    /// Other requests hold too many bytes at the moment.
     Busy,
 }
 
@@ -44,7 +45,7 @@ pub(super) struct Leases {
 #[derive(Debug)]
 struct State {
     shares: Shares,
-    /// How many requests of a caller lease an entry; by the caller's id and the entry's address.
+    /// How many of a caller's requests lease an entry, by the caller's id and the entry's address.
     counts: HashMap<(u64, usize), u32>,
 }
 
@@ -60,7 +61,7 @@ impl Leases {
     }
 }
 
-/// One request's leases; every hull counts once.
+/// The leases of one request; each hull counts once.
 #[derive(Debug)]
 pub(super) struct LeaseRequest {
     leases: Arc<Leases>,
@@ -124,7 +125,7 @@ impl State {
     }
 }
 
-/// A request's hulls stay in the cache until it is dropped.
+/// Keeps a request's hulls in the cache until it is dropped.
 #[derive(Debug)]
 pub struct Lease {
     leases: Arc<Leases>,
@@ -133,7 +134,7 @@ pub struct Lease {
 }
 
 impl Lease {
-    /// Together with `other`, of the same request.
+    /// Adds the entries of `other`, a lease of the same request.
     pub(super) fn join(&mut self, mut other: Self) {
         self.entries.append(&mut other.entries);
     }
@@ -152,7 +153,7 @@ impl Drop for Lease {
     }
 }
 
-/// A request's hulls, in its order.
+/// The hulls of a request, in its order.
 pub type Hulls = Vec<Result<Arc<ConvexHull>, Missing>>;
 
 #[cfg(test)]
@@ -171,9 +172,9 @@ pub(super) mod tests {
         (0..count).map(|user| callers.get(CallerKey::User(user))).collect()
     }
 
-    /// Catches a hull leased twice that counts twice, one that is free while somebody leases
-    /// it, a part of a request that stays leased when the rest is refused, and a request that
-    /// is too large and is told to come back.
+    /// Catches a hull that counts twice if it is leased twice, one that is released while another
+    /// request leases it, a part of a request that stays leased when the rest is refused, and a
+    /// request that can never fit and is told to retry.
     #[test]
     fn all_or_nothing_within_the_limit() {
         let (entries, caller) = (entries(5), Caller::alone());
@@ -208,9 +209,9 @@ pub(super) mod tests {
         assert!(entries.iter().all(|entry| entry.leases.load(Ordering::Relaxed) == 0));
     }
 
-    /// Catches a caller who leases so much that nothing is left for others, at its share and
-    /// one hull past it; a hull of two callers that takes its bytes twice, or that counts for
-    /// the first of them only.
+    /// Catches a caller that leases so much that nothing is left for others, at its share and one
+    /// hull past it. Also catches a hull of two callers that counts twice in the total, or only for
+    /// the first of them.
     #[test]
     fn callers_share_what_can_be_leased() {
         let (entries, callers) = (entries(20), callers(3));

@@ -1,9 +1,10 @@
-//! The durable registry of hulls, and the bounded cache before it.
+//! The durable registry of hulls, with a bounded cache in front.
 //!
-//! [`identity`] names a hull. [`blobs`] is the interface to the stores of bytes: `directory` (on
-//! `file_threads`) and `objects`. `scheduled` lets callers use it in `turns` and notices when it
-//! hangs. [`registry`] answers for hulls, with a `reader` for each request; `cache` has hulls in
-//! memory, and `lease` says how much of it requests may use. Nothing here knows the wire.
+//! [`identity`] names a hull. [`blobs`] is the interface to a store of bytes, implemented by
+//! `directory` (on `file_threads`) and `objects`. `scheduled` lets callers use a store in `turns`
+//! and notices when it hangs. [`registry`] answers requests for hulls, with a `reader` per request.
+//! `cache` keeps hulls in memory, and `lease` limits how much of the cache requests may use.
+//! Nothing here depends on the wire format.
 
 pub mod blobs;
 mod building;

@@ -1,4 +1,4 @@
-//! Blobs as objects: in an object store over the network, or in memory.
+//! Blobs as objects, in an object store over the network or in memory.
 
 use std::{error::Error as _, io, sync::Arc};
 
@@ -19,14 +19,14 @@ pub(super) struct Objects {
 }
 
 impl Objects {
-    /// `absent`: the words by which an answer says that an object is missing. It is given for
-    /// stores that answer with the same status if the bucket is missing, which is an outage of
-    /// all hulls. Without it the status is enough.
+    /// `absent` is for stores that give the same status for a missing object and for a missing
+    /// bucket. A missing bucket is an outage of all hulls; an error whose text contains `absent` is
+    /// about a missing object. Without it the status alone decides.
     pub(super) fn new(objects: Arc<dyn ObjectStore>, absent: Option<&'static str>) -> Self {
         Self { objects, absent }
     }
 
-    /// Not found is no error if the object itself was not found.
+    /// A "not found" is no error if it is about the object itself.
     fn present<T>(&self, result: object_store::Result<T>) -> Result<Option<T>, StoreError> {
         match result {
             Ok(value) => Ok(Some(value)),
@@ -43,14 +43,14 @@ impl Objects {
     async fn meta(&self, path: &Path) -> Result<Option<ObjectMeta>, StoreError> {
         let mut found = self.objects.head(path).await;
         if self.absent.is_some() && matches!(found, Err(object_store::Error::NotFound { .. })) {
-            // An answer without a body cannot say whether the bucket or the object is missing.
+            // An answer without a body cannot say whether the object or the bucket is missing.
             found = self.objects.get(path).await.map(|found| found.meta);
         }
         self.present(found)
     }
 }
 
-/// `ab/ab12…`: the whole id is the name, so that a file can be checked where it lies.
+/// `ab/ab12…`. The name is the whole id, so that a file can be checked in place.
 fn key(id: HullId) -> Path {
     let name = id.to_string();
     Path::from_iter([&name[..2], &name])
@@ -76,7 +76,7 @@ impl BlobStore for Objects {
                 let why = format!("{id} is {size} bytes long, more than the {max_bytes} of a hull");
                 return Err(StoreError::NotABlob(why));
             }
-            // Deleted between opening and reading is deleted.
+            // A blob that is deleted between opening and reading counts as deleted.
             self.present(found.bytes().await)
         })
     }
@@ -111,7 +111,7 @@ impl BlobStore for Objects {
             let mut first = FirstById::new(count);
             let mut objects = self.objects.list(Some(&prefix));
             while let Some(meta) = objects.try_next().await.map_err(store_error)? {
-                // Objects of other names are not hulls.
+                // Objects with other names are not hulls.
                 let id = id_of_key(&meta.location).filter(|id| id.0[0] == shard);
                 if let Some(id) = id.filter(|id| after.is_none_or(|after| *id > after))
                     && meta.size <= max_bytes
@@ -136,7 +136,7 @@ impl BlobStore for Objects {
 
     fn probe(&self) -> BoxFuture<'_, Result<(), StoreError>> {
         Box::pin(async move {
-            // A name of its own for each server on the store.
+            // Each server on the store uses its own name.
             let path = Path::from(format!("probe-{}", std::process::id()));
             self.objects.put(&path, PutPayload::from_static(b"probe")).await.map_err(store_error)?;
             self.present(self.objects.delete(&path).await).map(|_| ())
@@ -144,7 +144,7 @@ impl BlobStore for Objects {
     }
 }
 
-/// Whether an error, or what caused it, has these words.
+/// Whether an error, or one of its causes, contains these words.
 fn says(error: &dyn std::error::Error, words: &str) -> bool {
     error.to_string().contains(words) || error.source().is_some_and(|cause| says(cause, words))
 }

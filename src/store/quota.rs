@@ -1,4 +1,4 @@
-//! Bounds the bytes of the store, if a bound is configured.
+//! Limits the total bytes of the store, if a limit is configured.
 
 use std::sync::Arc;
 
@@ -8,27 +8,27 @@ use tokio::sync::Mutex;
 use super::{BlobStore, HullId, StoreError, blobs::list, turns::Turns};
 use crate::budget::Caller;
 
-/// Blobs are written through it, so that they stay within a limit.
+/// Writes blobs within a limit of bytes.
 #[derive(Debug)]
 pub(super) struct Quota {
-    /// 0: unbounded.
+    /// The limit in bytes; 0 stands for no limit.
     limit: u64,
     max_blob_bytes: u64,
-    /// One write at a time, callers in turn.
+    /// One write runs at a time; callers take turns.
     turns: Arc<Turns>,
-    /// Bytes in the store: counted when first needed, never at start.
+    /// The bytes in the store. They are counted when first needed, never at the start.
     used: Mutex<Option<u64>>,
 }
 
 impl Quota {
-    /// Blobs of more than `max_blob_bytes` are not hulls, and do not count. `shares`: whether
+    /// Blobs of more than `max_blob_bytes` are not hulls and do not count. `shares` says whether
     /// callers share the places of waiting writes.
     pub(super) fn new(limit: u64, max_blob_bytes: u64, shares: bool) -> Self {
         let turns = Turns::new(1, MOST_WAITING, shares);
         Self { limit, max_blob_bytes, turns, used: Mutex::new(None) }
     }
 
-    /// Writes a blob, if there is room.
+    /// Writes a blob if it fits within the limit.
     pub(super) async fn put(
         &self,
         blobs: &dyn BlobStore,
@@ -56,15 +56,15 @@ impl Quota {
             let why = format!("{after} bytes would pass the limit of {}", self.limit);
             return Err(StoreError::Full(why));
         }
-        // Under the lock: two writers of the last room do not both find it. A write that
-        // fails or is abandoned leaves the count unknown.
+        // The lock is held, so two writers cannot both use the last room. A write that fails or is
+        // abandoned leaves the count unknown.
         *used = None;
         blobs.put(id, blob).await?;
         *used = Some(after);
         Ok(())
     }
 
-    /// A blob of `bytes` bytes was deleted.
+    /// Subtracts the bytes of a deleted blob.
     pub(super) async fn freed(&self, bytes: u64) {
         if let Some(used) = self.used.lock().await.as_mut() {
             *used = used.saturating_sub(bytes);
@@ -72,13 +72,13 @@ impl Quota {
     }
 }
 
-/// Writes that may wait, over all requests.
+/// The most writes that may wait, over all requests.
 const MOST_WAITING: u64 = 4096;
 
-/// Blobs that are listed at a time.
+/// Blobs per page of the listing that counts them.
 const PAGE: usize = 10_000;
 
-/// Bytes of all blobs.
+/// The total bytes of all blobs.
 async fn count(blobs: &dyn BlobStore, max_blob_bytes: u64) -> Result<u64, StoreError> {
     let (mut bytes, mut after) = (0, None);
     loop {

@@ -1,7 +1,7 @@
-//! One request's reading of hulls: from the cache, otherwise from the store.
+//! Reads hulls for one request: from the cache, otherwise from the store.
 //!
-//! However many hulls of a request turn out to be missing or unusable, the request writes one
-//! log line, when its reader is dropped.
+//! A request writes one log line when its reader is dropped, however many of its hulls are missing
+//! or unusable.
 
 use std::{
     sync::{Arc, Mutex, PoisonError},
@@ -29,8 +29,8 @@ use crate::{
     trace,
 };
 
-/// Blobs up to this size are verified where they arrive, in some 100 us; others by the compute
-/// threads, so that none keeps the serving threads from other calls.
+/// Blobs up to this size are verified on the thread that received them, which takes about 100 us.
+/// Larger ones are verified on the compute threads, so that they do not delay other calls.
 pub(super) const VERIFIED_IN_PLACE: usize = 64 << 10;
 
 /// Reads hulls for one request.
@@ -42,7 +42,7 @@ pub struct Reader<'a> {
     faults: Mutex<Option<Faults>>,
 }
 
-/// The hulls of a request that could not be read as they should have been.
+/// Summary of the hulls of a request that could not be read.
 #[derive(Debug)]
 struct Faults {
     hulls: u64,
@@ -73,10 +73,11 @@ impl<'a> Reader<'a> {
         Self { registry, store: registry.store.of(&job.caller), job, faults: Mutex::default() }
     }
 
-    /// The hull; read from the store where it is not cached, once however many ask.
+    /// The hull. If it is not cached, it is read from the store, once for all requests that wait
+    /// for it.
     ///
     /// # Errors
-    /// Why it cannot be answered for.
+    /// The reason why the hull is missing.
     pub async fn get(&self, id: HullId) -> Result<Arc<ConvexHull>, Missing> {
         let entry = self.registry.cache.get_or_insert_async(&id, self.load(id)).await?;
         self.check_if_stale(id, &entry).await?;
@@ -86,14 +87,14 @@ impl<'a> Reader<'a> {
     /// The points that the hull was registered with, verified; always from the store.
     ///
     /// # Errors
-    /// Why it cannot be answered for.
+    /// The reason why the hull is missing.
     pub async fn definition(&self, id: HullId) -> Result<HullDefinition, Missing> {
         let _turn = self.turn(id).await?;
         self.found(id).await
     }
 
-    /// Whether the hull can be answered for. A blob that is not the hull any more cannot. A
-    /// cached hull is not looked for in a store that hangs.
+    /// Whether the server can answer for the hull. It cannot if the blob under its name is not the
+    /// hull. If the store hangs, a cached hull counts as present.
     ///
     /// # Errors
     /// The store could not be read.
@@ -112,8 +113,8 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// One of a request's hulls, leased before it is in the cache, which could otherwise find
-    /// no room for it.
+    /// Reads and leases one hull of a request. It is leased before it is inserted into the cache,
+    /// which could otherwise have no room for it.
     pub(super) async fn leased(
         &self,
         id: HullId,
@@ -144,11 +145,11 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// Reads and builds a hull in the caller's turn.
+    /// Reads and builds a hull when it is the caller's turn.
     async fn loaded(&self, id: HullId) -> Result<Arc<Entry>, Missing> {
         let _turn = self.turn(id).await?;
         let definition = self.found(id).await?;
-        // What was once acknowledged is answered for, whatever the limit is by now.
+        // A hull that was once acknowledged is served whatever the limit of vertices is now.
         let built = self.registry.build(vec![definition], usize::MAX, self.job).await;
         match built.map(|hulls| hulls.into_iter().next()) {
             Ok(Some(Ok(hull))) => Ok(self.registry.entry(Arc::new(hull), false)),
@@ -168,7 +169,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Waits until this caller may read one more hull.
+    /// Waits until this caller may load one more hull.
     async fn turn(&self, id: HullId) -> Result<Turn, Missing> {
         self.registry.loading.take(&self.job.caller).await.map_err(|_| {
             self.fault(id, "too many hulls of this caller wait to be loaded".into());
@@ -176,7 +177,7 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// The definition of a hull, or why there is none.
+    /// The definition of a hull, or the reason why it is missing.
     async fn found(&self, id: HullId) -> Result<HullDefinition, Missing> {
         self.verified(id).await.map_err(|error| self.missing(id, &error))?.ok_or(Missing::Unknown)
     }
@@ -202,9 +203,9 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Keeps a copy of a blob that is not its hull, for people to look at. The blob itself
-    /// stays where it is, never served, until the hull is registered again: to move it would
-    /// race with that.
+    /// Keeps a copy of a blob that is not its hull, for an operator to examine. The blob itself
+    /// stays in place and is never served, until the hull is registered again. Moving it could race
+    /// with that registration.
     async fn quarantine(&self, id: HullId, blob: Bytes, why: Corrupt) {
         self.registry.metrics.quarantined.inc();
         let bytes = blob.len();
@@ -216,9 +217,9 @@ impl<'a> Reader<'a> {
         self.fault(id, format!("{why} ({bytes} bytes; copy: {copy})"));
     }
 
-    /// Asks the store whether it still has a cached hull that was not seen there for long:
-    /// another server may have deleted it. While the store hangs, nobody can know, and the
-    /// cached hull is answered.
+    /// Asks the store whether it still has a cached hull that was not seen there for the cache age,
+    /// because another server may have deleted it. While the store hangs this cannot be known, and
+    /// the cached hull is used.
     async fn check_if_stale(&self, id: HullId, entry: &Entry) -> Result<(), Missing> {
         if !self.registry.is_stale(entry, self.registry.now_ms()) {
             return Ok(());
@@ -237,7 +238,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// How a hull is missing after an error of the store.
+    /// Converts an error of the store to the reason why a hull is missing.
     fn missing(&self, id: HullId, error: &StoreError) -> Missing {
         self.registry.metrics.store_errors.inc();
         self.fault(id, error.to_string());
@@ -271,13 +272,13 @@ impl Drop for Reader<'_> {
 /// Why a blob is not its hull.
 #[derive(Clone, Copy, Debug)]
 enum Corrupt {
-    /// Its hash is not its name.
+    /// The blob's hash is not its name.
     Content,
-    /// Its hash is its name, and this version cannot read it.
+    /// The blob's hash is its name, but this version cannot read it.
     Format,
 }
 
-/// Whether these bytes are the hull that they are named as.
+/// Checks that these bytes are the hull named `id`, and decodes them.
 fn verify(id: HullId, blob: &[u8]) -> Result<HullDefinition, Corrupt> {
     if id_of(blob) != id {
         return Err(Corrupt::Content);

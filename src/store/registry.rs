@@ -1,4 +1,4 @@
-//! Answers for hulls by id: from the cache, otherwise from the store.
+//! Finds hulls by id, in the cache or in the store, and registers new ones.
 
 use std::{
     fmt,
@@ -26,47 +26,47 @@ use crate::{
     metrics::Metrics,
 };
 
-/// What bounds a registry.
+/// The limits of a registry.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounds {
-    /// Heap of cached hulls, those that requests lease among them.
+    /// The most heap bytes of cached hulls, leased ones included.
     pub cache_bytes: u64,
-    /// Blobs, summed; 0: unbounded.
+    /// The most bytes of all blobs together; 0 stands for no limit.
     pub store_bytes: u64,
-    /// A cached hull is checked to be still in the store when it was not for this long.
+    /// A cached hull that was not seen in the store for this long is checked against the store.
     pub cache_age: Duration,
-    /// Extreme vertices of a hull that is registered.
+    /// The most extreme vertices of a hull that is registered.
     pub max_vertices: usize,
-    /// A larger blob is never read: no definition that is accepted has so many bytes.
+    /// Larger blobs are never read: no accepted definition has more bytes.
     pub max_blob_bytes: u64,
-    /// How long an operation of the store may take before the store is taken to hang.
+    /// How long an operation of the store may take before the store counts as hung.
     pub store_limit: Duration,
     /// Whether callers share leases, loads and operations of the store by dynamic thresholds.
     pub shares: bool,
 }
 
-/// Why a hull cannot be answered for.
+/// Why a hull is missing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Missing {
-    /// The store does not have the hull, or has something else under its name: registering the
-    /// hull (again) helps.
+    /// The store does not have the hull, or has something else under its name. The client should
+    /// register the hull (again).
     Unknown,
-    /// The store could not be read: trying again may help.
+    /// The store could not be read. The client should retry.
     Unavailable,
 }
 
 /// Why a hull was not registered.
 #[derive(Debug)]
 pub enum RegisterError {
-    /// Its points are no hull.
+    /// The points have no valid hull.
     Hull(HullError),
-    /// The store did not take it.
+    /// The store did not accept the blob.
     Store(StoreError),
     /// The caller's budget has no room for building it.
     NoMemory(NoMemory),
-    /// Nobody waits for it any more.
+    /// The caller has left, or its deadline has passed.
     Stopped,
-    /// A bug: it could not be built.
+    /// A bug: building the hull panicked.
     Internal(Panicked),
 }
 
@@ -98,14 +98,14 @@ impl From<ComputeError> for RegisterError {
 /// A hull that was registered, or why it was not.
 pub type Registered = Result<(HullId, Arc<ConvexHull>), RegisterError>;
 
-/// Hulls of one request that are read or written at a time: enough that a file system
-/// gathers their syncs.
+/// The most hulls of one request that are read or written at a time: enough for a file system to
+/// gather their syncs.
 pub const AT_A_TIME: usize = 16;
 
-/// Hulls that may wait to be loaded, over all requests.
+/// The most hulls that may wait to be loaded, over all requests.
 const MOST_WAITING: u64 = 4096;
 
-/// A definition, the bytes that are stored of it, and their name.
+/// A definition with its stored bytes and its name.
 struct Named {
     id: HullId,
     blob: Vec<u8>,
@@ -122,14 +122,14 @@ pub struct Registry {
     pub(super) compute: Compute,
     memory: Arc<MemoryBudget>,
     pub(super) bounds: Bounds,
-    /// What `Entry::seen_ms` counts from.
+    /// The start of the time that `Entry::seen_ms` counts.
     started: Instant,
     quota: Quota,
     pub(super) metrics: Arc<Metrics>,
 }
 
 impl Registry {
-    /// Hulls in `blobs`, built by `compute` with memory of `memory`.
+    /// A registry of the hulls in `blobs`. `compute` builds hulls, with memory from `memory`.
     pub fn new(
         blobs: Opened,
         compute: Compute,
@@ -138,8 +138,8 @@ impl Registry {
         metrics: Arc<Metrics>,
     ) -> Self {
         Self {
-            // As many as the store has operations: each is read, verified and perhaps built in
-            // one turn, which bounds the blobs that are in memory.
+            // As many loads as the store has operations. Each hull is read, verified and, if
+            // necessary, built in one turn, which limits the blobs in memory.
             loading: Turns::new(blobs.operations_at_a_time(), MOST_WAITING, bounds.shares),
             store: ScheduledStore::new(blobs, bounds.store_limit, bounds.shares),
             cache: cache(bounds.cache_bytes, &metrics),
@@ -153,16 +153,17 @@ impl Registry {
         }
     }
 
-    /// Reads hulls for one request.
+    /// A reader for one request.
     pub fn reader<'a>(&'a self, job: &'a Job) -> Reader<'a> {
         Reader::new(self, job)
     }
 
-    /// A request's hulls, distinct: from the cache, or read from the store, once however many
-    /// ask. They stay cached until the lease is dropped.
+    /// Leases the hulls of a request, whose ids are distinct. A hull that is not cached is read
+    /// from the store, once for all requests that wait for it. The hulls stay cached until the
+    /// lease is dropped.
     ///
     /// # Errors
-    /// There is no room for all of them; none is leased.
+    /// There is no room for all of them; then none is leased.
     pub async fn lease(&self, ids: &[HullId], job: &Job) -> Result<(Hulls, Lease), LeaseError> {
         let request = LeaseRequest::new(&self.leases, &job.caller);
         let now_ms = self.now_ms();
@@ -203,9 +204,9 @@ impl Registry {
         self.cache.get(id).filter(|entry| !self.is_stale(entry, now_ms))
     }
 
-    /// Registers hulls, built on all compute threads: durable when this returns.
-    /// Registering one again changes nothing. A result each, in their order: of one that
-    /// is refused nothing is stored.
+    /// Registers hulls, built on all compute threads. They are durable when this returns.
+    /// Registering a hull again changes nothing. There is one result per definition, in order; a
+    /// refused hull is not stored.
     pub async fn register(&self, definitions: Vec<HullDefinition>, job: &Job) -> Vec<Registered> {
         let store = &self.store.of(&job.caller);
         let looked_up: Vec<_> = stream::iter(definitions)
@@ -248,9 +249,8 @@ impl Registry {
         stream::iter(results).buffered(AT_A_TIME).collect().await
     }
 
-    /// Builds hulls on all compute threads that are free, until the job is stopped. The memory
-    /// for it is taken before the work is queued, and given back when the work is done or
-    /// dropped.
+    /// Builds hulls on all free compute threads, until the job is stopped. Their memory is taken
+    /// before the work is queued, and released when the work is done or dropped.
     pub(super) async fn build(
         &self,
         definitions: Vec<HullDefinition>,
@@ -265,7 +265,7 @@ impl Registry {
         self.compute.split(building, job).await.map_err(BuildError::Compute)
     }
 
-    /// A definition with its name.
+    /// Computes a definition's blob and id.
     async fn named(&self, definition: HullDefinition, job: &Job) -> Result<Named, RegisterError> {
         let name = |definition: HullDefinition| {
             let blob = definition.identity_bytes();
@@ -277,7 +277,7 @@ impl Registry {
         Ok(self.compute.run(move |_| name(definition), job).await?)
     }
 
-    /// Writes a new hull's blob; then the hull is cached.
+    /// Writes a new hull's blob and then caches the hull.
     async fn write(
         &self,
         store: &CallerStore,
@@ -294,7 +294,7 @@ impl Registry {
         Ok(())
     }
 
-    /// A hull that this process wrote and that is still in the store.
+    /// The cached hull, if this process wrote it and the store still has it.
     async fn known(
         &self,
         store: &CallerStore,
@@ -309,7 +309,7 @@ impl Registry {
         Ok(Some(entry.hull.clone()))
     }
 
-    /// Removes a hull from the store and the cache; whether it was in the store.
+    /// Removes a hull from the store and the cache. Returns whether it was in the store.
     ///
     /// # Errors
     /// The store could not be read or written.
@@ -320,13 +320,13 @@ impl Registry {
             store.delete(id).await?;
             self.metrics.deleted.inc();
         }
-        // After the blob: a load under way meanwhile loses its place in the cache too.
+        // After the blob, so that a load under way also loses its place in the cache.
         self.cache.remove(&id);
         self.quota.freed(size.unwrap_or(0)).await;
         Ok(size.is_some())
     }
 
-    /// At most `count` stored hulls after `after`, by id, and whether there are more.
+    /// At most `count` stored hulls after `after`, ordered by id, and whether there are more.
     ///
     /// # Errors
     /// The store could not be listed.
@@ -344,20 +344,20 @@ impl Registry {
         Ok((page, more))
     }
 
-    /// Heap bytes that the cache holds.
+    /// The heap bytes of all cached hulls.
     pub fn cached_bytes(&self) -> u64 {
         self.cache.weight()
     }
 
-    /// Whether the store can be written to.
+    /// Tests whether the store can be written to.
     ///
     /// # Errors
-    /// Why not.
+    /// The reason why it cannot.
     pub async fn probe(&self) -> Result<(), StoreError> {
         self.store.probe().await
     }
 
-    /// How many hulls are cached.
+    /// The number of cached hulls.
     pub fn cached_hulls(&self) -> usize {
         self.cache.len()
     }

@@ -1,7 +1,7 @@
-//! Object stores over the network: S3 (and what speaks its protocol), Google Cloud Storage,
-//! Azure Blob Storage, each by the feature of its name.
+//! Object stores over the network: S3 and compatible servers, Google Cloud Storage, Azure Blob
+//! Storage. Each needs the feature of its name.
 //!
-//! Credentials, region and endpoint are the environment's, by the provider's own names
+//! Credentials, region and endpoint come from the environment, under the provider's own names
 //! (`AWS_ACCESS_KEY_ID`, `AWS_ENDPOINT`, `GOOGLE_SERVICE_ACCOUNT`, `AZURE_STORAGE_ACCOUNT_NAME` …).
 
 use std::{sync::Arc, time::Duration};
@@ -10,17 +10,17 @@ use object_store::{BackoffConfig, ClientOptions, ObjectStore, RetryConfig, prefi
 
 use super::blobs::Remote;
 
-/// A request that has no answer by then is tried again; a hull of the largest message is
-/// sent in it at 6 MB/s.
+/// A request without an answer after this time is tried again. In this time the largest hull can be
+/// sent at 6 MB/s.
 const REQUEST: Duration = Duration::from_secs(10);
 const CONNECT: Duration = Duration::from_secs(2);
-/// No new attempt later than this after the first: the caller hears of an outage.
+/// No attempt starts later than this after the first one, so that the caller learns of an outage.
 const RETRIES: Duration = Duration::from_secs(10);
 const MAX_RETRIES: usize = 6;
 
-/// Opens `scheme://bucket/prefix`; none where the scheme is not of this build.
+/// Opens `scheme://bucket/prefix`; none if this build does not support the scheme.
 pub(super) fn open(scheme: &str, url: &str) -> Option<object_store::Result<Remote>> {
-    // The store's client names no crypto provider; that one is set already is as well.
+    // The client of the store names no crypto provider. It is no error if one is already installed.
     let _ = tokio_rustls::rustls::crypto::ring::default_provider().install_default();
     let (bare, absent): (object_store::Result<Arc<dyn ObjectStore>>, _) = match scheme {
         #[cfg(feature = "s3")]
@@ -59,7 +59,7 @@ fn retries() -> RetryConfig {
     RetryConfig { backoff, max_retries: MAX_RETRIES, retry_timeout: RETRIES }
 }
 
-/// Plain text only where the environment says so, as `AWS_ALLOW_HTTP=true`.
+/// Plain text is allowed only if the environment says so, for example `AWS_ALLOW_HTTP=true`.
 fn options(provider: &str) -> ClientOptions {
     let plain = std::env::var(format!("{provider}_ALLOW_HTTP"));
     let plain = plain.is_ok_and(|value| value.eq_ignore_ascii_case("true") || value == "1");

@@ -1,12 +1,12 @@
-//! Schedules and times the operations of a store, for the registry.
+//! Schedules and times the operations of a store.
 //!
-//! So many operations run at a time as the store does side by side; callers take turns
-//! ([`Turns`]). An operation that has begun runs to its end even if its caller goes away, so
-//! that its time is always measured. One that has not returned within the limit marks the
-//! store as hung: its caller, those who wait for their turn and those who come later get
-//! [`StoreError::Hung`] at once, and no operation begins until every operation that exceeded
-//! the limit has returned. A store that hangs therefore holds a bounded number of operations,
-//! and nobody waits for it longer than the limit.
+//! At most as many operations run at a time as the store supports, and callers take turns
+//! ([`Turns`]). An operation that has started runs to its end even if its caller leaves, so that
+//! its time is always measured. An operation that has not returned within the limit marks the store
+//! as hung. Its caller, the callers that wait for a turn, and later callers then get
+//! [`StoreError::Hung`] at once, and no operation starts until every operation that exceeded the
+//! limit has returned. So a hung store holds a bounded number of operations, and no caller waits
+//! for it longer than the limit.
 
 use std::{
     future::Future,
@@ -32,8 +32,8 @@ use super::{
 };
 use crate::budget::Caller;
 
-/// How many operations may wait for their turn. Half of them may belong to one caller, which
-/// is enough for a hundred requests of many hulls each.
+/// How many operations may wait for their turn. One caller may have half of them, which is enough
+/// for a hundred requests of many hulls each.
 const MOST_WAITING: u64 = 4096;
 
 /// A store, shared by callers.
@@ -53,7 +53,7 @@ struct Shared {
 }
 
 impl ScheduledStore {
-    /// `limit`: how long an operation may take. `shares`: whether callers share the
+    /// `limit` is the time that an operation may take. `shares` says whether callers share the
     /// operations by dynamic thresholds.
     pub(super) fn new(blobs: Opened, limit: Duration, shares: bool) -> Self {
         let turns = Turns::new(blobs.operations_at_a_time(), MOST_WAITING, shares);
@@ -61,16 +61,16 @@ impl ScheduledStore {
         Self { shared: Arc::new(Shared { blobs, turns, limit, hanging, probing }) }
     }
 
-    /// The store as `caller` may use it.
+    /// The store as `caller` uses it.
     pub(super) fn of(&self, caller: &Caller) -> CallerStore {
         CallerStore { shared: self.shared.clone(), caller: caller.clone() }
     }
 
-    /// Tries whether the store can be written to. It takes no turn, so that it says nothing
-    /// about callers; one probe is under way at a time.
+    /// Tests whether the store can be written to. A probe takes no turn, so that its result does
+    /// not depend on callers; only one probe is under way at a time.
     ///
     /// # Errors
-    /// Why the store cannot be written to.
+    /// The reason why the store cannot be written to.
     pub(super) async fn probe(&self) -> Result<(), StoreError> {
         let shared = &self.shared;
         shared.answers()?;
@@ -83,7 +83,7 @@ impl ScheduledStore {
     }
 }
 
-/// A probe under way.
+/// Marks a probe as under way until it is dropped.
 struct Probing(Arc<Shared>);
 
 impl Drop for Probing {
@@ -93,7 +93,7 @@ impl Drop for Probing {
 }
 
 impl Shared {
-    /// Whether operations may begin.
+    /// Refuses an operation while the store hangs.
     fn answers(&self) -> Result<(), StoreError> {
         match self.hanging.load(Ordering::Acquire) {
             0 => Ok(()),
@@ -104,8 +104,8 @@ impl Shared {
         }
     }
 
-    /// Runs an operation to its end, and keeps `slot` as long; its result, or that it has
-    /// exceeded the limit.
+    /// Runs an operation to its end, and keeps `slot` until then. Returns the result, or that the
+    /// operation has exceeded the limit.
     async fn timed<T: Send + 'static>(
         self: &Arc<Self>,
         operation: impl Future<Output = Result<T, StoreError>> + Send + 'static,
@@ -137,7 +137,7 @@ fn gone() -> StoreError {
     StoreError::Unavailable("the operation ended without a result".into())
 }
 
-/// An operation that has exceeded the limit.
+/// Counts an operation that has exceeded the limit, until it is dropped.
 struct Hanging(Arc<Shared>);
 
 impl Hanging {
@@ -161,7 +161,7 @@ impl Drop for Hanging {
     }
 }
 
-/// The store as one caller may use it.
+/// The store as one caller uses it.
 #[derive(Debug)]
 pub(super) struct CallerStore {
     shared: Arc<Shared>,
@@ -173,7 +173,7 @@ impl CallerStore {
         &self.caller
     }
 
-    /// Begins an operation when it is the caller's turn.
+    /// Starts an operation when it is the caller's turn.
     fn run<T: Send + 'static, F>(
         &self,
         operation: impl FnOnce(Opened) -> F + Send + 'static,
@@ -188,7 +188,7 @@ impl CallerStore {
                 NoTurn::Busy => StoreError::Busy("too many operations of this caller wait".into()),
                 NoTurn::SentAway => shared.answers().err().unwrap_or_else(gone),
             })?;
-            // It may hang since.
+            // The store may hang since then.
             shared.answers()?;
             shared.timed(operation(shared.blobs.clone()), slot).await
         })

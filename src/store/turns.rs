@@ -1,10 +1,10 @@
 //! Slots that callers take in turn.
 //!
-//! A slot is the right to run one operation of the store, or to load one hull. Callers share
-//! the slots by dynamic thresholds (see [`budget`](crate::budget)), so that a single caller
-//! never has more than half of them. Callers take turns while they wait: a caller with a
-//! thousand requests does not delay another caller's single request by more than one of its
-//! own. The number of waiting requests is bounded in the same way.
+//! A slot is the right to run one operation of the store, or to load one hull. Callers share the
+//! slots by dynamic thresholds (see [`budget`](crate::budget)), so that a single caller never has
+//! more than half of them. Waiting callers take turns: a caller with a thousand requests delays
+//! another caller's single request by at most one of its own. The number of waiting requests is
+//! limited in the same way.
 
 use std::{
     collections::{BTreeMap, HashMap, VecDeque},
@@ -26,7 +26,7 @@ pub(super) struct Turns {
 struct State {
     slots: Shares,
     places: Shares,
-    /// By the caller's id; every one of them is in `order`, once.
+    /// The queues by the caller's id. Each id in it is in `order` exactly once.
     waiting: HashMap<u64, Queue>,
     order: VecDeque<u64>,
     next_ticket: u64,
@@ -39,18 +39,18 @@ struct Queue {
     tickets: BTreeMap<u64, oneshot::Sender<()>>,
 }
 
-/// Why there is no slot.
+/// Why a request gets no slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum NoTurn {
     /// Too many of this caller's requests wait already.
     Busy,
-    /// All requests that waited were sent away.
+    /// All waiting requests were refused.
     SentAway,
 }
 
 impl Turns {
-    /// `slots` to be used at a time, and room for `places` requests that wait. `shares`: whether callers
-    /// share both by dynamic thresholds; a single slot cannot be shared so.
+    /// `slots` may be used at a time, and `places` requests may wait. `shares` says whether callers
+    /// share both by dynamic thresholds; a single slot cannot be shared.
     pub(super) fn new(slots: u64, places: u64, shares: bool) -> Arc<Self> {
         Arc::new(Self {
             state: Mutex::new(State {
@@ -63,14 +63,14 @@ impl Turns {
         })
     }
 
-    /// Waits for `caller`'s turn and takes a slot.
+    /// Waits for the turn of `caller` and takes a slot.
     ///
     /// # Errors
-    /// No more of this caller's requests may wait, or all were sent away.
+    /// No more of this caller's requests may wait, or all waiting requests were refused.
     pub(super) async fn take(self: &Arc<Self>, caller: &Caller) -> Result<Turn, NoTurn> {
         let mut waiting = {
             let mut state = locked(&self.state);
-            // Requests of this caller that wait already come first.
+            // Requests of this caller that already wait come first.
             let is_first = !state.waiting.contains_key(&caller.id());
             if is_first && state.slots.take(caller, 1).is_ok() {
                 return Ok(Turn { turns: self.clone(), caller: caller.clone() });
@@ -91,7 +91,7 @@ impl Turns {
         }
     }
 
-    /// Sends all waiting requests away.
+    /// Refuses all waiting requests.
     pub(super) fn send_away(&self) {
         let mut state = locked(&self.state);
         let state = &mut *state;
@@ -116,14 +116,14 @@ impl State {
         ticket
     }
 
-    /// Gives the free slots to the callers whose turn it is.
+    /// Gives free slots to the callers whose turn it is.
     fn grant(&mut self) {
         let mut refused = 0;
         while refused < self.order.len() {
             let Some(id) = self.order.pop_front() else { return };
             let Some(queue) = self.waiting.get_mut(&id) else { continue };
             if self.slots.take(&queue.caller, 1).is_err() {
-                // Others may hold less.
+                // The next caller may hold fewer slots and be granted one.
                 self.order.push_back(id);
                 refused += 1;
                 continue;
@@ -145,7 +145,7 @@ impl State {
         }
     }
 
-    /// Takes a ticket out of the queue; whether it was there.
+    /// Removes a ticket from its queue; returns whether it was there.
     fn leave(&mut self, caller: &Caller, ticket: u64) -> bool {
         let Some(queue) = self.waiting.get_mut(&caller.id()) else { return false };
         if queue.tickets.remove(&ticket).is_none() {
@@ -160,12 +160,12 @@ impl State {
     }
 }
 
-/// A request in the queue, which it leaves when its caller goes away.
+/// A waiting request; it leaves the queue when its caller leaves.
 struct Waiting<'a> {
     turns: &'a Arc<Turns>,
     caller: &'a Caller,
     ticket: u64,
-    /// None once it was heard.
+    /// None once the grant was received.
     granted: Option<oneshot::Receiver<()>>,
 }
 
@@ -173,7 +173,7 @@ impl Drop for Waiting<'_> {
     fn drop(&mut self) {
         let Some(mut granted) = self.granted.take() else { return };
         let mut state = locked(&self.turns.state);
-        // A slot that was granted and not heard of goes to the next.
+        // A slot that was granted but not received goes to the next request.
         if !state.leave(self.caller, self.ticket) && granted.try_recv().is_ok() {
             state.slots.give_back(self.caller, 1);
             state.grant();
@@ -181,7 +181,7 @@ impl Drop for Waiting<'_> {
     }
 }
 
-/// A slot; free again when it is dropped.
+/// A slot, free again when this is dropped.
 #[derive(Debug)]
 pub(super) struct Turn {
     turns: Arc<Turns>,
@@ -212,19 +212,19 @@ mod tests {
         (0..3).map(|user| callers.get(CallerKey::User(user))).collect()
     }
 
-    /// Whether nobody has a slot and nobody waits.
+    /// Whether no slot is taken and no request waits.
     fn is_idle(turns: &Turns) -> bool {
         let state = locked(&turns.state);
         state.slots.used() + state.places.used() == 0 && state.waiting.is_empty() && state.order.is_empty()
     }
 
-    /// Takes slots until one has to be waited for.
+    /// Takes slots until a request would have to wait.
     fn take_all(turns: &Arc<Turns>, caller: &Caller) -> Vec<Turn> {
         std::iter::from_fn(|| turns.take(caller).now_or_never().and_then(Result::ok)).collect()
     }
 
-    /// Catches one caller who has all slots, and a caller with many requests whose requests
-    /// all come before the single one of another.
+    /// Catches one caller that gets all slots, and a caller whose many requests all come before
+    /// another caller's single request.
     #[tokio::test]
     async fn callers_take_turns() {
         let (turns, callers) = (Turns::new(8, 100, true), callers());
@@ -243,7 +243,7 @@ mod tests {
         assert!(poll!(single.as_mut()).is_ready());
         assert!(poll!(many[0].as_mut()).is_pending());
         drop((greedy, others));
-        // Four of them are granted now, and the rest as those end.
+        // Four of them are granted now, the rest when those end.
         let mut served = 0;
         while let Some(next) = many.first_mut() {
             assert!(poll!(next.as_mut()).is_ready(), "{served}");
@@ -253,8 +253,8 @@ mod tests {
         assert_eq!(served, 10);
     }
 
-    /// Catches a place or a slot that is lost when a request goes away: while it waits, after
-    /// it was granted a slot and before it heard of it, or when all are sent away.
+    /// Catches a place or a slot that is lost when a request leaves: while it waits, after it was
+    /// granted a slot that it has not received, and when all waiting requests are refused.
     #[tokio::test]
     async fn requests_that_go_away_leave_nothing_behind() {
         let (turns, callers) = (Turns::new(2, 8, true), callers());

@@ -1,7 +1,8 @@
-//! Faults put into the real server and its store: `make test-faults`.
+//! Injects faults into the real server and its store: `make test-faults`.
 //!
-//! Ignored otherwise: they take minutes, and some need root (they mount a tmpfs). Each
-//! prints what it did and what was lost, the rows of docs/reliability.md.
+//! The tests are ignored otherwise, because they take minutes and some need root (they mount a
+//! tmpfs). Each prints its actions and its losses; these lines are the rows of
+//! docs/reliability.md.
 #![cfg(feature = "server")]
 
 #[path = "../service/support/process.rs"]
@@ -45,7 +46,7 @@ fn blob(store: &Path, shape: &HullDefinition) -> PathBuf {
     store.join(&name[..2]).join(name)
 }
 
-/// Whether it was acknowledged.
+/// Registers one hull; an error if it was not acknowledged.
 async fn register(
     hulls: &mut HullServiceClient<Channel>,
     shape: &HullDefinition,
@@ -65,7 +66,7 @@ async fn present(hulls: &mut HullServiceClient<Channel>, shapes: &[HullDefinitio
     present
 }
 
-/// Answers about all of them are the library's, to the bit.
+/// The server's answers about all these hulls must equal the library's bit by bit.
 async fn expect_answers(server: &Process, shapes: &[HullDefinition]) {
     for part in shapes.chunks(50) {
         let request = scene(part, part.len(), 2 * part.len(), 1);
@@ -80,8 +81,8 @@ async fn flags(server: &Process, shape: &HullDefinition) -> u8 {
     server.contacts().await.query_contacts(request).await.unwrap().into_inner().flags[0]
 }
 
-/// Catches an acknowledgement before the data is safe, at whatever moment the server dies:
-/// killed while it registers as fast as it can, a thousand times (HULLCAST_ROUNDS).
+/// Kills the server a thousand times (HULLCAST_ROUNDS) while it registers hulls as fast as it can.
+/// Catches an acknowledgement that is sent before the data is safe.
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "minutes"]
 async fn killed_in_the_middle_nothing_acknowledged_is_lost() {
@@ -103,7 +104,8 @@ async fn killed_in_the_middle_nothing_acknowledged_is_lost() {
                 done.push(shape);
             }
         });
-        // Anywhere in the first registrations: some are killed before their first, too.
+        // The kill comes at a random moment of the first registrations, sometimes before the first
+        // one.
         tokio::time::sleep(Duration::from_micros(random.below(20_000) as u64)).await;
         server.signal("-9");
         assert!(!server.wait().success());
@@ -126,8 +128,8 @@ async fn killed_in_the_middle_nothing_acknowledged_is_lost() {
     );
 }
 
-/// Catches an order of calls in which one moment is unsafe: the server is killed before each
-/// sync, rename and send of a registration in turn.
+/// Kills the server before each sync, rename and send of a registration in turn. Catches an order
+/// of calls with one unsafe moment.
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "a minute"]
 async fn killed_at_every_call_nothing_acknowledged_is_lost() {
@@ -168,7 +170,8 @@ async fn killed_at_every_call_nothing_acknowledged_is_lost() {
         assert!(found[..done].iter().all(|found| *found), "call {call}: {done} acknowledged, {found:?}");
         acknowledged += done;
         there += found.iter().filter(|found| **found).count();
-        // What was not acknowledged is there whole or not at all, and can be registered.
+        // A hull that was not acknowledged is stored whole or not at all, and can be registered
+        // again.
         for shape in &shapes {
             register(&mut hulls, shape).await.unwrap();
         }
@@ -180,8 +183,8 @@ async fn killed_at_every_call_nothing_acknowledged_is_lost() {
     );
 }
 
-/// Catches a blob that is served although it is not its hull, one that nobody can find
-/// afterwards, and one that registering does not repair.
+/// Damages blobs in five ways. Catches a damaged blob that is served as its hull, one that is not
+/// kept in quarantine, and one that a new registration does not repair.
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "with the other faults"]
 async fn torn_blobs_are_set_aside_and_registered_again() {
@@ -227,7 +230,7 @@ async fn torn_blobs_are_set_aside_and_registered_again() {
     );
 }
 
-/// A tmpfs of its own; unmounted when dropped. None without root.
+/// A tmpfs mount, unmounted when dropped. Mounting needs root.
 struct Tmpfs(PathBuf);
 
 impl Tmpfs {
@@ -254,8 +257,8 @@ impl Drop for Tmpfs {
     }
 }
 
-/// Catches a full disk that loses what was acknowledged, is taken for something else, or
-/// stays full for ever.
+/// Fills a disk of 512 KiB with hulls. Catches a full disk that loses acknowledged hulls, is
+/// reported as another error, or still refuses hulls after some were deleted.
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs root"]
 async fn a_full_disk_is_said_and_loses_nothing() {
@@ -294,8 +297,9 @@ async fn a_full_disk_is_said_and_loses_nothing() {
     );
 }
 
-/// Catches a store that cannot be written to, or is gone, that ends what could still be
-/// answered, or that nobody hears of.
+/// Makes the store's directory read-only, then moves it away, and undoes both. Catches a server
+/// that stops serving the hulls it has in its cache, or that does not report the fault in its
+/// readiness.
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs root"]
 async fn a_read_only_or_vanished_directory_degrades() {
@@ -337,7 +341,8 @@ async fn a_read_only_or_vanished_directory_degrades() {
     );
 }
 
-/// Catches two servers on one directory that lose or spoil each other's hulls.
+/// Two servers register 600 hulls in one directory, a third of them both. Catches servers that lose
+/// or damage each other's hulls.
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "with the other faults"]
 async fn two_servers_share_a_directory() {
@@ -347,7 +352,7 @@ async fn two_servers_share_a_directory() {
     for (place, server) in servers.iter().enumerate() {
         let mut hulls = server.hulls().await;
         writers.push(tokio::spawn(async move {
-            // A third of them are the other's, too.
+            // A third of the hulls are registered by both servers.
             for seed in (1..=600).filter(|seed| seed % 3 == 2 || *seed as usize % 3 == place) {
                 register(&mut hulls, &shape(seed)).await.unwrap();
             }
@@ -364,8 +369,9 @@ async fn two_servers_share_a_directory() {
     println!("FAULT two servers on one directory: 600 hulls, 200 of both, 0 lost");
 }
 
-/// Catches a delete that leaves half a hull, a registration acknowledged after the delete
-/// that is not there, and one that never works again.
+/// Registers and deletes the same hulls at the same time, on two servers. Catches a delete that
+/// leaves half a hull, a registration after the delete that is acknowledged but not stored, and a
+/// hull that can no longer be registered.
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "with the other faults"]
 async fn delete_racing_register() {
@@ -380,7 +386,7 @@ async fn delete_racing_register() {
             register(&mut one, &shape),
             two.delete_hulls(DeleteHullsRequest { ids: vec![id(&shape)] })
         );
-        // A directory that is made and one that is removed may meet: said, and tried again.
+        // Deleting a hull leaves its shard's directory, so neither call may fail.
         registered.unwrap();
         deleted.unwrap();
         there += u64::from(present(&mut two, std::slice::from_ref(&shape)).await[0]);

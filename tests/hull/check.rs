@@ -1,4 +1,5 @@
-//! A hull checked against the definitions alone.
+//! Checks a hull against the definitions only: no step of the build is used, except that the
+//! triangulation is read.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -9,7 +10,7 @@ use robust::{Coord, Coord3D};
 /// Unit roundoff.
 const U: f64 = f64::EPSILON / 2.0;
 
-/// What a check met, so that a sweep can show that it was not empty.
+/// Counts of what the checks met, so that a sweep can show that it was not vacuous.
 #[derive(Debug, Default)]
 pub(crate) struct Met {
     pub(crate) hulls: usize,
@@ -22,7 +23,7 @@ pub(crate) struct Met {
     pub(crate) ordered_edges: usize,
 }
 
-/// Panics where `points` and their hull break a definition.
+/// Panics if the hull of `points` breaks a definition.
 pub(crate) fn check(points: &[[f64; 3]], hull: &ConvexHull, met: &mut Met) {
     let surface = triangulate(points).unwrap();
     met.hulls += 1;
@@ -36,15 +37,15 @@ pub(crate) fn check(points: &[[f64; 3]], hull: &ConvexHull, met: &mut Met) {
     check_adjacency(&surface, hull);
 }
 
-/// Positive where `p` is below the triangle, exactly.
+/// Positive if `p` is below the triangle; the sign is exact.
 fn below(points: &[[f64; 3]], triangle: [u32; 3], p: [f64; 3]) -> f64 {
     let coord = |[x, y, z]: [f64; 3]| Coord3D { x, y, z };
     let [a, b, c] = triangle.map(|v| coord(points[v as usize]));
     robust::orient3d(a, b, c, coord(p))
 }
 
-/// Closed, of Euler's characteristic, convex, around every point, of extreme
-/// vertices alone. A lost vertex, a hole, a fold or a flat vertex fails.
+/// The surface is closed and convex, has the Euler characteristic of a sphere, contains every point,
+/// and each of its vertices is extreme. Catches a lost vertex, a hole, a fold and a flat vertex.
 fn check_surface(points: &[[f64; 3]], surface: &Triangulation, hull: &ConvexHull, met: &mut Met) {
     let triangles = &surface.triangles;
     let sides: HashMap<[u32; 2], usize> = triangles
@@ -75,21 +76,22 @@ fn check_surface(points: &[[f64; 3]], surface: &Triangulation, hull: &ConvexHull
     }
 }
 
-/// Vertices in hull units are the points themselves; both radii hold.
+/// The vertices in hull units are the given points, and both radii are bounds, though tight ones.
 fn check_sizes(points: &[[f64; 3]], surface: &Triangulation, hull: &ConvexHull) {
     let (center, scale) = (hull.contraction_point(), hull.scale());
     assert_eq!(scale.to_bits() & ((1 << 52) - 1), 0, "the scale is no power of two");
     assert!((0.5..1.0).contains(&hull.unit_circumradius()));
     assert!(hull.unit_inradius() > 0.0);
     for (&v, &i) in hull.vertices().iter().zip(hull.registered_indices()) {
-        // Exact but for what is subnormal in hull units.
+        // Exact, except for differences that are subnormal in hull units.
         let lost = (v * scale - (DVec3::from_array(points[i as usize]) - center)).abs().max_element();
         assert!(lost <= f64::MIN_POSITIVE * scale, "a vertex moved by {lost:e}");
         assert!(v.length() <= hull.unit_circumradius());
     }
     let farthest = hull.vertices().iter().map(|v| v.length()).fold(0.0, f64::max);
     assert!(hull.unit_circumradius() <= farthest * (1.0 + 16.0 * U));
-    // The ball touches no triangle: sampled, as distance to a sliver's plane is noise.
+    // The ball of the inradius reaches beyond no triangle. This is checked at sample points of the
+    // triangles, because the distance to the plane of a sliver is mostly rounding.
     let place: HashMap<u32, usize> = hull.registered_indices().iter().copied().zip(0..).collect();
     for triangle in &surface.triangles {
         let [a, b, c] = triangle.map(|v| hull.vertices()[place[&v]]);
@@ -106,7 +108,7 @@ fn check_sizes(points: &[[f64; 3]], surface: &Triangulation, hull: &ConvexHull) 
     );
 }
 
-/// No vertex above a face's plane, its own near it.
+/// No vertex is above the plane of a face, and the vertices of the face are near the plane.
 fn check_faces(hull: &ConvexHull, met: &mut Met) {
     let inner = (hull.unit_inradius() / 64.0).max(64.0 * U);
     let tolerance = (hull.planarity() * hull.unit_circumradius()).min(inner).max(64.0 * U) + 16.0 * U;
@@ -130,7 +132,7 @@ fn check_faces(hull: &ConvexHull, met: &mut Met) {
     }
 }
 
-/// Strictly convex polygons, anticlockwise from outside.
+/// Outlines are strictly convex polygons, anticlockwise seen from outside.
 fn check_outlines(hull: &ConvexHull) {
     for face in 0..hull.face_count() {
         let (outline, normal) = (hull.outline(face), hull.faces()[face].normal);
@@ -151,7 +153,7 @@ fn check_outlines(hull: &ConvexHull) {
     }
 }
 
-/// How far a point is beyond the outline of a face, seen along its normal.
+/// How far a point is outside the outline of a face, seen along the normal of the face; 0 if inside.
 fn beyond_outline(hull: &ConvexHull, face: usize, point: DVec3) -> f64 {
     let (outline, normal) = (hull.outline(face), hull.faces()[face].normal);
     let sides = (0..outline.len()).map(|i| {
@@ -168,10 +170,10 @@ fn beyond_outline(hull: &ConvexHull, face: usize, point: DVec3) -> f64 {
     sides.map(distance).fold(f64::INFINITY, f64::min)
 }
 
-/// That of the outline as seen along the normal, but for how far its corners are
-/// from one plane and for their rounding. (Of a needle that is thinner than its
-/// vertices' rounding both are all of it, and which way the outline runs about the
-/// face's exact normal is anyone's guess.)
+/// The area of a face is that of its outline as seen along the normal, up to the planarity of the
+/// face and the rounding of its corners. (For a needle that is thinner than the rounding of its
+/// vertices, these two are as large as the face, and the outline may run either way about the exact
+/// normal of the face.)
 fn check_area(hull: &ConvexHull, face: usize) {
     let (outline, normal) = (hull.outline(face), hull.faces()[face].normal);
     let corners: Vec<DVec3> = outline.iter().map(|&v| hull.vertices()[v as usize]).collect();
@@ -183,8 +185,9 @@ fn check_area(hull: &ConvexHull, face: usize) {
     assert!((area - seen).abs() <= slack && area >= 0.0, "area {area:e} of face {face}, seen {seen:e}");
 }
 
-/// Whether two faces meet along an edge and, nearer than `slack`, along a part of it again, or
-/// along a line that it is a part of: a fold, of which one side runs against the outlines.
+/// Whether two faces fold back along an edge: they share another edge that lies within `slack` of a
+/// part of this edge, or of which this edge lies within `slack` of a part. One side of such a fold
+/// runs against the outlines.
 fn folds_back(hull: &ConvexHull, edge: [u32; 2], faces: [u32; 2], slack: f64) -> bool {
     let lies_on = |part: [u32; 2], [from, to]: [u32; 2]| {
         let [from, to] = [from, to].map(|v| hull.vertices()[v as usize]);
@@ -200,8 +203,8 @@ fn folds_back(hull: &ConvexHull, edge: [u32; 2], faces: [u32; 2], slack: f64) ->
     })
 }
 
-/// Sorted, each between two faces that hold both its ends, and with the corners
-/// and faces of Euler's characteristic.
+/// Edges are sorted, each is between two faces that contain both its ends, and the numbers of
+/// corners, edges and faces satisfy Euler's formula.
 fn check_edges(hull: &ConvexHull, met: &mut Met) {
     assert!(hull.edge_vertices().windows(2).all(|w| w[0] < w[1]), "edges not ascending, or twice");
     for (&[from, to], &[left, right]) in hull.edge_vertices().iter().zip(hull.edge_faces()) {
@@ -209,14 +212,15 @@ fn check_edges(hull: &ConvexHull, met: &mut Met) {
         for face in [left, right] {
             assert!([from, to].iter().all(|&v| hull.vertex_faces(v as usize).contains(&face)));
         }
-        // Where the outlines run along the edge, they run the right way.
+        // If the outlines run along the edge, they run in the right direction.
         let runs = |face: u32, a: u32, b: u32| {
             let outline = hull.outline(face as usize);
             (0..outline.len()).any(|i| outline[i] == a && outline[(i + 1) % outline.len()] == b)
         };
-        // (Outlines of faces that are nearly one plane, or nearly one line, may
-        // overlap and order their corners otherwise, by the merge tolerance of any
-        // face at the edge's ends, or at vertices as near as these are to each other.)
+        // (The outlines of faces that are nearly in one plane, or nearly on one line, may overlap and
+        // have their corners in another order. The overlap is within the merge tolerance of any
+        // face at the ends of the edge, or at vertices as near to the edge as its ends are to each
+        // other.)
         let length = (hull.vertices()[to as usize] - hull.vertices()[from as usize]).length();
         let near = |v: &usize| hull.vertices()[*v].distance(hull.vertices()[from as usize]) <= 2.0 * length;
         let around = (0..hull.vertex_count()).filter(near).flat_map(|v| hull.vertex_faces(v));
@@ -234,7 +238,7 @@ fn check_edges(hull: &ConvexHull, met: &mut Met) {
     assert_eq!(corners + hull.face_count(), hull.edge_count() + 2, "Euler's formula of the faces");
 }
 
-/// Every list agrees with what it is made of.
+/// The adjacency lists agree with the triangles, the edges and the faces.
 fn check_adjacency(surface: &Triangulation, hull: &ConvexHull) {
     let registered = |v: u32| hull.registered_indices()[v as usize];
     let mut sides: BTreeSet<[u32; 2]> = BTreeSet::new();

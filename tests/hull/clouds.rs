@@ -1,6 +1,6 @@
-//! Seeded clouds of points that aim at what breaks hull builders.
+//! Seeded clouds of points, chosen to break hull builders.
 
-/// A small generator (splitmix64): the same numbers on every machine.
+/// A small random generator (splitmix64) that gives the same numbers on every machine.
 pub(crate) struct Random(u64);
 
 impl Random {
@@ -15,7 +15,7 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// In [-1, 1).
+    /// A number in [-1, 1).
     pub(crate) fn signed(&mut self) -> f64 {
         (self.bits() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
     }
@@ -39,7 +39,7 @@ pub(crate) struct Cloud {
     pub(crate) points: Points,
 }
 
-/// About a random axis by a random angle.
+/// The points rotated about a random axis by a random angle.
 pub(crate) fn rotated(points: &[[f64; 3]], random: &mut Random) -> Points {
     let [x, y, z, w] = std::array::from_fn(|_| random.signed());
     let s = 2.0 / (x * x + y * y + z * z + w * w);
@@ -80,12 +80,13 @@ pub(crate) fn ball(count: usize, random: &mut Random) -> Points {
     (0..count).map(|_| std::array::from_fn(|_| random.signed())).collect()
 }
 
-/// Corners of the box of half extents 1.
+/// The corners of the box with half extents 1.
 pub(crate) fn cube() -> Points {
     (0..8).map(|i| [0, 1, 2].map(|k| if i >> k & 1 == 1 { 1.0 } else { -1.0 })).collect()
 }
 
-/// The surface of a box of half extents 1, `n + 1` points along each edge.
+/// A grid of points on the surface of the box with half extents 1, with `n + 1` points along each
+/// edge.
 pub(crate) fn box_grid(n: i32) -> Points {
     let mut points = Points::new();
     for (i, j, k) in (0..=n).flat_map(|i| (0..=n).flat_map(move |j| (0..=n).map(move |k| (i, j, k)))) {
@@ -96,14 +97,15 @@ pub(crate) fn box_grid(n: i32) -> Points {
     points
 }
 
-/// Integer points of a cube, all of them.
+/// All integer points of a cube.
 pub(crate) fn lattice(n: i32) -> Points {
     let range = move || -n..=n;
     let all = range().flat_map(|i| range().flat_map(move |j| range().map(move |k| [i, j, k])));
     all.map(|p| p.map(f64::from)).collect()
 }
 
-/// Integer points of a ball: many exactly coplanar facets and cospherical points.
+/// All integer points of a ball. Many of its facets are exactly coplanar, and many of its points
+/// are exactly on one sphere.
 pub(crate) fn lattice_ball(n: i32) -> Points {
     let mut points = lattice(n);
     points.retain(|p| p.iter().map(|c| c * c).sum::<f64>() <= f64::from(n * n));
@@ -119,7 +121,7 @@ pub(crate) fn prism(sides: usize, half_height: f64) -> Points {
     ring(-half_height).chain(ring(half_height)).collect()
 }
 
-/// Rings of equal points: quads that are planar to rounding alone.
+/// Rings with the same number of points: the quads between the rings are planar only up to rounding.
 pub(crate) fn globe(rings: usize, sides: usize) -> Points {
     let mut points = vec![[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]];
     for ring in 1..rings {
@@ -132,13 +134,13 @@ pub(crate) fn globe(rings: usize, sides: usize) -> Points {
     points
 }
 
-/// Groups of points `spread` apart, on a sphere.
+/// Groups of points on a sphere. The points of a group are about `spread` apart.
 fn clusters(spread: f64, random: &mut Random) -> Points {
     let around = |p: &[f64; 3], random: &mut Random| noisy(&vec![*p; 12], spread, random);
     sphere(12, random).iter().flat_map(|p| around(p, random)).collect()
 }
 
-/// Every cloud here is a valid hull.
+/// The clouds of the sweeps. Each of them has a valid hull.
 pub(crate) fn clouds() -> Vec<Cloud> {
     let mut random = Random::new(20);
     let random = &mut random;
@@ -183,7 +185,7 @@ pub(crate) fn clouds() -> Vec<Cloud> {
         add(format!("clusters 1e-{exponent}"), clusters(amount, random));
     }
     for exponent in -9..=0 {
-        // A roof over a box whose halves bend by this angle.
+        // A flat roof on a box. Each of its two halves is inclined by an angle of about `height`.
         let (height, mut points) = (10_f64.powi(exponent), box_grid(4));
         points.extend((-4..=4).map(|i| [f64::from(i) / 4.0, 0.0, 1.0 + height]));
         add(format!("roof 1e{exponent}"), points);
@@ -207,8 +209,8 @@ pub(crate) fn clouds() -> Vec<Cloud> {
     all
 }
 
-/// A random shape under up to three random distortions: most are valid hulls,
-/// some are lines, planes or thinner than doubles can tell.
+/// A random shape with up to three random distortions. Most of these clouds have a valid hull; some
+/// are lines, planes, or too thin for double precision.
 pub(crate) fn random_cloud(seed: u64) -> Points {
     let random = &mut Random::new(seed);
     let mut points = match random.below(8) {
@@ -237,7 +239,7 @@ fn distorted(points: &[[f64; 3]], random: &mut Random) -> Points {
         0 => rotated(points, random),
         1 => scaled(points, [1.0, 1.0, share(random, 7)]),
         2 => scaled(points, [1.0, share(random, 4), share(random, 4)]),
-        // As in meshes that were stored in single precision, or in millimetres.
+        // Rounded as in meshes that were stored in single precision, or in whole millimetres.
         3 => points.iter().map(|p| p.map(|c| f64::from(c as f32))).collect(),
         4 => points.iter().map(|p| p.map(|c| (c * 1000.0).round() / 1000.0)).collect(),
         5 => noisy(points, 1e-3 * share(random, 14), random),

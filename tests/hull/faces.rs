@@ -1,4 +1,4 @@
-//! What counts as one face.
+//! Tests of which triangles count as one face.
 
 use std::collections::BTreeSet;
 
@@ -6,7 +6,8 @@ use crate::check::{Met, check};
 use crate::clouds::{Random, box_grid, noisy, prism, rotated, scaled, sphere};
 use crate::hull;
 
-/// Exact merging alone leaves hundreds of facets on turned shapes.
+/// Catches a merge of exactly coplanar triangles only, which leaves hundreds of facets on turned
+/// shapes, and a fitted plane that is tilted.
 #[test]
 fn turned_boxes_and_prisms_keep_their_faces() {
     let mut random = Random::new(4);
@@ -23,8 +24,8 @@ fn turned_boxes_and_prisms_keep_their_faces() {
     }
 }
 
-/// Opposite faces, rims and neighbours of thin shapes stay apart: a tolerance
-/// of the circumradius alone would make one face of a plate's two sides.
+/// Catches opposite faces, rims and neighbours of thin shapes that are merged. A tolerance that
+/// depended only on the circumradius would merge the two sides of a plate into one face.
 #[test]
 fn thin_shapes_keep_their_faces() {
     let mut random = Random::new(5);
@@ -37,8 +38,8 @@ fn thin_shapes_keep_their_faces() {
     }
 }
 
-/// Noise below the tolerance leaves a box's six faces; every point stays a
-/// vertex that supports.
+/// Catches noise below the tolerance that splits the six faces of a box, and points that are lost as
+/// vertices.
 #[test]
 fn noise_on_faces_merges() {
     let mut random = Random::new(6);
@@ -53,8 +54,9 @@ fn noise_on_faces_merges() {
     assert!(vertices > 200, "{vertices}");
 }
 
-/// Found by fuzzing, and none of the hull's: an edge as short as a third face, merged to
-/// the tolerance, is off its plane runs the other way in its neighbour's outline.
+/// Found by fuzzing; a fault of the check, not of the hull. An edge that is as short as the distance
+/// by which a merged third face is off its plane can run in the other direction in the outline of
+/// its neighbour.
 #[test]
 fn edges_within_a_merged_face_may_fold() {
     let [x, y] = [6.802236877180397e19, 5.7069614478038925e19];
@@ -74,9 +76,9 @@ fn edges_within_a_merged_face_may_fold() {
     check(&points, &hull(&points), &mut Met::default());
 }
 
-/// Found by fuzzing, and none of the hull's: where corners all but coincide, two faces may
-/// meet along an edge and along it again, a fold thinner than the merge tolerance, of which
-/// one side runs against the outlines.
+/// Found by fuzzing; a fault of the check, not of the hull. If corners nearly coincide, two faces can
+/// share an edge and a second edge along it: a fold thinner than the merge tolerance. One side of the
+/// fold runs against the outlines.
 #[test]
 fn edges_beside_corners_that_nearly_coincide_may_fold_back() {
     let [x, y] = [6.802236877180397e19, 5.7069614478038925e19];
@@ -99,8 +101,8 @@ fn edges_beside_corners_that_nearly_coincide_may_fold_back() {
     check(&points, &hull(&points), &mut Met::default());
 }
 
-/// Found by fuzzing: vertices that differ, but not once they are about the
-/// contraction point, made a face of no area, whose outline bounded nothing.
+/// Found by fuzzing: vertices that differed as points but coincided in hull units made a face without
+/// area, whose outline bounded nothing.
 #[test]
 fn vertices_that_coincide_about_the_contraction_point_make_no_face() {
     let mut random = Random::new(12);
@@ -120,8 +122,9 @@ fn vertices_that_coincide_about_the_contraction_point_make_no_face() {
     assert!(coinciding >= 80, "{coinciding}");
 }
 
-/// Nor this: a line that two faces share goes back a part of its way, between vertices that
-/// are nearer to it than the merge tolerance, and the part is one of its edges.
+/// Found by fuzzing; a fault of the check, not of the hull. The line that two faces share goes back
+/// for a part of its way, between vertices that are nearer to it than the merge tolerance. That part
+/// is one of the edges.
 #[test]
 fn edges_that_fold_back_may_be_a_part_of_others() {
     let points = [

@@ -1,4 +1,4 @@
-//! Hulls of many clouds, checked against the definitions alone.
+//! Builds the hulls of many clouds and checks them against the definitions only.
 
 mod check;
 mod clouds;
@@ -25,8 +25,8 @@ fn at(points: &[[f64; 3]], contraction_point: [f64; 3]) -> Result<ConvexHull, Hu
     ConvexHull::with_options(points, &options)
 }
 
-/// Every definition holds for every cloud's hull. A fault of any step shows
-/// here: a lost vertex, a hole, a wrong neighbour, a face off its plane.
+/// Every definition holds for the hull of every cloud. Catches a fault in any step of the build: a
+/// lost vertex, a hole, a wrong neighbour, a face that is off its plane.
 #[test]
 fn every_cloud_gives_a_hull() {
     let mut met = Met::default();
@@ -43,7 +43,8 @@ fn every_cloud_gives_a_hull() {
     assert!(met.vertices_without_edges > 300, "few vertices inside merged faces");
 }
 
-/// The same for shapes nobody thought of; those that are no hull say why.
+/// Every definition holds for the hulls of random shapes, and a shape without a hull is refused with
+/// a reason that is no internal error.
 #[test]
 fn random_clouds_give_hulls_or_reasons() {
     let (mut met, mut refused) = (Met::default(), 0);
@@ -62,7 +63,7 @@ fn random_clouds_give_hulls_or_reasons() {
     assert!(met.coplanar_sides > 2_500 && met.inexact_faces > 300);
 }
 
-/// At the size of the largest meshes: quadratic steps would show as hours.
+/// Every definition holds at the size of the largest meshes. A quadratic step would take hours here.
 #[test]
 fn ten_thousand_points_give_a_hull() {
     let mut random = Random::new(3);
@@ -71,8 +72,8 @@ fn ten_thousand_points_give_a_hull() {
     }
 }
 
-/// The unit cube's counts, sizes and numbering by hand: a wrong orientation,
-/// scale or merge shows here first.
+/// The counts, sizes and numbering of a cube's hull are those computed by hand. Catches a wrong
+/// orientation, scale or merge.
 #[test]
 fn a_cube_is_known_by_hand() {
     let hull = hull(&cube());
@@ -97,7 +98,7 @@ fn a_cube_is_known_by_hand() {
     }
 }
 
-/// The order in which points come changes their numbers and nothing else.
+/// The order in which the points are given changes their numbers and nothing else.
 #[test]
 fn order_changes_numbers_alone() {
     let mut random = Random::new(7);
@@ -117,8 +118,8 @@ fn order_changes_numbers_alone() {
     }
 }
 
-/// Of duplicates the first is the vertex, -0.0 is 0.0, and points of the inside,
-/// of a face's inside and of an edge are none.
+/// The first of several equal points is the vertex, -0.0 equals 0.0, and points inside the hull,
+/// inside a face or on an edge are not vertices.
 #[test]
 fn duplicates_and_points_between_are_dropped() {
     let mut points = vec![[0.0; 3], [0.5, 0.5, 1.0], [1.0, 0.0, 0.0]];
@@ -132,7 +133,8 @@ fn duplicates_and_points_between_are_dropped() {
     assert_eq!(hull(&signed).registered_indices(), [0, 1, 2, 3]);
 }
 
-/// Closed forms. A wrong axis, sign or unit in the integrals shows here.
+/// The mass properties of boxes and of a tetrahedron are those of the closed forms. Catches a wrong
+/// axis, sign or unit in the integrals.
 #[test]
 fn masses_are_known_by_hand() {
     let near = |a: f64, b: f64| (a - b).abs() <= 1e-13 * b.abs();
@@ -151,20 +153,21 @@ fn masses_are_known_by_hand() {
     let corner = hull(&[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
     assert!(near(corner.volume(), 1.0 / 6.0));
     assert!((corner.center_of_mass() - DVec3::splat(0.25)).length() < 1e-15);
-    // Integrals of x^2 and x y of the corner are 1/60 and 1/120 at the origin.
+    // For the tetrahedron in the corner at the origin, the integrals of x^2 and x y about the origin
+    // are 1/60 and 1/120.
     assert!(near(corner.inertia().x_axis.x, 2.0 * (1.0 / 60.0 - 1.0 / 96.0)));
     assert!(near(corner.inertia().x_axis.y, -(1.0 / 120.0 - 1.0 / 96.0)));
 }
 
-/// Any point inside is a contraction point, however near the surface; one on it
-/// or outside is refused.
+/// Any point inside can be the contraction point, down to 3e-11 from the surface of this cube. A
+/// point that is nearer, on the surface or outside is refused.
 #[test]
 fn contraction_points_are_strictly_inside() {
     for depth in [0.5, 1e-3, 1e-6, 1e-9, 3e-11] {
         let z = 1.0 - depth;
         let near = at(&cube(), [0.25, -0.5, z]).unwrap();
         assert_eq!(near.contraction_point(), DVec3::new(0.25, -0.5, z));
-        // Vertices about the point are rounded, which the inradius has to allow for.
+        // Vertices in hull units are rounded, and the inradius has to allow for that.
         let lost = (1.0 - z) - near.inradius();
         assert!((0.0..8e-16).contains(&lost), "{depth:e}: {lost:e}");
         assert_eq!(near.face_count(), 6);
@@ -189,7 +192,7 @@ fn contraction_points_are_strictly_inside() {
     }
 }
 
-/// Each reason, and that it names what is at fault.
+/// Each kind of refusal is returned for its clouds, and names the value at fault.
 #[test]
 fn bad_clouds_are_named() {
     let error = |points: &[[f64; 3]]| ConvexHull::new(points).unwrap_err();
@@ -218,8 +221,8 @@ fn bad_clouds_are_named() {
     let no_double_between: Points =
         cube().iter().map(|p| [p[0], p[1], 1.0 + f64::EPSILON * p[2].max(0.0)]).collect();
     is(&no_double_between, NotRepresentable, "too thin");
-    // One rounding off a line or a plane is a hull; whether it has an inside
-    // that doubles can name is another matter.
+    // Points that are one rounding off a plane span a solid, but doubles cannot represent a
+    // contraction point inside it.
     is(&[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.3, 0.3, 1e-300]], NotRepresentable, "too thin");
     let smallest = hull(&scaled(&cube(), [0.5e-50; 3]));
     let largest = hull(&scaled(&cube(), [0.5e50; 3]));
@@ -240,9 +243,9 @@ fn the_vertex_limit_counts_extreme_vertices() {
     assert!(error.detail.contains("100 extreme vertices") && error.detail.contains("99"), "{error}");
 }
 
-/// What a cache counts is what is held. A clone's lists have no room to spare:
-/// a hull with the same bytes has none either. A list that is not counted, or one
-/// that grows faster than the hull, is outside the bounds.
+/// The bytes that a cache counts are the bytes that a hull holds. The lists of a clone have no spare
+/// capacity, so a hull with the same number of bytes has none either. Catches a list that is not
+/// counted, and one that grows faster than the hull: both leave the bounds.
 #[test]
 fn heap_bytes_follow_the_counts() {
     for (points, vertices, faces, edges) in [(64, 64, 124, 186), (256, 256, 508, 762)] {
@@ -250,7 +253,8 @@ fn heap_bytes_follow_the_counts() {
         let (v, f, e) = (hull.vertex_count(), hull.face_count(), hull.edge_count());
         assert_eq!((v, f, e), (vertices, faces, edges));
         assert_eq!(hull.heap_bytes(), hull.clone().heap_bytes());
-        // Vertices, planes and edges alone; with all adjacency and what speeds a query up.
+        // At least vertices, planes and edges; at most these with all adjacency lists and the data
+        // that speed up queries.
         let (least, most) = (v * 24 + f * 32 + e * 16, v * 128 + f * 96 + e * 64);
         assert!((least..=most).contains(&hull.heap_bytes()), "{} of {v} vertices", hull.heap_bytes());
     }

@@ -1,4 +1,4 @@
-//! Hulls whose faces are merged to a planarity that was asked for.
+//! Hulls whose faces are merged with a given planarity.
 
 use glam::{DQuat, DVec3};
 use hullcast::contact::{
@@ -10,7 +10,7 @@ use crate::check::{Met, check};
 use crate::clouds::{Points, Random, clouds, cube, globe, prism, random_cloud, rotated, scaled, sphere};
 use crate::simplify::real;
 
-/// Those that the sweeps take, from none to the largest.
+/// The planarities of the sweeps, from 0 to the largest allowed.
 const PLANARITIES: [f64; 5] = [0.0, 1e-9, 1e-4, 1e-3, 0.01];
 
 fn with(points: &[[f64; 3]], planarity: f64) -> ConvexHull {
@@ -18,10 +18,10 @@ fn with(points: &[[f64; 3]], planarity: f64) -> ConvexHull {
     ConvexHull::with_options(points, &options).unwrap()
 }
 
-/// Every definition holds at every planarity: on the clouds of the other tests, on spheres of
-/// ten thousand vertices, at random, and on the links of robots. Catches a face whose vertices
-/// are farther from its plane than was asked for, an outline that is not convex or leaves out
-/// vertices of its face, and a hull whose vertices or sizes depend on the planarity.
+/// Every definition holds at every planarity: for the clouds of the other tests, random clouds, the
+/// links of robots, and spheres of ten thousand vertices. Catches a face whose vertices are farther
+/// from its plane than allowed, an outline that is not convex or leaves out vertices of its face, and
+/// a hull whose vertices or sizes depend on the planarity.
 #[test]
 fn every_planarity_gives_a_hull() {
     let mut random = Random::new(30);
@@ -51,8 +51,8 @@ fn every_planarity_gives_a_hull() {
     assert!(met[4].merged_faces > 20_000 && met[4].inexact_faces > 2_000);
 }
 
-/// Catches a planarity that is not a share from 0 to 0.01 and is taken, or refused without its
-/// value and the range, and limits that are refused.
+/// Catches a planarity outside 0 to 0.01 that is accepted, or that is refused without naming the
+/// value and the range, and a planarity at a limit of the range that is refused.
 #[test]
 fn a_planarity_out_of_range_is_named() {
     let points = cube();
@@ -68,8 +68,8 @@ fn a_planarity_out_of_range_is_named() {
     }
 }
 
-/// Boxes, prisms, barrels and frusta as files have them, turned and rounded to five decimals,
-/// spheres, and the links of robots.
+/// Boxes, prisms, barrels and frusta that are turned and rounded to five decimals, as in mesh files;
+/// spheres; and the links of robots.
 fn shapes(random: &mut Random) -> Vec<Points> {
     let barrel = || [prism(24, 0.5), scaled(&prism(24, 0.2), [1.2, 1.2, 1.0])].concat();
     let frustum: Points = prism(12, 0.4)
@@ -95,8 +95,8 @@ fn quaternion(random: &mut Random) -> [f64; 4] {
     [x, y, z, w].map(|q| q / length)
 }
 
-/// How far a witness is from its hull as it is, without merged faces: above the planes of its
-/// triangles; hull frame, caller's units.
+/// How far a point is above the planes of a hull's triangles, before faces are merged. `own` is in
+/// the hull frame and the caller's units.
 fn above_triangles(points: &[[f64; 3]], triangles: &[[u32; 3]], own: DVec3) -> f64 {
     let above = |t: &[u32; 3]| {
         let [a, b, c] = t.map(|v| DVec3::from_array(points[v as usize]));
@@ -105,9 +105,9 @@ fn above_triangles(points: &[[f64; 3]], triangles: &[[u32; 3]], own: DVec3) -> f
     triangles.iter().map(above).fold(f64::NEG_INFINITY, f64::max)
 }
 
-/// Pairs at random poses, most of them in contact. Catches an alpha that depends on the
-/// planarity, an answer that its certificate does not allow, and a witness that is farther off
-/// its hull than the face's planarity.
+/// Pairs at random poses, most of them in contact. Catches an alpha that depends on the planarity, an
+/// answer that violates its certificate, and a witness that is farther off its hull than the
+/// planarity of its face.
 #[test]
 fn alpha_is_the_same_and_witnesses_are_off_by_the_planarity_alone() {
     let mut random = Random::new(31);
@@ -150,7 +150,8 @@ fn alpha_is_the_same_and_witnesses_are_off_by_the_planarity_alone() {
                         Feature::Face(f) => body.hull.faces()[f as usize].planarity * body.hull.scale(),
                         _ => 0.0,
                     };
-                    // (Lifted along the normal, within the feature angle of the face.)
+                    // The witness is lifted along the contact normal, which is within the feature
+                    // angle of the face normal. The factor 1.01 covers that angle.
                     let allowed = 1.01 * planarity + 1e-13 * apart;
                     assert!(above <= allowed, "{share:e}: a witness is {above:e} off, {allowed:e} allowed");
                     off += usize::from(above > 1e-9 * apart);

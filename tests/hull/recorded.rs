@@ -1,7 +1,7 @@
-//! Simplified hulls as they were first recorded (tests/golden/simplified.txt).
+//! Compares simplified hulls with a recording (tests/golden/simplified.txt).
 //!
-//! A stored hull is its definition, and it is simplified again whenever it is loaded. So the
-//! same definition has to give the same hull, to the bit, in every later version.
+//! The store keeps the definition of a hull, and the hull is simplified again whenever it is
+//! loaded. So a definition has to give the same hull, to the bit, in every later version.
 
 use std::fmt::Write;
 
@@ -9,18 +9,18 @@ use hullcast::contact::{ConvexHull, HullError, HullOptions, Simplification};
 
 use crate::clouds::{Points, Random, ball, box_grid, cube, lattice_ball, moved, rotated, scaled, sphere};
 
-/// A definition of a simplified hull.
+/// The definition of a simplified hull.
 struct Definition {
     name: String,
     points: Points,
     options: HullOptions,
 }
 
-/// A ring of radius 1 at height `z`, from rational points of the circle: sine and cosine
-/// differ between machines, these divisions do not.
+/// A ring of radius 1 at height `z`, made of rational points of the circle. Sine and cosine differ
+/// between machines; these divisions do not.
 fn ring(sides: usize, z: f64) -> Points {
     let point = |i: usize| {
-        // From -1 to 1 over one half of the circle, and the other half opposite.
+        // `t` runs from -1 to 1 over one half of the circle. The other half is opposite.
         let half = sides.div_ceil(2);
         let t = 2.0 * (i % half) as f64 / half as f64 - 1.0;
         let [x, y] = [(1.0 - t * t) / (1.0 + t * t), 2.0 * t / (1.0 + t * t)];
@@ -33,7 +33,7 @@ fn cylinder(sides: usize, half_height: f64) -> Points {
     [ring(sides, -half_height), ring(sides, half_height)].concat()
 }
 
-/// A bowl that is flat to one part in a thousand.
+/// A bowl that is nearly flat: its height is a thousandth of the squared distance from its middle.
 fn bowl(side: i32) -> Points {
     let along = move || (-side..=side).map(f64::from);
     along().flat_map(|x| along().map(move |y| [x, y, 0.001 * (x * x + y * y)])).collect()
@@ -45,10 +45,10 @@ fn dumbbell(count: usize, random: &mut Random) -> Points {
     [end(-1.0, random), end(1.0, random)].concat()
 }
 
-/// One shape of each family; the seed varies its size, place and rotation.
+/// One shape of each family. The seed varies size, position and rotation.
 fn shapes(seed: u64) -> Vec<(&'static str, Points)> {
     let mut random = Random::new(seed);
-    // Two seeds make large hulls.
+    // The last two seeds make large hulls.
     let count = if seed < 3 { 40 + random.below(160) } else { 600 + random.below(900) };
     let mut shapes = vec![
         ("sphere", sphere(count, &mut random)),
@@ -82,8 +82,8 @@ fn definitions() -> Vec<Definition> {
             let Ok(whole) = ConvexHull::new(&points) else { continue };
             let (count, size) = (whole.vertex_count() as u32, whole.circumradius());
             let center = whole.center_of_mass().to_array();
-            // Between the centre and a vertex: inside the whole hull, but outside of most of the
-            // hulls that are tried on the way.
+            // A point between the centre and a vertex is inside the whole hull, but outside most of
+            // the hulls that are tried on the way.
             let vertex = points[whole.registered_indices()[count as usize / 2] as usize];
             let near = |share: f64| Some([0, 1, 2].map(|k| center[k] + share * (vertex[k] - center[k])));
             let cases = [
@@ -103,7 +103,7 @@ fn definitions() -> Vec<Definition> {
     definitions
 }
 
-/// FNV-1a over everything of a hull that a query reads.
+/// A digest (FNV-1a) of everything that a query reads of a hull.
 fn digest(hull: &ConvexHull) -> u64 {
     let mut digest = 0xcbf2_9ce4_8422_2325_u64;
     let mut add = |bits: u64| {
@@ -140,8 +140,8 @@ fn lines() -> Vec<String> {
     definitions().iter().map(built).collect()
 }
 
-/// Catches every change of the hull that a stored definition is simplified to: another vertex taken,
-/// a distance rounded otherwise, a build that is tried earlier or later than before.
+/// Catches every change of the hull that a stored definition is simplified to: a different vertex
+/// that is taken, a distance that is rounded differently, a build that is tried earlier or later.
 #[test]
 fn simplified_hulls_are_those_recorded() {
     let recorded = include_str!("../golden/simplified.txt");
@@ -154,7 +154,7 @@ fn simplified_hulls_are_those_recorded() {
     assert_eq!(recorded.lines().count(), 200);
 }
 
-/// Prints what tests/golden/simplified.txt holds. The file changes only together with the
+/// Prints the content of tests/golden/simplified.txt. The file may change only together with the
 /// version of the identity.
 #[test]
 #[ignore = "prints the recorded file anew"]

@@ -1,4 +1,4 @@
-//! Simplified hulls: what they leave out is never farther away than they say.
+//! Tests of simplified hulls: the vertices left out are never farther away than the deviation.
 
 use glam::DVec3;
 use hullcast::contact::{
@@ -20,7 +20,7 @@ fn within(deviation: f64) -> Simplification {
     Simplification { max_vertices: None, max_deviation: Some(deviation) }
 }
 
-/// The hulls of the example scenes: links of robots, and a pile.
+/// The hulls of the example scenes: the links of robots, and a pile.
 pub(crate) fn real() -> Vec<Points> {
     let mut hulls = Vec::new();
     for scene in ["panda", "anymal_c", "pile"] {
@@ -37,7 +37,8 @@ fn at(points: &[[f64; 3]], index: u32) -> DVec3 {
     DVec3::from_array(points[index as usize])
 }
 
-/// The point of a triangle nearest to the origin: the foot on its plane, its sides or corners.
+/// The point of a triangle that is nearest to the origin: the foot on its plane if that is inside,
+/// otherwise the nearest point of its sides.
 fn nearest_of_triangle([a, b, c]: [DVec3; 3]) -> DVec3 {
     let n = (b - a).cross(c - a);
     let foot = n * (n.dot(a) / n.length_squared());
@@ -53,8 +54,9 @@ fn nearest_of_triangle([a, b, c]: [DVec3; 3]) -> DVec3 {
     candidates.into_iter().min_by(|p, q| p.length_squared().total_cmp(&q.length_squared())).unwrap()
 }
 
-/// Lower and upper bound of how far the farthest left-out vertex is from the inner hull, by
-/// its triangles: no step of the simplification is used. A direction proves the lower one.
+/// A lower and an upper bound of the distance between the inner hull and the farthest vertex that
+/// was left out. The upper bound is the distance to the triangles of the inner hull; a direction
+/// proves the lower bound. No step of the simplification is used.
 fn true_deviation(points: &[[f64; 3]], whole: &ConvexHull, inner: &ConvexHull) -> (f64, f64) {
     let kept = inner.registered_indices();
     let corners: Points = kept.iter().map(|&i| points[i as usize]).collect();
@@ -72,10 +74,10 @@ fn true_deviation(points: &[[f64; 3]], whole: &ConvexHull, inner: &ConvexHull) -
     (lower, upper)
 }
 
-/// Catches a deviation below the truth (a distance to the wrong hull, one not computed again
-/// where it had to be, rounding), one far above it, a vertex that is none of the hull's, moved
-/// or numbered wrongly, another contraction point, and limits that are passed: on more than a
-/// thousand hulls, of robots and at random, four ways each.
+/// Simplifies more than a thousand hulls, of robots and at random, in four ways each. Catches a
+/// deviation below the true distance (because of a distance to the wrong hull, one that was not
+/// computed again, or rounding), a deviation far above it, a vertex that is not of the hull, moved or
+/// numbered wrongly, a different contraction point, and limits that are exceeded.
 #[test]
 fn deviations_hold_on_a_thousand_hulls() {
     let real = real();
@@ -96,8 +98,8 @@ fn deviations_hold_on_a_thousand_hulls() {
             let inner = match simplified(&points, wanted) {
                 Ok(inner) => inner,
                 Err(error) => {
-                    // Few vertices may leave the centre outside, or be too far off; a
-                    // deviation alone can always be met.
+                    // With few vertices the centre may be outside, or the deviation too large. A
+                    // limit on the deviation only can always be met.
                     assert!(wanted.max_vertices.is_some(), "{error}");
                     refused += 1;
                     continue;
@@ -117,7 +119,7 @@ fn deviations_hold_on_a_thousand_hulls() {
             let (lower, upper) = true_deviation(&points, &whole, &inner);
             let deviation = inner.deviation();
             assert!(lower <= deviation, "{lower:e} above {deviation:e}");
-            // Where triangles are slivers the search may end before the nearest point.
+            // If triangles are slivers, the search may end before it reaches the nearest point.
             assert!(deviation <= upper + 1e-6 * size, "{deviation:e} far above {upper:e}");
             tight += usize::from(deviation - lower <= 1e-12 * size);
             simplified_hulls += 1;
@@ -132,9 +134,9 @@ fn deviations_hold_on_a_thousand_hulls() {
     assert!(refused < simplified_hulls / 4 && tight > simplified_hulls * 9 / 10);
 }
 
-/// Catches what simplification does to alpha without saying so: of hulls inside the whole
-/// ones, about the same centres, it never falls, and rises by no more than the deviations
-/// allow (MATHS: `alpha' <= alpha (1 + eps / r')`).
+/// Catches a change of alpha that the deviations do not account for. The simplified hulls are inside
+/// the whole ones and have the same contraction points, so alpha never falls, and it rises by no
+/// more than the deviations allow: `alpha' <= alpha (1 + eps / r')` (docs/hulls.md).
 #[test]
 fn alpha_rises_by_no_more_than_the_deviations_allow() {
     let mut random = Random::new(17);
@@ -174,8 +176,9 @@ fn alpha_rises_by_no_more_than_the_deviations_allow() {
     assert!(changed > 500, "{changed}");
 }
 
-/// Catches a hull that is refused for its vertices although few would be kept, and a limit that
-/// the simplified hull escapes: of 300 vertices, with limits below, at and above what is kept.
+/// Catches a hull that is refused for its number of vertices although few would be kept, and a
+/// simplified hull that exceeds the limit. The hull has 300 vertices; the limits are below, at and
+/// above the number that is kept.
 #[test]
 fn the_vertex_limit_is_for_the_simplified_hull() {
     let points = sphere(300, &mut Random::new(11));
@@ -198,7 +201,8 @@ fn the_vertex_limit_is_for_the_simplified_hull() {
     assert!(limited(40, both).unwrap().deviation() <= 0.5);
 }
 
-/// Catches options that are taken for others, and refusals without a reason.
+/// Catches options that are accepted although no hull satisfies them, refusals of the wrong kind, and
+/// limits that change a hull although they do not apply.
 #[test]
 fn what_cannot_be_is_refused() {
     let kind = |result: Result<ConvexHull, HullError>| result.unwrap_err().kind;
@@ -207,7 +211,7 @@ fn what_cannot_be_is_refused() {
     }
     let both = Simplification { max_vertices: Some(7), max_deviation: Some(0.01) };
     assert_eq!(kind(simplified(&cube(), both)), HullErrorKind::SimplificationNotPossible);
-    // A point in a corner that is cut off.
+    // The contraction point is in a corner that is cut off.
     let options = HullOptions {
         contraction_point: Some([0.98, 0.98, -0.98]),
         simplification: Some(vertices(4)),
@@ -218,11 +222,11 @@ fn what_cannot_be_is_refused() {
     let refused = ConvexHull::with_options(&skew, &options);
     assert!(refused.is_err(), "{:?}", refused.map(|hull| hull.registered_indices().to_vec()));
     assert_eq!(kind(simplified(&cube()[..3], vertices(4))), HullErrorKind::TooFewPoints);
-    // More is taken where a deviation alone would leave a plate flat.
+    // The vertices that satisfy the deviation would leave the plate flat, so more are taken.
     let plate = prism(32, 1e-3);
     let flat = simplified(&plate, within(0.05)).unwrap();
     assert!(flat.vertex_count() < 64 && flat.deviation() <= 0.05 && flat.inradius() > 0.0);
-    // No bound binds: the hull as it is.
+    // No limit applies, so the hull is left as it is.
     for wanted in [vertices(8), vertices(u32::MAX), within(0.0), Simplification::default()] {
         let hull = simplified(&cube(), wanted).unwrap();
         assert_eq!((hull.vertex_count(), hull.deviation()), (8, 0.0));

@@ -1,4 +1,4 @@
-//! Hulls of any size and shape: what scaling keeps, and where doubles end.
+//! Hulls of any size and shape: scaling by powers of two, subnormal coordinates and needles.
 
 use hullcast::contact::hull::ConvexHull;
 
@@ -6,7 +6,7 @@ use crate::check::{Met, check};
 use crate::clouds::{Points, Random, clouds, cube, prism, scaled};
 use crate::hull;
 
-/// A hull is its shape: scaling by a power of two changes no bit in hull units.
+/// Scaling by a power of two changes no bit of the geometry in hull units.
 #[test]
 fn scaling_by_a_power_of_two_changes_no_bit() {
     for cloud in clouds() {
@@ -14,7 +14,7 @@ fn scaling_by_a_power_of_two_changes_no_bit() {
         let size = cloud.points.iter().flatten().fold(0.0_f64, |m, c| m.max(c.abs()));
         for k in [-60, -1, 1, 60] {
             let power = 2_f64.powi(k);
-            // Within the range of sizes, and where no coordinate is rounded.
+            // Skip sizes out of range and coordinates that scaling would round.
             let exact = cloud.points.iter().flatten().all(|c| c * power / power == *c);
             if !(1e-49..1e49).contains(&(size * power)) || !exact {
                 continue;
@@ -30,8 +30,8 @@ fn scaling_by_a_power_of_two_changes_no_bit() {
     }
 }
 
-/// Found by fuzzing: the inradius of a needle with subnormal sides at its tip was rounded down
-/// by more than that of the same needle where they are normal.
+/// Found by fuzzing: the inradius of a needle with subnormal sides at its tip was rounded down by
+/// more than that of the same needle at a scale at which the sides are normal.
 #[test]
 fn subnormal_sides_are_as_exact_as_others() {
     let (tiny, mut built) = (4.4e-323, 0);
@@ -53,7 +53,7 @@ fn subnormal_sides_are_as_exact_as_others() {
     assert!(built >= 10, "{built}");
 }
 
-/// All that queries read.
+/// All geometry that queries read.
 fn in_hull_units(hull: &ConvexHull) -> impl PartialEq + std::fmt::Debug + use<> {
     let faces = 0..hull.face_count();
     (
@@ -65,8 +65,8 @@ fn in_hull_units(hull: &ConvexHull) -> impl PartialEq + std::fmt::Debug + use<> 
     )
 }
 
-/// A facet that bends by one subnormal step: in floating point the middle point
-/// counts as in the plane and an extreme vertex would be lost.
+/// Catches an extreme vertex that is lost because a facet bends by only one subnormal step. In
+/// floating-point arithmetic the point in the middle would count as in the plane.
 #[test]
 fn subnormal_coordinates_are_exact() {
     let step = f64::from_bits(1);
@@ -77,7 +77,7 @@ fn subnormal_coordinates_are_exact() {
     assert_eq!(hull(&points).vertex_count(), 8);
     points[8][2] = step;
     assert_eq!(hull(&points).vertex_count(), 8);
-    // One corner lower: three of the four others still span the middle.
+    // One corner is lower. Point 8 is in the triangle of the other three, so it is not extreme.
     points[0][2] = -step;
     points[8] = [0.5, 0.5, 0.0];
     assert_eq!(hull(&points).vertex_count(), 8);
@@ -85,11 +85,11 @@ fn subnormal_coordinates_are_exact() {
     assert_eq!(hull(&points).vertex_count(), 9);
 }
 
-/// Found by fuzzing: of needles of an aspect from 1e12 on the vertices about the
-/// contraction point are rounded by as much as keeps faces apart. Outlines turned
-/// round about their exact normals (areas were negative), corners and edges did not
-/// make a polyhedron (Euler's formula), and witnesses were outside. They are refused,
-/// by the aspect alone; all others hold every definition.
+/// Found by fuzzing: for needles of an aspect of 1e12 and more, the vertices in hull units are
+/// rounded by as much as the tolerance that keeps faces apart. Outlines ran the wrong way about their
+/// exact normals (areas were negative), corners and edges did not make a polyhedron (Euler's
+/// formula), and witnesses were outside. Such needles are now refused because of their aspect, and
+/// all others must satisfy every definition.
 #[test]
 fn needles_are_hulls_or_too_thin() {
     let mut random = Random::new(13);
@@ -98,7 +98,7 @@ fn needles_are_hulls_or_too_thin() {
         let length = 10_f64.powf(9.0 + 3.5 * random.signed());
         let grid = |random: &mut Random| [(); 3].map(|()| (random.signed() * 104.0).round() / 32.0);
         let mut points: Points = (0..4 + random.below(9)).map(|_| grid(&mut random)).collect();
-        // Some in a plane or on a line with others, to rounding.
+        // Some points are in a plane or on a line with others, up to rounding.
         for _ in 0..random.below(3) {
             let [p, q, r] = [(); 3].map(|()| points[random.below(points.len())]);
             points.push(std::array::from_fn(|k| p[k] + (q[k] - r[k])));

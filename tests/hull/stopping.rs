@@ -1,4 +1,4 @@
-//! Hull building that is stopped, and its cost.
+//! Tests of stopping a build, and of the steps that a build counts.
 
 use hullcast::contact::{
     BuildError, ConvexHull, HullOptions, STEPS_BETWEEN_LOOKS, Simplification, Stop,
@@ -7,8 +7,9 @@ use hullcast::contact::{
 
 use crate::clouds::{Points, Random, ball, box_grid, noisy, prism, rotated, scaled, sphere};
 
-/// Clouds and options that take every step of a build: exact predicates, integers of any length,
-/// merged faces, a map of directions, duplicates, simplification with and without many builds.
+/// Clouds and options that together take every step of a build: exact predicates, integers of any
+/// length, merged faces, a map of directions, duplicates, and simplification with one hull and with
+/// many hulls that are tried.
 fn builds() -> Vec<(&'static str, Points, HullOptions)> {
     let mut random = Random::new(91);
     let simplified = |max_vertices, max_deviation, contraction_point| HullOptions {
@@ -31,8 +32,8 @@ fn builds() -> Vec<(&'static str, Points, HullOptions)> {
     ]
 }
 
-/// Catches a loop that counts nothing, one that counts much more than it does before it looks at
-/// the flag, and a count that depends on more than the input.
+/// Catches a loop that counts no steps, a loop that does too many steps between two checks of the
+/// flag, and a count that depends on more than the input.
 #[test]
 fn builds_look_at_the_flag_about_once_a_millisecond() {
     for (name, points, options) in builds() {
@@ -47,7 +48,7 @@ fn builds_look_at_the_flag_about_once_a_millisecond() {
     }
 }
 
-/// Catches a step of the build that goes on although it was asked to stop: builds are stopped
+/// Catches a step of the build that goes on although the build was asked to stop. Builds are stopped
 /// from the start, and by another thread after each tenth of their steps.
 #[test]
 fn a_stopped_build_ends() {
@@ -69,7 +70,7 @@ fn a_stopped_build_ends() {
                 let at = stop.steps();
                 (build.join().unwrap(), at)
             });
-            // One look under way, and the last one.
+            // Steps up to the next check of the flag, and those spent last.
             assert!(stop.steps() <= at + 2 * STEPS_BETWEEN_LOOKS, "{name}: {at}, {}", stop.steps());
             match built {
                 Err(BuildError::Stopped) => stopped_on_the_way += usize::from(tenth > 0),
@@ -78,11 +79,11 @@ fn a_stopped_build_ends() {
             }
         }
     }
-    // Which of the small ones end before they are stopped depends on the machine.
+    // It depends on the machine which of the small builds end before they are stopped.
     assert!(stopped_on_the_way > 10, "{stopped_on_the_way}");
 }
 
-/// Catches a refusal that is taken for a stop, or the other way round.
+/// Catches a refusal that is reported as a stop, and a stop that is reported as a refusal.
 #[test]
 fn a_refusal_is_no_stop() {
     let flat = prism(5, 0.0);
@@ -96,9 +97,9 @@ fn a_refusal_is_no_stop() {
     assert_eq!(stopped, Err(BuildError::Stopped));
 }
 
-/// Catches a simplification that looks at every vertex for every vertex, or builds a hull for
-/// every vertex: twice the vertices take less than three times the steps, where the square is
-/// four times.
+/// Catches a simplification that examines all vertices for each vertex, or builds a hull for each
+/// vertex. Twice the vertices must take less than three times the steps; a quadratic algorithm would
+/// take four times.
 #[test]
 fn simplification_takes_little_more_than_its_vertices() {
     let steps = |count: usize, near_a_corner: bool| {
@@ -118,7 +119,7 @@ fn simplification_takes_little_more_than_its_vertices() {
     for count in [1024, 2048, 4096] {
         let now = steps(count, false);
         assert!(now < 3 * before, "{now} after {before}");
-        // Only about the logarithm of the number of hulls on the way is built.
+        // Of the hulls that could be tried on the way, only about a logarithmic number is built.
         assert!(steps(count, true) < 2 * now);
         before = now;
     }

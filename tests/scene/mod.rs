@@ -1,9 +1,9 @@
-//! Seeded shapes and poses that the geometry's tests share.
+//! Seeded shapes and poses, shared by the tests of the geometry.
 #![allow(dead_code)]
 
 use hullcast::contact::{Body, ConvexHull, Pose};
 
-/// SplitMix64 (Steele, Lea and Flood, 2014).
+/// SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", 2014).
 pub struct Random(pub u64);
 
 impl Random {
@@ -32,7 +32,7 @@ impl Random {
         [flat * cos, flat * sin, z]
     }
 
-    /// A uniform rotation, as x, y, z, w.
+    /// A uniform random rotation: a unit quaternion x, y, z, w.
     pub fn rotation(&mut self) -> [f64; 4] {
         let (u, v, w) = (self.range(0.0, 1.0), self.range(0.0, 1.0), self.range(0.0, 1.0));
         let (s1, c1) = (std::f64::consts::TAU * v).sin_cos();
@@ -62,7 +62,7 @@ pub fn box_hull(half: [f64; 3]) -> ConvexHull {
     hull(&box_points(half))
 }
 
-/// Points on an ellipsoid: all extreme.
+/// Random points on an ellipsoid, so that all of them are extreme.
 pub fn cloud(random: &mut Random, count: usize, half: [f64; 3]) -> Vec<[f64; 3]> {
     (0..count)
         .map(|_| {
@@ -72,7 +72,7 @@ pub fn cloud(random: &mut Random, count: usize, half: [f64; 3]) -> Vec<[f64; 3]>
         .collect()
 }
 
-/// A regular prism about z.
+/// A regular prism whose axis is z.
 pub fn prism_points(sides: usize, radius: f64, half_height: f64) -> Vec<[f64; 3]> {
     (0..2 * sides)
         .map(|i| {

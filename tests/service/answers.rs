@@ -1,5 +1,5 @@
-//! Every answer is the library's, bit for bit, however the batch is split, over however
-//! many threads, unary and streamed.
+//! Every answer equals the library's bit for bit, for every split of the batch and any number of
+//! threads, unary and streamed.
 
 use hullcast::{
     proto::{Accuracy, Output, QueryContactsRequest, Solver},
@@ -15,18 +15,18 @@ use crate::support::{
     },
 };
 
-/// A server that has all shapes.
+/// A server on which all shapes are registered.
 async fn with_shapes(threads: usize) -> TestServer {
     let server = Setup { threads, ..Setup::default() }.start().await;
     server.hulls().register_hulls(register_request(&shapes())).await.unwrap();
     server
 }
 
-/// Around every size at which a batch is computed in another way: none, inline, one chunk,
-/// some chunks, more chunks than threads.
+/// Batch sizes around every change of the way in which a batch is computed: no pair, on the calling
+/// task, one chunk, several chunks, more chunks than threads.
 const SIZES: [usize; 12] = [0, 1, 2, 31, 32, 33, 63, 64, 65, 128, 129, 1000];
 
-/// Catches pairs lost, doubled or out of order where a batch is split, and a workspace that
+/// Catches pairs that are lost, duplicated or reordered when a batch is split, and a workspace that
 /// carries something over from one pair to the next.
 #[tokio::test(flavor = "multi_thread")]
 async fn every_batch_split_and_thread_count_gives_the_librarys_bits() {
@@ -66,13 +66,14 @@ async fn every_batch_split_and_thread_count_gives_the_librarys_bits() {
     assert!(contact > 500 && separated > 500, "the scenes cover both: {outcomes:?}");
 }
 
-/// Catches an option that does not reach the library, and outputs computed or sent that
-/// nobody asked for.
+/// Catches an option that does not reach the library, and outputs that are computed or sent
+/// although the request did not ask for them.
 #[tokio::test(flavor = "multi_thread")]
 async fn every_option_and_output_reaches_the_library() {
     let server = with_shapes(2).await;
     let mut masks: Vec<Vec<i32>> = ALL.iter().map(|&output| outputs(&[output])).collect();
-    // The default; all; a value of a newer client beside one of ours; unspecified alone.
+    // The default mask, all outputs, a value of a newer contract beside a known one, only the
+    // unspecified value.
     masks.extend([vec![], outputs(&ALL), vec![Output::Alpha as i32, 1000], vec![0]]);
     let accuracies = [
         None,
@@ -100,8 +101,8 @@ async fn every_option_and_output_reaches_the_library() {
     assert_eq!(cases, 12 * 4 * 3);
 }
 
-/// Catches an answer that depends on where its pair is in the batch: a scene asked for in
-/// parts answers what it answers as a whole.
+/// Splits a scene into parts of several sizes and joins the answers; they must equal the answer to
+/// the whole scene. Catches an answer that depends on the pair's position in the batch.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_parts_of_a_batch_are_the_batch() {
     let server = with_shapes(3).await;
@@ -119,8 +120,8 @@ async fn the_parts_of_a_batch_are_the_batch() {
     }
 }
 
-/// Catches warm starts that are paired with the wrong pair, and a malformed one that ends a
-/// call or spoils an answer instead of costing a cold start.
+/// Catches warm starts that are assigned to the wrong pair, and a malformed warm start that fails
+/// the call or changes an answer; it must only cost a cold start.
 #[tokio::test(flavor = "multi_thread")]
 async fn warm_starts_are_the_librarys_and_malformed_ones_cost_nothing_else() {
     let server = with_shapes(2).await;
@@ -140,16 +141,16 @@ async fn warm_starts_are_the_librarys_and_malformed_ones_cost_nothing_else() {
     assert_eq!(answer.outcomes, first.outcomes);
 }
 
-/// Catches an unusable body or hull that costs a pair of other bodies, and one that is not
-/// reported: each unusable one is answered INVALID with NaN, and the rest as if it were not
-/// there.
+/// Every unusable body or hull must be reported, its pairs answered INVALID with NaN, and all other
+/// pairs answered as if it were absent. Catches an unusable body or hull that affects pairs of
+/// other bodies, and one that is not reported.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_invalid_pair_costs_no_other() {
     let server = with_shapes(2).await;
     let good = QueryContactsRequest { outputs: outputs(&ALL), ..scene(&shapes(), 30, 300, 13) };
     let whole = server.contacts().query_contacts(good.clone()).await.unwrap().into_inner();
 
-    // Bodies 3 to 6 unusable, each in its own way.
+    // Bodies 3 to 6 are unusable, each in another way.
     let mut request = good.clone();
     request.positions[3 * 3] = f64::NAN;
     request.positions[3 * 4 + 1] = 1.1e100;
@@ -159,7 +160,7 @@ async fn an_invalid_pair_costs_no_other() {
     assert_same(&answer, &expected(&request, &shapes()));
     assert_eq!(answer.invalid_bodies, [3, 4, 5, 6]);
 
-    // Hull 2 is one that nobody registered.
+    // Hull 2 is not registered.
     let mut request = good.clone();
     request.hull_ids[2] = vec![0xab; 32];
     let answer = server.contacts().query_contacts(request.clone()).await.unwrap().into_inner();
@@ -191,8 +192,9 @@ async fn an_invalid_pair_costs_no_other() {
     assert!((50..300).contains(&kept), "both kinds of pairs: {kept}");
 }
 
-/// Catches an answer that depends on what the cache holds, and a hull that is dropped while
-/// a batch uses it: two scenes' hulls take turns in a cache with room for either.
+/// Alternates between two scenes on a server whose cache has room for only one scene's hulls.
+/// Catches an answer that depends on the contents of the cache, and a hull that is dropped while a
+/// batch uses it.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_cache_too_small_for_two_scenes_changes_no_bit() {
     let others: Vec<_> = (0..40).map(|seed| plain(round_points(40, 100 + seed))).collect();
@@ -217,8 +219,8 @@ async fn a_cache_too_small_for_two_scenes_changes_no_bit() {
     assert!(misses > 10.0, "they do take turns: {misses}");
 }
 
-/// Catches an id that the server computes otherwise than the client, and an answer to a
-/// stream that is not the one to its request.
+/// Catches an id that the server computes in another way than the client, and a stream's answer
+/// that does not belong to its request.
 #[tokio::test(flavor = "multi_thread")]
 async fn streams_answer_in_order_and_echo_the_request_id() {
     let (shapes, request) = two_boxes();

@@ -1,11 +1,11 @@
-//! The contract may grow; what is there stays as it is.
+//! The contract may grow, but everything in it stays as it is.
 
 use std::collections::BTreeSet;
 
 use prost::Message;
 use prost_types::{DescriptorProto, EnumDescriptorProto, FileDescriptorSet};
 
-/// Everything of a descriptor set that a client may rely on, a line each.
+/// Everything in a descriptor set that a client may rely on, one line per fact.
 fn promises(bytes: &[u8]) -> BTreeSet<String> {
     let set = FileDescriptorSet::decode(bytes).unwrap();
     let mut lines = BTreeSet::new();
@@ -46,7 +46,7 @@ fn promise_message(message: &DescriptorProto, outer: &str, lines: &mut BTreeSet<
             field.proto3_optional()
         ));
     }
-    // A number given up is not given to another field.
+    // A number that was given up must not be reused for another field.
     for range in &message.reserved_range {
         lines.insert(format!("{name} reserves {} to {}", range.start(), range.end() - 1));
     }
@@ -66,9 +66,9 @@ fn promise_enum(values: &EnumDescriptorProto, lines: &mut BTreeSet<String>) {
 
 const BASELINE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/proto/hullcast.v1.binpb");
 
-/// Catches a change of the contract that breaks clients: a field, value or method that is
-/// gone, renumbered or of another type than in the committed baseline. What is new has to be
-/// promised too: HULLCAST_UPDATE_BASELINE=1 writes a baseline that has it.
+/// Compares the contract with the committed baseline. Catches a field, value or method that is
+/// gone, renumbered or of another type, which breaks clients. New parts must be added to the
+/// baseline: HULLCAST_UPDATE_BASELINE=1 writes it.
 #[test]
 fn nothing_of_the_baseline_is_gone_or_changed() {
     let baseline = promises(&std::fs::read(BASELINE).unwrap());

@@ -1,5 +1,6 @@
-//! The same request bytes give the same response bytes: whatever the threads, the cache, the
-//! way a hull came there and what was asked before, pairs that cannot be answered among them.
+//! Equal request bytes give equal response bytes. This holds for any number of threads and any
+//! state of the cache, however a hull reached the server, whatever was queried before, and with
+//! pairs in the batch that cannot be answered.
 
 use std::sync::Arc;
 
@@ -20,8 +21,8 @@ const QUERY: &str = "/hullcast.v1.ContactService/QueryContacts";
 const STREAM: &str = "/hullcast.v1.ContactService/StreamContacts";
 const FIND: &str = "/hullcast.v1.ContactService/FindContacts";
 
-/// Bodies that have no usable pose, a hull that nobody registered and warm starts, half of them
-/// useless.
+/// A scene with bodies without a usable pose, a hull that is not registered, and warm starts of
+/// which half are useless.
 fn mixed() -> QueryContactsRequest {
     let mut request = scene(&shapes(), 40, 700, 3);
     request.positions[3 * 5 + 1] = f64::NAN;
@@ -35,12 +36,12 @@ fn mixed() -> QueryContactsRequest {
     request
 }
 
-/// The same bodies, for the server to find their pairs.
+/// The same bodies, for FindContacts.
 fn to_be_found() -> QueryContactsRequest {
     QueryContactsRequest { pairs: vec![], warm_starts: vec![], margin: 0.05, ..mixed() }
 }
 
-/// What is asked, as it is on the wire. A stream's second message inherits the first.
+/// The requests as on the wire. The second message of the stream inherits from the first.
 fn requests() -> Vec<(&'static str, Bytes)> {
     let frame = |request: &QueryContactsRequest| raw::frame(false, &request.encode_to_vec());
     let QueryContactsRequest { positions, rotations, .. } = mixed();
@@ -62,8 +63,8 @@ async fn serving(store: &Arc<dyn BlobStore>, threads: usize, cache_bytes: u64) -
     Setup { store: store.clone(), threads, limits, ..Setup::default() }.start().await
 }
 
-/// Catches bytes that depend on how many threads compute, on whether a hull was built here,
-/// read, cached or evicted, and on what was asked before.
+/// Catches bytes that depend on the number of compute threads, on whether a hull was built by this
+/// server, read, cached or evicted, or on earlier queries.
 #[tokio::test(flavor = "multi_thread")]
 async fn threads_and_cache_change_no_byte() {
     let store = blobs::open("memory://").unwrap();
@@ -80,7 +81,7 @@ async fn threads_and_cache_change_no_byte() {
     assert_eq!((&answer.invalid_bodies[..], &answer.missing_hulls[..]), (&[5, 11, 23][..], &[5][..]));
     assert!(known[1].len() > known[0].len() + 100 && known[2].len() > 1000);
 
-    // Other hulls, which take more room, and a scene of them.
+    // Other hulls, which take more memory, and a scene of them.
     let others: Vec<_> = (0..40).map(|seed| plain(round_points(40, 100 + seed))).collect();
     let own = first.app.registry().cached_bytes();
     first.hulls().register_hulls(register_request(&others)).await.unwrap();
@@ -88,9 +89,10 @@ async fn threads_and_cache_change_no_byte() {
     assert!(tight > own);
     let (mut compared, mut misses) = (0, 0.0);
     for threads in [1, 2, 5] {
-        // Room for all hulls, and for those of one scene at a time.
+        // A cache with room for all hulls, and one with room for one scene's hulls at a time.
         for cache_bytes in [roomy, tight] {
-            // Cold: this server has read no hull yet; then warm; then, without room, read again.
+            // First without any cached hull, then with cached hulls, then, if there is no room,
+            // after eviction.
             let server = serving(&store, threads, cache_bytes).await;
             for between in [false, false, true, true] {
                 if between {
@@ -100,7 +102,8 @@ async fn threads_and_cache_change_no_byte() {
                 for ((path, request), known) in requests().into_iter().zip(&known) {
                     let answer = raw::answer_of(&server.address, path, request).await;
                     if answer != known {
-                        // Debug shows the column; the bytes decide.
+                        // The bytes decide; the comparison of the messages shows the column that
+                        // differs.
                         let [found, first] = [&answer, known].map(|frames| first_message(frames));
                         assert_same(&found, &first);
                         panic!("{path}, {threads} threads, {cache_bytes} bytes of cache");
@@ -112,12 +115,12 @@ async fn threads_and_cache_change_no_byte() {
             misses += if cache_bytes == tight { missed } else { -missed };
         }
     }
-    // Each of three servers without room read its hulls again.
+    // Each of the three servers with the small cache read its hulls again.
     assert!(misses >= 15.0, "evicted hulls are read again: {misses}");
     assert_eq!(compared, 3 * 2 * 4 * 3);
 }
 
-/// Catches an unanswered pair that shifts the others' columns where a batch is split.
+/// Catches a pair without an answer that shifts the other pairs' columns when a batch is split.
 #[tokio::test(flavor = "multi_thread")]
 async fn parts_with_unanswered_pairs_are_the_batch() {
     let server = serving(&blobs::open("memory://").unwrap(), 3, Limits::default().cache_bytes).await;

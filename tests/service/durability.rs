@@ -1,4 +1,4 @@
-//! The real binary: killed, traced, stopped.
+//! Tests of the real binary that kill, trace or stop it.
 
 use std::{
     io::Read,
@@ -16,9 +16,8 @@ use hullcast::proto::{
     HasHullsRequest, contact_service_client::ContactServiceClient, hull_service_client::HullServiceClient,
 };
 
-/// Catches a hull that was acknowledged before it was stored: a server is killed in the
-/// middle of registering, again and again, and the next one answers for every hull that any
-/// of them acknowledged.
+/// Kills a server in the middle of registrations, four times. The last server must answer for every
+/// hull that any of them acknowledged. Catches a hull that is acknowledged before it is stored.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_killed_server_answers_for_every_acknowledged_hull() {
     let directory = tempfile::tempdir().unwrap();
@@ -61,8 +60,8 @@ async fn a_killed_server_answers_for_every_acknowledged_hull() {
     assert_same(&answer, &expected(&request, &acknowledged));
 }
 
-/// Catches an acknowledgement before the file or a directory is synced: every sync, rename
-/// and send of the server is traced, in order.
+/// Traces every sync, rename and send of the server in order. Catches an acknowledgement that is
+/// sent before the file or a directory is synced.
 #[tokio::test(flavor = "multi_thread")]
 async fn file_and_directories_are_synced_before_the_acknowledgement() {
     let directory = tempfile::tempdir().unwrap();
@@ -109,7 +108,7 @@ enum Event {
     Sent,
 }
 
-/// The lines of a trace.
+/// The events in a trace, one per line.
 fn events(trace: &str) -> Vec<Event> {
     let event = |line: &str| match line.split_once(' ') {
         Some(("synced", path)) => Event::Synced(path.into()),
@@ -119,9 +118,10 @@ fn events(trace: &str) -> Vec<Event> {
     trace.lines().map(event).collect()
 }
 
-/// Catches a prune that takes what is younger, keeps what is older, or ends a server that has
-/// a hull in use: it goes on with it for its cache's age, others say that it is unknown, and
-/// registering it again brings it back. Ages are the files' own.
+/// Prunes a store whose files have chosen ages. Catches a prune that removes younger hulls, keeps
+/// older ones, or disturbs a server that uses a removed hull. That server goes on with its cached
+/// copy for the cache age, other servers report the hull as unknown, and registering it again
+/// restores it.
 #[tokio::test(flavor = "multi_thread")]
 async fn pruning_removes_what_is_old_and_nothing_else() {
     const HOUR: Duration = Duration::from_secs(3600);
@@ -170,7 +170,8 @@ async fn pruning_removes_what_is_old_and_nothing_else() {
     assert_same(&other.contacts().await.query_contacts(request).await.unwrap().into_inner(), &good);
 }
 
-/// Catches threads, and the memory that each keeps, that grow with what is read and written.
+/// Catches a number of threads, each with its own memory, that grows with the number of reads and
+/// writes.
 #[cfg(target_os = "linux")]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_store_in_use_takes_a_bounded_number_of_threads() {
@@ -192,20 +193,20 @@ async fn a_store_in_use_takes_a_bounded_number_of_threads() {
     for call in futures_util::future::join_all(registering).await {
         assert_eq!(call.unwrap().into_inner().results.len(), 100);
     }
-    // The files', those that serve and that compute, and a few.
+    // The threads of the file store, those that serve and those that compute, and a few more.
     let cores = std::thread::available_parallelism().unwrap().get();
     let found = threads();
     assert!((8..=32 + 2 * cores + 8).contains(&found), "{found} threads");
 }
 
-/// Catches a stop that is taken for a crash by whoever supervises: asked to stop, by either
-/// signal or by closing standard input, the server exits with 0.
+/// A server that is asked to stop, by either signal or by the end of standard input, must exit with
+/// 0. Catches a stop that a supervisor takes for a crash.
 #[tokio::test(flavor = "multi_thread")]
 async fn asked_to_stop_it_exits_with_success() {
     let directory = tempfile::tempdir().unwrap();
     for signal in ["-TERM", "-INT"] {
         let mut server = Process::start(Command::new(BINARY), directory.path(), &["--grace-seconds", "0"]);
-        // Without the flag a closed standard input is nothing.
+        // Without the flag, the end of standard input must have no effect.
         drop(server.stdin.take());
         server.hulls().await.has_hulls(HasHullsRequest::default()).await.unwrap();
         server.signal(signal);
@@ -217,8 +218,8 @@ async fn asked_to_stop_it_exits_with_success() {
     assert!(server.wait().success());
 }
 
-/// Catches an order of precedence that is not the documented one, through the real command
-/// line: file, then environment, then flags.
+/// Catches an order of precedence other than the documented one: flags over the environment, and
+/// the environment over the file. Uses the real command line.
 #[test]
 fn flags_win_over_the_environment_and_the_environment_over_the_file() {
     let directory = tempfile::tempdir().unwrap();
@@ -256,7 +257,7 @@ fn flags_win_over_the_environment_and_the_environment_over_the_file() {
     assert!(!status.success(), "{said}");
 }
 
-/// Catches a collector that is configured and never hears anything.
+/// Catches a build without OTLP that accepts a collector's address and never sends anything to it.
 #[test]
 #[cfg(not(feature = "otlp"))]
 fn a_build_without_traces_says_so() {
@@ -266,7 +267,7 @@ fn a_build_without_traces_says_so() {
     assert!(!output.status.success() && said.contains("feature \"otlp\""), "{said}");
 }
 
-/// Catches a server that offers plain text to other machines because nobody thought of it.
+/// Catches a server that offers plain text to other machines by default.
 #[test]
 fn plain_text_off_this_machine_has_to_be_asked_for() {
     let refused = |address: &str| {

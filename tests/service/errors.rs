@@ -1,4 +1,4 @@
-//! Every error: its code, its reason, its field and index.
+//! Every error with its code, its reason, its field and its index.
 
 use std::{sync::atomic::Ordering, time::Duration};
 
@@ -26,8 +26,8 @@ use crate::support::{
 const QUERY: &str = "/hullcast.v1.ContactService/QueryContacts";
 const STREAM: &str = "/hullcast.v1.ContactService/StreamContacts";
 
-/// Catches a malformed request that is answered, and one refused without saying where. Every
-/// case is sent unary and as a stream.
+/// Sends every case unary and in a stream. Catches a malformed request that is answered, and a
+/// refusal that does not name the field.
 #[tokio::test(flavor = "multi_thread")]
 async fn malformed_queries_name_field_and_index() {
     let (shapes, good) = two_boxes();
@@ -93,7 +93,7 @@ async fn malformed_queries_name_field_and_index() {
     for (request, expected) in cases {
         let unary = server.contacts().query_contacts(request.clone()).await.unwrap_err();
         assert_eq!(refusal(&unary), expected);
-        // The one before is answered, the error ends the stream.
+        // The request before the error is answered; the error ends the stream.
         let requests = futures_util::stream::iter([good.clone(), request, good.clone()]);
         let mut stream = server.contacts().stream_contacts(requests).await.unwrap().into_inner();
         assert!(stream.message().await.unwrap().is_some());
@@ -101,7 +101,7 @@ async fn malformed_queries_name_field_and_index() {
         assert_eq!(refusal(&streamed), expected);
         assert_eq!(stream.message().await.ok().flatten(), None);
     }
-    // At the edges of what is allowed.
+    // Values at the limits of the allowed ranges.
     let edges: [fn(&mut Accuracy); 4] = [
         |a| a.relative_tolerance = 1.0,
         |a| a.feature_angle = Some(0.5),
@@ -115,7 +115,7 @@ async fn malformed_queries_name_field_and_index() {
     server.contacts().query_contacts(touching).await.unwrap();
 }
 
-/// Catches a malformed id, path or token of the hull service that is taken for an absent hull.
+/// Catches a malformed id, path or token of the hull service that is treated as an absent hull.
 #[tokio::test(flavor = "multi_thread")]
 async fn malformed_hull_requests_name_field_and_index() {
     let server = TestServer::start().await;
@@ -140,8 +140,8 @@ async fn malformed_hull_requests_name_field_and_index() {
     }
 }
 
-/// Catches an error of the transport that reaches the caller with its own code and no
-/// details: too large, unknown, compressed, not protobuf.
+/// Catches an error of the transport (message too large, method unknown, compressed, not protobuf)
+/// that reaches the caller with the transport's own code and without details.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_transports_errors_have_details_too() {
     let limits = Limits { max_message_bytes: 2000, ..Limits::default() };
@@ -178,19 +178,20 @@ async fn the_transports_errors_have_details_too() {
         let (status, answered) = status_of(&server.address, path, headers, body).await;
         assert_eq!(&refusal(&status), expected, "{path} {headers:?} {status:?}");
         if headers == gzip {
-            // The protocol has the server say what it does take.
+            // The protocol requires the server to name the encodings that it accepts.
             assert!(answered.contains_key("grpc-accept-encoding"), "{answered:?}");
         }
     }
 }
 
-/// Catches a deadline that the server does not know of, and one that comes back as CANCELLED.
-/// By hand: a client enforces its own deadline before the server's answer is there.
+/// Catches a deadline that the server ignores, and one that is reported as CANCELLED. The test
+/// speaks gRPC by hand, because a client enforces its own deadline before the server's answer
+/// arrives.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_expired_deadline_is_deadline_exceeded() {
     let server = TestServer::start().await;
     server.hulls().register_hulls(register_request(&shapes())).await.unwrap();
-    // More than a millisecond of work, whatever the machine.
+    // More than a millisecond of work on any machine.
     let request = scene(&shapes(), 1000, 100_000, 1);
     let body = frame(false, &request.encode_to_vec());
     let expected = refused(Code::DeadlineExceeded, "DEADLINE_EXCEEDED", "");
@@ -198,16 +199,17 @@ async fn an_expired_deadline_is_deadline_exceeded() {
         let (status, _) = status_of(&server.address, path, &[("grpc-timeout", "1m")], body.clone()).await;
         assert_eq!(refusal(&status), expected, "{path}");
     }
-    // One that suffices changes nothing.
+    // A sufficient deadline must change nothing.
     let small = frame(false, &scene(&shapes(), 2, 1, 1).encode_to_vec());
     let (status, _) = status_of(&server.address, QUERY, &[("grpc-timeout", "60S")], small).await;
     assert_eq!(status.code(), Code::Ok);
 }
 
-/// Catches a busy server that takes on more, and one that does not say when to come back.
+/// Catches a busy server that accepts more work, and a refusal without the time after which to
+/// retry.
 #[tokio::test(flavor = "multi_thread")]
 async fn too_busy_is_unavailable_with_a_pushback() {
-    // Nothing is kept free for other callers.
+    // No part of the capacity is reserved for other callers.
     let limits =
         Limits { max_pairs_per_request: 100, max_pairs_in_flight: 100, shares: false, ..Limits::default() };
     let server = TestServer::with_limits(limits).await;
@@ -220,13 +222,13 @@ async fn too_busy_is_unavailable_with_a_pushback() {
     let stream = futures_util::stream::iter([request.clone()]);
     let mut stream = server.contacts().stream_contacts(stream).await.unwrap().into_inner();
     assert_unavailable(&stream.message().await.unwrap_err(), "TOO_BUSY");
-    // A request without pairs is work too.
+    // A request without pairs counts as work too.
     let empty = QueryContactsRequest::default();
     assert_unavailable(&server.contacts().query_contacts(empty.clone()).await.unwrap_err(), "TOO_BUSY");
     drop(place);
     server.contacts().query_contacts(request).await.unwrap();
     server.contacts().query_contacts(empty).await.unwrap();
-    // Every place is given back.
+    // All capacity must have been returned.
     drop(server.app.engine().admit(100, outputs, &Caller::alone()).unwrap());
 }
 
@@ -238,8 +240,8 @@ fn assert_unavailable(status: &Status, reason: &str) {
     assert_eq!(pushback.to_str().unwrap(), retry.as_millis().to_string());
 }
 
-/// Catches an answer that passes the message limit, whether that is known before it is
-/// computed (the columns alone), while it is (its points), or only at the end.
+/// Catches an answer that exceeds the message limit, in three cases: known before the computation
+/// (from the size of the columns), found during it (from the points), or found only at the end.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_answer_that_would_be_too_large_is_refused() {
     let (shapes, mut request) = two_boxes();
@@ -249,14 +251,14 @@ async fn an_answer_that_would_be_too_large_is_refused() {
     let size = server.contacts().query_contacts(request.clone()).await.unwrap().get_ref().encoded_len();
 
     let expected = invalid("RESPONSE_TOO_LARGE", "");
-    // Columns of 400 pairs alone are 400 * 62 bytes.
+    // The columns of 400 pairs without points take 400 * 62 bytes.
     for (limit, computed) in [(20_000, false), (30_000, true), (size - 1, true)] {
         let server = TestServer::with_limits(Limits { max_message_bytes: limit, ..Limits::default() }).await;
         server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
         let status = server.contacts().query_contacts(request.clone()).await.unwrap_err();
         assert_eq!(refusal(&status), expected, "{limit}");
         assert_eq!(server.app.engine().pairs_computed() > 0, computed, "{limit}");
-        // Halved, as the client does, it is answered.
+        // A request for fewer pairs must be answered; the client halves its requests in this case.
         let mut half = request.clone();
         half.pairs.truncate(request.pairs.len() / 4);
         half.outputs = vec![Output::Outcome as i32];
@@ -267,8 +269,8 @@ async fn an_answer_that_would_be_too_large_is_refused() {
     server.contacts().query_contacts(request).await.unwrap();
 }
 
-/// Catches a store that cannot be read taken for one without the hull: the client would
-/// register again instead of trying again.
+/// Catches an unreadable store that is reported as not having the hull: the client would register
+/// the hull again, where it should retry.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_store_that_cannot_be_read_is_unavailable_not_unknown() {
     let store = Faulty::new();
@@ -276,7 +278,7 @@ async fn a_store_that_cannot_be_read_is_unavailable_not_unknown() {
     let server = Setup { store: store.clone(), ..Setup::default() }.start().await;
     server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
     store.unreadable.store(true, Ordering::SeqCst);
-    // The cached copy needs no store.
+    // A cached hull needs no store.
     let answer = server.contacts().query_contacts(request.clone()).await.unwrap().into_inner();
     assert!(answer.missing_hulls.is_empty());
 

@@ -1,5 +1,4 @@
-//! `FindContacts` against the exhaustive query: every pair that the rules let meet, asked for
-//! by name.
+//! Compares `FindContacts` with the exhaustive query of every pair that the rules allow to meet.
 
 use std::collections::HashSet;
 
@@ -34,7 +33,7 @@ async fn found(server: &TestServer, request: &QueryContactsRequest) -> Vec<Query
     messages
 }
 
-/// The messages as one; only the first names what was left out.
+/// The messages joined into one. Only the first may name missing hulls and invalid bodies.
 fn together(messages: &[QueryContactsResponse]) -> QueryContactsResponse {
     let mut whole = messages[0].clone();
     for message in &messages[1..] {
@@ -51,7 +50,7 @@ fn together(messages: &[QueryContactsResponse]) -> QueryContactsResponse {
     whole
 }
 
-/// Whether the contract lets two bodies meet: its words, one by one.
+/// Whether the contract allows two bodies to meet, written directly from its wording.
 fn may_meet(request: &QueryContactsRequest, a: usize, b: usize) -> bool {
     if let [v, w] = [a, b].map(|body| request.worlds.get(body).copied())
         && v.is_some()
@@ -67,8 +66,8 @@ fn may_meet(request: &QueryContactsRequest, a: usize, b: usize) -> bool {
     g == 0 || h == 0 || (g != h && !ignored)
 }
 
-/// Asks for every pair that may meet, and then for those that are not apart: what has to be
-/// found. With it how many pairs there were to ask for.
+/// Queries every pair that may meet, and then those that are not separated: the pairs that must be
+/// found. Also returns the number of pairs that may meet.
 async fn exhaustive(server: &TestServer, request: &QueryContactsRequest) -> (QueryContactsResponse, usize) {
     let bodies = request.body_hulls.len();
     let pairs: Vec<u32> = (0..bodies)
@@ -93,7 +92,7 @@ async fn exhaustive(server: &TestServer, request: &QueryContactsRequest) -> (Que
     (expected, pairs.len() / 2)
 }
 
-/// Bodies of `shapes[0]` at these positions, not turned.
+/// Bodies of `shapes[0]` at these positions, not rotated.
 fn at(shapes: &[HullDefinition], positions: &[[f64; 3]]) -> QueryContactsRequest {
     QueryContactsRequest {
         hull_ids: shapes.iter().map(id).collect(),
@@ -111,8 +110,7 @@ fn grid(side: usize, step: f64, origin: [f64; 3]) -> Vec<[f64; 3]> {
     (0..side.pow(3)).map(position).collect()
 }
 
-/// Seeded crowds of all shapes, some bodies with a large scale, with and without worlds,
-/// groups and margins.
+/// Seeded crowds of all shapes, at three densities, with and without worlds, groups and margins.
 fn crowds(shapes: &[HullDefinition]) -> Vec<QueryContactsRequest> {
     let mut scenes = Vec::new();
     for seed in 0..12 {
@@ -138,18 +136,18 @@ fn crowds(shapes: &[HullDefinition]) -> Vec<QueryContactsRequest> {
     scenes
 }
 
-/// Scenes in which bodies touch exactly, are exactly a margin apart, coincide, are of very
-/// different sizes, or are where an ulp is larger than they are. Per scene the number of pairs
-/// that are near, where it is known.
+/// Scenes in which bodies touch exactly, are exactly a margin apart, coincide, differ greatly in
+/// size, or are so far from the origin that an ulp is larger than they are. With each scene the
+/// number of pairs within the margin, if it is known.
 fn degenerate(shapes: &[HullDefinition]) -> Vec<(QueryContactsRequest, Option<usize>)> {
-    // Half extents of 0.5: faces, edges and corners of neighbours touch.
+    // Cubes of half extent 0.5: neighbours touch at faces, edges and corners.
     let neighbours = |side: usize| {
         let pairs = |n: usize| side.pow(3 - n as u32) * (side - 1).pow(n as u32);
         3 * pairs(1) + 3 * 2 * pairs(2) + 4 * pairs(3)
     };
     let mut scenes = vec![
         (at(shapes, &grid(5, 1.0, [0.0; 3])), Some(neighbours(5))),
-        // Coordinates of which the sum is exact.
+        // Coordinates whose sums are exact.
         (at(shapes, &grid(5, 1.0, [2f64.powi(40), -2f64.powi(45), 2f64.powi(50)])), Some(neighbours(5))),
         (at(shapes, &[[1e-3, 2e-3, 3e-3]; 120]), Some(120 * 119 / 2)),
         (at(shapes, &[[1e100, -1e100, 1e100]; 60]), Some(60 * 59 / 2)),
@@ -157,15 +155,15 @@ fn degenerate(shapes: &[HullDefinition]) -> Vec<(QueryContactsRequest, Option<us
         (at(shapes, &[]), Some(0)),
         (at(shapes, &[[0.0; 3]]), Some(0)),
     ];
-    // A gap of exactly the margin, of an ulp more and less, which rounding may not tell from
-    // it, and of clearly more.
+    // A gap of exactly the margin, one ulp more and one ulp less, which rounding may not
+    // distinguish, and a gap that is clearly larger.
     let gap = 0.25;
     let step: f64 = 1.0 + gap;
     for (step, near) in [(step.next_down(), 144), (step, 144), (step.next_up(), 144), (step + 1e-9, 0)] {
         let request = QueryContactsRequest { margin: gap, ..at(shapes, &grid(4, step, [0.0; 3])) };
         scenes.push((request, Some(near)));
     }
-    // Every pair is within such a margin.
+    // Margins so large that every pair is within them.
     for margin in [1e101, f64::MAX] {
         let request = QueryContactsRequest { margin, ..at(shapes, &grid(3, 1e99, [0.0; 3])) };
         scenes.push((request, Some(27 * 26 / 2)));
@@ -173,7 +171,7 @@ fn degenerate(shapes: &[HullDefinition]) -> Vec<(QueryContactsRequest, Option<us
     // A margin below every normal number.
     let request = QueryContactsRequest { margin: 5e-324, ..at(shapes, &grid(3, 1.0, [0.0; 3])) };
     scenes.push((request, Some(neighbours(3))));
-    // Pebbles of three sizes on a plate a million times as large.
+    // Pebbles of three shapes on a plate that is a million times as large.
     let mut random = Random(7);
     let mut positions = vec![[0.0; 3]];
     positions.extend((0..120).map(|_| [4e5 * random.signed(), 4e5 * random.signed(), 0.5 + random.signed()]));
@@ -184,10 +182,12 @@ fn degenerate(shapes: &[HullDefinition]) -> Vec<(QueryContactsRequest, Option<us
     scenes
 }
 
-/// Catches a pair that the broad phase loses (a margin that is not in the boxes, or not whole;
-/// boxes rounded inwards; the rounding band left out; a world or a group taken for another;
-/// a body of every world that misses one), a pair found that is apart or not allowed to meet,
-/// and an answer that is not that of QueryContacts, to the bit.
+/// Compares the pairs and the answers with those of the exhaustive query, bit for bit.
+///
+/// Catches a pair that the broad phase loses: a margin that is not fully added to the boxes, boxes
+/// rounded inwards, the rounding band left out, a world or group mistaken for another, a body of
+/// every world that misses one. Also catches a pair that is separated or not allowed to meet, and
+/// an answer that differs from QueryContacts.
 #[tokio::test(flavor = "multi_thread")]
 async fn what_is_found_is_what_the_exhaustive_query_has() {
     let mut shapes = shapes();
@@ -214,9 +214,9 @@ async fn what_is_found_is_what_the_exhaustive_query_has() {
     assert!(asked > 120_000 && near > 20_000, "{near} of {asked}");
 }
 
-/// Catches messages that are cut where they lose or repeat a pair, a body with more partners
-/// than one message has, and a crowd whose candidates are together in memory: everything meets
-/// everything, some 45,000 pairs in pieces.
+/// A crowd in which every pair meets, about 45,000 pairs in many messages. Catches messages that
+/// lose or repeat a pair where they are cut, a body with more partners than fit in one message, and
+/// candidates that are all held in memory at once.
 #[tokio::test(flavor = "multi_thread")]
 async fn crowded_scenes_come_in_pieces() {
     let shapes = [plain(box_points(0.5, 0.5, 0.5))];
@@ -230,7 +230,7 @@ async fn crowded_scenes_come_in_pieces() {
     let every: Vec<u32> = (0..300).flat_map(|a| (a + 1..300).flat_map(move |b| [a, b])).collect();
     assert_eq!(together(&messages).pairs, every);
 
-    // A ground that 2,000 worlds share, of five bodies each of which two overlap.
+    // One ground shared by 2,000 worlds of five bodies each; two bodies of each world overlap.
     let mut positions = vec![[0.0; 3]];
     let mut worlds = vec![EVERY_WORLD];
     for world in 0..2000 {
@@ -252,8 +252,9 @@ async fn crowded_scenes_come_in_pieces() {
     assert_eq!(distinct.len(), 12_000);
 }
 
-/// Catches an answer that passes the message limit where fewer pairs at a time would not, one
-/// pair that does and is left out silently, and limits that are those of another call.
+/// Catches an answer that exceeds the message limit although fewer pairs per message would not, a
+/// single pair that exceeds it and is silently left out, and limits that are those of another
+/// method.
 #[tokio::test(flavor = "multi_thread")]
 async fn limits_hold_and_large_answers_are_cut() {
     let shapes = [plain(box_points(0.5, 0.5, 0.5)), plain(round_points(12, 1))];
@@ -281,7 +282,8 @@ async fn limits_hold_and_large_answers_are_cut() {
     let status = server.contacts().find_contacts(request.clone()).await.unwrap_err();
     assert_eq!(refusal(&status), refused(Code::Unavailable, "TOO_BUSY", ""));
     drop(place);
-    // Two boxes are too much for this one, and the answer says so.
+    // One pair of boxes fits within this limit; one pair with many points does not, which must be
+    // reported.
     let limits = Limits { max_message_bytes: 1024, ..Limits::default() };
     let tiny = TestServer::with_limits(limits).await;
     tiny.hulls().register_hulls(register_request(&shapes[..1])).await.unwrap();
@@ -299,11 +301,11 @@ async fn limits_hold_and_large_answers_are_cut() {
     let mut stream =
         tiny.contacts().find_contacts(at(&prism, &[[0.0; 3], [0.0, 0.0, 0.9]])).await.unwrap().into_inner();
     assert_eq!(refusal(&stream.message().await.unwrap_err()), invalid("RESPONSE_TOO_LARGE", ""));
-    // Every place is given back.
+    // All capacity must have been returned.
     drop(server.app.engine().place(1000, &Caller::alone()).unwrap());
 }
 
-/// Catches a malformed request that is answered, or refused without saying where.
+/// Catches a malformed request that is answered, and a refusal that does not name the field.
 #[tokio::test(flavor = "multi_thread")]
 async fn malformed_requests_name_field_and_index() {
     let shapes = [plain(box_points(0.5, 0.5, 0.5))];
@@ -343,8 +345,8 @@ async fn malformed_requests_name_field_and_index() {
     }
 }
 
-/// Catches bodies that are lost without a word: those with an unusable pose or an unknown hull
-/// are named and cost no other pair; a store that cannot be read fails the call.
+/// Bodies with an unusable pose or an unknown hull must be named and must not affect other pairs;
+/// an unreadable store must fail the call. Catches bodies that are lost without a report.
 #[tokio::test(flavor = "multi_thread")]
 async fn what_cannot_be_in_a_pair_is_named() {
     let shapes = [plain(box_points(0.5, 0.5, 0.5)), plain(round_points(12, 1))];

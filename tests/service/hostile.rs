@@ -1,4 +1,4 @@
-//! Peers that mean no good, on the real socket.
+//! Hostile peers, on the real socket.
 
 use std::{collections::BTreeMap, time::Duration};
 
@@ -29,8 +29,8 @@ async fn is_answered(server: &TestServer) {
     info.get_server_info(GetServerInfoRequest {}).await.unwrap();
 }
 
-/// Catches bytes that end the server or that it calls its own fault: messages with bytes
-/// flipped, cut, doubled and inserted, to every method, through the whole stack.
+/// Sends messages with flipped, cut, repeated and inserted bytes to every method, through the whole
+/// stack. Catches bytes that end the server, or that it reports as its own fault.
 #[tokio::test(flavor = "multi_thread")]
 async fn spoilt_messages_are_refused_or_answered() {
     const EACH: u32 = 400;
@@ -68,7 +68,7 @@ async fn spoilt_messages_are_refused_or_answered() {
             }
             let mut frame = raw::frame(false, &message).to_vec();
             if next(10) == 0 {
-                // The frame's own head is spoilt, too: another length, another kind.
+                // The frame's head is damaged too: another length or another kind.
                 let at = next(5);
                 frame[at] ^= 1 << next(8);
             }
@@ -86,8 +86,8 @@ async fn spoilt_messages_are_refused_or_answered() {
     is_answered(&server).await;
 }
 
-/// Catches messages of very many very small elements that are decoded before they are counted,
-/// or that are refused without a name: 16 MiB of them, to every method with a repeated field.
+/// Sends 16 MiB of very small elements to every method with a repeated field. Catches elements that
+/// are decoded before they are counted, and a refusal that does not name the field.
 #[tokio::test(flavor = "multi_thread")]
 async fn messages_of_empty_elements_are_refused_by_name() {
     const ELEMENTS: usize = 8 << 20;
@@ -117,8 +117,8 @@ async fn messages_of_empty_elements_are_refused_by_name() {
     is_answered(&server).await;
 }
 
-/// Catches one hull that a request names so often that the answer takes all memory; the answer
-/// is refused before it is built, and a few repetitions are answered.
+/// A request that names one large hull thousands of times must be refused before its answer is
+/// built; a few repetitions must be answered. Catches an answer that takes all memory.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hull_that_is_named_many_times_takes_no_memory() {
     let server = TestServer::start().await;
@@ -134,7 +134,7 @@ async fn a_hull_that_is_named_many_times_takes_no_memory() {
     server.until_calls_hold_nothing().await;
 }
 
-/// Catches a peer that holds a connection and says nothing, or half of a greeting.
+/// Catches a peer that holds a connection while it sends nothing, or half of the HTTP/2 preface.
 #[tokio::test(flavor = "multi_thread")]
 async fn who_does_not_greet_is_cut_off() {
     let mut setup = Setup::default();
@@ -144,10 +144,10 @@ async fn who_does_not_greet_is_cut_off() {
         let mut stream = TcpStream::connect(&server.address).await.unwrap();
         stream.write_all(said).await.unwrap();
         let mut rest = Vec::new();
-        // The end, by a close or a reset.
+        // The server ends the connection by a close or a reset.
         let _ = stream.read_to_end(&mut rest).await;
     }
-    // Who greeted may idle.
+    // A peer that completed the handshake may stay idle.
     let (mut client, connection) = raw::connection(&server.address).await;
     tokio::spawn(connection);
     tokio::time::sleep(Duration::from_millis(200)).await;
@@ -155,7 +155,7 @@ async fn who_does_not_greet_is_cut_off() {
     assert_eq!(status.code(), Code::Ok);
 }
 
-/// Catches a request that dribbles in for ever, whatever deadline its client gives itself.
+/// Catches a request that never ends and is held for any deadline that its client sets.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_request_that_never_ends_is_cut_off() {
     let server = TestServer::with_limits(Limits { max_deadline_seconds: 1, ..Limits::default() }).await;
@@ -169,8 +169,8 @@ async fn a_request_that_never_ends_is_cut_off() {
     server.until("hullcast_request_bytes_in_flight", 0.0).await;
 }
 
-/// Catches memory that many half-sent requests hold without bound: at the limit they are
-/// held, the first byte past it refused, and given back when they end.
+/// At the limit, half-sent requests are held; the first byte past it must be refused, and the bytes
+/// must be released when the requests end. Catches half-sent requests that take unbounded memory.
 #[tokio::test(flavor = "multi_thread")]
 async fn bytes_of_requests_are_bounded_over_all_calls() {
     let limits =
@@ -195,11 +195,11 @@ async fn bytes_of_requests_are_bounded_over_all_calls() {
     is_answered(&server).await;
 }
 
-/// Catches connections without number: at the limit all are served, one more is closed, and
-/// a place that is given up is given again.
+/// At the limit all connections are served, one more is closed, and the place of a closed
+/// connection can be used again. Catches an unbounded number of connections.
 #[tokio::test(flavor = "multi_thread")]
 async fn connections_at_their_limit_and_one_past() {
-    // One is the test server's own.
+    // One of the three is the test server's own connection.
     let server = TestServer::with_limits(Limits { max_connections: 3, ..Limits::default() }).await;
     let answers = async |client: &mut hyper::client::conn::http2::SendRequest<raw::Body>| {
         raw::status_on(client, INFO, &[], raw::frame(false, &[])).await.0.code()
@@ -218,7 +218,7 @@ async fn connections_at_their_limit_and_one_past() {
     assert_eq!(answers(&mut first).await, Code::Ok);
 }
 
-/// Catches calls reset as fast as they are made (CVE-2023-44487) that pile up.
+/// Catches calls that are reset as fast as they are made (CVE-2023-44487) and pile up.
 #[tokio::test(flavor = "multi_thread")]
 async fn rapid_resets_leave_nothing_behind() {
     let server = TestServer::start().await;
@@ -231,7 +231,7 @@ async fn rapid_resets_leave_nothing_behind() {
             }
             let call = client.send_request(raw::call(QUERY, &[], raw::Body::Never));
             made += 1;
-            // Begun, and at once taken back.
+            // Begins the call and cancels it at once.
             drop(tokio::time::timeout(Duration::ZERO, call).await);
         }
     }
@@ -240,7 +240,7 @@ async fn rapid_resets_leave_nothing_behind() {
     is_answered(&server).await;
 }
 
-/// Catches answers to pings that pile up for a peer that does not read them: the server stops
+/// Catches answers to pings that pile up for a peer that does not read them. The server must stop
 /// reading, so that the peer can send no more.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_flood_of_pings_is_held_back() {
@@ -260,7 +260,7 @@ async fn a_flood_of_pings_is_held_back() {
     is_answered(&server).await;
 }
 
-/// Catches a server that many silent clients keep from answering others.
+/// Catches many silent clients that keep the server from answering others.
 #[tokio::test(flavor = "multi_thread")]
 async fn idle_connections_are_held() {
     const IDLE: usize = 300;

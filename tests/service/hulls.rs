@@ -1,4 +1,5 @@
-//! The registry from the outside: identity, results per hull, the store and the cache.
+//! The hull service from a client's point of view: identity, one result per hull, the store and the
+//! cache.
 
 use std::{
     sync::{Arc, atomic::Ordering},
@@ -48,8 +49,8 @@ async fn delete(server: &TestServer, ids: Vec<Vec<u8>>) -> Vec<bool> {
     server.hulls().delete_hulls(DeleteHullsRequest { ids }).await.unwrap().into_inner().deleted
 }
 
-/// Catches an identity that is not the documented one: the document's own vectors, which a
-/// client in any language can be tested with.
+/// Registers the test vectors of docs/identity.md, which a client in any language can be tested
+/// with. Catches an identity that differs from the documented one.
 #[tokio::test(flavor = "multi_thread")]
 async fn ids_are_those_of_the_document() {
     let document = include_str!("../../docs/identity.md");
@@ -84,14 +85,14 @@ async fn ids_are_those_of_the_document() {
     }
 }
 
-/// Catches options that are not those of the registration, an answer for the whole hull where
-/// the simplified one was asked for (at once, or read back from the store), a deviation that is
-/// not returned, and indices that are not those of the points as registered.
+/// Catches options that are not those of the registration, an answer for the whole hull when the
+/// simplified one was asked for (at once, or read back from the store), a deviation that is not
+/// returned, and indices that are not those of the registered points.
 #[tokio::test(flavor = "multi_thread")]
 async fn simplified_hulls_are_registered_and_answered_for() {
     let store = blobs::open("memory://").unwrap();
     let server = Setup { store: store.clone(), ..Setup::default() }.start().await;
-    // Has cached nothing.
+    // The second server has no cached hull.
     let reader = Setup { store, ..Setup::default() }.start().await;
     let points = round_points(200, 9);
     let wanted = |max_vertices, max_deviation| Some(Simplification { max_vertices, max_deviation });
@@ -127,7 +128,7 @@ async fn simplified_hulls_are_registered_and_answered_for() {
     }
 }
 
-/// Catches one bad hull that sinks the others, and an error without a reason of its own.
+/// Catches one bad hull that makes the others fail, and an error without its own reason.
 #[tokio::test(flavor = "multi_thread")]
 async fn every_hull_has_a_result_of_its_own() {
     let server = TestServer::start().await;
@@ -188,12 +189,12 @@ async fn every_hull_has_a_result_of_its_own() {
     assert_eq!(stored.hulls.len(), 1, "a refused hull is not stored");
 }
 
-/// Catches results out of order, lost or of another hull where a request is so large that it
-/// is registered in several steps, with known, malformed and flat hulls among the new ones.
+/// A request so large that it is registered in several steps, with known, malformed and flat hulls
+/// among the new ones. Catches results that are out of order, lost or of another hull.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_large_request_is_answered_in_order() {
     let server = TestServer::start().await;
-    // Many points, of which eight are vertices.
+    // Many points, of which only eight are vertices.
     let shape = |i: u32| {
         let mut points = box_points(1.0 + f64::from(i), 1.0, 1.0);
         points.resize(9000, [0.0; 3]);
@@ -216,8 +217,8 @@ async fn a_large_request_is_answered_in_order() {
     }
 }
 
-/// Catches registering that is not idempotent: twice, twice in one request, from many
-/// connections at once.
+/// Registers the same hull twice, twice in one request, and from many connections at once. Catches
+/// registration that is not idempotent.
 #[tokio::test(flavor = "multi_thread")]
 async fn registering_again_changes_nothing() {
     let server = TestServer::start().await;
@@ -241,18 +242,20 @@ async fn registering_again_changes_nothing() {
     assert_eq!(stored.next_page_token, "");
 }
 
-/// Catches a property of a hull in the wrong field, and vertices whose bits changed between
+/// Catches a property of a hull in the wrong field, and vertices whose bits change between
 /// registering and getting.
 #[tokio::test(flavor = "multi_thread")]
 async fn hulls_come_back_as_the_library_has_them() {
     let server = TestServer::start().await;
-    // A duplicate, an interior point and a negative zero, which are registered and not kept.
+    // A duplicate, an interior point and a negative zero, which are registered but not kept as they
+    // are.
     let mut odd = plain(box_points(0.1, 0.3, 0.7));
     odd.points.insert(2, [0.0; 3]);
     odd.points.push(odd.points[0]);
     let mut zero = plain(round_points(20, 3));
     zero.points[4] = [-0.0, 2.0, -0.0];
-    // Merged as no other is, so that an answer for the hull without a planarity shows.
+    // A hull merged with an unusual planarity, so that an answer for the hull without it would
+    // differ.
     let merged = HullDefinition { planarity: Some(0.01), ..plain(round_points(200, 4)) };
     let shapes = [shapes(), vec![odd, zero, merged]].concat();
     let infos = register(&server, register_request(&shapes)).await;
@@ -293,20 +296,20 @@ async fn hulls_come_back_as_the_library_has_them() {
             assert_eq!(record.face_normals[3 * face..][..3], hull.face_normal(face).to_array());
         }
     }
-    // What the mask does not name is not sent.
+    // Only the parts that the mask names are sent.
     let info = &get(&server, ids[..1].to_vec(), &[]).await.hulls[0];
     assert!(info.info.is_some() && info.vertices.is_empty() && info.face_offsets.is_empty());
     let faces = &get(&server, ids[..1].to_vec(), &["faces"]).await.hulls[0];
     assert!(faces.info.is_none() && faces.vertices.is_empty() && !faces.face_offsets.is_empty());
     let vertices = &get(&server, ids[..1].to_vec(), &["vertices"]).await.hulls[0];
     assert!(vertices.info.is_none() && !vertices.vertices.is_empty() && vertices.face_offsets.is_empty());
-    // And what is not there says so, in its place.
+    // A missing hull is reported as such, in its place.
     let mixed = get(&server, vec![vec![1; 32], ids[0].clone(), vec![2; 32]], &[]).await.hulls;
     assert_eq!(mixed.iter().map(|record| record.found).collect::<Vec<_>>(), [false, true, false]);
     assert!(mixed[0].info.is_none());
 }
 
-/// Catches a deleted hull that is still answered for, and one that cannot be registered again.
+/// Catches a deleted hull that still gets answers, and one that cannot be registered again.
 #[tokio::test(flavor = "multi_thread")]
 async fn deleted_is_gone_until_registered_again() {
     let server = TestServer::start().await;
@@ -323,7 +326,7 @@ async fn deleted_is_gone_until_registered_again() {
     assert_eq!((answer.missing_hulls, answer.flags), (vec![], vec![0]));
 }
 
-/// Catches a hull that another server deleted and this one answers for past its cache age,
+/// Catches a hull that another server deleted and that this server still uses after its cache age,
 /// or registers without writing it.
 #[tokio::test(flavor = "multi_thread")]
 async fn another_servers_deletion_is_seen_within_the_cache_age() {
@@ -335,7 +338,8 @@ async fn another_servers_deletion_is_seen_within_the_cache_age() {
     register(&here, register_request(&shapes)).await;
     let it = vec![id(&shapes[0])];
     assert_eq!(delete(&there, it.clone()).await, [true]);
-    // Deleted elsewhere and registered here again: the cached copy is not the stored one.
+    // Deleted by the other server and registered here again: the cached copy alone must not count
+    // as stored.
     register(&here, register_request(&shapes)).await;
     assert_eq!(has(&there, it.clone()).await, [true]);
     assert_eq!(delete(&there, it.clone()).await, [true]);
@@ -345,7 +349,7 @@ async fn another_servers_deletion_is_seen_within_the_cache_age() {
     assert_eq!(has(&here, it).await, [false]);
 }
 
-/// Catches a corrupted blob that is served or counted as present, and one that registering
+/// Catches a corrupted blob that is served or counted as present, and one that a new registration
 /// does not repair.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_corrupted_blob_is_never_served_and_can_be_repaired() {
@@ -361,7 +365,7 @@ async fn a_corrupted_blob_is_never_served_and_can_be_repaired() {
     assert_eq!(good, shapes[0].identity_bytes(), "the blob is the identity bytes");
 
     let flipped: Vec<u8> = good.iter().enumerate().map(|(i, b)| if i == 30 { b ^ 4 } else { *b }).collect();
-    // Another hull's bytes under this name, a bit flipped, cut short, empty.
+    // Another hull's bytes under this name, one flipped bit, a truncated blob, an empty one.
     let other = plain(round_points(10, 1)).identity_bytes();
     for bad in [&other[..], &flipped, &good[..good.len() - 8], &[]] {
         std::fs::write(&file, bad).unwrap();
@@ -377,8 +381,8 @@ async fn a_corrupted_blob_is_never_served_and_can_be_repaired() {
     }
 }
 
-/// Catches hulls read one by one by everyone who asks at once, a store that is listed at
-/// start, and a cache that is none.
+/// 32 calls need the same hull at once: it must be read once. Catches a read per call, a store that
+/// is listed at the start, and a cache without effect.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hull_is_read_once_however_many_ask() {
     let store = Faulty::new();
@@ -401,7 +405,7 @@ async fn a_hull_is_read_once_however_many_ask() {
     assert_eq!(store.listings.load(Ordering::SeqCst), 0);
 }
 
-/// Catches a cache that grows past its bytes, however many hulls go through it.
+/// Catches a cache that grows past its limit, however many hulls pass through it.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_cache_stays_within_its_bytes() {
     let limits = Limits { cache_bytes: 200_000, ..Limits::default() };
@@ -423,7 +427,7 @@ async fn the_cache_stays_within_its_bytes() {
     assert!(most > limits.cache_bytes / 2, "it holds something: {most}");
 }
 
-/// Catches a full store that refuses what it has, or forgets it.
+/// Catches a full store that refuses a hull it already has, or loses one.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_disk_is_store_full() {
     let store = Faulty::new();
@@ -438,7 +442,8 @@ async fn a_full_disk_is_store_full() {
     assert_eq!(server.contacts().query_contacts(request).await.unwrap().into_inner().flags, [0]);
 }
 
-/// Catches a store URL taken for a directory's name, and one that fails only when used.
+/// Catches a store URL that is taken for a directory's name, and a store that fails only when it is
+/// used.
 #[test]
 fn stores_that_cannot_be_opened_say_why() {
     for (url, said) in [("s3://bucket", "feature \"s3\""), ("gopher://x", "unknown scheme")] {

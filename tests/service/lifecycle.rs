@@ -1,4 +1,4 @@
-//! A server's start and end: health, reflection, addresses, drain.
+//! The start and end of a server: health, reflection, addresses, drain.
 
 use std::{path::Path, pin::pin, sync::Arc, time::Duration};
 
@@ -24,7 +24,7 @@ fn draining(drain: Duration) -> Setup {
     Setup { serving: Serving { drain, ..Serving::default() }, ..Setup::default() }
 }
 
-/// Catches a service that health does not know, and one that is there and not said to be.
+/// Catches a service that health does not know, and one that is served but not reported as such.
 #[tokio::test(flavor = "multi_thread")]
 async fn health_is_answered_per_service() {
     let server = TestServer::start().await;
@@ -40,7 +40,7 @@ async fn health_is_answered_per_service() {
     assert_eq!(refusal(&status), refused(Code::NotFound, "NOT_FOUND", ""));
 }
 
-/// Catches a client by reflection (grpcurl and the like, of either protocol) that finds no
+/// Catches reflection, in either version of its protocol, that gives a client such as grpcurl no
 /// services or no types.
 #[tokio::test(flavor = "multi_thread")]
 async fn reflection_lists_and_describes_every_service() {
@@ -87,8 +87,8 @@ async fn reflection_lists_and_describes_every_service() {
     assert!(answers[0].is_ok());
 }
 
-/// Catches a limit on concurrent calls that is published and not enforced: HTTP/2 tells it
-/// to the client when it connects.
+/// HTTP/2 announces the limit on concurrent calls when the client connects. Catches a limit that is
+/// published but not announced there.
 #[tokio::test(flavor = "multi_thread")]
 async fn concurrent_calls_are_limited_as_published() {
     let limits = Limits { max_streams_per_connection: 7, ..Limits::default() };
@@ -107,11 +107,11 @@ async fn concurrent_calls_are_limited_as_published() {
     assert_eq!(told, 7);
 }
 
-/// Catches a stop that cuts off a call in flight, one that waits for a stream that idles,
-/// and one that goes on accepting.
+/// Catches a stop that cuts off a call in flight, that waits for an idle stream, or that goes on
+/// accepting connections.
 #[tokio::test(flavor = "multi_thread")]
 async fn stopping_ends_streams_and_refuses_the_rest() {
-    // Longer than the test may take: nothing here needs the deadline.
+    // Longer than the test may take: the stop must not need the deadline.
     let mut server = draining(Duration::from_secs(3600)).start().await;
     let (shapes, request) = two_boxes();
     server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
@@ -128,7 +128,8 @@ async fn stopping_ends_streams_and_refuses_the_rest() {
     assert!(TcpStream::connect(&address).await.is_err());
 }
 
-/// Catches a stop that a load balancer is not told of, or that waits for it to stop watching.
+/// Catches a stop that is not reported to a load balancer which watches health, or that waits until
+/// the balancer stops watching.
 #[tokio::test(flavor = "multi_thread")]
 async fn watchers_of_health_hear_of_the_stop_and_do_not_delay_it() {
     let mut server = draining(Duration::from_secs(3600)).start().await;
@@ -152,7 +153,7 @@ async fn a_stuck_client_is_cut_off_at_the_drain_deadline() {
     // A call whose request never ends.
     let path = "/hullcast.v1.ContactService/QueryContacts";
     let response = tokio::spawn(client.send_request(raw::call(path, &[], raw::Body::Never)));
-    // The server has seen it once it answers one behind it on the same connection.
+    // Once the server answers a later call on the same connection, it has seen this one.
     let info = "/hullcast.v1.ServerService/GetServerInfo";
     let (status, _) = raw::status_on(&mut client, info, &[], raw::frame(false, &[])).await;
     assert_eq!(status.code(), Code::Ok);
@@ -161,8 +162,9 @@ async fn a_stuck_client_is_cut_off_at_the_drain_deadline() {
     assert!(response.await.unwrap().is_err());
 }
 
-/// Catches a client that stays with an old server for ever: a connection of age is told to
-/// close, its stream ends after the message under way, and the next call has a new one.
+/// A connection that reaches its maximum age is told to close, its stream ends after the message
+/// under way, and the next call uses a new connection. Catches a client that stays with an old
+/// server.
 #[tokio::test(flavor = "multi_thread")]
 async fn connections_end_at_their_age() {
     let (shapes, request) = two_boxes();
@@ -189,12 +191,13 @@ async fn connections_end_at_their_age() {
         if answered > 0 {
             break server;
         }
-        // A machine so busy that the connection was of age before its first message.
+        // The machine is so busy that the connection reached its age before its first message; try
+        // a longer age.
         age *= 4;
         assert!(age < Duration::from_secs(100), "no message was answered");
     };
-    // What waits on a connection that closes is not sent: tonic's client calls it cancelled and
-    // leaves it to the caller to call again.
+    // A call that waits on a closing connection is not sent: tonic's client reports it as
+    // cancelled, and the caller has to call again.
     for call in 0.. {
         match server.contacts().query_contacts(request.clone()).await {
             Ok(_) => break,
@@ -203,8 +206,8 @@ async fn connections_end_at_their_age() {
     }
 }
 
-/// Catches a Unix socket that is not answered on, that is left behind, or that a killed
-/// server's leftover blocks.
+/// Catches a Unix socket that is not served, that is left behind after the stop, or that the
+/// leftover of a killed server blocks.
 #[tokio::test(flavor = "multi_thread")]
 async fn unix_sockets_and_several_addresses() {
     let directory = tempfile::tempdir().unwrap();

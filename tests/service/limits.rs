@@ -1,4 +1,4 @@
-//! Every limit: at it is accepted, one past it refused.
+//! Every limit: a request at the limit is accepted, one past it is refused.
 
 use hullcast::{
     proto::{
@@ -39,7 +39,7 @@ fn small() -> Limits {
     }
 }
 
-/// Catches a limit that a client cannot learn of.
+/// Catches a limit that a client cannot query.
 #[tokio::test(flavor = "multi_thread")]
 async fn every_limit_is_published() {
     let limits = Limits { store_bytes: 5_000_000, ..small() };
@@ -68,7 +68,7 @@ async fn every_limit_is_published() {
     assert_eq!(published.max_stream_state_bytes, limits.max_stream_state_bytes);
 }
 
-/// Catches limits of a query off by one.
+/// Catches limits of a query that are off by one.
 #[tokio::test(flavor = "multi_thread")]
 async fn queries_at_their_limits_and_one_past() {
     let server = TestServer::with_limits(small()).await;
@@ -86,12 +86,13 @@ async fn queries_at_their_limits_and_one_past() {
     refuse(four, invalid("TOO_MANY_HULLS", "hull_ids")).await;
 }
 
-/// Catches limits of the hull service off by one: hulls a request, vertices a hull.
+/// Catches limits of the hull service that are off by one: hulls per request, vertices and points
+/// per hull.
 #[tokio::test(flavor = "multi_thread")]
 async fn registrations_at_their_limits_and_one_past() {
     let server = TestServer::with_limits(small()).await;
     let mut hulls = server.hulls();
-    // A sphere's points are all extreme; one inside is none.
+    // All points on a sphere are extreme; a point inside it is no vertex.
     let mut with_inner = round_points(60, 5);
     with_inner.push([0.0; 3]);
     let shapes = [plain(round_points(60, 4)), plain(with_inner.clone()), plain(round_points(61, 6))];
@@ -126,7 +127,8 @@ async fn registrations_at_their_limits_and_one_past() {
     assert_eq!(refusal(&status), invalid("TOO_MANY_HULLS", "ids"));
 }
 
-/// Catches lists without a setting of their own that are not limited, or one too few.
+/// Lists that have a fixed limit instead of a setting. Catches one that is not limited, or is off
+/// by one.
 #[tokio::test(flavor = "multi_thread")]
 async fn outputs_and_paths_at_their_limits_and_one_past() {
     let server = TestServer::start().await;
@@ -144,7 +146,8 @@ async fn outputs_and_paths_at_their_limits_and_one_past() {
     }
 }
 
-/// Catches a message limit off by one: in bytes, of the message without its frame.
+/// Catches a message limit that is off by one. It counts the bytes of the message without its
+/// frame.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_message_at_its_limit_and_one_past() {
     let (shapes, mut request) = two_boxes();
@@ -153,14 +156,14 @@ async fn a_message_at_its_limit_and_one_past() {
     let limits = Limits { max_message_bytes: bytes, ..small() };
     let server = TestServer::with_limits(limits).await;
     server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
-    // Bodies without pairs are what fills a message: 60 bytes each.
+    // Fill the message with bodies that are in no pair, 60 bytes each.
     let mut padded = request.clone();
     while padded.encoded_len() + 60 <= bytes {
         padded.body_hulls.push(0);
         padded.positions.extend([0.0; 3]);
         padded.rotations.extend([0.0, 0.0, 0.0, 1.0]);
     }
-    // The rest by a field of one byte: outputs, which may repeat.
+    // Fill the rest with outputs, which may repeat and take one byte each.
     while padded.encoded_len() < bytes {
         padded.outputs.push(2);
     }
@@ -175,8 +178,8 @@ async fn a_message_at_its_limit_and_one_past() {
     assert_eq!(refusal(&status), invalid("MESSAGE_TOO_LARGE", ""));
 }
 
-/// Catches a default that is below what the contract promises: a request at the promised
-/// sizes is answered by a server that was configured with nothing.
+/// A server with default settings must answer a request of the sizes that the contract promises.
+/// Catches a default below the promise.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_promised_sizes_are_the_defaults() {
     let (shapes, request) = two_boxes();
@@ -197,8 +200,8 @@ async fn the_promised_sizes_are_the_defaults() {
     assert_eq!(server.app.limits().max_message_bytes, 64 << 20);
 }
 
-/// Catches a page that is larger than its limit, or a listing that misses or repeats hulls
-/// where pages meet.
+/// Catches a page that is larger than its limit, and a listing that misses or repeats hulls between
+/// pages.
 #[tokio::test(flavor = "multi_thread")]
 async fn pages_are_at_most_their_limit_and_cover_everything_once() {
     let server = TestServer::with_limits(small()).await;
@@ -228,8 +231,8 @@ async fn pages_are_at_most_their_limit_and_cover_everything_once() {
     }
 }
 
-/// Catches a store that grows past its limit, a hull refused that would fit, and a limit
-/// that counts a hull twice that is registered twice.
+/// Catches a store that grows past its limit, a hull that is refused although it fits, and a limit
+/// that counts a hull twice which was registered twice.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_store_at_its_limit_and_one_byte_past() {
     let shapes = [1, 2, 3].map(|seed| plain(round_points(10, seed)));
@@ -250,14 +253,14 @@ async fn a_store_at_its_limit_and_one_byte_past() {
                 }
             }
         }
-        // Room that is made can be used.
+        // Space that is freed can be used again.
         let ids = vec![crate::support::scenes::id(&shapes[0])];
         hulls.delete_hulls(hullcast::proto::DeleteHullsRequest { ids }).await.unwrap();
         hulls.register_hulls(register_request(&shapes[fits.min(2)..][..1])).await.unwrap();
     }
 }
 
-/// Catches limits that contradict each other, found when the first request hangs.
+/// Catches limits that contradict each other and are accepted: the first request would hang.
 #[test]
 fn contradicting_limits_do_not_start() {
     type Spoil = fn(&mut Limits);

@@ -1,4 +1,4 @@
-//! The real server on port 0, and the real binary, from the outside.
+//! Tests of the real server on port 0 and of the real binary, from a client's point of view.
 #![cfg(feature = "server")]
 
 mod answers;

@@ -1,4 +1,4 @@
-//! What hulls take of memory: the cache, and what requests hold of it.
+//! The memory of hulls: the cache, and the hulls that requests hold in it.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ use crate::support::{
 
 const HELD: &str = "hullcast_held_bytes";
 
-/// Hulls of about the same size, in a store, and the bytes that all of them take.
+/// A store with hulls of about equal size, and the bytes that all of them take in the cache.
 async fn stored(count: u64) -> (Arc<dyn BlobStore>, Vec<HullDefinition>, u64) {
     let store = blobs::open("memory://").unwrap();
     let shapes: Vec<_> = (0..count).map(|seed| plain(round_points(50, seed))).collect();
@@ -30,11 +30,12 @@ async fn stored(count: u64) -> (Arc<dyn BlobStore>, Vec<HullDefinition>, u64) {
 
 async fn with_cache(store: &Arc<dyn BlobStore>, cache_bytes: u64) -> TestServer {
     let limits = Limits { cache_bytes, shares: false, ..Limits::default() };
-    // One more than the chunks of what is held up below: hulls are built on them.
+    // One thread more than the chunks of the query that is held up below, so that hulls can still
+    // be built.
     Setup { store: store.clone(), limits, threads: 3, ..Setup::default() }.start().await
 }
 
-/// A body of every shape, some pairs.
+/// One body of every shape, and some pairs.
 fn of(shapes: &[HullDefinition], pairs: usize) -> QueryContactsRequest {
     let mut request = scene(shapes, shapes.len(), pairs, 1);
     request.body_hulls = (0..shapes.len() as u32).collect();
@@ -42,9 +43,9 @@ fn of(shapes: &[HullDefinition], pairs: usize) -> QueryContactsRequest {
     request
 }
 
-/// Catches a request that is refused although its hulls fit, one a byte too large that is
-/// answered, or told to come back, and hulls that stay held when their request was refused;
-/// with the hulls in the cache, and with none.
+/// Catches a request that is refused although its hulls fit in the cache, a request one byte too
+/// large that is answered or told to retry, and hulls that stay held after their request was
+/// refused. Tested with the hulls in the cache, and with an empty cache.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_requests_hulls_at_the_caches_bytes_and_one_past() {
     let (store, shapes, bytes) = stored(40).await;
@@ -77,9 +78,10 @@ async fn a_requests_hulls_at_the_caches_bytes_and_one_past() {
     }
 }
 
-/// Catches memory that grows with the requests under way: hulls that others hold are not
-/// evicted for a newcomer, who is told to come back, holding nothing meanwhile; whoever needs
-/// what is held anyway is answered; what is held is free when its request ends or is given up.
+/// Hulls that other requests hold must not be evicted for a new request. That request must be told
+/// to retry and hold nothing meanwhile; a request for the held hulls must be answered. Held hulls
+/// must be released when their request ends or is cancelled. Catches memory that grows with the
+/// number of requests in flight.
 #[tokio::test(flavor = "multi_thread")]
 async fn what_requests_hold_together_is_bounded() {
     let (store, shapes, bytes) = stored(40).await;
@@ -94,7 +96,7 @@ async fn what_requests_hold_together_is_bounded() {
     let good = expected(&slow, ours);
     let injected = server.app.engine().injected();
     for given_up in [false, true] {
-        // Nothing is computed, so that what is held stays.
+        // No pair may be computed, so the hulls stay held.
         injected.allow(0);
         let mut contacts = server.contacts();
         let request = slow.clone();
@@ -106,8 +108,8 @@ async fn what_requests_hold_together_is_bounded() {
         assert!(status.metadata().contains_key("grpc-retry-pushback-ms"));
         assert_eq!(server.metric(r#"hullcast_sheds_total{reason="held_bytes"}"#), shed + 1.0);
         server.until(HELD, held).await;
-        // Of the same hulls nothing more is held, nor is anything read; the one who held them
-        // first still does.
+        // A second request for held hulls adds nothing to the held bytes and reads nothing, and the
+        // first request still holds them.
         let misses = server.metric("hullcast_cache_misses_total");
         injected.allow(1);
         server.contacts().query_contacts(of(ours, 1)).await.unwrap();
@@ -127,8 +129,8 @@ async fn what_requests_hold_together_is_bounded() {
     }
 }
 
-/// Catches memory of the budget that is not given back when a call ends: answered, refused for
-/// any reason, or given up, and by a stream when it ends, which keeps some until then.
+/// Catches memory of the budget that is not returned when a call ends: answered, refused for any
+/// reason, or cancelled. A stream keeps some memory and must return it when it ends.
 #[tokio::test(flavor = "multi_thread")]
 async fn every_call_gives_its_memory_back() {
     let server = TestServer::start().await;
@@ -136,7 +138,8 @@ async fn every_call_gives_its_memory_back() {
     server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
     let memory = server.app.memory();
     server.until_calls_hold_nothing().await;
-    // Small, decoded in place, and of 0.6 MiB, decoded on the compute threads.
+    // A small request, which is decoded on the calling task, and one of 0.6 MiB, which is decoded
+    // on the compute threads.
     for bodies in [4, 10_000] {
         let mut good = of(&shapes, 100);
         good.positions = vec![0.25; 3 * bodies];

@@ -1,4 +1,4 @@
-//! Messages that arrive slowly, in pieces, too many at a time, or never in full.
+//! Messages that arrive slowly, in pieces, too many at a time, or never completely.
 
 use std::time::Duration;
 
@@ -16,21 +16,21 @@ const WATCH: &str = "/grpc.health.v1.Health/Watch";
 
 const ARRIVING: &str = r#"hullcast_memory_bytes{part="arriving"}"#;
 
-/// A server whose callers have a third of a second to send a message.
+/// A server that gives its callers 300 ms to send a message.
 async fn impatient() -> TestServer {
     let serving = Serving { message_time: Duration::from_millis(300), ..Serving::default() };
     Setup { serving, ..Setup::default() }.start().await
 }
 
-/// The status of a call whose body is this.
+/// The status of a call with this body.
 async fn status_of(server: &TestServer, path: &str, body: raw::Body) -> Status {
     let mut client = raw::connect(&server.address).await;
     let response = client.send_request(raw::call(path, &[], body)).await.unwrap();
     raw::status_in(response).await
 }
 
-/// Catches memory that is taken for a length that is only declared: 500 calls that each send
-/// the five bytes of a head that announces 64 MiB.
+/// 500 calls that each send only the five bytes of a frame head that announces 64 MiB. Catches
+/// memory that is reserved for a declared length.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_declared_length_takes_no_memory() {
     let server = TestServer::start().await;
@@ -51,7 +51,7 @@ async fn a_declared_length_takes_no_memory() {
     server.until("hullcast_requests_in_flight", 0.0).await;
 }
 
-/// Catches a head, or a message, that is only read where it comes in one frame.
+/// Catches a frame head, or a message, that is only understood if it arrives in one HTTP/2 frame.
 #[tokio::test(flavor = "multi_thread")]
 async fn messages_may_come_a_byte_at_a_time() {
     let server = TestServer::start().await;
@@ -67,8 +67,8 @@ async fn messages_may_come_a_byte_at_a_time() {
     server.until(ARRIVING, 0.0).await;
 }
 
-/// Catches messages after the first that are decoded and thrown away for as long as their
-/// caller likes.
+/// Catches messages after the first one of a unary call, which would be decoded and discarded
+/// without end.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_method_that_takes_one_message_refuses_a_second() {
     let server = TestServer::start().await;
@@ -88,9 +88,9 @@ async fn a_method_that_takes_one_message_refuses_a_second() {
     server.until(ARRIVING, 0.0).await;
 }
 
-/// Catches a message that is held for as long as its caller likes, because its end never
-/// comes: within the message, between the message and the end of the request, and before the
-/// first byte of a request that has to have one.
+/// The end of the request never comes: within the message, between the message and the end of the
+/// request, and before the first byte of a required message. Catches a message that is held for as
+/// long as its caller likes.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_message_that_does_not_end_is_late() {
     let server = impatient().await;
@@ -109,7 +109,7 @@ async fn a_message_that_does_not_end_is_late() {
     server.until(ARRIVING, 0.0).await;
 }
 
-/// Catches a stream that ends because its caller has nothing to ask for a while.
+/// Catches a stream that is ended because its caller sends nothing for a while.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stream_may_wait_between_messages() {
     let server = impatient().await;
@@ -122,7 +122,8 @@ async fn a_stream_may_wait_between_messages() {
     assert_eq!(server.metric("hullcast_requests_in_flight"), 1.0);
 }
 
-/// Catches a health check that is shed, or that may send megabytes without a token.
+/// Catches a health check that is refused for lack of memory, or that may send megabytes without a
+/// token.
 #[tokio::test(flavor = "multi_thread")]
 async fn health_is_answered_whatever_the_budget_holds() {
     let limits = Limits { max_memory_bytes: 256 << 20, max_message_bytes: 16 << 20, ..Limits::default() };
@@ -130,7 +131,7 @@ async fn health_is_answered_whatever_the_budget_holds() {
     let caller = hullcast::budget::Caller::alone();
     let mut filler = Vec::new();
     for bytes in [1 << 27, 1 << 20, 1 << 12, 1] {
-        // Other callers' shares are off in this test: nothing is left for anybody.
+        // The test takes all memory of the budget as a single caller.
         while let Ok(permit) = server.app.memory().take(&caller, hullcast::budget::Part::Answers, bytes) {
             filler.push(permit);
         }
@@ -144,7 +145,8 @@ async fn health_is_answered_whatever_the_budget_holds() {
     }
 }
 
-/// Catches Watch streams without number on one connection, and places that are not given back.
+/// Catches an unlimited number of Watch streams on one connection, and places that are not
+/// returned.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_connection_has_few_watch_streams() {
     let server = TestServer::start().await;

@@ -1,6 +1,8 @@
-//! More than can be computed: what is accepted is answered, what is not is told so at once.
+//! More load than the server can compute: accepted calls must be answered, all others refused at
+//! once.
 //!
-//! Every pair takes a known time, asleep; counts decide, no clock does.
+//! Every pair takes a known time, during which its thread sleeps. The tests compare counts, not
+//! times.
 
 use std::{
     sync::{
@@ -33,9 +35,9 @@ fn request(pairs: usize) -> QueryContactsRequest {
     }
 }
 
-/// Catches accepted work that is lost or answered twice, work computed and thrown away, more
-/// accepted than there is room for, and a refusal that a client cannot tell from a fault:
-/// forty callers without patience ask for ten times what fits.
+/// Forty callers that retry at once ask for ten times the capacity. Catches accepted work that is
+/// lost or answered twice, work that is computed and thrown away, more work accepted than allowed,
+/// and a refusal that a client cannot distinguish from a fault.
 #[tokio::test(flavor = "multi_thread")]
 async fn what_is_accepted_is_answered_and_the_rest_is_shed() {
     const PAIRS: u32 = 100;
@@ -89,9 +91,9 @@ async fn what_is_accepted_is_answered_and_the_rest_is_shed() {
     assert_eq!(server.metric(r#"hullcast_sheds_total{reason="pairs_in_flight"}"#), shed as f64);
 }
 
-/// Catches capacity that is lost to overload: a server that computes what nobody gets, sheds
-/// while it has nothing to do, or loses what it accepted. Time is counted in what may be
-/// computed: at each tick two batches, while twenty more are offered.
+/// Time is measured in pairs that may be computed: each tick allows two batches while twenty are
+/// offered. Catches capacity that is lost to overload: a server that computes answers nobody
+/// receives, refuses calls while it is idle, or loses accepted ones.
 #[tokio::test(flavor = "multi_thread")]
 async fn ten_times_the_load_costs_no_capacity() {
     const PAIRS: usize = 64;
@@ -114,7 +116,7 @@ async fn ten_times_the_load_costs_no_capacity() {
             let mut contacts = server.contacts();
             calls.push(tokio::spawn(async move { contacts.query_contacts(request(PAIRS)).await }));
         }
-        // Each is accepted or shed, and then there is time for two.
+        // Each call is either accepted or refused; then two batches may be computed.
         while shed + answered + (server.metric("hullcast_pairs_in_flight") as usize) / PAIRS < tick * OFFERED
         {
             tokio::select! {
@@ -138,7 +140,7 @@ async fn ten_times_the_load_costs_no_capacity() {
     assert!(goodput >= 0.9, "{goodput} of the capacity");
     assert!(shed > 8 * answered, "{shed} shed, {answered} answered");
     assert_eq!(most, (ROOM * PAIRS) as f64);
-    // What was accepted is answered, and nothing else was computed.
+    // All accepted calls are answered, and nothing else was computed.
     injected.open();
     while let Some(call) = calls.next().await {
         call.unwrap().unwrap();
@@ -148,7 +150,8 @@ async fn ten_times_the_load_costs_no_capacity() {
     assert_eq!(server.app.engine().pairs_computed(), (answered * PAIRS) as u64);
 }
 
-/// Catches a small batch that waits until large ones are done: it comes last and ends first.
+/// A small batch that arrives last must end first. Catches a small batch that waits until large
+/// ones are done.
 #[tokio::test(flavor = "multi_thread")]
 async fn small_batches_overtake_large_ones() {
     let server = server(Limits::default(), Duration::from_millis(1)).await;
@@ -171,8 +174,8 @@ async fn small_batches_overtake_large_ones() {
     assert_eq!(rest, [20_000, 70_000, 70_000]);
 }
 
-/// Catches a batch that is computed although its caller's deadline passed, or its caller
-/// left, while it waited for its turn.
+/// Catches a batch that is computed although, while it waited for its turn, its deadline passed or
+/// its caller left.
 #[tokio::test(flavor = "multi_thread")]
 async fn who_gives_up_waiting_leaves_the_queue() {
     let server = server(Limits::default(), Duration::from_millis(1)).await;
@@ -182,7 +185,7 @@ async fn who_gives_up_waiting_leaves_the_queue() {
 
     let mut late = Request::new(request(30_000));
     late.set_timeout(Duration::from_millis(50));
-    // The server's word, not the client's own clock's.
+    // A new connection. The request's header tells the server the deadline.
     let mut contacts =
         hullcast::proto::contact_service_client::ContactServiceClient::new(channel(&server.address).await);
     let status = contacts.query_contacts(late).await.unwrap_err();

@@ -1,4 +1,4 @@
-//! The playground's page and gRPC-web, byte by byte as a browser sends them.
+//! The playground's page and gRPC-web, with the exact bytes that a browser sends.
 
 use std::time::Duration;
 
@@ -32,22 +32,22 @@ fn setup() -> Setup {
     setup
 }
 
-/// What HTTP/1.1 said.
+/// An HTTP/1.1 response.
 struct Said {
     code: u16,
     head: String,
     body: Vec<u8>,
 }
 
-/// Reads until the server closes.
+/// Reads until the server closes the connection.
 async fn read(stream: &mut TcpStream) -> Vec<u8> {
     let mut bytes = Vec::new();
-    // The end, by a close or a reset.
+    // The server ends the connection by a close or a reset.
     let _ = stream.read_to_end(&mut bytes).await;
     bytes
 }
 
-/// One HTTP/1.1 request on a connection of its own, asked for by `host`.
+/// Sends one HTTP/1.1 request to `host` on a new connection.
 async fn ask(server: &TestServer, host: &str, line: &str, headers: &str, body: &[u8]) -> Said {
     let mut stream = TcpStream::connect(&server.address).await.unwrap();
     let length = body.len();
@@ -79,7 +79,8 @@ fn unchunked(mut rest: &[u8]) -> Vec<u8> {
     }
 }
 
-/// A unary call over gRPC-web and HTTP/1.1: its message, and its status with the trailers' text.
+/// A unary call over gRPC-web and HTTP/1.1. Returns the message, the status and the text of the
+/// trailers.
 async fn call(
     server: &TestServer,
     path: &str,
@@ -104,7 +105,7 @@ async fn call(
     (message, Code::from(status.trim().parse::<i32>().unwrap()), trailers)
 }
 
-/// Catches a page of which a file is missing, or that may load and run what is not its own.
+/// Catches a page with a missing file, and one that may load or run code of another origin.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_page_is_served_with_all_its_files() {
     let server = setup().start().await;
@@ -131,7 +132,7 @@ async fn the_page_is_served_with_all_its_files() {
 }
 
 /// Catches numbers that change on their way through gRPC-web, calls that no metric counts, and
-/// gRPC that stops working beside it.
+/// plain gRPC that stops working beside it.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_unary_call_over_grpc_web_answers_as_grpc_does() {
     let server = setup().start().await;
@@ -147,7 +148,7 @@ async fn a_unary_call_over_grpc_web_answers_as_grpc_does() {
     server.until("hullcast_requests_in_flight", 0.0).await;
     assert_eq!(server.metric(counted), 2.0);
 
-    // An error has its details.
+    // An error carries its details.
     let (_, code, trailers) =
         call(&server, QUERY, "", &QueryContactsRequest { pairs: vec![0], ..query }).await;
     assert_eq!(code, Code::InvalidArgument);
@@ -157,7 +158,7 @@ async fn a_unary_call_over_grpc_web_answers_as_grpc_does() {
     assert_eq!(code, Code::Unimplemented);
 }
 
-/// Catches gRPC-web that only HTTP/1.1 has: browsers speak HTTP/2 to a server with TLS.
+/// Browsers speak HTTP/2 to a server with TLS. Catches gRPC-web that works only over HTTP/1.1.
 #[tokio::test(flavor = "multi_thread")]
 async fn grpc_web_works_over_http2() {
     let server = setup().start().await;
@@ -168,8 +169,9 @@ async fn grpc_web_works_over_http2() {
     assert_eq!(response.headers()["content-type"], GRPC_WEB);
 }
 
-/// Catches a page of another site that calls with its visitor's rights: by a name that was made
-/// to lead here, or by a POST that browsers send to any site without asking.
+/// Catches a page of another site that calls the server with its visitor's rights: through a host
+/// name that was made to resolve to the server, or by a POST that browsers send to any site without
+/// a preflight request.
 #[tokio::test(flavor = "multi_thread")]
 async fn pages_of_other_sites_cannot_call() {
     let server = setup().start().await;
@@ -190,12 +192,12 @@ async fn pages_of_other_sites_cannot_call() {
         let said = ask(&server, "127.0.0.1", &format!("POST {DELETE}"), &headers, &delete).await;
         assert_eq!(said.code, code, "{kind}");
     }
-    // Nor over HTTP/2, where gRPC is answered beside gRPC-web.
+    // Over HTTP/2, where gRPC is served beside gRPC-web, it is refused too.
     let mut request = raw::call(DELETE, &[], raw::Body::Whole(delete));
     request.headers_mut().insert("content-type", "text/plain".parse().unwrap());
     let response = raw::connect(&server.address).await.send_request(request).await.unwrap();
     assert_eq!(response.status(), 415);
-    // No leave is given to ask from elsewhere.
+    // The server gives no permission for requests from another origin.
     let asks = "origin: http://evil.example\r\naccess-control-request-method: POST\r\n";
     let said = ask(&server, "127.0.0.1", &format!("OPTIONS {DELETE}"), asks, b"").await;
     assert!(said.code == 415 && !said.head.contains("access-control-allow"), "{}", said.head);
@@ -204,7 +206,7 @@ async fn pages_of_other_sites_cannot_call() {
     assert!(records.unwrap().into_inner().hulls.iter().all(|hull| hull.found));
 }
 
-/// Catches gRPC-web as a way round the tokens; the page itself needs none.
+/// Catches gRPC-web that bypasses the tokens. The page itself needs none.
 #[tokio::test(flavor = "multi_thread")]
 async fn tokens_guard_grpc_web() {
     let directory = tempfile::tempdir().unwrap();
@@ -221,7 +223,7 @@ async fn tokens_guard_grpc_web() {
     assert_eq!(ask(&server, "localhost", "GET /", "", b"").await.code, 200);
 }
 
-/// Catches a limit of messages or of bytes under way that gRPC-web does not meet.
+/// Catches a limit of message size, or of bytes in flight, that does not hold for gRPC-web.
 #[tokio::test(flavor = "multi_thread")]
 async fn limits_hold_over_grpc_web() {
     let limits = Limits { max_message_bytes: 4096, max_request_bytes_in_flight: 5000, ..Limits::default() };
@@ -241,12 +243,13 @@ async fn limits_hold_over_grpc_web() {
     assert_eq!(code, Code::Unavailable, "{trailers}");
     drop(stream);
     server.until("hullcast_request_bytes_in_flight", 0.0).await;
-    // That of the test's own client.
+    // The remaining connection is that of the test's own client.
     server.until("hullcast_connections", 1.0).await;
 }
 
-/// Catches HTTP/1.1 peers that hold a connection: silent, dribbling, half a head, a body that
-/// never ends, idle after an answer; and one that is answered although no page is served.
+/// Catches HTTP/1.1 peers that can hold a connection: silent, slow, with half a head, with a body
+/// that never ends, idle after an answer. Also catches HTTP/1.1 that is answered by a server
+/// without a page.
 #[tokio::test(flavor = "multi_thread")]
 async fn http1_peers_that_dawdle_are_cut_off() {
     let mut setup = setup();

@@ -1,4 +1,4 @@
-//! TLS and tokens, on the wire.
+//! TLS and tokens, tested over real connections.
 
 use std::{
     path::{Path, PathBuf},
@@ -25,7 +25,7 @@ use crate::support::{
     scenes::{register_request, two_boxes},
 };
 
-/// An authority that makes certificates for this machine.
+/// A certificate authority that signs certificates for localhost.
 struct Authority {
     certificate: Certificate,
     issuer: Issuer<'static, KeyPair>,
@@ -44,7 +44,7 @@ impl Authority {
         tonic::transport::Certificate::from_pem(self.certificate.pem())
     }
 
-    /// A certificate and its key.
+    /// A new certificate and its key, as PEM.
     fn sign(&self) -> (String, String) {
         let key = KeyPair::generate().unwrap();
         let params = CertificateParams::new(["localhost".to_owned()]).unwrap();
@@ -69,7 +69,7 @@ fn setup(files: &SecurityFiles) -> (Setup, Arc<Security>) {
     (Setup { serving, ..Setup::default() }, security)
 }
 
-/// Whether a call gets through with this TLS of the client's.
+/// Whether a call succeeds with this TLS configuration of the client.
 async fn reaches(server: &TestServer, tls: ClientTlsConfig) -> bool {
     let endpoint = Endpoint::from_shared(format!("https://{}", server.address)).unwrap();
     let endpoint = endpoint.tls_config(tls.domain_name("localhost")).unwrap();
@@ -77,7 +77,8 @@ async fn reaches(server: &TestServer, tls: ClientTlsConfig) -> bool {
     ServerServiceClient::new(channel).get_server_info(GetServerInfoRequest {}).await.is_ok()
 }
 
-/// Catches a server that answers in plain text beside TLS, or to clients that do not know it.
+/// Catches a server that also answers in plain text on a TLS port, and a certificate of an unknown
+/// authority that a client accepts.
 #[tokio::test(flavor = "multi_thread")]
 async fn tls_is_spoken_and_nothing_else() {
     let (authority, stranger) = (Authority::new(), Authority::new());
@@ -95,7 +96,7 @@ async fn tls_is_spoken_and_nothing_else() {
     assert!(answered.await.is_none());
 }
 
-/// Catches mutual TLS that lets in a client without a certificate, or with a stranger's.
+/// Catches mutual TLS that admits a client without a certificate, or with one of another authority.
 #[tokio::test(flavor = "multi_thread")]
 async fn mutual_tls_asks_for_a_certificate_of_its_authority() {
     let (authority, clients) = (Authority::new(), Authority::new());
@@ -112,8 +113,8 @@ async fn mutual_tls_asks_for_a_certificate_of_its_authority() {
     assert!(!reaches(&server, trusting()).await);
 }
 
-/// Catches a new certificate that needs a restart, and half a new one that takes the old one
-/// away.
+/// Catches a new certificate that needs a restart, and a half-written one that replaces the old
+/// one.
 #[tokio::test(flavor = "multi_thread")]
 async fn certificates_change_under_the_server() {
     let [old, new] = [(); 2].map(|()| Authority::new());
@@ -129,7 +130,7 @@ async fn certificates_change_under_the_server() {
     };
     assert_eq!(reached().await, [true, false]);
     let (certificate, key) = new.sign();
-    // The key of another: as between the writing of the one file and of the other.
+    // The key does not belong to the certificate, as between the writes of the two files.
     let files = write(directory.path(), &(certificate.clone(), old.sign().1));
     security.reload();
     assert_eq!(reached().await, [true, false]);
@@ -138,7 +139,7 @@ async fn certificates_change_under_the_server() {
     assert_eq!(reached().await, [false, true]);
 }
 
-/// Catches a file beside another that is missing, found when the first client comes.
+/// Catches an incomplete configuration that is only noticed when the first client connects.
 #[test]
 fn half_a_configuration_does_not_open() {
     let directory = tempfile::tempdir().unwrap();
@@ -173,8 +174,8 @@ async fn with_token<M, A>(
     call(HullServiceClient::new(channel), request).await.map(|_| ())
 }
 
-/// Catches a method that is not guarded, or guarded by the wrong list, and health that asks a
-/// balancer for a token.
+/// Catches a method that is not guarded, or guarded by the wrong list, and a health check that
+/// requires a token from a load balancer.
 #[tokio::test(flavor = "multi_thread")]
 async fn tokens_guard_every_method() {
     let directory = tempfile::tempdir().unwrap();
@@ -209,7 +210,7 @@ async fn tokens_guard_every_method() {
     let unknown = ["UNKNOWN_TOKEN"; 3];
     assert_eq!(said, [[""; 3], ["TOKEN_MAY_NOT", "", "TOKEN_MAY_NOT"], unknown, ["MISSING_TOKEN"; 3]]);
 
-    // The rest, and what is not there, ask too; a stream is refused at once.
+    // All other methods, and unknown ones, require a token too; a stream is refused at once.
     let mut contacts = server.contacts();
     let status = contacts.query_contacts(QueryContactsRequest::default()).await.unwrap_err();
     assert_eq!(refusal(&status), refused(Code::Unauthenticated, "MISSING_TOKEN", ""));
@@ -219,7 +220,7 @@ async fn tokens_guard_every_method() {
     assert_eq!(status.code(), Code::Unauthenticated);
     HealthClient::new(server.channel()).check(HealthCheckRequest::default()).await.unwrap();
 
-    // Rotated: the server reads it by itself.
+    // The tokens are rotated: the server reads the file again by itself.
     std::fs::write(&files.query_tokens, "reader\nsuccessor").unwrap();
     let mut tries = 0;
     loop {

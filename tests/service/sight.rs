@@ -1,4 +1,4 @@
-//! What an operator sees: metrics, probes, logs, the dashboard.
+//! The operator's view: metrics, probes, logs, the dashboard.
 
 use std::{collections::BTreeSet, sync::atomic::Ordering, time::Duration};
 
@@ -17,7 +17,7 @@ use crate::support::{
     store::Faulty,
 };
 
-/// Code, headers and body of a GET.
+/// The status code, the headers and the body of a GET.
 async fn get(address: &str, path: &str) -> (u16, String, String) {
     let mut stream = TcpStream::connect(address).await.unwrap();
     let request = format!("GET {path} HTTP/1.1\r\nhost: here\r\nconnection: close\r\n\r\n");
@@ -35,7 +35,7 @@ async fn admin(server: &TestServer) -> String {
     address
 }
 
-/// Catches a probe that says the wrong thing to a balancer, or one that takes posts.
+/// Catches a probe that reports the wrong state to a load balancer.
 #[tokio::test(flavor = "multi_thread")]
 async fn probes_follow_the_servers_life() {
     let mut server = Setup { grace: Duration::from_secs(3600), ..Setup::default() }.start().await;
@@ -51,7 +51,7 @@ async fn probes_follow_the_servers_life() {
     }
     assert_eq!(get(&admin, "/readyz").await.2, "stopping\n");
     assert_eq!(get(&admin, "/livez").await.0, 200);
-    // In the grace everything is answered, on new connections too.
+    // During the grace period every call is answered, also on new connections.
     let channel = crate::support::channel(&server.address).await;
     let mut health = HealthClient::new(channel.clone());
     let request = HealthCheckRequest::default;
@@ -62,7 +62,8 @@ async fn probes_follow_the_servers_life() {
     hulls.register_hulls(register_request(&two_boxes().0)).await.unwrap();
 }
 
-/// Catches a store that fails unseen: registering is not served meanwhile, queries are.
+/// While the store fails, HullService must be reported as not serving, and ContactService as
+/// serving. Catches a failing store that is not reported.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_failing_store_is_degraded_and_recovers() {
     let store = Faulty::new();
@@ -92,8 +93,8 @@ async fn a_failing_store_is_degraded_and_recovers() {
     }
 }
 
-/// Catches a call or a pair that is not counted, or under another name; a gauge that does not
-/// come back; a type that no scraper takes.
+/// Catches a call or a pair that is not counted, or under another name, a gauge that does not
+/// return to 0, and a content type that scrapers do not accept.
 #[tokio::test(flavor = "multi_thread")]
 async fn metrics_count_what_happened() {
     let server = TestServer::start().await;
@@ -150,8 +151,8 @@ async fn metrics_count_what_happened() {
     assert!(body.ends_with("# EOF\n"));
 }
 
-/// Catches a panel that is empty for ever: a metric that the dashboard names and the server
-/// does not have, or one that the server has and nobody sees.
+/// Catches a panel of the dashboard that stays empty because the server has no such metric, and a
+/// metric that no panel shows.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_dashboard_names_the_metrics_that_are() {
     let server = TestServer::start().await;
@@ -190,7 +191,7 @@ async fn the_dashboard_names_the_metrics_that_are() {
     assert!(unseen.is_empty(), "{unseen:?}");
 }
 
-/// Catches logs that cannot be matched with a client's call or trace.
+/// Catches log lines that cannot be matched with a client's call or trace.
 #[test]
 fn logs_say_which_call() {
     use std::{

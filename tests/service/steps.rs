@@ -1,4 +1,4 @@
-//! `inherit`: a stream whose messages send poses alone.
+//! Streams with `inherit`, whose messages send only poses.
 
 use hullcast::{
     proto::{
@@ -15,7 +15,7 @@ use crate::support::{
     scenes::{ALL, Random, assert_same, expected, outputs, register_request, scene, shapes, two_boxes},
 };
 
-/// A stream to which messages are sent one by one.
+/// A stream whose messages the test sends one by one.
 struct Stepper {
     requests: mpsc::Sender<QueryContactsRequest>,
     answers: Streaming<QueryContactsResponse>,
@@ -36,7 +36,7 @@ impl Stepper {
     }
 }
 
-/// What is sent of `full` when the rest is inherited.
+/// The message for `full` when everything but the poses is inherited.
 fn poses_alone(full: &QueryContactsRequest) -> QueryContactsRequest {
     QueryContactsRequest {
         request_id: full.request_id,
@@ -47,7 +47,7 @@ fn poses_alone(full: &QueryContactsRequest) -> QueryContactsRequest {
     }
 }
 
-/// The same bodies a little farther on.
+/// Moves all bodies a little.
 fn moved(request: &mut QueryContactsRequest, random: &mut Random) {
     request.request_id += 1;
     for coordinate in &mut request.positions {
@@ -58,10 +58,10 @@ fn moved(request: &mut QueryContactsRequest, random: &mut Random) {
     }
 }
 
-/// Catches a step that is not the request in full: a column or option not inherited, bases
-/// that are not the last step's (or of another pair, or none), a pose that is, and a batch
-/// on other threads that starts otherwise. Every step is compared bit for bit, iterations
-/// included, with the library's answer to the request in full, warm from the step before.
+/// Every step is compared bit for bit, iterations included, with the library's answer to the
+/// complete request, warm-started from the step before. Catches a column or option that is not
+/// inherited, bases that are not those of the last step or of the pair, a pose that is inherited,
+/// and a batch on several threads that starts from other bases.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_step_is_the_request_in_full_from_the_bases_before() {
     let server = TestServer::start().await;
@@ -84,7 +84,8 @@ async fn a_step_is_the_request_in_full_from_the_bases_before() {
         let mut full = QueryContactsRequest { accuracy, ..scene(&shapes(), 30, pairs, pairs as u64) };
         full.outputs = outputs(mask);
         for step in 0..6 {
-            // A body that is lost for a step costs its pairs their bases, and nothing else.
+            // A body with an invalid pose for one step must cost its pairs their bases, and nothing
+            // else.
             let kept = full.positions[7];
             if step == 2 {
                 full.positions[7] = f64::NAN;
@@ -109,7 +110,8 @@ async fn a_step_is_the_request_in_full_from_the_bases_before() {
     assert!(10 * warm_calls < 9 * cold_calls, "bases are worth keeping: {warm_calls} of {cold_calls}");
 }
 
-/// Catches a mask that does without bases where their being kept changes what is sent.
+/// The server keeps the bases of a stream for the next step. Catches bases that are sent although
+/// the mask does not include them.
 #[tokio::test(flavor = "multi_thread")]
 async fn nothing_is_sent_for_being_kept() {
     let server = TestServer::start().await;
@@ -128,15 +130,15 @@ async fn nothing_is_sent_for_being_kept() {
     assert_eq!(cases, 9);
 }
 
-/// Catches a step that inherits from another message than the one before: the first of the
-/// stream, or another stream's.
+/// Catches a step that inherits from another message than the previous one: from the first message
+/// of the stream, or from another stream.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_message_before_is_the_one_inherited() {
     let server = TestServer::start().await;
     server.hulls().register_hulls(register_request(&shapes())).await.unwrap();
     let mut streams = [Stepper::open(server.contacts()).await, Stepper::open(server.contacts()).await];
     for round in 0..4 {
-        // The same bodies, other pairs and options.
+        // Equal bodies, other pairs and options.
         for (i, stream) in streams.iter_mut().enumerate() {
             let mut full = scene(&shapes(), 20, 50 + round, (10 + i) as u64);
             full.margin = 0.01 * round as f64;
@@ -154,8 +156,7 @@ async fn the_message_before_is_the_one_inherited() {
     }
 }
 
-/// Catches a deleted hull that a stream goes on answering for, which the request in full
-/// would not.
+/// Catches a deleted hull that a stream still uses; the complete request would not.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hull_deleted_between_steps_is_unknown() {
     let server = TestServer::start().await;
@@ -173,8 +174,8 @@ async fn a_hull_deleted_between_steps_is_unknown() {
     assert_eq!(stream.step(poses_alone(&full)).await.unwrap().outcomes, [1]);
 }
 
-/// Catches `inherit` where there is nothing to inherit, anything but poses sent with it that
-/// is silently ignored, and poses that do not fit what is inherited.
+/// Catches `inherit` without a previous message, fields other than poses that are silently ignored,
+/// and poses whose number does not fit the inherited bodies.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_malformed_step_names_its_field_and_ends_the_stream() {
     let server = TestServer::start().await;
@@ -215,12 +216,13 @@ async fn a_malformed_step_names_its_field_and_ends_the_stream() {
     }
 }
 
-/// Catches streams that keep more than their limit, one that loses its place by using it, a
-/// place that is not given back, and a stream without a place that is refused what needs none.
+/// Catches streams that keep more state than the limit, a stream that loses its kept state by using
+/// it, state that is not released, and a stream without kept state whose complete requests are
+/// refused.
 #[tokio::test(flavor = "multi_thread")]
 async fn what_streams_keep_is_limited() {
     let (shapes, full) = two_boxes();
-    // An id, two bodies, a pair and its bases are 32 + 8 + 8 + 24 bytes.
+    // The state is an id, two bodies, a pair and its bases: 32 + 8 + 8 + 24 bytes.
     let not_kept = refused(Code::Unavailable, "STATE_NOT_KEPT", "");
     for (max_stream_state_bytes, places) in [(0, 0), (71, 0), (72, 1), (144, 2)] {
         let limits = Limits { max_stream_state_bytes, ..Limits::default() };
@@ -245,7 +247,7 @@ async fn what_streams_keep_is_limited() {
         while let Some(stream) = kept.pop() {
             drop(stream);
             places_left += 1;
-            // The server hears of the end of a stream in its own time.
+            // The server notices the end of a stream with a delay, so try until a place is free.
             let mut stream = Stepper::open(server.contacts()).await;
             loop {
                 stream.step(full.clone()).await.unwrap();

@@ -1,4 +1,4 @@
-//! Calls that nobody waits for stop computing.
+//! Calls whose callers have left stop computing.
 
 use std::time::Duration;
 
@@ -14,7 +14,7 @@ use crate::support::{
     scenes::{ALL, outputs, plain, register_request, round_points, scene, shapes},
 };
 
-/// So many pairs that no machine computes them before it hears that nobody waits.
+/// So many pairs that no machine computes them before the server learns that the caller has left.
 const PAIRS: usize = 131_072;
 
 fn long() -> QueryContactsRequest {
@@ -31,8 +31,8 @@ async fn server() -> TestServer {
     server
 }
 
-/// Pairs computed once no call is under way and every place among those in flight is free
-/// again: the count does not move any more.
+/// The number of pairs computed, once no call is under way and all capacity is free again. It must
+/// not change after that.
 async fn settled(server: &TestServer) -> u64 {
     server.until("hullcast_requests_in_flight", 0.0).await;
     let limit = server.app.limits().max_pairs_in_flight as usize;
@@ -47,7 +47,7 @@ async fn settled(server: &TestServer) -> u64 {
     computed
 }
 
-/// As many pairs and more, of bodies that all meet.
+/// At least as many pairs, of bodies that all meet, for FindContacts.
 fn long_to_find() -> QueryContactsRequest {
     QueryContactsRequest { pairs: vec![], margin: 10.0, ..long() }
 }
@@ -59,8 +59,8 @@ enum Call {
     Find,
 }
 
-/// Catches computation that outlives its call: a client that goes away after the first
-/// chunks leaves most of the pairs uncomputed, and its place among those in flight free.
+/// A client leaves after the first chunks; most pairs must stay uncomputed, and their capacity must
+/// be free again. Catches computation that outlives its call.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_cancelled_call_stops_computing() {
     let server = server().await;
@@ -92,7 +92,7 @@ async fn a_cancelled_call_stops_computing() {
     }
 }
 
-/// Catches an expired call that is answered in time and computed on all the same.
+/// Catches an expired call that is answered in time but still computed to the end.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_expired_call_stops_computing() {
     let server = server().await;
@@ -109,15 +109,15 @@ async fn an_expired_call_stops_computing() {
     }
 }
 
-/// Catches registrations that are in no budget while they wait to be built, and that keep their
-/// memory, or are built, after their callers have left.
+/// Catches registrations that are in no budget while they wait to be built, and registrations that
+/// keep their memory, or are still built, after their callers have left.
 #[tokio::test(flavor = "multi_thread")]
 async fn registrations_that_nobody_waits_for_give_their_memory_back() {
     const CALLS: usize = 10;
     let server = Setup { threads: 1, ..Setup::default() }.start().await;
     let known = shapes();
     server.hulls().register_hulls(register_request(&known)).await.unwrap();
-    // The only thread for short parts is kept by pairs that may not be computed.
+    // The only compute thread is blocked by pairs that may not be computed.
     let injected = server.app.engine().injected();
     injected.allow(0);
     let mut contacts = server.contacts();
@@ -132,7 +132,7 @@ async fn registrations_that_nobody_waits_for_give_their_memory_back() {
         })
         .collect();
     let used = |part| server.app.memory().used_by(part);
-    // Each is counted with more than a kilobyte per point.
+    // Each registration is charged more than a kilobyte per point.
     while used(Part::Building) < (CALLS * 500 * 1024) as u64 {
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
@@ -148,7 +148,7 @@ async fn registrations_that_nobody_waits_for_give_their_memory_back() {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
     }
-    // The thread may have begun one of them before the pairs.
+    // The thread may have started one registration before the pairs.
     let registered = server.metric("hullcast_registered_total") as usize - known.len();
     assert!(registered <= 1, "{registered} of {CALLS} were built");
 }

@@ -1,4 +1,4 @@
-//! A store that does not answer: an operation begins and does not return.
+//! A store that hangs: an operation starts and does not return.
 
 use std::{
     process::Command,
@@ -32,8 +32,8 @@ fn unavailable() -> Refusal {
     refused(Code::Unavailable, "STORE_UNAVAILABLE", "")
 }
 
-/// A server with one hull in its cache, on a store that has another; an operation may take a
-/// second. Cached hulls are always stale.
+/// A server with one hull in its cache, on a store that has another one. An operation may take one
+/// second. The cache age is 0, so cached hulls are always stale.
 async fn server(store: &Arc<Faulty>) -> TestServer {
     let limits = Limits { store_seconds: 1, cache_age_seconds: 0, ..Limits::default() };
     let start = || Setup { store: store.clone(), limits: limits.clone(), ..Setup::default() }.start();
@@ -50,14 +50,15 @@ async fn flags(server: &TestServer, shape: &HullDefinition) -> u8 {
     server.contacts().query_contacts(request).await.unwrap().into_inner().flags[0]
 }
 
-/// Catches callers that wait for a store that hangs, operations that begin on it and add up,
+/// Catches callers that wait for a hung store, operations that keep starting on it and pile up,
 /// cached hulls that are refused, and a store that is not used again once it answers.
 #[tokio::test(flavor = "multi_thread")]
 async fn nothing_begins_on_a_store_that_hangs() {
     let store = Faulty::new();
     let server = server(&store).await;
     store.hangs.send_replace(true);
-    // More than may be under way: those that wait for their turn are sent away, too.
+    // More calls than operations may be under way: the calls that wait for their turn must be
+    // refused too.
     let waiting: Vec<_> = (0..200_u8)
         .map(|i| {
             let mut hulls = server.hulls();
@@ -92,7 +93,7 @@ async fn nothing_begins_on_a_store_that_hangs() {
     assert_same(&answer, &expected(&request, &[shape(1), shape(2), shape(3)]));
 }
 
-/// Catches a store that hangs and is not noticed because every caller leaves before the limit.
+/// Catches a hung store that is not noticed because every caller leaves before the time limit.
 #[tokio::test(flavor = "multi_thread")]
 async fn callers_who_leave_do_not_hide_that_the_store_hangs() {
     let store = Faulty::new();
@@ -108,7 +109,7 @@ async fn callers_who_leave_do_not_hide_that_the_store_hangs() {
     }
     call.abort();
     let begun = store.begun.load(Ordering::SeqCst);
-    // Until the limit has passed, and then not any more.
+    // Operations may start until the time limit has passed, and none after it.
     let mut refused_at_once = 0;
     while refused_at_once < 10 {
         let before = store.begun.load(Ordering::SeqCst);
@@ -122,7 +123,8 @@ async fn callers_who_leave_do_not_hide_that_the_store_hangs() {
     assert!(store.begun.load(Ordering::SeqCst) - begun < 64, "no more than may be under way");
 }
 
-/// Catches readiness and health that say that all is well, or wait for the store themselves.
+/// Catches readiness and health that report a hung store as ready, or that wait for the store
+/// themselves.
 #[tokio::test(flavor = "multi_thread")]
 async fn readiness_and_health_say_that_the_store_hangs() {
     let store = Faulty::new();
@@ -151,9 +153,9 @@ async fn readiness_and_health_say_that_the_store_hangs() {
     }
 }
 
-/// Catches the same on a real directory whose file system does not return: the real binary,
-/// whose calls hang as on a network file system whose server is gone, degrades, answers cached
-/// hulls, recovers, and stops without waiting for the file system.
+/// The real binary on a real directory whose file system calls hang, as on a network file system
+/// whose server is gone. The server must degrade, answer for cached hulls, recover, and stop
+/// without waiting for the file system.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_directory_that_hangs_degrades_and_recovers() {
     let directory = tempfile::tempdir().unwrap();
@@ -186,6 +188,7 @@ async fn a_directory_that_hangs_degrades_and_recovers() {
     std::fs::write(&hang, "").unwrap();
     server.until_ready_says("degraded").await;
     server.signal("-TERM");
-    // It would never end if it waited for them: they hang for as long as the test runs.
+    // The hung calls never return during the test, so a server that waited for them would never
+    // end.
     assert!(server.wait().success());
 }

@@ -1,4 +1,4 @@
-//! A store's directory that somebody has tampered with.
+//! A store's directory that was tampered with.
 
 use std::{
     collections::BTreeMap,
@@ -64,19 +64,19 @@ async fn has(server: &TestServer, shapes: &[HullDefinition]) -> Vec<bool> {
     server.hulls().has_hulls(HasHullsRequest { ids }).await.unwrap().into_inner().present
 }
 
-/// Puts something in a blob's place; whether that could be done.
+/// Puts an entry in the place of a blob; returns whether that was possible.
 type Tamper = fn(&Path) -> bool;
 
 fn made(program: &str, path: &Path, arguments: &[&str]) -> bool {
     Command::new(program).arg(path).args(arguments).status().unwrap().success()
 }
 
-/// Entries that are put in place of a blob. None is a regular file within the limit.
+/// Entries that replace a blob. None is a regular file within the size limit.
 const CASES: [(&str, Tamper); 8] = [
     ("a sparse file of 3 GiB", |path| File::create(path).and_then(|file| file.set_len(3 << 30)).is_ok()),
     ("a FIFO", |path| made("mkfifo", path, &[])),
     ("a socket", |path| UnixListener::bind(path).is_ok()),
-    // Only root may make one.
+    // Only root may create one.
     ("a device", |path| made("mknod", path, &["c", "1", "5"])),
     ("a directory", |path| fs::create_dir(path).and_then(|()| fs::write(path.join("kept"), "kept")).is_ok()),
     ("a link to itself", |path| symlink(path, path).is_ok()),
@@ -84,9 +84,9 @@ const CASES: [(&str, Tamper); 8] = [
     ("a link to a file", |path| symlink(path.ancestors().nth(3).unwrap().join("secret"), path).is_ok()),
 ];
 
-/// Catches an entry that is opened before it is examined: it blocks a thread for good, is read
-/// into memory whole, makes a listing fail, or has the file copied that it links to. Each entry
-/// costs its own hull only, until that hull is registered again.
+/// Catches an entry that is opened before it is examined. Such an entry blocks a thread for ever,
+/// is read into memory whole, makes a listing fail, or has the file copied that it links to. Each
+/// entry must cost only its own hull, until that hull is registered again.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_bad_entry_costs_its_own_hull_only() {
     let directory = tempfile::tempdir().unwrap();
@@ -140,8 +140,8 @@ async fn a_bad_entry_costs_its_own_hull_only() {
     assert_eq!(fs::read(kept[0].join("kept")).unwrap(), b"kept", "what lay in the directory is kept");
 }
 
-/// Catches a limit of sizes that is off by one, or is asked only after the file was read: a
-/// file of the largest size is read and set aside, one byte more is not.
+/// A file of the largest size is read and set aside; a file one byte larger is not read. Catches a
+/// size limit that is off by one, or that is checked only after the file was read.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_size_limit_holds_at_the_limit_and_one_past() {
     let directory = tempfile::tempdir().unwrap();
@@ -162,7 +162,7 @@ async fn the_size_limit_holds_at_the_limit_and_one_past() {
     assert_eq!(listed(&here, 10).await, [id(&shapes[0])]);
 }
 
-/// Catches a file that this process may not read and that is taken for an outage of the store.
+/// Catches a file without read permission that is reported as an outage of the store.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_unreadable_file_is_a_missing_hull() {
     use std::os::unix::fs::PermissionsExt;
@@ -171,7 +171,7 @@ async fn an_unreadable_file_is_a_missing_hull() {
     register(&server(directory.path(), Limits::default()).await, &shapes).await;
     let path = file(directory.path(), &shapes[0]);
     fs::set_permissions(&path, fs::Permissions::from_mode(0o000)).unwrap();
-    // Root may read everything.
+    // Root may read every file.
     let readable = File::open(&path).is_ok();
     let here = server(directory.path(), Limits::default()).await;
     assert_eq!(has(&here, &shapes).await, [readable, true]);
@@ -179,8 +179,8 @@ async fn an_unreadable_file_is_a_missing_hull() {
     assert_eq!(has(&here, &shapes).await, [true, true]);
 }
 
-/// Catches a shard that is a link to elsewhere and is read or written through, and one that
-/// ends the listing of the others.
+/// Catches a shard directory that was replaced by a link and is read or written through it, and one
+/// that ends the listing of the other shards.
 #[tokio::test(flavor = "multi_thread")]
 async fn links_in_place_of_directories_are_not_followed() {
     let directory = tempfile::tempdir().unwrap();
@@ -199,7 +199,7 @@ async fn links_in_place_of_directories_are_not_followed() {
     assert_eq!(refusal(&status), refused(Code::Unavailable, "STORE_UNAVAILABLE", ""));
     assert!(status.message().contains("is not a directory"), "{status:?}");
 
-    // A quarantine that is a link takes no copies.
+    // A quarantine directory that is a link must receive no copies.
     fs::remove_file(&shard).unwrap();
     fs::rename(&elsewhere, &shard).unwrap();
     fs::create_dir(&elsewhere).unwrap();
@@ -211,8 +211,8 @@ async fn links_in_place_of_directories_are_not_followed() {
     assert_eq!(fs::read_dir(&elsewhere).unwrap().count(), 0);
 }
 
-/// Catches a log that a caller can fill: a line for every bad hull of a request, and a line for
-/// every request.
+/// Catches a log that a caller can fill, with one line per bad hull of a request or one line per
+/// request.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_request_of_many_bad_hulls_writes_one_line() {
     const REQUESTS: usize = 30;

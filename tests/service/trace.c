@@ -1,8 +1,10 @@
-/* Preloaded into a server: appends to the file $CALL_TRACE, one line each and in
- * order, what was synced and renamed (once it has been) and that something is
- * being sent (before it is). With $CALL_KILL=n the server is killed before the nth
- * of these calls. While the file $CALL_HANG exists, a sync and an open relative to a
- * directory do not return, as on a network file system whose server is gone. A tracer that needs no privilege and no package. */
+/* A library that a test preloads into the server; it needs no privilege and no package.
+ *
+ * It appends to the file $CALL_TRACE one line per event, in order: each file that was synced, each name
+ * that a file was renamed or linked to (after the call), and each message sent on a socket (before the call).
+ * With $CALL_KILL=n it kills the server before the nth of these calls.
+ * While the file $CALL_HANG exists, a sync, and an open relative to a directory, do not return, as on a
+ * network file system whose server is gone. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <fcntl.h>

@@ -1,4 +1,4 @@
-//! Answers that nobody reads, and callers who take more than their share.
+//! Answers that their callers do not read, and callers that take more than their share.
 
 use std::time::Duration;
 
@@ -20,14 +20,14 @@ const FIND: &str = "/hullcast.v1.ContactService/FindContacts";
 const INFO: &str = "/hullcast.v1.ServerService/GetServerInfo";
 const ANSWERS: &str = r#"hullcast_memory_bytes{part="answers"}"#;
 
-/// A server whose callers have half a second to read an answer.
+/// A server that gives its callers half a second to read an answer.
 async fn impatient() -> TestServer {
     let serving = Serving { answer_time: Duration::from_millis(500), ..Serving::default() };
     Setup { serving, ..Setup::default() }.start().await
 }
 
-/// Catches an answer that is held for as long as its caller does not read it, in a budget
-/// that does not know of it: it counts while it waits, and the call is cut.
+/// The answer must count in the budget while it waits, and the call must be cut off in the end.
+/// Catches an answer that is held, outside the budget, for as long as its caller does not read it.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_answer_that_is_not_read_is_cut() {
     let server = impatient().await;
@@ -47,14 +47,14 @@ async fn an_answer_that_is_not_read_is_cut() {
         server.until(r#"hullcast_cuts_total{reason="answer_not_read"}"#, before + 1.0).await;
         server.until(ANSWERS, 0.0).await;
         server.until("hullcast_requests_in_flight", 0.0).await;
-        // The connection goes on with its other calls.
+        // The connection's other calls go on.
         let (status, _) = raw::status_on(&mut client, INFO, &[], raw::frame(false, &[])).await;
         assert_eq!(status.code(), Code::Ok);
         drop(unread);
     }
 }
 
-/// Catches a deadline that ends with the first byte of the answer.
+/// Catches a deadline that no longer applies after the first byte of the answer.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_deadline_holds_while_the_answer_is_read() {
     let server = TestServer::start().await;
@@ -67,13 +67,14 @@ async fn the_deadline_holds_while_the_answer_is_read() {
     server.until(ANSWERS, 0.0).await;
 }
 
-/// Catches one caller who takes everything: with all of one address's share held, another
-/// address is answered, and two connections of the first count together.
+/// One address takes all of its share: calls from another address must still be answered, and two
+/// connections from the first address must count as one caller. Catches one caller that takes all
+/// memory.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_caller_takes_no_more_than_its_share() {
     let limits = Limits { max_memory_bytes: 1 << 30, ..Limits::default() };
     let server = TestServer::with_limits(limits).await;
-    // Messages that never end: each holds what has arrived of it.
+    // Messages that never end: each holds the memory of its bytes that have arrived.
     let hold = |from: &'static str| {
         let address = server.address.clone();
         async move {
@@ -85,7 +86,7 @@ async fn a_caller_takes_no_more_than_its_share() {
         }
     };
     let mut greedy: Vec<_> = (0..12).map(|_| tokio::spawn(hold("127.0.0.2"))).collect();
-    // Some of its calls are refused: two connections of one address are one caller.
+    // Some of its calls are refused: two connections from one address are one caller.
     let (status, _, rest) = futures_util::future::select_all(greedy.drain(..)).await;
     assert_eq!(refusal(&status.unwrap()), refused(Code::Unavailable, "TOO_BUSY", ""));
     assert!(server.app.memory().used_by(Part::Arriving) <= 1 << 29, "half of the budget");
@@ -98,7 +99,7 @@ async fn a_caller_takes_no_more_than_its_share() {
     server.until(r#"hullcast_memory_bytes{part="arriving"}"#, 0.0).await;
 }
 
-/// Two boxes that overlap, asked for again and again, with every output.
+/// Two overlapping boxes, as the same pair many times, with every output.
 async fn many_contacts(server: &TestServer, pairs: usize) -> QueryContactsRequest {
     let (shapes, mut request) = two_boxes();
     server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
@@ -107,7 +108,7 @@ async fn many_contacts(server: &TestServer, pairs: usize) -> QueryContactsReques
     request
 }
 
-/// A row of boxes, each of which overlaps the next.
+/// A row of boxes, each of which overlaps the next one.
 async fn row(server: &TestServer, bodies: usize) -> QueryContactsRequest {
     let mut request = many_contacts(server, 0).await;
     request.body_hulls = vec![0; bodies];

@@ -1,5 +1,5 @@
-//! Pairs to be judged: shapes, poses, and how to bring a pair to the growth
-//! scale or the distance that a test aims at.
+//! The pairs that the tests judge: shapes, poses, and functions that bring a pair to a wanted
+//! growth scale or distance.
 
 use std::rc::Rc;
 
@@ -11,7 +11,7 @@ use super::judge::SOLVERS;
 use super::oracle::{Exact, Placed};
 use super::scene::{Random, box_points, cloud, prism_points, scaled};
 
-/// A hull with the points that it was registered from.
+/// A hull and the points that it was registered from.
 #[derive(Debug)]
 pub(crate) struct Shape {
     pub(crate) points: Vec<[f64; 3]>,
@@ -23,12 +23,12 @@ impl Shape {
         Self::about(points, None)
     }
 
-    /// About a contraction point of its own.
+    /// A hull with the given contraction point; `None` stands for the centre of mass.
     pub(crate) fn about(points: Vec<[f64; 3]>, contraction_point: Option<[f64; 3]>) -> Rc<Self> {
         Self::built(points, &HullOptions { contraction_point, ..HullOptions::default() })
     }
 
-    /// With faces merged to this planarity.
+    /// A hull whose faces are merged with this planarity.
     pub(crate) fn merged(points: Vec<[f64; 3]>, planarity: f64) -> Rc<Self> {
         Self::built(points, &HullOptions { planarity: Some(planarity), ..HullOptions::default() })
     }
@@ -40,7 +40,8 @@ impl Shape {
         }
     }
 
-    /// About the origin: what makes the centre offset of bodies exact.
+    /// A hull with its contraction point at the frame's origin: the centre offset of its bodies is
+    /// exact.
     pub(crate) fn centred(points: Vec<[f64; 3]>) -> Rc<Self> {
         Self::about(points, Some([0.0; 3]))
     }
@@ -48,7 +49,8 @@ impl Shape {
     fn scaled(&self, by: f64) -> Rc<Self> {
         let centre = self.hull.contraction_point().to_array();
         let points = self.points.iter().map(|&p| scaled(p, by)).collect();
-        // The centre of mass is asked for again where it was the centre.
+        // If the contraction point was the centre of mass, the scaled hull uses its own centre of
+        // mass.
         let own = self.hull.contraction_point() == self.hull.center_of_mass();
         Self::about(points, (!own).then(|| scaled(centre, by)))
     }
@@ -58,7 +60,8 @@ pub(crate) fn cuboid(half: [f64; 3]) -> Rc<Shape> {
     Shape::new(box_points(half))
 }
 
-/// A shape of about unit size: box, prism, tetrahedron, cloud, moved about its frame.
+/// A shape of about unit size: a box, a prism, a tetrahedron or a cloud, shifted from its frame's
+/// origin.
 pub(crate) fn any_shape(random: &mut Random) -> Rc<Shape> {
     let half = [0; 3].map(|_| random.range(0.3, 1.0));
     let away = scaled(random.direction(), random.range(0.0, 0.5));
@@ -74,14 +77,14 @@ pub(crate) fn any_shape(random: &mut Random) -> Rc<Shape> {
             }
         };
         let points: Vec<[f64; 3]> = points.iter().map(|p| std::array::from_fn(|k| p[k] + away[k])).collect();
-        // Four points may be all but flat: that is the aspect's row.
+        // Four points may be nearly flat; flat hulls belong to the rows of the aspect ratio.
         if ConvexHull::new(&points).is_ok_and(|hull| hull.inradius() > 0.05 * hull.circumradius()) {
             return Shape::new(points);
         }
     }
 }
 
-/// Two bodies and what is asked of them.
+/// Two bodies and the parameters of the query.
 #[derive(Clone)]
 pub(crate) struct Case {
     pub(crate) shapes: [Rc<Shape>; 2],
@@ -89,11 +92,11 @@ pub(crate) struct Case {
     pub(crate) rotations: [[f64; 4]; 2],
     pub(crate) relative_tolerance: f64,
     pub(crate) max_iterations: u32,
-    /// Outcomes are asked for at these margins; 0 always.
+    /// Outcomes are checked at these margins, and always at 0.
     pub(crate) margins: Vec<f64>,
-    /// The same scene at another scale, of the same bits of alpha.
+    /// The same scene at another scale; its alpha must have the same bits.
     pub(crate) twin: Option<Box<Case>>,
-    /// The faces meet in this many points at least.
+    /// The contact must have at least this many points.
     pub(crate) least_points: usize,
 }
 
@@ -112,14 +115,15 @@ impl Case {
         }
     }
 
-    /// Random poses at this growth scale, to rounding.
+    /// Random rotations and a random direction of the centre offset; the growth scale is `alpha`,
+    /// to rounding.
     pub(crate) fn aimed(random: &mut Random, shapes: [Rc<Shape>; 2], alpha: f64) -> Self {
         let rotations = [random.rotation(), random.rotation()];
         let direction = random.direction();
         Self::along(shapes, direction, rotations, alpha)
     }
 
-    /// At this growth scale, to rounding: the centres' offset along `direction`.
+    /// The centre offset lies along `direction`; the growth scale is `alpha`, to rounding.
     pub(crate) fn along(
         shapes: [Rc<Shape>; 2],
         direction: [f64; 3],
@@ -161,7 +165,7 @@ impl Case {
         contact_manifold(&a, &b, query, None, workspace).clone()
     }
 
-    /// The answer, which its certificate must hold.
+    /// The answer, after checking that its certificate holds.
     pub(crate) fn certified(&self, query: &Query) -> Manifold {
         let [a, b] = self.bodies();
         let m = self.solve(query, &mut Workspace::default());
@@ -169,7 +173,7 @@ impl Case {
         m
     }
 
-    /// Of either solver.
+    /// The certified answers of both solvers.
     pub(crate) fn certified_by_each(&self, query: &Query) -> [Manifold; 2] {
         SOLVERS.map(|solver| {
             let accuracy = Accuracy { solver, ..query.accuracy };
@@ -186,7 +190,7 @@ impl Case {
         }))
     }
 
-    /// Everything `by` times as large.
+    /// The scene, `by` times as large.
     pub(crate) fn scaled(&self, by: f64) -> Self {
         Self {
             shapes: self.shapes.each_ref().map(|s| s.scaled(by)),
@@ -195,7 +199,7 @@ impl Case {
         }
     }
 
-    /// Everything moved.
+    /// The scene, translated.
     pub(crate) fn moved(mut self, by: [f64; 3]) -> Self {
         for p in &mut self.positions {
             *p = std::array::from_fn(|k| p[k] + by[k]);
@@ -208,10 +212,10 @@ impl Case {
         self
     }
 
-    /// B moved along the shortest connection, so that the hulls are `distance`
-    /// apart; overlapping hulls stay.
+    /// Moves B along the shortest connection so that the hulls are `distance` apart. Overlapping
+    /// hulls stay as they are.
     pub(crate) fn at_distance(mut self, distance: f64) -> Self {
-        // The second step mends the rounding of the first.
+        // The second step removes the rounding of the first.
         for _ in 0..2 {
             let exact = self.exact();
             let found = exact.distance_squared(exact.support(&exact.d));
@@ -223,7 +227,7 @@ impl Case {
     }
 }
 
-/// A vector turned by a quaternion of any length.
+/// The vector rotated by a quaternion of any length.
 pub(crate) fn rotate([x, y, z, w]: [f64; 4], v: [f64; 3]) -> [f64; 3] {
     let s = 2.0 / (x * x + y * y + z * z + w * w);
     let rows = [
@@ -234,7 +238,7 @@ pub(crate) fn rotate([x, y, z, w]: [f64; 4], v: [f64; 3]) -> [f64; 3] {
     rows.map(|r| r[0] * v[0] + r[1] * v[1] + r[2] * v[2])
 }
 
-/// About `axis` (unit) by `angle`.
+/// The quaternion of a rotation about `axis` (unit) by `angle` (radians).
 pub(crate) fn turn(axis: [f64; 3], angle: f64) -> [f64; 4] {
     let (sin, cos) = (0.5 * angle).sin_cos();
     [axis[0] * sin, axis[1] * sin, axis[2] * sin, cos]
@@ -245,7 +249,7 @@ pub(crate) fn norm(v: [f64; 3]) -> f64 {
     if size > 0.0 { size * v.iter().map(|x| (x / size) * (x / size)).sum::<f64>().sqrt() } else { 0.0 }
 }
 
-/// All that is needed to run it again.
+/// Prints everything that is needed to run the case again.
 impl std::fmt::Debug for Case {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Case")

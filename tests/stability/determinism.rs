@@ -1,7 +1,6 @@
-//! The same pairs give the same bits, in any order, over any number of threads,
-//! from a new workspace or an old one. (`make stability` compares the digest of
-//! a debug build with a release build's; the service's tests compare its
-//! answers, however split, with the library's bits.)
+//! Equal pairs give equal bits: in any order, on any number of threads, from a new workspace or a
+//! used one. (`make stability` compares the digest of a debug build with that of a release build;
+//! the service's tests compare its answers, however the batch is split, with the library's bits.)
 
 use hullcast::contact::{Body, Element, Manifold, Pose, Query, Workspace, contact_manifold};
 
@@ -9,7 +8,7 @@ use crate::case::{Shape, any_shape};
 use crate::judge::SOLVERS;
 use crate::scene::Random;
 
-/// A pair of the sweep: shapes, offset, rotations.
+/// A pair of the sweep: the indices of its shapes, the offset, the rotations.
 type Pair = ([usize; 2], [f64; 3], [[f64; 4]; 2]);
 
 fn sweep(pairs: usize) -> (Vec<Shape>, Vec<Pair>) {
@@ -33,7 +32,7 @@ fn answer(shapes: &[Shape], (which, d, rotations): &Pair, query: &Query, workspa
     digest(contact_manifold(&a, &b, query, None, workspace))
 }
 
-/// FNV-1a over everything of an answer.
+/// The FNV-1a hash of all numbers of an answer.
 fn digest(m: &Manifold) -> u64 {
     let mut hash = 0xcbf2_9ce4_8422_2325u64;
     let mut add = |x: u64| {
@@ -56,8 +55,9 @@ fn digest(m: &Manifold) -> u64 {
     hash
 }
 
-/// Catches a workspace that carries something over, and anything that depends
-/// on time, address or thread.
+/// Solves 3000 pairs with a new workspace each, in reverse order with one workspace, and on two
+/// threads. Catches a workspace that carries something over to the next pair, and a result that
+/// depends on time, address or thread.
 #[test]
 fn the_same_pairs_give_the_same_bits() {
     let (shapes, pairs) = sweep(3000);

@@ -1,11 +1,11 @@
-//! Integers of any length for the exact answers: every float is an integer
-//! times a power of two, so products and sums of them lose nothing.
+//! Integers of any length for the exact answers. Every float is an integer times a power of two, so
+//! products and sums of floats lose nothing.
 
 use num_bigint::{BigInt, Sign};
 
 pub(crate) type V = [BigInt; 3];
 
-/// `x` as an odd integer times `2^exponent`; none for 0.
+/// `x` as an odd integer times `2^exponent`; none if `x` is 0.
 pub(crate) fn parts(x: f64) -> Option<(BigInt, i32)> {
     assert!(x.is_finite(), "{x} is no number");
     if x == 0.0 {
@@ -20,12 +20,13 @@ pub(crate) fn parts(x: f64) -> Option<(BigInt, i32)> {
     Some((if x < 0.0 { -odd } else { odd }, exponent + zeros as i32))
 }
 
-/// The largest exponent of which all are multiples; 0 where all are 0.
+/// The largest exponent such that all values are integer multiples of its power of two; 0 if all
+/// values are 0.
 pub(crate) fn common_exponent(values: impl IntoIterator<Item = f64>) -> i32 {
     values.into_iter().filter_map(parts).map(|(_, e)| e).min().unwrap_or(0)
 }
 
-/// `x / 2^exponent`, of which `x` must be a multiple.
+/// `x / 2^exponent`; `x` must be a multiple of `2^exponent`.
 pub(crate) fn integer(x: f64, exponent: i32) -> BigInt {
     let shifted = |(m, e): (BigInt, i32)| m << usize::try_from(e - exponent).expect("a common exponent");
     parts(x).map_or(BigInt::ZERO, shifted)
@@ -68,7 +69,7 @@ pub(crate) fn zero(x: &BigInt) -> bool {
     x.sign() == Sign::NoSign
 }
 
-/// `x` as a float below 2^64 times a power of two; to half an ulp or so.
+/// `x` as a float below 2^64 and the exponent of a power of two, rounded to about half an ulp.
 pub(crate) fn approximate(x: &BigInt) -> (f64, i64) {
     let bits = x.bits() as i64;
     let drop = (bits - 64).max(0);
@@ -76,13 +77,13 @@ pub(crate) fn approximate(x: &BigInt) -> (f64, i64) {
     (if negative(x) { -top } else { top }, drop)
 }
 
-/// `num / den * 2^exponent`, to an ulp or so.
+/// `num / den * 2^exponent`, rounded to about one ulp.
 pub(crate) fn quotient(num: &BigInt, den: &BigInt, exponent: i64) -> f64 {
     let ((n, ne), (d, de)) = (approximate(num), approximate(den));
     scale(n / d, ne - de + exponent)
 }
 
-/// `x * 2^exponent` without overflow on the way.
+/// `x * 2^exponent` without overflow in between.
 pub(crate) fn scale(mut x: f64, exponent: i64) -> f64 {
     let mut left = exponent.clamp(-10_000, 10_000) as i32;
     while left != 0 {
@@ -93,7 +94,7 @@ pub(crate) fn scale(mut x: f64, exponent: i64) -> f64 {
     x
 }
 
-/// Every vector over `2^bits`, the same for all: coordinates at most 1.
+/// All vectors divided by one power of two, so that every coordinate is at most 1 in size.
 pub(crate) fn unit_floats(vectors: &[V]) -> Vec<[f64; 3]> {
     let bits = vectors.iter().flatten().map(|x| x.bits()).max().unwrap_or(0) as i64;
     let float = |x: &BigInt| {

@@ -1,5 +1,5 @@
-//! What this matrix and fuzzing found here, each with its cause. Every answer is
-//! held against the exact one, by both solvers.
+//! Failures of this library that the matrix or fuzzing found, each with its cause. Every answer of
+//! both solvers is compared with the exact one.
 
 use hullcast::contact::{Basis, Feature, Outcome, Workspace, certificate, contact_manifold};
 
@@ -7,8 +7,9 @@ use crate::case::{Case, Shape, any_shape, cuboid, turn};
 use crate::named::{LEVEL, answers, judged, level};
 use crate::scene::{Random, box_points, prism_points, scaled};
 
-/// Found by this matrix. At a distance of a billionth of the hulls a closest
-/// point in plain doubles is mostly rounding: GJK stuck, one pair in five UNDECIDED.
+/// Found by the matrix. Hulls at about 1e-11 to 1e-7 of their size apart, around the margin. A
+/// closest point in plain doubles is mostly rounding there: GJK got stuck, and one pair in five was
+/// UNDECIDED.
 #[test]
 fn hulls_a_billionth_apart_are_decided() {
     let random = &mut Random(1);
@@ -20,9 +21,9 @@ fn hulls_a_billionth_apart_are_decided() {
     }
 }
 
-/// Found by this matrix. A solver stopped early has a basis off the support
-/// plane: a face of the far side counted as touched, its points overlapped, and
-/// hulls apart were CONTACT.
+/// Found by the matrix. The basis of a solver that is stopped early is off the support plane. A
+/// face of the far side was then taken as touching, its projection overlapped the other hull, and
+/// separated hulls were reported as CONTACT.
 #[test]
 fn early_stops_do_not_invent_contacts() {
     let a = Shape::new(vec![
@@ -46,7 +47,8 @@ fn early_stops_do_not_invent_contacts() {
     assert!(answers(&case, 0.0).iter().all(|m| m.outcome == Outcome::Separated));
 }
 
-/// The same for loose answers: a basis may be as far off the plane as was asked for.
+/// As above, but with a loose tolerance: the basis may be off the support plane by as much as the
+/// tolerance allows.
 #[test]
 fn loose_answers_hold_what_they_say() {
     let random = &mut Random(2);
@@ -59,8 +61,9 @@ fn loose_answers_hold_what_they_say() {
     }
 }
 
-/// Found by this matrix. A triangle of points that are coplanar to rounding is
-/// thin and its plane so far off that alpha missed its budget by a third.
+/// Found by the matrix. A box whose top face carries points that are coplanar only to rounding. A
+/// triangle of such points is thin, and its plane so inaccurate that alpha missed its budget by a
+/// third.
 #[test]
 fn nearly_coplanar_points_keep_the_budget() {
     let random = &mut Random(3);
@@ -76,9 +79,10 @@ fn nearly_coplanar_points_keep_the_budget() {
     }
 }
 
-/// Found by fuzzing. Of a hull that is smaller than the roundings of its place the
-/// projected corners coincide, its sides had no direction, and clipping by them
-/// kept the whole of the large face: witnesses as far outside as it is large.
+/// Found by fuzzing. A hull from 1e-9 down to 1e-39 of the other's size. If a hull is smaller than
+/// the rounding of its own position, its projected corners coincide and its sides have no
+/// direction. Clipping by such sides kept the whole of the large face, so witnesses were outside
+/// the small hull by the size of the large one.
 #[test]
 fn a_hull_smaller_than_rounding_keeps_its_witnesses() {
     let random = &mut Random(20);
@@ -109,9 +113,10 @@ fn a_hull_smaller_than_rounding_keeps_its_witnesses() {
     assert!(faces > 200, "{faces} faces on faces");
 }
 
-/// Found by fuzzing. Within the merge distance of both sides of a sharp corner is
-/// as far beyond the corner as it is sharp: a face that ends there was touched by
-/// what only comes near its tip.
+/// Found by fuzzing. A wedge of half width 1e-1 to 1e-8 points at the corner of a cube. The region
+/// within the merge distance of both sides of a sharp corner extends far beyond the corner, the
+/// farther the sharper it is. A face with such a corner was taken to touch a feature that only
+/// comes near its tip.
 #[test]
 fn nothing_touches_beyond_a_sharp_corner() {
     let (mut estimated, mut touching) = (0, 0);
@@ -119,7 +124,7 @@ fn nothing_touches_beyond_a_sharp_corner() {
         let half = 10f64.powi(-power);
         let tip = [[0.0, 0.0], [1.0, half], [1.0, -half]];
         let wedge = Shape::new([0.0, 0.2].iter().flat_map(|&z| tip.map(|[x, y]| [x, y, z])).collect());
-        // A corner that points at the tip.
+        // The cube is turned so that one of its corners points at the tip.
         let rotation = turn([0.0, 0.0, 1.0], std::f64::consts::FRAC_PI_4);
         let reach = 1e-15 / half;
         for gap in [-0.1, -3.0 * reach, 0.0, 3.0 * reach, 8.0 * reach, 1e-5] {
@@ -140,9 +145,9 @@ fn nothing_touches_beyond_a_sharp_corner() {
     assert!(estimated > 100 && touching > 100, "{estimated} estimated, {touching} touching");
 }
 
-/// Found by fuzzing. The closest point of a thin triangle, as the foot on a plane
-/// whose normal is a small difference of large products, may be far from the
-/// triangle: hulls beyond the margin were CONTACT.
+/// Found by fuzzing. Needles of length 1e6 to 3e9. The closest point of a thin triangle was
+/// computed as the foot on its plane, whose normal is a small difference of large products. It may
+/// lie far from the triangle, so hulls beyond the margin were reported as CONTACT.
 #[test]
 fn long_needles_are_as_far_as_they_are() {
     let random = &mut Random(91);
@@ -161,9 +166,9 @@ fn long_needles_are_as_far_as_they_are() {
     }
 }
 
-/// Found by fuzzing. Where a side of the clipping face is within the merge distance
-/// of where its neighbours' lines meet, it does not cut; they were taken to meet in
-/// another corner, whose height was the contact point's.
+/// Found by fuzzing. A side of the clipping face does not cut if it is within the merge distance of
+/// the crossing of its neighbours' lines. Those lines were then taken to cross in another corner,
+/// and that corner's height was used for the contact point.
 #[test]
 fn sides_around_an_uncut_one_meet_between_them() {
     let a = vec![
@@ -204,9 +209,10 @@ fn sides_around_an_uncut_one_meet_between_them() {
     certificate::check(&a, &b, &query, &m).unwrap_or_else(|violation| panic!("{violation}\n{m:?}"));
 }
 
-/// Found by fuzzing. Corners of a face some roundings apart are in any order when
-/// seen from the side: the side between them pointed anywhere, and clipping by it
-/// cut most of a patch off or left witnesses outside, in scenes of no extreme.
+/// Found by fuzzing. Hulls whose points have doubles 3e-17 to 1e-7 away. Corners of a face that are
+/// some roundings apart can appear in either order when seen from the side. The side between them
+/// then pointed in an arbitrary direction, and clipping by it cut off most of a patch or left
+/// witnesses outside, in ordinary scenes.
 #[test]
 fn corners_that_nearly_coincide_cut_nothing_off() {
     let random = &mut Random(77);
@@ -238,9 +244,9 @@ fn corners_that_nearly_coincide_cut_nothing_off() {
     assert!(patches > 2000, "{patches}");
 }
 
-/// Found by fuzzing. Beside a needle a triangle and its side are as far to a double's
-/// rounding: the side won the tie, the corner beyond it was dropped and found again, and
-/// pairs were UNDECIDED without any limit.
+/// Found by fuzzing. Beside a needle, a triangle and one of its sides are equally far to a double's
+/// rounding. The side won that tie, so the corner opposite to it was dropped and then found again,
+/// and pairs were UNDECIDED although no limit was set.
 #[test]
 fn needles_beside_hulls_are_decided() {
     let random = &mut Random(92);
@@ -261,7 +267,7 @@ fn needles_beside_hulls_are_decided() {
         let case = level([needle, Shape::new(small)], [0.0; 3]);
         let case = Case { relative_tolerance: [1.0, 0.0, 1e-3][round % 3], ..case };
         judged(&case.clone().with_margins([1.0, 0.1, 0.01]));
-        // A warm start that is no triangle leaves inner points in the simplex.
+        // A warm start that is not a triangle leaves inner points in the simplex.
         let [a, b] = case.bodies();
         for vertex in 0..4 {
             let warm = Basis { a: [vertex; 3], b: [vertex; 3] };
@@ -276,8 +282,9 @@ fn needles_beside_hulls_are_decided() {
     assert!(decided.iter().all(|&count| count > 100), "{decided:?}");
 }
 
-/// Found by fuzzing, and none of the answer's: of a hull of 1e20 with a thin basis only
-/// one weight is not noise, which no two or three of the certificate's own found.
+/// Found by fuzzing; the fault was in the certificate, not in the answer. For a hull of size 1e20
+/// with a thin basis, only one of the weights is not noise. The certificate tried only pairs and
+/// triples of weights and found no valid bound.
 #[test]
 fn the_certificate_tries_every_weight_alone() {
     let a = vec![

@@ -1,6 +1,6 @@
-//! Not only alpha: normal, features and patch are the pair's own too, whichever hull is
-//! A, wherever the world is, however the vertices are numbered; away from ties and
-//! thresholds, that is where nothing jumps as the bodies move by a little.
+//! Alpha, normal, features and patch belong to the pair: they do not depend on which hull is A, on
+//! where the world's origin is, or on the order of the vertices. This holds away from ties and
+//! thresholds, so pairs whose answer jumps under a small motion are skipped.
 
 use std::cell::Cell;
 
@@ -14,20 +14,21 @@ use crate::metamorphic::{at, check, holds, outer, point, product, rotation, scen
 use crate::polygon::{self, Point};
 use crate::scene::Random;
 
-/// An answer as it is seen from the scene before it was changed.
+/// An answer, expressed in the frame of the original scene.
 struct Seen {
     normal: DVec3,
-    /// Of each hull the corners of what touches, by their coordinates.
+    /// The corners of the touching feature of each hull, by the bits of their coordinates.
     touched: [Vec<[u64; 3]>; 2],
-    /// Along the first answer's normal.
+    /// The patch, projected along the first answer's normal.
     patch: Vec<Point>,
-    /// Lowest and highest distance of a point, and the separation.
+    /// The least and the greatest distance of the contact points, and the separation.
     distances: [f64; 3],
     estimated: bool,
 }
 
-/// `back` takes world points to the first scene, its turn directions; where A and B are
-/// exchanged, so are the features and the normal's direction.
+/// Expresses an answer in the frame of the original scene. `back` maps world points of the changed
+/// scene to the original one, `turned_back` maps directions. `swapped` says that A and B were
+/// exchanged: the features are exchanged back and the normal is reversed.
 fn seen(
     case: &Case,
     m: &Manifold,
@@ -74,7 +75,8 @@ impl Seen {
         seen(case, m, false, |p| p, DQuat::IDENTITY, along)
     }
 
-    /// What differs by more than `allowed` of the hulls' size.
+    /// Describes the difference between two answers if lengths differ by more than `allowed` times
+    /// `size`, or the features differ.
     fn difference(&self, other: &Self, size: f64, allowed: f64) -> Option<String> {
         let turn = (self.normal - other.normal).length();
         let apart = polygon::hausdorff(&self.patch, &other.patch) / size;
@@ -88,7 +90,8 @@ impl Seen {
     }
 }
 
-/// Moved by a ten-millionth of the hulls each way, and tilted by as much.
+/// Copies of the case with B moved by 1e-7 of the hulls' size along each axis, and tilted by 1e-7
+/// rad about each axis.
 fn little_moves(case: &Case) -> Vec<Case> {
     const LITTLE: f64 = 1e-7;
     let size = outer(case);
@@ -107,6 +110,11 @@ fn little_moves(case: &Case) -> Vec<Case> {
     moves
 }
 
+/// Each scene is solved again with A and B exchanged, after a rigid motion of the world, and with
+/// its vertices in another order. Normal, features, patch and distances, mapped back to the
+/// original frame, must agree to 1e-9 of the hulls' size. Catches a frame that is mixed up, and an
+/// index that decides where the geometry should. The counts show that vertices, edges and faces
+/// were all compared.
 #[test]
 fn the_whole_answer_is_the_pairs_own() {
     let (compared, features, skipped) = (Cell::new(0), Cell::new([0; 3]), Cell::new(0));

@@ -1,4 +1,4 @@
-//! What fuzzing several places of each pair of hulls found, each with its cause.
+//! Failures that fuzzing found by placing each pair of hulls in several ways, each with its cause.
 
 use hullcast::contact::{Element, Manifold};
 
@@ -6,10 +6,11 @@ use crate::case::{Case, Shape, cuboid, turn};
 use crate::named::{LEVEL, judged};
 use crate::scene::{Random, box_points, scaled};
 
-/// A needle of 2e9 and a sliver of its roundings' size at its tip: the simplex with the
-/// newest vertex of the difference was as near as without it to a rounding, so that vertex
-/// was dropped and found again until the steps were used up, and the pair UNDECIDED. (Of a
-/// needle-like triangle the closest point was also found from the far end, 10 digits lost.)
+/// A needle of length 2e9, with a sliver at its tip that is as small as the needle's roundings. To
+/// a rounding, the simplex was as near with the newest vertex of the difference as without it. That
+/// vertex was dropped and found again until the steps were used up, and the pair was UNDECIDED.
+/// (Also, the closest point of a needle-like triangle was computed from its far end, which lost 10
+/// digits.)
 #[test]
 fn slivers_at_the_tip_of_a_needle_are_decided() {
     let mut needle: Vec<[f64; 3]> = vec![
@@ -50,15 +51,16 @@ fn slivers_at_the_tip_of_a_needle_are_decided() {
     judged(&case);
 }
 
-/// Sides of an outline that go on along one line, to the merge distance, cut as one: what
-/// was cut far beyond the first one's end was lifted to the height of that end, so that
-/// witnesses on hulls thinner than 1e-12 were outside by as much as a face is tilted.
+/// An outline with consecutive sides along one line, to the merge distance. They cut as one side,
+/// and a crossing far beyond the end of the first was lifted to the height of that end. Witnesses
+/// on hulls thinner than 1e-12 were outside by the tilt of the face.
 #[test]
 fn crossings_are_lifted_along_the_side_that_they_are_beside() {
     let random = &mut Random(11);
     let (mut crossings, mut touching) = (0, 0);
     for round in 0..3000 {
-        // A needle, its sides bent by less than the merge distance of it and a larger box.
+        // A needle whose sides are bent by less than the merge distance of the needle and the
+        // larger box.
         let size = 10f64.powf(random.range(-4.0, -1.0));
         let width = 10f64.powf(random.range(-10.0, -8.0));
         let mut points = vec![[-1.0, 0.0, 0.0], [1.0, width, 0.0], [1.0, -width, 0.0], [1.0, 0.0, width]];
@@ -86,18 +88,19 @@ fn crossings_are_lifted_along_the_side_that_they_are_beside() {
     assert!(touching > 600 && crossings > 400, "{touching} touching, {crossings} crossings");
 }
 
-/// Whether two edges make a point.
+/// Whether the point is the crossing of two edges.
 fn is_crossing(id: [Element; 2]) -> bool {
     id.iter().all(|e| matches!(e, Element::Edge(_)))
 }
 
-/// Whether alpha is below the normal doubles, and not 0 for centres that coincide.
+/// Whether alpha is below the normal doubles, and the centres do not coincide.
 fn is_subnormal(m: &Manifold) -> bool {
     !m.flags.coincident && m.alpha.is_subnormal()
 }
 
-/// None of the answer's: centres so near that alpha is below the normal doubles, a multiple
-/// of 2^-1074, as are the ends of its bracket; what the certificate allowed underflowed to 0.
+/// A fault of the certificate, not of the answer. If the centres are very near, alpha and the ends
+/// of its bracket are below the normal doubles, that is, multiples of 2^-1074. The error that the
+/// certificate allowed underflowed to 0.
 #[test]
 fn alphas_below_the_normal_doubles_hold_their_certificate() {
     let random = &mut Random(12);
@@ -112,9 +115,9 @@ fn alphas_below_the_normal_doubles_hold_their_certificate() {
     assert!(subnormal > 300, "{subnormal}");
 }
 
-/// Found by the matrix: a corner within the merge distance of the other feature touches it,
-/// but the lines of its sides leave that feature farther out, and what clipping left there was
-/// cut off: ESTIMATED where the features met.
+/// Found by the matrix. A corner touches the other feature if it is within the merge distance of
+/// it. The lines of its sides may leave that feature farther out, and clipping cut off the part
+/// beyond. The result was ESTIMATED although the features met.
 #[test]
 fn sharp_corners_that_nearly_touch_are_no_estimate() {
     let rotations = [
@@ -128,7 +131,7 @@ fn sharp_corners_that_nearly_touch_are_no_estimate() {
     let d = [-1.127161555820639, 1.4147214450740229, 0.8540473453848052];
     let near = Case::new(shapes.clone(), d, rotations);
     judged(&near);
-    // And around it, to some times the merge distance.
+    // The same pair, moved by lengths around the merge distance.
     let random = &mut Random(13);
     for _ in 0..500 {
         let by = scaled(random.direction(), 10f64.powf(random.range(-15.5, -13.0)));
@@ -136,16 +139,17 @@ fn sharp_corners_that_nearly_touch_are_no_estimate() {
     }
 }
 
-/// Where edges that are nearly parallel cross near an end, the crossing was as far off along
-/// them as rounding is over their sine: witnesses beyond the ends, by 1e-6 of the hulls.
+/// Two equal roofs, edge on edge, nearly parallel. The error of a crossing along the edges is the
+/// rounding divided by the sine of their angle. Near the end of an edge, witnesses were beyond the
+/// end by up to 1e-6 of the hulls' size.
 #[test]
 fn edges_nearly_parallel_cross_within_both() {
     let random = &mut Random(14);
     let roof = Shape::centred(vec![[-1.0, 0.0, 0.5], [1.0, 0.0, 0.5], [0.0, -1.0, -0.5], [0.0, 1.0, -0.5]]);
     let (mut corners, mut crossings) = (0, 0);
     for round in 0..4000 {
-        // B upside down on A's edge, spun by a little, so that the edges meet in an end of one
-        // of them, but for some ulps.
+        // B is upside down on A's edge and spun by a small angle, so that the edges meet in an end
+        // of one of them to within some ulps.
         let spin = 10f64.powf(random.range(-12.0, -1.0));
         let upside_down = crate::metamorphic::product(
             turn([0.0, 0.0, 1.0], spin),
@@ -166,15 +170,16 @@ fn edges_nearly_parallel_cross_within_both() {
     assert!(corners > 1000 && crossings > 500, "{corners} corners, {crossings} crossings");
 }
 
-/// None of the answer's: a contraction point below the normal doubles, which the certificate
-/// turned with the bits that it has there.
+/// A fault of the certificate, not of the answer. A contraction point below the normal doubles has
+/// few significant bits, and the certificate rotated it with those few bits.
 #[test]
 fn contraction_points_below_the_normal_doubles_hold_their_certificate() {
     let random = &mut Random(15);
     let mut subnormal = 0;
     for _ in 0..400 {
         let centre = random.direction().map(|x| x * 10f64.powf(random.range(-321.0, -307.0)));
-        // The smaller the hulls, the more of alpha a bit of the centre is.
+        // The smaller the hulls are, the larger is the share of alpha that one bit of the centre
+        // decides.
         let half = [0; 3].map(|_| 10f64.powf(random.range(-4.0, 0.0)));
         let shapes = [Shape::about(box_points(half), Some(centre)), Shape::centred(box_points(half))];
         let case = Case::new(shapes, [0.0; 3], [random.rotation(), random.rotation()]);

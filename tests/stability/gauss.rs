@@ -1,9 +1,10 @@
-//! Step 2 by brute force: which features the definition allows a direction to
-//! touch, from all faces, edges and vertices of a hull, without a search.
+//! The Gauss map step by brute force: the features that the definition allows for a direction, from
+//! all faces, edges and vertices of a hull and without a search.
 //!
-//! The hull's own frame gives the direction some roundings, so that a vertex may
-//! be in the support set or not, a face within the angle or not: what certainly is
-//! a candidate forbids others, what possibly is one is allowed.
+//! The direction carries some roundings when it is expressed in the hull's frame. A vertex near the
+//! limit may therefore count as in the support set or not, and a face near the limit as within the
+//! angle or not. So there are two sets: a certain candidate excludes features of lower rank, and a
+//! possible candidate is allowed as an answer.
 
 use std::collections::BTreeSet;
 
@@ -12,21 +13,22 @@ use hullcast::contact::{ConvexHull, Feature};
 
 use super::judge::U;
 
-/// What is asked: unit direction of the hull's frame, outward.
+/// A hull and a direction: the question whose answer is checked.
 pub(crate) struct Asked<'a> {
     pub(crate) hull: &'a ConvexHull,
+    /// The outward unit direction in the hull's frame.
     pub(crate) n: DVec3,
-    /// `64 u R` of the pair, hull units.
+    /// The depth of the support set: `64 u R` of the pair, in hull units.
     pub(crate) depth: f64,
     pub(crate) feature_angle: f64,
-    /// Of the basis, as registered.
+    /// The hull's vertices in the basis, by their registered indices.
     pub(crate) basis: Vec<u32>,
 }
 
-/// Of unit quantities, and of heights in hull units with the pair's `R`.
+/// The rounding allowed in unit quantities, and in heights in hull units with the pair's `R`.
 const SLACK: f64 = 32.0 * U;
 
-/// Candidates: certain ones, and these with possible ones.
+/// The certain candidates, and the possible ones, which include the certain ones.
 #[derive(Default)]
 struct Candidates {
     certain: BTreeSet<usize>,
@@ -34,14 +36,15 @@ struct Candidates {
 }
 
 impl Candidates {
-    /// `measure` is at most 0 where it is one, to `slack`.
+    /// An item is a candidate if its `measure` is at most 0; `slack` is the uncertainty of the
+    /// measure.
     fn of(count: usize, slack: f64, measure: impl Fn(usize) -> f64) -> Self {
         let below = |limit: f64| (0..count).filter(|&i| measure(i) <= limit).collect();
         Self { certain: below(-slack), possible: below(slack) }
     }
 }
 
-/// Why the definition does not allow `feature`; none where it does.
+/// Why the definition does not allow `feature`, or none if it does.
 pub(crate) fn objection(asked: &Asked<'_>, feature: Feature) -> Option<String> {
     let support = asked.support();
     let [faces, edges] = [asked.faces(&support), asked.edges(&support)];
@@ -64,12 +67,12 @@ impl Asked<'_> {
         self.hull.vertex_of_registered(registered).map_or(usize::MAX, |v| v as usize)
     }
 
-    /// Within the depth of the highest, united with the basis.
+    /// The vertices within the depth of the highest one, together with those of the basis.
     fn support(&self) -> Candidates {
         let height = |v: usize| self.n.dot(self.hull.vertices()[v]);
         let count = self.hull.vertex_count();
         let highest = (0..count).map(height).fold(f64::NEG_INFINITY, f64::max);
-        // A quarter of the depth covers the direction's rounding and the heights'.
+        // A quarter of the depth covers the rounding of the direction and of the heights.
         let mut support = Candidates::of(count, 0.25 * self.depth, |v| (highest - height(v)) - self.depth);
         for &v in &self.basis {
             support.certain.insert(self.own(v));
@@ -78,8 +81,8 @@ impl Asked<'_> {
         support
     }
 
-    /// Faces within the angle, reached from the support set through such faces, and
-    /// faces all of whose corners support.
+    /// The faces within the angle that are reached from the support set through such faces, and the
+    /// faces whose corners are all in the support set.
     fn faces(&self, support: &Candidates) -> Candidates {
         let faces = self.hull.faces();
         let sine = self.feature_angle.sin();
@@ -126,7 +129,7 @@ impl Asked<'_> {
             return Some(format!("face {face} is no candidate"));
         }
         let nearest = faces.possible.iter().map(|&f| cosine(f)).fold(f64::NEG_INFINITY, f64::max);
-        // Certainly nearer, or certainly tied and first.
+        // A face beats another if it is certainly nearer, or certainly tied and preferred.
         let beats = |&&g: &&usize| {
             cosine(g) > cosine(face) + 8.0 * U + SLACK
                 || (cosine(g) >= nearest - 4.0 * U
@@ -135,8 +138,9 @@ impl Asked<'_> {
         faces.certain.iter().find(beats).map(|g| format!("face {g} before {face}"))
     }
 
-    /// Edges at the support set across the direction within the angle whose arc
-    /// holds its projection, and edges with both ends in the set.
+    /// The edges with one end in the support set that are perpendicular to the direction to within
+    /// the angle and whose arc contains the direction's projection; and the edges with both ends in
+    /// the set.
     fn edges(&self, support: &Candidates) -> Candidates {
         let (hull, n) = (self.hull, self.n);
         let of = |support: &BTreeSet<usize>, slack: f64| -> BTreeSet<usize> {
@@ -150,12 +154,13 @@ impl Asked<'_> {
             (0..hull.edge_count()).filter(holds).collect()
         };
         let mut certain = of(&support.certain, -SLACK);
-        // An edge between vertices that coincide about the contraction point is these.
+        // An edge has no direction if its vertices coincide once taken relative to the contraction
+        // point.
         certain.retain(|&e| !self.across(e).is_nan());
         Candidates { certain, possible: of(&support.possible, SLACK) }
     }
 
-    /// `|n . e|` of an edge's unit direction.
+    /// `|n . e|`, where `e` is the edge's unit direction.
     fn across(&self, e: usize) -> f64 {
         let [v, w] = self.hull.edge_vertices()[e].map(|v| self.hull.vertices()[v as usize]);
         self.n.dot((w - v).normalize()).abs()
@@ -178,16 +183,17 @@ impl Asked<'_> {
     }
 }
 
-/// Whether the projection of `n` onto the plane of the arc between the edge's faces
-/// is on the arc, by more than `-slack` of its length.
+/// Whether the projection of `n` onto the plane of the arc between the edge's faces lies on the
+/// arc, inside its ends by more than `-slack`.
 fn arc_holds(hull: &ConvexHull, edge: usize, n: DVec3, slack: f64) -> bool {
     let [v, w] = hull.edge_vertices()[edge].map(|v| hull.vertices()[v as usize]);
     let along = (w - v).normalize();
     let [m0, m1] = hull.edge_faces()[edge].map(|f| hull.faces()[f as usize].normal);
-    // Signed angles from one end; the arc is shorter than half a turn.
+    // Sines of signed angles from one end; the arc is shorter than half a turn.
     let side = m0.cross(m1).dot(along).signum();
     let from = |m: DVec3, to: DVec3| side * m.cross(to).dot(along);
-    // Merged faces' normals are off the edge by their planarity: no more is known.
+    // The normals of merged faces are off the edge by their planarity, so the test is no sharper
+    // than that.
     let slack = slack + slack.signum() * 64.0 * U;
     from(m0, n) >= -slack && from(n, m1) >= -slack
 }

@@ -1,5 +1,5 @@
-//! Holds the answers for a case against the exact ones and keeps the score of a
-//! cell: counts, flags, and the worst error as a share of its budget.
+//! Compares the answers for a case with the exact ones, and keeps the score of a cell: counts,
+//! flags, and the worst error as a share of its budget.
 
 use hullcast::contact::{
     Basis, Body, Feature, Manifold, Outcome, Query, Solver, Wanted, Workspace, certificate, contact_manifold,
@@ -14,24 +14,25 @@ use super::polygon;
 /// Unit roundoff.
 pub(crate) const U: f64 = f64::EPSILON / 2.0;
 
-/// What is measured, each as a share of its budget.
+/// The measured errors, each as a share of its budget.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Measure {
     /// `|alpha - exact|` over `alpha tol + 16 u alpha R/r + 16 u M/r`.
     Alpha,
-    /// By how much exact alpha is outside the bracket (any is a failure), else
-    /// the bracket's width over `upper (tol + 64 u R/r) + 32 u M/r`.
+    /// How far the exact alpha is outside the bracket (any amount is a failure); otherwise the
+    /// bracket's width over `upper (tol + 64 u R/r) + 32 u M/r`.
     Bracket,
-    /// What the normal proves short of exact alpha, over alpha's budget.
+    /// The exact alpha minus the lower bound that the normal proves, over alpha's budget.
     Normal,
     /// `|separation - s(n)|` over `64 u (R + |d|) + 16 u M`.
     Separation,
-    /// Distance beyond the margin of a CONTACT over the rounding band; any
-    /// shortfall of a SEPARATED is a failure.
+    /// The distance beyond the margin of a CONTACT pair, over the rounding band. A SEPARATED pair
+    /// within the margin is a failure.
     Outcome,
-    /// Witnesses outside their hulls, over faces' planarity and merge distance.
+    /// How far witnesses are outside their hulls, over the faces' planarity plus the merge
+    /// distance.
     Witness,
-    /// By how much a point's distance undercuts `s(n)`.
+    /// How much a point's distance is below `s(n)`.
     Distance,
 }
 
@@ -45,7 +46,7 @@ pub(crate) struct Cell {
     pub(crate) failures: usize,
     pub(crate) failed: Vec<String>,
     pub(crate) worst: [f64; MEASURES.len()],
-    /// Cases of which an answer is so flagged.
+    /// The number of cases with an answer that carries this flag.
     pub(crate) gap_open: usize,
     pub(crate) coincident: usize,
     pub(crate) undecided: usize,
@@ -53,27 +54,28 @@ pub(crate) struct Cell {
     pub(crate) met: Met,
 }
 
-/// What the cases were, by the exact answers: that a cell hits what it names.
+/// The kinds of cases, counted from the exact answers. They show that a cell contains the cases
+/// that its row names.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Met {
     pub(crate) overlapping: usize,
     pub(crate) apart: usize,
-    /// The ray meets an edge or corner of the Minkowski difference.
+    /// The ray meets an edge or a corner of the Minkowski difference.
     pub(crate) ties: usize,
     pub(crate) edge_edge: usize,
     pub(crate) faces: usize,
-    /// Four points and more.
+    /// Contacts with four or more points.
     pub(crate) patches: usize,
     pub(crate) contact: usize,
     pub(crate) separated: usize,
-    /// Growth distance alone would say CONTACT.
+    /// Growth distance alone would report CONTACT, but the hulls are farther apart than the margin.
     pub(crate) ghosts: usize,
-    /// GAP_OPEN, COINCIDENT.
+    /// Answers flagged GAP_OPEN, and answers flagged COINCIDENT.
     pub(crate) open: usize,
     pub(crate) coincident: usize,
     pub(crate) pivots: usize,
-    /// Vertices, edges and faces that touch, at any feature angle, each held
-    /// against the definition by brute force; and how often ESTIMATED was due.
+    /// Touching vertices, edges and faces, at any feature angle, each checked against the
+    /// definition by brute force; and the number of answers that had to be ESTIMATED.
     pub(crate) touched: [usize; 3],
     pub(crate) due: usize,
 }
@@ -100,7 +102,7 @@ impl Cell {
 
 pub(crate) const SOLVERS: [Solver; 2] = [Solver::Portal, Solver::GjkRayCast];
 
-/// What the budgets are made of; caller's units.
+/// The quantities in the budgets, in the caller's units.
 struct Sizes {
     inner: f64,
     outer: f64,
@@ -227,7 +229,8 @@ impl Judging<'_> {
         }
     }
 
-    /// The same pair with the pure Gauss map, and with wide feature angles.
+    /// Checks the features of the same pair with the pure Gauss map (feature angle 0) and with wide
+    /// feature angles.
     fn feature_angles(&self, query: &Query, cell: &mut Cell, workspace: &mut Workspace) {
         let [a, b] = self.bodies;
         for feature_angle in [0.0, 0.1, 0.5] {
@@ -237,7 +240,8 @@ impl Judging<'_> {
         }
     }
 
-    /// The features are those of the definition, by brute force, and ESTIMATED is due.
+    /// Checks the features against the definition by brute force, and the flag ESTIMATED against
+    /// the projected features.
     fn features(&self, query: &Query, answer: &Manifold, cell: &mut Cell) {
         let Some(features) = answer.features else {
             return cell.demand(false, || "no features".into());
@@ -278,8 +282,7 @@ impl Judging<'_> {
         planes.map(|(m, o)| m.dot(own) - o * hull.scale()).fold(f64::NEG_INFINITY, f64::max)
     }
 
-    /// ESTIMATED exactly where the features, projected along the normal, miss
-    /// each other.
+    /// ESTIMATED must be set exactly if the features, projected along the normal, do not meet.
     fn estimated(&self, answer: &Manifold, cell: &mut Cell) {
         let Some(features) = answer.features else {
             return cell.demand(false, || "no features".into());
@@ -304,14 +307,14 @@ impl Judging<'_> {
             polygon::convex_hull(&vertices.iter().map(corner).collect::<Vec<_>>())
         };
         let gap = polygon::gap(&outline(0), &outline(1));
-        // A factor of two for this check's own rounding.
+        // A factor of two allows for this check's own rounding.
         let merge = self.sizes.merge();
         let due = if answer.flags.estimated { gap > merge / 2.0 } else { gap <= merge * 2.0 };
         cell.met.due += usize::from(answer.flags.estimated);
         cell.demand(due, || format!("estimated: {}, features {gap:e} apart", answer.flags.estimated));
     }
 
-    /// Between the contraction points.
+    /// The offset from A's contraction point to B's.
     fn offset(&self) -> glam::DVec3 {
         let centre = |side: usize| self.bodies[side].hull.contraction_point().to_array();
         let turned =
@@ -326,7 +329,7 @@ impl Judging<'_> {
         cell.demand(result.is_ok(), || format!("certificate: {result:?}"));
     }
 
-    /// The same scene at another power of two: the same bits.
+    /// The twin, the same scene at another power of two, must have an answer with the same bits.
     fn twin(&self, query: &Query, answer: &Manifold, cell: &mut Cell) {
         let Some(twin) = &self.case.twin else { return };
         let other = twin.solve(query, &mut Workspace::default());
@@ -338,16 +341,16 @@ impl Judging<'_> {
         });
     }
 
-    /// CONTACT and SEPARATED as the exact distance says, cold, warm and from any
-    /// triple, whatever is wanted beside it.
+    /// CONTACT and SEPARATED must agree with the exact distance: without a warm start, with the
+    /// answer's own basis and with an arbitrary one, and for every kind of result asked for.
     fn outcomes(&self, query: &Query, numbers: &Manifold, cell: &mut Cell, workspace: &mut Workspace) {
         let [a, b] = self.bodies;
         let overlapping = self.growth.num <= self.growth.den;
         let distance = (!overlapping).then(|| self.exact.distance_squared(self.exact.support(&self.exact.d)));
-        // Around the distance itself, wherever the hulls are.
+        // Margins around the pair's own distance.
         let apart = distance.as_ref().map(|d| [1.0 - 1e-3, 1.0 - 1e-12, 1.0 + 1e-9].map(|by| by * d.value()));
         let own = apart.into_iter().flatten();
-        // Any vertices at all, another triple in every case.
+        // An arbitrary triple of vertices, different in each case.
         let [odd_a, odd_b] = [0, 1].map(|side| {
             let count = self.case.shapes[side].points.len();
             [1, 2 + cell.cases, 3 + 5 * cell.cases].map(|i| (i % count) as u32)
@@ -368,7 +371,8 @@ impl Judging<'_> {
                 let query = Query { margin, wanted, ..*query };
                 let answer = contact_manifold(a, b, &query, warm, workspace);
                 match answer.outcome {
-                    // A sixteenth more: the separation compared with the band is rounded itself.
+                    // The band is widened by a sixteenth, because the separation that is compared
+                    // with it is rounded too.
                     Outcome::Contact => {
                         cell.measure(Measure::Outcome, beyond, self.sizes.band() * (1.0 + 0.0625));
                     }
@@ -392,7 +396,7 @@ impl Judging<'_> {
         }
     }
 
-    /// A separated pair's numbers are lower bounds.
+    /// The numbers of a separated pair are lower bounds: of alpha and of the distance.
     fn bounds(&self, answer: &Manifold, beyond: f64, cell: &mut Cell) {
         let holds = self.growth.error_of(answer.alpha_lower) <= 0.0 && beyond >= 0.0;
         cell.demand(holds, || format!("no lower bounds, distance {beyond:e} beyond: {answer:?}"));

@@ -1,5 +1,6 @@
-//! Seeded sweeps: `make stability-long`. A million cases by the certificate, a
-//! hundred thousand by the exact answers with each solver; THOUSANDS for fewer.
+//! Long seeded sweeps, run by `make stability-long`. A million cases are checked by the
+//! certificate, and a hundred thousand by the exact answers of both solvers. The environment
+//! variable THOUSANDS sets another size.
 
 use hullcast::contact::{Accuracy, Outcome, Workspace, certificate, contact_manifold};
 
@@ -8,18 +9,20 @@ use crate::judge::SOLVERS;
 use crate::matrix::{Row, of_every_row, rows, run};
 use crate::report;
 
-/// Cases in thousands by the certificate; a tenth of it by the exact answers.
+/// The number of thousands of cases for the certificate; a tenth as many are compared exactly.
 fn thousands() -> usize {
     std::env::var("THOUSANDS").ok().and_then(|n| n.parse().ok()).unwrap_or(1000)
 }
 
-/// Cases of a row, so that all rows, large hulls thinned out, have `wanted` at least.
+/// The number of cases per row with which all rows together have at least `wanted` cases, although
+/// rows with large hulls run fewer.
 fn of_each(rows: &[Row], wanted: usize) -> usize {
     let all = |each: usize| rows.iter().map(|row| row.thinned_out(each)).sum::<usize>();
     (wanted.div_ceil(rows.len())..).find(|&each| all(each) >= wanted).unwrap_or(wanted)
 }
 
-/// Each row's cases go on where `make stability` ends.
+/// Compares a hundred thousand cases with the exact answers. They are drawn from other random
+/// streams than those of `make stability`.
 #[test]
 #[ignore = "make stability-long"]
 fn many_cases_by_the_exact_answers() {
@@ -34,16 +37,17 @@ fn many_cases_by_the_exact_answers() {
     assert!(failures.is_empty(), "{failures:#?}");
 }
 
-/// Answers GAP_OPEN or UNDECIDED.
+/// Counts of answers that were GAP_OPEN or UNDECIDED.
 #[derive(Clone, Copy, Default)]
 struct Open {
-    /// Of cases that limit the solver's iterations.
+    /// Answers of cases that limit the solver's iterations.
     limited: usize,
-    /// Of others.
+    /// Answers of all other cases.
     others: usize,
 }
 
-/// What a seed's case found: UNDECIDED, GAP_OPEN and all else by the certificate.
+/// The first violation of the certificate in a case, if there is one. Counts open answers in
+/// `open`.
 fn violation(case: &Case, workspace: &mut Workspace, open: &mut Open) -> Option<String> {
     let limited = case.max_iterations < Accuracy::default().max_iterations;
     let count = if limited { &mut open.limited } else { &mut open.others };
@@ -62,6 +66,9 @@ fn violation(case: &Case, workspace: &mut Workspace, open: &mut Open) -> Option<
     None
 }
 
+/// Checks the answers of a million cases by their certificates, with both solvers and at all
+/// margins. Catches a wrong answer that is too rare for the smaller sweeps, and an answer left open
+/// although there was no limit of iterations.
 #[test]
 #[ignore = "make stability-long"]
 fn a_million_cases_by_the_certificate() {
@@ -69,7 +76,7 @@ fn a_million_cases_by_the_certificate() {
     let each = of_each(&rows(), wanted);
     let counts = of_every_row(|mut row| {
         let random = &mut row.random(2);
-        // Making large hulls' cases costs more than answering them: they are thinned out.
+        // Making a case with large hulls costs more than solving it, so their rows run fewer cases.
         let (mut workspace, mut open, cases) = (Workspace::default(), Open::default(), row.thinned_out(each));
         for _ in 0..cases {
             let case = row.case(random);

@@ -1,5 +1,5 @@
-//! The matrix: each row a value of an axis, with what makes its cases and what
-//! shows that they are what the row names.
+//! The matrix. A row is one value of an axis. It has a function that makes its cases, and a count
+//! which shows that the cases are of the kind that the row names.
 
 mod hulls;
 mod planarity;
@@ -18,17 +18,17 @@ use super::scene::Random;
 pub(crate) struct Row {
     pub(crate) axis: &'static str,
     pub(crate) value: String,
-    /// What it is about: this flag may be up in every case.
+    /// The flag that the row is about; it may be raised in every case.
     pub(crate) about: About,
-    /// Of what is met at least a tenth of the cases, or the row is not what it says.
+    /// This count must reach a tenth of the cases; otherwise the cases are not of the row's kind.
     meets: fn(&Met) -> usize,
-    /// Large hulls cost: one in so many cases is run.
+    /// Large hulls are expensive: only one case in `thin` is run.
     thin: usize,
     stream: u64,
     make: Box<dyn FnMut(&mut Random) -> Case>,
 }
 
-/// The flag that a row is about.
+/// The flag that a row may raise in every case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum About {
     Nothing,
@@ -67,7 +67,7 @@ impl Row {
     }
 }
 
-/// A row with its two solvers' cells.
+/// A row's scores, one cell per solver.
 pub(crate) struct Score {
     pub(crate) axis: &'static str,
     pub(crate) value: String,
@@ -100,7 +100,7 @@ pub(crate) fn rows() -> Vec<Row> {
 }
 
 impl Row {
-    /// Every row a stream of its own: a new row changes no other.
+    /// Each row has a random stream of its own, so that a new row changes no other row's cases.
     pub(crate) fn random(&self, stream: u64) -> Random {
         let name = self.axis.bytes().chain(self.value.bytes());
         Random(name.fold(7 + stream, |h, b| (h * 31 + u64::from(b)) & (u64::MAX >> 8)))
@@ -114,19 +114,19 @@ impl Row {
         (self.make)(random)
     }
 
-    /// Of so many cases those that are run.
+    /// The number of cases that are run when `cases` are asked for.
     pub(crate) fn thinned_out(&self, cases: usize) -> usize {
         cases.div_ceil(self.thin)
     }
 }
 
-/// What `of` makes of each row, over all threads, in the rows' order. A row has a stream of
-/// its own: which thread runs it changes nothing.
+/// Calls `of` on every row, on all threads, and returns the results in the order of the rows. Each
+/// row has a random stream of its own, so the result does not depend on the thread that runs it.
 pub(crate) fn of_every_row<T: Send>(of: impl Fn(Row) -> T + Sync) -> Vec<T> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let next = AtomicUsize::new(0);
     let work = || {
-        // Rows share shapes: each thread has its own.
+        // Rows share shapes through `Rc`, so each thread builds its own rows.
         let mut own: Vec<Option<Row>> = rows().into_iter().map(Some).collect();
         let mut done = Vec::new();
         loop {
@@ -143,7 +143,8 @@ pub(crate) fn of_every_row<T: Send>(of: impl Fn(Row) -> T + Sync) -> Vec<T> {
     done.into_iter().map(|(_, made)| made).collect()
 }
 
-/// Runs `cases` of a row and holds it to what it says of itself.
+/// Runs `cases` cases of a row and checks the row's own claims: its kind of case is met often
+/// enough, and flags that it is not about are rare (at most 1 % of the cases).
 pub(crate) fn run(mut row: Row, cases: usize) -> Score {
     let cases = row.thinned_out(cases);
     let random = &mut row.random(row.stream);

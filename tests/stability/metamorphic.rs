@@ -1,5 +1,5 @@
-//! Properties that need no known answer, over generated scenes that aim at
-//! degeneracy: coordinates and quaternions of a small grid, off it by ulps.
+//! Properties that need no known answer, tested on generated scenes that aim at degeneracy: their
+//! coordinates and quaternions lie on a small grid, or off it by a few ulps.
 
 use std::rc::Rc;
 
@@ -12,7 +12,8 @@ use crate::judge::{Cell, U, judge};
 use crate::oracle::Exact;
 use crate::polygon;
 
-/// The same cases in every run; on failure the smallest scene found.
+/// Runs the test on the same cases every time. On failure the panic shows the smallest failing
+/// scene.
 pub(crate) fn holds<S: Strategy>(
     cases: u32,
     strategy: S,
@@ -26,7 +27,7 @@ pub(crate) fn holds<S: Strategy>(
     }
 }
 
-/// `x` off by some ulps.
+/// `x` moved by some ulps.
 fn nudged(x: f64, ulps: i64) -> f64 {
     if x == 0.0 {
         ulps as f64 * f64::EPSILON * 0.25
@@ -35,7 +36,7 @@ fn nudged(x: f64, ulps: i64) -> f64 {
     }
 }
 
-/// Grid values, nine of ten exact.
+/// A coordinate on the grid; one in ten may be off it by up to 3 ulps.
 fn coordinate() -> impl Strategy<Value = f64> {
     let grid = prop::sample::select(vec![-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0]);
     (grid, prop_oneof![9 => Just(0i64), 1 => -3i64..=3]).prop_map(|(x, ulps)| nudged(x, ulps))
@@ -45,8 +46,8 @@ pub(crate) fn point() -> impl Strategy<Value = [f64; 3]> {
     [coordinate(), coordinate(), coordinate()]
 }
 
-/// Boxes, and hulls of grid points: coplanar, collinear and equal to some ulps.
-/// The origin is inside and the contraction point.
+/// Boxes, and hulls of grid points, which are often coplanar, collinear or equal to within some
+/// ulps. The origin is inside and is the contraction point.
 fn shape() -> impl Strategy<Value = Rc<Shape>> {
     let half = prop::sample::select(vec![0.25, 0.5, 1.0, 2.0, 3.0, 1e-3]);
     let cuboid = [half.clone(), half.clone(), half].prop_map(crate::scene::box_points);
@@ -60,7 +61,7 @@ fn shape() -> impl Strategy<Value = Rc<Shape>> {
     prop_oneof![cuboid, cloud].prop_filter_map("no hull about the origin", about_origin)
 }
 
-/// The cube's own turns, off by ulps, and any other.
+/// Rotations: some that map the grid's cube to itself, some near those, and some at random.
 pub(crate) fn rotation() -> impl Strategy<Value = [f64; 4]> {
     let s = 0.5f64.sqrt();
     let turns = vec![
@@ -81,7 +82,7 @@ pub(crate) fn rotation() -> impl Strategy<Value = [f64; 4]> {
 }
 
 pub(crate) fn scene() -> impl Strategy<Value = Case> {
-    // Axes and diagonals meet edges and corners of the difference.
+    // Offsets along axes and diagonals meet edges and corners of the difference.
     let aligned = prop::sample::select(vec![-1.0, 0.0, 1.0]);
     let aligned = [aligned.clone(), aligned.clone(), aligned];
     let offset = (prop_oneof![point(), aligned], prop::sample::select(vec![0.25, 1.0, 2.0, 4.0]))
@@ -102,7 +103,7 @@ pub(crate) fn outer(case: &Case) -> f64 {
     case.shapes.iter().map(|s| s.hull.circumradius()).sum()
 }
 
-/// Of alpha; the shapes are about their origins, so that `M` is `|d|`.
+/// The error budget of alpha. The contraction points are the origins, so `M` is `|d|`.
 fn budget(case: &Case, alpha: f64) -> f64 {
     let noise = 16.0 * U * norm(case.positions[1]) / inner(case);
     alpha * 16.0 * U * outer(case) / inner(case) + noise
@@ -120,7 +121,9 @@ pub(crate) fn at(case: &Case, d: [f64; 3]) -> Case {
     Case { positions: [[0.0; 3], d], ..case.clone() }
 }
 
-/// Every scene near degeneracy, against the exact answer.
+/// 3000 scenes near degeneracy, each compared with the exact answer. No answer may be flagged.
+/// Catches a degenerate case that a solver does not handle; the count of ties shows that there were
+/// such cases.
 #[test]
 fn degenerate_scenes_are_exact() {
     let ties = std::cell::Cell::new(0);
@@ -135,7 +138,8 @@ fn degenerate_scenes_are_exact() {
     assert!(ties.get() > 40, "{} ties", ties.get());
 }
 
-/// `alpha(k d) = k alpha(d)`. Catches a threshold that is not relative.
+/// Scaling the centre offset scales alpha: `alpha(k d) = k alpha(d)`. Catches a threshold that is
+/// not relative.
 #[test]
 fn alpha_is_homogeneous() {
     holds(400, (scene(), 1e-3..1e3f64), |(case, k)| {
@@ -145,8 +149,8 @@ fn alpha_is_homogeneous() {
     });
 }
 
-/// `alpha(d1 + d2) <= alpha(d1) + alpha(d2)`, and `|alpha(d1) - alpha(d2)|` at
-/// most `|d1 - d2| / r`. Catches a local optimum.
+/// Alpha is convex in the offset, `alpha(d1 + d2) <= alpha(d1) + alpha(d2)`, and Lipschitz,
+/// `|alpha(d1) - alpha(d2)| <= |d1 - d2| / r`. Catches a local optimum.
 #[test]
 fn alpha_is_convex_and_continuous() {
     holds(400, (scene(), point()), |(case, d2)| {
@@ -164,8 +168,9 @@ fn alpha_is_convex_and_continuous() {
     });
 }
 
-/// Swapping A and B, moving the world, and the order of the vertices keep alpha.
-/// Catches a frame mixed up, and an index that decides.
+/// Alpha does not change if A and B are exchanged, if the world is moved rigidly, or if the
+/// vertices are reordered. Catches a frame that is mixed up, and an index that decides where the
+/// geometry should.
 #[test]
 fn alpha_is_the_pairs_own() {
     holds(400, (scene(), rotation(), point(), any::<u64>()), |(case, q, t, seed)| {
@@ -178,7 +183,7 @@ fn alpha_is_the_pairs_own() {
         };
         same(solve(&swapped).alpha, alpha, 2.0 * budget(&case, alpha))?;
 
-        // Turning rounds d and the rotation by some ulps: R/r of them in alpha.
+        // The motion rounds d and the rotations by some ulps; in alpha these are multiplied by R/r.
         let moved = Case {
             positions: case.positions.map(|p| {
                 let p = rotate(q, p);
@@ -210,9 +215,10 @@ pub(crate) fn product([ax, ay, az, aw]: [f64; 4], [bx, by, bz, bw]: [f64; 4]) ->
     ]
 }
 
-/// A larger hull around the same centre has no larger alpha; without one of its
-/// vertices, the contraction point kept, no smaller one, and larger by no more
-/// than the deviation over `r'`.
+/// A hull with one more point has no larger alpha. A hull without one of its points, but with the
+/// same contraction point, has no smaller alpha; the increase is at most `alpha` times the
+/// deviation over `r'`, the inradius of the reduced pair. Catches a support search that misses
+/// vertices.
 #[test]
 fn larger_hulls_meet_sooner() {
     let dropped = std::cell::Cell::new(0);
@@ -231,7 +237,7 @@ fn larger_hulls_meet_sooner() {
         let Ok(hull) = ConvexHull::with_options(&points, &options) else { return Ok(()) };
         prop_assume!(hull.inradius() > 1e-4);
         dropped.set(dropped.get() + 1);
-        // No nearer than the nearest vertex left: at least the deviation.
+        // The distance to the nearest remaining vertex is at least the deviation.
         let distance = |p: &[f64; 3]| norm(std::array::from_fn(|k| p[k] - gone[k]));
         let deviation = points.iter().map(distance).fold(f64::INFINITY, f64::min);
         let simplified = with(points);
@@ -245,10 +251,11 @@ fn larger_hulls_meet_sooner() {
     assert!(dropped.get() > 100);
 }
 
-/// Relation (1) of the paper with its constants, against the least translation
-/// by brute force over the facets of the difference, and the exact distance:
-/// `r (1 - alpha) <= d_MTD <= d_GD <= R (1 - alpha)`, `d_GD <= (R/r) d_MTD`;
-/// apart `r (alpha - 1) <= s(n) <= distance <= R (alpha - 1)`.
+/// Relation (1) of Silcowitz et al. (SCA 2010) with its constants. Overlapping:
+/// `r (1 - alpha) <= d_MTD <= d_GD <= R (1 - alpha)` and `d_GD <= (R/r) d_MTD`; separated:
+/// `r (alpha - 1) <= s(n) <= distance <= R (alpha - 1)`. The minimum translation `d_MTD` comes from
+/// a search of all facet normals of the difference, the distance from exact arithmetic. Catches a
+/// separation that belongs to another direction than the optimal one.
 #[test]
 fn growth_distance_bounds_the_least_translation() {
     let counts = std::cell::Cell::new([0; 2]);
@@ -275,7 +282,8 @@ fn growth_distance_bounds_the_least_translation() {
     assert!(deep > 50 && apart > 50, "{deep} {apart}");
 }
 
-/// The least overlap along any facet normal of the Minkowski difference.
+/// The minimum translation distance: the least overlap along any facet normal of the Minkowski
+/// difference.
 fn least_translation(case: &Case, exact: &Exact) -> f64 {
     let sides = [0, 1].map(|side| {
         let (hull, q) = (&case.shapes[side].hull, case.rotations[side]);
@@ -301,9 +309,9 @@ fn least_translation(case: &Case, exact: &Exact) -> f64 {
     all.map(depth).fold(f64::INFINITY, f64::min)
 }
 
-/// While the same faces touch, moving B by little moves the patch's area by no
-/// more than the outline times the way, and its depth by the way. Catches a
-/// corner that comes and goes.
+/// B is moved by a small vector. While the same faces touch along the same normal, the patch's area
+/// changes by at most the length of its outline times that vector's length, and its depth by at
+/// most twice that length. Catches a corner that comes and goes.
 #[test]
 fn patches_are_continuous() {
     let compared = std::cell::Cell::new(0);

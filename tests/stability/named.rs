@@ -1,5 +1,5 @@
-//! Inputs that broke a real library, each with what it would catch here. Every
-//! answer is held against the exact one, by both solvers.
+//! Inputs that broke a real library, named by the library's issue, each with the bug it would catch
+//! here. Every answer of both solvers is compared with the exact one.
 
 use std::rc::Rc;
 
@@ -11,7 +11,8 @@ use crate::scene::{Random, box_points, prism_points, scaled};
 
 pub(crate) const LEVEL: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
 
-/// Holds a case against the exact answers; both solvers' answers at any margin.
+/// Compares both solvers' answers for a case with the exact one, and returns their answers at an
+/// infinite margin.
 pub(crate) fn judged(case: &Case) -> [Manifold; 2] {
     let mut cells = [Cell::default(), Cell::default()];
     judge(case, &mut cells, &mut Workspace::default());
@@ -34,14 +35,16 @@ pub(crate) fn level(shapes: [Rc<Shape>; 2], d: [f64; 3]) -> Case {
     Case::new(shapes, d, [LEVEL; 2])
 }
 
-/// A triangle of the ground: a prism as thin as asked.
+/// A triangle of a ground mesh: a prism of the given thickness.
 fn triangle(size: f64, thickness: f64) -> Rc<Shape> {
     let corners = [[-size, -size], [size, -size], [0.0, size]];
     Shape::new([0.0, -thickness].into_iter().flat_map(|z| corners.map(|[x, y]| [x, y, z])).collect())
 }
 
-/// parry#166: a solver that stops by an absolute or merely local tolerance is
-/// lost on large plates and returns a wrong depth in every scene.
+/// parry#166. A cube of half extent 0.5 on a plate of half extent 2e4, at random places, turned
+/// about the vertical or at random, and within 0.1 of touching. A solver that stops by an absolute
+/// tolerance, or by a merely local one, loses its way on such a plate and returns a wrong depth in
+/// every scene.
 #[test]
 fn cube_on_a_large_plate() {
     let random = &mut Random(166);
@@ -62,8 +65,8 @@ fn cube_on_a_large_plate() {
     }
 }
 
-/// parry#166 again: on one axis the ray meets the middle of faces, and every
-/// simplex that GJK makes there is degenerate.
+/// parry#166 again. Two cubes on one axis: the ray meets the middle of a face, and every simplex
+/// that GJK makes there is degenerate. The normal is exactly z and the patch has four points.
 #[test]
 fn coaxial_cubes() {
     let random = &mut Random(167);
@@ -76,7 +79,8 @@ fn coaxial_cubes() {
     }
 }
 
-/// parry#315: at depth 0 the direction of the closest points is 0/0: a wrong normal.
+/// parry#315. Unit cubes that exactly touch, along each axis. The depth is 0, so a direction taken
+/// from the two closest points is 0/0 and gives a wrong normal.
 #[test]
 fn cubes_that_exactly_touch() {
     for axis in 0..3 {
@@ -96,7 +100,8 @@ fn cubes_that_exactly_touch() {
     }
 }
 
-/// parry#49: an absolute epsilon takes vertices near 1e-23 for one point: panic.
+/// parry#49. Points on a sphere of radius 1e-23. An absolute epsilon takes them all for one point,
+/// and the library panicked.
 #[test]
 fn vertices_near_1e_23() {
     let random = &mut Random(49);
@@ -107,8 +112,8 @@ fn vertices_near_1e_23() {
     }
 }
 
-/// JoltPhysics#671: a normal taken from the penetration's sign is flipped where
-/// a hull hovers a millimetre above a box.
+/// JoltPhysics#671. A prism hovers one millimetre above a box. A normal that follows the sign of
+/// the penetration is flipped here.
 #[test]
 fn hull_a_millimetre_above_a_box() {
     let hull = Shape::new(prism_points(9, 0.3, 0.1));
@@ -117,8 +122,8 @@ fn hull_a_millimetre_above_a_box() {
     }
 }
 
-/// JoltPhysics#2065: an edge of 84 m, 5 cm deep: a tolerance of the size of the
-/// hull hides the depth.
+/// JoltPhysics#2065. A beam 84 m long lies on its edge, 5 cm deep in a box. A tolerance in
+/// proportion to the size of the hull hides that depth.
 #[test]
 fn long_edge_five_centimetres_deep() {
     let beam = cuboid([42.0, 0.5, 0.5]);
@@ -130,8 +135,8 @@ fn long_edge_five_centimetres_deep() {
     }
 }
 
-/// JoltPhysics#2103: shapes that just touch, reported 7 m deep: a polytope that
-/// is flat to rounding expands to the wrong side.
+/// JoltPhysics#2103. Shapes at distance 0, which were reported as 7 m deep: a polytope that is flat
+/// to rounding is expanded to the wrong side.
 #[test]
 fn just_touching_is_not_deep() {
     let random = &mut Random(2103);
@@ -144,8 +149,8 @@ fn just_touching_is_not_deep() {
     }
 }
 
-/// bullet3#1703: a box sinks into a slab of 128 x 1 x 128 by a margin that
-/// shrinks the thin side.
+/// bullet3#1703. A box 1 cm deep in a slab of 128 x 1 x 128. A collision margin that shrinks the
+/// thin side lets the box sink.
 #[test]
 fn box_on_a_slab() {
     for m in judged(&level([cuboid([64.0, 0.5, 64.0]), cuboid([0.5; 3])], [20.0, 0.99, -31.0])) {
@@ -153,7 +158,7 @@ fn box_on_a_slab() {
     }
 }
 
-/// bullet3#2579: boxes of 5 mm are below its absolute thresholds.
+/// bullet3#2579. Boxes of 5 mm, which fall below absolute thresholds.
 #[test]
 fn boxes_of_five_millimetres() {
     let random = &mut Random(2579);
@@ -162,8 +167,8 @@ fn boxes_of_five_millimetres() {
     }
 }
 
-/// bullet3#2157, newton#3773: a small hull on a huge triangle (320 m): the
-/// triangle's far corners drown the depth, 58 m instead of none.
+/// bullet3#2157, newton#3773. A cylinder of 1 cm, 0.1 mm deep, on a triangle of 320 m. The
+/// triangle's far corners drown the depth: 58 m was reported.
 #[test]
 fn small_hulls_on_a_huge_triangle() {
     let cylinder = Shape::new(prism_points(16, 0.01, 0.01));
@@ -176,7 +181,8 @@ fn small_hulls_on_a_huge_triangle() {
     }
 }
 
-/// fcl#395: a plate of 1 cm, entered from its rim's side.
+/// fcl#395. A plate 1 cm thick and a cube, at any attitude, so that the cube also enters from the
+/// plate's rim.
 #[test]
 fn plate_of_one_centimetre() {
     let random = &mut Random(395);
@@ -187,7 +193,8 @@ fn plate_of_one_centimetre() {
     }
 }
 
-/// fcl#493: boxes an epsilon apart counted as touching and the other way round.
+/// fcl#493. Boxes with a gap, or an overlap, between 1e-15 and 1e-6 of their size. A gap was
+/// counted as touching, and an overlap as a gap.
 #[test]
 fn boxes_an_epsilon_apart() {
     let boxes = || [cuboid([0.5; 3]), cuboid([0.5; 3])];
@@ -195,14 +202,15 @@ fn boxes_an_epsilon_apart() {
         judged(&level(boxes(), [1.0 + gap, 0.3, 0.2]));
         judged(&level(boxes(), [1.0 - gap, 0.3, 0.2]));
     }
-    // Beyond the rounding band the outcome is the exact one.
+    // Outside the rounding band the outcome must be the exact one.
     for (gap, outcome) in [(1e-13, Outcome::Separated), (-1e-13, Outcome::Contact)] {
         assert!(answers(&level(boxes(), [1.0 + gap, 0.3, 0.2]), 0.0).iter().all(|m| m.outcome == outcome));
     }
 }
 
-/// fcl#545: a small cube on a large one's diagonal: the depth sqrt(3) too large
-/// where the ray's tie is resolved to a direction that is no face's.
+/// fcl#545. A small cube on the diagonal of a large one, at alpha 0.99. The ray meets a corner of
+/// the difference; if the tie is resolved to a direction that is no face normal, the depth comes
+/// out sqrt(3) times too large.
 #[test]
 fn small_cube_on_the_diagonal() {
     for small in [0.1, 1e-3] {
@@ -214,8 +222,8 @@ fn small_cube_on_the_diagonal() {
     }
 }
 
-/// libccd#25: cubes at (0, 0, 1.9): NaN from a triangle of no area. libccd#49:
-/// depth 0 divided by itself.
+/// libccd#25. Cubes on the z axis: a triangle of zero area gave NaN. libccd#49. At depth 0 the
+/// depth was divided by itself. Alpha is z over twice the half extent.
 #[test]
 fn cubes_on_one_axis_are_numbers() {
     for (half, z) in [(0.5, 1.9), (1.0, 1.9), (0.95, 1.9), (0.5, 1.0)] {
@@ -225,7 +233,8 @@ fn cubes_on_one_axis_are_numbers() {
     }
 }
 
-/// coal#636: a solver stopped early gives NaN for contacts, its status ignored.
+/// coal#636. A solver with a limit of 1 to 20 iterations. It returned NaN for contacts because its
+/// status was ignored; here every number must be finite and the open bracket flagged.
 #[test]
 fn early_stops_say_so() {
     let random = &mut Random(636);
@@ -243,7 +252,7 @@ fn early_stops_say_so() {
     assert!(open > 100, "{open} stopped early");
 }
 
-/// mujoco#3383: separated hulls reported as touching.
+/// mujoco#3383. Thin hulls at gaps from 1e-11 to 0.1, which were reported as touching.
 #[test]
 fn separated_hulls_do_not_touch() {
     let random = &mut Random(3383);
@@ -256,8 +265,8 @@ fn separated_hulls_do_not_touch() {
     }
 }
 
-/// mujoco#3476: flush boxes with a phantom contact 71 mm deep: a clipped face's
-/// corner lifted along the wrong plane.
+/// mujoco#3476. Boxes that are flush in a face, an edge or a corner. A corner of a clipped face was
+/// lifted along the wrong plane and gave a phantom contact 71 mm deep. Every distance must be 0.
 #[test]
 fn flush_boxes_have_no_phantom_contacts() {
     let [a, b] = [cuboid([0.5, 0.4, 0.1]), cuboid([0.5, 0.4, 0.1])];
@@ -268,7 +277,8 @@ fn flush_boxes_have_no_phantom_contacts() {
     }
 }
 
-/// mujoco#2471: a tilt of 1e-6 with a margin loses corners of the patch.
+/// mujoco#2471. A cube tilted by up to 1e-4 on a box, with a margin: corners of the patch were
+/// lost. All four must be there.
 #[test]
 fn slight_tilt_keeps_the_patch() {
     for tilt in [1e-9, 1e-6, 1e-4] {
@@ -281,8 +291,8 @@ fn slight_tilt_keeps_the_patch() {
     }
 }
 
-/// bepuphysics2#417: identical extruded polygons overlapping: NaN depth, or two
-/// points where four and more are due.
+/// bepuphysics2#417. Identical extruded polygons that overlap gave a depth of NaN, or two points
+/// where at least four are due.
 #[test]
 fn identical_extruded_polygons() {
     for sides in 3..12 {
@@ -297,11 +307,11 @@ fn identical_extruded_polygons() {
     }
 }
 
-/// bepuphysics2#67: near-coplanar faces flicker from one to the other between
-/// steps: turning by less than rounding can see keeps features and point ids.
+/// bepuphysics2#67. Nearly coplanar faces flicker from step to step. Here a tilt of up to 2e-8 rad,
+/// far below the feature angle, must keep the features and the ids of the points.
 #[test]
 fn near_coplanar_faces_do_not_flicker() {
-    // A roof of two faces 1e-8 rad apart: one merged face.
+    // A roof of two faces that differ by about 2e-8 rad, which merge into one face.
     let mut points = box_points([1.0, 0.8, 0.3]);
     points.extend([[0.0, 0.8, 0.3 + 1e-8], [0.0, -0.8, 0.3 + 1e-8]]);
     let roof = Shape::new(points);
@@ -320,8 +330,8 @@ fn near_coplanar_faces_do_not_flicker() {
     }
 }
 
-/// reactphysics3d#92: coplanar triangles that are not merged lose points of the
-/// patch: a face of 30 x 30 points is one face.
+/// reactphysics3d#92. Coplanar triangles that are not merged lose points of the patch. A box face
+/// with 30 x 30 additional points must be one face.
 #[test]
 fn coplanar_triangles_are_one_face() {
     let mut points = box_points([1.0, 1.0, 0.2]);
@@ -333,8 +343,8 @@ fn coplanar_triangles_are_one_face() {
     }
 }
 
-/// Genesis#3127: turning the whole scene about the vertical must not change the
-/// answer, though a tie between support points falls otherwise.
+/// Genesis#3127. The whole scene is turned about the vertical in steps of 1/32 of a turn. The
+/// answer must not change, although ties between support points are resolved differently.
 #[test]
 fn turning_the_scene_changes_nothing() {
     let shapes = [cuboid([1.0, 1.0, 0.1]), cuboid([0.3, 0.3, 0.3])];
@@ -351,8 +361,8 @@ fn turning_the_scene_changes_nothing() {
     }
 }
 
-/// Thin plates nearly in one plane: a solver's steps stall at rounding level,
-/// 300 of them, and a limit of iterations hides it.
+/// Thin plates that are nearly in one plane. A solver can stall there, with steps at rounding
+/// level; one took 300 iterations, which a higher limit would have hidden.
 #[test]
 fn stacked_plates_do_not_stall() {
     let shapes = [cuboid([1.0, 0.7, 1e-6]), cuboid([0.6, 0.9, 1e-6])];
@@ -364,8 +374,8 @@ fn stacked_plates_do_not_stall() {
     }
 }
 
-/// Boxes of integers, and prisms, where the ray meets edges and corners of the
-/// difference: a pivot without an exact rule for ties finds no exit or cycles.
+/// Boxes with integer sizes, and prisms on prisms, where the ray meets edges and corners of the
+/// difference. A pivot without an exact rule for ties finds no exit, or cycles.
 #[test]
 fn pivot_ties_end() {
     for (a, b, d) in [

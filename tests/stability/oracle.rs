@@ -1,16 +1,15 @@
-//! The exact answers for the floats given: growth scale, separation along a
-//! direction, distance.
+//! The exact answers for the given floats: growth scale, separation along a direction, distance.
 //!
-//! A quaternion `q` gives the rational rotation `I + 2 / |q|^2 (...)`: times
-//! both squared norms every vertex of the Minkowski difference and the offset
-//! are integers (times a power of two), in one unit that ratios cancel.
+//! A quaternion `q` gives the rational rotation `I + 2 / |q|^2 (...)`. Multiplied by both squared
+//! norms, the centre offset and every vertex of the Minkowski difference are therefore integers
+//! times one power of two. They all have the same unit, which cancels in ratios.
 
 use hullcast::contact::ConvexHull;
 use num_bigint::BigInt;
 
 use super::exact::*;
 
-/// A hull as registered, and where it is.
+/// The points of a hull as they were registered, the hull, and its pose.
 #[derive(Clone, Copy)]
 pub(crate) struct Placed<'a> {
     pub(crate) points: &'a [[f64; 3]],
@@ -21,37 +20,37 @@ pub(crate) struct Placed<'a> {
 
 /// A pair in integers: `length = integer * 2^exponent / unit`.
 pub(crate) struct Exact {
-    /// Vertices about the contraction points, world axes.
+    /// Vertices about the contraction points, along the world axes.
     vertices: [Vec<V>; 2],
     floats: [Vec<[f64; 3]>; 2],
-    /// From A's contraction point to B's.
+    /// The offset from A's contraction point to B's.
     pub(crate) d: V,
     unit: BigInt,
     exponent: i32,
-    /// Less than the pair's inradius.
+    /// A length below the pair's inradius.
     inner: BigInt,
 }
 
-/// A vertex of `K`: of A and of B, as registered.
+/// A vertex of `K`: the indices, as registered, of A's vertex and of B's.
 pub(crate) type Corner = [usize; 2];
 
-/// Growth scale `num / den`.
+/// The growth scale, `num / den`.
 pub(crate) struct Growth {
     pub(crate) num: BigInt,
     pub(crate) den: BigInt,
-    /// Of the basis, times `den`.
+    /// The weights of the optimal basis, times `den`.
     pub(crate) weights: [BigInt; 3],
-    /// Pivots from the start given.
+    /// The number of pivots from the given start.
     pub(crate) pivots: usize,
 }
 
 impl Growth {
-    /// To an ulp or so.
+    /// The growth scale, rounded to about one ulp.
     pub(crate) fn value(&self) -> f64 {
         quotient(&self.num, &self.den, 0)
     }
 
-    /// `x` minus the growth scale.
+    /// `x` minus the growth scale, rounded to about one ulp.
     pub(crate) fn error_of(&self, x: f64) -> f64 {
         let Some((m, e)) = parts(x) else { return -self.value() };
         let (num, m) =
@@ -65,7 +64,7 @@ impl Exact {
         let centres = [a, b].map(|p| p.hull.contraction_point().to_array());
         let points = [a, b].into_iter().flat_map(|p| p.points.iter().flatten().copied());
         let others = [a.position, b.position, centres[0], centres[1]].into_iter().flatten();
-        // A power of two between a quarter and half of the inradius.
+        // A power of two between a quarter and a half of the inradius.
         let inner =
             f64::from_bits((0.5 * (a.hull.inradius() + b.hull.inradius())).to_bits() & !((1 << 52) - 1));
         let exponent = common_exponent(points.chain(others).chain([inner]));
@@ -102,7 +101,8 @@ impl Exact {
         [self.highest(0, n), self.highest(1, &back)]
     }
 
-    /// Exact comparison of those vertices that floats cannot tell apart.
+    /// The vertex that is highest along `n`. Vertices whose heights floats cannot tell apart are
+    /// compared exactly.
     fn highest(&self, side: usize, n: &V) -> usize {
         let [nx, ny, nz] = unit_floats(std::slice::from_ref(n))[0];
         let heights = self.floats[side].iter().map(|v| nx * v[0] + ny * v[1] + nz * v[2]);
@@ -134,14 +134,14 @@ impl Exact {
         quotient(&(ahead - reach), &self.unit, i64::from(e + self.exponent))
     }
 
-    /// What the growth scale that `n` proves falls short of the exact one.
+    /// The exact growth scale minus the lower bound that `n` proves.
     pub(crate) fn optimality_gap(&self, n: [f64; 3], growth: &Growth) -> f64 {
         let (ahead, reach, _) = self.along(n);
         quotient(&(&growth.num * &reach - ahead * &growth.den), &(&growth.den * &reach), 0)
     }
 
-    /// The exact growth scale by the simplex method; a basis that is optimal
-    /// already costs one look at every vertex.
+    /// The exact growth scale by the simplex method. If the warm basis is already optimal, this
+    /// costs one evaluation of every vertex.
     pub(crate) fn growth(&self, warm: Option<[Corner; 3]>) -> Growth {
         let warm = warm.map(|basis| basis.map(|c| self.corner(c)));
         if let Some(Step::Optimal(growth)) =
@@ -149,7 +149,7 @@ impl Exact {
         {
             return growth;
         }
-        // The axes towards d, inside K: feasible, and never optimal.
+        // The three axes towards d, scaled to lie inside K: they are feasible, and never optimal.
         let axis = |k: usize| -> V {
             let reach = if negative(&self.d[k]) { -&self.inner } else { self.inner.clone() };
             std::array::from_fn(|i| if i == k { reach.clone() } else { BigInt::ZERO })
@@ -165,8 +165,8 @@ impl Exact {
         unreachable!("the simplex method is finite")
     }
 
-    /// Exact distance of the hulls, squared, `num / den` in squared units; by
-    /// GJK from any vertices of `K`.
+    /// The exact squared distance of the hulls, `num / den` in squared units, by GJK from any
+    /// vertex of `K`.
     pub(crate) fn distance_squared(&self, start: Corner) -> Distance<'_> {
         let from_d = |c: Corner| minus(&self.corner(c), &self.d);
         let mut simplex = vec![from_d(start)];
@@ -178,7 +178,7 @@ impl Exact {
             let square = dot(&nearest.point, &nearest.point);
             let towards = nearest.point.each_ref().map(|x| -x);
             let w = from_d(self.support(&towards));
-            // No vertex is nearer along the direction: w.p >= p.p / den.
+            // No vertex is nearer along this direction: w.p >= p.p / den.
             if zero(&square) || dot(&w, &nearest.point) * &nearest.den >= square {
                 let den = &nearest.den * &nearest.den;
                 return Distance { pair: self, point: nearest.point, num: square, den };
@@ -189,7 +189,7 @@ impl Exact {
     }
 }
 
-/// `|q|^2` times the rotation, and `|q|^2`, in one unit.
+/// `|q|^2` times the rotation matrix, and `|q|^2`, in one unit.
 fn rotation(q: [f64; 4]) -> ([V; 3], BigInt) {
     let e = common_exponent(q);
     let [x, y, z, w] = q.map(|c| integer(c, e));
@@ -205,16 +205,16 @@ fn rotation(q: [f64; 4]) -> ([V; 3], BigInt) {
 
 /// A feasible basis of `min sum l_i : sum l_i u_i = d`, `u_i` in `K`.
 struct Tableau {
-    /// `c_i . v / volume` is the weight of `u_i` in `v`.
+    /// `duals[i] . v / volume` is the weight of `u_i` in `v`.
     duals: [V; 3],
     volume: BigInt,
-    /// Of `d`, times the volume.
+    /// The weights of `d`, times the volume.
     weights: [BigInt; 3],
 }
 
-/// Of the simplex method.
+/// One step of the simplex method.
 enum Step {
-    /// The basis vertex that leaves, and what enters.
+    /// The index of the basis vertex that leaves, and the vertex that enters.
     Exchange(usize, V),
     Optimal(Growth),
 }
@@ -233,8 +233,9 @@ impl Tableau {
         feasible.then_some(Self { duals, volume, weights })
     }
 
-    /// The exchange that improves it, or the optimum. The ray counts as moved by
-    /// `(e, e^2, e^3)` for an infinitely small `e`, so that ties end.
+    /// The exchange that improves the basis, or the optimum. The ray is treated as if it were moved
+    /// by `(e, e^2, e^3)` for an infinitely small `e`; this symbolic perturbation settles every
+    /// tie, so the method ends.
     fn improved(&self, pair: &Exact) -> Step {
         let n = plus(&plus(&self.duals[0], &self.duals[1]), &self.duals[2]);
         let w = pair.corner(pair.support(&n));
@@ -259,7 +260,7 @@ impl Tableau {
     }
 }
 
-/// The point `point / den` of a simplex nearest to the origin.
+/// The point of a simplex nearest to the origin, `point / den`.
 struct Nearest {
     point: V,
     den: BigInt,
@@ -267,8 +268,8 @@ struct Nearest {
 }
 
 impl Nearest {
-    /// None where the origin is inside all four points. The nearest point of a
-    /// face is the simplex' own where no other corner is nearer along it.
+    /// None if the origin is inside all four points. A face's nearest point is the simplex's
+    /// nearest point if no other corner is nearer along its direction.
     fn of(simplex: &[V]) -> Option<Self> {
         let len = simplex.len();
         let mut subsets: Vec<u32> = (1..1 << len).filter(|s: &u32| s.count_ones() <= 3).collect();
@@ -284,7 +285,7 @@ impl Nearest {
     }
 }
 
-/// The foot of the origin on a point, a line or a plane, if inside.
+/// The foot of the perpendicular from the origin to a point, a line or a plane, if it is inside.
 fn foot(corners: &[&V]) -> Option<(V, BigInt)> {
     match corners {
         [p] => Some(((*p).clone(), BigInt::from(1))),
@@ -305,38 +306,38 @@ fn foot(corners: &[&V]) -> Option<(V, BigInt)> {
     }
 }
 
-/// Distance of the hulls: squared, `num / den` of the pair's integers.
+/// The distance of the hulls: its square is `num / den`, in the pair's integers.
 pub(crate) struct Distance<'a> {
     pair: &'a Exact,
-    /// From B's nearest point to A's, of some length.
+    /// A vector from B's nearest point to A's; its length is arbitrary.
     point: V,
     num: BigInt,
     den: BigInt,
 }
 
 impl Distance<'_> {
-    /// Unit, from A to B; none where the hulls meet.
+    /// The unit direction from A to B; none if the hulls meet.
     pub(crate) fn direction(&self) -> Option<[f64; 3]> {
         let [x, y, z] = unit_floats(std::slice::from_ref(&self.point))[0];
         let length = (x * x + y * y + z * z).sqrt();
         positive(&self.num).then(|| [-x / length, -y / length, -z / length])
     }
 
-    /// To an ulp or so; caller's units.
+    /// The distance in the caller's units, rounded to about one ulp.
     pub(crate) fn value(&self) -> f64 {
         let unit = &self.pair.unit * &self.pair.unit;
         let (top, e) = approximate(&self.num);
         let (bottom, f) = approximate(&(&self.den * unit));
         let (ratio, e) = (top / bottom, e - f);
-        // An even exponent leaves the root.
+        // The square root needs an even exponent.
         let (ratio, e) = if e % 2 == 0 { (ratio, e) } else { (2.0 * ratio, e - 1) };
         scale(ratio.sqrt(), e / 2 + i64::from(self.pair.exponent))
     }
 
-    /// The distance minus `x >= 0`, to an ulp or so of the difference.
+    /// The distance minus `x >= 0`; the rounding is about one ulp of the difference.
     pub(crate) fn beyond(&self, x: f64) -> f64 {
         let Some((m, e)) = parts(x) else { return self.value() };
-        // x in the pair's integers is m * unit * 2^by.
+        // In the pair's integers, x is m * unit * 2^by.
         let by = e - self.pair.exponent;
         let (num, den, m) = (&self.num, &self.den, m * &self.pair.unit);
         let square = &m * &m * den;
@@ -346,8 +347,8 @@ impl Distance<'_> {
             ((num << (-2 * by) as usize) - square, 2 * by)
         };
         let unit = &self.pair.unit * &self.pair.unit;
-        // The exponents last: of a pair with a subnormal coordinate the square of
-        // the distance alone, in its unit, is beyond any float.
+        // The exponents are applied last: for a pair with a subnormal coordinate, the square of the
+        // distance in the pair's unit is beyond the range of floats.
         let ((top, e), (bottom, f)) = (approximate(&difference), approximate(&(den * unit)));
         scale(top / bottom / (self.value() + x), e - f + i64::from(shift) + 2 * i64::from(self.pair.exponent))
     }
@@ -374,8 +375,9 @@ mod tests {
         test(&Exact::new([place([0.0; 3], [0.0, 0.0, 0.0, 1.0]), place(position, rotation)]));
     }
 
-    /// Closed forms of two cubes: a wrong exponent, sign or tie in the oracle
-    /// would pass wrong answers.
+    /// Two cubes of half extent 1 at a given offset. Alpha is half the largest component of the
+    /// offset; the distance is the length of the components' excess over 2. Catches a wrong
+    /// exponent, sign or tie in the oracle, which would accept wrong answers.
     #[test]
     fn cubes_are_known_by_hand() {
         for (d, alpha, distance) in [
@@ -385,7 +387,7 @@ mod tests {
             ([0.0, 3.0, -4.0], 2.0, 5f64.sqrt()),
             ([2.0, 0.0, 0.0], 1.0, 0.0),
         ] {
-            // Norm 2: the oracle's unit is not 1.
+            // A quaternion of length 2, so that the oracle's unit is not 1.
             cubes(d, [0.0, 0.0, 0.0, 2.0], |exact| {
                 let growth = exact.growth(None);
                 assert_eq!(growth.value(), alpha);
@@ -400,7 +402,8 @@ mod tests {
         }
     }
 
-    /// A cube turned by 45 degrees: an edge ahead. Catches a transposed rotation.
+    /// A cube turned by 45 degrees about z, so that an edge points along x: its reach is 1 +
+    /// sqrt(2). Catches a transposed rotation.
     #[test]
     fn a_turned_cube_is_known_by_hand() {
         let (s, c) = std::f64::consts::FRAC_PI_8.sin_cos();
@@ -411,7 +414,8 @@ mod tests {
         });
     }
 
-    /// The exact simplex and any optimal basis agree, whichever start.
+    /// The exact simplex method finds the same growth scale with and without a warm basis. Catches
+    /// an optimality test that accepts a basis which is not optimal.
     #[test]
     fn starts_do_not_matter() {
         cubes([0.3, 0.2, 1.7], [0.1, 0.2, 0.3, 0.9], |exact| {

@@ -1,4 +1,4 @@
-//! What is no hull or no pose says why.
+//! Input that is no valid hull or pose is refused with the reason.
 
 use hullcast::contact::{ConvexHull, HullErrorKind, HullOptions, InvalidPose, Pose};
 
@@ -6,8 +6,8 @@ use crate::case::{Case, Shape, any_shape};
 use crate::named::judged;
 use crate::scene::{Random, box_points};
 
-/// The bad point sets of the matrix. Catches a panic, and a guess where the
-/// input is nothing.
+/// Point sets that form no hull, each with the reason that must be reported, and the limit of
+/// vertices at its value and one past it. Catches a panic, and a guess for meaningless input.
 #[test]
 fn bad_point_sets_name_their_reason() {
     let cube = box_points([1.0; 3]);
@@ -39,7 +39,8 @@ fn bad_point_sets_name_their_reason() {
     assert_eq!(error.kind, HullErrorKind::TooManyVertices);
 }
 
-/// A contraction point on the surface or outside has no growth.
+/// A box of half extent 1 with contraction points just inside, on and outside its top face. A
+/// contraction point that is not strictly inside admits no growth scale.
 #[test]
 fn contraction_points_on_the_surface_are_refused() {
     let about = |z: f64| {
@@ -52,8 +53,8 @@ fn contraction_points_on_the_surface_are_refused() {
     }
 }
 
-/// Catches a quaternion that is normalised from nothing, and a position that
-/// overflows later.
+/// Poses inside and outside the documented limits. Catches the normalisation of a quaternion that
+/// has no direction, and a position that overflows later.
 #[test]
 fn bad_poses_name_their_reason() {
     let turned = |norm: f64| Pose::new([0.0; 3], [0.0, 0.6 * norm, 0.0, 0.8 * norm]);
@@ -67,7 +68,8 @@ fn bad_poses_name_their_reason() {
 }
 
 /// Catches a quaternion of norm 0.25 to 4 that is not normalised, and a limit that is off by one
-/// unit in the last place. Scaling by a power of two is exact, so the poses are equal bit by bit.
+/// unit in the last place. Scaling by a power of two is exact, so the poses must be equal bit by
+/// bit.
 #[test]
 fn quaternions_are_normalised() {
     let quaternion = [0.5, -0.5, 0.5, 0.5];
@@ -81,8 +83,10 @@ fn quaternions_are_normalised() {
     }
 }
 
-/// Catches a limit that is not the documented one (an inradius of 2^-37 of the circumradius),
-/// and hulls within it whose answers are not.
+/// Square plates at the documented limit, an inradius of 2^-37 of the circumradius: just below it
+/// they are refused, just above it their answers must be exact. The plate's inradius is its half
+/// thickness and its circumradius sqrt(2). Catches a limit that is not the documented one, and
+/// hulls within it whose answers miss the budget.
 #[test]
 fn the_thinnest_hulls_are_within_the_budget() {
     let plate = |thin: f64| box_points([1.0, 1.0, thin * 2f64.powi(-37) * 2f64.sqrt()]);
@@ -102,8 +106,8 @@ fn the_thinnest_hulls_are_within_the_budget() {
     assert!(touching > 60, "{touching}");
 }
 
-/// Found by fuzzing: of a needle of aspect 1e14 the merged faces kept no corner,
-/// and building it panicked instead of saying so.
+/// Found by fuzzing. On a needle of aspect 1e14 the merged faces kept no corner, and building the
+/// hull panicked where an error was due.
 #[test]
 fn needles_beyond_double_precision_are_refused() {
     let points = [

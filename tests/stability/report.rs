@@ -1,4 +1,4 @@
-//! The matrix as a table, a page and a picture.
+//! Writes the matrix as a table, a page and a picture.
 
 use std::fmt::Write as _;
 
@@ -7,7 +7,7 @@ use crate::matrix::Score;
 
 const SOLVERS: [&str; 2] = ["PORTAL", "GJK_RAY_CAST"];
 
-/// What of a cell is counted: name and number.
+/// The counts of a cell, with their names.
 fn counts(cell: &Cell) -> [(&'static str, usize); 6] {
     [
         ("cases", cell.cases),
@@ -33,13 +33,13 @@ pub(crate) fn failures(scores: &[Score]) -> Vec<String> {
     cells(scores).flat_map(of).collect()
 }
 
-/// The share of a cell's cases that a flag excuses something of, ESTIMATED aside.
+/// The share of a cell's cases with a flag that excuses an error; ESTIMATED is left out.
 fn flagged(cell: &Cell) -> String {
     let flagged = cell.gap_open + cell.coincident + cell.undecided;
     if flagged == 0 { "·".into() } else { format!("{:.1} %", 100.0 * flagged as f64 / cell.cases as f64) }
 }
 
-/// Markdown: a line a row and solver.
+/// The Markdown table with one line per row and solver.
 pub(crate) fn table(scores: &[Score]) -> String {
     let names = counts(&scores[0].cells[0]).map(|(name, _)| name);
     let [names, measures] = [names.join(" | "), MEASURES.join(" | ")];
@@ -65,7 +65,7 @@ pub(crate) fn table(scores: &[Score]) -> String {
     text
 }
 
-/// A line a solver: all rows together.
+/// The Markdown table with one line per solver, over all rows.
 pub(crate) fn summary(scores: &[Score]) -> String {
     let mut text = format!("| solver | cells | cases | failures | {} |\n", MEASURES.join(" | "));
     let _ = writeln!(text, "|---|--:|--:|--:|{}", "--:|".repeat(MEASURES.len()));
@@ -81,7 +81,8 @@ pub(crate) fn summary(scores: &[Score]) -> String {
     text
 }
 
-/// How many features were held against the definition, and how often ESTIMATED was due.
+/// The number of features that were compared with the definition, and of answers that had to be
+/// ESTIMATED.
 pub(crate) fn features(scores: &[Score]) -> ([usize; 3], usize) {
     let met = || scores.iter().flat_map(|s| &s.cells).map(|cell| cell.met);
     let touched = met().fold([0; 3], |sum, met| std::array::from_fn(|i| sum[i] + met.touched[i]));
@@ -91,53 +92,57 @@ pub(crate) fn features(scores: &[Score]) -> ([usize; 3], usize) {
 const PAGE: &str = "\
 # Numerical stability
 
-Every row below is a value of an axis at its extremes, every case of it a seeded pair whose answer, by
-both solvers, is held against the exact one: `make stability` runs it again and writes this page.
+`make stability` compares answers at numerical extremes with exact ones and writes this page. Each row of the
+table below is one value of an axis, such as a scale or an aspect ratio. A row has many seeded pairs, and each pair
+is answered by both solvers.
 
-The exact answers are those for the floats given, in integers of any length: a quaternion is a rational
-rotation, so that every vertex of the Minkowski difference is an integer vector in one unit. The growth
-scale comes from an exact simplex method, `s(n)` of the returned normal from every vertex, the distance
-from an exact GJK. With `u` = 2^-53, `R` and `r` the sums of circumradii and inradii about the contraction
-points, `M` the lengths that enter the centre offset `d`, a measure is the worst error as a share of its budget:
+The exact answers are those for the given floats, in integers of any length. A quaternion is a rational
+rotation, so every vertex of the Minkowski difference is an integer vector in one common unit. The growth scale
+comes from an exact simplex method, `s(n)` of the returned normal from every vertex, and the distance from an exact
+GJK. `u` is 2^-53, `R` and `r` are the sums of the circumradii and inradii about the contraction points, `M` is the
+sum of the lengths that enter the centre offset `d`, and `L` is the distance from the world's origin. A measure is
+the worst error as a share of its budget:
 
 | measure | error | budget |
 |---|---|---|
-| alpha | off the exact growth scale | `alpha tol + 16 u alpha R/r + 16 u M/r` |
-| bracket | width; exact alpha outside it is a failure | `upper (tol + 64 u R/r) + 32 u M/r` |
-| normal | what it proves short of the exact growth scale | that of alpha |
-| separation | off `s(n)` | `64 u (R + d) + 16 u M` |
-| outcome | distance beyond the margin of a CONTACT; a SEPARATED within it is a failure | the rounding band, that of separation |
-| witness | outside its hull, unless ESTIMATED | faces' planarity, `64 u (R + M)`, `4 u L` |
-| distance | of a point below `s(n)` | that of separation, twice the planarity |
+| alpha | difference from the exact growth scale | `alpha tol + 16 u alpha R/r + 16 u M/r` |
+| bracket | its width. An exact alpha outside the bracket is a failure | `upper (tol + 64 u R/r) + 32 u M/r` |
+| normal | the exact growth scale minus the lower bound that the normal proves | that of alpha |
+| separation | difference from `s(n)` | `64 u (R + d) + 16 u M` |
+| outcome | distance beyond the margin of a CONTACT. A SEPARATED pair within the margin is a failure | the rounding band, which is that of separation |
+| witness | distance outside its hull, unless ESTIMATED | faces' planarity, `64 u (R + M)`, `4 u L` |
+| distance | of a point, below `s(n)` | that of separation, and twice the planarity |
 
-Outcomes are asked for cold, warm and from any vertices, with points, without them and alone, at margins of the row, at 0 and
-within 1e-12 of the pair's own distance. Features, at feature angles of 0, 0.01, 0.1 and 0.5, are held against
-the definition by a search of all faces, edges and vertices, ESTIMATED against the projected features; the
-certificate checks every answer too. A flag excuses what it names: GAP_OPEN the width, COINCIDENT alpha and normal;
-only rows about GAP_OPEN or COINCIDENT may be flagged in more than one case of a hundred, and must be where it
-is due; the column of the share leaves ESTIMATED aside. A failure is anything
-wrong without a flag. The rows of powers of two also compare the bits of alpha, bracket, normal and basis.
+- **Outcomes** are asked for cold, warm and from arbitrary vertices, with points, without them and as the only
+  output, at the margins of the row, at 0 and within 1e-12 of the pair's own distance.
+- **Features** are compared with the definition by a search of all faces, edges and vertices, at feature angles of 0,
+  0.01, 0.1 and 0.5, and ESTIMATED with the projected features. The certificate checks every answer too.
+- **Flags** excuse only the error that they name: GAP_OPEN the width, COINCIDENT alpha and normal. Only rows about
+  GAP_OPEN or COINCIDENT may be flagged in more than one case of a hundred, and their cases must be flagged where
+  the flag is due. The column *flagged* leaves out ESTIMATED.
+- **A failure** is any error over its budget without a flag. The rows of powers of two also compare the bits of alpha,
+  bracket, normal and basis.
 ";
 
-/// The page of the matrix: what is measured, on what, the sums, the picture, the rows.
+/// The page of the matrix: the measures, the totals, the picture and the rows.
 pub(crate) fn page(scores: &[Score], provenance: &str) -> String {
     let picture = "![Worst error of each row as a share of its budget](stability.svg)";
     let ([vertices, edges, faces], due) = features(scores);
     format!(
-        "{PAGE}\n{provenance}\n\n{}\nFeatures held against the definition: {vertices} vertices, {edges} edges, \
-         {faces} faces; {due} answers were due to be ESTIMATED.\n\n{picture}\n\n## Rows\n\n{}",
+        "{PAGE}\n{provenance}\n\n{}\nFeatures compared with the definition: {vertices} vertices, {edges} edges, \
+         {faces} faces; {due} answers had to be ESTIMATED.\n\n{picture}\n\n## Rows\n\n{}",
         summary(scores),
         table(scores)
     )
 }
 
-/// Pixels of a cell, of the labels, of the head.
+/// Pixels: the width and height of a cell, the width of the labels, the height of the head.
 const CELL: [usize; 2] = [34, 13];
 const LABELS: usize = 250;
 const HEAD: usize = 100;
 
-/// An SVG heat map: a row of the matrix a line, a column a measure and solver,
-/// the colour the worst error's share of its budget.
+/// An SVG heat map with one line per row of the matrix and one column per measure and solver. The
+/// colour is the worst error's share of its budget.
 pub(crate) fn heat_map(scores: &[Score]) -> String {
     let width = LABELS + (2 * MEASURES.len() + 1) * CELL[0] + 20;
     let height = HEAD + scores.len() * CELL[1] + 50;

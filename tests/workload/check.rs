@@ -1,4 +1,4 @@
-//! Holds every answer against the truth of its pair, and keeps score.
+//! Compares every answer with the truth of its pair, and keeps score.
 
 use std::fmt::Write as _;
 
@@ -15,22 +15,23 @@ use super::truth::{Truth, norm};
 /// Unit roundoff of a double.
 const U: f64 = f64::EPSILON / 2.0;
 
-/// What is measured of each answer, as a share of its budget.
+/// The measured errors of an answer, each as a share of its budget.
 #[derive(Clone, Copy)]
 enum Measure {
     /// `|alpha - exact|` over `16 u alpha R/r + 16 u M/r`.
     Alpha,
     /// `upper - lower` over `64 u upper R/r + 32 u M/r`.
     Bracket,
-    /// What the normal proves short of exact alpha, over `64 u alpha R/r + 16 u M/r`.
+    /// The exact alpha minus the lower bound that the normal proves, over
+    /// `64 u alpha R/r + 16 u M/r`.
     Normal,
     /// `|separation - s(n)|` over `64 u (R + |d|) + 16 u M`.
     Separation,
-    /// Distance of a witness from its hull's surface, over `1e-9 R`.
+    /// The distance of a witness from its hull's surface, over `1e-9 R`.
     Surface,
-    /// By how much a point's distance undercuts `s(n)`, over the separation's budget.
+    /// How much a point's distance is below `s(n)`, over the separation's budget.
     Distance,
-    /// Hausdorff distance of the patch of two faces and the exact one, over `1e-9 R`.
+    /// The Hausdorff distance between the patch of two faces and the exact one, over `1e-9 R`.
     Patch,
 }
 
@@ -43,15 +44,15 @@ pub(crate) struct Cell {
     pub(crate) overlapping: usize,
     pub(crate) points: usize,
     pub(crate) estimated: usize,
-    /// Pairs whose faces meet.
+    /// Pairs with two faces that meet.
     pub(crate) patches: usize,
-    /// Worst share of each budget.
+    /// The worst share of each budget.
     worst: [f64; MEASURES.len()],
     pub(crate) violations: Vec<String>,
 }
 
 impl Cell {
-    /// A share above 1, or NaN, is a violation.
+    /// Records an error as a share of its budget. A share above 1, or NaN, is a violation.
     fn measure(&mut self, measure: Measure, value: f64, budget: f64) {
         let share = value / budget;
         let worst = &mut self.worst[measure as usize];
@@ -66,7 +67,7 @@ impl Cell {
     }
 }
 
-/// Every pair of a family, per regime.
+/// Checks every pair of a family; returns one cell per regime.
 pub(crate) fn check_family(family: &Family, solver: Solver) -> Vec<Cell> {
     let options = HullOptions { contraction_point: Some([0.0; 3]), ..HullOptions::default() };
     let hulls: Vec<ConvexHull> = family
@@ -103,7 +104,7 @@ fn check_pair(
     cell: &mut Cell,
 ) {
     let accuracy = Accuracy { solver, ..Accuracy::default() };
-    // An infinite margin gives every pair its numbers and points.
+    // With an infinite margin every pair has numbers and points.
     let everywhere = Query { margin: f64::INFINITY, accuracy, ..Query::default() };
     let answer = contact_manifold(a, b, &everywhere, None, workspace);
     check_certificate(a, b, &everywhere, answer, cell);
@@ -119,7 +120,7 @@ fn check_pair(
     check_outcome(truth, answer, regime, cell);
 }
 
-/// The library's own certificate has to agree.
+/// The library's own certificate must accept the answer.
 fn check_certificate(a: &Body, b: &Body, query: &Query, answer: &Manifold, cell: &mut Cell) {
     let result = certificate::check(a, b, query, answer);
     cell.demand(result.is_ok(), || format!("certificate: {result:?}"));
@@ -127,8 +128,8 @@ fn check_certificate(a: &Body, b: &Body, query: &Query, answer: &Manifold, cell:
 
 fn check_numbers(truth: &Truth, answer: &Manifold, cell: &mut Cell) {
     let condition = truth.outer / truth.inner;
-    // Centres at the hulls' origins: of the lengths that enter the offset, M,
-    // only the distance of the origins is left.
+    // The contraction points are the hulls' origins. Of the lengths that enter the offset, `M`,
+    // only the distance of the origins remains.
     let noise = 16.0 * U * truth.distance;
     let exact = truth.alpha;
     let n = answer.normal.to_array();
@@ -173,7 +174,7 @@ fn check_points(truth: &Truth, answer: &Manifold, cell: &mut Cell) {
     }
 }
 
-/// ESTIMATED exactly where the features, projected along the normal, miss each other.
+/// ESTIMATED must be set exactly if the features, projected along the normal, do not meet.
 fn check_estimated(truth: &Truth, answer: &Manifold, hulls: [&ConvexHull; 2], cell: &mut Cell) {
     let Some(features) = answer.features else {
         return cell.demand(false, || "no features".into());
@@ -189,7 +190,7 @@ fn check_estimated(truth: &Truth, answer: &Manifold, hulls: [&ConvexHull; 2], ce
     });
     let gap = polygon::gap(&a, &b);
     let merge = 64.0 * U * (truth.outer + truth.distance);
-    // A factor of two for this check's own rounding to double.
+    // A factor of two allows for this check's own rounding to double.
     let due = if answer.flags.estimated { gap > merge / 2.0 } else { gap <= merge * 2.0 };
     cell.demand(due, || format!("estimated: {}, features {gap:e} apart", answer.flags.estimated));
 }
@@ -205,7 +206,7 @@ fn check_patch(truth: &Truth, answer: &Manifold, cell: &mut Cell) {
     cell.measure(Measure::Patch, error, 1e-9 * truth.outer);
 }
 
-/// At margin 0: contact and separation as exact alpha says.
+/// At margin 0 the outcome must agree with the exact alpha.
 fn check_outcome(truth: &Truth, answer: &Manifold, regime: usize, cell: &mut Cell) {
     if truth.alpha < 1.0 {
         cell.overlapping += 1;
@@ -222,7 +223,7 @@ fn check_outcome(truth: &Truth, answer: &Manifold, regime: usize, cell: &mut Cel
     cell.demand(regime != SEPARATED || truth.alpha > 1.0, || "an overlap among the separated".into());
 }
 
-/// A separated pair's numbers are lower bounds, and nothing else is sent.
+/// The numbers of a separated pair are lower bounds, and nothing else is sent.
 fn check_rejection(truth: &Truth, answer: &Manifold, cell: &mut Cell) {
     let holds = answer.alpha <= truth.alpha && answer.alpha_upper == f64::INFINITY;
     cell.demand(holds, || format!("alpha {} is no lower bound", answer.alpha));
@@ -233,7 +234,7 @@ fn check_rejection(truth: &Truth, answer: &Manifold, cell: &mut Cell) {
     cell.demand(bare && answer.flags == Flags::default(), || "more than a rejection".into());
 }
 
-/// One line a regime: counts, and the worst shares of the budgets.
+/// A table with one line per regime: counts, and the worst share of each budget.
 pub(crate) fn table(rows: &[(&str, Solver, Vec<Cell>)]) -> String {
     let mut text = format!("{:<8} {:<10} {:<9} ", "family", "solver", "regime");
     let counts = ["pairs", "overlap", "points", "estim.", "patches", "wrong"];

@@ -1,6 +1,6 @@
-//! Unevaluated sums of two doubles: some 106 bits, so that the check's own
-//! rounding is far below every budget it checks. After Dekker, *A floating-point
-//! technique for extending the available precision* (1971).
+//! Unevaluated sums of two doubles, with about 106 significant bits, so that the check's own
+//! rounding is far below every budget that it checks. After Dekker, *A floating-point technique for
+//! extending the available precision* (1971).
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -17,7 +17,7 @@ fn two_sum(a: f64, b: f64) -> Dd {
     Dd { high, low: (a - (high - b_part)) + (b - b_part) }
 }
 
-/// Exact where `|a| >= |b|`.
+/// Exact if `|a| >= |b|`.
 fn quick_two_sum(a: f64, b: f64) -> Dd {
     let high = a + b;
     Dd { high, low: b - (high - a) }
@@ -78,7 +78,7 @@ impl Div for Dd {
     }
 }
 
-/// A vector of them.
+/// A vector of double-doubles.
 pub(crate) type Dd3 = [Dd; 3];
 
 pub(crate) fn wide(v: [f64; 3]) -> Dd3 {
@@ -101,8 +101,7 @@ pub(crate) fn plus(a: Dd3, b: Dd3) -> Dd3 {
     [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
 }
 
-/// Rows of the rotation `I + (2 / |q|^2) (...)` of a quaternion `x, y, z, w` of
-/// any norm.
+/// The rows of the rotation `I + (2 / |q|^2) (...)` of a quaternion `x, y, z, w` of any norm.
 pub(crate) fn rotation(q: [f64; 4]) -> [Dd3; 3] {
     let [x, y, z, w] = q.map(Dd::from);
     let one = Dd::from(1.0);

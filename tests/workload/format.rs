@@ -1,23 +1,22 @@
-//! The workload file: hulls and pairs with exact answers. docs/workload.md
-//! describes it.
+//! Reads the workload file: hulls and pairs with exact answers, in the format of docs/workload.md.
 
 use std::io;
 
-/// In the order of the file.
+/// The families, in the order of the file.
 pub(crate) const FAMILIES: [&str; 4] = ["box", "poly16", "poly64", "poly256"];
-/// In the order of the file.
+/// The regimes, in the order of the file.
 pub(crate) const REGIMES: [&str; 3] = ["shallow", "resting", "separated"];
-/// Index into [`REGIMES`].
+/// The index of "separated" in [`REGIMES`].
 pub(crate) const SEPARATED: usize = 2;
 
 /// A hull in its own frame; its contraction point is the origin.
 pub(crate) struct Hull {
     pub(crate) vertices: Vec<[f64; 3]>,
-    /// `n.x + d <= 0` inside.
+    /// The planes `[n, d]` of the faces; `n.x + d <= 0` inside.
     pub(crate) planes: Vec<[f64; 4]>,
 }
 
-/// Where a hull is: position and quaternion `x, y, z, w`.
+/// The pose of a hull: position and quaternion `x, y, z, w`.
 #[derive(Clone, Copy)]
 pub(crate) struct Place {
     pub(crate) position: [f64; 3],
@@ -28,7 +27,7 @@ pub(crate) struct Place {
 pub(crate) struct Pair {
     pub(crate) hulls: [usize; 2],
     pub(crate) places: [Place; 2],
-    /// Exact growth scale, rounded to double.
+    /// The exact growth scale, rounded to double.
     pub(crate) alpha: f64,
     /// An optimal unit normal from A to B, rounded to double.
     pub(crate) normal: [f64; 3],
@@ -37,7 +36,7 @@ pub(crate) struct Pair {
 pub(crate) struct Family {
     pub(crate) name: &'static str,
     pub(crate) hulls: Vec<Hull>,
-    /// Per regime.
+    /// The pairs of each regime.
     pub(crate) regimes: Vec<Vec<Pair>>,
 }
 

@@ -1,10 +1,9 @@
-//! 240 pairs with exact answers, 20 of each family and regime, against both
-//! solvers. `make workload` does the same for a file of any length.
+//! 240 pairs with exact answers, 20 of each family and regime, checked with both solvers.
+//! `make workload` does the same for a file of any length.
 //!
-//! What it would catch: a solver that stops early or at the wrong facet, a
-//! bracket that is false or loose, a normal that is not optimal, points off
-//! their hulls, a patch with a corner too many or too few, an overlap without
-//! points, a flag that is not due, a wrong outcome.
+//! The test catches a solver that stops early or at the wrong facet, a false or loose bracket, a
+//! normal that is not optimal, points off their hulls, a patch with a corner too many or too few,
+//! an overlap without points, a flag raised without need, and a wrong outcome.
 
 mod check;
 mod double_double;
@@ -14,6 +13,8 @@ mod truth;
 
 use hullcast::contact::Solver;
 
+/// Every answer must be within the budgets of [`check`]. The counts at the end show that the test
+/// is not vacuous: every cell has its pairs, and the resting faces do meet.
 #[test]
 fn every_answer_is_within_its_budget() {
     let bytes = include_bytes!("../golden/workload.bin");
@@ -28,21 +29,20 @@ fn every_answer_is_within_its_budget() {
     let cells = || rows.iter().flat_map(|(_, _, cells)| cells);
     let violations: Vec<&String> = cells().flat_map(|cell| &cell.violations).collect();
     assert!(violations.is_empty(), "{violations:#?}");
-    // Not vacuous: every cell has its pairs, and resting faces do meet.
     assert!(cells().all(|cell| cell.pairs == 20));
     assert_eq!(cells().map(|cell| cell.overlapping).sum::<usize>(), 2 * OVERLAPPING);
     assert_eq!(cells().map(|cell| cell.patches).sum::<usize>(), 2 * PATCHES);
 }
 
-/// Of the file's pairs.
+/// The number of pairs in the file that overlap.
 const OVERLAPPING: usize = 150;
-/// Of them those whose faces meet: all 80 resting ones among them.
+/// The number of those whose faces meet; they include all 80 resting pairs.
 const PATCHES: usize = 82;
 
+/// The file's normals must prove the file's growth scales. Catches a reference that reads poses,
+/// planes or frames in another way than the file means them.
 #[test]
 fn the_reference_agrees_with_the_file() {
-    // The file's normals prove the file's growth scales: otherwise the reference
-    // reads poses, planes or frames otherwise than the file means them.
     let families =
         format::parse(include_bytes!("../golden/workload.bin")).expect("the committed file is whole");
     for family in &families {
@@ -54,10 +54,11 @@ fn the_reference_agrees_with_the_file() {
     }
 }
 
+/// A square of half side 1 and the same square turned by 45 degrees meet in a regular octagon of
+/// area 8 (sqrt(2) - 1); separate squares have no intersection. Catches a wrong reference, which
+/// would accept wrong patches.
 #[test]
 fn the_reference_intersection_is_right() {
-    // A square and the same turned by 45 degrees meet in a regular octagon;
-    // squares apart in nothing. A wrong reference would pass wrong patches.
     let square = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
     let turned = [[0.0, -2f64.sqrt()], [2f64.sqrt(), 0.0], [0.0, 2f64.sqrt()], [-2f64.sqrt(), 0.0]];
     let octagon = polygon::intersection(&square, &turned, 0.0);

@@ -1,5 +1,5 @@
-//! Convex polygons in the plane, by their corners alone: slow, plain, and with
-//! nothing in common with the clipping it checks.
+//! Convex polygons in the plane, given by their corners. The code is slow and plain, and shares
+//! nothing with the clipping that it checks.
 
 pub(crate) type Point = [f64; 2];
 
@@ -45,7 +45,7 @@ fn sides(polygon: &[Point]) -> impl Iterator<Item = [Point; 2]> + '_ {
     (0..polygon.len()).map(|i| [polygon[i], polygon[(i + 1) % polygon.len()]])
 }
 
-/// Where two segments cross, if they do so in one point.
+/// The point where two segments cross, if they cross in one point.
 fn crossing([a, b]: [Point; 2], [c, d]: [Point; 2]) -> Option<Point> {
     let (ab, cd, ac) = (minus(b, a), minus(d, c), minus(c, a));
     let area = cross(ab, cd);
@@ -53,9 +53,9 @@ fn crossing([a, b]: [Point; 2], [c, d]: [Point; 2]) -> Option<Point> {
     ((0.0..=1.0).contains(&s) && (0.0..=1.0).contains(&t)).then(|| [a[0] + s * ab[0], a[1] + s * ab[1]])
 }
 
-/// The intersection of two anticlockwise polygons, segments or points: its
-/// corners are corners of one at most `slack` outside the other, or crossings of
-/// sides. Empty where they miss.
+/// The intersection of two anticlockwise polygons, segments or points. Its corners are the corners
+/// of one that are at most `slack` outside the other, and the crossings of sides. Empty if they do
+/// not meet.
 pub(crate) fn intersection(p: &[Point], q: &[Point], slack: f64) -> Vec<Point> {
     let mut corners: Vec<Point> = Vec::new();
     corners.extend(p.iter().filter(|&&v| distance(q, v) <= slack));
@@ -66,7 +66,7 @@ pub(crate) fn intersection(p: &[Point], q: &[Point], slack: f64) -> Vec<Point> {
     convex_hull(&corners)
 }
 
-/// Distance of `point` from a convex polygon, segment or point; 0 inside.
+/// The distance of `point` from a convex polygon, segment or point; 0 inside.
 fn distance(polygon: &[Point], point: Point) -> f64 {
     let inside = |[a, b]: [Point; 2]| cross(minus(b, a), minus(point, a)) >= 0.0;
     if polygon.len() > 2 && sides(polygon).all(inside) {
@@ -82,7 +82,7 @@ fn distance(polygon: &[Point], point: Point) -> f64 {
     sides(polygon).map(to_side).fold(f64::INFINITY, f64::min)
 }
 
-/// Least distance of two convex polygons, segments or points; 0 where they meet.
+/// The least distance between two convex polygons, segments or points; 0 if they meet.
 pub(crate) fn gap(p: &[Point], q: &[Point]) -> f64 {
     if !intersection(p, q, 0.0).is_empty() {
         return 0.0;
@@ -92,14 +92,14 @@ pub(crate) fn gap(p: &[Point], q: &[Point]) -> f64 {
     one_way(p, q).min(one_way(q, p))
 }
 
-/// Hausdorff distance of two convex polygons: attained at a corner. Infinite
-/// where one is empty.
+/// The Hausdorff distance of two convex polygons, which is attained at a corner. Infinite if one is
+/// empty.
 pub(crate) fn hausdorff(p: &[Point], q: &[Point]) -> f64 {
     let one_way = |from: &[Point], to: &[Point]| from.iter().map(|&v| distance(to, v)).fold(0.0, f64::max);
     if p.is_empty() || q.is_empty() { f64::INFINITY } else { one_way(p, q).max(one_way(q, p)) }
 }
 
-/// Area of an anticlockwise polygon.
+/// The area of an anticlockwise polygon.
 pub(crate) fn area(polygon: &[Point]) -> f64 {
     let origin = polygon.first().copied().unwrap_or_default();
     sides(polygon).map(|[a, b]| cross(minus(a, origin), minus(b, origin)) / 2.0).sum()

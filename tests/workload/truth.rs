@@ -1,24 +1,23 @@
-//! What is exactly true of a pair, worked out in double-double arithmetic from
-//! the file alone.
+//! The exact facts about a pair, computed in double-double arithmetic from the file only.
 
 use super::double_double::{Dd, Dd3, dot, minus, narrow, plus, rotate, rotation, wide};
 use super::format::{Hull, Pair};
 use super::polygon::{self, Point};
 
-/// Default feature angle of a query, radians.
+/// The default feature angle of a query, in radians.
 const FEATURE_ANGLE: f64 = 0.01;
 
-/// One hull at its place, about its contraction point.
+/// A hull at its pose.
 struct Placed<'a> {
     hull: &'a Hull,
     rows: [Dd3; 3],
     center: Dd3,
-    /// World directions and lengths, from the contraction point.
+    /// The vertices relative to the contraction point, in world axes.
     vertices: Vec<Dd3>,
 }
 
 impl Placed<'_> {
-    /// Largest `n.v` over the vertices.
+    /// The largest `n.v` over the vertices.
     fn support(&self, n: Dd3) -> Dd {
         let larger = |best: Dd, value: Dd| if f64::from(value - best) > 0.0 { value } else { best };
         self.vertices.iter().map(|v| dot(n, *v)).reduce(larger).unwrap_or_default()
@@ -28,15 +27,15 @@ impl Placed<'_> {
         narrow(rotate(&self.rows, [x, y, z]))
     }
 
-    /// The plane's height over a world point, outside positive.
+    /// The signed distance of a world point from the plane; positive outside.
     fn height(&self, plane: [f64; 4], point: [f64; 3]) -> f64 {
         let from = minus(wide(point), self.center);
         let normal = rotate(&self.rows, [plane[0], plane[1], plane[2]]);
         f64::from(dot(normal, from) + plane[3].into())
     }
 
-    /// The face that looks along `n`, its corners projected along `n`, or
-    /// nothing where the nearest is off by the feature angle.
+    /// The corners of the face whose normal is nearest to `n`, projected along `n`; none if that
+    /// normal is off `n` by more than the feature angle.
     fn face_along(&self, n: [f64; 3], merge: f64, project: &dyn Fn(Dd3) -> Point) -> Option<Vec<Point>> {
         let cosine = |plane: &[f64; 4]| f64::from(dot(wide(self.normal(*plane)), wide(n)));
         let plane = self.hull.planes.iter().max_by(|a, b| cosine(a).total_cmp(&cosine(b)))?;
@@ -53,7 +52,7 @@ impl Placed<'_> {
     }
 }
 
-/// A pair and its lengths, as the error budgets name them.
+/// A pair, with the lengths that the error budgets use.
 pub(crate) struct Truth<'a> {
     placed: [Placed<'a>; 2],
     offset: Dd3,
@@ -63,7 +62,7 @@ pub(crate) struct Truth<'a> {
     pub(crate) inner: f64,
     /// Sum of the circumradii.
     pub(crate) outer: f64,
-    /// Distance of the centres.
+    /// The distance of the centres.
     pub(crate) distance: f64,
 }
 
@@ -95,13 +94,13 @@ impl<'a> Truth<'a> {
         (dot(n, self.offset), a.support(n) + b.support(n.map(std::ops::Neg::neg)))
     }
 
-    /// By how much the growth scale that direction `n` proves falls short of the exact one.
+    /// The exact growth scale minus the lower bound that direction `n` proves.
     pub(crate) fn optimality_gap(&self, n: [f64; 3]) -> f64 {
         let (offset, support) = self.along(n);
         f64::from(Dd::from(self.alpha) - offset / support)
     }
 
-    /// Signed separation along `n`.
+    /// The signed separation along `n`.
     pub(crate) fn separation(&self, n: [f64; 3]) -> f64 {
         let (offset, support) = self.along(n);
         f64::from(offset - support)
@@ -114,7 +113,7 @@ impl<'a> Truth<'a> {
         heights.fold(f64::NEG_INFINITY, f64::max).abs()
     }
 
-    /// World points along `n` into its plane, about A's centre.
+    /// The projection of world points along `n` to 2D coordinates in its plane, about A's centre.
     pub(crate) fn projection(&self, n: [f64; 3]) -> impl Fn(Dd3) -> Point + '_ {
         let least = (0..3).min_by(|&i, &j| n[i].abs().total_cmp(&n[j].abs())).unwrap_or(0);
         let mut axis = [0.0; 3];
@@ -135,9 +134,9 @@ impl<'a> Truth<'a> {
         polygon::convex_hull(&vertices.iter().map(corner).collect::<Vec<_>>())
     }
 
-    /// Where a face of A lies on a face of B: the exact intersection of the two,
-    /// projected along the normal. Nothing where no two faces look at each other
-    /// or where they meet in less than the check could tell from nothing.
+    /// The exact patch of two touching faces: their intersection, projected along the normal. None
+    /// if no two faces look at each other, or if the intersection is too small for the check to
+    /// distinguish from none.
     pub(crate) fn patch(&self) -> Option<Vec<Point>> {
         let project = self.projection(self.normal);
         let merge = 1e-9 * self.outer;

@@ -1,8 +1,8 @@
-//! Contact manifolds and hull building, beside parry3d: `make bench`; arguments name
-//! sections.
+//! Times contact manifolds and hull building beside parry3d. Run by `make bench`; arguments name the
+//! sections to run.
 //!
-//! Prints each table and puts it into docs/performance.md, every figure of all of them
-//! into docs/performance.csv.
+//! Prints each table and puts it into docs/performance.md. A run of all sections also writes every
+//! figure into docs/performance.csv.
 
 use std::error::Error;
 
@@ -17,12 +17,12 @@ use hullcast_benches::rounds::{Contender, Timing, interleave};
 const ROUNDS: usize = 21;
 /// Pairs of each family and regime.
 const PAIRS: usize = 1000;
-/// Motion between warm passes: length and radians.
+/// Motion between warm passes: a length, and an angle in radians.
 const STEPS: [f64; 3] = [1e-3, 1e-2, 1e-1];
 const CLOUDS: [usize; 4] = [16, 64, 256, 4096];
 
 fn main() -> Result<(), Box<dyn Error>> {
-    // Before the results make the working tree differ from its commit.
+    // Taken first, because the results make the working tree differ from its commit.
     replace_section("provenance", &provenance()?)?;
     let cells = cells::generate(PAIRS)?;
     let asked: Vec<String> = std::env::args().skip(1).collect();
@@ -56,10 +56,10 @@ fn query(wanted: Wanted, solver: Solver) -> Query {
 const REFUSED: &str = "parry3d refuses a hull";
 const UNUSABLE: &str = "a pose is not usable";
 
-/// Whole manifolds from nothing, and step 1 alone.
+/// Whole manifolds without a warm start, and step 1 by itself.
 fn cold(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
     let names =
-        ["parry3d f32", "parry3d f64", "hullcast", "hullcast, paper's solver", "hullcast, step 1 alone"];
+        ["parry3d f32", "parry3d f64", "hullcast", "hullcast, paper's solver", "hullcast, step 1 only"];
     let mut table = Table::new("cold", &names);
     for cell in cells {
         let hulls = ours::hulls(cell)?;
@@ -81,7 +81,7 @@ fn cold(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
     Ok(table)
 }
 
-/// Boxes, beside what the peer has for boxes alone.
+/// Boxes, beside parry3d's shape for boxes.
 fn boxes(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
     let names = ["parry3d f32 cuboid", "parry3d f64 cuboid", "hullcast"];
     let mut table = Table::new("boxes", &names);
@@ -101,8 +101,8 @@ fn boxes(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
     Ok(table)
 }
 
-/// What is asked for, from all to as little as can be; what is apart also with no margin to
-/// stop at.
+/// The three levels of output, from whole manifolds down to the outcome. Separated pairs are also timed
+/// with an infinite margin, at which no solver stops early.
 fn outputs(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
     let names = ["points", "growth scale and normal", "outcome"];
     let mut table = Table::new("asked for", &names);
@@ -132,9 +132,9 @@ fn outputs(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
     Ok(table)
 }
 
-/// Whole manifolds, and step 1 alone, each from the answer before a motion.
+/// Whole manifolds, and step 1 by itself, each with the answer before a motion as its warm start.
 fn warm(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
-    let names = ["parry3d f32", "hullcast", "hullcast, step 1 alone"];
+    let names = ["parry3d f32", "hullcast", "hullcast, step 1 only"];
     let mut table = Table::new("warm, motion", &names);
     for cell in cells {
         for step in STEPS {
@@ -156,7 +156,7 @@ fn warm(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
     Ok(table)
 }
 
-/// Whole manifolds from nothing, each pair with hulls that no cache holds.
+/// Whole manifolds without a warm start, where each pair's hulls are in no cache.
 fn streamed() -> Result<Table, Box<dyn Error>> {
     let names = ["parry3d f32", "hullcast"];
     let mut table = Table::new("streamed", &names);
@@ -174,12 +174,12 @@ fn streamed() -> Result<Table, Box<dyn Error>> {
     Ok(table)
 }
 
-/// Points on a sphere to hulls.
+/// Building hulls from points on a sphere.
 fn building() -> Result<Table, Box<dyn Error>> {
     let names = ["parry3d f32", "parry3d f64", "hullcast"];
     let mut table = Table::new("points", &names);
     for count in CLOUDS {
-        // Small clouds many times over, so that a pass is long enough to time.
+        // Small clouds are built many times, so that a pass is long enough to time.
         let clouds: Vec<_> =
             (0..(512 / count).max(1)).map(|seed| cells::sphere(count, seed as u64)).collect();
         let each = |build: &dyn Fn(&[[f64; 3]]) -> bool| clouds.iter().filter(|cloud| build(cloud)).count();

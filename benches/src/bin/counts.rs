@@ -1,8 +1,8 @@
-//! Instructions in place of time, where a machine is too busy to time: `make bench-counts`.
+//! Counts instructions instead of time, for machines too busy for timing. Run by `make bench-counts`.
 //!
-//! Runs itself under valgrind's callgrind, once a case, and counts what `counted` does.
-//! Valgrind has no AVX-512: what is counted is the AVX2 code. Prints the table and puts it
-//! into docs/performance.md.
+//! The program runs itself under valgrind's callgrind, once per case, and counts the instructions of
+//! [`counted`]. Valgrind has no AVX-512, so the count is that of the AVX2 code. Prints the table and
+//! puts it into docs/performance.md.
 
 use std::error::Error;
 use std::fmt::Write as _;
@@ -17,10 +17,10 @@ use hullcast_benches::report::{provenance, replace_section};
 
 /// Pairs of each family and regime.
 const PAIRS: usize = 200;
-/// Motion between warm passes: length and radians.
+/// Motion between warm passes: a length, and an angle in radians.
 const STEP: f64 = 1e-2;
 const CLOUDS: [usize; 4] = [16, 64, 256, 4096];
-const CONTENDERS: [&str; 4] = ["parry3d f32", "hullcast, step 1 alone", "hullcast", "hullcast, warm"];
+const CONTENDERS: [&str; 4] = ["parry3d f32", "hullcast, step 1 only", "hullcast", "hullcast, warm"];
 const BUILDERS: [&str; 2] = ["parry3d f32", "hullcast"];
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -32,12 +32,12 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 fn tables() -> Result<(), Box<dyn Error>> {
-    let mut text = String::from("| instructions a pair |");
+    let mut text = String::from("| instructions per pair |");
     head(&mut text, &CONTENDERS)?;
     for cell in cells::generate(PAIRS)? {
         row(&mut text, "contact", &cell.label, &CONTENDERS, PAIRS)?;
     }
-    text.push_str("\n\n| instructions a point of a hull built |");
+    text.push_str("\n\n| instructions per point of a hull |");
     head(&mut text, &BUILDERS)?;
     for count in CLOUDS {
         row(&mut text, "hull", &count.to_string(), &BUILDERS, clouds(count).len() * count)?;
@@ -67,7 +67,7 @@ fn row(
     Ok(())
 }
 
-/// Of this program's `counted` with these arguments.
+/// The number of instructions in `counted` when this program runs with these arguments.
 fn instructions(arguments: &[&str]) -> Result<u64, Box<dyn Error>> {
     let run = Command::new("valgrind")
         .args(["--tool=callgrind", "--callgrind-out-file=/dev/null", "--collect-atstart=no"])
@@ -81,7 +81,7 @@ fn instructions(arguments: &[&str]) -> Result<u64, Box<dyn Error>> {
     count.filter(|_| run.status.success()).ok_or_else(|| said.into())
 }
 
-/// What is counted, whatever it is.
+/// Runs the pass whose instructions are counted.
 #[inline(never)]
 fn counted(pass: &mut dyn FnMut() -> usize) {
     black_box(pass());
@@ -109,7 +109,7 @@ fn run(kind: &str, label: &str, contender: &str) -> Result<(), Box<dyn Error>> {
         counted(&mut || peer.cold());
         return Ok(());
     }
-    let wanted = if contender == "hullcast, step 1 alone" { Wanted::Growth } else { Wanted::Points };
+    let wanted = if contender == "hullcast, step 1 only" { Wanted::Growth } else { Wanted::Points };
     let accuracy = Accuracy { solver: Solver::Portal, ..Accuracy::default() };
     let hulls = ours::hulls(cell)?;
     let query = Query { margin: MARGIN, wanted, accuracy };

@@ -1,8 +1,8 @@
-//! How cost grows with vertices, batch and registered hulls, and with cores:
+//! Measures how cost grows with the number of vertices, pairs, registered hulls and cores. Run by
 //! `make bench-growth`.
 //!
-//! Prints the tables, puts them into docs/performance.md and the figures into
-//! docs/growth.csv, which benches/growth.py plots.
+//! Prints the tables and puts them into docs/performance.md. The figures go into docs/growth.csv, which
+//! benches/growth.py plots.
 
 use std::error::Error;
 use std::fmt::Write as _;
@@ -30,9 +30,9 @@ use tonic::transport::Endpoint;
 type Failure = Box<dyn Error>;
 
 const PAIRS: usize = 4096;
-/// Messages under way at once.
+/// Number of messages in flight at once.
 const UNDER_WAY: usize = 4;
-/// The best of so many: what the machine was not busy with something else for.
+/// The best of this many rounds counts: in that round the machine was the least disturbed.
 const ROUNDS: usize = 7;
 
 #[tokio::main]
@@ -52,7 +52,7 @@ async fn main() -> Result<(), Failure> {
     Ok(())
 }
 
-/// The slope of the logarithms from `from` on: the exponent of growth.
+/// The exponent of growth: the slope of a line through the logarithms of the points from `from` on.
 fn exponent(points: &[(f64, f64)], from: f64) -> f64 {
     let logs: Vec<_> = points.iter().filter(|p| p.0 >= from).map(|p| (p.0.ln(), p.1.ln())).collect();
     let count = logs.len() as f64;
@@ -66,10 +66,10 @@ fn least(mut work: impl FnMut() -> f64) -> f64 {
     (0..ROUNDS).map(|_| work()).fold(f64::INFINITY, f64::min)
 }
 
-/// Two hulls of points on a sphere, overlapping by a few percent in random poses.
+/// Two hulls of points on a sphere that overlap by a few percent, in random poses.
 fn vertices() -> Result<(String, String), Failure> {
     let mut text = String::from(
-        "| vertices | manifold, cold | manifold, warm | building | heap | bytes a vertex |\n|---|---|---|---|---|---|",
+        "| vertices | manifold, cold | manifold, warm | building | heap | bytes per vertex |\n|---|---|---|---|---|---|",
     );
     let mut csv = String::new();
     let mut lines = [vec![], vec![], vec![]];
@@ -91,7 +91,7 @@ fn vertices() -> Result<(String, String), Failure> {
         while pairs.len() < 500 {
             let [turn_a, turn_b] = [random.rotation(), random.rotation()].map(|q| q.to_array());
             let way = random.direction();
-            // The growth scale is linear in the offset: the first answer says where to put B.
+            // The growth scale is linear in the offset, so the first answer determines where to put B.
             let at = |offset: f64| Pose::new((way * offset).to_array(), turn_b);
             let a = Body::new(&hull, Pose::new([0.0; 3], turn_a)?);
             let far = Query { margin: f64::INFINITY, ..query };
@@ -132,14 +132,14 @@ fn vertices() -> Result<(String, String), Failure> {
     write!(
         text,
         "\n\nExponents from 256 vertices on: cold {cold:.2}, warm {warm:.2}, building {building:.2}. \
-         The warm poses are those of the basis."
+         A warm query has the poses of its basis."
     )?;
     Ok((text, csv))
 }
 
-/// One query of so many pairs, split into messages as the client does.
+/// One query, by its number of pairs, split into messages as the client splits it.
 async fn batches() -> Result<(String, String), Failure> {
-    let mut text = String::from("| pairs in a query | time | ns a pair |\n|---|---|---|");
+    let mut text = String::from("| pairs in a query | time | ns per pair |\n|---|---|---|");
     let (mut csv, mut line) = (String::new(), vec![]);
     let server = Server::hullcast()?;
     let mut count = 1;
@@ -169,7 +169,7 @@ async fn batches() -> Result<(String, String), Failure> {
     Ok((text, csv))
 }
 
-/// Sends the messages, `UNDER_WAY` at a time.
+/// Sends the messages, with `UNDER_WAY` of them in flight.
 async fn closed_loops(caller: &Caller, messages: Vec<Bytes>) -> Result<(), Failure> {
     let messages = Arc::new(std::sync::Mutex::new(messages));
     let loops = (0..UNDER_WAY).map(|_| {
@@ -190,10 +190,10 @@ async fn closed_loops(caller: &Caller, messages: Vec<Bytes>) -> Result<(), Failu
     Ok(())
 }
 
-/// Pairs of hulls drawn from so many registered ones.
+/// Pairs of hulls drawn at random from the registered hulls, by the number of these.
 async fn hulls() -> Result<(String, String), Failure> {
     let mut text = String::from(
-        "| hulls registered | registering one | ns a pair, one message at a time |\n|---|---|---|",
+        "| registered hulls | time to register one | ns per pair, one message at a time |\n|---|---|---|",
     );
     let (mut csv, mut line) = (String::new(), vec![]);
     let server = Server::hullcast()?;
@@ -234,7 +234,7 @@ async fn hulls() -> Result<(String, String), Failure> {
     }
     write!(
         text,
-        "\n\nExponent: {:.2}. 16-vertex hulls in memory, each message 4,096 pairs of hulls drawn at random.",
+        "\n\nExponent: {:.2}. 16-vertex hulls in memory; each message has 4,096 pairs of hulls drawn at random.",
         exponent(&line, 1.0)
     )?;
     Ok((text, csv))
@@ -248,17 +248,17 @@ fn registration(clouds: &[Vec<[f64; 3]>]) -> RegisterHullsRequest {
     RegisterHullsRequest { hulls: clouds.iter().map(hull).collect() }
 }
 
-/// Many hulls in a call, by servers of one thread and of two.
+/// Registering many hulls in one call, with servers of one compute thread and of two.
 async fn registering() -> Result<String, Failure> {
     let mut text =
-        String::from("| registering, so many in a call | 1 thread | 2 threads | times |\n|---|---|---|---|");
+        String::from("| hulls registered in one call | 1 thread | 2 threads | ratio |\n|---|---|---|---|");
     for (count, vertices) in [(4096, 16), (1024, 256), (64, 4096)] {
         let mut best = [f64::INFINITY; 2];
         for round in 0..ROUNDS {
             let seeds = count * round..count * (round + 1);
             let request = registration(&seeds.map(|seed| sphere(vertices, seed as u64)).collect::<Vec<_>>());
             for (threads, best) in ["1", "2"].into_iter().zip(&mut best) {
-                // A new one, so that every hull is new to it.
+                // A new server, so that every hull is new to it.
                 let server = Server::hullcast_with(&["--compute-threads", threads])?;
                 let channel = Endpoint::from_shared(format!("http://{}", server.address))?.connect().await?;
                 let mut hulls = HullServiceClient::new(channel);
@@ -270,7 +270,7 @@ async fn registering() -> Result<String, Failure> {
         let [one, two] = best.map(|seconds| seconds * 1e6);
         write!(
             text,
-            "\n| {count} of {vertices} points | {one:.1} us a hull | {two:.1} us | {:.2} |",
+            "\n| {count} of {vertices} points | {one:.1} us per hull | {two:.1} us | {:.2} |",
             one / two
         )?;
         eprintln!("{}", text.lines().last().unwrap_or_default());
@@ -278,7 +278,7 @@ async fn registering() -> Result<String, Failure> {
     Ok(text)
 }
 
-/// Pairs that overlap somewhat, of hulls of radius 1 drawn from `ids`.
+/// A request of pairs that overlap, of hulls of radius 1 drawn from `ids`.
 fn drawn(ids: &[Vec<u8>], random: &mut Random) -> Bytes {
     let mut request = QueryContactsRequest { margin: MARGIN, ..Default::default() };
     let mut place = std::collections::HashMap::new();
@@ -299,10 +299,10 @@ fn drawn(ids: &[Vec<u8>], random: &mut Random) -> Bytes {
     request.encode_to_vec().into()
 }
 
-/// The batch engine alone, on one thread and on two.
+/// The batch engine by itself, on one thread and on two.
 async fn cores() -> Result<String, Failure> {
     let mut text = String::from(
-        "| batch engine, 4,096 pairs a batch | 1 thread | 2 threads | times |\n|---|---|---|---|",
+        "| batch engine, 4,096 pairs per batch | 1 thread | 2 threads | ratio |\n|---|---|---|---|",
     );
     for (family, regime, under_way) in [
         (Family::Box, Regime::Resting, 1),

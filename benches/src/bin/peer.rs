@@ -1,8 +1,9 @@
-//! parry3d on the pairs of `hullcast tradeoff --ask`, for it to judge.
+//! Lets parry3d answer the pairs of `hullcast tradeoff --ask`, so that `hullcast tradeoff` can judge
+//! the answers.
 //!
 //! `cargo run --release --bin peer -- PAIRS FOLDER` writes FOLDER/parry3d.json and
-//! parry3d-f64.json: of each pair the fastest of three calls from nothing, in this process, its
-//! shapes and poses ready.
+//! FOLDER/parry3d-f64.json. The time of a pair is that of the fastest of three calls without a warm
+//! start, in this process, with shapes and poses prepared.
 
 use std::path::{Path, PathBuf};
 

@@ -1,8 +1,9 @@
-//! What the service adds to the geometry: `make bench-service`; arguments name sections.
+//! Measures the cost that the service adds to the geometry. Run by `make bench-service`; arguments name
+//! the sections to run.
 //!
-//! The server is the binary in HULLCAST_BIN, in a process of its own on this machine's
-//! cores; an echo of the same bytes stands beside it. Prints the tables and puts them
-//! into docs/performance.md.
+//! The server is the binary in HULLCAST_BIN, in a process of its own on the same cores. An echo server
+//! that moves as many bytes runs for comparison. Prints the tables and puts them into
+//! docs/performance.md.
 
 use std::error::Error;
 use std::fmt::Write as _;
@@ -24,11 +25,11 @@ use tokio::sync::mpsc;
 
 type Failure = Box<dyn Error>;
 
-/// The best size of a message.
+/// Pairs per message; the size that performed best.
 const PAIRS: usize = 4096;
-/// Messages under way at once.
+/// Number of messages in flight at once.
 const UNDER_WAY: usize = 4;
-/// Each measurement, and how often.
+/// Duration of one measurement, and the number of measurements.
 const SECONDS: f64 = 1.0;
 const ROUNDS: usize = 7;
 
@@ -66,8 +67,8 @@ fn median(mut values: Vec<f64>) -> f64 {
     values[values.len() / 2]
 }
 
-/// Sends `message` in `under_way` loops for `SECONDS`, each call `pause` after the one
-/// before at the earliest; the calls made.
+/// Sends `message` in `under_way` loops for `SECONDS`. Each loop starts a call at least `pause` after
+/// its previous one. Returns the number of calls.
 async fn load(caller: &Caller, message: &Bytes, under_way: usize, pause: Duration) -> Result<u64, Failure> {
     let start = Instant::now();
     let end = start + Duration::from_secs_f64(SECONDS);
@@ -94,7 +95,8 @@ async fn load(caller: &Caller, message: &Bytes, under_way: usize, pause: Duratio
     Ok(calls)
 }
 
-/// CPU a pair of the server during `work`, which answers with how many pairs it was.
+/// The server's CPU time per pair during `work`, which returns its number of pairs, and the number of
+/// pairs per second.
 async fn measured(
     server: &Server,
     work: impl Future<Output = Result<u64, Failure>>,
@@ -106,10 +108,10 @@ async fn measured(
     Ok((Cpu { compute: used.compute / pairs, rest: used.rest / pairs }, pairs / seconds))
 }
 
-/// Large messages: the server's CPU beside computing, and an echo's of the same bytes.
+/// Large messages: the server's CPU time besides computing, and that of an echo of the same bytes.
 async fn batches() -> Result<String, Failure> {
     let mut text = String::from(
-        "| 4,096 pairs a message | bytes a pair, to and fro | transport | echo | ratio | computing | library alone | pairs/s |\n\
+        "| 4,096 pairs per message | bytes per pair, request + answer | transport | echo | ratio | computing | library only | pairs/s |\n\
          |---|---|---|---|---|---|---|---|",
     );
     for (family, regime) in [
@@ -132,7 +134,7 @@ async fn batches() -> Result<String, Failure> {
         for _ in 0..ROUNDS {
             let ours = async { Ok(pairs * load(&caller, &message, UNDER_WAY, Duration::ZERO).await?) };
             let (cpu, rate) = measured(&server, ours).await?;
-            // As many messages a second: what one costs depends on it.
+            // The cost of a message depends on the rate, so send as many per second.
             let pause = Duration::from_secs_f64((UNDER_WAY * PAIRS) as f64 / rate);
             let theirs = async { Ok(pairs * load(&echoing, &message, UNDER_WAY, pause).await?) };
             let (other, _) = measured(&echo, theirs).await?;
@@ -159,7 +161,7 @@ async fn batches() -> Result<String, Failure> {
     Ok(text)
 }
 
-/// One pair a message: unary beside a no-op, and streams.
+/// One pair per message: unary calls beside calls that do nothing, and streams.
 async fn small() -> Result<String, Failure> {
     let batch = Batch::generate(Family::Box, Regime::Shallow, 1, 1)?;
     let server = Server::hullcast()?;
@@ -177,8 +179,8 @@ async fn small() -> Result<String, Failure> {
         ratios.push(one / other);
     }
     let mut text = format!(
-        "One pair a unary call: median {:.1} us, a call that does nothing {:.1} us, ratio {:.2}.\n\n\
-         | one pair a message | messages under way | messages/s | server's CPU a message |\n|---|---|---|---|",
+        "One pair per unary call: median {:.1} us; a call that does nothing {:.1} us, ratio {:.2}.\n\n\
+         | one pair per message | messages under way | messages/s | server's CPU per message |\n|---|---|---|---|",
         median(ours),
         median(theirs),
         median(ratios)
@@ -195,7 +197,7 @@ async fn small() -> Result<String, Failure> {
         ("one stream", 1, 1, &message),
         ("one stream", 1, 256, &message),
         ("four streams", 4, 256, &message),
-        ("four streams, poses alone (`inherit`)", 4, 256, &step),
+        ("four streams, only poses (`inherit`)", 4, 256, &step),
     ] {
         let mut rows = [vec![], vec![]];
         for _ in 0..ROUNDS {
@@ -221,7 +223,8 @@ async fn latencies(caller: &mut Caller, message: &Bytes, calls: usize) -> Result
     Ok(times)
 }
 
-/// Messages answered within `SECONDS` by so many streams, each with so many under way.
+/// The number of messages answered within `SECONDS` by `streams` streams, each with `under_way`
+/// messages in flight.
 async fn streamed(
     address: &str,
     streams: usize,
@@ -276,7 +279,7 @@ fn tokio_stream_of<T>(
     Polled(poll)
 }
 
-/// Bytes a pair of the answers, by what is asked.
+/// The size of the answers in bytes per pair, by the outputs that are asked for.
 async fn sizes() -> Result<String, Failure> {
     let masks: [(&str, &[Output]); 8] = [
         ("OUTCOME", &[Output::Outcome]),
@@ -301,7 +304,7 @@ async fn sizes() -> Result<String, Failure> {
     ];
     let cells = [Regime::Separated, Regime::Shallow, Regime::Resting];
     let mut text = String::from(
-        "| bytes of the answer a pair, boxes | separated | shallow | resting |\n|---|---|---|---|",
+        "| bytes of the answer per pair, boxes | separated | shallow | resting |\n|---|---|---|---|",
     );
     let server = Server::hullcast()?;
     for (label, mask) in masks {
@@ -317,17 +320,17 @@ async fn sizes() -> Result<String, Failure> {
     Ok(text)
 }
 
-/// Through a proxy that delays and limits.
+/// Throughput through a proxy that delays bytes and limits their rate.
 async fn networks() -> Result<String, Failure> {
     let batch = Batch::generate(Family::Box, Regime::Shallow, PAIRS, 1)?;
     let server = Server::hullcast()?;
     batch.register(&server.address).await?;
     let message = batch.message(&[]);
     let mut text = String::from(
-        "| box shallow, 4,096 pairs a message | 1 under way | 4 under way | 16 under way |\n|---|---|---|---|",
+        "| box shallow, 4,096 pairs per message | 1 under way | 4 under way | 16 under way |\n|---|---|---|---|",
     );
     for (label, delay, bytes_per_second) in [
-        ("the proxy alone", Duration::ZERO, 1e12),
+        ("the proxy without limits", Duration::ZERO, 1e12),
         ("1 Gbit/s, 1 ms each way", Duration::from_millis(1), 125e6),
         ("1 Gbit/s, 10 ms each way", Duration::from_millis(10), 125e6),
     ] {

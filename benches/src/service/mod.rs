@@ -1,5 +1,5 @@
-//! Measuring the server from the outside: its process, calls of raw bytes, an echo
-//! to compare with, requests, a slow network.
+//! Measures the server from outside: its process and CPU time, calls of raw bytes, an echo server for
+//! comparison, requests, and a simulated slow network.
 
 pub mod process;
 pub mod raw;

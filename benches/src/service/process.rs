@@ -1,22 +1,22 @@
-//! A server in a process of its own, and the CPU time that it takes.
+//! A server in a process of its own, and its CPU time.
 
 use std::error::Error;
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 
-/// A running server; killed when dropped.
+/// A running server. Dropping it kills the process.
 pub struct Server {
     child: Child,
-    /// host:port.
+    /// The address, host:port.
     pub address: String,
 }
 
-/// Nanoseconds of CPU since the start.
+/// CPU time since the server's start, in nanoseconds.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Cpu {
-    /// Of the threads that compute.
+    /// Time of the compute threads.
     pub compute: f64,
-    /// Of all others: transport, decoding, encoding, looking up.
+    /// Time of all other threads: transport, decoding, encoding and looking up hulls.
     pub rest: f64,
 }
 
@@ -27,7 +27,7 @@ impl Cpu {
 }
 
 impl Server {
-    /// Starts `program`, which prints `listening on ADDRESS` first.
+    /// Starts `program`, whose first output line must be `listening on ADDRESS`.
     pub fn start(program: &str, arguments: &[&str]) -> Result<Self, Box<dyn Error>> {
         let mut child = Command::new(program)
             .args(arguments)
@@ -41,24 +41,24 @@ impl Server {
         Ok(Self { child, address: address.to_owned() })
     }
 
-    /// The hullcast server in `HULLCAST_BIN`.
+    /// Starts the hullcast server whose path is in `HULLCAST_BIN`.
     pub fn hullcast() -> Result<Self, Box<dyn Error>> {
         Self::hullcast_with(&[])
     }
 
-    /// The same with more arguments.
+    /// Starts the hullcast server with additional arguments.
     pub fn hullcast_with(more: &[&str]) -> Result<Self, Box<dyn Error>> {
         let program = std::env::var("HULLCAST_BIN").map_err(|_| "HULLCAST_BIN names the server's binary")?;
         let arguments = ["serve", "--listen", "127.0.0.1:0", "--store", "memory://", "--log", "error"];
         Self::start(&program, &[&arguments, more].concat())
     }
 
-    /// What its threads have used.
+    /// The CPU time that the server's threads have used.
     pub fn cpu(&self) -> Result<Cpu, Box<dyn Error>> {
         let mut cpu = Cpu::default();
         for task in std::fs::read_dir(format!("/proc/{}/task", self.child.id()))? {
             let task = task?.path();
-            // A thread may end meanwhile.
+            // The thread may have ended in the meantime.
             let Ok(times) = std::fs::read_to_string(task.join("schedstat")) else { continue };
             let name = std::fs::read_to_string(task.join("comm")).unwrap_or_default();
             let used: f64 = times.split(' ').next().ok_or("no schedstat")?.parse()?;

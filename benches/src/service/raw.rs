@@ -1,5 +1,5 @@
-//! gRPC whose messages are bytes, as client and as an echo: what the transport costs
-//! where nothing is read.
+//! A gRPC client and an echo server whose messages are raw bytes. They show the cost of the transport
+//! if no message is decoded.
 
 use std::convert::Infallible;
 use std::error::Error;
@@ -20,11 +20,11 @@ use tonic::codegen::http::uri::PathAndQuery;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Request, Response, Status, Streaming};
 
-/// As the server's own.
+/// The window and frame sizes of the hullcast server.
 const WINDOW_BYTES: u32 = 8 << 20;
 const FRAME_BYTES: u32 = 1 << 20;
 
-/// Messages as they are on the wire.
+/// A codec that passes messages on as the bytes on the wire.
 #[derive(Clone, Copy, Default)]
 pub struct Raw;
 
@@ -75,7 +75,7 @@ impl Decoder for Raw {
     }
 }
 
-/// A connection.
+/// A connection to one method of a server.
 #[derive(Clone)]
 pub struct Caller {
     grpc: Grpc<Channel>,
@@ -83,7 +83,7 @@ pub struct Caller {
 }
 
 impl Caller {
-    /// To the method `path` of the server at `address`, host:port.
+    /// Connects to the method `path` of the server at `address`, host:port.
     pub async fn connect(address: &str, path: &'static str) -> Result<Self, Box<dyn Error>> {
         let endpoint = Endpoint::from_shared(format!("http://{address}"))?
             .initial_stream_window_size(WINDOW_BYTES)
@@ -92,13 +92,13 @@ impl Caller {
         Ok(Self { grpc, path: PathAndQuery::from_static(path) })
     }
 
-    /// One message, one answer.
+    /// Sends one message and waits for its answer.
     pub async fn call(&mut self, message: Bytes) -> Result<Bytes, Status> {
         self.ready().await?;
         Ok(self.grpc.unary(Request::new(message), self.path.clone(), Raw).await?.into_inner())
     }
 
-    /// A stream of messages, each answered.
+    /// Sends a stream of messages and returns the stream of answers.
     pub async fn stream(
         &mut self,
         messages: impl Stream<Item = Bytes> + Send + 'static,
@@ -112,14 +112,14 @@ impl Caller {
     }
 }
 
-/// The next answer of a stream.
+/// Waits for the next answer of a stream.
 pub async fn next(answers: &mut Streaming<Bytes>) -> Result<Bytes, Status> {
     let next = poll_fn(|cx| Pin::new(&mut *answers).poll_next(cx)).await;
     next.unwrap_or_else(|| Err(Status::unknown("the stream ended")))
 }
 
-/// Answers every message with the same `bytes` bytes: a tonic service, on hyper set up as
-/// the server's own, and nothing else.
+/// Answers every message with the same `bytes` bytes. It is a bare tonic service on hyper, set up as in
+/// the hullcast server.
 pub async fn serve_echo(bytes: usize) -> Result<(), Box<dyn Error>> {
     let echo = Echo(vec![0; bytes].into());
     let listener = TcpListener::bind("127.0.0.1:0").await?;

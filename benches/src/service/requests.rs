@@ -16,7 +16,7 @@ use crate::cells::MARGIN;
 pub const QUERY: &str = "/hullcast.v1.ContactService/QueryContacts";
 pub const STREAM: &str = "/hullcast.v1.ContactService/StreamContacts";
 
-/// Generated pairs, each with bodies of its own.
+/// Generated pairs, each with two bodies of its own.
 pub struct Batch {
     pub workload: Workload,
 }
@@ -26,7 +26,7 @@ impl Batch {
         Ok(Self { workload: Workload::generate(family, regime, pairs, seed)? })
     }
 
-    /// Registers the hulls.
+    /// Registers the hulls with the server.
     pub async fn register(&self, address: &str) -> Result<(), Box<dyn Error>> {
         let channel = Endpoint::from_shared(format!("http://{address}"))?.connect().await?;
         let hulls = self
@@ -47,12 +47,12 @@ impl Batch {
         used
     }
 
-    /// The points of the hulls that a request names, in its order.
+    /// The points of the hulls that a request names, in the request's order.
     pub fn used(&self) -> Vec<&Vec<[f64; 3]>> {
         self.used_hulls().into_iter().map(|hull| &self.workload.hulls[hull]).collect()
     }
 
-    /// What is asked; it names the hulls that its pairs use.
+    /// The request for all pairs. It names the hulls that the pairs use.
     pub fn request(&self, outputs: &[Output]) -> QueryContactsRequest {
         let pairs = &self.workload.pairs;
         let used = self.used_hulls();
@@ -73,12 +73,12 @@ impl Batch {
         }
     }
 
-    /// The same as it is sent.
+    /// The request as encoded bytes.
     pub fn message(&self, outputs: &[Output]) -> Bytes {
         self.request(outputs).encode_to_vec().into()
     }
 
-    /// Nanoseconds a pair of one thread that does nothing else, whole manifolds.
+    /// Nanoseconds per pair for whole manifolds in one thread that does nothing else.
     pub fn library(&self) -> Result<f64, Box<dyn Error>> {
         let hulls: Vec<ConvexHull> =
             self.workload.hulls.iter().map(|points| ConvexHull::new(points)).collect::<Result<_, _>>()?;

@@ -1,5 +1,5 @@
-//! A slow network in one process: a TCP proxy that passes bytes on after a delay and
-//! no faster than a rate, each way.
+//! A slow network in one process: a TCP proxy that delays bytes and limits their rate, in both
+//! directions.
 
 use std::io;
 use std::time::Duration;
@@ -9,7 +9,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep_until};
 
-/// Passes connections on to `server`; the address to connect to.
+/// Starts a proxy to `server` and returns the address to connect to.
 pub async fn proxy(server: String, one_way: Duration, bytes_per_second: f64) -> io::Result<String> {
     let listener = TcpListener::bind("127.0.0.1:0").await?;
     let address = listener.local_addr()?.to_string();
@@ -25,7 +25,7 @@ pub async fn proxy(server: String, one_way: Duration, bytes_per_second: f64) -> 
     Ok(address)
 }
 
-/// What is under way at most: enough for 1 Gbit/s and 100 ms.
+/// The largest number of pieces in transit: enough for 1 Gbit/s and 100 ms.
 const PIECES: usize = 256;
 const PIECE_BYTES: usize = 64 << 10;
 
@@ -43,7 +43,7 @@ async fn pass(
             if !matches!(from.read_buf(&mut piece).await, Ok(1..)) {
                 return;
             }
-            // The wire is busy with one piece after the other.
+            // The line transmits one piece after another.
             free = free.max(Instant::now()) + Duration::from_secs_f64(piece.len() as f64 / bytes_per_second);
             if send.send((free + delay, piece)).await.is_err() {
                 return;

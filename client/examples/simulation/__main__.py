@@ -1,15 +1,21 @@
-"""Does it matter in a simulation? Five scenes, five kinds of contacts, several numbers of sweeps.
+"""Compares kinds of contacts in a rigid body simulation, for several numbers of solver sweeps.
 
     python client/examples/simulation [--docs FOLDER] [--scenes tower,wall] [--quick]
 
-Contacts come from a server of its own: the whole manifold, the deepest point of
-each pair alone, the manifold with no feature angle, and that of simplified hulls
-(where any lost a vertex); and of the same pairs by least translation, in numpy.
-Printed for each run: drift (the largest way a body went that should have stayed; of
-the box that rocks, over the last second; of the pile, the mean way of a body over
-it), jitter (mean kinetic energy over the last second, a kilogram), depth (the deepest
-contact in the last second), contacts, and time a step. --docs writes the table, plots
-and animations of docs/simulation.md; what is not run again stays as it is there.
+There are five scenes and five kinds of contacts. A server computes the whole manifold; only the
+deepest point of each pair; the manifold with a feature angle of 0; and the manifold of simplified
+hulls (unless no hull lost a vertex). numpy computes the contacts of the same pairs by least
+translation.
+
+For each run the table has:
+- drift: the largest displacement of a body that should have stayed in place. For the rocking box it
+  covers the last second; for the pile it is the mean displacement of a body in the last second;
+- jitter: the mean kinetic energy per kilogram over the last second;
+- depth: the deepest contact in the last second;
+- the number of contact points, and the times per step.
+
+--docs writes the table, plots and animations of docs/simulation.md. Rows that are not run again
+stay there.
 """
 
 from __future__ import annotations
@@ -30,7 +36,7 @@ import hullcast
 
 
 class Variant(NamedTuple):
-    """A kind of contacts."""
+    """The settings of one kind of contacts."""
 
     accuracy: hullcast.Accuracy = hullcast.Accuracy.EXACT
     max_deviation: float | None = None
@@ -45,13 +51,13 @@ VARIANTS = {
     "simplified": Variant(max_deviation=0.02),
 }
 SWEEPS = (5, 20, 60)
-#: Shown side by side, of a run with this many sweeps.
+#: The scenes that are animated side by side, from runs with this many sweeps.
 SHOWN, SHOWN_SWEEPS = ("tower", "arch", "rocking", "pile"), 20
 FRAMES = 40
 OPEN, CLOSE = "<!-- simulation -->", "<!-- /simulation -->"
 HEAD = [
     "| scene | contacts | sweeps | drift, m | jitter, mJ/kg | depth, mm "
-    "| points a step | contacts, ms | solver, ms |",
+    "| points per step | contacts, ms | solver, ms |",
     "|---|---|---|---|---|---|---|---|---|",
 ]
 
@@ -59,7 +65,10 @@ HEAD = [
 def run(
     client: hullcast.Client, setup: scenes.Setup, name: str, sweeps: int, record: bool
 ) -> tuple[draw.Row, list[draw.Picture]] | None:
-    """One simulation; its figures, and pictures if asked for. None: no hull was simplified."""
+    """Runs one simulation; returns its figures, and pictures if requested.
+
+    None: no hull was simplified, so the run would be a repetition.
+    """
     variant = VARIANTS[name]
     world = World(
         client,
@@ -104,7 +113,7 @@ def run(
 
 
 def line(row: draw.Row) -> str:
-    """Of the table."""
+    """Formats a row of the table."""
     return (
         f"| {row.scene} | {row.variant} | {row.sweeps} | {row.drift:.2e} "
         f"| {row.jitter:.2e} | {row.depth:.2f} | {row.contacts:.0f} "
@@ -113,7 +122,7 @@ def line(row: draw.Row) -> str:
 
 
 def read(text: str) -> draw.Row | None:
-    """A line of the table, if it is one with figures."""
+    """Parses a row of the table; None for a line without figures."""
     cells = [cell.strip() for cell in text.strip("|").split("|")]
     if len(cells) != 9 or cells[0] not in scenes.SCENES:
         return None
@@ -145,12 +154,12 @@ def main() -> None:
                     if shown:
                         recorded[name, variant] = done[1]
                     print(line(done[0]), flush=True)
-            if arguments.docs:  # after each scene, so that what is done is there
+            if arguments.docs:  # write after each scene, so that an abort loses little
                 write(arguments.docs, where, rows, recorded)
 
 
 def provenance() -> str:
-    """Machine, load and commit, from before anything ran."""
+    """The machine, its load and the commit, taken before anything runs."""
     script = Path(__file__).resolve().parents[3] / "scripts/provenance"
     return subprocess.run([script], capture_output=True, text=True, check=True).stdout.strip()
 
@@ -161,7 +170,7 @@ def write(
     rows: Sequence[draw.Row],
     recorded: dict[tuple[str, str], list[draw.Picture]],
 ) -> None:
-    """The page's table, its plot and animations."""
+    """Writes the page's table, its plot and the animations."""
     page = docs / "simulation.md"
     head, rest = page.read_text().split(OPEN)
     old, tail = rest.split(CLOSE)

@@ -1,4 +1,4 @@
-"""Contacts of a step as the solver takes them, by growth distance from the server."""
+"""The contacts of a step in the solver's form, by growth distance from the server."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ Ids = npt.NDArray[np.uint32]
 
 @dataclass
 class Contacts:
-    """Pairs of bodies and their contact points, those of a pair together; world frame, metres."""
+    """Pairs of bodies and their contact points, pair after pair; world frame, metres."""
 
-    #: (n, 2): bodies A and B.
+    #: (n, 2): the bodies A and B.
     pairs: Ids
-    #: (n,): points of each pair.
+    #: (n,): the number of points of each pair.
     counts: Indices
-    #: (n, 3): unit, from A to B.
+    #: (n, 3): unit normals from A to B.
     normal: Floats
-    #: (p, 3): midway between the two hulls.
+    #: (p, 3): the points midway between the two hulls.
     point: Floats
-    #: (p,): signed, along the normal; negative: overlapping.
+    #: (p,): signed distances along the normal; negative means overlap.
     distance: Floats
-    #: (p, 4): what makes the point; the same while the same features do.
+    #: (p, 4): the id of each point, which stays the same while the same features make the point.
     ids: Ids
 
 
 def by_growth_distance(m: hullcast.Manifolds) -> Contacts:
-    """The server's answer as it is."""
+    """Converts the server's result without changing it."""
     of = np.repeat(np.arange(len(m)), m.point_counts)
     point = m.witness_a + 0.5 * m.distance[:, None] * m.normal[of]
     counts = m.point_counts.astype(np.intp)

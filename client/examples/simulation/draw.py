@@ -1,4 +1,4 @@
-"""Plots of the figures, and short animations seen from the side."""
+"""Plots of the measured figures, and short animations seen from the side."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ Picture = Image.Image
 
 @dataclass
 class Row:
-    """What was measured of one run."""
+    """The figures of one run."""
 
     scene: str
     variant: str
     sweeps: int
-    #: m
+    #: Metres.
     drift: float
-    #: mJ/kg
+    #: Millijoules per kilogram.
     jitter: float
-    #: mm
+    #: Millimetres.
     depth: float
     contacts: float
     contact_ms: float
@@ -41,7 +41,7 @@ class Row:
 def frame(
     setup: Setup, positions: npt.NDArray[np.float64], turned: npt.NDArray[np.float64], title: str
 ) -> Picture:
-    """A picture of the bodies, the far ones first; looks along y."""
+    """A picture of the bodies as seen along y, the farthest bodies drawn first."""
     low, high = VIEWS[setup.name]
     scale = min(SIZE[0] / (high[0] - low[0]), SIZE[1] / (high[1] - low[1]))
     picture = Image.new("RGB", SIZE, "white")
@@ -59,9 +59,9 @@ def frame(
     return picture
 
 
-#: Drawn no lower: below is rounding.
+#: Smaller values are drawn at this value, because they are rounding errors.
 LEAST = 1e-7
-#: Of each scene what is seen: lowest and highest x and z.
+#: The visible range of each scene: the lowest and the highest x and z.
 VIEWS = {
     "tower": ((-3.4, -0.3), (3.4, 5.3)),
     "wall": ((-0.6, -0.2), (3.7, 2.4)),
@@ -72,7 +72,7 @@ VIEWS = {
 
 
 def animate(left: Sequence[Picture], right: Sequence[Picture], path: Path, seconds: float) -> None:
-    """Two runs side by side."""
+    """Writes an animation with two runs side by side."""
     pictures: list[Picture] = []
     for a, b in zip(left, right, strict=True):
         both = Image.new("RGB", (2 * SIZE[0], SIZE[1]), "white")
@@ -90,7 +90,7 @@ def animate(left: Sequence[Picture], right: Sequence[Picture], path: Path, secon
 
 
 def plot(rows: Sequence[Row], path: Path) -> None:
-    """Drift, jitter and depth against sweeps, a column a scene."""
+    """Plots drift, jitter and depth against the number of sweeps, with one column per scene."""
     matplotlib.use("Agg")
     from matplotlib import pyplot
 

@@ -1,11 +1,13 @@
-"""Contacts by least translation, in numpy: the normal of another kind, the same two steps after it.
+"""Contacts by least translation, computed with numpy.
 
-Of a pair the normal is the axis along which the hulls overlap least, or are farthest
-apart, over every normal of their Minkowski difference: those of the faces, and of
-pairs of edges whose arcs on the Gauss map cross (Gregorius, GDC 2013). Overlapping
-hulls are separated by no shorter translation. Then, as the server does: the feature
-of each hull that faces the other within the feature angle (a face, else an edge, else
-a vertex), both projected along the normal, intersected, and every corner lifted back.
+Only the normal differs from the server's contacts; the steps after it are the same. The normal is
+the axis along which the hulls overlap least, or are farthest apart. It is searched over all face
+normals of the Minkowski difference: the face normals of both hulls, and the cross products of edges
+whose arcs on the Gauss map cross (Gregorius, GDC 2013). No shorter translation separates
+overlapping hulls. Then, as in the server, each hull's feature that faces the other hull within the
+feature angle is taken (a face, otherwise an edge, otherwise a vertex). Both features are projected
+along the normal and intersected, and every corner of the intersection is lifted back onto the
+features.
 """
 
 from __future__ import annotations
@@ -17,15 +19,15 @@ import numpy as np
 from contacts import Contacts, Floats, Ids, Indices, frames
 from scipy.spatial import ConvexHull
 
-#: Triangles whose normals differ by less are one face.
+#: Triangles whose normals differ by less than this are one face.
 COPLANAR = 1e-7
-#: An edge pair's axis counts only where it is better than every face's by this much, metres:
-#: of parallel faces no axis is better by more than rounding.
+#: An axis of an edge pair is used only if it is better than every face's axis by this much, in
+#: metres. For parallel faces, the other axes are better by rounding errors only.
 BETTER = 1e-9
-#: Vertices within this of the support plane support, metres.
+#: Vertices within this distance of the support plane count as support vertices, in metres.
 SUPPORTING = 1e-9
 
-#: Corners (k, 2) in the contact plane, and a name of each side: the one after its corner.
+#: The corners (k, 2) in the contact plane, and a name of each side. A side follows its corner.
 Outline = tuple[Floats, list[int]]
 
 
@@ -34,18 +36,18 @@ class Shape:
     """A hull in its own frame."""
 
     vertices: Floats
-    #: (f, 3), (f,): n.x <= offset inside.
+    #: (f, 3) and (f,): n.x <= offset for points x inside.
     normals: Floats
     offsets: Floats
-    #: Of each face its corners, counterclockwise seen from outside.
+    #: The corners of each face, anticlockwise seen from outside.
     faces: list[Indices]
-    #: (e, 2): vertices, and faces, of each edge.
+    #: (e, 2): the two vertices, and the two faces, of each edge.
     edges: Indices
     edge_faces: Indices
 
 
 def shape_of(points: Floats) -> Shape:
-    """From points, all of them corners: scipy's triangles merged into faces."""
+    """Makes a shape from points that are all corners, by merging scipy's triangles into faces."""
     hull = ConvexHull(points)
     planes: Floats = hull.equations
     of_plane = np.full(len(planes), -1)
@@ -74,12 +76,12 @@ def shape_of(points: Floats) -> Shape:
 
 @dataclass
 class Placed:
-    """A hull in the world's axes, about a body's origin."""
+    """A hull in the world's axes, with a body's origin as its origin."""
 
     shape: Shape
     vertices: Floats
     normals: Floats
-    #: (e, 3): along each edge; the normals of its two faces; their cross product.
+    #: (e, 3): the direction of each edge, the normals of its two faces, and their cross product.
     along: Floats
     left: Floats
     right: Floats
@@ -87,7 +89,7 @@ class Placed:
 
 
 def placed(shape: Shape, turned: Floats) -> Placed:
-    """Turned by a rotation matrix."""
+    """The shape, rotated by a matrix."""
     vertices, normals = shape.vertices @ turned.T, shape.normals @ turned.T
     tail, tip = shape.edges.T
     left, right = normals[shape.edge_faces[:, 0]], normals[shape.edge_faces[:, 1]]
@@ -97,7 +99,10 @@ def placed(shape: Shape, turned: Floats) -> Placed:
 
 
 def axis(a: Placed, b: Placed, offset: Floats) -> tuple[Floats, float]:
-    """The unit normal from A to B of the largest separation, and that; B is at `offset` from A."""
+    """The unit normal from A to B with the largest separation, and that separation.
+
+    `offset` is the position of B relative to A.
+    """
     of_a = (a.normals @ (b.vertices + offset).T).min(axis=1) - a.shape.offsets
     of_b = (b.normals @ (a.vertices - offset).T).min(axis=1) - b.shape.offsets
     best_a, best_b = int(of_a.argmax()), int(of_b.argmax())
@@ -105,7 +110,7 @@ def axis(a: Placed, b: Placed, offset: Floats) -> tuple[Floats, float]:
         normal, most = a.normals[best_a], float(of_a[best_a])
     else:
         normal, most = -b.normals[best_b], float(of_b[best_b])
-    # An arc of A crosses one of -B: each one's ends on two sides of the other's plane.
+    # An arc of A crosses an arc of -B if the ends of each lie on both sides of the other's plane.
     ends_left, ends_right = -a.across @ b.left.T, -a.across @ b.right.T
     own_left, own_right = a.left @ b.across.T, a.right @ b.across.T
     crossing = (
@@ -115,7 +120,7 @@ def axis(a: Placed, b: Placed, offset: Floats) -> tuple[Floats, float]:
     n = np.cross(a.along[i], b.along[j])
     length = np.linalg.norm(n, axis=1)
     sine = length / np.linalg.norm(a.along[i], axis=1) / np.linalg.norm(b.along[j], axis=1)
-    fit = sine > 1e-8  # of parallel edges the faces have the normal
+    fit = sine > 1e-8  # for parallel edges, a face has the same normal
     i, j, n = i[fit], j[fit], n[fit] / length[fit, None]
     n *= np.sign(np.einsum("ni,ni->n", n, a.left[i] + a.right[i]))[:, None]
     tails = b.vertices[b.shape.edges[j, 0]] + offset - a.vertices[a.shape.edges[i, 0]]
@@ -145,10 +150,10 @@ def feature(hull: Placed, n: Floats, angle: float) -> Indices:
 
 
 def clipped(outline: Outline, by: Outline) -> Outline:
-    """What of an outline (a point, a segment, a polygon) is inside a convex polygon.
+    """The part of an outline (a point, a segment or a polygon) inside a convex polygon.
 
-    Sutherland and Hodgman, a side after the other; a point's side and a segment's are
-    there and back again.
+    This is the Sutherland-Hodgman algorithm, which clips by one side after another. The outline of
+    a point or of a segment is treated as a closed polygon that returns along itself.
     """
     corners, names = outline[0].tolist(), outline[1]
     around = by[0].tolist()
@@ -166,7 +171,7 @@ def clipped(outline: Outline, by: Outline) -> Outline:
                 t = depths[i] / (depths[i] - depths[j])
                 u, v = corners[j]
                 kept.append([x + t * (u - x), y + t * (v - y)])
-                # Into the inside the side goes on; out of it the clipping side begins.
+                # At the entry the outline's side continues; at the exit the clipping side begins.
                 sides.append(by[1][k] if depths[i] >= 0 else names[i])
         corners, names = kept, sides
         if not corners:
@@ -175,7 +180,7 @@ def clipped(outline: Outline, by: Outline) -> Outline:
 
 
 def nearest(p: Floats, q: Floats) -> Floats:
-    """The middle between two outlines that do not meet, and where two segments cross."""
+    """The midpoint between two outlines that do not meet, or the crossing point of two segments."""
     best, middle = np.inf, p[0]
     for one, other in ((p, q), (q, p)):
         for corner in one:
@@ -197,12 +202,12 @@ def nearest(p: Floats, q: Floats) -> Floats:
 
 
 def turn(u: Floats, v: Floats) -> float:
-    """The area between two vectors of a plane, positive counterclockwise."""
+    """The signed area that two plane vectors span; positive if anticlockwise."""
     return float(u[0] * v[1] - u[1] * v[0])
 
 
 def heights(corners: Floats, flat: Floats, at: Floats, n: Floats) -> Floats:
-    """Of points in the contact plane, along the normal on a feature."""
+    """The heights along the normal at which points of the contact plane lie on a feature."""
     own = corners @ n
     if len(corners) == 1:
         return np.full(len(at), own[0])
@@ -218,13 +223,13 @@ def heights(corners: Floats, flat: Floats, at: Floats, n: Floats) -> Floats:
 def manifold(
     a: Placed, b: Placed, offset: Floats, angle: float
 ) -> tuple[Floats, Floats, Floats, Ids]:
-    """Normal, points about A's origin, distances, and what makes each point."""
+    """The normal, the points relative to A's origin, the distances, and the id of each point."""
     n, _ = axis(a, b, offset)
     features = feature(a, n, angle), feature(b, -n, angle)
     plane = frames(n[None])[0, 1:].T
     corners = a.vertices[features[0]], b.vertices[features[1]] + offset
     flat = corners[0] @ plane, corners[1] @ plane
-    # Of B counterclockwise too, seen along n.
+    # Make B's outline anticlockwise, too, as seen along n.
     second = flat[1][::-1] if len(flat[1]) > 2 else flat[1]
     named = [list(range(len(flat[0]))), list(range(1000, 1000 + len(flat[1])))]
     one, other = (flat[0], named[0]), (second, named[1])
@@ -253,7 +258,7 @@ def key(features: tuple[Indices, Indices]) -> tuple[int, int]:
 
 
 def distinct(at: Floats) -> list[int]:
-    """Indices of points, of those that are one (1e-9 m) the first."""
+    """The indices of distinct points: only the first of several points within 1e-9 m counts."""
     kept: list[int] = []
     for i, point in enumerate(at):
         if all(np.abs(point - at[j]).max() > 1e-9 for j in kept):
@@ -264,7 +269,7 @@ def distinct(at: Floats) -> list[int]:
 def by_least_translation(
     shapes: Sequence[Shape], pairs: Ids, positions: Floats, turned: Floats, angle: float
 ) -> Contacts:
-    """Of every pair its manifold, from nothing."""
+    """The manifold of every pair, each from a cold start."""
     moved: list[int] = np.unique(pairs).tolist()
     bodies = {body: placed(shapes[body], turned[body]) for body in moved}
     found: list[tuple[Floats, Floats, Floats, Ids]] = []

@@ -1,4 +1,4 @@
-"""What is simulated: shapes about their centres of mass, poses, how many stand still."""
+"""The simulated scenes: shapes about their centres of mass, poses, number of fixed bodies."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FLOOR = SIGNS * [20, 20, 0.5]
 
 @dataclass
 class Setup:
-    """A scene at rest, or about to fall."""
+    """A scene at rest, or before a fall."""
 
     name: str
     shapes: list[Floats]
@@ -26,7 +26,7 @@ class Setup:
     steps: int
     fixed: int = 1
     friction: float = 0.6
-    #: It moves at first: what goes on in the last second is measured.
+    #: Whether the scene moves at first, so that only the last second is measured.
     settles: bool = False
 
 
@@ -47,14 +47,14 @@ def _on_floor(
 
 
 def tower() -> Setup:
-    """Ten cubes, one on the other."""
+    """Ten cubes, stacked on each other."""
     return _on_floor(
         "tower", [SIGNS * 0.25] * 10, [np.array([0, 0, 0.25 + 0.5 * i]) for i in range(10)], 400
     )
 
 
 def wall() -> Setup:
-    """Six rows of bricks, every other row moved by a quarter of a brick."""
+    """Six rows of bricks; every other row is shifted by a quarter of a brick."""
     half = np.array([0.3, 0.15, 0.15])
     places = [
         np.array([0.61 * (i + 0.25 * (row % 2)), 0, 0.15 + 0.3 * row])
@@ -65,7 +65,7 @@ def wall() -> Setup:
 
 
 def arch() -> Setup:
-    """Eleven wedges in half a circle; the mortar is friction."""
+    """Eleven wedges in a half circle, held together by friction."""
     shapes: list[Floats] = []
     places: list[Floats] = []
     inner, outer, half_width = 1.0, 1.35, 0.2
@@ -111,10 +111,10 @@ def pile(count: int = 200) -> Setup:
 
 
 def rocking() -> Setup:
-    """A tall box let go from a tilt of 0.12 rad, on an edge."""
+    """A tall box that is released on an edge, tilted by 0.12 rad."""
     half, tilt = np.array([0.2, 0.2, 0.5]), 0.12
     turn = np.array([0, np.sin(tilt / 2), 0, np.cos(tilt / 2)])
-    # Turned about y, the lowest corner is at +x.
+    # The box is rotated about y, so its lowest corner is at +x.
     height = half[0] * np.sin(tilt) + half[2] * np.cos(tilt)
     setup = _on_floor("rocking", [SIGNS * half], [np.array([0, 0, height])], 400, settles=True)
     setup.rotations[1] = turn
@@ -125,7 +125,10 @@ SCENES = {scene.__name__: scene for scene in (tower, wall, arch, pile, rocking)}
 
 
 def center_of_mass(points: Floats) -> Floats:
-    """Of the hull of some points: tetrahedra from their mean to the hull's triangles."""
+    """The centre of mass of the hull of some points.
+
+    It is the sum over tetrahedra that join the mean of the points to the hull's triangles.
+    """
     middle = points.mean(axis=0)
     corners = points[ConvexHull(points).simplices] - middle
     volumes = np.abs(np.linalg.det(corners))

@@ -1,11 +1,13 @@
 """A small rigid body simulator: projected Gauss-Seidel on the contacts that a server finds.
 
-Semi-implicit Euler; velocity constraints with Baumgarte stabilisation, whose velocity is
-taken away again by half as many sweeps after the step; Coulomb
-friction in two tangents, solved together and each bounded by the normal impulse;
-impulses started from those of the same points (by their ids) a step before. Pairs of
-bodies are coloured so that pairs of one colour share no moving body and are solved
-together by numpy: the order of a Gauss-Seidel sweep, at the speed of arrays.
+- Integration is semi-implicit Euler.
+- Contacts are velocity constraints with Baumgarte stabilisation. Half as many sweeps after the step
+  remove the velocity that the stabilisation added.
+- Coulomb friction acts along two tangents, which are solved together. Each is bounded by the normal
+  impulse.
+- Impulses start from those of the same points (by their ids) in the previous step.
+- Pairs of bodies are coloured such that pairs of one colour share no moving body. numpy solves such
+  pairs together, which gives the result of a Gauss-Seidel sweep at the speed of array operations.
 """
 
 from __future__ import annotations
@@ -22,18 +24,18 @@ from contacts import Contacts, Floats, Ids, Indices, by_growth_distance, frames
 import hullcast
 
 GRAVITY = np.array([0, 0, -9.81])
-#: Of the depth beyond the slop, taken back in a step.
+#: The share of the depth beyond the slop that is removed in one step.
 BAUMGARTE = 0.2
-#: Depth that is left alone, metres.
+#: The depth that is not corrected, in metres.
 SLOP = 1e-3
 MARGIN = 0.01
-#: A point nearer than this to one of a step before may be the same, metres.
+#: A point may be the same as a point of the previous step if it is nearer than this, in metres.
 NEAR = 0.02
 
 
 @dataclass
 class Step:
-    """What a step cost and found."""
+    """The contacts and the times of a step."""
 
     contacts: int
     depth: float
@@ -43,26 +45,26 @@ class Step:
 
 @dataclass
 class Group:
-    """Points that share no moving body: solved at once."""
+    """Points that share no moving body, and are solved together."""
 
     points: Indices
-    #: (p, 2)
+    #: (p, 2): the two bodies of each point.
     bodies: Indices
-    #: (p, 3, 12): along normal and tangents; over what a unit of impulse changes there.
+    #: (p, 3, 12): the Jacobian along normal and tangents, divided by the effect of a unit impulse.
     jacobian: Floats
-    #: (p, 3, 12): of both velocities, by a unit of impulse.
+    #: (p, 3, 12): the change of both bodies' velocities by a unit impulse.
     change: Floats
-    #: (p, 3)
+    #: (p, 3): the accumulated impulses.
     impulse: Floats
-    #: (p,): impulses that the bias asks for.
+    #: (p,): the impulses that the bias requires.
     bias: Floats = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass
 class World:
-    """Bodies with their state; the first `fixed` of them do not move.
+    """Bodies and their state. The first `fixed` bodies do not move.
 
-    `shapes` are points (k, 3) about each body's centre of mass.
+    `shapes` are points (k, 3) relative to each body's centre of mass.
     """
 
     client: hullcast.Client
@@ -76,14 +78,14 @@ class World:
     iterations: int = 10
     accuracy: hullcast.Accuracy = field(default_factory=hullcast.Accuracy)
     max_deviation: float | None = None
-    #: Normals by least translation instead, of the pairs that the server finds in contact.
+    #: Whether normals are by least translation, for the pairs that the server finds in contact.
     by_least: bool = False
 
     def __post_init__(self) -> None:
         whole = self.client.register(self.shapes)
         self.hulls = whole
         if self.max_deviation is not None:
-            # Masses stay those of the whole hulls.
+            # The masses stay those of the original hulls.
             centers = [hull.contraction_point for hull in whole]
             self.hulls = self.client.register(
                 self.shapes, contraction_points=centers, max_deviation=self.max_deviation
@@ -96,10 +98,10 @@ class World:
         self.inverse_mass = np.where(moves, 1 / masses, 0.0)
         self.inverse_inertia = np.linalg.inv(inertia) * moves[:, None, None]
         self.inertia = inertia
-        #: (n, 6): linear, angular.
+        #: (n, 6): linear and angular velocities.
         self.velocities = np.zeros((count, 6))
         self.scene = hullcast.Scene(self.hulls, self.positions, self.rotations, groups=None)
-        #: Moving hulls lost vertices to `max_deviation`.
+        #: Whether simplification removed vertices of a moving hull.
         self.simpler = any(
             hull.vertex_count < full.vertex_count
             for hull, full in zip(self.hulls[self.fixed :], whole[self.fixed :], strict=True)
@@ -108,7 +110,7 @@ class World:
         self._before: tuple[Ids, Ids, Floats, Floats] | None = None
 
     def step(self) -> Step:
-        """Goes on by `dt`."""
+        """Advances the simulation by `dt`."""
         moving = self.inverse_mass > 0
         self.velocities[moving, :3] += self.dt * GRAVITY
         begin = time.perf_counter()
@@ -133,7 +135,7 @@ class World:
         return Step(len(found.distance), max(depth, 0.0), middle - begin, end - middle)
 
     def kinetic_energy(self) -> float:
-        """Of all moving bodies, joules."""
+        """The kinetic energy of all moving bodies, in joules."""
         turned = matrices(self.rotations)
         inertia = turned @ self.inertia @ turned.transpose(0, 2, 1)
         linear, angular = self.velocities[:, :3], self.velocities[:, 3:]
@@ -158,7 +160,7 @@ class World:
         self.rotations = rotations / np.linalg.norm(rotations, axis=1, keepdims=True)
 
     def _solve(self, found: Contacts) -> None:
-        """Impulses that keep the points apart, Gauss-Seidel sweep after sweep."""
+        """Computes impulses that keep the points apart, by Gauss-Seidel, and moves the bodies."""
         if len(found.distance) == 0:
             self._before = None
             self._move()
@@ -171,18 +173,18 @@ class World:
         inverse = turned @ self.inverse_inertia @ turned.transpose(0, 2, 1)
         arms = found.point[:, None] - self.positions[bodies]
         spins = np.cross(arms[:, :, None], axes[:, None])
-        # (p, 2, 3, 6): of each point's two bodies, by axis.
+        # (p, 2, 3, 6): for each point's two bodies, by axis.
         jacobian = np.concatenate([np.broadcast_to(axes[:, None], spins.shape), spins], axis=3)
         jacobian *= np.array([-1.0, 1.0])[:, None, None]
         change: Floats = jacobian.copy()
         change[..., :3] *= self.inverse_mass[bodies][:, :, None, None]
         change[..., 3:] = jacobian[..., 3:] @ inverse[bodies]
-        # (p, 3, 12): both bodies' velocities in a row.
+        # (p, 3, 12): both bodies' velocities in one row.
         jacobian, change = side_by_side(jacobian), side_by_side(change)
         mass = 1 / (jacobian * change).sum(axis=2)
         jacobian *= mass[:, :, None]
         gap = found.distance
-        # Apart: may close the gap; deeper than the slop: opens a share of it.
+        # A gap may be closed but not crossed. A share of the depth beyond the slop is removed.
         bias = np.where(gap > 0, -gap, BAUMGARTE * np.maximum(-gap - SLOP, 0)) / self.dt
         impulse = self._remembered(pairs, found.ids, found.point)
         np.add.at(
@@ -197,7 +199,7 @@ class World:
         for _ in range(self.iterations):
             self._sweep(groups)
         self._move()
-        # What was pushed apart keeps no velocity from that.
+        # Remove the velocity that only pushed bodies apart.
         for group in groups:
             group.bias = np.minimum(group.bias, 0)
         for _ in range(max(1, self.iterations // 2)):
@@ -207,7 +209,7 @@ class World:
         self._before = (pairs, found.ids, found.point, impulse)
 
     def _sweep(self, groups: Sequence[Group]) -> None:
-        """Once through all points: friction, then the normal."""
+        """Sweeps once through all points: friction first, then the normal direction."""
         v = self.velocities
         for group in groups:
             now = v[group.bodies].reshape(-1, 12)
@@ -223,8 +225,11 @@ class World:
             v[group.bodies] = now.reshape(-1, 2, 6)
 
     def _remembered(self, pairs: Ids, ids: Ids, points: Floats) -> Floats:
-        """Of each point the impulse that it had a step before: by its id, or else, where the
-        features that make it have changed, that of the nearest point of the same pair."""
+        """The impulse that each point had in the previous step.
+
+        A point is identified by its id. If the features that make it have changed, the nearest
+        point of the same pair is used.
+        """
         impulse = np.zeros((len(points), 3))
         if self._before is None:
             return impulse
@@ -252,12 +257,12 @@ class World:
 
 
 def side_by_side(two: Floats) -> Floats:
-    """From (p, 2, 3, 6) to (p, 3, 12)."""
+    """Reshapes (p, 2, 3, 6) to (p, 3, 12)."""
     return two.transpose(0, 2, 1, 3).reshape(len(two), 3, 12)
 
 
 def coloured(pairs: Ids, counts: Indices, inverse_mass: Floats) -> list[Indices]:
-    """Points in groups that share no moving body, in which the sweep goes through them."""
+    """Groups of points that share no moving body, in the order of the sweep."""
     taken: list[int] = [0] * len(inverse_mass)
     moves = inverse_mass > 0
     colours: list[list[int]] = []
@@ -279,7 +284,7 @@ def coloured(pairs: Ids, counts: Indices, inverse_mass: Floats) -> list[Indices]
 
 
 def matrices(q: Floats) -> Floats:
-    """Rotation matrices (n, 3, 3) of unit quaternions x, y, z, w."""
+    """The rotation matrices (n, 3, 3) of unit quaternions x, y, z, w."""
     x, y, z, w = q.T
     return np.stack(
         [

@@ -1,4 +1,4 @@
-"""Certified contact manifolds of convex hulls, from a hullcast server::
+"""Client of hullcast: certified contact manifolds of convex hulls, computed by a server.
 
     import hullcast
     with hullcast.connect("localhost:50051") as client:  # or hullcast.serve()
@@ -7,8 +7,9 @@
         m = client.query(scene, pairs, margin=0.01)
         m.alpha, m.normal, m.witness_a, m.distance
 
-Units are the caller's (metres in the documentation), angles radians. Right
-handed; quaternions x, y, z, w. Arrays are float64, uint32 and uint8.
+Lengths are in the caller's units (metres in the documentation), and angles in radians. Coordinate
+systems are right-handed. Quaternions have the order x, y, z, w. Result arrays are float64, uint32
+or uint8.
 """
 
 import importlib
@@ -100,8 +101,8 @@ __all__ = [
     "sphere",
 ]
 
-# Each name is loaded when it is first used, so that a program that only may
-# need contacts does not wait for grpc.
+# Each name is loaded at its first use. A program that may never query contacts then does not wait
+# for grpc to load.
 _HOMES = {
     "_arrays": ["from_wxyz"],
     "_client": ["Client", "Session", "connect"],

@@ -1,4 +1,4 @@
-"""Answers of the wire as numpy columns."""
+"""Reads response messages into numpy columns, and joins the columns of several messages."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ _BYTE = np.dtype("u1")
 class _Reader:
     """The columns of one message, each checked for its length.
 
-    A wrong length means that the sender split the column or did not pack it
-    (`_packed.py`), so that the message is read again with its real type.
+    `_packed.py` reads a packed numeric column as raw bytes. If the bytes have the wrong length, the
+    sender split the column into several records or did not pack it. Then the message is parsed
+    again with the column's declared type.
     """
 
     def __init__(self, data: bytes) -> None:
@@ -30,7 +31,7 @@ class _Reader:
 
     def column(self, name: str, rows: int, width: int) -> np.ndarray:
         kind = _KINDS.get(name, _BYTE)
-        # A copy: what frombuffer gives cannot be written to.
+        # np.frombuffer returns a read-only array; the copy is writable.
         raw = getattr(self.message, name)
         if len(raw) == rows * width * kind.itemsize:
             values = np.frombuffer(raw, dtype=kind).copy()
@@ -53,16 +54,17 @@ class _Reader:
 def read(
     data: bytes, outputs: Sequence[str], pairs: np.ndarray | None, request_id: int = 0
 ) -> Columns:
-    """The columns of one message, each checked for its length.
+    """Reads the columns of one response message, and checks the length of each.
 
     Args:
         data: a serialised QueryContactsResponse.
-        outputs: the outputs asked for.
-        pairs: (n, 2), the pairs that were asked for; None: the answer names them.
-        request_id: of the request.
+        outputs: the names of the requested outputs.
+        pairs: (n, 2), the pairs that the request named; None for FindContacts, whose response names
+            its pairs itself.
+        request_id: the `request_id` of the request.
 
     Raises:
-        ServerError: MALFORMED_ANSWER, the bytes are no answer to this request.
+        ServerError: MALFORMED_ANSWER, the bytes are not a response to this request.
     """
     reader = _Reader(data)
     _checked.request_id(reader.message.request_id, request_id)
@@ -86,7 +88,7 @@ def read(
 
 
 def merge(parts: Sequence[Columns]) -> Columns:
-    """The columns of several messages as one batch, in the order given."""
+    """Joins the columns of several messages into one batch, in the given order."""
     if len(parts) == 1:
         return parts[0]
     merged = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

@@ -1,4 +1,4 @@
-"""Single values that users pass: brought to one form, or refused with name, value and range."""
+"""Checks single values that callers pass; an error names the argument, its value and the range."""
 
 from __future__ import annotations
 
@@ -12,28 +12,33 @@ import numpy as np
 
 from ._errors import InvalidArgument
 
-#: Seconds from which a timeout is no limit: more than thirty years.
+#: A timeout of at least this many seconds (more than thirty years) counts as no limit.
 _NO_LIMIT = 1e9
 
 
 def shown(value: Any) -> str:
-    """A value as an error message shows it, of bounded length; unprintable values by their type."""
+    """A value as an error message shows it, in at most 60 characters.
+
+    If the value cannot be printed, its type is shown.
+    """
     try:
         text = repr(value.item() if isinstance(value, np.generic) else value)
-    except Exception:  # a `__repr__` of the caller's
+    except Exception:  # the caller's own `__repr__` failed
         return f"an object of type {type(value).__name__}"
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def kind(value: Any) -> str:
-    """A value's type as an error message names it."""
+    """The name of a value's type, as error messages show it."""
     return "None" if value is None else type(value).__name__
 
 
 def number(
     field: str, value: Any, low: float, high: float = math.inf, *, infinite: bool = False
 ) -> float:
-    """A real number from `low` to `high`; infinity only if `infinite` says so.
+    """Checks that `value` is a real number from `low` to `high`, and returns it as a float.
+
+    Infinity is accepted only if `infinite` is true. NaN is never accepted.
 
     Raises:
         InvalidArgument: WRONG_TYPE or VALUE_OUT_OF_RANGE.
@@ -41,7 +46,7 @@ def number(
     top = f"to {high:g}" if high < math.inf else "or more" + (", or infinity" if infinite else "")
     expected = f"expected a number, {low:g} {top}"
     result = real(field, value, expected)
-    # NaN is in no range.
+    # A comparison with NaN is false, so NaN is refused too.
     if not low <= result <= high or (result == math.inf and not infinite):
         raise InvalidArgument(
             f"got {shown(value)}, {expected}", reason="VALUE_OUT_OF_RANGE", field=field
@@ -50,7 +55,9 @@ def number(
 
 
 def integer(field: str, value: Any, low: int, high: int) -> int:
-    """An integer from `low` to `high`.
+    """Checks that `value` is an integer from `low` to `high`, and returns it as an int.
+
+    A bool is not accepted.
 
     Raises:
         InvalidArgument: WRONG_TYPE or VALUE_OUT_OF_RANGE.
@@ -66,7 +73,9 @@ def integer(field: str, value: Any, low: int, high: int) -> int:
 
 
 def seconds(field: str, value: Any) -> float | None:
-    """A timeout: a number of seconds above 0. None and infinity are no limit.
+    """Checks a timeout, a number of seconds above 0; returns None for no limit.
+
+    None and infinity mean no limit.
 
     Raises:
         InvalidArgument: WRONG_TYPE or VALUE_OUT_OF_RANGE.
@@ -83,7 +92,7 @@ def seconds(field: str, value: Any) -> float | None:
 
 
 def one_of(field: str, value: Any, known: Iterable[str]) -> str:
-    """One of some words.
+    """Checks that `value` is one of the words in `known`, and returns it.
 
     Raises:
         InvalidArgument: UNKNOWN_VALUE.
@@ -92,12 +101,14 @@ def one_of(field: str, value: Any, known: Iterable[str]) -> str:
     if isinstance(value, str) and value in words:
         return value
     raise InvalidArgument(
-        f"{shown(value)} is none of {', '.join(words)}", reason="UNKNOWN_VALUE", field=field
+        f"got {shown(value)}, expected one of {', '.join(words)}",
+        reason="UNKNOWN_VALUE",
+        field=field,
     )
 
 
 def instance(field: str, value: Any, wanted: type, expected: str) -> None:
-    """Refuses a value of another type.
+    """Checks that `value` is an instance of `wanted`; the message calls that type `expected`.
 
     Raises:
         InvalidArgument: WRONG_TYPE.
@@ -109,10 +120,10 @@ def instance(field: str, value: Any, wanted: type, expected: str) -> None:
 
 
 def real(field: str, value: Any, expected: str) -> float:
-    """A real number of any type; one too large for a float is infinity.
+    """Converts a real number of any type to a float; one too large for a float becomes infinity.
 
     Raises:
-        InvalidArgument: WRONG_TYPE, with the text `expected`.
+        InvalidArgument: WRONG_TYPE. The message ends with `expected`.
     """
     good = isinstance(value, (numbers.Real, Decimal, np.integer, np.floating))
     if isinstance(value, (bool, np.bool_)) or not good:
@@ -121,5 +132,5 @@ def real(field: str, value: Any, expected: str) -> float:
         return float(value)
     except OverflowError:
         return math.inf if value > 0 else -math.inf
-    except ValueError:  # a signalling NaN of decimal
+    except ValueError:  # a signalling NaN of `decimal`
         return math.nan

@@ -1,4 +1,4 @@
-"""Arrays that users pass: brought to one form, or refused by name."""
+"""Checks arrays that callers pass and converts them to one form; an error names the argument."""
 
 from __future__ import annotations
 
@@ -16,16 +16,23 @@ from ._errors import InvalidArgument
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.uint32]
 
-#: A pose's matrix may differ from a rotation by this much, entry by entry.
+#: The largest allowed difference, in any entry, between `R^T R` and the identity matrix.
 _ROTATION_ERROR = 1e-3
 
-#: The server's rules for poses (`src/contact/body.rs`).
+#: The ranges of poses that the server accepts (`src/contact/body.rs`): the largest absolute value
+#: of a coordinate, and the norm of a quaternion.
 _MAX_POSITION = 1e100
 _MIN_NORM, _MAX_NORM = 0.25, 4.0
 
 
 def floats(field: str, value: Any, *shape: int | None) -> Floats:
-    """`value` as a contiguous little-endian float64 array; None in `shape` is any length."""
+    """Converts `value` to a contiguous little-endian float64 array of the given shape.
+
+    None in `shape` stands for any length.
+
+    Raises:
+        InvalidArgument: NOT_AN_ARRAY or WRONG_SHAPE.
+    """
     given = _array(field, value, shape)
     if given.dtype.kind not in "fiu" and given.size:
         raise InvalidArgument(
@@ -42,9 +49,17 @@ def floats(field: str, value: Any, *shape: int | None) -> Floats:
 def indices(
     field: str, value: Any, *shape: int | None, below: int | None = None, of: str = ""
 ) -> Indices:
-    """`value` as a contiguous little-endian uint32 array, each entry under `below`.
+    """Converts `value` to a contiguous little-endian uint32 array of the given shape.
 
-    `of` says what is counted by `below`, such as "the scene has 3 bodies".
+    Args:
+        field: the argument's name, for messages.
+        value: integers of any type.
+        shape: the shape; None stands for any length.
+        below: each entry must be less than this; by default 2^32.
+        of: states in a message what `below` counts, such as "the scene has 3 bodies".
+
+    Raises:
+        InvalidArgument: NOT_AN_ARRAY, NOT_INTEGERS, WRONG_SHAPE or INDEX_OUT_OF_RANGE.
     """
     array = _array(field, value, shape)
     if array.size == 0:
@@ -73,7 +88,10 @@ def indices(
 
 
 def _array(field: str, value: Any, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
-    """`value` as a numpy array of whatever kind; iterables without a length are read once."""
+    """Converts `value` to a numpy array of any type and shape; `shape` is only used in messages.
+
+    An iterable that cannot be indexed is read once.
+    """
     expected = f"expected an array of shape {_wanted(shape)}"
     if value is None or isinstance(value, (str, bytes, Mapping)):
         raise InvalidArgument(f"{expected}, got {kind(value)}", reason="NOT_AN_ARRAY", field=field)
@@ -89,10 +107,11 @@ def _array(field: str, value: Any, shape: tuple[int | None, ...]) -> npt.NDArray
             array = np.asarray(value)
     except InvalidArgument:
         raise
-    except Exception as error:  # whatever a foreign object's conversion raises
+    except Exception as error:  # the conversion of a foreign object may raise anything
         raise InvalidArgument(f"{expected}: {error}", reason="NOT_AN_ARRAY", field=field) from None
     if array.dtype.kind == "O" and array.ndim and array.size:
-        # Fractions and decimals are numbers; None would become NaN.
+        # An array of fractions or decimals is converted to floats. None is excluded, because it
+        # would become NaN.
         real = all(not isinstance(entry, (str, bytes, type(None))) for entry in array.flat)
         with contextlib.suppress(TypeError, ValueError, OverflowError):
             array = array.astype("<f8") if real else array
@@ -100,14 +119,14 @@ def _array(field: str, value: Any, shape: tuple[int | None, ...]) -> npt.NDArray
 
 
 def _content(array: npt.NDArray[Any], value: Any) -> str:
-    """What an array of no numbers holds, for an error message."""
+    """Describes the content of an array that is not numeric, for an error message."""
     if array.ndim == 0:
         return f"{shown(value)} of type {kind(value)}"
     return "rows of different lengths or objects" if array.dtype.kind == "O" else str(array.dtype)
 
 
 def frozen(array: Floats) -> Floats:
-    """A copy that cannot be written to."""
+    """A read-only copy of an array."""
     copy = array.copy()
     copy.flags.writeable = False
     return copy
@@ -129,9 +148,16 @@ def _wanted(shape: tuple[int | None, ...]) -> str:
 
 
 def from_wxyz(quaternions: Any) -> Floats:
-    """Quaternions `w, x, y, z` (MuJoCo, Isaac) as the `x, y, z, w` of this package.
+    """Converts quaternions from the order w, x, y, z (MuJoCo, Isaac) to x, y, z, w (this package).
 
-    Takes and returns shape (..., 4).
+    Args:
+        quaternions: (..., 4), numbers.
+
+    Returns:
+        (..., 4), float64.
+
+    Raises:
+        InvalidArgument: NOT_AN_ARRAY or WRONG_SHAPE.
     """
     array = _array("quaternions", quaternions, (None, 4))
     if array.ndim == 0 or array.shape[-1] != 4 or array.dtype.kind not in "fiu":
@@ -144,12 +170,16 @@ def from_wxyz(quaternions: Any) -> Floats:
 
 
 def poses(positions: Any, rotations: Any, count: int | None) -> tuple[Floats, Floats]:
-    """Positions (n, 3) and quaternions (n, 4) of whatever form the poses have.
+    """Converts poses of any accepted form to positions (n, 3) and quaternions (n, 4).
 
     Args:
-        positions: (n, 3), or (n, 4, 4) homogeneous matrices with `rotations` None.
-        rotations: (n, 4) xyzw, (n, 3, 3), or a scipy `Rotation` of n.
-        count: n, or None for any.
+        positions: (n, 3); or (n, 4, 4) homogeneous matrices if `rotations` is None.
+        rotations: (n, 4) quaternions x, y, z, w; (n, 3, 3) matrices; or a scipy `Rotation` of
+            length n.
+        count: n, or None for any number of poses.
+
+    Raises:
+        InvalidArgument: NOT_AN_ARRAY, WRONG_SHAPE, MISSING_ARGUMENT, NOT_A_POSE or NOT_A_ROTATION.
     """
     if rotations is None:
         matrices = _array("positions", positions, (count, 4, 4))
@@ -183,7 +213,7 @@ def poses(positions: Any, rotations: Any, count: int | None) -> tuple[Floats, Fl
 
 
 def unusable(positions: Floats, rotations: Floats) -> Indices:
-    """The bodies whose poses the server does not take, ascending."""
+    """The indices of the bodies whose poses the server refuses, ascending."""
     with np.errstate(invalid="ignore", over="ignore"):
         near = (np.abs(positions) <= _MAX_POSITION).all(axis=1)
         squared = np.einsum("ni,ni->n", rotations, rotations)
@@ -192,7 +222,7 @@ def unusable(positions: Floats, rotations: Floats) -> Indices:
 
 
 def why_unusable(position: Floats, rotation: Floats) -> tuple[str, str]:
-    """Which argument makes a body's pose unusable, and why."""
+    """Which argument makes a body's pose unusable ("positions" or "rotations"), and the reason."""
     text = f"({', '.join(f'{c:g}' for c in position)})"
     if not np.isfinite(position).all():
         return "positions", f"its position {text} is not finite"
@@ -204,16 +234,20 @@ def why_unusable(position: Floats, rotation: Floats) -> tuple[str, str]:
     with np.errstate(over="ignore"):
         norm = float(np.linalg.norm(rotation))
     if _MIN_NORM <= norm <= _MAX_NORM:
-        return "rotations", "the server refuses its pose"  # a server of an earlier version
+        return "rotations", "the server refuses its pose"  # a server of another version
     allowed = f"{_MIN_NORM:g} to {_MAX_NORM:g} is allowed"
     return "rotations", f"its rotation {text} has norm {norm:g}, {allowed}"
 
 
 def quaternions(field: str, matrices: Floats) -> Floats:
-    """Unit quaternions xyzw of rotation matrices (n, 3, 3).
+    """Converts rotation matrices (n, 3, 3) to unit quaternions (n, 4) in the order x, y, z, w.
 
-    By the largest of the four components (Shepperd 1978), which never divides
-    by less than 1/2. NaN stays NaN: the answer reports such a body.
+    Shepperd's method (1978): the quaternion is computed from its largest component, so that no
+    division is by less than 1/2. A matrix with NaN gives a quaternion of NaN; the server then
+    reports the body as unusable.
+
+    Raises:
+        InvalidArgument: NOT_A_ROTATION.
     """
     products = np.einsum("nki,nkj->nij", matrices, matrices)
     with np.errstate(invalid="ignore"):
@@ -226,7 +260,8 @@ def quaternions(field: str, matrices: Floats) -> Floats:
             field=field,
             index=int(wrong[0]),
         )
-    # Row i of `outer` is 4 q_i q, up to rounding; any row is the quaternion.
+    # Row i of `outer` is 4 q_i q, up to rounding. Every row with q_i != 0, normalised, is the
+    # quaternion.
     m = matrices
     x, y, z = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]
     xy, xz, yz = m[:, 0, 1] + m[:, 1, 0], m[:, 0, 2] + m[:, 2, 0], m[:, 1, 2] + m[:, 2, 1]

@@ -1,8 +1,8 @@
-"""The operations of a client, for both ways of waiting.
+"""The operations of a client, written once for the blocking client and for asyncio.
 
-Each operation is a generator that yields the call it waits for next and is sent
-the answer, or thrown the call's error. The clients (`_client.py`, `aio.py`)
-only wait: everything else is here, once.
+Each operation is a generator. It yields the call whose result it needs next. The client
+(`_client.py` or `aio.py`) waits for the call, and sends the result into the generator or throws the
+call's error into it. The clients do nothing but wait.
 """
 
 from __future__ import annotations
@@ -36,96 +36,97 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-#: Yields what is waited for (`Link.start`, `.call`, `.stream`); returns the result.
+#: A generator that yields what to wait for (from `Link.start`, `.call` or `.stream`) and returns
+#: the operation's result.
 Steps = Generator[Any, Any, T]
 
 REGISTER = "/hullcast.v1.HullService/RegisterHulls"
 QUERY = "/hullcast.v1.ContactService/QueryContacts"
 FIND = "/hullcast.v1.ContactService/FindContacts"
 
-#: The methods of one request and one answer.
+#: The methods with one request and one response.
 UNARY = (REGISTER, QUERY, _manage.INFO, _manage.LIST, _manage.DELETE, _manage.GET)
 
-#: Seconds in which a server answers the first call, GetServerInfo.
+#: Seconds within which a server must answer the first call, GetServerInfo.
 _PROOF_SECONDS = 5.0
 
-#: Messages of one call under way at once: enough that the server always has
-#: the next one while this side reads the last.
+#: Messages of one call that are in flight at once: enough that the server always has the next one
+#: while this client reads the last response.
 _IN_FLIGHT = 6
 
-#: Times that pairs are asked for again after registering the hulls they lack.
+#: How often pairs are queried again after the hulls that the server lacks were registered.
 REGISTRATIONS = 3
 
-#: Times that one message is sent again because its answer was cut off. Each
-#: is a call with all of gRPC's own retries.
+#: How often one message is sent again because its response was cut off. Each attempt is a call with
+#: all of gRPC's own retries.
 _CUT_OFFS = 3
 
-#: Times that one message is sent again to a server that is too busy, and the
-#: longest wait in between, seconds: some 15 s in all.
+#: How often one message is sent again to a server that is too busy, and the longest pause between
+#: two attempts, in seconds: about 15 s in all.
 _BUSY = 12
 _LONGEST_PAUSE = 2.0
 
 
 class Stream(Protocol):
-    """An open stream of messages, answered in order."""
+    """An open stream: messages are sent, and answered in the order of sending."""
 
     def send(self, data: bytes) -> Any:
-        """What to wait for until a message is under way. What goes wrong, `receive` tells."""
+        """Returns what to wait for until the message is under way. `receive` reports any error."""
 
     def receive(self, timeout: float | None) -> Any:
-        """What to wait for until the oldest message not yet answered is."""
+        """Returns what to wait for until the oldest unanswered message is answered."""
 
     def cancel(self) -> None:
-        """Ends it."""
+        """Ends the stream."""
 
 
 class Link(Protocol):
-    """An open channel: ways to make a call, each giving what the client waits for."""
+    """An open channel. Each method that makes a call returns what the client has to wait for."""
 
-    #: Whether a server has answered on it.
+    #: Whether a server has answered on this channel.
     proven: bool
 
     def start(self, method: str, data: bytes, timeout: float | None) -> Any:
-        """Under way at once; has `.cancel()`."""
+        """Makes a unary call, which is under way at once. The result has `.cancel()`."""
 
     def call(self, method: str, data: bytes, timeout: float | None) -> Any:
-        """One that is waited for at once."""
+        """Makes a unary call that the caller waits for immediately."""
 
     def stream(self, method: str, data: bytes, timeout: float | None) -> Any:
-        """One that is answered by a list of messages."""
+        """Makes a call whose response is a stream, and collects its messages in a list."""
 
     def open(self, method: str) -> Stream:
-        """A stream of messages and their answers."""
+        """Opens a stream of messages in both directions."""
         ...
 
     def pause(self, seconds: float) -> Any:
-        """Nothing for a while."""
+        """Waits for some seconds."""
 
     def run(self, function: Callable[[], Any]) -> Any:
-        """The result of a function that blocks."""
+        """Runs a function that blocks, and gives its result."""
 
     def shut(self) -> None:
-        """Closes the channel, if that does not need an event loop."""
+        """Closes the channel, if that is possible without an event loop."""
 
     def abandon(self) -> None:
-        """Called where the channel belongs to another process or event loop."""
+        """Gives up a channel that belongs to another process or event loop."""
 
 
 class Calls(ABC):
-    """What `hullcast.Client` and `hullcast.aio.Client` have in common.
+    """The common part of `hullcast.Client` and `hullcast.aio.Client`.
 
     Attributes:
-        pairs_per_message: a larger query is split into messages of at most this
-            many pairs, several at a time under way. The split changes no bit of
-            the answer.
+        pairs_per_message: the largest number of pairs in one message, 4096 by default. A larger
+            query is split into several messages, some of which are in flight at once. The split
+            does not change any bit of the results.
     """
 
     def __init__(self, settings: _channel.Settings, *, server: Server | None = None) -> None:
         self._settings = settings
         self._pairs_per_message = 4096
-        #: The server that `serve` started for this client.
+        #: The server that `serve` started for this client, or None.
         self._server = server
-        # A client that is forgotten takes its server with it, as does the end of the process.
+        # The server ends when the client is garbage collected, or when the process ends.
         self._held: list[Link] = []
         self._forget = (
             None if server is None else weakref.finalize(self, _forgotten, server, self._held)
@@ -145,36 +146,35 @@ class Calls(ABC):
         timeout: float | None = 60,
         options: Iterable[tuple[str, Any]] = (),
     ) -> Self:
-        """A client of the server at `target`. It connects at the first call.
+        """Makes a client of the server at `target`. The connection is opened by the first call.
 
-        The first call fails at once if nothing listens at the address, if only one
-        side speaks TLS, or if the certificate is not trusted. After that, a call that
-        finds no server, or one too busy, is tried again for some 12 seconds, within
-        its timeout. A forked child that uses the client gets a connection of its own;
-        pickling keeps only these settings.
+        The first call fails at once if nothing listens at the address, if only one side uses TLS,
+        or if the server's certificate is not trusted. Later calls that find no server, or a server
+        that is too busy, are retried for about 12 seconds, within their timeout. A forked child
+        process that uses the client gets a connection of its own. Pickling keeps only the settings
+        given here.
 
         Args:
-            target: "host:port", "unix:PATH", "http://host:port", "https://host:port", or
-                several servers that calls are spread over: "dns:///name:port", followed
-                as the name's addresses change, or a list of "host:port". The port is
-                50051 if the address has none.
-            tls: None for none (or for what the address says); True for TLS with the
-                system's roots; the roots to trust, as PEM bytes or the path of a PEM
-                file; or gRPC credentials.
-            token: sent with every call, as a bearer token.
-            timeout: seconds above 0 that a call may take unless it says otherwise; None
-                or infinity: no limit.
-            options: further gRPC channel options; each replaces this package's own
-                option of that name.
+            target: "host:port", "unix:PATH", "http://host:port" or "https://host:port"; or several
+                servers over which calls are spread: "dns:///name:port", whose addresses are looked
+                up again when they change, or a list of "host:port". The default port is 50051.
+            tls: None for no TLS, unless the address begins with https://; True for TLS with the
+                system's root certificates; the root certificates to trust, as PEM bytes or as the
+                path of a PEM file; or gRPC credentials.
+            token: the bearer token to send with every call.
+            timeout: the default timeout of a call, in seconds above 0; None or infinity for no
+                limit.
+            options: further gRPC channel options, as (name, value) pairs. Each replaces this
+                package's own option of the same name.
 
         Raises:
-            InvalidArgument: naming the argument.
+            InvalidArgument: an argument is not usable; the error names it.
         """
         return cls(_channel.Settings.of(target, tls, token, timeout, options))
 
     @property
     def pairs_per_message(self) -> int:
-        """Pairs of a query in one message at most."""
+        """The largest number of pairs in one message."""
         return self._pairs_per_message
 
     @pairs_per_message.setter
@@ -183,13 +183,13 @@ class Calls(ABC):
 
     @property
     def target(self) -> str:
-        """The server's address, or several separated by commas."""
+        """The server's address; several addresses are separated by commas."""
         target = self._settings.target
         return target if isinstance(target, str) else ",".join(target)
 
     @property
     def timeout(self) -> float | None:
-        """Seconds that a call may take unless it says otherwise."""
+        """The default timeout of a call, in seconds; None for no limit."""
         return self._settings.timeout
 
     def _registering(
@@ -242,7 +242,7 @@ class Calls(ABC):
 
     def _pinging(self, timeout: float | None) -> Steps[float]:
         deadline = self._deadline(timeout)
-        yield from self._ready(deadline)  # the connection is not part of the round trip
+        yield from self._ready(deadline)  # opening the connection is not part of the round trip
         started = time.perf_counter()
         yield from self._ask(_manage.INFO, b"", deadline)
         return time.perf_counter() - started
@@ -280,14 +280,14 @@ class Calls(ABC):
         return _manage.read_faces(answer, hull.id)
 
     def _ask(self, method: str, data: bytes, deadline: float | None) -> Steps[bytes]:
-        """The answer to one message."""
+        """Sends one message of a unary call and returns the response."""
         link = yield from self._ready(deadline)
         return (yield from self._asked(link, partial(link.call, method, data), deadline))
 
     def _asked(
         self, link: Link, begin: Callable[[float | None], Any], deadline: float | None
     ) -> Steps[Any]:
-        """The answer of a call, made again if that helps."""
+        """Makes a call and returns its result; makes it again where a retry can help."""
         for failures in itertools.count(1):
             try:
                 return (yield begin(remaining(deadline)))
@@ -295,13 +295,13 @@ class Calls(ABC):
                 pause = self._pause_before(error, failures, deadline)
                 if pause:
                     yield link.pause(pause)
-        raise AssertionError  # count has no end
+        raise AssertionError  # unreachable: `count` does not end
 
     def _ready(self, deadline: float | None) -> Steps[Link]:
-        """The open channel, after a server has answered on it once.
+        """Returns the open channel, after a server has answered on it once.
 
-        A first call that cannot succeed fails at once, with its cause: gRPC would try again for
-        some 12 seconds, as is right after a connection that worked.
+        If a first call cannot succeed, it fails at once with the cause. Without this check gRPC
+        would retry for about 12 seconds, which is only right once the connection has worked.
         """
         link = self._link()
         self._check_server()
@@ -312,22 +312,22 @@ class Calls(ABC):
         try:
             yield link.call(_manage.INFO, b"", proof)
         except _errors.Unavailable as error:
-            if error.reason == "UNAVAILABLE":  # of gRPC itself, not of a server
+            if error.reason == "UNAVAILABLE":  # from gRPC itself, not from a server
                 cause = yield link.run(partial(self._cause, error))
                 if cause is not None:
                     raise cause from None
-                return link  # as gRPC's own retries may find it
+                return link  # gRPC's own retries may still reach the server
         except _errors.DeadlineExceeded:
             if seconds is not None and seconds <= proof:
                 raise
             return link
         except _errors.Error:
-            pass  # a server has answered, and says more to the call itself
+            pass  # a server has answered; the call itself will report the error
         link.proven = True
         return link
 
     def _cause(self, error: _errors.Unavailable) -> _errors.Unavailable | None:
-        """The error of a connection that cannot be made, if waiting does not help."""
+        """The error for a connection that waiting cannot help to make; otherwise None."""
         settings, several = self._settings, not isinstance(self._settings.target, str)
         text = None if several else _reach.absent(self.target, settings.addresses)
         for target in settings.addresses if text is None else ():
@@ -339,7 +339,7 @@ class Calls(ABC):
         return _errors.Unavailable(text, reason=error.reason)
 
     def _check_server(self, seconds: float = 0.0) -> None:
-        """Raises if the server that `serve` started has ended, or ends within so many seconds."""
+        """Raises Unavailable if the server of `serve` has ended, or ends within `seconds`."""
         if self._server is not None and not self._closed:
             how = self._server.how_it_ended(seconds)
             if how is not None:
@@ -350,17 +350,19 @@ class Calls(ABC):
     def _pause_before(
         self, error: _errors.Unavailable, failures: int, deadline: float | None
     ) -> float:
-        """Seconds to wait before a message is sent again, or the error if it is not.
+        """Returns the seconds to wait before a retry; raises the error if there is to be none.
 
-        gRPC has tried already, but at most five times, and not after part of the answer had come.
+        gRPC itself has made up to five attempts by then, but it retries nothing after part of the
+        response has arrived.
         """
-        # A connection breaks a moment before its server's end can be seen.
+        # The connection breaks shortly before the end of the server's process can be observed.
         self._check_server(0.2)
         if error.cut_off and failures <= _CUT_OFFS:
             return 0.0
         if error.retry_after is None or failures > _BUSY:
             raise error
-        # Spread, so that those refused together do not come back together.
+        # The pauses are randomised, so that clients that were refused together do not return
+        # together.
         wait = min(max(error.retry_after, 0.0) * 2 ** (failures - 1), _LONGEST_PAUSE)
         pause = wait * random.uniform(0.5, 1.5)
         if deadline is not None and time.monotonic() + pause > deadline:
@@ -370,10 +372,11 @@ class Calls(ABC):
     def _restore(
         self, scene: Scene, parts: Iterable[_answers.Columns], times: int, deadline: float | None
     ) -> Steps[bool]:
-        """Registers the hulls that answers lack; false where the scene has none of them.
+        """Registers the hulls that responses lack; returns whether the scene has points of any.
 
-        The second time twice and so on: where replicas that share no store take
-        turns, once would reach the same one every time.
+        Attempt number `times` registers the hulls that many times: calls may alternate between
+        replicas that share no store, and a single registration per attempt could reach the same
+        replica each time.
         """
         missing = {int(i) for part in parts for i in part["missing_hulls"]}
         known = [scene.contents[i] for i in sorted(missing)]
@@ -385,7 +388,7 @@ class Calls(ABC):
     def _exchange(
         self, query: Query, spans: list[Span], deadline: float | None
     ) -> Steps[dict[Span, _answers.Columns]]:
-        """Asks for every span, some at a time, in halves where something is too large."""
+        """Queries every span, several at once; splits a span whose message is too large in two."""
         link = yield from self._ready(deadline)
         parts: dict[Span, _answers.Columns] = {}
         waiting = deque(spans)
@@ -410,7 +413,7 @@ class Calls(ABC):
                     failed[span] += 1
                     pause = self._pause_before(error, failed[span], deadline)
                     if pause:
-                        # This client's other messages may be what the server is busy with.
+                        # The server may be busy with this client's own messages, so send fewer.
                         window = max(1, window // 2)
                         yield link.pause(pause)
                     waiting.appendleft(span)
@@ -424,17 +427,23 @@ class Calls(ABC):
     def _deadline(self, timeout: float | None) -> float | None:
         seconds = self.timeout if timeout is None else _arguments.seconds("timeout", timeout)
         if timeout is not None and seconds is None:
-            return None  # infinity, although the client has a limit
+            return None  # the caller passed infinity, which overrides the client's limit
         return None if seconds is None else time.monotonic() + seconds
 
     def _link(self) -> Link:
-        """The open channel, opened at first use, and anew in another `_place`."""
+        """Returns the open channel.
+
+        It is opened at first use, and again if `_place` has changed.
+        """
         place = self._place()
         opened = self._opened
         if opened is None or opened[0] is not place:
             with self._lock:
                 if self._closed:
-                    raise _errors.Error("the client is closed", reason="CLOSED")
+                    raise _errors.Error(
+                        "the client is closed: make a new one with hullcast.connect",
+                        reason="CLOSED",
+                    )
                 opened = self._opened
                 if opened is None or opened[0] is not place:
                     if opened is not None:
@@ -444,7 +453,7 @@ class Calls(ABC):
         return opened[1]
 
     def _place(self) -> object:
-        """What a channel is bound to, apart from its process."""
+        """The object, besides the process, to which a channel is bound: asyncio's event loop."""
         return None
 
     @abstractmethod
@@ -452,10 +461,13 @@ class Calls(ABC):
 
     @abstractmethod
     def _run(self, steps: Steps[T]) -> T:
-        """Waits for what the steps yield."""
+        """Runs an operation: waits for each call that it yields."""
 
     def _begin_close(self) -> tuple[Link | None, Callable[[], Any] | None]:
-        """Marks the client closed; the channel to close, and what stops the client's server."""
+        """Marks the client as closed.
+
+        Returns its channel and the function that stops its server.
+        """
         with self._lock:
             self._closed = True
             opened, self._opened = self._opened, None
@@ -465,7 +477,7 @@ class Calls(ABC):
         return link, None if server is None else server.close
 
     def _release_server(self) -> Server | None:
-        """The server that `serve` started, which then outlives this client."""
+        """Detaches the server that `serve` started, so that it outlives this client."""
         if self._forget is not None:
             self._forget.detach()
         server, self._server, self._forget = self._server, None, None
@@ -479,7 +491,10 @@ class Calls(ABC):
 
 
 def _forgotten(server: Server, held: list[Link]) -> None:
-    """Ends the server of a client that nobody has any more. An open connection would delay it."""
+    """Ends the server of a client that was garbage collected.
+
+    The channels are closed first, since an open connection would delay the server's end.
+    """
     for link in held:
         link.shut()
     server.forget()
@@ -491,8 +506,8 @@ def _unpickled(kind: type[Calls], settings: _channel.Settings, pairs_per_message
     return client
 
 
-#: Channels of the process that this one was forked from. Never closed, since
-#: closing would wait for threads that are not here.
+#: Channels that belong to the process from which this one was forked. They are never closed,
+#: because closing would wait for threads that do not exist in this process.
 inherited: list[Any] = []
 _clients: weakref.WeakSet[Calls] = weakref.WeakSet()
 
@@ -502,7 +517,7 @@ def _after_fork() -> None:
         inherited.append(client._opened)
         client._opened = None
         client._held.clear()
-        client._lock = threading.Lock()  # another thread may have held it
+        client._lock = threading.Lock()  # another thread of the parent may have held the old one
 
 
 if hasattr(os, "register_at_fork"):
@@ -510,19 +525,22 @@ if hasattr(os, "register_at_fork"):
 
 
 def lacks_hulls(part: _answers.Columns) -> bool:
-    """Whether the answer says that the server does not know some hull."""
-    # Most answers lack none, and small ones are counted in microseconds.
+    """Whether a response says that the server does not know some hull."""
+    # Most responses lack no hull. For small responses even microseconds count, so test this first.
     return len(part["missing_hulls"]) > 0 and bool(np.any(part["flags"] & Flag.UNKNOWN_HULL))
 
 
 def stream_ended() -> _errors.Unavailable:
-    """What a stream that ends without an error and without an answer is."""
-    error = _errors.Unavailable("the server ended the stream", reason="STREAM_ENDED")
+    """The error for a stream that ended without an error before every message was answered."""
+    error = _errors.Unavailable(
+        "the server ended the stream before it had answered every message",
+        reason="STREAM_ENDED",
+    )
     error.cut_off = True
     return error
 
 
-#: Reasons for which a server refuses a message that its halves may not have.
+#: Error reasons that may not apply to the halves of a message.
 _TOO_LARGE = (
     "RESPONSE_TOO_LARGE",
     "HULLS_TOO_LARGE",
@@ -534,22 +552,22 @@ _TOO_LARGE = (
 
 
 def halves_of(span: Span, error: _errors.Error) -> list[Span]:
-    """The span in halves if its message or its answer was too large, otherwise the error."""
+    """Splits a span in two if its message or response was too large, or raises the error."""
     if error.reason not in _TOO_LARGE or span.stop - span.start < 2:
         raise error
     return span.halves()
 
 
 def late() -> _errors.DeadlineExceeded:
-    """A call that took longer than it may."""
-    return _errors.DeadlineExceeded("no answer in time", reason="DEADLINE_EXCEEDED")
+    """The error for a call that exceeded its timeout."""
+    return _errors.DeadlineExceeded("no answer within the timeout", reason="DEADLINE_EXCEEDED")
 
 
 def remaining(deadline: float | None) -> float | None:
-    """Seconds until then, for a call's timeout.
+    """The seconds from now until a deadline, for the timeout of a call.
 
     Raises:
-        DeadlineExceeded: it is past.
+        DeadlineExceeded: the deadline has passed.
     """
     if deadline is None:
         return None

@@ -1,4 +1,4 @@
-"""How a channel is set up: target, credentials, options, retries, balancing."""
+"""Setup of a channel: target, credentials, options, retries and load balancing."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from ._errors import InvalidArgument
 
 Target = str | Sequence[str]
 Metadata = tuple[tuple[str, str], ...]
-#: The port of an address that names none.
+#: The port of an address without a port.
 DEFAULT_PORT = 50051
 _FORMS = "host, host:port, unix:PATH, dns:///host:port, http://host:port or https://host:port"
 Tls = bool | bytes | str | os.PathLike[str] | grpc.ChannelCredentials | None
 
 
-# A call that finds its server UNAVAILABLE is tried again for about 12 s in all, longer than a
-# balancer takes to see that a server is gone and than a server takes to start again. Every call
-# is idempotent. A server that is too busy says itself when to come back
-# (`grpc-retry-pushback-ms`), which gRPC obeys. gRPC allows no more than 5 attempts.
+# A call that fails with UNAVAILABLE is retried for about 12 s in all. That is longer than a
+# balancer needs to notice that a server is gone, and longer than a server needs to restart. A retry
+# is safe because every call is idempotent. A server that is too busy states itself when to retry
+# (`grpc-retry-pushback-ms`), and gRPC obeys. gRPC allows at most 5 attempts.
 def service_config(attempts: int) -> dict[str, Any]:
-    """gRPC's balancing over several servers, and its retries."""
+    """The gRPC service config: load balancing over several servers, and retries."""
     retries = {
         "maxAttempts": attempts,
         "initialBackoff": "0.2s",
@@ -45,46 +45,47 @@ def service_config(attempts: int) -> dict[str, Any]:
         "loadBalancingConfig": [{"round_robin": {}}],
         "methodConfig": [
             {"name": [{}], "retryPolicy": retries},
-            # It asks whether a server is there at all, so that a failure is an answer.
+            # These calls ask whether a server is there at all, so they are not retried.
             {"name": [{"service": "hullcast.v1.ServerService"}]},
         ],
-        # If more than half of many attempts fail, retrying only adds to the load.
+        # If more than half of many attempts fail, retries only add to the load.
         "retryThrottling": {"maxTokens": 200, "tokenRatio": 0.5},
     }
 
 
 _OPTIONS: dict[str, Any] = {
-    # The server's limits are the ones that count.
+    # The server enforces the message limits.
     "grpc.max_send_message_length": -1,
     "grpc.max_receive_message_length": -1,
-    # Columns are megabytes: fewer frames, and windows that take a whole message.
+    # Columns are megabytes long: use few, large frames, and windows that hold a whole message.
     "grpc.http2.max_frame_size": 1 << 20,
     "grpc.http2.lookahead_bytes": 8 << 20,
     "grpc.service_config": json.dumps(service_config(attempts=5)),
-    # A request larger than this is not retried: the server's message limit.
+    # gRPC does not retry a request larger than this. It is the server's message limit.
     "grpc.per_rpc_retry_buffer_size": 64 << 20,
-    # A server that is back is found within the retries.
+    # Reconnect quickly, so that a restarted server is found while calls are still retried.
     "grpc.initial_reconnect_backoff_ms": 100,
     "grpc.min_reconnect_backoff_ms": 1000,
     "grpc.max_reconnect_backoff_ms": 2000,
     "grpc.dns_min_time_between_resolutions_ms": 5000,
-    # A peer that is frozen or vanished without a word is noticed after some 20 s of a call, early
-    # enough for another to answer within the usual timeout. No pings are sent between calls.
-    # gRPC waits for a ping's answer by the third option, and for any data by the second.
+    # A server that hangs, or that vanished without closing the connection, is detected after about
+    # 20 s of a call. That is early enough for another server to answer within the usual timeout. No
+    # pings are sent between calls. gRPC waits for the response to a ping by the third option, and
+    # for any data by the second.
     "grpc.keepalive_time_ms": 10_000,
     "grpc.keepalive_timeout_ms": 10_000,
     "grpc.http2.ping_timeout_ms": 10_000,
     "grpc.keepalive_permit_without_calls": 0,
-    # Pings are not held back while a call waits for its answer and sends nothing.
+    # Send pings even while a call waits for its response and sends no data.
     "grpc.http2.max_pings_without_data": 0,
-    # A forked child must not write into its parent's connections.
+    # Share no connections: a forked child must not write into its parent's connections.
     "grpc.use_local_subchannel_pool": 1,
 }
 
 
 @dataclass(frozen=True)
 class Settings:
-    """All settings of a client, and all that is kept of it when it is pickled."""
+    """All settings of a client. A pickled client keeps nothing else."""
 
     target: Target
     tls: Tls = None
@@ -94,10 +95,10 @@ class Settings:
 
     @classmethod
     def of(cls, target: Any, tls: Any, token: Any, timeout: Any, options: Any) -> Settings:
-        """The settings of `connect`'s arguments, each checked.
+        """Makes the settings from the arguments of `connect`, and checks each argument.
 
         Raises:
-            InvalidArgument: naming the argument.
+            InvalidArgument: an argument is not usable; the error names it.
         """
         if isinstance(target, os.PathLike):
             target = f"unix:{os.fspath(target)}"
@@ -110,12 +111,16 @@ class Settings:
             )
         entries = list(target) if several else [target]  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
         if not entries:
-            raise InvalidArgument("the list has no address", reason="NO_ADDRESS", field="target")
+            raise InvalidArgument(
+                "the list is empty: expected one or more addresses",
+                reason="NO_ADDRESS",
+                field="target",
+            )
         read = [_entry(entry, i if several else None) for i, entry in enumerate(entries)]
         for i, (_, text) in enumerate(read):
             if len(read) > 1 and text.startswith(("unix:", "dns:", "ipv4:", "ipv6:")):
                 raise InvalidArgument(
-                    f"{shown(entries[i])} is not host:port, the form of addresses in a list",
+                    f"got {shown(entries[i])}, expected host:port in a list of addresses",
                     reason="NOT_AN_ADDRESS",
                     field="target",
                     index=i,
@@ -123,7 +128,7 @@ class Settings:
         schemes = {scheme for scheme, _ in read} - {""}
         if len(schemes) > 1 or (schemes and len({scheme for scheme, _ in read}) > 1):
             raise InvalidArgument(
-                "some addresses begin with http:// or https:// and others do not",
+                "expected the same prefix (http://, https:// or none) in all addresses",
                 reason="MIXED_ADDRESSES",
                 field="target",
             )
@@ -138,7 +143,7 @@ class Settings:
         )
 
     def open(self, module: Any) -> Any:
-        """A channel of `grpc` or `grpc.aio`. Nothing is connected yet."""
+        """Opens a channel of `grpc` or `grpc.aio`. It does not connect yet."""
         target = address(self.target)
         options = channel_options(self.target, self.options)
         if self.tls is None or self.tls is False:
@@ -147,14 +152,15 @@ class Settings:
 
     @property
     def addresses(self) -> tuple[str, ...]:
-        """The `host:port` that a socket can be opened to."""
+        """The addresses as `host:port`, for opening a socket; none for a Unix socket."""
         targets = (self.target,) if isinstance(self.target, str) else tuple(self.target)
         return tuple(t.rpartition("/")[2] for t in targets if not t.startswith("unix:"))
 
     def trust(self) -> ssl.SSLContext | None:
-        """A context that trusts the same certificates as the client; None without TLS.
+        """An SSL context that trusts the same certificates as the client; None without TLS.
 
-        The roots of gRPC credentials are not known, so that such a context trusts no one.
+        The root certificates inside gRPC credentials cannot be read. For such credentials the
+        context trusts no certificate.
         """
         if self.tls is None or self.tls is False:
             return None
@@ -167,13 +173,13 @@ class Settings:
         return context
 
     def metadata(self) -> Metadata:
-        """Sent with a call that begins here and now."""
+        """The metadata of a call that begins now: the token and the caller's trace context."""
         token = () if self.token is None else (("authorization", f"Bearer {self.token}"),)
         return token + _trace_context()
 
 
 def _trace_context() -> Metadata:
-    """The trace that the caller is in (`traceparent`), by OpenTelemetry where it is in use."""
+    """The headers (`traceparent`) of the caller's trace, if OpenTelemetry is loaded."""
     if "opentelemetry.trace" not in sys.modules:
         return ()
     headers: dict[str, str] = {}
@@ -182,9 +188,10 @@ def _trace_context() -> Metadata:
 
 
 def channel_options(target: Target, own: Iterable[tuple[str, Any]]) -> list[tuple[str, Any]]:
-    """This package's options, each replaced where the caller names it too."""
+    """This package's channel options; an option of the same name in `own` replaces one."""
     merged = dict(_OPTIONS)
-    # Else the authority is the socket's path or the whole list, which HTTP/2 servers refuse.
+    # Without this option the authority is the socket's path or the whole list, and HTTP/2 servers
+    # refuse both.
     if not isinstance(target, str):
         merged["grpc.default_authority"] = target[0]
     elif target.startswith("unix:"):
@@ -194,7 +201,7 @@ def channel_options(target: Target, own: Iterable[tuple[str, Any]]) -> list[tupl
 
 
 def _entry(entry: Any, place: int | None) -> tuple[str, str]:
-    """Scheme ("http", "https" or "") and gRPC's form of an address, with a port."""
+    """Splits an address into its scheme ("http", "https" or "") and gRPC's form, with a port."""
     if not isinstance(entry, str):
         raise InvalidArgument(
             f"expected {_FORMS}, got {kind(entry)}",
@@ -229,7 +236,7 @@ def _entry(entry: Any, place: int | None) -> tuple[str, str]:
 
 
 def _with_port(text: str, wrong: Any, *, numeric: bool = False) -> str:
-    """`host:port` of a host with or without a port."""
+    """Completes a host, with or without a port, to `host:port`."""
     host, colon, port = text.rpartition(":")
     if not colon or "]" in port:
         host, port = text, str(DEFAULT_PORT)
@@ -248,26 +255,26 @@ def _with_port(text: str, wrong: Any, *, numeric: bool = False) -> str:
 def _tls(tls: Any, schemes: set[str]) -> Any:
     if "http" in schemes and tls not in (None, False):
         raise InvalidArgument(
-            "the address begins with http://, which is without TLS: use https://",
+            "the address begins with http://, which excludes TLS: use https://, or leave out tls=",
             reason="CONTRADICTION",
             field="tls",
         )
     if "https" in schemes:
         if tls is False:
             raise InvalidArgument(
-                "the address begins with https://, which is with TLS: use http://",
+                "the address begins with https://, which needs TLS: use http://, or leave out tls=",
                 reason="CONTRADICTION",
                 field="tls",
             )
         tls = True if tls is None else tls
     if tls is None or isinstance(tls, (bool, grpc.ChannelCredentials)):
         return tls
-    _roots(tls)  # refused now, not at the first call
+    _roots(tls)  # refuse a bad file now, not at the first call
     return tls
 
 
 def _roots(tls: Any) -> bytes:
-    """The PEM bytes of the authorities to trust."""
+    """The PEM bytes of the root certificates to trust."""
     if isinstance(tls, bytes):
         content, name = tls, "the bytes"
     elif isinstance(tls, (str, os.PathLike)):
@@ -306,9 +313,9 @@ def _token(token: Any) -> str | None:
         raise InvalidArgument(
             f"expected a str, got {kind(token)}", reason="WRONG_TYPE", field="token"
         )
-    token = token.strip()  # a file's last line ends with a line break
+    token = token.strip()  # a token read from a file may end with a line break
     if not token or not all("!" <= c <= "~" for c in token):
-        # The token itself is a secret, so the text does not show it.
+        # The message does not show the token, because it is a secret.
         raise InvalidArgument(
             "expected one or more visible ASCII characters, without spaces",
             reason="NOT_A_TOKEN",
@@ -340,28 +347,35 @@ def _options(options: Any) -> tuple[tuple[str, Any], ...]:
 
 
 def address(target: Target) -> str:
-    """The gRPC target of one address, or of a list that calls are spread over."""
+    """The gRPC target of one address, or of a list of addresses over which calls are spread."""
     if isinstance(target, str):
         return target
     if not target:
-        raise InvalidArgument("no address", reason="NO_ADDRESS", field="target")
+        raise InvalidArgument(
+            "expected one or more addresses, got none", reason="NO_ADDRESS", field="target"
+        )
     if len(target) == 1:
         return target[0]
     found = [_resolved(i, entry) for i, entry in enumerate(target)]
     families = {family for family, _ in found}
     if len(families) > 1:
         raise InvalidArgument(
-            "IPv4 and IPv6 addresses in one list", reason="MIXED_ADDRESSES", field="target"
+            "expected only IPv4 or only IPv6 addresses in a list, got both",
+            reason="MIXED_ADDRESSES",
+            field="target",
         )
     return f"{families.pop()}:" + ",".join(text for _, text in found)
 
 
 def _resolved(place: int, entry: str) -> tuple[str, str]:
-    """Family and "address:port"; gRPC takes lists of numeric addresses only."""
+    """The family and "address:port" of an entry, resolved, because gRPC lists must be numeric."""
     host, colon, port = entry.rpartition(":")
     if not colon or not port.isdecimal() or "/" in host:
         raise InvalidArgument(
-            f"{entry!r} is not host:port", reason="NOT_AN_ADDRESS", field="target", index=place
+            f"got {entry!r}, expected host:port",
+            reason="NOT_AN_ADDRESS",
+            field="target",
+            index=place,
         )
     bare = host.removeprefix("[").removesuffix("]")
     try:
@@ -371,7 +385,10 @@ def _resolved(place: int, entry: str) -> tuple[str, str]:
             number = ipaddress.ip_address(socket.gethostbyname(bare))
         except OSError as error:
             raise InvalidArgument(
-                f"{bare}: {error}", reason="NAME_NOT_FOUND", field="target", index=place
+                f"the host name {bare!r} cannot be resolved: {error}",
+                reason="NAME_NOT_FOUND",
+                field="target",
+                index=place,
             ) from None
     return ("ipv4", f"{number}:{port}") if number.version == 4 else ("ipv6", f"[{number}]:{port}")
 

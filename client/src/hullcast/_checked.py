@@ -1,8 +1,8 @@
-"""Checks of a server's answers, before anything of an answer is used.
+"""Checks a server's response before the client uses any part of it.
 
-A server of another make, a proxy or a cache may send an answer to another request, or columns that
-do not fit together. Each defect is a `ServerError` with the reason MALFORMED_ANSWER. The command
-line makes the same checks (`src/cli/checked.rs`).
+A server of another implementation, a proxy or a cache may send the response to another request, or
+columns that contradict each other. Every such defect raises `ServerError` with the reason
+MALFORMED_ANSWER. The command line makes the same checks (`src/cli/checked.rs`).
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ T = TypeVar("T")
 Columns = dict[str, np.ndarray]
 
 _HULL_REASONS = Flag.UNKNOWN_HULL | Flag.HULL_UNAVAILABLE
-#: The flags that explain why a pair is INVALID.
+#: The flags that explain why a pair's outcome is INVALID.
 _REASONS = _HULL_REASONS | Flag.INVALID_BODY
-#: The bits of the flags that this version does not know.
+#: The flag bits that this version of the client does not know.
 _UNKNOWN_FLAGS = 0xFF & ~sum(Flag)
-#: A normal's squared length may differ from 1 by this much.
+#: The largest allowed difference between a normal's squared length and 1.
 _NORMAL_ERROR = 1e-6
-#: Columns of which every number is finite.
+#: The per-point columns in which every number must be finite.
 _FINITE_OF_POINT = ("witness_as", "distances", "witness_bs")
 
 
 def malformed(text: str) -> ServerError:
-    """The error for an answer that no correct server gives."""
+    """The error for a response that no correct server sends."""
     return ServerError(f"the server's answer is malformed: {text}", reason="MALFORMED_ANSWER")
 
 
 def parsed(read: Callable[[bytes], T], data: Any) -> T:
-    """A message of these bytes.
+    """Parses bytes into a message.
 
     Raises:
-        ServerError: MALFORMED_ANSWER, they are no such message.
+        ServerError: MALFORMED_ANSWER, the bytes are not such a message.
     """
     if not isinstance(data, bytes):
         raise malformed(f"it is an object of type {type(data).__name__}")
@@ -53,34 +53,34 @@ def parsed(read: Callable[[bytes], T], data: Any) -> T:
 
 
 def request_id(found: int, sent: int) -> None:
-    """Refuses the answer to another request."""
+    """Raises if a response belongs to another request."""
     if found != sent:
         raise malformed(f"request_id is {found}, expected {sent}: it answers another request")
 
 
 def length(name: str, found: int, expected: int) -> None:
-    """Refuses a column of another length."""
+    """Raises if a column has another length than expected."""
     if found != expected:
         raise malformed(f"{name} has {found} entries, expected {expected}")
 
 
 def ascending(name: str, column: Indices, count: int) -> None:
-    """Refuses indices that are out of range, or not each above the one before."""
+    """Raises if indices are not strictly ascending, or not below `count`."""
     if len(column) == 0:
         return
     if int(column.max()) >= count:
-        raise malformed(f"{name} has {column.max()}, but the request has {count}")
+        raise malformed(f"{name} has the index {column.max()}, expected less than {count}")
     if (np.diff(column.astype(np.int64)) <= 0).any():
         raise malformed(f"{name} is not ascending")
 
 
 def columns(found: Columns, pairs: Indices, body_hulls: Indices) -> None:
-    """Refuses values that no pair has, or that contradict each other.
+    """Raises if a pair has impossible values, or values that contradict each other.
 
     Args:
-        found: the columns of one message, each of its length.
-        pairs: (n, 2), the pairs that it answers.
-        body_hulls: of each body, its index among the hulls, in the numbering of the message.
+        found: the columns of one message, whose lengths are already checked.
+        pairs: (n, 2), the pairs that the message answers.
+        body_hulls: (bodies,), each body's index among the hulls, as the message numbers them.
     """
     outcomes, flags = found["outcomes"], found["flags"]
     low, high = int(Outcome.CONTACT), int(Outcome.INVALID)
@@ -108,7 +108,7 @@ def columns(found: Columns, pairs: Indices, body_hulls: Indices) -> None:
 
 
 def _numbers(found: Columns, invalid: npt.NDArray[np.bool_], some_invalid: bool) -> None:
-    """Refuses numbers that are NaN, out of order or of a wrong length."""
+    """Raises if a number is NaN, outside its bracket, or not a unit vector."""
 
     def refuse(name: str, good: npt.NDArray[np.bool_], expected: str) -> None:
         if some_invalid:
@@ -119,7 +119,7 @@ def _numbers(found: Columns, invalid: npt.NDArray[np.bool_], some_invalid: bool)
     alpha = found.get("alphas")
     if alpha is not None:
         lower, upper = found["alpha_lowers"], found["alpha_uppers"]
-        # Comparisons with NaN are false.
+        # A comparison with NaN is false, so NaN is refused too.
         inside = (lower >= 0) & (lower <= alpha) & (alpha <= upper) & (alpha < np.inf)
         refuse("alphas", inside, "a number inside its bracket")
     if "separations" in found:
@@ -129,12 +129,12 @@ def _numbers(found: Columns, invalid: npt.NDArray[np.bool_], some_invalid: bool)
             squared = np.einsum("ni,ni->n", normals, normals)
             refuse("normals", np.abs(squared - 1) <= _NORMAL_ERROR, "a unit vector")
     kept = found.get("kept_areas")
-    if kept is not None and not np.isnan(kept).all():  # an older server does not send the column
+    if kept is not None and not np.isnan(kept).all():  # an older server sends no such column
         refuse("kept_areas", (kept >= 0) & (kept <= 1), "0 to 1")
 
 
 def _misplaced(found: Columns, pairs: Indices, body_hulls: Indices) -> npt.NDArray[np.bool_]:
-    """Pairs whose flags contradict `invalid_bodies` or `missing_hulls`."""
+    """Which pairs have flags that contradict `invalid_bodies` or `missing_hulls`."""
     flags = found["flags"]
     unusable = np.zeros(len(body_hulls), dtype=bool)
     unusable[found["invalid_bodies"]] = True
@@ -155,16 +155,16 @@ def _refuse(name: str, column: np.ndarray, wrong: npt.NDArray[np.bool_], expecte
 def found_pairs(
     pairs: Indices, outcomes: npt.NDArray[np.uint8], bodies: int, before: tuple[int, int] | None
 ) -> tuple[int, int] | None:
-    """Refuses pairs of `find` that are out of range, doubled, unsorted or not near.
+    """Raises if pairs of `find` are out of range, repeated, not sorted, or not near each other.
 
     Args:
-        pairs: (n, 2), of one message.
-        outcomes: (n,)
-        bodies: how many the scene has.
-        before: the last pair of the messages before, if there is one.
+        pairs: (n, 2), the pairs of one message.
+        outcomes: (n,), their outcomes.
+        bodies: the number of bodies in the scene.
+        before: the last pair of the previous messages, or None.
 
     Returns:
-        The last pair so far.
+        The last pair so far, or None if there is none.
     """
     if len(pairs) == 0:
         return before
@@ -184,18 +184,18 @@ def found_pairs(
 
 
 def result_kind(place: int, kind: str | None) -> None:
-    """Refuses a registration's result that is neither a hull nor an error."""
+    """Raises if a registration's result is neither a hull nor an error."""
     if kind is None:
         raise malformed(f"results[{place}] is neither a hull nor an error")
 
 
 def hull(place: int, info: Any, content: Content | None) -> None:
-    """Refuses a hull's record whose numbers no hull has.
+    """Raises if a hull's record has numbers that no hull can have.
 
     Args:
         place: the hull's index in the call.
         info: a `HullInfo`.
-        content: the content that was registered; None if it is not known.
+        content: the content that was registered, or None if it is unknown.
     """
     name = f"hulls[{place}]"
     if content is not None and info.id != content.identity:
@@ -219,13 +219,13 @@ def hull(place: int, info: Any, content: Content | None) -> None:
             raise malformed(f"{name}.{field} is {value}, expected a finite number, 0 or more")
     v, e, f = info.vertex_count, info.edge_count, info.face_count
     points = info.registered_count if content is None else len(content.points)
-    # Vertices inside merged faces are kept, so that Euler's formula is a bound.
+    # Euler's formula only holds as a bound, since vertices inside merged faces are kept.
     if v < 4 or f < 4 or e < 6 or v - e + f < 2 or v > points:
         raise malformed(f"{name} has {v} vertices, {e} edges and {f} faces of {points} points")
 
 
 def echoed(name: str, found: Sequence[bytes], asked: Sequence[bytes]) -> None:
-    """Refuses records of other hulls than those asked for."""
+    """Raises if the records are not those of the requested hulls, in order."""
     length(name, len(found), len(asked))
     for place, (ours, theirs) in enumerate(zip(asked, found, strict=True)):
         if ours != theirs:
@@ -233,7 +233,7 @@ def echoed(name: str, found: Sequence[bytes], asked: Sequence[bytes]) -> None:
 
 
 def mesh(name: str, ids: Indices, offsets: Indices, corners: Indices, normals: Floats) -> None:
-    """Refuses faces whose corners are none of the hull's vertices."""
+    """Raises if a hull's faces are malformed, or have a corner that is not a vertex of the hull."""
     faces = len(offsets) - 1
     if faces < 4 or int(offsets[0]) != 0 or int(offsets[-1]) != len(corners):
         raise malformed(f"{name}.face_offsets does not fit face_vertices")

@@ -1,4 +1,4 @@
-"""The client that blocks: how it makes a call and waits for it."""
+"""The blocking client: makes calls with `grpc` and waits for them."""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ T = TypeVar("T")
 
 
 class Client(_calls.Calls):
-    """A connection to a server; made by `connect` or `serve`, closed by `close` or `with`.
+    """A connection to a server, whose calls block.
 
-    Its calls may be made from several threads at once.
+    Make a client with `connect` or `serve`, and close it with `close` or `with`. Several threads
+    may make calls on one client at once.
     """
 
     __doc__ = f"{__doc__}\n{_calls.Calls.__doc__}"
@@ -45,35 +46,42 @@ class Client(_calls.Calls):
         planarity: Planarity = "default",
         timeout: float | None = None,
     ) -> list[Hull]:
-        """Registers convex hulls, each given by points; those already known cost little.
+        """Registers convex hulls, each given by its points, for use in a `Scene`.
 
-        A mesh that is not convex, or has holes, is registered as its convex hull
-        with a `NotConvexWarning`.
+        Registering a hull that the server already knows costs little. A mesh that is not convex, or
+        has holes, is registered as its convex hull, with a `NotConvexWarning`.
 
         Args:
-            hulls: one hull or an iterable of hulls. Each is an array (n, 3), an object
-                with such `.vertices`, as trimesh's, a scipy `ConvexHull`, a `Hull`, or
-                the path of an OBJ, STL, DAE or PLY file; a `trimesh.Scene` counts as its
-                parts. Points inside are dropped, none is moved.
-            contraction_points: per hull (3,), strictly inside, or None: the
-                centre of mass.
-            max_vertices, max_deviation: simplify to at most so many vertices, and so
-                that no point is farther than this from what is left: a subset of the
-                vertices, about the same contraction point. `Hull.deviation` is the
-                certified bound of what it cost.
-            planarity: how far the vertices of one face may lie from one plane, a share of
-                the circumradius from 0 to 0.01, so that coordinates that were rounded in
-                a file leave faces whole. No vertex moves, and `alpha` does not depend on
-                it; a contact point inside a face may be off its hull by at most this.
-                "default" means `DEFAULT_PLANARITY`, and for a `Hull` its own; None sends
-                none: the server takes 1e-6.
-            timeout: seconds for the whole call; the client's by default.
+            hulls: one hull or an iterable of hulls. A hull is an array (n, 3) of points in the
+                hull's own frame; an object with such an array as `.vertices`, for example a trimesh
+                mesh; a scipy `ConvexHull`; a `Hull`; or the path of an OBJ, STL, DAE or PLY file. A
+                `trimesh.Scene` stands for all its parts. Points inside the hull are dropped; no
+                point is moved.
+            contraction_points: one entry per hull: the point (3,) about which the hull grows,
+                strictly inside the hull, or None for the centre of mass.
+            max_vertices: simplify each hull to at most this many vertices, 4 or more.
+            max_deviation: simplify each hull such that no dropped point is farther than this from
+                the simplified hull; a length, 0 or more. A simplified hull has a subset of the
+                vertices and keeps its contraction point. `Hull.deviation` is a certified bound of
+                the deviation.
+            planarity: how far the vertices of one face may lie from one plane, as a share of the
+                circumradius, 0 to 0.01. Coordinates rounded in a file would otherwise split a face
+                into many. No vertex moves, and `alpha` does not depend on the planarity; a contact
+                point inside a face may be off its hull by at most this much. "default" means
+                `DEFAULT_PLANARITY`, and for a `Hull` its own planarity. With None the server uses
+                1e-6.
+            timeout: seconds for the whole call; by default the client's timeout.
+
+        Returns:
+            One `Hull` per hull given, in order.
 
         Raises:
-            HullRejected: some are no hulls; the others are registered, see its `results`.
-            InvalidArgument: for a file: UNSUPPORTED_MESH, another format or a feature that
-                is not read; MALFORMED_MESH; NO_TRIANGLES; UNREADABLE_FILE.
-            FileNotFound: there is no such file.
+            HullRejected: the server refused some hulls. The others are registered; see
+                `HullRejected.results`.
+            InvalidArgument: an argument is not usable. For a file: UNSUPPORTED_MESH (an unknown
+                format, or a feature that is not read), MALFORMED_MESH, NO_TRIANGLES or
+                UNREADABLE_FILE.
+            FileNotFound: a file does not exist.
         """
 
         make = partial(
@@ -93,31 +101,35 @@ class Client(_calls.Calls):
         on_invalid: Literal["raise", "flag"] = "raise",
         timeout: float | None = None,
     ) -> Manifolds:
-        """The contact manifold of each pair.
+        """Computes the contact manifold of each pair.
 
-        Hulls that the server does not have are registered (again) if the scene
-        was made with `Hull` objects, and the pairs asked for again.
+        If the server does not have some of the scene's hulls, and the scene was made with `Hull`
+        objects, the client registers these hulls and queries their pairs again.
 
         Args:
             scene: the bodies.
-            pairs: (n, 2) integers, body indices A, B; or an iterable of pairs.
-            margin: a pair gets contact points if its hulls are within this distance
-                of each other; infinity gives every pair its numbers and points.
-            accuracy: the solver and how exact; to rounding by default.
-            outputs: names of `OUTCOME`, `ALPHA`, `NORMAL`, `POINTS`, `WITNESS_B`,
-                `FEATURES`, `BASES`, `DIAGNOSTICS`: what is computed and sent;
-                by default ALPHA, NORMAL and POINTS.
-            warm: earlier manifolds of the same pairs, with output BASES: where
-                the solver starts.
-            on_invalid: "raise" raises `InvalidPoses` if a body's position is not finite
-                or beyond 1e100, or its quaternion's norm is not in 0.25 to 4; "flag"
-                only answers INVALID for the pairs of such bodies.
-            timeout: seconds above 0 for the whole call, infinity for no limit; the
-                client's by default.
+            pairs: (n, 2) integers, the body indices A and B of each pair; or an iterable of pairs.
+            margin: a distance, 0 or more: pairs whose hulls are within this distance of each other
+                get contact points. With infinity every pair gets all numbers and points.
+            accuracy: the solver and its tolerances; by default `Accuracy.EXACT`.
+            outputs: the outputs to compute and send: names out of `OUTCOME`, `ALPHA`, `NORMAL`,
+                `POINTS`, `WITNESS_B`, `FEATURES`, `BASES` and `DIAGNOSTICS`; by default ALPHA,
+                NORMAL and POINTS.
+            warm: earlier manifolds of the same pairs, queried with output BASES. The solver starts
+                from their bases.
+            on_invalid: "raise" raises `InvalidPoses` if a body has an unusable pose: a position
+                that is not finite or beyond 1e100, or a quaternion whose norm is not in 0.25 to 4.
+                "flag" raises nothing; the pairs of such bodies have the outcome INVALID.
+            timeout: seconds above 0 for the whole call; infinity for no limit; by default the
+                client's timeout.
+
+        Returns:
+            The manifolds of all pairs, in the order of `pairs`.
 
         Raises:
-            InvalidPoses: it names the bodies, and has the whole answer (`.manifolds`).
-            InvalidArgument: naming the argument.
+            InvalidPoses: some bodies have unusable poses. The error names them and has the whole
+                result (`.manifolds`).
+            InvalidArgument: an argument is not usable; the error names it.
         """
 
         make = partial(
@@ -142,15 +154,17 @@ class Client(_calls.Calls):
         on_invalid: Literal["raise", "flag"] = "raise",
         timeout: float | None = None,
     ) -> Manifolds:
-        """The contact manifolds of all pairs within the margin; the server finds them.
+        """Finds all pairs within the margin of each other, and computes their contact manifolds.
 
-        Those are the pairs that `query` would not answer SEPARATED, of all that the
-        scene's worlds and groups let meet: `.pairs`, the lower body first, sorted.
-        Bodies with an unusable pose or a hull that the server does not have are in no
-        pair: `InvalidPoses` is raised for the former unless `on_invalid` is "flag";
-        `.invalid_bodies` and `.missing_hulls` name them.
+        The server finds the pairs by a broad phase. It considers all pairs that the scene's worlds
+        and groups allow, and returns those that `query` would not call SEPARATED. `.pairs` of the
+        result is sorted, with the lower body first.
 
-        The arguments are those of `query`; the margin is finite.
+        A body with an unusable pose, or with a hull that the server does not have, is in no pair.
+        `.invalid_bodies` and `.missing_hulls` of the result list them. Unusable poses also raise
+        `InvalidPoses`, unless `on_invalid` is "flag".
+
+        The arguments and errors are those of `query`, except that the margin must be finite.
         """
 
         make = partial(
@@ -176,11 +190,11 @@ class Client(_calls.Calls):
         warm: Manifolds | None = None,
         on_invalid: Literal["raise", "flag"] = "raise",
     ) -> Session:
-        """A step loop over the same bodies and pairs, of which each step sends poses alone.
+        """Opens a step loop over fixed bodies and pairs, in which each step sends only the poses.
 
-        The arguments are those of `query`; the scene's poses are not used. The first
-        step makes the connection. A step that raises `InvalidPoses` has been answered,
-        and the next one goes on from it.
+        The arguments are those of `query`. The scene's own poses are not used. The first step opens
+        the connection. A step that raises `InvalidPoses` counts as answered, and the next step
+        continues from it.
         """
         make = partial(
             Query,
@@ -195,26 +209,31 @@ class Client(_calls.Calls):
         return Session(self, make)
 
     def info(self, *, timeout: float | None = None) -> ServerInfo:
-        """What the server is, and its limits."""
+        """Asks the server for its version, instruction set, threads and limits."""
         return self._run(self._informing(timeout))
 
     def ping(self, *, timeout: float | None = None) -> float:
-        """Seconds until the server answered a small call; an exception if it did not."""
+        """Measures the seconds that the server takes to answer a small call.
+
+        Raises:
+            ServerError: the server did not answer; usually `Unavailable` or `DeadlineExceeded`.
+        """
         return self._run(self._pinging(timeout))
 
     def hulls(self, *, timeout: float | None = None) -> list[StoredHull]:
-        """Every hull in the server's store, sorted by id."""
+        """Lists every hull in the server's store, sorted by id."""
         return self._run(self._listing(timeout))
 
     def delete(self, hulls: Any, *, timeout: float | None = None) -> list[bool]:
-        """Removes hulls from the server's store; registering them again always works.
+        """Removes hulls from the server's store. They can always be registered again.
 
         Args:
-            hulls: one, or an iterable: `Hull`, what `hulls()` returns, or ids.
-            timeout: seconds for the whole call; the client's by default.
+            hulls: one hull or an iterable of hulls: `Hull` objects, `StoredHull` objects from
+                `hulls()`, or ids of 32 bytes.
+            timeout: seconds for the whole call; by default the client's timeout.
 
         Returns:
-            Whether each hull was there.
+            For each hull, whether it was in the store.
         """
         return self._run(self._deleting(hulls, timeout))
 
@@ -239,7 +258,7 @@ class Client(_calls.Calls):
             steps.close()
 
     def close(self) -> None:
-        """Closes the connection, and the server where `serve` started it."""
+        """Closes the connection, and ends the server if `serve` started it."""
         link, stop_server = self._begin_close()
         if isinstance(link, _Link):
             link.channel.close()
@@ -259,28 +278,34 @@ class Client(_calls.Calls):
 
 
 class Session(_session.Steps):
-    """A step loop; made by `Client.session`, ended by `close` or `with`.
+    """A step loop. Make one with `Client.session`, end it with `close` or `with`.
 
         with client.session(scene, pairs, margin=0.01) as session:
             while simulating:
                 m = session.step(positions, rotations)
 
-    What stays the same from step to step stays on the server, which starts each
-    pair from where the step before ended (the answer is that of `query` with
-    `warm`). A session that loses its server goes on with another: it sends all
-    again, and starts from the last answer's bases if the outputs have BASES.
+    Everything that does not change between steps stays on the server. The server starts each pair
+    from the solution of the previous step, so the results are those of `query` with `warm`. If a
+    session loses its server, the next step connects to another one and sends everything again. That
+    step starts from the bases of the last result if the outputs include BASES.
 
-    One step at a time: not to be shared by threads.
+    A session computes one step at a time. Do not share it between threads.
     """
 
     def step(
         self, positions: Any, rotations: Any = None, *, timeout: float | None = None
     ) -> Manifolds:
-        """The contact manifolds of all pairs, with the bodies at these poses.
+        """Computes the contact manifolds of all pairs, with the bodies at the given poses.
 
         Args:
-            positions, rotations: of all bodies, in any form that `Scene` takes.
-            timeout: seconds for the step; the client's by default.
+            positions, rotations: the poses of all bodies, in any form that `Scene` takes.
+            timeout: seconds for this step; by default the client's timeout.
+
+        Returns:
+            The manifolds of all pairs, in the order of the session's pairs.
+
+        Raises:
+            InvalidPoses, InvalidArgument, ServerError: as for `Client.query`.
         """
         return self._calls._run(self._stepping(positions, rotations, timeout))
 
@@ -297,7 +322,7 @@ class Session(_session.Steps):
 
 
 class _Link:
-    """A `grpc.Channel`'s calls."""
+    """The calls on a `grpc.Channel`."""
 
     def __init__(self, channel: grpc.Channel, metadata: Callable[[], _channel.Metadata]) -> None:
         self.channel = channel
@@ -310,7 +335,7 @@ class _Link:
         return self._unary[method].future(data, timeout=timeout, metadata=self._metadata())
 
     def call(self, method: str, data: bytes, timeout: float | None) -> Any:
-        # Half the time of a future's: it waits on this thread.
+        # This takes half the time of a future, because the call waits on this thread.
         make = self._unary[method]
         return _Later(partial(make, data, timeout=timeout, metadata=self._metadata()))
 
@@ -332,17 +357,17 @@ class _Link:
         self.channel.close()
 
     def abandon(self) -> None:
-        pass  # only another process's, and that is seen to when forking
+        pass  # only a forked child's channel is given up, and `_after_fork` handles that
 
 
 class _Stream:
-    """A stream of a `grpc.Channel`. It has no deadline of its own: each answer has one."""
+    """A stream on a `grpc.Channel`. The stream has no deadline; each response has its own."""
 
     def __init__(self, begin: Any, metadata: _channel.Metadata) -> None:
         self._requests: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._call: Any = begin(iter(self._requests.get, None), metadata=metadata)
         self._watch = _Watch(self._call.cancel)
-        # gRPC's thread waits for requests until it is told that there are no more.
+        # gRPC's thread blocks on the request queue until it reads the final None.
         self.cancel = weakref.finalize(self, _end, self._call, self._requests, self._watch)
 
     def send(self, data: bytes) -> Any:
@@ -362,7 +387,7 @@ class _Stream:
             raise
         finally:
             self._watch.set(None)
-        if self._watch.expired:  # just now: the stream is of no use any more
+        if self._watch.expired:  # it expired just now and has cancelled the stream
             raise _calls.late()
         if answer is None:
             raise _calls.stream_ended()
@@ -370,7 +395,7 @@ class _Stream:
 
 
 def _nothing() -> None:
-    """Nothing is to be waited for."""
+    """Returns at once, since sending needs no waiting."""
 
 
 def _end(call: Any, requests: queue.SimpleQueue[bytes | None], watch: _Watch) -> None:
@@ -380,10 +405,10 @@ def _end(call: Any, requests: queue.SimpleQueue[bytes | None], watch: _Watch) ->
 
 
 class _Watch:
-    """Calls a function when a time is past that is set anew again and again.
+    """Calls a function when a deadline has passed; the deadline is set again for each step.
 
-    A thread a stream, which sleeps through; a timer a step would cost as much as
-    the step.
+    There is one thread per stream, which sleeps through most steps. One timer per step would cost
+    as much as the step itself.
     """
 
     def __init__(self, late: Callable[[], Any]) -> None:
@@ -396,7 +421,7 @@ class _Watch:
         self._thread: threading.Thread | None = None
 
     def set(self, seconds: float | None) -> None:
-        """So many seconds from now, or never."""
+        """Sets the deadline to `seconds` from now; None clears it."""
         self._deadline = deadline = None if seconds is None else time.monotonic() + seconds
         if deadline is None:
             return
@@ -424,7 +449,7 @@ class _Watch:
 
 
 class _Later:
-    """A call that is made when it is waited for."""
+    """A call that is only made when its result is waited for."""
 
     __slots__ = ("result",)
 
@@ -432,7 +457,7 @@ class _Later:
         self.result = result
 
     def cancel(self) -> None:
-        """It was not begun."""
+        """Does nothing: the call was not begun."""
 
 
 connect = Client.connect

@@ -1,24 +1,27 @@
 """Decides whether a mesh is convex, by distances from the surface of its convex hull.
 
-A mesh is taken for convex if two conditions hold:
+A mesh counts as convex if two conditions hold:
 
-1. Each point of the convex hull's surface is within `TOLERANCE` of some triangle of the
-   mesh, so that no dent, hole, slot or gap between parts is deeper or wider than that.
-2. These distances, summed over the hull's surface, enclose at most `1 - CONVEX_RATIO` of
-   the hull's volume, so that a thin plate or profile has no dent as deep as itself.
+1. Each point of the convex hull's surface is within `TOLERANCE` of some triangle of the mesh. So no
+   dent, hole, slot or gap between parts is deeper or wider than that.
+2. These distances, integrated over the hull's surface, enclose at most the share `1 - CONVEX_RATIO`
+   of the hull's volume. So a thin plate or profile has no dent as deep as the plate itself.
 
-Only the distance from the hull to the nearest triangle counts. Triangles that overlap,
-appear twice, are turned inside out, lie inside, or meet without sharing corners change
-nothing, and neither does an edge that is open by less than the tolerance.
+Only the distance from the hull to the nearest triangle counts. Therefore the result does not depend
+on triangles that overlap, appear twice, are turned inside out, lie inside the mesh, or meet without
+sharing corners, nor on an edge that is open by less than the tolerance.
 
-`_is_shell` proves both conditions for most convex meshes in little time: the triangles that
-have the whole mesh below their planes are turned outward, and their sides cancel, so that
-together they surround the middle of the mesh. All other meshes go to `_missing`, which cuts
-the hull's surface into triangular cells. A cell is done when one triangle of the mesh is near
-all of its three corners (the distance to a convex set is a convex function, so that it is
-largest at a corner), or when the distance of its centre plus its radius is within the
-tolerance. A cell whose centre is too far refutes the mesh at once. Any other cell is cut in
-two, down to a sixteenth of the tolerance.
+`_is_shell` quickly proves both conditions for most convex meshes. It keeps the triangles whose
+planes have the whole mesh on one side, and orients them outward. If each of their sides is matched
+by an opposite side, these triangles together surround the middle of the mesh.
+
+All other meshes go to `_missing`, which cuts the hull's surface into triangular cells:
+
+- A cell is done if one triangle of the mesh is within the tolerance of all three corners of the
+  cell. (The distance to a convex set is a convex function, so its maximum over the cell is at a
+  corner.) It is also done if the distance at its centre plus its radius is within the tolerance.
+- A cell whose centre is too far from the mesh shows that the mesh is not convex.
+- Any other cell is cut in two, down to a sixteenth of the tolerance.
 """
 
 from __future__ import annotations
@@ -34,33 +37,33 @@ import numpy.typing as npt
 from . import _nearest, _quickhull
 from ._arrays import Floats
 
-#: The largest distance between the hull's surface and a convex mesh, as a share of the
-#: diagonal of the mesh's bounding box. Real convex meshes have dents of 1e-3 from modelling.
+#: The largest distance between the hull's surface and a convex mesh, as a share of the diagonal of
+#: the mesh's bounding box. Modelling leaves dents of 1e-3 in real convex meshes.
 TOLERANCE = 0.01
 
 #: A convex mesh fills at least this share of its hull.
 CONVEX_RATIO = 0.99
 
-#: Vertices closer than this share of the diagonal count as one: files have single
-#: precision, or a few digits.
+#: Vertices closer than this share of the diagonal count as one, because files store coordinates in
+#: single precision or with a few digits.
 _WELD = 1e-6
-#: The hull in use may miss points by these shares of the tolerance and of the mesh's
-#: smallest extent, which saves the vertices of fine meshes.
+#: The computed hull may miss points by these shares of the tolerance and of the mesh's smallest
+#: extent. A fine mesh then needs far fewer vertices.
 _HULL_ERROR = 1 / 8
 _HULL_ERROR_OF_HEIGHT = 1 / 64
-#: A cell is cut at least down to this radius, unless the mesh has no gap at its corners.
+#: A cell is cut at least down to this radius, unless the mesh has no gap at the cell's corners.
 _SAMPLED_RADIUS = 0.1
 _SMALLEST_RADIUS = TOLERANCE / 16
-#: Lines along each axis, in each of the other two directions.
+#: The number of lines along each axis, in each of the other two directions.
 _LINES = 48
-#: Triangles times vertices up to which no hull is needed.
+#: If triangles times vertices are at most this many, all vertices are tested, without a hull.
 _FEW = 1 << 24
-#: Triangles times vertices that are multiplied in one array operation.
+#: The largest number of triangles times vertices in one array operation.
 _AT_ONCE = 1 << 20
-#: (26, 3): to the corners, the edges and the faces of a cube.
+#: (26, 3): the directions from a cube's centre to its corners, edges and faces.
 _DIRECTIONS = np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
-#: The volume by signed tetrahedra is exact unless parts overlap. An estimate by lines that
-#: agrees to this much shows that they do not.
+#: The volume by signed tetrahedra is exact unless parts overlap. If the estimate by lines agrees
+#: with it to this much, the parts do not overlap.
 _AGREEMENT = 0.1
 
 _Ids = npt.NDArray[np.int64]
@@ -70,35 +73,36 @@ _Ids = npt.NDArray[np.int64]
 class Dents:
     """How a mesh that is not convex differs from its convex hull."""
 
-    #: The share of its hull that the mesh fills, at most 1; an estimate to some 1 % where
-    #: parts of the mesh overlap or edges are open.
+    #: The share of its convex hull that the mesh fills, at most 1. It is an estimate, good to about
+    #: 1 %, if parts of the mesh overlap or edges are open.
     ratio: float
-    #: Sides of triangles that no neighbour has in the other direction.
+    #: Sides of triangles without a neighbour that has the same side in the opposite direction.
     open_edges: int
 
 
 def is_flat(points: Floats) -> bool:
-    """Whether all points are in one plane, to a billionth of their extent."""
+    """Whether all points lie in one plane, to a billionth of their extent."""
     return _quickhull.simplex(_normalised(points)) is None
 
 
 def is_convex(points: Floats, faces: Any) -> bool:
-    """Whether a mesh is convex, or flat.
+    """Whether a mesh is convex or flat.
 
     Args:
         points: (n, 3), finite.
-        faces: (m, 3), at least one, indices of points.
+        faces: (m, 3) with m >= 1, indices of points.
     """
     return _dented(points, faces) is None
 
 
 def dents(points: Floats, faces: Any) -> Dents | None:
-    """How a mesh differs from its convex hull; None where it is convex, or flat."""
+    """How a mesh differs from its convex hull; None if the mesh is convex or flat."""
     found = _dented(points, faces)
     if found is None:
         return None
     hull, mesh, open_edges = found
-    # Along the shape's own axes, so that thin shapes have lines in all three directions.
+    # Turned to the shape's principal axes, so that thin shapes are crossed by lines in all
+    # directions.
     axes = np.linalg.svd(hull.reshape(-1, 3) - hull.mean(axis=(0, 1)), full_matrices=False)[2]
     ratio = _filled(hull @ axes.T, mesh @ axes.T)
     signed = abs(_volume(mesh)) / abs(_volume(hull))
@@ -112,17 +116,17 @@ def convex_parts(points: Floats, faces: Any, most: int) -> list[Floats] | None:
 
     Args:
         points, faces: as for `is_convex`.
-        most: the largest number of parts.
+        most: the largest accepted number of parts.
 
     Returns:
-        One array (k, 3) per part, parts of equal points once; None if some part is not closed,
-        not convex or flat, or if there are more.
+        One array (k, 3) per part; parts with equal points are returned once. None if some part is
+        open, flat or not convex, or if there are more than `most` parts.
     """
     corners = np.asarray(faces, dtype=np.int64)
     distinct, place = np.unique(points[corners.reshape(-1)], axis=0, return_inverse=True)
     corners = place.reshape(-1, 3)
     same = _welded(_normalised(distinct))[corners]
-    # A triangle that appears again, in either winding, adds nothing.
+    # A repeated triangle, in either winding, adds nothing.
     _, first = np.unique(np.sort(same, axis=1), axis=0, return_index=True)
     corners, same = corners[first], same[first]
     parts = _connected(same)
@@ -141,7 +145,7 @@ def convex_parts(points: Floats, faces: Any, most: int) -> list[Floats] | None:
 
 
 def _edges(corners: _Ids) -> tuple[_Ids, _Ids]:
-    """Per side of each triangle, (3 m,), the number of its edge; per edge its triangles' count."""
+    """The edge number of each triangle's side, (3 m,), and the number of triangles at each edge."""
     low, high = corners, np.roll(corners, -1, axis=1)
     low, high = np.minimum(low, high).reshape(-1), np.maximum(low, high).reshape(-1)
     _, edge, counts = np.unique(
@@ -151,7 +155,10 @@ def _edges(corners: _Ids) -> tuple[_Ids, _Ids]:
 
 
 def _connected(corners: _Ids) -> _Ids:
-    """Per triangle the number of its part: triangles join over edges that only two of them have."""
+    """The part number of each triangle.
+
+    Triangles join over edges that exactly two of them share.
+    """
     edge, counts = _edges(corners)
     order = np.argsort(edge, kind="stable")
     starts = np.cumsum(counts) - counts
@@ -169,7 +176,10 @@ def _connected(corners: _Ids) -> _Ids:
 
 
 def _dented(points: Floats, faces: Any) -> tuple[Floats, Floats, int] | None:
-    """The hull's triangles, the mesh's and its open edges; None where it is convex, or flat."""
+    """The hull's triangles, the mesh's triangles and the number of the mesh's open edges.
+
+    None if the mesh is convex or flat.
+    """
     corners = np.asarray(faces, dtype=np.int64)
     distinct, place = np.unique(points[corners.reshape(-1)], axis=0, return_inverse=True)
     scaled, corners = _normalised(distinct), place.reshape(-1, 3)
@@ -193,27 +203,27 @@ def _dented(points: Floats, faces: Any) -> tuple[Floats, Floats, int] | None:
 
 
 def _normalised(points: Floats) -> Floats:
-    """The points about their box's middle, divided by its diagonal."""
+    """Moves the points to the middle of their bounding box and divides them by its diagonal."""
     low, high = points.min(axis=0), points.max(axis=0)
-    # By the largest extent first: its square may be out of range.
+    # Divide by the largest extent first, because the square of an extent may overflow or underflow.
     extent = float((high - low).max()) or 1.0
     scaled = (points - (low + (high - low) / 2)) / extent
     return scaled / (float(np.linalg.norm((high - low) / extent)) or 1.0)
 
 
 def _volume(triangles: Floats) -> float:
-    """Signed: positive where the triangles are turned outward."""
+    """The signed volume: positive if the triangles are oriented outward."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     return float(np.einsum("ni,ni->", a, np.cross(b, c))) / 6
 
 
 def _is_shell(outer: Floats, points: Floats, corners: _Ids, numbers: Sequence[_Ids]) -> bool:
-    """Whether triangles that have all outer points below them surround the middle.
+    """Whether the triangles that have all outer points below their planes surround the middle.
 
     Args:
-        outer: (k, 3): the points that the hull has.
+        outer: (k, 3): the corners of the hull.
         points, corners: the mesh.
-        numbers: per point a number, in one or more ways; points of one number are one point.
+        numbers: one or more numberings of the points; points with the same number count as one.
     """
     middle = outer.mean(axis=0)
     a, b, c = points[corners].swapaxes(0, 1) - middle
@@ -221,20 +231,22 @@ def _is_shell(outer: Floats, points: Floats, corners: _Ids, numbers: Sequence[_I
     areas = np.linalg.norm(normals, axis=1) / 2
     normals /= np.where(areas > 0, 2 * areas, np.inf)[:, None]
     offsets = np.einsum("ni,ni->n", normals, a)
-    # Outward is where the middle is below.
+    # A triangle is oriented outward if the middle is below its plane.
     outward = np.where(offsets[:, None] < 0, corners[:, ::-1], corners)
     normals = np.where(offsets[:, None] < 0, -normals, normals)
     offsets = np.abs(offsets)
     kept = np.flatnonzero(areas > 0)
     heights = np.zeros(0)
-    # A few extreme points first, which most triangles of other meshes are below.
+    # Test a few extreme points first. They already rule out most triangles of a mesh that is not
+    # convex.
     extreme = np.unique(np.argmax(outer @ _DIRECTIONS.T, axis=0))
     for some in (outer[extreme] - middle, outer - middle):
         heights = np.empty(len(kept))
         for part in np.array_split(np.arange(len(kept)), 1 + len(kept) * len(some) // _AT_ONCE):
             heights[part] = (some @ normals[kept[part]].T).max(axis=0)
         heights = (heights - offsets[kept]).clip(min=0.0)
-        # On a ray from the middle the hull is at most height / offset beyond the triangle.
+        # Along any ray from the middle, the hull is beyond the triangle by at most the fraction
+        # height / offset of the distance to it.
         below = heights <= TOLERANCE * offsets[kept]
         kept, heights = kept[below], heights[below]
         if not len(kept) or all(_open_edges(same[outward[kept]]) for same in numbers):
@@ -244,20 +256,21 @@ def _is_shell(outer: Floats, points: Floats, corners: _Ids, numbers: Sequence[_I
 
 
 def _open_edges(corners: _Ids) -> int:
-    """Sides that are not walked as often one way as the other."""
+    """The number of sides that are not matched by a side in the opposite direction."""
     sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     low, high = sides.min(axis=1), sides.max(axis=1)
     _, edge = np.unique(low * (corners.max() + 1) + high, return_inverse=True)
-    # A side from a vertex to itself counts for nothing.
+    # A side from a vertex to itself counts as 0.
     balance = np.bincount(edge.reshape(-1), weights=np.sign(sides[:, 1] - sides[:, 0]))
     return int(np.abs(balance).sum())
 
 
 def _welded(points: Floats) -> _Ids:
-    """Per point a number, the same for points within the tolerance of each other.
+    """Numbers the points, so that points within the tolerance of each other share a number.
 
-    Such points share a cell in at least one of eight grids that are half a cell
-    apart; whatever shares a cell gets the cell's lowest number, until all agree.
+    Two such points share a cell in at least one of eight grids, which are shifted by half a cell.
+    All points of a cell get the lowest number in that cell; this is repeated until no number
+    changes.
     """
     shifts = itertools.product((0.0, 0.5), repeat=3)
     grids = [
@@ -276,12 +289,13 @@ def _welded(points: Floats) -> _Ids:
 
 
 def _missing(hull: Floats, mesh: _nearest.Tree, limit: float, error: float) -> float:
-    """The volume between the hull and the mesh; infinite where a point is too far.
+    """The volume between the hull and the mesh; infinity if some point of the hull is too far.
 
     Args:
-        hull, mesh: their triangles.
-        limit: the volume at which the caller knows enough.
-        error: how far the mesh may be above the hull.
+        hull: the hull's triangles.
+        mesh: the tree of the mesh's triangles.
+        limit: the sum stops once the volume exceeds this.
+        error: how far the mesh may be outside the computed hull.
     """
     cells, volume = hull, 0.0
     while len(cells) and volume <= limit:
@@ -301,7 +315,7 @@ def _missing(hull: Floats, mesh: _nearest.Tree, limit: float, error: float) -> f
 
 
 def _halved(cells: Floats) -> Floats:
-    """Two cells of each: the longest side is cut, so that slivers become compact."""
+    """Cuts each cell in two at its longest side, so that slivers become compact."""
     ends = np.roll(cells, -1, axis=1)
     longest = np.argmax(np.linalg.norm(ends - cells, axis=2), axis=1)
     turned = (longest[:, None] + np.arange(3)) % 3
@@ -318,8 +332,8 @@ def _areas(triangles: Floats) -> Floats:
 def _filled(hull: Floats, mesh: Floats) -> float:
     """The share of the hull that the mesh fills, by lines along the three coordinate axes.
 
-    A point of the hull counts as empty where one of the lines through it meets the mesh on
-    one side of it only, or nowhere: there the point sees the outside.
+    A point of the hull counts as empty if one of the lines through it meets the mesh on one side of
+    the point only, or nowhere. Such a point can see the outside.
     """
     low, high = hull.min(axis=(0, 1)), hull.max(axis=(0, 1))
     step = (high - low) / _LINES
@@ -335,12 +349,12 @@ def _filled(hull: Floats, mesh: Floats) -> float:
 
 
 def _ends(triangles: Floats, axis: int, low: Floats, step: Floats) -> tuple[Floats, Floats]:
-    """(lines, lines): where each line along an axis first and last meets a triangle."""
+    """Where each line along an axis first and last meets a triangle; two arrays (lines, lines)."""
     first = np.full(_LINES * _LINES, np.inf)
     last = np.full(_LINES * _LINES, -np.inf)
     x, y = (i for i in range(3) if i != axis)
     flat = triangles[:, :, (x, y)]
-    # The lines that the box of each triangle has.
+    # The range of lines that cross each triangle's bounding box.
     begin = np.ceil((flat.min(axis=1) - low[[x, y]]) / step[[x, y]] - 0.5).astype(np.int64)
     end = np.floor((flat.max(axis=1) - low[[x, y]]) / step[[x, y]] - 0.5).astype(np.int64)
     begin, end = begin.clip(min=0), end.clip(max=_LINES - 1)
@@ -364,6 +378,6 @@ def _ends(triangles: Floats, axis: int, low: Floats, step: Floats) -> tuple[Floa
 
 
 def _turn(a: Floats, b: Floats, c: Floats) -> Floats:
-    """Twice the signed area of each triangle in the plane."""
+    """Twice the signed area of each triangle (a, b, c) in the plane."""
     u, v = b - a, c - a
     return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]

@@ -1,4 +1,4 @@
-"""Convex pieces of meshes that are not convex, by coacd, kept once made."""
+"""Decomposes meshes that are not convex into convex pieces, by coacd, and caches the result."""
 
 from __future__ import annotations
 
@@ -23,33 +23,34 @@ from ._arrays import Floats, Indices
 from ._errors import InvalidArgument
 from ._register import shape_of
 
-#: The seed of coacd's search, so that one mesh always gives the same pieces.
+#: The seed of coacd's search. It is fixed, so that a mesh always gives the same pieces.
 _SEED = 0
 
 
-#: A mesh of up to so many separate convex parts has them as its pieces, exactly.
+#: A mesh of at most this many separate convex parts is split into these parts exactly.
 _MOST_PARTS = 64
-#: The least and the largest threshold that coacd takes.
+#: The smallest and the largest threshold that coacd accepts.
 _THRESHOLDS = (0.01, 1.0)
 
 
 @dataclass(frozen=True)
 class Progress:
-    """The state of a decomposition."""
+    """The state of a decomposition, for a progress report."""
 
-    #: The mesh: its file, or its link and file.
+    #: The mesh's file, or its link and file.
     mesh: str
-    #: From 1 to `total`.
+    #: The number of this mesh, from 1 to `total`.
     number: int
     total: int
-    #: "computing" before pieces are searched for, then "computed"; or "cached".
+    #: "computing" before the search for pieces and "computed" after it; or "cached".
     state: str
 
     def __str__(self) -> str:
         return f"convex pieces of {self.mesh}, {self.number} of {self.total}: {self.state}"
 
 
-#: Called with each `Progress`; None for lines on standard error if that is a terminal.
+#: A function that is called with each `Progress`. None prints each as a line on standard error, if
+#: that is a terminal.
 Report = Callable[[Progress], object] | None
 
 
@@ -60,33 +61,33 @@ def decompose(
     cache: str | os.PathLike[str] | None = None,
     progress: Report = None,
 ) -> list[Floats]:
-    """Convex pieces that together approximate a mesh, by coacd (extra `decompose`).
+    """Decomposes a mesh into convex pieces that approximate it, by coacd (extra `decompose`).
 
-    A mesh of separate convex parts, which may overlap, has these parts as its pieces. They
-    are exact, and coacd is not needed for them.
+    A mesh that consists of separate convex parts, which may overlap, is split into exactly these
+    parts. This does not need coacd.
 
-    Register each piece as a hull, and give all pieces one group in a `Scene`, since
-    they overlap a little. The search takes seconds to minutes. Its result is kept in a
-    file named by the mesh's content, which is read the next time.
+    Register each piece as a hull, and give all pieces one group in a `Scene`, because the pieces
+    overlap a little. The search takes seconds to minutes. Its result is cached in a file, named by
+    a hash of the mesh, and read from there the next time.
 
     Args:
-        mesh: an object with `.vertices` (n, 3) and `.faces` (m, 3), as trimesh's,
-            or the path of an OBJ, STL, DAE or PLY file.
-        threshold: how concave a piece may remain, 0.01 to 1, coacd's measure:
-            smaller means more pieces.
-        cache: the folder of these files. By default it is the environment variable
-            HULLCAST_CACHE, or `hullcast` in the user's cache folder.
-        progress: a function that is called with a record of each step: its `mesh`,
-            `number`, `total` and `state`; `str(record)` is a line to print. By default
-            these lines are printed on standard error if that is a terminal.
+        mesh: an object with `.vertices` (n, 3) and `.faces` (m, 3), for example a trimesh mesh; or
+            the path of an OBJ, STL, DAE or PLY file.
+        threshold: how concave a piece may remain, 0.01 to 1, in coacd's measure. A smaller
+            threshold gives more pieces.
+        cache: the folder of the cached results. By default the environment variable HULLCAST_CACHE
+            names it; otherwise it is `hullcast` in the user's cache folder.
+        progress: a function that is called with a record of each step. The record has the
+            attributes `mesh`, `number`, `total` and `state`, and `str(record)` is a line to print.
+            By default these lines are printed on standard error, if that is a terminal.
 
     Returns:
-        Per piece its vertices (k, 3), in the mesh's frame.
+        The vertices (k, 3) of each piece, in the mesh's frame.
 
     Raises:
-        InvalidArgument: NOT_A_MESH, NO_TRIANGLES, COPLANAR, NOT_FINITE, NO_PIECES, or
-            OUT_OF_RANGE for the threshold; for a file, as `Client.register`.
-        FileNotFound: no such file.
+        InvalidArgument: NOT_A_MESH, NO_TRIANGLES, COPLANAR, NOT_FINITE, NO_PIECES, or OUT_OF_RANGE
+            for the threshold; for a file, as `Client.register`.
+        FileNotFound: the file does not exist.
         ImportError: the extra `decompose` is not installed.
     """
     check_threshold(threshold)
@@ -101,7 +102,7 @@ def decompose_all(
     cache: str | os.PathLike[str] | None,
     progress: Report,
 ) -> list[list[Floats]]:
-    """Per mesh its pieces, as `decompose`."""
+    """The pieces of each mesh; arguments and errors are those of `decompose`."""
     report = progress or _print
     found: list[list[Floats]] = []
     for number, mesh in enumerate(meshes, start=1):
@@ -132,11 +133,11 @@ def decompose_all(
 
 
 def check_threshold(threshold: Any) -> None:
-    """Refuses what coacd does not take."""
+    """Raises InvalidArgument if coacd does not accept the threshold."""
     low, high = _THRESHOLDS
     if not isinstance(threshold, (int, float, np.number)) or not low <= threshold <= high:
         raise InvalidArgument(
-            f"{threshold!r} is not a number from {low:g} to {high:g}",
+            f"got {threshold!r}, expected a number, {low:g} to {high:g}",
             reason="OUT_OF_RANGE",
             field="threshold",
         )
@@ -158,7 +159,7 @@ def _pieces(
     cache: str | os.PathLike[str] | None,
     report: Callable[[str], None],
 ) -> list[Floats]:
-    """The pieces of one mesh: its parts if they are convex, or from the cache or from coacd."""
+    """The pieces of one mesh: its parts if they are convex; otherwise those of coacd, cached."""
     parts = _convexity.convex_parts(vertices, faces, _MOST_PARTS)
     if parts is not None:
         report("computed")
@@ -173,7 +174,7 @@ def _pieces(
     parameters = f"coacd {importlib.metadata.version('coacd')} {float(threshold)!r} {_SEED}"
     name = hashlib.sha256(b"\0".join([parameters.encode(), vertices.tobytes(), faces.tobytes()]))
     file = _folder(cache) / f"{name.hexdigest()}.npz"
-    # A file that was cut short, or is no such file, is made again.
+    # A cache file that is truncated or malformed is computed again.
     with contextlib.suppress(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         with np.load(file, allow_pickle=False) as kept:
             pieces = [
@@ -190,7 +191,7 @@ def _pieces(
     pieces = [piece for piece in pieces if not _convexity.is_flat(piece)]
     if not pieces:
         raise InvalidArgument("coacd found no convex pieces", reason="NO_PIECES", field="mesh")
-    with contextlib.suppress(OSError):  # a folder that cannot be written costs only time
+    with contextlib.suppress(OSError):  # if the folder is not writable, the result is not cached
         _write(file, pieces)
     report("computed")
     return pieces
@@ -204,7 +205,7 @@ def _folder(cache: str | os.PathLike[str] | None) -> Path:
 
 
 def _write(file: Path, pieces: list[Floats]) -> None:
-    """Whole or not at all: other processes may read and write the same."""
+    """Writes a cache file atomically, because other processes may read or write the same file."""
     data = io.BytesIO()
     columns: dict[str, Any] = {f"piece{i}": piece for i, piece in enumerate(pieces)}
     np.savez(data, **columns)

@@ -1,4 +1,4 @@
-"""What pictures draw, whoever draws them."""
+"""Geometry for pictures, shared by the matplotlib and rerun modules."""
 
 from __future__ import annotations
 
@@ -8,23 +8,24 @@ from ._arrays import Floats
 from ._errors import InvalidArgument
 from ._scene import Scene
 
-#: Cosine of the angle within which faces that meet in an edge are drawn as one,
-#: and the same of a hull with many edges, which are those of something round.
+#: Faces that meet at an angle with a cosine above `_FLAT` are drawn as one face. A hull with more
+#: than `_MANY` edges is taken for a round shape, and `_ROUND` is used instead.
 _FLAT = 1 - 1e-6
 _ROUND = 0.94
 _MANY = 64
 
 
 def points_of(scene: Scene, body: int) -> Floats:
-    """The points that a body's hull was registered with.
+    """The points with which a body's hull was registered.
 
     Raises:
-        InvalidArgument: NO_GEOMETRY, the scene has only their id.
+        InvalidArgument: NO_GEOMETRY, the scene only has the hull's id.
     """
     content = scene.contents[int(scene.body_hulls[body])]
     if content is None:
         raise InvalidArgument(
-            "the scene was made with this body's hull id alone, without its points",
+            "the scene has only this hull's id, and drawing needs its points: make the scene with "
+            "Hull objects",
             reason="NO_GEOMETRY",
             field="hulls",
             index=int(scene.body_hulls[body]),
@@ -33,7 +34,7 @@ def points_of(scene: Scene, body: int) -> Floats:
 
 
 def world(points: Floats, position: Floats, rotation: Floats) -> Floats:
-    """Points of the hull's frame in the world."""
+    """Transforms points from the hull's frame to the world frame."""
     x, y, z, w = rotation / np.linalg.norm(rotation)
     axis = np.array([x, y, z])
     turned = points + 2 * np.cross(axis, np.cross(axis, points) + w * points)
@@ -41,7 +42,7 @@ def world(points: Floats, position: Floats, rotation: Floats) -> Floats:
 
 
 def surface(vertices: Floats) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles of the hull, seen from outside against the clock, and the edges to draw."""
+    """The hull's triangles, anticlockwise seen from outside, and the edges to draw."""
     try:
         from scipy.spatial import ConvexHull
     except ImportError as error:
@@ -64,7 +65,7 @@ def surface(vertices: Floats) -> tuple[np.ndarray, np.ndarray]:
 
 
 def around(offsets: Floats, normal: Floats) -> np.ndarray:
-    """The order of a convex polygon's corners about its normal."""
+    """The order of a convex polygon's corners around its normal."""
     first = np.eye(3)[np.argmin(np.abs(normal))]
     x = np.cross(normal, first)
     return np.argsort(np.arctan2(offsets @ np.cross(normal, x), offsets @ x))

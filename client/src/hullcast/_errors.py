@@ -1,4 +1,4 @@
-"""Exceptions."""
+"""The exceptions and warnings of this package."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 def warn(warning: Warning) -> None:
-    """Warns at the place that called this package."""
+    """Issues a warning, attributed to the line of the caller that called this package."""
     folder = os.path.dirname(__file__) + os.sep
     level, frame = 1, sys._getframe()
     while frame is not None and frame.f_code.co_filename.startswith(folder):
@@ -18,10 +18,10 @@ def warn(warning: Warning) -> None:
 
 
 class _Pickled:
-    """An exception that is pickled and copied with all of its attributes.
+    """An exception that keeps all its attributes when it is pickled or copied.
 
-    Python's own way calls the class with only `args`, which fails for a class that takes
-    other arguments.
+    By default Python calls the class with only `args`, which fails for a class that takes other
+    arguments.
     """
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -30,7 +30,8 @@ class _Pickled:
 
 
 def _unpickled(kind: type[BaseException], args: tuple[Any, ...], state: dict[str, Any]) -> Any:
-    # The layout is that of the innermost built-in class, of which a class may have several.
+    # Make the object with the innermost built-in class, whose memory layout it has. A class may
+    # have several built-in bases.
     base: type = kind
     while base.__module__ != "builtins":
         base = base.__base__ or object
@@ -44,13 +45,15 @@ class Error(_Pickled, Exception):
     """The base class of every exception of this package.
 
     Attributes:
-        reason: stable and upper case, such as "INDEX_OUT_OF_RANGE"; "" if none is known.
-        field: the argument at fault, such as "pairs"; "" if no argument is.
-        index: the entry of the field at fault, counted through all rows, or None.
-        retry_after: seconds after which the server says to try again, or None.
+        reason: a stable identifier in upper case, such as "INDEX_OUT_OF_RANGE"; "" if none is
+            known.
+        field: the argument at fault, such as "pairs"; "" if no argument is at fault.
+        index: the entry of the field at fault, as an index into the flattened array; or None.
+        retry_after: the seconds after which the server asks to retry, or None.
+        message: the text without reason and field.
     """
 
-    #: The entry of an array at fault, one index per axis; empty if there is none.
+    #: The entry of an array at fault, with one index per axis; empty if there is none.
     entry: tuple[int, ...] = ()
 
     def __init__(
@@ -71,7 +74,7 @@ class Error(_Pickled, Exception):
 
     @property
     def place(self) -> str:
-        """Field and index as one text, such as "pairs[1, 0]"."""
+        """The field and the index as one text, such as "pairs[1, 0]"."""
         if self.entry:
             return f"{self.field}[{', '.join(map(str, self.entry))}]"
         return self.field + ("" if self.index is None else f"[{self.index}]")
@@ -81,16 +84,16 @@ class Error(_Pickled, Exception):
 
 
 class InvalidArgument(Error, ValueError):
-    """The request is malformed; found here or by the server."""
+    """An argument or the request is not valid. The client or the server found the fault."""
 
 
 class InvalidPoses(InvalidArgument):
-    """Bodies have a position or a rotation that is not usable, so that their pairs are INVALID.
+    """Some bodies have an unusable position or rotation, so that their pairs are INVALID.
 
     Attributes:
         bodies: the indices of these bodies, ascending.
-        reasons: one text per body.
-        manifolds: the whole answer, in which the pairs of all other bodies are as usual.
+        reasons: the reason for each of these bodies, as text.
+        manifolds: the whole result. The pairs of all other bodies are answered as usual.
     """
 
     def __init__(
@@ -103,16 +106,17 @@ class InvalidPoses(InvalidArgument):
 
     @property
     def place(self) -> str:
-        """Empty: the message names the bodies."""
+        """Empty, because the message names the bodies."""
         return ""
 
 
 class HullRejected(InvalidArgument):
-    """At least one hull of a `register` call was refused.
+    """The server refused at least one hull of a `register` call. The other hulls are registered.
 
-    `index` is the first such hull's place in the call, `point` the point of it
-    at fault where one is. The others are registered: `results` has, per hull of
-    the call, its `Hull` or its own `HullRejected`.
+    Attributes:
+        index: the index in the call of the first refused hull.
+        point: the index of the point at fault in that hull, or None.
+        results: for each hull of the call, its `Hull`, or a `HullRejected` of its own.
     """
 
     def __init__(self, message: str, *, point: int | None = None, **known: Any) -> None:
@@ -122,14 +126,18 @@ class HullRejected(InvalidArgument):
 
     @property
     def place(self) -> str:
-        """Such as "hulls[2].vertices[7]": the third hull's point 7."""
+        """The place of the fault: "hulls[2].vertices[7]" is point 7 of the third hull."""
         return f"hulls[{self.index}].{self.field}" + (
             "" if self.point is None else f"[{self.point}]"
         )
 
 
 class OutputNotAsked(Error, AttributeError):
-    """A column was read that the query did not ask for; `output` names what to ask."""
+    """A column was read that the query did not request.
+
+    Attributes:
+        output: the output that has the column; add it to the query's `outputs`.
+    """
 
     def __init__(self, column: str, output: str) -> None:
         super().__init__(
@@ -141,62 +149,72 @@ class OutputNotAsked(Error, AttributeError):
 
 
 class ServerError(Error):
-    """The call failed; `code` is the gRPC status code's name."""
+    """The call failed.
+
+    Attributes:
+        code: the name of the gRPC status code.
+    """
 
     code = "UNKNOWN"
 
 
 class Unavailable(ServerError, ConnectionError):
-    """No server, or one too busy: try again, after `retry_after` where given."""
+    """There is no server, or it is too busy.
 
-    #: The connection broke while the answer was arriving, which gRPC does not retry.
+    Retry, after `retry_after` seconds if that is given.
+    """
+
+    #: Whether the connection broke while the response was arriving. gRPC does not retry such calls.
     cut_off = False
 
 
 class DeadlineExceeded(ServerError, TimeoutError):
-    """No answer within the timeout."""
+    """The server did not answer within the timeout."""
 
 
 class ResourceExhausted(ServerError):
-    """The server's store is full, or a message too large."""
+    """The server's store is full, or a message is too large."""
 
 
 class Unimplemented(ServerError, NotImplementedError):
-    """This server's version does not have it."""
+    """The server's version does not support the call."""
 
 
 class Unauthenticated(ServerError, PermissionError):
-    """The token is missing, wrong, or not allowed this."""
+    """The token is missing or wrong, or does not permit the call."""
 
 
 class ServerNotFound(Error, FileNotFoundError):
-    """`serve` found no hullcast binary."""
+    """`serve` did not find a hullcast binary."""
 
 
 class ServerDidNotStart(Error, RuntimeError):
-    """The server that `serve` started ended or was silent; the message has its log's end."""
+    """The server that `serve` started exited, or did not listen in time.
+
+    The message contains the end of the server's log.
+    """
 
 
 class FileNotFound(InvalidArgument, FileNotFoundError):
-    """A file that was named does not exist: a mesh, a robot, or one that those name."""
+    """A file does not exist: a mesh, a robot description, or a file that one of these names."""
 
 
 class InvalidPosesWarning(UserWarning):
-    """Poses that are not usable were answered with INVALID pairs; the text counts them."""
+    """Some poses are unusable, so that their pairs are INVALID. The text has the counts."""
 
 
 class MissingHullsWarning(UserWarning):
-    """The server lacks some hulls, so that their pairs are INVALID; the text counts them."""
+    """The server lacks some hulls, so that their pairs are INVALID. The text has the counts."""
 
 
 class NotConvexWarning(_Pickled, UserWarning):
-    """A mesh was registered as its convex hull, which is another shape.
+    """A mesh that is not convex was registered as its convex hull, which is a different shape.
 
     Attributes:
-        field: which mesh, such as "hulls[2]".
-        ratio: the share of its hull that the mesh fills, at most 1; an estimate to about
-            1 % where parts of the mesh overlap or edges are open.
-        open_edges: edges that do not join two faces; 0 for a watertight mesh.
+        field: the mesh, such as "hulls[2]".
+        ratio: the share of its convex hull that the mesh fills, at most 1. It is an estimate, good
+            to about 1 %, if parts of the mesh overlap or edges are open.
+        open_edges: the number of edges that do not join two faces; 0 for a watertight mesh.
     """
 
     def __init__(self, message: str, field: str, ratio: float, open_edges: int) -> None:

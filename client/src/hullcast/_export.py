@@ -1,4 +1,4 @@
-"""Results in other forms: chosen pairs, dense arrays, data frames, files."""
+"""Converts results: selected pairs, dense arrays, data frames and files."""
 
 from __future__ import annotations
 
@@ -19,35 +19,35 @@ from ._wire import PAIR_COLUMNS, POINT_COLUMNS
 Columns = dict[str, np.ndarray]
 
 _FORMAT = "hullcast.manifolds.v1"
-#: Columns that every answer has.
+#: The columns that every response has.
 _ALWAYS = {"outcomes": 1, "flags": 1, "pairs": 2}
 _OF_SCENE = ("missing_hulls", "invalid_bodies")
 
-#: What a pair's columns become when A and B change places: A's entries, B's.
+#: How far each pair's row must be rotated to exchange the entries of A and B.
 _SIDES = {"pairs": 1, "feature_kinds": 1, "feature_indices": 2, "bases": 3, "point_ids": 2}
 
 
 @dataclass(frozen=True)
 class Padded:
-    """Points as dense arrays, k slots a pair, deepest first.
+    """Contact points as dense arrays with k slots per pair, the deepest point first.
 
-    An unused slot has `mask` False, distance infinity, witnesses zero and ids 2^32 - 1.
+    An unused slot has `mask` False, distance infinity, witness points of zero and ids of 2^32 - 1.
     """
 
     #: (n, k): whether the slot has a point.
     mask: npt.NDArray[np.bool_]
-    #: (n, k): signed, along the pair's normal, ascending.
+    #: (n, k): signed distances along the pair's normal, ascending; negative means overlap.
     distance: Floats
-    #: (n, k, 3): the point on A, world frame.
+    #: (n, k, 3): the witness points on A, world frame.
     witness_a: Floats
-    #: (n, k, 3): the point on B, world frame; None without output NORMAL or WITNESS_B.
+    #: (n, k, 3): the witness points on B, world frame; None without output NORMAL or WITNESS_B.
     witness_b: Floats | None
-    #: (n, k, 4): None without output FEATURES.
+    #: (n, k, 4): as `Manifolds.point_ids`; None without output FEATURES.
     point_ids: Indices | None
 
 
 def take(columns: Mapping[str, np.ndarray], chosen: npt.NDArray[np.intp]) -> Columns:
-    """The columns of some pairs, in the order given."""
+    """The columns of some pairs, in the given order."""
     points = None
     if "point_counts" in columns:
         points, _ = _points_of(columns["point_counts"], chosen)
@@ -65,7 +65,7 @@ def take(columns: Mapping[str, np.ndarray], chosen: npt.NDArray[np.intp]) -> Col
 def _points_of(
     counts: Indices, chosen: npt.NDArray[np.intp]
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Rows of the chosen pairs' points, and each one's place among its pair's."""
+    """The rows of the chosen pairs' points, and each point's index within its pair."""
     starts = np.zeros(len(counts) + 1, dtype=np.int64)
     np.cumsum(counts, out=starts[1:])
     kept = counts[chosen].astype(np.int64)
@@ -75,7 +75,7 @@ def _points_of(
 
 
 def turned(columns: Columns, turn: npt.NDArray[np.bool_]) -> Columns:
-    """The columns with A and B exchanged in some pairs; `witness_bs` has to be there."""
+    """Exchanges A and B in the pairs that `turn` marks. The column `witness_bs` is required."""
     of_point = np.repeat(turn, columns["point_counts"])
     result = dict(columns)
     for name, width in _SIDES.items():
@@ -99,10 +99,10 @@ def padded(
     point_ids: Indices | None,
     slots: int,
 ) -> Padded:
-    """Ragged points as k slots a pair: the deepest where there are more."""
+    """Converts the ragged points to `slots` slots per pair, and keeps the deepest points."""
     slots = _arguments.integer("k", slots, 0, 2**31 - 1)
     pair = np.repeat(np.arange(len(counts)), counts)
-    # By pair, then depth; equals keep their order.
+    # Sort by pair, then by depth. Equal depths keep their order.
     order = np.lexsort((distance, pair))
     _, slot = _points_of(counts, np.arange(len(counts)))
     kept = slot < slots
@@ -124,7 +124,7 @@ def padded(
 
 
 def dataframe(columns: Mapping[str, np.ndarray], rows: str) -> Any:
-    """A pandas data frame of the pairs or of the points."""
+    """A pandas data frame with one row per pair or per point."""
     try:
         import pandas as library
     except ImportError as error:
@@ -132,7 +132,7 @@ def dataframe(columns: Mapping[str, np.ndarray], rows: str) -> Any:
     pandas: Any = library
     if rows not in ("pairs", "points"):
         raise InvalidArgument(
-            f"{_arguments.shown(rows)} is none of pairs, points",
+            f"got {_arguments.shown(rows)}, expected pairs or points",
             reason="UNKNOWN_VALUE",
             field="rows",
         )
@@ -172,21 +172,25 @@ _NAMES: dict[str, tuple[str, ...]] = {
 
 
 def _series(column: str, values: np.ndarray) -> dict[str, np.ndarray]:
-    # "alphas", "separations", "distances": as the attribute is called.
+    # Other columns, such as "alphas" and "distances", are named like the attribute of `Manifolds`.
     names = _NAMES.get(column, (column.removesuffix("s"),))
     table = values.reshape(len(values), len(names))
     return {name: table[:, i] for i, name in enumerate(names)}
 
 
 def save(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray]) -> None:
-    """Writes an npz file, whatever its name ends in."""
+    """Writes an npz file, whatever suffix its name has."""
     kept = {name: values for name, values in columns.items() if name in _widths()}
     with open(path, "wb") as file:
         np.savez(file, format=np.array(_FORMAT), **kept)  # type: ignore[arg-type]
 
 
 def load(path: str | os.PathLike[str]) -> Columns:
-    """What `save` wrote, checked for what a reader of columns relies on."""
+    """Reads a file that `save` wrote, and checks the columns and their shapes.
+
+    Raises:
+        InvalidArgument: NOT_MANIFOLDS.
+    """
     try:
         with np.load(path, allow_pickle=False) as file:
             written = str(file["format"]) if "format" in file.files else ""

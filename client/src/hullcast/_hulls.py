@@ -1,4 +1,4 @@
-"""Hulls and their identity."""
+"""Registered hulls and their ids."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ if TYPE_CHECKING:
     from ._channel import Settings
 
 
-#: What `register` sends as `planarity` unless told otherwise, a share of the circumradius. Measured
-#: on shapes whose coordinates are rounded as mesh files round them: docs/tradeoff.md.
+#: The planarity that `register` sends by default, as a share of the circumradius. It was measured
+#: on shapes whose coordinates are rounded as mesh files round them (docs/tradeoff.md).
 DEFAULT_PLANARITY = 1e-3
 
-#: A share of the circumradius; None: none is sent, and the server takes 1e-6.
+#: A share of the circumradius; or None to send none, so that the server uses 1e-6.
 Planarity = float | Literal["default"] | None
 
 
 @dataclass(frozen=True, eq=False)
 class Content:
-    """All that a hull's identity is made of: what it can be registered by again."""
+    """Everything that determines a hull's id, and so everything needed to register it again."""
 
-    #: (n, 3), not to be written to.
+    #: (n, 3), read-only.
     points: Floats
-    #: (3,), or None: the centre of mass.
+    #: (3,), or None for the centre of mass.
     center: Floats | None = None
     max_vertices: int | None = None
     max_deviation: float | None = None
@@ -41,7 +41,7 @@ class Content:
 
     @cached_property
     def identity(self) -> bytes:
-        """The id that every server gives to this content."""
+        """The id that every server gives to a hull with this content."""
         return hull_id(
             self.points,
             self.center,
@@ -53,56 +53,58 @@ class Content:
 
 @dataclass(frozen=True, repr=False)
 class Hull:
-    """A registered hull. Lengths are the caller's units, in the hull's own frame.
+    """A registered hull. Lengths are in the caller's units, and points in the hull's own frame.
 
-    It keeps the points that it was registered with, so that it can be registered
-    again where a server lost it; a `Scene` of ids keeps none.
+    A `Hull` keeps the points with which it was registered. A client uses them to register the hull
+    again if a server has lost it. A `Scene` made from ids has no points to do so.
     """
 
-    #: SHA-256 of the content: the same on every server.
+    #: The SHA-256 of the content, 32 bytes; the same on every server.
     id: bytes
-    #: (3,): the point about which it grows; the centre of mass unless given.
+    #: (3,): the point about which the hull grows; the centre of mass unless another was given.
     contraction_point: Floats = field(compare=False, repr=False)
-    #: Of the largest ball about the contraction point inside, rounded down.
+    #: The radius of the largest ball about the contraction point inside the hull, rounded down.
     inradius: float = field(compare=False)
-    #: Of the smallest ball about the contraction point around, rounded up.
+    #: The radius of the smallest ball about the contraction point around the hull, rounded up.
     circumradius: float = field(compare=False)
     volume: float = field(compare=False)
-    #: Extreme vertices kept.
+    #: The number of extreme vertices that are kept.
     vertex_count: int = field(compare=False)
-    #: After merging coplanar triangles.
+    #: The number of faces, after coplanar triangles are merged.
     face_count: int = field(compare=False)
     edge_count: int = field(compare=False)
-    #: How far merged faces are from planar, plus what simplification cost.
+    #: How far the vertices of merged faces are from their planes, plus the deviation by
+    #: simplification; a length.
     geometric_error: float = field(compare=False, repr=False)
-    #: (3,)
+    #: (3,): in the hull's frame.
     center_of_mass: Floats = field(compare=False, repr=False)
-    #: (3, 3): about the centre of mass, at unit density.
+    #: (3, 3): the inertia tensor about the centre of mass, at unit density.
     inertia: Floats = field(compare=False, repr=False)
-    #: Certified upper bound of the Hausdorff distance to the hull of all points; 0 unless
+    #: A certified upper bound of the Hausdorff distance to the hull of all points; 0 unless
     #: simplified.
     deviation: float = field(compare=False, repr=False)
-    #: How far the vertices of one face were allowed to lie from one plane, as a share of the
-    #: circumradius. `geometric_error` has how far they do lie.
+    #: How far the vertices of one face may lie from one plane, as a share of the circumradius.
+    #: `geometric_error` has the actual distance.
     planarity: float = field(compare=False, repr=False)
-    #: The points and options that it was registered with.
+    #: The points and options with which the hull was registered.
     content: Content = field(compare=False, repr=False)
-    #: The server that it was registered with; not kept when it is pickled, since a token is in it.
+    #: The settings of the client that registered the hull. They are not pickled, because they
+    #: contain the token.
     home: Settings | None = field(default=None, compare=False, repr=False)
 
     @cached_property
     def faces(self) -> tuple[npt.NDArray[np.uint32], ...]:
-        """Per face its corners, anticlockwise seen from outside, as indices of `vertices`.
+        """The corners of each face, anticlockwise seen from outside, as indices of `vertices`.
 
-        `Manifolds.feature_indices` numbers these faces. They are read from the server at the
-        first use, by a connection of their own.
+        `Manifolds.feature_indices` refers to faces by their index in this tuple. The first access
+        reads the faces from the server, over a separate connection.
 
         Raises:
-            Error: NO_SERVER, the hull was unpickled: register it again.
+            Error: NO_SERVER, the hull was unpickled and knows no server; register it again.
         """
         if self.home is None:
             raise Error(
-                "a hull that was unpickled knows no server: register it again to read its faces",
+                "an unpickled hull has no connection: register it again to read its faces",
                 reason="NO_SERVER",
                 field="faces",
             )
@@ -116,7 +118,7 @@ class Hull:
 
     @property
     def vertices(self) -> Floats:
-        """(n, 3): the points as registered, which bases, features and point ids number."""
+        """(n, 3): the registered points. Bases, features and point ids refer to them by index."""
         return self.content.points
 
     def __repr__(self) -> str:
@@ -134,22 +136,25 @@ def hull_id(
     max_deviation: float | None = None,
     planarity: Planarity = "default",
 ) -> bytes:
-    """The 32 bytes by which every server knows the hull of these points.
+    """The id, 32 bytes, by which every server knows the hull of these points and options.
 
-    They are the SHA-256 of the byte string that docs/identity.md states.
+    The id is the SHA-256 of a byte string that docs/identity.md defines.
 
     Args:
-        vertices: (n, 3), in the order in which they are registered; or an
-            object with such `.vertices`, as trimesh's.
+        vertices: (n, 3), in the order in which they are registered; or an object with such an array
+            as `.vertices`, for example a trimesh mesh.
         contraction_point: (3,), or None for the centre of mass.
-        max_vertices, max_deviation: the simplification asked for, if any.
+        max_vertices, max_deviation: the simplification, as in `Client.register`.
         planarity: as in `Client.register`.
+
+    Raises:
+        InvalidArgument: an argument is not usable; the error names it.
     """
     if max_vertices is not None:
         max_vertices = _arguments.integer("max_vertices", max_vertices, 0, 2**32 - 1)
     if max_deviation is not None:
         max_deviation = _arguments.number("max_deviation", max_deviation, 0)
-    # Adding 0.0 turns -0.0 into 0.0 and changes nothing else.
+    # Adding 0.0 turns -0.0 into 0.0 and changes no other number.
     points = points_of(vertices) + 0.0
     share = planarity_of(planarity)
     parts = [b"hullcast", struct.pack("<I", 1 if share is None else 2)]
@@ -172,7 +177,7 @@ def hull_id(
 
 
 def planarity_of(planarity: Planarity, default: float | None = DEFAULT_PLANARITY) -> float | None:
-    """The planarity to send. The server judges its range, as for every hull that it is sent."""
+    """The planarity to send, or None. The server checks its range."""
     if planarity is None:
         return None
     if isinstance(planarity, str) and planarity == "default":
@@ -182,7 +187,7 @@ def planarity_of(planarity: Planarity, default: float | None = DEFAULT_PLANARITY
 
 
 def points_of(hull: Any, name: str = "vertices") -> Floats:
-    """(n, 3) of an array, of an object with `.vertices`, or of a scipy `ConvexHull`."""
+    """The points (n, 3) of an array, of an object with `.vertices`, or of a scipy `ConvexHull`."""
     if hasattr(hull, "simplices") and hasattr(hull, "points"):
         return _arrays.floats(f"{name}.points", hull.points, None, 3)
     return _arrays.floats(name, getattr(hull, "vertices", hull), None, 3)

@@ -1,4 +1,4 @@
-"""A server's description of itself and of its stored hulls: requests and checked answers."""
+"""Requests about the server and its stored hulls, and the checks of their responses."""
 
 from __future__ import annotations
 
@@ -23,28 +23,28 @@ LIST = "/hullcast.v1.HullService/ListHulls"
 DELETE = "/hullcast.v1.HullService/DeleteHulls"
 GET = "/hullcast.v1.HullService/GetHulls"
 
-#: Hulls in one message: below every server's limit.
+#: The number of hulls in one message; every server's limit is higher.
 _PER_MESSAGE = 1024
-#: Milliseconds of the last moment that a `datetime` has, year 9999.
+#: The last moment that a `datetime` can represent (end of the year 9999), in Unix milliseconds.
 _LAST_MOMENT = 253_402_300_799_999
 
 
 @dataclass(frozen=True)
 class ServerInfo:
-    """A server's version, means and limits."""
+    """A server's version, instruction set, threads and limits."""
 
-    #: Its version, such as "0.1.0".
+    #: The version, such as "0.1.0".
     version: str
-    #: The instruction set of its support mapping: "scalar", "avx2" or "avx512".
+    #: The instruction set of the support mapping: "scalar", "avx2" or "avx512".
     instruction_set: str
-    #: Threads that compute.
+    #: The number of threads that compute contacts.
     compute_threads: int
-    #: The limits by name, such as "max_pairs_per_request"; each is inclusive.
+    #: The limits by name, such as "max_pairs_per_request". A value equal to its limit is allowed.
     limits: Mapping[str, int]
 
     @classmethod
     def read(cls, data: bytes) -> ServerInfo:
-        """The answer of GetServerInfo."""
+        """Reads the response of GetServerInfo."""
         answer = _checked.parsed(server_pb2.GetServerInfoResponse.FromString, data)
         limits = {
             field.name: int(getattr(answer.limits, field.name))
@@ -70,11 +70,11 @@ def _server_info(version: str, simd: str, threads: int, limits: dict[str, int]) 
 class StoredHull:
     """A hull in a server's store."""
 
-    #: The 32 bytes that name it; a `Scene` takes them.
+    #: The 32 bytes of its id, which a `Scene` accepts in place of a `Hull`.
     id: bytes
-    #: When it was stored, UTC.
+    #: When the hull was stored, in UTC.
     created: datetime
-    #: Size in the store, bytes.
+    #: The hull's size in the store, in bytes.
     size: int
 
     def __repr__(self) -> str:
@@ -83,16 +83,16 @@ class StoredHull:
 
 
 def list_request(token: str) -> bytes:
-    """The request for a page of stored hulls."""
+    """The request for one page of stored hulls."""
     return hulls_pb2.ListHullsRequest(page_token=token).SerializeToString()
 
 
 def read_page(data: bytes, before: bytes) -> tuple[list[StoredHull], str]:
-    """A page of stored hulls, and the token of the next one; "" after the last.
+    """Reads one page of stored hulls, and the token of the next page; "" after the last page.
 
     Args:
-        data: the answer.
-        before: the last id of the pages before. Ids ascend, so that the pages come to an end.
+        data: the response.
+        before: the last id of the previous pages. The ids must ascend, so the pages come to an end.
     """
     answer = _checked.parsed(hulls_pb2.ListHullsResponse.FromString, data)
     found: list[StoredHull] = []
@@ -111,7 +111,7 @@ def read_page(data: bytes, before: bytes) -> tuple[list[StoredHull], str]:
 
 
 def ids_of(hulls: Any) -> list[bytes]:
-    """The ids of hulls, given as `Hull`, `StoredHull` or bytes: one, or an iterable of them."""
+    """The ids of one hull or of an iterable of hulls, given as `Hull`, `StoredHull` or bytes."""
     single = isinstance(hulls, (Hull, StoredHull, bytes))
     if not single and (isinstance(hulls, (str, Mapping)) or not isinstance(hulls, Iterable)):
         raise InvalidArgument(
@@ -133,28 +133,28 @@ def ids_of(hulls: Any) -> list[bytes]:
 
 
 def delete_requests(ids: Sequence[bytes]) -> Iterator[tuple[int, bytes]]:
-    """Per message the number of its hulls, and its bytes."""
+    """Yields, for each message, the number of its hulls and its bytes."""
     for start in range(0, len(ids), _PER_MESSAGE):
         part = ids[start : start + _PER_MESSAGE]
         yield len(part), hulls_pb2.DeleteHullsRequest(ids=part).SerializeToString()
 
 
 def read_deleted(data: bytes, count: int) -> list[bool]:
-    """Whether each hull of a message was there."""
+    """For each hull of a message, whether it was in the store."""
     answer = _checked.parsed(hulls_pb2.DeleteHullsResponse.FromString, data)
     _checked.length("deleted", len(answer.deleted), count)
     return list(answer.deleted)
 
 
 def faces_request(id: bytes) -> bytes:
-    """The request for a hull's faces."""
+    """The request for a hull's vertices and faces."""
     request = hulls_pb2.GetHullsRequest(ids=[id])
     request.field_mask.paths.extend(["vertices", "faces"])
     return request.SerializeToString()
 
 
 def read_faces(data: bytes, id: bytes) -> tuple[npt.NDArray[np.uint32], ...]:
-    """Per face its corners, as indices of the registered points."""
+    """The corners of each face, as indices of the registered points."""
     answer = _checked.parsed(hulls_pb2.GetHullsResponse.FromString, data)
     _checked.echoed("hulls", [record.id for record in answer.hulls], [id])
     (record,) = answer.hulls

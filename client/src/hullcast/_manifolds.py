@@ -1,4 +1,4 @@
-"""The answer: columns, one entry a pair or a point."""
+"""The result of a query: columns with one entry per pair or per contact point."""
 
 from __future__ import annotations
 
@@ -20,33 +20,35 @@ from ._wire import FeatureKind, Flag, Outcome
 
 
 class Manifolds:
-    """Contact manifolds of a batch of pairs, as columns.
+    """The contact manifolds of a batch of pairs, as columns.
 
-    `len(m)` pairs. Per-pair columns have one row a pair; the points of pair `i`
-    are rows `point_offsets[i]` to `point_offsets[i + 1]` of the per-point ones.
-    `m[i]` is one pair's `Manifold`; `m[1:5]`, `m[indices]` and `m[mask]` are the
-    `Manifolds` of some pairs.
+    `len(m)` is the number of pairs. A per-pair column has one row per pair. In a per-point column,
+    the points of pair `i` are the rows `point_offsets[i]` to `point_offsets[i + 1]`. `m[i]` is the
+    `Manifold` of one pair; `m[1:5]`, `m[indices]` and `m[mask]` are the `Manifolds` of some pairs.
 
-    World frame, the caller's units. The normal points from A to B; separations
-    and distances are negative when overlapping.
+    Vectors are in the world frame, lengths in the caller's units. The normal points from A to B.
+    Separations and distances are negative when the hulls overlap.
+
+    In the shapes below, n is the number of pairs and p the number of contact points.
 
     Raises:
-        OutputNotAsked: on reading a column that the query did not ask for.
+        OutputNotAsked: a column is read that the query did not request.
     """
 
     def __init__(self, columns: Mapping[str, np.ndarray], scene: Scene | None = None) -> None:
         self._columns = dict(columns)
-        #: The scene that the query was about; None if the answer was loaded from a file.
+        #: The scene of the query; None if the manifolds were loaded from a file.
         self.scene = scene
-        #: Outcome of each pair, uint8: compare with `Outcome` or with a name, such as "CONTACT".
+        #: (n,): each pair's outcome, uint8. Compare it with `Outcome` or with a name, such as
+        #: "CONTACT".
         self.outcome: OutcomeArray = self._columns["outcomes"].view(OutcomeArray)
-        #: Bits of `Flag` of each pair, uint8.
+        #: (n,): the bits of `Flag` of each pair, uint8.
         self.flags: FlagArray = self._columns["flags"].view(FlagArray)
-        #: (n, 2): body indices A, B.
+        #: (n, 2): the body indices A and B of each pair.
         self.pairs: Indices = self._columns["pairs"]
-        #: Indices into `Scene.hull_ids` that were not answered for, ascending.
+        #: The indices into `Scene.hull_ids` of the hulls that the server could not use, ascending.
         self.missing_hulls: Indices = self._columns["missing_hulls"]
-        #: Bodies with an unusable pose, ascending.
+        #: The indices of the bodies with an unusable pose, ascending.
         self.invalid_bodies: Indices = self._columns["invalid_bodies"]
 
     def _column(self, wire: str, name: str, output: str) -> np.ndarray:
@@ -57,42 +59,48 @@ class Manifolds:
 
     @property
     def in_contact(self) -> npt.NDArray[np.bool_]:
-        """Whether each pair's outcome is CONTACT: within the margin."""
+        """(n,): whether each pair's outcome is CONTACT: the hulls are within the margin."""
         return np.equal(self.outcome, Outcome.CONTACT)
 
     @property
     def alpha(self) -> Floats:
-        """Growth scale: below 1 overlapping, above 1 apart; of SEPARATED pairs a lower bound."""
+        """(n,): the growth scale: below 1 if the hulls overlap, above 1 if they are apart.
+
+        For SEPARATED pairs it is a certified lower bound.
+        """
         return self._column("alphas", "alpha", "ALPHA")
 
     @property
     def alpha_lower(self) -> Floats:
-        """Certified: the exact growth scale is not below it."""
+        """(n,): the certified lower end of the growth scale's bracket."""
         return self._column("alpha_lowers", "alpha_lower", "ALPHA")
 
     @property
     def alpha_upper(self) -> Floats:
-        """Certified: the exact growth scale is not above it; infinity for SEPARATED pairs."""
+        """(n,): the certified upper end of the growth scale's bracket; infinity if SEPARATED."""
         return self._column("alpha_uppers", "alpha_upper", "ALPHA")
 
     @property
     def normal(self) -> Floats:
-        """(n, 3): unit, from A to B; of SEPARATED pairs the separating direction."""
+        """(n, 3): unit vectors from A to B; for SEPARATED pairs the separating direction."""
         return self._column("normals", "normal", "NORMAL")
 
     @property
     def separation(self) -> Floats:
-        """Signed, along the normal; of SEPARATED pairs a certified lower bound of the distance."""
+        """(n,): the signed separation along the normal, negative when the hulls overlap.
+
+        For SEPARATED pairs it is a certified lower bound of the distance.
+        """
         return self._column("separations", "separation", "NORMAL")
 
     @property
     def point_counts(self) -> Indices:
-        """Points of each pair."""
+        """(n,): the number of contact points of each pair."""
         return self._column("point_counts", "point_counts", "POINTS")
 
     @property
     def point_offsets(self) -> npt.NDArray[np.int64]:
-        """(n + 1,): where each pair's points start, and where the last one's end."""
+        """(n + 1,): the row at which each pair's points begin; the last entry is p."""
         offsets = self._columns.get("point_offsets")
         if offsets is None:
             counts = self._column("point_counts", "point_offsets", "POINTS")
@@ -103,12 +111,15 @@ class Manifolds:
 
     @property
     def witness_a(self) -> Floats:
-        """(p, 3): the point on A, world frame."""
+        """(p, 3): the witness points on A."""
         return self._column("witness_as", "witness_a", "POINTS")
 
     @property
     def witness_b(self) -> Floats:
-        """(p, 3): the point on B: `witness_a + distance * normal`, computed unless asked for."""
+        """(p, 3): the witness points on B.
+
+        They are computed as `witness_a + distance * normal` unless the query requested WITNESS_B.
+        """
         points = self._columns.get("witness_bs")
         if points is None:
             distance = self._column("distances", "witness_b", "POINTS")
@@ -120,48 +131,58 @@ class Manifolds:
 
     @property
     def distance(self) -> Floats:
-        """(p,): signed, along the pair's normal."""
+        """(p,): the signed distance of each contact point along the pair's normal."""
         return self._column("distances", "distance", "POINTS")
 
     @property
     def point_ids(self) -> Indices:
-        """(p, 4): A's edge (or vertex twice), B's: the same while they make the point.
+        """(p, 4): an id of each point, from the features that make it.
 
-        Indices as registered; 2^32 - 1 twice where the point is inside that hull's face.
+        An id has two vertex indices of A, then two of B. An edge is named by its two vertices, and
+        a vertex by its index twice. If the point is inside a face of a hull, both entries of that
+        hull are 2^32 - 1. The id of a point stays the same while the same features make it. Indices
+        refer to the registered points.
         """
         return self._column("point_ids", "point_ids", "FEATURES")
 
     @property
     def feature_kinds(self) -> FeatureKindArray:
-        """(n, 2): `FeatureKind` of A and of B; compare with it or with a name, such as "FACE"."""
+        """(n, 2): the `FeatureKind` of A and of B.
+
+        Compare it with `FeatureKind` or a name ("FACE").
+        """
         column = self._column("feature_kinds", "feature_kinds", "FEATURES")
         return column.view(FeatureKindArray)
 
     @property
     def feature_indices(self) -> Indices:
-        """(n, 4): A's two and B's two: face, edge's vertices or vertex; 2^32 - 1 where unused."""
+        """(n, 4): the touching feature of A (two entries) and of B (two entries).
+
+        A face has its index in `Hull.faces`, an edge its two vertices, and a vertex its index.
+        Unused entries are 2^32 - 1.
+        """
         return self._column("feature_indices", "feature_indices", "FEATURES")
 
     @property
     def bases(self) -> Indices:
-        """(n, 6): the optimal triple of vertex pairs A0 A1 A2 B0 B1 B2; 2^32 - 1: none."""
+        """(n, 6): the optimal triple of vertex pairs, as A0 A1 A2 B0 B1 B2; 2^32 - 1 if none."""
         return self._column("bases", "bases", "BASES")
 
     @property
     def iterations(self) -> Indices:
-        """Solver iterations of each pair."""
+        """(n,): the number of solver iterations for each pair."""
         return self._column("iterations", "iterations", "DIAGNOSTICS")
 
     @property
     def support_calls(self) -> Indices:
-        """Support mapping calls of each pair, each hull counted."""
+        """(n,): the number of support mapping calls for each pair; each hull counts separately."""
         return self._column("support_calls", "support_calls", "DIAGNOSTICS")
 
     @property
     def kept_area(self) -> Floats:
-        """Share of each patch's area that its points still span: 1 unless `REDUCED`.
+        """(n,): the share of each contact patch's area that its points span: 1 unless `REDUCED`.
 
-        NaN: the server is older than this column.
+        It is NaN if the server is too old to send this column.
         """
         return self._column("kept_areas", "kept_area", "DIAGNOSTICS")
 
@@ -176,16 +197,16 @@ class Manifolds:
     ) -> Manifolds: ...
     def __getitem__(self, pair: Any) -> Manifold | Manifolds:
         if isinstance(pair, (int, np.integer)):
-            # Negative ones too, and IndexError past the end.
+            # `range` also accepts negative indices, and raises IndexError past the end.
             return Manifold(self, range(len(self))[int(cast("int", pair))])
         chosen = np.arange(len(self))[pair]
         return Manifolds(_export.take(self._columns, chosen), self.scene)
 
     def contacts_of(self, body: int) -> Manifolds:
-        """The pairs in which `body` has contact points, turned so that it is A.
+        """The pairs in which `body` has contact points, arranged such that `body` is always A.
 
-        So `pairs[:, 1]` are the bodies it meets, and the normals point away from
-        it. Needs the outputs NORMAL and POINTS.
+        In the result `pairs[:, 1]` are the bodies that `body` touches, and the normals point away
+        from `body`. The query must have the outputs NORMAL and POINTS.
         """
         touching = (self.pairs == body).any(axis=1) & (self.point_counts > 0)
         chosen = self[np.flatnonzero(touching)]
@@ -194,9 +215,10 @@ class Manifolds:
         return Manifolds(turned, self.scene)
 
     def padded(self, k: int) -> Padded:
-        """The points as dense arrays of `k` slots a pair, the deepest where there are more.
+        """The contact points as dense arrays with `k` slots per pair, the deepest points first.
 
-        Needs the output POINTS.
+        If a pair has more than `k` points, the deepest are kept. The query must have the output
+        POINTS.
         """
         with_b = "witness_bs" in self._columns or "normals" in self._columns
         return _export.padded(
@@ -209,23 +231,25 @@ class Manifolds:
         )
 
     def to_dataframe(self, rows: str = "points") -> Any:
-        """A pandas data frame of the columns that were asked for.
+        """Converts the requested columns to a pandas data frame.
 
         Args:
-            rows: "points": one row a contact point, with its pair's columns, so
-                that pairs without points have none; "pairs": one row a pair.
+            rows: "points" gives one row per contact point, together with the columns of its pair;
+                pairs without points have no row. "pairs" gives one row per pair.
 
         Raises:
             ImportError: pandas is not installed.
+            InvalidArgument: `rows` has another value.
+            OutputNotAsked: `rows` is "points", and the query did not request POINTS.
         """
         if rows == "points":
             self._column("point_counts", "points", "POINTS")
         return _export.dataframe(self._columns, rows)
 
     def to_torch(self) -> dict[str, Any]:
-        """The columns that were asked for as torch tensors on the CPU, by their attributes' names.
+        """The requested columns as torch tensors on the CPU, by the names of their attributes.
 
-        They share the columns' memory. `tensor.to("cuda")` copies one to a device.
+        The tensors share the columns' memory. `tensor.to("cuda")` copies a tensor to a device.
 
         Raises:
             ImportError: torch is not installed.
@@ -233,9 +257,9 @@ class Manifolds:
         return _tensors.to_torch(self._arrays())
 
     def to_jax(self) -> dict[str, Any]:
-        """The columns that were asked for as jax arrays, by their attributes' names.
+        """The requested columns as jax arrays, by the names of their attributes.
 
-        jax keeps 64 bits only with its setting `jax_enable_x64`.
+        jax keeps 64-bit numbers only with its setting `jax_enable_x64`.
 
         Raises:
             ImportError: jax is not installed.
@@ -243,7 +267,7 @@ class Manifolds:
         return _tensors.to_jax(self._arrays())
 
     def _arrays(self) -> dict[str, np.ndarray]:
-        """The columns by their attributes' names."""
+        """The columns by the names of their attributes."""
         single = {name: name.removesuffix("s") for name in self._columns}
         return {
             single[name] if hasattr(self, single[name]) else name: column
@@ -252,13 +276,13 @@ class Manifolds:
 
     @classmethod
     def concat(cls, manifolds: Iterable[Manifolds]) -> Manifolds:
-        """The pairs of several answers as one, in their order.
+        """Joins the pairs of several results into one, in order.
 
-        The numbers of bodies are kept as they are. The scene is kept if all answers
-        have the same one. All answers need the same outputs.
+        Body indices are kept as they are. The scene is kept if all results have the same one. All
+        results must have the same outputs.
 
         Raises:
-            InvalidArgument: there is none, or the outputs differ.
+            InvalidArgument: WRONG_TYPE; EMPTY, no manifolds; or OTHER_OUTPUTS, the outputs differ.
         """
         from . import _answers  # which loads protobuf
 
@@ -277,7 +301,7 @@ class Manifolds:
             raise InvalidArgument(
                 "expected one or more, got none", reason="EMPTY", field="manifolds"
             )
-        # What was computed from other columns is computed again.
+        # Columns that were derived from others are dropped, and derived again when needed.
         derived = ("point_offsets", "witness_bs")
         kept = [name for name in parts[0]._columns if name not in derived]
         if all("witness_bs" in part._columns for part in parts):
@@ -298,15 +322,15 @@ class Manifolds:
         return cls(_answers.merge(columns), scene)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the columns as a numpy `npz` file, without the scene."""
+        """Writes the columns to a numpy `npz` file, without the scene."""
         _export.save(path, self._columns)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Manifolds:
-        """What `save` wrote.
+        """Reads a file that `save` wrote.
 
         Raises:
-            InvalidArgument: NOT_MANIFOLDS, another kind of file.
+            InvalidArgument: NOT_MANIFOLDS, the file is of another kind.
         """
         return cls(_export.load(path))
 
@@ -317,19 +341,24 @@ class Manifolds:
         path: str | os.PathLike[str] | None = None,
         ax: Any = None,
     ) -> Any:
-        """A picture of bodies and contacts, by matplotlib (extra `plot`); needs no display.
+        """Draws bodies and contacts with matplotlib (extra `plot`); needs no display.
 
-        Hulls, their patches' polygons, normals and witness pairs, the points
-        coloured by distance. Needs the outputs NORMAL and POINTS. A notebook shows the
-        picture if the call is the last line of a cell.
+        The picture shows the hulls, and for each contact its patch, its normal and its pairs of
+        witness points, coloured by distance. The query must have the outputs NORMAL and POINTS. A
+        notebook shows the picture if the call is the last line of a cell.
 
         Args:
-            pairs: indices of the pairs to draw; by default all.
-            path: where the picture is written too, such as "contacts.png".
-            ax: matplotlib axes with projection="3d" to draw into; by default new ones.
+            pairs: the indices of the pairs to draw; by default all.
+            path: a file to write the picture to, such as "contacts.png"; by default none.
+            ax: matplotlib axes with projection="3d" to draw into; by default new axes.
 
         Returns:
             The `matplotlib.figure.Figure`.
+
+        Raises:
+            ImportError: matplotlib or scipy is not installed.
+            InvalidArgument: NO_SCENE, the manifolds were loaded from a file; NO_GEOMETRY, the scene
+                has only ids of hulls; WRONG_TYPE for `ax`.
         """
         from . import _plot
 
@@ -345,19 +374,24 @@ class Manifolds:
         hulls: bool = True,
         recording: Any = None,
     ) -> None:
-        """Writes bodies and contacts into a rerun recording (extra `rerun`).
+        """Writes bodies and contacts to a rerun recording (extra `rerun`).
 
-        Hulls, their patches' outlines, normals (labelled with the pair's bodies) and
-        witness pairs, the points red where they overlap, blue where they are apart.
-        The same path again, at another time of the recording, shows the next step.
-        Needs the outputs NORMAL and POINTS.
+        The recording shows the hulls, the outlines of the contact patches, the normals (labelled
+        with the pair's bodies) and the pairs of witness points: red where the hulls overlap, blue
+        where they are apart. Logging to the same path at a later time of the recording shows the
+        next step. The query must have the outputs NORMAL and POINTS.
 
         Args:
-            path: the entity under which all is written.
-            pairs: indices of the pairs to write; by default all.
-            hulls: whether to write the bodies' hulls and not their poses alone; in
-                a loop the first step does for all.
+            path: the entity path under which everything is written.
+            pairs: the indices of the pairs to write; by default all.
+            hulls: whether to write the hulls as well as the poses. In a loop it is enough to write
+                the hulls in the first step.
             recording: a `rerun.RecordingStream`; by default the current one.
+
+        Raises:
+            ImportError: rerun is not installed.
+            InvalidArgument: NO_RECORDING, there is no recording; NO_SCENE or NO_GEOMETRY, as for
+                `plot`.
         """
         from . import _rerun
 
@@ -368,9 +402,13 @@ class Manifolds:
     def _drawn(
         self, pairs: npt.ArrayLike | None
     ) -> tuple[Manifolds, npt.NDArray[np.uint32], Scene]:
-        """The pairs to draw, their bodies that have a pose, and the scene."""
+        """The pairs to draw, the bodies in them that have a usable pose, and the scene."""
         if self.scene is None:
-            raise InvalidArgument("a loaded answer has no scene", reason="NO_SCENE", field="scene")
+            raise InvalidArgument(
+                "an answer that was loaded from a file has no scene: draw the answer of a query",
+                reason="NO_SCENE",
+                field="scene",
+            )
         shown = self if pairs is None else self[np.asarray(pairs)]
         return shown, np.setdiff1d(shown.pairs, self.invalid_bodies), self.scene
 
@@ -401,13 +439,13 @@ class Manifolds:
 
 
 class Manifold:
-    """One pair of a `Manifolds`: the same names, this pair's entries."""
+    """One pair of a `Manifolds`, with the same attribute names as there."""
 
     __slots__ = ("_all", "index")
 
     def __init__(self, all: Manifolds, index: int) -> None:
         self._all = all
-        #: The pair's place in the batch.
+        #: The pair's index in the batch.
         self.index = index
 
     def _points(self) -> slice:
@@ -416,74 +454,74 @@ class Manifold:
 
     @property
     def bodies(self) -> tuple[int, int]:
-        """Body indices A, B."""
+        """The body indices A and B."""
         a, b = self._all.pairs[self.index]
         return int(a), int(b)
 
     @property
     def outcome(self) -> Outcome:
-        """Within the margin or beyond."""
+        """The pair's outcome: whether the hulls are within the margin."""
         return Outcome(int(self._all.outcome[self.index]))
 
     @property
     def flags(self) -> Flag:
-        """What the numbers have to be read with."""
+        """The pair's flags, which qualify its numbers."""
         return Flag(int(self._all.flags[self.index]))
 
     @property
     def alpha(self) -> float:
-        """Growth scale."""
+        """The growth scale."""
         return float(self._all.alpha[self.index])
 
     @property
     def alpha_lower(self) -> float:
-        """Certified lower end of its bracket."""
+        """The certified lower end of the growth scale's bracket."""
         return float(self._all.alpha_lower[self.index])
 
     @property
     def alpha_upper(self) -> float:
-        """Certified upper end of its bracket."""
+        """The certified upper end of the growth scale's bracket."""
         return float(self._all.alpha_upper[self.index])
 
     @property
     def normal(self) -> Floats:
-        """(3,): unit, world frame, from A to B."""
+        """(3,): the unit normal from A to B, world frame."""
         return self._all.normal[self.index]
 
     @property
     def separation(self) -> float:
-        """Signed, along the normal."""
+        """The signed separation along the normal."""
         return float(self._all.separation[self.index])
 
     @property
     def witness_a(self) -> Floats:
-        """(k, 3): the points on A."""
+        """(k, 3): the witness points on A, world frame."""
         return self._all.witness_a[self._points()]
 
     @property
     def witness_b(self) -> Floats:
-        """(k, 3): the points on B."""
+        """(k, 3): the witness points on B, world frame."""
         return self._all.witness_b[self._points()]
 
     @property
     def distance(self) -> Floats:
-        """(k,): signed, along the normal."""
+        """(k,): the signed distances along the normal."""
         return self._all.distance[self._points()]
 
     @property
     def point_ids(self) -> Indices:
-        """(k, 4): what made each point."""
+        """(k, 4): the ids of the features that make each point."""
         return self._all.point_ids[self._points()]
 
     @property
     def feature_kinds(self) -> tuple[FeatureKind, FeatureKind]:
-        """Of A and of B."""
+        """The kinds of the touching features of A and of B."""
         a, b = self._all.feature_kinds[self.index]
         return FeatureKind(int(a)), FeatureKind(int(b))
 
     @property
     def feature_indices(self) -> Indices:
-        """(4,): A's two, B's two."""
+        """(4,): the touching feature of A (two entries) and of B (two entries)."""
         return self._all.feature_indices[self.index]
 
     def __repr__(self) -> str:

@@ -1,4 +1,4 @@
-"""Meshes: read from files, and judged for being convex."""
+"""Reads meshes from files, and checks whether meshes are convex."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ _READERS = {".dae": dae.read, ".obj": obj.read, ".ply": ply.read, ".stl": stl.re
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles, as trimesh's to the two attributes used."""
+    """A triangle mesh, with the two attributes of trimesh's meshes that this package uses."""
 
     #: (n, 3)
     vertices: Floats
     #: (m, 3): indices of vertices.
     faces: Indices
-    #: What messages call it, such as "link 'hand', collision 0 (hand.stl)"; may be empty.
+    #: The mesh's name in messages, such as "link 'hand', collision 0 (hand.stl)"; may be empty.
     label: str = ""
 
 
 def load(path: str | os.PathLike[str]) -> Mesh:
-    """The triangles of an OBJ, STL, DAE or PLY file, all its parts as one mesh.
+    """Reads the triangles of an OBJ, STL, DAE or PLY file, with all its parts as one mesh.
 
-    Equal vertices become one, and those that no triangle uses are left out.
+    Equal vertices are merged. Vertices that no triangle uses are left out.
 
     Raises:
-        FileNotFound: there is no such file.
-        InvalidArgument: UNSUPPORTED_MESH, another format or a feature that is not read;
-            MALFORMED_MESH; NO_TRIANGLES; UNREADABLE_FILE, a directory or no permission.
+        FileNotFound: the file does not exist.
+        InvalidArgument: UNSUPPORTED_MESH, an unknown format or a feature that is not read;
+            MALFORMED_MESH; NO_TRIANGLES; UNREADABLE_FILE, a directory or a file without permission.
     """
     file = Path(path)
     name = os.fspath(path)
@@ -60,14 +60,14 @@ def load(path: str | os.PathLike[str]) -> Mesh:
     kept, first, place = np.unique(
         points[faces.reshape(-1)], axis=0, return_index=True, return_inverse=True
     )
-    order = np.argsort(first)  # of their first use
+    order = np.argsort(first)  # keep the vertices in the order of their first use
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
     return Mesh(kept[order], rank[place.reshape(-1)].reshape(-1, 3).astype("<u4"), file.name)
 
 
 def read_file(path: Any, field: str = "") -> bytes:
-    """A file's bytes; `field` is the argument that named it.
+    """Reads the bytes of a file; `field` is the argument that named it, for messages.
 
     Raises:
         FileNotFound, InvalidArgument: as `load`.
@@ -95,7 +95,7 @@ def read_file(path: Any, field: str = "") -> bytes:
 
 
 def dents(name: str, points: Floats, faces: Any) -> _convexity.Dents | None:
-    """How a mesh differs from its convex hull; None where it is convex, or has no faces."""
+    """How a mesh differs from its convex hull; None if it is convex or has no faces."""
     if faces is None or np.size(faces) == 0 or len(points) == 0 or not np.isfinite(points).all():
         return None
     corners = _arrays.indices(f"{name}.faces", faces, None, 3, below=len(points))
@@ -103,7 +103,7 @@ def dents(name: str, points: Floats, faces: Any) -> _convexity.Dents | None:
 
 
 def warn_of_dents(field: str, label: str, found: _convexity.Dents) -> None:
-    """Says that a hull is not the shape of the mesh that it was made of."""
+    """Warns that a hull is not the shape of the mesh from which it was made."""
     what = "is not convex"
     if found.open_edges:
         what = f"is not watertight ({found.open_edges} open edges), or not convex"

@@ -1,4 +1,4 @@
-"""Columns of enum values that compare with names and print names."""
+"""Arrays of enum values that compare equal to names and print names."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ._wire import FeatureKind, Flag, Outcome
 
 Bytes = npt.NDArray[np.uint8]
 
-#: Operations in which a name stands for its number.
+#: The operations in which a name stands for its number.
 _TAKE_NAMES = (np.equal, np.not_equal, np.bitwise_and, np.bitwise_or, np.bitwise_xor)
 
 
 class EnumArray(np.ndarray[Any, np.dtype[np.uint8]]):
-    """A uint8 array of an enum's values: `==` takes names as well as numbers.
+    """A uint8 array of an enum's values. `==` accepts names as well as numbers.
 
-    Single entries are members of the enum. The result of any other operation is a plain array.
+    A single entry is a member of the enum. Any other operation gives a plain array.
     """
 
     kinds: ClassVar[type[enum.IntEnum | enum.IntFlag]]
@@ -34,13 +34,13 @@ class EnumArray(np.ndarray[Any, np.dtype[np.uint8]]):
 
     @classmethod
     def _number(cls, value: Any) -> Any:
-        """A name, or an array of names, as numbers; any other value as it is."""
+        """Converts a name, or an array of names, to numbers; returns any other value unchanged."""
         value = _plain(value)
         if isinstance(value, str):
             member = cls.kinds.__members__.get(value.upper())
             if member is None:
                 raise InvalidArgument(
-                    f"{value!r} is none of {', '.join(cls.kinds.__members__)}",
+                    f"got {value!r}, expected one of {', '.join(cls.kinds.__members__)}",
                     reason="UNKNOWN_VALUE",
                     field=cls.__name__,
                 )
@@ -58,7 +58,7 @@ class EnumArray(np.ndarray[Any, np.dtype[np.uint8]]):
     def _member(self, value: Any) -> Any:
         try:
             return self.kinds(int(value))
-        except ValueError:  # a value of a newer server, or of arithmetic with this array
+        except ValueError:  # a value from a newer server, or the result of arithmetic
             return value
 
     def _name(self, value: Any) -> str:
@@ -76,13 +76,13 @@ class EnumArray(np.ndarray[Any, np.dtype[np.uint8]]):
 
 
 class OutcomeArray(EnumArray):
-    """The outcomes of pairs: `m.outcome == "CONTACT"`."""
+    """The outcomes of pairs, for comparisons such as `m.outcome == "CONTACT"`."""
 
     kinds = Outcome
 
 
 class FlagArray(EnumArray):
-    """The flags of pairs: `m.flags & "ESTIMATED" != 0`."""
+    """The flags of pairs, for tests such as `(m.flags & "ESTIMATED") != 0`."""
 
     kinds = Flag
 
@@ -91,7 +91,7 @@ class FlagArray(EnumArray):
 
 
 class FeatureKindArray(EnumArray):
-    """The features of pairs: `m.feature_kinds == "FACE"`."""
+    """The kinds of touching features, for comparisons such as `m.feature_kinds == "FACE"`."""
 
     kinds = FeatureKind
 

@@ -9,16 +9,16 @@ import numpy.typing as npt
 
 from ._arrays import Floats
 
-#: Most pairs of points and triangles that are compared in one array operation.
+#: The largest number of pairs of a point and a triangle in one array operation.
 PAIRS = 1 << 18
-#: Triangles of a leaf.
+#: The number of triangles in a leaf of the tree.
 _LEAF = 4
 
 _Ids = npt.NDArray[np.int64]
 
 
 class Tree:
-    """Triangles in a binary tree of boxes, in the order of a space-filling curve."""
+    """A binary tree of boxes over triangles that are sorted along a space-filling curve."""
 
     def __init__(self, triangles: Floats) -> None:
         middles = triangles.mean(axis=1)
@@ -36,7 +36,8 @@ class Tree:
         own = (low, high)
         low = low.reshape(leaves, _LEAF, 3).min(axis=1)
         high = high.reshape(leaves, _LEAF, 3).max(axis=1)
-        #: From the root: per level the low and high corners of its boxes, then the triangles'.
+        #: From the root down: the low and high corners of the boxes of each level; last, those of
+        #: the triangles.
         self._levels = [(low, high)]
         while len(low) > 1:
             low, high = low.reshape(-1, 2, 3).min(axis=1), high.reshape(-1, 2, 3).max(axis=1)
@@ -44,7 +45,7 @@ class Tree:
         self._levels.append(own)
 
     def near(self, points: Floats, reach: float) -> Iterator[tuple[_Ids, _Ids]]:
-        """Pairs of a point and a triangle whose boxes are within `reach`, in parts."""
+        """Yields, in parts, the pairs of a point and a triangle whose boxes are within `reach`."""
         waiting = [(0, np.arange(len(points)), np.zeros(len(points), dtype=np.int64))]
         while waiting:
             level, point, node = waiting.pop()
@@ -65,9 +66,10 @@ class Tree:
             waiting.append((level + 1, np.repeat(point, width), node))
 
     def nearest(self, points: Floats, reach: float) -> tuple[Floats, _Ids]:
-        """Per point the distance to the nearest triangle within reach, and which it is.
+        """The distance from each point to the nearest triangle within `reach`, and that triangle.
 
-        A first search with a small reach settles most points and compares few triangles.
+        A point without such a triangle gets infinity and -1. A first search with a small reach
+        settles most points at the cost of few comparisons.
         """
         best = np.full(len(points), np.inf)
         which = np.full(len(points), -1)
@@ -86,7 +88,7 @@ class Tree:
 
 
 def distances(points: Floats, triangles: Floats) -> Floats:
-    """(n,): from each point to its triangle."""
+    """(n,): the distance from each point to the triangle in the same row."""
     p = points.T
     a, b, c = (triangles[:, i].T for i in range(3))
     normal = cross(b - a, c - a)
@@ -113,5 +115,5 @@ def cross(a: Floats, b: Floats) -> Floats:
 
 
 def dot(a: Floats, b: Floats) -> Floats:
-    """The scalar products of the columns of two (3, n) arrays."""
+    """The dot products of the columns of two (3, n) arrays."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -1,4 +1,4 @@
-"""Where the files are that a URDF names."""
+"""Finds the files that a URDF names."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from urllib.parse import unquote
 
 from ._errors import FileNotFound, InvalidArgument
 
-#: The schemes whose first folder is a package's name.
+#: The URL schemes in which the first folder is a package's name.
 _PACKAGES = ("package", "model")
 
 
 class Packages:
-    """The folders that are searched for the file of a mesh.
+    """The folders in which the files of meshes are looked up.
 
     Args:
-        own: the folder that the URDF is in.
-        packages: as `Robot` takes it.
+        own: the folder that contains the URDF.
+        packages: as for `Robot`.
     """
 
     def __init__(self, own: Path, packages: Any) -> None:
@@ -29,7 +29,11 @@ class Packages:
         self._folders = [*_folders(packages), *ros, *ament]
 
     def find(self, name: str, where: str) -> Path:
-        """The file that a mesh's `filename` means."""
+        """Finds the file that a mesh's `filename` names.
+
+        Raises:
+            FileNotFound: no folder has the file. The message begins with `where`.
+        """
         scheme, separator, rest = name.rpartition("://")
         scheme = scheme.lower()
         if separator and scheme not in ("file", *_PACKAGES):
@@ -49,9 +53,9 @@ class Packages:
 
     def _places(self, scheme: str, path: str) -> Iterable[Path]:
         if scheme not in _PACKAGES:
-            yield self._own / path  # an absolute path stays what it is
+            yield self._own / path  # an absolute path stays unchanged
             return
-        # package://name/... and package:///name/...: in the folder `name`.
+        # Both package://name/... and package:///name/... refer to the folder `name`.
         path = path.lstrip("/")
         package = path.partition("/")[0]
         for folder in self._folders:

@@ -1,16 +1,14 @@
-"""Messages whose packed numeric columns are `bytes`.
+"""Message classes in which packed numeric columns are declared as `bytes`.
 
-On the wire a packed `repeated double` or `repeated fixed32` is the same bytes
-as a `bytes` field that holds the numbers little-endian. Declared so, a column
-goes between message and numpy array in one copy instead of one Python object
-an element. The declarations are derived from the generated descriptors, in a
-pool of their own.
+On the wire, a packed `repeated double` or `repeated fixed32` has the same bytes as a `bytes` field
+that contains the numbers in little-endian order. With this declaration a column is copied once
+between the message and a numpy array; otherwise each element would become a Python object. The
+declarations are derived from the generated descriptors, in a descriptor pool of their own.
 
-A sender may however split a packed field into several records, or not pack it
-at all; both are legal for the real type, while a `bytes` field keeps the last
-record or none. So whoever reads such a column has to know its length, and
-reads the message again with its real type where the length is wrong
-(`_answers.py`). Columns of unknown length keep their real type.
+A sender may legally split a packed field into several records, or not pack it at all. A `bytes`
+field would then keep only the last record, or none. Therefore the reader of such a column must know
+its length, and parse the message again with the original declaration if the length is wrong
+(`_answers.py`). Columns of unknown length keep their original declaration.
 """
 
 from __future__ import annotations
@@ -32,7 +30,7 @@ from ._pb import contacts_pb2, hulls_pb2
 _Field = descriptor_pb2.FieldDescriptorProto
 _PACKED_TYPES: dict[int, str] = {_Field.TYPE_DOUBLE: "<f8", _Field.TYPE_FIXED32: "<u4"}
 
-# Of no length that a reader could foretell.
+# Columns whose length the reader cannot know in advance.
 _KEEP = {
     "QueryContactsResponse": {"missing_hulls", "invalid_bodies"},
     "HullInfo": {"contraction_point", "center_of_mass", "inertia"},
@@ -63,12 +61,12 @@ def _message(name: str) -> Any:
     return message_factory.GetMessageClass(_pool.FindMessageTypeByName(f"hullcast.v1.{name}"))
 
 
-#: As `contacts_pb2.QueryContactsResponse`, columns of foreseeable length as bytes.
+#: Like `contacts_pb2.QueryContactsResponse`, with the columns of known length as bytes.
 QueryContactsResponse = _message("QueryContactsResponse")
-#: As `hulls_pb2.RegisterHullsRequest`, vertices and contraction point as bytes.
+#: Like `hulls_pb2.RegisterHullsRequest`, with vertices and contraction point as bytes.
 RegisterHullsRequest = _message("RegisterHullsRequest")
 
-#: Per column of an answer its numpy type.
+#: The numpy type of each column of a response.
 COLUMN_TYPES = {
     field.name: _PACKED_TYPES[field.type]
     for field in contacts_pb2.QueryContactsResponse.DESCRIPTOR.fields
@@ -77,7 +75,7 @@ COLUMN_TYPES = {
 
 _request = descriptor_pb2.DescriptorProto()
 contacts_pb2.QueryContactsRequest.DESCRIPTOR.CopyToProto(_request)
-#: Of each column of a request its number.
+#: The field number of each column of a request.
 _REQUEST_COLUMNS = {
     field.name: field.number
     for field in _request.field
@@ -88,22 +86,22 @@ _REQUEST_COLUMNS = {
 def request(
     rest: contacts_pb2.QueryContactsRequest, columns: Iterable[tuple[str, npt.NDArray[Any]]]
 ) -> bytes:
-    """A serialised QueryContactsRequest: `rest`, and columns that it does not have.
+    """Serialises a QueryContactsRequest that has the fields of `rest` and the given columns.
 
-    Written here, since each large buffer that protobuf takes on the way costs
-    more in page faults than all else: this makes one.
+    The columns are appended here rather than by protobuf, because each further large buffer costs
+    more in page faults than all the other work. This function allocates one.
     """
     parts: list[Any] = [rest.SerializeToString()]
     for name, values in columns:
         if values.size:
-            # Tag (wire type 2: so many bytes), length, and the array's own bytes.
+            # A record: the tag (wire type 2, length-delimited), the length, the array's bytes.
             tag = _REQUEST_COLUMNS[name] << 3 | 2
             parts += [_varint(tag) + _varint(values.nbytes), np.ascontiguousarray(values)]
     return b"".join(parts)
 
 
 def _varint(number: int) -> bytes:
-    """Seven bits a byte, the lowest first."""
+    """Encodes a number as a protobuf varint: seven bits per byte, the lowest first."""
     coded = bytearray()
     while number > 127:
         coded.append(number & 127 | 128)

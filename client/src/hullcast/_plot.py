@@ -1,4 +1,4 @@
-"""Pictures of bodies and their contacts, by matplotlib."""
+"""Pictures of bodies and their contacts, drawn with matplotlib."""
 
 from __future__ import annotations
 
@@ -28,20 +28,21 @@ def picture(
     path: str | os.PathLike[str] | None,
     ax: Any = None,
 ) -> Any:
-    """The figure that `Manifolds.plot` returns.
+    """Draws the figure that `Manifolds.plot` returns.
 
     Args:
-        bodies: those to draw.
+        bodies: the indices of the bodies to draw.
         pairs, normals: (n, 2) and (n, 3).
-        points: `point_counts` (n,), `witness_as` and `witness_bs` (p, 3), `distances` (p,).
+        points: the columns `point_counts` (n,), `witness_as` and `witness_bs` (p, 3), and
+            `distances` (p,).
         scene: the bodies' hulls and poses.
-        path: where it is written too, or None.
-        ax: the axes to draw into; None for new ones.
+        path: a file to write the figure to, or None.
+        ax: the axes to draw into; None for new axes.
     """
     figure, axes = _axes(ax)
     from matplotlib import cm, colors
 
-    # Of many bodies only those that touch are numbered.
+    # If there are many bodies, only those in contact are numbered.
     touching = pairs[points["point_counts"] > 0]
     numbered = set((touching if len(bodies) > _NUMBERED else bodies).reshape(-1).tolist())
     corners = [_draw_body(axes, scene, int(body), int(body) in numbered) for body in bodies]
@@ -70,7 +71,7 @@ def picture(
 def bodies_alone(
     bodies: Any, scene: Scene, path: str | os.PathLike[str] | None, ax: Any = None
 ) -> Any:
-    """The figure that `Scene.plot` returns."""
+    """Draws the figure that `Scene.plot` returns."""
     nothing = {
         "point_counts": np.zeros(0, dtype="<u4"),
         "witness_as": np.zeros((0, 3)),
@@ -86,7 +87,7 @@ def _count(number: int, one: str, several: str = "") -> str:
 
 
 def _axes(ax: Any) -> tuple[Any, Any]:
-    """Figure and axes to draw into."""
+    """The figure and axes to draw into."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -105,7 +106,7 @@ def _axes(ax: Any) -> tuple[Any, Any]:
         return ax.figure, ax
 
     class Picture(Figure):
-        """A figure that a notebook shows without further settings."""
+        """A figure that a notebook displays without further settings."""
 
         def _repr_png_(self) -> bytes:
             written = io.BytesIO()
@@ -113,24 +114,24 @@ def _axes(ax: Any) -> tuple[Any, Any]:
             return written.getvalue()
 
         def __reduce_ex__(self, protocol: Any) -> Any:
-            # As a plain figure: this class has no name that pickle could find.
+            # Pickle as a plain figure, because pickle cannot find this local class by name.
             state = super().__reduce_ex__(2)[2]
             return _plain_figure, (), state
 
     figure: Any = Picture(figsize=(9, 7), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)  # draws without a display
+    FigureCanvasAgg(figure)  # a canvas that needs no display
     return figure, figure.add_subplot(projection="3d", computed_zorder=False)
 
 
 def _plain_figure() -> Any:
-    """An empty figure, for pickle to fill."""
+    """An empty figure, which pickle fills."""
     from matplotlib.figure import Figure
 
     return Figure.__new__(Figure)
 
 
 def _draw_body(axes: Any, scene: Scene, body: int, numbered: bool) -> Floats:
-    """Draws a body's hull, and returns its corners in the world."""
+    """Draws a body's hull, and returns the hull's corners in the world frame."""
     from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
     points = _drawing.points_of(scene, body)
@@ -142,7 +143,7 @@ def _draw_body(axes: Any, scene: Scene, body: int, numbered: bool) -> Floats:
             vertices[triangles], facecolors=colour, alpha=0.2, shade=True, linewidths=0, zorder=1
         )
     )
-    # A round hull has no edges to draw, and matplotlib takes no collection of none.
+    # A round hull may have no edges to draw, and matplotlib does not accept an empty collection.
     if len(edges):
         axes.add_collection3d(
             Line3DCollection(vertices[edges], colors=colour, linewidths=0.8, zorder=2)
@@ -156,7 +157,7 @@ def _draw_body(axes: Any, scene: Scene, body: int, numbered: bool) -> Floats:
 
 
 def _draw_contacts(axes: Any, normals: Floats, points: Columns, colour: Any, size: float) -> None:
-    """Patches, their normals, and each point on A joined to its point on B."""
+    """Draws patches, their normals, and a line from each witness point on A to that on B."""
     from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
     a, b, distances = points["witness_as"], points["witness_bs"], points["distances"]
@@ -178,7 +179,7 @@ def _draw_contacts(axes: Any, normals: Floats, points: Columns, colour: Any, siz
 
 
 def _frame(axes: Any, corners: Floats) -> None:
-    """A box about everything, of one scale along all axes, and not too flat to look into."""
+    """Sets limits around everything, with one scale on all axes, and not too flat to look into."""
     low, high = corners.min(axis=0), corners.max(axis=0)
     size = float((high - low).max()) or 1.0
     middle, half = (low + high) / 2, np.maximum(high - low, 0.4 * size) / 2

@@ -1,6 +1,6 @@
-"""A query as messages: what is sent, and how the answers become one.
+"""A query as request messages, and the combination of the responses into one result.
 
-Everything but the call itself, so that every way of calling shares it.
+Everything but the call itself is here, so that all ways of calling share it.
 """
 
 from __future__ import annotations
@@ -22,29 +22,32 @@ from ._pb import contacts_pb2
 from ._scene import Scene
 from ._wire import DEFAULT_OUTPUTS, Flag
 
-#: The numbers of this process's requests, by which answers are recognised. They begin anywhere,
-#: so that two processes behind one proxy hardly ever have one in common.
+#: The request ids of this process, by which responses are recognised. They start at a random
+#: number, so that two processes behind one proxy hardly ever use the same id.
 _request_ids = itertools.count(1 + int.from_bytes(os.urandom(6), "little"))
 
-#: Bodies that a message about unusable poses describes.
+#: The number of bodies that a message about unusable poses describes.
 _DESCRIBED = 5
 
-#: A message that carries more bodies than this many a pair is sent with only
-#: the bodies that its pairs name.
+#: If a message would have more than this many bodies per pair, only the bodies that its pairs name
+#: are sent.
 _BODIES_PER_PAIR = 4
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Speed against accuracy.
+    """The trade-off between speed and accuracy.
 
     Args:
-        solver: "PORTAL" or "GJK_RAY_CAST" (the paper's).
-        relative_tolerance: width of the bracket over its upper end that is good
-            enough, 0 to 1; 0: to rounding.
-        feature_angle: radians, 0 to 0.5: faces and edges within it of the normal
-            count as touched; 0 is the pure Gauss map.
-        max_points: points a pair; 0: all.
+        solver: "PORTAL", or "GJK_RAY_CAST" (the solver of the paper).
+        relative_tolerance: the width of alpha's bracket at which the solver may stop, as a share of
+            the bracket's upper end, 0 to 1. With 0 the bracket is as narrow as rounding allows.
+        feature_angle: an angle in radians, 0 to 0.5: faces and edges within this angle of the
+            contact normal count as touching. With 0 the features are those of the pure Gauss map.
+        max_points: the largest number of contact points per pair; 0 for all.
+
+    Raises:
+        InvalidArgument: an argument is not usable; the error names it.
     """
 
     solver: str = "PORTAL"
@@ -52,18 +55,20 @@ class Accuracy:
     feature_angle: float = 0.01
     max_points: int = 0
 
-    #: To rounding, the whole patch: the default. Chosen, as the other, from what
-    #: `hullcast tradeoff` measured (docs/tradeoff.md): no coarser tolerance is faster; brackets
-    #: at most 1.4e-13 of alpha wide.
+    #: The default: brackets as narrow as rounding allows, and all contact points. This preset and
+    #: the other one were chosen by measurements of `hullcast tradeoff` (docs/tradeoff.md). No
+    #: coarser tolerance is faster, and brackets are at most 1.4e-13 of alpha wide.
     EXACT: ClassVar[Accuracy]
-    #: The same, at most four points a pair: fewer to send and to solve for. Measured: 2 to 7 %
-    #: more time; in 19 of 20 pairs the patch is at most 6 % of the hulls' size off.
+    #: As EXACT, but with at most four points per pair, so that there are fewer points to send and
+    #: to solve for. Measured: 2 to 7 % more time; in 19 of 20 pairs the patch differs by at most
+    #: 6 % of the hulls' size.
     FOUR_POINTS: ClassVar[Accuracy]
 
     def __post_init__(self) -> None:
         known = [key.removeprefix("SOLVER_") for key in contacts_pb2.Solver.keys()[1:]]
         _arguments.one_of("solver", self.solver, known)
-        # The class is frozen, but a numpy scalar is better kept as a float.
+        # The class is frozen, so `object.__setattr__` is used to convert numpy scalars to Python
+        # numbers.
         for name, high in (("relative_tolerance", 1.0), ("feature_angle", 0.5)):
             value = _arguments.number(name, getattr(self, name), 0, high)
             object.__setattr__(self, name, value)
@@ -71,7 +76,7 @@ class Accuracy:
         object.__setattr__(self, "max_points", most)
 
     def fill(self, message: Any) -> None:
-        """Writes it into a request's `accuracy`."""
+        """Writes the settings into the `accuracy` field of a request."""
         message.solver = contacts_pb2.Solver.Value(f"SOLVER_{self.solver}")
         message.relative_tolerance = self.relative_tolerance
         message.feature_angle = self.feature_angle
@@ -84,20 +89,23 @@ Accuracy.FOUR_POINTS = Accuracy(max_points=4)
 
 @dataclass(frozen=True)
 class Span:
-    """Pairs `start` to `stop` of a query: what one message asks for."""
+    """The pairs `start` to `stop` (exclusive) of a query, which one message requests."""
 
     start: int
     stop: int
 
     def halves(self) -> list[Span]:
-        """Two that make this one."""
+        """Two spans that together make this one."""
         middle = (self.start + self.stop) // 2
         return [Span(self.start, middle), Span(middle, self.stop)]
 
 
 @dataclass(frozen=True)
 class Message:
-    """A request, and what its own numbering of hulls and bodies stands for."""
+    """A serialised request, and how it numbers hulls and bodies.
+
+    If `hulls` or `bodies` is not None, entry i is the scene's index of the message's number i.
+    """
 
     data: bytes
     request_id: int
@@ -106,10 +114,10 @@ class Message:
 
 
 class Query:
-    """One `query` or (with `find`) one `find`.
+    """One call of `query`, or of `find` if `find` is true.
 
     Raises:
-        InvalidArgument: shapes that do not fit, an index or a name that is not known.
+        InvalidArgument: an argument has a wrong shape, an index out of range or an unknown name.
     """
 
     def __init__(
@@ -125,7 +133,7 @@ class Query:
         find: bool = False,
     ) -> None:
         _arguments.instance("scene", scene, Scene, "a hullcast.Scene")
-        #: The bodies asked about.
+        #: The bodies of the query.
         self.scene = scene
         self._on_invalid = _arguments.one_of("on_invalid", on_invalid, ("raise", "flag"))
         self._pairs = None if find else own_pairs(pairs, len(scene))
@@ -140,11 +148,12 @@ class Query:
         self._compacted = False
         if self._bases is not None and len(self._bases) != _length(self._pairs):
             raise InvalidArgument(
-                f"{len(self._bases)} manifolds for another number of pairs",
+                f"got {len(self._bases)} pairs, expected {_length(self._pairs)}: give the answer "
+                "of an earlier query of the same pairs",
                 reason="LENGTH_MISMATCH",
                 field="warm",
             )
-        # What every message of this query has alike.
+        # The fields that all messages of this query share.
         self._common = contacts_pb2.QueryContactsRequest(
             margin=margin,
             outputs=[f"OUTPUT_{name}" for name in self._outputs],
@@ -155,27 +164,30 @@ class Query:
 
     @property
     def pair_count(self) -> int:
-        """Pairs asked for."""
+        """The number of pairs of the query."""
         return _length(self._pairs)
 
     def move(self, positions: Any, rotations: Any) -> None:
-        """The query of the bodies at new poses."""
+        """Moves the bodies of the query to new poses."""
         self.scene = self.scene.moved(positions, rotations)
 
     def start_from(self, columns: _answers.Columns) -> None:
-        """The next messages in full start from an answer's bases, if it has them."""
+        """Makes the next full messages start from the bases of a result, if it has them."""
         if "BASES" in self._outputs:
             self._bases = columns["bases"]
 
     def spans(self, pairs_per_message: int) -> list[Span]:
-        """The query in parts of about equal size, none larger; one where there is no pair."""
+        """Splits the pairs into spans of about equal size, each of at most `pairs_per_message`.
+
+        A query without pairs has one empty span.
+        """
         count = _length(self._pairs)
         parts = max(1, -(-count // pairs_per_message))
         ends = [count * i // parts for i in range(parts + 1)]
         return [Span(start, stop) for start, stop in itertools.pairwise(ends)]
 
     def message(self, span: Span) -> Message:
-        """The request for some of the pairs."""
+        """The request for the pairs of a span."""
         scene = self.scene
         assert self._pairs is not None
         pairs = self._pairs[span.start : span.stop]
@@ -199,7 +211,7 @@ class Query:
         return Message(_packed.request(rest, columns), rest.request_id, hulls, bodies)
 
     def step_message(self, before: Message) -> Message:
-        """The request that inherits from `before` on a stream: the poses of its bodies."""
+        """The request that inherits from `before` on a stream: the new poses of its bodies."""
         positions, rotations = self.scene.positions, self.scene.rotations
         if before.bodies is not None:
             positions, rotations = positions[before.bodies], rotations[before.bodies]
@@ -209,7 +221,7 @@ class Query:
         return replace(before, data=data, request_id=number)
 
     def find_message(self) -> Message:
-        """The request to find the pairs."""
+        """The request of `find`."""
         scene = self.scene
         columns = self._bodies()
         for name in ("worlds", "groups", "ignored_groups"):
@@ -220,7 +232,7 @@ class Query:
         return Message(_packed.request(rest, columns), rest.request_id)
 
     def _with(self, hull_ids: Sequence[bytes]) -> contacts_pb2.QueryContactsRequest:
-        """The options of all messages, the hulls of one, and a number of its own."""
+        """The options that all messages share, the hulls of one message, and a new request id."""
         rest = contacts_pb2.QueryContactsRequest(hull_ids=hull_ids, request_id=next(_request_ids))
         rest.MergeFrom(self._common)
         return rest
@@ -234,7 +246,7 @@ class Query:
         ]
 
     def read(self, span: Span, message: Message, data: bytes) -> _answers.Columns:
-        """The checked answer to `message`, with the scene's numbers of hulls and bodies.
+        """Reads and checks the response to `message`; numbers hulls and bodies as the scene does.
 
         Raises:
             ServerError: MALFORMED_ANSWER.
@@ -253,7 +265,7 @@ class Query:
         return columns
 
     def read_found(self, message: Message, answers: Sequence[bytes]) -> _answers.Columns:
-        """The checked answer to a `find_message`.
+        """Reads and checks the responses to a `find_message`.
 
         Raises:
             ServerError: MALFORMED_ANSWER.
@@ -272,13 +284,13 @@ class Query:
         return _answers.merge(parts)
 
     def delivered(self, columns: _answers.Columns) -> Manifolds:
-        """The answer as the caller gets it.
+        """The result as the caller gets it.
 
         Raises:
-            InvalidPoses: some bodies have unusable poses, and the query does not flag them.
+            InvalidPoses: some bodies have unusable poses, and `on_invalid` is "raise".
         """
         if self._compacted:
-            # The server has not seen the bodies that no pair names.
+            # The server has not seen the bodies that no pair names, so check their poses here.
             unseen = _arrays.unusable(self.scene.positions, self.scene.rotations)
             columns["invalid_bodies"] = np.union1d(columns["invalid_bodies"], unseen)
         found = Manifolds(columns, self.scene)
@@ -298,7 +310,7 @@ class Query:
         return found
 
     def _invalid(self, found: Manifolds) -> InvalidPoses:
-        """The error that names bodies and reasons."""
+        """The error that names the bodies with unusable poses, and the reasons."""
         scene, bodies = self.scene, found.invalid_bodies
         known = [_arrays.why_unusable(scene.positions[i], scene.rotations[i]) for i in bodies]
         texts = [f"body {i}: {why}" for i, (_, why) in zip(bodies, known, strict=True)]
@@ -317,7 +329,7 @@ class Query:
 
 
 def own_pairs(pairs: Any, bodies: int) -> Indices:
-    """Pairs as (n, 2) body indices of a scene of so many bodies."""
+    """Checks pairs of body indices for a scene with `bodies` bodies; returns them as (n, 2)."""
     counted = f"the scene has {bodies} bod{'y' if bodies == 1 else 'ies'}"
     return _arrays.indices("pairs", pairs, None, 2, below=bodies, of=counted)
 
@@ -327,10 +339,11 @@ def _length(pairs: Indices | None) -> int:
 
 
 def _compact(numbers: Indices, scratch: Indices) -> tuple[Indices, Indices]:
-    """The distinct `numbers`, and `numbers` as indices into them.
+    """The distinct `numbers`, and each of `numbers` as an index into them.
 
-    By scattering into `scratch` (as long as the largest number, its content of
-    no matter), which takes half the time of sorting. Order: of last occurrence.
+    Scattering the numbers into `scratch` takes half the time of sorting. `scratch` must be longer
+    than the largest number; its content does not matter. The distinct numbers are in the order of
+    their last occurrence.
     """
     order = np.arange(len(numbers), dtype="<u4")
     scratch[numbers] = order
@@ -340,7 +353,7 @@ def _compact(numbers: Indices, scratch: Indices) -> tuple[Indices, Indices]:
 
 
 def output_names(outputs: Iterable[str] | None) -> Sequence[str]:
-    """Those asked for, each known and in upper case; the default for None."""
+    """The requested outputs, checked and in upper case; the default outputs for None."""
     if outputs is None:
         return DEFAULT_OUTPUTS
     known = [key.removeprefix("OUTPUT_") for key in contacts_pb2.Output.keys()[1:]]
@@ -353,15 +366,15 @@ def output_names(outputs: Iterable[str] | None) -> Sequence[str]:
         )
     names: list[str] = []
     for i, name in enumerate(given):  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
-        # The command line writes "witness-b".
+        # Accept the spelling of the command line, "witness-b", too.
         plain = name.upper().replace("-", "_") if isinstance(name, str) else ""
         if plain not in known:
             raise InvalidArgument(
-                f"{_arguments.shown(name)} is none of {', '.join(known)}",
+                f"got {_arguments.shown(name)}, expected one of {', '.join(known)}",
                 reason="UNKNOWN_VALUE",
                 field="outputs",
                 index=i,
             )
         names.append(plain)
-    # Empty means the default on the wire; outcomes always come.
+    # On the wire an empty list means the default. Outcomes are always sent.
     return tuple(names) or ("OUTCOME",)

@@ -1,7 +1,7 @@
-"""The surface of a convex hull to a stated error, by quickhull.
+"""The surface of a convex hull to a given error, by quickhull.
 
-The farthest point above some facet is added until no point is above a facet by more than
-the error. A fine mesh needs far fewer facets than it has vertices, so that the time hardly
+The algorithm adds the point that is farthest above some facet, until no point is above a facet by
+more than the error. A fine mesh needs far fewer facets than it has vertices, so the time hardly
 depends on how fine the mesh is.
 """
 
@@ -15,16 +15,16 @@ import numpy.typing as npt
 
 from ._arrays import Floats
 
-#: Points within this share of their extent of one plane are flat: they have no hull.
+#: Points count as flat, without a hull, if they are within this share of their extent of one plane.
 FLAT = 1e-9
 
 _Ids = npt.NDArray[np.int64]
 
 
 def simplex(points: Floats) -> tuple[list[int], float] | None:
-    """Four points far from one plane, and the last one's height; None for flat points.
+    """Four points far from one plane, and the height of the last one; None if the points are flat.
 
-    The points' extent is to be about 1.
+    The extent of the points must be about 1.
     """
     if len(points) < 4:
         return None
@@ -45,25 +45,26 @@ def simplex(points: Floats) -> tuple[list[int], float] | None:
 
 
 class _Facets:
-    """The facets of a growing hull, by number; each has the points above it."""
+    """The numbered facets of a growing hull. Each facet has the list of the points above it."""
 
     def __init__(self, points: Floats) -> None:
         self.points = points
         self.corners: dict[int, tuple[int, int, int]] = {}
         self.planes: dict[int, tuple[Floats, float]] = {}
         self.above: dict[int, _Ids] = {}
-        #: The facet on the left of each directed side.
+        #: The facet to the left of each directed side.
         self.of_side: dict[tuple[int, int], int] = {}
-        #: By height: the farthest point above each facet, also of facets that are gone.
+        #: A heap of (-height, facet, point): the farthest point above each facet. Removed facets
+        #: remain in it.
         self.queue: list[tuple[float, int, int]] = []
         self._next = 0
 
     def add(self, corners: list[tuple[int, int, int]], candidates: _Ids) -> None:
-        """Adds facets; each candidate goes to the one that it is highest above."""
+        """Adds facets; each candidate point is assigned to the facet that it is highest above."""
         a, b, c = self.points[np.array(corners)].swapaxes(0, 1)
         normals = np.cross(b - a, c - a)
         lengths = np.linalg.norm(normals, axis=1)
-        # A facet without area has no plane that a point could be above.
+        # A facet without area gets a zero normal, so that no point is above it.
         normals = normals / np.where(lengths > 0, lengths, np.inf)[:, None]
         offsets = np.einsum("ni,ni->n", normals, a)
         heights = self.points[candidates] @ normals.T - offsets
@@ -83,7 +84,7 @@ class _Facets:
                 heapq.heappush(self.queue, (-float(top[best]), number, int(candidates[best])))
 
     def remove(self, number: int) -> _Ids:
-        """Removes a facet; the points that were above it."""
+        """Removes a facet, and returns the points that were above it."""
         for side in _sides(self.corners.pop(number)):
             if self.of_side.get(side) == number:
                 del self.of_side[side]
@@ -91,7 +92,7 @@ class _Facets:
         return self.above.pop(number)
 
     def visible(self, first: int, point: int) -> tuple[set[int], list[tuple[int, int]]]:
-        """The facets that a point above `first` sees, and the sides around them."""
+        """The facets that are visible from a point above `first`, and the sides around them."""
         seen, waiting, around = {first}, [first], list[tuple[int, int]]()
         while waiting:
             for side in _sides(self.corners[waiting.pop()]):
@@ -117,12 +118,12 @@ def _sides(facet: tuple[int, int, int]) -> Iterator[tuple[int, int]]:
 
 
 def hull(points: Floats, start: list[int], error: float) -> _Ids:
-    """(k, 3): outward triangles that no point is above by more than the error.
+    """(k, 3): outward triangles such that no point is above any by more than the error.
 
     Args:
         points: (n, 3).
-        start: of `simplex`.
-        error: more than `FLAT`.
+        start: the four points of `simplex`.
+        error: greater than `FLAT`.
     """
     a, b, c, d = start
     facets = _Facets(points)

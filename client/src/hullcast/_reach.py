@@ -1,6 +1,6 @@
-"""Why a server cannot be reached: the text of gRPC as a cause and a remedy.
+"""Explains why a server cannot be reached: turns gRPC's text into a cause and a remedy.
 
-The command line says the same (`src/cli/reach.rs`).
+The command line gives the same explanations (`src/cli/reach.rs`).
 """
 
 from __future__ import annotations
@@ -9,20 +9,20 @@ import contextlib
 import socket
 import ssl
 
-#: An HTTP/2 client's first bytes: the preface, and an empty SETTINGS frame.
+#: The first bytes of an HTTP/2 client: the preface and an empty SETTINGS frame.
 _GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + b"\0\0\0\x04" + bytes(5)
-#: OpenSSL's numbers for a certificate of another host name, and of another address.
+#: OpenSSL's error numbers for a certificate of another host name, and of another IP address.
 _HOST_MISMATCH = (62, 64)
-#: Seconds in which a peer has to answer.
+#: The seconds within which a peer must answer.
 _PATIENCE = 2.0
 
 
 def absent(target: str, addresses: tuple[str, ...]) -> str | None:
-    """The sentence for a server that is not there; None for another cause.
+    """The explanation for a server that is not there; None if that is not the cause.
 
     Args:
         target: the address as gRPC has it.
-        addresses: the `host:port` of the target; none of a Unix socket.
+        addresses: the target's addresses as `host:port`; empty for a Unix socket.
     """
     try:
         if not addresses:
@@ -38,7 +38,7 @@ def absent(target: str, addresses: tuple[str, ...]) -> str | None:
     except socket.gaierror:
         return f"no host of the name in {target}"
     except (OSError, ValueError):
-        pass  # what passes, or what gRPC says better
+        pass  # a temporary condition, or one that gRPC describes better
     return None
 
 
@@ -48,15 +48,18 @@ def _remedy(target: str) -> str:
 
 
 def mismatch(target: str, details: str, trust: ssl.SSLContext | None) -> str | None:
-    """The sentence for a server that is there but cannot be spoken to; None for another cause.
+    """The explanation for a server that is there but does not fit the client's settings.
 
     Args:
         target: `host:port`.
-        details: the text of gRPC. For a name with several addresses, it is about the last one only.
-        trust: the certificates that the client trusts; None if it does not speak TLS.
+        details: gRPC's text. If a name has several addresses, the text is about the last one only.
+        trust: the certificates that the client trusts; None if it does not use TLS.
+
+    Returns:
+        The explanation, or None if the cause is another.
     """
     answer = _greeting(target)
-    # The fourth byte of a frame is its type; a server begins with SETTINGS, type 4.
+    # The fourth byte of a frame is its type. A server begins with a SETTINGS frame, type 4.
     plain = len(answer) >= 4 and answer[3] == 4
     if trust is None:
         if answer[:2] in (b"\x15\x03", b"\x16\x03"):
@@ -106,7 +109,7 @@ def _connected(target: str) -> socket.socket:
 
 
 def _greeting(target: str) -> bytes:
-    """The first bytes that a peer answers to HTTP/2's preface; none if it says nothing."""
+    """The first bytes of a peer's response to an HTTP/2 preface; empty if it does not respond."""
     with contextlib.suppress(OSError, ValueError), _connected(target) as peer:
         peer.sendall(_GREETING)
         return peer.recv(9)

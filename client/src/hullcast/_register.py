@@ -1,4 +1,4 @@
-"""Registering: what it asks and answers."""
+"""The requests of `register`, and the reading of their responses."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from ._errors import HullRejected, InvalidArgument
 from ._hulls import Content, Hull, Planarity, planarity_of, points_of
 from ._pb import hulls_pb2
 
-#: Of vertices in one message: far below the server's message limit, large
-#: enough that the call costs nothing beside the hulls.
+#: The number of bytes of vertices in one message. It is far below the server's message limit, and
+#: large enough that the cost of the call is small beside that of the hulls.
 _BYTES_PER_MESSAGE = 8 << 20
 _HULLS_PER_MESSAGE = 1024
 
 
 class Registration:
-    """One `register` call: the messages to send and the answer they make."""
+    """One `register` call: the messages to send, and the result of their responses."""
 
     def __init__(
         self,
@@ -31,11 +31,11 @@ class Registration:
         labels: Sequence[str] = (),
     ) -> None:
         self._contents = contents
-        #: Per hull how its mesh differs from it, or None.
+        #: For each hull, how its mesh differs from it, or None.
         self._dents = dents
-        #: Per hull what warnings call it, or "".
+        #: For each hull, its name in warnings, or "".
         self._labels = labels
-        #: Hulls in each message of `requests`.
+        #: The number of hulls in each message of `requests`.
         self._counts: list[int] = []
 
     @classmethod
@@ -47,7 +47,7 @@ class Registration:
         max_deviation: float | None = None,
         planarity: Planarity = "default",
     ) -> Registration:
-        """The call of `Client.register`'s arguments."""
+        """Makes the call from the arguments of `Client.register`."""
         shapes = shapes_of(hulls)
         if max_vertices is not None:
             max_vertices = _arguments.integer("max_vertices", max_vertices, 4, 2**32 - 1)
@@ -82,7 +82,7 @@ class Registration:
                 if as_it_is and share == shape.content.planarity:
                     contents.append(shape.content)
                     continue
-            # A copy of the caller's array, which may change later.
+            # Copy the caller's array, which may change later.
             points = _arrays.frozen(points_of(shape, f"hulls[{i}]"))
             contents.append(Content(points, center, max_vertices, max_deviation, share))
         dents = [
@@ -92,7 +92,7 @@ class Registration:
         return cls(contents, dents, [_label(shape, i) for i, shape in enumerate(shapes)])
 
     def requests(self) -> Iterator[bytes]:
-        """The messages, in order, none of them large unless a hull is."""
+        """Yields the messages in order. A message is only large if one of its hulls is."""
         self._counts = []
         request, size = _packed.RegisterHullsRequest(), 0
         for content in self._contents:
@@ -116,7 +116,7 @@ class Registration:
             yield request.SerializeToString()
 
     def named(self, error: InvalidArgument, message: int) -> InvalidArgument:
-        """The error of a message, with the hull that makes the message too large."""
+        """Adds the largest hull's name to a MESSAGE_TOO_LARGE error; returns other errors as is."""
         if error.reason != "MESSAGE_TOO_LARGE":
             return error
         first = sum(self._counts[:message])
@@ -132,14 +132,14 @@ class Registration:
         )
 
     def read(self, answers: Sequence[bytes], home: _channel.Settings | None = None) -> list[Hull]:
-        """The hulls, in the call's order.
+        """Reads the hulls from the responses, in the order of the call.
 
         Args:
-            answers: one per message of `requests`.
-            home: where the hulls are registered.
+            answers: one response per message of `requests`.
+            home: the settings of the client that registers the hulls.
 
         Raises:
-            HullRejected: some were refused; it has the others.
+            HullRejected: the server refused some hulls; the error has the others.
             ServerError: MALFORMED_ANSWER.
         """
         results: list[Any] = []
@@ -175,7 +175,7 @@ class Registration:
 
 
 def shapes_of(hulls: Any) -> list[Any]:
-    """The shapes of an iterable of them, or of one; a trimesh.Scene counts as its parts."""
+    """The shapes of one hull or of an iterable of hulls. A `trimesh.Scene` stands for its parts."""
     if isinstance(hulls, Mapping):
         raise InvalidArgument(
             "expected a hull or a list of hulls, got a dict: give list(hulls.values())",
@@ -206,13 +206,13 @@ def shapes_of(hulls: Any) -> list[Any]:
 
 
 def _is_single(hulls: Any) -> bool:
-    """Whether the argument is one hull, not several."""
+    """Whether the argument is one hull rather than several."""
     if isinstance(hulls, (Hull, str, os.PathLike)) or _is_scene(hulls):
         return True
     if hasattr(hulls, "vertices") or getattr(hulls, "ndim", 0) == 2:
         return True
     if isinstance(hulls, (list, tuple)) and hulls:
-        # Rows of three numbers are the points of one hull.
+        # A list of rows of three numbers is the points of one hull.
         first = hulls[0]  # pyright: ignore[reportUnknownVariableType]
         row = isinstance(first, (list, tuple)) or getattr(first, "ndim", 0) == 1
         return row and len(first) == 3 and all(isinstance(x, numbers.Real) for x in first)  # pyright: ignore[reportUnknownArgumentType, reportUnknownVariableType]
@@ -220,12 +220,12 @@ def _is_single(hulls: Any) -> bool:
 
 
 def _is_scene(shape: Any) -> bool:
-    """Whether it is a `trimesh.Scene`, which may not be installed."""
+    """Whether the shape is a `trimesh.Scene`; trimesh need not be installed."""
     return hasattr(shape, "geometry") and callable(getattr(shape, "dump", None))
 
 
 def _parts(scene: Any) -> list[Any]:
-    """The meshes of a `trimesh.Scene`, each where the scene has it."""
+    """The meshes of a `trimesh.Scene`, each at its place in the scene."""
     parts = [part for part in scene.dump() if hasattr(part, "vertices")]
     if not parts:
         raise InvalidArgument(
@@ -235,19 +235,19 @@ def _parts(scene: Any) -> list[Any]:
 
 
 def shape_of(hull: Any) -> Any:
-    """The object that has the points: a mesh file's mesh, otherwise the object itself."""
+    """The object that has the points: `hull` itself, or the mesh that is read from its path."""
     if isinstance(hull, (str, os.PathLike)):
         return _mesh.load(cast("str | os.PathLike[str]", hull))
     return hull
 
 
 def _faces(shape: Any) -> Any:
-    """A mesh's faces; a hull is convex without a check."""
+    """The faces of a mesh. A `Hull` has none here, because it needs no check for convexity."""
     return None if isinstance(shape, Hull) else getattr(shape, "faces", None)
 
 
 def _label(shape: Any, place: int) -> str:
-    """What messages call a shape: a robot's body by its link, a file's mesh by its name."""
+    """A shape's name in messages: the link for a robot's body, or index and file for a mesh."""
     label = shape.label if isinstance(shape, _mesh.Mesh) else ""
     return label if label.startswith("link ") else f"hulls[{place}]" + (label and f" ({label})")
 

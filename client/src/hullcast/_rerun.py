@@ -1,4 +1,4 @@
-"""Bodies and their contacts in a rerun recording."""
+"""Writes bodies and their contacts to a rerun recording."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ._errors import InvalidArgument
 from ._export import Columns
 from ._scene import Scene
 
-#: Of overlapping, touching and distant points.
+#: The colours of overlapping, touching and distant points.
 _COLOURS: Floats = np.array([[180, 4, 38], [221, 221, 221], [59, 76, 192]], dtype=float)
 _BODY = (143, 163, 184, 90)
 _EDGE = (110, 125, 145)
@@ -29,14 +29,15 @@ def log(
     hulls: bool,
     recording: Any,
 ) -> None:
-    """Writes what `Manifolds.log` says.
+    """Writes what `Manifolds.log` documents.
 
     Args:
-        bodies: those to write.
-        pairs: (n, 2), `normals` (n, 3), `points` as for `_plot.picture`.
+        bodies: the indices of the bodies to write.
+        pairs, normals: (n, 2) and (n, 3).
+        points: as for `_plot.picture`.
         scene: the bodies' hulls and poses.
-        path: the entity above all that is written.
-        hulls: whether their shapes are written.
+        path: the entity path under which everything is written.
+        hulls: whether the hulls are written.
         recording: a `rerun.RecordingStream`, or None for the current one.
     """
     try:
@@ -60,7 +61,7 @@ def log(
         if hulls:
             _log_hull(rerun, entity, _drawing.points_of(scene, int(body)), to)
     size = _size(scene, bodies)
-    # An empty one takes away what an earlier step left.
+    # Empty collections are logged too, because they replace the content of an earlier step.
     for name, drawn in {
         **_patches(rerun, pairs, normals, points, size),
         **_witnesses(rerun, points, size),
@@ -71,7 +72,7 @@ def log(
 def _patches(
     rerun: Any, pairs: Any, normals: Floats, points: Columns, size: float
 ) -> dict[str, Any]:
-    """The outlines of the patches, and from the middle of each its normal."""
+    """The outlines of the patches, and an arrow along each normal from the patch's middle."""
     ends = np.cumsum(points["point_counts"])
     starts = ends - points["point_counts"]
     touching = np.flatnonzero(points["point_counts"])
@@ -97,7 +98,7 @@ def _patches(
 
 
 def _witnesses(rerun: Any, points: Columns, size: float) -> dict[str, Any]:
-    """The points on both hulls, and what joins each two."""
+    """The witness points on both hulls, and the lines that join them."""
     a, b = points["witness_as"], points["witness_bs"]
     shades = colours(points["distances"])
     lines = np.stack([a, b], axis=1)
@@ -109,14 +110,14 @@ def _witnesses(rerun: Any, points: Columns, size: float) -> dict[str, Any]:
 
 
 def colours(distances: Floats) -> np.ndarray:
-    """(p, 3) uint8: red overlapping, grey touching, blue apart, as strong as deep or far."""
+    """(p, 3) uint8: red if overlapping, grey if touching, blue if apart; stronger the farther."""
     reach = float(np.abs(distances).max(initial=0.0)) or 1.0
     channels = [np.interp(distances / reach, [-1, 0, 1], _COLOURS[:, i]) for i in range(3)]
     return np.stack(channels, axis=-1).astype(np.uint8)
 
 
 def _log_hull(rerun: Any, entity: str, points: Floats, to: dict[str, Any]) -> None:
-    """Once for all times, in its own frame."""
+    """Writes a hull in its own frame, once for all times."""
     triangles, edges = _drawing.surface(points)
     hull = rerun.Mesh3D(vertex_positions=points, triangle_indices=triangles, albedo_factor=_BODY)
     rerun.log(f"{entity}/hull", hull, static=True, **to)
@@ -125,7 +126,7 @@ def _log_hull(rerun: Any, entity: str, points: Floats, to: dict[str, Any]) -> No
 
 
 def _size(scene: Scene, bodies: Any) -> float:
-    """How large the picture's strokes are to be: that of the bodies together."""
+    """The extent of all bodies together, to which the sizes of strokes are relative."""
     corners = [
         _drawing.world(
             _drawing.points_of(scene, int(body)), scene.positions[body], scene.rotations[body]

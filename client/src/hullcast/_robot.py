@@ -1,4 +1,4 @@
-"""Robots from URDF files: collision shapes, where joints put them, which may meet."""
+"""Robots from URDF files: their collision shapes, poses, and the pairs of bodies that can meet."""
 
 from __future__ import annotations
 
@@ -19,36 +19,38 @@ from ._urdf import Joint
 
 
 class Robot:
-    """The collision geometry of a URDF as convex bodies, and where its joints put them.
+    """The collision geometry of a URDF as convex bodies, with poses computed from joint values.
 
         robot = hullcast.Robot("panda.urdf")
         scene = robot.scene(client.register(robot.shapes), {"panda_joint4": -2.0})
         m = client.query(scene, robot.pairs, margin=0.01)
 
-    Each collision element is a body; a mesh that is not convex becomes several,
-    its pieces. Bodies of one link never meet, nor those of links that ignore each
-    other: links joined by fixed joints, and neighbours in the tree (links without
-    collision geometry are passed over), since joints overlap. Metres and radians,
-    as in URDF.
+    Each collision element becomes one body; a mesh that is not convex becomes several bodies, its
+    convex pieces. Lengths are in metres and angles in radians, as in URDF.
+
+    Bodies of one link never meet. Neither do bodies of two links that ignore each other: links
+    connected by fixed joints, and neighbours in the tree, because links overlap at their joints.
+    (To find the neighbour of a link, links without collision geometry are skipped.)
 
     Args:
-        urdf: the file. Its visuals are not read.
-        packages: a folder, or a list of folders, in which `package://name/...` and
-            `package:///name/...` are looked for as `name/...`, before ROS_PACKAGE_PATH,
-            AMENT_PREFIX_PATH and the folders that the file is in.
-        srdf: an SRDF file; links that its `disable_collisions` names ignore each other.
+        urdf: the path of the URDF file. Its visual elements are not read.
+        packages: a folder or a list of folders. `package://name/...` and `package:///name/...` are
+            looked up as `name/...` in these folders first, then in ROS_PACKAGE_PATH, in
+            AMENT_PREFIX_PATH and in the folders that contain the URDF file.
+        srdf: the path of an SRDF file. Links that its `disable_collisions` elements name ignore
+            each other.
         ignored: further pairs of names of links that ignore each other.
-        decompose: whether meshes that are not convex, or not closed, are
-            decomposed (extra `decompose`). If not, registering them takes their
-            convex hulls, with a `NotConvexWarning` each.
-        threshold, cache, progress: of the decomposition, as in `hullcast.decompose`.
+        decompose: whether to decompose meshes that are not convex or not closed (extra
+            `decompose`). If not, `register` uses their convex hulls, with a `NotConvexWarning`
+            each.
+        threshold, cache, progress: the settings of the decomposition, as in `hullcast.decompose`.
 
     Raises:
-        InvalidArgument: NOT_A_ROBOT, the file is not URDF, or its links and joints are
-            not one tree; UNSUPPORTED_JOINT, a floating or planar one; COPLANAR, a flat
-            mesh; UNKNOWN_LINK, in `ignored`; NOT_AN_SRDF; for a mesh, as
-            `Client.register` for files. The message names file, link and element.
-        FileNotFound: the file, or a mesh that it names.
+        InvalidArgument: NOT_A_ROBOT, the file is not URDF, or its links and joints do not form one
+            tree; UNSUPPORTED_JOINT, a floating or planar joint; COPLANAR, a flat mesh;
+            UNKNOWN_LINK, in `ignored`; NOT_AN_SRDF; for a mesh file, as `Client.register`. The
+            message names the file, the link and the element.
+        FileNotFound: the URDF file, or a mesh file that it names, does not exist.
         ImportError: a mesh is not convex, and the extra `decompose` is not installed.
     """
 
@@ -69,11 +71,13 @@ class Robot:
         self._model = model
         free = [joint for joint in model.joints if joint.is_free]
         self.name: str = model.name
-        #: Names of the links.
+        #: The names of the links.
         self.links: tuple[str, ...] = model.links
-        #: Names of the joints that have a value: movable, and mimicking no other.
+        #: The names of the joints that have a value of their own: they move, and mimic no other
+        #: joint.
         self.joints: tuple[str, ...] = tuple(joint.name for joint in free)
-        #: (joints, 2): lowest and highest value; infinite where there is no limit.
+        #: (joints, 2): the lowest and the highest value of each joint, radians or metres; infinite
+        #: without a limit.
         self.limits: Floats = np.array([joint.limits for joint in free]).reshape(-1, 2)
         dented = [
             i
@@ -94,18 +98,18 @@ class Robot:
             for i, (link, _, shape) in enumerate(model.shapes)
             for piece in pieces.get(i, [shape])
         ]
-        #: Per body what `Client.register` takes, in its link's frame: points (k, 3),
-        #: or a mesh. Cylinders are prisms of 32 sides, spheres polyhedra of 162
-        #: vertices, both inscribed.
+        #: For each body the shape that `Client.register` takes, in the frame of the body's link:
+        #: points (k, 3) or a mesh. A cylinder is an inscribed prism with 32 sides, and a sphere an
+        #: inscribed polyhedron with 162 vertices.
         self.shapes: list[Any] = [piece for _, piece in bodies]
-        #: (bodies,): per body its link, an index into `links`.
+        #: (bodies,): the link of each body, as an index into `links`.
         self.body_links: npt.NDArray[np.intp] = np.array([link for link, _ in bodies], np.intp)
-        #: (bodies,): per body its link's group, as `Scene` takes them.
+        #: (bodies,): the group of each body, one per link, as `Scene` takes them.
         self.groups: Indices = (self.body_links + 1).astype("<u4")
         disabled = [] if srdf is None else list(_urdf.disabled(srdf))
         known = [pair for pair in disabled if set(pair) <= set(self.links)]
         silent = _ignoring(model, set(self.body_links.tolist()), [*known, *_named(ignored)])
-        #: (k, 2): groups of links that ignore each other, as `Scene` takes them.
+        #: (k, 2): the groups of links that ignore each other, as `Scene` takes them.
         self.ignored_groups: Indices = np.array(sorted(silent), "<u4").reshape(-1, 2) + 1
         #: (m, 2): all pairs of bodies that may meet, as `Client.query` takes them.
         self.pairs: Indices = np.array(
@@ -126,21 +130,23 @@ class Robot:
         return f"Robot({self.name}: {len(self)} bodies of {used} links, {len(self.joints)} joints)"
 
     def poses(self, joints: Any = None, *, base: Any = None) -> Floats:
-        """Where the joints put the bodies.
+        """Computes the world poses of the bodies from joint values, by forward kinematics.
 
         Args:
-            joints: values in the order of `joints`, (joints,), or (k, joints) for k
-                configurations; or a mapping from names to a value or (k,), others
-                staying at 0. None: all 0. Where 0 is beyond a joint's limits the
-                nearer limit is meant.
-            base: (4, 4) or (k, 4, 4): pose of the root link in the world.
+            joints: the joint values, radians or metres, in the order of the attribute `joints`:
+                (joints,), or (k, joints) for k configurations; or a mapping from joint names to one
+                value or to k values. Joints that the mapping does not name are at 0, and None means
+                that all joints are at 0. If 0 is outside a joint's limits, the nearer limit is used
+                instead of 0.
+            base: (4, 4) or (k, 4, 4), the pose of the root link in the world; by default the
+                identity.
 
         Returns:
-            (bodies, 4, 4), or (k, bodies, 4, 4): world poses of the bodies' frames,
-            which are their links'.
+            (bodies, 4, 4), or (k, bodies, 4, 4) for k configurations: the poses of the bodies'
+            frames in the world. The frame of a body is that of its link.
 
         Raises:
-            InvalidArgument: a shape that does not fit, or UNKNOWN_JOINT.
+            InvalidArgument: WRONG_SHAPE, LENGTH_MISMATCH, NOT_AN_ARRAY or UNKNOWN_JOINT.
         """
         values, several = self._values(joints)
         roots = np.eye(4) if base is None else _array("base", base)
@@ -155,7 +161,10 @@ class Robot:
         values = np.broadcast_to(values, (count, len(self.joints)))
         if roots.ndim == 3 and len(roots) != count:
             raise InvalidArgument(
-                f"{len(roots)} for {count} configurations", reason="LENGTH_MISMATCH", field="base"
+                f"got {len(roots)} poses for {count} configurations, expected one pose, or one per "
+                "configuration",
+                reason="LENGTH_MISMATCH",
+                field="base",
             )
         of = np.zeros((len(self.links), count, 4, 4))
         of[self._model.root] = roots
@@ -167,19 +176,25 @@ class Robot:
     def scene(
         self, hulls: Sequence[Hull | bytes], joints: Any = None, *, base: Any = None
     ) -> Scene:
-        """The robot's bodies in a scene.
+        """Places the robot's bodies in a scene.
 
-        For k configurations the scene has k copies, each in a world of its own. Copy i has
-        the bodies `i * len(robot)` to `(i + 1) * len(robot)`, and its pairs are
+        For k configurations the scene has k copies of the robot, each in a world of its own. Copy i
+        has the bodies `i * len(robot)` to `(i + 1) * len(robot)` (exclusive), and its pairs are
         `pairs + i * len(robot)`.
 
         Args:
-            hulls: of `shapes`, as `Client.register` returned them.
+            hulls: the hulls of `shapes`, as `Client.register` returned them.
             joints, base: as in `poses`.
+
+        Raises:
+            InvalidArgument: LENGTH_MISMATCH, another number of hulls; otherwise as `poses`.
         """
         if len(hulls) != len(self):
             raise InvalidArgument(
-                f"{len(hulls)} for {len(self)} shapes", reason="LENGTH_MISMATCH", field="hulls"
+                f"got {len(hulls)} hulls for {len(self)} shapes, expected one hull per shape, in "
+                "the order of Robot.shapes",
+                reason="LENGTH_MISMATCH",
+                field="hulls",
             )
         poses = self.poses(joints, base=base)
         copies = len(poses) if poses.ndim == 4 else 1
@@ -193,7 +208,7 @@ class Robot:
         )
 
     def _values(self, joints: Any) -> tuple[Floats, bool]:
-        """(k, joints), and whether the caller gave several configurations."""
+        """The joint values (k, joints), and whether the caller gave several configurations."""
         rest = np.clip(0.0, self.limits[:, 0], self.limits[:, 1])
         if joints is None:
             return rest[None], False
@@ -206,13 +221,15 @@ class Robot:
         lengths = {column.shape for column in columns.values() if column.ndim}
         if len(lengths) > 1 or any(len(shape) > 1 for shape in lengths):
             raise InvalidArgument(
-                f"values of shapes {sorted(lengths)}", reason="WRONG_SHAPE", field="joints"
+                f"got values of shapes {sorted(lengths)}, expected numbers or arrays (k,)",
+                reason="WRONG_SHAPE",
+                field="joints",
             )
         values = np.tile(rest, (next(iter(lengths), (1,))[0], 1))
         for name, column in columns.items():
             if name not in self.joints:
                 raise InvalidArgument(
-                    f"{name!r} is none of {', '.join(self.joints)}",
+                    f"got the joint {name!r}, expected one of {', '.join(self.joints)}",
                     reason="UNKNOWN_JOINT",
                     field="joints",
                 )
@@ -220,7 +237,7 @@ class Robot:
         return values, bool(lengths)
 
     def _motion(self, joint: Joint, values: Floats) -> Floats:
-        """(k, 4, 4): the motions that the joint's values make."""
+        """(k, 4, 4): the motions of a joint for k configurations."""
         motion = np.tile(np.eye(4), (len(values), 1, 1))
         if joint.is_fixed:
             return motion
@@ -229,10 +246,10 @@ class Robot:
         if joint.kind == "prismatic":
             motion[:, :3, 3] = value[:, None] * joint.axis
             return motion
-        # Rodrigues: 1 + sin K + (1 - cos) K^2, K the cross product with the axis.
+        # Rodrigues' formula: 1 + sin K + (1 - cos) K^2, where K is the cross product with the axis.
         x, y, z = joint.axis
         cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        # 1 - cos without cancellation.
+        # 1 - cos(v) = 2 sin(v / 2)^2 avoids cancellation.
         turned = np.sin(value)[:, None, None] * cross
         turned = turned + (2 * np.sin(value / 2) ** 2)[:, None, None] * (cross @ cross)
         motion[:, :3, :3] += turned
@@ -240,7 +257,7 @@ class Robot:
 
 
 def _array(field: str, value: Any) -> Floats:
-    """Numbers of any shape."""
+    """Converts a value to a float64 array of any shape."""
     try:
         return np.asarray(value, dtype="<f8")
     except (TypeError, ValueError) as error:
@@ -248,7 +265,7 @@ def _array(field: str, value: Any) -> Floats:
 
 
 def _named(ignored: Any) -> list[tuple[str, str]]:
-    """The argument `ignored`, if it is pairs of names."""
+    """Checks that the argument `ignored` is pairs of names, and returns it as a list."""
     try:
         pairs = [() if isinstance(pair, str) else tuple(pair) for pair in ignored]
     except TypeError:
@@ -271,7 +288,7 @@ def _sorted(a: int, b: int) -> tuple[int, int]:
 def _ignoring(
     model: _urdf.Model, used: set[int], named: Iterable[tuple[str, str]]
 ) -> set[tuple[int, int]]:
-    """Pairs of links with bodies that ignore each other."""
+    """The pairs of links with bodies that ignore each other, each with the lower index first."""
     part = list(range(len(model.links)))
     above: dict[int, int] = {}
     for joint in model.ordered:
@@ -293,7 +310,9 @@ def _ignoring(
         for name in names:
             if name not in model.links:
                 raise InvalidArgument(
-                    f"{name!r} is no link", reason="UNKNOWN_LINK", field="ignored"
+                    f"got the link {name!r}, expected links of the URDF file",
+                    reason="UNKNOWN_LINK",
+                    field="ignored",
                 )
         a, b = (model.links.index(name) for name in names)
         if a != b and a in used and b in used:
@@ -302,7 +321,7 @@ def _ignoring(
 
 
 def _next_solid(part: int, parts: Sequence[int], above: Mapping[int, int], solid: set[int]) -> int:
-    """The nearest part up the tree that has bodies; -1 where there is none."""
+    """The nearest part up the tree that has bodies; -1 if there is none."""
     while part in above:
         part = parts[above[part]]
         if part in solid:

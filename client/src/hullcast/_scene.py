@@ -1,4 +1,4 @@
-"""Bodies at poses."""
+"""Scenes: bodies at poses."""
 
 from __future__ import annotations
 
@@ -16,24 +16,25 @@ from ._hulls import Content, Hull
 
 
 class Scene:
-    """Bodies, each a hull at a pose that maps the hull's frame to the world.
+    """A set of bodies: hulls at poses. A pose maps its hull's frame to the world frame.
 
     Args:
-        hulls: one hull per body (`Hull`, or its 32-byte id), or distinct hulls
-            with `body_hulls`. A `Hull` is registered again if a server lost it.
-        positions: (n, 3): world position of each hull frame's origin; or
-            (n, 4, 4) homogeneous matrices, without `rotations`.
-        rotations: (n, 4) quaternions x, y, z, w (`from_wxyz` for the other order),
-            (n, 3, 3), or a scipy `Rotation`. Quaternions of norm 0.25 to 4 are
-            normalised; with any other norm, the body's pose is unusable.
-        body_hulls: (n,): per body an index into `hulls`.
-        worlds: (n,), for `find`: only bodies of one world meet; a body of world
-            2^32 - 1 meets every other world's.
-        groups: (n,), for `find`: bodies of one group never meet; 0 is none.
-        ignored_groups: (k, 2), for `find`: groups that ignore each other.
+        hulls: one hull per body; or distinct hulls, with `body_hulls`. A hull is a `Hull` or its id
+            of 32 bytes. If a server has lost a hull, the client can register it again only if it is
+            a `Hull`.
+        positions: (n, 3), the world positions of the origins of the hulls' frames, in the caller's
+            units; or (n, 4, 4) homogeneous matrices, without `rotations`.
+        rotations: (n, 4) quaternions in the order x, y, z, w (`from_wxyz` converts the other
+            order), (n, 3, 3) matrices, or a scipy `Rotation`. Quaternions with a norm of 0.25 to 4
+            are normalised. With any other norm the body's pose is unusable.
+        body_hulls: (n,): each body's hull, as an index into `hulls`.
+        worlds: (n,), used by `find`: bodies only meet bodies of the same world. A body of world
+            2^32 - 1 meets the bodies of every other world.
+        groups: (n,), used by `find`: bodies of the same group never meet. Group 0 means no group.
+        ignored_groups: (k, 2), used by `find`: pairs of groups whose bodies never meet.
 
     Raises:
-        InvalidArgument: shapes that do not fit, or an index out of range.
+        InvalidArgument: an argument has a wrong shape or type, or an index out of range.
     """
 
     def __init__(
@@ -55,12 +56,12 @@ class Scene:
             )
         hulls = list(hulls)
         ids = [_id(i, hull) for i, hull in enumerate(hulls)]
-        # The wire wants each hull once, however often the caller names it.
+        # A message must have each hull once, however often the caller names it.
         place: dict[bytes, int] = {}
         distinct = np.array([place.setdefault(id, len(place)) for id in ids], dtype="<u4")
         self.hull_ids: tuple[bytes, ...] = tuple(place)
         known = {hull.id: hull.content for hull in hulls if isinstance(hull, Hull)}
-        #: Of each of `hull_ids` what it can be registered by, None where only the id was given.
+        #: For each of `hull_ids`, the content to register it again; None if only the id was given.
         self.contents: tuple[Content | None, ...] = tuple(known.get(id) for id in place)
         if body_hulls is None:
             self.body_hulls: Indices = distinct
@@ -83,7 +84,7 @@ class Scene:
         )
         if self.ignored_groups is not None and (self.ignored_groups == 0).any():
             raise InvalidArgument(
-                "group 0 is no group: a row has two numbers above 0",
+                "got group 0, which means no group: expected two numbers above 0 in each row",
                 reason="VALUE_OUT_OF_RANGE",
                 field="ignored_groups",
             )
@@ -101,16 +102,20 @@ class Scene:
         return f"Scene({text})"
 
     def plot(self, *, path: str | os.PathLike[str] | None = None, ax: Any = None) -> Any:
-        """A picture of all bodies, by matplotlib (extra `plot`); needs no display.
+        """Draws all bodies with matplotlib (extra `plot`); needs no display.
 
         Bodies with an unusable pose are left out.
 
         Args:
-            path: where the picture is written too, such as "scene.png".
-            ax: matplotlib axes with projection="3d" to draw into; by default new ones.
+            path: a file to write the picture to, such as "scene.png"; by default none.
+            ax: matplotlib axes with projection="3d" to draw into; by default new axes.
 
         Returns:
             The `matplotlib.figure.Figure`.
+
+        Raises:
+            ImportError: matplotlib or scipy is not installed.
+            InvalidArgument: NO_GEOMETRY, the scene has only the id of a hull; WRONG_TYPE for `ax`.
         """
         from . import _plot
 
@@ -119,14 +124,18 @@ class Scene:
         return _plot.bodies_alone(bodies, self, path, ax)
 
     def moved(self, positions: Any, rotations: Any = None) -> Scene:
-        """The same bodies at new poses, given in any form that `Scene` takes."""
+        """A scene of the same bodies at new poses, which are given in any form that `Scene` takes.
+
+        Raises:
+            InvalidArgument: as for `Scene`.
+        """
         scene = Scene.__new__(Scene)
         scene.__dict__.update(self.__dict__)
         scene.positions, scene.rotations = _arrays.poses(positions, rotations, len(self))
         return scene
 
     def _many(self, positions: Floats, rotations: Floats) -> Scene:
-        """The same bodies at several sets of poses, those of one set after those of the last."""
+        """A scene with a copy of the bodies for each set of poses, one set after another."""
         scene = Scene.__new__(Scene)
         scene.__dict__.update(self.__dict__)
         scene.body_hulls = np.tile(self.body_hulls, len(positions) // max(len(self), 1))

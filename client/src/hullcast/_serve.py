@@ -1,4 +1,4 @@
-"""A server of one's own, for as long as the client lives."""
+"""Starts a server process that lives as long as its client."""
 
 from __future__ import annotations
 
@@ -33,35 +33,39 @@ def serve(
     timeout: float | None = 60,
     start_timeout: float | None = 30,
 ) -> Client:
-    """Starts a server and returns a client of it.
+    """Starts a server on this machine and returns a client of it.
 
-    The server ends when the client is closed or no longer used, and also when
-    this process ends in whatever way, since the server's standard input closes
-    then. A forked child may use the client, and does not keep the server alive.
+    The server ends when the client is closed or garbage collected. It also ends when this process
+    ends in any way, because the server's standard input is closed then. A forked child process may
+    use the client, but does not keep the server alive.
 
-    The binary is the one that the environment variable HULLCAST_BIN names, else
-    the package's own, else `hullcast` on PATH.
+    The server's binary is the one that the environment variable HULLCAST_BIN names; otherwise the
+    one installed with this package; otherwise `hullcast` on PATH.
 
     Args:
-        store: where hulls are kept, a directory or URL; None: in the server's
-            memory, until it ends.
-        listen: "host:port" (port 0: any free one) or "unix:PATH".
+        store: where hulls are stored, a directory or a URL; None keeps them in the server's memory
+            until it ends.
+        listen: "host:port", where port 0 stands for any free port; or "unix:PATH".
         arguments: further arguments of `hullcast serve`.
-        timeout: of the client's calls, as in `connect`.
-        start_timeout: seconds until the server must listen; None or infinity: no limit.
+        timeout: the default timeout of the client's calls, as in `connect`.
+        start_timeout: the seconds within which the server must listen; None or infinity for no
+            limit.
+
+    Returns:
+        A client of the server. Closing the client ends the server.
 
     Raises:
-        InvalidArgument: naming the argument.
-        ServerNotFound: no binary.
-        ServerDidNotStart: it ended or was silent.
+        InvalidArgument: an argument is not usable; the error names it.
+        ServerNotFound: there is no binary.
+        ServerDidNotStart: the server exited, or did not listen in time.
     """
-    # The server is on this machine: a proxy that the environment names is not for it. Once it has
-    # ended, it does not come back.
+    # The server is on this machine, so do not use the proxy that the environment may name. A server
+    # that has ended does not come back, so one retry is enough.
     options = (
         ("grpc.enable_http_proxy", 0),
         ("grpc.service_config", json.dumps(service_config(attempts=2))),
     )
-    Settings.of("localhost", None, None, timeout, ())  # refused before a server is started
+    Settings.of("localhost", None, None, timeout, ())  # check `timeout` before the server starts
     server = start(store, listen=listen, arguments=arguments, start_timeout=start_timeout)
     return Client(Settings.of(server.target, None, None, timeout, options), server=server)
 
@@ -73,7 +77,7 @@ def start(
     arguments: Sequence[str] = (),
     start_timeout: float | None = 30,
 ) -> Server:
-    """A server that listens; arguments and errors are those of `serve`."""
+    """Starts a server and waits until it listens; arguments and errors are those of `serve`."""
     if store is None:
         store = "memory://"
     elif not isinstance(store, (str, os.PathLike)) or not os.fspath(store):
@@ -91,7 +95,7 @@ def start(
     seconds = _arguments.seconds("start_timeout", start_timeout)
     command = [find_binary(), "serve", "--listen", listen, "--store", os.fspath(store)]
     command += ["--until-stdin-closes", *_words(arguments)]
-    # The file has no name: nothing is left of it, however this process ends.
+    # The log file has no name, so nothing is left of it however this process ends.
     log = tempfile.TemporaryFile(prefix="hullcast-")  # noqa: SIM115 (it lives with the server)
     try:
         process = subprocess.Popen(
@@ -110,7 +114,7 @@ def start(
 
 
 def _words(arguments: Any) -> list[str]:
-    """Arguments of a command line, each a text."""
+    """Checks further arguments of the command line, and returns them as strings."""
     expected = 'expected a list of str, such as ["--compute-threads", "4"]'
     if isinstance(arguments, (str, bytes, Mapping)) or not isinstance(arguments, Iterable):
         raise InvalidArgument(
@@ -130,11 +134,17 @@ def _words(arguments: Any) -> list[str]:
 
 
 def find_binary() -> str:
-    """The path of the hullcast binary that `serve` starts."""
+    """The path of the hullcast binary that `serve` starts.
+
+    Raises:
+        ServerNotFound: there is no binary.
+    """
     named = os.environ.get("HULLCAST_BIN")
     if named:
         if not os.path.isfile(named):
-            raise ServerNotFound(f"HULLCAST_BIN names no file: {named}", reason="NO_BINARY")
+            raise ServerNotFound(
+                f"HULLCAST_BIN is {named!r}, which is not a file", reason="NO_BINARY"
+            )
         return named
     found = _own_binary() or shutil.which("hullcast")
     if found is None:
@@ -147,10 +157,10 @@ def find_binary() -> str:
 
 
 def _own_binary() -> str | None:
-    """The script that was installed with this package, wherever that put its scripts."""
+    """The path of the `hullcast` script that was installed with this package, or None."""
     name = "hullcast.exe" if os.name == "nt" else "hullcast"
     package = Path(__file__).parent
-    places = [package.parent / "bin" / name]  # of `pip install --target`, whose record is wrong
+    places = [package.parent / "bin" / name]  # `pip install --target` records another path
     with contextlib.suppress(importlib.metadata.PackageNotFoundError):
         for file in importlib.metadata.files("hullcast") or ():
             if file.name == name and file.parent.name != package.name:
@@ -159,9 +169,9 @@ def _own_binary() -> str | None:
 
 
 class Server:
-    """The process of a server, and its log."""
+    """A server process and its log file."""
 
-    #: The address on its first line.
+    #: The address that the server prints on its first line.
     target: str
 
     def __init__(self, process: subprocess.Popen[bytes], log: Any) -> None:
@@ -172,12 +182,12 @@ class Server:
 
     @property
     def ended(self) -> bool:
-        """Whether the process has ended, by itself or killed."""
+        """Whether the process has ended, by itself or by a signal."""
         return self.how_it_ended() is not None
 
     def how_it_ended(self, seconds: float = 0.0) -> str | None:
-        """How the process has ended, at most so many seconds from now; None while it runs."""
-        if self._owner != os.getpid():  # a forked child cannot wait for its parent's server
+        """How the process ended, if it ends within `seconds` from now; None if it still runs."""
+        if self._owner != os.getpid():  # a forked child cannot wait for its parent's process
             return None
         code = self._process.poll()
         if code is None and seconds:
@@ -193,17 +203,23 @@ class Server:
         return f"signal {-code}"
 
     def wait_until_listening(self, seconds: float | None) -> str:
-        """The address on the server's first line."""
+        """Waits for the server's first line, and returns the address in it."""
         line: list[bytes] = []
         assert self._process.stdout is not None
         read = self._process.stdout.readline
-        # A thread, since a pipe cannot be waited for with a timeout everywhere.
+        # A thread reads the line, because not every system can wait for a pipe with a timeout.
         reader = threading.Thread(target=lambda: line.append(read()), daemon=True)
         reader.start()
         reader.join(seconds)
         text = line[0].decode(errors="replace").strip() if line else ""
         if not text.startswith(_LISTENING):
-            state = "was silent" if not line else f"said {text!r}" if text else "ended"
+            state = (
+                "did not print its address in time"
+                if not line
+                else f"printed {text!r} instead of its address"
+                if text
+                else "ended before it listened"
+            )
             raise ServerDidNotStart(
                 f"{self._process.args!r} {state}: {self._log_end()}", reason="NOT_LISTENING"
             )
@@ -211,16 +227,17 @@ class Server:
 
     def _log_end(self) -> str:
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(1)  # so that its last words are there
-        with contextlib.suppress(OSError, ValueError):  # ValueError: closed
+            self._process.wait(1)  # so that the log is complete
+        with contextlib.suppress(OSError, ValueError):  # ValueError: the file is closed
             self._log.seek(0)
             return self._log.read()[-2000:].decode(errors="replace").strip()
         return ""
 
     def close(self, patience: float = _EXIT_SECONDS) -> None:
-        """Ends the server: by its standard input, then by force. A forked child ends nothing.
+        """Ends the server: closes its standard input, then terminates it, then kills it.
 
-        `patience` is how many seconds the server gets each time, for calls under way.
+        The server gets `patience` seconds after each step to finish calls in flight. In a forked
+        child process this method does nothing.
         """
         if self._owner != os.getpid():
             return
@@ -235,7 +252,7 @@ class Server:
         self._log.close()
 
     def forget(self) -> None:
-        """Ends the server of a client that nobody has any more, so that no call is under way."""
+        """Ends the server of a client that was garbage collected, so that no call is in flight."""
         self.close(patience=1.0)
 
     def let_go(self) -> None:
@@ -249,7 +266,7 @@ _servers: weakref.WeakSet[Server] = weakref.WeakSet()
 
 
 def _after_fork() -> None:
-    """A child that holds the standard input open would keep the server alive after its parent."""
+    """Closes the inherited standard input, which would keep the server alive after the parent."""
     for server in list(_servers):
         server.let_go()
 

@@ -1,6 +1,6 @@
-"""Step loops: the same bodies and pairs again and again, only the poses sent.
+"""Step loops: the same bodies and pairs in each step, and only new poses to send.
 
-As in `_calls.py`, everything but the waiting, once for both clients.
+As in `_calls.py`, everything but the waiting is written once for both clients.
 """
 
 from __future__ import annotations
@@ -18,33 +18,32 @@ from ._query import Message, Query, Span
 
 STREAM = "/hullcast.v1.ContactService/StreamContacts"
 
-#: Streams that a session is spread over where it is large, so that the server
-#: computes one while another is read; and how many messages of a plain query
-#: one of them may hold.
+#: The number of streams over which a large session is spread, so that the server computes one while
+#: the client reads another; and the largest size of a stream's part, in messages of a plain query.
 _LANES = 8
 _MESSAGES_PER_LANE = 16
 
 
 @dataclass(eq=False)
 class _Lane:
-    """Some of the pairs, and the stream that answers for them."""
+    """A part of the pairs, and the stream that answers for it."""
 
     span: Span
     link: _calls.Link | None = None
     stream: _calls.Stream | None = None
-    #: The last one in full, whose numbering those that inherit have too.
+    #: The last full message. Messages that inherit from it number hulls and bodies as it does.
     message: Message | None = None
     failures: int = 0
 
     def drop(self) -> None:
-        """Ends the stream: the next message is sent in full, on another."""
+        """Ends the stream. The next message is sent in full, on a new stream."""
         stream, self.stream = self.stream, None
         if stream is not None:
             stream.cancel()
 
 
 class Steps:
-    """What `hullcast.Session` and `hullcast.aio.Session` have in common."""
+    """The common part of `hullcast.Session` and `hullcast.aio.Session`."""
 
     def __init__(self, calls: _calls.Calls, make: Callable[[], Query]) -> None:
         self._calls = calls
@@ -53,7 +52,7 @@ class Steps:
         size = min(max(least, -(-count // _LANES)), _MESSAGES_PER_LANE * least)
         self._lanes = [_Lane(span) for span in self._query.spans(size)]
         self._closed = False
-        #: Within a step.
+        #: Whether a step is under way.
         self._busy = False
         _sessions.add(self)
 
@@ -64,7 +63,7 @@ class Steps:
         return f"{type(self).__name__}({len(self)} pairs, {self._calls.target!r})"
 
     def close(self) -> None:
-        """Ends the session's streams; the client stays open."""
+        """Ends the session's streams. The client stays open."""
         self._closed = True
         for lane in self._lanes:
             lane.drop()
@@ -73,7 +72,9 @@ class Steps:
         self, positions: Any, rotations: Any, timeout: float | None
     ) -> _calls.Steps[Manifolds]:
         if self._closed:
-            raise _errors.Error("the session is closed", reason="CLOSED")
+            raise _errors.Error(
+                "the session is closed: open a new one with client.session", reason="CLOSED"
+            )
         query, deadline = self._query, self._calls._deadline(timeout)
         query.move(positions, rotations)
         parts: dict[Span, _answers.Columns] = {}
@@ -87,10 +88,10 @@ class Steps:
                 if not (yield from self._calls._restore(query.scene, answers, times, deadline)):
                     break
                 for lane in lost:
-                    lane.drop()  # to inherit from that answer would be to start from no bases
+                    lane.drop()  # inheriting from that response would start without bases
                 yield from self._exchange(lost, parts, deadline)
         except BaseException:
-            # An answer still to come would be taken for the next step's.
+            # A response that is still to come would be taken for the response to the next step.
             for lane in self._lanes:
                 lane.drop()
             raise
@@ -103,7 +104,7 @@ class Steps:
     def _exchange(
         self, lanes: Iterable[_Lane], parts: dict[Span, _answers.Columns], deadline: float | None
     ) -> _calls.Steps[None]:
-        """One message on each lane, as many as there are before the first answer is read."""
+        """Sends one message on each lane, all of them before the first response is read."""
         waiting, asked = deque(lanes), deque[_Lane]()
         while waiting or asked:
             while waiting:
@@ -134,8 +135,8 @@ class Steps:
                 parts[lane.span] = self._query.read(lane.span, lane.message, data)
 
     def _next_message(self, lane: _Lane) -> tuple[_calls.Stream, bytes]:
-        """The poses where the lane's stream has the rest, else all and a new stream."""
-        link = self._calls._link()  # another one in a forked child, or another event loop
+        """The stream and the next message, which has only the poses if the stream has the rest."""
+        link = self._calls._link()  # it changes in a forked child or another event loop
         if lane.stream is not None and lane.message is not None and lane.link is link:
             lane.message = self._query.step_message(lane.message)
             return lane.stream, lane.message.data
@@ -149,9 +150,9 @@ _sessions: weakref.WeakSet[Steps] = weakref.WeakSet()
 
 
 def _before_fork() -> None:
-    """Ends idle streams, since gRPC's threads for them are not there in the child.
+    """Ends idle streams, because gRPC's threads for them do not exist in the child.
 
-    The next step of either process sends in full.
+    The next step of either process sends a full message.
     """
     for session in list(_sessions):
         if not session._busy:
@@ -160,7 +161,7 @@ def _before_fork() -> None:
 
 
 def _after_fork() -> None:
-    """Streams in use are left alone: what would end them is not here."""
+    """Forgets streams in use without ending them, which only the parent's threads could do."""
     for session in list(_sessions):
         for lane in session._lanes:
             _calls.inherited.append(lane.stream)

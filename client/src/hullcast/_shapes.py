@@ -1,4 +1,4 @@
-"""Common shapes as points, for `register`. The round ones are inside the true shape."""
+"""Common shapes as vertices, for `register`. The hull of a round shape lies inside the shape."""
 
 from __future__ import annotations
 
@@ -12,32 +12,35 @@ import numpy as np
 from . import _arguments, _arrays
 from ._arrays import Floats
 
-#: Sizes that a server takes.
+#: The range of lengths that a server accepts.
 _SMALLEST, _LARGEST = 1e-50, 1e50
 _MOST_SIDES = 512
-#: The computed error is rounded up by this share.
+#: The computed error is multiplied by this factor, so that rounding cannot make it too small.
 _ROUND_UP = 1 + 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A convex shape about the origin, for `client.register`.
+    """A convex shape, centred at the origin, for `Client.register`.
 
-    Lengths are the caller's units.
+    Lengths are in the caller's units.
     """
 
     #: (n, 3), in the shape's own frame.
     vertices: Floats
-    #: No point of the true shape is farther than this from the hull of the vertices; the hull is
-    #: inside the true shape. 0 for a box and a prism.
+    #: A bound of the distance from any point of the true shape to the hull of the vertices, which
+    #: is inside the true shape. It is 0 for a box and a prism.
     error: float
 
 
 def box(size: Any) -> Shape:
-    """A box with its centre at the origin.
+    """A box centred at the origin.
 
     Args:
-        size: (3,), the whole lengths along x, y and z; or one number for a cube.
+        size: (3,), the full edge lengths along x, y and z; or one number for a cube.
+
+    Raises:
+        InvalidArgument: a length is not a number from 1e-50 to 1e50.
     """
     if not hasattr(size, "__len__") and not hasattr(size, "shape"):
         size = [_length("size", size)] * 3
@@ -49,11 +52,14 @@ def box(size: Any) -> Shape:
 
 
 def sphere(radius: float, *, subdivisions: int = 2) -> Shape:
-    """A sphere with its centre at the origin, as an icosahedron that is subdivided and blown up.
+    """A sphere centred at the origin, as a subdivided icosahedron with its vertices on the sphere.
 
     Args:
-        radius: of the sphere, on which all vertices are.
+        radius: the radius of the sphere.
         subdivisions: 0 to 4, for 12, 42, 162, 642 or 2,562 vertices.
+
+    Raises:
+        InvalidArgument: an argument is out of range.
     """
     radius = _length("radius", radius)
     times = _arguments.integer("subdivisions", subdivisions, 0, 4)
@@ -68,11 +74,14 @@ def sphere(radius: float, *, subdivisions: int = 2) -> Shape:
 
 
 def cylinder(radius: float, height: float, *, sides: int = 32) -> Shape:
-    """A cylinder about the z axis, from z = -height / 2 to height / 2, as a prism inside it.
+    """A cylinder about the z axis, from z = -height / 2 to height / 2, as an inscribed prism.
 
     Args:
-        radius, height: of the cylinder.
-        sides: of the prism, 3 to 512.
+        radius, height: the dimensions of the cylinder.
+        sides: the number of sides of the prism, 3 to 512.
+
+    Raises:
+        InvalidArgument: an argument is out of range.
     """
     radius, height = _length("radius", radius), _length("height", height)
     ring = _ring(radius, sides)
@@ -80,11 +89,14 @@ def cylinder(radius: float, height: float, *, sides: int = 32) -> Shape:
 
 
 def cone(radius: float, height: float, *, sides: int = 32) -> Shape:
-    """A cone about the z axis: its base at z = -height / 2, its apex at height / 2.
+    """A cone about the z axis, from its base at z = -height / 2 to its apex at z = height / 2.
 
     Args:
-        radius, height: of the cone.
-        sides: of the pyramid inside it, 3 to 512.
+        radius, height: the radius of the base and the height of the cone.
+        sides: the number of sides of the inscribed pyramid, 3 to 512.
+
+    Raises:
+        InvalidArgument: an argument is out of range.
     """
     radius, height = _length("radius", radius), _length("height", height)
     apex = np.zeros((1, 2))
@@ -96,9 +108,12 @@ def prism(sides: int, radius: float, height: float) -> Shape:
     """A regular prism about the z axis, from z = -height / 2 to height / 2.
 
     Args:
-        sides: 3 to 512.
-        radius: from the axis to the corners, the first of which is on the x axis.
-        height: of the prism.
+        sides: the number of sides, 3 to 512.
+        radius: the distance from the axis to the corners. The first corner is on the x axis.
+        height: the height of the prism.
+
+    Raises:
+        InvalidArgument: an argument is out of range.
     """
     radius, height = _length("radius", radius), _length("height", height)
     ring = _ring(radius, sides)
@@ -106,13 +121,17 @@ def prism(sides: int, radius: float, height: float) -> Shape:
 
 
 def capsule(radius: float, length: float, *, sides: int = 16) -> Shape:
-    """A capsule about the z axis: all points within the radius of a segment.
+    """A capsule about the z axis: all points within `radius` of a segment.
 
     Args:
-        radius: of the capsule.
-        length: of the segment, from z = -length / 2 to length / 2; the capsule is longer by two
-            radii.
-        sides: around the axis, 4 to 64; a half sphere has a quarter as many bands.
+        radius: the radius of the capsule.
+        length: the length of the segment, from z = -length / 2 to length / 2. The whole capsule is
+            longer by two radii.
+        sides: the number of sides around the axis, 4 to 64. Each half sphere has a quarter as many
+            bands.
+
+    Raises:
+        InvalidArgument: an argument is out of range.
     """
     radius = _length("radius", radius)
     length = _length("length", length)
@@ -124,8 +143,9 @@ def capsule(radius: float, length: float, *, sides: int = 16) -> Shape:
     ]
     rings.append((np.zeros((1, 2)), length / 2 + radius))
     vertices = _stacked(*((ring, -z) for ring, z in reversed(rings)), *rings)
-    # A band's faces touch the sphere at their corners. In the plane through the axis and the middle
-    # of a face, the face is a chord, whose distance from the centre is the least of the face's.
+    # The corners of a band's faces are on the sphere. A plane through the axis and the middle of a
+    # face cuts the face in a chord. The distance of this chord from the sphere's centre is the
+    # least distance of the face from it.
     inward = math.cos(math.pi / sides)
     ends = [(inward * math.cos(t), math.sin(t)) for t in latitudes] + [(0.0, 1.0)]
     inner = inward
@@ -150,12 +170,12 @@ def _stacked(*rings: tuple[Floats, float]) -> Floats:
 
 
 def _sagitta(radius: float, sides: int) -> float:
-    """How far a circle is from the polygon inside it."""
+    """The largest distance from a circle to the regular polygon inscribed in it."""
     return radius * (1 - math.cos(math.pi / sides)) * _ROUND_UP
 
 
 def _icosahedron() -> tuple[Floats, np.ndarray]:
-    """Unit corners (12, 3), and triangles (20, 3)."""
+    """The corners (12, 3) of an icosahedron on the unit sphere, and its triangles (20, 3)."""
     g = (1 + 5**0.5) / 2
     corners = np.array(
         [(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g), (0, -1, -g),
@@ -170,7 +190,7 @@ def _icosahedron() -> tuple[Floats, np.ndarray]:
 
 
 def _subdivided(points: Floats, faces: np.ndarray) -> tuple[Floats, np.ndarray]:
-    """Each triangle as four, the new corners on the unit sphere."""
+    """Cuts each triangle into four, with the new corners on the unit sphere."""
     sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     edges, place = np.unique(sides, axis=0, return_inverse=True)
     middles = points[edges].mean(axis=1)

@@ -1,9 +1,9 @@
-"""How a failed call becomes an exception.
+"""Converts a failed call to an exception.
 
-The server puts an `ErrorInfo` (reason; field and index in its metadata) and,
-where trying again helps, a `RetryInfo` into the `grpc-status-details-bin`
-trailer. Their few fields are read with descriptors of this module's own, in a
-pool of their own, so that no further package is needed and none is disturbed.
+The server puts an `ErrorInfo` (a reason, with field and index in its metadata) into the trailer
+`grpc-status-details-bin`, and a `RetryInfo` if a retry can help. The few fields of these messages
+are read with descriptors defined here, in a descriptor pool of their own. So no further package is
+needed, and no other package's descriptors are affected.
 """
 
 from __future__ import annotations
@@ -40,17 +40,18 @@ _BY_CODE: dict[grpc.StatusCode, type[Error]] = {
 
 
 def from_rpc(call: Any) -> Error:
-    """The exception for a failed call (a `grpc.RpcError` that is also a `grpc.Call`)."""
+    """The exception for a failed call, a `grpc.RpcError` that is also a `grpc.Call`."""
     code = call.code()
     known: dict[str, Any] = {}
     message = call.details() or ""
     for key, value in call.trailing_metadata() or ():
         if key == _DETAILS_KEY:
             known = _read_details(value)
-    # What the transport itself refuses (no connection, say) has no reason of its own.
+    # An error of the transport itself, such as a failed connection, has no reason of its own.
     known.setdefault("reason", code.name)
     error = _BY_CODE.get(code, ServerError)("", **known)
-    # Whoever shows only the message reads the reason and the place in it.
+    # The server's text repeats the reason and the place, for programs that show only the text.
+    # Remove them, since the exception has them as attributes.
     for part in (error.reason, error.place):
         message = message.removeprefix(f"{part}: ")
     error.message = message
@@ -62,7 +63,7 @@ def from_rpc(call: Any) -> Error:
 
 
 def _read_details(data: bytes) -> dict[str, Any]:
-    """Reason, field, index and retry_after of a serialised google.rpc.Status."""
+    """Reads reason, field, index and retry_after from a serialised google.rpc.Status."""
     known: dict[str, Any] = {}
     try:
         for detail in _Status.FromString(data).details:
@@ -76,13 +77,13 @@ def _read_details(data: bytes) -> dict[str, Any]:
             elif kind == "google.rpc.RetryInfo":
                 delay = _RetryInfo.FromString(detail.value).retry_delay
                 known["retry_after"] = delay.seconds + delay.nanos * 1e-9
-    except ValueError:  # also protobuf's DecodeError: the code and message still stand
+    except ValueError:  # includes protobuf's DecodeError; code and message are still usable
         pass
     return known
 
 
 def _messages() -> dict[str, Any]:
-    """The few messages of google.rpc that are read, with only the fields that are."""
+    """The message classes of google.rpc that are read, with only the fields that are used."""
     kinds = descriptor_pb2.FieldDescriptorProto
     file = descriptor_pb2.FileDescriptorProto(
         name="hullcast/client/status.proto",
@@ -103,7 +104,7 @@ def _messages() -> dict[str, Any]:
             )
 
     message("Status", [("details", 3, True, ".google.protobuf.Any")])
-    # On the wire a map is a list of such entries.
+    # On the wire, a map is a list of such entries.
     message("Entry", [("key", 1, False, ""), ("value", 2, False, "")])
     message("ErrorInfo", [("reason", 1, False, ""), ("metadata", 3, True, ".google.rpc.Entry")])
     message("RetryInfo", [("retry_delay", 1, False, ".google.protobuf.Duration")])

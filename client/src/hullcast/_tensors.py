@@ -1,4 +1,4 @@
-"""Arrays of other libraries, on their way in and out."""
+"""Conversion of arrays from and to other libraries."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-#: Devices of the DLPack protocol whose memory this process reads: CPU, and pinned host memory.
+#: DLPack device types whose memory this process can read: CPU, and pinned host memory.
 _HOST = (1, 3, 11)
 
 
 def as_numpy(value: Any) -> npt.NDArray[Any] | None:
-    """The array of an object that exports one (torch, jax, cupy, warp); None for other objects.
+    """The numpy array of an object that exports one (torch, jax, cupy, warp); otherwise None.
 
-    Host memory is not copied. Device memory is copied to the host by the library it belongs to.
+    Host memory is not copied. Device memory is copied to the host by the library that owns it.
     """
     if isinstance(value, np.ndarray):
         return value  # pyright: ignore[reportUnknownVariableType]
     if not hasattr(value, "__dlpack__") or isinstance(value, np.generic):
         return None
-    if hasattr(value, "detach"):  # torch exports no tensor that records gradients
+    if hasattr(value, "detach"):  # torch does not export a tensor that records gradients
         value = value.detach()
     device = value.__dlpack_device__()[0] if hasattr(value, "__dlpack_device__") else 1
     if int(device) not in _HOST:
@@ -30,14 +30,14 @@ def as_numpy(value: Any) -> npt.NDArray[Any] | None:
     try:
         return np.from_dlpack(value)
     except (BufferError, RuntimeError, TypeError):
-        # A type that DLPack does not have for numpy, such as bfloat16 or read-only memory.
+        # DLPack cannot pass this array to numpy, for example bfloat16 or read-only memory.
         if hasattr(value, "__array__"):
             return np.asarray(value)
         raise
 
 
 def _on_host(value: Any) -> Any:
-    """A device's array in host memory: torch by `cpu`, warp by `numpy`, cupy by `get`."""
+    """Copies a device's array to host memory: torch by `cpu`, warp by `numpy`, cupy by `get`."""
     for method in ("cpu", "numpy", "get"):
         if callable(getattr(value, method, None)):
             return getattr(value, method)()
@@ -59,7 +59,8 @@ def to_torch(columns: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:
 def to_jax(columns: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:
     """The columns as jax arrays.
 
-    jax keeps 64 bits only with its setting `jax_enable_x64`; without it, they are rounded to 32.
+    jax keeps 64-bit numbers only with its setting `jax_enable_x64`; otherwise it rounds them to 32
+    bits.
     """
     try:
         import jax.numpy as library
@@ -70,5 +71,5 @@ def to_jax(columns: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:
 
 
 def _plain(column: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """A column without this package's array types, of an own memory that can be written to."""
+    """A column as a plain numpy array that is contiguous and writable."""
     return np.require(np.asarray(column).view(np.ndarray), requirements=["C", "W"])

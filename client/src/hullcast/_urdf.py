@@ -1,4 +1,4 @@
-"""URDF and SRDF files: links, joints and collision shapes. Visuals are not looked at."""
+"""Reads URDF and SRDF files: links, joints and collision shapes. Visuals are ignored."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ _FREE = ("floating", "planar")
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A joint moves its child by `origin`, then along or about `axis`."""
+    """A joint places its child link by `origin`, then moves it along or about `axis`."""
 
     name: str
     kind: str
-    #: Links, by their place in `Model.links`.
+    #: The connected links, as indices into `Model.links`.
     parent: int
     child: int
-    #: (4, 4): in the parent's frame.
+    #: (4, 4): the joint's frame in the parent's frame, at value 0.
     origin: Floats
-    #: (3,): unit.
+    #: (3,): a unit vector in the joint's frame.
     axis: Floats
     limits: tuple[float, float]
-    #: The joint whose value it takes, times the factor, plus the offset; "" for its own.
-    #: In a `Model` this joint has a value of its own, however long the chain in the file is.
+    #: The joint whose value this joint follows (times `factor`, plus `offset`); "" for none. In a
+    #: `Model` that joint has a value of its own, even if the file chains several mimic joints.
     mimics: str
     factor: float
     offset: float
@@ -48,7 +48,7 @@ class Joint:
 
     @property
     def is_free(self) -> bool:
-        """Whether it has a value of its own."""
+        """Whether the joint has a value of its own."""
         return not self.is_fixed and not self.mimics
 
 
@@ -58,18 +58,18 @@ class Model:
 
     name: str
     links: tuple[str, ...]
-    #: As in the file.
+    #: In the order of the file.
     joints: tuple[Joint, ...]
-    #: From the root outward, so that each one's parent is placed before it.
+    #: From the root outward, so that each joint's parent is placed before its child.
     ordered: tuple[Joint, ...]
     root: int
-    #: Per collision element its link, what messages call it, and its points or mesh in
-    #: the link's frame.
+    #: For each collision element: its link, its name in messages, and its points or mesh in the
+    #: link's frame.
     shapes: tuple[tuple[int, str, Any], ...]
 
 
 class _Invalid(Exception):
-    """A fault in a file; the message does not name the file yet."""
+    """A fault in a file. The message does not name the file yet."""
 
     def __init__(self, message: str, reason: str = "NOT_A_ROBOT") -> None:
         super().__init__(message)
@@ -77,7 +77,7 @@ class _Invalid(Exception):
 
 
 def read(urdf: Any, packages: Any) -> Model:
-    """The model of a URDF file, its collision meshes loaded.
+    """Reads the model of a URDF file and loads its collision meshes.
 
     Raises:
         InvalidArgument, FileNotFound: as `Robot`.
@@ -96,7 +96,7 @@ def read(urdf: Any, packages: Any) -> Model:
 
 
 def disabled(srdf: Any) -> Iterator[tuple[str, str]]:
-    """The pairs of link names of an SRDF file's `disable_collisions`."""
+    """Yields the pairs of link names in an SRDF file's `disable_collisions` elements."""
     data = _mesh.read_file(srdf, "srdf")
     try:
         root = _root(data, "robot")
@@ -123,7 +123,7 @@ def _root(data: bytes, tag: str) -> Element:
     }
     if root.tag != tag:
         what = others.get(root.tag, f"XML whose root is <{root.tag}>")
-        raise _Invalid(f"this is {what}; needed is a file whose root is <{tag}>: convert it")
+        raise _Invalid(f"this is {what}, expected a file whose root is <{tag}>: convert it")
     for element in root.iter():
         if "xacro" in element.tag.partition("}")[0]:
             name = element.tag.rpartition("}")[2]
@@ -155,7 +155,7 @@ def _model(root: Element, packages: Packages) -> Model:
 
 
 def _names(elements: Sequence[Element], kind: str) -> tuple[str, ...]:
-    """The names of all links or joints, which differ."""
+    """The names of all links or joints; raises if a name is missing or not unique."""
     names: dict[str, int] = {}
     for i, element in enumerate(elements):
         name = _attribute(element, "name", f"{kind} {i}")
@@ -177,7 +177,7 @@ def _attribute(element: Element, attribute: str, where: str) -> str:
 
 
 def _numbers(element: Element, attribute: str, count: int, where: str) -> Floats:
-    """Finite numbers; the attribute is there."""
+    """The finite numbers of an attribute, which must be present."""
     text = _attribute(element, attribute, where)
     what = f"{where}: <{element.tag} {attribute}={text!r}>"
     if "${" in text or "$(" in text:
@@ -207,7 +207,7 @@ def _positive(element: Element, attribute: str, count: int, where: str) -> Float
 
 
 def _origin(parent: Element, where: str) -> Floats:
-    """(4, 4): the pose of an `<origin>`, the identity where there is none."""
+    """(4, 4): the pose of an `<origin>` element; the identity without one."""
     pose = np.eye(4)
     origin = parent.find("origin")
     if origin is None:
@@ -221,7 +221,7 @@ def _origin(parent: Element, where: str) -> Floats:
 
 
 def _about(axis: int, angle: float) -> Floats:
-    """A rotation about a coordinate axis."""
+    """A rotation about a coordinate axis, as a (3, 3) matrix."""
     turn = np.eye(3)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     turn[i, i] = turn[j, j] = np.cos(angle)
@@ -244,7 +244,7 @@ def _joint(element: Element, place: dict[str, int]) -> Joint:
         )
     if kind != "fixed" and kind not in _MOVING:
         kinds = ", ".join((*_MOVING, "fixed"))
-        raise _Invalid(f"{where} has the type {kind!r}; the types are {kinds}")
+        raise _Invalid(f"{where} has the type {kind!r}, expected one of {kinds}")
     ends: list[int] = []
     for tag in ("parent", "child"):
         end = element.find(tag)
@@ -271,7 +271,9 @@ def _joint(element: Element, place: dict[str, int]) -> Joint:
                 _number(limit, "upper", np.inf, where),
             )
             if limits[0] > limits[1]:
-                raise _Invalid(f"{where}: its limits are {limits[0]:g} to {limits[1]:g}")
+                raise _Invalid(
+                    f"{where}: its limits are {limits[0]:g} to {limits[1]:g}, in the wrong order"
+                )
         mimic = element.find("mimic")
         if mimic is not None:
             mimics = _attribute(mimic, "joint", where)
@@ -282,7 +284,7 @@ def _joint(element: Element, place: dict[str, int]) -> Joint:
 
 
 def _resolved(joints: Sequence[Joint]) -> tuple[Joint, ...]:
-    """The joints, each mimicking one that has a value of its own, or none."""
+    """Resolves chains of mimic joints, so that each mimics a joint with a value of its own."""
     by_name = {joint.name: joint for joint in joints}
     resolved: list[Joint] = []
     for joint in joints:
@@ -291,7 +293,9 @@ def _resolved(joints: Sequence[Joint]) -> tuple[Joint, ...]:
         while last.mimics:
             followed = by_name.get(last.mimics)
             if followed is None:
-                raise _Invalid(f"joint {last.name!r} mimics {last.mimics!r}, which is no joint")
+                raise _Invalid(
+                    f"joint {last.name!r} mimics {last.mimics!r}, which is not a joint of the file"
+                )
             if followed.is_fixed:
                 raise _Invalid(f"joint {last.name!r} mimics {last.mimics!r}, which is fixed")
             if followed.name in chain:
@@ -308,7 +312,7 @@ def _resolved(joints: Sequence[Joint]) -> tuple[Joint, ...]:
 
 
 def _tree(links: Sequence[str], joints: Sequence[Joint]) -> tuple[int, tuple[Joint, ...]]:
-    """The root, and the joints from it outward."""
+    """The root link, and the joints in an order from the root outward."""
     above: dict[int, Joint] = {}
     for joint in joints:
         other = above.setdefault(joint.child, joint)
@@ -346,7 +350,7 @@ def _tree(links: Sequence[str], joints: Sequence[Joint]) -> tuple[int, tuple[Joi
 def _shape(
     collision: Element, where: str, packages: Packages, meshes: dict[Path, _mesh.Mesh]
 ) -> tuple[str, Any]:
-    """What messages call a collision element; its points or its mesh, in the link's frame."""
+    """A collision element's name in messages, and its points or mesh in the link's frame."""
     if collision.get("name"):
         where = f"{where} {collision.get('name')!r}"
     geometry = collision.find("geometry")
@@ -361,7 +365,7 @@ def _shape(
         return _placed_mesh(element, pose, where, packages, meshes)
     if element.tag not in _SHAPES:
         kinds = ", ".join(f"<{kind}>" for kind in ("mesh", *_SHAPES))
-        raise _Invalid(f"{where}: <{element.tag}> is not a shape of URDF; they are {kinds}")
+        raise _Invalid(f"{where}: got the shape <{element.tag}>, expected one of {kinds}")
     return where, _placed(_SHAPES[element.tag](element, where), pose)
 
 
@@ -373,18 +377,20 @@ def _placed_mesh(
     if element.get("scale") is not None:
         scale = _numbers(element, "scale", 3, where)
         if not scale.all():
-            raise _Invalid(f"{where}: <mesh scale={element.get('scale')!r}> has a zero")
+            raise _Invalid(
+                f"{where}: <mesh scale={element.get('scale')!r}> has a zero, expected other numbers"
+            )
     file = packages.find(name, where)
     try:
         if file not in meshes:
             meshes[file] = _mesh.load(file)
     except InvalidArgument as error:
         raise _Invalid(f"{where}: {error.message}", error.reason) from None
-    # A mirrored mesh is inside out, which counts for nothing here.
+    # A negative scale mirrors the mesh and turns it inside out, which does not matter here.
     points = _placed(meshes[file].vertices * scale, pose)
     label = f"{where} ({file.name})"
     if not np.isfinite(points).all():
-        raise _Invalid(f"{label} is too large, with its scale, for double precision")
+        raise _Invalid(f"{label}: its scaled coordinates are too large for double precision")
     if _convexity.is_flat(points):
         raise _Invalid(
             f"{label} is flat: all points are in one plane, and a body needs a volume", "COPLANAR"

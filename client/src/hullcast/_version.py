@@ -1,3 +1,3 @@
-"""The package's version: that of Cargo.toml, which the wheel takes."""
+"""The package's version: the same as in Cargo.toml, from which the wheel takes its version."""
 
 __version__ = "0.1.0"

@@ -1,4 +1,4 @@
-"""The numbers and columns of the wire, by name."""
+"""Names for the numbers and the columns of the wire format."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import enum
 
 
 class _Named(enum.IntEnum):
-    """Compares with its number and with its name, of either case."""
+    """An enum whose members equal their number and their name, in upper or lower case."""
 
     def __eq__(self, other: object) -> bool:
         if isinstance(other, str):
@@ -21,39 +21,39 @@ class _Named(enum.IntEnum):
 
 
 class Outcome(_Named):
-    """What is known of a pair's distance and the margin."""
+    """The result of comparing a pair's distance with the margin."""
 
-    #: Within the margin, to rounding.
+    #: The hulls are within the margin of each other, to rounding.
     CONTACT = 1
-    #: Certified farther apart than the margin.
+    #: The hulls are certified to be farther apart than the margin.
     SEPARATED = 2
-    #: An iteration limit was met before the outcome was known.
+    #: The solver reached an iteration limit before the outcome was known.
     UNDECIDED = 3
-    #: Not answered: the flags say why. Numbers are NaN, no points.
+    #: The pair was not computed; the flags say why. Its numbers are NaN, and it has no points.
     INVALID = 4
 
 
 class Flag(enum.IntFlag):
-    """What a pair's numbers have to be read with; a newer server may set others."""
+    """Qualifications of a pair's numbers. A newer server may set further bits."""
 
-    #: The projected features miss each other: one estimated point.
+    #: The projected features do not meet, so the pair has one estimated contact point.
     ESTIMATED = 1
-    #: The centres coincide to rounding: alpha is 0, the normal arbitrary.
+    #: The contraction points coincide to rounding: alpha is 0 and the normal is arbitrary.
     COINCIDENT = 2
-    #: The bracket of alpha is wider than asked.
+    #: The bracket of alpha is wider than the requested tolerance.
     GAP_OPEN = 4
-    #: `max_points` dropped points.
+    #: Some contact points were dropped because of `max_points`.
     REDUCED = 8
-    #: A hull that the server does not have: register it.
+    #: The server does not have one of the hulls: register it.
     UNKNOWN_HULL = 16
-    #: The server's store could not be read: try again.
+    #: The server's store could not be read: retry.
     HULL_UNAVAILABLE = 32
-    #: A body's position or rotation is not usable.
+    #: One of the bodies has an unusable position or rotation.
     INVALID_BODY = 64
 
 
 class FeatureKind(_Named):
-    """What of a hull touches."""
+    """The kind of a hull's feature that touches the other hull."""
 
     NONE = 0
     VERTEX = 1
@@ -61,7 +61,7 @@ class FeatureKind(_Named):
     FACE = 3
 
 
-#: Of each output: the columns of the wire that it brings.
+#: The columns of the wire format that each output brings.
 OUTPUT_COLUMNS: dict[str, tuple[str, ...]] = {
     "OUTCOME": (),
     "ALPHA": ("alphas", "alpha_lowers", "alpha_uppers"),
@@ -74,7 +74,7 @@ OUTPUT_COLUMNS: dict[str, tuple[str, ...]] = {
 }
 DEFAULT_OUTPUTS = ("ALPHA", "NORMAL", "POINTS")
 
-#: Of each column: entries a pair, or a point.
+#: The number of entries per pair of each per-pair column.
 PAIR_COLUMNS = {
     "alphas": 1,
     "alpha_lowers": 1,
@@ -89,6 +89,7 @@ PAIR_COLUMNS = {
     "support_calls": 1,
     "kept_areas": 1,
 }
-#: What servers of the first contract do not send: unknown (NaN) then.
+#: Columns that servers of the first version of the protocol do not send; they are read as NaN.
 LATER_COLUMNS = frozenset({"kept_areas"})
+#: The number of entries per point of each per-point column.
 POINT_COLUMNS = {"witness_as": 3, "distances": 1, "witness_bs": 3, "point_ids": 4}

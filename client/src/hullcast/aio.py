@@ -1,12 +1,12 @@
-"""The same with `await`.
+"""The asyncio client: the same operations, with `await`.
 
     async with hullcast.aio.connect("localhost:50051") as client:  # or hullcast.aio.serve()
         hulls = await client.register([vertices_a, vertices_b])
         m = await client.query(hullcast.Scene(hulls, positions, rotations), pairs)
 
-Arguments, results and errors are those of `hullcast.Client`. Calls may be made
-from several tasks at once; a cancelled task cancels its calls on the server. A
-client may be used in one event loop after another, not in two at a time.
+Arguments, results and errors are those of `hullcast.Client`. Several tasks may make calls on one
+client at once. Cancelling a task cancels its calls on the server. A client may be used in one event
+loop after another, but not in two at the same time.
 """
 
 from __future__ import annotations
@@ -37,12 +37,15 @@ __all__ = ["Client", "Session", "connect", "serve"]
 def _awaited(
     method: Callable[Concatenate[Any, P], T],
 ) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
-    """The same function: what it returns is this class's `_run`, a coroutine."""
+    """Retypes a blocking method as a coroutine function: here `_run` returns a coroutine."""
     return method  # type: ignore[return-value]
 
 
 class Client(_calls.Calls):
-    """A connection to a server; made by `connect` or `serve`, closed by `close` or `async with`."""
+    """A connection to a server, whose calls are awaited.
+
+    Make a client with `connect` or `serve`, and close it with `close` or `async with`.
+    """
 
     __doc__ = f"{__doc__}\n{_calls.Calls.__doc__}"
 
@@ -65,7 +68,7 @@ class Client(_calls.Calls):
         warm: Manifolds | None = None,
         on_invalid: Literal["raise", "flag"] = "raise",
     ) -> Session:
-        """As `hullcast.Client.session`: not awaited itself, its steps are."""
+        """As `hullcast.Client.session`. Do not await this method; await the session's steps."""
         make = partial(
             Query,
             scene,
@@ -105,7 +108,7 @@ class Client(_calls.Calls):
         return self._drive(steps)  # type: ignore[return-value]
 
     async def close(self) -> None:
-        """Closes the connection, and the server where `serve` started it."""
+        """Closes the connection, and ends the server if `serve` started it."""
         link, stop_server = self._begin_close()
         if isinstance(link, _Link):
             await link.channel.close()
@@ -116,7 +119,7 @@ class Client(_calls.Calls):
         raise _plain_with()
 
     def __exit__(self, *error: object) -> None:
-        """There, so that `with` reaches the message of `__enter__`."""
+        """Defined so that a plain `with` reaches the message of `__enter__`."""
 
     async def __aenter__(self) -> Self:
         return self
@@ -131,7 +134,7 @@ class Client(_calls.Calls):
 
 
 class Session(_session.Steps):
-    """A step loop; made by `Client.session`, ended by `close` or `async with`."""
+    """A step loop. Make one with `Client.session`, end it with `close` or `async with`."""
 
     __doc__ = f"{__doc__}\n{_client.Session.__doc__}"
 
@@ -141,7 +144,7 @@ class Session(_session.Steps):
         raise _plain_with()
 
     def __exit__(self, *error: object) -> None:
-        """There, so that `with` reaches the message of `__enter__`."""
+        """Defined so that a plain `with` reaches the message of `__enter__`."""
 
     async def __aenter__(self) -> Self:
         return self
@@ -156,7 +159,7 @@ class Session(_session.Steps):
 
 
 class _Link:
-    """A `grpc.aio.Channel`'s calls."""
+    """The calls on a `grpc.aio.Channel`."""
 
     def __init__(self, channel: Any, metadata: Callable[[], _channel.Metadata]) -> None:
         self.channel = channel
@@ -185,20 +188,20 @@ class _Link:
         return asyncio.to_thread(function)
 
     def shut(self) -> None:
-        pass  # only its event loop could
+        pass  # only the channel's event loop could close it
 
     def abandon(self) -> None:
-        pass  # its event loop has ended, and its sockets with it
+        pass  # the channel's event loop has ended, and its sockets with it
 
 
 class _Stream:
-    """A stream of a `grpc.aio.Channel`."""
+    """A stream on a `grpc.aio.Channel`."""
 
     def __init__(self, call: Any) -> None:
         self._call = call
 
     async def send(self, data: bytes) -> None:
-        # Where the stream has failed, reading says how.
+        # If the stream has failed, reading from it reports the error.
         with contextlib.suppress(grpc.RpcError, asyncio.InvalidStateError):
             await self._call.write(data)
 
@@ -207,7 +210,7 @@ class _Stream:
             answer = await asyncio.wait_for(self._call.read(), timeout)
         except asyncio.TimeoutError:
             raise _calls.late() from None
-        if not isinstance(answer, bytes):  # grpc.aio.EOF, which its types do not know
+        if not isinstance(answer, bytes):  # grpc.aio.EOF, which the type stubs do not have
             raise _calls.stream_ended()
         return answer
 
@@ -220,7 +223,7 @@ def _plain_with() -> TypeError:
 
 
 class _Starting:
-    """A server being started: to be awaited, or entered with `async with`."""
+    """A server that is being started. It can be awaited, or entered with `async with`."""
 
     def __init__(self, start: Callable[[], _client.Client]) -> None:
         self._start = start
@@ -228,7 +231,7 @@ class _Starting:
 
     async def _started(self) -> Client:
         blocking = await asyncio.to_thread(self._start)
-        # It has not been used, so there is no connection to close.
+        # The blocking client was not used, so it has no connection to close.
         return Client(blocking._settings, server=blocking._release_server())
 
     def __await__(self) -> Generator[Any, Any, Client]:
@@ -238,7 +241,7 @@ class _Starting:
         raise _plain_with()
 
     def __exit__(self, *error: object) -> None:
-        """There, so that `with` reaches the message of `__enter__`."""
+        """Defined so that a plain `with` reaches the message of `__enter__`."""
 
     async def __aenter__(self) -> Client:
         self._client = await self._started()

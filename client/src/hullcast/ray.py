@@ -1,9 +1,9 @@
-"""Batch jobs on ray: scenes as rows of a dataset, a server on each node (extra `ray`).
+"""Batch jobs on ray: one scene per row of a dataset, one server per node (extra `ray`).
 
     import hullcast.ray
     answered = hullcast.ray.query(dataset, scene, pairs, margin=0.01)  # a ray.data.Dataset
 
-Not loaded with `hullcast`, since ray takes a second to load.
+`import hullcast` does not load this module, because ray takes a second to load.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from ._wire import OUTPUT_COLUMNS, POINT_COLUMNS
 
 Batch = dict[str, npt.NDArray[Any]]
 
-#: Times that a task asks again after its node's server ended; each is a query with all
-#: of the client's own retries.
+#: How often a task queries its node's server, which is restarted if it has ended. Each attempt is a
+#: query with all of the client's own retries.
 _SERVERS = 3
 
 
@@ -50,34 +50,36 @@ def query(
     arguments: Sequence[str] = (),
     **options: Any,
 ) -> Any:
-    """The contact manifolds of each row of a dataset, a scene each, as more columns of the row.
+    """Computes the contact manifolds of each row of a dataset, and adds them as columns.
 
-    The rows of one batch are one query, to a server on the node where the batch is. Each
-    node has one such server, on a Unix socket, started when first needed; it ends when
-    the dataset is collected, or with the driver. A task that loses its server starts it
-    again; one that loses its node, ray runs again elsewhere.
+    Each row is one scene: the bodies of `scene` at the poses of the row. The rows of one batch are
+    sent as one query, to a server on the node that has the batch. Each node has one such server, on
+    a Unix socket. It is started when it is first needed, and ends when the dataset is garbage
+    collected or when the driver ends. A task that loses its server restarts it. If a node is lost,
+    ray runs its tasks again on another node.
 
     Args:
-        dataset: a `ray.data.Dataset`; each row has `positions` (n, 3) and `rotations`
-            (n, 4), the poses of the scene's n bodies, and `pairs` (m, 2) unless given here.
-        scene: hulls and bodies; its poses are not used, nor are its worlds and groups.
-        pairs: (m, 2), those of every row.
-        margin, accuracy, outputs, timeout: as of `Client.query`.
-        on_invalid: "flag" answers INVALID for pairs of bodies with an unusable pose, and
-            warns with their number, once per batch; "raise" fails the batch with
-            `InvalidPoses`.
-        store: of the servers; by default each has a directory of its own that it removes.
+        dataset: a `ray.data.Dataset`. Each row has `positions` (n, 3) and `rotations` (n, 4), the
+            poses of the scene's n bodies, and `pairs` (m, 2) unless the argument `pairs` is given.
+        scene: the hulls and bodies. Its poses, worlds and groups are not used.
+        pairs: (m, 2), the pairs of every row.
+        margin, accuracy, outputs, timeout: as in `Client.query`.
+        on_invalid: "flag" gives the pairs of bodies with an unusable pose the outcome INVALID, and
+            warns once per batch with their number. "raise" fails the batch with `InvalidPoses`.
+        store: the store of each server; by default a temporary directory per server, which the
+            server removes.
         arguments: further arguments of `hullcast serve`, such as `--compute-threads`.
-        options: of `map_batches`, such as `batch_size`, `num_cpus` and `concurrency`.
+        options: options of `map_batches`, such as `batch_size`, `num_cpus` and `concurrency`.
 
     Returns:
-        The dataset with a column for each that `Manifolds` has by these outputs, and of
-        its name: `outcome`, `flags`, `alpha`, ... Of a row's `point_counts[i]` points of
-        pair i, `witness_a`, `distance`, ... have those of all pairs in a row.
+        The dataset with further columns, named like the attributes of `Manifolds` that the outputs
+            bring: `outcome`, `flags`, `alpha` and so on. In a row, a per-point column such as
+            `witness_a` or `distance` has the points of all pairs one after another,
+            `point_counts[i]` of them for pair i.
 
     Raises:
         ImportError: ray is not installed.
-        InvalidArgument: pairs or outputs that make no query.
+        InvalidArgument: an argument is not usable; or NO_CLUSTER, `ray.init` was not called.
     """
     if pairs is not None:
         pairs = own_pairs(pairs, len(scene))
@@ -85,7 +87,7 @@ def query(
     ray = _library()
     one_of("on_invalid", on_invalid, ("raise", "flag"))
     asked = {"margin": margin, "accuracy": accuracy, "outputs": names}
-    # Refused here, not in a task.
+    # Check the arguments here, so that errors are not raised in a task.
     Query(scene, [] if pairs is None else pairs, **asked)
     asked |= {"on_invalid": on_invalid, "timeout": seconds("timeout", timeout) or np.inf}
     here = ray.get_runtime_context().get_node_id()
@@ -96,18 +98,18 @@ def query(
 
 @dataclass(frozen=True)
 class _Job:
-    """What every task is given."""
+    """The data that every task gets."""
 
     scene: Scene
     pairs: Indices | None
-    #: Arguments of `Client.query`.
+    #: The arguments of `Client.query`.
     asked: dict[str, Any]
     columns: tuple[str, ...]
     servers: Any
 
 
 def _answered(batch: Batch, job: _Job) -> Batch:
-    """A batch with its answers; runs in ray's tasks."""
+    """A batch with its results as further columns; runs in ray's tasks."""
     rows = len(batch["positions"])
     if rows == 0:
         return batch
@@ -136,13 +138,13 @@ def _answered(batch: Batch, job: _Job) -> Batch:
 
 
 def _poses(field: str, batch: Batch, bodies: int, width: int) -> npt.NDArray[np.float64]:
-    """Those of all rows, one below the other."""
+    """The poses of all rows, one row's bodies after another's."""
     rows = [_arrays.floats(field, row, bodies, width) for row in batch[field]]
     return np.concatenate(rows)
 
 
 def _split(found: Manifolds, job: _Job, ends: npt.NDArray[np.int64]) -> Batch:
-    """Each column in the rows that it is of."""
+    """Splits each column of the result into the rows of the batch."""
     columns: Batch = {}
     for name in job.columns:
         of_points = name in _POINT_ATTRIBUTES
@@ -163,13 +165,13 @@ def _ragged(column: npt.NDArray[Any], ends: npt.NDArray[np.int64]) -> npt.NDArra
 
 
 def columns_of(outputs: Iterable[str]) -> tuple[str, ...]:
-    """The columns, as `Manifolds` names them, that outputs bring."""
+    """The attributes of `Manifolds` that the outputs bring."""
     wire = dict.fromkeys(name for output in outputs for name in OUTPUT_COLUMNS[output])
     return ("outcome", "flags", *(_attribute(name) for name in wire))
 
 
 def _attribute(wire: str) -> str:
-    """Of `alphas` `alpha`; some are called as on the wire."""
+    """The attribute for a column of the wire format: `alpha` for `alphas`; some keep the plural."""
     single = wire.removesuffix("s")
     return single if hasattr(Manifolds, single) else wire
 
@@ -178,7 +180,7 @@ _POINT_ATTRIBUTES = frozenset(_attribute(name) for name in POINT_COLUMNS)
 
 
 def _ask(job: _Job, scene: Scene, pairs: Indices) -> Manifolds:
-    """The answer of this node's server, which is started (again) where it is not there."""
+    """Queries this node's server, which is started (again) if it does not run."""
     ray = _library()
     server = ray.get(job.servers.on.remote(ray.get_runtime_context().get_node_id()))
     for attempt in itertools.count(1):
@@ -188,29 +190,29 @@ def _ask(job: _Job, scene: Scene, pairs: Indices) -> Manifolds:
         except Unavailable:
             if attempt == _SERVERS:
                 raise
-    raise AssertionError  # count has no end
+    raise AssertionError  # unreachable: `count` does not end
 
 
 _clients: dict[str, Client] = {}
 
 
 def _client(target: str) -> Client:
-    """This process's, which goes from task to task."""
+    """The client of this process, which is kept from task to task."""
     if target not in _clients:
-        _clients.clear()  # of a server that has ended
+        _clients.clear()  # a client of a server that has ended
         _clients[target] = Client.connect(target)
     return _clients[target]
 
 
 class _Servers:
-    """An actor on the driver's node: owns the nodes' servers, so that they end with it."""
+    """An actor on the driver's node. It owns the servers of all nodes, which end with it."""
 
     def __init__(self, *settings: Any) -> None:
         self._settings = settings
         self._nodes: dict[str, Any] = {}
 
     def on(self, node: str) -> Any:
-        """The actor that has a node's server."""
+        """The actor that runs a node's server."""
         if node not in self._nodes:
             actor = _library().remote(_Server).options(**_placed(node))
             self._nodes[node] = actor.remote(*self._settings)
@@ -218,7 +220,7 @@ class _Servers:
 
 
 class _Server:
-    """An actor on each node: its server, which ends with it."""
+    """An actor on each node. It runs the node's server, which ends with it."""
 
     def __init__(self, store: str | os.PathLike[str] | None, arguments: Sequence[str]) -> None:
         self._store = store
@@ -227,7 +229,7 @@ class _Server:
         self._running: _serve.Server | None = None
 
     def target(self) -> str:
-        """Where it listens; it is started where it does not run."""
+        """The server's address. The server is started if it does not run."""
         if self._running is None or self._running.ended:
             listen = f"unix:{self._folder.name}/socket"
             self._running = _serve.start(self._store, listen=listen, arguments=self._arguments)
@@ -235,7 +237,7 @@ class _Server:
 
 
 def _placed(node: str) -> dict[str, Any]:
-    """Options of an actor that stays on a node, waits for no processor, and starts again."""
+    """Options of an actor that stays on one node, reserves no CPU, and is restarted if it fails."""
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
     return {

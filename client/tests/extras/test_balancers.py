@@ -1,7 +1,8 @@
-"""Three replicas on one store behind deploy/haproxy.cfg, deploy/nginx.conf, and the clients' own
-round robin: under load one is killed, added again, drained, and cut off, and no query fails.
+"""Three replicas with a shared store, behind HAProxy, nginx and the clients' own round robin.
 
-Needs haproxy and nginx (`apt-get install haproxy nginx-light`), and root for cutting cables.
+Under load, a replica is killed, restarted, drained and cut off, and no query may fail. The tests
+use deploy/haproxy.cfg and deploy/nginx.conf. They need haproxy and nginx (`apt-get install haproxy
+nginx-light`), and root to cut the network.
 """
 
 from __future__ import annotations
@@ -22,10 +23,13 @@ from hullcast._serve import find_binary
 
 @pytest.mark.parametrize("way", WAYS)
 def test_no_query_fails_while_replicas_come_and_go(way: str, tmp_path: Path):
-    """Under load: kill -9 one, start it again, drain another (SIGTERM), start it again, and, where
-    somebody watches, stop a third from answering without closing anything (SIGSTOP). No call fails
-    that a client makes, every hull that was acknowledged is in the store, and at the end all three
-    have their part of the load."""
+    """Stops and restarts replicas under load, and no call of a client fails.
+
+    One replica is killed (SIGKILL) and restarted. Another is drained (SIGTERM) and restarted.
+    Behind HAProxy, which has health checks, a third is frozen without closing its connections
+    (SIGSTOP). Every acknowledged hull is in the store, and at the end all three replicas share the
+    load evenly.
+    """
     with replicas(tmp_path / "store") as all_three, WAYS[way](all_three, tmp_path) as target:
         first, second, third = all_three
         load = Load(target)
@@ -54,9 +58,12 @@ def test_no_query_fails_while_replicas_come_and_go(way: str, tmp_path: Path):
 
 @pytest.mark.parametrize("way", WAYS)
 def test_no_query_fails_while_a_replica_is_cut_off(way: str, tmp_path: Path):
-    """Each replica is in a network of its own. Under load one's cable is cut, so that what is under
-    way there gets no answer and no error either, and later mended. No call fails, no acknowledged
-    hull is lost, and the replica has its part of the load again."""
+    """Cuts a replica off from the network under load, and no call of a client fails.
+
+    Each replica is in a network of its own. While one is cut off, calls in flight there get neither
+    a response nor an error. The network is restored later. No acknowledged hull is lost, and the
+    replica gets its share of the load again.
+    """
     with (
         cables(3) as ends,
         replicas(tmp_path / "store", ends) as all_three,
@@ -66,7 +73,7 @@ def test_no_query_fails_while_a_replica_is_cut_off(way: str, tmp_path: Path):
         try:
             load.more("at first")
             ends[1].cut()
-            time.sleep(35)  # longer than it takes whoever has to notice
+            time.sleep(35)  # longer than the balancer or the client needs to notice
             load.more("one is cut off", 600)
             ends[1].mend()
             load.more("it is back")
@@ -79,8 +86,10 @@ def test_no_query_fails_while_a_replica_is_cut_off(way: str, tmp_path: Path):
 
 @pytest.mark.parametrize("way", WAYS)
 def test_large_messages_and_long_silence_pass(way: str, tmp_path: Path):
-    """Both ways tens of megabytes, which balancers refuse unless told otherwise; and a stream that
-    is silent for longer than a call may be."""
+    """Messages of tens of megabytes pass in both directions, which balancers refuse by default.
+
+    A stream also survives a pause that is longer than the timeout of a call.
+    """
     rng = np.random.default_rng(1)
     count = 120_000
     with (
@@ -107,8 +116,11 @@ def test_large_messages_and_long_silence_pass(way: str, tmp_path: Path):
 
 @pytest.mark.parametrize("way", ["haproxy", "nginx"])
 def test_no_replica_at_all_is_unavailable(way: str, tmp_path: Path):
-    """To either client, in gRPC's terms: a balancer's own page of an error, which is HTML, some
-    clients take for a broken answer and do not repeat the call."""
+    """Without any replica, both clients get Unavailable as a gRPC status.
+
+    A balancer's own error page is HTML. Some clients take it for a malformed response and do not
+    retry.
+    """
     with replicas(tmp_path / "store") as all_three, WAYS[way](all_three, tmp_path) as target:
         for replica in all_three:
             replica.stop(signal.SIGKILL)
@@ -124,10 +136,13 @@ def test_no_replica_at_all_is_unavailable(way: str, tmp_path: Path):
 
 
 def expect_even(load: Load, all_three: list[Replica]) -> list[int]:
-    """30 s after the last of it, the replicas answer equally many pairs, within a fifth of their mean,
-    by each one's own count. Both balancers give a replica more that answers faster, and three
-    processes on a busy machine are not equally fast for a while: so it is counted on until the
-    counts are even, up to six times as long."""
+    """Asserts that the replicas answer equally many pairs, within a fifth of their mean.
+
+    The counts begin 30 s after the last fault, and are the replicas' own. Both balancers send more
+    calls to a replica that answers faster, and on a busy machine the three processes may differ in
+    speed for a while. Therefore counting continues until the counts are even, up to six times as
+    long.
+    """
     time.sleep(30)
     before = [replica.pairs() for replica in all_three]
     for _ in range(6):
@@ -142,7 +157,7 @@ def expect_even(load: Load, all_three: list[Replica]) -> list[int]:
 
 
 def expect_nothing_lost(load: Load, rust: dict, all_three: list[Replica]) -> str:
-    """Of either client's queries, nor of the hulls; how many there were of each."""
+    """Asserts that no query of either client failed and no hull was lost; returns the counts."""
     assert load.failures == []
     assert rust["errors"] == {}
     assert rust["wrong_batches"] == 0
@@ -158,6 +173,6 @@ def expect_nothing_lost(load: Load, rust: dict, all_three: list[Replica]) -> str
 
 
 def report(way: str, faults: str, counts: str, shares: list[int]) -> None:
-    """A row of docs/cluster.md's table, seen with `-s`."""
+    """Prints a row of the table in docs/cluster.md; run with `-s` to see it."""
     percent = ", ".join(f"{share / sum(shares):.1%}" for share in shares)
     print(f"\n{way}, {faults}: {counts}; 0 failed, 0 lost; pairs at the end {percent}")

@@ -1,4 +1,4 @@
-"""deploy/kubernetes.yaml by Kubernetes' own schemas."""
+"""Checks deploy/kubernetes.yaml by its schemas."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ KINDS = {manifest["kind"]: manifest for manifest in MANIFESTS}
 
 @pytest.mark.parametrize("version", ["1.31", "1.37"])
 def test_every_manifest_is_of_its_schema(version: str):
-    """Catches a field misspelt or in the wrong place, which Kubernetes drops without a word."""
+    """Catches a misspelt or misplaced field, which Kubernetes drops without a message."""
     for manifest in MANIFESTS:
         kubernetes_validate.validate(manifest, version, strict=True)
     misspelt = KINDS["PodDisruptionBudget"] | {"spec": {"maxUnavailabel": 1}}
@@ -29,7 +29,7 @@ def test_every_manifest_is_of_its_schema(version: str):
 
 
 def test_the_parts_fit_together():
-    """Catches a port, label or name that one part gives and another does not know."""
+    """Catches a port, label or name that one manifest refers to and another does not define."""
     deployment, service = KINDS["Deployment"], KINDS["Service"]
     pod = deployment["spec"]["template"]
     labels = pod["metadata"]["labels"]
@@ -55,7 +55,7 @@ def test_the_parts_fit_together():
 
 
 def test_the_server_knows_every_setting():
-    """Catches a variable that the server ignores because it has another name."""
+    """Catches a variable that the server ignores because its name is wrong."""
     (container,) = KINDS["Deployment"]["spec"]["template"]["spec"]["containers"]
     environment = {
         entry["name"]: entry.get("value", "4")

@@ -1,4 +1,4 @@
-"""All robots of the package example-robot-data: each loads, with bodies counted another way."""
+"""All robots of the package example-robot-data load, and their bodies are counted independently."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ROOT = Path(sysconfig.get_path("purelib")) / "cmeel.prefix/share"
 ROBOTS = ROOT / "example-robot-data/robots"
 FILES = sorted(ROBOTS.rglob("*.urdf"))
 
-#: Files that are refused, and a part of the message.
+#: The files that are refused, with a part of the message.
 REFUSED = {
     "ur_description/urdf/ur3.urdf": "<robot> has no 'name'",
     "alex_description/urdf/alex_psyonic_hands.urdf": "'Left_index_q2' mimics 'index_q1'",
@@ -25,7 +25,7 @@ REFUSED = {
 
 
 def counted(path: Path) -> tuple[list[str], list[str]]:
-    """The link of each collision element and its shape's tag, by a plain walk of the XML."""
+    """The link of each collision element and the tag of its shape, by a plain walk of the XML."""
     links: list[str] = []
     shapes: list[str] = []
     for link in ElementTree.parse(path).getroot():
@@ -39,16 +39,18 @@ def counted(path: Path) -> tuple[list[str], list[str]]:
 
 
 def test_all_files_are_there():
-    """Catches a package that has other files: the counts below are of these."""
+    """Catches a version of the package with other files, for which the counts here do not hold."""
     assert len(FILES) == 69
     assert sum(len(counted(path)[0]) for path in FILES) == 1606
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_a_robot_loads_with_its_bodies(client, path):
-    """Catches collision elements that are lost, doubled or given to another link: against a walk
-    of the XML. The bodies' hulls are registered, with a warning for each mesh that is not convex,
-    which names its link, and have a volume."""
+    """Catches collision elements that are lost, duplicated or assigned to another link.
+
+    The robot is compared with a walk of the XML. The bodies' hulls are registered and have a
+    volume. Each mesh that is not convex gives a warning that names its link.
+    """
     name = str(path.relative_to(ROBOTS))
     if name in REFUSED:
         with pytest.raises(hullcast.InvalidArgument) as caught:
@@ -75,7 +77,7 @@ def test_a_robot_loads_with_its_bodies(client, path):
 
 
 def convex(mesh: _mesh.Mesh) -> bool:
-    """The decision that `Robot` takes, so that the warnings are compared with it."""
+    """The test of convexity that `Robot` uses, so that the warnings can be compared with it."""
     return _convexity.is_convex(mesh.vertices, mesh.faces)
 
 
@@ -88,7 +90,7 @@ def convex(mesh: _mesh.Mesh) -> bool:
     ],
 )
 def test_robots_of_convex_meshes_stay_whole(name, bodies):
-    """Catches false alarms: these robots' meshes were made convex, and none is decomposed."""
+    """Catches false alarms: these robots' meshes were made convex, so none is decomposed."""
     assert len(hullcast.Robot(ROBOTS / name, packages=ROOT)) == bodies
 
 
@@ -104,8 +106,11 @@ def test_robots_of_convex_meshes_stay_whole(name, bodies):
     ],
 )
 def test_meshes_of_overlapping_parts(mesh):
-    """Catches volumes that count overlapping parts twice: of each of these real meshes, the signed
-    volume is off by more than a tenth from that of its union, or is above the hull's."""
+    """Catches volumes that count overlapping parts twice.
+
+    For each of these real meshes, the signed volume differs by more than a tenth of the hull's
+    volume from the volume of the union, or exceeds the hull's volume.
+    """
     trimesh = pytest.importorskip("trimesh")
     path = next(ROBOTS.glob(f"**/{mesh.partition('/')[2]}"))
     ours = _mesh.load(path)
@@ -120,8 +125,11 @@ def test_meshes_of_overlapping_parts(mesh):
 
 @pytest.mark.parametrize("suffix", [".obj", ".stl", ".dae"])
 def test_meshes_are_read_as_trimesh_reads_them(suffix):
-    """Catches a reader that loses or moves triangles of real files: the area and the box of each
-    collision mesh of these robots, as trimesh has them, lengths in the file's unit apart."""
+    """Catches a reader that loses or moves triangles of real files.
+
+    The area and the bounding box of each collision mesh are compared with trimesh's, after
+    conversion of the file's unit.
+    """
     trimesh = pytest.importorskip("trimesh")
     named: set[Path] = set()
     for path in FILES:

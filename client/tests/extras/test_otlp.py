@@ -30,7 +30,7 @@ EXPORT = "opentelemetry.proto.collector.trace.v1.TraceService"
 
 
 class Collector:
-    """A collector: keeps every span that is exported to it."""
+    """A collector that keeps every span exported to it."""
 
     def __init__(self) -> None:
         self.spans: list[spans_pb2.Span] = []
@@ -80,7 +80,7 @@ def serving(endpoint: str, *arguments: str) -> Iterator[tuple[str, subprocess.Po
 
 
 def stopped(process: subprocess.Popen[str]) -> tuple[int, str, float]:
-    """Exit code, log and seconds of a server told to stop."""
+    """Stops a server; returns its exit code, its log and the seconds that it took to stop."""
     began = time.monotonic()
     process.send_signal(signal.SIGTERM)
     _, log = process.communicate(timeout=60)
@@ -97,8 +97,11 @@ def scene(hulls: list[hullcast.Hull], bodies: int) -> hullcast.Scene:
 
 
 def test_a_call_is_a_child_of_its_caller(collector: Collector) -> None:
-    """Catches a server's span of a trace of its own, of another parent, without what took its
-    time, without its status, and spans that a stop loses: they are sent when it ends."""
+    """Catches a server span in the wrong trace, with a wrong parent or status, or without children.
+
+    The children are the parts of the call that took its time. Also catches spans that are lost when
+    the server stops, since it must send them at its end.
+    """
     tracer = sdk.TracerProvider().get_tracer("test")
     with serving(f"http://127.0.0.1:{collector.port}") as (target, process):
         with hullcast.connect(target, options=NO_PROXY) as client:
@@ -131,7 +134,7 @@ def test_a_call_is_a_child_of_its_caller(collector: Collector) -> None:
         assert within.keys() == ({"queue", "compute"} if caller is asking else set())
         if caller is asking:
             assert attributes(within["compute"])["pairs"] == 100
-    # A caller without a trace begins one.
+    # A call without a caller's trace begins a trace of its own.
     (alone,) = [call for call in calls if not call.parent_span_id]
     assert alone.name.endswith("/RegisterHulls")
     assert len({call.trace_id for call in calls}) == len(calls) == 4
@@ -139,8 +142,10 @@ def test_a_call_is_a_child_of_its_caller(collector: Collector) -> None:
 
 
 def test_the_caller_decides_what_is_traced(collector: Collector) -> None:
-    """Catches a caller that does not sample and is exported all the same, and a share that is
-    not heeded where the caller says nothing."""
+    """Catches the export of calls whose caller does not sample them.
+
+    Also catches that `--otlp-share` is ignored for calls without a trace.
+    """
     sampled = sdk.TracerProvider().get_tracer("test")
     dropped = sdk.TracerProvider(sampler=sdk.sampling.ALWAYS_OFF).get_tracer("test")
     endpoint = f"http://127.0.0.1:{collector.port}"
@@ -158,24 +163,23 @@ def test_the_caller_decides_what_is_traced(collector: Collector) -> None:
 
 @pytest.mark.parametrize("silent", [False, True])
 def test_a_collector_that_is_away_costs_nothing(silent: bool) -> None:
-    """Catches calls that wait for a collector that refuses, or that takes connections and says
-    nothing, and a stop that does."""
+    """Catches calls or a stop that wait for a collector that is down or never responds."""
     with socket_of(silent) as port, serving(f"http://127.0.0.1:{port}") as (target, process):
         with hullcast.connect(target, options=NO_PROXY, timeout=30) as client:
             hulls = client.register([CUBE])
-            # More spans than are kept.
+            # More spans than the server keeps.
             for _ in range(1000):
                 client.query(scene(hulls, 2), [[0, 1]])
         code, log, seconds = stopped(process)
     assert code == 0, log
-    # The default patience of exporters alone is ten.
+    # The default timeout of the exporters is already ten seconds.
     assert seconds < 9, log
     assert "traces were not sent" in log
 
 
 @contextmanager
 def socket_of(silent: bool) -> Iterator[int]:
-    """A port that nobody answers on: refused, or accepted and silent."""
+    """A port without a working server: connections are refused, or accepted without a response."""
     import socket
 
     with socket.socket() as listener:
@@ -189,7 +193,7 @@ def socket_of(silent: bool) -> Iterator[int]:
         kept = []
         threading.Thread(target=lambda: _accept(listener, kept), daemon=True).start()
         yield port
-        # Ends the thread.
+        # Closing the listener ends the thread.
         listener.close()
 
 
@@ -202,7 +206,7 @@ def _accept(listener, kept: list) -> None:
 
 
 def test_an_endpoint_that_is_none_is_refused() -> None:
-    """Catches a misspelt endpoint that is found when the traces are missed."""
+    """Catches a malformed endpoint that is only noticed when traces are missing."""
     for arguments in (["http://host name:1"], ["http://h:1", "--otlp-share", "1.5"]):
         command = [find_binary(), "serve", "--store", "memory://", "--otlp-endpoint", *arguments]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60)

@@ -1,5 +1,7 @@
-"""The pages about robots and ray, and the client's README in full, as a user gets there: by the
-pages' own lines of installation, into an empty environment, with the newest packages."""
+"""The pages about robots and ray, and the client's README, work for a user who follows them.
+
+The pages' own install lines fill an empty environment, with the newest packages.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The playground's page in Chromium, held against the client's answers from the same server.
+"""Tests the playground's page in Chromium against the client's results from the same server.
 
-Needs a server built with the feature `playground` (`make test-playground`).
-HULLCAST_WRITE_PICTURE writes docs/playground.png.
+Needs a server built with the feature `playground` (`make test-playground`). With
+HULLCAST_WRITE_PICTURE set, writes docs/playground.png.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ sync_api = pytest.importorskip("playwright.sync_api")
 ROOT = Path(__file__).resolve().parents[3]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
-# Where there is no graphics card.
+# Render in software, for machines without a graphics card.
 ARGUMENTS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
 
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="Chromium is not installed")
@@ -49,7 +49,7 @@ def server() -> Iterator[hullcast.Client]:
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     with sync_api.sync_playwright() as playwright:
-        # As root, as in containers, Chromium has no sandbox.
+        # As root, as in containers, Chromium cannot run its sandbox.
         chromium = playwright.chromium.launch(
             executable_path=BROWSER, args=[*ARGUMENTS, "--no-sandbox"]
         )
@@ -59,7 +59,7 @@ def browser() -> Iterator[Any]:
 
 @contextmanager
 def opened(browser: Any, server: hullcast.Client, hash: str = "", **context: Any) -> Iterator[Page]:
-    """The page at a scene, once its first answer is there; nothing may be logged as an error."""
+    """Opens the page at a scene and waits for its first result; fails if an error was logged."""
     options = {"viewport": {"width": 1360, "height": 960}} | context
     with browser.new_context(**options) as context:
         page = context.new_page()
@@ -76,7 +76,7 @@ def opened(browser: Any, server: hullcast.Client, hash: str = "", **context: Any
 
 
 class Calls:
-    """Queries under way, and how many there were."""
+    """Counts the page's queries in total, in flight, and in flight at most."""
 
     def __init__(self) -> None:
         self.count = self.open = self.most = 0
@@ -92,19 +92,19 @@ class Calls:
 
 
 def note_shape(page: Page, request: Any) -> None:
-    """The points that the page registers, in their order."""
+    """Keeps the points that the page registers, in their order."""
     if request.url.endswith("/RegisterHulls"):
         message = hulls_pb2.RegisterHullsRequest.FromString(request.post_data_buffer[5:])
         page.shapes[len(page.shapes)] = np.reshape(message.hulls[0].vertices, (-1, 3))
 
 
 def settled(page: Page) -> None:
-    # Not by a function: the page's policy lets nothing be evaluated later.
+    # Poll no function here: the page's content security policy forbids evaluating code.
     page.wait_for_selector("#answer[aria-busy=false]")
 
 
 def link(page: Page) -> str:
-    """The part of the scene's link behind the #."""
+    """The part of the scene's link after the #."""
     page.click("#share")
     return page.evaluate("location.hash")
 
@@ -118,7 +118,7 @@ def numbers(text: str) -> list[float]:
 
 
 def values(page: Page, selector: str) -> list[float]:
-    """All digits of the numbers there."""
+    """The numbers in the elements that a selector matches, with all their digits."""
     texts = page.eval_on_selector_all(selector, "all => all.map(data => data.value)")
     return [float(text) for text in texts]
 
@@ -126,7 +126,7 @@ def values(page: Page, selector: str) -> list[float]:
 def check_against_library(
     page: Page, server: hullcast.Client, shapes: list[np.ndarray], **query: Any
 ) -> hullcast.Manifolds:
-    """Every number that the page shows is, bit for bit, the client's for the scene of its link."""
+    """Asserts that the page's numbers for its link's scene equal the client's, bit for bit."""
     settled(page)
     state = fields(page)
     hulls = server.register(shapes)
@@ -154,7 +154,7 @@ def check_against_library(
 
 
 def place(page: Page, side: str) -> tuple[float, float]:
-    """Where a hull's name is written: over its centre."""
+    """The position of a hull's label, which is over the hull's centre."""
     box = page.locator(f"#stage .label.{side}").bounding_box()
     return box["x"], box["y"] + box["height"] / 2 + 6
 
@@ -162,7 +162,7 @@ def place(page: Page, side: str) -> tuple[float, float]:
 def drag(
     page: Page, side: str, by: tuple[int, int], key: str | None = None, beside: int = 0
 ) -> None:
-    """From a hull's centre, or so many pixels to the right of it where another hull hides it."""
+    """Drags from `beside` pixels right of a hull's centre, which another hull may hide."""
     x, y = place(page, side)
     x += beside
     page.mouse.move(x, y)
@@ -188,7 +188,7 @@ def test_the_first_scene_is_the_librarys_answer(browser: Any, server: hullcast.C
 
 @pytest.mark.skipif("HULLCAST_WRITE_PICTURE" not in os.environ, reason="only on demand")
 def test_the_picture_of_the_documents(browser: Any, server: hullcast.Client):
-    """Not a test: writes docs/playground.png, in few colours."""
+    """Not a test: writes docs/playground.png, with a reduced number of colours."""
     with opened(browser, server, viewport={"width": 1280, "height": 1000}) as page:
         page.wait_for_timeout(500)
         picture = Image.open(io.BytesIO(page.screenshot(full_page=True))).convert("RGB")
@@ -197,7 +197,7 @@ def test_the_picture_of_the_documents(browser: Any, server: hullcast.Client):
 
 
 def test_dragging_moves_and_turns(browser: Any, server: hullcast.Client):
-    """One call at a time while dragging; the numbers at the end are of the end."""
+    """Dragging has at most one call in flight, and ends with the numbers of the final pose."""
     with opened(browser, server) as page:
         shapes = [page.shapes[0], page.shapes[1]]
         before, picture = fields(page), page.locator("#stage").screenshot()
@@ -218,7 +218,7 @@ def test_dragging_moves_and_turns(browser: Any, server: hullcast.Client):
         drag(page, "a", (30, 0), beside=-110)
         assert fields(page)["a.turn"] != turned["a.turn"]
         check_against_library(page, server, shapes)
-        # Beside the hulls it is the camera that moves, and nothing is asked.
+        # Dragging beside the hulls moves the camera, and no query is made.
         count, state = page.calls.count, fields(page)
         box = page.locator("#stage canvas").bounding_box()
         page.mouse.move(box["x"] + 12, box["y"] + box["height"] - 12)
@@ -256,7 +256,7 @@ def test_sliders_and_fields(browser: Any, server: hullcast.Client):
         assert wide.alpha_upper[0] - wide.alpha_lower[0] <= 0.05 * wide.alpha_upper[0]
         page.select_option("#solver", "gjk")
         check_against_library(page, server, shapes)
-        # A tilt that a wider feature angle takes for a face.
+        # A tilted box, whose face counts as the feature only with a wider feature angle.
         page.goto(f"http://{server.target}/#b=box&b.at=0,0,0.36&b.turn=0.02,0,0,0.9998&angle=0")
         settled(page)
         check_against_library(page, server, [shapes[0], page.shapes[2]])
@@ -267,7 +267,7 @@ def test_sliders_and_fields(browser: Any, server: hullcast.Client):
         m = check_against_library(page, server, [shapes[0], page.shapes[2]])
         assert "face" in page.locator("#feature-b").inner_text()
         assert len(m.distance) == 4
-        # Past what may be asked nothing is.
+        # A value outside the allowed range makes no query.
         count = page.calls.count
         page.fill("#angle", "0.6")
         assert page.locator("#angle").get_attribute("aria-invalid") == "true"
@@ -276,7 +276,7 @@ def test_sliders_and_fields(browser: Any, server: hullcast.Client):
 
 
 def test_separated_pairs(browser: Any, server: hullcast.Client):
-    """Beyond the margin the outcome is the margin's and the numbers are those at any distance."""
+    """Beyond the margin the outcome is SEPARATED, with the numbers for an infinite margin."""
     with opened(browser, server, "#b.at=0.2,0.1,1.5&margin=0.05") as page:
         shapes = [page.shapes[0], page.shapes[1]]
         assert page.locator("#outcome").inner_text() == "Separated"
@@ -319,7 +319,7 @@ def test_keyboard_alone(browser: Any, server: hullcast.Client):
 
 
 def test_a_link_is_the_scene(browser: Any, server: hullcast.Client):
-    """The same numbers, hulls of one's own and camera included, in another window."""
+    """A link restores the scene in another window: numbers, own points and camera."""
     shown = ["#alpha", "#separation", "#points data"]
     with opened(browser, server) as page:
         page.click("#paste-b")
@@ -338,7 +338,7 @@ def test_a_link_is_the_scene(browser: Any, server: hullcast.Client):
         assert len(first[2]) > 0
         assert page.locator("#shape-b option:checked").inner_text() == "Own points"
         check_against_library(page, server, [page.shapes[0], page.shapes[1]])
-        page.locator("#shape-a").focus()  # as there: no hull is marked
+        page.locator("#shape-a").focus()  # as in the first window, so that no hull is marked
         assert len(page.locator("#stage").screenshot()) == pytest.approx(len(look), rel=0.2)
 
 
@@ -363,7 +363,7 @@ def test_what_is_wrong_is_said(browser: Any, server: hullcast.Client):
         page.select_option("#shape-a", "box")
         settled(page)
         assert page.locator("#error").is_hidden()
-        # A hull that was deleted meanwhile is registered again.
+        # A hull that was deleted in the meantime is registered again.
         with grpc.insecure_channel(server.target) as channel:
             call = channel.unary_unary(
                 "/hullcast.v1.HullService/DeleteHulls",
@@ -399,7 +399,7 @@ def test_a_server_with_tokens_and_one_that_is_gone(browser: Any, tmp_path: Path)
 
 
 def test_a_phone(browser: Any, server: hullcast.Client):
-    """Nothing is wider than its screen, targets are large enough for fingers, and a finger drags."""
+    """Nothing is wider than the screen, targets fit fingers, and a finger can drag."""
     phone = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
     with opened(browser, server, device_scale_factor=2, **phone) as page:
         assert page.evaluate("document.documentElement.scrollWidth") == 390
@@ -428,7 +428,7 @@ def test_a_phone(browser: Any, server: hullcast.Client):
 
 @pytest.mark.parametrize("size", [(390, 844), (320, 568), (844, 390)])
 def test_phones_of_every_size(browser: Any, server: hullcast.Client, size: tuple[int, int]):
-    """What is on the picture is whole and within it, and nothing is too small for a finger."""
+    """The overlays are entirely inside the picture, and no target is too small for a finger."""
     width, height = size
     phone = {"viewport": {"width": width, "height": height}, "has_touch": True, "is_mobile": True}
     with opened(browser, server, **phone) as page:
@@ -451,7 +451,7 @@ def test_phones_of_every_size(browser: Any, server: hullcast.Client, size: tuple
 
 
 def test_dark_is_another_look(browser: Any, server: hullcast.Client):
-    """The pictures follow the scheme, also when it changes under the page."""
+    """The pictures follow the colour scheme, even if it changes while the page is open."""
     with opened(browser, server, color_scheme="light") as page:
         light = [page.locator(figure).screenshot() for figure in ("#stage", "#gauss", "#plane")]
         page.emulate_media(color_scheme="dark")
@@ -462,9 +462,9 @@ def test_dark_is_another_look(browser: Any, server: hullcast.Client):
 
 @pytest.mark.skipif(shutil.which("npm") is None, reason="npm is not installed")
 def test_the_bundle_is_what_its_sources_make(tmp_path: Path):
-    """Catches a change of the sources whose bundle was not committed with it."""
+    """Catches a change of the sources that was committed without its bundle."""
     playground = ROOT / "playground"
-    # Its own copy: a build leaves files beside the sources.
+    # Build in a copy, because a build leaves files beside the sources.
     here = tmp_path / "playground"
     ignored = shutil.ignore_patterns("node_modules", "generated", "dist")
     shutil.copytree(playground, here, ignore=ignored)

@@ -1,4 +1,4 @@
-"""Ray: batch jobs over datasets of scenes, and clients given to tasks and actors."""
+"""Ray: batch jobs over datasets of scenes, and clients that are passed to tasks and actors."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MARGIN = 0.1
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Cluster]:
-    """Of one node, which this process is on, with one processor."""
+    """A cluster of one node with one processor, on which this process runs."""
     with pytest.MonkeyPatch.context() as settings:
         for name, value in RAY_SETTINGS.items():
             settings.setenv(name, value)
@@ -60,7 +60,7 @@ def second(cluster: Cluster) -> Iterator[Any]:
 
 
 def rows_of(client: hullcast.Client) -> tuple[hullcast.Scene, list[dict]]:
-    """Many configurations of one crowd."""
+    """A scene, and many rows with other poses of its bodies."""
     scene = crowd(client, BODIES)
     rng = np.random.default_rng(5)
     rows = []
@@ -74,7 +74,7 @@ def rows_of(client: hullcast.Client) -> tuple[hullcast.Scene, list[dict]]:
 def expect_as_here(
     client: hullcast.Client, scene: hullcast.Scene, rows: list[dict], answered: list[dict], outputs
 ) -> None:
-    """Each row once, and every column to the last bit what one process gets, row by row."""
+    """Asserts that each row is answered once, with the same bits as a query of that row here."""
     assert Counter(row["row"] for row in answered) == Counter(range(len(rows)))
     names = hullcast.ray.columns_of(outputs)
     points = 0
@@ -96,7 +96,7 @@ def expect_as_here(
 
 
 def servers_on(store: Path) -> list[int]:
-    """Processes that serve it."""
+    """The processes that serve a store."""
     found = []
     for file in Path("/proc").glob("[0-9]*/cmdline"):
         try:
@@ -120,18 +120,18 @@ def wait_until(condition: Callable[[], object]) -> None:
 
 
 def test_what_makes_no_query_is_refused_before_the_job(client):
-    """Names and pairs, where they are given, not in some task later; and that ray does not run."""
+    """Unknown names, bad pairs and a missing `ray.init` are refused before the job starts."""
     scene, _ = rows_of(client)
     with pytest.raises(hullcast.InvalidArgument, match="NOPE"):
         hullcast.ray.query(None, scene, PAIRS, outputs=["NOPE"])
-    with pytest.raises(hullcast.InvalidArgument, match=f"{BODIES} is not in"):
+    with pytest.raises(hullcast.InvalidArgument, match=f"{BODIES} is out of range"):
         hullcast.ray.query(None, scene, [[0, BODIES]])
     with pytest.raises(hullcast.InvalidArgument, match=r"ray\.init"):
         hullcast.ray.query(None, scene, PAIRS)
 
 
 def test_every_output_has_its_columns():
-    """As `Manifolds` calls them; one that is new on the wire would be missing here."""
+    """Every output has columns with names of `Manifolds`; a new column must be added to them."""
     wire = {name for names in OUTPUT_COLUMNS.values() for name in names}
     columns = hullcast.ray.columns_of(OUTPUT_COLUMNS)
     assert len(columns) == len(set(columns)) == len(wire) + 2
@@ -139,9 +139,12 @@ def test_every_output_has_its_columns():
 
 
 def test_a_node_is_killed_and_every_row_is_answered_once(cluster, second, client, tmp_path):
-    """Half of the rows are held back, already answered by a server, until the second node is gone
-    with those that it had. Catches rows that are lost or come twice, answers that depend on the
-    node, a server for each task instead of one a node, and servers that outlive their job."""
+    """A node is killed during a job, and every row is still answered exactly once.
+
+    Half of the rows are answered by a server, but held back until the second node is gone together
+    with its rows. Catches lost or repeated rows, results that depend on the node, one server per
+    task instead of one per node, and servers that outlive their job.
+    """
     scene, rows = rows_of(client)
     store, gone = tmp_path / "hulls", tmp_path / "gone"
     seen: Counter[str] = Counter()
@@ -161,7 +164,7 @@ def test_a_node_is_killed_and_every_row_is_answered_once(cluster, second, client
             wait_until(lambda: list(tmp_path.glob(held)))
             seen["servers"] = len(servers_on(store))
             cluster.remove_node(second, allow_graceful=False)
-            # A machine that dies takes its tasks with it; here they outlive its ray by a moment.
+            # When a machine dies, its tasks die too. Here they outlive their ray for a moment.
             for file in tmp_path.glob(held):
                 wait_until(lambda: not alive(int(file.name.rpartition("-")[2])))  # noqa: B023
         except BaseException as problem:
@@ -187,14 +190,14 @@ def test_a_node_is_killed_and_every_row_is_answered_once(cluster, second, client
     del answered
 
     def ended() -> bool:
-        gc.collect()  # the dataset is in a cycle
+        gc.collect()  # the dataset is part of a reference cycle
         return not servers_on(store)
 
     wait_until(ended)
 
 
 def test_a_server_is_killed_and_started_again(second, client, tmp_path):
-    """Each node's server dies once on the way; every column, and pairs that differ from row to row."""
+    """Each node's server is killed once. All columns are correct, with pairs that differ by row."""
     scene, rows = rows_of(client)
     store = tmp_path / "hulls"
     for row in rows:
@@ -213,7 +216,7 @@ def test_a_server_is_killed_and_started_again(second, client, tmp_path):
 
 
 def test_tasks_and_actors(cluster, client):
-    """Each worker connects by itself and answers as this process does."""
+    """Each worker connects by itself, and gets the same results as this process."""
     scene, pairs = crowd(client, 50), [[i, (i * 7) % 50] for i in range(50)]
 
     def ask(client: hullcast.Client, scene: hullcast.Scene) -> bytes:

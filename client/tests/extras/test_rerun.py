@@ -1,4 +1,4 @@
-"""Recordings: what is written into them, and that rerun itself reads them."""
+"""What is logged to rerun recordings, and that rerun can read them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ rerun = pytest.importorskip("rerun")
 
 @pytest.fixture
 def written(monkeypatch):
-    """What is logged, by entity, while it is logged for real."""
+    """Collects what is logged, by entity, while it is also logged for real."""
     entities: dict[str, list] = {}
     log = rerun.log
 
@@ -31,7 +31,7 @@ def written(monkeypatch):
 
 
 def test_two_steps_of_a_pile(client, written, tmp_path):
-    """Bodies with pose and hull, six and four points; then without hulls, one pair of them."""
+    """The whole pile with poses, hulls and points; then one pair without hulls."""
     scene = make_pile(client)
     m = client.query(scene, [[0, 1], [0, 2], [0, 3], [1, 2]], margin=0.02)
     recording = rerun.RecordingStream("hullcast-test")
@@ -57,7 +57,7 @@ def test_two_steps_of_a_pile(client, written, tmp_path):
     assert {path for path in written if "bodies" in path} == {"world/bodies/0", "world/bodies/2"}
     assert len(written["world/contacts/points_a"][0].positions) == 4
     written.clear()
-    m.log("world", pairs=[2], recording=recording)  # nothing touches: what was there is taken away
+    m.log("world", pairs=[2], recording=recording)  # no contact: the previous step is cleared
     assert all(not len(e.positions) for e in written["world/contacts/points_a"])
     recording.flush()
     done = subprocess.run(
@@ -71,7 +71,7 @@ def test_two_steps_of_a_pile(client, written, tmp_path):
 
 
 def test_colours_tell_the_sign():
-    """Red overlapping, blue apart, grey touching, each as strong as the largest; no points, none."""
+    """Overlapping points are red, distant blue, touching grey, relative to the largest distance."""
     red, grey, blue = colours(np.array([-0.02, 0, 0.02])).tolist()
     assert red[0] > 2 * red[2]
     assert blue[2] > 2 * blue[0]
@@ -80,7 +80,7 @@ def test_colours_tell_the_sign():
 
 
 def test_what_cannot_be_written_says_so(client, tmp_path):
-    """A loaded answer has no scene."""
+    """A loaded result has no scene to draw."""
     m = client.query(make_pile(client), [[0, 1]])
     m.save(tmp_path / "m.npz")
     with pytest.raises(hullcast.InvalidArgument, match="NO_SCENE"):
@@ -88,7 +88,7 @@ def test_what_cannot_be_written_says_so(client, tmp_path):
 
 
 def test_without_a_recording_the_user_is_told(client):
-    """Catches a log that goes nowhere in silence, because `rerun.init` was not called."""
+    """Catches a log that is silently lost because `rerun.init` was not called."""
     m = client.query(make_pile(client), [[0, 1]], margin=0.02)
     with pytest.raises(hullcast.InvalidArgument, match=r"NO_RECORDING.*rerun\.init"):
         m.log()

@@ -1,4 +1,4 @@
-"""Robots: a small one with closed forms, and real ones against yourdfpy's own kinematics."""
+"""Tests a small robot against closed forms, and real ones against yourdfpy's kinematics."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ SMALL = f"""
 
 
 def ell() -> trimesh.Trimesh:
-    """Two unit cubes' thirds of an L: volume 3, its hull's 3.5, in two convex pieces."""
+    """An L of three unit cubes: its volume is 3, its hull's 3.5, and it has two convex pieces."""
     parts = [
         trimesh.creation.box((2, 1, 1), trimesh.transformations.translation_matrix((0.5, 0, 0))),
         trimesh.creation.box((1, 1, 1), trimesh.transformations.translation_matrix((0, 1, 0))),
@@ -63,7 +63,7 @@ def ell() -> trimesh.Trimesh:
 
 @pytest.fixture
 def small(tmp_path) -> Path:
-    """The URDF's file, its mesh in the package that it names."""
+    """The URDF file, with its mesh in the package that it names."""
     (tmp_path / "small/urdf").mkdir(parents=True)
     ell().export(tmp_path / "small/ell.obj")
     path = tmp_path / "small/urdf/small.urdf"
@@ -72,18 +72,18 @@ def small(tmp_path) -> Path:
 
 
 def names(robot: hullcast.Robot, pairs: np.ndarray) -> set[tuple[str, str]]:
-    """Pairs of link names, each sorted."""
+    """The pairs as link names, each pair sorted."""
     return {tuple(sorted(robot.links[robot.body_links[i]] for i in pair)) for pair in pairs}
 
 
 def test_what_a_small_robot_is(small):
-    """Joints, limits, bodies of each link and which may meet, as the file says."""
+    """Joints, limits, bodies of each link and pairs that may meet are as in the file."""
     robot = hullcast.Robot(small, decompose=False)
     assert (robot.name, robot.joints) == ("small", ("turn", "lift", "slide"))
     assert robot.limits.tolist() == [[-np.inf, np.inf], [0.1, 2], [-1, 1]]
     of = [robot.links[i] for i in robot.body_links]
     assert of == ["base", "plate", "arm", "arm", "slider", "left", "right"]
-    # base, plate and right are one part; arm follows plate, whose hinge has no body.
+    # base, plate and right are one rigid part; arm follows plate, because the hinge has no body.
     assert names(robot, robot.pairs) == {
         ("base", "slider"),
         ("plate", "slider"),
@@ -92,7 +92,7 @@ def test_what_a_small_robot_is(small):
         ("left", "slider"),
     }
     assert repr(robot) == "Robot(small: 7 bodies of 6 links, 3 joints)"
-    # What `find` is told is the same.
+    # The groups for `find` describe the same pairs.
     ignored = {tuple(pair) for pair in robot.ignored_groups.tolist()}
     for i, j in itertools.combinations(range(len(robot)), 2):
         a, b = robot.groups[[i, j]].tolist()
@@ -100,7 +100,7 @@ def test_what_a_small_robot_is(small):
 
 
 def test_ignored_by_name(small, tmp_path):
-    """By argument and SRDF; a name that is no link is refused, except in the SRDF."""
+    """Links are ignored by argument and SRDF. An unknown link is refused, except in the SRDF."""
     (tmp_path / "small.srdf").write_text(
         '<robot name="small"><disable_collisions link1="slider" link2="left" reason="Never"/>'
         '<disable_collisions link1="gripper" link2="left"/></robot>'
@@ -118,7 +118,7 @@ def test_ignored_by_name(small, tmp_path):
 
 
 def test_where_joints_put_a_small_robot(small):
-    """Closed forms, of one configuration, several, by name; a base; a joint that follows."""
+    """Poses agree with closed forms: several configurations, names, a base, a mimic joint."""
     robot = hullcast.Robot(small, decompose=False)
     poses = robot.poses({"turn": 0.3, "lift": 0.7, "slide": -0.2})
     expected = Rotation.from_rotvec([0, 0, 0.8]) * Rotation.from_rotvec([0, 0.7, 0])
@@ -148,7 +148,7 @@ def test_where_joints_put_a_small_robot(small):
     ],
 )
 def test_joint_values_that_do_not_fit(small, joints, options, reason, field):
-    """Named."""
+    """Joint values or a base of wrong shape or name are refused with their argument."""
     robot = hullcast.Robot(small, decompose=False)
     with pytest.raises(hullcast.InvalidArgument) as caught:
         robot.poses(joints, **options)
@@ -167,7 +167,7 @@ def test_joint_values_that_do_not_fit(small, joints, options, reason, field):
     ],
 )
 def test_files_that_are_no_robots(small, old, new, reason):
-    """A loop, two roots, an unknown link or joint: said, not followed."""
+    """Loops, two roots, and unknown links or joints are refused rather than followed."""
     assert SMALL.count(old) == 1
     small.write_text(SMALL.replace(old, new))
     with pytest.raises(hullcast.InvalidArgument) as caught:
@@ -176,7 +176,10 @@ def test_files_that_are_no_robots(small, old, new, reason):
 
 
 def test_where_meshes_are_looked_for(small, tmp_path, monkeypatch):
-    """In the file's own folders, in `packages`, in ROS_PACKAGE_PATH; else the name is told."""
+    """Meshes are looked up near the file, in `packages` and in ROS_PACKAGE_PATH.
+
+    If a mesh is not found, the error has its name.
+    """
     (tmp_path / "elsewhere/small").mkdir(parents=True)
     (tmp_path / "small/ell.obj").rename(tmp_path / "elsewhere/small/ell.obj")
     with pytest.raises(FileNotFoundError, match=r"package://small/ell\.obj"):
@@ -189,7 +192,10 @@ def test_where_meshes_are_looked_for(small, tmp_path, monkeypatch):
 
 
 def test_a_link_that_is_not_convex(client, small, tmp_path, monkeypatch):
-    """Its pieces are bodies of its own group, kept; hulled only aloud."""
+    """The pieces of a link are bodies of one group, and are cached.
+
+    Without pieces there is a warning.
+    """
     coacd = pytest.importorskip("coacd")
     robot = hullcast.Robot(small, cache=tmp_path / "kept")
     assert [robot.links[i] for i in robot.body_links].count("left") == 2
@@ -200,7 +206,7 @@ def test_a_link_that_is_not_convex(client, small, tmp_path, monkeypatch):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         hulls = client.register(robot.shapes)
-    # A cube in the L's dent, which the hull would touch.
+    # A cube in the dent of the L, which the L's hull would touch.
     cube = np.array(list(itertools.product((1.3, 2.1), (1.3, 2.1), (-0.4, 0.4))))
     scene = hullcast.Scene(
         [*client.register([cube]), *hulls[5:7]], np.zeros((3, 3)), [[0, 0, 0, 1]] * 3
@@ -220,7 +226,7 @@ def test_a_link_that_is_not_convex(client, small, tmp_path, monkeypatch):
 @real
 @pytest.mark.parametrize("urdf", [PANDA, UR5], ids=["panda", "ur5"])
 def test_real_robots_are_where_yourdfpy_puts_them(urdf):
-    """All links' frames at random configurations, within and beyond their limits."""
+    """All links' frames agree at random configurations, inside and outside the joints' limits."""
     other = yourdfpy.URDF.load(str(urdf), load_meshes=False)
     robot = hullcast.Robot(urdf, decompose=False)
     assert list(robot.joints) == other.actuated_joint_names
@@ -233,7 +239,7 @@ def test_real_robots_are_where_yourdfpy_puts_them(urdf):
 
 @real
 def test_found_among_its_pairs(client, small):
-    """A scene of the robot tells `find` which bodies may meet, and keeps copies apart."""
+    """`find` on a robot's scene considers only bodies that may meet, and keeps copies apart."""
     robot = hullcast.Robot(small, decompose=False)
     with pytest.warns(hullcast.NotConvexWarning):
         hulls = client.register(robot.shapes)
@@ -248,7 +254,7 @@ def test_found_among_its_pairs(client, small):
 
 
 def test_five_lines_to_a_pandas_contacts(client):
-    """Its fingers closed to 0, and the forearm against the hand; copies in worlds of their own."""
+    """The Panda: its fingers touch at 0, and copies in separate worlds give the same numbers."""
     robot = hullcast.Robot(PANDA)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -266,7 +272,7 @@ def test_five_lines_to_a_pandas_contacts(client):
         alone = client.query(robot.scene(hulls, values[i]), robot.pairs, margin=0.005)
         among = client.query(copies, robot.pairs + i * len(robot), margin=0.005)
         assert alone.separation.tobytes() == among.separation.tobytes()
-    # The fingers open by twice the joint's value.
+    # The gap between the fingers is twice the joint's value.
     fingers = [i for i, pair in enumerate(robot.pairs) if names(robot, [pair]) == touching.copy()]
     gaps = [
         client.query(
@@ -279,7 +285,7 @@ def test_five_lines_to_a_pandas_contacts(client):
 
 @real
 def test_a_ur5_in_pieces(client):
-    """What its links enclose is what their pieces enclose together, to the threshold."""
+    """The pieces of each UR5 link together cover the link, to within the threshold."""
     pytest.importorskip("coacd")
     robot = hullcast.Robot(UR5, threshold=0.1)
     whole = hullcast.Robot(UR5, decompose=False)
@@ -304,11 +310,11 @@ def test_a_ur5_in_pieces(client):
     m = client.query(scene, robot.pairs, margin=0.001)
     assert len(m) > 400
     assert (m.outcome == Outcome.SEPARATED).all()
-    # Folded upon itself, the wrist is in the upper arm.
+    # If the arm is folded upon itself, the wrist is inside the upper arm.
     folded = client.query(robot.scene(hulls, {"elbow_joint": 3.1}), robot.pairs)
     assert (folded.outcome == Outcome.CONTACT).any()
 
 
 def _depth(hull: ConvexHull, points: np.ndarray) -> np.ndarray:
-    """How far outside each point is, by the worst plane; negative inside."""
+    """How far each point is outside a hull, by its worst plane; negative inside."""
     return (points @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1)

@@ -1,7 +1,7 @@
-"""Servers that share a bucket, over S3's protocol as moto and s3s-fs speak it, through a proxy that
-is slow, throttles, fails and is out.
+"""Servers that share a bucket, over S3's protocol as moto and s3s-fs implement it.
 
-Needs a server built with the feature `s3`, and s3s-fs (`make test-s3`).
+A proxy between the servers and the bucket adds latency, throttling, failures and outages. Needs a
+server built with the feature `s3`, and s3s-fs (`make test-s3`).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ ENVIRONMENT = {
 
 
 class Proxy(ThreadingHTTPServer):
-    """Before the bucket's server; `fault` may answer a request itself or end it, and counts each."""
+    """A proxy before the bucket's server. `fault` may answer or cut a request; all are counted."""
 
     daemon_threads = True
 
@@ -57,7 +57,7 @@ class Proxy(ThreadingHTTPServer):
         self.counts.clear()
 
     def handle_error(self, *_: object) -> None:
-        """A connection that a fault cut is meant to be."""
+        """Ignores errors, because faults cut connections on purpose."""
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -88,10 +88,10 @@ class Handler(BaseHTTPRequestHandler):
     do_GET = do_PUT = do_HEAD = do_DELETE = do_POST = handle_any
 
     def log_message(self, *_: object) -> None:
-        """Quiet."""
+        """Logs nothing."""
 
     def answer(self, status: int, code: str) -> bool:
-        """S3's form of an error."""
+        """Responds with an error in S3's form."""
         body = b"" if self.command == "HEAD" else f"<Error><Code>{code}</Code></Error>".encode()
         self.send_response(status)
         self.send_header("content-type", "application/xml")
@@ -101,13 +101,13 @@ class Handler(BaseHTTPRequestHandler):
         return True
 
     def cut(self) -> bool:
-        """No answer at all."""
+        """Cuts the connection without a response."""
         self.close_connection = True
         self.connection.shutdown(2)
         return True
 
 
-# Every way in which the store can be out, other than that it says so of an object.
+# Every kind of outage of the store, except that it reports an object as missing.
 OUTAGES: dict[str, Callable[[Handler], bool]] = {
     "cut": Handler.cut,
     "internal": lambda handler: handler.answer(500, "InternalError"),
@@ -120,7 +120,7 @@ OUTAGES: dict[str, Callable[[Handler], bool]] = {
 
 @contextmanager
 def moto(_: Path) -> Iterator[int]:
-    """In this process, in memory; looks at no signature."""
+    """moto in this process, with its data in memory. It checks no signatures."""
     server = moto_server.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
     _, port = server.get_host_and_port()
@@ -139,7 +139,7 @@ def moto(_: Path) -> Iterator[int]:
 
 @contextmanager
 def s3s_fs(folder: Path) -> Iterator[int]:
-    """A process of its own, on a directory; checks every signature."""
+    """s3s-fs in a process of its own, on a directory. It checks every signature."""
     binary = shutil.which("s3s-fs")
     if binary is None:
         pytest.skip("s3s-fs is not installed: make test-s3 does it")
@@ -166,7 +166,7 @@ def s3s_fs(folder: Path) -> Iterator[int]:
 def proxy(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Proxy]:
-    """Before each of the two."""
+    """A proxy before each of the two S3 servers."""
     with request.param(tmp_path_factory.mktemp("s3")) as port:
         proxy = Proxy(port)
         threading.Thread(target=proxy.serve_forever, daemon=True).start()
@@ -180,7 +180,7 @@ def healthy(proxy: Proxy) -> None:
 
 
 class Replica:
-    """A server on the bucket, and bare calls to it: the client would register again what is missing."""
+    """A server on the bucket, with plain gRPC calls: the client would register missing hulls."""
 
     def __init__(self, target: str) -> None:
         self.channel = grpc.insecure_channel(target, options=[("grpc.enable_http_proxy", 0)])
@@ -198,7 +198,7 @@ class Replica:
         return [result.hull.id for result in response.results]
 
     def query(self, ids: list[bytes]) -> contacts_pb2.QueryContactsResponse:
-        """Each hull against itself, where it is."""
+        """Queries each hull against itself at the origin."""
         bodies = range(len(ids))
         request = contacts_pb2.QueryContactsRequest(
             hull_ids=ids,
@@ -250,8 +250,11 @@ def all_in_contact(answer: contacts_pb2.QueryContactsResponse, count: int) -> bo
 
 
 def test_replicas_share_the_bucket(proxy: Proxy, tmp_path: Path):
-    """What one acknowledged another answers for, one started later too; what one deleted the others
-    stop answering for within their cache age; an absence is not remembered."""
+    """Replicas see each other's hulls, including replicas that start later.
+
+    If one replica deletes a hull, the others stop using it within their cache age. A missing hull
+    is not remembered as missing.
+    """
     with replicas(proxy, 2, tmp_path) as (first, second):
         shapes = clouds(12, 1)
         expected = [hullcast.hull_id(shape) for shape in shapes]
@@ -272,7 +275,7 @@ def test_replicas_share_the_bucket(proxy: Proxy, tmp_path: Path):
 
 
 class Slow:
-    """A fault: every request takes longer. How many were under way at once at most."""
+    """A fault that delays every request, and measures how many are in flight at most."""
 
     def __init__(self, proxy: Proxy) -> None:
         self.proxy = proxy
@@ -289,8 +292,10 @@ class Slow:
 
 
 def test_a_hull_is_fetched_once_however_many_ask(proxy: Proxy, tmp_path: Path):
-    """Under latency the misses of a request are fetched side by side, 16 at a time, and one hull's
-    once for all who ask."""
+    """Under latency, missing hulls are fetched in parallel, at most 16 at a time.
+
+    A hull that several requests need at the same time is fetched only once.
+    """
     with replicas(proxy, 3, tmp_path) as (first, second, third):
         ids = first.register(clouds(48, 2))
         proxy.fault = slow = Slow(proxy)
@@ -306,8 +311,7 @@ def test_a_hull_is_fetched_once_however_many_ask(proxy: Proxy, tmp_path: Path):
 
 
 def test_passing_faults_are_not_seen(proxy: Proxy, tmp_path: Path):
-    """Every third request is throttled, fails or is cut, before or after it was done: all hulls are
-    acknowledged, and all are there."""
+    """Every third request is throttled, fails or is cut; all hulls are stored nevertheless."""
     with replicas(proxy, 2, tmp_path) as (first, second):
         faults = [OUTAGES["throttled"], OUTAGES["internal"], OUTAGES["cut"]]
         seen = Counter()
@@ -330,8 +334,11 @@ def test_passing_faults_are_not_seen(proxy: Proxy, tmp_path: Path):
 
 @pytest.mark.parametrize("outage", OUTAGES)
 def test_an_outage_is_no_unknown_hull(proxy: Proxy, tmp_path: Path, outage: str):
-    """A store that is out is said to be; what is cached is answered for meanwhile within its age, and
-    everything again when the store is back, without a restart."""
+    """A store's outage is reported as such, not as an unknown hull.
+
+    During the outage a replica uses its cached hulls within their cache age. After it, everything
+    works again without a restart.
+    """
     with replicas(proxy, 2, tmp_path) as (first, second):
         ids = first.register(clouds(3, 4))
         proxy.fault = OUTAGES[outage]
@@ -343,7 +350,7 @@ def test_an_outage_is_no_unknown_hull(proxy: Proxy, tmp_path: Path, outage: str)
             second.register(clouds(1, 5))
         assert refused.value.code() == grpc.StatusCode.UNAVAILABLE
         assert "STORE_UNAVAILABLE" in refused.value.details()
-        time.sleep(1.2)  # past the cache's age: what the first has is checked, and cannot be
+        time.sleep(1.2)  # longer than the cache age: the cached hulls cannot be checked now
         assert first.query(ids).flags == bytes([UNAVAILABLE]) * 3
         proxy.fault = lambda _: False
         assert all_in_contact(second.query(ids), 3)
@@ -351,7 +358,7 @@ def test_an_outage_is_no_unknown_hull(proxy: Proxy, tmp_path: Path, outage: str)
 
 
 def test_bytes_that_are_not_the_hull_are_not_answered_with(proxy: Proxy, tmp_path: Path):
-    """The id is checked against what came: a store that mixes objects up gives no wrong contact."""
+    """The server checks bytes against the hull's id, and so notices a store that mixes objects."""
     with replicas(proxy, 2, tmp_path) as (first, second):
         ids = first.register(clouds(2, 6))
         paths = [f"/{BUCKET}/{tmp_path.name}/{i.hex()[:2]}/{i.hex()}" for i in ids]

@@ -1,4 +1,4 @@
-"""docs/grpcurl.md, command by command, where the two tools are there."""
+"""Runs the commands of docs/grpcurl.md, if grpcurl and ghz are installed."""
 
 from __future__ import annotations
 
@@ -20,19 +20,22 @@ pytestmark = pytest.mark.skipif(
 
 
 def runs(page: str) -> list[tuple[str, str]]:
-    """Each command of the page, and what it shows of the output."""
+    """Each command of the page, and the output that the page shows."""
     blocks = re.findall(r"```console\n\$ (.*)\n([^`]*)```", page)
     return [(command, shown) for command, shown in blocks]
 
 
 def said(output: str) -> list[str]:
-    """Without its white space, which the tools vary."""
+    """The output split at white space, because the tools vary it."""
     return output.split()
 
 
 def test_the_page_is_what_comes(client: hullcast.Client):
-    """Reflection alone is enough for both tools, and the page shows what they print. Of ghz, whose
-    output is times, that every call was answered. HULLCAST_WRITE_PAGE writes what came instead."""
+    """Reflection is enough for both tools, and the page shows what they print.
+
+    ghz prints times, so it is only checked that every call was answered. With HULLCAST_WRITE_PAGE
+    set, the outputs are written to the page instead.
+    """
     environment = os.environ | {"ADDRESS": client.target}
     text = PAGE.read_text()
     seen = 0

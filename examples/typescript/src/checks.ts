@@ -23,7 +23,7 @@ export function identities(root: string): number {
   return vectors.length;
 }
 
-/** Every case with either solver. */
+/** Queries every case with both solvers. */
 export async function answers(client: Client, cases: Case[]): Promise<number> {
   let count = 0;
   for (const golden of cases) {
@@ -40,7 +40,7 @@ export async function answers(client: Client, cases: Case[]): Promise<number> {
   return count;
 }
 
-/** The call has to fail, and to say of itself what is wanted. */
+/** Asserts that the call fails, with this code, reason and field. */
 async function refused(call: Promise<unknown>, wanted: string): Promise<void> {
   const said = await call.then(() => "no error", refusal);
   assert.equal(said.trim(), wanted);
@@ -52,13 +52,13 @@ export async function errors(client: Client, golden: Case): Promise<number> {
   const short = { ...requestOf(golden), rotations: [0, 0, 0, 1, 0, 0, 0] };
   await refused(client.query(short), "INVALID_ARGUMENT hullcast/LENGTH_MISMATCH rotations");
   await refused(client.stream([{ inherit: true }]), "INVALID_ARGUMENT hullcast/NOTHING_TO_INHERIT inherit");
-  // One bad hull does not sink the other.
+  // One invalid hull does not affect the other.
   const flat = { vertices: [0, 0, 0, 1, 0, 0, 0, 1, 0, 1, 1, 0] };
   const { results } = await client.registerHulls({ hulls: [flat, hullOf(golden.a)] });
   assert.equal(results[0]!.error?.reason, "COPLANAR");
   assert.equal(results[0]!.error?.field, "vertices");
   assert.ok(results[1]!.hull);
-  // Nor does an unknown hull sink the pairs that are not its own.
+  // Nor does an unknown hull affect the pairs of other hulls.
   const known = requestOf(golden);
   const unknown = {
     ...known,
@@ -75,7 +75,10 @@ export async function errors(client: Client, golden: Case): Promise<number> {
   return 5;
 }
 
-/** Poses alone after a stream's first message: each answer is that of the request in full, warm from the bases before. */
+/**
+ * Sends only poses after a stream's first message. Each answer must equal that of the full request
+ * with the previous bases as warm starts.
+ */
 export async function steps(client: Client, golden: Case): Promise<number> {
   const full: Request = requestOf(golden);
   full.outputs = [...full.outputs!, "OUTPUT_BASES"];
@@ -93,7 +96,7 @@ export async function steps(client: Client, golden: Case): Promise<number> {
   return answers.length;
 }
 
-/** A request that takes many times its deadline. */
+/** Sends a request that takes many times its deadline. */
 export async function deadlines(client: Client, golden: Case): Promise<number> {
   const pairs = Array.from({ length: 2 * 131072 }, (_, i) => i % 2);
   const call = client.query({ ...requestOf(golden), pairs }, { deadline: Date.now() + 1 });
@@ -102,8 +105,8 @@ export async function deadlines(client: Client, golden: Case): Promise<number> {
 }
 
 /**
- * A server with TLS and tokens: its authority has to be trusted, a token sent, and the token's
- * role has to allow the call.
+ * Calls a server with TLS and tokens. The client must trust its authority and send a token, and the
+ * token's role must allow the call.
  */
 export async function secured(args: string[], golden: Case): Promise<number> {
   const [target, authority, registers, queries] = args;

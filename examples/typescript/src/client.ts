@@ -14,7 +14,7 @@ import type { RegisterHullsResponse__Output } from "./generated/hullcast/v1/Regi
 import { type Hull, hullId } from "./identity.js";
 
 const directory = (path: string) => fileURLToPath(new URL(path, import.meta.url));
-// The options that the types were generated with (package.json).
+// These options must match those with which the types were generated (package.json).
 const definitions = loadSync(
   ["hullcast/v1/hulls.proto", "hullcast/v1/contacts.proto", "google/rpc/details.proto"],
   { includeDirs: ["../../../proto", "../../proto"].map(directory), longs: Number, defaults: true, oneofs: true },
@@ -23,10 +23,10 @@ const contract = grpc.loadPackageDefinition(definitions) as unknown as Hulls & C
 const { v1 } = contract.hullcast;
 const { rpc } = contract.google;
 
-/** What the server takes and gives by default; gRPC's own default is 4 MiB. */
+/** The server's default message limit in both directions. gRPC's own default is 4 MiB. */
 const MAX_MESSAGE_BYTES = 64 << 20;
 
-/** The two services that matter. */
+/** The hull service and the contact service. */
 export class Client {
   readonly #hulls;
   readonly #contacts;
@@ -49,7 +49,7 @@ export class Client {
     return promised((callback) => this.#hulls.registerHulls(request, callback));
   }
 
-  /** The ids, after comparing them with those computed here. */
+  /** Registers hulls and returns their ids, after comparing them with those computed here. */
   async register(...hulls: Hull[]): Promise<Buffer[]> {
     const { results } = await this.registerHulls({ hulls });
     return results.map((result, i) => {
@@ -63,7 +63,7 @@ export class Client {
     return promised((callback) => this.#contacts.queryContacts(request, options, callback));
   }
 
-  /** Sends each request after the answer to the one before. */
+  /** Sends each request after the answer to the previous one. */
   async stream(requests: QueryContactsRequest[]): Promise<Answer[]> {
     const call = this.#contacts.streamContacts();
     const received: AsyncIterator<Answer> = call[Symbol.asyncIterator]();
@@ -84,7 +84,7 @@ function promised<T>(call: (callback: grpc.requestCallback<T>) => void): Promise
   return new Promise((resolve, reject) => call((error, value) => (error ? reject(error) : resolve(value!))));
 }
 
-/** What an error says of itself: code, reason, and the field at fault. */
+/** Describes an error by its code, reason and field. */
 export function refusal(error: unknown): string {
   const { code, metadata } = error as grpc.ServiceError;
   let [reason, field] = ["", ""];

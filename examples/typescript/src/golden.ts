@@ -9,7 +9,7 @@ import type { QueryContactsResponse__Output } from "./generated/hullcast/v1/Quer
 import { type Hull, hullId } from "./identity.js";
 import { add, distanceToPolygon, dot, inverse, minus, norm, type Quaternion, rotate, times, type Vector } from "./vector.js";
 
-/** A hull at its pose. */
+/** A hull at a pose. */
 interface Side {
   vertices: Vector[];
   contraction_point: Vector;
@@ -17,7 +17,7 @@ interface Side {
   rotation: Quaternion;
 }
 
-/** One of tests/golden/contacts.json, which tests/golden/README.md describes. */
+/** A case of tests/golden/contacts.json, which tests/golden/README.md describes. */
 export interface Case {
   name: string;
   a: Side;
@@ -59,7 +59,7 @@ export const hullOf = (side: Side): Hull => ({
   contractionPoint: side.contraction_point,
 });
 
-/** The case's scene and its one pair. A type with every column, so that checks can edit it. */
+/** The columns of a request that checks edit; in `Request` they are always present. */
 interface Columns {
   hullIds: Buffer[];
   bodyHulls: number[];
@@ -83,7 +83,7 @@ export function requestOf(golden: Case): Request {
   };
 }
 
-/** Largest n . (v - contraction point), n in the world. */
+/** The largest n . (v - contraction point) over the vertices v; n is in the world frame. */
 function support(side: Side, n: Vector): number {
   const local = rotate(inverse(side.rotation), n);
   return Math.max(...side.vertices.map((v) => dot(local, minus(v, side.contraction_point))));
@@ -92,13 +92,13 @@ function support(side: Side, n: Vector): number {
 const within = (what: string, difference: number, budget: number) =>
   assert.ok(Math.abs(difference) <= budget, `${what} is off by ${difference}, allowed is ${budget}`);
 
-/** Holds the answer of the case's one pair against the exact one. */
+/** Compares the answer for the case's one pair with the exact one. */
 export function check(golden: Case, answer: QueryContactsResponse__Output): void {
   assert.equal(answer.outcomes[0], Outcome[`OUTCOME_${golden.outcome}`]);
   const [alpha, lower, upper] = [answer.alphas[0]!, answer.alphaLowers[0]!, answer.alphaUppers[0]!];
   assert.ok(lower <= golden.alpha_below && upper >= golden.alpha_above, `alpha is not in [${lower}, ${upper}]`);
   if (golden.outcome === "SEPARATED") return;
-  // Twice the budgets: this side is rounded too.
+  // Twice the budgets, because the numbers computed here are rounded too.
   within("alpha", alpha - golden.alpha_below, 2 * golden.alpha_budget);
   const { a, b } = golden;
   const n = answer.normals as Vector;

@@ -1,16 +1,16 @@
 import { createHash } from "node:crypto";
 
-/** A cloud of points to register, three numbers a point, in the hull's own frame. */
+/** A cloud of points to register: three numbers per point, in the hull's own frame. */
 export interface Hull {
   vertices: number[];
-  /** Absent: the centre of mass; else three numbers. */
+  /** Three numbers; or absent for the centre of mass. */
   contractionPoint?: number[];
   simplification?: { maxVertices?: number; maxDeviation?: number };
-  /** Absent: the server's 1e-6. */
+  /** If absent, the server uses 1e-6. */
   planarity?: number;
 }
 
-/** The byte string of docs/identity.md. */
+/** The byte string that docs/identity.md defines. */
 export function identityBytes(hull: Hull): Buffer {
   const { vertices, contractionPoint: point, simplification, planarity } = hull;
   const bytes = Buffer.alloc(40 + 8 * ((point?.length ?? 0) + vertices.length));
@@ -34,7 +34,7 @@ export function identityBytes(hull: Hull): Buffer {
   return bytes.subarray(0, at);
 }
 
-/** Names the hull on every server. */
+/** The hull's id on every server: 32 bytes. */
 export function hullId(hull: Hull): Buffer {
   return createHash("sha256").update(identityBytes(hull)).digest();
 }

@@ -1,5 +1,5 @@
 export type Vector = [number, number, number];
-/** x, y, z, w. */
+/** In the order x, y, z, w. */
 export type Quaternion = [number, number, number, number];
 
 export const add = (a: Vector, b: Vector): Vector => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
@@ -22,7 +22,7 @@ export function rotate([x, y, z, w]: Quaternion, v: Vector): Vector {
 
 export const inverse = ([x, y, z, w]: Quaternion): Quaternion => [-x, -y, -z, w];
 
-/** From a point to a convex polygon in space. */
+/** The distance from a point to a convex polygon in space. */
 export function distanceToPolygon(p: Vector, corners: Vector[]): number {
   const first = corners[0]!;
   const sides = corners.map((start, i) => ({ start, side: minus(corners[(i + 1) % corners.length]!, start) }));

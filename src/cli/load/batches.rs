@@ -1,4 +1,4 @@
-//! The batches of a load run, and the answers that the library gives to them.
+//! The batches of a load run, and the library's answers to them.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -16,32 +16,32 @@ use hullcast::service::wire::{self, Columns, Invalid};
 use hullcast::store::HullId;
 use hullcast::workload::{Family, Regime, Workload};
 
-/// Of generated batches: hulls are some 0.3 to 1 in size.
+/// Margin of generated batches, whose hulls have a size of about 0.3 to 1.
 const GENERATED_MARGIN: f64 = 0.005;
 
-/// Scenes to ask about, all of the same hulls.
+/// Scenes to query, all with the same hulls.
 #[derive(Clone, Debug)]
 pub(crate) struct Batches {
     title: String,
-    /// One a batch or, of a scene file, one with a frame a batch.
+    /// One scene per batch; or a single one from a scene file, with one frame per batch.
     scenes: Vec<Scene>,
 }
 
-/// Requests, and what has to be answered to them.
+/// Requests, and the answers that they must get.
 #[derive(Debug)]
 pub(crate) struct Sampled {
     requests: Vec<proto::QueryContactsRequest>,
-    /// Encoded, one a request; none where nothing is checked.
+    /// The encoded answers, one per request; empty if nothing is checked.
     expected: Vec<Vec<u8>>,
-    /// One answer in so many is checked; 0: none.
+    /// One answer in this many is checked; 0: none.
     verify: u64,
 }
 
 impl Batches {
-    /// The configurations of a scene file, its pairs repeated up to `pairs`.
+    /// Batches of the configurations of a scene file. Its pairs are repeated to a number of `pairs`.
     ///
     /// # Errors
-    /// The scene is faulty or asks about no pair.
+    /// The scene is not valid, or has no pairs.
     pub(crate) fn of_scene(path: &Path, pairs: Option<u32>) -> Result<Self, Error> {
         let mut scene = Scene::read(path).map_err(|e| format!("{}: {e}", path.display()))?;
         if scene.pairs.is_empty() {
@@ -52,10 +52,10 @@ impl Batches {
         Ok(Self { title: format!("{}, {count} pairs a batch", scene.name), scenes: vec![scene] })
     }
 
-    /// `count` batches of `pairs` pairs of a generated workload, each body used once.
+    /// `count` batches of `pairs` pairs from a generated workload, where each body is in one pair.
     ///
     /// # Errors
-    /// None is expected.
+    /// No error is expected.
     pub(crate) fn generated(
         family: Family,
         regime: Regime,
@@ -92,25 +92,25 @@ impl Batches {
         Ok(Self { title: format!("{name}, {pairs} pairs a batch"), scenes })
     }
 
-    /// For people.
+    /// Title for display.
     pub(crate) fn title(&self) -> &str {
         &self.title
     }
 
-    /// Of every batch.
+    /// The hulls of every batch.
     pub(crate) fn hulls(&self) -> &[HullPoints] {
         self.scenes.first().map_or(&[], |s| &s.hulls)
     }
 
-    /// Of the scene, or for the generated ones.
+    /// The margin of the scene, or that of generated batches.
     pub(crate) fn margin(&self) -> f64 {
         self.scenes.first().map_or(GENERATED_MARGIN, |s| s.margin)
     }
 
-    /// The requests, and where answers are checked, the library's own.
+    /// The requests. If answers are checked, also the library's own answers.
     ///
     /// # Errors
-    /// What is asked is refused.
+    /// The library refuses a request.
     pub(crate) fn prepare(&self, ids: &[HullId], asked: &Asked, verify: u64) -> Result<Sampled, Error> {
         let requests: Vec<_> = self
             .scenes
@@ -129,24 +129,24 @@ impl Batches {
 }
 
 impl Sampled {
-    /// Batch `number`; they come round.
+    /// The request of batch `number`. Requests repeat in a cycle.
     pub(crate) fn request(&self, number: u64) -> proto::QueryContactsRequest {
         self.requests[number as usize % self.requests.len()].clone()
     }
 
-    /// Whether the answer to batch `number` is the library's, to the bit; none
-    /// where this one is not checked.
+    /// Whether the answer to batch `number` is the library's, to the bit; none if this answer is not
+    /// checked.
     pub(crate) fn check(&self, number: u64, response: &proto::QueryContactsResponse) -> Option<bool> {
         if self.verify == 0 || !number.is_multiple_of(self.verify) {
             return None;
         }
         let expected = &self.expected[number as usize % self.expected.len()];
-        // As bytes, so that NaN equals NaN and 0.0 does not equal -0.0.
+        // Compared as bytes, so that NaN equals NaN and 0.0 does not equal -0.0.
         Some(*expected == response.encode_to_vec())
     }
 }
 
-/// The library, called a pair at a time on one thread.
+/// The library, called for one pair at a time on one thread.
 struct Oracle {
     hulls: HashMap<HullId, ConvexHull>,
 }
@@ -195,7 +195,7 @@ mod tests {
     use crate::cli::answer::Answerer;
     use crate::cli::options::{AccuracyArgs, OutputArg};
 
-    /// Catches a check that would pass an answer with one wrong bit, or checks nothing.
+    /// Catches a check that passes an answer with one wrong bit, or checks nothing.
     #[tokio::test]
     async fn one_wrong_bit_is_found() {
         let batches = Batches::generated(Family::Poly16, Regime::Resting, 20, 2, 1).unwrap();

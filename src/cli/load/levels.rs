@@ -1,4 +1,4 @@
-//! How much load: ranges of it, or a search for the most that is answered in time.
+//! The levels of load to measure: a range, or a search for the highest that is answered in time.
 
 use std::str::FromStr;
 
@@ -11,7 +11,7 @@ pub(crate) struct Range {
 }
 
 impl Range {
-    /// One level.
+    /// A range of a single level.
     pub(crate) fn one(value: u32) -> Self {
         Self { start: value.into(), end: value.into(), step: 1.0 }
     }
@@ -38,14 +38,14 @@ impl FromStr for Range {
 /// The load of one measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Level {
-    /// Batches under way at once; the next is sent when one is answered.
+    /// Batches in flight at once: the next is sent when one is answered.
     Concurrency(u32),
-    /// Batches a second, sent whether or not earlier ones are answered.
+    /// Batches per second, sent whether or not earlier ones are answered.
     Rate(f64),
 }
 
 impl Level {
-    /// For tables.
+    /// The number for tables.
     pub(crate) fn value(self) -> f64 {
         match self {
             Self::Concurrency(count) => f64::from(count),
@@ -53,7 +53,7 @@ impl Level {
         }
     }
 
-    /// For tables.
+    /// The name for tables.
     pub(crate) fn kind(self) -> &'static str {
         match self {
             Self::Concurrency(_) => "concurrency",
@@ -62,14 +62,14 @@ impl Level {
     }
 }
 
-/// Which levels to measure, in turn: each may depend on how the one before went.
+/// The levels to measure, in order. Each may depend on the result of the previous one.
 #[derive(Clone, Debug)]
 pub(crate) enum Plan {
-    /// Each of a range, up to the first that is too slow.
+    /// The levels of a range, up to the first that is too slow.
     Sweep { make: fn(f64) -> Level, range: Range, next: f64 },
-    /// Between the best that was in time and the least that was not.
+    /// A search between the highest level that was in time and the lowest that was not.
     Search { make: fn(f64) -> Level, step: f64, good: f64, bad: f64, first: bool },
-    /// No more.
+    /// No more levels.
     Done,
 }
 
@@ -95,11 +95,11 @@ impl Plan {
         }
     }
 
-    /// The level that was measured was in time, or not.
+    /// Records whether the level that was measured was in time.
     pub(crate) fn went(&mut self, level: Level, in_time: bool) {
         match self {
             Self::Sweep { range, next, .. } if in_time => *next += range.step,
-            // Less load cannot be searched for.
+            // If the first level is too slow, the search ends: there is no lower one.
             Self::Search { first, .. } if *first && in_time => *first = false,
             Self::Search { good, first: false, .. } if in_time => *good = level.value(),
             Self::Search { bad, step, first: false, .. } => *bad = level.value() - *step,
@@ -139,7 +139,7 @@ mod tests {
         }
     }
 
-    /// Catches a search that ends beside the answer, measures a level twice, or never ends.
+    /// Catches a search that ends next to the answer, measures a level twice, or never ends.
     #[test]
     fn searches_find_the_most_that_is_in_time() {
         for limit in 10..=200 {

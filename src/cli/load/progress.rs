@@ -1,4 +1,4 @@
-//! How a run goes, while it goes.
+//! Shows the progress of a run.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// How often the progress line is renewed.
+/// Time between updates of the progress line.
 const REFRESH: Duration = Duration::from_millis(200);
-/// What the progress line shows.
+/// The counts that the progress line shows.
 #[derive(Debug, Default)]
 pub(super) struct Live {
     /// Batches begun.
@@ -18,7 +18,7 @@ pub(super) struct Live {
     pub(super) last_nanos: AtomicU64,
 }
 
-/// A line on standard error, where that is a terminal.
+/// Shows a progress line on standard error, if that is a terminal.
 pub(super) async fn show_progress(live: Arc<Live>, started: Instant, limit: Duration) {
     let bar = ProgressBar::new(limit.as_millis().max(1) as u64);
     if let Ok(style) = ProgressStyle::with_template("{wide_bar} {msg}") {

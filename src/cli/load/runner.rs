@@ -15,12 +15,13 @@ use crate::cli::Error;
 use crate::cli::answer::{Answerer, Refusal};
 use hullcast::workload::Random;
 
-/// After a call that failed, so that a server that is gone is not called in a tight loop;
-/// twice as long each time, so that `--retries 10` last longer than a balancer needs to see it.
+/// Pause after a failed call, so that a lost server is not called in a tight loop. The pause doubles
+/// each time, so that `--retries 10` lasts longer than a load balancer needs to notice the loss.
 const PAUSE_AFTER_ERROR: Duration = Duration::from_millis(20);
 /// The longest of those pauses.
 const LONGEST_PAUSE: Duration = Duration::from_secs(2);
-/// Batches of an open loop that may be under way: past them it waits, and what waits is late.
+/// Largest number of batches in flight in an open loop. At this number it waits, and later batches
+/// are late.
 const MOST_UNDER_WAY: usize = 16_384;
 
 /// Measures levels.
@@ -33,7 +34,7 @@ pub(super) struct Runner {
 }
 
 impl Runner {
-    /// One level, and how long it took to be answered.
+    /// Measures one level. Returns its counts, and the time until all batches were answered.
     pub(super) async fn measure(&self, level: Level) -> Result<(Tally, Duration), Error> {
         let live = Arc::new(Live::default());
         let started = Instant::now();
@@ -45,7 +46,7 @@ impl Runner {
         };
         let elapsed = started.elapsed();
         progress.abort();
-        // Aborted or done: either way the line is gone before the summary comes.
+        // The task has been aborted or has ended. Either way the line is gone before the summary.
         let _ = progress.await;
         Ok((tally?, elapsed))
     }
@@ -109,7 +110,8 @@ impl Runner {
     async fn batch(&self, number: u64, due: Instant, live: &Live, tally: &mut Tally) -> Result<(), String> {
         tally.sent();
         for attempt in 0..=self.args.retries {
-            // The servers take turns. Again at the next one: the one that was lost may be for long.
+            // The servers take turns. A repeated batch goes to the next server, because the lost one
+            // may stay lost.
             let answerer = &self.answerers[(number as usize + attempt as usize) % self.answerers.len()];
             match answerer.answer(self.sampled.request(number)).await {
                 Ok(response) => {
@@ -125,7 +127,7 @@ impl Runner {
                 }
                 Err(Refusal { retry_after: Some(pause), .. }) => {
                     tally.shed();
-                    // A closed loop waits before its next batch, too: it was asked to.
+                    // The server asked for a pause, so a closed loop waits before its next batch, too.
                     let closed = self.args.request_rate_range.is_none();
                     if closed || attempt < self.args.retries {
                         tokio::time::sleep(pause).await;
@@ -147,7 +149,7 @@ impl Runner {
     }
 }
 
-/// All counts together.
+/// The sum of all counts.
 async fn added(mut running: JoinSet<Result<Tally, String>>) -> Result<Tally, Error> {
     let mut tally = Tally::default();
     while let Some(done) = running.join_next().await {
@@ -156,9 +158,9 @@ async fn added(mut running: JoinSet<Result<Tally, String>>) -> Result<Tally, Err
     Ok(tally)
 }
 
-/// Exponentially distributed, of mean 1.
+/// An exponentially distributed number with mean 1.
 fn exponential(random: &mut Random) -> f64 {
-    // Of (0, 1]: the logarithm is finite.
+    // The argument is in (0, 1], so the logarithm is finite.
     -(1.0 - random.unit()).ln()
 }
 
@@ -166,8 +168,8 @@ fn exponential(random: &mut Random) -> f64 {
 mod tests {
     use super::*;
 
-    /// Catches intervals that are not those of independent clients: their mean is 1, their
-    /// variance too, and one in e is above the mean.
+    /// The mean of the intervals must be 1, and so must their variance; one in e must be above the mean.
+    /// Catches intervals that are not those of independent clients.
     #[test]
     fn poisson_intervals_are_exponential() {
         let mut random = Random::new(1);

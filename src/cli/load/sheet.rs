@@ -1,20 +1,20 @@
-//! What a run measured, level by level: a table, a CSV file and a picture.
+//! The results of a run, level by level: a table, a CSV file and a picture.
 
 use std::fmt::Write;
 
 use super::levels::Level;
 
-/// One level, measured.
+/// The results of one level.
 #[derive(Clone, Debug)]
 pub(crate) struct Row {
     pub(crate) level: Level,
-    /// Batches sent a second.
+    /// Batches sent per second.
     pub(crate) offered: f64,
-    /// Batches answered a second.
+    /// Batches answered per second.
     pub(crate) answered: f64,
     pub(crate) pairs: f64,
-    /// Milliseconds from when a batch was due to its answer: p50, p90, p95, p99, and the
-    /// percentile that was asked for.
+    /// Milliseconds from the time when a batch was due to its answer: p50, p90, p95, p99, and the
+    /// percentile that the user asked for.
     pub(crate) latency: [f64; 5],
     pub(crate) shed: u64,
     pub(crate) errors: u64,
@@ -22,7 +22,7 @@ pub(crate) struct Row {
 
 const HEAD: &str = "offered batches/s,answered batches/s,pairs/s,p50 ms,p90 ms,p95 ms,p99 ms,shed,errors";
 
-/// As comma-separated values.
+/// The rows as comma-separated values.
 pub(crate) fn csv(rows: &[Row]) -> String {
     let kind = rows.first().map_or("level", |row| row.level.kind());
     let mut text = format!("{kind},{HEAD}\n");
@@ -43,7 +43,7 @@ pub(crate) fn csv(rows: &[Row]) -> String {
     text
 }
 
-/// For people.
+/// The rows as a table for display.
 pub(crate) fn table(rows: &[Row]) -> String {
     let csv = csv(rows);
     let cells: Vec<Vec<&str>> = csv.lines().map(|line| line.split(',').collect()).collect();
@@ -62,11 +62,12 @@ pub(crate) fn table(rows: &[Row]) -> String {
 const WIDTH: f64 = 720.0;
 const HEIGHT: f64 = 420.0;
 const BORDER: f64 = 60.0;
-/// Shorter latencies are drawn here: a logarithm needs an end.
+/// Shorter latencies are drawn as this one, because a logarithmic axis needs a lower end.
 const LEAST_MS: f64 = 1e-4;
 const CURVES: [(&str, &str); 3] = [("p50", "#3b7dd8"), ("p95", "#d8893b"), ("p99", "#c23b3b")];
 
-/// Latency against offered load: the load from 0, the latency by its logarithm.
+/// Draws latency against offered load, with a linear axis of load from 0 and a logarithmic axis of
+/// latency.
 pub(super) fn svg(title: &str, rows: &[Row]) -> String {
     let scale = Scale::of(rows);
     let mut svg = format!(
@@ -94,15 +95,15 @@ pub(super) fn svg(title: &str, rows: &[Row]) -> String {
     svg
 }
 
-/// The latencies that have curves.
+/// The latencies of the row that have curves.
 fn drawn(row: &Row) -> [f64; CURVES.len()] {
     [row.latency[0], row.latency[2], row.latency[3]]
 }
 
-/// Where a load and a latency are on the paper.
+/// Maps loads and latencies to places in the picture.
 struct Scale {
     most_load: f64,
-    /// Decades of milliseconds, lowest and highest.
+    /// The lowest and the highest decade of milliseconds.
     decades: [f64; 2],
 }
 
@@ -124,7 +125,7 @@ impl Scale {
         HEIGHT - BORDER - (ms.max(LEAST_MS).log10() - low) / (high - low) * (HEIGHT - 2.0 * BORDER)
     }
 
-    /// The lines and labels of both axes.
+    /// Draws the lines and labels of both axes.
     fn draw(&self, svg: &mut String) {
         let [low, high] = self.decades.map(|decade| decade as i32);
         for decade in low..=high {
@@ -163,7 +164,7 @@ impl Scale {
 mod tests {
     use super::*;
 
-    /// Catches a column under another's head, and a picture whose worst level is off the paper.
+    /// Catches a column under another one's heading, and a picture that does not contain the worst level.
     #[test]
     fn rows_are_written_under_their_heads() {
         let row = |rate: f64, ms: f64| Row {

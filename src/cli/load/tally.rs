@@ -1,4 +1,4 @@
-//! What a load run counted.
+//! The counts of a load run.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -9,10 +9,10 @@ use hdrhistogram::Histogram;
 use super::levels::Level;
 use super::sheet::Row;
 
-/// Counts of one loop, or of all.
+/// Counts of one loop, or of all loops together.
 #[derive(Debug)]
 pub(crate) struct Tally {
-    /// Nanoseconds a batch, to three digits.
+    /// Nanoseconds per batch, to three digits.
     latency: Histogram<u64>,
     pairs: u64,
     sent: u64,
@@ -21,7 +21,7 @@ pub(crate) struct Tally {
     checked_batches: u64,
     checked_pairs: u64,
     wrong_batches: u64,
-    /// By what the call said.
+    /// Number of failed calls by their message.
     errors: BTreeMap<String, u64>,
 }
 
@@ -43,38 +43,38 @@ impl Default for Tally {
 }
 
 impl Tally {
-    /// A batch was sent, for the first time.
+    /// Counts a batch that is sent for the first time.
     pub(crate) fn sent(&mut self) {
         self.sent += 1;
     }
 
-    /// A busy server refused a batch.
+    /// Counts a batch that a busy server refused.
     pub(crate) fn shed(&mut self) {
         self.shed += 1;
     }
 
-    /// A server was lost with a batch, which is sent again.
+    /// Counts a server lost while it had a batch; the batch is sent again.
     pub(crate) fn lost(&mut self) {
         self.lost += 1;
     }
 
-    /// A batch was answered.
+    /// Counts a batch that was answered.
     ///
     /// # Errors
-    /// Memory for the histogram.
+    /// The histogram cannot get memory.
     pub(crate) fn answered(&mut self, pairs: u64, took: Duration) -> Result<(), hdrhistogram::RecordError> {
         self.pairs += pairs;
         self.latency.record(took.as_nanos() as u64)
     }
 
-    /// An answer was checked.
+    /// Counts an answer that was checked.
     pub(crate) fn checked(&mut self, pairs: u64, right: bool) {
         self.checked_batches += 1;
         self.checked_pairs += pairs;
         self.wrong_batches += u64::from(!right);
     }
 
-    /// A call failed.
+    /// Counts a call that failed.
     pub(crate) fn failed(&mut self, error: String) {
         *self.errors.entry(error).or_default() += 1;
     }
@@ -82,7 +82,7 @@ impl Tally {
     /// Adds another loop's counts.
     ///
     /// # Errors
-    /// Memory for the histogram.
+    /// The histogram cannot get memory.
     pub(crate) fn add(&mut self, other: Self) -> Result<(), hdrhistogram::AdditionError> {
         self.latency.add(other.latency)?;
         self.pairs += other.pairs;
@@ -98,7 +98,7 @@ impl Tally {
         Ok(())
     }
 
-    /// For people.
+    /// The counts as text for display.
     pub(crate) fn text(&self, title: &str, elapsed: Duration) -> String {
         let mut text = String::new();
         let seconds = elapsed.as_secs_f64();
@@ -138,10 +138,10 @@ impl Tally {
         text
     }
 
-    /// The same as one JSON object.
+    /// The counts as one JSON object.
     ///
     /// # Errors
-    /// None is expected.
+    /// No error is expected.
     pub(crate) fn json(&self, title: &str, elapsed: Duration) -> serde_json::Result<String> {
         let nanos = |quantile| self.latency.value_at_quantile(quantile);
         serde_json::to_string(&serde_json::json!({
@@ -163,7 +163,7 @@ impl Tally {
         }))
     }
 
-    /// For a table of levels; `percentile` is the one that the level is judged by.
+    /// The row for a table of levels. `percentile` is the one by which the level is judged.
     pub(crate) fn row(&self, level: Level, elapsed: Duration, percentile: f64) -> Row {
         let seconds = elapsed.as_secs_f64();
         let milli = |percent: f64| self.latency.value_at_percentile(percent) as f64 / 1e6;
@@ -181,7 +181,7 @@ impl Tally {
     /// Whether the run was clean.
     ///
     /// # Errors
-    /// Says what was not.
+    /// A description of the failures.
     pub(crate) fn verdict(&self) -> Result<(), String> {
         let errors: u64 = self.errors.values().sum();
         match (errors, self.wrong_batches, self.latency.len()) {
@@ -196,7 +196,7 @@ impl Tally {
 mod tests {
     use super::*;
 
-    /// Catches counts that are lost when the loops' tallies are put together.
+    /// Catches counts that are lost when the loops' counts are added.
     #[test]
     fn loops_add_up() {
         let mut all = Tally::default();
@@ -212,7 +212,7 @@ mod tests {
         assert_eq!(all.verdict(), Ok(()));
     }
 
-    /// Catches a run that ends with success although something went wrong or nothing was done.
+    /// Catches a run that ends in success although a call failed, an answer was wrong or none came.
     #[test]
     fn the_verdict_is_clean_only_when_all_was() {
         assert!(Tally::default().verdict().is_err());

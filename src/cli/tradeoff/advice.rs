@@ -1,4 +1,4 @@
-//! Which setting to take for which need, and what each knob is worth by itself.
+//! Recommends a setting for each need, and shows the effect of each knob by itself.
 
 use std::fmt::Write;
 
@@ -8,15 +8,15 @@ use super::cases::Pool;
 use super::settings::{Center, Setting};
 use super::table::{Figures, PeerRow, Row};
 
-/// A need: what errors it bears.
+/// A need, and the errors that it tolerates.
 pub(super) struct Need {
     pub(super) name: &'static str,
     what: &'static str,
     bears: fn(&Setting, &Figures) -> bool,
 }
 
-/// In ascending tolerance. Knobs that change which number is asked for (the contraction point)
-/// stay at their default.
+/// The needs, in ascending order of tolerance. A knob that changes which number is computed (the
+/// contraction point) stays at its default.
 pub(super) const NEEDS: [Need; 4] = [
     Need {
         name: "exact",
@@ -30,25 +30,26 @@ pub(super) const NEEDS: [Need; 4] = [
     },
     Need {
         name: "light",
-        what: "at most four points a pair, normals within 1e-3",
+        what: "at most four points per pair, normals within 1e-3",
         bears: |s, f| (1..=4).contains(&s.max_points) && f.optimality[1] <= 1e-3 && f.hausdorff[1] <= 0.1,
     },
     Need {
         name: "rough",
-        what: "many rough answers: normals within 2e-2, one point will do",
+        what: "many rough answers: normals within 2e-2, one point is enough",
         bears: |_, f| f.optimality[1] <= 0.02,
     },
 ];
 
-/// Knobs at a level that a user does not choose for speed.
+/// Whether the setting has defaults for the knobs that a user does not choose for speed.
 fn is_offered(setting: &Setting) -> bool {
     setting.center == Setting::DEFAULT.center && setting.max_iterations == Setting::DEFAULT.max_iterations
 }
 
-/// Settings within this of the fastest are as fast: the simplest of them is taken.
+/// Settings within this factor of the fastest count as equally fast; the simplest of them is taken.
 const AS_FAST: f64 = 1.03;
 
-/// Of the settings that a need bears the simplest among the fastest; `warm` or from nothing.
+/// The recommended setting for a need: the simplest among the fastest that satisfy it, with or without
+/// a warm start.
 pub(super) fn choice<'a>(rows: &'a [Row], need: &Need, warm: bool) -> Option<&'a Row> {
     let fit = |row: &&Row| {
         row.setting.warm == warm && is_offered(&row.setting) && (need.bears)(&row.setting, &row.figures)
@@ -63,21 +64,21 @@ pub(super) fn choice<'a>(rows: &'a [Row], need: &Need, warm: bool) -> Option<&'a
     })
 }
 
-/// Says it in words; `rows` are of all cells together.
+/// The recommendations as text. `rows` are those of all cells together.
 pub(super) fn text(rows: &[Row]) -> String {
     let mut text = String::new();
-    let _ = writeln!(text, "What to take for which need (time over the default's, from nothing):\n");
+    let _ = writeln!(text, "Setting to choose for each need (time over that of the default, cold):\n");
     for need in NEEDS {
         let _ = writeln!(text, "{}: {}", need.name, need.what);
         for warm in [false, true] {
-            let start = if warm { "from the answer before" } else { "from nothing" };
+            let start = if warm { "warm" } else { "cold" };
             let _ = match choice(rows, &need, warm) {
                 None => writeln!(text, "  {start}: nothing measured fits"),
                 Some(row) => writeln!(text, "  {start}: {}\n    {}", row.setting, described(&row.figures)),
             };
         }
     }
-    let _ = writeln!(text, "\nEach knob by itself, all others at their default:\n");
+    let _ = writeln!(text, "\nOne option changed, all others at their default:\n");
     let alone = |row: &&Row| row.setting.changed().len() <= 1;
     for row in rows.iter().filter(alone) {
         let _ = writeln!(text, "  {}\n    {}", row.setting, described(&row.figures));
@@ -85,7 +86,7 @@ pub(super) fn text(rows: &[Row]) -> String {
     text
 }
 
-/// A few of our settings, and peers: the same measures, against the same truth.
+/// A table of a few of our settings beside other libraries, by the same measures and the same truth.
 pub(super) fn beside(pool: Pool, rows: &[Row], peers: &[PeerRow]) -> String {
     let default = Setting::DEFAULT;
     let ours = [
@@ -105,10 +106,10 @@ pub(super) fn beside(pool: Pool, rows: &[Row], peers: &[PeerRow]) -> String {
     let all = ours.into_iter().filter_map(of);
     let all = all.chain(peers.iter().map(|peer| (peer.name.as_str(), &peer.figures)));
     let what = match pool {
-        Pool::All => "All pairs but deep ones",
+        Pool::All => "All pairs except deep ones",
         Pool::Deep => "Deep pairs",
     };
-    let mut text = format!("{what}, settings and others (p95 unless it says p50):\n\n");
+    let mut text = format!("{what}, settings and other libraries (p95 unless p50 is named):\n\n");
     let mut line = |cells: [&str; COLUMNS.len()]| {
         let width = COLUMNS[0].1;
         let figures = COLUMNS.iter().zip(cells).skip(1).map(|(&(_, width), cell)| format!("{cell:>width$}"));
@@ -136,7 +137,7 @@ pub(super) fn beside(pool: Pool, rows: &[Row], peers: &[PeerRow]) -> String {
     text
 }
 
-/// Of [`beside`]: names and widths.
+/// The columns of [`beside`]: names and widths.
 const COLUMNS: [(&str, usize); 13] = [
     ("", 20),
     ("time", 7),
@@ -153,11 +154,11 @@ const COLUMNS: [(&str, usize); 13] = [
     ("jump %", 8),
 ];
 
-/// The figures that decide.
+/// The main figures as text.
 pub(super) fn described(f: &Figures) -> String {
     format!(
-        "time x{:.2}, gap {:.1e}, normal {:.1e} short of optimal (p95), angle {:.1e} rad (p95), \
-         depth x{:.2} the least translation (p95), patch {:.1e} of the size off (p95), area x{:.2} (p5), flagged {:.1} %, jumps {:.1} %",
+        "time x{:.2}, gap {:.1e} (max), normal {:.1e} short of optimal (p95), angle {:.1e} rad (p95), \
+         depth x{:.2} the minimum translation (p95), patch {:.1e} of the size off (p95), area x{:.2} (p5), flagged {:.1} %, jumps {:.1} %",
         f.relative_time,
         f.gap[1],
         f.optimality[1],

@@ -1,4 +1,4 @@
-//! What is measured: pairs of hulls in contact, in cells of one kind each.
+//! The pairs that are measured: hulls in contact, in cells of one kind each.
 
 use glam::{DQuat, DVec3};
 
@@ -6,17 +6,17 @@ use super::super::{Error, scene::Scene};
 use hullcast::contact::{Body, ConvexHull, HullOptions, Outcome, Pose, Query, Workspace, contact_manifold};
 use hullcast::workload::{Family, Random, Regime, Workload};
 
-/// Of generated pairs: hulls are some 0.3 to 1 in size.
+/// Margin of generated pairs, whose hulls have a size of about 0.3 to 1.
 const GENERATED_MARGIN: f64 = 0.005;
 
-/// Growth scales of pairs that are made of a scene without any in contact.
+/// Range of the growth scales of the pairs that are made up for a scene without contacts.
 const SHALLOW: (f64, f64) = (0.95, 0.995);
 
-/// Growth scales of deep pairs.
+/// Range of the growth scales of deep pairs.
 const DEEP: (f64, f64) = (0.2, 0.8);
 
-/// What cells are taken together: what contacts mostly are, and apart from them pairs so deep
-/// that the least translation is another's.
+/// The pool of a cell; results of a pool are also reported together. Typical contacts form one pool.
+/// The other one is of pairs so deep that the least translation belongs to other features.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Pool {
     All,
@@ -24,7 +24,7 @@ pub(super) enum Pool {
 }
 
 impl Pool {
-    /// As the table names it.
+    /// The name in the table.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::All => "all",
@@ -43,20 +43,20 @@ pub(super) struct Cell {
     pub(super) margin: f64,
 }
 
-/// A pair, and where it was a moment before and will be one later.
+/// A pair, with the pose of B one step earlier and its pose after a tiny movement.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Case {
     /// Indices into the cell's hulls.
     pub(super) hulls: [usize; 2],
     pub(super) a: Placement,
     pub(super) b: Placement,
-    /// Of B: a motion of a step before, for warm starts.
+    /// The pose of B one step earlier, for warm starts.
     pub(super) before: Placement,
-    /// Of B: moved by next to nothing, for flicker.
+    /// The pose of B after a tiny movement, for detecting flicker.
     pub(super) nudged: Placement,
 }
 
-/// Where a hull frame is.
+/// The pose of a hull's frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Placement {
     pub(super) position: DVec3,
@@ -69,18 +69,18 @@ impl Placement {
         Self { position: DVec3::from_array(position), rotation }
     }
 
-    /// As the library takes it.
+    /// The pose as the library takes it.
     pub(super) fn pose(&self) -> Pose {
         Pose::new(self.position.to_array(), self.rotation.to_array())
             .unwrap_or_else(|e| unreachable!("checked when it was made: {e}"))
     }
 
-    /// Where a hull's contraction point is.
+    /// The world position of a hull's contraction point.
     fn center(&self, hull: &ConvexHull) -> DVec3 {
         self.position + self.rotation * hull.contraction_point()
     }
 
-    /// Moved by so much, and turned by so many radians, in directions of its own.
+    /// The pose moved by `length` and rotated by `angle` radians, in random directions.
     fn moved(self, length: f64, angle: f64, random: &mut Random) -> Self {
         let turn = DQuat::from_axis_angle(random.direction(), angle);
         Self {
@@ -90,7 +90,7 @@ impl Placement {
     }
 }
 
-/// Shares of the hulls' size by which B moves: between steps, and hardly at all.
+/// Movements of B, as shares of the hulls' size: that of a step, and a tiny one.
 const STEP: f64 = 1e-3;
 const NUDGE: f64 = 1e-5;
 
@@ -102,7 +102,7 @@ impl Case {
     }
 }
 
-/// The workload's families, shallow, resting and deep.
+/// Cells of the workload's families: shallow, resting and deep.
 pub(super) fn generated(pairs: usize) -> Result<Vec<Cell>, Error> {
     let mut cells = Vec::new();
     for family in Family::ALL {
@@ -122,7 +122,7 @@ pub(super) fn generated(pairs: usize) -> Result<Vec<Cell>, Error> {
     Ok(cells)
 }
 
-/// Shallow pairs moved together along the line of their centres, on which the growth scale is
+/// Shallow pairs that are moved together along the line of their centres, on which the growth scale is
 /// linear.
 fn deep(family: Family, pairs: usize) -> Result<Cell, Error> {
     let Workload { hulls, pairs, .. } = Workload::generate(family, Regime::Shallow, pairs, 4)?;
@@ -147,8 +147,8 @@ fn deep(family: Family, pairs: usize) -> Result<Cell, Error> {
     })
 }
 
-/// The pairs of a scene file that are in contact, evenly over its frames; of a file without
-/// any, as many pairs of its hulls as are asked for, brought into shallow overlap.
+/// The pairs of a scene file that are in contact, taken evenly over its frames. If there are none,
+/// `pairs` random pairs of its hulls are brought into shallow overlap.
 pub(super) fn of_scene(scene: &Scene, pairs: usize) -> Result<Cell, Error> {
     let hulls: Vec<Vec<[f64; 3]>> = scene.hulls.iter().map(|hull| hull.vertices.clone()).collect();
     let built = hulls.iter().map(|points| ConvexHull::with_options(points, &HullOptions::default()));
@@ -188,8 +188,8 @@ fn alpha(built: &[ConvexHull], shapes: [usize; 2], a: Placement, b: Placement, m
     (manifold.outcome == Outcome::Contact).then_some(manifold.alpha)
 }
 
-/// Two of the hulls at random orientations: the growth scale is linear in the offset of the
-/// centres, so that one query says where to put B.
+/// Two random hulls in random orientations, brought into shallow overlap. The growth scale is linear in
+/// the offset of the centres, so one query determines where to put B.
 fn brought_together(built: &[ConvexHull], random: &mut Random) -> Option<Case> {
     let shapes = [random.below(built.len()), random.below(built.len())];
     let [a, b] = [0, 1].map(|_| Placement { position: DVec3::ZERO, rotation: random.rotation() });

@@ -1,17 +1,17 @@
-//! Panels of points on logarithmic axes, as SVG and as PNG: laid out once as lines, discs and
-//! words, then written either way.
+//! Panels of points on logarithmic axes, as SVG and as PNG. The chart is laid out once as lines, discs
+//! and words, which are then written in either format.
 
 use std::fmt::Write;
 
 use super::super::Error;
 
-/// Panels side by side.
+/// A chart of panels side by side.
 #[derive(Clone, Debug)]
 pub(super) struct Chart {
     pub(super) panels: Vec<Panel>,
 }
 
-/// Two logarithmic axes and what is on them.
+/// A panel: two logarithmic axes and the series drawn on them.
 #[derive(Clone, Debug)]
 pub(super) struct Panel {
     pub(super) title: &'static str,
@@ -19,7 +19,7 @@ pub(super) struct Panel {
     pub(super) series: Vec<Series>,
 }
 
-/// Points of one kind; both coordinates positive.
+/// Points of one kind. Both coordinates are positive.
 #[derive(Clone, Debug)]
 pub(super) struct Series {
     name: String,
@@ -51,14 +51,14 @@ impl Series {
         Self { name: name.into(), points: vec![point], mark: Mark::Named }
     }
 
-    /// The same in another colour.
+    /// One large point with its name, in the colour of other libraries.
     pub(super) fn other(name: impl Into<String>, point: (f64, f64)) -> Self {
         Self { mark: Mark::Other, ..Self::named(name, point) }
     }
 }
 
 const PANEL: (f64, f64) = (460.0, 360.0);
-/// Left, top, right, bottom.
+/// Margins of a panel: left, top, right, bottom.
 const FRAME: (f64, f64, f64, f64) = (64.0, 34.0, 20.0, 46.0);
 
 type Colour = [u8; 3];
@@ -69,7 +69,7 @@ const LINE: Colour = [200, 60, 40];
 const NAMED: Colour = [20, 90, 50];
 const OTHER: Colour = [130, 40, 140];
 
-/// What a page is made of; pixels, from the top left.
+/// An element of the page. Coordinates are pixels from the top left.
 enum Shape {
     Line {
         from: (f64, f64),
@@ -81,7 +81,7 @@ enum Shape {
         radius: f64,
         colour: Colour,
     },
-    /// Begins at `at`, its middle line; 7 pixels a letter.
+    /// A line of text that begins at `at`, at half its height; 7 pixels per letter.
     Words {
         at: (f64, f64),
         text: String,
@@ -92,7 +92,7 @@ enum Shape {
 const LETTER: f64 = 7.0;
 const LINE_HEIGHT: f64 = 12.0;
 
-/// A range of powers of ten on a stretch of pixels.
+/// A logarithmic range of values, and the pixels onto which it is mapped.
 struct Axis {
     low: f64,
     high: f64,
@@ -113,7 +113,7 @@ impl Axis {
         self.from + (value.log10() - self.low) / (self.high - self.low) * (self.to - self.from)
     }
 
-    /// Powers of ten, or where there are few, also twice and five times those.
+    /// The ticks: powers of ten, and also twice and five times those if there are few.
     fn ticks(&self) -> Vec<f64> {
         let span = self.high - self.low;
         let every = (span / 6.0).ceil().max(1.0) as i32;
@@ -139,7 +139,7 @@ impl Chart {
         self.panels.iter().zip(places).flat_map(|(panel, left)| panel.shapes(left)).collect()
     }
 
-    /// As text.
+    /// The chart as SVG text.
     pub(super) fn svg(&self) -> String {
         let (width, height) = self.size();
         let mut svg = format!(
@@ -176,10 +176,10 @@ impl Chart {
         svg + "</svg>\n"
     }
 
-    /// As an image, two pixels a unit.
+    /// The chart as a PNG image, with two pixels per unit.
     ///
     /// # Errors
-    /// None is expected.
+    /// No error is expected.
     pub(super) fn png(&self) -> Result<Vec<u8>, Error> {
         let mut canvas = Canvas::new(self.size());
         for shape in self.shapes() {
@@ -224,7 +224,7 @@ impl Panel {
         }
         shapes.push(words((x0, 14.0), self.title, INK));
         shapes.push(words((x0, PANEL.1 - 12.0), self.x, INK));
-        // Where names begin, and how long they are.
+        // Where the names written so far begin, and their lengths.
         let mut written: Vec<((f64, f64), f64)> = Vec::new();
         for series in &self.series {
             let at: Vec<(f64, f64)> = series.points.iter().map(|p| (x.at(p.0), y.at(p.1))).collect();
@@ -244,7 +244,7 @@ impl Panel {
                         let length = LETTER * series.name.len() as f64;
                         let left = if at.0 + 6.0 + length < x1 { at.0 + 6.0 } else { at.0 - 6.0 - length };
                         let mut beside = (left, at.1 - 6.0);
-                        // Below what is written there already.
+                        // Move the name down until it hides no other one.
                         let hides = |&(there, its): &((f64, f64), f64), here: (f64, f64)| {
                             (there.1 - here.1).abs() < LINE_HEIGHT
                                 && there.0 < here.0 + length
@@ -263,7 +263,7 @@ impl Panel {
     }
 }
 
-/// Pixels, two a unit.
+/// An image with two pixels per unit.
 struct Canvas {
     width: usize,
     height: usize,
@@ -314,7 +314,7 @@ impl Canvas {
                         (0..8).flat_map(|row| (0..8).map(move |column| (row, column))).enumerate()
                     {
                         if rows[pixel / 8] >> column & 1 == 1 {
-                            // Twice as high as wide.
+                            // Letters are twice as high as wide.
                             let (x, y) = (left + 1.5 * f64::from(column), top + 2.0 * f64::from(row));
                             for (dx, dy) in [(0.0, 0.0), (0.0, 1.0), (0.75, 0.0), (0.75, 1.0)] {
                                 self.set(x + dx, y + dy, colour);
@@ -331,9 +331,9 @@ impl Canvas {
 mod tests {
     use super::*;
 
-    /// Catches an image that no one can read (a wrong size, no end), a page that is not well
-    /// formed, points off their axes (as many discs
-    /// as points, inside the frame), and names of near points written on each other.
+    /// Catches an image that cannot be read (a wrong size, no end), a page that is not well formed, points
+    /// off their axes (there must be as many discs as points, inside the frame), and names of near points
+    /// that are written on each other.
     #[test]
     fn a_chart_is_drawn_either_way() {
         let points: Vec<(f64, f64)> = (0..50).map(|i| (1.1_f64.powi(i), 10_f64.powi(-(i % 16)))).collect();

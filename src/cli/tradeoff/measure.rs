@@ -1,4 +1,4 @@
-//! One setting on one cell: time and error of every pair.
+//! Measures one setting on one cell: the time and the errors of every pair.
 
 use std::{hint::black_box, time::Instant};
 
@@ -14,57 +14,59 @@ use hullcast::contact::{
     Basis, Body, ConvexHull, Flags, HullOptions, Manifold, Outcome, Query, Workspace, contact_manifold,
 };
 
-/// Of each pair the fastest of so many, so that what else the machine does is left out.
+/// The time of a pair is that of the fastest of this many calls, which leaves out disturbances by other
+/// work of the machine.
 const ROUNDS: usize = 3;
 
-/// Nanoseconds: pairs that take longer than all are caught in these buckets' percentiles.
+/// Nanoseconds per second.
 const NANO: f64 = 1e9;
 
-/// A patch that a motion of 1e-5 of the size moves by more than this share of it jumps.
+/// A patch jumps if a movement of 1e-5 of the size moves it by more than this share of the size.
 const JUMP: f64 = 0.01;
 
-/// A cell with its hulls built in every way, and the truth of its pairs.
+/// A cell with its hulls built in every way, and the true answers for its pairs.
 pub(super) struct Prepared {
     pub(super) cell: Cell,
-    /// By centre, then by simplification.
+    /// The hulls, by centre and then by simplification.
     hulls: Vec<Vec<Vec<ConvexHull>>>,
-    /// By centre.
+    /// The true answers, by centre.
     truths: Vec<Vec<Truth>>,
-    /// Of pairs that overlap depth and direction of the least translation.
+    /// For each overlapping pair the depth and direction of the least translation.
     least_translations: Vec<Option<(f64, DVec3)>>,
 }
 
-/// What is exact of a pair, for one choice of centres.
+/// The true answer for a pair with one choice of centres.
 struct Truth {
-    /// Inside a certified bracket at the rounding of doubles.
+    /// The growth scale, inside a certified bracket at rounding level.
     alpha: f64,
     normal: DVec3,
     patch: Vec<DVec3>,
     area: f64,
 }
 
-/// What was measured of a pair.
+/// The measurements of one pair.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sample {
     pub(super) nanoseconds: f64,
-    /// Width of the bracket over alpha; of a peer none.
+    /// Width of the bracket, relative to alpha; none for another library.
     pub(super) gap: Option<f64>,
-    /// Share of the whole hulls' alpha that the normal does not prove. This and the next two:
-    /// of a pair that a peer leaves without contact none.
+    /// Share of the whole hulls' alpha that the normal does not prove. This value and the next two are
+    /// none if another library finds no contact.
     pub(super) optimality: Option<f64>,
     /// Radians between the normal and an optimal one.
     pub(super) angle: Option<f64>,
-    /// Of the separation, against that of the whole hulls along the same normal; over the size.
+    /// Error of the separation relative to the hulls' size. The true separation is that of the whole
+    /// hulls along the same normal.
     pub(super) separation: Option<f64>,
-    /// Depth over that of the least translation, where the pair overlaps.
+    /// Depth divided by that of the least translation, if the pair overlaps.
     pub(super) depth: Option<f64>,
-    /// Radians between the normal and the direction of that, where the pair overlaps.
+    /// Radians between the normal and the direction of the least translation, if the pair overlaps.
     pub(super) axis: Option<f64>,
-    /// Of the patch and the whole one; over the size.
+    /// Hausdorff distance of the patch from the whole one, relative to the hulls' size.
     pub(super) hausdorff: f64,
-    /// Of the patch over the whole one's, where that has one.
+    /// Area of the patch divided by that of the whole one, if that has an area.
     pub(super) area: Option<f64>,
-    /// Not in contact, or with a flag other than that points were left out as asked.
+    /// Whether the pair is not in contact, or has a flag other than the one for dropped points.
     pub(super) flagged: bool,
     pub(super) flickers: bool,
 }
@@ -73,7 +75,7 @@ impl Prepared {
     /// Builds every hull in every way.
     ///
     /// # Errors
-    /// Points that are no hull.
+    /// The points of a hull are refused.
     pub(super) fn new(cell: Cell) -> Result<Self, Error> {
         let plain = |points: &Vec<[f64; 3]>| ConvexHull::new(points);
         let plain: Vec<ConvexHull> = cell.hulls.iter().map(plain).collect::<Result<_, _>>()?;
@@ -106,7 +108,7 @@ impl Prepared {
         Ok(Self { hulls, truths, least_translations, cell })
     }
 
-    /// The setting's samples, one a pair.
+    /// Measures every pair with the setting.
     pub(super) fn measure(&self, setting: &Setting) -> Vec<Sample> {
         let center = CENTERS.iter().position(|&center| center == setting.center).unwrap_or(0);
         let level = SIMPLIFICATIONS.iter().position(|&level| level == setting.simplification).unwrap_or(0);
@@ -143,7 +145,7 @@ impl Prepared {
         self.cell.cases.iter().enumerate().map(sample).collect()
     }
 
-    /// The samples of a peer, one a pair, by the same measures: against the truth about the
+    /// Judges every answer of another library by the same measures. The true answers are those about the
     /// centres of mass.
     pub(super) fn judge(&self, answers: &[Answer]) -> Vec<Sample> {
         let found = |contact: &Contact| {
@@ -159,8 +161,8 @@ impl Prepared {
         answers.iter().enumerate().map(sample).collect()
     }
 
-    /// What was found of a case, about a choice of centres, held against its truth; without time,
-    /// gap and flags.
+    /// Compares an answer for case `i` with the true answer for one choice of centres. Leaves out time, gap
+    /// and flags.
     fn judged(&self, center: usize, i: usize, found: Option<&Found>, nudged: &[DVec3]) -> Sample {
         let (case, truth) = (&self.cell.cases[i], &self.truths[center][i]);
         let [a, b] = case.hulls.map(|hull| &self.hulls[center][0][hull]);
@@ -186,11 +188,11 @@ impl Prepared {
     }
 }
 
-/// An answer, whoever gave it; world frame.
+/// An answer of this or another library, world frame.
 struct Found {
     normal: DVec3,
     separation: f64,
-    /// Corners in order about the normal.
+    /// Corners of the patch, in order about the normal.
     patch: Vec<DVec3>,
 }
 
@@ -207,13 +209,13 @@ impl Truth {
     }
 }
 
-/// Midway between the witnesses.
+/// The patch: the points midway between the witnesses.
 fn polygon(manifold: &Manifold) -> Vec<DVec3> {
     let middle = |p: &hullcast::contact::ContactPoint| p.witness_a + manifold.normal * (0.5 * p.distance);
     manifold.points.iter().map(middle).collect()
 }
 
-/// None for the centre of mass.
+/// The contraction point for a choice of centre; none for the centre of mass.
 fn contraction_point(hull: &ConvexHull, center: Center) -> Option<[f64; 3]> {
     let at = match center {
         Center::Mass => return None,
@@ -223,8 +225,8 @@ fn contraction_point(hull: &ConvexHull, center: Center) -> Option<[f64; 3]> {
     Some((hull.contraction_point() + at * hull.scale()).to_array())
 }
 
-/// Of the largest ball inside, nearly: steps away from the nearest face, shorter and shorter;
-/// hull units.
+/// Approximate centre of the largest ball inside the hull, hull units. The search steps away from the
+/// nearest face, with shorter and shorter steps.
 fn center_of_ball(hull: &ConvexHull) -> DVec3 {
     let nearest = |at: DVec3| {
         let depths = hull.faces().iter().map(|face| (face.offset - face.normal.dot(at), face.normal));
@@ -247,8 +249,8 @@ mod tests {
     use super::super::cases;
     use super::*;
 
-    /// Catches a least translation that is none (an axis left out, or one that is not a
-    /// normal): growth distance's bounds hold around it, `r (1 - alpha) <= least <= depth`.
+    /// The bounds of growth distance must hold: `r (1 - alpha) <= least translation <= depth`. Catches a
+    /// wrong least translation, from an axis left out or one that is not a normal.
     #[test]
     fn least_translations_are_between_their_bounds() {
         let mut overlapping = 0;
@@ -271,8 +273,8 @@ mod tests {
         assert!(overlapping > 200, "{overlapping}");
     }
 
-    /// Catches an error that is measured where there is none, and one that is missed: the
-    /// default has none, and each coarser knob shows in its own measure.
+    /// The default must have no errors, and each coarser knob must show in its own measure. Catches an
+    /// error that is measured where there is none, and one that is missed.
     #[test]
     fn errors_are_seen_where_they_are() {
         let cells = cases::generated(60).unwrap();
@@ -294,9 +296,9 @@ mod tests {
         assert!(most(simple, |s| s.separation.unwrap()) > 1e-4);
     }
 
-    /// Catches a peer that is held to another truth than we are, and one that gains by what it
-    /// leaves out: our own answers, their corners in another order, have our own errors; pairs
-    /// without an answer are flagged, with a patch infinitely far off.
+    /// Our own answers, with their corners in another order, must have our own errors, and pairs without an
+    /// answer must be flagged, with an infinitely distant patch. Catches another library that is compared
+    /// with other true answers than we are, and one that gains by leaving out answers.
     #[test]
     fn a_peer_is_judged_as_we_are() {
         let cell = cases::generated(40).unwrap().swap_remove(1);

@@ -1,4 +1,4 @@
-//! `hullcast tradeoff`: speed against accuracy, measured.
+//! `hullcast tradeoff`: measures speed against accuracy.
 
 mod advice;
 mod cases;
@@ -52,7 +52,7 @@ pub(crate) struct Args {
 /// Runs `hullcast tradeoff`.
 ///
 /// # Errors
-/// A scene is faulty or has no pair to measure, or the results cannot be written.
+/// A scene is not valid or has no pair to measure, or the results cannot be written.
 pub(crate) fn run(args: &Args) -> Result<(), Error> {
     let pairs = args.pairs as usize;
     let cells = match &args.scenes[..] {
@@ -95,13 +95,13 @@ pub(crate) fn run(args: &Args) -> Result<(), Error> {
     Ok(())
 }
 
-/// Every setting on every cell, then on all of a pool; and every peer.
+/// Measures every setting and judges every other library, on every cell and on each whole pool.
 fn measured(cells: Vec<cases::Cell>, peers: &[Peer]) -> Result<(Vec<Row>, Vec<PeerRow>), Error> {
     let cells: Vec<Prepared> = cells.into_iter().map(Prepared::new).collect::<Result<_, _>>()?;
     let grid = Setting::grid();
     let progress = ProgressBar::new(grid.len() as u64)
         .with_style(ProgressStyle::with_template("{bar:40} {pos}/{len} settings, {eta} left")?);
-    // The first setting, by which times are divided: once to warm up, once to keep.
+    // The first setting is the one by which times are divided: one run warms up, one is kept.
     let median = |prepared: &Prepared, setting: &Setting| -> f64 {
         let [median] = Sorted::new(prepared.measure(setting).iter().map(|s| s.nanoseconds)).at([0.5]);
         median
@@ -111,7 +111,7 @@ fn measured(cells: Vec<cases::Cell>, peers: &[Peer]) -> Result<(Vec<Row>, Vec<Pe
         median(cell, &Setting::DEFAULT);
         default.insert(cell.cell.name.clone(), median(cell, &Setting::DEFAULT));
     }
-    // One contender's samples of each cell, then of each pool, with its name.
+    // The figures of one contender for each cell and then for each pool, with their names.
     let figures = |of: &dyn Fn(usize, &Prepared) -> Vec<Sample>| -> Vec<(String, Figures)> {
         let mut figures = Vec::new();
         let mut pools = [Pool::All, Pool::Deep].map(|pool| (pool, Vec::new(), Vec::new()));
@@ -147,11 +147,12 @@ fn measured(cells: Vec<cases::Cell>, peers: &[Peer]) -> Result<(Vec<Row>, Vec<Pe
     Ok((rows, others))
 }
 
-/// Errors are drawn within these: below is rounding, above is all of it (a patch that is not
-/// there is infinitely far).
+/// Errors are drawn within this range: lower ones are rounding, and higher ones are total (the distance
+/// of a missing patch is infinite).
 const DRAWN: (f64, f64) = (1e-16, 1.0);
 
-/// Time against errors: all settings, those that none beats, those advised, and peers.
+/// The chart of time against errors: all settings, those that no other beats, the recommended ones, and
+/// other libraries.
 fn chart(rows: &[Row], peers: &[PeerRow]) -> Chart {
     type Of = fn(&Figures) -> f64;
     let errors: [(&str, Of); 3] = [

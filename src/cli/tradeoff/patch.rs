@@ -2,14 +2,14 @@
 
 use glam::DVec3;
 
-/// Of a polygon, its corners in order about `normal`.
+/// Area of a polygon whose corners are in order about `normal`.
 pub(super) fn area(polygon: &[DVec3], normal: DVec3) -> f64 {
     let [first, rest @ ..] = polygon else { return 0.0 };
     rest.windows(2).map(|two| 0.5 * normal.dot((two[0] - first).cross(two[1] - first))).sum::<f64>().abs()
 }
 
-/// The corners of the convex hull of points in any order, seen along `normal`, in order about
-/// it (Andrew's monotone chain): what others answer may be neither convex nor in order.
+/// The corners of the convex hull of points in any order, seen along `normal`, in order about it. Uses
+/// Andrew's monotone chain, because the answers of other libraries may be neither convex nor in order.
 pub(super) fn convex(points: &[DVec3], normal: DVec3) -> Vec<DVec3> {
     let (u, v) = normal.any_orthonormal_pair();
     let mut order: Vec<DVec3> = points.to_vec();
@@ -38,8 +38,8 @@ pub(super) fn convex(points: &[DVec3], normal: DVec3) -> Vec<DVec3> {
     corners
 }
 
-/// The Hausdorff distance of two convex polygons: that of a corner, since the distance to a
-/// convex set is a convex function. Infinite where one alone is empty.
+/// The Hausdorff distance of two convex polygons. It is attained at a corner, since the distance to a
+/// convex set is a convex function. Infinite if exactly one of them is empty.
 pub(super) fn hausdorff(p: &[DVec3], q: &[DVec3]) -> f64 {
     if p.is_empty() && q.is_empty() {
         return 0.0;
@@ -48,7 +48,7 @@ pub(super) fn hausdorff(p: &[DVec3], q: &[DVec3]) -> f64 {
     farthest(p, q).max(farthest(q, p))
 }
 
-/// Of a point from a convex polygon (or segment, or point).
+/// Distance of a point from a convex polygon, a segment or a point.
 fn distance(x: DVec3, polygon: &[DVec3]) -> f64 {
     match *polygon {
         [] => f64::INFINITY,
@@ -82,8 +82,8 @@ fn on_triangle(x: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
 mod tests {
     use super::*;
 
-    /// Catches corners lost or out of order, and points that are none: any order of a
-    /// square's corners with points inside and on its sides is the square.
+    /// The corners of a square in any order, with points inside and on its sides, must give the square.
+    /// Catches corners that are lost or out of order, and points that are not corners.
     #[test]
     fn corners_are_put_in_order() {
         let corners = [(-1.0, -1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, 1.0)];
@@ -98,8 +98,8 @@ mod tests {
         }
     }
 
-    /// Catches a distance that is one-sided, to corners alone or to the plane, and an area
-    /// with a sign or a corner left out.
+    /// Catches a distance that is one-sided, or measured to the corners only or to the plane, and an area
+    /// with a wrong sign or without a corner.
     #[test]
     fn squares_are_known_by_hand() {
         let square = |x: f64, half: f64| {

@@ -1,7 +1,7 @@
-//! Other libraries on the same pairs: what they are asked, and what they answer.
+//! Other libraries on the same pairs: the questions for them, and their answers.
 //!
-//! They run in programs of their own (`benches`, `client/examples`); their answers are judged
-//! as ours are.
+//! The other libraries run in programs of their own (`benches`, `client/examples`). Their answers are
+//! judged in the same way as ours.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::super::Error;
 use super::cases::{Case, Cell, Placement};
 
-/// What a peer is asked: every cell's hulls and pairs.
+/// The questions for another library: the hulls and pairs of every cell.
 #[derive(Debug, Serialize)]
 struct Asked<'a> {
     cells: Vec<AskedCell<'a>>,
@@ -20,26 +20,26 @@ struct Asked<'a> {
 #[derive(Debug, Serialize)]
 struct AskedCell<'a> {
     name: &'a str,
-    /// Contacts are wanted within it.
+    /// Contacts are wanted for hulls within this distance.
     margin: f64,
     hulls: &'a [Vec<[f64; 3]>],
     pairs: Vec<AskedPair>,
 }
 
-/// Poses are a position and a quaternion x, y, z, w.
+/// A pair with its poses. A pose is a position and a quaternion x, y, z, w.
 #[derive(Debug, Serialize)]
 struct AskedPair {
     hulls: [usize; 2],
     a: [f64; 7],
     b: [f64; 7],
-    /// B moved by next to nothing.
+    /// Pose of B after a tiny movement.
     nudged: [f64; 7],
 }
 
-/// What a peer answers to all of it.
+/// The answers of another library to all questions.
 #[derive(Debug, Deserialize)]
 pub(super) struct Peer {
-    /// With its version.
+    /// The library's name and version.
     pub(super) name: String,
     cells: Vec<AnsweredCell>,
 }
@@ -50,25 +50,25 @@ struct AnsweredCell {
     pairs: Vec<Answer>,
 }
 
-/// To one pair.
+/// The answer for one pair.
 #[derive(Debug, Deserialize)]
 pub(super) struct Answer {
-    /// The fastest of as many calls as are made of ours.
+    /// Duration of the fastest of several calls, as many as are made of ours.
     pub(super) nanoseconds: f64,
-    /// None: no contact within the margin.
+    /// The contact; none if there is no contact within the margin.
     pub(super) contact: Option<Contact>,
-    /// With B nudged.
+    /// The contact with B at its nudged pose.
     pub(super) nudged: Option<Contact>,
 }
 
-/// World frame.
+/// A contact, world frame.
 #[derive(Debug, Deserialize)]
 pub(super) struct Contact {
-    /// Unit, from A to B.
+    /// Unit normal from A to B.
     pub(super) normal: [f64; 3],
-    /// Signed; negative: overlapping.
+    /// Signed separation; negative if overlapping.
     pub(super) separation: f64,
-    /// Midway between the two hulls, in any order.
+    /// Contact points midway between the hulls, in any order.
     points: Vec<[f64; 3]>,
 }
 
@@ -83,7 +83,7 @@ impl Contact {
     }
 }
 
-/// Writes what peers are asked.
+/// Writes the questions for other libraries.
 ///
 /// # Errors
 /// The file cannot be written.
@@ -109,10 +109,10 @@ pub(super) fn ask(cells: &[Cell], path: &Path) -> Result<(), Error> {
 }
 
 impl Peer {
-    /// Reads a peer's answers.
+    /// Reads the answers of another library.
     ///
     /// # Errors
-    /// The file is faulty, or answers other pairs than those of `cells`.
+    /// The file is not valid, or it answers other pairs than those of `cells`.
     pub(super) fn read(path: &Path, cells: &[Cell]) -> Result<Self, Error> {
         let at = |e: &dyn std::fmt::Display| -> Error { format!("{}: {e}", path.display()).into() };
         let text = std::fs::read(path).map_err(|e| at(&e))?;
@@ -122,7 +122,7 @@ impl Peer {
         if asked.eq(answered) { Ok(peer) } else { Err(at(&"answers other pairs than these")) }
     }
 
-    /// Of a cell, by its place among all.
+    /// The answers for a cell, by its index.
     pub(super) fn answers(&self, cell: usize) -> &[Answer] {
         &self.cells[cell].pairs
     }
@@ -133,8 +133,8 @@ mod tests {
     use super::super::cases;
     use super::*;
 
-    /// Catches answers that are held against the truth of other pairs: a file for fewer pairs,
-    /// or for another cell, is refused; one for these is read as it was written.
+    /// A file for fewer pairs or for another cell must be refused, and a file for these pairs must be read as
+    /// it was written. Catches answers that are compared with the true answers of other pairs.
     #[test]
     fn answers_belong_to_their_pairs() {
         let folder = tempfile::tempdir().unwrap();

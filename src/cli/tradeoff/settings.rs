@@ -1,30 +1,30 @@
-//! The grid: every knob's levels, and their product.
+//! The grid of settings: the levels of every knob, and all their combinations.
 
 use std::fmt;
 
 use hullcast::contact::{Accuracy, Simplification, Solver};
 
-/// One value of each knob.
+/// A setting: one value of each knob.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Setting {
     pub(super) solver: Solver,
     pub(super) relative_tolerance: f64,
     pub(super) max_iterations: u32,
-    /// From the answer before a small motion, or from nothing.
+    /// Whether a pair starts from the answer before a small motion.
     pub(super) warm: bool,
-    /// Deviation allowed to simplified hulls, as a share of the circumradius; 0: as they are.
+    /// Deviation allowed to simplified hulls, as a share of the circumradius; 0: not simplified.
     pub(super) simplification: f64,
     pub(super) feature_angle: f64,
     pub(super) max_points: u32,
     pub(super) center: Center,
 }
 
-/// Where hulls grow from.
+/// The contraction point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Center {
     /// The centre of mass.
     Mass,
-    /// That of the largest ball inside.
+    /// The centre of the largest ball inside.
     Ball,
     /// The centre of mass, moved by half the inradius.
     Offset,
@@ -39,7 +39,7 @@ const FEATURE_ANGLES: [f64; 3] = [0.01, 0.0, 0.1];
 const MAX_POINTS: [u32; 3] = [0, 4, 1];
 pub(super) const CENTERS: [Center; 3] = [Center::Mass, Center::Ball, Center::Offset];
 
-/// The knobs, as the table's columns are called.
+/// The names of the knobs in the table's columns.
 pub(super) const KNOBS: [&str; 8] = [
     "solver",
     "relative_tolerance",
@@ -52,7 +52,7 @@ pub(super) const KNOBS: [&str; 8] = [
 ];
 
 impl Setting {
-    /// What a request gets that names nothing: the first level of each knob.
+    /// The setting of a request that gives no accuracy: the first level of each knob.
     pub(super) const DEFAULT: Self = Self {
         solver: SOLVERS[0],
         relative_tolerance: TOLERANCES[0],
@@ -64,7 +64,7 @@ impl Setting {
         center: CENTERS[0],
     };
 
-    /// Every combination. Hulls are the same in the inner loops.
+    /// Every combination. The inner loops do not change the hulls.
     pub(super) fn grid() -> Vec<Self> {
         let mut grid = Vec::new();
         for center in CENTERS {
@@ -94,7 +94,7 @@ impl Setting {
         grid
     }
 
-    /// What the library is asked for.
+    /// The accuracy that the library is called with.
     pub(super) fn accuracy(&self) -> Accuracy {
         Accuracy {
             solver: self.solver,
@@ -105,13 +105,13 @@ impl Setting {
         }
     }
 
-    /// What its hulls are simplified to; `size` is the circumradius.
+    /// The simplification of the hulls. `size` is the circumradius.
     pub(super) fn simplified(&self, size: f64) -> Option<Simplification> {
         (self.simplification > 0.0)
             .then_some(Simplification { max_vertices: None, max_deviation: Some(self.simplification * size) })
     }
 
-    /// A knob's value each, in the order of [`KNOBS`].
+    /// The value of each knob, in the order of [`KNOBS`].
     pub(super) fn values(&self) -> [String; KNOBS.len()] {
         let start = if self.warm { "warm" } else { "cold" };
         let center = match self.center {
@@ -134,7 +134,7 @@ impl Setting {
         ]
     }
 
-    /// The knobs that are not at their default.
+    /// The indices of the knobs that are not at their default.
     pub(super) fn changed(&self) -> Vec<usize> {
         let (own, default) = (self.values(), Self::DEFAULT.values());
         (0..KNOBS.len()).filter(|&knob| own[knob] != default[knob]).collect()

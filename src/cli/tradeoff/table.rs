@@ -1,11 +1,11 @@
-//! What was measured, a row a setting and cell; and what of it is worth taking.
+//! The results with one row per setting and cell, and the selection of the rows that no other beats.
 
 use std::fmt::Write;
 
 use super::measure::Sample;
 use super::settings::{KNOBS, Setting};
 
-/// Of one setting, on one cell or on all of them.
+/// The results of one setting, on one cell or on a pool of cells.
 #[derive(Clone, Debug)]
 pub(super) struct Row {
     pub(super) cell: String,
@@ -13,7 +13,7 @@ pub(super) struct Row {
     pub(super) figures: Figures,
 }
 
-/// Of another library, on one cell or on all of them.
+/// The results of another library, on one cell or on a pool of cells.
 #[derive(Clone, Debug)]
 pub(super) struct PeerRow {
     pub(super) cell: String,
@@ -21,19 +21,19 @@ pub(super) struct PeerRow {
     pub(super) figures: Figures,
 }
 
-/// The columns of errors and times.
+/// The columns of times and errors.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Figures {
     pub(super) pairs: usize,
     pub(super) time: [f64; 3],
-    /// Time over that of the default: the geometric mean over cells of the medians' ratio.
+    /// Time relative to the default's: the geometric mean, over cells, of the ratio of the medians.
     pub(super) relative_time: f64,
     pub(super) gap: [f64; 2],
     pub(super) optimality: [f64; 3],
     pub(super) angle: [f64; 2],
     pub(super) separation: [f64; 2],
     pub(super) depth: [f64; 2],
-    /// How far that ratio is from 1, p95.
+    /// How far the ratio of depths is from 1, p95.
     pub(super) depth_off: f64,
     pub(super) axis: [f64; 2],
     pub(super) hausdorff: [f64; 2],
@@ -117,7 +117,7 @@ impl Figures {
     }
 }
 
-/// Of some numbers, in order.
+/// Numbers in ascending order, for percentiles.
 pub(super) struct Sorted(Vec<f64>);
 
 impl Sorted {
@@ -127,14 +127,14 @@ impl Sorted {
         Self(numbers)
     }
 
-    /// The nearest to these shares of the way; NaN of none.
+    /// The numbers nearest to these shares of the order; NaN if there are no numbers.
     pub(super) fn at<const N: usize>(&self, shares: [f64; N]) -> [f64; N] {
         let last = self.0.len().saturating_sub(1) as f64;
         shares.map(|share| self.0.get((share * last).round() as usize).copied().unwrap_or(f64::NAN))
     }
 }
 
-/// A header, then a line a row; a peer has its name for a solver, and no knobs.
+/// A header, then one line per row. Another library has its name in the solver's column, and no knobs.
 pub(super) fn csv(rows: &[Row], peers: &[PeerRow]) -> String {
     let mut text = format!("cell,{},{},flickers\n", KNOBS.join(","), COLUMNS.join(","));
     let mut line = |cell: &str, knobs: &str, figures: &Figures| {
@@ -150,7 +150,7 @@ pub(super) fn csv(rows: &[Row], peers: &[PeerRow]) -> String {
     text
 }
 
-/// Four digits are more than a measurement has.
+/// The number as text, with four digits, which are more than a measurement has.
 fn short(value: f64) -> String {
     match value {
         _ if value == 0.0 || !value.is_finite() || value.fract() == 0.0 && value.abs() < 1e9 => {
@@ -161,7 +161,7 @@ fn short(value: f64) -> String {
     }
 }
 
-/// The rows that no other beats both in time and in `error`, by ascending time.
+/// The rows that no other row beats in both time and `error`, in ascending order of time.
 pub(super) fn front(rows: &[Row], error: impl Fn(&Figures) -> f64) -> Vec<usize> {
     let mut order: Vec<usize> = (0..rows.len()).collect();
     let key = |i: usize| (rows[i].figures.relative_time, error(&rows[i].figures));
@@ -195,8 +195,8 @@ mod tests {
         }
     }
 
-    /// Catches percentiles of the wrong column or end, a header that does not fit its rows,
-    /// and a front with a row in it that another beats.
+    /// Catches percentiles of the wrong column or end, a header that does not fit its rows, and a front that
+    /// contains a row beaten by another.
     #[test]
     fn figures_and_fronts_are_what_they_say() {
         let samples: Vec<Sample> = (0..101).map(|i| sample(f64::from(i), f64::from(100 - i))).collect();

@@ -1,15 +1,15 @@
-//! What answers are held against: support values and the least translation by brute force,
-//! from the whole hulls alone.
+//! The true values that answers are compared with: support values and the least translation, by brute
+//! force over the whole hulls.
 
 use glam::{DMat3, DVec3};
 
 use super::cases::{Case, Placement};
 use hullcast::contact::ConvexHull;
 
-/// Two whole hulls in the world's axes; lengths in the caller's units.
+/// Two whole hulls in the world's axes. Lengths are in the caller's units.
 pub(super) struct Pair<'a> {
     sides: [Side<'a>; 2],
-    /// From A's contraction point to B's.
+    /// The vector from A's contraction point to B's.
     pub(super) d: DVec3,
     /// Sum of the circumradii.
     pub(super) size: f64,
@@ -18,7 +18,7 @@ pub(super) struct Pair<'a> {
 struct Side<'a> {
     hull: &'a ConvexHull,
     rotation: DMat3,
-    /// About the contraction point, world axes.
+    /// Vertices relative to the contraction point, world axes.
     vertices: Vec<DVec3>,
 }
 
@@ -61,9 +61,9 @@ impl<'a> Pair<'a> {
         n.dot(self.d) - self.reach(n)
     }
 
-    /// The depth and direction of the least translation that separates overlapping hulls, exact to the
-    /// planarity of merged faces: over all normals of the Minkowski difference, which are the
-    /// faces' and those of pairs of edges whose arcs on the Gauss map cross (Gregorius, *The
+    /// The depth and direction of the least translation that separates overlapping hulls. It is exact up to
+    /// the planarity of merged faces. The search goes over all normals of the Minkowski difference: those of
+    /// the faces, and those of pairs of edges whose arcs on the Gauss map cross (D. Gregorius, *The
     /// Separating Axis Test between Convex Polyhedra*, GDC 2013).
     pub(super) fn least_translation(&self) -> (f64, DVec3) {
         let [a, b] = &self.sides;
@@ -90,7 +90,7 @@ impl<'a> Pair<'a> {
         for of_a in arcs(a, &normals[0]) {
             for of_b in arcs_b.iter().filter(|of_b| of_a.crosses(of_b)) {
                 let n = of_a.edge.cross(of_b.edge);
-                // Parallel edges: faces that they bound have the normal.
+                // Parallel edges add no normal: the faces that they bound have it.
                 if n.length_squared() < 1e-16 * of_a.edge.length_squared() * of_b.edge.length_squared() {
                     continue;
                 }
@@ -103,7 +103,7 @@ impl<'a> Pair<'a> {
     }
 }
 
-/// An edge, and its arc on the Gauss map.
+/// An edge and its arc on the Gauss map.
 struct Arc {
     tail: DVec3,
     edge: DVec3,
@@ -116,7 +116,7 @@ impl Arc {
     fn crosses(&self, other: &Self) -> bool {
         let ends = [other.left.dot(self.across), other.right.dot(self.across)];
         let own = [self.left.dot(other.across), self.right.dot(other.across)];
-        // Each arc's ends on two sides of the other's plane, in one half of the sphere.
+        // The ends of each arc lie on opposite sides of the other's plane, in one half of the sphere.
         ends[0] * ends[1] < 0.0 && own[0] * own[1] < 0.0 && ends[0] * own[1] > 0.0
     }
 }

@@ -1,20 +1,36 @@
-//! Double-double numbers: some 106 bits from two doubles.
+//! Double-double numbers: about 106 bits of precision from two doubles.
+//!
+//! A double-double is the exact sum of a double and its rounding error. The building blocks are
+//! *error-free transformations*, which return the rounded result of an operation together with its
+//! exact rounding error:
+//!
+//! ```text
+//! two_sum        hi + lo = a + b         6 operations
+//! quick_two_sum  hi + lo = a + b         3 operations, for |a| >= |b|
+//! split          high + low = a          26 bits each
+//! two_prod       hi + lo = a * b         17 operations, from split halves
+//! ```
+//!
+//! They are from T. J. Dekker, *A floating-point technique for extending the available precision*,
+//! 1971, doi:10.1007/BF01397083 (`split` is by Veltkamp), and `two_sum` from D. E. Knuth, *The Art
+//! of Computer Programming*, volume 2, section 4.2.2.
 
 use glam::DVec3;
 
-/// The unevaluated sum `hi + lo`, with `lo` at most half an ulp of `hi`.
+/// The unevaluated sum `hi + lo`, where `lo` is at most half an ulp of `hi`.
 ///
-/// Operations are good to a few 2^-106 relative to the operands' magnitude
-/// (M. Joldes, J.-M. Muller and V. Popescu, *Tight and Rigorous Error Bounds
-/// for Basic Building Blocks of Double-Word Arithmetic*, 2017). No fused
-/// multiply-add, so that every machine gives the same bits.
+/// The error of an operation is a few 2^-106 of the magnitude of its operands (M. Joldes, J.-M.
+/// Muller and V. Popescu, *Tight and Rigorous Error Bounds for Basic Building Blocks of Double-Word
+/// Arithmetic*, 2017, doi:10.1145/3121432; addition is their SloppyDWPlusDW, so it is not relative
+/// to a result that cancels). No operation uses fused multiply-add, so that every machine gives the
+/// same bits.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Dd {
     pub(crate) hi: f64,
     pub(crate) lo: f64,
 }
 
-/// `a + b` exactly, for any order of magnitudes (Knuth).
+/// `a + b` exactly, whichever is larger (Knuth).
 fn two_sum(a: f64, b: f64) -> Dd {
     let hi = a + b;
     let b_part = hi - a;
@@ -26,20 +42,20 @@ fn two_diff(a: f64, b: f64) -> Dd {
     two_sum(a, -b)
 }
 
-/// `a + b` exactly where `|a| >= |b|` or `a` is 0 (Dekker).
+/// `a + b` exactly if `|a| >= |b|` or `a` is 0 (Dekker).
 fn quick_two_sum(a: f64, b: f64) -> Dd {
     let hi = a + b;
     Dd { hi, lo: b - (hi - a) }
 }
 
-/// Halves of at most 26 bits each, with sum `a` (Veltkamp). Needs `|a| < 2^996`.
+/// Two halves of at most 26 bits each, whose sum is `a` (Veltkamp). Needs `|a| < 2^996`.
 fn split(a: f64) -> (f64, f64) {
     let scaled = a * 134_217_729.0; // 2^27 + 1
     let high = scaled - (scaled - a);
     (high, a - high)
 }
 
-/// `a * b` exactly where nothing underflows (Dekker).
+/// `a * b` exactly if nothing underflows (Dekker).
 fn two_prod(a: f64, b: f64) -> Dd {
     let hi = a * b;
     let (ah, al) = split(a);
@@ -53,7 +69,7 @@ impl Dd {
         self.hi + self.lo
     }
 
-    /// Scaled by a power of two.
+    /// The number times `power`, which must be a power of two.
     pub(super) fn scaled(self, power: f64) -> Self {
         Self { hi: self.hi * power, lo: self.lo * power }
     }
@@ -120,17 +136,18 @@ pub(crate) fn exact_difference(a: DVec3, b: DVec3) -> Dd3 {
     [two_diff(a.x, b.x), two_diff(a.y, b.y), two_diff(a.z, b.z)]
 }
 
-/// Cross product, to about 2^-102 of the product of the lengths.
+/// The cross product, with an error of about 2^-102 of the product of the lengths.
 pub(crate) fn dd_cross(a: Dd3, b: Dd3) -> Dd3 {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// Dot product, to about 2^-102 of the product of the lengths.
+/// The dot product, with an error of about 2^-102 of the product of the lengths.
 pub(crate) fn dd_dot(a: Dd3, b: Dd3) -> Dd {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// `a . (b x c)`, to about 2^-102 of the product of the lengths, then rounded.
+/// `a . (b x c)`, with an error of about 2^-102 of the product of the lengths, then rounded to a
+/// double.
 pub(crate) fn triple_product(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     let wide = |v: DVec3| v.to_array().map(Dd::from);
     dd_dot(wide(a), dd_cross(wide(b), wide(c))).value()
@@ -141,7 +158,7 @@ mod tests {
     use super::*;
     use crate::contact::exact::{power_of_two, tests::stream, wide};
 
-    /// Nothing is lost: with the parts taken off, exactly nothing is left.
+    /// Catches a sum or a product that loses a bit: the exact value minus both parts must be 0.
     #[test]
     fn sums_and_products_are_exact() {
         let mut next = stream(3);

@@ -1,11 +1,15 @@
-//! Integers of any length, for the few inputs beyond the reach of expansions
-//! of doubles. Slow and plain.
+//! Integers of any length, for the few inputs for which expansions of doubles are not exact.
+//!
+//! Every double is an integer times a power of two. With the smallest power among all coordinates as
+//! the unit, the coordinates are integers, and so are determinants and cross products. Schoolbook
+//! arithmetic on digits in base 2^32 computes them exactly. The code aims to be plain, not fast.
 
 use std::cmp::Ordering;
 
 use glam::DVec3;
 
-/// A signed integer; magnitude in base 2^32, lowest digit first, no leading zeros.
+/// A signed integer. The digits of its magnitude are in base 2^32, the lowest first, without leading
+/// zeros.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Wide {
     negative: bool,
@@ -13,7 +17,7 @@ pub(super) struct Wide {
 }
 
 impl Wide {
-    /// `x / 2^unit`, which must be an integer: `unit` is at most [`last_bit`] of `x`.
+    /// `x / 2^unit`, which must be an integer: `unit` must be at most [`last_bit`] of `x`.
     fn from_double(x: f64, unit: i32) -> Self {
         let (mantissa, exponent) = decompose(x);
         if mantissa == 0 {
@@ -72,14 +76,14 @@ impl Wide {
         }
     }
 
-    /// Number of bits of the magnitude.
+    /// The number of bits of the magnitude.
     fn bits(&self) -> i32 {
         self.digits.last().map_or(0, |top| self.digits.len() as i32 * 32 - top.leading_zeros() as i32)
     }
 
-    /// `self / 2^exponent` to double precision, for an `exponent` of at least [`Wide::bits`].
+    /// `self / 2^exponent` in double precision. `exponent` must be at least [`Wide::bits`].
     fn to_double(&self, exponent: i32) -> f64 {
-        // Three digits hold 65 bits or more: beyond a double's rounding.
+        // The three highest digits hold at least 65 bits, more than the precision of a double.
         let lowest = self.digits.len().saturating_sub(3);
         let top = self.digits[lowest..].iter().rev().fold(0_u128, |sum, &d| sum << 32 | u128::from(d));
         let power = lowest as i32 * 32 - exponent;
@@ -89,7 +93,7 @@ impl Wide {
     }
 }
 
-/// `(m, e)` with `|x| = m 2^e` and `m` odd, or 0.
+/// `(m, e)` with `|x| = m 2^e`, where `m` is odd or 0.
 fn decompose(x: f64) -> (u64, i32) {
     let bits = x.to_bits();
     let biased = ((bits >> 52) & 0x7ff) as i32;
@@ -147,7 +151,7 @@ fn subtracted(a: &[u32], b: &[u32]) -> Vec<u32> {
     difference
 }
 
-/// `points - origin` as integers of one unit, and the unit's exponent.
+/// `points - origin` as integers of one unit, and the exponent of that unit.
 fn differences<const N: usize, const D: usize>(
     points: [[f64; D]; N],
     origin: [f64; D],
@@ -177,8 +181,8 @@ pub(super) fn orient2d(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
     a[0].times(&b[1]).minus(&a[1].times(&b[0])).sign()
 }
 
-/// `(m, e)` with `(b - a) x (c - a) = m 2^e`, each component of `m` rounded and
-/// the largest in [0.5, 1]; zero where the cross product is exactly zero.
+/// `(m, e)` with `(b - a) x (c - a) = m 2^e`. Each component of `m` is rounded, and the largest is
+/// in [0.5, 1]. `m` is zero if the cross product is exactly zero.
 pub(super) fn cross(a: DVec3, b: DVec3, c: DVec3) -> (DVec3, i32) {
     let ([b, c], unit) = differences([b, c].map(|p| p.to_array()), a.to_array());
     let product = cross_product(&b, &c);
@@ -187,7 +191,7 @@ pub(super) fn cross(a: DVec3, b: DVec3, c: DVec3) -> (DVec3, i32) {
     (DVec3::new(x, y, z), bits + 2 * unit)
 }
 
-/// Of the sum of the products, exactly.
+/// The sign of the sum of the products, decided exactly.
 #[cfg(test)]
 pub(super) fn sign_of_sum(products: &[(f64, f64)]) -> f64 {
     let [left, right] = [0, 1].map(|i| last_bit(products.iter().map(|p| if i == 0 { p.0 } else { p.1 })));

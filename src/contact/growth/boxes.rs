@@ -1,51 +1,61 @@
-//! Two boxes: the growth scale in closed form over the 15 separating axes
-//! (Gottschalk, Lin and Manocha, *OBBTree*, 1996, for the axes).
+//! Two boxes: a start for the portal from the closed form over the 15 separating axes.
 //!
-//! What is returned is no answer but where to look: a face normal along which the
-//! boxes seem apart by more than the margin, or a triple of vertices of `K` to start
-//! from, the triangle of the winning axis' facet that the ray crosses. Support points
-//! certify the one; the portal certifies the other, usually in one step, and goes on
-//! where rounding or a tie named the wrong facet.
+//! `K` of two boxes has facets with only 15 pairs of normals: A's three face normals, B's three, and
+//! the cross products of an edge direction of A and one of B (S. Gottschalk, M. C. Lin and D. Manocha,
+//! *OBBTree: A Hierarchical Structure for Rapid Interference Detection*, 1996,
+//! doi:10.1145/237170.237244). Hence `alpha` is the largest `n.d / h_K(n)` over these 15 axes, and the
+//! ray leaves `K` through the facet of that axis. The facet is a parallelogram, or an octagon if a
+//! face of A is parallel to a face of B. (Other parallel features are treated as if they were not.)
+//!
+//! ```text
+//! seeds: n = axis of the largest growth scale;  x = ray / growth scale, on the facet
+//!        triangulate the facet of n; return the three vertices of K of the triangle that holds x
+//! ```
+//!
+//! The result is never an answer, only a place to start, so nothing rests on its rounding: either a
+//! face normal along which the boxes seem apart by more than the margin, or three seeds. Support
+//! points certify the normal, and the portal certifies the seeds, usually in one step. If rounding or
+//! a tie named the wrong facet, the portal goes on from there. The cost is constant.
 
 use glam::{DMat3, DVec2, DVec3, Vec3Swizzles};
 
 use crate::contact::hull::{BoxShape, octant};
 use crate::contact::pair::{Pair, Support, shift};
 
-/// Both boxes in A's axes.
+/// Both boxes in the axes of A's box.
 pub(crate) struct Boxes<'a> {
     a: &'a BoxShape,
     b: &'a BoxShape,
     /// Half extents, pair units.
     half_a: DVec3,
     half_b: DVec3,
-    /// B's axes in A's, as columns.
+    /// The axes of B's box in those of A's, as columns.
     axes: DMat3,
-    /// The same without signs.
+    /// Their absolute values.
     size: DMat3,
     ray: DVec3,
-    /// Of A's face normals and of B's: how far the ray goes along each, and how far `K`
-    /// reaches.
+    /// For A's three face normals and for B's: the length of the ray along each, and how far `K`
+    /// reaches along it.
     along: [DVec3; 2],
     reach: [DVec3; 2],
 }
 
-/// What of the boxes the largest growth scale belongs to.
+/// The separating axis with the largest growth scale, by the features that define it.
 #[derive(Clone, Copy)]
 enum Kind {
     FaceOfA(usize),
     FaceOfB(usize),
-    /// Parallel to rounding.
+    /// A face of A and a face of B that are parallel to rounding.
     Faces(usize, usize),
     Edges(usize, usize),
 }
 
-/// Share of a growth scale by which two axes count as one. It only says where to
-/// look first, so nothing depends on the value.
+/// Two axes count as one if their growth scales differ by less than this share. It only chooses the
+/// start, so no answer depends on the value.
 const SAME_AXIS: f64 = 1e-9;
 
 impl<'a> Boxes<'a> {
-    /// None for other hulls.
+    /// Both boxes of a pair. None if a hull is not a box.
     pub(crate) fn of(pair: &Pair<'a>) -> Option<Self> {
         let (a, b) = (pair.a.box_shape()?, pair.b.box_shape()?);
         let (half_a, half_b) = (a.half * pair.scale_a, b.half * pair.scale_b);
@@ -57,8 +67,8 @@ impl<'a> Boxes<'a> {
         Some(Self { a, b, half_a, half_b, axes, size, ray, along, reach })
     }
 
-    /// The face normal, A's frame, along which the boxes seem farthest apart, where that is
-    /// beyond the margin (pair units).
+    /// The face normal, A's frame, along which the boxes seem farthest apart. None if that is not beyond
+    /// the margin (pair units).
     pub(crate) fn seem_apart(&self, pair: &Pair<'_>, margin: f64) -> Option<DVec3> {
         let mut best = (margin, 0, 0);
         for (hull, (along, reach)) in self.along.iter().zip(&self.reach).enumerate() {
@@ -74,7 +84,7 @@ impl<'a> Boxes<'a> {
         (gap > margin).then(|| self.a.axes * (axis * axis.dot(self.ray).signum()))
     }
 
-    /// Where to start.
+    /// Three vertices of `K` for the portal to start from.
     pub(crate) fn seeds(&self, pair: &Pair<'_>) -> [Support; 3] {
         let (scale, kind) = self.best_axis();
         let crossed = self.ray / scale;
@@ -87,10 +97,10 @@ impl<'a> Boxes<'a> {
         .map(|[a, b]| pair.support_of(self.a.corner(a), self.b.corner(b)))
     }
 
-    /// The largest growth scale of an axis, and the axis.
+    /// The largest growth scale of the 15 axes, and its axis.
     fn best_axis(&self) -> (f64, Kind) {
         let [of_a, of_b] = [0, 1].map(|hull| (self.along[hull] / self.reach[hull]).to_array());
-        // Of B's axes in turn, with A's three each.
+        // One axis of B after another, each with A's three: element 3 j + i is A's i and B's j.
         let (half_a, half_b) = (self.half_a, self.half_b.to_array());
         let of_edges = [0, 1, 2].map(|j| {
             let (j1, j2) = ((j + 1) % 3, (j + 2) % 3);
@@ -115,8 +125,22 @@ impl<'a> Boxes<'a> {
         }
     }
 
-    /// A's face `i` on B's face `j`: of the octagon that their sides make the
-    /// three corners around the ray.
+    /// A's face `i` on B's face `j`, which are parallel. The facet of `K` is the octagon that the sides of
+    /// both faces make. Returns the corners of its triangle around the ray.
+    ///
+    /// The octagon is the sum of four segments, the half sides `x` and `y` of A's face and two of B's.
+    /// Sorted by angle they are `x`, `early` (B's in the first quadrant), `y`, and `late` (B's in the second
+    /// quadrant). From its first corner on, where all four are subtracted, each following corner adds
+    /// twice the next half side; after four of them comes the opposite corner:
+    ///
+    /// ```text
+    /// corner   signs of x, early, y, late   name
+    /// 0        - - - -                      start of the fan
+    /// 1        + - - -
+    /// 2        + + - -                      second
+    /// 3        + + + -                      third
+    /// 4        + + + +                      opposite of 0, at the end of the diagonal
+    /// ```
     fn faces(&self, i: usize, j: usize, crossed: DVec3) -> [[usize; 2]; 3] {
         let (half_a, half_b) = (self.half_a.to_array(), self.half_b.to_array());
         let columns = self.axes.to_cols_array_2d();
@@ -125,8 +149,9 @@ impl<'a> Boxes<'a> {
         let on_face = |v: [f64; 3]| DVec2::new(v[i1], v[i2]);
         let upper_a = self.ray.to_array()[i] > 0.0;
         let upper_b = upper_a != (columns[j][i] > 0.0);
-        // Half sides by angle in the first two quadrants: A's, B's, A's, B's. In
-        // a - b B's own sign is the opposite.
+        // Sort B's half sides by angle. Each is first turned into the upper half plane (`f_half`,
+        // `g_half`); `up_f` and `up_g` note whether that kept its direction. K is A - B, so the sign of
+        // a half side in B's corner is the opposite of its sign in the octagon: hence the XOR below.
         let (f, g) = (on_face(columns[j1]), on_face(columns[j2]));
         let (up_f, up_g) = (f.y >= 0.0, g.y >= 0.0);
         let f_half = f * if up_f { half_b[j1] } else { -half_b[j1] };
@@ -134,8 +159,9 @@ impl<'a> Boxes<'a> {
         let f_first = f_half.x > 0.0;
         let (early, late) = if f_first { (f_half, g_half) } else { (g_half, f_half) };
         let (along_x, along_y) = (DVec2::new(half_a[i1], 0.0), DVec2::new(0.0, half_a[i2]));
-        // From the middle of the octagon; where it is left of the diagonal,
-        // upside down: the corners are then the opposite ones.
+        // The crossed point relative to the middle of the octagon. If the point is left of the
+        // diagonal, the octagon is rotated by half a turn, which brings the point to its right. The
+        // corners found are then those opposite to the corners sought.
         let height = if upper_b { half_b[j] } else { -half_b[j] };
         let at = on_face(crossed.to_array()) + on_face(columns[j]) * height;
         let end = along_x + early + along_y + late;
@@ -143,8 +169,9 @@ impl<'a> Boxes<'a> {
         let from_start = end + if turned { -at } else { at };
         let second = 2.0 * (along_x + early);
         let third = second + 2.0 * along_y;
-        // The fan from the first corner has three triangles. The signs of A's x
-        // and y and of B's early and late half sides at each corner.
+        // The diagonal and the corners 0 to 4 bound three triangles, a fan from corner 0. The side of
+        // the lines from corner 0 to `second` and to `third` on which the point lies tells which of
+        // them holds it. Its corners are 0, 1, 2, or 0, 2, 3, or 0, 3, 4: the rows below are their signs.
         let past_second = second.perp_dot(from_start) > 0.0;
         let past_third = third.perp_dot(from_start) > 0.0;
         let corners =
@@ -156,13 +183,13 @@ impl<'a> Boxes<'a> {
             let b = usize::from(upper_b) << j
                 | (of_f ^ usize::from(up_f)) << j1
                 | (of_g ^ usize::from(up_g)) << j2;
-            // Upside down on the face, and the same height.
+            // Undo the half turn: invert the two signs on the face, and keep the one along its normal.
             let flip = |kept: usize| if turned { 7 ^ 1 << kept } else { 0 };
             [a ^ flip(i), b ^ flip(j)]
         })
     }
 
-    /// A's face `i` against the corner of B farthest into it.
+    /// A's face `i` against the corner of B that is farthest towards it.
     fn face_of_a(&self, i: usize, crossed: DVec3) -> [[usize; 2]; 3] {
         let n = DVec3::AXES[i] * self.ray[i].signum();
         let b = self.b_signs(-n);
@@ -175,7 +202,7 @@ impl<'a> Boxes<'a> {
         })
     }
 
-    /// B's face `j` against the corner of A farthest into it.
+    /// B's face `j` against the corner of A that is farthest towards it.
     fn face_of_b(&self, j: usize, crossed: DVec3) -> [[usize; 2]; 3] {
         let towards = self.axes.col(j).dot(self.ray).signum();
         let a = signs(self.axes.col(j) * towards);
@@ -188,14 +215,14 @@ impl<'a> Boxes<'a> {
         })
     }
 
-    /// A's edge along `i` against B's along `j`.
+    /// A's edge along axis `i` against B's edge along axis `j`.
     fn edges(&self, i: usize, j: usize, crossed: DVec3) -> [[usize; 2]; 3] {
         let (along_a, along_b) = (DVec3::AXES[i], self.axes.col(j));
         let across = along_a.cross(along_b);
         let n = across * across.dot(self.ray).signum();
         let (mut a, mut b) = (signs(n), self.b_signs(-n));
         (a[i], b[j]) = (0.0, 0.0);
-        // crossed = (a + x along_a) - (b + y along_b), in the plane across n.
+        // Solve crossed = (a + x along_a) - (b + y along_b) for x and y, in the plane across n.
         let rest = crossed - a * self.half_a + self.axes * (b * self.half_b);
         let (past_b, past_a) = (along_b.cross(n), along_a.cross(n));
         let x = rest.dot(past_b) / (self.half_a[i] * along_a.dot(past_b));
@@ -206,14 +233,14 @@ impl<'a> Boxes<'a> {
         })
     }
 
-    /// Signs, in B's axes, of the corner of B farthest along `n`.
+    /// The signs, in the axes of B's box, of its corner farthest along `n`.
     fn b_signs(&self, n: DVec3) -> DVec3 {
         signs(self.axes.transpose() * n)
     }
 }
 
-/// The largest, and where. Without branches: which it is is anyone's guess.
-/// Parallel edges have no axis, their scale (0 / 0) is no number and never larger.
+/// The index of the largest scale, and the scale. Computed without branches, because they would be
+/// unpredictable. Parallel edges have no axis: their scale is 0 / 0, which is never larger.
 fn largest(scales: &[f64]) -> (usize, f64) {
     let (mut best, mut largest) = (0, 0.0);
     for (k, &scale) in scales.iter().enumerate() {
@@ -228,7 +255,8 @@ fn signs(v: DVec3) -> DVec3 {
     DVec3::new(v.x.signum(), v.y.signum(), v.z.signum())
 }
 
-/// Of the square from -1 to 1 the corners of the half that holds a point.
+/// The square from -1 to 1 is divided by its rising diagonal. Returns the corners of the half that
+/// holds the point.
 fn triangle(x: f64, y: f64) -> [(f64, f64); 3] {
     let third = if x > y { (1.0, -1.0) } else { (-1.0, 1.0) };
     [(-1.0, -1.0), third, (1.0, 1.0)]
@@ -239,8 +267,8 @@ mod tests {
     use crate::contact::{Body, ConvexHull, Pose, Query, Workspace, contact_manifold};
     use crate::workload::{Family, Regime, Workload};
 
-    /// A start beside the ray costs steps and is otherwise not seen: a sign lost
-    /// in the closed form, a wrong corner of the octagon.
+    /// A start beside the ray costs steps and shows nowhere else. Catches a sign lost in the closed form
+    /// and a wrong corner of the octagon.
     #[test]
     fn the_start_is_the_facet_that_the_ray_crosses() {
         for regime in [Regime::Shallow, Regime::Resting] {

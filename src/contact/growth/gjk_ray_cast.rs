@@ -1,12 +1,26 @@
-//! The paper's solver (Silcowitz et al. 2010, section 3; van den Bergen, *Ray
-//! casting against general convex objects*, 2004): a point outside `K` moves
-//! along the ray towards the origin, never past a plane that GJK shows to
-//! separate it from `K`.
+//! The paper's solver: a ray cast by GJK, from outside `K`.
 //!
-//! Where the point is so near to `K` that the direction to it is mostly
-//! rounding, the simplex goes to the pivot of [`portal`](super::portal), which
-//! finds the face and closes the bracket, usually in one step. The paper stops
-//! by a tolerance on the distance instead; this stops by the bracket.
+//! Silcowitz, Niebe and Erleben (SCA 2010, section 3) use the method of G. van den Bergen, *Ray casting
+//! against general convex objects with application to continuous collision detection* (2004). A point
+//! `x` starts outside `K` and moves along the ray towards the origin. It never passes a plane that
+//! GJK shows to separate it from `K`, so it can only stop on the surface:
+//!
+//! ```text
+//! x = at infinity on the ray along d; direction = d; simplex = no points
+//! loop:
+//!     w = vertex of K farthest along direction
+//!     the plane through w across direction cuts the ray before x: move x to that plane
+//!     add w to the simplex
+//!     v = from the simplex point closest to x, to x
+//!     |v| is small, or there is no progress: portal refinement finishes from the simplex
+//!     direction = v
+//! ```
+//!
+//! A step costs one support call of each hull and the reduction of a simplex of at most four points.
+//!
+//! Departure from the paper, which stops at a tolerance on `|v|` and takes the normal from `v`. Near
+//! the surface `v` is mostly rounding, so the simplex goes to [`portal`](super::portal). The portal
+//! finds the facet and closes the bracket, usually in one step, and the answer stops by its bracket.
 
 use glam::DVec3;
 
@@ -15,9 +29,9 @@ use crate::contact::pair::{Pair, Support};
 use crate::contact::simplex::Simplex;
 use crate::contact::tolerance::{RAY_CAST_NEAR, STALL};
 
-/// Growth scale and normal. `seeds` are vertices of `K` of an earlier answer.
+/// Finds the growth scale and normal. `seeds` are vertices of `K` of an earlier answer.
 pub(crate) fn solve(pair: &Pair<'_>, seeds: &[Support], goal: &Goal) -> Growth {
-    // The bracket is the pivot's: of the limit one step is left for it.
+    // The portal computes the bracket, so one iteration of the limit is left for it.
     if goal.max_iterations <= 1 {
         return portal::solve(pair, seeds, goal, Cost::default());
     }
@@ -53,8 +67,8 @@ pub(crate) fn solve(pair: &Pair<'_>, seeds: &[Support], goal: &Goal) -> Growth {
     }
 }
 
-/// Moves the point to the plane through `w` across `direction`, if it lies
-/// beyond; whether it did.
+/// Moves the point to the plane through `w` across `direction` if that plane cuts the ray nearer to
+/// the origin. Returns whether the point moved.
 fn advance(position: &mut f64, along: DVec3, direction: DVec3, w: &Support) -> bool {
     let plane = direction.dot(w.point) / direction.dot(along);
     let beyond = direction.dot(along) > 0.0 && plane < *position;

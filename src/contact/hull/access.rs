@@ -1,38 +1,38 @@
-//! Reading a hull.
+//! Read access to a hull.
 
 use glam::{DMat3, DVec3};
 
 use super::{BoxShape, ConvexHull, Csr, Face};
 use crate::contact::support::{Columns, SupportMap};
 
-/// In the caller's units, hull frame.
+/// Properties in the hull frame and the caller's units.
 impl ConvexHull {
-    /// Extreme vertices kept.
+    /// The number of vertices: all extreme vertices, or those that simplification kept.
     pub fn vertex_count(&self) -> usize {
         self.vertices.len()
     }
 
-    /// Faces after merging coplanar triangles.
+    /// The number of faces, after nearly coplanar triangles were merged.
     pub fn face_count(&self) -> usize {
         self.faces.len()
     }
 
-    /// Corners of the face that has the most.
+    /// The number of corners of the face that has the most corners.
     pub fn largest_face(&self) -> usize {
         self.largest_face as usize
     }
 
-    /// Edges between faces.
+    /// The number of edges between faces.
     pub fn edge_count(&self) -> usize {
         self.edge_vertices.len()
     }
 
-    /// Points as registered.
+    /// The number of points that the hull was registered with.
     pub fn registered_count(&self) -> usize {
         self.registered_count as usize
     }
 
-    /// Per vertex its index among the points as registered; ascending.
+    /// For each vertex, its index among the registered points; ascending.
     pub fn registered_indices(&self) -> &[u32] {
         &self.registered
     }
@@ -42,60 +42,63 @@ impl ConvexHull {
         self.registered.binary_search(&index).ok().map(|v| v as u32)
     }
 
-    /// Cubic units.
+    /// The volume; units cubed.
     pub fn volume(&self) -> f64 {
         self.volume
     }
 
-    /// Hull frame.
+    /// The centre of mass; hull frame.
     pub fn center_of_mass(&self) -> DVec3 {
         self.center_of_mass
     }
 
-    /// About the centre of mass at unit density; units to the fifth.
+    /// The inertia tensor about the centre of mass at unit density, in the axes of the hull frame;
+    /// units to the fifth power.
     pub fn inertia(&self) -> DMat3 {
         self.inertia
     }
 
-    /// The point about which the hull grows; hull frame.
+    /// The contraction point, about which the hull is scaled; hull frame.
     pub fn contraction_point(&self) -> DVec3 {
         self.contraction_point
     }
 
-    /// Of the largest ball about the contraction point inside, rounded down.
+    /// The radius of the largest ball about the contraction point that lies inside the hull,
+    /// rounded down.
     pub fn inradius(&self) -> f64 {
         self.inradius * self.scale
     }
 
-    /// Of the smallest ball about the contraction point around, rounded up.
+    /// The radius of the smallest ball about the contraction point that contains the hull, rounded
+    /// up.
     pub fn circumradius(&self) -> f64 {
         self.circumradius * self.scale
     }
 
-    /// How far a face's vertices are from its plane at most, rounded up, and what
-    /// simplification cost.
+    /// The largest distance of a vertex from the plane of its face, rounded up, plus the
+    /// [`ConvexHull::deviation`] of a simplified hull.
     pub fn geometric_error(&self) -> f64 {
         self.faces.iter().map(|face| face.planarity).fold(0.0, f64::max) * self.scale + self.deviation
     }
 
-    /// How far the vertices of one face were allowed to lie from one plane, as a share of the
-    /// circumradius. How far they do lie is in [`ConvexHull::geometric_error`].
+    /// How far the vertices of a face were allowed to lie from its plane, as a share of the
+    /// circumradius. [`ConvexHull::geometric_error`] has the distance that was reached.
     pub fn planarity(&self) -> f64 {
         self.planarity
     }
 
-    /// Certified upper bound of the Hausdorff distance to the hull of all points; 0 where
-    /// none was left out.
+    /// A certified upper bound of the Hausdorff distance to the hull of all points. It is 0 if no
+    /// extreme vertex was left out.
     pub fn deviation(&self) -> f64 {
         self.deviation
     }
 
-    /// Corners of face `i`, anticlockwise from outside, as registered indices.
+    /// The corners of face `i`, anticlockwise seen from outside, as registered indices.
     pub fn face_outline(&self, i: usize) -> impl ExactSizeIterator<Item = u32> + '_ {
         self.outlines.row(i).iter().map(|&v| self.registered[v as usize])
     }
 
-    /// Unit outward normal of face `i`, hull frame.
+    /// The outward unit normal of face `i`; hull frame.
     pub fn face_normal(&self, i: usize) -> DVec3 {
         self.faces[i].normal
     }
@@ -123,10 +126,10 @@ impl ConvexHull {
     }
 }
 
-/// In hull units: about the contraction point, divided by [`ConvexHull::scale`].
-/// Vertices, faces and edges are numbered from 0 in this hull's own order.
+/// Properties in hull units: relative to the contraction point and divided by
+/// [`ConvexHull::scale`]. Vertices, faces and edges are numbered from 0 in the order of this hull.
 impl ConvexHull {
-    /// The box that this hull is, if it is one about its contraction point.
+    /// The box that this hull is, or `None` if it is not a box about its contraction point.
     pub(crate) fn box_shape(&self) -> Option<&BoxShape> {
         self.box_shape.as_ref()
     }
@@ -137,80 +140,80 @@ impl ConvexHull {
         self.vertices[i as usize]
     }
 
-    /// How far vertices are from their faces' planes, and vertices between an edge's ends from
-    /// its line, at most.
+    /// The largest distance of a vertex from the plane of one of its faces, or of a vertex that
+    /// was straightened away from the line of its edge.
     #[inline]
     pub(crate) fn merge_error(&self) -> f64 {
         self.merge_error
     }
 
-    /// The vertices as columns.
+    /// The vertices by coordinate.
     pub(crate) fn columns(&self) -> &Columns {
         &self.columns
     }
 
-    /// Of the contraction point from the hull frame's origin; caller's units.
+    /// The distance of the contraction point from the origin of the hull frame; caller's units.
     pub(crate) fn contraction_distance(&self) -> f64 {
         self.contraction_distance
     }
 
-    /// Power of two: caller's units per hull unit.
+    /// The scale, a power of two: caller's units per hull unit.
     pub fn scale(&self) -> f64 {
         self.scale
     }
 
-    /// Extreme vertices, in registered order.
+    /// The vertices, in registered order.
     pub fn vertices(&self) -> &[DVec3] {
         &self.vertices
     }
 
-    /// [`ConvexHull::inradius`], hull units.
+    /// [`ConvexHull::inradius`] in hull units.
     pub fn unit_inradius(&self) -> f64 {
         self.inradius
     }
 
-    /// [`ConvexHull::circumradius`], hull units: in [0.5, 1).
+    /// [`ConvexHull::circumradius`] in hull units; in [0.5, 1).
     pub fn unit_circumradius(&self) -> f64 {
         self.circumradius
     }
 
-    /// Faces, after merging coplanar triangles.
+    /// The faces, after nearly coplanar triangles were merged.
     pub fn faces(&self) -> &[Face] {
         &self.faces
     }
 
-    /// Corners of face `i`, anticlockwise from outside.
+    /// The corners of face `i`, anticlockwise seen from outside.
     pub fn outline(&self, i: usize) -> &[u32] {
         self.outlines.row(i)
     }
 
-    /// Faces across the edges of face `i`, ascending.
+    /// The faces across the edges of face `i`; ascending.
     pub fn face_neighbours(&self, i: usize) -> &[u32] {
         self.face_neighbours.row(i)
     }
 
-    /// Ends of each edge, lower vertex first; ascending.
+    /// The end vertices of each edge, the lower index first. The edges are ascending.
     pub fn edge_vertices(&self) -> &[[u32; 2]] {
         &self.edge_vertices
     }
 
-    /// Per edge: the face on the left of going from the lower to the higher
-    /// vertex seen from outside, and the one on the right.
+    /// For each edge, the faces on its left and on its right, seen from outside along the way from
+    /// the lower vertex to the higher one.
     pub fn edge_faces(&self) -> &[[u32; 2]] {
         &self.edge_faces
     }
 
-    /// Faces with a triangle at vertex `i`, ascending.
+    /// The faces that have a triangle at vertex `i`; ascending.
     pub fn vertex_faces(&self, i: usize) -> &[u32] {
         self.vertex_faces.row(i)
     }
 
-    /// Edges ending in vertex `i`, ascending; none for a vertex inside a face.
+    /// The edges that end in vertex `i`; ascending. A vertex inside a merged face has none.
     pub fn vertex_edges(&self, i: usize) -> &[u32] {
         self.vertex_edges.row(i)
     }
 
-    /// Neighbours of vertex `i` along the triangulation, ascending.
+    /// The neighbours of vertex `i` along the triangulation; ascending.
     pub fn vertex_neighbours(&self, i: usize) -> &[u32] {
         self.vertex_neighbours.row(i)
     }

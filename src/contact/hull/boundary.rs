@@ -1,4 +1,29 @@
-//! The edges between faces of many triangles: boundaries between groups, straightened.
+//! The edges of faces that are groups of several triangles: the boundaries between the groups,
+//! straightened.
+//!
+//! The boundary between two groups is a chain of triangle sides. Its ends are *corners*, vertices
+//! where three or more boundaries meet. Vertices along the chain can be off a straight line by
+//! about the tolerance of the merge. So the chain is replaced by few straight edges, by the
+//! algorithm of D. H. Douglas and T. K. Peucker (1973, doi:10.3138/FM57-6770-U75U-7727):
+//!
+//! ```text
+//! straighten(chain): find the vertex farthest from the line through both ends;
+//!                    if it is farther than the tolerance, cut there and straighten both halves;
+//!                    otherwise the chain is one edge
+//!
+//!          v3                        v3
+//!      v2      v4         ->        /  \
+//!   v1            v5             v1      v5      (v2 and v4 were within the tolerance)
+//! ```
+//!
+//! A vertex that is dropped stays a vertex of the hull and of the support mapping; it is just not a
+//! corner of a face. Two cases need extra cuts, so that every face is bounded by a polygon. A
+//! chain without a corner is a loop (one group surrounds another); it is cut into three. Two
+//! edges between the same two corners would bound a face with two corners; all but the shortest
+//! chain are cut.
+//!
+//! Tracing the chains is linear. Straightening a chain of `k` vertices takes `O(k log k)` time if
+//! the cuts are even and `O(k^2)` at worst.
 
 use glam::DVec3;
 
@@ -8,17 +33,16 @@ use super::topology::{Edge, sort_edges};
 use crate::contact::sort::{COMPARISON, sort};
 use crate::contact::stop::{Meter, Stopped};
 
-/// Steps of one side of a triangle, or of one vertex of a chain.
+/// Steps per side of a triangle, or per vertex of a chain.
 const SIDE: u64 = 6;
 
-/// Between two faces: their common boundary, straightened.
+/// A part of the boundary between two faces. After straightening it is one edge.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
-    /// The boundary's vertices: `chain[start..=end]`.
+    /// The vertices of the part are `chains[start..=end]`.
     start: usize,
     end: usize,
-    /// The face on the left of going from start to end, seen from outside, and
-    /// the one on the right.
+    /// The faces on the left and on the right of the way from start to end, seen from outside.
     faces: [u32; 2],
 }
 
@@ -26,9 +50,9 @@ struct Piece {
 pub(super) struct Boundary<'a> {
     surface: &'a Surface<'a>,
     groups: &'a Groups,
-    /// Per vertex: how many sides of triangles at it separate groups.
+    /// For each vertex, the number of triangle sides at it that separate groups.
     crossings: Vec<u32>,
-    /// Per side of a triangle (3 each): whether a chain has it.
+    /// For each side of each triangle (3 per triangle), whether a chain contains it.
     traced: Vec<bool>,
     chains: Vec<u32>,
     pieces: Vec<Piece>,
@@ -56,7 +80,7 @@ impl<'a> Boundary<'a> {
         boundary
     }
 
-    /// Every side of every triangle.
+    /// Every side of every triangle, as pairs of a triangle and a side.
     fn sides(&self) -> impl Iterator<Item = (u32, usize)> + use<> {
         (0..self.surface.normals.len() as u32).flat_map(|t| (0..3).map(move |side| (t, side)))
     }
@@ -77,13 +101,13 @@ impl<'a> Boundary<'a> {
         self.group(t) != self.group(self.across(t, side))
     }
 
-    /// Whether three or more faces' corners meet in `v`, so that edges end there.
+    /// Whether three or more boundaries between groups meet in `v`, so that edges end there.
     fn is_corner(&self, v: u32) -> bool {
         self.crossings[v as usize] >= 3
     }
 
-    /// Chains from corner to corner, then loops without a corner, each once:
-    /// with the lower group on the left.
+    /// Traces the chains from corner to corner, then the loops without a corner. Each is traced
+    /// once, with the group of the lower index on its left.
     fn trace(&mut self) -> Result<(), Stopped> {
         for loops in [false, true] {
             self.meter.spend(SIDE * 3 * self.surface.normals.len() as u64)?;
@@ -98,7 +122,7 @@ impl<'a> Boundary<'a> {
         Ok(())
     }
 
-    /// Follows the boundary with the group of `t` on the left.
+    /// Follows the boundary from this side, with the group of `t` on the left.
     fn trace_chain(&mut self, mut t: u32, mut side: usize) -> Result<(), Stopped> {
         let faces = [self.group(t), self.group(self.across(t, side))];
         let start = self.chains.len();
@@ -118,9 +142,10 @@ impl<'a> Boundary<'a> {
         if self.chains[start] == self.chains[end] { self.open_loop(whole) } else { self.straighten(whole) }
     }
 
-    /// The next side of the boundary of `t`'s group.
+    /// The next side of the boundary of the group of `t`.
     fn following(&self, t: u32, side: usize) -> Result<(u32, usize), Stopped> {
-        // About the side's end, within the group, to where the group ends.
+        // Turn about the end of the side, from triangle to triangle of the group, until the next
+        // side separates groups.
         let (mut t, mut side) = (t, (side + 1) % 3);
         while !self.separates(t, side) {
             self.meter.spend(SIDE)?;
@@ -131,7 +156,8 @@ impl<'a> Boundary<'a> {
         Ok((t, side))
     }
 
-    /// Cuts a loop without corners into three, so that it bounds a polygon.
+    /// Cuts a loop that starts and ends in one vertex into at least three pieces, so that it
+    /// bounds a polygon.
     fn open_loop(&mut self, whole: Piece) -> Result<(), Stopped> {
         self.meter.spend(SIDE * (whole.end - whole.start) as u64)?;
         let first = self.vertex(whole.start);
@@ -150,8 +176,8 @@ impl<'a> Boundary<'a> {
         Ok(())
     }
 
-    /// Keeps a chain as one edge where it is straight to the merge tolerance,
-    /// else cuts it at the vertex farthest off.
+    /// Keeps a chain as one edge if it is straight to within the merge tolerance. Otherwise cuts it
+    /// at the vertex that is farthest off, and treats both parts in the same way.
     fn straighten(&mut self, whole: Piece) -> Result<(), Stopped> {
         if whole.end - whole.start < 2 {
             self.pieces.push(whole);
@@ -174,7 +200,8 @@ impl<'a> Boundary<'a> {
         self.surface.vertices[self.chains[place] as usize]
     }
 
-    /// The vertex inside the chain that is farthest from the line through its ends.
+    /// The inner vertex of the chain that is farthest from the line through the ends, and its
+    /// distance. `None` if the chain has no inner vertex.
     fn farthest_off(&self, piece: Piece) -> Result<Option<(usize, f64)>, Stopped> {
         self.meter.spend(SIDE * (piece.end - piece.start) as u64)?;
         if piece.end - piece.start < 2 {
@@ -186,7 +213,7 @@ impl<'a> Boundary<'a> {
         Ok((piece.start + 1..piece.end).map(off).max_by(|(_, a), (_, b)| a.total_cmp(b)))
     }
 
-    /// Cuts piece `i` at its farthest vertex; false where it has none inside.
+    /// Cuts piece `i` at its farthest vertex. Returns false if it has no inner vertex.
     fn split(&mut self, i: usize) -> Result<bool, Stopped> {
         let piece = self.pieces[i];
         let Some((cut, _)) = self.farthest_off(piece)? else { return Ok(false) };
@@ -195,16 +222,16 @@ impl<'a> Boundary<'a> {
         Ok(true)
     }
 
-    /// The piece's ends, lower vertex first.
+    /// The end vertices of the piece, the lower index first.
     fn ends(&self, piece: Piece) -> [u32; 2] {
         let (from, to) = (self.chains[piece.start], self.chains[piece.end]);
         [from.min(to), from.max(to)]
     }
 
-    /// Per edge its ends, lower first, and the faces on its left and right; ascending. And how
-    /// far the vertices that were straightened away are from their edge's line at most.
+    /// Returns the edges in ascending order, and the largest distance of a vertex that was
+    /// straightened away from the line of its edge.
     pub(super) fn edges(mut self) -> Result<(Vec<Edge>, f64), Stopped> {
-        // Of finding the corners.
+        // These are the steps of `new`, which finds the corners.
         self.meter.spend(SIDE * 3 * self.surface.normals.len() as u64)?;
         self.trace()?;
         loop {
@@ -222,9 +249,9 @@ impl<'a> Boundary<'a> {
         }
     }
 
-    /// Two edges between the same corners bound a face that is a mere lens: all
-    /// but the direct one are cut, so that it is a polygon. False where none has
-    /// a vertex left inside to be cut at.
+    /// Cuts edges that share both ends with another edge. Two such edges would bound a face with
+    /// two corners only. The one with the shortest chain is kept, and each of the others is cut
+    /// once. Returns false if none of them has an inner vertex at which to cut.
     fn split_doubles(&mut self) -> Result<bool, Stopped> {
         let mut order: Vec<usize> = (0..self.pieces.len()).collect();
         let length = |i: usize| self.pieces[i].end - self.pieces[i].start;

@@ -1,26 +1,26 @@
-//! Hulls that are boxes about their contraction point.
+//! Recognises hulls that are boxes about their contraction point.
 
 use glam::{DMat3, DVec3};
 
 use super::Face;
 
-/// How far, of the circumradius, a corner may be from where a box has it. The
-/// shape only says where to look first, so nothing depends on the value.
+/// How far a corner may be from the corner of the ideal box: a share of the circumradius. The
+/// shape only gives the solver its first directions, so no result depends on this value.
 const CORNER_ERROR: f64 = 1e-9;
 
-/// A box about the contraction point, hull units.
+/// A box about the contraction point, in hull units.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct BoxShape {
-    /// Unit axes, hull frame, as columns.
+    /// The unit axes of the box in the hull frame, as columns.
     pub(crate) axes: DMat3,
-    /// Half extents along them.
+    /// The half extents along the axes.
     pub(crate) half: DVec3,
-    /// Vertex of each octant: bit `i` is set where axis `i` is positive.
+    /// The vertex in each [`octant`] of the box's axes.
     corners: [u32; 8],
 }
 
 impl BoxShape {
-    /// The box that these vertices and faces make, if they do.
+    /// The box that these vertices and faces form, or `None` if they form no box.
     pub(crate) fn recognise(vertices: &[DVec3], faces: &[Face]) -> Option<Self> {
         if vertices.len() != 8 || faces.len() != 6 {
             return None;
@@ -48,7 +48,7 @@ impl BoxShape {
     }
 }
 
-/// Bit `i` is set where coordinate `i` is positive.
+/// The octant of `v`, from 0 to 7: bit `i` is set if coordinate `i` is positive.
 pub(crate) fn octant(v: DVec3) -> usize {
     usize::from(v.x > 0.0) | usize::from(v.y > 0.0) << 1 | usize::from(v.z > 0.0) << 2
 }

@@ -1,4 +1,4 @@
-//! From points to a hull: the steps in order.
+//! Builds a hull from points: calls the steps of this module in order.
 
 use glam::{DMat3, DVec3};
 
@@ -16,7 +16,7 @@ use crate::contact::exact::TriangleNormal;
 use crate::contact::stop::{Meter, Stopped};
 use crate::contact::support::{Columns, SupportMap};
 
-/// Steps of one pair of an index list: it is counted and placed, twice.
+/// Steps per pair of an index list: building the list counts and places each pair, twice.
 pub(super) const LISTED: u64 = 8;
 
 pub(super) fn build(
@@ -30,7 +30,8 @@ pub(super) fn build(
     }
     let (normals, areas) = solid.normals(meter)?;
     let mass = mass(&solid.scaled, &solid.triangulation.triangles, &areas, meter)?;
-    // Powers of two, one at a time: no product of them is out of range before the end.
+    // The factors are powers of two. They are applied one at a time, so that no intermediate
+    // product leaves the range of doubles.
     let [length, area] = [solid.unit, solid.unit * solid.unit];
     let center_of_mass = mass.center * length;
     let given_center = options.contraction_point.map(DVec3::from_array);
@@ -71,13 +72,13 @@ pub(super) fn build(
     })
 }
 
-/// Whatever the size of the coordinates.
+/// The length of `v`, without overflow or underflow of the squares of its coordinates.
 fn length_of(v: DVec3) -> f64 {
     let size = v.abs().max_element();
     if size > 0.0 { (v / size).length() * size } else { 0.0 }
 }
 
-/// Times a length to the fifth.
+/// Multiplies `inertia` by `length` to the fifth power; `area` is the square of `length`.
 fn scaled(inertia: DMat3, area: f64, length: f64) -> DMat3 {
     inertia * length * area * area
 }
@@ -98,7 +99,7 @@ fn not_representable() -> HullError {
     HullError { kind: HullErrorKind::NotRepresentable, index: None, detail }
 }
 
-/// Faces and edges, and what is next to what: the fields of [`ConvexHull`] of these names.
+/// Faces, edges and adjacency: the fields of [`ConvexHull`] that have the same names.
 struct Shell {
     faces: Vec<Face>,
     outlines: Csr,
@@ -112,7 +113,8 @@ struct Shell {
 }
 
 impl Shell {
-    /// None where a face has no outline at double precision.
+    /// Groups the triangles into faces and derives edges and adjacency. Returns `None` if a face
+    /// has no outline at double precision.
     fn new(
         triangulation: &Triangulation,
         centred: &Centred,

@@ -1,4 +1,4 @@
-//! The points as given, checked and made ready for the quickhull.
+//! Checks the points that were given and prepares them for the quickhull.
 
 use std::cmp::Ordering;
 
@@ -9,27 +9,27 @@ use crate::contact::exact::{exponent_above, power_of_two};
 use crate::contact::sort::{COMPARISON, sort};
 use crate::contact::stop::{Meter, Stopped};
 
-/// Points that are read, moved or written between two looks at the meter.
+/// The number of points that are read, moved or written between two checks of the meter.
 const BLOCK: usize = 1 << 14;
-/// Steps for each point of one pass over the points.
+/// Steps per point in one pass over the points.
 const PASS: u64 = 4;
 
-/// Smallest and largest extent of a hull, caller's units.
+/// The allowed range of a hull's largest extent; caller's units.
 const SIZES: std::ops::RangeInclusive<f64> = 1e-50..=1e50;
 
-/// Distinct finite points in lexicographic order, so that nothing that is built
-/// from them depends on the order in which they were given.
+/// Distinct finite points in lexicographic order. Sorting makes everything that is built from
+/// them independent of the order in which the points were given.
 #[derive(Clone, Debug)]
 pub(super) struct Cloud {
-    /// Caller's units, -0.0 made 0.0: what exact tests look at.
+    /// The points in the caller's units, with -0.0 replaced by 0.0. Exact tests use these.
     pub(super) points: Vec<DVec3>,
-    /// Divided by [`Cloud::unit`]: what rounded arithmetic looks at.
+    /// The points divided by [`Cloud::unit`]. Rounded arithmetic uses these.
     pub(super) scaled: Vec<DVec3>,
-    /// Index of each point among those given; of duplicates the lowest.
+    /// For each point, its index among the given points; the lowest index of its duplicates.
     pub(super) registered: Vec<u32>,
-    /// Power of two that brings the largest extent into [0.5, 1).
+    /// A power of two: dividing by it brings the largest extent into [0.5, 1).
     pub(super) unit: f64,
-    /// Per axis, of the scaled points; rounded up.
+    /// The extent of the scaled points along each axis, rounded up.
     pub(super) extent: DVec3,
 }
 
@@ -40,7 +40,7 @@ impl Cloud {
             let detail = format!("{} points are more than indices of 32 bits can name", given.len());
             return Err(HullError { kind: HullErrorKind::TooManyVertices, index: None, detail }.into());
         }
-        // Adding 0.0 turns -0.0 into 0.0 and leaves everything else.
+        // Adding 0.0 turns -0.0 into 0.0 and leaves every other value as it is.
         let mut order: Vec<(DVec3, u32)> = Vec::with_capacity(given.len());
         for (block, start) in given.chunks(BLOCK).zip((0..).step_by(BLOCK)) {
             meter.spend(PASS * block.len() as u64)?;
@@ -73,12 +73,12 @@ impl Cloud {
             meter.spend(PASS * block.len() as u64)?;
             scaled.extend(block.iter().map(|&p| p * shrink));
         }
-        // One ulp up for the subtraction that made it.
+        // One ulp up covers the rounding of the subtraction.
         let extent = extent * shrink * (1.0 + f64::EPSILON);
         Ok(Self { points, scaled, registered, unit: power_of_two(exponent), extent })
     }
 
-    /// These points alone; `keep` ascending.
+    /// Returns the cloud of the points whose indices are in `keep`, in the order of `keep`.
     pub(super) fn subset(&self, keep: &[u32], meter: &Meter<'_>) -> Result<Self, Stopped> {
         let (points, scaled, registered) = (Vec::new(), Vec::new(), Vec::new());
         let mut subset = Self { points, scaled, registered, ..*self };
@@ -106,7 +106,7 @@ fn check_finite(given: &[[f64; 3]], meter: &Meter<'_>) -> Result<(), BuildError>
     Ok(())
 }
 
-/// Leaves the first of equal points, which are next to each other.
+/// Keeps the first of each run of equal points. Equal points are adjacent in `order`.
 fn drop_duplicates(order: &mut Vec<(DVec3, u32)>, meter: &Meter<'_>) -> Result<(), Stopped> {
     let mut kept = 0;
     for i in 0..order.len() {
@@ -120,7 +120,8 @@ fn drop_duplicates(order: &mut Vec<(DVec3, u32)>, meter: &Meter<'_>) -> Result<(
     Ok(())
 }
 
-/// Finite coordinates without -0.0, so that the order is total.
+/// Compares points by x, then y, then z. The order is total because all coordinates are finite
+/// and none is -0.0.
 fn lexicographic(p: DVec3, q: DVec3) -> Ordering {
     p.to_array().partial_cmp(&q.to_array()).unwrap_or(Ordering::Equal)
 }

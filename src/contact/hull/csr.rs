@@ -1,6 +1,6 @@
-//! Lists of indices, flattened.
+//! Lists of indices, flattened into one array (*compressed sparse rows*).
 
-/// List `i` is `items[starts[i]..starts[i + 1]]`.
+/// Lists of indices, called rows. Row `i` is `items[starts[i]..starts[i + 1]]`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Csr {
     pub(crate) starts: Vec<u32>,
@@ -8,38 +8,40 @@ pub(crate) struct Csr {
 }
 
 impl Csr {
-    /// How many lists.
+    /// The number of rows.
     pub(super) fn rows(&self) -> usize {
         self.starts.len() - 1
     }
 
-    /// How many items the longest list has.
+    /// The number of items in the longest row.
     pub(super) fn longest_row(&self) -> usize {
         self.starts.windows(2).map(|ends| (ends[1] - ends[0]) as usize).max().unwrap_or(0)
     }
 
-    /// List `i`.
+    /// Row `i`.
     pub(crate) fn row(&self, i: usize) -> &[u32] {
         &self.items[self.starts[i] as usize..self.starts[i + 1] as usize]
     }
 
-    /// From `(row, item)` pairs in any order, each row ascending and without repetitions.
+    /// Builds the lists from `(row, item)` pairs in any order. Each row is ascending and has no
+    /// repetitions. Items are below `items`. Takes linear time: a radix sort with two passes.
     pub(super) fn from_pairs(
         rows: usize,
         items: usize,
         pairs: impl Iterator<Item = (u32, u32)> + Clone,
     ) -> Self {
-        // By item first: no two are compared, whose order would be anyone's guess.
+        // Bucketing the pairs by item first puts each row in order without comparing items. The
+        // branches of comparisons would be unpredictable.
         let by_item = Self::from_ordered_pairs(items, pairs.map(|(row, item)| (item, row)));
         let mut lists = Self::from_ordered_pairs(rows, by_item.swapped());
         lists.drop_repetitions();
         lists
     }
 
-    /// From `(row, item)` pairs, each row in their order.
+    /// Builds the lists from `(row, item)` pairs. Each row keeps the order of the pairs.
     pub(super) fn from_ordered_pairs(rows: usize, pairs: impl Iterator<Item = (u32, u32)> + Clone) -> Self {
-        // Counts, then where each row starts, which moves on as the row fills: to its end, where
-        // the next one starts.
+        // `starts[row + 1]` first counts the items of the row, then holds the start of the row.
+        // It advances while the row fills, and ends at the start of the next row.
         let mut starts = vec![0_u32; rows + 1];
         pairs.clone().for_each(|(row, _)| starts[row as usize + 1] += 1);
         let mut sum = 0;
@@ -55,7 +57,7 @@ impl Csr {
         Self { starts, items }
     }
 
-    /// Of each item, in turn, the row.
+    /// All pairs with both parts exchanged, `(item, row)`, ordered by row.
     fn swapped(&self) -> impl Iterator<Item = (u32, u32)> + Clone {
         let rows = self.starts.windows(2).zip(0..);
         rows.flat_map(|(ends, row)| {
@@ -63,7 +65,7 @@ impl Csr {
         })
     }
 
-    /// Of ascending rows.
+    /// Removes repeated items from rows that are ascending.
     fn drop_repetitions(&mut self) {
         let repeats = |row: usize| self.row(row).windows(2).any(|w| w[0] == w[1]);
         let Some(first) = (0..self.rows()).find(|&row| repeats(row)) else { return };
@@ -85,20 +87,20 @@ impl Csr {
         self.items.shrink_to_fit();
     }
 
-    /// No rows, with room.
+    /// No rows yet, with capacity for this many rows and items.
     pub(crate) fn with_capacity(rows: usize, items: usize) -> Self {
         let mut starts = Vec::with_capacity(rows + 1);
         starts.push(0);
         Self { starts, items: Vec::with_capacity(items) }
     }
 
-    /// Adds a row.
+    /// Appends a row.
     pub(crate) fn push_row(&mut self, row: &[u32]) {
         self.items.extend_from_slice(row);
         self.starts.push(self.items.len() as u32);
     }
 
-    /// Bytes on the heap.
+    /// Bytes held on the heap.
     pub(crate) fn heap_bytes(&self) -> usize {
         (self.starts.capacity() + self.items.capacity()) * size_of::<u32>()
     }

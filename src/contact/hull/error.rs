@@ -1,49 +1,53 @@
-//! Why a cloud of points is not a hull.
+//! Errors of building a hull.
 
 use std::fmt;
 
 use crate::contact::stop::Stopped;
 
-/// Why a cloud of points is not a hull.
+/// The reason why no hull can be built from a cloud of points.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HullError {
-    /// The reason.
+    /// The kind of error.
     pub kind: HullErrorKind,
-    /// The point at fault, where one point is.
+    /// The index of the point at fault, if one point is at fault.
     pub index: Option<usize>,
-    /// The value at fault, for people.
+    /// A description for people, with the value at fault. It starts with "internal:" if the
+    /// error is a bug of the build.
     pub detail: String,
 }
 
-/// The reasons.
+/// The kinds of [`HullError`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HullErrorKind {
     /// Fewer than 4 distinct points.
     TooFewPoints,
-    /// All points on one line.
+    /// All points are on one line.
     Collinear,
-    /// All points in one plane.
+    /// All points are in one plane.
     Coplanar,
     /// A coordinate is NaN or infinite.
     NotFinite,
     /// The largest extent is outside [1e-50, 1e50].
     SizeOutOfRange,
-    /// The contraction point is on the surface, outside, or nearer to it than rounding.
+    /// The contraction point is outside the hull, on its surface, or inside by no more than
+    /// rounding: the inradius about it is at most 2^-37 of the circumradius.
     ContractionPointNotInside,
-    /// More extreme vertices than the limit.
+    /// The hull has more extreme vertices than the limit.
     TooManyVertices,
-    /// The inradius is below 2^-37 of the circumradius: too thin for doubles.
+    /// The hull is too thin for double precision: its inradius is at most 2^-37 of its
+    /// circumradius, or a face is thinner than the rounding of its vertices.
     NotRepresentable,
-    /// Simplification to fewer than 4 vertices, or by a deviation that is negative or NaN.
+    /// The simplification asks for fewer than 4 vertices, or for a deviation that is negative or
+    /// NaN.
     SimplificationOutOfRange,
-    /// No hull of so few vertices was found within the deviation.
+    /// No hull with at most `max_vertices` vertices was found within `max_deviation`.
     SimplificationNotPossible,
     /// The planarity is not a number from 0 to 0.01.
     PlanarityOutOfRange,
 }
 
 impl HullErrorKind {
-    /// Stable, upper case: the reason on the wire.
+    /// The stable, upper-case name of this kind, as the service sends it.
     pub fn reason(self) -> &'static str {
         match self {
             Self::TooFewPoints => "TOO_FEW_POINTS",
@@ -60,7 +64,7 @@ impl HullErrorKind {
         }
     }
 
-    /// The field at fault, as the wire names it.
+    /// The field at fault, by its name in the service's messages.
     pub fn field(self) -> &'static str {
         match self {
             Self::ContractionPointNotInside => "contraction_point",
@@ -79,10 +83,10 @@ impl fmt::Display for HullError {
 
 impl std::error::Error for HullError {}
 
-/// Why a hull that may be stopped was not built.
+/// The reason why a build that can be stopped gave no hull.
 #[derive(Clone, Debug, PartialEq)]
 pub enum BuildError {
-    /// The points make no hull.
+    /// No hull can be built from the points.
     Hull(HullError),
     /// The caller's [`Stop`](crate::contact::Stop) ended the build.
     Stopped,

@@ -1,22 +1,22 @@
-//! What is known of a face, in one cache line.
+//! The data of a face, in one cache line.
 
 use glam::DVec3;
 
 use super::isolation::Isolation;
 
-/// A face, in hull units: about the contraction point, divided by the hull's scale.
+/// A face in hull units: relative to the contraction point and divided by the scale of the hull.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(align(64))]
 pub struct Face {
-    /// Unit, outward.
+    /// The outward unit normal, hull frame.
     pub normal: DVec3,
-    /// The largest of normal . v over all vertices.
+    /// The largest `normal . v` over all vertices `v` of the hull.
     pub offset: f64,
-    /// Of the outline; squared.
+    /// The area of the outline; hull units squared.
     pub area: f64,
-    /// How far below its plane the lowest vertex of its group is, rounded up.
+    /// How far the lowest vertex of the face is below its plane, rounded up.
     pub planarity: f64,
-    /// How far it stands apart from the others.
+    /// How far the face stands apart from the rest of the hull.
     pub(crate) isolation: Isolation,
 }
 

@@ -1,8 +1,35 @@
-//! Triangles into faces.
+//! Merges triangles into faces.
 //!
-//! Exactly coplanar triangles are not enough: a box turned in space has
-//! rounded corners in no common plane. So a face is a connected group of
-//! triangles whose vertices lie within a tolerance of one plane. No vertex moves.
+//! Merging triangles that are exactly coplanar is not enough: a box that is turned in space has
+//! rounded corners, of which no four are in one plane. (A box with a grid of 30 cells per edge
+//! has 221 exact facets after a rotation.) So a face is a connected group of triangles whose
+//! vertices lie within a tolerance of one plane. Groups grow around the largest triangles:
+//!
+//! ```text
+//! for each triangle, the largest first, that is in no group yet (the seed):
+//!     reach = tolerance / 2
+//!     repeat:
+//!         group = the free triangles connected to the seed, all of whose vertices are at most
+//!                 `reach` below the seed's plane (a flood over neighbours)
+//!         plane = the mean normal of the group, weighted by area; its offset is the largest
+//!                 height over all vertices of the hull
+//!         accept the group if its lowest vertex is at most `tolerance` below the plane;
+//!         otherwise reach = reach / 4, and after some attempts group = the seed only
+//! for each group that consists of slivers only, the smallest first:
+//!     join it to a neighbour whose plane it fits
+//! ```
+//!
+//! The flood measures all heights from the plane of the seed, not from neighbour to neighbour.
+//! So a finely triangulated sphere does not become one face. Large triangles come first and slivers
+//! have almost no weight in the mean, because the plane of a sliver says little about the shape.
+//!
+//! No vertex moves, and every extreme vertex stays in the support mapping. Alpha, the normal and
+//! the separation therefore do not depend on the tolerance. Quickhull as published merges facets
+//! while the hull is built; here the exact surface is finished first, so that merging cannot
+//! lose a vertex.
+//!
+//! For `n` triangles, sorting takes `O(n log n)`. Each flood takes time proportional to its
+//! group, so grouping is linear as long as few groups have to be gathered again.
 
 use std::ops::Range;
 
@@ -16,68 +43,66 @@ use crate::contact::sort::{COMPARISON, sort};
 use crate::contact::stop::{Meter, Stopped};
 use crate::contact::tolerance::U;
 
-/// Steps of one triangle of a group that is gathered, fitted or moved.
+/// Steps to gather, fit or move one triangle of a group.
 const TRIANGLE: u64 = 20;
-/// Steps of the height of one vertex along a normal.
+/// Steps to compute the height of one vertex along a normal.
 const HEIGHT: u64 = 3;
 
-/// Whatever planarity is asked for, vertices of a face lie within this share of the inradius
-/// of its plane, so that the two sides of a thin plate, or its sides and its rim, never become
-/// one face.
+/// The tolerance is at most this share of the inradius, however large the planarity is. So the
+/// two sides of a thin plate, or a side and the rim, never become one face.
 const PLANARITY_PER_INRADIUS: f64 = 1.0 / 64.0;
-/// The tolerance is at least this, hull units: the rounding of the vertices, which remains
-/// where a planarity of 0 is asked for or the contraction point is very near a face.
+/// The tolerance is at least this, in hull units. It covers the rounding of the vertices, which
+/// remains if the planarity is 0 or the contraction point is very near a face.
 const LEAST_PLANARITY: f64 = 64.0 * U;
-/// Vertices whose heights differ by less may be as high as each other; hull units.
+/// If the heights of two vertices differ by less than this, their order is uncertain; hull units.
 const PLATEAU: f64 = 64.0 * U;
-/// How often a group that fits no plane is gathered anew with a quarter of the
-/// tolerance before its largest triangle becomes a face by itself.
+/// The number of times that a group is flooded before its seed becomes a face by itself. Each
+/// flood has a quarter of the reach of the flood before.
 const ATTEMPTS: usize = 6;
-/// Not a group.
+/// Marks a triangle that is in no group.
 const NONE: u32 = u32::MAX;
 
 /// A triangulated hull in hull units.
 pub(super) struct Surface<'a> {
     pub(super) vertices: &'a [DVec3],
     pub(super) triangulation: &'a Triangulation,
-    /// Per triangle.
+    /// The normal of each triangle.
     pub(super) normals: &'a [TriangleNormal],
-    /// Per vertex, along the triangulation.
+    /// For each vertex, its neighbours along the triangulation.
     pub(super) neighbours: &'a Csr,
     pub(super) circumradius: f64,
     pub(super) inradius: f64,
 }
 
-/// A face's plane: every vertex `v` of the hull has `normal . v <= offset`, and
-/// the face's own have at least `offset - planarity`.
+/// The plane of a face. Every vertex `v` of the hull has `normal . v <= offset`, and the vertices
+/// of the face have `normal . v >= offset - planarity`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Plane {
     pub(super) normal: DVec3,
     pub(super) offset: f64,
-    /// Rounded up.
+    /// How far the lowest vertex of the face is below the plane, rounded up; hull units.
     pub(super) planarity: f64,
-    /// How much lower than all of the face's own vertices every other one lies, by convexity
-    /// a neighbour of one of them.
+    /// The height difference between the lowest vertex of the face and the highest vertex that
+    /// is not of the face. By convexity the latter is a neighbour of a vertex of the face.
     pub(super) gap: f64,
 }
 
-/// Faces, largest triangle first.
+/// The faces, ordered by their largest triangles, the largest first.
 pub(super) struct Groups {
-    /// Per triangle its face.
+    /// For each triangle, the face that it belongs to.
     pub(super) of: Vec<u32>,
     pub(super) planes: Vec<Plane>,
-    /// How far vertices of a face may be from its plane; hull units.
+    /// How far the vertices of a face may be from its plane; hull units.
     pub(super) tolerance: f64,
 }
 
-/// Groups the triangles, each group around its largest. The planarity is a share of the
-/// circumradius.
+/// Groups the triangles of a surface into faces. `planarity` is a share of the circumradius.
 pub(super) fn groups(surface: &Surface<'_>, planarity: f64, meter: &Meter<'_>) -> Result<Groups, Stopped> {
     let tolerance = (planarity * surface.circumradius)
         .min(PLANARITY_PER_INRADIUS * surface.inradius)
         .max(LEAST_PLANARITY);
     let mut merger = Merger::new(surface, tolerance, meter);
-    // Sizes are not negative, so that their bits are in the same order.
+    // Areas are not negative, so their bit patterns have the same order as the areas.
     let size = |normal: &TriangleNormal| normal.double_area.to_bits();
     let mut order: Vec<(u64, u32)> = surface.normals.iter().map(size).zip(0..).collect();
     sort(&mut order, meter, COMPARISON, |(size, t), (other, u)| other.cmp(size).then(t.cmp(u)))?;
@@ -96,10 +121,10 @@ struct Merger<'a> {
     tolerance: f64,
     of: Vec<u32>,
     planes: Vec<Plane>,
-    /// Per group its triangles: a range of `members`.
+    /// For each group, the range of `members` that holds its triangles.
     ranges: Vec<Range<usize>>,
     members: Vec<u32>,
-    /// Per triangle and per vertex: the last search that met it.
+    /// For each triangle, and for each vertex, the number of the last search that reached it.
     triangle_met: Vec<u32>,
     vertex_met: Vec<u32>,
     searches: u32,
@@ -127,7 +152,7 @@ impl<'a> Merger<'a> {
 
     /// Makes a face around `seed`.
     fn gather(&mut self, seed: u32) -> Result<(), Stopped> {
-        // Half the tolerance, as the fitted plane is not quite the seed's.
+        // Half the tolerance, because the fitted plane differs from the plane of the seed.
         let mut reach = 0.5 * self.tolerance;
         let mut members = std::mem::take(&mut self.members);
         let start = members.len();
@@ -153,8 +178,9 @@ impl<'a> Merger<'a> {
         Ok(())
     }
 
-    /// Adds the free triangles connected to the seed, `members[start]`, whose vertices
-    /// are within `reach` of its plane. Those turned away from it must be thin.
+    /// Adds the free triangles that are connected to the seed, `members[start]`, and whose
+    /// vertices are within `reach` of its plane. A triangle that faces away from the seed is
+    /// added only if it is thin.
     fn flood(&mut self, members: &mut Vec<u32>, start: usize, reach: f64) -> Result<(), Stopped> {
         let seed = members[start];
         let normal = self.surface.normals[seed as usize].unit;
@@ -179,21 +205,22 @@ impl<'a> Merger<'a> {
         Ok(())
     }
 
-    /// Smallest `normal . v` over the triangles' vertices.
+    /// The smallest `normal . v` over the vertices of the triangles.
     fn lowest(&self, triangles: &[u32], normal: DVec3) -> f64 {
         let corners = triangles.iter().flat_map(|&t| self.surface.triangulation.triangles[t as usize]);
         corners.map(|v| normal.dot(self.surface.vertices[v as usize])).fold(f64::INFINITY, f64::min)
     }
 
-    /// The plane whose normal is the triangles' mean, weighted by area, so that
-    /// slivers weigh nothing, and which no vertex of the hull is above.
+    /// The plane of a group: its normal is the mean of the triangles' normals, weighted by area,
+    /// so that slivers hardly count. No vertex of the hull is above it.
     fn fit(&mut self, triangles: &[u32]) -> Result<Plane, Stopped> {
         let normals = self.surface.normals;
         let normal = if let [alone] = triangles {
             normals[*alone as usize].unit
         } else {
-            // Relative to the first, the largest, so that nothing underflows, and
-            // in double-double: thousands of equal roundings tilt a plane.
+            // Areas are relative to the first triangle, which is the largest, so that the sum does
+            // not underflow. The sum is in double-double numbers, because thousands of equal
+            // roundings would tilt the plane.
             let first = normals[triangles[0] as usize];
             let mut sum = [Dd::default(); 3];
             for &t in triangles {
@@ -207,6 +234,7 @@ impl<'a> Merger<'a> {
         self.plane(triangles, normal)
     }
 
+    /// The plane with this normal for a group of triangles: offset, planarity and gap.
     fn plane(&mut self, triangles: &[u32], normal: DVec3) -> Result<Plane, Stopped> {
         let Self { surface, vertex_met, searches, queue, meter, .. } = self;
         let height = |v: u32| normal.dot(surface.vertices[v as usize]);
@@ -232,14 +260,15 @@ impl<'a> Merger<'a> {
             }
         }
         let offset = if others >= highest - PLATEAU { self.climb(normal, highest)? } else { highest };
-        // Both ends carry a dot product's rounding, at lengths below 1.
+        // Both heights carry the rounding of a dot product of vectors no longer than 1.
         let planarity = (offset - lowest) + 8.0 * U;
         Ok(Plane { normal, offset, planarity, gap: offset - planarity - others })
     }
 
-    /// Largest `normal . v` over all vertices: climbs from those in the queue, the highest of
-    /// them at `best`, through neighbours as high as the highest so far to rounding, so that a
-    /// plateau or a dent of rounding does not end the climb.
+    /// The largest `normal . v` over all vertices of the hull. Climbs from the vertices in the
+    /// queue, whose largest height is `best`, over neighbours that are not lower than the best
+    /// height so far by more than rounding. The climb therefore crosses plateaus and dents that
+    /// rounding makes.
     fn climb(&mut self, normal: DVec3, mut best: f64) -> Result<f64, Stopped> {
         while let Some(v) = self.queue.pop() {
             self.meter.spend(HEIGHT * self.surface.neighbours.row(v as usize).len() as u64)?;
@@ -256,19 +285,19 @@ impl<'a> Merger<'a> {
         Ok(best)
     }
 
-    /// Whether a triangle's smallest height is below the tolerance. (Of one whose
-    /// corners are one point about the contraction point all is 0.)
+    /// Whether the smallest height of the triangle is at most the tolerance. (If the corners of a
+    /// triangle coincide in hull units, both sides of the comparison are 0 and it is thin.)
     fn is_thin(&self, t: u32) -> bool {
         let [a, b, c] =
             self.surface.triangulation.triangles[t as usize].map(|v| self.surface.vertices[v as usize]);
         let [ab, bc, ca] = [b - a, c - b, a - c];
         let longest = ab.length_squared().max(bc.length_squared()).max(ca.length_squared()).sqrt();
-        // These are the centred vertices, which have the same unit as the tolerance.
+        // The vertices are in hull units, as the tolerance is.
         ab.cross(ca).length() <= self.tolerance * longest
     }
 
-    /// Groups that consist of thin triangles join a neighbour whose plane they fit:
-    /// a sliver is no face.
+    /// Joins each group that consists of thin triangles only to a neighbour whose plane it fits,
+    /// because a sliver should not be a face.
     fn absorb_thin_groups(&mut self) -> Result<(), Stopped> {
         for group in (0..self.planes.len()).rev() {
             self.meter.spend(TRIANGLE * self.members_of(group).len() as u64)?;
@@ -295,7 +324,7 @@ impl<'a> Merger<'a> {
         &self.members[self.ranges[group].clone()]
     }
 
-    /// The first neighbour of `group` in whose plane it lies.
+    /// The neighbour with the lowest index whose plane the vertices of `group` are near, if any.
     fn host(&self, group: usize) -> Option<u32> {
         let members = self.members_of(group);
         let across = members.iter().flat_map(|&t| self.surface.triangulation.neighbours[t as usize]);
@@ -309,6 +338,7 @@ impl<'a> Merger<'a> {
         })
     }
 
+    /// Removes the groups that were joined to others, and renumbers the rest.
     fn drop_empty_groups(&mut self) {
         let mut place = Vec::with_capacity(self.planes.len());
         let mut kept = 0;

@@ -1,5 +1,20 @@
-//! A validated, immutable convex hull: vertices, faces, edges, adjacency,
-//! contraction point.
+//! A validated, immutable convex hull: vertices, faces, edges, adjacency, contraction point.
+//!
+//! A hull is built from a cloud of points in these steps, one file per step:
+//!
+//! ```text
+//! cloud      check the points, weld duplicates, sort what is left
+//! quickhull  triangulate the hull of the points, decided by exact predicates
+//! solid      number the vertices as registered, compute normals, move the hull to hull units
+//! mass       volume, centre of mass and inertia
+//! merge      group nearly coplanar triangles into faces
+//! topology   edges and outlines of the faces (boundary: edges of faces of several triangles)
+//! isolation  measure how far each face stands apart from its neighbours
+//! boxes      recognise boxes
+//! ```
+//!
+//! Everything up to the triangulation is exact. A tolerance enters only when triangles are
+//! merged into faces. `build` calls the steps in order; `simplify` builds hulls of fewer vertices.
 
 use glam::{DMat3, DVec3};
 
@@ -30,25 +45,28 @@ pub use simplify::Simplification;
 #[doc(hidden)]
 pub use triangulation::Triangulation;
 
-/// How a hull is built.
+/// Options for building a hull.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HullOptions {
-    /// Strictly inside; absent: the centre of mass. Hull frame, caller's units.
+    /// The contraction point, which must be strictly inside the hull. Hull frame, caller's
+    /// units. If absent, the hull uses its centre of mass.
     pub contraction_point: Option<[f64; 3]>,
-    /// More extreme vertices than this are refused.
+    /// The largest allowed number of vertices of the hull that is kept: all extreme vertices, or
+    /// the vertices that simplification leaves. A hull with more is refused.
     pub max_vertices: usize,
-    /// Fewer vertices, about the contraction point of the whole hull; absent: all.
+    /// How to simplify the hull. The simplified hull keeps the contraction point of the whole
+    /// hull. If absent, the hull keeps all extreme vertices.
     pub simplification: Option<Simplification>,
-    /// How far the vertices of one face may lie from one plane: a share of the circumradius from
-    /// 0 (only rounding) to [`MAX_PLANARITY`]; absent: [`ABSENT_PLANARITY`]. At most 1/64 of
-    /// the inradius is allowed however large this is.
+    /// How far the vertices of one face may lie from the plane of the face: a share of the
+    /// circumradius, from 0 (rounding only) to [`MAX_PLANARITY`]. If absent, the hull uses
+    /// [`ABSENT_PLANARITY`]. The allowed distance never exceeds 1/64 of the inradius.
     pub planarity: Option<f64>,
 }
 
-/// The largest planarity that a hull may be registered with, a share of the circumradius.
+/// The largest planarity that a hull may be registered with: a share of the circumradius.
 pub const MAX_PLANARITY: f64 = 0.01;
-/// The planarity of hulls that are registered without one. It never changes: the faces of
-/// stored hulls depend on it.
+/// The planarity of hulls that are registered without one: a share of the circumradius. This
+/// value must never change, because the faces of stored hulls depend on it.
 pub const ABSENT_PLANARITY: f64 = 1e-6;
 
 impl Default for HullOptions {
@@ -59,80 +77,84 @@ impl Default for HullOptions {
 
 /// A convex hull, ready for queries.
 ///
-/// Lengths are kept in *hull units*: relative to the contraction point and
-/// divided by [`ConvexHull::scale`], a power of two that brings the
-/// circumradius into [0.5, 1), so that scaling a hull by a power of two changes
-/// no bit here.
+/// The geometry is stored in *hull units*: positions are relative to the contraction point and
+/// divided by [`ConvexHull::scale`], a power of two that brings the circumradius into [0.5, 1).
+/// Scaling a hull by a power of two therefore changes no bit of the geometry in hull units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ConvexHull {
-    /// Extreme vertices, hull units, in registered order.
+    /// The extreme vertices, in hull units and in registered order.
     pub(super) vertices: Vec<DVec3>,
-    /// The same, for the support mapping.
+    /// The extreme vertices by coordinate, for the support mapping.
     pub(super) columns: super::support::Columns,
-    /// Of boxes about the contraction point.
+    /// The box that the hull is, if the hull is a box about its contraction point.
     box_shape: Option<BoxShape>,
-    /// Of large hulls.
+    /// The map of directions; present for large hulls only.
     pub(super) support_map: Option<super::support::SupportMap>,
-    /// Per vertex its index among the points as registered; ascending.
+    /// For each vertex, its index among the registered points; ascending.
     registered: Vec<u32>,
-    /// Points as registered.
+    /// The number of registered points.
     registered_count: u32,
-    /// Of a simplified hull: upper bound of its Hausdorff distance to the whole; caller's units.
+    /// An upper bound of the Hausdorff distance between a simplified hull and the whole hull;
+    /// caller's units. 0 for a hull that is not simplified.
     deviation: f64,
-    /// Power of two: caller's units per hull unit.
+    /// A power of two: caller's units per hull unit.
     scale: f64,
     /// Hull frame, caller's units.
     contraction_point: DVec3,
-    /// From the hull frame's origin.
+    /// Distance of the contraction point from the origin of the hull frame; caller's units.
     contraction_distance: f64,
-    /// Of the largest ball about the contraction point inside, rounded down; hull units.
+    /// Radius of the largest ball about the contraction point that lies inside the hull, rounded
+    /// down; hull units.
     inradius: f64,
-    /// Of the smallest ball about the contraction point around, rounded up; hull units.
+    /// Radius of the smallest ball about the contraction point that contains the hull, rounded
+    /// up; hull units.
     circumradius: f64,
-    /// Caller's units: cubic, length, and length^5.
+    /// Caller's units cubed.
     volume: f64,
+    /// Hull frame, caller's units.
     center_of_mass: DVec3,
-    /// About the centre of mass, unit density.
+    /// About the centre of mass at unit density, in the axes of the hull frame; caller's units to
+    /// the fifth power.
     inertia: DMat3,
-    /// As registered, or [`ABSENT_PLANARITY`].
+    /// The planarity that the hull was registered with, or [`ABSENT_PLANARITY`].
     planarity: f64,
-    /// How far vertices are from their faces' planes, and vertices between an edge's ends from
-    /// its line, at most; hull units.
+    /// The largest distance of a vertex from the plane of one of its faces, or of a vertex that
+    /// was straightened away from the line of its edge; hull units.
     merge_error: f64,
-    /// After merging coplanar triangles.
+    /// The faces, after nearly coplanar triangles were merged.
     faces: Vec<Face>,
-    /// Per face: its corners, anticlockwise from outside.
+    /// For each face, its corners, anticlockwise seen from outside.
     outlines: Csr,
-    /// Corners of the face that has the most.
+    /// The number of corners of the face that has the most corners.
     largest_face: u32,
-    /// Per face: the faces across its edges, ascending.
+    /// For each face, the faces across its edges; ascending.
     face_neighbours: Csr,
-    /// Lower vertex first; ascending.
+    /// For each edge, its two end vertices, the lower index first. The edges are ascending.
     edge_vertices: Vec<[u32; 2]>,
-    /// Per edge: the face on the left of going from the lower to the higher
-    /// vertex seen from outside, and the one on the right.
+    /// For each edge, the faces on its left and on its right, seen from outside along the way
+    /// from the lower vertex to the higher one.
     edge_faces: Vec<[u32; 2]>,
-    /// Per vertex: faces (groups) with a triangle at it, ascending.
+    /// For each vertex, the faces (groups) that have a triangle at the vertex; ascending.
     vertex_faces: Csr,
-    /// Per vertex: edges ending in it, ascending.
+    /// For each vertex, the edges that end in it; ascending.
     vertex_edges: Csr,
-    /// Per vertex: its neighbours along the triangulation, ascending.
+    /// For each vertex, its neighbours along the triangulation; ascending.
     pub(super) vertex_neighbours: Csr,
 }
 
 impl ConvexHull {
-    /// The hull of `points`, about its centre of mass.
+    /// Builds the hull of `points`, with its centre of mass as the contraction point.
     ///
-    /// `points` are in the caller's units, hull frame. Exact duplicates are
-    /// welded, points inside dropped; every extreme vertex is kept, none moved.
+    /// `points` are in the hull frame and the caller's units. Exact duplicates are welded and
+    /// points inside the hull are dropped. Every extreme vertex is kept, and none is moved.
     ///
     /// # Errors
-    /// [`HullErrorKind`] lists the clouds that are no hull.
+    /// [`HullErrorKind`] lists the reasons for which a cloud of points has no hull.
     pub fn new(points: &[[f64; 3]]) -> Result<Self, HullError> {
         Self::with_options(points, &HullOptions::default())
     }
 
-    /// The hull of `points` as `options` say; see [`ConvexHull::new`].
+    /// Builds the hull of `points` according to `options`; see [`ConvexHull::new`].
     ///
     /// ```
     /// use hullcast::contact::{ConvexHull, HullOptions, Simplification};
@@ -147,13 +169,13 @@ impl ConvexHull {
     /// ```
     ///
     /// # Errors
-    /// [`HullErrorKind`] lists the clouds that are no hull.
+    /// [`HullErrorKind`] lists the reasons for which a cloud of points has no hull.
     pub fn with_options(points: &[[f64; 3]], options: &HullOptions) -> Result<Self, HullError> {
         Self::with_options_stoppable(points, options, &Stop::default()).map_err(never_stopped)
     }
 
-    /// The hull of `points` as `options` say, unless `stop` ends the build before: the build
-    /// counts its steps there and looks at the flag about once a millisecond.
+    /// Builds the hull of `points` according to `options`, unless `stop` ends the build early.
+    /// The build counts its steps in `stop` and checks the flag about once a millisecond.
     ///
     /// ```
     /// use hullcast::contact::{BuildError, ConvexHull, HullOptions, Stop};
@@ -166,7 +188,8 @@ impl ConvexHull {
     /// ```
     ///
     /// # Errors
-    /// [`HullErrorKind`] lists the clouds that are no hull; the build was stopped.
+    /// [`BuildError::Hull`] if the points have no hull ([`HullErrorKind`] lists the reasons), and
+    /// [`BuildError::Stopped`] if the build was stopped.
     pub fn with_options_stoppable(
         points: &[[f64; 3]],
         options: &HullOptions,
@@ -194,7 +217,7 @@ fn check_planarity(planarity: Option<f64>) -> Result<(), HullError> {
     }
 }
 
-/// The error of a build that nobody can stop.
+/// Converts the error of a build whose [`Stop`] nobody else holds, so that it cannot be stopped.
 fn never_stopped(error: BuildError) -> HullError {
     match error {
         BuildError::Hull(error) => error,
@@ -206,8 +229,8 @@ fn never_stopped(error: BuildError) -> HullError {
     }
 }
 
-/// The triangles of which the hull of `points` is made, over indices of
-/// `points`: for tests of their exactness.
+/// Returns the triangles of the hull of `points`, as indices into `points`. Tests use it to check
+/// that the triangulation is exact.
 #[doc(hidden)]
 pub fn triangulate(points: &[[f64; 3]]) -> Result<Triangulation, HullError> {
     let stop = Stop::default();

@@ -1,14 +1,38 @@
-//! Triangulated convex hull of a cloud.
+//! The triangulated convex hull of a cloud, by quickhull on exact predicates.
 //!
-//! C. B. Barber, D. P. Dobkin and H. Huhdanpaa, *The Quickhull Algorithm for
-//! Convex Hulls* (1996), with every keep-or-discard decision an exact
-//! predicate in place of that paper's facet merging. Rounded arithmetic chooses
-//! only which point comes next.
+//! The hull grows from a tetrahedron. Each triangle (*face* in this file) keeps a list of the
+//! points above it, that is, strictly outside its plane; every point that may still be outside
+//! the hull is in exactly one list. Each insertion takes the farthest point of a list, removes
+//! all triangles that this point sees, and closes the hole with a cone of new triangles:
 //!
-//! A point in a triangle's plane counts as not seeing it. What a point sees is
-//! then a disc whose rim is one simple cycle without collinear triangles, and
-//! an outside point of a removed triangle that is still outside sees one of the
-//! new triangles, so that no extreme point is ever lost.
+//! ```text
+//! faces = a tetrahedron of points that are far apart
+//! give every other point to the first face that it is above; a point above none is inside
+//! for each face with a non-empty list, new faces included:
+//!     apex = the farthest point of the list
+//!     seen = the faces that apex is above, found by a walk over neighbours from this face
+//!     rim  = the sides between seen and unseen faces, ordered into one cycle (the horizon)
+//!     add one triangle (side, apex) for each side of the rim
+//!     remove the seen faces and give their points to the new triangles in the same way
+//! ```
+//!
+//! The algorithm is that of C. B. Barber, D. P. Dobkin and H. Huhdanpaa, *The Quickhull Algorithm
+//! for Convex Hulls*, ACM Transactions on Mathematical Software 22(4), 1996,
+//! doi:10.1145/235815.235821. It departs from the paper in how it treats rounding. The paper
+//! merges facets that rounding has made non-convex. Here every decision to keep or discard a
+//! point is an exact predicate, and rounded arithmetic chooses only which point comes next. So
+//! the surface is exactly convex, contains every point, and has every extreme point as a vertex.
+//!
+//! A point in the plane of a triangle counts as not seeing it. Three facts follow. The triangles
+//! that a point sees form a disc, whose rim is one simple cycle. No new triangle is degenerate:
+//! if the apex were on the line of a rim side, it would lie in the plane of the seen triangle at
+//! that side. And a point of a removed triangle that is still outside sees one of the new
+//! triangles, so no extreme point is ever lost.
+//!
+//! If the insertions split the lists evenly, `n` points of which `v` are inserted take
+//! `O(n log v)` time, as in the paper. The worst case is `O(n^2)`. Most predicates are decided by
+//! a rounded value and its error bound; only points that are nearly in a triangle's plane need
+//! exact arithmetic.
 
 use glam::DVec3;
 
@@ -19,9 +43,9 @@ use crate::contact::exact::{collinear, counted_orient3d, sure_orient3d};
 use crate::contact::stop::{Meter, Stopped};
 use crate::contact::tolerance::U;
 
-/// Not an index.
+/// Marks the absence of an index.
 pub(super) const NONE: u32 = u32::MAX;
-/// Mark of a triangle that is no longer part of the hull.
+/// The mark of a triangle that is no longer part of the hull.
 const REMOVED: u32 = u32::MAX;
 /// Steps of one rounded comparison of a point with a triangle's plane.
 pub(super) const COMPARISON: u64 = 4;
@@ -30,8 +54,8 @@ const COLLINEAR: u64 = 1000;
 /// Steps of making, linking or moving one triangle.
 const TRIANGLE: u64 = 20;
 
-/// Triangulates the hull of `cloud`. Returned is the cloud of its extreme
-/// points alone, which the triangles index.
+/// Triangulates the hull of `cloud`. Returns the cloud of its extreme points, and triangles that
+/// index this smaller cloud.
 pub(super) fn triangulate(cloud: Cloud, meter: &Meter<'_>) -> Result<(Cloud, Triangulation), BuildError> {
     let surface = Quickhull::new(&cloud, meter)?.run()?;
     let extreme = extreme_points(&cloud, &surface, meter)?;
@@ -39,8 +63,8 @@ pub(super) fn triangulate(cloud: Cloud, meter: &Meter<'_>) -> Result<(Cloud, Tri
     if extreme.len() == surface.vertex_count(cloud.points.len(), meter)? {
         return Ok((kept, renumbered(surface, &extreme, cloud.points.len(), meter)?));
     }
-    // Points inside a flat face or a straight edge were corners on the way:
-    // anew without them. All that are left are extreme.
+    // The surface has corners inside a flat face or on a straight edge, which are not extreme.
+    // Triangulate again without them: all points that are left are extreme.
     let surface = Quickhull::new(&kept, meter)?.run()?;
     if extreme_points(&kept, &surface, meter)?.len() != kept.points.len() {
         return Err(inconsistent("an extreme point is missing from its hull"));
@@ -51,39 +75,42 @@ pub(super) fn triangulate(cloud: Cloud, meter: &Meter<'_>) -> Result<(Cloud, Tri
 /// A triangle of the growing hull.
 struct Face {
     corners: [u32; 3],
-    /// Across the side from corner `i` to the next.
+    /// Neighbour `i` is the face across the side from corner `i` to the next corner.
     neighbours: [u32; 3],
-    /// Outward, scaled units; not unit.
+    /// The outward normal in scaled units. It is not normalised.
     normal: DVec3,
-    /// Bound of the rounding error of `normal . (p - corner 0)` over the cloud.
+    /// An upper bound of the rounding error of `normal . (p - corner 0)` over all points `p` of
+    /// the cloud.
     noise: f64,
-    /// First of the points assigned to this face, all strictly above it.
+    /// The head of the list of points assigned to this face. All of them are strictly above it.
     first: u32,
-    /// The farthest of these, and how far, times the normal's length.
+    /// The farthest point of the list.
     farthest: u32,
+    /// The height of the farthest point above the face, times the length of the normal.
     height: f64,
-    /// Of the last insertion that looked at this face: its number doubled, plus
-    /// 1 where the face was not seen.
+    /// The last insertion that looked at this face: twice its number, plus 1 if the apex did not
+    /// see the face.
     mark: u32,
 }
 
-/// One side of the rim of what a point sees, anticlockwise from outside.
+/// One side of the rim of the faces that a point sees. The rim runs anticlockwise seen from
+/// outside.
 struct Rim {
     from: u32,
     to: u32,
-    /// The face beyond, which stays.
+    /// The face on the other side, which the point does not see and which stays.
     beyond: u32,
 }
 
 struct Quickhull<'a> {
     cloud: &'a Cloud,
     meter: &'a Meter<'a>,
-    /// See [`sure_orient3d`].
+    /// The value from [`sure_orient3d`] for the extent of this cloud.
     sure: f64,
     faces: Vec<Face>,
-    /// Per point: the next of its face's list.
+    /// For each point, the next point in the list of its face.
     next: Vec<u32>,
-    /// Per point: the rim side that starts there; `NONE` between insertions.
+    /// For each point, the rim side that starts at it; `NONE` between insertions.
     rim_at: Vec<u32>,
     seen: Vec<u32>,
     rim: Vec<Rim>,
@@ -91,7 +118,7 @@ struct Quickhull<'a> {
 }
 
 impl<'a> Quickhull<'a> {
-    /// Starts from a tetrahedron of far apart points.
+    /// Starts with a tetrahedron of points that are far apart, and assigns all other points.
     fn new(cloud: &'a Cloud, meter: &'a Meter<'a>) -> Result<Self, BuildError> {
         let count = cloud.points.len();
         let mut hull = Self {
@@ -116,11 +143,11 @@ impl<'a> Quickhull<'a> {
         Ok(hull)
     }
 
-    /// Takes in, face by face, the farthest point above it until none is left.
+    /// Inserts the farthest point above each face until no face has a point above it.
     fn run(mut self) -> Result<Triangulation, BuildError> {
         let mut face = 0;
-        // Faces are appended and never revived, and each step takes in a point
-        // for good: bounded by the number of points.
+        // The loop ends: each insertion takes one point off the lists, and no point comes back.
+        // Faces are only appended, and a removed face is never used again.
         while face < self.faces.len() {
             if self.faces[face].first != NONE {
                 self.insert(face as u32)?;
@@ -135,10 +162,10 @@ impl<'a> Quickhull<'a> {
         let [a, b, c] = corners.map(|v| self.cloud.scaled[v as usize]);
         let (ab, ac) = (b - a, c - a);
         let (p, q) = (ab.abs(), ac.abs());
-        // Sum of the sizes of the products of each component.
+        // For each component of the cross product, the sum of the sizes of its products.
         let size = DVec3::new(p.y * q.z + p.z * q.y, p.z * q.x + p.x * q.z, p.x * q.y + p.y * q.x);
-        // Each term of normal . (p - a) went through at most 8 roundings; one
-        // more covers those of this bound, the constant those of underflow.
+        // Each term of normal . (p - a) has at most 8 roundings. A ninth covers the rounding of
+        // this bound, and the constant covers underflow.
         let noise = 9.0 * U * size.dot(self.cloud.extent) + f64::MIN_POSITIVE;
         let normal = ab.cross(ac);
         self.faces.push(Face {
@@ -153,7 +180,8 @@ impl<'a> Quickhull<'a> {
         });
     }
 
-    /// How far `point` is above `face` times the normal's length, if strictly above.
+    /// The height of `point` above `face`, times the length of the normal, or `None` if the point
+    /// is not strictly above. Whether it is above is exact; the height is rounded.
     fn height_above(&self, face: &Face, point: u32) -> Option<f64> {
         let scaled = &self.cloud.scaled;
         let height = face.normal.dot(scaled[point as usize] - scaled[face.corners[0] as usize]);
@@ -167,8 +195,8 @@ impl<'a> Quickhull<'a> {
         above.then_some(height)
     }
 
-    /// Gives `point` to the first face from `start` on that it is above; one
-    /// above none is inside.
+    /// Gives `point` to the first face, from index `start` on, that the point is above. A point
+    /// above no face is inside the hull and is dropped.
     fn assign(&mut self, point: u32, start: usize) -> Result<(), Stopped> {
         for index in start..self.faces.len() {
             self.meter.spend(COMPARISON)?;
@@ -185,7 +213,7 @@ impl<'a> Quickhull<'a> {
         Ok(())
     }
 
-    /// Takes in the farthest point above `face`.
+    /// Inserts the farthest point above `face`.
     fn insert(&mut self, face: u32) -> Result<(), BuildError> {
         let apex = self.faces[face as usize].farthest;
         self.insertions += 1;
@@ -209,7 +237,7 @@ impl<'a> Quickhull<'a> {
         Ok(())
     }
 
-    /// Collects the faces that `apex` sees, from `face` on, and their rim.
+    /// Collects the faces that `apex` sees, by a walk from `face`, and the sides of their rim.
     fn find_seen(&mut self, face: u32, apex: u32) -> Result<(), Stopped> {
         let (is_seen, is_not) = (2 * self.insertions, 2 * self.insertions + 1);
         self.seen.clear();
@@ -240,7 +268,7 @@ impl<'a> Quickhull<'a> {
         Ok(())
     }
 
-    /// Orders the rim's sides along the rim, which must be one simple cycle.
+    /// Puts the sides of the rim in order. Fails if they are not one simple cycle.
     fn sort_rim(&mut self) -> Result<(), BuildError> {
         self.meter.spend(COMPARISON * self.rim.len() as u64)?;
         let mut simple = true;
@@ -250,7 +278,7 @@ impl<'a> Quickhull<'a> {
             *place = i;
         }
         for i in 1..self.rim.len() {
-            // The side that follows the one before; its place may have moved on.
+            // The side that follows side `i - 1`. An earlier swap may have moved it.
             let next = self.rim_at[self.rim[i - 1].to as usize] as usize;
             if !(i..self.rim.len()).contains(&next) {
                 simple = false;
@@ -267,7 +295,7 @@ impl<'a> Quickhull<'a> {
         if simple && closed { Ok(()) } else { Err(inconsistent("the horizon is not one simple cycle")) }
     }
 
-    /// Joins every side of the rim to `apex`.
+    /// Adds the triangles that join each side of the rim to `apex`.
     fn raise_cone(&mut self, apex: u32) -> Result<(), BuildError> {
         let (start, count) = (self.faces.len() as u32, self.rim.len() as u32);
         if u64::from(start) + u64::from(count) >= u64::from(NONE) {
@@ -288,7 +316,7 @@ impl<'a> Quickhull<'a> {
         Ok(())
     }
 
-    /// The faces that are left.
+    /// The faces that were not removed, renumbered.
     fn surface(&self) -> Result<Triangulation, Stopped> {
         let mut place = vec![NONE; self.faces.len()];
         let mut count = 0;
@@ -311,15 +339,16 @@ impl<'a> Quickhull<'a> {
     }
 }
 
-/// Four points that are exactly not in one plane, far apart where rounding can
-/// tell, with the fourth below the other three.
+/// Finds four points that are not in one plane, decided exactly. They are far apart as far as
+/// rounded arithmetic can tell. The fourth point is below the triangle of the other three.
 fn first_tetrahedron(cloud: &Cloud, meter: &Meter<'_>) -> Result<[u32; 4], BuildError> {
     let (points, scaled) = (&cloud.points, &cloud.scaled);
     let a = 0;
     let b = farthest(scaled, meter, |p| (p - scaled[a]).length_squared())?;
     let along = scaled[b] - scaled[a];
     let mut c = farthest(scaled, meter, |p| along.cross(p - scaled[a]).length_squared())?;
-    // Exactly, where rounding was wrong; then the first point that is off the line will do.
+    // The choice above is rounded, so check it exactly. If it is on the line, take the first
+    // point that is off the line.
     let on_line = |i: usize| {
         meter.count(COLLINEAR);
         collinear(points[a], points[b], points[i])
@@ -354,7 +383,7 @@ fn first_tetrahedron(cloud: &Cloud, meter: &Meter<'_>) -> Result<[u32; 4], Build
     Ok([a, b, c, d].map(|i| i as u32))
 }
 
-/// The first index of the largest value.
+/// The index of the point with the largest `distance`; the lowest index if several tie.
 fn farthest(points: &[DVec3], meter: &Meter<'_>, distance: impl Fn(DVec3) -> f64) -> Result<usize, Stopped> {
     let mut best = (0, f64::NEG_INFINITY);
     for (i, &p) in points.iter().enumerate() {
@@ -365,7 +394,7 @@ fn farthest(points: &[DVec3], meter: &Meter<'_>, distance: impl Fn(DVec3) -> f64
     Ok(best.0)
 }
 
-/// What exact arithmetic rules out: reported, never trusted.
+/// The error for a state that exact arithmetic rules out. It is checked and reported all the same.
 pub(super) fn inconsistent(what: &str) -> BuildError {
     HullError { kind: HullErrorKind::NotRepresentable, index: None, detail: format!("internal: {what}") }
         .into()

@@ -1,28 +1,35 @@
-//! An inner hull of fewer vertices, and how far from the whole it is at most.
+//! Simplification: an inner hull of fewer vertices, and a bound of how far it is from the whole.
 //!
-//! Vertices are taken one at a time, always the one farthest from the hull of those taken.
-//! The Hausdorff distance of the two hulls is that of the farthest vertex left out, since the
-//! distance to a convex set is a convex function. Every distance here is the distance to a
-//! known point of the inner hull, so it is an upper bound even if the search for the nearest
-//! point ends early. Distances only fall while vertices are taken: a distance that was computed
-//! earlier still bounds, and is computed again only when it is the largest (a lazy priority
-//! queue; M. Minoux, *Accelerated greedy algorithms for maximizing submodular set functions*,
-//! 1978, doi:10.1007/BFb0006528).
+//! Vertices are taken greedily, one at a time: always the vertex that is farthest from the hull
+//! of the vertices taken so far.
 //!
 //! ```text
-//! taken = [the vertex farthest from the centre]
-//! while more vertices are wanted: take the farthest one left out
-//! while no hull can be built of the taken ones about the contraction point: take the farthest
+//! taken = [the vertex farthest from the contraction point]
+//! while the limits ask for more vertices:
+//!     take the vertex farthest from the hull of `taken`
+//! while no hull of `taken` can be built about the contraction point:
+//!     take the vertex farthest from the hull of `taken`
 //! ```
 //!
-//! A vertex left out is computed some five times, each time by some ten questions to a tree of
-//! points ([`points`]). So `n` vertices take about `n` times the time of a question, which
-//! grows more slowly than the square root of `n`.
+//! The Hausdorff distance between the two hulls (the *deviation*) is the distance of the farthest
+//! vertex that was left out: the distance to a convex set is a convex function, so its largest
+//! value over the whole hull is at a vertex. Each distance is computed as the distance to a known
+//! point of the inner hull ([`mod@distance`]). So it is an upper bound even if the search for the
+//! nearest point ends early. The greedy order gives nested hulls and a deviation after every vertex,
+//! so one pass serves both limits.
 //!
-//! The second loop does not build a hull for every vertex. While the contraction point is not
-//! inside the hull of `k` vertices by more than rounding, it is not inside the hull of any
-//! earlier ones either. So the last such `k` is found by doubling and halving, and hulls are
-//! built only from there on.
+//! Distances only fall while vertices are taken. A distance that was computed earlier is therefore
+//! still an upper bound, and is computed again only when it is the largest of all: a lazy priority
+//! queue (M. Minoux, *Accelerated greedy algorithms for maximizing submodular set functions*,
+//! 1978, doi:10.1007/BFb0006528). The distance of a vertex is computed about five times, and each
+//! computation asks a tree of points ([`points`]) about ten questions. So simplifying `n` vertices
+//! takes about `n` times the time of one question, which grows more slowly than the square root of
+//! `n`. Without the queue and the tree the time would grow with the cube of `n`.
+//!
+//! The second loop does not try to build a hull after every vertex. If the contraction point is
+//! not inside the hull of the first `k` vertices by more than rounding, it is not inside the hull
+//! of fewer vertices either. So the last such `k` is found by doubling and halving the step, and
+//! hulls are built only from there on.
 
 use std::{cmp::Ordering, collections::BinaryHeap};
 
@@ -36,12 +43,12 @@ use points::PointTree;
 mod distance;
 mod points;
 
-/// The bounds of a simplified hull; an absent bound does not bind.
+/// The limits of a simplified hull. A limit that is absent does not apply.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Simplification {
-    /// The most vertices, at least 4.
+    /// The largest number of vertices; at least 4.
     pub max_vertices: Option<u32>,
-    /// The Hausdorff distance to the whole hull is at most this; caller's units.
+    /// The largest Hausdorff distance to the whole hull; caller's units, at least 0.
     pub max_deviation: Option<f64>,
 }
 
@@ -61,10 +68,10 @@ impl Simplification {
     }
 }
 
-/// The hull of some of `given`'s vertices, about the contraction point of the whole.
+/// Builds the simplified hull of the points `given`, about the contraction point of the whole hull.
 ///
-/// Where the deviation would allow a hull that is flat, or does not have the contraction
-/// point inside, more vertices are taken.
+/// If the vertices that satisfy the deviation make a flat hull, or a hull that does not have the
+/// contraction point inside, more vertices are taken.
 pub(super) fn simplified(
     given: &[[f64; 3]],
     options: &HullOptions,
@@ -72,14 +79,14 @@ pub(super) fn simplified(
     meter: &Meter<'_>,
 ) -> Result<ConvexHull, BuildError> {
     wanted.check()?;
-    // The limit is for the hull that is kept, which is the simplified one.
+    // The vertex limit applies to the simplified hull, so the whole hull has none.
     let whole = build::build(given, &HullOptions { max_vertices: usize::MAX, ..*options }, meter)?;
     let limit = options.max_vertices;
     let within_limit = |count: usize| if count <= limit { Ok(()) } else { Err(too_many_vertices(limit)) };
     let all = whole.vertex_count();
     let most = wanted.max_vertices.map_or(all, |most| all.min(most as usize));
     let mut inner = Inner::new(given, &whole, meter)?;
-    // As many as the options ask for.
+    // Take as many vertices as the limits ask for.
     let is_enough = |deviation: f64| wanted.max_deviation.is_none_or(|limit| deviation <= limit);
     let mut count = if wanted.max_deviation.is_none() { most } else { 1 };
     within_limit(count)?;
@@ -93,7 +100,7 @@ pub(super) fn simplified(
         let detail = format!("{most} vertices leave a deviation of {deviation:e}");
         return Err(HullError { kind: HullErrorKind::SimplificationNotPossible, index: None, detail }.into());
     }
-    // As many more as a hull about the contraction point needs.
+    // Take as many more as a hull about the contraction point needs.
     let mut skipped = false;
     loop {
         within_limit(count)?;
@@ -120,11 +127,12 @@ fn too_many_vertices(limit: usize) -> HullError {
     }
 }
 
-/// A vertex left out: at most so far from the hull of those taken.
+/// A vertex that is left out so far.
 struct Left {
+    /// An upper bound of its distance from the hull of the vertices taken; hull units.
     distance: f64,
     vertex: u32,
-    /// How many had been taken when it was computed.
+    /// The number of vertices that had been taken when the bound was computed.
     at: usize,
 }
 
@@ -143,28 +151,29 @@ impl PartialOrd for Left {
 }
 
 impl Ord for Left {
-    /// If two are equal, the lower vertex is the larger, to be taken first.
+    /// If two distances are equal, the vertex with the lower index counts as larger, so that it is
+    /// taken first.
     fn cmp(&self, other: &Self) -> Ordering {
         self.distance.total_cmp(&other.distance).then(other.vertex.cmp(&self.vertex))
     }
 }
 
-/// The inner hull, being made.
+/// The inner hull while vertices are taken.
 struct Inner<'a> {
     given: &'a [[f64; 3]],
     whole: &'a ConvexHull,
-    /// Vertices of the whole, in the order in which they were taken.
+    /// Vertices of the whole hull, in the order in which they were taken.
     taken: Vec<u32>,
-    /// For each number of vertices, less one, the deviation that they leave; caller's units.
+    /// `deviations[k]` is the deviation that the first `k + 1` vertices leave; caller's units.
     deviations: Vec<f64>,
     points: PointTree,
-    /// The traces of the vertices, by their indices.
+    /// For each vertex of the whole hull, the trace of its last distance.
     traces: Vec<Trace>,
     left: BinaryHeap<Left>,
 }
 
 impl<'a> Inner<'a> {
-    /// With the vertex farthest from the centre.
+    /// Starts with the vertex farthest from the contraction point.
     fn new(given: &'a [[f64; 3]], whole: &'a ConvexHull, meter: &Meter<'_>) -> Result<Self, Stopped> {
         let vertices = whole.vertices();
         let farther = |&v: &usize, &w: &usize| {
@@ -178,7 +187,8 @@ impl<'a> Inner<'a> {
         Ok(Self { given, whole, taken, deviations: Vec::new(), points, traces, left })
     }
 
-    /// How far the hull of the first `count` vertices taken is from the whole at most.
+    /// The deviation that the first `count` vertices leave, an upper bound; caller's units. Takes
+    /// vertices until there are `count`.
     fn deviation(&mut self, count: usize, meter: &Meter<'_>) -> Result<f64, Stopped> {
         while self.deviations.len() < count {
             if self.taken.len() == self.deviations.len()
@@ -187,7 +197,7 @@ impl<'a> Inner<'a> {
                 self.points.add(left.vertex);
                 self.taken.push(left.vertex);
             }
-            // Bounds are of the vertices of the whole, each rounded once.
+            // The distances are between vertices in hull units, each of which was rounded once.
             let deviation = match self.farthest(meter)? {
                 None => 0.0,
                 Some(distance) => (distance + NOISE * U) * self.whole.scale(),
@@ -197,7 +207,8 @@ impl<'a> Inner<'a> {
         Ok(self.deviations[count - 1])
     }
 
-    /// Upper bound of the distance of the farthest vertex left out; none if none is left out.
+    /// An upper bound of the distance of the farthest vertex left out; hull units. `None` if no
+    /// vertex is left out.
     fn farthest(&mut self, meter: &Meter<'_>) -> Result<Option<f64>, Stopped> {
         loop {
             let Some(mut top) = self.left.peek_mut() else { return Ok(None) };
@@ -207,13 +218,14 @@ impl<'a> Inner<'a> {
             let vertex = top.vertex as usize;
             let trace = &mut self.traces[vertex];
             let bound = distance(self.whole.vertices()[vertex], &self.points, trace, meter)?;
-            // A bound from before holds too.
+            // The earlier bound still holds, so keep the smaller one.
             top.distance = top.distance.min(bound);
             top.at = self.taken.len();
         }
     }
 
-    /// The registered indices of the first `count` vertices taken, ascending, and their points.
+    /// The registered indices of the first `count` vertices taken, ascending, and the given points
+    /// of these indices.
     fn registered(&mut self, count: usize, meter: &Meter<'_>) -> Result<(Vec<u32>, Vec<[f64; 3]>), Stopped> {
         self.deviation(count, meter)?;
         let mut registered: Vec<u32> =
@@ -223,7 +235,8 @@ impl<'a> Inner<'a> {
         Ok((registered, points))
     }
 
-    /// The hull of the first `count` vertices taken, named as the whole names them.
+    /// Builds the hull of the first `count` vertices taken. Its registered indices are those of the
+    /// whole hull.
     fn hull(&mut self, count: usize, meter: &Meter<'_>) -> Result<ConvexHull, BuildError> {
         let (registered, points) = self.registered(count, meter)?;
         let contraction_point = Some(self.whole.contraction_point.to_array());
@@ -237,8 +250,8 @@ impl<'a> Inner<'a> {
         Ok(hull)
     }
 
-    /// The last number of vertices, from `count` to below `most`, of which certainly no hull can
-    /// be built: by doubling the step while there is none, and then by halving it.
+    /// The largest number of vertices, from `count` to below `most`, for which certainly no hull
+    /// can be built. The search doubles its step while there is no hull, and then bisects.
     fn last_without_hull(
         &mut self,
         count: usize,
@@ -262,8 +275,8 @@ impl<'a> Inner<'a> {
         Ok(without)
     }
 
-    /// Whether certainly no hull can be built of the first `count` vertices taken, nor of fewer:
-    /// they are flat, or the contraction point is not inside.
+    /// Whether certainly no hull can be built from the first `count` vertices taken, nor from
+    /// fewer, because they are flat or the contraction point is not inside.
     fn certainly_has_none(&mut self, count: usize, meter: &Meter<'_>) -> Result<bool, BuildError> {
         let (_, points) = self.registered(count, meter)?;
         match Solid::new(&points, meter) {

@@ -1,4 +1,15 @@
-//! The exact hull of a cloud, and the same about its contraction point.
+//! The exact hull of a cloud, and its move to the contraction point.
+//!
+//! [`Solid`] is exact: its vertices are given points, and its triangles are decided by exact
+//! predicates. [`Centred`] is that hull in hull units. Each vertex is the difference of a point
+//! and the contraction point, rounded once, and divided by a power of two, which rounds nothing
+//! but subnormal numbers.
+//!
+//! The two radii are certified. The circumradius is the largest distance of a vertex, rounded up.
+//! The inradius is the smallest depth of the contraction point below the exact planes of the
+//! triangles, less the distance by which rounding moved a vertex, rounded down. Both take linear
+//! time: depths are computed in double precision first, and again more finely only for the planes
+//! that may be the nearest.
 
 use glam::DVec3;
 
@@ -15,33 +26,36 @@ use crate::contact::sort::{COMPARISON, sort};
 use crate::contact::stop::{Meter, Stopped};
 use crate::contact::tolerance::U;
 
-/// Steps of moving a vertex or a triangle from one list to another.
+/// Steps to move a vertex or a triangle from one list to another.
 const MOVE: u64 = 12;
-/// Steps of a triangle's normal or depth in double-double numbers.
+/// Steps to compute the normal or the depth of a triangle in double-double numbers.
 const NORMAL: u64 = 100;
 
-/// Of the circumradius: about a contraction point no deeper inside alpha would be
-/// known to a thousandth alone (`64 u R/r`), and ten times nearer the vertices'
-/// roundings are as large as what keeps faces apart, a share of the inradius.
+/// The inradius must exceed this share of the circumradius. At this depth alpha is known to about
+/// a thousandth only (its error is `64 u R/r`). At a tenth of this depth, the rounding of the
+/// vertices would be as large as the tolerance that keeps faces apart, a share of the inradius.
 const THINNEST: f64 = 65536.0 * U;
 
-/// Hull units: more than the rounding of two inradii.
+/// More than the rounding errors of two inradii; hull units.
 const SURELY: f64 = 256.0 * U;
 
-/// The exact hull of the points, vertices in registered order.
+/// The exact hull of a cloud, with its vertices in registered order.
 pub(super) struct Solid {
-    /// Caller's units.
+    /// The extreme vertices; hull frame, caller's units.
     pub(super) points: Vec<DVec3>,
+    /// For each vertex, its index among the given points; ascending.
     pub(super) registered: Vec<u32>,
     pub(super) triangulation: Triangulation,
-    /// Divided by `unit`.
+    /// The vertices divided by `unit`.
     pub(super) scaled: Vec<DVec3>,
+    /// A power of two; see `Cloud::unit`.
     pub(super) unit: f64,
 }
 
-/// A hull about its contraction point, in hull units.
+/// The vertices and radii of a hull about its contraction point, in hull units.
 pub(super) struct Centred {
     pub(super) vertices: Vec<DVec3>,
+    /// A power of two: caller's units per hull unit.
     pub(super) scale: f64,
     pub(super) inradius: f64,
     pub(super) circumradius: f64,
@@ -69,9 +83,9 @@ impl Solid {
         self.triangulation.triangles[t].map(|v| self.points[v as usize])
     }
 
-    /// Of each triangle, and twice its vector area where the unit is `unit`.
+    /// For each triangle, its normal, and its doubled vector area in units of `unit` squared.
     pub(super) fn normals(&self, meter: &Meter<'_>) -> Result<(Vec<TriangleNormal>, Vec<Dd3>), Stopped> {
-        // A power of two has its own exponent below the one above it.
+        // For a power of two, `exponent_above` is one more than its exponent.
         let unit = exponent_above(self.unit) - 1;
         let count = self.triangulation.triangles.len();
         let (mut normals, mut areas) = (Vec::with_capacity(count), Vec::with_capacity(count));
@@ -85,7 +99,8 @@ impl Solid {
         Ok((normals, areas))
     }
 
-    /// About `center`, which must be strictly inside by more than rounding.
+    /// Moves the hull to the contraction point `center`. Returns `None` unless `center` is strictly
+    /// inside by more than rounding: the inradius must exceed [`THINNEST`] of the circumradius.
     pub(super) fn centred(
         &self,
         center: DVec3,
@@ -96,12 +111,12 @@ impl Solid {
         Ok(centred.filter(|c| c.inradius > THINNEST * c.circumradius))
     }
 
-    /// Whether [`Solid::centred`] may succeed for this solid, or for one of fewer of its vertices
-    /// of which the farthest from `center` is the same.
+    /// Whether [`Solid::centred`] can succeed for this solid, or for a solid of fewer of its
+    /// vertices that has the same farthest vertex from `center`.
     ///
-    /// The true distance of the surface from `center` does not grow when vertices are left out,
-    /// and an inradius is that distance to a few dozen roundoffs. So an inradius that is too
-    /// small by more than [`SURELY`] is too small with fewer vertices, too.
+    /// The distance between the surface and `center` does not grow when vertices are left out, and
+    /// an inradius is that distance to a few dozen roundoffs. So an inradius that is too small by
+    /// more than [`SURELY`] is also too small with fewer vertices.
     pub(super) fn may_surround(
         &self,
         center: DVec3,
@@ -112,7 +127,8 @@ impl Solid {
         Ok(centred.is_some_and(|c| c.inradius + SURELY > THINNEST * c.circumradius))
     }
 
-    /// About `center`, which must be strictly inside.
+    /// Moves the hull to the contraction point `center`. Returns `None` unless `center` is finite and
+    /// strictly inside. The inradius can be negative if rounding moved a vertex too far.
     fn about(
         &self,
         center: DVec3,
@@ -122,7 +138,7 @@ impl Solid {
         if !center.is_finite() || !self.surrounds(center, normals, meter)? {
             return Ok(None);
         }
-        // Each difference is rounded once: what it loses moves the surface.
+        // Each vertex is rounded once. The part that is lost moves the surface.
         let (mut radius, mut moved) = (0.0_f64, 0.0_f64);
         let mut vertices = Vec::with_capacity(self.points.len());
         for &point in &self.points {
@@ -139,8 +155,8 @@ impl Solid {
         for v in &mut vertices {
             *v *= shrink;
         }
-        // What is left for the surface through the rounded vertices: it is nearer
-        // by no more than these moved, and by what scaling underflows.
+        // The surface through the rounded vertices is nearer than the exact surface by at most the
+        // largest move of a vertex, and by the underflow of scaling.
         let inradius = self.depth(center, normals, &vertices, shrink, meter)?
             - (1.0 + 8.0 * U) * moved * shrink
             - f64::MIN_POSITIVE;
@@ -148,7 +164,7 @@ impl Solid {
         Ok(Some(Centred { vertices, scale, inradius, circumradius }))
     }
 
-    /// Whether `center` is strictly inside, exactly.
+    /// Whether `center` is strictly inside the hull, decided exactly.
     fn surrounds(
         &self,
         center: DVec3,
@@ -159,7 +175,8 @@ impl Solid {
             meter.spend(MOVE)?;
             let [a, b, c] = self.corners(t);
             let below = a - center;
-            // A unit normal is good to 4 roundoffs, difference and product to 4 more.
+            // The unit normal is accurate to 4 roundoffs, and the difference and the product add 4
+            // more.
             if normal.unit.dot(below) > 16.0 * U * below.length() {
                 continue;
             }
@@ -170,7 +187,7 @@ impl Solid {
         Ok(true)
     }
 
-    /// How far `center` is below the nearest plane, rounded down; hull units.
+    /// How far `center` is below the nearest plane of a triangle, rounded down; hull units.
     fn depth(
         &self,
         center: DVec3,
@@ -179,7 +196,7 @@ impl Solid {
         shrink: f64,
         meter: &Meter<'_>,
     ) -> Result<f64, Stopped> {
-        // To the rounding of unit normal, vertex and product …
+        // The rounding of the unit normal, the vertex and the product.
         const ERROR: f64 = 16.0 * U;
         let depth = |t: usize| normals[t].unit.dot(vertices[self.triangulation.triangles[t][0] as usize]);
         let mut nearest = f64::INFINITY;
@@ -187,7 +204,7 @@ impl Solid {
             meter.spend(MOVE)?;
             nearest = nearest.min(depth(t));
         }
-        // … and again more finely for the planes that may be the nearest.
+        // Compute the depth again more finely for the planes that may be the nearest.
         let mut refined = f64::INFINITY;
         for t in (0..normals.len()).filter(|&t| depth(t) <= nearest + 2.0 * ERROR) {
             meter.spend(NORMAL)?;

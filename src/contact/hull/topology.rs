@@ -1,4 +1,20 @@
-//! Edges and outlines of the faces.
+//! Derives edges and outlines of the faces from groups of triangles.
+//!
+//! ```text
+//! edges:    the boundaries between groups, straightened; if no triangles were merged,
+//!           simply the sides of the triangles
+//! corners:  for each face, the ends of its edges
+//! outlines: for each face, the convex polygon of its corners, seen along its normal
+//! ```
+//!
+//! An outline is not traced along the edges. The corners of a merged face are off its plane by up to
+//! the tolerance, so the traced polygon could be slightly concave. Instead the corners are
+//! projected on a coordinate plane, which is exact, and their convex hull is computed with exact
+//! orientation tests by the monotone chain of A. M. Andrew, *Another efficient algorithm for convex
+//! hulls in two dimensions*, 1979, doi:10.1016/0020-0190(79)90072-3. So every outline is strictly
+//! convex. Outline and edges of a face can then differ in a corner by the tolerance.
+//!
+//! All lists together take `O(n log n)` time for `n` triangles: edges and corners are sorted.
 
 use std::cmp::Ordering;
 
@@ -14,25 +30,26 @@ use crate::contact::exact::{orient2d, orient2d_steps};
 use crate::contact::sort::{COMPARISON, sort};
 use crate::contact::stop::{Meter, Stopped};
 
-/// Steps of one side of a triangle, or of one corner of an outline, of which little is asked.
+/// Steps per side of a triangle, or per corner of an outline, besides orientation tests.
 const CORNER: u64 = 10;
 
-/// An edge's ends, lower vertex first, and the faces on the left and right of going
-/// from the one to the other.
+/// An edge: its end vertices, the lower index first, and the faces on the left and on the right of
+/// the way from the first end to the second.
 pub(super) type Edge = ([u32; 2], [u32; 2]);
 
-/// Faces' and edges' places in one another.
+/// The edges and outlines of the faces.
 pub(super) struct Topology {
     pub(super) edge_vertices: Vec<[u32; 2]>,
     pub(super) edge_faces: Vec<[u32; 2]>,
     pub(super) outlines: Csr,
     pub(super) face_areas: Vec<f64>,
-    /// How far vertices between the ends of an edge are from its line at most; hull units.
+    /// The largest distance of a vertex that was straightened away from the line of its edge; hull
+    /// units.
     pub(super) straightened: f64,
 }
 
-/// Reads edges and outlines off the groups' boundaries; none where a face has no
-/// outline at double precision (needles of an aspect beyond 1e13).
+/// Derives edges and outlines from the groups. Returns `None` if a face has no outline at double
+/// precision, which happens for needles of an aspect beyond 1e13.
 pub(super) fn topology(
     surface: &Surface<'_>,
     groups: &Groups,
@@ -59,8 +76,8 @@ pub(super) fn topology(
         return Ok(None);
     }
     meter.spend(CORNER * outlines.items.len() as u64)?;
-    // The length of the vector area: of an outline thinner than its vertices'
-    // rounding the vector itself may point anywhere.
+    // The area is the length of the vector area, not its component along the normal: if the outline
+    // is thinner than the rounding of its vertices, the vector may point anywhere.
     let area = |face: usize| {
         let corner = |i: usize| surface.vertices[outlines.row(face)[i] as usize];
         let first = corner(0);
@@ -72,7 +89,7 @@ pub(super) fn topology(
     Ok(Some(Topology { edge_vertices, edge_faces, outlines, face_areas, straightened }))
 }
 
-/// Where every face is one triangle, as on rounded bodies: their sides.
+/// The edges if every face is one triangle, as on rounded bodies: the sides of the triangles.
 fn triangles_edges(surface: &Surface<'_>, groups: &Groups, meter: &Meter<'_>) -> Result<Vec<Edge>, Stopped> {
     meter.spend(CORNER * 3 * groups.of.len() as u64)?;
     let Triangulation { triangles, neighbours } = surface.triangulation;
@@ -89,7 +106,7 @@ fn triangles_edges(surface: &Surface<'_>, groups: &Groups, meter: &Meter<'_>) ->
     Ok(edges)
 }
 
-/// And their corners, in no order.
+/// The corners of each face if every face is one triangle.
 fn triangles_corners(surface: &Surface<'_>, groups: &Groups) -> Csr {
     let corners = surface.triangulation.triangles.iter().zip(&groups.of);
     Csr::from_ordered_pairs(
@@ -98,7 +115,7 @@ fn triangles_corners(surface: &Surface<'_>, groups: &Groups) -> Csr {
     )
 }
 
-/// By vertices, then by faces.
+/// Sorts edges by their vertices, then by their faces.
 pub(super) fn sort_edges(edges: &mut Vec<Edge>, meter: &Meter<'_>) -> Result<(), Stopped> {
     let key = |([u, v], [left, right]): &Edge| {
         [u, v, left, right].into_iter().fold(0_u128, |key, &part| key << 32 | u128::from(part))
@@ -106,10 +123,10 @@ pub(super) fn sort_edges(edges: &mut Vec<Edge>, meter: &Meter<'_>) -> Result<(),
     sort(edges, meter, COMPARISON, |e, f| key(e).cmp(&key(f)))
 }
 
-/// A corner in the plane of its face, and its vertex.
+/// A corner projected on a coordinate plane, and its vertex.
 type Corner = ([f64; 2], u32);
 
-/// Makes outlines; keeps its buffers from one to the next.
+/// Computes outlines. Keeps its buffers from one outline to the next.
 #[derive(Default)]
 struct Sweep {
     sorted: Vec<Corner>,
@@ -118,9 +135,8 @@ struct Sweep {
 }
 
 impl Sweep {
-    /// The convex polygon of `corners` seen against `normal`, anticlockwise and
-    /// strictly convex: A. M. Andrew's monotone chain (1979) on exact turns. Less than
-    /// three of a face thinner than the rounding of its vertices.
+    /// The strictly convex polygon of `corners`, anticlockwise as seen against `normal`. It has fewer
+    /// than three corners if the face is thinner than the rounding of its vertices.
     fn outline(
         &mut self,
         vertices: &[DVec3],
@@ -128,7 +144,7 @@ impl Sweep {
         normal: DVec3,
         meter: &Meter<'_>,
     ) -> Result<&[u32], Stopped> {
-        // Dropping the normal's largest coordinate keeps the others exact.
+        // Dropping the coordinate in which the normal is largest keeps the other two exact.
         let size = normal.abs();
         let flat = |v: u32| {
             let p = vertices[v as usize];
@@ -144,7 +160,7 @@ impl Sweep {
         let Self { sorted, polygon, outline } = self;
         outline.clear();
         if let &[u, v, w] = corners {
-            // Both chains at once.
+            // A triangle is both chains at once.
             let [a, b, c] = [u, v, w].map(|v| (flat(v), v));
             let first = |p: &Corner, q: &Corner| along(p, q).is_lt();
             let [a, b, c] = match (first(&a, &b), first(&b, &c), first(&c, &a)) {
@@ -174,12 +190,12 @@ impl Sweep {
     }
 }
 
-/// The order along a chain.
+/// The order of corners along a chain.
 fn along((p, v): &Corner, (q, w): &Corner) -> Ordering {
     p[0].total_cmp(&q[0]).then(p[1].total_cmp(&q[1])).then(v.cmp(w))
 }
 
-/// Adds the convex chain of `points`, without its last.
+/// Adds the convex chain through `points` to the polygon, without its last point.
 fn add_chain<'a>(
     polygon: &mut Vec<Corner>,
     points: impl Iterator<Item = &'a Corner>,

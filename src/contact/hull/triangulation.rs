@@ -1,4 +1,4 @@
-//! A triangulated convex surface, and the vertices that are extreme in it.
+//! A triangulated convex surface, and the search for its extreme vertices.
 
 use super::BuildError;
 use super::cloud::Cloud;
@@ -6,13 +6,13 @@ use super::quickhull::{COMPARISON, NONE, inconsistent};
 use crate::contact::exact::{counted_orient3d, sure_orient3d};
 use crate::contact::stop::{Meter, Stopped};
 
-/// A closed, exactly convex surface. Every vertex is extreme; coplanar
-/// triangles stay apart.
+/// A closed, exactly convex surface of triangles. Every vertex is extreme. Coplanar triangles are
+/// not merged.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Triangulation {
-    /// Three vertices each, anticlockwise from outside.
+    /// The three vertices of each triangle, anticlockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
-    /// Per triangle: the triangle across the side from corner `i` to the next.
+    /// For each triangle and each `i`, the triangle across the side from corner `i` to the next.
     pub neighbours: Vec<[u32; 3]>,
 }
 
@@ -21,7 +21,7 @@ impl Triangulation {
         Self { triangles: Vec::with_capacity(triangles), neighbours: Vec::with_capacity(triangles) }
     }
 
-    /// Number of different vertices, all below `limit`.
+    /// The number of different vertices. All vertices are below `limit`.
     pub(super) fn vertex_count(&self, limit: usize, meter: &Meter<'_>) -> Result<usize, Stopped> {
         let mut used = vec![false; limit];
         let mut count = 0;
@@ -34,7 +34,7 @@ impl Triangulation {
         Ok(count)
     }
 
-    /// The slot of `corner` in triangle `t`.
+    /// The index, from 0 to 2, of the vertex `corner` in triangle `t`.
     pub(super) fn slot(&self, t: u32, corner: u32) -> usize {
         let [a, b, _] = self.triangles[t as usize];
         if a == corner {
@@ -46,16 +46,16 @@ impl Triangulation {
         }
     }
 
-    /// The corner of the triangle across side `side` of `t` that is not on it.
+    /// The corner that the triangle across side `side` of `t` does not share with `t`.
     fn opposite(&self, t: u32, side: usize) -> u32 {
         let across = self.neighbours[t as usize][side];
         let start = self.triangles[t as usize][side];
-        // Across, the side runs the other way: its start comes second.
+        // In the triangle across, the side runs the other way, so its start comes second.
         self.triangles[across as usize][(self.slot(across, start) + 1) % 3]
     }
 }
 
-/// Vertices numbered by their place in `kept`.
+/// Renumbers the vertices of a surface by their position in `kept`.
 pub(super) fn renumbered(
     mut surface: Triangulation,
     kept: &[u32],
@@ -71,9 +71,10 @@ pub(super) fn renumbered(
     Ok(surface)
 }
 
-/// The vertices that are on at least three different planes, ascending: on a
-/// convex surface, those that are no mixture of others. Checks on the way that
-/// the surface is convex.
+/// Returns the extreme vertices of a convex surface, ascending. Fails if the surface is not convex.
+///
+/// A vertex is extreme if at least three *creases* end in it, sides at which the surface bends. A
+/// vertex with no crease is inside a flat face, and a vertex with two is inside a straight edge.
 pub(super) fn extreme_points(
     cloud: &Cloud,
     surface: &Triangulation,

@@ -1,14 +1,24 @@
-//! A feature clipped by a face: Sutherland and Hodgman, *Reentrant polygon clipping* (1974,
-//! doi:10.1145/360767.360802). Each vertex carries the features that make it.
+//! A feature clipped by a convex polygon, in any position.
 //!
-//! A side of the window cuts where the subject passes from more than `eps`
-//! inside to more than `eps` outside; a vertex within `eps` of the side's line is
-//! on it, and stands for the crossing itself. Within `eps` of both sides of a
-//! sharp corner may be far beyond the corner: there it is cut off.
+//! I. E. Sutherland and G. W. Hodgman, *Reentrant polygon clipping*, 1974, doi:10.1145/360767.360802.
+//! The *subject* (a point, a segment or a polygon) is cut by the line of one side of the *window* after
+//! another. Each vertex carries the features that make it:
 //!
-//! Every side of the window looks at every vertex that is left, which is fastest for the few
-//! sides of most faces but quadratic. Large polygons are cut by [`chain`], which gives the same
-//! vertices in linear time.
+//! ```text
+//! kept = vertices of the subject
+//! for each side of the window:
+//!     keep the vertices inside its line; where the outline passes from one side of the line
+//!     to the other, add the crossing
+//! ```
+//!
+//! Departure: the tests have the tolerance `eps`. An outline crosses a line only if it passes from more
+//! than `eps` inside to more than `eps` outside, or back. A vertex within `eps` of the line is on it and
+//! stands for the crossing itself. A point within `eps` of both sides of a sharp corner may be far
+//! beyond the corner, so such parts are cut off across the corner at the end.
+//!
+//! Each side examines every vertex that is left, so the time is quadratic. That is fastest for the few
+//! sides of most faces. Large polygons are cut by [`chain`], which gives the same vertices in linear
+//! time.
 
 use glam::DVec2;
 
@@ -17,10 +27,10 @@ use chain::Chain;
 
 mod chain;
 
-/// Products of the numbers of sides above which polygons are cut as a [`Chain`].
+/// Polygons whose numbers of sides have a larger product than this are cut as a [`Chain`].
 const LARGE: usize = 1024;
 
-/// Whether two polygons are so large that looking at every pair of sides would take too long.
+/// Whether two polygons are so large that examining every pair of sides would take too long.
 pub(super) fn are_large(a: &Outline, b: &Outline) -> bool {
     let [a, b] = [a, b].map(|outline| outline.corners.len());
     a > 2 && b > 2 && a * b > LARGE
@@ -31,22 +41,22 @@ pub(super) fn are_large(a: &Outline, b: &Outline) -> bool {
 pub(super) struct Vertex {
     pub(super) at: DVec2,
     pub(super) made: Made,
-    /// The line that the outline follows from here.
+    /// The line that the outline follows from this vertex to the next.
     line: Line,
 }
 
-/// The features that make a vertex, by places in the two outlines.
+/// The features that make a vertex, by indices into the two outlines.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Made {
-    /// A corner of the subject inside the window.
+    /// A corner of the subject, inside the window.
     Own(u32),
-    /// A corner of the window inside the subject; or only near: two sides meet here
-    /// that are not neighbours, and those between lie within `eps` of here.
+    /// A corner of the window, inside the subject. If `near`, the vertex is only near the corner: two
+    /// sides meet in it that are not neighbours, and the sides between them are within `eps` of it.
     Window { corner: u32, near: bool },
-    /// A side of the subject and one of the window.
+    /// The crossing of a side of the subject and a side of the window.
     Crossing(u32, u32),
-    /// Two sides of the window that are not neighbours. Most are cut off again by the sides
-    /// between; those that are left are named by their nearest corner when all is cut.
+    /// The crossing of two sides of the window that are not neighbours. The sides between usually cut
+    /// it off again. If not, it becomes the nearest corner of the window in the end.
     Meeting([u32; 2]),
 }
 
@@ -58,15 +68,15 @@ enum Line {
     Window(u32),
 }
 
-/// Vertices one after another around a polygon.
+/// Consecutive vertices around a polygon.
 struct Run {
     first: usize,
     count: usize,
 }
 
 impl Run {
-    /// The vertices whose distance is no less than `least`, if they are one run, but
-    /// neither all nor none.
+    /// The vertices whose distance is at least `least`. None if they are not a single run, or if they
+    /// are all the vertices or none.
     fn of(distances: &[f64], least: f64) -> Option<Self> {
         let (mut first, mut count, mut starts) = (0, 0, 0);
         let mut before = *distances.last()? >= least;
@@ -83,24 +93,24 @@ impl Run {
     }
 }
 
-/// Buffers, and the vertices kept.
+/// The vertices kept, and buffers.
 #[derive(Debug, Default)]
 pub(super) struct Clip {
     pub(super) kept: Vec<Vertex>,
     next: Vec<Vertex>,
-    /// The distance of each vertex from the side that cuts.
+    /// The distance of each kept vertex from the side that cuts.
     distances: Vec<f64>,
     chain: Chain,
 }
 
 impl Clip {
-    /// Vertices that were looked at since the last call, beside those of small polygons.
+    /// Vertices of large polygons examined since the last call. Small polygons are not counted.
     pub(super) fn take_looked_at(&mut self) -> u64 {
         std::mem::take(&mut self.chain.looked_at)
     }
 
-    /// Keeps the part of `subject` (a point, a segment or a polygon) inside
-    /// `window`, a polygon; in order, with vertices nearer than `eps` still apart.
+    /// Keeps in `kept` the part of `subject` (a point, a segment or a polygon) inside the polygon
+    /// `window`, in order. Vertices closer than `eps` to each other are not merged yet.
     pub(super) fn clip(&mut self, subject: &Outline, window: &Outline, eps: f64) {
         self.begin(subject);
         let on_line = if are_large(subject, window) {
@@ -118,19 +128,19 @@ impl Clip {
         }
     }
 
-    /// Keeps all of `subject`.
+    /// Starts with all vertices of `subject`.
     fn begin(&mut self, subject: &Outline) {
         self.kept.clear();
         let corners = subject.corners.iter().zip(0..);
         self.kept.extend(corners.map(|(c, i)| Vertex { at: c.at, made: Made::Own(i), line: Line::Own(i) }));
     }
 
-    /// Cuts by every side of the window; whether a vertex was within `eps` of one.
+    /// Cuts by every side of the window. Returns whether a vertex was within `eps` of one.
     fn cut_plainly(&mut self, window: &Outline, eps: f64) -> bool {
         (0..window.sides.len() as u32).fold(false, |on_line, j| on_line | self.cut(window, j, eps))
     }
 
-    /// Cuts by side `j` of the window; whether a vertex is within `eps` of it.
+    /// Cuts by side `j` of the window. Returns whether a vertex is within `eps` of it.
     fn cut(&mut self, window: &Outline, j: u32, eps: f64) -> bool {
         let Self { kept, distances, .. } = self;
         let side = window.sides[j as usize];
@@ -138,7 +148,7 @@ impl Clip {
         let (mut least, mut on_line) = (f64::INFINITY, false);
         distances.extend(kept.iter().map(|v| {
             let distance = side.distance(v.at);
-            // A side of no length (NaN) bounds nothing: it is never the smaller.
+            // A side of no length (distance NaN) bounds nothing: its distance is never the smaller.
             least = if distance < least { distance } else { least };
             on_line |= distance.abs() <= eps;
             distance
@@ -157,7 +167,7 @@ impl Clip {
         on_line
     }
 
-    /// Cuts a polygon that leaves the window across side `j` once, and comes back once.
+    /// Cuts a polygon that leaves the window across side `j` once and comes back once.
     fn keep_run(&mut self, window: &Outline, inside: &Run, j: u32, eps: f64) {
         let Self { kept, next, distances, .. } = self;
         next.clear();
@@ -175,7 +185,7 @@ impl Clip {
         next.extend(enters);
     }
 
-    /// Cuts a segment, or a polygon that rounding makes leave more than once.
+    /// Cuts a segment, or a polygon that leaves the window more than once because of rounding.
     fn keep_each(&mut self, window: &Outline, j: u32, eps: f64) {
         let Self { kept, next, distances, .. } = self;
         next.clear();
@@ -198,7 +208,7 @@ impl Clip {
         }
     }
 
-    /// Cuts the part more than `eps` beyond a sharp corner, across the corner.
+    /// Cuts off the part that is more than `eps` beyond a sharp corner, by a line across the corner.
     #[cold]
     fn cut_corners(&mut self, window: &Outline, eps: f64) {
         let Self { kept, next, .. } = self;
@@ -206,11 +216,11 @@ impl Clip {
         for (j, corner) in window.corners.iter().enumerate() {
             let sides = [before, j].map(|side| window.sides[side].inward);
             before = j;
-            // At right angles and wider ones `eps` is near the corner itself.
+            // At a corner of 90 degrees or more, points within `eps` of both sides are near the corner.
             if !((sides[0] + sides[1]).length_squared() < SHARP) {
                 continue;
             }
-            // Between the two sides' ways from the corner.
+            // The bisector of the corner, pointing inward.
             let inward = (sides[0] - sides[1]).perp().normalize();
             let beyond = |v: &Vertex| inward.dot(v.at - corner.at) < -eps;
             if !kept.iter().any(beyond) {
@@ -232,8 +242,8 @@ impl Clip {
     }
 }
 
-/// Where the outline leaves the window across side `j` and where it comes back, between the
-/// vertices inside and outside, each with its distance from the side.
+/// The two places where the outline crosses side `j` of the window: one leaves the window, one comes
+/// back. Each is given by the vertices before and after it, with their distances from the side.
 struct Cut<'a> {
     window: &'a Outline,
     j: u32,
@@ -247,8 +257,8 @@ impl Cut<'_> {
         crossing(self.window, p, q, from / (from - to), self.j)
     }
 
-    /// The last vertex before the side of the window, a new one if the last inside is not on the
-    /// side's line; and the first vertex of the way back, if it is new.
+    /// The crossing where the outline leaves, and the crossing where it comes back. Each is none if the
+    /// vertex inside is on the side's line and stands for the crossing.
     fn vertices(&self) -> (Option<Vertex>, Option<Vertex>) {
         let leaves = (self.leaves[0].1 > self.eps)
             .then(|| Vertex { line: Line::Window(self.j), ..self.crossing(self.leaves) });
@@ -257,16 +267,16 @@ impl Cut<'_> {
     }
 }
 
-/// Square of the sum of the unit inward directions of a corner's sides: 2 at a
-/// right angle.
+/// A corner is sharp if the squared sum of its sides' unit inward directions is below this. At a
+/// right angle it is 2.
 const SHARP: f64 = 1.999;
 
-/// Where the outline, on its way from `p` to `q`, meets side `j` of the window.
+/// The vertex where the outline, on its way from `p` to `q`, crosses side `j` of the window.
 fn crossing(window: &Outline, p: &Vertex, q: &Vertex, share: f64, j: u32) -> Vertex {
     let at = p.at + share * (q.at - p.at);
     match p.line {
         Line::Own(i) => Vertex { at, made: Made::Crossing(i, j), line: p.line },
-        // Two sides of the window meet in the corner where the second begins.
+        // Two neighbouring sides of the window meet in the corner where the second begins.
         Line::Window(k) => {
             let (made, at) = if window.next(j as usize) == k as usize {
                 (Made::Window { corner: k, near: false }, window.corners[k as usize].at)
@@ -280,9 +290,9 @@ fn crossing(window: &Outline, p: &Vertex, q: &Vertex, share: f64, j: u32) -> Ver
     }
 }
 
-/// The corner of the window that is nearest to the point where two of its sides meet that are
-/// not neighbours. Large windows look only at the corners between these sides, none of which
-/// cut.
+/// The corner of the window that is nearest to the meeting point of two sides `k` and `j` that are not
+/// neighbours. In a large window only the corners between these two sides are examined; the sides
+/// between did not cut.
 #[cold]
 fn nearest_corner(window: &Outline, at: DVec2, [k, j]: [u32; 2]) -> u32 {
     let distance = |i: u32| window.corners[i as usize].at.distance_squared(at);

@@ -1,12 +1,23 @@
-//! The estimated point where two projected features miss each other.
+//! The estimated contact point of two projected features that miss each other.
 //!
-//! It is midway between the closest points of both projections. These are found among all pairs
-//! of a corner of one with a side of the other. Large polygons look only at the pairs that may
-//! be the closest: along a unit direction `u` from A to B a corner of A that is `x` below A's
-//! farthest, and a side of B that is `y` beyond B's nearest, are at least `gap + x + y` apart,
-//! `gap` the distance of the polygons along `u`. Whatever `u` is, no other pair is as close as
-//! the closest known one; the better `u` is, the fewer pairs are left. GJK finds it (Gilbert,
-//! Johnson and Keerthi, 1988, doi:10.1109/56.2083), in a few rounds of `O(n + m)`.
+//! The point is midway between the closest points of both projections. One of the closest points can
+//! always be taken at a corner, so they are found among all pairs of a corner of one projection and a
+//! side of the other. If several pairs are equally near (parallel sides), the point is in the middle of
+//! the closest set, so that it moves continuously with the bodies.
+//!
+//! ```text
+//! small: candidates = all corners and sides
+//! large: u = direction from A to B, by GJK in the plane
+//!        candidates = corners and sides that may belong to the closest pair, given u
+//! the closest pairs of a corner and a side of the candidates; the middle of the closest set
+//! ```
+//!
+//! The bound for large polygons: let `gap` be the distance of the polygons along the unit direction
+//! `u`. A corner of A that is `x` below A's farthest, and a side of B that is `y` beyond B's nearest,
+//! are at least `gap + x + y` apart. So a pair with a larger sum than the closest distance known cannot
+//! be the closest, whatever `u` is; the better `u` is, the fewer pairs are left. GJK (E. G. Gilbert,
+//! D. W. Johnson and S. S. Keerthi, 1988, doi:10.1109/56.2083) finds a good `u` in a few rounds of
+//! `O(n + m)`.
 
 use glam::DVec2;
 
@@ -16,7 +27,7 @@ use super::outline::{Corner, Outline};
 use crate::contact::manifold::Element;
 use crate::contact::tolerance::{MERGE, U};
 
-/// A pair of nearest points: on A, on B, and the features that they lie on.
+/// A pair of near points, one on A and one on B, with the features that they lie on.
 #[derive(Clone, Copy, Debug)]
 struct Near {
     a: DVec2,
@@ -26,18 +37,18 @@ struct Near {
     id: [Element; 2],
 }
 
-/// The closest points.
+/// The result of the search.
 pub(super) struct Closest {
-    /// Midway between them.
+    /// The point midway between the closest points.
     pub(super) point: PlanePoint,
-    /// How far apart the projections are.
+    /// The distance between the projections.
     pub(super) gap: f64,
-    /// Pairs, and corners, that were looked at.
+    /// The number of pairs and corners that were examined.
     pub(super) looked_at: u64,
 }
 
-/// The point midway between the closest points of both projections (the middle
-/// of the closest set where it is not unique), each lifted to its own feature.
+/// The point midway between the closest points of both projections, or the middle of the closest set
+/// if that is not unique. Each witness is lifted onto its own feature.
 pub(super) fn estimate(a: &Outline, b: &Outline, eps: f64, scratch: &mut Scratch) -> Closest {
     let Scratch { nearest, candidates } = scratch;
     if !are_large(a, b) {
@@ -49,14 +60,14 @@ pub(super) fn estimate(a: &Outline, b: &Outline, eps: f64, scratch: &mut Scratch
     looked_at += candidates.choose(a, b, u, distance + eps);
     let mut closest = among(a, b, eps, nearest, candidates);
     if closest.gap > distance + eps {
-        // They overlap, by little: no corner is as near to a side as the polygons are.
+        // The polygons overlap slightly, so no corner is as near to a side as the distance found.
         looked_at += closest.looked_at + candidates.choose(a, b, u, closest.gap + eps);
         closest = among(a, b, eps, nearest, candidates);
     }
     Closest { looked_at: closest.looked_at + looked_at, ..closest }
 }
 
-/// The estimated point among the pairs of candidates.
+/// The estimated point among all pairs of candidates.
 fn among(a: &Outline, b: &Outline, eps: f64, nearest: &mut Vec<Near>, candidates: &Candidates) -> Closest {
     nearest.clear();
     let mut least = f64::INFINITY;
@@ -73,7 +84,7 @@ fn among(a: &Outline, b: &Outline, eps: f64, nearest: &mut Vec<Near>, candidates
         least = least.min(distance);
     });
     nearest.retain(|near| near.a.distance(near.b) <= least + eps);
-    // If several pairs are equally near: the two ends of the closest set.
+    // If several pairs are equally near, take the two ends of the closest set.
     let across = nearest.first().map_or(DVec2::X, |near| (near.b - near.a).perp());
     let key = |near: &&Near| across.dot(near.a + near.b);
     let first = nearest.iter().min_by(|p, q| key(p).total_cmp(&key(q)));
@@ -95,24 +106,24 @@ fn among(a: &Outline, b: &Outline, eps: f64, nearest: &mut Vec<Near>, candidates
     Closest { point, gap: least, looked_at }
 }
 
-/// Buffers.
+/// Buffers, reused from pair to pair.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
     nearest: Vec<Near>,
     candidates: Candidates,
 }
 
-/// The corners and sides of A and of B whose pairs are looked at, ascending.
+/// The corners and sides of A and of B whose pairs are examined, in ascending order.
 #[derive(Debug, Default)]
 struct Candidates {
     corners: [Vec<usize>; 2],
     sides: [Vec<usize>; 2],
-    /// How far each corner is below the farthest.
+    /// How far each corner is below the farthest one.
     depths: Vec<f64>,
 }
 
-/// Corners, or sides, of a large polygon that are looked at: beyond them only polygons of about
-/// the size of the merge distance have as near ones.
+/// The largest number of corners, and of sides, of a large polygon that are examined. Only polygons of
+/// about the size of the merge distance have more that are as near.
 const MOST: usize = 64;
 
 impl Candidates {
@@ -125,16 +136,16 @@ impl Candidates {
         }
     }
 
-    /// Chooses the corners and sides of two large polygons of which a pair may be within
-    /// `distance` of each other, whatever the unit direction `u` from A to B. Returns how many
-    /// corners it looked at.
+    /// Chooses the corners and sides of two large polygons that may belong to a pair within `distance` of
+    /// each other. The choice is valid for any unit direction `u` from A to B. Returns the number of
+    /// corners that it examined.
     #[cold]
     fn choose(&mut self, a: &Outline, b: &Outline, u: DVec2, distance: f64) -> u64 {
         let top = |outline: &Outline, u: DVec2| {
             outline.corners.iter().map(|c| u.dot(c.at)).fold(f64::NEG_INFINITY, f64::max)
         };
         let (top_a, top_b) = (top(a, u), top(b, -u));
-        // Each height is rounded by a few roundoffs.
+        // Each height has an error of a few roundoffs.
         let rounding = MERGE * U * (top_a.abs() + top_b.abs() + distance);
         let most = distance + (top_a + top_b) + rounding;
         for (outline, u, top, i) in [(a, u, top_a, 0), (b, -u, top_b, 1)] {
@@ -149,7 +160,8 @@ impl Candidates {
     }
 }
 
-/// Those of `count` whose depth is at most `most`, the [`MOST`] of the least depth, ascending.
+/// Chooses, of `count` items, those whose depth is at most `most`: at most [`MOST`], those of least
+/// depth, in ascending order.
 fn choose(chosen: &mut Vec<usize>, count: usize, most: f64, depth: impl Fn(usize) -> f64) {
     chosen.clear();
     chosen.extend((0..count).filter(|&i| depth(i) <= most));
@@ -160,17 +172,18 @@ fn choose(chosen: &mut Vec<usize>, count: usize, most: f64, depth: impl Fn(usize
     }
 }
 
-/// Rounds of the search for the direction; it ends sooner where it no longer improves.
+/// Largest number of rounds of the search for the direction. It ends as soon as a round brings no
+/// improvement.
 const ROUNDS: u32 = 64;
 
-/// A unit direction from A to B along which they are nearly as far apart as they are, and the
-/// distance of two of their points.
+/// A unit direction from A to B along which their distance is nearly the true one, and the distance
+/// between two of their points.
 fn direction(a: &Outline, b: &Outline, looked_at: &mut u64) -> (DVec2, f64) {
     let farthest = |outline: &Outline, u: DVec2| {
         let higher = |best: DVec2, c: &Corner| if u.dot(c.at) > u.dot(best) { c.at } else { best };
         outline.corners.iter().fold(outline.corners[0].at, higher)
     };
-    // From A's points to B's: the nearest of their hull to the origin, on the last segment.
+    // The points are B's minus A's. `nearest` is the point nearest to the origin on the last segment.
     let mut nearest = b.corners[0].at - a.corners[0].at;
     let mut segment = [nearest; 2];
     for _ in 0..ROUNDS {
@@ -190,15 +203,15 @@ fn direction(a: &Outline, b: &Outline, looked_at: &mut u64) -> (DVec2, f64) {
     (nearest.normalize_or(DVec2::X), nearest.length())
 }
 
-/// The point of a segment that is nearest to the origin.
+/// The point of a segment nearest to the origin.
 fn foot(from: DVec2, to: DVec2) -> DVec2 {
     let whole = to - from;
     let share = (-from.dot(whole) / whole.length_squared()).clamp(0.0, 1.0);
     if share.is_nan() { from } else { from + share * whole }
 }
 
-/// Each corner of one with its nearest point of each side (or of the corner) of
-/// the other, of the candidates.
+/// Visits, for each candidate corner of one outline, its nearest point on each candidate side of the
+/// other (or on its only corner).
 fn each_pair(a: &Outline, b: &Outline, candidates: &Candidates, mut visit: impl FnMut(Near)) {
     let Candidates { corners: [corners_a, corners_b], sides: [sides_a, sides_b], .. } = candidates;
     for c in corners_a.iter().map(|&i| &a.corners[i]) {
@@ -239,9 +252,9 @@ mod tests {
     use crate::contact::intersection::outline::random_polygon;
     use crate::workload::Random;
 
-    /// Catches a direction that is wrong by so much that the closest pair is left out, and a bound
-    /// without its rounding: of polygons apart, parallel sides and corners opposite among them,
-    /// the chosen pairs give what all pairs give, to the bit.
+    /// Polygons that are apart, with parallel sides and opposite corners among them: the chosen pairs must
+    /// give what all pairs give, to the bit. Catches a direction so wrong that the closest pair is left
+    /// out, and a bound that does not allow for rounding.
     #[test]
     fn few_pairs_give_what_all_pairs_give() {
         let mut random = Random::new(31);
@@ -251,7 +264,7 @@ mod tests {
             let [of_a, of_b] = [(); 2].map(|()| 40 + random.below(80));
             let (a, mut b) = (random_polygon(&mut random, of_a, 0), random_polygon(&mut random, of_b, 1000));
             if round % 2 == 0 {
-                // The polygon is A turned by half a turn, so that opposite sides are parallel.
+                // The polygon is A rotated by half a turn, so that opposite sides are parallel.
                 b.corners.clone_from(&a.corners);
                 b.corners.iter_mut().for_each(|c| c.at = -c.at);
             }

@@ -1,11 +1,36 @@
-//! Step 3: from the two features to the contact points (Silcowitz et al. 2010,
-//! section 5).
+//! Step 3: from the two touching features to the contact points.
 //!
-//! Both features are projected along the normal on the contact plane and
-//! intersected there; every vertex of the intersection, lifted back onto both
-//! features, is a contact point. Inside tests are inclusive by the merge
-//! distance. Corners and sides lift along the hull's own vertices, the inside
-//! of a face along its plane.
+//! After Silcowitz, Niebe and Erleben (SCA 2010, section 5). Both features are projected along the
+//! normal onto the *contact plane* and intersected there. Every vertex of the intersection is lifted
+//! back onto both features and becomes a contact point with two witnesses:
+//!
+//! ```text
+//!            B
+//!      ______b________         project both features onto the plane across n
+//!            :       :  n      intersect the two outlines in that plane
+//!            :       :  ^      lift each vertex along n: to a, at height_a on A,
+//!       _____a_______a__|_         and to b, at height_b on B
+//!            A                 distance of the point = height_b - height_a
+//! ```
+//!
+//! The witnesses of a point differ only along the normal. Each point has an id of the parts of A and B
+//! that made it, so that a simulation can recognise it in the next step.
+//!
+//! | features | intersection | where |
+//! |---|---|---|
+//! | face, face | convex polygon, segment or point | `polygons` if small and in general position, or `clip` |
+//! | face, edge | up to two points | `clip` |
+//! | face, vertex | up to one point | `clip` |
+//! | edge, edge | the crossing, or the ends that lie on the other edge | `overlap` |
+//! | edge, vertex; vertex, vertex | up to one point | `overlap` |
+//! | features that miss each other | one estimated point between the closest points | `closest` |
+//!
+//! All inside tests include points within the merge distance. Corners and sides are lifted along the
+//! hull's own vertices, and points inside a face are lifted onto the face's plane. Features of `n` and
+//! `m` sides take `O(n m)` time if small, and `O(n + m)` if large.
+//!
+//! Departure from the paper: projections may miss each other although the hulls overlap, so there is
+//! always at least one point. Such a point is flagged as estimated.
 
 mod clip;
 mod closest;
@@ -25,15 +50,15 @@ pub(crate) use super::gauss_map::Touched;
 /// A contact point in the pair's frame.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PlanePoint {
-    /// On the contact plane.
+    /// Coordinates on the contact plane, pair units.
     pub(crate) at: DVec2,
-    /// Of the witnesses on A and on B, along the normal.
+    /// Heights of the witnesses on A and on B, along the normal.
     pub(crate) height_a: f64,
     pub(crate) height_b: f64,
     pub(crate) id: [Element; 2],
 }
 
-/// Buffers, and the points found.
+/// The contact points found, and buffers.
 #[derive(Debug, Default)]
 pub(crate) struct Intersection {
     a: Outline,
@@ -41,20 +66,20 @@ pub(crate) struct Intersection {
     polygons: polygons::Polygons,
     clip: clip::Clip,
     closest: closest::Scratch,
-    /// Anticlockwise about the normal.
+    /// Contact points in order, anticlockwise about the normal.
     pub(crate) points: Vec<PlanePoint>,
-    /// Which of them has the lowest id: answers begin there.
+    /// Index of the point with the lowest id, with which answers begin.
     pub(crate) first: usize,
-    /// The projections miss each other; the one point is an estimate.
+    /// Whether the projections miss each other, so that the one point is an estimate.
     pub(crate) estimated: bool,
-    /// How far below their planes the corners of both features may lie; pair units.
+    /// How far below their faces' planes the corners of both features may lie, in sum; pair units.
     pub(crate) planarity: f64,
-    /// Right-handed: two of the contact plane, and the normal.
+    /// Right-handed axes, A's frame: two in the contact plane, and the normal.
     axes: [DVec3; 3],
 }
 
 impl Intersection {
-    /// Intersects the features of `pair` that `normal` (unit, A's frame) touches.
+    /// Intersects the features of `pair` that `normal` (unit, A's frame) touches, and fills in the fields.
     pub(crate) fn find(&mut self, pair: &Pair<'_>, normal: DVec3, [feature_a, feature_b]: [Touched; 2]) {
         let (e1, e2) = normal.any_orthonormal_pair();
         let axes = [e1, e2, normal];
@@ -87,13 +112,14 @@ impl Intersection {
             let closest::Closest { point, gap, looked_at } = closest;
             pair.count.add(LOOK * looked_at);
             self.points.push(point);
-            // Near a sharp corner what clipping cuts may be farther out than the corner is.
+            // At a sharp corner, clipping may cut off a point that is beyond the corner although the
+            // projections meet to within eps. Such a point is not an estimate.
             self.estimated = gap > eps;
         }
     }
 
-    /// Of the contact plane with the normal, right-handed: a point's witness on A
-    /// is `[at.x, at.y, height_a]` along them, in the pair's frame.
+    /// Right-handed axes in the pair's frame: two in the contact plane, and the normal. A point's witness
+    /// on A has the coordinates `[at.x, at.y, height_a]` along them.
     pub(crate) fn axes(&self) -> [DVec3; 3] {
         self.axes
     }

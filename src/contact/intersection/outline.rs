@@ -1,4 +1,4 @@
-//! A feature projected on the contact plane.
+//! A feature projected onto the contact plane: its corners, sides and heights.
 
 use glam::{DVec2, DVec3};
 
@@ -12,49 +12,49 @@ use crate::contact::tolerance::{EDGE_ON, TURN};
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Corner {
     pub(super) at: DVec2,
-    /// Along the normal.
+    /// Height above the contact plane, along the normal.
     pub(super) height: f64,
-    /// As registered.
+    /// Index of the vertex as registered.
     pub(super) vertex: u32,
 }
 
-/// The line of a side.
+/// The line through a side.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Side {
-    /// Unit, inward; NaN for an edge of no length.
+    /// Unit, inward; NaN for a side of no length.
     pub(super) inward: DVec2,
     pub(super) offset: f64,
 }
 
 impl Side {
-    /// Of a point from the line, positive inside.
+    /// Signed distance of a point from the line, positive inside.
     #[inline]
     pub(super) fn distance(&self, at: DVec2) -> f64 {
         self.inward.dot(at) - self.offset
     }
 }
 
-/// How a hull is seen from the contact plane: takes hull units of its own frame
-/// to the plane's axes and the normal.
+/// The projection of a hull: maps hull units in the hull's own frame to coordinates along the contact
+/// plane's axes and the normal, in pair units.
 pub(super) struct View {
-    /// The plane's axes and the normal, in the hull's frame, as long as a hull
-    /// unit is in pair units.
+    /// The plane's axes and the normal, in the hull's frame. Their length is that of a hull unit in pair
+    /// units.
     pub(super) axes: [DVec3; 3],
-    /// Where the contraction point is seen.
+    /// Coordinates of the contraction point.
     pub(super) center: DVec3,
     /// Pair units per hull unit.
     pub(super) scale: f64,
 }
 
 impl View {
-    /// Of a direction: pair units.
+    /// Projects a direction: coordinates on the plane, and along the normal; pair units.
     #[inline]
     fn direction(&self, v: DVec3) -> (DVec2, f64) {
         let [x, y, n] = self.axes.map(|axis| axis.dot(v));
         (DVec2::new(x, y), n)
     }
 
-    /// Of a point: pair units.
+    /// Projects a point: coordinates on the plane, and height; pair units.
     #[inline]
     fn point(&self, v: DVec3) -> (DVec2, f64) {
         let (at, height) = self.direction(v);
@@ -62,23 +62,23 @@ impl View {
     }
 }
 
-/// A projected feature: one corner, two, or a convex polygon anticlockwise
+/// A projected feature: one corner, two corners, or a convex polygon whose corners run anticlockwise
 /// about the normal.
 #[derive(Debug, Default)]
 pub(super) struct Outline {
     pub(super) corners: Vec<Corner>,
-    /// Of an outline that others are measured against.
+    /// The lines of the sides, once [`Outline::set_sides`] has set them.
     pub(super) sides: Vec<Side>,
-    /// Of a face: height above the contact plane as `slope . at + base`.
+    /// For a face, its height above the contact plane as `slope . at + base`.
     plane: Option<(DVec2, f64)>,
     lowest: f64,
     highest: f64,
-    /// How far below its plane a corner of the face may lie; pair units.
+    /// How far below the face's plane a corner of it may lie; pair units.
     pub(super) planarity: f64,
 }
 
 impl Outline {
-    /// Projects a feature of `hull`; its sides are left to [`Outline::set_sides`].
+    /// Projects a feature of `hull`. [`Outline::set_sides`] sets its sides.
     pub(super) fn project(&mut self, hull: &ConvexHull, feature: Touched, view: &View) {
         let corner = |v: u32| {
             let (at, height) = view.point(hull.vertex(v));
@@ -95,23 +95,23 @@ impl Outline {
         }
         (self.lowest, self.highest) = (f64::INFINITY, f64::NEG_INFINITY);
         for corner in &self.corners {
-            // As plain comparisons: no height is NaN, which min and max would mind.
+            // Plain comparisons suffice: no height is NaN, for which min and max would need extra work.
             self.lowest = if corner.height < self.lowest { corner.height } else { self.lowest };
             self.highest = if corner.height > self.highest { corner.height } else { self.highest };
         }
         self.set_plane(hull, feature, view);
     }
 
-    /// How many sides: side `i` goes from corner `i` to the next; two corners
-    /// make one side.
+    /// The number of sides. Side `i` goes from corner `i` to the next; two corners make one side.
     pub(super) fn side_count(&self) -> usize {
         if self.corners.len() > 2 { self.corners.len() } else { self.corners.len().saturating_sub(1) }
     }
 
-    /// The lines of the sides, of a polygon that is strictly convex by its projected
-    /// corners: the hull's outline is so in its own plane, but corners nearer than
-    /// their rounding, or than they are off the face's plane, may be seen in any order,
-    /// and a side between them would cut anywhere.
+    /// Sets the lines of the sides, and first makes the projected polygon strictly convex if it is not.
+    ///
+    /// A face's outline is strictly convex in its own plane. But corners that are closer together than
+    /// their rounding, or than their distance from the face's plane, may be projected in any order. A side
+    /// between such corners would cut in an arbitrary direction.
     pub(super) fn set_sides(&mut self) {
         if !self.measure_sides() {
             self.make_convex();
@@ -119,7 +119,7 @@ impl Outline {
         }
     }
 
-    /// Whether the polygon is certainly strictly convex.
+    /// Sets the lines of the sides. Returns whether the polygon is certainly strictly convex.
     fn measure_sides(&mut self) -> bool {
         self.sides.clear();
         self.sides.reserve(self.corners.len());
@@ -137,8 +137,9 @@ impl Outline {
         convex
     }
 
-    /// Leaves the corners of the convex polygon of all corners, two where they are
-    /// on one line: A. M. Andrew's monotone chain (1979) on exact turns.
+    /// Keeps the corners of the convex hull of all corners; two if they are on one line. The method is the
+    /// monotone chain (A. M. Andrew, *Another efficient algorithm for convex hulls in two dimensions*,
+    /// 1979, doi:10.1016/0020-0190(79)90072-3) with exact turns.
     #[cold]
     fn make_convex(&mut self) {
         let key = |c: &Corner| c.at.to_array();
@@ -148,7 +149,7 @@ impl Outline {
         };
         let mut sorted = std::mem::take(&mut self.corners);
         sorted.sort_unstable_by(order);
-        // Whose difference has no length is one point.
+        // Two corners are one point if the length of their difference underflows.
         sorted.dedup_by(|a, b| a.at.distance_squared(b.at) < f64::MIN_POSITIVE);
         let mut chain = |corners: &mut dyn Iterator<Item = &Corner>| {
             let start = self.corners.len();
@@ -174,7 +175,7 @@ impl Outline {
         (self.plane, self.planarity) = (None, 0.0);
         if let Touched::Face(f) = feature {
             let m = hull.faces()[f as usize].normal;
-            // A point of the plane, and the plane's normal.
+            // A point of the face's plane, and the plane's normal, both projected.
             let (point, height) = view.point(m * hull.faces()[f as usize].offset);
             let (across, along) = view.direction(m);
             if along.abs() < EDGE_ON * view.scale {
@@ -186,7 +187,7 @@ impl Outline {
         }
     }
 
-    /// Leaves the two corners farthest apart.
+    /// Keeps only the two corners that are farthest apart.
     #[cold]
     fn flatten(&mut self) {
         let farthest = |from: &Corner| {
@@ -201,21 +202,21 @@ impl Outline {
         self.corners.extend([from, to]);
     }
 
-    /// The corner after corner `i`.
+    /// The index of the corner after corner `i`.
     #[inline]
     pub(super) fn next(&self, i: usize) -> usize {
         if i + 1 == self.corners.len() { 0 } else { i + 1 }
     }
 
-    /// The ends of a side.
+    /// The two ends of side `i`.
     #[inline]
     pub(super) fn side(&self, i: usize) -> [&Corner; 2] {
         [&self.corners[i], &self.corners[self.next(i)]]
     }
 
-    /// Of the sides around side `i` the one that a point near its line is beside: where
-    /// sides go on along one line, to the merge distance, the next ones do not cut, and
-    /// what side `i` cuts may be far beyond its ends.
+    /// The side between whose ends a point near the line of side `i` lies. Several sides may continue
+    /// along one line, to within the merge distance. Then only one of them cuts, and its crossing may be
+    /// far beyond its own ends.
     #[inline]
     pub(super) fn side_beside(&self, i: u32, at: DVec2) -> u32 {
         let [from, to] = self.side(i as usize).map(|c| c.at);
@@ -226,7 +227,7 @@ impl Outline {
     #[cold]
     fn side_beyond(&self, i: u32, at: DVec2) -> u32 {
         let mut i = i as usize;
-        // Around it once at most, one way.
+        // Walk forwards, then backwards, each at most once around.
         for onwards in [true, false] {
             for _ in 0..self.sides.len() {
                 let [from, to] = self.side(i).map(|c| c.at);
@@ -247,14 +248,14 @@ impl Outline {
         i as u32
     }
 
-    /// A side's name, in vertices as registered.
+    /// The name of side `i`, in vertices as registered.
     pub(super) fn side_name(&self, i: usize) -> Element {
         let [a, b] = self.side(i).map(|c| c.vertex);
         Element::Edge([a.min(b), a.max(b)])
     }
 
-    /// Height of the feature over a point of its projection: of a face its
-    /// plane's, within its corners'.
+    /// Height of the feature above a point of its projection. The height of a face is that of its plane,
+    /// limited to the range of its corners' heights.
     pub(super) fn height(&self, at: DVec2) -> f64 {
         match (self.plane, self.corners.as_slice()) {
             (Some((slope, base)), _) => {
@@ -267,7 +268,7 @@ impl Outline {
     }
 }
 
-/// Height of a segment over the point of its projection nearest to `at`.
+/// Height of a segment at the point of its projection that is nearest to `at`.
 pub(super) fn height_on([a, b]: [&Corner; 2], at: DVec2) -> f64 {
     let whole = b.at - a.at;
     let share = ((at - a.at).dot(whole) / whole.length_squared()).clamp(0.0, 1.0);
@@ -279,7 +280,7 @@ fn doubled_area(corners: &[Corner]) -> f64 {
     corners.windows(2).map(|w| (w[0].at - first.at).perp_dot(w[1].at - first.at)).sum()
 }
 
-/// A strictly convex polygon, anticlockwise, on an ellipse.
+/// A strictly convex polygon with its corners on an ellipse, anticlockwise.
 #[cfg(test)]
 pub(super) fn random_polygon(random: &mut crate::workload::Random, count: usize, name: u32) -> Outline {
     let mut angles: Vec<f64> = (0..count).map(|_| random.within(0.0, std::f64::consts::TAU)).collect();

@@ -1,5 +1,11 @@
-//! Where two projected features overlap: the vertices of the intersection, each
-//! once, in order, by name.
+//! The vertices of the intersection of two projected features: each one once, in order, with its id.
+//!
+//! ```text
+//! two small polygons in general position:   walk around both                      (polygons)
+//! otherwise, B or A is a polygon:           clip the other feature by it          (clip)
+//! otherwise:                                the crossing of two edges, or corners on the other
+//! then merge vertices within eps of each other, and drop those on the line of their neighbours
+//! ```
 
 use glam::DVec2;
 
@@ -9,9 +15,10 @@ use super::outline::{Outline, height_on};
 use super::polygons::Polygons;
 use crate::contact::manifold::Element;
 
-/// Appends the vertices of the intersection, anticlockwise, and returns which has
-/// the lowest id; none where the projections miss each other by more than `eps`.
-/// What others are measured against has its sides: B's polygon, else A's, else both.
+/// Appends the vertices of the intersection, anticlockwise, and returns the index of the one with the
+/// lowest id. Appends nothing if the projections miss each other by more than `eps`.
+///
+/// The caller has set the sides of B. If B is not a polygon, or both are large, it has set A's too.
 pub(super) fn find(
     a: &Outline,
     b: &Outline,
@@ -30,7 +37,7 @@ pub(super) fn find(
     lowest(points)
 }
 
-/// The same, with vertices nearer than `eps` still apart, of any two features.
+/// Appends the vertices of any two features. Vertices closer than `eps` are not merged yet.
 fn clipped(a: &Outline, b: &Outline, eps: f64, clip: &mut Clip, points: &mut Vec<PlanePoint>) {
     if b.corners.len() > 2 {
         clip.clip(a, b, eps);
@@ -49,7 +56,7 @@ fn clipped(a: &Outline, b: &Outline, eps: f64, clip: &mut Clip, points: &mut Vec
     }
 }
 
-/// Where the lowest id is. Without branches: where is anyone's guess.
+/// The index of the lowest id. Computed without branches, because they would be unpredictable.
 fn lowest(points: &[PlanePoint]) -> usize {
     let (mut first, mut least) = (0, [u128::MAX; 2]);
     for (i, point) in points.iter().enumerate() {
@@ -61,8 +68,7 @@ fn lowest(points: &[PlanePoint]) -> usize {
     first
 }
 
-/// What of the subject and of the window makes a vertex, and how high it is on
-/// each.
+/// For the subject and for the window, the part that makes a vertex and the height of the vertex on it.
 fn lifted(v: &Vertex, subject: &Outline, window: &Outline) -> [(Element, f64); 2] {
     let corner = |outline: &Outline, i: u32| {
         let corner = &outline.corners[i as usize];
@@ -79,13 +85,13 @@ fn lifted(v: &Vertex, subject: &Outline, window: &Outline) -> [(Element, f64); 2
             [(Element::Inside, subject.height(v.at)), (name, height)]
         }
         Made::Crossing(i, j) => [side(subject, i), side(window, window.side_beside(j, v.at))],
-        // None is left of these.
+        // Clipping leaves none of these.
         Made::Meeting([_, j]) => [(Element::Inside, subject.height(v.at)), side(window, j)],
     }
 }
 
-/// Whether no vertex is within `eps` of the next or of the line between its
-/// neighbours: an outline as it should be.
+/// Whether the outline needs no cleaning: no vertex is within `eps` of the next one, or of the line
+/// between its neighbours.
 fn settled(points: &[PlanePoint], eps: f64) -> bool {
     let (&[.., last], &[first, ..]) = (points, points) else { return true };
     let mut before = last.at;
@@ -99,15 +105,15 @@ fn settled(points: &[PlanePoint], eps: f64) -> bool {
     whole
 }
 
-/// A's corner at a vertex of B's clipped outline.
+/// The corner of A at a vertex of B's clipped outline, if there is one.
 fn coinciding(a: &Outline, at: DVec2, eps: f64) -> Option<Element> {
     let corner = a.corners.iter().find(|c| c.at.distance_squared(at) <= eps * eps);
     corner.map(|c| Element::Vertex(c.vertex))
 }
 
-/// Edges and vertices: of two edges that cross clear of their ends the crossing, else the
-/// corners within `eps` of the other feature. Where nearly parallel edges cross near an end
-/// is rounding's to say; that end is not.
+/// Intersects edges and vertices. Two edges that cross clear of their ends give the crossing. Otherwise
+/// the points are the corners within `eps` of the other feature: rounding decides where nearly parallel
+/// edges cross near an end, but it does not move that end.
 fn thin(a: &Outline, b: &Outline, eps: f64, points: &mut Vec<PlanePoint>) {
     if let Some(point) = crossing(a, b, eps) {
         return points.push(point);
@@ -122,7 +128,7 @@ fn thin(a: &Outline, b: &Outline, eps: f64, points: &mut Vec<PlanePoint>) {
     }
 }
 
-/// Where two edges cross, if every end is farther than `eps` from the other's line.
+/// The crossing of two edges, if every end is farther than `eps` from the other edge's line.
 fn crossing(a: &Outline, b: &Outline, eps: f64) -> Option<PlanePoint> {
     let (&[side_a], &[side_b]) = (a.sides.as_slice(), b.sides.as_slice()) else { return None };
     let [p, q] = a.side(0);
@@ -151,7 +157,7 @@ fn touches(feature: &Outline, at: DVec2, eps: f64) -> bool {
     }
 }
 
-/// A's corner names a point, else B's, else the crossing.
+/// The order in which merged points are kept: a corner of A first, then a corner of B, then a crossing.
 fn rank(p: &PlanePoint) -> (u8, [Element; 2]) {
     let kind = match p.id {
         [Element::Vertex(_), _] => 0,
@@ -161,8 +167,9 @@ fn rank(p: &PlanePoint) -> (u8, [Element; 2]) {
     (kind, p.id)
 }
 
-/// Of neighbours closer than `eps` keeps the one of the lowest rank: in one pass, and then
-/// between the last and the first, each of which may give way to the other several times.
+/// Merges neighbours closer than `eps`, keeping the one of the lowest rank. One pass merges along the
+/// outline. The last point and the first are merged after that, since each may replace the other
+/// several times.
 fn merge(points: &mut Vec<PlanePoint>, eps: f64) {
     let Some(&first) = points.first() else { return };
     let are_one = |p: &PlanePoint, q: &PlanePoint| !(p.at.distance_squared(q.at) > eps * eps);
@@ -190,13 +197,13 @@ fn merge(points: &mut Vec<PlanePoint>, eps: f64) {
     points.drain(..start);
 }
 
-/// Drops vertices closer than `eps` to the line between their neighbours; of an
-/// outline that is all one line keeps the two ends.
+/// Drops vertices closer than `eps` to the line between their neighbours. If the whole outline is one
+/// line, keeps its two ends.
 fn straighten(points: &mut Vec<PlanePoint>, eps: f64) {
     if points.len() < 3 {
         return;
     }
-    // On a line all vertices span 4 eps times their reach at most.
+    // If all vertices are within eps of one line, their area is at most 4 eps times their reach.
     let first = points[0].at;
     let (mut doubled_area, mut reach_squared) = (0.0, 0.0_f64);
     for pair in points.windows(2) {
@@ -210,10 +217,10 @@ fn straighten(points: &mut Vec<PlanePoint>, eps: f64) {
     drop_straight(points, eps);
 }
 
-/// Drops vertices closer than `eps` to the line between their neighbours, one after another, but
-/// not the last two.
+/// Drops vertices closer than `eps` to the line between their neighbours, one after another, but keeps
+/// the last two.
 fn drop_straight(points: &mut Vec<PlanePoint>, eps: f64) {
-    // The vertices kept so far are at `..kept`, those still to be looked at from `i` on.
+    // The vertices kept so far are at `..kept`, and those still to be examined begin at `i`.
     let (mut kept, count) = (0, points.len());
     for i in 0..count {
         let previous = points[if kept == 0 { count - 1 } else { kept - 1 }].at;
@@ -227,7 +234,7 @@ fn drop_straight(points: &mut Vec<PlanePoint>, eps: f64) {
     points.truncate(kept);
 }
 
-/// Keeps the two ends of an outline that is all one line.
+/// If the whole outline is one line, keeps its two ends.
 #[cold]
 fn flatten(points: &mut Vec<PlanePoint>, eps: f64) {
     let farthest = |from: DVec2| {
@@ -254,8 +261,8 @@ mod tests {
     use crate::contact::intersection::outline::{Corner, random_polygon as polygon};
     use crate::workload::Random;
 
-    /// A sign lost, a corner of B left out or walked past, a crossing on the wrong side: what
-    /// two polygons share would be another polygon than what clipping leaves.
+    /// The walk and clipping must give the same polygon. Catches a sign lost, a corner of B left out or
+    /// walked past, and a crossing on the wrong side.
     #[test]
     fn polygons_share_what_clipping_leaves() {
         let (eps, mut random) = (1e-12, Random::new(5));
@@ -289,7 +296,7 @@ mod tests {
             cut.rotate_left(same);
             for (p, q) in walked.iter().zip(&cut) {
                 assert_eq!(p.id, q.id);
-                // Near-parallel sides cross where rounding says.
+                // Rounding decides where nearly parallel sides cross.
                 let heights = (p.height_a - q.height_a).abs() + (p.height_b - q.height_b).abs();
                 assert!(p.at.distance(q.at) < 1e-9 && heights < 1e-9, "{p:?} {q:?}");
             }
@@ -297,8 +304,8 @@ mod tests {
         assert!(kinds.iter().all(|&count| count > 1000) && large > 5000, "{kinds:?} {large}");
     }
 
-    /// Catches a merge or a straightening in one pass that keeps other points than removing them
-    /// one at a time, at the seam between the last point and the first above all.
+    /// One pass must keep the same points as removing one point at a time. Catches a merge or a
+    /// straightening that keeps others, above all at the seam between the last point and the first.
     #[test]
     fn one_pass_keeps_what_removing_one_at_a_time_keeps() {
         fn merge_slowly(points: &mut Vec<PlanePoint>, eps: f64) {
@@ -357,8 +364,8 @@ mod tests {
         assert!(merged > 5000 && straightened > 1000, "{merged} {straightened}");
     }
 
-    /// Sides nearly parallel cross where rounding says. Lifted at one place on A and at another
-    /// on B, a witness would be off its side by as much as the side is steep there.
+    /// Rounding decides where nearly parallel sides cross. If the crossing were lifted at one place on A
+    /// and at another on B, a witness would be off its side by as much as the side is steep there.
     #[test]
     fn a_crossing_is_lifted_where_it_is() {
         let mut random = Random::new(6);
@@ -391,8 +398,8 @@ mod tests {
         assert!(crossings > 5000, "{crossings}");
     }
 
-    /// Where a corner lies on a side, or beside it by less than the merge distance, what stands
-    /// for the crossing is `clip`'s to say.
+    /// If a corner lies on a side, or within the merge distance of one, `clip` decides which vertex stands
+    /// for the crossing. Catches a walk that does not leave such polygons to it.
     #[test]
     fn a_corner_on_a_line_is_not_walked_past() {
         let mut random = Random::new(9);

@@ -1,11 +1,11 @@
-//! Vertices by coordinates, as wide instructions read them.
+//! Vertices stored by coordinate, as SIMD instructions read them.
 
 use glam::{DMat3, DVec3};
 
-/// What the widest instructions take at once.
+/// The number of doubles that the widest instructions process at once.
 pub(super) const LANES: usize = 8;
 
-/// Coordinates of [`LANES`] vertices.
+/// The coordinates of [`LANES`] vertices.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Group {
     pub(super) x: [f64; LANES],
@@ -13,8 +13,9 @@ pub(super) struct Group {
     pub(super) z: [f64; LANES],
 }
 
-/// Vertices by coordinates, in groups; the last is filled up with copies of the
-/// first vertex, which being lower wins every tie with them.
+/// Vertices stored by coordinate, in groups. The last group is filled up with copies of the first
+/// vertex. The copies never win a search, because the first vertex has a lower index and wins the
+/// tie.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Columns(Vec<Group>);
 
@@ -28,7 +29,7 @@ impl Columns {
         Self(vertices.chunks(LANES).map(group).collect())
     }
 
-    /// Becomes `rotation * (scale * v)` of each vertex `v` of `other`.
+    /// Replaces the vertices by `rotation * (scale * v)` for each vertex `v` of `other`.
     pub(crate) fn turn(&mut self, other: &Self, scale: f64, rotation: &DMat3) {
         self.0.clear();
         self.0.extend(other.0.iter().map(|group| group.turned(scale, rotation)));
@@ -65,7 +66,7 @@ impl Group {
 mod tests {
     use super::*;
 
-    /// Turned vertices are, to the bit, those that a large hull's are one by one.
+    /// Catches a rotation of columns that differs in a bit from rotating the vertices one by one.
     #[test]
     fn turned_columns_are_the_turned_vertices() {
         let rotation = DMat3::from_rotation_y(0.3) * DMat3::from_rotation_x(1.1);

@@ -1,6 +1,32 @@
-//! A map of all directions for large hulls: the surface of a cube in cells, and for each cell
-//! the few vertices that may be farthest along a direction through it. The farthest of these
-//! is, to the bit, the farthest of all.
+//! The map of directions, by which the support mapping of a large hull takes constant time for most
+//! directions.
+//!
+//! The faces of a cube about the origin are divided into square cells. Every direction goes through
+//! one cell. For each cell the map lists the *candidates*, the few vertices that may be farthest
+//! along some direction through the cell. A query compares only these.
+//!
+//! ```text
+//! build: for each cell:
+//!            top = the vertex farthest along the middle of the cell,
+//!                  by hill climbing from the top of the cell before
+//!            flood from top over neighbouring vertices; discard a vertex, and do not go on from
+//!                  it, if some vertex found is higher along all four corners of the cell
+//!            candidates = the vertices that are left, or none if they are more than 32
+//! query: compare the candidates of the cell that n goes through;
+//!        if there are none, scan all vertices
+//! ```
+//!
+//! The candidates are complete for two reasons. A direction through a cell is a sum of the
+//! directions through its four corners with weights that are not negative. So a vertex that is
+//! lower than another along all four corners is lower along every direction of the cell. And the
+//! vertices that are farthest somewhere in the cell are connected: their regions in the Gauss map
+//! of the hull tile the cell, and neighbouring regions belong to neighbouring vertices. Rounding is
+//! covered by an allowance, so the answer is bit for bit that of a scan.
+//!
+//! A hull of `n` vertices has about `n / 3.3` cells. For a round hull each cell has a bounded number
+//! of candidates, so building takes `O(n)` time and memory, and a query takes constant time. Hill
+//! climbing without a map needs no memory, but it takes more and less predictable steps per
+//! query, and it needs a proof that its last vertex is the farthest, with the same tie rule.
 
 use std::hint::select_unpredictable;
 
@@ -10,32 +36,35 @@ use crate::contact::hull::Csr;
 use crate::contact::stop::{Meter, Stopped};
 use crate::contact::tolerance::MAPPED;
 
-/// Hulls of more vertices have a map: below, looking at all of them costs about as much.
+/// Hulls with more vertices than this have a map. For smaller hulls, scanning all vertices costs
+/// about as much.
 const ABOVE: usize = 256;
 
-/// Vertices a cell, about: with fewer cells each has more candidates, and the map is made
-/// sooner.
+/// The approximate number of vertices per cell. With fewer cells the map would be built sooner, but
+/// each cell would have more candidates.
 const VERTICES_A_CELL: f64 = 3.3;
 
-/// Candidates of a cell: of more, as where the cell holds the normal of a face with many
-/// corners, looking at all vertices is as fast.
+/// The largest number of candidates of a cell. A cell through which the normal of a face with many
+/// corners goes has more; there, scanning all vertices is as fast.
 const MOST: usize = 32;
 
-/// Steps of looking at one neighbour of a vertex: its heights, against the highest ones.
+/// Steps to examine one neighbour of a vertex: to compute its heights and compare them with the
+/// highest ones.
 const NEIGHBOUR: u64 = 10;
 
-/// Of each direction the vertices that may be farthest along it.
+/// For each direction, the vertices that may be farthest along it.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct SupportMap {
-    /// Cells along an edge of the cube.
+    /// The number of cells along an edge of the cube.
     side: usize,
-    /// Of each cell, face by face and row by row, ascending; none where they are too many.
+    /// The candidates of each cell, ascending; empty if there are too many. The cells are in the
+    /// order of the cube's faces, and row by row on each face.
     candidates: Csr,
 }
 
 impl SupportMap {
-    /// Of vertices in hull units, and their neighbours along a triangulation; none for small
-    /// hulls.
+    /// Builds the map for vertices in hull units and their neighbours along a triangulation. Returns
+    /// `None` for small hulls.
     pub(crate) fn new(
         vertices: &[DVec3],
         neighbours: &Csr,
@@ -63,8 +92,8 @@ impl SupportMap {
         Ok(Some(Self { side, candidates }))
     }
 
-    /// The vertex farthest along `n`, the lowest index of equals; none where the map does not
-    /// say.
+    /// The vertex farthest along `n`; the lowest index if several tie. `None` if the cell has no
+    /// list of candidates, or if `n` is no direction.
     #[inline]
     pub(crate) fn farthest(&self, vertices: &[DVec3], n: DVec3) -> Option<u32> {
         let (mut farthest, mut largest) = (u32::MAX, f64::NEG_INFINITY);
@@ -78,8 +107,8 @@ impl SupportMap {
         (farthest != u32::MAX).then_some(farthest)
     }
 
-    /// The cell that a direction goes through, but for rounding; none for directions that are
-    /// none.
+    /// The index of the cell that the direction goes through, up to rounding. `None` if `n` is
+    /// zero, nearly so, or not finite.
     #[inline]
     fn cell(&self, n: DVec3) -> Option<usize> {
         let size = n.abs();
@@ -98,16 +127,19 @@ impl SupportMap {
     }
 }
 
-/// The directions through one cell: sums of those through its corners.
+/// A cell of the cube's surface. A direction through the cell is a sum, with weights that are not
+/// negative, of the directions through its corners.
 struct Cell {
+    /// The axis that the cell's face of the cube is perpendicular to.
     axis: usize,
+    /// The coordinate of the face along the axis: 1 or -1.
     along: f64,
-    /// Its ends across the axis.
+    /// The ends of the cell in the next two coordinates.
     x: [f64; 2],
     y: [f64; 2],
 }
 
-/// How far a vertex is along the directions through a cell's corners.
+/// The heights of a vertex along the directions through the four corners of a cell.
 type Heights = [f64; 4];
 
 impl Cell {
@@ -125,13 +157,15 @@ impl Cell {
     }
 }
 
-/// Finds candidates, cell after cell.
+/// Finds the candidates of one cell after another.
 struct Search<'a> {
     vertices: &'a [DVec3],
     neighbours: &'a Csr,
-    /// The cell, counted, for which each vertex was last looked at.
+    /// For each vertex, the number of the cell for which it was last examined.
     seen: Vec<u32>,
+    /// The number of cells so far.
     cells: u32,
+    /// The vertices found for the current cell.
     found: Vec<(u32, Heights)>,
 }
 
@@ -140,12 +174,9 @@ impl<'a> Search<'a> {
         Self { vertices, neighbours, seen: vec![0; vertices.len()], cells: 0, found: Vec::new() }
     }
 
-    /// Finds the vertices that may be farthest along a direction of the cell, or more than
-    /// [`MOST`]; gives the one farthest along its middle, of which `near` is near.
-    ///
-    /// Those that are farthest somewhere in the cell are connected: from one direction to
-    /// another the farthest changes along a face. And one that another is above at all four
-    /// corners is nowhere farthest.
+    /// Finds the vertices that may be farthest along a direction of the cell, or some number above
+    /// [`MOST`] of them if they are many. Returns the vertex farthest along the middle of the cell.
+    /// `near` is a vertex from which the climb to that vertex is short.
     fn find(&mut self, cell: &Cell, near: u32, meter: &Meter<'_>) -> Result<u32, Stopped> {
         let top = self.climb(cell, near, meter)?;
         let Self { vertices, neighbours, seen, cells, found } = self;
@@ -153,7 +184,7 @@ impl<'a> Search<'a> {
         seen[top as usize] = *cells;
         found.clear();
         found.push((top, cell.heights(vertices[top as usize])));
-        // At each corner, and in the middle.
+        // The heights of the vertices that are highest at each corner and in the middle.
         let mut highest = [found[0].1; 5];
         let mut next = 0;
         while next < found.len() && found.len() <= 4 * MOST {
@@ -179,8 +210,8 @@ impl<'a> Search<'a> {
         Ok(top)
     }
 
-    /// The vertex farthest along the middle of a cell: one that is better than all its
-    /// neighbours is the best of a convex hull, but for rounding.
+    /// The vertex farthest along the middle of a cell, by hill climbing. On a convex hull, a vertex
+    /// that is higher than all its neighbours is the highest of all, up to rounding.
     fn climb(&self, cell: &Cell, near: u32, meter: &Meter<'_>) -> Result<u32, Stopped> {
         let height = |v: u32| {
             let at = cell.heights(self.vertices[v as usize]);
@@ -203,7 +234,7 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Whether one of `highest` is above at all four corners, by more than rounding.
+/// Whether one of `highest` is higher at all four corners, by more than rounding.
 #[inline]
 fn is_below(at: &Heights, highest: &[Heights; 5]) -> bool {
     let at = at.map(|height| height + MAPPED);
@@ -240,7 +271,7 @@ mod tests {
             sphere(3000),
             stretched(sphere(1000), [1.0, 1e-3, 1.0]),
             stretched(sphere(1000), [1.0, 1e-7, 1e-3]),
-            // Two faces of 1,000 corners, and nearly coplanar caps on them.
+            // A prism with two faces of 1,000 corners, then a ring of 400 corners around a sphere.
             ring(1000, -0.3).chain(ring(1000, 0.3)).collect(),
             ring(400, -0.3).chain(sphere(900).iter().map(|p| *p * 0.9)).collect(),
             // Vertices that are extreme by little more than rounding.
@@ -254,8 +285,8 @@ mod tests {
         .collect()
     }
 
-    /// A candidate left out, a cell taken for another one, an order in which a tie goes to a
-    /// higher index: the vertex would be another one than the plain search's.
+    /// Catches a candidate that is left out, a cell that is confused with another, and a tie that
+    /// goes to a higher index: every answer is compared with a scan over all vertices.
     #[test]
     fn the_farthest_candidate_is_the_farthest_vertex() {
         let (mut mapped, mut plain) = (0, 0);
@@ -274,14 +305,14 @@ mod tests {
                 assert_eq!(hull.support(n), expected);
             };
             for face in hull.faces() {
-                // Where all its corners tie, and a little beside.
+                // Along a normal all corners of the face tie. The second direction is slightly off.
                 check(face.normal);
                 check(face.normal + 1e-15 * random.direction());
             }
             for round in 0..20_000 {
                 let n = random.direction();
                 check(n * 10_f64.powi(round % 400 - 200));
-                // On the borders of cells, and where they meet.
+                // Directions through the borders of cells and through the corners of cells.
                 let place = |x: f64| (x * map.side as f64).round() / map.side as f64;
                 let on_border =
                     DVec3::new(place(n.x), n.y.signum(), if round % 2 == 0 { n.z } else { place(n.z) });
@@ -295,7 +326,8 @@ mod tests {
         assert!(mapped > 250_000 && plain > 100, "{mapped} {plain}");
     }
 
-    /// A map whose cells give up would only be seen in the time that queries take.
+    /// Catches a map whose cells have no lists or long lists: otherwise only the time of queries
+    /// would show it.
     #[test]
     fn candidates_are_few() {
         let hull = &hulls()[1];

@@ -1,16 +1,18 @@
-//! The search with AVX2 and with AVX-512, to the bit what
-//! [`scalar`](super::scalar) gives. Directions come as three numbers: a vector
-//! would go through memory.
+//! The search for the farthest vertex with AVX2 and with AVX-512. The result is bit for bit that of
+//! [`scalar`](super::scalar). A direction is passed as three numbers, because a vector would be
+//! passed through memory.
 
 #[allow(clippy::wildcard_imports, reason = "some forty intrinsics, whose names say where they are from")]
 use std::arch::x86_64::*;
 
 use super::columns::{Columns, Group, LANES};
 
-/// Independent searches side by side, since each waits for its own last step.
+/// The number of independent searches that run side by side. Each step of a search depends on its
+/// previous step, so a single search would wait for latency.
 const SEARCHES: usize = 4;
 
-/// In `a` along `n` and in `b` along its opposite: the two searches overlap.
+/// The vertex of `a` farthest along `n`, and the vertex of `b` farthest along `-n`. For small hulls
+/// the two independent searches overlap in the pipeline.
 #[target_feature(enable = "avx512f")]
 pub(super) fn avx512_both(a: &Columns, b: &Columns, nx: f64, ny: f64, nz: f64) -> (u32, u32) {
     match (a.groups(), b.groups()) {
@@ -20,7 +22,7 @@ pub(super) fn avx512_both(a: &Columns, b: &Columns, nx: f64, ny: f64, nz: f64) -
     }
 }
 
-/// Eight vertices at once.
+/// The vertex farthest along `n`, with eight vertices per instruction.
 #[target_feature(enable = "avx512f")]
 pub(super) fn avx512(columns: &Columns, nx: f64, ny: f64, nz: f64) -> u32 {
     match columns.groups() {
@@ -32,11 +34,11 @@ pub(super) fn avx512(columns: &Columns, nx: f64, ny: f64, nz: f64) -> u32 {
     }
 }
 
-/// `n . v` of a group.
+/// `n . v` for the vertices of a group.
 #[inline]
 #[target_feature(enable = "avx512f")]
 fn avx512_values(group: &Group, nx: __m512d, ny: __m512d, nz: __m512d) -> __m512d {
-    // SAFETY: each column is 8 doubles long.
+    // SAFETY: each column has 8 doubles.
     let (x, y, z) = unsafe {
         (
             _mm512_loadu_pd(group.x.as_ptr()),
@@ -48,7 +50,8 @@ fn avx512_values(group: &Group, nx: __m512d, ny: __m512d, nz: __m512d) -> __m512
     _mm512_add_pd(flat, _mm512_mul_pd(nz, z))
 }
 
-/// All values in registers: the largest is found first, then who has it.
+/// The search for `N` groups whose values fit in registers: finds the largest value first, then the
+/// lowest index that has it.
 #[inline]
 #[target_feature(enable = "avx512f")]
 fn avx512_few<const N: usize>(groups: [&Group; N], nx: f64, ny: f64, nz: f64) -> u32 {
@@ -60,11 +63,11 @@ fn avx512_few<const N: usize>(groups: [&Group; N], nx: f64, ny: f64, nz: f64) ->
     for (i, &value) in values.iter().enumerate() {
         equal |= u32::from(_mm512_cmp_pd_mask::<_CMP_EQ_OQ>(value, largest)) << (i * LANES);
     }
-    // 0 where nothing is comparable, as the definition has it.
+    // If no value is comparable (NaN), the index is 0, as in the scalar definition.
     equal.trailing_zeros() & (u32::BITS - 1)
 }
 
-/// The best so far of each lane, and where it was.
+/// The search for any number of groups: keeps the largest value of each lane and its index.
 #[target_feature(enable = "avx512f")]
 fn avx512_many(groups: &[Group], nx: f64, ny: f64, nz: f64) -> u32 {
     let (nx, ny, nz) = (_mm512_set1_pd(nx), _mm512_set1_pd(ny), _mm512_set1_pd(nz));
@@ -102,7 +105,7 @@ fn avx512_many(groups: &[Group], nx: f64, ny: f64, nz: f64) -> u32 {
     _mm512_reduce_min_epi64(low) as u32
 }
 
-/// In `a` along `n` and in `b` along its opposite: the two searches overlap.
+/// [`avx512_both`] with AVX2.
 #[target_feature(enable = "avx2")]
 pub(super) fn avx2_both(a: &Columns, b: &Columns, nx: f64, ny: f64, nz: f64) -> (u32, u32) {
     match (a.groups(), b.groups()) {
@@ -112,7 +115,7 @@ pub(super) fn avx2_both(a: &Columns, b: &Columns, nx: f64, ny: f64, nz: f64) -> 
     }
 }
 
-/// Four vertices at once.
+/// The vertex farthest along `n`, with four vertices per instruction.
 #[target_feature(enable = "avx2")]
 pub(super) fn avx2(columns: &Columns, nx: f64, ny: f64, nz: f64) -> u32 {
     match columns.groups() {
@@ -122,13 +125,13 @@ pub(super) fn avx2(columns: &Columns, nx: f64, ny: f64, nz: f64) -> u32 {
     }
 }
 
-/// `n . v` of both halves of a group.
+/// `n . v` for both halves of a group.
 #[inline]
 #[target_feature(enable = "avx2")]
 fn avx2_values(group: &Group, nx: __m256d, ny: __m256d, nz: __m256d) -> [__m256d; 2] {
     [0, LANES / 2].map(|half| {
         let (x, y, z) = (&group.x[half..], &group.y[half..], &group.z[half..]);
-        // SAFETY: each is 4 doubles long at least.
+        // SAFETY: each slice has at least 4 doubles.
         let (x, y, z) = unsafe {
             (_mm256_loadu_pd(x.as_ptr()), _mm256_loadu_pd(y.as_ptr()), _mm256_loadu_pd(z.as_ptr()))
         };
@@ -137,7 +140,7 @@ fn avx2_values(group: &Group, nx: __m256d, ny: __m256d, nz: __m256d) -> [__m256d
     })
 }
 
-/// All values in registers: the largest is found first, then who has it.
+/// [`avx512_few`] with AVX2.
 #[inline]
 #[target_feature(enable = "avx2")]
 fn avx2_few<const N: usize>(groups: [&Group; N], nx: f64, ny: f64, nz: f64) -> u32 {
@@ -151,11 +154,11 @@ fn avx2_few<const N: usize>(groups: [&Group; N], nx: f64, ny: f64, nz: f64) -> u
     for (i, &value) in values.iter().enumerate() {
         equal |= _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_EQ_OQ>(value, largest)) << (i * LANES / 2);
     }
-    // 0 where nothing is comparable, as the definition has it.
+    // If no value is comparable (NaN), the index is 0, as in the scalar definition.
     equal.trailing_zeros() & (i32::BITS - 1)
 }
 
-/// The best so far of each lane, and where it was.
+/// [`avx512_many`] with AVX2.
 #[target_feature(enable = "avx2")]
 fn avx2_many(groups: &[Group], nx: f64, ny: f64, nz: f64) -> u32 {
     let (nx, ny, nz) = (_mm256_set1_pd(nx), _mm256_set1_pd(ny), _mm256_set1_pd(nz));
@@ -172,12 +175,12 @@ fn avx2_many(groups: &[Group], nx: f64, ny: f64, nz: f64) -> u32 {
         }
     }
     let (mut values, mut indices) = ([0.0; 4], [0_i64; 4]);
-    // SAFETY: both arrays are 4 elements of 8 bytes long.
+    // SAFETY: both arrays have 4 elements of 8 bytes.
     unsafe {
         _mm256_storeu_pd(values.as_mut_ptr(), best);
         _mm256_storeu_si256(indices.as_mut_ptr().cast(), found);
     }
-    // Without branches: which lane is best is anyone's guess.
+    // Selected without branches, because the best lane is unpredictable.
     let largest = values.iter().fold(f64::NEG_INFINITY, |a, &b| if b > a { b } else { a });
     let lane = |i: usize| if values[i] == largest { indices[i] } else { i64::MAX };
     lane(0).min(lane(1)).min(lane(2).min(lane(3))) as u32

@@ -1,45 +1,45 @@
 //! Cuts a batch into chunks by the estimated cost of its pairs.
 //!
-//! A chunk costs about a millisecond at most, so that threads can take turns and look at the
-//! stop flag often, and has at most 64 pairs, so that every thread has its share of a small
-//! batch. Batches whose most expensive pair allows 64 pairs in a chunk, which is nearly all of
-//! them, are cut without looking at their pairs.
+//! A chunk costs at most about a millisecond, so that threads can take turns and check the stop
+//! flag often. It has at most 64 pairs, so that every thread gets a share of a small batch. In
+//! nearly all batches the most expensive pair allows 64 pairs per chunk; they are cut without
+//! looking at their pairs.
 
 use std::ops::Range;
 
 use super::Batch;
 use crate::contact::{STEPS_BETWEEN_LOOKS, Stop, Stopped};
 
-/// The most pairs of a chunk. 64 pairs of boxes take some 50 us: far above the cost of sharing,
-/// far below a batch.
+/// The most pairs per chunk. 64 pairs of boxes take about 50 us: far more than the cost of sharing
+/// them, and far less than a batch.
 pub(super) const CHUNK_PAIRS: usize = 64;
 
-/// The most estimated steps of a chunk, unless it is one pair.
+/// The most estimated steps per chunk, unless the chunk is a single pair.
 const CHUNK_STEPS: u64 = STEPS_BETWEEN_LOOKS;
 
-/// A batch of fewer estimated steps is computed on the thread that serves the call: about what
-/// handing it to other threads and back costs.
+/// A batch of fewer estimated steps is computed on the thread that serves the call. Handing it to
+/// other threads and back costs about as much.
 const SMALL_STEPS: u64 = 40_000;
 
 /// The chunks of a batch.
 #[derive(Debug)]
 pub(super) enum Chunks {
-    /// As many pairs in each as [`CHUNK_PAIRS`] says.
+    /// Every chunk has [`CHUNK_PAIRS`] pairs, except perhaps the last.
     Equal,
-    /// Every pair has to be looked at first.
+    /// The cost of every pair must be estimated first.
     Unknown,
-    /// Where each chunk ends.
+    /// The end of each chunk.
     Ends(Vec<u32>),
 }
 
 impl Chunks {
-    /// The chunks of a batch, as far as they are known from its hulls.
+    /// The chunks of a batch, as far as its hulls determine them.
     pub(super) fn of(batch: &Batch) -> Self {
         let most = batch.most_steps().saturating_mul(CHUNK_PAIRS as u64);
         if most <= CHUNK_STEPS { Self::Equal } else { Self::Unknown }
     }
 
-    /// The chunks of a batch, by its pairs.
+    /// The chunks of a batch, by the estimated cost of each pair.
     pub(super) fn by_pairs(batch: &Batch, stop: &Stop) -> Result<Self, Stopped> {
         let (mut ends, mut steps, mut first) = (Vec::new(), 0, 0);
         for pair in 0..batch.pair_count() {
@@ -85,10 +85,10 @@ impl Chunks {
 }
 
 impl Batch {
-    /// Whether the batch costs less than it costs to hand it to other threads.
+    /// Whether the batch costs less than handing it to other threads.
     pub(super) fn is_small(&self) -> bool {
         let pairs = self.pair_count();
-        // With one pair more than a chunk has, no batch is small.
+        // A batch of more pairs than one chunk is never small.
         pairs <= CHUNK_PAIRS && (0..pairs).map(|pair| self.pair_steps(pair)).sum::<u64>() < SMALL_STEPS
     }
 }

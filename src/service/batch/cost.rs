@@ -1,10 +1,10 @@
-//! The estimated cost of a batch's pairs, before they are computed.
+//! Estimates the cost of a batch's pairs before they are computed.
 
 use super::Batch;
 use crate::contact::estimated_steps;
 
-/// Steps of a pair beside its computation, and of a pair that is not computed since a hull or a
-/// pose is missing.
+/// Steps of a pair besides its computation; also those of a pair that is not computed because a
+/// hull or a pose is missing.
 pub(super) const LEAST_STEPS: u64 = 50;
 
 impl Batch {
@@ -20,8 +20,8 @@ impl Batch {
         }
     }
 
-    /// The estimated steps of the most expensive pair that its hulls could make: no pair costs
-    /// more than the most expensive hull with itself.
+    /// The estimated steps of the most expensive pair that the hulls can form. No pair costs more
+    /// than the most expensive hull with itself.
     pub(super) fn most_steps(&self) -> u64 {
         let hulls = self.hulls.iter().filter_map(|hull| hull.as_ref().ok());
         hulls.map(|hull| estimated_steps(hull, hull)).max().unwrap_or(LEAST_STEPS)

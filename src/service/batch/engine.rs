@@ -1,9 +1,9 @@
-//! Computes batches: in chunks on the compute threads, stopped when nobody waits for them, and
-//! the same bytes however they were split.
+//! Computes batches in chunks on the compute threads. The work stops when the caller has left, and
+//! the bytes of an answer do not depend on how the batch was split.
 //!
-//! Small batches are computed on the thread that serves the call, since handing a batch to
-//! other threads and back costs 20 to 40 us. The estimated cost of a batch decides whether it is
-//! small, and how it is cut into chunks ([`Chunks`]).
+//! Small batches are computed on the thread that serves the call, because handing a batch to other
+//! threads and back costs 20 to 40 us. The estimated cost of a batch decides whether it is small,
+//! and how it is cut into chunks ([`Chunks`]).
 
 use std::{
     sync::{
@@ -35,7 +35,7 @@ use crate::{
     trace,
 };
 
-/// Computes batches, up to a number of pairs at a time.
+/// Computes batches, with a limit on the pairs in flight.
 #[derive(Debug)]
 pub struct Engine {
     compute: Compute,
@@ -47,14 +47,14 @@ pub struct Engine {
     injected: Arc<Injected>,
 }
 
-/// What bounds an engine.
+/// The limits of an engine.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounds {
-    /// The most pairs in flight of one caller.
+    /// The most pairs that one caller may have in flight.
     pub max_pairs_in_flight: u32,
     /// Whether callers share the pairs in flight by dynamic thresholds.
     pub shares: bool,
-    /// Bytes of an answer.
+    /// The most bytes of an answer.
     pub max_answer_bytes: usize,
 }
 
@@ -72,24 +72,24 @@ impl Engine {
         }
     }
 
-    /// For tests of overload.
+    /// Controls for tests of overload.
     #[doc(hidden)]
     pub fn injected(&self) -> &Injected {
         &self.injected
     }
 
-    /// Pairs computed since the start.
+    /// The number of pairs computed since the start.
     pub fn pairs_computed(&self) -> u64 {
         self.pairs_computed.load(Ordering::Relaxed)
     }
 
-    /// How many threads compute.
+    /// The number of compute threads.
     pub fn threads(&self) -> usize {
         self.compute.threads()
     }
 
-    /// Takes places for a batch's pairs. Refuses a batch before any work if its answer would be
-    /// too large, or if there are no places for it. The places are free again when the admission is dropped.
+    /// Admits a batch's pairs. Refuses the batch before any work if its answer would be too large,
+    /// or if there is no capacity for it. The capacity is free again when the admission is dropped.
     ///
     /// # Errors
     /// RESPONSE_TOO_LARGE, TOO_BUSY.
@@ -101,7 +101,7 @@ impl Engine {
         self.place(pairs, caller)
     }
 
-    /// Places for pairs whose answer may have any size.
+    /// Admits pairs whose answer may have any size.
     ///
     /// # Errors
     /// TOO_BUSY.
@@ -109,23 +109,22 @@ impl Engine {
         self.admission.admit(pairs, caller, self.pairs_computed())
     }
 
-    /// Places for a later part of a call: waits until there are some.
+    /// Admits a later part of a call; waits until there is capacity.
     pub async fn next_place(&self, pairs: usize, caller: &Caller) -> Admission {
         self.admission.next(pairs, caller).await
     }
 
-    /// The threads that compute.
+    /// The compute threads.
     pub fn compute_threads(&self) -> &Compute {
         &self.compute
     }
 
-    /// The columns of all pairs, in pair order, and the permit for their memory, which grows
-    /// from `memory`. Dropping the future stops the computation.
+    /// The columns of all pairs, in pair order, and the permit for their memory, which grows from
+    /// `memory`. Dropping the future stops the computation.
     ///
     /// # Errors
-    /// RESPONSE_TOO_LARGE and TOO_BUSY as soon as it is known that the answer is too large, or
-    /// that the caller's budget has no room for it; DEADLINE_EXCEEDED where the job was stopped;
-    /// INTERNAL.
+    /// RESPONSE_TOO_LARGE or TOO_BUSY as soon as the answer is known to be too large, or the
+    /// caller's budget has no room for it; DEADLINE_EXCEEDED if the job was stopped; INTERNAL.
     pub async fn compute(
         &self,
         batch: Batch,
@@ -134,7 +133,8 @@ impl Engine {
         memory: Permit,
     ) -> Result<(Columns, Permit), ServiceError> {
         let pairs = batch.pair_count();
-        // A batch whose caller leaves while it waits is large, and not freed here.
+        // If the caller leaves while the batch waits, the batch may be large and must not be freed
+        // on this thread.
         let waiting = self.compute.freed_here(batch, usize::MAX);
         self.admission.turn(&mut admission).instrument(trace::queue(pairs)).await;
         let batch = waiting.into_inner();
@@ -156,7 +156,7 @@ impl Engine {
             return Ok(caught(|| run.inline())??);
         }
         if run.chunks.is_unknown() {
-            // Looking at every pair is work for the threads that compute, too.
+            // Estimating every pair's cost is also work for the compute threads.
             run = self.compute.run(|stop| run.cut(stop), job).await??;
         }
         match self.compute.split(run, job).await? {

@@ -1,4 +1,4 @@
-//! A batch while it is computed.
+//! A batch while it is being computed.
 
 #[cfg(test)]
 mod tests;
@@ -22,18 +22,18 @@ use crate::{
     store::Lease,
 };
 
-/// Chunks' columns that are kept to be filled again: those of a large batch.
+/// The number of chunks' columns that are kept for reuse: those of a large batch.
 const SPARE_CHUNKS: usize = 512;
 
-/// The most bytes of a chunk's columns that are kept: some 8 points per pair, every output.
+/// The most bytes of a chunk's columns that are kept: about 8 points per pair with every output.
 const SPARE_BYTES: usize = 64 << 10;
 
-/// Chunks of fewer bytes are put together by the thread that computed the last of them: about
-/// 1 ms.
+/// Chunks with fewer bytes in total are joined by the thread that computed the last of them, in
+/// about 1 ms.
 const LARGE_BYTES: usize = 4 << 20;
 
-/// Steps that pairs are counted in before they are spent, so that threads do not contend for the
-/// meter.
+/// Steps are counted locally up to this number before they are added to the meter, so that threads
+/// do not contend for it.
 const GATHERED_STEPS: u64 = 1 << 16;
 
 /// Why the rest of a batch is not computed.
@@ -49,21 +49,21 @@ pub(super) struct Run {
     pub(super) chunks: Chunks,
     pub(super) unanswered: Arc<OnceLock<Unanswered>>,
     job: Job,
-    /// The memory of the columns that are computed.
+    /// The memory of the columns computed so far.
     memory: Mutex<Option<Permit>>,
     answer_bytes: AtomicUsize,
     max_answer_bytes: usize,
     pairs_computed: Arc<AtomicU64>,
     spare: Arc<Spare>,
     injected: Arc<Injected>,
-    /// Given back with the answer, so that the next request finds the places free.
+    /// Released with the answer, so that the next request finds the capacity free.
     taken: Mutex<Option<(Admission, Option<Lease>)>>,
 }
 
-/// A batch whose chunks are computed.
+/// The computed chunks of a batch.
 pub(super) enum Chunked {
     Answer(Box<(Columns, Permit)>),
-    /// To be put together as work of its own.
+    /// The chunks must be joined as separate work.
     Large(Computed),
 }
 
@@ -74,7 +74,7 @@ pub(super) struct Computed {
     spare: Arc<Spare>,
 }
 
-/// Columns to be filled again, so that the steady state allocates none for chunks.
+/// Columns for reuse, so that chunks allocate nothing in the steady state.
 #[derive(Debug, Default)]
 pub(super) struct Spare(Mutex<Vec<Columns>>);
 
@@ -151,7 +151,7 @@ impl Run {
         Ok(self)
     }
 
-    /// Computes the batch on this thread.
+    /// Computes the whole batch on this thread.
     pub(super) fn inline(&self) -> Result<(Columns, Permit), Stopped> {
         let chunk = self.chunk(0..self.batch.pair_count())?;
         let computed = self.computed(vec![chunk])?;
@@ -167,12 +167,12 @@ impl Run {
         Ok(computed)
     }
 
-    /// The columns of these pairs, unless nobody waits for them.
+    /// The columns of these pairs, unless the computation is stopped.
     fn chunk(&self, pairs: Range<usize>) -> Result<Columns, Stopped> {
         self.look()?;
         let mut columns = self.spare.take();
         self.injected.pass(pairs.len());
-        // Taken out for the time of the chunk: one that panics leaves a new one behind.
+        // Taken out while the chunk is computed: after a panic the thread gets a new workspace.
         let mut workspace = WORKSPACE.take();
         let computed = self.pairs(pairs, &mut workspace, &mut columns);
         WORKSPACE.set(workspace);
@@ -209,31 +209,31 @@ impl Run {
         self.job.stop.spend(steps)
     }
 
-    /// Whether somebody waits for the answer, and it can still be given.
+    /// Fails if the caller has left, or if the batch can no longer be answered.
     fn look(&self) -> Result<(), Stopped> {
         let ends = self.job.stop.is_stopped() || self.unanswered.get().is_some();
         if ends { Err(Stopped) } else { Ok(()) }
     }
 
     fn unanswered(&self, why: Unanswered) -> Stopped {
-        // The first reason counts.
+        // Only the first reason counts.
         let _ = self.unanswered.set(why);
         Stopped
     }
 }
 
 impl Computed {
-    /// The bytes that the columns have together.
+    /// The bytes of all columns together.
     fn bytes(&self) -> usize {
         self.chunks.iter().map(Columns::filled_bytes).sum()
     }
 
-    /// The estimated steps of putting the chunks together.
+    /// The estimated steps of joining the chunks.
     pub(super) fn steps(&self) -> u64 {
         (self.bytes() / Columns::BYTES_PER_STEP) as u64
     }
 
-    /// The answer. Its permit has the memory of the whole, that of the chunks is given back.
+    /// The answer. Its permit covers the joined columns; the memory of the chunks is released.
     pub(super) fn concatenated(self, stop: &Stop) -> Result<(Columns, Permit), Stopped> {
         let Self { chunks, mut memory, spare } = self;
         let columns = Columns::concatenated(&chunks, stop)?;

@@ -1,4 +1,4 @@
-//! Who may connect and what they may do: TLS, and tokens with roles.
+//! Decides who may connect and make calls, by TLS and by tokens with roles.
 
 mod reloaded;
 mod tls;
@@ -14,22 +14,22 @@ use tokio_rustls::rustls::ServerConfig;
 
 use super::ServiceError;
 
-/// The files that security is made of; a path that is empty is none.
+/// The files with certificates, keys and tokens. An empty path stands for no file.
 #[derive(Clone, Debug, Default)]
 pub struct SecurityFiles {
-    /// PEM: the server's certificate and those it leads to.
+    /// PEM: the server's certificate, followed by its chain.
     pub tls_certificate: PathBuf,
-    /// PEM: its private key.
+    /// PEM: the private key of the certificate.
     pub tls_key: PathBuf,
-    /// PEM: clients must have a certificate of one of these authorities.
+    /// PEM: the authorities that must have signed a client's certificate.
     pub tls_client_ca: PathBuf,
-    /// Tokens, one a line, that may query.
+    /// The tokens that may query, one per line.
     pub query_tokens: PathBuf,
-    /// Tokens, one a line, that may also register and delete.
+    /// The tokens that may also register and delete, one per line.
     pub register_tokens: PathBuf,
 }
 
-/// Read from files, and read again while the server runs.
+/// The TLS configuration and the tokens, read from files again while the server runs.
 #[derive(Debug, Default)]
 pub struct Security {
     tls: Option<Tls>,
@@ -40,7 +40,7 @@ impl Security {
     /// Reads the files.
     ///
     /// # Errors
-    /// A file cannot be read or used, or one is missing beside another.
+    /// A file cannot be read or used, or a file that another one needs is not named.
     pub fn open(files: &SecurityFiles) -> Result<Self, LoadError> {
         Ok(Self { tls: Tls::open(files)?, tokens: Tokens::open(files)? })
     }
@@ -50,8 +50,8 @@ impl Security {
         self.tls.is_some()
     }
 
-    /// Reads what has changed; a file that cannot be used is logged, and what was read
-    /// before stays in force.
+    /// Reads changed files. If a file cannot be used, the error is logged and its previous contents
+    /// stay in force.
     pub fn reload(&self) {
         if let Some(tls) = &self.tls {
             tls.reload();
@@ -61,16 +61,17 @@ impl Security {
         }
     }
 
-    /// For the next connection over TCP; none for plain text.
+    /// The TLS configuration for the next TCP connection; none for plain text.
     pub(super) fn tls_config(&self) -> Option<Arc<ServerConfig>> {
         self.tls.as_ref().map(Tls::config)
     }
 
-    /// Whether a call of `path` with these headers may go on; the name of its token, where it
-    /// needs one.
+    /// Checks whether a call of `path` with these headers is allowed. Returns the name of its
+    /// token, if it needs one.
     ///
     /// # Errors
-    /// UNAUTHENTICATED without a known token, PERMISSION_DENIED with one that may not.
+    /// UNAUTHENTICATED without a known token, PERMISSION_DENIED if the token's role does not allow
+    /// the call.
     pub(super) fn check(&self, path: &str, headers: &HeaderMap) -> Result<Option<Arc<str>>, ServiceError> {
         match (&self.tokens, needed(path)) {
             (Some(tokens), Some(role)) => tokens.check(role, headers).map(Some),
@@ -79,7 +80,7 @@ impl Security {
     }
 }
 
-/// What a call needs; health is for balancers, which have no token.
+/// The role that a call needs. Health checks need none, because load balancers have no token.
 fn needed(path: &str) -> Option<Role> {
     match path {
         "/hullcast.v1.HullService/RegisterHulls" | "/hullcast.v1.HullService/DeleteHulls" => {

@@ -1,4 +1,4 @@
-//! What is read from files, and read again when they change.
+//! Values that are read from files, and read again when the files change.
 
 use std::{
     fmt, fs,
@@ -8,7 +8,7 @@ use std::{
 
 use sha2::{Digest, Sha256};
 
-/// Why files were not taken, for people: names the file.
+/// Why files were refused; the text names the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LoadError(String);
 
@@ -26,10 +26,10 @@ impl fmt::Display for LoadError {
 
 impl std::error::Error for LoadError {}
 
-/// Makes a value of the files' contents, in the order of their paths.
+/// Makes a value from the contents of the files, in the order of their paths.
 type Parse<T> = fn(&[(&Path, Vec<u8>)]) -> Result<T, LoadError>;
 
-/// A value made of files.
+/// A value made from files.
 #[derive(Debug)]
 pub(super) struct Reloaded<T> {
     paths: Vec<PathBuf>,
@@ -40,7 +40,7 @@ pub(super) struct Reloaded<T> {
 #[derive(Debug)]
 struct Current<T> {
     value: Arc<T>,
-    /// Of all contents: the times of files lie, behind links above all.
+    /// The digest of all contents. Modification times are not reliable, especially behind links.
     digest: [u8; 32],
 }
 
@@ -58,7 +58,7 @@ impl<T> Reloaded<T> {
         self.current.read().unwrap_or_else(PoisonError::into_inner).value.clone()
     }
 
-    /// Takes the files as they are now, if they changed and can be used.
+    /// Reads the files again and replaces the value, if they have changed and can be used.
     pub(super) fn reload(&self) {
         let seen = self.current.read().unwrap_or_else(PoisonError::into_inner).digest;
         let changed = read(&self.paths).and_then(|contents| {

@@ -1,4 +1,4 @@
-//! TLS by rustls on ring, the one provider in the tree.
+//! TLS by rustls on ring, the only crypto provider in the dependency tree.
 
 use std::{
     path::{Path, PathBuf},
@@ -17,15 +17,15 @@ use super::{
     reloaded::{LoadError, Reloaded},
 };
 
-/// Certificate and key, and the authorities of clients' where they need one.
+/// The TLS configuration of certificate, key and, if given, the authorities of clients.
 #[derive(Debug)]
 pub(super) struct Tls(Reloaded<Arc<ServerConfig>>);
 
 impl Tls {
-    /// None where no certificate is named.
+    /// None if no certificate is named.
     ///
     /// # Errors
-    /// A file cannot be read or used, or one is missing beside another.
+    /// A file cannot be read or used, or a file that another one needs is not named.
     pub(super) fn open(files: &SecurityFiles) -> Result<Option<Self>, LoadError> {
         let given = |path: &PathBuf| !path.as_os_str().is_empty();
         let mut paths = vec![files.tls_certificate.clone(), files.tls_key.clone()];
@@ -48,7 +48,7 @@ impl Tls {
     }
 }
 
-/// Of certificate, key and perhaps authorities.
+/// The configuration from the contents of certificate, key and, if given, authorities.
 fn config(contents: &[(&Path, Vec<u8>)]) -> Result<Arc<ServerConfig>, LoadError> {
     let [(chain_path, chain), (key_path, key), authorities @ ..] = contents else {
         return Err(LoadError::new(Path::new("tls"), "certificate and key are needed"));

@@ -1,4 +1,4 @@
-//! Bearer tokens: lists of those that are good, each list with a role.
+//! Bearer tokens: lists of valid tokens, each list with a role.
 
 use std::{
     path::{Path, PathBuf},
@@ -15,16 +15,16 @@ use super::{
 };
 use crate::service::ServiceError;
 
-/// What a token may do.
+/// The role of a token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Role {
-    /// Everything that changes nothing.
+    /// May make every call that changes nothing.
     Query,
-    /// Register and delete, too.
+    /// May also register and delete.
     Register,
 }
 
-/// The lists; one that is missing is empty.
+/// The lists of tokens; a list without a file is empty.
 #[derive(Debug)]
 pub(super) struct Tokens {
     query: Option<Reloaded<List>>,
@@ -35,8 +35,8 @@ pub(super) struct Tokens {
 #[derive(Debug)]
 struct List(Vec<Token>);
 
-/// A token's SHA-256, so that no token lies in memory and all have one length, and the name
-/// that metrics and logs know it by.
+/// A token's SHA-256, so that tokens are not kept in memory and all have the same length, and the
+/// token's name in metrics and logs.
 #[derive(Debug)]
 struct Token {
     hash: [u8; 32],
@@ -44,7 +44,7 @@ struct Token {
 }
 
 impl Tokens {
-    /// None where no list is named: every call may do everything.
+    /// None if no list is named: then every call is allowed.
     ///
     /// # Errors
     /// A list cannot be read or has no token.
@@ -64,7 +64,7 @@ impl Tokens {
         [&self.query, &self.register].into_iter().flatten().for_each(Reloaded::reload);
     }
 
-    /// The name of the call's token, if the token may do what `needed` says.
+    /// The name of the call's token, if the token has the role `needed`.
     ///
     /// # Errors
     /// UNAUTHENTICATED, PERMISSION_DENIED.
@@ -85,8 +85,8 @@ impl Tokens {
 }
 
 impl List {
-    /// The name of the token with this hash, found in a time that depends on how many tokens
-    /// there are, and on nothing else.
+    /// The name of the token with this hash. The time of the search depends only on the number of
+    /// tokens.
     fn name(&self, hash: &[u8; 32]) -> Option<Arc<str>> {
         let found = (0..).zip(&self.0).fold(u64::MAX, |found, (index, token)| {
             u64::conditional_select(&found, &index, token.hash.ct_eq(hash))
@@ -95,8 +95,8 @@ impl List {
     }
 }
 
-/// Reads a list: a line is `token` or `name: token`; a comment begins with `#` at the line's
-/// start or after white space. A token without a name is called by its list and line.
+/// Reads a list. A line is `token` or `name: token`. A comment begins with `#` at the start of the
+/// line or after white space. A token without a name is named by its list and line number.
 fn read(contents: &[(&Path, Vec<u8>)], list: &str) -> Result<List, LoadError> {
     let mut tokens = Vec::new();
     for (path, bytes) in contents {
@@ -128,8 +128,8 @@ fn without_comment(line: &str) -> &str {
 /// The longest name of a token.
 const NAME_BYTES: usize = 32;
 
-/// The parts of `name: token`; none where the line is a token alone. A colon without white
-/// space after it belongs to a token.
+/// The parts of `name: token`; none if the line is only a token. A colon without white space after
+/// it belongs to a token.
 fn named(line: &str) -> Option<(&str, &str)> {
     let (name, token) = line.split_once(':')?;
     let is_name = (1..=NAME_BYTES).contains(&name.len())
@@ -169,8 +169,8 @@ mod tests {
         tokens.check(role, &headers).map_or_else(|error| error.reason, |_| "")
     }
 
-    /// Catches a comment, a name or a colon that is taken for a part of a token, a token of
-    /// yesterday's file that is read otherwise, and a token that gets into a name.
+    /// Catches a comment, name or colon that is taken for part of a token, a list in the older
+    /// format that is read differently, and a token that becomes a name.
     #[test]
     fn lines_are_tokens_with_names_and_comments() {
         let long = format!("{}: five", "n".repeat(NAME_BYTES + 1));
@@ -207,8 +207,8 @@ mod tests {
         }
     }
 
-    /// Catches a prefix, a comment or an empty line taken for a token, and a role mistaken for
-    /// the other.
+    /// Catches a prefix, a comment or an empty line that is taken for a token, and one role taken
+    /// for the other.
     #[test]
     fn tokens_have_the_roles_of_their_lists() {
         let (_directory, files) = lists("# rotated in May\nabc\n\n  old \n", "abcd\n");
@@ -230,8 +230,8 @@ mod tests {
         }
     }
 
-    /// Catches a rotation that needs a restart, and one broken file that locks everybody out
-    /// or lets everybody in.
+    /// Catches a rotation that needs a restart, and a broken file that locks all callers out or
+    /// lets all callers in.
     #[test]
     fn lists_are_read_again_and_a_broken_one_is_not_taken() {
         let (_directory, files) = lists("one", "admin");

@@ -1,4 +1,4 @@
-//! An answer as columns: manifolds in, a response out.
+//! Writes answers as columns: receives manifolds and makes a response.
 
 use crate::{
     contact::{Element, Feature, Manifold, Outcome, Stop, Stopped},
@@ -7,17 +7,17 @@ use crate::{
     store::Missing,
 };
 
-/// No index: a basis, feature or id that is not there.
+/// The index of a missing basis, feature or id.
 const NONE: u32 = u32::MAX;
 
-/// Bytes that are copied between two looks at whether somebody waits: about half a millisecond.
+/// Bytes that are copied between two checks of the stop flag: about half a millisecond.
 const BYTES_BETWEEN_LOOKS: usize = 2 << 20;
 
-/// Declares the columns once, and what concerns each of them alike.
+/// Declares all columns in one place, with the methods that treat them alike.
 macro_rules! columns {
     ($($column:ident: $element:ty,)*) => {
-        /// The columns of some consecutive pairs, as `QueryContactsResponse` has them. A
-        /// column that is not asked for stays empty.
+        /// The columns of consecutive pairs, as in `QueryContactsResponse`. A column that was not
+        /// requested stays empty.
         #[derive(Clone, Debug, Default, PartialEq)]
         pub struct Columns {
             $($column: Vec<$element>,)*
@@ -26,13 +26,13 @@ macro_rules! columns {
         }
 
         impl Columns {
-            /// Bytes that are copied in one elementary step.
+            /// Bytes copied per elementary step.
             pub const BYTES_PER_STEP: usize = 4;
 
-            /// The parts, one after the other, allocated once.
+            /// Joins the parts in order, with one allocation per column.
             ///
             /// # Errors
-            /// Nobody waits for the whole any more.
+            /// The work was stopped.
             pub fn concatenated(parts: &[Self], stop: &Stop) -> Result<Self, Stopped> {
                 let mut copied = 0;
                 let points = parts.iter().map(|part| part.points).sum();
@@ -50,19 +50,19 @@ macro_rules! columns {
                 Ok(whole)
             }
 
-            /// The bytes of what it has.
+            /// The bytes of all elements.
             pub fn filled_bytes(&self) -> usize {
                 0 $(+ size_of_val(&self.$column[..]))*
             }
 
-            /// No pairs; the room stays.
+            /// Removes all pairs; the allocated memory stays.
             pub fn clear(&mut self) {
                 $(self.$column.clear();)*
                 self.points = 0;
                 self.solver_iterations = 0;
             }
 
-            /// What it holds on to.
+            /// The bytes of allocated memory.
             pub fn heap_bytes(&self) -> usize {
                 0 $(+ self.$column.capacity() * size_of::<$element>())*
             }
@@ -92,7 +92,7 @@ columns! {
     kept_areas: f64,
 }
 
-/// Why a pair is not answered: each costs its own pairs alone.
+/// Why a pair is not answered. It affects only pairs of the body or hull at fault.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Invalid {
     unknown_hull: bool,
@@ -126,32 +126,32 @@ fn bit(set: bool, flag: Flag) -> u8 {
 }
 
 impl Columns {
-    /// How many pairs.
+    /// The number of pairs.
     pub fn len(&self) -> usize {
         self.outcomes.len()
     }
 
-    /// No pairs.
+    /// Whether there are no pairs.
     pub fn is_empty(&self) -> bool {
         self.outcomes.is_empty()
     }
 
-    /// Bytes on the wire, but for the few that frame the columns.
+    /// Bytes on the wire, without the few that frame the columns.
     pub fn wire_bytes(&self, outputs: Outputs) -> usize {
         self.len() * outputs.pair_bytes() + self.points * outputs.point_bytes()
     }
 
-    /// Of all pairs, whether they are sent or not.
+    /// The solver's iterations over all pairs, including those that are not sent.
     pub fn solver_iterations(&self) -> u64 {
         self.solver_iterations
     }
 
-    /// One a pair, as the wire has them.
+    /// One flag byte per pair, as on the wire.
     pub fn flags(&self) -> &[u8] {
         &self.flags
     }
 
-    /// How many pairs have each outcome: CONTACT, SEPARATED, UNDECIDED, INVALID.
+    /// The number of pairs with each outcome: CONTACT, SEPARATED, UNDECIDED, INVALID.
     pub fn outcome_counts(&self) -> [usize; 4] {
         let mut counts = [0; 4];
         for &outcome in &self.outcomes {
@@ -160,7 +160,7 @@ impl Columns {
         counts
     }
 
-    /// The bodies of the pair that is added next, where the request did not name them.
+    /// Adds the bodies of the next pair, if the request did not name them.
     pub fn push_pair(&mut self, bodies: [u32; 2]) {
         self.pairs.extend_from_slice(&bodies);
     }
@@ -236,7 +236,7 @@ impl Columns {
         }
     }
 
-    /// Adds a pair that is not answered: its numbers are NaN.
+    /// Adds a pair without an answer; its numbers are NaN.
     pub fn push_invalid(&mut self, invalid: Invalid, outputs: Outputs) {
         self.outcomes.push(proto::Outcome::Invalid as u8);
         self.flags.push(invalid.flags());
@@ -266,7 +266,7 @@ impl Columns {
         }
     }
 
-    /// The bases; they stay only where they are sent.
+    /// The bases. They also stay in the columns if they are sent.
     pub fn kept_bases(&mut self, outputs: Outputs) -> Vec<u32> {
         if outputs.bases { self.bases.clone() } else { std::mem::take(&mut self.bases) }
     }

@@ -1,14 +1,13 @@
-//! Requests, decoded within bounds.
+//! Decodes requests within bounds.
 //!
-//! Each request is read twice. The first pass allocates nothing: it counts the elements of
-//! every repeated field and refuses counts over a limit, by name. Then the memory of the
-//! decoded request is taken from the call's budget, and the second pass reserves every column
-//! once and fills it. A request of n bytes therefore needs at most 2 n bytes, in addition
-//! [`HULL_BYTES`] for each hull or id, of which a limit bounds the number, and
-//! [`CONSTANT_BYTES`]. The factor 2 covers what validation adds to the columns themselves,
-//! which need at most n.
+//! Each request is read twice. The first pass allocates nothing: it counts the elements of every
+//! repeated field and refuses counts over a limit, with the field's name. Then the memory of the
+//! decoded request is taken from the call's budget, and the second pass reserves every column once
+//! and fills it. A request of n bytes therefore needs at most 2 n bytes, plus [`HULL_BYTES`] for
+//! each hull or id, whose number is limited, plus [`CONSTANT_BYTES`]. The factor 2 covers what
+//! validation adds to the columns themselves, which need at most n.
 //!
-//! The bytes that prost accepts are accepted, and mean the same.
+//! Every message that prost accepts is accepted, with the same meaning.
 
 #[cfg(test)]
 mod tests;
@@ -29,20 +28,20 @@ use crate::{
     store::HullId,
 };
 
-/// Most entries of `outputs`: each value of today many times, and newer ones.
+/// The most entries of `outputs`: many times the current values, and newer ones.
 const MAX_OUTPUTS: u32 = 256;
 
-/// Most entries of `field_mask.paths`: each path of today many times.
+/// The most entries of `field_mask.paths`: many times the current paths.
 const MAX_PATHS: u32 = 256;
 
-/// Memory of a hull of a request beside its points, or of an id: its entries in lists and in
-/// tables of ids, and the error of a hull that is refused.
+/// The memory of a request's hull besides its points, or of an id: its entries in lists and tables
+/// of ids, and the error if the hull is refused.
 pub const HULL_BYTES: usize = 512;
 
-/// Memory that any request may need: for its outputs, the paths of its field mask, and an error.
+/// The memory that any request may need for its outputs, the paths of its field mask, and an error.
 pub const CONSTANT_BYTES: usize = 8 << 10;
 
-/// The bounds of decoding one request.
+/// The bounds for decoding one request.
 pub(in crate::service) struct Bounds<'a> {
     limits: &'a Limits,
     meter: Meter<'a>,
@@ -68,12 +67,12 @@ pub(in crate::service) trait Request: Send + Sync + 'static {
     /// Decodes a message.
     ///
     /// # Errors
-    /// MALFORMED_MESSAGE, a limit that the message passes, a budget without room for it, or
-    /// that nobody waits for it any more.
+    /// MALFORMED_MESSAGE, a limit that the message exceeds, a budget without room for it, or that
+    /// the work was stopped.
     fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Self::Decoded, ServiceError>;
 }
 
-/// How many elements each repeated field of a `QueryContactsRequest` has.
+/// The number of elements of each repeated field of a `QueryContactsRequest`.
 #[derive(Debug, Default)]
 struct QueryCounts {
     hull_ids: usize,
@@ -87,7 +86,7 @@ struct QueryCounts {
 impl QueryCounts {
     fn of(message: &[u8], meter: &Meter<'_>) -> Result<Self, ServiceError> {
         let mut counts = Self::default();
-        // Says which tags are columns; it stays empty.
+        // An empty message that says which tags are columns.
         let mut empty = proto::QueryContactsRequest::default();
         let mut fields = Fields::new(message);
         while let Some(field) = fields.next(meter)? {
@@ -123,8 +122,8 @@ impl QueryCounts {
         at_most(self.outputs, MAX_OUTPUTS, "TOO_MANY_OUTPUTS", "outputs")
     }
 
-    /// The memory of the decoded request, and of the lists that validation makes of it: of
-    /// bodies with an unusable pose, at most a number per body.
+    /// The memory of the decoded request, and of the list that validation makes of it: the bodies
+    /// with an unusable pose, at most one number per body.
     fn bytes(&mut self) -> usize {
         let unusable = *self.column(4) * size_of::<u32>();
         let outputs = self.outputs * size_of::<i32>();
@@ -225,7 +224,7 @@ impl Request for proto::RegisterHullsRequest {
     }
 }
 
-/// How many numbers each column of a `HullDefinition` has.
+/// The number of elements in each column of a `HullDefinition`.
 #[derive(Debug, Default)]
 struct HullCounts {
     vertices: usize,
@@ -240,7 +239,8 @@ impl HullCounts {
             match field.tag {
                 1 => counts.vertices += field.elements::<8>()?.len(),
                 2 => counts.contraction_point += field.elements::<8>()?.len(),
-                // Read for their faults: the hull may be refused before it is read again.
+                // Read here for their faults, because the hull may be refused before it is read
+                // again.
                 3 => read_simplification(&mut proto::Simplification::default(), &field, meter)?,
                 4 => drop(field.double()?),
                 _ => {}
@@ -249,7 +249,7 @@ impl HullCounts {
         Ok(counts)
     }
 
-    /// Why the hull cannot be defined so.
+    /// Why the hull is refused, if it is.
     fn refusal(&self, limits: &Limits) -> Option<proto::HullError> {
         if !self.vertices.is_multiple_of(3) {
             return Some(malformed("vertices", self.vertices, "3 per point"));
@@ -352,7 +352,7 @@ impl Request for proto::GetHullsRequest {
     }
 }
 
-/// The paths of the field mask. They stay in the message: at most [`MAX_PATHS`] references.
+/// The paths of the field mask: at most [`MAX_PATHS`] references into the message.
 fn paths<'a>(message: &'a [u8], meter: &Meter<'_>) -> Result<Vec<&'a str>, ServiceError> {
     let (mut paths, mut count) = (Vec::new(), 0);
     let mut fields = Fields::new(message);
@@ -375,12 +375,12 @@ fn paths<'a>(message: &'a [u8], meter: &Meter<'_>) -> Result<Vec<&'a str>, Servi
     Ok(paths)
 }
 
-/// What `ListHulls` is asked for.
+/// The contents of a `ListHulls` request.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::service) struct Listing {
-    /// 0: the server's default.
+    /// The size of the page; 0 stands for the server's default.
     pub(in crate::service) page_size: u32,
-    /// The last hull of the page before.
+    /// The last hull of the previous page.
     pub(in crate::service) after: Option<HullId>,
 }
 
@@ -411,8 +411,8 @@ impl Request for proto::GetServerInfoRequest {
     }
 }
 
-/// Decodes and checks a message as the handler of `method` does; how much memory that takes
-/// of the budget. For fuzzing, and for tests of memory.
+/// Decodes and checks a message as the handler of `method` does. Returns the memory that this takes
+/// from the budget. For fuzzing, and for tests of memory.
 ///
 /// # Errors
 /// Those of the handler.

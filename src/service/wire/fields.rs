@@ -1,9 +1,9 @@
-//! The fields of an encoded message, one after the other.
+//! Reads the fields of an encoded message one by one.
 //!
-//! [`Fields`] walks over a message without allocating anything. It accepts the bytes that
-//! prost accepts: packed and unpacked columns, columns in several parts, repeated singular
-//! fields, unknown fields, and groups nested up to prost's depth. It counts its steps, so that
-//! reading a large message can be stopped.
+//! [`Fields`] walks over a message without allocating. It accepts the bytes that prost accepts:
+//! packed and unpacked columns, columns in several parts, repeated singular fields, unknown fields,
+//! and groups nested up to prost's depth. It counts its steps, so that reading a large message can
+//! be stopped.
 
 use prost::encoding::{WireType, decode_key, decode_varint};
 
@@ -15,18 +15,18 @@ use crate::{
 /// How deep messages and groups may be nested: prost's limit.
 pub(super) const DEPTH: u32 = 100;
 
-/// Elementary steps of reading one field: some nanoseconds.
+/// Elementary steps of reading one field, which takes some nanoseconds.
 const FIELD_STEPS: u64 = 5;
 
-/// Bytes that are copied for one elementary step, the system's work for new pages included.
+/// Bytes copied per elementary step, including the system's work for new pages.
 pub(super) const BYTES_PER_STEP: usize = 4;
 
-/// Why reading ended before the message did.
+/// Why reading ended early.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Fault {
-    /// The bytes are not a message of the type.
+    /// The bytes are not a message of this type.
     Malformed(String),
-    /// Nobody waits for the message any more.
+    /// The work was stopped.
     Stopped,
 }
 
@@ -51,7 +51,7 @@ impl From<Fault> for ServiceError {
     }
 }
 
-/// A field as it is in the message.
+/// A field in a message.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Field<'a> {
     /// The field's number in the contract.
@@ -109,7 +109,7 @@ impl<'a> Field<'a> {
         Err(Fault::malformed(format!("field {tag} has {length} bytes, expected a multiple of {WIDTH}")))
     }
 
-    /// Gives the elements of a column of varints to `each`.
+    /// Passes the elements of a column of varints to `each`.
     pub(super) fn varints(&self, meter: &Meter<'_>, mut each: impl FnMut(u64)) -> Result<(), Fault> {
         if self.wire_type != WireType::LengthDelimited {
             each(self.varint()?);
@@ -124,11 +124,11 @@ impl<'a> Field<'a> {
     }
 }
 
-/// The fields of a message that are not read yet.
+/// The fields of a message that have not been read yet.
 #[derive(Debug)]
 pub(super) struct Fields<'a> {
     rest: &'a [u8],
-    /// How many levels of messages or groups may still begin.
+    /// How many levels of messages or groups may still be opened.
     depth: u32,
 }
 
@@ -138,12 +138,13 @@ impl<'a> Fields<'a> {
         Self { rest: message, depth: DEPTH }
     }
 
-    /// The fields of a message that is a field of another, `levels` below a whole message.
+    /// The fields of a message that is a field of another one, `levels` below the outermost
+    /// message.
     pub(super) fn nested(message: &'a [u8], levels: u32) -> Self {
         Self { rest: message, depth: DEPTH - levels }
     }
 
-    /// The next field; none at the end. A group is one field without content.
+    /// The next field; none at the end. A group counts as one field without content.
     pub(super) fn next(&mut self, meter: &Meter<'_>) -> Result<Option<Field<'a>>, Fault> {
         if self.rest.is_empty() {
             return Ok(None);
@@ -183,7 +184,7 @@ impl<'a> Fields<'a> {
         Ok(payload)
     }
 
-    /// Passes over the content of a group, up to its end.
+    /// Skips the content of a group, up to its end.
     fn skip_group(&mut self, tag: u32, depth: u32, meter: &Meter<'_>) -> Result<(), Fault> {
         loop {
             let (inner, wire_type) = decode_key(&mut self.rest).map_err(Fault::malformed)?;
@@ -201,7 +202,7 @@ impl<'a> Fields<'a> {
     }
 }
 
-/// Appends elements to a column that has room for them.
+/// Appends elements to a column whose memory is already reserved.
 pub(super) fn append<T, const WIDTH: usize>(
     column: &mut Vec<T>,
     elements: &[[u8; WIDTH]],
@@ -226,7 +227,7 @@ mod tests {
     /// A quarter of a millisecond.
     const GATHERED_STEPS: u64 = STEPS_BETWEEN_LOOKS / 4;
 
-    /// Groups within groups, the innermost empty.
+    /// Groups within groups; the innermost is empty.
     fn nested_groups(levels: usize) -> Vec<u8> {
         let mut bytes = Vec::new();
         (0..levels).for_each(|_| encode_key(900, WireType::StartGroup, &mut bytes));
@@ -242,8 +243,8 @@ mod tests {
         Ok(count)
     }
 
-    /// Catches groups that are refused although prost accepts them, and a stack that overflows
-    /// where they are nested without end.
+    /// Catches groups that are refused although prost accepts them, and a stack overflow on groups
+    /// that are nested without limit.
     #[test]
     fn groups_are_nested_as_deep_as_prost_allows() {
         use prost::Message;
@@ -255,7 +256,7 @@ mod tests {
         assert!(count(&[nested_groups(3), nested_groups(2)].concat()[..15], &Stop::default()).is_err());
     }
 
-    /// Catches reading that goes on for longer than a millisecond without a look at the flag:
+    /// Catches reading that goes on for more than a millisecond without checking the stop flag:
     /// through many small fields, and within one group.
     #[test]
     fn reading_looks_at_the_flag() {

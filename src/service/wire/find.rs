@@ -1,4 +1,5 @@
-//! A request to find the pairs, checked: a scene without pairs, and who may meet whom.
+//! Checks a request of `FindContacts`: a scene without pairs, and the rules for which bodies may
+//! meet.
 
 use super::{
     Scene,
@@ -14,7 +15,7 @@ use crate::{
 /// Checks a request of `FindContacts`.
 ///
 /// # Errors
-/// The first fault found, naming field and index, or that nobody waits any more.
+/// The first fault found, with field and index, or that the work was stopped.
 pub(in crate::service) fn find(
     mut request: proto::QueryContactsRequest,
     limits: &Limits,

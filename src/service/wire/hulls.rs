@@ -1,4 +1,4 @@
-//! Hulls in and out.
+//! Converts hulls from and to the wire.
 
 use prost::Message;
 
@@ -10,24 +10,25 @@ use crate::{
     store::{HullDefinition, HullId, StoredBlob},
 };
 
-/// A hull of a `RegisterHulls` request: its definition, or why this hull alone is refused.
+/// A hull of a `RegisterHulls` request: its definition, or the reason why only this hull is
+/// refused.
 pub(in crate::service) type Definition = Result<HullDefinition, proto::HullError>;
 
-/// The definition of a hull whose columns have lengths that fit.
+/// The definition of a hull whose columns have valid lengths.
 pub(super) fn definition(hull: proto::HullDefinition) -> HullDefinition {
     let contraction_point = hull.contraction_point.first_chunk().copied();
     let simplification = hull.simplification.map(|wanted| Simplification {
         max_vertices: wanted.max_vertices,
         max_deviation: wanted.max_deviation,
     });
-    // The same memory, not a copy.
+    // Reuses the memory of the vertices instead of copying them.
     let planarity = hull.planarity;
     let points = bytemuck::try_cast_vec(hull.vertices);
     let points = points.unwrap_or_else(|(_, vertices)| vertices.as_chunks().0.to_vec());
     HullDefinition { points, contraction_point, simplification, planarity }
 }
 
-/// The error of a hull that has a column of the wrong length.
+/// The error for a hull with a column of the wrong length.
 pub(super) fn malformed(field: &str, found: usize, rule: &str) -> proto::HullError {
     proto::HullError {
         reason: "MALFORMED".into(),
@@ -37,7 +38,7 @@ pub(super) fn malformed(field: &str, found: usize, rule: &str) -> proto::HullErr
     }
 }
 
-/// The error of a hull that has more points than the server builds hulls from.
+/// The error for a hull with more points than the server accepts.
 pub(super) fn too_many_points(points: usize, limit: u32) -> proto::HullError {
     proto::HullError {
         reason: "TOO_MANY_POINTS".into(),
@@ -47,7 +48,7 @@ pub(super) fn too_many_points(points: usize, limit: u32) -> proto::HullError {
     }
 }
 
-/// Why a hull was refused.
+/// The error for a hull that the builder refused.
 pub(in crate::service) fn hull_error(error: &HullError) -> proto::HullError {
     proto::HullError {
         reason: error.kind.reason().into(),
@@ -69,7 +70,7 @@ pub(in crate::service) fn register_result(
     proto::RegisterHullResult { result: Some(result) }
 }
 
-/// What is known of a hull, without its geometry.
+/// The properties of a hull, without its geometry.
 fn hull_info(id: HullId, hull: &ConvexHull) -> proto::HullInfo {
     let inertia = hull.inertia();
     let (x, y, z) = (inertia.x_axis, inertia.y_axis, inertia.z_axis);
@@ -91,7 +92,7 @@ fn hull_info(id: HullId, hull: &ConvexHull) -> proto::HullInfo {
     }
 }
 
-/// What `GetHulls` is asked for.
+/// The parts of a hull that a `GetHulls` request asks for.
 #[derive(Clone, Copy, Debug, Default)]
 pub(in crate::service) struct Parts {
     pub(in crate::service) info: bool,
@@ -99,11 +100,11 @@ pub(in crate::service) struct Parts {
     pub(in crate::service) faces: bool,
 }
 
-/// Most letters of an unknown path that its error repeats.
+/// The most letters of an unknown path that the error repeats.
 const SHOWN_LETTERS: usize = 40;
 
 impl Parts {
-    /// The parts that a `GetHulls` field mask names; "info" where it names none.
+    /// The parts named by the field mask of `GetHulls`; "info" if it names none.
     pub(super) fn named(paths: &[&str]) -> Result<Self, ServiceError> {
         let mut parts = Self { info: paths.is_empty(), ..Self::default() };
         for (index, path) in paths.iter().enumerate() {
@@ -123,12 +124,12 @@ impl Parts {
     }
 }
 
-/// A hull that is not there.
+/// The record of a hull that was not found.
 pub(in crate::service) fn not_found(id: HullId) -> proto::HullRecord {
     proto::HullRecord { id: id.0.to_vec(), ..Default::default() }
 }
 
-/// Bytes of the columns of a hull's record: its encoded size is some hundred bytes more.
+/// Bytes of the columns of a hull's record. Its encoded size is some hundred bytes more.
 pub(in crate::service) fn record_bytes(hull: &ConvexHull, parts: Parts) -> usize {
     let (vertices, faces) = (hull.vertex_count(), hull.face_count());
     let vertices = if parts.vertices { vertices * (size_of::<[f64; 3]>() + size_of::<u32>()) } else { 0 };
@@ -139,22 +140,22 @@ pub(in crate::service) fn record_bytes(hull: &ConvexHull, parts: Parts) -> usize
     vertices + faces
 }
 
-/// The corners of all faces.
+/// The number of corners of all faces together.
 fn corners(hull: &ConvexHull) -> usize {
     (0..hull.face_count()).map(|face| hull.face_outline(face).len()).sum()
 }
 
-/// The records of an answer in its order: record `places[i]` is entry i.
+/// The records in the order of the answer: entry i is record `places[i]`.
 ///
 /// # Errors
-/// Nobody waits for the answer any more.
+/// The work was stopped.
 pub(in crate::service) fn repeated(
     records: Vec<proto::HullRecord>,
     places: &[usize],
     stop: &Stop,
 ) -> Result<Vec<proto::HullRecord>, ServiceError> {
     if records.len() == places.len() {
-        // No hull is repeated: they are in order.
+        // No hull is repeated, so the records are in order already.
         return Ok(records);
     }
     let meter = Meter::new(stop);
@@ -166,8 +167,8 @@ pub(in crate::service) fn repeated(
     Ok(repeated)
 }
 
-/// A hull, as far as it is asked for. The vertices are those of its definition, bit for bit:
-/// the hull keeps its own scaled.
+/// The record of a hull with the requested parts. Its vertices are taken from the definition, bit
+/// for bit, because the hull keeps scaled ones.
 pub(in crate::service) fn record(
     id: HullId,
     hull: &ConvexHull,
@@ -198,7 +199,7 @@ pub(in crate::service) fn record(
     record
 }
 
-/// Checks a `ListHulls` page token: the last id of the page before.
+/// Checks a page token of `ListHulls`: the last id of the previous page.
 pub(super) fn page_token(token: &str) -> Result<Option<HullId>, ServiceError> {
     if token.is_empty() {
         return Ok(None);

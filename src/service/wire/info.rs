@@ -1,4 +1,4 @@
-//! The server's description.
+//! Describes the server.
 
 use crate::{
     budget::{MemoryBudget, Part},
@@ -6,7 +6,7 @@ use crate::{
     service::limits::Limits,
 };
 
-/// What this server is and accepts.
+/// The server's version, limits and resources.
 pub(in crate::service) fn server_info(
     limits: &Limits,
     threads: usize,

@@ -1,5 +1,5 @@
-//! The only files that know both protobuf and the domain's types: requests
-//! in, columns out, errors to statuses.
+//! The only modules that know both protobuf and the domain's types. They convert requests, columns
+//! of answers, and errors.
 
 mod columns;
 mod decode;

@@ -1,4 +1,4 @@
-//! A query as it came in, checked exhaustively.
+//! Checks a query completely.
 
 use std::{collections::HashSet, sync::Arc};
 
@@ -10,67 +10,68 @@ use crate::{
     store::HullId,
 };
 
-/// Indices that are compared between two looks at whether somebody waits.
+/// Indices that are compared between two checks of the stop flag.
 const AT_A_TIME: usize = 1 << 16;
 
-/// Elementary steps of looking a hull's id up in a table.
+/// Elementary steps of looking up a hull's id in a table.
 const ID_STEPS: u64 = 100;
 
 /// Elementary steps of checking a pose.
 const POSE_STEPS: u64 = 10;
 
-/// A checked request: every length fits, every index is in range, every option is known.
+/// A checked request: all lengths fit, all indices are in range, all options are known.
 #[derive(Debug)]
 pub struct Scene {
-    /// Echoed.
+    /// The request's id, which the answer repeats.
     pub request_id: u64,
-    /// Hulls, bodies, pairs and options.
+    /// The hulls, bodies, pairs and options.
     pub setting: Arc<Setting>,
-    /// Of the bodies.
+    /// The poses of the bodies.
     pub poses: Poses,
-    /// Bodies without a usable pose, ascending.
+    /// The bodies without a usable pose, in ascending order.
     pub invalid_bodies: Vec<u32>,
     /// Empty, or 6 vertex indices per pair, unchecked.
     pub warm_starts: Vec<u32>,
-    /// The memory that the scene takes of its call's budget; none where no call is answered.
+    /// The memory that the scene takes from its call's budget. None if the scene belongs to no
+    /// call.
     pub memory: Option<Permit>,
 }
 
-/// Poses as they came. A body's is made where one of its pairs is computed: on the threads
-/// that compute, and from 56 bytes instead of 104.
+/// Poses as they arrived. The pose of a body is made when one of its pairs is computed, on a
+/// compute thread, and from 56 bytes instead of 104.
 #[derive(Clone, Debug, Default)]
 pub struct Poses {
     positions: Vec<f64>,
     rotations: Vec<f64>,
 }
 
-/// What of a scene a stream's next message may inherit: all but the poses.
+/// The part of a scene that the next message of a stream may inherit: everything except the poses.
 #[derive(Clone, Debug)]
 pub struct Setting {
-    /// Each once.
+    /// The hulls, each listed once.
     pub hull_ids: Vec<HullId>,
-    /// Per body: index into `hull_ids`.
+    /// For each body, an index into `hull_ids`.
     pub body_hulls: Vec<u32>,
     /// 2 body indices per pair.
     pub pairs: Vec<u32>,
-    /// What is asked of each pair.
+    /// The query for each pair.
     pub query: Query,
-    /// What is sent of it.
+    /// The outputs that are sent.
     pub outputs: Outputs,
 }
 
-/// Checks a request that says everything itself.
+/// Checks a request that inherits nothing.
 ///
 /// # Errors
-/// The first fault found, naming field and index.
+/// The first fault found, with field and index.
 pub fn scene(request: proto::QueryContactsRequest, limits: &Limits) -> Result<Scene, ServiceError> {
     stoppable_scene(request, limits, &Stop::default())
 }
 
-/// Checks a request that says everything itself; `stop` ends the work.
+/// Checks a request that inherits nothing; `stop` ends the work.
 ///
 /// # Errors
-/// The first fault found, naming field and index, or that nobody waits any more.
+/// The first fault found, with field and index, or that the work was stopped.
 pub(in crate::service) fn stoppable_scene(
     request: proto::QueryContactsRequest,
     limits: &Limits,
@@ -117,10 +118,10 @@ pub(in crate::service) fn stoppable_scene(
     })
 }
 
-/// Checks a request that inherits `setting`, and starts from `bases`: it has poses alone.
+/// Checks a request that sends only poses, inherits `setting`, and starts from `bases`.
 ///
 /// # Errors
-/// The first fault found, naming the field, or that nobody waits any more.
+/// The first fault found, with the field, or that the work was stopped.
 pub(in crate::service) fn inherited(
     request: proto::QueryContactsRequest,
     setting: Arc<Setting>,
@@ -155,12 +156,12 @@ fn pose_lengths(request: &proto::QueryContactsRequest, bodies: usize) -> Result<
 }
 
 impl Setting {
-    /// How many pairs.
+    /// The number of pairs.
     pub fn pair_count(&self) -> usize {
         self.pairs.len() / 2
     }
 
-    /// Bytes that a stream keeps of it and of its bases.
+    /// The bytes that a stream keeps of the setting and of its bases.
     pub fn kept_bytes(&self) -> usize {
         size_of_val(&self.hull_ids[..])
             + size_of_val(&self.body_hulls[..])
@@ -210,7 +211,8 @@ fn all_below(
 ) -> Result<(), ServiceError> {
     for (first, some) in (0..).step_by(AT_A_TIME).zip(column.chunks(AT_A_TIME)) {
         meter.spend(some.len() as u64)?;
-        // Every index of every request: the largest is found several at a time.
+        // Every index of every request is compared, so the largest is found with a loop that the
+        // compiler vectorises.
         let largest = some.iter().fold(0, |largest, &index| largest.max(index));
         if (largest as usize) < count {
             continue;
@@ -223,8 +225,8 @@ fn all_below(
     Ok(())
 }
 
-/// The ids, each once. The table's hash has a random key, so that no ids that a sender may
-/// choose make it slow.
+/// The ids, each listed once. The hash function of the table has a random key, so that a sender
+/// cannot choose ids that make it slow.
 fn distinct_ids<B: AsRef<[u8]>>(ids: &[B], meter: &Meter<'_>) -> Result<Vec<HullId>, ServiceError> {
     let (mut distinct, mut seen) = (Vec::with_capacity(ids.len()), HashSet::with_capacity(ids.len()));
     for (index, bytes) in ids.iter().enumerate() {
@@ -277,12 +279,14 @@ fn checked_accuracy(accuracy: &proto::Accuracy) -> Result<Accuracy, ServiceError
     Ok(Accuracy { solver, relative_tolerance, feature_angle, max_points, ..defaults })
 }
 
-/// Computing something else than what was asked for would be a wrong answer.
+/// The error for an unknown option. To ignore it would be a wrong answer, since another computation
+/// was requested.
 fn unknown_value(field: &'static str, value: i32) -> ServiceError {
     ServiceError::invalid("UNKNOWN_VALUE", field, format!("{value} is not a value of this version"))
 }
 
-/// Unknown outputs are of a newer client, which can do without them.
+/// The set of requested outputs. Unknown values come from newer clients, which can do without those
+/// outputs.
 fn outputs(values: &[i32]) -> Outputs {
     if values.is_empty() {
         return Outputs::default();
@@ -304,7 +308,7 @@ fn outputs(values: &[i32]) -> Outputs {
 }
 
 impl Poses {
-    /// The poses, and the bodies whose pose is not usable.
+    /// The poses, and the bodies without a usable pose.
     fn of(
         positions: Vec<f64>,
         rotations: Vec<f64>,
@@ -313,7 +317,7 @@ impl Poses {
         let bodies = positions.as_chunks::<3>().0.iter().zip(rotations.as_chunks::<4>().0);
         let unusable =
             |(position, rotation): (&[f64; 3], &[f64; 4])| Pose::check(*position, *rotation).is_err();
-        // Counted first, so that the list is allocated once.
+        // Count first, so that the list is allocated once.
         let mut count = 0;
         for body in bodies.clone() {
             meter.spend(POSE_STEPS)?;
@@ -330,7 +334,7 @@ impl Poses {
         Ok((Self { positions, rotations }, invalid))
     }
 
-    /// The pose of a body; none where it is not usable.
+    /// The pose of a body; none if it is not usable.
     pub fn get(&self, body: usize) -> Option<Pose> {
         let (positions, _) = self.positions.as_chunks::<3>();
         let (rotations, _) = self.rotations.as_chunks::<4>();

@@ -1,4 +1,4 @@
-//! Errors to statuses: every one carries an `ErrorInfo`.
+//! Converts errors to gRPC statuses; every status carries an `ErrorInfo`.
 
 use std::collections::HashMap;
 
@@ -7,10 +7,10 @@ use tonic_types::{ErrorDetails, StatusExt};
 
 use crate::service::error::{Kind, ServiceError};
 
-/// Of `ErrorInfo`.
+/// The domain of `ErrorInfo`.
 pub const DOMAIN: &str = "hullcast";
 
-/// Tells a gRPC client's retry policy when to come back.
+/// The trailer that tells a gRPC client's retry policy when to retry.
 const PUSHBACK: &str = "grpc-retry-pushback-ms";
 
 impl From<ServiceError> for Status {
@@ -49,8 +49,8 @@ fn code(kind: Kind) -> Code {
     }
 }
 
-/// Gives a status that the transport made the code and the details of the contract; one
-/// that has details is left alone.
+/// Gives a status from the transport the code and details of the contract. A status that already
+/// has details stays as it is.
 pub(in crate::service) fn complete(status: Status) -> Status {
     if !status.details().is_empty() {
         return status;
@@ -62,7 +62,7 @@ pub(in crate::service) fn complete(status: Status) -> Status {
             (Code::Unimplemented, "COMPRESSION_UNSUPPORTED")
         }
         Code::Unimplemented => (Code::Unimplemented, "UNKNOWN_METHOD"),
-        // tonic calls a message that does not parse its own failure.
+        // tonic reports a message that cannot be parsed as an internal error.
         Code::Internal if message.contains("compress") => (Code::InvalidArgument, "COMPRESSION_UNSUPPORTED"),
         Code::Internal => (Code::InvalidArgument, "MALFORMED_MESSAGE"),
         Code::Cancelled => (Code::Cancelled, "CANCELLED"),

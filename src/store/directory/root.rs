@@ -1,4 +1,4 @@
-//! The operations of a directory store, which block.
+//! The blocking operations of a directory store.
 
 use std::{
     ffi::CStr,
@@ -30,40 +30,40 @@ const NAMES_TRIED: u64 = 1000;
 const QUARANTINE: &str = "quarantine";
 
 const DIRECTORY: OFlags = OFlags::DIRECTORY.union(OFlags::NOFOLLOW).union(OFlags::CLOEXEC);
-/// Without `NONBLOCK`, opening a FIFO waits for a writer.
+/// Without `NONBLOCK`, opening a FIFO would wait for a writer.
 const BLOB: OFlags = OFlags::NOFOLLOW.union(OFlags::NONBLOCK).union(OFlags::NOCTTY).union(OFlags::CLOEXEC);
 const NEW: OFlags =
     OFlags::WRONLY.union(OFlags::CREATE).union(OFlags::EXCL).union(OFlags::NOFOLLOW).union(OFlags::CLOEXEC);
 
-/// The directory, for operations that block.
+/// A store's root directory, with operations that block.
 #[derive(Debug)]
 pub(super) struct Root {
-    /// Without links when the store was opened.
+    /// The canonical path, resolved when the store was opened.
     path: PathBuf,
-    /// Shards whose entry in the directory this process has synced: another server that made
-    /// one may have been killed before it did.
+    /// The shards whose entry in the root this process has synced. Another server that created a
+    /// shard may have been killed before its sync.
     synced_shards: [AtomicBool; 256],
     next_temporary: AtomicU64,
 }
 
 impl Root {
-    /// The directory at `path`, which is created where it is missing.
+    /// Opens the directory at `path`, which is created if it is missing.
     pub(super) fn open(path: &Path) -> io::Result<Self> {
         std::fs::create_dir_all(path)?;
-        // A server that was killed may have created entries here and not synced them: the
-        // directory's own, and those of the shards in it.
+        // A server that was killed may have created entries without syncing them: that of the
+        // directory itself, and those of the shards in it.
         let path = path.canonicalize()?;
         File::from(openat(CWD, &path, DIRECTORY, Mode::empty())?).sync_all()?;
         if let Some(parent) = path.parent() {
-            // This process has not just made a parent that it may not open.
+            // A parent that this process may not open was not created by it.
             let _ = File::open(parent).and_then(|parent| parent.sync_all());
         }
         let synced_shards = std::array::from_fn(|_| AtomicBool::new(false));
         Ok(Self { path, synced_shards, next_temporary: 1.into() })
     }
 
-    /// The directory, opened anew for each operation: it may have been mounted again since.
-    /// A deleted directory would read as empty, so it is reported as unavailable.
+    /// The root directory. It is opened for every operation, because it may have been mounted again
+    /// meanwhile. A deleted directory would read as empty, so it is reported as unavailable.
     fn descriptor(&self) -> Result<File, StoreError> {
         match openat(CWD, &self.path, DIRECTORY, Mode::empty()) {
             Ok(root) => Ok(root.into()),
@@ -72,7 +72,7 @@ impl Root {
         }
     }
 
-    /// A directory in the root; none where there is no such.
+    /// A subdirectory of the root; none if it does not exist.
     fn subdirectory(&self, root: &File, name: &str) -> Result<Option<File>, StoreError> {
         match openat(root, name, DIRECTORY, Mode::empty()) {
             Ok(directory) => Ok(Some(directory.into())),
@@ -84,7 +84,7 @@ impl Root {
         }
     }
 
-    /// A directory in the root, made where it is missing; and whether it was.
+    /// A subdirectory of the root, created if it is missing, and whether it was created.
     fn made(&self, root: &File, name: &str) -> Result<(File, bool), StoreError> {
         let is_new = match mkdirat(root, name, Mode::from_raw_mode(0o777)) {
             Ok(()) => true,
@@ -94,7 +94,7 @@ impl Root {
         match self.subdirectory(root, name) {
             Ok(Some(directory)) => Ok((directory, is_new)),
             Ok(None) => Err(StoreError::Unavailable(format!("{name} was removed meanwhile"))),
-            // Nothing can be written there before somebody removes the entry.
+            // Nothing can be written there until an operator removes the entry.
             Err(error) => Err(StoreError::Unavailable(error.to_string())),
         }
     }
@@ -117,7 +117,7 @@ impl Root {
         }
     }
 
-    /// Writes `name` in `directory`: whole and synced before it has its name.
+    /// Writes the file `name` in `directory`. It is complete and synced before it has that name.
     fn publish(&self, directory: &File, name: &str, bytes: &[u8]) -> Result<(), Failed> {
         let failed = |error: io::Error| Failed::new(self, name, error);
         let (temporary, mut file) = self.temporary(directory, name).map_err(failed)?;
@@ -127,14 +127,14 @@ impl Root {
             Ok::<_, io::Error>(renameat(directory, &temporary, directory, name)?)
         })();
         if let Err(error) = written {
-            // Nobody reads it under this name: one that stays costs its bytes only.
+            // Nobody reads a file of this name; if it stays, it only takes space.
             let _ = unlinkat(directory, &temporary, AtFlags::empty());
             return Err(failed(error));
         }
         directory.sync_all().map_err(failed)
     }
 
-    /// A new file beside `name`, and its name.
+    /// Creates a file beside `name`; returns its name and the file.
     fn temporary(&self, directory: &File, name: &str) -> io::Result<(String, File)> {
         let mut last = Errno::EXIST;
         for _ in 0..NAMES_TRIED {
@@ -149,11 +149,12 @@ impl Root {
         Err(last.into())
     }
 
-    /// Moves a directory that lies under a blob's name into quarantine, as it is.
+    /// Moves a directory that lies under a blob's name to the quarantine, unchanged.
     fn move_away(&self, root: &File, shard: &File, name: &str) -> Result<(), StoreError> {
         let (quarantine, _) = self.made(root, QUARANTINE)?;
         for number in 1..=NAMES_TRIED {
-            // A rename to an empty directory's name replaces that directory: nothing is lost.
+            // If the new name is an empty directory's, the rename replaces that directory and
+            // nothing is lost.
             match renameat(shard, name, &quarantine, format!("{name}-directory-{number}")) {
                 Ok(()) => return Ok(()),
                 Err(Errno::EXIST | Errno::NOTEMPTY | Errno::NOTDIR) => {}
@@ -173,7 +174,7 @@ impl Root {
             Ok(file) => file.into(),
             Err(Errno::NOENT) => return Ok(None),
             Err(Errno::LOOP) => return refused("a symbolic link".into()),
-            // A socket, or a device without a driver.
+            // The entry is a socket, or a device without a driver.
             Err(Errno::NXIO | Errno::NODEV) => return refused("not a regular file".into()),
             Err(Errno::ACCESS | Errno::PERM) => return refused("not readable for this process".into()),
             Err(error) => return Err(self.failed(&name, error)),
@@ -245,13 +246,13 @@ impl Root {
             }
             Err(error) => return Err(error),
         };
-        // Names first, and of a directory of any size no more than are wanted. Where some turn
-        // out to be no blobs, those after them are looked at.
+        // Reads all names, but keeps only as many as are wanted, however large the directory is. If
+        // some of them turn out not to be blobs, continues with the names after them.
         while blobs.len() < count {
             let wanted = count - blobs.len();
             let mut first = FirstById::new(wanted);
             self.each_name(&directory, &shard_name, |name| {
-                // Other names, as those of temporary files, are not hulls.
+                // Other names, such as those of temporary files, are not hulls.
                 let id = name.parse::<HullId>().ok().filter(|id| id.0[0] == shard);
                 if let Some(id) = id.filter(|id| after.is_none_or(|after| *id > after)) {
                     first.offer(id);
@@ -286,7 +287,7 @@ impl Root {
         Ok(blobs)
     }
 
-    /// Calls `with` for each name of a directory that is text.
+    /// Calls `with` for each name in a directory that is valid UTF-8.
     fn each_name(&self, directory: &File, path: &str, mut with: impl FnMut(&str)) -> Result<(), StoreError> {
         let failed = |error| self.failed(path, error);
         for entry in Dir::read_from(directory).map_err(failed)? {
@@ -311,7 +312,7 @@ impl Root {
 
     pub(super) fn probe(&self) -> Result<(), StoreError> {
         let root = self.descriptor()?;
-        // A name of its own for each server on the store.
+        // Each server on the store uses its own name.
         let name = format!("probe-{}", std::process::id());
         self.publish(&root, &name, b"probe").map_err(|failed| failed.why)?;
         match unlinkat(&root, &name, AtFlags::empty()) {
@@ -343,7 +344,7 @@ impl Failed {
     }
 }
 
-/// The size of a regular file; none of anything else.
+/// The size of a regular file; none for any other kind of entry.
 fn blob_size(status: &Stat) -> Option<u64> {
     let is_file = FileType::from_raw_mode(status.st_mode) == FileType::RegularFile;
     u64::try_from(status.st_size).ok().filter(|_| is_file)

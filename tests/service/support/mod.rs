@@ -1,4 +1,4 @@
-//! A server of its own for every test, clients of it, and things to ask it.
+//! A new server for every test, clients of it, and requests for it.
 
 #[allow(dead_code, reason = "shared with the tests of faults")]
 pub(crate) mod process;
@@ -54,14 +54,14 @@ impl Setup {
     pub(crate) async fn start(self) -> TestServer {
         let mut server = self.start_lazily().await;
         server.channel = channel(&server.address).await;
-        // The kernel takes connections before the server does.
+        // The kernel accepts connections before the server is ready.
         while !server.app.readiness().welcomes() {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
         server
     }
 
-    /// The same; nothing is connected to it yet.
+    /// Starts the server without connecting a client to it.
     pub(crate) async fn start_lazily(self) -> TestServer {
         let app = Arc::new(App::new(self.store, self.limits, self.threads).unwrap());
         let listener = Listener::bind("127.0.0.1:0").await.unwrap();
@@ -77,7 +77,7 @@ impl Setup {
     }
 }
 
-/// A connection of its own.
+/// A new connection.
 pub(crate) async fn channel(address: &str) -> Channel {
     Channel::from_shared(format!("http://{address}")).unwrap().connect().await.unwrap()
 }
@@ -112,7 +112,7 @@ impl TestServer {
         self.stop.take().unwrap().send(()).unwrap();
     }
 
-    /// The value of the one line of the metrics that begins with `name` and a space.
+    /// The value of the only line of the metrics that begins with `name` and a space.
     pub(crate) fn metric(&self, name: &str) -> f64 {
         let text = self.app.metrics_text();
         let values: Vec<_> = text.lines().filter_map(|l| l.strip_prefix(name)?.strip_prefix(' ')).collect();
@@ -127,7 +127,7 @@ impl TestServer {
         }
     }
 
-    /// Waits until no call holds memory of the budget; connections hold theirs.
+    /// Waits until no call holds memory of the budget. Connections keep theirs.
     pub(crate) async fn until_calls_hold_nothing(&self) {
         let memory = self.app.memory();
         while memory.used() > memory.used_by(Part::Connections) {
@@ -135,13 +135,13 @@ impl TestServer {
         }
     }
 
-    /// Waits until the server stopped.
+    /// Waits until the server has stopped.
     pub(crate) async fn stopped(self) {
         self.running.await.unwrap();
     }
 }
 
-/// An error as a client has to understand it: code, reason, and field with index.
+/// An error as a client must be able to read it: code, reason, and field with index.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Refusal {
     pub(crate) code: Code,
@@ -149,7 +149,7 @@ pub(crate) struct Refusal {
     pub(crate) field: String,
 }
 
-/// What `status` says; every error must have an `ErrorInfo` of this domain.
+/// The error in `status`. Every error must have an `ErrorInfo` of the domain `hullcast`.
 pub(crate) fn refusal(status: &Status) -> Refusal {
     let details = status.get_error_details();
     let info = details.error_info().unwrap_or_else(|| panic!("no ErrorInfo in {status:?}"));

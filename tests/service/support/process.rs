@@ -1,4 +1,4 @@
-//! The real binary as a process, and the tracer that is loaded into it.
+//! Runs the real binary as a process, and builds the tracer that is preloaded into it.
 
 use std::{
     io::{BufRead, BufReader},
@@ -13,12 +13,12 @@ use tonic::transport::Channel;
 
 pub(crate) const BINARY: &str = env!("CARGO_BIN_EXE_hullcast");
 
-/// `hullcast serve`; killed when dropped.
+/// A running `hullcast serve`, killed when dropped.
 pub(crate) struct Process {
     pub(crate) child: Child,
     pub(crate) stdin: Option<ChildStdin>,
     pub(crate) address: String,
-    /// Of /readyz, where it was asked for.
+    /// The address of /readyz, if the arguments asked for an admin port.
     pub(crate) admin: Option<String>,
 }
 
@@ -27,7 +27,7 @@ impl Process {
         Self::try_start(command, store, arguments).expect("it listens")
     }
 
-    /// None where it ended before it listened.
+    /// None if the process ended before it listened.
     pub(crate) fn try_start(command: Command, store: &Path, arguments: &[&str]) -> Option<Self> {
         Self::spawn(command, store, arguments, Stdio::null())
     }
@@ -84,7 +84,7 @@ impl Process {
         text.split_once("\r\n\r\n").unwrap().1.to_owned()
     }
 
-    /// Waits until /readyz says something that begins so.
+    /// Waits until the body of /readyz starts with `beginning`.
     pub(crate) async fn until_ready_says(&self, beginning: &str) {
         while !self.get("/readyz").await.starts_with(beginning) {
             tokio::time::sleep(Duration::from_millis(5)).await;
@@ -120,7 +120,7 @@ pub(crate) fn tracer(directory: &Path) -> PathBuf {
     library
 }
 
-/// A connection of its own.
+/// A new connection.
 async fn channel(address: &str) -> Channel {
     Channel::from_shared(format!("http://{address}")).unwrap().connect().await.unwrap()
 }

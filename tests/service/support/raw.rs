@@ -1,5 +1,5 @@
-//! gRPC by hand, for what a well-behaved client cannot send: it enforces its own deadline,
-//! checks its own messages and never names a method that is not there.
+//! gRPC by hand, for requests that a well-behaved client cannot send: such a client enforces its
+//! own deadline, checks its own messages and never names a method that does not exist.
 
 use std::{
     collections::VecDeque,
@@ -19,7 +19,7 @@ use hyper_util::rt::{TokioExecutor, TokioIo};
 use tokio::net::TcpStream;
 use tonic::Status;
 
-/// A request's body.
+/// The body of a request.
 pub(crate) enum Body {
     /// These bytes, then the end.
     Whole(Bytes),
@@ -51,25 +51,25 @@ impl hyper::body::Body for Body {
     }
 }
 
-/// An HTTP/2 connection, to be polled by the caller.
+/// An HTTP/2 connection, which the caller must poll.
 pub(crate) async fn connection(
     address: &str,
 ) -> (SendRequest<Body>, Connection<TokioIo<TcpStream>, Body, TokioExecutor>) {
     let stream = TcpStream::connect(address).await.unwrap();
-    // Else each call waits 40 ms for the acknowledgement of the one before.
+    // Without this option each call waits 40 ms for the acknowledgement of the previous one.
     stream.set_nodelay(true).unwrap();
     handshake(TokioExecutor::new(), TokioIo::new(stream)).await.unwrap()
 }
 
-/// An HTTP/2 connection.
+/// An HTTP/2 connection, polled by a task.
 pub(crate) async fn connect(address: &str) -> SendRequest<Body> {
     let (client, connection) = connection(address).await;
     tokio::spawn(connection);
     client
 }
 
-/// An HTTP/2 connection from another loopback address, whose streams take so many bytes before
-/// the server has to wait for them to be read.
+/// An HTTP/2 connection from another loopback address. Its streams accept `window` bytes before the
+/// server must wait until they are read.
 pub(crate) async fn connect_from(from: &str, address: &str, window: u32) -> SendRequest<Body> {
     let socket = tokio::net::TcpSocket::new_v4().unwrap();
     socket.bind(format!("{from}:0").parse().unwrap()).unwrap();
@@ -82,7 +82,7 @@ pub(crate) async fn connect_from(from: &str, address: &str, window: u32) -> Send
     client
 }
 
-/// A call of `path`.
+/// A call of the method `path`.
 pub(crate) fn call(path: &str, headers: &[(&str, &str)], body: Body) -> Request<Body> {
     let request = Request::post(format!("http://localhost{path}"))
         .header("content-type", "application/grpc")
@@ -90,7 +90,8 @@ pub(crate) fn call(path: &str, headers: &[(&str, &str)], body: Body) -> Request<
     headers.iter().fold(request, |request, (name, value)| request.header(*name, *value)).body(body).unwrap()
 }
 
-/// The status of a call of `path` with `headers` and `body`, and the headers it came in.
+/// The status of a call of `path` on a new connection, and the headers or trailers that contained
+/// it.
 pub(crate) async fn status_of(
     address: &str,
     path: &str,
@@ -100,7 +101,7 @@ pub(crate) async fn status_of(
     status_on(&mut connect(address).await, path, headers, body).await
 }
 
-/// The same on a connection that is there.
+/// The status of a call on an existing connection, and the headers or trailers that contained it.
 pub(crate) async fn status_on(
     client: &mut SendRequest<Body>,
     path: &str,
@@ -111,12 +112,12 @@ pub(crate) async fn status_on(
     ended(response).await
 }
 
-/// The status that a response ends with.
+/// The final status of a response.
 pub(crate) async fn status_in(response: Response<Incoming>) -> Status {
     ended(response).await.0
 }
 
-/// The status that a response ends with, and the headers it came in.
+/// The final status of a response, and the headers or trailers that contained it.
 async fn ended(response: Response<Incoming>) -> (Status, HeaderMap) {
     if let Some(status) = Status::from_header_map(response.headers()) {
         return (status, response.headers().clone());
@@ -130,8 +131,8 @@ async fn ended(response: Response<Incoming>) -> (Status, HeaderMap) {
     panic!("a gRPC answer ends in trailers")
 }
 
-/// The bytes of the answer to a call of `path` with `body`, on a connection of its own; asked
-/// again as long as the server is too busy.
+/// The bytes of the answer to a call of `path` on a new connection. The call is repeated as long as
+/// the server is too busy.
 pub(crate) async fn answer_of(address: &str, path: &str, body: Bytes) -> Bytes {
     loop {
         let request = call(path, &[], Body::Whole(body.clone()));
@@ -156,7 +157,7 @@ pub(crate) async fn answer_of(address: &str, path: &str, body: Bytes) -> Bytes {
     }
 }
 
-/// A gRPC frame around `message`.
+/// A gRPC frame that contains `message`.
 pub(crate) fn frame(compressed: bool, message: &[u8]) -> Bytes {
     let mut frame = BytesMut::new();
     frame.put_u8(compressed.into());

@@ -1,4 +1,4 @@
-//! Seeded scenes, and the answer that the library alone gives for them.
+//! Seeded scenes, and the answers that the library alone gives for them.
 
 use hullcast::{
     contact::{
@@ -11,7 +11,7 @@ use hullcast::{
 
 const NONE: u32 = u32::MAX;
 
-/// Splitmix64: the same scenes on every machine.
+/// SplitMix64, so that the scenes are the same on every machine.
 pub(crate) struct Random(pub(crate) u64);
 
 impl Random {
@@ -22,7 +22,7 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// In [-1, 1).
+    /// A number in [-1, 1).
     pub(crate) fn signed(&mut self) -> f64 {
         (self.next() >> 11) as f64 / (1u64 << 52) as f64 - 1.0
     }
@@ -51,7 +51,7 @@ pub(crate) fn box_points(x: f64, y: f64, z: f64) -> Vec<[f64; 3]> {
         .collect()
 }
 
-/// Points on a unit sphere.
+/// Points on the unit sphere.
 pub(crate) fn round_points(count: usize, seed: u64) -> Vec<[f64; 3]> {
     let mut random = Random(seed);
     (0..count).map(|_| random.unit()).collect()
@@ -61,7 +61,7 @@ pub(crate) fn plain(points: Vec<[f64; 3]>) -> HullDefinition {
     HullDefinition { points, ..HullDefinition::default() }
 }
 
-/// Boxes, a plate, round hulls, and one with a contraction point of its own.
+/// A cube, a plate, two round hulls, and a box with its own contraction point.
 pub(crate) fn shapes() -> Vec<HullDefinition> {
     vec![
         plain(box_points(0.5, 0.5, 0.5)),
@@ -96,8 +96,8 @@ pub(crate) fn id(definition: &HullDefinition) -> Vec<u8> {
     id_of(&definition.identity_bytes()).0.to_vec()
 }
 
-/// `bodies` of `shapes` at random poses in a cube that makes about half the pairs meet, and
-/// `pairs` random pairs, some of a body with itself and some repeated.
+/// `bodies` of `shapes` at random poses, in a cube so small that about half of the pairs meet, and
+/// `pairs` random pairs. Some pairs are of a body with itself, and some are repeated.
 pub(crate) fn scene(
     shapes: &[HullDefinition],
     bodies: usize,
@@ -122,7 +122,7 @@ pub(crate) fn scene(
     request
 }
 
-/// Two unit boxes, overlapping: the smallest valid request.
+/// Two overlapping unit boxes: the smallest valid request.
 pub(crate) fn two_boxes() -> (Vec<HullDefinition>, QueryContactsRequest) {
     let shapes = vec![plain(box_points(0.5, 0.5, 0.5))];
     let request = QueryContactsRequest {
@@ -137,7 +137,7 @@ pub(crate) fn two_boxes() -> (Vec<HullDefinition>, QueryContactsRequest) {
     (shapes, request)
 }
 
-/// Every output there is.
+/// All outputs of the contract.
 pub(crate) const ALL: [Output; 8] = [
     Output::Outcome,
     Output::Alpha,
@@ -153,8 +153,8 @@ pub(crate) fn outputs(outputs: &[Output]) -> Vec<i32> {
     outputs.iter().map(|&output| output as i32).collect()
 }
 
-/// What the contract says the answer is, computed pair after pair by the library alone: no
-/// code of the service. For requests whose hulls are all known.
+/// The answer that the contract specifies, computed pair by pair with the library and without any
+/// code of the service. All hulls of the request must be known.
 pub(crate) fn expected(request: &QueryContactsRequest, shapes: &[HullDefinition]) -> QueryContactsResponse {
     let hulls: Vec<ConvexHull> = shapes.iter().map(|shape| shape.build(usize::MAX).unwrap()).collect();
     let asked: Vec<Output> = match request.outputs.is_empty() {
@@ -182,7 +182,7 @@ pub(crate) fn expected(request: &QueryContactsRequest, shapes: &[HullDefinition]
             (known(&basis[..3], &a) && known(&basis[3..], &b))
                 .then(|| Basis { a: basis[..3].try_into().unwrap(), b: basis[3..].try_into().unwrap() })
         });
-        // A new one for every pair: an answer depends on nothing that came before.
+        // A new workspace for every pair, so that an answer cannot depend on earlier pairs.
         let mut workspace = Workspace::default();
         let manifold = contact_manifold(&a, &b, &query, warm.as_ref(), &mut workspace);
         push_pair(&mut answer, manifold, &asked);
@@ -291,7 +291,7 @@ fn pose(request: &QueryContactsRequest, body: usize) -> Option<Pose> {
     Pose::new(position, rotation).ok()
 }
 
-/// A pair with an unusable body.
+/// Adds the answer for a pair with an unusable body.
 fn push_invalid(answer: &mut QueryContactsResponse, asked: &[Output]) {
     let has = |output| asked.contains(&output);
     answer.outcomes.push(4);
@@ -322,7 +322,7 @@ fn push_invalid(answer: &mut QueryContactsResponse, asked: &[Output]) {
     }
 }
 
-/// Puts the answer for further pairs behind that for the ones before.
+/// Appends the answers for further pairs.
 pub(crate) fn append(joined: &mut QueryContactsResponse, part: QueryContactsResponse) {
     joined.outcomes.extend(part.outcomes);
     joined.flags.extend(part.flags);
@@ -344,12 +344,12 @@ pub(crate) fn append(joined: &mut QueryContactsResponse, part: QueryContactsResp
     joined.kept_areas.extend(part.kept_areas);
 }
 
-/// Equal bit for bit, NaN and signs of zero included.
+/// Asserts that two messages are equal bit for bit, including NaN and the sign of zero.
 #[track_caller]
 pub(crate) fn assert_same(found: &QueryContactsResponse, expected: &QueryContactsResponse) {
     use prost::Message;
     if found.encode_to_vec() != expected.encode_to_vec() {
-        // Debug shows the column; the bytes decide.
+        // The bytes decide; the comparison of the messages shows the column that differs.
         assert_eq!(found, expected);
         panic!("equal but for the sign of a zero or the bits of a NaN");
     }

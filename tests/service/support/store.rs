@@ -1,4 +1,4 @@
-//! A store that fails when told to.
+//! A store that fails on demand.
 
 use std::sync::{
     Arc,
@@ -11,23 +11,23 @@ use tokio::sync::watch;
 
 type Future<'a, T> = futures_util::future::BoxFuture<'a, Result<T, StoreError>>;
 
-/// Memory behind switches and counters.
+/// A store in memory with switches for faults and counters of operations.
 #[derive(Debug)]
 pub(crate) struct Faulty {
     inner: Arc<dyn BlobStore>,
-    /// No read works.
+    /// Every operation fails.
     pub(crate) unreadable: AtomicBool,
-    /// No write works.
+    /// Every write fails because the store is full.
     pub(crate) full: AtomicBool,
-    /// What is read is one bit off.
+    /// One bit of every blob that is read is flipped.
     pub(crate) corrupt: AtomicBool,
-    /// No operation that begins now returns before this is false again.
+    /// While this is true, operations that begin do not return.
     pub(crate) hangs: watch::Sender<bool>,
-    /// Operations begun, probes apart.
+    /// The number of operations begun, without probes and without writes to a full store.
     pub(crate) begun: AtomicUsize,
-    /// Blobs read.
+    /// The number of reads begun.
     pub(crate) reads: AtomicUsize,
-    /// Listings made.
+    /// The number of listings begun.
     pub(crate) listings: AtomicUsize,
 }
 

@@ -1,4 +1,4 @@
-//! Rows about what the hulls are like.
+//! Rows about the shape of the hulls.
 
 use std::rc::Rc;
 
@@ -62,7 +62,7 @@ pub(super) fn aspect() -> Vec<Row> {
     rows
 }
 
-/// A small hull at a large one's faces, edges and corners.
+/// A small hull that nearly touches the faces, edges and corners of a large one.
 pub(super) fn size_ratio() -> Vec<Row> {
     let row = |power: i32| {
         Row::new("size ratio", format!("1e{power}"), move |random| {
@@ -73,7 +73,7 @@ pub(super) fn size_ratio() -> Vec<Row> {
             let small = Shape::about(points, Some(scaled(centre, by)));
             let large = any_shape(random);
             let shapes = if random.below(2) == 0 { [large, small] } else { [small, large] };
-            // By about the small one's size around touching.
+            // The gap or overlap is at most about the small hull's size.
             let alpha = 1.0 + by * random.range(-1.0, 1.0);
             Case::aimed(random, shapes, alpha)
         })
@@ -81,7 +81,7 @@ pub(super) fn size_ratio() -> Vec<Row> {
     (0..=6).map(row).collect()
 }
 
-/// Many vertices; the exact simplex looks at each.
+/// Hulls with many vertices. The exact simplex method evaluates every vertex at each step.
 pub(super) fn vertices() -> Vec<Row> {
     let row = |count: usize| {
         let mut pool: Vec<Rc<Shape>> = Vec::new();
@@ -92,7 +92,8 @@ pub(super) fn vertices() -> Vec<Row> {
                     0 if count >= 6 => prism_points(count / 2, half[0], half[1]),
                     _ => cloud(random, count, half),
                 };
-                // Four points may be all but flat: that is the aspect's row.
+                // A cloud of four points may be nearly flat; flat hulls belong to the rows of the
+                // aspect ratio.
                 let round = |s: &Shape| s.hull.inradius() > 0.02 * s.hull.circumradius();
                 pool.extend(Some(Shape::new(points)).filter(|s| round(s)));
             }
@@ -105,8 +106,8 @@ pub(super) fn vertices() -> Vec<Row> {
     [4, 8, 64, 256, 1024, 4096, 10_000].map(row).into()
 }
 
-/// Near the ends of the sizes accepted, and at the size where another library
-/// panics. (Powers of two aside: those are the scale's rows.)
+/// Sizes near both ends of the accepted range, and the size at which another library panics. Powers
+/// of two are the subject of the scale's rows.
 pub(super) fn tiny() -> Vec<Row> {
     let row = |size: f64| {
         Row::new("hull size", format!("{size:e}"), move |random| {
@@ -118,7 +119,7 @@ pub(super) fn tiny() -> Vec<Row> {
     [1e-49, 1e-23, 1e23, 1e49].map(row).into()
 }
 
-/// Contraction points near a face: the aspect ratio about them grows.
+/// Contraction points near a face. The aspect ratio `R/r` about the contraction point grows.
 pub(super) fn contraction_point() -> Vec<Row> {
     let row = |depth: f64| {
         Row::new("contraction point", format!("{depth:e} inside"), move |random| {

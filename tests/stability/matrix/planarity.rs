@@ -9,14 +9,14 @@ use crate::scene::{Random, box_points, cloud, prism_points};
 const LEVEL: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
 const PLANARITIES: [f64; 4] = [0.0, 1e-4, 1e-3, 1e-2];
 
-/// Coordinates as a file writes them with this many decimals.
+/// The points with their coordinates rounded to this many decimals, as a file writes them.
 fn rounded(points: &[[f64; 3]], digits: i32) -> Vec<[f64; 3]> {
     let unit = 10_f64.powi(digits);
     points.iter().map(|p| p.map(|x| (x * unit).round() / unit)).collect()
 }
 
-/// A shape of about unit size whose coordinates are rounded, or a round one of many vertices,
-/// which a coarse planarity merges across its curvature.
+/// A shape of about unit size with rounded coordinates. Some are round shapes with many vertices: a
+/// coarse planarity merges their faces across the curvature.
 fn shape(random: &mut Random, planarity: f64) -> Rc<Shape> {
     let points = match random.below(3) {
         0 => cloud(random, 150, [1.0, 0.7, 0.5]),
@@ -28,7 +28,7 @@ fn shape(random: &mut Random, planarity: f64) -> Rc<Shape> {
     Shape::merged(rounded(&turned, digits), planarity)
 }
 
-/// At any attitude and growth scale.
+/// Two such shapes at any attitude, at growth scales from deep overlap to clear separation.
 pub(super) fn any() -> Vec<Row> {
     let row = |planarity: f64| {
         Row::new("planarity", format!("{planarity:e}"), move |random| {
@@ -40,8 +40,9 @@ pub(super) fn any() -> Vec<Row> {
     PLANARITIES.map(row).into()
 }
 
-/// A box or prism written turned, with five decimals, that stands on a face: it keeps all of its
-/// corners where the planarity allows for the rounding.
+/// A box or a prism that stands on a face of a larger box. Its coordinates were written in a turned
+/// frame with five decimals, so its faces are not exactly planar. If the planarity allows for that
+/// rounding, the face must keep all its corners in the patch.
 pub(super) fn resting() -> Vec<Row> {
     let row = |planarity: f64| {
         Row::new("planarity", format!("{planarity:e} resting"), move |random| {

@@ -1,4 +1,4 @@
-//! Rows about where the hulls are and what is asked of them.
+//! Rows about the poses of the hulls, and about the query.
 
 use super::{About, Row};
 use crate::case::{Case, Shape, any_shape, cuboid};
@@ -20,7 +20,8 @@ fn any_case(random: &mut Random) -> Case {
     Case::aimed(random, shapes, alpha)
 }
 
-/// Powers of two keep every bit; powers of ten the budget.
+/// Scenes scaled by powers of two, which must keep every bit, and by powers of ten, which must keep
+/// the budget.
 pub(super) fn scale() -> Vec<Row> {
     let binary = |k: i32| {
         Row::new("scale", format!("2^{k}"), move |random| {
@@ -35,7 +36,7 @@ pub(super) fn scale() -> Vec<Row> {
     binary.into_iter().chain([-12, -6, -3, 3, 6, 12].map(decimal)).collect()
 }
 
-/// Far from the world's origin.
+/// Scenes far from the world's origin.
 pub(super) fn world_offset() -> Vec<Row> {
     let row = |length: f64| {
         Row::new("world offset", format!("{length:e}"), move |random| {
@@ -50,9 +51,9 @@ pub(super) fn coincident(row: Row) -> Row {
     row.about(About::Coincident).meets(|met| met.coincident)
 }
 
-/// Centres from coincident to absurdly far, in inradii. The hulls are about
-/// their frames' origin, so that the offset has no noise; and off it, where an
-/// offset below the noise is COINCIDENT.
+/// Centre distances from zero to absurdly large, in units of the pair's inradius. In the first rows
+/// the hulls lie about their frames' origins, so the centre offset has no noise. In the last rows
+/// they lie off the origins, where an offset below its own noise must be COINCIDENT.
 pub(super) fn centre_distance() -> Vec<Row> {
     let centred = |share: f64| {
         let row = Row::new("centre distance", format!("{share:e} r"), move |random| {
@@ -76,14 +77,14 @@ pub(super) fn centre_distance() -> Vec<Row> {
             let d = scaled(random.direction(), share * U * 2.0 * 3.0);
             Case::new([shape.clone(), shape], d, [rotation, rotation])
         });
-        // The noise is 8 u M.
+        // Offsets below 8 u M count as noise.
         if share < 8.0 { coincident(row) } else { row }
     };
     let centred = [0.0, 1e-290, 1e-100, 1e-16, 1e-12, 1e-8, 1e-3, 1e15].map(centred);
     centred.into_iter().chain([0.0, 4.0, 100.0].map(noise)).collect()
 }
 
-/// Growth scales around touching, and far from it.
+/// Growth scales near 1, and very small and very large ones.
 pub(super) fn alpha() -> Vec<Row> {
     let at = |name: String, alpha: fn(&mut Random, f64) -> f64, by: f64| {
         Row::new("alpha", name, move |random| {
@@ -100,7 +101,7 @@ pub(super) fn alpha() -> Vec<Row> {
     near.into_iter().chain([1e-6, 1e-3, 1e3, 1e6].map(far)).collect()
 }
 
-/// Hulls as far apart as the margin, to a share of it; in units of `R`.
+/// Distances that differ from the margin by a small share of it. The margins are in units of `R`.
 pub(super) fn margin() -> Vec<Row> {
     let row = |share: f64| {
         Row::new("margin", format!("{share:e} R"), move |random| {
@@ -108,7 +109,7 @@ pub(super) fn margin() -> Vec<Row> {
             let outer: f64 = case.shapes.iter().map(|s| s.hull.circumradius()).sum();
             let margin = share * outer;
             let off = [0.0, 1e-12, -1e-12, 1e-9, -1e-9, 1e-3, -1e-3][random.below(7)];
-            // A margin of 0: about the hulls' size instead.
+            // For a margin of 0 the difference is a share of the hulls' size instead.
             let distance = margin + off * if share == 0.0 { outer } else { margin };
             let case = Case::along(case.shapes, random.direction(), case.rotations, 1.5);
             case.at_distance(distance.max(0.0)).with_margins([margin])
@@ -118,8 +119,9 @@ pub(super) fn margin() -> Vec<Row> {
     [0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0].map(row).into()
 }
 
-/// Flat hulls whose growth normal is nearly their plane's while the hulls are
-/// beside each other: growth distance alone would call it contact.
+/// A flat plate with a small box beside it. The growth normal is nearly the plate's own normal, and
+/// the separation along it is small, so growth distance alone would report a contact (a "ghost")
+/// although the hulls are far apart.
 pub(super) fn ghosts() -> Vec<Row> {
     let row = |thin: f64| {
         Row::new("ghosts", format!("plate {thin}"), move |random| {
@@ -140,7 +142,7 @@ pub(super) fn ghosts() -> Vec<Row> {
     [0.1, 0.03, 0.01, 1e-3].map(row).into()
 }
 
-/// Every limit of iterations with every tolerance: a valid bracket always.
+/// Iteration limits combined with tolerances. The bracket must be valid in each.
 pub(super) fn budgets() -> Vec<Row> {
     let row = |(limit, tolerance): (u32, f64)| {
         let row = Row::new("budget", format!("{limit} steps, {tolerance:e}"), move |random| Case {
@@ -160,7 +162,7 @@ pub(super) fn budgets() -> Vec<Row> {
     limits.into_iter().chain(tolerances).chain(both).map(row).collect()
 }
 
-/// Quaternions off norm 1: the exact rotation is the normalised one's.
+/// Quaternions that are not of unit norm. The exact rotation is the normalised quaternion's.
 pub(super) fn quaternions() -> Vec<Row> {
     let row = |off: f64| {
         Row::new("quaternion norm", format!("1 +- {off:e}"), move |random| {

@@ -1,4 +1,4 @@
-//! Rows about faces on faces: noise on them, tilts between them, ties.
+//! Rows about faces that rest on faces: noise on the faces, tilts between them, ties.
 
 use super::Row;
 use crate::case::{Case, Shape, cuboid, turn};
@@ -8,12 +8,12 @@ const LEVEL: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
 /// The default feature angle.
 const FEATURE_ANGLE: f64 = 0.01;
 
-/// Some depth of overlap or gap, small against the hulls.
+/// A gap, or a depth of overlap, that is small compared with the hulls.
 fn small_gap(random: &mut Random) -> f64 {
     [-1e-2, -1e-4, -1e-9, 0.0, 1e-9, 1e-3][random.below(6)]
 }
 
-/// A box with points all over its top face.
+/// A box with 25 more points spread over its top face; `height` moves them and the top corners.
 fn dotted_box(random: &mut Random, height: impl Fn(&mut Random, f64, f64) -> f64) -> Vec<[f64; 3]> {
     let mut points = box_points([1.0, 0.8, 0.3]);
     for p in &mut points {
@@ -26,8 +26,8 @@ fn dotted_box(random: &mut Random, height: impl Fn(&mut Random, f64, f64) -> f64
     points
 }
 
-/// Coplanar points moved by some noise: one merged face up to the merge
-/// tolerance, whose patch has every corner; a valid hull always.
+/// Points of one face moved off its plane by noise. Up to the merge tolerance they form one face
+/// whose patch has every corner; beyond it the hull must still be valid.
 pub(super) fn facet_noise() -> Vec<Row> {
     let row = |noise: f64| {
         Row::new("facet noise", format!("{noise:e}"), move |random| {
@@ -38,7 +38,7 @@ pub(super) fn facet_noise() -> Vec<Row> {
             let d = [random.range(-0.3, 0.3), random.range(-0.3, 0.3), 0.5 + small_gap(random)];
             let case = Case::new(shapes, d, [LEVEL, turn([0.0, 0.0, 1.0], spin)]);
             debug_assert!(centre.abs() < 0.1);
-            // The merge tolerance is a millionth of R: half of it merges for sure.
+            // The merge tolerance is 1e-6 R. Noise of at most half of that is certain to merge.
             Case { least_points: if noise <= 3e-7 { 4 } else { 1 }, ..case }
         })
         .meets(|met| met.faces)
@@ -46,7 +46,7 @@ pub(super) fn facet_noise() -> Vec<Row> {
     [1e-15, 1e-12, 1e-9, 1e-7, 1e-6, 1e-4].map(row).into()
 }
 
-/// A top face bent about its middle by an angle (degrees) from 1e-9 to 10.
+/// A top face folded along its middle, by an angle from 1e-9 to 10 degrees.
 pub(super) fn dihedral() -> Vec<Row> {
     let row = |degrees: f64| {
         Row::new("dihedral angle", format!("{degrees:e} deg"), move |random| {
@@ -62,8 +62,8 @@ pub(super) fn dihedral() -> Vec<Row> {
     [1e-9, 1e-6, 1e-4, 1e-2, 0.5, 1.0, 10.0].map(row).into()
 }
 
-/// A box tilted on another: the whole patch while the tilt is within the
-/// feature angle, at least one point always.
+/// A box tilted on another one. The patch has all four corners while the tilt is within the feature
+/// angle, and at least one point beyond it.
 pub(super) fn tilt() -> Vec<Row> {
     let row = |angle: f64| {
         Row::new("tilt", format!("{angle:e}"), move |random| {
@@ -71,7 +71,7 @@ pub(super) fn tilt() -> Vec<Row> {
             let (sin, cos) = random.range(0.0, std::f64::consts::TAU).sin_cos();
             let half = 0.5 * random.range(0.0, std::f64::consts::TAU);
             let [x, y, z, w] = turn([cos, sin, 0.0], angle);
-            // Tilt after spin.
+            // The spin about z is applied first, then the tilt.
             let (s, c) = half.sin_cos();
             let rotation = [x * c + y * s, y * c - x * s, w * s + z * c, w * c - z * s];
             let d = [random.range(-0.3, 0.3), random.range(-0.3, 0.3), 0.5 + small_gap(random)];
@@ -98,7 +98,7 @@ pub(super) fn tilt() -> Vec<Row> {
     [0.0, 1e-12, 1e-9, 1e-6, 1e-4, 1e-3].into_iter().chain(around).chain([1e-1]).map(row).collect()
 }
 
-/// Where several normals are optimal.
+/// Pairs with several optimal normals.
 pub(super) fn ties() -> Vec<Row> {
     let cube = || cuboid([0.5; 3]);
     let axes = |random: &mut Random, zeros: usize| {
@@ -115,11 +115,11 @@ pub(super) fn ties() -> Vec<Row> {
         let shapes = [cuboid(integer(random)), cuboid(integer(random))];
         let d = [0; 3].map(|_| random.below(9) as f64 - 4.0);
         let quarter = |random: &mut Random| {
-            // Turns by 90 and 120 degrees: exact with these quaternions.
+            // Rotations by 0, 120, 120 and 180 degrees, all exact with these quaternions.
             [LEVEL, [0.5, 0.5, 0.5, 0.5], [-0.5, 0.5, 0.5, 0.5], [1.0, 0.0, 0.0, 0.0]][random.below(4)]
         };
         let rotations = [quarter(random), quarter(random)];
-        // Never exactly coincident: that is another row.
+        // Coincident centres are the subject of another row.
         let d = if d == [0.0; 3] { [0.0, 1.0, 0.0] } else { d };
         Case::new(shapes, d, rotations)
     });

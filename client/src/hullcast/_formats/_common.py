@@ -1,4 +1,4 @@
-"""The parts that all readers share: their error, numbers, polygons cut into triangles."""
+"""Shared by all readers: their error, numbers, and the triangulation of polygons."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ import numpy as np
 
 from .._arrays import Floats, Indices
 
-#: The limit for polygons that are not convex: the time for one grows with its square.
+#: The largest number of corners of a polygon that is not convex, because the time to triangulate it
+#: grows with the square.
 _MOST_CORNERS = 2000
 
 
 class Unreadable(Exception):
-    """Why a file has no mesh that can be read.
+    """The reason why no mesh can be read from a file.
 
     Attributes:
         reason: MALFORMED_MESH, or UNSUPPORTED_MESH for a feature that is not read.
@@ -27,19 +28,19 @@ class Unreadable(Exception):
 
 
 def unsupported(message: str) -> Unreadable:
-    """The file is sound but has a feature that is not read."""
+    """The error for a well-formed file with a feature that is not read."""
     return Unreadable(message, "UNSUPPORTED_MESH")
 
 
 def text_of(data: bytes, kind: str) -> str:
-    """The text of a file; binary data is refused."""
+    """The text of a file; raises Unreadable if the data is binary."""
     if b"\0" in data:
         raise Unreadable(f"the file is binary, but {kind} is text")
     return data.decode("utf-8-sig", errors="replace")
 
 
 def number(word: str, where: str) -> float:
-    """A finite number, as the formats write them."""
+    """Parses a finite number, as the formats write it."""
     try:
         value = float(word)
     except ValueError:
@@ -52,7 +53,7 @@ def number(word: str, where: str) -> float:
 def arrays(
     vertices: Sequence[Sequence[float]], faces: Sequence[Sequence[int]]
 ) -> tuple[Floats, Indices]:
-    """Arrays of the lists that a reader made."""
+    """Converts a reader's lists to arrays: vertices (n, 3) float64, faces (m, 3) uint32."""
     return (
         np.array(vertices, dtype="<f8").reshape(-1, 3),
         np.array(faces, dtype="<u4").reshape(-1, 3),
@@ -62,17 +63,17 @@ def arrays(
 def triangles(
     polygon: Sequence[int], vertices: Sequence[Sequence[float]]
 ) -> Iterable[tuple[int, int, int]]:
-    """The triangles of a simple polygon, which need not be convex, by cutting off ears.
+    """Cuts a simple polygon, convex or not, into triangles, by cutting off ears.
 
     Args:
         polygon: indices of vertices, in order around the polygon.
-        vertices: at least as many as the indices need.
+        vertices: the points; there may be more than the polygon uses.
     """
     corners = list(polygon)
     if len(corners) == 3:
         return [(corners[0], corners[1], corners[2])]
     points = np.array([vertices[i] for i in corners], dtype=np.float64)
-    # Newell's normal; the polygon is seen along its largest component.
+    # Newell's normal. The polygon is projected along the axis of its largest component.
     normal = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)
     axis = int(np.argmax(np.abs(normal)))
     x, y = ((1, 2), (2, 0), (0, 1))[axis]
@@ -98,7 +99,7 @@ def triangles(
 
 
 def _is_ear(outline: Floats, i: int) -> bool:
-    """Whether a corner is convex and no other corner is in its triangle."""
+    """Whether a corner is convex and no other corner lies in its triangle."""
     a, b, c = (outline[(i + k) % len(outline)] for k in (-1, 0, 1))
     if not _turns(a, b, c) > 0:
         return False
@@ -109,7 +110,7 @@ def _is_ear(outline: Floats, i: int) -> bool:
 
 
 def _turns(a: Floats, b: Floats, c: Floats) -> Floats:
-    """Positive where a, b, c turn left; of points or of columns of points."""
+    """Positive where a, b, c turn left. The arguments are single points or arrays of points."""
     return (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (
         c[..., 0] - a[..., 0]
     )

@@ -1,8 +1,8 @@
-"""COLLADA: a scene of nodes that place geometries, in XML.
+"""COLLADA (DAE): an XML file with a scene of nodes, which place geometries.
 
-Lengths are converted to metres by the file's unit, as robot software does. The axes are kept
-as they are written, whatever `up_axis` says: robot software does not turn them either, and
-robot descriptions are made for that.
+Lengths are converted to metres by the file's unit, as robot software does. The axes are kept as
+written, whatever `up_axis` says. Robot software does not turn them either, and robot descriptions
+rely on that.
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ from ._common import Unreadable, arrays, number, triangles, unsupported
 
 Element = ElementTree.Element
 
-#: The limits for nodes, because instances of nodes can multiply without end.
+#: Limits of the number of nodes and their nesting, because instances of nodes can multiply the
+#: nodes without bound.
 _MOST_NODES = 100_000
 _DEEPEST = 100
-#: Primitives without area, and what belongs to a mesh without being a primitive.
+#: Primitives without area, and elements of a mesh that are not primitives.
 _IGNORED = frozenset(("source", "vertices", "lines", "linestrips", "extra"))
 
 
 def read(data: bytes) -> tuple[Floats, Indices]:
-    """The triangles of all geometries where the scene's nodes place them, in metres."""
+    """The triangles of all geometries, where the scene's nodes place them, in metres."""
     try:
         root = ElementTree.fromstring(data)
     except (ElementTree.ParseError, ValueError, LookupError) as error:
@@ -44,7 +45,7 @@ def read(data: bytes) -> tuple[Floats, Indices]:
 
 
 class _Scene:
-    """Geometries by identifier, and the nodes that place them."""
+    """The geometries by identifier, and the nodes that place them."""
 
     def __init__(self, root: Element) -> None:
         self._root = root
@@ -73,7 +74,7 @@ class _Scene:
     def _nodes(
         self, parent: Element, pose: Floats, above: Sequence[Element]
     ) -> Iterator[tuple[Floats, Indices]]:
-        """The geometries of an element's nodes; `above` are the nodes that it is in."""
+        """Yields the geometries of an element's nodes; `above` are the nodes that contain it."""
         for child in parent:
             if child.tag == "node":
                 yield from self._node(child, pose, above)
@@ -87,12 +88,16 @@ class _Scene:
             raise Unreadable(f"the node {_name(node)} contains itself")
         self._visited += 1
         if len(above) > _DEEPEST or self._visited > _MOST_NODES:
-            raise unsupported(f"its nodes are over {_MOST_NODES}, or over {_DEEPEST} deep")
+            raise unsupported(
+                f"it has more than {_MOST_NODES} nodes, or nodes more than {_DEEPEST} levels deep"
+            )
         for child in node:
             if child.tag in _TRANSFORMS:
                 pose = pose @ _TRANSFORMS[child.tag](child)
             elif child.tag == "skew":
-                raise unsupported(f"<skew> of the node {_name(node)} is not read; apply it")
+                raise unsupported(
+                    f"<skew> of the node {_name(node)} is not read; export the mesh without it"
+                )
             elif child.tag == "instance_controller":
                 raise unsupported(
                     f"the node {_name(node)} has a skin or a morph (<instance_controller>), "
@@ -107,7 +112,9 @@ class _Scene:
     def _target(self, instance: Element, tag: str) -> Element:
         url = instance.get("url", "")
         if not url.startswith("#"):
-            raise unsupported(f"<{instance.tag}> names another file, {url!r}, which is not read")
+            raise unsupported(
+                f"<{instance.tag}> refers to another file, {url!r}, which is not read"
+            )
         return self._named(url, tag)
 
     def _named(self, reference: str | None, tag: str) -> Element:
@@ -153,10 +160,11 @@ class _Scene:
             for polygon in _PRIMITIVES[primitive.tag](primitive, stride, name):
                 indices = polygon[offset::stride]
                 if len(indices) < 3:
-                    raise Unreadable(f"a polygon of the geometry {name} has under 3 corners")
+                    raise Unreadable(f"a polygon of the geometry {name} has fewer than 3 corners")
                 if max(indices) >= count:
                     raise Unreadable(
-                        f"the geometry {name} names vertex {max(indices)}, of {count} vertices"
+                        f"the geometry {name} refers to vertex {max(indices)}, "
+                        f"but its {count} vertices are numbered from 0"
                     )
                 faces += triangles([places[source] + i for i in indices], vertices)
         return arrays(vertices, faces)
@@ -170,11 +178,11 @@ class _Scene:
         stride = _whole(accessor.get("stride", "1"), name)
         start = _whole(accessor.get("offset", "0"), name)
         count = _whole(accessor.get("count", ""), name)
-        # A parameter without a name is skipped.
+        # A parameter without a name is a coordinate to skip.
         columns = [i for i, p in enumerate(accessor.findall("param")) if p.get("name")]
         if len(columns) != 3:
             raise unsupported(
-                f"the positions of the geometry {name} have {len(columns)} coordinates"
+                f"the positions of the geometry {name} have {len(columns)} coordinates, expected 3"
             )
         if stride <= max(columns) or start + stride * (count - 1) + max(columns) >= len(values):
             raise Unreadable(f"the positions of the geometry {name} end before their accessor does")
@@ -200,7 +208,7 @@ def _indices(element: Element | None, name: str) -> list[int]:
     return [_whole(word, name) for word in words]
 
 
-# Primitives, as polygons: each a list of `stride` indices per corner.
+# Primitives as polygons. Each polygon is a list of indices, `stride` of them per corner.
 
 
 def _polylist(primitive: Element, stride: int, name: str) -> Iterator[list[int]]:
@@ -254,7 +262,7 @@ _PRIMITIVES: dict[str, Callable[[Element, int, str], Iterator[list[int]]]] = {
 }
 
 
-# Transforms of a node, as (4, 4) matrices for columns.
+# The transforms of a node, as (4, 4) matrices that act on column vectors.
 
 
 def _numbers(element: Element, count: int) -> Floats:
@@ -279,7 +287,7 @@ def _scale(element: Element) -> Floats:
 
 
 def _rotate(element: Element) -> Floats:
-    """About an axis by degrees."""
+    """A rotation about an axis by an angle in degrees."""
     *axis, degrees = _numbers(element, 4)
     length = float(np.linalg.norm(axis))
     if not length > 0:
@@ -293,7 +301,7 @@ def _rotate(element: Element) -> Floats:
 
 
 def _lookat(element: Element) -> Floats:
-    """The pose of a viewer at the first point who looks along -z at the second."""
+    """The pose of a viewer at the first point whose -z axis points at the second point."""
     eye, target, up = _numbers(element, 9).reshape(3, 3)
     back = eye - target
     right = np.cross(up, back)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from .._arrays import Floats, Indices
 from ._common import Unreadable, arrays, number, text_of, triangles, unsupported
 
-#: Statements that change no surface: names, attributes, materials, points and lines.
+#: Statements that do not change the surface: names, attributes, materials, points and lines.
 _IGNORED = frozenset(
     [
         "vt",
@@ -30,7 +30,7 @@ _IGNORED = frozenset(
         "trace_obj",
     ]
 )
-#: Free-form curves and surfaces, and statements that include other files.
+#: Statements that are refused: free-form curves and surfaces, and includes of other files.
 _REFUSED = frozenset(
     [
         "vp",
@@ -62,9 +62,9 @@ _REFUSED = frozenset(
 
 
 def read(data: bytes) -> tuple[Floats, Indices]:
-    """The polygons of all groups and objects, as triangles.
+    """The polygons of all groups and objects, cut into triangles.
 
-    Numbers of a vertex after its third, a weight or a colour, are ignored.
+    The numbers of a vertex after the third (a weight or a colour) are ignored.
     """
     vertices: list[list[float]] = []
     polygons: list[tuple[str, list[int]]] = []
@@ -91,7 +91,7 @@ def read(data: bytes) -> tuple[Floats, Indices]:
 
 
 def _statements(text: str) -> Iterator[tuple[str, Sequence[str]]]:
-    """Each statement's line and words; a backslash at a line's end continues it."""
+    """Yields the line and the words of each statement. A backslash at a line's end continues it."""
     start, held = 1, ""
     for i, line in enumerate(text.splitlines(), start=1):
         if line.rstrip().endswith("\\") and "#" not in line:
@@ -106,7 +106,10 @@ def _statements(text: str) -> Iterator[tuple[str, Sequence[str]]]:
 
 
 def _index(corner: str, count: int, where: str) -> int:
-    """From 0: the vertex of `v`, `v/vt`, `v//vn` or `v/vt/vn`; negative ones count from the end."""
+    """The vertex index, from 0, of a corner `v`, `v/vt`, `v//vn` or `v/vt/vn`.
+
+    Negative indices in the file count from the last vertex so far.
+    """
     try:
         given = int(corner.split("/")[0])
     except ValueError:

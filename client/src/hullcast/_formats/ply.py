@@ -26,7 +26,7 @@ _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 class _Property:
     name: str
     kind: str
-    #: The type of a list's length; "" for a single value.
+    #: The type of a list's length; "" for a property with a single value.
     length: str = ""
 
 
@@ -38,7 +38,7 @@ class _Element:
 
 
 def read(data: bytes) -> tuple[Floats, Indices]:
-    """The faces, as triangles; elements other than `vertex` and `face` are skipped."""
+    """The faces, cut into triangles. Elements other than `vertex` and `face` are skipped."""
     order, elements, start = _header(data)
     rows = _Text(data[start:]) if order == "" else _Binary(data, start, order)
     vertices: list[list[float]] = []
@@ -73,13 +73,15 @@ def read(data: bytes) -> tuple[Floats, Indices]:
         if len(polygon) < 3:
             raise Unreadable(f"face {i} has {len(polygon)} corners, at least 3 are needed")
         if min(polygon) < 0 or max(polygon) >= len(vertices):
-            raise Unreadable(f"face {i} names a vertex that is not in 0 .. {len(vertices)}")
+            raise Unreadable(
+                f"face {i} refers to a vertex that does not exist; the file has {len(vertices)}"
+            )
         faces += triangles(polygon, vertices)
     return arrays(vertices, faces)
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], int]:
-    """The byte order, the elements and where the data begins."""
+    """The byte order, the elements, and the offset at which the data begins."""
     end = data.find(b"end_header")
     newline = data.find(b"\n", end)
     if data[:3] != b"ply" or end < 0 or newline < 0:
@@ -118,13 +120,13 @@ def _whole(value: float, where: str) -> int:
 
 
 class _Text:
-    """Values as words."""
+    """Reads values from text."""
 
     def __init__(self, data: bytes) -> None:
         self._words = iter(data.decode("utf-8", errors="replace").split())
 
     def value(self, wanted: _Property, where: str) -> Any:
-        """The next value, or list of values."""
+        """The next value, or the next list of values."""
         if not wanted.length:
             return number(self._word(where), where)
         length = _whole(number(self._word(where), where), where)
@@ -142,13 +144,13 @@ class _Text:
 
 
 class _Binary:
-    """Values as bytes."""
+    """Reads values from binary data."""
 
     def __init__(self, data: bytes, start: int, order: str) -> None:
         self._data, self._at, self._order = data, start, order
 
     def value(self, wanted: _Property, where: str) -> Any:
-        """The next value, or list of values."""
+        """The next value, or the next list of values."""
         if not wanted.length:
             return self._unpack(wanted.kind, 1, where)[0]
         length = self._unpack(wanted.length, 1, where)[0]

@@ -1,4 +1,4 @@
-"""STL: triangles with corners of their own, binary or as text."""
+"""STL: triangles that each have their own corners, binary or as text."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ _TRIANGLE = 50
 def read(data: bytes) -> tuple[Floats, Indices]:
     """The triangles of all solids. The normals are ignored.
 
-    A file is binary where its length is the one that its header announces; many binary
-    files begin with the word `solid`, as text does.
+    A file is binary if its length is the one that its header announces. The first word cannot
+    decide this, because many binary files also begin with the word `solid`.
     """
     count = int.from_bytes(data[80:_HEADER], "little") if len(data) >= _HEADER else -1
     if len(data) != _HEADER + _TRIANGLE * count and _is_text(data):

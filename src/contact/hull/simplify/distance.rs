@@ -1,12 +1,20 @@
-//! How far a point is from the hull of a set of points at most, as GJK finds it
-//! (E. G. Gilbert, D. W. Johnson and S. S. Keerthi, *A fast procedure for computing the distance
-//! between complex objects in three-dimensional space*, 1988, section 4, doi:10.1109/56.2083).
+//! An upper bound of the distance between a point (the *target*) and the hull of a set of points,
+//! by GJK (E. G. Gilbert, D. W. Johnson and S. S. Keerthi, *A fast procedure for computing the
+//! distance between complex objects in three-dimensional space*, 1988, section 4,
+//! doi:10.1109/56.2083).
 //!
-//! The search keeps the point of the hull that is nearest so far, and at most four points of
-//! the set whose hull holds it. It asks the set for the point farthest along the way to the
-//! target, adds it to the four, and looks for the nearest point again. Every nearest point is a
-//! point of the hull, so the distance to it is an upper bound, even if rounding ends the search
-//! early. It takes some ten steps; each asks the set once.
+//! ```text
+//! simplex = [any point of the set]
+//! repeat:
+//!     nearest = the point of the hull of `simplex` that is nearest to the target
+//!     reduce `simplex` to the corners whose hull contains `nearest`
+//!     next = the point of the set that is farthest along target - nearest
+//!     stop if `next` is no farther along than `nearest`; otherwise add it to `simplex`
+//! ```
+//!
+//! The simplex has at most four points. Every `nearest` is a point of the hull of the set, so the
+//! distance to it is an upper bound, even if rounding ends the search early. A search takes about
+//! ten rounds, and each round asks the set one question.
 
 use glam::DVec3;
 
@@ -14,15 +22,14 @@ use super::points::{Added, Guess, PointTree};
 use crate::contact::stop::{Meter, Stopped};
 use crate::contact::tolerance::{DISTANCE_ITERATIONS, NOISE, U};
 
-/// Steps of finding the nearest point of a simplex.
+/// Steps to find the nearest point of a simplex.
 const SIMPLEX: u64 = 250;
 
-/// The answers of a search, one for each of its first steps. The next search for the same target
-/// asks much the same.
+/// The answers that a search got in its first rounds, one per round. The next search for the same
+/// target asks similar questions and starts from these answers.
 pub(super) type Trace = [Guess; 12];
 
-/// An upper bound of the distance of `target` from the hull of the points in the tree, hull
-/// units.
+/// An upper bound of the distance of `target` from the hull of the points in the tree; hull units.
 pub(super) fn distance(
     target: DVec3,
     points: &PointTree,
@@ -37,7 +44,7 @@ pub(super) fn distance(
         meter.spend(SIMPLEX)?;
         let (nearest, kept) = nearest(target, &simplex, known);
         let away = target - nearest;
-        // Less would be rounding: the bound is the shortest distance reached.
+        // A smaller improvement is rounding. The shortest distance so far is the bound.
         if !(away.length() < shortest * (1.0 - NOISE * U)) {
             break;
         }
@@ -47,20 +54,22 @@ pub(super) fn distance(
         if away.dot(next.point) <= away.dot(nearest) || kept.has(next) {
             break;
         }
-        // Three points that were four may have another nearest point.
+        // If the simplex was reduced from four points that surround the target to three, the
+        // nearest point of the three is not known.
         known = (!kept.surround).then_some(nearest);
         simplex = kept.with(next);
     }
-    // Points are within 1 of the centre, weights sum to 1 within rounding.
+    // The points are within 1 of the contraction point and the weights sum to 1 up to rounding,
+    // which this allowance covers.
     Ok(shortest + NOISE * U)
 }
 
-/// At most four points.
+/// A simplex: at most four points of the set.
 #[derive(Clone, Copy, Default)]
 struct Corners {
     points: [Added; 4],
     len: usize,
-    /// They are three of four that surround the target.
+    /// Whether these are three of four points that surround the target.
     surround: bool,
 }
 
@@ -73,7 +82,7 @@ impl Corners {
         self.points().iter().any(|corner| corner.point == p.point)
     }
 
-    /// With another, of at most three.
+    /// Adds a point to at most three others.
     fn with(mut self, p: Added) -> Self {
         self.points[self.len] = p;
         self.len += 1;
@@ -82,9 +91,11 @@ impl Corners {
     }
 }
 
-/// The point of the hull of some points that is nearest to `target`, and those whose hull it
-/// is in. `known` is the nearest point of all but the last of the points, of whose hull each
-/// holds a part: then only the faces with the last are looked at.
+/// The point of the hull of the simplex that is nearest to `target`, and the corners whose hull
+/// contains it.
+///
+/// `known`, if present, is the nearest point of the hull of all corners but the last, and is not in
+/// the hull of fewer of them. Then only the faces with the last corner are examined.
 fn nearest(target: DVec3, simplex: &Corners, known: Option<DVec3>) -> (DVec3, Corners) {
     let all = 1_u32 << simplex.len;
     let (first, mut nearest, mut holder) = match known {
@@ -92,7 +103,7 @@ fn nearest(target: DVec3, simplex: &Corners, known: Option<DVec3>) -> (DVec3, Co
         None => (1, simplex.points[0].point, 1),
     };
     let mut shortest = nearest.distance_squared(target);
-    // The faces of every dimension.
+    // The faces of every dimension: bit `i` of `face` says whether corner `i` belongs to it.
     for face in first..all {
         let (mut corners, mut len) = ([DVec3::ZERO; 4], 0);
         for (i, corner) in simplex.points().iter().enumerate() {
@@ -113,14 +124,17 @@ fn nearest(target: DVec3, simplex: &Corners, known: Option<DVec3>) -> (DVec3, Co
             kept = kept.with(corner);
         }
     }
-    // Four points that surround the target leave no room for a fifth, and need none.
+    // If four points surround the target, the distance is 0. Three of them are kept, since the
+    // simplex has no place for a fifth point.
     kept.surround = holder == 0b1111;
     (nearest, kept)
 }
 
-/// The foot of the perpendicular from `target`, if it is inside; `target` itself if four points
-/// surround it. However the weights are rounded, they are not negative and sum to 1: the foot is
-/// a point of the hull.
+/// The foot of the perpendicular from `target` to the span of the corners, or `None` if the foot is
+/// outside their hull. For four corners that surround `target`, the foot is `target` itself.
+///
+/// The foot is computed as a mixture of the corners with weights that are not negative and sum to
+/// 1. So it is a point of the hull, however the weights are rounded.
 fn foot(target: DVec3, corners: &[DVec3]) -> Option<DVec3> {
     let weights = match *corners {
         [_] => [1.0, 0.0, 0.0, 0.0],
@@ -133,7 +147,8 @@ fn foot(target: DVec3, corners: &[DVec3]) -> Option<DVec3> {
             let n = (b - a).cross(c - a);
             let (at, bt, ct) = (a - target, b - target, c - target);
             let parts = [n.dot(bt.cross(ct)), n.dot(ct.cross(at)), n.dot(at.cross(bt))];
-            // Outside, even if the division underflows: most triangles end here.
+            // Certainly outside, even if the division below would underflow. Most triangles end
+            // here.
             if parts.iter().any(|&part| part < -f64::MIN_POSITIVE) {
                 return None;
             }

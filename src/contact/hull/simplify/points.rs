@@ -1,100 +1,105 @@
-//! A growing set of points that is asked for the point farthest along a direction.
+//! A growing set of points that answers which of its points is farthest along a direction.
 //!
-//! All points that may ever be in the set are known in advance. They are sorted into a tree
-//! with four children for each node: their number is halved twice, along the longest side of
-//! their box (a k-d tree; J. L. Bentley, *Multidimensional binary search trees used for
-//! associative searching*, 1975, doi:10.1145/361002.361007). Each child has axes of its own, two
-//! along the surface that its points lie on and one across it (an OBB tree; S. Gottschalk,
-//! M. C. Lin and D. Manocha, *OBBTree*, 1996, doi:10.1145/237170.237244), and the box along
-//! these axes around those of its points that are in the set. All this is done after a linear
-//! map that makes the whole set about as wide as long, so that a needle is no harder than a
-//! ball. The four boxes of a node are measured together in single precision, which compiles to
-//! vector instructions.
+//! All points that may ever be in the set are known in advance. They are sorted into a tree in
+//! which each node has four children: the points of a node are halved twice, each time at the
+//! median along the longest side of their box (a k-d tree; J. L. Bentley, *Multidimensional binary
+//! search trees used for associative searching*, 1975, doi:10.1145/361002.361007). Each child has
+//! a box around those of its points that are in the set. The axes of the box are its own, two along
+//! the surface that the points lie on and one across it (an OBB tree; S. Gottschalk, M. C. Lin and
+//! D. Manocha, *OBBTree*, 1996, doi:10.1145/237170.237244).
 //!
 //! ```text
-//! add(point):              grow the boxes on the way from the root to the point's leaf
-//! farthest_along(n, near): best = the best of `near`; visit(root), where
-//!   visit(node):           for each child whose bound(box, n) is not below the best height:
-//!                              leaf: compare its points; else: visit(child)
+//! add(point):              grow the boxes on the way from the root to the leaf of the point
+//! farthest_along(n, near): best = the farthest of `near`; visit(root); return best
+//! visit(node):             for each child whose bound(box, n) is not below the height of best:
+//!                              if the child is a leaf, compare its points with best;
+//!                              otherwise visit(child)
 //! ```
 //!
-//! The bound takes, for each axis of the node, the end of the box that is farther along `n`, and
-//! adds an allowance for all roundings. A point that it leaves out is certainly lower, so the
-//! answer is to the bit the one that looking at every point gives. If several points are equally
-//! high, the answer is the one that was added first.
+//! The bound takes, for each axis of a box, the end that is farther along `n`, and adds an
+//! allowance for all roundings. A point that the bound rules out is certainly lower than the best
+//! one. So the answer is, to the bit, the answer of a scan over all points. If several points are
+//! equally high, the answer is the point that was added first.
 //!
-//! A patch of a smooth surface is flat to the square of its size, and so is its box. A search
-//! therefore opens few nodes beside those on the way to the answer: it takes about the logarithm
-//! of the number of points, as adding a point does.
+//! Two choices make it fast. The four boxes of a node are evaluated together in single precision,
+//! which compiles to vector instructions. And the points are first mapped linearly so that the set
+//! is about as wide as it is long; a needle is then no harder than a ball.
+//!
+//! A patch of a smooth surface of size `h` has a thickness of about `h^2`, and so does its box. A
+//! search therefore opens few nodes besides those on the way to the answer. Searching and adding
+//! both take about logarithmic time.
 
 use glam::DVec3;
 
 use crate::contact::stop::{Meter, Stopped};
 use crate::contact::tolerance::{NOISE, U};
 
-/// Points of a leaf at most.
+/// The largest number of points in a leaf.
 const LEAF: usize = 8;
-/// Not in the set yet.
+/// Marks a point that is not in the set yet.
 const ABSENT: u32 = u32::MAX;
-/// Children of a node.
+/// The number of children of a node.
 const CHILDREN: usize = 4;
-/// Steps of the bounds of a node's children.
+/// Steps to compute the bounds of the children of a node.
 const BOUNDS: u64 = 24;
-/// Steps of the height of one point.
+/// Steps to compute the height of one point.
 const HEIGHT: u64 = 3;
-/// Nodes that wait in a search: three of each of 16 levels, and one.
+/// The largest number of nodes that wait in a search: three on each of 16 levels, and one more.
 const MOST_OPEN: usize = 64;
 
-/// See the module.
+/// A growing set of points in a tree; see the module's documentation.
 pub(super) struct PointTree {
-    /// In the order of the leaves.
+    /// The points in the order of the leaves. The index of a point here is its *place*.
     points: Vec<DVec3>,
-    /// For each point, how many were added before it, or [`ABSENT`].
+    /// For each place, the number of points added before the point, or [`ABSENT`].
     added: Vec<u32>,
-    /// The place of each point, by its index among those given.
+    /// For each point, by its given index, its place.
     places: Vec<u32>,
-    /// The root first.
+    /// The nodes. The root is first.
     nodes: Vec<Node>,
     map: Map,
     first: Added,
     count: u32,
 }
 
-/// A point of the set, and how many were added before it.
+/// A point of the set, and the number of points that were added before it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Added {
     pub(super) point: DVec3,
     before: u32,
-    /// Its place in the tree.
+    /// The place of the point in the tree.
     place: u32,
 }
 
-/// The place of a point that answered a question. The first place is as good as any other.
+/// The place of the point that answered an earlier question. Any place is a valid guess, so the
+/// default is the first place.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Guess(u32);
 
-/// A number for each child of a node.
+/// One value for each child of a node.
 type Each<T> = [T; CHILDREN];
 
-/// The children of a node: their points, and the boxes around those in the set.
+/// The children of a node: their points, and the boxes around the points that are in the set.
 #[derive(Default)]
 struct Node {
-    /// For each axis its coordinates, unit: along the surface, along it, and across it.
+    /// The coordinates of the three unit axes of each box. Two axes are along the surface, and the
+    /// third is across it.
     axes: [[Each<f32>; 3]; 3],
-    /// Along each axis.
+    /// The ends of each box along each axis.
     low: [Each<f32>; 3],
     high: [Each<f32>; 3],
     /// 0 if a point of the child is in the set, otherwise negative infinity.
     filled: Each<f32>,
-    /// The place of the child's own node, or 0 for a leaf.
+    /// The index of the node with the children of this child, or 0 if the child is a leaf.
     nodes: Each<u32>,
-    /// The child's points are at `starts..ends`.
+    /// The points of the child are at the places `starts..ends`.
     starts: Each<u32>,
     ends: Each<u32>,
 }
 
 impl Node {
-    /// No point of a child that is in the set is higher along `n`, but for rounding.
+    /// For each child, an upper bound of the height along `n` of its points in the set, not counting
+    /// rounding.
     #[inline]
     fn bounds(&self, n: [f32; 3]) -> Each<f32> {
         let mut bounds = self.filled;
@@ -109,7 +114,7 @@ impl Node {
         bounds
     }
 
-    /// Grows the box of child `c`.
+    /// Grows the box of child `c` to contain `point`.
     fn add(&mut self, c: usize, point: DVec3) {
         let new = self.filled[c] != 0.0;
         self.filled[c] = 0.0;
@@ -121,8 +126,9 @@ impl Node {
     }
 }
 
-/// Axes of points on a patch of a surface: towards the farthest from the first, in the plane of
-/// these two and the point farthest from their line, and across that plane.
+/// Orthogonal axes for points on a patch of a surface. The first axis points from the first point to
+/// the point farthest from it. The second is in the plane of these two points and the point
+/// farthest from their line. The third is across that plane.
 fn axes(points: impl Iterator<Item = DVec3> + Clone) -> [DVec3; 3] {
     let Some(first) = points.clone().next() else { return DVec3::AXES };
     let farthest = |size: &dyn Fn(DVec3) -> f64| {
@@ -131,20 +137,21 @@ fn axes(points: impl Iterator<Item = DVec3> + Clone) -> [DVec3; 3] {
     };
     let along = farthest(&|p| (p - first).length_squared()).normalize_or(DVec3::X);
     let other = farthest(&|p| along.cross(p - first).length_squared());
-    // Twice, so that the axes are orthogonal to rounding even if both directions are nearly one.
+    // Applied twice, so that the axes are orthogonal to rounding even if both directions are nearly
+    // parallel.
     let reject = |v: DVec3| (v - along * along.dot(v)).normalize_or(along.any_orthonormal_vector());
     let other = reject(reject(other));
     [along, other, along.cross(other)]
 }
 
 impl PointTree {
-    /// The tree over `all` points, with the one of index `first` in the set.
+    /// Builds the tree over `all` points. The set contains only the point with index `first`.
     pub(super) fn new(all: &[DVec3], first: u32, meter: &Meter<'_>) -> Result<Self, Stopped> {
         let mut order: Vec<u32> = (0..all.len() as u32).collect();
         meter.spend(16 * HEIGHT * all.len() as u64)?;
         let map = Map::new(all);
         let round: Vec<DVec3> = all.iter().map(|&p| map.point(p)).collect();
-        // Nodes to be made, with their points.
+        // The points of each node; node `i` is made from `ranges[i]`.
         let mut ranges = Vec::new();
         ranges.push(0..all.len());
         let mut nodes = Vec::new();
@@ -181,7 +188,7 @@ impl PointTree {
         Ok(tree)
     }
 
-    /// Adds the point of this index among all.
+    /// Adds the point with this given index to the set.
     pub(super) fn add(&mut self, index: u32) {
         let place = self.places[index as usize];
         let point = self.points[place as usize];
@@ -205,9 +212,12 @@ impl PointTree {
         self.first
     }
 
-    /// The point of the set that is farthest along `n`, of equals the one added first. `near` are
-    /// points of the set that may be about as far, and so may be `guess`, the answer to an earlier
-    /// question, which becomes the answer to this one.
+    /// The point of the set that is farthest along `n`. If several are equally far, the point that
+    /// was added first.
+    ///
+    /// `near` and `guess` only speed the search up: `near` holds points of the set that may be
+    /// nearly as far, and `guess` is the answer to an earlier question. The new answer is stored in
+    /// `guess`.
     pub(super) fn farthest_along(
         &self,
         n: DVec3,
@@ -219,7 +229,7 @@ impl PointTree {
         near.iter().for_each(|&added| best.improve(n, added));
         best.improve(n, self.at(guess.0));
         let (mapped, offset, rounding) = self.map.direction(n);
-        // Nodes that wait, with their bounds.
+        // The nodes that wait to be visited, with their bounds.
         let mut open = [(0_u32, f64::INFINITY); MOST_OPEN];
         let mut count = 1;
         while count > 0 {
@@ -272,26 +282,28 @@ impl Best {
     }
 }
 
-/// Makes a set about as wide in every direction: `p = mean + factor * q`, with the Cholesky
-/// factor of the points' covariance.
+/// A linear map that makes a set about equally wide in all directions. A point `p` is mapped to `q`
+/// with `p = mean + factor * q`, where `factor` is the Cholesky factor of the covariance of the
+/// points.
 struct Map {
     mean: DVec3,
     /// The lower triangle of the factor, column by column.
     factor: [f64; 6],
-    /// The largest coordinate of a mapped point.
+    /// The largest absolute coordinate of a mapped point.
     reach: f64,
 }
 
-/// Roundoffs of single precision in a bound, as a share of its largest product: three axes, two
-/// sums of products for each, and the rounding of their factors.
+/// The rounding error of a bound in single precision, as a share of its largest product. It covers
+/// three axes, two sums of products for each axis, and the rounding of the factors.
 const SINGLE_ROUNDING: f64 = 64.0 * (f32::EPSILON / 2.0) as f64;
 
 impl Map {
+    /// The map for these points.
     fn new(all: &[DVec3]) -> Self {
         let count = all.len().max(1) as f64;
         let mean = all.iter().sum::<DVec3>() / count;
         let of = |i: usize, j: usize| all.iter().map(|&p| (p - mean)[i] * (p - mean)[j]).sum::<f64>() / count;
-        // A variance that rounding makes zero or less leaves its coordinate as it is.
+        // If rounding makes a variance zero or negative, its coordinate is not scaled.
         let root = |x: f64| if x > 0.0 { x.sqrt() } else { 1.0 };
         let a = root(of(0, 0));
         let (b, d) = (of(1, 0) / a, of(2, 0) / a);
@@ -303,6 +315,7 @@ impl Map {
         map
     }
 
+    /// The mapped point.
     fn point(&self, p: DVec3) -> DVec3 {
         let [a, b, d, c, e, f] = self.factor;
         let p = p - self.mean;
@@ -311,9 +324,9 @@ impl Map {
         DVec3::new(x, y, (p.z - d * x - e * y) / f)
     }
 
-    /// A direction, so that a point's height along `n` is the second number more than that of
-    /// the mapped point along the mapped direction; and how much a bound of the height may be
-    /// too low.
+    /// The mapped direction, an offset, and a rounding allowance. The height of a point along `n` is
+    /// the height of the mapped point along the mapped direction, plus the offset. A bound of a
+    /// height that is computed in single precision is too low by at most the allowance.
     fn direction(&self, n: DVec3) -> ([f32; 3], f64, f64) {
         let [a, b, d, c, e, f] = self.factor;
         let mapped = DVec3::new(a * n.x + b * n.y + d * n.z, c * n.y + e * n.z, f * n.z);
@@ -323,8 +336,8 @@ impl Map {
     }
 }
 
-/// Orders the indices so that the first half's points come before the others along the
-/// longest side of their box; returns the size of the half.
+/// Orders the indices so that the points of the first half come before the others along the longest
+/// side of their box. Returns the size of the first half.
 fn halve(all: &[DVec3], indices: &mut [u32]) -> usize {
     if indices.len() < 2 {
         return indices.len();
@@ -345,9 +358,9 @@ mod tests {
     use crate::contact::stop::Stop;
     use crate::workload::Random;
 
-    /// Catches a box that does not grow, a bound below one of its points, and a tie that goes to
-    /// another point than the first: whole coordinates tie all the time, and every answer is
-    /// compared with looking at all points in the order in which they were added.
+    /// Catches a box that does not grow, a bound that is below one of its points, and a tie that
+    /// does not go to the point added first. Points with integer coordinates tie all the time. Every
+    /// answer is compared with a scan over all points in the order in which they were added.
     #[test]
     fn the_farthest_point_is_the_one_that_looking_at_all_finds() {
         let mut random = Random::new(11);

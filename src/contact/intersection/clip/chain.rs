@@ -1,41 +1,41 @@
 //! A large convex polygon clipped by another in linear time.
 //!
-//! The result is the same, to the bit, as that of cutting by one side after another, but
-//! each cut looks only at the vertices near its line. Along a convex polygon the distance from a
-//! line falls to its least value and rises again. The sides of the window turn around once,
-//! and the nearest vertex moves around the polygon with them (rotating calipers; G. T.
-//! Toussaint, *Solving geometric problems with the rotating calipers*, 1983).
+//! The result equals that of cutting by one side after another, to the bit, but each cut examines only
+//! the vertices near its line. Along a convex polygon the distance from a line falls to its least
+//! value and rises again. The directions of the window's sides turn around once, and the vertex of
+//! least distance moves around the polygon with them. These are rotating calipers (G. T. Toussaint,
+//! *Solving geometric problems with the rotating calipers*, 1983):
 //!
 //! ```text
 //! at = any vertex
 //! for each side of the window:
-//!     walk from `at` forwards and backwards until the distance has certainly passed its least
-//!     value and is more than `eps`; at = the vertex of the least distance
-//!     if that is beyond the side: replace the run of vertices beyond it by the two crossings
+//!     walk from `at` forwards and backwards, until the distance has certainly passed its least
+//!         value and is more than eps; at = the vertex of least distance
+//!     at is beyond the side: replace the run of vertices beyond it by the two crossings
 //! ```
 //!
-//! The vertices are a doubly linked list, so that a run is replaced in constant time. Every
-//! vertex is removed once at most, every cut adds two at most, and `at` goes around once: `n`
-//! and `m` sides take `O(n + m)`.
+//! The vertices form a doubly linked list, so that a run is replaced in constant time. Every vertex is
+//! removed at most once, every cut adds at most two, and `at` goes around once. Polygons of `n` and `m`
+//! sides therefore take `O(n + m)` time.
 //!
-//! A walk ends only where the distance is above the least one by more than all rounding that
-//! may have gathered, a share of `eps` for each cut. So a vertex that was not looked at is
-//! farther than `eps` inside. (Several runs beyond one side, which only rounding makes, are
-//! cut as in the plain version.)
+//! A walk ends only where the distance exceeds the least one by more than all the rounding that may
+//! have accumulated, which is a share of `eps` for each cut. Hence a vertex that was not examined is
+//! farther than `eps` inside. Rounding alone can make several runs beyond one side. Such a cut is done
+//! as in the plain version.
 
 use super::{Clip, Cut, Line, Side, Vertex};
 use crate::contact::intersection::outline::Outline;
 
-/// Fewer vertices than this are cut by looking at all.
+/// Polygons with fewer vertices than this are cut by examining all of them.
 const FEW: usize = 16;
 
-/// A vertex and its neighbours.
+/// A vertex, and its neighbours in the list.
 #[derive(Clone, Copy, Debug)]
 struct Link {
     vertex: Vertex,
     next: u32,
     previous: u32,
-    /// From the side that was walked along last.
+    /// Distance from the side of the last walk that reached this vertex.
     distance: f64,
 }
 
@@ -46,17 +46,17 @@ pub(super) struct Chain {
     /// The first vertex of the outline.
     start: u32,
     count: usize,
-    /// Where the next walk begins.
+    /// The vertex where the next walk begins.
     at: u32,
-    /// Vertices that walks looked at.
+    /// Vertices examined by walks.
     pub(super) looked_at: u64,
 }
 
-/// The vertices that a walk looked at, one after another.
+/// The consecutive vertices that a walk examined.
 struct Walk {
     first: u32,
     last: u32,
-    /// The walk went all around.
+    /// Whether the walk went all the way around.
     whole: bool,
     least: f64,
     on_line: bool,
@@ -88,7 +88,8 @@ impl Chain {
         &self.links[i as usize]
     }
 
-    /// Looks at the vertices around the one nearest to the line of `side`, or beyond it.
+    /// Examines the vertices on both sides of the one that is nearest to the line of `side` or farthest
+    /// beyond it, and sets `at` to that vertex.
     fn walk(&mut self, side: &Side, eps: f64, slack: f64) -> Walk {
         let from = self.at;
         let mut walk = Walk { first: from, last: from, whole: false, least: f64::INFINITY, on_line: false };
@@ -126,11 +127,11 @@ impl Chain {
         distance
     }
 
-    /// The last vertex inside before the run that is beyond the side, and the first inside after
-    /// it; none if there is not one such run.
+    /// The last vertex inside before the run beyond the side, and the first vertex inside after it. None
+    /// if there is not exactly one such run.
     fn ends(&self, walk: &Walk, eps: f64) -> Option<[u32; 2]> {
         let inside = |i: u32| self.link(i).distance >= -eps;
-        // Not all around, the walk began and ended inside.
+        // A walk that did not go all the way around began and ended inside.
         let (mut leaves, mut enters, mut runs) = (0, 0, 0);
         let mut before = !walk.whole || inside(walk.last);
         let mut i = walk.first;
@@ -150,7 +151,7 @@ impl Chain {
         (runs == 1).then_some([leaves, enters])
     }
 
-    /// Replaces the vertices beyond side `j` of the window, between two that are inside.
+    /// Replaces the vertices beyond side `j` of the window, between two that are inside, by the crossings.
     fn replace(&mut self, window: &Outline, j: u32, eps: f64, [leaves, enters]: [u32; 2]) {
         let mut beyond = self.link(leaves).next;
         while beyond != enters {
@@ -180,7 +181,7 @@ impl Chain {
         (self.start, self.at) = (enters, last);
     }
 
-    /// A new vertex after `previous`.
+    /// Adds a new vertex after `previous` and returns its index.
     fn append(&mut self, previous: u32, vertex: Vertex) -> u32 {
         let i = self.links.len() as u32;
         self.links.push(Link { vertex, next: i, previous, distance: 0.0 });
@@ -191,9 +192,9 @@ impl Chain {
 }
 
 impl Clip {
-    /// [`Clip::cut_plainly`], in linear time.
+    /// [`Clip::cut_plainly`] in linear time.
     pub(super) fn cut_chain(&mut self, window: &Outline, eps: f64) -> bool {
-        // Every cut rounds its new vertices by a few roundoffs, a sixteenth of `eps`.
+        // Every cut rounds its new vertices by a few roundoffs: at most a sixteenth of `eps`.
         let cuts = self.kept.len() + window.sides.len();
         let slack = eps * (2.0 + cuts as f64 / 8.0);
         let (mut on_line, mut linked) = (false, false);
@@ -242,10 +243,10 @@ mod tests {
     use crate::contact::intersection::outline::{Corner, random_polygon};
     use crate::workload::Random;
 
-    /// Catches a walk that passes the nearest vertex, a run that leaves one beyond a side or loses
-    /// one inside, crossings linked in the wrong order, and an outline that begins elsewhere: on
-    /// polygons in every position, with corners on lines and sides nearly parallel, the chain
-    /// keeps what the plain version keeps, to the bit.
+    /// Polygons in every position, with corners on lines and nearly parallel sides: the chain must keep
+    /// what the plain version keeps, to the bit. Catches a walk that passes the nearest vertex, a run that
+    /// leaves a vertex beyond a side or loses one inside, crossings linked in the wrong order, and an
+    /// outline that begins elsewhere.
     #[test]
     fn a_chain_keeps_what_the_plain_version_keeps() {
         let mut random = Random::new(21);
@@ -255,7 +256,7 @@ mod tests {
             let [of_a, of_b] = [(); 2].map(|()| 3 + random.below(150));
             let (a, mut b) = (random_polygon(&mut random, of_a, 0), random_polygon(&mut random, of_b, 1000));
             match round % 4 {
-                // Nearly the same polygon, a little turned.
+                // Nearly the same polygon, rotated a little.
                 0 => {
                     let turn = DVec2::from_angle(10_f64.powi(-2 - round / 4 % 14));
                     b.corners.clone_from(&a.corners);

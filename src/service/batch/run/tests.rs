@@ -1,4 +1,4 @@
-//! Chunks, their memory and their cost, without threads.
+//! Tests of chunks, their memory and their cost, without threads.
 
 use super::*;
 use crate::{
@@ -15,7 +15,7 @@ fn engine(max_answer_bytes: usize) -> Engine {
     Engine::new(Compute::new(1).unwrap(), bounds, Arc::default())
 }
 
-/// Generated pairs, every output asked for.
+/// A batch of generated pairs with all outputs.
 fn batch(family: Family, regime: Regime, pairs: usize) -> Batch {
     let workload = Workload::generate(family, regime, pairs, 1).unwrap();
     let hulls = workload.hulls.iter().map(|points| Ok(Arc::new(ConvexHull::new(points).unwrap())));
@@ -37,7 +37,7 @@ fn run(engine: &Engine, batch: Batch) -> Run {
     let job = Job::new(Caller::alone());
     let admission = engine.place(batch.pair_count(), &job.caller).unwrap();
     let mut memory = Permit::unbounded(Part::Answers);
-    // As in a server, the caller has an account already.
+    // As in a server, the caller already has an account.
     memory.grow(1).unwrap();
     engine.begin(batch, admission, &job, memory)
 }
@@ -49,14 +49,14 @@ fn answer(run: &Run, chunks: Vec<Columns>) -> (Columns, Permit) {
     }
 }
 
-/// Catches an allocation for every pair, or every chunk of pairs: once buffers have grown,
-/// chunks allocate nothing, and an answer only its columns.
+/// Catches an allocation per pair or per chunk. Once the buffers have grown, chunks must allocate
+/// nothing, and an answer only its columns.
 #[test]
 fn the_steady_state_allocates_nothing_per_pair() {
     let engine = engine(64 << 20);
     for regime in Regime::ALL {
         for pairs in [1000, 4096] {
-            // Again and again: chunks' buffers go round.
+            // Several rounds, so that the chunks' buffers are reused.
             for round in 0..8 {
                 let run = run(&engine, batch(Family::Poly16, regime, pairs));
                 let mut chunks = Vec::with_capacity(run.count());
@@ -74,8 +74,8 @@ fn the_steady_state_allocates_nothing_per_pair() {
     assert!(engine.pairs_computed() > 100_000);
 }
 
-/// Catches columns that are in no budget while they are computed or once they are whole, and
-/// a batch that goes on without memory.
+/// Catches columns that are in no budget while they are computed, or after they are joined, and a
+/// batch that goes on without memory.
 #[test]
 fn columns_are_counted_from_the_first_chunk_on() {
     let engine = engine(64 << 20);
@@ -106,8 +106,8 @@ fn columns_are_counted_from_the_first_chunk_on() {
     assert!(run.part(refused + 1).is_err());
 }
 
-/// Catches bytes that depend on the chunks, chunks that lose or repeat a pair, and a chunk that
-/// costs much more than a millisecond: the same pairs, cut equally and by their cost.
+/// Cuts the same pairs equally and by their cost. Catches bytes that depend on the chunks, chunks
+/// that lose or repeat a pair, and a chunk that costs much more than a millisecond.
 #[test]
 fn the_same_columns_whatever_the_chunks() {
     let engine = engine(1 << 30);
@@ -128,14 +128,14 @@ fn the_same_columns_whatever_the_chunks() {
             most = most.max(run.job.stop.largest_between_looks());
             answer(&run, chunks).0
         });
-        // NaN is NaN: compared as text.
+        // NaN is not equal to itself, so compare the text.
         assert_eq!(format!("{equal:?}"), format!("{by_pairs:?}"), "{family:?}");
     }
     assert!(most > 0 && most <= 2 * crate::contact::STEPS_BETWEEN_LOOKS, "{most}");
 }
 
-/// Catches chunks that are counted in pairs although each pair is costly, and a pair whose
-/// estimate is far below its cost: faces of thousands of sides upon each other.
+/// Prisms of 2,048 sides whose end faces overlap. Catches chunks that are cut by the number of
+/// pairs although each pair is expensive, and a pair whose estimate is far below its cost.
 #[test]
 fn chunks_of_costly_pairs_are_short() {
     let sides = 2048;

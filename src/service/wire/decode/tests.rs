@@ -1,4 +1,5 @@
-//! Requests that are meant to take memory or time, and requests in every form that prost reads.
+//! Tests of requests that aim at the server's memory or time, and of requests in every form that
+//! prost reads.
 
 use bytes::BufMut;
 use prost::{
@@ -9,7 +10,7 @@ use prost::{
 use super::*;
 use crate::contact::STEPS_BETWEEN_LOOKS;
 
-/// Bytes of the large messages: enough that memory for each element would show.
+/// The size of large messages: enough that memory for each element would show.
 const LARGE: usize = 2 << 20;
 
 fn limits() -> Limits {
@@ -25,7 +26,7 @@ fn field(tag: u32, content: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// So many doubles, each a field of its own.
+/// `count` doubles, each as a field of its own.
 fn unpacked(tag: u32, count: usize) -> Vec<u8> {
     let mut bytes = Vec::new();
     for i in 0..count {
@@ -51,9 +52,9 @@ fn query(bodies: usize) -> proto::QueryContactsRequest {
     }
 }
 
-/// Catches memory that grows with the number of elements before they are counted: messages of
-/// elements that take two bytes or fewer on the wire, and columns over a limit, are refused by
-/// name, and next to nothing is allocated for them.
+/// Messages with many elements of at most two bytes, and columns over a limit, must be refused with
+/// the field's name, and with almost no allocation. Catches memory that grows with the number of
+/// elements before they are counted.
 #[test]
 fn elements_are_counted_before_anything_is_allocated() {
     let empty = |tag| field(tag, &[]).repeat(LARGE / 2);
@@ -70,7 +71,8 @@ fn elements_are_counted_before_anything_is_allocated() {
         ("QueryContacts", [13 << 3, 1].repeat(LARGE / 2), "TOO_MANY_OUTPUTS", "outputs"),
         ("QueryContacts", field(4, &vec![0; LARGE]), "TOO_MANY_BODIES", "body_hulls"),
         ("QueryContacts", field(7, &vec![0; LARGE]), "TOO_MANY_PAIRS", "pairs"),
-        // Each message within the last is empty, or has an unknown field.
+        // The first message contains an empty message, the last one hulls with only an unknown
+        // field.
         ("QueryContacts", [field(12, &[]), empty(3)].concat(), "TOO_MANY_HULLS", "hull_ids"),
         ("RegisterHulls", field(1, &field(99, &[])).repeat(1 << 20), "TOO_MANY_HULLS", "hulls"),
     ];
@@ -84,8 +86,8 @@ fn elements_are_counted_before_anything_is_allocated() {
     }
 }
 
-/// Catches a hull that is copied before it is known to be too large, or refused together with
-/// the hulls beside it: at the limit it is taken, a hull one point past it is refused, and the others are not.
+/// Hulls at the limit must be accepted, and a hull one point over it refused without affecting the
+/// others. Catches a hull that is copied before it is known to be too large.
 #[test]
 fn points_of_a_hull_at_their_limit_and_one_past() {
     let (limits, stop) = (limits(), Stop::default());
@@ -109,7 +111,7 @@ fn points_of_a_hull_at_their_limit_and_one_past() {
     assert!(made.bytes_max <= (24 * (points + 4) + 4 * HULL_BYTES) as u64, "{made:?}");
 }
 
-/// Catches lists of outputs and paths that are refused at their limit, or taken past it.
+/// Catches lists of outputs and paths that are refused at their limit, or accepted past it.
 #[test]
 fn outputs_and_paths_at_their_limits_and_one_past() {
     let outputs = |count: usize| [query(1).encode_to_vec(), field(13, &vec![1; count])].concat();
@@ -123,11 +125,11 @@ fn outputs_and_paths_at_their_limits_and_one_past() {
     }
 }
 
-/// Large messages that are accepted, in every form that prost reads, and those whose fault is
-/// found late.
+/// Large messages that are accepted, in every form that prost reads, and large messages whose fault
+/// is found late.
 fn large_messages() -> Vec<(&'static str, Vec<u8>)> {
     let whole = query(100_000);
-    // Columns in many parts, singular and unknown fields again and again between them.
+    // Columns in many parts, with repeated singular fields and unknown fields between them.
     let mut split = Vec::new();
     for body in 0..50_000 {
         let part = proto::QueryContactsRequest {
@@ -142,7 +144,7 @@ fn large_messages() -> Vec<(&'static str, Vec<u8>)> {
         part.encode(&mut split).unwrap();
         split.extend(field(900, b"unknown"));
     }
-    // Bodies whose pose is unusable are listed: 4 bytes more for each.
+    // Bodies with an unusable pose are listed, which takes 4 bytes more per body.
     let unusable = proto::QueryContactsRequest { positions: vec![f64::NAN; 300_000], ..whole.clone() };
     let group = |content: &[u8]| [&[0xa3, 0x38], content, &[0xa4, 0x38]].concat();
     let hulls = |hull: Vec<u8>| field(1, &hull).repeat(100);
@@ -171,8 +173,8 @@ fn large_messages() -> Vec<(&'static str, Vec<u8>)> {
     ]
 }
 
-/// Catches memory beyond the stated multiple of a message, whether it is accepted or refused, and
-/// memory that is allocated although the budget was not asked for it.
+/// Catches memory beyond the documented multiple of a message, whether it is accepted or refused,
+/// and memory that is allocated without being taken from the budget.
 #[test]
 fn decoding_takes_at_most_twice_the_message() {
     let mut accepted = 0;
@@ -206,12 +208,12 @@ fn nothing_is_allocated_without_room() {
         let hulls = field(1, &field(1, &vec![0; 24 * 3000]));
         assert_eq!(proto::RegisterHullsRequest::read(&hulls, bounds).err(), Some(none()));
     });
-    // The message of hulls itself is made within.
+    // The encoded message with the hulls is made inside the measurement.
     assert!(made.bytes_max <= 4 * 24 * 3000, "{made:?}");
 }
 
-/// Catches decoding and validation that go on for more than a millisecond after nobody waits
-/// any more, wherever in the message the time is spent.
+/// Catches decoding and validation that go on for more than a millisecond after the work was
+/// stopped, in any part of a message.
 #[test]
 fn decoding_looks_at_the_flag() {
     for (method, message) in large_messages() {
@@ -221,7 +223,7 @@ fn decoding_looks_at_the_flag() {
         let stopped = Stop::default();
         stopped.stop();
         let result = decoded_bytes(method, &message, &limits(), &stopped);
-        // Shorter work need not look at the flag.
+        // Shorter work need not check the flag.
         if stop.steps() >= STEPS_BETWEEN_LOOKS / 4 {
             assert_eq!(result, Err(ServiceError::deadline_exceeded()), "{method}");
             assert!(stopped.steps() <= STEPS_BETWEEN_LOOKS, "{method}");
@@ -229,14 +231,14 @@ fn decoding_looks_at_the_flag() {
     }
 }
 
-/// A message as prost reads it, encoded again; none where it reads none.
+/// The message as prost reads it, encoded again; none if prost refuses it.
 fn as_prost<M: Message + Default>(bytes: &[u8]) -> Option<Vec<u8>> {
     M::decode(bytes).ok().map(|message| message.encode_to_vec())
 }
 
-/// Catches bytes that prost accepts and that are called malformed, bytes that prost refuses and
-/// that are taken, and a query that is read otherwise: well-formed messages of every kind, cut
-/// and with every bit flipped.
+/// Well-formed messages of every kind, truncated at every byte and with every bit flipped. Catches
+/// bytes that prost accepts but the decoder calls malformed, bytes that prost refuses but the
+/// decoder accepts, and a query that is read differently.
 #[test]
 fn the_bytes_that_prost_accepts_are_accepted() {
     let mut query = query(2);

@@ -14,7 +14,7 @@ import java.util.List;
 import java.util.stream.DoubleStream;
 import java.util.stream.Stream;
 
-/** One of tests/golden/contacts.json, which tests/golden/README.md describes. */
+/** A case of tests/golden/contacts.json, which tests/golden/README.md describes. */
 record Case(
     String name,
     Side a,
@@ -28,7 +28,7 @@ record Case(
     double[][] patch,
     @SerializedName("patch_budget") double patchBudget) {
 
-  /** The case's scene and its one pair. */
+  /** The request for the case's scene and its one pair. */
   QueryContactsRequest.Builder request() {
     ByteString first = a.hull().id();
     ByteString second = b.hull().id();
@@ -48,7 +48,7 @@ record Case(
         .addAllOutputs(List.of(Output.OUTPUT_ALPHA, Output.OUTPUT_NORMAL, Output.OUTPUT_POINTS));
   }
 
-  /** Holds the answer of the case's one pair against the exact one. */
+  /** Compares the answer for the case's one pair with the exact one. */
   void check(QueryContactsResponse answer) {
     Outcome found = Outcome.forNumber(answer.getOutcomes().byteAt(0));
     expect(found == Outcome.valueOf("OUTCOME_" + outcome), "outcome %s", found);
@@ -59,7 +59,7 @@ record Case(
     if (found == Outcome.OUTCOME_SEPARATED) {
       return;
     }
-    // Twice the budgets: this side is rounded too.
+    // Twice the budgets, because the numbers computed here are rounded too.
     expect(Math.abs(alpha - alphaBelow) <= 2 * alphaBudget, "alpha %s, not %s", alpha, alphaBelow);
     Vector n = Vector.of(answer.getNormalsList());
     Vector centers = b.place().minus(a.place()).plus(b.arm()).minus(a.arm());

@@ -24,7 +24,7 @@ import java.util.List;
 import java.util.concurrent.Callable;
 import java.util.concurrent.TimeUnit;
 
-/** What is checked; each says how many it checked. */
+/** The checks. Each returns the number of things that it checked. */
 final class Checks {
   private Checks() {}
 
@@ -46,7 +46,7 @@ final class Checks {
     return vectors.size();
   }
 
-  /** Every case with either solver. */
+  /** Queries every case with both solvers. */
   static int answers(Client client, List<Case> cases) {
     int count = 0;
     for (Case golden : cases) {
@@ -69,7 +69,7 @@ final class Checks {
     return client.contacts.queryContacts(request.build());
   }
 
-  /** The call has to fail, and to say of itself what is wanted. */
+  /** Asserts that the call fails, with this code, reason and field. */
   static void refused(String wanted, Callable<?> call) throws Exception {
     String said = "no error";
     try {
@@ -91,7 +91,7 @@ final class Checks {
     refused(
         "INVALID_ARGUMENT hullcast/NOTHING_TO_INHERIT inherit",
         () -> client.stream(List.of(inherits)));
-    // One bad hull does not sink the other.
+    // One invalid hull does not affect the other.
     double[] corners = {0, 0, 0, 1, 0, 0, 0, 1, 0, 1, 1, 0};
     HullDefinition flat = new Hull(corners, new double[0]).definition();
     HullDefinition good = golden.a().hull().definition();
@@ -100,7 +100,7 @@ final class Checks {
     HullError error = registered.getResults(0).getError();
     expect(error.getReason().equals("COPLANAR") && error.getField().equals("vertices"), "%s", error);
     expect(registered.getResults(1).hasHull(), "%s", registered);
-    // Nor does an unknown hull sink the pairs that are not its own.
+    // Nor does an unknown hull affect the pairs of other hulls.
     QueryContactsRequest.Builder unknown = golden.request();
     int stranger = unknown.getHullIdsCount();
     unknown.addHullIds(ByteString.copyFrom(new byte[32])).addBodyHulls(stranger);
@@ -114,8 +114,8 @@ final class Checks {
   }
 
   /**
-   * Poses alone after a stream's first message: each answer is that of the request in full, warm
-   * from the bases before.
+   * Sends only poses after a stream's first message. Each answer must equal that of the full
+   * request with the previous bases as warm starts.
    */
   static int steps(Client client, Case golden) throws Exception {
     QueryContactsRequest full = golden.request().addOutputs(Output.OUTPUT_BASES).build();
@@ -143,7 +143,7 @@ final class Checks {
     return answers.size();
   }
 
-  /** A request that takes many times its deadline. */
+  /** Sends a request that takes many times its deadline. */
   static int deadlines(Client client, Case golden) throws Exception {
     QueryContactsRequest.Builder request = golden.request();
     Collections.nCopies(131072 - 1, List.of(0, 1)).forEach(request::addAllPairs);

@@ -22,16 +22,16 @@ import java.util.ArrayList;
 import java.util.List;
 import java.util.stream.Stream;
 
-/** The two services that matter. */
+/** The hull service and the contact service. */
 final class Client implements AutoCloseable {
-  /** What the server takes and gives by default; gRPC's own default is 4 MiB. */
+  /** The server's default message limit in both directions. gRPC's own default is 4 MiB. */
   private static final int MAX_MESSAGE_BYTES = 64 << 20;
 
   private final ManagedChannel channel;
   final HullServiceGrpc.HullServiceBlockingStub hulls;
   final ContactServiceGrpc.ContactServiceBlockingV2Stub contacts;
 
-  /** @param token sent with every call; null for none */
+  /** @param token credentials to send with every call; null for none */
   Client(String target, ChannelCredentials credentials, CallCredentials token) {
     channel = Grpc.newChannelBuilder(target, credentials).maxInboundMessageSize(MAX_MESSAGE_BYTES).build();
     hulls = HullServiceGrpc.newBlockingStub(channel).withCallCredentials(token);
@@ -43,7 +43,7 @@ final class Client implements AutoCloseable {
     channel.shutdownNow();
   }
 
-  /** The ids, after comparing them with those computed here. */
+  /** Registers hulls and returns their ids, after comparing them with those computed here. */
   List<ByteString> register(Hull... clouds) {
     RegisterHullsRequest.Builder request = RegisterHullsRequest.newBuilder();
     Stream.of(clouds).map(Hull::definition).forEach(request::addHulls);
@@ -58,7 +58,7 @@ final class Client implements AutoCloseable {
     return ids;
   }
 
-  /** Sends each request after the answer to the one before. */
+  /** Sends each request after the answer to the previous one. */
   List<QueryContactsResponse> stream(List<QueryContactsRequest> requests) throws Exception {
     BlockingClientCall<QueryContactsRequest, QueryContactsResponse> call = contacts.streamContacts();
     List<QueryContactsResponse> answers = new ArrayList<>();
@@ -71,7 +71,7 @@ final class Client implements AutoCloseable {
     return answers;
   }
 
-  /** What an error says of itself: code, reason, and the field at fault. */
+  /** Describes an error by its code, reason and field. */
   static String refusal(Exception error) throws InvalidProtocolBufferException {
     String reason = "";
     String field = "";

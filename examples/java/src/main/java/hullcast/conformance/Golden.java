@@ -8,9 +8,9 @@ import java.nio.file.Files;
 import java.nio.file.Path;
 import java.util.List;
 
-/** The files that every language reads. */
+/** The files that the clients of all languages read. */
 final class Golden {
-  /** One of docs/identity.md. */
+  /** A test vector of docs/identity.md. */
   record IdentityVector(
       String name,
       double[] vertices,

@@ -14,10 +14,10 @@ import java.util.stream.DoubleStream;
 /**
  * A cloud of points to register.
  *
- * @param vertices three numbers a point, in the hull's own frame
- * @param contractionPoint empty (the centre of mass is taken) or three numbers
- * @param simplification null for none
- * @param planarity null for none: the server's 1e-6
+ * @param vertices three numbers per point, in the hull's own frame
+ * @param contractionPoint three numbers; or empty for the centre of mass
+ * @param simplification null for no simplification
+ * @param planarity if null, the server uses 1e-6
  */
 record Hull(
     double[] vertices, double[] contractionPoint, Simplification simplification, Double planarity) {
@@ -27,7 +27,7 @@ record Hull(
     this(vertices, contractionPoint, null, null);
   }
 
-  /** The byte string of docs/identity.md. */
+  /** The byte string that docs/identity.md defines. */
   byte[] identityBytes() {
     int numbers = contractionPoint.length + vertices.length;
     ByteBuffer bytes = ByteBuffer.allocate(MAX_HEADER_BYTES + Double.BYTES * numbers);
@@ -64,7 +64,7 @@ record Hull(
     }
   }
 
-  /** Names the hull on every server. */
+  /** The hull's id on every server: 32 bytes. */
   ByteString id() {
     try {
       return ByteString.copyFrom(MessageDigest.getInstance("SHA-256").digest(identityBytes()));

@@ -5,8 +5,8 @@ import java.nio.file.Path;
 import java.util.List;
 
 /**
- * Holds a server, and this language's generated code, against the golden cases and the documented
- * errors. Prints what it counted.
+ * Tests a server, and the generated code for Java, against the golden cases and the documented
+ * errors. Prints the number of checks of each kind.
  *
  * <p>Arguments: ROOT TARGET [SECURE_TARGET AUTHORITY_PEM REGISTER_TOKEN QUERY_TOKEN]
  */

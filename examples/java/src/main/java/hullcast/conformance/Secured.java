@@ -12,9 +12,9 @@ import java.io.File;
 import java.util.List;
 import java.util.concurrent.Executor;
 
-/** A server with TLS and tokens. */
+/** Checks calls to a server with TLS and tokens. */
 final class Secured {
-  /** Sent with every call. */
+  /** A bearer token to send with every call. */
   private static final class Token extends CallCredentials {
     private static final Metadata.Key<String> KEY =
         Metadata.Key.of("authorization", Metadata.ASCII_STRING_MARSHALLER);
@@ -37,9 +37,11 @@ final class Secured {
   private Secured() {}
 
   /**
-   * Its authority has to be trusted, a token sent, and the token's role has to allow the call.
+   * Calls the server. The client must trust its authority and send a token, and the token's role
+   * must allow the call.
    *
-   * @param arguments its target, the authority's certificate, tokens that may register and query
+   * @param arguments the target, the authority's certificate, a token that may register and a token
+   *     that may query; or empty, to skip the check
    */
   static int check(List<String> arguments, Case golden) throws Exception {
     if (arguments.isEmpty()) {

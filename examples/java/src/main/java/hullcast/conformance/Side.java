@@ -5,9 +5,9 @@ import java.util.Arrays;
 import java.util.stream.Stream;
 
 /**
- * A hull at its pose, as tests/golden/README.md describes it.
+ * A hull at a pose, as tests/golden/README.md describes it.
  *
- * @param rotation x, y, z, w
+ * @param rotation a quaternion in the order x, y, z, w
  */
 record Side(
     double[][] vertices,
@@ -22,17 +22,17 @@ record Side(
     return new Vector(numbers[0], numbers[1], numbers[2]);
   }
 
-  /** From the world's origin to the hull frame's. */
+  /** The vector from the world's origin to the origin of the hull's frame. */
   Vector place() {
     return vector(position);
   }
 
-  /** From the hull frame's origin to the contraction point, in the world. */
+  /** The vector from the origin of the hull's frame to the contraction point, world axes. */
   Vector arm() {
     return vector(contractionPoint).turned(vector(rotation), rotation[3]);
   }
 
-  /** Largest n . (v - contraction point), n in the world. */
+  /** The largest n . (v - contraction point) over the vertices v; n is in the world frame. */
   double support(Vector n) {
     Vector local = n.turned(vector(rotation).times(-1), rotation[3]);
     Vector center = vector(contractionPoint);

@@ -2,7 +2,7 @@ package hullcast.conformance;
 
 import java.util.List;
 
-/** Three numbers. */
+/** A vector of three numbers. */
 record Vector(double x, double y, double z) {
   static Vector of(List<Double> numbers) {
     return new Vector(numbers.get(0), numbers.get(1), numbers.get(2));
@@ -32,14 +32,14 @@ record Vector(double x, double y, double z) {
     return new Vector(y * b.z - z * b.y, z * b.x - x * b.z, x * b.y - y * b.x);
   }
 
-  /** This, turned by the quaternion of vector part {@code axis} and scalar part {@code w}. */
+  /** This vector rotated by the quaternion with vector part {@code axis}, scalar part {@code w}. */
   Vector turned(Vector axis, double w) {
     double s = 2 / (axis.dot(axis) + w * w);
     Vector turn = axis.cross(this);
     return plus(turn.times(w * s)).plus(axis.cross(turn).times(s));
   }
 
-  /** From a convex polygon in space. */
+  /** The distance from a convex polygon in space. */
   double distanceTo(List<Vector> corners) {
     Vector first = corners.get(0);
     Vector normal = new Vector(0, 0, 0);
