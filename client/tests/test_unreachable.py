@@ -273,7 +273,9 @@ def test_a_proxy_that_is_silent_from_the_start():
     ):
         assert len(client.register(CUBE, timeout=40)) == 1
         with hullcast.connect(proxy.address, options=NO_PROXY) as alone:
-            with pytest.raises(hullcast.Unavailable):
+            with pytest.raises(
+                hullcast.Unavailable, match="accepts connections and does not answer"
+            ):
                 alone.ping()
             with pytest.raises((hullcast.Unavailable, hullcast.DeadlineExceeded)):
                 alone.register(CUBE, timeout=1)
