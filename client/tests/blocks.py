@@ -1,4 +1,4 @@
-"""The code of every page: fenced blocks, and commands within a line of text."""
+"""Finds the code of every page: fenced blocks, and code within the text."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _WRITTEN = re.compile(r"^<!-- (\w[\w-]*) -->$.*?^<!-- /\1 -->$", re.DOTALL | re.
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block: where it is, what its fence says, and its text."""
+    """A fenced block of a page."""
 
     page: str
     line: int
     kind: str
     text: str
-    # The mark (`<!-- mark -->`) within which a command of this repository writes it, or "".
+    # The mark (`<!-- mark -->`) of the section that a command of this repository writes, or "".
     mark: str
-    # What is fenced directly before it, without a line between, or "".
+    # The kind of the block that ends on the line before this one, or "".
     after: str
 
     @property
@@ -32,7 +32,7 @@ class Block:
 
 
 def listed(*patterns: str) -> list[str]:
-    """The repository's files, those that are not committed yet among them."""
+    """The files of the repository, including new ones that are not committed yet."""
     command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", *patterns]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     # During a merge a file is listed once per version.
@@ -41,7 +41,7 @@ def listed(*patterns: str) -> list[str]:
 
 
 def pages() -> list[Path]:
-    """Every page of Markdown. Without git: those that a package of the sources has."""
+    """Every page of Markdown."""
     names = listed("*.md")
     found = [ROOT / name for name in names]
     if not names:
@@ -50,7 +50,7 @@ def pages() -> list[Path]:
 
 
 def blocks_of(page: Path) -> list[Block]:
-    """All fenced blocks of a page, in their order."""
+    """All fenced blocks of a page, in order."""
     text = page.read_text()
     written = [(match.start(), match.end(), match[1]) for match in _WRITTEN.finditer(text)]
     found: list[Block] = []
@@ -81,5 +81,5 @@ def without_blocks(page: Path) -> str:
 
 
 def inline_code(page: Path) -> list[str]:
-    """What stands between backticks in the text, on one line."""
+    """The code between backticks in the text, each on one line."""
     return [" ".join(code.split()) for code in _INLINE.findall(without_blocks(page))]

@@ -1,5 +1,8 @@
-"""Whether what a command names is there: targets of make, flags, subcommands, files, extras,
-features, tests. Nothing of the command is run but `--help` and `make --dry-run`."""
+"""Checks that the things exist that a command names, without running the command.
+
+These are targets of make, flags, subcommands, files, extras, features, packages and tests. Only
+`--help` and `make --dry-run` are run.
+"""
 
 from __future__ import annotations
 
@@ -19,18 +22,18 @@ _FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 
 
 class Wrong(AssertionError):
-    """A command that names something that is not there."""
+    """A command names something that does not exist."""
 
 
 def lines_of(text: str) -> list[str]:
-    """The commands of a block: continued lines joined, prompts dropped."""
+    """The lines of a text, with continued lines joined and without prompts and comments."""
     joined = text.replace("\\\n", " ")
     lines = (line.strip().removeprefix("$ ") for line in joined.splitlines())
     return [line for line in lines if line and not line.startswith("#")]
 
 
 def program_of(line: str) -> str:
-    """The name of the program that a line runs, after its environment; "" if it is no command."""
+    """The name of the program that a line runs, without the variables before it."""
     words = line.split()
     while words and _ASSIGNMENT.match(words[0]):
         words.pop(0)
@@ -39,7 +42,7 @@ def program_of(line: str) -> str:
 
 
 def check(line: str) -> None:
-    """Raises `Wrong` if what the line names is not there."""
+    """Raises `Wrong` if the line names something that does not exist."""
     program = program_of(line)
     if program not in CHECKS:
         raise Wrong(f"no check knows the command {program!r}: add one to client/tests/commands.py")
@@ -55,7 +58,7 @@ def check(line: str) -> None:
 
 @cache
 def _somewhere(text: str) -> bool:
-    """Whether a source of the repository has this text."""
+    """Whether a source file reads this variable, directly or as a setting of the server."""
     ends = (".rs", ".py", "Makefile", ".mjs")
     names = [name for name in listed() if name.endswith(ends) or name.startswith("scripts/")]
     names.remove("client/tests/test_commands.py")  # it has variables that are not there
@@ -87,7 +90,7 @@ def _help(*command: str) -> str:
 
 
 def help_of(*command: str) -> str:
-    """What a command says of its flags; the word `hullcast` stands for the binary of the tests."""
+    """The help text of a command. The word `hullcast` stands for the binary of the tests."""
     return _help(*(str(find_binary()) if word == "hullcast" else word for word in command))
 
 
@@ -102,7 +105,7 @@ def _hullcast(words: list[str], comment: str) -> None:
 
 
 def _files(words: list[str]) -> None:
-    """A path with a folder, which is not below the root, is the repository's."""
+    """Checks relative paths that have a folder; they are below the root of the repository."""
     values = set()
     for flag, value in itertools.pairwise(words):
         if flag.startswith("--"):
@@ -137,7 +140,7 @@ def _pip(words: list[str], _comment: str) -> None:
             raise Wrong(f"no file of requirements has the package {name}")
 
 
-#: Of cargo's flags those that a name follows.
+#: The flags of cargo that are followed by a name that is checked.
 VALUED = ("--features", "--test", "--example", "--bin")
 
 
@@ -213,7 +216,7 @@ def _apt(words: list[str], _comment: str) -> None:
 
 
 def _grpc(words: list[str], _comment: str) -> None:
-    """The methods, and of grpcurl the messages' fields, by the contract."""
+    """Checks methods and the fields of messages against the contract."""
     contract = "\n".join(path.read_text() for path in ROOT.glob("proto/hullcast/v1/*.proto"))
     for word in words:
         if word.startswith("hullcast.v1."):
@@ -228,7 +231,7 @@ def _grpc(words: list[str], _comment: str) -> None:
 
 
 def _other(_words: list[str], _comment: str) -> None:
-    """A program of others, of which nothing can be checked."""
+    """Accepts the command of a program that is not part of this project."""
 
 
 CHECKS = {
@@ -244,12 +247,12 @@ CHECKS = {
     **dict.fromkeys(("openssl", "kill", "systemctl", "xacro", "git"), _other),
 }
 
-#: Kinds of blocks that may be commands.
+#: The kinds of blocks that can have commands.
 SHELL = ("", "sh", "bash", "console")
 
 
 def shown(block: Block) -> list[str]:
-    """The commands of a block; in a console they are those behind a prompt."""
+    """The commands of a block. In a console, these are the lines with a prompt."""
     text = block.text
     if block.kind == "console":
         text = "".join(re.findall(r"^\$ .*\n", text, re.MULTILINE))
@@ -257,7 +260,7 @@ def shown(block: Block) -> list[str]:
 
 
 def is_shell(block: Block) -> bool:
-    """Whether each of its lines is a command of a program that is known."""
+    """Whether each line of a block is a command of a known program."""
     lines = shown(block)
     return block.kind in SHELL and bool(lines) and all(map(is_command, lines))
 

@@ -19,7 +19,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """A target of make whose subject is missing must not succeed because its tests are skipped."""
+    """Fails a run with --no-skips if a test was skipped, because its subject is then missing."""
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     skipped = [
         report

@@ -1,6 +1,8 @@
-"""The one list of what the pages show and no test runs as it stands, each with the reason and with
-what is held instead. `test_blocks.py` fails on a block that is neither run nor listed here, and on
-an entry that no page has any more."""
+"""The one list of blocks and commands of the pages that no test runs as they stand, with the reasons.
+
+`test_blocks.py` fails on a block that is neither run nor listed here, and on an entry that matches
+no block.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,8 @@ BLOCKS = [
     ("docs/python/workers.md", "@ray.remote", "needs ray: test_pages_of_extras.py runs it"),
 ]  # fmt: skip
 
-#: Programs in the pages' commands. Of their commands it is checked that the targets, files, flags,
-#: packages, features and tests exist that they name.
+#: Programs that are not run. `test_commands.py` checks that the targets, files, flags, packages,
+#: features and tests exist that their commands name.
 PROGRAMS = {
     "make": "each target is minutes of work of its own; `.ci/run` runs test, test-languages and lint",
     "pip": "test_wheel.py and test_pages_of_extras.py install so into empty environments",
@@ -42,12 +44,12 @@ COMMANDS = {
     "serve --playground": "needs a build with the feature playground: `make test-playground` starts it so",
 }
 
-#: Statements of client/README.md that need a package which not every environment of the tests has.
+#: Statements of client/README.md, and the package without which they are left out.
 STATEMENTS = {"m.log()": "rerun"}
 
 
 def reason(block: Block) -> str | None:
-    """Why no test runs it as it stands; None if one has to."""
+    """Why no test runs a block as it stands; None if a test has to."""
     for page, text, why in BLOCKS:
         if block.page == page and text in block.text:
             return why

@@ -1,4 +1,4 @@
-"""Runs the commands of a page in an empty folder and an environment of their own."""
+"""Runs the commands of a page in an empty folder and a clean environment."""
 
 from __future__ import annotations
 
@@ -15,8 +15,11 @@ from hullcast._serve import find_binary
 
 
 class Shell:
-    """Runs one block, line by line. A server that a line starts goes on until the end of the block.
-    The port of the pages is another one here, and a folder from the root is below the empty one."""
+    """Runs one block, line by line.
+
+    A server that a line starts runs until the end of the block. A free port replaces the port of the
+    pages, and absolute paths are moved into the empty folder.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -32,7 +35,7 @@ class Shell:
         self._servers: list[subprocess.Popen[str]] = []
 
     def run(self, line: str) -> None:
-        """With what stands in square brackets, and without it."""
+        """Runs a line, once without and once with the part in square brackets."""
         command = line.partition(" #")[0].strip()
         command = command.replace("target/release/hullcast", "hullcast")
         command = command.replace(":50051", f":{self._port}")
@@ -85,8 +88,11 @@ class Shell:
 
 
 def clean_environment(folder: Path, python: Path | None = None) -> dict[str, str]:
-    """Of a user's program: nothing of the tests' own environment but where programs are, and
-    nothing but the system's programs for an environment that has its own `python`."""
+    """The environment of a user's program, without the variables of the tests.
+
+    A program of another environment's `python` finds only that environment's and the system's
+    programs.
+    """
     if python:
         return {"PATH": f"{python.parent}:/usr/bin:/bin", "HOME": str(folder)}
     kept = {name: os.environ[name] for name in ("PATH", "HULLCAST_BIN") if name in os.environ}

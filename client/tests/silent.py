@@ -1,4 +1,4 @@
-"""A proxy that falls silent: it neither forwards nor closes anything any more."""
+"""A proxy that can fall silent: it then neither forwards nor closes anything."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ import threading
 
 
 class SilentProxy:
-    """Forwards bytes between clients and a server until `silence` is called. After that, and from
-    the start if `silent` is true, connections are taken and nothing comes from them."""
+    """Forwards bytes between clients and a server until `silence` is called.
+
+    After that, or from the start if `silent` is true, the proxy accepts connections and sends
+    nothing on them.
+    """
 
     def __init__(self, target: str, *, silent: bool = False) -> None:
         host, _, port = target.rpartition(":")
@@ -23,7 +26,7 @@ class SilentProxy:
         threading.Thread(target=self._accept, daemon=True).start()
 
     def silence(self) -> None:
-        """From here on nothing is forwarded, and nothing is closed."""
+        """Stops forwarding, without closing anything."""
         self._silent.set()
 
     def _accept(self) -> None:

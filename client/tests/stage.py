@@ -1,4 +1,4 @@
-"""Runs blocks of Python that take names for granted: each alone, where these names are there."""
+"""Runs single blocks of Python in a namespace that has the names that they use."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from shell import clean_environment
 
 import hullcast
 
-#: Pages whose blocks are parts, not one program.
+#: Pages whose blocks do not make up one program.
 PAGES = ("client/README.md",)
 
 _STAGE = """
@@ -73,8 +73,11 @@ def run(
     python: Path | None = None,
     **more: str,
 ) -> None:
-    """In a process and a folder of their own; lines that begin with one of `without` are left out.
-    Another environment's `python` has its own hullcast; this one's takes it from the sources."""
+    """Runs each block in a fresh namespace, all of them in one process and an empty folder.
+
+    Lines that begin with one of `without` are left out. The interpreter `python` of another
+    environment uses the hullcast that is installed there.
+    """
     (folder / "panda.urdf").write_text(_ROBOT)
     program = [_STAGE, before]
     for block in blocks:

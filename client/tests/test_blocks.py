@@ -1,12 +1,13 @@
-"""Every block and command of every page is run, or is in the one list of `not_run.py` and checked.
+"""A test runs every block of every page, or `not_run.py` lists the block with a reason.
 
-A page that is new is found by itself: its blocks fail here until something holds them.
+The tests find new pages by themselves, and fail until each of their blocks is run or listed.
 """
 
 from __future__ import annotations
 
 import ast
 import re
+import shutil
 import sys
 import urllib.request
 from importlib.machinery import SourceFileLoader
@@ -35,7 +36,7 @@ PROGRAMS = {
 
 
 def is_page_run(page: str) -> bool:
-    """Whether its Python is run as one program, and its outputs are compared."""
+    """Whether a test runs the Python of the page as one program and compares its outputs."""
     path = Path(page)
     return page == "README.md" or (
         path.parent == Path("docs/python") and path.stem in {*SHOWN, *EXTRAS}
@@ -46,7 +47,7 @@ INDENTED = re.compile(r"^(?![-*+\d ]).*\n\n {4,}\S", re.MULTILINE)
 
 
 def holder(block: Block) -> str | None:
-    """What holds a block; None if nothing does."""
+    """How a block is tested, or why it is not run; None if neither is known."""
     if reason := not_run.reason(block):
         return f"not run: {reason}"
     if block.mark:
@@ -63,7 +64,7 @@ def holder(block: Block) -> str | None:
 
 
 def test_no_block_is_left_out():
-    """Catches a block that is neither run nor in the list, and an entry without a block."""
+    """Catches a block that is neither run nor in the list, and an entry of the list without a block."""
     blocks = every_block()
     alone = [block.where for block in blocks if holder(block) is None]
     assert alone == [], "neither run by a test nor listed in client/tests/not_run.py"
@@ -73,7 +74,7 @@ def test_no_block_is_left_out():
 
 
 def test_a_block_that_nothing_holds_is_noticed():
-    """Catches a rule that takes everything."""
+    """Catches a rule that accepts every block."""
     for kind, text in [
         ("python", "print(1)"),
         ("", "an output"),
@@ -88,7 +89,7 @@ def test_a_block_that_nothing_holds_is_noticed():
 
 
 def test_blocks_are_found_as_they_are_written(tmp_path, monkeypatch):
-    """Catches a fence that is not seen: indented, longer, of tildes; and one within another."""
+    """Catches a fence that is not found: indented, longer, made of tildes, or inside another one."""
     monkeypatch.setattr("blocks.ROOT", tmp_path)
     page = tmp_path / "page.md"
     page.write_text(
@@ -107,8 +108,10 @@ def test_blocks_are_found_as_they_are_written(tmp_path, monkeypatch):
 
 
 def test_no_page_has_code_that_is_only_indented():
-    """Catches a block of four spaces, which has no kind and would be seen by nothing. After an item
-    of a list such lines go on with the item."""
+    """Catches a block that is indented by four spaces: it has no kind, and no test would find it.
+
+    After an item of a list, such lines belong to the item.
+    """
     for page in every_page():
         found = INDENTED.search(without_blocks(page))
         assert not found, f"{page.relative_to(ROOT)}: {found[0]!r}"
@@ -117,11 +120,15 @@ def test_no_page_has_code_that_is_only_indented():
 
 
 def test_every_program_that_is_not_run_has_its_reason():
-    """hullcast and openssl are run; what is listed is what the checks know."""
+    """The list has every program that the checks know, except hullcast and openssl, which are run."""
     assert {*not_run.PROGRAMS, "hullcast", "openssl"} == set(commands.CHECKS)
     lines = [line for block in every_block() for line in commands.shown(block)]
     for text in not_run.COMMANDS:
         assert any(text in line for line in lines), text
+    reasons = [reason for *_, reason in not_run.BLOCKS] + [*not_run.PROGRAMS.values()]
+    files = {Path(name).name for name in listed()}
+    for name in re.findall(r"[\w-]+\.(?:py|rs)\b", " ".join(reasons)):
+        assert name in files, name
 
 
 def runs(line: str) -> bool:
@@ -140,7 +147,11 @@ RUN = [
 
 @pytest.mark.parametrize("block", RUN, ids=lambda block: block.where)
 def test_the_commands_of_a_block_run(block, tmp_path):
-    """In an empty folder: a server that does not start, a command that fails."""
+    """Catches a server that does not start and a command that fails, in an empty folder."""
+    for line in filter(runs, commands.shown(block)):
+        program = commands.program_of(line)
+        if program != "hullcast" and not shutil.which(program):
+            pytest.skip(f"{program} is not installed: apt-get install {program}")
     with Shell(tmp_path) as shell:
         for line in filter(runs, commands.shown(block)):
             shell.run(line)
@@ -148,21 +159,21 @@ def test_the_commands_of_a_block_run(block, tmp_path):
 
 @pytest.mark.parametrize("page", stage.PAGES)
 def test_the_programs_of_a_page_of_parts_run(page, tmp_path):
-    """Each block on its own, where the names that it takes for granted are there."""
+    """Each block runs on its own, in a namespace that has the names that it uses."""
     blocks = [block for block in blocks_of(ROOT / page) if block.kind == "python"]
     assert len(blocks) > 3
     stage.run(blocks, tmp_path, without=stage.statements_without_their_package())
 
 
 def test_what_needs_a_package_is_python():
-    """The blocks that are run where the package is, and everywhere at least compiled."""
+    """All blocks are compiled here, also those that only run if a package is installed."""
     for block in every_block():
         if block.kind == "python":
             compile(block.text, block.where, "exec", flags=ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
 
 
 def test_every_written_block_has_its_writer():
-    """Catches a mark that no command knows, so that its text would only look measured."""
+    """Catches a mark that no command writes, so that its text only looks measured."""
     names = ("Makefile", "scripts/", "client/examples/", "benches/", "src/cli/")
     files = [ROOT / name for name in listed() if name.startswith(names)]
     sources = [file.read_text(errors="replace") for file in files]
@@ -175,7 +186,7 @@ def test_every_written_block_has_its_writer():
 
 @pytest.mark.parametrize("language", PROGRAMS)
 def test_the_page_shows_the_program_that_is_run(language):
-    """`make test-languages` builds and runs the file."""
+    """The block is a copy of the file that `make test-languages` builds and runs."""
     blocks = [block for block in blocks_of(ROOT / "docs/languages.md") if block.kind == language]
     assert [block.text for block in blocks] == [(ROOT / PROGRAMS[language]).read_text()]
     others = [block for block in every_block() if block.kind == language]
@@ -197,7 +208,7 @@ def test_the_counts_of_the_languages_page_are_up_to_date():
 
 
 def test_the_metrics_of_the_autoscaler_are_the_servers():
-    """Catches a rule of docs/cluster.md that would find nothing."""
+    """Catches a rule of docs/cluster.md with a metric that does not exist."""
     (rule,) = [b.text for b in blocks_of(ROOT / "docs/cluster.md") if "seriesQuery" in b.text]
     (port,) = free_ports(1)
     with (
@@ -211,7 +222,7 @@ def test_the_metrics_of_the_autoscaler_are_the_servers():
 
 
 def test_the_pages_that_are_run_are_there():
-    """Catches a page that was renamed, so that its test reads nothing."""
+    """Catches a renamed page, of which its test would read nothing."""
     named = [f"docs/python/{name}.md" for name in (*SHOWN, *EXTRAS)]
     for page in ["README.md", *stage.PAGES, *named]:
         assert any(block.kind == "python" for block in blocks_of(ROOT / page)), page

@@ -1,4 +1,4 @@
-"""A target of make whose subject is missing fails, names it, and says how to install it."""
+"""A target of make fails if a tool is missing, and says which one and how to install it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from blocks import ROOT
 
-#: Per tool of scripts/check-tools: the commands that are taken away, and what the line says.
+#: For each tool of scripts/check-tools: the commands that are hidden, and a part of the message.
 TOOLS = {
     "chromium": (["chromium", "chromium-browser", "google-chrome"], "apt-get install chromium"),
     "npm": (["npm"], "apt-get install npm"),
@@ -37,7 +37,7 @@ NEEDS = re.findall(r"^([a-z][\w -]*): NEEDS := (.*)$", MAKEFILE, re.MULTILINE)
 
 @pytest.fixture(scope="module")
 def bare(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """The environment of a machine that has everything but the tools above, and no root."""
+    """The environment of a machine without the tools above and without root's rights."""
     folder = tmp_path_factory.mktemp("bin")
     (folder / "id").write_text("#!/bin/sh\necho 1000\n")
     (folder / "id").chmod(0o755)
@@ -52,7 +52,7 @@ def bare(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def script(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """scripts/check-tools, which looks into the system's folders too, without those."""
+    """A copy of scripts/check-tools that searches only PATH and not the system's folders."""
     copy = tmp_path_factory.mktemp("tools") / "scripts/check-tools"
     copy.parent.mkdir()
     text = (ROOT / "scripts/check-tools").read_text()
@@ -64,7 +64,7 @@ def script(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("tool", TOOLS)
 def test_a_tool_that_is_missing_is_named(tool, script, bare):
-    """With the way to install it."""
+    """Catches a tool whose message lacks the way to install it."""
     _, how = TOOLS[tool]
     shell = shutil.which("bash") or "bash"
     done = subprocess.run(
@@ -75,7 +75,7 @@ def test_a_tool_that_is_missing_is_named(tool, script, bare):
 
 
 def test_every_tool_that_a_target_needs_is_known():
-    """Catches a name that check-tools does not know, and one that nothing tests or needs."""
+    """Catches a name that check-tools does not know, and a tool that is not tested or not needed."""
     needed = {name for _, names in NEEDS for name in re.findall(r"[a-z][\w.-]+", names)}
     assert needed - {"if"} == set(TOOLS)
     assert len(NEEDS) > 9
@@ -108,7 +108,7 @@ def test_a_target_fails_before_anything_is_built(target, missing, bare):
 
 
 def test_skipped_tests_fail_the_targets_that_are_about_them(tmp_path):
-    """Catches `make test-playground` that succeeds with every test skipped."""
+    """Catches a `make test-playground` that succeeds although every test was skipped."""
     shutil.copy(ROOT / "client/tests/conftest.py", tmp_path / "conftest.py")
     (tmp_path / "test_it.py").write_text(
         "import pytest\n\n\ndef test_a():\n    pass\n\n\n"
@@ -125,7 +125,7 @@ def test_skipped_tests_fail_the_targets_that_are_about_them(tmp_path):
 
 
 def test_the_targets_that_need_something_forbid_skips():
-    """Every target that runs tests of `extras/`."""
+    """Catches a target that runs tests of `extras/` and accepts skipped ones."""
     (forbidding,) = re.findall(
         r"^(test-[\w -]+): \\\n  export PYTEST_ADDOPTS", MAKEFILE, re.MULTILINE
     )

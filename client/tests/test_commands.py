@@ -1,4 +1,4 @@
-"""What the pages' text and commands name is there: commands, flags, Python's names."""
+"""The things exist that the commands and the text of the pages name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import hullcast
 
 
 def test_every_command_names_what_is_there():
-    """Targets of make, files, flags, features, packages, tests: in blocks and in the text."""
+    """Catches a target, file, flag, feature, package or test that a page names and that is gone."""
     wrong, seen = [], 0
     for page in every_page():
         name = str(page.relative_to(ROOT))
@@ -38,7 +38,7 @@ def test_every_command_names_what_is_there():
 
 
 def is_inline_command(code: str) -> bool:
-    """A program that is known with an argument, or any that has a flag."""
+    """Whether code in the text is a known program with an argument, or any program with a flag."""
     if re.match(r"[\w./-]+ .*(?<!\S)--[a-z]", code):
         return not code.startswith("--")
     program = commands.program_of(code)
@@ -79,7 +79,7 @@ def test_a_command_that_names_what_is_not_there_is_noticed(line):
         commands.check(line)
 
 
-#: What a name of the pages stands for in a line of text.
+#: The objects that the names in the text stand for.
 OBJECTS = {
     "hullcast": hullcast,
     "client": hullcast.Client,
@@ -87,13 +87,13 @@ OBJECTS = {
     "m": hullcast.Manifolds,
     "robot": hullcast.Robot,
 }
-#: Of the protocol, of files and of hosts, which begin like the package.
+#: Names of the protocol, of files and of hosts that begin like names of the package.
 OTHERS = {"v1", "golden", "scene", "service", "example", "NAMESPACE", "sock", "urdf"}
 _NAME = re.compile(r"(?<![\w./:])(hullcast|client|session|m|robot)\.(\w+)")
 
 
 def test_every_python_name_in_the_text_is_one():
-    """Catches a method or a class that was renamed."""
+    """Catches a renamed method or class."""
     known = {name: set(dir(thing)) for name, thing in OBJECTS.items()}
     known["hullcast"] |= {"ray"}
     for name, thing in OBJECTS.items():
@@ -111,7 +111,7 @@ def test_every_python_name_in_the_text_is_one():
 
 
 def test_every_flag_in_the_text_is_one():
-    """Those that stand without their command, by all that have flags."""
+    """Checks flags that stand without their command against all commands that have flags."""
     own = ("serve", "query", "load", "tradeoff", "prune")
     known = "\n".join(commands.help_of("hullcast", name) for name in own)
     known += commands.help_of("cargo", "build")
@@ -127,7 +127,7 @@ def test_every_flag_in_the_text_is_one():
 
 
 def test_no_advice_to_install_what_is_not_published():
-    """In the messages and docstrings of the package too."""
+    """Checks the install commands in the messages and docstrings of the package."""
     advised = 0
     for path in sorted((ROOT / "client/src/hullcast").glob("*.py")):
         for line in re.findall(r"pip install (?:'[^']+'|[\w-]+)", path.read_text()):

@@ -238,8 +238,10 @@ def test_a_frozen_server_is_left_for_another():
 
 @pytest.mark.parametrize("first", ["session", "query", "find"])
 def test_a_proxy_that_falls_silent_is_left_for_another(first):
-    """Catches a call that waits for its deadline because a proxy takes the bytes, acknowledges
-    them and passes nothing on; whichever kind of call comes first has to notice."""
+    """Catches a call that waits for its deadline because a proxy accepts the bytes and forwards none.
+
+    Each kind of call must notice it, so each kind comes first once.
+    """
     with (
         Server() as a,
         Server() as b,
@@ -258,14 +260,16 @@ def test_a_proxy_that_falls_silent_is_left_for_another(first):
         for call in calls.values():
             call()
         proxy.silence()
-        # Two calls in turn, so that one of them goes to the proxy.
+        # Each entry makes several calls, so that at least one of them goes to the proxy.
         for name in sorted(calls, key=lambda name: name != first):
             assert len(calls[name]()) > 1
 
 
 def test_a_proxy_that_is_silent_from_the_start():
-    """Catches a first call that waits for a peer that never greets, although another server would
-    answer; and, without another server, a call that does not end."""
+    """Catches a first call that waits for a silent peer although another server could answer.
+
+    Without another server, the call must end with an error that names the cause.
+    """
     with (
         Server() as server,
         SilentProxy(server.address, silent=True) as proxy,
