@@ -28,12 +28,12 @@
 //! Building takes `O(n log n)` steps. If each box overlaps only a few others, a search takes
 //! `O(log n)` steps per partner.
 
-use std::ops::Range;
+use std::{cmp::Ordering, ops::Range};
 
 use glam::{DVec3, Vec3};
 
 use super::{EVERY_WORLD, Rules};
-use crate::contact::{Bounds, Stop, Stopped};
+use crate::contact::{Bounds, Stop, Stopped, sort, stop::Meter};
 
 /// The largest number of bodies in a leaf node.
 const LEAF_BODIES: usize = 4;
@@ -43,8 +43,14 @@ const NODE_STEPS: u64 = 12;
 /// Steps to test a body of a leaf node.
 const BODY_STEPS: u64 = 8;
 
-/// Steps per body to split bodies at a median.
-const SPLIT_STEPS: u64 = 12;
+/// Steps per item to find the axis along which a list is split.
+const AXIS_STEPS: u64 = 4;
+/// Steps per item to split a list at a median.
+const SPLIT_STEPS: u64 = 8;
+/// The largest number of items that are split without a check of the stop flag.
+const UNINTERRUPTED: usize = 32_768;
+/// One of this many items is in the sample from which the pivot of a long list is taken.
+const SAMPLED: usize = 64;
 
 /// The estimated number of steps per body to build a tree.
 pub const STEPS_PER_BODY: u64 = 250;
@@ -132,11 +138,15 @@ impl Tree {
         by_world(&mut leaves, stop)?;
         let mut worlds = Vec::new();
         let mut first = 0;
-        for chunk in leaves.chunk_by(|a, b| a.world == b.world) {
-            worlds.push(World { bounds: around(chunk), leaves: first..first + chunk.len() });
-            first += chunk.len();
+        for of_world in leaves.chunk_by(|a, b| a.world == b.world) {
+            let mut bounds = EMPTY;
+            for run in of_world.chunks(UNINTERRUPTED) {
+                stop.spend(AXIS_STEPS * run.len() as u64)?;
+                bounds = union(bounds, around(run));
+            }
+            worlds.push(World { bounds, leaves: first..first + of_world.len() });
+            first += of_world.len();
         }
-        stop.spend(4 * leaves.len() as u64)?;
         let mut tree = Self { worlds: Vec::with_capacity(worlds.len()), ..Self::default() };
         tree.nodes.reserve(worlds.len() + leaves.len() / 2);
         if !worlds.is_empty() {
@@ -263,11 +273,12 @@ impl Tree {
 }
 
 /// Sorts the bodies by world.
-fn by_world(leaves: &mut [Leaf], stop: &Stop) -> Result<(), Stopped> {
+fn by_world(leaves: &mut Vec<Leaf>, stop: &Stop) -> Result<(), Stopped> {
+    let meter = Meter::new(stop);
     if !leaves.is_sorted_by_key(|leaf| leaf.world) {
-        leaves.sort_unstable_by_key(|leaf| (leaf.world, leaf.body));
+        sort::sort(leaves, &meter, sort::COMPARISON, |a, b| (a.world, a.body).cmp(&(b.world, b.body)))?;
     }
-    stop.spend(SPLIT_STEPS * leaves.len() as u64)
+    meter.spend(leaves.len() as u64)
 }
 
 /// Splits `items` into two halves at the median of their centres, along the axis on which the centres
@@ -280,25 +291,131 @@ fn halves<'a, T>(
     // This is twice the centre, which has the same order.
     let center = |item: &T| bounds(item).low + bounds(item).high;
     let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for item in &*items {
-        let center = center(item);
-        (low, high) = (low.min(center), high.max(center));
+    for run in items.chunks(UNINTERRUPTED) {
+        stop.spend(AXIS_STEPS * run.len() as u64)?;
+        for item in run {
+            let center = center(item);
+            (low, high) = (low.min(center), high.max(center));
+        }
     }
     let spread = high - low;
     let axis = [0, 1, 2].into_iter().max_by(|&i, &j| spread[i].total_cmp(&spread[j])).unwrap_or(0);
     let middle = items.len() / 2;
-    items.select_nth_unstable_by(middle, |a, b| center(a)[axis].total_cmp(&center(b)[axis]));
-    stop.spend(SPLIT_STEPS * items.len() as u64)?;
+    select(items, middle, |item| center(item)[axis], stop)?;
     Ok(items.split_at_mut(middle))
 }
 
+/// Reorders `items` so that none of the first `middle` items has a higher key than any of the rest.
+///
+/// This is quickselect (C. A. R. Hoare, *Algorithm 65: Find*, 1961, doi:10.1145/366622.366647). A long
+/// list is partitioned under a meter, because the selection of the standard library, which handles the
+/// rest, cannot be interrupted. The pivot is the median of every [`SAMPLED`]-th key. Each partition
+/// therefore drops at least one item in `2 SAMPLED`, whatever the order of the items is, and the
+/// selection takes at most about `2 SAMPLED n` steps.
+fn select<T>(items: &mut [T], middle: usize, key: impl Fn(&T) -> f64, stop: &Stop) -> Result<(), Stopped> {
+    let meter = Meter::new(stop);
+    let (mut start, mut end) = (0, items.len());
+    while end - start > UNINTERRUPTED {
+        let part = &mut items[start..end];
+        let mut sample: Vec<f64> = part.iter().step_by(SAMPLED).map(&key).collect();
+        let at = sample.len() / 2;
+        let pivot = *sample.select_nth_unstable_by(at, f64::total_cmp).1;
+        let (below, above) = partition(part, pivot, &key, &meter)?;
+        if middle < start + below {
+            end = start + below;
+        } else if middle >= start + above {
+            start += above;
+        } else {
+            return Ok(());
+        }
+    }
+    meter.spend(SPLIT_STEPS * (end - start) as u64)?;
+    if middle < end {
+        items[start..end].select_nth_unstable_by(middle - start, |a, b| key(a).total_cmp(&key(b)));
+    }
+    Ok(())
+}
+
+/// Moves the items whose key is below `pivot` to the front and those above it to the back. Returns the
+/// range of the items between, whose key is `pivot`.
+fn partition<T>(
+    items: &mut [T],
+    pivot: f64,
+    key: impl Fn(&T) -> f64,
+    meter: &Meter<'_>,
+) -> Result<(usize, usize), Stopped> {
+    let (mut below, mut at, mut above) = (0, 0, items.len());
+    while at < above {
+        meter.spend(SPLIT_STEPS)?;
+        match key(&items[at]).total_cmp(&pivot) {
+            Ordering::Less => {
+                items.swap(below, at);
+                (below, at) = (below + 1, at + 1);
+            }
+            Ordering::Equal => at += 1,
+            Ordering::Greater => {
+                above -= 1;
+                items.swap(at, above);
+            }
+        }
+    }
+    Ok((below, above))
+}
+
+/// The box around nothing.
+const EMPTY: Bounds = Bounds { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
+
 /// The box around some bodies.
 fn around(leaves: &[Leaf]) -> Bounds {
-    let none = Bounds { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
-    leaves.iter().fold(none, |around, leaf| union(around, leaf.bounds))
+    leaves.iter().fold(EMPTY, |around, leaf| union(around, leaf.bounds))
 }
 
 /// The box around two boxes.
 fn union(a: Bounds, b: Bounds) -> Bounds {
     Bounds { low: a.low.min(b.low), high: a.high.max(b.high) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{contact::STEPS_BETWEEN_LOOKS, workload::Random};
+
+    /// Catches a partition that loses items or leaves a low item in the upper half, a pivot that makes no
+    /// progress, an order of the items that makes the selection quadratic, and a unit of work that is too
+    /// long. The keys are chosen against the pivot: the sampled ones are the lowest or the highest.
+    #[test]
+    fn long_lists_are_split_at_the_median_in_bounded_steps() {
+        let mut random = Random::new(7);
+        for length in [UNINTERRUPTED, UNINTERRUPTED + 1, 3 * UNINTERRUPTED + 5, 131_072] {
+            let mut keys_of: Vec<(&str, Vec<f64>)> = vec![
+                ("ascending", (0..length).map(|i| i as f64).collect()),
+                ("descending", (0..length).map(|i| -(i as f64)).collect()),
+                ("equal", vec![1.0; length]),
+                ("two values", (0..length).map(|i| (i % 2) as f64).collect()),
+                ("random", (0..length).map(|_| random.unit()).collect()),
+            ];
+            for (name, sign) in [("low sample", -1.0), ("high sample", 1.0)] {
+                let key = |i: usize| {
+                    if i.is_multiple_of(SAMPLED) { sign * 1e9 } else { (i * 7919 % length) as f64 }
+                };
+                keys_of.push((name, (0..length).map(key).collect()));
+            }
+            for (name, keys) in keys_of {
+                let middle = length / 2;
+                let mut items: Vec<usize> = (0..length).collect();
+                let stop = Stop::default();
+                assert_eq!(select(&mut items, middle, |&item| keys[item], &stop), Ok(()));
+                let lowest = items[..middle].iter().map(|&item| keys[item]).fold(f64::MIN, f64::max);
+                let highest = items[middle..].iter().map(|&item| keys[item]).fold(f64::MAX, f64::min);
+                assert!(lowest <= highest, "{name}, {length} items: {lowest} before {highest}");
+                items.sort_unstable();
+                assert!(items.iter().enumerate().all(|(at, &item)| at == item), "{name}, {length} items");
+                let bound = 2 * SAMPLED as u64 * SPLIT_STEPS * length as u64;
+                assert!(stop.steps() <= bound, "{name}, {length} items: {stop:?}");
+                assert!(stop.largest_between_looks() <= STEPS_BETWEEN_LOOKS, "{name}: {stop:?}");
+                stop.stop();
+                assert_eq!(select(&mut items, middle, |&item| keys[item], &stop), Err(Stopped), "{name}");
+            }
+        }
+    }
 }

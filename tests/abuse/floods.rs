@@ -1,6 +1,6 @@
 //! Floods of HTTP/2 frames that mean nothing.
 
-use std::io;
+use std::{io, time::Duration};
 
 use futures_util::future::join_all;
 use prost::Message;
@@ -177,7 +177,17 @@ async fn beside_computing(arena: &Arena, payload: &[u8]) {
         }
     })
     .await;
-    let mut peer: Peer = arena.peer(Windows::OPEN).await.expect("a connection");
-    let call = peer.ask(INFO, &raw::frame(false, &[])).await.expect("a call");
-    peer.ended(call).await.expect("the server answers this address again");
+    // The attacker's closed connections count for its address until the server has noticed their end.
+    while let Err(refused) = ask_for_information(arena).await {
+        println!("the attacker's address is refused for now: {refused}");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+/// An ordinary call from the attacker's address.
+async fn ask_for_information(arena: &Arena) -> io::Result<()> {
+    let mut peer: Peer = arena.peer(Windows::OPEN).await?;
+    let call = peer.ask(INFO, &raw::frame(false, &[])).await?;
+    peer.ended(call).await?;
+    Ok(())
 }

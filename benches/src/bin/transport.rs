@@ -7,21 +7,18 @@
 
 use std::error::Error;
 use std::fmt::Write as _;
-use std::future::Future;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use hullcast::proto::{Output, QueryContactsRequest};
 use hullcast::workload::{Family, Regime};
 use hullcast_benches::report::{provenance, replace_section};
-use hullcast_benches::service::process::{Cpu, Server};
-use hullcast_benches::service::raw::{Caller, next, serve_echo};
-use hullcast_benches::service::requests::{Batch, QUERY, STREAM};
+use hullcast_benches::service::load::{latencies, load, measured, median, streamed};
+use hullcast_benches::service::process::Server;
+use hullcast_benches::service::raw::{Caller, serve_echo};
+use hullcast_benches::service::requests::{Batch, QUERY};
 use hullcast_benches::service::shaped;
 use prost::Message;
-use tokio::sync::mpsc;
 
 type Failure = Box<dyn Error>;
 
@@ -29,8 +26,7 @@ type Failure = Box<dyn Error>;
 const PAIRS: usize = 4096;
 /// Number of messages in flight at once.
 const UNDER_WAY: usize = 4;
-/// Duration of one measurement, and the number of measurements.
-const SECONDS: f64 = 1.0;
+/// Number of measurements per row.
 const ROUNDS: usize = 7;
 
 #[tokio::main]
@@ -60,52 +56,6 @@ async fn main() -> Result<(), Failure> {
 fn echo(bytes: usize) -> Result<Server, Failure> {
     let own = std::env::current_exe()?;
     Server::start(own.to_str().ok_or("a path that is no text")?, &["echo", &bytes.to_string()])
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
-}
-
-/// Sends `message` in `under_way` loops for `SECONDS`. Each loop starts a call at least `pause` after
-/// its previous one. Returns the number of calls.
-async fn load(caller: &Caller, message: &Bytes, under_way: usize, pause: Duration) -> Result<u64, Failure> {
-    let start = Instant::now();
-    let end = start + Duration::from_secs_f64(SECONDS);
-    let loops = (0..under_way).map(|place| {
-        let (mut caller, message) = (caller.clone(), message.clone());
-        tokio::spawn(async move {
-            let mut calls = 0;
-            let mut at = start + pause * place as u32 / under_way as u32;
-            while at.max(Instant::now()) < end {
-                if !pause.is_zero() {
-                    tokio::time::sleep_until(at.into()).await;
-                    at += pause;
-                }
-                caller.call(message.clone()).await?;
-                calls += 1;
-            }
-            Ok::<u64, tonic::Status>(calls)
-        })
-    });
-    let mut calls = 0;
-    for each in loops.collect::<Vec<_>>() {
-        calls += each.await??;
-    }
-    Ok(calls)
-}
-
-/// The server's CPU time per pair during `work`, which returns its number of pairs, and the number of
-/// pairs per second.
-async fn measured(
-    server: &Server,
-    work: impl Future<Output = Result<u64, Failure>>,
-) -> Result<(Cpu, f64), Failure> {
-    let (before, start) = (server.cpu()?, Instant::now());
-    let pairs = work.await? as f64;
-    let seconds = start.elapsed().as_secs_f64();
-    let used = server.cpu()?.since(before);
-    Ok((Cpu { compute: used.compute / pairs, rest: used.rest / pairs }, pairs / seconds))
 }
 
 /// Large messages: the server's CPU time besides computing, and that of an echo of the same bytes.
@@ -211,72 +161,6 @@ async fn small() -> Result<String, Failure> {
         eprintln!("{}", text.lines().last().unwrap_or_default());
     }
     Ok(text)
-}
-
-async fn latencies(caller: &mut Caller, message: &Bytes, calls: usize) -> Result<Vec<f64>, Failure> {
-    let mut times = Vec::with_capacity(calls);
-    for _ in 0..calls {
-        let start = Instant::now();
-        caller.call(message.clone()).await?;
-        times.push(start.elapsed().as_secs_f64() * 1e6);
-    }
-    Ok(times)
-}
-
-/// The number of messages answered within `SECONDS` by `streams` streams, each with `under_way`
-/// messages in flight.
-async fn streamed(
-    address: &str,
-    streams: usize,
-    under_way: usize,
-    first: &Bytes,
-    rest: &Bytes,
-) -> Result<u64, Failure> {
-    let answered = Arc::new(AtomicU64::new(0));
-    let end = Instant::now() + Duration::from_secs_f64(SECONDS);
-    let mut tasks = vec![];
-    let caller = Caller::connect(address, STREAM).await?;
-    for _ in 0..streams {
-        let (mut caller, first, rest, answered) =
-            (caller.clone(), first.clone(), rest.clone(), answered.clone());
-        tasks.push(tokio::spawn(async move {
-            let (send, mut receive) = mpsc::channel::<Bytes>(under_way);
-            let messages = tokio_stream_of(move |cx| receive.poll_recv(cx));
-            let mut answers = caller.stream(messages).await?;
-            let _ = send.send(first).await;
-            for _ in 1..under_way {
-                let _ = send.send(rest.clone()).await;
-            }
-            while Instant::now() < end {
-                next(&mut answers).await?;
-                answered.fetch_add(1, Ordering::Relaxed);
-                let _ = send.send(rest.clone()).await;
-            }
-            Ok::<(), tonic::Status>(())
-        }));
-    }
-    for task in tasks {
-        task.await??;
-    }
-    Ok(answered.load(Ordering::Relaxed))
-}
-
-fn tokio_stream_of<T>(
-    poll: impl FnMut(&mut std::task::Context<'_>) -> std::task::Poll<Option<T>> + Send + Unpin + 'static,
-) -> impl tokio_stream::Stream<Item = T> + Send {
-    struct Polled<F>(F);
-    impl<T, F: FnMut(&mut std::task::Context<'_>) -> std::task::Poll<Option<T>> + Unpin> tokio_stream::Stream
-        for Polled<F>
-    {
-        type Item = T;
-        fn poll_next(
-            mut self: std::pin::Pin<&mut Self>,
-            cx: &mut std::task::Context<'_>,
-        ) -> std::task::Poll<Option<T>> {
-            (self.0)(cx)
-        }
-    }
-    Polled(poll)
 }
 
 /// The size of the answers in bytes per pair, by the outputs that are asked for.

@@ -21,6 +21,11 @@ pub struct Cpu {
 }
 
 impl Cpu {
+    /// Time of all threads.
+    pub fn total(self) -> f64 {
+        self.compute + self.rest
+    }
+
     pub fn since(self, before: Self) -> Self {
         Self { compute: self.compute - before.compute, rest: self.rest - before.rest }
     }
@@ -49,8 +54,13 @@ impl Server {
     /// Starts the hullcast server with additional arguments.
     pub fn hullcast_with(more: &[&str]) -> Result<Self, Box<dyn Error>> {
         let program = std::env::var("HULLCAST_BIN").map_err(|_| "HULLCAST_BIN names the server's binary")?;
+        Self::binary(&program, more)
+    }
+
+    /// Starts the hullcast server of this path with additional arguments.
+    pub fn binary(program: &str, more: &[&str]) -> Result<Self, Box<dyn Error>> {
         let arguments = ["serve", "--listen", "127.0.0.1:0", "--store", "memory://", "--log", "error"];
-        Self::start(&program, &[&arguments, more].concat())
+        Self::start(program, &[&arguments, more].concat())
     }
 
     /// The CPU time that the server's threads have used.
