@@ -31,7 +31,27 @@ test: check-tools test-rust $(if $(CLIENT),test-python) ## runs every test, Rust
 
 .PHONY: check-tools
 check-tools: ## lists the tools that are missing on this machine
-	@CARGO="$(CARGO)" PYTHON="$(PYTHON)" ./scripts/check-tools
+	@CARGO="$(CARGO)" PYTHON="$(PYTHON)" PATH="$(TOOLS)/bin:$$PATH" ./scripts/check-tools $(NEEDS)
+
+# The tools that single targets need in addition. `check-tools` runs before anything is built, names
+# each missing tool with the way to install it, and fails. With AVAILABLE=1 a target does what is
+# possible on this machine, and prints what it leaves out.
+lint: NEEDS := $(if $(AVAILABLE),,rustfmt clippy cxx deny)
+playground: NEEDS := npm
+test-playground: NEEDS := chromium $(if $(AVAILABLE),,npm)
+test-tools: NEEDS := go
+test-balancers: NEEDS := root ip haproxy nginx
+test-faults: NEEDS := root
+capacity: NEEDS := unshare ip
+bench-counts: NEEDS := valgrind
+fuzz fuzz-planted: NEEDS := nightly cargo-fuzz cxx
+fuzz fuzz-planted: check-tools
+test-extras types bench-ray test-lowest test-latest: NEEDS := python3.11
+test-languages: override LANGUAGES += $(if $(AVAILABLE),--available)
+
+# These targets fail if one of their tests is skipped, because its subject is then missing.
+test-extras test-playground test-s3 test-otlp test-deploy test-balancers test-tools: \
+  export PYTEST_ADDOPTS := $(if $(AVAILABLE),,--no-skips)
 
 .PHONY: build
 build: check-tools ## builds the server, target/release/hullcast
@@ -190,13 +210,13 @@ playground: $(VENV)/.test ## builds playground/dist; run it after a change of pl
 	cd playground && npm ci --silent && PROTOC="$(abspath $(PY)) -m grpc_tools.protoc" npm run --silent build
 
 .PHONY: test-playground
-test-playground: check-tools $(VENV)/.playground ## tests the playground on the wire and, if Chromium is installed, in it; compares its bundle with its sources if npm is installed
+test-playground: check-tools $(VENV)/.playground ## tests the playground on the wire and in Chromium, and compares its bundle with its sources; needs Chromium and npm
 	$(CARGO) test --release --locked --test service playground
 	$(CARGO) build --release --locked
 	$(PY) -m pytest client/tests/extras/test_playground.py
 
 .PHONY: test-languages
-test-languages: build $(VENV)/.test ## tests clients in Go, TypeScript, Java and C++ against the real server, each if its tools are installed
+test-languages: build $(VENV)/.test ## tests clients in Go, TypeScript, Java and C++ against the real server; with AVAILABLE=1 only those whose tools are installed
 	$(PY) scripts/test-languages $(LANGUAGES)
 
 S3S_FS := 0.14.0
@@ -223,7 +243,7 @@ capacity: build $(VENV)/.demo ## measures a replica's cost per pair, and the siz
 	unshare --user --map-root-user --net env PATH="$$PATH:/usr/sbin" $(PY) scripts/capacity
 
 .PHONY: test-deploy
-test-deploy: build $(VENV)/.deploy ## checks the Kubernetes manifests against their schemas, and runs the Slurm job
+test-deploy: build $(VENV)/.deploy ## checks the Kubernetes manifests against their schemas
 	$(PY) -m pytest client/tests/extras/test_deploy.py
 
 .PHONY: test-balancers

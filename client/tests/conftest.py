@@ -13,6 +13,26 @@ import hullcast
 from hullcast._pb import hulls_pb2
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--no-skips", action="store_true", help="a skipped test fails the run")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Fails a run with --no-skips if a test was skipped, because its subject is then missing."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    skipped = [
+        report
+        for report in reporter.stats.get("skipped", [])
+        if "only on demand" not in str(report.longrepr)
+    ]
+    if session.config.getoption("no_skips") and skipped and session.exitstatus == 0:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+        reporter.write_line(
+            f"{len(skipped)} tests were skipped, which --no-skips forbids", red=True
+        )
+
+
 @pytest.fixture(scope="session")
 def client() -> Iterator[hullcast.Client]:
     """A client of a server that is started for the tests."""

@@ -1,5 +1,7 @@
 """Checks deploy/Containerfile and deploy/hullcast.service against the actual server.
 
+Also runs the Slurm job of docs/cluster.md, with one node.
+
 No image is built. The settings in the files are compared with the server's settings.
 """
 
@@ -9,6 +11,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -155,3 +158,47 @@ def test_systemd_knows_every_word_of_the_unit(tmp_path: Path) -> None:
     text = UNIT.read_text()
     assert verify(text) == ""
     assert "NoNewPrivilege" in verify(text.replace("NoNewPrivileges", "NoNewPrivilege"))
+
+
+SIMULATE = """
+import os, sys, hullcast
+with hullcast.connect(os.environ["HULLCAST_TARGET"]) as client:
+    hulls = client.register([[[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]])
+    print("registered", hulls[0].id.hex())
+"""
+
+
+def test_the_slurm_job_runs(tmp_path: Path):
+    """The page's script, with one node: a job that is refused, never finds its server, or leaves it
+    running behind."""
+    page = (ROOT / "docs/cluster.md").read_text()
+    (script,) = re.findall(r"```bash\n(#!/bin/bash\n#SBATCH.*?)```", page, re.DOTALL)
+    commands = tmp_path / "bin"
+    commands.mkdir()
+    (commands / "hullcast").symlink_to(Path(find_binary()).resolve())
+    (commands / "srun").write_text('#!/bin/sh\nexec "$@"\n')
+    (commands / "srun").chmod(0o755)
+    (tmp_path / "simulate.py").write_text(SIMULATE)
+    (tmp_path / "job").write_text(script)
+    environment = os.environ | {
+        "PATH": f"{commands}:{Path(sys.executable).parent}:{os.environ['PATH']}",
+        "SLURM_SUBMIT_DIR": str(tmp_path),
+        "PYTHONPATH": str(Path(hullcast.__file__).parents[1]),
+        "TMPDIR": str(tmp_path),
+    }
+    environment.pop("HULLCAST_LISTEN", None)
+    done = subprocess.run(
+        ["bash", "job"], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60
+    )
+    expected = hullcast.hull_id([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]).hex()
+    assert f"registered {expected}" in done.stdout, done.stderr
+    (blob,) = (tmp_path / "hulls").glob("*/*")
+    assert blob.name == expected
+    (scratch,) = tmp_path.glob("tmp.*")
+    assert not hullcast_runs(scratch / "hullcast")
+
+
+def hullcast_runs(socket: Path) -> bool:
+    """Whether a process was started with this socket and still is."""
+    lines = [p.read_bytes() for p in Path("/proc").glob("[0-9]*/cmdline") if p.exists()]
+    return any(f"unix:{socket}".encode() in line for line in lines)

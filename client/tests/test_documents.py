@@ -1,15 +1,15 @@
-"""Links, files, make targets and flags in the documents exist, and README's program works."""
+"""Links, files and make targets in the documents exist, and README's program works.
+
+`test_blocks.py` and `test_commands.py` check the code of the pages.
+"""
 
 from __future__ import annotations
 
 import re
 import subprocess
-from functools import cache
 from pathlib import Path
 
 import pages
-
-from hullcast import _serve
 
 ROOT = Path(__file__).resolve().parents[2]
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
@@ -17,8 +17,6 @@ _FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
 _HEADING = re.compile(r"^#+ (.*)$", re.MULTILINE)
 _CODE = re.compile(r"^```\w*\n(.*?)^```$|`([^`\n]+)`", re.DOTALL | re.MULTILINE)
 _TARGET = re.compile(r"^([\w./$()-]+(?: [\w-]+)*):", re.MULTILINE)
-_COMMAND = re.compile(r"\bhullcast (serve|query|load|tradeoff|prune)\b([^\n|;]*)")
-_FLAG = re.compile(r"(?<!\S)\[?(--[a-z][a-z0-9-]*)")
 _FILE = re.compile(r"[\w./-]+\.(?:rs|py|proto|md|toml|sh|mjs|ts|go|cpp|java|yaml)")
 
 
@@ -78,23 +76,6 @@ def test_every_target_of_make_is_one():
             assert name in targets, f"{page.relative_to(ROOT)}: make {name}"
             named += 1
     assert named > 50, named
-
-
-@cache
-def _help(command: str) -> str:
-    binary = _serve.find_binary()
-    return subprocess.run([binary, command, "--help"], capture_output=True, text=True).stdout
-
-
-def test_every_flag_of_the_command_line_is_one():
-    named = 0
-    for page, code in _code():
-        for command, rest in _COMMAND.findall(code):
-            for flag in _FLAG.findall(rest.partition("#")[0]):
-                known = re.search(rf"{flag}\b(?!-)", _help(command))
-                assert known, f"{page.relative_to(ROOT)}: hullcast {command} {flag}"
-                named += 1
-    assert named > 15, named
 
 
 def test_every_feature_is_one():

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import trustme
 from crowds import CUBE, NO_PROXY, Server
+from silent import SilentProxy
 
 import hullcast
 from hullcast import _channel
@@ -200,20 +201,24 @@ def test_a_server_that_answered_before_is_waited_for():
         later.join()
 
 
-def test_a_frozen_server_is_left_for_another():
-    """Catches a call that waits for a frozen server although another could answer.
+def tenth_of_the_intervals() -> list[tuple[str, int]]:
+    """gRPC's options for a silent peer, at a tenth of the package's own intervals.
 
-    The intervals are a tenth of the package's own. The latter must add up to less than a call's
-    usual timeout.
+    The package's own intervals must add up to less than a call's usual timeout.
     """
     names = ("grpc.keepalive_time_ms", "grpc.keepalive_timeout_ms", "grpc.http2.ping_timeout_ms")
     own = [_channel._OPTIONS[name] for name in names]
     assert own[0] + max(own[1:]) <= 30_000
-    options = [*NO_PROXY, *((name, value // 10) for name, value in zip(names, own, strict=True))]
+    return [*NO_PROXY, *((name, value // 10) for name, value in zip(names, own, strict=True))]
+
+
+def test_a_frozen_server_is_left_for_another():
+    """Catches a call that waits for a frozen server until its deadline, although another would
+    answer."""
     with (
         Server() as a,
         Server() as b,
-        hullcast.connect([a.address, b.address], options=options) as client,
+        hullcast.connect([a.address, b.address], options=tenth_of_the_intervals()) as client,
     ):
         hulls = client.register(CUBE)
         scene = hullcast.Scene(hulls, np.zeros((1, 3)), [[0, 0, 0, 1]])
@@ -229,3 +234,52 @@ def test_a_frozen_server_is_left_for_another():
                 assert m.in_contact.all()
         finally:
             os.kill(a.process.pid, signal.SIGCONT)
+
+
+@pytest.mark.parametrize("first", ["session", "query", "find"])
+def test_a_proxy_that_falls_silent_is_left_for_another(first):
+    """Catches a call that waits for its deadline because a proxy accepts the bytes and forwards none.
+
+    Each kind of call must notice it, so each kind comes first once.
+    """
+    with (
+        Server() as a,
+        Server() as b,
+        SilentProxy(a.address) as proxy,
+        hullcast.connect([proxy.address, b.address], options=tenth_of_the_intervals()) as client,
+    ):
+        scene = hullcast.Scene(client.register(CUBE), np.zeros((1, 3)), [[0, 0, 0, 1]])
+        sessions = [client.session(scene, [[0, 0]]) for _ in range(2)]
+        calls = {
+            "session": lambda: [
+                s.step(scene.positions, scene.rotations, timeout=40) for s in sessions
+            ],
+            "query": lambda: [client.query(scene, [[0, 0]], timeout=40) for _ in range(4)],
+            "find": lambda: [client.find(scene, timeout=40) for _ in range(4)],
+        }
+        for call in calls.values():
+            call()
+        proxy.silence()
+        # Each entry makes several calls, so that at least one of them goes to the proxy.
+        for name in sorted(calls, key=lambda name: name != first):
+            assert len(calls[name]()) > 1
+
+
+def test_a_proxy_that_is_silent_from_the_start():
+    """Catches a first call that waits for a silent peer although another server could answer.
+
+    Without another server, the call must end with an error that names the cause.
+    """
+    with (
+        Server() as server,
+        SilentProxy(server.address, silent=True) as proxy,
+        hullcast.connect([proxy.address, server.address], options=NO_PROXY) as client,
+    ):
+        assert len(client.register(CUBE, timeout=40)) == 1
+        with hullcast.connect(proxy.address, options=NO_PROXY) as alone:
+            with pytest.raises(
+                hullcast.Unavailable, match="accepts connections and does not answer"
+            ):
+                alone.ping()
+            with pytest.raises((hullcast.Unavailable, hullcast.DeadlineExceeded)):
+                alone.register(CUBE, timeout=1)

@@ -140,7 +140,7 @@ async fn every_call_gives_its_memory_back() {
     server.until_calls_hold_nothing().await;
     // A small request, which is decoded on the calling task, and one of 0.6 MiB, which is decoded
     // on the compute threads.
-    for bodies in [4, 10_000] {
+    for bodies in [100, 10_000] {
         let mut good = of(&shapes, 100);
         good.positions = vec![0.25; 3 * bodies];
         good.rotations = [0.0, 0.0, 0.0, 1.0].repeat(bodies);
@@ -161,7 +161,8 @@ async fn every_call_gives_its_memory_back() {
         while memory.used_by(Part::Decoded) == 0 {
             tokio::time::sleep(std::time::Duration::from_millis(1)).await;
         }
-        assert!(memory.used_by(Part::Decoded) >= 60 * bodies as u64);
+        // The memory that each call takes at its start covers the first 4 KiB.
+        assert!(memory.used_by(Part::Decoded) >= 60 * bodies as u64 - 4096);
         call.abort();
         server.app.engine().injected().open();
         server.until_calls_hold_nothing().await;

@@ -93,7 +93,7 @@ def _axes(ax: Any) -> tuple[Any, Any]:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise ImportError(
-            "plot needs matplotlib and scipy: pip install 'hullcast[plot]'"
+            "plot needs matplotlib and scipy: pip install './client[plot]' in the clone"
         ) from error
     if ax is not None:
         if not hasattr(ax, "add_collection3d"):

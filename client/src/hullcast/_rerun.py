@@ -43,7 +43,7 @@ def log(
     try:
         import rerun as library
     except ImportError as error:
-        raise ImportError("log needs rerun: pip install 'hullcast[rerun]'") from error
+        raise ImportError("log needs rerun: pip install './client[rerun]' in the clone") from error
     rerun: Any = library
     if recording is None and rerun.get_data_recording() is None:
         raise InvalidArgument(

@@ -26,6 +26,14 @@ from ._errors import (
 )
 
 _DETAILS_KEY = "grpc-status-details-bin"
+#: Parts of gRPC's own texts about a peer that is silent, and what the exception says instead.
+_SILENT = {
+    "before receiving SETTINGS frame": (
+        "the server accepts connections and does not answer: it is frozen, or it is a proxy that "
+        "has lost its server"
+    ),
+    "ping timeout": "the server stopped answering, and the connection was given up",
+}
 
 _BY_CODE: dict[grpc.StatusCode, type[Error]] = {
     grpc.StatusCode.INVALID_ARGUMENT: InvalidArgument,
@@ -54,7 +62,7 @@ def from_rpc(call: Any) -> Error:
     # Remove them, since the exception has them as attributes.
     for part in (error.reason, error.place):
         message = message.removeprefix(f"{part}: ")
-    error.message = message
+    error.message = next((text for part, text in _SILENT.items() if part in message), message)
     if isinstance(error, ServerError):
         error.code = code.name
     if isinstance(error, Unavailable):

@@ -253,7 +253,9 @@ def _library() -> Any:
         library: Any = importlib.import_module("ray")
         importlib.import_module("ray.data")
     except ImportError as error:
-        raise ImportError("batch jobs need ray: pip install 'hullcast[ray]'") from error
+        raise ImportError(
+            "batch jobs need ray: pip install './client[ray]' in the clone"
+        ) from error
     if not library.is_initialized():
         raise InvalidArgument("call ray.init first", reason="NO_CLUSTER", field="dataset")
     return library

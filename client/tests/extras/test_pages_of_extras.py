@@ -1,21 +1,73 @@
-"""The code on the pages about robots and ray prints the output that the pages show."""
+"""The pages about robots and ray, and the client's README, work for a user who follows them.
+
+The pages' own install lines fill an empty environment, with the newest packages.
+"""
 
 from __future__ import annotations
 
+import os
+import shlex
+import subprocess
+import venv
+from pathlib import Path
+
+import commands
 import pages
 import pytest
+import stage
+from blocks import ROOT, blocks_of
 from crowds import RAY_SETTINGS
+from test_pages import EXTRAS
+
+#: What the text of the pages names in addition: the extras of ray and rerun, and pandas.
+NAMED = "pip install './client[ray,rerun]' pandas"
+RAY = {**RAY_SETTINGS, "RAY_ADDRESS": "local"}
 
 
-def test_the_page_about_robots(tmp_path):
-    """The page goes from the Panda's URDF to contacts, and to those of 1,000 configurations."""
-    pytest.importorskip("yourdfpy")
-    assert pages.run(pages.DOCS / "robots.md", tmp_path) == 3
+def install_lines() -> list[str]:
+    """Of the pages that are run here."""
+    found = []
+    for page in ("client/README.md", "docs/python/robots.md"):
+        for block in blocks_of(ROOT / page):
+            lines = commands.shown(block) if commands.is_shell(block) else []
+            found += [line.partition(" #")[0] for line in lines if line.startswith("pip install ")]
+    return found
 
 
-def test_the_page_about_ray(tmp_path, monkeypatch):
-    """The page queries a hundred scenes of a dataset, on a ray cluster of one node."""
-    pytest.importorskip("ray")
-    for name, value in {**RAY_SETTINGS, "RAY_ADDRESS": "local"}.items():
-        monkeypatch.setenv(name, value)
-    assert pages.run(pages.DOCS / "batch-jobs.md", tmp_path) == 2
+@pytest.fixture(scope="module")
+def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of the environment; nothing of this one's is seen there."""
+    folder = tmp_path_factory.mktemp("user") / "environment"
+    venv.create(folder, with_pip=True)
+    hidden = ("HULLCAST_BIN", "PYTHONPATH", "PYTEST_ADDOPTS")
+    environment = {name: value for name, value in os.environ.items() if name not in hidden}
+    lines = install_lines()
+    assert len(lines) > 2, lines
+    for line in [*lines, NAMED]:
+        command = [folder / "bin/python", "-m", *shlex.split(line)]
+        subprocess.run(command, cwd=ROOT, env=environment, timeout=1800, check=True)
+    return folder / "bin/python"
+
+
+def test_the_page_about_robots(python, tmp_path):
+    """From the Panda's URDF to contacts, and to those of 1,000 configurations."""
+    assert pages.run(pages.DOCS / "robots.md", tmp_path, python) == EXTRAS["robots"]
+
+
+def test_the_page_about_ray(python, tmp_path):
+    """A hundred scenes of a dataset, on a ray of one node."""
+    shown = pages.run(pages.DOCS / "batch-jobs.md", tmp_path, python, **RAY)
+    assert shown == EXTRAS["batch-jobs"]
+
+
+def test_the_programs_that_need_a_package(python, tmp_path):
+    """Every block of the client's README, and the tasks of ray on the page about workers."""
+    readme = blocks_of(ROOT / "client/README.md")
+    (tasks,) = [b for b in blocks_of(pages.DOCS / "workers.md") if "@ray.remote" in b.text]
+    blocks = [block for block in readme if block.kind == "python"]
+    recording = "import rerun\nrerun.init('page')\nrerun.save('page.rrd')"
+    stage.run(blocks, tmp_path, before=recording, python=python)
+    before = (
+        "import ray\nray.init(num_cpus=1, include_dashboard=False)\nscenes = [names()['scene']]"
+    )
+    stage.run([tasks], tmp_path, before=before, python=python, **RAY)
