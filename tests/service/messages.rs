@@ -47,7 +47,7 @@ async fn a_declared_length_takes_no_memory() {
     tokio::time::sleep(Duration::from_millis(100)).await;
     assert_eq!(server.metric(ARRIVING), 0.0);
     connection.abort();
-    drop(calls);
+    calls.iter().for_each(tokio::task::JoinHandle::abort);
     server.until("hullcast_requests_in_flight", 0.0).await;
 }
 
