@@ -96,17 +96,22 @@ pub struct MemoryBudget {
 struct State {
     shares: Shares,
     parts: [u64; PARTS],
-    caps: [u64; PARTS],
+    /// The parts with a cap. Callers share each of them as they share the whole budget, since one caller
+    /// could otherwise hold all of it.
+    capped: [Option<Shares>; PARTS],
 }
 
 impl MemoryBudget {
     /// A budget of `limit` bytes. `shares` tells whether callers share it by dynamic thresholds. `caps`
     /// limit single parts.
     pub fn new(limit: u64, shares: bool, caps: &[(Part, u64)]) -> Arc<Self> {
-        let mut state =
-            State { shares: Shares::new(limit, shares), parts: [0; PARTS], caps: [u64::MAX; PARTS] };
+        let mut state = State {
+            shares: Shares::new(limit, shares),
+            parts: [0; PARTS],
+            capped: std::array::from_fn(|_| None),
+        };
         for &(part, cap) in caps {
-            state.caps[part as usize] = cap;
+            state.capped[part as usize] = Some(Shares::new(cap, shares));
         }
         Arc::new(Self { limit, state: Mutex::new(state) })
     }
@@ -124,8 +129,7 @@ impl MemoryBudget {
     /// The most bytes that all callers together may hold for `part`; none if only the whole budget limits
     /// it.
     pub fn cap(&self, part: Part) -> Option<u64> {
-        let cap = locked(&self.state).caps[part as usize];
-        (cap != u64::MAX).then_some(cap)
+        locked(&self.state).capped[part as usize].as_ref().map(Shares::limit)
     }
 
     /// The bytes that one caller holds.
@@ -214,6 +218,9 @@ impl Permit {
         let mut state = locked(&self.budget.state);
         state.parts[self.part as usize] = state.parts[self.part as usize].saturating_sub(less);
         state.shares.give_back(&self.caller, less);
+        if let Some(shares) = &mut state.capped[self.part as usize] {
+            shares.give_back(&self.caller, less);
+        }
     }
 
     /// The bytes that it has taken from the budget.
@@ -227,13 +234,16 @@ impl Permit {
             return Ok(());
         }
         let refused = |refusal| NoMemory { part: self.part, refusal };
-        let mut state = locked(&self.budget.state);
-        let part_after = state.parts[self.part as usize].saturating_add(more);
-        if part_after > state.caps[self.part as usize] {
+        let mut guard = locked(&self.budget.state);
+        let state = &mut *guard;
+        state.shares.take(&self.caller, more).map_err(refused)?;
+        if let Some(shares) = &mut state.capped[self.part as usize]
+            && shares.take(&self.caller, more).is_err()
+        {
+            state.shares.give_back(&self.caller, more);
             return Err(refused(Refusal::Busy));
         }
-        state.shares.take(&self.caller, more).map_err(refused)?;
-        state.parts[self.part as usize] = part_after;
+        state.parts[self.part as usize] += more;
         Ok(())
     }
 }
@@ -292,5 +302,22 @@ mod tests {
         assert_eq!((permit.bytes(), used()), (50, 50));
         drop(permit);
         assert_eq!((used(), budget.used()), (0, 0));
+    }
+
+    /// Catches a caller who takes a whole part, so that nothing of it is left for others although the budget
+    /// has room.
+    #[test]
+    fn callers_share_a_capped_part() {
+        let callers = Arc::new(Callers::default());
+        let [greedy, other] = [1, 2].map(|user| callers.get(CallerKey::User(user)));
+        let budget = MemoryBudget::new(1000, true, &[(Part::Arriving, 300)]);
+        let all: Vec<_> =
+            std::iter::from_fn(|| budget.take(&greedy, Part::Arriving, 10).ok()).take(100).collect();
+        assert_eq!(budget.used_by(Part::Arriving), 150);
+        let of_other = budget.take(&other, Part::Arriving, 70).unwrap();
+        let elsewhere = budget.take(&greedy, Part::Answers, 300).unwrap();
+        drop((all, of_other, elsewhere));
+        assert_eq!((budget.used_by(Part::Arriving), budget.used()), (0, 0));
+        assert!(budget.take(&other, Part::Arriving, 150).is_ok());
     }
 }

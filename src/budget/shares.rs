@@ -43,6 +43,11 @@ impl Shares {
         Self { limit, dynamic, used: 0, held: HashMap::new() }
     }
 
+    /// The whole quantity.
+    pub fn limit(&self) -> u64 {
+        self.limit
+    }
+
     /// The amount that all callers hold together.
     pub fn used(&self) -> u64 {
         self.used

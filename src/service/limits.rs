@@ -110,9 +110,6 @@ impl Limits {
     }
 }
 
-/// The bytes in front of a message on the wire: the compression flag and the length.
-const FRAME_HEAD_BYTES: u64 = 5;
-
 impl Limits {
     /// The values that the limit called `name` may have. None if there is no such limit, or any
     /// value is allowed.
@@ -172,8 +169,8 @@ impl Limits {
             ),
             (
                 ("max_request_bytes_in_flight", self.max_request_bytes_in_flight),
-                ("max_message_bytes and 5 bytes", self.max_message_bytes as u64 + FRAME_HEAD_BYTES),
-                "the largest message would never arrive",
+                ("twice max_message_bytes", 2 * self.max_message_bytes as u64),
+                "one caller may hold half of it, and the largest message has to arrive",
             ),
             (
                 ("max_memory_bytes", self.max_memory_bytes),

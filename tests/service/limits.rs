@@ -277,7 +277,7 @@ fn contradicting_limits_do_not_start() {
         |l| l.store_seconds = 0,
         |l| l.store_seconds = 3601,
         |l| l.max_deadline_seconds = 0,
-        |l| l.max_request_bytes_in_flight = l.max_message_bytes as u64 + 4,
+        |l| l.max_request_bytes_in_flight = 2 * l.max_message_bytes as u64 - 1,
         |l| l.max_pairs_in_flight = l.max_pairs_per_request - 1,
         |l| l.max_points_per_hull = l.max_vertices_per_hull - 1,
         |l| l.max_memory_bytes = (256 << 20) - 1,
@@ -299,7 +299,7 @@ fn contradicting_limits_do_not_start() {
     let exact = |message: usize| Limits {
         max_message_bytes: message,
         max_memory_bytes: 10 * message as u64,
-        max_request_bytes_in_flight: message as u64 + 5,
+        max_request_bytes_in_flight: 2 * message as u64,
         max_points_per_hull: Limits::default().max_vertices_per_hull,
         ..Limits::default()
     };

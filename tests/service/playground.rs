@@ -227,7 +227,7 @@ async fn tokens_guard_grpc_web() {
 #[tokio::test(flavor = "multi_thread")]
 async fn limits_hold_over_grpc_web() {
     let limits =
-        Limits { max_message_bytes: 20_000, max_request_bytes_in_flight: 20_000, ..Limits::default() };
+        Limits { max_message_bytes: 20_000, max_request_bytes_in_flight: 40_000, ..Limits::default() };
     let server = Setup { limits, ..setup() }.start().await;
     let of = |doubles| QueryContactsRequest { positions: vec![0.0; doubles], ..Default::default() };
     let (_, code, trailers) = call(&server, QUERY, "", &of(2600)).await;

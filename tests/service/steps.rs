@@ -222,9 +222,10 @@ async fn a_malformed_step_names_its_field_and_ends_the_stream() {
 #[tokio::test(flavor = "multi_thread")]
 async fn what_streams_keep_is_limited() {
     let (shapes, full) = two_boxes();
-    // The state is an id, two bodies, a pair and its bases: 32 + 8 + 8 + 24 bytes.
+    // The state is an id, two bodies, a pair and its bases: 32 + 8 + 8 + 24 bytes. One caller may have half
+    // of what all streams may keep.
     let not_kept = refused(Code::Unavailable, "STATE_NOT_KEPT", "");
-    for (max_stream_state_bytes, places) in [(0, 0), (71, 0), (72, 1), (144, 2)] {
+    for (max_stream_state_bytes, places) in [(0, 0), (143, 0), (144, 1), (287, 1), (288, 2)] {
         let limits = Limits { max_stream_state_bytes, ..Limits::default() };
         let server = Setup { limits, ..Setup::default() }.start().await;
         server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
