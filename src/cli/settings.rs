@@ -265,10 +265,7 @@ impl Settings {
             return Err(Exit::Usage.error(format!("playground: this server was built without it: {remedy}")));
         }
         Ok(Serving {
-            security: Arc::new(
-                Security::open(&files)
-                    .map_err(|error| Exit::Input.error(self.names_file(error.path(), &error)))?,
-            ),
+            security: Arc::new(Security::open(&files).map_err(|error| Exit::Input.error(error.to_string()))?),
             reload_every: seconds("reload_seconds", self.reload_seconds, SHORTEST_LOOP)?,
             drain: seconds("drain_seconds", self.drain_seconds, 0.0)?,
             max_connection_age: seconds("max_connection_age_seconds", self.max_connection_age_seconds, 0.0)?,
@@ -280,19 +277,6 @@ impl Settings {
             playground: self.playground,
             ..Serving::default()
         })
-    }
-
-    /// A fault of a file with the setting that names the file.
-    fn names_file(&self, path: &Path, fault: &dyn std::fmt::Display) -> String {
-        let files = [
-            ("tls_certificate ", &self.tls_certificate),
-            ("tls_key ", &self.tls_key),
-            ("tls_client_ca ", &self.tls_client_ca),
-            ("query_tokens ", &self.query_tokens),
-            ("register_tokens ", &self.register_tokens),
-        ];
-        let setting = files.into_iter().find(|(_, file)| file.as_path() == path).map_or("", |(name, _)| name);
-        format!("{setting}{fault}")
     }
 
     /// How long health says NOT_SERVING before connections are closed, when the server stops.

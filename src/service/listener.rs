@@ -2,7 +2,7 @@
 
 use std::{
     fmt, io,
-    path::{Path, PathBuf},
+    path::Path,
     pin::Pin,
     sync::Arc,
     task::{Context, Poll},
@@ -14,15 +14,15 @@ use tokio::{
 };
 use tokio_rustls::{TlsAcceptor, rustls::ServerConfig, server::TlsStream};
 
-use super::peers::Address;
+use super::{peers::Address, socket_file::SocketFile};
 
 /// A bound address.
 #[derive(Debug)]
 pub enum Listener {
     /// `host:port`.
     Tcp(TcpListener),
-    /// `unix:PATH`; the path is removed when the listener is dropped.
-    Unix(UnixListener, PathBuf),
+    /// `unix:PATH`; the path is removed when the listener is dropped, unless another socket has it by then.
+    Unix(UnixListener, SocketFile),
 }
 
 impl Listener {
@@ -34,9 +34,8 @@ impl Listener {
         let named = |error: io::Error| io::Error::new(error.kind(), format!("{address}: {error}"));
         match address.strip_prefix("unix:") {
             Some(path) => {
-                let path = PathBuf::from(path);
-                remove_stale(&path).await.map_err(named)?;
-                Ok(Self::Unix(UnixListener::bind(&path).map_err(named)?, path))
+                let (listener, file) = SocketFile::bind(Path::new(path)).await.map_err(named)?;
+                Ok(Self::Unix(listener, file))
             }
             None => Ok(Self::Tcp(TcpListener::bind(address).await.map_err(named)?)),
         }
@@ -79,28 +78,9 @@ impl fmt::Display for Listener {
                 Ok(address) => write!(f, "{address}"),
                 Err(error) => write!(f, "unknown address ({error})"),
             },
-            Self::Unix(_, path) => write!(f, "unix:{}", path.display()),
+            Self::Unix(_, file) => write!(f, "unix:{}", file.path().display()),
         }
     }
-}
-
-impl Drop for Listener {
-    fn drop(&mut self) {
-        if let Self::Unix(_, path) = self {
-            let _ = std::fs::remove_file(path);
-        }
-    }
-}
-
-/// Removes the socket that a killed server left behind. A socket that still answers is kept, and
-/// binding fails.
-async fn remove_stale(path: &Path) -> io::Result<()> {
-    use std::os::unix::fs::FileTypeExt;
-    let is_socket = std::fs::symlink_metadata(path).is_ok_and(|m| m.file_type().is_socket());
-    if is_socket && UnixStream::connect(path).await.is_err() {
-        std::fs::remove_file(path)?;
-    }
-    Ok(())
 }
 
 /// An accepted connection.

@@ -31,6 +31,7 @@ use super::{
     context::{CALL_BYTES, CallContext, no_memory},
     error::{Kind, ServiceError},
     peers::Peer,
+    protocol,
     request_body::{MessageBody, MessageRules},
     wire,
 };
@@ -135,6 +136,9 @@ where
     }
 
     fn call(&mut self, mut request: Request<B>) -> Self::Future {
+        if let Some(refusal) = protocol::refusal(&request) {
+            return Box::pin(std::future::ready(Ok(refusal)));
+        }
         let method = call::method(request.uri().path());
         let traced = trace::call(method, request.headers());
         let span = call::span(method, request.headers(), &traced);

@@ -29,11 +29,13 @@ mod outputs;
 mod peers;
 #[cfg(feature = "playground")]
 mod playground;
+mod protocol;
 mod readiness;
 mod records;
 mod request_body;
 mod security;
 mod server;
+mod socket_file;
 mod steps;
 pub mod wire;
 
@@ -54,6 +56,7 @@ pub use security::{LoadError, Security, SecurityFiles};
 #[doc(hidden)]
 pub use server::handlers;
 pub use server::{Serving, run};
+pub use socket_file::SocketFile;
 
 use crate::{
     budget::{Caller, Callers, MemoryBudget, Part},

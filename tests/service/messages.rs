@@ -126,7 +126,12 @@ async fn a_stream_may_wait_between_messages() {
 /// token.
 #[tokio::test(flavor = "multi_thread")]
 async fn health_is_answered_whatever_the_budget_holds() {
-    let limits = Limits { max_memory_bytes: 256 << 20, max_message_bytes: 16 << 20, ..Limits::default() };
+    let limits = Limits {
+        max_memory_bytes: 256 << 20,
+        max_message_bytes: 16 << 20,
+        max_points_per_hull: 1 << 16,
+        ..Limits::default()
+    };
     let server = TestServer::with_limits(limits).await;
     let caller = hullcast::budget::Caller::alone();
     let mut filler = Vec::new();
@@ -143,6 +148,32 @@ async fn health_is_answered_whatever_the_budget_holds() {
         let status = status_of(&server, path, raw::Body::Unfinished(raw::frame(false, &[0; 1025]))).await;
         assert_eq!(refusal(&status), refused(Code::InvalidArgument, "MESSAGE_TOO_LARGE", ""), "{path}");
     }
+}
+
+/// Catches a call that is served although it is not gRPC, by its method or its content type: a page
+/// of another site may send such a request.
+#[tokio::test(flavor = "multi_thread")]
+async fn requests_that_are_not_grpc_are_refused_by_http() {
+    let server = TestServer::start().await;
+    let mut client = raw::connect(&server.address).await;
+    let mut code = async |method: &str, kind: Option<&str>| {
+        let mut request = http::Request::builder().method(method).uri(format!("http://localhost{CHECK}"));
+        if let Some(kind) = kind {
+            request = request.header("content-type", kind);
+        }
+        let body = raw::Body::Whole(raw::frame(false, &[]));
+        let response = client.send_request(request.body(body).unwrap()).await.unwrap();
+        (response.status().as_u16(), response.headers().contains_key("allow"))
+    };
+    assert_eq!(code("POST", Some("application/grpc")).await, (200, false));
+    assert_eq!(code("POST", Some("application/grpc+proto")).await, (200, false));
+    for kind in [None, Some("application/json"), Some("text/plain"), Some("application/grpc-web")] {
+        assert_eq!(code("POST", kind).await, (415, false), "{kind:?}");
+    }
+    for method in ["GET", "PUT", "OPTIONS", "HEAD"] {
+        assert_eq!(code(method, Some("application/grpc")).await, (405, true), "{method}");
+    }
+    assert_eq!(server.metric("hullcast_requests_in_flight"), 0.0);
 }
 
 /// Catches an unlimited number of Watch streams on one connection, and places that are not

@@ -2,6 +2,7 @@
 
 mod reloaded;
 mod tls;
+mod token_lines;
 mod tokens;
 
 use std::{path::PathBuf, sync::Arc};

@@ -1,48 +1,71 @@
 //! Values that are read from files, and read again when the files change.
 
 use std::{
-    fmt, fs,
+    fmt,
     path::{Path, PathBuf},
-    sync::{Arc, PoisonError, RwLock},
+    sync::{Arc, Mutex, PoisonError, RwLock},
 };
 
 use sha2::{Digest, Sha256};
 
-/// Why files were refused; the text names the file.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct LoadError {
+use crate::{lock::locked, small_file};
+
+/// A file that a setting names.
+#[derive(Clone, Debug)]
+pub(super) struct SettingFile {
+    setting: &'static str,
     path: PathBuf,
-    why: String,
 }
 
+impl SettingFile {
+    pub(super) fn new(setting: &'static str, path: &Path) -> Self {
+        Self { setting, path: path.to_owned() }
+    }
+}
+
+impl fmt::Display for SettingFile {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} {}", self.setting, self.path.display())
+    }
+}
+
+/// Why files were refused; the text names the setting and the file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LoadError(String);
+
 impl LoadError {
-    pub(super) fn new(path: &Path, why: impl fmt::Display) -> Self {
-        Self { path: path.into(), why: why.to_string() }
+    pub(super) fn new(file: &SettingFile, why: impl fmt::Display) -> Self {
+        Self(format!("{file}: {why}"))
     }
 
-    /// The file at fault.
-    pub fn path(&self) -> &Path {
-        &self.path
+    /// No file at the path of `setting`.
+    pub(super) fn missing(setting: &str, why: &str) -> Self {
+        Self(format!("{setting} is empty: {why}"))
     }
 }
 
 impl fmt::Display for LoadError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: {}", self.path.display(), self.why)
+        f.write_str(&self.0)
     }
 }
 
 impl std::error::Error for LoadError {}
 
-/// Makes a value from the contents of the files, in the order of their paths.
-type Parse<T> = fn(&[(&Path, Vec<u8>)]) -> Result<T, LoadError>;
+/// The contents of files, in the order of the files.
+pub(super) type Contents<'a> = Vec<(&'a SettingFile, Vec<u8>)>;
+
+/// Makes a value from the contents of the files.
+type Parse<T> = fn(&[(&SettingFile, Vec<u8>)]) -> Result<T, LoadError>;
 
 /// A value made from files.
 #[derive(Debug)]
 pub(super) struct Reloaded<T> {
-    paths: Vec<PathBuf>,
+    files: Vec<SettingFile>,
     parse: Parse<T>,
     current: RwLock<Current<T>>,
+    /// The fault that was logged last; none if the files could be used.
+    fault: Mutex<Option<LoadError>>,
 }
 
 #[derive(Debug)]
@@ -55,21 +78,22 @@ struct Current<T> {
 impl<T> Reloaded<T> {
     /// # Errors
     /// A file cannot be read, or `parse` refuses it.
-    pub(super) fn open(paths: Vec<PathBuf>, parse: Parse<T>) -> Result<Self, LoadError> {
-        let contents = read(&paths)?;
+    pub(super) fn open(files: Vec<SettingFile>, parse: Parse<T>) -> Result<Self, LoadError> {
+        let contents = read(&files)?;
         let value = Arc::new(parse(&contents)?);
         let current = RwLock::new(Current { value, digest: digest(&contents) });
-        Ok(Self { paths, parse, current })
+        Ok(Self { files, parse, current, fault: Mutex::default() })
     }
 
     pub(super) fn get(&self) -> Arc<T> {
         self.current.read().unwrap_or_else(PoisonError::into_inner).value.clone()
     }
 
-    /// Reads the files again and replaces the value, if they have changed and can be used.
+    /// Reads the files again and replaces the value, if they have changed and can be used. Logs a
+    /// fault of the files once, however often they are read meanwhile.
     pub(super) fn reload(&self) {
         let seen = self.current.read().unwrap_or_else(PoisonError::into_inner).digest;
-        let changed = read(&self.paths).and_then(|contents| {
+        let changed = read(&self.files).and_then(|contents| {
             let digest = digest(&contents);
             if digest == seen {
                 return Ok(None);
@@ -77,25 +101,37 @@ impl<T> Reloaded<T> {
             let value = Arc::new((self.parse)(&contents)?);
             Ok(Some(Current { value, digest }))
         });
+        let mut fault = locked(&self.fault);
         match changed {
-            Ok(None) => {}
+            Ok(None) => {
+                if fault.take().is_some() {
+                    tracing::info!(files = %self.names(), "can be used again");
+                }
+            }
             Ok(Some(current)) => {
                 *self.current.write().unwrap_or_else(PoisonError::into_inner) = current;
-                tracing::info!(files = ?self.paths, "read again");
+                *fault = None;
+                tracing::info!(files = %self.names(), "read again");
             }
+            Err(error) if fault.as_ref() == Some(&error) => {}
             Err(error) => {
-                tracing::error!(%error, "changed files cannot be used: their previous contents stay in force")
+                tracing::error!(%error, "not taken: what was read before stays in force");
+                *fault = Some(error);
             }
         }
     }
+
+    fn names(&self) -> String {
+        self.files.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
+    }
 }
 
-fn read(paths: &[PathBuf]) -> Result<Vec<(&Path, Vec<u8>)>, LoadError> {
-    let read = |path| fs::read(path).map_err(|error| LoadError::new(path, error));
-    paths.iter().map(|path| Ok((path.as_path(), read(path)?))).collect()
+fn read(files: &[SettingFile]) -> Result<Contents<'_>, LoadError> {
+    let read = |file: &SettingFile| small_file::read(&file.path).map_err(|error| LoadError::new(file, error));
+    files.iter().map(|file| Ok((file, read(file)?))).collect()
 }
 
-fn digest(contents: &[(&Path, Vec<u8>)]) -> [u8; 32] {
+fn digest(contents: &[(&SettingFile, Vec<u8>)]) -> [u8; 32] {
     let mut all = Sha256::new();
     for (_, bytes) in contents {
         all.update(Sha256::digest(bytes));

@@ -1,20 +1,20 @@
 //! TLS by rustls on ring, the only crypto provider in the dependency tree.
 
-use std::{
-    path::{Path, PathBuf},
-    sync::Arc,
-};
+use std::{path::Path, sync::Arc};
 
 use tokio_rustls::rustls::{
     RootCertStore, ServerConfig,
     crypto::ring,
-    pki_types::{CertificateDer, PrivateKeyDer, pem::PemObject},
+    pki_types::{
+        CertificateDer, PrivateKeyDer,
+        pem::{self, PemObject},
+    },
     server::WebPkiClientVerifier,
 };
 
 use super::{
     SecurityFiles,
-    reloaded::{LoadError, Reloaded},
+    reloaded::{LoadError, Reloaded, SettingFile},
 };
 
 /// The TLS configuration of certificate, key and, if given, the authorities of clients.
@@ -27,16 +27,19 @@ impl Tls {
     /// # Errors
     /// A file cannot be read or used, or a file that another one needs is not named.
     pub(super) fn open(files: &SecurityFiles) -> Result<Option<Self>, LoadError> {
-        let given = |path: &PathBuf| !path.as_os_str().is_empty();
-        let mut paths = vec![files.tls_certificate.clone(), files.tls_key.clone()];
+        let given = |path: &Path| !path.as_os_str().is_empty();
+        let mut named = vec![
+            SettingFile::new("tls_certificate", &files.tls_certificate),
+            SettingFile::new("tls_key", &files.tls_key),
+        ];
         match (given(&files.tls_certificate), given(&files.tls_key), given(&files.tls_client_ca)) {
             (false, false, false) => return Ok(None),
             (true, true, false) => {}
-            (true, true, true) => paths.push(files.tls_client_ca.clone()),
-            (false, _, _) => return Err(LoadError::new(Path::new("tls_certificate"), "is missing")),
-            (true, false, _) => return Err(LoadError::new(Path::new("tls_key"), "is missing")),
+            (true, true, true) => named.push(SettingFile::new("tls_client_ca", &files.tls_client_ca)),
+            (false, _, _) => return Err(LoadError::missing("tls_certificate", NEEDED)),
+            (true, false, _) => return Err(LoadError::missing("tls_key", NEEDED)),
         }
-        Reloaded::open(paths, config).map(|config| Some(Self(config)))
+        Reloaded::open(named, config).map(|config| Some(Self(config)))
     }
 
     pub(super) fn config(&self) -> Arc<ServerConfig> {
@@ -48,39 +51,48 @@ impl Tls {
     }
 }
 
+/// Which files belong together.
+const NEEDED: &str = "TLS needs tls_certificate and tls_key; tls_client_ca works only with both";
+
 /// The configuration from the contents of certificate, key and, if given, authorities.
-fn config(contents: &[(&Path, Vec<u8>)]) -> Result<Arc<ServerConfig>, LoadError> {
-    let [(chain_path, chain), (key_path, key), authorities @ ..] = contents else {
-        return Err(LoadError::new(Path::new("tls"), "certificate and key are needed"));
+fn config(contents: &[(&SettingFile, Vec<u8>)]) -> Result<Arc<ServerConfig>, LoadError> {
+    let [(chain_file, chain), (key_file, key), authorities @ ..] = contents else {
+        return Err(LoadError::missing("tls_certificate", NEEDED));
     };
     let provider = Arc::new(ring::default_provider());
     let builder = ServerConfig::builder_with_provider(provider.clone())
         .with_safe_default_protocol_versions()
-        .map_err(|error| LoadError::new(chain_path, error))?;
+        .map_err(|error| LoadError::new(chain_file, error))?;
     let builder = match authorities.first() {
         None => builder.with_no_client_auth(),
-        Some((path, bytes)) => {
+        Some((file, bytes)) => {
             let mut roots = RootCertStore::empty();
-            for authority in certificates(path, bytes)? {
-                roots.add(authority).map_err(|error| LoadError::new(path, error))?;
+            for authority in certificates(file, bytes)? {
+                roots.add(authority).map_err(|error| LoadError::new(file, error))?;
             }
             let verifier = WebPkiClientVerifier::builder_with_provider(Arc::new(roots), provider).build();
-            builder.with_client_cert_verifier(verifier.map_err(|error| LoadError::new(path, error))?)
+            builder.with_client_cert_verifier(verifier.map_err(|error| LoadError::new(file, error))?)
         }
     };
-    let key = PrivateKeyDer::from_pem_slice(key).map_err(|error| LoadError::new(key_path, error))?;
+    let key = match PrivateKeyDer::from_pem_slice(key) {
+        Ok(key) => key,
+        Err(pem::Error::NoItemsFound) => return Err(LoadError::new(key_file, "no private key (PEM) in it")),
+        Err(error) => return Err(LoadError::new(key_file, error)),
+    };
     let mut config = builder
-        .with_single_cert(certificates(chain_path, chain)?, key)
-        .map_err(|error| LoadError::new(chain_path, error))?;
+        .with_single_cert(certificates(chain_file, chain)?, key)
+        .map_err(|error| LoadError::new(chain_file, error))?;
     config.alpn_protocols = vec![b"h2".to_vec()];
     Ok(Arc::new(config))
 }
 
-fn certificates(path: &Path, pem: &[u8]) -> Result<Vec<CertificateDer<'static>>, LoadError> {
+fn certificates(file: &SettingFile, pem: &[u8]) -> Result<Vec<CertificateDer<'static>>, LoadError> {
     let found: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(pem).collect();
     match found {
-        Ok(certificates) if certificates.is_empty() => Err(LoadError::new(path, "no certificate in it")),
+        Ok(certificates) if certificates.is_empty() => {
+            Err(LoadError::new(file, "no certificate (PEM) in it"))
+        }
         Ok(certificates) => Ok(certificates),
-        Err(error) => Err(LoadError::new(path, error)),
+        Err(error) => Err(LoadError::new(file, error)),
     }
 }

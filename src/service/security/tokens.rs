@@ -1,9 +1,6 @@
 //! Bearer tokens: lists of valid tokens, each list with a role.
 
-use std::{
-    path::{Path, PathBuf},
-    sync::Arc,
-};
+use std::{path::Path, sync::Arc};
 
 use http::{HeaderMap, header::AUTHORIZATION};
 use sha2::{Digest, Sha256};
@@ -11,7 +8,8 @@ use subtle::{ConditionallySelectable, ConstantTimeEq};
 
 use super::{
     SecurityFiles,
-    reloaded::{LoadError, Reloaded},
+    reloaded::{LoadError, Reloaded, SettingFile},
+    token_lines::read,
 };
 use crate::service::ServiceError;
 
@@ -33,14 +31,14 @@ pub(super) struct Tokens {
 
 /// The tokens of one list.
 #[derive(Debug)]
-struct List(Vec<Token>);
+pub(super) struct List(pub(super) Vec<Token>);
 
 /// A token's SHA-256, so that tokens are not kept in memory and all have the same length, and the
 /// token's name in metrics and logs.
 #[derive(Debug)]
-struct Token {
-    hash: [u8; 32],
-    name: Arc<str>,
+pub(super) struct Token {
+    pub(super) hash: [u8; 32],
+    pub(super) name: Arc<str>,
 }
 
 impl Tokens {
@@ -49,13 +47,13 @@ impl Tokens {
     /// # Errors
     /// A list cannot be read or has no token.
     pub(super) fn open(files: &SecurityFiles) -> Result<Option<Self>, LoadError> {
-        let list = |path: &PathBuf, read| match path.as_os_str().is_empty() {
+        let list = |setting, path: &Path, read| match path.as_os_str().is_empty() {
             true => Ok(None),
-            false => Reloaded::open(vec![path.clone()], read).map(Some),
+            false => Reloaded::open(vec![SettingFile::new(setting, path)], read).map(Some),
         };
         let tokens = Self {
-            query: list(&files.query_tokens, |contents| read(contents, "query"))?,
-            register: list(&files.register_tokens, |contents| read(contents, "register"))?,
+            query: list("query_tokens", &files.query_tokens, |contents| read(contents, "query"))?,
+            register: list("register_tokens", &files.register_tokens, |contents| read(contents, "register"))?,
         };
         Ok((tokens.query.is_some() || tokens.register.is_some()).then_some(tokens))
     }
@@ -99,49 +97,6 @@ impl List {
     }
 }
 
-/// Reads a list. A line is `token` or `name: token`. A comment begins with `#` at the start of the
-/// line or after white space. A token without a name is named by its list and line number.
-fn read(contents: &[(&Path, Vec<u8>)], list: &str) -> Result<List, LoadError> {
-    let mut tokens = Vec::new();
-    for (path, bytes) in contents {
-        let text = std::str::from_utf8(bytes).map_err(|error| LoadError::new(path, error))?;
-        for (line, number) in text.lines().zip(1..) {
-            let line = without_comment(line).trim();
-            if line.is_empty() {
-                continue;
-            }
-            let (name, token) = match named(line) {
-                Some((name, token)) => (name.into(), token),
-                None => (format!("{list}.{number}").into(), line),
-            };
-            tokens.push(Token { hash: Sha256::digest(token).into(), name });
-        }
-        if tokens.is_empty() {
-            return Err(LoadError::new(path, "no token in it"));
-        }
-    }
-    Ok(List(tokens))
-}
-
-fn without_comment(line: &str) -> &str {
-    let begins = |&(at, _): &(usize, &str)| line[..at].chars().next_back().is_none_or(char::is_whitespace);
-    let comment = line.match_indices('#').find(begins);
-    comment.map_or(line, |(at, _)| &line[..at])
-}
-
-/// The longest name of a token.
-const NAME_BYTES: usize = 32;
-
-/// The parts of `name: token`; none if the line is only a token. A colon without white space after
-/// it belongs to a token.
-fn named(line: &str) -> Option<(&str, &str)> {
-    let (name, token) = line.split_once(':')?;
-    let is_name = (1..=NAME_BYTES).contains(&name.len())
-        && name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"_.-".contains(&byte));
-    let token = token.strip_prefix(char::is_whitespace)?.trim();
-    (is_name && !token.is_empty()).then_some((name, token))
-}
-
 fn bearer(headers: &HeaderMap) -> Option<&[u8]> {
     let value = headers.get(AUTHORIZATION)?.as_bytes();
     let (scheme, token) = value.split_at_checked(7)?;
@@ -150,7 +105,7 @@ fn bearer(headers: &HeaderMap) -> Option<&[u8]> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{super::token_lines::NAME_BYTES, *};
 
     fn lists(query: &str, register: &str) -> (tempfile::TempDir, SecurityFiles) {
         let directory = tempfile::tempdir().unwrap();
@@ -248,7 +203,7 @@ mod tests {
         std::fs::write(&files.query_tokens, "two").unwrap();
         tokens.reload();
         assert_eq!(state(), ["UNKNOWN_TOKEN", ""]);
-        for broken in [&b"# none"[..], &[0xff, b'\n']] {
+        for broken in [&b"# none"[..], &[0xff, b'\n'], "one\u{2028}two".as_bytes()] {
             std::fs::write(&files.query_tokens, broken).unwrap();
             tokens.reload();
             assert_eq!(state(), ["UNKNOWN_TOKEN", ""]);
@@ -256,5 +211,37 @@ mod tests {
         std::fs::remove_file(&files.query_tokens).unwrap();
         tokens.reload();
         assert_eq!(state(), ["UNKNOWN_TOKEN", ""]);
+    }
+
+    /// A list may be replaced by any kind of entry. Catches a reload that waits for the writer of a
+    /// FIFO for ever, one that reads without a bound, and one that no later reload mends.
+    #[test]
+    fn whatever_replaces_a_list_the_next_reload_can_mend() {
+        let (directory, files) = lists("one", "admin");
+        let tokens = Tokens::open(&files).unwrap().unwrap();
+        let state = || ["Bearer one", "Bearer two"].map(|t| reason(&tokens, Role::Query, Some(t)));
+        let path = &files.query_tokens;
+        let mode = rustix::fs::Mode::from_raw_mode(0o600);
+        let replacements: [&dyn Fn(); 6] = [
+            &|| rustix::fs::mkfifoat(rustix::fs::CWD, path, mode).unwrap(),
+            &|| std::os::unix::fs::symlink("/dev/zero", path).unwrap(),
+            &|| std::os::unix::fs::symlink(path, path).unwrap(),
+            &|| std::os::unix::fs::symlink(directory.path(), path).unwrap(),
+            &|| std::fs::File::create(path).unwrap().set_len(1 << 40).unwrap(),
+            &|| {},
+        ];
+        for replace in replacements {
+            std::fs::remove_file(path).unwrap();
+            replace();
+            tokens.reload();
+            tokens.reload();
+            assert_eq!(state(), ["", "UNKNOWN_TOKEN"]);
+            let _ = std::fs::remove_file(path);
+            std::fs::write(path, "two").unwrap();
+            tokens.reload();
+            assert_eq!(state(), ["UNKNOWN_TOKEN", ""]);
+            std::fs::write(path, "one").unwrap();
+            tokens.reload();
+        }
     }
 }

@@ -1,0 +1,164 @@
+//! The lines of a file of tokens.
+
+use sha2::{Digest, Sha256};
+
+use super::{
+    reloaded::{LoadError, SettingFile},
+    tokens::{List, Token},
+};
+
+/// The longest name of a token, in bytes.
+pub(super) const NAME_BYTES: usize = 32;
+
+/// The longest token, in bytes: half of what a call's headers may have together.
+const TOKEN_BYTES: usize = 8 << 10;
+
+/// The lists of tokens. An unnamed token is called by its list and its line, as in `query.3`, so no
+/// line may give such a name.
+const LISTS: [&str; 2] = ["query", "register"];
+
+/// Reads a list. A line is `token` or `name: token`. A comment begins with `#` at the start of the
+/// line or after white space. A token without a name is named by its list and line number.
+///
+/// # Errors
+/// There is no token, or a line makes a token that no call can send, or a name that is taken; the
+/// text names the line.
+pub(super) fn read(contents: &[(&SettingFile, Vec<u8>)], list: &str) -> Result<List, LoadError> {
+    let mut tokens = Vec::new();
+    for (file, bytes) in contents {
+        for (line, number) in bytes.split(|&byte| byte == b'\n').zip(1..) {
+            let refused = |why: String| LoadError::new(file, format!("line {number}: {why}"));
+            let line = std::str::from_utf8(line).map_err(|error| refused(error.to_string()))?;
+            let Some((name, token)) = parts(line).map_err(refused)? else { continue };
+            let name = name.map_or_else(|| format!("{list}.{number}").into(), Into::into);
+            tokens.push(Token { hash: Sha256::digest(token).into(), name });
+        }
+        if tokens.is_empty() {
+            return Err(LoadError::new(file, "no token in it"));
+        }
+    }
+    Ok(List(tokens))
+}
+
+/// The name, if there is one, and the token of a line; none for a line without a token.
+fn parts(line: &str) -> Result<Option<(Option<&str>, &str)>, String> {
+    // In a comment, such a character would hide the token that an editor shows on a line of its own.
+    let ends_a_line = |c: char| (c.is_control() && c != '\t') || matches!(c, '\u{2028}' | '\u{2029}');
+    if let Some(c) = line.trim().chars().find(|&c| ends_a_line(c)) {
+        return Err(format!("it has {}: end each line with a line feed (U+000A)", named_character(c)));
+    }
+    let line = without_comment(line).trim();
+    if line.is_empty() {
+        return Ok(None);
+    }
+    let (name, token) = match named(line)? {
+        Some((name, token)) => (Some(name), token),
+        None => (None, line),
+    };
+    if let Some(c) = token.chars().find(|c| !(' '..='~').contains(c)) {
+        let which = named_character(c);
+        return Err(format!("the token has {which}, which no call can send: use printable ASCII only"));
+    }
+    if token.len() > TOKEN_BYTES {
+        return Err(format!("the token has {} bytes, must have at most {TOKEN_BYTES}", token.len()));
+    }
+    Ok(Some((name, token)))
+}
+
+fn named_character(c: char) -> String {
+    let hint = if c == '\u{feff}' { " (a byte order mark: save the file without it)" } else { "" };
+    format!("the character U+{:04X}{hint}", u32::from(c))
+}
+
+fn without_comment(line: &str) -> &str {
+    let begins = |&(at, _): &(usize, &str)| line[..at].chars().next_back().is_none_or(char::is_whitespace);
+    let comment = line.match_indices('#').find(begins);
+    comment.map_or(line, |(at, _)| &line[..at])
+}
+
+/// The parts of `name: token`; none if the line is only a token. A colon without white space after
+/// it belongs to a token.
+fn named(line: &str) -> Result<Option<(&str, &str)>, String> {
+    let Some((name, rest)) = line.split_once(':') else { return Ok(None) };
+    let is_name = (1..=NAME_BYTES).contains(&name.len())
+        && name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"_.-".contains(&byte));
+    if !is_name {
+        return Ok(None);
+    }
+    if rest.is_empty() {
+        return Err(format!("there is no token after the name {name}: write NAME: TOKEN"));
+    }
+    let Some(token) = rest.strip_prefix(char::is_whitespace) else { return Ok(None) };
+    if is_of_an_unnamed_token(name) {
+        let lists = LISTS.join(".N and ");
+        return Err(format!(
+            "the name {name} is kept for a token without a name ({lists}.N): choose another"
+        ));
+    }
+    Ok(Some((name, token.trim())))
+}
+
+/// Whether a token without a name could be called so.
+fn is_of_an_unnamed_token(name: &str) -> bool {
+    let number = LISTS.iter().find_map(|list| name.strip_prefix(list)?.strip_prefix('.'));
+    number.is_some_and(|number| !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit()))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    fn error(text: &str) -> String {
+        let file = SettingFile::new("query_tokens", Path::new("list"));
+        read(&[(&file, text.as_bytes().to_vec())], "query").map(|_| ()).expect_err(text).to_string()
+    }
+
+    /// Catches a line that is taken although it makes a token that no call can send, or that hides
+    /// another token; and an error that does not name setting, file and line.
+    #[test]
+    fn lines_that_make_no_usable_token_are_refused_by_number() {
+        let long = format!("a\n{}", "b".repeat(TOKEN_BYTES + 1));
+        for (text, line, what) in [
+            ("\u{feff}abc\n", 1, "U+FEFF (a byte order mark"),
+            ("\u{feff}name: abc\n", 1, "U+FEFF"),
+            ("\u{feff}# a comment\nabc", 1, "U+FEFF"),
+            ("one\nabc\0def\n", 2, "U+0000"),
+            ("one\r\nabc\rdef\r\n", 2, "U+000D"),
+            ("one\n# of May\rtwo\n", 2, "U+000D"),
+            ("one\u{2028}two", 1, "U+2028"),
+            ("# one\u{2029}two\nthree", 1, "U+2029"),
+            ("one\u{85}two", 1, "U+0085"),
+            ("one\u{b}two", 1, "U+000B"),
+            ("a\nb\nname: \u{e9}", 3, "U+00E9"),
+            ("one\ttwo", 1, "U+0009"),
+            ("a\u{a0}b", 1, "U+00A0"),
+            ("\u{200b}a", 1, "U+200B"),
+            ("a\nname:\n", 2, "no token after the name name"),
+            ("name:   # later\n", 1, "no token after the name name"),
+            (&long, 2, "8193 bytes, must have at most 8192"),
+        ] {
+            let said = error(text);
+            assert!(said.starts_with(&format!("query_tokens list: line {line}: ")), "{text:?}: {said}");
+            assert!(said.contains(what), "{text:?}: {said}");
+        }
+        assert_eq!(error("# none\n\n"), "query_tokens list: no token in it");
+    }
+
+    /// Catches two tokens of one name where only one line gives it: two callers would share one
+    /// budget. Also catches names that are refused without reason.
+    #[test]
+    fn no_line_takes_the_name_of_an_unnamed_token() {
+        for name in ["query.2", "register.1", "query.007"] {
+            let said = error(&format!("{name}: abc\ndef\n"));
+            assert!(said.contains(&format!("line 1: the name {name} is kept")), "{said}");
+        }
+        let file = SettingFile::new("query_tokens", Path::new("list"));
+        for name in ["query.a", "query.", "query", "query.2a", "a.query.2", "reader.2"] {
+            let text = format!("{name}: abc\ndef\n").into_bytes();
+            let List(tokens) = read(&[(&file, text)], "query").unwrap();
+            assert_eq!((&*tokens[0].name, &*tokens[1].name), (name, "query.2"));
+        }
+    }
+}
