@@ -142,7 +142,7 @@ fn wrong_files_of_servers_are_refused_by_option_and_value() -> Outcome {
         refused(
             &["serve", option, &pem],
             3,
-            &[&beside.trim_start_matches('-').replace('-', "_"), "is missing"],
+            &[&beside.trim_start_matches('-').replace('-', "_"), "is empty"],
         )?;
     }
     for option in ["--query-tokens", "--register-tokens"] {
