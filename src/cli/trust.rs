@@ -27,7 +27,7 @@ pub(crate) struct Trust {
 }
 
 impl Trust {
-    /// Of a PEM file's content.
+    /// Reads the authorities from the content of a PEM file.
     ///
     /// # Errors
     /// Says what is wrong with the content.

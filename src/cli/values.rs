@@ -65,7 +65,7 @@ pub(crate) fn did_you_mean<'a>(name: &str, known: impl IntoIterator<Item = &'a s
 mod tests {
     use super::*;
 
-    /// Catches a suggestion that is far from what was written, and a near one that is not made.
+    /// Catches a suggestion that is far from the written word, and a near one that is not made.
     #[test]
     fn only_near_names_are_suggested() {
         let known = ["listen", "store", "log", "max_connections"];

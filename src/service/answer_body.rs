@@ -66,7 +66,7 @@ pub(super) struct AnswerBody {
     context: CallContext,
     times: AnswerTimes,
     cutoff: Cutoff,
-    /// What is to be handed on to the transport.
+    /// The bytes that the transport has not asked for yet.
     queued: VecDeque<Bytes>,
     ended: bool,
 }

@@ -37,11 +37,11 @@ tokio::task_local! {
     static CURRENT: Cutoff;
 }
 
-/// When a stream ends at the latest, and how many bytes of its answer are not sent yet.
+/// The latest time at which a stream ends, and the number of bytes of its answer that are not sent yet.
 ///
 /// A stream may answer hundreds of thousands of messages per second, and each of them sets the time and
-/// clears it again. So that costs two stores: the waiting side is woken only for a time that is earlier
-/// than the one at which it wakes up anyway, and looks then whether the time has moved.
+/// clears it again. Therefore both are plain stores. The waiting side is woken only if the new time is
+/// earlier than the time at which it wakes up anyway. When it wakes up, it checks whether the time has moved.
 #[derive(Clone, Debug)]
 pub(super) struct Cutoff(Arc<State>);
 

@@ -7,8 +7,8 @@
 use http::{HeaderName, HeaderValue, Method, Request, Response, StatusCode, header};
 use tonic::body::Body;
 
-/// The content types of gRPC's messages that are protocol buffers. gRPC-web has been converted
-/// before, where it is served.
+/// The content types of gRPC's messages that are protocol buffers. If gRPC-web is served, its content
+/// types have been converted before.
 const TYPES: [&str; 2] = ["application/grpc", "application/grpc+proto"];
 
 /// The answer to a request that is not gRPC; none if it is.

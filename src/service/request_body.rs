@@ -59,16 +59,16 @@ pub(super) struct MessageBody<B> {
     app: Arc<App>,
     context: CallContext,
     rules: MessageRules,
-    /// What is not read yet of the frame that was received last.
+    /// The part of the last received frame that has not been read yet.
     received: Bytes,
-    /// The memory of that frame, if a part of it has to wait.
+    /// The memory of that frame while a part of it waits.
     waiting: Option<Permit>,
     message: Message,
-    /// The head and the bytes of a whole message, to be handed on.
+    /// The head and the bytes of a whole message that tonic has not taken yet.
     whole: VecDeque<Bytes>,
     /// The number of messages that were complete.
     complete: usize,
-    /// When the message under way is due; none while a stream's caller sends none.
+    /// The time by which the current message has to be complete; none for a stream between messages.
     due: Option<Pin<Box<Sleep>>>,
     started: Instant,
     ended: bool,

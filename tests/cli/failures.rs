@@ -1,4 +1,4 @@
-//! Options whose values are names, files and folders: what is said of wrong ones, and the exit codes.
+//! Options whose values are names, files and folders: the messages about wrong ones, and the exit codes.
 //!
 //! Values that are wrong by themselves are tested beside the options (`src/cli/refusals.rs`).
 
@@ -76,7 +76,7 @@ fn wrong_files_of_callers_are_refused_by_option_and_value() -> Outcome {
     let few = ["--count", "1", "--pairs", "1"];
     let scene = scenes().join("panda.json");
     let scene = text(&scene);
-    // Of the server that is asked.
+    // Files about the server that is asked.
     for command in [&["query", scene][..], &[&["load"][..], &few].concat()] {
         let no_token = "the first line is the token: one or more visible ASCII characters";
         for (option, more, faulty) in [
@@ -102,7 +102,7 @@ fn wrong_files_of_callers_are_refused_by_option_and_value() -> Outcome {
 fn wrong_files_of_results_are_refused_by_option_and_value() -> Outcome {
     let Faulty { page, absent, nowhere, .. } = Faulty::write(&scratch("files-results")?)?;
     let few = ["--count", "1", "--pairs", "1"];
-    // Of results.
+    // Files for results.
     for option in ["--csv", "--plot"] {
         let output = hullcast(&[&["load", option, &nowhere][..], &few].concat())?;
         let said = String::from_utf8(output.stderr)?;
@@ -125,7 +125,7 @@ fn wrong_files_of_servers_are_refused_by_option_and_value() -> Outcome {
     let syntax = file(&folder, "syntax.toml", "listen = [\n")?;
     let kind = file(&folder, "kind.toml", "drain_seconds = \"long\"\n")?;
     let range = file(&folder, "range.toml", "drain_seconds = -1\n")?;
-    // Of a server.
+    // Files of a server's settings.
     refused(&["serve", "--config", &absent], 3, &["--config", &absent, "cannot be read"])?;
     refused(&["serve", "--config", &unknown], 3, &["--config", &unknown, "`listn`; did you mean `listen`?"])?;
     refused(&["serve", "--config", &syntax], 3, &["--config", &syntax, "line 1"])?;

@@ -1,4 +1,4 @@
-//! What a server says when it starts, and what it logs.
+//! The lines that a server prints when it starts, and its log.
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;

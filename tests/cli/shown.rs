@@ -1,4 +1,4 @@
-//! What a query prints: the table, the JSON, configurations by name.
+//! The output of a query: the table, the JSON, configurations by name.
 
 use serde_json::Value;
 

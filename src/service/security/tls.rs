@@ -51,7 +51,7 @@ impl Tls {
     }
 }
 
-/// Which files belong together.
+/// The rule for which files have to be given together.
 const NEEDED: &str = "TLS needs tls_certificate and tls_key; tls_client_ca works only with both";
 
 /// The configuration from the contents of certificate, key and, if given, authorities.

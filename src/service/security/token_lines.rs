@@ -10,7 +10,7 @@ use super::{
 /// The longest name of a token, in bytes.
 pub(super) const NAME_BYTES: usize = 32;
 
-/// The longest token, in bytes: half of what a call's headers may have together.
+/// The longest token, in bytes: half of the limit on all headers of a call.
 const TOKEN_BYTES: usize = 8 << 10;
 
 /// The lists of tokens. An unnamed token is called by its list and its line, as in `query.3`, so no

@@ -170,7 +170,7 @@ impl Peer {
         self.until(|state| state.received.contains_key(&stream) || state.ended.contains_key(&stream)).await
     }
 
-    /// Waits until so many bytes were received on a stream, or the server has ended it.
+    /// Waits until `bytes` bytes were received on a stream, or the server has ended it.
     pub(crate) async fn received_at_least(&self, stream: u32, bytes: usize) -> io::Result<()> {
         let has_them = |state: &State| state.received.get(&stream).is_some_and(|have| *have >= bytes);
         self.until(|state| has_them(state) || state.ended.contains_key(&stream)).await
