@@ -346,6 +346,8 @@ def test_what_is_wrong_is_said(browser: Any, server: hullcast.Client):
     with opened(browser, server, "#a=teapot") as page:
         assert "“a” cannot be read" in page.locator("#notice").inner_text()
     with opened(browser, server) as page:
+        # Both hulls are registered before the first of them is replaced.
+        settled(page)
         page.click("#paste-a")
         for text, words in [
             ("1 2", "line 1"),
