@@ -219,7 +219,8 @@ fn wrong_values_are_refused_by_option_value_and_range() {
         }
         let command = command();
         let own = command.find_subcommand(subcommand).expect(subcommand);
-        let options: BTreeSet<String> = own.get_arguments().filter(takes_values).filter_map(long).collect();
+        let options: BTreeSet<String> =
+            own.get_arguments().filter(|arg| takes_values(arg)).filter_map(long).collect();
         assert_eq!(seen, options, "the options of {subcommand}");
         for switch in own.get_arguments().filter(|arg| matches!(arg.get_action(), ArgAction::SetTrue)) {
             let name = long(switch).expect("a switch has a name");
@@ -241,7 +242,7 @@ fn shows(said: &str, value: &str) -> bool {
         || (value.is_empty() && said.contains("but none was supplied"))
 }
 
-fn takes_values(arg: &&Arg) -> bool {
+fn takes_values(arg: &Arg) -> bool {
     !arg.is_positional() && matches!(arg.get_action(), ArgAction::Set | ArgAction::Append)
 }
 
