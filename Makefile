@@ -102,7 +102,6 @@ types: $(VENV)/.extras ## runs pyright in strict mode
 test-rust: check-tools ## runs the Rust tests: first the default build, then only the geometry
 	$(CARGO) test --release --locked
 	$(CARGO) test --release --locked --no-default-features
-	$(MAKE) test-abuse-short
 
 .PHONY: test-python
 test-python: build $(VENV)/.test ## runs the Python tests against the real server
