@@ -222,7 +222,7 @@ def unusable(positions: Floats, rotations: Floats) -> Indices:
 
 
 def why_unusable(position: Floats, rotation: Floats) -> tuple[str, str]:
-    """The argument that makes a body's pose unusable ("positions" or "rotations"), and the reason."""
+    """The argument that makes a body's pose unusable, "positions" or "rotations", and why."""
     text = f"({', '.join(f'{c:g}' for c in position)})"
     if not np.isfinite(position).all():
         return "positions", f"its position {text} is not finite"

@@ -27,7 +27,7 @@ class Outcome(_Named):
     CONTACT = 1
     #: The hulls are certified to be farther apart than the margin.
     SEPARATED = 2
-    #: A search reached its iteration limit, or stopped making progress, before the outcome was known.
+    #: A search reached its iteration limit, or stopped making progress, before it was decided.
     UNDECIDED = 3
     #: The pair was not computed; the flags say why. Its numbers are NaN, and it has no points.
     INVALID = 4
