@@ -10,7 +10,7 @@ use std::fmt::Write as _;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use hullcast::proto::{Output, QueryContactsRequest};
+use hullcast::proto::Output;
 use hullcast::workload::{Family, Regime};
 use hullcast_benches::report::{provenance, replace_section};
 use hullcast_benches::service::load::{latencies, load, measured, median, streamed};
@@ -18,7 +18,6 @@ use hullcast_benches::service::process::Server;
 use hullcast_benches::service::raw::{Caller, serve_echo};
 use hullcast_benches::service::requests::{Batch, QUERY};
 use hullcast_benches::service::shaped;
-use prost::Message;
 
 type Failure = Box<dyn Error>;
 
@@ -135,14 +134,7 @@ async fn small() -> Result<String, Failure> {
         median(theirs),
         median(ratios)
     );
-    let full = batch.request(&[]);
-    let step = QueryContactsRequest {
-        inherit: true,
-        positions: full.positions.clone(),
-        rotations: full.rotations.clone(),
-        ..Default::default()
-    };
-    let step: Bytes = step.encode_to_vec().into();
+    let step = batch.poses();
     for (label, streams, under_way, next) in [
         ("one stream", 1, 1, &message),
         ("one stream", 1, 256, &message),

@@ -9,13 +9,11 @@
 use std::error::Error;
 use std::time::Duration;
 
-use hullcast::proto::QueryContactsRequest;
 use hullcast::workload::{Family, Regime};
 use hullcast_benches::service::load::{latencies, load, measured, median, streamed};
 use hullcast_benches::service::process::Server;
 use hullcast_benches::service::raw::Caller;
 use hullcast_benches::service::requests::{Batch, QUERY};
-use prost::Message;
 
 type Failure = Box<dyn Error>;
 
@@ -79,17 +77,10 @@ async fn single_pairs(servers: &[Server; 2]) -> Result<(), Failure> {
         Ok((cpu.total(), rate))
     })
     .await?;
-    let full = batch.request(&[]);
-    let step = QueryContactsRequest {
-        inherit: true,
-        positions: full.positions.clone(),
-        rotations: full.rotations.clone(),
-        ..Default::default()
-    };
     for (label, streams, under_way, next) in [
         ("one pair per message, one stream", 1, 1, message.clone()),
         ("one pair per message, 4 streams with 256 in flight", 4, 256, message.clone()),
-        ("poses only (`inherit`), 4 streams with 256 in flight", 4, 256, step.encode_to_vec().into()),
+        ("poses only (`inherit`), 4 streams with 256 in flight", 4, 256, batch.poses()),
     ] {
         compare(label, async |which| {
             let work = streamed(&servers[which].address, streams, under_way, &message, &next);

@@ -78,6 +78,13 @@ impl Batch {
         self.request(outputs).encode_to_vec().into()
     }
 
+    /// A message that inherits all but the poses from the one before it on its stream, as encoded bytes.
+    pub fn poses(&self) -> Bytes {
+        let QueryContactsRequest { positions, rotations, .. } = self.request(&[]);
+        let poses = QueryContactsRequest { inherit: true, positions, rotations, ..Default::default() };
+        poses.encode_to_vec().into()
+    }
+
     /// Nanoseconds per pair for whole manifolds in one thread that does nothing else.
     pub fn library(&self) -> Result<f64, Box<dyn Error>> {
         let hulls: Vec<ConvexHull> =
