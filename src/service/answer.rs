@@ -31,9 +31,10 @@ pub(super) async fn answer<M: Columnar + Send + 'static>(
     context: &CallContext,
     message: M,
 ) -> Result<M, ServiceError> {
+    let length = message.encoded_len();
     let mut memory = context.covered(Part::Answers);
-    grow(app, &mut memory, message.encoded_len())?;
-    counted_answer(app, context, message, memory).await
+    grow(app, &mut memory, length)?;
+    encoded(app, context, message, length, memory).await
 }
 
 /// Does as [`answer`] with an answer whose memory is taken already.
@@ -41,9 +42,20 @@ pub(super) async fn counted_answer<M: Columnar + Send + 'static>(
     app: &App,
     context: &CallContext,
     message: M,
-    mut memory: Permit,
+    memory: Permit,
 ) -> Result<M, ServiceError> {
     let length = message.encoded_len();
+    encoded(app, context, message, length, memory).await
+}
+
+/// Encodes an answer of `length` bytes if it is large.
+async fn encoded<M: Columnar + Send + 'static>(
+    app: &App,
+    context: &CallContext,
+    message: M,
+    length: usize,
+    mut memory: Permit,
+) -> Result<M, ServiceError> {
     if length > app.limits().max_message_bytes {
         return Err(too_large(app, length));
     }

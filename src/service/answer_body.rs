@@ -83,7 +83,9 @@ impl AnswerBody {
     /// the place of an empty message each.
     fn separate(&mut self, mut frame: Bytes) -> Result<(), ServiceError> {
         let mut small = 0;
-        while let Some((&[flag, ref length @ ..], _)) = frame[small..].split_first_chunk::<HEAD_BYTES>() {
+        while let Some((&[flag, ref length @ ..], _)) =
+            frame.get(small..).and_then(<[u8]>::split_first_chunk::<HEAD_BYTES>)
+        {
             let length = u32::from_be_bytes(*length) as usize;
             let large = if flag == 0 && length == 0 { self.context.next_answer() } else { None };
             let Some(Answer { bytes, memory }) = large else {

@@ -53,6 +53,13 @@ pub(super) struct MessageRules {
     pub(super) patience: Duration,
 }
 
+impl MessageRules {
+    /// Whether a message may be too large for tonic's buffers.
+    fn has_large(&self) -> bool {
+        self.max_bytes > SMALL_BYTES
+    }
+}
+
 /// The body of a request, received as whole messages.
 pub(super) struct MessageBody<B> {
     body: B,
@@ -212,11 +219,13 @@ impl<B> MessageBody<B> {
 
     /// Hands a whole message on: a small one to tonic, which copies it, any other to the handler. An empty
     /// message counts as large, so that each empty message that tonic passes on stands for another one.
+    /// Health checks and reflection have no large messages, and their handlers would not fetch them.
     fn hand_on(&mut self) {
         let Message { head, segments, memory, .. } = std::mem::take(&mut self.message);
         let length = declared(head);
         let pieces = segments.into_iter().map(BytesMut::freeze);
-        if length > 0 && length <= SMALL_BYTES {
+        let is_small = length > 0 && length <= SMALL_BYTES;
+        if is_small || !self.rules.has_large() {
             self.whole.push_back(Bytes::copy_from_slice(&head));
             self.whole.extend(pieces);
             return;
@@ -307,5 +316,66 @@ where
 
     fn size_hint(&self) -> SizeHint {
         SizeHint::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::convert::Infallible;
+
+    use super::*;
+    use crate::{budget::Caller, service::Limits, store::blobs};
+
+    /// A body of one frame.
+    struct OneFrame(Option<Bytes>);
+
+    impl HttpBody for OneFrame {
+        type Data = Bytes;
+        type Error = Infallible;
+
+        fn poll_frame(
+            mut self: Pin<&mut Self>,
+            _: &mut Context<'_>,
+        ) -> Poll<Option<Result<Frame<Bytes>, Infallible>>> {
+            Poll::Ready(self.0.take().map(|bytes| Ok(Frame::data(bytes))))
+        }
+    }
+
+    /// Catches messages of health checks and reflection that are kept for a handler that never fetches them,
+    /// and empty or large messages of the other methods that their handler does not find in order.
+    #[tokio::test]
+    async fn messages_wait_only_for_handlers_that_fetch_them() {
+        let app = App::new(blobs::open("memory://").unwrap(), Limits::default(), 1).unwrap();
+        let app = Arc::new(app);
+        let lengths = [0, SMALL_BYTES + 1, 3, 0];
+        let messages: Vec<u8> = lengths
+            .iter()
+            .flat_map(|&length| {
+                let [a, b, c, d] = (length as u32).to_be_bytes();
+                [vec![0, a, b, c, d], vec![7; length]].concat()
+            })
+            .collect();
+        for (max_bytes, sent, kept) in
+            [(1 << 20, &messages[..], &[0, SMALL_BYTES + 1, 0][..]), (1024, &[0; 5000][..], &[][..])]
+        {
+            let context = CallContext::new(Caller::alone(), app.memory().clone());
+            let patience = Duration::from_secs(1);
+            let rules = MessageRules { max_bytes, is_single: false, patience };
+            let body = OneFrame(Some(Bytes::copy_from_slice(sent)));
+            let mut body = MessageBody::new(body, app.clone(), context.clone(), rules);
+            let mut frames = 0;
+            while let Some(frame) = std::future::poll_fn(|cx| Pin::new(&mut body).poll_frame(cx)).await {
+                assert!(frame.unwrap().into_data().is_ok());
+                frames += 1;
+            }
+            assert_eq!(frames, if max_bytes == 1024 { 1000 } else { lengths.len() });
+            for &length in kept {
+                let message = context.arrived(Bytes::new());
+                assert_eq!((message.pieces.len(), message.len()), (usize::from(length > 0), length));
+            }
+            // Nothing more is kept: the passed message itself is returned.
+            assert_eq!(context.arrived(Bytes::new()).pieces, [Bytes::new()]);
+        }
+        assert_eq!(app.memory().used(), 0);
     }
 }
