@@ -27,7 +27,7 @@ demo: check-tools build $(VENV)/.demo ## starts a server, computes the contacts 
 	$(PY) examples/demo.py
 
 .PHONY: test
-test: check-tools test-rust $(if $(CLIENT),test-python) ## runs every test, Rust and Python
+test: check-tools test-rust test-abuse-short $(if $(CLIENT),test-python) ## runs every test, Rust and Python
 
 .PHONY: check-tools
 check-tools: ## lists the tools that are missing on this machine
@@ -285,7 +285,7 @@ test-faults: check-tools ## tests kill -9 a thousand times, full and vanished di
 	$(CARGO) test --release --locked --test faults -- --ignored --nocapture --test-threads 1
 
 .PHONY: test-abuse test-abuse-short
-test-abuse-short: check-tools ## runs the attacks over TCP at a tenth of their size against a tenth of the budgets; takes two minutes
+test-abuse-short: check-tools ## runs the attacks over TCP at a tenth of their size against a tenth of the budgets; takes a minute
 	$(CARGO) test --release --locked --test abuse -- --skip over_tls --skip over_unix
 
 test-abuse: check-tools ## runs every attack at full size on a server with default limits; writes docs/reliability.md; takes over 20 minutes

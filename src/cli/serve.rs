@@ -26,6 +26,8 @@ use tracing_subscriber::{
     util::SubscriberInitExt,
 };
 
+use crate::allocator;
+
 use super::{
     Error, descriptors,
     exit::Exit,
@@ -115,6 +117,7 @@ async fn until_stopped(settings: &Settings, args: &Args) -> Result<(), Error> {
         "serving"
     );
     spawn_reload_on_hangup(serving.security.clone())?;
+    allocator::return_freed_memory()?;
     Ok(serve(listeners, app, serving, shutdown).await?)
 }
 

@@ -18,22 +18,28 @@ use crate::{
 
 attacks! {
     /// Catches buffers of received messages that live as long as their stream.
-    requests: "streams that stay open after one large message" => large_requests;
+    requests: "streams that stay open after one large message", |s: Setup| s.cache(SMALL_CACHE)
+        => large_requests;
     /// Catches buffers of sent answers that live as long as their stream.
-    answers: "streams that stay open after one large answer" => large_answers;
+    answers: "streams that stay open after one large answer", |s: Setup| s.cache(SMALL_CACHE)
+        => large_answers;
     /// Catches a message whose memory is given back when the message before it is decoded.
-    second_message: "streams that stop in the middle of a second message" => second_message;
+    second_message: "streams that stop in the middle of a second message", |s: Setup| s.cache(SMALL_CACHE)
+        => second_message;
     /// Catches messages that take more memory than the bytes that they came with.
     tiny_messages: "1 MiB of empty messages on each of 100 streams, answers not read" => tiny_messages;
 }
 
+/// With a small cache the server may use less memory, so that fewer streams suffice.
+const SMALL_CACHE: u64 = 16 << 20;
+
 /// Streams of one connection.
 const STREAMS: usize = 50;
 
-/// The number of parts of this size that are twice the memory which the server may use.
+/// The number of parts of this size that are a quarter more than the memory which the server may use.
 fn too_many(arena: &Arena, bytes: usize) -> usize {
     let all = arena.setup.memory_bytes() + arena.setup.cache_bytes() + (256 << 20);
-    2 * all as usize / bytes
+    all as usize / bytes * 5 / 4
 }
 
 /// Opens `count` streams one after the other and begins each with `begin`. A stream that is refused is a
