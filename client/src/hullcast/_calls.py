@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 
-from . import _answers, _arguments, _channel, _errors, _manage, _reach
+from . import _answers, _arguments, _channel, _errors, _manage, _reach, _worlds
+from ._arrays import Indices
 from ._hulls import Content, Hull
 from ._manifolds import Manifolds
 from ._query import Query, Span
@@ -215,17 +216,34 @@ class Calls(ABC):
     def _finding(self, make: Callable[[], Query], timeout: float | None) -> Steps[Manifolds]:
         deadline = self._deadline(timeout)
         query = make()
-        message = query.find_message()
+        parts = yield from self._find(query, None, deadline)
+        return query.delivered(_worlds.together(parts))
+
+    def _find(
+        self, query: Query, bodies: Indices | None, deadline: float | None
+    ) -> Steps[list[_answers.Columns]]:
+        """Finds the pairs of all or some bodies; splits them by worlds if they are too many."""
+        message = query.find_message(bodies)
         found: _answers.Columns = {}
         for times in range(1, REGISTRATIONS + 2):
             link = yield from self._ready(deadline)
             begin = partial(link.stream, FIND, message.data)
-            found = query.read_found(message, (yield from self._asked(link, begin, deadline)))
+            try:
+                answers = yield from self._asked(link, begin, deadline)
+            except _errors.InvalidArgument as error:
+                if error.reason not in _TOO_LARGE:
+                    raise
+                halves = _worlds.halves(query.scene, bodies, error)
+                parts: list[_answers.Columns] = []
+                for half in halves:
+                    parts += yield from self._find(query, half, deadline)
+                return parts
+            found = query.read_found(message, answers)
             lost = [found] if len(found["missing_hulls"]) else []
             last = times > REGISTRATIONS
             if last or not (yield from self._restore(query.scene, lost, times, deadline)):
                 break
-        return query.delivered(found)
+        return [found]
 
     def _register(self, call: Registration, deadline: float | None) -> Steps[list[Hull]]:
         answers: list[bytes] = []
@@ -544,6 +562,7 @@ def stream_ended() -> _errors.Unavailable:
 _TOO_LARGE = (
     "RESPONSE_TOO_LARGE",
     "HULLS_TOO_LARGE",
+    "MEMORY_TOO_LARGE",
     "MESSAGE_TOO_LARGE",
     "TOO_MANY_PAIRS",
     "TOO_MANY_BODIES",
