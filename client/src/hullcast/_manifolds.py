@@ -99,6 +99,7 @@ class Manifolds(ManifoldColumns):
         """The requested columns as torch tensors on the CPU, by the names of their attributes.
 
         The tensors share the columns' memory. `tensor.to("cuda")` copies a tensor to a device.
+        Indices and counts are uint32, with which torch cannot index; `tensor.long()` converts them.
 
         Raises:
             ImportError: torch is not installed.
@@ -108,7 +109,8 @@ class Manifolds(ManifoldColumns):
     def to_jax(self) -> dict[str, Any]:
         """The requested columns as jax arrays, by the names of their attributes.
 
-        jax keeps 64-bit numbers only with its setting `jax_enable_x64`.
+        jax keeps 64-bit numbers only with its setting `jax_enable_x64`; otherwise it rounds them to
+        32 bits. An array may share the column's memory, so do not write into columns afterwards.
 
         Raises:
             ImportError: jax is not installed.
