@@ -105,7 +105,7 @@ def _array(field: str, value: Any, shape: tuple[int | None, ...]) -> npt.NDArray
         array = _tensors.as_numpy(value)
         if array is None:
             value = _tensors.each_as_numpy(value)
-            if isinstance(value, Iterable) and not hasattr(value, "__getitem__"):
+            if not hasattr(value, "__getitem__") and isinstance(value, Iterable):
                 value = list(value)  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
             array = np.asarray(value)
     except InvalidArgument:

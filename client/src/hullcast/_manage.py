@@ -118,7 +118,7 @@ def ids_of(hulls: Any) -> list[bytes]:
             f"expected hulls or their ids, got {kind(hulls)}", reason="WRONG_TYPE", field="hulls"
         )
     ids: list[bytes] = []
-    given: Iterable[Any] = (hulls,) if single else hulls
+    given: Iterable[Any] = (hulls,) if single else hulls  # pyright: ignore[reportUnknownVariableType]
     for i, hull in enumerate(given):
         id = hull if isinstance(hull, bytes) else getattr(hull, "id", None)
         if not isinstance(id, bytes) or len(id) != 32:

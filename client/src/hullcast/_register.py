@@ -63,16 +63,16 @@ class Registration:
                 reason="WRONG_TYPE",
                 field="contraction_points",
             )
-        contraction_points = list(contraction_points)
-        if len(contraction_points) != len(shapes):
+        centers: list[Any] = list(contraction_points)  # pyright: ignore[reportUnknownArgumentType]
+        if len(centers) != len(shapes):
             raise InvalidArgument(
-                f"{len(contraction_points)} entries for {len(shapes)} "
+                f"{len(centers)} entries for {len(shapes)} "
                 f"hull{'' if len(shapes) == 1 else 's'}, expected one (a point or None) per hull",
                 reason="LENGTH_MISMATCH",
                 field="contraction_points",
             )
         contents: list[Content] = []
-        for i, (shape, center) in enumerate(zip(shapes, contraction_points, strict=True)):
+        for i, (shape, center) in enumerate(zip(shapes, centers, strict=True)):
             if center is not None:
                 center = _arrays.floats(f"contraction_points[{i}]", center, 3)
             share = planarity_of(planarity)
@@ -213,9 +213,10 @@ def _is_single(hulls: Any) -> bool:
         return True
     if isinstance(hulls, (list, tuple)) and hulls:
         # A list of rows of three numbers is the points of one hull.
-        first = hulls[0]  # pyright: ignore[reportUnknownVariableType]
+        first = cast("Any", hulls[0])
         row = isinstance(first, (list, tuple)) or getattr(first, "ndim", 0) == 1
-        return row and len(first) == 3 and all(isinstance(x, numbers.Real) for x in first)  # pyright: ignore[reportUnknownArgumentType, reportUnknownVariableType]
+        first = cast("Sequence[Any]", first)
+        return row and len(first) == 3 and all(isinstance(x, numbers.Real) for x in first)
     return False
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -40,10 +41,13 @@ def as_numpy(value: Any) -> npt.NDArray[Any] | None:
 
 def each_as_numpy(value: Any) -> Any:
     """A list of other libraries' arrays as a list of numpy arrays; anything else as it is."""
-    if isinstance(value, (list, tuple)) and value and hasattr(value[0], "__dlpack__"):  # pyright: ignore[reportUnknownArgumentType]
-        arrays = [as_numpy(entry) for entry in value]  # pyright: ignore[reportUnknownVariableType]
-        return value if any(array is None for array in arrays) else arrays  # pyright: ignore[reportUnknownVariableType]
-    return value
+    if not isinstance(value, (list, tuple)):
+        return value
+    entries = cast("Sequence[Any]", value)
+    if not entries or not hasattr(entries[0], "__dlpack__"):
+        return entries
+    arrays = [as_numpy(entry) for entry in entries]
+    return entries if any(array is None for array in arrays) else arrays
 
 
 def _is_torch_float(value: Any) -> bool:

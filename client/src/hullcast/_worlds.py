@@ -43,7 +43,7 @@ def halves(scene: Scene, bodies: Indices | None, error: InvalidArgument) -> list
     if len(distinct) < 2:
         raise _too_large(scene, worlds, error)
     ends = np.cumsum(counts)
-    middle = int(np.searchsorted(ends, ends[-1] / 2))
+    middle = int(np.count_nonzero(ends < ends[-1] / 2))
     last = distinct[min(middle, len(distinct) - 2)]
     # Bodies of world 2^32 - 1 are in both parts.
     return [bodies[(worlds <= last) | (worlds == EVERY_WORLD)], bodies[worlds > last]]
