@@ -119,12 +119,16 @@ class Calls(Connection):
         return [found]
 
     def _register(self, call: Registration, deadline: float | None) -> Steps[list[Hull]]:
-        answers: list[bytes] = []
-        for message, data in enumerate(call.requests()):
+        answers: dict[Span, bytes] = {}
+        waiting = deque(call.spans())
+        while waiting:
+            span = waiting.popleft()
             try:
-                answers.append((yield from self._ask(REGISTER, data, deadline)))
+                answers[span] = yield from self._ask(REGISTER, call.request(span), deadline)
             except _errors.InvalidArgument as error:
-                raise call.named(error, message) from None
+                if error.reason not in _TOO_LARGE or span.stop - span.start < 2:
+                    raise call.named(error, span) from None
+                waiting.extendleft(reversed(span.halves()))
         return call.read(answers, self._settings)
 
     def _informing(self, timeout: float | None) -> Steps[_manage.ServerInfo]:
