@@ -20,7 +20,7 @@ import numpy as np
 
 import hullcast
 from hullcast import _answers, _calls
-from hullcast._query import Query
+from hullcast._query import Query, Span
 
 SIZES = (1, 64, 4096, 1_000_000)
 VERTICES = 16
@@ -69,7 +69,7 @@ def own_work(
 
     query = make()
     link = client._link()
-    answers = {}
+    answers: dict[Span, tuple[int, bytes]] = {}
     for span in query.spans(client.pairs_per_message):
         message = query.message(span)
         answer = link.call(_calls.QUERY, message.data, None).result()
@@ -77,7 +77,7 @@ def own_work(
 
     def work() -> hullcast.Manifolds:
         query = make()
-        parts = []
+        parts: list[_answers.Columns] = []
         for span in query.spans(client.pairs_per_message):
             number, answer = answers[span]
             # The response belongs to another message with the same content.

@@ -60,7 +60,7 @@ def main() -> None:
         axis.set_xlabel("planarity, share of the circumradius")
     axes[0, 0].legend(loc="lower left", fontsize=9, title="dotted: the default", title_fontsize=9)
     metadata = {"Date": None} if target.endswith(".svg") else None
-    figure.savefig(target, metadata=metadata)
+    figure.savefig(target, metadata=metadata)  # pyright: ignore[reportUnknownMemberType]
 
 
 if __name__ == "__main__":

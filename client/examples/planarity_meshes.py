@@ -13,6 +13,7 @@ import random
 import sys
 import sysconfig
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -30,7 +31,8 @@ def main() -> None:
     random.Random(18).shuffle(files)
     hulls: dict[bytes, dict[str, object]] = {}
     for file in files:
-        points = np.asarray(trimesh.load(file, force="mesh").vertices, dtype=float)
+        mesh: Any = trimesh.load_mesh(file)  # pyright: ignore[reportUnknownMemberType]
+        points = np.asarray(mesh.vertices, dtype=float)
         try:
             corners = points[ConvexHull(points).vertices]
         except QhullError:

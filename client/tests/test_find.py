@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
-from crowds import CUBE, EVERYTHING, NO_PROXY, Server, crowd, expect_same
+from crowds import CUBE, EVERYTHING, NO_PROXY, Server, crowd, crowd_of, expect_same
+from shapes import family
 
 import hullcast
-from hullcast import Outcome
+from hullcast import Outcome, _query, _worlds
 
 EVERY_WORLD = 2**32 - 1
 
@@ -81,6 +83,142 @@ def test_many_messages_are_one_answer(client):
     assert (alone.outcome == Outcome.CONTACT).all()
     with pytest.raises(hullcast.OutputNotAsked):
         _ = alone.alpha
+
+
+def in_worlds(client: hullcast.Client, by_hull: bool = False) -> hullcast.Scene:
+    """A crowd in worlds of different sizes, with groups; or in worlds with different hulls."""
+    rng = np.random.default_rng(72)
+    shapes = family("box", 3, rng) + family("poly16", 3, rng)
+    hulls = [client.register([shape.vertices])[0] for shape in shapes]
+    plain = crowd_of(hulls, 150, rng)
+    worlds = rng.choice([EVERY_WORLD, 0, 3, 9, 2**31, EVERY_WORLD - 1], size=150)
+    groups = rng.integers(5, size=150)
+    groups[worlds == 9] += 4
+    return hullcast.Scene(
+        hulls, plain.positions, plain.rotations, body_hulls=plain.body_hulls,
+        worlds=plain.body_hulls // 2 if by_hull else worlds,
+        groups=groups, ignored_groups=[[1, 2], [3, 3], [5, 6], [4, 1]],
+    )  # fmt: skip
+
+
+@pytest.fixture
+def messages(monkeypatch) -> list[int]:
+    """The number of bodies of each message of `find` that the test sends."""
+    sent: list[int] = []
+    original = _query.Query.find_message
+
+    def find_message(query: _query.Query, bodies: Any = None) -> Any:
+        sent.append(len(query.scene) if bodies is None else len(bodies))
+        return original(query, bodies)
+
+    monkeypatch.setattr(_query.Query, "find_message", find_message)
+    return sent
+
+
+@pytest.mark.parametrize(
+    ("limit", "most"),
+    [("bodies-per-request", 60), ("hulls-per-request", 5), ("message-bytes", 4096)],
+)
+def test_a_scene_over_a_limit_is_found_in_parts(client, messages, limit, most):
+    """The worlds are searched in several messages, and the answer is that of one message.
+
+    Catches pairs with a body of world 2^32 - 1 that are lost or found twice, bodies and hulls that
+    are numbered as in the part, and pairs that are sorted only within a part.
+    """
+    scene = in_worlds(client, by_hull=limit == "hulls-per-request")
+    whole = client.find(scene, margin=0.3, outputs=EVERYTHING)
+    assert messages == [150]
+    shared = (scene.worlds[whole.pairs] == EVERY_WORLD).any(axis=1)
+    assert np.count_nonzero(~shared) > 20
+    assert np.count_nonzero(shared) > 20 or limit == "hulls-per-request"
+
+    async def awaited(address: str) -> hullcast.Manifolds:
+        async with hullcast.aio.connect(address, options=NO_PROXY) as other:
+            return await other.find(scene, margin=0.3, outputs=EVERYTHING)
+
+    with Server("memory://", f"--max-{limit}", str(most)) as server:
+        # The server has no hulls: each part registers those that it needs.
+        with hullcast.connect(server.address, options=NO_PROXY) as other:
+            expect_same(other.find(scene, margin=0.3, outputs=EVERYTHING), whole)
+        expect_same(asyncio.run(awaited(server.address)), whole)
+    assert len(messages) > 4
+
+
+def test_parts_name_the_bodies_of_the_scene(client, messages):
+    """Unusable poses and unknown hulls of every part are numbered as in the scene.
+
+    Catches lists of one part only, and lists that are numbered as in the part.
+    """
+    plain = in_worlds(client)
+    positions = plain.positions.copy()
+    bad = [0, 1, 80, 149]
+    positions[bad] = np.nan
+    hulls = [*plain.hull_ids[:5], b"\7" * 32]
+    scene = hullcast.Scene(
+        hulls, positions, plain.rotations, body_hulls=plain.body_hulls, worlds=plain.worlds
+    )
+    with Server("memory://", "--max-bodies-per-request", "60") as server, hullcast.connect(
+        server.address, options=NO_PROXY
+    ) as other:  # fmt: skip
+        contents = plain.contents[:5]
+        other.register([content.points for content in contents if content is not None])
+        with pytest.warns(hullcast.MissingHullsWarning, match="1 of 6 hulls"):
+            found = other.find(scene, margin=0.3, on_invalid="flag")
+    assert len(messages) > 3
+    assert len(found) > 20
+    assert found.invalid_bodies.tolist() == bad
+    assert found.missing_hulls.tolist() == [5]
+    assert not np.isin(found.pairs, bad).any()
+    assert not (scene.body_hulls[found.pairs] == 5).any()
+
+
+def test_bodies_that_never_meet_are_split_anywhere():
+    """Bodies of world 2^32 - 1 never meet each other. Catches a split that does not end."""
+    scene = hullcast.Scene(
+        [b"\7" * 32], np.zeros((7, 3)), [[0, 0, 0, 1]] * 7, body_hulls=[0] * 7,
+        worlds=[EVERY_WORLD] * 7,
+    )  # fmt: skip
+    refused = hullcast.InvalidArgument("got too many", reason="TOO_MANY_BODIES")
+    parts = [part.tolist() for part in _worlds.halves(scene, None, refused)]
+    assert parts == [[0, 1, 2], [3, 4, 5, 6]]
+    with pytest.raises(hullcast.InvalidArgument) as caught:
+        _worlds.halves(scene, np.array([5], dtype="<u4"), refused)
+    assert caught.value is refused
+
+
+@pytest.mark.parametrize(
+    ("worlds", "says"),
+    [
+        (None, "the scene's 61 bodies have no worlds"),
+        ([4] * 61, "61 bodies are in world 4:"),
+        (
+            [EVERY_WORLD] + [4] * 59 + [5],
+            "59 bodies are in world 4, and 1 in world 2^32 - 1, which",
+        ),
+    ],
+)
+def test_a_world_over_the_limit_is_refused(client, worlds, says):
+    """The error has the number, the limit, the world and the remedies.
+
+    Catches pairs that are dropped to fit the limit, and a split that goes on for ever.
+    """
+    with Server("memory://", "--max-bodies-per-request", "59") as server, hullcast.connect(
+        server.address, options=NO_PROXY
+    ) as other:  # fmt: skip
+        scene = hullcast.Scene(
+            other.register(CUBE), np.zeros((61, 3)), [[0, 0, 0, 1]] * 61,
+            body_hulls=[0] * 61, worlds=worlds,
+        )  # fmt: skip
+        with pytest.raises(hullcast.InvalidArgument) as caught:
+            other.find(scene)
+        assert (caught.value.reason, caught.value.field) == ("TOO_MANY_BODIES", "body_hulls")
+        sent = 60 if worlds and EVERY_WORLD in worlds else 61
+        for part in (f"got {sent}, at most 59 are allowed", says, "give the pairs to query"):
+            assert part in caught.value.message
+        # The remedy works: a query has only the bodies of its pairs in each message.
+        other.pairs_per_message = 8
+        every = np.array(list(itertools.combinations(range(61), 2)))
+        assert other.query(scene, every).in_contact.all()
 
 
 def test_nothing_to_find(client):

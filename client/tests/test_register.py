@@ -181,3 +181,17 @@ def test_faces_are_those_that_features_number(client, get_hulls):
     (fresh,) = client.register(CUBE * 3)
     with pytest.raises(hullcast.Error, match="NO_SERVER"):
         _ = pickle.loads(pickle.dumps(fresh)).faces
+
+
+@pytest.mark.parametrize(("limit", "most"), [("hulls-per-request", 3), ("message-bytes", 2048)])
+def test_hulls_over_a_limit_of_the_server_are_registered_in_parts(client, limit, most):
+    """Catches hulls that are lost, or in another order, if a server has low limits."""
+    rng = np.random.default_rng(9)
+    shapes = [rng.normal(size=(12 + i, 3)) for i in range(20)]
+    expected = [hull.id for hull in client.register(shapes)]
+    with hullcast.serve(arguments=[f"--max-{limit}", str(most)]) as low:
+        assert [hull.id for hull in low.register(shapes)] == expected
+        shapes[3] = np.zeros((5, 3))
+        with pytest.raises(hullcast.HullRejected) as caught:
+            low.register(shapes)
+        assert (caught.value.index, len(caught.value.results)) == (3, 20)

@@ -19,7 +19,7 @@ from crowds import CUBE, EVERYTHING, NO_PROXY, Server, crowd, expect_same
 from shapes import family
 
 import hullcast
-from hullcast import Flag, Outcome, _calls
+from hullcast import Flag, Outcome, _connection
 from hullcast._channel import address, channel_options
 from hullcast._pb import hulls_pb2
 
@@ -147,7 +147,7 @@ def test_a_busy_server_is_tried_again_when_it_says(monkeypatch):
             asyncio.run(both())
         plain = connect(server, **{"grpc.enable_retries": 0})
         plain.pairs_per_message = 2000
-        monkeypatch.setattr(_calls, "_BUSY", 0)
+        monkeypatch.setattr(_connection, "_BUSY", 0)
         with plain, pytest.raises(hullcast.Unavailable) as caught:
             plain.query(scene, pairs, margin=np.inf)
         assert caught.value.reason == "TOO_BUSY"

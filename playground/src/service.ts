@@ -16,6 +16,13 @@ import { SIDES } from './model.js';
 
 const TIMEOUT_MS = 10_000;
 
+/**
+ * How far the vertices of one face may lie from one plane, as a share of the circumradius. Pasted points are rounded
+ * like those of mesh files, and rounding would otherwise split a face into many. This is the default of the Python
+ * client and of the command line, which was measured (docs/tradeoff.md), so that all of them give a shape the same id.
+ */
+const PLANARITY = 1e-3;
+
 let token = '';
 
 /** Sets the token for servers that require one. Only this page keeps it, until it is closed. */
@@ -41,7 +48,7 @@ export class HullRefused extends Error {}
 
 /** Registers a shape and reads the hull that the server made of it. */
 export async function register(shape: Shape): Promise<Hull> {
-  const { results } = await hulls.registerHulls({ hulls: [{ vertices: shape.points }] });
+  const { results } = await hulls.registerHulls({ hulls: [{ vertices: shape.points, planarity: PLANARITY }] });
   const result = results[0]?.result;
   if (result?.case === 'error') throw new HullRefused(`${result.value.message} (${result.value.reason}).`);
   if (result?.case !== 'hull') throw new Error('The server’s answer is empty.');

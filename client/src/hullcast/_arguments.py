@@ -6,7 +6,7 @@ import math
 import numbers
 from collections.abc import Iterable
 from decimal import Decimal
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -22,9 +22,9 @@ def shown(value: Any) -> str:
     If the value cannot be printed, its type is shown.
     """
     try:
-        text = repr(value.item() if isinstance(value, np.generic) else value)
+        text = repr(cast("Any", value).item() if isinstance(value, np.generic) else value)
     except Exception:  # the caller's own `__repr__` failed
-        return f"an object of type {type(value).__name__}"
+        return f"an object of type {type(cast('Any', value)).__name__}"
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
@@ -69,7 +69,7 @@ def integer(field: str, value: Any, low: int, high: int) -> int:
         raise InvalidArgument(
             f"got {shown(value)}, {expected}", reason="VALUE_OUT_OF_RANGE", field=field
         )
-    return int(value)
+    return int(value)  # pyright: ignore[reportUnknownArgumentType]
 
 
 def seconds(field: str, value: Any) -> float | None:
@@ -128,9 +128,10 @@ def real(field: str, value: Any, expected: str) -> float:
     good = isinstance(value, (numbers.Real, Decimal, np.integer, np.floating))
     if isinstance(value, (bool, np.bool_)) or not good:
         raise InvalidArgument(f"got {shown(value)}, {expected}", reason="WRONG_TYPE", field=field)
+    number = cast("Any", value)
     try:
-        return float(value)
+        return float(number)
     except OverflowError:
-        return math.inf if value > 0 else -math.inf
+        return math.inf if number > 0 else -math.inf
     except ValueError:  # a signalling NaN of `decimal`
         return math.nan

@@ -34,6 +34,8 @@ def floats(field: str, value: Any, *shape: int | None) -> Floats:
         InvalidArgument: NOT_AN_ARRAY or WRONG_SHAPE.
     """
     given = _array(field, value, shape)
+    if given.dtype.kind == "V" and np.can_cast(given.dtype, "<f8"):  # bfloat16 of jax
+        given = given.astype("<f8")
     if given.dtype.kind not in "fiu" and given.size:
         raise InvalidArgument(
             f"expected numbers, shape {_wanted(shape)}, got {_content(given, value)}",
@@ -102,7 +104,8 @@ def _array(field: str, value: Any, shape: tuple[int | None, ...]) -> npt.NDArray
     try:
         array = _tensors.as_numpy(value)
         if array is None:
-            if isinstance(value, Iterable) and not hasattr(value, "__getitem__"):
+            value = _tensors.each_as_numpy(value)
+            if not hasattr(value, "__getitem__") and isinstance(value, Iterable):
                 value = list(value)  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
             array = np.asarray(value)
     except InvalidArgument:

@@ -101,7 +101,7 @@ class Settings:
             InvalidArgument: an argument is not usable; the error names it.
         """
         if isinstance(target, os.PathLike):
-            target = f"unix:{os.fspath(target)}"
+            target = f"unix:{os.fspath(target)}"  # pyright: ignore[reportUnknownArgumentType]
         several = not isinstance(target, str)
         if several and (isinstance(target, (bytes, Mapping)) or not isinstance(target, Iterable)):
             raise InvalidArgument(
@@ -109,7 +109,7 @@ class Settings:
                 reason="WRONG_TYPE",
                 field="target",
             )
-        entries = list(target) if several else [target]  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+        entries: list[Any] = list(target) if several else [target]  # pyright: ignore[reportUnknownArgumentType]
         if not entries:
             raise InvalidArgument(
                 "the list is empty: expected one or more addresses",
@@ -278,7 +278,7 @@ def _roots(tls: Any) -> bytes:
     if isinstance(tls, bytes):
         content, name = tls, "the bytes"
     elif isinstance(tls, (str, os.PathLike)):
-        name = os.fspath(tls)  # pyright: ignore[reportUnknownArgumentType, reportUnknownVariableType]
+        name: str = os.fspath(tls)  # pyright: ignore[reportUnknownArgumentType, reportUnknownVariableType]
         try:
             with open(name, "rb") as file:
                 content = file.read()

@@ -148,7 +148,8 @@ def _refuse(name: str, column: np.ndarray, wrong: npt.NDArray[np.bool_], expecte
         at = int(np.flatnonzero(wrong)[0])
         value = column.reshape(len(wrong), -1)[at] if wrong.ndim == 1 else column.flat[at]
         text = value.tolist() if isinstance(value, np.ndarray) else value
-        text = text[0] if isinstance(text, list) and len(text) == 1 else text
+        if np.ndim(text) == 1 and np.size(text) == 1:
+            text = text[0]
         raise malformed(f"{name}[{at}] is {text}, expected {expected}")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from typing import Any
+from typing import Any, cast
 
 
 def warn(warning: Warning) -> None:
@@ -35,7 +35,7 @@ def _unpickled(kind: type[BaseException], args: tuple[Any, ...], state: dict[str
     base: type = kind
     while base.__module__ != "builtins":
         base = base.__base__ or object
-    error = base.__new__(kind)
+    error = cast("Any", base).__new__(kind)
     error.args = args
     error.__dict__.update(state)
     return error

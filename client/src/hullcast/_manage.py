@@ -23,7 +23,7 @@ LIST = "/hullcast.v1.HullService/ListHulls"
 DELETE = "/hullcast.v1.HullService/DeleteHulls"
 GET = "/hullcast.v1.HullService/GetHulls"
 
-#: The number of hulls in one message; every server's limit is higher.
+#: The number of hulls in one message; the default limit of a server is 16 times as high.
 _PER_MESSAGE = 1024
 #: The last moment that a `datetime` can represent (end of the year 9999), in Unix milliseconds.
 _LAST_MOMENT = 253_402_300_799_999
@@ -118,7 +118,7 @@ def ids_of(hulls: Any) -> list[bytes]:
             f"expected hulls or their ids, got {kind(hulls)}", reason="WRONG_TYPE", field="hulls"
         )
     ids: list[bytes] = []
-    given: Iterable[Any] = (hulls,) if single else hulls
+    given: Iterable[Any] = (hulls,) if single else hulls  # pyright: ignore[reportUnknownVariableType]
     for i, hull in enumerate(given):
         id = hull if isinstance(hull, bytes) else getattr(hull, "id", None)
         if not isinstance(id, bytes) or len(id) != 32:

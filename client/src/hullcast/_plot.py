@@ -110,7 +110,7 @@ def _axes(ax: Any) -> tuple[Any, Any]:
 
         def _repr_png_(self) -> bytes:
             written = io.BytesIO()
-            self.savefig(written, format="png")
+            self.savefig(written, format="png")  # pyright: ignore[reportUnknownMemberType]
             return written.getvalue()
 
         def __reduce_ex__(self, protocol: Any) -> Any:

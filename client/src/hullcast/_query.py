@@ -200,15 +200,8 @@ class Query:
             return Message(_packed.request(rest, columns), rest.request_id)
         self._compacted = True
         bodies, pairs = _compact(pairs.reshape(-1), self._body_scratch)
-        hulls, body_hulls = _compact(scene.body_hulls[bodies], self._hull_scratch)
-        columns += [
-            ("pairs", pairs),
-            ("body_hulls", body_hulls),
-            ("positions", scene.positions[bodies]),
-            ("rotations", scene.rotations[bodies]),
-        ]
-        rest = self._with([scene.hull_ids[int(i)] for i in hulls])
-        return Message(_packed.request(rest, columns), rest.request_id, hulls, bodies)
+        columns.append(("pairs", pairs))
+        return self._of_some(bodies, columns)
 
     def step_message(self, before: Message) -> Message:
         """The request that inherits from `before` on a stream: the new poses of its bodies."""
@@ -220,16 +213,34 @@ class Query:
         data = _packed.request(rest, [("positions", positions), ("rotations", rotations)])
         return replace(before, data=data, request_id=number)
 
-    def find_message(self) -> Message:
-        """The request of `find`."""
+    def find_message(self, bodies: Indices | None = None) -> Message:
+        """The request of `find`, for all bodies or for some, whose indices ascend."""
         scene = self.scene
-        columns = self._bodies()
-        for name in ("worlds", "groups", "ignored_groups"):
-            column = getattr(scene, name)
+        groups, ignored = scene.groups, scene.ignored_groups
+        if bodies is not None and groups is not None and ignored is not None:
+            ignored = ignored[np.isin(ignored, groups[bodies]).all(axis=1)]
+        columns: list[tuple[str, npt.NDArray[Any]]] = []
+        for name, column in (("worlds", scene.worlds), ("groups", groups)):
             if column is not None:
-                columns.append((name, column))
+                columns.append((name, column if bodies is None else column[bodies]))
+        if ignored is not None:
+            columns.append(("ignored_groups", ignored))
+        if bodies is not None:
+            return self._of_some(bodies, columns)
         rest = self._with(scene.hull_ids)
-        return Message(_packed.request(rest, columns), rest.request_id)
+        return Message(_packed.request(rest, columns + self._bodies()), rest.request_id)
+
+    def _of_some(self, bodies: Indices, columns: list[tuple[str, npt.NDArray[Any]]]) -> Message:
+        """A request that has only the given bodies and their hulls, besides `columns`."""
+        scene = self.scene
+        hulls, body_hulls = _compact(scene.body_hulls[bodies], self._hull_scratch)
+        columns += [
+            ("body_hulls", body_hulls),
+            ("positions", scene.positions[bodies]),
+            ("rotations", scene.rotations[bodies]),
+        ]
+        rest = self._with([scene.hull_ids[int(i)] for i in hulls])
+        return Message(_packed.request(rest, columns), rest.request_id, hulls, bodies)
 
     def _with(self, hull_ids: Sequence[bytes]) -> contacts_pb2.QueryContactsRequest:
         """The options that all messages share, the hulls of one message, and a new request id."""
@@ -254,13 +265,7 @@ class Query:
         assert self._pairs is not None
         pairs = self._pairs[span.start : span.stop]
         columns = _answers.read(data, self._outputs, pairs, message.request_id)
-        for name, own, count in (
-            ("missing_hulls", message.hulls, len(self.scene.hull_ids)),
-            ("invalid_bodies", message.bodies, len(self.scene)),
-        ):
-            _checked.ascending(name, columns[name], count if own is None else len(own))
-            if own is not None:
-                columns[name] = np.sort(own[columns[name]])
+        self._renumber(message, columns)
         _checked.columns(columns, pairs, self.scene.body_hulls)
         return columns
 
@@ -274,14 +279,27 @@ class Query:
             raise _checked.malformed("FindContacts ended without a message, expected one or more")
         parts: list[_answers.Columns] = []
         last: tuple[int, int] | None = None
+        bodies = message.bodies
         for data in answers:
             part = _answers.read(data, self._outputs, None, message.request_id)
-            _checked.ascending("missing_hulls", part["missing_hulls"], len(self.scene.hull_ids))
-            _checked.ascending("invalid_bodies", part["invalid_bodies"], len(self.scene))
-            last = _checked.found_pairs(part["pairs"], part["outcomes"], len(self.scene), last)
+            count = len(self.scene) if bodies is None else len(bodies)
+            last = _checked.found_pairs(part["pairs"], part["outcomes"], count, last)
+            if bodies is not None:
+                part["pairs"] = bodies[part["pairs"]]
+            self._renumber(message, part)
             _checked.columns(part, part["pairs"], self.scene.body_hulls)
             parts.append(part)
         return _answers.merge(parts)
+
+    def _renumber(self, message: Message, columns: _answers.Columns) -> None:
+        """Checks the lists of hulls and bodies of a response; numbers them as the scene does."""
+        for name, own, count in (
+            ("missing_hulls", message.hulls, len(self.scene.hull_ids)),
+            ("invalid_bodies", message.bodies, len(self.scene)),
+        ):
+            _checked.ascending(name, columns[name], count if own is None else len(own))
+            if own is not None:
+                columns[name] = np.sort(own[columns[name]])
 
     def delivered(self, columns: _answers.Columns) -> Manifolds:
         """The result as the caller gets it.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numbers
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -14,6 +14,7 @@ from ._arguments import kind
 from ._errors import HullRejected, InvalidArgument
 from ._hulls import Content, Hull, Planarity, planarity_of, points_of
 from ._pb import hulls_pb2
+from ._query import Span
 
 #: The number of bytes of vertices in one message. It is far below the server's message limit, and
 #: large enough that the cost of the call is small beside that of the hulls.
@@ -35,8 +36,6 @@ class Registration:
         self._dents = dents
         #: For each hull, its name in warnings, or "".
         self._labels = labels
-        #: The number of hulls in each message of `requests`.
-        self._counts: list[int] = []
 
     @classmethod
     def of(
@@ -63,16 +62,16 @@ class Registration:
                 reason="WRONG_TYPE",
                 field="contraction_points",
             )
-        contraction_points = list(contraction_points)
-        if len(contraction_points) != len(shapes):
+        centers: list[Any] = list(contraction_points)  # pyright: ignore[reportUnknownArgumentType]
+        if len(centers) != len(shapes):
             raise InvalidArgument(
-                f"{len(contraction_points)} entries for {len(shapes)} "
+                f"{len(centers)} entries for {len(shapes)} "
                 f"hull{'' if len(shapes) == 1 else 's'}, expected one (a point or None) per hull",
                 reason="LENGTH_MISMATCH",
                 field="contraction_points",
             )
         contents: list[Content] = []
-        for i, (shape, center) in enumerate(zip(shapes, contraction_points, strict=True)):
+        for i, (shape, center) in enumerate(zip(shapes, centers, strict=True)):
             if center is not None:
                 center = _arrays.floats(f"contraction_points[{i}]", center, 3)
             share = planarity_of(planarity)
@@ -91,16 +90,24 @@ class Registration:
         ]
         return cls(contents, dents, [_label(shape, i) for i, shape in enumerate(shapes)])
 
-    def requests(self) -> Iterator[bytes]:
-        """Yields the messages in order. A message is only large if one of its hulls is."""
-        self._counts = []
-        request, size = _packed.RegisterHullsRequest(), 0
-        for content in self._contents:
+    def spans(self) -> list[Span]:
+        """Splits the hulls into spans, one per message. A message is only large if a hull is."""
+        spans: list[Span] = []
+        start = size = 0
+        for i, content in enumerate(self._contents):
             too_large = size + content.points.nbytes > _BYTES_PER_MESSAGE
-            if request.hulls and (too_large or len(request.hulls) == _HULLS_PER_MESSAGE):
-                self._counts.append(len(request.hulls))
-                yield request.SerializeToString()
-                request, size = _packed.RegisterHullsRequest(), 0
+            if i > start and (too_large or i - start == _HULLS_PER_MESSAGE):
+                spans.append(Span(start, i))
+                start, size = i, 0
+            size += content.points.nbytes
+        if self._contents:
+            spans.append(Span(start, len(self._contents)))
+        return spans
+
+    def request(self, span: Span) -> bytes:
+        """The message that registers the hulls of a span."""
+        request = _packed.RegisterHullsRequest()
+        for content in self._contents[span.start : span.stop]:
             hull = request.hulls.add(vertices=content.points.tobytes())
             if content.center is not None:
                 hull.contraction_point = content.center.tobytes()
@@ -110,32 +117,30 @@ class Registration:
                 hull.simplification.max_deviation = content.max_deviation
             if content.planarity is not None:
                 hull.planarity = content.planarity
-            size += content.points.nbytes
-        if request.hulls:
-            self._counts.append(len(request.hulls))
-            yield request.SerializeToString()
+        return request.SerializeToString()
 
-    def named(self, error: InvalidArgument, message: int) -> InvalidArgument:
-        """Adds the largest hull's name to a MESSAGE_TOO_LARGE error; returns other errors as is."""
+    def named(self, error: InvalidArgument, span: Span) -> InvalidArgument:
+        """Adds the hull's name to a MESSAGE_TOO_LARGE error; returns other errors as is."""
         if error.reason != "MESSAGE_TOO_LARGE":
             return error
-        first = sum(self._counts[:message])
-        sizes = [len(c.points) for c in self._contents[first : first + self._counts[message]]]
-        place = first + int(np.argmax(sizes))
+        place = span.start
+        points = len(self._contents[place].points)
         label = self._labels[place] if place < len(self._labels) else f"hulls[{place}]"
         return InvalidArgument(
-            f"{label} has {max(sizes)} points: {error.message}; register fewer points, such as "
+            f"{label} has {points} points: {error.message}; register fewer points, such as "
             "those of its convex hull",
             reason=error.reason,
             field="hulls",
             index=place,
         )
 
-    def read(self, answers: Sequence[bytes], home: _channel.Settings | None = None) -> list[Hull]:
+    def read(
+        self, answers: Mapping[Span, bytes], home: _channel.Settings | None = None
+    ) -> list[Hull]:
         """Reads the hulls from the responses, in the order of the call.
 
         Args:
-            answers: one response per message of `requests`.
+            answers: the response to each message.
             home: the settings of the client that registers the hulls.
 
         Raises:
@@ -143,9 +148,10 @@ class Registration:
             ServerError: MALFORMED_ANSWER.
         """
         results: list[Any] = []
-        for answer, count in zip(answers, self._counts, strict=True):
-            message = _checked.parsed(hulls_pb2.RegisterHullsResponse.FromString, answer)
-            _checked.length("results", len(message.results), count)
+        for span in sorted(answers, key=lambda span: span.start):
+            read = hulls_pb2.RegisterHullsResponse.FromString
+            message = _checked.parsed(read, answers[span])
+            _checked.length("results", len(message.results), span.stop - span.start)
             for result in message.results:
                 place = len(results)
                 known = result.WhichOneof("result")
@@ -213,9 +219,10 @@ def _is_single(hulls: Any) -> bool:
         return True
     if isinstance(hulls, (list, tuple)) and hulls:
         # A list of rows of three numbers is the points of one hull.
-        first = hulls[0]  # pyright: ignore[reportUnknownVariableType]
+        first = cast("Any", hulls[0])
         row = isinstance(first, (list, tuple)) or getattr(first, "ndim", 0) == 1
-        return row and len(first) == 3 and all(isinstance(x, numbers.Real) for x in first)  # pyright: ignore[reportUnknownArgumentType, reportUnknownVariableType]
+        first = cast("Sequence[Any]", first)
+        return row and len(first) == 3 and all(isinstance(x, numbers.Real) for x in first)
     return False
 
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from . import _answers, _calls, _errors
+from . import _answers, _calls, _connection, _errors, _link
 from ._manifolds import Manifolds
 from ._query import Message, Query, Span
 
@@ -29,8 +29,8 @@ class _Lane:
     """A part of the pairs, and the stream that answers for it."""
 
     span: Span
-    link: _calls.Link | None = None
-    stream: _calls.Stream | None = None
+    link: _link.Link | None = None
+    stream: _link.Stream | None = None
     #: The last full message. Messages that inherit from it number hulls and bodies as it does.
     message: Message | None = None
     failures: int = 0
@@ -70,7 +70,7 @@ class Steps:
 
     def _stepping(
         self, positions: Any, rotations: Any, timeout: float | None
-    ) -> _calls.Steps[Manifolds]:
+    ) -> _link.Steps[Manifolds]:
         if self._closed:
             raise _errors.Error(
                 "the session is closed: open a new one with client.session", reason="CLOSED"
@@ -103,7 +103,7 @@ class Steps:
 
     def _exchange(
         self, lanes: Iterable[_Lane], parts: dict[Span, _answers.Columns], deadline: float | None
-    ) -> _calls.Steps[None]:
+    ) -> _link.Steps[None]:
         """Sends one message on each lane, all of them before the first response is read."""
         waiting, asked = deque(lanes), deque[_Lane]()
         while waiting or asked:
@@ -115,7 +115,7 @@ class Steps:
             lane = asked.popleft()
             assert lane.stream is not None
             try:
-                data = yield lane.stream.receive(_calls.remaining(deadline))
+                data = yield lane.stream.receive(_link.remaining(deadline))
             except _errors.InvalidArgument as error:
                 halves = [_Lane(span) for span in _calls.halves_of(lane.span, error)]
                 lane.drop()
@@ -134,7 +134,7 @@ class Steps:
                 assert lane.message is not None
                 parts[lane.span] = self._query.read(lane.span, lane.message, data)
 
-    def _next_message(self, lane: _Lane) -> tuple[_calls.Stream, bytes]:
+    def _next_message(self, lane: _Lane) -> tuple[_link.Stream, bytes]:
         """The stream and the next message, which has only the poses if the stream has the rest."""
         link = self._calls._link()  # it changes in a forked child or another event loop
         if lane.stream is not None and lane.message is not None and lane.link is link:
@@ -164,7 +164,7 @@ def _after_fork() -> None:
     """Forgets streams in use without ending them, which only the parent's threads could do."""
     for session in list(_sessions):
         for lane in session._lanes:
-            _calls.inherited.append(lane.stream)
+            _connection.inherited.append(lane.stream)
             lane.stream = None
 
 

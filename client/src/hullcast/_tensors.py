@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -31,9 +32,27 @@ def as_numpy(value: Any) -> npt.NDArray[Any] | None:
         return np.from_dlpack(value)
     except (BufferError, RuntimeError, TypeError):
         # DLPack cannot pass this array to numpy, for example bfloat16 or read-only memory.
+        if _is_torch_float(value):  # numpy has no bfloat16; every such number is a double
+            value = value.double()
         if hasattr(value, "__array__"):
             return np.asarray(value)
         raise
+
+
+def each_as_numpy(value: Any) -> Any:
+    """A list of other libraries' arrays as a list of numpy arrays; anything else as it is."""
+    if not isinstance(value, (list, tuple)):
+        return value
+    entries = cast("Sequence[Any]", value)
+    if not entries or not hasattr(entries[0], "__dlpack__"):
+        return entries
+    arrays = [as_numpy(entry) for entry in entries]
+    return entries if any(array is None for array in arrays) else arrays
+
+
+def _is_torch_float(value: Any) -> bool:
+    test = getattr(value, "is_floating_point", None)
+    return callable(test) and bool(test()) and hasattr(value, "double")
 
 
 def _on_host(value: Any) -> Any:
@@ -47,27 +66,35 @@ def _on_host(value: Any) -> Any:
 
 
 def to_torch(columns: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:
-    """The columns as torch tensors on the CPU, which share the columns' memory."""
+    """The columns as torch tensors on the CPU, which share the columns' memory.
+
+    Versions of torch before 2.3 have no uint32. There these columns are copied to int64.
+    """
     try:
         import torch as library
     except ImportError as error:
         raise ImportError("to_torch needs torch: pip install torch") from error
     torch: Any = library
-    return {name: torch.from_numpy(_plain(column)) for name, column in columns.items()}
+    plain = {name: _plain(column) for name, column in columns.items()}
+    if not hasattr(torch, "uint32"):
+        plain = {k: v.astype("i8") if v.dtype == "u4" else v for k, v in plain.items()}
+    return {name: torch.from_numpy(column) for name, column in plain.items()}
 
 
 def to_jax(columns: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:
-    """The columns as jax arrays.
+    """The columns as jax arrays on jax's default device.
 
-    jax keeps 64-bit numbers only with its setting `jax_enable_x64`; otherwise it rounds them to 32
-    bits.
+    On the CPU a column is not copied if jax can use its memory, which must begin at a multiple of
+    64 bytes. jax keeps 64-bit numbers only with its setting `jax_enable_x64`; otherwise it rounds
+    them to 32 bits.
     """
     try:
-        import jax.numpy as library
+        import jax as library
     except ImportError as error:
         raise ImportError("to_jax needs jax: pip install jax") from error
     jax: Any = library
-    return {name: jax.asarray(_plain(column)) for name, column in columns.items()}
+    make = jax.numpy.from_dlpack if jax.default_backend() == "cpu" else jax.numpy.asarray
+    return {name: make(_plain(column)) for name, column in columns.items()}
 
 
 def _plain(column: npt.NDArray[Any]) -> npt.NDArray[Any]:

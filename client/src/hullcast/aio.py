@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, Literal, NoReturn, ParamSpec
 
 import grpc
 
-from . import _calls, _channel, _client, _errors, _serve, _session, _status
+from . import _calls, _channel, _client, _errors, _link, _serve, _session, _status
 from ._manifolds import Manifolds
 from ._query import Accuracy, Query
 from ._scene import Scene
@@ -84,10 +84,10 @@ class Client(_calls.Calls):
     def _place(self) -> object:
         return asyncio.get_running_loop()
 
-    def _open(self) -> _calls.Link:
+    def _open(self) -> _link.Link:
         return _Link(self._settings.open(grpc.aio), self._settings.metadata)
 
-    async def _drive(self, steps: _calls.Steps[T]) -> T:
+    async def _drive(self, steps: _link.Steps[T]) -> T:
         try:
             waited_for = next(steps)
             while True:
@@ -104,7 +104,7 @@ class Client(_calls.Calls):
         finally:
             steps.close()
 
-    def _run(self, steps: _calls.Steps[T]) -> T:
+    def _run(self, steps: _link.Steps[T]) -> T:
         return self._drive(steps)  # type: ignore[return-value]
 
     async def close(self) -> None:
@@ -178,7 +178,7 @@ class _Link:
         call = self._stream(data, timeout=timeout, metadata=self._metadata())
         return [message async for message in call]
 
-    def open(self, method: str) -> _calls.Stream:
+    def open(self, method: str) -> _link.Stream:
         return _Stream(self.channel.stream_stream(method)(metadata=self._metadata()))
 
     def pause(self, seconds: float) -> Any:
@@ -209,9 +209,9 @@ class _Stream:
         try:
             answer = await asyncio.wait_for(self._call.read(), timeout)
         except asyncio.TimeoutError:
-            raise _calls.late() from None
+            raise _link.late() from None
         if not isinstance(answer, bytes):  # grpc.aio.EOF, which the type stubs do not have
-            raise _calls.stream_ended()
+            raise _link.stream_ended()
         return answer
 
     def cancel(self) -> None:

@@ -86,7 +86,7 @@ def query(
     names = output_names(outputs)
     ray = _library()
     one_of("on_invalid", on_invalid, ("raise", "flag"))
-    asked = {"margin": margin, "accuracy": accuracy, "outputs": names}
+    asked: dict[str, Any] = {"margin": margin, "accuracy": accuracy, "outputs": names}
     # Check the arguments here, so that errors are not raised in a task.
     Query(scene, [] if pairs is None else pairs, **asked)
     asked |= {"on_invalid": on_invalid, "timeout": seconds("timeout", timeout) or np.inf}

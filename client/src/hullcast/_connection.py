@@ -1,0 +1,285 @@
+"""A client's connection: when it is opened, tried and closed, and which failed calls are repeated.
+
+A connection is opened by its first call, again in a forked child process, and again in another
+event loop. Everything that waits is a generator, as in `_calls.py`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import random
+import threading
+import time
+import weakref
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from . import _arguments, _channel, _errors, _manage, _reach
+from ._link import Link, Steps, remaining
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+    from ._serve import Server
+
+T = TypeVar("T")
+
+#: Seconds within which a server must answer the first call, GetServerInfo.
+_PROOF_SECONDS = 5.0
+
+#: How often one message is sent again because its response was cut off. Each attempt is a call with
+#: all of gRPC's own retries.
+_CUT_OFFS = 3
+
+#: How often one message is sent again to a server that is too busy, and the longest pause between
+#: two attempts, in seconds: about 15 s in all.
+_BUSY = 12
+_LONGEST_PAUSE = 2.0
+
+
+class Connection(ABC):
+    """The connection of a client, without the operations."""
+
+    def __init__(self, settings: _channel.Settings, *, server: Server | None = None) -> None:
+        self._settings = settings
+        #: The server that `serve` started for this client, or None.
+        self._server = server
+        # The server ends when the client is garbage collected, or when the process ends.
+        self._held: list[Link] = []
+        self._forget = (
+            None if server is None else weakref.finalize(self, _forgotten, server, self._held)
+        )
+        self._closed = False
+        self._lock = threading.Lock()
+        self._opened: tuple[Any, Link] | None = None
+        _clients.add(self)
+
+    @classmethod
+    def connect(
+        cls,
+        target: _channel.Target,
+        *,
+        tls: _channel.Tls = None,
+        token: str | None = None,
+        timeout: float | None = 60,
+        options: Iterable[tuple[str, Any]] = (),
+    ) -> Self:
+        """Makes a client of the server at `target`. The connection is opened by the first call.
+
+        The first call fails at once if nothing listens at the address, if only one side uses TLS,
+        or if the server's certificate is not trusted. Later calls that find no server, or a server
+        that is too busy, are retried for about 12 seconds, within their timeout. A forked child
+        process that uses the client gets a connection of its own. Pickling keeps only the settings
+        given here.
+
+        Args:
+            target: "host:port", "unix:PATH", "http://host:port" or "https://host:port"; or several
+                servers over which calls are spread: "dns:///name:port", whose addresses are looked
+                up again when they change, or a list of "host:port". The default port is 50051.
+            tls: None for no TLS, unless the address begins with https://; True for TLS with the
+                system's root certificates; the root certificates to trust, as PEM bytes or as the
+                path of a PEM file; or gRPC credentials.
+            token: the bearer token to send with every call.
+            timeout: the default timeout of a call, in seconds above 0; None or infinity for no
+                limit.
+            options: further gRPC channel options, as (name, value) pairs. Each replaces this
+                package's own option of the same name.
+
+        Raises:
+            InvalidArgument: an argument is not usable; the error names it.
+        """
+        return cls(_channel.Settings.of(target, tls, token, timeout, options))
+
+    @property
+    def target(self) -> str:
+        """The server's address; several addresses are separated by commas."""
+        target = self._settings.target
+        return target if isinstance(target, str) else ",".join(target)
+
+    @property
+    def timeout(self) -> float | None:
+        """The default timeout of a call, in seconds; None for no limit."""
+        return self._settings.timeout
+
+    def _ask(self, method: str, data: bytes, deadline: float | None) -> Steps[bytes]:
+        """Sends one message of a unary call and returns the response."""
+        link = yield from self._ready(deadline)
+        return (yield from self._asked(link, partial(link.call, method, data), deadline))
+
+    def _asked(
+        self, link: Link, begin: Callable[[float | None], Any], deadline: float | None
+    ) -> Steps[Any]:
+        """Makes a call and returns its result; makes it again where a retry can help."""
+        for failures in itertools.count(1):
+            try:
+                return (yield begin(remaining(deadline)))
+            except _errors.Unavailable as error:
+                pause = self._pause_before(error, failures, deadline)
+                if pause:
+                    yield link.pause(pause)
+        raise AssertionError  # unreachable: `count` does not end
+
+    def _ready(self, deadline: float | None) -> Steps[Link]:
+        """Returns the open channel, after a server has answered on it once.
+
+        If a first call cannot succeed, it fails at once with the cause. Without this check gRPC
+        would retry for about 12 seconds, which is only right once the connection has worked.
+        """
+        link = self._link()
+        self._check_server()
+        if link.proven:
+            return link
+        seconds = remaining(deadline)
+        proof = _PROOF_SECONDS if seconds is None else min(seconds, _PROOF_SECONDS)
+        try:
+            yield link.call(_manage.INFO, b"", proof)
+        except _errors.Unavailable as error:
+            if error.reason == "UNAVAILABLE":  # from gRPC itself, not from a server
+                cause = yield link.run(partial(self._cause, error))
+                if cause is not None:
+                    raise cause from None
+                return link  # gRPC's own retries may still reach the server
+        except _errors.DeadlineExceeded:
+            if seconds is not None and seconds <= proof:
+                raise
+            return link
+        except _errors.Error:
+            pass  # a server has answered; the call itself will report the error
+        link.proven = True
+        return link
+
+    def _cause(self, error: _errors.Unavailable) -> _errors.Unavailable | None:
+        """The error for a connection that waiting cannot help to make; otherwise None."""
+        settings, several = self._settings, not isinstance(self._settings.target, str)
+        text = None if several else _reach.absent(self.target, settings.addresses)
+        for target in settings.addresses if text is None else ():
+            text = _reach.mismatch(target, error.message, settings.trust())
+            if text is not None:
+                break
+        if text is None:
+            return None
+        return _errors.Unavailable(text, reason=error.reason)
+
+    def _check_server(self, seconds: float = 0.0) -> None:
+        """Raises Unavailable if the server of `serve` has ended, or ends within `seconds`."""
+        if self._server is not None and not self._closed:
+            how = self._server.how_it_ended(seconds)
+            if how is not None:
+                raise _errors.Unavailable(
+                    f"the server that serve() started ended ({how})", reason="SERVER_ENDED"
+                )
+
+    def _pause_before(
+        self, error: _errors.Unavailable, failures: int, deadline: float | None
+    ) -> float:
+        """Returns the seconds to wait before a retry; raises the error if there is to be none.
+
+        gRPC itself has made up to five attempts by then, but it retries nothing after part of the
+        response has arrived.
+        """
+        # The connection breaks shortly before the end of the server's process can be observed.
+        self._check_server(0.2)
+        if error.cut_off and failures <= _CUT_OFFS:
+            return 0.0
+        if error.retry_after is None or failures > _BUSY:
+            raise error
+        # The pauses are randomised, so that clients that were refused together do not return
+        # together.
+        wait = min(max(error.retry_after, 0.0) * 2 ** (failures - 1), _LONGEST_PAUSE)
+        pause = wait * random.uniform(0.5, 1.5)
+        if deadline is not None and time.monotonic() + pause > deadline:
+            raise error
+        return pause
+
+    def _deadline(self, timeout: float | None) -> float | None:
+        seconds = self.timeout if timeout is None else _arguments.seconds("timeout", timeout)
+        if timeout is not None and seconds is None:
+            return None  # the caller passed infinity, which overrides the client's limit
+        return None if seconds is None else time.monotonic() + seconds
+
+    def _link(self) -> Link:
+        """Returns the open channel.
+
+        It is opened at first use, and again if `_place` has changed.
+        """
+        place = self._place()
+        opened = self._opened
+        if opened is None or opened[0] is not place:
+            with self._lock:
+                if self._closed:
+                    raise _errors.Error(
+                        "the client is closed: make a new one with hullcast.connect",
+                        reason="CLOSED",
+                    )
+                opened = self._opened
+                if opened is None or opened[0] is not place:
+                    if opened is not None:
+                        opened[1].abandon()
+                    opened = self._opened = (place, self._open())
+                    self._held[:] = [opened[1]]
+        return opened[1]
+
+    def _place(self) -> object:
+        """The object, besides the process, to which a channel is bound: asyncio's event loop."""
+        return None
+
+    @abstractmethod
+    def _open(self) -> Link: ...
+
+    @abstractmethod
+    def _run(self, steps: Steps[T]) -> T:
+        """Runs an operation: waits for each call that it yields."""
+
+    def _begin_close(self) -> tuple[Link | None, Callable[[], Any] | None]:
+        """Marks the client as closed.
+
+        Returns its channel and the function that stops its server.
+        """
+        with self._lock:
+            self._closed = True
+            opened, self._opened = self._opened, None
+            self._held.clear()
+        link = None if opened is None else opened[1]
+        server = self._release_server()
+        return link, None if server is None else server.close
+
+    def _release_server(self) -> Server | None:
+        """Detaches the server that `serve` started, so that it outlives this client."""
+        if self._forget is not None:
+            self._forget.detach()
+        server, self._server, self._forget = self._server, None, None
+        return server
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.target!r})"
+
+
+def _forgotten(server: Server, held: list[Link]) -> None:
+    """Ends the server of a client that was garbage collected.
+
+    The channels are closed first, since an open connection would delay the server's end.
+    """
+    for link in held:
+        link.shut()
+    server.forget()
+
+
+#: Channels that belong to the process from which this one was forked. They are never closed,
+#: because closing would wait for threads that do not exist in this process.
+inherited: list[Any] = []
+_clients: weakref.WeakSet[Connection] = weakref.WeakSet()
+
+
+def _after_fork() -> None:
+    for client in list(_clients):
+        inherited.append(client._opened)
+        client._opened = None
+        client._held.clear()
+        client._lock = threading.Lock()  # another thread of the parent may have held the old one
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
