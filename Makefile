@@ -108,7 +108,7 @@ test-python: build $(VENV)/.test ## runs the Python tests against the real serve
 	$(PY) -m pytest client
 
 .PHONY: test-extras
-test-extras: build $(VENV)/.extras ## runs the Python tests that need large packages (real robots, decomposition, rerun, ray), then pyright
+test-extras: build $(VENV)/.extras ## runs the Python tests that need large packages (real robots, decomposition, rerun, ray, torch, jax), then pyright
 	$(PY) -m pytest client/tests/extras
 	$(MAKE) types
 

@@ -64,6 +64,7 @@ def opened(browser: Any, server: hullcast.Client, hash: str = "", **context: Any
     with browser.new_context(**options) as context:
         page = context.new_page()
         page.complaints, page.shapes, page.calls = [], {}, Calls()
+        page.planarities = set()
         page.on("pageerror", lambda error: page.complaints.append(str(error)))
         page.on("console", lambda m: m.type == "error" and page.complaints.append(m.text))
         page.on("request", lambda request: note_shape(page, request))
@@ -73,6 +74,8 @@ def opened(browser: Any, server: hullcast.Client, hash: str = "", **context: Any
         settled(page)
         yield page
         assert page.complaints == []
+        # With another planarity the page's hulls would have other ids and faces than this package's.
+        assert page.planarities == {hullcast.DEFAULT_PLANARITY}
 
 
 class Calls:
@@ -95,6 +98,7 @@ def note_shape(page: Page, request: Any) -> None:
     """Keeps the points that the page registers, in their order."""
     if request.url.endswith("/RegisterHulls"):
         message = hulls_pb2.RegisterHullsRequest.FromString(request.post_data_buffer[5:])
+        page.planarities.add(message.hulls[0].planarity)
         page.shapes[len(page.shapes)] = np.reshape(message.hulls[0].vertices, (-1, 3))
 
 
