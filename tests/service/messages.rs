@@ -128,7 +128,6 @@ async fn health_is_answered_whatever_the_budget_holds() {
         max_memory_bytes: 256 << 20,
         max_message_bytes: 16 << 20,
         max_points_per_hull: 50_000,
-        max_points_per_hull: 1 << 16,
         ..Limits::default()
     };
     let server = TestServer::with_limits(limits).await;
