@@ -234,7 +234,7 @@ fn page(listener: &Listener, encrypts: bool) -> Option<String> {
     Some(format!("{scheme}://{address}/"))
 }
 
-/// Completes when standard input closes. Reading happens on a thread of its own, because a read of
+/// The receiver completes when standard input closes. Reading happens on a thread of its own, because a read of
 /// standard input cannot be cancelled and must not keep the runtime from ending.
 fn stdin_closed() -> Result<oneshot::Receiver<()>, Error> {
     let (closed, wait) = oneshot::channel();

@@ -173,7 +173,7 @@ fn wrong_files_of_servers_are_refused_by_option_and_value() -> Outcome {
     refused(&[&["serve"], &tls[..]].concat(), 3, &["tls_", &pem])?;
     let both = ["serve", "--listen", "127.0.0.1:7", "--admin-listen", "127.0.0.1:7"];
     refused(&both, 2, &["admin_listen is 127.0.0.1:7, which contradicts listen 127.0.0.1:7"])?;
-    // What a start refuses, printing the settings refuses too.
+    // `--print-config` refuses the settings that a start refuses.
     let least = ["--max-memory-bytes", "256MiB", "--max-message-bytes", "16MiB"];
     let printed = [&["serve", "--print-config"], &least[..]].concat();
     for line in [&printed[..], &[&["serve", "--store", "memory://"], &least[..]].concat()] {
