@@ -16,7 +16,7 @@ use std::{
     sync::{Arc, Mutex},
 };
 
-pub use caller::{Caller, CallerKey, CallerStream, Callers};
+pub use caller::{Caller, CallerKey, CallerStream, Callers, is_reserved_name};
 pub use shares::{Refusal, Shares, Slot, Slots};
 
 use crate::lock::locked;

@@ -7,7 +7,7 @@
 //! - `store` keeps the registered hulls.
 //! - `broad_phase` finds pairs.
 //! - `compute` runs the compute threads; `budget` limits the memory that callers make the server hold.
-//! - `small_file` reads settings, tokens and certificates.
+//! - `small_file` reads settings, tokens and certificates; `size` prints sizes.
 //! - `metrics` and `trace` report the server's activity; `log_limit` keeps callers from filling the log.
 //!
 //! [`workload`], which needs no feature, generates pairs for load tests and benchmarks.
@@ -38,6 +38,8 @@ pub mod metrics;
 pub mod proto;
 #[cfg(feature = "server")]
 pub mod service;
+#[cfg(feature = "server")]
+pub mod size;
 #[cfg(feature = "server")]
 pub mod small_file;
 #[cfg(feature = "server")]

@@ -1,17 +1,16 @@
 //! Log lines that callers can cause: at most one per second from each place in the code.
 //!
-//! A caller that sends the same bad request in a loop must not fill the disk with log lines. Each place in
-//! the code that writes such a line owns a [`Repeated`] and asks it first. The next line that is written
-//! tells how many were left out:
+//! A caller that sends the same bad request in a loop must not fill the disk with log lines. Therefore
+//! every line of the levels `error`, `warn` and `info` that a caller can cause is written by the macro
+//! `limited!`. Each place in the code owns a [`Repeated`], and the next line that is written tells how
+//! many were left out in the meantime:
 //!
+//! ```ignore
+//! limited!(info, reason, "a call was refused for its token");
 //! ```
-//! use hullcast::log_limit::Repeated;
 //!
-//! static REFUSED: Repeated = Repeated::new();
-//! if let Some(left_out) = REFUSED.due() {
-//!     tracing::info!(left_out, "a token was refused");
-//! }
-//! ```
+//! Lines of the levels `debug` and `trace` are not limited, because an operator who asks for them wants a
+//! line for each call and each connection. No call writes more than a few of them.
 
 use std::{
     sync::{
@@ -62,9 +61,85 @@ impl Repeated {
     }
 }
 
+/// Writes a line of the given level, with the given fields and text, unless this place in the code has
+/// already written a line within the last second. The field `left_out` counts the lines that were left out.
+macro_rules! limited {
+    ($level:ident, $($line:tt)+) => {{
+        static PLACE: $crate::log_limit::Repeated = $crate::log_limit::Repeated::new();
+        if let Some(left_out) = PLACE.due() {
+            tracing::$level!(left_out, $($line)+);
+        }
+    }};
+}
+pub(crate) use limited;
+
 #[cfg(test)]
 mod tests {
+    use std::{path::Path, sync::Arc};
+
+    use tracing_subscriber::layer::SubscriberExt;
+
     use super::*;
+
+    /// The lines that no caller causes, by the file: the server stops, the store is probed, files of the
+    /// operator are read again.
+    const OF_THE_OPERATOR: [(&str, usize); 2] =
+        [("service/security/reloaded.rs", 3), ("service/server.rs", 4)];
+
+    /// Counts the lines below `folder` that are logged without a limit, by file.
+    fn unlimited(folder: &Path, root: &Path, found: &mut Vec<(String, usize)>) {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.strip_prefix(root).unwrap().to_str().unwrap().to_owned();
+            if path.is_dir() {
+                // The command line has no callers.
+                if name != "cli" {
+                    unlimited(&path, root, found);
+                }
+                continue;
+            }
+            let text = std::fs::read_to_string(&path).unwrap();
+            let count = ["error!(", "warn!(", "info!("].map(|level| {
+                text.lines()
+                    .filter(|line| !line.trim_start().starts_with("//") && line.contains(level))
+                    .count()
+            });
+            found.push((name, count.iter().sum()));
+        }
+    }
+
+    /// Catches a line that a caller can cause as often as it likes, and that therefore fills the disk.
+    #[test]
+    fn every_line_that_a_caller_can_cause_is_limited() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+        let mut found = Vec::new();
+        unlimited(&root, &root, &mut found);
+        found.retain(|(name, count)| *count > 0 && name != "log_limit.rs");
+        found.sort();
+        let allowed: Vec<_> = OF_THE_OPERATOR.iter().map(|&(name, count)| (name.to_owned(), count)).collect();
+        assert_eq!(found, allowed, "use `limited!`, or list a line that no caller causes");
+    }
+
+    /// Catches a place that writes each line, and two places that share one limit.
+    #[test]
+    fn each_place_has_a_limit_of_its_own() {
+        let written = Arc::new(AtomicU64::new(0));
+        let counted = written.clone();
+        let layer = tracing_subscriber::fmt::layer().with_writer(move || {
+            counted.fetch_add(1, Ordering::Relaxed);
+            std::io::sink()
+        });
+        let subscriber = tracing_subscriber::registry().with(layer);
+        tracing::subscriber::with_default(subscriber, || {
+            for number in 0..1000 {
+                limited!(warn, number, "the first place");
+                limited!(info, number, "the second place");
+            }
+        });
+        // A slow machine may need more than a second for the loop.
+        let written = written.load(Ordering::Relaxed);
+        assert!((2..100).contains(&written), "{written} lines");
+    }
 
     /// Catches a second line within the second, a line that is missing after it, and a wrong count of the
     /// lines that were left out.

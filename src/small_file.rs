@@ -13,6 +13,8 @@ use std::{
 
 use rustix::fs::{CWD, FileType, Mode, OFlags, fstat, openat};
 
+use crate::size::ByteSize;
+
 /// The largest size of such a file, in bytes: 1 MiB.
 pub const MAX_BYTES: u64 = 1 << 20;
 
@@ -26,7 +28,7 @@ const FLAGS: OFlags = OFlags::NONBLOCK.union(OFlags::NOCTTY).union(OFlags::CLOEX
 /// The text does not name the path.
 pub fn read(path: &Path) -> io::Result<Vec<u8>> {
     let refused = |what: &str| {
-        let why = format!("is {what}, must be a regular file of at most {MAX_BYTES} bytes");
+        let why = format!("is {what}, must be a regular file of at most {}", ByteSize(MAX_BYTES));
         Err(io::Error::new(io::ErrorKind::InvalidInput, why))
     };
     let file = File::from(openat(CWD, path, FLAGS, Mode::empty())?);
@@ -67,7 +69,7 @@ mod tests {
         rustix::fs::mkfifoat(CWD, at("fifo"), Mode::from_raw_mode(0o600)).unwrap();
         let _socket = std::os::unix::net::UnixListener::bind(at("socket")).unwrap();
         for (path, what) in [
-            (at("larger"), "is larger, must be a regular file of at most 1048576 bytes"),
+            (at("larger"), "is larger, must be a regular file of at most 1 MiB"),
             (at("sparse"), "is larger"),
             (at("fifo"), "is a pipe"),
             (directory.path().into(), "is a directory"),

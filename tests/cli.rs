@@ -11,6 +11,8 @@ use serde_json::Value;
 
 #[path = "cli/failures.rs"]
 mod failures;
+#[path = "cli/limited.rs"]
+mod limited;
 #[path = "cli/secured.rs"]
 mod secured;
 #[path = "cli/serving.rs"]

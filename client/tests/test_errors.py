@@ -8,11 +8,12 @@ import multiprocessing
 import pickle
 import warnings
 
+import grpc
 import numpy as np
 import pytest
 
 import hullcast
-from hullcast import _errors
+from hullcast import _errors, _status
 
 KINDS = {
     name: kind
@@ -77,3 +78,30 @@ def test_a_pool_returns_them():
             with pytest.raises(KINDS[name]) as caught:
                 pool.apply_async(_raises, (name,)).get(60)
             assert str(caught.value) == str(made(name))
+
+
+class CutCall:
+    """A failed call, as gRPC reports a stream that the server reset."""
+
+    def __init__(self, details: str) -> None:
+        self._details = details
+
+    def code(self) -> grpc.StatusCode:
+        return grpc.StatusCode.CANCELLED
+
+    def details(self) -> str:
+        return self._details
+
+    def trailing_metadata(self) -> tuple[()]:
+        return ()
+
+
+def test_a_call_that_the_server_cut_says_why():
+    """Catches a number of HTTP/2 in place of the reason and the setting that decides."""
+    error = _status.from_rpc(CutCall("Received RST_STREAM with error code 8"))
+    assert isinstance(error, hullcast.ServerError)
+    assert (error.reason, error.code) == ("CANCELLED", "CANCELLED")
+    assert "not read in time" in str(error)
+    assert "answer_seconds" in str(error)
+    own = _status.from_rpc(CutCall("Locally cancelled by application!"))
+    assert "answer_seconds" not in str(own)

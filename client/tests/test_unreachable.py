@@ -283,3 +283,7 @@ def test_a_proxy_that_is_silent_from_the_start():
                 alone.ping()
             with pytest.raises((hullcast.Unavailable, hullcast.DeadlineExceeded)):
                 alone.register(CUBE, timeout=1)
+        command = [find_binary(), "query", str(SCENE), "--remote", proxy.address]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        assert done.returncode == 4
+        assert "accepts connections and does not answer: is it a hullcast server?" in done.stderr

@@ -51,6 +51,19 @@ impl fmt::Display for CallerKey {
     }
 }
 
+/// Whether logs and metrics may call a caller without a token so, or nearly so: an address, a user id, a
+/// connection, or everyone. A token of such a name would be mistaken for that caller.
+pub fn is_reserved_name(name: &str) -> bool {
+    let name = name.to_ascii_lowercase();
+    let is_one_of = |kind: &str| {
+        name.strip_prefix(kind)
+            .is_some_and(|rest| rest.trim_start_matches(['-', '_', '.']).parse::<u64>().is_ok())
+    };
+    ["anonymous", "everyone", "address", "uid", "connection"].contains(&&*name)
+        || ["uid", "connection"].into_iter().any(is_one_of)
+        || name.parse::<IpAddr>().is_ok()
+}
+
 /// The callers that are currently known.
 #[derive(Debug, Default)]
 pub struct Callers {
@@ -159,6 +172,19 @@ impl Drop for CallerStream {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Catches a kind of caller whose name a token may have.
+    #[test]
+    fn names_of_callers_without_a_token_are_reserved() {
+        let ip = |text: &str| CallerKey::of_address(text.parse().unwrap());
+        for key in [CallerKey::User(7), CallerKey::Connection(3), CallerKey::Everyone, ip("10.0.0.1")] {
+            let name = key.to_string().replace(' ', "-");
+            assert!(is_reserved_name(&name), "{name}");
+        }
+        // No token may have a name with a slash.
+        assert!(ip("2001:db8::1").to_string().contains('/'));
+        assert!(!is_reserved_name("trainer") && !is_reserved_name("uid-x"));
+    }
 
     /// Catches callers that are never forgotten, and one caller that counts as two.
     #[test]

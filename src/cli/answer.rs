@@ -115,7 +115,8 @@ impl From<Status> for Refusal {
     fn from(status: Status) -> Self {
         let retry_after = status.get_details_retry_info().and_then(|info| info.retry_delay);
         // A status with a cause was made by tonic in this process, not sent by a server.
-        let lost = retry_after.is_none() && (status.code() == Code::Unavailable || status.source().is_some());
+        let is_made_here = status.source().is_some() && !is_cut(&status);
+        let lost = retry_after.is_none() && (status.code() == Code::Unavailable || is_made_here);
         let exit = match status.code() {
             _ if lost => Exit::Unreachable,
             Code::InvalidArgument => Exit::Input,
@@ -295,9 +296,20 @@ fn registered(hull: usize, content: HullId, result: proto::RegisterHullResult) -
     }
 }
 
+/// Whether the server reset the call: it does so if the answer is not read in time (docs/errors.md).
+fn is_cut(status: &Status) -> bool {
+    // Nothing in this process cancels a call and then reads its status.
+    status.code() == Code::Cancelled
+}
+
 /// A status as a sentence.
 fn described(status: &Status) -> String {
     match status.code() {
+        _ if is_cut(status) => {
+            "Cancelled: the server reset the call, because the answer was not read in time; the server's \
+             settings answer_seconds and max_deadline_seconds decide how long that is"
+                .into()
+        }
         // For its own failures, the cause says more than tonic's message.
         Code::Unknown | Code::Unavailable if status.source().is_some() => root_cause(status),
         code => format!("{code:?}: {}", status.message()),
@@ -333,5 +345,24 @@ pub(crate) fn request(
         accuracy: Some(asked.accuracy),
         outputs: asked.outputs.clone(),
         ..Default::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches a call that the server cut and that looks like a lost server: another server would be asked,
+    /// and the reader would not learn the reason.
+    #[test]
+    fn a_call_that_was_cut_says_why() {
+        let refusal = Refusal::from(Status::cancelled("h2 protocol error: stream error received"));
+        assert!(
+            refusal.text.contains("not read in time") && refusal.text.contains("answer_seconds"),
+            "{refusal}"
+        );
+        assert_eq!((refusal.lost, refusal.exit), (false, Exit::Refused));
+        let refusal = Refusal::from(Status::unavailable("gone"));
+        assert!(refusal.lost && !refusal.text.contains("answer_seconds"), "{refusal}");
     }
 }

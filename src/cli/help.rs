@@ -2,6 +2,7 @@
 //! server's settings, headings, exit codes.
 
 use clap::{Arg, Command};
+use hullcast::size::ByteSize;
 
 use super::exit;
 use super::settings::Given;
@@ -63,9 +64,9 @@ pub(crate) fn complete(command: Command) -> Command {
         let help = arg.get_help().map(ToString::to_string).unwrap_or_default();
         let place = SUBJECTS.iter().position(|(_, names)| names.contains(&name.as_str()));
         let heading = place.map_or("Limits", |place| SUBJECTS[place].0);
-        let size = default.as_integer().filter(|_| name.ends_with("_bytes")).and_then(in_mebibytes);
-        arg.help(format!("{help} [default: {}{}]", shown(default), size.unwrap_or_default()))
-            .help_heading(heading)
+        let size = default.as_integer().filter(|bytes| *bytes > 0 && name.contains("_bytes"));
+        let default = size.map_or_else(|| shown(default), |bytes| ByteSize(bytes as u64).to_string());
+        arg.help(format!("{help} [default: {default}]")).help_heading(heading)
     };
     command.after_help(exit::HELP).mut_subcommand("serve", |serve| serve.mut_args(described))
 }
@@ -80,12 +81,6 @@ fn shown(value: &toml::Value) -> String {
         toml::Value::Float(number) => number.to_string(),
         other => other.to_string(),
     }
-}
-
-/// A large size in words.
-fn in_mebibytes(bytes: i64) -> Option<String> {
-    const MEBIBYTE: i64 = 1 << 20;
-    (bytes >= MEBIBYTE && bytes % MEBIBYTE == 0).then(|| format!(", {} MiB", bytes / MEBIBYTE))
 }
 
 #[cfg(test)]

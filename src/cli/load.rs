@@ -180,7 +180,7 @@ enum Distribution {
 /// The load cannot be prepared, or a call failed, or an answer was wrong. The summary is printed in
 /// all but the first case.
 pub(crate) fn run(args: &Args) -> Result<(), Error> {
-    tokio::runtime::Runtime::new()?.block_on(loaded(args))
+    super::runtime::with_threads()?.block_on(loaded(args))
 }
 
 async fn loaded(args: &Args) -> Result<(), Error> {

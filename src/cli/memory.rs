@@ -6,7 +6,9 @@ use std::{
     str::FromStr,
 };
 
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use hullcast::{service::Limits, size::ByteSize};
+use rustix::process::{Resource, getrlimit};
+use serde::{Serialize, Serializer};
 
 /// A size in bytes, or as a share of the memory that the process may use.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,27 +43,11 @@ impl FromStr for Size {
         if let Some(percent) = text.strip_suffix('%') {
             let percent: f64 = percent.parse().map_err(|error| format!("{text}: {error}"))?;
             return match percent {
-                0.0..=100.0 => Ok(Self::Share(percent)),
-                _ => Err(format!("{text}: expected 0% to 100%")),
+                _ if percent > 0.0 && percent <= 100.0 => Ok(Self::Share(percent)),
+                _ => Err(format!("{text}: expected more than 0% and at most 100%")),
             };
         }
-        let (number, unit) = match text.find(|c: char| !c.is_ascii_digit()) {
-            None => (text, 1),
-            Some(at) => {
-                (&text[..at], unit(&text[at..]).ok_or_else(|| format!("{text}: KiB, MiB and GiB are known"))?)
-            }
-        };
-        let number: u64 = number.parse().map_err(|error| format!("{text}: {error}"))?;
-        number.checked_mul(unit).map(Self::Bytes).ok_or_else(|| format!("{text}: too much"))
-    }
-}
-
-fn unit(text: &str) -> Option<u64> {
-    match text {
-        "KiB" => Some(1 << 10),
-        "MiB" => Some(1 << 20),
-        "GiB" => Some(1 << 30),
-        _ => None,
+        text.parse().map(|ByteSize(bytes)| Self::Bytes(bytes))
     }
 }
 
@@ -84,18 +70,20 @@ impl Serialize for Size {
     }
 }
 
-impl<'de> Deserialize<'de> for Size {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        #[derive(Deserialize)]
-        #[serde(untagged)]
-        enum Form {
-            Number(u64),
-            Text(String),
-        }
-        match Form::deserialize(deserializer)? {
-            Form::Number(bytes) => Ok(Self::Bytes(bytes)),
-            Form::Text(text) => text.parse().map_err(serde::de::Error::custom),
-        }
+/// Memory of the process besides the budget and the cache (docs/budget.md).
+const OF_THE_PROCESS: u64 = 256 << 20;
+
+/// Logs if the process may not have as much address space as callers can make it use: the allocator would
+/// end the process.
+pub(crate) fn compare(limits: &Limits) {
+    let needed = limits.max_memory_bytes.saturating_add(limits.cache_bytes).saturating_add(OF_THE_PROCESS);
+    if let Some(allowed) = getrlimit(Resource::As).current.filter(|&allowed| allowed < needed) {
+        tracing::warn!(
+            allowed = %ByteSize(allowed),
+            needed = %ByteSize(needed),
+            "the system allows less address space (ulimit -v) than max_memory_bytes, cache_bytes and 256 MiB \
+             together: callers may be able to end the process"
+        );
     }
 }
 
@@ -148,7 +136,7 @@ mod tests {
             assert_eq!(text.parse(), Ok(size));
             assert_eq!(size.to_string().parse(), Ok(size));
         }
-        for text in ["", "-1", "1MB", "101%", "x%", "NaN%", "99999999999GiB"] {
+        for text in ["", "0%", "-1%", "-1", "1MB", "101%", "x%", "NaN%", "99999999999GiB"] {
             assert!(text.parse::<Size>().is_err(), "{text}");
         }
     }

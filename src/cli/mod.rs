@@ -19,6 +19,7 @@ mod reach;
 mod refusals;
 mod remote;
 mod report;
+mod runtime;
 mod scene;
 pub(crate) mod serve;
 mod serve_values;

@@ -50,7 +50,7 @@ fn age(text: &str) -> Result<Duration, String> {
 /// # Errors
 /// The store cannot be opened, listed or written to. Hulls removed before the error stay removed.
 pub(crate) fn run(args: &Args) -> Result<(), Error> {
-    tokio::runtime::Runtime::new()?.block_on(prune(args))
+    super::runtime::with_threads()?.block_on(prune(args))
 }
 
 async fn prune(args: &Args) -> Result<(), Error> {

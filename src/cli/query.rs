@@ -68,7 +68,7 @@ pub(crate) struct Args {
 /// # Errors
 /// The scene is not valid, or there is no answer, or it cannot be written.
 pub(crate) fn run(args: &Args) -> Result<(), Error> {
-    tokio::runtime::Runtime::new()?.block_on(answered(args))
+    super::runtime::with_threads()?.block_on(answered(args))
 }
 
 async fn answered(args: &Args) -> Result<(), Error> {

@@ -6,7 +6,7 @@ use std::error::Error as StdError;
 use std::io;
 use std::time::Duration;
 
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::net::TcpStream;
 
 use super::Error;
@@ -92,8 +92,14 @@ pub(crate) async fn failed(address: &str, url: &str, error: &(dyn StdError + 'st
 /// The explanation for a peer that is there but speaks another protocol. None for other causes, which
 /// may pass.
 pub(crate) async fn mismatch(address: &str, url: &str, error: &(dyn StdError + 'static)) -> Option<String> {
+    if is_silent(url).await {
+        return Some(format!(
+            "the server at {address} accepts connections and does not answer: is it a hullcast server? It may be \
+             frozen, or a proxy that has lost its server"
+        ));
+    }
     if let Some(authority) = url.strip_prefix("http://") {
-        return match greeting(authority).await.as_slice() {
+        return match greeting(authority).await.unwrap_or_default().as_slice() {
             [0x15 | 0x16, 0x03, ..] => Some(format!("the server at {address} speaks TLS: use https://")),
             // The fourth byte of a frame is its type; a server begins with SETTINGS, type 4.
             [_, _, _, kind, ..] if *kind != 4 => {
@@ -115,17 +121,36 @@ pub(crate) async fn mismatch(address: &str, url: &str, error: &(dyn StdError + '
     })
 }
 
-/// The first bytes of a plain-text peer's answer to the HTTP/2 preface; empty if it does not answer.
-async fn greeting(authority: &str) -> Vec<u8> {
+/// Whether a peer takes the connection and then sends nothing, not even that it has another protocol.
+async fn is_silent(url: &str) -> bool {
+    match url.split_once("://") {
+        Some((_, authority)) => greeting(authority).await.is_none(),
+        None => {
+            let path = url.trim_start_matches("unix:").trim_start_matches("//");
+            let connect = tokio::net::UnixStream::connect(path);
+            answer_to_greeting(connect).await.is_none()
+        }
+    }
+}
+
+/// The first bytes of a TCP peer's answer to the HTTP/2 preface, as of [`answer_to_greeting`].
+async fn greeting(authority: &str) -> Option<Vec<u8>> {
+    answer_to_greeting(TcpStream::connect(authority)).await
+}
+
+/// The first bytes of a peer's answer to the HTTP/2 preface; empty if there is no connection, or if the
+/// peer closes it. None if the peer sends nothing in time.
+async fn answer_to_greeting<S: AsyncRead + AsyncWrite + Unpin>(
+    connect: impl Future<Output = io::Result<S>>,
+) -> Option<Vec<u8>> {
+    let Ok(Ok(mut stream)) = tokio::time::timeout(PATIENCE, connect).await else { return Some(Vec::new()) };
     let mut answer = [0; 9];
     let exchange = async {
-        let mut stream = TcpStream::connect(authority).await?;
         stream.write_all(GREETING).await?;
         stream.read(&mut answer).await
     };
-    let read = tokio::time::timeout(PATIENCE, exchange).await;
-    let count = read.map_or(0, |result| result.unwrap_or(0));
-    answer[..count].to_vec()
+    let count = tokio::time::timeout(PATIENCE, exchange).await.ok()?.unwrap_or(0);
+    Some(answer[..count].to_vec())
 }
 
 /// The kind of the first operating system error in the chain of causes.
@@ -145,6 +170,34 @@ fn cause(error: &(dyn StdError + 'static)) -> Option<io::ErrorKind> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Catches a peer that accepts connections and says nothing, which the user is not told of; and one that
+    /// closes the connection, or is not there, that is taken for silent.
+    #[tokio::test]
+    async fn a_peer_that_never_answers_is_named() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("socket");
+        let on_path = tokio::net::UnixListener::bind(&path).expect("a socket");
+        let silent = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("a port");
+        let closing = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("a port");
+        let port = |listener: &tokio::net::TcpListener| listener.local_addr().expect("an address").port();
+        let (silent_port, closing_port) = (port(&silent), port(&closing));
+        tokio::spawn(async move { while closing.accept().await.is_ok() {} });
+        let error = io::Error::other("given up");
+        for (url, is_silent) in [
+            (format!("http://127.0.0.1:{silent_port}"), true),
+            (format!("https://127.0.0.1:{silent_port}"), true),
+            (format!("unix:{}", path.display()), true),
+            (format!("http://127.0.0.1:{closing_port}"), false),
+            ("unix:/nonexistent/socket".into(), false),
+        ] {
+            let text = mismatch(&url, &url, &error).await;
+            assert_eq!(text.is_some(), is_silent, "{url}: {text:?}");
+            let expected = "accepts connections and does not answer: is it a hullcast server?";
+            assert!(text.is_none_or(|text| text.contains(expected) && text.contains(&url)));
+        }
+        drop((silent, on_path));
+    }
 
     /// Catches a missing port that becomes HTTP's default, and a malformed address that is dialled.
     #[test]

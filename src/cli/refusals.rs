@@ -4,7 +4,10 @@ use std::collections::BTreeSet;
 
 use clap::{Arg, ArgAction, Command, CommandFactory};
 
-use super::help::complete;
+use super::{
+    help::complete,
+    settings::{Fault, Given, NAMES},
+};
 use crate::Arguments;
 
 /// No numbers at all, or none that are finite and at least 0.
@@ -22,7 +25,7 @@ const NO_SERVERS: [&str; 10] =
 
 const OUTPUTS: &str =
     "[possible values: outcome, alpha, normal, points, witness-b, features, bases, diagnostics]";
-const SIZE: &str = "to 1125899906842624 bytes (KiB, MiB and GiB are known), or a share from 0% to 100%";
+const SIZE: &str = "to 1024 TiB (a number of bytes, or with KiB, MiB, GiB or TiB), or a share of the memory above 0% and up to 100%";
 
 /// An option, values outside its range beside those that are none of its type, and what is allowed.
 type Case = (&'static str, &'static [&'static str], &'static str);
@@ -64,7 +67,8 @@ const RANGES: [Case; 2] = [
         "numbers above 0, end at least start",
     ),
 ];
-const OF_SERVE: [Case; 38] = [
+const OF_SERVE: [Case; 39] = [
+    ("store", &[""], "expected a directory, file://PATH, memory://"),
     ("listen", &NO_ADDRESSES, "expected host:port with a port from 0 to 65535"),
     ("admin-listen", &NO_ADDRESSES, "expected host:port with a port from 0 to 65535"),
     ("otlp-endpoint", &NO_ADDRESSES, "expected http://HOST:PORT or https://HOST:PORT"),
@@ -87,7 +91,7 @@ const OF_SERVE: [Case; 38] = [
     ("message-seconds", &["0", "0.0009"], "expected a number from 0.001 to 1000000000"),
     ("answer-seconds", &["0", "0.0009"], "expected a number from 0.001 to 1000000000"),
     ("otlp-share", &["1.1", "inf"], "expected a number from 0 to 1"),
-    ("max-message-bytes", &["1023", "2147483649"], "expected a whole number from 1024 to 2147483648"),
+    ("max-message-bytes", &["1023", "2147483649", "3GiB"], "expected 1 KiB to 2 GiB (a number of bytes, or"),
     ("max-pairs-per-request", &["0", "4294967296"], "expected a whole number from 1 to 4294967295"),
     ("max-bodies-per-request", &["0", "4294967296"], "expected a whole number from 1 to 4294967295"),
     ("max-hulls-per-request", &["0", "4294967296"], "expected a whole number from 1 to 4294967295"),
@@ -100,13 +104,13 @@ const OF_SERVE: [Case; 38] = [
     ("max-page-size", &["0", "4294967296"], "expected a whole number from 1 to 4294967295"),
     ("cache-age-seconds", &["4294967296"], "expected a whole number from 0 to 4294967295"),
     ("store-seconds", &["0", "3601"], "expected a whole number from 1 to 3600"),
-    ("store-bytes", &["1125899906842625"], "expected a whole number from 0 to 1125899906842624"),
-    ("max-stream-state-bytes", &["1125899906842625"], "expected a whole number from 0 to 1125899906842624"),
-    ("max-request-bytes-in-flight", &["0"], "expected a whole number from 1 to 1125899906842624"),
+    ("store-bytes", &["1125899906842625", "1MB"], "expected 0 bytes to 1024 TiB (a number of bytes"),
+    ("max-stream-state-bytes", &["1025TiB"], "expected 0 bytes to 1024 TiB (a number of bytes"),
+    ("max-request-bytes-in-flight", &["0", "0MiB"], "expected 1 byte to 1024 TiB (a number of bytes"),
     ("max-memory-bytes", &["0", "268435455", "255MiB", "101%", "1MB"], SIZE),
-    ("cache-bytes", &["0", "1048577GiB", "-1%", "nan%", "1 MiB"], SIZE),
+    ("cache-bytes", &["0", "1048577GiB", "-1%", "nan%", "inf%", "0%", "1  MiB"], SIZE),
     ("inject-pair-delay-us", &["18446744073709551616"], "expected a whole number from 0 to"),
-    ("max-memory-bytes", &["10 %", "%", "MiB"], "expected 268435456 to 1125899906842624 bytes"),
+    ("max-memory-bytes", &["10 %", "%", "MiB"], "expected 256 MiB to 1024 TiB"),
 ];
 const OF_PRUNE: [Case; 1] = [(
     "older-than",
@@ -120,18 +124,7 @@ const OF_REMOTE: [Case; 1] =
 
 /// Options whose values are names, files and folders: tests/cli.rs runs the binary with wrong ones.
 const NAMES_AND_FILES: [(&str, &[&str]); 5] = [
-    (
-        "serve",
-        &[
-            "config",
-            "store",
-            "tls-certificate",
-            "tls-key",
-            "tls-client-ca",
-            "query-tokens",
-            "register-tokens",
-        ],
-    ),
+    ("serve", &["config", "tls-certificate", "tls-key", "tls-client-ca", "query-tokens", "register-tokens"]),
     ("query", &["frame", "out", "tls-ca", "tls-certificate", "tls-key", "token-file"]),
     ("tradeoff", &["out", "ask", "peer"]),
     ("load", &["scene", "csv", "plot", "tls-ca", "tls-certificate", "tls-key", "token-file"]),
@@ -165,7 +158,7 @@ fn wrong_values(case: &Case) -> Vec<&'static str> {
     if allowed.contains("number") || allowed.contains("bytes") || allowed.contains("start:end") {
         values.extend(NO_NUMBERS);
     }
-    if allowed.contains("whole number") {
+    if allowed.contains("whole number") || allowed.contains("number of bytes") {
         values.extend(NO_COUNTS);
     }
     values
@@ -232,6 +225,36 @@ fn wrong_values_are_refused_by_option_value_and_range() {
     }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
     assert!(tried > 700, "{tried} values tried");
+}
+
+/// The same wrong values in a file, as texts and as bare values. Catches a value that is refused as a flag
+/// and accepted from a file, or refused without the setting's name or what is allowed.
+#[test]
+fn wrong_values_of_a_file_are_refused_by_name_and_range() {
+    let (mut tried, mut faults) = (0, Vec::new());
+    for case in OF_SERVE {
+        let (option, _, allowed) = case;
+        let key = option.replace('-', "_");
+        if !NAMES.contains(&key.as_str()) {
+            continue;
+        }
+        for value in wrong_values(&case).into_iter().chain(allowed.contains("number").then_some("1e400")) {
+            let quoted = toml::Value::String(value.into()).to_string();
+            let bare = value.parse::<f64>().is_ok() && !value.starts_with(['0', '+']);
+            for text in [Some(quoted), bare.then(|| value.to_owned())].into_iter().flatten() {
+                match Given::parse(
+                    &format!("log = \"info\"\n{key} = {text}\n").replace("log = \"info\"\nlog", "log"),
+                ) {
+                    Err(Fault::Text(said) | Fault::Value(said))
+                        if said.contains(&key) && said.contains(allowed) => {}
+                    other => faults.push(format!("{key} = {text}: {other:?}")),
+                }
+                tried += 1;
+            }
+        }
+    }
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+    assert!(tried > 500, "{tried} values tried");
 }
 
 /// Whether a message shows the value at fault; of a list, the part at fault.

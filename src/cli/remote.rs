@@ -19,6 +19,7 @@ use hullcast::proto::GetServerInfoRequest;
 use hullcast::proto::contact_service_client::ContactServiceClient;
 use hullcast::proto::hull_service_client::HullServiceClient;
 use hullcast::proto::server_service_client::ServerServiceClient;
+use hullcast::small_file;
 
 /// Largest message in either direction. It is so large that only the server's own limits matter.
 const MAX_MESSAGE_BYTES: usize = 2 << 30;
@@ -81,7 +82,16 @@ impl Connection {
         let connection = Self(InterceptedService::new(channel, token));
         // Without TLS, a connection counts as open before the server has sent anything.
         let mut server = ServerServiceClient::new(connection.0.clone());
-        match server.get_server_info(GetServerInfoRequest {}).await {
+        let asked = server.get_server_info(GetServerInfoRequest {});
+        let Ok(answered) = tokio::time::timeout(CONNECT_TIMEOUT, asked).await else {
+            // A server that is only busy answers the beginning of HTTP/2 at once.
+            let late = Status::deadline_exceeded("no answer");
+            return match reach::mismatch(address, &url, &late).await {
+                Some(text) => Err(Exit::Unreachable.error(text)),
+                None => Ok(connection),
+            };
+        };
+        match answered {
             // Only statuses that tonic makes itself have a source, so any other answer shows that a server
             // is there. If a connection merely broke, the next one may work: the call itself will tell.
             Err(status) if status.source().is_some() => match reach::mismatch(address, &url, &status).await {
@@ -142,7 +152,7 @@ impl RemoteArgs {
 }
 
 fn read(option: &str, path: &Path) -> Result<Vec<u8>, Error> {
-    std::fs::read(path)
+    small_file::read(path)
         .map_err(|error| Exit::Input.error(format!("{option} {}: cannot be read: {error}", path.display())))
 }
 

@@ -9,8 +9,8 @@ use std::{
 };
 
 use hullcast::{
-    service::{App, Listener, Security, run as serve, serve_admin},
-    store::blobs,
+    service::{App, Listener, OpenError as ServiceOpenError, Security, run as serve, serve_admin},
+    store::blobs::{self, OpenError},
     trace,
 };
 use tokio::{
@@ -31,8 +31,8 @@ use crate::allocator;
 use super::{
     Error, descriptors,
     exit::Exit,
-    serve_values,
-    settings::{DEFAULT_STORE, Given, LogFormat, Settings},
+    memory, runtime, serve_values,
+    settings::{Checked, DEFAULT_STORE, Given, LogFormat, Settings},
     traces::Traces,
     values::count,
 };
@@ -67,16 +67,23 @@ const RUNTIME_SHUTDOWN: Duration = Duration::from_secs(1);
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     let file = args.config.as_deref().map(Given::read).transpose()?.unwrap_or_default();
     let settings = args.given.clone().or(file);
+    let checked = settings.checked()?;
     if args.print_config {
         print!("{}", toml::to_string(&settings)?);
         return Ok(());
     }
-    let runtime = Builder::new_multi_thread().enable_all().max_blocking_threads(BLOCKING_THREADS).build()?;
+    let descriptors = descriptors::checked(&settings)?;
+    let mut builder = Builder::new_multi_thread();
+    let runtime = runtime::start(builder.enable_all().max_blocking_threads(BLOCKING_THREADS))?;
     let traces = {
         let _entered = runtime.enter();
         observe(&settings)?
     };
-    let result = runtime.block_on(until_stopped(&settings, &args));
+    let mut checked = checked;
+    let limits = &mut checked.limits;
+    limits.max_connections = descriptors.connections(limits.max_connections);
+    memory::compare(limits);
+    let result = runtime.block_on(until_stopped(&settings, checked, &args));
     if let Some(traces) = traces {
         traces.flush();
     }
@@ -84,17 +91,18 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     result
 }
 
-async fn until_stopped(settings: &Settings, args: &Args) -> Result<(), Error> {
-    let serving = settings.serving()?;
-    let store = blobs::open(&settings.store).map_err(|error| Exit::Usage.error(format!("--{error}")))?;
-    let mut limits = settings.limits()?;
-    limits.max_connections = descriptors::connections(limits.max_connections);
-    if let Some(fault) = limits.contradiction() {
-        return Err(Exit::Usage.error(fault));
-    }
-    let app = Arc::new(App::new(store, limits, settings.compute_threads)?);
+async fn until_stopped(settings: &Settings, checked: Checked, args: &Args) -> Result<(), Error> {
+    let Checked { serving, limits, grace } = checked;
+    let store = blobs::open(&settings.store).map_err(|error| match error {
+        OpenError::Threads(why) => Exit::Failed.error(runtime::refused(&why)),
+        error => Exit::Usage.error(format!("--{error}")),
+    })?;
+    let app = App::new(store, limits, settings.compute_threads).map_err(|error| match error {
+        ServiceOpenError::Threads(why) => Exit::Failed.error(runtime::refused(&why)),
+        error => error.into(),
+    })?;
+    let app = Arc::new(app);
     app.engine().injected().delay(Duration::from_micros(args.inject_pair_delay_us));
-    let grace = settings.grace()?;
     // Installed before the address is printed: a reader of the address may stop the server at once.
     let shutdown = shutdown(grace, args.until_stdin_closes)?;
     let listeners = listeners(settings, &serving.security).await?;
@@ -142,13 +150,20 @@ async fn listeners(settings: &Settings, security: &Security) -> Result<Vec<Liste
 /// signal load balancers must hear of the stop first, so there is a grace period. After an interrupt,
 /// or after the end of standard input, there is none. If the server is told to stop again, the process
 /// ends at once.
-fn shutdown(grace: Duration, until_stdin_closes: bool) -> io::Result<impl Future<Output = Duration>> {
+fn shutdown(grace: Duration, until_stdin_closes: bool) -> Result<impl Future<Output = Duration>, Error> {
     let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
+    let closed = if until_stdin_closes { Some(stdin_closed()?) } else { None };
+    let closed = async {
+        match closed {
+            Some(closed) => _ = closed.await,
+            None => std::future::pending().await,
+        }
+    };
     Ok(async move {
         let grace = tokio::select! {
             _ = terminate.recv() => grace,
             _ = interrupt.recv() => Duration::ZERO,
-            () = stdin_closed(), if until_stdin_closes => Duration::ZERO,
+            () = closed => Duration::ZERO,
         };
         tokio::spawn(async move {
             tokio::select! {
@@ -222,17 +237,19 @@ fn page(listener: &Listener, encrypts: bool) -> Option<String> {
     Some(format!("{scheme}://{address}/"))
 }
 
-/// Completes when standard input closes. Reading happens on a thread of its own, because a read of
+/// The receiver completes when standard input closes. Reading happens on a thread of its own, because a read of
 /// standard input cannot be cancelled and must not keep the runtime from ending.
-async fn stdin_closed() {
+fn stdin_closed() -> Result<oneshot::Receiver<()>, Error> {
     let (closed, wait) = oneshot::channel();
-    std::thread::spawn(move || {
+    let read = move || {
         let mut buffer = [0; 1024];
         let mut stdin = io::stdin().lock();
         while stdin.read(&mut buffer).is_ok_and(|bytes| bytes > 0) {}
         let _ = closed.send(());
-    });
-    let _ = wait.await;
+    };
+    let started = std::thread::Builder::new().name("stdin".into()).spawn(read);
+    started.map_err(|error| Exit::Failed.error(runtime::refused(&error.to_string())))?;
+    Ok(wait)
 }
 
 /// Sends logs to standard error, and traces to a collector if one is configured.

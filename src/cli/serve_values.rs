@@ -2,9 +2,9 @@
 //!
 //! As in `values`, the command line's parser adds the option's name and the value to a message.
 
-use std::net::IpAddr;
+use std::{net::IpAddr, path};
 
-use hullcast::service::Limits;
+use hullcast::{service::Limits, size::ByteSize};
 use tracing_subscriber::{EnvFilter, filter::LevelFilter};
 
 use super::memory::Size;
@@ -22,9 +22,21 @@ pub(crate) fn limit<T: TryFrom<u64>>(name: &'static str) -> impl Fn(&str) -> Res
     move |text| parse(text)?.try_into().map_err(|_| format!("expected a whole number from {least} to {most}"))
 }
 
+/// A parser of the size called `name`.
+pub(crate) fn bytes(name: &'static str) -> impl Fn(&str) -> Result<ByteSize, String> + Clone {
+    let (least, most) = range(name);
+    let range = Limits::shown_range(name).unwrap_or_default();
+    move |text| {
+        let size: Option<ByteSize> = text.parse().ok();
+        size.filter(|ByteSize(bytes)| (least..=most).contains(bytes))
+            .ok_or_else(|| format!("expected {range} (a number of bytes, or with KiB, MiB, GiB or TiB)"))
+    }
+}
+
 /// A parser of a size within the range of the limit called `name`, or of a share.
 pub(crate) fn size(name: &'static str) -> impl Fn(&str) -> Result<Size, String> + Clone {
     let (least, most) = range(name);
+    let range = Limits::shown_range(name).unwrap_or_default();
     move |text| {
         let size: Option<Size> = text.parse().ok();
         let allowed = |size: &Size| match size {
@@ -33,10 +45,24 @@ pub(crate) fn size(name: &'static str) -> impl Fn(&str) -> Result<Size, String> 
         };
         size.filter(allowed).ok_or_else(|| {
             format!(
-                "expected {least} to {most} bytes (KiB, MiB and GiB are known), or a share from 0% to 100%"
+                "expected {range} (a number of bytes, or with KiB, MiB, GiB or TiB), or a share of the memory \
+                 above 0% and up to 100%"
             )
         })
     }
+}
+
+/// Where hulls are kept.
+///
+/// # Errors
+/// It is empty.
+pub(crate) fn store_url(text: &str) -> Result<String, String> {
+    if text.is_empty() {
+        return Err(
+            "expected a directory, file://PATH, memory://, or a bucket as in s3://BUCKET/PREFIX".into()
+        );
+    }
+    Ok(text.into())
 }
 
 /// An address to answer on.
@@ -60,6 +86,29 @@ pub(crate) fn admin_address(text: &str) -> Result<String, String> {
         return Ok(text.into());
     }
     Err("expected host:port with a port from 0 to 65535 (0: any free one), or nothing".into())
+}
+
+/// Whether two addresses cannot be bound both: the same path, or the same port of the same host, or of
+/// one that includes the other. Port 0 is another port each time.
+pub(crate) fn overlap(a: &str, b: &str) -> bool {
+    if let (Some(a), Some(b)) = (a.strip_prefix("unix:"), b.strip_prefix("unix:")) {
+        return path::absolute(a).ok() == path::absolute(b).ok();
+    }
+    let parts = |text: &str| {
+        text.rsplit_once(':').and_then(|(host, port)| Some((host.to_lowercase(), port.parse::<u16>().ok()?)))
+    };
+    let (Some((host, port)), Some((other_host, other_port))) = (parts(a), parts(b)) else { return false };
+    if port != other_port || port == 0 {
+        return false;
+    }
+    let ip = |host: &str| host.trim_matches(['[', ']']).parse::<IpAddr>().ok();
+    match (ip(&host), ip(&other_host)) {
+        (Some(a), Some(b)) => {
+            a == b || (a.is_ipv4() == b.is_ipv4() && (a.is_unspecified() || b.is_unspecified()))
+        }
+        // Both names are looked up when they are bound.
+        _ => host == other_host,
+    }
 }
 
 fn is_host_and_port(text: &str) -> bool {
@@ -152,6 +201,32 @@ mod tests {
         }
         for wrong in ["a:1", "http://", "ftp://a", "http:///x", "http://a b"] {
             assert!(collector(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    /// Catches two addresses of which only one can be bound, and two that can both be bound but are
+    /// taken for one.
+    #[test]
+    fn addresses_that_exclude_each_other_overlap() {
+        for (a, b) in [
+            ("127.0.0.1:5", "127.0.0.1:5"),
+            ("0.0.0.0:5", "127.0.0.1:5"),
+            ("[::1]:5", "[::]:5"),
+            ("[::1]:5", "[0:0::1]:5"),
+            ("Host:5", "host:5"),
+            ("unix:a/b", "unix:./a/b"),
+        ] {
+            assert!(overlap(a, b) && overlap(b, a), "{a} {b}");
+        }
+        for (a, b) in [
+            ("127.0.0.1:0", "127.0.0.1:0"),
+            ("127.0.0.1:5", "127.0.0.1:6"),
+            ("127.0.0.1:5", "127.0.0.2:5"),
+            ("127.0.0.1:5", "[::1]:5"),
+            ("unix:a", "unix:b"),
+            ("unix:a:5", "a:5"),
+        ] {
+            assert!(!overlap(a, b) && !overlap(b, a), "{a} {b}");
         }
     }
 

@@ -2,22 +2,32 @@
 //! file over the default.
 
 use std::{
-    fs,
     net::IpAddr,
     path::{Path, PathBuf},
     sync::Arc,
     time::Duration,
 };
 
-use clap::ValueEnum;
-use hullcast::service::{Limits, Security, SecurityFiles, Serving};
-use serde::{Deserialize, Serialize};
+use clap::{
+    Args, Command, FromArgMatches, ValueEnum,
+    builder::Resettable,
+    error::{ContextKind, ContextValue},
+};
+use hullcast::{
+    service::{Limits, Security, SecurityFiles, Serving},
+    size::ByteSize,
+    small_file,
+};
+use serde::Serialize;
 
 use super::{
     Error,
     exit::Exit,
     memory::Size,
-    serve_values::{admin_address, collector, limit, listen_address, log_filter, proxy, size},
+    serve_values::{
+        admin_address, bytes, collector, filter, limit, listen_address, log_filter, overlap, proxy, size,
+        store_url,
+    },
     values::{count, did_you_mean, number},
 };
 
@@ -25,7 +35,7 @@ use super::{
 pub(crate) const DEFAULT_STORE: &str = "hullcast-store";
 
 /// How logs are written.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum LogFormat {
     /// For people.
@@ -36,7 +46,7 @@ pub(crate) enum LogFormat {
 }
 
 /// Whether something is done.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum Switch {
     /// It is.
@@ -51,8 +61,7 @@ macro_rules! settings {
     ($($(#[doc = $doc:literal])* $name:ident: $kind:ty = $default:expr, $env:literal, $value:literal
         $([$($arg:tt)*])?;)*) => {
         /// Settings that a file, the environment or flags give; absent ones are left to the next.
-        #[derive(Clone, Debug, Default, Deserialize, clap::Args)]
-        #[serde(deny_unknown_fields, default)]
+        #[derive(Clone, Debug, Default, clap::Args)]
         pub(crate) struct Given {
             $($(#[doc = $doc])* #[arg(long, env = $env, value_name = $value, allow_negative_numbers = true $(, $($arg)*)?)]
             $name: Option<$kind>,)*
@@ -87,7 +96,7 @@ settings! {
         "HULLCAST_LISTEN", "ADDR" [value_delimiter = ',', value_parser = listen_address];
     /// Where hulls are kept: a directory, file://PATH, memory:// (which forgets), or by feature
     /// s3://BUCKET/PREFIX, gs:// or az:// (docs/durability.md)
-    store: String = |_: &Limits| DEFAULT_STORE.into(), "HULLCAST_STORE", "URL";
+    store: String = |_: &Limits| DEFAULT_STORE.into(), "HULLCAST_STORE", "URL" [value_parser = store_url];
     /// Threads that compute; 0: one a core
     compute_threads: usize = |_: &Limits| 0, "HULLCAST_COMPUTE_THREADS", "N"
         [value_parser = count(0, MOST_THREADS)];
@@ -139,8 +148,8 @@ settings! {
     /// How logs are written
     log_format: LogFormat = |_: &Limits| LogFormat::Text, "HULLCAST_LOG_FORMAT", "FORMAT" [value_enum];
     /// Largest message in bytes, either way
-    max_message_bytes: usize = |l: &Limits| l.max_message_bytes, "HULLCAST_MAX_MESSAGE_BYTES", "N"
-        [value_parser = limit::<usize>("max_message_bytes")];
+    max_message_bytes: ByteSize = |l: &Limits| ByteSize(l.max_message_bytes as u64), "HULLCAST_MAX_MESSAGE_BYTES", "SIZE"
+        [value_parser = bytes("max_message_bytes")];
     /// Most pairs in a request
     max_pairs_per_request: u32 = |l: &Limits| l.max_pairs_per_request,
         "HULLCAST_MAX_PAIRS_PER_REQUEST", "N"
@@ -182,9 +191,9 @@ settings! {
     answer_seconds: f64 = |_: &Limits| 30.0, "HULLCAST_ANSWER_SECONDS", "S"
         [value_parser = number(SHORTEST_TIME, LONGEST)];
     /// Most bytes of requests that have come and are not yet answered, over all calls
-    max_request_bytes_in_flight: u64 = |l: &Limits| l.max_request_bytes_in_flight,
-        "HULLCAST_MAX_REQUEST_BYTES_IN_FLIGHT", "N"
-        [value_parser = limit::<u64>("max_request_bytes_in_flight")];
+    max_request_bytes_in_flight: ByteSize = |l: &Limits| ByteSize(l.max_request_bytes_in_flight),
+        "HULLCAST_MAX_REQUEST_BYTES_IN_FLIGHT", "SIZE"
+        [value_parser = bytes("max_request_bytes_in_flight")];
     /// Most seconds that a call may take, but for streams
     max_deadline_seconds: u32 = |l: &Limits| l.max_deadline_seconds, "HULLCAST_MAX_DEADLINE_SECONDS", "S"
         [value_parser = limit::<u32>("max_deadline_seconds")];
@@ -192,16 +201,16 @@ settings! {
     max_connections: u32 = |l: &Limits| l.max_connections, "HULLCAST_MAX_CONNECTIONS", "N"
         [value_parser = limit::<u32>("max_connections")];
     /// Bytes that streams keep from one message to the next, all together
-    max_stream_state_bytes: u64 = |l: &Limits| l.max_stream_state_bytes,
-        "HULLCAST_MAX_STREAM_STATE_BYTES", "N"
-        [value_parser = limit::<u64>("max_stream_state_bytes")];
+    max_stream_state_bytes: ByteSize = |l: &Limits| ByteSize(l.max_stream_state_bytes),
+        "HULLCAST_MAX_STREAM_STATE_BYTES", "SIZE"
+        [value_parser = bytes("max_stream_state_bytes")];
     /// Bytes of heap for hulls, cached and in use, or a share of the memory that the process
     /// may use (machine and cgroups), as in 25%
     cache_bytes: Size = |l: &Limits| Size::Bytes(l.cache_bytes), "HULLCAST_CACHE_BYTES", "SIZE"
         [value_parser = size("cache_bytes")];
     /// Most bytes in the store; 0: unbounded
-    store_bytes: u64 = |l: &Limits| l.store_bytes, "HULLCAST_STORE_BYTES", "N"
-        [value_parser = limit::<u64>("store_bytes")];
+    store_bytes: ByteSize = |l: &Limits| ByteSize(l.store_bytes), "HULLCAST_STORE_BYTES", "SIZE"
+        [value_parser = bytes("store_bytes")];
     /// Most concurrent calls on a connection
     max_streams_per_connection: u32 = |l: &Limits| l.max_streams_per_connection,
         "HULLCAST_MAX_STREAMS_PER_CONNECTION", "N"
@@ -219,31 +228,178 @@ settings! {
 }
 
 impl Given {
-    /// Reads a TOML file. An unknown key is an error.
+    /// Reads a TOML file. Its values are checked as those of flags are. An unknown key is an error.
     pub(crate) fn read(path: &Path) -> Result<Self, Error> {
-        let fault = |why: String| Exit::Input.error(format!("--config {}: {why}", path.display()));
-        let text = fs::read_to_string(path).map_err(|error| fault(format!("cannot be read: {error}")))?;
-        Self::parse(&text).map_err(fault)
+        let fault = |exit: Exit, why: &str| exit.error(format!("--config {}: {why}", path.display()));
+        let content = small_file::read(path)
+            .map_err(|error| fault(Exit::Input, &format!("cannot be read: {error}")))?;
+        let text = str::from_utf8(&content).map_err(|error| fault(Exit::Input, &error.to_string()))?;
+        Self::parse(text).map_err(|why| match why {
+            Fault::Text(why) => fault(Exit::Input, &why),
+            Fault::Value(why) => fault(Exit::Usage, &why),
+        })
     }
 
-    fn parse(text: &str) -> Result<Self, String> {
-        let table: toml::Table = text.parse().map_err(|error: toml::de::Error| error.to_string())?;
-        if let Some(unknown) = table.keys().find(|key| !NAMES.contains(&key.as_str())) {
-            let near = did_you_mean(unknown, NAMES.iter().copied());
-            return Err(format!(
-                "there is no setting `{unknown}`{near} (`hullcast serve --print-config` prints all settings)"
-            ));
+    pub(crate) fn parse(text: &str) -> Result<Self, Fault> {
+        let table: toml::Table = text.parse().map_err(|error| Fault::of_text(text, &error))?;
+        let command = values_only();
+        let mut line = Vec::new();
+        for (key, value) in &table {
+            if !NAMES.contains(&key.as_str()) {
+                let near = did_you_mean(key, NAMES.iter().copied());
+                return Err(Fault::Text(format!(
+                    "there is no setting `{key}`{near} (`hullcast serve --print-config` prints all settings)"
+                )));
+            }
+            let flags = flags(key, value)?;
+            checked(&command, key, &flags)?;
+            line.extend(flags);
         }
-        toml::from_str(text).map_err(|error| error.to_string())
+        let matches = command.try_get_matches_from(line).map_err(|error| Fault::Value(error.to_string()))?;
+        Self::from_arg_matches(&matches).map_err(|error| Fault::Value(error.to_string()))
     }
 }
 
+/// The fault of a file of settings.
+#[derive(Debug)]
+pub(crate) enum Fault {
+    /// The text is not TOML, or has an unknown key.
+    Text(String),
+    /// A setting has a wrong value.
+    Value(String),
+}
+
+impl Fault {
+    /// The fault of a text that is not TOML. If the value of a setting is the cause, such as a number of
+    /// too many digits, the text says what is allowed.
+    fn of_text(text: &str, error: &toml::de::Error) -> Self {
+        let start = error.span().map_or(0, |span| span.start);
+        let line = text.char_indices().filter(|(at, c)| *c == '\n' && *at < start).last();
+        let line = text[line.map_or(0, |(at, _)| at + 1)..].lines().next().unwrap_or_default();
+        let value = line.split_once('=').map(|(key, value)| (key.trim(), value.trim()));
+        let known =
+            value.filter(|(key, value)| NAMES.contains(key) && !value.starts_with(['[', '{', '"', '\'']));
+        let refused = known.and_then(|(key, value)| {
+            checked(&values_only(), key, &[format!("--{}={value}", key.replace('_', "-"))]).err()
+        });
+        match refused {
+            Some(Self::Value(why)) => Self::Text(format!("{error}{why}")),
+            _ => Self::Text(error.to_string()),
+        }
+    }
+}
+
+/// The settings as flags alone: neither the environment nor help.
+fn values_only() -> Command {
+    let command = Command::new("settings").no_binary_name(true).disable_help_flag(true);
+    Given::augment_args(command).mut_args(|arg| arg.env(Resettable::Reset))
+}
+
+/// A setting of a file as flags. A setting that is empty by default needs no flag to be empty.
+fn flags(key: &str, value: &toml::Value) -> Result<Vec<String>, Fault> {
+    let flag = |value: &toml::Value| match value {
+        toml::Value::String(text) => format!("--{}={text}", key.replace('_', "-")),
+        other => format!("--{}={other}", key.replace('_', "-")),
+    };
+    match value {
+        toml::Value::Array(values) if values.is_empty() && key == "listen" => {
+            Err(Fault::Value(format!("listen is [], {AT_LEAST_ONE}")))
+        }
+        toml::Value::Array(values) if LISTS.contains(&key) => Ok(values.iter().map(flag).collect()),
+        toml::Value::Array(_) | toml::Value::Table(_) => {
+            Err(Fault::Value(format!("{key} is {value}, must be a single value")))
+        }
+        toml::Value::String(text) if text.is_empty() && EMPTY.contains(&key) => Ok(Vec::new()),
+        value => Ok(vec![flag(value)]),
+    }
+}
+
+/// Checks the flags of one setting. The error names the setting, its value and what is allowed.
+fn checked(command: &Command, key: &str, flags: &[String]) -> Result<(), Fault> {
+    let Err(error) = command.clone().try_get_matches_from(flags) else { return Ok(()) };
+    let value = match error.get(ContextKind::InvalidValue) {
+        Some(ContextValue::String(value)) => value.clone(),
+        _ => flags.iter().filter_map(|flag| flag.split_once('=')).map(|(_, value)| value).collect(),
+    };
+    let allowed = match (std::error::Error::source(&error), error.get(ContextKind::ValidValue)) {
+        (Some(why), _) => why.to_string(),
+        (None, Some(ContextValue::Strings(allowed))) => format!("[possible values: {}]", allowed.join(", ")),
+        (None, _) => error.kind().to_string(),
+    };
+    Err(Fault::Value(format!("{key} is {value:?}: {allowed}")))
+}
+
+/// The settings that are lists.
+const LISTS: [&str; 2] = ["listen", "trusted_proxies"];
+
+/// The settings that may be empty.
+const EMPTY: [&str; 7] = [
+    "admin_listen",
+    "otlp_endpoint",
+    "tls_certificate",
+    "tls_key",
+    "tls_client_ca",
+    "query_tokens",
+    "register_tokens",
+];
+
+/// What is expected of `listen`.
+const AT_LEAST_ONE: &str = "must have at least one address, host:port or unix:PATH";
+
+/// What a server is started with.
+pub(crate) struct Checked {
+    pub(crate) serving: Serving,
+    pub(crate) limits: Limits,
+    /// How long health says NOT_SERVING before connections are closed, when the server stops.
+    pub(crate) grace: Duration,
+}
+
 impl Settings {
+    /// Checks all settings, and reads the security files that they name. Whether the addresses, the store
+    /// and the collector can be used is only known once they are opened.
+    ///
+    /// # Errors
+    /// A file cannot be used, a value is outside its range, or settings contradict each other.
+    pub(crate) fn checked(&self) -> Result<Checked, Error> {
+        self.check_addresses().map_err(|why| Exit::Usage.error(why))?;
+        filter(&self.log).map_err(|why| Exit::Usage.error(format!("log is {:?}: {why}", self.log)))?;
+        let limits = self.limits()?;
+        if let Some(fault) = limits.contradiction() {
+            return Err(Exit::Usage.error(fault));
+        }
+        Ok(Checked { serving: self.serving()?, limits, grace: self.grace()? })
+    }
+
+    /// Finds addresses of which only one could be used.
+    fn check_addresses(&self) -> Result<(), String> {
+        if self.listen.is_empty() {
+            return Err(format!("listen is empty, {AT_LEAST_ONE}"));
+        }
+        for (i, address) in self.listen.iter().enumerate() {
+            if let Some(other) = self.listen[..i].iter().find(|other| overlap(other, address)) {
+                return Err(format!(
+                    "listen names {other} and {address}, of which only one can be bound: leave one out"
+                ));
+            }
+            if overlap(address, &self.admin_listen) {
+                return Err(format!(
+                    "admin_listen is {}, which contradicts listen {address}: choose another port for one of them",
+                    self.admin_listen
+                ));
+            }
+        }
+        let proxies: Vec<_> = self.trusted_proxies.iter().map(IpAddr::to_canonical).collect();
+        match (1..proxies.len()).find(|&i| proxies[..i].contains(&proxies[i])) {
+            Some(twice) => Err(format!("trusted_proxies names {} twice: leave it out once", proxies[twice])),
+            None => Ok(()),
+        }
+    }
+
     /// The parameters for serving. Reads the security files that the settings name.
     ///
     /// # Errors
     /// A file cannot be used, or a value is outside its range.
-    pub(crate) fn serving(&self) -> Result<Serving, Error> {
+    fn serving(&self) -> Result<Serving, Error> {
         let (threads, share) = (self.compute_threads, self.otlp_share);
         if threads > MOST_THREADS {
             return Err(
@@ -283,7 +439,7 @@ impl Settings {
     ///
     /// # Errors
     /// The value is outside its range.
-    pub(crate) fn grace(&self) -> Result<Duration, Error> {
+    fn grace(&self) -> Result<Duration, Error> {
         seconds("grace_seconds", self.grace_seconds, 0.0)
     }
 
@@ -291,9 +447,9 @@ impl Settings {
     ///
     /// # Errors
     /// A size is a share, and the system does not report its memory.
-    pub(crate) fn limits(&self) -> Result<Limits, Error> {
+    fn limits(&self) -> Result<Limits, Error> {
         Ok(Limits {
-            max_message_bytes: self.max_message_bytes,
+            max_message_bytes: usize::try_from(self.max_message_bytes.0).unwrap_or(usize::MAX),
             max_pairs_per_request: self.max_pairs_per_request,
             max_bodies_per_request: self.max_bodies_per_request,
             max_hulls_per_request: self.max_hulls_per_request,
@@ -302,12 +458,12 @@ impl Settings {
             max_memory_bytes: self.max_memory_bytes.bytes()?,
             shares: self.shares == Switch::On,
             max_pairs_in_flight: self.max_pairs_in_flight,
-            max_request_bytes_in_flight: self.max_request_bytes_in_flight,
+            max_request_bytes_in_flight: self.max_request_bytes_in_flight.0,
             max_deadline_seconds: self.max_deadline_seconds,
             max_connections: self.max_connections,
-            max_stream_state_bytes: self.max_stream_state_bytes,
+            max_stream_state_bytes: self.max_stream_state_bytes.0,
             cache_bytes: self.cache_bytes.bytes()?,
-            store_bytes: self.store_bytes,
+            store_bytes: self.store_bytes.0,
             max_streams_per_connection: self.max_streams_per_connection,
             max_page_size: self.max_page_size,
             cache_age_seconds: self.cache_age_seconds,
@@ -343,14 +499,73 @@ fn seconds(name: &str, value: f64, least: f64) -> Result<Duration, Error> {
 mod tests {
     use super::*;
 
+    fn refused(text: &str) -> String {
+        match Given::parse(text).expect_err(text) {
+            Fault::Text(why) | Fault::Value(why) => why,
+        }
+    }
+
+    /// Catches a list, a number or a text in a file that is read as another kind of value, and a size
+    /// with a unit that is not.
+    #[test]
+    fn values_of_a_file_are_those_of_flags() {
+        let text = r#"
+            listen = ["127.0.0.1:1", "unix:a"]
+            trusted_proxies = []
+            admin_listen = ""
+            tls_key = ""
+            playground = true
+            grace_seconds = 3
+            max_message_bytes = "32MiB"
+            cache_bytes = "25%"
+            shares = "off"
+        "#;
+        let given = Given::parse(text).unwrap();
+        assert_eq!(given.listen.unwrap(), ["127.0.0.1:1", "unix:a"]);
+        assert_eq!(given.trusted_proxies.unwrap_or_default(), [] as [IpAddr; 0]);
+        assert_eq!((given.playground, given.grace_seconds), (Some(true), Some(3.0)));
+        assert_eq!(given.max_message_bytes, Some(ByteSize(32 << 20)));
+        assert_eq!((given.cache_bytes, given.shares), (Some(Size::Share(25.0)), Some(Switch::Off)));
+        for (text, why) in [
+            ("log = [\"info\"]", "log is [\"info\"], must be a single value"),
+            ("listen = []", "listen is [], must have at least one address"),
+            ("listen = [\"\"]", "listen is \"\": expected host:port"),
+            ("listen = \"\"", "listen is \"\": expected host:port"),
+            ("log = \"info\"\nlog = \"warn\"", "duplicate key"),
+            ("[listen]\nport = 1", "must be a single value"),
+        ] {
+            assert!(refused(text).contains(why), "{text}: {}", refused(text));
+        }
+    }
+
+    /// Catches addresses that contradict each other, which only the system would refuse, as if another
+    /// server had them.
+    #[test]
+    fn contradicting_addresses_are_refused_by_name() {
+        let with = |listen: &[&str], admin: &str, proxies: &[&str]| {
+            let mut settings = Given::default().or(Given::default());
+            settings.listen = listen.iter().map(|&address| address.to_owned()).collect();
+            settings.admin_listen = admin.into();
+            settings.trusted_proxies = proxies.iter().map(|address| address.parse().unwrap()).collect();
+            settings.checked().map_or_else(|error| error.to_string(), |_| String::new())
+        };
+        assert!(with(&[], "", &[]).contains("listen is empty, must have at least one address"));
+        let twice = with(&["127.0.0.1:7", "unix:a", "127.0.0.1:7"], "", &[]);
+        assert!(twice.contains("listen names 127.0.0.1:7 and 127.0.0.1:7"), "{twice}");
+        let both = with(&["127.0.0.1:7"], "0.0.0.0:7", &[]);
+        assert!(both.contains("admin_listen is 0.0.0.0:7, which contradicts listen 127.0.0.1:7"), "{both}");
+        let proxies = with(&["127.0.0.1:7"], "", &["10.0.0.1", "::ffff:10.0.0.1"]);
+        assert!(proxies.contains("trusted_proxies names 10.0.0.1 twice"), "{proxies}");
+        assert_eq!(with(&["127.0.0.1:0", "127.0.0.1:0", "unix:a"], "127.0.0.1:0", &["10.0.0.1"]), "");
+    }
+
     /// Catches a misspelt key in a file that silently means the default.
     #[test]
     fn unknown_keys_are_refused() {
-        let error = Given::parse("cache_byte = 1").expect_err("unknown");
+        let error = refused("cache_byte = 1");
         assert!(error.contains("`cache_byte`; did you mean `cache_bytes`?"), "{error}");
-        assert!(Given::parse("nothing_like_it = 1").is_err_and(|error| !error.contains("did you mean")));
-        assert!(toml::from_str::<Given>("cache_byte = 1").is_err());
-        assert_eq!(toml::from_str::<Given>("cache_bytes = 1").unwrap().cache_bytes, Some(Size::Bytes(1)));
+        assert!(!refused("nothing_like_it = 1").contains("did you mean"));
+        assert_eq!(Given::parse("cache_bytes = 1").unwrap().cache_bytes, Some(Size::Bytes(1)));
     }
 
     /// Catches a reversed order of precedence.
@@ -395,7 +610,7 @@ mod tests {
     fn printed_settings_read_back() {
         let settings = Given::default().or(Given::default());
         let printed = toml::to_string(&settings).unwrap();
-        let read = toml::from_str::<Given>(&printed).unwrap();
+        let read = Given::parse(&printed).unwrap();
         assert_eq!(read.or(Given::default()), settings);
     }
 }

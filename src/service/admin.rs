@@ -10,20 +10,18 @@ use tokio::{net::TcpListener, time::timeout};
 use super::{App, server::ACCEPT_PAUSE};
 use crate::{
     budget::{CallerKey, Slots},
-    log_limit::Repeated,
+    log_limit::limited,
 };
 
 /// Connections at a time; scrapers and probes are few. Addresses share them as callers share
 /// memory, so that no address shuts out the others.
-const CONNECTIONS: u64 = 64;
+pub const CONNECTIONS: u64 = 64;
 
 /// The lifetime of a connection, which is enough for several requests.
 const CONNECTION_TIME: Duration = Duration::from_secs(60);
 
 /// A peer that has not sent its request's header after this time is disconnected.
 const HEADER_TIME: Duration = Duration::from_secs(5);
-
-static ACCEPT_FAILED: Repeated = Repeated::new();
 
 /// Answers requests on `listener` until the future is dropped.
 pub async fn serve_admin(listener: TcpListener, app: Arc<App>) {
@@ -32,9 +30,7 @@ pub async fn serve_admin(listener: TcpListener, app: Arc<App>) {
         let (io, peer) = match listener.accept().await {
             Ok(accepted) => accepted,
             Err(error) => {
-                if let Some(left_out) = ACCEPT_FAILED.due() {
-                    tracing::warn!(%error, left_out, "accept failed on the admin port");
-                }
+                limited!(warn, %error, "accept failed on the admin port");
                 tokio::time::sleep(ACCEPT_PAUSE).await;
                 continue;
             }

@@ -16,6 +16,7 @@ use super::{
 use crate::{
     budget::{Part, Permit},
     proto::bulk::{Columnar, encode},
+    size::ByteSize,
 };
 
 /// An answer is held in memory twice: as a message and encoded.
@@ -81,8 +82,8 @@ fn framed<M: Columnar>(message: M, length: usize) -> Bytes {
 
 /// The error for an answer of at least `bytes` bytes.
 pub(super) fn too_large(app: &App, bytes: usize) -> ServiceError {
-    let limit = app.limits().max_message_bytes;
+    let [bytes, limit] = [bytes, app.limits().max_message_bytes].map(|bytes| ByteSize(bytes as u64));
     let message =
-        format!("the answer has at least {bytes} bytes, at most {limit} are allowed: request less at a time");
+        format!("the answer has at least {bytes}, at most {limit} are allowed: request less at a time");
     ServiceError::refused("RESPONSE_TOO_LARGE", message)
 }

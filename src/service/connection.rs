@@ -40,7 +40,7 @@ use super::{
     cutoff::Cutoff,
     playground::{self, Page},
 };
-use crate::log_limit::Repeated;
+use crate::log_limit::limited;
 
 /// The largest HTTP/2 frame. Large frames measurably speed up batches; the default size suits web pages.
 const FRAME_BYTES: u32 = 1 << 20;
@@ -67,12 +67,19 @@ pub(super) struct Connections {
     peers: Arc<Peers>,
     /// The number of connections so far, from which their ages are spread.
     count: AtomicU64,
+    undrained: AtomicU64,
 }
 
 impl Connections {
     pub(super) fn new(app: Arc<App>, routes: Routes, serving: Serving) -> Self {
         let peers = Peers::new(app.clone(), serving.trusted_proxies.clone(), app.limits().shares);
-        Self { app, routes, serving: Arc::new(serving), peers: Arc::new(peers), count: AtomicU64::new(0) }
+        let (serving, peers) = (Arc::new(serving), Arc::new(peers));
+        Self { app, routes, serving, peers, count: AtomicU64::new(0), undrained: AtomicU64::new(0) }
+    }
+
+    /// The number of connections that were closed because they did not drain in time.
+    pub(super) fn undrained(&self) -> u64 {
+        self.undrained.load(Ordering::Relaxed)
     }
 
     /// A place for another connection from `address`; none if there are too many.
@@ -198,7 +205,9 @@ impl Connections {
         close.send_replace(true);
         connection.as_mut().graceful_shutdown();
         let Ok(ended) = timeout(self.serving.drain, connection).await else {
-            return tracing::warn!("closing a connection that did not drain");
+            self.undrained.fetch_add(1, Ordering::Relaxed);
+            limited!(warn, "closing a connection that did not drain");
+            return;
         };
         report(ended);
     }
@@ -216,10 +225,7 @@ impl Connections {
 }
 
 fn report_handshake(error: &io::Error) {
-    static FAILED: Repeated = Repeated::new();
-    if let Some(left_out) = FAILED.due() {
-        tracing::info!(%error, left_out, "a TLS handshake failed");
-    }
+    limited!(info, %error, "a TLS handshake failed");
 }
 
 fn report(ended: hyper::Result<()>) {

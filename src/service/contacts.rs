@@ -32,6 +32,7 @@ use crate::{
         Encoded, QueryContactsRequest, QueryContactsResponse,
         contact_service_server::{ContactService, ContactServiceServer},
     },
+    size::ByteSize,
     store::{HullId, Hulls, Lease, LeaseError},
 };
 
@@ -194,8 +195,10 @@ pub(super) async fn fetch(app: &App, ids: &[HullId], job: &Job) -> Result<(Hulls
         LeaseError::TooLarge => {
             let (limit, all) = (app.registry().most_leased_alone(), app.limits().cache_bytes);
             let message = format!(
-                "the hulls take more than {limit} bytes, the most that one caller may use of the hull cache \
-                 (cache_bytes is {all}): use fewer or smaller hulls per request"
+                "the hulls take more than {}, the most that one caller may use of the hull cache \
+                 (cache_bytes is {}): use fewer or smaller hulls per request",
+                ByteSize(limit),
+                ByteSize(all)
             );
             ServiceError::invalid("HULLS_TOO_LARGE", "hull_ids", message)
         }

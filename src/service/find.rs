@@ -28,6 +28,7 @@ use crate::{
     compute::{ComputeError, Parts},
     contact::{Body, Bounds, STEPS_BETWEEN_LOOKS, Stop, Stopped},
     lock::locked,
+    log_limit::limited,
     proto::{Encoded, QueryContactsRequest, QueryContactsResponse},
     store::{Hulls, Lease, Missing},
 };
@@ -253,7 +254,7 @@ fn failed(error: ComputeError) -> ServiceError {
     match error {
         ComputeError::Stopped => ServiceError::deadline_exceeded(),
         ComputeError::Panicked(why) => {
-            tracing::error!(%why, "a broad phase failed");
+            limited!(error, %why, "a broad phase failed");
             ServiceError::internal("the broad phase failed; the server's log has the reason")
         }
     }

@@ -16,7 +16,7 @@ use crate::{
     budget::{Part, Permit},
     compute::Job,
     contact::Stop,
-    log_limit::Repeated,
+    log_limit::limited,
     metrics::Shed,
     proto::{
         DeleteHullsRequest, DeleteHullsResponse, Encoded, GetHullsRequest, GetHullsResponse, HasHullsRequest,
@@ -24,18 +24,18 @@ use crate::{
         RegisterHullsResponse,
         hull_service_server::{HullService, HullServiceServer},
     },
-    store::{RegisterError, Registered, StoreError},
+    store::{RegisterError, Registered, StoreError, building_bytes},
 };
 
-/// The number of points that are registered at a time. It keeps all threads busy, and limits the
-/// hulls that are built but not stored yet to about 25 MB.
-const GROUP_POINTS: usize = 1 << 16;
+/// The memory of the hulls of a request that are built at a time, unless a single hull takes more. About
+/// 50,000 points keep all threads busy.
+pub(super) const GROUP_BYTES: usize = 64 << 20;
 
 /// The page size of `ListHulls` if the request gives none.
 const DEFAULT_PAGE_SIZE: u32 = 1000;
 
 /// Bytes of memory per hull on a page of `ListHulls`: the store's entry, and the answer twice.
-const LISTED_BYTES: usize = 320;
+pub(super) const LISTED_BYTES: usize = 320;
 
 /// The time after which a client should retry if the store cannot be read.
 const STORE_RETRY: Duration = Duration::from_millis(500);
@@ -61,6 +61,7 @@ impl HullService for Hulls {
         while left.peek().is_some() {
             results.extend(self.register(group(&mut left), &context.job).await?);
         }
+        tracing::debug!(hulls = results.len(), "registered");
         Ok(Response::new(answer(&self.app, &context, RegisterHullsResponse { results }).await?))
     }
 
@@ -115,7 +116,10 @@ impl HullService for Hulls {
             let done = self.app.registry().delete(id, &context.job).await;
             deleted.push(done.map_err(|error| store_error(&self.app, error))?);
         }
-        tracing::info!(hulls = deleted.iter().filter(|deleted| **deleted).count(), "deleted");
+        let hulls = deleted.iter().filter(|deleted| **deleted).count();
+        if hulls > 0 {
+            limited!(info, hulls, "deleted");
+        }
         Ok(Response::new(answer(&self.app, &context, DeleteHullsResponse { deleted }).await?))
     }
 }
@@ -154,10 +158,7 @@ pub(super) fn unreadable() -> ServiceError {
 }
 
 fn store_error(app: &App, error: StoreError) -> ServiceError {
-    static FAILED: Repeated = Repeated::new();
-    if let Some(left_out) = FAILED.due() {
-        tracing::warn!(%error, left_out, "the store failed");
-    }
+    limited!(warn, %error, "the store failed");
     match error {
         StoreError::Full(_) => ServiceError::store_full(error.to_string()),
         StoreError::Busy(_) => {
@@ -172,12 +173,12 @@ fn store_error(app: &App, error: StoreError) -> ServiceError {
 
 /// The next hulls to be registered together; at least one.
 fn group(left: &mut Peekable<impl Iterator<Item = wire::Definition>>) -> Vec<wire::Definition> {
-    let mut points = 0;
+    let mut bytes = 0;
     std::iter::from_fn(|| {
         left.next_if(|definition| {
-            let is_first = points == 0;
-            points += definition.as_ref().map_or(1, |definition| definition.points.len().max(1));
-            is_first || points <= GROUP_POINTS
+            let is_first = bytes == 0;
+            bytes += building_bytes(definition.as_ref().map_or(0, |definition| definition.points.len()));
+            is_first || bytes <= GROUP_BYTES
         })
     })
     .collect()
@@ -186,16 +187,13 @@ fn group(left: &mut Peekable<impl Iterator<Item = wire::Definition>>) -> Vec<wir
 /// A refused hull is a result of its own; a failing store fails the call.
 fn registered_result(app: &App, registered: Registered) -> Result<RegisterHullResult, ServiceError> {
     match registered {
-        Ok((id, hull)) => {
-            tracing::debug!(hull = %id, vertices = hull.vertex_count(), "registered");
-            Ok(wire::register_result(Ok((id, &hull))))
-        }
+        Ok((id, hull)) => Ok(wire::register_result(Ok((id, &hull)))),
         Err(RegisterError::Hull(error)) => Ok(wire::register_result(Err(wire::hull_error(&error)))),
         Err(RegisterError::Store(error)) => Err(store_error(app, error)),
         Err(RegisterError::NoMemory(why)) => Err(no_memory(app.metrics(), why)),
         Err(RegisterError::Stopped) => Err(ServiceError::deadline_exceeded()),
         Err(RegisterError::Internal(error)) => {
-            tracing::error!(%error, "a hull could not be built");
+            limited!(error, %error, "a hull could not be built");
             Err(ServiceError::internal("a hull could not be built; the server's log has the reason"))
         }
     }

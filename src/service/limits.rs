@@ -1,6 +1,15 @@
 //! The limits of a server. `GetServerInfo` publishes them, and docs/operations.md states the reason
 //! for each.
 
+use super::{
+    connection::HEADER_BYTES,
+    context::CALL_BYTES,
+    hulls::{GROUP_BYTES, LISTED_BYTES},
+    peers::{CONNECTION_BYTES, LARGE_WINDOW},
+    wire::HULL_BYTES,
+};
+use crate::{size::ByteSize, store::building_bytes};
+
 /// The limits of a server. Each is inclusive: a request at the limit is accepted, a request one
 /// past it is refused.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -88,9 +97,14 @@ const MOST_BYTES: u64 = 1 << 50;
 /// The least `max_memory_bytes`: enough for many connections, small requests and their answers.
 const LEAST_MEMORY_BYTES: u64 = 256 << 20;
 
-/// The memory of the largest request, in units of `max_message_bytes`: one for the arriving message,
-/// two for the decoded request, and two for the answer (as a message and encoded).
-const REQUEST_MESSAGES: u64 = 1 + 2 + 2;
+/// The memory of the largest query, in units of `max_message_bytes`: one for the arriving message, two for
+/// the decoded request, and two for the answer (as a message and encoded).
+const QUERY_MESSAGES: u64 = 1 + 2 + 2;
+
+/// The memory of the largest registration besides its building, in units of `max_message_bytes`: the
+/// decoded request. The arrived message is freed before the first hull is built.
+const REGISTRATION_MESSAGES: u64 = 2;
+
 /// The largest `store_seconds`. With a longer limit callers would wait too long for a store that
 /// does not answer.
 const MOST_STORE_SECONDS: u64 = 3600;
@@ -108,6 +122,34 @@ impl Limits {
         let points = POINT_BYTES * u64::from(self.max_points_per_hull);
         points.min(self.max_message_bytes as u64) + BLOB_HEAD_BYTES
     }
+
+    /// The points of the largest definition that can be registered: it arrives in one message.
+    fn largest_definition(&self) -> u64 {
+        u64::from(self.max_points_per_hull).min(self.max_message_bytes as u64 / POINT_BYTES)
+    }
+
+    /// The most memory that a single request takes from the budget, with the connection on which it
+    /// arrives: that of the largest query, registration or page of a listing.
+    ///
+    /// Building a hull takes 1,280 bytes per point of its definition. The other hulls of the same request
+    /// are built before and after it.
+    pub fn largest_request_bytes(&self) -> u64 {
+        let message = self.max_message_bytes as u64;
+        let connection = CONNECTION_BYTES + u64::from(LARGE_WINDOW);
+        let call = CALL_BYTES as u64 + u64::from(HEADER_BYTES);
+        let hulls = HULL_BYTES as u64 * u64::from(self.max_hulls_per_request).min(message);
+        let building = building_bytes(self.largest_definition() as usize).max(GROUP_BYTES) as u64;
+        let query = QUERY_MESSAGES * message;
+        let registration = REGISTRATION_MESSAGES * message + building;
+        let listing = LISTED_BYTES as u64 * u64::from(self.max_page_size);
+        connection + call + hulls + query.max(registration).max(listing)
+    }
+
+    /// The least `max_memory_bytes` for the other limits, in whole MiB. One caller may hold half of the
+    /// budget, so that less than twice the largest request would refuse that request for ever.
+    pub fn least_memory_bytes(&self) -> u64 {
+        (2 * self.largest_request_bytes()).next_multiple_of(1 << 20).max(LEAST_MEMORY_BYTES)
+    }
 }
 
 impl Limits {
@@ -116,6 +158,12 @@ impl Limits {
     pub fn range(name: &str) -> Option<(u64, u64)> {
         let ranges = Self::default().ranges();
         ranges.into_iter().find(|&(limit, ..)| limit == name).map(|(_, _, least, most)| (least, most))
+    }
+
+    /// The range of the limit called `name`, for messages: `1 to 4294967295`, `1 KiB to 2 GiB`.
+    pub fn shown_range(name: &str) -> Option<String> {
+        let (least, most) = Self::range(name)?;
+        Some(format!("{} to {}", shown(name, least), shown(name, most)))
     }
 
     /// Each limit's name and value, and the least and the most that it may be.
@@ -153,9 +201,20 @@ impl Limits {
     pub fn contradiction(&self) -> Option<String> {
         for (name, value, least, most) in self.ranges() {
             if !(least..=most).contains(&value) {
+                let [value, least, most] = [value, least, most].map(|value| shown(name, value));
                 return Some(format!("{name} is {value}, must be {least} to {most}"));
             }
         }
+        let message = self.max_message_bytes as u64;
+        let counts = format!(
+            "twice the largest request, which takes {} by max_message_bytes ({}), max_points_per_hull ({}), \
+             max_hulls_per_request ({}) and max_page_size ({})",
+            ByteSize(self.largest_request_bytes()),
+            ByteSize(message),
+            self.max_points_per_hull,
+            self.max_hulls_per_request,
+            self.max_page_size,
+        );
         let at_least = [
             (
                 ("max_pairs_in_flight", u64::from(self.max_pairs_in_flight)),
@@ -169,18 +228,24 @@ impl Limits {
             ),
             (
                 ("max_request_bytes_in_flight", self.max_request_bytes_in_flight),
-                ("twice max_message_bytes", 2 * self.max_message_bytes as u64),
+                ("twice max_message_bytes", 2 * message),
                 "one caller may hold half of it, and the largest message has to arrive",
             ),
             (
                 ("max_memory_bytes", self.max_memory_bytes),
-                ("10 times max_message_bytes", 2 * REQUEST_MESSAGES * self.max_message_bytes as u64),
-                "one caller may hold half of it, and the largest request takes 5 times its message",
+                (&counts, self.least_memory_bytes()),
+                "one caller may hold half of it; raise it, or lower one of the others",
             ),
         ];
         let below = at_least.into_iter().find(|((_, value), (_, least), _)| value < least);
         below.map(|((name, value), (other, least), why)| {
+            let [value, least] = [value, least].map(|value| shown(name, value));
             format!("{name} is {value}, must be at least {least} ({other}): {why}")
         })
     }
+}
+
+/// The value of the limit called `name`, for messages.
+fn shown(name: &str, value: u64) -> String {
+    if name.contains("bytes") { ByteSize(value).to_string() } else { value.to_string() }
 }

@@ -37,7 +37,7 @@ use super::{
 };
 use crate::{
     budget::{Caller, MemoryBudget, Part},
-    log_limit::Repeated,
+    log_limit::limited,
     trace,
 };
 
@@ -193,11 +193,8 @@ where
 
 /// Logs that a call was refused for its token. The token itself is never logged.
 fn report(refusal: &ServiceError, method: &str) {
-    static REFUSED: Repeated = Repeated::new();
-    if matches!(refusal.kind, Kind::Unauthenticated | Kind::Forbidden)
-        && let Some(left_out) = REFUSED.due()
-    {
-        tracing::info!(reason = refusal.reason, method, left_out, "a call was refused for its token");
+    if matches!(refusal.kind, Kind::Unauthenticated | Kind::Forbidden) {
+        limited!(info, reason = refusal.reason, method, "a call was refused for its token");
     }
 }
 

@@ -45,7 +45,7 @@ use std::{
     time::Duration,
 };
 
-pub use admin::serve_admin;
+pub use admin::{CONNECTIONS as ADMIN_CONNECTIONS, serve_admin};
 use batch::Engine;
 pub use error::{Kind, Place, ServiceError};
 pub use limits::Limits;

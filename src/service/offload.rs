@@ -6,6 +6,7 @@ use super::{App, ServiceError, context::CallContext};
 use crate::{
     compute::{ComputeError, LARGE_BYTES, Panicked},
     contact::{Stop, Stopped},
+    log_limit::limited,
 };
 
 /// Bytes per elementary step of such work.
@@ -28,7 +29,7 @@ pub(super) async fn offloaded<T: Send + 'static>(
         Ok(done) => done,
         Err(ComputeError::Stopped) => Err(Stopped.into()),
         Err(ComputeError::Panicked(Panicked(why))) => {
-            tracing::error!(why, "work of the service panicked");
+            limited!(error, why, "work of the service panicked");
             Err(ServiceError::internal("the request could not be processed; the server's log has the reason"))
         }
     }

@@ -29,11 +29,11 @@ const HANDSHAKES: u64 = 256;
 
 /// The memory of an open connection besides its window: the state of HTTP/2, read and write
 /// buffers, the buffers of TLS, and the health checks that are answered without asking the budget.
-const CONNECTION_BYTES: u64 = 128 << 10;
+pub(super) const CONNECTION_BYTES: u64 = 128 << 10;
 
 /// The HTTP/2 window of a connection that may receive large messages at full speed, and of one for
 /// which the budget has no more room.
-const LARGE_WINDOW: u32 = 8 << 20;
+pub(super) const LARGE_WINDOW: u32 = 8 << 20;
 const SMALL_WINDOW: u32 = 64 << 10;
 
 /// The fraction of the memory budget that large windows may take together, as a divisor.
@@ -277,8 +277,12 @@ mod tests {
     /// small windows.
     #[test]
     fn windows_shrink_with_the_budget() {
-        let peers =
-            peers(Limits { max_memory_bytes: 256 << 20, max_message_bytes: 16 << 20, ..Limits::default() });
+        let peers = peers(Limits {
+            max_memory_bytes: 256 << 20,
+            max_message_bytes: 16 << 20,
+            max_points_per_hull: 50_000,
+            ..Limits::default()
+        });
         let open: Vec<_> = (0..200).filter_map(|_| peers.admit(ip("10.0.0.1"))).collect();
         let large = open.iter().filter(|peer| peer.window() == LARGE_WINDOW).count();
         assert_eq!(large, 7, "a quarter of the budget");

@@ -33,7 +33,10 @@ use super::{
     call::BoxError,
     context::{Arrived, CallContext, SMALL_BYTES, grow},
 };
-use crate::budget::{Part, Permit};
+use crate::{
+    budget::{Part, Permit},
+    size::ByteSize,
+};
 
 /// The bytes before each message: a flag that tells whether it is compressed, and its length.
 pub(super) const HEAD_BYTES: usize = 5;
@@ -189,8 +192,9 @@ impl<B> MessageBody<B> {
         }
         let (length, limit) = (declared(self.message.head), self.rules.max_bytes);
         if length > limit {
+            let (length, limit) = (ByteSize(length as u64), ByteSize(limit as u64));
             let message =
-                format!("the message has {length} bytes, at most {limit} are allowed: send less per message");
+                format!("the message has {length}, at most {limit} are allowed: send less per message");
             return Err(ServiceError::refused("MESSAGE_TOO_LARGE", message));
         }
         self.message.missing = length;

@@ -10,7 +10,7 @@ use super::{
     App, OpenError, Readiness, Security, connection::Connections, contacts, hulls, info, listener::Listener,
     middleware::Closing,
 };
-use crate::{log_limit::Repeated, proto, store::StoreError};
+use crate::{log_limit::limited, proto, store::StoreError};
 
 /// The pause after a failed accept (too many open files), so that the loop does not spin.
 pub(super) const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
@@ -110,7 +110,7 @@ pub async fn run(
         reporter.clear_service_status(service).await;
     }
     while accepting.join_next().await.is_some() {}
-    tracing::info!("stopped");
+    tracing::info!(undrained = connections.undrained(), "stopped");
     Ok(())
 }
 
@@ -151,8 +151,6 @@ async fn routes(app: &Arc<App>) -> Result<(HealthReporter, Routes), OpenError> {
     Ok((reporter, routes))
 }
 
-static ACCEPT_FAILED: Repeated = Repeated::new();
-
 /// Accepts connections until told to stop, then waits for the open ones, which end by themselves.
 async fn accept(listener: Listener, connections: Arc<Connections>, mut closing: Closing) {
     let mut open = JoinSet::new();
@@ -169,9 +167,7 @@ async fn accept(listener: Listener, connections: Arc<Connections>, mut closing: 
                     }
                 }
                 Err(error) => {
-                    if let Some(left_out) = ACCEPT_FAILED.due() {
-                        tracing::warn!(%error, left_out, "accept failed");
-                    }
+                    limited!(warn, %error, "accept failed");
                     tokio::time::sleep(ACCEPT_PAUSE).await;
                 }
             },

@@ -11,7 +11,16 @@ use bytes::Bytes;
 use futures_util::future::BoxFuture;
 use object_store::{ObjectStore, memory::InMemory};
 
-use super::{HullId, directory::DirectoryStore, identity::id_of, objects::Objects};
+use super::{
+    HullId,
+    directory::{DirectoryStore, THREADS},
+    file_threads::FileThreads,
+    identity::id_of,
+    objects::Objects,
+};
+
+/// How many operations of a bucket run at a time. Each has a connection.
+const OBJECTS_AT_A_TIME: u64 = 64;
 
 /// Why an operation of the store failed.
 #[derive(Clone, Debug)]
@@ -83,7 +92,7 @@ pub trait BlobStore: fmt::Debug + Send + Sync {
     fn probe(&self) -> BoxFuture<'_, Result<(), StoreError>>;
     /// How many operations the store runs at a time.
     fn operations_at_a_time(&self) -> u64 {
-        64
+        OBJECTS_AT_A_TIME
     }
 }
 
@@ -112,11 +121,19 @@ pub async fn list(
 
 /// Why a `--store` could not be opened.
 #[derive(Debug)]
-pub struct OpenError(String);
+pub enum OpenError {
+    /// The text names the store and the reason.
+    Store(String),
+    /// The system does not start the store's threads; its reason.
+    Threads(String),
+}
 
 impl fmt::Display for OpenError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
+        match self {
+            Self::Store(why) => f.write_str(why),
+            Self::Threads(why) => write!(f, "threads of the store: {why}"),
+        }
     }
 }
 
@@ -144,8 +161,21 @@ pub fn open(url: &str) -> Result<Opened, OpenError> {
         },
         _ => {
             let path = url.strip_prefix("file://").unwrap_or(url);
-            Ok(Arc::new(DirectoryStore::open(path.as_ref()).map_err(|e| failed(url, &e))?))
+            let threads =
+                FileThreads::start(THREADS).map_err(|error| OpenError::Threads(error.to_string()))?;
+            let store = DirectoryStore::open(path.as_ref(), threads).map_err(|error| failed(url, &error))?;
+            Ok(Arc::new(store))
         }
+    }
+}
+
+/// The most file descriptors that the store at `url` has open at a time.
+pub fn descriptors(url: &str) -> u64 {
+    match url.split_once("://") {
+        Some(("memory", _)) => 0,
+        Some((scheme, _)) if scheme != "file" => OBJECTS_AT_A_TIME,
+        // The root, a shard, and a file or a listing.
+        _ => 3 * THREADS as u64,
     }
 }
 
@@ -156,7 +186,7 @@ pub fn open(url: &str) -> Result<Opened, OpenError> {
 pub fn open_existing(url: &str) -> Result<Opened, OpenError> {
     let path = url.strip_prefix("file://").unwrap_or(url);
     if !path.contains("://") && !Path::new(path).is_dir() {
-        return Err(OpenError(format!("store {url}: no such directory")));
+        return Err(OpenError::Store(format!("store {url}: no such directory")));
     }
     open(url)
 }
@@ -178,18 +208,18 @@ fn unknown_scheme(url: &str, scheme: &str) -> OpenError {
         "gs" => "gcs",
         "az" => "azure",
         _ => {
-            return OpenError(format!(
+            return OpenError::Store(format!(
                 "store {url}: unknown scheme {scheme}://; a directory, file://, memory://, s3://, gs:// and az:// are known"
             ));
         }
     };
-    OpenError(format!(
+    OpenError::Store(format!(
         "store {url}: this build does not support it; build hullcast with the feature \"{feature}\""
     ))
 }
 
 fn failed(url: &str, error: &dyn std::error::Error) -> OpenError {
-    OpenError(format!("store {url}: {error}"))
+    OpenError::Store(format!("store {url}: {error}"))
 }
 
 /// The name of a shard's directory.

@@ -23,9 +23,9 @@ const STEPS_PER_POINT: u64 = 3_000;
 /// The steps of simplifying, per pair of points of a definition.
 const SIMPLIFYING_STEPS: u64 = 500;
 
-/// The most bytes that building a hull takes.
-pub(super) fn building_bytes(definition: &HullDefinition) -> usize {
-    BYTES_PER_HULL + BYTES_PER_POINT * definition.points.len()
+/// The most bytes that building a hull of `points` points takes.
+pub(crate) fn building_bytes(points: usize) -> usize {
+    BYTES_PER_HULL + BYTES_PER_POINT * points
 }
 
 /// Hulls to be built; each is one part.
@@ -111,7 +111,7 @@ mod tests {
                 definition.build(usize::MAX).unwrap();
             });
             let stored = 2 * size_of_val(&definition.points[..]);
-            let (peak, counted) = (made.bytes_max as usize + stored, building_bytes(&definition));
+            let (peak, counted) = (made.bytes_max as usize + stored, building_bytes(definition.points.len()));
             assert!(peak <= counted, "{name}: {peak} of {counted}");
         }
     }

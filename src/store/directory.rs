@@ -26,7 +26,7 @@ use super::{BlobStore, HullId, StoreError, StoredBlob, file_threads::FileThreads
 const AT_A_TIME: usize = 32;
 
 /// One thread more than `AT_A_TIME`, so that a probe never waits behind other operations.
-const THREADS: usize = AT_A_TIME + 1;
+pub(super) const THREADS: usize = AT_A_TIME + 1;
 
 /// Blobs in a directory.
 #[derive(Debug)]
@@ -39,9 +39,9 @@ impl DirectoryStore {
     /// Opens the directory at `path`, which is created if it is missing.
     ///
     /// # Errors
-    /// The path cannot be created or is not a directory, or the system has no more threads.
-    pub(super) fn open(path: &Path) -> io::Result<Self> {
-        Ok(Self { root: Arc::new(Root::open(path)?), threads: FileThreads::start(THREADS)? })
+    /// The path cannot be created or is not a directory.
+    pub(super) fn open(path: &Path, threads: FileThreads) -> io::Result<Self> {
+        Ok(Self { root: Arc::new(Root::open(path)?), threads })
     }
 
     fn run<T: Send + 'static>(
@@ -110,7 +110,7 @@ mod tests {
     #[tokio::test]
     async fn pages_have_all_blobs_in_order() {
         let directory = tempfile::tempdir().unwrap();
-        let store = DirectoryStore::open(directory.path()).unwrap();
+        let store = DirectoryStore::open(directory.path(), FileThreads::start(1).unwrap()).unwrap();
         let mut sizes = Vec::new();
         for i in 0..600_u64 {
             let id = HullId(std::array::from_fn(|byte| match byte {

@@ -23,6 +23,7 @@ mod scheduled;
 mod turns;
 
 pub use blobs::{BlobStore, Opened, StoreError, StoredBlob};
+pub(crate) use building::building_bytes;
 pub use identity::{HullDefinition, HullId};
 pub use lease::{Hulls, Lease, LeaseError};
 pub use reader::Reader;

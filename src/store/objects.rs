@@ -10,6 +10,7 @@ use super::{
     BlobStore, HullId, StoreError, StoredBlob,
     blobs::{FirstById, quarantine_name, shard_name, shard_of_name},
 };
+use crate::size::ByteSize;
 
 /// Blobs as objects, sharded by the first byte of their id.
 #[derive(Debug)]
@@ -73,7 +74,8 @@ impl BlobStore for Objects {
             let Some(found) = self.present(self.objects.get(&key(id)).await)? else { return Ok(None) };
             if found.meta.size > max_bytes {
                 let size = found.meta.size;
-                let why = format!("{id} is {size} bytes long, but a hull has at most {max_bytes}");
+                let why =
+                    format!("{id} has {}, but a hull has at most {}", ByteSize(size), ByteSize(max_bytes));
                 return Err(StoreError::NotABlob(why));
             }
             // A blob that is deleted between opening and reading counts as deleted.

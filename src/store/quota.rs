@@ -6,7 +6,7 @@ use bytes::Bytes;
 use tokio::sync::Mutex;
 
 use super::{BlobStore, HullId, StoreError, blobs::list, turns::Turns};
-use crate::budget::Caller;
+use crate::{budget::Caller, size::ByteSize};
 
 /// Writes blobs within a limit of bytes.
 #[derive(Debug)]
@@ -53,8 +53,11 @@ impl Quota {
         let after = before.saturating_sub(replaced) + blob.len() as u64;
         if after > self.limit {
             *used = Some(before);
-            let why =
-                format!("it would have {after} bytes, at most {} are allowed: delete hulls", self.limit);
+            let why = format!(
+                "it would have {}, at most {} are allowed: delete hulls",
+                ByteSize(after),
+                ByteSize(self.limit)
+            );
             return Err(StoreError::Full(why));
         }
         // The lock is held, so two writers cannot both use the last room. A write that fails or is

@@ -25,7 +25,8 @@ use crate::{
     compute::{ComputeError, Job},
     contact::ConvexHull,
     lock::locked,
-    log_limit::Repeated,
+    log_limit::limited,
+    size::ByteSize,
     trace,
 };
 
@@ -163,7 +164,7 @@ impl<'a> Reader<'a> {
                 Err(Missing::Unavailable)
             }
             Err(BuildError::Compute(ComputeError::Panicked(why))) => {
-                tracing::error!(hull = %id, %why, "a stored hull cannot be built");
+                limited!(error, hull = %id, %why, "a stored hull cannot be built");
                 Err(Missing::Unavailable)
             }
         }
@@ -214,7 +215,7 @@ impl<'a> Reader<'a> {
             Corrupt::Content => "the blob is not this hull; registering the hull again repairs it",
             Corrupt::Format => "the blob is of another version",
         };
-        self.fault(id, format!("{why} ({bytes} bytes; copy: {copy})"));
+        self.fault(id, format!("{why} ({}; copy: {copy})", ByteSize(bytes as u64)));
     }
 
     /// Asks the store whether it still has a cached hull that was not seen there for the cache age,
@@ -259,12 +260,9 @@ impl<'a> Reader<'a> {
 
 impl Drop for Reader<'_> {
     fn drop(&mut self) {
-        static UNREADABLE: Repeated = Repeated::new();
         let faults = self.faults.get_mut().unwrap_or_else(PoisonError::into_inner).take();
-        if let Some(Faults { hulls, first, why }) = faults
-            && let Some(left_out) = UNREADABLE.due()
-        {
-            tracing::warn!(hulls, %first, why, left_out, "hulls of a request could not be read from the store");
+        if let Some(Faults { hulls, first, why }) = faults {
+            limited!(warn, hulls, %first, why, "hulls of a request could not be read from the store");
         }
     }
 }

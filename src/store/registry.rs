@@ -257,7 +257,8 @@ impl Registry {
         max_vertices: usize,
         job: &Job,
     ) -> Result<Vec<Result<ConvexHull, HullError>>, BuildError> {
-        let bytes = definitions.iter().map(building_bytes).sum::<usize>();
+        let bytes =
+            definitions.iter().map(|definition| building_bytes(definition.points.len())).sum::<usize>();
         let memory = self.memory.take(&job.caller, Part::Building, bytes as u64);
         let memory = memory.map_err(BuildError::NoMemory)?;
         let (stop, memory) = (job.stop.clone(), Mutex::new(Some(memory)));

@@ -30,7 +30,7 @@ use super::{
     BlobStore, HullId, Opened, StoreError, StoredBlob,
     turns::{NoTurn, Turns},
 };
-use crate::budget::Caller;
+use crate::{budget::Caller, log_limit::limited};
 
 /// How many operations may wait for their turn. One caller may have half of them, which is enough
 /// for a hundred requests of many hulls each.
@@ -122,7 +122,7 @@ impl Shared {
                 let _ = operation.await;
                 drop((hanging, slot));
                 let seconds = started.elapsed().as_secs_f64();
-                tracing::info!(seconds, "an operation of the store that had exceeded its limit returned");
+                limited!(info, seconds, "an operation of the store that had exceeded its limit returned");
                 return;
             };
             drop(slot);
@@ -145,7 +145,8 @@ impl Hanging {
         let before = shared.hanging.fetch_add(1, Ordering::AcqRel);
         if before == 0 {
             let limit_seconds = shared.limit.as_secs_f64();
-            tracing::error!(
+            limited!(
+                error,
                 limit_seconds,
                 "the store hangs: an operation has not returned; no other begins before it does"
             );

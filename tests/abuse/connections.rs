@@ -26,8 +26,8 @@ attacks! {
     handshakes: "endless TLS handshakes: complete, broken off and left half done",
         |s: Setup| s.tls() => handshakes;
     /// Catches a server that fails, or fills its log, when it has no file descriptors left.
-    descriptors: "100 idle connections to a server that may open 64 files",
-        |s: Setup| Setup { ulimit: Some("-n 64".into()), ..s } => descriptors;
+    descriptors: "100 idle connections to a server that may open 256 files",
+        |s: Setup| Setup { ulimit: Some("-n 256".into()), ..s } => descriptors;
     /// Catches refused tokens that cost too much to refuse, and a log line for each refused token.
     tokens: "endless calls with wrong tokens", |s: Setup| s.tokens() => tokens;
     /// Catches a path that reaches a method although it is not the method's exact path, so that the check

@@ -71,7 +71,11 @@ fn wrong_scenes_are_refused_by_option_and_value() -> Outcome {
 /// Catches a certificate or token of a caller that is faulty and is not named with its option.
 #[test]
 fn wrong_files_of_callers_are_refused_by_option_and_value() -> Outcome {
-    let Faulty { absent, words, pem, .. } = Faulty::write(&scratch("files-callers")?)?;
+    let folder = scratch("files-callers")?;
+    let Faulty { absent, words, pem, .. } = Faulty::write(&folder)?;
+    let pipe = folder.join("pipe");
+    rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::from_raw_mode(0o600))?;
+    let pipe = text(&pipe).to_owned();
     let https = ["--remote", "https://localhost:1"];
     let few = ["--count", "1", "--pairs", "1"];
     let scene = scenes().join("panda.json");
@@ -89,6 +93,13 @@ fn wrong_files_of_callers_are_refused_by_option_and_value() -> Outcome {
                 let line = [command, &https, &[option, value], more].concat();
                 refused(&line, 3, &[option, value, text])?;
             }
+        }
+        // Neither is waited for, nor read to its end.
+        for option in ["--tls-ca", "--token-file"] {
+            let line = [command, &https, &[option, &pipe]].concat();
+            refused(&line, 3, &[option, &pipe, "is a pipe, must be a regular file of at most 1 MiB"])?;
+            let line = [command, &https, &[option, "/dev/zero"]].concat();
+            refused(&line, 3, &[option, "/dev/zero", "is a device, must be"])?;
         }
         let line = [command, &https, &["--tls-ca", &pem]].concat();
         refused(&line, 3, &["--tls-ca", &pem])?;
@@ -129,8 +140,15 @@ fn wrong_files_of_servers_are_refused_by_option_and_value() -> Outcome {
     refused(&["serve", "--config", &absent], 3, &["--config", &absent, "cannot be read"])?;
     refused(&["serve", "--config", &unknown], 3, &["--config", &unknown, "`listn`; did you mean `listen`?"])?;
     refused(&["serve", "--config", &syntax], 3, &["--config", &syntax, "line 1"])?;
-    refused(&["serve", "--config", &kind], 3, &["--config", &kind, "drain_seconds", "long"])?;
-    refused(&["serve", "--config", &range], 2, &["drain_seconds is -1", "0 to 1000000000 seconds"])?;
+    let allowed = "expected a number from 0 to 1000000000";
+    refused(&["serve", "--config", &kind], 2, &["--config", &kind, "drain_seconds is \"long\"", allowed])?;
+    refused(&["serve", "--config", &range], 2, &["--config", &range, "drain_seconds is \"-1\"", allowed])?;
+    let nothing = file(&folder, "nothing.toml", "listen = []\n")?;
+    refused(
+        &["serve", "--config", &nothing],
+        2,
+        &["--config", &nothing, "listen is [], must have at least one"],
+    )?;
     for (value, expected) in
         [("ftp://x", "a directory, file://"), ("s3://bucket", "feature"), (&page, "store")]
     {
@@ -153,6 +171,17 @@ fn wrong_files_of_servers_are_refused_by_option_and_value() -> Outcome {
     let tls = ["--tls-certificate", &pem, "--tls-key", &pem];
     refused(&[&["serve", "--tls-client-ca", &absent], &tls[..]].concat(), 3, &["tls_client_ca", &absent])?;
     refused(&[&["serve"], &tls[..]].concat(), 3, &["tls_", &pem])?;
+    let both = ["serve", "--listen", "127.0.0.1:7", "--admin-listen", "127.0.0.1:7"];
+    refused(&both, 2, &["admin_listen is 127.0.0.1:7, which contradicts listen 127.0.0.1:7"])?;
+    // `--print-config` refuses the settings that a start refuses.
+    let least = ["--max-memory-bytes", "256MiB", "--max-message-bytes", "16MiB"];
+    let printed = [&["serve", "--print-config"], &least[..]].concat();
+    for line in [&printed[..], &[&["serve", "--store", "memory://"], &least[..]].concat()] {
+        let numbers =
+            ["max_message_bytes (16 MiB)", "max_points_per_hull (262144)", "twice the largest request"];
+        refused(line, 2, &[&["max_memory_bytes is 256 MiB, must be at least "], &numbers[..]].concat())?;
+    }
+    refused(&["serve", "--print-config", "--query-tokens", &absent], 3, &["query_tokens", &absent])?;
     let contradiction = ["serve", "--max-pairs-in-flight", "5", "--store", "memory://"];
     refused(
         &contradiction,

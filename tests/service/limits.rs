@@ -281,7 +281,7 @@ fn contradicting_limits_do_not_start() {
         |l| l.max_pairs_in_flight = l.max_pairs_per_request - 1,
         |l| l.max_points_per_hull = l.max_vertices_per_hull - 1,
         |l| l.max_memory_bytes = (256 << 20) - 1,
-        |l| l.max_memory_bytes = 10 * l.max_message_bytes as u64 - 1,
+        |l| l.max_memory_bytes = l.least_memory_bytes() - 1,
         |l| l.max_memory_bytes = u64::MAX,
         |l| l.max_message_bytes = (2 << 30) + 1,
     ];
@@ -298,10 +298,57 @@ fn contradicting_limits_do_not_start() {
     }
     let exact = |message: usize| Limits {
         max_message_bytes: message,
-        max_memory_bytes: 10 * message as u64,
+        max_memory_bytes: Limits { max_message_bytes: message, ..Limits::default() }.least_memory_bytes(),
         max_request_bytes_in_flight: 2 * message as u64,
-        max_points_per_hull: Limits::default().max_vertices_per_hull,
         ..Limits::default()
     };
     assert_eq!(exact(64 << 20).contradiction(), None);
+    let why = Limits { max_memory_bytes: 512 << 20, ..Limits::default() }.contradiction().unwrap();
+    assert!(
+        why.starts_with("max_memory_bytes is 512 MiB, must be at least 929 MiB (twice the largest"),
+        "{why}"
+    );
+    for other in
+        ["max_message_bytes (64 MiB)", "max_points_per_hull (262144)", "max_hulls_per_request (16384)"]
+    {
+        assert!(why.contains(other), "{why}");
+    }
+    let why = Limits { max_message_bytes: 1023, ..Limits::default() }.contradiction().unwrap();
+    assert_eq!(why, "max_message_bytes is 1023 bytes, must be 1 KiB to 2 GiB");
+}
+
+/// The largest definition and the largest groups of small ones, with the least budget that their limits
+/// allow. Catches a registration that is TOO_BUSY for ever although nothing else runs.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_largest_registrations_fit_into_the_least_budget() {
+    let points = 150_000;
+    for max_points_per_hull in [points as u32, 60] {
+        let mut limits = Limits {
+            max_message_bytes: 24 * points + 100,
+            max_points_per_hull,
+            max_vertices_per_hull: 60,
+            ..Limits::default()
+        };
+        limits.max_memory_bytes = limits.least_memory_bytes();
+        assert!(max_points_per_hull < 1000 || limits.largest_request_bytes() > 64 << 20);
+        let server = TestServer::with_limits(limits.clone()).await;
+        let definition = |count: usize, seed| {
+            let mut points = round_points(60, seed);
+            // Points inside the hull are no vertices, so that it is built fast.
+            points.extend((60..count).map(|i| [1e-6 * i as f64, 0.0, 0.0]));
+            plain(points)
+        };
+        let count = max_points_per_hull as usize;
+        let shapes: Vec<_> = (0..points / count).map(|i| definition(count, i as u64 % 50)).collect();
+        let request = register_request(&shapes);
+        let length = request.encoded_len();
+        assert!(length <= limits.max_message_bytes || max_points_per_hull == 60, "{length}");
+        let mut request = request;
+        while request.encoded_len() > limits.max_message_bytes {
+            request.hulls.pop();
+        }
+        let results = server.hulls().register_hulls(request).await.unwrap().into_inner().results;
+        assert!(!results.is_empty());
+        assert!(results.iter().all(|result| matches!(result.result, Some(Registered::Hull(_)))));
+    }
 }

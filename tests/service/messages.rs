@@ -127,7 +127,7 @@ async fn health_is_answered_whatever_the_budget_holds() {
     let limits = Limits {
         max_memory_bytes: 256 << 20,
         max_message_bytes: 16 << 20,
-        max_points_per_hull: 1 << 16,
+        max_points_per_hull: 50_000,
         ..Limits::default()
     };
     let server = TestServer::with_limits(limits).await;

@@ -29,11 +29,16 @@ _DETAILS_KEY = "grpc-status-details-bin"
 #: Parts of gRPC's own texts about a peer that is silent, and what the exception says instead.
 _SILENT = {
     "before receiving SETTINGS frame": (
-        "the server accepts connections and does not answer: it is frozen, or it is a proxy that "
-        "has lost its server"
+        "the server accepts connections and does not answer: is it a hullcast server? It may be "
+        "frozen, or a proxy that has lost its server"
     ),
     "ping timeout": "the server stopped answering, and the connection was given up",
 }
+#: What the exception says of a call that the server cut (docs/errors.md).
+_CUT = (
+    "the server reset the call, because the answer was not read in time; the server's "
+    "settings answer_seconds and max_deadline_seconds decide how long that is"
+)
 
 _BY_CODE: dict[grpc.StatusCode, type[Error]] = {
     grpc.StatusCode.INVALID_ARGUMENT: InvalidArgument,
@@ -63,6 +68,8 @@ def from_rpc(call: Any) -> Error:
     for part in (error.reason, error.place):
         message = message.removeprefix(f"{part}: ")
     error.message = next((text for part, text in _SILENT.items() if part in message), message)
+    if code is grpc.StatusCode.CANCELLED and "RST_STREAM" in message:
+        error.message = _CUT
     if isinstance(error, ServerError):
         error.code = code.name
     if isinstance(error, Unavailable):

@@ -23,6 +23,7 @@ use super::{
 use crate::{
     budget::{Caller, Permit},
     compute::{Compute, ComputeError, Job, Panicked, caught},
+    log_limit::limited,
     metrics::Metrics,
     service::{
         admission::{Admission, AdmissionQueue},
@@ -32,6 +33,7 @@ use crate::{
         outputs::Outputs,
         wire::Columns,
     },
+    size::ByteSize,
     trace,
 };
 
@@ -181,7 +183,7 @@ impl Engine {
             (Some(Unanswered::NoMemory(why)), _) => no_memory(&self.metrics, *why),
             (None, ComputeError::Stopped) => ServiceError::deadline_exceeded(),
             (None, ComputeError::Panicked(Panicked(why))) => {
-                tracing::error!(why, "a batch panicked");
+                limited!(error, why, "a batch panicked");
                 ServiceError::internal("the computation failed; the server's log has the reason")
             }
         }
@@ -197,6 +199,6 @@ impl Engine {
 fn too_large(limit: usize) -> ServiceError {
     ServiceError::refused(
         "RESPONSE_TOO_LARGE",
-        format!("the answer would have more than {limit} bytes: request fewer pairs or outputs"),
+        format!("the answer would have more than {}: request fewer pairs or outputs", ByteSize(limit as u64)),
     )
 }

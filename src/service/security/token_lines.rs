@@ -6,6 +6,7 @@ use super::{
     reloaded::{LoadError, SettingFile},
     tokens::{List, Token},
 };
+use crate::{budget::is_reserved_name, size::ByteSize};
 
 /// The longest name of a token, in bytes.
 pub(super) const NAME_BYTES: usize = 32;
@@ -60,7 +61,8 @@ fn parts(line: &str) -> Result<Option<(Option<&str>, &str)>, String> {
         return Err(format!("the token has {which}, which no call can send: use printable ASCII only"));
     }
     if token.len() > TOKEN_BYTES {
-        return Err(format!("the token has {} bytes, must have at most {TOKEN_BYTES}", token.len()));
+        let (has, most) = (ByteSize(token.len() as u64), ByteSize(TOKEN_BYTES as u64));
+        return Err(format!("the token has {has}, must have at most {most}"));
     }
     Ok(Some((name, token)))
 }
@@ -94,6 +96,9 @@ fn named(line: &str) -> Result<Option<(&str, &str)>, String> {
         return Err(format!(
             "the name {name} is kept for a token without a name ({lists}.N): choose another"
         ));
+    }
+    if is_reserved_name(name) {
+        return Err(format!("the name {name} is kept for callers without a token: choose another"));
     }
     Ok(Some((name, token.trim())))
 }
@@ -137,7 +142,7 @@ mod tests {
             ("\u{200b}a", 1, "U+200B"),
             ("a\nname:\n", 2, "no token after the name name"),
             ("name:   # later\n", 1, "no token after the name name"),
-            (&long, 2, "8193 bytes, must have at most 8192"),
+            (&long, 2, "8193 bytes (8.0 KiB), must have at most 8 KiB"),
         ] {
             let said = error(text);
             assert!(said.starts_with(&format!("query_tokens list: line {line}: ")), "{text:?}: {said}");
@@ -154,8 +159,15 @@ mod tests {
             let said = error(&format!("{name}: abc\ndef\n"));
             assert!(said.contains(&format!("line 1: the name {name} is kept")), "{said}");
         }
+        // Metrics and logs call callers without a token so.
+        for name in ["everyone", "EVERYONE", "anonymous", "10.0.0.1", "uid", "uid-7", "connection_3"] {
+            let said = error(&format!("def\n{name}: abc\n"));
+            assert!(said.contains(&format!("line 2: the name {name} is kept for callers without")), "{said}");
+        }
         let file = SettingFile::new("query_tokens", Path::new("list"));
-        for name in ["query.a", "query.", "query", "query.2a", "a.query.2", "reader.2"] {
+        for name in
+            ["query.a", "query.", "query", "query.2a", "a.query.2", "reader.2", "guide", "10.0.0", "uids"]
+        {
             let text = format!("{name}: abc\ndef\n").into_bytes();
             let List(tokens) = read(&[(&file, text)], "query").unwrap();
             assert_eq!((&*tokens[0].name, &*tokens[1].name), (name, "query.2"));

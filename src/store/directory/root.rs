@@ -17,7 +17,8 @@ use rustix::{
 };
 
 use crate::{
-    log_limit::Repeated,
+    log_limit::limited,
+    size::ByteSize,
     store::{
         HullId, StoreError, StoredBlob,
         blobs::{FirstById, quarantine_name, shard_name, shard_of_name},
@@ -183,7 +184,8 @@ impl Root {
         };
         let status = fstat(&file).map_err(|error| self.failed(&name, error))?;
         let Some(size) = blob_size(&status) else { return refused(kind(&status).into()) };
-        let too_large = |size: u64| format!("{size} bytes long, but a hull has at most {max_bytes}");
+        let too_large =
+            |size: u64| format!("{} long, but a hull has at most {}", ByteSize(size), ByteSize(max_bytes));
         if size > max_bytes {
             return refused(too_large(size));
         }
@@ -234,16 +236,13 @@ impl Root {
         count: usize,
         max_bytes: u64,
     ) -> Result<Vec<StoredBlob>, StoreError> {
-        static LEFT_OUT: Repeated = Repeated::new();
         let shard_name = shard_name(shard);
         let (mut blobs, mut first_bad, mut bad) = (Vec::new(), None, 0_u64);
         let directory = match self.subdirectory(&self.descriptor()?, &shard_name) {
             Ok(Some(directory)) => directory,
             Ok(None) => return Ok(blobs),
             Err(StoreError::NotABlob(why)) => {
-                if let Some(left_out) = LEFT_OUT.due() {
-                    tracing::warn!(why, left_out, "the listing of the store left a shard out");
-                }
+                limited!(warn, why, "the listing of the store left a shard out");
                 return Ok(blobs);
             }
             Err(error) => return Err(error),
@@ -281,10 +280,8 @@ impl Root {
                 break;
             }
         }
-        if let Some(first) = first_bad
-            && let Some(left_out) = LEFT_OUT.due()
-        {
-            tracing::warn!(entries = bad, %first, left_out, "the listing of the store left out entries that are not blobs");
+        if let Some(first) = first_bad {
+            limited!(warn, entries = bad, %first, "the listing of the store left out entries that are not blobs");
         }
         Ok(blobs)
     }
