@@ -6,6 +6,7 @@
 use std::collections::{HashMap, HashSet};
 use std::error::Error as StdError;
 use std::fmt;
+use std::iter;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -298,8 +299,11 @@ fn registered(hull: usize, content: HullId, result: proto::RegisterHullResult) -
 
 /// Whether the server reset the call: it does so if the answer is not read in time (docs/errors.md).
 fn is_cut(status: &Status) -> bool {
-    // Nothing in this process cancels a call and then reads its status.
-    status.code() == Code::Cancelled
+    // Nothing in this process cancels a call and then reads its status. hyper cancels the calls that wait on
+    // a connection which breaks.
+    let mut causes = iter::successors(status.source(), |cause| cause.source());
+    let is_broken = causes.any(|cause| cause.downcast_ref().is_some_and(hyper::Error::is_canceled));
+    status.code() == Code::Cancelled && !is_broken
 }
 
 /// A status as a sentence.
