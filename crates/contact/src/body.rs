@@ -47,6 +47,7 @@ impl Pose {
     ///
     /// # Errors
     /// [`InvalidPose`] says whether the position or the rotation is not usable.
+    #[inline]
     pub fn new(position: [f64; 3], rotation: [f64; 4]) -> Result<Self, InvalidPose> {
         let norm_squared = Self::check(position, rotation)?;
         let [x, y, z, w] = rotation;
@@ -90,6 +91,7 @@ pub struct Body<'a> {
 
 impl<'a> Body<'a> {
     /// `hull` at `pose`.
+    #[inline]
     pub fn new(hull: &'a ConvexHull, pose: Pose) -> Self {
         Self { hull, pose }
     }

@@ -16,6 +16,7 @@ pub struct Bounds {
 
 impl Bounds {
     /// Whether the two boxes have a point in common, touching surfaces included.
+    #[inline]
     pub fn meets(&self, other: &Self) -> bool {
         self.low.cmple(other.high).all() && other.low.cmple(self.high).all()
     }

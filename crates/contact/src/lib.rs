@@ -105,6 +105,7 @@ pub struct Workspace {
 impl Workspace {
     /// The elementary steps ([`Stop`]) of the pairs that were computed with this workspace since
     /// the last call.
+    #[inline]
     pub fn take_steps(&mut self) -> u64 {
         std::mem::take(&mut self.counted)
     }

@@ -49,6 +49,7 @@ impl Stop {
     }
 
     /// Whether the computation was asked to stop.
+    #[inline]
     pub fn is_stopped(&self) -> bool {
         self.stopped.load(Ordering::Relaxed)
     }
@@ -57,6 +58,7 @@ impl Stop {
     ///
     /// # Errors
     /// The computation was asked to stop.
+    #[inline]
     pub fn spend(&self, steps: u64) -> Result<(), Stopped> {
         self.steps.fetch_add(steps, Ordering::Relaxed);
         self.largest.fetch_max(steps, Ordering::Relaxed);

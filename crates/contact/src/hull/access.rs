@@ -28,6 +28,7 @@ impl ConvexHull {
     }
 
     /// The number of points that the hull was registered with.
+    #[inline]
     pub fn registered_count(&self) -> usize {
         self.registered_count as usize
     }
