@@ -61,12 +61,11 @@ build: check-tools ## builds the server, target/release/hullcast
 # or clippy. A distribution's cargo may come without these tools.
 .PHONY: lint
 lint: check-tools $(if $(CLIENT),lint-python) ## runs rustfmt, clippy, ruff and the check of the prose; warnings are errors
-	@if $(CARGO) fmt --version >/dev/null 2>&1; then set -x; $(CARGO) fmt --check; cd benches; $(CARGO) fmt --check; cd ../fuzz; $(CARGO) fmt --check; \
+	@if $(CARGO) fmt --version >/dev/null 2>&1; then set -x; $(CARGO) fmt --all --check; cd benches; $(CARGO) fmt --check; cd ../fuzz; $(CARGO) fmt --check; \
 	 else echo "rustfmt is not installed: formatting not checked"; fi
 	@if $(CARGO) clippy --version >/dev/null 2>&1; then set -x; \
-	 $(CARGO) clippy --release --locked --all-targets -- -D warnings; \
-	 $(CARGO) clippy --release --locked --all-targets --no-default-features -- -D warnings; \
-	 $(CARGO) clippy --release --locked --all-targets --no-default-features --features server -- -D warnings; \
+	 $(CARGO) clippy --release --locked --workspace --all-targets -- -D warnings; \
+	 $(CARGO) clippy --release --locked --all-targets --package hullcast --no-default-features -- -D warnings; \
 	 cd benches; $(CARGO) clippy --release --locked --all-targets --features service -- -D warnings; \
 	 else echo "clippy is not installed: lints not checked"; fi
 	@if $(CARGO) clippy --version >/dev/null 2>&1 && command -v c++ >/dev/null; then set -x; cd fuzz; \
@@ -99,9 +98,8 @@ types: $(VENV)/.extras ## runs pyright in strict mode
 	cd client && ../$(VENV)/bin/pyright --pythonpath ../$(PY)
 
 .PHONY: test-rust
-test-rust: check-tools ## runs the Rust tests: first the default build, then only the geometry
-	$(CARGO) test --release --locked
-	$(CARGO) test --release --locked --no-default-features
+test-rust: check-tools ## runs the Rust tests of every crate
+	$(CARGO) test --release --locked --workspace
 
 .PHONY: test-python
 test-python: build $(VENV)/.test ## runs the Python tests against the real server
@@ -125,8 +123,8 @@ test-lowest test-latest: test-%: build
 	$(VENV)-$*/bin/python -m pytest client -o norecursedirs= -k 'not ur5_in_pieces'
 
 .PHONY: package
-package: check-tools wheel ## builds the parts of a release: the crate (built from its package only), the wheel and the crates' licences
-	$(CARGO) publish --dry-run --locked
+package: check-tools wheel ## builds the parts of a release: the crates (each built from its package only), the wheel and the crates' licences
+	$(CARGO) publish --dry-run --locked --workspace
 	CARGO="$(CARGO)" $(PYTHON) scripts/licences --texts > $(TARGET)/wheels/THIRD-PARTY-LICENCES.txt
 
 .PHONY: bench
@@ -164,7 +162,7 @@ tradeoff-families tradeoff-scenes: tradeoff-%: build $(VENV)/.bench
 planarity: check-tools $(VENV)/.planarity ## measures the patches of rounded shapes for each planarity of faces; writes docs/tradeoff.md and its picture
 	mkdir -p out
 	$(PY) client/examples/planarity_meshes.py out/meshes.json
-	$(CARGO) run --release --locked --no-default-features --example planarity -- docs/planarity.csv 1000 out/meshes.json | tee out/planarity.txt
+	$(CARGO) run --release --locked --package hullcast-contact --example planarity -- docs/planarity.csv 1000 out/meshes.json | tee out/planarity.txt
 	$(PY) client/examples/planarity.py docs/planarity.csv docs/planarity.svg
 	./scripts/section docs/tradeoff.md planarity out/planarity.txt
 
@@ -210,7 +208,7 @@ playground: $(VENV)/.test ## builds playground/dist; run it after a change of pl
 
 .PHONY: test-playground
 test-playground: check-tools $(VENV)/.playground ## tests the playground on the wire and in Chromium, and compares its bundle with its sources; needs Chromium and npm
-	$(CARGO) test --release --locked --test service playground
+	$(CARGO) test --release --locked --package hullcast --test service playground
 	$(CARGO) build --release --locked
 	$(PY) -m pytest client/tests/extras/test_playground.py
 
@@ -222,7 +220,7 @@ S3S_FS := 0.14.0
 
 .PHONY: test-s3
 test-s3: $(VENV)/.s3 $(TOOLS)/s3s-fs-$(S3S_FS)/bin/s3s-fs ## tests replicas on two S3 servers with many kinds of faults; builds the server with S3 in target/s3
-	$(CARGO) build --release --locked --features s3 --target-dir $(TARGET)/s3
+	$(CARGO) build --release --locked --package hullcast --features s3 --target-dir $(TARGET)/s3
 	PATH="$(TOOLS)/s3s-fs-$(S3S_FS)/bin:$$PATH" HULLCAST_BIN=$(TARGET)/s3/release/hullcast $(PY) -m pytest client/tests/extras/test_s3.py
 
 $(TOOLS)/s3s-fs-$(S3S_FS)/bin/s3s-fs:
@@ -230,11 +228,11 @@ $(TOOLS)/s3s-fs-$(S3S_FS)/bin/s3s-fs:
 
 .PHONY: lint-stores
 lint-stores: check-tools ## runs clippy with the stores that are not in the default build: S3, GCS, Azure
-	$(CARGO) clippy --release --locked --all-targets --features s3,gcs,azure -- -D warnings
+	$(CARGO) clippy --release --locked --all-targets --package hullcast --features s3,gcs,azure -- -D warnings
 
 .PHONY: test-otlp
 test-otlp: $(VENV)/.otlp ## tests traces from Python through the server to a collector; builds the server with OTLP in target/otlp
-	$(CARGO) build --release --locked --features otlp --target-dir $(TARGET)/otlp
+	$(CARGO) build --release --locked --package hullcast --features otlp --target-dir $(TARGET)/otlp
 	HULLCAST_BIN=$(TARGET)/otlp/release/hullcast $(PY) -m pytest client/tests/extras/test_otlp.py
 
 .PHONY: capacity
@@ -262,14 +260,14 @@ out/bin/grpcurl out/bin/ghz:
 .PHONY: workload
 workload: check-tools ## WORKLOAD=file: compares every pair of a workload file with its exact answer
 	@test -n "$(WORKLOAD)" || { echo "make workload WORKLOAD=path/to/workload.bin"; exit 2; }
-	$(CARGO) run --release --locked --no-default-features --example workload -- "$(WORKLOAD)"
+	$(CARGO) run --release --locked --package hullcast-contact --example workload -- "$(WORKLOAD)"
 
-STABILITY := $(CARGO) test --release --locked --no-default-features --test stability --
+STABILITY := $(CARGO) test --release --locked --package hullcast-contact --test stability --
 
 .PHONY: stability
 stability: check-tools ## compares answers at numerical extremes with exact ones; writes docs/stability.md and its picture
 	STABILITY="$(abspath docs)" PROVENANCE="$$(./scripts/provenance)" $(STABILITY) --ignored --nocapture the_whole_matrix_is_met
-	@digest() { $(CARGO) test --locked --no-default-features --test stability "$$@" -- --nocapture the_same_pairs_give_the_same_bits | grep '^digest'; }; \
+	@digest() { $(CARGO) test --locked --package hullcast-contact --test stability "$$@" -- --nocapture the_same_pairs_give_the_same_bits | grep '^digest'; }; \
 	 debug=$$(digest); release=$$(digest --release); echo "debug: $$debug, release: $$release"; test "$$debug" = "$$release"
 
 .PHONY: stability-long
@@ -282,15 +280,15 @@ stability-long: check-tools ## THOUSANDS=1000: checks that many thousand cases b
 # Needs root to mount a small disk, which is filled and made read-only.
 .PHONY: test-faults
 test-faults: check-tools ## tests kill -9 a thousand times, full and vanished disks, and torn blobs; needs root
-	$(CARGO) test --release --locked --test faults -- --ignored --nocapture --test-threads 1
+	$(CARGO) test --release --locked --package hullcast --test faults -- --ignored --nocapture --test-threads 1
 
 .PHONY: test-abuse test-abuse-short
 test-abuse-short: check-tools ## runs the attacks over TCP at a tenth of their size against a tenth of the budgets; takes a minute
-	$(CARGO) test --release --locked --test abuse -- --skip over_tls --skip over_unix
+	$(CARGO) test --release --locked --package hullcast --test abuse -- --skip over_tls --skip over_unix
 
 test-abuse: check-tools ## runs every attack at full size on a server with default limits; writes docs/reliability.md; takes over 20 minutes
 	mkdir -p out
-	$(CARGO) test --release --locked --test abuse -- --ignored --nocapture --test-threads 1 | tee out/abuse.txt
+	$(CARGO) test --release --locked --package hullcast --test abuse -- --ignored --nocapture --test-threads 1 | tee out/abuse.txt
 	{ echo '| attack | queries before, ms | queries during, ms | health before, ms | health during, ms | retries | peak, MiB | free after, s |'; \
 	 echo '|---|---|---|---|---|--:|--:|--:|'; grep '^|' out/abuse.txt; } > out/abuse-table.txt
 	./scripts/section docs/reliability.md abuse out/abuse-table.txt
@@ -318,7 +316,7 @@ clean: ## removes all built files
 docs: $(VENV)/.docs ## builds the documentation site with the references of both libraries: out/site/README.html
 	rm -rf out/site
 	$(PY) -m sphinx --builder html --fail-on-warning --keep-going --quiet --conf-dir docs/site --doctree-dir out/doctrees . out/site
-	RUSTDOCFLAGS="-D warnings -A rustdoc::private-intra-doc-links" $(CARGO) doc --locked --no-deps --lib
+	RUSTDOCFLAGS="-D warnings -A rustdoc::private-intra-doc-links" $(CARGO) doc --locked --workspace --no-deps --lib
 	cp -r $(TARGET)/doc out/site/rust
 
 # The pinned Python packages. The client itself is used in place.

@@ -1,7 +1,7 @@
-//! Certified contact manifolds of convex hulls.
+//! Certified contact manifolds of convex hulls, as a service over gRPC.
 //!
-//! Begin with [`contact`], the geometry: it is pure and synchronous, and uses no network. These
-//! modules need the feature `server`, which is on by default:
+//! Begin with [`contact`], the geometry: the crate [`hullcast_contact`], which is pure and
+//! synchronous and uses no network. The modules of this crate are the server around it:
 //!
 //! - `service` answers batches of queries over gRPC, by the contract in `proto`.
 //! - `store` keeps the registered hulls.
@@ -10,7 +10,7 @@
 //! - `small_file` reads settings, tokens and certificates; `size` prints sizes.
 //! - `metrics` and `trace` report the server's activity; `log_limit` keeps callers from filling the log.
 //!
-//! [`workload`], which needs no feature, generates pairs for load tests and benchmarks.
+//! [`workload`] generates pairs for load tests and benchmarks.
 //!
 //! Conventions: lengths are in the caller's units (metres in the documentation), angles in radians.
 //! Frames are right-handed, and quaternions are `x, y, z, w`. A pose maps the hull's own frame to the
@@ -21,29 +21,18 @@
 // that are not exported.
 #![warn(unreachable_pub)]
 
-#[cfg(feature = "server")]
 pub mod broad_phase;
-#[cfg(feature = "server")]
 pub mod budget;
-#[cfg(feature = "server")]
 pub mod compute;
-pub mod contact;
-#[cfg(feature = "server")]
 mod lock;
-#[cfg(feature = "server")]
 pub mod log_limit;
-#[cfg(feature = "server")]
 pub mod metrics;
-#[cfg(feature = "server")]
 pub mod proto;
-#[cfg(feature = "server")]
 pub mod service;
-#[cfg(feature = "server")]
 pub mod size;
-#[cfg(feature = "server")]
 pub mod small_file;
-#[cfg(feature = "server")]
 pub mod store;
-#[cfg(feature = "server")]
 pub mod trace;
-pub mod workload;
+
+pub use hullcast_contact as contact;
+pub use hullcast_contact::workload;

@@ -1,7 +1,5 @@
 //! The command line as a user meets it: the real binary, its output and its exit code.
 
-#![cfg(feature = "server")]
-
 use std::error::Error;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};

@@ -1,7 +1,7 @@
 //! The pairs that are timed: the project's generated families and regimes, as plain numbers that
 //! every contender can read.
 
-use hullcast::workload::{Family, Random, Regime, Workload, WorkloadError};
+use hullcast_contact::workload::{Family, Random, Regime, Workload, WorkloadError};
 
 /// Contacts are wanted within this distance, which parry3d calls `prediction`. The hulls' lengths are
 /// about 0.3 to 1.

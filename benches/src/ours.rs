@@ -1,6 +1,6 @@
 //! hullcast as a contender, through its public function only.
 
-use hullcast::contact::{Basis, Body, ConvexHull, HullError, Pose, Query, Workspace, contact_manifold};
+use hullcast_contact::{Basis, Body, ConvexHull, HullError, Pose, Query, Workspace, contact_manifold};
 
 use crate::cells::{Cell, Pair};
 

@@ -141,7 +141,7 @@ def _pip(words: list[str], _comment: str) -> None:
 
 
 #: The flags of cargo that are followed by a name that is checked.
-VALUED = ("--features", "--test", "--example", "--bin")
+VALUED = ("--features", "--package", "-p", "--test", "--example", "--bin")
 
 
 @cache
@@ -149,6 +149,18 @@ def _extras() -> list[str]:
     text = (ROOT / "client/pyproject.toml").read_text()
     section = text.partition("[project.optional-dependencies]\n")[2].partition("\n[")[0]
     return re.findall(r"^(\w+) = ", section, re.MULTILINE)
+
+
+@cache
+def _packages() -> dict[str, Path]:
+    """The folder of each package of the workspace."""
+    manifests = [ROOT / "Cargo.toml", *ROOT.glob("crates/*/Cargo.toml")]
+    name = re.compile(r'^name = "(.*)"$', re.MULTILINE)
+    return {name.findall(path.read_text())[0]: path.parent for path in manifests}
+
+
+def _sources(folders: list[Path]) -> list[Path]:
+    return [file for folder in folders for file in folder.glob("[st]*/**/*.rs")]
 
 
 def _cargo(words: list[str], _comment: str) -> None:
@@ -170,18 +182,24 @@ def _cargo(words: list[str], _comment: str) -> None:
     for feature in filter(None, re.split(r"[, ]", names.get("--features", ""))):
         if not re.search(rf"^{feature} = ", (ROOT / "Cargo.toml").read_text(), re.MULTILINE):
             raise Wrong(f"there is no feature {feature}")
-    places = {"--test": "tests", "--example": "examples", "--bin": "benches/src/bin"}
+    package = names.get("--package") or names.get("-p")
+    folders = [folder for name, folder in _packages().items() if package in (name, None)]
+    if not folders:
+        raise Wrong(f"there is no package {package}")
+    places = {"--test": "tests", "--example": "examples", "--bin": "src/bin"}
     sources: list[Path] = []
-    for flag, folder in places.items():
+    for flag, place in places.items():
         if name := names.get(flag):
-            sources = [*ROOT.glob(f"{folder}/{name}.rs"), *ROOT.glob(f"{folder}/{name}/**/*.rs")]
+            for folder in [*folders, ROOT / "benches"]:
+                sources += folder.glob(f"{place}/{name}.rs")
+                sources += folder.glob(f"{place}/{name}/**/*.rs")
             if not sources:
-                raise Wrong(f"there is no {folder}/{name}")
+                raise Wrong(f"there is no {place}/{name}")
     wanted = [word for word in filters.split() if not word.startswith("-")]
     taken = set(names.values())
     wanted += [word for word in arguments if not word.startswith("-") and word not in taken]
     if words[1] == "test":
-        text = "\n".join(path.read_text() for path in sources or ROOT.glob("[st]*/**/*.rs"))
+        text = "\n".join(path.read_text() for path in sources or _sources(folders))
         for name in wanted:
             if not re.search(rf"fn \w*{name.rpartition('::')[2]}|mod {name}", text):
                 raise Wrong(f"no test is called {name}")

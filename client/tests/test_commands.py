@@ -62,6 +62,8 @@ def is_inline_command(code: str) -> bool:
         "cargo install hullcast",
         "cargo build --features none",
         "cargo test --test none",
+        "cargo test -p none --test hull",
+        "cargo test -p hullcast --test hull",
         "cargo test --test hull no_such_test",
         "cargo test --no-such-flag",
         "python client/examples/none.py",

@@ -4,7 +4,7 @@
 //! power of two may change no bit.
 #![no_main]
 
-use hullcast::contact::{
+use hullcast_contact::{
     Basis, Body, Manifold, Outcome, Query, Solver, Wanted, Workspace, certificate, contact_manifold,
 };
 use hullcast_fuzz::{Question, Scene, UNLIMITED};
@@ -46,7 +46,7 @@ fn bits(m: &Manifold) -> (Outcome, [u64; 6], Option<Basis>, usize) {
 
 /// The answers of both solvers to a question, each checked.
 fn answered(
-    hulls: [&hullcast::contact::ConvexHull; 2],
+    hulls: [&hullcast_contact::ConvexHull; 2],
     question: &Question,
     workspace: &mut Workspace,
 ) -> Vec<Manifold> {

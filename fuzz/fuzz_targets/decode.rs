@@ -15,13 +15,13 @@ use std::{
 
 use bytes::{BufMut, Bytes, BytesMut};
 use http_body_util::{BodyExt, Full};
-use hullcast::contact::Stop;
 use hullcast::proto::{
     DeleteHullsRequest, GetHullsRequest, HasHullsRequest, ListHullsRequest, QueryContactsRequest,
     QueryContactsResponse, RegisterHullsRequest,
 };
 use hullcast::service::wire::{CONSTANT_BYTES, HULL_BYTES, decoded_bytes};
 use hullcast::service::{App, Limits, handlers};
+use hullcast_contact::Stop;
 use hullcast_fuzz::seeds;
 use libfuzzer_sys::fuzz_target;
 use prost::Message;

@@ -1,11 +1,11 @@
 //! A hull of arbitrary points must be refused with a reason or satisfy every definition.
 #![no_main]
 
-use hullcast::contact::ConvexHull;
+use hullcast_contact::ConvexHull;
 use hullcast_fuzz::Cloud;
 use libfuzzer_sys::fuzz_target;
 
-#[path = "../../tests/hull/check.rs"]
+#[path = "../../crates/contact/tests/hull/check.rs"]
 mod check;
 
 fuzz_target!(|cloud: Cloud| {

@@ -1,7 +1,7 @@
 //! Poses of two hulls: arbitrary, at a growth scale, face on face, or point on point.
 
 use glam::{DMat3, DQuat, DVec3};
-use hullcast::contact::{Body, ConvexHull, Pose, Query, Workspace, contact_manifold};
+use hullcast_contact::{Body, ConvexHull, Pose, Query, Workspace, contact_manifold};
 
 use crate::bytes::Bytes;
 

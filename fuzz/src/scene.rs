@@ -1,6 +1,6 @@
 //! The content of one input: two hulls, and several poses and queries for them.
 
-use hullcast::contact::{Accuracy, ConvexHull, Query, Wanted, Workspace, contact_manifold};
+use hullcast_contact::{Accuracy, ConvexHull, Query, Wanted, Workspace, contact_manifold};
 use libfuzzer_sys::arbitrary::{self, Arbitrary, Unstructured};
 
 use crate::bytes::Bytes;

@@ -1,7 +1,7 @@
 //! Points of hulls: families of shapes, and changes that bring them near degeneracy.
 
 use glam::{DQuat, DVec3};
-use hullcast::contact::{ConvexHull, HullOptions};
+use hullcast_contact::{ConvexHull, HullOptions};
 
 use crate::bytes::Bytes;
 

@@ -12,7 +12,6 @@
 //!
 //! `HULLCAST_ABUSE_BIN` names another server binary to attack, for example an older version. If that server
 //! does not know some of the settings, it needs a wrapper script that removes them.
-#![cfg(feature = "server")]
 
 #[path = "../service/support/raw.rs"]
 #[allow(dead_code, reason = "shared with the tests of the service")]

@@ -3,7 +3,6 @@
 //! The tests are ignored otherwise, because they take minutes and some need root (they mount a
 //! tmpfs). Each prints its actions and its losses; these lines are the rows of
 //! docs/reliability.md.
-#![cfg(feature = "server")]
 
 #[path = "../service/support/process.rs"]
 #[allow(dead_code, reason = "shared with the tests of the service")]

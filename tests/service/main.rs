@@ -1,5 +1,4 @@
 //! Tests of the real server on port 0 and of the real binary, from a client's point of view.
-#![cfg(feature = "server")]
 
 mod answers;
 mod contract;

@@ -6,13 +6,13 @@
 
 use std::error::Error;
 
-use hullcast::contact::{Accuracy, ConvexHull, Query, Solver, Wanted};
-use hullcast::workload::{Family, Regime};
 use hullcast_benches::cells::{self, Cell, MARGIN};
 use hullcast_benches::ours::{self, Scene};
 use hullcast_benches::parry;
 use hullcast_benches::report::{DOCS, Table, provenance, replace_section};
 use hullcast_benches::rounds::{Contender, Timing, interleave};
+use hullcast_contact::workload::{Family, Regime};
+use hullcast_contact::{Accuracy, ConvexHull, Query, Solver, Wanted};
 
 const ROUNDS: usize = 21;
 /// Pairs of each family and regime.

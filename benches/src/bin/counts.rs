@@ -9,11 +9,11 @@ use std::fmt::Write as _;
 use std::hint::black_box;
 use std::process::Command;
 
-use hullcast::contact::{Accuracy, ConvexHull, Query, Solver, Wanted};
 use hullcast_benches::cells::{self, MARGIN, sphere};
 use hullcast_benches::ours::{self, Scene};
 use hullcast_benches::parry;
 use hullcast_benches::report::{provenance, replace_section};
+use hullcast_contact::{Accuracy, ConvexHull, Query, Solver, Wanted};
 
 /// Pairs of each family and regime.
 const PAIRS: usize = 200;

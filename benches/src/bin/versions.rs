@@ -9,11 +9,11 @@
 use std::error::Error;
 use std::time::Duration;
 
-use hullcast::workload::{Family, Regime};
 use hullcast_benches::service::load::{latencies, load, measured, median, streamed};
 use hullcast_benches::service::process::Server;
 use hullcast_benches::service::raw::Caller;
 use hullcast_benches::service::requests::{Batch, QUERY};
+use hullcast_contact::workload::{Family, Regime};
 
 type Failure = Box<dyn Error>;
 
