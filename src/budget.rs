@@ -8,6 +8,7 @@
 //!
 //! This module knows neither gRPC nor HTTP.
 
+mod by_id;
 mod caller;
 mod shares;
 
@@ -16,6 +17,7 @@ use std::{
     sync::{Arc, Mutex},
 };
 
+pub(crate) use by_id::ById;
 pub use caller::{Caller, CallerKey, CallerStream, Callers};
 pub use shares::{Refusal, Shares, Slot, Slots};
 

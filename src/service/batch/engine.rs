@@ -135,7 +135,7 @@ impl Engine {
         let pairs = batch.pair_count();
         // If the caller leaves while the batch waits, the batch may be large and must not be freed
         // on this thread.
-        let waiting = self.compute.freed_here(batch, usize::MAX);
+        let waiting = self.compute.freed_here(batch, if admission.waits() { usize::MAX } else { 0 });
         self.admission.turn(&mut admission).instrument(trace::queue(pairs)).await;
         let batch = waiting.into_inner();
         let started = Instant::now();
