@@ -134,6 +134,11 @@ pub struct Lease {
 }
 
 impl Lease {
+    /// Whether the store still has all of the hulls, as far as this server knows.
+    pub fn is_current(&self) -> bool {
+        self.entries.iter().all(|entry| !entry.is_removed.load(Ordering::Relaxed))
+    }
+
     /// Adds the entries of `other`, a lease of the same request.
     pub(super) fn join(&mut self, mut other: Self) {
         self.entries.append(&mut other.entries);
