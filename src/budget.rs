@@ -8,6 +8,7 @@
 //!
 //! This module knows neither gRPC nor HTTP.
 
+mod by_id;
 mod caller;
 mod shares;
 
@@ -16,6 +17,7 @@ use std::{
     sync::{Arc, Mutex},
 };
 
+pub(crate) use by_id::ById;
 pub use caller::{Caller, CallerKey, CallerStream, Callers, is_reserved_name};
 pub use shares::{Refusal, Shares, Slot, Slots};
 
@@ -152,23 +154,48 @@ impl MemoryBudget {
     /// # Errors
     /// The budget, its part or the caller's share has no room. Then nothing is taken.
     pub fn take(self: &Arc<Self>, caller: &Caller, part: Part, bytes: u64) -> Result<Permit, NoMemory> {
-        let mut permit = self.covered(caller, part, 0);
+        self.of(caller).take(part, bytes)
+    }
+
+    /// The budget as one caller uses it.
+    pub fn of(self: &Arc<Self>, caller: &Caller) -> CallerBudget {
+        CallerBudget(Arc::new(Holder { budget: self.clone(), caller: caller.clone() }))
+    }
+}
+
+/// The budget as one caller uses it. A call keeps a handle of its own, so that the permits of its messages
+/// count references that no other call counts.
+#[derive(Clone, Debug)]
+pub struct CallerBudget(Arc<Holder>);
+
+#[derive(Debug)]
+struct Holder {
+    budget: Arc<MemoryBudget>,
+    caller: Caller,
+}
+
+impl CallerBudget {
+    /// Takes `bytes`. They are free again when the permit is dropped.
+    ///
+    /// # Errors
+    /// The budget, its part or the caller's share has no room. Then nothing is taken.
+    pub fn take(&self, part: Part, bytes: u64) -> Result<Permit, NoMemory> {
+        let mut permit = self.covered(part, 0);
         permit.grow(bytes)?;
         Ok(permit)
     }
 
     /// A permit that holds nothing yet and takes only what it holds beyond `covered` bytes from the
     /// budget. The caller of this function has taken these bytes already, with another permit.
-    pub fn covered(self: &Arc<Self>, caller: &Caller, part: Part, covered: u64) -> Permit {
-        Permit { budget: self.clone(), caller: caller.clone(), part, bytes: 0, covered }
+    pub fn covered(&self, part: Part, covered: u64) -> Permit {
+        Permit { holder: self.0.clone(), part, bytes: 0, covered }
     }
 }
 
 /// Bytes that a caller holds for one part. They are free again when this is dropped.
 #[derive(Debug)]
 pub struct Permit {
-    budget: Arc<MemoryBudget>,
-    caller: Caller,
+    holder: Arc<Holder>,
     part: Part,
     bytes: u64,
     /// The first bytes, which another permit has taken from the budget.
@@ -178,7 +205,7 @@ pub struct Permit {
 impl Permit {
     /// A permit without a limit, for code that runs outside a server.
     pub fn unbounded(part: Part) -> Self {
-        MemoryBudget::unlimited().covered(&Caller::alone(), part, 0)
+        MemoryBudget::unlimited().of(&Caller::alone()).covered(part, 0)
     }
 
     /// How many bytes it holds, with the covered ones.
@@ -207,6 +234,15 @@ impl Permit {
         Ok(())
     }
 
+    /// Takes or gives back what is missing to `bytes`.
+    ///
+    /// # Errors
+    /// There is no room for more. The permit keeps the bytes that it had.
+    pub fn resize(&mut self, bytes: u64) -> Result<(), NoMemory> {
+        self.shrink_to(bytes);
+        self.grow(bytes - self.bytes)
+    }
+
     /// Gives all but `bytes` back; a permit that holds less stays as it is.
     pub fn shrink_to(&mut self, bytes: u64) {
         let charged_before = self.charged();
@@ -215,11 +251,12 @@ impl Permit {
         if less == 0 {
             return;
         }
-        let mut state = locked(&self.budget.state);
+        let Holder { budget, caller } = &*self.holder;
+        let mut state = locked(&budget.state);
         state.parts[self.part as usize] = state.parts[self.part as usize].saturating_sub(less);
-        state.shares.give_back(&self.caller, less);
+        state.shares.give_back(caller, less);
         if let Some(shares) = &mut state.capped[self.part as usize] {
-            shares.give_back(&self.caller, less);
+            shares.give_back(caller, less);
         }
     }
 
@@ -234,13 +271,14 @@ impl Permit {
             return Ok(());
         }
         let refused = |refusal| NoMemory { part: self.part, refusal };
-        let mut guard = locked(&self.budget.state);
+        let Holder { budget, caller } = &*self.holder;
+        let mut guard = locked(&budget.state);
         let state = &mut *guard;
-        state.shares.take(&self.caller, more).map_err(refused)?;
+        state.shares.take(caller, more).map_err(refused)?;
         if let Some(shares) = &mut state.capped[self.part as usize]
-            && shares.take(&self.caller, more).is_err()
+            && shares.take(caller, more).is_err()
         {
-            state.shares.give_back(&self.caller, more);
+            state.shares.give_back(caller, more);
             return Err(refused(Refusal::Busy));
         }
         state.parts[self.part as usize] += more;
@@ -287,7 +325,7 @@ mod tests {
         let caller = Caller::alone();
         let budget = MemoryBudget::new(1000, false, &[]);
         let used = || budget.used_by(Part::Answers);
-        let mut permit = budget.covered(&caller, Part::Answers, 100);
+        let mut permit = budget.of(&caller).covered(Part::Answers, 100);
         permit.grow(60).unwrap();
         assert_eq!((permit.bytes(), used()), (60, 0));
         permit.grow(60).unwrap();
@@ -296,7 +334,11 @@ mod tests {
         assert_eq!((permit.bytes(), used()), (120, 20));
         permit.shrink_to(110);
         assert_eq!(used(), 10);
-        permit.shrink_to(50);
+        permit.resize(130).unwrap();
+        assert_eq!((permit.bytes(), used()), (130, 30));
+        assert!(permit.resize(1101).is_err());
+        assert_eq!((permit.bytes(), used()), (130, 30));
+        permit.resize(50).unwrap();
         assert_eq!((permit.bytes(), used()), (50, 0));
         permit.uncover().unwrap();
         assert_eq!((permit.bytes(), used()), (50, 50));

@@ -246,7 +246,7 @@ impl Compute {
 
     /// Wraps a value of about `bytes` bytes, so that a compute thread frees it if it is large.
     pub fn freed_here<T: Send + 'static>(&self, value: T, bytes: usize) -> FreedHere<T> {
-        FreedHere { value: Some(value), bytes, compute: self.clone() }
+        FreedHere { value: Some(value), compute: (bytes > LARGE_BYTES).then(|| self.clone()) }
     }
 }
 
@@ -259,8 +259,8 @@ pub const LARGE_BYTES: usize = 256 << 10;
 pub struct FreedHere<T: Send + 'static> {
     /// `None` only while the wrapper is dropped or unwrapped.
     value: Option<T>,
-    bytes: usize,
-    compute: Compute,
+    /// The threads that free the value if it is large.
+    compute: Option<Compute>,
 }
 
 impl<T: Send + 'static> FreedHere<T> {
@@ -286,8 +286,8 @@ impl<T: Send + 'static> DerefMut for FreedHere<T> {
 
 impl<T: Send + 'static> Drop for FreedHere<T> {
     fn drop(&mut self) {
-        if let Some(value) = self.value.take().filter(|_| self.bytes > LARGE_BYTES) {
-            self.compute.free(value);
+        if let (Some(value), Some(compute)) = (self.value.take(), &self.compute) {
+            compute.free(value);
         }
     }
 }

@@ -10,12 +10,9 @@
 //! Switches*, IEEE/ACM Transactions on Networking 6(2), 1998, section III,
 //! doi:10.1109/90.664262 (with their factor alpha = 1).
 
-use std::{
-    collections::HashMap,
-    sync::{Arc, Mutex},
-};
+use std::sync::{Arc, Mutex};
 
-use super::Caller;
+use super::{ById, Caller};
 use crate::lock::locked;
 
 /// The reason why a caller cannot take more.
@@ -34,13 +31,13 @@ pub struct Shares {
     /// If false, any caller may take everything that is free.
     dynamic: bool,
     used: u64,
-    held: HashMap<u64, u64>,
+    held: ById<u64, u64>,
 }
 
 impl Shares {
     /// A quantity of `limit`, all of it free.
     pub fn new(limit: u64, dynamic: bool) -> Self {
-        Self { limit, dynamic, used: 0, held: HashMap::new() }
+        Self { limit, dynamic, used: 0, held: ById::default() }
     }
 
     /// The whole quantity.

@@ -224,7 +224,7 @@ impl Local {
         let known = |id| self.hulls.get(id).cloned().ok_or(Missing::Unknown);
         let hulls = scene.setting.hull_ids.iter().map(known).collect();
         let request_id = scene.request_id;
-        let (batch, invalid_bodies) = Batch::new(scene, hulls);
+        let (batch, invalid_bodies) = Batch::new(scene, Arc::new(hulls));
         let memory = Permit::unbounded(Part::Answers);
         let (columns, _memory) = self.engine.compute(batch, admission, &job, memory).await?;
         Ok(wire::response(request_id, columns, Vec::new(), invalid_bodies))

@@ -21,7 +21,7 @@ use tokio::{
 };
 use tracing_subscriber::{
     Layer,
-    filter::{FilterExt, filter_fn},
+    filter::{FilterExt, LevelFilter, filter_fn},
     layer::SubscriberExt,
     util::SubscriberInitExt,
 };
@@ -256,7 +256,9 @@ fn stdin_closed() -> Result<oneshot::Receiver<()>, Error> {
 fn observe(settings: &Settings) -> Result<Option<Traces>, Error> {
     let named = |why| Exit::Usage.error(format!("log {:?}: {why}", settings.log));
     let filter = serve_values::filter(&settings.log).map_err(named)?;
-    let filter = filter.and(filter_fn(|metadata| metadata.target() != trace::TARGET));
+    // Without the hint, the filter would count as one for every level.
+    let of_log = filter_fn(|metadata| metadata.target() != trace::TARGET);
+    let filter = filter.and(of_log.with_max_level_hint(LevelFilter::TRACE));
     let log = tracing_subscriber::fmt::layer().with_writer(io::stderr);
     let log = match settings.log_format {
         LogFormat::Text => log.with_ansi(false).boxed(),
@@ -266,7 +268,12 @@ fn observe(settings: &Settings) -> Result<Option<Traces>, Error> {
         "" => None,
         endpoint => Some(Traces::open(endpoint, settings.otlp_share)?),
     };
-    let layer = traces.as_ref().map(Traces::layer);
-    tracing_subscriber::registry().with(log.with_filter(filter)).with(layer).init();
+    let subscriber = tracing_subscriber::registry().with(log.with_filter(filter));
+    // A layer that is absent (`None`) must not be added: it has no filter, so every span of every library
+    // would be created and closed for it, several for each message.
+    match &traces {
+        None => subscriber.init(),
+        Some(traces) => subscriber.with(traces.layer()).init(),
+    }
     Ok(traces)
 }

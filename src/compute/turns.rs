@@ -28,7 +28,9 @@
 //! Transactions on Networking 5(5), 1997, section II, doi:10.1109/90.649569. A departure: the paper
 //! knows the length of a packet when it is sent; here the cost of a part is known only afterwards.
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
+
+use crate::budget::ById;
 
 /// Settled accounts are swept out once there are more accounts than this plus twice the number of
 /// callers with waiting work. Fewer accounts are not worth a sweep.
@@ -37,7 +39,7 @@ const SPARE_ACCOUNTS: usize = 64;
 /// The work of all callers that waits for threads.
 #[derive(Debug)]
 pub(super) struct Turns<W> {
-    accounts: HashMap<u64, Account<W>>,
+    accounts: ById<u64, Account<W>>,
     /// The callers with waiting work, by virtual time and place. If callers have the same time, the one
     /// that has waited longest is first.
     order: BTreeMap<(u64, u64), u64>,
@@ -91,7 +93,7 @@ pub(super) struct Turn<W> {
 
 impl<W> Default for Turns<W> {
     fn default() -> Self {
-        Self { accounts: HashMap::new(), order: BTreeMap::new(), now: 0, running: 0, next_number: 0 }
+        Self { accounts: ById::default(), order: BTreeMap::new(), now: 0, running: 0, next_number: 0 }
     }
 }
 
@@ -219,6 +221,8 @@ impl<W> Account<W> {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::HashMap;
+
     use super::*;
 
     /// Work for the tests: a letter, and the steps that each of its parts costs.

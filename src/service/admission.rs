@@ -13,9 +13,8 @@
 //! chunks, not by whole batches. A batch whose caller leaves also leaves the queue.
 
 use std::{
-    collections::HashMap,
     sync::{
-        Arc, Mutex, Weak,
+        Arc, Mutex,
         atomic::{AtomicUsize, Ordering},
     },
     time::{Duration, Instant},
@@ -25,7 +24,7 @@ use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
 
 use super::ServiceError;
 use crate::{
-    budget::{Caller, Shares},
+    budget::{ById, Caller, Shares},
     lock::locked,
     metrics::{Held, Metrics, Shed},
 };
@@ -52,8 +51,10 @@ const THROUGHPUT_EVERY: Duration = Duration::from_millis(100);
 #[derive(Debug)]
 pub(super) struct AdmissionQueue {
     state: Mutex<State>,
-    /// Notified when places are given back.
+    /// Notified when places are given back and a batch waits for some.
     freed: Notify,
+    /// The number of batches of all callers that wait for places.
+    waiting: AtomicUsize,
     throughput: Mutex<Throughput>,
     metrics: Arc<Metrics>,
 }
@@ -61,10 +62,9 @@ pub(super) struct AdmissionQueue {
 #[derive(Debug)]
 struct State {
     places: Shares,
-    /// The lanes of callers with batches that are admitted or wait for places. Some lanes may belong to
-    /// callers that have left.
-    lanes: HashMap<u64, Weak<Lane>>,
-    /// When there are this many lanes, those of callers that have left are removed.
+    /// The lanes of callers with batches, and of some callers without.
+    lanes: ById<u64, Arc<Lane>>,
+    /// When there are this many lanes, those without batches are removed.
     forget_at: usize,
 }
 
@@ -96,7 +96,6 @@ pub struct Admission {
     caller: Caller,
     lane: Arc<Lane>,
     turn: Option<OwnedSemaphorePermit>,
-    _counted: Held,
 }
 
 impl AdmissionQueue {
@@ -107,8 +106,9 @@ impl AdmissionQueue {
         let places = Shares::new(limit, shares);
         let measured = Instant::now();
         Arc::new(Self {
-            state: Mutex::new(State { places, lanes: HashMap::new(), forget_at: SPARE_LANES }),
+            state: Mutex::new(State { places, lanes: ById::default(), forget_at: SPARE_LANES }),
             freed: Notify::new(),
+            waiting: AtomicUsize::new(0),
             throughput: Mutex::new(Throughput { measured, computed: 0, per_second: 0.0, refused: 0 }),
             metrics,
         })
@@ -134,7 +134,7 @@ impl AdmissionQueue {
     /// Takes the places for a later part of a call; waits until there are enough.
     pub(super) async fn next(self: &Arc<Self>, pairs: usize, caller: &Caller) -> Admission {
         let lane = locked(&self.state).lane(caller);
-        let _waiting = Waiting::new(&lane);
+        let _waiting = [Waiting::new(&self.waiting), Waiting::new(&lane.waiting)];
         let _first = lane.first.lock().await;
         loop {
             let mut freed = std::pin::pin!(self.freed.notified());
@@ -156,21 +156,22 @@ impl AdmissionQueue {
             return None;
         }
         state.places.take(caller, pairs.into()).ok()?;
+        self.metrics.pairs_in_flight.set(state.places.used() as i64);
         drop(state);
-        let counted = Held::new(&self.metrics.pairs_in_flight, pairs as usize);
         let (queue, caller) = (self.clone(), caller.clone());
-        Some(Admission { pairs, queue, caller, lane, turn: None, _counted: counted })
+        Some(Admission { pairs, queue, caller, lane, turn: None })
     }
 
     /// Waits until the batch may be computed.
     pub(super) async fn turn(&self, admission: &mut Admission) {
-        let arrived = Instant::now();
-        if admission.pairs > SMALL_PAIRS {
-            let _queued = Held::new(&self.metrics.pairs_queued, admission.pairs as usize);
-            // The semaphore is never closed, so there is no error.
-            let turns = admission.lane.turns.clone();
-            admission.turn = turns.acquire_many_owned(admission.pairs.min(TURN_PAIRS)).await.ok();
+        if !admission.waits() {
+            return self.metrics.queue_seconds.observe(0.0);
         }
+        let arrived = Instant::now();
+        let _queued = Held::new(&self.metrics.pairs_queued, admission.pairs as usize);
+        // The semaphore is never closed, so there is no error.
+        let turns = admission.lane.turns.clone();
+        admission.turn = turns.acquire_many_owned(admission.pairs.min(TURN_PAIRS)).await.ok();
         self.metrics.queue_seconds.observe(arrived.elapsed().as_secs_f64());
     }
 
@@ -195,11 +196,12 @@ impl AdmissionQueue {
 impl State {
     /// The lane of a caller. It is the same lane for as long as any batch of the caller holds it.
     fn lane(&mut self, caller: &Caller) -> Arc<Lane> {
-        if let Some(lane) = self.lanes.get(&caller.id()).and_then(Weak::upgrade) {
-            return lane;
+        if let Some(lane) = self.lanes.get(&caller.id()) {
+            return lane.clone();
         }
         if self.lanes.len() >= self.forget_at {
-            self.lanes.retain(|_, lane| lane.strong_count() > 0);
+            // No lane is cloned while the state is locked, so one without other clones has no batches.
+            self.lanes.retain(|_, lane| Arc::strong_count(lane) > 1);
             self.forget_at = 2 * self.lanes.len() + SPARE_LANES;
         }
         let lane = Arc::new(Lane {
@@ -207,31 +209,45 @@ impl State {
             first: tokio::sync::Mutex::default(),
             waiting: AtomicUsize::new(0),
         });
-        self.lanes.insert(caller.id(), Arc::downgrade(&lane));
+        self.lanes.insert(caller.id(), lane.clone());
         lane
     }
 }
 
 impl Drop for Admission {
     fn drop(&mut self) {
-        locked(&self.queue.state).places.give_back(&self.caller, self.pairs.into());
-        self.queue.freed.notify_waiters();
+        let Self { queue, caller, pairs, .. } = self;
+        let mut state = locked(&queue.state);
+        state.places.give_back(caller, u64::from(*pairs));
+        queue.metrics.pairs_in_flight.set(state.places.used() as i64);
+        drop(state);
+        // A batch counts as waiting before it locks the state to look for places.
+        if queue.waiting.load(Ordering::Relaxed) > 0 {
+            queue.freed.notify_waiters();
+        }
     }
 }
 
-/// A batch that waits for places in a lane.
-struct Waiting<'a>(&'a Lane);
+impl Admission {
+    /// Whether the batch waits for its turn.
+    pub(super) fn waits(&self) -> bool {
+        self.pairs > SMALL_PAIRS
+    }
+}
+
+/// A batch that waits for places, in a count of such batches.
+struct Waiting<'a>(&'a AtomicUsize);
 
 impl<'a> Waiting<'a> {
-    fn new(lane: &'a Lane) -> Self {
-        lane.waiting.fetch_add(1, Ordering::Relaxed);
-        Self(lane)
+    fn new(count: &'a AtomicUsize) -> Self {
+        count.fetch_add(1, Ordering::Relaxed);
+        Self(count)
     }
 }
 
 impl Drop for Waiting<'_> {
     fn drop(&mut self) {
-        self.0.waiting.fetch_sub(1, Ordering::Relaxed);
+        self.0.fetch_sub(1, Ordering::Relaxed);
     }
 }
 

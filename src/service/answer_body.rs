@@ -175,6 +175,8 @@ impl HttpBody for AnswerBody {
                 let _entered = this.call.enter();
                 Pin::new(&mut this.body).poll_frame(cx)
             };
+            // The transport takes its time for a frame, and a stream without one waits or gives way.
+            this.context.release_hulls();
             if polled.is_pending() {
                 // If the peer has read everything so far, it is not late: the server has not produced the
                 // rest yet.

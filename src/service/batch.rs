@@ -33,7 +33,7 @@ pub struct Batch {
     /// The outputs that are kept: all that are sent, and the bases if a stream keeps them.
     kept: Outputs,
     /// The lease on the hulls, released with the answer.
-    lease: Option<Lease>,
+    lease: Option<Arc<Lease>>,
     /// The memory of the scene. None if the batch belongs to no call, or if the call keeps the
     /// memory.
     _memory: Option<Permit>,
@@ -41,10 +41,10 @@ pub struct Batch {
 
 impl Batch {
     /// A batch of a scene with its hulls, and the indices of the scene's unusable bodies.
-    pub fn new(scene: Scene, hulls: Hulls) -> (Self, Vec<u32>) {
+    pub fn new(scene: Scene, hulls: Arc<Hulls>) -> (Self, Vec<u32>) {
         let Scene { setting, poses, warm_starts, invalid_bodies, memory, .. } = scene;
         let kept = setting.outputs;
-        let (hulls, poses) = (Arc::new(hulls), Arc::new(poses));
+        let poses = Arc::new(poses);
         let batch =
             Self { hulls, setting, poses, candidates: None, warm_starts, kept, lease: None, _memory: memory };
         (batch, invalid_bodies)
@@ -81,7 +81,7 @@ impl Batch {
     }
 
     /// Keeps the hulls leased until the batch is answered.
-    pub fn lease(&mut self, lease: Lease) {
+    pub fn lease(&mut self, lease: Arc<Lease>) {
         self.lease = Some(lease);
     }
 

@@ -16,7 +16,7 @@ use super::{
     App, Limits, ServiceError,
     answer::counted_answer,
     batch::Batch,
-    context::CallContext,
+    context::{CallContext, LeasedHulls},
     decode::decoded,
     find::Finding,
     middleware::{Closing, Deadline},
@@ -125,28 +125,29 @@ async fn scene(
     decoded(app, context, request, check).await
 }
 
-/// The answer to a scene, and its bases if `keep_bases` is set.
+/// The answer to a scene. The answer to a message of a stream comes with its bases, and its hulls stay
+/// leased for the messages that follow at once.
 pub(super) async fn answer(
     app: &App,
     context: &CallContext,
     scene: Scene,
-    keep_bases: bool,
+    is_of_stream: bool,
 ) -> Result<(QueryContactsResponse, Vec<u32>), ServiceError> {
-    let started = Instant::now();
+    let started = tracing::enabled!(tracing::Level::DEBUG).then(Instant::now);
     let (request_id, outputs) = (scene.request_id, scene.setting.outputs);
     let (pairs, bodies) = (scene.setting.pair_count(), scene.setting.body_hulls.len());
     let bytes = scene.memory.as_ref().map_or(0, |memory| memory.bytes() as usize);
     let scene = app.engine().compute_threads().freed_here(scene, bytes);
     let job = &context.job;
     let admission = app.engine().admit(pairs, outputs, &job.caller)?;
-    let (mut batch, missing_hulls, invalid_bodies) = assemble(app, scene, job).await?;
-    if keep_bases {
+    let (mut batch, missing_hulls, invalid_bodies) = assemble(app, context, scene, is_of_stream).await?;
+    if is_of_stream {
         batch.keep_bases();
     }
     let memory = context.covered(Part::Answers);
     let (mut columns, memory) = app.engine().compute(batch, admission, job, memory).await?;
     debug_assert_eq!(columns.len(), pairs);
-    if tracing::enabled!(tracing::Level::DEBUG) {
+    if let Some(started) = started {
         let [contact, separated, undecided, invalid] = columns.outcome_counts();
         let ms = started.elapsed().as_secs_f64() * 1e3;
         let bytes = columns.wire_bytes(outputs);
@@ -165,7 +166,7 @@ pub(super) async fn answer(
             "answered"
         );
     }
-    let bases = if keep_bases { columns.kept_bases(outputs) } else { Vec::new() };
+    let bases = if is_of_stream { columns.kept_bases(outputs) } else { Vec::new() };
     let response = wire::response(request_id, columns, missing_hulls, invalid_bodies);
     Ok((counted_answer(app, context, response, memory).await?, bases))
 }
@@ -174,13 +175,30 @@ pub(super) async fn answer(
 /// bodies.
 async fn assemble(
     app: &App,
+    context: &CallContext,
     scene: FreedHere<Scene>,
-    job: &Job,
+    is_of_stream: bool,
 ) -> Result<(Batch, Vec<u32>, Vec<u32>), ServiceError> {
-    let (hulls, lease) = fetch(app, &scene.setting.hull_ids, job).await?;
-    let missing = missing(&hulls);
-    let (mut batch, invalid_bodies) = Batch::new(scene.into_inner(), hulls);
-    batch.lease(lease);
+    let setting = &scene.setting;
+    let kept = if is_of_stream { context.leased_hulls(setting) } else { None };
+    let (leased, missing) = match kept {
+        Some(leased) => {
+            app.registry().found_again(leased.hulls.len());
+            (leased, Vec::new())
+        }
+        None => {
+            let (hulls, lease) = fetch(app, &setting.hull_ids, &context.job).await?;
+            let missing = missing(&hulls);
+            let leased =
+                LeasedHulls { setting: setting.clone(), hulls: Arc::new(hulls), lease: Arc::new(lease) };
+            if is_of_stream && missing.is_empty() {
+                context.keep_leased(leased.clone());
+            }
+            (leased, missing)
+        }
+    };
+    let (mut batch, invalid_bodies) = Batch::new(scene.into_inner(), leased.hulls);
+    batch.lease(leased.lease);
     Ok((batch, missing, invalid_bodies))
 }
 

@@ -11,12 +11,13 @@ use std::{
 
 use bytes::{Bytes, BytesMut};
 
-use super::{App, ServiceError};
+use super::{App, ServiceError, wire::Setting};
 use crate::{
-    budget::{Caller, MemoryBudget, NoMemory, Part, Permit, Refusal},
+    budget::{Caller, CallerBudget, MemoryBudget, NoMemory, Part, Permit, Refusal},
     compute::Job,
     lock::locked,
     metrics::{Metrics, Shed},
+    store::{Hulls, Lease},
 };
 
 /// Messages up to this size, in either direction, pass through tonic's buffers. A call takes the memory for
@@ -40,18 +41,36 @@ pub(super) struct CallContext {
     /// The caller whose turn the work uses on the compute threads, and the flag that stops the
     /// work. The flag is set when the call ends for any reason.
     pub(super) job: Job,
-    memory: Arc<MemoryBudget>,
-    /// The large messages that have arrived and are not decoded yet.
-    arrived: Arc<Mutex<VecDeque<Arrived>>>,
-    /// The large answers that are encoded and not on their way to the transport yet.
-    answers: Arc<Mutex<VecDeque<Answer>>>,
+    memory: CallerBudget,
+    state: Arc<CallState>,
 }
 
-/// A message that has arrived whole, in pieces.
+/// The parts of a call that its body, its handler and its answer hand to each other.
+#[derive(Debug, Default)]
+struct CallState {
+    /// The large messages that have arrived and are not decoded yet.
+    arrived: Mutex<VecDeque<(Vec<Bytes>, Permit)>>,
+    /// The large answers that are encoded and not on their way to the transport yet.
+    answers: Mutex<VecDeque<Answer>>,
+    /// The hulls of the latest message of a stream.
+    leased: Mutex<Option<LeasedHulls>>,
+}
+
+/// The hulls of a message, all found.
+#[derive(Clone, Debug)]
+pub(super) struct LeasedHulls {
+    pub(super) setting: Arc<Setting>,
+    pub(super) hulls: Arc<Hulls>,
+    pub(super) lease: Arc<Lease>,
+}
+
+/// A message that has arrived whole.
 #[derive(Debug)]
-pub(super) struct Arrived {
-    pub(super) pieces: Vec<Bytes>,
-    pub(super) memory: Permit,
+pub(super) enum Arrived {
+    /// A message that the call's own memory covers.
+    Small(Bytes),
+    /// A message in pieces, with the permit for their memory.
+    Large(Vec<Bytes>, Permit),
 }
 
 /// An encoded answer with its head.
@@ -64,7 +83,8 @@ pub(super) struct Answer {
 impl CallContext {
     /// The context of a call by `caller` whose memory is charged to `memory`.
     pub(super) fn new(caller: Caller, memory: Arc<MemoryBudget>) -> Self {
-        Self { job: Job::new(caller), memory, arrived: Arc::default(), answers: Arc::default() }
+        let memory = memory.of(&caller);
+        Self { job: Job::new(caller), memory, state: Arc::default() }
     }
 
     /// The context that the outermost layer gave the request. Handlers without that layer, as in
@@ -79,72 +99,104 @@ impl CallContext {
     /// # Errors
     /// TOO_BUSY if there is no room now, MEMORY_TOO_LARGE if there never is.
     pub(super) fn take(&self, app: &App, part: Part, bytes: usize) -> Result<Permit, ServiceError> {
-        self.memory.take(&self.job.caller, part, bytes as u64).map_err(|why| no_memory(app.metrics(), why))
+        self.memory.take(part, bytes as u64).map_err(|why| no_memory(app.metrics(), why))
     }
 
     /// A permit that holds nothing yet, for a part of the call that exists once at a time: the call's own
     /// memory covers its first [`SMALL_BYTES`].
     pub(super) fn covered(&self, part: Part) -> Permit {
-        self.memory.covered(&self.job.caller, part, SMALL_BYTES as u64)
+        self.memory.covered(part, SMALL_BYTES as u64)
     }
 
     /// A permit that holds nothing yet, for a received frame.
     pub(super) fn covered_frame(&self) -> Permit {
-        self.memory.covered(&self.job.caller, Part::Arriving, FRAME_BYTES)
+        self.memory.covered(Part::Arriving, FRAME_BYTES)
     }
 
     /// Keeps a large message until its turn to be decoded.
-    pub(super) fn keep_arrived(&self, message: Arrived) {
-        locked(&self.arrived).push_back(message);
+    pub(super) fn keep_arrived(&self, pieces: Vec<Bytes>, memory: Permit) {
+        locked(&self.state.arrived).push_back((pieces, memory));
     }
 
     /// The message that tonic hands on as `passed`: a small one as it is, and a large one in the order
     /// of arrival.
     pub(super) fn arrived(&self, passed: Bytes) -> Arrived {
-        let large = if passed.is_empty() { locked(&self.arrived).pop_front() } else { None };
-        large.unwrap_or_else(|| Arrived { pieces: vec![passed], memory: self.covered(Part::Arriving) })
+        let large = if passed.is_empty() { locked(&self.state.arrived).pop_front() } else { None };
+        large.map_or(Arrived::Small(passed), |(pieces, memory)| Arrived::Large(pieces, memory))
     }
 
     /// Keeps a large answer until the transport asks for it.
     pub(super) fn keep_answer(&self, answer: Answer) {
-        locked(&self.answers).push_back(answer);
+        locked(&self.state.answers).push_back(answer);
     }
 
     /// The next large answer.
     pub(super) fn next_answer(&self) -> Option<Answer> {
-        locked(&self.answers).pop_front()
+        locked(&self.state.answers).pop_front()
     }
 
     /// The bytes of the large answers that wait for the transport.
     pub(super) fn answer_bytes(&self) -> usize {
-        locked(&self.answers).iter().map(|answer| answer.bytes.len()).sum()
+        locked(&self.state.answers).iter().map(|answer| answer.bytes.len()).sum()
+    }
+
+    /// Keeps the hulls of a message leased for the messages of the stream that follow at once.
+    pub(super) fn keep_leased(&self, hulls: LeasedHulls) {
+        *locked(&self.state.leased) = Some(hulls);
+    }
+
+    /// The kept hulls, if they are those of `setting` and the store still has them. Any others are released.
+    pub(super) fn leased_hulls(&self, setting: &Setting) -> Option<LeasedHulls> {
+        let mut leased = locked(&self.state.leased);
+        let is_of =
+            |kept: &mut LeasedHulls| kept.setting.hull_ids == setting.hull_ids && kept.lease.is_current();
+        let others = leased.take_if(|kept| !is_of(kept));
+        let kept = leased.clone();
+        drop(leased);
+        drop(others);
+        kept
+    }
+
+    /// Releases the kept hulls, because the stream waits or gives way.
+    pub(super) fn release_hulls(&self) {
+        let released = locked(&self.state.leased).take();
+        drop(released);
     }
 
     /// Takes memory for the state that a stream keeps between messages; none if there is no room. A
-    /// stream can go on without it.
-    pub(super) fn keep(&self, bytes: usize) -> Option<Permit> {
-        self.memory.take(&self.job.caller, Part::StreamState, bytes as u64).ok()
+    /// stream can go on without it. `earlier` is the memory of the state that is replaced.
+    pub(super) fn keep(&self, bytes: usize, earlier: Option<Permit>) -> Option<Permit> {
+        let mut memory = earlier.unwrap_or_else(|| self.memory.covered(Part::StreamState, 0));
+        memory.resize(bytes as u64).ok()?;
+        Some(memory)
     }
 }
 
 impl Arrived {
     /// The message's length.
     pub(super) fn len(&self) -> usize {
-        self.pieces.iter().map(Bytes::len).sum()
+        match self {
+            Self::Small(message) => message.len(),
+            Self::Large(pieces, _) => pieces.iter().map(Bytes::len).sum(),
+        }
     }
 
-    /// The message in one piece. Each piece is freed as soon as it is copied.
-    pub(super) fn joined(self) -> (Bytes, Permit) {
+    /// The message in one piece, with the permit for its memory. Each piece is freed as soon as it is
+    /// copied.
+    pub(super) fn joined(self) -> (Bytes, Option<Permit>) {
         let length = self.len();
-        let Self { mut pieces, memory } = self;
+        let (mut pieces, memory) = match self {
+            Self::Small(message) => return (message, None),
+            Self::Large(pieces, memory) => (pieces, memory),
+        };
         if pieces.len() == 1 {
-            return (pieces.remove(0), memory);
+            return (pieces.remove(0), Some(memory));
         }
         let mut whole = BytesMut::with_capacity(length);
         for piece in pieces {
             whole.extend_from_slice(&piece);
         }
-        (whole.freeze(), memory)
+        (whole.freeze(), Some(memory))
     }
 }
 

@@ -12,6 +12,7 @@ use super::{
 };
 use crate::{
     budget::{Part, Permit},
+    compute::LARGE_BYTES,
     contact::Stop,
     proto::Encoded,
 };
@@ -29,16 +30,17 @@ pub(super) async fn decoded<M: Request, T: Send + 'static>(
 ) -> Result<T, ServiceError> {
     let arrived = context.arrived(message.into_bytes());
     let length = arrived.len();
-    let decode = {
-        let (app, context) = (app.clone(), context.clone());
-        move |stop: &Stop| {
-            let (bytes, arriving) = arrived.joined();
-            let mut memory = context.covered(Part::Decoded);
-            let mut take = |bytes| grow(&app, &mut memory, bytes);
-            let request = M::read(&bytes, &mut Bounds::new(app.limits(), stop, &mut take))?;
-            drop((bytes, arriving));
-            check(request, memory, app.limits(), stop)
-        }
+    let mut memory = context.covered(Part::Decoded);
+    let decode = move |app: &App, stop: &Stop| {
+        let (bytes, arriving) = arrived.joined();
+        let mut take = |bytes| grow(app, &mut memory, bytes);
+        let request = M::read(&bytes, &mut Bounds::new(app.limits(), stop, &mut take))?;
+        drop((bytes, arriving));
+        check(request, memory, app.limits(), stop)
     };
-    offloaded(app, context, length, decode).await
+    if length <= LARGE_BYTES {
+        return decode(app, &context.job.stop);
+    }
+    let of_thread = app.clone();
+    offloaded(app, context, length, move |stop| decode(&of_thread, stop)).await
 }

@@ -31,7 +31,7 @@ use tonic::Status;
 use super::{
     App, ServiceError,
     call::BoxError,
-    context::{Arrived, CallContext, SMALL_BYTES, grow},
+    context::{CallContext, SMALL_BYTES, grow},
 };
 use crate::{
     budget::{Part, Permit},
@@ -235,7 +235,7 @@ impl<B> MessageBody<B> {
             return;
         }
         let memory = memory.unwrap_or_else(|| self.context.covered(Part::Arriving));
-        self.context.keep_arrived(Arrived { pieces: pieces.collect(), memory });
+        self.context.keep_arrived(pieces.collect(), memory);
         // The flag stays, since tonic refuses a message that says that it is compressed.
         self.whole.push_back(Bytes::copy_from_slice(&[head[0], 0, 0, 0, 0]));
     }
@@ -328,7 +328,11 @@ mod tests {
     use std::convert::Infallible;
 
     use super::*;
-    use crate::{budget::Caller, service::Limits, store::blobs};
+    use crate::{
+        budget::Caller,
+        service::{Limits, context::Arrived},
+        store::blobs,
+    };
 
     /// A body of one frame.
     struct OneFrame(Option<Bytes>);
@@ -375,10 +379,13 @@ mod tests {
             assert_eq!(frames, if max_bytes == 1024 { 1000 } else { lengths.len() });
             for &length in kept {
                 let message = context.arrived(Bytes::new());
-                assert_eq!((message.pieces.len(), message.len()), (usize::from(length > 0), length));
+                assert!(
+                    matches!(&message, Arrived::Large(pieces, _) if pieces.len() == usize::from(length > 0))
+                );
+                assert_eq!(message.len(), length);
             }
             // Nothing more is kept: the passed message itself is returned.
-            assert_eq!(context.arrived(Bytes::new()).pieces, [Bytes::new()]);
+            assert!(matches!(context.arrived(Bytes::new()), Arrived::Small(passed) if passed.is_empty()));
         }
         assert_eq!(app.memory().used(), 0);
     }

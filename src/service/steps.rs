@@ -1,10 +1,7 @@
 //! Answers a stream of requests in order, one at a time. Each request may inherit from the one
 //! before.
 
-use std::{
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::{sync::Arc, time::Duration};
 
 use tonic::{Status, Streaming};
 
@@ -19,7 +16,7 @@ use super::{
 use crate::{
     budget::{CallerStream, Permit},
     compute::FreedHere,
-    contact::Stop,
+    contact::{STEPS_BETWEEN_LOOKS, Stop},
     proto::{Encoded, QueryContactsRequest, QueryContactsResponse},
 };
 
@@ -33,14 +30,17 @@ pub(super) struct Steps {
     requests: Streaming<Encoded<QueryContactsRequest>>,
     closing: Closing,
     previous: Previous,
-    /// The time spent on messages since the stream last gave way to other calls.
-    busy: Duration,
+    /// The steps of the call when the stream last gave way to other calls.
+    gave_way: u64,
     stream: CallerStream,
 }
 
-/// The streams of one caller give way to the other calls of their threads after this time of work, which
-/// they share. Streams of small messages that are all there already would otherwise never do so.
-const TURN: Duration = Duration::from_millis(2);
+/// The streams of one caller give way to the other calls of their threads after these steps of work, about
+/// 2 ms, which they share. Streams of small messages that are all there already would otherwise never do so.
+const TURN_STEPS: u64 = 2 * STEPS_BETWEEN_LOOKS;
+
+/// The steps of a message besides those that its decoding and its pairs count: about 2 us.
+const MESSAGE_STEPS: u64 = 2_000;
 
 /// The previous message of the stream.
 enum Previous {
@@ -68,13 +68,14 @@ impl Steps {
         closing: Closing,
     ) -> Self {
         let stream = context.job.caller.stream();
-        Self { app, context, requests, closing, previous: Previous::None, busy: Duration::ZERO, stream }
+        Self { app, context, requests, closing, previous: Previous::None, gave_way: 0, stream }
     }
 
     /// The next answer; none after the last request.
     pub(super) async fn next(&mut self) -> Result<Option<QueryContactsResponse>, Status> {
-        if self.busy >= TURN / self.stream.count().max(1) as u32 {
-            self.busy = Duration::ZERO;
+        let steps = self.context.job.stop.steps();
+        if steps - self.gave_way >= TURN_STEPS / self.stream.count().max(1) as u64 {
+            self.gave_way = steps;
             tokio::task::yield_now().await;
         }
         let request = tokio::select! {
@@ -87,12 +88,7 @@ impl Steps {
         };
         match request {
             None => Ok(None),
-            Some(request) => {
-                let begun = Instant::now();
-                let answer = self.step(request).await?;
-                self.busy += begun.elapsed();
-                Ok(Some(answer))
-            }
+            Some(request) => Ok(Some(self.step(request).await?)),
         }
     }
 
@@ -100,10 +96,17 @@ impl Steps {
         &mut self,
         request: Encoded<QueryContactsRequest>,
     ) -> Result<QueryContactsResponse, ServiceError> {
+        self.context.job.stop.spend(MESSAGE_STEPS)?;
         let previous = std::mem::replace(&mut self.previous, Previous::None);
         let check = |request: QueryContactsRequest, memory, limits: &Limits, stop: &Stop| {
             let (scene, kept) = match (request.inherit, previous) {
-                (false, _) => (wire::stoppable_scene(request, limits, stop)?, None),
+                (false, previous) => {
+                    let memory = match previous {
+                        Previous::Kept { memory, .. } => Some(memory),
+                        Previous::None | Previous::Dropped => None,
+                    };
+                    (wire::stoppable_scene(request, limits, stop)?, memory)
+                }
                 (true, Previous::Kept { kept, memory }) => {
                     let Kept { setting, bases } = kept.into_inner();
                     (wire::inherited(request, setting, bases, stop)?, Some(memory))
@@ -125,7 +128,7 @@ impl Steps {
         let (response, bases) = answer(&self.app, &self.context, scene, true).await?;
         let bytes = setting.kept_bytes();
         let state = self.app.engine().compute_threads().freed_here(Kept { setting, bases }, bytes);
-        self.previous = match kept.or_else(|| self.context.keep(bytes)) {
+        self.previous = match self.context.keep(bytes, kept) {
             Some(memory) => Previous::Kept { kept: state, memory },
             None => Previous::Dropped,
         };

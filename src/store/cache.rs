@@ -3,7 +3,7 @@
 
 use std::sync::{
     Arc,
-    atomic::{AtomicU32, AtomicU64, Ordering},
+    atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering},
 };
 
 use prometheus_client::metrics::counter::Counter;
@@ -77,12 +77,21 @@ pub(super) struct Entry {
     pub(super) seen_ms: AtomicU64,
     /// How many leases there are on it; written under the lock of all leases.
     pub(super) leases: AtomicU32,
+    /// Whether the hull was removed from the cache, because the store no longer has it.
+    pub(super) is_removed: AtomicBool,
 }
 
 impl Entry {
     pub(super) fn new(hull: Arc<ConvexHull>, written: bool, seen_ms: u64) -> Arc<Self> {
         let bytes = hull.heap_bytes() as u64 + ENTRY_BYTES;
-        Arc::new(Self { hull, bytes, written, seen_ms: seen_ms.into(), leases: 0.into() })
+        Arc::new(Self {
+            hull,
+            bytes,
+            written,
+            seen_ms: seen_ms.into(),
+            leases: 0.into(),
+            is_removed: false.into(),
+        })
     }
 }
 

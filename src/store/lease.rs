@@ -9,7 +9,7 @@
 //! it.
 
 use std::{
-    collections::{HashMap, hash_map},
+    collections::hash_map,
     sync::{
         Arc, Mutex,
         atomic::{AtomicU64, Ordering},
@@ -20,7 +20,7 @@ use prometheus_client::metrics::gauge::Gauge;
 
 use super::{Missing, cache::Entry};
 use crate::{
-    budget::{Caller, Shares},
+    budget::{ById, Caller, Shares},
     contact::ConvexHull,
     lock::locked,
     metrics::Metrics,
@@ -46,12 +46,12 @@ pub(super) struct Leases {
 struct State {
     shares: Shares,
     /// How many of a caller's requests lease an entry, by the caller's id and the entry's address.
-    counts: HashMap<(u64, usize), u32>,
+    counts: ById<(u64, usize), u32>,
 }
 
 impl Leases {
     pub(super) fn new(limit: u64, shares: bool, metrics: &Metrics) -> Arc<Self> {
-        let state = State { shares: Shares::new(limit, shares), counts: HashMap::new() };
+        let state = State { shares: Shares::new(limit, shares), counts: ById::default() };
         Arc::new(Self { state: Mutex::new(state), gauge: metrics.held_bytes.clone() })
     }
 
@@ -134,6 +134,11 @@ pub struct Lease {
 }
 
 impl Lease {
+    /// Whether the store still has all of the hulls, as far as this server knows.
+    pub fn is_current(&self) -> bool {
+        self.entries.iter().all(|entry| !entry.is_removed.load(Ordering::Relaxed))
+    }
+
     /// Adds the entries of `other`, a lease of the same request.
     pub(super) fn join(&mut self, mut other: Self) {
         self.entries.append(&mut other.entries);

@@ -231,7 +231,7 @@ impl<'a> Reader<'a> {
                 Ok(())
             }
             Ok(None) => {
-                self.registry.cache.remove(&id);
+                self.registry.remove(&id);
                 Err(Missing::Unknown)
             }
             Err(StoreError::Hung(_)) => Ok(()),

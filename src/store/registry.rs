@@ -195,6 +195,11 @@ impl Registry {
         Ok((found, lease))
     }
 
+    /// Counts hulls of a request that an earlier message of its stream had leased already.
+    pub fn found_again(&self, hulls: usize) {
+        self.metrics.cache_hits.inc_by(hulls as u64);
+    }
+
     /// The most bytes of hulls that one caller can lease.
     pub fn most_leased_alone(&self) -> u64 {
         self.leases.most_alone()
@@ -322,7 +327,7 @@ impl Registry {
             self.metrics.deleted.inc();
         }
         // After the blob, so that a load under way also loses its place in the cache.
-        self.cache.remove(&id);
+        self.remove(&id);
         self.quota.freed(size.unwrap_or(0)).await;
         Ok(size.is_some())
     }
@@ -361,6 +366,13 @@ impl Registry {
     /// The number of cached hulls.
     pub fn cached_hulls(&self) -> usize {
         self.cache.len()
+    }
+
+    /// Removes a hull that the store no longer has from the cache.
+    pub(super) fn remove(&self, id: &HullId) {
+        if let Some((_, entry)) = self.cache.remove(id) {
+            entry.is_removed.store(true, Ordering::Relaxed);
+        }
     }
 
     pub(super) fn entry(&self, hull: Arc<ConvexHull>, written: bool) -> Arc<Entry> {

@@ -1,11 +1,16 @@
 //! Streams with `inherit`, whose messages send only poses.
 
+use std::time::Duration;
+
 use hullcast::{
+    budget::Caller,
+    compute::Job,
     proto::{
         Accuracy, DeleteHullsRequest, Output, QueryContactsRequest, QueryContactsResponse, Solver,
         contact_service_client::ContactServiceClient,
     },
     service::Limits,
+    store::HullId,
 };
 use tokio::sync::mpsc;
 use tonic::{Code, Streaming, transport::Channel};
@@ -172,6 +177,38 @@ async fn a_hull_deleted_between_steps_is_unknown() {
     );
     server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
     assert_eq!(stream.step(poses_alone(&full)).await.unwrap().outcomes, [1]);
+}
+
+/// Messages of a stream that are there at once share the lease on their hulls. Catches a hull that the second
+/// message still uses although it was deleted during the first, and hulls that stay leased while the stream
+/// waits for its caller.
+#[tokio::test(flavor = "multi_thread")]
+async fn hulls_of_messages_that_are_there_at_once() {
+    let server = TestServer::start().await;
+    let (shapes, full) = two_boxes();
+    server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
+    let held = || server.metric("hullcast_held_bytes");
+    let mut stream = Stepper::open(server.contacts()).await;
+    assert_eq!(stream.step(full.clone()).await.unwrap().outcomes, [1]);
+    assert_eq!(held(), 0.0, "free when the answer is there");
+    // No pair may be computed, so the first of these messages keeps its hulls.
+    let injected = server.app.engine().injected();
+    injected.allow(0);
+    for message in [poses_alone(&full), poses_alone(&full), full.clone()] {
+        stream.requests.send(message).await.unwrap();
+    }
+    while held() == 0.0 {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+    let id = HullId(full.hull_ids[0][..].try_into().unwrap());
+    assert!(server.app.registry().delete(id, &Job::new(Caller::alone())).await.unwrap());
+    injected.open();
+    let mut outcomes = Vec::new();
+    for _ in 0..3 {
+        outcomes.extend(stream.answers.message().await.unwrap().unwrap().outcomes);
+    }
+    assert_eq!(outcomes, [1, 4, 4]);
+    assert_eq!(held(), 0.0);
 }
 
 /// Catches `inherit` without a previous message, fields other than poses that are silently ignored,

@@ -61,7 +61,10 @@ impl Stop {
     #[inline]
     pub fn spend(&self, steps: u64) -> Result<(), Stopped> {
         self.steps.fetch_add(steps, Ordering::Relaxed);
-        self.largest.fetch_max(steps, Ordering::Relaxed);
+        // Most spends are not the largest, and reading costs less than an atomic change.
+        if steps > self.largest.load(Ordering::Relaxed) {
+            self.largest.fetch_max(steps, Ordering::Relaxed);
+        }
         if self.is_stopped() { Err(Stopped) } else { Ok(()) }
     }
 

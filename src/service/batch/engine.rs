@@ -42,11 +42,17 @@ use crate::{
 pub struct Engine {
     compute: Compute,
     admission: Arc<AdmissionQueue>,
-    max_answer_bytes: usize,
-    pairs_computed: Arc<AtomicU64>,
-    spare: Arc<Spare>,
     metrics: Arc<Metrics>,
-    injected: Arc<Injected>,
+    shared: Arc<Shared>,
+}
+
+/// The part of an engine that every batch uses while it is computed.
+#[derive(Debug)]
+pub(super) struct Shared {
+    pub(super) max_answer_bytes: usize,
+    pub(super) pairs_computed: AtomicU64,
+    pub(super) spare: Spare,
+    pub(super) injected: Injected,
 }
 
 /// The limits of an engine.
@@ -66,23 +72,25 @@ impl Engine {
         Self {
             compute,
             admission: AdmissionQueue::new(bounds.max_pairs_in_flight, bounds.shares, metrics.clone()),
-            max_answer_bytes: bounds.max_answer_bytes,
-            pairs_computed: Arc::default(),
-            spare: Arc::default(),
             metrics,
-            injected: Arc::default(),
+            shared: Arc::new(Shared {
+                max_answer_bytes: bounds.max_answer_bytes,
+                pairs_computed: AtomicU64::new(0),
+                spare: Spare::default(),
+                injected: Injected::default(),
+            }),
         }
     }
 
     /// Controls for tests of overload.
     #[doc(hidden)]
     pub fn injected(&self) -> &Injected {
-        &self.injected
+        &self.shared.injected
     }
 
     /// The number of pairs computed since the start.
     pub fn pairs_computed(&self) -> u64 {
-        self.pairs_computed.load(Ordering::Relaxed)
+        self.shared.pairs_computed.load(Ordering::Relaxed)
     }
 
     /// The number of compute threads.
@@ -97,8 +105,8 @@ impl Engine {
     /// RESPONSE_TOO_LARGE, TOO_BUSY.
     pub fn admit(&self, pairs: usize, outputs: Outputs, caller: &Caller) -> Result<Admission, ServiceError> {
         let least = pairs * outputs.pair_bytes();
-        if least > self.max_answer_bytes {
-            return Err(too_large(self.max_answer_bytes));
+        if least > self.shared.max_answer_bytes {
+            return Err(too_large(self.shared.max_answer_bytes));
         }
         self.place(pairs, caller)
     }
@@ -137,7 +145,7 @@ impl Engine {
         let pairs = batch.pair_count();
         // If the caller leaves while the batch waits, the batch may be large and must not be freed
         // on this thread.
-        let waiting = self.compute.freed_here(batch, usize::MAX);
+        let waiting = self.compute.freed_here(batch, if admission.waits() { usize::MAX } else { 0 });
         self.admission.turn(&mut admission).instrument(trace::queue(pairs)).await;
         let batch = waiting.into_inner();
         let started = Instant::now();
@@ -179,7 +187,7 @@ impl Engine {
 
     fn error(&self, error: ComputeError, unanswered: Option<&Unanswered>) -> ServiceError {
         match (unanswered, error) {
-            (Some(Unanswered::TooLarge), _) => too_large(self.max_answer_bytes),
+            (Some(Unanswered::TooLarge), _) => too_large(self.shared.max_answer_bytes),
             (Some(Unanswered::NoMemory(why)), _) => no_memory(&self.metrics, *why),
             (None, ComputeError::Stopped) => ServiceError::deadline_exceeded(),
             (None, ComputeError::Panicked(Panicked(why))) => {
@@ -189,10 +197,8 @@ impl Engine {
         }
     }
 
-    pub(super) fn shared(&self) -> (usize, Arc<AtomicU64>, Arc<Spare>, Arc<Injected>) {
-        let (computed, spare, injected) =
-            (self.pairs_computed.clone(), self.spare.clone(), self.injected.clone());
-        (self.max_answer_bytes, computed, spare, injected)
+    pub(super) fn shared(&self) -> &Arc<Shared> {
+        &self.shared
     }
 }
 

@@ -6,19 +6,20 @@ mod tests;
 use std::{
     cell::RefCell,
     ops::Range,
+    slice,
     sync::{
         Arc, Mutex, OnceLock,
-        atomic::{AtomicU64, AtomicUsize, Ordering},
+        atomic::{AtomicUsize, Ordering},
     },
 };
 
-use super::{Batch, Engine, chunks::Chunks};
+use super::{Batch, Engine, chunks::Chunks, engine::Shared};
 use crate::{
     budget::{NoMemory, Permit},
     compute::{Job, Parts},
     contact::{Stop, Stopped, Workspace},
     lock::locked,
-    service::{admission::Admission, injected::Injected, wire::Columns},
+    service::{admission::Admission, wire::Columns},
     store::Lease,
 };
 
@@ -52,12 +53,9 @@ pub(super) struct Run {
     /// The memory of the columns computed so far.
     memory: Mutex<Option<Permit>>,
     answer_bytes: AtomicUsize,
-    max_answer_bytes: usize,
-    pairs_computed: Arc<AtomicU64>,
-    spare: Arc<Spare>,
-    injected: Arc<Injected>,
+    shared: Arc<Shared>,
     /// Released with the answer, so that the next request finds the capacity free.
-    taken: Mutex<Option<(Admission, Option<Lease>)>>,
+    taken: Mutex<Option<(Admission, Option<Arc<Lease>>)>>,
 }
 
 /// The computed chunks of a batch.
@@ -71,7 +69,7 @@ pub(super) enum Chunked {
 pub(super) struct Computed {
     chunks: Vec<Columns>,
     memory: Permit,
-    spare: Arc<Spare>,
+    shared: Arc<Shared>,
 }
 
 /// Columns for reuse, so that chunks allocate nothing in the steady state.
@@ -96,6 +94,8 @@ impl Spare {
 
 thread_local! {
     static WORKSPACE: RefCell<Workspace> = RefCell::default();
+    /// The columns of small batches that the thread computes itself.
+    static COLUMNS: RefCell<Columns> = RefCell::default();
 }
 
 impl Parts for Run {
@@ -127,9 +127,8 @@ impl Run {
         chunks: Chunks,
         job: &Job,
         memory: Permit,
-        taken: (Admission, Option<Lease>),
+        taken: (Admission, Option<Arc<Lease>>),
     ) -> Self {
-        let (max_answer_bytes, pairs_computed, spare, injected) = engine.shared();
         Self {
             batch,
             chunks,
@@ -137,10 +136,7 @@ impl Run {
             job: job.clone(),
             memory: Mutex::new(Some(memory)),
             answer_bytes: AtomicUsize::new(0),
-            max_answer_bytes,
-            pairs_computed,
-            spare,
-            injected,
+            shared: engine.shared().clone(),
             taken: Mutex::new(Some(taken)),
         }
     }
@@ -153,15 +149,24 @@ impl Run {
 
     /// Computes the whole batch on this thread.
     pub(super) fn inline(&self) -> Result<(Columns, Permit), Stopped> {
-        let chunk = self.chunk(0..self.batch.pair_count())?;
-        let computed = self.computed(vec![chunk])?;
+        let mut columns = COLUMNS.take();
+        let answer = self.fill(0..self.batch.pair_count(), &mut columns).and_then(|()| {
+            let mut memory = locked(&self.memory).take().ok_or(Stopped)?;
+            let bytes = columns.filled_bytes() as u64;
+            memory.grow(bytes).map_err(|why| self.unanswered(Unanswered::NoMemory(why)))?;
+            Ok((Columns::concatenated(slice::from_ref(&columns), &self.job.stop)?, memory))
+        });
+        if columns.heap_bytes() <= SPARE_BYTES {
+            columns.clear();
+            COLUMNS.set(columns);
+        }
         drop(locked(&self.taken).take());
-        computed.concatenated(&self.job.stop)
+        answer
     }
 
     fn computed(&self, chunks: Vec<Columns>) -> Result<Computed, Stopped> {
         let memory = locked(&self.memory).take().ok_or(Stopped)?;
-        let mut computed = Computed { chunks, memory, spare: self.spare.clone() };
+        let mut computed = Computed { chunks, memory, shared: self.shared.clone() };
         let bytes = computed.bytes() as u64;
         computed.memory.grow(bytes).map_err(|why| self.unanswered(Unanswered::NoMemory(why)))?;
         Ok(computed)
@@ -169,26 +174,33 @@ impl Run {
 
     /// The columns of these pairs, unless the computation is stopped.
     fn chunk(&self, pairs: Range<usize>) -> Result<Columns, Stopped> {
-        self.look()?;
-        let mut columns = self.spare.take();
-        self.injected.pass(pairs.len());
-        // The workspace is taken out while the chunk is computed, so that the thread gets a new one after a
-        // panic.
-        let mut workspace = WORKSPACE.take();
-        let computed = self.pairs(pairs, &mut workspace, &mut columns);
-        WORKSPACE.set(workspace);
-        computed?;
+        let mut columns = self.shared.spare.take();
+        self.fill(pairs, &mut columns)?;
         let mut memory = locked(&self.memory);
         let grown = memory.as_mut().map(|memory| memory.grow(columns.heap_bytes() as u64));
         drop(memory);
         if let Some(Err(why)) = grown {
             return Err(self.unanswered(Unanswered::NoMemory(why)));
         }
+        Ok(columns)
+    }
+
+    /// Fills empty columns with these pairs. Fails if the computation is stopped, or if the answer gets too
+    /// large.
+    fn fill(&self, pairs: Range<usize>, columns: &mut Columns) -> Result<(), Stopped> {
+        self.look()?;
+        self.shared.injected.pass(pairs.len());
+        // The workspace is taken out while the chunk is computed, so that the thread gets a new one after a
+        // panic.
+        let mut workspace = WORKSPACE.take();
+        let computed = self.pairs(pairs, &mut workspace, columns);
+        WORKSPACE.set(workspace);
+        computed?;
         let bytes = columns.wire_bytes(self.batch.setting.outputs);
-        if self.answer_bytes.fetch_add(bytes, Ordering::Relaxed) + bytes > self.max_answer_bytes {
+        if self.answer_bytes.fetch_add(bytes, Ordering::Relaxed) + bytes > self.shared.max_answer_bytes {
             return Err(self.unanswered(Unanswered::TooLarge));
         }
-        Ok(columns)
+        Ok(())
     }
 
     /// Adds these pairs to `columns`.
@@ -198,7 +210,7 @@ impl Run {
         workspace: &mut Workspace,
         columns: &mut Columns,
     ) -> Result<(), Stopped> {
-        self.pairs_computed.fetch_add(pairs.len() as u64, Ordering::Relaxed);
+        self.shared.pairs_computed.fetch_add(pairs.len() as u64, Ordering::Relaxed);
         let mut steps = 0;
         for pair in pairs {
             steps += self.batch.pair(pair, workspace, columns);
@@ -236,9 +248,9 @@ impl Computed {
 
     /// The answer. Its permit covers the joined columns; the memory of the chunks is released.
     pub(super) fn concatenated(self, stop: &Stop) -> Result<(Columns, Permit), Stopped> {
-        let Self { chunks, mut memory, spare } = self;
+        let Self { chunks, mut memory, shared } = self;
         let columns = Columns::concatenated(&chunks, stop)?;
-        spare.keep(chunks);
+        shared.spare.keep(chunks);
         memory.shrink_to(columns.heap_bytes() as u64);
         Ok((columns, memory))
     }

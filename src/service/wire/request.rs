@@ -230,14 +230,22 @@ fn all_below(
     Ok(())
 }
 
+/// Up to this many ids are compared with each other, which takes less time than a table.
+const FEW_IDS: usize = 8;
+
 /// The ids, each listed once. The hash function of the table has a random key, so that a sender
 /// cannot choose ids that make it slow.
 fn distinct_ids<B: AsRef<[u8]>>(ids: &[B], meter: &Meter<'_>) -> Result<Vec<HullId>, ServiceError> {
-    let (mut distinct, mut seen) = (Vec::with_capacity(ids.len()), HashSet::with_capacity(ids.len()));
+    let mut distinct: Vec<HullId> = Vec::with_capacity(ids.len());
+    let mut seen = HashSet::new();
+    if ids.len() > FEW_IDS {
+        seen.reserve(ids.len());
+    }
     for (index, bytes) in ids.iter().enumerate() {
         meter.spend(ID_STEPS)?;
         let id = hull_id(bytes.as_ref(), "hull_ids", index)?;
-        if !seen.insert(bytes.as_ref()) {
+        let is_new = if ids.len() > FEW_IDS { seen.insert(bytes.as_ref()) } else { !distinct.contains(&id) };
+        if !is_new {
             let message = format!("hull {id} was listed before: list each hull once");
             return Err(ServiceError::invalid_at("DUPLICATE_HULL", "hull_ids", index, message));
         }

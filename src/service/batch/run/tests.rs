@@ -30,7 +30,7 @@ fn batch(family: Family, regime: Regime, pairs: usize) -> Batch {
         ..Default::default()
     };
     let scene = wire::scene(request, &Limits::default()).unwrap();
-    Batch::new(scene, hulls.collect()).0
+    Batch::new(scene, Arc::new(hulls.collect())).0
 }
 
 fn run(engine: &Engine, batch: Batch) -> Run {
@@ -156,7 +156,7 @@ fn chunks_of_costly_pairs_are_short() {
     let scene = wire::scene(request, &Limits::default()).unwrap();
     let hull = Arc::new(ConvexHull::new(&prism).unwrap());
     let engine = engine(1 << 30);
-    let run = run(&engine, Batch::new(scene, [Ok(hull)].into_iter().collect()).0);
+    let run = run(&engine, Batch::new(scene, Arc::new([Ok(hull)].into_iter().collect())).0);
     assert!(run.chunks.is_unknown() && !run.batch.is_small());
     let run = run.cut(&Stop::default()).unwrap();
     assert!(run.count() > 10, "{}", run.count());
