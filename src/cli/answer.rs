@@ -301,7 +301,7 @@ fn registered(hull: usize, content: HullId, result: proto::RegisterHullResult) -
 fn is_cut(status: &Status) -> bool {
     // Nothing in this process cancels a call and then reads its status. hyper cancels the calls that wait on
     // a connection which breaks.
-    let mut causes = iter::successors(status.source(), |cause| cause.source());
+    let mut causes = iter::successors(status.source(), |&cause| cause.source());
     let is_broken = causes.any(|cause| cause.downcast_ref().is_some_and(hyper::Error::is_canceled));
     status.code() == Code::Cancelled && !is_broken
 }
