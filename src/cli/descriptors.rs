@@ -3,7 +3,7 @@
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 /// Descriptors that are reserved for the store, the admin port, the listeners and the runtime. If the
-/// process may open only few, half of them are reserved.
+/// process may open only a few, half of them are reserved.
 const KEPT: u64 = 128;
 
 /// Raises the limit of open descriptors as far as the system allows, and returns `max_connections`,
@@ -24,7 +24,7 @@ pub(crate) fn connections(max_connections: u32) -> u32 {
     u32::try_from(allowed).unwrap_or(max_connections)
 }
 
-/// Raises the limit and returns how many descriptors the process may open; none if there is no limit.
+/// Raises the limit and returns how many descriptors the process may open, or `None` if there is no limit.
 fn raised() -> Option<u64> {
     let Rlimit { current, maximum } = getrlimit(Resource::Nofile);
     if current != maximum && setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum }).is_ok() {

@@ -1,4 +1,4 @@
-//! The memory that this process may use, and sizes given as shares of it.
+//! The memory that this process may use, and sizes given as percentages of it.
 
 use std::{
     fmt, fs,
@@ -8,20 +8,20 @@ use std::{
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// A size in bytes, or as a share of the memory that the process may use.
+/// A size in bytes, or as a percentage of the memory that the process may use.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Size {
     /// A number of bytes.
     Bytes(u64),
-    /// A share in percent.
+    /// A percentage.
     Share(f64),
 }
 
 impl Size {
-    /// The size in bytes. A share refers to this machine and this cgroup.
+    /// The size in bytes. A percentage refers to the memory of this machine and this cgroup.
     ///
     /// # Errors
-    /// The size is a share, and the system does not report its memory.
+    /// The size is a percentage, and the system does not report its memory.
     pub(crate) fn bytes(self) -> Result<u64, String> {
         match self {
             Self::Bytes(bytes) => Ok(bytes),
@@ -100,7 +100,7 @@ impl<'de> Deserialize<'de> for Size {
 }
 
 /// The machine's memory in bytes, or the limit of this process's cgroups if that is less. `root` is `/`
-/// outside tests. In both versions of cgroups every group on the path to the root may set a limit.
+/// outside tests. In both versions of cgroups, each group on the path to the root may set a limit.
 fn available(root: &Path) -> Option<u64> {
     let read = |path: PathBuf| fs::read_to_string(path).ok();
     let info = read(root.join("proc/meminfo"))?;
@@ -136,7 +136,7 @@ fn available(root: &Path) -> Option<u64> {
 mod tests {
     use super::*;
 
-    /// Catches a unit or a share misread, and settings that do not read back.
+    /// Catches a unit or a percentage that is misread, and settings that do not read back.
     #[test]
     fn sizes_are_numbers_units_or_shares() {
         for (text, size) in [
@@ -153,8 +153,8 @@ mod tests {
         }
     }
 
-    /// Catches a cache that is sized by the machine although the container has less memory, with either
-    /// version of cgroups.
+    /// Catches a cache whose size follows the machine's memory although the container has less, with
+    /// either version of cgroups.
     #[test]
     fn the_least_of_machine_and_cgroups_counts() {
         let root = tempfile::tempdir().unwrap();

@@ -42,16 +42,17 @@ use super::{
 pub(crate) struct Args {
     #[command(flatten)]
     given: Given,
-    /// A TOML file with the same settings, named as the flags, with underscores [default: none]
+    /// Read settings from this TOML file. Its keys are the names of the flags, with underscores
+    /// [default: none]
     #[arg(long, env = "HULLCAST_CONFIG", value_name = "FILE", help_heading = "Settings")]
     config: Option<PathBuf>,
-    /// Print the settings in force as such a file, and exit
+    /// Print the settings that apply, in the format of --config, and exit
     #[arg(long, help_heading = "Settings")]
     print_config: bool,
-    /// Sleep so many microseconds for every pair: for tests of overload
+    /// Sleep for this many microseconds per pair, which tests of overload need
     #[arg(long, hide = true, default_value_t = 0, value_parser = count(0, u64::MAX), allow_negative_numbers = true)]
     inject_pair_delay_us: u64,
-    /// Stop when standard input closes, as when the parent process ends
+    /// Stop when standard input closes, for example because the parent process has ended
     #[arg(long, help_heading = "Stopping")]
     until_stdin_closes: bool,
 }
@@ -95,7 +96,8 @@ async fn until_stopped(settings: &Settings, args: &Args) -> Result<(), Error> {
     let app = Arc::new(App::new(store, limits, settings.compute_threads)?);
     app.engine().injected().delay(Duration::from_micros(args.inject_pair_delay_us));
     let grace = settings.grace()?;
-    // Installed before the address is printed: a reader of the address may stop the server at once.
+    // The handlers are installed before the address is printed, because a reader of the address may
+    // stop the server at once.
     let shutdown = shutdown(grace, args.until_stdin_closes)?;
     let listeners = listeners(settings, &serving.security).await?;
     let admin = match settings.admin_listen.as_str() {
@@ -138,10 +140,9 @@ async fn listeners(settings: &Settings, security: &Security) -> Result<Vec<Liste
     Ok(listeners)
 }
 
-/// Completes when the server is told to stop, and returns the grace period. After a supervisor's
-/// signal load balancers must hear of the stop first, so there is a grace period. After an interrupt,
-/// or after the end of standard input, there is none. If the server is told to stop again, the process
-/// ends at once.
+/// Completes when the server is told to stop, and returns the grace period. A supervisor's signal
+/// (SIGTERM) begins a grace period, in which load balancers learn that the server will stop. An
+/// interrupt, or the end of standard input, begins none. A second signal ends the process at once.
 fn shutdown(grace: Duration, until_stdin_closes: bool) -> io::Result<impl Future<Output = Duration>> {
     let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
     Ok(async move {
@@ -183,8 +184,9 @@ fn not_bound(option: &str, error: &io::Error) -> Error {
     Exit::Usage.error(format!("{option} {error}{remedy}"))
 }
 
-/// One line a listener, first on standard output: what scripts wait for. Then the admin port's,
-/// and for people where the playground is and where hulls are kept if nobody chose it.
+/// Prints one line per listener, for which scripts wait, then the address of the admin port. Further
+/// lines are for people: the address of the playground, and the directory of the hulls if it is the
+/// default.
 fn announce(
     settings: &Settings,
     encrypts: bool,
@@ -203,13 +205,14 @@ fn announce(
         let folder = std::path::absolute(DEFAULT_STORE)?;
         text += &format!("hulls are kept in {} (the default of --store)\n", folder.display());
     }
-    // At once: a script may close the pipe as soon as it has read the first line.
+    // Everything is written at once, because a script may close the pipe when it has read the first
+    // line.
     let mut out = io::stdout().lock();
     out.write_all(text.as_bytes())?;
     out.flush()
 }
 
-/// Where a browser finds the playground; nowhere on a Unix socket.
+/// The URL of the playground. None for a Unix socket, which browsers cannot open.
 fn page(listener: &Listener, encrypts: bool) -> Option<String> {
     let Listener::Tcp(listener) = listener else { return None };
     let mut address = listener.local_addr().ok()?;

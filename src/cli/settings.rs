@@ -1,5 +1,5 @@
-//! The settings of a server. A flag wins over the environment, the environment over the file, and the
-//! file over the default.
+//! The settings of a server. A flag takes precedence over the environment, the environment over the
+//! file, and the file over the default.
 
 use std::{
     fs,
@@ -21,7 +21,7 @@ use super::{
     values::{count, did_you_mean, number},
 };
 
-/// Where hulls are kept if nobody says where.
+/// The directory of the hulls if no store is set.
 pub(crate) const DEFAULT_STORE: &str = "hullcast-store";
 
 /// How logs are written.
@@ -31,11 +31,11 @@ pub(crate) enum LogFormat {
     /// For people.
     #[default]
     Text,
-    /// One JSON object a line.
+    /// One JSON object per line.
     Json,
 }
 
-/// Whether something is done.
+/// A switch for something that the server does or does not do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum Switch {
@@ -50,7 +50,8 @@ pub(crate) enum Switch {
 macro_rules! settings {
     ($($(#[doc = $doc:literal])* $name:ident: $kind:ty = $default:expr, $env:literal, $value:literal
         $([$($arg:tt)*])?;)*) => {
-        /// Settings that a file, the environment or flags give; absent ones are left to the next.
+        /// Settings from one source: the file, or the environment and the flags. A setting that is
+        /// absent here comes from the next source.
         #[derive(Clone, Debug, Default, Deserialize, clap::Args)]
         #[serde(deny_unknown_fields, default)]
         pub(crate) struct Given {
@@ -82,63 +83,65 @@ macro_rules! settings {
 }
 
 settings! {
-    /// Address to answer on: host:port (port 0: any free one) or unix:PATH; may be repeated
+    /// Address to listen on: host:port (port 0 means any free port) or unix:PATH; may be repeated
     listen: Vec<String> = |_: &Limits| vec!["127.0.0.1:50051".into()],
         "HULLCAST_LISTEN", "ADDR" [value_delimiter = ',', value_parser = listen_address];
-    /// Where hulls are kept: a directory, file://PATH, memory:// (which forgets), or by feature
-    /// s3://BUCKET/PREFIX, gs:// or az:// (docs/durability.md)
+    /// Where hulls are stored: a directory, file://PATH, memory:// (lost at the end), or, in builds with
+    /// the feature, s3://BUCKET/PREFIX, gs:// or az:// (docs/durability.md)
     store: String = |_: &Limits| DEFAULT_STORE.into(), "HULLCAST_STORE", "URL";
-    /// Threads that compute; 0: one a core
+    /// Number of compute threads; 0 means one per core
     compute_threads: usize = |_: &Limits| 0, "HULLCAST_COMPUTE_THREADS", "N"
         [value_parser = count(0, MOST_THREADS)];
-    /// Seconds after SIGTERM in which health says NOT_SERVING and calls are still accepted
+    /// Seconds after SIGTERM during which health checks report NOT_SERVING and calls are still accepted
     grace_seconds: f64 = |_: &Limits| 3.0, "HULLCAST_GRACE_SECONDS", "S"
         [value_parser = number(0.0, LONGEST)];
-    /// Seconds about which a connection is told to close; 0: never
+    /// Approximate age in seconds at which a connection is told to close; 0 means never
     max_connection_age_seconds: f64 = |_: &Limits| 0.0, "HULLCAST_MAX_CONNECTION_AGE_SECONDS", "S"
         [value_parser = number(0.0, LONGEST)];
-    /// Seconds between two tries whether the store can be written to
+    /// Seconds between two tests whether the store can be written to
     probe_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_PROBE_SECONDS", "S"
         [value_parser = number(SHORTEST_LOOP, LONGEST)];
-    /// Seconds that calls in flight have to finish when the server stops
+    /// Seconds for calls in flight to finish when the server stops
     drain_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_DRAIN_SECONDS", "S"
         [value_parser = number(0.0, LONGEST)];
-    /// PEM file of the server's certificate and those it leads to; empty: plain text
+    /// PEM file of the server's certificate, followed by its chain; empty means no TLS
     tls_certificate: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_TLS_CERTIFICATE", "FILE";
     /// PEM file of the certificate's private key
     tls_key: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_TLS_KEY", "FILE";
-    /// PEM file of authorities: clients must have a certificate of one; empty: clients need none
+    /// PEM file of authorities, one of which must have signed a client's certificate; empty means that
+    /// clients need no certificate
     tls_client_ca: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_TLS_CLIENT_CA", "FILE";
-    /// Serve without TLS to other machines, as behind a proxy that has it
+    /// Accept connections from other machines without TLS, for example behind a proxy that terminates
+    /// TLS
     allow_plaintext: bool = |_: &Limits| false, "HULLCAST_ALLOW_PLAINTEXT", "BOOL"
         [num_args = 0..=1, default_missing_value = "true"];
     /// Serve a page that shows contacts on the same addresses, and print its URL (docs/playground.md)
     playground: bool = |_: &Limits| false, "HULLCAST_PLAYGROUND", "BOOL"
         [num_args = 0..=1, default_missing_value = "true"];
-    /// File of tokens, one per line, that may query; empty: none is needed
+    /// File of the tokens that may query, one per line; empty means that calls need no token
     query_tokens: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_QUERY_TOKENS", "FILE";
-    /// File of tokens, one per line, that may also register and delete
+    /// File of the tokens that may also register and delete, one per line
     register_tokens: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_REGISTER_TOKENS", "FILE";
-    /// Seconds after which certificates and tokens are read again
+    /// Seconds between two readings of the files with certificates and tokens
     reload_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_RELOAD_SECONDS", "S"
         [value_parser = number(SHORTEST_LOOP, LONGEST)];
-    /// Address of /metrics, /livez and /readyz, plain HTTP; empty: none
+    /// Address of /metrics, /livez and /readyz in plain HTTP; empty means no such port
     admin_listen: String = |_: &Limits| String::new(), "HULLCAST_ADMIN_LISTEN", "ADDR"
         [value_parser = admin_address];
-    /// Collector that traces are sent to, http://HOST:PORT or https://HOST:PORT (OTLP on gRPC);
-    /// empty: none. By feature otlp (docs/operations.md)
+    /// Collector that receives traces (OTLP over gRPC): http://HOST:PORT or https://HOST:PORT; empty
+    /// means no traces. Needs a build with the feature otlp (docs/operations.md)
     otlp_endpoint: String = |_: &Limits| String::new(), "HULLCAST_OTLP_ENDPOINT", "URL"
         [value_parser = collector];
-    /// Share of calls that are traced, 0 to 1, where their callers do not say whether
+    /// Fraction of calls that are traced, 0 to 1, if the caller does not decide it
     otlp_share: f64 = |_: &Limits| 1.0, "HULLCAST_OTLP_SHARE", "SHARE"
         [value_parser = number(0.0, 1.0)];
-    /// Level of the log: error, warn, info, debug (every request), trace, off; or a filter, as in
-    /// debug,h2=debug: a level alone leaves out what the libraries below log about their frames
+    /// Level of the log: error, warn, info, debug (every request), trace or off; or a filter such as
+    /// debug,h2=debug. A level without a filter leaves out the frames that the HTTP/2 library logs
     log: String = |_: &Limits| "info".into(), "HULLCAST_LOG", "FILTER"
         [value_parser = log_filter];
     /// How logs are written
     log_format: LogFormat = |_: &Limits| LogFormat::Text, "HULLCAST_LOG_FORMAT", "FORMAT" [value_enum];
-    /// Largest message in bytes, either way
+    /// Largest message in bytes, in either direction
     max_message_bytes: usize = |l: &Limits| l.max_message_bytes, "HULLCAST_MAX_MESSAGE_BYTES", "N"
         [value_parser = limit::<usize>("max_message_bytes")];
     /// Most pairs in a request
@@ -160,46 +163,46 @@ settings! {
     /// Most points in the definition of a hull
     max_points_per_hull: u32 = |l: &Limits| l.max_points_per_hull, "HULLCAST_MAX_POINTS_PER_HULL", "N"
         [value_parser = limit::<u32>("max_points_per_hull")];
-    /// Most pairs of one caller that are accepted and not yet answered; several callers together
-    /// may have less than twice as many, or with shares off only as many
+    /// Most pairs of one caller that are accepted and not yet answered. Several callers together may
+    /// have less than twice as many, or this number if --shares is off
     max_pairs_in_flight: u32 = |l: &Limits| l.max_pairs_in_flight, "HULLCAST_MAX_PAIRS_IN_FLIGHT", "N"
         [value_parser = limit::<u32>("max_pairs_in_flight")];
-    /// Memory in bytes that all callers together can make the server hold, without the cached
-    /// hulls, or a share of the memory that the process may use, as in 25%
+    /// Most memory that all callers together can make the server hold, without the cached hulls: bytes,
+    /// or a percentage of the memory that the process may use, such as 25%
     max_memory_bytes: Size = |l: &Limits| Size::Bytes(l.max_memory_bytes),
         "HULLCAST_MAX_MEMORY_BYTES", "SIZE"
         [value_parser = size("max_memory_bytes")];
-    /// Whether callers share memory, leases on hulls and compute threads fairly; off: one common
+    /// Whether callers share memory, leases on hulls and compute threads fairly; off means one common
     /// budget, first come, first served
     shares: Switch = |_: &Limits| Switch::On, "HULLCAST_SHARES", "SWITCH" [value_enum];
-    /// Addresses of proxies: each of their connections counts as a caller of its own
+    /// Addresses of proxies; each connection of a proxy counts as a separate caller
     trusted_proxies: Vec<IpAddr> = |_: &Limits| Vec::new(), "HULLCAST_TRUSTED_PROXIES", "ADDR"
         [value_delimiter = ',', value_parser = proxy];
-    /// Seconds that a request's message has to arrive, beside one for each MiB of it
+    /// Seconds within which a request's message has to arrive, plus one second per MiB of it
     message_seconds: f64 = |_: &Limits| 30.0, "HULLCAST_MESSAGE_SECONDS", "S"
         [value_parser = number(SHORTEST_TIME, LONGEST)];
-    /// Seconds that a caller has to take an answer, beside one for each MiB of it
+    /// Seconds within which a caller has to take an answer, plus one second per MiB of it
     answer_seconds: f64 = |_: &Limits| 30.0, "HULLCAST_ANSWER_SECONDS", "S"
         [value_parser = number(SHORTEST_TIME, LONGEST)];
-    /// Most bytes of requests that have come and are not yet answered, over all calls
+    /// Most bytes of requests that have arrived and are not yet answered, over all calls
     max_request_bytes_in_flight: u64 = |l: &Limits| l.max_request_bytes_in_flight,
         "HULLCAST_MAX_REQUEST_BYTES_IN_FLIGHT", "N"
         [value_parser = limit::<u64>("max_request_bytes_in_flight")];
-    /// Most seconds that a call may take, but for streams
+    /// Most seconds that a call may take, except for streams
     max_deadline_seconds: u32 = |l: &Limits| l.max_deadline_seconds, "HULLCAST_MAX_DEADLINE_SECONDS", "S"
         [value_parser = limit::<u32>("max_deadline_seconds")];
     /// Most connections
     max_connections: u32 = |l: &Limits| l.max_connections, "HULLCAST_MAX_CONNECTIONS", "N"
         [value_parser = limit::<u32>("max_connections")];
-    /// Bytes that streams keep from one message to the next, all together
+    /// Most bytes that all streams together keep from one message to the next
     max_stream_state_bytes: u64 = |l: &Limits| l.max_stream_state_bytes,
         "HULLCAST_MAX_STREAM_STATE_BYTES", "N"
         [value_parser = limit::<u64>("max_stream_state_bytes")];
-    /// Bytes of heap for hulls, cached and in use, or a share of the memory that the process
-    /// may use (machine and cgroups), as in 25%
+    /// Most heap memory for hulls, cached and in use: bytes, or a percentage of the memory that the
+    /// process may use (machine and cgroups), such as 25%
     cache_bytes: Size = |l: &Limits| Size::Bytes(l.cache_bytes), "HULLCAST_CACHE_BYTES", "SIZE"
         [value_parser = size("cache_bytes")];
-    /// Most bytes in the store; 0: unbounded
+    /// Most bytes in the store; 0 means no limit
     store_bytes: u64 = |l: &Limits| l.store_bytes, "HULLCAST_STORE_BYTES", "N"
         [value_parser = limit::<u64>("store_bytes")];
     /// Most concurrent calls on a connection
@@ -209,11 +212,11 @@ settings! {
     /// Most hulls in a page of a listing
     max_page_size: u32 = |l: &Limits| l.max_page_size, "HULLCAST_MAX_PAGE_SIZE", "N"
         [value_parser = limit::<u32>("max_page_size")];
-    /// How long a hull that another server deleted may still be answered for
+    /// Seconds for which the server may still use a hull that another server has deleted
     cache_age_seconds: u32 = |l: &Limits| l.cache_age_seconds, "HULLCAST_CACHE_AGE_SECONDS", "S"
         [value_parser = limit::<u32>("cache_age_seconds")];
-    /// Seconds that an operation of the store may take; after that the store is taken to hang
-    /// until the operation returns (1 to 3600)
+    /// Seconds that an operation of the store may take; after that the store counts as hung until the
+    /// operation returns (1 to 3600)
     store_seconds: u32 = |l: &Limits| l.store_seconds, "HULLCAST_STORE_SECONDS", "S"
         [value_parser = limit::<u32>("store_seconds")];
 }
@@ -279,7 +282,7 @@ impl Settings {
         })
     }
 
-    /// How long health says NOT_SERVING before connections are closed, when the server stops.
+    /// How long health checks report NOT_SERVING before connections are closed, when the server stops.
     ///
     /// # Errors
     /// The value is outside its range.
@@ -290,7 +293,7 @@ impl Settings {
     /// The limits among the settings.
     ///
     /// # Errors
-    /// A size is a share, and the system does not report its memory.
+    /// A size is a percentage, and the system does not report its memory.
     pub(crate) fn limits(&self) -> Result<Limits, Error> {
         Ok(Limits {
             max_message_bytes: self.max_message_bytes,
