@@ -126,8 +126,8 @@ impl MemoryBudget {
         self.limit
     }
 
-    /// The most bytes that all callers together may hold for `part`; none if only the whole budget limits
-    /// it.
+    /// The most bytes that all callers together may hold for `part`, or `None` if only the whole budget
+    /// limits it.
     pub fn cap(&self, part: Part) -> Option<u64> {
         locked(&self.state).capped[part as usize].as_ref().map(Shares::limit)
     }
@@ -150,15 +150,15 @@ impl MemoryBudget {
     /// Takes `bytes` for `caller`. The bytes are free again when the permit is dropped.
     ///
     /// # Errors
-    /// The budget, its part or the caller's share has no room. Then nothing is taken.
+    /// The budget, its part or the caller's share has no room. In that case nothing is taken.
     pub fn take(self: &Arc<Self>, caller: &Caller, part: Part, bytes: u64) -> Result<Permit, NoMemory> {
         let mut permit = self.covered(caller, part, 0);
         permit.grow(bytes)?;
         Ok(permit)
     }
 
-    /// A permit that holds nothing yet and takes only what it holds beyond `covered` bytes from the
-    /// budget. The caller of this function has taken these bytes already, with another permit.
+    /// A permit that holds nothing yet. Another permit has already taken `covered` bytes from the budget on
+    /// its behalf, so it takes only the bytes beyond these.
     pub fn covered(self: &Arc<Self>, caller: &Caller, part: Part, covered: u64) -> Permit {
         Permit { budget: self.clone(), caller: caller.clone(), part, bytes: 0, covered }
     }
@@ -181,7 +181,7 @@ impl Permit {
         MemoryBudget::unlimited().covered(&Caller::alone(), part, 0)
     }
 
-    /// How many bytes it holds, with the covered ones.
+    /// The number of bytes that the permit holds, including the covered ones.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
@@ -200,14 +200,14 @@ impl Permit {
     /// Takes the covered bytes from the budget too, for a permit that outlives the one that covers them.
     ///
     /// # Errors
-    /// There is no room for them; the permit keeps what it had.
+    /// There is no room for them. The permit keeps the bytes that it had.
     pub fn uncover(&mut self) -> Result<(), NoMemory> {
         self.charge(self.bytes - self.charged())?;
         self.covered = 0;
         Ok(())
     }
 
-    /// Gives all but `bytes` back; a permit that holds less stays as it is.
+    /// Gives back all but `bytes`. A permit that holds less does not change.
     pub fn shrink_to(&mut self, bytes: u64) {
         let charged_before = self.charged();
         self.bytes = self.bytes.min(bytes);
@@ -223,12 +223,12 @@ impl Permit {
         }
     }
 
-    /// The bytes that it has taken from the budget.
+    /// The bytes that this permit has taken from the budget.
     fn charged(&self) -> u64 {
         self.bytes.saturating_sub(self.covered)
     }
 
-    /// Takes `more` bytes from the budget. Nothing is locked for small messages, which need none.
+    /// Takes `more` bytes from the budget. If `more` is 0, as for small messages, nothing is locked.
     fn charge(&self, more: u64) -> Result<(), NoMemory> {
         if more == 0 {
             return Ok(());
@@ -280,8 +280,8 @@ mod tests {
         assert_eq!(budget.used(), 0);
     }
 
-    /// Catches covered bytes that are taken, others that are not, and bytes that are given back without
-    /// having been taken.
+    /// Catches covered bytes that are taken from the budget, other bytes that are not, and bytes that are
+    /// given back although they were never taken.
     #[test]
     fn a_permit_takes_what_is_beyond_its_covered_bytes() {
         let caller = Caller::alone();

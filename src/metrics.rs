@@ -298,7 +298,7 @@ impl Metrics {
     }
 }
 
-/// The resident memory of this process in bytes; none if the system does not report it.
+/// The resident memory of this process in bytes, or `None` if the system does not report it.
 pub(crate) fn resident_bytes() -> Option<i64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;

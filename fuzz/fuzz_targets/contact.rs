@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Unit roundoff.
 const U: f64 = f64::EPSILON / 2.0;
 
-/// A share of the larger hull's circumradius. If a hull is smaller than this, its sides are known,
+/// A fraction of the larger hull's circumradius. If a hull is smaller than this, its sides are known,
 /// in units of both hulls, only to some thousandths, and the bracket may stay open.
 const MINUTE: f64 = 1e-11;
 

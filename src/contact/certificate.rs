@@ -15,7 +15,7 @@
 //!                each point: distance >= s(n), both witnesses on their hulls near the support planes
 //! ```
 //!
-//! Each comparison allows for rounding, with the shares in `tolerance`.
+//! Each comparison allows for rounding, with the factors in `tolerance`.
 //!
 //! One property stays unchecked. If the projected features of a CONTACT pair miss each other, nothing
 //! here shows that the hulls are within the margin: that needs the distance between the hulls.

@@ -44,7 +44,7 @@ const SLIVER_SINE: f64 = power_of_two(-40);
 const ROUNDED_STEPS: u64 = 10;
 /// Steps of an orientation test for points that are nearly in one plane, as measured.
 const NEAR_PLANE_STEPS: u64 = 300;
-/// If the determinant exceeds this share of the product of three sides, the rounded value certainly
+/// If the determinant exceeds this fraction of the product of three sides, the rounded value certainly
 /// decides.
 const SURELY_ROUNDED: f64 = 64.0 * U;
 /// Steps of an orientation test, or of a normal, in integers of any length, as measured.

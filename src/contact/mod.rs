@@ -318,7 +318,7 @@ impl Manifold {
     }
 }
 
-/// The triple in indices of the vertices as registered; none if it contains an inner point.
+/// The triple in indices of the vertices as registered, or `None` if it contains an inner point.
 fn basis(pair: &Pair<'_>, triple: &[Support; 3]) -> Option<Basis> {
     let complete = triple.iter().all(|u| u.a != Support::INNER);
     complete.then(|| Basis {

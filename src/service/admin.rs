@@ -13,8 +13,9 @@ use crate::{
     log_limit::Repeated,
 };
 
-/// Connections at a time; scrapers and probes are few. Addresses share them as callers share
-/// memory, so that no address shuts out the others.
+/// The most connections at a time; scrapers and probes need only a few. They are divided
+/// between addresses by the rule by which callers share memory, so that no address shuts out
+/// the others.
 const CONNECTIONS: u64 = 64;
 
 /// The lifetime of a connection, which is enough for several requests.

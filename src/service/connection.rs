@@ -75,7 +75,7 @@ impl Connections {
         Self { app, routes, serving: Arc::new(serving), peers: Arc::new(peers), count: AtomicU64::new(0) }
     }
 
-    /// A place for another connection from `address`; none if there are too many.
+    /// A place for another connection from `address`, or `None` if there are too many.
     pub(super) fn admit(&self, address: Address) -> Option<Peer> {
         self.peers.admit(address)
     }

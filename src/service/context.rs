@@ -77,13 +77,13 @@ impl CallContext {
     /// Takes memory for a part of the call.
     ///
     /// # Errors
-    /// TOO_BUSY if there is no room now, MEMORY_TOO_LARGE if there never is.
+    /// TOO_BUSY if the budget has no room now, MEMORY_TOO_LARGE if the bytes can never fit.
     pub(super) fn take(&self, app: &App, part: Part, bytes: usize) -> Result<Permit, ServiceError> {
         self.memory.take(&self.job.caller, part, bytes as u64).map_err(|why| no_memory(app.metrics(), why))
     }
 
-    /// A permit that holds nothing yet, for a part of the call that exists once at a time: the call's own
-    /// memory covers its first [`SMALL_BYTES`].
+    /// A permit that holds nothing yet, for a part of the call that never exists twice at the same time. The
+    /// call's own memory covers its first [`SMALL_BYTES`].
     pub(super) fn covered(&self, part: Part) -> Permit {
         self.memory.covered(&self.job.caller, part, SMALL_BYTES as u64)
     }
@@ -120,7 +120,7 @@ impl CallContext {
         locked(&self.answers).iter().map(|answer| answer.bytes.len()).sum()
     }
 
-    /// Takes memory for the state that a stream keeps between messages; none if there is no room. A
+    /// Takes memory for the state that a stream keeps between messages. Returns `None` if there is no room; a
     /// stream can go on without it.
     pub(super) fn keep(&self, bytes: usize) -> Option<Permit> {
         self.memory.take(&self.job.caller, Part::StreamState, bytes as u64).ok()

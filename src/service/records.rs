@@ -102,7 +102,7 @@ struct Reading<'a> {
     taken: Mutex<Taken>,
 }
 
-/// The size of the records that were started.
+/// The encoded size of the records that have been started.
 struct Taken {
     /// The encoded answer has at least this many bytes.
     bytes: usize,

@@ -75,7 +75,7 @@ pub(super) struct MessageBody<B> {
     whole: VecDeque<Bytes>,
     /// The number of messages that were complete.
     complete: usize,
-    /// The time by which the current message has to be complete; none for a stream between messages.
+    /// The time by which the current message has to be complete, or `None` for a stream between messages.
     due: Option<Pin<Box<Sleep>>>,
     started: Instant,
     ended: bool,

@@ -1,4 +1,4 @@
-//! Runs the services on listeners until told to stop.
+//! Runs the services on listeners until the server is told to stop.
 
 use std::{future::Future, net::IpAddr, sync::Arc, time::Duration};
 
@@ -153,7 +153,8 @@ async fn routes(app: &Arc<App>) -> Result<(HealthReporter, Routes), OpenError> {
 
 static ACCEPT_FAILED: Repeated = Repeated::new();
 
-/// Accepts connections until told to stop, then waits for the open ones, which end by themselves.
+/// Accepts connections until the server is told to stop, then waits for the open connections, which end
+/// by themselves.
 async fn accept(listener: Listener, connections: Arc<Connections>, mut closing: Closing) {
     let mut open = JoinSet::new();
     let theirs = closing.clone();
@@ -185,9 +186,9 @@ async fn accept(listener: Listener, connections: Arc<Connections>, mut closing: 
 /// take longer.
 const SHORTEST_PROBE: Duration = Duration::from_secs(1);
 
-/// Probes the store for ever; while it cannot be written to, HullService is not serving. A probe
-/// that is not answered within an interval fails, so that a hung store is noticed within two
-/// intervals.
+/// Probes the store in an endless loop. While the store cannot be written to, the health of HullService
+/// is NOT_SERVING. A probe that is not answered within an interval fails, so that a hung store is
+/// noticed within two intervals.
 async fn probe(app: Arc<App>, reporter: HealthReporter, every: Duration) {
     let within = every.max(SHORTEST_PROBE);
     let mut well = true;
@@ -216,7 +217,7 @@ async fn probe(app: Arc<App>, reporter: HealthReporter, every: Duration) {
     }
 }
 
-/// Reads certificates and tokens again, for ever.
+/// Reads certificates and tokens again at each interval, in an endless loop.
 async fn reload(security: Arc<Security>, every: Duration) {
     loop {
         tokio::time::sleep(every).await;

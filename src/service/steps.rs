@@ -39,14 +39,14 @@ pub(super) struct Steps {
 }
 
 /// The streams of one caller give way to the other calls of their threads after this time of work, which
-/// they share. Streams of small messages that are all there already would otherwise never do so.
+/// they share. Otherwise a stream of small messages that have all arrived already would never give way.
 const TURN: Duration = Duration::from_millis(2);
 
 /// The previous message of the stream.
 enum Previous {
-    /// There was no previous message.
+    /// The message is the first of the stream.
     None,
-    /// There was no memory to keep its state.
+    /// The state of the previous message was not kept, because the budget had no room.
     Dropped,
     /// The state that the next message may inherit.
     Kept { kept: FreedHere<Kept>, memory: Permit },
@@ -71,7 +71,7 @@ impl Steps {
         Self { app, context, requests, closing, previous: Previous::None, busy: Duration::ZERO, stream }
     }
 
-    /// The next answer; none after the last request.
+    /// The next answer, or `None` after the last request.
     pub(super) async fn next(&mut self) -> Result<Option<QueryContactsResponse>, Status> {
         if self.busy >= TURN / self.stream.count().max(1) as u32 {
             self.busy = Duration::ZERO;

@@ -25,7 +25,7 @@ use super::{BlobStore, HullId, StoreError, StoredBlob, file_threads::FileThreads
 /// request starts at a time, so that the file system can gather the syncs of a whole request.
 const AT_A_TIME: usize = 32;
 
-/// One thread more than `AT_A_TIME`, so that a probe never waits behind other operations.
+/// There is one thread more than `AT_A_TIME`, so that a probe never waits behind other operations.
 const THREADS: usize = AT_A_TIME + 1;
 
 /// Blobs in a directory.

@@ -66,7 +66,7 @@ pub enum RegisterError {
     NoMemory(NoMemory),
     /// The caller has left, or its deadline has passed.
     Stopped,
-    /// A bug: building the hull panicked.
+    /// Building the hull panicked, which is a bug.
     Internal(Panicked),
 }
 
@@ -98,8 +98,8 @@ impl From<ComputeError> for RegisterError {
 /// A hull that was registered, or why it was not.
 pub type Registered = Result<(HullId, Arc<ConvexHull>), RegisterError>;
 
-/// The most hulls of one request that are read or written at a time: enough for a file system to
-/// gather their syncs.
+/// The most hulls of one request that are read or written at a time. They are enough for a file
+/// system to combine their syncs.
 pub const AT_A_TIME: usize = 16;
 
 /// The most hulls that may wait to be loaded, over all requests.
@@ -138,8 +138,8 @@ impl Registry {
         metrics: Arc<Metrics>,
     ) -> Self {
         Self {
-            // As many loads as the store has operations. Each hull is read, verified and, if
-            // necessary, built in one turn, which limits the blobs in memory.
+            // There are as many loads as the store has operations. Each hull is read, verified
+            // and, if necessary, built in one turn, which limits the blobs in memory.
             loading: Turns::new(blobs.operations_at_a_time(), MOST_WAITING, bounds.shares),
             store: ScheduledStore::new(blobs, bounds.store_limit, bounds.shares),
             cache: cache(bounds.cache_bytes, &metrics),
@@ -320,7 +320,8 @@ impl Registry {
             store.delete(id).await?;
             self.metrics.deleted.inc();
         }
-        // After the blob, so that a load under way also loses its place in the cache.
+        // The cache entry is removed after the blob, so that a load in progress also loses its
+        // place in the cache.
         self.cache.remove(&id);
         self.quota.freed(size.unwrap_or(0)).await;
         Ok(size.is_some())

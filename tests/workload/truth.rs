@@ -34,7 +34,7 @@ impl Placed<'_> {
         f64::from(dot(normal, from) + plane[3].into())
     }
 
-    /// The corners of the face whose normal is nearest to `n`, projected along `n`; none if that
+    /// The corners of the face whose normal is nearest to `n`, projected along `n`, or `None` if that
     /// normal is off `n` by more than the feature angle.
     fn face_along(&self, n: [f64; 3], merge: f64, project: &dyn Fn(Dd3) -> Point) -> Option<Vec<Point>> {
         let cosine = |plane: &[f64; 4]| f64::from(dot(wide(self.normal(*plane)), wide(n)));

@@ -184,7 +184,7 @@ class World:
         mass = 1 / (jacobian * change).sum(axis=2)
         jacobian *= mass[:, :, None]
         gap = found.distance
-        # A gap may be closed but not crossed. A share of the depth beyond the slop is removed.
+        # A gap may be closed but not crossed. A fraction of the depth beyond the slop is removed.
         bias = np.where(gap > 0, -gap, BAUMGARTE * np.maximum(-gap - SLOP, 0)) / self.dt
         impulse = self._remembered(pairs, found.ids, found.point)
         np.add.at(

@@ -48,7 +48,7 @@ struct Truth {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sample {
     pub(super) nanoseconds: f64,
-    /// Width of the bracket, relative to alpha; none for another library.
+    /// Width of the bracket, relative to alpha, or `None` for another library.
     pub(super) gap: Option<f64>,
     /// Fraction of the whole hulls' alpha that the normal does not prove. This value and the next two are
     /// none if another library finds no contact.
@@ -215,7 +215,7 @@ fn polygon(manifold: &Manifold) -> Vec<DVec3> {
     manifold.points.iter().map(middle).collect()
 }
 
-/// The contraction point for a choice of centre; none for the centre of mass.
+/// The contraction point for a choice of centre, or `None` for the centre of mass.
 fn contraction_point(hull: &ConvexHull, center: Center) -> Option<[f64; 3]> {
     let at = match center {
         Center::Mass => return None,

@@ -50,7 +50,7 @@ enum Kind {
     Edges(usize, usize),
 }
 
-/// Two axes count as one if their growth scales differ by less than this share. It only chooses the
+/// Two axes count as one if their growth scales differ by less than this fraction. It only chooses the
 /// start, so no answer depends on the value.
 const SAME_AXIS: f64 = 1e-9;
 

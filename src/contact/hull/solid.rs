@@ -31,9 +31,9 @@ const MOVE: u64 = 12;
 /// Steps to compute the normal or the depth of a triangle in double-double numbers.
 const NORMAL: u64 = 100;
 
-/// The inradius must exceed this share of the circumradius. At this depth alpha is known to about
+/// The inradius must exceed this fraction of the circumradius. At this depth alpha is known to about
 /// a thousandth only (its error is `64 u R/r`). At a tenth of this depth, the rounding of the
-/// vertices would be as large as the tolerance that keeps faces apart, a share of the inradius.
+/// vertices would be as large as the tolerance that keeps faces apart, a fraction of the inradius.
 const THINNEST: f64 = 65536.0 * U;
 
 /// More than the rounding errors of two inradii; hull units.

@@ -43,7 +43,7 @@ pub(super) enum Unanswered {
     NoMemory(NoMemory),
 }
 
-/// A batch being computed.
+/// The state of a batch while it is computed.
 pub(super) struct Run {
     pub(super) batch: Batch,
     pub(super) chunks: Chunks,
@@ -56,7 +56,7 @@ pub(super) struct Run {
     pairs_computed: Arc<AtomicU64>,
     spare: Arc<Spare>,
     injected: Arc<Injected>,
-    /// Released with the answer, so that the next request finds the capacity free.
+    /// The capacity is released with the answer, so that the next request finds it free.
     taken: Mutex<Option<(Admission, Option<Lease>)>>,
 }
 
@@ -210,7 +210,7 @@ impl Run {
         self.job.stop.spend(steps)
     }
 
-    /// Fails if the caller has left, or if the batch can no longer be answered.
+    /// Fails if the caller has left, or if the batch cannot be answered any more.
     fn look(&self) -> Result<(), Stopped> {
         let ends = self.job.stop.is_stopped() || self.unanswered.get().is_some();
         if ends { Err(Stopped) } else { Ok(()) }

@@ -146,7 +146,7 @@ impl<'a> Fields<'a> {
         Self { rest: message, depth: DEPTH - levels }
     }
 
-    /// The next field; none at the end. A group counts as one field without content.
+    /// The next field, or `None` at the end. A group counts as one field without content.
     pub(super) fn next(&mut self, meter: &Meter<'_>) -> Result<Option<Field<'a>>, Fault> {
         if self.rest.is_empty() {
             return Ok(None);
