@@ -80,7 +80,7 @@ fn hold(a: &Body<'_>, b: &Body<'_>, query: &Query, answer: &Manifold) {
             || (answer.flags.gap_open && query.wanted != Wanted::Outcome && !minute);
         assert!(!open, "left open\n{query:?} {answer:?}");
     }
-    // A query for the outcome only makes no promise about the numbers.
+    // If a query asks only for the outcome, the numbers need not be right.
     if query.wanted != Wanted::Outcome
         && let Err(violation) = certificate::check(a, b, query, answer)
     {

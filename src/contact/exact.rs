@@ -139,8 +139,8 @@ pub(crate) fn normal_of(area: &VectorArea, a: DVec3, b: DVec3, c: DVec3) -> Tria
 /// A lower bound of how far `p` is below the plane of the triangle `a`, `b`, `c`. `None` for
 /// slivers.
 pub(crate) fn depth_below(a: DVec3, b: DVec3, c: DVec3, p: DVec3) -> Option<f64> {
-    // For a subnormal side, `normalised` clamps the exponent. Applying it twice brings such a side
-    // to the size of any other.
+    // For a subnormal side, `normalised` clamps the exponent, so the side stays too small. A second
+    // application brings it to the size of the other sides.
     let side = |to| normalised(normalised(exact_difference(to, a)).0).0;
     let cross = dd_cross(side(b), side(c));
     let length = DVec3::new(cross[0].value(), cross[1].value(), cross[2].value()).length();

@@ -180,7 +180,7 @@ fn lone_face(hull: &ConvexHull, direction: &Direction<'_>) -> Option<u32> {
     let normal = |f: u32| hull.faces()[f as usize].normal;
     let (mut face, mut along) = (0, 0.0);
     for &f in hull.vertex_faces(known[0] as usize) {
-        // Without branches, because they would be unpredictable.
+        // Computed without branches, because they would be unpredictable.
         let m_dot_n = normal(f).dot(n);
         let nearer = m_dot_n > along;
         face = if nearer { f } else { face };

@@ -62,7 +62,7 @@ pub enum Element {
 }
 
 impl Element {
-    /// A number that orders elements in the same way as their own order does.
+    /// A number whose order is the order of the elements.
     pub(crate) fn key(self) -> u128 {
         let [kind, first, second] = match self {
             Self::Vertex(v) => [0, v, 0],

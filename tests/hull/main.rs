@@ -44,7 +44,7 @@ fn every_cloud_gives_a_hull() {
 }
 
 /// Every definition holds for the hulls of random shapes, and a shape without a hull is refused with
-/// a reason that is no internal error.
+/// a reason other than an internal error.
 #[test]
 fn random_clouds_give_hulls_or_reasons() {
     let (mut met, mut refused) = (Met::default(), 0);

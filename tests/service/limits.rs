@@ -92,7 +92,7 @@ async fn queries_at_their_limits_and_one_past() {
 async fn registrations_at_their_limits_and_one_past() {
     let server = TestServer::with_limits(small()).await;
     let mut hulls = server.hulls();
-    // All points on a sphere are extreme; a point inside it is no vertex.
+    // All points on a sphere are extreme, and a point inside the sphere is not a vertex.
     let mut with_inner = round_points(60, 5);
     with_inner.push([0.0; 3]);
     let shapes = [plain(round_points(60, 4)), plain(with_inner.clone()), plain(round_points(61, 6))];

@@ -84,8 +84,7 @@ async fn a_step_is_the_request_in_full_from_the_bases_before() {
         let mut full = QueryContactsRequest { accuracy, ..scene(&shapes(), 30, pairs, pairs as u64) };
         full.outputs = outputs(mask);
         for step in 0..6 {
-            // A body with an invalid pose for one step must cost its pairs their bases, and nothing
-            // else.
+            // A body that has an invalid pose in one step must only make its pairs lose their bases.
             let kept = full.positions[7];
             if step == 2 {
                 full.positions[7] = f64::NAN;

@@ -57,8 +57,8 @@ async fn nothing_begins_on_a_store_that_hangs() {
     let store = Faulty::new();
     let server = server(&store).await;
     store.hangs.send_replace(true);
-    // More calls than operations may be under way: the calls that wait for their turn must be
-    // refused too.
+    // There are more calls than operations may run at a time, and the calls that wait for their
+    // turn must be refused too.
     let waiting: Vec<_> = (0..200_u8)
         .map(|i| {
             let mut hulls = server.hulls();

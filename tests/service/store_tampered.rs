@@ -84,9 +84,9 @@ const CASES: [(&str, Tamper); 8] = [
     ("a link to a file", |path| symlink(path.ancestors().nth(3).unwrap().join("secret"), path).is_ok()),
 ];
 
-/// Catches an entry that is opened before it is examined. Such an entry blocks a thread for ever,
-/// is read into memory whole, makes a listing fail, or has the file copied that it links to. Each
-/// entry must cost only its own hull, until that hull is registered again.
+/// Catches an entry that is opened before it is examined. Such an entry may block a thread forever,
+/// be read into memory whole, make a listing fail, or cause a copy of the file that it links to.
+/// Each entry must cost only its own hull, until that hull is registered again.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_bad_entry_costs_its_own_hull_only() {
     let directory = tempfile::tempdir().unwrap();

@@ -142,7 +142,7 @@ const LABELS: usize = 250;
 const HEAD: usize = 100;
 
 /// An SVG heat map with one line per row of the matrix and one column per measure and solver. The
-/// colour is the worst error's fraction of its budget.
+/// colour shows the worst error as a fraction of its budget.
 pub(crate) fn heat_map(scores: &[Score]) -> String {
     let width = LABELS + (2 * MEASURES.len() + 1) * CELL[0] + 20;
     let height = HEAD + scores.len() * CELL[1] + 50;

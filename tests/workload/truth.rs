@@ -134,9 +134,9 @@ impl<'a> Truth<'a> {
         polygon::convex_hull(&vertices.iter().map(corner).collect::<Vec<_>>())
     }
 
-    /// The exact patch of two touching faces: their intersection, projected along the normal. None
-    /// if no two faces look at each other, or if the intersection is too small for the check to
-    /// distinguish from none.
+    /// The exact patch of two touching faces: their intersection, projected along the normal. None if
+    /// no two faces point towards each other, or if the intersection is so small that rounding could
+    /// hide it.
     pub(crate) fn patch(&self) -> Option<Vec<Point>> {
         let project = self.projection(self.normal);
         let merge = 1e-9 * self.outer;

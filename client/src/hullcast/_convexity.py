@@ -5,7 +5,8 @@ A mesh counts as convex if two conditions hold:
 1. Each point of the convex hull's surface is within `TOLERANCE` of some triangle of the mesh. So no
    dent, hole, slot or gap between parts is deeper or wider than that.
 2. These distances, integrated over the hull's surface, enclose at most the fraction
-   `1 - CONVEX_RATIO` of the hull's volume. So a thin plate or profile has no dent as deep as the plate itself.
+   `1 - CONVEX_RATIO` of the hull's volume. So a thin plate or profile has no dent as deep as the
+   plate itself.
 
 Only the distance from the hull to the nearest triangle counts. Therefore the result does not depend
 on triangles that overlap, appear twice, are turned inside out, lie inside the mesh, or meet without

@@ -5,11 +5,11 @@
 //! and the contraction point, rounded once, and divided by a power of two, which rounds nothing
 //! but subnormal numbers.
 //!
-//! The two radii are certified. The circumradius is the largest distance of a vertex, rounded up.
-//! The inradius is the smallest depth of the contraction point below the exact planes of the
-//! triangles, less the distance by which rounding moved a vertex, rounded down. Both take linear
-//! time: depths are computed in double precision first, and again more finely only for the planes
-//! that may be the nearest.
+//! The two radii are certified. The circumradius is the largest distance of a vertex, rounded up. The
+//! inradius is the smallest depth of the contraction point below the exact planes of the triangles,
+//! less the distance by which rounding moved a vertex, rounded down. Both take linear time: depths
+//! are computed in double precision first, and with higher precision only for the planes that may be
+//! the nearest.
 
 use glam::DVec3;
 
@@ -204,7 +204,7 @@ impl Solid {
             meter.spend(MOVE)?;
             nearest = nearest.min(depth(t));
         }
-        // Compute the depth again more finely for the planes that may be the nearest.
+        // Compute the depth again with higher precision for the planes that may be the nearest.
         let mut refined = f64::INFINITY;
         for t in (0..normals.len()).filter(|&t| depth(t) <= nearest + 2.0 * ERROR) {
             meter.spend(NORMAL)?;
