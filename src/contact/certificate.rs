@@ -275,8 +275,9 @@ fn points(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), V
     Ok(())
 }
 
-/// Cosine of a touched face to the contact plane. It is below 1 within the feature angle, and if the
-/// query asked for a loose normal. A face seen edge-on is replaced by its two ends, hence the clamp.
+/// Cosine of the angle between a touched face and the contact plane. It is below 1 if the face is
+/// tilted within the feature angle, or if the query allowed an inaccurate normal. It is clamped,
+/// because a face that is seen edge-on is replaced by its two ends.
 fn faced(body: &Body<'_>, feature: Feature, n: DVec3) -> f64 {
     let Feature::Face(f) = feature else { return 1.0 };
     (body.pose.rotation * body.hull.faces()[f as usize].normal).dot(n).clamp(EDGE_ON, 1.0)

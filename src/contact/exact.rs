@@ -188,8 +188,8 @@ fn are_safe(points: &[DVec3; 4]) -> bool {
     points.iter().fold(true, |safe, p| safe & is_safe(p.x) & is_safe(p.y) & is_safe(p.z))
 }
 
-/// On which side of the plane through `a`, `b`, `c` the point `d` lies. Only the sign is exact: it
-/// is negative on the side from which `a`, `b`, `c` run anticlockwise, and zero in the plane.
+/// Tells on which side of the plane through `a`, `b`, `c` the point `d` lies. Only the sign is exact: it is
+/// negative on the side from which `a`, `b`, `c` run anticlockwise, and zero in the plane.
 pub(crate) fn orient3d(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     if are_safe(&[a, b, c, d]) { adaptive_orient3d(a, b, c, d) } else { wide::orient3d(a, b, c, d) }
 }

@@ -74,7 +74,8 @@ pub(crate) struct Scratch {
 #[derive(Clone, Copy, Debug)]
 struct Near {
     feature: u32,
-    /// For a face the cosine of its normal to the direction, for an edge the sine.
+    /// For a face, the cosine of the angle between its normal and the direction. For an edge, the sine of
+    /// the angle by which it is off the perpendicular.
     measure: f64,
 }
 

@@ -77,7 +77,7 @@ pub(super) struct Finding {
     found: Vec<u32>,
     /// Ordered candidates, cut into groups that are computed together.
     waiting: VecDeque<Vec<u32>>,
-    /// The admission that was taken before any work, until it is used.
+    /// The admission that the call took before any work. `None` after its first use.
     admission: Option<Admission>,
     /// The missing hulls and the unusable bodies, to be sent with the first message.
     left_out: Option<(Vec<u32>, Vec<u32>)>,

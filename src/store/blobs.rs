@@ -254,7 +254,7 @@ mod tests {
         }
     }
 
-    /// Catches a directory that is not a shard and is taken for one.
+    /// Catches a directory that is not a shard and is mistaken for one.
     #[test]
     fn shards_are_two_lower_case_digits() {
         assert!((0..=255).all(|shard| shard_of_name(&shard_name(shard)) == Some(shard)));

@@ -29,8 +29,8 @@ const TYPICAL_HULL_BYTES: u64 = 16 << 10;
 pub(super) fn cache(bytes: u64, metrics: &Metrics) -> HullCache {
     let items = usize::try_from(bytes / TYPICAL_HULL_BYTES).unwrap_or(usize::MAX);
     let options = OptionsBuilder::new()
-        // One shard: with several, a hull that fits in the limit may not fit in its shard's part of
-        // it.
+        // There is only one shard, because a hull that fits in the limit may not fit in the part of
+        // one of several shards.
         .shards(1)
         .estimated_items_capacity(items.clamp(16, 1 << 20))
         .weight_capacity(bytes)

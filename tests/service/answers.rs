@@ -72,8 +72,8 @@ async fn every_batch_split_and_thread_count_gives_the_librarys_bits() {
 async fn every_option_and_output_reaches_the_library() {
     let server = with_shapes(2).await;
     let mut masks: Vec<Vec<i32>> = ALL.iter().map(|&output| outputs(&[output])).collect();
-    // The default mask, all outputs, a value of a newer contract beside a known one, only the
-    // unspecified value.
+    // The masks are the default, all outputs, a known value together with a value of a newer
+    // contract, and only the unspecified value.
     masks.extend([vec![], outputs(&ALL), vec![Output::Alpha as i32, 1000], vec![0]]);
     let accuracies = [
         None,

@@ -442,7 +442,7 @@ async fn a_full_disk_is_store_full() {
     assert_eq!(server.contacts().query_contacts(request).await.unwrap().into_inner().flags, [0]);
 }
 
-/// Catches a store URL that is taken for a directory's name, and a store that fails only when it is
+/// Catches a store URL that is mistaken for a directory's name, and a store that fails only when it is
 /// used.
 #[test]
 fn stores_that_cannot_be_opened_say_why() {

@@ -133,8 +133,8 @@ impl Engine {
         memory: Permit,
     ) -> Result<(Columns, Permit), ServiceError> {
         let pairs = batch.pair_count();
-        // If the caller leaves while the batch waits, the batch may be large and must not be freed
-        // on this thread.
+        // If the caller leaves while the batch waits, the batch is freed. It may be large, so a
+        // compute thread must free it.
         let waiting = self.compute.freed_here(batch, usize::MAX);
         self.admission.turn(&mut admission).instrument(trace::queue(pairs)).await;
         let batch = waiting.into_inner();
