@@ -256,7 +256,7 @@ async fn a_flood_of_pings_is_held_back() {
         if result.is_err() {
             break; // the server closed the connection, which is a defence too
         }
-        assert!(sent < TOO_MUCH, "the server reads on for ever");
+        assert!(sent < TOO_MUCH, "the server never stops reading");
     }
     is_answered(&server).await;
 }

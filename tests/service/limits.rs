@@ -100,7 +100,7 @@ async fn registrations_at_their_limits_and_one_past() {
     let vertices = |result: &hullcast::proto::RegisterHullResult| match &result.result {
         Some(Registered::Hull(info)) => Ok((info.vertex_count, info.registered_count)),
         Some(Registered::Error(error)) => Err((error.reason.clone(), error.field.clone())),
-        None => panic!("a result that is none"),
+        None => panic!("a result has neither a hull nor an error"),
     };
     assert_eq!(vertices(&results[0]), Ok((60, 60)));
     assert_eq!(vertices(&results[1]), Ok((60, 61)));

@@ -32,7 +32,9 @@ impl Stepper {
     async fn step(&mut self, request: QueryContactsRequest) -> Result<QueryContactsResponse, Refusal> {
         self.requests.send(request).await.unwrap();
         let answer = self.answers.message().await;
-        answer.map(|answer| answer.expect("one answer a request")).map_err(|status| refusal(&status))
+        answer
+            .map(|answer| answer.expect("the stream has one answer per request"))
+            .map_err(|status| refusal(&status))
     }
 }
 
@@ -106,7 +108,10 @@ async fn a_step_is_the_request_in_full_from_the_bases_before() {
         }
     }
     assert_eq!(steps, 24);
-    assert!(10 * warm_calls < 9 * cold_calls, "bases are worth keeping: {warm_calls} of {cold_calls}");
+    assert!(
+        10 * warm_calls < 9 * cold_calls,
+        "bases save too little work: {warm_calls} of {cold_calls} calls"
+    );
 }
 
 /// The server keeps the bases of a stream for the next step. Catches bases that are sent although

@@ -120,7 +120,7 @@ async fn callers_who_leave_do_not_hide_that_the_store_hangs() {
         let same = store.begun.load(Ordering::SeqCst) == before;
         refused_at_once += usize::from(ended.is_ok() && same);
     }
-    assert!(store.begun.load(Ordering::SeqCst) - begun < 64, "no more than may be under way");
+    assert!(store.begun.load(Ordering::SeqCst) - begun < 64, "more operations began than may run at a time");
 }
 
 /// Catches readiness and health that report a hung store as ready, or that wait for the store

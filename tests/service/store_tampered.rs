@@ -134,10 +134,10 @@ async fn a_bad_entry_costs_its_own_hull_only() {
     let after = server(&store, Limits::default()).await;
     assert_eq!(has(&after, &shapes).await, vec![true; shapes.len()]);
     assert_eq!(listed(&after, 1000).await.len(), shapes.len());
-    assert_eq!(fs::read(directory.path().join("secret")).unwrap(), b"secret", "not written through the link");
+    assert_eq!(fs::read(directory.path().join("secret")).unwrap(), b"secret", "the link was written through");
     let kept: Vec<_> = fs::read_dir(store.join("quarantine")).unwrap().map(|e| e.unwrap().path()).collect();
     assert_eq!(kept.len(), 1, "{kept:?}");
-    assert_eq!(fs::read(kept[0].join("kept")).unwrap(), b"kept", "what lay in the directory is kept");
+    assert_eq!(fs::read(kept[0].join("kept")).unwrap(), b"kept", "the content of the directory was not kept");
 }
 
 /// A file of the largest size is read and set aside; a file one byte larger is not read. Catches a
