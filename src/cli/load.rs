@@ -31,11 +31,11 @@ use hullcast::workload::{Family, Regime};
 /// In a closed loop (`--concurrency`, or `--concurrency-range` for several levels) each loop sends its
 /// next batch when its last one is answered. In an open loop (`--request-rate-range`) batches are sent at
 /// fixed times, whether or not earlier ones are answered, and the latency of a batch counts from the time
-/// at which it was due. If a busy server refuses a batch, the batch is sent again after the time that the
-/// server states (RetryInfo), up to `--retries` times. If a server or its connection is lost, its batch
-/// is sent again to the next server. Answers are compared bit for bit with those of the library, which
-/// this process calls for one pair at a time. An interrupt ends the run, and the counts so far are
-/// printed. The exit code is 1 if a call failed or an answer was wrong.
+/// at which it was due. If a busy server refuses a batch, the batch counts as shed and is sent again
+/// after the time that the server states (RetryInfo), up to `--retries` times. If a server or its
+/// connection is lost, its batch is sent again to the next server. Answers are compared bit for bit with
+/// those of the library, which this process calls for one pair at a time. An interrupt ends the run, and
+/// the counts so far are printed. The exit code is 1 if a call failed or an answer was wrong.
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct Args {
     /// Send the configurations of this scene file in turn [default: generated batches].
@@ -240,7 +240,8 @@ impl Args {
         }
     }
 
-    /// The connections, which go to the servers in turn, or this process; and the ids of the hulls there.
+    /// The sources of answers, and the ids of the hulls there. The sources are connections, which go to
+    /// the servers in turn, or this process.
     async fn answerers(&self, hulls: &[HullPoints]) -> Result<(Vec<Answerer>, Vec<HullId>), Error> {
         let Some(remote) = &self.remote.remote else {
             let (local, ids) = Answerer::local(hulls, self.threads)?;

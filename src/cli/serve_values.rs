@@ -105,7 +105,7 @@ pub(crate) fn log_filter(text: &str) -> Result<String, String> {
 /// The filter that a setting of the log stands for.
 ///
 /// A single level applies to hullcast. The libraries below it log at `info` at most, because the
-/// HTTP/2 library logs every frame at lower levels. A filter of several parts is used as it is.
+/// HTTP/2 library logs every frame at `debug` and `trace`. A filter of several parts is used as it is.
 ///
 /// # Errors
 /// It is neither a level nor a filter.

@@ -161,8 +161,8 @@ fn normalised(v: Dd3) -> (Dd3, i32) {
     (v.map(|x| x.scaled(power)), exponent)
 }
 
-/// [`orient3d`], and counts its steps. A value larger than `sure` was certainly decided in rounded
-/// arithmetic; see [`sure_orient3d`].
+/// Does the same as [`orient3d`], and counts the steps. A value larger than `sure` was certainly decided in
+/// rounded arithmetic; see [`sure_orient3d`].
 #[inline]
 pub(crate) fn counted_orient3d(points: [DVec3; 4], sure: f64, meter: &Meter<'_>) -> f64 {
     let [a, b, c, d] = points;

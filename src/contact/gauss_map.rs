@@ -368,7 +368,8 @@ mod tests {
             let hull = ConvexHull::with_options(points, &options).expect("a hull");
             for round in 0..4000 {
                 let tilt = 10_f64.powi(-(round % 8));
-                // Along a face's normal, perpendicular to an edge, or anywhere; slightly perturbed.
+                // The direction is along a face's normal, perpendicular to an edge, or arbitrary, and
+                // slightly perturbed.
                 let edge = round as usize % hull.edge_count();
                 let [f, g] = hull.edge_faces()[edge].map(|f| hull.faces()[f as usize].normal);
                 let share = [0.0, 0.5, 0.3][round as usize / 32 % 3];

@@ -36,7 +36,7 @@ const CONNECTION_BYTES: u64 = 128 << 10;
 const LARGE_WINDOW: u32 = 8 << 20;
 const SMALL_WINDOW: u32 = 64 << 10;
 
-/// The fraction of the memory budget that large windows may take together, as a divisor.
+/// Large windows together may take one part in this many of the memory budget.
 const WINDOWS_SHARE: u64 = 4;
 
 /// Health checks per connection that are answered at a time without asking the budget.

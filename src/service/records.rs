@@ -93,7 +93,7 @@ pub(super) async fn records(
     Ok((offloaded(app, context, bytes, repeat).await?, memory))
 }
 
-/// Records being read for one answer.
+/// The state of the reading of records for one answer.
 struct Reading<'a> {
     app: &'a App,
     context: &'a CallContext,

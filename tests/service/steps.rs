@@ -142,7 +142,7 @@ async fn the_message_before_is_the_one_inherited() {
     server.hulls().register_hulls(register_request(&shapes())).await.unwrap();
     let mut streams = [Stepper::open(server.contacts()).await, Stepper::open(server.contacts()).await];
     for round in 0..4 {
-        // Equal bodies, other pairs and options.
+        // The streams have equal bodies, but other pairs and options.
         for (i, stream) in streams.iter_mut().enumerate() {
             let mut full = scene(&shapes(), 20, 50 + round, (10 + i) as u64);
             full.margin = 0.01 * round as f64;

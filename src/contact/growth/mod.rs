@@ -50,7 +50,7 @@ pub(crate) enum Growth {
     Separated(Separation),
 }
 
-/// Growth scale and normal. The three scales are those of `d`.
+/// Growth scale and normal. The scale and both ends of its bracket are for `d`, not for the ray.
 pub(crate) struct Solution {
     pub(crate) alpha: f64,
     pub(crate) lower: f64,

@@ -217,7 +217,7 @@ fn check_planarity(planarity: Option<f64>) -> Result<(), HullError> {
     }
 }
 
-/// Converts the error of a build whose [`Stop`] nobody else holds, so that it cannot be stopped.
+/// Converts the error of a build whose [`Stop`] no other code holds, so that it cannot be stopped.
 fn never_stopped(error: BuildError) -> HullError {
     match error {
         BuildError::Hull(error) => error,

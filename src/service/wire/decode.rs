@@ -78,7 +78,7 @@ struct QueryCounts {
     hull_ids: usize,
     hull_id_bytes: usize,
     outputs: usize,
-    /// In the order of the message's `COLUMNS`.
+    /// The counts are in the order of the message's `COLUMNS`.
     columns: [usize; proto::QueryContactsRequest::COLUMNS.len()],
     column_bytes: usize,
 }
