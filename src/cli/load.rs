@@ -119,7 +119,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "COUNT", default_value_t = 0, value_parser = count(0, u64::MAX),
           allow_negative_numbers = true, help_heading = "Load")]
     count: u64,
-    /// How many times a batch is sent again if it was refused or its server was lost.
+    /// Most repetitions of a batch that was refused or whose server was lost.
     #[arg(long, value_name = "COUNT", default_value_t = 0, value_parser = count(0, u32::MAX),
           allow_negative_numbers = true, help_heading = "Load")]
     retries: u32,

@@ -24,7 +24,7 @@ from contacts import Contacts, Floats, Ids, Indices, by_growth_distance, frames
 import hullcast
 
 GRAVITY = np.array([0, 0, -9.81])
-#: The share of the depth beyond the slop that is removed in one step.
+#: The fraction of the depth beyond the slop that is removed in one step.
 BAUMGARTE = 0.2
 #: The depth that is not corrected, in metres.
 SLOP = 1e-3

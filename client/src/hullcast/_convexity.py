@@ -74,8 +74,8 @@ _Ids = npt.NDArray[np.int64]
 class Dents:
     """How a mesh that is not convex differs from its convex hull."""
 
-    #: The fraction of its convex hull that the mesh fills, at most 1. It is an estimate, good to about
-    #: 1 %, if parts of the mesh overlap or edges are open.
+    #: The fraction of its convex hull that the mesh fills, at most 1. It is an estimate, good to
+    #: about 1 %, if parts of the mesh overlap or edges are open.
     ratio: float
     #: Sides of triangles without a neighbour that has the same side in the opposite direction.
     open_edges: int

@@ -162,8 +162,7 @@ def _before_fork() -> None:
 
 
 def _after_fork() -> None:
-    """Forgets streams in use without ending them, because only the parent's threads could end them.
-    """
+    """Forgets streams in use. It does not end them: only the parent's threads could do that."""
     for session in list(_sessions):
         for lane in session._lanes:
             _connection.inherited.append(lane.stream)
