@@ -84,7 +84,7 @@ const SHEDS: [(Shed, &str); 6] = [
     (Shed::Store, "store_operations"),
 ];
 
-/// Why the server cut a call whose answer was ready.
+/// The reason why the server cut a call whose answer was ready.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Cut {
     /// The peer did not take the answer in time.

@@ -9,7 +9,7 @@ use hullcast::proto;
 #[derive(Args, Clone, Debug, Default)]
 #[command(next_help_heading = "Speed against accuracy")]
 pub(crate) struct AccuracyArgs {
-    /// Which solver finds the growth scale.
+    /// The solver that finds the growth scale.
     #[arg(long, value_enum, ignore_case = true, default_value_t)]
     solver: SolverArg,
     /// Stop the solver at this width of the bracket, relative to alpha, 0 to 1. 0 means as narrow

@@ -175,7 +175,7 @@ fn spawn_reload_on_hangup(security: Arc<Security>) -> io::Result<()> {
     Ok(())
 }
 
-/// Why an address was not bound.
+/// The reason why an address was not bound.
 fn not_bound(option: &str, error: &io::Error) -> Error {
     let remedy = match error.kind() {
         io::ErrorKind::AddrInUse => "; another server has it: stop that one, or choose another port",

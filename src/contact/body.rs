@@ -12,7 +12,7 @@ pub(super) const MIN_NORM: f64 = 0.25;
 /// inside this range, so a norm outside it is more likely to be an error of the caller.
 pub(super) const MAX_NORM: f64 = 4.0;
 
-/// Why a pose is not usable.
+/// The reason why a pose is not usable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InvalidPose {
     /// A coordinate is not finite, or its magnitude is above 1e100.

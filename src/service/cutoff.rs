@@ -49,7 +49,8 @@ pub(super) struct Cutoff(Arc<State>);
 struct State {
     /// The zero of the times below.
     start: Instant,
-    /// When the stream ends, and why ([`packed`]); [`NEVER`] while the peer owes nothing.
+    /// The time at which the stream ends, and the reason ([`packed`]). It is [`NEVER`] while the peer has
+    /// nothing to read.
     due: AtomicU64,
     /// The `due` for which the waiting side wakes up.
     awaited: AtomicU64,

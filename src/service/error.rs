@@ -35,7 +35,7 @@ pub struct Place {
     pub index: Option<usize>,
 }
 
-/// Why a call is refused.
+/// The reason why a call is refused.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ServiceError {
     /// The error class.

@@ -13,7 +13,7 @@ use object_store::{ObjectStore, memory::InMemory};
 
 use super::{HullId, directory::DirectoryStore, identity::id_of, objects::Objects};
 
-/// Why an operation of the store failed.
+/// The reason why an operation of the store failed.
 #[derive(Clone, Debug)]
 pub enum StoreError {
     /// No room: the disk or the configured limit is full.
@@ -110,7 +110,7 @@ pub async fn list(
     Ok(blobs)
 }
 
-/// Why a `--store` could not be opened.
+/// The reason why a `--store` could not be opened.
 #[derive(Debug)]
 pub struct OpenError(String);
 

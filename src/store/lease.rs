@@ -26,7 +26,7 @@ use crate::{
     metrics::Metrics,
 };
 
-/// Why a request cannot lease its hulls.
+/// The reason why a request cannot lease its hulls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LeaseError {
     /// The hulls take more than one caller may ever lease.

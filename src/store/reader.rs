@@ -50,7 +50,7 @@ struct Faults {
     why: String,
 }
 
-/// Why a request does not have a hull.
+/// The reason why a request does not have a hull.
 pub(super) enum NotLeased {
     Missing(Missing),
     NoRoom(LeaseError),

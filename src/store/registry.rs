@@ -45,7 +45,7 @@ pub struct Bounds {
     pub shares: bool,
 }
 
-/// Why a hull is missing.
+/// The reason why a hull is missing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Missing {
     /// The store does not have the hull, or has something else under its name. The client should
@@ -55,7 +55,7 @@ pub enum Missing {
     Unavailable,
 }
 
-/// Why a hull was not registered.
+/// The reason why a hull was not registered.
 #[derive(Debug)]
 pub enum RegisterError {
     /// The points have no valid hull.
@@ -70,7 +70,7 @@ pub enum RegisterError {
     Internal(Panicked),
 }
 
-/// Why hulls were not built.
+/// The reason why hulls were not built.
 #[derive(Clone, Debug)]
 pub(super) enum BuildError {
     NoMemory(NoMemory),

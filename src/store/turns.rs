@@ -39,7 +39,7 @@ struct Queue {
     tickets: BTreeMap<u64, oneshot::Sender<()>>,
 }
 
-/// Why a request gets no slot.
+/// The reason why a request gets no slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum NoTurn {
     /// Too many of this caller's requests wait already.

@@ -36,7 +36,7 @@ const LARGE_BYTES: usize = 4 << 20;
 /// do not contend for it.
 const GATHERED_STEPS: u64 = 1 << 16;
 
-/// Why the rest of a batch is not computed.
+/// The reason why the rest of a batch is not computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Unanswered {
     TooLarge,

@@ -29,7 +29,7 @@ impl fmt::Display for SettingFile {
     }
 }
 
-/// Why files were refused; the text names the setting and the file.
+/// The reason why files were refused; the text names the setting and the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LoadError(String);
 

@@ -92,7 +92,7 @@ columns! {
     kept_areas: f64,
 }
 
-/// Why a pair is not answered. It affects only pairs of the body or hull at fault.
+/// The reason why a pair is not answered. It affects only pairs of the body or hull at fault.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Invalid {
     unknown_hull: bool,

@@ -249,7 +249,7 @@ impl HullCounts {
         Ok(counts)
     }
 
-    /// Why the hull is refused, if it is.
+    /// The reason why the hull is refused, or `None` if it is accepted.
     fn refusal(&self, limits: &Limits) -> Option<proto::HullError> {
         if !self.vertices.is_multiple_of(3) {
             return Some(malformed("vertices", self.vertices, "3 per point"));

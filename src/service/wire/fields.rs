@@ -21,7 +21,7 @@ const FIELD_STEPS: u64 = 5;
 /// Bytes copied per elementary step, including the system's work for new pages.
 pub(super) const BYTES_PER_STEP: usize = 4;
 
-/// Why reading ended early.
+/// The reason why reading ended early.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Fault {
     /// The bytes are not a message of this type.
