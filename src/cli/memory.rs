@@ -119,7 +119,8 @@ fn available(root: &Path) -> Option<u64> {
             _ => continue,
         };
         let base = root.join(base);
-        // In a container the path is the host's, and the group is mounted at the base.
+        // In a container, /proc shows the path on the host, but the container's own group is mounted at
+        // the base.
         for group in base.join(path.trim_start_matches('/')).ancestors() {
             if let Some(limit) = read(group.join(file)).and_then(|text| text.trim().parse::<u64>().ok()) {
                 least = least.min(limit);

@@ -65,7 +65,7 @@ impl Pose {
     /// Makes the checks of [`Pose::new`] and returns the quaternion's squared norm.
     ///
     /// # Errors
-    /// Those of [`Pose::new`].
+    /// The errors of [`Pose::new`].
     #[inline]
     pub fn check(position: [f64; 3], [x, y, z, w]: [f64; 4]) -> Result<f64, InvalidPose> {
         if !position.iter().all(|c| c.abs() <= MAX_POSITION) {

@@ -122,7 +122,7 @@ const HULL_SERVICE: &str = "hullcast.v1.HullService";
 /// The handlers without listeners and middleware, for fuzzing them with bytes.
 ///
 /// # Errors
-/// Those of [`run`].
+/// The errors of [`run`].
 #[doc(hidden)]
 pub async fn handlers(app: &Arc<App>) -> Result<Routes, OpenError> {
     Ok(routes(app).await?.1)

@@ -152,7 +152,7 @@ pub fn open(url: &str) -> Result<Opened, OpenError> {
 /// Opens a store as [`open`] does, but does not create a directory.
 ///
 /// # Errors
-/// Those of [`open`]; the directory does not exist.
+/// The errors of [`open`], or that the directory does not exist.
 pub fn open_existing(url: &str) -> Result<Opened, OpenError> {
     let path = url.strip_prefix("file://").unwrap_or(url);
     if !path.contains("://") && !Path::new(path).is_dir() {
