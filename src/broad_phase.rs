@@ -34,7 +34,7 @@ pub use self::{
 };
 use crate::contact::{Bounds, STEPS_BETWEEN_LOOKS, Stop, Stopped};
 
-/// Steps per partner to sort the partners of a body, once they are all known.
+/// Steps per partner to sort the partners of a body when all of them are known.
 const STEPS_PER_PARTNER: u64 = 20;
 
 /// The bodies of a scene, ready for searches for pairs.

@@ -128,8 +128,8 @@ impl MemoryBudget {
         self.limit
     }
 
-    /// The most bytes that all callers together may hold for `part`; none if only the whole budget limits
-    /// it.
+    /// The most bytes that all callers together may hold for `part`, or `None` if only the whole budget
+    /// limits it.
     pub fn cap(&self, part: Part) -> Option<u64> {
         locked(&self.state).capped[part as usize].as_ref().map(Shares::limit)
     }
@@ -152,7 +152,7 @@ impl MemoryBudget {
     /// Takes `bytes` for `caller`. The bytes are free again when the permit is dropped.
     ///
     /// # Errors
-    /// The budget, its part or the caller's share has no room. Then nothing is taken.
+    /// The budget, its part or the caller's share has no room. In that case nothing is taken.
     pub fn take(self: &Arc<Self>, caller: &Caller, part: Part, bytes: u64) -> Result<Permit, NoMemory> {
         self.of(caller).take(part, bytes)
     }
@@ -208,7 +208,7 @@ impl Permit {
         MemoryBudget::unlimited().of(&Caller::alone()).covered(part, 0)
     }
 
-    /// How many bytes it holds, with the covered ones.
+    /// The number of bytes that the permit holds, including the covered ones.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
@@ -227,7 +227,7 @@ impl Permit {
     /// Takes the covered bytes from the budget too, for a permit that outlives the one that covers them.
     ///
     /// # Errors
-    /// There is no room for them; the permit keeps what it had.
+    /// There is no room for them. The permit keeps the bytes that it had.
     pub fn uncover(&mut self) -> Result<(), NoMemory> {
         self.charge(self.bytes - self.charged())?;
         self.covered = 0;
@@ -260,12 +260,12 @@ impl Permit {
         }
     }
 
-    /// The bytes that it has taken from the budget.
+    /// The bytes that this permit has taken from the budget.
     fn charged(&self) -> u64 {
         self.bytes.saturating_sub(self.covered)
     }
 
-    /// Takes `more` bytes from the budget. Nothing is locked for small messages, which need none.
+    /// Takes `more` bytes from the budget. If `more` is 0, as for small messages, nothing is locked.
     fn charge(&self, more: u64) -> Result<(), NoMemory> {
         if more == 0 {
             return Ok(());
@@ -318,8 +318,8 @@ mod tests {
         assert_eq!(budget.used(), 0);
     }
 
-    /// Catches covered bytes that are taken, others that are not, and bytes that are given back without
-    /// having been taken.
+    /// Catches covered bytes that are taken from the budget, other bytes that are not, and bytes that are
+    /// given back although they were never taken.
     #[test]
     fn a_permit_takes_what_is_beyond_its_covered_bytes() {
         let caller = Caller::alone();

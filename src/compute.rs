@@ -66,7 +66,7 @@ pub struct Compute {
 pub struct Job {
     /// The caller that is charged for the work, and whose turns the work takes.
     pub caller: Caller,
-    /// Counts the steps of the work. It is stopped when nobody waits for the work any more.
+    /// Counts the steps of the work. It is stopped when no caller waits for the work any more.
     pub stop: Arc<Stop>,
     /// The number of steps of `stop` that the caller has been charged for.
     charged: Arc<AtomicU64>,

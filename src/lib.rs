@@ -17,8 +17,8 @@
 //! world. The contact normal is a unit vector in the world frame that points from A to B. Separations
 //! and distances are negative for overlapping hulls.
 
-// Not in Cargo.toml, where the lint would also apply to the tests: their shared modules have `pub` items
-// that are not exported.
+// This lint is not in Cargo.toml, because it would then apply to the tests too, whose shared modules
+// have `pub` items that are not exported.
 #![warn(unreachable_pub)]
 
 pub mod broad_phase;

@@ -41,7 +41,7 @@ impl Repeated {
     }
 
     /// Returns the number of lines left out since the last one if a line may be written now. Otherwise
-    /// counts this line as left out and returns none.
+    /// counts this line as left out and returns `None`.
     pub fn due(&self) -> Option<u64> {
         self.due_at(STARTED.elapsed())
     }

@@ -1,5 +1,5 @@
-//! The command line: parses, then calls. One module a subcommand, each with
-//! its `Args` and its `run`.
+//! The command line. It parses the arguments and calls the subcommand. Each subcommand is a
+//! module with its `Args` and its `run`.
 
 #![warn(unreachable_pub)]
 
@@ -10,7 +10,7 @@ use std::process::ExitCode;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
-/// Certified contact manifolds of convex hulls, as a service.
+/// Computes certified contact manifolds of convex hulls, as a service.
 #[derive(Parser)]
 #[command(version)]
 struct Arguments {
@@ -20,11 +20,11 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Answers queries over gRPC until told to stop.
+    /// Runs the server, which answers queries over gRPC until it is told to stop.
     Serve(Box<cli::serve::Args>),
-    /// Answers for a scene file's pairs, in this process or from a server.
+    /// Computes the contacts of a scene file, in this process or on a server.
     Query(Box<cli::query::Args>),
-    /// Measures speed against accuracy: every setting's time and errors.
+    /// Measures the time and the errors of every setting.
     Tradeoff(cli::tradeoff::Args),
     /// Sends batches in a closed or an open loop, times them and checks a sample of the answers.
     Load(Box<cli::load::Args>),

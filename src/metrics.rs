@@ -84,7 +84,7 @@ const SHEDS: [(Shed, &str); 6] = [
     (Shed::Store, "store_operations"),
 ];
 
-/// Why the server cut a call whose answer was ready.
+/// The reason why the server cut a call whose answer was ready.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Cut {
     /// The peer did not take the answer in time.
@@ -298,7 +298,7 @@ impl Metrics {
     }
 }
 
-/// The resident memory of this process in bytes; none if the system does not report it.
+/// The resident memory of this process in bytes, or `None` if the system does not report it.
 pub(crate) fn resident_bytes() -> Option<i64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;

@@ -29,7 +29,7 @@ pub(crate) fn call(method: &'static str, headers: &HeaderMap) -> Span {
     span
 }
 
-/// The id of the trace that contains the span; none if nothing exports it.
+/// The id of the trace that contains the span, or `None` if nothing exports it.
 pub(crate) fn id(span: &Span) -> Option<String> {
     #[cfg(feature = "otlp")]
     return otel::id(span);

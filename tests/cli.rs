@@ -282,7 +282,7 @@ fn load_sends_again_what_a_lost_server_did_not_answer() -> Outcome {
     Ok(())
 }
 
-/// Catches success without a server.
+/// Catches a command that reports success although there is no server.
 #[test]
 fn no_server_is_an_error() -> Outcome {
     let panda = scenes().join("panda.json");
@@ -297,7 +297,7 @@ fn no_server_is_an_error() -> Outcome {
     Ok(())
 }
 
-/// Catches a scene file that is damaged, has grown, or is published without its licence.
+/// Catches a scene file that is damaged, has become larger, or is published without its licence.
 #[test]
 fn committed_scenes_are_whole() -> Outcome {
     for (name, bodies, frames, licence) in [

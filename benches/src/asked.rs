@@ -41,7 +41,7 @@ pub struct AskedPair {
 pub struct Answer {
     /// Duration of the fastest of three calls.
     pub nanoseconds: f64,
-    /// The contact; none if there is no contact within the margin.
+    /// The contact, or `None` if there is no contact within the margin.
     pub contact: Option<Contact>,
     /// The contact with the second hull at its nudged pose.
     pub nudged: Option<Contact>,

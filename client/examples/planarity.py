@@ -2,7 +2,7 @@
 
     python client/examples/planarity.py docs/planarity.csv docs/planarity.svg
 
-The upper row shows the share of contact patches of rounded shapes that are whole, against the
+The upper row shows the fraction of contact patches of rounded shapes that are whole, against the
 planarity of the faces. The lower row shows the mean patch area for two roundings, and the cost of a
 coarse planarity on the same shapes without rounding.
 """

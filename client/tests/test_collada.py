@@ -80,7 +80,7 @@ def same(found: np.ndarray, expected: np.ndarray) -> bool:
     ],
 )
 def test_the_unit_and_the_axes_of_a_file(tmp_path, asset, meters):
-    """Catches lengths in a file's unit that are taken for metres.
+    """Catches lengths in a file's unit that are mistaken for metres.
 
     Axes stay as they are written, because robot software does not convert them either.
     """

@@ -27,7 +27,7 @@ def judge(*parts: np.ndarray) -> _convexity.Dents | None:
     return _convexity.dents(made.vertices, made.faces)
 
 
-#: Shapes that are not convex, with the share of their hull that they fill.
+#: Shapes that are not convex, with the fraction of their hull that they fill.
 DENTED = {
     "an L of overlapping bars": (BARS, 6 / 7),
     "the bars doubled": ((*BARS, *BARS), 6 / 7),
@@ -61,7 +61,7 @@ DENTED = {
 def test_shapes_that_are_not_convex(name):
     """Catches a volume that counts overlapping, doubled, inverted or open parts wrongly.
 
-    Each shape is found not convex in any position and order of triangles, with the share of its
+    Each shape is found not convex in any position and order of triangles, with the fraction of its
     hull that it fills.
     """
     parts, ratio = DENTED[name]

@@ -200,7 +200,7 @@ def test_bodies_that_never_meet_are_split_anywhere():
 def test_a_world_over_the_limit_is_refused(client, worlds, says):
     """The error has the number, the limit, the world and the remedies.
 
-    Catches pairs that are dropped to fit the limit, and a split that goes on for ever.
+    Catches pairs that are dropped to fit the limit, and a split that never ends.
     """
     with Server("memory://", "--max-bodies-per-request", "59") as server, hullcast.connect(
         server.address, options=NO_PROXY

@@ -219,7 +219,7 @@ def test_find_refuses_every_defect(served, number):
 
 
 def test_find_refuses_messages_that_do_not_follow(served):
-    """Catches an empty stream that is taken for no pairs, and a message that is repeated."""
+    """Catches an empty stream that is mistaken for no pairs, and a message that is repeated."""
     mock, client = served
     mock.answers = {"FindContacts": lambda r: []}
     expect_malformed(lambda: client.find(scene()), "without a message")

@@ -214,7 +214,7 @@ SECOND = TRIANGLES + np.array([5, 0, 0])
     ],
 )
 def test_an_stl_file(tmp_path, data, expected):
-    """Catches a binary file that is taken for text, and solids after the first that are lost."""
+    """Catches a binary file that is mistaken for text, and solids after the first that are lost."""
     assert triangles(load(tmp_path, "a.stl", data)) == canonical(expected)
 
 

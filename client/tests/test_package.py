@@ -60,7 +60,7 @@ def test_others_answer_the_pairs_of_a_tradeoff(tmp_path):
     assert len(files) == len(present)
     table = run(binary, "tradeoff", *pairs, *files, "--out", tmp_path / "all")
     lines = [line for line in table.splitlines() if line.startswith(("coal ", "MuJoCo "))]
-    assert len(lines) == 2 * len(present), "of all pairs, and of deep ones"
+    assert len(lines) == 2 * len(present), "one line for all pairs and one for the deep pairs"
     assert (tmp_path / "all.csv").read_text().count("MuJoCo") == 14 * ("MuJoCo" in table)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 #: Pages and the number of outputs that each shows.
 SHOWN = {"first-contacts": 9, "finding": 2, "loops": 2, "workers": 1, "accuracy": 5}
-#: The same of those that need a robot or ray, which `extras/` runs.
+#: Pages with their outputs that need a robot or ray, which `extras/` runs.
 EXTRAS = {"robots": 3, "batch-jobs": 2}
 
 

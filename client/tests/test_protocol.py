@@ -115,7 +115,8 @@ def test_a_newer_client_is_answered(client: hullcast.Client, channel: grpc.Chann
     query = present.call("ContactService", "QueryContacts")
     request = scene(present, case, [hull.id for hull in hulls])
     known = query(request, timeout=60)
-    # Field 1000, a varint; and outputs with the default columns and an unknown one.
+    # The message has the unknown field 1000 (a varint), and outputs with the default columns and an
+    # unknown one.
     unknown = bytes([0xC0, 0x3E, 0x01])
     newer = present.message("QueryContactsRequest").FromString(
         request.SerializeToString() + unknown

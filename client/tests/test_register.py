@@ -151,12 +151,12 @@ class FakeScene:
     ids=["array", "rows", "mesh", "list", "tuple", "stack", "iterator", "values"],
 )
 def test_one_hull_or_several(client, hulls):
-    """Catches one hull that is taken for a list of points, and an iterable that is refused."""
+    """Catches one hull that is mistaken for a list of points, and an iterable that is refused."""
     assert [hull.id for hull in client.register(hulls)] == [hullcast.hull_id(CUBE)]
 
 
 def test_shapes_of_other_libraries(client):
-    """Catches a scipy hull whose vertex indices are taken for points.
+    """Catches a scipy hull whose vertex indices are mistaken for points.
 
     Also catches a scene that is not split into its parts.
     """

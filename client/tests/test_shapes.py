@@ -66,7 +66,7 @@ def test_round_shapes_are_inside_by_the_stated_error(client, name):
 
 
 def test_flat_shapes_are_exact(client):
-    """Catches half lengths that are taken for full ones, and a prism that is rotated."""
+    """Catches half lengths that are mistaken for full ones, and a prism that is rotated."""
     box, cube, prism = client.register(
         [hullcast.box((1, 2, 3)), hullcast.box(2), hullcast.prism(6, 1, 2)]
     )

@@ -191,7 +191,7 @@ def test_the_own_server_that_has_ended_is_named_at_once(how):
 
 
 def test_a_server_that_answered_before_is_waited_for():
-    """Catches a restart that is taken for a wrong address: only a first call fails at once."""
+    """Catches a restart that is mistaken for a wrong address: only a first call fails at once."""
     with Server() as server, hullcast.connect(server.address, options=NO_PROXY) as client:
         client.register(CUBE)
         server.kill()

@@ -26,7 +26,7 @@ STEP = 1 / 120
 FRICTION = 0.6
 # Contact points are kept up to this distance, so that a body is stopped before it sinks in.
 MARGIN = 0.01
-# The penetration that is not corrected (m), the share of the rest that one step removes, and the
+# The penetration that is not corrected (m), the fraction of the rest that one step removes, and the
 # largest speed of this correction (m/s).
 SLOP, RECOVERY, RECOVERY_SPEED = 2e-4, 0.2, 0.5
 ITERATIONS = 20

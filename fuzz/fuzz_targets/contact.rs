@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Unit roundoff.
 const U: f64 = f64::EPSILON / 2.0;
 
-/// A share of the larger hull's circumradius. If a hull is smaller than this, its sides are known,
+/// A fraction of the larger hull's circumradius. If a hull is smaller than this, its sides are known,
 /// in units of both hulls, only to some thousandths, and the bracket may stay open.
 const MINUTE: f64 = 1e-11;
 
@@ -80,7 +80,7 @@ fn hold(a: &Body<'_>, b: &Body<'_>, query: &Query, answer: &Manifold) {
             || (answer.flags.gap_open && query.wanted != Wanted::Outcome && !minute);
         assert!(!open, "left open\n{query:?} {answer:?}");
     }
-    // A query for the outcome only makes no promise about the numbers.
+    // If a query asks only for the outcome, the numbers need not be right.
     if query.wanted != Wanted::Outcome
         && let Err(violation) = certificate::check(a, b, query, answer)
     {

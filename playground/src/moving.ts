@@ -6,7 +6,7 @@ import { SIDES, type Body, type Quad, type Scene, type Side, type Triple } from 
 
 /** The rotation per pixel of a drag. */
 const RADIANS_PER_PIXEL = 0.008;
-/** The step of a key press: a share of the circumradius, and radians; a tenth of it with Control. */
+/** The step of a key press: a fraction of the circumradius, and radians; a tenth of it with Control. */
 const KEY_STEP = 0.02;
 const KEY_TURN = Math.PI / 90;
 

@@ -17,7 +17,7 @@ import { SIDES } from './model.js';
 const TIMEOUT_MS = 10_000;
 
 /**
- * How far the vertices of one face may lie from one plane, as a share of the circumradius. Pasted points are rounded
+ * How far the vertices of one face may lie from one plane, as a fraction of the circumradius. Pasted points are rounded
  * like those of mesh files, and rounding would otherwise split a face into many. This is the default of the Python
  * client and of the command line, which was measured (docs/tradeoff.md), so that all of them give a shape the same id.
  */

@@ -38,7 +38,7 @@ impl Rules {
 
     /// The largest number of bytes that sorting takes besides the given lists.
     pub fn sorting_bytes(&self) -> usize {
-        // One key per pair, and as many again while runs are merged.
+        // Sorting keeps one key per pair, and a second copy of the keys while it merges runs.
         self.given.len() / 2 * 2 * size_of::<u64>()
     }
 

@@ -75,7 +75,7 @@ struct World {
     leaves: Range<usize>,
 }
 
-/// Bounds in single precision, rounded outward. They halve the cache that nodes take. A pair is
+/// Bounds in single precision, rounded outward. So nodes take half as much of the CPU's cache. A pair is
 /// decided by the bodies' own bounds in double precision.
 #[derive(Clone, Copy, Debug)]
 struct NodeBounds {

@@ -23,7 +23,8 @@ pub enum CallerKey {
     User(u32),
     /// One connection of a trusted proxy, which may carry the calls of many clients.
     Connection(u64),
-    /// All callers, if shares are off; also calls that did not come over a connection.
+    /// The one caller that stands for all callers if shares are off, and for calls that did not come
+    /// over a connection.
     Everyone,
 }
 
@@ -150,14 +151,14 @@ impl Caller {
         CallerStream(self.clone())
     }
 
-    /// Who it is, for logs.
+    /// The caller's identity, for logs.
     pub fn key(&self) -> &CallerKey {
         &self.0.key
     }
 }
 
 impl CallerStream {
-    /// The number of streams of this caller, with this one.
+    /// The number of streams of this caller, including this one.
     pub fn count(&self) -> usize {
         self.0.0.streams.load(Ordering::Relaxed)
     }

@@ -116,7 +116,7 @@ impl Slots {
         Arc::new(Self(Mutex::new(Shares::new(count, true))))
     }
 
-    /// A slot for `caller`; none if the caller already has its share.
+    /// A slot for `caller`, or `None` if the caller already has its share.
     pub fn take(self: &Arc<Self>, caller: &Caller) -> Option<Slot> {
         locked(&self.0).take(caller, 1).ok()?;
         Some(Slot { slots: self.clone(), caller: caller.clone() })

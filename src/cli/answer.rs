@@ -1,6 +1,6 @@
 //! Answers a query with the library in this process, or asks a server.
 //!
-//! Both take a request of the wire format and return a response of it. In this process the request goes
+//! Both take a request in the wire format and return a response in it. In this process the request goes
 //! through the service's own batch engine, without the network and without a store.
 
 use std::collections::{HashMap, HashSet};
@@ -31,7 +31,7 @@ use hullcast::service::{Kind, Limits, ServiceError, wire};
 use hullcast::store::identity::id_of;
 use hullcast::store::{HullDefinition, HullId, Missing};
 
-/// Limit of the size of an answer computed in this process, where no message carries it.
+/// Limit on the size of an answer that is computed in this process and never becomes a message.
 const MAX_ANSWER_BYTES: usize = 2 << 30;
 /// Hulls per registration message. For ordinary hulls that is at most some megabytes.
 const HULLS_PER_MESSAGE: usize = 256;
@@ -39,13 +39,13 @@ const HULLS_PER_MESSAGE: usize = 256;
 /// The source of answers.
 #[derive(Clone, Debug)]
 pub(crate) enum Answerer {
-    /// The library in this process.
+    /// The library, called in this process.
     Local(Arc<Local>),
     /// A server.
     Remote(Connection),
 }
 
-/// The service's batch engine with hulls of its own.
+/// The service's batch engine, with the hulls of the scene.
 #[derive(Debug)]
 pub(crate) struct Local {
     engine: Engine,
@@ -81,9 +81,9 @@ pub(crate) struct Refusal {
     pub(crate) text: String,
     /// How long to wait before asking again, if the server was too busy.
     pub(crate) retry_after: Option<Duration>,
-    /// Whether the server or the connection was lost, so that another server may answer.
+    /// Whether the server or the connection was lost, so that another server may be able to answer.
     pub(crate) lost: bool,
-    /// The exit code for it.
+    /// The exit code for this error.
     pub(crate) exit: Exit,
 }
 
@@ -164,7 +164,7 @@ impl Answerer {
     /// Connects to the server at `address` and registers the hulls there. Also returns their ids.
     ///
     /// # Errors
-    /// There is no server, or it refuses a hull, or it fails.
+    /// No server answers at the address, or the server refuses a hull or fails.
     pub(crate) async fn remote(
         address: &str,
         args: &RemoteArgs,
@@ -172,7 +172,7 @@ impl Answerer {
     ) -> Result<(Self, Vec<HullId>), Error> {
         let connection = Connection::open(address, args).await?;
         let content: Vec<HullId> = hulls.iter().map(|h| id_of(&definition(h).identity_bytes())).collect();
-        // A caller who may only query can ask for hulls that others have registered.
+        // A caller that may only query can use hulls that others have registered.
         let lacking = lacking(&connection, &content).await?;
         let progress = Progress::new("registering hulls", lacking.len());
         let mut service = connection.hulls();
@@ -234,7 +234,7 @@ impl Local {
 /// Another connection to the server at `address`, where the hulls are registered already.
 ///
 /// # Errors
-/// There is no server.
+/// No server answers at the address.
 pub(crate) async fn another_connection(address: &str, args: &RemoteArgs) -> Result<Answerer, Error> {
     Ok(Answerer::Remote(Connection::open(address, args).await?))
 }
@@ -258,7 +258,7 @@ fn wire_definition(points: &HullPoints) -> proto::HullDefinition {
     }
 }
 
-/// The hulls, by their place among `ids`, that the server does not have. Each is named once.
+/// The indices in `ids` of the hulls that the server does not have, without repetitions.
 async fn lacking(connection: &Connection, ids: &[HullId]) -> Result<Vec<usize>, Error> {
     let mut seen = HashSet::new();
     let distinct: Vec<usize> = (0..ids.len()).filter(|&hull| seen.insert(ids[hull])).collect();
@@ -273,7 +273,7 @@ async fn lacking(connection: &Connection, ids: &[HullId]) -> Result<Vec<usize>, 
     Ok(lacking)
 }
 
-/// Why `lacking` of the hulls were not registered.
+/// The error that `lacking` of the hulls were not registered.
 fn not_registered(status: &Status, lacking: usize, hulls: usize) -> Error {
     let refusal = Refusal::from(status.clone());
     if status.code() != Code::PermissionDenied {
@@ -327,7 +327,7 @@ pub(crate) fn request(
     ids: &[HullId],
     asked: &Asked,
 ) -> proto::QueryContactsRequest {
-    // The wire format names each hull once, but a scene may give the same points twice.
+    // The wire format names each hull once, but a scene may contain the same points twice.
     let mut place = HashMap::new();
     let mut distinct = Vec::new();
     let hulls: Vec<u32> = ids

@@ -8,12 +8,12 @@ use super::npz::Npz;
 use super::report::Answered;
 use hullcast::proto::Output;
 
-/// The format's name, as `client/src/hullcast/_export.py` has it.
+/// The format's name, which must be that of `client/src/hullcast/_export.py`.
 const FORMAT: &str = "hullcast.manifolds.v1";
 
 impl Answered<'_> {
-    /// Writes the columns that were asked for as the wire names them, and `pairs`. A column with
-    /// several numbers a row is a two-dimensional array.
+    /// Writes the requested columns under their names on the wire, and `pairs`. A column with
+    /// several numbers per row becomes a two-dimensional array.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -28,7 +28,8 @@ impl Answered<'_> {
         file.array("flags", &c.flags, 1)?;
         file.array("missing_hulls", &c.missing_hulls, 1)?;
         file.array("invalid_bodies", &c.invalid_bodies, 1)?;
-        // A server of the first contract does not send it: unknown.
+        // A server with the first version of the contract does not send this column, so its values
+        // are unknown.
         let unknown = vec![f64::NAN; c.outcomes.len()];
         let kept_areas = if c.kept_areas.is_empty() { &unknown } else { &c.kept_areas };
         let floats: [(&str, &[f64], usize, Output); 9] = [

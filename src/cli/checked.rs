@@ -1,7 +1,8 @@
 //! Checks a server's answers before any part of an answer is used.
 //!
-//! A server of another make, a proxy or a cache may send the answer to another request, or columns that
-//! do not fit together. The Python client makes the same checks (`client/src/hullcast/_checked.py`).
+//! Another implementation of the server, a proxy or a cache may send the answer to another request, or
+//! columns that do not fit together. The Python client makes the same checks
+//! (`client/src/hullcast/_checked.py`).
 
 use std::error::Error as StdError;
 use std::fmt;
@@ -176,7 +177,7 @@ fn outcome(
     }
 }
 
-/// Checks a pair's numbers: finite and in order, unless the pair is INVALID.
+/// Checks that a pair's numbers are finite and in order, unless the pair is INVALID.
 fn numbers(asked: &Asked, response: &proto::QueryContactsResponse, pair: usize) -> Result<(), Malformed> {
     if asked.features {
         for (side, kind) in response.feature_kinds[2 * pair..][..2].iter().enumerate() {
@@ -284,7 +285,7 @@ mod tests {
         }
     }
 
-    /// Catches a defect that reaches a table, a file or an index.
+    /// Catches a defect of an answer that is not noticed before the answer is printed, written or indexed.
     #[test]
     fn every_defect_is_named() {
         assert_eq!(answer(&asked(), &good()), Ok(()));
@@ -331,8 +332,8 @@ mod tests {
         assert_eq!(defects.len(), 32);
     }
 
-    /// Catches two refusals: of a newer server's answer for a flag that this version does not know, and of
-    /// an older server's answer for a column that it does not have.
+    /// Catches a newer server's answer that is refused for a flag that this version does not know, and an
+    /// older server's answer that is refused for a column that it does not have.
     #[test]
     fn other_versions_are_read() {
         let mut newer = good();

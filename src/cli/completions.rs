@@ -25,7 +25,7 @@ pub(crate) fn run(args: &Args, mut command: Command) -> Result<(), Error> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut command, "hullcast", &mut script);
     match io::stdout().lock().write_all(&script) {
-        // `hullcast completions bash | head` is no failure.
+        // A closed pipe, as in `hullcast completions bash | head`, is not a failure.
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         other => Ok(other?),
     }

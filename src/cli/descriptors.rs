@@ -77,7 +77,7 @@ impl Descriptors {
     }
 }
 
-/// Raises the limit and returns how many descriptors the process may open; none if there is no limit.
+/// Raises the limit and returns how many descriptors the process may open, or `None` if there is no limit.
 fn raised() -> Option<u64> {
     let Rlimit { current, maximum } = getrlimit(Resource::Nofile);
     if current != maximum && setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum }).is_ok() {

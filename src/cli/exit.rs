@@ -1,4 +1,4 @@
-//! The exit codes, which scripts tell failures apart by.
+//! The exit codes, by which scripts distinguish failures.
 
 use std::error::Error as StdError;
 use std::fmt;
@@ -9,7 +9,7 @@ use super::answer::{HullRefused, Refusal};
 use super::checked::Malformed;
 use super::scene::SceneError;
 
-/// What the top-level help says of exit codes.
+/// The part of the top-level help about exit codes.
 pub(crate) const HELP: &str = "\
 Exit codes:
   0  success
@@ -20,16 +20,16 @@ Exit codes:
   5  the server refused the call, or failed
   6  pairs are INVALID: unusable poses, or hulls that the server lost";
 
-/// Why a command failed, as its exit code.
+/// The kinds of failure, each with its exit code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Exit {
-    /// None of the others.
+    /// A failure of no other kind.
     Failed = 1,
     /// A wrong option, or a wrong value of an option or a setting.
     Usage = 2,
-    /// A file given by the user is faulty.
+    /// A file from the user is faulty.
     Input = 3,
-    /// There is no server, or none that speaks the protocol.
+    /// No server answers, or the peer does not speak the protocol.
     Unreachable = 4,
     /// The server refused the call, or failed.
     Refused = 5,
@@ -37,7 +37,7 @@ pub(crate) enum Exit {
     Unanswered = 6,
 }
 
-/// A message with the exit code of its kind.
+/// An error message with the exit code of its kind.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Failure {
     exit: Exit,

@@ -1,5 +1,5 @@
-//! What the help of the command line says beside the options' own words: the defaults of the
-//! server's settings, headings, exit codes.
+//! Adds to the help of the command line what the options' own texts do not have: the defaults of
+//! the server's settings, the headings and the exit codes.
 
 use clap::{Arg, Command};
 use hullcast::size::ByteSize;
@@ -55,7 +55,7 @@ const SUBJECTS: [(&str, &[&str]); 5] = [
     ),
 ];
 
-/// The command line with these words added.
+/// The command line with these additions.
 pub(crate) fn complete(command: Command) -> Command {
     let defaults = toml::Table::try_from(Given::default().or(Given::default())).unwrap_or_default();
     let described = |arg: Arg| {
@@ -96,8 +96,7 @@ mod tests {
         command.get_subcommands().filter(|command| command.get_name() != "help").cloned().collect()
     }
 
-    /// Catches an option whose help does not say what happens without it, and one that stands among
-    /// the others without a heading.
+    /// Catches an option whose help does not state its default, and an option without a heading.
     #[test]
     fn every_option_has_its_default_and_a_heading() {
         let mut options = 0;
@@ -116,7 +115,7 @@ mod tests {
         assert!(options > 80, "{options} options seen");
     }
 
-    /// Catches a setting that is in no subject, or in two.
+    /// Catches a setting that is listed under no subject, or under two.
     #[test]
     fn every_setting_has_one_subject() {
         let mut listed: Vec<&str> = SUBJECTS.iter().flat_map(|(_, names)| *names).copied().collect();

@@ -28,28 +28,27 @@ use hullcast::workload::{Family, Regime};
 
 /// Sends batches and checks a sample of the answers.
 ///
-/// In a closed loop (`--concurrency`, or level by level `--concurrency-range`)
-/// each loop sends its next batch when its last is answered. In an open loop
-/// (`--request-rate-range`) batches are sent at their times whether or not
-/// earlier ones are answered, and latency counts from the time at which a batch
-/// was due. A batch that a busy server refuses is shed: it is sent again when
-/// the server asks (RetryInfo), up to `--retries` times; so is one whose server
-/// or connection is lost, to the next of several servers. Answers are checked to
-/// the last bit against the library, called in this process a pair at a time.
-/// An interrupt ends the run, and what was counted is printed. The exit code is 1
-/// where a call failed or an answer was wrong.
+/// In a closed loop (`--concurrency`, or `--concurrency-range` for several levels) each loop sends its
+/// next batch when its last one is answered. In an open loop (`--request-rate-range`) batches are sent at
+/// fixed times, whether or not earlier ones are answered, and the latency of a batch counts from the time
+/// at which it was due. If a busy server refuses a batch, the batch counts as shed and is sent again
+/// after the time that the server states (RetryInfo), up to `--retries` times. If a server or its
+/// connection is lost, its batch is sent again to the next server. Answers are compared bit for bit with
+/// those of the library, which this process calls for one pair at a time. An interrupt ends the run, and
+/// the counts so far are printed. The exit code is 1 if a call failed or an answer was wrong.
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct Args {
-    /// Batches from a scene file: each of its configurations in turn [default: generated batches].
+    /// Send the configurations of this scene file in turn [default: generated batches].
     #[arg(long, value_name = "FILE", conflicts_with_all = ["family", "regime"], help_heading = "Batches")]
     scene: Option<PathBuf>,
-    /// Batches of generated hulls.
+    /// The kind of hull in generated batches.
     #[arg(long, value_enum, ignore_case = true, default_value_t, help_heading = "Batches")]
     family: FamilyArg,
     /// How the generated pairs meet.
     #[arg(long, value_enum, ignore_case = true, default_value_t, help_heading = "Batches")]
     regime: RegimeArg,
-    /// Pairs a batch; a scene's pairs are repeated up to it [default: 4096, or the scene's].
+    /// Pairs per batch. The pairs of a scene are repeated to reach this number [default: 4096, or the
+    /// number of the scene].
     #[arg(long, value_name = "COUNT", value_parser = count(1, u32::MAX), allow_negative_numbers = true,
           help_heading = "Batches")]
     pairs: Option<u32>,
@@ -57,11 +56,12 @@ pub(crate) struct Args {
     #[arg(long, value_name = "COUNT", default_value_t = 8, value_parser = count(1, u32::MAX),
           allow_negative_numbers = true, help_heading = "Batches")]
     batches: u32,
-    /// Of the generated hulls and poses.
+    /// The seed of the generated hulls and poses.
     #[arg(long, default_value_t = 1, value_parser = count(0, u64::MAX), allow_negative_numbers = true,
           help_heading = "Batches")]
     seed: u64,
-    /// Contact points are wanted within it; inf: everywhere [default: 0.005, or the scene's].
+    /// Compute contact points for hulls within this distance. `inf` means at any distance [default:
+    /// 0.005, or the margin of the scene].
     #[arg(long, value_name = "LENGTH", value_parser = margin, allow_negative_numbers = true,
           help_heading = "Batches")]
     margin: Option<f64>,
@@ -78,11 +78,12 @@ pub(crate) struct Args {
     outputs: Vec<OutputArg>,
     #[command(flatten)]
     accuracy: AccuracyArgs,
-    /// Batches under way at once.
+    /// Batches in flight at once.
     #[arg(long, value_name = "COUNT", default_value_t = 4, value_parser = count(1, u32::MAX),
           allow_negative_numbers = true, help_heading = "Load")]
     concurrency: u32,
-    /// Closed loops level by level: start:end:step batches under way at once [default: one level].
+    /// Measure closed loops at several levels: start:end:step batches in flight at once [default: one
+    /// level].
     #[arg(
         long,
         value_name = "RANGE",
@@ -91,57 +92,58 @@ pub(crate) struct Args {
         help_heading = "Load"
     )]
     concurrency_range: Option<Range>,
-    /// An open loop level by level: start:end:step batches a second [default: a closed loop].
+    /// Measure an open loop at several levels: start:end:step batches per second [default: a closed
+    /// loop].
     #[arg(long, value_name = "RANGE", conflicts_with_all = ["concurrency", "concurrency_range"],
           allow_negative_numbers = true, help_heading = "Load")]
     request_rate_range: Option<Range>,
-    /// When the batches of an open loop are due.
+    /// The times at which the batches of an open loop are due.
     #[arg(long, value_enum, ignore_case = true, default_value_t, help_heading = "Load")]
     request_distribution: Distribution,
-    /// A level whose latency is above this, in milliseconds, is too much: the last.
+    /// End after the first level whose latency is above this, in milliseconds.
     #[arg(long, value_name = "MS", default_value_t = f64::INFINITY, value_parser = number(0.0, f64::INFINITY),
           allow_negative_numbers = true, help_heading = "Load")]
     latency_threshold: f64,
-    /// The percentile that the threshold is held against.
+    /// The percentile of latency that is compared with the threshold.
     #[arg(long, value_name = "PERCENT", default_value_t = 99.0, value_parser = number(0.0, 100.0),
           allow_negative_numbers = true, help_heading = "Load")]
     percentile: f64,
-    /// Search the range for the most load within the threshold.
+    /// Search the range for the highest load within the threshold.
     #[arg(long, requires = "latency_threshold", help_heading = "Load")]
     binary_search: bool,
     /// How long each level lasts.
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = number(0.0, 1e7),
           allow_negative_numbers = true, help_heading = "Load")]
     duration: f64,
-    /// End after this many batches; 0: by time alone.
+    /// End each level after this many batches. 0 means that only the time ends it.
     #[arg(long, value_name = "COUNT", default_value_t = 0, value_parser = count(0, u64::MAX),
           allow_negative_numbers = true, help_heading = "Load")]
     count: u64,
-    /// Times that a batch is sent again that was shed, or whose server was lost.
+    /// Most repetitions of a batch that was refused or whose server was lost.
     #[arg(long, value_name = "COUNT", default_value_t = 0, value_parser = count(0, u32::MAX),
           allow_negative_numbers = true, help_heading = "Load")]
     retries: u32,
-    /// Check one answer in so many; 1: every one, 0: none.
+    /// Check one answer in this many. 1 means every answer, 0 means none.
     #[arg(long, value_name = "COUNT", default_value_t = 16, value_parser = count(0, u64::MAX),
           allow_negative_numbers = true, help_heading = "Results")]
     verify: u64,
     /// Write the levels as comma-separated values [default: no file].
     #[arg(long, value_name = "FILE", help_heading = "Results")]
     csv: Option<PathBuf>,
-    /// Draw latency against offered load, as SVG [default: no file].
+    /// Draw a diagram of latency against offered load, as SVG [default: no file].
     #[arg(long, value_name = "FILE", help_heading = "Results")]
     plot: Option<PathBuf>,
     /// Print the summary as JSON.
     #[arg(long, help_heading = "Results")]
     json: bool,
-    /// Compute threads in this process; 0: one a core.
+    /// Compute threads in this process. 0 means one per core.
     #[arg(long, value_name = "COUNT", default_value_t = 0, value_parser = count(0, MOST_THREADS),
           allow_negative_numbers = true, help_heading = "Who answers")]
     threads: usize,
     #[command(flatten)]
     remote: RemoteArgs,
-    /// Connections, shared evenly: `--remote` may be several servers on one store,
-    /// separated by commas, which take turns [default: one a server].
+    /// The number of connections. `--remote` may name several servers on one store, separated by commas;
+    /// the connections go to them in turn [default: one per server].
     #[arg(long, value_name = "COUNT", value_parser = count(1, u32::MAX), allow_negative_numbers = true,
           help_heading = "Who answers")]
     connections: Option<u32>,
@@ -164,13 +166,13 @@ enum RegimeArg {
     Separated,
 }
 
-/// When the batches of an open loop are due.
+/// The times at which the batches of an open loop are due.
 #[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Distribution {
     /// At even intervals.
     #[default]
     Constant,
-    /// As independent clients send.
+    /// At random times, as independent clients send.
     Poisson,
 }
 
@@ -238,7 +240,8 @@ impl Args {
         }
     }
 
-    /// The connections, which go to the servers in turn, or this process; and the ids of the hulls there.
+    /// The sources of answers, and the ids of the hulls there. The sources are connections, which go to
+    /// the servers in turn, or this process.
     async fn answerers(&self, hulls: &[HullPoints]) -> Result<(Vec<Answerer>, Vec<HullId>), Error> {
         let Some(remote) = &self.remote.remote else {
             let (local, ids) = Answerer::local(hulls, self.threads)?;

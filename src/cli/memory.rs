@@ -1,4 +1,4 @@
-//! The memory that this process may use, and sizes given as shares of it.
+//! The memory that this process may use, and sizes given as percentages of it.
 
 use std::{
     fmt, fs,
@@ -10,20 +10,20 @@ use hullcast::{service::Limits, size::ByteSize};
 use rustix::process::{Resource, getrlimit};
 use serde::{Serialize, Serializer};
 
-/// A size in bytes, or as a share of the memory that the process may use.
+/// A size in bytes, or as a percentage of the memory that the process may use.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Size {
     /// A number of bytes.
     Bytes(u64),
-    /// A share in percent.
+    /// A percentage.
     Share(f64),
 }
 
 impl Size {
-    /// The size in bytes. A share refers to this machine and this cgroup.
+    /// The size in bytes. A percentage refers to the memory of this machine and this cgroup.
     ///
     /// # Errors
-    /// The size is a share, and the system does not report its memory.
+    /// The size is a percentage, and the system does not report its memory.
     pub(crate) fn bytes(self) -> Result<u64, String> {
         match self {
             Self::Bytes(bytes) => Ok(bytes),
@@ -88,7 +88,7 @@ pub(crate) fn compare(limits: &Limits) {
 }
 
 /// The machine's memory in bytes, or the limit of this process's cgroups if that is less. `root` is `/`
-/// outside tests. In both versions of cgroups every group on the path to the root may set a limit.
+/// outside tests. In both versions of cgroups, each group on the path to the root may set a limit.
 fn available(root: &Path) -> Option<u64> {
     let read = |path: PathBuf| fs::read_to_string(path).ok();
     let info = read(root.join("proc/meminfo"))?;
@@ -107,7 +107,8 @@ fn available(root: &Path) -> Option<u64> {
             _ => continue,
         };
         let base = root.join(base);
-        // In a container the path is the host's, and the group is mounted at the base.
+        // In a container, /proc shows the path on the host, but the container's own group is mounted at
+        // the base.
         for group in base.join(path.trim_start_matches('/')).ancestors() {
             if let Some(limit) = read(group.join(file)).and_then(|text| text.trim().parse::<u64>().ok()) {
                 least = least.min(limit);
@@ -124,7 +125,7 @@ fn available(root: &Path) -> Option<u64> {
 mod tests {
     use super::*;
 
-    /// Catches a unit or a share misread, and settings that do not read back.
+    /// Catches a unit or a percentage that is misread, and settings that do not read back.
     #[test]
     fn sizes_are_numbers_units_or_shares() {
         for (text, size) in [
@@ -141,8 +142,8 @@ mod tests {
         }
     }
 
-    /// Catches a cache that is sized by the machine although the container has less memory, with either
-    /// version of cgroups.
+    /// Catches a cache whose size follows the machine's memory although the container has less, with
+    /// either version of cgroups.
     #[test]
     fn the_least_of_machine_and_cgroups_counts() {
         let root = tempfile::tempdir().unwrap();

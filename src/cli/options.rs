@@ -1,4 +1,4 @@
-//! Options that `query` and `load` have in common.
+//! The options that `query` and `load` have in common.
 
 use clap::{Args, ValueEnum};
 
@@ -9,17 +9,18 @@ use hullcast::proto;
 #[derive(Args, Clone, Debug, Default)]
 #[command(next_help_heading = "Speed against accuracy")]
 pub(crate) struct AccuracyArgs {
-    /// Which solver finds the growth scale.
+    /// The solver that finds the growth scale.
     #[arg(long, value_enum, ignore_case = true, default_value_t)]
     solver: SolverArg,
-    /// Width of the bracket over alpha that is good enough, 0 to 1; 0: to rounding.
+    /// Stop the solver at this width of the bracket, relative to alpha, 0 to 1. 0 means as narrow
+    /// as rounding allows.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, allow_negative_numbers = true,
           value_parser = number(0.0, 1.0))]
     relative_tolerance: f64,
-    /// Faces and edges within it of the normal count as touched, 0 to 0.5 [default: 0.01].
+    /// Faces and edges count as touched within this angle of the normal, 0 to 0.5 [default: 0.01].
     #[arg(long, value_name = "RADIANS", allow_negative_numbers = true, value_parser = number(0.0, 0.5))]
     feature_angle: Option<f64>,
-    /// Contact points a pair at most; 0: all.
+    /// Most contact points per pair. 0 means all.
     #[arg(long, value_name = "COUNT", default_value_t = 0, allow_negative_numbers = true,
           value_parser = count(0, u32::MAX))]
     max_points: u32,
@@ -35,10 +36,11 @@ enum SolverArg {
     GjkRayCast,
 }
 
-/// A column group of the answer: `witness-b`, or as Python and the protocol write it, `WITNESS_B`.
+/// A column group of the answer, such as `witness-b`. The spelling of Python and the protocol,
+/// `WITNESS_B`, is accepted too.
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum OutputArg {
-    /// Outcomes and flags alone.
+    /// Only outcomes and flags.
     Outcome,
     /// The growth scale and its bracket.
     Alpha,
@@ -51,9 +53,10 @@ pub(crate) enum OutputArg {
     WitnessB,
     /// Kinds and indices of the features, and the points' ids.
     Features,
-    /// Bases, to start the next query from.
+    /// Bases, from which the next query can start.
     Bases,
-    /// Iterations, support calls, and the share of the patch that a cut to few points keeps.
+    /// Iterations, support calls, and the fraction of the patch's area that is left if points are
+    /// dropped.
     Diagnostics,
 }
 

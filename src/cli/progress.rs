@@ -1,4 +1,4 @@
-//! Progress on standard error, of whatever takes longer than a second.
+//! Shows the progress of work that takes longer than a second, on standard error.
 
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::thread::{self, JoinHandle};
@@ -34,7 +34,7 @@ impl Progress {
         Self::begin(bar, "{spinner} {msg} {pos}, {elapsed} so far", what)
     }
 
-    /// Progress of work of which nothing but its time can be told.
+    /// Progress of work for which only the elapsed time is known.
     pub(crate) fn waiting(what: &str) -> Self {
         Self::begin(ProgressBar::with_draw_target(None, hidden()), "{spinner} {msg}, {elapsed} so far", what)
     }
@@ -48,7 +48,7 @@ impl Progress {
         let shown = bar.clone();
         let waiting = thread::spawn(move || {
             if wait.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
-                // On anything but a terminal this target draws nothing.
+                // If standard error is not a terminal, this target draws nothing.
                 shown.set_draw_target(ProgressDrawTarget::stderr());
                 shown.enable_steady_tick(REFRESH);
             }
@@ -56,7 +56,7 @@ impl Progress {
         Self { bar, ended: Some(ended), waiting: Some(waiting) }
     }
 
-    /// So many parts more are done.
+    /// Adds this number of finished parts.
     pub(crate) fn add(&self, parts: usize) {
         self.bar.inc(parts as u64);
     }
@@ -70,7 +70,7 @@ impl Drop for Progress {
     fn drop(&mut self) {
         self.ended = None;
         if let Some(waiting) = self.waiting.take() {
-            // A thread that failed has shown nothing.
+            // If the thread could not run, no line is shown.
             let _ = waiting.join();
         }
         self.bar.finish_and_clear();

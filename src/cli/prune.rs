@@ -13,20 +13,20 @@ const PAGE: usize = 10_000;
 
 /// Removes hulls that were last written longer ago than this.
 ///
-/// Servers on the store need not be stopped: they go on answering from their
-/// caches for `cache_age_seconds`, then a removed hull is unknown until it is
-/// registered again. A hull is written when it is registered first, and by
-/// each server that has not written it itself.
+/// Servers on the store need not be stopped. They use a removed hull from their caches for up to
+/// `cache_age_seconds`; after that it is unknown until it is registered again. A hull is written
+/// when it is first registered, and again when it is registered with a server that has not
+/// written it before.
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct Args {
-    /// The store: a directory or file://PATH.
+    /// The store from which hulls are removed: a directory or file://PATH.
     #[arg(long, env = "HULLCAST_STORE", value_name = "URL", help_heading = "What is removed")]
     store: String,
-    /// A number and its unit: s, m, h or d, as in 30d.
+    /// The age from which hulls are removed: a number and its unit (s, m, h or d), as in 30d.
     #[arg(long, value_name = "TIME", value_parser = age, help_heading = "What is removed",
           allow_negative_numbers = true)]
     older_than: Duration,
-    /// Only say what would be removed.
+    /// Only print which hulls would be removed.
     #[arg(long, help_heading = "What is removed")]
     dry_run: bool,
 }

@@ -18,17 +18,18 @@ use hullcast::proto;
 /// Pairs per request. This is well below every server's default limit, and so is the answer.
 const PAIRS_PER_REQUEST: usize = 32_768;
 
-/// The contacts of a scene file, from the library in this process or from a server.
+/// Computes the contacts of a scene file, with the library in this process or on a server.
 ///
-/// The two answers are the same to the last bit.
+/// Both give the same answer, bit for bit.
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct Args {
-    /// A scene file, hullcast.scene.v1.
+    /// A scene file in the format hullcast.scene.v1.
     scene: PathBuf,
-    /// Which configuration: its name, or its number from 0 [default: the first].
+    /// The configuration to query: its name, or its number from 0 [default: the first].
     #[arg(long, value_name = "NAME", allow_negative_numbers = true, help_heading = "Question")]
     frame: Option<String>,
-    /// Contact points are wanted within it; inf: everywhere [default: the scene's].
+    /// Compute contact points for hulls within this distance. `inf` means at any distance [default: the
+    /// margin of the scene].
     #[arg(long, value_name = "LENGTH", allow_negative_numbers = true, value_parser = margin,
           help_heading = "Question")]
     margin: Option<f64>,
@@ -55,7 +56,7 @@ pub(crate) struct Args {
     /// [default: no file].
     #[arg(long, value_name = "FILE", help_heading = "Answer")]
     out: Option<PathBuf>,
-    /// Compute threads in this process; 0: one a core.
+    /// Compute threads in this process. 0 means one per core.
     #[arg(long, value_name = "COUNT", default_value_t = 0, allow_negative_numbers = true,
           value_parser = count(0, MOST_THREADS), help_heading = "Who answers")]
     threads: usize,
@@ -98,7 +99,8 @@ async fn answered(args: &Args) -> Result<(), Error> {
     all_answered(&columns, scene.body_hulls.len())
 }
 
-/// Fails if a pair was not answered, because a script must not take such a pair for one without contact.
+/// Fails if a pair was not answered, because a script must not mistake such a pair for one without
+/// contact.
 fn all_answered(columns: &proto::QueryContactsResponse, bodies: usize) -> Result<(), Error> {
     const INVALID: u8 = proto::Outcome::Invalid as u8;
     let pairs = columns.outcomes.iter().filter(|&&outcome| outcome == INVALID).count();
@@ -115,7 +117,7 @@ fn all_answered(columns: &proto::QueryContactsResponse, bodies: usize) -> Result
     Ok(())
 }
 
-/// The columns of the whole request, which is sent in parts.
+/// The columns of the whole answer. The request is sent in parts.
 async fn answer(
     answerer: &Answerer,
     mut request: proto::QueryContactsRequest,
@@ -156,7 +158,7 @@ fn append(whole: &mut proto::QueryContactsResponse, part: proto::QueryContactsRe
     whole.iterations.extend(part.iterations);
     whole.support_calls.extend(part.support_calls);
     whole.kept_areas.extend(part.kept_areas);
-    // These describe the whole request, so every part has the same.
+    // These fields describe the whole request and are equal in all parts.
     whole.missing_hulls = part.missing_hulls;
     whole.invalid_bodies = part.invalid_bodies;
 }

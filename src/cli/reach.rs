@@ -19,10 +19,10 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// An HTTP/2 client's first bytes: the preface, and an empty SETTINGS frame.
 const GREETING: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
 
-/// The addresses of an option, separated by commas, each checked.
+/// Checks the addresses of an option, which are separated by commas.
 ///
 /// # Errors
-/// One of them is no address.
+/// One of them is not an address.
 pub(crate) fn addresses(text: &str) -> Result<String, String> {
     for address in text.split(',') {
         url(address).map_err(|error| error.to_string())?;
@@ -45,7 +45,7 @@ pub(crate) fn url(address: &str) -> Result<String, Error> {
         return Err(wrong());
     }
     let rest = rest.strip_suffix('/').unwrap_or(rest);
-    // The brackets of an IPv6 address separate its colons from that of the port.
+    // The brackets of an IPv6 address separate its colons from the colon before the port.
     let (host, port) = match rest.rsplit_once(':') {
         Some((host, port)) if !port.contains(']') => (host, Some(port)),
         _ => (rest, None),
@@ -89,8 +89,8 @@ pub(crate) async fn failed(address: &str, url: &str, error: &(dyn StdError + 'st
     format!("no server at {address}: {text}")
 }
 
-/// The explanation for a peer that is there but speaks another protocol. None for other causes, which
-/// may pass.
+/// The explanation for a peer that answers but speaks another protocol. None for other causes, which
+/// may be temporary.
 pub(crate) async fn mismatch(address: &str, url: &str, error: &(dyn StdError + 'static)) -> Option<String> {
     if is_silent(url).await {
         return Some(format!(

@@ -1,4 +1,5 @@
-//! Every option with wrong values: the message names the option, the value and what is allowed.
+//! Tests every option with wrong values. The message must name the option, the value and the
+//! allowed values.
 
 use std::collections::BTreeSet;
 
@@ -10,9 +11,9 @@ use super::{
 };
 use crate::Arguments;
 
-/// No numbers at all, or none that are finite and at least 0.
+/// Texts that are not numbers, or not finite numbers of at least 0.
 const NO_NUMBERS: [&str; 11] = ["", " ", "abc", "nan", "-1", "-inf", "1,5", "0x10", "1e", "1 2", "ten"];
-/// No whole numbers of 64 bits.
+/// Texts that are not whole numbers of 64 bits.
 const NO_COUNTS: [&str; 6] = ["1.5", "1e3", "inf", "99999999999999999999", "-0.5", "½"];
 const NO_NAMES: [&str; 10] = ["", " ", "x", "1", "-", "none", "alpha;normal", "*", "ünknown", "true,"];
 const NO_SWITCHES: [&str; 10] = ["", " ", "maybe", "2", "-1", "yes", "oui", "truee", "nil", "1.0"];
@@ -27,7 +28,8 @@ const OUTPUTS: &str =
     "[possible values: outcome, alpha, normal, points, witness-b, features, bases, diagnostics]";
 const SIZE: &str = "to 1024 TiB (a number of bytes, or with KiB, MiB, GiB or TiB), or a share of the memory above 0% and up to 100%";
 
-/// An option, values outside its range beside those that are none of its type, and what is allowed.
+/// An option, its values that have the right type but are outside the range, and the text about the
+/// allowed values.
 type Case = (&'static str, &'static [&'static str], &'static str);
 
 const OF_ANY_QUERY: [Case; 7] = [
@@ -131,7 +133,7 @@ const NAMES_AND_FILES: [(&str, &[&str]); 5] = [
     ("prune", &["store"]),
 ];
 
-/// What a subcommand does not start without.
+/// The arguments that a subcommand requires.
 fn needed(subcommand: &str) -> &'static [&'static str] {
     match subcommand {
         "query" => &["scene.json"],
@@ -151,7 +153,7 @@ fn cases(subcommand: &str) -> Vec<Case> {
     }
 }
 
-/// The wrong values of a case: its own, and those that are none of its type.
+/// The wrong values of a case: those outside its range, and those of another type.
 fn wrong_values(case: &Case) -> Vec<&'static str> {
     let (_, own, allowed) = *case;
     let mut values = own.to_vec();
@@ -201,7 +203,7 @@ fn wrong_values_are_refused_by_option_value_and_range() {
                 }
                 tried += 1;
             }
-            // As a word of its own a negative number is the option's value as well.
+            // A negative number may also follow the option as a separate word.
             if allowed.contains("number") {
                 let said = refusal(subcommand, &[&format!("--{option}"), "-1"]);
                 if !said.contains(&format!("'-1' for '--{option}")) || !said.contains(allowed) {
@@ -273,7 +275,7 @@ fn long(arg: &Arg) -> Option<String> {
     arg.get_long().map(str::to_owned)
 }
 
-/// Catches an option that is unknown and refused without a hint at the one that was meant.
+/// Catches an unknown option that is refused without a hint at the option that was probably meant.
 #[test]
 fn misspelt_options_and_commands_have_suggestions() {
     for (subcommand, option, meant) in [
@@ -289,7 +291,7 @@ fn misspelt_options_and_commands_have_suggestions() {
     assert!(said.contains("'qeury'") && said.contains("'query'"), "{said}");
 }
 
-/// Catches an output, or a solver, that is known in one spelling only.
+/// Catches an output or a solver that is accepted in only one spelling.
 #[test]
 fn names_are_known_in_either_spelling() {
     let line =

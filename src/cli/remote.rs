@@ -1,4 +1,4 @@
-//! The server that a subcommand asks: its address, TLS and the caller's token.
+//! The connection to the server that a subcommand uses: address, TLS and the caller's token.
 
 use std::error::Error as StdError;
 use std::path::{Path, PathBuf};
@@ -21,31 +21,32 @@ use hullcast::proto::hull_service_client::HullServiceClient;
 use hullcast::proto::server_service_client::ServerServiceClient;
 use hullcast::small_file;
 
-/// Largest message in either direction. It is so large that only the server's own limits matter.
+/// Largest message in either direction, so large that only the server's limits matter.
 const MAX_MESSAGE_BYTES: usize = 2 << 30;
-/// Window of HTTP/2 flow control: a batch of some thousand pairs fits.
+/// Window of HTTP/2 flow control, into which a batch of some thousand pairs fits.
 const WINDOW_BYTES: u32 = 8 << 20;
 /// Time after which an attempt to connect is given up, because an unreachable server sends nothing.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
-/// Interval and timeout of keep-alive pings: a call under way notices a lost server after twice this.
+/// Interval and timeout of keep-alive pings. A call in progress notices a lost server after twice this
+/// time.
 const KEEP_ALIVE: Duration = Duration::from_secs(10);
 
-/// Which server, if any.
+/// The options for querying a server instead of this process.
 #[derive(clap::Args, Clone, Debug, Default)]
 #[command(next_help_heading = "Who answers")]
 pub(crate) struct RemoteArgs {
-    /// Ask this server instead of this process: host:port, unix:PATH, http://host:port or
+    /// Send the queries to this server instead of this process: host:port, unix:PATH, http://host:port or
     /// https://host:port. The port is 50051 if the address has none [default: this process].
     #[arg(long, value_name = "ADDRESS", value_parser = reach::addresses)]
     pub(crate) remote: Option<String>,
-    /// PEM file of the authorities that the server's certificate may be of, or of a certificate that
-    /// signs itself [default: the system's].
+    /// PEM file of the authorities that may have signed the server's certificate, or of a self-signed
+    /// certificate [default: the system's authorities].
     #[arg(long, value_name = "FILE", requires = "remote")]
     tls_ca: Option<PathBuf>,
-    /// PEM file of this client's certificate, where the server asks for one [default: none].
+    /// PEM file of this client's certificate, for a server that asks for one [default: none].
     #[arg(long, value_name = "FILE", requires = "tls_key")]
     tls_certificate: Option<PathBuf>,
-    /// PEM file of its private key [default: none].
+    /// PEM file of the private key of this client's certificate [default: none].
     #[arg(long, value_name = "FILE", requires = "tls_certificate")]
     tls_key: Option<PathBuf>,
     /// File whose first line is the token to send [default: no token].
@@ -61,7 +62,7 @@ impl Connection {
     /// Opens a new connection to the server at `address`.
     ///
     /// # Errors
-    /// There is no server, or a file cannot be read.
+    /// No server answers at the address, or a file cannot be read.
     pub(crate) async fn open(address: &str, args: &RemoteArgs) -> Result<Self, Error> {
         let url = reach::url(address)?;
         let token = args.token()?;
@@ -102,10 +103,10 @@ impl Connection {
         }
     }
 
-    /// A number for the next request, by which its answer is recognised.
+    /// A number for the next request, which identifies its answer.
     pub(crate) fn next_request_id() -> u64 {
         static NEXT: AtomicU64 = AtomicU64::new(1);
-        // The process id is part of it, so that a proxy cannot mix up the answers of two processes.
+        // The number contains the process id, so that a proxy cannot mix up the answers of two processes.
         (u64::from(std::process::id()) << 32).wrapping_add(NEXT.fetch_add(1, Ordering::Relaxed))
     }
 
@@ -125,7 +126,7 @@ impl Connection {
 }
 
 impl RemoteArgs {
-    /// The endpoint with TLS as these arguments say.
+    /// The endpoint, with TLS if the arguments ask for it.
     fn encrypted(&self, endpoint: Endpoint) -> Result<Endpoint, Error> {
         let mut tls = ClientTlsConfig::new();
         if let (Some(certificate), Some(key)) = (&self.tls_certificate, &self.tls_key) {
@@ -179,7 +180,7 @@ impl Interceptor for Token {
     }
 }
 
-/// The innermost cause of an error. For its own failures, tonic's message says less than the cause.
+/// The innermost cause of an error. If the failure is tonic's own, its message says less than the cause.
 pub(crate) fn root_cause(error: &(dyn StdError + 'static)) -> String {
     let mut cause = error;
     while let Some(next) = cause.source() {

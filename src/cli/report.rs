@@ -1,4 +1,4 @@
-//! An answer, and the answer as JSON. `table` and `arrays` have its other forms.
+//! An answer, and its form as JSON. `table` and `arrays` have the other forms.
 
 use std::io::{self, Write};
 
@@ -14,11 +14,11 @@ pub(crate) struct Answered<'a> {
     pub(crate) scene: &'a Scene,
     /// The configuration of the query.
     pub(crate) frame: &'a Frame,
-    /// The answer. Columns that were not asked for are empty.
+    /// The answer. Columns that were not requested are empty.
     pub(crate) columns: &'a proto::QueryContactsResponse,
 }
 
-/// A pair in the JSON. Fields that were not asked for are left out.
+/// A pair in the JSON. Fields that were not requested are left out.
 #[derive(Serialize)]
 struct PairJson<'a> {
     pair: [u32; 2],
@@ -66,7 +66,7 @@ fn no_names(names: &[&str; 2]) -> bool {
     names.iter().all(|name| name.is_empty())
 }
 
-/// Row `i` of a column with `N` entries per row; none if the column was not asked for.
+/// Row `i` of a column with `N` entries per row; `None` if the column was not requested.
 pub(super) fn row<T: Copy, const N: usize>(column: &[T], i: usize) -> Option<[T; N]> {
     column.as_chunks::<N>().0.get(i).copied()
 }

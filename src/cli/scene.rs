@@ -46,14 +46,14 @@ pub(crate) struct HullPoints {
     /// Contraction point, hull frame; the centre of mass if absent.
     #[serde(default)]
     pub(crate) contraction_point: Option<[f64; 3]>,
-    /// The planarity to register with, as a share of the circumradius. A file without this key means
+    /// The planarity to register with, as a fraction of the circumradius. A file without this key means
     /// [`DEFAULT_PLANARITY`]; `null` means to register without a planarity.
     #[serde(default = "default_planarity")]
     pub(crate) planarity: Option<f64>,
 }
 
-/// The planarity of hulls whose scene file gives none. It was measured on shapes whose coordinates
-/// are rounded as in common files: docs/tradeoff.md.
+/// The planarity of hulls whose scene file has no planarity. It was measured on shapes whose
+/// coordinates are rounded as in common files (docs/tradeoff.md).
 const DEFAULT_PLANARITY: f64 = 1e-3;
 
 #[allow(clippy::unnecessary_wraps, reason = "serde wants the field's type")]
@@ -153,10 +153,10 @@ impl Scene {
         Ok(file.into_scene())
     }
 
-    /// An error if a pose of any configuration is unusable, so that its pairs would be INVALID.
+    /// Fails if a pose of any configuration is unusable, because its pairs would be INVALID.
     ///
     /// # Errors
-    /// Names the configuration, and how many bodies and which have such poses.
+    /// The error names the configuration, and the number and the indices of the bodies with such poses.
     pub(crate) fn check_poses(&self) -> Result<(), Error> {
         for (number, frame) in self.frames.iter().enumerate() {
             let (positions, rotations) = (frame.positions.as_chunks().0, frame.rotations.as_chunks().0);
@@ -174,7 +174,7 @@ impl Scene {
     /// The configuration of this name, or of this number.
     ///
     /// # Errors
-    /// There is none; the message names those that there are.
+    /// There is no such configuration; the message names the existing ones.
     pub(crate) fn frame(&self, wanted: &str) -> Result<&Frame, String> {
         const SHOWN: usize = 8;
         if let Some(frame) = self.frames.iter().find(|frame| !frame.name.is_empty() && frame.name == wanted) {
@@ -202,7 +202,7 @@ impl Scene {
     }
 }
 
-/// What is wrong with the poses of `unusable`, of so many bodies in all.
+/// The error for the unusable poses of the bodies `unusable`, out of all `bodies`.
 pub(crate) fn unusable_poses(unusable: &[u32], bodies: usize) -> String {
     const SHOWN: usize = 8;
     let mut names: Vec<String> = unusable.iter().take(SHOWN).map(u32::to_string).collect();
@@ -218,7 +218,7 @@ pub(crate) fn unusable_poses(unusable: &[u32], bodies: usize) -> String {
     )
 }
 
-/// The fault of a text that is no scene: either no JSON, or JSON with another content.
+/// The error for a text that is not a scene: it is not JSON, or it is JSON with another content.
 fn not_a_scene(place: String, error: &serde_json::Error) -> SceneError {
     let message = match error.classify() {
         Category::Data => error.to_string(),
@@ -360,8 +360,8 @@ mod tests {
         }
     }
 
-    /// Catches a configuration that is found by its number alone, or not at all, and a message that
-    /// does not say which there are.
+    /// Catches a configuration that is found only by its number, or not at all, and a message that does
+    /// not list the existing ones.
     #[test]
     fn frames_have_names_and_numbers() {
         let second =

@@ -42,16 +42,17 @@ use super::{
 pub(crate) struct Args {
     #[command(flatten)]
     given: Given,
-    /// A TOML file with the same settings, named as the flags, with underscores [default: none]
+    /// Read settings from this TOML file. Its keys are the names of the flags, with underscores
+    /// [default: none]
     #[arg(long, env = "HULLCAST_CONFIG", value_name = "FILE", help_heading = "Settings")]
     config: Option<PathBuf>,
-    /// Print the settings in force as such a file, and exit
+    /// Print the settings that apply, in the format of --config, and exit
     #[arg(long, help_heading = "Settings")]
     print_config: bool,
-    /// Sleep so many microseconds for every pair: for tests of overload
+    /// Sleep for this many microseconds per pair, which tests of overload need
     #[arg(long, hide = true, default_value_t = 0, value_parser = count(0, u64::MAX), allow_negative_numbers = true)]
     inject_pair_delay_us: u64,
-    /// Stop when standard input closes, as when the parent process ends
+    /// Stop when standard input closes, for example because the parent process has ended
     #[arg(long, help_heading = "Stopping")]
     until_stdin_closes: bool,
 }
@@ -189,7 +190,7 @@ fn spawn_reload_on_hangup(security: Arc<Security>) -> io::Result<()> {
     Ok(())
 }
 
-/// Why an address was not bound.
+/// The reason why an address was not bound.
 fn not_bound(option: &str, error: &io::Error) -> Error {
     let remedy = match error.kind() {
         io::ErrorKind::AddrInUse => "; another server has it: stop that one, or choose another port",
@@ -198,8 +199,9 @@ fn not_bound(option: &str, error: &io::Error) -> Error {
     Exit::Usage.error(format!("{option} {error}{remedy}"))
 }
 
-/// One line a listener, first on standard output: what scripts wait for. Then the admin port's,
-/// and for people where the playground is and where hulls are kept if nobody chose it.
+/// Prints one line per listener, for which scripts wait, then the address of the admin port. Further
+/// lines are for people: the address of the playground, and the directory of the hulls if it is the
+/// default.
 fn announce(
     settings: &Settings,
     encrypts: bool,
@@ -218,13 +220,14 @@ fn announce(
         let folder = std::path::absolute(DEFAULT_STORE)?;
         text += &format!("hulls are kept in {} (the default of --store)\n", folder.display());
     }
-    // At once: a script may close the pipe as soon as it has read the first line.
+    // Everything is written at once, because a script may close the pipe when it has read the first
+    // line.
     let mut out = io::stdout().lock();
     out.write_all(text.as_bytes())?;
     out.flush()
 }
 
-/// Where a browser finds the playground; nowhere on a Unix socket.
+/// The URL of the playground. None for a Unix socket, which browsers cannot open.
 fn page(listener: &Listener, encrypts: bool) -> Option<String> {
     let Listener::Tcp(listener) = listener else { return None };
     let mut address = listener.local_addr().ok()?;

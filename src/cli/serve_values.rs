@@ -77,7 +77,7 @@ pub(crate) fn listen_address(text: &str) -> Result<String, String> {
     Err("expected host:port with a port from 0 to 65535 (0: any free one), or unix:PATH".into())
 }
 
-/// An address of the admin port; empty: none.
+/// An address of the admin port; empty means no such port.
 ///
 /// # Errors
 /// It is not host and port.
@@ -125,12 +125,12 @@ fn is_host_and_port(text: &str) -> bool {
 /// A proxy's address.
 ///
 /// # Errors
-/// It is no IP address.
+/// It is not an IP address.
 pub(crate) fn proxy(text: &str) -> Result<IpAddr, String> {
     text.parse().map_err(|_| "expected an IP address, as in 10.0.0.1 or ::1".into())
 }
 
-/// The address of a collector of traces; empty: none.
+/// The address of a collector of traces; empty means no traces.
 ///
 /// # Errors
 /// It is not a URL of `http` or `https` with a host.
@@ -143,7 +143,7 @@ pub(crate) fn collector(text: &str) -> Result<String, String> {
     Err("expected http://HOST:PORT or https://HOST:PORT, or nothing".into())
 }
 
-/// A filter of the log, checked.
+/// Checks a filter of the log.
 ///
 /// # Errors
 /// It is neither a level nor a filter.
@@ -151,10 +151,10 @@ pub(crate) fn log_filter(text: &str) -> Result<String, String> {
     filter(text).map(|_| text.into())
 }
 
-/// The filter that a setting of the log means.
+/// The filter that a setting of the log stands for.
 ///
-/// A level alone is that of hullcast: below `info` the libraries that it uses stay at `info`,
-/// because HTTP/2 logs every frame. A filter of several parts is taken as it is.
+/// A single level applies to hullcast. The libraries below it log at `info` at most, because the
+/// HTTP/2 library logs every frame at `debug` and `trace`. A filter of several parts is used as it is.
 ///
 /// # Errors
 /// It is neither a level nor a filter.
@@ -163,8 +163,8 @@ pub(crate) fn filter(text: &str) -> Result<EnvFilter, String> {
     let filter = match level(text) {
         Some(level) if level > LevelFilter::INFO => EnvFilter::try_new(format!("info,hullcast={level}")),
         Some(level) => EnvFilter::try_new(level.to_string()),
-        // A part without a level would be the name of a module, of which everything is logged: a
-        // misspelt level is one.
+        // A part without a level would count as the name of a module, and everything of that
+        // module would be logged. A misspelt level looks like such a name.
         None if !text.contains('[') && text.split(',').any(is_no_directive) => return Err(allowed.into()),
         None => EnvFilter::try_new(text),
     };
@@ -176,7 +176,7 @@ fn is_no_directive(part: &str) -> bool {
 }
 
 fn level(text: &str) -> Option<LevelFilter> {
-    // An empty text would be the level of errors.
+    // An empty text would mean the level `error`.
     text.parse().ok().filter(|_| !text.is_empty())
 }
 

@@ -1,5 +1,5 @@
-//! The settings of a server. A flag wins over the environment, the environment over the file, and the
-//! file over the default.
+//! The settings of a server. A flag takes precedence over the environment, the environment over the
+//! file, and the file over the default.
 
 use std::{
     net::IpAddr,
@@ -31,7 +31,7 @@ use super::{
     values::{count, did_you_mean, number},
 };
 
-/// Where hulls are kept if nobody says where.
+/// The directory of the hulls if no store is set.
 pub(crate) const DEFAULT_STORE: &str = "hullcast-store";
 
 /// How logs are written.
@@ -41,7 +41,7 @@ pub(crate) enum LogFormat {
     /// For people.
     #[default]
     Text,
-    /// One JSON object a line.
+    /// One JSON object per line.
     Json,
 }
 
@@ -91,7 +91,7 @@ macro_rules! settings {
 }
 
 settings! {
-    /// Address to answer on: host:port (port 0: any free one) or unix:PATH; may be repeated
+    /// Address to listen on: host:port (port 0 means any free port) or unix:PATH; may be repeated
     listen: Vec<String> = |_: &Limits| vec!["127.0.0.1:50051".into()],
         "HULLCAST_LISTEN", "ADDR" [value_delimiter = ',', value_parser = listen_address];
     /// Where hulls are kept: a directory, file://PATH, memory:// (which forgets), or by feature
@@ -100,49 +100,51 @@ settings! {
     /// Threads that compute; 0: one a core
     compute_threads: usize = |_: &Limits| 0, "HULLCAST_COMPUTE_THREADS", "N"
         [value_parser = count(0, MOST_THREADS)];
-    /// Seconds after SIGTERM in which health says NOT_SERVING and calls are still accepted
+    /// Seconds after SIGTERM during which health checks report NOT_SERVING and calls are still accepted
     grace_seconds: f64 = |_: &Limits| 3.0, "HULLCAST_GRACE_SECONDS", "S"
         [value_parser = number(0.0, LONGEST)];
-    /// Seconds about which a connection is told to close; 0: never
+    /// Approximate age in seconds at which a connection is told to close; 0 means never
     max_connection_age_seconds: f64 = |_: &Limits| 0.0, "HULLCAST_MAX_CONNECTION_AGE_SECONDS", "S"
         [value_parser = number(0.0, LONGEST)];
-    /// Seconds between two tries whether the store can be written to
+    /// Seconds between two tests whether the store can be written to
     probe_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_PROBE_SECONDS", "S"
         [value_parser = number(SHORTEST_LOOP, LONGEST)];
-    /// Seconds that calls in flight have to finish when the server stops
+    /// Seconds for calls in flight to finish when the server stops
     drain_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_DRAIN_SECONDS", "S"
         [value_parser = number(0.0, LONGEST)];
-    /// PEM file of the server's certificate and those it leads to; empty: plain text
+    /// PEM file of the server's certificate, followed by its chain; empty means no TLS
     tls_certificate: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_TLS_CERTIFICATE", "FILE";
     /// PEM file of the certificate's private key
     tls_key: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_TLS_KEY", "FILE";
-    /// PEM file of authorities: clients must have a certificate of one; empty: clients need none
+    /// PEM file of authorities, one of which must have signed a client's certificate; empty means that
+    /// clients need no certificate
     tls_client_ca: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_TLS_CLIENT_CA", "FILE";
-    /// Serve without TLS to other machines, as behind a proxy that has it
+    /// Accept connections from other machines without TLS, for example behind a proxy that terminates
+    /// TLS
     allow_plaintext: bool = |_: &Limits| false, "HULLCAST_ALLOW_PLAINTEXT", "BOOL"
         [num_args = 0..=1, default_missing_value = "true"];
     /// Serve a page that shows contacts on the same addresses, and print its URL (docs/playground.md)
     playground: bool = |_: &Limits| false, "HULLCAST_PLAYGROUND", "BOOL"
         [num_args = 0..=1, default_missing_value = "true"];
-    /// File of tokens, one per line, that may query; empty: none is needed
+    /// File of the tokens that may query, one per line; empty means that calls need no token
     query_tokens: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_QUERY_TOKENS", "FILE";
-    /// File of tokens, one per line, that may also register and delete
+    /// File of the tokens that may also register and delete, one per line
     register_tokens: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_REGISTER_TOKENS", "FILE";
-    /// Seconds after which certificates and tokens are read again
+    /// Seconds between two readings of the files with certificates and tokens
     reload_seconds: f64 = |_: &Limits| 10.0, "HULLCAST_RELOAD_SECONDS", "S"
         [value_parser = number(SHORTEST_LOOP, LONGEST)];
-    /// Address of /metrics, /livez and /readyz, plain HTTP; empty: none
+    /// Address of /metrics, /livez and /readyz in plain HTTP; empty means no such port
     admin_listen: String = |_: &Limits| String::new(), "HULLCAST_ADMIN_LISTEN", "ADDR"
         [value_parser = admin_address];
-    /// Collector that traces are sent to, http://HOST:PORT or https://HOST:PORT (OTLP on gRPC);
-    /// empty: none. By feature otlp (docs/operations.md)
+    /// Collector that receives traces (OTLP over gRPC): http://HOST:PORT or https://HOST:PORT; empty
+    /// means no traces. Needs a build with the feature otlp (docs/operations.md)
     otlp_endpoint: String = |_: &Limits| String::new(), "HULLCAST_OTLP_ENDPOINT", "URL"
         [value_parser = collector];
-    /// Share of calls that are traced, 0 to 1, where their callers do not say whether
+    /// Fraction of calls that are traced, 0 to 1, if the caller does not decide it
     otlp_share: f64 = |_: &Limits| 1.0, "HULLCAST_OTLP_SHARE", "SHARE"
         [value_parser = number(0.0, 1.0)];
-    /// Level of the log: error, warn, info, debug (every request), trace, off; or a filter, as in
-    /// debug,h2=debug: a level alone leaves out what the libraries below log about their frames
+    /// Level of the log: error, warn, info, debug (every request), trace or off; or a filter such as
+    /// debug,h2=debug. A level without a filter leaves out the frames that the HTTP/2 library logs
     log: String = |_: &Limits| "info".into(), "HULLCAST_LOG", "FILTER"
         [value_parser = log_filter];
     /// How logs are written
@@ -169,25 +171,25 @@ settings! {
     /// Most points in the definition of a hull
     max_points_per_hull: u32 = |l: &Limits| l.max_points_per_hull, "HULLCAST_MAX_POINTS_PER_HULL", "N"
         [value_parser = limit::<u32>("max_points_per_hull")];
-    /// Most pairs of one caller that are accepted and not yet answered; several callers together
-    /// may have less than twice as many, or with shares off only as many
+    /// Most pairs of one caller that are accepted and not yet answered. Several callers together may
+    /// have less than twice as many, or this number if --shares is off
     max_pairs_in_flight: u32 = |l: &Limits| l.max_pairs_in_flight, "HULLCAST_MAX_PAIRS_IN_FLIGHT", "N"
         [value_parser = limit::<u32>("max_pairs_in_flight")];
-    /// Memory in bytes that all callers together can make the server hold, without the cached
-    /// hulls, or a share of the memory that the process may use, as in 25%
+    /// Most memory that all callers together can make the server hold, without the cached hulls: bytes,
+    /// or a percentage of the memory that the process may use, such as 25%
     max_memory_bytes: Size = |l: &Limits| Size::Bytes(l.max_memory_bytes),
         "HULLCAST_MAX_MEMORY_BYTES", "SIZE"
         [value_parser = size("max_memory_bytes")];
-    /// Whether callers share memory, leases on hulls and compute threads fairly; off: one common
+    /// Whether callers share memory, leases on hulls and compute threads fairly; off means one common
     /// budget, first come, first served
     shares: Switch = |_: &Limits| Switch::On, "HULLCAST_SHARES", "SWITCH" [value_enum];
-    /// Addresses of proxies: each of their connections counts as a caller of its own
+    /// Addresses of proxies; each connection of a proxy counts as a separate caller
     trusted_proxies: Vec<IpAddr> = |_: &Limits| Vec::new(), "HULLCAST_TRUSTED_PROXIES", "ADDR"
         [value_delimiter = ',', value_parser = proxy];
-    /// Seconds that a request's message has to arrive, beside one for each MiB of it
+    /// Seconds within which a request's message has to arrive, plus one second per MiB of it
     message_seconds: f64 = |_: &Limits| 30.0, "HULLCAST_MESSAGE_SECONDS", "S"
         [value_parser = number(SHORTEST_TIME, LONGEST)];
-    /// Seconds that a caller has to take an answer, beside one for each MiB of it
+    /// Seconds within which a caller has to take an answer, plus one second per MiB of it
     answer_seconds: f64 = |_: &Limits| 30.0, "HULLCAST_ANSWER_SECONDS", "S"
         [value_parser = number(SHORTEST_TIME, LONGEST)];
     /// Most bytes of requests that have come and are not yet answered, over all calls
@@ -218,11 +220,11 @@ settings! {
     /// Most hulls in a page of a listing
     max_page_size: u32 = |l: &Limits| l.max_page_size, "HULLCAST_MAX_PAGE_SIZE", "N"
         [value_parser = limit::<u32>("max_page_size")];
-    /// How long a hull that another server deleted may still be answered for
+    /// Seconds for which the server may still use a hull that another server has deleted
     cache_age_seconds: u32 = |l: &Limits| l.cache_age_seconds, "HULLCAST_CACHE_AGE_SECONDS", "S"
         [value_parser = limit::<u32>("cache_age_seconds")];
-    /// Seconds that an operation of the store may take; after that the store is taken to hang
-    /// until the operation returns (1 to 3600)
+    /// Seconds that an operation of the store may take; after that the store counts as hung until the
+    /// operation returns (1 to 3600)
     store_seconds: u32 = |l: &Limits| l.store_seconds, "HULLCAST_STORE_SECONDS", "S"
         [value_parser = limit::<u32>("store_seconds")];
 }
@@ -435,7 +437,7 @@ impl Settings {
         })
     }
 
-    /// How long health says NOT_SERVING before connections are closed, when the server stops.
+    /// How long health checks report NOT_SERVING before connections are closed, when the server stops.
     ///
     /// # Errors
     /// The value is outside its range.

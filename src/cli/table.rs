@@ -1,4 +1,5 @@
-//! An answer as a table for people: few digits, and `-` for what was not asked for.
+//! An answer as a table for people, with few digits, and `-` for numbers that were not
+//! requested.
 
 use std::io::{self, Write};
 use std::ops::Range;
@@ -7,11 +8,11 @@ use super::report::{Answered, flag_names, outcome_name, row};
 use super::values::counted;
 use hullcast::proto::Outcome;
 
-/// What stands for a number that was not asked for, or does not exist.
+/// Shown in place of a number that was not requested or does not exist.
 const NONE: &str = "-";
 
 impl Answered<'_> {
-    /// A line a pair (separated ones only when `all`), then the sums.
+    /// Writes one line per pair (separated pairs only if `all` is set), then the sums.
     ///
     /// # Errors
     /// The output cannot be written.
@@ -115,12 +116,12 @@ fn write_aligned(out: &mut impl Write, lines: &[[String; 8]]) -> io::Result<()> 
     lines.iter().try_for_each(|line| write_line(line.each_ref().map(String::as_str)))
 }
 
-/// A growth scale: what matters is how far it is from 1.
+/// A growth scale, with enough digits to show its difference from 1.
 fn growth(alpha: f64) -> String {
     if alpha.abs() < 1e4 { places(alpha, 6) } else { few_digits(alpha) }
 }
 
-/// So many places behind the point; never a negative zero.
+/// The number with this many decimal places, and never a negative zero.
 fn places(x: f64, count: usize) -> String {
     let text = format!("{x:.count$}");
     match text.strip_prefix('-') {
@@ -137,7 +138,7 @@ fn few_digits(x: f64) -> String {
         return (x + 0.0).to_string();
     }
     let scientific = format!("{x:.3e}");
-    // Of the rounded number: 9.9999e-5 is written as 0.0001.
+    // The exponent is that of the rounded number, so that 9.9999e-5 is written as 0.0001.
     let exponent = scientific.split('e').nth(1).and_then(|text| text.parse().ok());
     match exponent {
         Some(exponent @ -4..DIGITS) => places(x, (DIGITS - 1 - exponent) as usize),
@@ -149,7 +150,8 @@ fn few_digits(x: f64) -> String {
 mod tests {
     use super::*;
 
-    /// Catches sixteen digits, negative zeros, and exponents of everyday lengths.
+    /// Catches numbers with sixteen digits, negative zeros, and exponents for lengths of
+    /// ordinary size.
     #[test]
     fn numbers_are_short() {
         for (x, text) in [

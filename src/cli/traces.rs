@@ -16,7 +16,8 @@ use tracing_subscriber::{Layer, filter::filter_fn, registry::LookupSpan};
 
 use super::Error;
 
-/// The time at the end for sending the remaining spans. A collector that does not answer costs no more.
+/// The time at the end for sending the remaining spans. A collector that does not answer delays the end
+/// by no more than this.
 const FLUSH: Duration = Duration::from_secs(2);
 
 /// Sends spans from a thread of its own. Spans that cannot be sent are dropped.
@@ -26,7 +27,7 @@ impl Traces {
     /// Opens the exporter. Must be called inside a runtime. It connects when there are spans to send.
     ///
     /// # Errors
-    /// The endpoint is not a URL, or the share is not within 0 to 1.
+    /// The endpoint is not a URL, or the fraction is not within 0 to 1.
     pub(crate) fn open(endpoint: &str, share: f64) -> Result<Self, Error> {
         if !(0.0..=1.0).contains(&share) {
             return Err(format!("otlp_share {share}: not within 0 to 1").into());

@@ -1,9 +1,9 @@
-//! Which certificates of servers are trusted where the user gives a file of them.
+//! Decides which certificates of servers are trusted if the user gives a file of certificates.
 //!
-//! A certificate that signs itself, as `openssl req -x509` makes it, is marked as an authority's.
-//! The usual rules (RFC 5280) refuse an authority's certificate as a server's own. The user named
-//! this very certificate, though, and other clients of gRPC accept it. So it is accepted if it is
-//! in the file byte for byte, is valid at this time, and names the server.
+//! A self-signed certificate, as `openssl req -x509` makes it, is marked as the certificate of an
+//! authority. The usual rules (RFC 5280) do not accept the certificate of an authority as that of a
+//! server. But the user has named this very certificate, and other gRPC clients accept it. So it is
+//! accepted if the file contains it byte for byte, it is valid now, and it names the server.
 
 use std::sync::Arc;
 
@@ -19,7 +19,7 @@ use tokio_rustls::rustls::{
     server::ParsedCertificate,
 };
 
-/// Trusts what the certificates of a file signed, and these certificates themselves.
+/// Trusts the certificates of a file, and those that they have signed.
 #[derive(Debug)]
 pub(crate) struct Trust {
     usual: Arc<WebPkiServerVerifier>,
@@ -30,7 +30,7 @@ impl Trust {
     /// Reads the authorities from the content of a PEM file.
     ///
     /// # Errors
-    /// Says what is wrong with the content.
+    /// The text says what is wrong with the content.
     pub(crate) fn new(pem: &[u8]) -> Result<Self, String> {
         let given: Vec<_> =
             CertificateDer::pem_slice_iter(pem).collect::<Result<_, _>>().map_err(|e| e.to_string())?;
@@ -58,8 +58,8 @@ impl ServerCertVerifier for Trust {
     ) -> Result<ServerCertVerified, Error> {
         let usual = self.usual.verify_server_cert(end_entity, intermediates, server_name, ocsp_response, now);
         match usual {
-            // "Other" has the refusal of an authority's certificate, which comes after the check of
-            // its time; an expired certificate is refused by a name of its own.
+            // `Other` stands for the refusal of an authority's certificate. This refusal comes
+            // after the check of the time, for which there is an error of its own.
             Err(Error::InvalidCertificate(CertificateError::Other(_))) if self.given.contains(end_entity) => {
                 verify_server_name(&ParsedCertificate::try_from(end_entity)?, server_name)?;
                 Ok(ServerCertVerified::assertion())
@@ -96,7 +96,7 @@ mod tests {
     use super::*;
     use rcgen::{BasicConstraints, CertificateParams, IsCa, KeyPair, date_time_ymd};
 
-    /// A certificate that signs itself, marked as an authority's, for `localhost`.
+    /// A self-signed certificate for `localhost`, marked as the certificate of an authority.
     fn self_signed(last_year: i32) -> rcgen::Certificate {
         let mut params = CertificateParams::new(vec!["localhost".into()]).unwrap();
         params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
@@ -105,8 +105,8 @@ mod tests {
         params.self_signed(&KeyPair::generate().unwrap()).unwrap()
     }
 
-    /// Catches trust in a certificate that was not given, is of another server, or is expired; and
-    /// one that was given and is refused.
+    /// Catches a certificate that is trusted although it is not in the file, names another server
+    /// or has expired, and one that is in the file and is refused.
     #[test]
     fn the_given_certificate_itself_is_trusted_and_no_other() {
         let (own, other, expired) = (self_signed(4000), self_signed(4000), self_signed(2001));

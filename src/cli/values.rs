@@ -9,7 +9,7 @@ use std::str::FromStr;
 pub(crate) fn number(least: f64, most: f64) -> impl Fn(&str) -> Result<f64, String> + Clone {
     move |text| {
         let value: Option<f64> = text.parse().ok();
-        // NaN is in no range.
+        // NaN is outside every range.
         value
             .filter(|value| (least..=most).contains(value))
             .ok_or_else(|| format!("expected a number from {least} to {most}"))
@@ -32,7 +32,7 @@ where
 /// A margin: a length, or infinity.
 ///
 /// # Errors
-/// It is negative, or no number.
+/// It is negative or not a number.
 pub(crate) fn margin(text: &str) -> Result<f64, String> {
     let value: Option<f64> = text.parse().ok();
     value.filter(|value| *value >= 0.0).ok_or_else(|| "expected a number of at least 0, or inf".into())
@@ -49,7 +49,8 @@ pub(crate) fn counted(count: impl Display, noun: &str) -> String {
     }
 }
 
-/// The one of `known` that a misspelt `name` may mean, as the end of a message; empty if none is near.
+/// The end of a message that suggests the word of `known` that a misspelt `name` may mean; empty if no
+/// word is similar.
 pub(crate) fn did_you_mean<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> String {
     const NEAR: f64 = 0.7;
     let name = name.to_lowercase();
@@ -65,7 +66,8 @@ pub(crate) fn did_you_mean<'a>(name: &str, known: impl IntoIterator<Item = &'a s
 mod tests {
     use super::*;
 
-    /// Catches a suggestion that is far from the written word, and a near one that is not made.
+    /// Catches a suggestion that is not similar to the written word, and a similar word that is not
+    /// suggested.
     #[test]
     fn only_near_names_are_suggested() {
         let known = ["listen", "store", "log", "max_connections"];

@@ -68,7 +68,7 @@ impl Queue {
         self.changed.notify_all();
     }
 
-    /// The loop of a thread: does parts until the queue is closed.
+    /// The loop of a thread, which does parts until the queue is closed.
     pub(super) fn work(&self) {
         let mut done = None;
         while let Some(next) = self.next(done.take()) {

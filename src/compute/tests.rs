@@ -120,7 +120,7 @@ async fn short_work_does_not_wait_for_long_work() {
     assert_eq!(long.await.unwrap().len(), 1000);
 }
 
-/// Catches threads that outlive their owner, and work that goes on although nobody waits for it.
+/// Catches threads that outlive their owner, and work that goes on although no caller waits for it.
 #[tokio::test]
 async fn dropping_the_threads_ends_them() {
     let compute = Compute::new(1).unwrap();

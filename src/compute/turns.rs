@@ -164,7 +164,7 @@ impl<W: Clone> Turns<W> {
         self.forget_if_settled(caller);
     }
 
-    /// Removes the work with this number, because nobody waits for it any more. Returns `None` if all
+    /// Removes the work with this number, because no caller waits for it any more. Returns `None` if all
     /// of its parts have been taken.
     pub(super) fn remove(&mut self, caller: u64, number: u64) -> Option<W> {
         let account = self.accounts.get_mut(&caller)?;

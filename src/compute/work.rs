@@ -88,7 +88,7 @@ impl<W: Parts> Shared<W> {
         Self { work, job: job.clone(), done: Mutex::new(done) }
     }
 
-    /// Combines the parts and sends the result, unless nobody waits for it.
+    /// Combines the parts and sends the result, unless no caller waits for it.
     pub(super) fn finish(&self, parts: Result<Vec<W::Part>, ComputeError>) {
         let awaited = locked(&self.done).answer.as_ref().is_some_and(|answer| !answer.is_closed());
         if !awaited {

@@ -34,7 +34,7 @@ pub trait Columnar: Message + Default {
 /// Reads a message.
 ///
 /// # Errors
-/// Those of prost for the same bytes.
+/// The errors of prost for the same bytes.
 pub fn decode<M: Columnar>(mut bytes: Bytes) -> Result<M, DecodeError> {
     let mut message = M::default();
     while bytes.has_remaining() {

@@ -19,7 +19,7 @@ const BUFFER_BYTES: usize = 4 << 10;
 /// as long as its call, so it has to stay small.
 const GATHERED_BYTES: usize = 16 << 10;
 
-/// A message of type `M` as it came: its bytes, not decoded and not checked.
+/// A message of type `M` as it arrived: its bytes, neither decoded nor checked.
 #[derive(Clone, Debug)]
 pub struct Encoded<M> {
     bytes: Bytes,
@@ -106,7 +106,7 @@ impl<T, U: Columnar> Decoder for Codec<T, U> {
     }
 }
 
-/// Encodes `T` and takes each `U` as it came.
+/// Encodes `T`, and leaves each `U` encoded as it arrived.
 #[derive(Clone, Copy, Debug)]
 pub struct ServerCodec<T, U>(PhantomData<fn(T) -> U>);
 

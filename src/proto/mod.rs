@@ -14,7 +14,8 @@ tonic::include_proto!("hullcast.v1.ContactService");
 tonic::include_proto!("hullcast.v1.HullService");
 tonic::include_proto!("hullcast.v1.ServerService");
 
-/// Names the columns of messages, as in `proto/`; a message without any needs no more.
+/// Names the columns of messages, as in `proto/`. A message without columns needs only
+/// its name.
 macro_rules! columnar {
     ($($message:ident { $($kind:ident $field:ident = $tag:literal;)* })*) => {
         $(impl bulk::Columnar for $message {

@@ -276,8 +276,8 @@ mod tests {
         std::array::from_fn(|user| callers.get(CallerKey::User(user as u32)))
     }
 
-    /// Catches a place that is not given back, a place that is given away twice, and a caller without
-    /// others that gets less than all places.
+    /// Catches a place that is not given back, a place that is given away twice, and a single caller that
+    /// gets less than all places.
     #[test]
     fn places_are_counted_in_pairs() {
         let (queue, caller) = (queue(100), &Caller::alone());
@@ -379,7 +379,7 @@ mod tests {
         let distinct: std::collections::HashSet<_> = times.iter().collect();
         assert_eq!(distinct.len(), 100);
         for time in times {
-            // Half of 1000 pairs at 1000 pairs per second.
+            // Half of 1000 pairs takes half a second at 1000 pairs per second.
             assert!((0.375..=0.625).contains(&time.as_secs_f64()), "{time:?}");
         }
         locked(&queue.throughput).per_second = 1e9;

@@ -38,7 +38,7 @@ pub(super) async fn answer<M: Columnar + Send + 'static>(
     encoded(app, context, message, length, memory).await
 }
 
-/// Does as [`answer`] with an answer whose memory is taken already.
+/// Does the same as [`answer`], for an answer whose memory is taken already.
 pub(super) async fn counted_answer<M: Columnar + Send + 'static>(
     app: &App,
     context: &CallContext,

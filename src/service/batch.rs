@@ -130,7 +130,7 @@ impl Batch {
         Some(Body::new(hull?, pose?))
     }
 
-    /// The pair's basis from an earlier answer; none if it contains indices that are not registered
+    /// The pair's basis from an earlier answer, or `None` if it contains indices that are not registered
     /// for these hulls.
     fn warm_start(&self, pair: usize, a: &Body<'_>, b: &Body<'_>) -> Option<Basis> {
         let (bases, _) = self.warm_starts.as_chunks::<6>();

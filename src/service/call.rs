@@ -125,8 +125,8 @@ pub(super) struct Taken {
 
 impl Taken {
     /// `memory` is the fixed cost of a call: its headers, and the state that the transport keeps.
-    /// It is none for a health check that its connection may have without asking the budget.
-    /// `counted` is for calls of which a connection may have only a limited number.
+    /// It is `None` for a health check, of which a connection may have a few without asking the
+    /// budget. `counted` is for calls of which a connection may have only a limited number.
     pub(super) fn new(memory: Option<Permit>, counted: Option<Counted>) -> Self {
         Self { _memory: memory, _counted: counted }
     }
@@ -142,7 +142,7 @@ pub(super) struct Call {
     started: Instant,
     code: Code,
     stop: Arc<Stop>,
-    /// The resources that the call holds of its connection and of the memory budget.
+    /// The resources of its connection and of the memory budget that the call holds.
     _taken: Taken,
     _in_flight: Held,
 }
@@ -164,8 +164,8 @@ impl Call {
             traced,
             method,
             started: Instant::now(),
-            // The code if nothing else is recorded: a call that is dropped early was left by its
-            // client.
+            // This code stays if no other is recorded: a call that is dropped early was cancelled
+            // by its client.
             code: Code::Cancelled,
             stop,
             _taken: taken,
@@ -177,7 +177,7 @@ impl Call {
         &self.app
     }
 
-    /// Enters the call's spans: lines that are logged while the guards live name the call.
+    /// Enters the call's spans. While the guards live, every logged line names the call.
     pub(super) fn enter(&self) -> [Entered<'_>; 2] {
         [self.traced.enter(), self.span.enter()]
     }
@@ -237,7 +237,8 @@ pub(super) type BoxError = Box<dyn std::error::Error + Send + Sync>;
 mod tests {
     use super::*;
 
-    /// Catches a metric label that clients can invent: each would be a time series for ever.
+    /// Catches a metric label that clients can invent. Each new label would be a time series that
+    /// never ends.
     #[test]
     fn methods_that_are_not_there_have_one_name() {
         assert_eq!(method("/hullcast.v1.HullService/GetHulls"), "hullcast.v1.HullService/GetHulls");

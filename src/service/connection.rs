@@ -82,7 +82,7 @@ impl Connections {
         self.undrained.load(Ordering::Relaxed)
     }
 
-    /// A place for another connection from `address`; none if there are too many.
+    /// A place for another connection from `address`, or `None` if there are too many.
     pub(super) fn admit(&self, address: Address) -> Option<Peer> {
         self.peers.admit(address)
     }

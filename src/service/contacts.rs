@@ -36,7 +36,8 @@ use crate::{
     store::{HullId, Hulls, Lease, LeaseError},
 };
 
-/// When to retry if other requests hold too many hulls: about the time for which they hold them.
+/// The time after which to retry if other requests hold too many hulls. Requests hold hulls for
+/// about this time.
 const HULLS_RETRY: Duration = Duration::from_millis(100);
 
 pub(super) fn service(app: Arc<App>) -> ContactServiceServer<impl ContactService> {
@@ -86,7 +87,7 @@ impl ContactService for Contacts {
     ) -> Result<Response<Self::StreamContactsStream>, Status> {
         let deadline = request.extensions().get::<Deadline>().copied();
         let closing = request.extensions().get::<Closing>().cloned();
-        // Handlers without a connection, as in fuzzing, never close.
+        // Handlers without a connection, which fuzzing uses, never close.
         let closing = closing.unwrap_or_else(|| Closing(watch::channel(false).1));
         let context = CallContext::of(&request);
         let steps = Steps::new(self.app.clone(), context, request.into_inner(), closing);

@@ -97,13 +97,13 @@ impl CallContext {
     /// Takes memory for a part of the call.
     ///
     /// # Errors
-    /// TOO_BUSY if there is no room now, MEMORY_TOO_LARGE if there never is.
+    /// TOO_BUSY if the budget has no room now, MEMORY_TOO_LARGE if the bytes can never fit.
     pub(super) fn take(&self, app: &App, part: Part, bytes: usize) -> Result<Permit, ServiceError> {
         self.memory.take(part, bytes as u64).map_err(|why| no_memory(app.metrics(), why))
     }
 
-    /// A permit that holds nothing yet, for a part of the call that exists once at a time: the call's own
-    /// memory covers its first [`SMALL_BYTES`].
+    /// A permit that holds nothing yet, for a part of the call that never exists twice at the same time. The
+    /// call's own memory covers its first [`SMALL_BYTES`].
     pub(super) fn covered(&self, part: Part) -> Permit {
         self.memory.covered(part, SMALL_BYTES as u64)
     }

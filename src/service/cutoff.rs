@@ -49,7 +49,8 @@ pub(super) struct Cutoff(Arc<State>);
 struct State {
     /// The zero of the times below.
     start: Instant,
-    /// When the stream ends, and why ([`packed`]); [`NEVER`] while the peer owes nothing.
+    /// The time at which the stream ends, and the reason ([`packed`]). It is [`NEVER`] while the peer has
+    /// nothing to read.
     due: AtomicU64,
     /// The `due` for which the waiting side wakes up.
     awaited: AtomicU64,
@@ -73,7 +74,7 @@ fn reason(packed: u64) -> Option<Cut> {
 }
 
 impl Cutoff {
-    /// A cutoff that is not set. `abort` closes the connection.
+    /// A cutoff whose time is not set. `abort` closes the connection.
     pub(super) fn new(abort: Arc<Notify>) -> Self {
         Self(Arc::new(State {
             start: Instant::now(),
@@ -113,7 +114,7 @@ impl Cutoff {
         let change =
             |from, to| self.0.due.compare_exchange(from, to, Ordering::SeqCst, Ordering::SeqCst).is_ok();
         if due != NEVER && self.is_all_sent() && change(due, NEVER) && !self.is_all_sent() {
-            // More was queued meanwhile, and its time may have been this very millisecond.
+            // More bytes were queued in the meantime, and their time may be the same millisecond.
             change(NEVER, due);
         }
     }
@@ -152,7 +153,7 @@ impl Cutoff {
             let due = state.due.load(Ordering::SeqCst);
             state.awaited.store(due, Ordering::SeqCst);
             if state.due.load(Ordering::SeqCst) < due {
-                // It was set before `awaited` said that it had to wake this side.
+                // The time was set before `awaited` showed that this side has to be woken.
                 continue;
             }
             let Some(why) = reason(due).filter(|_| due != NEVER) else {

@@ -21,7 +21,7 @@ use crate::{
 /// the request from the call's budget, and runs on the same thread.
 ///
 /// # Errors
-/// Those of [`Request::read`] and of `check`.
+/// The errors of [`Request::read`] and of `check`.
 pub(super) async fn decoded<M: Request, T: Send + 'static>(
     app: &Arc<App>,
     context: &CallContext,

@@ -31,11 +31,11 @@ pub enum Kind {
 pub struct Place {
     /// The field's name in the contract; a dotted path for nested messages.
     pub field: &'static str,
-    /// The index of the element at fault, if one is.
+    /// The index of the element at fault, if a single element is.
     pub index: Option<usize>,
 }
 
-/// Why a call is refused.
+/// The reason why a call is refused.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ServiceError {
     /// The error class.
@@ -73,7 +73,7 @@ impl ServiceError {
         Self::new(Kind::Invalid, reason, message.into(), None)
     }
 
-    /// Trying again after `retry_after` may help.
+    /// A retry after `retry_after` may succeed.
     pub fn unavailable(reason: &'static str, retry_after: Duration, message: impl Into<String>) -> Self {
         Self::new(Kind::Unavailable { retry_after }, reason, message.into(), None)
     }
@@ -103,7 +103,8 @@ impl ServiceError {
         Self::new(Kind::DeadlineExceeded, "MESSAGE_LATE", message.into(), None)
     }
 
-    /// The caller has reached the limit of something that it may have at a time.
+    /// The caller has reached a limit on the number of things that it may have at
+    /// the same time.
     pub fn exhausted(reason: &'static str, message: impl Into<String>) -> Self {
         Self::new(Kind::Exhausted, reason, message.into(), None)
     }

@@ -55,7 +55,8 @@ const SEARCHES: u32 = 16;
 /// limits the pairs that are found but not computed, however crowded the scene is.
 const SEARCHED_INDICES: usize = 1 << 14;
 
-/// A finite margin beyond the reach of every body: positions are within 1e100.
+/// A finite margin that is larger than every distance between bodies, because positions are within
+/// 1e100.
 const LARGEST_MARGIN: f64 = 1e101;
 
 /// A `FindContacts` call in progress.
@@ -68,15 +69,16 @@ pub(super) struct Finding {
     /// The memory of the setting, the poses, the broad phase and the searches.
     memory: Option<Permit>,
     broad_phase: Arc<BroadPhase>,
-    /// The first body that is in no search yet.
+    /// The first body for which no search has been started.
     next_body: u32,
     /// The searches, in order, for the pairs of consecutive bodies before `next_body`.
     searches: VecDeque<Search>,
-    /// The ordered pairs that were found before those of the searches; 2 indices per pair.
+    /// The pairs found by earlier searches, in order; 2 indices per pair. They come before the
+    /// pairs of `searches`.
     found: Vec<u32>,
     /// Ordered candidates, cut into groups that are computed together.
     waiting: VecDeque<Vec<u32>>,
-    /// The admission that was taken before any work, until it is used.
+    /// The admission that the call took before any work. `None` after its first use.
     admission: Option<Admission>,
     /// The missing hulls and the unusable bodies, to be sent with the first message.
     left_out: Option<(Vec<u32>, Vec<u32>)>,
@@ -144,7 +146,7 @@ impl Finding {
         self.memory.as_ref().map_or(0, |memory| memory.bytes() as usize)
     }
 
-    /// The next message; none at the end. There is always a first message.
+    /// The next message, or `None` at the end. There is always a first message.
     pub(super) async fn next(&mut self) -> Result<Option<QueryContactsResponse>, ServiceError> {
         while let Some(candidates) = self.candidates().await? {
             match self.answer(&candidates).await {
@@ -164,7 +166,7 @@ impl Finding {
         Ok(Some(answer(&self.app, &self.context, response).await?))
     }
 
-    /// The answer for the candidates that are not separated; none if all are.
+    /// The answer for the candidates that are not separated, or `None` if all of them are.
     async fn answer(&mut self, candidates: &[u32]) -> Result<Option<QueryContactsResponse>, ServiceError> {
         let (engine, job) = (self.app.engine(), &self.context.job);
         let admission = match self.admission.take() {
@@ -185,13 +187,14 @@ impl Finding {
         Ok(Some(answer))
     }
 
-    /// The next candidates to be computed together; none when all have been.
+    /// The next candidates to be computed together, or `None` when all have been.
     async fn candidates(&mut self) -> Result<Option<Vec<u32>>, ServiceError> {
         while self.waiting.is_empty() {
             let most = 2 * most_candidates(&self.app);
             if self.found.len() >= most || (self.searches.is_empty() && !self.found.is_empty()) {
                 let found = std::mem::take(&mut self.found);
-                // All pairs found if no search is open, otherwise a whole number of messages.
+                // If no search is open, all pairs found. Otherwise as many of them as fill a whole
+                // number of messages.
                 let whole = if self.searches.is_empty() { found.len() } else { found.len() / most * most };
                 let (now, later) = found.split_at(whole);
                 self.waiting.extend(now.chunks(most).map(<[u32]>::to_vec));
@@ -273,7 +276,7 @@ impl Bodies {
         self.count() * TREE_BYTES_PER_BODY + searches * search
     }
 
-    /// The bounds of a body; none if it can be in no pair.
+    /// The bounds of a body, or `None` if it can be in no pair.
     fn bounds(&self, body: usize) -> Option<Bounds> {
         let hull = self.hulls[self.setting.body_hulls[body] as usize].as_ref().ok()?;
         let margin = self.setting.query.margin.min(LARGEST_MARGIN);
@@ -351,7 +354,8 @@ impl Parts for Searching {
         self.searches.len()
     }
 
-    /// The steps of an ordinary scene; they are corrected by the steps that the search counts.
+    /// An estimate for an ordinary scene. It is replaced by the number of steps that the search
+    /// counts.
     fn steps(&self, _: usize) -> u64 {
         1_000 * u64::from(SEARCHED_BODIES)
     }

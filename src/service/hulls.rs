@@ -111,7 +111,8 @@ impl HullService for Hulls {
         let context = CallContext::of(&request);
         let (ids, _memory) = self.decoded(&context, request).await?;
         let mut deleted = Vec::with_capacity(ids.len());
-        // In order, so that an id that is named twice is deleted once.
+        // The hulls are deleted one after the other, so that an id that is named twice is
+        // deleted once.
         for id in ids {
             let done = self.app.registry().delete(id, &context.job).await;
             deleted.push(done.map_err(|error| store_error(&self.app, error))?);

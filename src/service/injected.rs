@@ -15,7 +15,7 @@ use crate::lock::locked;
 /// Controls for tests. By default they do nothing.
 #[derive(Debug, Default)]
 pub struct Injected {
-    /// The time in nanoseconds that a pair takes, asleep.
+    /// The time in nanoseconds for which the thread sleeps per pair.
     delay: AtomicU64,
     gated: AtomicBool,
     /// The number of pairs that may pass the gate.
@@ -29,7 +29,7 @@ thread_local! {
 }
 
 impl Injected {
-    /// Makes every pair take this much longer, asleep.
+    /// Makes the thread sleep for this time per pair.
     pub fn delay(&self, per_pair: Duration) {
         self.delay.store(per_pair.as_nanos() as u64, Ordering::Relaxed);
     }
@@ -50,7 +50,8 @@ impl Injected {
         self.changed.notify_all();
     }
 
-    /// Must be called before `pairs` pairs are computed; waits as the test demands.
+    /// Waits for as long as the test has configured. The engine calls this before it computes
+    /// `pairs` pairs.
     pub(super) fn pass(&self, pairs: usize) {
         let delay = self.delay.load(Ordering::Relaxed);
         if delay > 0 {
@@ -70,8 +71,8 @@ impl Injected {
     }
 }
 
-/// Sleeps for `duration`. A thread that the system woke late sleeps less for its next pairs;
-/// otherwise a busy machine would look like a server that does less than it could.
+/// Sleeps for `duration`. If the system wakes a thread late, the thread sleeps less for its next
+/// pairs. Otherwise a server on a busy machine would have less than the configured capacity.
 fn sleep(duration: Duration) {
     let now = Instant::now();
     let late = DUE.get().filter(|due| *due <= now && now - *due < duration);

@@ -47,7 +47,7 @@ pub struct Limits {
     pub cache_bytes: u64,
     /// Total bytes of the blobs in the store; 0 stands for no limit.
     pub store_bytes: u64,
-    /// Connections open at a time; one more is closed at once.
+    /// Connections that are open at a time. A further connection is closed at once.
     pub max_connections: u32,
     /// Concurrent calls on one connection.
     pub max_streams_per_connection: u32,
@@ -182,7 +182,7 @@ impl Limits {
             size("max_memory_bytes", self.max_memory_bytes, LEAST_MEMORY_BYTES),
             size("max_request_bytes_in_flight", self.max_request_bytes_in_flight, 1),
             count("max_deadline_seconds", self.max_deadline_seconds),
-            // 0: streams keep nothing.
+            // With 0, streams keep nothing.
             size("max_stream_state_bytes", self.max_stream_state_bytes, 0),
             size("cache_bytes", self.cache_bytes, 1),
             // 0: no limit.
@@ -190,14 +190,14 @@ impl Limits {
             count("max_connections", self.max_connections),
             count("max_streams_per_connection", self.max_streams_per_connection),
             count("max_page_size", self.max_page_size),
-            // 0: hulls are looked for in the store each time.
+            // With 0, hulls are looked up in the store each time.
             ("cache_age_seconds", self.cache_age_seconds.into(), 0, u32::MAX.into()),
             ("store_seconds", self.store_seconds.into(), 1, MOST_STORE_SECONDS),
         ]
     }
 
-    /// The fault of these limits, for people: a value outside its range, or two values that
-    /// contradict each other. None if the limits have no fault.
+    /// Describes the fault of these limits: a value outside its range, or two values that contradict
+    /// each other. `None` if the limits have no fault.
     pub fn contradiction(&self) -> Option<String> {
         for (name, value, least, most) in self.ranges() {
             if !(least..=most).contains(&value) {

@@ -29,7 +29,7 @@ impl Listener {
     /// Binds `host:port` (port 0: any free port) or `unix:PATH`.
     ///
     /// # Errors
-    /// The system's error, with the address.
+    /// The system's error, together with the address.
     pub async fn bind(address: &str) -> io::Result<Self> {
         let named = |error: io::Error| io::Error::new(error.kind(), format!("{address}: {error}"));
         match address.strip_prefix("unix:") {
@@ -92,7 +92,7 @@ pub(super) enum Connection {
 }
 
 impl Connection {
-    /// Encrypts a TCP connection; other connections stay as they are.
+    /// Encrypts a TCP connection. Other connections are returned unchanged.
     ///
     /// # Errors
     /// The peer does not speak TLS, or not as `config` requires.

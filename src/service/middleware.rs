@@ -84,7 +84,7 @@ impl Middleware {
     }
 
     /// The latest time at which the call ends: the caller's deadline, or the server's if that is earlier or
-    /// the caller has none. Long-lived calls have only the caller's.
+    /// the caller has none. Long-lived calls have only the deadline of the caller.
     fn deadline(&self, method: &str, headers: &HeaderMap) -> Option<Instant> {
         let most = Duration::from_secs(self.app.limits().max_deadline_seconds.into());
         let given = timeout(headers);
@@ -191,7 +191,7 @@ where
     }
 }
 
-/// Logs that a call was refused for its token. The token itself is never logged.
+/// Logs that a call was refused because of its token. The token itself is never logged.
 fn report(refusal: &ServiceError, method: &str) {
     if matches!(refusal.kind, Kind::Unauthenticated | Kind::Forbidden) {
         limited!(info, reason = refusal.reason, method, "a call was refused for its token");

@@ -172,7 +172,7 @@ impl App {
     }
 }
 
-/// Why a server did not start.
+/// The reason why a server did not start.
 #[derive(Debug)]
 pub enum OpenError {
     /// The limits contradict each other.

@@ -15,7 +15,7 @@ const BYTES_PER_STEP: usize = 2;
 /// Runs `work`, which handles about `bytes` bytes.
 ///
 /// # Errors
-/// Those of `work`; INTERNAL if it panicked.
+/// The errors of `work`; INTERNAL if it panicked.
 pub(super) async fn offloaded<T: Send + 'static>(
     app: &App,
     context: &CallContext,

@@ -34,7 +34,7 @@ impl Outputs {
         diagnostics: false,
     };
 
-    /// Whether the answer has point counts, for any of the points' columns.
+    /// Whether the answer has a column of points, and therefore point counts.
     pub fn any_points(self) -> bool {
         self.points || self.witness_b || self.features
     }
@@ -67,7 +67,7 @@ impl Outputs {
 }
 
 impl Default for Outputs {
-    /// Growth scale, normal and points.
+    /// The outputs of a request that names none: growth scale, normal and points.
     fn default() -> Self {
         Self { alpha: true, normal: true, points: true, ..Self::OUTCOME }
     }

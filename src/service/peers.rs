@@ -2,8 +2,8 @@
 //!
 //! All connections together are at most `max_connections`. The last places are reserved for
 //! addresses that have no open connection yet, so that one address that opens as many as it can
-//! does not shut out a health checker. TLS handshakes in progress are shared between addresses as
-//! memory is (see [`Slots`]), because each costs a signature.
+//! does not shut out a health checker. The number of TLS handshakes in progress is limited too,
+//! because each costs a signature. Addresses share it by dynamic thresholds (see [`Slots`]).
 
 use std::{
     collections::HashMap,
@@ -36,7 +36,7 @@ pub(super) const CONNECTION_BYTES: u64 = 128 << 10;
 pub(super) const LARGE_WINDOW: u32 = 8 << 20;
 const SMALL_WINDOW: u32 = 64 << 10;
 
-/// The fraction of the memory budget that large windows may take together, as a divisor.
+/// Large windows together may take one part in this many of the memory budget.
 const WINDOWS_SHARE: u64 = 4;
 
 /// Health checks per connection that are answered at a time without asking the budget.
@@ -79,7 +79,7 @@ impl Peers {
         Self { app, trusted_proxies, shares, open: Mutex::default(), handshakes, count: AtomicU64::new(0) }
     }
 
-    /// Admits a connection from `address`; none if there are too many.
+    /// Admits a connection from `address`. Returns `None` if there are too many.
     pub(super) fn admit(self: &Arc<Self>, address: Address) -> Option<Peer> {
         let admitted = self.try_admit(address);
         if admitted.is_none() {
@@ -147,7 +147,7 @@ impl Place {
         let most = peers.app.limits().max_connections;
         let mut open = locked(&peers.open);
         let theirs = open.by_address.get(&address).copied().unwrap_or(0);
-        // If there are few places, at most an eighth is reserved.
+        // If there are few places, at most an eighth of them is reserved.
         let kept = if theirs > 0 { KEPT_PLACES.min(most / 8) } else { 0 };
         if open.all.saturating_add(kept) >= most {
             return None;
@@ -205,18 +205,18 @@ impl Peer {
         }
     }
 
-    /// Permission for a TLS handshake; none while too many are in progress.
+    /// Permission for a TLS handshake, or `None` while too many are in progress.
     pub(super) fn handshake(&self) -> Option<Slot> {
         self.peers.handshakes.take(&self.connection.caller)
     }
 
-    /// A place for a health check that needs no room in the budget; none if the connection has too
-    /// many.
+    /// A place for a health check that needs no room in the budget, or `None` if the connection
+    /// has too many.
     pub(super) fn health_check(&self) -> Option<Counted> {
         Counted::take(&self.connection, |connection| &connection.health_checks, FREE_HEALTH_CHECKS)
     }
 
-    /// A place for a Watch or reflection stream; none if the connection has too many.
+    /// A place for a Watch or reflection stream, or `None` if the connection has too many.
     pub(super) fn watch(&self) -> Option<Counted> {
         Counted::take(&self.connection, |connection| &connection.watches, WATCHES)
     }
@@ -273,8 +273,8 @@ mod tests {
         assert_eq!(peers.app.callers().count(), 0);
     }
 
-    /// Catches windows that are in no budget: when many connections are open, new ones must get
-    /// small windows.
+    /// Catches windows that are not counted in the budget. When many connections are open, new
+    /// ones must get small windows.
     #[test]
     fn windows_shrink_with_the_budget() {
         let peers = peers(Limits {

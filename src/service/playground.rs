@@ -29,7 +29,8 @@ const FILES: [(&str, &str, &str); 4] = [
     ("/licences.txt", "text/plain; charset=utf-8", include_str!("../../playground/dist/licences.txt")),
 ];
 
-/// The page may load nothing from other origins, run only its own file, and not be framed.
+/// The page may not load anything from other origins, may run only its own script, and may not be
+/// framed.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
                       img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
@@ -119,8 +120,8 @@ fn names_no_site<B>(request: &Request<B>) -> bool {
     })
 }
 
-/// Whether the content type is gRPC's. Browsers send other types to any site, but these only after
-/// the site has allowed it.
+/// Whether the content type is gRPC's. Browsers send other content types to any site, but these
+/// types only after the site has allowed it.
 fn is_grpc<B>(request: &Request<B>) -> bool {
     let kind = request.headers().get(header::CONTENT_TYPE);
     kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/grpc"))

@@ -1,8 +1,8 @@
 //! Refuses requests that are not gRPC, by their HTTP method and content type ("gRPC over HTTP2",
 //! section Requests).
 //!
-//! A web page of another site may send a POST with the content type of a form or of plain text, and
-//! a GET, without asking first. So these must not reach a handler.
+//! Browsers let the page of another site send a GET, or a POST with the content type of a form or of
+//! plain text, without asking the server first. Such requests must not reach a handler.
 
 use http::{HeaderName, HeaderValue, Method, Request, Response, StatusCode, header};
 use tonic::body::Body;
@@ -11,7 +11,7 @@ use tonic::body::Body;
 /// types have been converted before.
 const TYPES: [&str; 2] = ["application/grpc", "application/grpc+proto"];
 
-/// The answer to a request that is not gRPC; none if it is.
+/// The answer to a request that is not gRPC, or `None` for a gRPC request.
 pub(super) fn refusal<B>(request: &Request<B>) -> Option<Response<Body>> {
     if request.method() != Method::POST {
         let allowed = (header::ALLOW, HeaderValue::from_static("POST"));

@@ -93,7 +93,7 @@ pub(super) async fn records(
     Ok((offloaded(app, context, bytes, repeat).await?, memory))
 }
 
-/// Records being read for one answer.
+/// The state of the reading of records for one answer.
 struct Reading<'a> {
     app: &'a App,
     context: &'a CallContext,
@@ -102,7 +102,7 @@ struct Reading<'a> {
     taken: Mutex<Taken>,
 }
 
-/// The size of the records that were started.
+/// The encoded size of the records that have been started.
 struct Taken {
     /// The encoded answer has at least this many bytes.
     bytes: usize,

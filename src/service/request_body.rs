@@ -9,7 +9,7 @@
 //! segments of their own, because a received buffer keeps a whole read buffer of the connection alive.
 //!
 //! A received frame may hold thousands of small messages. They are read off the frame one at a time, when
-//! tonic asks for the next one, so that a message that nobody has asked for takes no memory of its own.
+//! tonic asks for the next one, so that a message that tonic has not asked for takes no memory of its own.
 //!
 //! If a method takes one message, further bytes after it are refused, and the request has to end within the
 //! time for the message.
@@ -78,7 +78,7 @@ pub(super) struct MessageBody<B> {
     whole: VecDeque<Bytes>,
     /// The number of messages that were complete.
     complete: usize,
-    /// The time by which the current message has to be complete; none for a stream between messages.
+    /// The time by which the current message has to be complete, or `None` for a stream between messages.
     due: Option<Pin<Box<Sleep>>>,
     started: Instant,
     ended: bool,

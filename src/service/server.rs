@@ -1,4 +1,4 @@
-//! Runs the services on listeners until told to stop.
+//! Runs the services on listeners until the server is told to stop.
 
 use std::{future::Future, net::IpAddr, sync::Arc, time::Duration};
 
@@ -122,7 +122,7 @@ const HULL_SERVICE: &str = "hullcast.v1.HullService";
 /// The handlers without listeners and middleware, for fuzzing them with bytes.
 ///
 /// # Errors
-/// Those of [`run`].
+/// The errors of [`run`].
 #[doc(hidden)]
 pub async fn handlers(app: &Arc<App>) -> Result<Routes, OpenError> {
     Ok(routes(app).await?.1)
@@ -181,9 +181,9 @@ async fn accept(listener: Listener, connections: Arc<Connections>, mut closing: 
 /// take longer.
 const SHORTEST_PROBE: Duration = Duration::from_secs(1);
 
-/// Probes the store for ever; while it cannot be written to, HullService is not serving. A probe
-/// that is not answered within an interval fails, so that a hung store is noticed within two
-/// intervals.
+/// Probes the store in an endless loop. While the store cannot be written to, the health of HullService
+/// is NOT_SERVING. A probe that is not answered within an interval fails, so that a hung store is
+/// noticed within two intervals.
 async fn probe(app: Arc<App>, reporter: HealthReporter, every: Duration) {
     let within = every.max(SHORTEST_PROBE);
     let mut well = true;
@@ -212,7 +212,7 @@ async fn probe(app: Arc<App>, reporter: HealthReporter, every: Duration) {
     }
 }
 
-/// Reads certificates and tokens again, for ever.
+/// Reads certificates and tokens again at each interval, in an endless loop.
 async fn reload(security: Arc<Security>, every: Duration) {
     loop {
         tokio::time::sleep(every).await;

@@ -13,7 +13,7 @@ use tokio::net::{UnixListener, UnixStream};
 #[derive(Debug)]
 pub struct SocketFile {
     path: PathBuf,
-    /// Device and inode of the entry; none if the system did not tell them.
+    /// Device and inode of the entry, or `None` if the system did not report them.
     entry: Option<(u64, u64)>,
 }
 
@@ -21,7 +21,7 @@ impl SocketFile {
     /// Binds `path`, after removing the socket that a killed server left behind there.
     ///
     /// # Errors
-    /// The system's error; that of a path in use if a server listens there.
+    /// The system's error; `AddrInUse` if a server listens there.
     pub(super) async fn bind(path: &Path) -> io::Result<(UnixListener, Self)> {
         if path.as_os_str().is_empty() {
             // Linux would bind an address without a name, which no client could find.
@@ -50,9 +50,9 @@ fn entry(path: &Path) -> Option<(u64, u64)> {
     Some((metadata.dev(), metadata.ino()))
 }
 
-/// Removes a socket that refuses connections, because nobody listens there any more. Any other
-/// failure (a server with too many connections to accept, a missing permission) does not tell that
-/// the socket is stale: then it is kept, and binding fails.
+/// Removes a socket that refuses connections, because no server listens there any more. Any other
+/// failure, such as a server with too many connections to accept or a missing permission, does not
+/// show that the socket is stale. The socket is then kept, and binding fails.
 async fn remove_stale(path: &Path) -> io::Result<()> {
     let is_socket = std::fs::symlink_metadata(path).is_ok_and(|metadata| metadata.file_type().is_socket());
     if !is_socket {
@@ -70,8 +70,8 @@ mod tests {
 
     use super::*;
 
-    /// Catches a socket whose server is alive and is removed because a connection fails for another
-    /// reason: here the server accepts nothing and its queue of connections is full.
+    /// Catches a socket that is removed although its server is alive, because a connection fails for
+    /// another reason. Here the server accepts nothing, and its queue of connections is full.
     #[tokio::test]
     async fn only_a_socket_that_nobody_listens_on_is_removed() {
         let directory = tempfile::tempdir().unwrap();

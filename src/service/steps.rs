@@ -44,9 +44,9 @@ const MESSAGE_STEPS: u64 = 2_000;
 
 /// The previous message of the stream.
 enum Previous {
-    /// There was no previous message.
+    /// The message is the first of the stream.
     None,
-    /// There was no memory to keep its state.
+    /// The state of the previous message was not kept, because the budget had no room.
     Dropped,
     /// The state that the next message may inherit.
     Kept { kept: FreedHere<Kept>, memory: Permit },
@@ -71,7 +71,7 @@ impl Steps {
         Self { app, context, requests, closing, previous: Previous::None, gave_way: 0, stream }
     }
 
-    /// The next answer; none after the last request.
+    /// The next answer, or `None` after the last request.
     pub(super) async fn next(&mut self) -> Result<Option<QueryContactsResponse>, Status> {
         let steps = self.context.job.stop.steps();
         if steps - self.gave_way >= TURN_STEPS / self.stream.count().max(1) as u64 {

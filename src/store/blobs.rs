@@ -2,8 +2,8 @@
 //!
 //! [`BlobStore`] is the interface that the registry needs. It has two implementations. `directory`
 //! keeps blobs as files and syncs every write (the file and its directories) before it is
-//! acknowledged. `objects` keeps them by the `object_store` crate, in an object store over the
-//! network (`remote`) or in memory, which keeps nothing over a restart.
+//! acknowledged. `objects` keeps them through the crate `object_store`, in an object store over the
+//! network (`remote`) or in memory, where they are lost at a restart.
 
 use std::{collections::BinaryHeap, fmt, path::Path, sync::Arc};
 
@@ -22,7 +22,7 @@ use super::{
 /// How many operations of a bucket run at a time. Each has a connection.
 const OBJECTS_AT_A_TIME: u64 = 64;
 
-/// Why an operation of the store failed.
+/// The reason why an operation of the store failed.
 #[derive(Clone, Debug)]
 pub enum StoreError {
     /// No room: the disk or the configured limit is full.
@@ -67,12 +67,12 @@ pub struct StoredBlob {
 pub trait BlobStore: fmt::Debug + Send + Sync {
     /// Writes a blob, which is durable when this returns. An earlier blob of that name is replaced.
     fn put(&self, id: HullId, blob: Bytes) -> BoxFuture<'_, Result<(), StoreError>>;
-    /// Reads a blob of at most `max_bytes`; none if there is none. Whatever entry has that name, at
-    /// most one byte more is read.
+    /// Reads a blob of at most `max_bytes`, or returns `None` if the store has no such blob.
+    /// Whatever kind of entry has that name, at most one byte more is read.
     fn get(&self, id: HullId, max_bytes: u64) -> BoxFuture<'_, Result<Option<Bytes>, StoreError>>;
-    /// The size of a blob in bytes; none if there is none.
+    /// The size of a blob in bytes, or `None` if the store has no such blob.
     fn size(&self, id: HullId) -> BoxFuture<'_, Result<Option<u64>, StoreError>>;
-    /// Removes a blob. It is no error if there is none.
+    /// Removes a blob. Succeeds too if the store has no such blob.
     fn delete(&self, id: HullId) -> BoxFuture<'_, Result<(), StoreError>>;
     /// The shards that may have blobs, in order.
     fn shards(&self) -> BoxFuture<'_, Result<Vec<u8>, StoreError>>;
@@ -119,7 +119,7 @@ pub async fn list(
     Ok(blobs)
 }
 
-/// Why a `--store` could not be opened.
+/// The reason why a `--store` could not be opened.
 #[derive(Debug)]
 pub enum OpenError {
     /// The text names the store and the reason.
@@ -143,7 +143,7 @@ impl std::error::Error for OpenError {}
 pub type Opened = Arc<dyn BlobStore>;
 
 /// Opens a store: a directory (a plain path or `file://`), which is created if it is missing;
-/// `memory://`, which keeps nothing over a restart; or, with the feature of its provider, a bucket:
+/// `memory://`, whose hulls are lost at a restart; or, with the feature of its provider, a bucket:
 /// `s3://`, `gs://` or `az://` followed by its name and an optional prefix.
 ///
 /// # Errors
@@ -182,7 +182,7 @@ pub fn descriptors(url: &str) -> u64 {
 /// Opens a store as [`open`] does, but does not create a directory.
 ///
 /// # Errors
-/// Those of [`open`]; the directory does not exist.
+/// The errors of [`open`], or that the directory does not exist.
 pub fn open_existing(url: &str) -> Result<Opened, OpenError> {
     let path = url.strip_prefix("file://").unwrap_or(url);
     if !path.contains("://") && !Path::new(path).is_dir() {
@@ -191,7 +191,7 @@ pub fn open_existing(url: &str) -> Result<Opened, OpenError> {
     open(url)
 }
 
-/// A store over the network, and the words by which its errors say that an object is missing.
+/// A store over the network, and the words in its errors that mean that an object is missing.
 pub(super) type Remote = (Arc<dyn ObjectStore>, &'static str);
 
 #[cfg(feature = "remote")]
@@ -227,7 +227,7 @@ pub(super) fn shard_name(shard: u8) -> String {
     format!("{shard:02x}")
 }
 
-/// The shard of a directory; none if the name is not a shard's.
+/// The shard of a directory, or `None` if the name is not a shard's.
 pub(super) fn shard_of_name(name: &str) -> Option<u8> {
     let shard = u8::from_str_radix(name, 16).ok()?;
     (name == shard_name(shard)).then_some(shard)
@@ -284,7 +284,7 @@ mod tests {
         }
     }
 
-    /// Catches a directory that is not a shard and is taken for one.
+    /// Catches a directory that is not a shard and is mistaken for one.
     #[test]
     fn shards_are_two_lower_case_digits() {
         assert!((0..=255).all(|shard| shard_of_name(&shard_name(shard)) == Some(shard)));

@@ -21,16 +21,16 @@ pub(super) type HullCache = Cache<HullId, Arc<Entry>, HeapBytes, DefaultHashBuil
 /// slot.
 const ENTRY_BYTES: u64 = (size_of::<Entry>() + size_of::<ConvexHull>() + 128) as u64;
 
-/// The size of a hull with about 50 vertices. It sizes the cache's own tables, which grow if it is
-/// too large.
+/// The size of a hull with about 50 vertices. The cache chooses the initial size of its tables by
+/// it; the tables grow if hulls are smaller.
 const TYPICAL_HULL_BYTES: u64 = 16 << 10;
 
 /// A cache of at most `bytes` bytes.
 pub(super) fn cache(bytes: u64, metrics: &Metrics) -> HullCache {
     let items = usize::try_from(bytes / TYPICAL_HULL_BYTES).unwrap_or(usize::MAX);
     let options = OptionsBuilder::new()
-        // One shard: with several, a hull that fits in the limit may not fit in its shard's part of
-        // it.
+        // There is only one shard, because a hull that fits in the limit may not fit in the part of
+        // one of several shards.
         .shards(1)
         .estimated_items_capacity(items.clamp(16, 1 << 20))
         .weight_capacity(bytes)
@@ -72,10 +72,10 @@ pub(super) struct Entry {
     pub(super) bytes: u64,
     /// Whether this process wrote the hull, so that its blob is known to be synced.
     pub(super) written: bool,
-    /// The time at which it was last known to be in the store, in milliseconds since the registry
-    /// started.
+    /// The time at which the hull was last known to be in the store, in milliseconds since the
+    /// registry started.
     pub(super) seen_ms: AtomicU64,
-    /// How many leases there are on it; written under the lock of all leases.
+    /// The number of leases on the hull. It is written only while the lock of all leases is held.
     pub(super) leases: AtomicU32,
     /// Whether the hull was removed from the cache, because the store no longer has it.
     pub(super) is_removed: AtomicBool,
@@ -119,7 +119,7 @@ mod tests {
             assert!(cache.weight() <= bytes);
             assert!((0..9.min(i)).all(|i| cache.get(&id(i)).is_some()), "{i}");
         }
-        // Without a lease they are evicted in favour of other leased hulls.
+        // Hulls that are not leased are evicted in favour of other leased hulls.
         drop(leased);
         let leased = request().lease(entries[100..109].to_vec()).unwrap();
         (100..109).for_each(|i| cache.insert(id(i), entries[i].clone()));

@@ -1,6 +1,6 @@
 //! Threads for file operations, separate from those of the async runtime.
 //!
-//! A file operation can block for ever, for example on a network file system whose server is gone.
+//! A file operation can block forever, for example on a network file system whose server is gone.
 //! On separate threads, blocked operations keep no other work of the process from running. Nothing
 //! waits for these threads to end: the process may exit while one of them is blocked.
 
@@ -20,8 +20,8 @@ use crate::lock::locked;
 
 type Task = Box<dyn FnOnce() + Send>;
 
-/// How many operations may wait for a thread; one more fails. The registry starts far fewer at a
-/// time.
+/// The number of operations that may wait for a thread. A further operation fails. The registry
+/// starts far fewer at a time.
 const WAITING: usize = 256;
 
 /// The threads. They end when this is dropped and their last operation has returned.
@@ -77,7 +77,7 @@ impl FileThreads {
     }
 }
 
-/// The next task; none if the threads have to end.
+/// The next task, or `None` if the threads have to end.
 fn next(queue: &Mutex<Receiver<Task>>) -> Option<Task> {
     locked(queue).recv().ok()
 }

@@ -102,7 +102,8 @@ impl HullDefinition {
         bytes
     }
 
-    /// Reads identity bytes; none if they are invalid or of a version that is not known here.
+    /// Reads identity bytes. Returns `None` if they are invalid or have a version that is not
+    /// known here.
     pub fn from_identity_bytes(bytes: &[u8]) -> Option<Self> {
         let mut rest = Bytes(bytes);
         if rest.take::<8>()? != *MAGIC {
@@ -174,7 +175,7 @@ fn write_optional<const N: usize>(bytes: &mut Vec<u8>, value: Option<[u8; N]>) {
 
 fn write_point(bytes: &mut Vec<u8>, point: [f64; 3]) {
     for coordinate in point {
-        // -0.0 + 0.0 is 0.0; everything else keeps its bits.
+        // Adding 0.0 turns -0.0 into 0.0 and leaves the bits of every other number unchanged.
         bytes.extend_from_slice(&(coordinate + 0.0).to_le_bytes());
     }
 }
@@ -189,7 +190,8 @@ impl Bytes<'_> {
         Some(*head)
     }
 
-    /// The outer option is none if the bytes cannot be read, the inner one if the value is absent.
+    /// The outer option is `None` if the bytes cannot be read, and the inner one if the value is
+    /// absent.
     #[allow(clippy::option_option, reason = "two questions")]
     fn optional<const N: usize>(&mut self) -> Option<Option<[u8; N]>> {
         match self.take()? {
@@ -239,7 +241,7 @@ mod tests {
         }
     }
 
-    /// Catches a truncated or padded blob that is taken for a smaller hull.
+    /// Catches a truncated or padded blob that is read as a smaller hull.
     #[test]
     fn every_truncation_and_padding_is_refused() {
         let flat = HullDefinition { planarity: Some(1e-3), ..tetrahedron() };
@@ -269,7 +271,8 @@ mod tests {
         });
         assert_eq!(planarities[0], planarities[1]);
         assert_ne!(planarities[0], plain);
-        // The default planarity written out is a different registration.
+        // A hull that is registered with the default planarity as an explicit value is a different
+        // hull.
         assert_ne!(planarities[2], plain);
     }
 

@@ -26,7 +26,7 @@ use crate::{
     metrics::Metrics,
 };
 
-/// Why a request cannot lease its hulls.
+/// The reason why a request cannot lease its hulls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LeaseError {
     /// The hulls take more than one caller may ever lease.
@@ -229,7 +229,8 @@ pub(super) mod tests {
         assert_eq!(lease(0, 0..7).unwrap_err(), LeaseError::TooLarge);
         let greedy = lease(0, 0..6).unwrap();
         assert_eq!(lease(0, 6..7).unwrap_err(), LeaseError::Busy);
-        // Six are free: the next caller may have three of its own, and all that are shared.
+        // Six are free. The next caller may lease up to six hulls that others have, or up to three
+        // that no other caller has.
         let shared = lease(1, 0..3).unwrap();
         assert_eq!((used(), held(0), held(1)), (6, 6, 3));
         let own = lease(1, 6..7).unwrap();

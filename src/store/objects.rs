@@ -21,13 +21,13 @@ pub(super) struct Objects {
 
 impl Objects {
     /// `absent` is for stores that give the same status for a missing object and for a missing
-    /// bucket. A missing bucket is an outage of all hulls; an error whose text contains `absent` is
-    /// about a missing object. Without it only the status decides.
+    /// bucket. A missing bucket is an outage of all hulls. An error is about a missing object if
+    /// its text contains `absent`. If `absent` is not given, only the status decides.
     pub(super) fn new(objects: Arc<dyn ObjectStore>, absent: Option<&'static str>) -> Self {
         Self { objects, absent }
     }
 
-    /// A "not found" is no error if it is about the object itself.
+    /// A "not found" is not an error if it is about the object itself.
     fn present<T>(&self, result: object_store::Result<T>) -> Result<Option<T>, StoreError> {
         match result {
             Ok(value) => Ok(Some(value)),
@@ -40,11 +40,11 @@ impl Objects {
         }
     }
 
-    /// The description of an object; none if there is no such object.
+    /// The description of an object, or `None` if there is no such object.
     async fn meta(&self, path: &Path) -> Result<Option<ObjectMeta>, StoreError> {
         let mut found = self.objects.head(path).await;
         if self.absent.is_some() && matches!(found, Err(object_store::Error::NotFound { .. })) {
-            // An answer without a body cannot say whether the object or the bucket is missing.
+            // An answer without a body does not tell whether the object or the bucket is missing.
             found = self.objects.get(path).await.map(|found| found.meta);
         }
         self.present(found)
@@ -146,7 +146,7 @@ impl BlobStore for Objects {
     }
 }
 
-/// Whether an error, or one of its causes, contains these words.
+/// Whether the text of an error, or of one of its causes, contains these words.
 fn says(error: &dyn std::error::Error, words: &str) -> bool {
     error.to_string().contains(words) || error.source().is_some_and(|cause| says(cause, words))
 }

@@ -11,10 +11,10 @@ use crate::{budget::Caller, size::ByteSize};
 /// Writes blobs within a limit of bytes.
 #[derive(Debug)]
 pub(super) struct Quota {
-    /// The limit in bytes; 0 stands for no limit.
+    /// The limit in bytes; 0 means no limit.
     limit: u64,
     max_blob_bytes: u64,
-    /// One write runs at a time; callers take turns.
+    /// Lets one write run at a time, and callers take turns.
     turns: Arc<Turns>,
     /// The bytes in the store. They are counted when first needed, never at the start.
     used: Mutex<Option<u64>>,

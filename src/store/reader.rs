@@ -51,7 +51,7 @@ struct Faults {
     why: String,
 }
 
-/// Why a request does not have a hull.
+/// The reason why a request does not have a hull.
 pub(super) enum NotLeased {
     Missing(Missing),
     NoRoom(LeaseError),
@@ -85,7 +85,8 @@ impl<'a> Reader<'a> {
         Ok(entry.hull.clone())
     }
 
-    /// The points that the hull was registered with, verified; always from the store.
+    /// The points with which the hull was registered. They are always read from the store and
+    /// verified.
     ///
     /// # Errors
     /// The reason why the hull is missing.
@@ -94,7 +95,7 @@ impl<'a> Reader<'a> {
         self.found(id).await
     }
 
-    /// Whether the server can answer for the hull. It cannot if the blob under its name is not the
+    /// Whether the server can answer for the hull. It cannot if the blob of that name is not the
     /// hull. If the store hangs, a cached hull counts as present.
     ///
     /// # Errors
@@ -150,7 +151,8 @@ impl<'a> Reader<'a> {
     async fn loaded(&self, id: HullId) -> Result<Arc<Entry>, Missing> {
         let _turn = self.turn(id).await?;
         let definition = self.found(id).await?;
-        // A hull that was once acknowledged is served whatever the limit of vertices is now.
+        // A hull that was once acknowledged is served even if it exceeds the current limit of
+        // vertices.
         let built = self.registry.build(vec![definition], usize::MAX, self.job).await;
         match built.map(|hulls| hulls.into_iter().next()) {
             Ok(Some(Ok(hull))) => Ok(self.registry.entry(Arc::new(hull), false)),
@@ -183,7 +185,8 @@ impl<'a> Reader<'a> {
         self.verified(id).await.map_err(|error| self.missing(id, &error))?.ok_or(Missing::Unknown)
     }
 
-    /// The definition that the store has under this id, if it is that hull's.
+    /// The definition that the store has under this id. `None` if the store has nothing under it,
+    /// or something else than this hull.
     async fn verified(&self, id: HullId) -> Result<Option<HullDefinition>, StoreError> {
         let Some(blob) = self.store.get(id, self.registry.bounds.max_blob_bytes).await? else {
             return Ok(None);
@@ -267,7 +270,7 @@ impl Drop for Reader<'_> {
     }
 }
 
-/// Why a blob is not its hull.
+/// The reasons for which a blob is not the hull of its name.
 #[derive(Clone, Copy, Debug)]
 enum Corrupt {
     /// The blob's hash is not its name.

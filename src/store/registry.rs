@@ -45,7 +45,7 @@ pub struct Bounds {
     pub shares: bool,
 }
 
-/// Why a hull is missing.
+/// The reason why a hull is missing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Missing {
     /// The store does not have the hull, or has something else under its name. The client should
@@ -55,7 +55,7 @@ pub enum Missing {
     Unavailable,
 }
 
-/// Why a hull was not registered.
+/// The reason why a hull was not registered.
 #[derive(Debug)]
 pub enum RegisterError {
     /// The points have no valid hull.
@@ -66,11 +66,11 @@ pub enum RegisterError {
     NoMemory(NoMemory),
     /// The caller has left, or its deadline has passed.
     Stopped,
-    /// A bug: building the hull panicked.
+    /// Building the hull panicked, which is a bug.
     Internal(Panicked),
 }
 
-/// Why hulls were not built.
+/// The reason why hulls were not built.
 #[derive(Clone, Debug)]
 pub(super) enum BuildError {
     NoMemory(NoMemory),
@@ -98,8 +98,8 @@ impl From<ComputeError> for RegisterError {
 /// A hull that was registered, or why it was not.
 pub type Registered = Result<(HullId, Arc<ConvexHull>), RegisterError>;
 
-/// The most hulls of one request that are read or written at a time: enough for a file system to
-/// gather their syncs.
+/// The most hulls of one request that are read or written at a time. They are enough for a file
+/// system to combine their syncs.
 pub const AT_A_TIME: usize = 16;
 
 /// The most hulls that may wait to be loaded, over all requests.
@@ -138,8 +138,8 @@ impl Registry {
         metrics: Arc<Metrics>,
     ) -> Self {
         Self {
-            // As many loads as the store has operations. Each hull is read, verified and, if
-            // necessary, built in one turn, which limits the blobs in memory.
+            // There are as many loads as the store has operations. Each hull is read, verified
+            // and, if necessary, built in one turn, which limits the blobs in memory.
             loading: Turns::new(blobs.operations_at_a_time(), MOST_WAITING, bounds.shares),
             store: ScheduledStore::new(blobs, bounds.store_limit, bounds.shares),
             cache: cache(bounds.cache_bytes, &metrics),

@@ -18,9 +18,10 @@ const CONNECT: Duration = Duration::from_secs(2);
 const RETRIES: Duration = Duration::from_secs(10);
 const MAX_RETRIES: usize = 6;
 
-/// Opens `scheme://bucket/prefix`; none if this build does not support the scheme.
+/// Opens `scheme://bucket/prefix`. Returns `None` if this build does not support the scheme.
 pub(super) fn open(scheme: &str, url: &str) -> Option<object_store::Result<Remote>> {
-    // The client of the store names no crypto provider. It is no error if one is already installed.
+    // The client of the store uses the installed crypto provider. The installation fails if there
+    // is one already, which is fine.
     let _ = tokio_rustls::rustls::crypto::ring::default_provider().install_default();
     let (bare, absent): (object_store::Result<Arc<dyn ObjectStore>>, _) = match scheme {
         #[cfg(feature = "s3")]

@@ -39,7 +39,7 @@ struct Queue {
     tickets: BTreeMap<u64, oneshot::Sender<()>>,
 }
 
-/// Why a request gets no slot.
+/// The reason why a request gets no slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum NoTurn {
     /// Too many of this caller's requests wait already.
@@ -165,7 +165,7 @@ struct Waiting<'a> {
     turns: &'a Arc<Turns>,
     caller: &'a Caller,
     ticket: u64,
-    /// None once the grant was received.
+    /// `None` when the grant has been received.
     granted: Option<oneshot::Receiver<()>>,
 }
 
@@ -212,7 +212,7 @@ mod tests {
         (0..3).map(|user| callers.get(CallerKey::User(user))).collect()
     }
 
-    /// Whether no slot is taken and no request waits.
+    /// Whether all slots are free and no request waits.
     fn is_idle(turns: &Turns) -> bool {
         let state = locked(&turns.state);
         state.slots.used() + state.places.used() == 0 && state.waiting.is_empty() && state.order.is_empty()

@@ -1,4 +1,4 @@
-//! Answers that nobody reads.
+//! Answers that their callers do not read.
 
 use std::{io, time::Duration};
 
@@ -27,7 +27,7 @@ attacks! {
     over_tls: "150 answers of 50 MB that are never read, over TLS", |s: Setup| s.tls() => unread_queries;
     /// Catches answers that a caller reads at one byte per second.
     slowly: "answers that are read at one byte per second" => one_byte_a_second;
-    /// Catches hulls that calls pin for as long as nobody reads their answers.
+    /// Catches hulls that calls pin for as long as their answers are not read.
     pinned: "40 FindContacts that pin 40 hulls in a small cache and are never read",
         |s: Setup| s.cache(16 << 20) => pinned;
     /// Catches flow-control windows that no budget counts.

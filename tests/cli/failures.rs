@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::{Outcome, Server, hullcast, scenes, scratch, text};
 
-/// Files with faults, and one that does not exist.
+/// Files with faults, and a path at which there is no file.
 struct Faulty {
     page: String,
     absent: String,
@@ -34,7 +34,7 @@ impl Faulty {
     }
 }
 
-/// Expects a command to fail with this exit code and these texts, and without an answer.
+/// Runs a command that must fail with this exit code, print these texts, and print no answer.
 fn refused(command: &[&str], exit: i32, texts: &[&str]) -> Outcome {
     let output = hullcast(command)?;
     let said = String::from_utf8(output.stderr)?;
@@ -46,8 +46,8 @@ fn refused(command: &[&str], exit: i32, texts: &[&str]) -> Outcome {
     Ok(())
 }
 
-/// Catches a scene or a configuration that is faulty or missing and is not named with its option,
-/// what is expected of it, and the exit code that scripts tell such failures by.
+/// Catches a faulty or missing scene or configuration for which the message does not name the option and
+/// the expected value, or for which the exit code is wrong.
 #[test]
 fn wrong_scenes_are_refused_by_option_and_value() -> Outcome {
     let Faulty { page, absent, nowhere, .. } = Faulty::write(&scratch("files-scenes")?)?;
@@ -68,7 +68,7 @@ fn wrong_scenes_are_refused_by_option_and_value() -> Outcome {
     Ok(())
 }
 
-/// Catches a certificate or token of a caller that is faulty and is not named with its option.
+/// Catches a faulty certificate or token of a caller for which the message does not name the option.
 #[test]
 fn wrong_files_of_callers_are_refused_by_option_and_value() -> Outcome {
     let folder = scratch("files-callers")?;
@@ -107,8 +107,8 @@ fn wrong_files_of_callers_are_refused_by_option_and_value() -> Outcome {
     Ok(())
 }
 
-/// Catches results that cannot be written, and answers of other libraries that cannot be read,
-/// without the option that names them.
+/// Catches results that cannot be written, and answers of other libraries that cannot be read, if the
+/// message does not name the option.
 #[test]
 fn wrong_files_of_results_are_refused_by_option_and_value() -> Outcome {
     let Faulty { page, absent, nowhere, .. } = Faulty::write(&scratch("files-results")?)?;
@@ -126,7 +126,7 @@ fn wrong_files_of_results_are_refused_by_option_and_value() -> Outcome {
     Ok(())
 }
 
-/// Catches a file or folder of a store or a server that is faulty and is not named.
+/// Catches a faulty file or folder of a store or a server that the message does not name.
 #[test]
 fn wrong_files_of_servers_are_refused_by_option_and_value() -> Outcome {
     let folder = scratch("files-servers")?;
@@ -196,7 +196,8 @@ fn wrong_files_of_servers_are_refused_by_option_and_value() -> Outcome {
     Ok(())
 }
 
-/// Catches an address in use, or open to other machines, that is not named with a way out.
+/// Catches an address that is in use, or that other machines can reach without TLS, if the message does
+/// not name it and a remedy.
 #[test]
 fn addresses_that_cannot_be_served_are_named() -> Outcome {
     let folder = scratch("bound")?;
@@ -217,7 +218,7 @@ fn addresses_that_cannot_be_served_are_named() -> Outcome {
     Ok(())
 }
 
-/// Catches a usage error that does not have the code of one, and codes that the help does not list.
+/// Catches a usage error with another exit code, and exit codes that the help does not list.
 #[test]
 fn the_help_lists_the_exit_codes() -> Outcome {
     assert_eq!(hullcast(&["query"])?.status.code(), Some(2));
@@ -229,14 +230,14 @@ fn the_help_lists_the_exit_codes() -> Outcome {
     Ok(())
 }
 
-/// Catches a shell without completions, and a script that does not know the options.
+/// Catches a shell without a completion script, and a script that does not contain the options.
 #[test]
 fn every_shell_has_completions() -> Outcome {
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
         let output = hullcast(&["completions", shell])?;
         let script = String::from_utf8(output.stdout)?;
         assert_eq!(output.status.code(), Some(0));
-        // Two of the shells complete no values.
+        // For two of the shells, the scripts do not complete values.
         let value = if ["bash", "zsh", "fish"].contains(&shell) { "witness-b" } else { "outputs" };
         for word in ["relative-tolerance", value, "older-than", "completions"] {
             assert!(script.contains(word), "{shell} lacks {word}");

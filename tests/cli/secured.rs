@@ -1,19 +1,19 @@
-//! Certificates and tokens, as the page about operations has them.
+//! Certificates and tokens, as docs/operations.md describes them.
 
 use std::fmt::Write as _;
 use std::process::Command;
 
 use super::{Outcome, Server, hullcast, printed, scenes, scratch, text};
 
-/// The commands of the page about operations that make a certificate.
+/// The commands of docs/operations.md that make a certificate.
 fn openssl_lines() -> Result<String, Box<dyn std::error::Error>> {
     let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/operations.md"))?;
     let block = page.split("```").find(|block| block.trim_start_matches("sh\n").starts_with("openssl "));
     Ok(block.ok_or("no block with openssl")?.trim_start_matches("sh\n").to_owned())
 }
 
-/// Catches a certificate that signs itself, made as the page says, that the command line does not
-/// accept, or accepts although another one was given.
+/// Makes a self-signed certificate with the commands of the page. Catches a command line that
+/// does not accept it, or that accepts it although another certificate was given.
 #[test]
 fn a_certificate_that_openssl_made_works() -> Outcome {
     let folder = scratch("openssl")?;
@@ -45,8 +45,8 @@ fn a_certificate_that_openssl_made_works() -> Outcome {
     Ok(())
 }
 
-/// Catches a caller with a token that may only query who is refused although the hulls are there,
-/// or who is not told which token is needed where they are not.
+/// The caller's token allows only queries. Catches a query that is refused although its hulls are
+/// registered, and, if they are not, an error that does not say which token is needed.
 #[test]
 fn a_token_that_may_query_is_enough_for_hulls_that_are_there() -> Outcome {
     let folder = scratch("tokens")?;

@@ -18,8 +18,8 @@ fn start(folder: &Path, arguments: &[&str]) -> Result<Child, std::io::Error> {
         .spawn()
 }
 
-/// Catches hulls that are kept somewhere that nobody chose and nobody is told of, and a playground
-/// that is on without being asked for, or whose address the user has to guess.
+/// Catches a default store whose directory the server does not print, a playground that is served
+/// without the flag, and a playground whose address the server does not print.
 #[test]
 fn the_default_store_and_the_playground_are_announced() -> Outcome {
     let folder = scratch("announced")?;
@@ -53,7 +53,8 @@ fn the_default_store_and_the_playground_are_announced() -> Outcome {
     Ok(())
 }
 
-/// Catches a log of calls that drowns in frames of HTTP/2, and frames that cannot be had at all.
+/// Catches a log of calls that also has a line for each HTTP/2 frame, and frames that cannot be
+/// logged at all.
 #[test]
 fn the_debug_log_is_about_calls() -> Outcome {
     let folder = scratch("log")?;

@@ -8,8 +8,8 @@ fn lines(arguments: &[&str]) -> Result<Vec<String>, Box<dyn std::error::Error>> 
     Ok(String::from_utf8(printed(arguments)?)?.lines().map(str::to_owned).collect())
 }
 
-/// Catches sixteen digits, negative zeros, a count of points that were not asked for, and columns
-/// that do not stand below their headings.
+/// Catches numbers with sixteen digits, negative zeros, a count of points that were not
+/// requested, and columns that are not aligned with their headings.
 #[test]
 fn the_table_is_for_people() -> Outcome {
     let panda = scenes().join("panda.json");
@@ -41,7 +41,7 @@ fn the_table_is_for_people() -> Outcome {
     Ok(())
 }
 
-/// Catches "1 pairs" and "1 points", and headings above nothing.
+/// Catches "1 pairs" and "1 points", and headings without rows.
 #[test]
 fn one_is_singular() -> Outcome {
     let path = scratch("one")?.join("scene.json");
@@ -68,7 +68,7 @@ fn one_is_singular() -> Outcome {
     Ok(())
 }
 
-/// Catches a configuration that has a name and is not found by it.
+/// Catches a configuration that is not found by its name.
 #[test]
 fn a_frame_is_found_by_name_and_by_number() -> Outcome {
     let panda = scenes().join("panda.json");
@@ -86,7 +86,7 @@ fn a_frame_is_found_by_name_and_by_number() -> Outcome {
     Ok(())
 }
 
-/// Catches a column of the diagnostics that the JSON leaves out.
+/// Catches a column of the output DIAGNOSTICS that is missing in the JSON.
 #[test]
 fn the_kept_area_is_in_the_json() -> Outcome {
     let folder = scratch("kept")?;

@@ -218,7 +218,7 @@ async fn torn_blobs_are_set_aside_and_registered_again() {
     let set_aside = || std::fs::read_dir(store.path().join("quarantine")).unwrap().count();
     assert_eq!(set_aside(), shapes.len());
     assert_eq!(present(&mut server.hulls().await, &shapes).await, vec![false; shapes.len()]);
-    assert_eq!(set_aside(), shapes.len(), "found again they are kept once");
+    assert_eq!(set_aside(), shapes.len(), "a blob was copied to quarantine twice");
     server.hulls().await.register_hulls(register_request(&shapes)).await.unwrap();
     expect_answers(&server, &shapes).await;
     drop(server);

@@ -52,7 +52,10 @@ async fn every_batch_split_and_thread_count_gives_the_librarys_bits() {
             let expected = expected(&request, &shapes());
             let unary = server.contacts().query_contacts(request).await.unwrap().into_inner();
             assert_same(&unary, &expected);
-            assert_same(&streamed.message().await.unwrap().expect("one answer a request"), &expected);
+            assert_same(
+                &streamed.message().await.unwrap().expect("the stream has one answer per request"),
+                &expected,
+            );
             for &outcome in &unary.outcomes {
                 outcomes[outcome as usize] += 1;
             }
@@ -63,7 +66,7 @@ async fn every_batch_split_and_thread_count_gives_the_librarys_bits() {
     assert_eq!(answered, 3 * SIZES.len());
     let [none, contact, separated, _, invalid] = outcomes;
     assert!(none == 0 && invalid == 0, "{outcomes:?}");
-    assert!(contact > 500 && separated > 500, "the scenes cover both: {outcomes:?}");
+    assert!(contact > 500 && separated > 500, "the scenes have too few pairs of one outcome: {outcomes:?}");
 }
 
 /// Catches an option that does not reach the library, and outputs that are computed or sent
@@ -72,8 +75,8 @@ async fn every_batch_split_and_thread_count_gives_the_librarys_bits() {
 async fn every_option_and_output_reaches_the_library() {
     let server = with_shapes(2).await;
     let mut masks: Vec<Vec<i32>> = ALL.iter().map(|&output| outputs(&[output])).collect();
-    // The default mask, all outputs, a value of a newer contract beside a known one, only the
-    // unspecified value.
+    // The masks are the default, all outputs, a known value together with a value of a newer
+    // contract, and only the unspecified value.
     masks.extend([vec![], outputs(&ALL), vec![Output::Alpha as i32, 1000], vec![0]]);
     let accuracies = [
         None,
@@ -130,7 +133,7 @@ async fn warm_starts_are_the_librarys_and_malformed_ones_cost_nothing_else() {
     let warm = QueryContactsRequest { warm_starts: first.bases.clone(), ..cold.clone() };
     let answer = server.contacts().query_contacts(warm.clone()).await.unwrap().into_inner();
     assert_same(&answer, &expected(&warm, &shapes()));
-    assert!(first.bases.iter().any(|&vertex| vertex != u32::MAX), "some bases to start from");
+    assert!(first.bases.iter().any(|&vertex| vertex != u32::MAX), "no pair has a basis to start from");
 
     let mut random = Random(3);
     let useless = [5, 59, 60, 1000, u32::MAX - 1, u32::MAX];
@@ -189,7 +192,7 @@ async fn an_invalid_pair_costs_no_other() {
         }
         points = (points.0 + counts.0, points.1 + counts.1);
     }
-    assert!((50..300).contains(&kept), "both kinds of pairs: {kept}");
+    assert!((50..300).contains(&kept), "too few pairs of one kind: {kept}");
 }
 
 /// Alternates between two scenes on a server whose cache has room for only one scene's hulls.
@@ -216,7 +219,7 @@ async fn a_cache_too_small_for_two_scenes_changes_no_bit() {
         }
     }
     let misses = server.metric("hullcast_cache_misses_total");
-    assert!(misses > 10.0, "they do take turns: {misses}");
+    assert!(misses > 10.0, "the scenes do not evict each other's hulls: {misses}");
 }
 
 /// Catches an id that the server computes in another way than the client, and a stream's answer

@@ -116,7 +116,7 @@ async fn threads_and_cache_change_no_byte() {
         }
     }
     // Each of the three servers with the small cache read its hulls again.
-    assert!(misses >= 15.0, "evicted hulls are read again: {misses}");
+    assert!(misses >= 15.0, "evicted hulls were not read again: {misses}");
     assert_eq!(compared, 3 * 2 * 4 * 3);
 }
 

@@ -412,7 +412,7 @@ async fn the_cache_stays_within_its_bytes() {
     let server = TestServer::with_limits(limits.clone()).await;
     let shapes: Vec<_> = (0..100).map(|seed| plain(round_points(50, seed))).collect();
     let heap: usize = shapes.iter().map(|shape| shape.build(usize::MAX).unwrap().heap_bytes()).sum();
-    assert!(heap as u64 > 3 * limits.cache_bytes, "the hulls do not fit: {heap}");
+    assert!(heap as u64 > 3 * limits.cache_bytes, "all hulls fit in the cache: {heap}");
     register(&server, register_request(&shapes)).await;
     let mut most = 0;
     for seed in 0..30 {
@@ -424,7 +424,7 @@ async fn the_cache_stays_within_its_bytes() {
         most = most.max(server.app.registry().cached_bytes());
         assert!(most <= limits.cache_bytes, "{most}");
     }
-    assert!(most > limits.cache_bytes / 2, "it holds something: {most}");
+    assert!(most > limits.cache_bytes / 2, "the cache is nearly empty: {most}");
 }
 
 /// Catches a full store that refuses a hull it already has, or loses one.
@@ -442,7 +442,7 @@ async fn a_full_disk_is_store_full() {
     assert_eq!(server.contacts().query_contacts(request).await.unwrap().into_inner().flags, [0]);
 }
 
-/// Catches a store URL that is taken for a directory's name, and a store that fails only when it is
+/// Catches a store URL that is mistaken for a directory's name, and a store that fails only when it is
 /// used.
 #[test]
 fn stores_that_cannot_be_opened_say_why() {
@@ -452,7 +452,7 @@ fn stores_that_cannot_be_opened_say_why() {
     }
     let file = tempfile::NamedTempFile::new().unwrap();
     let path = file.path().to_str().unwrap();
-    assert!(blobs::open(path).is_err(), "a file is no directory");
+    assert!(blobs::open(path).is_err(), "a file was opened as a directory");
     assert!(blobs::open(&format!("file://{path}")).is_err());
     let directory = tempfile::tempdir().unwrap();
     let inner = directory.path().join("made/on demand");

@@ -213,11 +213,11 @@ async fn unix_sockets_and_several_addresses() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("socket");
     drop(std::os::unix::net::UnixListener::bind(&path).unwrap());
-    assert!(path.exists(), "a leftover");
+    assert!(path.exists(), "the file of the socket is gone");
     let unix = Listener::bind(&format!("unix:{}", path.display())).await.unwrap();
     assert_eq!(unix.to_string(), format!("unix:{}", path.display()));
     let taken = Listener::bind(&format!("unix:{}", path.display())).await;
-    assert!(taken.is_err(), "one that is answered on is not taken away");
+    assert!(taken.is_err(), "the socket of a living server was taken");
 
     let tcp = Listener::bind("127.0.0.1:0").await.unwrap();
     let address = tcp.to_string();

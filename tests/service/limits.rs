@@ -92,7 +92,7 @@ async fn queries_at_their_limits_and_one_past() {
 async fn registrations_at_their_limits_and_one_past() {
     let server = TestServer::with_limits(small()).await;
     let mut hulls = server.hulls();
-    // All points on a sphere are extreme; a point inside it is no vertex.
+    // All points on a sphere are extreme, and a point inside the sphere is not a vertex.
     let mut with_inner = round_points(60, 5);
     with_inner.push([0.0; 3]);
     let shapes = [plain(round_points(60, 4)), plain(with_inner.clone()), plain(round_points(61, 6))];
@@ -100,7 +100,7 @@ async fn registrations_at_their_limits_and_one_past() {
     let vertices = |result: &hullcast::proto::RegisterHullResult| match &result.result {
         Some(Registered::Hull(info)) => Ok((info.vertex_count, info.registered_count)),
         Some(Registered::Error(error)) => Err((error.reason.clone(), error.field.clone())),
-        None => panic!("a result that is none"),
+        None => panic!("a result has neither a hull nor an error"),
     };
     assert_eq!(vertices(&results[0]), Ok((60, 60)));
     assert_eq!(vertices(&results[1]), Ok((60, 61)));

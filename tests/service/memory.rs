@@ -56,7 +56,7 @@ async fn a_requests_hulls_at_the_caches_bytes_and_one_past() {
         let answer = server.contacts().query_contacts(request.clone()).await.unwrap().into_inner();
         assert_same(&answer, &good);
         assert_eq!(server.metric(HELD), 0.0);
-        assert_eq!(server.app.registry().cached_bytes(), bytes, "all of it is there");
+        assert_eq!(server.app.registry().cached_bytes(), bytes, "some hulls are not cached");
     }
 
     let server = with_cache(&store, bytes - 1).await;
@@ -122,7 +122,7 @@ async fn what_requests_hold_together_is_bounded() {
         } else {
             injected.open();
             assert_same(&call.await.unwrap().unwrap().into_inner(), &good);
-            assert_eq!(server.metric(HELD), 0.0, "free when the answer is there");
+            assert_eq!(server.metric(HELD), 0.0, "hulls are held after the answer");
         }
         server.contacts().query_contacts(of(theirs, 1)).await.unwrap();
         assert!(server.app.registry().cached_bytes() <= bytes * 3 / 4);

@@ -85,7 +85,11 @@ async fn what_is_accepted_is_answered_and_the_rest_is_shed() {
     let most = watcher.await.unwrap();
     let (answered, shed) = (answered.load(Ordering::SeqCst), shed.load(Ordering::SeqCst));
     assert!(answered >= ANSWERS && shed > answered, "{answered} answered, {shed} shed");
-    assert_eq!(server.app.engine().pairs_computed(), answered * u64::from(PAIRS), "nothing for nobody");
+    assert_eq!(
+        server.app.engine().pairs_computed(),
+        answered * u64::from(PAIRS),
+        "pairs were computed for refused calls"
+    );
     assert!((f64::from(PAIRS)..=f64::from(4 * PAIRS)).contains(&most), "{most} pairs in flight");
     assert_eq!(server.metric("hullcast_pairs_in_flight"), 0.0);
     assert_eq!(server.metric(r#"hullcast_sheds_total{reason="pairs_in_flight"}"#), shed as f64);

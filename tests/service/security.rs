@@ -233,7 +233,7 @@ async fn tokens_guard_every_method() {
             Err(status) => assert_eq!(refusal(&status).reason, "UNKNOWN_TOKEN"),
         }
         tries += 1;
-        assert!(tries < 1000, "never read again");
+        assert!(tries < 1000, "the file of tokens was never read again");
         tokio::time::sleep(Duration::from_millis(10)).await;
     }
 }

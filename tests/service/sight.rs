@@ -1,4 +1,4 @@
-//! The operator's view: metrics, probes, logs, the dashboard.
+//! Tests of observability: metrics, probes, logs and the dashboard.
 
 use std::{collections::BTreeSet, sync::atomic::Ordering, time::Duration};
 

@@ -37,7 +37,9 @@ impl Stepper {
     async fn step(&mut self, request: QueryContactsRequest) -> Result<QueryContactsResponse, Refusal> {
         self.requests.send(request).await.unwrap();
         let answer = self.answers.message().await;
-        answer.map(|answer| answer.expect("one answer a request")).map_err(|status| refusal(&status))
+        answer
+            .map(|answer| answer.expect("the stream has one answer per request"))
+            .map_err(|status| refusal(&status))
     }
 }
 
@@ -89,8 +91,7 @@ async fn a_step_is_the_request_in_full_from_the_bases_before() {
         let mut full = QueryContactsRequest { accuracy, ..scene(&shapes(), 30, pairs, pairs as u64) };
         full.outputs = outputs(mask);
         for step in 0..6 {
-            // A body with an invalid pose for one step must cost its pairs their bases, and nothing
-            // else.
+            // A body that has an invalid pose in one step must only make its pairs lose their bases.
             let kept = full.positions[7];
             if step == 2 {
                 full.positions[7] = f64::NAN;
@@ -112,7 +113,10 @@ async fn a_step_is_the_request_in_full_from_the_bases_before() {
         }
     }
     assert_eq!(steps, 24);
-    assert!(10 * warm_calls < 9 * cold_calls, "bases are worth keeping: {warm_calls} of {cold_calls}");
+    assert!(
+        10 * warm_calls < 9 * cold_calls,
+        "bases save too little work: {warm_calls} of {cold_calls} calls"
+    );
 }
 
 /// The server keeps the bases of a stream for the next step. Catches bases that are sent although
@@ -143,7 +147,7 @@ async fn the_message_before_is_the_one_inherited() {
     server.hulls().register_hulls(register_request(&shapes())).await.unwrap();
     let mut streams = [Stepper::open(server.contacts()).await, Stepper::open(server.contacts()).await];
     for round in 0..4 {
-        // Equal bodies, other pairs and options.
+        // The streams have equal bodies, but other pairs and options.
         for (i, stream) in streams.iter_mut().enumerate() {
             let mut full = scene(&shapes(), 20, 50 + round, (10 + i) as u64);
             full.margin = 0.01 * round as f64;

@@ -43,7 +43,11 @@ async fn settled(server: &TestServer) -> u64 {
     }
     let computed = server.app.engine().pairs_computed();
     tokio::time::sleep(Duration::from_millis(100)).await;
-    assert_eq!(server.app.engine().pairs_computed(), computed, "computed without a place");
+    assert_eq!(
+        server.app.engine().pairs_computed(),
+        computed,
+        "pairs were computed after all capacity was free"
+    );
     computed
 }
 

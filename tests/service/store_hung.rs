@@ -57,8 +57,8 @@ async fn nothing_begins_on_a_store_that_hangs() {
     let store = Faulty::new();
     let server = server(&store).await;
     store.hangs.send_replace(true);
-    // More calls than operations may be under way: the calls that wait for their turn must be
-    // refused too.
+    // There are more calls than operations may run at a time, and the calls that wait for their
+    // turn must be refused too.
     let waiting: Vec<_> = (0..200_u8)
         .map(|i| {
             let mut hulls = server.hulls();
@@ -120,7 +120,7 @@ async fn callers_who_leave_do_not_hide_that_the_store_hangs() {
         let same = store.begun.load(Ordering::SeqCst) == before;
         refused_at_once += usize::from(ended.is_ok() && same);
     }
-    assert!(store.begun.load(Ordering::SeqCst) - begun < 64, "no more than may be under way");
+    assert!(store.begun.load(Ordering::SeqCst) - begun < 64, "more operations began than may run at a time");
 }
 
 /// Catches readiness and health that report a hung store as ready, or that wait for the store

@@ -84,9 +84,9 @@ const CASES: [(&str, Tamper); 8] = [
     ("a link to a file", |path| symlink(path.ancestors().nth(3).unwrap().join("secret"), path).is_ok()),
 ];
 
-/// Catches an entry that is opened before it is examined. Such an entry blocks a thread for ever,
-/// is read into memory whole, makes a listing fail, or has the file copied that it links to. Each
-/// entry must cost only its own hull, until that hull is registered again.
+/// Catches an entry that is opened before it is examined. Such an entry may block a thread forever,
+/// be read into memory whole, make a listing fail, or cause a copy of the file that it links to.
+/// Each entry must cost only its own hull, until that hull is registered again.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_bad_entry_costs_its_own_hull_only() {
     let directory = tempfile::tempdir().unwrap();
@@ -134,10 +134,10 @@ async fn a_bad_entry_costs_its_own_hull_only() {
     let after = server(&store, Limits::default()).await;
     assert_eq!(has(&after, &shapes).await, vec![true; shapes.len()]);
     assert_eq!(listed(&after, 1000).await.len(), shapes.len());
-    assert_eq!(fs::read(directory.path().join("secret")).unwrap(), b"secret", "not written through the link");
+    assert_eq!(fs::read(directory.path().join("secret")).unwrap(), b"secret", "the link was written through");
     let kept: Vec<_> = fs::read_dir(store.join("quarantine")).unwrap().map(|e| e.unwrap().path()).collect();
     assert_eq!(kept.len(), 1, "{kept:?}");
-    assert_eq!(fs::read(kept[0].join("kept")).unwrap(), b"kept", "what lay in the directory is kept");
+    assert_eq!(fs::read(kept[0].join("kept")).unwrap(), b"kept", "the content of the directory was not kept");
 }
 
 /// A file of the largest size is read and set aside; a file one byte larger is not read. Catches a

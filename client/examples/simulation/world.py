@@ -24,7 +24,7 @@ from contacts import Contacts, Floats, Ids, Indices, by_growth_distance, frames
 import hullcast
 
 GRAVITY = np.array([0, 0, -9.81])
-#: The share of the depth beyond the slop that is removed in one step.
+#: The fraction of the depth beyond the slop that is removed in one step.
 BAUMGARTE = 0.2
 #: The depth that is not corrected, in metres.
 SLOP = 1e-3
@@ -184,7 +184,7 @@ class World:
         mass = 1 / (jacobian * change).sum(axis=2)
         jacobian *= mass[:, :, None]
         gap = found.distance
-        # A gap may be closed but not crossed. A share of the depth beyond the slop is removed.
+        # A gap may be closed but not crossed. A fraction of the depth beyond the slop is removed.
         bias = np.where(gap > 0, -gap, BAUMGARTE * np.maximum(-gap - SLOP, 0)) / self.dt
         impulse = self._remembered(pairs, found.ids, found.point)
         np.add.at(

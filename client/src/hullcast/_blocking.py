@@ -89,7 +89,7 @@ class _Stream:
 
 
 def _nothing() -> None:
-    """Returns at once, since sending needs no waiting."""
+    """Returns without waiting, because gRPC's own thread sends the message."""
 
 
 def _end(call: Any, requests: queue.SimpleQueue[bytes | None], watch: _Watch) -> None:
@@ -143,7 +143,7 @@ class _Watch:
 
 
 class _Later:
-    """A call that is only made when its result is waited for."""
+    """A call that begins only when the client waits for its result."""
 
     __slots__ = ("result",)
 

@@ -45,7 +45,7 @@ def service_config(attempts: int) -> dict[str, Any]:
         "loadBalancingConfig": [{"round_robin": {}}],
         "methodConfig": [
             {"name": [{}], "retryPolicy": retries},
-            # These calls ask whether a server is there at all, so they are not retried.
+            # These calls test whether a server answers at all, so they are not retried.
             {"name": [{"service": "hullcast.v1.ServerService"}]},
         ],
         # If more than half of many attempts fail, retries only add to the load.
@@ -78,7 +78,8 @@ _OPTIONS: dict[str, Any] = {
     "grpc.keepalive_permit_without_calls": 0,
     # Send pings even while a call waits for its response and sends no data.
     "grpc.http2.max_pings_without_data": 0,
-    # Share no connections: a forked child must not write into its parent's connections.
+    # Connections are not shared between channels, because a forked child must not write into its
+    # parent's connections.
     "grpc.use_local_subchannel_pool": 1,
 }
 

@@ -60,7 +60,7 @@ class Client(_calls.Calls):
                 the simplified hull; a length, 0 or more. A simplified hull has a subset of the
                 vertices and keeps its contraction point. `Hull.deviation` is a certified bound of
                 the deviation.
-            planarity: how far the vertices of one face may lie from one plane, as a share of the
+            planarity: how far the vertices of one face may lie from one plane, as a fraction of the
                 circumradius, 0 to 0.01. Coordinates rounded in a file would otherwise split a face
                 into many. No vertex moves, and `alpha` does not depend on the planarity; a contact
                 point inside a face may be off its hull by at most this much. "default" means

@@ -4,8 +4,9 @@ A mesh counts as convex if two conditions hold:
 
 1. Each point of the convex hull's surface is within `TOLERANCE` of some triangle of the mesh. So no
    dent, hole, slot or gap between parts is deeper or wider than that.
-2. These distances, integrated over the hull's surface, enclose at most the share `1 - CONVEX_RATIO`
-   of the hull's volume. So a thin plate or profile has no dent as deep as the plate itself.
+2. These distances, integrated over the hull's surface, enclose at most the fraction
+   `1 - CONVEX_RATIO` of the hull's volume. So a thin plate or profile has no dent as deep as the
+   plate itself.
 
 Only the distance from the hull to the nearest triangle counts. Therefore the result does not depend
 on triangles that overlap, appear twice, are turned inside out, lie inside the mesh, or meet without
@@ -37,17 +38,17 @@ import numpy.typing as npt
 from . import _nearest, _quickhull
 from ._arrays import Floats
 
-#: The largest distance between the hull's surface and a convex mesh, as a share of the diagonal of
-#: the mesh's bounding box. Modelling leaves dents of 1e-3 in real convex meshes.
+#: The largest distance between the hull's surface and a convex mesh, as a fraction of the diagonal
+#: of the mesh's bounding box. Modelling leaves dents of 1e-3 in real convex meshes.
 TOLERANCE = 0.01
 
-#: A convex mesh fills at least this share of its hull.
+#: A convex mesh fills at least this fraction of its hull.
 CONVEX_RATIO = 0.99
 
-#: Vertices closer than this share of the diagonal count as one, because files store coordinates in
-#: single precision or with a few digits.
+#: Vertices closer than this fraction of the diagonal count as one, because files store coordinates
+#: in single precision or with a few digits.
 _WELD = 1e-6
-#: The computed hull may miss points by these shares of the tolerance and of the mesh's smallest
+#: The computed hull may miss points by these fractions of the tolerance and of the mesh's smallest
 #: extent. A fine mesh then needs far fewer vertices.
 _HULL_ERROR = 1 / 8
 _HULL_ERROR_OF_HEIGHT = 1 / 64
@@ -73,8 +74,8 @@ _Ids = npt.NDArray[np.int64]
 class Dents:
     """How a mesh that is not convex differs from its convex hull."""
 
-    #: The share of its convex hull that the mesh fills, at most 1. It is an estimate, good to about
-    #: 1 %, if parts of the mesh overlap or edges are open.
+    #: The fraction of its convex hull that the mesh fills, at most 1. It is an estimate, good to
+    #: about 1 %, if parts of the mesh overlap or edges are open.
     ratio: float
     #: Sides of triangles without a neighbour that has the same side in the opposite direction.
     open_edges: int
@@ -330,7 +331,7 @@ def _areas(triangles: Floats) -> Floats:
 
 
 def _filled(hull: Floats, mesh: Floats) -> float:
-    """The share of the hull that the mesh fills, by lines along the three coordinate axes.
+    """The fraction of the hull that the mesh fills, by lines along the three coordinate axes.
 
     A point of the hull counts as empty if one of the lines through it meets the mesh on one side of
     the point only, or nowhere. Such a point can see the outside.

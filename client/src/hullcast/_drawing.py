@@ -9,7 +9,7 @@ from ._errors import InvalidArgument
 from ._scene import Scene
 
 #: Faces that meet at an angle with a cosine above `_FLAT` are drawn as one face. A hull with more
-#: than `_MANY` edges is taken for a round shape, and `_ROUND` is used instead.
+#: than `_MANY` edges is mistaken for a round shape, and `_ROUND` is used instead.
 _FLAT = 1 - 1e-6
 _ROUND = 0.94
 _MANY = 64

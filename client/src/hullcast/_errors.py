@@ -212,8 +212,8 @@ class NotConvexWarning(_Pickled, UserWarning):
 
     Attributes:
         field: the mesh, such as "hulls[2]".
-        ratio: the share of its convex hull that the mesh fills, at most 1. It is an estimate, good
-            to about 1 %, if parts of the mesh overlap or edges are open.
+        ratio: the fraction of its convex hull that the mesh fills, at most 1. It is an estimate,
+            good to about 1 %, if parts of the mesh overlap or edges are open.
         open_edges: the number of edges that do not join two faces; 0 for a watertight mesh.
     """
 

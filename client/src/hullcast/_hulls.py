@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from ._channel import Settings
 
 
-#: The planarity that `register` sends by default, as a share of the circumradius. It was measured
-#: on shapes whose coordinates are rounded as mesh files round them (docs/tradeoff.md).
+#: The planarity that `register` sends by default, as a fraction of the circumradius. It was
+#: measured on shapes whose coordinates are rounded as mesh files round them (docs/tradeoff.md).
 DEFAULT_PLANARITY = 1e-3
 
-#: A share of the circumradius; or None to send none, so that the server uses 1e-6.
+#: A fraction of the circumradius; or None to send none, so that the server uses 1e-6.
 Planarity = float | Literal["default"] | None
 
 
@@ -83,7 +83,7 @@ class Hull:
     #: A certified upper bound of the Hausdorff distance to the hull of all points; 0 unless
     #: simplified.
     deviation: float = field(compare=False, repr=False)
-    #: How far the vertices of one face may lie from one plane, as a share of the circumradius.
+    #: How far the vertices of one face may lie from one plane, as a fraction of the circumradius.
     #: `geometric_error` has the actual distance.
     planarity: float = field(compare=False, repr=False)
     #: The points and options with which the hull was registered.

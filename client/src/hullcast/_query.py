@@ -40,8 +40,8 @@ class Accuracy:
 
     Args:
         solver: "PORTAL", or "GJK_RAY_CAST" (the solver of the paper).
-        relative_tolerance: the width of alpha's bracket at which the solver may stop, as a share of
-            the bracket's upper end, 0 to 1. With 0 the bracket is as narrow as rounding allows.
+        relative_tolerance: the width of alpha's bracket at which the solver may stop, as a fraction
+            of the bracket's upper end, 0 to 1. With 0 the bracket is as narrow as rounding allows.
         feature_angle: an angle in radians, 0 to 0.5: faces and edges within this angle of the
             contact normal count as touching. With 0 the features are those of the pure Gauss map.
         max_points: the largest number of contact points per pair; 0 for all.

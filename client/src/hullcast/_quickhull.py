@@ -15,7 +15,8 @@ import numpy.typing as npt
 
 from ._arrays import Floats
 
-#: Points count as flat, without a hull, if they are within this share of their extent of one plane.
+#: Points count as flat, without a hull, if their distance from one plane is at most this fraction
+#: of their extent.
 FLAT = 1e-9
 
 _Ids = npt.NDArray[np.int64]

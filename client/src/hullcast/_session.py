@@ -91,7 +91,8 @@ class Steps:
                     lane.drop()  # inheriting from that response would start without bases
                 yield from self._exchange(lost, parts, deadline)
         except BaseException:
-            # A response that is still to come would be taken for the response to the next step.
+            # A response that has not arrived yet would be mistaken for the response to the next
+            # step.
             for lane in self._lanes:
                 lane.drop()
             raise
@@ -161,7 +162,7 @@ def _before_fork() -> None:
 
 
 def _after_fork() -> None:
-    """Forgets streams in use without ending them, which only the parent's threads could do."""
+    """Forgets streams in use. It does not end them: only the parent's threads could do that."""
     for session in list(_sessions):
         for lane in session._lanes:
             _connection.inherited.append(lane.stream)

@@ -1,4 +1,4 @@
-"""Splits the bodies of a `find` by worlds, where one message may not have all of them.
+"""Splits the bodies of a `find` by worlds, if one message may not contain all of them.
 
 Bodies of different worlds never meet, and a body of world 2^32 - 1 meets those of every other
 world. So a part has the bodies of some worlds and all bodies of world 2^32 - 1. Every pair that may

@@ -111,7 +111,7 @@ def test_large_messages_and_long_silence_pass(way: str, tmp_path: Path):
             time.sleep(28)
             after = session.step(small.positions, small.rotations)
             assert after.outcome.tobytes() == before.outcome.tobytes()
-            assert session._lanes[0].stream is stream, "it was another, begun anew"
+            assert session._lanes[0].stream is stream, "the session has replaced its stream"
 
 
 @pytest.mark.parametrize("way", ["haproxy", "nginx"])

@@ -19,13 +19,13 @@ from blocks import ROOT, blocks_of
 from crowds import RAY_SETTINGS
 from test_pages import EXTRAS
 
-#: What the text of the pages names in addition: the extras of ray and rerun, and pandas.
+#: Packages that the text of the pages names in addition: the extras of ray and rerun, and pandas.
 NAMED = "pip install './client[ray,rerun]' pandas"
 RAY = {**RAY_SETTINGS, "RAY_ADDRESS": "local"}
 
 
 def install_lines() -> list[str]:
-    """Of the pages that are run here."""
+    """The `pip install` commands of the pages that are run here."""
     found = []
     for page in ("client/README.md", "docs/python/robots.md"):
         for block in blocks_of(ROOT / page):
@@ -36,7 +36,7 @@ def install_lines() -> list[str]:
 
 @pytest.fixture(scope="module")
 def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of the environment; nothing of this one's is seen there."""
+    """The interpreter of a new environment, which has only the packages that the pages install."""
     folder = tmp_path_factory.mktemp("user") / "environment"
     venv.create(folder, with_pip=True)
     hidden = ("HULLCAST_BIN", "PYTHONPATH", "PYTEST_ADDOPTS")
@@ -50,18 +50,18 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_page_about_robots(python, tmp_path):
-    """From the Panda's URDF to contacts, and to those of 1,000 configurations."""
+    """Runs the page: from the Panda's URDF to contacts, also for 1,000 configurations at once."""
     assert pages.run(pages.DOCS / "robots.md", tmp_path, python) == EXTRAS["robots"]
 
 
 def test_the_page_about_ray(python, tmp_path):
-    """A hundred scenes of a dataset, on a ray of one node."""
+    """Answers a hundred scenes of a dataset, on a ray cluster of one node."""
     shown = pages.run(pages.DOCS / "batch-jobs.md", tmp_path, python, **RAY)
     assert shown == EXTRAS["batch-jobs"]
 
 
 def test_the_programs_that_need_a_package(python, tmp_path):
-    """Every block of the client's README, and the tasks of ray on the page about workers."""
+    """Runs every block of the client's README, and the tasks of ray on the page about workers."""
     readme = blocks_of(ROOT / "client/README.md")
     (tasks,) = [b for b in blocks_of(pages.DOCS / "workers.md") if "@ray.remote" in b.text]
     blocks = [block for block in readme if block.kind == "python"]

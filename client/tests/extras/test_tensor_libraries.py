@@ -170,7 +170,7 @@ def test_columns_go_to_torch(client):
         assert not column.size or tensor.data_ptr() == column.ctypes.data, name
     assert tensors["pairs"].long()[:, 0].tolist() == [0, 0]
     assert (tensors["outcome"] == hullcast.Outcome.CONTACT).tolist() == [True, False]
-    # The columns of a part or of a file, and no columns at all, go out too.
+    # The columns of some pairs, of a file, and of an empty result can be converted too.
     assert m[:0].to_torch()["normal"].shape == (0, 3)
     assert m[1:].to_torch()["alpha"].tolist() == m.alpha[1:].tolist()
     # Out and in again: the tensors of an answer are arguments of the next query.

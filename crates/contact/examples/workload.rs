@@ -1,7 +1,7 @@
 //! Checks every pair of a workload file (docs/workload.md) against its exact answer, with both solvers; run by `make
 //! workload WORKLOAD=path`.
 //!
-//! Prints counts and the worst share of each error budget. Fails if any pair exceeds a budget.
+//! Prints counts and the worst fraction of each error budget. Fails if any pair exceeds a budget.
 
 #[path = "../tests/workload/check.rs"]
 mod check;

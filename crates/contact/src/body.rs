@@ -12,7 +12,7 @@ pub(super) const MIN_NORM: f64 = 0.25;
 /// inside this range, so a norm outside it is more likely to be an error of the caller.
 pub(super) const MAX_NORM: f64 = 4.0;
 
-/// Why a pose is not usable.
+/// The reason why a pose is not usable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InvalidPose {
     /// A coordinate is not finite, or its magnitude is above 1e100.
@@ -66,7 +66,7 @@ impl Pose {
     /// Makes the checks of [`Pose::new`] and returns the quaternion's squared norm.
     ///
     /// # Errors
-    /// Those of [`Pose::new`].
+    /// The errors of [`Pose::new`].
     #[inline]
     pub fn check(position: [f64; 3], [x, y, z, w]: [f64; 4]) -> Result<f64, InvalidPose> {
         if !position.iter().all(|c| c.abs() <= MAX_POSITION) {

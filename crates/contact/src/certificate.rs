@@ -15,7 +15,7 @@
 //!                each point: distance >= s(n), both witnesses on their hulls near the support planes
 //! ```
 //!
-//! Each comparison allows for rounding, with the shares in `tolerance`.
+//! Each comparison allows for rounding, with the factors in `tolerance`.
 //!
 //! One property stays unchecked. If the projected features of a CONTACT pair miss each other, nothing
 //! here shows that the hulls are within the margin: that needs the distance between the hulls.
@@ -171,8 +171,8 @@ fn bracket(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), 
     let wide = alpha_upper * tolerance + 2.0 * noise + SUBNORMAL;
     at_most("width of the bracket", alpha_upper - alpha_lower, wide)?;
     at_most("optimality gap of the normal", alpha - growth, alpha * tolerance + noise + SUBNORMAL)?;
-    // A solver that stops early may stop before it has a basis. The same holds for hulls so thin
-    // that rounding leaves alpha open by as much as alpha itself.
+    // A solver that stops early may stop before it has a basis. There may also be no basis if the
+    // hulls are so thin that the rounding error of alpha is as large as alpha.
     let early = query.accuracy.relative_tolerance > 0.0
         || tolerance >= 1.0
         || manifold.iterations >= query.accuracy.max_iterations;
@@ -260,7 +260,8 @@ fn points(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), V
         for (body, feature, at, n) in
             [(scene.a, feature_a, from_a, scene.normal), (scene.b, feature_b, from_b, -scene.normal)]
         {
-            // The witness lies on the face's plane. The face is below that plane along the normal.
+            // The witness lies on the face's plane. Vertices of the face may be below this plane by the
+            // planarity, which is a longer distance along the contact normal.
             let lifted = planarity / faced(body, feature, n);
             at_most("witness outside its hull", outside(body, at), lifted + eps)?;
             let highest = (0..body.hull.vertex_count())
@@ -274,8 +275,9 @@ fn points(scene: &Scene<'_>, query: &Query, manifold: &Manifold) -> Result<(), V
     Ok(())
 }
 
-/// Cosine of a touched face to the contact plane. It is below 1 within the feature angle, and if the
-/// query asked for a loose normal. A face seen edge-on is replaced by its two ends, hence the clamp.
+/// Cosine of the angle between a touched face and the contact plane. It is below 1 if the face is
+/// tilted within the feature angle, or if the query allowed an inaccurate normal. It is clamped,
+/// because a face that is seen edge-on is replaced by its two ends.
 fn faced(body: &Body<'_>, feature: Feature, n: DVec3) -> f64 {
     let Feature::Face(f) = feature else { return 1.0 };
     (body.pose.rotation * body.hull.faces()[f as usize].normal).dot(n).clamp(EDGE_ON, 1.0)

@@ -39,7 +39,8 @@ pub(crate) enum Decision {
     Unknown,
 }
 
-/// Decides the pair for `margin` (pair units); the first simplex is the vertices of `seeds`.
+/// Decides whether the pair is within `margin` (pair units). The search starts from the vertices of
+/// `seeds`.
 pub(crate) fn decide(pair: &Pair<'_>, seeds: &[Support], margin: f64, cost: &mut Cost) -> Decision {
     let band = pair.rounding_band();
     let mut simplex = Simplex::from_points(seeds);

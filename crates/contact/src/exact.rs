@@ -44,7 +44,7 @@ const SLIVER_SINE: f64 = power_of_two(-40);
 const ROUNDED_STEPS: u64 = 10;
 /// Steps of an orientation test for points that are nearly in one plane, as measured.
 const NEAR_PLANE_STEPS: u64 = 300;
-/// If the determinant exceeds this share of the product of three sides, the rounded value certainly
+/// If the determinant exceeds this fraction of the product of three sides, the rounded value certainly
 /// decides.
 const SURELY_ROUNDED: f64 = 64.0 * U;
 /// Steps of an orientation test, or of a normal, in integers of any length, as measured.
@@ -139,8 +139,8 @@ pub(crate) fn normal_of(area: &VectorArea, a: DVec3, b: DVec3, c: DVec3) -> Tria
 /// A lower bound of how far `p` is below the plane of the triangle `a`, `b`, `c`. `None` for
 /// slivers.
 pub(crate) fn depth_below(a: DVec3, b: DVec3, c: DVec3, p: DVec3) -> Option<f64> {
-    // For a subnormal side, `normalised` clamps the exponent. Applying it twice brings such a side
-    // to the size of any other.
+    // For a subnormal side, `normalised` clamps the exponent, so the side stays too small. A second
+    // application brings it to the size of the other sides.
     let side = |to| normalised(normalised(exact_difference(to, a)).0).0;
     let cross = dd_cross(side(b), side(c));
     let length = DVec3::new(cross[0].value(), cross[1].value(), cross[2].value()).length();
@@ -161,8 +161,8 @@ fn normalised(v: Dd3) -> (Dd3, i32) {
     (v.map(|x| x.scaled(power)), exponent)
 }
 
-/// [`orient3d`], and counts its steps. A value larger than `sure` was certainly decided in rounded
-/// arithmetic; see [`sure_orient3d`].
+/// Does the same as [`orient3d`], and counts the steps. A value larger than `sure` was certainly decided in
+/// rounded arithmetic; see [`sure_orient3d`].
 #[inline]
 pub(crate) fn counted_orient3d(points: [DVec3; 4], sure: f64, meter: &Meter<'_>) -> f64 {
     let [a, b, c, d] = points;
@@ -188,8 +188,8 @@ fn are_safe(points: &[DVec3; 4]) -> bool {
     points.iter().fold(true, |safe, p| safe & is_safe(p.x) & is_safe(p.y) & is_safe(p.z))
 }
 
-/// On which side of the plane through `a`, `b`, `c` the point `d` lies. Only the sign is exact: it
-/// is negative on the side from which `a`, `b`, `c` run anticlockwise, and zero in the plane.
+/// Tells on which side of the plane through `a`, `b`, `c` the point `d` lies. Only the sign is exact: it is
+/// negative on the side from which `a`, `b`, `c` run anticlockwise, and zero in the plane.
 pub(crate) fn orient3d(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     if are_safe(&[a, b, c, d]) { adaptive_orient3d(a, b, c, d) } else { wide::orient3d(a, b, c, d) }
 }

@@ -74,7 +74,8 @@ pub(crate) struct Scratch {
 #[derive(Clone, Copy, Debug)]
 struct Near {
     feature: u32,
-    /// For a face the cosine of its normal to the direction, for an edge the sine.
+    /// For a face, the cosine of the angle between its normal and the direction. For an edge, the sine of
+    /// the angle by which it is off the perpendicular.
     measure: f64,
 }
 
@@ -180,7 +181,7 @@ fn lone_face(hull: &ConvexHull, direction: &Direction<'_>) -> Option<u32> {
     let normal = |f: u32| hull.faces()[f as usize].normal;
     let (mut face, mut along) = (0, 0.0);
     for &f in hull.vertex_faces(known[0] as usize) {
-        // Without branches, because they would be unpredictable.
+        // Computed without branches, because they would be unpredictable.
         let m_dot_n = normal(f).dot(n);
         let nearer = m_dot_n > along;
         face = if nearer { f } else { face };
@@ -367,7 +368,8 @@ mod tests {
             let hull = ConvexHull::with_options(points, &options).expect("a hull");
             for round in 0..4000 {
                 let tilt = 10_f64.powi(-(round % 8));
-                // Along a face's normal, perpendicular to an edge, or anywhere; slightly perturbed.
+                // The direction is along a face's normal, perpendicular to an edge, or arbitrary, and
+                // slightly perturbed.
                 let edge = round as usize % hull.edge_count();
                 let [f, g] = hull.edge_faces()[edge].map(|f| hull.faces()[f as usize].normal);
                 let share = [0.0, 0.5, 0.3][round as usize / 32 % 3];

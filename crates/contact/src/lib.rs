@@ -181,7 +181,8 @@ impl Steps {
         warm: Option<&Basis>,
         turned: &'a mut Columns,
     ) {
-        // The margin in pair units. If it overflows to infinity there, it exceeds every distance.
+        // The margin in pair units. If it overflows, it is infinite, which is right: it exceeds every
+        // distance.
         let margin = query.margin / pair.unit;
         self.manifold.reset();
         if let Some(reach) = spheres_apart(pair, margin) {
@@ -229,7 +230,8 @@ impl Steps {
     /// Steps 2 and 3: finds the two features and the contact points of their intersection.
     fn find_points(&mut self, pair: &Pair<'_>, solution: &Solution, accuracy: &Accuracy) {
         let n = solution.normal;
-        // A triple that still contains inner points is not a basis: those points name no vertices.
+        // A triple that still contains inner points is not a basis, because these points stand for no
+        // vertices.
         let complete = solution.triple.iter().all(|u| u.a != Support::INNER);
         let [u0, u1, u2] = if complete { solution.triple } else { [solution.support; 3] };
         let known = |vertex: fn(&Support) -> u32| [solution.support, u0, u1, u2].each_ref().map(vertex);
@@ -320,7 +322,7 @@ impl Manifold {
     }
 }
 
-/// The triple in indices of the vertices as registered; none if it contains an inner point.
+/// The triple in indices of the vertices as registered, or `None` if it contains an inner point.
 fn basis(pair: &Pair<'_>, triple: &[Support; 3]) -> Option<Basis> {
     let complete = triple.iter().all(|u| u.a != Support::INNER);
     complete.then(|| Basis {

@@ -62,7 +62,7 @@ pub enum Element {
 }
 
 impl Element {
-    /// A number that orders elements in the same way as their own order does.
+    /// A number whose order is the order of the elements.
     pub(crate) fn key(self) -> u128 {
         let [kind, first, second] = match self {
             Self::Vertex(v) => [0, v, 0],
@@ -108,10 +108,10 @@ pub struct Manifold {
     pub features: Option<[Feature; 2]>,
     /// Contact points in order, anticlockwise about the normal.
     pub points: Vec<ContactPoint>,
-    /// Share of the patch's area that the remaining points span. It is below 1 only if `max_points`
+    /// Fraction of the patch's area that the remaining points span. It is below 1 only if `max_points`
     /// dropped points of a patch that has an area.
     pub kept_area: f64,
-    /// Best warm start; none for a separated pair.
+    /// Best warm start, or `None` for a separated pair.
     pub basis: Option<Basis>,
     /// Solver iterations.
     pub iterations: u32,

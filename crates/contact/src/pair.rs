@@ -24,7 +24,7 @@ pub(crate) struct Support {
 }
 
 impl Support {
-    /// Replaces a vertex index in a point that is not a vertex.
+    /// Stands in place of a vertex index if the point is not a vertex.
     pub(crate) const INNER: u32 = u32::MAX;
 
     /// A point of `K` that is not one of its vertices.
@@ -56,7 +56,7 @@ pub(crate) struct Pair<'a> {
     pub(crate) ray: DVec3,
     /// `alpha = 2^alpha_exponent` times the growth scale of `ray`.
     pub(crate) alpha_exponent: i32,
-    /// The sum of the lengths that enter `d`, pair units.
+    /// `M` of [`tolerance`](super::tolerance): the sum of the lengths that enter `d`, pair units.
     pub(crate) m: f64,
     /// This sum in units of `ray`.
     pub(crate) ray_m: f64,
@@ -79,8 +79,8 @@ pub(crate) struct Pair<'a> {
     pub(crate) count: Count,
 }
 
-/// A hull with more vertices is not rotated in advance: the support calls would not earn back the
-/// cost.
+/// A hull with more vertices is not rotated in advance, because the support calls would save less time
+/// than the rotation takes.
 const MOST_TURNED: usize = 32;
 
 /// The largest exponent of lengths that can be squared and rotated without overflow or underflow.

@@ -71,7 +71,7 @@ impl Ord for Gap {
     }
 }
 
-/// Keeps `max` of the points, without changing their order, and returns the share of the polygon's
+/// Keeps `max` of the points, without changing their order, and returns the fraction of the polygon's
 /// area that is left (1 if the polygon has no area).
 ///
 /// The first point kept is the deepest; among points within `rounding` of it the one with the lowest

@@ -18,7 +18,7 @@ use std::{
 /// The largest number of steps between two checks of the flag: about 1 ms.
 pub const STEPS_BETWEEN_LOOKS: u64 = 1 << 20;
 
-/// The number of steps that a [`Meter`] gathers before it spends them. It is a share of
+/// The number of steps that a [`Meter`] gathers before it spends them. It is a fraction of
 /// [`STEPS_BETWEEN_LOOKS`], so that the steps of one more call of [`Meter::spend`] still fit.
 const GATHERED: u64 = STEPS_BETWEEN_LOOKS / 16;
 

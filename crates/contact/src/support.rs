@@ -32,7 +32,7 @@ impl ConvexHull {
         self.counted_support(n, &Count::default())
     }
 
-    /// [`ConvexHull::support`], and counts its steps in `count`.
+    /// Does the same as [`ConvexHull::support`], and counts the steps in `count`.
     #[inline]
     pub(crate) fn counted_support(&self, n: DVec3, count: &Count) -> u32 {
         if let Some(map) = &self.support_map {

@@ -8,34 +8,34 @@
 /// Unit roundoff of double precision.
 pub(crate) const U: f64 = f64::EPSILON / 2.0;
 
-/// Rounding error, as a share of `U * M` in `d`, and as a share of `U * R` in a support value. It
+/// Rounding error, as a multiple of `U * M` in `d`, and of `U * R` in a support value. It
 /// covers a subtraction and two rotations of three products each, rounded up.
 pub(crate) const NOISE: f64 = 16.0;
 
-/// Share of `U * R / r` by which a bracket may be open and still count as closed: twice [`NOISE`] for
-/// its two ends, and as much again for solving.
+/// Multiple of `U * R / r` by which a bracket may be open and still count as closed. It is twice
+/// [`NOISE`] for the two ends, doubled to leave room for the error of the solver.
 pub(crate) const BRACKET: f64 = 64.0;
 
-/// Share of `U * (alpha R + M) / r` by which the ends of a bracket may differ, their allowance for
+/// Multiple of `U * (alpha R + M) / r` by which the ends of a bracket may differ, their allowance for
 /// noise left out, before wide arithmetic is tried. It is half of the permitted error of alpha.
 pub(crate) const COARSE: f64 = 8.0;
 
-/// Centres closer than this share of `U * M` coincide, because `d` is then only noise.
+/// Centres closer than this multiple of `U * M` coincide, because `d` is then only noise.
 pub(crate) const COINCIDENT: f64 = 8.0;
 
-/// Share of `U * R` below the highest vertex within which a vertex belongs to the support set, and
-/// share of `U * (R + M)` within which points of the contact plane count as one.
+/// Multiple of `U * R` below the highest vertex within which a vertex belongs to the support set, and
+/// multiple of `U * (R + M)` within which points of the contact plane count as one.
 pub(crate) const MERGE: f64 = 64.0;
 
-/// A turn from one projected side to the next is certainly to the left if its sine exceeds this: the
-/// two directions and their product have 8 roundoffs, and the value is rounded up.
+/// A turn from one projected side to the next is certainly to the left if its sine exceeds this. The two
+/// directions and their product have 8 roundoffs, and the value is rounded up.
 pub(crate) const TURN: f64 = 16.0 * U;
 
-/// Share of `U * (R + |d|)` in the rounding band around the margin. The share of `U * M` in it is
+/// Multiple of `U * (R + |d|)` in the rounding band around the margin. The multiple of `U * M` in it is
 /// [`NOISE`].
 pub(crate) const BAND: f64 = 64.0;
 
-/// Share of `U * (R + |c| + margin)` of one body by which its bounding box exceeds the body and half
+/// Multiple of `U * (R + |c| + margin)` of one body by which its bounding box exceeds the body and half
 /// the margin. It covers, at least twice over, the rounding of the body's vertices and its half of the
 /// rounding band around the margin. Inside the band `|d|` is at most `R + margin`, and `M` is at most
 /// `|d|` plus twice both `|c|`, so the band is at most `144 R + 80 margin + 32 |c|` times `U`.
@@ -58,18 +58,18 @@ pub(crate) const MAPPED: f64 = 64.0 * U;
 /// its plane would be off by several times that distance.
 pub(crate) const EDGE_ON: f64 = 0.5;
 
-/// Cosines of face normals, and sines of edges, that differ by at most this share of `U` tie.
+/// Cosines of face normals, and sines of edges, that differ by at most this multiple of `U` tie.
 pub(crate) const TIE: f64 = 8.0;
 
 /// The surplus, in cosines and in hull units, by which a feature must stand apart from the others to
 /// be taken without a search. It is far above rounding. A feature that misses it costs a search.
 pub(crate) const LONE: f64 = 1e-9;
 
-/// Share of `U * R * |n|` below which a support point does not improve a portal: the rounding of the
-/// two support values leaves that much open.
+/// Multiple of `U * R * |n|` below which a support point does not improve a portal, because it is within
+/// the rounding of the two support values.
 pub(crate) const GAIN: f64 = 4.0;
 
-/// Share of `U` times the product of the lengths within which exact arithmetic decides the sign of a
+/// Multiple of `U` times the product of the lengths within which exact arithmetic decides the sign of a
 /// triple product: 3 products and 5 sums, rounded up.
 pub(crate) const TRIPLE_PRODUCT: f64 = 16.0;
 
@@ -77,7 +77,7 @@ pub(crate) const TRIPLE_PRODUCT: f64 = 16.0;
 /// normal then cancel 4 bits or more. It is a power of two, so that the comparison rounds nothing.
 pub(crate) const THIN: f64 = 256.0;
 
-/// Share of `R` at which the point of the GJK ray cast is so near to `K` that its direction is mostly
+/// Fraction of `R` at which the point of the GJK ray cast is so near to `K` that its direction is mostly
 /// rounding (the squared distance of a closest point has the error `U R^2`). The ray cast then hands
 /// its simplex to the portal.
 pub(crate) const RAY_CAST_NEAR: f64 = 1.5e-8;

@@ -72,7 +72,8 @@ fn cases() -> Vec<Value> {
 /// Both solvers must give the exact answer of every golden case: the outcome, a bracket that
 /// contains the exact growth scale to the last bit, an optimal normal (several may be optimal), the
 /// separation along that normal, and the patch. The cases include ties, extreme sizes, places far
-/// from the origin and ghosts; the file states the reason for each.
+/// from the origin, and pairs that growth distance by itself would wrongly report as contacts; the
+/// file states the reason for each.
 #[test]
 fn answers_are_the_exact_ones() {
     let (mut contacts, mut patches) = (0, 0);

@@ -230,7 +230,7 @@ fn coincident_centres_are_flagged_and_still_answered() {
 }
 
 /// A 17-gon tilted on a 24-gon, whose patch is reduced to 1, 2, 3, 4 and 8 points. The reduced
-/// patch must keep the deepest point and most of the area, and report the kept share. Catches a
+/// patch must keep the deepest point and most of the area, and report the kept fraction. Catches a
 /// reduction that keeps neighbouring points, or that does not set its flag.
 #[test]
 fn reduction_keeps_the_deepest_and_the_largest() {

@@ -30,18 +30,19 @@ pub(crate) struct Batches {
     scenes: Vec<Scene>,
 }
 
-/// Requests, and the answers that they must get.
+/// Requests and their correct answers.
 #[derive(Debug)]
 pub(crate) struct Sampled {
     requests: Vec<proto::QueryContactsRequest>,
     /// The encoded answers, one per request; empty if nothing is checked.
     expected: Vec<Vec<u8>>,
-    /// One answer in this many is checked; 0: none.
+    /// One answer in this many is checked; 0 means none.
     verify: u64,
 }
 
 impl Batches {
-    /// Batches of the configurations of a scene file. Its pairs are repeated to a number of `pairs`.
+    /// Batches of the configurations of a scene file. The scene's pairs are repeated until there are
+    /// `pairs` of them.
     ///
     /// # Errors
     /// The scene is not valid, or has no pairs.
@@ -141,14 +142,14 @@ impl Sampled {
         self.requests[number as usize % self.requests.len()].clone()
     }
 
-    /// Whether the answer to batch `number` is the library's, to the bit; none if this answer is not
-    /// checked.
+    /// Whether the answer to batch `number` equals the library's bit for bit, or `None` if this
+    /// answer is not checked.
     pub(crate) fn check(&self, number: u64, response: &proto::QueryContactsResponse) -> Option<bool> {
         if self.verify == 0 || !number.is_multiple_of(self.verify) {
             return None;
         }
         let expected = &self.expected[number as usize % self.expected.len()];
-        // Compared as bytes, so that NaN equals NaN and 0.0 does not equal -0.0.
+        // The answers are compared as bytes, so that NaN equals NaN and 0.0 does not equal -0.0.
         Some(*expected == response.encode_to_vec())
     }
 }

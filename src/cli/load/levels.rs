@@ -42,7 +42,7 @@ impl FromStr for Range {
 /// The load of one measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Level {
-    /// Batches in flight at once: the next is sent when one is answered.
+    /// The number of batches in flight at once. The next batch is sent when one is answered.
     Concurrency(u32),
     /// Batches per second, sent whether or not earlier ones are answered.
     Rate(f64),
@@ -85,10 +85,11 @@ impl Plan {
         Self::Search { make, step: range.step, good: range.start, bad: range.end, first: true }
     }
 
-    /// The next level; none at the end.
+    /// The next level, or `None` at the end.
     pub(crate) fn level(&self) -> Option<Level> {
         match *self {
-            // Half a step past the end is rounding, not another level.
+            // The end may be exceeded by half a step, because rounding must not lose the last
+            // level.
             Self::Sweep { make, range, next } => (next <= range.end + range.step / 2.0).then(|| make(next)),
             Self::Search { make, good, first: true, .. } => Some(make(good)),
             Self::Search { make, step, good, bad, .. } => {
@@ -103,7 +104,7 @@ impl Plan {
     pub(crate) fn went(&mut self, level: Level, in_time: bool) {
         match self {
             Self::Sweep { range, next, .. } if in_time => *next += range.step,
-            // If the first level is too slow, the search ends: there is no lower one.
+            // If the first level is too slow, the search ends, because there is no lower level.
             Self::Search { first, .. } if *first && in_time => *first = false,
             Self::Search { good, first: false, .. } if in_time => *good = level.value(),
             Self::Search { bad, step, first: false, .. } => *bad = level.value() - *step,

@@ -20,7 +20,7 @@ use hullcast::workload::Random;
 const PAUSE_AFTER_ERROR: Duration = Duration::from_millis(20);
 /// The longest of those pauses.
 const LONGEST_PAUSE: Duration = Duration::from_secs(2);
-/// Largest number of batches in flight in an open loop. At this number it waits, and later batches
+/// Largest number of batches in flight in an open loop. At this number the loop waits, and later batches
 /// are late.
 const MOST_UNDER_WAY: usize = 16_384;
 
@@ -46,7 +46,8 @@ impl Runner {
         };
         let elapsed = started.elapsed();
         progress.abort();
-        // The task has been aborted or has ended. Either way the line is gone before the summary.
+        // The task has been aborted or has ended. Either way the progress line is removed before the
+        // summary is printed.
         let _ = progress.await;
         Ok((tally?, elapsed))
     }

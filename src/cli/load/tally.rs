@@ -54,7 +54,7 @@ impl Tally {
         self.shed += 1;
     }
 
-    /// Counts a server lost while it had a batch; the batch is sent again.
+    /// Counts a server that was lost while it had a batch. The batch is sent again.
     pub(crate) fn lost(&mut self) {
         self.lost += 1;
     }
@@ -166,7 +166,7 @@ impl Tally {
         }))
     }
 
-    /// The row for a table of levels. `percentile` is the one by which the level is judged.
+    /// The row for a table of levels. `percentile` is the percentile by which the level is judged.
     pub(crate) fn row(&self, level: Level, elapsed: Duration, percentile: f64) -> Row {
         let seconds = elapsed.as_secs_f64();
         let milli = |percent: f64| self.latency.value_at_percentile(percent) as f64 / 1e6;
@@ -217,7 +217,8 @@ mod tests {
         assert_eq!(all.verdict(), Ok(()));
     }
 
-    /// Catches a run that ends in success although a call failed, an answer was wrong or none came.
+    /// Catches a run that counts as a success although a call failed, an answer was wrong, or no
+    /// answer came.
     #[test]
     fn the_verdict_is_clean_only_when_all_was() {
         assert!(Tally::default().verdict().is_err());

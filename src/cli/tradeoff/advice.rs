@@ -45,7 +45,8 @@ fn is_offered(setting: &Setting) -> bool {
     setting.center == Setting::DEFAULT.center && setting.max_iterations == Setting::DEFAULT.max_iterations
 }
 
-/// Settings within this factor of the fastest count as equally fast; the simplest of them is taken.
+/// Settings within this factor of the fastest count as equally fast, and the simplest of them is
+/// recommended.
 const AS_FAST: f64 = 1.03;
 
 /// The recommended setting for a need: the simplest among the fastest that satisfy it, with or without
@@ -86,7 +87,8 @@ pub(super) fn text(rows: &[Row]) -> String {
     text
 }
 
-/// A table of a few of our settings beside other libraries, by the same measures and the same truth.
+/// A table of a few settings of hullcast beside other libraries, with the same measures and the same
+/// true answers.
 pub(super) fn beside(pool: Pool, rows: &[Row], peers: &[PeerRow]) -> String {
     let default = Setting::DEFAULT;
     let ours = [

@@ -69,7 +69,7 @@ impl Placement {
         Self { position: DVec3::from_array(position), rotation }
     }
 
-    /// The pose as the library takes it.
+    /// The pose in the library's type.
     pub(super) fn pose(&self) -> Pose {
         Pose::new(self.position.to_array(), self.rotation.to_array())
             .unwrap_or_else(|e| unreachable!("checked when it was made: {e}"))
@@ -90,7 +90,7 @@ impl Placement {
     }
 }
 
-/// Movements of B, as shares of the hulls' size: that of a step, and a tiny one.
+/// Movements of B, as fractions of the hulls' size: the movement of one step, and a tiny one.
 const STEP: f64 = 1e-3;
 const NUDGE: f64 = 1e-5;
 

@@ -224,7 +224,7 @@ impl Panel {
         }
         shapes.push(words((x0, 14.0), self.title, INK));
         shapes.push(words((x0, PANEL.1 - 12.0), self.x, INK));
-        // Where the names written so far begin, and their lengths.
+        // The positions at which the names written so far begin, and their lengths.
         let mut written: Vec<((f64, f64), f64)> = Vec::new();
         for series in &self.series {
             let at: Vec<(f64, f64)> = series.points.iter().map(|p| (x.at(p.0), y.at(p.1))).collect();

@@ -21,7 +21,7 @@ const ROUNDS: usize = 3;
 /// Nanoseconds per second.
 const NANO: f64 = 1e9;
 
-/// A patch jumps if a movement of 1e-5 of the size moves it by more than this share of the size.
+/// A patch jumps if a movement of 1e-5 of the size moves it by more than this fraction of the size.
 const JUMP: f64 = 0.01;
 
 /// A cell with its hulls built in every way, and the true answers for its pairs.
@@ -48,9 +48,9 @@ struct Truth {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sample {
     pub(super) nanoseconds: f64,
-    /// Width of the bracket, relative to alpha; none for another library.
+    /// Width of the bracket, relative to alpha, or `None` for another library.
     pub(super) gap: Option<f64>,
-    /// Share of the whole hulls' alpha that the normal does not prove. This value and the next two are
+    /// Fraction of the whole hulls' alpha that the normal does not prove. This value and the next two are
     /// none if another library finds no contact.
     pub(super) optimality: Option<f64>,
     /// Radians between the normal and an optimal one.
@@ -215,7 +215,7 @@ fn polygon(manifold: &Manifold) -> Vec<DVec3> {
     manifold.points.iter().map(middle).collect()
 }
 
-/// The contraction point for a choice of centre; none for the centre of mass.
+/// The contraction point for a choice of centre, or `None` for the centre of mass.
 fn contraction_point(hull: &ConvexHull, center: Center) -> Option<[f64; 3]> {
     let at = match center {
         Center::Mass => return None,
@@ -274,7 +274,7 @@ mod tests {
     }
 
     /// The default must have no errors, and each coarser knob must show in its own measure. Catches an
-    /// error that is measured where there is none, and one that is missed.
+    /// error that is reported although there is none, and an error that is missed.
     #[test]
     fn errors_are_seen_where_they_are() {
         let cells = cases::generated(60).unwrap();

@@ -25,28 +25,31 @@ use peers::Peer;
 use settings::Setting;
 use table::{Figures, PeerRow, Row, Sorted};
 
-/// Speed against accuracy, measured: every setting's time and errors.
+/// Measures the time and the errors of every setting.
 ///
-/// Without a scene on generated pairs: boxes and polytopes of 16, 64 and 256 vertices, in
-/// shallow overlap, resting face on face, and, apart from these, in deep overlap; with one on its pairs that are in contact, or on
-/// random pairs of its hulls where none is. Writes FILE.csv (a row a setting and kind of pair),
-/// FILE.svg and FILE.png (time against error), and prints which setting to take for which need.
-/// Other libraries may answer the same pairs: `--ask` writes these, `--peer` judges answers.
+/// Without a scene, the pairs are generated: boxes and polytopes of 16, 64 and 256 vertices, in shallow
+/// overlap, resting face on face, and, as a group of its own, in deep overlap. With a scene, they are the
+/// pairs of the scene that are in contact, or random pairs of its hulls if none are. The command writes
+/// FILE.csv (one row per setting and kind of pair), FILE.svg and FILE.png (time against error), and prints
+/// which setting suits which need. Other libraries may answer the same pairs: `--ask` writes the pairs, and
+/// `--peer` judges the answers.
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct Args {
-    /// Scene files, hullcast.scene.v1; a file may be hulls alone, with empty bodies and pairs.
+    /// Scene files in the format hullcast.scene.v1. A file may contain only hulls, with empty bodies and
+    /// pairs.
     scenes: Vec<PathBuf>,
-    /// Where the results go, without an ending.
+    /// The path of the result files, without their endings.
     #[arg(long, value_name = "FILE", default_value = "tradeoff", help_heading = "Results")]
     out: PathBuf,
-    /// Pairs of each kind at most.
+    /// Most pairs of each kind.
     #[arg(long, value_name = "COUNT", default_value_t = 96, value_parser = count(1, u32::MAX),
           allow_negative_numbers = true, help_heading = "Pairs")]
     pairs: u32,
-    /// Writes the pairs for another library to answer, as JSON, and measures nothing [default: measures].
+    /// Write the pairs as JSON, for another library to answer, and measure nothing [default: measure].
     #[arg(long, value_name = "FILE", conflicts_with = "peer", help_heading = "Other libraries")]
     ask: Option<PathBuf>,
-    /// A file of another library's answers, judged beside ours; may be repeated [default: none].
+    /// A file with another library's answers, which are judged like those of hullcast; may be repeated
+    /// [default: none].
     #[arg(long, value_name = "FILE", help_heading = "Other libraries")]
     peer: Vec<PathBuf>,
 }

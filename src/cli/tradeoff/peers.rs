@@ -20,7 +20,7 @@ struct Asked<'a> {
 #[derive(Debug, Serialize)]
 struct AskedCell<'a> {
     name: &'a str,
-    /// Contacts are wanted for hulls within this distance.
+    /// Contacts are requested for hulls within this distance.
     margin: f64,
     hulls: &'a [Vec<[f64; 3]>],
     pairs: Vec<AskedPair>,
@@ -53,9 +53,9 @@ struct AnsweredCell {
 /// The answer for one pair.
 #[derive(Debug, Deserialize)]
 pub(super) struct Answer {
-    /// Duration of the fastest of several calls, as many as are made of ours.
+    /// Duration of the fastest of several calls. hullcast is called equally often.
     pub(super) nanoseconds: f64,
-    /// The contact; none if there is no contact within the margin.
+    /// The contact, or `None` if there is no contact within the margin.
     pub(super) contact: Option<Contact>,
     /// The contact with B at its nudged pose.
     pub(super) nudged: Option<Contact>,

@@ -12,7 +12,8 @@ pub(super) struct Setting {
     pub(super) max_iterations: u32,
     /// Whether a pair starts from the answer before a small motion.
     pub(super) warm: bool,
-    /// Deviation allowed to simplified hulls, as a share of the circumradius; 0: not simplified.
+    /// Deviation allowed to simplified hulls, as a fraction of the circumradius; 0 means not
+    /// simplified.
     pub(super) simplification: f64,
     pub(super) feature_angle: f64,
     pub(super) max_points: u32,

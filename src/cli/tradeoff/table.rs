@@ -127,7 +127,7 @@ impl Sorted {
         Self(numbers)
     }
 
-    /// The numbers nearest to these shares of the order; NaN if there are no numbers.
+    /// The quantiles for these fractions, each the nearest of the numbers; NaN if there are no numbers.
     pub(super) fn at<const N: usize>(&self, shares: [f64; N]) -> [f64; N] {
         let last = self.0.len().saturating_sub(1) as f64;
         shares.map(|share| self.0.get((share * last).round() as usize).copied().unwrap_or(f64::NAN))

@@ -46,7 +46,7 @@ impl<'a> Pair<'a> {
         Self { sides: [Side::new(a, &case.a), Side::new(b, &case.b)], d, size }
     }
 
-    /// How far the centred Minkowski difference reaches along a unit direction.
+    /// The support value of the centred Minkowski difference along a unit direction.
     pub(super) fn reach(&self, n: DVec3) -> f64 {
         self.sides[0].reach(n) + self.sides[1].reach(-n)
     }

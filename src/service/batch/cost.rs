@@ -3,8 +3,8 @@
 use super::Batch;
 use crate::contact::estimated_steps;
 
-/// Steps of a pair besides its computation; also those of a pair that is not computed because a
-/// hull or a pose is missing.
+/// Steps of a pair in addition to its computation. A pair that is not computed, because a hull or
+/// a pose is missing, takes only these.
 pub(super) const LEAST_STEPS: u64 = 50;
 
 impl Batch {

@@ -37,14 +37,14 @@ const LARGE_BYTES: usize = 4 << 20;
 /// do not contend for it.
 const GATHERED_STEPS: u64 = 1 << 16;
 
-/// Why the rest of a batch is not computed.
+/// The reason why the rest of a batch is not computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Unanswered {
     TooLarge,
     NoMemory(NoMemory),
 }
 
-/// A batch being computed.
+/// The state of a batch while it is computed.
 pub(super) struct Run {
     pub(super) batch: Batch,
     pub(super) chunks: Chunks,
@@ -222,7 +222,7 @@ impl Run {
         self.job.stop.spend(steps)
     }
 
-    /// Fails if the caller has left, or if the batch can no longer be answered.
+    /// Fails if the caller has left, or if the batch cannot be answered any more.
     fn look(&self) -> Result<(), Stopped> {
         let ends = self.job.stop.is_stopped() || self.unanswered.get().is_some();
         if ends { Err(Stopped) } else { Ok(()) }

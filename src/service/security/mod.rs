@@ -62,7 +62,7 @@ impl Security {
         }
     }
 
-    /// The TLS configuration for the next TCP connection; none for plain text.
+    /// The TLS configuration for the next TCP connection, or `None` for plain text.
     pub(super) fn tls_config(&self) -> Option<Arc<ServerConfig>> {
         self.tls.as_ref().map(Tls::config)
     }

@@ -29,7 +29,7 @@ impl fmt::Display for SettingFile {
     }
 }
 
-/// Why files were refused; the text names the setting and the file.
+/// The reason why files were refused; the text names the setting and the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LoadError(String);
 
@@ -38,7 +38,7 @@ impl LoadError {
         Self(format!("{file}: {why}"))
     }
 
-    /// No file at the path of `setting`.
+    /// The error that no file is at the path of `setting`.
     pub(super) fn missing(setting: &str, why: &str) -> Self {
         Self(format!("{setting} is empty: {why}"))
     }
@@ -64,7 +64,7 @@ pub(super) struct Reloaded<T> {
     files: Vec<SettingFile>,
     parse: Parse<T>,
     current: RwLock<Current<T>>,
-    /// The fault that was logged last; none if the files could be used.
+    /// The fault that was logged last, or `None` if the files could be used.
     fault: Mutex<Option<LoadError>>,
 }
 

@@ -1,4 +1,4 @@
-//! TLS by rustls on ring, the only crypto provider in the dependency tree.
+//! TLS with rustls and ring, the only crypto provider in the dependency tree.
 
 use std::{path::Path, sync::Arc};
 

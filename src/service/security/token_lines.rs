@@ -22,8 +22,8 @@ const LISTS: [&str; 2] = ["query", "register"];
 /// line or after white space. A token without a name is named by its list and line number.
 ///
 /// # Errors
-/// There is no token, or a line makes a token that no call can send, or a name that is taken; the
-/// text names the line.
+/// The list has no token, a line has a token that no call can send, or a line has a name that is in
+/// use already. The text names the line.
 pub(super) fn read(contents: &[(&SettingFile, Vec<u8>)], list: &str) -> Result<List, LoadError> {
     let mut tokens = Vec::new();
     for (file, bytes) in contents {
@@ -41,9 +41,10 @@ pub(super) fn read(contents: &[(&SettingFile, Vec<u8>)], list: &str) -> Result<L
     Ok(List(tokens))
 }
 
-/// The name, if there is one, and the token of a line; none for a line without a token.
+/// The name, if there is one, and the token of a line, or `None` for a line without a token.
 fn parts(line: &str) -> Result<Option<(Option<&str>, &str)>, String> {
-    // In a comment, such a character would hide the token that an editor shows on a line of its own.
+    // An editor shows the text after such a character on a new line, so a token in it would look
+    // valid although it is part of a comment.
     let ends_a_line = |c: char| (c.is_control() && c != '\t') || matches!(c, '\u{2028}' | '\u{2029}');
     if let Some(c) = line.trim().chars().find(|&c| ends_a_line(c)) {
         return Err(format!("it has {}: end each line with a line feed (U+000A)", named_character(c)));
@@ -78,7 +79,7 @@ fn without_comment(line: &str) -> &str {
     comment.map_or(line, |(at, _)| &line[..at])
 }
 
-/// The parts of `name: token`; none if the line is only a token. A colon without white space after
+/// The parts of `name: token`, or `None` if the line is only a token. A colon without white space after
 /// it belongs to a token.
 fn named(line: &str) -> Result<Option<(&str, &str)>, String> {
     let Some((name, rest)) = line.split_once(':') else { return Ok(None) };
@@ -103,7 +104,7 @@ fn named(line: &str) -> Result<Option<(&str, &str)>, String> {
     Ok(Some((name, token.trim())))
 }
 
-/// Whether a token without a name could be called so.
+/// Whether this is the name of a token without a name.
 fn is_of_an_unnamed_token(name: &str) -> bool {
     let number = LISTS.iter().find_map(|list| name.strip_prefix(list)?.strip_prefix('.'));
     number.is_some_and(|number| !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit()))
@@ -120,8 +121,8 @@ mod tests {
         read(&[(&file, text.as_bytes().to_vec())], "query").map(|_| ()).expect_err(text).to_string()
     }
 
-    /// Catches a line that is taken although it makes a token that no call can send, or that hides
-    /// another token; and an error that does not name setting, file and line.
+    /// Catches a line that is accepted although no call can send its token, or although it hides
+    /// another token. Also catches an error that does not name setting, file and line.
     #[test]
     fn lines_that_make_no_usable_token_are_refused_by_number() {
         let long = format!("a\n{}", "b".repeat(TOKEN_BYTES + 1));
@@ -151,8 +152,8 @@ mod tests {
         assert_eq!(error("# none\n\n"), "query_tokens list: no token in it");
     }
 
-    /// Catches two tokens of one name where only one line gives it: two callers would share one
-    /// budget. Also catches names that are refused without reason.
+    /// Catches two tokens with the same name if one of the names is implied by the line number: two
+    /// callers would share one budget. Also catches names that are refused without reason.
     #[test]
     fn no_line_takes_the_name_of_an_unnamed_token() {
         for name in ["query.2", "register.1", "query.007"] {

@@ -42,7 +42,7 @@ pub(super) struct Token {
 }
 
 impl Tokens {
-    /// None if no list is named: then every call is allowed.
+    /// Reads the lists. Returns `None` if no list is named; then every call is allowed.
     ///
     /// # Errors
     /// A list cannot be read or has no token.
@@ -128,8 +128,8 @@ mod tests {
         tokens.check(role, &headers).map_or_else(|error| error.reason, |_| "")
     }
 
-    /// Catches a comment, name or colon that is taken for part of a token, a list in the older
-    /// format that is read differently, and a token that becomes a name.
+    /// Catches a comment, name or colon that is read as part of a token, a list in the older format
+    /// that is read differently, and a token that is read as a name.
     #[test]
     fn lines_are_tokens_with_names_and_comments() {
         let long = format!("{}: five", "n".repeat(NAME_BYTES + 1));
@@ -166,8 +166,8 @@ mod tests {
         }
     }
 
-    /// Catches a prefix, a comment or an empty line that is taken for a token, and one role taken
-    /// for the other.
+    /// Catches a prefix, a comment or an empty line that is accepted as a token, and a role that is
+    /// confused with the other.
     #[test]
     fn tokens_have_the_roles_of_their_lists() {
         let (_directory, files) = lists("# rotated in May\nabc\n\n  old \n", "abcd\n");
@@ -213,8 +213,9 @@ mod tests {
         assert_eq!(state(), ["UNKNOWN_TOKEN", ""]);
     }
 
-    /// A list may be replaced by any kind of entry. Catches a reload that waits for the writer of a
-    /// FIFO for ever, one that reads without a bound, and one that no later reload mends.
+    /// A list may be replaced by any kind of entry. Catches a reload that waits forever for the
+    /// writer of a FIFO, a reload that reads without a bound, and a failed reload that no later one
+    /// repairs.
     #[test]
     fn whatever_replaces_a_list_the_next_reload_can_mend() {
         let (directory, files) = lists("one", "admin");

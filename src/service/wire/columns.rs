@@ -92,7 +92,7 @@ columns! {
     kept_areas: f64,
 }
 
-/// Why a pair is not answered. It affects only pairs of the body or hull at fault.
+/// The reason why a pair is not answered. It affects only pairs of the body or hull at fault.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Invalid {
     unknown_hull: bool,
@@ -101,12 +101,12 @@ pub struct Invalid {
 }
 
 impl Invalid {
-    /// A body's pose is not usable.
+    /// Records that the pose of a body is not usable.
     pub fn body(&mut self) {
         self.invalid_body = true;
     }
 
-    /// A body's hull is missing.
+    /// Records that the hull of a body is missing.
     pub fn hull(&mut self, missing: Missing) {
         match missing {
             Missing::Unknown => self.unknown_hull = true,
@@ -136,7 +136,7 @@ impl Columns {
         self.outcomes.is_empty()
     }
 
-    /// Bytes on the wire, without the few that frame the columns.
+    /// Bytes on the wire, without the tags and lengths of the columns.
     pub fn wire_bytes(&self, outputs: Outputs) -> usize {
         self.len() * outputs.pair_bytes() + self.points * outputs.point_bytes()
     }

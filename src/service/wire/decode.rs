@@ -28,10 +28,10 @@ use crate::{
     store::HullId,
 };
 
-/// The most entries of `outputs`: many times the current values, and newer ones.
+/// The most entries of `outputs`: many times the number of current values, to leave room for newer ones.
 const MAX_OUTPUTS: u32 = 256;
 
-/// The most entries of `field_mask.paths`: many times the current paths.
+/// The most entries of `field_mask.paths`: many times the number of current paths.
 const MAX_PATHS: u32 = 256;
 
 /// The memory of a request's hull besides its points, or of an id: its entries in lists and tables
@@ -78,7 +78,7 @@ struct QueryCounts {
     hull_ids: usize,
     hull_id_bytes: usize,
     outputs: usize,
-    /// In the order of the message's `COLUMNS`.
+    /// The counts are in the order of the message's `COLUMNS`.
     columns: [usize; proto::QueryContactsRequest::COLUMNS.len()],
     column_bytes: usize,
 }
@@ -249,7 +249,7 @@ impl HullCounts {
         Ok(counts)
     }
 
-    /// Why the hull is refused, if it is.
+    /// The reason why the hull is refused, or `None` if it is accepted.
     fn refusal(&self, limits: &Limits) -> Option<proto::HullError> {
         if !self.vertices.is_multiple_of(3) {
             return Some(malformed("vertices", self.vertices, "3 per point"));
@@ -378,7 +378,7 @@ fn paths<'a>(message: &'a [u8], meter: &Meter<'_>) -> Result<Vec<&'a str>, Servi
 /// The contents of a `ListHulls` request.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::service) struct Listing {
-    /// The size of the page; 0 stands for the server's default.
+    /// The size of the page; 0 means the server's default.
     pub(in crate::service) page_size: u32,
     /// The last hull of the previous page.
     pub(in crate::service) after: Option<HullId>,
@@ -411,11 +411,11 @@ impl Request for proto::GetServerInfoRequest {
     }
 }
 
-/// Decodes and checks a message as the handler of `method` does. Returns the memory that this takes
-/// from the budget. For fuzzing, and for tests of memory.
+/// Decodes and checks a message as the handler of `method` does. Returns the memory that this takes from
+/// the budget. Used by the fuzz target and by tests of memory.
 ///
 /// # Errors
-/// Those of the handler.
+/// The errors of the handler.
 #[doc(hidden)]
 pub fn decoded_bytes(
     method: &str,

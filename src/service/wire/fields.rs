@@ -21,7 +21,7 @@ const FIELD_STEPS: u64 = 5;
 /// Bytes copied per elementary step, including the system's work for new pages.
 pub(super) const BYTES_PER_STEP: usize = 4;
 
-/// Why reading ended early.
+/// The reason why reading ended early.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Fault {
     /// The bytes are not a message of this type.
@@ -146,7 +146,7 @@ impl<'a> Fields<'a> {
         Self { rest: message, depth: DEPTH - levels }
     }
 
-    /// The next field; none at the end. A group counts as one field without content.
+    /// The next field, or `None` at the end. A group counts as one field without content.
     pub(super) fn next(&mut self, meter: &Meter<'_>) -> Result<Option<Field<'a>>, Fault> {
         if self.rest.is_empty() {
             return Ok(None);

@@ -37,8 +37,8 @@ pub struct Scene {
     pub memory: Option<Permit>,
 }
 
-/// Poses as they arrived. The pose of a body is made when one of its pairs is computed, on a
-/// compute thread, and from 56 bytes instead of 104.
+/// Poses as they arrived. A body's pose is converted when one of its pairs is computed. So compute
+/// threads do this work, and until then a pose takes 56 bytes instead of 104.
 #[derive(Clone, Debug, Default)]
 pub struct Poses {
     positions: Vec<f64>,
@@ -292,8 +292,8 @@ fn checked_accuracy(accuracy: &proto::Accuracy) -> Result<Accuracy, ServiceError
     Ok(Accuracy { solver, relative_tolerance, feature_angle, max_points, ..defaults })
 }
 
-/// The error for an unknown option. To ignore it would be a wrong answer, since another computation
-/// was requested.
+/// The error for an unknown option. If the server ignored it, the answer would be wrong, since
+/// another computation was requested.
 fn unknown_value(field: &'static str, value: i32) -> ServiceError {
     let message = format!("got {value}, which this version of the server does not know");
     ServiceError::invalid("UNKNOWN_VALUE", field, message)
@@ -331,7 +331,7 @@ impl Poses {
         let bodies = positions.as_chunks::<3>().0.iter().zip(rotations.as_chunks::<4>().0);
         let unusable =
             |(position, rotation): (&[f64; 3], &[f64; 4])| Pose::check(*position, *rotation).is_err();
-        // Count first, so that the list is allocated once.
+        // The unusable poses are counted first, so that the list is allocated once.
         let mut count = 0;
         for body in bodies.clone() {
             meter.spend(POSE_STEPS)?;
@@ -348,7 +348,7 @@ impl Poses {
         Ok((Self { positions, rotations }, invalid))
     }
 
-    /// The pose of a body; none if it is not usable.
+    /// The pose of a body, or `None` if it is not usable.
     pub fn get(&self, body: usize) -> Option<Pose> {
         let (positions, _) = self.positions.as_chunks::<3>();
         let (rotations, _) = self.rotations.as_chunks::<4>();

@@ -51,8 +51,8 @@ impl Root {
     /// Opens the directory at `path`, which is created if it is missing.
     pub(super) fn open(path: &Path) -> io::Result<Self> {
         std::fs::create_dir_all(path)?;
-        // A server that was killed may have created entries without syncing them: that of the
-        // directory itself, and those of the shards in it.
+        // A server that was killed may have created the directory, or shards in it, without syncing
+        // their entries.
         let path = path.canonicalize()?;
         File::from(openat(CWD, &path, DIRECTORY, Mode::empty())?).sync_all()?;
         if let Some(parent) = path.parent() {
@@ -75,7 +75,7 @@ impl Root {
         }
     }
 
-    /// A subdirectory of the root; none if it does not exist.
+    /// A subdirectory of the root, or `None` if it does not exist.
     fn subdirectory(&self, root: &File, name: &str) -> Result<Option<File>, StoreError> {
         match openat(root, name, DIRECTORY, Mode::empty()) {
             Ok(directory) => Ok(Some(directory.into())),
@@ -130,7 +130,7 @@ impl Root {
             Ok::<_, io::Error>(renameat(directory, &temporary, directory, name)?)
         })();
         if let Err(error) = written {
-            // Nobody reads a file of this name; if it stays, it only takes space.
+            // No server reads a file of this name. If it stays, it only takes space.
             let _ = unlinkat(directory, &temporary, AtFlags::empty());
             return Err(failed(error));
         }
@@ -156,8 +156,7 @@ impl Root {
     fn move_away(&self, root: &File, shard: &File, name: &str) -> Result<(), StoreError> {
         let (quarantine, _) = self.made(root, QUARANTINE)?;
         for number in 1..=NAMES_TRIED {
-            // If the new name is an empty directory's, the rename replaces that directory and
-            // nothing is lost.
+            // If an empty directory has the new name, the rename replaces it and nothing is lost.
             match renameat(shard, name, &quarantine, format!("{name}-directory-{number}")) {
                 Ok(()) => return Ok(()),
                 Err(Errno::EXIST | Errno::NOTEMPTY | Errno::NOTDIR) => {}
@@ -331,7 +330,7 @@ impl Root {
     }
 }
 
-/// Why a file was not written.
+/// The error of a file that was not written.
 struct Failed {
     errno: Option<Errno>,
     why: StoreError,
@@ -343,7 +342,7 @@ impl Failed {
     }
 }
 
-/// The size of a regular file; none for any other kind of entry.
+/// The size of a regular file, or `None` for any other kind of entry.
 fn blob_size(status: &Stat) -> Option<u64> {
     let is_file = FileType::from_raw_mode(status.st_mode) == FileType::RegularFile;
     u64::try_from(status.st_size).ok().filter(|_| is_file)

@@ -151,10 +151,10 @@ pub(crate) fn with_token<T>(message: T) -> Request<T> {
 
 /// The time that the server asks the client to wait. Any other failure of the call fails the test.
 fn pushback(status: &Status) -> Duration {
-    assert_eq!(status.code(), Code::Unavailable, "the bystander is told {status:?}");
+    assert_eq!(status.code(), Code::Unavailable, "the bystander got {status:?}");
     let pushback = status.metadata().get("grpc-retry-pushback-ms").and_then(|value| value.to_str().ok());
     let pushback = pushback.and_then(|value| value.parse().ok());
-    Duration::from_millis(pushback.unwrap_or_else(|| panic!("no time to come back in {status:?}")))
+    Duration::from_millis(pushback.unwrap_or_else(|| panic!("no time to retry in {status:?}")))
 }
 
 async fn within<T>(call: impl Future<Output = T>) -> T {

@@ -28,7 +28,7 @@ pub(crate) struct Server {
     pub(crate) admin: SocketAddr,
     /// The Unix socket on which the server also listens.
     pub(crate) socket: PathBuf,
-    /// The certificate that clients have to trust; none if TCP is not encrypted.
+    /// The certificate that clients have to trust, or `None` if TCP is not encrypted.
     pub(crate) certificate: Option<String>,
     directory: TempDir,
 }
@@ -128,7 +128,7 @@ impl Server {
         }
     }
 
-    /// The value of one metric; none if the server does not have it.
+    /// The value of one metric, or `None` if the server does not have it.
     pub(crate) async fn metric(&self, name: &str) -> Option<f64> {
         value(&self.metrics().await, name)
     }

@@ -34,7 +34,7 @@ pub(crate) struct Setup {
     pub(crate) over_unix: bool,
     /// Arguments for the shell's `ulimit`, for example `-n 64`.
     pub(crate) ulimit: Option<String>,
-    /// The size of the hull cache in bytes; none for the default of the size.
+    /// The size of the hull cache in bytes, or `None` for the default of the size.
     pub(crate) cache: Option<u64>,
     /// Fills the store's directory before the server starts.
     pub(crate) fill_store: Option<fn(&Path)>,

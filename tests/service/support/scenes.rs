@@ -351,6 +351,6 @@ pub(crate) fn assert_same(found: &QueryContactsResponse, expected: &QueryContact
     if found.encode_to_vec() != expected.encode_to_vec() {
         // The bytes decide; the comparison of the messages shows the column that differs.
         assert_eq!(found, expected);
-        panic!("equal but for the sign of a zero or the bits of a NaN");
+        panic!("equal except for the sign of a zero or the bits of a NaN");
     }
 }

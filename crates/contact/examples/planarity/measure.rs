@@ -12,14 +12,15 @@ use crate::shapes::{Group, ROUNDINGS, Rounding};
 
 pub(crate) const PLANARITIES: [f64; 11] = [1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 7e-4, 1e-3, 2e-3, 5e-3, 1e-2];
 
-/// How deep a shape is sunk into the floor, and the margin for contact points; both as shares of the circumradius.
+/// How deep a shape is sunk into the floor, and the margin for contact points. Both are fractions of the
+/// circumradius.
 const DEPTH: f64 = 1e-3;
 const MARGIN: f64 = 1e-2;
 /// Two faces at an angle larger than this, the default feature angle, count as different features for contacts.
 const FEATURE_ANGLE: f64 = 1e-2;
 /// The number of orientations of each shape in which times are measured.
 const TIMED: usize = 20;
-/// A patch is whole if its area is within this share of the unrounded shape's area.
+/// A patch is whole if its area is within this fraction of the unrounded shape's area.
 const WHOLE: f64 = 0.01;
 
 /// The figures of one group, rounding and planarity; most are sums over shapes and orientations.

@@ -50,7 +50,7 @@ enum Kind {
     Edges(usize, usize),
 }
 
-/// Two axes count as one if their growth scales differ by less than this share. It only chooses the
+/// Two axes count as one if their growth scales differ by less than this fraction. It only chooses the
 /// start, so no answer depends on the value.
 const SAME_AXIS: f64 = 1e-9;
 
@@ -67,8 +67,8 @@ impl<'a> Boxes<'a> {
         Some(Self { a, b, half_a, half_b, axes, size, ray, along, reach })
     }
 
-    /// The face normal, A's frame, along which the boxes seem farthest apart. None if that is not beyond
-    /// the margin (pair units).
+    /// The face normal, A's frame, along which the boxes seem farthest apart. None if they do not seem apart
+    /// by more than the margin (pair units).
     pub(crate) fn seem_apart(&self, pair: &Pair<'_>, margin: f64) -> Option<DVec3> {
         let mut best = (margin, 0, 0);
         for (hull, (along, reach)) in self.along.iter().zip(&self.reach).enumerate() {
@@ -267,8 +267,8 @@ mod tests {
     use crate::workload::{Family, Regime, Workload};
     use crate::{Body, ConvexHull, Pose, Query, Workspace, contact_manifold};
 
-    /// A start beside the ray costs steps and shows nowhere else. Catches a sign lost in the closed form
-    /// and a wrong corner of the octagon.
+    /// A start that misses the ray costs steps and has no other effect, so only this test notices it.
+    /// Catches a sign that is lost in the closed form and a wrong corner of the octagon.
     #[test]
     fn the_start_is_the_facet_that_the_ray_crosses() {
         for regime in [Regime::Shallow, Regime::Resting] {

@@ -50,7 +50,7 @@ pub(crate) enum Growth {
     Separated(Separation),
 }
 
-/// Growth scale and normal. The three scales are those of `d`.
+/// Growth scale and normal. The scale and both ends of its bracket are for `d`, not for the ray.
 pub(crate) struct Solution {
     pub(crate) alpha: f64,
     pub(crate) lower: f64,
@@ -59,7 +59,7 @@ pub(crate) struct Solution {
     pub(crate) normal: DVec3,
     /// The vertex of `K` farthest along the normal.
     pub(crate) support: Support,
-    /// Points of `K` whose cone holds `d`: the basis, if none is an inner point.
+    /// Points of `K` whose cone holds `d`. They are the basis unless one of them is an inner point.
     pub(crate) triple: [Support; 3],
     pub(crate) gap_open: bool,
     /// Wide arithmetic could improve the normal or the weights.
@@ -89,7 +89,8 @@ pub(crate) struct Goal {
     /// Width of the bracket at which the solver may stop, relative to alpha.
     pub(crate) relative_tolerance: f64,
     pub(crate) max_iterations: u32,
-    /// A pair farther apart than this (pair units) needs no answer but that; infinity for none.
+    /// If a pair is farther apart than this (pair units), the answer is only that. Infinity excludes no
+    /// pair.
     pub(crate) margin: f64,
     /// Whether only the outcome matters, so that the solver may stop once the hulls certainly overlap.
     pub(crate) outcome_only: bool,
@@ -162,7 +163,7 @@ fn coincident(pair: &mut Pair<'_>, goal: &Goal) -> Solution {
         Growth::Solved(solution) => {
             Solution { alpha: 0.0, lower: 0.0, upper, gap_open: false, coincident: true, ..solution }
         }
-        // Cannot happen: nothing lies beyond an infinite margin.
+        // This cannot happen, because no distance exceeds an infinite margin.
         Growth::Separated(Separation { direction, support, cost }) => Solution {
             alpha: 0.0,
             lower: 0.0,
@@ -224,7 +225,8 @@ pub(crate) fn conclude(
 ) -> Solution {
     let lower = lower_bound(pair, n, &support);
     let is_open = |upper: f64| !(upper - lower <= pair.closed_width(upper, goal.relative_tolerance));
-    // Plain weights first. Wide ones are worth their cost only if the bracket is open and matters.
+    // The weights are computed in double precision first. Wide arithmetic is worth its cost only if the
+    // bracket is open and the query needs it.
     let mut upper = upper_bound(pair, &triple, triple::weights(pair.ray, &triple));
     if is_open(upper) && !decides(pair, upper, goal) {
         upper = upper.min(upper_bound(pair, &triple, triple::wide_weights(pair.ray, &triple)));

@@ -101,8 +101,8 @@ fn look(
     }
     let refined = refined(pair, &portal, normal, &w, 0.0);
     if refined {
-        // A bracket of the tolerance asked for could also close for a cone beside the ray, so ask for
-        // the closest bracket.
+        // At the requested tolerance the bracket could close although the cone misses the ray. So this
+        // asks for the narrowest bracket.
         let closest = Goal { relative_tolerance: 0.0, ..*goal };
         let solution = conclude(pair, n, w, portal.supports(), &closest, *cost);
         if !solution.gap_open && !solution.coarse {

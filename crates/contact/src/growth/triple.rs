@@ -195,7 +195,7 @@ pub(crate) fn wide_weights(ray: DVec3, triple: &[Support; 3]) -> [f64; 3] {
 mod tests {
     use super::*;
 
-    /// A sign that is reversed in the exact branch only would show at ties only.
+    /// If only the exact branch reversed a sign, only ties would show it.
     #[test]
     fn plain_and_exact_turns_agree() {
         let (ray, w, u) = (DVec3::new(0.1, -0.2, 1.0), DVec3::new(0.7, 0.1, 0.3), DVec3::new(-0.2, 0.9, 0.4));

@@ -82,7 +82,7 @@ impl ConvexHull {
         self.faces.iter().map(|face| face.planarity).fold(0.0, f64::max) * self.scale + self.deviation
     }
 
-    /// How far the vertices of a face were allowed to lie from its plane, as a share of the
+    /// How far the vertices of a face were allowed to lie from its plane, as a fraction of the
     /// circumradius. [`ConvexHull::geometric_error`] has the distance that was reached.
     pub fn planarity(&self) -> f64 {
         self.planarity

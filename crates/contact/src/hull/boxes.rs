@@ -4,7 +4,7 @@ use glam::{DMat3, DVec3};
 
 use super::Face;
 
-/// How far a corner may be from the corner of the ideal box: a share of the circumradius. The
+/// How far a corner may be from the corner of the ideal box: a fraction of the circumradius. The
 /// shape only gives the solver its first directions, so no result depends on this value.
 const CORNER_ERROR: f64 = 1e-9;
 

@@ -74,7 +74,7 @@ impl Cloud {
             meter.spend(PASS * block.len() as u64)?;
             scaled.extend(block.iter().map(|&p| p * shrink));
         }
-        // One ulp up covers the rounding of the subtraction.
+        // Rounding up by one ulp covers the rounding of the subtraction.
         let extent = extent * shrink * (1.0 + f64::EPSILON);
         Ok(Self { points, scaled, registered, unit: power_of_two(exponent), extent })
     }

@@ -48,7 +48,7 @@ const TRIANGLE: u64 = 20;
 /// Steps to compute the height of one vertex along a normal.
 const HEIGHT: u64 = 3;
 
-/// The tolerance is at most this share of the inradius, however large the planarity is. So the
+/// The tolerance is at most this fraction of the inradius, however large the planarity is. So the
 /// two sides of a thin plate, or a side and the rim, never become one face.
 const PLANARITY_PER_INRADIUS: f64 = 1.0 / 64.0;
 /// The tolerance is at least this, in hull units. It covers the rounding of the vertices, which
@@ -96,7 +96,7 @@ pub(super) struct Groups {
     pub(super) tolerance: f64,
 }
 
-/// Groups the triangles of a surface into faces. `planarity` is a share of the circumradius.
+/// Groups the triangles of a surface into faces. `planarity` is a fraction of the circumradius.
 pub(super) fn groups(surface: &Surface<'_>, planarity: f64, meter: &Meter<'_>) -> Result<Groups, Stopped> {
     let tolerance = (planarity * surface.circumradius)
         .min(PLANARITY_PER_INRADIUS * surface.inradius)

@@ -57,15 +57,15 @@ pub struct HullOptions {
     /// How to simplify the hull. The simplified hull keeps the contraction point of the whole
     /// hull. If absent, the hull keeps all extreme vertices.
     pub simplification: Option<Simplification>,
-    /// How far the vertices of one face may lie from the plane of the face: a share of the
+    /// How far the vertices of one face may lie from the plane of the face: a fraction of the
     /// circumradius, from 0 (rounding only) to [`MAX_PLANARITY`]. If absent, the hull uses
     /// [`ABSENT_PLANARITY`]. The allowed distance never exceeds 1/64 of the inradius.
     pub planarity: Option<f64>,
 }
 
-/// The largest planarity that a hull may be registered with: a share of the circumradius.
+/// The largest planarity that a hull may be registered with: a fraction of the circumradius.
 pub const MAX_PLANARITY: f64 = 0.01;
-/// The planarity of hulls that are registered without one: a share of the circumradius. This
+/// The planarity of hulls that are registered without one: a fraction of the circumradius. This
 /// value must never change, because the faces of stored hulls depend on it.
 pub const ABSENT_PLANARITY: f64 = 1e-6;
 
@@ -217,7 +217,7 @@ fn check_planarity(planarity: Option<f64>) -> Result<(), HullError> {
     }
 }
 
-/// Converts the error of a build whose [`Stop`] nobody else holds, so that it cannot be stopped.
+/// Converts the error of a build whose [`Stop`] no other code holds, so that it cannot be stopped.
 fn never_stopped(error: BuildError) -> HullError {
     match error {
         BuildError::Hull(error) => error,

@@ -5,11 +5,11 @@
 //! and the contraction point, rounded once, and divided by a power of two, which rounds nothing
 //! but subnormal numbers.
 //!
-//! The two radii are certified. The circumradius is the largest distance of a vertex, rounded up.
-//! The inradius is the smallest depth of the contraction point below the exact planes of the
-//! triangles, less the distance by which rounding moved a vertex, rounded down. Both take linear
-//! time: depths are computed in double precision first, and again more finely only for the planes
-//! that may be the nearest.
+//! The two radii are certified. The circumradius is the largest distance of a vertex, rounded up. The
+//! inradius is the smallest depth of the contraction point below the exact planes of the triangles,
+//! less the distance by which rounding moved a vertex, rounded down. Both take linear time: depths
+//! are computed in double precision first, and with higher precision only for the planes that may be
+//! the nearest.
 
 use glam::DVec3;
 
@@ -31,9 +31,9 @@ const MOVE: u64 = 12;
 /// Steps to compute the normal or the depth of a triangle in double-double numbers.
 const NORMAL: u64 = 100;
 
-/// The inradius must exceed this share of the circumradius. At this depth alpha is known to about
+/// The inradius must exceed this fraction of the circumradius. At this depth alpha is known to about
 /// a thousandth only (its error is `64 u R/r`). At a tenth of this depth, the rounding of the
-/// vertices would be as large as the tolerance that keeps faces apart, a share of the inradius.
+/// vertices would be as large as the tolerance that keeps faces apart, a fraction of the inradius.
 const THINNEST: f64 = 65536.0 * U;
 
 /// More than the rounding errors of two inradii; hull units.
@@ -204,7 +204,7 @@ impl Solid {
             meter.spend(MOVE)?;
             nearest = nearest.min(depth(t));
         }
-        // Compute the depth again more finely for the planes that may be the nearest.
+        // Compute the depth again with higher precision for the planes that may be the nearest.
         let mut refined = f64::INFINITY;
         for t in (0..normals.len()).filter(|&t| depth(t) <= nearest + 2.0 * ERROR) {
             meter.spend(NORMAL)?;

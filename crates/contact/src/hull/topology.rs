@@ -160,7 +160,7 @@ impl Sweep {
         let Self { sorted, polygon, outline } = self;
         outline.clear();
         if let &[u, v, w] = corners {
-            // A triangle is both chains at once.
+            // For a triangle, the two chains are the triangle itself.
             let [a, b, c] = [u, v, w].map(|v| (flat(v), v));
             let first = |p: &Corner, q: &Corner| along(p, q).is_lt();
             let [a, b, c] = match (first(&a, &b), first(&b, &c), first(&c, &a)) {

@@ -81,7 +81,7 @@ impl Run {
         let (mut first, mut count, mut starts) = (0, 0, 0);
         let mut before = *distances.last()? >= least;
         for (i, &distance) in distances.iter().enumerate() {
-            // Without branches, because they would be unpredictable.
+            // Computed without branches, because they would be unpredictable.
             let inside = distance >= least;
             let starts_here = inside & !before;
             first = if starts_here { i } else { first };

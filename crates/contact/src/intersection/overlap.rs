@@ -85,7 +85,7 @@ fn lifted(v: &Vertex, subject: &Outline, window: &Outline) -> [(Element, f64); 2
             [(Element::Inside, subject.height(v.at)), (name, height)]
         }
         Made::Crossing(i, j) => [side(subject, i), side(window, window.side_beside(j, v.at))],
-        // Clipping leaves none of these.
+        // Clipping replaces all of these.
         Made::Meeting([_, j]) => [(Element::Inside, subject.height(v.at)), side(window, j)],
     }
 }

@@ -93,7 +93,7 @@ impl SupportMap {
     }
 
     /// The vertex farthest along `n`; the lowest index if several tie. `None` if the cell has no
-    /// list of candidates, or if `n` is no direction.
+    /// list of candidates, or if `n` is zero or not finite.
     #[inline]
     pub(crate) fn farthest(&self, vertices: &[DVec3], n: DVec3) -> Option<u32> {
         let (mut farthest, mut largest) = (u32::MAX, f64::NEG_INFINITY);

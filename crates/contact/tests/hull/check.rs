@@ -53,7 +53,7 @@ fn check_surface(points: &[[f64; 3]], surface: &Triangulation, hull: &ConvexHull
         .enumerate()
         .flat_map(|(t, &[a, b, c])| [([a, b], t), ([b, c], t), ([c, a], t)])
         .collect();
-    assert_eq!(sides.len(), 3 * triangles.len(), "a side twice");
+    assert_eq!(sides.len(), 3 * triangles.len(), "a side occurs twice");
     let used: BTreeSet<u32> = triangles.iter().flatten().copied().collect();
     assert!(used.iter().eq(hull.registered_indices()), "vertices of hull and triangulation differ");
     assert_eq!(triangles.len() + 4, 2 * used.len(), "Euler's formula");
@@ -79,7 +79,7 @@ fn check_surface(points: &[[f64; 3]], surface: &Triangulation, hull: &ConvexHull
 /// The vertices in hull units are the given points, and both radii are bounds, though tight ones.
 fn check_sizes(points: &[[f64; 3]], surface: &Triangulation, hull: &ConvexHull) {
     let (center, scale) = (hull.contraction_point(), hull.scale());
-    assert_eq!(scale.to_bits() & ((1 << 52) - 1), 0, "the scale is no power of two");
+    assert_eq!(scale.to_bits() & ((1 << 52) - 1), 0, "the scale is not a power of two");
     assert!((0.5..1.0).contains(&hull.unit_circumradius()));
     assert!(hull.unit_inradius() > 0.0);
     for (&v, &i) in hull.vertices().iter().zip(hull.registered_indices()) {
@@ -206,7 +206,7 @@ fn folds_back(hull: &ConvexHull, edge: [u32; 2], faces: [u32; 2], slack: f64) ->
 /// Edges are sorted, each is between two faces that contain both its ends, and the numbers of
 /// corners, edges and faces satisfy Euler's formula.
 fn check_edges(hull: &ConvexHull, met: &mut Met) {
-    assert!(hull.edge_vertices().windows(2).all(|w| w[0] < w[1]), "edges not ascending, or twice");
+    assert!(hull.edge_vertices().windows(2).all(|w| w[0] < w[1]), "edges are repeated or not ascending");
     for (&[from, to], &[left, right]) in hull.edge_vertices().iter().zip(hull.edge_faces()) {
         assert!(from < to && left != right);
         for face in [left, right] {
@@ -229,7 +229,10 @@ fn check_edges(hull: &ConvexHull, met: &mut Met) {
         let slack = 16.0 * planarity / hull.unit_inradius();
         if length * n.cross(m).length() > slack && !folds_back(hull, [from, to], [left, right], slack) {
             met.ordered_edges += 1;
-            assert!(!runs(left, to, from) && !runs(right, from, to), "left and right exchanged");
+            assert!(
+                !runs(left, to, from) && !runs(right, from, to),
+                "the left and right faces of an edge are exchanged"
+            );
         }
     }
     let corners = (0..hull.vertex_count()).filter(|&v| !hull.vertex_edges(v).is_empty()).count();

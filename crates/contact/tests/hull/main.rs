@@ -44,7 +44,7 @@ fn every_cloud_gives_a_hull() {
 }
 
 /// Every definition holds for the hulls of random shapes, and a shape without a hull is refused with
-/// a reason that is no internal error.
+/// a reason other than an internal error.
 #[test]
 fn random_clouds_give_hulls_or_reasons() {
     let (mut met, mut refused) = (Met::default(), 0);
@@ -253,8 +253,8 @@ fn heap_bytes_follow_the_counts() {
         let (v, f, e) = (hull.vertex_count(), hull.face_count(), hull.edge_count());
         assert_eq!((v, f, e), (vertices, faces, edges));
         assert_eq!(hull.heap_bytes(), hull.clone().heap_bytes());
-        // At least vertices, planes and edges; at most these with all adjacency lists and the data
-        // that speed up queries.
+        // The least is the vertices, planes and edges. The most adds all adjacency lists and the
+        // data that speed up queries.
         let (least, most) = (v * 24 + f * 32 + e * 16, v * 128 + f * 96 + e * 64);
         assert!((least..=most).contains(&hull.heap_bytes()), "{} of {v} vertices", hull.heap_bytes());
     }

@@ -131,7 +131,7 @@ fn line(definition: &Definition, built: &Result<ConvexHull, HullError>) -> Strin
         }
         Err(error) => write!(line, "{}", error.kind.reason()),
     };
-    written.expect("a string takes everything");
+    written.expect("writing to a String cannot fail");
     line
 }
 

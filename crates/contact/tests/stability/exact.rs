@@ -5,7 +5,7 @@ use num_bigint::{BigInt, Sign};
 
 pub(crate) type V = [BigInt; 3];
 
-/// `x` as an odd integer times `2^exponent`; none if `x` is 0.
+/// `x` as an odd integer times `2^exponent`, or `None` if `x` is 0.
 pub(crate) fn parts(x: f64) -> Option<(BigInt, i32)> {
     assert!(x.is_finite(), "{x} is no number");
     if x == 0.0 {

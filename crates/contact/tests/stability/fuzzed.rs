@@ -178,7 +178,7 @@ fn contraction_points_below_the_normal_doubles_hold_their_certificate() {
     let mut subnormal = 0;
     for _ in 0..400 {
         let centre = random.direction().map(|x| x * 10f64.powf(random.range(-321.0, -307.0)));
-        // The smaller the hulls are, the larger is the share of alpha that one bit of the centre
+        // The smaller the hulls are, the larger is the fraction of alpha that one bit of the centre
         // decides.
         let half = [0; 3].map(|_| 10f64.powf(random.range(-4.0, 0.0)));
         let shapes = [Shape::about(box_points(half), Some(centre)), Shape::centred(box_points(half))];

@@ -44,7 +44,7 @@ impl Candidates {
     }
 }
 
-/// Why the definition does not allow `feature`, or none if it does.
+/// The reason why the definition does not allow `feature`, or `None` if it does.
 pub(crate) fn objection(asked: &Asked<'_>, feature: Feature) -> Option<String> {
     let support = asked.support();
     let [faces, edges] = [asked.faces(&support), asked.edges(&support)];
@@ -192,8 +192,8 @@ fn arc_holds(hull: &ConvexHull, edge: usize, n: DVec3, slack: f64) -> bool {
     // Sines of signed angles from one end; the arc is shorter than half a turn.
     let side = m0.cross(m1).dot(along).signum();
     let from = |m: DVec3, to: DVec3| side * m.cross(to).dot(along);
-    // The normals of merged faces are off the edge by their planarity, so the test is no sharper
-    // than that.
+    // The normals of merged faces may deviate from the edge by their planarity, so the test allows
+    // for that.
     let slack = slack + slack.signum() * 64.0 * U;
     from(m0, n) >= -slack && from(n, m1) >= -slack
 }

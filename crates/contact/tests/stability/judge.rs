@@ -1,5 +1,5 @@
 //! Compares the answers for a case with the exact ones, and keeps the score of a cell: counts,
-//! flags, and the worst error as a share of its budget.
+//! flags, and the worst error as a fraction of its budget.
 
 use hullcast_contact::{
     Basis, Body, Feature, Manifold, Outcome, Query, Solver, Wanted, Workspace, certificate, contact_manifold,
@@ -14,7 +14,7 @@ use super::polygon;
 /// Unit roundoff.
 pub(crate) const U: f64 = f64::EPSILON / 2.0;
 
-/// The measured errors, each as a share of its budget.
+/// The measured errors, each as a fraction of its budget.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Measure {
     /// `|alpha - exact|` over `alpha tol + 16 u alpha R/r + 16 u M/r`.

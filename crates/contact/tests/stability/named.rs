@@ -208,9 +208,9 @@ fn boxes_an_epsilon_apart() {
     }
 }
 
-/// fcl#545. A small cube on the diagonal of a large one, at alpha 0.99. The ray meets a corner of
-/// the difference; if the tie is resolved to a direction that is no face normal, the depth comes
-/// out sqrt(3) times too large.
+/// fcl#545. A small cube on the diagonal of a large one, at alpha 0.99. The ray meets a corner of the
+/// difference; if the tie is resolved to a direction that is not a face normal, the depth comes out
+/// sqrt(3) times too large.
 #[test]
 fn small_cube_on_the_diagonal() {
     for small in [0.1, 1e-3] {

@@ -316,7 +316,7 @@ pub(crate) struct Distance<'a> {
 }
 
 impl Distance<'_> {
-    /// The unit direction from A to B; none if the hulls meet.
+    /// The unit direction from A to B, or `None` if the hulls meet.
     pub(crate) fn direction(&self) -> Option<[f64; 3]> {
         let [x, y, z] = unit_floats(std::slice::from_ref(&self.point))[0];
         let length = (x * x + y * y + z * z).sqrt();

@@ -1,4 +1,4 @@
-//! Input that is no valid hull or pose is refused with the reason.
+//! Tests that input without a valid hull or pose is refused with the reason.
 
 use hullcast_contact::{ConvexHull, HullErrorKind, HullOptions, InvalidPose, Pose};
 

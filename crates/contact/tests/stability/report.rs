@@ -33,7 +33,7 @@ pub(crate) fn failures(scores: &[Score]) -> Vec<String> {
     cells(scores).flat_map(of).collect()
 }
 
-/// The share of a cell's cases with a flag that excuses an error; ESTIMATED is left out.
+/// The fraction of a cell's cases with a flag that excuses an error; ESTIMATED is left out.
 fn flagged(cell: &Cell) -> String {
     let flagged = cell.gap_open + cell.coincident + cell.undecided;
     if flagged == 0 { "·".into() } else { format!("{:.1} %", 100.0 * flagged as f64 / cell.cases as f64) }
@@ -101,7 +101,7 @@ rotation, so every vertex of the Minkowski difference is an integer vector in on
 comes from an exact simplex method, `s(n)` of the returned normal from every vertex, and the distance from an exact
 GJK. `u` is 2^-53, `R` and `r` are the sums of the circumradii and inradii about the contraction points, `M` is the
 sum of the lengths that enter the centre offset `d`, and `L` is the distance from the world's origin. A measure is
-the worst error as a share of its budget:
+the worst error as a fraction of its budget:
 
 | measure | error | budget |
 |---|---|---|
@@ -126,7 +126,7 @@ the worst error as a share of its budget:
 
 /// The page of the matrix: the measures, the totals, the picture and the rows.
 pub(crate) fn page(scores: &[Score], provenance: &str) -> String {
-    let picture = "![Worst error of each row as a share of its budget](stability.svg)";
+    let picture = "![Worst error of each row as a fraction of its budget](stability.svg)";
     let ([vertices, edges, faces], due) = features(scores);
     format!(
         "{PAGE}\n{provenance}\n\n{}\nFeatures compared with the definition: {vertices} vertices, {edges} edges, \
@@ -142,7 +142,7 @@ const LABELS: usize = 250;
 const HEAD: usize = 100;
 
 /// An SVG heat map with one line per row of the matrix and one column per measure and solver. The
-/// colour is the worst error's share of its budget.
+/// colour shows the worst error as a fraction of its budget.
 pub(crate) fn heat_map(scores: &[Score]) -> String {
     let width = LABELS + (2 * MEASURES.len() + 1) * CELL[0] + 20;
     let height = HEAD + scores.len() * CELL[1] + 50;

@@ -15,7 +15,7 @@ use super::truth::{Truth, norm};
 /// Unit roundoff of a double.
 const U: f64 = f64::EPSILON / 2.0;
 
-/// The measured errors of an answer, each as a share of its budget.
+/// The measured errors of an answer, each as a fraction of its budget.
 #[derive(Clone, Copy)]
 enum Measure {
     /// `|alpha - exact|` over `16 u alpha R/r + 16 u M/r`.
@@ -46,13 +46,13 @@ pub(crate) struct Cell {
     pub(crate) estimated: usize,
     /// Pairs with two faces that meet.
     pub(crate) patches: usize,
-    /// The worst share of each budget.
+    /// The worst fraction of each budget.
     worst: [f64; MEASURES.len()],
     pub(crate) violations: Vec<String>,
 }
 
 impl Cell {
-    /// Records an error as a share of its budget. A share above 1, or NaN, is a violation.
+    /// Records an error as a fraction of its budget. A fraction above 1, or NaN, is a violation.
     fn measure(&mut self, measure: Measure, value: f64, budget: f64) {
         let share = value / budget;
         let worst = &mut self.worst[measure as usize];
@@ -234,7 +234,7 @@ fn check_rejection(truth: &Truth, answer: &Manifold, cell: &mut Cell) {
     cell.demand(bare && answer.flags == Flags::default(), || "more than a rejection".into());
 }
 
-/// A table with one line per regime: counts, and the worst share of each budget.
+/// A table with one line per regime: counts, and the worst fraction of each budget.
 pub(crate) fn table(rows: &[(&str, Solver, Vec<Cell>)]) -> String {
     let mut text = format!("{:<8} {:<10} {:<9} ", "family", "solver", "regime");
     let counts = ["pairs", "overlap", "points", "estim.", "patches", "wrong"];

@@ -34,7 +34,7 @@ impl Placed<'_> {
         f64::from(dot(normal, from) + plane[3].into())
     }
 
-    /// The corners of the face whose normal is nearest to `n`, projected along `n`; none if that
+    /// The corners of the face whose normal is nearest to `n`, projected along `n`, or `None` if that
     /// normal is off `n` by more than the feature angle.
     fn face_along(&self, n: [f64; 3], merge: f64, project: &dyn Fn(Dd3) -> Point) -> Option<Vec<Point>> {
         let cosine = |plane: &[f64; 4]| f64::from(dot(wide(self.normal(*plane)), wide(n)));
@@ -134,9 +134,9 @@ impl<'a> Truth<'a> {
         polygon::convex_hull(&vertices.iter().map(corner).collect::<Vec<_>>())
     }
 
-    /// The exact patch of two touching faces: their intersection, projected along the normal. None
-    /// if no two faces look at each other, or if the intersection is too small for the check to
-    /// distinguish from none.
+    /// The exact patch of two touching faces: their intersection, projected along the normal. None if
+    /// no two faces point towards each other, or if the intersection is so small that rounding could
+    /// hide it.
     pub(crate) fn patch(&self) -> Option<Vec<Point>> {
         let project = self.projection(self.normal);
         let merge = 1e-9 * self.outer;

@@ -10,7 +10,7 @@ use prost::{
 use super::*;
 use crate::contact::STEPS_BETWEEN_LOOKS;
 
-/// The size of large messages: enough that memory for each element would show.
+/// The size of large messages. It is large enough that an allocation per element would be noticed.
 const LARGE: usize = 2 << 20;
 
 fn limits() -> Limits {
@@ -234,14 +234,14 @@ fn decoding_looks_at_the_flag() {
     }
 }
 
-/// The message as prost reads it, encoded again; none if prost refuses it.
+/// The message as prost reads it, encoded again, or `None` if prost refuses it.
 fn as_prost<M: Message + Default>(bytes: &[u8]) -> Option<Vec<u8>> {
     M::decode(bytes).ok().map(|message| message.encode_to_vec())
 }
 
-/// Well-formed messages of every kind, truncated at every byte and with every bit flipped. Catches
-/// bytes that prost accepts but the decoder calls malformed, bytes that prost refuses but the
-/// decoder accepts, and a query that is read differently.
+/// Decodes well-formed messages of every kind, truncated at every byte and with every bit flipped.
+/// Catches bytes that prost accepts but the decoder calls malformed, bytes that prost refuses but
+/// the decoder accepts, and a query that is read differently.
 #[test]
 fn the_bytes_that_prost_accepts_are_accepted() {
     let mut query = query(2);

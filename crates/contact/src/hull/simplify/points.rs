@@ -293,7 +293,7 @@ struct Map {
     reach: f64,
 }
 
-/// The rounding error of a bound in single precision, as a share of its largest product. It covers
+/// The rounding error of a bound in single precision, as a fraction of its largest product. It covers
 /// three axes, two sums of products for each axis, and the rounding of the factors.
 const SINGLE_ROUNDING: f64 = 64.0 * (f32::EPSILON / 2.0) as f64;
 

@@ -19,7 +19,7 @@
 //! sides therefore take `O(n + m)` time.
 //!
 //! A walk ends only where the distance exceeds the least one by more than all the rounding that may have
-//! accumulated, which is a share of `eps` for each cut. Hence a vertex that was not examined is farther
+//! accumulated, which is a fraction of `eps` for each cut. Hence a vertex that was not examined is farther
 //! than `eps` inside. Because of rounding, several runs of vertices may lie beyond one side. Such a cut is
 //! done as in the plain version.
 

@@ -101,7 +101,7 @@ pub(super) fn alpha() -> Vec<Row> {
     near.into_iter().chain([1e-6, 1e-3, 1e3, 1e6].map(far)).collect()
 }
 
-/// Distances that differ from the margin by a small share of it. The margins are in units of `R`.
+/// Distances that differ from the margin by a small fraction of it. The margins are in units of `R`.
 pub(super) fn margin() -> Vec<Row> {
     let row = |share: f64| {
         Row::new("margin", format!("{share:e} R"), move |random| {
@@ -109,7 +109,7 @@ pub(super) fn margin() -> Vec<Row> {
             let outer: f64 = case.shapes.iter().map(|s| s.hull.circumradius()).sum();
             let margin = share * outer;
             let off = [0.0, 1e-12, -1e-12, 1e-9, -1e-9, 1e-3, -1e-3][random.below(7)];
-            // For a margin of 0 the difference is a share of the hulls' size instead.
+            // For a margin of 0 the difference is a fraction of the hulls' size instead.
             let distance = margin + off * if share == 0.0 { outer } else { margin };
             let case = Case::along(case.shapes, random.direction(), case.rotations, 1.5);
             case.at_distance(distance.max(0.0)).with_margins([margin])
