@@ -182,21 +182,17 @@ async fn assemble(
 ) -> Result<(Batch, Vec<u32>, Vec<u32>), ServiceError> {
     let setting = &scene.setting;
     let kept = if is_of_stream { context.leased_hulls(setting) } else { None };
-    let (leased, missing) = match kept {
-        Some(leased) => {
-            app.registry().found_again(leased.hulls.len());
-            (leased, Vec::new())
+    let (leased, missing) = if let Some(leased) = kept {
+        app.registry().found_again(leased.hulls.len());
+        (leased, Vec::new())
+    } else {
+        let (hulls, lease) = fetch(app, &setting.hull_ids, &context.job).await?;
+        let missing = missing(&hulls);
+        let leased = LeasedHulls { setting: setting.clone(), hulls: Arc::new(hulls), lease: Arc::new(lease) };
+        if is_of_stream && missing.is_empty() {
+            context.keep_leased(leased.clone());
         }
-        None => {
-            let (hulls, lease) = fetch(app, &setting.hull_ids, &context.job).await?;
-            let missing = missing(&hulls);
-            let leased =
-                LeasedHulls { setting: setting.clone(), hulls: Arc::new(hulls), lease: Arc::new(lease) };
-            if is_of_stream && missing.is_empty() {
-                context.keep_leased(leased.clone());
-            }
-            (leased, missing)
-        }
+        (leased, missing)
     };
     let (mut batch, invalid_bodies) = Batch::new(scene.into_inner(), leased.hulls);
     batch.lease(leased.lease);
