@@ -49,7 +49,7 @@ const FRAME_BYTES: u32 = 1 << 20;
 const KEEP_ALIVE: Duration = Duration::from_secs(60);
 
 /// The most bytes of one call's headers, several times the size of a token and a trace context.
-pub(super) const HEADER_BYTES: u32 = 16 << 10;
+const HEADER_BYTES: u32 = 16 << 10;
 
 /// The number of streams that the peer reset before the server handled them, or that the server reset
 /// because of the peer's errors. With more, the connection is closed ("rapid reset").
@@ -168,7 +168,8 @@ impl Connections {
             Ok(Ok(false)) => self.serve_http2(io, Page::over_http2(calls), window, close, closing).await,
             Ok(Ok(true)) => {
                 let service = TowerToHyperService::new(Page::over_http1(calls));
-                let connection = playground::http1(greeting).serve_connection(TokioIo::new(io), service);
+                let connection =
+                    playground::http1(greeting, HEADER_BYTES).serve_connection(TokioIo::new(io), service);
                 // A peer that sends no request is disconnected by HTTP/1.1's own timer; one that does not
                 // read its answer, by the cutoff.
                 let served = self.attend(connection, std::future::pending(), close, closing);

@@ -20,7 +20,7 @@ use crate::{
     log_limit::Repeated,
     store::{
         HullId, StoreError, StoredBlob,
-        blobs::{FirstById, quarantine_name, shard_name, shard_of_name},
+        blob_store::{FirstById, quarantine_name, shard_name, shard_of_name},
     },
 };
 
