@@ -27,7 +27,6 @@ pub mod compute;
 mod lock;
 pub mod log_limit;
 pub mod metrics;
-pub mod proto;
 pub mod service;
 pub mod size;
 pub mod small_file;
@@ -36,3 +35,4 @@ pub mod trace;
 
 pub use hullcast_contact as contact;
 pub use hullcast_contact::workload;
+pub use hullcast_proto as proto;

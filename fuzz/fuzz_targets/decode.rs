@@ -15,14 +15,14 @@ use std::{
 
 use bytes::{BufMut, Bytes, BytesMut};
 use http_body_util::{BodyExt, Full};
-use hullcast::proto::{
-    DeleteHullsRequest, GetHullsRequest, HasHullsRequest, ListHullsRequest, QueryContactsRequest,
-    QueryContactsResponse, RegisterHullsRequest,
-};
 use hullcast::service::wire::{CONSTANT_BYTES, HULL_BYTES, decoded_bytes};
 use hullcast::service::{App, Limits, handlers};
 use hullcast_contact::Stop;
 use hullcast_fuzz::seeds;
+use hullcast_proto::{
+    DeleteHullsRequest, GetHullsRequest, HasHullsRequest, ListHullsRequest, QueryContactsRequest,
+    QueryContactsResponse, RegisterHullsRequest,
+};
 use libfuzzer_sys::fuzz_target;
 use prost::Message;
 use tokio::runtime::Runtime;
@@ -119,8 +119,8 @@ const METHODS: [&str; 7] = [
 ];
 
 /// The bytes, read in bulk and by prost, must be the same message, or be refused by both.
-fn read_alike<M: hullcast::proto::bulk::Columnar>(bytes: &[u8]) {
-    let bulk = hullcast::proto::bulk::decode::<M>(Bytes::copy_from_slice(bytes)).ok();
+fn read_alike<M: hullcast_proto::bulk::Columnar>(bytes: &[u8]) {
+    let bulk = hullcast_proto::bulk::decode::<M>(Bytes::copy_from_slice(bytes)).ok();
     let prost = M::decode(bytes).ok();
     assert_eq!(bulk.map(|m| m.encode_to_vec()), prost.map(|m| m.encode_to_vec()));
 }

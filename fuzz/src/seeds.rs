@@ -1,8 +1,8 @@
 //! Well-formed messages with which the fuzzing of the handlers starts.
 
-use hullcast::proto::{Accuracy, GetHullsRequest, HullDefinition, ListHullsRequest};
-use hullcast::proto::{QueryContactsRequest, RegisterHullsRequest};
 use hullcast::store::identity::{self, id_of};
+use hullcast_proto::{Accuracy, GetHullsRequest, HullDefinition, ListHullsRequest};
+use hullcast_proto::{QueryContactsRequest, RegisterHullsRequest};
 use prost::Message;
 
 const CORNER: [[f64; 3]; 4] = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];

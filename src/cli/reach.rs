@@ -123,14 +123,11 @@ pub(crate) async fn mismatch(address: &str, url: &str, error: &(dyn StdError + '
 
 /// Whether a peer takes the connection and then sends nothing, not even that it has another protocol.
 async fn is_silent(url: &str) -> bool {
-    match url.split_once("://") {
-        Some((_, authority)) => greeting(authority).await.is_none(),
-        None => {
-            let path = url.trim_start_matches("unix:").trim_start_matches("//");
-            let connect = tokio::net::UnixStream::connect(path);
-            answer_to_greeting(connect).await.is_none()
-        }
+    if let Some((_, authority)) = url.split_once("://") {
+        return greeting(authority).await.is_none();
     }
+    let path = url.trim_start_matches("unix:").trim_start_matches("//");
+    answer_to_greeting(tokio::net::UnixStream::connect(path)).await.is_none()
 }
 
 /// The first bytes of a TCP peer's answer to the HTTP/2 preface, as of [`answer_to_greeting`].

@@ -96,7 +96,7 @@ async fn until_stopped(settings: &Settings, checked: Checked, args: &Args) -> Re
     let Checked { serving, limits, grace } = checked;
     let store = blobs::open(&settings.store).map_err(|error| match error {
         OpenError::Threads(why) => Exit::Failed.error(runtime::refused(&why)),
-        error => Exit::Usage.error(format!("--{error}")),
+        error @ OpenError::Store(_) => Exit::Usage.error(format!("--{error}")),
     })?;
     let app = App::new(store, limits, settings.compute_threads).map_err(|error| match error {
         ServiceOpenError::Threads(why) => Exit::Failed.error(runtime::refused(&why)),

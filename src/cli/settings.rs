@@ -276,7 +276,7 @@ impl Fault {
     /// too many digits, the text says what is allowed.
     fn of_text(text: &str, error: &toml::de::Error) -> Self {
         let start = error.span().map_or(0, |span| span.start);
-        let line = text.char_indices().filter(|(at, c)| *c == '\n' && *at < start).last();
+        let line = text.char_indices().rfind(|(at, c)| *c == '\n' && *at < start);
         let line = text[line.map_or(0, |(at, _)| at + 1)..].lines().next().unwrap_or_default();
         let value = line.split_once('=').map(|(key, value)| (key.trim(), value.trim()));
         let known =

@@ -175,7 +175,8 @@ impl Connections {
             Ok(Ok(false)) => self.serve_http2(io, Page::over_http2(calls), window, close, closing).await,
             Ok(Ok(true)) => {
                 let service = TowerToHyperService::new(Page::over_http1(calls));
-                let connection = playground::http1(greeting).serve_connection(TokioIo::new(io), service);
+                let connection =
+                    playground::http1(greeting, HEADER_BYTES).serve_connection(TokioIo::new(io), service);
                 // A peer that sends no request is disconnected by HTTP/1.1's own timer; one that does not
                 // read its answer, by the cutoff.
                 let served = self.attend(connection, std::future::pending(), close, closing);

@@ -1,44 +1,31 @@
 //! `ContactService`: receives batches of pairs and returns contact manifolds.
 
-use std::{future::Future, sync::Arc, time::Duration};
+use std::{future::Future, sync::Arc};
 
 use futures_util::{
     StreamExt,
     stream::{self, BoxStream},
 };
-use tokio::{
-    sync::watch,
-    time::{Instant, timeout_at},
-};
+use tokio::{sync::watch, time::timeout_at};
 use tonic::{Request, Response, Status, Streaming};
 
 use super::{
     App, Limits, ServiceError,
-    answer::counted_answer,
-    batch::Batch,
-    context::{CallContext, LeasedHulls},
+    context::CallContext,
     decode::decoded,
     find::Finding,
     middleware::{Closing, Deadline},
+    scene::answer,
     steps::Steps,
     wire::{self, Scene},
 };
 use crate::{
-    budget::Part,
-    compute::{FreedHere, Job},
     contact::Stop,
-    metrics::Shed,
     proto::{
         Encoded, QueryContactsRequest, QueryContactsResponse,
         contact_service_server::{ContactService, ContactServiceServer},
     },
-    size::ByteSize,
-    store::{HullId, Hulls, Lease, LeaseError},
 };
-
-/// The time after which to retry if other requests hold too many hulls. Requests hold hulls for
-/// about this time.
-const HULLS_RETRY: Duration = Duration::from_millis(100);
 
 pub(super) fn service(app: Arc<App>) -> ContactServiceServer<impl ContactService> {
     ContactServiceServer::new(Contacts { app })
@@ -124,103 +111,4 @@ async fn scene(
         Ok(Scene { memory: Some(memory), ..scene })
     };
     decoded(app, context, request, check).await
-}
-
-/// The answer to a scene. The answer to a message of a stream comes with its bases, and its hulls stay
-/// leased for the messages that follow at once.
-pub(super) async fn answer(
-    app: &App,
-    context: &CallContext,
-    scene: Scene,
-    is_of_stream: bool,
-) -> Result<(QueryContactsResponse, Vec<u32>), ServiceError> {
-    let started = tracing::enabled!(tracing::Level::DEBUG).then(Instant::now);
-    let (request_id, outputs) = (scene.request_id, scene.setting.outputs);
-    let (pairs, bodies) = (scene.setting.pair_count(), scene.setting.body_hulls.len());
-    let bytes = scene.memory.as_ref().map_or(0, |memory| memory.bytes() as usize);
-    let scene = app.engine().compute_threads().freed_here(scene, bytes);
-    let job = &context.job;
-    let admission = app.engine().admit(pairs, outputs, &job.caller)?;
-    let (mut batch, missing_hulls, invalid_bodies) = assemble(app, context, scene, is_of_stream).await?;
-    if is_of_stream {
-        batch.keep_bases();
-    }
-    let memory = context.covered(Part::Answers);
-    let (mut columns, memory) = app.engine().compute(batch, admission, job, memory).await?;
-    debug_assert_eq!(columns.len(), pairs);
-    if let Some(started) = started {
-        let [contact, separated, undecided, invalid] = columns.outcome_counts();
-        let ms = started.elapsed().as_secs_f64() * 1e3;
-        let bytes = columns.wire_bytes(outputs);
-        tracing::debug!(
-            request_id,
-            pairs,
-            bodies,
-            contact,
-            separated,
-            undecided,
-            invalid,
-            bytes,
-            ms,
-            missing_hulls = missing_hulls.len(),
-            invalid_bodies = invalid_bodies.len(),
-            "answered"
-        );
-    }
-    let bases = if is_of_stream { columns.kept_bases(outputs) } else { Vec::new() };
-    let response = wire::response(request_id, columns, missing_hulls, invalid_bodies);
-    Ok((counted_answer(app, context, response, memory).await?, bases))
-}
-
-/// The batch of a scene with its hulls, the indices of missing hulls, and the indices of unusable
-/// bodies.
-async fn assemble(
-    app: &App,
-    context: &CallContext,
-    scene: FreedHere<Scene>,
-    is_of_stream: bool,
-) -> Result<(Batch, Vec<u32>, Vec<u32>), ServiceError> {
-    let setting = &scene.setting;
-    let kept = if is_of_stream { context.leased_hulls(setting) } else { None };
-    let (leased, missing) = if let Some(leased) = kept {
-        app.registry().found_again(leased.hulls.len());
-        (leased, Vec::new())
-    } else {
-        let (hulls, lease) = fetch(app, &setting.hull_ids, &context.job).await?;
-        let missing = missing(&hulls);
-        let leased = LeasedHulls { setting: setting.clone(), hulls: Arc::new(hulls), lease: Arc::new(lease) };
-        if is_of_stream && missing.is_empty() {
-            context.keep_leased(leased.clone());
-        }
-        (leased, missing)
-    };
-    let (mut batch, invalid_bodies) = Batch::new(scene.into_inner(), leased.hulls);
-    batch.lease(leased.lease);
-    Ok((batch, missing, invalid_bodies))
-}
-
-/// The indices of missing hulls.
-pub(super) fn missing(hulls: &Hulls) -> Vec<u32> {
-    hulls.iter().enumerate().filter(|(_, hull)| hull.is_err()).map(|(i, _)| i as u32).collect()
-}
-
-/// Leases the hulls. They are in the order of `ids`, and stay cached until the lease is dropped.
-pub(super) async fn fetch(app: &App, ids: &[HullId], job: &Job) -> Result<(Hulls, Lease), ServiceError> {
-    app.registry().lease(ids, job).await.map_err(|why| match why {
-        LeaseError::TooLarge => {
-            let (limit, all) = (app.registry().most_leased_alone(), app.limits().cache_bytes);
-            let message = format!(
-                "the hulls take more than {}, the most that one caller may use of the hull cache \
-                 (cache_bytes is {}): use fewer or smaller hulls per request",
-                ByteSize(limit),
-                ByteSize(all)
-            );
-            ServiceError::invalid("HULLS_TOO_LARGE", "hull_ids", message)
-        }
-        LeaseError::Busy => {
-            app.metrics().shed(Shed::Hulls);
-            let message = "other requests use too much of the hull cache: retry later";
-            ServiceError::unavailable("TOO_BUSY", HULLS_RETRY, message)
-        }
-    })
 }

@@ -17,9 +17,9 @@ use super::{
     admission::Admission,
     answer::{answer, counted_answer},
     batch::Batch,
-    contacts::{fetch, missing},
     context::{CallContext, grow},
     decode::decoded,
+    scene::{fetch, missing},
     wire::{self, Columns, Poses, Scene, Setting},
 };
 use crate::{

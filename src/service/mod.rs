@@ -33,6 +33,7 @@ mod protocol;
 mod readiness;
 mod records;
 mod request_body;
+mod scene;
 mod security;
 mod server;
 mod socket_file;

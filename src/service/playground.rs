@@ -19,7 +19,7 @@ use tonic::body::Body;
 use tonic_web::{GrpcWebLayer, GrpcWebService};
 use tower::{Layer, Service};
 
-use super::{connection::HEADER_BYTES, listener::Connection, middleware::Middleware};
+use super::{listener::Connection, middleware::Middleware};
 
 /// The files of the page, built by `make playground`.
 const FILES: [(&str, &str, &str); 4] = [
@@ -55,10 +55,11 @@ pub(super) async fn speaks_http1(io: &Connection) -> io::Result<bool> {
     }
 }
 
-/// The protocol of HTTP/1.1 connections. A peer has `patience` for sending each request's header.
-pub(super) fn http1(patience: Duration) -> http1::Builder {
+/// The protocol of HTTP/1.1 connections. A peer has `patience` for sending each request's header, which has
+/// at most `header_bytes`.
+pub(super) fn http1(patience: Duration, header_bytes: u32) -> http1::Builder {
     let mut http = http1::Builder::new();
-    http.timer(TokioTimer::new()).header_read_timeout(patience).max_buf_size(HEADER_BYTES as usize);
+    http.timer(TokioTimer::new()).header_read_timeout(patience).max_buf_size(header_bytes as usize);
     http
 }
 

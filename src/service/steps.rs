@@ -7,10 +7,10 @@ use tonic::{Status, Streaming};
 
 use super::{
     App, Limits, ServiceError,
-    contacts::answer,
     context::CallContext,
     decode::decoded,
     middleware::Closing,
+    scene::answer,
     wire::{self, Scene, Setting},
 };
 use crate::{

@@ -103,7 +103,7 @@ impl BlobStore for DirectoryStore {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::blobs;
+    use crate::store::blob_store;
 
     /// Catches a page that misses or repeats a blob, is out of order or too long, or ends early
     /// because some entries are not blobs.
@@ -135,7 +135,7 @@ mod tests {
             assert!(wanted.len() > 100);
             let (mut found, mut after) = (Vec::new(), None);
             loop {
-                let blobs = blobs::list(&store, after, page, max_bytes).await.unwrap();
+                let blobs = blob_store::list(&store, after, page, max_bytes).await.unwrap();
                 assert!(blobs.len() <= page);
                 after = blobs.last().map(|blob| blob.id);
                 let is_last = blobs.len() < page;

@@ -1,11 +1,12 @@
 //! The durable registry of hulls, with a bounded cache in front.
 //!
-//! [`identity`] names a hull. [`blobs`] is the interface to a store of bytes, implemented by
-//! `directory` (on `file_threads`) and `objects`. `scheduled` lets callers use a store in `turns`
+//! [`identity`] names a hull. [`BlobStore`] is the interface to a store of bytes, implemented by
+//! `directory` (on `file_threads`) and `objects`; [`blobs`] opens a store. `scheduled` lets callers use a store in `turns`
 //! and notices when it hangs. [`registry`] answers requests for hulls, with a `reader` per request.
 //! `cache` keeps hulls in memory, and `lease` limits how much of the cache requests may use.
 //! Nothing here depends on the wire format.
 
+mod blob_store;
 pub mod blobs;
 mod building;
 mod cache;
@@ -22,7 +23,7 @@ mod remote;
 mod scheduled;
 mod turns;
 
-pub use blobs::{BlobStore, Opened, StoreError, StoredBlob};
+pub use blob_store::{BlobStore, Opened, StoreError, StoredBlob};
 pub(crate) use building::building_bytes;
 pub use identity::{HullDefinition, HullId};
 pub use lease::{Hulls, Lease, LeaseError};

@@ -8,9 +8,12 @@ use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload, path::Pa
 
 use super::{
     BlobStore, HullId, StoreError, StoredBlob,
-    blobs::{FirstById, quarantine_name, shard_name, shard_of_name},
+    blob_store::{FirstById, quarantine_name, shard_name, shard_of_name},
 };
 use crate::size::ByteSize;
+
+/// A store over the network, and the words by which its errors say that an object is missing.
+pub(super) type Remote = (Arc<dyn ObjectStore>, &'static str);
 
 /// Blobs as objects, sharded by the first byte of their id.
 #[derive(Debug)]

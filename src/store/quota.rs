@@ -5,7 +5,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use tokio::sync::Mutex;
 
-use super::{BlobStore, HullId, StoreError, blobs::list, turns::Turns};
+use super::{BlobStore, HullId, StoreError, blob_store::list, turns::Turns};
 use crate::{budget::Caller, size::ByteSize};
 
 /// Writes blobs within a limit of bytes.

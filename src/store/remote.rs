@@ -8,7 +8,7 @@ use std::{sync::Arc, time::Duration};
 
 use object_store::{BackoffConfig, ClientOptions, ObjectStore, RetryConfig, prefix::PrefixStore};
 
-use super::blobs::Remote;
+use super::objects::Remote;
 
 /// A request without an answer after this time is tried again. In this time the largest hull can be
 /// sent at 6 MB/s.

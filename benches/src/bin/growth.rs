@@ -13,8 +13,6 @@ use std::time::Instant;
 use bytes::Bytes;
 use hullcast::budget::{self, Part, Permit};
 use hullcast::compute::{Compute, Job};
-use hullcast::proto::hull_service_client::HullServiceClient;
-use hullcast::proto::{HullDefinition, QueryContactsRequest, RegisterHullsRequest};
 use hullcast::service::{Limits, batch, wire};
 use hullcast::store::{self, identity::id_of};
 use hullcast_benches::cells::{MARGIN, sphere};
@@ -24,6 +22,8 @@ use hullcast_benches::service::raw::Caller;
 use hullcast_benches::service::requests::{Batch, QUERY};
 use hullcast_contact::workload::{Family, Random, Regime};
 use hullcast_contact::{Body, ConvexHull, Pose, Query, Workspace, contact_manifold};
+use hullcast_proto::hull_service_client::HullServiceClient;
+use hullcast_proto::{HullDefinition, QueryContactsRequest, RegisterHullsRequest};
 use prost::Message;
 use tonic::transport::Endpoint;
 

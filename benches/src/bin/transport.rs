@@ -10,7 +10,6 @@ use std::fmt::Write as _;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use hullcast::proto::Output;
 use hullcast_benches::report::{provenance, replace_section};
 use hullcast_benches::service::load::{latencies, load, measured, median, streamed};
 use hullcast_benches::service::process::Server;
@@ -18,6 +17,7 @@ use hullcast_benches::service::raw::{Caller, serve_echo};
 use hullcast_benches::service::requests::{Batch, QUERY};
 use hullcast_benches::service::shaped;
 use hullcast_contact::workload::{Family, Regime};
+use hullcast_proto::Output;
 
 type Failure = Box<dyn Error>;
 

@@ -3,11 +3,11 @@
 use std::error::Error;
 
 use bytes::Bytes;
-use hullcast::proto::hull_service_client::HullServiceClient;
-use hullcast::proto::{HullDefinition, Output, QueryContactsRequest, RegisterHullsRequest};
 use hullcast::store::{self, identity::id_of};
 use hullcast_contact::workload::{Family, Regime, Workload};
 use hullcast_contact::{Body, ConvexHull, Pose, Query, Workspace, contact_manifold};
+use hullcast_proto::hull_service_client::HullServiceClient;
+use hullcast_proto::{HullDefinition, Output, QueryContactsRequest, RegisterHullsRequest};
 use prost::Message;
 use tonic::transport::Endpoint;
 

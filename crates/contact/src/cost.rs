@@ -1,14 +1,10 @@
-//! The cost of a pair in elementary steps ([`Stop`](super::Stop)): an estimate before the pair is
-//! computed, and a count of the steps while it is computed.
+//! The cost of a pair in elementary steps ([`Stop`](super::Stop)), counted while the pair is computed.
 //!
-//! The estimate depends on the vertices and faces of the hulls, and is meant for a typical pair. The
-//! count depends on the work that is done: each support call counts the vertices that it
+//! The count depends on the work that is done: each support call counts the vertices that it
 //! evaluated, and each polygon counts its sides. Only a few coarse places count, so that counting
 //! takes no measurable time.
 
 use std::cell::Cell;
-
-use super::ConvexHull;
 
 /// Steps per pair besides its support calls and polygons: setting up the frame and writing the
 /// answer.
@@ -22,8 +18,6 @@ pub(crate) const SIDE: u64 = 20;
 pub(crate) const LOOK: u64 = 5;
 /// Steps to lift, merge and write one contact point.
 pub(crate) const POINT: u64 = 30;
-/// The number of iterations for a typical pair.
-const ITERATIONS: u64 = 8;
 /// The number of vertices that the support mapping evaluates in one step.
 const VERTICES_A_STEP: usize = 2;
 /// Steps of a support call that uses the map of directions.
@@ -48,23 +42,4 @@ impl Count {
 #[inline]
 pub(crate) fn scan_steps(vertices: usize) -> u64 {
     4 + (vertices / VERTICES_A_STEP) as u64
-}
-
-/// The number of steps that a contact manifold of these two hulls typically takes. The service uses
-/// it to size work units, and to charge a caller before the true number of steps is known.
-///
-/// ```
-/// use hullcast_contact::{ConvexHull, estimated_steps};
-///
-/// let corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-/// let small = ConvexHull::new(&corners)?;
-/// assert!((100..10_000).contains(&estimated_steps(&small, &small)));
-/// # Ok::<(), hullcast_contact::HullError>(())
-/// ```
-pub fn estimated_steps(a: &ConvexHull, b: &ConvexHull) -> u64 {
-    let call = |hull: &ConvexHull| {
-        if hull.support_map.is_some() { MAPPED_CALL } else { scan_steps(hull.vertex_count()) }
-    };
-    let sides = a.largest_face() as u64 + b.largest_face() as u64;
-    PAIR + ITERATIONS * (ITERATION + call(a) + call(b)) + (SIDE + 2 * LOOK + POINT) * sides
 }

@@ -54,7 +54,9 @@ mod body;
 mod bounds;
 pub mod certificate;
 mod cost;
+mod csr;
 mod distance;
+mod estimate;
 pub(crate) mod exact;
 mod gauss_map;
 mod growth;
@@ -75,7 +77,7 @@ use glam::DVec3;
 
 pub use body::{Body, InvalidPose, Pose};
 pub use bounds::Bounds;
-pub use cost::estimated_steps;
+pub use estimate::estimated_steps;
 pub use hull::{
     ABSENT_PLANARITY, BuildError, ConvexHull, HullError, HullErrorKind, HullOptions, MAX_PLANARITY,
     Simplification,

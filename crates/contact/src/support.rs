@@ -1,4 +1,4 @@
-//! The support mapping of a hull: the vertex that is farthest along a direction.
+//! The support mapping of a set of vertices: the vertex that is farthest along a direction.
 //!
 //! A hull of up to 256 vertices scans all of them; the coordinates are stored by column so that
 //! SIMD instructions evaluate up to eight vertices at once. A larger hull has a map of directions
@@ -15,48 +15,15 @@ mod map;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
-use glam::DVec3;
-
-use super::ConvexHull;
-use super::cost::{Count, MAPPED_CALL, scan_steps};
 use columns::LANES;
+use glam::DVec3;
 
 pub(crate) use columns::Columns;
 pub(crate) use map::SupportMap;
 
-impl ConvexHull {
-    /// The vertex `v` with the largest `n . v`; the lowest index if several tie. `n` is in the hull
-    /// frame and need not be a unit vector.
-    #[inline]
-    pub(crate) fn support(&self, n: DVec3) -> u32 {
-        self.counted_support(n, &Count::default())
-    }
-
-    /// Does the same as [`ConvexHull::support`], and counts the steps in `count`.
-    #[inline]
-    pub(crate) fn counted_support(&self, n: DVec3, count: &Count) -> u32 {
-        if let Some(map) = &self.support_map {
-            return self.mapped(map, n, count);
-        }
-        count.add(scan_steps(self.vertices.len()));
-        farthest(&self.columns, n)
-    }
-
-    /// The support mapping of a large hull. It is a separate function so that its code does not slow
-    /// down small hulls.
-    #[inline(never)]
-    fn mapped(&self, map: &SupportMap, n: DVec3, count: &Count) -> u32 {
-        count.add(MAPPED_CALL);
-        map.farthest(&self.vertices, n).unwrap_or_else(|| {
-            count.add(scan_steps(self.vertices.len()));
-            farthest(&self.columns, n)
-        })
-    }
-}
-
 /// The vertex farthest along `n`, by a scan with the widest instructions that the CPU has.
 #[inline]
-fn farthest(columns: &Columns, n: DVec3) -> u32 {
+pub(crate) fn farthest(columns: &Columns, n: DVec3) -> u32 {
     #[cfg(target_arch = "x86_64")]
     {
         if is_x86_feature_detected!("avx512f") {

@@ -21,7 +21,7 @@ use crate::{
     size::ByteSize,
     store::{
         HullId, StoreError, StoredBlob,
-        blobs::{FirstById, quarantine_name, shard_name, shard_of_name},
+        blob_store::{FirstById, quarantine_name, shard_name, shard_of_name},
     },
 };
 

@@ -2,7 +2,8 @@
 
 use glam::{DMat3, DVec3};
 
-use super::{BoxShape, ConvexHull, Csr, Face};
+use super::{BoxShape, ConvexHull, Face};
+use crate::csr::Csr;
 use crate::support::{Columns, SupportMap};
 
 /// Properties in the hull frame and the caller's units.

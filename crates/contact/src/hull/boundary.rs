@@ -27,9 +27,8 @@
 
 use glam::DVec3;
 
+use super::edge::{Edge, sort_edges};
 use super::merge::{Groups, Surface};
-
-use super::topology::{Edge, sort_edges};
 use crate::sort::{COMPARISON, sort};
 use crate::stop::{Meter, Stopped};
 

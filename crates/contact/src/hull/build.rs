@@ -3,7 +3,6 @@
 use glam::{DMat3, DVec3};
 
 use super::BoxShape;
-use super::csr::Csr;
 use super::face::Face;
 use super::isolation::{Isolation, isolation};
 use super::mass::mass;
@@ -12,12 +11,10 @@ use super::solid::{Centred, Solid};
 use super::topology::topology;
 use super::triangulation::Triangulation;
 use super::{ABSENT_PLANARITY, BuildError, ConvexHull, HullError, HullErrorKind, HullOptions};
+use crate::csr::{Csr, LISTED};
 use crate::exact::TriangleNormal;
 use crate::stop::{Meter, Stopped};
 use crate::support::{Columns, SupportMap};
-
-/// Steps per pair of an index list: building the list counts and places each pair, twice.
-pub(super) const LISTED: u64 = 8;
 
 pub(super) fn build(
     given: &[[f64; 3]],

@@ -24,8 +24,8 @@
 //! which is `O(n)` for `n` faces, because a vertex has a bounded number of pairs (at most 64
 //! faces are compared).
 
-use super::Csr;
 use super::merge::Plane;
+use crate::csr::Csr;
 use crate::stop::{Meter, Stopped};
 
 /// The faces of a vertex with more faces than this are not compared, because a fan of `n` faces

@@ -35,9 +35,8 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-use super::csr::Csr;
-
 use super::triangulation::Triangulation;
+use crate::csr::Csr;
 use crate::exact::{Dd, TriangleNormal};
 use crate::sort::{COMPARISON, sort};
 use crate::stop::{Meter, Stopped};

@@ -18,6 +18,7 @@
 
 use glam::{DMat3, DVec3};
 
+use super::csr::Csr;
 use super::stop::{Meter, Stop};
 
 mod access;
@@ -25,7 +26,7 @@ mod boundary;
 mod boxes;
 mod build;
 mod cloud;
-mod csr;
+mod edge;
 mod error;
 mod face;
 mod isolation;
@@ -34,11 +35,11 @@ mod merge;
 mod quickhull;
 mod simplify;
 mod solid;
+mod support;
 mod topology;
 mod triangulation;
 
 pub(crate) use boxes::{BoxShape, octant};
-pub(crate) use csr::Csr;
 pub use error::{BuildError, HullError, HullErrorKind};
 pub use face::Face;
 pub use simplify::Simplification;

@@ -37,18 +37,14 @@
 use glam::DVec3;
 
 use super::cloud::Cloud;
-use super::triangulation::{Triangulation, extreme_points, renumbered};
+use super::triangulation::{COMPARISON, NONE, Triangulation, extreme_points, inconsistent, renumbered};
 use super::{BuildError, HullError, HullErrorKind};
 use crate::exact::{collinear, counted_orient3d, sure_orient3d};
 use crate::stop::{Meter, Stopped};
 use crate::tolerance::U;
 
-/// Marks the absence of an index.
-pub(super) const NONE: u32 = u32::MAX;
 /// The mark of a triangle that is no longer part of the hull.
 const REMOVED: u32 = u32::MAX;
-/// Steps of one rounded comparison of a point with a triangle's plane.
-pub(super) const COMPARISON: u64 = 4;
 /// Steps of an exact test for collinearity.
 const COLLINEAR: u64 = 1000;
 /// Steps of making, linking or moving one triangle.
@@ -392,10 +388,4 @@ fn farthest(points: &[DVec3], meter: &Meter<'_>, distance: impl Fn(DVec3) -> f64
         best = if d > best.1 { (i, d) } else { best };
     }
     Ok(best.0)
-}
-
-/// The error for a state that exact arithmetic rules out. It is checked and reported all the same.
-pub(super) fn inconsistent(what: &str) -> BuildError {
-    HullError { kind: HullErrorKind::NotRepresentable, index: None, detail: format!("internal: {what}") }
-        .into()
 }

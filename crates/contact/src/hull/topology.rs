@@ -21,21 +21,16 @@ use std::cmp::Ordering;
 use glam::DVec3;
 
 use super::boundary::Boundary;
-use super::build::LISTED;
-use super::csr::Csr;
+use super::edge::{Edge, sort_edges};
 use super::merge::{Groups, Surface};
-
 use super::triangulation::Triangulation;
+use crate::csr::{Csr, LISTED};
 use crate::exact::{orient2d, orient2d_steps};
 use crate::sort::{COMPARISON, sort};
 use crate::stop::{Meter, Stopped};
 
 /// Steps per side of a triangle, or per corner of an outline, besides orientation tests.
 const CORNER: u64 = 10;
-
-/// An edge: its end vertices, the lower index first, and the faces on the left and on the right of
-/// the way from the first end to the second.
-pub(super) type Edge = ([u32; 2], [u32; 2]);
 
 /// The edges and outlines of the faces.
 pub(super) struct Topology {
@@ -113,14 +108,6 @@ fn triangles_corners(surface: &Surface<'_>, groups: &Groups) -> Csr {
         groups.planes.len(),
         corners.flat_map(|(corners, &face)| corners.map(|v| (face, v))),
     )
-}
-
-/// Sorts edges by their vertices, then by their faces.
-pub(super) fn sort_edges(edges: &mut Vec<Edge>, meter: &Meter<'_>) -> Result<(), Stopped> {
-    let key = |([u, v], [left, right]): &Edge| {
-        [u, v, left, right].into_iter().fold(0_u128, |key, &part| key << 32 | u128::from(part))
-    };
-    sort(edges, meter, COMPARISON, |e, f| key(e).cmp(&key(f)))
 }
 
 /// A corner projected on a coordinate plane, and its vertex.

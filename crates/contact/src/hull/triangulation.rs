@@ -1,10 +1,15 @@
 //! A triangulated convex surface, and the search for its extreme vertices.
 
-use super::BuildError;
 use super::cloud::Cloud;
-use super::quickhull::{COMPARISON, NONE, inconsistent};
+use super::{BuildError, HullError, HullErrorKind};
 use crate::exact::{counted_orient3d, sure_orient3d};
 use crate::stop::{Meter, Stopped};
+
+/// Marks the absence of an index.
+pub(super) const NONE: u32 = u32::MAX;
+
+/// Steps of one rounded comparison of a point with a triangle's plane.
+pub(super) const COMPARISON: u64 = 4;
 
 /// A closed, exactly convex surface of triangles. Every vertex is extreme. Coplanar triangles are
 /// not merged.
@@ -103,4 +108,10 @@ pub(super) fn extreme_points(
     let mut extreme = Vec::with_capacity(creases.len());
     extreme.extend((0..).zip(&creases).filter(|(_, n)| **n >= 3).map(|(v, _)| v));
     Ok(extreme)
+}
+
+/// The error for a state that exact arithmetic rules out. It is checked and reported all the same.
+pub(super) fn inconsistent(what: &str) -> BuildError {
+    HullError { kind: HullErrorKind::NotRepresentable, index: None, detail: format!("internal: {what}") }
+        .into()
 }

@@ -32,7 +32,7 @@ use std::hint::select_unpredictable;
 
 use glam::DVec3;
 
-use crate::hull::Csr;
+use crate::csr::Csr;
 use crate::stop::{Meter, Stopped};
 use crate::tolerance::MAPPED;
 

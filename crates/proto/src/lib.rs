@@ -1,4 +1,9 @@
-//! The wire contract, generated from `proto/hullcast/v1`.
+//! The wire contract of [hullcast](https://github.com/hullcast/hullcast), generated from `proto/hullcast/v1`:
+//! messages, the stubs of clients and servers, and the descriptor set.
+//!
+//! [`Codec`] reads and writes messages with their numeric columns in bulk. The server's stubs receive
+//! requests encoded ([`Encoded`]), so that the server can bound the size of a request before it decodes
+//! it.
 
 #![allow(missing_docs, unreachable_pub, clippy::all, clippy::pedantic)]
 

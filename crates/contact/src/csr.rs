@@ -1,5 +1,8 @@
 //! Lists of indices, flattened into one array (*compressed sparse rows*).
 
+/// Steps per pair of an index list: building the list counts and places each pair, twice.
+pub(crate) const LISTED: u64 = 8;
+
 /// Lists of indices, called rows. Row `i` is `items[starts[i]..starts[i + 1]]`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Csr {
@@ -9,12 +12,12 @@ pub(crate) struct Csr {
 
 impl Csr {
     /// The number of rows.
-    pub(super) fn rows(&self) -> usize {
+    pub(crate) fn rows(&self) -> usize {
         self.starts.len() - 1
     }
 
     /// The number of items in the longest row.
-    pub(super) fn longest_row(&self) -> usize {
+    pub(crate) fn longest_row(&self) -> usize {
         self.starts.windows(2).map(|ends| (ends[1] - ends[0]) as usize).max().unwrap_or(0)
     }
 
@@ -25,7 +28,7 @@ impl Csr {
 
     /// Builds the lists from `(row, item)` pairs in any order. Each row is ascending and has no
     /// repetitions. Items are below `items`. Takes linear time: a radix sort with two passes.
-    pub(super) fn from_pairs(
+    pub(crate) fn from_pairs(
         rows: usize,
         items: usize,
         pairs: impl Iterator<Item = (u32, u32)> + Clone,
@@ -39,7 +42,7 @@ impl Csr {
     }
 
     /// Builds the lists from `(row, item)` pairs. Each row keeps the order of the pairs.
-    pub(super) fn from_ordered_pairs(rows: usize, pairs: impl Iterator<Item = (u32, u32)> + Clone) -> Self {
+    pub(crate) fn from_ordered_pairs(rows: usize, pairs: impl Iterator<Item = (u32, u32)> + Clone) -> Self {
         // `starts[row + 1]` first counts the items of the row, then holds the start of the row.
         // It advances while the row fills, and ends at the start of the next row.
         let mut starts = vec![0_u32; rows + 1];

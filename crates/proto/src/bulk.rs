@@ -126,7 +126,7 @@ mod tests {
     use prost_types::{FileDescriptorSet, field_descriptor_proto::Type};
 
     use super::*;
-    use crate::proto::{
+    use crate::{
         Accuracy, FILE_DESCRIPTOR_SET, QueryContactsRequest, QueryContactsResponse, columnar_messages,
     };
 
