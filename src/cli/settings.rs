@@ -345,10 +345,10 @@ const EMPTY: [&str; 7] = [
     "register_tokens",
 ];
 
-/// What is expected of `listen`.
+/// The text about an empty `listen`.
 const AT_LEAST_ONE: &str = "must have at least one address, host:port or unix:PATH";
 
-/// What a server is started with.
+/// The checked settings of a server.
 pub(crate) struct Checked {
     pub(crate) serving: Serving,
     pub(crate) limits: Limits,

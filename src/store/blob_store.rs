@@ -3,7 +3,7 @@
 //! [`BlobStore`] is the interface that the registry needs. It has two implementations, and
 //! [`blobs::open`](super::blobs::open) chooses one of them. `directory` keeps blobs as files and syncs
 //! every write (the file and its directories) before it is acknowledged. `objects` keeps them through the
-//! crate `object_store`, in an object store over the network (`remote`) or in memory, where they are lost
+//! crate `object_store`, in an object store over the network (`remote`) or in memory, whose blobs are lost
 //! at a restart.
 
 use std::{collections::BinaryHeap, fmt, sync::Arc};
