@@ -25,11 +25,11 @@ use crate::{
     compute::{Compute, ComputeError, Job, Panicked, caught},
     metrics::Metrics,
     service::{
+        Outputs,
         admission::{Admission, AdmissionQueue},
         context::no_memory,
         error::ServiceError,
         injected::Injected,
-        outputs::Outputs,
         wire::Columns,
     },
     trace,
