@@ -8,7 +8,6 @@
 //!
 //! This module knows neither gRPC nor HTTP.
 
-mod by_id;
 mod caller;
 mod shares;
 
@@ -17,8 +16,8 @@ use std::{
     sync::{Arc, Mutex},
 };
 
-pub(crate) use by_id::ById;
 pub use caller::{Caller, CallerKey, CallerStream, Callers, is_reserved_name};
+pub(crate) use hullcast_batch::ById;
 pub use shares::{Refusal, Shares, Slot, Slots};
 
 use crate::lock::locked;

@@ -21,10 +21,8 @@
 // have `pub` items that are not exported.
 #![warn(unreachable_pub)]
 
-pub mod broad_phase;
 pub mod budget;
 pub mod compute;
-mod lock;
 pub mod log_limit;
 pub mod metrics;
 pub mod service;
@@ -33,6 +31,8 @@ pub mod small_file;
 pub mod store;
 pub mod trace;
 
+pub use hullcast_batch::broad_phase;
+use hullcast_batch::lock;
 pub use hullcast_contact as contact;
 pub use hullcast_contact::workload;
 pub use hullcast_proto as proto;

@@ -11,7 +11,7 @@ pub use engine::{Bounds, Engine};
 
 use self::cost::LEAST_STEPS;
 use super::{
-    outputs::Outputs,
+    Outputs,
     wire::{Columns, Invalid, Poses, Scene, Setting},
 };
 use crate::{

@@ -25,7 +25,6 @@ mod limits;
 mod listener;
 mod middleware;
 mod offload;
-mod outputs;
 mod peers;
 #[cfg(feature = "playground")]
 mod playground;
@@ -49,9 +48,9 @@ use std::{
 pub use admin::{CONNECTIONS as ADMIN_CONNECTIONS, serve_admin};
 use batch::Engine;
 pub use error::{Kind, Place, ServiceError};
+pub use hullcast_batch::outputs::Outputs;
 pub use limits::Limits;
 pub use listener::Listener;
-pub use outputs::Outputs;
 pub use readiness::Readiness;
 pub use security::{LoadError, Security, SecurityFiles};
 #[doc(hidden)]

@@ -26,11 +26,11 @@ use crate::{
     log_limit::limited,
     metrics::Metrics,
     service::{
+        Outputs,
         admission::{Admission, AdmissionQueue},
         context::no_memory,
         error::ServiceError,
         injected::Injected,
-        outputs::Outputs,
         wire::Columns,
     },
     size::ByteSize,

@@ -3,7 +3,7 @@
 use crate::{
     contact::{Element, Feature, Manifold, Outcome, Stop, Stopped},
     proto::{self, FeatureKind, Flag},
-    service::outputs::Outputs,
+    service::Outputs,
     store::Missing,
 };
 

@@ -6,7 +6,7 @@ use crate::{
     budget::Permit,
     contact::{Accuracy, Pose, Query, Solver, Stop, stop::Meter},
     proto,
-    service::{error::ServiceError, limits::Limits, outputs::Outputs},
+    service::{Outputs, error::ServiceError, limits::Limits},
     store::HullId,
 };
 

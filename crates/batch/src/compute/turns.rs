@@ -30,7 +30,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use crate::budget::ById;
+use crate::ById;
 
 /// Settled accounts are swept out once there are more accounts than this plus twice the number of
 /// callers with waiting work. Fewer accounts are not worth a sweep.

@@ -1,6 +1,6 @@
 //! The rules that keep bodies apart regardless of their positions: worlds and collision groups.
 
-use crate::contact::{
+use hullcast_contact::{
     Stop, Stopped,
     sort::{self, sort},
     stop::Meter,

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use super::*;
 
 fn job() -> Job {
-    Job::new(Caller::alone())
+    Job::new(())
 }
 
 /// Catches a panic in the computation of one call that ends the process or a thread.

@@ -7,11 +7,11 @@ use std::{
 
 /// A table by numbers that no caller can choose, such as the ids of callers. Therefore its hash
 /// function needs no random key, and takes about a nanosecond.
-pub(crate) type ById<K, V> = HashMap<K, V, BuildHasherDefault<IdHasher>>;
+pub type ById<K, V> = HashMap<K, V, BuildHasherDefault<IdHasher>>;
 
 /// Mixes numbers by a multiplication of 64 by 64 bits, of which both halves are used.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct IdHasher(u64);
+pub struct IdHasher(u64);
 
 impl Hasher for IdHasher {
     fn finish(&self) -> u64 {

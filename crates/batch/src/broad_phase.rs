@@ -32,7 +32,7 @@ pub use self::{
     rules::{EVERY_WORLD, Rules},
     tree::{STEPS_PER_BODY, TREE_BYTES_PER_BODY},
 };
-use crate::contact::{Bounds, STEPS_BETWEEN_LOOKS, Stop, Stopped};
+use hullcast_contact::{Bounds, STEPS_BETWEEN_LOOKS, Stop, Stopped};
 
 /// Steps per partner to sort the partners of a body when all of them are known.
 const STEPS_PER_PARTNER: u64 = 20;

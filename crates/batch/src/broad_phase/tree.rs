@@ -33,7 +33,7 @@ use std::{cmp::Ordering, ops::Range};
 use glam::{DVec3, Vec3};
 
 use super::{EVERY_WORLD, Rules};
-use crate::contact::{Bounds, Stop, Stopped, sort, stop::Meter};
+use hullcast_contact::{Bounds, Stop, Stopped, sort, stop::Meter};
 
 /// The largest number of bodies in a leaf node.
 const LEAF_BODIES: usize = 4;
@@ -378,7 +378,7 @@ fn union(a: Bounds, b: Bounds) -> Bounds {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{contact::STEPS_BETWEEN_LOOKS, workload::Random};
+    use hullcast_contact::{STEPS_BETWEEN_LOOKS, workload::Random};
 
     /// Catches a partition that loses items or leaves a low item in the upper half, a pivot that makes no
     /// progress, an order of the items that makes the selection quadratic, and a unit of work that is too

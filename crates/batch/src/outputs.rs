@@ -1,6 +1,6 @@
 //! The parts of an answer that are computed and sent.
 
-use crate::contact::Wanted;
+use hullcast_contact::Wanted;
 
 /// A set of outputs. Outcomes and flags are always computed and sent; other outputs only if
 /// requested.

@@ -4,16 +4,16 @@ use std::sync::Mutex;
 
 use tokio::sync::oneshot;
 
-use super::{ComputeError, Job, Parts, caught, locked};
+use super::{Caller, ComputeError, Job, Parts, caught, locked};
 
 /// The smallest number of steps that a part is charged with: those that a thread takes to get the
 /// part and to return its result.
 pub(super) const LEAST_STEPS: u64 = 2_000;
 
 /// Work, and the results of its parts that are done.
-pub(super) struct Shared<W: Parts> {
+pub(super) struct Shared<W: Parts, C> {
     work: W,
-    job: Job,
+    job: Job<C>,
     done: Mutex<Done<W>>,
 }
 
@@ -28,7 +28,14 @@ struct Done<W: Parts> {
 
 /// The interface of work for the threads.
 pub(super) trait Work: Send + Sync {
-    fn job(&self) -> &Job;
+    /// The id of the caller.
+    fn caller(&self) -> u64;
+
+    /// Whether the job was stopped.
+    fn is_stopped(&self) -> bool;
+
+    /// The steps of the job that its caller has not been charged for; see [`Job::take_uncharged`].
+    fn take_uncharged(&self) -> u64;
 
     /// The estimated number of steps of a part.
     fn steps(&self, index: usize) -> u64;
@@ -41,9 +48,17 @@ pub(super) trait Work: Send + Sync {
     fn stopped(&self);
 }
 
-impl<W: Parts> Work for Shared<W> {
-    fn job(&self) -> &Job {
-        &self.job
+impl<W: Parts, C: Caller> Work for Shared<W, C> {
+    fn caller(&self) -> u64 {
+        self.job.caller.id()
+    }
+
+    fn is_stopped(&self) -> bool {
+        self.job.stop.is_stopped()
+    }
+
+    fn take_uncharged(&self) -> u64 {
+        self.job.take_uncharged()
     }
 
     fn steps(&self, index: usize) -> u64 {
@@ -75,12 +90,12 @@ impl<W: Parts> Work for Shared<W> {
     }
 }
 
-impl<W: Parts> Shared<W> {
+impl<W: Parts, C: Caller> Shared<W, C> {
     /// Work of `count` parts whose result is sent through `answer`.
     pub(super) fn new(
         work: W,
         count: usize,
-        job: &Job,
+        job: &Job<C>,
         answer: oneshot::Sender<Result<W::Whole, ComputeError>>,
     ) -> Self {
         let parts = (0..count).map(|_| None).collect();

@@ -35,7 +35,7 @@ impl Queue {
     /// Adds work of `count` parts to the queue. The work leaves the queue when all of its parts are
     /// taken, or when the returned guard is dropped.
     pub(super) fn push(self: &Arc<Self>, work: Arc<dyn Work>, count: usize) -> Queued {
-        let caller = work.job().caller.id();
+        let caller = work.caller();
         let number = locked(&self.state).turns.push(caller, work, count);
         match count {
             1 => self.changed.notify_one(),
@@ -97,7 +97,7 @@ impl Queue {
             if !state.freed.is_empty() {
                 return Some(Next::Free(std::mem::take(&mut state.freed)));
             }
-            let is_stopped = |work: &Arc<dyn Work>| work.job().stop.is_stopped();
+            let is_stopped = |work: &Arc<dyn Work>| work.is_stopped();
             match state.turns.take(is_stopped, |work, index| work.steps(index)) {
                 Some(Taken::Part(turn)) => return Some(Next::Part(turn)),
                 Some(Taken::Stopped(work)) => return Some(Next::Stopped(work)),
@@ -119,7 +119,7 @@ impl Done {
     /// is freed here, outside the lock.
     fn new(turn: Turn<Arc<dyn Work>>) -> Self {
         let Turn { work, caller, estimate, .. } = turn;
-        let metered = match work.job().take_uncharged() {
+        let metered = match work.take_uncharged() {
             0 => estimate,
             metered => metered.max(LEAST_STEPS),
         };
