@@ -8,7 +8,7 @@ use std::{
         Arc,
         atomic::{AtomicU64, Ordering},
     },
-    task::{Context, Poll},
+    task::{Context, Poll, ready},
     time::Duration,
 };
 
@@ -31,9 +31,11 @@ use super::{
     App, Serving,
     admission::spread,
     cutoff::StreamExecutor,
+    frames::{Frames, Overhead},
     listener::Connection,
     middleware::{Closing, Middleware},
     peers::{Address, Peer, Peers},
+    request_body::per_mebibyte,
 };
 #[cfg(feature = "playground")]
 use super::{
@@ -114,6 +116,12 @@ impl Connections {
         most.mul_f64(0.9 + 0.2 * spread(self.count.fetch_add(1, Ordering::Relaxed)))
     }
 
+    /// The longest time for which received bytes can wait for their call: until the answer to the message
+    /// before them has to be taken.
+    fn longest_wait(&self) -> Duration {
+        self.serving.answer_time + per_mebibyte(self.app.limits().max_message_bytes)
+    }
+
     /// Serves `io` until the peer leaves. When `closing` becomes true or the connection reaches its age,
     /// the peer is told to close (GOAWAY), and calls in progress have the drain time to finish.
     pub(super) async fn serve(self: Arc<Self>, io: Connection, closing: Closing, peer: Peer) {
@@ -123,20 +131,20 @@ impl Connections {
         };
         let (close, closed) = watch::channel(false);
         let (app, routes, serving) = (self.app.clone(), self.routes.clone(), self.serving.clone());
-        let window = peer.window();
+        let overhead = Overhead::new(peer.clone(), self.longest_wait());
         let calls = Middleware::new(app, routes, serving, peer, Closing(closed));
         #[cfg(feature = "playground")]
         if self.serving.playground {
-            return self.serve_page(io, calls, window, close, closing).await;
+            return self.serve_page(io, calls, overhead, close, closing).await;
         }
-        self.serve_http2(io, calls, window, close, closing).await;
+        self.serve_http2(io, calls, overhead, close, closing).await;
     }
 
     async fn serve_http2<S>(
         &self,
         io: Connection,
         service: S,
-        window: u32,
+        overhead: Overhead,
         close: watch::Sender<bool>,
         closing: Closing,
     ) where
@@ -144,7 +152,8 @@ impl Connections {
         S::Future: Send + 'static,
     {
         let read = Arc::new(AtomicU64::new(0));
-        let io = TokioIo::new(Counted { io, read: read.clone() });
+        let window = overhead.window();
+        let io = TokioIo::new(Counted { io, read: read.clone(), frames: Frames::default(), overhead });
         let abort = Arc::new(Notify::new());
         let connection = self.http2(window, &abort).serve_connection(io, TowerToHyperService::new(service));
         let end = async {
@@ -162,7 +171,7 @@ impl Connections {
         &self,
         io: Connection,
         calls: Middleware,
-        window: u32,
+        overhead: Overhead,
         close: watch::Sender<bool>,
         mut closing: Closing,
     ) {
@@ -172,7 +181,7 @@ impl Connections {
             () = closing.heard() => return,
         };
         match speaks_http1 {
-            Ok(Ok(false)) => self.serve_http2(io, Page::over_http2(calls), window, close, closing).await,
+            Ok(Ok(false)) => self.serve_http2(io, Page::over_http2(calls), overhead, close, closing).await,
             Ok(Ok(true)) => {
                 let service = TowerToHyperService::new(Page::over_http1(calls));
                 let connection =
@@ -243,10 +252,12 @@ async fn silence(read: &AtomicU64, greeting: Duration) {
     }
 }
 
-/// A connection that counts the bytes read from it.
+/// A connection that counts the bytes read from it, and takes memory for those that no window counts.
 struct Counted {
     io: Connection,
     read: Arc<AtomicU64>,
+    frames: Frames,
+    overhead: Overhead,
 }
 
 impl AsyncRead for Counted {
@@ -255,10 +266,13 @@ impl AsyncRead for Counted {
         cx: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
+        let this = &mut *self;
         let before = buffer.filled().len();
-        let result = Pin::new(&mut self.io).poll_read(cx, buffer);
-        self.read.fetch_add((buffer.filled().len() - before) as u64, Ordering::Relaxed);
-        result
+        ready!(Pin::new(&mut this.io).poll_read(cx, buffer))?;
+        let read = &buffer.filled()[before..];
+        this.read.fetch_add(read.len() as u64, Ordering::Relaxed);
+        this.frames.read(read)?;
+        Poll::Ready(this.overhead.charge(&this.frames))
     }
 }
 

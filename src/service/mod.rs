@@ -18,6 +18,7 @@ mod cutoff;
 mod decode;
 mod error;
 mod find;
+mod frames;
 mod hulls;
 mod info;
 mod injected;

@@ -196,6 +196,11 @@ impl Peer {
         self.window
     }
 
+    /// More memory for the connection, or `None` if the budget has no room.
+    pub(super) fn take(&self, bytes: u64) -> Option<Permit> {
+        self.peers.app.memory().take(&self.connection.caller, Part::Connections, bytes).ok()
+    }
+
     /// The caller of a call: the token's name if the call has a token, otherwise the connection's
     /// caller.
     pub(super) fn caller(&self, token: Option<&str>) -> Caller {

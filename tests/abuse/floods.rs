@@ -13,8 +13,8 @@ use crate::{
         INFO, QUERY, STREAM,
         arena::Arena,
         http2::{
-            CONTINUATION, DATA, END_HEADERS, HEADERS, PING, Peer, RST_STREAM, SETTINGS, Windows, frame,
-            header_block, literal,
+            CONTINUATION, DATA, END_HEADERS, END_STREAM, HEADERS, PING, Peer, RST_STREAM, SETTINGS, Windows,
+            frame, header_block, literal,
         },
     },
 };
@@ -30,6 +30,10 @@ attacks! {
     pings: "endless PING frames whose answers are not read" => pings;
     /// Catches headers that grow when they are decompressed.
     hpack: "headers that are small until they are decompressed" => hpack;
+    /// Catches headers whose decoding takes a serving thread for seconds.
+    resizes: "headers of 1 MiB that change the size of HPACK's table" => resizes;
+    /// Catches read buffers that small frames keep in memory, of which the windows count only the frames.
+    pinned: "small frames between unknown ones, behind an answer that is not read" => pinned_buffers;
     /// Catches calls that can keep their headers in memory for an unlimited time without sending a message.
     headers: "10,000 calls of 15 KiB of headers each, whose messages never come" => large_headers;
     /// Catches small frames whose bookkeeping costs more memory than their bytes, while a stream computes.
@@ -130,6 +134,46 @@ async fn hpack(arena: &Arena) {
         }
     })
     .await;
+}
+
+async fn resizes(arena: &Arena) {
+    // Three bytes set the size of the table to 4,096.
+    let block = [[0x3f, 0xe1, 0x1f].repeat(340_000), header_block(QUERY, &[])].concat();
+    arena.begin().await;
+    again_and_again(arena, async |arena| {
+        let mut peer = arena.peer(Windows::OPEN).await?;
+        loop {
+            let stream = peer.next_stream();
+            peer.send(&frame(HEADERS, END_HEADERS | END_STREAM, stream, &block)).await?;
+        }
+    })
+    .await;
+}
+
+async fn pinned_buffers(arena: &Arena) {
+    // Empty messages; the unknown frame fills the rest of the buffer into which the server reads.
+    let messages = frame(DATA, 0, 1, &[0; 300]);
+    let unknown = frame(0xfa, 0, 0, &[0; 8300]);
+    let both = [messages, unknown].concat().repeat(50);
+    arena.begin().await;
+    let mut peers = Vec::new();
+    for _ in 0..arena.size().of(200) {
+        // The server may defend itself by refusing or closing the connection.
+        let Ok(mut peer) = arena.peer(Windows { stream: 0, connection: 0 }).await else { continue };
+        if peer.call(STREAM, &[]).await.is_err() {
+            continue;
+        }
+        for _ in 0..100 {
+            // After 3 s without room the server no longer reads from this connection.
+            let sent = tokio::time::timeout(Duration::from_secs(3), peer.send(&both)).await;
+            if !matches!(sent, Ok(Ok(()))) {
+                break;
+            }
+        }
+        peers.push(peer);
+    }
+    arena.bystander_answered(arena.size().of(400)).await;
+    drop(peers);
 }
 
 async fn large_headers(arena: &Arena) {

@@ -1,0 +1,267 @@
+//! Charges a connection for the bytes that pin memory without being counted by HTTP/2's windows.
+//!
+//! h2 reads into buffers of some kilobytes, and hands on the payload of a DATA frame as a part of its buffer.
+//! The whole buffer therefore stays in memory until that payload is used. The windows count the payload only.
+//! A peer can fill the rest of each buffer with frames that no window counts: frames of an unknown type,
+//! PING, SETTINGS, or long headers. While a payload waits behind an answer that nobody reads, a window of
+//! 8 MiB could pin thirty times its size in that way.
+//!
+//! All buffers that a connection pins have at most as many bytes as the peer has sent. The bytes of DATA are
+//! within the window, whose memory the connection has taken. [`Frames`] counts the other bytes as *overhead*
+//! by looking at the frames' heads, and [`Overhead`] takes memory from the budget for it, which it keeps for
+//! as long as a payload can wait. If the budget has no room, the connection is closed. Short headers are free:
+//! they begin calls, which take memory of their own.
+//!
+//! ```text
+//! length (3 bytes) | type | flags | stream (4 bytes) | payload: DATA free; HEADERS free up to 1 KiB; rest counted
+//! ```
+//!
+//! [`Frames`] also refuses headers that cost h2 more time than they are worth: a frame of headers several
+//! times as long as the longest list of headers, and more than two changes of the size of HPACK's table at the beginning
+//! of a block, which is the most that a peer needs (RFC 7541, section 4.2). The frames' format is that of
+//! RFC 9113, sections 4.1 and 6.
+
+use std::{collections::VecDeque, io, time::Duration};
+
+use tokio::time::Instant;
+
+use super::{connection::HEADER_BYTES, peers::Peer};
+use crate::budget::Permit;
+
+const PREFACE_BYTES: usize = 24;
+const HEAD_BYTES: usize = 9;
+
+const DATA: u8 = 0;
+const HEADERS: u8 = 1;
+const CONTINUATION: u8 = 9;
+const PADDED: u8 = 0x8;
+const PRIORITY: u8 = 0x20;
+
+/// The most bytes of padding and of a priority in a frame, each with its own length or fields.
+const PADDING_BYTES: usize = 256;
+const PRIORITY_BYTES: usize = 5;
+
+/// The most bytes of a frame of headers. A call whose headers are longer than [`HEADER_BYTES`] is refused by
+/// itself; only headers that are far longer cost the connection.
+const MOST_HEADER_BYTES: usize = 4 * HEADER_BYTES as usize;
+
+/// The headers of a call up to this size count as part of the call.
+const FREE_HEADER_BYTES: usize = 1 << 10;
+
+/// The most changes of the size of HPACK's table at the beginning of a block of headers.
+const MOST_RESIZES: u32 = 2;
+
+/// The overhead for which memory is taken at a time.
+const STEP_BYTES: u64 = 64 << 10;
+
+/// Follows the frames that a peer sends.
+#[derive(Debug, Default)]
+pub(super) struct Frames {
+    /// The bytes of the preface and of the current frame's head that have arrived.
+    preface: usize,
+    head: [u8; HEAD_BYTES],
+    head_bytes: usize,
+    /// The bytes of the current frame's payload that have not arrived yet.
+    rest: usize,
+    block: Option<BlockBegin>,
+    /// The bytes that no window counts, since the connection began.
+    overhead: u64,
+}
+
+/// The beginning of a block of headers, which may contain changes of the table's size.
+#[derive(Debug)]
+struct BlockBegin {
+    /// The bytes that come before the block.
+    skipped: usize,
+    /// Whether a change of the size has begun whose number goes on.
+    is_number: bool,
+    resizes: u32,
+}
+
+impl Frames {
+    /// Looks at the next bytes of the connection.
+    ///
+    /// # Errors
+    /// The peer sends headers that no client needs.
+    pub(super) fn read(&mut self, mut bytes: &[u8]) -> io::Result<()> {
+        while !bytes.is_empty() {
+            let used = if self.preface < PREFACE_BYTES {
+                let used = bytes.len().min(PREFACE_BYTES - self.preface);
+                self.preface += used;
+                used
+            } else if self.rest > 0 {
+                let used = bytes.len().min(self.rest);
+                self.rest -= used;
+                self.look(&bytes[..used])?;
+                used
+            } else {
+                let used = bytes.len().min(HEAD_BYTES - self.head_bytes);
+                self.head[self.head_bytes..][..used].copy_from_slice(&bytes[..used]);
+                self.head_bytes += used;
+                if self.head_bytes == HEAD_BYTES {
+                    self.begin()?;
+                }
+                used
+            };
+            bytes = &bytes[used..];
+        }
+        Ok(())
+    }
+
+    /// Begins the frame whose head has arrived.
+    fn begin(&mut self) -> io::Result<()> {
+        self.head_bytes = 0;
+        let [a, b, c, kind, flags, ..] = self.head;
+        let length = u32::from_be_bytes([0, a, b, c]) as usize;
+        (self.rest, self.block) = (length, None);
+        let padding = if flags & PADDED != 0 { PADDING_BYTES.min(length) } else { 0 };
+        let counted = match kind {
+            DATA => padding,
+            HEADERS | CONTINUATION => {
+                if length > MOST_HEADER_BYTES {
+                    let why = format!("a frame of headers has {length} bytes; at most {MOST_HEADER_BYTES}");
+                    return Err(refused(why));
+                }
+                if kind == HEADERS {
+                    let padded = usize::from(flags & PADDED != 0);
+                    let priority = if flags & PRIORITY != 0 { PRIORITY_BYTES } else { 0 };
+                    let skipped = padded + priority;
+                    self.block = Some(BlockBegin { skipped, is_number: false, resizes: 0 });
+                }
+                length.saturating_sub(FREE_HEADER_BYTES)
+            }
+            _ => HEAD_BYTES + length,
+        };
+        self.overhead += counted as u64;
+        Ok(())
+    }
+
+    /// Looks at the next bytes of the current frame's payload.
+    fn look(&mut self, bytes: &[u8]) -> io::Result<()> {
+        let Some(block) = &mut self.block else { return Ok(()) };
+        for &byte in bytes {
+            if block.skipped > 0 {
+                block.skipped -= 1;
+            } else if block.is_number {
+                block.is_number = byte & 0x80 != 0;
+            } else if byte & 0xe0 == 0x20 {
+                block.resizes += 1;
+                if block.resizes > MOST_RESIZES {
+                    return Err(refused(format!(
+                        "headers change HPACK's table more than {MOST_RESIZES} times"
+                    )));
+                }
+                block.is_number = byte & 0x1f == 0x1f;
+            } else {
+                self.block = None;
+                break;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn refused(why: String) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, why)
+}
+
+/// The memory that a connection holds for its overhead.
+#[derive(Debug)]
+pub(super) struct Overhead {
+    peer: Peer,
+    /// The time for which a payload can wait.
+    wait: Duration,
+    /// The overhead for which memory has been taken so far.
+    taken: u64,
+    /// The memory taken, with the times at which it was taken.
+    held: VecDeque<(Instant, Permit)>,
+}
+
+impl Overhead {
+    pub(super) fn new(peer: Peer, wait: Duration) -> Self {
+        Self { peer, wait, taken: 0, held: VecDeque::new() }
+    }
+
+    /// The HTTP/2 window of the connection and of each of its streams, in bytes.
+    pub(super) fn window(&self) -> u32 {
+        self.peer.window()
+    }
+
+    /// Takes memory for the overhead of `frames`.
+    ///
+    /// # Errors
+    /// The budget has no room for it.
+    pub(super) fn charge(&mut self, frames: &Frames) -> io::Result<()> {
+        while frames.overhead - self.taken >= STEP_BYTES {
+            let now = Instant::now();
+            while self.held.front().is_some_and(|(taken, _)| now.duration_since(*taken) > self.wait) {
+                self.held.pop_front();
+            }
+            let memory = self.peer.take(STEP_BYTES).ok_or_else(|| {
+                refused("the memory budget has no room for frames that carry no message".into())
+            })?;
+            self.held.push_back((now, memory));
+            self.taken += STEP_BYTES;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame(kind: u8, flags: u8, payload: &[u8]) -> Vec<u8> {
+        let mut frame = (payload.len() as u32).to_be_bytes()[1..].to_vec();
+        frame.extend([kind, flags, 0, 0, 0, 1]);
+        frame.extend(payload);
+        frame
+    }
+
+    fn connection(frames: &[Vec<u8>]) -> Vec<u8> {
+        [vec![b'P'; PREFACE_BYTES], frames.concat()].concat()
+    }
+
+    /// Catches a frame whose bytes are counted twice, not at all, or differently when they arrive in pieces,
+    /// and padding that no window counts.
+    #[test]
+    fn bytes_that_no_window_counts_are_overhead() {
+        let bytes = connection(&[
+            frame(HEADERS, 4, &[0x82; 1000]),
+            frame(DATA, 0, &[1; 5000]),
+            frame(DATA, PADDED, &[200; 300]),
+            frame(DATA, 0, &[]),
+            frame(0xfa, 0, &[7; 8300]),
+            frame(HEADERS, 4, &[0x82; 2000]),
+            frame(6, 0, b"pingpong"),
+        ]);
+        let expected = 256 + (9 + 8300) + (2000 - 1024) + (9 + 8);
+        for piece in [1, 2, 7, 9, 4096, bytes.len()] {
+            let mut frames = Frames::default();
+            bytes.chunks(piece).for_each(|piece| frames.read(piece).expect("ordinary frames"));
+            assert_eq!((frames.overhead, frames.rest, frames.head_bytes), (expected, 0, 0), "{piece}");
+        }
+    }
+
+    /// Catches headers whose decoding costs far more than their call, and ordinary clients' headers that are
+    /// mistaken for such: those may change the table's size twice, and may be padded and have a priority.
+    #[test]
+    fn headers_that_no_client_needs_are_refused() {
+        let read = |frames: &[Vec<u8>]| {
+            let mut state = Frames::default();
+            connection(frames).chunks(5).try_for_each(|piece| state.read(piece))
+        };
+        let largest = MOST_HEADER_BYTES;
+        let resize = [0x3f, 0xe1, 0x1f];
+        let (twice, thrice) = (resize.repeat(2), resize.repeat(3));
+        let after = |begin: &[u8], block: &[u8]| [begin, block, &[0x82, 0x20, 0x20, 0x20]].concat();
+        assert!(read(&[frame(HEADERS, 4, &vec![0x82; largest])]).is_ok());
+        assert!(read(&[frame(HEADERS, 4, &after(&[], &twice)), frame(HEADERS, 4, &twice)]).is_ok());
+        assert!(read(&[frame(HEADERS, 0x2c, &after(&[0x20; 6], &twice))]).is_ok());
+        for block in [vec![0x82; largest + 1], thrice, vec![0x20; 3]] {
+            assert!(read(&[frame(HEADERS, 4, &block)]).is_err(), "{} bytes", block.len());
+        }
+        assert!(read(&[frame(HEADERS, 0x24, &[&[0; 5][..], &[0x20; 3]].concat())]).is_err());
+        assert!(read(&[frame(HEADERS, 0, &[0x82]), frame(CONTINUATION, 4, &vec![0; largest + 1])]).is_err());
+    }
+}
