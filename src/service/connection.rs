@@ -40,6 +40,7 @@ use super::{
 #[cfg(feature = "playground")]
 use super::{
     cutoff::Cutoff,
+    page_body::{Noted, Stall},
     playground::{self, Page},
 };
 use crate::log_limit::limited;
@@ -183,13 +184,15 @@ impl Connections {
         match speaks_http1 {
             Ok(Ok(false)) => self.serve_http2(io, Page::over_http2(calls), overhead, close, closing).await,
             Ok(Ok(true)) => {
-                let service = TowerToHyperService::new(Page::over_http1(calls));
-                let connection =
-                    playground::http1(greeting, HEADER_BYTES).serve_connection(TokioIo::new(io), service);
+                let cutoff = Cutoff::new(Arc::default());
+                let stall = Stall::new(cutoff.clone(), self.serving.answer_time);
+                let service = TowerToHyperService::new(Page::over_http1(calls, stall.clone()));
+                let io = TokioIo::new(Noted { io, stall });
+                let connection = playground::http1(greeting, HEADER_BYTES).serve_connection(io, service);
                 // A peer that sends no request is disconnected by HTTP/1.1's own timer; one that does not
                 // read its answer, by the cutoff.
                 let served = self.attend(connection, std::future::pending(), close, closing);
-                Cutoff::new(Arc::default()).guard(&self.app, served).await;
+                cutoff.guard(&self.app, served).await;
             }
             Ok(Err(error)) => tracing::debug!(%error, "connection ended"),
             Err(_) => tracing::debug!("a peer sent nothing from which its protocol could be told"),

@@ -92,6 +92,18 @@ impl Middleware {
         allowed.and_then(|allowed| Instant::now().checked_add(allowed))
     }
 
+    /// Takes the resources of an answer of the page's own.
+    #[cfg(feature = "playground")]
+    pub(super) fn take_for_page(&self, headers: &HeaderMap) -> Result<Taken, ServiceError> {
+        self.take("page", headers, &self.peer.caller(None))
+    }
+
+    /// The time that a peer has for taking an answer.
+    #[cfg(feature = "playground")]
+    pub(super) fn patience(&self) -> Duration {
+        self.serving.answer_time
+    }
+
     /// Takes the resources that the call holds until its end.
     fn take(&self, method: &str, headers: &HeaderMap, caller: &Caller) -> Result<Taken, ServiceError> {
         let watch = is_watch(method).then(|| {

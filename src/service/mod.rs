@@ -26,6 +26,8 @@ mod limits;
 mod listener;
 mod middleware;
 mod offload;
+#[cfg(feature = "playground")]
+mod page_body;
 mod peers;
 #[cfg(feature = "playground")]
 mod playground;

@@ -11,7 +11,7 @@ use std::{
     time::Duration,
 };
 
-use futures_util::future::{BoxFuture, Either, Ready, ready};
+use futures_util::future::BoxFuture;
 use http::{HeaderValue, Method, Request, Response, StatusCode, header, uri::Authority};
 use hyper::{body::Incoming, server::conn::http1};
 use hyper_util::rt::TokioTimer;
@@ -19,7 +19,11 @@ use tonic::body::Body;
 use tonic_web::{GrpcWebLayer, GrpcWebService};
 use tower::{Layer, Service};
 
-use super::{listener::Connection, middleware::Middleware};
+use super::{
+    listener::Connection,
+    middleware::Middleware,
+    page_body::{PageBody, Stall},
+};
 
 /// The files of the page, built by `make playground`.
 const FILES: [(&str, &str, &str); 4] = [
@@ -67,45 +71,70 @@ pub(super) fn http1(patience: Duration, header_bytes: u32) -> http1::Builder {
 #[derive(Clone, Debug)]
 pub(super) struct Page {
     calls: GrpcWebService<Middleware>,
-    /// Without TLS no certificate proves which server this is.
-    is_plain: bool,
+    own: Middleware,
+    /// Only over HTTP/1.1, which is without TLS: then no certificate proves which server this is.
+    stall: Option<Stall>,
 }
 
 impl Page {
-    pub(super) fn over_http1(calls: Middleware) -> Self {
-        Self { calls: GrpcWebLayer::new().layer(calls), is_plain: true }
+    pub(super) fn over_http1(calls: Middleware, stall: Stall) -> Self {
+        Self { calls: GrpcWebLayer::new().layer(calls.clone()), own: calls, stall: Some(stall) }
     }
 
     pub(super) fn over_http2(calls: Middleware) -> Self {
-        Self { calls: GrpcWebLayer::new().layer(calls), is_plain: false }
+        Self { calls: GrpcWebLayer::new().layer(calls.clone()), own: calls, stall: None }
     }
 }
 
 impl Service<Request<Incoming>> for Page {
     type Response = Response<Body>;
     type Error = Infallible;
-    type Future = Either<
-        Ready<Result<Response<Body>, Infallible>>,
-        BoxFuture<'static, Result<Response<Body>, Infallible>>,
-    >;
+    type Future = BoxFuture<'static, Result<Response<Body>, Infallible>>;
 
     fn poll_ready(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), Infallible>> {
         Service::<Request<Incoming>>::poll_ready(&mut self.calls, cx)
     }
 
-    fn call(&mut self, request: Request<Incoming>) -> Self::Future {
-        let answer = match *request.method() {
-            _ if self.is_plain && !names_no_site(&request) => plain(
+    fn call(&mut self, mut request: Request<Incoming>) -> Self::Future {
+        let (stall, patience) = (self.stall.clone(), self.own.patience());
+        let said = match *request.method() {
+            _ if stall.is_some() && !names_no_site(&request) => Said::plain(
                 StatusCode::FORBIDDEN,
                 "without TLS the page is only served under an IP address or localhost",
             ),
-            Method::GET | Method::HEAD => file(request.uri().path()),
-            _ if !is_grpc(&request) => {
-                plain(StatusCode::UNSUPPORTED_MEDIA_TYPE, "the content type must be that of gRPC or gRPC-web")
-            }
-            _ => return Either::Right(Box::pin(self.calls.call(request))),
+            Method::GET | Method::HEAD => Said::file(request.uri().path()),
+            _ => match encoding(&request) {
+                None => Said::plain(
+                    StatusCode::UNSUPPORTED_MEDIA_TYPE,
+                    "the content type must be that of gRPC or of binary gRPC-web",
+                ),
+                Some(is_web) => {
+                    if is_web {
+                        // Otherwise this header could ask for an answer in base64.
+                        let binary = HeaderValue::from_static("application/grpc-web+proto");
+                        request.headers_mut().insert(header::ACCEPT, binary);
+                    }
+                    let answer = self.calls.call(request);
+                    return Box::pin(async move {
+                        if let Some(stall) = stall {
+                            stall.over().await;
+                        }
+                        let response = answer.await?;
+                        if !is_web {
+                            return Ok(response);
+                        }
+                        Ok(response.map(|body| Body::new(PageBody::call(body, patience))))
+                    });
+                }
+            },
         };
-        Either::Left(ready(Ok(answer)))
+        let own = self.own.clone();
+        Box::pin(async move {
+            if let Some(stall) = stall {
+                stall.over().await;
+            }
+            Ok(said.answer(&own, &request))
+        })
     }
 }
 
@@ -121,36 +150,64 @@ fn names_no_site<B>(request: &Request<B>) -> bool {
     })
 }
 
-/// Whether the content type is gRPC's. Browsers send other content types to any site, but these
-/// types only after the site has allowed it.
-fn is_grpc<B>(request: &Request<B>) -> bool {
-    let kind = request.headers().get(header::CONTENT_TYPE);
-    kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/grpc"))
+/// Whether the content type is gRPC-web's, or `None` if it is neither that nor gRPC's. Browsers send other
+/// content types to any site, but these types only after the site has allowed it. The text form of gRPC-web is
+/// not served: its base64 would be a second copy of the answer, which no budget counts.
+fn encoding<B>(request: &Request<B>) -> Option<bool> {
+    let kind = request.headers().get(header::CONTENT_TYPE)?.as_bytes();
+    let rest = kind.strip_prefix(b"application/grpc")?;
+    let rest = rest.to_ascii_lowercase();
+    match rest.strip_prefix(b"-web") {
+        Some(form) if form.starts_with(b"-text") => None,
+        web => Some(web.is_some()),
+    }
 }
 
-/// Answers GET and HEAD; hyper leaves out the body for HEAD.
-fn file(path: &str) -> Response<Body> {
-    let Some((_, kind, text)) = FILES.iter().find(|(name, ..)| *name == path) else {
-        return plain(StatusCode::NOT_FOUND, "not found; the page is at /");
-    };
-    answer(StatusCode::OK, kind, text)
+/// An answer that is not one of gRPC.
+struct Said {
+    code: StatusCode,
+    kind: &'static str,
+    text: &'static str,
 }
 
-fn plain(code: StatusCode, text: &'static str) -> Response<Body> {
-    answer(code, "text/plain; charset=utf-8", text)
-}
+impl Said {
+    fn file(path: &str) -> Self {
+        let Some((_, kind, text)) = FILES.iter().find(|(name, ..)| *name == path) else {
+            return Self::plain(StatusCode::NOT_FOUND, "not found; the page is at /");
+        };
+        Self { code: StatusCode::OK, kind, text }
+    }
 
-fn answer(code: StatusCode, kind: &'static str, text: &'static str) -> Response<Body> {
-    let mut response = Response::new(Body::new(text.to_owned()));
-    *response.status_mut() = code;
-    let headers = [
-        (header::CONTENT_TYPE, kind),
-        // The files belong to this server's version, so a cached copy must be revalidated.
-        (header::CACHE_CONTROL, "no-cache"),
-        (header::CONTENT_SECURITY_POLICY, POLICY),
-        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
-        (header::REFERRER_POLICY, "no-referrer"),
-    ];
-    response.headers_mut().extend(headers.map(|(name, value)| (name, HeaderValue::from_static(value))));
-    response
+    fn plain(code: StatusCode, text: &'static str) -> Self {
+        Self { code, kind: "text/plain; charset=utf-8", text }
+    }
+
+    /// The response, which costs the memory of a call until it is sent. If the budget has no room, the answer
+    /// has only headers.
+    fn answer<B>(self, own: &Middleware, request: &Request<B>) -> Response<Body> {
+        let Ok(taken) = own.take_for_page(request.headers()) else {
+            let mut busy = Response::new(Body::empty());
+            *busy.status_mut() = StatusCode::SERVICE_UNAVAILABLE;
+            busy.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("1"));
+            return busy;
+        };
+        let body = match *request.method() {
+            Method::HEAD => Body::empty(),
+            _ => Body::new(PageBody::file(self.text, taken, own.patience())),
+        };
+        let mut response = Response::new(body);
+        *response.status_mut() = self.code;
+        let headers = [
+            (header::CONTENT_TYPE, self.kind),
+            // The files belong to this server's version, so a cached copy must be revalidated.
+            (header::CACHE_CONTROL, "no-cache"),
+            (header::CONTENT_SECURITY_POLICY, POLICY),
+            (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+            (header::REFERRER_POLICY, "no-referrer"),
+        ];
+        let headers = headers.map(|(name, value)| (name, HeaderValue::from_static(value)));
+        response.headers_mut().extend(headers);
+        response.headers_mut().insert(header::CONTENT_LENGTH, self.text.len().into());
+        response
+    }
 }

@@ -12,14 +12,15 @@ use tonic::body::Body;
 const TYPES: [&str; 2] = ["application/grpc", "application/grpc+proto"];
 
 /// The answer to a request that is not gRPC, or `None` for a gRPC request.
+///
+/// The answer has only headers: the memory budget does not count it, and a body would wait until the peer
+/// reads it.
 pub(super) fn refusal<B>(request: &Request<B>) -> Option<Response<Body>> {
     if request.method() != Method::POST {
-        let allowed = (header::ALLOW, HeaderValue::from_static("POST"));
-        return Some(answer(StatusCode::METHOD_NOT_ALLOWED, "gRPC calls are POST", Some(allowed)));
+        return Some(answer(StatusCode::METHOD_NOT_ALLOWED, (header::ALLOW, "POST")));
     }
     if !request.headers().get(header::CONTENT_TYPE).is_some_and(is_grpc) {
-        let text = "gRPC calls have the content type application/grpc";
-        return Some(answer(StatusCode::UNSUPPORTED_MEDIA_TYPE, text, None));
+        return Some(answer(StatusCode::UNSUPPORTED_MEDIA_TYPE, (header::ACCEPT, TYPES[0])));
     }
     None
 }
@@ -31,16 +32,18 @@ fn is_grpc(value: &HeaderValue) -> bool {
     TYPES.iter().any(|known| known.eq_ignore_ascii_case(kind))
 }
 
-fn answer(code: StatusCode, text: &'static str, extra: Option<(HeaderName, HeaderValue)>) -> Response<Body> {
-    let mut response = Response::new(Body::new(text.to_owned()));
+/// An answer with a header that says what is accepted.
+fn answer(code: StatusCode, (name, value): (HeaderName, &'static str)) -> Response<Body> {
+    let mut response = Response::new(Body::empty());
     *response.status_mut() = code;
-    let kind = (header::CONTENT_TYPE, HeaderValue::from_static("text/plain; charset=utf-8"));
-    response.headers_mut().extend([kind].into_iter().chain(extra));
+    response.headers_mut().insert(name, HeaderValue::from_static(value));
     response
 }
 
 #[cfg(test)]
 mod tests {
+    use hyper::body::Body as _;
+
     use super::*;
 
     fn code(method: Method, kind: Option<&str>) -> Option<u16> {
@@ -49,7 +52,10 @@ mod tests {
         if let Some(kind) = kind {
             request.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_str(kind).unwrap());
         }
-        refusal(&request).map(|response| response.status().as_u16())
+        refusal(&request).map(|response| {
+            assert!(response.body().is_end_stream(), "a body that the peer may leave unread");
+            response.status().as_u16()
+        })
     }
 
     /// Catches a method or a content type that is served although it is not gRPC, and one of gRPC

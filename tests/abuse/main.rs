@@ -36,6 +36,7 @@ mod messages;
 #[cfg(feature = "playground")]
 mod over_http1;
 mod queries;
+mod refused;
 mod shares;
 mod stored;
 mod unfinished;

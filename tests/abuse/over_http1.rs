@@ -25,6 +25,8 @@ attacks! {
     headers: "headers of HTTP/1.1 that do not end" => headers;
     /// Catches answers that stay in memory because the caller does not read them.
     unread: "100 gRPC-web answers that are never read" => unread;
+    /// Catches files of the page that nothing counts or ends, and heads of answers that pile up.
+    files: "100 connections that ask for files again and again and read nothing" => files;
     /// Catches elements that are allocated before they are counted.
     elements: "64 MiB of empty elements over gRPC-web" => elements;
 }
@@ -112,4 +114,10 @@ async fn elements(arena: &Arena) {
         () = arena.bystander_answered(arena.size().of(200)) => {}
         _ = senders => {}
     }
+}
+
+async fn files(arena: &Arena) {
+    let asks =
+        |line: &str| format!("{line} HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n").repeat(200_000).into_bytes();
+    hold(arena, &[asks("GET /playground.js"), asks("HEAD /")], arena.size().of(100)).await;
 }

@@ -307,3 +307,54 @@ async fn an_idle_page_does_not_keep_the_server() {
     }
     server.stopped().await;
 }
+
+/// Catches base64 answers, a second copy that no budget counts, whether the content type asks for them or only
+/// the header `accept`.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_text_form_of_grpc_web_is_refused() {
+    let server = setup().start().await;
+    let frame = raw::frame(false, &[]);
+    for kind in ["application/grpc-web-text", "application/grpc-web-text+proto", "application/GRPC-web-text"]
+    {
+        let headers = format!("content-type: {kind}\r\n");
+        let said = ask(&server, "127.0.0.1", &format!("POST {INFO}"), &headers, &frame).await;
+        assert_eq!(said.code, 415, "{kind}");
+    }
+    let headers = format!("content-type: {GRPC_WEB}\r\naccept: application/grpc-web-text\r\n");
+    let said = ask(&server, "127.0.0.1", &format!("POST {INFO}"), &headers, &frame).await;
+    assert!(
+        said.code == 200 && said.head.contains(&format!("content-type: {GRPC_WEB}\r\n")),
+        "{}",
+        said.head
+    );
+    assert_eq!(said.body.first(), Some(&0), "not a binary message");
+}
+
+/// Catches files that nothing counts or ends while their peer does not read them, over HTTP/2 and over
+/// HTTP/1.1, and heads of pipelined answers that pile up.
+#[tokio::test(flavor = "multi_thread")]
+async fn files_that_are_not_read_are_counted_and_cut() {
+    const CUTS: &str = r#"hullcast_cuts_total{reason="answer_not_read"}"#;
+    let mut setup = setup();
+    setup.serving.answer_time = Duration::from_millis(500);
+    let server = setup.start().await;
+    let mut client = raw::connect_from("127.0.0.1", &server.address, 1000).await;
+    let mut get = raw::call("/playground.js", &[], raw::Body::Whole(Vec::new().into()));
+    *get.method_mut() = http::Method::GET;
+    let unread = client.send_request(get).await.unwrap();
+    assert_eq!(unread.status(), 200);
+    assert!(server.metric(r#"hullcast_memory_bytes{part="connections"}"#) > f64::from(32 << 10));
+    server.until(CUTS, 1.0).await;
+    drop((unread, client));
+    for (cuts, line) in [(2.0, "GET /playground.js"), (3.0, "HEAD /")] {
+        let stream = TcpStream::connect(&server.address).await.unwrap();
+        let asks = format!("{line} HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n").repeat(10_000);
+        let (reading, mut writing) = stream.into_split();
+        // The server stops reading, or closes the connection.
+        let sending = tokio::spawn(async move { while writing.write_all(asks.as_bytes()).await.is_ok() {} });
+        server.until(CUTS, cuts).await;
+        sending.abort();
+        drop(reading);
+    }
+    server.until("hullcast_connections", 1.0).await;
+}
