@@ -5,12 +5,16 @@
 use std::{
     io,
     pin::Pin,
-    sync::Arc,
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+    },
     task::{Context, Poll},
     time::Duration,
 };
 
 use bytes::Bytes;
+use futures_util::task::AtomicWaker;
 use hyper::body::{Body as HttpBody, Frame, SizeHint};
 use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
@@ -27,8 +31,8 @@ const TRAILERS: u8 = 0x80;
 
 /// A body whose last frame has a cutoff until the transport has sent it.
 ///
-/// Over HTTP/2 the transport forgets a body as soon as it has its last frame, and the cutoff with it. So this
-/// body tells its end only when it is asked for another frame, which happens when the peer has made room.
+/// Over HTTP/2 the transport forgets a body, and the cutoff with it, as soon as it has taken the body's end, even
+/// if it has not sent the frames before. So this body ends only when all its frames are sent.
 pub(super) struct PageBody {
     source: Source,
     patience: Duration,
@@ -36,6 +40,15 @@ pub(super) struct PageBody {
     /// The cutoff waits for the body's end.
     is_ending: bool,
     has_begun: bool,
+    unsent: Arc<Frames>,
+}
+
+/// The frames that are not sent yet.
+#[derive(Default)]
+struct Frames {
+    count: AtomicUsize,
+    /// Wakes the body that waits for its end.
+    waiting: AtomicWaker,
 }
 
 enum Source {
@@ -58,7 +71,20 @@ impl PageBody {
     }
 
     fn new(source: Source, patience: Duration) -> Self {
-        Self { source, patience, cutoff: Cutoff::current(), is_ending: false, has_begun: false }
+        Self {
+            source,
+            patience,
+            cutoff: Cutoff::current(),
+            is_ending: false,
+            has_begun: false,
+            unsent: Arc::default(),
+        }
+    }
+
+    /// Completes when the transport has sent all frames.
+    fn poll_sent(&self, cx: &mut Context<'_>) -> Poll<()> {
+        self.unsent.waiting.register(cx.waker());
+        if self.unsent.count.load(Ordering::SeqCst) == 0 { Poll::Ready(()) } else { Poll::Pending }
     }
 
     /// Sets the time by which the rest has to be taken.
@@ -91,14 +117,15 @@ impl HttpBody for PageBody {
         let (bytes, taken) = match &mut this.source {
             Source::File(text, taken) => match text.take() {
                 Some(text) => (text, Some(taken.clone())),
-                None => return Poll::Ready(None),
+                None => return this.poll_sent(cx).map(|()| None),
             },
             Source::Call(body) => match std::task::ready!(Pin::new(body).poll_frame(cx)) {
                 Some(Ok(frame)) => match frame.into_data() {
                     Ok(bytes) => (bytes, None),
                     Err(other) => return Poll::Ready(Some(Ok(other))),
                 },
-                ended => return Poll::Ready(ended),
+                None => return this.poll_sent(cx).map(|()| None),
+                failed => return Poll::Ready(failed),
             },
         };
         this.has_begun = true;
@@ -107,7 +134,9 @@ impl HttpBody for PageBody {
         }
         let cutoff = this.cutoff.clone();
         cutoff.queued(bytes.len());
-        Poll::Ready(Some(Ok(Frame::data(Bytes::from_owner(Unsent { bytes, cutoff, _taken: taken })))))
+        let frames = this.unsent.clone();
+        frames.count.fetch_add(1, Ordering::SeqCst);
+        Poll::Ready(Some(Ok(Frame::data(Bytes::from_owner(Unsent { bytes, cutoff, frames, _taken: taken })))))
     }
 
     fn is_end_stream(&self) -> bool {
@@ -129,6 +158,7 @@ impl HttpBody for PageBody {
 struct Unsent {
     bytes: Bytes,
     cutoff: Cutoff,
+    frames: Arc<Frames>,
     _taken: Option<Arc<Taken>>,
 }
 
@@ -141,6 +171,9 @@ impl AsRef<[u8]> for Unsent {
 impl Drop for Unsent {
     fn drop(&mut self) {
         self.cutoff.freed(self.bytes.len());
+        if self.frames.count.fetch_sub(1, Ordering::SeqCst) == 1 {
+            self.frames.waiting.wake();
+        }
     }
 }
 
