@@ -7,10 +7,16 @@
 //! one slice in the transport's queue. It puts the large answers, which are encoded already, in
 //! the place of the empty messages that tonic encodes for them. It also sets the call's
 //! [`Cutoff`]: an answer has to be taken within a stated time of when it is ready.
+//!
+//! The transport forgets a body as soon as it has taken the body's end, even if frames before the
+//! end are not sent yet. Therefore the end of a large answer waits until all of it is sent. The end
+//! of a small answer goes out with it, which saves a packet; its frame holds the memory of the call,
+//! and the [`Cutoff`] waits for the frame.
 
 use std::{
     collections::VecDeque,
     pin::Pin,
+    sync::Arc,
     task::{Context, Poll, ready},
     time::Duration,
 };
@@ -22,7 +28,7 @@ use tonic::{Status, body::Body};
 
 use super::{
     ServiceError,
-    call::Call,
+    call::{Call, Taken},
     context::{Answer, CallContext, no_memory},
     cutoff::Cutoff,
     request_body::{HEAD_BYTES, per_mebibyte},
@@ -68,6 +74,10 @@ pub(super) struct AnswerBody {
     cutoff: Cutoff,
     /// The bytes that the transport has not asked for yet.
     queued: VecDeque<Bytes>,
+    /// Whether a large answer was queued, whose bytes the end waits for.
+    is_large: bool,
+    /// The end, if it waits.
+    trailers: Option<Frame<Bytes>>,
     ended: bool,
 }
 
@@ -76,7 +86,8 @@ impl AnswerBody {
     pub(super) fn new(body: Body, call: Call, context: CallContext, times: AnswerTimes) -> Self {
         let cutoff = Cutoff::current();
         cutoff.set(times.due(context.answer_bytes()));
-        Self { body, call, context, times, cutoff, queued: VecDeque::new(), ended: false }
+        let queued = VecDeque::new();
+        Self { body, call, context, times, cutoff, queued, is_large: false, trailers: None, ended: false }
     }
 
     /// Separates a frame of tonic's into small messages, which stay together, and large answers, which take
@@ -95,7 +106,8 @@ impl AnswerBody {
             self.queue_small(frame.split_to(small))?;
             frame.advance(HEAD_BYTES);
             small = 0;
-            self.queue(bytes, memory);
+            self.is_large = true;
+            self.queue(bytes, memory, None);
         }
         self.queue_small(frame)
     }
@@ -122,20 +134,32 @@ impl AnswerBody {
         if !self.cutoff.is_all_sent() {
             memory.uncover().map_err(|why| no_memory(metrics, why))?;
         }
-        self.queue(bytes, memory);
+        self.queue(bytes, memory, Some(self.call.taken()));
         Ok(())
     }
 
-    /// Queues bytes for the transport. Their memory counts until they are sent.
-    fn queue(&mut self, bytes: Bytes, memory: Permit) {
+    /// Queues bytes for the transport. Their memory counts until they are sent, and so do the resources of
+    /// the call, if it covers the memory.
+    fn queue(&mut self, bytes: Bytes, memory: Permit, taken: Option<Arc<Taken>>) {
         let length = bytes.len();
         self.cutoff.queued(length);
         self.cutoff.set(self.times.due(length));
         self.queued.push_back(Bytes::from_owner(Unsent {
             bytes,
             _memory: memory,
+            _taken: taken,
             cutoff: self.cutoff.clone(),
         }));
+    }
+
+    /// Hands on the end of the answer, if it need not wait for bytes that are not sent.
+    fn poll_end(&mut self, cx: &mut Context<'_>, trailers: Frame<Bytes>) -> Poll<Frame<Bytes>> {
+        if self.is_large && self.cutoff.poll_sent(cx).is_pending() {
+            self.trailers = Some(trailers);
+            return Poll::Pending;
+        }
+        self.ended = true;
+        Poll::Ready(trailers)
     }
 }
 
@@ -143,6 +167,7 @@ impl AnswerBody {
 struct Unsent {
     bytes: Bytes,
     _memory: Permit,
+    _taken: Option<Arc<Taken>>,
     cutoff: Cutoff,
 }
 
@@ -171,6 +196,9 @@ impl HttpBody for AnswerBody {
             if let Some(slice) = this.slice() {
                 return Poll::Ready(Some(Ok(Frame::data(slice))));
             }
+            if let Some(trailers) = this.trailers.take() {
+                return this.poll_end(cx, trailers).map(|trailers| Some(Ok(trailers)));
+            }
             let polled = {
                 let _entered = this.call.enter();
                 Pin::new(&mut this.body).poll_frame(cx)
@@ -186,15 +214,15 @@ impl HttpBody for AnswerBody {
             match frame?.into_data() {
                 Ok(bytes) => {
                     if let Err(refused) = this.separate(bytes) {
-                        this.ended = true;
-                        return Poll::Ready(Some(this.call.ended_early(&refused.into())));
+                        this.queued.clear();
+                        this.trailers = Some(this.call.ended_early(&refused.into())?);
                     }
                 }
                 Err(other) => {
                     if let Some(status) = other.trailers_ref().and_then(Status::from_header_map) {
                         this.call.ended_with(status.code());
                     }
-                    return Poll::Ready(Some(Ok(other)));
+                    return this.poll_end(cx, other).map(|trailers| Some(Ok(trailers)));
                 }
             }
         }
@@ -202,7 +230,7 @@ impl HttpBody for AnswerBody {
     }
 
     fn is_end_stream(&self) -> bool {
-        self.ended || (self.queued.is_empty() && self.body.is_end_stream())
+        self.ended || (self.queued.is_empty() && self.trailers.is_none() && self.body.is_end_stream())
     }
 
     fn size_hint(&self) -> SizeHint {

@@ -143,7 +143,7 @@ pub(super) struct Call {
     code: Code,
     stop: Arc<Stop>,
     /// The resources of its connection and of the memory budget that the call holds.
-    _taken: Taken,
+    taken: Arc<Taken>,
     _in_flight: Held,
 }
 
@@ -168,13 +168,18 @@ impl Call {
             // by its client.
             code: Code::Cancelled,
             stop,
-            _taken: taken,
+            taken: Arc::new(taken),
             _in_flight: in_flight,
         }
     }
 
     pub(super) fn app(&self) -> &App {
         &self.app
+    }
+
+    /// The resources that the call holds. They are held for as long as a clone lives.
+    pub(super) fn taken(&self) -> Arc<Taken> {
+        self.taken.clone()
     }
 
     /// Enters the call's spans. While the guards live, every logged line names the call.

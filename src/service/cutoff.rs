@@ -8,18 +8,21 @@
 //! Over HTTP/2, the connection's executor ([`StreamExecutor`]) runs the stream's future together with the
 //! cutoff, and drops the future at that time. h2 then discards the bytes that the stream has queued and
 //! resets the stream, so the caller sees CANCELLED. If bytes of the answer remain after that, because the
-//! socket takes nothing at all, the connection is closed. Over HTTP/1.1 a connection has one call at a
+//! socket takes nothing at all, the connection is closed. The transport may end the future of a small answer
+//! before it has sent the answer; then nothing but the connection can be closed at that time. Over HTTP/1.1 a connection has one call at a
 //! time, and the cutoff closes the connection.
 
 use std::{
-    future::Future,
+    future::{Future, poll_fn},
     sync::{
         Arc,
         atomic::{AtomicU64, AtomicUsize, Ordering},
     },
+    task::{Context, Poll},
     time::Duration,
 };
 
+use futures_util::task::AtomicWaker;
 use tokio::{
     sync::Notify,
     time::{Instant, sleep, sleep_until},
@@ -57,6 +60,8 @@ struct State {
     /// `due` is earlier than `awaited`.
     is_earlier: Notify,
     unsent: AtomicUsize,
+    /// Wakes the task that waits until everything is sent.
+    sent: AtomicWaker,
     abort: Arc<Notify>,
 }
 
@@ -82,6 +87,7 @@ impl Cutoff {
             awaited: NEVER.into(),
             is_earlier: Notify::new(),
             unsent: 0.into(),
+            sent: AtomicWaker::new(),
             abort,
         }))
     }
@@ -108,6 +114,15 @@ impl Cutoff {
         self.0.unsent.load(Ordering::SeqCst) == 0
     }
 
+    /// Completes when the transport has sent all of the answer so far. One task at a time may wait.
+    pub(super) fn poll_sent(&self, cx: &mut Context<'_>) -> Poll<()> {
+        if self.is_all_sent() {
+            return Poll::Ready(());
+        }
+        self.0.sent.register(cx.waker());
+        if self.is_all_sent() { Poll::Ready(()) } else { Poll::Pending }
+    }
+
     /// Removes the cutoff if the peer has taken all of the answer so far.
     pub(super) fn clear_if_all_is_sent(&self) {
         let due = self.0.due.load(Ordering::SeqCst);
@@ -126,8 +141,10 @@ impl Cutoff {
 
     /// Records that the memory of `bytes` is free, because they were sent or discarded.
     pub(super) fn freed(&self, bytes: usize) {
-        self.0.unsent.fetch_sub(bytes, Ordering::SeqCst);
-        self.clear_if_all_is_sent();
+        if self.0.unsent.fetch_sub(bytes, Ordering::SeqCst) == bytes {
+            self.clear_if_all_is_sent();
+            self.0.sent.wake();
+        }
     }
 
     /// Runs `work`. Returns none if the cutoff ended it.
@@ -138,12 +155,19 @@ impl Cutoff {
             why = self.due() => Err(why),
         };
         // The work has already been dropped here.
-        ended
-            .map_err(|why| {
-                app.metrics().cut(why);
-                tracing::debug!(why = why.name(), "cut a call whose answer was not read in time");
-            })
-            .ok()
+        ended.map_err(|why| report(app, why)).ok()
+    }
+
+    /// Waits until the transport has sent all of the answer. Returns false if the cutoff comes first.
+    async fn sent(&self, app: &App) -> bool {
+        tokio::select! {
+            biased;
+            () = poll_fn(|cx| self.poll_sent(cx)) => true,
+            why = self.due() => {
+                report(app, why);
+                false
+            }
+        }
     }
 
     /// Waits for the cutoff and returns its reason.
@@ -170,6 +194,11 @@ impl Cutoff {
             }
         }
     }
+}
+
+fn report(app: &App, why: Cut) {
+    app.metrics().cut(why);
+    tracing::debug!(why = why.name(), "cut a call whose answer was not read in time");
 }
 
 /// Spawns the futures of a connection's streams, each with its own cutoff.
@@ -212,12 +241,17 @@ where
         let (app, living) = (self.app.clone(), self.living.clone());
         tokio::spawn(async move {
             let ended = cutoff.guard(&app, stream).await;
-            living.fetch_sub(1, Ordering::Relaxed);
-            if ended.is_none() && !cutoff.is_all_sent() {
-                sleep(DISCARD).await;
-                if !cutoff.is_all_sent() {
-                    cutoff.0.abort.notify_one();
+            let is_sent = match ended {
+                Some(_) => cutoff.sent(&app).await,
+                None if cutoff.is_all_sent() => true,
+                None => {
+                    sleep(DISCARD).await;
+                    cutoff.is_all_sent()
                 }
+            };
+            living.fetch_sub(1, Ordering::Relaxed);
+            if !is_sent {
+                cutoff.0.abort.notify_one();
             }
         });
     }

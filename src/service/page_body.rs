@@ -205,7 +205,7 @@ impl Stall {
     }
 
     fn end(&self) {
-        if self.is_stalled.send_if_modified(|stalled| std::mem::take(stalled)) {
+        if self.is_stalled.send_if_modified(std::mem::take) {
             self.cutoff.freed(1);
         }
     }

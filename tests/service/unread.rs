@@ -18,6 +18,8 @@ use crate::support::{
 const QUERY: &str = "/hullcast.v1.ContactService/QueryContacts";
 const FIND: &str = "/hullcast.v1.ContactService/FindContacts";
 const INFO: &str = "/hullcast.v1.ServerService/GetServerInfo";
+const CUTS: &str = r#"hullcast_cuts_total{reason="answer_not_read"}"#;
+const CONNECTIONS: &str = r#"hullcast_memory_bytes{part="connections"}"#;
 const ANSWERS: &str = r#"hullcast_memory_bytes{part="answers"}"#;
 
 /// A server that gives its callers half a second to read an answer.
@@ -38,19 +40,42 @@ async fn an_answer_that_is_not_read_is_cut() {
         };
         let body = raw::Body::Whole(raw::frame(false, &request.encode_to_vec()));
         let mut client = raw::connect_from("127.0.0.1", &server.address, 20_000).await;
-        let before = server.metric(r#"hullcast_cuts_total{reason="answer_not_read"}"#);
+        let before = server.metric(CUTS);
         let unread = client.send_request(raw::call(path, &[], body)).await.unwrap();
         assert!(Status::from_header_map(unread.headers()).is_none());
         while server.metric(ANSWERS) < 200_000.0 {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
-        server.until(r#"hullcast_cuts_total{reason="answer_not_read"}"#, before + 1.0).await;
+        server.until(CUTS, before + 1.0).await;
         server.until(ANSWERS, 0.0).await;
         server.until("hullcast_requests_in_flight", 0.0).await;
         // The connection's other calls go on.
         let (status, _) = raw::status_on(&mut client, INFO, &[], raw::frame(false, &[])).await;
         assert_eq!(status.code(), Code::Ok);
         drop(unread);
+    }
+}
+
+/// The transport takes the end of an answer that fits into one piece while the peer has read one byte of it.
+/// Catches such an answer, small or large, that nothing ends, and whose memory nothing counts.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_answer_of_one_piece_is_cut_too() {
+    let server = impatient().await;
+    let query = raw::frame(false, &many_contacts(&server, 100).await.encode_to_vec());
+    for (cuts, (path, message)) in [(INFO, raw::frame(false, &[])), (QUERY, query)].into_iter().enumerate() {
+        let before = server.metric(CONNECTIONS);
+        let mut client = raw::connect_from("127.0.0.1", &server.address, 1).await;
+        let idle = server.metric(CONNECTIONS);
+        let unread = client.send_request(raw::call(path, &[], raw::Body::Whole(message))).await.unwrap();
+        assert!(Status::from_header_map(unread.headers()).is_none());
+        // The memory counts until the call is cut.
+        assert!(server.metric(CONNECTIONS) >= idle + 32_768.0, "{path}");
+        assert_eq!(server.metric(CUTS), cuts as f64);
+        server.until(CUTS, 1.0 + cuts as f64).await;
+        server.until(ANSWERS, 0.0).await;
+        drop(unread);
+        drop(client);
+        server.until(CONNECTIONS, before).await;
     }
 }
 
