@@ -116,7 +116,7 @@ def test_a_hull_too_large_for_a_message_is_named():
             error = caught.value
             assert (error.reason, error.place) == ("MESSAGE_TOO_LARGE", f"hulls[{place}]")
             assert "60000 points" in error.message
-            assert "1048576" in error.message
+            assert "at most 1 MiB" in error.message
         assert len(client.register([CUBE, CUBE * 2])) == 2
 
 

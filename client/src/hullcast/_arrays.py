@@ -19,8 +19,8 @@ Indices = npt.NDArray[np.uint32]
 #: The largest allowed difference, in any entry, between `R^T R` and the identity matrix.
 _ROTATION_ERROR = 1e-3
 
-#: The ranges of poses that the server accepts (`crates/contact/src/body.rs`): the largest absolute value
-#: of a coordinate, and the norm of a quaternion.
+#: The ranges of poses that the server accepts (`crates/contact/src/body.rs`): the largest absolute
+#: value of a coordinate, and the norm of a quaternion.
 _MAX_POSITION = 1e100
 _MIN_NORM, _MAX_NORM = 0.25, 4.0
 
