@@ -162,9 +162,10 @@ tradeoff-families tradeoff-scenes: tradeoff-%: build $(VENV)/.bench
 planarity: check-tools $(VENV)/.planarity ## measures the patches of rounded shapes for each planarity of faces; writes docs/tradeoff.md and its picture
 	mkdir -p out
 	$(PY) client/examples/planarity_meshes.py out/meshes.json
-	$(CARGO) run --release --locked --package hullcast-contact --example planarity -- docs/planarity.csv 1000 out/meshes.json | tee out/planarity.txt
-	$(PY) client/examples/planarity.py docs/planarity.csv docs/planarity.svg
+	$(CARGO) run --release --locked --package hullcast-contact --example planarity -- out/planarity.csv 1000 out/meshes.json | tee out/planarity.txt
 	./scripts/section docs/tradeoff.md planarity out/planarity.txt
+	cp out/planarity.csv docs
+	$(PY) client/examples/planarity.py docs/planarity.csv docs/planarity.svg
 
 .PHONY: simulation
 simulation: build $(VENV)/.test ## runs a rigid body simulation on several kinds of contacts; writes docs/simulation.md and its pictures
