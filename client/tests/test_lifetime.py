@@ -124,6 +124,30 @@ def test_a_forked_child_may_use_the_server_and_ends_nothing(tmp_path):
     assert done.stdout.split() == ["7", "1"], done.stderr
 
 
+def test_an_interrupt_does_not_end_the_server(tmp_path):
+    """Catches a server that ends when the user interrupts a cell or presses Ctrl-C.
+
+    As a terminal and Jupyter do, the test sends the signal to the whole group of processes.
+    """
+    ended = run(
+        """
+        import os, signal, time, hullcast
+        os.setsid()
+        client = hullcast.serve()
+        try:
+            os.killpg(0, signal.SIGINT)
+            time.sleep(60)
+        except KeyboardInterrupt:
+            pass
+        time.sleep(1)
+        print(client.info().version)
+        """,
+        tmp_path,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.strip() == hullcast.__version__
+
+
 def test_no_folder_is_made():
     """Catches a temporary folder, which nothing would remove if the process were killed."""
     before = set(os.listdir(tempfile.gettempdir()))

@@ -98,8 +98,15 @@ def start(
     # The log file has no name, so nothing is left of it however this process ends.
     log = tempfile.TemporaryFile(prefix="hullcast-")  # noqa: SIM115 (it lives with the server)
     try:
+        # A terminal and a notebook interrupt all processes of a session. The server ends with its
+        # standard input instead, so that an interrupted cell does not end it.
         process = subprocess.Popen(
-            command, bufsize=0, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log
+            command,
+            bufsize=0,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            start_new_session=True,
         )
     except BaseException:
         log.close()
