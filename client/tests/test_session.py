@@ -220,6 +220,40 @@ def test_what_a_step_refuses(client):
         pickle.dumps(session)
 
 
+def test_a_session_makes_one_step_at_a_time(client):
+    """Catches steps of several threads or tasks that read each other's answers, or that hang."""
+    cube = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    turns = [[0, 0, 0, 1]] * 2
+    scene = hullcast.Scene(client.register([cube, cube]), [[0, 0, 0], [0, 0, 0.9]], turns)
+    session = client.session(scene, [[0, 1]])
+    session.step(scene.positions, turns)
+    under_way = session._stepping(scene.positions, turns, None)
+    next(under_way)
+    with pytest.raises(hullcast.Error, match="STEP_UNDER_WAY"):
+        session.step(scene.positions, turns)
+    under_way.close()
+    wrong, right = [], []
+
+    def steps(height: float) -> None:
+        for _ in range(50):
+            try:
+                m = session.step([[0, 0, 0], [0, 0, height]], turns)
+            except hullcast.Error as error:
+                if error.reason != "STEP_UNDER_WAY":
+                    wrong.append(error)
+            else:
+                (right if abs(m.separation[0] - (height - 1)) < 1e-9 else wrong).append(height)
+
+    threads = [threading.Thread(target=steps, args=(0.9 + i / 100,)) for i in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert not any(thread.is_alive() for thread in threads)
+    assert right
+    assert wrong == []
+
+
 def test_sessions_leave_no_thread_behind(client):
     """The threads of closed or garbage collected sessions end: gRPC's and the one for timeouts."""
     scene = crowd(client, 10)

@@ -6,6 +6,7 @@ As in `_calls.py`, everything but the waiting is written once for both clients.
 from __future__ import annotations
 
 import os
+import threading
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -52,8 +53,8 @@ class Steps:
         size = min(max(least, -(-count // _LANES)), _MESSAGES_PER_LANE * least)
         self._lanes = [_Lane(span) for span in self._query.spans(size)]
         self._closed = False
-        #: Whether a step is under way.
-        self._busy = False
+        #: Locked while a step is under way.
+        self._step = threading.Lock()
         _sessions.add(self)
 
     def __len__(self) -> int:
@@ -75,11 +76,25 @@ class Steps:
             raise _errors.Error(
                 "the session is closed: open a new one with client.session", reason="CLOSED"
             )
+        # Two steps at a time would read each other's answers.
+        step = self._step
+        if not step.acquire(blocking=False):
+            raise _errors.Error(
+                "another thread or task makes a step of this session: open a session for each",
+                reason="STEP_UNDER_WAY",
+            )
+        try:
+            return (yield from self._stepped(positions, rotations, timeout))
+        finally:
+            step.release()
+
+    def _stepped(
+        self, positions: Any, rotations: Any, timeout: float | None
+    ) -> _link.Steps[Manifolds]:
         query, deadline = self._query, self._calls._deadline(timeout)
         query.move(positions, rotations)
         parts: dict[Span, _answers.Columns] = {}
         yield from self._calls._ready(deadline)
-        self._busy = True
         try:
             yield from self._exchange(self._lanes, parts, deadline)
             for times in range(1, _calls.REGISTRATIONS + 1):
@@ -96,8 +111,6 @@ class Steps:
             for lane in self._lanes:
                 lane.drop()
             raise
-        finally:
-            self._busy = False
         columns = _answers.merge([parts[lane.span] for lane in self._lanes])
         query.start_from(columns)
         return query.delivered(columns)
@@ -156,7 +169,7 @@ def _before_fork() -> None:
     The next step of either process sends a full message.
     """
     for session in list(_sessions):
-        if not session._busy:
+        if not session._step.locked():
             for lane in session._lanes:
                 lane.drop()
 
@@ -164,6 +177,7 @@ def _before_fork() -> None:
 def _after_fork() -> None:
     """Forgets streams in use. It does not end them: only the parent's threads could do that."""
     for session in list(_sessions):
+        session._step = threading.Lock()  # the step under way belongs to the parent
         for lane in session._lanes:
             _connection.inherited.append(lane.stream)
             lane.stream = None
