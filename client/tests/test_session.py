@@ -220,6 +220,23 @@ def test_what_a_step_refuses(client):
         pickle.dumps(session)
 
 
+def test_results_keep_the_poses_of_their_step(client):
+    """Catches a result or a scene that changes when the caller moves the same array on."""
+    cube = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    positions, turns = np.array([[0, 0, 0], [0, 0, 0.9]]), np.array([[0.0, 0, 0, 1]] * 2)
+    scene = hullcast.Scene(client.register([cube, cube]), positions, turns)
+    session = client.session(scene, [[0, 1]])
+    results = []
+    for height in (0.8, 0.7):
+        positions[1, 2] = height
+        results.append(session.step(positions, turns))
+    moved = scene.moved(positions, turns)
+    positions[1, 2], turns[1] = 5, (1, 0, 0, 0)
+    assert [m.scene.positions[1, 2] for m in results] == [0.8, 0.7]
+    assert (scene.positions[1, 2], moved.positions[1, 2]) == (0.9, 0.7)
+    assert moved.rotations[1].tolist() == [0, 0, 0, 1]
+
+
 def test_a_session_makes_one_step_at_a_time(client):
     """Catches steps of several threads or tasks that read each other's answers, or that hang."""
     cube = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)

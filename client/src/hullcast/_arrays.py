@@ -205,14 +205,15 @@ def poses(positions: Any, rotations: Any, count: int | None) -> tuple[Floats, Fl
             )
         turns = quaternions("positions", matrices[:, :3, :3])
         return np.ascontiguousarray(matrices[:, :3, 3]), turns
-    position_array = floats("positions", positions, count, 3)
+    # The poses are copied, so that a caller may move the same array on.
+    position_array = floats("positions", positions, count, 3).copy()
     if hasattr(rotations, "as_quat"):
         rotations = np.atleast_2d(rotations.as_quat())
     rotation_array = _array("rotations", rotations, (len(position_array), 4))
     if rotation_array.ndim == 3:
         matrices = floats("rotations", rotation_array, len(position_array), 3, 3)
         return position_array, quaternions("rotations", matrices)
-    return position_array, floats("rotations", rotation_array, len(position_array), 4)
+    return position_array, floats("rotations", rotation_array, len(position_array), 4).copy()
 
 
 def unusable(positions: Floats, rotations: Floats) -> Indices:
