@@ -45,6 +45,9 @@ def test_some_pairs_are_those_pairs_asked_alone(client, scene, some):
 def test_contacts_of_a_body_are_seen_from_it(client, scene, some):
     """The pairs of a body are turned such that it is A, with the numbers of the swapped query."""
     body = int(np.bincount(some.pairs[some.point_counts > 0].reshape(-1)).argmax())
+    for wrong in (-1, len(scene), 0.5, "a", None, [0, 1]):
+        with pytest.raises(hullcast.InvalidArgument, match="body"):
+            some.contacts_of(wrong)
     mine = some.contacts_of(body)
     rows = np.flatnonzero((some.pairs == body).any(axis=1) & (some.point_counts > 0))
     assert (mine.pairs[:, 0] == body).all()
@@ -121,6 +124,9 @@ def test_other_files_are_not_loaded(some, tmp_path):
     """Files that are not npz, are not manifolds, or have a truncated column are refused."""
     path = tmp_path / "x.npz"
     path.write_bytes(b"nothing of the kind")
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    with pytest.raises(hullcast.InvalidArgument, match="NOT_MANIFOLDS"):
+        Manifolds.load(tmp_path / "array.npy")
     with pytest.raises(hullcast.InvalidArgument, match="NOT_MANIFOLDS"):
         Manifolds.load(path)
     np.savez(path, alphas=np.zeros(3))

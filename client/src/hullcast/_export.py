@@ -195,7 +195,7 @@ def load(path: str | os.PathLike[str]) -> Columns:
         with np.load(path, allow_pickle=False) as file:
             written = str(file["format"]) if "format" in file.files else ""
             columns = {name: file[name] for name in file.files if name in _widths()}
-    except (ValueError, EOFError, zipfile.BadZipFile, KeyError, AttributeError):
+    except (ValueError, TypeError, EOFError, zipfile.BadZipFile, KeyError, AttributeError):
         raise InvalidArgument(
             f"{os.fspath(path)} is not an npz file: expected one that Manifolds.save wrote",
             reason="NOT_MANIFOLDS",

@@ -56,7 +56,12 @@ class Manifolds(ManifoldColumns):
 
         In the result `pairs[:, 1]` are the bodies that `body` touches, and the normals point away
         from `body`. The query must have the outputs NORMAL and POINTS.
+
+        Raises:
+            InvalidArgument: `body` is not the index of a body.
         """
+        last = 2**32 - 1 if self.scene is None else len(self.scene) - 1
+        body = _arguments.integer("body", body, 0, last)
         touching = (self.pairs == body).any(axis=1) & (self.point_counts > 0)
         chosen = self[np.flatnonzero(touching)]
         chosen._columns["witness_bs"] = chosen.witness_b
