@@ -339,7 +339,8 @@ async fn cores() -> Result<String, Failure> {
                         let scene = wire::scene(request.clone(), &limits)?;
                         let job = Job::new(budget::Caller::alone());
                         let admission = engine.admit(PAIRS, scene.setting.outputs, &job.caller)?;
-                        let (batch, _) = batch::Batch::new(scene, hulls.iter().cloned().map(Ok).collect());
+                        let found = Arc::new(hulls.iter().cloned().map(Ok).collect());
+                        let (batch, _) = batch::Batch::new(scene, found);
                         let engine = engine.clone();
                         let memory = Permit::unbounded(Part::Answers);
                         tasks.push(tokio::spawn(async move {
