@@ -142,14 +142,8 @@ impl AnswerBody {
     /// the call, if it covers the memory.
     fn queue(&mut self, bytes: Bytes, memory: Permit, taken: Option<Arc<Taken>>) {
         let length = bytes.len();
-        self.cutoff.queued(length);
+        self.queued.push_back(self.cutoff.until_sent(bytes, (memory, taken)));
         self.cutoff.set(self.times.due(length));
-        self.queued.push_back(Bytes::from_owner(Unsent {
-            bytes,
-            _memory: memory,
-            _taken: taken,
-            cutoff: self.cutoff.clone(),
-        }));
     }
 
     /// Hands on the end of the answer, if it need not wait for bytes that are not sent.
@@ -160,26 +154,6 @@ impl AnswerBody {
         }
         self.ended = true;
         Poll::Ready(trailers)
-    }
-}
-
-/// Bytes of an answer, with the permit for their memory.
-struct Unsent {
-    bytes: Bytes,
-    _memory: Permit,
-    _taken: Option<Arc<Taken>>,
-    cutoff: Cutoff,
-}
-
-impl AsRef<[u8]> for Unsent {
-    fn as_ref(&self) -> &[u8] {
-        &self.bytes
-    }
-}
-
-impl Drop for Unsent {
-    fn drop(&mut self) {
-        self.cutoff.freed(self.bytes.len());
     }
 }
 

@@ -40,8 +40,8 @@ use super::{
 #[cfg(feature = "playground")]
 use super::{
     cutoff::Cutoff,
-    page_body::{Noted, Stall},
     playground::{self, Page},
+    stall::{Noted, Stall},
 };
 use crate::log_limit::limited;
 

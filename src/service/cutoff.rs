@@ -22,6 +22,7 @@ use std::{
     time::Duration,
 };
 
+use bytes::Bytes;
 use futures_util::task::AtomicWaker;
 use tokio::{
     sync::Notify,
@@ -134,6 +135,12 @@ impl Cutoff {
         }
     }
 
+    /// The bytes for the transport, which count as unsent until it has freed them. `held` is held until then.
+    pub(super) fn until_sent<T: Send + 'static>(&self, bytes: Bytes, held: T) -> Bytes {
+        self.queued(bytes.len());
+        Bytes::from_owner(Unsent { bytes, cutoff: self.clone(), _held: held })
+    }
+
     /// Counts `bytes` of the answer that the transport has not sent yet.
     pub(super) fn queued(&self, bytes: usize) {
         self.0.unsent.fetch_add(bytes, Ordering::SeqCst);
@@ -193,6 +200,25 @@ impl Cutoff {
                 () = state.is_earlier.notified() => {}
             }
         }
+    }
+}
+
+/// Bytes of an answer that are not sent yet, and everything that is held until they are.
+struct Unsent<T> {
+    bytes: Bytes,
+    cutoff: Cutoff,
+    _held: T,
+}
+
+impl<T> AsRef<[u8]> for Unsent<T> {
+    fn as_ref(&self) -> &[u8] {
+        &self.bytes
+    }
+}
+
+impl<T> Drop for Unsent<T> {
+    fn drop(&mut self) {
+        self.cutoff.freed(self.bytes.len());
     }
 }
 

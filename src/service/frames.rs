@@ -251,17 +251,19 @@ mod tests {
             let mut state = Frames::default();
             connection(frames).chunks(5).try_for_each(|piece| state.read(piece))
         };
-        let largest = MOST_HEADER_BYTES;
         let resize = [0x3f, 0xe1, 0x1f];
         let (twice, thrice) = (resize.repeat(2), resize.repeat(3));
         let after = |begin: &[u8], block: &[u8]| [begin, block, &[0x82, 0x20, 0x20, 0x20]].concat();
-        assert!(read(&[frame(HEADERS, 4, &vec![0x82; largest])]).is_ok());
+        assert!(read(&[frame(HEADERS, 4, &vec![0x82; MOST_HEADER_BYTES])]).is_ok());
         assert!(read(&[frame(HEADERS, 4, &after(&[], &twice)), frame(HEADERS, 4, &twice)]).is_ok());
         assert!(read(&[frame(HEADERS, 0x2c, &after(&[0x20; 6], &twice))]).is_ok());
-        for block in [vec![0x82; largest + 1], thrice, vec![0x20; 3]] {
+        for block in [vec![0x82; MOST_HEADER_BYTES + 1], thrice, vec![0x20; 3]] {
             assert!(read(&[frame(HEADERS, 4, &block)]).is_err(), "{} bytes", block.len());
         }
         assert!(read(&[frame(HEADERS, 0x24, &[&[0; 5][..], &[0x20; 3]].concat())]).is_err());
-        assert!(read(&[frame(HEADERS, 0, &[0x82]), frame(CONTINUATION, 4, &vec![0; largest + 1])]).is_err());
+        assert!(
+            read(&[frame(HEADERS, 0, &[0x82]), frame(CONTINUATION, 4, &vec![0; MOST_HEADER_BYTES + 1])])
+                .is_err()
+        );
     }
 }

@@ -39,6 +39,8 @@ mod scene;
 mod security;
 mod server;
 mod socket_file;
+#[cfg(feature = "playground")]
+mod stall;
 mod steps;
 pub mod wire;
 

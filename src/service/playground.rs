@@ -19,11 +19,7 @@ use tonic::body::Body;
 use tonic_web::{GrpcWebLayer, GrpcWebService};
 use tower::{Layer, Service};
 
-use super::{
-    listener::Connection,
-    middleware::Middleware,
-    page_body::{PageBody, Stall},
-};
+use super::{listener::Connection, middleware::Middleware, page_body::PageBody, stall::Stall};
 
 /// The files of the page, built by `make playground`.
 const FILES: [(&str, &str, &str); 4] = [
