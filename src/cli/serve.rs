@@ -68,7 +68,7 @@ const RUNTIME_SHUTDOWN: Duration = Duration::from_secs(1);
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     let file = args.config.as_deref().map(Given::read).transpose()?.unwrap_or_default();
     let settings = args.given.clone().or(file);
-    let checked = settings.checked()?;
+    let mut checked = settings.checked()?;
     if args.print_config {
         print!("{}", toml::to_string(&settings)?);
         return Ok(());
@@ -80,7 +80,6 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         let _entered = runtime.enter();
         observe(&settings)?
     };
-    let mut checked = checked;
     let limits = &mut checked.limits;
     limits.max_connections = descriptors.connections(limits.max_connections);
     memory::compare(limits);

@@ -1,22 +1,16 @@
 //! The settings of a server. A flag takes precedence over the environment, the environment over the
 //! file, and the file over the default.
 
-use std::{
-    net::IpAddr,
-    path::{Path, PathBuf},
-    sync::Arc,
-    time::Duration,
-};
+mod file;
 
-use clap::{
-    Args, Command, FromArgMatches, ValueEnum,
-    builder::Resettable,
-    error::{ContextKind, ContextValue},
-};
+use std::{net::IpAddr, path::PathBuf, sync::Arc, time::Duration};
+
+use clap::ValueEnum;
+#[cfg(test)]
+pub(crate) use file::Fault;
 use hullcast::{
     service::{Limits, Security, SecurityFiles, Serving},
     size::ByteSize,
-    small_file,
 };
 use serde::Serialize;
 
@@ -28,7 +22,7 @@ use super::{
         admin_address, bytes, collector, filter, limit, listen_address, log_filter, overlap, proxy, size,
         store_url,
     },
-    values::{count, did_you_mean, number},
+    values::{count, number},
 };
 
 /// The directory of the hulls if no store is set.
@@ -229,122 +223,6 @@ settings! {
         [value_parser = limit::<u32>("store_seconds")];
 }
 
-impl Given {
-    /// Reads a TOML file. Its values are checked as those of flags are. An unknown key is an error.
-    pub(crate) fn read(path: &Path) -> Result<Self, Error> {
-        let fault = |exit: Exit, why: &str| exit.error(format!("--config {}: {why}", path.display()));
-        let content = small_file::read(path)
-            .map_err(|error| fault(Exit::Input, &format!("cannot be read: {error}")))?;
-        let text = str::from_utf8(&content).map_err(|error| fault(Exit::Input, &error.to_string()))?;
-        Self::parse(text).map_err(|why| match why {
-            Fault::Text(why) => fault(Exit::Input, &why),
-            Fault::Value(why) => fault(Exit::Usage, &why),
-        })
-    }
-
-    pub(crate) fn parse(text: &str) -> Result<Self, Fault> {
-        let table: toml::Table = text.parse().map_err(|error| Fault::of_text(text, &error))?;
-        let command = values_only();
-        let mut line = Vec::new();
-        for (key, value) in &table {
-            if !NAMES.contains(&key.as_str()) {
-                let near = did_you_mean(key, NAMES.iter().copied());
-                return Err(Fault::Text(format!(
-                    "there is no setting `{key}`{near} (`hullcast serve --print-config` prints all settings)"
-                )));
-            }
-            let flags = flags(key, value)?;
-            checked(&command, key, &flags)?;
-            line.extend(flags);
-        }
-        let matches = command.try_get_matches_from(line).map_err(|error| Fault::Value(error.to_string()))?;
-        Self::from_arg_matches(&matches).map_err(|error| Fault::Value(error.to_string()))
-    }
-}
-
-/// The fault of a file of settings.
-#[derive(Debug)]
-pub(crate) enum Fault {
-    /// The text is not TOML, or has an unknown key.
-    Text(String),
-    /// A setting has a wrong value.
-    Value(String),
-}
-
-impl Fault {
-    /// The fault of a text that is not TOML. If the value of a setting is the cause, such as a number of
-    /// too many digits, the text says what is allowed.
-    fn of_text(text: &str, error: &toml::de::Error) -> Self {
-        let start = error.span().map_or(0, |span| span.start);
-        let line = text.char_indices().rfind(|(at, c)| *c == '\n' && *at < start);
-        let line = text[line.map_or(0, |(at, _)| at + 1)..].lines().next().unwrap_or_default();
-        let value = line.split_once('=').map(|(key, value)| (key.trim(), value.trim()));
-        let known =
-            value.filter(|(key, value)| NAMES.contains(key) && !value.starts_with(['[', '{', '"', '\'']));
-        let refused = known.and_then(|(key, value)| {
-            checked(&values_only(), key, &[format!("--{}={value}", key.replace('_', "-"))]).err()
-        });
-        match refused {
-            Some(Self::Value(why)) => Self::Text(format!("{error}{why}")),
-            _ => Self::Text(error.to_string()),
-        }
-    }
-}
-
-/// The settings as flags alone: neither the environment nor help.
-fn values_only() -> Command {
-    let command = Command::new("settings").no_binary_name(true).disable_help_flag(true);
-    Given::augment_args(command).mut_args(|arg| arg.env(Resettable::Reset))
-}
-
-/// A setting of a file as flags. A setting that is empty by default needs no flag to be empty.
-fn flags(key: &str, value: &toml::Value) -> Result<Vec<String>, Fault> {
-    let flag = |value: &toml::Value| match value {
-        toml::Value::String(text) => format!("--{}={text}", key.replace('_', "-")),
-        other => format!("--{}={other}", key.replace('_', "-")),
-    };
-    match value {
-        toml::Value::Array(values) if values.is_empty() && key == "listen" => {
-            Err(Fault::Value(format!("listen is [], {AT_LEAST_ONE}")))
-        }
-        toml::Value::Array(values) if LISTS.contains(&key) => Ok(values.iter().map(flag).collect()),
-        toml::Value::Array(_) | toml::Value::Table(_) => {
-            Err(Fault::Value(format!("{key} is {value}, must be a single value")))
-        }
-        toml::Value::String(text) if text.is_empty() && EMPTY.contains(&key) => Ok(Vec::new()),
-        value => Ok(vec![flag(value)]),
-    }
-}
-
-/// Checks the flags of one setting. The error names the setting, its value and what is allowed.
-fn checked(command: &Command, key: &str, flags: &[String]) -> Result<(), Fault> {
-    let Err(error) = command.clone().try_get_matches_from(flags) else { return Ok(()) };
-    let value = match error.get(ContextKind::InvalidValue) {
-        Some(ContextValue::String(value)) => value.clone(),
-        _ => flags.iter().filter_map(|flag| flag.split_once('=')).map(|(_, value)| value).collect(),
-    };
-    let allowed = match (std::error::Error::source(&error), error.get(ContextKind::ValidValue)) {
-        (Some(why), _) => why.to_string(),
-        (None, Some(ContextValue::Strings(allowed))) => format!("[possible values: {}]", allowed.join(", ")),
-        (None, _) => error.kind().to_string(),
-    };
-    Err(Fault::Value(format!("{key} is {value:?}: {allowed}")))
-}
-
-/// The settings that are lists.
-const LISTS: [&str; 2] = ["listen", "trusted_proxies"];
-
-/// The settings that may be empty.
-const EMPTY: [&str; 7] = [
-    "admin_listen",
-    "otlp_endpoint",
-    "tls_certificate",
-    "tls_key",
-    "tls_client_ca",
-    "query_tokens",
-    "register_tokens",
-];
-
 /// The text about an empty `listen`.
 const AT_LEAST_ONE: &str = "must have at least one address, host:port or unix:PATH";
 
@@ -501,45 +379,6 @@ fn seconds(name: &str, value: f64, least: f64) -> Result<Duration, Error> {
 mod tests {
     use super::*;
 
-    fn refused(text: &str) -> String {
-        match Given::parse(text).expect_err(text) {
-            Fault::Text(why) | Fault::Value(why) => why,
-        }
-    }
-
-    /// Catches a list, a number or a text in a file that is read as another kind of value, and a size
-    /// with a unit that is not.
-    #[test]
-    fn values_of_a_file_are_those_of_flags() {
-        let text = r#"
-            listen = ["127.0.0.1:1", "unix:a"]
-            trusted_proxies = []
-            admin_listen = ""
-            tls_key = ""
-            playground = true
-            grace_seconds = 3
-            max_message_bytes = "32MiB"
-            cache_bytes = "25%"
-            shares = "off"
-        "#;
-        let given = Given::parse(text).unwrap();
-        assert_eq!(given.listen.unwrap(), ["127.0.0.1:1", "unix:a"]);
-        assert_eq!(given.trusted_proxies.unwrap_or_default(), [] as [IpAddr; 0]);
-        assert_eq!((given.playground, given.grace_seconds), (Some(true), Some(3.0)));
-        assert_eq!(given.max_message_bytes, Some(ByteSize(32 << 20)));
-        assert_eq!((given.cache_bytes, given.shares), (Some(Size::Share(25.0)), Some(Switch::Off)));
-        for (text, why) in [
-            ("log = [\"info\"]", "log is [\"info\"], must be a single value"),
-            ("listen = []", "listen is [], must have at least one address"),
-            ("listen = [\"\"]", "listen is \"\": expected host:port"),
-            ("listen = \"\"", "listen is \"\": expected host:port"),
-            ("log = \"info\"\nlog = \"warn\"", "duplicate key"),
-            ("[listen]\nport = 1", "must be a single value"),
-        ] {
-            assert!(refused(text).contains(why), "{text}: {}", refused(text));
-        }
-    }
-
     /// Catches addresses that contradict each other, which only the system would refuse, as if another
     /// server had them.
     #[test]
@@ -559,15 +398,6 @@ mod tests {
         let proxies = with(&["127.0.0.1:7"], "", &["10.0.0.1", "::ffff:10.0.0.1"]);
         assert!(proxies.contains("trusted_proxies names 10.0.0.1 twice"), "{proxies}");
         assert_eq!(with(&["127.0.0.1:0", "127.0.0.1:0", "unix:a"], "127.0.0.1:0", &["10.0.0.1"]), "");
-    }
-
-    /// Catches a misspelt key in a file that silently means the default.
-    #[test]
-    fn unknown_keys_are_refused() {
-        let error = refused("cache_byte = 1");
-        assert!(error.contains("`cache_byte`; did you mean `cache_bytes`?"), "{error}");
-        assert!(!refused("nothing_like_it = 1").contains("did you mean"));
-        assert_eq!(Given::parse("cache_bytes = 1").unwrap().cache_bytes, Some(Size::Bytes(1)));
     }
 
     /// Catches a reversed order of precedence.
@@ -605,14 +435,5 @@ mod tests {
             let error = error.expect_err(value).to_string();
             assert!(error.contains(value) && error.contains(range), "{error}");
         }
-    }
-
-    /// Catches settings that `--print-config` writes and `--config` cannot read.
-    #[test]
-    fn printed_settings_read_back() {
-        let settings = Given::default().or(Given::default());
-        let printed = toml::to_string(&settings).unwrap();
-        let read = Given::parse(&printed).unwrap();
-        assert_eq!(read.or(Given::default()), settings);
     }
 }
