@@ -284,7 +284,7 @@ test-faults: check-tools ## tests kill -9 a thousand times, full and vanished di
 	$(CARGO) test --release --locked --package hullcast --test faults -- --ignored --nocapture --test-threads 1
 
 .PHONY: test-abuse test-abuse-short
-test-abuse-short: check-tools ## runs the attacks over TCP at a tenth of their size against a tenth of the budgets; takes a minute
+test-abuse-short: check-tools ## runs the attacks over TCP at a tenth of their size against a tenth of the budgets; takes over a minute
 	$(CARGO) test --release --locked --package hullcast --test abuse -- --skip over_tls --skip over_unix
 
 test-abuse: check-tools ## runs every attack at full size on a server with default limits; writes docs/reliability.md; takes over 20 minutes
