@@ -30,12 +30,12 @@ use tower::Service;
 use super::{
     App, Serving,
     admission::spread,
-    cutoff::StreamExecutor,
     frames::{Frames, Overhead},
     listener::Connection,
     middleware::{Closing, Middleware},
     peers::{Address, Peer, Peers},
     request_body::per_mebibyte,
+    streams::{StreamExecutor, Streams},
 };
 #[cfg(feature = "playground")]
 use super::{
@@ -91,8 +91,8 @@ impl Connections {
     }
 
     /// Configures HTTP/2 for one connection. Each of its streams has a cutoff.
-    fn http2(&self, window: u32, abort: &Arc<Notify>) -> http2::Builder<StreamExecutor> {
-        let mut http = http2::Builder::new(StreamExecutor::new(self.app.clone(), abort.clone()));
+    fn http2(&self, window: u32, executor: StreamExecutor) -> http2::Builder<StreamExecutor> {
+        let mut http = http2::Builder::new(executor);
         http.timer(TokioTimer::new())
             .adaptive_window(false)
             .initial_stream_window_size(window)
@@ -133,19 +133,20 @@ impl Connections {
         let (close, closed) = watch::channel(false);
         let (app, routes, serving) = (self.app.clone(), self.routes.clone(), self.serving.clone());
         let overhead = Overhead::new(peer.clone(), self.longest_wait());
+        let streams = Arc::new(Streams::new(peer.clone()));
         let calls = Middleware::new(app, routes, serving, peer, Closing(closed));
         #[cfg(feature = "playground")]
         if self.serving.playground {
-            return self.serve_page(io, calls, overhead, close, closing).await;
+            return self.serve_page(io, calls, (overhead, streams), close, closing).await;
         }
-        self.serve_http2(io, calls, overhead, close, closing).await;
+        self.serve_http2(io, calls, (overhead, streams), close, closing).await;
     }
 
     async fn serve_http2<S>(
         &self,
         io: Connection,
         service: S,
-        overhead: Overhead,
+        (overhead, streams): (Overhead, Arc<Streams>),
         close: watch::Sender<bool>,
         closing: Closing,
     ) where
@@ -154,9 +155,12 @@ impl Connections {
     {
         let read = Arc::new(AtomicU64::new(0));
         let window = overhead.window();
-        let io = TokioIo::new(Counted { io, read: read.clone(), frames: Frames::default(), overhead });
         let abort = Arc::new(Notify::new());
-        let connection = self.http2(window, &abort).serve_connection(io, TowerToHyperService::new(service));
+        let executor = StreamExecutor::new(self.app.clone(), abort.clone(), streams.clone());
+        let frames = Frames::default();
+        let counted = Counted { io, read: read.clone(), frames, overhead, streams, arrived: 0 };
+        let io = TokioIo::new(counted);
+        let connection = self.http2(window, executor).serve_connection(io, TowerToHyperService::new(service));
         let end = async {
             tokio::select! {
                 () = silence(&read, self.serving.greeting) => "the peer did not begin HTTP/2 in time",
@@ -172,7 +176,7 @@ impl Connections {
         &self,
         io: Connection,
         calls: Middleware,
-        overhead: Overhead,
+        counts: (Overhead, Arc<Streams>),
         close: watch::Sender<bool>,
         mut closing: Closing,
     ) {
@@ -182,7 +186,7 @@ impl Connections {
             () = closing.heard() => return,
         };
         match speaks_http1 {
-            Ok(Ok(false)) => self.serve_http2(io, Page::over_http2(calls), overhead, close, closing).await,
+            Ok(Ok(false)) => self.serve_http2(io, Page::over_http2(calls), counts, close, closing).await,
             Ok(Ok(true)) => {
                 let cutoff = Cutoff::new(Arc::default());
                 let stall = Stall::new(cutoff.clone(), self.serving.answer_time);
@@ -255,12 +259,16 @@ async fn silence(read: &AtomicU64, greeting: Duration) {
     }
 }
 
-/// A connection that counts the bytes read from it, and takes memory for those that no window counts.
+/// A connection that counts the bytes read from it, takes memory for its streams and for bytes that no window
+/// counts, and is not read while too many of its streams wait.
 struct Counted {
     io: Connection,
     read: Arc<AtomicU64>,
     frames: Frames,
     overhead: Overhead,
+    streams: Arc<Streams>,
+    /// The number of streams that have begun since h2 last handed streams on.
+    arrived: u64,
 }
 
 impl AsyncRead for Counted {
@@ -270,18 +278,28 @@ impl AsyncRead for Counted {
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
         let this = &mut *self;
+        ready!(this.streams.poll_may_read(&mut this.arrived, cx));
         let before = buffer.filled().len();
-        ready!(Pin::new(&mut this.io).poll_read(cx, buffer))?;
+        let read = Pin::new(&mut this.io).poll_read(cx, buffer);
+        if read.is_pending() {
+            this.arrived = 0;
+        }
+        ready!(read)?;
         let read = &buffer.filled()[before..];
         this.read.fetch_add(read.len() as u64, Ordering::Relaxed);
+        let begun = this.frames.begun();
         this.frames.read(read)?;
+        this.arrived += this.frames.begun() - begun;
+        this.streams.charge(this.arrived)?;
         Poll::Ready(this.overhead.charge(&this.frames))
     }
 }
 
 impl AsyncWrite for Counted {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.io).poll_write(cx, bytes)
+        let wrote = Pin::new(&mut self.io).poll_write(cx, bytes);
+        self.streams.wrote(wrote.is_pending());
+        wrote
     }
 
     fn poll_write_vectored(
@@ -289,7 +307,9 @@ impl AsyncWrite for Counted {
         cx: &mut Context<'_>,
         slices: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.io).poll_write_vectored(cx, slices)
+        let wrote = Pin::new(&mut self.io).poll_write_vectored(cx, slices);
+        self.streams.wrote(wrote.is_pending());
+        wrote
     }
 
     fn is_write_vectored(&self) -> bool {

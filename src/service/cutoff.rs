@@ -5,12 +5,12 @@
 //! while the peer makes room for more. Therefore each stream's future runs together with a [`Cutoff`]: a
 //! time at which the stream ends, whatever the peer does.
 //!
-//! Over HTTP/2, the connection's executor ([`StreamExecutor`]) runs the stream's future together with the
+//! Over HTTP/2, the connection's executor ([`StreamExecutor`](super::streams::StreamExecutor)) runs the stream's future together with the
 //! cutoff, and drops the future at that time. h2 then discards the bytes that the stream has queued and
 //! resets the stream, so the caller sees CANCELLED. If bytes of the answer remain after that, because the
 //! socket takes nothing at all, the connection is closed. The transport may end the future of a small answer
-//! before it has sent the answer; then nothing but the connection can be closed at that time. Over HTTP/1.1 a connection has one call at a
-//! time, and the cutoff closes the connection.
+//! before it has sent the answer; then nothing but the connection can be closed at that time. Over HTTP/1.1
+//! a connection has one call at a time, and the cutoff closes the connection.
 
 use std::{
     future::{Future, poll_fn},
@@ -165,6 +165,19 @@ impl Cutoff {
         ended.map_err(|why| report(app, why)).ok()
     }
 
+    /// Runs `stream` to its end, and returns whether the connection may go on: false means that the transport
+    /// still holds bytes of the answer.
+    pub(super) async fn run(&self, app: &App, stream: impl Future) -> bool {
+        match self.guard(app, stream).await {
+            Some(_) => self.sent(app).await,
+            None if self.is_all_sent() => true,
+            None => {
+                sleep(DISCARD).await;
+                self.is_all_sent()
+            }
+        }
+    }
+
     /// Waits until the transport has sent all of the answer. Returns false if the cutoff comes first.
     async fn sent(&self, app: &App) -> bool {
         tokio::select! {
@@ -225,62 +238,6 @@ impl<T> Drop for Unsent<T> {
 fn report(app: &App, why: Cut) {
     app.metrics().cut(why);
     tracing::debug!(why = why.name(), "cut a call whose answer was not read in time");
-}
-
-/// Spawns the futures of a connection's streams, each with its own cutoff.
-///
-/// A stream that its peer resets no longer counts as one of the connection's concurrent streams, but its
-/// future lives until its task has run. A peer that resets calls as fast as it makes them ("rapid reset",
-/// CVE-2023-44487) could accumulate futures without limit. Therefore the executor counts the futures, and a
-/// connection with too many is closed.
-#[derive(Clone, Debug)]
-pub(super) struct StreamExecutor {
-    app: Arc<App>,
-    abort: Arc<Notify>,
-    /// The number of futures that have not ended.
-    living: Arc<AtomicUsize>,
-}
-
-/// The number of futures that may be alive for each concurrent stream that a connection may have.
-const FUTURES_PER_STREAM: usize = 4;
-
-impl StreamExecutor {
-    /// `abort` is notified when the connection has to be closed.
-    pub(super) fn new(app: Arc<App>, abort: Arc<Notify>) -> Self {
-        Self { app, abort, living: Arc::default() }
-    }
-}
-
-impl<F> hyper::rt::Executor<F> for StreamExecutor
-where
-    F: Future + Send + 'static,
-    F::Output: Send,
-{
-    fn execute(&self, stream: F) {
-        let most = FUTURES_PER_STREAM * self.app.limits().max_streams_per_connection as usize;
-        if self.living.fetch_add(1, Ordering::Relaxed) >= most {
-            self.living.fetch_sub(1, Ordering::Relaxed);
-            self.abort.notify_one();
-            return;
-        }
-        let cutoff = Cutoff::new(self.abort.clone());
-        let (app, living) = (self.app.clone(), self.living.clone());
-        tokio::spawn(async move {
-            let ended = cutoff.guard(&app, stream).await;
-            let is_sent = match ended {
-                Some(_) => cutoff.sent(&app).await,
-                None if cutoff.is_all_sent() => true,
-                None => {
-                    sleep(DISCARD).await;
-                    cutoff.is_all_sent()
-                }
-            };
-            living.fetch_sub(1, Ordering::Relaxed);
-            if !is_sent {
-                cutoff.0.abort.notify_one();
-            }
-        });
-    }
 }
 
 #[cfg(test)]

@@ -66,6 +66,8 @@ pub(super) struct Frames {
     block: Option<BlockBegin>,
     /// The bytes that no window counts, since the connection began.
     overhead: u64,
+    /// The frames of headers, since the connection began.
+    begun: u64,
 }
 
 /// The beginning of a block of headers, which may contain changes of the table's size.
@@ -108,6 +110,11 @@ impl Frames {
         Ok(())
     }
 
+    /// The number of streams that have begun, at most: each frame of headers begins a stream or ends one.
+    pub(super) fn begun(&self) -> u64 {
+        self.begun
+    }
+
     /// Begins the frame whose head has arrived.
     fn begin(&mut self) -> io::Result<()> {
         self.head_bytes = 0;
@@ -123,6 +130,7 @@ impl Frames {
                     return Err(refused(why));
                 }
                 if kind == HEADERS {
+                    self.begun += 1;
                     let padded = usize::from(flags & PADDED != 0);
                     let priority = if flags & PRIORITY != 0 { PRIORITY_BYTES } else { 0 };
                     let skipped = padded + priority;

@@ -42,6 +42,7 @@ mod socket_file;
 #[cfg(feature = "playground")]
 mod stall;
 mod steps;
+mod streams;
 pub mod wire;
 
 use std::{

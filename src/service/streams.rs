@@ -1,0 +1,195 @@
+//! Runs the streams of one HTTP/2 connection, and lets a peer wait that begins them faster than they run or
+//! are answered.
+//!
+//! h2 reads frames until the socket is empty. It keeps a record of each stream that has begun, and hands the
+//! stream to hyper, which hands a future to the connection's executor. Three things could pile up:
+//!
+//! - *Records.* h2 never shrinks its table of streams, so the largest number of streams at a time decides
+//!   how much memory the connection holds. The connection takes memory for that number.
+//! - *Tasks that have not run.* A stream that its peer resets no longer counts as one of the connection's
+//!   concurrent streams, but its future lives until its task has run. A peer that resets calls as fast as it
+//!   makes them ("rapid reset", CVE-2023-44487) queues tasks in front of everybody else's.
+//! - *Answers that are not sent.* An answer of headers only is held by h2 alone while the socket takes nothing.
+//!
+//! ```text
+//! peer -> socket -> h2's records -> execute: waiting += 1 -> task's first run: waiting -= 1 -> middleware
+//!           ^                                                      |
+//!           '---- is not read while too many wait <-- is woken ----'
+//! ```
+//!
+//! Therefore [`Streams`] says when the connection may be read: after a few streams have begun, h2 has to
+//! hand them on first; while too many tasks wait for their first run, nothing is read; and nothing is read
+//! while the socket takes no bytes and many streams have begun since it stopped. A peer then waits as it
+//! does for any slow receiver.
+
+use std::{
+    future::Future,
+    io,
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicU64, Ordering},
+    },
+    task::{Context, Poll},
+};
+
+use futures_util::task::AtomicWaker;
+use tokio::sync::Notify;
+
+use super::{App, cutoff::Cutoff, peers::Peer};
+use crate::{budget::Permit, lock::locked};
+
+/// The number of futures that may be alive for each concurrent stream that a connection may have. A
+/// connection with more is closed.
+const FUTURES_PER_STREAM: u64 = 4;
+
+/// The connection is not read while more tasks than these have not run yet, nor before h2 has handed on that
+/// many streams. Tasks run at once unless the threads are busy, so ordinary peers are not slowed down.
+const MOST_WAITING: u64 = 16;
+
+/// The number of streams that a peer may begin while its socket takes nothing.
+const MOST_UNSENT: u64 = 64;
+
+/// The memory of a stream in h2's table: 1.6 kB were measured with 1,000 streams on each of 1,000 connections.
+const RECORD_BYTES: u64 = 2 << 10;
+
+/// The number of streams for which memory is taken at a time. The first as many belong to the fixed cost of a
+/// connection.
+const RECORDS: u64 = 32;
+
+/// The streams of one connection.
+#[derive(Debug)]
+pub(super) struct Streams {
+    peer: Peer,
+    /// The number of futures that have not ended.
+    living: AtomicU64,
+    /// The number of tasks that have not run yet.
+    waiting: AtomicU64,
+    /// The number of streams that have been handed to the executor so far.
+    begun: AtomicU64,
+    /// `begun` when the socket last stopped taking bytes, or [`OPEN`] while it takes them.
+    begun_at_block: AtomicU64,
+    reader: AtomicWaker,
+    /// The number of streams for which there is memory, and that memory.
+    records: AtomicU64,
+    memory: Mutex<Vec<Permit>>,
+}
+
+/// The socket takes bytes.
+const OPEN: u64 = u64::MAX;
+
+impl Streams {
+    pub(super) fn new(peer: Peer) -> Self {
+        Self {
+            peer,
+            living: 0.into(),
+            waiting: 0.into(),
+            begun: 0.into(),
+            begun_at_block: OPEN.into(),
+            reader: AtomicWaker::new(),
+            records: RECORDS.into(),
+            memory: Mutex::default(),
+        }
+    }
+
+    /// Completes when the connection may be read. `arrived` is the number of streams that have begun since h2
+    /// last handed streams on; it is 0 afterwards if this is pending. One task at a time may wait.
+    pub(super) fn poll_may_read(&self, arrived: &mut u64, cx: &mut Context<'_>) -> Poll<()> {
+        if *arrived > MOST_WAITING {
+            *arrived = 0;
+            cx.waker().wake_by_ref();
+            return Poll::Pending;
+        }
+        if self.may_read() {
+            return Poll::Ready(());
+        }
+        self.reader.register(cx.waker());
+        if self.may_read() { Poll::Ready(()) } else { Poll::Pending }
+    }
+
+    fn may_read(&self) -> bool {
+        self.waiting.load(Ordering::SeqCst) <= MOST_WAITING && self.begun_while_blocked() <= MOST_UNSENT
+    }
+
+    fn begun_while_blocked(&self) -> u64 {
+        match self.begun_at_block.load(Ordering::SeqCst) {
+            OPEN => 0,
+            at => self.begun.load(Ordering::SeqCst) - at,
+        }
+    }
+
+    /// Notes whether the socket took bytes when it was last asked to.
+    pub(super) fn wrote(&self, is_blocked: bool) {
+        if !is_blocked {
+            if self.begun_at_block.load(Ordering::SeqCst) != OPEN {
+                self.begun_at_block.store(OPEN, Ordering::SeqCst);
+                self.reader.wake();
+            }
+        } else if self.begun_at_block.load(Ordering::SeqCst) == OPEN {
+            self.begun_at_block.store(self.begun.load(Ordering::SeqCst), Ordering::SeqCst);
+        }
+    }
+
+    /// Takes memory for h2's records of the streams, of which `arrived` have just begun.
+    ///
+    /// # Errors
+    /// The budget has no room.
+    pub(super) fn charge(&self, arrived: u64) -> io::Result<()> {
+        let streams = self.living.load(Ordering::SeqCst) + arrived + self.begun_while_blocked();
+        while self.records.load(Ordering::SeqCst) < streams {
+            let memory = self.peer.take(RECORDS * RECORD_BYTES).ok_or_else(|| {
+                io::Error::other("the memory budget has no room for more streams on this connection")
+            })?;
+            locked(&self.memory).push(memory);
+            self.records.fetch_add(RECORDS, Ordering::SeqCst);
+        }
+        Ok(())
+    }
+
+    /// A task runs for the first time.
+    fn runs(&self) {
+        if self.waiting.fetch_sub(1, Ordering::SeqCst) == MOST_WAITING + 1 {
+            self.reader.wake();
+        }
+    }
+}
+
+/// Spawns the futures of a connection's streams, each with its own cutoff.
+#[derive(Clone, Debug)]
+pub(super) struct StreamExecutor {
+    app: Arc<App>,
+    abort: Arc<Notify>,
+    streams: Arc<Streams>,
+}
+
+impl StreamExecutor {
+    /// `abort` is notified when the connection has to be closed.
+    pub(super) fn new(app: Arc<App>, abort: Arc<Notify>, streams: Arc<Streams>) -> Self {
+        Self { app, abort, streams }
+    }
+}
+
+impl<F> hyper::rt::Executor<F> for StreamExecutor
+where
+    F: Future + Send + 'static,
+    F::Output: Send,
+{
+    fn execute(&self, stream: F) {
+        let most = FUTURES_PER_STREAM * u64::from(self.app.limits().max_streams_per_connection);
+        if self.streams.living.fetch_add(1, Ordering::SeqCst) >= most {
+            self.streams.living.fetch_sub(1, Ordering::SeqCst);
+            self.abort.notify_one();
+            return;
+        }
+        self.streams.begun.fetch_add(1, Ordering::SeqCst);
+        self.streams.waiting.fetch_add(1, Ordering::SeqCst);
+        let Self { app, abort, streams } = self.clone();
+        tokio::spawn(async move {
+            streams.runs();
+            let may_go_on = Cutoff::new(abort.clone()).run(&app, stream).await;
+            streams.living.fetch_sub(1, Ordering::SeqCst);
+            if !may_go_on {
+                abort.notify_one();
+            }
+        });
+    }
+}
