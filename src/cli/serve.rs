@@ -15,7 +15,7 @@ use hullcast::{
 };
 use tokio::{
     net::TcpListener,
-    runtime::Builder,
+    runtime::{Builder, Handle},
     signal::unix::{SignalKind, signal},
     sync::oneshot,
 };
@@ -125,7 +125,7 @@ async fn until_stopped(settings: &Settings, checked: Checked, args: &Args) -> Re
         "serving"
     );
     spawn_reload_on_hangup(serving.security.clone())?;
-    allocator::return_freed_memory()?;
+    allocator::return_freed_memory(Handle::current())?;
     Ok(serve(listeners, app, serving, shutdown).await?)
 }
 

@@ -35,7 +35,7 @@ use super::{
     middleware::{Closing, Middleware},
     peers::{Address, Peer, Peers},
     request_body::per_mebibyte,
-    streams::{StreamExecutor, Streams},
+    streams::{Arrived, StreamExecutor, Streams},
 };
 #[cfg(feature = "playground")]
 use super::{
@@ -158,7 +158,8 @@ impl Connections {
         let abort = Arc::new(Notify::new());
         let executor = StreamExecutor::new(self.app.clone(), abort.clone(), streams.clone());
         let frames = Frames::default();
-        let counted = Counted { io, read: read.clone(), frames, overhead, streams, arrived: 0 };
+        let counted =
+            Counted { io, read: read.clone(), frames, overhead, streams, arrived: Arrived::default() };
         let io = TokioIo::new(counted);
         let connection = self.http2(window, executor).serve_connection(io, TowerToHyperService::new(service));
         let end = async {
@@ -188,7 +189,7 @@ impl Connections {
         match speaks_http1 {
             Ok(Ok(false)) => self.serve_http2(io, Page::over_http2(calls), counts, close, closing).await,
             Ok(Ok(true)) => {
-                let cutoff = Cutoff::new(Arc::default());
+                let cutoff = Cutoff::new();
                 let stall = Stall::new(cutoff.clone(), self.serving.answer_time);
                 let service = TowerToHyperService::new(Page::over_http1(calls, stall.clone()));
                 let io = TokioIo::new(Noted { io, stall });
@@ -267,8 +268,7 @@ struct Counted {
     frames: Frames,
     overhead: Overhead,
     streams: Arc<Streams>,
-    /// The number of streams that have begun since h2 last handed streams on.
-    arrived: u64,
+    arrived: Arrived,
 }
 
 impl AsyncRead for Counted {
@@ -280,17 +280,13 @@ impl AsyncRead for Counted {
         let this = &mut *self;
         ready!(this.streams.poll_may_read(&mut this.arrived, cx));
         let before = buffer.filled().len();
-        let read = Pin::new(&mut this.io).poll_read(cx, buffer);
-        if read.is_pending() {
-            this.arrived = 0;
-        }
-        ready!(read)?;
+        ready!(Pin::new(&mut this.io).poll_read(cx, buffer))?;
         let read = &buffer.filled()[before..];
         this.read.fetch_add(read.len() as u64, Ordering::Relaxed);
         let begun = this.frames.begun();
         this.frames.read(read)?;
-        this.arrived += this.frames.begun() - begun;
-        this.streams.charge(this.arrived)?;
+        this.arrived.add(this.frames.begun() - begun);
+        this.streams.charge(&this.arrived)?;
         Poll::Ready(this.overhead.charge(&this.frames))
     }
 }

@@ -63,7 +63,6 @@ struct State {
     unsent: AtomicUsize,
     /// Wakes the task that waits until everything is sent.
     sent: AtomicWaker,
-    abort: Arc<Notify>,
 }
 
 /// The time of a stream that may go on.
@@ -80,8 +79,8 @@ fn reason(packed: u64) -> Option<Cut> {
 }
 
 impl Cutoff {
-    /// A cutoff whose time is not set. `abort` closes the connection.
-    pub(super) fn new(abort: Arc<Notify>) -> Self {
+    /// A cutoff whose time is not set.
+    pub(super) fn new() -> Self {
         Self(Arc::new(State {
             start: Instant::now(),
             due: NEVER.into(),
@@ -89,14 +88,13 @@ impl Cutoff {
             is_earlier: Notify::new(),
             unsent: 0.into(),
             sent: AtomicWaker::new(),
-            abort,
         }))
     }
 
     /// The cutoff of the stream that the current task serves. If there is none, as in tests that call a
     /// service directly, a cutoff that nothing waits for.
     pub(super) fn current() -> Self {
-        CURRENT.try_with(Clone::clone).unwrap_or_else(|_| Self::new(Arc::default()))
+        CURRENT.try_with(Clone::clone).unwrap_or_else(|_| Self::new())
     }
 
     /// Sets the time and the reason of the stream's end. A later call replaces them.
@@ -247,7 +245,7 @@ mod tests {
     /// Catches a cutoff that fires although it was removed or changed, and one that never fires.
     #[tokio::test(start_paused = true)]
     async fn the_last_time_that_was_set_counts() {
-        let cutoff = Cutoff::new(Arc::default());
+        let cutoff = Cutoff::new();
         let start = Instant::now();
         let second = Duration::from_secs(1);
         cutoff.set((start + second, Cut::AnswerNotRead));
@@ -268,7 +266,7 @@ mod tests {
     /// Catches a cutoff that is removed although a part of the answer has not been read.
     #[tokio::test(start_paused = true)]
     async fn a_part_that_is_not_read_keeps_the_cutoff() {
-        let cutoff = Cutoff::new(Arc::default());
+        let cutoff = Cutoff::new();
         cutoff.queued(10);
         cutoff.queued(5);
         cutoff.set((Instant::now() + Duration::from_secs(1), Cut::AnswerNotRead));

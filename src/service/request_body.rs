@@ -45,6 +45,14 @@ pub(super) const HEAD_BYTES: usize = 5;
 /// as bytes arrive and not as they are declared.
 const SEGMENT_BYTES: usize = 256 << 10;
 
+/// Each piece of a message costs as much time as some hundred of its bytes: one chunk of HTTP/1.1, or one
+/// frame of HTTP/2. After the first [`FREE_PIECES`], the pieces must therefore have this many bytes on average.
+/// Ordinary clients and proxies send a message in pieces of kilobytes.
+const LEAST_PIECE_BYTES: usize = 64;
+
+/// The number of pieces of a message that may be of any size.
+const FREE_PIECES: usize = 1024;
+
 /// The limits on the messages of a method's request.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MessageRules {
@@ -91,6 +99,8 @@ struct Message {
     head_bytes: usize,
     /// The bytes of the message that have not arrived yet, once its header is known.
     missing: usize,
+    /// The number of pieces in which the bytes have arrived so far.
+    pieces: usize,
     segments: Vec<BytesMut>,
     memory: Option<Permit>,
 }
@@ -218,6 +228,17 @@ impl<B> MessageBody<B> {
         let part = self.received.split_to(self.received.len().min(message.missing).min(room));
         segment.extend_from_slice(&part);
         message.missing -= part.len();
+        message.pieces += 1;
+        let arrived = declared(message.head) - message.missing;
+        if message.pieces > FREE_PIECES && arrived < LEAST_PIECE_BYTES * message.pieces {
+            let why = format!(
+                "the message arrives in {} pieces of {} bytes on average, at least {LEAST_PIECE_BYTES} are \
+                 needed after {FREE_PIECES} pieces: send it in larger pieces",
+                message.pieces,
+                arrived / message.pieces
+            );
+            return Err(ServiceError::refused("PIECES_TOO_SMALL", why));
+        }
         Ok(())
     }
 

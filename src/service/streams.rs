@@ -91,11 +91,9 @@ impl Streams {
         }
     }
 
-    /// Completes when the connection may be read. `arrived` is the number of streams that have begun since h2
-    /// last handed streams on; it is 0 afterwards if this is pending. One task at a time may wait.
-    pub(super) fn poll_may_read(&self, arrived: &mut u64, cx: &mut Context<'_>) -> Poll<()> {
-        if *arrived > MOST_WAITING {
-            *arrived = 0;
+    /// Completes when the connection may be read. One task at a time may wait.
+    pub(super) fn poll_may_read(&self, arrived: &mut Arrived, cx: &mut Context<'_>) -> Poll<()> {
+        if !arrived.are_handed_on(self.begun.load(Ordering::SeqCst)) {
             cx.waker().wake_by_ref();
             return Poll::Pending;
         }
@@ -129,12 +127,12 @@ impl Streams {
         }
     }
 
-    /// Takes memory for h2's records of the streams, of which `arrived` have just begun.
+    /// Takes memory for h2's records of the streams.
     ///
     /// # Errors
     /// The budget has no room.
-    pub(super) fn charge(&self, arrived: u64) -> io::Result<()> {
-        let streams = self.living.load(Ordering::SeqCst) + arrived + self.begun_while_blocked();
+    pub(super) fn charge(&self, arrived: &Arrived) -> io::Result<()> {
+        let streams = self.living.load(Ordering::SeqCst) + arrived.count + self.begun_while_blocked();
         while self.records.load(Ordering::SeqCst) < streams {
             let memory = self.peer.take(RECORDS * RECORD_BYTES).ok_or_else(|| {
                 io::Error::other("the memory budget has no room for more streams on this connection")
@@ -161,6 +159,42 @@ pub(super) struct StreamExecutor {
     streams: Arc<Streams>,
 }
 
+/// The streams that have arrived and that h2 has not handed on yet.
+#[derive(Debug, Default)]
+pub(super) struct Arrived {
+    /// Their number, at most: frames of headers also end streams, and h2 refuses some.
+    count: u64,
+    /// The number of streams that had been handed on when `count` was last corrected.
+    begun: u64,
+    /// Reading has been put off since then, so that h2 hands streams on.
+    put_off: bool,
+}
+
+impl Arrived {
+    pub(super) fn add(&mut self, streams: u64) {
+        self.count += streams;
+    }
+
+    /// Whether h2 has handed on all streams but a few, where `begun` is the number of those handed on so far.
+    ///
+    /// hyper asks h2 for one stream at a time, and h2 reads each time before it hands one on. So reading is
+    /// put off for as long as streams are handed on. If none was, h2 has no more of them.
+    fn are_handed_on(&mut self, begun: u64) -> bool {
+        let handed_on = begun - self.begun;
+        self.begun = begun;
+        self.count = self.count.saturating_sub(handed_on);
+        if self.count > MOST_WAITING && (handed_on > 0 || !self.put_off) {
+            self.put_off = true;
+            return false;
+        }
+        if self.count > MOST_WAITING {
+            self.count = 0;
+        }
+        self.put_off = false;
+        true
+    }
+}
+
 impl StreamExecutor {
     /// `abort` is notified when the connection has to be closed.
     pub(super) fn new(app: Arc<App>, abort: Arc<Notify>, streams: Arc<Streams>) -> Self {
@@ -185,11 +219,32 @@ where
         let Self { app, abort, streams } = self.clone();
         tokio::spawn(async move {
             streams.runs();
-            let may_go_on = Cutoff::new(abort.clone()).run(&app, stream).await;
+            let may_go_on = Cutoff::new().run(&app, stream).await;
             streams.living.fetch_sub(1, Ordering::SeqCst);
             if !may_go_on {
                 abort.notify_one();
             }
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches a connection that reads on although h2 holds many streams, which its table would have to hold
+    /// at a time, and one that is never read again after headers that begin no stream.
+    #[test]
+    fn reading_waits_until_streams_are_handed_on() {
+        let mut arrived = Arrived::default();
+        assert!(arrived.are_handed_on(0));
+        arrived.add(76);
+        let put_off = (0..76).take_while(|&begun| !arrived.are_handed_on(begun)).count() as u64;
+        assert_eq!(put_off, 76 - MOST_WAITING);
+        assert_eq!(arrived.count, MOST_WAITING);
+        arrived.add(100);
+        assert!(!arrived.are_handed_on(70));
+        assert!(arrived.are_handed_on(70), "h2 has nothing more to hand on");
+        assert_eq!(arrived.count, 0);
     }
 }

@@ -65,6 +65,30 @@ async fn messages_may_come_a_byte_at_a_time() {
     server.until(ARRIVING, 0.0).await;
 }
 
+/// Catches a message in tiny pieces, each of which costs the server as much as hundreds of bytes: for a MiB in
+/// chunks of one byte it worked for seconds after its caller had left. A short message may come byte by byte.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_long_message_in_tiny_pieces_is_refused() {
+    let server = TestServer::start().await;
+    // A field that the server does not know, so that the message is valid at any length.
+    let message =
+        |bytes: usize| [vec![0xfa, 0x7f, (bytes & 0x7f | 0x80) as u8, (bytes >> 7) as u8], vec![0; bytes]];
+    let expected = refused(Code::InvalidArgument, "PIECES_TOO_SMALL", "");
+    for (bytes, piece_bytes, is_refused) in
+        [(1000, 1, false), (5000, 1, true), (16_000, 10, true), (16_000, 100, false)]
+    {
+        let whole = raw::frame(false, &message(bytes).concat());
+        let pieces = whole.chunks(piece_bytes).map(Bytes::copy_from_slice).collect();
+        let status = status_of(&server, INFO, raw::Body::Pieces(pieces)).await;
+        if is_refused {
+            assert_eq!(refusal(&status), expected, "{bytes} bytes in pieces of {piece_bytes}");
+        } else {
+            assert_eq!(status.code(), Code::Ok, "{bytes} bytes in pieces of {piece_bytes}: {status}");
+        }
+    }
+    server.until(ARRIVING, 0.0).await;
+}
+
 /// Catches messages after the first one of a unary call, which would be decoded and discarded
 /// without end.
 #[tokio::test(flavor = "multi_thread")]
