@@ -128,7 +128,8 @@ def main() -> None:
                 rates[name], points, cores = rate(client, scene, asked, arguments.seconds)
                 figures = f"{rates[name]:,.0f}", f"{points:.2f}", f"{cores:.2f}"
                 print(row(make.__name__, name, *figures), flush=True)
-            ratios.append(f"{rates['several'] / rates['one at a time']:.2f} times ({make.__name__})")
+            ratio = rates["several"] / rates["one at a time"]
+            ratios.append(f"{ratio:.2f} times ({make.__name__})")
     print(f"\nSeveral messages under way are {' and '.join(ratios)} as fast as one at a time.")
 
 
