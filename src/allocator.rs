@@ -1,9 +1,10 @@
 //! The allocator of the binary, and how freed memory goes back to the system.
 //!
-//! mimalloc does not return freed memory at once. It marks the memory, and some thread returns what has been
-//! marked for a second: after 10,000 allocations that take its slow path, or when the thread ends. A server
-//! whose callers have left does neither, so that the memory of their last requests would stay resident.
-//! [`return_freed_memory`] therefore lets a short-lived thread end every second.
+//! mimalloc does not return freed memory to the system at once: it only marks the memory. Threads later return
+//! the memory that has been marked for a second. A thread does so after 10,000 allocations that take
+//! mimalloc's slow path, and when it ends. In a server whose callers have left, threads neither allocate nor
+//! end, so the memory of the last requests would stay resident. [`return_freed_memory`] therefore lets a
+//! short-lived thread end every second.
 
 use std::{hint::black_box, io, thread, time::Duration};
 
