@@ -120,7 +120,7 @@ settings! {
     /// Serve a page that shows contacts on the same addresses, and print its URL (docs/playground.md)
     playground: bool = |_: &Limits| false, "HULLCAST_PLAYGROUND", "BOOL"
         [num_args = 0..=1, default_missing_value = "true"];
-    /// File of the tokens that may query, one per line; empty means that calls need no token
+    /// File of the tokens that may query, one per line. If there is neither list, calls need no token
     query_tokens: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_QUERY_TOKENS", "FILE";
     /// File of the tokens that may also register and delete, one per line
     register_tokens: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_REGISTER_TOKENS", "FILE";
