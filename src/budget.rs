@@ -162,8 +162,8 @@ impl MemoryBudget {
     }
 }
 
-/// The budget as one caller uses it. A call keeps a handle of its own, so that the permits of its messages
-/// count references that no other call counts.
+/// The budget as one caller uses it. Each call has an `Arc` of its own, because each permit clones and drops
+/// it: a reference count that all calls share would be contended.
 #[derive(Clone, Debug)]
 pub struct CallerBudget(Arc<Holder>);
 
@@ -184,8 +184,8 @@ impl CallerBudget {
         Ok(permit)
     }
 
-    /// A permit that holds nothing yet and takes only what it holds beyond `covered` bytes from the
-    /// budget. The caller of this function has taken these bytes already, with another permit.
+    /// An empty permit whose first `covered` bytes take nothing from the budget, because another permit of
+    /// the call has already taken them.
     pub fn covered(&self, part: Part, covered: u64) -> Permit {
         Permit { holder: self.0.clone(), part, bytes: 0, covered }
     }
@@ -197,7 +197,7 @@ pub struct Permit {
     holder: Arc<Holder>,
     part: Part,
     bytes: u64,
-    /// The first bytes, which another permit has taken from the budget.
+    /// The number of the first bytes, which another permit has taken from the budget.
     covered: u64,
 }
 
@@ -233,7 +233,7 @@ impl Permit {
         Ok(())
     }
 
-    /// Takes or gives back what is missing to `bytes`.
+    /// Takes or gives back bytes, so that the permit then holds `bytes` bytes.
     ///
     /// # Errors
     /// There is no room for more. The permit keeps the bytes that it had.
@@ -242,7 +242,7 @@ impl Permit {
         self.grow(bytes - self.bytes)
     }
 
-    /// Gives all but `bytes` back; a permit that holds less stays as it is.
+    /// Gives all bytes but the first `bytes` back. A permit that holds fewer stays as it is.
     pub fn shrink_to(&mut self, bytes: u64) {
         let charged_before = self.charged();
         self.bytes = self.bytes.min(bytes);
@@ -345,8 +345,8 @@ mod tests {
         assert_eq!((used(), budget.used()), (0, 0));
     }
 
-    /// Catches a caller who takes a whole part, so that nothing of it is left for others although the budget
-    /// has room.
+    /// Catches a caller that takes a whole part and leaves none of it for others, although the budget has
+    /// room.
     #[test]
     fn callers_share_a_capped_part() {
         let callers = Arc::new(Callers::default());

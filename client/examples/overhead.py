@@ -6,7 +6,7 @@ For batches of several sizes, the table has the time of a `query` from numpy arr
 the part of it that the client itself takes (to make the messages and read the responses, measured
 without a server on messages of a real call); a warm query, whose bases are requested and given
 back; and a step of a session. The pairs are polytopes of 16 vertices at random positions, some of
-them in contact.
+them in contact. The output is a Markdown table.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from throughput import row
 
 import hullcast
 from hullcast import _answers, _calls
@@ -95,9 +96,10 @@ def main() -> None:
     parser.add_argument("--sizes", type=int, nargs="+", default=SIZES, help="pairs a call")
     arguments = parser.parse_args()
     seconds: float = arguments.seconds
-    form = "{:>10}{:>12}{:>14}{:>12}{:>14}{:>14}{:>14}"
-    print("microseconds per call, cold and warm; the client's own work in a call, and per pair")
-    print(form.format("pairs", "query", "its own", "ns/pair", "warm query", "session", "pairs/s"))
+    own_names = "client's own work, us", "own work, ns per pair"
+    step_names = "session step, us", "session, pairs/s"
+    print(row("pairs", "query, us", *own_names, "warm query, us", *step_names))
+    print(f"|{7 * '--:|'}")
     outputs = ("ALPHA", "NORMAL", "POINTS", "BASES")
     with hullcast.serve() as client:
         for size in arguments.sizes:
@@ -114,9 +116,9 @@ def main() -> None:
                     lambda: session.step(scene.positions, scene.rotations),  # noqa: B023
                     seconds,
                 )
-            row = [f"{t * 1e6:,.0f}" for t in (cold, own)]
-            row += [f"{own / size * 1e9:,.0f}", *(f"{t * 1e6:,.0f}" for t in (warm, step))]
-            print(form.format(f"{size:,}", *row, f"{size / step:,.0f}"), flush=True)
+            figures = [f"{t * 1e6:,.0f}" for t in (cold, own)]
+            figures += [f"{own / size * 1e9:,.0f}", *(f"{t * 1e6:,.0f}" for t in (warm, step))]
+            print(row(f"{size:,}", *figures, f"{size / step:,.0f}"), flush=True)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ The time runs from numpy arrays of poses to results in Python. coal uses `collid
 hullcast `query` (the whole patch, with a certified depth per point) and the steps of a session.
 Geometry and registration are not timed. hullcast's server is another process on the same cores;
 "CPU" is the time of both processes together. A contender that is not installed is left out.
+The output is a Markdown table for each scene.
 """
 
 from __future__ import annotations
@@ -240,9 +241,10 @@ def cpu_seconds(step: Step, seconds: float) -> float:
 def compare(client: hullcast.Client, name: str, scene: Scene, seconds: float) -> None:
     """Prints the cost of a step of the whole scene, and of one pair, for each contender."""
     pairs = len(scene.pairs)
-    print(f"{name}: {len(scene.positions):,} bodies, {pairs:,} pairs")
-    form = "{:<18}{:>12}{:>12}{:>12}{:>16}{:>10}{:>10}"
-    print(form.format("", "us, 1 pair", "us/step", "pairs/s", "pairs/CPU-s", "touching", "points"))
+    title = f"{name}: {len(scene.positions):,} bodies, {pairs:,} pairs"
+    names = "us, 1 pair", "us per step", "pairs/s", "pairs per CPU-s", "pairs touching", "points"
+    print(throughput.row(title, *names))
+    print(f"|---|{len(names) * '--:|'}")
     m = client.query(bodies_of(client, scene), scene.pairs, margin=scene.margin)
     one = scene.only(int(np.argmax(m.point_counts)))
     makers: list[tuple[str, Callable[[Scene], Step]]] = [
@@ -251,22 +253,22 @@ def compare(client: hullcast.Client, name: str, scene: Scene, seconds: float) ->
         ("coal", by_coal),
         ("python-fcl", by_fcl),
     ]
-    names: list[str] = []
+    contenders: list[str] = []
     singles: list[Step] = []
     wholes: list[Step] = []
     for name, make in makers:
         try:
             wholes.append(make(scene))
         except ImportError as error:
-            print(f"{name:<18}left out: {error}")
+            print(throughput.row(name, f"left out: {error}"))
             continue
         singles.append(make(one))
-        names.append(name)
+        contenders.append(name)
     single, whole = median_seconds(singles, seconds / 3), median_seconds(wholes, seconds)
-    for i, name in enumerate(names):
+    for i, name in enumerate(contenders):
         cpu = cpu_seconds(wholes[i], seconds)
-        row = (single[i] * 1e6, whole[i] * 1e6, pairs / whole[i], pairs / cpu, *wholes[i]())
-        print(form.format(name, *(f"{x:,.0f}" for x in row)), flush=True)
+        figures = (single[i] * 1e6, whole[i] * 1e6, pairs / whole[i], pairs / cpu, *wholes[i]())
+        print(throughput.row(name, *(f"{x:,.0f}" for x in figures)), flush=True)
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ In "shallow" pairs the boxes have random orientations and a growth scale of .95 
 contact point). In "resting" pairs a face lies on a face at a random spin (four to eight points).
 Server and client share this machine's cores, unless --connect names a server on another machine.
 The rates are for several messages in flight, and for one message at a time, which is the rate of a
-single blocking caller.
+single blocking caller. The output is a Markdown table.
 """
 
 from __future__ import annotations
@@ -102,6 +102,11 @@ def rate(client: hullcast.Client, scene: hullcast.Scene, pairs: np.ndarray, seco
     return done / wall, points / done, (time.process_time() - used) / wall
 
 
+def row(*cells: str) -> str:
+    """A row of a Markdown table."""
+    return f"| {' | '.join(cells)} |"
+
+
 def main() -> None:
     """Measures and prints."""
     parser = argparse.ArgumentParser(description="Manifolds a second through a server")
@@ -109,8 +114,10 @@ def main() -> None:
     parser.add_argument("--connect", metavar="TARGET", help="instead of a server of its own")
     arguments = parser.parse_args()
     pairs = np.arange(2 * MESSAGES * PAIRS_PER_MESSAGE, dtype=np.uint32).reshape(-1, 2)
-    form = "{:<10}{:<16}{:>13}{:>18}{:>16}"
-    print(form.format("boxes", "under way", "manifolds/s", "points/manifold", "client's cores"))
+    names = "messages under way", "manifolds/s", "points per manifold", "client's cores"
+    print(row("boxes", *names))
+    print("|---|---|--:|--:|--:|")
+    ratios: list[str] = []
     with hullcast.connect(arguments.connect) if arguments.connect else hullcast.serve() as client:
         client.pairs_per_message = PAIRS_PER_MESSAGE
         hulls = client.register(SIGNS * half_extents()[:, None, :])
@@ -119,11 +126,11 @@ def main() -> None:
             rates = {}
             for name, asked in (("several", pairs), ("one at a time", pairs[:PAIRS_PER_MESSAGE])):
                 rates[name], points, cores = rate(client, scene, asked, arguments.seconds)
-                row = f"{rates[name]:,.0f}", f"{points:.2f}", f"{cores:.2f}"
-                print(form.format(make.__name__, name, *row), flush=True)
-            print(
-                f"{make.__name__:<10}several / one  {rates['several'] / rates['one at a time']:.2f}"
-            )
+                figures = f"{rates[name]:,.0f}", f"{points:.2f}", f"{cores:.2f}"
+                print(row(make.__name__, name, *figures), flush=True)
+            ratio = rates["several"] / rates["one at a time"]
+            ratios.append(f"{ratio:.2f} times ({make.__name__})")
+    print(f"\nSeveral messages under way are {' and '.join(ratios)} as fast as one at a time.")
 
 
 if __name__ == "__main__":

@@ -52,8 +52,8 @@ impl fmt::Display for CallerKey {
     }
 }
 
-/// Whether logs and metrics may call a caller without a token so, or nearly so: an address, a user id, a
-/// connection, or everyone. A token of such a name would be mistaken for that caller.
+/// Whether logs and metrics may give this name, or a similar one, to a caller without a token: an address, a
+/// user id, a connection, or everyone. A token with such a name could be mistaken for that caller.
 pub fn is_reserved_name(name: &str) -> bool {
     let name = name.to_ascii_lowercase();
     let is_one_of = |kind: &str| {

@@ -68,7 +68,7 @@ impl Shares {
         self.take_shared(caller, amount, amount)
     }
 
-    /// Adds `amount` to the holding of `caller`. Only `new` of it is not already held by others.
+    /// Adds `amount` to the holding of `caller`. Other callers hold all of it already, except `new`.
     ///
     /// # Errors
     /// The caller would hold more than its share. Then nothing is added.
@@ -94,7 +94,7 @@ impl Shares {
         self.give_back_shared(caller, amount, amount);
     }
 
-    /// Subtracts `amount` from the holding of `caller`; no other caller holds `free` of it.
+    /// Subtracts `amount` from the holding of `caller`. Other callers still hold all of it, except `free`.
     pub fn give_back_shared(&mut self, caller: &Caller, amount: u64, free: u64) {
         self.used = self.used.saturating_sub(free);
         if let Some(held) = self.held.get_mut(&caller.id()) {
@@ -171,7 +171,7 @@ mod tests {
 
     /// Catches a request that can never fit but is told to retry.
     #[test]
-    fn what_never_fits_is_told_apart_from_what_does_not_fit_now() {
+    fn an_amount_that_never_fits_is_not_refused_as_busy() {
         let callers = callers(2);
         let mut shares = Shares::new(1000, true);
         assert_eq!(shares.take(&callers[0], 501), Err(Refusal::TooLarge));

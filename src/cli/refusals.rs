@@ -26,7 +26,7 @@ const NO_SERVERS: [&str; 10] =
 
 const OUTPUTS: &str =
     "[possible values: outcome, alpha, normal, points, witness-b, features, bases, diagnostics]";
-const SIZE: &str = "to 1024 TiB (a number of bytes, or with KiB, MiB, GiB or TiB), or a share of the memory above 0% and up to 100%";
+const SIZE: &str = "to 1024 TiB (a number of bytes, or with KiB, MiB, GiB or TiB), or a percentage of the memory above 0% and up to 100%";
 
 /// An option, its values that have the right type but are outside the range, and the text about the
 /// allowed values.

@@ -33,7 +33,7 @@ pub(crate) fn bytes(name: &'static str) -> impl Fn(&str) -> Result<ByteSize, Str
     }
 }
 
-/// A parser of a size within the range of the limit called `name`, or of a share.
+/// A parser of a size within the range of the limit called `name`, or of a percentage of the memory.
 pub(crate) fn size(name: &'static str) -> impl Fn(&str) -> Result<Size, String> + Clone {
     let (least, most) = range(name);
     let range = Limits::shown_range(name).unwrap_or_default();
@@ -45,8 +45,8 @@ pub(crate) fn size(name: &'static str) -> impl Fn(&str) -> Result<Size, String> 
         };
         size.filter(allowed).ok_or_else(|| {
             format!(
-                "expected {range} (a number of bytes, or with KiB, MiB, GiB or TiB), or a share of the memory \
-                 above 0% and up to 100%"
+                "expected {range} (a number of bytes, or with KiB, MiB, GiB or TiB), or a percentage of \
+                 the memory above 0% and up to 100%"
             )
         })
     }

@@ -39,13 +39,13 @@ pub(crate) enum LogFormat {
     Json,
 }
 
-/// Whether something is done.
+/// The values of `shares`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum Switch {
-    /// It is.
+    /// Callers share fairly.
     On,
-    /// It is not.
+    /// All callers have one common budget, first come, first served.
     Off,
 }
 
@@ -88,10 +88,10 @@ settings! {
     /// Address to listen on: host:port (port 0 means any free port) or unix:PATH; may be repeated
     listen: Vec<String> = |_: &Limits| vec!["127.0.0.1:50051".into()],
         "HULLCAST_LISTEN", "ADDR" [value_delimiter = ',', value_parser = listen_address];
-    /// Where hulls are kept: a directory, file://PATH, memory:// (which forgets), or by feature
-    /// s3://BUCKET/PREFIX, gs:// or az:// (docs/durability.md)
+    /// Where hulls are kept: a directory, file://PATH, memory:// (only until the server ends), or, in a
+    /// build with the feature, s3://BUCKET/PREFIX, gs:// or az:// (docs/durability.md)
     store: String = |_: &Limits| DEFAULT_STORE.into(), "HULLCAST_STORE", "URL" [value_parser = store_url];
-    /// Threads that compute; 0: one a core
+    /// Threads that compute; 0 means one per core
     compute_threads: usize = |_: &Limits| 0, "HULLCAST_COMPUTE_THREADS", "N"
         [value_parser = count(0, MOST_THREADS)];
     /// Seconds after SIGTERM during which health checks report NOT_SERVING and calls are still accepted
@@ -120,7 +120,7 @@ settings! {
     /// Serve a page that shows contacts on the same addresses, and print its URL (docs/playground.md)
     playground: bool = |_: &Limits| false, "HULLCAST_PLAYGROUND", "BOOL"
         [num_args = 0..=1, default_missing_value = "true"];
-    /// File of the tokens that may query, one per line; empty means that calls need no token
+    /// File of the tokens that may query, one per line. If there is neither list, calls need no token
     query_tokens: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_QUERY_TOKENS", "FILE";
     /// File of the tokens that may also register and delete, one per line
     register_tokens: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_REGISTER_TOKENS", "FILE";
@@ -143,7 +143,7 @@ settings! {
         [value_parser = log_filter];
     /// How logs are written
     log_format: LogFormat = |_: &Limits| LogFormat::Text, "HULLCAST_LOG_FORMAT", "FORMAT" [value_enum];
-    /// Largest message in bytes, either way
+    /// Most bytes of a message, in either direction
     max_message_bytes: ByteSize = |l: &Limits| ByteSize(l.max_message_bytes as u64), "HULLCAST_MAX_MESSAGE_BYTES", "SIZE"
         [value_parser = bytes("max_message_bytes")];
     /// Most pairs in a request
@@ -174,8 +174,7 @@ settings! {
     max_memory_bytes: Size = |l: &Limits| Size::Bytes(l.max_memory_bytes),
         "HULLCAST_MAX_MEMORY_BYTES", "SIZE"
         [value_parser = size("max_memory_bytes")];
-    /// Whether callers share memory, leases on hulls and compute threads fairly; off means one common
-    /// budget, first come, first served
+    /// Whether callers share memory, cached hulls and compute threads fairly
     shares: Switch = |_: &Limits| Switch::On, "HULLCAST_SHARES", "SWITCH" [value_enum];
     /// Addresses of proxies; each connection of a proxy counts as a separate caller
     trusted_proxies: Vec<IpAddr> = |_: &Limits| Vec::new(), "HULLCAST_TRUSTED_PROXIES", "ADDR"
@@ -186,25 +185,25 @@ settings! {
     /// Seconds within which a caller has to take an answer, plus one second per MiB of it
     answer_seconds: f64 = |_: &Limits| 30.0, "HULLCAST_ANSWER_SECONDS", "S"
         [value_parser = number(SHORTEST_TIME, LONGEST)];
-    /// Most bytes of requests that have come and are not yet answered, over all calls
+    /// Most bytes of requests that have arrived and are not yet decoded, over all calls
     max_request_bytes_in_flight: ByteSize = |l: &Limits| ByteSize(l.max_request_bytes_in_flight),
         "HULLCAST_MAX_REQUEST_BYTES_IN_FLIGHT", "SIZE"
         [value_parser = bytes("max_request_bytes_in_flight")];
-    /// Most seconds that a call may take, but for streams
+    /// Most seconds that a call may take, except for streams
     max_deadline_seconds: u32 = |l: &Limits| l.max_deadline_seconds, "HULLCAST_MAX_DEADLINE_SECONDS", "S"
         [value_parser = limit::<u32>("max_deadline_seconds")];
     /// Most connections
     max_connections: u32 = |l: &Limits| l.max_connections, "HULLCAST_MAX_CONNECTIONS", "N"
         [value_parser = limit::<u32>("max_connections")];
-    /// Bytes that streams keep from one message to the next, all together
+    /// Most bytes that all streams together keep from one message to the next
     max_stream_state_bytes: ByteSize = |l: &Limits| ByteSize(l.max_stream_state_bytes),
         "HULLCAST_MAX_STREAM_STATE_BYTES", "SIZE"
         [value_parser = bytes("max_stream_state_bytes")];
-    /// Bytes of heap for hulls, cached and in use, or a share of the memory that the process
-    /// may use (machine and cgroups), as in 25%
+    /// Most memory for hulls, cached and in use: bytes, or a percentage of the memory that the process may
+    /// use, such as 25%
     cache_bytes: Size = |l: &Limits| Size::Bytes(l.cache_bytes), "HULLCAST_CACHE_BYTES", "SIZE"
         [value_parser = size("cache_bytes")];
-    /// Most bytes in the store; 0: unbounded
+    /// Most bytes in the store; 0 means no limit
     store_bytes: ByteSize = |l: &Limits| ByteSize(l.store_bytes), "HULLCAST_STORE_BYTES", "SIZE"
         [value_parser = bytes("store_bytes")];
     /// Most concurrent calls on a connection
@@ -230,7 +229,7 @@ const AT_LEAST_ONE: &str = "must have at least one address, host:port or unix:PA
 pub(crate) struct Checked {
     pub(crate) serving: Serving,
     pub(crate) limits: Limits,
-    /// How long health says NOT_SERVING before connections are closed, when the server stops.
+    /// The time for which a server that stops still accepts calls, while health reports NOT_SERVING.
     pub(crate) grace: Duration,
 }
 
@@ -250,7 +249,7 @@ impl Settings {
         Ok(Checked { serving: self.serving()?, limits, grace: self.grace()? })
     }
 
-    /// Finds addresses of which only one could be used.
+    /// Refuses addresses that exclude each other, and a proxy that is named twice.
     fn check_addresses(&self) -> Result<(), String> {
         if self.listen.is_empty() {
             return Err(format!("listen is empty, {AT_LEAST_ONE}"));
@@ -298,7 +297,9 @@ impl Settings {
         };
         if self.playground && cfg!(not(feature = "playground")) {
             let remedy = "cargo build --release --features playground";
-            return Err(Exit::Usage.error(format!("playground: this server was built without it: {remedy}")));
+            return Err(Exit::Usage.error(format!(
+                "playground is true, but this server was built without it: build it by `{remedy}`"
+            )));
         }
         Ok(Serving {
             security: Arc::new(Security::open(&files).map_err(|error| Exit::Input.error(error.to_string()))?),
@@ -315,7 +316,7 @@ impl Settings {
         })
     }
 
-    /// How long health checks report NOT_SERVING before connections are closed, when the server stops.
+    /// The value of [`Checked::grace`].
     ///
     /// # Errors
     /// The value is outside its range.
@@ -326,7 +327,7 @@ impl Settings {
     /// The limits among the settings.
     ///
     /// # Errors
-    /// A size is a share, and the system does not report its memory.
+    /// A size is a percentage, and the system does not report its memory.
     fn limits(&self) -> Result<Limits, Error> {
         Ok(Limits {
             max_message_bytes: usize::try_from(self.max_message_bytes.0).unwrap_or(usize::MAX),

@@ -32,16 +32,17 @@ use crate::{
 /// Batches of up to this many pairs do not wait. They take some milliseconds.
 const SMALL_PAIRS: u32 = 4096;
 
-/// The most pairs of one caller's large batches that are computed at a time. They are enough chunks for
-/// every thread of the largest machines, and for one batch more, so that no batch waits for the last chunk
-/// of another.
+/// The most pairs of one caller's large batches that are computed at a time. They keep all threads of the
+/// largest machines busy and leave some pairs for the next batch, which can therefore begin before the last
+/// chunk of a batch ends.
 const TURN_PAIRS: u32 = 65_536;
 
 /// About this many lanes of callers without batches are kept before they are removed.
 const SPARE_LANES: usize = 64;
 
-/// The shortest and the longest time after which a refused caller is told to retry.
+/// The shortest time after which a refused caller is told to retry.
 const SOONEST: Duration = Duration::from_millis(20);
+/// The longest such time.
 const LATEST: Duration = Duration::from_secs(5);
 
 /// The throughput is measured again after this time.
@@ -64,7 +65,7 @@ struct State {
     places: Shares,
     /// The lanes of callers with batches, and of some callers without.
     lanes: ById<u64, Arc<Lane>>,
-    /// When there are this many lanes, those without batches are removed.
+    /// The number of lanes at which those without batches are removed.
     forget_at: usize,
 }
 
@@ -126,7 +127,7 @@ impl AdmissionQueue {
     ) -> Result<Admission, ServiceError> {
         self.take(weight(pairs), caller, false).ok_or_else(|| {
             self.metrics.shed(Shed::Pairs);
-            let message = "too many pairs are being computed: retry later";
+            let message = "too many pairs are in flight: retry later";
             ServiceError::unavailable("TOO_BUSY", self.retry_after(computed), message)
         })
     }
@@ -235,7 +236,7 @@ impl Admission {
     }
 }
 
-/// A batch that waits for places, in a count of such batches.
+/// Adds one to a count of waiting batches until it is dropped.
 struct Waiting<'a>(&'a AtomicUsize);
 
 impl<'a> Waiting<'a> {

@@ -41,8 +41,8 @@ use crate::{
 /// The bytes of an answer that are handed to the transport at a time.
 const SLICE_BYTES: usize = 256 << 10;
 
-/// A call whose deadline passes ends with DEADLINE_EXCEEDED, if its peer still reads that. After this
-/// additional time the stream is cut.
+/// A call whose deadline passes ends with DEADLINE_EXCEEDED. If its peer has not read this status after
+/// this additional time, the stream is cut.
 const AFTER_DEADLINE: Duration = Duration::from_secs(1);
 
 /// The times by which the peer has to take an answer.
@@ -74,9 +74,9 @@ pub(super) struct AnswerBody {
     cutoff: Cutoff,
     /// The bytes that the transport has not asked for yet.
     queued: VecDeque<Bytes>,
-    /// Whether a large answer was queued, whose bytes the end waits for.
+    /// Whether a large answer was queued. The trailers then wait for its bytes.
     is_large: bool,
-    /// The end, if it waits.
+    /// The trailers, which end the answer, while they wait for the bytes before them.
     trailers: Option<Frame<Bytes>>,
     ended: bool,
 }
@@ -122,8 +122,8 @@ impl AnswerBody {
         Some(slice)
     }
 
-    /// Queues small messages, whose memory the call has, for the transport. If more bytes are not sent yet,
-    /// they take memory of their own.
+    /// Queues small messages for the transport. They are covered by the memory of the call, unless earlier
+    /// bytes of the answer are not sent yet: then they take memory of their own.
     fn queue_small(&mut self, bytes: Bytes) -> Result<(), ServiceError> {
         if bytes.is_empty() {
             return Ok(());
@@ -146,7 +146,7 @@ impl AnswerBody {
         self.cutoff.set(self.times.due(length));
     }
 
-    /// Hands on the end of the answer, if it need not wait for bytes that are not sent.
+    /// Hands on the trailers, or keeps them until all bytes of a large answer are sent.
     fn poll_end(&mut self, cx: &mut Context<'_>, trailers: Frame<Bytes>) -> Poll<Frame<Bytes>> {
         if self.is_large && self.cutoff.poll_sent(cx).is_pending() {
             self.trailers = Some(trailers);
@@ -177,7 +177,7 @@ impl HttpBody for AnswerBody {
                 let _entered = this.call.enter();
                 Pin::new(&mut this.body).poll_frame(cx)
             };
-            // The transport takes its time for a frame, and a stream without one waits or gives way.
+            // No hulls stay leased while the transport sends this frame, or while the stream has none to send.
             this.context.release_hulls();
             if polled.is_pending() {
                 // If the peer has read everything so far, it is not late: the server has not produced the

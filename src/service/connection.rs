@@ -54,8 +54,8 @@ const KEEP_ALIVE: Duration = Duration::from_secs(60);
 /// The most bytes of one call's headers, several times the size of a token and a trace context.
 pub(super) const HEADER_BYTES: u32 = 16 << 10;
 
-/// The number of streams that the peer reset before the server handled them, or that the server reset
-/// because of the peer's errors. With more, the connection is closed ("rapid reset").
+/// The most streams that the peer may reset before the server handles them, and the most that the server
+/// resets because of the peer's errors. With more, the connection is closed ("rapid reset").
 const RESETS: usize = 1024;
 
 /// The bytes of the HTTP/2 preface and of the header of the frame after it.
@@ -165,7 +165,7 @@ impl Connections {
         let end = async {
             tokio::select! {
                 () = silence(&read, self.serving.greeting) => "the peer did not begin HTTP/2 in time",
-                () = abort.notified() => "the peer takes nothing of an answer that was cut",
+                () = abort.notified() => "the peer does not read the rest of an answer that was cut",
             }
         };
         self.attend(connection, end, close, closing).await;
@@ -200,7 +200,7 @@ impl Connections {
                 cutoff.guard(&self.app, served).await;
             }
             Ok(Err(error)) => tracing::debug!(%error, "connection ended"),
-            Err(_) => tracing::debug!("a peer sent nothing from which its protocol could be told"),
+            Err(_) => tracing::debug!("a peer sent too little to tell HTTP/1.1 from HTTP/2"),
         }
     }
 

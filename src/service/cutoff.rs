@@ -8,9 +8,10 @@
 //! Over HTTP/2, the connection's executor ([`StreamExecutor`](super::streams::StreamExecutor)) runs the stream's future together with the
 //! cutoff, and drops the future at that time. h2 then discards the bytes that the stream has queued and
 //! resets the stream, so the caller sees CANCELLED. If bytes of the answer remain after that, because the
-//! socket takes nothing at all, the connection is closed. The transport may end the future of a small answer
-//! before it has sent the answer; then nothing but the connection can be closed at that time. Over HTTP/1.1
-//! a connection has one call at a time, and the cutoff closes the connection.
+//! socket takes nothing at all, the connection is closed. The connection is also closed if the future of a
+//! small answer has ended although the answer is not sent: then there is no future to drop.
+//!
+//! Over HTTP/1.1 a connection has one call at a time, and the cutoff closes the connection.
 
 use std::{
     future::{Future, poll_fn},
@@ -58,7 +59,7 @@ struct State {
     due: AtomicU64,
     /// The `due` for which the waiting side wakes up.
     awaited: AtomicU64,
-    /// `due` is earlier than `awaited`.
+    /// Notified when `due` becomes earlier than `awaited`.
     is_earlier: Notify,
     unsent: AtomicUsize,
     /// Wakes the task that waits until everything is sent.

@@ -51,14 +51,15 @@ const FREE_HEADER_BYTES: usize = 1 << 10;
 /// The most changes of the size of HPACK's table at the beginning of a block of headers.
 const MOST_RESIZES: u32 = 2;
 
-/// The overhead for which memory is taken at a time.
+/// Memory is taken in steps of this size.
 const STEP_BYTES: u64 = 64 << 10;
 
 /// Follows the frames that a peer sends.
 #[derive(Debug, Default)]
 pub(super) struct Frames {
-    /// The bytes of the preface and of the current frame's head that have arrived.
+    /// The bytes of the preface that have arrived.
     preface: usize,
+    /// The current frame's head, and the number of its bytes that have arrived.
     head: [u8; HEAD_BYTES],
     head_bytes: usize,
     /// The bytes of the current frame's payload that have not arrived yet.
@@ -75,7 +76,7 @@ pub(super) struct Frames {
 struct BlockBegin {
     /// The bytes that come before the block.
     skipped: usize,
-    /// Whether a change of the size has begun whose number goes on.
+    /// Whether the new size, which may take several bytes, continues in the next byte.
     is_number: bool,
     resizes: u32,
 }
@@ -126,7 +127,9 @@ impl Frames {
             DATA => padding,
             HEADERS | CONTINUATION => {
                 if length > MOST_HEADER_BYTES {
-                    let why = format!("a frame of headers has {length} bytes; at most {MOST_HEADER_BYTES}");
+                    let why = format!(
+                        "a frame of headers has {length} bytes, at most {MOST_HEADER_BYTES} are allowed"
+                    );
                     return Err(refused(why));
                 }
                 if kind == HEADERS {
@@ -156,7 +159,7 @@ impl Frames {
                 block.resizes += 1;
                 if block.resizes > MOST_RESIZES {
                     return Err(refused(format!(
-                        "headers change HPACK's table more than {MOST_RESIZES} times"
+                        "headers change the size of HPACK's table more than {MOST_RESIZES} times"
                     )));
                 }
                 block.is_number = byte & 0x1f == 0x1f;

@@ -35,15 +35,15 @@ pub struct Limits {
     pub max_memory_bytes: u64,
     /// Whether callers share memory, leases on hulls and compute threads fairly.
     pub shares: bool,
-    /// Bytes of requests that have arrived and are not answered yet, over all calls. This is the
-    /// cap on that part of the memory.
+    /// Bytes of requests that have arrived and are not decoded yet, over all calls. This is the cap on the
+    /// part `arriving` of the memory.
     pub max_request_bytes_in_flight: u64,
     /// The longest time of a call, except for streams. A longer deadline is shortened to this.
     pub max_deadline_seconds: u32,
     /// Bytes that all streams together keep from one message to the next.
     pub max_stream_state_bytes: u64,
-    /// Heap bytes of all cached hulls. Requests use hulls from the cache, so a request whose own
-    /// hulls need more is refused.
+    /// Heap bytes of all cached hulls. Hulls that a request uses are in the cache, so a request whose hulls
+    /// need more than its caller's share of the cache is refused.
     pub cache_bytes: u64,
     /// Total bytes of the blobs in the store; 0 stands for no limit.
     pub store_bytes: u64,

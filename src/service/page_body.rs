@@ -20,7 +20,7 @@ use crate::metrics::Cut;
 /// The first byte of the frame in which gRPC-web sends trailers has this bit.
 const TRAILERS: u8 = 0x80;
 
-/// A body whose last frame has a cutoff until the transport has sent it.
+/// A body that sets a cutoff for its last frame, and keeps it until the transport has sent the frame.
 ///
 /// Over HTTP/2 the transport forgets a body, and the cutoff with it, as soon as it has taken the body's end, even
 /// if it has not sent the frames before. So this body ends only when all its frames are sent.
@@ -28,7 +28,7 @@ pub(super) struct PageBody {
     source: Source,
     patience: Duration,
     cutoff: Cutoff,
-    /// The cutoff waits for the body's end.
+    /// Whether the body has counted itself as one unsent byte, so that the cutoff stays until the body ends.
     is_ending: bool,
     has_begun: bool,
 }
@@ -71,7 +71,7 @@ impl PageBody {
         self.cutoff.set((Instant::now() + self.patience, Cut::AnswerNotRead));
     }
 
-    /// The cutoff no longer waits for the body's end, only for the frames before it.
+    /// Lets the cutoff wait only for the frames, no longer for the body's end.
     fn release(&mut self) {
         if std::mem::take(&mut self.is_ending) {
             self.cutoff.freed(1);

@@ -31,12 +31,13 @@ const HANDSHAKES: u64 = 256;
 /// buffers, the buffers of TLS, and the health checks that are answered without asking the budget.
 pub(super) const CONNECTION_BYTES: u64 = 128 << 10;
 
-/// The HTTP/2 window of a connection that may receive large messages at full speed, and of one for
-/// which the budget has no more room.
+/// The HTTP/2 window of a connection while the budget has room for it: large messages arrive at full speed.
 pub(super) const LARGE_WINDOW: u32 = 8 << 20;
+
+/// The HTTP/2 window of any other connection.
 const SMALL_WINDOW: u32 = 64 << 10;
 
-/// Large windows together may take one part in this many of the memory budget.
+/// Large windows together may take the memory budget divided by this number.
 const WINDOWS_SHARE: u64 = 4;
 
 /// Health checks per connection that are answered at a time without asking the budget.
@@ -172,7 +173,7 @@ impl Drop for Place {
     }
 }
 
-/// The peer of an open connection. Clones are of the same connection.
+/// The peer of an open connection. Clones refer to the same connection.
 #[derive(Clone, Debug)]
 pub(super) struct Peer {
     peers: Arc<Peers>,

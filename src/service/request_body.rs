@@ -97,7 +97,7 @@ pub(super) struct MessageBody<B> {
 struct Message {
     head: [u8; HEAD_BYTES],
     head_bytes: usize,
-    /// The bytes of the message that have not arrived yet, once its header is known.
+    /// The bytes of the message that have not arrived yet, once its head has arrived.
     missing: usize,
     /// The number of pieces in which the bytes have arrived so far.
     pieces: usize,
@@ -183,8 +183,8 @@ impl<B> MessageBody<B> {
         }
     }
 
-    /// A small message that is whole in the received frame, as most are: it is handed on as it is, since
-    /// tonic copies it at once.
+    /// The next message, if it is small and whole in the received frame, as most messages are. It is not
+    /// copied here, because tonic copies it at once.
     fn small_message(&mut self) -> Option<Bytes> {
         let (head, rest) = self.received.split_first_chunk::<HEAD_BYTES>()?;
         let length = declared(*head);
@@ -242,9 +242,10 @@ impl<B> MessageBody<B> {
         Ok(())
     }
 
-    /// Hands a whole message on: a small one to tonic, which copies it, any other to the handler. An empty
-    /// message counts as large, so that each empty message that tonic passes on stands for another one.
-    /// Health checks and reflection have no large messages, and their handlers would not fetch them.
+    /// Hands a whole message on: a small one to tonic, which copies it, and any other to the context, where
+    /// the handler fetches it. For each message in the context tonic gets an empty one. So a message that is
+    /// empty itself goes to the context too: otherwise its handler would fetch another message in its place.
+    /// Health checks and reflection have no large messages, and their handlers fetch none from the context.
     fn hand_on(&mut self) {
         let Message { head, segments, memory, .. } = std::mem::take(&mut self.message);
         let length = declared(head);
@@ -261,7 +262,7 @@ impl<B> MessageBody<B> {
         self.whole.push_back(Bytes::copy_from_slice(&[head[0], 0, 0, 0, 0]));
     }
 
-    /// Ends the body with an error; what has arrived is freed.
+    /// Ends the body with an error, and frees the bytes that have arrived.
     fn refuse(&mut self, why: ServiceError) -> BoxError {
         self.ended = true;
         self.whole.clear();
@@ -276,7 +277,7 @@ impl<B> MessageBody<B> {
     }
 }
 
-/// The length that a message's header declares.
+/// The length that a message's head declares.
 fn declared(head: [u8; HEAD_BYTES]) -> usize {
     let [_, length @ ..] = head;
     u32::from_be_bytes(length) as usize

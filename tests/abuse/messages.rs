@@ -82,7 +82,7 @@ pub(crate) fn prism(sides: usize) -> HullDefinition {
     )
 }
 
-/// Points on circles of latitude. Each four neighbours lie in one plane up to rounding.
+/// Points on circles of latitude. Any four neighbouring points lie in one plane up to rounding.
 pub(crate) fn globe(rings: usize, around: usize) -> HullDefinition {
     let mut points = Vec::with_capacity(rings * around);
     for ring in 1..=rings {

@@ -22,7 +22,7 @@ attacks! {
     ignored_pairs: "FindContacts with 4.5 million ignored pairs" => ignored_pairs;
     /// Catches a fixed cost per world of the search for pairs.
     worlds: "FindContacts with 65,000 worlds" => worlds;
-    /// Catches turns that follow the order of arrival instead of the callers.
+    /// Catches a queue that takes work in the order of arrival, instead of in turn between callers.
     backlog: "16 batches of 512 costly pairs that are sent at once" => backlog;
 }
 

@@ -186,7 +186,7 @@ def write(
         key=lambda row: (order[0].index(row.scene), order[1].index(row.variant), row.sweeps),
     )
     measured = [f"- {name}: {places[name]}" for name in order[0] if name in places]
-    table = "\n".join([*measured, "", *HEAD, *map(line, rows)])
+    table = "\n".join([*HEAD, *map(line, rows), "", *measured])
     page.write_text(f"{head}{OPEN}\n{table}\n{CLOSE}{tail}")
     draw.plot(rows, docs / "simulation.svg")
     for name in SHOWN:

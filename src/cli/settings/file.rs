@@ -58,8 +58,8 @@ pub(crate) enum Fault {
 }
 
 impl Fault {
-    /// The fault of a text that is not TOML. If the value of a setting is the cause, such as a number of
-    /// too many digits, the text says what is allowed.
+    /// The fault of a text that is not TOML. If the cause is the value of a setting, such as a number with
+    /// too many digits, the error also names the allowed values.
     fn of_text(text: &str, error: &toml::de::Error) -> Self {
         let start = error.span().map_or(0, |span| span.start);
         let line = text.char_indices().rfind(|(at, c)| *c == '\n' && *at < start);
@@ -77,7 +77,7 @@ impl Fault {
     }
 }
 
-/// The settings as flags alone: neither the environment nor help.
+/// A command line that has only the flags of the settings. It reads no environment variables.
 fn values_only() -> Command {
     let command = Command::new("settings").no_binary_name(true).disable_help_flag(true);
     Given::augment_args(command).mut_args(|arg| arg.env(Resettable::Reset))

@@ -111,11 +111,11 @@ impl<T> Reloaded<T> {
             Ok(Some(current)) => {
                 *self.current.write().unwrap_or_else(PoisonError::into_inner) = current;
                 *fault = None;
-                tracing::info!(files = %self.names(), "read again");
+                tracing::info!(files = %self.names(), "certificates or tokens were read again");
             }
             Err(error) if fault.as_ref() == Some(&error) => {}
             Err(error) => {
-                tracing::error!(%error, "not taken: what was read before stays in force");
+                tracing::error!(%error, "a file of certificates or tokens cannot be used; the values that were read before stay in use");
                 *fault = Some(error);
             }
         }

@@ -22,8 +22,8 @@ const LISTS: [&str; 2] = ["query", "register"];
 /// line or after white space. A token without a name is named by its list and line number.
 ///
 /// # Errors
-/// The list has no token, a line has a token that no call can send, or a line has a name that is in
-/// use already. The text names the line.
+/// The list has no token, a line has a token that no call can send, or a line has a reserved name. The
+/// text names the line.
 pub(super) fn read(contents: &[(&SettingFile, Vec<u8>)], list: &str) -> Result<List, LoadError> {
     let mut tokens = Vec::new();
     for (file, bytes) in contents {

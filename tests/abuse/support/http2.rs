@@ -65,7 +65,7 @@ struct Seen {
 /// The state of the connection as learned from the server's frames.
 #[derive(Default)]
 struct State {
-    /// Bytes that the peer may still send on the connection; `stream_windows` has the same for each stream.
+    /// Bytes that the peer may still send on the connection; `stream_windows` has this number for each stream.
     window: i64,
     stream_windows: HashMap<u32, i64>,
     initial_window: i64,

@@ -35,11 +35,12 @@ fn names(cells: &[Cell]) -> Vec<&str> {
 }
 
 fn header(text: &mut String, title: &str) {
-    let columns = PLANARITIES.map(|planarity| format!("{planarity:>9.0e}")).concat();
-    let _ = writeln!(text, "{title}\n{:28}{columns}", "planarity");
+    let columns = PLANARITIES.map(|planarity| format!(" {planarity:.0e} |")).concat();
+    let rule = "--:|".repeat(PLANARITIES.len());
+    let _ = writeln!(text, "{title}, by the planarity:\n\n| shapes |{columns}\n|---|{rule}");
 }
 
-/// One line per group and rounding, and one column per planarity.
+/// A Markdown table: one line per group and rounding, and one column per planarity.
 fn table(
     text: &mut String,
     cells: &[Cell],
@@ -51,8 +52,8 @@ fn table(
     for name in names(cells) {
         for &rounding in roundings {
             let of = |cell: &&Cell| cell.group == name && cell.rounding == rounding;
-            let values: String = cells.iter().filter(of).map(|cell| format!("{:>9}", value(cell))).collect();
-            let _ = writeln!(text, "{:28}{values}", format!("{name}, {}", rounding.name()));
+            let values: String = cells.iter().filter(of).map(|cell| format!(" {} |", value(cell))).collect();
+            let _ = writeln!(text, "| {name}, {} |{values}", rounding.name());
         }
     }
     text.push('\n');
@@ -60,24 +61,28 @@ fn table(
 
 /// All tables.
 pub(crate) fn tables(cells: &[Cell], orientations: usize) -> String {
-    let mut text = format!("{orientations} orientations of each shape, standing on its largest face.\n\n");
+    let mut text = format!("Each shape stands on its largest face, in {orientations} orientations.\n\n");
     let rounded = &ROUNDINGS[1..];
     let percent = |share: f64| format!("{:.1}", 100.0 * share);
     table(
         &mut text,
         cells,
-        "Whole patches, % (area within 1 % of the unrounded shape's)",
+        "Whole patches (area within 1 % of the unrounded shape's), %",
         &ROUNDINGS,
         |cell| percent(cell.mean(cell.whole as f64)),
     );
-    table(&mut text, cells, "Mean area of the patch over the unrounded shape's", rounded, |cell| {
-        format!("{:.3}", cell.mean(cell.area))
-    });
+    table(
+        &mut text,
+        cells,
+        "Mean area of the patch, divided by that of the unrounded shape",
+        rounded,
+        |cell| format!("{:.3}", cell.mean(cell.area)),
+    );
     let plain = &ROUNDINGS[..1];
-    table(&mut text, cells, "False merges: edges sharper than 0.01 rad that are lost, %", plain, |cell| {
+    table(&mut text, cells, "Edges sharper than 0.01 rad that are lost by false merges, %", plain, |cell| {
         percent(lost(cell))
     });
-    table(&mut text, cells, "Largest error of a face over the circumradius", plain, |cell| {
+    table(&mut text, cells, "Largest error of a face, divided by the circumradius", plain, |cell| {
         format!("{:.1e}", cell.error)
     });
     let two = &[Rounding::None, Rounding::Decimals(6)];
@@ -85,13 +90,13 @@ pub(crate) fn tables(cells: &[Cell], orientations: usize) -> String {
         let same = |other: &&Cell| other.group == cell.group && other.rounding == cell.rounding;
         cells.iter().find(same).cloned().unwrap_or_else(|| cell.clone())
     };
-    table(&mut text, cells, "Time to build a hull, over that at 1e-6", two, |cell| {
+    table(&mut text, cells, "Time to build a hull, divided by that at 1e-6", two, |cell| {
         format!("{:.2}", cell.building / first(cell).building)
     });
-    table(&mut text, cells, "Time of a pair, over that at 1e-6", two, |cell| {
+    table(&mut text, cells, "Time of a pair, divided by that at 1e-6", two, |cell| {
         format!("{:.2}", cell.answering / first(cell).answering)
     });
     let alpha = cells.iter().map(|cell| cell.alpha).fold(0.0, f64::max);
-    let _ = writeln!(text, "Largest relative difference of alpha between planarities: {alpha:.1e}");
+    let _ = writeln!(text, "Largest relative difference of alpha between planarities: {alpha:.1e}.");
     text
 }
