@@ -280,7 +280,7 @@ def _roots(tls: Any) -> bytes:
     """The PEM bytes of the root certificates to trust."""
     if isinstance(tls, bytes):
         content, name = tls, "the bytes"
-    elif isinstance(tls, (str, os.PathLike)):
+    elif isinstance(tls, (str, os.PathLike)) or _files.is_open_file(tls):
         name = _files.path_of("tls", tls, "PEM bytes or the path of a PEM file")
         content = _files.read("tls", name)
     else:

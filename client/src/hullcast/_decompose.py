@@ -93,6 +93,8 @@ def decompose(
         ImportError: the extra `decompose` is not installed.
     """
     check_threshold(threshold)
+    if _files.is_open_file(mesh):
+        _files.path_of("mesh", mesh, "the path of a mesh file")
     (pieces,) = decompose_all(
         [shape_of(mesh, "mesh")], threshold=threshold, cache=cache, progress=progress
     )

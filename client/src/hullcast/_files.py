@@ -10,6 +10,11 @@ from ._arguments import kind, shown
 from ._errors import FileNotFound, InvalidArgument
 
 
+def is_open_file(value: Any) -> bool:
+    """Whether a value is a file that the caller has opened."""
+    return callable(getattr(value, "read", None)) or callable(getattr(value, "write", None))
+
+
 def path_of(field: str, value: Any, what: str = "the path of a file") -> str:
     """Checks that `value` is a path, and returns it as a str.
 
@@ -24,7 +29,7 @@ def path_of(field: str, value: Any, what: str = "the path of a file") -> str:
         if path and "\0" not in path:
             return path
         got = shown(path)
-    elif callable(getattr(value, "read", None)) or callable(getattr(value, "write", None)):
+    elif is_open_file(value):
         name: Any = getattr(value, "name", None)
         give = f"give its path {name!r}" if isinstance(name, str) else "write it to a file first"
         got = f"an open file: {give}"

@@ -73,7 +73,7 @@ class Registration:
         contents: list[Content] = []
         for i, (shape, center) in enumerate(zip(shapes, centers, strict=True)):
             if center is not None:
-                center = _arrays.floats(f"contraction_points[{i}]", center, 3)
+                center = _arrays.frozen(_arrays.floats(f"contraction_points[{i}]", center, 3))
             share = planarity_of(planarity)
             if isinstance(shape, Hull):
                 share = planarity_of(planarity, shape.content.planarity)
@@ -194,7 +194,7 @@ def shapes_of(hulls: Any) -> list[Any]:
             reason="NOT_A_LIST",
             field="hulls",
         )
-    if _is_open_file(hulls):
+    if _files.is_open_file(hulls):
         _files.path_of("hulls", hulls, "the path of a mesh file")
     if not _is_single(hulls):
         if not isinstance(hulls, Iterable):
@@ -209,7 +209,7 @@ def shapes_of(hulls: Any) -> list[Any]:
         given = [hulls]
     shapes: list[Any] = []
     for i, hull in enumerate(given):  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
-        if _is_open_file(hull):
+        if _files.is_open_file(hull):
             _files.path_of(f"hulls[{i}]", hull, "the path of a mesh file")
         shapes += _parts(hull) if _is_scene(hull) else [shape_of(hull, f"hulls[{i}]")]
     return shapes
@@ -233,11 +233,6 @@ def _is_single(hulls: Any) -> bool:
         first = cast("Sequence[Any]", first)
         return row and len(first) == 3 and all(isinstance(x, numbers.Real) for x in first)
     return False
-
-
-def _is_open_file(shape: Any) -> bool:
-    """Whether a value is a file that the caller has opened."""
-    return callable(getattr(shape, "read", None)) and not hasattr(shape, "vertices")
 
 
 def _is_scene(shape: Any) -> bool:

@@ -182,7 +182,9 @@ def _content(place: str, hull: dict[str, Any]) -> Content:
     planarity = hull.get("planarity", DEFAULT_PLANARITY)
     return Content(
         points=_arrays.frozen(_finite(f"{place}.vertices", hull.get("vertices"), None, 3)),
-        center=None if center is None else _finite(f"{place}.contraction_point", center, 3),
+        center=None
+        if center is None
+        else _arrays.frozen(_finite(f"{place}.contraction_point", center, 3)),
         planarity=None
         if planarity is None
         else _arguments.number(f"{place}.planarity", planarity, 0),
