@@ -138,7 +138,7 @@ def test_writing_names_the_path(client, tmp_path):
     ],
 )
 def test_a_file_of_another_kind_is_named(client, tmp_path, name, content, text):
-    """Catches an OBJ file named .stl that is said to have lost its last billions of bytes."""
+    """Catches a message that an OBJ file named .stl has lost billions of bytes."""
     (tmp_path / name).write_bytes(content)
     with pytest.raises(hullcast.InvalidArgument) as caught:
         client.register(tmp_path / name)
@@ -147,7 +147,7 @@ def test_a_file_of_another_kind_is_named(client, tmp_path, name, content, text):
 
 
 def test_damaged_answers_are_named(client, tmp_path):
-    """Catches a cut file that is said not to be an npz file, and columns of another type."""
+    """Catches a message that a cut file is not an npz file, and columns of another type."""
     scene = hullcast.Scene(client.register(CUBE), np.zeros((1, 3)), [[0, 0, 0, 1]])
     path = tmp_path / "m.npz"
     client.query(scene, [[0, 0]]).save(path)
