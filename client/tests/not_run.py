@@ -17,6 +17,7 @@ BLOCKS = [
     ("docs/cluster.md", "#SBATCH", "needs Slurm; test_deploy_files.py runs it with a stand-in for srun"),
     ("docs/identity.md", '"name": "tetrahedron"', "data: test_identity.py and the clients in other languages hold it"),
     ("docs/languages.md", "falsified cases noticed", "output of `make test-languages`, which has times in it"),
+    ("docs/languages.md", "cd examples/go", "`make test-languages` does the same; test_blocks.py compares"),
     ("docs/workload.md", "u32 families", "a format: crates/contact/tests/workload reads such a file"),
     ("tests/golden/README.md", "hullcast.golden.v1", "a format: test_golden.py reads such a file"),
     ("docs/python/workers.md", "@ray.remote", "needs ray: test_pages_of_extras.py runs it"),

@@ -133,7 +133,7 @@ PARAMETERS: dict[str, tuple[Callable[[Any], Callable[[Any], Any]], list[Any]]] =
     "hull_id.contraction_point": (lambda v: lambda _: hullcast.hull_id(CUBE, v), [v for v in NO_ARRAY if v is not None]),
 }  # fmt: skip
 #: Phrases by which a message states the allowed values.
-ALLOWED = ("expected", "allowed", "missing", "cannot read", "in PEM form", "is not a rotation")  # fmt: skip
+ALLOWED = ("expected", "allowed", "missing", "there is no such file", "not a file", "in PEM form", "is not a rotation")  # fmt: skip
 
 
 @pytest.fixture(scope="module")

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import ast
 import re
+import shlex
 import shutil
 import sys
 import urllib.request
 from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
+from typing import Any
 
 import commands
 import not_run
@@ -197,18 +199,40 @@ def test_the_page_shows_the_program_that_is_run(language):
     assert len(others) == 1, others
 
 
-def test_the_counts_of_the_languages_page_are_up_to_date():
-    """Catches an output of `make test-languages` from before a golden case or an identity was added."""
+def languages() -> Any:
+    """The script `scripts/test-languages` as a module."""
     script = SourceFileLoader("languages", str(ROOT / "scripts/test-languages"))
     module = module_from_spec(spec_from_loader(script.name, script))
     sys.modules[script.name] = module  # its dataclass looks there
     script.exec_module(module)
+    return module
+
+
+def test_the_counts_of_the_languages_page_are_up_to_date():
+    """Catches an output of `make test-languages` from before a golden case or an identity was added."""
+    module = languages()
     counts = ", ".join(f"{count} {what}" for what, count in module.expected().items())
     shown = [b.text for b in blocks_of(ROOT / "docs/languages.md") if "falsified" in b.text]
     lines = shown[0].splitlines()
     assert len(lines) == len(PROGRAMS)
     for name, line in zip(module.LANGUAGES, lines, strict=True):
         assert line.startswith(f"{name}: {counts}, {len(module.FALSE)} falsified")
+
+
+def test_the_commands_of_the_languages_page_are_those_that_are_run():
+    """Catches a command that the page shows and `make test-languages` does not run."""
+    module = languages()
+    (block,) = [b for b in blocks_of(ROOT / "docs/languages.md") if "cd examples/go" in b.text]
+    quiet = {"--silent", "--batch-mode", "--quiet", "--no-audit", "--no-fund", "--parallel", "2"}
+    lines = block.text.splitlines()
+    for (name, language), line in zip(module.LANGUAGES.items(), lines, strict=True):
+        first, *steps = line.split(" && ")
+        assert first == f"cd examples/{name}"
+        run = [*language.build, [*language.first, "localhost:50051"]]
+        for shown, done in zip(steps, run, strict=True):
+            wanted = [word for word in done if word not in quiet and "PROTOC=" not in word]
+            kept = [word for word in shlex.split(shown) if word not in quiet]
+            assert kept == [word for word in wanted if not word.startswith("-DCMAKE")], line
 
 
 def test_the_metrics_of_the_autoscaler_are_the_servers():

@@ -103,6 +103,7 @@ def test_every_python_name_in_the_text_is_one():
             if base.__module__.startswith("hullcast"):
                 source = inspect.getsource(base)
                 known[name] |= set(re.findall(r"\bself\.(\w+)\b.* = ", source))
+                known[name] |= set(inspect.get_annotations(base))
     named = 0
     for page in every_page():
         if page.name == "CHANGELOG.md":

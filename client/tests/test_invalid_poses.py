@@ -51,7 +51,7 @@ def test_every_call_raises_and_names_body_and_reason(client, row, name):
     error = caught.value
     assert error.bodies.tolist() == [2]
     assert (error.field, error.index, error.reason) == (argument, 2, "INVALID_POSES")
-    assert "1 of 4 bodies have an unusable pose (body 2: its " in str(error)
+    assert "1 of 4 bodies has an unusable pose (body 2: its " in str(error)
     assert reason in str(error)
     assert error.reasons[0] in str(error)
     assert error.manifolds.outcome.tolist() == [Outcome.CONTACT, Outcome.INVALID, Outcome.INVALID]

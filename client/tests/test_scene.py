@@ -84,7 +84,7 @@ def test_moving_keeps_the_rest():
 @pytest.mark.parametrize(
     ("make", "reason", "field", "index"),
     [
-        (lambda: hullcast.Scene(IDS[:2], np.zeros((3, 3)), rotations(3)), "WRONG_SHAPE", "positions", None),
+        (lambda: hullcast.Scene(IDS[:2], np.zeros((3, 3)), rotations(3)), "MISSING_ARGUMENT", "body_hulls", None),
         (lambda: hullcast.Scene(IDS[:2], np.zeros((2, 2)), rotations(2)), "WRONG_SHAPE", "positions", None),
         (lambda: hullcast.Scene(IDS[:2], np.zeros((2, 3)), rotations(3)), "WRONG_SHAPE", "rotations", None),
         (lambda: hullcast.Scene(IDS[:2], np.zeros((2, 3))), "MISSING_ARGUMENT", "rotations", None),

@@ -68,9 +68,13 @@ FAULTS = {
         with_collision('<geometry><sphere radius="1"/><sphere radius="1"/></geometry>'),
         ["link 'arm', collision 1", "2 shapes"],
     ),
-    "a capsule": (
-        with_collision('<geometry><capsule radius="1" length="1"/></geometry>'),
-        ["link 'arm', collision 1", "<capsule>", "<cylinder>"],
+    "a cone": (
+        with_collision('<geometry><cone radius="1" length="1"/></geometry>'),
+        ["link 'arm', collision 1", "<cone>", "<capsule>"],
+    ),
+    "a capsule without length": (
+        with_collision('<geometry><capsule radius="1"/></geometry>'),
+        ["link 'arm', collision 1", "<capsule> has no 'length'"],
     ),
     "a cylinder without length": (
         with_collision('<geometry><cylinder radius="1"/></geometry>'),
@@ -325,6 +329,7 @@ def test_shapes_and_their_origins(client, tmp_path):
         '<box size="2 4 6"/>',
         '<cylinder radius="0.5" length="3"/>',
         '<sphere radius="2"/>',
+        '<capsule radius="0.5" length="3"/>',
         '<mesh filename="cube.stl" scale="1 -2 3"/>',
     ]
     bodies = "".join(f"<collision>{origin}<geometry>{s}</geometry></collision>" for s in shapes)
@@ -342,15 +347,20 @@ def test_shapes_and_their_origins(client, tmp_path):
     assert np.hypot(*own[1][:, :2].T) == pytest.approx(np.full(64, 0.5))
     assert np.abs(own[1][:, 2]) == pytest.approx(np.full(64, 1.5))
     assert np.linalg.norm(own[2], axis=1) == pytest.approx(np.full(162, 2.0))
-    assert np.ptp(own[3], axis=0) == pytest.approx([1, 2, 3])
-    assert own[3].min(axis=0) == pytest.approx([0, -2, 0])
+    # A capsule's length is that of its cylinder, so the whole capsule is longer by two radii.
+    ends = own[3] - np.outer(np.clip(own[3][:, 2], -1.5, 1.5), [0, 0, 1])
+    assert np.linalg.norm(ends, axis=1) == pytest.approx(np.full(len(ends), 0.5))
+    assert np.ptp(own[3], axis=0) == pytest.approx([1, 1, 4])
+    assert np.ptp(own[4], axis=0) == pytest.approx([1, 2, 3])
+    assert own[4].min(axis=0) == pytest.approx([0, -2, 0])
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # a mirrored mesh is still convex
         hulls = client.register(robot.shapes)
     area = 32 * 0.5 * 0.25 * np.sin(2 * np.pi / 32)
     volumes = [hull.volume for hull in hulls]
     assert volumes[:2] == pytest.approx([48, area * 3])
-    assert volumes[3] == pytest.approx(6)
+    assert volumes[4] == pytest.approx(6)
+    assert 0.9 < volumes[3] / (np.pi * 0.25 * (3 + 4 / 3 * 0.5)) < 1
     assert 0.96 < volumes[2] / (4 / 3 * np.pi * 8) < 1
 
 

@@ -23,7 +23,7 @@ const PAIRS_PER_REQUEST: usize = 32_768;
 /// Both give the same answer, bit for bit.
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct Args {
-    /// A scene file in the format hullcast.scene.v1.
+    /// A scene file in the format hullcast.scene.v1; `-` for the standard input.
     scene: PathBuf,
     /// The configuration to query: its name, or its number from 0 [default: the first].
     #[arg(long, value_name = "NAME", allow_negative_numbers = true, help_heading = "Question")]

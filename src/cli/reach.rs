@@ -56,6 +56,10 @@ pub(crate) fn url(address: &str) -> Result<String, Error> {
     if bare.is_empty() || bare.contains(foreign) {
         return Err(wrong());
     }
+    if port.is_none() && bare.bytes().all(|byte| byte.is_ascii_digit()) {
+        let text = format!("{bare:?} is a port without a host: expected localhost:{bare}, or {forms}");
+        return Err(text.into());
+    }
     let port = match port {
         None => DEFAULT_PORT,
         Some(text) => text.parse().ok().filter(|&port| port > 0).ok_or_else(wrong)?,
@@ -113,12 +117,26 @@ pub(crate) async fn mismatch(address: &str, url: &str, error: &(dyn StdError + '
     if text.contains("InvalidContentType") || text.contains("corrupt message") {
         return Some(format!("the server at {address} does not speak TLS: use http:// in place of https://"));
     }
-    text.contains("invalid peer certificate").then(|| {
-        format!(
-            "the certificate of the server at {address} is not trusted ({text}); \
-             give the PEM file of its authority by --tls-ca"
-        )
-    })
+    text.contains("invalid peer certificate").then(|| untrusted(address, &text))
+}
+
+/// The explanation for a certificate that TLS refuses with this text.
+fn untrusted(address: &str, text: &str) -> String {
+    // The certificate of an authority is shown by a server whose certificate is self-signed.
+    if text.contains("CaUsedAsEndEntity") {
+        return format!(
+            "the certificate of the server at {address} is self-signed, and it is not the one that is trusted; \
+             give the PEM file of this very certificate by --tls-ca"
+        );
+    }
+    let why = match text {
+        _ if text.contains("UnknownIssuer") => "no trusted authority has signed it",
+        _ => text,
+    };
+    format!(
+        "the certificate of the server at {address} is not trusted ({why}); \
+         give the PEM file of its authority by --tls-ca"
+    )
 }
 
 /// Whether a peer takes the connection and then sends nothing, not even that it has another protocol.

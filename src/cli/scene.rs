@@ -4,6 +4,7 @@
 //! its origin.
 
 use std::fmt;
+use std::io::{self, Read};
 use std::path::Path;
 
 use serde::Deserialize;
@@ -127,14 +128,23 @@ struct FileFrame {
 }
 
 impl Scene {
-    /// Reads a scene file. `option` is the option that names the file, or empty.
+    /// Reads a scene file; `-` stands for the standard input. `option` is the option that names the file,
+    /// or empty.
     ///
     /// # Errors
     /// [`SceneError`] names file, field and index at fault.
     pub(crate) fn read(option: &str, path: &Path) -> Result<Self, SceneError> {
-        let file = format!("{option} {}", path.display()).trim_start().to_owned();
+        let piped = path == Path::new("-");
+        let shown = if piped { "the standard input".into() } else { path.display().to_string() };
+        let file = format!("{option} {shown}").trim_start().to_owned();
         let fault = |message| SceneError { file: file.clone(), place: String::new(), message };
-        let text = std::fs::read(path).map_err(|e| fault(format!("cannot be read: {e}")))?;
+        let text = if piped {
+            let mut text = Vec::new();
+            io::stdin().lock().read_to_end(&mut text).map(|_| text)
+        } else {
+            std::fs::read(path)
+        };
+        let text = text.map_err(|e| fault(format!("cannot be read: {e}")))?;
         Self::parse(&text).map_err(|e| SceneError { file: file.clone(), ..e })
     }
 

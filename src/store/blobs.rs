@@ -79,6 +79,12 @@ pub fn descriptors(url: &str) -> u64 {
 /// # Errors
 /// The errors of [`open`], or that the directory does not exist.
 pub fn open_existing(url: &str) -> Result<Opened, OpenError> {
+    if url.starts_with("memory://") {
+        return Err(OpenError::Store(format!(
+            "store {url}: each process has its own memory, so this store is empty; expected the directory or \
+             the bucket that a server uses"
+        )));
+    }
     let path = url.strip_prefix("file://").unwrap_or(url);
     if !path.contains("://") && !Path::new(path).is_dir() {
         return Err(OpenError::Store(format!("store {url}: no such directory")));

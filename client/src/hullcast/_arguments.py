@@ -33,6 +33,35 @@ def kind(value: Any) -> str:
     return "None" if value is None else type(value).__name__
 
 
+def counted(number: int, one: str, several: str = "") -> str:
+    """A number and its noun, such as "1 hull" or "2 bodies"."""
+    return f"{number} {one if number == 1 else several or one + 's'}"
+
+
+def plain(value: Any) -> Any:
+    """The single number in an array of no dimensions (numpy, torch, jax); others as they are."""
+    if getattr(value, "ndim", None) == 0 and callable(getattr(value, "item", None)):
+        try:
+            return value.item()
+        except Exception:  # a foreign object; it is refused as what it is
+            return value
+    return value
+
+
+def flag(field: str, value: Any) -> bool:
+    """Checks that `value` is True or False, and returns it as a bool.
+
+    Raises:
+        InvalidArgument: WRONG_TYPE.
+    """
+    value = plain(value)
+    if isinstance(value, bool):
+        return value
+    raise InvalidArgument(
+        f"got {shown(value)}, expected True or False", reason="WRONG_TYPE", field=field
+    )
+
+
 def number(
     field: str, value: Any, low: float, high: float = math.inf, *, infinite: bool = False
 ) -> float:
@@ -63,6 +92,7 @@ def integer(field: str, value: Any, low: int, high: int) -> int:
         InvalidArgument: WRONG_TYPE or VALUE_OUT_OF_RANGE.
     """
     expected = f"expected an integer, {low} to {high}"
+    value = plain(value)
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise InvalidArgument(f"got {shown(value)}, {expected}", reason="WRONG_TYPE", field=field)
     if not low <= value <= high:
@@ -125,6 +155,7 @@ def real(field: str, value: Any, expected: str) -> float:
     Raises:
         InvalidArgument: WRONG_TYPE. The message ends with `expected`.
     """
+    value = plain(value)
     good = isinstance(value, (numbers.Real, Decimal, np.integer, np.floating))
     if isinstance(value, (bool, np.bool_)) or not good:
         raise InvalidArgument(f"got {shown(value)}, {expected}", reason="WRONG_TYPE", field=field)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _tensors
-from ._arguments import kind, shown
+from ._arguments import counted, kind, shown
 from ._errors import InvalidArgument
 
 Floats = npt.NDArray[np.float64]
@@ -128,9 +128,9 @@ def _content(array: npt.NDArray[Any], value: Any) -> str:
     return "rows of different lengths or objects" if array.dtype.kind == "O" else str(array.dtype)
 
 
-def frozen(array: Floats) -> Floats:
+def frozen(array: npt.NDArray[Any]) -> Any:
     """A read-only copy of an array."""
-    copy = array.copy()
+    copy = np.array(array, order="C")
     copy.flags.writeable = False
     return copy
 
@@ -172,18 +172,27 @@ def from_wxyz(quaternions: Any) -> Floats:
     return np.ascontiguousarray(np.roll(array.astype("<f8"), -1, axis=-1))
 
 
-def poses(positions: Any, rotations: Any, count: int | None) -> tuple[Floats, Floats]:
+def poses(
+    positions: Any, rotations: Any, count: int, *, of_hulls: bool = False
+) -> tuple[Floats, Floats]:
     """Converts poses of any accepted form to positions (n, 3) and quaternions (n, 4).
 
+    Both are read-only copies, so that a caller may move the same arrays on.
+
     Args:
-        positions: (n, 3); or (n, 4, 4) homogeneous matrices if `rotations` is None.
+        positions: (n, 3); or (n, 4, 4) homogeneous matrices if `rotations` is None. A
+            scipy `RigidTransform`, or a list of these, stands for its matrices.
         rotations: (n, 4) quaternions x, y, z, w; (n, 3, 3) matrices; or a scipy `Rotation` of
-            length n.
-        count: n, or None for any number of poses.
+            length n, or a list of these.
+        count: n, the number of bodies.
+        of_hulls: whether `count` is the number of hulls, because there is no `body_hulls`.
 
     Raises:
         InvalidArgument: NOT_AN_ARRAY, WRONG_SHAPE, MISSING_ARGUMENT, NOT_A_POSE or NOT_A_ROTATION.
     """
+    positions = as_matrices(positions)
+    # If poses and hulls differ in number, the missing `body_hulls` is the likely fault.
+    wanted = None if of_hulls else count
     if rotations is None:
         matrices = _array("positions", positions, (count, 4, 4))
         if matrices.shape[-1:] == (3,) or (matrices.size == 0 and matrices.ndim == 1 and count):
@@ -193,27 +202,75 @@ def poses(positions: Any, rotations: Any, count: int | None) -> tuple[Floats, Fl
                 reason="MISSING_ARGUMENT",
                 field="rotations",
             )
-        matrices = floats("positions", matrices, count, 4, 4)
-        bottom = matrices[:, 3, :]
-        wrong = np.flatnonzero((bottom != (0.0, 0.0, 0.0, 1.0)).any(axis=1))
-        if wrong.size:
-            raise InvalidArgument(
-                f"the last row is {bottom[wrong[0]].tolist()}, expected 0, 0, 0, 1",
-                reason="NOT_A_POSE",
-                field="positions",
-                index=int(wrong[0]),
-            )
+        matrices = floats("positions", matrices, wanted, 4, 4)
+        _check_count(len(matrices), count)
+        check_bottom("positions", matrices)
         turns = quaternions("positions", matrices[:, :3, :3])
-        return np.ascontiguousarray(matrices[:, :3, 3]), turns
-    # The poses are copied, so that a caller may move the same array on.
-    position_array = floats("positions", positions, count, 3).copy()
-    if hasattr(rotations, "as_quat"):
-        rotations = np.atleast_2d(rotations.as_quat())
-    rotation_array = _array("rotations", rotations, (len(position_array), 4))
+        return frozen(matrices[:, :3, 3]), frozen(turns)
+    position_array = floats("positions", positions, wanted, 3)
+    rotation_array = _array("rotations", _as_quaternions(rotations), (count, 4))
+    if rotation_array.ndim and len(rotation_array) == count:
+        _check_shape("positions", position_array, (count, 3))
+    _check_count(len(position_array), count)
     if rotation_array.ndim == 3:
-        matrices = floats("rotations", rotation_array, len(position_array), 3, 3)
-        return position_array, quaternions("rotations", matrices)
-    return position_array, floats("rotations", rotation_array, len(position_array), 4).copy()
+        matrices = floats("rotations", rotation_array, count, 3, 3)
+        return frozen(position_array), frozen(quaternions("rotations", matrices))
+    return frozen(position_array), frozen(floats("rotations", rotation_array, count, 4))
+
+
+def _check_count(given: int, hulls: int) -> None:
+    """Raises if there is another number of poses than of hulls, and no `body_hulls`."""
+    if given != hulls:
+        raise InvalidArgument(
+            f"missing: got {counted(hulls, 'hull')} and {counted(given, 'pose')}; "
+            "expected one hull per pose, or body_hulls with the index of each body's hull, such as "
+            f"{f'[0] * {given}' if given > 3 else [0] * given}",
+            reason="MISSING_ARGUMENT",
+            field="body_hulls",
+        )
+
+
+def check_bottom(field: str, matrices: Floats) -> None:
+    """Raises InvalidArgument if the last row of a homogeneous matrix is not 0, 0, 0, 1."""
+    bottom = matrices[:, 3, :]
+    wrong = np.flatnonzero((bottom != (0.0, 0.0, 0.0, 1.0)).any(axis=1))
+    if wrong.size:
+        raise InvalidArgument(
+            f"the last row is {bottom[wrong[0]].tolist()}, expected 0, 0, 0, 1",
+            reason="NOT_A_POSE",
+            field=field,
+            index=int(wrong[0]),
+        )
+
+
+def as_matrices(value: Any) -> Any:
+    """The homogeneous matrices (n, 4, 4) of scipy's `RigidTransform`; other values as they are."""
+    if _is_transform(value):
+        matrices = as_array(value.as_matrix())
+        return matrices[None] if matrices.ndim == 2 else matrices
+    if isinstance(value, (list, tuple)) and value and all(_is_transform(pose) for pose in value):  # pyright: ignore[reportUnknownVariableType]
+        return np.concatenate([as_matrices(pose) for pose in value])  # pyright: ignore[reportUnknownVariableType]
+    return value
+
+
+def _is_transform(value: Any) -> bool:
+    """Whether a value is a scipy `RigidTransform`; scipy need not be installed."""
+    return callable(getattr(value, "as_matrix", None)) and hasattr(value, "translation")
+
+
+def _as_quaternions(value: Any) -> Any:
+    """The quaternions (n, 4) of scipy's `Rotation`; other values as they are."""
+    if hasattr(value, "as_quat"):
+        return np.atleast_2d(as_array(value.as_quat()))
+    if isinstance(value, (list, tuple)) and value and all(hasattr(q, "as_quat") for q in value):  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+        return np.concatenate([_as_quaternions(q) for q in value])  # pyright: ignore[reportUnknownVariableType]
+    return value
+
+
+def as_array(value: Any) -> npt.NDArray[Any]:
+    """A numpy array of the content of another library's array, whose type is not checked."""
+    array = _tensors.as_numpy(value)
+    return np.asarray(value) if array is None else array
 
 
 def unusable(positions: Floats, rotations: Floats) -> Indices:

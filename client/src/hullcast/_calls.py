@@ -156,9 +156,20 @@ class Calls(Connection):
     def _deleting(self, hulls: Any, timeout: float | None) -> Steps[list[bool]]:
         deadline = self._deadline(timeout)
         deleted: list[bool] = []
-        for count, data in _manage.delete_requests(_manage.ids_of(hulls)):
-            answer = yield from self._ask(_manage.DELETE, data, deadline)
-            deleted += _manage.read_deleted(answer, count)
+        waiting = deque(_manage.delete_parts(_manage.ids_of(hulls)))
+        while waiting:
+            part = waiting.popleft()
+            request = _manage.delete_request(part)
+            try:
+                answer = yield from self._ask(_manage.DELETE, request, deadline)
+            except _errors.InvalidArgument as error:
+                if error.reason not in _TOO_LARGE or len(part) < 2:
+                    raise
+                # The server's limit is lower than the usual one.
+                middle = len(part) // 2
+                waiting.extendleft([part[middle:], part[:middle]])
+            else:
+                deleted += _manage.read_deleted(answer, len(part))
         return deleted
 
     def _facing(self, hull: Hull) -> Steps[Any]:

@@ -16,7 +16,7 @@ from typing import Any
 
 import grpc
 
-from . import _arguments
+from . import _arguments, _files
 from ._arguments import kind, shown
 from ._errors import InvalidArgument
 
@@ -211,9 +211,9 @@ def _entry(entry: Any, place: int | None) -> tuple[str, str]:
             index=place,
         )
 
-    def wrong() -> InvalidArgument:
+    def wrong(why: str = f"{shown(entry)} is not an address: expected ") -> InvalidArgument:
         return InvalidArgument(
-            f"{shown(entry)} is not an address: expected {_FORMS}",
+            f"{why}{_FORMS}",
             reason="NOT_AN_ADDRESS",
             field="target",
             index=place,
@@ -250,6 +250,8 @@ def _with_port(text: str, wrong: Any, *, numeric: bool = False) -> str:
         raise wrong()
     if not (port.isascii() and port.isdecimal() and 0 < int(port) < 2**16):
         raise wrong()
+    if host == text and host.isascii() and host.isdecimal():
+        raise wrong(f"{host!r} is a port without a host: expected localhost:{host}, or ")
     return f"{host}:{port}"
 
 
@@ -278,16 +280,9 @@ def _roots(tls: Any) -> bytes:
     """The PEM bytes of the root certificates to trust."""
     if isinstance(tls, bytes):
         content, name = tls, "the bytes"
-    elif isinstance(tls, (str, os.PathLike)):
-        name: str = os.fspath(tls)  # pyright: ignore[reportUnknownArgumentType, reportUnknownVariableType]
-        try:
-            with open(name, "rb") as file:
-                content = file.read()
-        except (OSError, ValueError) as error:
-            why = error.strerror if isinstance(error, OSError) else error
-            raise InvalidArgument(
-                f"cannot read {shown(name)}: {why}", reason="FILE_NOT_READ", field="tls"
-            ) from None
+    elif isinstance(tls, (str, os.PathLike)) or _files.is_open_file(tls):
+        name = _files.path_of("tls", tls, "PEM bytes or the path of a PEM file")
+        content = _files.read("tls", name)
     else:
         raise InvalidArgument(
             "expected True, PEM bytes, the path of a PEM file or grpc.ChannelCredentials, got "

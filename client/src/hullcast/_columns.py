@@ -3,35 +3,69 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
+from . import _arguments
 from ._arrays import Floats, Indices
-from ._errors import OutputNotAsked
+from ._errors import InvalidArgument, OutputNotAsked
 from ._names import FeatureKindArray, FlagArray, OutcomeArray
 from ._scene import Scene
+from ._settled import Settled
 from ._wire import Outcome
 
 
-class ManifoldColumns:
+class ManifoldColumns(Settled):
     """The columns of `Manifolds`, whose docstring explains their rows."""
+
+    _instead: ClassVar[dict[str, str]] = {"": "copy the columns that you want to change"}
+
+    #: (n,): each pair's outcome, uint8. Compare it with `Outcome` or with a name, such as
+    #: "CONTACT".
+    outcome: OutcomeArray
+    #: (n,): the bits of `Flag` of each pair, uint8.
+    flags: FlagArray
+    #: (n, 2): the body indices A and B of each pair.
+    pairs: Indices
+    #: The indices into `Scene.hull_ids` of the hulls that the server could not use, ascending.
+    missing_hulls: Indices
+    #: The indices of the bodies with an unusable pose, ascending.
+    invalid_bodies: Indices
 
     def __init__(self, columns: Mapping[str, np.ndarray], scene: Scene | None = None) -> None:
         self._columns = dict(columns)
-        #: The scene of the query; None if the manifolds were loaded from a file.
-        self.scene = scene
-        #: (n,): each pair's outcome, uint8. Compare it with `Outcome` or with a name, such as
-        #: "CONTACT".
-        self.outcome: OutcomeArray = self._columns["outcomes"].view(OutcomeArray)
-        #: (n,): the bits of `Flag` of each pair, uint8.
-        self.flags: FlagArray = self._columns["flags"].view(FlagArray)
-        #: (n, 2): the body indices A and B of each pair.
-        self.pairs: Indices = self._columns["pairs"]
-        #: The indices into `Scene.hull_ids` of the hulls that the server could not use, ascending.
-        self.missing_hulls: Indices = self._columns["missing_hulls"]
-        #: The indices of the bodies with an unusable pose, ascending.
-        self.invalid_bodies: Indices = self._columns["invalid_bodies"]
+        self._scene = scene
+        self._set(
+            outcome=self._columns["outcomes"].view(OutcomeArray),
+            flags=self._columns["flags"].view(FlagArray),
+            pairs=self._columns["pairs"],
+            missing_hulls=self._columns["missing_hulls"],
+            invalid_bodies=self._columns["invalid_bodies"],
+        )
+
+    @property
+    def scene(self) -> Scene | None:
+        """The scene of the query; None if the manifolds were loaded from a file.
+
+        It can be assigned, so that manifolds from a file can be drawn.
+        """
+        return self._scene
+
+    @scene.setter
+    def scene(self, scene: Scene | None) -> None:
+        if scene is not None:
+            _arguments.instance("scene", scene, Scene, "a hullcast.Scene or None")
+            last = int(self.pairs.max(initial=0))
+            if last >= len(scene) and self.pairs.size:
+                raise InvalidArgument(
+                    f"got a scene with {_arguments.counted(len(scene), 'body', 'bodies')}, "
+                    f"expected the scene of these pairs, which name body {last}",
+                    reason="LENGTH_MISMATCH",
+                    field="scene",
+                )
+        self._scene = scene
 
     def _column(self, wire: str, name: str, output: str) -> np.ndarray:
         try:

@@ -15,10 +15,11 @@ import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from . import _arguments, _channel, _errors, _manage, _reach
 from ._link import Link, Steps, remaining
+from ._settled import Settled
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -40,8 +41,14 @@ _BUSY = 12
 _LONGEST_PAUSE = 2.0
 
 
-class Connection(ABC):
+class Connection(Settled, ABC):
     """The connection of a client, without the operations."""
+
+    _instead: ClassVar[dict[str, str]] = {
+        "timeout": "give it to hullcast.connect, or to a call",
+        "target": "make a new client with hullcast.connect",
+        "": "give settings to hullcast.connect and to the calls",
+    }
 
     def __init__(self, settings: _channel.Settings, *, server: Server | None = None) -> None:
         self._settings = settings
@@ -153,8 +160,8 @@ class Connection(ABC):
 
     def _cause(self, error: _errors.Unavailable) -> _errors.Unavailable | None:
         """The error for a connection that waiting cannot help to make; otherwise None."""
-        settings, several = self._settings, not isinstance(self._settings.target, str)
-        text = None if several else _reach.absent(self.target, settings.addresses)
+        settings = self._settings
+        text = _reach.absent(self.target, settings.addresses)
         for target in settings.addresses if text is None else ():
             text = _reach.mismatch(target, error.message, settings.trust())
             if text is not None:

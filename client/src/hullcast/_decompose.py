@@ -18,9 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from . import _arrays, _convexity
+from . import _arrays, _convexity, _files
+from ._arguments import kind, plain, shown
 from ._arrays import Floats, Indices
-from ._errors import InvalidArgument
+from ._errors import InvalidArgument, NotCachedWarning, warn
 from ._register import shape_of
 
 #: The seed of coacd's search. It is fixed, so that a mesh always gives the same pieces.
@@ -50,7 +51,7 @@ class Progress:
 
 
 #: A function that is called with each `Progress`. None prints each as a line on standard error, if
-#: that is a terminal.
+#: that is a terminal or the output of a notebook's cell.
 Report = Callable[[Progress], object] | None
 
 
@@ -79,7 +80,8 @@ def decompose(
             names it; otherwise it is `hullcast` in the user's cache folder.
         progress: a function that is called with a record of each step. The record has the
             attributes `mesh`, `number`, `total` and `state`, and `str(record)` is a line to print.
-            By default these lines are printed on standard error, if that is a terminal.
+            By default these lines are printed on standard error, if that is a terminal or the
+            output of a notebook's cell.
 
     Returns:
         The vertices (k, 3) of each piece, in the mesh's frame.
@@ -91,7 +93,11 @@ def decompose(
         ImportError: the extra `decompose` is not installed.
     """
     check_threshold(threshold)
-    (pieces,) = decompose_all([shape_of(mesh)], threshold=threshold, cache=cache, progress=progress)
+    if _files.is_open_file(mesh):
+        _files.path_of("mesh", mesh, "the path of a mesh file")
+    (pieces,) = decompose_all(
+        [shape_of(mesh, "mesh")], threshold=threshold, cache=cache, progress=progress
+    )
     return pieces
 
 
@@ -103,6 +109,14 @@ def decompose_all(
     progress: Report,
 ) -> list[list[Floats]]:
     """The pieces of each mesh; arguments and errors are those of `decompose`."""
+    if progress is not None and not callable(progress):
+        raise InvalidArgument(
+            f"expected a function or None, got {kind(progress)}",
+            reason="WRONG_TYPE",
+            field="progress",
+        )
+    if cache is not None:
+        cache = _files.path_of("cache", cache, "the path of a folder")
     report = progress or _print
     found: list[list[Floats]] = []
     for number, mesh in enumerate(meshes, start=1):
@@ -135,9 +149,10 @@ def decompose_all(
 def check_threshold(threshold: Any) -> None:
     """Raises InvalidArgument if coacd does not accept the threshold."""
     low, high = _THRESHOLDS
+    threshold = plain(threshold)
     if not isinstance(threshold, (int, float, np.number)) or not low <= threshold <= high:
         raise InvalidArgument(
-            f"got {threshold!r}, expected a number, {low:g} to {high:g}",
+            f"got {shown(threshold)}, expected a number, {low:g} to {high:g}",
             reason="OUT_OF_RANGE",
             field="threshold",
         )
@@ -148,8 +163,14 @@ def _report(report: Callable[[Progress], object], mesh: str, n: int, of: int, st
 
 
 def _print(progress: Progress) -> None:
-    if sys.stderr is not None and sys.stderr.isatty():
+    if sys.stderr is not None and (sys.stderr.isatty() or _in_notebook()):
         print(progress, file=sys.stderr, flush=True)
+
+
+def _in_notebook() -> bool:
+    """Whether IPython runs this code, which shows standard error although it is no terminal."""
+    ipython: Any = sys.modules.get("IPython")
+    return ipython is not None and ipython.get_ipython() is not None
 
 
 def _pieces(
@@ -176,6 +197,8 @@ def _pieces(
     file = _folder(cache) / f"{name.hexdigest()}.npz"
     # A cache file that is truncated or malformed is computed again.
     with contextlib.suppress(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        if not file.is_file():  # reading a pipe could wait for ever
+            raise FileNotFoundError
         with np.load(file, allow_pickle=False) as kept:
             pieces = [
                 _arrays.floats("piece", kept[f"piece{i}"], None, 3) for i in range(len(kept.files))
@@ -191,8 +214,15 @@ def _pieces(
     pieces = [piece for piece in pieces if not _convexity.is_flat(piece)]
     if not pieces:
         raise InvalidArgument("coacd found no convex pieces", reason="NO_PIECES", field="mesh")
-    with contextlib.suppress(OSError):  # if the folder is not writable, the result is not cached
+    try:
         _write(file, pieces)
+    except OSError as error:
+        warn(
+            NotCachedWarning(
+                f"the convex pieces cannot be kept in {file.parent} ({error.strerror}), and will "
+                "be computed again: give cache= or HULLCAST_CACHE a folder that can be written to"
+            )
+        )
     report("computed")
     return pieces
 

@@ -87,6 +87,10 @@ class InvalidArgument(Error, ValueError):
     """An argument or the request is not valid. The client or the server found the fault."""
 
 
+class PairOutOfRange(InvalidArgument, IndexError):
+    """An index of a `Manifolds` is not that of a pair."""
+
+
 class InvalidPoses(InvalidArgument):
     """Some bodies have an unusable position or rotation, so that their pairs are INVALID.
 
@@ -197,6 +201,18 @@ class ServerDidNotStart(Error, RuntimeError):
 
 class FileNotFound(InvalidArgument, FileNotFoundError):
     """A file does not exist: a mesh, a robot description, or a file that one of these names."""
+
+
+class NoBodiesWarning(UserWarning):
+    """A robot has no collision geometry, so that it has no bodies."""
+
+
+class JointLimitsWarning(UserWarning):
+    """Values of joints are beyond the joints' limits. The text names a joint and its limits."""
+
+
+class NotCachedWarning(UserWarning):
+    """The convex pieces of a mesh cannot be kept in a file, and will be computed again."""
 
 
 class InvalidPosesWarning(UserWarning):

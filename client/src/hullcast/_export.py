@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import io
 import os
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from . import _arguments
+from . import _arguments, _files
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument
 from ._wire import PAIR_COLUMNS, POINT_COLUMNS
@@ -19,6 +19,10 @@ from ._wire import PAIR_COLUMNS, POINT_COLUMNS
 Columns = dict[str, np.ndarray]
 
 _FORMAT = "hullcast.manifolds.v1"
+_FLOATS = (
+    "alphas", "alpha_lowers", "alpha_uppers", "separations", "normals", "kept_areas", "witness_as",
+    "distances", "witness_bs",
+)  # fmt: skip
 #: The columns that every response has.
 _ALWAYS = {"outcomes": 1, "flags": 1, "pairs": 2}
 _OF_SCENE = ("missing_hulls", "invalid_bodies")
@@ -27,7 +31,7 @@ _OF_SCENE = ("missing_hulls", "invalid_bodies")
 _SIDES = {"pairs": 1, "feature_kinds": 1, "feature_indices": 2, "bases": 3, "point_ids": 2}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Padded:
     """Contact points as dense arrays with k slots per pair, the deepest point first.
 
@@ -44,6 +48,11 @@ class Padded:
     witness_b: Floats | None
     #: (n, k, 4): as `Manifolds.point_ids`; None without output FEATURES.
     point_ids: Indices | None
+
+    def __repr__(self) -> str:
+        pairs, slots = self.mask.shape
+        points = _arguments.counted(int(np.count_nonzero(self.mask)), "point")
+        return f"Padded({_arguments.counted(pairs, 'pair')} of {slots} slots; {points})"
 
 
 def take(columns: Mapping[str, np.ndarray], chosen: npt.NDArray[np.intp]) -> Columns:
@@ -179,7 +188,12 @@ def _series(column: str, values: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def save(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray]) -> None:
-    """Writes an npz file, whatever suffix its name has."""
+    """Writes an npz file, whatever suffix its name has.
+
+    Raises:
+        InvalidArgument: NOT_A_PATH or UNWRITABLE_FILE.
+    """
+    path = _files.writable("path", path)
     kept = {name: values for name, values in columns.items() if name in _widths()}
     with open(path, "wb") as file:
         np.savez(file, format=np.array(_FORMAT), **kept)  # type: ignore[arg-type]
@@ -189,22 +203,24 @@ def load(path: str | os.PathLike[str]) -> Columns:
     """Reads a file that `save` wrote, and checks the columns and their shapes.
 
     Raises:
-        InvalidArgument: NOT_MANIFOLDS.
+        InvalidArgument: NOT_MANIFOLDS, NOT_A_PATH or UNREADABLE_FILE.
+        FileNotFound: the file does not exist.
     """
+    path = _files.path_of("path", path)
+    data = _files.read("path", path)
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
             written = str(file["format"]) if "format" in file.files else ""
             columns = {name: file[name] for name in file.files if name in _widths()}
-    except (ValueError, TypeError, EOFError, zipfile.BadZipFile, KeyError, AttributeError):
-        raise InvalidArgument(
-            f"{os.fspath(path)} is not an npz file: expected one that Manifolds.save wrote",
-            reason="NOT_MANIFOLDS",
-            field="path",
-        ) from None
+    except Exception:  # a damaged archive may raise anything
+        what = "is not an npz file: expected one that Manifolds.save wrote"
+        if data.startswith(b"PK"):
+            what = "is a damaged npz file: its end is missing, or its content has changed"
+        raise InvalidArgument(f"{path} {what}", reason="NOT_MANIFOLDS", field="path") from None
     missing = [name for name in (*_ALWAYS, *_OF_SCENE) if name not in columns]
     if written != _FORMAT or missing:
         raise InvalidArgument(
-            f"{os.fspath(path)} is an npz file, but not one that Manifolds.save wrote ({_FORMAT})",
+            f"{path} is an npz file, but not one that Manifolds.save wrote ({_FORMAT})",
             reason="NOT_MANIFOLDS",
             field="path",
         )
@@ -215,9 +231,22 @@ def load(path: str | os.PathLike[str]) -> Columns:
         rows = points if name in POINT_COLUMNS else len(values) if name in _OF_SCENE else pairs
         if values.shape != ((rows,) if width == 1 else (rows, width)):
             raise InvalidArgument(
-                f"{name} has shape {values.shape}", reason="NOT_MANIFOLDS", field="path"
+                f"{path}: {name} has shape {values.shape}", reason="NOT_MANIFOLDS", field="path"
+            )
+        if values.dtype != _type_of(name):
+            raise InvalidArgument(
+                f"{path}: {name} has the type {values.dtype}, expected {_type_of(name)}",
+                reason="NOT_MANIFOLDS",
+                field="path",
             )
     return columns
+
+
+def _type_of(column: str) -> np.dtype[Any]:
+    """The type of a column's numbers."""
+    if column in ("outcomes", "flags", "feature_kinds"):
+        return np.dtype("u1")
+    return np.dtype("<f8" if column in _FLOATS else "<u4")
 
 
 def _widths() -> dict[str, int]:

@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from . import _arguments, _arrays
 from ._arrays import Floats
-from ._errors import Error
+from ._errors import Error, InvalidArgument
+from ._settled import freeze
 
 if TYPE_CHECKING:
     from ._channel import Settings
@@ -49,6 +50,10 @@ class Content:
             max_deviation=self.max_deviation,
             planarity=self.planarity,
         )
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        freeze(self)
 
 
 @dataclass(frozen=True, repr=False)
@@ -113,8 +118,15 @@ class Hull:
         with Client(self.home) as client:
             return client._run(client._facing(self))
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "home": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        freeze(self)
 
     @property
     def vertices(self) -> Floats:
@@ -190,4 +202,12 @@ def points_of(hull: Any, name: str = "vertices") -> Floats:
     """The points (n, 3) of an array, of an object with `.vertices`, or of a scipy `ConvexHull`."""
     if hasattr(hull, "simplices") and hasattr(hull, "points"):
         return _arrays.floats(f"{name}.points", hull.points, None, 3)
-    return _arrays.floats(name, getattr(hull, "vertices", hull), None, 3)
+    points = getattr(hull, "vertices", hull)
+    if getattr(points, "ndim", 2) == 1 and points.shape[0] % 3 == 0 and points.shape[0]:
+        raise InvalidArgument(
+            f"expected shape (n, 3), got {tuple(points.shape)}: array.reshape(-1, 3) gives "
+            f"{points.shape[0] // 3} points",
+            reason="WRONG_SHAPE",
+            field=name,
+        )
+    return _arrays.floats(name, points, None, 3)

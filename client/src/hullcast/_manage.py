@@ -132,11 +132,15 @@ def ids_of(hulls: Any) -> list[bytes]:
     return ids
 
 
-def delete_requests(ids: Sequence[bytes]) -> Iterator[tuple[int, bytes]]:
-    """Yields, for each message, the number of its hulls and its bytes."""
+def delete_parts(ids: Sequence[bytes]) -> Iterator[Sequence[bytes]]:
+    """Splits ids into those of each message."""
     for start in range(0, len(ids), _PER_MESSAGE):
-        part = ids[start : start + _PER_MESSAGE]
-        yield len(part), hulls_pb2.DeleteHullsRequest(ids=part).SerializeToString()
+        yield ids[start : start + _PER_MESSAGE]
+
+
+def delete_request(ids: Sequence[bytes]) -> bytes:
+    """The request that removes some hulls."""
+    return hulls_pb2.DeleteHullsRequest(ids=ids).SerializeToString()
 
 
 def read_deleted(data: bytes, count: int) -> list[bool]:

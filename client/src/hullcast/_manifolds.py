@@ -13,7 +13,7 @@ from . import _arguments, _export, _tensors
 from ._arguments import kind
 from ._arrays import Floats, Indices
 from ._columns import ManifoldColumns
-from ._errors import InvalidArgument
+from ._errors import InvalidArgument, PairOutOfRange
 from ._export import Padded
 from ._scene import Scene
 from ._wire import FeatureKind, Flag, Outcome
@@ -45,11 +45,59 @@ class Manifolds(ManifoldColumns):
         self, pair: slice | Sequence[int] | npt.NDArray[np.integer[Any] | np.bool_]
     ) -> Manifolds: ...
     def __getitem__(self, pair: Any) -> Manifold | Manifolds:
-        if isinstance(pair, (int, np.integer)):
-            # `range` also accepts negative indices, and raises IndexError past the end.
-            return Manifold(self, range(len(self))[int(cast("int", pair))])
-        chosen = np.arange(len(self))[pair]
-        return Manifolds(_export.take(self._columns, chosen), self.scene)
+        pair = _arguments.plain(pair)
+        if isinstance(pair, (int, np.integer)) and not isinstance(pair, bool):
+            index = int(cast("int", pair))
+            if not -len(self) <= index < len(self):
+                raise self._out_of_range(index)
+            return Manifold(self, index % len(self))
+        return Manifolds(_export.take(self._columns, self._chosen("index", pair)), self.scene)
+
+    def _chosen(self, field: str, pairs: Any) -> npt.NDArray[np.intp]:
+        """The indices of the pairs that a slice, indices or a mask selects, from 0.
+
+        Raises:
+            PairOutOfRange: INDEX_OUT_OF_RANGE, or NOT_INTEGERS for an object of another kind.
+        """
+        count = len(self)
+        if isinstance(pairs, slice):
+            return np.arange(count)[pairs]
+        found = _tensors.as_numpy(pairs)
+        array = np.asarray(pairs) if found is None else found
+        array = array.astype(np.intp) if array.size == 0 and array.dtype != bool else array
+        if array.ndim != 1 or array.dtype.kind not in "iub":
+            got = _arguments.shown(pairs) if array.ndim == 0 else f"shape {array.shape}"
+            raise PairOutOfRange(
+                f"got {got}, expected an integer, a slice, integers (k,) or a mask ({count},)",
+                reason="NOT_INTEGERS",
+                field=field,
+            )
+        if array.dtype == bool:
+            if len(array) != count:
+                raise PairOutOfRange(
+                    f"got a mask of {len(array)} entries, expected one entry for each of the "
+                    f"{_arguments.counted(count, 'pair')}",
+                    reason="LENGTH_MISMATCH",
+                    field=field,
+                )
+            return np.flatnonzero(array)
+        wrong = np.flatnonzero((array < -count) | (array >= count))
+        if wrong.size:
+            raise self._out_of_range(int(array[wrong[0]]), field, int(wrong[0]))
+        return np.arange(count)[array.astype(np.intp)]
+
+    def _out_of_range(
+        self, index: int, field: str = "index", place: int | None = None
+    ) -> PairOutOfRange:
+        count = len(self)
+        allowed = f"{-count} to {count - 1} is allowed" if count else "nothing is allowed"
+        there = f"there {'is' if count == 1 else 'are'} {_arguments.counted(count, 'pair')}"
+        return PairOutOfRange(
+            f"{index} is out of range: {there}, so that {allowed}",
+            reason="INDEX_OUT_OF_RANGE",
+            field=field,
+            index=place,
+        )
 
     def contacts_of(self, body: int) -> Manifolds:
         """The pairs in which `body` has contact points, arranged such that `body` is always A.
@@ -178,7 +226,11 @@ class Manifolds(ManifoldColumns):
         return cls(_answers.merge(columns), scene)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the columns to a numpy `npz` file, without the scene."""
+        """Writes the columns to a numpy `npz` file, without the scene.
+
+        Raises:
+            InvalidArgument: NOT_A_PATH or UNWRITABLE_FILE.
+        """
         _export.save(path, self._columns)
 
     @classmethod
@@ -186,7 +238,9 @@ class Manifolds(ManifoldColumns):
         """Reads a file that `save` wrote.
 
         Raises:
-            InvalidArgument: NOT_MANIFOLDS, the file is of another kind.
+            InvalidArgument: NOT_MANIFOLDS, the file is of another kind; NOT_A_PATH or
+                UNREADABLE_FILE.
+            FileNotFound: the file does not exist.
         """
         return cls(_export.load(path))
 
@@ -251,6 +305,8 @@ class Manifolds(ManifoldColumns):
         """
         from . import _rerun
 
+        hulls = _arguments.flag("hulls", hulls)
+        _arguments.instance("path", path, str, "a str, an entity path")
         shown, bodies, scene = self._drawn(pairs)
         points = shown._drawn_points()
         _rerun.log(bodies, shown.pairs, shown.normal, points, scene, path, hulls, recording)
@@ -261,11 +317,13 @@ class Manifolds(ManifoldColumns):
         """The pairs to draw, the bodies in them that have a usable pose, and the scene."""
         if self.scene is None:
             raise InvalidArgument(
-                "an answer that was loaded from a file has no scene: draw the answer of a query",
+                "an answer that was loaded from a file has no scene: assign its scene to the "
+                "attribute scene",
                 reason="NO_SCENE",
                 field="scene",
             )
-        shown = self if pairs is None else self[np.asarray(pairs)]
+        chosen = None if pairs is None else self._chosen("pairs", np.atleast_1d(pairs))
+        shown = self if chosen is None else self[chosen]
         return shown, np.setdiff1d(shown.pairs, self.invalid_bodies), self.scene
 
     def _drawn_points(self) -> _export.Columns:
@@ -285,10 +343,9 @@ class Manifolds(ManifoldColumns):
             for outcome in Outcome
             if (count := int(np.count_nonzero(self.outcome == int(outcome))))
         )
-        text = f"{len(self)} pair{'' if len(self) == 1 else 's'}: {counts or 'none'}"
+        text = f"{_arguments.counted(len(self), 'pair')}: {counts or 'none'}"
         if "point_counts" in self._columns:
-            points = int(self.point_offsets[-1])
-            text += f"; {points} point{'' if points == 1 else 's'}"
+            text += f"; {_arguments.counted(int(self.point_offsets[-1]), 'point')}"
         if flags := int(np.bitwise_or.reduce(self.flags, initial=0)):
             text += f"; flags {Flag(flags)!r}"
         return f"Manifolds({text})"
@@ -297,12 +354,16 @@ class Manifolds(ManifoldColumns):
 class Manifold:
     """One pair of a `Manifolds`, with the same attribute names as there."""
 
-    __slots__ = ("_all", "index")
+    __slots__ = ("_all", "_index")
 
     def __init__(self, all: Manifolds, index: int) -> None:
         self._all = all
-        #: The pair's index in the batch.
-        self.index = index
+        self._index = index
+
+    @property
+    def index(self) -> int:
+        """The pair's index in the batch."""
+        return self._index
 
     def _points(self) -> slice:
         start, stop = self._all.point_offsets[self.index : self.index + 2]

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from . import _arrays, _convexity
+from . import _arrays, _convexity, _files
 from ._arrays import Floats, Indices
-from ._errors import FileNotFound, InvalidArgument, NotConvexWarning, warn
+from ._errors import InvalidArgument, NotConvexWarning, warn
 from ._formats import _common, dae, obj, ply, stl
 
 _READERS = {".dae": dae.read, ".obj": obj.read, ".ply": ply.read, ".stl": stl.read}
@@ -29,34 +29,40 @@ class Mesh:
     label: str = ""
 
 
-def load(path: str | os.PathLike[str]) -> Mesh:
+def load(path: str | os.PathLike[str], field: str = "") -> Mesh:
     """Reads the triangles of an OBJ, STL, DAE or PLY file, with all its parts as one mesh.
 
-    Equal vertices are merged. Vertices that no triangle uses are left out.
+    Equal vertices are merged. Vertices that no triangle uses are left out. `field` is the argument
+    that names the file, for messages.
 
     Raises:
         FileNotFound: the file does not exist.
         InvalidArgument: UNSUPPORTED_MESH, an unknown format or a feature that is not read;
-            MALFORMED_MESH; NO_TRIANGLES; UNREADABLE_FILE, a directory or a file without permission.
+            MALFORMED_MESH; NO_TRIANGLES; NOT_A_PATH; UNREADABLE_FILE, a directory, a pipe, a device
+            or a file without permission.
     """
-    file = Path(path)
-    name = os.fspath(path)
-    data = read_file(path)
+    name = _files.path_of(field, path, "the path of a mesh file")
+    file = Path(name)
+    data = _files.read(field, name)
     reader = _READERS.get(file.suffix.lower())
     if reader is None:
         raise InvalidArgument(
             f"{name}: mesh files are OBJ, STL, DAE or PLY, by their suffix; convert the file, or "
             "load it with another library and pass its vertices and faces",
             reason="UNSUPPORTED_MESH",
+            field=field,
         )
     if not data:
-        raise InvalidArgument(f"{name} is empty", reason="MALFORMED_MESH")
+        raise InvalidArgument(f"{name} is empty", reason="MALFORMED_MESH", field=field)
+    other = _common.other_kind(data, file.suffix.lower())
     try:
         points, faces = reader(data)
     except _common.Unreadable as error:
-        raise InvalidArgument(f"{name}: {error}", reason=error.reason) from None
+        text = f"{name} {other}" if other else f"{name}: {error}"
+        raise InvalidArgument(text, reason=error.reason, field=field) from None
     if faces.size == 0:
-        raise InvalidArgument(f"{name} has no triangles", reason="NO_TRIANGLES")
+        text = f"{name} {other or 'has no triangles'}"
+        raise InvalidArgument(text, reason="NO_TRIANGLES", field=field)
     kept, first, place = np.unique(
         points[faces.reshape(-1)], axis=0, return_index=True, return_inverse=True
     )
@@ -64,34 +70,6 @@ def load(path: str | os.PathLike[str]) -> Mesh:
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
     return Mesh(kept[order], rank[place.reshape(-1)].reshape(-1, 3).astype("<u4"), file.name)
-
-
-def read_file(path: Any, field: str = "") -> bytes:
-    """Reads the bytes of a file; `field` is the argument that named it, for messages.
-
-    Raises:
-        FileNotFound, InvalidArgument: as `load`.
-    """
-    name = str(path)
-    try:
-        return Path(path).read_bytes()
-    except FileNotFoundError:
-        raise FileNotFound(
-            f"{path}: there is no such file", reason="FILE_NOT_FOUND", field=field
-        ) from None
-    except TypeError:
-        raise InvalidArgument(
-            f"expected the path of a file, got {type(path).__name__}",
-            reason="NOT_A_PATH",
-            field=field,
-        ) from None
-    except IsADirectoryError:
-        what = "is a directory, not a file"
-    except OSError as error:
-        what = f"cannot be read: {error.strerror}"
-    except ValueError as error:
-        what = f"cannot be read: {error}"
-    raise InvalidArgument(f"{name} {what}", reason="UNREADABLE_FILE", field=field)
 
 
 def dents(name: str, points: Floats, faces: Any) -> _convexity.Dents | None:

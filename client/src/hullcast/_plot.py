@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from . import _drawing
-from ._arguments import kind
+from . import _drawing, _files
+from ._arguments import counted, kind
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument
 from ._export import Columns
@@ -40,6 +40,17 @@ def picture(
         ax: the axes to draw into; None for new axes.
     """
     figure, axes = _axes(ax)
+    if path is not None:
+        path = _files.writable("path", path)
+        known = figure.canvas.get_supported_filetypes()
+        suffix = os.path.splitext(path)[1].lower().lstrip(".")
+        if suffix not in known:
+            raise InvalidArgument(
+                f"got {path!r}, expected a file name that ends in one of "
+                f"{', '.join('.' + name for name in sorted(known))}",
+                reason="UNKNOWN_VALUE",
+                field="path",
+            )
     from matplotlib import cm, colors
 
     # If there are many bodies, only those in contact are numbered.
@@ -53,16 +64,18 @@ def picture(
         colour = cm.ScalarMappable(scale, "coolwarm_r")
         size = float(np.ptp(np.concatenate(corners), axis=0).max())
         _draw_contacts(axes, normals, points, colour, size)
+        # The z axis has its label outside of the axes, which the padding leaves free.
         figure.colorbar(
-            colour, ax=axes, shrink=0.6, pad=0.05, label="distance (negative: overlapping)"
+            colour, ax=axes, shrink=0.6, pad=0.12, label="distance (negative: overlapping)"
         )
     if corners:
         _frame(axes, np.concatenate(corners))
     axes.set(xlabel="x", ylabel="y", zlabel="z")
     if len(normals) or len(distances):
-        axes.set_title(f"{_count(len(normals), 'pair')}, {_count(len(distances), 'contact point')}")
+        points_text = counted(len(distances), "contact point")
+        axes.set_title(f"{counted(len(normals), 'pair')}, {points_text}")
     else:
-        axes.set_title(_count(len(bodies), "body", "bodies"))
+        axes.set_title(counted(len(bodies), "body", "bodies"))
     if path is not None:
         figure.savefig(path)
     return figure
@@ -80,10 +93,6 @@ def bodies_alone(
     }
     no_pairs = np.zeros((0, 2), dtype="<u4")
     return picture(bodies, no_pairs, np.zeros((0, 3)), nothing, scene, path, ax)
-
-
-def _count(number: int, one: str, several: str = "") -> str:
-    return f"{number} {one if number == 1 else several or one + 's'}"
 
 
 def _axes(ax: Any) -> tuple[Any, Any]:

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _answers, _arguments, _arrays, _checked, _packed
+from ._arguments import counted
 from ._arrays import Indices
 from ._errors import InvalidArgument, InvalidPoses, MissingHullsWarning, warn
 from ._manifolds import Manifolds
@@ -148,8 +149,8 @@ class Query:
         self._compacted = False
         if self._bases is not None and len(self._bases) != _length(self._pairs):
             raise InvalidArgument(
-                f"got {len(self._bases)} pairs, expected {_length(self._pairs)}: give the answer "
-                "of an earlier query of the same pairs",
+                f"got {counted(len(self._bases), 'pair')}, expected {_length(self._pairs)}: give "
+                "the answer of an earlier query of the same pairs",
                 reason="LENGTH_MISMATCH",
                 field="warm",
             )
@@ -311,16 +312,28 @@ class Query:
             # The server has not seen the bodies that no pair names, so check their poses here.
             unseen = _arrays.unusable(self.scene.positions, self.scene.rotations)
             columns["invalid_bodies"] = np.union1d(columns["invalid_bodies"], unseen)
+        if not columns["pairs"].flags.writeable:
+            # The caller may change the result's pairs, but not those of the query.
+            columns["pairs"] = columns["pairs"].copy()
         found = Manifolds(columns, self.scene)
         if len(found.missing_hulls):
             lost = int(
                 np.count_nonzero(found.flags & int(Flag.UNKNOWN_HULL | Flag.HULL_UNAVAILABLE))
             )
+            if self._pairs is None:
+                bodies = int(np.isin(self.scene.body_hulls, found.missing_hulls).sum())
+                verb = "is" if bodies == 1 else "are"
+                effect = (
+                    f"{bodies} of {counted(len(self.scene), 'body', 'bodies')} {verb} in no pair"
+                )
+            else:
+                verb = "is" if lost == 1 else "are"
+                effect = f"{lost} of {counted(len(found), 'pair')} {verb} INVALID"
             warn(
                 MissingHullsWarning(
                     f"the server does not have {len(found.missing_hulls)} of "
-                    f"{len(self.scene.hull_ids)} hulls, so that {lost} of {len(found)} pairs are "
-                    "INVALID: make the scene with Hull objects, not ids, or register the hulls"
+                    f"{counted(len(self.scene.hull_ids), 'hull')}, so that {effect}: make the "
+                    "scene with Hull objects, not ids, or register the hulls"
                 )
             )
         if len(found.invalid_bodies) and self._on_invalid == "raise":
@@ -335,7 +348,8 @@ class Query:
         more = len(texts) - _DESCRIBED
         listed = "; ".join(texts[:_DESCRIBED]) + (f"; and {more} more" if more > 0 else "")
         return InvalidPoses(
-            f"{len(bodies)} of {len(scene)} bodies have an unusable pose ({listed}). The answer is "
+            f"{len(bodies)} of {counted(len(scene), 'body', 'bodies')} "
+            f"{'has' if len(bodies) == 1 else 'have'} an unusable pose ({listed}). The answer is "
             'in the attribute manifolds; on_invalid="flag" answers INVALID without an exception',
             bodies,
             tuple(why for _, why in known),
@@ -347,9 +361,13 @@ class Query:
 
 
 def own_pairs(pairs: Any, bodies: int) -> Indices:
-    """Checks pairs of body indices for a scene with `bodies` bodies; returns them as (n, 2)."""
-    counted = f"the scene has {bodies} bod{'y' if bodies == 1 else 'ies'}"
-    return _arrays.indices("pairs", pairs, None, 2, below=bodies, of=counted)
+    """Checks pairs of body indices for a scene with `bodies` bodies.
+
+    Returns:
+        (n, 2), a read-only copy, so that a caller may change the given array later.
+    """
+    of = f"the scene has {counted(bodies, 'body', 'bodies')}"
+    return _arrays.frozen(_arrays.indices("pairs", pairs, None, 2, below=bodies, of=of))
 
 
 def _length(pairs: Indices | None) -> int:

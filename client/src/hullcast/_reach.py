@@ -24,6 +24,12 @@ def absent(target: str, addresses: tuple[str, ...]) -> str | None:
         target: the address as gRPC has it.
         addresses: the target's addresses as `host:port`; empty for a Unix socket.
     """
+    if len(addresses) > 1:
+        # One server that is there is enough.
+        found = [absent(address, (address,)) for address in addresses]
+        if None in found:
+            return None
+        return f"none of {len(addresses)} servers is there: {'; '.join(map(str, found[:3]))}"
     try:
         if not addresses:
             with socket.socket(socket.AF_UNIX) as peer:

@@ -9,8 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from . import _arguments, _arrays, _channel, _checked, _convexity, _mesh, _packed
-from ._arguments import kind
+from . import _arguments, _arrays, _channel, _checked, _convexity, _files, _mesh, _packed
+from ._arguments import counted, kind, plain
 from ._errors import HullRejected, InvalidArgument
 from ._hulls import Content, Hull, Planarity, planarity_of, points_of
 from ._pb import hulls_pb2
@@ -65,15 +65,15 @@ class Registration:
         centers: list[Any] = list(contraction_points)  # pyright: ignore[reportUnknownArgumentType]
         if len(centers) != len(shapes):
             raise InvalidArgument(
-                f"{len(centers)} entries for {len(shapes)} "
-                f"hull{'' if len(shapes) == 1 else 's'}, expected one (a point or None) per hull",
+                f"{counted(len(centers), 'entry', 'entries')} for {counted(len(shapes), 'hull')}, "
+                "expected one (a point or None) per hull",
                 reason="LENGTH_MISMATCH",
                 field="contraction_points",
             )
         contents: list[Content] = []
         for i, (shape, center) in enumerate(zip(shapes, centers, strict=True)):
             if center is not None:
-                center = _arrays.floats(f"contraction_points[{i}]", center, 3)
+                center = _arrays.frozen(_arrays.floats(f"contraction_points[{i}]", center, 3))
             share = planarity_of(planarity)
             if isinstance(shape, Hull):
                 share = planarity_of(planarity, shape.content.planarity)
@@ -127,8 +127,8 @@ class Registration:
         points = len(self._contents[place].points)
         label = self._labels[place] if place < len(self._labels) else f"hulls[{place}]"
         return InvalidArgument(
-            f"{label} has {points} points: {error.message}; register fewer points, such as "
-            "those of its convex hull",
+            f"{label} has {counted(points, 'point')}: {error.message}; register fewer points, "
+            "such as those of its convex hull",
             reason=error.reason,
             field="hulls",
             index=place,
@@ -170,7 +170,7 @@ class Registration:
             return results
         first = refused[0]
         error = HullRejected(
-            f"{first.message} ({len(refused)} of {len(results)} hulls refused)",
+            f"{first.message} ({len(refused)} of {counted(len(results), 'hull')} refused)",
             reason=first.reason,
             field=first.field,
             index=first.index,
@@ -194,6 +194,8 @@ def shapes_of(hulls: Any) -> list[Any]:
             reason="NOT_A_LIST",
             field="hulls",
         )
+    if _files.is_open_file(hulls):
+        _files.path_of("hulls", hulls, "the path of a mesh file")
     if not _is_single(hulls):
         if not isinstance(hulls, Iterable):
             raise InvalidArgument(
@@ -206,8 +208,10 @@ def shapes_of(hulls: Any) -> list[Any]:
     else:
         given = [hulls]
     shapes: list[Any] = []
-    for hull in given:  # pyright: ignore[reportUnknownVariableType]
-        shapes += _parts(hull) if _is_scene(hull) else [shape_of(hull)]
+    for i, hull in enumerate(given):  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+        if _files.is_open_file(hull):
+            _files.path_of(f"hulls[{i}]", hull, "the path of a mesh file")
+        shapes += _parts(hull) if _is_scene(hull) else [shape_of(hull, f"hulls[{i}]")]
     return shapes
 
 
@@ -217,9 +221,14 @@ def _is_single(hulls: Any) -> bool:
         return True
     if hasattr(hulls, "vertices") or getattr(hulls, "ndim", 0) == 2:
         return True
+    if getattr(hulls, "ndim", 2) < 2 and getattr(hulls, "dtype", None) != np.dtype(object):
+        return True  # an array of numbers, which has the wrong shape for the points of a hull
     if isinstance(hulls, (list, tuple)) and hulls:
-        # A list of rows of three numbers is the points of one hull.
+        # A list of rows of three numbers is the points of one hull. A list of numbers has the wrong
+        # shape for one.
         first = cast("Any", hulls[0])
+        if all(isinstance(plain(x), numbers.Real) for x in hulls):  # pyright: ignore[reportUnknownVariableType]
+            return True
         row = isinstance(first, (list, tuple)) or getattr(first, "ndim", 0) == 1
         first = cast("Sequence[Any]", first)
         return row and len(first) == 3 and all(isinstance(x, numbers.Real) for x in first)
@@ -241,10 +250,13 @@ def _parts(scene: Any) -> list[Any]:
     return parts
 
 
-def shape_of(hull: Any) -> Any:
-    """The object that has the points: `hull` itself, or the mesh that is read from its path."""
+def shape_of(hull: Any, field: str) -> Any:
+    """The object that has the points: `hull` itself, or the mesh that is read from its path.
+
+    `field` is the argument that names the hull, for messages.
+    """
     if isinstance(hull, (str, os.PathLike)):
-        return _mesh.load(cast("str | os.PathLike[str]", hull))
+        return _mesh.load(cast("str | os.PathLike[str]", hull), field)
     return hull
 
 

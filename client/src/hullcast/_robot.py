@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, cast
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from . import _arrays, _convexity, _decompose, _mesh, _urdf
+from . import _arguments, _arrays, _convexity, _decompose, _mesh, _urdf
+from ._arguments import counted, kind, shown
 from ._arrays import Floats, Indices
-from ._errors import InvalidArgument
+from ._errors import InvalidArgument, JointLimitsWarning, warn
 from ._hulls import Hull
 from ._scene import Scene
+from ._settled import Settled, freeze
 from ._urdf import Joint
 
 
-class Robot:
+class Robot(Settled):
     """The collision geometry of a URDF as convex bodies, with poses computed from joint values.
 
         robot = hullcast.Robot("panda.urdf")
@@ -40,9 +42,9 @@ class Robot:
         srdf: the path of an SRDF file. Links that its `disable_collisions` elements name ignore
             each other.
         ignored: further pairs of names of links that ignore each other.
-        decompose: whether to decompose meshes that are not convex or not closed (extra
-            `decompose`). If not, `register` uses their convex hulls, with a `NotConvexWarning`
-            each.
+        decompose: True or False: whether to decompose meshes that are not convex or not closed
+            (extra `decompose`). If not, `register` uses their convex hulls, with a
+            `NotConvexWarning` each.
         threshold, cache, progress: the settings of the decomposition, as in `hullcast.decompose`.
 
     Raises:
@@ -52,7 +54,34 @@ class Robot:
             message names the file, the link and the element.
         FileNotFound: the URDF file, or a mesh file that it names, does not exist.
         ImportError: a mesh is not convex, and the extra `decompose` is not installed.
+
+    Warns:
+        NoBodiesWarning: no link has collision geometry.
     """
+
+    _instead: ClassVar[dict[str, str]] = {"": "make a new hullcast.Robot"}
+
+    #: The robot's name.
+    name: str
+    #: The names of the links.
+    links: tuple[str, ...]
+    #: The names of the joints that have a value of their own: they move, and mimic no other joint.
+    joints: tuple[str, ...]
+    #: (joints, 2): the lowest and the highest value of each joint, radians or metres; infinite
+    #: without a limit.
+    limits: Floats
+    #: For each body the shape that `Client.register` takes, in the frame of the body's link: points
+    #: (k, 3) or a mesh. A cylinder is an inscribed prism with 32 sides, a sphere an inscribed
+    #: polyhedron with 162 vertices, and a capsule an inscribed polyhedron with 130 vertices.
+    shapes: list[Any]
+    #: (bodies,): the link of each body, as an index into `links`.
+    body_links: npt.NDArray[np.intp]
+    #: (bodies,): the group of each body, one per link, as `Scene` takes them.
+    groups: Indices
+    #: (k, 2): the groups of links that ignore each other, as `Scene` takes them.
+    ignored_groups: Indices
+    #: (m, 2): all pairs of bodies that may meet, as `Client.query` takes them.
+    pairs: Indices
 
     def __init__(
         self,
@@ -67,18 +96,10 @@ class Robot:
         progress: _decompose.Report = None,
     ) -> None:
         _decompose.check_threshold(threshold)
+        decompose = _arguments.flag("decompose", decompose)
         model = _urdf.read(urdf, packages)
         self._model = model
         free = [joint for joint in model.joints if joint.is_free]
-        self.name: str = model.name
-        #: The names of the links.
-        self.links: tuple[str, ...] = model.links
-        #: The names of the joints that have a value of their own: they move, and mimic no other
-        #: joint.
-        self.joints: tuple[str, ...] = tuple(joint.name for joint in free)
-        #: (joints, 2): the lowest and the highest value of each joint, radians or metres; infinite
-        #: without a limit.
-        self.limits: Floats = np.array([joint.limits for joint in free]).reshape(-1, 2)
         dented = [
             i
             for i, (_, _, shape) in enumerate(model.shapes)
@@ -98,36 +119,46 @@ class Robot:
             for i, (link, _, shape) in enumerate(model.shapes)
             for piece in pieces.get(i, [shape])
         ]
-        #: For each body the shape that `Client.register` takes, in the frame of the body's link:
-        #: points (k, 3) or a mesh. A cylinder is an inscribed prism with 32 sides, and a sphere an
-        #: inscribed polyhedron with 162 vertices.
-        self.shapes: list[Any] = [piece for _, piece in bodies]
-        #: (bodies,): the link of each body, as an index into `links`.
-        self.body_links: npt.NDArray[np.intp] = np.array([link for link, _ in bodies], np.intp)
-        #: (bodies,): the group of each body, one per link, as `Scene` takes them.
-        self.groups: Indices = (self.body_links + 1).astype("<u4")
+        body_links: npt.NDArray[np.intp] = np.array([link for link, _ in bodies], np.intp)
         disabled = [] if srdf is None else list(_urdf.disabled(srdf))
-        known = [pair for pair in disabled if set(pair) <= set(self.links)]
-        silent = _ignoring(model, set(self.body_links.tolist()), [*known, *_named(ignored)])
-        #: (k, 2): the groups of links that ignore each other, as `Scene` takes them.
-        self.ignored_groups: Indices = np.array(sorted(silent), "<u4").reshape(-1, 2) + 1
-        #: (m, 2): all pairs of bodies that may meet, as `Client.query` takes them.
-        self.pairs: Indices = np.array(
-            [
-                (i, j)
-                for i, j in itertools.combinations(range(len(bodies)), 2)
-                if bodies[i][0] != bodies[j][0]
-                and _sorted(bodies[i][0], bodies[j][0]) not in silent
-            ],
-            dtype="<u4",
-        ).reshape(-1, 2)
+        known = [pair for pair in disabled if set(pair) <= set(model.links)]
+        if disabled and not known:
+            raise InvalidArgument(
+                f"none of its pairs of links is in the URDF file; the first is {disabled[0]}: give "
+                "the SRDF file of this robot",
+                reason="UNKNOWN_LINK",
+                field="srdf",
+            )
+        silent = _ignoring(model, set(body_links.tolist()), [*known, *_named(ignored)])
+        meeting = [
+            (i, j)
+            for i, j in itertools.combinations(range(len(bodies)), 2)
+            if bodies[i][0] != bodies[j][0] and _sorted(bodies[i][0], bodies[j][0]) not in silent
+        ]
+        self._set(
+            name=model.name,
+            links=model.links,
+            joints=tuple(joint.name for joint in free),
+            limits=np.array([joint.limits for joint in free], dtype="<f8").reshape(-1, 2),
+            shapes=[piece for _, piece in bodies],
+            body_links=body_links,
+            groups=(body_links + 1).astype("<u4"),
+            ignored_groups=np.array(sorted(silent), "<u4").reshape(-1, 2) + np.uint32(1),
+            pairs=np.array(meeting, dtype="<u4").reshape(-1, 2),
+        )
+        freeze(self)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        freeze(self)
 
     def __len__(self) -> int:
         return len(self.shapes)
 
     def __repr__(self) -> str:
-        used = len(set(self.body_links.tolist()))
-        return f"Robot({self.name}: {len(self)} bodies of {used} links, {len(self.joints)} joints)"
+        used = counted(len(set(self.body_links.tolist())), "link")
+        bodies = counted(len(self), "body", "bodies")
+        return f"Robot({self.name}: {bodies} of {used}, {counted(len(self.joints), 'joint')})"
 
     def poses(self, joints: Any = None, *, base: Any = None) -> Floats:
         """Computes the world poses of the bodies from joint values, by forward kinematics.
@@ -137,18 +168,23 @@ class Robot:
                 (joints,), or (k, joints) for k configurations; or a mapping from joint names to one
                 value or to k values. Joints that the mapping does not name are at 0, and None means
                 that all joints are at 0. If 0 is outside a joint's limits, the nearer limit is used
-                instead of 0.
-            base: (4, 4) or (k, 4, 4), the pose of the root link in the world; by default the
-                identity.
+                instead of 0. A value beyond a joint's limits is used as it is, with a
+                `JointLimitsWarning`.
+            base: (4, 4) or (k, 4, 4) or a scipy `RigidTransform`, the pose of the root link in the
+                world; by default the identity.
 
         Returns:
             (bodies, 4, 4), or (k, bodies, 4, 4) for k configurations: the poses of the bodies'
             frames in the world. The frame of a body is that of its link.
 
         Raises:
-            InvalidArgument: WRONG_SHAPE, LENGTH_MISMATCH, NOT_AN_ARRAY or UNKNOWN_JOINT.
+            InvalidArgument: WRONG_SHAPE, LENGTH_MISMATCH, NOT_AN_ARRAY, NOT_FINITE, UNKNOWN_JOINT,
+                NOT_A_POSE or NOT_A_ROTATION.
         """
         values, several = self._values(joints)
+        self._check_values(values)
+        if base is not None and callable(getattr(base, "as_matrix", None)):
+            base = base.as_matrix()
         roots = np.eye(4) if base is None else _array("base", base)
         if roots.shape[-2:] != (4, 4) or roots.ndim not in (2, 3):
             raise InvalidArgument(
@@ -156,13 +192,14 @@ class Robot:
                 reason="WRONG_SHAPE",
                 field="base",
             )
+        _check_base(roots.reshape(-1, 4, 4))
         several = several or roots.ndim == 3
         count = len(roots) if roots.ndim == 3 and len(values) == 1 else len(values)
         values = np.broadcast_to(values, (count, len(self.joints)))
         if roots.ndim == 3 and len(roots) != count:
             raise InvalidArgument(
-                f"got {len(roots)} poses for {count} configurations, expected one pose, or one per "
-                "configuration",
+                f"got {counted(len(roots), 'pose')} for {counted(count, 'configuration')}, "
+                "expected one pose, or one per configuration",
                 reason="LENGTH_MISMATCH",
                 field="base",
             )
@@ -189,10 +226,17 @@ class Robot:
         Raises:
             InvalidArgument: LENGTH_MISMATCH, another number of hulls; otherwise as `poses`.
         """
+        if isinstance(hulls, (Hull, bytes)):
+            hulls = [hulls]
+        elif isinstance(hulls, (str, Mapping)) or not isinstance(hulls, Iterable):
+            raise InvalidArgument(
+                f"expected a list of hulls, got {kind(hulls)}", reason="WRONG_TYPE", field="hulls"
+            )
+        hulls = list(hulls)
         if len(hulls) != len(self):
             raise InvalidArgument(
-                f"got {len(hulls)} hulls for {len(self)} shapes, expected one hull per shape, in "
-                "the order of Robot.shapes",
+                f"got {counted(len(hulls), 'hull')} for {counted(len(self), 'shape')}, expected "
+                "one hull per shape, in the order of Robot.shapes",
                 reason="LENGTH_MISMATCH",
                 field="hulls",
             )
@@ -215,7 +259,15 @@ class Robot:
         if not isinstance(joints, Mapping):
             values = _array("joints", joints)
             several = values.ndim == 2
-            return _arrays.floats("joints", np.atleast_2d(values), None, len(self.joints)), several
+            wanted = (None, len(self.joints)) if several else (len(self.joints),)
+            if values.shape[-1:] != wanted[-1:] or values.ndim > 2:
+                raise InvalidArgument(
+                    f"expected shape ({len(self.joints)},) or (k, {len(self.joints)}), one value "
+                    f"for each of Robot.joints, got {values.shape}",
+                    reason="WRONG_SHAPE",
+                    field="joints",
+                )
+            return np.atleast_2d(values), several
         named = cast("Mapping[Any, Any]", joints)
         columns = {str(name): _array("joints", value) for name, value in named.items()}
         lengths = {column.shape for column in columns.values() if column.ndim}
@@ -229,12 +281,40 @@ class Robot:
         for name, column in columns.items():
             if name not in self.joints:
                 raise InvalidArgument(
-                    f"got the joint {name!r}, expected one of {', '.join(self.joints)}",
+                    f"got the joint {name!r}, expected {_one_of(self.joints)}",
                     reason="UNKNOWN_JOINT",
                     field="joints",
                 )
             values[:, self.joints.index(name)] = column
         return values, bool(lengths)
+
+    def _check_values(self, values: Floats) -> None:
+        """Raises for values that are not finite, and warns of values beyond the limits."""
+        wrong = np.argwhere(~np.isfinite(values))
+        if len(wrong):
+            row, joint = wrong[0]
+            error = InvalidArgument(
+                f"the value of joint {self.joints[joint]!r} is {values[row, joint]:g}, expected a "
+                "finite number",
+                reason="NOT_FINITE",
+                field="joints",
+            )
+            error.entry = (int(row), int(joint))
+            raise error
+        low, high = self.limits.T
+        # Limits and values are often rounded to a few digits in files and messages.
+        slack = 1e-6 * np.maximum(1.0, np.abs(np.where(np.isfinite(self.limits), self.limits, 0)))
+        beyond = (values < low - slack[:, 0]) | (values > high + slack[:, 1])
+        if beyond.any():
+            row, joint = np.argwhere(beyond)[0]
+            several = f" in {beyond.any(axis=1).sum()} of {len(values)} configurations"
+            warn(
+                JointLimitsWarning(
+                    f"{counted(int(beyond.any(axis=0).sum()), 'joint')} beyond the limits"
+                    f"{several if len(values) > 1 else ''}: joint {self.joints[joint]!r} is "
+                    f"{values[row, joint]:g}, its limits are {low[joint]:g} to {high[joint]:g}"
+                )
+            )
 
     def _motion(self, joint: Joint, values: Floats) -> Floats:
         """(k, 4, 4): the motions of a joint for k configurations."""
@@ -258,10 +338,33 @@ class Robot:
 
 def _array(field: str, value: Any) -> Floats:
     """Converts a value to a float64 array of any shape."""
+    if isinstance(value, Iterator):
+        value = list(cast("Iterator[Any]", value))
     try:
-        return np.asarray(value, dtype="<f8")
+        array = _arrays.as_array(value)
+        if array.dtype.kind not in "fiuO" and array.size:
+            raise TypeError(f"expected numbers, got {shown(value)}")
+        return array.astype("<f8")
     except (TypeError, ValueError) as error:
         raise InvalidArgument(str(error), reason="NOT_AN_ARRAY", field=field) from None
+
+
+def _check_base(roots: Floats) -> None:
+    """Raises if a pose of the root link is not finite, or is not a pose."""
+    wrong = np.flatnonzero(~np.isfinite(roots).all(axis=(1, 2)))
+    if wrong.size:
+        raise InvalidArgument(
+            "the pose has a number that is not finite",
+            reason="NOT_FINITE",
+            field="base",
+            index=int(wrong[0]),
+        )
+    _arrays.check_bottom("base", roots)
+    _arrays.quaternions("base", roots[:, :3, :3])
+
+
+def _one_of(joints: Sequence[str]) -> str:
+    return f"one of {', '.join(joints)}" if joints else "none: the robot has no joint that moves"
 
 
 def _named(ignored: Any) -> list[tuple[str, str]]:

@@ -4,26 +4,31 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from . import _arrays
-from ._arguments import kind
+from ._arguments import counted, kind
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument
 from ._hulls import Content, Hull
+from ._settled import Settled, freeze
 
 
-class Scene:
+class Scene(Settled):
     """A set of bodies: hulls at poses. A pose maps its hull's frame to the world frame.
+
+    A scene does not change: its attributes cannot be assigned, and its arrays are read-only copies.
+    `moved` gives a scene of the same bodies at new poses.
 
     Args:
         hulls: one hull per body; or distinct hulls, with `body_hulls`. A hull is a `Hull` or its id
             of 32 bytes. If a server has lost a hull, the client can register it again only if it is
             a `Hull`.
         positions: (n, 3), the world positions of the origins of the hulls' frames, in the caller's
-            units; or (n, 4, 4) homogeneous matrices, without `rotations`.
+            units; or, without `rotations`, (n, 4, 4) homogeneous matrices or a scipy
+            `RigidTransform`.
         rotations: (n, 4) quaternions in the order x, y, z, w (`from_wxyz` converts the other
             order), (n, 3, 3) matrices, or a scipy `Rotation`. Quaternions with a norm of 0.25 to 4
             are normalised. With any other norm the body's pose is unusable.
@@ -36,6 +41,33 @@ class Scene:
     Raises:
         InvalidArgument: an argument has a wrong shape or type, or an index out of range.
     """
+
+    _instead: ClassVar[dict[str, str]] = {
+        "positions": "use scene.moved(positions, rotations), a scene at new poses",
+        "rotations": "use scene.moved(positions, rotations), a scene at new poses",
+        "": "make a new hullcast.Scene",
+    }
+
+    #: The ids of the distinct hulls.
+    hull_ids: tuple[bytes, ...]
+    #: For each of `hull_ids`, the content to register it again; None if only the id was given.
+    contents: tuple[Content | None, ...]
+    #: (n,): each body's hull, as an index into `hull_ids`.
+    body_hulls: Indices
+    #: (n, 3): the position of each body.
+    positions: Floats
+    #: (n, 4): the rotation of each body, a quaternion x, y, z, w.
+    rotations: Floats
+    #: (n,): the world of each body; or None.
+    worlds: Indices | None
+    #: (n,): the group of each body; or None.
+    groups: Indices | None
+    #: (k, 2): pairs of groups whose bodies never meet; or None.
+    ignored_groups: Indices | None
+    #: (m, 2): the pairs of the file from which the scene was loaded; otherwise None.
+    pairs: Indices | None
+    #: The margin of the file from which the scene was loaded; otherwise None.
+    margin: float | None
 
     def __init__(
         self,
@@ -59,28 +91,23 @@ class Scene:
         # A message must have each hull once, however often the caller names it.
         place: dict[bytes, int] = {}
         distinct = np.array([place.setdefault(id, len(place)) for id in ids], dtype="<u4")
-        self.hull_ids: tuple[bytes, ...] = tuple(place)
         known = {hull.id: hull.content for hull in hulls if isinstance(hull, Hull)}
-        #: For each of `hull_ids`, the content to register it again; None if only the id was given.
-        self.contents: tuple[Content | None, ...] = tuple(known.get(id) for id in place)
         if body_hulls is None:
-            self.body_hulls: Indices = distinct
+            of_bodies = distinct
         else:
-            self.body_hulls = distinct[
-                _arrays.indices(
-                    "body_hulls", body_hulls, None, below=len(ids), of=f"there are {len(ids)} hulls"
-                )
-            ]
-        count = len(self.body_hulls)
-        self.positions: Floats
-        self.rotations: Floats
-        self.positions, self.rotations = _arrays.poses(positions, rotations, count)
-        self.worlds = None if worlds is None else _arrays.indices("worlds", worlds, count)
-        self.groups = None if groups is None else _arrays.indices("groups", groups, count)
-        self.ignored_groups = (
-            None
-            if ignored_groups is None
-            else _arrays.indices("ignored_groups", ignored_groups, None, 2)
+            of = f"there {'is' if len(ids) == 1 else 'are'} {counted(len(ids), 'hull')}"
+            chosen = _arrays.indices("body_hulls", body_hulls, None, below=len(ids), of=of)
+            of_bodies = distinct[chosen]
+        count = len(of_bodies)
+        self._set(
+            hull_ids=tuple(place),
+            contents=tuple(known.get(id) for id in place),
+            body_hulls=_arrays.frozen(of_bodies),
+            worlds=_optional("worlds", worlds, count),
+            groups=_optional("groups", groups, count),
+            ignored_groups=_optional("ignored_groups", ignored_groups, None, 2),
+            pairs=None,
+            margin=None,
         )
         if self.ignored_groups is not None and (self.ignored_groups == 0).any():
             raise InvalidArgument(
@@ -88,17 +115,16 @@ class Scene:
                 reason="VALUE_OUT_OF_RANGE",
                 field="ignored_groups",
             )
+        self._place(positions, rotations, of_hulls=body_hulls is None)
 
     def __len__(self) -> int:
         return len(self.body_hulls)
 
     def __repr__(self) -> str:
-        hulls = len(self.hull_ids)
-        bodies = f"{len(self)} bod{'y' if len(self) == 1 else 'ies'}"
-        text = f"{bodies} of {hulls} hull{'' if hulls == 1 else 's'}"
+        bodies = counted(len(self), "body", "bodies")
+        text = f"{bodies} of {counted(len(self.hull_ids), 'hull')}"
         if self.worlds is not None:
-            worlds = len(np.unique(self.worlds))
-            text += f" in {worlds} world{'' if worlds == 1 else 's'}"
+            text += f" in {counted(len(np.unique(self.worlds)), 'world')}"
         return f"Scene({text})"
 
     def plot(self, *, path: str | os.PathLike[str] | None = None, ax: Any = None) -> Any:
@@ -129,17 +155,91 @@ class Scene:
         Raises:
             InvalidArgument: as for `Scene`.
         """
+        scene = self._copy()
+        scene._place(positions, rotations)
+        return scene
+
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        pairs: Any = None,
+        *,
+        margin: float | None = None,
+        name: str = "",
+    ) -> None:
+        """Writes the scene to a JSON file, in the format that `hullcast query` reads.
+
+        The file has each hull's points and options, each body's pose, the pairs and the margin.
+        Worlds and groups are written too; the command line ignores them. Every number is written
+        such that reading gives the same bits.
+
+        Args:
+            path: the file, such as "scene.json".
+            pairs: (n, 2), the pairs of bodies that `hullcast query` answers; by default those of
+                the file from which the scene was loaded, or none.
+            margin: the margin of the query, 0 or more; by default that of the file, or 0.
+            name: the scene's name in messages; by default the file's name.
+
+        Raises:
+            InvalidArgument: NO_GEOMETRY, the scene has only the id of a hull; NOT_FINITE, a pose
+                has a number that is not finite; SIMPLIFIED, a hull was simplified, which the
+                format cannot state; or an argument is not usable.
+        """
+        from . import _scene_file
+
+        _scene_file.save(self, path, pairs, margin, name)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], *, frame: int | str = 0) -> Scene:
+        """Reads a scene file, as `save` writes it and `hullcast query` reads it.
+
+            scene = hullcast.Scene.load("scene.json")
+            m = client.query(scene, scene.pairs, margin=scene.margin)
+
+        The hulls need not be registered: the first query registers those that the server lacks.
+
+        Args:
+            path: the file.
+            frame: the configuration to load, for a file with several: its number from 0 or its
+                name.
+
+        Returns:
+            The scene. Its attributes `pairs` and `margin` are those of the file.
+
+        Raises:
+            InvalidArgument: NOT_A_SCENE, the file has another content; the message names the
+                place. UNREADABLE_FILE; UNKNOWN_FRAME, there is no such configuration.
+            FileNotFound: the file does not exist.
+        """
+        from . import _scene_file
+
+        return _scene_file.load(path, frame)
+
+    def _copy(self) -> Scene:
         scene = Scene.__new__(Scene)
         scene.__dict__.update(self.__dict__)
-        scene.positions, scene.rotations = _arrays.poses(positions, rotations, len(self))
         return scene
+
+    def _place(self, positions: Any, rotations: Any, *, of_hulls: bool = False) -> None:
+        """Sets the poses of all bodies."""
+        at, turned = _arrays.poses(positions, rotations, len(self), of_hulls=of_hulls)
+        self._set(positions=at, rotations=turned)
 
     def _many(self, positions: Floats, rotations: Floats) -> Scene:
         """A scene with a copy of the bodies for each set of poses, one set after another."""
-        scene = Scene.__new__(Scene)
-        scene.__dict__.update(self.__dict__)
-        scene.body_hulls = np.tile(self.body_hulls, len(positions) // max(len(self), 1))
+        scene = self._copy()
+        copies = len(positions) // max(len(self), 1)
+        scene._set(body_hulls=_arrays.frozen(np.tile(self.body_hulls, copies)))
         return scene.moved(positions, rotations)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update({"pairs": None, "margin": None, **state})
+        freeze(self)
+
+
+def _optional(field: str, value: Any, *shape: int | None) -> Indices | None:
+    """A read-only copy of an array of integers, or None."""
+    return None if value is None else _arrays.frozen(_arrays.indices(field, value, *shape))
 
 
 def _id(place: int, hull: Any) -> bytes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import importlib.metadata
 import json
 import os
@@ -57,7 +58,8 @@ def serve(
     Raises:
         InvalidArgument: an argument is not usable; the error names it.
         ServerNotFound: there is no binary.
-        ServerDidNotStart: the server exited, or did not listen in time.
+        ServerDidNotStart: the binary cannot be run, or the server exited, or did not listen in
+            time.
     """
     # The server is on this machine, so do not use the proxy that the environment may name. A server
     # that has ended does not come back, so one retry is enough.
@@ -108,6 +110,13 @@ def start(
             stderr=log,
             start_new_session=True,
         )
+    except OSError as error:  # such as a binary for another kind of machine, or a text file
+        log.close()
+        raise ServerDidNotStart(
+            f"{command[0]} cannot be run ({error.strerror}): expected the hullcast program for "
+            "this machine",
+            reason="NOT_RUNNABLE",
+        ) from None
     except BaseException:
         log.close()
         raise
@@ -148,19 +157,38 @@ def find_binary() -> str:
     """
     named = os.environ.get("HULLCAST_BIN")
     if named:
-        if not os.path.isfile(named):
+        what = ""
+        if os.path.isdir(named):
+            what = "is a directory"
+        elif not os.path.exists(named):
+            what = "does not exist"
+        elif not os.path.isfile(named):
+            what = "is not a file"
+        elif not os.access(named, os.X_OK):
+            what = "is not executable (chmod +x makes it so)"
+        if what:
             raise ServerNotFound(
-                f"HULLCAST_BIN is {named!r}, which is not a file", reason="NO_BINARY"
+                f"HULLCAST_BIN is {named!r}, which {what}: expected the path of the hullcast "
+                "program",
+                reason="NO_BINARY",
             )
-        return named
+        return os.path.abspath(named)
+    similar = _similar_variable("HULLCAST_BIN")
     found = _own_binary() or shutil.which("hullcast")
     if found is None:
         raise ServerNotFound(
             "no hullcast binary: set HULLCAST_BIN to its path, or put it on PATH "
-            "(`cargo build --release` in a clone makes target/release/hullcast)",
+            "(`cargo build --release` in a clone makes target/release/hullcast)"
+            + (f". The variable {similar} is not read" if similar else ""),
             reason="NO_BINARY",
         )
     return found
+
+
+def _similar_variable(name: str) -> str | None:
+    """An environment variable whose name is like `name`; None without one."""
+    others = [other for other in os.environ if other != name and other.startswith("HULL")]
+    return next(iter(difflib.get_close_matches(name, others, n=1, cutoff=0.7)), None)
 
 
 def _own_binary() -> str | None:

@@ -11,11 +11,13 @@ import weakref
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from . import _answers, _calls, _connection, _errors, _link
+from ._arguments import counted
 from ._manifolds import Manifolds
 from ._query import Message, Query, Span
+from ._settled import Settled
 
 STREAM = "/hullcast.v1.ContactService/StreamContacts"
 
@@ -43,8 +45,10 @@ class _Lane:
             stream.cancel()
 
 
-class Steps:
+class Steps(Settled):
     """The common part of `hullcast.Session` and `hullcast.aio.Session`."""
+
+    _instead: ClassVar[dict[str, str]] = {"": "open another session with client.session"}
 
     def __init__(self, calls: _calls.Calls, make: Callable[[], Query]) -> None:
         self._calls = calls
@@ -61,7 +65,7 @@ class Steps:
         return self._query.pair_count
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({len(self)} pairs, {self._calls.target!r})"
+        return f"{type(self).__name__}({counted(len(self), 'pair')}, {self._calls.target!r})"
 
     def close(self) -> None:
         """Ends the session's streams. The client stays open."""

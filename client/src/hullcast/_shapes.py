@@ -11,6 +11,7 @@ import numpy as np
 
 from . import _arguments, _arrays
 from ._arrays import Floats
+from ._settled import freeze
 
 #: The range of lengths that a server accepts.
 _SMALLEST, _LARGEST = 1e-50, 1e50
@@ -19,7 +20,7 @@ _MOST_SIDES = 512
 _ROUND_UP = 1 + 1e-9
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Shape:
     """A convex shape, centred at the origin, for `Client.register`.
 
@@ -32,6 +33,18 @@ class Shape:
     #: is inside the true shape. It is 0 for a box and a prism.
     error: float
 
+    def __post_init__(self) -> None:
+        vertices = _arrays.frozen(_arrays.floats("vertices", self.vertices, None, 3))
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "error", _arguments.number("error", self.error, 0))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        freeze(self)
+
+    def __repr__(self) -> str:
+        return f"Shape({len(self.vertices)} vertices, error {self.error:.3g})"
+
 
 def box(size: Any) -> Shape:
     """A box centred at the origin.
@@ -42,6 +55,7 @@ def box(size: Any) -> Shape:
     Raises:
         InvalidArgument: a length is not a number from 1e-50 to 1e50.
     """
+    size = _arguments.plain(size)
     if not hasattr(size, "__len__") and not hasattr(size, "shape"):
         size = [_length("size", size)] * 3
     lengths = _arrays.floats("size", size, 3)

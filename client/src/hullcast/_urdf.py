@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,9 +11,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from . import _convexity, _mesh, _primitives
+from . import _convexity, _files, _mesh, _primitives, _shapes
+from ._arguments import counted
 from ._arrays import Floats
-from ._errors import FileNotFound, InvalidArgument
+from ._errors import FileNotFound, InvalidArgument, NoBodiesWarning, warn
 from ._packages import Packages
 
 Element = ElementTree.Element
@@ -82,27 +84,38 @@ def read(urdf: Any, packages: Any) -> Model:
     Raises:
         InvalidArgument, FileNotFound: as `Robot`.
     """
-    data = _mesh.read_file(urdf, "urdf")
-    path = Path(urdf).resolve()
+    path = Path(_files.path_of("urdf", urdf, "the path of a URDF file")).resolve()
+    data = _files.read("urdf", path)
     folders = Packages(path.parent, packages)
     try:
-        return _model(_root(data, "robot"), folders)
+        model, hidden = _model(_root(data, "robot"), folders)
     except _Invalid as error:
         raise InvalidArgument(f"{path.name}: {error}", reason=error.reason, field="urdf") from None
     except FileNotFound as error:
         raise FileNotFound(
             f"{path.name}: {error.message}", reason=error.reason, field="urdf"
         ) from None
+    if not model.shapes:
+        links = counted(len(model.links), "link")
+        text = f"{path.name}: the robot has no bodies: none of its {links} has a <collision>"
+        if hidden:
+            verb = "has" if hidden == 1 else "have"
+            text += (
+                f"; {counted(hidden, 'link')} {verb} only <visual> elements, which are not read: "
+                "give a URDF file with collision geometry, or copy each <visual> as a <collision>"
+            )
+        warn(NoBodiesWarning(text))
+    return model
 
 
 def disabled(srdf: Any) -> Iterator[tuple[str, str]]:
     """Yields the pairs of link names in an SRDF file's `disable_collisions` elements."""
-    data = _mesh.read_file(srdf, "srdf")
+    data = _files.read("srdf", srdf)
     try:
         root = _root(data, "robot")
     except _Invalid as error:
         raise InvalidArgument(
-            f"{Path(srdf).name}: {error}", reason="NOT_AN_SRDF", field="srdf"
+            f"{Path(os.fspath(srdf)).name}: {error}", reason="NOT_AN_SRDF", field="srdf"
         ) from None
     for element in root.iter("disable_collisions"):
         yield element.get("link1", ""), element.get("link2", "")
@@ -133,7 +146,8 @@ def _root(data: bytes, tag: str) -> Element:
     return root
 
 
-def _model(root: Element, packages: Packages) -> Model:
+def _model(root: Element, packages: Packages) -> tuple[Model, int]:
+    """The robot, and the number of links that have visuals and no collision geometry."""
     name = _attribute(root, "name", "<robot>")
     elements = root.findall("link")
     if not elements:
@@ -151,7 +165,8 @@ def _model(root: Element, packages: Packages) -> Model:
             where = f"link {links[i]!r}, collision {k}"
             label, shape = _shape(collision, where, packages, meshes)
             shapes.append((i, label, shape))
-    return Model(name, links, joints, ordered, first, tuple(shapes))
+    hidden = [e for e in elements if e.find("visual") is not None and e.find("collision") is None]
+    return Model(name, links, joints, ordered, first, tuple(shapes)), len(hidden)
 
 
 def _names(elements: Sequence[Element], kind: str) -> tuple[str, ...]:
@@ -407,8 +422,15 @@ def _cylinder(element: Element, where: str) -> Floats:
     return _primitives.cylinder(radius, _positive(element, "length", 1, where)[0])
 
 
+def _capsule(element: Element, where: str) -> Floats:
+    """The length is that of the cylinder between the two half spheres, as in SDF and Drake."""
+    radius = _positive(element, "radius", 1, where)[0]
+    return _shapes.capsule(radius, _positive(element, "length", 1, where)[0]).vertices
+
+
 _SHAPES: dict[str, Callable[[Element, str], Floats]] = {
     "box": lambda element, where: _primitives.box(_positive(element, "size", 3, where)),
     "cylinder": _cylinder,
+    "capsule": _capsule,
     "sphere": lambda element, where: _primitives.sphere(_positive(element, "radius", 1, where)[0]),
 }

@@ -34,6 +34,10 @@ P = ParamSpec("P")
 __all__ = ["Client", "Session", "connect", "serve"]
 
 
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
 def _awaited(
     method: Callable[Concatenate[Any, P], T],
 ) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
@@ -224,6 +228,16 @@ def _plain_with() -> TypeError:
 
 class _Starting:
     """A server that is being started. It can be awaited, or entered with `async with`."""
+
+    def __getattr__(self, name: str) -> NoReturn:
+        if hasattr(Client, name):
+            raise AttributeError(
+                f"the server is being started, and {name!r} is an attribute of its client: write "
+                "`client = await hullcast.aio.serve()`, or `async with`",
+                name=name,
+                obj=self,
+            )
+        raise AttributeError(f"no attribute {name!r}", name=name, obj=self)
 
     def __init__(self, start: Callable[[], _client.Client]) -> None:
         self._start = start

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _arrays, _serve
-from ._arguments import one_of, seconds
+from ._arguments import counted, one_of, seconds
 from ._arrays import Indices
 from ._client import Client
 from ._errors import InvalidArgument, InvalidPosesWarning, Unavailable, warn
@@ -127,10 +127,10 @@ def _answered(batch: Batch, job: _Job) -> Batch:
     if len(found.invalid_bodies):
         warn(
             InvalidPosesWarning(
-                f"{len(found.invalid_bodies)} of {len(scene)} bodies in "
-                f"{len(np.unique(found.invalid_bodies // bodies))} of {rows} rows have an unusable "
-                f"pose: {np.count_nonzero(found.outcome == 'INVALID')} of {len(found)} pairs are "
-                "INVALID"
+                f"{len(found.invalid_bodies)} of {counted(len(scene), 'body', 'bodies')} in "
+                f"{len(np.unique(found.invalid_bodies // bodies))} of {counted(rows, 'row')} have "
+                f"an unusable pose: {np.count_nonzero(found.outcome == 'INVALID')} of "
+                f"{counted(len(found), 'pair')} are INVALID"
             )
         )
     ends = np.cumsum([len(pairs) for pairs in own])

@@ -27,6 +27,9 @@ const LISTS: [&str; 2] = ["query", "register"];
 pub(super) fn read(contents: &[(&SettingFile, Vec<u8>)], list: &str) -> Result<List, LoadError> {
     let mut tokens = Vec::new();
     for (file, bytes) in contents {
+        if let Some(kind) = other_kind(bytes) {
+            return Err(LoadError::new(file, format!("it is {kind}, expected one token per line")));
+        }
         for (line, number) in bytes.split(|&byte| byte == b'\n').zip(1..) {
             let refused = |why: String| LoadError::new(file, format!("line {number}: {why}"));
             let line = std::str::from_utf8(line).map_err(|error| refused(error.to_string()))?;
@@ -39,6 +42,26 @@ pub(super) fn read(contents: &[(&SettingFile, Vec<u8>)], list: &str) -> Result<L
         }
     }
     Ok(List(tokens))
+}
+
+/// The kind of a file that is clearly no list of tokens. Without this check, each of its lines would be
+/// accepted as a token.
+fn other_kind(bytes: &[u8]) -> Option<&'static str> {
+    const BEGINNINGS: [(&str, &[u8]); 7] = [
+        ("JSON", b"{\""),
+        ("JSON", b"[{"),
+        ("JSON", b"[\""),
+        ("XML", b"<?xml"),
+        ("HTML", b"<!DOCTYPE"),
+        ("HTML", b"<html"),
+        ("a PEM file, of a certificate or key", b"-----BEGIN "),
+    ];
+    let start = bytes.trim_ascii_start();
+    let first_line = start.split(|&byte| byte == b'\n').next().unwrap_or_default().trim_ascii();
+    if [&b"{"[..], b"["].contains(&first_line) {
+        return Some("JSON");
+    }
+    BEGINNINGS.iter().find(|(_, first)| start.starts_with(first)).map(|&(kind, _)| kind)
 }
 
 /// The name, if there is one, and the token of a line, or `None` for a line without a token.
@@ -150,6 +173,27 @@ mod tests {
             assert!(said.contains(what), "{text:?}: {said}");
         }
         assert_eq!(error("# none\n\n"), "query_tokens list: no token in it");
+    }
+
+    /// Catches a file of another kind whose lines are all accepted as tokens, such as `{`.
+    #[test]
+    fn a_file_of_another_kind_is_refused() {
+        for (text, kind) in [
+            ("{\n\"format\": \"hullcast.scene.v1\"\n}\n", "JSON"),
+            ("\n {\"a\": 1}", "JSON"),
+            ("[\r\n\"a\"\r\n]", "JSON"),
+            ("[\"a\"]", "JSON"),
+            ("-----BEGIN CERTIFICATE-----\nAAAA\n", "a PEM file, of a certificate or key"),
+            ("<?xml version=\"1.0\"?>", "XML"),
+            ("<!DOCTYPE html>", "HTML"),
+        ] {
+            let expected = format!("query_tokens list: it is {kind}, expected one token per line");
+            assert_eq!(error(text), expected, "{text:?}");
+        }
+        let file = SettingFile::new("query_tokens", Path::new("list"));
+        for text in ["{a", "[a]", "<a>", "-----", "# {\nabc"] {
+            assert!(read(&[(&file, text.as_bytes().to_vec())], "query").is_ok(), "{text:?}");
+        }
     }
 
     /// Catches two tokens with the same name if one of the names is implied by the line number: two

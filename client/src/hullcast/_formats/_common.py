@@ -39,6 +39,49 @@ def text_of(data: bytes, kind: str) -> str:
     return data.decode("utf-8-sig", errors="replace")
 
 
+#: The beginnings of files of known content, and what to call the content.
+_BEGINNINGS = (
+    (b"version https://git-lfs", "a pointer of Git LFS, not the file itself: run `git lfs pull`"),
+    (b"ply", ".ply"),
+    (b"glTF", "a glTF file"),
+    (b"ISO-10303", "a STEP file"),
+    (b"PK\x03\x04", "a zip archive: unpack it"),
+    (b"\x1f\x8b", "a gzip archive: unpack it"),
+    (b"<!DOCTYPE html", "a page of HTML: a download may have failed"),
+    (b"<html", "a page of HTML: a download may have failed"),
+    (b"<robot", "a URDF file: give it to hullcast.Robot"),
+    (b"<mujoco", "an MJCF file"),
+    (b"<sdf", "an SDF file"),
+)
+
+
+def other_kind(data: bytes, suffix: str) -> str:
+    """What a file that cannot be read is, if its content is not what its suffix says; or ""."""
+    start = data[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
+    found = next((what for first, what in _BEGINNINGS if start.startswith(first)), "")
+    if not found and b"<COLLADA" in start:
+        found = ".dae"
+    if not found and start[:5].lower() == b"solid" and b"\0" not in start:
+        found = ".stl"
+    if not found and b"\0" not in start:
+        lines = [line.split() for line in start.splitlines()]
+        words = [line[0] for line in lines if line and not line[0].startswith(b"#")]
+        # The last word may be cut.
+        if b"v" in words and set(words[:-1]) <= _OBJ_WORDS:
+            found = ".obj"
+    if found in ("", suffix):
+        return ""
+    if found.startswith("."):
+        return f"has the suffix {suffix}, but its content is {_NAMES[found]}: rename it to {found}"
+    return f"is {found}"
+
+
+_NAMES = {".obj": "OBJ", ".ply": "PLY", ".dae": "COLLADA", ".stl": "STL as text"}
+_OBJ_WORDS = {
+    b"v", b"vn", b"vt", b"vp", b"f", b"l", b"p", b"o", b"g", b"s", b"mtllib", b"usemtl",
+}  # fmt: skip
+
+
 def number(word: str, where: str) -> float:
     """Parses a finite number, as the formats write it."""
     try:

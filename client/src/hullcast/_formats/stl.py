@@ -26,6 +26,8 @@ def read(data: bytes) -> tuple[Floats, Indices]:
             "and a text one begins with 'solid'"
         )
     announced = _HEADER + _TRIANGLE * count
+    if len(data) != announced and b"\0" not in data:
+        raise Unreadable("the file is text, but an STL file as text begins with 'solid'")
     if len(data) != announced:
         more = len(data) - announced
         what = f"{more} bytes after its end" if more > 0 else f"lost its last {-more} bytes"

@@ -3,6 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use super::BoxShape;
+use super::error::plain;
 use super::face::Face;
 use super::isolation::{Isolation, isolation};
 use super::mass::mass;
@@ -87,7 +88,8 @@ fn too_many_vertices(count: usize, limit: usize) -> HullError {
 
 fn not_inside(point: DVec3) -> HullError {
     let DVec3 { x, y, z } = point;
-    let detail = format!("({x:e}, {y:e}, {z:e}) is not inside the hull by more than rounding");
+    let [x, y, z] = [x, y, z].map(plain);
+    let detail = format!("({x}, {y}, {z}) is not inside the hull by more than rounding");
     HullError { kind: HullErrorKind::ContractionPointNotInside, index: None, detail }
 }
 

@@ -4,6 +4,7 @@ use std::cmp::Ordering;
 
 use glam::DVec3;
 
+use super::error::plain;
 use super::{BuildError, HullError, HullErrorKind};
 use crate::exact::{exponent_above, power_of_two};
 use crate::sort::{COMPARISON, sort};
@@ -64,7 +65,8 @@ impl Cloud {
         let extent = high - low;
         let size = extent.max_element();
         if !SIZES.contains(&size) {
-            let detail = format!("the largest extent, {size:e}, is outside [1e-50, 1e50]");
+            let size = plain(size);
+            let detail = format!("the largest extent, {size}, is outside [1e-50, 1e50]");
             return Err(HullError { kind: HullErrorKind::SizeOutOfRange, index: None, detail }.into());
         }
         let exponent = exponent_above(size);

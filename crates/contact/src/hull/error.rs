@@ -75,6 +75,12 @@ impl HullErrorKind {
     }
 }
 
+/// A number as messages show it: 2 for 2.0, and with an exponent if it is very small or large.
+pub(super) fn plain(value: f64) -> String {
+    let text = format!("{value:?}");
+    text.strip_suffix(".0").map(str::to_owned).unwrap_or(text)
+}
+
 impl fmt::Display for HullError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}: {}", self.kind.reason(), self.detail)

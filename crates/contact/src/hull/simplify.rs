@@ -33,6 +33,7 @@
 
 use std::{cmp::Ordering, collections::BinaryHeap};
 
+use super::error::plain;
 use super::solid::Solid;
 use super::{BuildError, ConvexHull, HullError, HullErrorKind, HullOptions, build};
 use crate::stop::{Meter, Stopped};
@@ -97,8 +98,9 @@ pub(super) fn simplified(
         deviation = inner.deviation(count, meter)?;
     }
     if !is_enough(deviation) {
+        let deviation = plain(deviation);
         let detail = format!(
-            "with {most} vertices the deviation is {deviation:e}: allow more vertices or a larger deviation"
+            "with {most} vertices the deviation is {deviation}: allow more vertices or a larger deviation"
         );
         return Err(HullError { kind: HullErrorKind::SimplificationNotPossible, index: None, detail }.into());
     }

@@ -1,0 +1,222 @@
+"""Scene files, `hullcast.scene.v1`: JSON that the command line reads too.
+
+`examples/scenes/README.md` describes the format. Unknown keys are ignored.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from typing import Any, NoReturn, cast
+
+import numpy as np
+
+from . import _arguments, _arrays, _files
+from ._arguments import counted, kind, shown
+from ._errors import InvalidArgument
+from ._hulls import DEFAULT_PLANARITY, Content
+from ._scene import Scene
+
+_FORMAT = "hullcast.scene.v1"
+#: The number of configurations that a message names.
+_NAMED = 8
+
+
+def save(scene: Scene, path: Any, pairs: Any, margin: Any, name: Any) -> None:
+    """Writes a scene file; arguments and errors are those of `Scene.save`."""
+    bodies = len(scene)
+    of = f"the scene has {counted(bodies, 'body', 'bodies')}"
+    if pairs is None:
+        pairs = np.zeros((0, 2), "<u4") if scene.pairs is None else scene.pairs
+    else:
+        pairs = _arrays.indices("pairs", pairs, None, 2, below=bodies, of=of)
+    margin = scene.margin or 0.0 if margin is None else _arguments.number("margin", margin, 0)
+    _arguments.instance("name", name, str, "a str")
+    file = _files.writable("path", path)
+    for field in ("positions", "rotations"):
+        wrong = np.flatnonzero(~np.isfinite(getattr(scene, field)).all(axis=1))
+        if wrong.size:
+            raise InvalidArgument(
+                "the pose has a number that is not finite, which JSON cannot express",
+                reason="NOT_FINITE",
+                field=field,
+                index=int(wrong[0]),
+            )
+    # Each hull, body and pair has a line of its own.
+    parts: dict[str, list[Any]] = {
+        "hulls": [_hull(i, content) for i, content in enumerate(scene.contents)],
+        "bodies": [
+            {"hull": hull, "position": position, "rotation": rotation}
+            for hull, position, rotation in zip(
+                scene.body_hulls.tolist(),
+                scene.positions.tolist(),
+                scene.rotations.tolist(),
+                strict=True,
+            )
+        ],
+        "pairs": pairs.tolist(),
+    }
+    head = {"format": _FORMAT, "name": name or os.path.basename(file), "margin": margin}
+    for field in ("worlds", "groups", "ignored_groups"):
+        if getattr(scene, field) is not None:
+            head[field] = getattr(scene, field).tolist()
+    lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in head.items()]
+    for key, rows in parts.items():
+        lines.append(f'"{key}": [\n' + ",\n".join(json.dumps(row) for row in rows) + "\n]")
+    with open(file, "w", encoding="ascii") as out:
+        out.write("{\n" + ",\n".join(lines) + "\n}\n")
+
+
+def _hull(place: int, content: Content | None) -> dict[str, Any]:
+    if content is None:
+        raise InvalidArgument(
+            "the scene has only this hull's id, and the file needs its points: make the scene with "
+            "Hull objects",
+            reason="NO_GEOMETRY",
+            field="hulls",
+            index=place,
+        )
+    if content.max_vertices is not None or content.max_deviation is not None:
+        raise InvalidArgument(
+            "the hull was simplified when it was registered, which a scene file cannot state: "
+            "register the simplified points without max_vertices and max_deviation",
+            reason="SIMPLIFIED",
+            field="hulls",
+            index=place,
+        )
+    hull: dict[str, Any] = {"name": f"hull {place}", "planarity": content.planarity}
+    if content.center is not None:
+        hull["contraction_point"] = content.center.tolist()
+    return {**hull, "vertices": content.points.tolist()}
+
+
+def load(path: Any, frame: Any) -> Scene:
+    """Reads a scene file; arguments and errors are those of `Scene.load`."""
+    data = _files.read("path", path)
+    name = _files.path_of("path", path)
+    try:
+        return _scene(_parsed(data), frame)
+    except _NotAScene as error:
+        text = str(error)
+    except InvalidArgument as error:
+        if error.field == "frame":
+            raise
+        text = f"{error.place}: {error.message}"
+    raise InvalidArgument(f"{name}: {text}", reason="NOT_A_SCENE", field="path")
+
+
+class _NotAScene(Exception):
+    """A fault of the content. The message does not name the file yet."""
+
+
+def _parsed(data: bytes) -> dict[str, Any]:
+    def refuse(constant: str) -> NoReturn:
+        raise ValueError(f"{constant} is not JSON")
+
+    try:
+        found = json.loads(data.decode("utf-8-sig"), parse_constant=refuse)
+    except (ValueError, RecursionError) as error:
+        raise _NotAScene(f"not JSON ({error}); expected a scene file, {_FORMAT}") from None
+    if not isinstance(found, dict):
+        raise _NotAScene(f"expected an object with the key format, got {kind(found)}")
+    file = cast("dict[str, Any]", found)
+    if file.get("format") != _FORMAT:
+        raise _NotAScene(f"format: got {shown(file.get('format'))}, expected {_FORMAT!r}")
+    return file
+
+
+def _scene(file: dict[str, Any], frame: Any) -> Scene:
+    contents = [_content(place, hull) for place, hull in _objects("hulls", file)]
+    bodies = list(_objects("bodies", file))
+    counts = counted(len(contents), "hull")
+    hulls = [
+        _arguments.integer(f"{place}.hull", body.get("hull"), 0, 2**32 - 1)
+        for place, body in bodies
+    ]
+    for (place, _), hull in zip(bodies, hulls, strict=True):
+        if hull >= len(contents):
+            raise _NotAScene(f"{place}.hull: got {hull}, but the scene has {counts}")
+    given = list(_objects("frames", file)) if file.get("frames") else []
+    chosen = _frame(given, frame)
+    if chosen is None:
+        positions = [_finite(f"{at}.position", body.get("position"), 3) for at, body in bodies]
+        rotations = [_finite(f"{at}.rotation", body.get("rotation"), 4) for at, body in bodies]
+    else:
+        place, poses = chosen
+        positions = _finite(f"{place}.positions", poses.get("positions"), len(bodies), 3)
+        rotations = _finite(f"{place}.rotations", poses.get("rotations"), len(bodies), 4)
+    of = f"the scene has {counted(len(bodies), 'body', 'bodies')}"
+    pairs = _arrays.indices("pairs", file.get("pairs"), None, 2, below=len(bodies), of=of)
+    scene = Scene(
+        [content.identity for content in contents],
+        np.reshape(positions, (-1, 3)),
+        np.reshape(rotations, (-1, 4)),
+        body_hulls=hulls,
+        worlds=file.get("worlds"),
+        groups=file.get("groups"),
+        ignored_groups=file.get("ignored_groups"),
+    )
+    known = {content.identity: content for content in contents}
+    scene._set(
+        contents=tuple(known[id] for id in scene.hull_ids),
+        pairs=_arrays.frozen(pairs),
+        margin=_arguments.number("margin", file.get("margin", 0.0), 0),
+    )
+    return scene
+
+
+def _objects(key: str, file: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The objects in a list of the file, each with its place for messages."""
+    found = file.get(key)
+    if not isinstance(found, list):
+        raise _NotAScene(f"{key}: expected a list, got {kind(found)}")
+    for i, entry in enumerate(cast("list[Any]", found)):
+        if not isinstance(entry, dict):
+            raise _NotAScene(f"{key}[{i}]: expected an object, got {kind(entry)}")
+        yield f"{key}[{i}]", cast("dict[str, Any]", entry)
+
+
+def _content(place: str, hull: dict[str, Any]) -> Content:
+    center = hull.get("contraction_point")
+    planarity = hull.get("planarity", DEFAULT_PLANARITY)
+    return Content(
+        points=_arrays.frozen(_finite(f"{place}.vertices", hull.get("vertices"), None, 3)),
+        center=None
+        if center is None
+        else _arrays.frozen(_finite(f"{place}.contraction_point", center, 3)),
+        planarity=None
+        if planarity is None
+        else _arguments.number(f"{place}.planarity", planarity, 0),
+    )
+
+
+def _finite(place: str, value: Any, *shape: int | None) -> _arrays.Floats:
+    array = _arrays.floats(place, value, *shape)
+    if not np.isfinite(array).all():
+        raise _NotAScene(f"{place}: a number is too large for double precision")
+    return array
+
+
+def _frame(
+    given: list[tuple[str, dict[str, Any]]], wanted: Any
+) -> tuple[str, dict[str, Any]] | None:
+    """The configuration with a name or number; None for the poses of the bodies themselves."""
+    if isinstance(wanted, str):
+        for place, frame in given:
+            if frame.get("name") == wanted:
+                return place, frame
+    else:
+        number = _arguments.integer("frame", wanted, 0, 2**31 - 1)
+        if number < len(given):
+            return given[number]
+        if number == 0:
+            return None
+    last = max(len(given) - 1, 0)
+    names = [str(frame["name"]) for _, frame in given if frame.get("name")]
+    allowed = "0" if last == 0 else f"0 to {last}"
+    if names:
+        allowed += f", or a name: {', '.join(names[:_NAMED])}{', ...' * (len(names) > _NAMED)}"
+    raise InvalidArgument(
+        f"got {shown(wanted)}, expected {allowed}", reason="UNKNOWN_FRAME", field="frame"
+    )
