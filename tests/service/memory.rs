@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use bytes::Bytes;
 use hullcast::{
     budget::Part,
     proto::{Output, QueryContactsRequest},
@@ -11,7 +12,7 @@ use hullcast::{
 use tonic::Code;
 
 use crate::support::{
-    Setup, TestServer, invalid, refusal, refused,
+    Setup, TestServer, invalid, raw, refusal, refused,
     scenes::{assert_same, expected, outputs, plain, register_request, round_points, scene},
 };
 
@@ -33,6 +34,26 @@ async fn with_cache(store: &Arc<dyn BlobStore>, cache_bytes: u64) -> TestServer 
     // One thread more than the chunks of the query that is held up below, so that hulls can still
     // be built.
     Setup { store: store.clone(), limits, threads: 3, ..Setup::default() }.start().await
+}
+
+/// Catches a connection that keeps a record of each of 1,000 calls that begin at the same moment, although no
+/// call lasts: HTTP/2's table of streams never shrinks, and 1,000 such connections held 1.6 GiB.
+#[tokio::test(flavor = "multi_thread")]
+async fn calls_that_begin_together_do_not_all_have_records_at_a_time() {
+    let server = TestServer::start().await;
+    let connections = || server.metric(r#"hullcast_memory_bytes{part="connections"}"#);
+    let mut client = raw::connect(&server.address).await;
+    let first = client.send_request(raw::call("/x", &[], raw::Body::Unfinished(Bytes::new()))).await.unwrap();
+    raw::status_in(first).await;
+    let before = connections();
+    let calls: Vec<_> = (0..1000)
+        .map(|_| client.send_request(raw::call("/x", &[], raw::Body::Unfinished(Bytes::new()))))
+        .collect();
+    for answer in futures_util::future::join_all(calls).await {
+        assert_eq!(raw::status_in(answer.unwrap()).await.code(), Code::Unimplemented);
+    }
+    let records = (connections() - before) / f64::from(2 << 10);
+    assert!(records > 0.0 && records < 700.0, "{records} records");
 }
 
 /// One body of every shape, and some pairs.
