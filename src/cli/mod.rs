@@ -8,6 +8,7 @@ mod descriptors;
 pub(crate) mod exit;
 pub(crate) mod help;
 pub(crate) mod load;
+mod log;
 mod memory;
 mod npz;
 mod options;

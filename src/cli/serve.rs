@@ -11,7 +11,6 @@ use std::{
 use hullcast::{
     service::{App, Listener, OpenError as ServiceOpenError, Security, run as serve, serve_admin},
     store::blobs::{self, OpenError},
-    trace,
 };
 use tokio::{
     net::TcpListener,
@@ -19,21 +18,14 @@ use tokio::{
     signal::unix::{SignalKind, signal},
     sync::oneshot,
 };
-use tracing_subscriber::{
-    Layer,
-    filter::{FilterExt, LevelFilter, filter_fn},
-    layer::SubscriberExt,
-    util::SubscriberInitExt,
-};
 
 use crate::allocator;
 
 use super::{
     Error, descriptors,
     exit::Exit,
-    memory, runtime, serve_values,
-    settings::{Checked, DEFAULT_STORE, Given, LogFormat, Settings},
-    traces::Traces,
+    log, memory, runtime,
+    settings::{Checked, DEFAULT_STORE, Given, Settings},
     values::count,
 };
 
@@ -76,17 +68,15 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     let descriptors = descriptors::checked(&settings)?;
     let mut builder = Builder::new_multi_thread();
     let runtime = runtime::start(builder.enable_all().max_blocking_threads(BLOCKING_THREADS))?;
-    let traces = {
+    let observed = {
         let _entered = runtime.enter();
-        observe(&settings)?
+        log::start(&settings)?
     };
     let limits = &mut checked.limits;
     limits.max_connections = descriptors.connections(limits.max_connections);
     memory::compare(limits);
     let result = runtime.block_on(until_stopped(&settings, checked, &args));
-    if let Some(traces) = traces {
-        traces.flush();
-    }
+    observed.flush();
     runtime.shutdown_timeout(RUNTIME_SHUTDOWN);
     result
 }
@@ -252,30 +242,4 @@ fn stdin_closed() -> Result<oneshot::Receiver<()>, Error> {
     let started = std::thread::Builder::new().name("stdin".into()).spawn(read);
     started.map_err(|error| Exit::Failed.error(runtime::refused(&error.to_string())))?;
     Ok(wait)
-}
-
-/// Sends logs to standard error, and traces to a collector if one is configured.
-fn observe(settings: &Settings) -> Result<Option<Traces>, Error> {
-    let named = |why| Exit::Usage.error(format!("log {:?}: {why}", settings.log));
-    let filter = serve_values::filter(&settings.log).map_err(named)?;
-    // Without the hint, the filter would count as one for every level.
-    let of_log = filter_fn(|metadata| metadata.target() != trace::TARGET);
-    let filter = filter.and(of_log.with_max_level_hint(LevelFilter::TRACE));
-    let log = tracing_subscriber::fmt::layer().with_writer(io::stderr);
-    let log = match settings.log_format {
-        LogFormat::Text => log.with_ansi(false).boxed(),
-        LogFormat::Json => log.json().boxed(),
-    };
-    let traces = match settings.otlp_endpoint.as_str() {
-        "" => None,
-        endpoint => Some(Traces::open(endpoint, settings.otlp_share)?),
-    };
-    let subscriber = tracing_subscriber::registry().with(log.with_filter(filter));
-    // A layer that is absent (`None`) must not be added: it has no filter, so every span of every library
-    // would be created and closed for it, several for each message.
-    match &traces {
-        None => subscriber.init(),
-        Some(traces) => subscriber.with(traces.layer()).init(),
-    }
-    Ok(traces)
 }

@@ -151,18 +151,24 @@ pub(crate) fn log_filter(text: &str) -> Result<String, String> {
     filter(text).map(|_| text.into())
 }
 
+/// Silences the libraries that read the bytes of callers.
+const QUIET: &str = "h2=off,hyper=off,hyper_util=off,rustls=off,tokio_rustls=off,tonic=off,tower=off";
+
 /// The filter that a setting of the log stands for.
 ///
-/// A single level applies to hullcast. The libraries below it log at `info` at most, because the
-/// HTTP/2 library logs every frame at `debug` and `trace`. A filter of several parts is used as it is.
+/// A single level applies to hullcast. The libraries below it log at `info` at most. The libraries that read
+/// the bytes of callers ([`QUIET`]) log nothing, because nothing limits their lines: the HTTP/2 library
+/// warns of every unexpected frame. A filter of several parts is used as it is.
 ///
 /// # Errors
 /// It is neither a level nor a filter.
 pub(crate) fn filter(text: &str) -> Result<EnvFilter, String> {
     let allowed = "expected error, warn, info, debug, trace or off, or a filter as in hullcast=debug,h2=info";
     let filter = match level(text) {
-        Some(level) if level > LevelFilter::INFO => EnvFilter::try_new(format!("info,hullcast={level}")),
-        Some(level) => EnvFilter::try_new(level.to_string()),
+        Some(level) if level > LevelFilter::INFO => {
+            EnvFilter::try_new(format!("info,hullcast={level},{QUIET}"))
+        }
+        Some(level) => EnvFilter::try_new(format!("{level},{QUIET}")),
         // A part without a level would count as the name of a module, and everything of that
         // module would be logged. A misspelt level looks like such a name.
         None if !text.contains('[') && text.split(',').any(is_no_directive) => return Err(allowed.into()),
@@ -230,15 +236,18 @@ mod tests {
         }
     }
 
-    /// Catches a misspelt level that is taken for a module's name, so that nothing is logged; and
-    /// levels that let the frames of HTTP/2 through.
+    /// Catches a misspelt level that is taken for a module's name, so that nothing is logged; and levels that
+    /// let lines through of which callers can cause any number.
     #[test]
     fn a_level_is_that_of_hullcast() {
         let parts = |text: &str| filter(text).map(|filter| filter.to_string());
-        assert_eq!(parts("warn"), Ok("warn".into()));
+        assert!(parts("warn").is_ok_and(|filter| filter.contains("warn") && filter.contains("h2=off")));
         for (level, own) in [("debug", "hullcast=debug"), ("TRACE", "hullcast=trace")] {
             let filter = parts(level).expect(level);
-            assert!(filter.contains(own) && filter.contains("info") && filter.len() < 25, "{filter}");
+            assert!(
+                filter.contains(own) && filter.contains("info") && filter.contains("rustls=off"),
+                "{filter}"
+            );
         }
         assert!(parts("debug,h2=debug").is_ok_and(|filter| filter.contains("h2=debug")));
         assert!(parts("hullcast[{id=1}]=debug").is_ok());
