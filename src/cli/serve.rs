@@ -49,8 +49,8 @@ pub(crate) struct Args {
     until_stdin_closes: bool,
 }
 
-/// Threads for blocking work outside the store, which has threads of its own: reading certificates and
-/// tokens again, and looking up names. By default tokio would start up to 512.
+/// Threads for blocking work outside the store, which has threads of its own: looking up names. By default
+/// tokio would start up to 512.
 const BLOCKING_THREADS: usize = 8;
 
 /// The time that this work has to end after serving. The store's threads are not waited for.
@@ -104,6 +104,8 @@ async fn until_stopped(settings: &Settings, checked: Checked, args: &Args) -> Re
             Some(bound.map_err(|error| not_bound("--admin-listen", &named(error)))?)
         }
     };
+    let refused = |error: io::Error| Exit::Failed.error(runtime::refused(&error.to_string()));
+    allocator::return_freed_memory(Handle::current()).map_err(refused)?;
     announce(settings, serving.security.encrypts(), &listeners, admin.as_ref())?;
     if let Some(admin) = admin {
         tokio::spawn(serve_admin(admin, app.clone()));
@@ -115,7 +117,6 @@ async fn until_stopped(settings: &Settings, checked: Checked, args: &Args) -> Re
         "serving"
     );
     spawn_reload_on_hangup(serving.security.clone())?;
-    allocator::return_freed_memory(Handle::current())?;
     Ok(serve(listeners, app, serving, shutdown).await?)
 }
 
@@ -172,8 +173,7 @@ fn spawn_reload_on_hangup(security: Arc<Security>) -> io::Result<()> {
     let mut hangup = signal(SignalKind::hangup())?;
     tokio::spawn(async move {
         while hangup.recv().await.is_some() {
-            let security = security.clone();
-            let _ = tokio::task::spawn_blocking(move || security.reload()).await;
+            security.clone().reload_aside().await;
         }
     });
     Ok(())

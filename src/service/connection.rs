@@ -125,8 +125,13 @@ impl Connections {
 
     /// Serves `io` until the peer leaves. When `closing` becomes true or the connection reaches its age,
     /// the peer is told to close (GOAWAY), and calls in progress have the drain time to finish.
-    pub(super) async fn serve(self: Arc<Self>, io: Connection, closing: Closing, peer: Peer) {
-        let io = match self.encrypted(io, &peer).await {
+    pub(super) async fn serve(self: Arc<Self>, io: Connection, mut closing: Closing, peer: Peer) {
+        let encrypted = tokio::select! {
+            encrypted = self.encrypted(io, &peer) => encrypted,
+            // No call has begun, so nothing has to be drained.
+            () = closing.heard() => return,
+        };
+        let io = match encrypted {
             Ok(io) => io,
             Err(error) => return report_handshake(&error),
         };

@@ -18,8 +18,9 @@
 //!
 //! [`Frames`] also refuses headers that cost h2 more time than they are worth: a frame of headers several
 //! times as long as the longest list of headers, and more than two changes of the size of HPACK's table at the beginning
-//! of a block, which is the most that a peer needs (RFC 7541, section 4.2). The frames' format is that of
-//! RFC 9113, sections 4.1 and 6.
+//! of a block, which is the most that a peer needs (RFC 7541, section 4.2). And it refuses many SETTINGS and
+//! GOAWAY frames, because h2 visits all streams of the connection for each of them. The frames' format is that
+//! of RFC 9113, sections 4.1 and 6.
 
 use std::{collections::VecDeque, io, time::Duration};
 
@@ -33,7 +34,10 @@ const HEAD_BYTES: usize = 9;
 
 const DATA: u8 = 0;
 const HEADERS: u8 = 1;
+const SETTINGS: u8 = 4;
+const GOAWAY: u8 = 7;
 const CONTINUATION: u8 = 9;
+const ACK: u8 = 0x1;
 const PADDED: u8 = 0x8;
 const PRIORITY: u8 = 0x20;
 
@@ -69,6 +73,9 @@ pub(super) struct Frames {
     overhead: u64,
     /// The frames of headers, since the connection began.
     begun: u64,
+    /// The frames for which h2 visits all streams, since the first of them, and its time.
+    visits: f64,
+    first_visit: Option<Instant>,
 }
 
 /// The beginning of a block of headers, which may contain changes of the table's size.
@@ -141,9 +148,24 @@ impl Frames {
                 }
                 length.saturating_sub(FREE_HEADER_BYTES)
             }
-            _ => HEAD_BYTES + length,
+            _ => {
+                if kind == GOAWAY || (kind == SETTINGS && flags & ACK == 0) {
+                    self.visit()?;
+                }
+                HEAD_BYTES + length
+            }
         };
         self.overhead += counted as u64;
+        Ok(())
+    }
+
+    /// Counts a frame for which h2 visits all streams.
+    fn visit(&mut self) -> io::Result<()> {
+        self.visits += 1.0;
+        let age = self.first_visit.get_or_insert_with(Instant::now).elapsed().as_secs_f64();
+        if self.visits > VISITS_AT_ONCE + VISITS_PER_SECOND * age {
+            return Err(refused(format!("more than {VISITS_AT_ONCE} SETTINGS or GOAWAY frames")));
+        }
         Ok(())
     }
 
@@ -276,5 +298,24 @@ mod tests {
             read(&[frame(HEADERS, 0, &[0x82]), frame(CONTINUATION, 4, &vec![0; MOST_HEADER_BYTES + 1])])
                 .is_err()
         );
+    }
+
+    /// Catches SETTINGS and GOAWAY frames without end: with 1,000 open streams, two connections that sent them
+    /// kept both threads busy for seconds. Acknowledgements, and settings that change now and then, are free.
+    #[tokio::test(start_paused = true)]
+    async fn frames_that_visit_all_streams_are_few() {
+        for (kind, flags, is_counted) in [(SETTINGS, 0, true), (GOAWAY, 0, true), (SETTINGS, ACK, false)] {
+            let mut frames = Frames::default();
+            frames.read(&connection(&[])).unwrap();
+            let one = frame(kind, flags, &[0; 8]);
+            let taken = (0..10_000).take_while(|_| frames.read(&one).is_ok()).count();
+            assert_eq!(taken, if is_counted { 64 } else { 10_000 }, "{kind}");
+        }
+        let mut frames = Frames::default();
+        frames.read(&connection(&[])).unwrap();
+        for _ in 0..1000 {
+            frames.read(&frame(SETTINGS, 0, &[0; 6])).expect("one per second");
+            tokio::time::advance(Duration::from_secs(1)).await;
+        }
     }
 }

@@ -216,8 +216,6 @@ async fn probe(app: Arc<App>, reporter: HealthReporter, every: Duration) {
 async fn reload(security: Arc<Security>, every: Duration) {
     loop {
         tokio::time::sleep(every).await;
-        let security = security.clone();
-        // Reading files blocks, so it must not run on the threads that serve.
-        let _ = tokio::task::spawn_blocking(move || security.reload()).await;
+        security.clone().reload_aside().await;
     }
 }

@@ -10,7 +10,7 @@ use crate::{
     raw,
     scenes::{box_points, plain},
     support::{
-        INFO, QUERY, STREAM,
+        CHECK, INFO, QUERY, STREAM,
         arena::Arena,
         http2::{
             CONTINUATION, DATA, END_HEADERS, END_STREAM, HEADERS, PING, Peer, RST_STREAM, SETTINGS, Windows,
@@ -24,6 +24,11 @@ attacks! {
     rapid_reset: "calls that are reset as fast as they are made" => rapid_reset;
     /// Catches a header block that never ends and is kept in memory (CVE-2024-27316).
     continuation: "headers that never end" => continuation;
+    /// Catches a change of the windows of all streams that costs the time of all of them, as often as a peer
+    /// likes: two connections kept both threads busy.
+    all_windows: "SETTINGS that change the windows of 1,000 streams again and again" => all_windows;
+    /// Catches headers whose table takes many times their text, on health checks that take no memory.
+    many_headers: "health checks of 470 short headers each, whose messages never come" => many_headers;
     /// Catches acknowledgements of SETTINGS that accumulate for a peer that does not read them.
     settings: "endless SETTINGS frames whose acknowledgements are not read" => settings;
     /// Catches answers to PING that accumulate for a peer that does not read them.
@@ -73,6 +78,42 @@ async fn rapid_reset(arena: &Arena) {
         }
     })
     .await;
+}
+
+async fn all_windows(arena: &Arena) {
+    arena.begin().await;
+    again_and_again(arena, async |arena| {
+        let mut peer = arena.peer(Windows::OPEN).await?;
+        for _ in 0..arena.size().of(1000) {
+            peer.call(STREAM, &[]).await?;
+        }
+        let window = |bytes: u32| frame(SETTINGS, 0, 0, &[&[0, 4][..], &bytes.to_be_bytes()].concat());
+        let both = [window(0), window(i32::MAX as u32)].concat().repeat(100);
+        loop {
+            peer.send(&both).await?;
+        }
+    })
+    .await;
+}
+
+async fn many_headers(arena: &Arena) {
+    let names: Vec<String> = ('a'..='z')
+        .flat_map(|a| ('a'..='z').map(move |b| format!("{a}{b}")))
+        .filter(|name| name != "te")
+        .collect();
+    let headers: Vec<(&str, &str)> = names.iter().take(430).map(|name| (name.as_str(), "")).collect();
+    arena.begin().await;
+    let mut peers = Vec::new();
+    for _ in 0..arena.size().of(600) {
+        let Ok(mut peer) = arena.peer(Windows::OPEN).await else { continue };
+        for _ in 0..16 {
+            if peer.call(CHECK, &headers).await.is_err() {
+                break;
+            }
+        }
+        peers.push(peer);
+    }
+    arena.bystander_answered(arena.size().of(400)).await;
 }
 
 async fn continuation(arena: &Arena) {

@@ -5,15 +5,17 @@ mod tls;
 mod token_lines;
 mod tokens;
 
-use std::{path::PathBuf, sync::Arc};
+use std::{path::PathBuf, sync::Arc, thread};
 
 use http::HeaderMap;
 pub use reloaded::LoadError;
 use tls::Tls;
 use tokens::{Role, Tokens};
+use tokio::sync::oneshot;
 use tokio_rustls::rustls::ServerConfig;
 
 use super::ServiceError;
+use crate::log_limit::limited;
 
 /// The files with certificates, keys and tokens. An empty path stands for no file.
 #[derive(Clone, Debug, Default)]
@@ -59,6 +61,26 @@ impl Security {
         }
         if let Some(tokens) = &self.tokens {
             tokens.reload();
+        }
+    }
+
+    /// Reads changed files on a thread of its own, because reading blocks. If the system refuses a thread, the
+    /// previous contents stay in force until the next time. (tokio's `spawn_blocking` would panic.)
+    pub async fn reload_aside(self: Arc<Self>) {
+        let (end, ended) = oneshot::channel();
+        let read = move || {
+            self.reload();
+            let _ = end.send(());
+        };
+        match thread::Builder::new().name("reload".into()).spawn(read) {
+            Ok(_) => {
+                let _ = ended.await;
+            }
+            Err(error) => {
+                let said =
+                    "certificates and tokens are not read again now: the system refuses to start a thread";
+                limited!(error, %error, said);
+            }
         }
     }
 

@@ -17,6 +17,7 @@ pub(crate) const REGISTER: &str = "/hullcast.v1.HullService/RegisterHulls";
 pub(crate) const GET: &str = "/hullcast.v1.HullService/GetHulls";
 pub(crate) const HAS: &str = "/hullcast.v1.HullService/HasHulls";
 pub(crate) const INFO: &str = "/hullcast.v1.ServerService/GetServerInfo";
+pub(crate) const CHECK: &str = "/grpc.health.v1.Health/Check";
 pub(crate) const WATCH: &str = "/grpc.health.v1.Health/Watch";
 pub(crate) const REFLECTION: &str = "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo";
 
