@@ -134,16 +134,22 @@ impl Service<Request<Incoming>> for Page {
     }
 }
 
-/// Whether the request names the server by an IP address or as localhost. Otherwise a site
-/// elsewhere whose name resolves to this server would have the same origin, and its pages could
-/// call the server.
+/// Whether the request names the server by an IP address or as localhost, wherever it names the server.
+/// Otherwise a site elsewhere whose name resolves to this server would have the same origin, and its pages
+/// could call the server.
 fn names_no_site<B>(request: &Request<B>) -> bool {
-    let host =
-        request.headers().get(header::HOST).and_then(|host| host.to_str().ok()?.parse::<Authority>().ok());
-    host.is_some_and(|authority| {
-        let host = authority.host().trim_start_matches('[').trim_end_matches(']');
-        host.eq_ignore_ascii_case("localhost") || host.parse::<IpAddr>().is_ok()
-    })
+    let hosts = request.headers().get_all(header::HOST).iter();
+    let mut named = hosts
+        .map(|host| host.to_str().ok()?.parse::<Authority>().ok())
+        .chain(request.uri().authority().cloned().map(Some))
+        .peekable();
+    named.peek().is_some()
+        && named.all(|authority| {
+            authority.is_some_and(|authority| {
+                let host = authority.host().trim_start_matches('[').trim_end_matches(']');
+                host.eq_ignore_ascii_case("localhost") || host.parse::<IpAddr>().is_ok()
+            })
+        })
 }
 
 /// Whether the content type is gRPC-web's, or `None` if it is neither that nor gRPC's. Browsers send other

@@ -184,6 +184,13 @@ async fn pages_of_other_sites_cannot_call() {
         let said = ask(&server, host, &format!("POST {DELETE}"), &web, &delete).await;
         assert_eq!(said.code, 403, "{host}");
         assert_eq!(ask(&server, host, "GET /", "", b"").await.code, 403, "{host}");
+        // A second Host header, or the whole address of the page, names another site too.
+        let second = format!("host: {host}\r\n");
+        assert_eq!(ask(&server, "localhost", "GET /", &second, b"").await.code, 403, "{host}");
+        if !host.is_empty() {
+            let line = format!("GET http://{host}/");
+            assert_eq!(ask(&server, "localhost", &line, "", b"").await.code, 403, "{host}");
+        }
     }
     for (kind, code) in
         [("text/plain", 415), ("application/x-www-form-urlencoded", 415), ("application/grpc", 400)]
