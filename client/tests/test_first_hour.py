@@ -178,6 +178,15 @@ def test_the_argument_at_fault_is_named(client):
         assert shape in str(caught.value) or "float64" in str(caught.value)
 
 
+def test_a_scene_is_no_positions(client):
+    """Catches numpy's view of a scene in the message."""
+    scene = hullcast.Scene(client.register(CUBE), np.zeros((1, 3)), [[0, 0, 0, 1]])
+    with client.session(scene, [[0, 0]]) as session:
+        for call in (session.step, scene.moved):
+            with pytest.raises(hullcast.InvalidArgument, match="got Scene: give its attributes"):
+                call(scene)
+
+
 def test_numbers_in_arrays_of_no_dimensions(client):
     """Catches `np.array(0.01)`, as a reduction or a file gives it, that is refused as no number."""
     one = np.array

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -190,6 +190,13 @@ def poses(
     Raises:
         InvalidArgument: NOT_AN_ARRAY, WRONG_SHAPE, MISSING_ARGUMENT, NOT_A_POSE or NOT_A_ROTATION.
     """
+    if hasattr(positions, "positions") and hasattr(positions, "rotations"):
+        raise InvalidArgument(
+            f"expected positions, got {kind(positions)}: give its attributes positions and "
+            "rotations",
+            reason="NOT_AN_ARRAY",
+            field="positions",
+        )
     positions = as_matrices(positions)
     # If poses and hulls differ in number, the missing `body_hulls` is the likely fault.
     wanted = None if of_hulls else count
@@ -248,9 +255,10 @@ def as_matrices(value: Any) -> Any:
     if _is_transform(value):
         matrices = as_array(value.as_matrix())
         return matrices[None] if matrices.ndim == 2 else matrices
-    if isinstance(value, (list, tuple)) and value and all(_is_transform(pose) for pose in value):  # pyright: ignore[reportUnknownVariableType]
-        return np.concatenate([as_matrices(pose) for pose in value])  # pyright: ignore[reportUnknownVariableType]
-    return value
+    several = cast("list[Any]", value) if isinstance(value, (list, tuple)) else []
+    if several and all(map(_is_transform, several)):
+        return np.concatenate([as_matrices(pose) for pose in several])
+    return cast("Any", value)
 
 
 def _is_transform(value: Any) -> bool:
@@ -262,9 +270,10 @@ def _as_quaternions(value: Any) -> Any:
     """The quaternions (n, 4) of scipy's `Rotation`; other values as they are."""
     if hasattr(value, "as_quat"):
         return np.atleast_2d(as_array(value.as_quat()))
-    if isinstance(value, (list, tuple)) and value and all(hasattr(q, "as_quat") for q in value):  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
-        return np.concatenate([_as_quaternions(q) for q in value])  # pyright: ignore[reportUnknownVariableType]
-    return value
+    several = cast("list[Any]", value) if isinstance(value, (list, tuple)) else []
+    if several and all(hasattr(turn, "as_quat") for turn in several):
+        return np.concatenate([_as_quaternions(turn) for turn in several])
+    return cast("Any", value)
 
 
 def as_array(value: Any) -> npt.NDArray[Any]:

@@ -150,7 +150,12 @@ def check_threshold(threshold: Any) -> None:
     """Raises InvalidArgument if coacd does not accept the threshold."""
     low, high = _THRESHOLDS
     threshold = plain(threshold)
-    if not isinstance(threshold, (int, float, np.number)) or not low <= threshold <= high:
+    no_number = isinstance(threshold, (bool, np.bool_))
+    if (
+        no_number
+        or not isinstance(threshold, (int, float, np.number))
+        or not low <= threshold <= high
+    ):
         raise InvalidArgument(
             f"got {shown(threshold)}, expected a number, {low:g} to {high:g}",
             reason="OUT_OF_RANGE",

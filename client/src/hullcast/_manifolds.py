@@ -322,8 +322,11 @@ class Manifolds(ManifoldColumns):
                 reason="NO_SCENE",
                 field="scene",
             )
-        chosen = None if pairs is None else self._chosen("pairs", np.atleast_1d(pairs))
-        shown = self if chosen is None else self[chosen]
+        shown = self
+        if pairs is not None:
+            chosen: Any = list(pairs) if isinstance(pairs, Iterator) else pairs
+            chosen = chosen if isinstance(chosen, slice) else np.atleast_1d(chosen)
+            shown = self[self._chosen("pairs", chosen)]
         return shown, np.setdiff1d(shown.pairs, self.invalid_bodies), self.scene
 
     def _drawn_points(self) -> _export.Columns:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -47,6 +47,7 @@ class Settled:
 
 def freeze(value: Any) -> None:
     """Makes the arrays among an object's attributes read-only, which pickling and copying undo."""
-    for array in vars(value).values():
+    attributes: dict[str, Any] = vars(value)
+    for array in attributes.values():
         if isinstance(array, np.ndarray):
-            array.flags.writeable = False  # pyright: ignore[reportUnknownMemberType]
+            cast("np.ndarray", array).flags.writeable = False

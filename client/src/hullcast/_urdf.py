@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -110,13 +109,12 @@ def read(urdf: Any, packages: Any) -> Model:
 
 def disabled(srdf: Any) -> Iterator[tuple[str, str]]:
     """Yields the pairs of link names in an SRDF file's `disable_collisions` elements."""
-    data = _files.read("srdf", srdf)
+    path = Path(_files.path_of("srdf", srdf))
+    data = _files.read("srdf", path)
     try:
         root = _root(data, "robot")
     except _Invalid as error:
-        raise InvalidArgument(
-            f"{Path(os.fspath(srdf)).name}: {error}", reason="NOT_AN_SRDF", field="srdf"
-        ) from None
+        raise InvalidArgument(f"{path.name}: {error}", reason="NOT_AN_SRDF", field="srdf") from None
     for element in root.iter("disable_collisions"):
         yield element.get("link1", ""), element.get("link2", "")
 
