@@ -55,6 +55,11 @@ const FREE_HEADER_BYTES: usize = 1 << 10;
 /// The most changes of the size of HPACK's table at the beginning of a block of headers.
 const MOST_RESIZES: u32 = 2;
 
+/// The SETTINGS and GOAWAY frames that a peer may send at once, and per second after that. Clients send one
+/// SETTINGS frame at the beginning; some send another each time that they estimate the network anew.
+const VISITS_AT_ONCE: f64 = 64.0;
+const VISITS_PER_SECOND: f64 = 8.0;
+
 /// Memory is taken in steps of this size.
 const STEP_BYTES: u64 = 64 << 10;
 
