@@ -17,9 +17,21 @@ import matplotlib
 matplotlib.use("agg")
 matplotlib.rcParams["svg.hashsalt"] = "hullcast"
 import matplotlib.pyplot as plt  # noqa: E402
+from matplotlib.patheffects import withStroke  # noqa: E402
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter  # noqa: E402
 
 SETTINGS, FRONT, ADVISED, OTHERS = "#96b4d7", "#c83c28", "#145a32", "#82288c"
+
+#: The distance between names, in pixels.
+GAP = 2
+
+#: The places of a name beside its point, the nearest first: alignment and offset in points.
+PLACES = [
+    (side, x, y + sign * 8 * far)
+    for far in range(12)
+    for sign, y in ((1, 5), (-1, -12))
+    for side, x in (("left", 6), ("right", -6))
+]
 
 
 def draw(axis: Any, panel: dict[str, Any]) -> None:
@@ -46,27 +58,30 @@ def transposed(points: list[list[float]]) -> list[list[float]]:
 
 
 def label(axis: Any, panel: dict[str, Any]) -> None:
-    """Writes each name beside its point, inside the panel, and moves it down until it hides no other."""
+    """Writes each name at the nearest place beside its point that hides no other name or point."""
     frame = axis.get_window_extent()
+    named = [(ADVISED, point) for point in panel["advised"]]
+    named += [(OTHERS, point) for point in panel["others"]]
+    marks = [axis.transData.transform(point["at"]) for _, point in named]
     written: list[Any] = []
-    for colour, points in ((ADVISED, panel["advised"]), (OTHERS, panel["others"])):
-        for point in points:
-            text = axis.annotate(
-                point["name"],
-                point["at"],
-                xytext=(6, 5),
-                textcoords="offset points",
-                color=colour,
-                fontsize=9,
-            )
-            if text.get_window_extent().x1 > frame.x1:
-                text.set_horizontalalignment("right")
-                text.set_position((-6, 5))
-            down = 5
-            while any(text.get_window_extent().overlaps(other) for other in written):
-                down -= 2
-                text.set_position((text.get_position()[0], down))
-            written.append(text.get_window_extent())
+    for colour, point in named:
+        text = axis.annotate(
+            point["name"],
+            point["at"],
+            xytext=(0, 0),
+            textcoords="offset points",
+            color=colour,
+            fontsize=9,
+            # A white outline keeps the name readable on the dots.
+            path_effects=[withStroke(linewidth=2, foreground="white")],
+        )
+        for side, x, y in PLACES:
+            text.set(horizontalalignment=side, position=(x, y))
+            box = text.get_window_extent().padded(GAP)
+            inside = frame.x0 <= box.x0 and box.x1 <= frame.x1 and frame.y0 <= box.y0
+            if inside and not any(map(box.overlaps, written)) and not box.count_contains(marks):
+                break
+        written.append(text.get_window_extent())
 
 
 def main() -> None:
