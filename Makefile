@@ -11,10 +11,12 @@ VENV   := .venv
 PY     := $(VENV)/bin/python
 TARGET := $(abspath $(or $(CARGO_TARGET_DIR),target))
 BIN    := $(TARGET)/release/hullcast
+LAB    := $(TARGET)/release/lab
 CLIENT := $(wildcard client/pyproject.toml)
 
-# The path at which the Python package finds the server.
+# The path at which the Python package finds the server, and that at which its tests find the laboratory.
 export HULLCAST_BIN := $(BIN)
+export HULLCAST_LAB := $(LAB)
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PIP_NO_INPUT := 1
 
@@ -56,6 +58,11 @@ test-extras test-playground test-s3 test-otlp test-deploy test-balancers test-to
 .PHONY: build
 build: check-tools ## builds the server, target/release/hullcast
 	$(CARGO) build --release --locked
+
+# It names the whole workspace, so that cargo does not compile the dependencies again with other features.
+.PHONY: lab
+lab: check-tools ## builds the laboratory, target/release/lab, which measures without a server
+	$(CARGO) build --release --locked --workspace --bin lab
 
 # Separate from `test`, because a user's tests must not fail with another version of rustfmt
 # or clippy. A distribution's cargo may come without these tools.
@@ -102,7 +109,7 @@ test-rust: check-tools ## runs the Rust tests of every crate
 	$(CARGO) test --release --locked --workspace
 
 .PHONY: test-python
-test-python: build $(VENV)/.test ## runs the Python tests against the real server
+test-python: build lab $(VENV)/.test ## runs the Python tests against the real server
 	$(PY) -m pytest client
 
 .PHONY: test-extras
@@ -118,7 +125,7 @@ wheel: check-tools $(VENV)/.test ## builds the Python package with the server in
 test-versions: test-lowest test-latest ## runs the Python tests with the oldest and with the newest allowed packages
 
 .PHONY: test-lowest test-latest
-test-lowest test-latest: test-%: build
+test-lowest test-latest: test-%: build lab
 	$(MAKE) VENV=$(VENV)-$* $(VENV)-$*/.$*
 	$(VENV)-$*/bin/python -m pytest client -o norecursedirs= -k 'not ur5_in_pieces'
 
@@ -149,20 +156,20 @@ tradeoff: tradeoff-families tradeoff-scenes ## plots speed against accuracy for 
 
 tradeoff-families: TRADEOFF =
 tradeoff-scenes: TRADEOFF = examples/scenes/panda.json examples/scenes/pile.json
-tradeoff-families tradeoff-scenes: tradeoff-%: build $(VENV)/.bench
+tradeoff-families tradeoff-scenes: tradeoff-%: lab $(VENV)/.bench
 	mkdir -p out
-	$(BIN) tradeoff $(TRADEOFF) --ask out/$*-pairs.json
+	$(LAB) tradeoff $(TRADEOFF) --ask out/$*-pairs.json
 	cd benches && $(CARGO) run --release --locked --bin peer -- ../out/$*-pairs.json ../out/$*-peers
 	$(PY) client/examples/tradeoff_peers.py out/$*-pairs.json --out out/$*-peers
-	$(BIN) tradeoff $(TRADEOFF) $(TRADEOFF_PEERS:%=--peer out/$*-peers/%.json) --out out/tradeoff-$* | tee out/tradeoff-$*.txt
-	cp out/tradeoff-$*.png docs
+	$(LAB) tradeoff $(TRADEOFF) $(TRADEOFF_PEERS:%=--peer out/$*-peers/%.json) --out out/tradeoff-$* | tee out/tradeoff-$*.txt
+	$(PY) client/examples/tradeoff.py out/tradeoff-$*.json docs/tradeoff-$*.png
 	./scripts/section docs/tradeoff.md $* out/tradeoff-$*.txt
 
 .PHONY: planarity
-planarity: check-tools $(VENV)/.planarity ## measures the patches of rounded shapes for each planarity of faces; writes docs/tradeoff.md and its picture
+planarity: lab $(VENV)/.planarity ## measures the patches of rounded shapes for each planarity of faces; writes docs/tradeoff.md and its picture
 	mkdir -p out
 	$(PY) client/examples/planarity_meshes.py out/meshes.json
-	$(CARGO) run --release --locked --package hullcast-contact --example planarity -- out/planarity.csv 1000 out/meshes.json | tee out/planarity.txt
+	$(LAB) planarity out/meshes.json --out out/planarity.csv | tee out/planarity.txt
 	./scripts/section docs/tradeoff.md planarity out/planarity.txt
 	cp out/planarity.csv docs
 	$(PY) client/examples/planarity.py docs/planarity.csv docs/planarity.svg

@@ -24,8 +24,6 @@ enum Command {
     Serve(Box<cli::serve::Args>),
     /// Computes the contacts of a scene file, in this process or on a server.
     Query(Box<cli::query::Args>),
-    /// Measures the time and the errors of every setting.
-    Tradeoff(cli::tradeoff::Args),
     /// Sends batches in a closed or an open loop, times them and checks a sample of the answers.
     Load(Box<cli::load::Args>),
     /// Removes old hulls from a store.
@@ -42,7 +40,6 @@ fn main() -> ExitCode {
     let result = match arguments.command {
         Command::Serve(args) => cli::serve::run(*args),
         Command::Query(args) => cli::query::run(&args),
-        Command::Tradeoff(args) => cli::tradeoff::run(&args),
         Command::Load(args) => cli::load::run(&args),
         Command::Prune(args) => cli::prune::run(&args),
         Command::Completions(args) => cli::completions::run(&args, command),

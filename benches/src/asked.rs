@@ -1,4 +1,4 @@
-//! The files that `hullcast tradeoff` exchanges with other libraries: the pairs it asks about, and
+//! The files that `lab tradeoff` exchanges with other libraries: the pairs it asks about, and
 //! the answers.
 
 use serde::{Deserialize, Serialize};

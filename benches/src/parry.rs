@@ -6,7 +6,7 @@
 /// The number of pairs that a pass answered with points.
 type Touching = usize;
 
-/// The time of an answer is that of the fastest of this many calls, as in `hullcast tradeoff`.
+/// The time of an answer is that of the fastest of this many calls, as in `lab tradeoff`.
 const ROUNDS: usize = 3;
 
 macro_rules! peer {

@@ -1,8 +1,8 @@
-"""Runs coal and MuJoCo on the pairs of `hullcast tradeoff --ask`, which then judges their results.
+"""Runs coal and MuJoCo on the pairs of `lab tradeoff --ask`, which then judges their results.
 
-    hullcast tradeoff --ask pairs.json
+    lab tradeoff --ask pairs.json
     python client/examples/tradeoff_peers.py pairs.json --out peers
-    hullcast tradeoff --peer peers/coal.json --peer peers/mujoco.json
+    lab tradeoff --peer peers/coal.json --peer peers/mujoco.json
 
 Each peer runs in this process on one thread, with hulls and poses prepared. coal uses `collide` and
 `computeContactPatch`. MuJoCo uses `mj_collision` on a model that has only the two hulls; its meshes
@@ -27,7 +27,7 @@ import numpy.typing as npt
 from peers import coal_shapes
 from scipy.spatial.transform import Rotation
 
-#: The number of calls per pair, as in `hullcast tradeoff`.
+#: The number of calls per pair, as in `lab tradeoff`.
 ROUNDS = 3
 
 Floats = npt.NDArray[np.float64]
@@ -182,7 +182,7 @@ def answers(make: Maker, cell: dict[str, Any]) -> list[dict[str, Any]]:
 def main() -> None:
     """Runs the peers and writes their results."""
     parser = argparse.ArgumentParser(description="coal and MuJoCo on the pairs of a tradeoff")
-    parser.add_argument("pairs", type=Path, help="what `hullcast tradeoff --ask` wrote")
+    parser.add_argument("pairs", type=Path, help="what `lab tradeoff --ask` wrote")
     parser.add_argument("--out", type=Path, default=Path("."), help="folder of the answers")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)

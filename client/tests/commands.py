@@ -7,6 +7,7 @@ These are targets of make, flags, subcommands, files, extras, features, packages
 from __future__ import annotations
 
 import itertools
+import os
 import re
 import shlex
 import subprocess
@@ -89,13 +90,24 @@ def _help(*command: str) -> str:
     return done.stdout
 
 
-def help_of(*command: str) -> str:
-    """The help text of a command. The word `hullcast` stands for the binary of the tests."""
-    return _help(*(str(find_binary()) if word == "hullcast" else word for word in command))
+def lab_binary() -> str:
+    """The path of the laboratory's program, which `make` builds before it runs the tests."""
+    path = Path(os.environ.get("HULLCAST_LAB") or ROOT / "target/release/lab")
+    assert path.is_file(), f"there is no {path}: `make lab` builds it, HULLCAST_LAB names another"
+    return str(path)
 
 
-def _hullcast(words: list[str], comment: str) -> None:
-    binary = str(find_binary())
+#: The programs of the repository, and functions that find them.
+OWN = {"hullcast": find_binary, "lab": lab_binary}
+
+
+def help_of(program: str, *command: str) -> str:
+    """The help text of a command."""
+    return _help(OWN[program]() if program in OWN else program, *command)
+
+
+def _own(words: list[str], comment: str) -> None:
+    binary = OWN[program_of(words[0])]()
     subcommand = [word for word in words[1:2] if not word.startswith("-")]
     text = _help(binary, *subcommand)
     for flag in _FLAG.findall(" ".join([*words[1:], comment])):
@@ -254,7 +266,8 @@ def _other(_words: list[str], _comment: str) -> None:
 
 CHECKS = {
     "make": _make,
-    "hullcast": _hullcast,
+    "hullcast": _own,
+    "lab": _own,
     "pip": _pip,
     "cargo": _cargo,
     "python": _python,

@@ -29,6 +29,7 @@ PROGRAMS = {
     "make": "each target is minutes of work of its own; `.ci/run` runs test, test-languages and lint",
     "pip": "test_wheel.py and test_pages_of_extras.py install so into empty environments",
     "cargo": "compiles for minutes",
+    "lab": "measures for minutes: `make tradeoff` and `make planarity`",
     "python": "measures for minutes, or writes files of the repository",
     "scripts/": "measures for minutes, or writes files of the repository",
     "apt-get": "changes the machine; scripts/check-tools and scripts/test-languages name the same packages",
@@ -42,7 +43,6 @@ PROGRAMS = {
 
 #: Commands of hullcast that are only checked: a text in the command, and the reason.
 COMMANDS = {
-    "hullcast tradeoff": "measures for minutes: `make tradeoff`",
     "serve --playground": "needs a build with the feature playground: `make test-playground` starts it so",
 }
 

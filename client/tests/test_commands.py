@@ -53,6 +53,10 @@ def is_inline_command(code: str) -> bool:
         "make test NOSUCH=1",
         "hullcast sieve",
         "hullcast serve --no-such-flag",
+        "hullcast tradeoff",
+        "lab sieve",
+        "lab tradeoff --no-such-flag",
+        "lab tradeoff examples/scenes/none.json",
         "hullcast query examples/scenes/none.json",
         "hullcast query examples/scenes/panda.json # --no-such-flag",
         "pip install hullcast",
@@ -118,8 +122,9 @@ def test_every_python_name_in_the_text_is_one():
 
 def test_every_flag_in_the_text_is_one():
     """Checks flags that stand without their command against all commands that have flags."""
-    own = ("serve", "query", "load", "tradeoff", "prune")
+    own = ("serve", "query", "load", "prune")
     known = "\n".join(commands.help_of("hullcast", name) for name in own)
+    known += "\n".join(commands.help_of("lab", name) for name in ("tradeoff", "planarity"))
     known += commands.help_of("cargo", "build")
     sources = ("scripts/", "client/examples/", "client/tests/conftest.py")
     files = [ROOT / name for name in listed() if name.startswith(sources)]

@@ -9,9 +9,9 @@ import textwrap
 from pathlib import Path
 
 import pytest
+from commands import lab_binary
 
 import hullcast
-from hullcast._serve import find_binary
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -39,11 +39,12 @@ def test_examples_run(script, expected):
 
 
 def test_others_answer_the_pairs_of_a_tradeoff(tmp_path):
-    """Catches files that `hullcast tradeoff` and the peers' program read differently.
+    """Catches files that `lab tradeoff` and the programs in Python read differently.
 
-    The installed peers answer the requested pairs, and `hullcast tradeoff` judges their answers.
+    The installed peers answer the requested pairs, `lab tradeoff` judges their answers, and its
+    chart is drawn.
     """
-    binary = find_binary()
+    binary = lab_binary()
     script = ROOT / "client/examples/tradeoff_peers.py"
     asked, pairs = tmp_path / "pairs.json", ["--pairs", "1"]
 
@@ -62,6 +63,14 @@ def test_others_answer_the_pairs_of_a_tradeoff(tmp_path):
     lines = [line for line in table.splitlines() if line.startswith(("coal ", "MuJoCo "))]
     assert len(lines) == 2 * len(present), "one line for all pairs and one for the deep pairs"
     assert (tmp_path / "all.csv").read_text().count("MuJoCo") == 14 * ("MuJoCo" in table)
+
+    pytest.importorskip("matplotlib")
+    plot = ROOT / "client/examples/tradeoff.py"
+    run(sys.executable, plot, tmp_path / "all.json", tmp_path / "all.svg")
+    drawn = (tmp_path / "all.svg").read_text()
+    assert drawn.rstrip().endswith("</svg>")
+    for title in ("normal short of optimal, p95", "time over the default's"):
+        assert f"<!-- {title} -->" in drawn, title
 
 
 def python(program: str) -> str:

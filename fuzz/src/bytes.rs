@@ -1,13 +1,14 @@
 //! Numbers from a fuzzer's bytes that are near the limits of geometry: a small grid, values off it
 //! by some ulps, powers of two, and arbitrary bits.
 
+use hullcast_contact::workload::Random;
 use libfuzzer_sys::arbitrary::{Result, Unstructured};
 
 /// Reads a fuzzer's bytes. After the last one it continues with pseudo-random bytes seeded by all
 /// of them, so that a short input makes as rich a scene as a long one.
 pub(crate) struct Bytes<'a> {
     rest: &'a [u8],
-    seed: u64,
+    random: Random,
 }
 
 impl<'a> Bytes<'a> {
@@ -15,7 +16,8 @@ impl<'a> Bytes<'a> {
         let rest = u.bytes(u.len())?;
         // The seed is the FNV-1a hash of the bytes.
         let add = |hash: u64, &byte: &u8| (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3);
-        Ok(Self { rest, seed: rest.iter().fold(0xcbf2_9ce4_8422_2325, add) })
+        let seed = rest.iter().fold(0xcbf2_9ce4_8422_2325, add);
+        Ok(Self { rest, random: Random::new(seed) })
     }
 
     pub(crate) fn byte(&mut self) -> u8 {
@@ -23,12 +25,7 @@ impl<'a> Bytes<'a> {
             self.rest = rest;
             return first;
         }
-        // SplitMix64 (Steele, Lea and Flood, 2014).
-        self.seed = self.seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.seed;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (z ^ (z >> 31)) as u8
+        self.random.bits() as u8
     }
 
     pub(crate) fn below(&mut self, limit: u8) -> u8 {

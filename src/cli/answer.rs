@@ -19,7 +19,7 @@ use super::exit::Exit;
 use super::options::Asked;
 use super::progress::Progress;
 use super::remote::{Connection, RemoteArgs, root_cause};
-use super::scene::{Frame, HullPoints, Scene};
+use super::scene::{Frame, HullPoints, SceneFile};
 use super::values::counted;
 use hullcast::budget::{Caller, Part, Permit};
 use hullcast::compute::{Compute, Job};
@@ -322,7 +322,7 @@ fn described(status: &Status) -> String {
 
 /// The request for a frame of a scene. `ids` are the ids of the scene's hulls.
 pub(crate) fn request(
-    scene: &Scene,
+    scene: &SceneFile,
     frame: &Frame,
     ids: &[HullId],
     asked: &Asked,

@@ -28,7 +28,6 @@ pub(crate) mod settings;
 mod table;
 #[cfg_attr(not(feature = "otlp"), path = "no_traces.rs")]
 mod traces;
-pub(crate) mod tradeoff;
 mod trust;
 mod values;
 

@@ -10,7 +10,7 @@ use super::options::{AccuracyArgs, OutputArg};
 use super::progress::Progress;
 use super::remote::RemoteArgs;
 use super::report::Answered;
-use super::scene::{Scene, unusable_poses};
+use super::scene::{SceneFile, frame_named, unusable_poses};
 use super::settings::MOST_THREADS;
 use super::values::{count, counted, margin};
 use hullcast::proto;
@@ -73,9 +73,9 @@ pub(crate) fn run(args: &Args) -> Result<(), Error> {
 }
 
 async fn answered(args: &Args) -> Result<(), Error> {
-    let scene = Scene::read("", &args.scene)?;
+    let scene = SceneFile::read("", &args.scene)?;
     let frame = match &args.frame {
-        Some(wanted) => scene.frame(wanted).map_err(|text| Exit::Usage.error(text))?,
+        Some(wanted) => frame_named(&scene, wanted).map_err(|text| Exit::Usage.error(text))?,
         None => &scene.frames[0],
     };
     let (answerer, ids) = match &args.remote.remote {

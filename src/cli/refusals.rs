@@ -119,16 +119,13 @@ const OF_PRUNE: [Case; 1] = [(
     &["d", "30", "1.5h", "30 d", "1w", "99999999999999999999d", "9999999999999999999d", "1d1h"],
     "expected a whole number of at least 0 and its unit, s, m, h or d, as in 30d",
 )];
-const OF_TRADEOFF: [Case; 1] =
-    [("pairs", &["0", "4294967296"], "expected a whole number from 1 to 4294967295")];
 const OF_REMOTE: [Case; 1] =
     [("remote", &NO_SERVERS, "expected host, host:port, unix:PATH, http://host:port or")];
 
 /// Options whose values are names, files and folders: tests/cli.rs runs the binary with wrong ones.
-const NAMES_AND_FILES: [(&str, &[&str]); 5] = [
+const NAMES_AND_FILES: [(&str, &[&str]); 4] = [
     ("serve", &["config", "tls-certificate", "tls-key", "tls-client-ca", "query-tokens", "register-tokens"]),
     ("query", &["frame", "out", "tls-ca", "tls-certificate", "tls-key", "token-file"]),
-    ("tradeoff", &["out", "ask", "peer"]),
     ("load", &["scene", "csv", "plot", "tls-ca", "tls-certificate", "tls-key", "token-file"]),
     ("prune", &["store"]),
 ];
@@ -148,7 +145,6 @@ fn cases(subcommand: &str) -> Vec<Case> {
         "load" => [&OF_ANY_QUERY[..], &OF_LOAD, &RANGES, &OF_REMOTE].concat(),
         "serve" => OF_SERVE.to_vec(),
         "prune" => OF_PRUNE.to_vec(),
-        "tradeoff" => OF_TRADEOFF.to_vec(),
         other => panic!("{other} has no cases"),
     }
 }

@@ -4,14 +4,14 @@ use std::io::{self, Write};
 
 use serde::Serialize;
 
-use super::scene::{Frame, Scene};
+use super::scene::{Frame, SceneFile};
 use hullcast::proto::{self, Flag, Outcome};
 
 /// A frame of a scene and its answer.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Answered<'a> {
     /// The scene of the query.
-    pub(crate) scene: &'a Scene,
+    pub(crate) scene: &'a SceneFile,
     /// The configuration of the query.
     pub(crate) frame: &'a Frame,
     /// The answer. Columns that were not requested are empty.

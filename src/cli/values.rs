@@ -5,6 +5,8 @@
 use std::fmt::Display;
 use std::str::FromStr;
 
+pub(crate) use hullcast_batch::counted;
+
 /// A parser of finite numbers from `least` to `most`.
 pub(crate) fn number(least: f64, most: f64) -> impl Fn(&str) -> Result<f64, String> + Clone {
     move |text| {
@@ -38,17 +40,6 @@ pub(crate) fn margin(text: &str) -> Result<f64, String> {
     value.filter(|value| *value >= 0.0).ok_or_else(|| "expected a number of at least 0, or inf".into())
 }
 
-/// A count with its noun, given in the singular: `1 pair`, `2 pairs`, `2 batches`, `2 bodies`.
-pub(crate) fn counted(count: impl Display, noun: &str) -> String {
-    let count = count.to_string();
-    match noun.strip_suffix('y') {
-        _ if count == "1" => format!("{count} {noun}"),
-        Some(stem) => format!("{count} {stem}ies"),
-        None if noun.ends_with("ch") => format!("{count} {noun}es"),
-        None => format!("{count} {noun}s"),
-    }
-}
-
 /// The end of a message that suggests the word of `known` that a misspelt `name` may mean; empty if no
 /// word is similar.
 pub(crate) fn did_you_mean<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> String {
@@ -75,14 +66,5 @@ mod tests {
         assert_eq!(did_you_mean("max-connections", known), "; did you mean `max_connections`?");
         assert_eq!(did_you_mean("quaternion", known), "");
         assert_eq!(did_you_mean("listn", []), "");
-    }
-
-    /// Catches "1 pairs" and "0 pair".
-    #[test]
-    fn one_is_singular() {
-        let counts: Vec<String> = (0..3).map(|count| counted(count, "pair")).collect();
-        assert_eq!(counts, ["0 pairs", "1 pair", "2 pairs"]);
-        assert_eq!((counted(1, "body"), counted(2, "body")), ("1 body".into(), "2 bodies".into()));
-        assert_eq!((counted(1, "batch"), counted(2, "batch")), ("1 batch".into(), "2 batches".into()));
     }
 }

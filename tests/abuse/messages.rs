@@ -98,7 +98,7 @@ pub(crate) fn globe(rings: usize, around: usize) -> HullDefinition {
 /// A lattice on the surface of a cube, with each point moved by less than the rounding error of its
 /// coordinates. Most decisions need exact arithmetic.
 pub(crate) fn lattice(side: usize) -> HullDefinition {
-    let mut random = crate::scenes::Random(5);
+    let mut random = crate::scenes::Random::new(5);
     let mut points = Vec::new();
     for x in 0..side {
         for y in 0..side {

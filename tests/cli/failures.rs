@@ -56,7 +56,6 @@ fn wrong_scenes_are_refused_by_option_and_value() -> Outcome {
     // The scene of a query, and of the other commands.
     refused(&["query", &page], 3, &[&page, "not JSON (", "expected a scene file, hullcast.scene.v1"])?;
     refused(&["query", &absent], 3, &[&absent, "cannot be read: No such file"])?;
-    refused(&["tradeoff", &page], 3, &[&page, "not JSON ("])?;
     refused(&["load", "--scene", &page], 3, &["--scene", &page, "not JSON ("])?;
     refused(&["load", "--scene", &absent], 3, &["--scene", &absent, "cannot be read"])?;
     for (frame, hint) in
@@ -107,11 +106,10 @@ fn wrong_files_of_callers_are_refused_by_option_and_value() -> Outcome {
     Ok(())
 }
 
-/// Catches results that cannot be written, and answers of other libraries that cannot be read, if the
-/// message does not name the option.
+/// Catches results that cannot be written, if the message does not name the option.
 #[test]
 fn wrong_files_of_results_are_refused_by_option_and_value() -> Outcome {
-    let Faulty { page, absent, nowhere, .. } = Faulty::write(&scratch("files-results")?)?;
+    let Faulty { nowhere, .. } = Faulty::write(&scratch("files-results")?)?;
     let few = ["--count", "1", "--pairs", "1"];
     // Files for results.
     for option in ["--csv", "--plot"] {
@@ -120,9 +118,6 @@ fn wrong_files_of_results_are_refused_by_option_and_value() -> Outcome {
         assert!(said.contains(option) && said.contains(&nowhere), "{said}");
         assert_eq!(output.status.code(), Some(1));
     }
-    refused(&["tradeoff", "--pairs", "1", "--ask", &nowhere], 1, &["--ask", &nowhere, "No such file"])?;
-    refused(&["tradeoff", "--pairs", "1", "--peer", &absent], 3, &["--peer", &absent, "cannot be read"])?;
-    refused(&["tradeoff", "--pairs", "1", "--peer", &page], 3, &["--peer", &page, "as JSON"])?;
     Ok(())
 }
 

@@ -88,7 +88,7 @@ async fn killed_in_the_middle_nothing_acknowledged_is_lost() {
     let rounds: u64 = std::env::var("HULLCAST_ROUNDS").map_or(1000, |rounds| rounds.parse().unwrap());
     let directory = tempfile::tempdir().unwrap();
     let (mut acknowledged, mut unanswered, mut seed) = (Vec::new(), 0, 0);
-    let mut random = Random(7);
+    let mut random = Random::new(7);
     for round in 0..rounds {
         let mut server = Process::plain(directory.path());
         let mut hulls = server.hulls().await;
@@ -193,7 +193,7 @@ async fn torn_blobs_are_set_aside_and_registered_again() {
     first.hulls().await.register_hulls(register_request(&shapes)).await.unwrap();
     drop(first);
     let mut kinds = BTreeMap::new();
-    let mut random = Random(3);
+    let mut random = Random::new(3);
     for (i, shape) in shapes.iter().enumerate() {
         let path = blob(store.path(), shape);
         let mut bytes = std::fs::read(&path).unwrap();

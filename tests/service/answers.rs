@@ -135,7 +135,7 @@ async fn warm_starts_are_the_librarys_and_malformed_ones_cost_nothing_else() {
     assert_same(&answer, &expected(&warm, &shapes()));
     assert!(first.bases.iter().any(|&vertex| vertex != u32::MAX), "no pair has a basis to start from");
 
-    let mut random = Random(3);
+    let mut random = Random::new(3);
     let useless = [5, 59, 60, 1000, u32::MAX - 1, u32::MAX];
     let warm_starts = first.bases.iter().map(|_| useless[random.below(useless.len())]).collect();
     let odd = QueryContactsRequest { warm_starts, ..cold };

@@ -114,7 +114,7 @@ fn grid(side: usize, step: f64, origin: [f64; 3]) -> Vec<[f64; 3]> {
 fn crowds(shapes: &[HullDefinition]) -> Vec<QueryContactsRequest> {
     let mut scenes = Vec::new();
     for seed in 0..12 {
-        let mut random = Random(100 + seed);
+        let mut random = Random::new(100 + seed);
         let bodies = 150;
         let mut request = scene(shapes, bodies, 0, seed);
         let spread = [1.0, 3.0, 6.0][seed as usize % 3];
@@ -172,7 +172,7 @@ fn degenerate(shapes: &[HullDefinition]) -> Vec<(QueryContactsRequest, Option<us
     let request = QueryContactsRequest { margin: 5e-324, ..at(shapes, &grid(3, 1.0, [0.0; 3])) };
     scenes.push((request, Some(neighbours(3))));
     // Pebbles of three shapes on a plate that is a million times as large.
-    let mut random = Random(7);
+    let mut random = Random::new(7);
     let mut positions = vec![[0.0; 3]];
     positions.extend((0..120).map(|_| [4e5 * random.signed(), 4e5 * random.signed(), 0.5 + random.signed()]));
     let mut request = at(shapes, &positions);

@@ -38,7 +38,7 @@ async fn spoilt_messages_are_refused_or_answered() {
     let (shapes, query) = two_boxes();
     server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
     let seeds = [query.encode_to_vec(), register_request(&shapes).encode_to_vec(), query.hull_ids[0].clone()];
-    let mut random = Random(1);
+    let mut random = Random::new(1);
     let mut next = move |below: usize| random.below(below.max(1));
     let mut client = raw::connect(&server.address).await;
     let mut codes = BTreeMap::new();

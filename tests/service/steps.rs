@@ -87,7 +87,7 @@ async fn a_step_is_the_request_in_full_from_the_bases_before() {
         (&ALL, accuracies[2], 200),
     ] {
         let mut stream = Stepper::open(server.contacts()).await;
-        let mut random = Random(5);
+        let mut random = Random::new(5);
         let mut full = QueryContactsRequest { accuracy, ..scene(&shapes(), 30, pairs, pairs as u64) };
         full.outputs = outputs(mask);
         for step in 0..6 {

@@ -1,5 +1,4 @@
-//! Lets parry3d answer the pairs of `hullcast tradeoff --ask`, so that `hullcast tradeoff` can judge
-//! the answers.
+//! Lets parry3d answer the pairs of `lab tradeoff --ask`, so that `lab tradeoff` can judge the answers.
 //!
 //! `cargo run --release --bin peer -- PAIRS FOLDER` writes FOLDER/parry3d.json and
 //! FOLDER/parry3d-f64.json. The time of a pair is that of the fastest of three calls without a warm

@@ -57,7 +57,7 @@ class Accuracy:
     max_points: int = 0
 
     #: The default: brackets as narrow as rounding allows, and all contact points. This preset and
-    #: the other one were chosen by measurements of `hullcast tradeoff` (docs/tradeoff.md). No
+    #: the other one were chosen by measurements of `make tradeoff` (docs/tradeoff.md). No
     #: coarser tolerance is faster, and brackets are at most 1.4e-13 of alpha wide.
     EXACT: ClassVar[Accuracy]
     #: As EXACT, but with at most four points per pair, so that there are fewer points to send and

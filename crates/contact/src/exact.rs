@@ -237,15 +237,12 @@ fn is_safe(x: f64) -> bool {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use crate::workload::Random;
 
-    /// A small random generator (xorshift) that gives the same numbers on every machine.
-    pub(super) fn stream(mut state: u64) -> impl FnMut() -> f64 {
-        move || {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-        }
+    /// Random numbers in [-1, 1).
+    pub(super) fn stream(seed: u64) -> impl FnMut() -> f64 {
+        let mut random = Random::new(seed);
+        move || random.within(-1.0, 1.0)
     }
 
     fn vector(next: &mut impl FnMut() -> f64) -> DVec3 {

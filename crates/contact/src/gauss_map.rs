@@ -327,6 +327,7 @@ fn arc_holds(hull: &ConvexHull, edge: u32, along: DVec3, n: DVec3) -> bool {
 mod tests {
     use super::*;
     use crate::HullOptions;
+    use crate::workload::Random;
 
     /// Tries directions on and around the faces, edges and vertices of hulls with flat and fine parts.
     /// Catches a feature that counts as standing apart although the whole search finds another one.
@@ -355,11 +356,8 @@ mod tests {
                 .chain(ring(9, 0.003, 0.5077))
                 .collect(),
         ];
-        let (mut lone, mut other, mut state) = ([0; 3], 0, 1_u64);
-        let mut random = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-        };
+        let (mut lone, mut other, mut generator) = ([0; 3], 0, Random::new(1));
+        let mut random = || generator.within(-1.0, 1.0);
         let mut scratch = Scratch::default();
         // With a coarse merge tolerance, faces do not lie where their triangles are.
         let planarities = [None, Some(1e-3), Some(0.01)];

@@ -38,7 +38,7 @@ pub struct Accuracy {
     pub max_iterations: u32,
 }
 
-/// Settings chosen from the measurements of `hullcast tradeoff` (docs/tradeoff.md).
+/// Settings chosen from the measurements of `make tradeoff` (docs/tradeoff.md).
 impl Accuracy {
     /// Solves to rounding level and keeps the whole patch. No coarser tolerance measured faster.
     /// Measured: brackets at most 1.4e-13 of alpha wide.

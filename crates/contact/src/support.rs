@@ -87,22 +87,19 @@ fn scalar(columns: &Columns, n: DVec3) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::workload::Random;
 
     /// Catches a version that breaks ties in another way, fuses operations or reads past the end.
     /// Integer coordinates make ties frequent.
     #[test]
     fn every_version_gives_the_same_vertex() {
-        let mut state = 1_u64;
-        let mut next = |limit: u64| {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (state >> 33) % limit
-        };
+        let mut random = Random::new(1);
         let mut compared = 0;
         let mut before = Columns::new(&[DVec3::X]);
         for count in 1..70 {
             for round in 0..50 {
                 let fine = if round % 2 == 0 { 1.0 } else { 0.1 };
-                let mut vector = || DVec3::from_array([0; 3].map(|_| fine * (next(7) as f64 - 3.0)));
+                let mut vector = || DVec3::from_array([0; 3].map(|_| fine * (random.below(7) as f64 - 3.0)));
                 let vertices: Vec<DVec3> = (0..count).map(|_| vector()).collect();
                 let (columns, n) = (Columns::new(&vertices), vector());
                 let expected = scalar(&columns, n);

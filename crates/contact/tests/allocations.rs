@@ -12,7 +12,7 @@ use scene::{IDENTITY, Random, at, box_hull, cloud, hull, prism_points, scaled};
 /// and separation were all exercised.
 #[test]
 fn pairs_allocate_nothing_once_the_buffers_have_grown() {
-    let random = &mut Random(12);
+    let random = &mut Random::new(12);
     let shapes: Vec<ConvexHull> = vec![
         box_hull([0.5, 0.7, 0.3]),
         hull(&prism_points(24, 0.6, 0.4)),

@@ -151,7 +151,7 @@ fn shapes(random: &mut Random) -> Vec<ConvexHull> {
 /// a solver that stops early, a bound of the wrong sign, and a warm start that changes the answer.
 #[test]
 fn every_answer_carries_its_certificate() {
-    let random = &mut Random(7);
+    let random = &mut Random::new(7);
     let shapes = shapes(random);
     let mut covered = Coverage { pairs: 0, kinds: [[0; 3]; 3], estimated: 0, contacts: 0, separated: 0 };
     let mut workspace = Workspace::default();
@@ -263,7 +263,7 @@ fn reduction_keeps_the_deepest_and_the_largest() {
 /// answer. Catches an early exit that decides wrongly.
 #[test]
 fn stopping_early_is_still_right() {
-    let random = &mut Random(99);
+    let random = &mut Random::new(99);
     let shapes = shapes(random);
     let (mut decided_early, mut open) = (0, 0);
     for _ in 0..5000 {
@@ -303,7 +303,7 @@ fn stopping_early_is_still_right() {
 /// a lattice's facets). Catches a bound built on a support point that is not the farthest.
 #[test]
 fn large_hulls_keep_their_certificates() {
-    let random = &mut Random(5);
+    let random = &mut Random::new(5);
     let lattice: Vec<[f64; 3]> = (0..40_000)
         .map(|_| {
             let d = random.direction();
@@ -342,7 +342,7 @@ fn large_hulls_keep_their_certificates() {
 /// axis in the closed form, which the portal would correct silently.
 #[test]
 fn the_closed_form_of_boxes_names_the_facet() {
-    let random = &mut Random(3);
+    let random = &mut Random::new(3);
     let (mut steps, mut worst) = (0, 0);
     for _ in 0..3000 {
         let boxes: [ConvexHull; 2] = std::array::from_fn(|_| {

@@ -10,7 +10,7 @@ use crate::cli::answer::{definition, request};
 use crate::cli::exit::Exit;
 use crate::cli::options::Asked;
 use crate::cli::progress::Progress;
-use crate::cli::scene::{Frame, HullPoints, Scene};
+use crate::cli::scene::{Frame, HullPoints, SceneFile, check_poses};
 use crate::cli::values::counted;
 use hullcast::contact::{Body, ConvexHull, Workspace, contact_manifold};
 use hullcast::proto;
@@ -27,7 +27,7 @@ const GENERATED_MARGIN: f64 = 0.005;
 pub(crate) struct Batches {
     title: String,
     /// One scene per batch; or a single one from a scene file, with one frame per batch.
-    scenes: Vec<Scene>,
+    scenes: Vec<SceneFile>,
 }
 
 /// Requests and their correct answers.
@@ -47,8 +47,8 @@ impl Batches {
     /// # Errors
     /// The scene is not valid, or has no pairs.
     pub(crate) fn of_scene(path: &Path, pairs: Option<u32>) -> Result<Self, Error> {
-        let mut scene = Scene::read("--scene", path)?;
-        scene.check_poses()?;
+        let mut scene = SceneFile::read("--scene", path)?;
+        check_poses(&scene)?;
         if scene.pairs.is_empty() {
             return Err(Exit::Input.error(format!("--scene {}: pairs: is empty", path.display())));
         }
@@ -81,7 +81,7 @@ impl Batches {
             })
             .collect();
         let name = format!("{} {}", family.name(), regime.name());
-        let scenes = all.pairs.chunks(pairs as usize).map(|part| Scene {
+        let scenes = all.pairs.chunks(pairs as usize).map(|part| SceneFile {
             name: name.clone(),
             hulls: hulls.clone(),
             body_hulls: part.iter().flat_map(|p| p.hulls.map(|h| h as u32)).collect(),

@@ -7,28 +7,26 @@ use hullcast::{
     },
     proto::{self, Output, QueryContactsRequest, QueryContactsResponse},
     store::{HullDefinition, identity::id_of},
+    workload,
 };
 
 const NONE: u32 = u32::MAX;
 
-/// SplitMix64, so that the scenes are the same on every machine.
-pub(crate) struct Random(pub(crate) u64);
+/// The generator of the library, with the draws of the scenes.
+pub(crate) struct Random(workload::Random);
 
 impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+    pub(crate) fn new(seed: u64) -> Self {
+        Self(workload::Random::new(seed))
     }
 
     /// A number in [-1, 1).
     pub(crate) fn signed(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+        self.0.within(-1.0, 1.0)
     }
 
     pub(crate) fn below(&mut self, count: usize) -> usize {
-        (self.next() % count as u64) as usize
+        (self.0.bits() % count as u64) as usize
     }
 
     fn unit<const N: usize>(&mut self) -> [f64; N] {
@@ -53,7 +51,7 @@ pub(crate) fn box_points(x: f64, y: f64, z: f64) -> Vec<[f64; 3]> {
 
 /// Points on the unit sphere.
 pub(crate) fn round_points(count: usize, seed: u64) -> Vec<[f64; 3]> {
-    let mut random = Random(seed);
+    let mut random = Random::new(seed);
     (0..count).map(|_| random.unit()).collect()
 }
 
@@ -104,7 +102,7 @@ pub(crate) fn scene(
     pairs: usize,
     seed: u64,
 ) -> QueryContactsRequest {
-    let mut random = Random(seed);
+    let mut random = Random::new(seed);
     let mut request = QueryContactsRequest {
         request_id: seed,
         hull_ids: shapes.iter().map(id).collect(),

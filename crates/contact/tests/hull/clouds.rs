@@ -1,25 +1,25 @@
 //! Seeded clouds of points, chosen to break hull builders.
 
-/// A small random generator (splitmix64) that gives the same numbers on every machine.
-pub(crate) struct Random(u64);
+use hullcast_contact::workload;
+
+/// The generator of the library, with the draws that the recorded cases were made with.
+pub(crate) struct Random(workload::Random);
 
 impl Random {
     pub(crate) fn new(seed: u64) -> Self {
-        Self(seed)
+        Self(workload::Random::new(seed))
     }
 
     pub(crate) fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+        self.0.bits()
     }
 
     /// A number in [-1, 1).
     pub(crate) fn signed(&mut self) -> f64 {
-        (self.bits() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+        self.0.within(-1.0, 1.0)
     }
 
+    /// A number below `limit`, by the remainder: the recorded cases depend on it.
     pub(crate) fn below(&mut self, limit: usize) -> usize {
         (self.bits() % limit as u64) as usize
     }

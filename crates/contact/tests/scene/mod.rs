@@ -1,44 +1,38 @@
 //! Seeded shapes and poses, shared by the tests of the geometry.
 #![allow(dead_code)]
 
-use hullcast_contact::{Body, ConvexHull, Pose};
+use hullcast_contact::{Body, ConvexHull, Pose, workload};
 
-/// SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", 2014).
-pub struct Random(pub u64);
+/// The generator of the library, with the draws that the recorded cases were made with.
+pub struct Random(workload::Random);
 
 impl Random {
+    pub fn new(seed: u64) -> Self {
+        Self(workload::Random::new(seed))
+    }
+
     pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+        self.0.bits()
     }
 
     /// Uniform in [low, high).
     pub fn range(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * (self.bits() >> 11) as f64 / (1u64 << 53) as f64
+        self.0.within(low, high)
     }
 
+    /// A number below `n`, by the remainder: the recorded cases depend on it.
     pub fn below(&mut self, n: usize) -> usize {
         (self.bits() % n as u64) as usize
     }
 
     /// Uniform on the unit sphere.
     pub fn direction(&mut self) -> [f64; 3] {
-        let z = self.range(-1.0, 1.0);
-        let (sin, cos) = self.range(0.0, std::f64::consts::TAU).sin_cos();
-        let flat = (1.0 - z * z).sqrt();
-        [flat * cos, flat * sin, z]
+        self.0.direction().to_array()
     }
 
     /// A uniform random rotation: a unit quaternion x, y, z, w.
     pub fn rotation(&mut self) -> [f64; 4] {
-        let (u, v, w) = (self.range(0.0, 1.0), self.range(0.0, 1.0), self.range(0.0, 1.0));
-        let (s1, c1) = (std::f64::consts::TAU * v).sin_cos();
-        let (s2, c2) = (std::f64::consts::TAU * w).sin_cos();
-        let (a, b) = ((1.0 - u).sqrt(), u.sqrt());
-        [a * s1, a * c1, b * s2, b * c2]
+        self.0.rotation().to_array()
     }
 }
 

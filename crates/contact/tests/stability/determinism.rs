@@ -12,7 +12,7 @@ use crate::scene::Random;
 type Pair = ([usize; 2], [f64; 3], [[f64; 4]; 2]);
 
 fn sweep(pairs: usize) -> (Vec<Shape>, Vec<Pair>) {
-    let random = &mut Random(11);
+    let random = &mut Random::new(11);
     let shapes: Vec<Shape> =
         (0..40).map(|_| std::rc::Rc::into_inner(any_shape(random)).expect("one owner")).collect();
     let pair = |random: &mut Random| {

@@ -12,7 +12,7 @@ use crate::scene::{Random, box_points, prism_points, scaled};
 /// UNDECIDED.
 #[test]
 fn hulls_a_billionth_apart_are_decided() {
-    let random = &mut Random(1);
+    let random = &mut Random::new(1);
     for _ in 0..200 {
         let shapes = [cuboid([1.0, 0.7, 0.4]), Shape::new(prism_points(7, 0.6, 0.5))];
         let margin = 10f64.powf(random.range(-11.0, -7.0));
@@ -51,7 +51,7 @@ fn early_stops_do_not_invent_contacts() {
 /// tolerance allows.
 #[test]
 fn loose_answers_hold_what_they_say() {
-    let random = &mut Random(2);
+    let random = &mut Random::new(2);
     for tolerance in [1.0, 0.3, 0.1, 1e-3] {
         for _ in 0..300 {
             let shapes = [any_shape(random), any_shape(random)];
@@ -66,7 +66,7 @@ fn loose_answers_hold_what_they_say() {
 /// third.
 #[test]
 fn nearly_coplanar_points_keep_the_budget() {
-    let random = &mut Random(3);
+    let random = &mut Random::new(3);
     for _ in 0..500 {
         let mut points = box_points([1.0, 0.8, 0.3]);
         for i in 0..25 {
@@ -85,7 +85,7 @@ fn nearly_coplanar_points_keep_the_budget() {
 /// the small hull by the size of the large one.
 #[test]
 fn a_hull_smaller_than_rounding_keeps_its_witnesses() {
-    let random = &mut Random(20);
+    let random = &mut Random::new(20);
     let mut faces = 0;
     for power in (9..40).step_by(3) {
         let size = 10f64.powi(-power);
@@ -150,7 +150,7 @@ fn nothing_touches_beyond_a_sharp_corner() {
 /// lie far from the triangle, so hulls beyond the margin were reported as CONTACT.
 #[test]
 fn long_needles_are_as_far_as_they_are() {
-    let random = &mut Random(91);
+    let random = &mut Random::new(91);
     for _ in 0..600 {
         let length = 10f64.powf(random.range(6.0, 9.5));
         let axis = [[1.0; 3], [1.0, 1e-3, 0.0], random.direction()][random.below(3)];
@@ -215,7 +215,7 @@ fn sides_around_an_uncut_one_meet_between_them() {
 /// witnesses outside, in ordinary scenes.
 #[test]
 fn corners_that_nearly_coincide_cut_nothing_off() {
-    let random = &mut Random(77);
+    let random = &mut Random::new(77);
     let mut patches = 0;
     for _ in 0..4000 {
         let doubled = |random: &mut Random| {
@@ -249,7 +249,7 @@ fn corners_that_nearly_coincide_cut_nothing_off() {
 /// and pairs were UNDECIDED although no limit was set.
 #[test]
 fn needles_beside_hulls_are_decided() {
-    let random = &mut Random(92);
+    let random = &mut Random::new(92);
     let mut decided = [0; 2];
     for round in 0..400 {
         let base = [[2.78125, 0.0, 0.0], [3.3125, -0.4062499999999993, 2.78125], [2.78125, 2.78125, 2.78125]];

@@ -161,7 +161,7 @@ fn the_whole_answer_is_the_pairs_own() {
         let back = turn.inverse();
         same("moved", seen(&moved, &solve(&moved), false, |p| back * (p - by), back, along))?;
 
-        let random = &mut Random(seed);
+        let random = &mut Random::new(seed);
         let shuffled = [a, b].map(|shape| {
             let mut points = shape.points.clone();
             (1..points.len()).rev().for_each(|i| points.swap(i, random.below(i + 1)));

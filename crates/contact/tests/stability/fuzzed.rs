@@ -56,7 +56,7 @@ fn slivers_at_the_tip_of_a_needle_are_decided() {
 /// on hulls thinner than 1e-12 were outside by the tilt of the face.
 #[test]
 fn crossings_are_lifted_along_the_side_that_they_are_beside() {
-    let random = &mut Random(11);
+    let random = &mut Random::new(11);
     let (mut crossings, mut touching) = (0, 0);
     for round in 0..3000 {
         // A needle whose sides are bent by less than the merge distance of the needle and the
@@ -103,7 +103,7 @@ fn is_subnormal(m: &Manifold) -> bool {
 /// certificate allowed underflowed to 0.
 #[test]
 fn alphas_below_the_normal_doubles_hold_their_certificate() {
-    let random = &mut Random(12);
+    let random = &mut Random::new(12);
     let mut subnormal = 0;
     for _ in 0..400 {
         let shapes = [0; 2].map(|_| Shape::centred(box_points([0; 3].map(|_| random.range(0.2, 1.0)))));
@@ -132,7 +132,7 @@ fn sharp_corners_that_nearly_touch_are_no_estimate() {
     let near = Case::new(shapes.clone(), d, rotations);
     judged(&near);
     // This pair, moved by lengths around the merge distance.
-    let random = &mut Random(13);
+    let random = &mut Random::new(13);
     for _ in 0..500 {
         let by = scaled(random.direction(), 10f64.powf(random.range(-15.5, -13.0)));
         judged(&Case::new(shapes.clone(), std::array::from_fn(|k| d[k] + by[k]), rotations));
@@ -144,7 +144,7 @@ fn sharp_corners_that_nearly_touch_are_no_estimate() {
 /// end by up to 1e-6 of the hulls' size.
 #[test]
 fn edges_nearly_parallel_cross_within_both() {
-    let random = &mut Random(14);
+    let random = &mut Random::new(14);
     let roof = Shape::centred(vec![[-1.0, 0.0, 0.5], [1.0, 0.0, 0.5], [0.0, -1.0, -0.5], [0.0, 1.0, -0.5]]);
     let (mut corners, mut crossings) = (0, 0);
     for round in 0..4000 {
@@ -174,7 +174,7 @@ fn edges_nearly_parallel_cross_within_both() {
 /// few significant bits, and the certificate rotated it with those few bits.
 #[test]
 fn contraction_points_below_the_normal_doubles_hold_their_certificate() {
-    let random = &mut Random(15);
+    let random = &mut Random::new(15);
     let mut subnormal = 0;
     for _ in 0..400 {
         let centre = random.direction().map(|x| x * 10f64.powf(random.range(-321.0, -307.0)));

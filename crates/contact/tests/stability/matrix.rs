@@ -103,7 +103,7 @@ impl Row {
     /// Each row has a random stream of its own, so that a new row changes no other row's cases.
     pub(crate) fn random(&self, stream: u64) -> Random {
         let name = self.axis.bytes().chain(self.value.bytes());
-        Random(name.fold(7 + stream, |h, b| (h * 31 + u64::from(b)) & (u64::MAX >> 8)))
+        Random::new(name.fold(7 + stream, |h, b| (h * 31 + u64::from(b)) & (u64::MAX >> 8)))
     }
 
     pub(crate) fn reseeded(self, stream: u64) -> Self {

@@ -197,7 +197,7 @@ fn alpha_is_the_pairs_own() {
 
         let shuffled = |shape: &Shape| {
             let mut points = shape.points.clone();
-            let mut random = crate::scene::Random(seed);
+            let mut random = crate::scene::Random::new(seed);
             (1..points.len()).rev().for_each(|i| points.swap(i, random.below(i + 1)));
             Shape::centred(points)
         };

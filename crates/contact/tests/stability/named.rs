@@ -47,7 +47,7 @@ fn triangle(size: f64, thickness: f64) -> Rc<Shape> {
 /// every scene.
 #[test]
 fn cube_on_a_large_plate() {
-    let random = &mut Random(166);
+    let random = &mut Random::new(166);
     for (half, thickness, scale) in [(2e4, 0.5, 1.0), (2e4, 0.5, 1e-6), (2e4, 1e-3, 1.0)] {
         let plate =
             Shape::new(box_points([half, half, thickness]).iter().map(|&p| scaled(p, scale)).collect());
@@ -69,7 +69,7 @@ fn cube_on_a_large_plate() {
 /// that GJK makes there is degenerate. The normal is exactly z and the patch has four points.
 #[test]
 fn coaxial_cubes() {
-    let random = &mut Random(167);
+    let random = &mut Random::new(167);
     for _ in 0..200 {
         let [a, b] = [random.range(0.1, 2.0), random.range(0.1, 2.0)];
         let d = [0.0, 0.0, (a + b) * random.range(0.5, 1.5)];
@@ -104,7 +104,7 @@ fn cubes_that_exactly_touch() {
 /// and the library panicked.
 #[test]
 fn vertices_near_1e_23() {
-    let random = &mut Random(49);
+    let random = &mut Random::new(49);
     for _ in 0..50 {
         let points = (0..12).map(|_| scaled(random.direction(), 1e-23)).collect();
         let shape = Shape::new(points);
@@ -139,7 +139,7 @@ fn long_edge_five_centimetres_deep() {
 /// to rounding is expanded to the wrong side.
 #[test]
 fn just_touching_is_not_deep() {
-    let random = &mut Random(2103);
+    let random = &mut Random::new(2103);
     for _ in 0..200 {
         let shapes = [cuboid([7.0, 3.0, 0.5]), Shape::new(prism_points(8, 1.0, 4.0))];
         let case = Case::aimed(random, shapes, 1.5).at_distance(0.0);
@@ -161,7 +161,7 @@ fn box_on_a_slab() {
 /// bullet3#2579. Boxes of 5 mm, which fall below absolute thresholds.
 #[test]
 fn boxes_of_five_millimetres() {
-    let random = &mut Random(2579);
+    let random = &mut Random::new(2579);
     for _ in 0..100 {
         judged(&Case::aimed(random, [cuboid([2.5e-3; 3]), cuboid([2.5e-3; 3])], 0.99));
     }
@@ -185,7 +185,7 @@ fn small_hulls_on_a_huge_triangle() {
 /// plate's rim.
 #[test]
 fn plate_of_one_centimetre() {
-    let random = &mut Random(395);
+    let random = &mut Random::new(395);
     for _ in 0..200 {
         let shapes = [cuboid([1.0, 1.0, 0.005]), cuboid([0.1; 3])];
         let alpha = random.range(0.3, 1.2);
@@ -237,7 +237,7 @@ fn cubes_on_one_axis_are_numbers() {
 /// status was ignored; here every number must be finite and the open bracket flagged.
 #[test]
 fn early_stops_say_so() {
-    let random = &mut Random(636);
+    let random = &mut Random::new(636);
     let mut open = 0;
     for limit in (1..=20).cycle().take(400) {
         let shapes = [Shape::new(prism_points(12, 1.0, 0.3)), Shape::new(prism_points(9, 0.4, 0.8))];
@@ -255,7 +255,7 @@ fn early_stops_say_so() {
 /// mujoco#3383. Thin hulls at gaps from 1e-11 to 0.1, which were reported as touching.
 #[test]
 fn separated_hulls_do_not_touch() {
-    let random = &mut Random(3383);
+    let random = &mut Random::new(3383);
     for _ in 0..200 {
         let shapes = [Shape::new(prism_points(6, 0.5, 0.02)), cuboid([0.3, 0.02, 0.3])];
         let gap = 10f64.powf(random.range(-11.0, -1.0));

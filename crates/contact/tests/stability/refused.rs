@@ -92,7 +92,7 @@ fn the_thinnest_hulls_are_within_the_budget() {
     let plate = |thin: f64| box_points([1.0, 1.0, thin * 2f64.powi(-37) * 2f64.sqrt()]);
     let error = ConvexHull::new(&plate(0.999)).expect_err("too thin");
     assert_eq!(error.kind, HullErrorKind::NotRepresentable);
-    let random = &mut Random(37);
+    let random = &mut Random::new(37);
     let mut touching = 0;
     for round in 0..200 {
         let thin = Shape::new(plate(1.001));

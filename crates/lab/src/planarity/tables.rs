@@ -2,11 +2,11 @@
 
 use std::fmt::Write;
 
-use crate::measure::{Cell, PLANARITIES};
-use crate::shapes::{ROUNDINGS, Rounding};
+use super::measure::{Cell, PLANARITIES};
+use super::shapes::{ROUNDINGS, Rounding};
 
 /// One row per cell.
-pub(crate) fn csv(cells: &[Cell]) -> String {
+pub(super) fn csv(cells: &[Cell]) -> String {
     let mut text =
         String::from("group,rounding,planarity,cases,whole,mean area,least area,alpha,error,edges lost\n");
     for cell in cells {
@@ -60,7 +60,7 @@ fn table(
 }
 
 /// All tables.
-pub(crate) fn tables(cells: &[Cell], orientations: usize) -> String {
+pub(super) fn tables(cells: &[Cell], orientations: usize) -> String {
     let mut text = format!("Each shape stands on its largest face, in {orientations} orientations.\n\n");
     let rounded = &ROUNDINGS[1..];
     let percent = |share: f64| format!("{:.1}", 100.0 * share);

@@ -4,7 +4,7 @@
 use glam::{DMat3, DVec3};
 
 use super::cases::{Case, Placement};
-use hullcast::contact::ConvexHull;
+use hullcast_contact::ConvexHull;
 
 /// Two whole hulls in the world's axes. Lengths are in the caller's units.
 pub(super) struct Pair<'a> {

@@ -4,13 +4,15 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
 use glam::{DQuat, DVec3};
+use hullcast_contact::workload::Random;
 use hullcast_contact::{
     Body, ConvexHull, HullOptions, Manifold, Outcome, Pose, Query, Workspace, contact_manifold,
 };
 
-use crate::shapes::{Group, ROUNDINGS, Rounding};
+use super::shapes::{Group, ROUNDINGS, Rounding};
+use crate::progress;
 
-pub(crate) const PLANARITIES: [f64; 11] = [1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 7e-4, 1e-3, 2e-3, 5e-3, 1e-2];
+pub(super) const PLANARITIES: [f64; 11] = [1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 7e-4, 1e-3, 2e-3, 5e-3, 1e-2];
 
 /// How deep a shape is sunk into the floor, and the margin for contact points. Both are fractions of the
 /// circumradius.
@@ -25,25 +27,25 @@ const WHOLE: f64 = 0.01;
 
 /// The figures of one group, rounding and planarity; most are sums over shapes and orientations.
 #[derive(Clone, Debug)]
-pub(crate) struct Cell {
-    pub(crate) group: String,
-    pub(crate) rounding: Rounding,
-    pub(crate) planarity: f64,
-    pub(crate) cases: usize,
+pub(super) struct Cell {
+    pub(super) group: String,
+    pub(super) rounding: Rounding,
+    pub(super) planarity: f64,
+    pub(super) cases: usize,
     /// The sum of the areas, each divided by the unrounded shape's.
-    pub(crate) area: f64,
-    pub(crate) least_area: f64,
-    pub(crate) whole: usize,
+    pub(super) area: f64,
+    pub(super) least_area: f64,
+    pub(super) whole: usize,
     /// The largest relative difference of alpha from its value at the first planarity.
-    pub(crate) alpha: f64,
+    pub(super) alpha: f64,
     /// The largest `geometric_error`, divided by the circumradius.
-    pub(crate) error: f64,
+    pub(super) error: f64,
     /// The number of edges sharper than the feature angle, here and in the unrounded shape at the first planarity.
-    pub(crate) edges: usize,
-    pub(crate) all_edges: usize,
+    pub(super) edges: usize,
+    pub(super) all_edges: usize,
     /// Nanoseconds, summed over the timed cases.
-    pub(crate) building: f64,
-    pub(crate) answering: f64,
+    pub(super) building: f64,
+    pub(super) answering: f64,
 }
 
 /// A shape in the pose in which it stands on a face.
@@ -100,14 +102,16 @@ fn area(manifold: &Manifold) -> f64 {
 }
 
 /// All cells, with the planarities of one rounding next to each other.
-pub(crate) fn cells(groups: &[Group], orientations: usize) -> Vec<Cell> {
+pub(super) fn cells(groups: &[Group], orientations: usize) -> Vec<Cell> {
     let rows: Vec<_> = groups.iter().flat_map(|group| ROUNDINGS.map(|rounding| (group, rounding))).collect();
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let next = AtomicUsize::new(0);
+    let progress = progress::bar("groups of shapes and roundings", rows.len());
     let work = || {
         let mut done = Vec::new();
         while let Some(&(group, rounding)) = rows.get(next.fetch_add(1, Ordering::Relaxed)) {
             done.push(row(group, rounding, orientations.div_ceil(group.thinned)));
+            progress.inc(1);
         }
         done
     };
@@ -128,12 +132,11 @@ fn row(group: &Group, rounding: Rounding, orientations: usize) -> Vec<Cell> {
     let mut row = PLANARITIES.map(|planarity| Cell::new(&group.name, rounding, planarity));
     for (seed, points) in group.shapes.iter().enumerate() {
         let reference = Reference::new(points);
-        let mut random = Random(seed as u64);
+        let mut random = Random::new(seed as u64);
         for i in 0..orientations {
             measure(points, &reference, random.rotation(), i < TIMED, &mut row);
         }
     }
-    eprintln!("{} {}", group.name, rounding.name());
     row.into()
 }
 
@@ -216,30 +219,7 @@ impl Cell {
     }
 
     /// The mean over the cases of a sum.
-    pub(crate) fn mean(&self, sum: f64) -> f64 {
+    pub(super) fn mean(&self, sum: f64) -> f64 {
         sum / self.cases as f64
-    }
-}
-
-/// SplitMix64 (Steele, Lea and Flood, 2014).
-struct Random(u64);
-
-impl Random {
-    /// A random number, uniform in [0, 1).
-    fn unit(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    /// A random rotation, uniform over all rotations.
-    fn rotation(&mut self) -> DQuat {
-        let (u, v, w) = (self.unit(), self.unit(), self.unit());
-        let (s, c) = (std::f64::consts::TAU * v).sin_cos();
-        let (t, d) = (std::f64::consts::TAU * w).sin_cos();
-        let (a, b) = ((1.0 - u).sqrt(), u.sqrt());
-        DQuat::from_xyzw(a * s, a * c, b * t, b * d)
     }
 }

@@ -1,4 +1,4 @@
-//! `hullcast tradeoff`: measures speed against accuracy.
+//! `lab tradeoff`: measures speed against accuracy.
 
 mod advice;
 mod cases;
@@ -13,13 +13,13 @@ mod truth;
 use std::collections::HashMap;
 use std::path::PathBuf;
 
-use super::Error;
-use super::exit::Exit;
-use super::progress::Progress;
-use super::scene::Scene;
-use super::values::count;
+use clap::value_parser;
+
+use crate::Error;
+use crate::progress;
 use cases::Pool;
-use chart::{Chart, Series};
+use chart::{Chart, Named, Panel};
+use hullcast_batch::scene_file::SceneFile;
 use measure::{Prepared, Sample};
 use peers::Peer;
 use settings::Setting;
@@ -30,8 +30,8 @@ use table::{Figures, PeerRow, Row, Sorted};
 /// Without a scene, the pairs are generated: boxes and polytopes of 16, 64 and 256 vertices, in shallow
 /// overlap, resting face on face, and, as a group of its own, in deep overlap. With a scene, they are the
 /// pairs of the scene that are in contact, or random pairs of its hulls if none are. The command writes
-/// FILE.csv (one row per setting and kind of pair), FILE.svg and FILE.png (time against error), and prints
-/// which setting suits which need. Other libraries may answer the same pairs: `--ask` writes the pairs, and
+/// FILE.csv (one row per setting and kind of pair) and FILE.json (the points of the chart of time against
+/// error, which client/examples/tradeoff.py draws), and prints which setting suits which need. Other libraries may answer the same pairs: `--ask` writes the pairs, and
 /// `--peer` judges the answers.
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct Args {
@@ -42,7 +42,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE", default_value = "tradeoff", help_heading = "Results")]
     out: PathBuf,
     /// Most pairs of each kind.
-    #[arg(long, value_name = "COUNT", default_value_t = 96, value_parser = count(1, u32::MAX),
+    #[arg(long, value_name = "COUNT", default_value_t = 96, value_parser = value_parser!(u32).range(1..),
           allow_negative_numbers = true, help_heading = "Pairs")]
     pairs: u32,
     /// Write the pairs as JSON, for another library to answer, and measure nothing [default: measure].
@@ -54,28 +54,26 @@ pub(crate) struct Args {
     peer: Vec<PathBuf>,
 }
 
-/// Runs `hullcast tradeoff`.
+/// Runs `lab tradeoff`.
 ///
 /// # Errors
 /// A scene is not valid or has no pair to measure, or the results cannot be written.
 pub(crate) fn run(args: &Args) -> Result<(), Error> {
     let pairs = args.pairs as usize;
-    let progress = Progress::waiting("making pairs");
     let cells = match &args.scenes[..] {
         [] => cases::generated(pairs)?,
         scenes => {
             let of = |path: &PathBuf| -> Result<_, Error> {
-                let scene = Scene::read("", path)?;
+                let scene = SceneFile::read("", path)?;
                 let cell = cases::of_scene(&scene, pairs)?;
                 match cell.cases.is_empty() {
-                    true => Err(Exit::Input.error(format!("{}: no pair to measure", path.display()))),
+                    true => Err(format!("{}: no pair to measure", path.display()).into()),
                     false => Ok(cell),
                 }
             };
             scenes.iter().map(of).collect::<Result<_, _>>()?
         }
     };
-    drop(progress);
     if let Some(path) = &args.ask {
         return peers::ask(&cells, path);
     }
@@ -86,11 +84,10 @@ pub(crate) fn run(args: &Args) -> Result<(), Error> {
         (rows.collect(), others.iter().filter(|row| row.cell == pool.name()).cloned().collect())
     };
     let (all, all_others) = of_pool(Pool::All);
-    let chart = chart(&all, &all_others);
-    let csv = table::csv(&rows, &others).into_bytes();
-    for (ending, bytes) in [("csv", csv), ("svg", chart.svg().into_bytes()), ("png", chart.png()?)] {
+    let chart = serde_json::to_string(&chart(&all, &all_others))?;
+    for (ending, text) in [("csv", table::csv(&rows, &others)), ("json", chart)] {
         let path = args.out.with_extension(ending);
-        std::fs::write(&path, bytes).map_err(|e| format!("--out {}: {e}", path.display()))?;
+        std::fs::write(&path, text).map_err(|e| format!("--out {}: {e}", path.display()))?;
     }
     print!("{}", advice::text(&all));
     for pool in [Pool::All, Pool::Deep] {
@@ -104,16 +101,16 @@ pub(crate) fn run(args: &Args) -> Result<(), Error> {
 
 /// Measures every setting and judges every other library, on every cell and on each whole pool.
 fn measured(cells: Vec<cases::Cell>, peers: &[Peer]) -> Result<(Vec<Row>, Vec<PeerRow>), Error> {
-    let progress = Progress::new("kinds of pairs prepared", cells.len());
+    let progress = progress::bar("kinds of pairs prepared", cells.len());
     let prepared = cells.into_iter().map(|cell| {
         let prepared = Prepared::new(cell);
-        progress.add(1);
+        progress.inc(1);
         prepared
     });
     let cells: Vec<Prepared> = prepared.collect::<Result<_, _>>()?;
     drop(progress);
     let grid = Setting::grid();
-    let progress = Progress::new("settings", grid.len());
+    let progress = progress::bar("settings", grid.len());
     // The first setting is the one by which times are divided: one run warms up, one is kept.
     let median = |prepared: &Prepared, setting: &Setting| -> f64 {
         let [median] = Sorted::new(prepared.measure(setting).iter().map(|s| s.nanoseconds)).at([0.5]);
@@ -148,16 +145,16 @@ fn measured(cells: Vec<cases::Cell>, peers: &[Peer]) -> Result<(Vec<Row>, Vec<Pe
     for &setting in &grid {
         let of_setting = figures(&|_, prepared| prepared.measure(&setting));
         rows.extend(of_setting.into_iter().map(|(cell, figures)| Row { cell, setting, figures }));
-        progress.add(1);
+        progress.inc(1);
     }
     drop(progress);
-    let progress = Progress::new("other libraries", peers.len());
+    let progress = progress::bar("other libraries", peers.len());
     let mut others = Vec::new();
     for peer in peers {
         let of_peer = figures(&|i, prepared| prepared.judge(peer.answers(i)));
         let row = |(cell, figures)| PeerRow { cell, name: peer.name.clone(), figures };
         others.extend(of_peer.into_iter().map(row));
-        progress.add(1);
+        progress.inc(1);
     }
     Ok((rows, others))
 }
@@ -176,24 +173,24 @@ fn chart(rows: &[Row], peers: &[PeerRow]) -> Chart {
         ("depth off the least translation, p95", |f| f.depth_off.clamp(DRAWN.0, DRAWN.1)),
     ];
     let panel = |(title, error): (&'static str, Of)| {
-        let at = |i: usize| (rows[i].figures.relative_time, error(&rows[i].figures));
-        let all = (0..rows.len()).map(at).collect();
+        let at = |i: usize| [rows[i].figures.relative_time, error(&rows[i].figures)];
+        let settings = (0..rows.len()).map(at).collect();
         let front = table::front(rows, error).into_iter().map(at).collect();
-        let mut series = vec![Series::cloud(all), Series::line(front)];
-        let mut named: Vec<((f64, f64), String)> = Vec::new();
+        // Needs with the same setting share a point and its label.
+        let mut advised: Vec<Named> = Vec::new();
         for need in &advice::NEEDS {
             let Some(row) = advice::choice(rows, need, false) else { continue };
-            let at = (row.figures.relative_time, error(&row.figures));
-            match named.iter_mut().find(|(there, _)| *there == at) {
-                Some((_, names)) => *names += &format!(", {}", need.name),
-                None => named.push((at, need.name.into())),
+            let at = [row.figures.relative_time, error(&row.figures)];
+            match advised.iter_mut().find(|named| named.at == at) {
+                Some(named) => named.name += &format!(", {}", need.name),
+                None => advised.push(Named { name: need.name.into(), at }),
             }
         }
-        series.extend(named.into_iter().map(|(at, names)| Series::named(names, at)));
-        let of_peer =
-            |peer: &PeerRow| Series::other(&peer.name, (peer.figures.relative_time, error(&peer.figures)));
-        series.extend(peers.iter().map(of_peer));
-        chart::Panel { title, x: "time over the default's", series }
+        let of_peer = |peer: &PeerRow| Named {
+            name: peer.name.clone(),
+            at: [peer.figures.relative_time, error(&peer.figures)],
+        };
+        Panel { title, settings, front, advised, others: peers.iter().map(of_peer).collect() }
     };
-    Chart { panels: errors.map(panel).into() }
+    Chart { x: "time over the default's", panels: errors.map(panel).into() }
 }

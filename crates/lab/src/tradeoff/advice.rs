@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use hullcast::contact::Solver;
+use hullcast_contact::Solver;
 
 use super::cases::Pool;
 use super::settings::{Center, Setting};

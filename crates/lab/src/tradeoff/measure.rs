@@ -4,13 +4,13 @@ use std::{hint::black_box, time::Instant};
 
 use glam::DVec3;
 
-use super::super::Error;
 use super::cases::{Case, Cell, Placement};
 use super::patch::{area, convex, hausdorff};
 use super::peers::{Answer, Contact};
 use super::settings::{CENTERS, Center, SIMPLIFICATIONS, Setting};
 use super::truth::Pair;
-use hullcast::contact::{
+use crate::Error;
+use hullcast_contact::{
     Basis, Body, ConvexHull, Flags, HullOptions, Manifold, Outcome, Query, Workspace, contact_manifold,
 };
 
@@ -211,7 +211,7 @@ impl Truth {
 
 /// The patch: the points midway between the witnesses.
 fn polygon(manifold: &Manifold) -> Vec<DVec3> {
-    let middle = |p: &hullcast::contact::ContactPoint| p.witness_a + manifold.normal * (0.5 * p.distance);
+    let middle = |p: &hullcast_contact::ContactPoint| p.witness_a + manifold.normal * (0.5 * p.distance);
     manifold.points.iter().map(middle).collect()
 }
 

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use hullcast::contact::{Accuracy, Simplification, Solver};
+use hullcast_contact::{Accuracy, Simplification, Solver};
 
 /// A setting: one value of each knob.
 #[derive(Clone, Copy, Debug, PartialEq)]

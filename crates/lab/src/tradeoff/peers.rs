@@ -8,8 +8,8 @@ use std::path::Path;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::super::{Error, exit::Exit};
 use super::cases::{Case, Cell, Placement};
+use crate::Error;
 
 /// The questions for another library: the hulls and pairs of every cell.
 #[derive(Debug, Serialize)]
@@ -114,7 +114,7 @@ impl Peer {
     /// # Errors
     /// The file is not valid, or it answers other pairs than those of `cells`.
     pub(super) fn read(path: &Path, cells: &[Cell]) -> Result<Self, Error> {
-        let at = |why: &dyn std::fmt::Display| Exit::Input.error(format!("--peer {}: {why}", path.display()));
+        let at = |why: &dyn std::fmt::Display| Error::from(format!("--peer {}: {why}", path.display()));
         let text = std::fs::read(path).map_err(|e| at(&format!("cannot be read: {e}")))?;
         let expected = "expected the answers to the pairs that --ask writes, as JSON";
         let peer: Self = serde_json::from_slice(&text).map_err(|e| at(&format!("{expected} ({e})")))?;

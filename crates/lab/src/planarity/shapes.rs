@@ -1,25 +1,37 @@
 //! The measured shapes, and how files round their coordinates.
 
 use std::f64::consts::TAU;
+use std::path::Path;
 
-pub(crate) type Points = Vec<[f64; 3]>;
+use hullcast_batch::scene_file::{HullPoints, SceneError, SceneFile};
+
+pub(super) type Points = Vec<[f64; 3]>;
 
 /// Shapes of one kind.
-pub(crate) struct Group {
-    pub(crate) name: String,
-    pub(crate) shapes: Vec<Points>,
+pub(super) struct Group {
+    pub(super) name: String,
+    pub(super) shapes: Vec<Points>,
     /// One in this many of the orientations is measured.
-    pub(crate) thinned: usize,
+    pub(super) thinned: usize,
 }
 
 impl Group {
     fn new(name: &str, shapes: Vec<Points>) -> Self {
         Self { name: name.to_owned(), shapes, thinned: 1 }
     }
+
+    /// All hulls of a scene, with the scene's name.
+    pub(super) fn of_scene(scene: SceneFile) -> Self {
+        let shapes = scene.hulls.into_iter().map(|hull| hull.vertices).collect();
+        Self { name: scene.name, shapes, thinned: 100 }
+    }
 }
 
 /// Boxes, prisms, barrels, frusta, fine cylinders, and the links of two robots; in metres.
-pub(crate) fn groups() -> Vec<Group> {
+///
+/// # Errors
+/// A scene of the robots cannot be read.
+pub(super) fn groups() -> Result<Vec<Group>, SceneError> {
     let stack = |sides: usize, rings: &[(f64, f64)]| -> Points {
         let corner = |i: usize| (TAU * i as f64 / sides as f64).sin_cos();
         let ring = |&(radius, z): &(f64, f64)| {
@@ -27,7 +39,7 @@ pub(crate) fn groups() -> Vec<Group> {
         };
         rings.iter().flat_map(ring).collect()
     };
-    vec![
+    Ok(vec![
         Group::new("boxes", vec![cuboid([0.04; 3]), cuboid([0.3, 0.2, 0.05]), cuboid([1.0; 3])]),
         Group::new(
             "prisms",
@@ -53,8 +65,8 @@ pub(crate) fn groups() -> Vec<Group> {
             ],
         ),
         Group::new("cylinders", [32, 64, 128].map(|sides| stack(sides, &[(0.1, -0.1), (0.1, 0.1)])).into()),
-        Group::new("links", links()),
-    ]
+        Group::new("links", links()?),
+    ])
 }
 
 fn cuboid(size: [f64; 3]) -> Points {
@@ -63,46 +75,30 @@ fn cuboid(size: [f64; 3]) -> Points {
 }
 
 /// The robots' hulls in the example scenes. Their names have the form `link/number`.
-fn links() -> Vec<Points> {
-    let own = |hull: &serde_json::Value| hull["name"].as_str().is_some_and(|name| name.contains('/'));
-    let scene = |name: &str| {
-        let path = format!("{}/../../examples/scenes/{name}.json", env!("CARGO_MANIFEST_DIR"));
-        hulls_of(&read(&path), own)
-    };
-    ["panda", "anymal_c"].into_iter().flat_map(scene).collect()
-}
-
-/// All hulls of a scene file, as a group with the scene's name.
-pub(crate) fn group_of(path: &str) -> Group {
-    let scene = read(path);
-    let name = scene["name"].as_str().unwrap_or("given").to_owned();
-    Group { name, shapes: hulls_of(&scene, |_| true), thinned: 100 }
-}
-
-fn read(path: &str) -> serde_json::Value {
-    let text = std::fs::read(path).unwrap_or_else(|error| panic!("{path}: {error}"));
-    serde_json::from_slice(&text).unwrap_or_else(|error| panic!("{path}: {error}"))
-}
-
-fn hulls_of(scene: &serde_json::Value, wanted: impl Fn(&serde_json::Value) -> bool) -> Vec<Points> {
-    let hulls = scene["hulls"].as_array().expect("hulls").iter();
-    let points = |hull: &serde_json::Value| serde_json::from_value(hull["vertices"].clone()).expect("points");
-    hulls.filter(|hull| wanted(hull)).map(points).collect()
+fn links() -> Result<Vec<Points>, SceneError> {
+    let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/scenes");
+    let mut links = Vec::new();
+    for name in ["panda.json", "anymal_c.json"] {
+        let hulls = SceneFile::read("", &scenes.join(name))?.hulls.into_iter();
+        let own = |hull: HullPoints| hull.name.contains('/').then_some(hull.vertices);
+        links.extend(hulls.filter_map(own));
+    }
+    Ok(links)
 }
 
 /// How a file rounds a coordinate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Rounding {
+pub(super) enum Rounding {
     None,
     Single,
     Decimals(i32),
 }
 
-pub(crate) const ROUNDINGS: [Rounding; 5] =
+pub(super) const ROUNDINGS: [Rounding; 5] =
     [Rounding::None, Rounding::Single, Rounding::Decimals(6), Rounding::Decimals(5), Rounding::Decimals(4)];
 
 impl Rounding {
-    pub(crate) fn name(self) -> String {
+    pub(super) fn name(self) -> String {
         match self {
             Self::None => "unrounded".into(),
             Self::Single => "float32".into(),
@@ -111,7 +107,7 @@ impl Rounding {
     }
 
     /// The double nearest to the written number.
-    pub(crate) fn of(self, x: f64) -> f64 {
+    pub(super) fn of(self, x: f64) -> f64 {
         match self {
             Self::None => x,
             Self::Single => f64::from(x as f32),

@@ -2,9 +2,10 @@
 
 use glam::{DQuat, DVec3};
 
-use super::super::{Error, exit::Exit, scene::Scene};
-use hullcast::contact::{Body, ConvexHull, HullOptions, Outcome, Pose, Query, Workspace, contact_manifold};
-use hullcast::workload::{Family, Random, Regime, Workload};
+use crate::Error;
+use hullcast_batch::scene_file::SceneFile;
+use hullcast_contact::workload::{Family, Random, Regime, Workload};
+use hullcast_contact::{Body, ConvexHull, HullOptions, Outcome, Pose, Query, Workspace, contact_manifold};
 
 /// Margin of generated pairs, whose hulls have a size of about 0.3 to 1.
 const GENERATED_MARGIN: f64 = 0.005;
@@ -109,7 +110,7 @@ pub(super) fn generated(pairs: usize) -> Result<Vec<Cell>, Error> {
         for regime in [Regime::Shallow, Regime::Resting] {
             let Workload { hulls, pairs, .. } = Workload::generate(family, regime, pairs, 1)?;
             let mut random = Random::new(2);
-            let case = |pair: &hullcast::workload::Pair| {
+            let case = |pair: &hullcast_contact::workload::Pair| {
                 let [a, b] = [0, 1].map(|i| Placement::new(pair.positions[i], pair.rotations[i]));
                 Case::new(pair.hulls, a, b, 1.0, &mut random)
             };
@@ -149,12 +150,12 @@ fn deep(family: Family, pairs: usize) -> Result<Cell, Error> {
 
 /// The pairs of a scene file that are in contact, taken evenly over its frames. If there are none,
 /// `pairs` random pairs of its hulls are brought into shallow overlap.
-pub(super) fn of_scene(scene: &Scene, pairs: usize) -> Result<Cell, Error> {
+pub(super) fn of_scene(scene: &SceneFile, pairs: usize) -> Result<Cell, Error> {
     scene.check_poses()?;
     let hulls: Vec<Vec<[f64; 3]>> = scene.hulls.iter().map(|hull| hull.vertices.clone()).collect();
     let built = hulls.iter().enumerate().map(|(i, points)| {
         ConvexHull::with_options(points, &HullOptions::default())
-            .map_err(|e| Exit::Input.error(format!("{}, hulls[{i}]: {e}", scene.name)))
+            .map_err(|e| format!("{}, hulls[{i}]: {e}", scene.name))
     });
     let built: Vec<ConvexHull> = built.collect::<Result<_, _>>()?;
     let mut random = Random::new(3);

@@ -1,0 +1,353 @@
+//! Scene files, `hullcast.scene.v1`: hulls, bodies, configurations and pairs.
+//!
+//! `examples/scenes/README.md` describes the format. Unknown keys are ignored, so that a file may state
+//! its origin.
+
+use std::fmt;
+use std::io::{self, Read};
+use std::path::Path;
+
+use serde::Deserialize;
+use serde_json::error::Category;
+
+use crate::counted;
+use hullcast_contact::Pose;
+
+const FORMAT: &str = "hullcast.scene.v1";
+
+/// Bodies in one or more configurations, and the pairs to query.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneFile {
+    /// Name for display.
+    pub name: String,
+    /// The hulls, each in its own frame.
+    pub hulls: Vec<HullPoints>,
+    /// For each body, an index into `hulls`.
+    pub body_hulls: Vec<u32>,
+    /// For each body, a name for display.
+    pub body_names: Vec<String>,
+    /// The configurations, at least one.
+    pub frames: Vec<Frame>,
+    /// Two body indices per pair.
+    pub pairs: Vec<u32>,
+    /// Contact points are computed for hulls within this distance, caller's units.
+    pub margin: f64,
+}
+
+/// A hull as it is registered.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct HullPoints {
+    /// Name for display.
+    #[serde(default)]
+    pub name: String,
+    /// Points, hull frame, caller's units.
+    pub vertices: Vec<[f64; 3]>,
+    /// Contraction point, hull frame; the centre of mass if absent.
+    #[serde(default)]
+    pub contraction_point: Option<[f64; 3]>,
+    /// The planarity to register with, as a fraction of the circumradius. A file without this key means
+    /// [`DEFAULT_PLANARITY`]; `null` means to register without a planarity.
+    #[serde(default = "default_planarity")]
+    pub planarity: Option<f64>,
+}
+
+/// The planarity of hulls whose scene file has no planarity. It was measured on shapes whose
+/// coordinates are rounded as in common files (docs/tradeoff.md).
+const DEFAULT_PLANARITY: f64 = 1e-3;
+
+#[allow(clippy::unnecessary_wraps, reason = "serde wants the field's type")]
+fn default_planarity() -> Option<f64> {
+    Some(DEFAULT_PLANARITY)
+}
+
+/// The pose of every body.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    /// Name for display; empty if the file has no frames.
+    pub name: String,
+    /// 3 numbers per body.
+    pub positions: Vec<f64>,
+    /// 4 numbers per body: x, y, z, w.
+    pub rotations: Vec<f64>,
+}
+
+/// A defect of a scene file, and its place.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SceneError {
+    /// The file as the user gave it, with its option if it has one; empty if there is no file.
+    pub file: String,
+    /// The place, such as `hulls[3].vertices[7]`; empty for the whole file.
+    pub place: String,
+    /// The defect, for display.
+    pub message: String,
+}
+
+impl fmt::Display for SceneError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for part in [&self.file, &self.place] {
+            if !part.is_empty() {
+                write!(f, "{part}: ")?;
+            }
+        }
+        f.write_str(&self.message)
+    }
+}
+
+impl std::error::Error for SceneError {}
+
+/// A scene has bodies at poses that no query accepts. The text names the configuration and the bodies.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct UnusablePoses(String);
+
+impl fmt::Display for UnusablePoses {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for UnusablePoses {}
+
+#[derive(Deserialize)]
+struct Json {
+    format: String,
+    name: String,
+    hulls: Vec<HullPoints>,
+    bodies: Vec<JsonBody>,
+    #[serde(default)]
+    frames: Vec<JsonFrame>,
+    pairs: Vec<[u32; 2]>,
+    #[serde(default)]
+    margin: f64,
+}
+
+#[derive(Deserialize)]
+struct JsonBody {
+    #[serde(default)]
+    name: String,
+    hull: u32,
+    position: [f64; 3],
+    rotation: [f64; 4],
+}
+
+#[derive(Deserialize)]
+struct JsonFrame {
+    #[serde(default)]
+    name: String,
+    positions: Vec<[f64; 3]>,
+    rotations: Vec<[f64; 4]>,
+}
+
+impl SceneFile {
+    /// Reads a scene file; `-` stands for the standard input. `option` is the option that names the file,
+    /// or empty.
+    ///
+    /// # Errors
+    /// [`SceneError`] names file, field and index at fault.
+    pub fn read(option: &str, path: &Path) -> Result<Self, SceneError> {
+        let piped = path == Path::new("-");
+        let shown = if piped { "the standard input".into() } else { path.display().to_string() };
+        let file = format!("{option} {shown}").trim_start().to_owned();
+        let fault = |message| SceneError { file: file.clone(), place: String::new(), message };
+        let text = if piped {
+            let mut text = Vec::new();
+            io::stdin().lock().read_to_end(&mut text).map(|_| text)
+        } else {
+            std::fs::read(path)
+        };
+        let text = text.map_err(|e| fault(format!("cannot be read: {e}")))?;
+        Self::parse(&text).map_err(|e| SceneError { file: file.clone(), ..e })
+    }
+
+    /// Reads a scene from JSON text.
+    ///
+    /// # Errors
+    /// [`SceneError`] names the field and index at fault.
+    pub fn parse(text: &[u8]) -> Result<Self, SceneError> {
+        let mut json = serde_json::Deserializer::from_slice(text);
+        let file: Json = serde_path_to_error::deserialize(&mut json).map_err(|e| {
+            let place = e.path().to_string();
+            not_a_scene(if place == "." { String::new() } else { place }, &e.into_inner())
+        })?;
+        json.end().map_err(|e| not_a_scene(String::new(), &e))?;
+        file.check()?;
+        Ok(file.into_scene())
+    }
+
+    /// Fails if a pose of any configuration is unusable, because its pairs would be INVALID.
+    ///
+    /// # Errors
+    /// [`UnusablePoses`] names the configuration, and the number and the indices of the bodies with such
+    /// poses.
+    pub fn check_poses(&self) -> Result<(), UnusablePoses> {
+        for (number, frame) in self.frames.iter().enumerate() {
+            let (positions, rotations) = (frame.positions.as_chunks().0, frame.rotations.as_chunks().0);
+            let poses = (0..).zip(positions.iter().zip(rotations));
+            let unusable = poses.filter(|&(_, (&at, &turned))| Pose::check(at, turned).is_err());
+            let unusable: Vec<u32> = unusable.map(|(body, _)| body).collect();
+            if !unusable.is_empty() {
+                let text = unusable_poses(&unusable, self.body_hulls.len());
+                return Err(UnusablePoses(format!("{}, configuration {number}: {text}", self.name)));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The text of the error for the unusable poses of the bodies `unusable`, out of all `bodies`.
+pub fn unusable_poses(unusable: &[u32], bodies: usize) -> String {
+    const SHOWN: usize = 8;
+    let mut names: Vec<String> = unusable.iter().take(SHOWN).map(u32::to_string).collect();
+    if unusable.len() > SHOWN {
+        names.push("...".into());
+    }
+    format!(
+        "unusable poses: {} of {} (bodies {}), where a position is finite and at most 1e100, and a \
+         quaternion's norm 0.25 to 4",
+        unusable.len(),
+        counted(bodies, "body"),
+        names.join(", ")
+    )
+}
+
+/// The error for a text that is not a scene: it is not JSON, or it is JSON with another content.
+fn not_a_scene(place: String, error: &serde_json::Error) -> SceneError {
+    let message = match error.classify() {
+        Category::Data => error.to_string(),
+        Category::Io | Category::Syntax | Category::Eof => {
+            format!("not JSON ({error}); expected a scene file, {FORMAT}")
+        }
+    };
+    SceneError { file: String::new(), place, message }
+}
+
+impl Json {
+    /// Checks the rules that the types do not express: indices in range, and one pose per body.
+    fn check(&self) -> Result<(), SceneError> {
+        let fail = |place: String, message: String| Err(SceneError { file: String::new(), place, message });
+        if self.format != FORMAT {
+            return fail("format".into(), format!("is {:?}, expected {FORMAT:?}", self.format));
+        }
+        for (i, body) in self.bodies.iter().enumerate() {
+            if body.hull as usize >= self.hulls.len() {
+                return fail(
+                    format!("bodies[{i}].hull"),
+                    format!("is {}, but the scene has {}", body.hull, counted(self.hulls.len(), "hull")),
+                );
+            }
+        }
+        for (i, frame) in self.frames.iter().enumerate() {
+            for (key, count) in [("positions", frame.positions.len()), ("rotations", frame.rotations.len())] {
+                if count != self.bodies.len() {
+                    return fail(
+                        format!("frames[{i}].{key}"),
+                        format!(
+                            "has {count} entries, expected one for each of the {}",
+                            counted(self.bodies.len(), "body")
+                        ),
+                    );
+                }
+            }
+        }
+        for (i, pair) in self.pairs.iter().enumerate() {
+            for (k, &body) in pair.iter().enumerate() {
+                if body as usize >= self.bodies.len() {
+                    return fail(
+                        format!("pairs[{i}][{k}]"),
+                        format!("is {body}, but the scene has {}", counted(self.bodies.len(), "body")),
+                    );
+                }
+            }
+        }
+        if self.margin < 0.0 {
+            return fail("margin".into(), format!("is {}, expected at least 0", self.margin));
+        }
+        Ok(())
+    }
+
+    fn into_scene(self) -> SceneFile {
+        let mut frames: Vec<Frame> = self
+            .frames
+            .into_iter()
+            .map(|f| Frame {
+                name: f.name,
+                positions: f.positions.into_flattened(),
+                rotations: f.rotations.into_flattened(),
+            })
+            .collect();
+        if frames.is_empty() {
+            frames.push(Frame {
+                name: String::new(),
+                positions: self.bodies.iter().flat_map(|b| b.position).collect(),
+                rotations: self.bodies.iter().flat_map(|b| b.rotation).collect(),
+            });
+        }
+        SceneFile {
+            name: self.name,
+            hulls: self.hulls,
+            body_hulls: self.bodies.iter().map(|b| b.hull).collect(),
+            body_names: self.bodies.into_iter().map(|b| b.name).collect(),
+            frames,
+            pairs: self.pairs.into_flattened(),
+            margin: self.margin,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GOOD: &str = r#"{"format": "hullcast.scene.v1", "name": "two", "margin": 0.5, "from": "a test",
+        "hulls": [{"name": "t", "vertices": [[0,0,0],[1,0,0],[0,1,0],[0,0,1]], "volume_ratio": 1}],
+        "bodies": [{"hull": 0, "position": [0,0,0], "rotation": [0,0,0,1]},
+                   {"name": "b", "hull": 0, "position": [0,0,2], "rotation": [0,0,0,1]}],
+        "frames": [{"name": "f", "positions": [[0,0,0],[0,0,3]], "rotations": [[0,0,0,1],[0,0,0,1]]}],
+        "pairs": [[0,1]]}"#;
+
+    // Catches a frame that is dropped, and poses taken from the bodies although the file has frames.
+    #[test]
+    fn frames_replace_the_bodies_poses() {
+        let scene = SceneFile::parse(GOOD.as_bytes()).unwrap();
+        assert_eq!((scene.frames.len(), scene.frames[0].positions[5], scene.margin), (1, 3.0, 0.5));
+        let without = GOOD.replace("\"frames\"", "\"other\"");
+        let scene = SceneFile::parse(without.as_bytes()).unwrap();
+        assert_eq!((scene.frames.len(), scene.frames[0].positions[5]), (1, 2.0));
+    }
+
+    /// Catches a default that is not sent, differs from the Python client's, or cannot be turned off.
+    #[test]
+    fn a_hull_without_a_planarity_has_the_clients_default() {
+        let planarity = |hull: &str| {
+            let text = GOOD.replacen("\"volume_ratio\": 1", hull, 1);
+            SceneFile::parse(text.as_bytes()).unwrap().hulls[0].planarity
+        };
+        assert_eq!(planarity("\"volume_ratio\": 1"), Some(DEFAULT_PLANARITY));
+        assert_eq!(planarity("\"planarity\": null"), None);
+        assert_eq!(planarity("\"planarity\": 0.25"), Some(0.25), "its range is the server's to judge");
+        let python = include_str!("../../../client/src/hullcast/_hulls.py");
+        assert!(python.contains(&format!("\nDEFAULT_PLANARITY = {DEFAULT_PLANARITY:e}\n")));
+    }
+
+    // Catches an error that does not name its place in a file of thousands of lines.
+    #[test]
+    fn errors_name_field_and_index() {
+        let cases = [
+            ("[0,0,1]]", "[0,0]]", "hulls[0].vertices[3]"),
+            ("\"hull\": 0, \"position\": [0,0,2]", "\"hull\": 7, \"position\": [0,0,2]", "bodies[1].hull"),
+            ("[[0,1]]", "[[0,1],[0,2]]", "pairs[1][1]"),
+            ("[[0,1]]", "[[0,-1]]", "pairs[0][1]"),
+            ("[[0,0,0],[0,0,3]]", "[[0,0,0]]", "frames[0].positions"),
+            ("[0,0,3]]", "[0,0,\"3\"]]", "frames[0].positions[1][2]"),
+            ("0.5", "-0.5", "margin"),
+            (FORMAT, "something", "format"),
+        ];
+        for (from, to, place) in cases {
+            let text = GOOD.replacen(from, to, 1);
+            assert_ne!(text, GOOD, "{place}");
+            assert_eq!(SceneFile::parse(text.as_bytes()).unwrap_err().place, place, "{to}");
+        }
+        for text in [&b"{"[..], b"", b"# A page", format!("{GOOD} x").as_bytes()] {
+            assert!(SceneFile::parse(text).unwrap_err().to_string().contains("not JSON ("));
+        }
+    }
+}
