@@ -36,6 +36,7 @@ use super::{
     middleware::{Closing, Middleware},
     peers::{Address, Peer, Peers},
     request_body::per_mebibyte,
+    sizes::HEADER_BYTES,
 };
 #[cfg(feature = "playground")]
 use super::{
@@ -50,9 +51,6 @@ const FRAME_BYTES: u32 = 1 << 20;
 
 /// A peer that does not answer a PING within this time is considered gone.
 const KEEP_ALIVE: Duration = Duration::from_secs(60);
-
-/// The most bytes of one call's headers, several times the size of a token and a trace context.
-pub(super) const HEADER_BYTES: u32 = 16 << 10;
 
 /// The number of streams that the peer reset before the server handled them, or that the server reset
 /// because of the peer's errors. With more, the connection is closed ("rapid reset").
