@@ -5,8 +5,8 @@
 //!
 //! - `service` answers batches of queries over gRPC, by the contract in `proto`.
 //! - `store` keeps the registered hulls.
-//! - `broad_phase` finds pairs.
-//! - `compute` runs the compute threads; `budget` limits the memory that callers make the server hold.
+//! - [`batch`] computes many pairs, and finds pairs: the crate [`hullcast_batch`], which knows no network.
+//! - `compute` names the jobs of the service's callers; `budget` limits the memory that callers make the server hold.
 //! - `small_file` reads settings, tokens and certificates; `size` prints sizes.
 //! - `metrics` and `trace` report the server's activity; `log_limit` keeps callers from filling the log.
 //!
@@ -31,7 +31,7 @@ pub mod small_file;
 pub mod store;
 pub mod trace;
 
-pub use hullcast_batch::broad_phase;
+pub use hullcast_batch as batch;
 use hullcast_batch::lock;
 pub use hullcast_contact as contact;
 pub use hullcast_contact::workload;

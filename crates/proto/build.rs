@@ -6,6 +6,7 @@ use std::{
 };
 
 use prost::Message as _;
+use prost_types::field_descriptor_proto::{Label, Type};
 use tonic_prost_build::{FileDescriptorSet, manual};
 
 const FILES: [&str; 3] =
@@ -20,6 +21,7 @@ fn main() {
     bare.file.iter_mut().for_each(|file| file.source_code_info = None);
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
     fs::write(out.join("hullcast.v1.binpb"), bare.encode_to_vec()).expect("OUT_DIR is writable");
+    fs::write(out.join("columns.rs"), columns(&descriptors)).expect("OUT_DIR is writable");
     manual::Builder::new().build_client(false).compile(&servers(&descriptors));
     tonic_prost_build::configure()
         .codec_path("crate::Codec")
@@ -55,6 +57,41 @@ fn servers(descriptors: &FileDescriptorSet) -> Vec<manual::Service> {
         })
     });
     services.collect()
+}
+
+/// The call of `columnar!` for every message that a method receives or sends, with its columns: the repeated
+/// fields of type `double` or `fixed32`, in the order of their tags.
+fn columns(descriptors: &FileDescriptorSet) -> String {
+    let mut methods: Vec<_> = descriptors
+        .file
+        .iter()
+        .flat_map(|file| &file.service)
+        .flat_map(|service| &service.method)
+        .flat_map(|method| [method.input_type(), method.output_type()])
+        .collect();
+    methods.sort_unstable();
+    methods.dedup();
+    let mut text = String::from("columnar! {\n");
+    for file in &descriptors.file {
+        for message in &file.message_type {
+            if !methods.contains(&format!(".{}.{}", file.package(), message.name()).as_str()) {
+                continue;
+            }
+            text += &format!("    {} {{\n", message.name());
+            let mut fields: Vec<_> = message.field.iter().collect();
+            fields.sort_unstable_by_key(|field| field.number());
+            for field in fields {
+                let kind = match (field.label(), field.r#type()) {
+                    (Label::Repeated, Type::Double) => "Doubles",
+                    (Label::Repeated, Type::Fixed32) => "Fixed32s",
+                    _ => continue,
+                };
+                text += &format!("        {kind} {} = {};\n", field.name(), field.number());
+            }
+            text += "    }\n";
+        }
+    }
+    text + "}\n"
 }
 
 /// Converts `.hullcast.v1.Name` to a path in the crate.

@@ -52,7 +52,7 @@ fn answered(
 ) -> Vec<Manifold> {
     let [a, b] = question.place.bodies(hulls);
     let mut answers: Vec<Manifold> = Vec::new();
-    for solver in [Solver::Portal, Solver::GjkRayCast] {
+    for solver in Solver::ALL {
         let mut query = question.query;
         query.accuracy.solver = solver;
         let [odd_a, odd_b] = [0, 3].map(|i| std::array::from_fn(|k| question.odd_warm_start[i + k]));

@@ -21,15 +21,15 @@ use super::progress::Progress;
 use super::remote::{Connection, RemoteArgs, root_cause};
 use super::scene::{Frame, HullPoints, SceneFile};
 use super::values::counted;
+use hullcast::batch::{Batch, Missing, scene::Bodies};
 use hullcast::budget::{Caller, Part, Permit};
 use hullcast::compute::{Compute, Job};
 use hullcast::contact::ConvexHull;
 use hullcast::proto;
 use hullcast::proto::register_hull_result::Result as Registered;
-use hullcast::service::batch::{Batch, Bounds, Engine};
-use hullcast::service::{Kind, Limits, ServiceError, wire};
+use hullcast::service::{Engine, EngineBounds, Kind, Limits, ServiceError, wire};
 use hullcast::store::identity::id_of;
-use hullcast::store::{HullDefinition, HullId, Missing};
+use hullcast::store::{HullDefinition, HullId};
 
 /// Limit on the size of an answer that is computed in this process and never becomes a message.
 const MAX_ANSWER_BYTES: usize = 2 << 30;
@@ -152,7 +152,7 @@ impl Answerer {
             ids.push(id);
         }
         let compute = Compute::new(threads)?;
-        let bounds = Bounds {
+        let bounds = EngineBounds {
             max_pairs_in_flight: limits.max_pairs_in_flight,
             shares: false,
             max_answer_bytes: MAX_ANSWER_BYTES,
@@ -219,14 +219,15 @@ impl Local {
     ) -> Result<proto::QueryContactsResponse, ServiceError> {
         let scene = wire::scene(request, &self.limits)?;
         let job = Job::new(Caller::alone());
-        let (pairs, outputs) = (scene.setting.pair_count(), scene.setting.outputs);
+        let (pairs, outputs) = (scene.setting.pair_count(), scene.setting.outputs());
         let admission = self.engine.admit(pairs, outputs, &job.caller)?;
         let known = |id| self.hulls.get(id).cloned().ok_or(Missing::Unknown);
-        let hulls = scene.setting.hull_ids.iter().map(known).collect();
-        let request_id = scene.request_id;
-        let (batch, invalid_bodies) = Batch::new(scene, Arc::new(hulls));
+        let hulls = scene.hull_ids.iter().map(known).collect();
+        let (request_id, invalid_bodies) = (scene.request_id, scene.invalid_bodies);
+        let bodies = Bodies::new(scene.setting, Arc::new(hulls), Arc::new(scene.poses))?;
+        let batch = Batch::new(bodies, scene.warm_starts)?;
         let memory = Permit::unbounded(Part::Answers);
-        let (columns, _memory) = self.engine.compute(batch, admission, &job, memory).await?;
+        let (columns, _memory) = self.engine.compute(batch, None, admission, &job, memory).await?;
         Ok(wire::response(request_id, columns, Vec::new(), invalid_bodies))
     }
 }

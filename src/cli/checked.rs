@@ -7,7 +7,12 @@
 use std::error::Error as StdError;
 use std::fmt;
 
-use hullcast::proto::{self, Flag, Outcome, Output};
+use hullcast::batch::{
+    Output, Outputs,
+    columns::{Per, Values},
+};
+use hullcast::proto::{self, Flag, Outcome};
+use hullcast::service::wire::response_columns;
 use hullcast::store::HullId;
 
 /// The flags that explain why a pair is INVALID.
@@ -49,83 +54,42 @@ pub(crate) fn answer(
             response.request_id, request.request_id
         ));
     }
-    let asked = Asked::of(request);
-    lengths(&asked, request.pairs.len() / 2, response)?;
+    let asked = asked(request);
+    lengths(asked, request.pairs.len() / 2, response)?;
     ascending("missing_hulls", &response.missing_hulls, request.hull_ids.len())?;
     ascending("invalid_bodies", &response.invalid_bodies, request.body_hulls.len())?;
     for pair in 0..response.outcomes.len() {
         outcome(request, response, pair)?;
-        numbers(&asked, response, pair)?;
+        numbers(asked, response, pair)?;
     }
-    for (name, column) in [("witness_as", &response.witness_as), ("distances", &response.distances)]
-        .into_iter()
-        .chain([("witness_bs", &response.witness_bs)])
-    {
-        if let Some(at) = column.iter().position(|value| !value.is_finite()) {
-            return malformed(format!("{name}[{at}] is {}, expected a finite number", column[at]));
+    for (column, values) in response_columns(response) {
+        if let (Per::Point, Values::F64(values)) = (column.per, values)
+            && let Some(at) = values.iter().position(|value| !value.is_finite())
+        {
+            return malformed(format!("{}[{at}] is {}, expected a finite number", column.name, values[at]));
         }
     }
     Ok(())
 }
 
 /// The outputs that a request asks for.
-struct Asked {
-    alpha: bool,
-    normal: bool,
-    points: bool,
-    witness_b: bool,
-    features: bool,
-    bases: bool,
-    diagnostics: bool,
-}
-
-impl Asked {
-    fn of(request: &proto::QueryContactsRequest) -> Self {
-        let default = [Output::Alpha as i32, Output::Normal as i32, Output::Points as i32];
-        let outputs = if request.outputs.is_empty() { &default[..] } else { &request.outputs };
-        let has = |output: Output| outputs.contains(&(output as i32));
-        Self {
-            alpha: has(Output::Alpha),
-            normal: has(Output::Normal),
-            points: has(Output::Points),
-            witness_b: has(Output::WitnessB),
-            features: has(Output::Features),
-            bases: has(Output::Bases),
-            diagnostics: has(Output::Diagnostics),
-        }
+fn asked(request: &proto::QueryContactsRequest) -> Outputs {
+    if request.outputs.is_empty() {
+        return Outputs::default();
     }
+    Outputs::of(request.outputs.iter().filter_map(|&output| Output::from_number(output)))
 }
 
 /// Checks every column's length.
-fn lengths(asked: &Asked, pairs: usize, response: &proto::QueryContactsResponse) -> Result<(), Malformed> {
-    let any_points = asked.points || asked.witness_b || asked.features;
+fn lengths(asked: Outputs, pairs: usize, response: &proto::QueryContactsResponse) -> Result<(), Malformed> {
     let points: usize = response.point_counts.iter().map(|&count| count as usize).sum();
-    // A server of the first version of the contract does not send `kept_areas`.
-    let kept = asked.diagnostics && !response.kept_areas.is_empty();
-    let expected = |asked: bool, count: usize| if asked { count } else { 0 };
-    for (name, found, wanted) in [
-        ("outcomes", response.outcomes.len(), pairs),
-        ("flags", response.flags.len(), pairs),
-        ("alphas", response.alphas.len(), expected(asked.alpha, pairs)),
-        ("alpha_lowers", response.alpha_lowers.len(), expected(asked.alpha, pairs)),
-        ("alpha_uppers", response.alpha_uppers.len(), expected(asked.alpha, pairs)),
-        ("separations", response.separations.len(), expected(asked.normal, pairs)),
-        ("normals", response.normals.len(), expected(asked.normal, 3 * pairs)),
-        ("point_counts", response.point_counts.len(), expected(any_points, pairs)),
-        ("witness_as", response.witness_as.len(), expected(asked.points, 3 * points)),
-        ("distances", response.distances.len(), expected(asked.points, points)),
-        ("witness_bs", response.witness_bs.len(), expected(asked.witness_b, 3 * points)),
-        ("feature_kinds", response.feature_kinds.len(), expected(asked.features, 2 * pairs)),
-        ("feature_indices", response.feature_indices.len(), expected(asked.features, 4 * pairs)),
-        ("point_ids", response.point_ids.len(), expected(asked.features, 4 * points)),
-        ("bases", response.bases.len(), expected(asked.bases, 6 * pairs)),
-        ("pairs", response.pairs.len(), 0),
-        ("iterations", response.iterations.len(), expected(asked.diagnostics, pairs)),
-        ("support_calls", response.support_calls.len(), expected(asked.diagnostics, pairs)),
-        ("kept_areas", response.kept_areas.len(), expected(kept, pairs)),
-    ] {
-        if found != wanted {
-            return malformed(format!("{name} has {found} entries, expected {wanted}"));
+    for (column, values) in response_columns(response) {
+        // A server of the first version of the contract does not send a later column.
+        let lacks = column.is_later && values.is_empty();
+        let rows = if column.per == Per::Point { points } else { pairs };
+        let wanted = if column.is_sent(asked) && !lacks { rows * column.width } else { 0 };
+        if values.len() != wanted {
+            return malformed(format!("{} has {} entries, expected {wanted}", column.name, values.len()));
         }
     }
     Ok(())
@@ -178,7 +142,7 @@ fn outcome(
 }
 
 /// Checks that a pair's numbers are finite and in order, unless the pair is INVALID.
-fn numbers(asked: &Asked, response: &proto::QueryContactsResponse, pair: usize) -> Result<(), Malformed> {
+fn numbers(asked: Outputs, response: &proto::QueryContactsResponse, pair: usize) -> Result<(), Malformed> {
     if asked.features {
         for (side, kind) in response.feature_kinds[2 * pair..][..2].iter().enumerate() {
             if *kind > proto::FeatureKind::Face as u8 {
@@ -243,14 +207,12 @@ mod tests {
     type Defect = (&'static str, fn(&mut proto::QueryContactsResponse));
 
     fn asked() -> proto::QueryContactsRequest {
-        let outputs = [Output::Alpha, Output::Normal, Output::Points, Output::WitnessB, Output::Features];
-        let more = [Output::Bases, Output::Diagnostics];
         proto::QueryContactsRequest {
             request_id: 7,
             hull_ids: vec![vec![0; 32], vec![1; 32]],
             body_hulls: vec![0, 1, 0],
             pairs: vec![0, 2, 0, 1],
-            outputs: outputs.into_iter().chain(more).map(Into::into).collect(),
+            outputs: Output::ALL.iter().map(|&output| output as i32).collect(),
             ..Default::default()
         }
     }

@@ -14,6 +14,7 @@ use super::scene::{SceneFile, frame_named, unusable_poses};
 use super::settings::MOST_THREADS;
 use super::values::{count, counted, margin};
 use hullcast::proto;
+use hullcast::service::wire;
 
 /// Pairs per request. This is well below every server's default limit, and so is the answer.
 const PAIRS_PER_REQUEST: usize = 32_768;
@@ -129,36 +130,11 @@ async fn answer(
     loop {
         let (now, later) = rest.split_at(rest.len().min(2 * PAIRS_PER_REQUEST));
         request.pairs = now.to_vec();
-        append(&mut whole, answerer.answer(request.clone()).await?);
+        wire::append(&mut whole, answerer.answer(request.clone()).await?);
         progress.add(now.len() / 2);
         rest = later;
         if rest.is_empty() {
             return Ok(whole);
         }
     }
-}
-
-/// Appends the columns of a part.
-fn append(whole: &mut proto::QueryContactsResponse, part: proto::QueryContactsResponse) {
-    whole.outcomes.extend(part.outcomes);
-    whole.flags.extend(part.flags);
-    whole.alphas.extend(part.alphas);
-    whole.alpha_lowers.extend(part.alpha_lowers);
-    whole.alpha_uppers.extend(part.alpha_uppers);
-    whole.separations.extend(part.separations);
-    whole.normals.extend(part.normals);
-    whole.point_counts.extend(part.point_counts);
-    whole.witness_as.extend(part.witness_as);
-    whole.distances.extend(part.distances);
-    whole.witness_bs.extend(part.witness_bs);
-    whole.feature_kinds.extend(part.feature_kinds);
-    whole.feature_indices.extend(part.feature_indices);
-    whole.point_ids.extend(part.point_ids);
-    whole.bases.extend(part.bases);
-    whole.iterations.extend(part.iterations);
-    whole.support_calls.extend(part.support_calls);
-    whole.kept_areas.extend(part.kept_areas);
-    // These fields describe the whole request and are equal in all parts.
-    whole.missing_hulls = part.missing_hulls;
-    whole.invalid_bodies = part.invalid_bodies;
 }

@@ -1,11 +1,14 @@
 //! An answer, and its form as JSON. `table` and `arrays` have the other forms.
 
 use std::io::{self, Write};
+use std::ops::Range;
 
-use serde::Serialize;
+use serde::ser::{Serialize, SerializeMap, SerializeSeq, Serializer};
 
 use super::scene::{Frame, SceneFile};
+use hullcast::batch::columns::{Column, Per, Values};
 use hullcast::proto::{self, Flag, Outcome};
+use hullcast::service::wire::response_columns;
 
 /// A frame of a scene and its answer.
 #[derive(Clone, Copy, Debug)]
@@ -16,54 +19,6 @@ pub(crate) struct Answered<'a> {
     pub(crate) frame: &'a Frame,
     /// The answer. Columns that were not requested are empty.
     pub(crate) columns: &'a proto::QueryContactsResponse,
-}
-
-/// A pair in the JSON. Fields that were not requested are left out.
-#[derive(Serialize)]
-struct PairJson<'a> {
-    pair: [u32; 2],
-    #[serde(skip_serializing_if = "no_names")]
-    names: [&'a str; 2],
-    outcome: &'static str,
-    flags: Vec<&'static str>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    alpha: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    alpha_bracket: Option<[f64; 2]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    separation: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    normal: Option<[f64; 3]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    points: Option<Vec<PointJson>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    feature_kinds: Option<[u8; 2]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    feature_indices: Option<[u32; 4]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    basis: Option<[u32; 6]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    iterations: Option<u32>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    support_calls: Option<u32>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    kept_area: Option<f64>,
-}
-
-#[derive(Serialize)]
-struct PointJson {
-    #[serde(skip_serializing_if = "Option::is_none")]
-    witness_a: Option<[f64; 3]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    distance: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    witness_b: Option<[f64; 3]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    id: Option<[u32; 4]>,
-}
-
-fn no_names(names: &[&str; 2]) -> bool {
-    names.iter().all(|name| name.is_empty())
 }
 
 /// Row `i` of a column with `N` entries per row; `None` if the column was not requested.
@@ -80,46 +35,22 @@ impl Answered<'_> {
         write!(out, "{{\"scene\":{},\"frame\":{}", json(&self.scene.name)?, json(&self.frame.name)?)?;
         write!(out, ",\"invalid_bodies\":{}", json(&self.columns.invalid_bodies)?)?;
         write!(out, ",\"pairs\":[")?;
+        // Columns of one key are joined to one list.
+        let columns: Vec<_> = response_columns(self.columns).collect();
+        let of = |per| {
+            columns.chunk_by(|(one, _), (other, _)| one.key == other.key).filter(move |joined| {
+                joined.iter().all(|(column, values)| column.per == per && !values.is_empty())
+            })
+        };
+        let (of_pair, of_point): (Vec<_>, Vec<_>) = (of(Per::Pair).collect(), of(Per::Point).collect());
         let mut first_point = 0;
         for i in 0..self.columns.outcomes.len() {
-            let pair = self.pair(i, first_point);
-            first_point += self.point_count(i);
+            let points = first_point..first_point + self.point_count(i);
+            first_point = points.end;
+            let pair = PairJson { answered: self, i, points, of_pair: &of_pair, of_point: &of_point };
             write!(out, "{}\n{}", if i == 0 { "" } else { "," }, json(&pair)?)?;
         }
         writeln!(out, "\n]}}")
-    }
-
-    fn pair(&self, i: usize, first_point: usize) -> PairJson<'_> {
-        let c = self.columns;
-        let pair = self.bodies(i);
-        let counted = c.point_counts.get(i).map(|_| first_point..first_point + self.point_count(i));
-        PairJson {
-            pair,
-            names: pair.map(|body| self.scene.body_names[body as usize].as_str()),
-            outcome: outcome_name(c.outcomes[i]),
-            flags: flag_names(c.flags[i]),
-            alpha: c.alphas.get(i).copied(),
-            alpha_bracket: c.alpha_lowers.get(i).zip(c.alpha_uppers.get(i)).map(|(&l, &u)| [l, u]),
-            separation: c.separations.get(i).copied(),
-            normal: row(&c.normals, i),
-            points: counted.map(|points| points.map(|k| self.point(k)).collect()),
-            feature_kinds: row(&c.feature_kinds, i),
-            feature_indices: row(&c.feature_indices, i),
-            basis: row(&c.bases, i),
-            iterations: c.iterations.get(i).copied(),
-            support_calls: c.support_calls.get(i).copied(),
-            kept_area: c.kept_areas.get(i).copied(),
-        }
-    }
-
-    fn point(&self, k: usize) -> PointJson {
-        let c = self.columns;
-        PointJson {
-            witness_a: row(&c.witness_as, k),
-            distance: c.distances.get(k).copied(),
-            witness_b: row(&c.witness_bs, k),
-            id: row(&c.point_ids, k),
-        }
     }
 
     pub(super) fn bodies(&self, i: usize) -> [u32; 2] {
@@ -128,6 +59,102 @@ impl Answered<'_> {
 
     pub(super) fn point_count(&self, i: usize) -> usize {
         self.columns.point_counts.get(i).map_or(0, |&n| n as usize)
+    }
+}
+
+/// The columns that make one value in the JSON.
+type Joined<'a> = &'a [(&'static Column, Values<'a>)];
+
+/// A pair in the JSON. Columns that were not requested are left out.
+struct PairJson<'a> {
+    answered: &'a Answered<'a>,
+    i: usize,
+    points: Range<usize>,
+    of_pair: &'a [Joined<'a>],
+    of_point: &'a [Joined<'a>],
+}
+
+impl Serialize for PairJson<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let Self { answered, i, of_pair, .. } = *self;
+        let pair = answered.bodies(i);
+        let names = pair.map(|body| answered.scene.body_names[body as usize].as_str());
+        let mut map = serializer.serialize_map(None)?;
+        map.serialize_entry("pair", &pair)?;
+        if names.iter().any(|name| !name.is_empty()) {
+            map.serialize_entry("names", &names)?;
+        }
+        for joined in of_pair {
+            let key = joined[0].0.key;
+            match key {
+                "outcome" => map.serialize_entry(key, outcome_name(answered.columns.outcomes[i]))?,
+                "flags" => map.serialize_entry(key, &flag_names(answered.columns.flags[i]))?,
+                // The points themselves stand in the place of their number.
+                "points" => map.serialize_entry(key, &PointsJson(self))?,
+                _ => map.serialize_entry(key, &ValueJson(joined, i))?,
+            }
+        }
+        map.end()
+    }
+}
+
+/// The points of a pair.
+struct PointsJson<'a>(&'a PairJson<'a>);
+
+impl Serialize for PointsJson<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let PairJson { points, of_point, .. } = self.0;
+        serializer.collect_seq(points.clone().map(|i| PointJson { of_point, i }))
+    }
+}
+
+/// A point.
+struct PointJson<'a> {
+    of_point: &'a [Joined<'a>],
+    i: usize,
+}
+
+impl Serialize for PointJson<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer
+            .collect_map(self.of_point.iter().map(|joined| (joined[0].0.key, ValueJson(joined, self.i))))
+    }
+}
+
+/// The value of a pair or a point in joined columns: a number, or a list of numbers.
+struct ValueJson<'a>(Joined<'a>, usize);
+
+impl Serialize for ValueJson<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let Self(joined, i) = *self;
+        let rows = joined.iter().filter_map(|(column, values)| values.row(i, column.width));
+        if let [(Column { width: 1, .. }, _)] = joined {
+            return match rows.flat_map(numbers).next() {
+                Some(number) => number.serialize(serializer),
+                None => serializer.serialize_none(),
+            };
+        }
+        let mut list = serializer.serialize_seq(None)?;
+        for number in rows.flat_map(numbers) {
+            list.serialize_element(&number)?;
+        }
+        list.end()
+    }
+}
+
+/// A number of a column.
+#[derive(serde::Serialize)]
+#[serde(untagged)]
+enum Number {
+    Integer(u32),
+    Float(f64),
+}
+
+fn numbers(values: Values<'_>) -> Vec<Number> {
+    match values {
+        Values::U8(values) => values.iter().map(|&value| Number::Integer(value.into())).collect(),
+        Values::U32(values) => values.iter().map(|&value| Number::Integer(value)).collect(),
+        Values::F64(values) => values.iter().map(|&value| Number::Float(value)).collect(),
     }
 }
 

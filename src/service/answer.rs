@@ -9,9 +9,10 @@ use bytes::{BufMut, Bytes, BytesMut};
 
 use super::{
     App, ServiceError,
-    context::{Answer, CallContext, SMALL_BYTES, grow},
+    context::{Answer, CallContext, grow},
     offload::offloaded,
     request_body::HEAD_BYTES,
+    sizes::SMALL_BYTES,
 };
 use crate::{
     budget::{Part, Permit},

@@ -35,6 +35,7 @@ use super::{
     middleware::{Closing, Middleware},
     peers::{Address, Peer, Peers},
     request_body::per_mebibyte,
+    sizes::HEADER_BYTES,
     streams::{Arrived, StreamExecutor, Streams},
 };
 #[cfg(feature = "playground")]
@@ -50,9 +51,6 @@ const FRAME_BYTES: u32 = 1 << 20;
 
 /// A peer that does not answer a PING within this time is considered gone.
 const KEEP_ALIVE: Duration = Duration::from_secs(60);
-
-/// The most bytes of one call's headers, several times the size of a token and a trace context.
-pub(super) const HEADER_BYTES: u32 = 16 << 10;
 
 /// The most streams that the peer may reset before the server handles them, and the most that the server
 /// resets because of the peer's errors. With more, the connection is closed ("rapid reset").

@@ -17,7 +17,7 @@ use super::{
     middleware::{Closing, Deadline},
     scene::answer,
     steps::Steps,
-    wire::{self, Scene},
+    wire,
 };
 use crate::{
     contact::Stop,
@@ -42,8 +42,11 @@ impl ContactService for Contacts {
         request: Request<Encoded<QueryContactsRequest>>,
     ) -> Result<Response<QueryContactsResponse>, Status> {
         let context = CallContext::of(&request);
-        let scene = scene(&self.app, &context, request.into_inner()).await?;
-        Ok(Response::new(answer(&self.app, &context, scene, false).await?.0))
+        let check = |request, memory, limits: &Limits, stop: &Stop| {
+            Ok((wire::stoppable_scene(request, limits, stop)?, memory))
+        };
+        let (scene, memory) = decoded(&self.app, &context, request.into_inner(), check).await?;
+        Ok(Response::new(answer(&self.app, &context, scene, memory, false).await?.0))
     }
 
     type FindContactsStream = BoxStream<'static, Result<QueryContactsResponse, Status>>;
@@ -55,8 +58,6 @@ impl ContactService for Contacts {
         let deadline = request.extensions().get::<Deadline>().copied();
         let context = CallContext::of(&request);
         let finding = Finding::begin(self.app.clone(), context, request.into_inner()).await?;
-        let bytes = finding.bytes();
-        let finding = self.app.engine().compute_threads().freed_here(finding, bytes);
         let answers = stream::try_unfold(finding, move |mut finding| async move {
             let part = within(deadline, finding.next()).await?;
             Ok(part.map(|part| (part, finding)))
@@ -98,17 +99,4 @@ async fn within<T, E: Into<Status>>(
             Err(_) => Err(ServiceError::deadline_exceeded().into()),
         },
     }
-}
-
-/// The scene of a request that inherits nothing.
-async fn scene(
-    app: &Arc<App>,
-    context: &CallContext,
-    request: Encoded<QueryContactsRequest>,
-) -> Result<Scene, ServiceError> {
-    let check = |request, memory, limits: &Limits, stop: &Stop| {
-        let scene = wire::stoppable_scene(request, limits, stop)?;
-        Ok(Scene { memory: Some(memory), ..scene })
-    };
-    decoded(app, context, request, check).await
 }

@@ -11,29 +11,18 @@ use std::{
 
 use bytes::{Bytes, BytesMut};
 
-use super::{App, ServiceError, wire::Setting};
+use super::{
+    App, ServiceError,
+    sizes::{FRAME_BYTES, SMALL_BYTES},
+};
 use crate::{
+    batch::Hulls,
     budget::{Caller, CallerBudget, MemoryBudget, NoMemory, Part, Permit, Refusal},
     compute::Job,
     lock::locked,
     metrics::{Metrics, Shed},
-    store::{Hulls, Lease},
+    store::{HullId, Lease},
 };
-
-/// Messages up to this size, in either direction, pass through tonic's buffers. A call takes the memory for
-/// them once ([`CALL_BYTES`]), and not for each message, so that a stream of hundreds of thousands of
-/// small messages per second locks nothing.
-///
-/// Larger messages wait in the [`CallContext`] and tonic passes an empty message in their place, because tonic
-/// keeps its buffers, as large as the largest message, until the call ends.
-pub(super) const SMALL_BYTES: usize = 4 << 10;
-
-/// A received frame may hold this many bytes of messages that tonic has not asked for yet.
-const FRAME_BYTES: u64 = 8 << 10;
-
-/// The memory that each call takes when it begins: its own state, [`FRAME_BYTES`] of a received frame, and
-/// [`SMALL_BYTES`] of messages as they arrive, decoded, and as answers.
-pub(super) const CALL_BYTES: usize = 32 << 10;
 
 /// The state of one call. Clones belong to the same call.
 #[derive(Clone, Debug)]
@@ -59,7 +48,7 @@ struct CallState {
 /// The hulls of a message, all found.
 #[derive(Clone, Debug)]
 pub(super) struct LeasedHulls {
-    pub(super) setting: Arc<Setting>,
+    pub(super) hull_ids: Arc<Vec<HullId>>,
     pub(super) hulls: Arc<Hulls>,
     pub(super) lease: Arc<Lease>,
 }
@@ -145,11 +134,10 @@ impl CallContext {
         *locked(&self.state.leased) = Some(hulls);
     }
 
-    /// The kept hulls, if they are those of `setting` and the store still has them. Any others are released.
-    pub(super) fn leased_hulls(&self, setting: &Setting) -> Option<LeasedHulls> {
+    /// The kept hulls, if they are these and the store still has them. Any others are released.
+    pub(super) fn leased_hulls(&self, hull_ids: &[HullId]) -> Option<LeasedHulls> {
         let mut leased = locked(&self.state.leased);
-        let is_of =
-            |kept: &mut LeasedHulls| kept.setting.hull_ids == setting.hull_ids && kept.lease.is_current();
+        let is_of = |kept: &mut LeasedHulls| *kept.hull_ids == hull_ids && kept.lease.is_current();
         let others = leased.take_if(|kept| !is_of(kept));
         let kept = leased.clone();
         drop(leased);

@@ -26,7 +26,7 @@ use std::{collections::VecDeque, io, time::Duration};
 
 use tokio::time::Instant;
 
-use super::{connection::HEADER_BYTES, peers::Peer};
+use super::{peers::Peer, sizes::HEADER_BYTES};
 use crate::budget::Permit;
 
 const PREFACE_BYTES: usize = 24;

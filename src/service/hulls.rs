@@ -10,6 +10,7 @@ use super::{
     context::{CallContext, no_memory},
     decode::decoded,
     records::{present, records},
+    sizes::{GROUP_BYTES, LISTED_BYTES},
     wire,
 };
 use crate::{
@@ -27,15 +28,8 @@ use crate::{
     store::{RegisterError, Registered, StoreError, building_bytes},
 };
 
-/// The memory of the hulls of a request that are built at a time, unless a single hull takes more. About
-/// 50,000 points keep all threads busy.
-pub(super) const GROUP_BYTES: usize = 64 << 20;
-
 /// The page size of `ListHulls` if the request gives none.
 const DEFAULT_PAGE_SIZE: u32 = 1000;
-
-/// Bytes of memory per hull on a page of `ListHulls`: the store's entry, and the answer twice.
-pub(super) const LISTED_BYTES: usize = 320;
 
 /// The time after which a client should retry if the store cannot be read.
 const STORE_RETRY: Duration = Duration::from_millis(500);

@@ -1,12 +1,8 @@
 //! The limits of a server. `GetServerInfo` publishes them, and docs/operations.md states the reason
 //! for each.
 
-use super::{
-    connection::HEADER_BYTES,
-    context::CALL_BYTES,
-    hulls::{GROUP_BYTES, LISTED_BYTES},
-    peers::{CONNECTION_BYTES, LARGE_WINDOW},
-    wire::HULL_BYTES,
+use super::sizes::{
+    CALL_BYTES, CONNECTION_BYTES, GROUP_BYTES, HEADER_BYTES, HULL_BYTES, LARGE_WINDOW, LISTED_BYTES,
 };
 use crate::{size::ByteSize, store::building_bytes};
 

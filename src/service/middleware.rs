@@ -28,11 +28,12 @@ use super::{
     call::{
         self, BoxError, Call, Taken, is_health, is_long_lived, is_watch, names_a_service, takes_one_message,
     },
-    context::{CALL_BYTES, CallContext, no_memory},
+    context::{CallContext, no_memory},
     error::{Kind, ServiceError},
     peers::Peer,
     protocol,
     request_body::{MessageBody, MessageRules},
+    sizes::CALL_BYTES,
     wire,
 };
 use crate::{

@@ -1,7 +1,7 @@
-//! The gRPC services. A request passes through wire -> handlers -> batch -> wire.
+//! The gRPC services. A request passes through wire -> handlers -> engine -> wire.
 //!
 //! [`wire`] checks requests and writes responses. The handlers are [`contacts`] with [`find`] and
-//! [`steps`], [`hulls`], and [`info`]; [`batch`] computes. [`server`] runs the services on
+//! [`steps`], [`hulls`], and [`info`]; [`engine`] hands batches to the crate `hullcast-batch`. [`server`] runs the services on
 //! [`listener`]s. Each [`connection`] passes its calls through the [`middleware`], which applies to
 //! every call and asks [`security`] whether the caller may make it.
 
@@ -9,13 +9,13 @@ mod admin;
 mod admission;
 mod answer;
 mod answer_body;
-pub mod batch;
 mod call;
 mod connection;
 mod contacts;
 mod context;
 mod cutoff;
 mod decode;
+mod engine;
 mod error;
 mod find;
 mod frames;
@@ -38,6 +38,7 @@ mod request_body;
 mod scene;
 mod security;
 mod server;
+mod sizes;
 mod socket_file;
 #[cfg(feature = "playground")]
 mod stall;
@@ -52,9 +53,8 @@ use std::{
 };
 
 pub use admin::{CONNECTIONS as ADMIN_CONNECTIONS, serve_admin};
-use batch::Engine;
+pub use engine::{Bounds as EngineBounds, Engine};
 pub use error::{Kind, Place, ServiceError};
-pub use hullcast_batch::outputs::Outputs;
 pub use limits::Limits;
 pub use listener::Listener;
 pub use readiness::Readiness;
@@ -110,7 +110,7 @@ impl App {
             (Part::StreamState, limits.max_stream_state_bytes),
         ];
         let memory = MemoryBudget::new(limits.max_memory_bytes, limits.shares, &caps);
-        let of_engine = batch::Bounds {
+        let of_engine = EngineBounds {
             max_pairs_in_flight: limits.max_pairs_in_flight,
             shares: limits.shares,
             max_answer_bytes: limits.max_message_bytes,

@@ -14,7 +14,10 @@ use std::{
     },
 };
 
-use super::App;
+use super::{
+    App,
+    sizes::{CONNECTION_BYTES, LARGE_WINDOW},
+};
 use crate::{
     budget::{Caller, CallerKey, Part, Permit, Slot, Slots},
     lock::locked,
@@ -27,14 +30,7 @@ const KEPT_PLACES: u32 = 16;
 /// TLS handshakes in progress at a time, over all addresses.
 const HANDSHAKES: u64 = 256;
 
-/// The memory of an open connection besides its window: the state of HTTP/2, read and write
-/// buffers, the buffers of TLS, and the health checks that are answered without asking the budget.
-pub(super) const CONNECTION_BYTES: u64 = 128 << 10;
-
-/// The HTTP/2 window of a connection while the budget has room for it: large messages arrive at full speed.
-pub(super) const LARGE_WINDOW: u32 = 8 << 20;
-
-/// The HTTP/2 window of any other connection.
+/// The HTTP/2 window of a connection for which the budget has no room for a [`LARGE_WINDOW`].
 const SMALL_WINDOW: u32 = 64 << 10;
 
 /// Large windows together may take the memory budget divided by this number.

@@ -17,10 +17,11 @@ use super::{
     wire,
 };
 use crate::{
+    batch::Missing,
     budget::{Part, Permit},
     lock::locked,
     proto::HullRecord,
-    store::{AT_A_TIME, HullId, Missing, Reader},
+    store::{AT_A_TIME, HullId, Reader},
 };
 
 /// Bytes of memory of a record besides its columns: the message, and the summary of the hull.

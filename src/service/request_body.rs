@@ -31,7 +31,8 @@ use tonic::Status;
 use super::{
     App, ServiceError,
     call::BoxError,
-    context::{CallContext, SMALL_BYTES, grow},
+    context::{CallContext, grow},
+    sizes::SMALL_BYTES,
 };
 use crate::{
     budget::{Part, Permit},

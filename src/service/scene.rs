@@ -7,17 +7,17 @@ use tokio::time::Instant;
 use super::{
     App, ServiceError,
     answer::counted_answer,
-    batch::Batch,
     context::{CallContext, LeasedHulls},
-    wire::{self, Scene},
+    wire::{self, CheckedScene},
 };
 use crate::{
-    budget::Part,
+    batch::{Batch, Hulls, scene::Bodies},
+    budget::{Part, Permit},
     compute::{FreedHere, Job},
     metrics::Shed,
     proto::QueryContactsResponse,
     size::ByteSize,
-    store::{HullId, Hulls, Lease, LeaseError},
+    store::{HullId, Lease, LeaseError},
 };
 
 /// The time after which to retry if other requests hold too many hulls. Requests hold hulls for
@@ -29,22 +29,24 @@ const HULLS_RETRY: Duration = Duration::from_millis(100);
 pub(super) async fn answer(
     app: &App,
     context: &CallContext,
-    scene: Scene,
+    scene: CheckedScene,
+    memory: Permit,
     is_of_stream: bool,
 ) -> Result<(QueryContactsResponse, Vec<u32>), ServiceError> {
     let started = tracing::enabled!(tracing::Level::DEBUG).then(Instant::now);
-    let (request_id, outputs) = (scene.request_id, scene.setting.outputs);
-    let (pairs, bodies) = (scene.setting.pair_count(), scene.setting.body_hulls.len());
-    let bytes = scene.memory.as_ref().map_or(0, |memory| memory.bytes() as usize);
-    let scene = app.engine().compute_threads().freed_here(scene, bytes);
+    let (request_id, outputs) = (scene.request_id, scene.setting.outputs());
+    let (pairs, bodies) = (scene.setting.pair_count(), scene.setting.body_count());
+    let bytes = memory.bytes() as usize;
+    let scene = app.engine().compute_threads().freed_here((scene, memory), bytes);
     let job = &context.job;
     let admission = app.engine().admit(pairs, outputs, &job.caller)?;
-    let (mut batch, missing_hulls, invalid_bodies) = assemble(app, context, scene, is_of_stream).await?;
+    let Assembled { mut batch, lease, missing_hulls, invalid_bodies } =
+        assemble(app, context, scene, is_of_stream).await?;
     if is_of_stream {
         batch.keep_bases();
     }
     let memory = context.covered(Part::Answers);
-    let (mut columns, memory) = app.engine().compute(batch, admission, job, memory).await?;
+    let (mut columns, memory) = app.engine().compute(batch, Some(lease), admission, job, memory).await?;
     debug_assert_eq!(columns.len(), pairs);
     if let Some(started) = started {
         let [contact, separated, undecided, invalid] = columns.outcome_counts();
@@ -70,31 +72,44 @@ pub(super) async fn answer(
     Ok((counted_answer(app, context, response, memory).await?, bases))
 }
 
-/// The batch of a scene with its hulls, the indices of missing hulls, and the indices of unusable
-/// bodies.
+/// A scene with its hulls.
+struct Assembled {
+    batch: Batch,
+    lease: Arc<Lease>,
+    /// The indices of missing hulls.
+    missing_hulls: Vec<u32>,
+    /// The indices of unusable bodies.
+    invalid_bodies: Vec<u32>,
+}
+
+/// Fetches the hulls of a scene. The batch keeps the scene's memory.
 async fn assemble(
     app: &App,
     context: &CallContext,
-    scene: FreedHere<Scene>,
+    scene: FreedHere<(CheckedScene, Permit)>,
     is_of_stream: bool,
-) -> Result<(Batch, Vec<u32>, Vec<u32>), ServiceError> {
-    let setting = &scene.setting;
-    let kept = if is_of_stream { context.leased_hulls(setting) } else { None };
-    let (leased, missing) = if let Some(leased) = kept {
+) -> Result<Assembled, ServiceError> {
+    let hull_ids = &scene.0.hull_ids;
+    let kept = if is_of_stream { context.leased_hulls(hull_ids) } else { None };
+    let (leased, missing_hulls) = if let Some(leased) = kept {
         app.registry().found_again(leased.hulls.len());
         (leased, Vec::new())
     } else {
-        let (hulls, lease) = fetch(app, &setting.hull_ids, &context.job).await?;
+        let (hulls, lease) = fetch(app, hull_ids, &context.job).await?;
         let missing = missing(&hulls);
-        let leased = LeasedHulls { setting: setting.clone(), hulls: Arc::new(hulls), lease: Arc::new(lease) };
+        let leased =
+            LeasedHulls { hull_ids: hull_ids.clone(), hulls: Arc::new(hulls), lease: Arc::new(lease) };
         if is_of_stream && missing.is_empty() {
             context.keep_leased(leased.clone());
         }
         (leased, missing)
     };
-    let (mut batch, invalid_bodies) = Batch::new(scene.into_inner(), leased.hulls);
-    batch.lease(leased.lease);
-    Ok((batch, missing, invalid_bodies))
+    let (scene, memory) = scene.into_inner();
+    let bodies = Bodies::new(scene.setting, leased.hulls, Arc::new(scene.poses))?;
+    let mut batch = Batch::new(bodies, scene.warm_starts)?;
+    batch.keep(memory);
+    let invalid_bodies = scene.invalid_bodies;
+    Ok(Assembled { batch, lease: leased.lease, missing_hulls, invalid_bodies })
 }
 
 /// The indices of missing hulls.

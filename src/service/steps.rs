@@ -6,18 +6,16 @@ use std::{sync::Arc, time::Duration};
 use tonic::{Status, Streaming};
 
 use super::{
-    App, Limits, ServiceError,
-    context::CallContext,
-    decode::decoded,
-    middleware::Closing,
-    scene::answer,
-    wire::{self, Scene, Setting},
+    App, Limits, ServiceError, context::CallContext, decode::decoded, middleware::Closing, scene::answer,
+    wire,
 };
 use crate::{
+    batch::scene::Setting,
     budget::{CallerStream, Permit},
     compute::FreedHere,
     contact::{STEPS_BETWEEN_LOOKS, Stop},
     proto::{Encoded, QueryContactsRequest, QueryContactsResponse},
+    store::HullId,
 };
 
 /// The time after which to retry if the server stops, or if streams keep too much state.
@@ -54,8 +52,18 @@ enum Previous {
 
 /// The hulls, bodies, pairs and options of a message, and the bases of its answer.
 struct Kept {
+    hull_ids: Arc<Vec<HullId>>,
     setting: Arc<Setting>,
     bases: Vec<u32>,
+}
+
+impl Kept {
+    /// The bytes of the state.
+    fn bytes(&self) -> usize {
+        size_of_val(&self.hull_ids[..])
+            + self.setting.heap_bytes()
+            + self.setting.pair_count() * size_of::<[u32; 6]>()
+    }
 }
 
 impl Steps {
@@ -108,8 +116,8 @@ impl Steps {
                     (wire::stoppable_scene(request, limits, stop)?, memory)
                 }
                 (true, Previous::Kept { kept, memory }) => {
-                    let Kept { setting, bases } = kept.into_inner();
-                    (wire::inherited(request, setting, bases, stop)?, Some(memory))
+                    let Kept { hull_ids, setting, bases } = kept.into_inner();
+                    (wire::inherited(request, hull_ids, setting, bases, stop)?, Some(memory))
                 }
                 (true, Previous::None) => {
                     let why = "the first message of a stream has nothing to inherit: send the scene in full";
@@ -121,13 +129,14 @@ impl Steps {
                     return Err(ServiceError::unavailable("STATE_NOT_KEPT", RETRY, why));
                 }
             };
-            Ok((Scene { memory: Some(memory), ..scene }, kept))
+            Ok((scene, memory, kept))
         };
-        let (scene, kept) = decoded(&self.app, &self.context, request, check).await?;
-        let setting = scene.setting.clone();
-        let (response, bases) = answer(&self.app, &self.context, scene, true).await?;
-        let bytes = setting.kept_bytes();
-        let state = self.app.engine().compute_threads().freed_here(Kept { setting, bases }, bytes);
+        let (scene, memory, kept) = decoded(&self.app, &self.context, request, check).await?;
+        let (hull_ids, setting) = (scene.hull_ids.clone(), scene.setting.clone());
+        let (response, bases) = answer(&self.app, &self.context, scene, memory, true).await?;
+        let kept_now = Kept { hull_ids, setting, bases };
+        let bytes = kept_now.bytes();
+        let state = self.app.engine().compute_threads().freed_here(kept_now, bytes);
         self.previous = match self.context.keep(bytes, kept) {
             Some(memory) => Previous::Kept { kept: state, memory },
             None => Previous::Dropped,

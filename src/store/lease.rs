@@ -18,10 +18,9 @@ use std::{
 
 use prometheus_client::metrics::gauge::Gauge;
 
-use super::{Missing, cache::Entry};
+use super::cache::Entry;
 use crate::{
     budget::{ById, Caller, Shares},
-    contact::ConvexHull,
     lock::locked,
     metrics::Metrics,
 };
@@ -158,13 +157,13 @@ impl Drop for Lease {
     }
 }
 
-/// The hulls of a request, in its order.
-pub type Hulls = Vec<Result<Arc<ConvexHull>, Missing>>;
-
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::budget::{CallerKey, Callers};
+    use crate::{
+        budget::{CallerKey, Callers},
+        contact::ConvexHull,
+    };
 
     pub(in crate::store) fn entries(count: usize) -> Vec<Arc<Entry>> {
         let corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];

@@ -26,6 +26,6 @@ mod turns;
 pub use blob_store::{BlobStore, Opened, StoreError, StoredBlob};
 pub(crate) use building::building_bytes;
 pub use identity::{HullDefinition, HullId};
-pub use lease::{Hulls, Lease, LeaseError};
+pub use lease::{Lease, LeaseError};
 pub use reader::Reader;
-pub use registry::{AT_A_TIME, Missing, RegisterError, Registered, Registry};
+pub use registry::{AT_A_TIME, RegisterError, Registered, Registry};

@@ -17,11 +17,12 @@ use super::{
     cache::Entry,
     identity::id_of,
     lease::{Lease, LeaseError, LeaseRequest},
-    registry::{BuildError, Missing},
+    registry::BuildError,
     scheduled::CallerStore,
     turns::Turn,
 };
 use crate::{
+    batch::Missing,
     compute::{ComputeError, Job},
     contact::ConvexHull,
     lock::locked,

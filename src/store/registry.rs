@@ -13,13 +13,14 @@ use super::{
     building::{Building, building_bytes},
     cache::{Entry, HullCache, cache},
     identity::id_of,
-    lease::{Hulls, Lease, LeaseError, LeaseRequest, Leases},
+    lease::{Lease, LeaseError, LeaseRequest, Leases},
     quota::Quota,
     reader::{NotLeased, Reader, VERIFIED_IN_PLACE},
     scheduled::{CallerStore, ScheduledStore},
     turns::Turns,
 };
 use crate::{
+    batch::{Hulls, Missing},
     budget::{MemoryBudget, NoMemory, Part},
     compute::{Compute, ComputeError, Job, Panicked},
     contact::{ConvexHull, HullError, Stopped},
@@ -43,16 +44,6 @@ pub struct Bounds {
     pub store_limit: Duration,
     /// Whether callers share leases, loads and operations of the store by dynamic thresholds.
     pub shares: bool,
-}
-
-/// The reason why a hull is missing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Missing {
-    /// The store does not have the hull, or has something else under its name. The client should
-    /// register the hull (again).
-    Unknown,
-    /// The store could not be read. The client should retry.
-    Unavailable,
 }
 
 /// The reason why a hull was not registered.

@@ -215,7 +215,7 @@ async fn too_busy_is_unavailable_with_a_pushback() {
     let server = TestServer::with_limits(limits).await;
     let (shapes, request) = two_boxes();
     server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
-    let outputs = hullcast::service::Outputs::default();
+    let outputs = hullcast::batch::Outputs::default();
     let place = server.app.engine().admit(100, outputs, &Caller::alone()).unwrap();
     let status = server.contacts().query_contacts(request.clone()).await.unwrap_err();
     assert_unavailable(&status, "TOO_BUSY");

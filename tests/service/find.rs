@@ -43,9 +43,7 @@ fn together(messages: &[QueryContactsResponse]) -> QueryContactsResponse {
         macro_rules! append {
             ($($column:ident)*) => { $(whole.$column.extend_from_slice(&message.$column);)* };
         }
-        append!(outcomes flags alphas alpha_lowers alpha_uppers separations normals point_counts
-            witness_as distances witness_bs feature_kinds feature_indices point_ids bases pairs
-            iterations support_calls kept_areas);
+        hullcast_batch::with_columns!(append);
     }
     whole
 }

@@ -36,7 +36,7 @@ async fn server() -> TestServer {
 async fn settled(server: &TestServer) -> u64 {
     server.until("hullcast_requests_in_flight", 0.0).await;
     let limit = server.app.limits().max_pairs_in_flight as usize;
-    let nothing = hullcast::service::Outputs::OUTCOME;
+    let nothing = hullcast::batch::Outputs::OUTCOME;
     while let Err(refused) = server.app.engine().admit(limit, nothing, &Caller::alone()) {
         assert_eq!(refused.reason, "TOO_BUSY");
         tokio::time::sleep(Duration::from_millis(1)).await;

@@ -13,7 +13,8 @@ use std::time::Instant;
 use bytes::Bytes;
 use hullcast::budget::{self, Part, Permit};
 use hullcast::compute::{Compute, Job};
-use hullcast::service::{Limits, batch, wire};
+use hullcast::batch::scene::Bodies;
+use hullcast::service::{Engine, EngineBounds, Limits, wire};
 use hullcast::store::{self, identity::id_of};
 use hullcast_benches::cells::{MARGIN, sphere};
 use hullcast_benches::report::{DOCS, provenance, replace_section};
@@ -322,9 +323,9 @@ async fn cores() -> Result<String, Failure> {
         for _ in 0..3 * ROUNDS {
             for (threads, rate) in (1..).zip(&mut rates) {
                 let limits = Limits::default();
-                let engine = Arc::new(batch::Engine::new(
+                let engine = Arc::new(Engine::new(
                     Compute::new(threads)?,
-                    batch::Bounds {
+                    EngineBounds {
                         max_pairs_in_flight: limits.max_pairs_in_flight,
                         shares: false,
                         max_answer_bytes: limits.max_message_bytes,
@@ -338,13 +339,14 @@ async fn cores() -> Result<String, Failure> {
                     for _ in 0..under_way {
                         let scene = wire::scene(request.clone(), &limits)?;
                         let job = Job::new(budget::Caller::alone());
-                        let admission = engine.admit(PAIRS, scene.setting.outputs, &job.caller)?;
+                        let admission = engine.admit(PAIRS, scene.setting.outputs(), &job.caller)?;
                         let found = Arc::new(hulls.iter().cloned().map(Ok).collect());
-                        let (batch, _) = batch::Batch::new(scene, found);
+                        let bodies = Bodies::new(scene.setting, found, Arc::new(scene.poses))?;
+                        let batch = hullcast::batch::Batch::new(bodies, scene.warm_starts)?;
                         let engine = engine.clone();
                         let memory = Permit::unbounded(Part::Answers);
                         tasks.push(tokio::spawn(async move {
-                            engine.compute(batch, admission, &job, memory).await
+                            engine.compute(batch, None, admission, &job, memory).await
                         }));
                         answered += 1;
                     }

@@ -2,37 +2,88 @@
 
 use hullcast_contact::Wanted;
 
-/// A set of outputs. Outcomes and flags are always computed and sent; other outputs only if
-/// requested.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Outputs {
+/// Declares every output in one place: its field, its variant, its number and its name.
+macro_rules! outputs {
+    ($($(#[doc = $doc:literal])* $field:ident, $output:ident = $number:literal, $name:literal;)*) => {
+        /// A part of an answer that a query may ask for. The numbers are those of the service's contract.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[repr(u8)]
+        pub enum Output {
+            $($(#[doc = $doc])* $output = $number,)*
+        }
+
+        impl Output {
+            /// All outputs, in the order of their numbers.
+            pub const ALL: &'static [Self] = &[$(Self::$output),*];
+
+            /// The output's name in the contract.
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$output => $name,)*
+                }
+            }
+        }
+
+        /// A set of outputs. Outcomes and flags are always computed and sent; other outputs only if
+        /// requested.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub struct Outputs {
+            $($(#[doc = $doc])* pub $field: bool,)*
+        }
+
+        impl Outputs {
+            /// Only outcomes and flags.
+            pub const OUTCOME: Self = Self { $($field: false,)* };
+
+            /// Whether the set has this output.
+            #[inline]
+            pub const fn has(self, output: Output) -> bool {
+                match output {
+                    $(Output::$output => self.$field,)*
+                }
+            }
+
+            /// Adds an output to the set.
+            pub fn add(&mut self, output: Output) {
+                match output {
+                    $(Output::$output => self.$field = true,)*
+                }
+            }
+        }
+    };
+}
+
+outputs! {
     /// The growth scale and its bracket.
-    pub alpha: bool,
+    alpha, Alpha = 2, "ALPHA";
     /// The normal and the separation.
-    pub normal: bool,
+    normal, Normal = 3, "NORMAL";
     /// Witnesses on A and distances.
-    pub points: bool,
+    points, Points = 4, "POINTS";
     /// Witnesses on B.
-    pub witness_b: bool,
+    witness_b, WitnessB = 5, "WITNESS_B";
     /// The kinds and indices of the features, and the ids of the points.
-    pub features: bool,
+    features, Features = 6, "FEATURES";
     /// The bases, from which the next query can start.
-    pub bases: bool,
+    bases, Bases = 7, "BASES";
     /// Iterations, support calls, and the area kept by reduction.
-    pub diagnostics: bool,
+    diagnostics, Diagnostics = 8, "DIAGNOSTICS";
+}
+
+impl Output {
+    /// The output with this number, or `None` if this version has none.
+    pub fn from_number(number: i32) -> Option<Self> {
+        Self::ALL.iter().copied().find(|&output| i32::from(output as u8) == number)
+    }
 }
 
 impl Outputs {
-    /// Only outcomes and flags.
-    pub const OUTCOME: Self = Self {
-        alpha: false,
-        normal: false,
-        points: false,
-        witness_b: false,
-        features: false,
-        bases: false,
-        diagnostics: false,
-    };
+    /// The set of these outputs, besides outcomes and flags.
+    pub fn of(outputs: impl IntoIterator<Item = Output>) -> Self {
+        let mut set = Self::OUTCOME;
+        outputs.into_iter().for_each(|output| set.add(output));
+        set
+    }
 
     /// Whether the answer has a column of points, and therefore point counts.
     pub fn any_points(self) -> bool {
@@ -49,25 +100,10 @@ impl Outputs {
             Wanted::Outcome
         }
     }
-
-    /// Bytes on the wire per pair, without its points.
-    pub fn pair_bytes(self) -> usize {
-        2 + 24 * usize::from(self.alpha)
-            + 32 * usize::from(self.normal)
-            + 4 * usize::from(self.any_points())
-            + 18 * usize::from(self.features)
-            + 24 * usize::from(self.bases)
-            + 16 * usize::from(self.diagnostics)
-    }
-
-    /// Bytes on the wire per point.
-    pub fn point_bytes(self) -> usize {
-        32 * usize::from(self.points) + 24 * usize::from(self.witness_b) + 16 * usize::from(self.features)
-    }
 }
 
 impl Default for Outputs {
-    /// The outputs of a request that names none: growth scale, normal and points.
+    /// The outputs of a query that names none: growth scale, normal and points.
     fn default() -> Self {
         Self { alpha: true, normal: true, points: true, ..Self::OUTCOME }
     }

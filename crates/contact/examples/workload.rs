@@ -34,7 +34,7 @@ fn main() -> ExitCode {
         }
     };
     let mut rows = Vec::new();
-    for solver in [Solver::Portal, Solver::GjkRayCast] {
+    for solver in Solver::ALL {
         for family in &families {
             rows.push((family.name, solver, check::check_family(family, solver)));
         }

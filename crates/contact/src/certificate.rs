@@ -23,7 +23,7 @@
 use glam::DVec3;
 
 use super::exact::{Dd, Dd3, dd_cross, dd_dot, exponent_above, power_of_two, triple_product};
-use super::tolerance::{BAND, BRACKET, EDGE_ON, MERGE, NOISE, SUBNORMAL, U};
+use super::tolerance::{BAND, BRACKET, EDGE_ON, MERGE, NOISE, SUBNORMAL, U, UNIT_NORMAL};
 use super::{Basis, Body, Feature, Manifold, Outcome, Query, Wanted};
 
 /// A property that an answer does not have: `found` exceeds `allowed`.
@@ -51,7 +51,7 @@ impl std::error::Error for Violation {}
 /// The first [`Violation`] found.
 pub fn check(a: &Body<'_>, b: &Body<'_>, query: &Query, manifold: &Manifold) -> Result<(), Violation> {
     let scene = Scene::new(a, b, manifold.normal);
-    at_most("length of the normal off 1", (manifold.normal.length() - 1.0).abs(), 8.0 * U)?;
+    at_most("length of the normal off 1", (manifold.normal.length() - 1.0).abs(), UNIT_NORMAL)?;
     if manifold.outcome == Outcome::Separated {
         return separated(&scene, query, manifold);
     }

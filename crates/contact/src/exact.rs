@@ -22,7 +22,7 @@ use glam::DVec3;
 use robust::{Coord, Coord3D};
 
 use super::stop::Meter;
-use super::tolerance::U;
+use super::tolerance::{DEPTH, DOUBLE_DOUBLE_PRODUCT, SLIVER_SINE, SURELY_ROUNDED};
 
 mod double_double;
 mod wide;
@@ -36,17 +36,11 @@ const SAFE_LOW: u64 = 1023 - 280;
 /// The biased exponent of 2^280. Coordinates below it cannot overflow in `robust`, with room to
 /// spare.
 const SAFE_HIGH: u64 = 1023 + 280;
-/// The sine of the angle between two sides above which their double-double cross product has a
-/// relative error below 2^-58. (Its error is below 2^-98 of the product of the sides.)
-const SLIVER_SINE: f64 = power_of_two(-40);
 
 /// Steps of an orientation test that the rounded value decides, as measured.
 const ROUNDED_STEPS: u64 = 10;
 /// Steps of an orientation test for points that are nearly in one plane, as measured.
 const NEAR_PLANE_STEPS: u64 = 300;
-/// If the determinant exceeds this fraction of the product of three sides, the rounded value certainly
-/// decides.
-const SURELY_ROUNDED: f64 = 64.0 * U;
 /// Steps of an orientation test, or of a normal, in integers of any length, as measured.
 pub(crate) const WIDE_STEPS: u64 = 10_000;
 
@@ -148,9 +142,9 @@ pub(crate) fn depth_below(a: DVec3, b: DVec3, c: DVec3, p: DVec3) -> Option<f64>
         return None;
     }
     let (pa, pa_exponent) = normalised(exact_difference(a, p));
-    // Subtract the error of the products, which is below 2^-96 at these sizes, and 8 roundings.
-    let depth = (dd_dot(cross, pa).value() - power_of_two(-96)) / length;
-    Some((depth - 8.0 * U * depth.abs()) * power_of_two(pa_exponent))
+    // Subtract the error of the products and of the roundings.
+    let depth = (dd_dot(cross, pa).value() - DOUBLE_DOUBLE_PRODUCT) / length;
+    Some((depth - DEPTH * depth.abs()) * power_of_two(pa_exponent))
 }
 
 /// Scales `v` by a power of two so that its largest component is in [0.5, 1). Returns the scaled
@@ -237,6 +231,7 @@ fn is_safe(x: f64) -> bool {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use crate::tolerance::U;
     use crate::workload::Random;
 
     /// Random numbers in [-1, 1).

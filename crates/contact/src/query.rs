@@ -10,6 +10,19 @@ pub enum Solver {
     GjkRayCast,
 }
 
+impl Solver {
+    /// All solvers, in the order of the enum.
+    pub const ALL: [Self; 2] = [Self::Portal, Self::GjkRayCast];
+
+    /// The solver's name in the contract of the service and in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Portal => "PORTAL",
+            Self::GjkRayCast => "GJK_RAY_CAST",
+        }
+    }
+}
+
 /// How far the computation goes. Each level includes the one before it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Wanted {

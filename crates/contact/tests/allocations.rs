@@ -30,7 +30,7 @@ fn pairs_allocate_nothing_once_the_buffers_have_grown() {
             [at(a, [0.0; 3], rotations[0]), at(b, position, rotations[1])]
         })
         .collect();
-    let queries = [Solver::Portal, Solver::GjkRayCast].map(|solver| {
+    let queries = Solver::ALL.map(|solver| {
         [(0.01, 0), (f64::INFINITY, 4)].map(|(margin, max_points)| {
             let accuracy = Accuracy { solver, max_points, ..Accuracy::default() };
             Query { margin, accuracy, wanted: Wanted::Points }

@@ -77,7 +77,7 @@ fn cases() -> Vec<Value> {
 #[test]
 fn answers_are_the_exact_ones() {
     let (mut contacts, mut patches) = (0, 0);
-    for solver in [Solver::Portal, Solver::GjkRayCast] {
+    for solver in Solver::ALL {
         for case in cases() {
             let name = format!("{} with {solver:?}", case["name"]);
             let (a, b) = (Side::read(&case["a"]), Side::read(&case["b"]));

@@ -9,8 +9,6 @@ use hullcast_contact::{
 };
 use scene::*;
 
-const SOLVERS: [Solver; 2] = [Solver::Portal, Solver::GjkRayCast];
-
 fn everything(solver: Solver) -> Query {
     Query {
         margin: f64::INFINITY,
@@ -33,7 +31,7 @@ fn solve(a: &Body<'_>, b: &Body<'_>, query: &Query) -> Manifold {
 #[test]
 fn stacked_boxes_touch_on_the_overlap_of_their_faces() {
     let (a, b) = (box_hull([1.0, 1.0, 0.5]), box_hull([0.5, 0.5, 0.25]));
-    for solver in SOLVERS {
+    for solver in Solver::ALL {
         let m = solve(&at(&a, [0.0; 3], IDENTITY), &at(&b, [0.75, 0.0, 0.7], IDENTITY), &everything(solver));
         assert_eq!(m.outcome, Outcome::Contact);
         assert!((m.alpha - 0.7 / 0.75).abs() < 1e-15, "{solver:?} {}", m.alpha);
@@ -68,7 +66,7 @@ fn a_corner_on_a_face_is_one_point() {
     let axis = 0.5f64.sqrt();
     let rotation = [axis * half.0, -axis * half.0, 0.0, half.1];
     let height = 0.5 + 0.75f64.sqrt() - 0.01;
-    for solver in SOLVERS {
+    for solver in Solver::ALL {
         let m = solve(
             &at(&ground, [0.0; 3], IDENTITY),
             &at(&cube, [0.1, 0.2, height], rotation),
@@ -93,7 +91,7 @@ fn crossed_edges_are_one_point() {
         hull(&ridge.into_iter().chain(base).map(turn).collect::<Vec<_>>())
     };
     let (a, b) = (roof(1.0, true), roof(-1.0, false));
-    for solver in SOLVERS {
+    for solver in Solver::ALL {
         for gap in [-0.05, 0.05] {
             let m =
                 solve(&at(&a, [0.0; 3], IDENTITY), &at(&b, [0.01, 0.02, gap], IDENTITY), &everything(solver));
@@ -175,7 +173,8 @@ fn every_answer_carries_its_certificate() {
         };
         let body_b = along(reach * wanted / alpha);
         let margin = [0.0, 0.01, 0.1, f64::INFINITY][random.below(4)];
-        let answers = SOLVERS.map(|solver| solve(&body_a, &body_b, &Query { margin, ..everything(solver) }));
+        let answers =
+            Solver::ALL.map(|solver| solve(&body_a, &body_b, &Query { margin, ..everything(solver) }));
         let [portal, gjk] = &answers;
         assert_eq!(portal.outcome, gjk.outcome, "{portal:?} {gjk:?}");
         assert!(portal.alpha_lower <= gjk.alpha_upper && gjk.alpha_lower <= portal.alpha_upper);
@@ -216,7 +215,7 @@ fn every_answer_carries_its_certificate() {
 #[test]
 fn coincident_centres_are_flagged_and_still_answered() {
     let plate = box_hull([0.1, 1.0, 1.0]);
-    for solver in SOLVERS {
+    for solver in Solver::ALL {
         for (position, rotation) in [([0.0; 3], IDENTITY), ([1.0, 2.0, 3.0], [0.5, 0.5, 0.5, 0.5])] {
             let body = at(&plate, position, rotation);
             let m = solve(&body, &body, &everything(solver));
@@ -271,7 +270,7 @@ fn stopping_early_is_still_right() {
         let reach = a.circumradius() + b.circumradius();
         let position = scaled(random.direction(), reach * random.range(0.05, 1.2));
         let (body_a, body_b) = (at(a, [0.0; 3], random.rotation()), at(b, position, random.rotation()));
-        for solver in SOLVERS {
+        for solver in Solver::ALL {
             let query = Query { margin: 0.02, ..everything(solver) };
             let whole = solve(&body_a, &body_b, &query);
             let growth = solve(&body_a, &body_b, &Query { wanted: Wanted::Growth, ..query });
@@ -324,12 +323,12 @@ fn large_hulls_keep_their_certificates() {
         let reach = a.circumradius() + b.circumradius();
         let position = scaled(random.direction(), reach * random.range(0.1, 1.1));
         let (body_a, body_b) = (at(a, [0.0; 3], random.rotation()), at(b, position, random.rotation()));
-        let [portal, gjk] = SOLVERS.map(|solver| solve(&body_a, &body_b, &everything(solver)));
+        let [portal, gjk] = Solver::ALL.map(|solver| solve(&body_a, &body_b, &everything(solver)));
         assert!(!portal.flags.gap_open && !gjk.flags.gap_open);
         assert!(portal.alpha_lower <= gjk.alpha_upper && gjk.alpha_lower <= portal.alpha_upper);
         for margin in [0.0, 0.1] {
             let [p, g] =
-                SOLVERS.map(|solver| solve(&body_a, &body_b, &Query { margin, ..everything(solver) }));
+                Solver::ALL.map(|solver| solve(&body_a, &body_b, &Query { margin, ..everything(solver) }));
             assert_eq!(p.outcome, g.outcome);
             answered += 1;
         }

@@ -103,7 +103,7 @@ fn estimates_are_near_what_pairs_take() {
             let (a, b) = (prism(sides, 1.0, 0.0), prism(other, 0.7, 0.1));
             let estimate = estimated_steps(&a, &b);
             assert_eq!(estimate, estimated_steps(&b, &a));
-            for solver in [Solver::Portal, Solver::GjkRayCast] {
+            for solver in Solver::ALL {
                 for wanted in [Wanted::Outcome, Wanted::Growth, Wanted::Points] {
                     let accuracy = Accuracy { solver, ..Accuracy::default() };
                     let query = Query { wanted, accuracy, ..Query::default() };

@@ -19,8 +19,7 @@ tonic::include_proto!("hullcast.v1.ContactService");
 tonic::include_proto!("hullcast.v1.HullService");
 tonic::include_proto!("hullcast.v1.ServerService");
 
-/// Names the columns of messages, as in `proto/`. A message without columns needs only
-/// its name.
+/// Names the columns of messages. The build script writes the call of this macro from the contract.
 macro_rules! columnar {
     ($($message:ident { $($kind:ident $field:ident = $tag:literal;)* })*) => {
         $(impl bulk::Columnar for $message {
@@ -43,50 +42,7 @@ macro_rules! columnar {
     };
 }
 
-columnar! {
-    QueryContactsRequest {
-        Fixed32s body_hulls = 4;
-        Doubles positions = 5;
-        Doubles rotations = 6;
-        Fixed32s pairs = 7;
-        Fixed32s worlds = 8;
-        Fixed32s groups = 9;
-        Fixed32s ignored_groups = 10;
-        Fixed32s warm_starts = 14;
-    }
-    QueryContactsResponse {
-        Doubles alphas = 4;
-        Doubles alpha_lowers = 5;
-        Doubles alpha_uppers = 6;
-        Doubles separations = 7;
-        Doubles normals = 8;
-        Fixed32s point_counts = 9;
-        Doubles witness_as = 10;
-        Doubles distances = 11;
-        Doubles witness_bs = 12;
-        Fixed32s feature_indices = 14;
-        Fixed32s point_ids = 15;
-        Fixed32s bases = 16;
-        Fixed32s pairs = 17;
-        Fixed32s missing_hulls = 18;
-        Fixed32s invalid_bodies = 19;
-        Fixed32s iterations = 20;
-        Fixed32s support_calls = 21;
-        Doubles kept_areas = 22;
-    }
-    RegisterHullsRequest {}
-    RegisterHullsResponse {}
-    GetHullsRequest {}
-    GetHullsResponse {}
-    HasHullsRequest {}
-    HasHullsResponse {}
-    ListHullsRequest {}
-    ListHullsResponse {}
-    DeleteHullsRequest {}
-    DeleteHullsResponse {}
-    GetServerInfoRequest {}
-    GetServerInfoResponse {}
-}
+include!(concat!(env!("OUT_DIR"), "/columns.rs"));
 
 /// The contract's descriptor set, for reflection and for breaking-change checks.
 pub const FILE_DESCRIPTOR_SET: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/hullcast.v1.binpb"));

@@ -12,10 +12,11 @@ use crate::cli::options::Asked;
 use crate::cli::progress::Progress;
 use crate::cli::scene::{Frame, HullPoints, SceneFile, check_poses};
 use crate::cli::values::counted;
+use hullcast::batch::columns::{Columns, Invalid};
 use hullcast::contact::{Body, ConvexHull, Workspace, contact_manifold};
 use hullcast::proto;
 use hullcast::service::Limits;
-use hullcast::service::wire::{self, Columns, Invalid};
+use hullcast::service::wire;
 use hullcast::store::HullId;
 use hullcast::workload::{Family, Regime, Workload};
 
@@ -177,20 +178,20 @@ impl Oracle {
             if pose.is_none() {
                 invalid.body();
             }
-            let id = &setting.hull_ids[setting.body_hulls[index as usize] as usize];
+            let id = &scene.hull_ids[setting.body_hulls()[index as usize] as usize];
             Some(Body::new(self.hulls.get(id)?, pose?))
         };
-        let (pairs, _) = setting.pairs.as_chunks::<2>();
+        let (pairs, _) = setting.pairs().as_chunks::<2>();
         let mut columns = Columns::default();
         let mut workspace = Workspace::default();
         for &[a, b] in pairs {
             let mut invalid = Invalid::default();
             match (body(a, &mut invalid), body(b, &mut invalid)) {
                 (Some(a), Some(b)) => {
-                    let manifold = contact_manifold(&a, &b, &setting.query, None, &mut workspace);
-                    columns.push(manifold, setting.outputs);
+                    let manifold = contact_manifold(&a, &b, setting.query(), None, &mut workspace);
+                    columns.push(manifold, setting.outputs());
                 }
-                _ => columns.push_invalid(invalid, setting.outputs),
+                _ => columns.push_invalid(invalid, setting.outputs()),
             }
         }
         Ok(wire::response(scene.request_id, columns, Vec::new(), scene.invalid_bodies))

@@ -24,7 +24,7 @@ use crate::{
         self,
         bulk::{Column, Columnar},
     },
-    service::{error::ServiceError, limits::Limits},
+    service::{error::ServiceError, limits::Limits, sizes::HULL_BYTES},
     store::HullId,
 };
 
@@ -33,10 +33,6 @@ const MAX_OUTPUTS: u32 = 256;
 
 /// The most entries of `field_mask.paths`: many times the number of current paths.
 const MAX_PATHS: u32 = 256;
-
-/// The memory of a request's hull besides its points, or of an id: its entries in lists and tables
-/// of ids, and the error if the hull is refused.
-pub const HULL_BYTES: usize = 512;
 
 /// The memory that any request may need for its outputs, the paths of its field mask, and an error.
 pub const CONSTANT_BYTES: usize = 8 << 10;

@@ -1,4 +1,4 @@
-//! The only modules that know both protobuf and the domain's types. They convert requests, columns
+//! The only modules that know both protobuf and the types of `hullcast-batch`. They convert requests, columns
 //! of answers, and errors.
 
 mod columns;
@@ -10,16 +10,18 @@ mod info;
 mod request;
 mod status;
 
-pub use columns::{Columns, Invalid, response};
+#[doc(hidden)]
+pub use super::sizes::HULL_BYTES;
+pub use columns::{append, response, response_columns};
 pub(super) use decode::{Bounds, Request};
 #[doc(hidden)]
-pub use decode::{CONSTANT_BYTES, HULL_BYTES, decoded_bytes};
+pub use decode::{CONSTANT_BYTES, decoded_bytes};
 pub(super) use find::find;
 pub(super) use hulls::{
     Definition, Parts, hull_error, not_found, page, record, record_bytes, register_result, repeated,
 };
 pub(super) use info::server_info;
-pub use request::{Poses, Scene, Setting, scene};
+pub use request::{CheckedScene, scene};
 pub(super) use request::{inherited, stoppable_scene};
 pub use status::DOMAIN;
 pub(super) use status::complete;

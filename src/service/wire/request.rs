@@ -3,28 +3,27 @@
 use std::{collections::HashSet, sync::Arc};
 
 use crate::{
-    budget::Permit,
-    contact::{Accuracy, Pose, Query, Solver, Stop, stop::Meter},
+    batch::{
+        Output, Outputs,
+        scene::{Fault, FaultKind, Poses, SceneError, Setting, check_margin, pair_lengths, pose_lengths},
+    },
+    contact::{Accuracy, Solver, Stop, stop::Meter},
     proto,
-    service::{Outputs, error::ServiceError, limits::Limits},
+    service::{error::ServiceError, limits::Limits},
     store::HullId,
 };
-
-/// Indices that are compared between two checks of the stop flag.
-const AT_A_TIME: usize = 1 << 16;
 
 /// Elementary steps of looking up a hull's id in a table.
 const ID_STEPS: u64 = 100;
 
-/// Elementary steps of checking a pose.
-const POSE_STEPS: u64 = 10;
-
 /// A checked request: all lengths fit, all indices are in range, all options are known.
 #[derive(Debug)]
-pub struct Scene {
+pub struct CheckedScene {
     /// The request's id, which the answer repeats.
     pub request_id: u64,
-    /// The hulls, bodies, pairs and options.
+    /// The hulls, each listed once.
+    pub hull_ids: Arc<Vec<HullId>>,
+    /// The bodies, pairs and options.
     pub setting: Arc<Setting>,
     /// The poses of the bodies.
     pub poses: Poses,
@@ -32,39 +31,36 @@ pub struct Scene {
     pub invalid_bodies: Vec<u32>,
     /// Empty, or 6 vertex indices per pair, unchecked.
     pub warm_starts: Vec<u32>,
-    /// The memory that the scene takes from its call's budget. None if the scene belongs to no
-    /// call.
-    pub memory: Option<Permit>,
 }
 
-/// Poses as they arrived. A body's pose is converted when one of its pairs is computed. So compute
-/// threads do this work, and until then a pose takes 56 bytes instead of 104.
-#[derive(Clone, Debug, Default)]
-pub struct Poses {
-    positions: Vec<f64>,
-    rotations: Vec<f64>,
+impl From<Fault> for ServiceError {
+    fn from(Fault { kind, field, index, message }: Fault) -> Self {
+        let reason = match kind {
+            FaultKind::Length => "LENGTH_MISMATCH",
+            FaultKind::Index => "INDEX_OUT_OF_RANGE",
+            FaultKind::Value => "VALUE_OUT_OF_RANGE",
+        };
+        match index {
+            Some(index) => Self::invalid_at(reason, field, index, message),
+            None => Self::invalid(reason, field, message),
+        }
+    }
 }
 
-/// The part of a scene that the next message of a stream may inherit: everything except the poses.
-#[derive(Clone, Debug)]
-pub struct Setting {
-    /// The hulls, each listed once.
-    pub hull_ids: Vec<HullId>,
-    /// For each body, an index into `hull_ids`.
-    pub body_hulls: Vec<u32>,
-    /// 2 body indices per pair.
-    pub pairs: Vec<u32>,
-    /// The query for each pair.
-    pub query: Query,
-    /// The outputs that are sent.
-    pub outputs: Outputs,
+impl From<SceneError> for ServiceError {
+    fn from(error: SceneError) -> Self {
+        match error {
+            SceneError::Fault(fault) => fault.into(),
+            SceneError::Stopped => Self::deadline_exceeded(),
+        }
+    }
 }
 
 /// Checks a request that inherits nothing.
 ///
 /// # Errors
 /// The first fault found, with field and index.
-pub fn scene(request: proto::QueryContactsRequest, limits: &Limits) -> Result<Scene, ServiceError> {
+pub fn scene(request: proto::QueryContactsRequest, limits: &Limits) -> Result<CheckedScene, ServiceError> {
     stoppable_scene(request, limits, &Stop::default())
 }
 
@@ -76,7 +72,7 @@ pub(in crate::service) fn stoppable_scene(
     request: proto::QueryContactsRequest,
     limits: &Limits,
     stop: &Stop,
-) -> Result<Scene, ServiceError> {
+) -> Result<CheckedScene, ServiceError> {
     let meter = &Meter::new(stop);
     if request.inherit {
         let why = "`inherit` is only valid on StreamContacts: send the scene in full";
@@ -92,43 +88,30 @@ pub(in crate::service) fn stoppable_scene(
     at_most(request.hull_ids.len(), limits.max_hulls_per_request, "TOO_MANY_HULLS", "hull_ids")?;
     at_most(bodies, limits.max_bodies_per_request, "TOO_MANY_BODIES", "body_hulls")?;
     at_most(pairs, limits.max_pairs_per_request, "TOO_MANY_PAIRS", "pairs")?;
-    pose_lengths(&request, bodies)?;
-    has_length(request.pairs.len(), 2 * pairs, "pairs", "2 per pair")?;
-    if !request.warm_starts.is_empty() {
-        has_length(request.warm_starts.len(), 6 * pairs, "warm_starts", "none or 6 per pair")?;
-    }
-    all_below(&request.body_hulls, request.hull_ids.len(), "body_hulls", ["hull", "hulls"], meter)?;
-    all_below(&request.pairs, bodies, "pairs", ["body", "bodies"], meter)?;
-
-    let hull_ids = distinct_ids(&request.hull_ids, meter)?;
-    let outputs = outputs(&request.outputs);
-    let query = Query {
-        margin: margin(request.margin)?,
-        accuracy: checked_accuracy(&accuracy)?,
-        wanted: outputs.wanted(),
-    };
-    let (poses, invalid_bodies) = Poses::of(request.positions, request.rotations, meter)?;
-    let (body_hulls, pairs) = (request.body_hulls, request.pairs);
-    Ok(Scene {
-        request_id: request.request_id,
-        setting: Arc::new(Setting { hull_ids, body_hulls, pairs, query, outputs }),
-        poses,
-        invalid_bodies,
-        warm_starts: request.warm_starts,
-        memory: None,
-    })
+    // The lengths come first, so that the first fault that is found does not depend on the other columns.
+    pose_lengths(bodies, &request.positions, &request.rotations)?;
+    pair_lengths(&request.pairs, &request.warm_starts)?;
+    let setting = Setting::new(request.hull_ids.len(), request.body_hulls, request.pairs, meter)?;
+    let hull_ids = Arc::new(distinct_ids(&request.hull_ids, meter)?);
+    check_margin(request.margin)?;
+    let setting =
+        setting.with_query(request.margin, known_accuracy(&accuracy)?, outputs(&request.outputs))?;
+    let (poses, invalid_bodies) = Poses::new(bodies, request.positions, request.rotations, meter)?;
+    let (request_id, warm_starts) = (request.request_id, request.warm_starts);
+    Ok(CheckedScene { request_id, hull_ids, setting: Arc::new(setting), poses, invalid_bodies, warm_starts })
 }
 
-/// Checks a request that sends only poses, inherits `setting`, and starts from `bases`.
+/// Checks a request that sends only poses, inherits hulls and `setting`, and starts from `bases`.
 ///
 /// # Errors
 /// The first fault found, with the field, or that the work was stopped.
 pub(in crate::service) fn inherited(
     request: proto::QueryContactsRequest,
+    hull_ids: Arc<Vec<HullId>>,
     setting: Arc<Setting>,
     bases: Vec<u32>,
     stop: &Stop,
-) -> Result<Scene, ServiceError> {
+) -> Result<CheckedScene, ServiceError> {
     let given = [
         (!request.hull_ids.is_empty(), "hull_ids"),
         (!request.body_hulls.is_empty(), "body_hulls"),
@@ -145,31 +128,11 @@ pub(in crate::service) fn inherited(
         let why = "must not be set together with `inherit`: it is inherited from the previous message";
         return Err(ServiceError::invalid("FIELD_NOT_ALLOWED", field, why));
     }
-    pose_lengths(&request, setting.body_hulls.len())?;
     let meter = &Meter::new(stop);
-    let (poses, invalid_bodies) = Poses::of(request.positions, request.rotations, meter)?;
+    let (poses, invalid_bodies) =
+        Poses::new(setting.body_count(), request.positions, request.rotations, meter)?;
     let request_id = request.request_id;
-    Ok(Scene { request_id, setting, poses, invalid_bodies, warm_starts: bases, memory: None })
-}
-
-fn pose_lengths(request: &proto::QueryContactsRequest, bodies: usize) -> Result<(), ServiceError> {
-    has_length(request.positions.len(), 3 * bodies, "positions", "3 per body")?;
-    has_length(request.rotations.len(), 4 * bodies, "rotations", "4 per body")
-}
-
-impl Setting {
-    /// The number of pairs.
-    pub fn pair_count(&self) -> usize {
-        self.pairs.len() / 2
-    }
-
-    /// The bytes that a stream keeps of the setting and of its bases.
-    pub fn kept_bytes(&self) -> usize {
-        size_of_val(&self.hull_ids[..])
-            + size_of_val(&self.body_hulls[..])
-            + size_of_val(&self.pairs[..])
-            + self.pair_count() * size_of::<[u32; 6]>()
-    }
+    Ok(CheckedScene { request_id, hull_ids, setting, poses, invalid_bodies, warm_starts: bases })
 }
 
 fn refuse_foreign(column: &[u32], field: &'static str) -> Result<(), ServiceError> {
@@ -191,43 +154,6 @@ pub(super) fn at_most(
     }
     let message = format!("got {count}, at most {limit} are allowed: send fewer per request");
     Err(ServiceError::invalid(reason, field, message))
-}
-
-pub(super) fn has_length(
-    found: usize,
-    expected: usize,
-    field: &'static str,
-    rule: &str,
-) -> Result<(), ServiceError> {
-    if found == expected {
-        return Ok(());
-    }
-    let message = format!("got {found} entries, expected {expected} ({rule})");
-    Err(ServiceError::invalid("LENGTH_MISMATCH", field, message))
-}
-
-fn all_below(
-    column: &[u32],
-    count: usize,
-    field: &'static str,
-    [one, many]: [&str; 2],
-    meter: &Meter<'_>,
-) -> Result<(), ServiceError> {
-    for (first, some) in (0..).step_by(AT_A_TIME).zip(column.chunks(AT_A_TIME)) {
-        meter.spend(some.len() as u64)?;
-        // Every index of every request is compared, so the largest is found with a loop that the
-        // compiler vectorises.
-        let largest = some.iter().fold(0, |largest, &index| largest.max(index));
-        if (largest as usize) < count {
-            continue;
-        }
-        if let Some(at) = some.iter().position(|&index| index as usize >= count) {
-            let noun = if count == 1 { one } else { many };
-            let message = format!("{one} index {} is out of range: the scene has {count} {noun}", some[at]);
-            return Err(ServiceError::invalid_at("INDEX_OUT_OF_RANGE", field, first + at, message));
-        }
-    }
-    Ok(())
 }
 
 /// Up to this many ids are compared with each other, which takes less time than a table.
@@ -262,18 +188,8 @@ pub(super) fn hull_id(bytes: &[u8], field: &'static str, index: usize) -> Result
     })
 }
 
-fn margin(margin: f64) -> Result<f64, ServiceError> {
-    if margin >= 0.0 {
-        return Ok(margin);
-    }
-    Err(out_of_range("margin", margin, "at least 0"))
-}
-
-pub(super) fn out_of_range(field: &'static str, value: f64, rule: &str) -> ServiceError {
-    ServiceError::invalid("VALUE_OUT_OF_RANGE", field, format!("got {value}, must be {rule}"))
-}
-
-fn checked_accuracy(accuracy: &proto::Accuracy) -> Result<Accuracy, ServiceError> {
+/// The accuracy in the library's terms. Its numbers are not checked yet.
+fn known_accuracy(accuracy: &proto::Accuracy) -> Result<Accuracy, ServiceError> {
     let defaults = Accuracy::default();
     let solver = match proto::Solver::try_from(accuracy.solver) {
         Ok(proto::Solver::Unspecified | proto::Solver::Portal) => Solver::Portal,
@@ -281,13 +197,7 @@ fn checked_accuracy(accuracy: &proto::Accuracy) -> Result<Accuracy, ServiceError
         Err(_) => return Err(unknown_value("accuracy.solver", accuracy.solver)),
     };
     let relative_tolerance = accuracy.relative_tolerance;
-    if !(0.0..=1.0).contains(&relative_tolerance) {
-        return Err(out_of_range("accuracy.relative_tolerance", relative_tolerance, "0 to 1"));
-    }
     let feature_angle = accuracy.feature_angle.unwrap_or(defaults.feature_angle);
-    if !(0.0..=0.5).contains(&feature_angle) {
-        return Err(out_of_range("accuracy.feature_angle", feature_angle, "0 to 0.5"));
-    }
     let max_points = accuracy.max_points;
     Ok(Accuracy { solver, relative_tolerance, feature_angle, max_points, ..defaults })
 }
@@ -305,53 +215,5 @@ fn outputs(values: &[i32]) -> Outputs {
     if values.is_empty() {
         return Outputs::default();
     }
-    let mut outputs = Outputs::OUTCOME;
-    for &value in values {
-        match proto::Output::try_from(value) {
-            Ok(proto::Output::Unspecified | proto::Output::Outcome) | Err(_) => {}
-            Ok(proto::Output::Alpha) => outputs.alpha = true,
-            Ok(proto::Output::Normal) => outputs.normal = true,
-            Ok(proto::Output::Points) => outputs.points = true,
-            Ok(proto::Output::WitnessB) => outputs.witness_b = true,
-            Ok(proto::Output::Features) => outputs.features = true,
-            Ok(proto::Output::Bases) => outputs.bases = true,
-            Ok(proto::Output::Diagnostics) => outputs.diagnostics = true,
-        }
-    }
-    outputs
-}
-
-impl Poses {
-    /// The poses, and the bodies without a usable pose.
-    fn of(
-        positions: Vec<f64>,
-        rotations: Vec<f64>,
-        meter: &Meter<'_>,
-    ) -> Result<(Self, Vec<u32>), ServiceError> {
-        let bodies = positions.as_chunks::<3>().0.iter().zip(rotations.as_chunks::<4>().0);
-        let unusable =
-            |(position, rotation): (&[f64; 3], &[f64; 4])| Pose::check(*position, *rotation).is_err();
-        // The unusable poses are counted first, so that the list is allocated once.
-        let mut count = 0;
-        for body in bodies.clone() {
-            meter.spend(POSE_STEPS)?;
-            count += usize::from(unusable(body));
-        }
-        let mut invalid = Vec::with_capacity(count);
-        if count > 0 {
-            let unusable = bodies.enumerate().filter(|(_, body)| unusable(*body));
-            for (body, _) in unusable {
-                meter.spend(POSE_STEPS)?;
-                invalid.push(body as u32);
-            }
-        }
-        Ok((Self { positions, rotations }, invalid))
-    }
-
-    /// The pose of a body, or `None` if it is not usable.
-    pub fn get(&self, body: usize) -> Option<Pose> {
-        let (positions, _) = self.positions.as_chunks::<3>();
-        let (rotations, _) = self.rotations.as_chunks::<4>();
-        Pose::new(positions[body], rotations[body]).ok()
-    }
+    Outputs::of(values.iter().filter_map(|&value| Output::from_number(value)))
 }

@@ -322,24 +322,10 @@ fn push_invalid(answer: &mut QueryContactsResponse, asked: &[Output]) {
 
 /// Appends the answers for further pairs.
 pub(crate) fn append(joined: &mut QueryContactsResponse, part: QueryContactsResponse) {
-    joined.outcomes.extend(part.outcomes);
-    joined.flags.extend(part.flags);
-    joined.alphas.extend(part.alphas);
-    joined.alpha_lowers.extend(part.alpha_lowers);
-    joined.alpha_uppers.extend(part.alpha_uppers);
-    joined.separations.extend(part.separations);
-    joined.normals.extend(part.normals);
-    joined.point_counts.extend(part.point_counts);
-    joined.witness_as.extend(part.witness_as);
-    joined.distances.extend(part.distances);
-    joined.witness_bs.extend(part.witness_bs);
-    joined.feature_kinds.extend(part.feature_kinds);
-    joined.feature_indices.extend(part.feature_indices);
-    joined.point_ids.extend(part.point_ids);
-    joined.bases.extend(part.bases);
-    joined.iterations.extend(part.iterations);
-    joined.support_calls.extend(part.support_calls);
-    joined.kept_areas.extend(part.kept_areas);
+    macro_rules! append {
+        ($($column:ident)*) => { $(joined.$column.extend(part.$column);)* };
+    }
+    hullcast_batch::with_columns!(append);
 }
 
 /// Asserts that two messages are equal bit for bit, including NaN and the sign of zero.

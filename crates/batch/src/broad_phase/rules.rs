@@ -6,6 +6,8 @@ use hullcast_contact::{
     stop::Meter,
 };
 
+use crate::scene::{Fault, FaultKind, has_length};
+
 /// Steps to compare and move two keys.
 const COMPARISON: u64 = 2;
 
@@ -34,6 +36,30 @@ impl Rules {
     /// pair of groups that ignore each other, in either order.
     pub fn new(worlds: Vec<u32>, groups: Vec<u32>, ignored: Vec<u32>) -> Self {
         Self { worlds, groups, given: ignored, ignored: Vec::new() }
+    }
+
+    /// Rules of a scene with `bodies` bodies, checked.
+    ///
+    /// # Errors
+    /// A list does not have one entry per body, there is half a pair of groups, or a pair has the group 0.
+    pub fn checked(
+        bodies: usize,
+        worlds: Vec<u32>,
+        groups: Vec<u32>,
+        ignored: Vec<u32>,
+    ) -> Result<Self, Fault> {
+        for (column, field) in [(&worlds, "worlds"), (&groups, "groups")] {
+            if !column.is_empty() {
+                has_length(column.len(), bodies, field, "none or one per body")?;
+            }
+        }
+        has_length(ignored.len(), ignored.len() & !1, "ignored_groups", "2 per pair of groups")?;
+        if let Some(at) = ignored.iter().position(|&group| group == 0) {
+            let message = "got 0, which means no group: groups that ignore each other must be above 0";
+            let (kind, field) = (FaultKind::Value, "ignored_groups");
+            return Err(Fault { kind, field, index: Some(at), message: message.into() });
+        }
+        Ok(Self::new(worlds, groups, ignored))
     }
 
     /// The largest number of bytes that sorting takes besides the given lists.

@@ -21,6 +21,7 @@ use glam::{DMat3, DVec2, DVec3, Vec3Swizzles};
 
 use crate::hull::{BoxShape, octant};
 use crate::pair::{Pair, Support, shift};
+use crate::tolerance::SAME_AXIS;
 
 /// Both boxes in the axes of A's box.
 pub(crate) struct Boxes<'a> {
@@ -49,10 +50,6 @@ enum Kind {
     Faces(usize, usize),
     Edges(usize, usize),
 }
-
-/// Two axes count as one if their growth scales differ by less than this fraction. It only chooses the
-/// start, so no answer depends on the value.
-const SAME_AXIS: f64 = 1e-9;
 
 impl<'a> Boxes<'a> {
     /// Both boxes of a pair. None if a hull is not a box.

@@ -3,10 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use super::Face;
-
-/// How far a corner may be from the corner of the ideal box: a fraction of the circumradius. The
-/// shape only gives the solver its first directions, so no result depends on this value.
-const CORNER_ERROR: f64 = 1e-9;
+use crate::tolerance::BOX_CORNER;
 
 /// A box about the contraction point, in hull units.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,7 +28,7 @@ impl BoxShape {
         let axes = DMat3::from_cols(x, y, x.cross(y));
         let own: Vec<DVec3> = vertices.iter().map(|v| axes.transpose() * *v).collect();
         let half = own.iter().fold(DVec3::ZERO, |half, v| half.max(v.abs()));
-        let error = CORNER_ERROR * half.length();
+        let error = BOX_CORNER * half.length();
         let mut corners = [u32::MAX; 8];
         for (v, i) in own.iter().zip(0..) {
             if (v.abs() - half).abs().max_element() > error {

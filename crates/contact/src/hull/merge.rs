@@ -40,21 +40,13 @@ use crate::csr::Csr;
 use crate::exact::{Dd, TriangleNormal};
 use crate::sort::{COMPARISON, sort};
 use crate::stop::{Meter, Stopped};
-use crate::tolerance::U;
+use crate::tolerance::{HEIGHT_DIFFERENCE, LEAST_PLANARITY, PLANARITY_PER_INRADIUS, PLATEAU};
 
 /// Steps to gather, fit or move one triangle of a group.
 const TRIANGLE: u64 = 20;
 /// Steps to compute the height of one vertex along a normal.
 const HEIGHT: u64 = 3;
 
-/// The tolerance is at most this fraction of the inradius, however large the planarity is. So the
-/// two sides of a thin plate, or a side and the rim, never become one face.
-const PLANARITY_PER_INRADIUS: f64 = 1.0 / 64.0;
-/// The tolerance is at least this, in hull units. It covers the rounding of the vertices, which
-/// remains if the planarity is 0 or the contraction point is very near a face.
-const LEAST_PLANARITY: f64 = 64.0 * U;
-/// If the heights of two vertices differ by less than this, their order is uncertain; hull units.
-const PLATEAU: f64 = 64.0 * U;
 /// The number of times that a group is flooded before its seed becomes a face by itself. Each
 /// flood has a quarter of the reach of the flood before.
 const ATTEMPTS: usize = 6;
@@ -259,8 +251,7 @@ impl<'a> Merger<'a> {
             }
         }
         let offset = if others >= highest - PLATEAU { self.climb(normal, highest)? } else { highest };
-        // Both heights carry the rounding of a dot product of vectors no longer than 1.
-        let planarity = (offset - lowest) + 8.0 * U;
+        let planarity = (offset - lowest) + HEIGHT_DIFFERENCE;
         Ok(Plane { normal, offset, planarity, gap: offset - planarity - others })
     }
 

@@ -41,7 +41,7 @@ use super::triangulation::{COMPARISON, NONE, Triangulation, extreme_points, inco
 use super::{BuildError, HullError, HullErrorKind};
 use crate::exact::{collinear, counted_orient3d, sure_orient3d};
 use crate::stop::{Meter, Stopped};
-use crate::tolerance::U;
+use crate::tolerance::{HEIGHT_ABOVE, U};
 
 /// The mark of a triangle that is no longer part of the hull.
 const REMOVED: u32 = u32::MAX;
@@ -160,9 +160,8 @@ impl<'a> Quickhull<'a> {
         let (p, q) = (ab.abs(), ac.abs());
         // For each component of the cross product, the sum of the sizes of its products.
         let size = DVec3::new(p.y * q.z + p.z * q.y, p.z * q.x + p.x * q.z, p.x * q.y + p.y * q.x);
-        // Each term of normal . (p - a) has at most 8 roundings. A ninth covers the rounding of
-        // this bound, and the constant covers underflow.
-        let noise = 9.0 * U * size.dot(self.cloud.extent) + f64::MIN_POSITIVE;
+        // The constant covers underflow.
+        let noise = HEIGHT_ABOVE * U * size.dot(self.cloud.extent) + f64::MIN_POSITIVE;
         let normal = ab.cross(ac);
         self.faces.push(Face {
             corners,

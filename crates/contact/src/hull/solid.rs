@@ -24,20 +24,12 @@ use crate::exact::{
 };
 use crate::sort::{COMPARISON, sort};
 use crate::stop::{Meter, Stopped};
-use crate::tolerance::U;
+use crate::tolerance::{LENGTH_ABOVE, PLANE_HEIGHT, THINNEST, TWO_INRADII};
 
 /// Steps to move a vertex or a triangle from one list to another.
 const MOVE: u64 = 12;
 /// Steps to compute the normal or the depth of a triangle in double-double numbers.
 const NORMAL: u64 = 100;
-
-/// The inradius must exceed this fraction of the circumradius. At this depth alpha is known to about
-/// a thousandth only (its error is `64 u R/r`). At a tenth of this depth, the rounding of the
-/// vertices would be as large as the tolerance that keeps faces apart, a fraction of the inradius.
-const THINNEST: f64 = 65536.0 * U;
-
-/// More than the rounding errors of two inradii; hull units.
-const SURELY: f64 = 256.0 * U;
 
 /// The exact hull of a cloud, with its vertices in registered order.
 pub(super) struct Solid {
@@ -116,7 +108,7 @@ impl Solid {
     ///
     /// The distance between the surface and `center` does not grow when vertices are left out, and
     /// an inradius is that distance to a few dozen roundoffs. So an inradius that is too small by
-    /// more than [`SURELY`] is also too small with fewer vertices.
+    /// more than [`TWO_INRADII`] is also too small with fewer vertices.
     pub(super) fn may_surround(
         &self,
         center: DVec3,
@@ -124,7 +116,7 @@ impl Solid {
         meter: &Meter<'_>,
     ) -> Result<bool, Stopped> {
         let centred = self.about(center, normals, meter)?;
-        Ok(centred.is_some_and(|c| c.inradius + SURELY > THINNEST * c.circumradius))
+        Ok(centred.is_some_and(|c| c.inradius + TWO_INRADII > THINNEST * c.circumradius))
     }
 
     /// Moves the hull to the contraction point `center`. Returns `None` unless `center` is finite and
@@ -149,7 +141,7 @@ impl Solid {
             moved = moved.max(DVec3::new(x.lo, y.lo, z.lo).length());
             vertices.push(vertex);
         }
-        let radius = radius * (1.0 + 8.0 * U);
+        let radius = radius * LENGTH_ABOVE;
         let exponent = exponent_above(radius);
         let shrink = power_of_two(-exponent);
         for v in &mut vertices {
@@ -158,7 +150,7 @@ impl Solid {
         // The surface through the rounded vertices is nearer than the exact surface by at most the
         // largest move of a vertex, and by the underflow of scaling.
         let inradius = self.depth(center, normals, &vertices, shrink, meter)?
-            - (1.0 + 8.0 * U) * moved * shrink
+            - LENGTH_ABOVE * moved * shrink
             - f64::MIN_POSITIVE;
         let (scale, circumradius) = (power_of_two(exponent), radius * shrink);
         Ok(Some(Centred { vertices, scale, inradius, circumradius }))
@@ -175,9 +167,7 @@ impl Solid {
             meter.spend(MOVE)?;
             let [a, b, c] = self.corners(t);
             let below = a - center;
-            // The unit normal is accurate to 4 roundoffs, and the difference and the product add 4
-            // more.
-            if normal.unit.dot(below) > 16.0 * U * below.length() {
+            if normal.unit.dot(below) > PLANE_HEIGHT * below.length() {
                 continue;
             }
             if !(counted_orient3d([a, b, c, center], f64::INFINITY, meter) > 0.0) {
@@ -196,8 +186,6 @@ impl Solid {
         shrink: f64,
         meter: &Meter<'_>,
     ) -> Result<f64, Stopped> {
-        // The rounding of the unit normal, the vertex and the product.
-        const ERROR: f64 = 16.0 * U;
         let depth = |t: usize| normals[t].unit.dot(vertices[self.triangulation.triangles[t][0] as usize]);
         let mut nearest = f64::INFINITY;
         for t in 0..normals.len() {
@@ -206,10 +194,11 @@ impl Solid {
         }
         // Compute the depth again with higher precision for the planes that may be the nearest.
         let mut refined = f64::INFINITY;
-        for t in (0..normals.len()).filter(|&t| depth(t) <= nearest + 2.0 * ERROR) {
+        for t in (0..normals.len()).filter(|&t| depth(t) <= nearest + 2.0 * PLANE_HEIGHT) {
             meter.spend(NORMAL)?;
             let [a, b, c] = self.corners(t);
-            refined = refined.min(depth_below(a, b, c, center).map_or(depth(t) - ERROR, |d| d * shrink));
+            refined =
+                refined.min(depth_below(a, b, c, center).map_or(depth(t) - PLANE_HEIGHT, |d| d * shrink));
         }
         Ok(refined)
     }

@@ -23,6 +23,7 @@
 use glam::DVec2;
 
 use super::outline::{Outline, Side};
+use crate::tolerance::SHARP;
 use chain::Chain;
 
 mod chain;
@@ -266,10 +267,6 @@ impl Cut<'_> {
         (leaves, enters)
     }
 }
-
-/// A corner is sharp if the squared sum of its sides' unit inward directions is below this. At a
-/// right angle it is 2.
-const SHARP: f64 = 1.999;
 
 /// The vertex where the outline, on its way from `p` to `q`, crosses side `j` of the window.
 fn crossing(window: &Outline, p: &Vertex, q: &Vertex, share: f64, j: u32) -> Vertex {

@@ -4,10 +4,10 @@
 use std::rc::Rc;
 
 use hullcast_contact::{
-    Accuracy, Body, ConvexHull, HullOptions, Manifold, Pose, Query, Workspace, certificate, contact_manifold,
+    Accuracy, Body, ConvexHull, HullOptions, Manifold, Pose, Query, Solver, Workspace, certificate,
+    contact_manifold,
 };
 
-use super::judge::SOLVERS;
 use super::oracle::{Exact, Placed};
 use super::scene::{Random, box_points, cloud, prism_points, scaled};
 
@@ -175,7 +175,7 @@ impl Case {
 
     /// The certified answers of both solvers.
     pub(crate) fn certified_by_each(&self, query: &Query) -> [Manifold; 2] {
-        SOLVERS.map(|solver| {
+        Solver::ALL.map(|solver| {
             let accuracy = Accuracy { solver, ..query.accuracy };
             self.certified(&Query { accuracy, ..*query })
         })

@@ -2,10 +2,9 @@
 //! used one. (`make stability` compares the digest of a debug build with that of a release build;
 //! the service's tests compare its answers, however the batch is split, with the library's bits.)
 
-use hullcast_contact::{Body, Element, Manifold, Pose, Query, Workspace, contact_manifold};
+use hullcast_contact::{Body, Element, Manifold, Pose, Query, Solver, Workspace, contact_manifold};
 
 use crate::case::{Shape, any_shape};
-use crate::judge::SOLVERS;
 use crate::scene::Random;
 
 /// A pair of the sweep: the indices of its shapes, the offset, the rotations.
@@ -62,7 +61,7 @@ fn digest(m: &Manifold) -> u64 {
 fn the_same_pairs_give_the_same_bits() {
     let (shapes, pairs) = sweep(3000);
     let mut all = 0u64;
-    for solver in SOLVERS {
+    for solver in Solver::ALL {
         let mut query = Query { margin: 0.05, ..Query::default() };
         query.accuracy.solver = solver;
         let fresh: Vec<u64> =

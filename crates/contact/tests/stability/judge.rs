@@ -100,8 +100,6 @@ impl Cell {
     }
 }
 
-pub(crate) const SOLVERS: [Solver; 2] = [Solver::Portal, Solver::GjkRayCast];
-
 /// The quantities in the budgets, in the caller's units.
 struct Sizes {
     inner: f64,
@@ -149,7 +147,7 @@ pub(crate) fn judge(case: &Case, cells: &mut [Cell; 2], workspace: &mut Workspac
     let sizes = Sizes::new(case, &bodies);
     let exact = case.exact();
     let mut known: Option<Growth> = None;
-    for (solver, cell) in SOLVERS.into_iter().zip(cells) {
+    for (solver, cell) in Solver::ALL.into_iter().zip(cells) {
         let mut query = case.query(f64::INFINITY);
         query.accuracy.solver = solver;
         let [a, b] = &bodies;

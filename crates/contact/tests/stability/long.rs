@@ -2,10 +2,9 @@
 //! certificate, and a hundred thousand by the exact answers of both solvers. The environment
 //! variable THOUSANDS sets another size.
 
-use hullcast_contact::{Accuracy, Outcome, Workspace, certificate, contact_manifold};
+use hullcast_contact::{Accuracy, Outcome, Solver, Workspace, certificate, contact_manifold};
 
 use crate::case::Case;
-use crate::judge::SOLVERS;
 use crate::matrix::{Row, of_every_row, rows, run};
 use crate::report;
 
@@ -52,7 +51,7 @@ fn violation(case: &Case, workspace: &mut Workspace, open: &mut Open) -> Option<
     let limited = case.max_iterations < Accuracy::default().max_iterations;
     let count = if limited { &mut open.limited } else { &mut open.others };
     let [a, b] = case.bodies();
-    for solver in SOLVERS {
+    for solver in Solver::ALL {
         for margin in [f64::INFINITY, 0.0].into_iter().chain(case.margins.iter().copied()) {
             let mut query = case.query(margin);
             query.accuracy.solver = solver;

@@ -3,10 +3,10 @@
 
 use std::rc::Rc;
 
-use hullcast_contact::{Feature, Flags, Manifold, Outcome, Workspace};
+use hullcast_contact::{Feature, Flags, Manifold, Outcome, Solver, Workspace};
 
 use crate::case::{Case, Shape, cuboid, turn};
-use crate::judge::{Cell, SOLVERS, judge};
+use crate::judge::{Cell, judge};
 use crate::scene::{Random, box_points, prism_points, scaled};
 
 pub(crate) const LEVEL: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
@@ -16,7 +16,7 @@ pub(crate) const LEVEL: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
 pub(crate) fn judged(case: &Case) -> [Manifold; 2] {
     let mut cells = [Cell::default(), Cell::default()];
     judge(case, &mut cells, &mut Workspace::default());
-    for (cell, solver) in cells.iter().zip(SOLVERS) {
+    for (cell, solver) in cells.iter().zip(Solver::ALL) {
         assert!(cell.failed.is_empty(), "{solver:?}: {:#?}\n{case:?}", cell.failed);
         assert_eq!(cell.undecided, 0, "{solver:?} undecided\n{case:?}");
     }
@@ -24,7 +24,7 @@ pub(crate) fn judged(case: &Case) -> [Manifold; 2] {
 }
 
 pub(crate) fn answers(case: &Case, margin: f64) -> [Manifold; 2] {
-    SOLVERS.map(|solver| {
+    Solver::ALL.map(|solver| {
         let mut query = case.query(margin);
         query.accuracy.solver = solver;
         case.solve(&query, &mut Workspace::default())

@@ -2,10 +2,10 @@
 
 use std::fmt::Write as _;
 
+use hullcast_contact::Solver;
+
 use crate::judge::{Cell, MEASURES};
 use crate::matrix::Score;
-
-const SOLVERS: [&str; 2] = ["PORTAL", "GJK_RAY_CAST"];
 
 /// The counts of a cell, with their names.
 fn counts(cell: &Cell) -> [(&'static str, usize); 6] {
@@ -21,7 +21,11 @@ fn counts(cell: &Cell) -> [(&'static str, usize); 6] {
 
 fn cells(scores: &[Score]) -> impl Iterator<Item = (&Score, &'static str, &Cell)> {
     scores.iter().flat_map(|score| {
-        SOLVERS.into_iter().zip(&score.cells).map(move |(solver, cell)| (score, solver, cell))
+        Solver::ALL
+            .map(Solver::name)
+            .into_iter()
+            .zip(&score.cells)
+            .map(move |(solver, cell)| (score, solver, cell))
     })
 }
 
@@ -69,7 +73,7 @@ pub(crate) fn table(scores: &[Score]) -> String {
 pub(crate) fn summary(scores: &[Score]) -> String {
     let mut text = format!("| solver | cells | cases | failures | {} |\n", MEASURES.join(" | "));
     let _ = writeln!(text, "|---|--:|--:|--:|{}", "--:|".repeat(MEASURES.len()));
-    for (i, solver) in SOLVERS.iter().enumerate() {
+    for (i, solver) in Solver::ALL.map(Solver::name).iter().enumerate() {
         let all = || scores.iter().map(|s| &s.cells[i]);
         let (cases, failures): (usize, usize) =
             all().fold((0, 0), |(cases, failures), c| (cases + c.cases, failures + c.failures));
@@ -150,7 +154,7 @@ pub(crate) fn heat_map(scores: &[Score]) -> String {
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
          font-family=\"sans-serif\" font-size=\"10\">\n<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n"
     );
-    for (i, solver) in SOLVERS.iter().enumerate() {
+    for (i, solver) in Solver::ALL.map(Solver::name).iter().enumerate() {
         let left = |m: usize| LABELS + (i * (MEASURES.len() + 1) + m) * CELL[0];
         let _ = writeln!(svg, "<text x=\"{}\" y=\"14\" font-weight=\"bold\">{solver}</text>", left(0));
         for (m, name) in MEASURES.iter().enumerate() {

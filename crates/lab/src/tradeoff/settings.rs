@@ -31,7 +31,6 @@ pub(super) enum Center {
     Offset,
 }
 
-const SOLVERS: [Solver; 2] = [Solver::Portal, Solver::GjkRayCast];
 const TOLERANCES: [f64; 4] = [0.0, 1e-6, 1e-3, 1e-1];
 const ITERATIONS: [u32; 3] = [1000, 16, 4];
 const WARM: [bool; 2] = [false, true];
@@ -55,7 +54,7 @@ pub(super) const KNOBS: [&str; 8] = [
 impl Setting {
     /// The setting of a request that gives no accuracy: the first level of each knob.
     pub(super) const DEFAULT: Self = Self {
-        solver: SOLVERS[0],
+        solver: Solver::ALL[0],
         relative_tolerance: TOLERANCES[0],
         max_iterations: ITERATIONS[0],
         warm: WARM[0],
@@ -70,7 +69,7 @@ impl Setting {
         let mut grid = Vec::new();
         for center in CENTERS {
             for simplification in SIMPLIFICATIONS {
-                for solver in SOLVERS {
+                for solver in Solver::ALL {
                     for relative_tolerance in TOLERANCES {
                         for max_iterations in ITERATIONS {
                             for warm in WARM {

@@ -32,7 +32,7 @@
 use glam::DVec3;
 
 use crate::stop::{Meter, Stopped};
-use crate::tolerance::{NOISE, U};
+use crate::tolerance::{MAPPED_HEIGHT, SINGLE_ROUNDING, U};
 
 /// The largest number of points in a leaf.
 const LEAF: usize = 8;
@@ -293,10 +293,6 @@ struct Map {
     reach: f64,
 }
 
-/// The rounding error of a bound in single precision, as a fraction of its largest product. It covers
-/// three axes, two sums of products for each axis, and the rounding of the factors.
-const SINGLE_ROUNDING: f64 = 64.0 * (f32::EPSILON / 2.0) as f64;
-
 impl Map {
     /// The map for these points.
     fn new(all: &[DVec3]) -> Self {
@@ -331,7 +327,7 @@ impl Map {
         let [a, b, d, c, e, f] = self.factor;
         let mapped = DVec3::new(a * n.x + b * n.y + d * n.z, c * n.y + e * n.z, f * n.z);
         let rounding = SINGLE_ROUNDING * mapped.abs().element_sum() * self.reach
-            + 4.0 * NOISE * U * n.abs().element_sum() * (1.0 + self.reach);
+            + MAPPED_HEIGHT * U * n.abs().element_sum() * (1.0 + self.reach);
         (mapped.to_array().map(|x| x as f32), n.dot(self.mean), rounding)
     }
 }

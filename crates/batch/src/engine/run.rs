@@ -1,8 +1,5 @@
 //! A batch while it is being computed.
 
-#[cfg(test)]
-mod tests;
-
 use std::{
     cell::RefCell,
     ops::Range,
@@ -13,21 +10,13 @@ use std::{
     },
 };
 
-use super::{Batch, Engine, chunks::Chunks, engine::Shared};
-use crate::{
-    budget::{NoMemory, Permit},
-    compute::{Job, Parts},
-    contact::{Stop, Stopped, Workspace},
-    lock::locked,
-    service::{admission::Admission, wire::Columns},
-    store::Lease,
+use hullcast_contact::{Stop, Stopped, Workspace};
+
+use super::{
+    chunks::Chunks,
+    shared::{SPARE_BYTES, Shared},
 };
-
-/// The number of chunks' columns that are kept for reuse: those of a large batch.
-const SPARE_CHUNKS: usize = 512;
-
-/// The most bytes of a chunk's columns that are kept: about 8 points per pair with every output.
-const SPARE_BYTES: usize = 64 << 10;
+use crate::{batch::Batch, columns::Columns, compute::Parts, lock::locked, memory::Memory};
 
 /// Chunks with fewer bytes in total are joined by the thread that computed the last of them, in
 /// about 1 ms.
@@ -39,57 +28,38 @@ const GATHERED_STEPS: u64 = 1 << 16;
 
 /// The reason why the rest of a batch is not computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Unanswered {
+pub(super) enum Unanswered<R> {
     TooLarge,
-    NoMemory(NoMemory),
+    NoMemory(R),
 }
 
-/// The state of a batch while it is computed.
-pub(super) struct Run {
+/// The state of a batch while it is computed. `M` is the memory of its answer, and `H` is held until the
+/// answer is complete.
+pub(super) struct Run<M: Memory, H> {
     pub(super) batch: Batch,
     pub(super) chunks: Chunks,
-    pub(super) unanswered: Arc<OnceLock<Unanswered>>,
-    job: Job,
+    pub(super) unanswered: Arc<OnceLock<Unanswered<M::Refused>>>,
+    pub(super) stop: Arc<Stop>,
     /// The memory of the columns computed so far.
-    memory: Mutex<Option<Permit>>,
+    pub(super) memory: Mutex<Option<M>>,
     answer_bytes: AtomicUsize,
     shared: Arc<Shared>,
-    /// Released with the answer, so that the next request finds the capacity free.
-    taken: Mutex<Option<(Admission, Option<Arc<Lease>>)>>,
+    /// Released with the answer, so that the next query finds free what the batch held.
+    held: Mutex<Option<H>>,
 }
 
 /// The computed chunks of a batch.
-pub(super) enum Chunked {
-    Answer(Box<(Columns, Permit)>),
+pub(super) enum Chunked<M> {
+    Answer(Box<(Columns, M)>),
     /// The chunks must be joined as separate work.
-    Large(Computed),
+    Large(Computed<M>),
 }
 
 /// The chunks of an answer, in order.
-pub(super) struct Computed {
+pub(super) struct Computed<M> {
     chunks: Vec<Columns>,
-    memory: Permit,
+    memory: M,
     shared: Arc<Shared>,
-}
-
-/// Columns for reuse, so that chunks allocate nothing in the steady state.
-#[derive(Debug, Default)]
-pub(super) struct Spare(Mutex<Vec<Columns>>);
-
-impl Spare {
-    fn take(&self) -> Columns {
-        locked(&self.0).pop().unwrap_or_default()
-    }
-
-    fn keep(&self, chunks: Vec<Columns>) {
-        let mut spare = locked(&self.0);
-        let room = SPARE_CHUNKS.saturating_sub(spare.len());
-        let small = chunks.into_iter().filter(|columns| columns.heap_bytes() <= SPARE_BYTES);
-        spare.extend(small.take(room).map(|mut columns| {
-            columns.clear();
-            columns
-        }));
-    }
 }
 
 thread_local! {
@@ -98,9 +68,9 @@ thread_local! {
     static COLUMNS: RefCell<Columns> = RefCell::default();
 }
 
-impl Parts for Run {
+impl<M: Memory, H: Send + 'static> Parts for Run<M, H> {
     type Part = Columns;
-    type Whole = Chunked;
+    type Whole = Chunked<M>;
 
     fn count(&self) -> usize {
         self.chunks.count(self.batch.pair_count())
@@ -110,34 +80,27 @@ impl Parts for Run {
         self.chunk(self.chunks.pairs(index, self.batch.pair_count()))
     }
 
-    fn whole(&self, chunks: Vec<Columns>) -> Result<Chunked, Stopped> {
+    fn whole(&self, chunks: Vec<Columns>) -> Result<Chunked<M>, Stopped> {
         let computed = self.computed(chunks)?;
-        drop(locked(&self.taken).take());
+        drop(locked(&self.held).take());
         if computed.bytes() > LARGE_BYTES {
             return Ok(Chunked::Large(computed));
         }
-        Ok(Chunked::Answer(Box::new(computed.concatenated(&self.job.stop)?)))
+        Ok(Chunked::Answer(Box::new(computed.concatenated(&self.stop)?)))
     }
 }
 
-impl Run {
-    pub(super) fn new(
-        engine: &Engine,
-        batch: Batch,
-        chunks: Chunks,
-        job: &Job,
-        memory: Permit,
-        taken: (Admission, Option<Arc<Lease>>),
-    ) -> Self {
+impl<M: Memory, H: Send + 'static> Run<M, H> {
+    pub(super) fn new(shared: &Arc<Shared>, batch: Batch, stop: &Arc<Stop>, memory: M, held: H) -> Self {
         Self {
+            chunks: Chunks::of(&batch),
             batch,
-            chunks,
             unanswered: Arc::default(),
-            job: job.clone(),
+            stop: stop.clone(),
             memory: Mutex::new(Some(memory)),
             answer_bytes: AtomicUsize::new(0),
-            shared: engine.shared().clone(),
-            taken: Mutex::new(Some(taken)),
+            shared: shared.clone(),
+            held: Mutex::new(Some(held)),
         }
     }
 
@@ -148,23 +111,23 @@ impl Run {
     }
 
     /// Computes the whole batch on this thread.
-    pub(super) fn inline(&self) -> Result<(Columns, Permit), Stopped> {
+    pub(super) fn inline(&self) -> Result<(Columns, M), Stopped> {
         let mut columns = COLUMNS.take();
         let answer = self.fill(0..self.batch.pair_count(), &mut columns).and_then(|()| {
             let mut memory = locked(&self.memory).take().ok_or(Stopped)?;
             let bytes = columns.filled_bytes() as u64;
             memory.grow(bytes).map_err(|why| self.unanswered(Unanswered::NoMemory(why)))?;
-            Ok((Columns::concatenated(slice::from_ref(&columns), &self.job.stop)?, memory))
+            Ok((Columns::concatenated(slice::from_ref(&columns), &self.stop)?, memory))
         });
         if columns.heap_bytes() <= SPARE_BYTES {
             columns.clear();
             COLUMNS.set(columns);
         }
-        drop(locked(&self.taken).take());
+        drop(locked(&self.held).take());
         answer
     }
 
-    fn computed(&self, chunks: Vec<Columns>) -> Result<Computed, Stopped> {
+    fn computed(&self, chunks: Vec<Columns>) -> Result<Computed<M>, Stopped> {
         let memory = locked(&self.memory).take().ok_or(Stopped)?;
         let mut computed = Computed { chunks, memory, shared: self.shared.clone() };
         let bytes = computed.bytes() as u64;
@@ -189,14 +152,14 @@ impl Run {
     /// large.
     fn fill(&self, pairs: Range<usize>, columns: &mut Columns) -> Result<(), Stopped> {
         self.look()?;
-        self.shared.injected.pass(pairs.len());
+        self.shared.before_chunk(pairs.len());
         // The workspace is taken out while the chunk is computed, so that the thread gets a new one after a
         // panic.
         let mut workspace = WORKSPACE.take();
         let computed = self.pairs(pairs, &mut workspace, columns);
         WORKSPACE.set(workspace);
         computed?;
-        let bytes = columns.wire_bytes(self.batch.setting.outputs);
+        let bytes = columns.wire_bytes(self.batch.bodies.setting().outputs());
         if self.answer_bytes.fetch_add(bytes, Ordering::Relaxed) + bytes > self.shared.max_answer_bytes {
             return Err(self.unanswered(Unanswered::TooLarge));
         }
@@ -215,27 +178,27 @@ impl Run {
         for pair in pairs {
             steps += self.batch.pair(pair, workspace, columns);
             if steps >= GATHERED_STEPS {
-                self.job.stop.spend(std::mem::take(&mut steps))?;
+                self.stop.spend(std::mem::take(&mut steps))?;
                 self.look()?;
             }
         }
-        self.job.stop.spend(steps)
+        self.stop.spend(steps)
     }
 
     /// Fails if the caller has left, or if the batch cannot be answered any more.
     fn look(&self) -> Result<(), Stopped> {
-        let ends = self.job.stop.is_stopped() || self.unanswered.get().is_some();
+        let ends = self.stop.is_stopped() || self.unanswered.get().is_some();
         if ends { Err(Stopped) } else { Ok(()) }
     }
 
-    fn unanswered(&self, why: Unanswered) -> Stopped {
+    fn unanswered(&self, why: Unanswered<M::Refused>) -> Stopped {
         // Only the first reason counts.
         let _ = self.unanswered.set(why);
         Stopped
     }
 }
 
-impl Computed {
+impl<M: Memory> Computed<M> {
     /// The bytes of all columns together.
     fn bytes(&self) -> usize {
         self.chunks.iter().map(Columns::filled_bytes).sum()
@@ -246,8 +209,8 @@ impl Computed {
         (self.bytes() / Columns::BYTES_PER_STEP) as u64
     }
 
-    /// The answer. Its permit covers the joined columns; the memory of the chunks is released.
-    pub(super) fn concatenated(self, stop: &Stop) -> Result<(Columns, Permit), Stopped> {
+    /// The answer. Its memory holds the joined columns; that of the chunks is given back.
+    pub(super) fn concatenated(self, stop: &Stop) -> Result<(Columns, M), Stopped> {
         let Self { chunks, mut memory, shared } = self;
         let columns = Columns::concatenated(&chunks, stop)?;
         shared.spare.keep(chunks);

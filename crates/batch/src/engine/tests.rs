@@ -1,51 +1,57 @@
-//! Tests of chunks, their memory and their cost, without threads.
+//! Tests of chunks, their memory and their cost, and of the engine.
 
-use super::*;
-use crate::{
-    budget::{Caller, MemoryBudget, Part, Refusal},
-    compute::Compute,
-    contact::ConvexHull,
-    proto::{Output, QueryContactsRequest},
-    service::{batch::Bounds, limits::Limits, wire},
+use std::sync::Mutex;
+
+use hullcast_contact::{
+    ConvexHull, STEPS_BETWEEN_LOOKS, Stop,
     workload::{Family, Regime, Workload},
 };
 
+use super::*;
+use crate::{
+    Unlimited,
+    compute::Parts,
+    memory::{MemoryPool, PoolIsFull, PooledMemory},
+    outputs::{Output, Outputs},
+    scene::Scene,
+    wait,
+};
+
+type Run = super::Run<PooledMemory, ()>;
+
 fn engine(max_answer_bytes: usize) -> Engine {
-    let bounds = Bounds { max_pairs_in_flight: 1 << 20, shares: true, max_answer_bytes };
-    Engine::new(Compute::new(1).unwrap(), bounds, Arc::default())
+    Engine::new(Compute::new(1).unwrap(), max_answer_bytes)
 }
 
 /// A batch of generated pairs with all outputs.
 fn batch(family: Family, regime: Regime, pairs: usize) -> Batch {
     let workload = Workload::generate(family, regime, pairs, 1).unwrap();
     let hulls = workload.hulls.iter().map(|points| Ok(Arc::new(ConvexHull::new(points).unwrap())));
-    let request = QueryContactsRequest {
-        hull_ids: (0..workload.hulls.len() as u8).map(|i| vec![i; 32]).collect(),
+    let scene = Scene {
+        hulls: hulls.collect(),
         body_hulls: workload.pairs.iter().flat_map(|pair| pair.hulls.map(|hull| hull as u32)).collect(),
         positions: workload.pairs.iter().flat_map(|pair| pair.positions).flatten().collect(),
         rotations: workload.pairs.iter().flat_map(|pair| pair.rotations).flatten().collect(),
         pairs: (0..2 * pairs as u32).collect(),
-        outputs: (1..=Output::Diagnostics as i32).collect(),
+        outputs: Outputs::of(Output::ALL.iter().copied()),
         margin: 0.01,
-        ..Default::default()
+        ..Scene::default()
     };
-    let scene = wire::scene(request, &Limits::default()).unwrap();
-    Batch::new(scene, Arc::new(hulls.collect())).0
+    scene.batch(&Stop::default()).unwrap()
+}
+
+fn run_in(engine: &Engine, batch: Batch, pool: &MemoryPool) -> Run {
+    Run::new(&engine.shared, batch, &Arc::default(), pool.memory(), ())
 }
 
 fn run(engine: &Engine, batch: Batch) -> Run {
-    let job = Job::new(Caller::alone());
-    let admission = engine.place(batch.pair_count(), &job.caller).unwrap();
-    let mut memory = Permit::unbounded(Part::Answers);
-    // As in a server, the caller already has an account.
-    memory.grow(1).unwrap();
-    engine.begin(batch, admission, &job, memory)
+    run_in(engine, batch, &MemoryPool::new(u64::MAX))
 }
 
-fn answer(run: &Run, chunks: Vec<Columns>) -> (Columns, Permit) {
+fn answer(run: &Run, chunks: Vec<Columns>) -> (Columns, PooledMemory) {
     match run.whole(chunks).unwrap() {
         Chunked::Answer(answer) => *answer,
-        Chunked::Large(computed) => computed.concatenated(&run.job.stop).unwrap(),
+        Chunked::Large(computed) => computed.concatenated(&run.stop).unwrap(),
     }
 }
 
@@ -80,30 +86,71 @@ fn the_steady_state_allocates_nothing_per_pair() {
 fn columns_are_counted_from_the_first_chunk_on() {
     let engine = engine(64 << 20);
     let of = || batch(Family::Poly16, Regime::Resting, 1000);
-    let budget = MemoryBudget::new(16 << 20, true, &[]);
-    let mut run = run(&engine, of());
-    run.memory = Mutex::new(Some(budget.take(&run.job.caller, Part::Answers, 0).unwrap()));
+    let pool = MemoryPool::new(16 << 20);
+    let run = run_in(&engine, of(), &pool);
     let mut held = 0;
     let mut chunks = Vec::new();
     for index in 0..run.count() {
         let chunk = run.part(index).unwrap();
         held += chunk.heap_bytes() as u64;
-        assert_eq!(budget.used_by(Part::Answers), held);
+        assert_eq!(pool.used(), held);
         chunks.push(chunk);
     }
     let (columns, memory) = answer(&run, chunks);
-    assert_eq!((memory.bytes(), budget.used()), (columns.heap_bytes() as u64, memory.bytes()));
+    assert_eq!((memory.bytes(), pool.used()), (columns.heap_bytes() as u64, memory.bytes()));
     assert!(memory.bytes() > 100_000);
-    let tight = MemoryBudget::new(held, true, &[]);
-    let run = Run {
-        memory: Mutex::new(Some(tight.take(&run.job.caller, Part::Answers, 0).unwrap())),
-        ..self::run(&engine, of())
-    };
+    let tight = held / 2;
+    let run = run_in(&engine, of(), &MemoryPool::new(tight));
     let refused = (0..run.count()).find(|&index| run.part(index).is_err()).unwrap();
     assert!(refused > 3 && refused < run.count());
-    let no_memory = NoMemory { part: Part::Answers, refusal: Refusal::TooLarge };
-    assert_eq!(run.unanswered.get(), Some(&Unanswered::NoMemory(no_memory)));
+    let Some(Unanswered::NoMemory(PoolIsFull { limit, .. })) = run.unanswered.get() else { panic!() };
+    assert_eq!(*limit, tight);
     assert!(run.part(refused + 1).is_err());
+}
+
+/// Catches a value that is held for longer than the answer takes, or not as long: for a batch that is computed
+/// at once, one that is computed in chunks, and one whose answer is too large.
+#[test]
+fn held_values_are_dropped_with_the_answer() {
+    let engine = engine(1 << 20);
+    for (pairs, fits) in [(1, true), (500, true), (20_000, false)] {
+        let held = Arc::new(Mutex::new(()));
+        let (kept, mut batch) = (Arc::new(()), batch(Family::Box, Regime::Resting, pairs));
+        batch.keep(kept.clone());
+        let computed = wait(engine.compute(batch, &Job::new(()), Unlimited, held.clone()));
+        match computed {
+            Ok((columns, Unlimited)) => assert_eq!((columns.len(), fits), (pairs, true)),
+            Err(error) => assert_eq!((error, fits), (EngineError::TooLarge(1 << 20), false)),
+        }
+        if fits {
+            assert_eq!(Arc::strong_count(&held), 1, "{pairs}");
+        }
+        // The threads drop the rest of a batch that has no answer soon after.
+        while Arc::strong_count(&held) > 1 || Arc::strong_count(&kept) > 1 {
+            std::thread::yield_now();
+        }
+    }
+}
+
+/// Catches an engine that goes on after its job was stopped, and a panic that ends more than its own batch.
+#[test]
+fn stops_and_panics_are_errors() {
+    let panics = |pairs: usize| assert_ne!(pairs, 7, "a bug");
+    let engine = Engine::with_hook(Compute::new(1).unwrap(), 1 << 30, panics);
+    let compute = |pairs: usize, job: &Job| {
+        wait(engine.compute(batch(Family::Box, Regime::Resting, pairs), job, Unlimited, ())).map(|_| ())
+    };
+    let stopped = Job::new(());
+    stopped.stop.stop();
+    for pairs in [1, 1000] {
+        assert_eq!(compute(pairs, &stopped), Err(EngineError::Stopped));
+    }
+    assert_eq!(engine.pairs_computed(), 0);
+    for pairs in [7, 64 + 7] {
+        let Err(EngineError::Panicked(why)) = compute(pairs, &Job::new(())) else { panic!("{pairs}") };
+        assert!(why.0.contains("a bug"), "{why}");
+    }
+    assert_eq!(compute(1000, &Job::new(())), Ok(()));
 }
 
 /// Cuts the same pairs equally and by their cost. Catches bytes that depend on the chunks, chunks
@@ -125,13 +172,13 @@ fn the_same_columns_whatever_the_chunks() {
             });
             let chunks = chunks.collect();
             assert_eq!(next, 500);
-            most = most.max(run.job.stop.largest_between_looks());
+            most = most.max(run.stop.largest_between_looks());
             answer(&run, chunks).0
         });
         // NaN is not equal to itself, so compare the text.
         assert_eq!(format!("{equal:?}"), format!("{by_pairs:?}"), "{family:?}");
     }
-    assert!(most > 0 && most <= 2 * crate::contact::STEPS_BETWEEN_LOOKS, "{most}");
+    assert!(most > 0 && most <= 2 * STEPS_BETWEEN_LOOKS, "{most}");
 }
 
 /// Prisms of 2,048 sides whose end faces overlap. Catches chunks that are cut by the number of
@@ -145,27 +192,25 @@ fn chunks_of_costly_pairs_are_short() {
     };
     let prism: Vec<_> = (0..2 * sides).map(corner).collect();
     let pairs = 100;
-    let request = QueryContactsRequest {
-        hull_ids: vec![vec![0; 32]],
+    let scene = Scene {
+        hulls: vec![Ok(Arc::new(ConvexHull::new(&prism).unwrap()))],
         body_hulls: vec![0, 0],
         positions: vec![0.0, 0.0, 0.0, 0.3, 0.1, 0.99],
         rotations: [0.0, 0.0, 0.0, 1.0].repeat(2),
         pairs: [0, 1].repeat(pairs),
-        ..Default::default()
+        ..Scene::default()
     };
-    let scene = wire::scene(request, &Limits::default()).unwrap();
-    let hull = Arc::new(ConvexHull::new(&prism).unwrap());
     let engine = engine(1 << 30);
-    let run = run(&engine, Batch::new(scene, Arc::new([Ok(hull)].into_iter().collect())).0);
+    let run = run(&engine, scene.batch(&Stop::default()).unwrap());
     assert!(run.chunks.is_unknown() && !run.batch.is_small());
     let run = run.cut(&Stop::default()).unwrap();
     assert!(run.count() > 10, "{}", run.count());
     let (mut points, mut before) = (0, 0);
     for index in 0..run.count() {
         points += run.part(index).unwrap().filled_bytes();
-        let steps = run.job.stop.steps() - before;
-        assert!(steps <= 2 * crate::contact::STEPS_BETWEEN_LOOKS, "{steps} steps in chunk {index}");
+        let steps = run.stop.steps() - before;
+        assert!(steps <= 2 * STEPS_BETWEEN_LOOKS, "{steps} steps in chunk {index}");
         before += steps;
     }
-    assert!(points > 1000 * pairs && run.job.stop.largest_between_looks() <= 1 << 20);
+    assert!(points > 1000 * pairs && run.stop.largest_between_looks() <= 1 << 20);
 }

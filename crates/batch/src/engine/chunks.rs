@@ -7,8 +7,9 @@
 
 use std::ops::Range;
 
-use super::Batch;
-use crate::contact::{STEPS_BETWEEN_LOOKS, Stop, Stopped};
+use hullcast_contact::{STEPS_BETWEEN_LOOKS, Stop, Stopped};
+
+use crate::batch::Batch;
 
 /// The most pairs per chunk. 64 pairs of boxes take about 50 us: far more than the cost of sharing
 /// them, and far less than a batch.
@@ -17,7 +18,7 @@ pub(super) const CHUNK_PAIRS: usize = 64;
 /// The most estimated steps per chunk, unless the chunk is a single pair.
 const CHUNK_STEPS: u64 = STEPS_BETWEEN_LOOKS;
 
-/// A batch of fewer estimated steps is computed on the thread that serves the call. Handing it to
+/// A batch of fewer estimated steps is computed on the thread that asks for it. Handing it to
 /// other threads and back costs about as much.
 const SMALL_STEPS: u64 = 40_000;
 

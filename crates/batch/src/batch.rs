@@ -1,0 +1,137 @@
+//! A batch of pairs, and the computation of each pair's answer.
+
+use std::any::Any;
+
+use hullcast_contact::{Basis, Body, Outcome, Workspace, contact_manifold, estimated_steps};
+
+use crate::{
+    columns::{Columns, Invalid},
+    outputs::Outputs,
+    scene::{Bodies, Fault, has_length},
+};
+
+/// Steps of a pair in addition to its computation. A pair that is not computed, because a hull or
+/// a pose is missing, takes only these.
+const LEAST_STEPS: u64 = 50;
+
+/// A batch that is ready to be computed: checked, with its hulls.
+#[derive(Debug)]
+pub struct Batch {
+    pub(crate) bodies: Bodies,
+    /// Pairs that replace the setting's pairs. The answer leaves out those that are SEPARATED.
+    candidates: Option<Vec<u32>>,
+    /// Empty, or 6 per pair: registered indices of vertices, unchecked.
+    warm_starts: Vec<u32>,
+    /// The outputs that are kept: all that are sent, and the bases if a stream keeps them.
+    kept: Outputs,
+    /// Dropped with the batch.
+    owned: Option<Box<dyn Any + Send + Sync>>,
+}
+
+impl Batch {
+    /// The batch of all pairs of the bodies' setting. `warm_starts` is empty, or has 6 indices per pair; bases
+    /// that do not belong to a pair's hulls are ignored.
+    ///
+    /// # Errors
+    /// There are not as many warm starts as pairs.
+    pub fn new(bodies: Bodies, warm_starts: Vec<u32>) -> Result<Self, Fault> {
+        if !warm_starts.is_empty() {
+            let expected = 6 * bodies.setting().pair_count();
+            has_length(warm_starts.len(), expected, "warm_starts", "none or 6 per pair")?;
+        }
+        let kept = bodies.setting().outputs();
+        Ok(Self { bodies, candidates: None, warm_starts, kept, owned: None })
+    }
+
+    /// A batch of pairs that may meet, 2 indices per pair. Its answer contains those that are not
+    /// SEPARATED.
+    pub(crate) fn of_candidates(bodies: Bodies, candidates: Vec<u32>) -> Self {
+        let kept = bodies.setting().outputs();
+        Self { bodies, candidates: Some(candidates), warm_starts: Vec::new(), kept, owned: None }
+    }
+
+    fn pairs(&self) -> &[u32] {
+        self.candidates.as_deref().unwrap_or(self.bodies.setting().pairs())
+    }
+
+    /// The number of pairs.
+    pub fn pair_count(&self) -> usize {
+        self.pairs().len() / 2
+    }
+
+    /// Keeps a value until the batch is freed, such as the memory that the batch counts against.
+    pub fn keep(&mut self, value: impl Send + Sync + 'static) {
+        self.owned = Some(Box::new(value));
+    }
+
+    /// Adds the bases to the columns, even if they are not asked for.
+    pub fn keep_bases(&mut self) {
+        self.kept.bases = true;
+    }
+
+    /// Computes pair `pair` and adds it to `columns`. Returns the steps that it took.
+    pub(crate) fn pair(&self, pair: usize, workspace: &mut Workspace, columns: &mut Columns) -> u64 {
+        let mut invalid = Invalid::default();
+        let bodies = [0, 1].map(|side| self.pairs()[2 * pair + side]);
+        let [a, b] = bodies.map(|body| self.body(body, &mut invalid));
+        match (a, b) {
+            (Some(a), Some(b)) => {
+                let warm = self.warm_start(pair, &a, &b);
+                let query = self.bodies.setting().query();
+                let manifold = contact_manifold(&a, &b, query, warm.as_ref(), workspace);
+                if self.candidates.is_some() {
+                    if manifold.outcome == Outcome::Separated {
+                        return workspace.take_steps();
+                    }
+                    columns.push_pair(bodies);
+                }
+                columns.push(manifold, self.kept);
+            }
+            _ => columns.push_invalid(invalid, self.kept),
+        }
+        LEAST_STEPS + workspace.take_steps()
+    }
+
+    fn body(&self, index: u32, invalid: &mut Invalid) -> Option<Body<'_>> {
+        let hull = match self.bodies.hull(index) {
+            Ok(hull) => Some(hull),
+            Err(missing) => {
+                invalid.hull(*missing);
+                None
+            }
+        };
+        let pose = self.bodies.pose(index);
+        if pose.is_none() {
+            invalid.body();
+        }
+        Some(Body::new(hull?, pose?))
+    }
+
+    /// The pair's basis from an earlier answer, or `None` if it contains indices that are not registered
+    /// for these hulls.
+    fn warm_start(&self, pair: usize, a: &Body<'_>, b: &Body<'_>) -> Option<Basis> {
+        let (bases, _) = self.warm_starts.as_chunks::<6>();
+        let &[a0, a1, a2, b0, b1, b2] = bases.get(pair)?;
+        let basis = Basis { a: [a0, a1, a2], b: [b0, b1, b2] };
+        let of = |vertices: [u32; 3], body: &Body<'_>| {
+            vertices.iter().all(|&vertex| (vertex as usize) < body.hull.registered_count())
+        };
+        (of(basis.a, a) && of(basis.b, b)).then_some(basis)
+    }
+
+    /// The estimated steps of a pair.
+    pub(crate) fn pair_steps(&self, pair: usize) -> u64 {
+        let hull = |side: usize| self.bodies.hull(self.pairs()[2 * pair + side]).as_ref().ok();
+        match (hull(0), hull(1)) {
+            (Some(a), Some(b)) => estimated_steps(a, b),
+            _ => LEAST_STEPS,
+        }
+    }
+
+    /// The estimated steps of the most expensive pair that the hulls can form. No pair costs more
+    /// than the most expensive hull with itself.
+    pub(crate) fn most_steps(&self) -> u64 {
+        let hulls = self.bodies.hulls().iter().filter_map(|hull| hull.as_ref().ok());
+        hulls.map(|hull| estimated_steps(hull, hull)).max().unwrap_or(LEAST_STEPS)
+    }
+}

@@ -1,0 +1,150 @@
+//! Computes batches in chunks on the compute threads. The work stops when the caller has left, and
+//! the bytes of an answer do not depend on how the batch was split.
+//!
+//! Small batches are computed on the thread that asks for them, because handing a batch to other
+//! threads and back costs 20 to 40 us. The estimated cost of a batch decides whether it is small,
+//! and how it is cut into chunks (`chunks`). `run` is a batch while it is computed, and `shared` is
+//! the part of an engine that all of them use.
+
+mod chunks;
+mod run;
+mod shared;
+#[cfg(test)]
+mod tests;
+
+use std::{
+    error::Error,
+    fmt,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+};
+
+use self::{
+    run::{Chunked, Run, Unanswered},
+    shared::{BeforeChunk, Shared, Spare},
+};
+use crate::{
+    batch::Batch,
+    columns::Columns,
+    compute::{Caller, Compute, ComputeError, Job, Panicked, caught},
+    memory::Memory,
+};
+
+/// Computes batches on compute threads.
+#[derive(Debug)]
+pub struct Engine {
+    compute: Compute,
+    shared: Arc<Shared>,
+}
+
+/// The reason why a batch has no answer. `R` is the reason why there is no memory.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum EngineError<R> {
+    /// The answer would have more than this number of bytes.
+    TooLarge(usize),
+    /// There is no memory for the answer.
+    NoMemory(R),
+    /// The job was stopped.
+    Stopped,
+    /// The computation panicked, which is a bug.
+    Panicked(Panicked),
+}
+
+impl<R: fmt::Debug> fmt::Display for EngineError<R> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TooLarge(limit) => write!(f, "the answer would have more than {limit} bytes"),
+            Self::NoMemory(why) => write!(f, "there is no memory for the answer: {why:?}"),
+            Self::Stopped => f.write_str("the computation was stopped"),
+            Self::Panicked(panicked) => panicked.fmt(f),
+        }
+    }
+}
+
+impl<R: fmt::Debug> Error for EngineError<R> {}
+
+impl Engine {
+    /// An engine that computes on `compute`, and whose answers have at most `max_answer_bytes` bytes.
+    pub fn new(compute: Compute, max_answer_bytes: usize) -> Self {
+        Self::with(compute, max_answer_bytes, None)
+    }
+
+    /// An engine that calls `before` with the number of pairs of each chunk before it computes the chunk.
+    /// Tests of overload slow an engine down in this way.
+    #[doc(hidden)]
+    pub fn with_hook(
+        compute: Compute,
+        max_answer_bytes: usize,
+        before: impl Fn(usize) + Send + Sync + 'static,
+    ) -> Self {
+        Self::with(compute, max_answer_bytes, Some(Box::new(before)))
+    }
+
+    fn with(compute: Compute, max_answer_bytes: usize, before_chunk: Option<BeforeChunk>) -> Self {
+        let (pairs_computed, spare) = (AtomicU64::new(0), Spare::default());
+        let shared = Shared { max_answer_bytes, pairs_computed, spare, before_chunk };
+        Self { compute, shared: Arc::new(shared) }
+    }
+
+    /// The number of pairs computed since the start.
+    pub fn pairs_computed(&self) -> u64 {
+        self.shared.pairs_computed.load(Ordering::Relaxed)
+    }
+
+    /// The most bytes of an answer.
+    pub fn max_answer_bytes(&self) -> usize {
+        self.shared.max_answer_bytes
+    }
+
+    /// The compute threads.
+    pub fn compute_threads(&self) -> &Compute {
+        &self.compute
+    }
+
+    /// The columns of all pairs, in pair order, and `memory`, which now holds their bytes. `held` is dropped
+    /// as soon as the answer is complete. Dropping the future stops the computation.
+    ///
+    /// # Errors
+    /// The answer is too large, or there is no memory for it, as soon as that is known; the job was stopped;
+    /// the computation panicked.
+    pub async fn compute<M: Memory, H: Send + 'static>(
+        &self,
+        batch: Batch,
+        job: &Job<impl Caller>,
+        memory: M,
+        held: H,
+    ) -> Result<(Columns, M), EngineError<M::Refused>> {
+        let run = Run::new(&self.shared, batch, &job.stop, memory, held);
+        let unanswered = run.unanswered.clone();
+        self.computed(run, job).await.map_err(|error| match (unanswered.get(), error) {
+            (Some(Unanswered::TooLarge), _) => EngineError::TooLarge(self.shared.max_answer_bytes),
+            (Some(&Unanswered::NoMemory(why)), _) => EngineError::NoMemory(why),
+            (None, ComputeError::Stopped) => EngineError::Stopped,
+            (None, ComputeError::Panicked(panicked)) => EngineError::Panicked(panicked),
+        })
+    }
+
+    async fn computed<M: Memory, H: Send + 'static>(
+        &self,
+        mut run: Run<M, H>,
+        job: &Job<impl Caller>,
+    ) -> Result<(Columns, M), ComputeError> {
+        if run.batch.is_small() {
+            return Ok(caught(|| run.inline())??);
+        }
+        if run.chunks.is_unknown() {
+            // Estimating every pair's cost is also work for the compute threads.
+            run = self.compute.run(|stop| run.cut(stop), job).await??;
+        }
+        match self.compute.split(run, job).await? {
+            Chunked::Answer(answer) => Ok(*answer),
+            Chunked::Large(chunks) => self
+                .compute
+                .run_steps(chunks.steps(), |stop| chunks.concatenated(stop), job)
+                .await?
+                .map_err(Into::into),
+        }
+    }
+}
