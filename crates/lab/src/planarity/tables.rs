@@ -61,7 +61,8 @@ fn table(
 
 /// All tables.
 pub(super) fn tables(cells: &[Cell], orientations: usize) -> String {
-    let mut text = format!("Each shape stands on its largest face, in {orientations} orientations.\n\n");
+    let counted = hullcast_batch::counted(orientations, "orientation");
+    let mut text = format!("Each shape stands on its largest face, in {counted}.\n\n");
     let rounded = &ROUNDINGS[1..];
     let percent = |share: f64| format!("{:.1}", 100.0 * share);
     table(
