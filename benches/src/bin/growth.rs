@@ -11,9 +11,9 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
+use hullcast::batch::scene::Bodies;
 use hullcast::budget::{self, Part, Permit};
 use hullcast::compute::{Compute, Job};
-use hullcast::batch::scene::Bodies;
 use hullcast::service::{Engine, EngineBounds, Limits, wire};
 use hullcast::store::{self, identity::id_of};
 use hullcast_benches::cells::{MARGIN, sphere};

@@ -139,6 +139,9 @@ fn planarity_measures_every_group_with_every_rounding() -> Outcome {
     // A cube whose coordinates are not rounded keeps its whole patch.
     assert!(table.contains("\ncubes,unrounded,1e-3,1,1.00000,1.00000,"), "{table}");
     let said = String::from_utf8(output.stdout)?;
-    assert!(said.starts_with("Each shape stands on its largest face") && said.contains("cubes, 4 decimals"), "{said}");
+    assert!(
+        said.starts_with("Each shape stands on its largest face") && said.contains("cubes, 4 decimals"),
+        "{said}"
+    );
     Ok(())
 }
