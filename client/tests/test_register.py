@@ -195,3 +195,27 @@ def test_hulls_over_a_limit_of_the_server_are_registered_in_parts(client, limit,
         with pytest.raises(hullcast.HullRejected) as caught:
             low.register(shapes)
         assert (caught.value.index, len(caught.value.results)) == (3, 20)
+
+
+class Mesh:
+    """A mesh as other libraries have it."""
+
+    def __init__(self, vertices, faces):
+        self.vertices, self.faces = vertices, faces
+
+
+def test_a_vertex_that_no_face_uses_is_not_registered(client):
+    """A stray vertex far away made the hull larger, without a warning."""
+    corners = np.array([[0, 0, 0], [9, 9, 9], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
+    faces = np.array([[0, 3, 2], [0, 2, 4], [0, 4, 3], [2, 3, 4]])
+    mesh = Mesh(corners, faces)
+    (hull,) = client.register(mesh)
+    assert hull.volume == pytest.approx(1 / 6)
+    assert hull.vertices.tolist() == corners[[0, 2, 3, 4]].tolist()
+    assert hull.id == hullcast.hull_id(mesh) == hullcast.hull_id(corners[[0, 2, 3, 4]])
+    dented = Mesh(
+        np.vstack([corners, [[0.1, 0.1, 0.1]]]),
+        np.array([[0, 3, 2], [0, 2, 4], [0, 4, 3], [2, 3, 5], [3, 4, 5], [4, 2, 5]]),
+    )
+    with pytest.warns(hullcast.NotConvexWarning):
+        client.register(dented)

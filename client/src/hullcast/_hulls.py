@@ -199,7 +199,10 @@ def planarity_of(planarity: Planarity, default: float | None = DEFAULT_PLANARITY
 
 
 def points_of(hull: Any, name: str = "vertices") -> Floats:
-    """The points (n, 3) of an array, of an object with `.vertices`, or of a scipy `ConvexHull`."""
+    """The points (n, 3) of an array, of an object with `.vertices`, or of a scipy `ConvexHull`.
+
+    Vertices that no face of a mesh uses are left out.
+    """
     if hasattr(hull, "simplices") and hasattr(hull, "points"):
         return _arrays.floats(f"{name}.points", hull.points, None, 3)
     points = getattr(hull, "vertices", hull)
@@ -210,4 +213,23 @@ def points_of(hull: Any, name: str = "vertices") -> Floats:
             reason="WRONG_SHAPE",
             field=name,
         )
-    return _arrays.floats(name, points, None, 3)
+    return mesh_of(hull, name)[0]
+
+
+def mesh_of(hull: Any, name: str = "vertices") -> tuple[Floats, Any]:
+    """The vertices (n, 3) that the faces of a mesh use, in order, and its faces (m, 3) or None.
+
+    A vertex that no face uses is no part of the mesh. Without faces every vertex counts.
+    """
+    points = _arrays.floats(name, getattr(hull, "vertices", hull), None, 3)
+    # A `Hull` would ask the server for its faces, and uses all its points.
+    faces = None if isinstance(hull, Hull) else getattr(hull, "faces", None)
+    if faces is None or np.size(faces) == 0 or len(points) == 0:
+        return points, None
+    corners = _arrays.indices(f"{name}.faces", faces, None, 3, below=len(points))
+    used = np.zeros(len(points), dtype=bool)
+    used[corners] = True
+    if used.all():
+        return points, corners
+    rank = np.cumsum(used) - 1
+    return points[used], rank[corners].astype("<u4")

@@ -12,7 +12,7 @@ import numpy as np
 from . import _arguments, _arrays, _channel, _checked, _convexity, _files, _mesh, _packed
 from ._arguments import counted, kind, plain
 from ._errors import HullRejected, InvalidArgument
-from ._hulls import Content, Hull, Planarity, planarity_of, points_of
+from ._hulls import Content, Hull, Planarity, mesh_of, planarity_of, points_of
 from ._pb import hulls_pb2
 from ._query import Span
 
@@ -85,7 +85,7 @@ class Registration:
             points = _arrays.frozen(points_of(shape, f"hulls[{i}]"))
             contents.append(Content(points, center, max_vertices, max_deviation, share))
         dents = [
-            _mesh.dents(f"hulls[{i}]", content.points, _faces(shape))
+            _mesh.dents(f"hulls[{i}]", content.points, _faces(shape, f"hulls[{i}]"))
             for i, (shape, content) in enumerate(zip(shapes, contents, strict=True))
         ]
         return cls(contents, dents, [_label(shape, i) for i, shape in enumerate(shapes)])
@@ -260,9 +260,13 @@ def shape_of(hull: Any, field: str) -> Any:
     return hull
 
 
-def _faces(shape: Any) -> Any:
-    """The faces of a mesh. A `Hull` has none here, because it needs no check for convexity."""
-    return None if isinstance(shape, Hull) else getattr(shape, "faces", None)
+def _faces(shape: Any, name: str) -> Any:
+    """The faces of a mesh, as indices of the registered points.
+
+    A `Hull` has none here, because it needs no check for convexity.
+    """
+    plain = isinstance(shape, Hull) or getattr(shape, "faces", None) is None
+    return None if plain or not hasattr(shape, "vertices") else mesh_of(shape, name)[1]
 
 
 def _label(shape: Any, place: int) -> str:
