@@ -135,3 +135,24 @@ def test_quaternions_are_normalised(client, row):
         found = client.query(row.moved(row.positions, turns * by), PAIRS)
         assert found.outcome.tolist() == expected.outcome.tolist()
         assert found.alpha == pytest.approx(expected.alpha, rel=1e-12)
+
+
+@pytest.mark.parametrize("place", [(0, 0), (1, 3), (3, 3), (3, 0), ...])
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_a_matrix_that_is_not_finite_is_an_unusable_pose(client, row, place, number):
+    """Matrices of NaN were refused as no pose or no rotation, and ended a session's step."""
+    whole = np.tile(np.eye(4), (4, 1, 1))
+    whole[:, :3, 3] = row.positions
+    whole[1][place] = number
+    with pytest.raises(hullcast.InvalidPoses):
+        client.query(row.moved(whole), PAIRS)
+    m = client.query(row.moved(whole), PAIRS, on_invalid="flag")
+    assert m.invalid_bodies.tolist() == [1]
+    assert [outcome == "INVALID" for outcome in m.outcome] == [True, True, False]
+    turns = np.tile(np.eye(3), (4, 1, 1))
+    turns[1][(0, 0)] = number
+    m = client.query(row.moved(row.positions, turns), PAIRS, on_invalid="flag")
+    assert m.invalid_bodies.tolist() == [1]
+    with client.session(row, PAIRS, on_invalid="flag") as session:
+        assert session.step(whole).invalid_bodies.tolist() == [1]
+        assert session.step(row.positions, turns).invalid_bodies.tolist() == [1]

@@ -213,6 +213,7 @@ def poses(
         _check_count(len(matrices), count)
         check_bottom("positions", matrices)
         turns = quaternions("positions", matrices[:, :3, :3])
+        turns[~np.isfinite(matrices[:, 3]).all(axis=1)] = np.nan  # the last row has no other place
         return frozen(matrices[:, :3, 3]), frozen(turns)
     position_array = floats("positions", positions, wanted, 3)
     rotation_array = _array("rotations", _as_quaternions(rotations), (count, 4))
@@ -240,7 +241,9 @@ def _check_count(given: int, hulls: int) -> None:
 def check_bottom(field: str, matrices: Floats) -> None:
     """Raises InvalidArgument if the last row of a homogeneous matrix is not 0, 0, 0, 1."""
     bottom = matrices[:, 3, :]
-    wrong = np.flatnonzero((bottom != (0.0, 0.0, 0.0, 1.0)).any(axis=1))
+    # A matrix with numbers that are not finite is an unusable pose, which the query reports.
+    finite = np.isfinite(matrices).all(axis=(1, 2))
+    wrong = np.flatnonzero(finite & (bottom != (0.0, 0.0, 0.0, 1.0)).any(axis=1))
     if wrong.size:
         raise InvalidArgument(
             f"the last row is {bottom[wrong[0]].tolist()}, expected 0, 0, 0, 1",
@@ -313,14 +316,16 @@ def quaternions(field: str, matrices: Floats) -> Floats:
     """Converts rotation matrices (n, 3, 3) to unit quaternions (n, 4) in the order x, y, z, w.
 
     Shepperd's method (1978): the quaternion is computed from its largest component, so that no
-    division is by less than 1/2. A matrix with NaN gives a quaternion of NaN; the server then
-    reports the body as unusable.
+    division is by less than 1/2. A matrix with a number that is not finite gives a quaternion of
+    NaN; the server then reports the body as unusable.
 
     Raises:
         InvalidArgument: NOT_A_ROTATION.
     """
-    products = np.einsum("nki,nkj->nij", matrices, matrices)
-    with np.errstate(invalid="ignore"):
+    finite = np.isfinite(matrices).all(axis=(1, 2))
+    matrices = np.where(finite[:, None, None], matrices, np.nan)
+    with np.errstate(invalid="ignore", over="ignore"):
+        products = np.einsum("nki,nkj->nij", matrices, matrices)
         off = np.abs(products - np.eye(3)).max(axis=(1, 2)) if len(matrices) else np.zeros(0)
         wrong = np.flatnonzero((off > _ROTATION_ERROR) | (np.linalg.det(matrices) < 0.0))
     if wrong.size:
