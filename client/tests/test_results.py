@@ -141,6 +141,34 @@ def test_other_files_are_not_loaded(some, tmp_path):
         Manifolds.load(path)
 
 
+def test_impossible_values_of_a_file_are_refused(some, tmp_path):
+    """Values that no server may send are no answer in a file either: they loaded as a contact."""
+    path = tmp_path / "x.npz"
+    some.save(path)
+    with np.load(path) as file:
+        columns = dict(file)
+    for name, value in [
+        ("alphas", np.nan),
+        ("alphas", -5.0),
+        ("alpha_lowers", 99.0),
+        ("alpha_uppers", -99.0),
+        ("normals", 7.0),
+        ("separations", np.inf),
+        ("distances", np.nan),
+        ("witness_as", np.nan),
+        ("outcomes", 9),
+    ]:
+        changed = columns | {name: np.full_like(columns[name], value)}
+        np.savez(path, **changed)
+        with pytest.raises(hullcast.InvalidArgument, match=f"x.npz: .*{name[:5]}"):
+            Manifolds.load(path)
+    np.savez(path, **columns | {"point_counts": np.full(len(some), np.nan)})
+    with pytest.raises(hullcast.InvalidArgument, match="point_counts has the type float64"):
+        Manifolds.load(path)
+    np.savez(path, **columns)
+    expect_same(Manifolds.load(path), some)
+
+
 def test_data_frames(client, scene, some):
     """Every column has its name, and points repeat the columns of their pair."""
     pytest.importorskip("pandas")

@@ -82,39 +82,64 @@ def columns(found: Columns, pairs: Indices, body_hulls: Indices) -> None:
         pairs: (n, 2), the pairs that the message answers.
         body_hulls: (bodies,), each body's index among the hulls, as the message numbers them.
     """
+    values(found)
+    flags = found["flags"]
+    invalid = found["outcomes"] == int(Outcome.INVALID)
+    if invalid.any() or len(found["invalid_bodies"]) or len(found["missing_hulls"]):
+        _refuse(
+            malformed,
+            "flags",
+            flags,
+            _misplaced(found, pairs, body_hulls),
+            "flags that fit the lists",
+        )
+
+
+def values(found: Columns, error: Callable[[str], Exception] = malformed) -> None:
+    """Raises if a pair has impossible values, without regard to the scene.
+
+    Args:
+        found: the columns of one message or of a file, whose lengths are already checked.
+        error: makes the exception from the text.
+    """
     outcomes, flags = found["outcomes"], found["flags"]
     low, high = int(Outcome.CONTACT), int(Outcome.INVALID)
-    _refuse("outcomes", outcomes, (outcomes < low) | (outcomes > high), f"{low} to {high}")
+    _refuse(error, "outcomes", outcomes, (outcomes < low) | (outcomes > high), f"{low} to {high}")
     invalid = outcomes == high
     blamed = (flags & int(_REASONS)) != 0
     some_invalid = bool(invalid.any())
     if some_invalid or blamed.any():
         unexplained = invalid & ~blamed & ((flags & _UNKNOWN_FLAGS) == 0)
-        _refuse("flags", flags, (blamed & ~invalid) | unexplained, "flags that fit the outcome")
-    if some_invalid or len(found["invalid_bodies"]) or len(found["missing_hulls"]):
-        _refuse("flags", flags, _misplaced(found, pairs, body_hulls), "flags that fit the lists")
-    _numbers(found, invalid, some_invalid)
+        _refuse(
+            error, "flags", flags, (blamed & ~invalid) | unexplained, "flags that fit the outcome"
+        )
+    _numbers(found, invalid, some_invalid, error)
     counts = found.get("point_counts")
     if counts is not None:
         answered = (outcomes == int(Outcome.CONTACT)) | (outcomes == int(Outcome.UNDECIDED))
-        _refuse("point_counts", counts, (counts > 0) & ~answered, "0 for this outcome")
+        _refuse(error, "point_counts", counts, (counts > 0) & ~answered, "0 for this outcome")
     for name in _FINITE_OF_POINT:
         if name in found and not np.isfinite(found[name]).all():
-            _refuse(name, found[name], ~np.isfinite(found[name]), "a finite number")
+            _refuse(error, name, found[name], ~np.isfinite(found[name]), "a finite number")
     kinds = found.get("feature_kinds")
     if kinds is not None:
         most = int(max(FeatureKind))
-        _refuse("feature_kinds", kinds, kinds > most, f"0 to {most}")
+        _refuse(error, "feature_kinds", kinds, kinds > most, f"0 to {most}")
 
 
-def _numbers(found: Columns, invalid: npt.NDArray[np.bool_], some_invalid: bool) -> None:
+def _numbers(
+    found: Columns,
+    invalid: npt.NDArray[np.bool_],
+    some_invalid: bool,
+    error: Callable[[str], Exception],
+) -> None:
     """Raises if a number is NaN, outside its bracket, or not a unit vector."""
 
     def refuse(name: str, good: npt.NDArray[np.bool_], expected: str) -> None:
         if some_invalid:
             good = good | invalid
         if not good.all():
-            _refuse(name, found[name], ~good, expected)
+            _refuse(error, name, found[name], ~good, expected)
 
     alpha = found.get("alphas")
     if alpha is not None:
@@ -143,14 +168,20 @@ def _misplaced(found: Columns, pairs: Indices, body_hulls: Indices) -> npt.NDArr
     return wrong | (((flags & int(_HULL_REASONS)) != 0) & ~lacking[pairs].any(axis=1))
 
 
-def _refuse(name: str, column: np.ndarray, wrong: npt.NDArray[np.bool_], expected: str) -> None:
+def _refuse(
+    error: Callable[[str], Exception],
+    name: str,
+    column: np.ndarray,
+    wrong: npt.NDArray[np.bool_],
+    expected: str,
+) -> None:
     if wrong.any():
         at = int(np.flatnonzero(wrong)[0])
         value = column.reshape(len(wrong), -1)[at] if wrong.ndim == 1 else column.flat[at]
         text = value.tolist() if isinstance(value, np.ndarray) else value
         if np.ndim(text) == 1 and np.size(text) == 1:
             text = text[0]
-        raise malformed(f"{name}[{at}] is {text}, expected {expected}")
+        raise error(f"{name}[{at}] is {text}, expected {expected}")
 
 
 def found_pairs(
@@ -180,7 +211,7 @@ def found_pairs(
     ):
         raise malformed("pairs is not sorted, or has a pair twice")
     near = (outcomes == int(Outcome.CONTACT)) | (outcomes == int(Outcome.UNDECIDED))
-    _refuse("outcomes", outcomes, ~near, "CONTACT or UNDECIDED from FindContacts")
+    _refuse(malformed, "outcomes", outcomes, ~near, "CONTACT or UNDECIDED from FindContacts")
     return int(pairs[-1, 0]), int(pairs[-1, 1])
 
 

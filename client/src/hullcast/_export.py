@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from . import _arguments, _files
+from . import _arguments, _checked, _files
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument
 from ._wire import PAIR_COLUMNS, POINT_COLUMNS
@@ -224,21 +224,32 @@ def load(path: str | os.PathLike[str]) -> Columns:
             reason="NOT_MANIFOLDS",
             field="path",
         )
-    pairs = len(columns["outcomes"])
-    points = int(columns["point_counts"].sum()) if "point_counts" in columns else 0
     for name, values in columns.items():
-        width = _widths()[name]
-        rows = points if name in POINT_COLUMNS else len(values) if name in _OF_SCENE else pairs
-        if values.shape != ((rows,) if width == 1 else (rows, width)):
-            raise InvalidArgument(
-                f"{path}: {name} has shape {values.shape}", reason="NOT_MANIFOLDS", field="path"
-            )
         if values.dtype != _type_of(name):
             raise InvalidArgument(
                 f"{path}: {name} has the type {values.dtype}, expected {_type_of(name)}",
                 reason="NOT_MANIFOLDS",
                 field="path",
             )
+    pairs = columns["outcomes"].size
+    points = int(columns["point_counts"].sum()) if "point_counts" in columns else 0
+    for name, values in columns.items():
+        width = _widths()[name]
+        rows = (
+            points
+            if name in POINT_COLUMNS
+            else values.size // width
+            if name in _OF_SCENE
+            else pairs
+        )
+        if values.shape != ((rows,) if width == 1 else (rows, width)):
+            raise InvalidArgument(
+                f"{path}: {name} has shape {values.shape}", reason="NOT_MANIFOLDS", field="path"
+            )
+    _checked.values(
+        columns,
+        lambda text: InvalidArgument(f"{path}: {text}", reason="NOT_MANIFOLDS", field="path"),
+    )
     return columns
 
 
