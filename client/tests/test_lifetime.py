@@ -133,6 +133,8 @@ def test_an_interrupt_does_not_end_the_server(tmp_path):
         """
         import os, signal, time, hullcast
         os.setsid()
+        # A test run in the background of a shell may have been started with the signal ignored.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         client = hullcast.serve()
         try:
             os.killpg(0, signal.SIGINT)

@@ -75,6 +75,12 @@ impl Connection {
             .tcp_nodelay(true);
         if url.starts_with("https://") {
             endpoint = args.encrypted(endpoint)?;
+        } else if args.tls_ca.is_some() {
+            let host = url.trim_start_matches("http://");
+            return Err(Exit::Usage.error(format!(
+                "--tls-ca is for encrypted connections, and {address} is not one: write https://{host}, or leave \
+                 --tls-ca out"
+            )));
         }
         let channel = match endpoint.connect().await {
             Ok(channel) => channel,

@@ -45,6 +45,21 @@ fn a_certificate_that_openssl_made_works() -> Outcome {
     Ok(())
 }
 
+/// Catches a certificate that is given and then ignored, so that poses and token are sent in plain text.
+#[test]
+fn a_certificate_asks_for_an_encrypted_connection() -> Outcome {
+    let folder = scratch("plain")?;
+    let server = Server::start_with(&folder.join("store"), &[])?;
+    let panda = scenes().join("panda.json");
+    for address in [server.address.clone(), format!("http://{}", server.address)] {
+        let output = hullcast(&["query", text(&panda), "--remote", &address, "--tls-ca", text(&panda)])?;
+        let said = String::from_utf8(output.stderr)?;
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert!(said.contains(&format!("write https://{}", server.address)), "{said}");
+    }
+    Ok(())
+}
+
 /// The caller's token allows only queries. Catches a query that is refused although its hulls are
 /// registered, and, if they are not, an error that does not say which token is needed.
 #[test]
