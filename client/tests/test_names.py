@@ -44,6 +44,9 @@ def test_single_values_compare_with_names(m):
     assert m.outcome[1] != "CONTACT"
     assert [outcome == "separated" for outcome in m.outcome] == [False, True, False]
     assert m[0].outcome == "CONTACT" == Outcome.CONTACT == 1
+    # Printed alone or within a text it is its name; it printed its number.
+    assert str(m[0].outcome) == f"{m[0].outcome}" == "CONTACT"
+    assert f"{m[0].outcome:d}" == "1"
     assert m[0].feature_kinds == ("FACE", "FACE")
     assert m.outcome[0] is Outcome.CONTACT
     assert m.feature_kinds[0, 1] is FeatureKind.FACE

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from . import _arguments, _checked, _files
+from . import _arguments, _files
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument
 from ._wire import PAIR_COLUMNS, POINT_COLUMNS
@@ -246,6 +246,8 @@ def load(path: str | os.PathLike[str]) -> Columns:
             raise InvalidArgument(
                 f"{path}: {name} has shape {values.shape}", reason="NOT_MANIFOLDS", field="path"
             )
+    from . import _checked  # it loads protobuf, which saved results do not need otherwise
+
     _checked.values(
         columns,
         lambda text: InvalidArgument(f"{path}: {text}", reason="NOT_MANIFOLDS", field="path"),

@@ -19,6 +19,12 @@ class _Named(enum.IntEnum):
     def __hash__(self) -> int:
         return hash(int(self))
 
+    def __str__(self) -> str:
+        return self.name
+
+    def __format__(self, spec: str) -> str:
+        return format(int(self), spec) if spec else self.name
+
 
 class Outcome(_Named):
     """The result of comparing a pair's distance with the margin."""
