@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _arguments, _arrays, _convexity, _decompose, _mesh, _urdf
-from ._arguments import counted, kind, shown
+from ._arguments import counted, shown
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument, JointLimitsWarning, warn
 from ._hulls import Hull
-from ._scene import Scene
+from ._scene import Scene, list_of_hulls
 from ._settled import Settled, freeze
 from ._urdf import Joint
 
@@ -226,13 +226,7 @@ class Robot(Settled):
         Raises:
             InvalidArgument: LENGTH_MISMATCH, another number of hulls; otherwise as `poses`.
         """
-        if isinstance(hulls, (Hull, bytes)):
-            hulls = [hulls]
-        elif isinstance(hulls, (str, Mapping)) or not isinstance(hulls, Iterable):
-            raise InvalidArgument(
-                f"expected a list of hulls, got {kind(hulls)}", reason="WRONG_TYPE", field="hulls"
-            )
-        hulls = list(hulls)
+        hulls = list_of_hulls(hulls)
         if len(hulls) != len(self):
             raise InvalidArgument(
                 f"got {counted(len(hulls), 'hull')} for {counted(len(self), 'shape')}, expected "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -80,13 +80,7 @@ class Scene(Settled):
         groups: Any = None,
         ignored_groups: Any = None,
     ) -> None:
-        if isinstance(hulls, (Hull, bytes)):
-            hulls = [hulls]
-        elif isinstance(hulls, (str, Mapping)) or not isinstance(hulls, Iterable):
-            raise InvalidArgument(
-                f"expected a list of hulls, got {kind(hulls)}", reason="WRONG_TYPE", field="hulls"
-            )
-        hulls = list(hulls)
+        hulls = list_of_hulls(hulls)
         ids = [_id(i, hull) for i, hull in enumerate(hulls)]
         # A message must have each hull once, however often the caller names it.
         place: dict[bytes, int] = {}
@@ -240,6 +234,21 @@ class Scene(Settled):
 def _optional(field: str, value: Any, *shape: int | None) -> Indices | None:
     """A read-only copy of an array of integers, or None."""
     return None if value is None else _arrays.frozen(_arrays.indices(field, value, *shape))
+
+
+def list_of_hulls(hulls: Any) -> list[Any]:
+    """The hulls as a list. A single hull counts as a list of one.
+
+    Raises:
+        InvalidArgument: WRONG_TYPE.
+    """
+    if isinstance(hulls, (Hull, bytes)):
+        return [hulls]
+    if isinstance(hulls, (str, Mapping)) or not isinstance(hulls, Iterable):
+        raise InvalidArgument(
+            f"expected a list of hulls, got {kind(hulls)}", reason="WRONG_TYPE", field="hulls"
+        )
+    return list(cast("Iterable[Any]", hulls))
 
 
 def _id(place: int, hull: Any) -> bytes:
