@@ -36,7 +36,7 @@ use super::{
     peers::{Address, Peer, Peers},
     request_body::per_mebibyte,
     sizes::HEADER_BYTES,
-    streams::{Arrived, StreamExecutor, Streams},
+    streams::{Arrived, Records, StreamExecutor, Streams},
 };
 #[cfg(feature = "playground")]
 use super::{
@@ -136,20 +136,20 @@ impl Connections {
         let (close, closed) = watch::channel(false);
         let (app, routes, serving) = (self.app.clone(), self.routes.clone(), self.serving.clone());
         let overhead = Overhead::new(peer.clone(), self.longest_wait());
-        let streams = Arc::new(Streams::new(peer.clone()));
+        let records = Records::new(peer.clone());
         let calls = Middleware::new(app, routes, serving, peer, Closing(closed));
         #[cfg(feature = "playground")]
         if self.serving.playground {
-            return self.serve_page(io, calls, (overhead, streams), close, closing).await;
+            return self.serve_page(io, calls, (overhead, records), close, closing).await;
         }
-        self.serve_http2(io, calls, (overhead, streams), close, closing).await;
+        self.serve_http2(io, calls, (overhead, records), close, closing).await;
     }
 
     async fn serve_http2<S>(
         &self,
         io: Connection,
         service: S,
-        (overhead, streams): (Overhead, Arc<Streams>),
+        (overhead, records): (Overhead, Records),
         close: watch::Sender<bool>,
         closing: Closing,
     ) where
@@ -158,11 +158,18 @@ impl Connections {
     {
         let read = Arc::new(AtomicU64::new(0));
         let window = overhead.window();
-        let abort = Arc::new(Notify::new());
+        let (abort, streams) = (Arc::new(Notify::new()), Arc::<Streams>::default());
         let executor = StreamExecutor::new(self.app.clone(), abort.clone(), streams.clone());
         let frames = Frames::default();
-        let counted =
-            Counted { io, read: read.clone(), frames, overhead, streams, arrived: Arrived::default() };
+        let counted = Counted {
+            io,
+            read: read.clone(),
+            frames,
+            overhead,
+            records,
+            streams,
+            arrived: Arrived::default(),
+        };
         let io = TokioIo::new(counted);
         let connection = self.http2(window, executor).serve_connection(io, TowerToHyperService::new(service));
         let end = async {
@@ -180,7 +187,7 @@ impl Connections {
         &self,
         io: Connection,
         calls: Middleware,
-        counts: (Overhead, Arc<Streams>),
+        counts: (Overhead, Records),
         close: watch::Sender<bool>,
         mut closing: Closing,
     ) {
@@ -270,6 +277,7 @@ struct Counted {
     read: Arc<AtomicU64>,
     frames: Frames,
     overhead: Overhead,
+    records: Records,
     streams: Arc<Streams>,
     arrived: Arrived,
 }
@@ -289,7 +297,7 @@ impl AsyncRead for Counted {
         let begun = this.frames.begun();
         this.frames.read(read)?;
         this.arrived.add(this.frames.begun() - begun);
-        this.streams.charge(&this.arrived)?;
+        this.records.charge(this.streams.count(&this.arrived))?;
         Poll::Ready(this.overhead.charge(&this.frames))
     }
 }

@@ -26,7 +26,7 @@ use std::{
     future::Future,
     io,
     sync::{
-        Arc, Mutex,
+        Arc,
         atomic::{AtomicU64, Ordering},
     },
     task::{Context, Poll},
@@ -36,7 +36,7 @@ use futures_util::task::AtomicWaker;
 use tokio::sync::Notify;
 
 use super::{App, cutoff::Cutoff, peers::Peer};
-use crate::{budget::Permit, lock::locked};
+use crate::budget::Permit;
 
 /// The number of futures that may be alive for each concurrent stream that a connection may have. A
 /// connection with more is closed.
@@ -59,7 +59,6 @@ const RECORDS: u64 = 32;
 /// The streams of one connection.
 #[derive(Debug)]
 pub(super) struct Streams {
-    peer: Peer,
     /// The number of futures that have not ended.
     living: AtomicU64,
     /// The number of tasks that have not run yet.
@@ -69,28 +68,24 @@ pub(super) struct Streams {
     /// `begun` when the socket last stopped taking bytes, or [`OPEN`] while it takes them.
     begun_at_block: AtomicU64,
     reader: AtomicWaker,
-    /// The number of streams for which there is memory, and that memory.
-    records: AtomicU64,
-    memory: Mutex<Vec<Permit>>,
 }
 
 /// The socket takes bytes.
 const OPEN: u64 = u64::MAX;
 
-impl Streams {
-    pub(super) fn new(peer: Peer) -> Self {
+impl Default for Streams {
+    fn default() -> Self {
         Self {
-            peer,
             living: 0.into(),
             waiting: 0.into(),
             begun: 0.into(),
             begun_at_block: OPEN.into(),
             reader: AtomicWaker::new(),
-            records: RECORDS.into(),
-            memory: Mutex::default(),
         }
     }
+}
 
+impl Streams {
     /// Completes when the connection may be read. One task at a time may wait.
     pub(super) fn poll_may_read(&self, arrived: &mut Arrived, cx: &mut Context<'_>) -> Poll<()> {
         if !arrived.are_handed_on(self.begun.load(Ordering::SeqCst)) {
@@ -127,20 +122,9 @@ impl Streams {
         }
     }
 
-    /// Takes memory for h2's records of the streams.
-    ///
-    /// # Errors
-    /// The budget has no room.
-    pub(super) fn charge(&self, arrived: &Arrived) -> io::Result<()> {
-        let streams = self.living.load(Ordering::SeqCst) + arrived.count + self.begun_while_blocked();
-        while self.records.load(Ordering::SeqCst) < streams {
-            let memory = self.peer.take(RECORDS * RECORD_BYTES).ok_or_else(|| {
-                io::Error::other("the memory budget has no room for more streams on this connection")
-            })?;
-            locked(&self.memory).push(memory);
-            self.records.fetch_add(RECORDS, Ordering::SeqCst);
-        }
-        Ok(())
+    /// The number of streams that h2 has records of, at most.
+    pub(super) fn count(&self, arrived: &Arrived) -> u64 {
+        self.living.load(Ordering::SeqCst) + arrived.count + self.begun_while_blocked()
     }
 
     /// A task runs for the first time.
@@ -148,6 +132,34 @@ impl Streams {
         if self.waiting.fetch_sub(1, Ordering::SeqCst) == MOST_WAITING + 1 {
             self.reader.wake();
         }
+    }
+}
+
+/// The memory of h2's records of a connection's streams.
+#[derive(Debug)]
+pub(super) struct Records {
+    peer: Peer,
+    /// The memory of [`RECORDS`] streams each, for those beyond the first.
+    memory: Vec<Permit>,
+}
+
+impl Records {
+    pub(super) fn new(peer: Peer) -> Self {
+        Self { peer, memory: Vec::new() }
+    }
+
+    /// Takes memory for this number of streams at a time.
+    ///
+    /// # Errors
+    /// The budget has no room.
+    pub(super) fn charge(&mut self, streams: u64) -> io::Result<()> {
+        while RECORDS * (1 + self.memory.len() as u64) < streams {
+            let memory = self.peer.take(RECORDS * RECORD_BYTES).ok_or_else(|| {
+                io::Error::other("the memory budget has no room for more streams on this connection")
+            })?;
+            self.memory.push(memory);
+        }
+        Ok(())
     }
 }
 
@@ -183,11 +195,11 @@ impl Arrived {
         let handed_on = begun - self.begun;
         self.begun = begun;
         self.count = self.count.saturating_sub(handed_on);
-        if self.count > MOST_WAITING && (handed_on > 0 || !self.put_off) {
-            self.put_off = true;
-            return false;
-        }
         if self.count > MOST_WAITING {
+            if handed_on > 0 || !self.put_off {
+                self.put_off = true;
+                return false;
+            }
             self.count = 0;
         }
         self.put_off = false;
