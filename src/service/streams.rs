@@ -319,7 +319,7 @@ mod tests {
     fn the_connections_of_an_address_are_read_in_turns() {
         let mut cx = Context::from_waker(std::task::Waker::noop());
         let permits = Arc::new(Semaphore::new(1));
-        let mut connection = || (Streams::default(), Arrived::default(), Readers::new(permits.clone()));
+        let connection = || (Streams::default(), Arrived::default(), Readers::new(permits.clone()));
         let (mut first, mut second) = (connection(), connection());
         let mut may_read = |(streams, arrived, readers): &mut (Streams, Arrived, Readers)| {
             streams.poll_may_read(arrived, readers, &mut cx).is_ready()
