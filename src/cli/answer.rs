@@ -27,7 +27,7 @@ use hullcast::compute::{Compute, Job};
 use hullcast::contact::ConvexHull;
 use hullcast::proto;
 use hullcast::proto::register_hull_result::Result as Registered;
-use hullcast::service::{Engine, EngineBounds, Kind, Limits, ServiceError, wire};
+use hullcast::service::{Engine, EngineBounds, Limits, ServiceError, wire};
 use hullcast::store::identity::id_of;
 use hullcast::store::{HullDefinition, HullId};
 
@@ -97,12 +97,11 @@ impl StdError for Refusal {}
 
 impl From<ServiceError> for Refusal {
     fn from(error: ServiceError) -> Self {
-        let (retry_after, exit) = match error.kind {
-            Kind::Unavailable { retry_after } => (Some(retry_after), Exit::Refused),
-            Kind::Invalid => (None, Exit::Input),
-            _ => (None, Exit::Refused),
+        let exit = match error.reason.code() {
+            Code::InvalidArgument => Exit::Input,
+            _ => Exit::Refused,
         };
-        Self { text: error.to_string(), retry_after, lost: false, exit }
+        Self { text: error.to_string(), retry_after: error.retry_after, lost: false, exit }
     }
 }
 

@@ -10,6 +10,7 @@ use super::{
     context::no_memory,
     error::ServiceError,
     injected::Injected,
+    reason::Reason,
 };
 use crate::{
     batch::{self, Batch, Columns, EngineError, Memory, Outputs},
@@ -158,8 +159,8 @@ impl Engine {
 }
 
 fn too_large(limit: usize) -> ServiceError {
-    ServiceError::refused(
-        "RESPONSE_TOO_LARGE",
+    ServiceError::new(
+        Reason::ResponseTooLarge,
         format!("the answer would have more than {}: request fewer pairs or outputs", ByteSize(limit as u64)),
     )
 }

@@ -24,6 +24,7 @@ mod info;
 mod injected;
 mod limits;
 mod listener;
+mod method;
 mod middleware;
 mod offload;
 #[cfg(feature = "playground")]
@@ -33,6 +34,7 @@ mod peers;
 mod playground;
 mod protocol;
 mod readiness;
+mod reason;
 mod records;
 mod request_body;
 mod scene;
@@ -54,10 +56,11 @@ use std::{
 
 pub use admin::{CONNECTIONS as ADMIN_CONNECTIONS, serve_admin};
 pub use engine::{Bounds as EngineBounds, Engine};
-pub use error::{Kind, Place, ServiceError};
+pub use error::{Place, ServiceError};
 pub use limits::Limits;
 pub use listener::Listener;
 pub use readiness::Readiness;
+pub use reason::{HullReason, Reason};
 pub use security::{LoadError, Security, SecurityFiles};
 #[doc(hidden)]
 pub use server::handlers;
