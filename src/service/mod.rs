@@ -21,6 +21,7 @@ mod find;
 mod frames;
 mod hulls;
 mod info;
+#[cfg(feature = "testing")]
 mod injected;
 mod limits;
 mod listener;
@@ -62,7 +63,7 @@ pub use listener::Listener;
 pub use readiness::Readiness;
 pub use reason::{HullReason, Reason};
 pub use security::{LoadError, Security, SecurityFiles};
-#[doc(hidden)]
+#[cfg(feature = "testing")]
 pub use server::handlers;
 pub use server::{Serving, run};
 pub use socket_file::SocketFile;

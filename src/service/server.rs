@@ -130,7 +130,7 @@ const SERVICES: [&str; 4] = [
 ///
 /// # Errors
 /// The errors of [`run`].
-#[doc(hidden)]
+#[cfg(feature = "testing")]
 pub async fn handlers(app: &Arc<App>) -> Result<Routes, OpenError> {
     Ok(routes(app).await?.1)
 }

@@ -15,15 +15,12 @@ mod tests;
 use std::{
     error::Error,
     fmt,
-    sync::{
-        Arc,
-        atomic::{AtomicU64, Ordering},
-    },
+    sync::{Arc, atomic::Ordering},
 };
 
 use self::{
     run::{Chunked, Run, Unanswered},
-    shared::{BeforeChunk, Shared, Spare},
+    shared::Shared,
 };
 use crate::{
     batch::Batch,
@@ -68,23 +65,18 @@ impl<R: fmt::Debug> Error for EngineError<R> {}
 impl Engine {
     /// An engine that computes on `compute`, and whose answers have at most `max_answer_bytes` bytes.
     pub fn new(compute: Compute, max_answer_bytes: usize) -> Self {
-        Self::with(compute, max_answer_bytes, None)
+        Self { compute, shared: Arc::new(Shared::new(max_answer_bytes)) }
     }
 
     /// An engine that calls `before` with the number of pairs of each chunk before it computes the chunk.
     /// Tests of overload slow an engine down in this way.
-    #[doc(hidden)]
+    #[cfg(any(test, feature = "testing"))]
     pub fn with_hook(
         compute: Compute,
         max_answer_bytes: usize,
         before: impl Fn(usize) + Send + Sync + 'static,
     ) -> Self {
-        Self::with(compute, max_answer_bytes, Some(Box::new(before)))
-    }
-
-    fn with(compute: Compute, max_answer_bytes: usize, before_chunk: Option<BeforeChunk>) -> Self {
-        let (pairs_computed, spare) = (AtomicU64::new(0), Spare::default());
-        let shared = Shared { max_answer_bytes, pairs_computed, spare, before_chunk };
+        let shared = Shared { before_chunk: Some(Box::new(before)), ..Shared::new(max_answer_bytes) };
         Self { compute, shared: Arc::new(shared) }
     }
 

@@ -7,7 +7,6 @@
 
 #![allow(missing_docs, unreachable_pub, clippy::all, clippy::pedantic)]
 
-#[doc(hidden)]
 pub mod bulk;
 mod codec;
 

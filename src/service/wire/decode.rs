@@ -412,7 +412,7 @@ impl Request for proto::GetServerInfoRequest {
 ///
 /// # Errors
 /// The errors of the handler.
-#[doc(hidden)]
+#[cfg(feature = "testing")]
 pub fn decoded_bytes(
     method: &str,
     message: &[u8],
