@@ -170,7 +170,7 @@ async fn the_transports_errors_have_details_too() {
         (STREAM, gzip, frame(true, &message), &compressed),
         (QUERY, &[], frame(true, &message), &malformed),
         (STREAM, &[], frame(true, &message), &malformed),
-        (QUERY, &[], frame(true, &[7; 40_000]), &malformed),
+        (QUERY, &[], frame(true, &vec![7; 40_000]), &malformed),
         (QUERY, &[], frame(false, &message[1..]), &malformed),
         (QUERY, &[], Bytes::new(), &malformed),
         (QUERY, &[], ok.slice(..ok.len() - 1), &malformed),
