@@ -5,7 +5,6 @@
 
 use std::collections::{HashMap, HashSet};
 use std::error::Error as StdError;
-use std::fmt;
 use std::iter;
 use std::sync::Arc;
 use std::time::Duration;
@@ -54,7 +53,8 @@ pub(crate) struct Local {
 }
 
 /// The error for a hull of the scene that was refused.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("hulls[{hull}].{field}{}: {reason}", .index.map(|index| format!("[{index}]")).unwrap_or_default())]
 pub(crate) struct HullRefused {
     hull: usize,
     field: String,
@@ -62,20 +62,9 @@ pub(crate) struct HullRefused {
     reason: String,
 }
 
-impl fmt::Display for HullRefused {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "hulls[{}].{}", self.hull, self.field)?;
-        if let Some(index) = self.index {
-            write!(f, "[{index}]")?;
-        }
-        write!(f, ": {}", self.reason)
-    }
-}
-
-impl StdError for HullRefused {}
-
 /// The error for a query that was not answered.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{text}")]
 pub(crate) struct Refusal {
     /// The reason, in words.
     pub(crate) text: String,
@@ -86,14 +75,6 @@ pub(crate) struct Refusal {
     /// The exit code for this error.
     pub(crate) exit: Exit,
 }
-
-impl fmt::Display for Refusal {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.text)
-    }
-}
-
-impl StdError for Refusal {}
 
 impl From<ServiceError> for Refusal {
     fn from(error: ServiceError) -> Self {

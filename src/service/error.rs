@@ -2,6 +2,8 @@
 
 use std::{fmt, time::Duration};
 
+use thiserror::Error;
+
 use super::reason::Reason;
 use crate::contact::Stopped;
 
@@ -15,7 +17,8 @@ pub struct Place {
 }
 
 /// The error of a call that is refused or fails.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{reason}{}: {message}", .place.as_ref().map(|place| format!(": {place}")).unwrap_or_default())]
 pub struct ServiceError {
     /// The reason, to which the status's code belongs.
     pub reason: Reason,
@@ -66,16 +69,6 @@ impl From<Stopped> for ServiceError {
     }
 }
 
-impl fmt::Display for ServiceError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.reason)?;
-        if let Some(place) = &self.place {
-            write!(f, ": {place}")?;
-        }
-        write!(f, ": {}", self.message)
-    }
-}
-
 impl fmt::Display for Place {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.index {
@@ -84,5 +77,3 @@ impl fmt::Display for Place {
         }
     }
 }
-
-impl std::error::Error for ServiceError {}

@@ -50,7 +50,6 @@ mod streams;
 pub mod wire;
 
 use std::{
-    fmt,
     sync::{Arc, Mutex},
     time::Duration,
 };
@@ -67,6 +66,8 @@ pub use security::{LoadError, Security, SecurityFiles};
 pub use server::handlers;
 pub use server::{Serving, run};
 pub use socket_file::SocketFile;
+
+use thiserror::Error;
 
 use crate::{
     budget::{Caller, Callers, MemoryBudget, Part},
@@ -183,24 +184,15 @@ impl App {
 }
 
 /// The reason why a server did not start.
-#[derive(Debug)]
+#[derive(Debug, Error)]
 pub enum OpenError {
     /// The limits contradict each other.
+    #[error("limits: {0}")]
     Limits(String),
     /// The compute threads could not be started.
+    #[error("compute threads: {0}")]
     Threads(String),
     /// The reflection service could not read the contract.
+    #[error("reflection: {0}")]
     Reflection(tonic_reflection::server::Error),
 }
-
-impl fmt::Display for OpenError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Limits(why) => write!(f, "limits: {why}"),
-            Self::Threads(why) => write!(f, "compute threads: {why}"),
-            Self::Reflection(error) => write!(f, "reflection: {error}"),
-        }
-    }
-}
-
-impl std::error::Error for OpenError {}

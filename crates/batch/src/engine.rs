@@ -12,11 +12,9 @@ mod shared;
 #[cfg(test)]
 mod tests;
 
-use std::{
-    error::Error,
-    fmt,
-    sync::{Arc, atomic::Ordering},
-};
+use std::sync::{Arc, atomic::Ordering};
+
+use thiserror::Error;
 
 use self::{
     run::{Chunked, Run, Unanswered},
@@ -37,30 +35,21 @@ pub struct Engine {
 }
 
 /// The reason why a batch has no answer. `R` is the reason why there is no memory.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum EngineError<R> {
     /// The answer would have more than this number of bytes.
+    #[error("the answer would have more than {0} bytes")]
     TooLarge(usize),
     /// There is no memory for the answer.
+    #[error("there is no memory for the answer: {0:?}")]
     NoMemory(R),
     /// The job was stopped.
+    #[error("the computation was stopped")]
     Stopped,
     /// The computation panicked, which is a bug.
+    #[error(transparent)]
     Panicked(Panicked),
 }
-
-impl<R: fmt::Debug> fmt::Display for EngineError<R> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::TooLarge(limit) => write!(f, "the answer would have more than {limit} bytes"),
-            Self::NoMemory(why) => write!(f, "there is no memory for the answer: {why:?}"),
-            Self::Stopped => f.write_str("the computation was stopped"),
-            Self::Panicked(panicked) => panicked.fmt(f),
-        }
-    }
-}
-
-impl<R: fmt::Debug> Error for EngineError<R> {}
 
 impl Engine {
     /// An engine that computes on `compute`, and whose answers have at most `max_answer_bytes` bytes.
