@@ -69,7 +69,7 @@ const RANGES: [Case; 2] = [
         "numbers above 0, end at least start",
     ),
 ];
-const OF_SERVE: [Case; 39] = [
+const OF_SERVE: [Case; 38] = [
     ("store", &[""], "expected a directory, file://PATH, memory://"),
     ("listen", &NO_ADDRESSES, "expected host:port with a port from 0 to 65535"),
     ("admin-listen", &NO_ADDRESSES, "expected host:port with a port from 0 to 65535"),
