@@ -5,7 +5,6 @@
 
 use std::collections::{HashMap, HashSet};
 use std::error::Error as StdError;
-use std::fmt;
 use std::iter;
 use std::sync::Arc;
 use std::time::Duration;
@@ -27,7 +26,7 @@ use hullcast::compute::{Compute, Job};
 use hullcast::contact::ConvexHull;
 use hullcast::proto;
 use hullcast::proto::register_hull_result::Result as Registered;
-use hullcast::service::{Engine, EngineBounds, Kind, Limits, ServiceError, wire};
+use hullcast::service::{Engine, EngineBounds, Limits, ServiceError, wire};
 use hullcast::store::identity::id_of;
 use hullcast::store::{HullDefinition, HullId};
 
@@ -54,7 +53,8 @@ pub(crate) struct Local {
 }
 
 /// The error for a hull of the scene that was refused.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("hulls[{hull}].{field}{}: {reason}", .index.map(|index| format!("[{index}]")).unwrap_or_default())]
 pub(crate) struct HullRefused {
     hull: usize,
     field: String,
@@ -62,20 +62,9 @@ pub(crate) struct HullRefused {
     reason: String,
 }
 
-impl fmt::Display for HullRefused {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "hulls[{}].{}", self.hull, self.field)?;
-        if let Some(index) = self.index {
-            write!(f, "[{index}]")?;
-        }
-        write!(f, ": {}", self.reason)
-    }
-}
-
-impl StdError for HullRefused {}
-
 /// The error for a query that was not answered.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{text}")]
 pub(crate) struct Refusal {
     /// The reason, in words.
     pub(crate) text: String,
@@ -87,22 +76,13 @@ pub(crate) struct Refusal {
     pub(crate) exit: Exit,
 }
 
-impl fmt::Display for Refusal {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.text)
-    }
-}
-
-impl StdError for Refusal {}
-
 impl From<ServiceError> for Refusal {
     fn from(error: ServiceError) -> Self {
-        let (retry_after, exit) = match error.kind {
-            Kind::Unavailable { retry_after } => (Some(retry_after), Exit::Refused),
-            Kind::Invalid => (None, Exit::Input),
-            _ => (None, Exit::Refused),
+        let exit = match error.reason.code() {
+            Code::InvalidArgument => Exit::Input,
+            _ => Exit::Refused,
         };
-        Self { text: error.to_string(), retry_after, lost: false, exit }
+        Self { text: error.to_string(), retry_after: error.retry_after, lost: false, exit }
     }
 }
 

@@ -4,9 +4,6 @@
 //! columns that do not fit together. The Python client makes the same checks
 //! (`client/src/hullcast/_checked.py`).
 
-use std::error::Error as StdError;
-use std::fmt;
-
 use hullcast::batch::{
     Output, Outputs,
     columns::{Per, Values},
@@ -25,16 +22,9 @@ const KNOWN_FLAGS: u8 = 127;
 const NORMAL_ERROR: f64 = 1e-6;
 
 /// An answer that no correct server gives to the request.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the server's answer is malformed: {0}")]
 pub(crate) struct Malformed(String);
-
-impl fmt::Display for Malformed {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "the server's answer is malformed: {}", self.0)
-    }
-}
-
-impl StdError for Malformed {}
 
 fn malformed<T>(text: impl Into<String>) -> Result<T, Malformed> {
     Err(Malformed(text.into()))

@@ -26,7 +26,6 @@ use super::{
     exit::Exit,
     log, memory, runtime,
     settings::{Checked, DEFAULT_STORE, Given, Settings},
-    values::count,
 };
 
 /// `hullcast serve`
@@ -41,9 +40,6 @@ pub(crate) struct Args {
     /// Print the settings that apply, in the format of --config, and exit
     #[arg(long, help_heading = "Settings")]
     print_config: bool,
-    /// Sleep for this many microseconds per pair, which tests of overload need
-    #[arg(long, hide = true, default_value_t = 0, value_parser = count(0, u64::MAX), allow_negative_numbers = true)]
-    inject_pair_delay_us: u64,
     /// Stop when standard input closes, for example because the parent process has ended
     #[arg(long, help_heading = "Stopping")]
     until_stdin_closes: bool,
@@ -104,7 +100,6 @@ async fn until_stopped(settings: &Settings, checked: Checked, args: &Args) -> Re
         error => error.into(),
     })?;
     let app = Arc::new(app);
-    app.engine().injected().delay(Duration::from_micros(args.inject_pair_delay_us));
     // Installed before the address is printed: a reader of the address may stop the server at once.
     let (again, told_again) = oneshot::channel();
     let shutdown = shutdown(grace, args.until_stdin_closes, again)?;

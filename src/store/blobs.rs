@@ -1,8 +1,9 @@
 //! Opens a store of blobs by its URL.
 
-use std::{fmt, path::Path, sync::Arc};
+use std::{path::Path, sync::Arc};
 
 use object_store::memory::InMemory;
+use thiserror::Error;
 
 #[cfg(not(feature = "remote"))]
 use super::objects::Remote;
@@ -18,24 +19,15 @@ use super::{
 pub use super::blob_store::list;
 
 /// The reason why a `--store` could not be opened.
-#[derive(Debug)]
+#[derive(Debug, Error)]
 pub enum OpenError {
     /// The text names the store and the reason.
+    #[error("{0}")]
     Store(String),
     /// The system does not start the store's threads; its reason.
+    #[error("threads of the store: {0}")]
     Threads(String),
 }
-
-impl fmt::Display for OpenError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Store(why) => f.write_str(why),
-            Self::Threads(why) => write!(f, "threads of the store: {why}"),
-        }
-    }
-}
-
-impl std::error::Error for OpenError {}
 
 /// Opens a store: a directory (a plain path or `file://`), which is created if it is missing;
 /// `memory://`, whose hulls are lost at a restart; or, with the feature of its provider, a bucket:

@@ -3,12 +3,12 @@
 //! `examples/scenes/README.md` describes the format. Unknown keys are ignored, so that a file may state
 //! its origin.
 
-use std::fmt;
 use std::io::{self, Read};
 use std::path::Path;
 
 use serde::Deserialize;
 use serde_json::error::Category;
+use thiserror::Error;
 
 use crate::counted;
 use hullcast_contact::Pose;
@@ -72,7 +72,8 @@ pub struct Frame {
 }
 
 /// A defect of a scene file, and its place.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{}{}{message}", before(.file), before(.place))]
 pub struct SceneError {
     /// The file as the user gave it, with its option if it has one; empty if there is no file.
     pub file: String,
@@ -82,30 +83,15 @@ pub struct SceneError {
     pub message: String,
 }
 
-impl fmt::Display for SceneError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for part in [&self.file, &self.place] {
-            if !part.is_empty() {
-                write!(f, "{part}: ")?;
-            }
-        }
-        f.write_str(&self.message)
-    }
+/// A part of an error's text that stands before the rest of it, if the part is known.
+fn before(part: &str) -> String {
+    if part.is_empty() { String::new() } else { format!("{part}: ") }
 }
-
-impl std::error::Error for SceneError {}
 
 /// A scene has bodies at poses that no query accepts. The text names the configuration and the bodies.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{0}")]
 pub struct UnusablePoses(String);
-
-impl fmt::Display for UnusablePoses {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl std::error::Error for UnusablePoses {}
 
 #[derive(Deserialize)]
 struct Json {

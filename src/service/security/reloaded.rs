@@ -7,6 +7,7 @@ use std::{
 };
 
 use sha2::{Digest, Sha256};
+use thiserror::Error;
 
 use crate::{lock::locked, small_file};
 
@@ -30,7 +31,8 @@ impl fmt::Display for SettingFile {
 }
 
 /// The reason why files were refused; the text names the setting and the file.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{0}")]
 pub struct LoadError(String);
 
 impl LoadError {
@@ -43,14 +45,6 @@ impl LoadError {
         Self(format!("{setting} is empty: {why}"))
     }
 }
-
-impl fmt::Display for LoadError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl std::error::Error for LoadError {}
 
 /// The contents of files, in the order of the files.
 pub(super) type Contents<'a> = Vec<(&'a SettingFile, Vec<u8>)>;

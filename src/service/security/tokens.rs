@@ -10,7 +10,7 @@ use super::{
     reloaded::{LoadError, Reloaded, SettingFile},
     token_lines::read,
 };
-use crate::service::ServiceError;
+use crate::service::{Reason, ServiceError};
 
 /// The role of a token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,17 +63,17 @@ impl Tokens {
     pub(super) fn check(&self, needed: Role, headers: &HeaderMap) -> Result<Arc<str>, ServiceError> {
         let token = bearer(headers).ok_or_else(|| {
             let why = "the call needs the header `authorization: Bearer TOKEN`";
-            ServiceError::unauthenticated("MISSING_TOKEN", why)
+            ServiceError::new(Reason::MissingToken, why)
         })?;
         let name = |list: &Option<Reloaded<List>>| list.as_ref().and_then(|list| list.get().name(token));
         match (name(&self.register), name(&self.query), needed) {
             (Some(name), _, _) | (_, Some(name), Role::Query) => Ok(name),
             (None, Some(_), Role::Register) => {
                 let why = "this token may query, but not register or delete hulls: use one that may";
-                Err(ServiceError::forbidden("TOKEN_MAY_NOT", why))
+                Err(ServiceError::new(Reason::TokenMayNot, why))
             }
             (None, None, _) => {
-                Err(ServiceError::unauthenticated("UNKNOWN_TOKEN", "the server does not know this token"))
+                Err(ServiceError::new(Reason::UnknownToken, "the server does not know this token"))
             }
         }
     }
@@ -123,7 +123,7 @@ mod tests {
     fn reason(tokens: &Tokens, role: Role, header: Option<&'static str>) -> &'static str {
         let headers = header.map(|value| (AUTHORIZATION, http::HeaderValue::from_static(value)));
         let headers = HeaderMap::from_iter(headers);
-        tokens.check(role, &headers).map_or_else(|error| error.reason, |_| "")
+        tokens.check(role, &headers).map_or_else(|error| error.reason.name(), |_| "")
     }
 
     /// Catches a comment, name or colon that is read as part of a token, a list in the older format

@@ -24,7 +24,7 @@ use crate::{
         self,
         bulk::{Column, Columnar},
     },
-    service::{error::ServiceError, limits::Limits, sizes::HULL_BYTES},
+    service::{Reason, error::ServiceError, limits::Limits, sizes::HULL_BYTES},
     store::HullId,
 };
 
@@ -112,10 +112,10 @@ impl QueryCounts {
     }
 
     fn check(&mut self, limits: &Limits) -> Result<(), ServiceError> {
-        at_most(self.hull_ids, limits.max_hulls_per_request, "TOO_MANY_HULLS", "hull_ids")?;
-        at_most(*self.column(4), limits.max_bodies_per_request, "TOO_MANY_BODIES", "body_hulls")?;
-        at_most(*self.column(7) / 2, limits.max_pairs_per_request, "TOO_MANY_PAIRS", "pairs")?;
-        at_most(self.outputs, MAX_OUTPUTS, "TOO_MANY_OUTPUTS", "outputs")
+        at_most(self.hull_ids, limits.max_hulls_per_request, Reason::TooManyHulls, "hull_ids")?;
+        at_most(*self.column(4), limits.max_bodies_per_request, Reason::TooManyBodies, "body_hulls")?;
+        at_most(*self.column(7) / 2, limits.max_pairs_per_request, Reason::TooManyPairs, "pairs")?;
+        at_most(self.outputs, MAX_OUTPUTS, Reason::TooManyOutputs, "outputs")
     }
 
     /// The memory of the decoded request, and of the list that validation makes of it: the bodies
@@ -203,7 +203,7 @@ impl Request for proto::RegisterHullsRequest {
                 }
             }
         }
-        at_most(hulls, limits.max_hulls_per_request, "TOO_MANY_HULLS", "hulls")?;
+        at_most(hulls, limits.max_hulls_per_request, Reason::TooManyHulls, "hulls")?;
         (bounds.take)(doubles * size_of::<f64>() + hulls * HULL_BYTES)?;
         let mut definitions = Vec::with_capacity(hulls);
         let mut fields = Fields::new(message);
@@ -310,7 +310,7 @@ fn ids(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Vec<HullId>, ServiceEr
             count += 1;
         }
     }
-    at_most(count, bounds.limits.max_hulls_per_request, "TOO_MANY_HULLS", "ids")?;
+    at_most(count, bounds.limits.max_hulls_per_request, Reason::TooManyHulls, "ids")?;
     (bounds.take)(count * HULL_BYTES)?;
     let mut ids = Vec::with_capacity(count);
     let mut fields = Fields::new(message);
@@ -367,7 +367,7 @@ fn paths<'a>(message: &'a [u8], meter: &Meter<'_>) -> Result<Vec<&'a str>, Servi
             }
         }
     }
-    at_most(count, MAX_PATHS, "TOO_MANY_PATHS", "field_mask.paths")?;
+    at_most(count, MAX_PATHS, Reason::TooManyPaths, "field_mask.paths")?;
     Ok(paths)
 }
 
@@ -412,7 +412,7 @@ impl Request for proto::GetServerInfoRequest {
 ///
 /// # Errors
 /// The errors of the handler.
-#[doc(hidden)]
+#[cfg(feature = "testing")]
 pub fn decoded_bytes(
     method: &str,
     message: &[u8],
