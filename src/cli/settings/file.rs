@@ -12,7 +12,10 @@ use clap::{
 };
 use hullcast::small_file;
 
-use super::{AT_LEAST_ONE, Given, NAMES};
+use super::{
+    checked::AT_LEAST_ONE,
+    declared::{Given, NAMES},
+};
 use crate::cli::{Error, exit::Exit, values::did_you_mean};
 
 impl Given {
@@ -142,7 +145,7 @@ mod tests {
     use hullcast::size::ByteSize;
 
     use super::*;
-    use crate::cli::{memory::Size, settings::Switch};
+    use crate::cli::{memory::Size, settings::declared::Switch};
 
     fn refused(text: &str) -> String {
         match Given::parse(text).expect_err(text) {
