@@ -37,6 +37,7 @@ pub enum OpenError {
 /// The directory cannot be created or is not a directory, or this build does not support the
 /// scheme. Whether a bucket can be reached is not tested.
 pub fn open(url: &str) -> Result<Opened, OpenError> {
+    refuse_half_a_scheme(url)?;
     match url.split_once("://") {
         Some(("memory", _)) => Ok(Arc::new(Objects::new(Arc::new(InMemory::new()), None))),
         Some((scheme, _)) if scheme != "file" => match remote(scheme, url) {
@@ -77,11 +78,24 @@ pub fn open_existing(url: &str) -> Result<Opened, OpenError> {
              the bucket that a server uses"
         )));
     }
+    refuse_half_a_scheme(url)?;
     let path = url.strip_prefix("file://").unwrap_or(url);
     if !path.contains("://") && !Path::new(path).is_dir() {
         return Err(OpenError::Store(format!("store {url}: no such directory")));
     }
     open(url)
+}
+
+/// Refuses `memory:` and its like. They would be directories of that name, which nobody means.
+fn refuse_half_a_scheme(url: &str) -> Result<(), OpenError> {
+    match url.split_once(':') {
+        Some((scheme @ ("file" | "memory" | "s3" | "gs" | "az"), rest)) if !rest.starts_with("//") => {
+            Err(OpenError::Store(format!(
+                "store {url}: a scheme ends with ://, expected {scheme}://; a directory of this name is ./{url}"
+            )))
+        }
+        _ => Ok(()),
+    }
 }
 
 #[cfg(not(feature = "remote"))]

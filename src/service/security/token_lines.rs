@@ -78,9 +78,12 @@ fn parts(line: &str) -> Result<Option<(Option<&str>, &str)>, String> {
         Some((name, token)) => (Some(name), token),
         None => (None, line),
     };
-    if let Some(c) = token.chars().find(|c| !(' '..='~').contains(c)) {
-        let which = named_character(c);
-        return Err(format!("the token has {which}, which no call can send: use printable ASCII only"));
+    if let Some(c) = token.chars().find(|c| !c.is_ascii_graphic()) {
+        let which = if c == ' ' { "a space".into() } else { named_character(c) };
+        return Err(format!(
+            "the token has {which}, which no client can send: use visible ASCII characters only, and write \
+             NAME: TOKEN to name a token"
+        ));
     }
     if token.len() > TOKEN_BYTES {
         let (has, most) = (ByteSize(token.len() as u64), ByteSize(TOKEN_BYTES as u64));
@@ -159,6 +162,9 @@ mod tests {
             ("one\u{85}two", 1, "U+0085"),
             ("one\u{b}two", 1, "U+000B"),
             ("a\nb\nname: \u{e9}", 3, "U+00E9"),
+            ("one two", 1, "the token has a space, which no client can send"),
+            ("one\nname: two words", 2, "the token has a space"),
+            ("name : two", 1, "write NAME: TOKEN"),
             ("one\ttwo", 1, "U+0009"),
             ("a\u{a0}b", 1, "U+00A0"),
             ("\u{200b}a", 1, "U+200B"),
