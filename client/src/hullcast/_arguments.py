@@ -137,6 +137,23 @@ def one_of(field: str, value: Any, known: Iterable[str]) -> str:
     )
 
 
+def ordered(field: str, value: Any) -> None:
+    """Checks that `value` is not a set: its entries would be taken in an arbitrary order.
+
+    The keys of a dict have an order, and are accepted.
+
+    Raises:
+        InvalidArgument: NO_ORDER.
+    """
+    if isinstance(value, (set, frozenset)):
+        raise InvalidArgument(
+            f"got a {kind(cast('Any', value))}, and a set has no order: expected a list, such as "
+            "sorted(...) of the set",
+            reason="NO_ORDER",
+            field=field,
+        )
+
+
 def instance(field: str, value: Any, wanted: type, expected: str) -> None:
     """Checks that `value` is an instance of `wanted`; the message calls that type `expected`.
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _tensors
-from ._arguments import counted, kind, shown
+from ._arguments import counted, kind, ordered, shown
 from ._errors import InvalidArgument
 
 Floats = npt.NDArray[np.float64]
@@ -95,6 +95,7 @@ def _array(field: str, value: Any, shape: tuple[int | None, ...]) -> npt.NDArray
     An iterable that cannot be indexed is read once.
     """
     expected = f"expected an array of shape {_wanted(shape)}"
+    ordered(field, value)
     if value is None or isinstance(value, (str, bytes, Mapping)):
         raise InvalidArgument(f"{expected}, got {kind(value)}", reason="NOT_AN_ARRAY", field=field)
     if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):  # type: ignore[no-untyped-call]
@@ -113,6 +114,8 @@ def _array(field: str, value: Any, shape: tuple[int | None, ...]) -> npt.NDArray
     except Exception as error:  # the conversion of a foreign object may raise anything
         raise InvalidArgument(f"{expected}: {error}", reason="NOT_AN_ARRAY", field=field) from None
     if array.dtype.kind == "O" and array.ndim and array.size:
+        for entry in array.flat:
+            ordered(field, entry)
         # An array of fractions or decimals is converted to floats. None is excluded, because it
         # would become NaN.
         real = all(not isinstance(entry, (str, bytes, type(None))) for entry in array.flat)

@@ -58,8 +58,10 @@ class Manifolds(ManifoldColumns):
 
         Raises:
             PairOutOfRange: INDEX_OUT_OF_RANGE, or NOT_INTEGERS for an object of another kind.
+            InvalidArgument: NO_ORDER, a set.
         """
         count = len(self)
+        _arguments.ordered(field, pairs)
         if isinstance(pairs, slice):
             return np.arange(count)[pairs]
         found = _tensors.as_numpy(pairs)
@@ -186,10 +188,11 @@ class Manifolds(ManifoldColumns):
         results must have the same outputs.
 
         Raises:
-            InvalidArgument: WRONG_TYPE; EMPTY, no manifolds; or OTHER_OUTPUTS, the outputs differ.
+            InvalidArgument: WRONG_TYPE; NO_ORDER, a set; EMPTY, no manifolds; or OTHER_OUTPUTS, the outputs differ.
         """
         from . import _answers  # which loads protobuf
 
+        _arguments.ordered("manifolds", manifolds)
         if isinstance(manifolds, (Manifolds, Manifold, str, Mapping)) or not isinstance(
             manifolds, Iterable
         ):
@@ -324,6 +327,7 @@ class Manifolds(ManifoldColumns):
             )
         shown = self
         if pairs is not None:
+            _arguments.ordered("pairs", pairs)
             chosen: Any = list(pairs) if isinstance(pairs, Iterator) else pairs
             chosen = chosen if isinstance(chosen, slice) else np.atleast_1d(chosen)
             shown = self[self._chosen("pairs", chosen)]

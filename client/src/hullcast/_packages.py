@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, cast
 from urllib.parse import unquote
 
+from ._arguments import ordered
 from ._errors import FileNotFound, InvalidArgument
 
 #: The URL schemes in which the first folder is a package's name.
@@ -77,6 +78,7 @@ def _folders(packages: Any) -> list[Path]:
     try:
         if isinstance(packages, (str, os.PathLike)):
             return [Path(cast("str | os.PathLike[str]", packages)).resolve()]
+        ordered("packages", packages)
         folders = cast("Iterable[str | os.PathLike[str]]", packages)
         return [Path(folder).resolve() for folder in folders]
     except TypeError:

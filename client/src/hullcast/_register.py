@@ -48,6 +48,7 @@ class Registration:
     ) -> Registration:
         """Makes the call from the arguments of `Client.register`."""
         shapes = shapes_of(hulls)
+        _arguments.ordered("contraction_points", contraction_points)
         if max_vertices is not None:
             max_vertices = _arguments.integer("max_vertices", max_vertices, 4, 2**32 - 1)
         if max_deviation is not None:
@@ -182,6 +183,7 @@ class Registration:
 
 def shapes_of(hulls: Any) -> list[Any]:
     """The shapes of one hull or of an iterable of hulls. A `trimesh.Scene` stands for its parts."""
+    _arguments.ordered("hulls", hulls)
     if isinstance(hulls, Mapping):
         raise InvalidArgument(
             "expected a hull or a list of hulls, got a dict: give list(hulls.values())",

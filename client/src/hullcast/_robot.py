@@ -332,6 +332,7 @@ class Robot(Settled):
 
 def _array(field: str, value: Any) -> Floats:
     """Converts a value to a float64 array of any shape."""
+    _arguments.ordered(field, value)
     if isinstance(value, Iterator):
         value = list(cast("Iterator[Any]", value))
     try:

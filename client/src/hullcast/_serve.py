@@ -132,6 +132,7 @@ def start(
 def _words(arguments: Any) -> list[str]:
     """Checks further arguments of the command line, and returns them as strings."""
     expected = 'expected a list of str, such as ["--compute-threads", "4"]'
+    _arguments.ordered("arguments", arguments)
     if isinstance(arguments, (str, bytes, Mapping)) or not isinstance(arguments, Iterable):
         raise InvalidArgument(
             f"{expected}, got {_arguments.shown(arguments)}", reason="WRONG_TYPE", field="arguments"
