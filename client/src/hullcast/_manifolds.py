@@ -135,7 +135,10 @@ class Manifolds(ManifoldColumns):
         )
 
     def to_dataframe(self, rows: str = "points") -> Any:
-        """Converts the requested columns to a pandas data frame.
+        """Converts the requested columns to a pandas data frame (extra `pandas`).
+
+        Outcomes and kinds of features are categories of names, such as "CONTACT". Flags are
+        numbers: `frame[frame["flags"] & int(hullcast.Flag.ESTIMATED) != 0]`.
 
         Args:
             rows: "points" gives one row per contact point, together with the columns of its pair;
@@ -146,7 +149,7 @@ class Manifolds(ManifoldColumns):
             InvalidArgument: `rows` has another value.
             OutputNotAsked: `rows` is "points", and the query did not request POINTS.
         """
-        if rows == "points":
+        if _arguments.one_of("rows", rows, ("pairs", "points")) == "points":
             self._column("point_counts", "points", "POINTS")
         return _export.dataframe(self._columns, rows)
 
@@ -188,7 +191,8 @@ class Manifolds(ManifoldColumns):
         results must have the same outputs.
 
         Raises:
-            InvalidArgument: WRONG_TYPE; NO_ORDER, a set; EMPTY, no manifolds; or OTHER_OUTPUTS, the outputs differ.
+            InvalidArgument: WRONG_TYPE; NO_ORDER, a set; EMPTY, no manifolds; or OTHER_OUTPUTS, the
+                outputs differ.
         """
         from . import _answers  # which loads protobuf
 
