@@ -22,7 +22,7 @@ _ROTATION_ERROR = 1e-3
 #: The ranges of poses that the server accepts (`crates/contact/src/body.rs`): the largest absolute
 #: value of a coordinate, and the norm of a quaternion.
 _MAX_POSITION = 1e100
-_MIN_NORM, _MAX_NORM = 0.25, 4.0
+MIN_NORM, MAX_NORM = 0.25, 4.0
 
 
 def floats(field: str, value: Any, *shape: int | None) -> Floats:
@@ -293,7 +293,7 @@ def unusable(positions: Floats, rotations: Floats) -> Indices:
     with np.errstate(invalid="ignore", over="ignore"):
         near = (np.abs(positions) <= _MAX_POSITION).all(axis=1)
         squared = np.einsum("ni,ni->n", rotations, rotations)
-        turned = (squared >= _MIN_NORM**2) & (squared <= _MAX_NORM**2)
+        turned = (squared >= MIN_NORM**2) & (squared <= MAX_NORM**2)
     return np.flatnonzero(~(near & turned)).astype("<u4")
 
 
@@ -309,9 +309,9 @@ def why_unusable(position: Floats, rotation: Floats) -> tuple[str, str]:
         return "rotations", f"its rotation {text} is not finite"
     with np.errstate(over="ignore"):
         norm = float(np.linalg.norm(rotation))
-    if _MIN_NORM <= norm <= _MAX_NORM:
+    if MIN_NORM <= norm <= MAX_NORM:
         return "rotations", "the server refuses its pose"  # a server of another version
-    allowed = f"{_MIN_NORM:g} to {_MAX_NORM:g} is allowed"
+    allowed = f"{MIN_NORM:g} to {MAX_NORM:g} is allowed"
     return "rotations", f"its rotation {text} has norm {norm:g}, {allowed}"
 
 

@@ -273,7 +273,7 @@ def _faces(shape: Any, name: str) -> Any:
 
 def _label(shape: Any, place: int) -> str:
     """A shape's name in messages: the link for a robot's body, or index and file for a mesh."""
-    label = shape.label if isinstance(shape, _mesh.Mesh) else ""
+    label = shape.label if isinstance(shape, (_mesh.Mesh, _mesh.Points)) else ""
     return label if label.startswith("link ") else f"hulls[{place}]" + (label and f" ({label})")
 
 

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, cast
 import numpy as np
 import numpy.typing as npt
 
-from . import _arguments, _arrays, _convexity, _decompose, _mesh, _urdf
+from . import _arguments, _arrays, _convexity, _decompose, _mesh, _srdf, _urdf
 from ._arguments import counted, shown
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument, JointLimitsWarning, warn
@@ -40,7 +40,8 @@ class Robot(Settled):
             looked up as `name/...` in these folders first, then in ROS_PACKAGE_PATH, in
             AMENT_PREFIX_PATH and in the folders that contain the URDF file.
         srdf: the path of an SRDF file. Links that its `disable_collisions` elements name ignore
-            each other.
+            each other. A link of `disable_default_collisions` ignores all others, except those of
+            `enable_collisions`.
         ignored: further pairs of names of links that ignore each other.
         decompose: True or False: whether to decompose meshes that are not convex or not closed
             (extra `decompose`). If not, `register` uses their convex hulls, with a
@@ -71,8 +72,9 @@ class Robot(Settled):
     #: without a limit.
     limits: Floats
     #: For each body the shape that `Client.register` takes, in the frame of the body's link: points
-    #: (k, 3) or a mesh. A cylinder is an inscribed prism with 32 sides, a sphere an inscribed
-    #: polyhedron with 162 vertices, and a capsule an inscribed polyhedron with 130 vertices.
+    #: (k, 3) or a mesh. Messages name it by its link and its file. A cylinder is an inscribed prism
+    #: with 32 sides, a sphere an inscribed polyhedron with 162 vertices, and a capsule an inscribed
+    #: polyhedron with 130 vertices.
     shapes: list[Any]
     #: (bodies,): the link of each body, as an index into `links`.
     body_links: npt.NDArray[np.intp]
@@ -116,11 +118,11 @@ class Robot(Settled):
         pieces = dict(zip(dented, found, strict=True))
         bodies = [
             (link, piece)
-            for i, (link, _, shape) in enumerate(model.shapes)
-            for piece in pieces.get(i, [shape])
+            for i, (link, label, shape) in enumerate(model.shapes)
+            for piece in _named_pieces(label, pieces.get(i, [shape]))
         ]
         body_links: npt.NDArray[np.intp] = np.array([link for link, _ in bodies], np.intp)
-        disabled = [] if srdf is None else list(_urdf.disabled(srdf))
+        disabled = [] if srdf is None else _srdf.disabled(srdf, model.links)
         known = [pair for pair in disabled if set(pair) <= set(model.links)]
         if disabled and not known:
             raise InvalidArgument(
@@ -328,6 +330,17 @@ class Robot(Settled):
         turned = turned + (2 * np.sin(value / 2) ** 2)[:, None, None] * (cross @ cross)
         motion[:, :3, :3] += turned
         return motion
+
+
+def _named_pieces(label: str, pieces: Sequence[Any]) -> list[Any]:
+    """The convex pieces of a collision element; points have the element's name in messages."""
+    several = len(pieces) > 1
+    return [
+        _mesh.Points.of(piece, f"{label}, piece {k}" if several else label)
+        if isinstance(piece, np.ndarray)
+        else piece
+        for k, piece in enumerate(pieces)
+    ]
 
 
 def _array(field: str, value: Any) -> Floats:
