@@ -14,17 +14,18 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import grpc
-
 from . import _arguments, _files
 from ._arguments import kind, shown
 from ._errors import InvalidArgument
+from ._grpc import grpc
 
 Target = str | Sequence[str]
 Metadata = tuple[tuple[str, str], ...]
 #: The port of an address without a port.
 DEFAULT_PORT = 50051
 _FORMS = "host, host:port, unix:PATH, dns:///host:port, http://host:port or https://host:port"
+#: A server accepts 16 KiB of headers in all (`src/service/connection.rs`).
+_LONGEST_TOKEN = 15_000
 Tls = bool | bytes | str | os.PathLike[str] | grpc.ChannelCredentials | None
 
 
@@ -314,6 +315,13 @@ def _token(token: Any) -> str | None:
         # The message does not show the token, because it is a secret.
         raise InvalidArgument(
             "expected one or more visible ASCII characters, without spaces",
+            reason="NOT_A_TOKEN",
+            field="token",
+        )
+    if len(token) > _LONGEST_TOKEN:
+        raise InvalidArgument(
+            f"got {len(token):,} characters, expected at most {_LONGEST_TOKEN:,}: servers refuse "
+            "longer headers",
             reason="NOT_A_TOKEN",
             field="token",
         )
