@@ -161,6 +161,39 @@ def test_wrong_values_are_named(idle, parameter):
         assert len(text) < 400, shown
 
 
+@pytest.mark.parametrize("value", [INF, NAN, -INF, 10**400])
+def test_infinity_is_refused_with_the_range(idle, value):
+    """Catches "got inf, expected a number, 0 or more", which infinity seems to be."""
+    for call in (
+        lambda: idle.find(scene(), margin=value),
+        lambda: idle.register(CUBE, max_deviation=value),
+        lambda: hullcast.hull_id(CUBE, max_deviation=value),
+        lambda: hullcast.Shape(CUBE, value),
+    ):
+        with pytest.raises(hullcast.InvalidArgument, match="expected a finite number, 0 or more"):
+            call()
+    if value != INF and value != 10**400:
+        with pytest.raises(hullcast.InvalidArgument, match="0 or more, or infinity"):
+            idle.query(scene(), [[0, 1]], margin=value)
+
+
+def test_an_id_that_no_server_gives_is_not_computed():
+    """Catches the id of points that are not finite, or of a planarity that servers refuse."""
+    for arguments, field in (
+        ({"vertices": CUBE * NAN}, "vertices"),
+        ({"vertices": np.where(CUBE > 0, INF, 0.0)}, "vertices"),
+        ({"contraction_point": [0, NAN, 0]}, "contraction_point"),
+        ({"planarity": INF}, "planarity"),
+        ({"planarity": NAN}, "planarity"),
+        ({"planarity": -1e-9}, "planarity"),
+        ({"planarity": 0.011}, "planarity"),
+    ):
+        with pytest.raises(hullcast.InvalidArgument, match="expected") as caught:
+            hullcast.hull_id(**{"vertices": CUBE, **arguments})
+        assert caught.value.field == field
+    assert len(hullcast.hull_id(CUBE, planarity=0.01)) == 32
+
+
 TOKENS = ["reader-secret\n", "  reader-secret", "reader-secret\r\n"]
 
 

@@ -72,8 +72,12 @@ def number(
     Raises:
         InvalidArgument: WRONG_TYPE or VALUE_OUT_OF_RANGE.
     """
-    top = f"to {high:g}" if high < math.inf else "or more" + (", or infinity" if infinite else "")
-    expected = f"expected a number, {low:g} {top}"
+    if high < math.inf:
+        expected = f"expected a number, {low:g} to {high:g}"
+    elif infinite:
+        expected = f"expected a number, {low:g} or more, or infinity"
+    else:
+        expected = f"expected a finite number, {low:g} or more"
     result = real(field, value, expected)
     # A comparison with NaN is false, so NaN is refused too.
     if not low <= result <= high or (result == math.inf and not infinite):
