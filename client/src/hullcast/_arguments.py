@@ -141,6 +141,11 @@ def one_of(field: str, value: Any, known: Iterable[str]) -> str:
     )
 
 
+def iterable(value: Any) -> bool:
+    """Whether a loop can run over a value. Arrays of no dimensions only look as if."""
+    return isinstance(value, Iterable) and getattr(cast("Any", value), "ndim", 1) != 0
+
+
 def ordered(field: str, value: Any) -> None:
     """Checks that `value` is not a set: its entries would be taken in an arbitrary order.
 

@@ -303,7 +303,10 @@ def why_unusable(position: Floats, rotation: Floats) -> tuple[str, str]:
     if not np.isfinite(position).all():
         return "positions", f"its position {text} is not finite"
     if not (np.abs(position) <= _MAX_POSITION).all():
-        return "positions", f"its position {text} is beyond {_MAX_POSITION:g}, which no coordinate may be"
+        return (
+            "positions",
+            f"its position {text} is beyond {_MAX_POSITION:g}, which no coordinate may be",
+        )
     text = f"({', '.join(f'{c:g}' for c in rotation)})"
     if not np.isfinite(rotation).all():
         return "rotations", f"its rotation {text} is not finite"

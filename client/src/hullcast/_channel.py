@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from . import _arguments, _files
-from ._arguments import kind, shown
+from ._arguments import iterable, kind, shown
 from ._errors import InvalidArgument
 from ._grpc import grpc
 
@@ -105,7 +105,7 @@ class Settings:
         if isinstance(target, os.PathLike):
             target = f"unix:{os.fspath(target)}"  # pyright: ignore[reportUnknownArgumentType]
         several = not isinstance(target, str)
-        if several and (isinstance(target, (bytes, Mapping)) or not isinstance(target, Iterable)):
+        if several and (isinstance(target, (bytes, Mapping)) or not iterable(target)):
             raise InvalidArgument(
                 f"expected an address or a list of addresses, got {kind(target)}",
                 reason="WRONG_TYPE",
@@ -331,7 +331,7 @@ def _token(token: Any) -> str | None:
 def _options(options: Any) -> tuple[tuple[str, Any], ...]:
     expected = "expected pairs of a gRPC option's name and its value (an int or a str)"
     pairs = options.items() if isinstance(options, Mapping) else options  # pyright: ignore[reportUnknownVariableType, reportUnknownMemberType]
-    if isinstance(pairs, (str, bytes)) or not isinstance(pairs, Iterable):
+    if isinstance(pairs, (str, bytes)) or not iterable(pairs):
         raise InvalidArgument(
             f"{expected}, got {kind(options)}", reason="WRONG_TYPE", field="options"
         )

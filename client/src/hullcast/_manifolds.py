@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _arguments, _export, _tensors
-from ._arguments import kind
+from ._arguments import iterable, kind
 from ._arrays import Floats, Indices
 from ._columns import ManifoldColumns
 from ._errors import InvalidArgument, PairOutOfRange
@@ -62,11 +62,14 @@ class Manifolds(ManifoldColumns):
         """
         count = len(self)
         _arguments.ordered(field, pairs)
-        if isinstance(pairs, slice):
-            return np.arange(count)[pairs]
-        found = _tensors.as_numpy(pairs)
-        array = np.asarray(pairs) if found is None else found
-        array = array.astype(np.intp) if array.size == 0 and array.dtype != bool else array
+        try:
+            if isinstance(pairs, slice):
+                return np.arange(count)[pairs]
+            found = _tensors.as_numpy(pairs)
+            array = np.asarray(pairs) if found is None else found
+            array = array.astype(np.intp) if array.size == 0 and array.dtype != bool else array
+        except (TypeError, ValueError):  # rows of different lengths, or a slice of words
+            array = np.array(None)
         if array.ndim != 1 or array.dtype.kind not in "iub":
             got = _arguments.shown(pairs) if array.ndim == 0 else f"shape {array.shape}"
             raise PairOutOfRange(
@@ -197,9 +200,7 @@ class Manifolds(ManifoldColumns):
         from . import _answers  # which loads protobuf
 
         _arguments.ordered("manifolds", manifolds)
-        if isinstance(manifolds, (Manifolds, Manifold, str, Mapping)) or not isinstance(
-            manifolds, Iterable
-        ):
+        if isinstance(manifolds, (Manifolds, Manifold, str, Mapping)) or not iterable(manifolds):
             raise InvalidArgument(
                 f"expected a list of Manifolds, got {kind(manifolds)}",
                 reason="WRONG_TYPE",
@@ -333,7 +334,9 @@ class Manifolds(ManifoldColumns):
         if pairs is not None:
             _arguments.ordered("pairs", pairs)
             chosen: Any = list(pairs) if isinstance(pairs, Iterator) else pairs
-            chosen = chosen if isinstance(chosen, slice) else np.atleast_1d(chosen)
+            chosen = _arguments.plain(chosen)
+            if isinstance(chosen, (int, np.integer)) and not isinstance(chosen, bool):
+                chosen = [chosen]
             shown = self[self._chosen("pairs", chosen)]
         return shown, np.setdiff1d(shown.pairs, self.invalid_bodies), self.scene
 

@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from . import _arguments, _arrays, _channel, _checked, _convexity, _files, _mesh, _packed
-from ._arguments import counted, kind, plain
+from ._arguments import counted, iterable, kind, plain
 from ._errors import HullRejected, InvalidArgument
 from ._hulls import Content, Hull, Planarity, mesh_of, planarity_of, points_of
 from ._pb import hulls_pb2
@@ -55,8 +55,8 @@ class Registration:
             max_deviation = _arguments.number("max_deviation", max_deviation, 0)
         if contraction_points is None:
             contraction_points = [None] * len(shapes)
-        elif isinstance(contraction_points, (str, bytes, Mapping)) or not isinstance(
-            contraction_points, Iterable
+        elif isinstance(contraction_points, (str, bytes, Mapping)) or not iterable(
+            contraction_points
         ):
             raise InvalidArgument(
                 f"expected one point (3,) or None per hull, got {kind(contraction_points)}",
@@ -199,7 +199,7 @@ def shapes_of(hulls: Any) -> list[Any]:
     if _files.is_open_file(hulls):
         _files.path_of("hulls", hulls, "the path of a mesh file")
     if not _is_single(hulls):
-        if not isinstance(hulls, Iterable):
+        if not iterable(hulls):
             raise InvalidArgument(
                 "expected points (n, 3), an object with vertices, a file, or a list of these, got "
                 f"{kind(hulls)}",

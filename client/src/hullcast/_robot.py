@@ -350,11 +350,13 @@ def _array(field: str, value: Any) -> Floats:
         value = list(cast("Iterator[Any]", value))
     try:
         array = _arrays.as_array(value)
-        if array.dtype.kind not in "fiuO" and array.size:
-            raise TypeError(f"expected numbers, got {shown(value)}")
-        return array.astype("<f8")
-    except (TypeError, ValueError) as error:
-        raise InvalidArgument(str(error), reason="NOT_AN_ARRAY", field=field) from None
+        if array.dtype.kind in "fiuO" or not array.size:
+            return array.astype("<f8")
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise InvalidArgument(
+        f"expected numbers, got {shown(value)}", reason="NOT_AN_ARRAY", field=field
+    )
 
 
 def _check_base(roots: Floats) -> None:
@@ -377,10 +379,11 @@ def _one_of(joints: Sequence[str]) -> str:
 
 def _named(ignored: Any) -> list[tuple[str, str]]:
     """Checks that the argument `ignored` is pairs of names, and returns it as a list."""
-    try:
-        pairs = [() if isinstance(pair, str) else tuple(pair) for pair in ignored]
-    except TypeError:
-        pairs = [()]
+    given: list[Any] = list(ignored) if _arguments.iterable(ignored) else [ignored]
+    pairs = [
+        tuple(pair) if _arguments.iterable(pair) and not isinstance(pair, str) else ()
+        for pair in given
+    ]
     for i, pair in enumerate(pairs):
         if len(pair) != 2 or not all(isinstance(name, str) for name in pair):
             raise InvalidArgument(
