@@ -303,10 +303,8 @@ def why_unusable(position: Floats, rotation: Floats) -> tuple[str, str]:
     if not np.isfinite(position).all():
         return "positions", f"its position {text} is not finite"
     if not (np.abs(position) <= _MAX_POSITION).all():
-        return (
-            "positions",
-            f"its position {text} is beyond {_MAX_POSITION:g}, which no coordinate may be",
-        )
+        allowed = f"-{_MAX_POSITION:g} to {_MAX_POSITION:g} is allowed"
+        return "positions", f"its position {text} is beyond {_MAX_POSITION:g}, {allowed}"
     text = f"({', '.join(f'{c:g}' for c in rotation)})"
     if not np.isfinite(rotation).all():
         return "rotations", f"its rotation {text} is not finite"
@@ -328,8 +326,8 @@ def quaternions(field: str, matrices: Floats) -> Floats:
     Raises:
         InvalidArgument: NOT_A_ROTATION.
     """
-    finite = np.isfinite(matrices).all(axis=(1, 2))
-    matrices = np.where(finite[:, None, None], matrices, np.nan)
+    finite = np.isfinite(matrices).all(axis=(1, 2), keepdims=True)
+    matrices = np.where(finite, matrices, np.nan)
     with np.errstate(invalid="ignore", over="ignore"):
         products = np.einsum("nki,nkj->nij", matrices, matrices)
         off = np.abs(products - np.eye(3)).max(axis=(1, 2)) if len(matrices) else np.zeros(0)

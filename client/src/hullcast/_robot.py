@@ -336,7 +336,7 @@ def _named_pieces(label: str, pieces: Sequence[Any]) -> list[Any]:
     """The convex pieces of a collision element; points have the element's name in messages."""
     several = len(pieces) > 1
     return [
-        _mesh.Points.of(piece, f"{label}, piece {k}" if several else label)
+        _mesh.Points.of(cast("Floats", piece), f"{label}, piece {k}" if several else label)
         if isinstance(piece, np.ndarray)
         else piece
         for k, piece in enumerate(pieces)

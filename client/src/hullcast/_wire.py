@@ -39,7 +39,8 @@ class _Named:
     def __eq__(self, other: object) -> bool:
         this: Any = self
         if isinstance(other, (str, bytes)):
-            return int(this) == int(member_of(type(this), other))
+            kind: Any = type(self)
+            return int(this) == int(member_of(kind, other))
         return int(this) == other
 
     def __ne__(self, other: object) -> bool:
