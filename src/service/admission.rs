@@ -11,6 +11,9 @@
 //! after the other instead of all late. Small batches do not wait, and no batch waits for another caller's.
 //! The compute threads take turns between callers and between batches, so a small batch is delayed by some
 //! chunks, not by whole batches. A batch whose caller leaves also leaves the queue.
+//!
+//! This is our own code, because the limits of tower (load shedding, concurrency, buffers) count calls, and
+//! know neither pairs nor callers.
 
 use std::{
     sync::{

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, cast
 import numpy as np
 
 from . import _arrays
-from ._arguments import counted, kind
+from ._arguments import counted, iterable, kind, ordered
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument
 from ._hulls import Content, Hull
@@ -240,11 +240,12 @@ def list_of_hulls(hulls: Any) -> list[Any]:
     """The hulls as a list. A single hull counts as a list of one.
 
     Raises:
-        InvalidArgument: WRONG_TYPE.
+        InvalidArgument: WRONG_TYPE or NO_ORDER.
     """
     if isinstance(hulls, (Hull, bytes)):
         return [hulls]
-    if isinstance(hulls, (str, Mapping)) or not isinstance(hulls, Iterable):
+    ordered("hulls", hulls)
+    if isinstance(hulls, (str, Mapping)) or not iterable(hulls):
         raise InvalidArgument(
             f"expected a list of hulls, got {kind(hulls)}", reason="WRONG_TYPE", field="hulls"
         )

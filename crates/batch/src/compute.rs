@@ -16,6 +16,9 @@
 //!
 //! Work ends early if its [`Job`] is stopped, or if the future that waits for it is dropped. Its
 //! parts then leave the queue, and a compute thread frees its memory before it begins another part.
+//!
+//! This is our own code, because thread pools such as rayon run work in the order that suits their threads:
+//! they know no callers, and waiting work cannot be withdrawn from them.
 
 mod queue;
 #[cfg(test)]

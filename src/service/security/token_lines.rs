@@ -1,10 +1,8 @@
 //! The lines of a file of tokens.
 
-use sha2::{Digest, Sha256};
-
 use super::{
     reloaded::{LoadError, SettingFile},
-    tokens::{List, Token},
+    tokens::List,
 };
 use crate::{budget::is_reserved_name, size::ByteSize};
 
@@ -25,7 +23,7 @@ const LISTS: [&str; 2] = ["query", "register"];
 /// The list has no token, a line has a token that no call can send, or a line has a reserved name. The
 /// text names the line.
 pub(super) fn read(contents: &[(&SettingFile, Vec<u8>)], list: &str) -> Result<List, LoadError> {
-    let mut tokens = Vec::new();
+    let mut tokens = List::default();
     for (file, bytes) in contents {
         if let Some(kind) = other_kind(bytes) {
             return Err(LoadError::new(file, format!("it is {kind}, expected one token per line")));
@@ -35,13 +33,13 @@ pub(super) fn read(contents: &[(&SettingFile, Vec<u8>)], list: &str) -> Result<L
             let line = std::str::from_utf8(line).map_err(|error| refused(error.to_string()))?;
             let Some((name, token)) = parts(line).map_err(refused)? else { continue };
             let name = name.map_or_else(|| format!("{list}.{number}").into(), Into::into);
-            tokens.push(Token { hash: Sha256::digest(token).into(), name });
+            tokens.add(token.as_bytes(), name);
         }
         if tokens.is_empty() {
             return Err(LoadError::new(file, "no token in it"));
         }
     }
-    Ok(List(tokens))
+    Ok(tokens)
 }
 
 /// The kind of a file that is clearly no list of tokens. Without this check, each of its lines would be
@@ -222,8 +220,11 @@ mod tests {
             ["query.a", "query.", "query", "query.2a", "a.query.2", "reader.2", "guide", "10.0.0", "uids"]
         {
             let text = format!("{name}: abc\ndef\n").into_bytes();
-            let List(tokens) = read(&[(&file, text)], "query").unwrap();
-            assert_eq!((&*tokens[0].name, &*tokens[1].name), (name, "query.2"));
+            let tokens = read(&[(&file, text)], "query").unwrap();
+            assert_eq!(
+                [b"abc", b"def"].map(|token| tokens.name(token).unwrap()),
+                [name, "query.2"].map(Into::into)
+            );
         }
     }
 }
