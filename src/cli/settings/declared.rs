@@ -60,7 +60,7 @@ macro_rules! settings {
         #[derive(Clone, Debug, Default, clap::Args)]
         pub(crate) struct Given {
             $($(#[doc = $doc])* #[arg(long, env = $env, value_name = $value, allow_negative_numbers = true $(, $($arg)*)?)]
-            $name: Option<$kind>,)*
+            pub(super) $name: Option<$kind>,)*
         }
 
         /// The complete settings.

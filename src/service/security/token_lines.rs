@@ -7,7 +7,7 @@ use super::{
 use crate::{budget::is_reserved_name, size::ByteSize};
 
 /// The longest name of a token, in bytes.
-pub(super) const NAME_BYTES: usize = 32;
+const NAME_BYTES: usize = 32;
 
 /// The longest token, in bytes: half of the limit on all headers of a call.
 const TOKEN_BYTES: usize = 8 << 10;
@@ -81,8 +81,8 @@ fn parts(line: &str) -> Result<Option<(Option<&str>, &str)>, String> {
     if let Some(c) = token.chars().find(|c| !c.is_ascii_graphic()) {
         let which = if c == ' ' { "a space".into() } else { named_character(c) };
         return Err(format!(
-            "the token has {which}, which no client can send: use visible ASCII characters only, and write \
-             NAME: TOKEN to name a token"
+            "the token has {which}, which no client can send: use visible ASCII characters only; in NAME: TOKEN \
+             the name has at most {NAME_BYTES} letters, digits, `_`, `.` and `-`"
         ));
     }
     if token.len() > TOKEN_BYTES {
@@ -150,6 +150,7 @@ mod tests {
     #[test]
     fn lines_that_make_no_usable_token_are_refused_by_number() {
         let long = format!("a\n{}", "b".repeat(TOKEN_BYTES + 1));
+        let wide = format!("{}: two", "n".repeat(NAME_BYTES + 1));
         for (text, line, what) in [
             ("\u{feff}abc\n", 1, "U+FEFF (a byte order mark"),
             ("\u{feff}name: abc\n", 1, "U+FEFF"),
@@ -164,7 +165,8 @@ mod tests {
             ("a\nb\nname: \u{e9}", 3, "U+00E9"),
             ("one two", 1, "the token has a space, which no client can send"),
             ("one\nname: two words", 2, "the token has a space"),
-            ("name : two", 1, "write NAME: TOKEN"),
+            ("white name: two", 1, "in NAME: TOKEN the name has at most 32 letters"),
+            (&wide, 1, "in NAME: TOKEN the name has at most 32 letters"),
             ("one\ttwo", 1, "U+0009"),
             ("a\u{a0}b", 1, "U+00A0"),
             ("\u{200b}a", 1, "U+200B"),

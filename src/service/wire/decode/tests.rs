@@ -8,7 +8,10 @@ use prost::{
 };
 
 use super::*;
-use crate::contact::STEPS_BETWEEN_LOOKS;
+use crate::{
+    contact::STEPS_BETWEEN_LOOKS,
+    service::{Reason, sizes::HULL_BYTES},
+};
 
 /// The size of large messages. It is large enough that an allocation per element would be noticed.
 const LARGE: usize = 2 << 20;
