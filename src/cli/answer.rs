@@ -5,7 +5,6 @@
 
 use std::collections::{HashMap, HashSet};
 use std::error::Error as StdError;
-use std::fmt;
 use std::iter;
 use std::sync::Arc;
 use std::time::Duration;
@@ -27,7 +26,7 @@ use hullcast::compute::{Compute, Job};
 use hullcast::contact::ConvexHull;
 use hullcast::proto;
 use hullcast::proto::register_hull_result::Result as Registered;
-use hullcast::service::{Engine, EngineBounds, Kind, Limits, ServiceError, wire};
+use hullcast::service::{Engine, EngineBounds, Limits, Reason, ServiceError, wire};
 use hullcast::store::identity::id_of;
 use hullcast::store::{HullDefinition, HullId};
 
@@ -54,7 +53,8 @@ pub(crate) struct Local {
 }
 
 /// The error for a hull of the scene that was refused.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("hulls[{hull}].{field}{}: {reason}", .index.map(|index| format!("[{index}]")).unwrap_or_default())]
 pub(crate) struct HullRefused {
     hull: usize,
     field: String,
@@ -62,20 +62,9 @@ pub(crate) struct HullRefused {
     reason: String,
 }
 
-impl fmt::Display for HullRefused {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "hulls[{}].{}", self.hull, self.field)?;
-        if let Some(index) = self.index {
-            write!(f, "[{index}]")?;
-        }
-        write!(f, ": {}", self.reason)
-    }
-}
-
-impl StdError for HullRefused {}
-
 /// The error for a query that was not answered.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{text}")]
 pub(crate) struct Refusal {
     /// The reason, in words.
     pub(crate) text: String,
@@ -87,22 +76,13 @@ pub(crate) struct Refusal {
     pub(crate) exit: Exit,
 }
 
-impl fmt::Display for Refusal {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.text)
-    }
-}
-
-impl StdError for Refusal {}
-
 impl From<ServiceError> for Refusal {
     fn from(error: ServiceError) -> Self {
-        let (retry_after, exit) = match error.kind {
-            Kind::Unavailable { retry_after } => (Some(retry_after), Exit::Refused),
-            Kind::Invalid => (None, Exit::Input),
-            _ => (None, Exit::Refused),
+        let exit = match error.reason.code() {
+            Code::InvalidArgument => Exit::Input,
+            _ => Exit::Refused,
         };
-        Self { text: error.to_string(), retry_after, lost: false, exit }
+        Self { text: error.to_string(), retry_after: error.retry_after, lost: false, exit }
     }
 }
 
@@ -298,6 +278,26 @@ fn registered(hull: usize, content: HullId, result: proto::RegisterHullResult) -
     }
 }
 
+/// An error about a hull, with the scene file that has the hull.
+pub(crate) fn in_scene(error: Error, scene: &str) -> Error {
+    match error.downcast::<HullRefused>() {
+        Ok(refused) => Exit::Input.error(format!("{scene}: {refused}")),
+        Err(other) => other,
+    }
+}
+
+/// An error of a query, with the server's address if its connection was lost.
+pub(crate) fn at_server(error: Error, address: &str) -> Error {
+    match error.downcast::<Refusal>() {
+        Ok(refusal) if refusal.lost => {
+            let text = format!("the connection to {address} was lost: {}", refusal.text);
+            Refusal { text, ..*refusal }.into()
+        }
+        Ok(refusal) => refusal,
+        Err(other) => other,
+    }
+}
+
 /// Whether the server reset the call: it does so if the answer is not read in time (docs/errors.md).
 fn is_cut(status: &Status) -> bool {
     // Nothing in this process cancels a call and then reads its status. hyper cancels the calls that wait on
@@ -314,6 +314,17 @@ fn described(status: &Status) -> String {
             "Cancelled: the server reset the call, because the answer was not read in time; the server's \
              settings answer_seconds and max_deadline_seconds decide how long that is"
                 .into()
+        }
+        Code::Unauthenticated => {
+            let reason = status.get_details_error_info().map(|info| info.reason).unwrap_or_default();
+            let hint = match reason.as_str() {
+                reason if reason == Reason::MissingToken.name() => {
+                    ": give a file with a token by --token-file"
+                }
+                reason if reason == Reason::UnknownToken.name() => ": --token-file needs another token",
+                _ => "",
+            };
+            format!("Unauthenticated: {}{hint}", status.message())
         }
         // For its own failures, the cause says more than tonic's message.
         Code::Unknown | Code::Unavailable if status.source().is_some() => root_cause(status),

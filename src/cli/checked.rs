@@ -4,14 +4,11 @@
 //! columns that do not fit together. The Python client makes the same checks
 //! (`client/src/hullcast/_checked.py`).
 
-use std::error::Error as StdError;
-use std::fmt;
-
 use hullcast::batch::{
     Output, Outputs,
     columns::{Per, Values},
 };
-use hullcast::proto::{self, Flag, Outcome};
+use hullcast::proto::{self, FeatureKind, Flag, Outcome};
 use hullcast::service::wire::response_columns;
 use hullcast::store::HullId;
 
@@ -19,22 +16,13 @@ use hullcast::store::HullId;
 const REASONS: u8 = Flag::UnknownHull as u8 | Flag::HullUnavailable as u8 | Flag::InvalidBody as u8;
 /// The flags of INVALID pairs that blame a hull.
 const HULL_REASONS: u8 = Flag::UnknownHull as u8 | Flag::HullUnavailable as u8;
-/// The bits of `Flag` that this version knows.
-const KNOWN_FLAGS: u8 = 127;
 /// A normal's squared length may differ from 1 by this much.
 const NORMAL_ERROR: f64 = 1e-6;
 
 /// An answer that no correct server gives to the request.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the server's answer is malformed: {0}")]
 pub(crate) struct Malformed(String);
-
-impl fmt::Display for Malformed {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "the server's answer is malformed: {}", self.0)
-    }
-}
-
-impl StdError for Malformed {}
 
 fn malformed<T>(text: impl Into<String>) -> Result<T, Malformed> {
     Err(Malformed(text.into()))
@@ -105,6 +93,11 @@ fn ascending(name: &str, column: &[u32], count: usize) -> Result<(), Malformed> 
     }
 }
 
+/// The bits of `Flag` that this version knows.
+fn known_flags() -> u8 {
+    (0..u8::BITS).map(|bit| 1 << bit).filter(|&flag| Flag::is_valid(i32::from(flag))).sum()
+}
+
 /// Checks a pair's outcome against its flags, its bodies and its number of points.
 fn outcome(
     request: &proto::QueryContactsRequest,
@@ -112,11 +105,13 @@ fn outcome(
     pair: usize,
 ) -> Result<(), Malformed> {
     let (outcome, flags) = (i32::from(response.outcomes[pair]), response.flags[pair]);
-    if !(Outcome::Contact as i32..=Outcome::Invalid as i32).contains(&outcome) {
-        return malformed(format!("outcomes[{pair}] is {outcome}, expected 1 to 4"));
+    let (first, last) = (Outcome::Contact as i32, Outcome::Invalid as i32);
+    if !(first..=last).contains(&outcome) {
+        return malformed(format!("outcomes[{pair}] is {outcome}, expected {first} to {last}"));
     }
     let invalid = outcome == Outcome::Invalid as i32;
-    let explained = flags & (REASONS | !KNOWN_FLAGS) != 0;
+    // A newer server may give a reason that this version does not know.
+    let explained = flags & (REASONS | !known_flags()) != 0;
     if invalid != (flags & REASONS != 0) && !(invalid && explained) {
         return malformed(format!("flags[{pair}] is {flags}, which does not fit outcome {outcome}"));
     }
@@ -145,8 +140,12 @@ fn outcome(
 fn numbers(asked: Outputs, response: &proto::QueryContactsResponse, pair: usize) -> Result<(), Malformed> {
     if asked.features {
         for (side, kind) in response.feature_kinds[2 * pair..][..2].iter().enumerate() {
-            if *kind > proto::FeatureKind::Face as u8 {
-                return malformed(format!("feature_kinds[{}] is {kind}, expected 0 to 3", 2 * pair + side));
+            let last = FeatureKind::Face as u8;
+            if *kind > last {
+                return malformed(format!(
+                    "feature_kinds[{}] is {kind}, expected 0 to {last}",
+                    2 * pair + side
+                ));
             }
         }
     }

@@ -66,7 +66,7 @@ pub(crate) fn start(settings: &Settings) -> Result<Observed, Error> {
     };
     let traces = match settings.otlp_endpoint.as_str() {
         "" => None,
-        endpoint => Some(Traces::open(endpoint, settings.otlp_share)?),
+        _ => Some(Traces::open(settings)?),
     };
     let subscriber = tracing_subscriber::registry().with(log.with_filter(filter));
     // A layer that is absent (`None`) must not be added: it has no filter, so every span of every library

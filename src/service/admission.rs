@@ -22,7 +22,7 @@ use std::{
 
 use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
 
-use super::ServiceError;
+use super::{Reason, ServiceError};
 use crate::{
     budget::{ById, Caller, Shares},
     lock::locked,
@@ -128,7 +128,7 @@ impl AdmissionQueue {
         self.take(weight(pairs), caller, false).ok_or_else(|| {
             self.metrics.shed(Shed::Pairs);
             let message = "too many pairs are in flight: retry later";
-            ServiceError::unavailable("TOO_BUSY", self.retry_after(computed), message)
+            ServiceError::unavailable(Reason::TooBusy, self.retry_after(computed), message)
         })
     }
 
@@ -284,7 +284,7 @@ mod tests {
         let (queue, caller) = (queue(100), &Caller::alone());
         let sixty = queue.admit(60, caller, 0).unwrap();
         let forty = queue.admit(40, caller, 0).unwrap();
-        assert_eq!(queue.admit(0, caller, 0).unwrap_err().reason, "TOO_BUSY");
+        assert_eq!(queue.admit(0, caller, 0).unwrap_err().reason, Reason::TooBusy);
         drop(forty);
         assert!(queue.admit(41, caller, 0).is_err());
         let forty = queue.admit(40, caller, 0).unwrap();

@@ -36,6 +36,7 @@ use std::{
 };
 
 use hullcast_contact::{STEPS_BETWEEN_LOOKS, Stop, Stopped};
+use thiserror::Error;
 use tokio::sync::oneshot;
 
 use self::{queue::Queue, work::Shared};
@@ -125,34 +126,20 @@ pub trait Parts: Send + Sync + 'static {
 }
 
 /// The computation panicked, with this message. A panic is a bug, and it ends only its own call.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("panicked: {0}")]
 pub struct Panicked(pub String);
 
-impl fmt::Display for Panicked {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "panicked: {}", self.0)
-    }
-}
-
 /// The reason why work has no result.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum ComputeError {
     /// The work's job was stopped.
+    #[error("{}", Stopped)]
     Stopped,
     /// The work panicked.
+    #[error(transparent)]
     Panicked(Panicked),
 }
-
-impl fmt::Display for ComputeError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Stopped => Stopped.fmt(f),
-            Self::Panicked(panicked) => panicked.fmt(f),
-        }
-    }
-}
-
-impl std::error::Error for ComputeError {}
 
 impl From<Stopped> for ComputeError {
     fn from(_: Stopped) -> Self {

@@ -10,11 +10,11 @@ mod info;
 mod request;
 mod status;
 
-#[doc(hidden)]
+#[cfg(feature = "testing")]
 pub use super::sizes::HULL_BYTES;
 pub use columns::{append, response, response_columns};
 pub(super) use decode::{Bounds, Request};
-#[doc(hidden)]
+#[cfg(feature = "testing")]
 pub use decode::{CONSTANT_BYTES, decoded_bytes};
 pub(super) use find::find;
 pub(super) use hulls::{
