@@ -72,6 +72,7 @@ lint: check-tools $(if $(CLIENT),lint-python) ## runs rustfmt, clippy, ruff and 
 	 else echo "rustfmt is not installed: formatting not checked"; fi
 	@if $(CARGO) clippy --version >/dev/null 2>&1; then set -x; \
 	 $(CARGO) clippy --release --locked --workspace --all-targets -- -D warnings; \
+	 $(CARGO) clippy --release --locked --workspace -- -D warnings; \
 	 $(CARGO) clippy --release --locked --package hullcast -- -D warnings; \
 	 $(CARGO) clippy --release --locked --all-targets --package hullcast --no-default-features -- -D warnings; \
 	 cd benches; $(CARGO) clippy --release --locked --all-targets --features service -- -D warnings; \

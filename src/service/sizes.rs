@@ -45,4 +45,4 @@ pub(super) const LISTED_BYTES: usize = 320;
 
 /// The memory of a request's hull besides its points, or of an id: its entries in lists and tables
 /// of ids, and the error if the hull is refused.
-pub const HULL_BYTES: usize = 512;
+pub(super) const HULL_BYTES: usize = 512;

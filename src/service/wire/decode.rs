@@ -3,9 +3,9 @@
 //! Each request is read twice. The first pass allocates nothing: it counts the elements of every
 //! repeated field and refuses counts over a limit, with the field's name. Then the memory of the
 //! decoded request is taken from the call's budget, and the second pass reserves every column once
-//! and fills it. A request of n bytes therefore needs at most 2 n bytes, plus [`HULL_BYTES`] for
-//! each hull or id, whose number is limited, plus [`CONSTANT_BYTES`]. The factor 2 covers what
-//! validation adds to the columns themselves, which need at most n.
+//! and fills it. A request of n bytes therefore needs at most 2 n bytes, plus
+//! [`HULL_BYTES`](crate::service::sizes::HULL_BYTES) for each hull or id, whose number is limited, plus
+//! 8 KiB. The factor 2 covers what validation adds to the columns themselves, which need at most n.
 //!
 //! Every message that prost accepts is accepted, with the same meaning.
 
@@ -24,7 +24,9 @@ use crate::{
     service::{error::ServiceError, limits::Limits},
 };
 
-/// The memory that any request may need for its outputs, the paths of its field mask, and an error.
+/// The memory that any request may need for its outputs, the paths of its field mask, and an error. The
+/// memory that each call takes covers it.
+#[cfg(any(test, feature = "testing"))]
 pub const CONSTANT_BYTES: usize = 8 << 10;
 
 /// The bounds for decoding one request.

@@ -2,7 +2,7 @@
 
 use super::{
     super::{
-        fields::{Field, Fields},
+        fields::Fields,
         hulls::{Parts, page_token},
         request::{at_most, hull_id},
     },
