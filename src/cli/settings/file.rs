@@ -73,14 +73,14 @@ impl Fault {
         let refused = known.and_then(|(key, value)| {
             checked(&values_only(), key, &[format!("--{}={value}", key.replace('_', "-"))]).err()
         });
-        match refused {
-            Some(Self::Value(why)) => Self::Text(format!("line {number}: {why}")),
-            _ => {
-                let why = error.message().replace('\n', ", ");
-                let rule = "expected TOML, as in max_page_size = 1000";
-                Self::Text(format!("line {number}: {why}: {:?}; {rule}", line.trim()))
-            }
+        if let Some(Self::Value(why)) = refused {
+            return Self::Text(format!("line {number}: {why}"));
         }
+        let why = error.message().replace('\n', ", ");
+        Self::Text(format!(
+            "line {number}: {why}: {:?}; expected TOML, as in max_page_size = 1000",
+            line.trim()
+        ))
     }
 }
 
