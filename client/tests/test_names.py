@@ -111,7 +111,7 @@ def test_columns_convert_to_names(m):
 
 
 def test_members_are_found_by_number_in_sets():
-    """Catches a change of what the documentation says of `outcome in {"CONTACT"}`."""
+    """Catches another rule for `outcome in {"CONTACT"}` than the documentation states."""
     assert Outcome.CONTACT not in {"CONTACT"}
     assert Outcome.CONTACT.name in {"CONTACT"}
     assert Outcome.CONTACT in {Outcome.CONTACT}

@@ -75,7 +75,7 @@ def stream_ended() -> _errors.Unavailable:
     return error
 
 
-#: What the exception says if a server did not answer in time.
+#: The text of the exception if a server did not answer in time.
 NO_ANSWER = (
     "the server did not answer within the timeout: it may be frozen, overloaded or out of reach, "
     "or the work may take longer; client.ping() tests whether it answers, and timeout= gives a "

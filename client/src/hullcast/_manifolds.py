@@ -26,6 +26,8 @@ class Manifolds(ManifoldColumns):
     the points of pair `i` are the rows `point_offsets[i]` to `point_offsets[i + 1]`. `m[i]` is the
     `Manifold` of one pair; `m[1:5]`, `m[indices]` and `m[mask]` are the `Manifolds` of some pairs.
 
+    The points of a pair are in order around its patch, anticlockwise about the normal.
+
     Vectors are in the world frame, lengths in the caller's units. The normal points from A to B.
     Separations and distances are negative when the hulls overlap.
 
@@ -108,7 +110,8 @@ class Manifolds(ManifoldColumns):
         """The pairs in which `body` has contact points, arranged such that `body` is always A.
 
         In the result `pairs[:, 1]` are the bodies that `body` touches, and the normals point away
-        from `body`. The query must have the outputs NORMAL and POINTS.
+        from `body`. The points of a pair that was turned keep their order, which is then clockwise
+        about the normal. The query must have the outputs NORMAL and POINTS.
 
         Raises:
             InvalidArgument: `body` is not the index of a body.

@@ -34,7 +34,7 @@ class Scene(Settled):
             are normalised. With any other norm the body's pose is unusable.
         body_hulls: (n,): each body's hull, as an index into `hulls`.
         worlds: (n,), used by `find`: bodies only meet bodies of the same world. A body of world
-            2^32 - 1 meets the bodies of every other world.
+            2^32 - 1 meets the bodies of every other world, and no other body of world 2^32 - 1.
         groups: (n,), used by `find`: bodies of the same group never meet. Group 0 means no group.
         ignored_groups: (k, 2), used by `find`: pairs of groups whose bodies never meet.
 

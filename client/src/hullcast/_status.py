@@ -59,7 +59,7 @@ _TEXTS = {
     "Handshake read failed": _CLOSED.format(how="closed"),
     "Stream removed": _CLOSED.format(how="closed"),
 }
-#: What the exception says of a call that the server cut (docs/errors.md).
+#: The text of the exception for a call that the server cut (docs/errors.md).
 _CUT = (
     "the server reset the call, because the answer was not read in time; the server's "
     "settings answer_seconds and max_deadline_seconds decide how long that is"
@@ -104,7 +104,7 @@ def from_rpc(call: Any) -> Error:
 
 
 def _text(code: grpc.StatusCode, message: str) -> str:
-    """What the exception says in place of a text of gRPC itself."""
+    """The text of the exception in place of a text of gRPC itself."""
     if code is grpc.StatusCode.DEADLINE_EXCEEDED:
         return NO_ANSWER
     status = message.rpartition("http2 header with status: ")[2][:3]
