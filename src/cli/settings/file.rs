@@ -64,7 +64,7 @@ impl Fault {
     /// The fault of a text that is not TOML, with its line. If the cause is the value of a setting, such as a
     /// number with too many digits, the error also names the allowed values.
     fn of_text(text: &str, error: &toml::de::Error) -> Self {
-        let before = &text[..error.span().map_or(0, |span| span.start).min(text.len())];
+        let before = text.get(..error.span().map_or(0, |span| span.start)).unwrap_or(text);
         let number = 1 + before.matches('\n').count();
         let line = text.lines().nth(number - 1).unwrap_or_default();
         let value = line.split_once('=').map(|(key, value)| (key.trim(), value.trim()));
