@@ -158,7 +158,7 @@ def check_threshold(threshold: Any) -> None:
     ):
         raise InvalidArgument(
             f"got {shown(threshold)}, expected a number, {low:g} to {high:g}",
-            reason="OUT_OF_RANGE",
+            reason="VALUE_OUT_OF_RANGE",
             field="threshold",
         )
 

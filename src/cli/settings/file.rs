@@ -64,7 +64,7 @@ impl Fault {
     /// The fault of a text that is not TOML, with its line. If the cause is the value of a setting, such as a
     /// number with too many digits, the error also names the allowed values.
     fn of_text(text: &str, error: &toml::de::Error) -> Self {
-        let before = &text[..error.span().map_or(0, |span| span.start).min(text.len())];
+        let before = text.get(..error.span().map_or(0, |span| span.start)).unwrap_or(text);
         let number = 1 + before.matches('\n').count();
         let line = text.lines().nth(number - 1).unwrap_or_default();
         let value = line.split_once('=').map(|(key, value)| (key.trim(), value.trim()));
@@ -73,14 +73,14 @@ impl Fault {
         let refused = known.and_then(|(key, value)| {
             checked(&values_only(), key, &[format!("--{}={value}", key.replace('_', "-"))]).err()
         });
-        match refused {
-            Some(Self::Value(why)) => Self::Text(format!("line {number}: {why}")),
-            _ => {
-                let why = error.message().replace('\n', ", ");
-                let rule = "expected TOML, as in max_page_size = 1000";
-                Self::Text(format!("line {number}: {why}: {:?}; {rule}", line.trim()))
-            }
+        if let Some(Self::Value(why)) = refused {
+            return Self::Text(format!("line {number}: {why}"));
         }
+        let why = error.message().replace('\n', ", ");
+        Self::Text(format!(
+            "line {number}: {why}: {:?}; expected TOML, as in max_page_size = 1000",
+            line.trim()
+        ))
     }
 }
 
