@@ -15,7 +15,7 @@ use tonic_types::StatusExt;
 use super::Error;
 use super::checked;
 use super::exit::Exit;
-use super::options::Asked;
+use super::options::QueryOptions;
 use super::progress::Progress;
 use super::remote::{Connection, RemoteArgs, root_cause};
 use super::scene::{Frame, HullPoints, SceneFile};
@@ -26,7 +26,7 @@ use hullcast::compute::{Compute, Job};
 use hullcast::contact::ConvexHull;
 use hullcast::proto;
 use hullcast::proto::register_hull_result::Result as Registered;
-use hullcast::service::{Engine, EngineBounds, Limits, Reason, ServiceError, wire};
+use hullcast::service::{EngineLimits, Limits, Reason, ServiceEngine, ServiceError, wire};
 use hullcast::store::identity::id_of;
 use hullcast::store::{HullDefinition, HullId};
 
@@ -47,7 +47,7 @@ pub(crate) enum Answerer {
 /// The service's batch engine, with the hulls of the scene.
 #[derive(Debug)]
 pub(crate) struct Local {
-    engine: Engine,
+    engine: ServiceEngine,
     limits: Limits,
     hulls: HashMap<HullId, Arc<ConvexHull>>,
 }
@@ -132,12 +132,12 @@ impl Answerer {
             ids.push(id);
         }
         let compute = Compute::new(threads)?;
-        let bounds = EngineBounds {
+        let bounds = EngineLimits {
             max_pairs_in_flight: limits.max_pairs_in_flight,
             shares: false,
             max_answer_bytes: MAX_ANSWER_BYTES,
         };
-        let engine = Engine::new(compute, bounds, Arc::default());
+        let engine = ServiceEngine::new(compute, bounds, Arc::default());
         Ok((Self::Local(Arc::new(Local { engine, limits, hulls: built })), ids))
     }
 
@@ -199,12 +199,12 @@ impl Local {
     ) -> Result<proto::QueryContactsResponse, ServiceError> {
         let scene = wire::scene(request, &self.limits)?;
         let job = Job::new(Caller::alone());
-        let (pairs, outputs) = (scene.setting.pair_count(), scene.setting.outputs());
+        let (pairs, outputs) = (scene.template.pair_count(), scene.template.outputs());
         let admission = self.engine.admit(pairs, outputs, &job.caller)?;
         let known = |id| self.hulls.get(id).cloned().ok_or(Missing::Unknown);
         let hulls = scene.hull_ids.iter().map(known).collect();
         let (request_id, invalid_bodies) = (scene.request_id, scene.invalid_bodies);
-        let bodies = Bodies::new(scene.setting, Arc::new(hulls), Arc::new(scene.poses))?;
+        let bodies = Bodies::new(scene.template, Arc::new(hulls), Arc::new(scene.poses))?;
         let batch = Batch::new(bodies, scene.warm_starts)?;
         let memory = Permit::unbounded(Part::Answers);
         let (columns, _memory) = self.engine.compute(batch, None, admission, &job, memory).await?;
@@ -337,7 +337,7 @@ pub(crate) fn request(
     scene: &SceneFile,
     frame: &Frame,
     ids: &[HullId],
-    asked: &Asked,
+    options: &QueryOptions,
 ) -> proto::QueryContactsRequest {
     // The wire format names each hull once, but a scene may contain the same points twice.
     let mut place = HashMap::new();
@@ -357,9 +357,9 @@ pub(crate) fn request(
         positions: frame.positions.clone(),
         rotations: frame.rotations.clone(),
         pairs: scene.pairs.clone(),
-        margin: asked.margin,
-        accuracy: Some(asked.accuracy),
-        outputs: asked.outputs.clone(),
+        margin: options.margin,
+        accuracy: Some(options.accuracy),
+        outputs: options.outputs.clone(),
         ..Default::default()
     }
 }

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use super::Error;
 use super::answer::{HullRefused, Refusal};
 use super::checked::Malformed;
-use super::scene::SceneError;
+use super::scene::SceneFileError;
 
 /// The part of the top-level help about exit codes.
 pub(crate) const HELP: &str = "\
@@ -59,7 +59,7 @@ impl Exit {
             refusal.exit
         } else if error.is::<Malformed>() {
             Self::Refused
-        } else if error.is::<HullRefused>() || error.is::<SceneError>() {
+        } else if error.is::<HullRefused>() || error.is::<SceneFileError>() {
             Self::Input
         } else {
             Self::Failed

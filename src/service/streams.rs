@@ -96,31 +96,31 @@ impl Streams {
     /// Completes when the connection may be read. One task at a time may wait.
     pub(super) fn poll_may_read(
         &self,
-        arrived: &mut Arrived,
-        readers: &mut Readers,
+        pending: &mut PendingStreams,
+        read_permits: &mut ReadPermits,
         cx: &mut Context<'_>,
     ) -> Poll<()> {
-        if !arrived.are_handed_on(self.begun.load(Ordering::SeqCst)) {
+        if !pending.are_handed_on(self.begun.load(Ordering::SeqCst)) {
             cx.waker().wake_by_ref();
             return Poll::Pending;
         }
-        if !self.may_read(readers) {
+        if !self.may_read(read_permits) {
             self.reader.register(cx.waker());
-            if !self.may_read(readers) {
+            if !self.may_read(read_permits) {
                 return Poll::Pending;
             }
         }
         if locked(&self.read_permit).is_none() {
-            let permit = ready!(readers.0.poll_acquire(cx));
+            let permit = ready!(read_permits.0.poll_acquire(cx));
             *locked(&self.read_permit) = permit;
         }
         Poll::Ready(())
     }
 
-    fn may_read(&self, readers: &Readers) -> bool {
+    fn may_read(&self, read_permits: &ReadPermits) -> bool {
         self.release_read_permit();
         // Other connections of the address ask for a permit, so they are next.
-        let is_asked_for = readers.0.available_permits() == 0 && locked(&self.read_permit).is_some();
+        let is_asked_for = read_permits.0.available_permits() == 0 && locked(&self.read_permit).is_some();
         let most = if is_asked_for { 0 } else { MOST_WAITING };
         self.waiting.load(Ordering::SeqCst) <= most && self.begun_while_blocked() <= MOST_UNSENT
     }
@@ -140,11 +140,11 @@ impl Streams {
     }
 
     /// Notes whether the socket took bytes when it was last asked to.
-    pub(super) fn wrote(&self, is_blocked: bool, readers: &mut Readers) {
+    pub(super) fn wrote(&self, is_blocked: bool, read_permits: &mut ReadPermits) {
         let was_blocked = self.begun_at_block.load(Ordering::SeqCst) != OPEN;
         if is_blocked {
             // h2 does not read before the socket takes bytes again, so that other connections are next.
-            readers.ask_no_more();
+            read_permits.ask_no_more();
             self.release_read_permit();
         }
         if is_blocked && !was_blocked {
@@ -157,8 +157,8 @@ impl Streams {
     }
 
     /// The number of streams that h2 has records of, at most.
-    pub(super) fn count(&self, arrived: &Arrived) -> u64 {
-        self.living.load(Ordering::SeqCst) + arrived.count + self.begun_while_blocked()
+    pub(super) fn count(&self, pending: &PendingStreams) -> u64 {
+        self.living.load(Ordering::SeqCst) + pending.count + self.begun_while_blocked()
     }
 
     /// A task runs for the first time.
@@ -175,9 +175,9 @@ impl Streams {
 
 /// The permits to read that the connections of one address share.
 #[derive(Debug)]
-pub(super) struct Readers(PollSemaphore);
+pub(super) struct ReadPermits(PollSemaphore);
 
-impl Readers {
+impl ReadPermits {
     pub(super) fn new(permits: Arc<Semaphore>) -> Self {
         Self(PollSemaphore::new(permits))
     }
@@ -190,13 +190,13 @@ impl Readers {
 
 /// The memory of h2's records of a connection's streams.
 #[derive(Debug)]
-pub(super) struct Records {
+pub(super) struct StreamRecordMemory {
     peer: Peer,
     /// The memory of [`RECORDS`] streams each, for those beyond the first.
     memory: Vec<Permit>,
 }
 
-impl Records {
+impl StreamRecordMemory {
     pub(super) fn new(peer: Peer) -> Self {
         Self { peer, memory: Vec::new() }
     }
@@ -226,7 +226,7 @@ pub(super) struct StreamExecutor {
 
 /// The streams that have arrived and that h2 has not handed on yet.
 #[derive(Debug, Default)]
-pub(super) struct Arrived {
+pub(super) struct PendingStreams {
     /// Their number, at most: frames of headers also end streams, and h2 refuses some.
     count: u64,
     /// The number of streams that had been handed on when `count` was last corrected.
@@ -235,7 +235,7 @@ pub(super) struct Arrived {
     put_off: bool,
 }
 
-impl Arrived {
+impl PendingStreams {
     pub(super) fn add(&mut self, streams: u64) {
         self.count += streams;
     }
@@ -284,9 +284,9 @@ where
         let Self { app, abort, streams } = self.clone();
         tokio::spawn(async move {
             streams.runs();
-            let may_go_on = Cutoff::new().run(&app, stream).await;
+            let is_usable = Cutoff::new().run(&app, stream).await;
             streams.living.fetch_sub(1, Ordering::SeqCst);
-            if !may_go_on {
+            if !is_usable {
                 abort.notify_one();
             }
         });
@@ -301,16 +301,16 @@ mod tests {
     /// at a time, and one that is never read again after headers that begin no stream.
     #[test]
     fn reading_waits_until_streams_are_handed_on() {
-        let mut arrived = Arrived::default();
-        assert!(arrived.are_handed_on(0));
-        arrived.add(76);
-        let put_off = (0..76).take_while(|&begun| !arrived.are_handed_on(begun)).count() as u64;
+        let mut pending = PendingStreams::default();
+        assert!(pending.are_handed_on(0));
+        pending.add(76);
+        let put_off = (0..76).take_while(|&begun| !pending.are_handed_on(begun)).count() as u64;
         assert_eq!(put_off, 76 - MOST_WAITING);
-        assert_eq!(arrived.count, MOST_WAITING);
-        arrived.add(100);
-        assert!(!arrived.are_handed_on(70));
-        assert!(arrived.are_handed_on(70), "h2 has nothing more to hand on");
-        assert_eq!(arrived.count, 0);
+        assert_eq!(pending.count, MOST_WAITING);
+        pending.add(100);
+        assert!(!pending.are_handed_on(70));
+        assert!(pending.are_handed_on(70), "h2 has nothing more to hand on");
+        assert_eq!(pending.count, 0);
     }
 
     /// Catches connections of one address that all queue tasks at the same time, a permit that is never
@@ -319,10 +319,11 @@ mod tests {
     fn the_connections_of_an_address_are_read_in_turns() {
         let mut cx = Context::from_waker(std::task::Waker::noop());
         let permits = Arc::new(Semaphore::new(1));
-        let connection = || (Streams::default(), Arrived::default(), Readers::new(permits.clone()));
+        let connection =
+            || (Streams::default(), PendingStreams::default(), ReadPermits::new(permits.clone()));
         let (mut first, mut second) = (connection(), connection());
-        let mut may_read = |(streams, arrived, readers): &mut (Streams, Arrived, Readers)| {
-            streams.poll_may_read(arrived, readers, &mut cx).is_ready()
+        let mut may_read = |(streams, pending, read_permits): &mut (Streams, PendingStreams, ReadPermits)| {
+            streams.poll_may_read(pending, read_permits, &mut cx).is_ready()
         };
         assert!(may_read(&mut first));
         first.0.waiting.store(2, Ordering::SeqCst);
