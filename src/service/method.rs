@@ -121,19 +121,18 @@ mod tests {
         let those = |rule: fn(&Method) -> bool| -> Vec<&str> {
             METHODS.iter().filter(|method| rule(method)).map(|method| method.name.as_str()).collect()
         };
-        let health =
-            ["grpc.health.v1.Health/Check", "grpc.health.v1.Health/List", "grpc.health.v1.Health/Watch"];
+        let health = ["grpc.health.v1.Health/Check", "grpc.health.v1.Health/Watch"];
         let reflection = [
             "grpc.reflection.v1.ServerReflection/ServerReflectionInfo",
             "grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo",
         ];
-        let watch = ["grpc.health.v1.Health/Watch", reflection[0], reflection[1]];
+        let watch = [health[1], reflection[0], reflection[1]];
         let stream = proto::methods::STREAM_CONTACTS;
         let sorted = |mut names: Vec<&'static str>| {
             names.sort_unstable();
             names
         };
-        assert_eq!(METHODS.len(), 9 + 3 + 2);
+        assert_eq!(METHODS.len(), 9 + 2 + 2);
         assert_eq!(sorted(those(Method::is_health)), health);
         assert_eq!(sorted(those(Method::is_watch)), watch);
         assert_eq!(sorted(those(Method::is_long_lived)), [&watch[..], &[stream]].concat());
