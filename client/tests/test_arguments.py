@@ -183,6 +183,7 @@ def test_an_id_that_no_server_gives_is_not_computed():
         ({"vertices": CUBE * NAN}, "vertices"),
         ({"vertices": np.where(CUBE > 0, INF, 0.0)}, "vertices"),
         ({"contraction_point": [0, NAN, 0]}, "contraction_point"),
+        ({"max_vertices": 3}, "max_vertices"),
         ({"planarity": INF}, "planarity"),
         ({"planarity": NAN}, "planarity"),
         ({"planarity": -1e-9}, "planarity"),

@@ -126,7 +126,7 @@ mod tests {
             "grpc.reflection.v1.ServerReflection/ServerReflectionInfo",
             "grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo",
         ];
-        let watch = [health[1], reflection[0], reflection[1]];
+        let watch = ["grpc.health.v1.Health/Watch", reflection[0], reflection[1]];
         let stream = proto::methods::STREAM_CONTACTS;
         let sorted = |mut names: Vec<&'static str>| {
             names.sort_unstable();

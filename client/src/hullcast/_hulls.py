@@ -166,7 +166,7 @@ def hull_id(
         InvalidArgument: an argument is not usable; the error names it.
     """
     if max_vertices is not None:
-        max_vertices = _arguments.integer("max_vertices", max_vertices, 0, 2**32 - 1)
+        max_vertices = _arguments.integer("max_vertices", max_vertices, 4, 2**32 - 1)
     if max_deviation is not None:
         max_deviation = _arguments.number("max_deviation", max_deviation, 0)
     # Adding 0.0 turns -0.0 into 0.0 and changes no other number.
