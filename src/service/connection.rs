@@ -2,6 +2,7 @@
 
 use std::{
     convert::Infallible,
+    future::poll_fn,
     io,
     pin::{Pin, pin},
     sync::{
@@ -36,7 +37,7 @@ use super::{
     peers::{Address, Peer, Peers},
     request_body::per_mebibyte,
     sizes::HEADER_BYTES,
-    streams::{PendingStreams, ReadPermits, StreamExecutor, StreamRecordMemory, Streams},
+    streams::{PendingStreams, StreamExecutor, StreamRecordMemory, Streams},
 };
 #[cfg(feature = "playground")]
 use super::{
@@ -156,17 +157,16 @@ impl Connections {
     {
         let read = Arc::new(AtomicU64::new(0));
         let window = peer.window();
-        let (abort, streams) = (Arc::new(Notify::new()), Arc::<Streams>::default());
+        let (abort, streams) = (Arc::new(Notify::new()), Arc::new(Streams::new(peer.read_permits())));
         let executor = StreamExecutor::new(self.app.clone(), abort.clone(), streams.clone());
         let frames = FrameTracker::default();
         let metered = MeteredConnection {
             io,
             read: read.clone(),
             frames,
-            read_permits: ReadPermits::new(peer.read_permits()),
             overhead: Overhead::new(peer.clone(), self.longest_wait()),
             records: StreamRecordMemory::new(peer),
-            streams,
+            streams: streams.clone(),
             pending: PendingStreams::default(),
         };
         let io = TokioIo::new(metered);
@@ -175,9 +175,10 @@ impl Connections {
             tokio::select! {
                 () = no_greeting(&read, self.options.greeting) => "the peer did not begin HTTP/2 in time",
                 () = abort.notified() => "the peer does not read the rest of an answer that was cut",
+                () = streams.until_overdue(&self.app) => "the peer does not read an answer in time",
             }
         };
-        self.drive(connection, end, close, closing).await;
+        self.drive(connection, Some(&streams), end, close, closing).await;
     }
 
     /// Serves HTTP/2, or the playground's page over HTTP/1.1, which browsers use without TLS.
@@ -205,7 +206,7 @@ impl Connections {
                 let connection = playground::http1(greeting, HEADER_BYTES).serve_connection(io, service);
                 // A peer that sends no request is disconnected by HTTP/1.1's own timer; one that does not
                 // read its answer, by the cutoff.
-                let served = self.drive(connection, std::future::pending(), close, closing);
+                let served = self.drive(connection, None, std::future::pending(), close, closing);
                 cutoff.guard(&self.app, served).await;
             }
             Ok(Err(error)) => tracing::debug!(%error, "connection ended"),
@@ -218,20 +219,23 @@ impl Connections {
     async fn drive(
         &self,
         connection: impl GracefulConnection<Error = hyper::Error>,
+        streams: Option<&Streams>,
         end: impl Future<Output = &'static str>,
         close: watch::Sender<bool>,
         mut closing: Closing,
     ) {
         let mut connection = pin!(connection);
         tokio::select! {
-            ended = connection.as_mut() => return report(ended),
+            // The connection is polled first, because it sends the answers that `end` would wait for.
+            biased;
+            ended = polled(connection.as_mut(), streams) => return report(ended),
             why = end => return tracing::debug!(why, "closed a connection"),
             () = closing.announced() => {}
             () = sleep(self.age()) => {}
         }
         close.send_replace(true);
         connection.as_mut().graceful_shutdown();
-        let Ok(ended) = timeout(self.options.drain, connection).await else {
+        let Ok(ended) = timeout(self.options.drain, polled(connection, streams)).await else {
             self.undrained.fetch_add(1, Ordering::Relaxed);
             limited!(warn, "closing a connection that did not drain");
             return;
@@ -249,6 +253,15 @@ impl Connections {
             }
         }
     }
+}
+
+/// Polls a connection to its end.
+async fn polled<C: Future>(mut connection: Pin<&mut C>, streams: Option<&Streams>) -> C::Output {
+    poll_fn(|cx| match streams {
+        Some(streams) => streams.within_poll(|| connection.as_mut().poll(cx)),
+        None => connection.as_mut().poll(cx),
+    })
+    .await
 }
 
 fn report_handshake(error: &io::Error) {
@@ -278,7 +291,6 @@ struct MeteredConnection {
     overhead: Overhead,
     records: StreamRecordMemory,
     streams: Arc<Streams>,
-    read_permits: ReadPermits,
     pending: PendingStreams,
 }
 
@@ -289,17 +301,14 @@ impl AsyncRead for MeteredConnection {
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
         let this = &mut *self;
-        ready!(this.streams.poll_may_read(&mut this.pending, &mut this.read_permits, cx));
+        ready!(this.streams.poll_may_read(&mut this.pending, cx));
         let before = buffer.filled().len();
-        let Poll::Ready(read) = Pin::new(&mut this.io).poll_read(cx, buffer) else {
-            this.streams.release_read_permit();
-            return Poll::Pending;
-        };
-        read?;
+        ready!(Pin::new(&mut this.io).poll_read(cx, buffer))?;
         let read = &buffer.filled()[before..];
         this.read.fetch_add(read.len() as u64, Ordering::Relaxed);
-        let begun = this.frames.begun();
+        let (count, begun) = (this.frames.count(), this.frames.begun());
         this.frames.read(read)?;
+        this.streams.count_frames(this.frames.count() - count);
         this.pending.add(this.frames.begun() - begun);
         this.records.charge(this.streams.count(&this.pending))?;
         Poll::Ready(this.overhead.charge(&this.frames))
@@ -308,9 +317,10 @@ impl AsyncRead for MeteredConnection {
 
 impl AsyncWrite for MeteredConnection {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        let this = &mut *self;
-        let wrote = Pin::new(&mut this.io).poll_write(cx, bytes);
-        this.streams.wrote(wrote.is_pending(), &mut this.read_permits);
+        let wrote = Pin::new(&mut self.io).poll_write(cx, bytes);
+        if wrote.is_pending() {
+            self.streams.is_blocked();
+        }
         wrote
     }
 
@@ -319,9 +329,10 @@ impl AsyncWrite for MeteredConnection {
         cx: &mut Context<'_>,
         slices: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        let this = &mut *self;
-        let wrote = Pin::new(&mut this.io).poll_write_vectored(cx, slices);
-        this.streams.wrote(wrote.is_pending(), &mut this.read_permits);
+        let wrote = Pin::new(&mut self.io).poll_write_vectored(cx, slices);
+        if wrote.is_pending() {
+            self.streams.is_blocked();
+        }
         wrote
     }
 
@@ -330,7 +341,13 @@ impl AsyncWrite for MeteredConnection {
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.io).poll_flush(cx)
+        // TLS takes bytes into a buffer of its own and sends them here.
+        let flushed = Pin::new(&mut self.io).poll_flush(cx);
+        match &flushed {
+            Poll::Pending => self.streams.is_blocked(),
+            Poll::Ready(_) => self.streams.is_flushed(),
+        }
+        flushed
     }
 
     fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {

@@ -9,12 +9,12 @@
 //! cutoff, and drops the future at that time. h2 then discards the bytes that the stream has queued and
 //! resets the stream, so the caller sees CANCELLED. If bytes of the answer remain after that, because the
 //! socket takes nothing at all, the connection is closed. The connection is also closed if the future of a
-//! small answer has ended although the answer is not sent: then there is no future to drop.
+//! small answer has ended and the answer is not sent in time: then there is no future to drop.
 //!
 //! Over HTTP/1.1 a connection has one call at a time, and the cutoff closes the connection.
 
 use std::{
-    future::{Future, poll_fn},
+    future::Future,
     sync::{
         Arc,
         atomic::{AtomicU64, AtomicUsize, Ordering},
@@ -68,6 +68,9 @@ struct State {
 
 /// The time of a stream that may go on.
 const NEVER: u64 = u64::MAX;
+
+/// Longer than any connection lives.
+const FAR: Duration = Duration::from_secs(1 << 30);
 
 /// A time in milliseconds and, in the two lowest bits, the reason.
 fn packed(milliseconds: u64, why: CutReason) -> u64 {
@@ -165,27 +168,32 @@ impl Cutoff {
     }
 
     /// Runs `stream` to its end, and returns whether the connection may go on: false means that the transport
-    /// still holds bytes of the answer.
+    /// still holds bytes of an answer that was cut.
     pub(super) async fn run(&self, app: &App, stream: impl Future) -> bool {
-        match self.guard(app, stream).await {
-            Some(_) => self.sent(app).await,
-            None if self.is_all_sent() => true,
-            None => {
-                sleep(DISCARD).await;
-                self.is_all_sent()
-            }
+        if self.guard(app, stream).await.is_some() || self.is_all_sent() {
+            return true;
+        }
+        sleep(DISCARD).await;
+        self.is_all_sent()
+    }
+
+    /// The time at which the stream ends.
+    pub(super) fn time(&self) -> Instant {
+        match self.0.due.load(Ordering::SeqCst) {
+            NEVER => self.0.start + FAR,
+            due => self.0.start + Duration::from_millis(due >> 2),
         }
     }
 
-    /// Waits until the transport has sent all of the answer. Returns false if the cutoff comes first.
-    async fn sent(&self, app: &App) -> bool {
-        tokio::select! {
-            biased;
-            () = poll_fn(|cx| self.poll_sent(cx)) => true,
-            why = self.due() => {
-                report(app, why);
-                false
-            }
+    /// Whether the time has come.
+    pub(super) fn is_overdue(&self) -> bool {
+        self.time() <= Instant::now()
+    }
+
+    /// Counts and logs that the stream was cut.
+    pub(super) fn report(&self, app: &App) {
+        if let Some(why) = reason(self.0.due.load(Ordering::SeqCst)) {
+            report(app, why);
         }
     }
 

@@ -76,6 +76,8 @@ pub(super) struct FrameTracker {
     block: Option<BlockBegin>,
     /// The bytes that no window counts, since the connection began.
     overhead: u64,
+    /// All frames, since the connection began.
+    count: u64,
     /// The frames of headers, since the connection began.
     begun: u64,
     /// The frames for which h2 visits all streams, since the first of them, and its time.
@@ -128,9 +130,15 @@ impl FrameTracker {
         self.begun
     }
 
+    /// The number of frames that have begun.
+    pub(super) fn count(&self) -> u64 {
+        self.count
+    }
+
     /// Begins the frame whose head has arrived.
     fn begin(&mut self) -> io::Result<()> {
         self.head_bytes = 0;
+        self.count += 1;
         let [a, b, c, kind, flags, ..] = self.head;
         let length = u32::from_be_bytes([0, a, b, c]) as usize;
         (self.rest, self.block) = (length, None);

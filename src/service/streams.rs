@@ -10,7 +10,7 @@
 //!   concurrent streams, but its future lives until its task has run. A peer that resets calls as fast as it
 //!   makes them ("rapid reset", CVE-2023-44487) queues tasks in front of everybody else's.
 //! - *Answers that are not sent.* An answer of headers only is held by h2 alone while the socket takes nothing.
-//! - *Tasks of many connections.* A caller may have thousands of connections, each with few tasks.
+//! - *Tasks of many connections.* A caller may have thousands of connections, each with few tasks or frames.
 //!
 //! ```text
 //! peer -> socket -> h2's records -> execute: waiting += 1 -> task's first run: waiting -= 1 -> middleware
@@ -20,10 +20,14 @@
 //!
 //! Therefore [`Streams`] says when the connection may be read: after a few streams have begun, h2 has to
 //! hand them on first; while too many tasks wait for their first run, nothing is read; and nothing is read
-//! while the socket takes no bytes and many streams have begun since it stopped. Last, the connections of one
-//! address are read in turns: a connection needs one of the address's few permits to read, and holds it until
-//! all tasks that it spawned have run once. Connections get permits in the order in which they ask. A peer
-//! then waits as it does for any slow receiver, and tasks of other addresses wait behind few of its tasks.
+//! while the socket takes no bytes and many streams have begun since it stopped. Last, connections are read in
+//! turns ([`ReadTurn`]): a poll of a connection reads few frames, and a connection needs one of its address's
+//! few permits to read. Permits go to the connections in the order in which they ask. A peer then waits as it
+//! does for any slow receiver, and tasks of other addresses wait behind few of its tasks.
+//!
+//! A stream's task ends when its answer is handed to h2. Whether the socket takes the answer in time is
+//! watched by the connection ([`Streams::until_overdue`]): a task that waited for it would be woken twice
+//! for each call.
 
 use std::{
     future::Future,
@@ -36,7 +40,10 @@ use std::{
 };
 
 use futures_util::task::AtomicWaker;
-use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
+use tokio::{
+    sync::{Notify, OwnedSemaphorePermit, Semaphore},
+    time::sleep_until,
+};
 use tokio_util::sync::PollSemaphore;
 
 use super::{App, cutoff::Cutoff, peers::Peer};
@@ -52,6 +59,10 @@ const MOST_WAITING: u64 = 16;
 
 /// The number of streams that a peer may begin while its socket takes nothing.
 const MOST_UNSENT: u64 = 64;
+
+/// The number of frames after which a poll of a connection ends, because other connections wait for the same
+/// thread. A frame costs some 100 ns besides the task that it begins.
+const FRAMES_PER_POLL: u64 = 128;
 
 /// The memory of a stream in h2's table: 1.6 kB were measured with 1,000 streams on each of 1,000 connections.
 const RECORD_BYTES: u64 = 2 << 10;
@@ -72,64 +83,116 @@ pub(super) struct Streams {
     /// `begun` when the socket last stopped taking bytes, or [`OPEN`] while it takes them.
     begun_at_block: AtomicU64,
     reader: AtomicWaker,
-    /// The permit with which the connection is read, until no task waits.
-    read_permit: Mutex<Option<OwnedSemaphorePermit>>,
+    turn: Mutex<ReadTurn>,
+    /// The cutoffs of the streams whose tasks have ended and whose answers the transport still held.
+    unsent: Mutex<Vec<Cutoff>>,
+    /// Notified when `unsent` gets longer.
+    is_longer: Notify,
+}
+
+/// The turn of a connection to be read.
+///
+/// The permit is held over several polls only while tasks that the connection spawned have not run, and given
+/// back otherwise at the end of each poll. So a connection that h2 does not read, for example because its
+/// socket takes no bytes, keeps no permit.
+#[derive(Debug)]
+struct ReadTurn {
+    permits: PollSemaphore,
+    held: Option<OwnedSemaphorePermit>,
+    /// Waits in the queue for a permit.
+    is_queued: bool,
+    /// Whether the connection wanted to read in the current poll and had no permit.
+    asks: bool,
+    /// The number of frames read in the current poll.
+    frames: u64,
+}
+
+impl ReadTurn {
+    /// Completes when it is the connection's turn.
+    fn poll(&mut self, cx: &mut Context<'_>) -> Poll<()> {
+        if self.frames >= FRAMES_PER_POLL {
+            cx.waker().wake_by_ref();
+            return Poll::Pending;
+        }
+        if self.held.is_none() {
+            (self.asks, self.is_queued) = (true, true);
+            self.held = ready!(self.permits.poll_acquire(cx));
+            (self.asks, self.is_queued) = (false, false);
+        }
+        Poll::Ready(())
+    }
+
+    /// Whether other connections of the address may wait for the permit that this one holds.
+    fn is_wanted(&self) -> bool {
+        self.held.is_some() && self.permits.available_permits() == 0
+    }
+
+    /// Leaves the queue.
+    fn leave_queue(&mut self) {
+        self.permits = self.permits.clone();
+        self.is_queued = false;
+    }
 }
 
 /// The socket takes bytes.
 const OPEN: u64 = u64::MAX;
 
-impl Default for Streams {
-    fn default() -> Self {
+impl Streams {
+    /// `read_permits` are the permits to read of the connection's address.
+    pub(super) fn new(read_permits: Arc<Semaphore>) -> Self {
+        let permits = PollSemaphore::new(read_permits);
         Self {
             living: 0.into(),
             waiting: 0.into(),
             begun: 0.into(),
             begun_at_block: OPEN.into(),
             reader: AtomicWaker::new(),
-            read_permit: Mutex::default(),
+            turn: Mutex::new(ReadTurn { permits, held: None, is_queued: false, asks: false, frames: 0 }),
+            unsent: Mutex::default(),
+            is_longer: Notify::new(),
         }
     }
-}
 
-impl Streams {
+    /// Runs one poll of the connection.
+    pub(super) fn within_poll<T>(&self, poll: impl FnOnce() -> T) -> T {
+        {
+            let mut turn = locked(&self.turn);
+            (turn.asks, turn.frames) = (false, 0);
+        }
+        let polled = poll();
+        let mut turn = locked(&self.turn);
+        if self.waiting.load(Ordering::SeqCst) == 0 {
+            turn.held = None;
+        }
+        if turn.is_queued && !turn.asks {
+            turn.leave_queue();
+        }
+        polled
+    }
+
     /// Completes when the connection may be read. One task at a time may wait.
-    pub(super) fn poll_may_read(
-        &self,
-        pending: &mut PendingStreams,
-        read_permits: &mut ReadPermits,
-        cx: &mut Context<'_>,
-    ) -> Poll<()> {
+    pub(super) fn poll_may_read(&self, pending: &mut PendingStreams, cx: &mut Context<'_>) -> Poll<()> {
         if !pending.are_handed_on(self.begun.load(Ordering::SeqCst)) {
             cx.waker().wake_by_ref();
             return Poll::Pending;
         }
-        if !self.may_read(read_permits) {
+        if !self.may_read() {
             self.reader.register(cx.waker());
-            if !self.may_read(read_permits) {
+            if !self.may_read() {
                 return Poll::Pending;
             }
         }
-        if locked(&self.read_permit).is_none() {
-            let permit = ready!(read_permits.0.poll_acquire(cx));
-            *locked(&self.read_permit) = permit;
-        }
-        Poll::Ready(())
+        locked(&self.turn).poll(cx)
     }
 
-    fn may_read(&self, read_permits: &ReadPermits) -> bool {
-        self.release_read_permit();
-        // Other connections of the address ask for a permit, so they are next.
-        let is_asked_for = read_permits.0.available_permits() == 0 && locked(&self.read_permit).is_some();
-        let most = if is_asked_for { 0 } else { MOST_WAITING };
+    fn may_read(&self) -> bool {
+        let most = if locked(&self.turn).is_wanted() { 0 } else { MOST_WAITING };
         self.waiting.load(Ordering::SeqCst) <= most && self.begun_while_blocked() <= MOST_UNSENT
     }
 
-    /// Gives the permit to read to the next connection that asks for one, unless tasks of this connection wait.
-    pub(super) fn release_read_permit(&self) {
-        if self.waiting.load(Ordering::SeqCst) == 0 {
-            locked(&self.read_permit).take();
-        }
+    /// Counts frames that were read.
+    pub(super) fn count_frames(&self, frames: u64) {
+        locked(&self.turn).frames += frames;
     }
 
     fn begun_while_blocked(&self) -> u64 {
@@ -139,19 +202,15 @@ impl Streams {
         }
     }
 
-    /// Notes whether the socket took bytes when it was last asked to.
-    pub(super) fn wrote(&self, is_blocked: bool, read_permits: &mut ReadPermits) {
-        let was_blocked = self.begun_at_block.load(Ordering::SeqCst) != OPEN;
-        if is_blocked {
-            // h2 does not read before the socket takes bytes again, so that other connections are next.
-            read_permits.ask_no_more();
-            self.release_read_permit();
-        }
-        if is_blocked && !was_blocked {
-            self.begun_at_block.store(self.begun.load(Ordering::SeqCst), Ordering::SeqCst);
-        }
-        if was_blocked && !is_blocked {
-            self.begun_at_block.store(OPEN, Ordering::SeqCst);
+    /// Notes that the socket does not take all bytes that it was given.
+    pub(super) fn is_blocked(&self) {
+        let begun = self.begun.load(Ordering::SeqCst);
+        let _ = self.begun_at_block.compare_exchange(OPEN, begun, Ordering::SeqCst, Ordering::SeqCst);
+    }
+
+    /// Notes that the socket has taken all bytes that it was given.
+    pub(super) fn is_flushed(&self) {
+        if self.begun_at_block.swap(OPEN, Ordering::SeqCst) != OPEN {
             self.reader.wake();
         }
     }
@@ -165,26 +224,47 @@ impl Streams {
     fn runs(&self) {
         let waiting = self.waiting.fetch_sub(1, Ordering::SeqCst) - 1;
         if waiting == 0 {
-            self.release_read_permit();
+            locked(&self.turn).held = None;
         }
         if [0, MOST_WAITING].contains(&waiting) {
             self.reader.wake();
         }
     }
-}
 
-/// The permits to read that the connections of one address share.
-#[derive(Debug)]
-pub(super) struct ReadPermits(PollSemaphore);
-
-impl ReadPermits {
-    pub(super) fn new(permits: Arc<Semaphore>) -> Self {
-        Self(PollSemaphore::new(permits))
+    /// The task of a stream has ended.
+    fn ended(&self, cutoff: Cutoff) {
+        if cutoff.is_all_sent() {
+            self.living.fetch_sub(1, Ordering::SeqCst);
+        } else {
+            locked(&self.unsent).push(cutoff);
+            self.is_longer.notify_one();
+        }
     }
 
-    /// Leaves the queue for a permit.
-    fn ask_no_more(&mut self) {
-        self.0 = self.0.clone();
+    /// Completes when the transport did not take the answer of a stream in time.
+    pub(super) async fn until_overdue(&self, app: &App) {
+        loop {
+            let Some(cutoff) = self.next_unsent() else {
+                self.is_longer.notified().await;
+                continue;
+            };
+            tokio::select! {
+                biased;
+                () = self.is_longer.notified() => {}
+                () = sleep_until(cutoff.time()) => if cutoff.is_overdue() {
+                    return cutoff.report(app);
+                }
+            }
+        }
+    }
+
+    /// The unsent answer whose time ends first. Forgets those that have been sent.
+    fn next_unsent(&self) -> Option<Cutoff> {
+        let mut unsent = locked(&self.unsent);
+        let before = unsent.len();
+        unsent.retain(|cutoff| !cutoff.is_all_sent());
+        self.living.fetch_sub((before - unsent.len()) as u64, Ordering::SeqCst);
+        unsent.iter().min_by_key(|cutoff| cutoff.time()).cloned()
     }
 }
 
@@ -284,8 +364,9 @@ where
         let Self { app, abort, streams } = self.clone();
         tokio::spawn(async move {
             streams.runs();
-            let is_usable = Cutoff::new().run(&app, stream).await;
-            streams.living.fetch_sub(1, Ordering::SeqCst);
+            let cutoff = Cutoff::new();
+            let is_usable = cutoff.run(&app, stream).await;
+            streams.ended(cutoff);
             if !is_usable {
                 abort.notify_one();
             }
@@ -319,23 +400,40 @@ mod tests {
     fn the_connections_of_an_address_are_read_in_turns() {
         let mut cx = Context::from_waker(std::task::Waker::noop());
         let permits = Arc::new(Semaphore::new(1));
-        let connection =
-            || (Streams::default(), PendingStreams::default(), ReadPermits::new(permits.clone()));
-        let (mut first, mut second) = (connection(), connection());
-        let mut may_read = |(streams, pending, read_permits): &mut (Streams, PendingStreams, ReadPermits)| {
-            streams.poll_may_read(pending, read_permits, &mut cx).is_ready()
+        let (first, second) = (Streams::new(permits.clone()), Streams::new(permits.clone()));
+        let mut reads = |streams: &Streams| {
+            streams.within_poll(|| streams.poll_may_read(&mut PendingStreams::default(), &mut cx).is_ready())
         };
-        assert!(may_read(&mut first));
-        first.0.waiting.store(2, Ordering::SeqCst);
-        assert!(!may_read(&mut second) && !may_read(&mut first), "tasks of the first connection wait");
-        first.0.runs();
-        assert!(!may_read(&mut second));
-        first.0.runs();
-        assert!(may_read(&mut second) && !may_read(&mut first));
-        second.0.wrote(true, &mut second.2);
-        assert!(may_read(&mut first) && !may_read(&mut second));
-        second.0.wrote(true, &mut second.2);
-        first.0.release_read_permit();
-        assert_eq!(permits.available_permits(), 1, "the second connection no longer asks");
+        assert!(reads(&first) && reads(&second), "a permit is held within a poll");
+        first.waiting.store(2, Ordering::SeqCst);
+        locked(&first.turn).held = permits.clone().try_acquire_owned().ok();
+        assert!(!reads(&second) && !reads(&first), "tasks of the first connection wait");
+        first.runs();
+        assert!(!reads(&second));
+        first.runs();
+        assert!(reads(&second) && reads(&first));
+        let held = permits.clone().try_acquire_owned().unwrap();
+        assert!(!reads(&first));
+        first.within_poll(|| ());
+        drop(held);
+        assert_eq!(permits.available_permits(), 1, "a connection that h2 does not read leaves the queue");
+    }
+
+    /// Catches a poll that reads as many frames as the peer sends, while others wait for the thread.
+    #[test]
+    fn a_poll_reads_few_frames() {
+        let mut cx = Context::from_waker(std::task::Waker::noop());
+        let streams = Streams::new(Arc::new(Semaphore::new(1)));
+        let mut frames_read = || {
+            streams.within_poll(|| {
+                let mut polls = 0;
+                while streams.poll_may_read(&mut PendingStreams::default(), &mut cx).is_ready() {
+                    streams.count_frames(50);
+                    polls += 1;
+                }
+                50 * polls
+            })
+        };
+        assert_eq!([frames_read(), frames_read()], [150; 2]);
     }
 }

@@ -257,16 +257,6 @@ fn flags_win_over_the_environment_and_the_environment_over_the_file() {
     assert!(!status.success(), "{said}");
 }
 
-/// Catches a build without OTLP that accepts a collector's address and never sends anything to it.
-#[test]
-#[cfg(not(feature = "otlp"))]
-fn a_build_without_traces_says_so() {
-    let arguments = ["serve", "--store", "memory://", "--otlp-endpoint", "http://127.0.0.1:4317"];
-    let output = Command::new(BINARY).args(arguments).output().unwrap();
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(!output.status.success() && said.contains("--features otlp"), "{said}");
-}
-
 /// Catches a server that offers plain text to other machines by default.
 #[test]
 fn plain_text_off_this_machine_has_to_be_asked_for() {
