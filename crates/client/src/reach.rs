@@ -1,156 +1,155 @@
-//! Parses a server's address, and explains why a server cannot be reached.
+//! Explains why a server cannot be reached.
 //!
-//! The Python client gives the same explanations (`client/src/hullcast/_channel.py`, `_reach.py`).
+//! The Python client gives the same explanations (`client/src/hullcast/_reach.py`).
 
 use std::error::Error as StdError;
+use std::fmt;
 use std::io;
+use std::iter;
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
-use tokio::net::TcpStream;
+use tokio::net::{TcpStream, UnixStream};
+use tokio_rustls::rustls::{self, CertificateError};
 
-use super::Error;
-use super::remote::root_cause;
+use crate::Address;
 
-/// The port if the address has none.
-const DEFAULT_PORT: u16 = 50051;
 /// The time within which a peer must answer.
 const PATIENCE: Duration = Duration::from_secs(2);
 /// An HTTP/2 client's first bytes: the preface, and an empty SETTINGS frame.
 const GREETING: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
 
-/// Checks the addresses of an option, which are separated by commas.
-///
-/// # Errors
-/// One of them is not an address.
-pub(crate) fn addresses(text: &str) -> Result<String, String> {
-    for address in text.split(',') {
-        url(address).map_err(|error| error.to_string())?;
-    }
-    Ok(text.to_owned())
+/// No hullcast server answers at the address, or the server does not fit the settings of the connection.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Unreachable {
+    /// The address as the caller wrote it.
+    pub address: String,
+    /// The reason.
+    pub cause: Cause,
 }
 
-/// The URL of an address: `host`, `host:port`, `unix:PATH`, `http://host:port`, `https://host:port`.
-///
-/// # Errors
-/// The address has none of these forms.
-pub(crate) fn url(address: &str) -> Result<String, Error> {
-    if address.starts_with("unix:") {
-        return Ok(address.to_owned());
-    }
-    let (scheme, rest) = address.split_once("://").unwrap_or(("http", address));
-    let forms = "host, host:port, unix:PATH, http://host:port or https://host:port";
-    let wrong = || -> Error { format!("{address:?} is not an address: expected {forms}").into() };
-    if !["http", "https"].contains(&scheme) {
-        return Err(wrong());
-    }
-    let rest = rest.strip_suffix('/').unwrap_or(rest);
-    // The brackets of an IPv6 address separate its colons from the colon before the port.
-    let (host, port) = match rest.rsplit_once(':') {
-        Some((host, port)) if !port.contains(']') => (host, Some(port)),
-        _ => (rest, None),
-    };
-    let bare = host.strip_prefix('[').and_then(|h| h.strip_suffix(']')).unwrap_or(host);
-    let bracketed = bare.len() < host.len();
-    let foreign = |c: char| c.is_whitespace() || "/?#@[]".contains(c) || (c == ':' && !bracketed);
-    if bare.is_empty() || bare.contains(foreign) {
-        return Err(wrong());
-    }
-    if port.is_none() && bare.bytes().all(|byte| byte.is_ascii_digit()) {
-        let text = format!("{bare:?} is a port without a host: expected localhost:{bare}, or {forms}");
-        return Err(text.into());
-    }
-    let port = match port {
-        None => DEFAULT_PORT,
-        Some(text) => text.parse().ok().filter(|&port| port > 0).ok_or_else(wrong)?,
-    };
-    Ok(format!("{scheme}://{host}:{port}"))
+/// Why no server can be reached.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Cause {
+    /// Nothing listens at the address.
+    Refused,
+    /// There is no such Unix socket.
+    NoSocket,
+    /// The host's name has no address; the text is the system's.
+    NoHost(String),
+    /// The peer takes connections and sends nothing.
+    Silent,
+    /// The peer speaks TLS, and the address asks for a connection without it.
+    SpeaksTls,
+    /// The peer does not speak HTTP/2, so it is not a hullcast server.
+    NotHttp2,
+    /// The address asks for TLS, and the peer does not speak it.
+    NotTls,
+    /// The server's certificate is self-signed, and it is not among the trusted ones.
+    SelfSigned,
+    /// The server's certificate is not trusted; the text is the reason.
+    Untrusted(String),
+    /// Another cause, as the operating system or TLS states it.
+    Other(String),
 }
 
-/// A failed connection as a sentence that names the cause and, if it is known, the remedy.
-pub(crate) async fn failed(address: &str, url: &str, error: &(dyn StdError + 'static)) -> String {
-    match cause(error) {
-        Some(io::ErrorKind::ConnectionRefused) => {
-            return format!(
+impl StdError for Unreachable {}
+
+impl fmt::Display for Unreachable {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { address, cause } = self;
+        match cause {
+            Cause::Refused => write!(
+                f,
                 "no hullcast server at {address} (connection refused); start one with `hullcast serve`"
-            );
-        }
-        Some(io::ErrorKind::NotFound) if address.starts_with("unix:") => {
-            return format!(
+            ),
+            Cause::NoSocket => write!(
+                f,
                 "no hullcast server at {address} (no such socket); \
                  start one with `hullcast serve --listen {address}`"
-            );
+            ),
+            Cause::NoHost(why) => write!(f, "no host of the name in {address}: {why}"),
+            Cause::Silent => write!(
+                f,
+                "the server at {address} accepts connections and does not answer: is it a hullcast server? It may \
+                 be frozen, or a proxy that has lost its server"
+            ),
+            Cause::SpeaksTls => write!(f, "the server at {address} speaks TLS: use https://"),
+            Cause::NotHttp2 => {
+                write!(f, "the server at {address} does not speak HTTP/2: it is not a hullcast server")
+            }
+            Cause::NotTls => write!(
+                f,
+                "the server at {address} does not speak TLS: use http:// in place of https://"
+            ),
+            Cause::SelfSigned => write!(
+                f,
+                "the certificate of the server at {address} is self-signed, and it is not the one that is \
+                 trusted; give the PEM file of this very certificate"
+            ),
+            Cause::Untrusted(why) => write!(
+                f,
+                "the certificate of the server at {address} is not trusted ({why}); \
+                 give the PEM file of its authority"
+            ),
+            Cause::Other(why) => write!(f, "no server at {address}: {why}"),
         }
-        _ => {}
     }
-    if let Some(text) = mismatch(address, url, error).await {
-        return text;
-    }
-    let text = root_cause(error);
-    if text.contains("lookup address") {
-        return format!("no host of the name in {address}: {text}");
-    }
-    format!("no server at {address}: {text}")
 }
 
-/// The explanation for a peer that answers but speaks another protocol. None for other causes, which
-/// may be temporary.
-pub(crate) async fn mismatch(address: &str, url: &str, error: &(dyn StdError + 'static)) -> Option<String> {
-    if is_silent(url).await {
-        return Some(format!(
-            "the server at {address} accepts connections and does not answer: is it a hullcast server? It may be \
-             frozen, or a proxy that has lost its server"
-        ));
+/// The cause of a connection that failed with `error`.
+pub(crate) async fn failed(address: &Address, error: &(dyn StdError + 'static)) -> Cause {
+    match system_error(error) {
+        Some(io::ErrorKind::ConnectionRefused) => return Cause::Refused,
+        Some(io::ErrorKind::NotFound) if address.socket().is_some() => return Cause::NoSocket,
+        _ => {}
     }
-    if let Some(authority) = url.strip_prefix("http://") {
-        return match greeting(authority).await.unwrap_or_default().as_slice() {
-            [0x15 | 0x16, 0x03, ..] => Some(format!("the server at {address} speaks TLS: use https://")),
-            // The fourth byte of a frame is its type; a server begins with SETTINGS, type 4.
-            [_, _, _, kind, ..] if *kind != 4 => {
-                let text = "does not speak HTTP/2: it is not a hullcast server";
-                Some(format!("the server at {address} {text}"))
+    if let Some(authority) = address.authority()
+        && let Err(why) = tokio::net::lookup_host(authority).await
+    {
+        return Cause::NoHost(why.to_string());
+    }
+    match mismatch(address, error).await {
+        Some(cause) => cause,
+        None => Cause::Other(root_cause(error)),
+    }
+}
+
+/// The cause if a peer is there but is silent, or does not fit the address. `None` for other causes, which
+/// may be temporary.
+pub(crate) async fn mismatch(address: &Address, error: &(dyn StdError + 'static)) -> Option<Cause> {
+    let Some(answer) = greeting(address).await else { return Some(Cause::Silent) };
+    if address.is_encrypted() {
+        return match tls_error(error)? {
+            rustls::Error::InvalidMessage(_) => Some(Cause::NotTls),
+            // `Other` stands for the certificate of an authority, which a server shows if its
+            // certificate is self-signed.
+            rustls::Error::InvalidCertificate(CertificateError::Other(_)) => Some(Cause::SelfSigned),
+            rustls::Error::InvalidCertificate(CertificateError::UnknownIssuer) => {
+                Some(Cause::Untrusted("no trusted authority has signed it".into()))
             }
+            other @ rustls::Error::InvalidCertificate(_) => Some(Cause::Untrusted(other.to_string())),
             _ => None,
         };
     }
-    let text = root_cause(error);
-    if text.contains("InvalidContentType") || text.contains("corrupt message") {
-        return Some(format!("the server at {address} does not speak TLS: use http:// in place of https://"));
+    if address.socket().is_some() {
+        return None;
     }
-    text.contains("invalid peer certificate").then(|| untrusted(address, &text))
+    match answer.as_slice() {
+        [0x15 | 0x16, 0x03, ..] => Some(Cause::SpeaksTls),
+        // The fourth byte of a frame is its type; a server begins with SETTINGS, type 4.
+        [_, _, _, kind, ..] if *kind != 4 => Some(Cause::NotHttp2),
+        _ => None,
+    }
 }
 
-/// The explanation for a certificate that TLS refuses with this text.
-fn untrusted(address: &str, text: &str) -> String {
-    // The certificate of an authority is shown by a server whose certificate is self-signed.
-    if text.contains("CaUsedAsEndEntity") {
-        return format!(
-            "the certificate of the server at {address} is self-signed, and it is not the one that is trusted; \
-             give the PEM file of this very certificate by --tls-ca"
-        );
+/// The first bytes of the peer's answer to the HTTP/2 preface, as of [`answer_to_greeting`].
+async fn greeting(address: &Address) -> Option<Vec<u8>> {
+    match (address.socket(), address.authority()) {
+        (Some(path), _) => answer_to_greeting(UnixStream::connect(path)).await,
+        (None, authority) => answer_to_greeting(TcpStream::connect(authority.unwrap_or_default())).await,
     }
-    let why = match text {
-        _ if text.contains("UnknownIssuer") => "no trusted authority has signed it",
-        _ => text,
-    };
-    format!(
-        "the certificate of the server at {address} is not trusted ({why}); \
-         give the PEM file of its authority by --tls-ca"
-    )
-}
-
-/// Whether a peer takes the connection and then sends nothing, not even that it has another protocol.
-async fn is_silent(url: &str) -> bool {
-    if let Some((_, authority)) = url.split_once("://") {
-        return greeting(authority).await.is_none();
-    }
-    let path = url.trim_start_matches("unix:").trim_start_matches("//");
-    answer_to_greeting(tokio::net::UnixStream::connect(path)).await.is_none()
-}
-
-/// The first bytes of a TCP peer's answer to the HTTP/2 preface, as of [`answer_to_greeting`].
-async fn greeting(authority: &str) -> Option<Vec<u8>> {
-    answer_to_greeting(TcpStream::connect(authority)).await
 }
 
 /// The first bytes of a peer's answer to the HTTP/2 preface; empty if there is no connection, or if the
@@ -168,18 +167,33 @@ async fn answer_to_greeting<S: AsyncRead + AsyncWrite + Unpin>(
     Some(answer[..count].to_vec())
 }
 
-/// The kind of the first operating system error in the chain of causes.
-fn cause(error: &(dyn StdError + 'static)) -> Option<io::ErrorKind> {
-    let mut next = Some(error);
-    while let Some(error) = next {
-        if let Some(found) = error.downcast_ref::<io::Error>()
-            && found.raw_os_error().is_some()
-        {
-            return Some(found.kind());
-        }
-        next = error.source();
-    }
-    None
+/// An error and its causes, from the outermost to the innermost.
+pub(crate) fn causes<'a>(
+    error: &'a (dyn StdError + 'static),
+) -> impl Iterator<Item = &'a (dyn StdError + 'static)> {
+    iter::successors(Some(error), |&error| error.source())
+}
+
+/// The text of the innermost cause. If the failure is tonic's own, its message says less than the cause.
+pub(crate) fn root_cause(error: &(dyn StdError + 'static)) -> String {
+    causes(error).last().unwrap_or(error).to_string()
+}
+
+/// The kind of the first operating system error among the causes.
+fn system_error(error: &(dyn StdError + 'static)) -> Option<io::ErrorKind> {
+    causes(error)
+        .filter_map(|cause| cause.downcast_ref::<io::Error>())
+        .find(|cause| cause.raw_os_error().is_some())
+        .map(io::Error::kind)
+}
+
+/// The first error of TLS among the causes. The system's error type contains it, but does not name it as
+/// its source.
+fn tls_error<'a>(error: &'a (dyn StdError + 'static)) -> Option<&'a rustls::Error> {
+    causes(error).find_map(|cause| {
+        let inner = cause.downcast_ref::<io::Error>().and_then(io::Error::get_ref);
+        inner.and_then(|inner| inner.downcast_ref()).or_else(|| cause.downcast_ref())
+    })
 }
 
 #[cfg(test)]
@@ -199,50 +213,36 @@ mod tests {
         let (silent_port, closing_port) = (port(&silent), port(&closing));
         tokio::spawn(async move { while closing.accept().await.is_ok() {} });
         let error = io::Error::other("given up");
-        for (url, is_silent) in [
-            (format!("http://127.0.0.1:{silent_port}"), true),
-            (format!("https://127.0.0.1:{silent_port}"), true),
-            (format!("unix:{}", path.display()), true),
-            (format!("http://127.0.0.1:{closing_port}"), false),
-            ("unix:/nonexistent/socket".into(), false),
+        for (url, expected) in [
+            (format!("http://127.0.0.1:{silent_port}"), Some(Cause::Silent)),
+            (format!("https://127.0.0.1:{silent_port}"), Some(Cause::Silent)),
+            (format!("unix:{}", path.display()), Some(Cause::Silent)),
+            (format!("http://127.0.0.1:{closing_port}"), None),
+            ("unix:/nonexistent/socket".into(), None),
         ] {
-            let text = mismatch(&url, &url, &error).await;
-            assert_eq!(text.is_some(), is_silent, "{url}: {text:?}");
-            let expected = "accepts connections and does not answer: is it a hullcast server?";
-            assert!(text.is_none_or(|text| text.contains(expected) && text.contains(&url)));
+            assert_eq!(mismatch(&url.parse().expect("an address"), &error).await, expected, "{url}");
         }
         drop((silent, on_path));
     }
 
-    /// Catches a missing port that becomes HTTP's default, and a malformed address that is dialled.
+    /// Catches an explanation that does not name the address.
     #[test]
-    fn addresses_have_a_port_and_a_scheme() {
-        for (address, expected) in [
-            ("localhost", "http://localhost:50051"),
-            ("localhost:1", "http://localhost:1"),
-            ("http://localhost", "http://localhost:50051"),
-            ("https://localhost/", "https://localhost:50051"),
-            ("https://10.0.0.1:443", "https://10.0.0.1:443"),
-            ("[::1]", "http://[::1]:50051"),
-            ("https://[::1]:7", "https://[::1]:7"),
-            ("unix:/run/x", "unix:/run/x"),
+    fn every_explanation_names_the_address() {
+        let text = String::new;
+        for cause in [
+            Cause::Refused,
+            Cause::NoSocket,
+            Cause::NoHost(text()),
+            Cause::Silent,
+            Cause::SpeaksTls,
+            Cause::NotHttp2,
+            Cause::NotTls,
+            Cause::SelfSigned,
+            Cause::Untrusted(text()),
+            Cause::Other(text()),
         ] {
-            assert_eq!(url(address).expect(address), expected);
-        }
-        for wrong in [
-            "",
-            ":1",
-            "host:",
-            "host:0",
-            "host:65536",
-            "host:x",
-            "ftp://host",
-            "http://a/b",
-            "::1",
-            "a b",
-            "u@h",
-        ] {
-            assert!(url(wrong).is_err(), "{wrong}");
+            let unreachable = Unreachable { address: "here:1".into(), cause };
+            assert!(unreachable.to_string().contains(" at here:1") || unreachable.to_string().contains("in here:1"));
         }
     }
 }

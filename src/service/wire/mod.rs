@@ -12,7 +12,7 @@ mod status;
 
 #[doc(hidden)]
 pub use super::sizes::HULL_BYTES;
-pub use columns::{append, response, response_columns};
+pub use columns::{response, response_columns};
 pub(super) use decode::{Bounds, Request};
 #[doc(hidden)]
 pub use decode::{CONSTANT_BYTES, decoded_bytes};
