@@ -107,9 +107,19 @@ mod tests {
         ] {
             assert_eq!(address.parse::<Address>().expect(address).to_string(), expected);
         }
-        for wrong in
-            ["", ":1", "host:", "host:0", "host:65536", "host:x", "ftp://host", "http://a/b", "::1", "a b", "u@h"]
-        {
+        for wrong in [
+            "",
+            ":1",
+            "host:",
+            "host:0",
+            "host:65536",
+            "host:x",
+            "ftp://host",
+            "http://a/b",
+            "::1",
+            "a b",
+            "u@h",
+        ] {
             assert_eq!(wrong.parse::<Address>(), Err(AddressError::Malformed(wrong.into())));
         }
         assert_eq!("7".parse::<Address>(), Err(AddressError::OnlyAPort("7".into())));

@@ -7,9 +7,7 @@
 use std::error::Error as StdError;
 use std::fmt;
 
-use hullcast_proto::{
-    FeatureKind, Flag, Outcome, Output, QueryContactsRequest, QueryContactsResponse,
-};
+use hullcast_proto::{FeatureKind, Flag, Outcome, Output, QueryContactsRequest, QueryContactsResponse};
 
 use crate::columns::{Outputs, Per, lengths};
 
@@ -89,7 +87,9 @@ impl Found {
         for (at, &[a, b]) in pairs.iter().enumerate() {
             if a >= b || b as usize >= request.body_hulls.len() {
                 let bodies = request.body_hulls.len();
-                return malformed(format!("pairs[{at}] is {a}, {b}: expected two bodies of {bodies}, the lower first"));
+                return malformed(format!(
+                    "pairs[{at}] is {a}, {b}: expected two bodies of {bodies}, the lower first"
+                ));
             }
             if self.last.is_some_and(|last| last >= [a, b]) {
                 return malformed(format!("pairs[{at}] is not after the pair before it"));
@@ -104,9 +104,10 @@ impl Found {
         let is_near = |&outcome: &u8| [Outcome::Contact as u8, Outcome::Undecided as u8].contains(&outcome);
         match response.outcomes.iter().position(|outcome| !is_near(outcome)) {
             None => Ok(()),
-            Some(at) => {
-                malformed(format!("outcomes[{at}] is {}, expected 1 or 3 of a found pair", response.outcomes[at]))
-            }
+            Some(at) => malformed(format!(
+                "outcomes[{at}] is {}, expected 1 or 3 of a found pair",
+                response.outcomes[at]
+            )),
         }
     }
 }
@@ -181,11 +182,7 @@ fn ascending(name: &str, column: &[u32], count: usize) -> Result<(), Malformed> 
 }
 
 /// Checks a pair's outcome against its flags, its bodies and its number of points.
-fn outcome(
-    asked: &Asked<'_>,
-    response: &QueryContactsResponse,
-    pair: usize,
-) -> Result<(), Malformed> {
+fn outcome(asked: &Asked<'_>, response: &QueryContactsResponse, pair: usize) -> Result<(), Malformed> {
     let (outcome, flags) = (i32::from(response.outcomes[pair]), response.flags[pair]);
     if !(Outcome::Contact as i32..=Outcome::Invalid as i32).contains(&outcome) {
         return malformed(format!("outcomes[{pair}] is {outcome}, expected 1 to 4"));

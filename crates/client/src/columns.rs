@@ -125,7 +125,8 @@ mod tests {
         let messages = files.file.iter().flat_map(|file| &file.message_type);
         let answer = messages.clone().find(|message| message.name() == "QueryContactsResponse");
         let not_columns = ["request_id", "missing_hulls", "invalid_bodies"];
-        let mut expected: Vec<&str> = answer.expect("the message").field.iter().map(|field| field.name()).collect();
+        let mut expected: Vec<&str> =
+            answer.expect("the message").field.iter().map(|field| field.name()).collect();
         expected.retain(|name| !not_columns.contains(name));
         let mut found: Vec<&str> =
             lengths(&QueryContactsResponse::default()).map(|(column, _)| column.name).collect();
@@ -137,7 +138,9 @@ mod tests {
     /// Catches an output that is forgotten or invented, and a newer output that breaks an older client.
     #[test]
     fn outputs_are_those_of_the_request() {
-        let of = |outputs: &[i32]| Outputs::of(&QueryContactsRequest { outputs: outputs.to_vec(), ..Default::default() });
+        let of = |outputs: &[i32]| {
+            Outputs::of(&QueryContactsRequest { outputs: outputs.to_vec(), ..Default::default() })
+        };
         let usual = of(&[]);
         assert!(usual.has(Output::Alpha) && usual.has(Output::Normal) && usual.has(Output::Points));
         assert!(!usual.has(Output::Bases));

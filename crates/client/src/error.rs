@@ -38,7 +38,9 @@ pub enum Error {
     )]
     Cut,
     /// The client's own timeout ended before the server answered ([`Builder::timeout`](crate::Builder::timeout)).
-    #[error("the server did not answer within the timeout of the client; raise it, or ask for less at a time")]
+    #[error(
+        "the server did not answer within the timeout of the client; raise it, or ask for less at a time"
+    )]
     TimedOut,
     /// The server refused the call, or failed.
     #[error(transparent)]
@@ -166,7 +168,8 @@ impl From<Status> for Error {
         }
         let refusal = Refusal::of(&status);
         // A status with a cause was made by tonic in this process, not sent by a server.
-        if refusal.retry_after.is_some() || (status.code() != Code::Unavailable && status.source().is_none()) {
+        if refusal.retry_after.is_some() || (status.code() != Code::Unavailable && status.source().is_none())
+        {
             return Self::Refused(refusal);
         }
         Self::Lost(match (status.code(), status.source()) {
@@ -263,7 +266,11 @@ mod tests {
         use tonic_types::ErrorDetails;
         let mut details = ErrorDetails::new();
         let place = [("field", "pairs"), ("index", "17")].map(|(k, v)| (k.to_owned(), v.to_owned()));
-        details.set_error_info("INDEX_OUT_OF_RANGE", "hullcast", place.into_iter().collect::<std::collections::HashMap<_, _>>());
+        details.set_error_info(
+            "INDEX_OUT_OF_RANGE",
+            "hullcast",
+            place.into_iter().collect::<std::collections::HashMap<_, _>>(),
+        );
         let status = Status::with_error_details(Code::InvalidArgument, "beyond", details);
         let expected = Refusal {
             code: Code::InvalidArgument,

@@ -127,7 +127,8 @@ mod tests {
             Some(value.as_array()?.iter().map(|number| number.as_f64().expect("a number")).collect())
         };
         for vector in &vectors {
-            let (max_vertices, max_deviation) = (vector["max_vertices"].as_u64(), vector["max_deviation"].as_f64());
+            let (max_vertices, max_deviation) =
+                (vector["max_vertices"].as_u64(), vector["max_deviation"].as_f64());
             let is_simplified = max_vertices.is_some() || max_deviation.is_some();
             let hull = Hull {
                 points: numbers(&vector["vertices"]).expect("vertices").as_chunks().0.to_vec(),

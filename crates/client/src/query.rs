@@ -66,7 +66,8 @@ impl Client {
         let missing: Vec<&[u8]> =
             answer.missing_hulls.iter().map(|&hull| request.hull_ids[hull as usize].as_slice()).collect();
         let ids: Vec<_> = hulls.iter().map(Hull::id).collect();
-        let places: Vec<usize> = (0..hulls.len()).filter(|&hull| missing.contains(&&ids[hull].0[..])).collect();
+        let places: Vec<usize> =
+            (0..hulls.len()).filter(|&hull| missing.contains(&&ids[hull].0[..])).collect();
         self.put_by(deadline, hulls, &ids, &places).await?;
         Ok(!places.is_empty())
     }

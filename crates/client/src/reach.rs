@@ -79,10 +79,9 @@ impl fmt::Display for Unreachable {
             Cause::NotHttp2 => {
                 write!(f, "the server at {address} does not speak HTTP/2: it is not a hullcast server")
             }
-            Cause::NotTls => write!(
-                f,
-                "the server at {address} does not speak TLS: use http:// in place of https://"
-            ),
+            Cause::NotTls => {
+                write!(f, "the server at {address} does not speak TLS: use http:// in place of https://")
+            }
             Cause::SelfSigned => write!(
                 f,
                 "the certificate of the server at {address} is self-signed, and it is not the one that is \
@@ -242,7 +241,10 @@ mod tests {
             Cause::Other(text()),
         ] {
             let unreachable = Unreachable { address: "here:1".into(), cause };
-            assert!(unreachable.to_string().contains(" at here:1") || unreachable.to_string().contains("in here:1"));
+            assert!(
+                unreachable.to_string().contains(" at here:1")
+                    || unreachable.to_string().contains("in here:1")
+            );
         }
     }
 }

@@ -229,12 +229,16 @@ fn size_in_list(definition: &HullDefinition) -> u64 {
 }
 
 /// The refusal of the hull at `place`, or `None` if it is registered.
-fn registered(place: usize, id: HullId, result: RegisterHullResult) -> Result<Option<HullRefused>, Malformed> {
+fn registered(
+    place: usize,
+    id: HullId,
+    result: RegisterHullResult,
+) -> Result<Option<HullRefused>, Malformed> {
     match result.result {
         Some(Registered::Hull(info)) if info.id == id.0 => Ok(None),
-        Some(Registered::Hull(_)) => {
-            Err(Malformed::new(format!("the id of hulls[{place}] is not the hash of the hull's content, {id}")))
-        }
+        Some(Registered::Hull(_)) => Err(Malformed::new(format!(
+            "the id of hulls[{place}] is not the hash of the hull's content, {id}"
+        ))),
         Some(Registered::Error(error)) => Ok(Some(HullRefused {
             hull: place,
             field: error.field,

@@ -78,8 +78,10 @@ mod tests {
     fn each_hull_is_listed_once() {
         let [one, two] = [HullId([1; 32]), HullId([2; 32])];
         let mut scene = Scene::new(0.5);
-        let bodies: Vec<u32> =
-            [one, two, one].iter().map(|&hull| scene.add_body(hull, [0.0; 3], [0.0, 0.0, 0.0, 1.0])).collect();
+        let bodies: Vec<u32> = [one, two, one]
+            .iter()
+            .map(|&hull| scene.add_body(hull, [0.0; 3], [0.0, 0.0, 0.0, 1.0]))
+            .collect();
         assert_eq!(bodies, [0, 1, 2]);
         assert_eq!(scene.request.hull_ids, [one.0.to_vec(), two.0.to_vec()]);
         assert_eq!(scene.request.body_hulls, [0, 1, 0]);
