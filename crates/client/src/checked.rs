@@ -112,7 +112,7 @@ impl Found {
     }
 }
 
-/// What an answer has to fit.
+/// The request and the pairs that an answer has to fit.
 struct Asked<'a> {
     request: &'a QueryContactsRequest,
     outputs: Outputs,

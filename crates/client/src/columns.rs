@@ -7,7 +7,7 @@ use hullcast_proto::{Output, QueryContactsRequest, QueryContactsResponse};
 pub(crate) struct Column {
     /// The name of the field.
     pub(crate) name: &'static str,
-    /// What the values belong to.
+    /// The owner of the values: a pair or a point.
     pub(crate) per: Per,
     /// The number of values per pair or point.
     pub(crate) width: usize,
@@ -17,7 +17,7 @@ pub(crate) struct Column {
     pub(crate) is_later: bool,
 }
 
-/// What the values of a column belong to.
+/// The owner of a column's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Per {
     /// Each pair of an answer to a search for pairs.

@@ -102,7 +102,7 @@ pub struct HullRefused {
 pub struct SettingError {
     /// The setting.
     pub setting: Setting,
-    /// What is wrong with its value.
+    /// The fault of its value.
     pub defect: Defect,
 }
 
@@ -119,7 +119,7 @@ pub enum Setting {
     Token,
 }
 
-/// What is wrong with a setting of a connection.
+/// The fault of a setting of a connection.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Defect {

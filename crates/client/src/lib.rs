@@ -88,6 +88,11 @@ mod scene;
 mod session;
 mod trust;
 
+/// The examples of the guide are compiled as tests.
+#[cfg(doctest)]
+#[doc = include_str!("../../../docs/rust.md")]
+struct Guide;
+
 pub use address::{Address, AddressError};
 pub use builder::Builder;
 pub use checked::Malformed;
