@@ -68,6 +68,8 @@ impl Builder {
 
     /// The certificate of this client and its private key, as PEM texts, for a server that asks for a
     /// certificate. By default the client has none.
+    ///
+    /// The address has to begin with `https://`.
     pub fn identity(mut self, certificate_pem: impl Into<Vec<u8>>, key_pem: impl Into<Vec<u8>>) -> Self {
         self.identity = Some((certificate_pem.into(), key_pem.into()));
         self
@@ -146,9 +148,10 @@ impl Builder {
         if address.is_encrypted() {
             return self.encrypted(endpoint);
         }
-        match self.authority {
-            Some(_) => Err(setting(Setting::Authority, Defect::NotEncrypted)),
-            None => Ok(endpoint),
+        match (&self.authority, &self.identity) {
+            (Some(_), _) => Err(setting(Setting::Authority, Defect::NotEncrypted)),
+            (None, Some(_)) => Err(setting(Setting::Certificate, Defect::NotEncrypted)),
+            (None, None) => Ok(endpoint),
         }
     }
 
@@ -226,6 +229,7 @@ mod tests {
         let secured = || builder("https://localhost:1");
         for (builder, expected) in [
             (builder("localhost:1").authority(pem), (Setting::Authority, Some(Defect::NotEncrypted))),
+            (builder("localhost:1").identity(pem, pem), (Setting::Certificate, Some(Defect::NotEncrypted))),
             (secured().authority("words"), (Setting::Authority, Some(Defect::NotPem))),
             (secured().authority(pem), (Setting::Authority, None)),
             (secured().identity("words", pem), (Setting::Certificate, Some(Defect::NotPem))),

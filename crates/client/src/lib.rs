@@ -107,3 +107,26 @@ pub use reach::{Cause, Unreachable};
 pub use registry::HullPart;
 pub use scene::Scene;
 pub use session::Session;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Does not compile if a future of the client cannot be spawned on a runtime of several threads.
+    #[test]
+    fn futures_can_be_spawned() {
+        fn is_send<T: Send>(_: T) {}
+        fn check(client: &Client, session: &mut Session, search: &mut Search) {
+            let request = proto::QueryContactsRequest::default();
+            is_send(Client::connect(""));
+            is_send(client.info());
+            is_send(client.register(&[]));
+            is_send(client.get(&[], &[]));
+            is_send(client.query_registering(&request, &[]));
+            is_send(client.find_all(&request));
+            is_send(session.step(&[], &[]));
+            is_send(search.next());
+        }
+        let _ = check;
+    }
+}
