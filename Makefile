@@ -72,6 +72,7 @@ lint: check-tools $(if $(CLIENT),lint-python) ## runs rustfmt, clippy, ruff and 
 	 else echo "rustfmt is not installed: formatting not checked"; fi
 	@if $(CARGO) clippy --version >/dev/null 2>&1; then set -x; \
 	 $(CARGO) clippy --release --locked --workspace --all-targets -- -D warnings; \
+	 $(CARGO) clippy --release --locked --workspace -- -D warnings; \
 	 $(CARGO) clippy --release --locked --all-targets --package hullcast --no-default-features -- -D warnings; \
 	 cd benches; $(CARGO) clippy --release --locked --all-targets --features service -- -D warnings; \
 	 else echo "clippy is not installed: lints not checked"; fi
@@ -293,11 +294,11 @@ test-faults: check-tools ## tests kill -9 a thousand times, full and vanished di
 
 .PHONY: test-abuse test-abuse-short
 test-abuse-short: check-tools ## runs the attacks over TCP at a tenth of their size against a tenth of the budgets; takes over a minute
-	$(CARGO) test --release --locked --package hullcast --test abuse -- --skip over_tls --skip over_unix
+	$(CARGO) test --release --locked --workspace --test abuse -- --skip over_tls --skip over_unix
 
 test-abuse: check-tools ## runs every attack at full size on a server with default limits; writes docs/reliability.md; takes about ten minutes
 	mkdir -p out
-	$(CARGO) test --release --locked --package hullcast --test abuse -- --ignored --nocapture --test-threads 1 | tee out/abuse.txt
+	$(CARGO) test --release --locked --workspace --test abuse -- --ignored --nocapture --test-threads 1 | tee out/abuse.txt
 	{ echo '| attack | queries before, ms | queries during, ms | health before, ms | health during, ms | retries | peak, MiB | free after, s |'; \
 	 echo '|---|---|---|---|---|--:|--:|--:|'; grep '^|' out/abuse.txt; } > out/abuse-table.txt
 	./scripts/section docs/reliability.md abuse out/abuse-table.txt

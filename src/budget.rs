@@ -11,14 +11,13 @@
 mod caller;
 mod shares;
 
-use std::{
-    fmt,
-    sync::{Arc, Mutex},
-};
+use std::sync::{Arc, Mutex};
 
 pub use caller::{Caller, CallerKey, CallerStream, Callers, is_reserved_name};
 pub(crate) use hullcast_batch::ById;
 pub use shares::{Refusal, Shares, Slot, Slots};
+
+use thiserror::Error;
 
 use crate::lock::locked;
 
@@ -64,7 +63,8 @@ parts! {
 const PARTS: usize = Part::ALL.len();
 
 /// The reason why a caller gets no memory.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error("{} (part {})", refused(*.refusal), .part.name())]
 pub struct NoMemory {
     /// The part for which the memory was requested.
     pub part: Part,
@@ -72,19 +72,13 @@ pub struct NoMemory {
     pub refusal: Refusal,
 }
 
-impl fmt::Display for NoMemory {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let name = self.part.name();
-        match self.refusal {
-            Refusal::Busy => write!(f, "the memory budget has no room for this caller now (part {name})"),
-            Refusal::TooLarge => {
-                write!(f, "the call needs more memory than one caller may hold (part {name})")
-            }
-        }
+/// The refusal as a sentence.
+fn refused(refusal: Refusal) -> &'static str {
+    match refusal {
+        Refusal::Busy => "the memory budget has no room for this caller now",
+        Refusal::TooLarge => "the call needs more memory than one caller may hold",
     }
 }
-
-impl std::error::Error for NoMemory {}
 
 /// The memory that all callers together can make the server hold.
 #[derive(Debug)]

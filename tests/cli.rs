@@ -17,6 +17,8 @@ mod secured;
 mod serving;
 #[path = "cli/shown.rs"]
 mod shown;
+#[path = "cli/texts.rs"]
+mod texts;
 
 type Outcome = Result<(), Box<dyn Error>>;
 

@@ -123,7 +123,7 @@ def main() -> None:
         hulls = client.register(SIGNS * half_extents()[:, None, :])
         for make in (shallow, resting):
             scene = make(client, hulls, pairs)
-            rates = {}
+            rates: dict[str, float] = {}
             for name, asked in (("several", pairs), ("one at a time", pairs[:PAIRS_PER_MESSAGE])):
                 rates[name], points, cores = rate(client, scene, asked, arguments.seconds)
                 figures = f"{rates[name]:,.0f}", f"{points:.2f}", f"{cores:.2f}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
 import threading
 
@@ -11,13 +12,15 @@ class SilentProxy:
     """Forwards bytes between clients and a server until `silence` is called.
 
     After that, or from the start if `silent` is true, the proxy accepts connections and sends
-    nothing on them.
+    nothing on them. With `most` it falls silent by itself once the clients have sent more than
+    that many bytes.
     """
 
-    def __init__(self, target: str, *, silent: bool = False) -> None:
+    def __init__(self, target: str, *, silent: bool = False, most: float = math.inf) -> None:
         host, _, port = target.rpartition(":")
         self._target = (host, int(port))
         self._silent = threading.Event()
+        self._left = most
         if silent:
             self._silent.set()
         self._sockets: list[socket.socket] = []
@@ -38,12 +41,16 @@ class SilentProxy:
                     continue
                 far = socket.create_connection(self._target)
                 self._sockets.append(far)
-                for source, sink in ((near, far), (far, near)):
-                    threading.Thread(target=self._forward, args=(source, sink), daemon=True).start()
+                for ends in ((near, far, True), (far, near, False)):
+                    threading.Thread(target=self._forward, args=ends, daemon=True).start()
 
-    def _forward(self, source: socket.socket, sink: socket.socket) -> None:
+    def _forward(self, source: socket.socket, sink: socket.socket, counted: bool) -> None:
         with contextlib.suppress(OSError):
             while data := source.recv(1 << 16):
+                if counted:
+                    self._left -= len(data)
+                    if self._left < 0:
+                        self.silence()
                 if self._silent.is_set():
                     return
                 sink.sendall(data)

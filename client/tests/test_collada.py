@@ -357,6 +357,16 @@ def test_several_geometries_and_versions(tmp_path):
             "MALFORMED_MESH",
             "<matrix> has 3 numbers, not 16",
         ),
+        *(
+            (
+                document(
+                    nodes=f"<node><matrix>1 0 0 {x} 0 1 0 0 0 0 1 0 {last}</matrix>{INSTANCE}</node>"
+                ),
+                "UNSUPPORTED_MESH",
+                f"<matrix> has the last row {last}, expected 0 0 0 1",
+            )
+            for x, last in ((0, "5 6 7 1"), (3, "0 0 0 2"), (3, "0 0 0.1 1"), (0, "0 0 0 0"))
+        ),
         (
             document(nodes=f"<node><rotate>0 0 0 9</rotate>{INSTANCE}</node>"),
             "MALFORMED_MESH",

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from silent import SilentProxy
 
 import hullcast
 from hullcast import Manifolds
@@ -99,22 +100,30 @@ def test_a_certificate_that_openssl_made_works_from_python(tmp_path):
 
 def test_progress_is_for_terminals(tmp_path):
     """Catches a command that says nothing for long, and progress in the files of a script."""
-    with server(tmp_path, "--inject-pair-delay-us", "60000000") as port:
+    with server(tmp_path) as port:
         command = [find_binary(), "query", str(PANDA), "--remote", f"127.0.0.1:{port}"]
-        ours, theirs = pty.openpty()
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=theirs)
-        os.close(theirs)
-        shown, deadline = "", time.monotonic() + 60
-        while "pairs" not in shown and time.monotonic() < deadline:
-            if select.select([ours], [], [], 1)[0]:
-                shown += os.read(ours, 4096).decode()
-        process.kill()
-        process.wait()
-        os.close(ours)
-        assert "pairs" in shown
-        assert "0/81" in shown
-    with server(tmp_path, "--inject-pair-delay-us", "30000") as port:
-        command[-1] = f"127.0.0.1:{port}"
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-        assert done.stderr == ""
-        assert "81 pairs" in done.stdout
+        # Registers the hulls, so that the next messages are a list of ids and then the query.
+        subprocess.run(command, check=True, capture_output=True, timeout=120)
+        # The list and its headers have less than 1,500 bytes, and the query has more: it stays unanswered.
+        with SilentProxy(f"127.0.0.1:{port}", most=1500) as proxy:
+            command[-1] = proxy.address
+            ours, theirs = pty.openpty()
+            process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=theirs)
+            os.close(theirs)
+            shown, deadline = "", time.monotonic() + 60
+            while "pairs" not in shown and time.monotonic() < deadline:
+                if select.select([ours], [], [], 1)[0]:
+                    shown += os.read(ours, 4096).decode()
+            process.kill()
+            process.wait()
+            os.close(ours)
+            assert "pairs" in shown
+            assert "0/81" in shown
+        with SilentProxy(f"127.0.0.1:{port}", most=1500) as proxy:
+            command[-1] = proxy.address
+            process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+            # A terminal would show progress after a second.
+            with pytest.raises(subprocess.TimeoutExpired):
+                process.communicate(timeout=4)
+            process.kill()
+            assert process.communicate() == (b"", b"")

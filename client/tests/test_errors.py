@@ -6,7 +6,9 @@ import copy
 import inspect
 import multiprocessing
 import pickle
+import re
 import warnings
+from pathlib import Path
 
 import grpc
 import numpy as np
@@ -105,3 +107,21 @@ def test_a_call_that_the_server_cut_says_why():
     assert "answer_seconds" in str(error)
     own = _status.from_rpc(CutCall("Locally cancelled by application!"))
     assert "answer_seconds" not in str(own)
+
+
+def test_the_page_lists_every_reason_of_the_client():
+    """Catches a reason that the client raises and the page lacks, and one that nothing raises.
+
+    A test of the server compares the page's other table with the server's reasons.
+    """
+    root = Path(__file__).resolve().parents[2]
+    sources = (root / "client/src/hullcast").rglob("*.py")
+    texts = [path.read_text() for path in sources if "_pb" not in path.parts]
+    raised = set(re.findall(r'reason(?:: str)? ?= ?"([A-Z_]+)"', " ".join(texts)))
+    # Some classes take the reason as their second argument.
+    words = set(re.findall(r'"([A-Z_]+)"', " ".join(texts)))
+    table = (root / "docs/errors.md").read_text().split("## In the Python client")[1]
+    cells = [line.split("|")[2] for line in table.splitlines() if line.startswith("| ")]
+    listed = set(re.findall(r"\b[A-Z_]{2,}\b", " ".join(cells)))
+    assert raised - listed == set()
+    assert listed - words == set()

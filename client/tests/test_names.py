@@ -54,6 +54,102 @@ def test_single_values_compare_with_names(m):
     assert {Outcome.CONTACT: 5}[1] == 5
 
 
+def test_names_in_other_forms(m):
+    """Catches names in bytes, in an array of objects or of strings, that equal nothing."""
+    for name in (b"CONTACT", b"contact", np.str_("CONTACT"), np.bytes_(b"CONTACT")):
+        assert (m.outcome == name).tolist() == [True, False, False]
+        assert m.outcome[0] == name
+    for dtype in (object, "U", "S", getattr(np.dtypes, "StringDType", lambda: "U")()):
+        names = np.array(["CONTACT", "INVALID", "INVALID"], dtype=dtype)
+        assert (m.outcome == names).tolist() == [True, False, True]
+        assert (names == m.outcome).tolist() == [True, False, True]
+    mixed = np.array(["CONTACT", None, 4], dtype=object)
+    assert (m.outcome == mixed).tolist() == [True, False, True]
+    assert "CONTACT" in m.outcome
+    assert "UNDECIDED" not in m.outcome
+
+
+def test_functions_of_numpy_take_names(m):
+    """Catches `np.isin(m.outcome, ["CONTACT"])`, which was silently false everywhere."""
+    for names in (["CONTACT"], "contact", [b"CONTACT"], {"CONTACT"}, iter(["CONTACT"])):
+        assert np.isin(m.outcome, names).tolist() == [True, False, False]
+    assert np.isin(m.outcome, test_elements=["CONTACT"], invert=True).tolist() == [0, 1, 1]
+    assert np.isin(["CONTACT", "UNDECIDED"], m.outcome, kind="sort").tolist() == [True, False]
+    assert np.isin(m.feature_kinds, ["FACE"]).tolist() == [[True, True], [False] * 2, [False] * 2]
+    assert np.isin(m.flags, ["INVALID_BODY"]).tolist() == [False, False, True]
+    assert np.setdiff1d(m.outcome, ["CONTACT"]).tolist() == [2, 4]
+    assert np.intersect1d(["CONTACT"], m.outcome).tolist() == [1]
+    assert np.union1d(m.outcome, {"UNDECIDED"}).tolist() == [1, 2, 3, 4]
+    assert np.array_equal(m.outcome, ["CONTACT", "SEPARATED", "INVALID"])
+    assert not np.array_equal(m.outcome, ["CONTACT", "SEPARATED", "CONTACT"])
+    assert np.where([True, False, True], m.outcome, "UNDECIDED").tolist() == [1, 3, 4]
+    for call in (np.isin, np.setdiff1d, np.array_equal):
+        with pytest.raises(hullcast.InvalidArgument, match="expected one of CONTACT"):
+            call(m.outcome, ["TOUCHING"] * 3)
+
+
+def test_a_column_is_not_compared_with_a_set(m):
+    """Catches `m.outcome == {"CONTACT"}`, which was silently false everywhere."""
+    for compared in ({"CONTACT"}, frozenset({"CONTACT", "INVALID"})):
+        with pytest.raises(hullcast.InvalidArgument, match=r"np\.isin"):
+            _ = m.outcome == compared
+
+
+def test_columns_convert_to_names(m):
+    """Catches `astype(str)`, which gave digits, and lists of numbers that equal no name."""
+    assert m.outcome.astype(str).tolist() == ["CONTACT", "SEPARATED", "INVALID"]
+    assert m.outcome.astype("S").tolist() == [b"CONTACT", b"SEPARATED", b"INVALID"]
+    assert m.flags.astype(str).tolist() == ["-", "-", "INVALID_BODY"]
+    assert m.feature_kinds.astype(str)[0].tolist() == ["FACE", "FACE"]
+    assert m.outcome.astype(int).tolist() == [1, 2, 4]
+    for column in (m.outcome.tolist(), list(m.outcome), m.outcome.astype(object).tolist()):
+        assert [str(outcome) for outcome in column] == ["CONTACT", "SEPARATED", "INVALID"]
+        assert column.count("CONTACT") == 1
+    assert m.outcome.item(0) == m.outcome[:1].item() == "CONTACT"
+    assert m.feature_kinds.tolist()[0] == ["FACE", "FACE"]
+    assert m.outcome[:0].astype(str).shape == (0,)
+
+
+def test_members_are_found_by_number_in_sets():
+    """Catches another rule for `outcome in {"CONTACT"}` than the documentation states."""
+    assert Outcome.CONTACT not in {"CONTACT"}
+    assert Outcome.CONTACT.name in {"CONTACT"}
+    assert Outcome.CONTACT in {Outcome.CONTACT}
+    assert Outcome.CONTACT in {1}
+    assert Outcome.CONTACT in ["CONTACT"]
+    assert "CONTACT" in (Outcome.SEPARATED, Outcome.CONTACT)
+
+
+def test_single_flags_compare_with_names():
+    """Catches a flag that equals no name, and is printed as a number."""
+    assert Flag.REDUCED == "REDUCED" == Flag.REDUCED
+    assert Flag.REDUCED != "ESTIMATED"
+    assert str(Flag.REDUCED | Flag.ESTIMATED) == f"{Flag(9)}" == "ESTIMATED|REDUCED"
+    assert (str(Flag(0)), str(Flag(128 + 1)), f"{Flag(9):d}") == ("-", "ESTIMATED|128", "9")
+    assert {Flag.REDUCED: 5}[8] == 5
+    assert Flag(9) & Flag.REDUCED == Flag.REDUCED == 8
+
+
+@pytest.mark.parametrize("name", ["TOUCHING", "", "CONTACT ", b"\xff"])
+def test_a_single_value_refuses_a_name_that_is_none(name):
+    """Catches a misspelt name that a single value is silently not equal to."""
+    for value in (Outcome.CONTACT, Flag.REDUCED, FeatureKind.FACE):
+        with pytest.raises(hullcast.InvalidArgument, match="expected one of"):
+            _ = value == name
+        with pytest.raises(hullcast.InvalidArgument, match="expected one of"):
+            _ = value != name
+
+
+def test_frames_have_names(m):
+    """Catches a kind of feature that is a number in a data frame, and equals no name there."""
+    pytest.importorskip("pandas")
+    frame = m.to_dataframe("pairs")
+    assert (frame.outcome == "CONTACT").tolist() == [True, False, False]
+    assert frame.outcome.isin(["CONTACT", "INVALID"]).tolist() == [True, False, True]
+    assert (frame.feature_kind_a == "FACE").tolist() == [True, False, False]
+    assert (frame["flags"] & int(Flag.INVALID_BODY) != 0).tolist() == [False, False, True]
+
+
 @pytest.mark.parametrize("name", ["TOUCHING", "", "CONTACT "])
 def test_a_name_that_is_none_is_refused(m, name):
     """Catches a misspelt name that is silently false everywhere."""

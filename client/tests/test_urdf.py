@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import pickle
 import warnings
 from pathlib import Path
 
@@ -107,6 +108,36 @@ FAULTS = {
     "a scale of zero": (
         with_collision('<geometry><mesh filename="cube.stl" scale="1 1 0"/></geometry>'),
         ["link 'arm', collision 1", "<mesh scale='1 1 0'>"],
+    ),
+    "a quaternion of three numbers": (
+        with_collision('<origin quat_xyzw="0 0 1"/><geometry><box size="1 1 1"/></geometry>'),
+        ["link 'arm', collision 1", "<origin quat_xyzw='0 0 1'>", "4 finite numbers"],
+    ),
+    "a quaternion of zero": (
+        with_collision('<origin quat_xyzw="0 0 0 0"/><geometry><box size="1 1 1"/></geometry>'),
+        ["link 'arm', collision 1", "norm 0", "expected 0.25 to 4"],
+    ),
+    "two rotations": (
+        with_collision(
+            '<origin rpy="0 0 1" quat_xyzw="0 0 0 1"/><geometry><box size="1 1 1"/></geometry>'
+        ),
+        ["link 'arm', collision 1", "rpy and quat_xyzw"],
+    ),
+    "an unknown attribute of an origin": (
+        with_collision('<origin quat_wxyz="1 0 0 0"/><geometry><box size="1 1 1"/></geometry>'),
+        ["link 'arm', collision 1", "'quat_wxyz'", "expected xyz, rpy, quat_xyzw"],
+    ),
+    "two origins": (
+        with_collision("<origin/><origin/><geometry><box size='1 1 1'/></geometry>"),
+        ["link 'arm', collision 1", "2 <origin> elements"],
+    ),
+    "two geometries": (
+        with_collision("<geometry><box size='1 1 1'/></geometry>" * 2),
+        ["link 'arm', collision 1", "2 <geometry> elements"],
+    ),
+    "two axes": (
+        with_joint('<axis xyz="0 0 1"/><axis xyz="0 1 0"/>'),
+        ["joint 'j'", "2 <axis> elements"],
     ),
     "an origin of two numbers": (
         with_collision('<origin xyz="0 1"/><geometry><box size="1 1 1"/></geometry>'),
@@ -426,6 +457,100 @@ def test_values_of_joints_that_are_refused(tmp_path, joints, base, field):
     with pytest.raises(hullcast.InvalidArgument) as caught:
         hullcast.Robot(tmp_path / "robot.urdf").poses(joints, base=base)
     assert caught.value.field == field
+
+
+@pytest.mark.parametrize("norm", [1.0, 0.5, 3.9])
+def test_an_origin_with_a_quaternion(tmp_path, norm):
+    """Catches `quat_xyzw` of URDF 1.2 that is ignored, so that bodies and joints are not turned."""
+    spatial = pytest.importorskip("scipy.spatial.transform")
+    turn = spatial.Rotation.from_euler("xyz", [0.3, -0.4, 0.5])
+    quat = " ".join(repr(float(c)) for c in turn.as_quat() * norm)
+    robots = []
+    for text in (f'quat_xyzw="{quat}"', 'rpy="0.3 -0.4 0.5"'):
+        origin = f'<origin xyz="1 2 3" {text}/>'
+        link = f'<link name="a">{BOX}</link><link name="b"><collision>{origin}<geometry>'
+        joint = f'<joint name="j" type="fixed"><parent link="a"/><child link="b"/>{origin}</joint>'
+        (tmp_path / "robot.urdf").write_text(
+            f'<robot name="r" version="1.2">{link}<box size="1 2 3"/></geometry></collision></link>'
+            f"{joint}</robot>"
+        )
+        robots.append(hullcast.Robot(tmp_path / "robot.urdf"))
+    one, other = robots
+    assert one.shapes[1] == pytest.approx(np.asarray(other.shapes[1]))
+    assert one.poses() == pytest.approx(other.poses())
+    assert one.poses()[1, :3, :3] == pytest.approx(turn.as_matrix())
+
+
+def with_srdf(folder: Path, text: str) -> hullcast.Robot:
+    """The robot of the links a to d in a star around a, with an SRDF file."""
+    joints = "".join(
+        f'<joint name="{x}" type="continuous"><parent link="a"/><child link="{x}"/></joint>'
+        for x in "bcd"
+    )
+    (folder / "robot.urdf").write_text(f'<robot name="r">{LINKS}{joints}</robot>')
+    (folder / "robot.srdf").write_text(text)
+    return hullcast.Robot(folder / "robot.urdf", srdf=folder / "robot.srdf")
+
+
+def test_other_elements_of_an_srdf(tmp_path):
+    """Catches `disable_default_collisions` and `enable_collisions` that are ignored."""
+    assert with_srdf(tmp_path, '<robot name="r"/>').pairs.tolist() == [[1, 2], [1, 3], [2, 3]]
+    default = '<disable_default_collisions link="b"/>'
+    assert with_srdf(tmp_path, f'<robot name="r">{default}</robot>').pairs.tolist() == [[2, 3]]
+    again = '<enable_collisions link1="d" link2="b"/>'
+    robot = with_srdf(tmp_path, f'<robot name="r">{default}{again}</robot>')
+    assert robot.pairs.tolist() == [[1, 3], [2, 3]]
+    with pytest.raises(hullcast.InvalidArgument, match="<disable_collisions> has no 'link2'"):
+        with_srdf(tmp_path, '<robot name="r"><disable_collisions link1="b"/></robot>')
+
+
+def test_urdf_and_srdf_are_not_confused(tmp_path):
+    """Catches a URDF file as `srdf`, which disabled nothing in silence."""
+    path = tmp_path / "robot.urdf"
+    path.write_text(with_joint(""))
+    with pytest.raises(
+        hullcast.InvalidArgument, match=r"robot\.urdf: this is a URDF file"
+    ) as caught:
+        hullcast.Robot(path, srdf=path)
+    assert (caught.value.reason, caught.value.field) == ("NOT_AN_SRDF", "srdf")
+    path.write_text('<robot name="r"><disable_collisions link1="a" link2="b"/></robot>')
+    with pytest.raises(hullcast.InvalidArgument, match="this is an SRDF file") as caught:
+        hullcast.Robot(path)
+    assert (caught.value.reason, caught.value.field) == ("NOT_A_ROBOT", "urdf")
+
+
+REFUSED_BY_THE_SERVER = {
+    "thin": ('<box size="1 1 1e-20"/>', "robot.urdf", "NOT_REPRESENTABLE"),
+    "large": ('<box size="1 1 1e200"/>', "robot.urdf", "SIZE_OUT_OF_RANGE"),
+    "small": ('<sphere radius="1e-300"/>', "robot.urdf", "SIZE_OUT_OF_RANGE"),
+    "many vertices": ('<mesh filename="ball.obj"/>', "ball.obj", "TOO_MANY_VERTICES"),
+    "a small mesh": ('<mesh filename="ball.obj" scale="1e-90 1e-90 1e-90"/>', "ball.obj", "SIZE_OUT_OF_RANGE"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED_BY_THE_SERVER)
+def test_refused_hulls_name_file_and_link(tmp_path, name):
+    """Catches `hulls[1]` as the only name of a robot's body that the server refuses."""
+    spatial = pytest.importorskip("scipy.spatial")
+    shape, file, reason = REFUSED_BY_THE_SERVER[name]
+    points = hullcast.sphere(1, subdivisions=2).vertices
+    text = "".join("v {} {} {}\n".format(*row) for row in points.tolist())
+    faces = spatial.ConvexHull(points).simplices + 1
+    (tmp_path / "ball.obj").write_text(text + "".join("f {} {} {}\n".format(*f) for f in faces))
+    (tmp_path / "robot.urdf").write_text(
+        f'<robot name="r"><link name="arm">{BOX}<collision><geometry>{shape}</geometry></collision>'
+        "</link></robot>"
+    )
+    limit = ["--max-vertices-per-hull", "150"]
+    with hullcast.serve(arguments=limit) as client:
+        for robot in (
+            hullcast.Robot(tmp_path / "robot.urdf"),
+            pickle.loads(pickle.dumps(hullcast.Robot(tmp_path / "robot.urdf", decompose=False))),
+        ):
+            with pytest.raises(hullcast.HullRejected) as caught:
+                client.register(robot.shapes)
+            assert f"link 'arm', collision 1 ({file})" in str(caught.value)
+            assert (caught.value.reason, caught.value.index) == (reason, 1)
 
 
 def test_an_srdf_that_is_none(tmp_path):

@@ -22,6 +22,7 @@ fn main() {
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
     fs::write(out.join("hullcast.v1.binpb"), bare.encode_to_vec()).expect("OUT_DIR is writable");
     fs::write(out.join("columns.rs"), columns(&descriptors)).expect("OUT_DIR is writable");
+    fs::write(out.join("methods.rs"), methods(&descriptors)).expect("OUT_DIR is writable");
     manual::Builder::new().build_client(false).compile(&servers(&descriptors));
     tonic_prost_build::configure()
         .codec_path("crate::Codec")
@@ -92,6 +93,21 @@ fn columns(descriptors: &FileDescriptorSet) -> String {
         }
     }
     text + "}\n"
+}
+
+/// A constant for every method, `QUERY_CONTACTS` for `QueryContacts`, with its path without the leading slash.
+fn methods(descriptors: &FileDescriptorSet) -> String {
+    let mut text = String::new();
+    for file in &descriptors.file {
+        for service in &file.service {
+            for method in &service.method {
+                let constant = snake_case(method.name()).to_uppercase();
+                let name = format!("{}.{}/{}", file.package(), service.name(), method.name());
+                text += &format!("pub const {constant}: &str = \"{name}\";\n");
+            }
+        }
+    }
+    text
 }
 
 /// Converts `.hullcast.v1.Name` to a path in the crate.

@@ -16,7 +16,7 @@ use std::{
 use bytes::{BufMut, Bytes, BytesMut};
 use http_body_util::{BodyExt, Full};
 use hullcast::service::wire::{CONSTANT_BYTES, HULL_BYTES, decoded_bytes};
-use hullcast::service::{App, Limits, handlers};
+use hullcast::service::{App, Limits, Reason, handlers};
 use hullcast_contact::Stop;
 use hullcast_fuzz::seeds;
 use hullcast_proto::{
@@ -137,7 +137,7 @@ fn decoded_within_bounds<M: Message + Default>(method: &str, bytes: &[u8]) {
             assert!(most <= taken + CONSTANT_BYTES, "{method}: {most} bytes, {taken} taken");
             assert!(accepted, "{method}: prost refuses the message");
         }
-        Err(error) => assert!(!accepted || error.reason != "MALFORMED_MESSAGE", "{method}: {error}"),
+        Err(error) => assert!(!accepted || error.reason != Reason::MalformedMessage, "{method}: {error}"),
     }
 }
 

@@ -4,8 +4,6 @@
 //! through the service's own batch engine, without the network and without a store.
 
 use std::collections::HashMap;
-use std::error::Error as StdError;
-use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -24,7 +22,7 @@ use hullcast::budget::{Caller, Part, Permit};
 use hullcast::compute::{Compute, Job};
 use hullcast::contact::ConvexHull;
 use hullcast::proto;
-use hullcast::service::{Engine, EngineBounds, Kind, Limits, ServiceError, wire};
+use hullcast::service::{Engine, EngineBounds, Limits, Reason, ServiceError, wire};
 use hullcast::store::identity::id_of;
 use hullcast::store::{HullDefinition, HullId};
 
@@ -51,7 +49,8 @@ pub(crate) struct Local {
 }
 
 /// The error for a query that was not answered.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{text}")]
 pub(crate) struct Refusal {
     /// The reason, in words.
     pub(crate) text: String,
@@ -63,22 +62,13 @@ pub(crate) struct Refusal {
     pub(crate) exit: Exit,
 }
 
-impl fmt::Display for Refusal {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.text)
-    }
-}
-
-impl StdError for Refusal {}
-
 impl From<ServiceError> for Refusal {
     fn from(error: ServiceError) -> Self {
-        let (retry_after, exit) = match error.kind {
-            Kind::Unavailable { retry_after } => (Some(retry_after), Exit::Refused),
-            Kind::Invalid => (None, Exit::Input),
-            _ => (None, Exit::Refused),
+        let exit = match error.reason.code() {
+            Code::InvalidArgument => Exit::Input,
+            _ => Exit::Refused,
         };
-        Self { text: error.to_string(), retry_after, lost: false, exit }
+        Self { text: error.to_string(), retry_after: error.retry_after, lost: false, exit }
     }
 }
 
@@ -91,7 +81,8 @@ impl From<CallError> for Refusal {
             _ => Exit::Refused,
         };
         let lost = matches!(error, CallError::Lost(_));
-        Self { text: error.to_string(), retry_after: error.retry_after(), lost, exit }
+        let text = format!("{error}{}", hint(&error));
+        Self { text, retry_after: error.retry_after(), lost, exit }
     }
 }
 
@@ -234,6 +225,39 @@ fn not_registered(error: CallError, part: &[usize], missing: usize, hulls: usize
             ))
         }
         error => Refusal::from(error).into(),
+    }
+}
+
+/// An error about a hull, with the scene file that has the hull.
+pub(crate) fn in_scene(error: Error, scene: &str) -> Error {
+    match error.downcast::<HullRefused>() {
+        Ok(refused) => Exit::Input.error(format!("{scene}: {refused}")),
+        Err(other) => other,
+    }
+}
+
+/// An error of a query, with the server's address if its connection was lost.
+pub(crate) fn at_server(error: Error, address: &str) -> Error {
+    match error.downcast::<Refusal>() {
+        Ok(refusal) if refusal.lost => {
+            let text = format!("the connection to {address} was lost: {}", refusal.text);
+            Refusal { text, ..*refusal }.into()
+        }
+        Ok(refusal) => refusal,
+        Err(other) => other,
+    }
+}
+
+/// The option that a refused call needs, if it is about the caller's token.
+fn hint(error: &CallError) -> &'static str {
+    match error {
+        CallError::Refused(refusal) if refusal.reason == Reason::MissingToken.name() => {
+            ": give a file with a token by --token-file"
+        }
+        CallError::Refused(refusal) if refusal.reason == Reason::UnknownToken.name() => {
+            ": --token-file needs another token"
+        }
+        _ => "",
     }
 }
 

@@ -39,19 +39,12 @@ pub(crate) enum Exit {
 }
 
 /// An error message with the exit code of its kind.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{text}")]
 pub(crate) struct Failure {
     exit: Exit,
     text: String,
 }
-
-impl fmt::Display for Failure {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.text)
-    }
-}
-
-impl StdError for Failure {}
 
 impl Exit {
     /// An error of this kind.

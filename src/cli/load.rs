@@ -16,11 +16,11 @@ use levels::{Level, Plan, Range};
 use runner::Runner;
 
 use super::Error;
-use super::answer::{Answerer, another_connection};
+use super::answer::{Answerer, another_connection, in_scene};
 use super::options::{AccuracyArgs, OutputArg};
 use super::progress::Progress;
 use super::remote::RemoteArgs;
-use super::scene::HullPoints;
+use super::scene::{HullPoints, shown};
 use super::settings::MOST_THREADS;
 use super::values::{count, margin, number};
 use hullcast::store::HullId;
@@ -189,7 +189,10 @@ async fn loaded(args: &Args) -> Result<(), Error> {
     let progress = Progress::waiting("making batches");
     let batches = args.batches()?;
     drop(progress);
-    let (answerers, ids) = args.answerers(batches.hulls()).await?;
+    let (answerers, ids) = args.answerers(batches.hulls()).await.map_err(|error| match &args.scene {
+        Some(path) => in_scene(error, &shown("--scene", path)),
+        None => error,
+    })?;
     let margin = args.margin.unwrap_or(batches.margin());
     let sampled =
         Arc::new(batches.prepare(&ids, &args.accuracy.asked(margin, &args.outputs), args.verify)?);

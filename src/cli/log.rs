@@ -64,10 +64,8 @@ pub(crate) fn start(settings: &Settings) -> Result<Observed, Error> {
         LogFormat::Text => log.with_ansi(false).boxed(),
         LogFormat::Json => log.json().boxed(),
     };
-    let traces = match settings.otlp_endpoint.as_str() {
-        "" => None,
-        endpoint => Some(Traces::open(endpoint, settings.otlp_share)?),
-    };
+    let is_traced = !settings.otlp_endpoint.is_empty();
+    let traces = is_traced.then(|| Traces::open(settings)).transpose()?;
     let subscriber = tracing_subscriber::registry().with(log.with_filter(filter));
     // A layer that is absent (`None`) must not be added: it has no filter, so every span of every library
     // would be created and closed for it, several for each message.

@@ -3,7 +3,7 @@
 use tracing::Subscriber;
 use tracing_subscriber::{Layer, layer::Identity};
 
-use super::Error;
+use super::{Error, exit::Exit, settings::Settings};
 
 /// A type without values, because such a build has no traces.
 pub(crate) enum Traces {}
@@ -11,9 +11,12 @@ pub(crate) enum Traces {}
 impl Traces {
     /// # Errors
     /// Always.
-    pub(crate) fn open(endpoint: &str, _: f64) -> Result<Self, Error> {
-        Err(format!("otlp_endpoint {endpoint}: needs the feature \"otlp\", which this build is without")
-            .into())
+    pub(crate) fn open(settings: &Settings) -> Result<Self, Error> {
+        let (name, endpoint) = (settings.shown("otlp_endpoint"), &settings.otlp_endpoint);
+        let remedy = "cargo build --release --features otlp";
+        Err(Exit::Usage.error(format!(
+            "{name} {endpoint}: this server was built without traces: build it by `{remedy}`"
+        )))
     }
 
     pub(crate) fn layer<S: Subscriber>(&self) -> impl Layer<S> + use<S> {

@@ -4,13 +4,13 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 
 use super::Error;
-use super::answer::{Answerer, request};
+use super::answer::{Answerer, at_server, in_scene, request};
 use super::exit::Exit;
-use super::options::{AccuracyArgs, OutputArg};
+use super::options::{AccuracyArgs, Asked, OutputArg};
 use super::progress::Progress;
 use super::remote::RemoteArgs;
 use super::report::Answered;
-use super::scene::{SceneFile, frame_named, unusable_poses};
+use super::scene::{Frame, SceneFile, frame_named, shown, unusable_poses};
 use super::settings::MOST_THREADS;
 use super::values::{count, counted, margin};
 use hullcast::proto;
@@ -78,12 +78,12 @@ async fn answered(args: &Args) -> Result<(), Error> {
         Some(wanted) => frame_named(&scene, wanted).map_err(|text| Exit::Usage.error(text))?,
         None => &scene.frames[0],
     };
-    let (answerer, ids) = match &args.remote.remote {
-        Some(address) => Answerer::remote(address, &args.remote, &scene.hulls).await?,
-        None => Answerer::local(&scene.hulls, args.threads)?,
-    };
     let asked = args.accuracy.asked(args.margin.unwrap_or(scene.margin), &args.outputs);
-    let columns = answer(&answerer, request(&scene, frame, &ids, &asked)).await?;
+    let columns =
+        asked_for(args, &scene, frame, &asked).await.map_err(|error| match &args.remote.remote {
+            Some(address) => at_server(error, address),
+            None => error,
+        })?;
     let answered = Answered { scene: &scene, frame, columns: &columns };
     if let Some(path) = &args.out {
         answered.write_npz(path, &asked.outputs).map_err(|e| format!("--out {}: {e}", path.display()))?;
@@ -97,6 +97,21 @@ async fn answered(args: &Args) -> Result<(), Error> {
         other => other?,
     }
     all_answered(&columns, scene.body_hulls.len())
+}
+
+/// The columns of the answer, from this process or a server.
+async fn asked_for(
+    args: &Args,
+    scene: &SceneFile,
+    frame: &Frame,
+    asked: &Asked,
+) -> Result<proto::QueryContactsResponse, Error> {
+    let opened = match &args.remote.remote {
+        Some(address) => Answerer::remote(address, &args.remote, &scene.hulls).await,
+        None => Answerer::local(&scene.hulls, args.threads),
+    };
+    let (answerer, ids) = opened.map_err(|error| in_scene(error, &shown("", &args.scene)))?;
+    answer(&answerer, request(scene, frame, &ids, asked)).await
 }
 
 /// Fails if a pair was not answered, because a script must not mistake such a pair for one without

@@ -1,7 +1,9 @@
 //! The scene file of a command, with the exit codes of its faults, and the configuration that an option
 //! names.
 
-pub(crate) use hullcast_batch::scene_file::{Frame, HullPoints, SceneError, SceneFile, unusable_poses};
+pub(crate) use hullcast_batch::scene_file::{
+    Frame, HullPoints, SceneError, SceneFile, shown, unusable_poses,
+};
 
 use super::Error;
 use super::exit::Exit;

@@ -26,7 +26,6 @@ use super::{
     exit::Exit,
     log, memory, runtime,
     settings::{Checked, DEFAULT_STORE, Given, Settings},
-    values::count,
 };
 
 /// `hullcast serve`
@@ -41,9 +40,6 @@ pub(crate) struct Args {
     /// Print the settings that apply, in the format of --config, and exit
     #[arg(long, help_heading = "Settings")]
     print_config: bool,
-    /// Sleep for this many microseconds per pair, which tests of overload need
-    #[arg(long, hide = true, default_value_t = 0, value_parser = count(0, u64::MAX), allow_negative_numbers = true)]
-    inject_pair_delay_us: u64,
     /// Stop when standard input closes, for example because the parent process has ended
     #[arg(long, help_heading = "Stopping")]
     until_stdin_closes: bool,
@@ -77,11 +73,23 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     memory::compare(limits);
     let result = runtime.block_on(until_stopped(&settings, checked, &args));
     observed.flush();
+    if let Ok(Stopped::AtOnce) = result {
+        // Dropping the runtime would wait for work on other threads.
+        std::process::exit(1);
+    }
     runtime.shutdown_timeout(RUNTIME_SHUTDOWN);
-    result
+    result.map(|_| ())
 }
 
-async fn until_stopped(settings: &Settings, checked: Checked, args: &Args) -> Result<(), Error> {
+/// How the server stopped.
+enum Stopped {
+    /// The calls in progress ended first.
+    Drained,
+    /// It was told to stop a second time.
+    AtOnce,
+}
+
+async fn until_stopped(settings: &Settings, checked: Checked, args: &Args) -> Result<Stopped, Error> {
     let Checked { serving, limits, grace } = checked;
     let store = blobs::open(&settings.store).map_err(|error| match error {
         OpenError::Threads(why) => Exit::Failed.error(runtime::refused(&why)),
@@ -92,9 +100,9 @@ async fn until_stopped(settings: &Settings, checked: Checked, args: &Args) -> Re
         error => error.into(),
     })?;
     let app = Arc::new(app);
-    app.engine().injected().delay(Duration::from_micros(args.inject_pair_delay_us));
     // Installed before the address is printed: a reader of the address may stop the server at once.
-    let shutdown = shutdown(grace, args.until_stdin_closes)?;
+    let (again, told_again) = oneshot::channel();
+    let shutdown = shutdown(grace, args.until_stdin_closes, again)?;
     let listeners = listeners(settings, &serving.security).await?;
     let admin = match settings.admin_listen.as_str() {
         "" => None,
@@ -117,7 +125,16 @@ async fn until_stopped(settings: &Settings, checked: Checked, args: &Args) -> Re
         "serving"
     );
     spawn_reload_on_hangup(serving.security.clone())?;
-    Ok(serve(listeners, app, serving, shutdown).await?)
+    tokio::select! {
+        served = serve(listeners, app, serving, shutdown) => {
+            served?;
+            Ok(Stopped::Drained)
+        }
+        Ok(()) = told_again => {
+            tracing::warn!("told to stop again: ending at once");
+            Ok(Stopped::AtOnce)
+        }
+    }
 }
 
 /// Binds the addresses. Refuses one that other machines can reach in plain text, unless the settings
@@ -139,9 +156,12 @@ async fn listeners(settings: &Settings, security: &Security) -> Result<Vec<Liste
 
 /// Completes when the server is told to stop, and returns the grace period. After a supervisor's
 /// signal load balancers must hear of the stop first, so there is a grace period. After an interrupt,
-/// or after the end of standard input, there is none. If the server is told to stop again, the process
-/// ends at once.
-fn shutdown(grace: Duration, until_stdin_closes: bool) -> Result<impl Future<Output = Duration>, Error> {
+/// or after the end of standard input, there is none. `again` hears of a second signal.
+fn shutdown(
+    grace: Duration,
+    until_stdin_closes: bool,
+    again: oneshot::Sender<()>,
+) -> Result<impl Future<Output = Duration>, Error> {
     let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
     let closed = if until_stdin_closes { Some(stdin_closed()?) } else { None };
     let closed = async {
@@ -161,8 +181,7 @@ fn shutdown(grace: Duration, until_stdin_closes: bool) -> Result<impl Future<Out
                 _ = terminate.recv() => {}
                 _ = interrupt.recv() => {}
             }
-            tracing::warn!("told to stop again: ending at once");
-            std::process::exit(1);
+            let _ = again.send(());
         });
         grace
     })

@@ -14,7 +14,7 @@ use opentelemetry_sdk::{
 use tracing::Subscriber;
 use tracing_subscriber::{Layer, filter::filter_fn, registry::LookupSpan};
 
-use super::Error;
+use super::{Error, exit::Exit, settings::Settings};
 
 /// The time at the end for sending the remaining spans. A collector that does not answer delays the end
 /// by no more than this.
@@ -27,16 +27,16 @@ impl Traces {
     /// Opens the exporter. Must be called inside a runtime. It connects when there are spans to send.
     ///
     /// # Errors
-    /// The endpoint is not a URL, or the fraction is not within 0 to 1.
-    pub(crate) fn open(endpoint: &str, share: f64) -> Result<Self, Error> {
-        if !(0.0..=1.0).contains(&share) {
-            return Err(format!("otlp_share {share}: not within 0 to 1").into());
-        }
+    /// The endpoint is not a URL.
+    pub(crate) fn open(settings: &Settings) -> Result<Self, Error> {
+        let (endpoint, share) = (&settings.otlp_endpoint, settings.otlp_share);
         let mut exporter = SpanExporter::builder().with_tonic().with_endpoint(endpoint);
         if endpoint.starts_with("https:") {
             exporter = exporter.with_tls_config(ClientTlsConfig::new().with_enabled_roots());
         }
-        let exporter = exporter.build().map_err(|error| format!("otlp_endpoint {endpoint}: {error}"))?;
+        let exporter = exporter.build().map_err(|error| {
+            Exit::Usage.error(format!("{} {endpoint}: {error}", settings.shown("otlp_endpoint")))
+        })?;
         let about =
             Resource::builder().with_attribute(KeyValue::new("service.version", env!("CARGO_PKG_VERSION")));
         let about = match std::env::var_os("OTEL_SERVICE_NAME") {

@@ -11,6 +11,9 @@
 //! after the other instead of all late. Small batches do not wait, and no batch waits for another caller's.
 //! The compute threads take turns between callers and between batches, so a small batch is delayed by some
 //! chunks, not by whole batches. A batch whose caller leaves also leaves the queue.
+//!
+//! This is our own code, because the limits of tower (load shedding, concurrency, buffers) count calls, and
+//! know neither pairs nor callers.
 
 use std::{
     sync::{
@@ -22,7 +25,7 @@ use std::{
 
 use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
 
-use super::ServiceError;
+use super::{Reason, ServiceError};
 use crate::{
     budget::{ById, Caller, Shares},
     lock::locked,
@@ -128,7 +131,7 @@ impl AdmissionQueue {
         self.take(weight(pairs), caller, false).ok_or_else(|| {
             self.metrics.shed(Shed::Pairs);
             let message = "too many pairs are in flight: retry later";
-            ServiceError::unavailable("TOO_BUSY", self.retry_after(computed), message)
+            ServiceError::unavailable(Reason::TooBusy, self.retry_after(computed), message)
         })
     }
 
@@ -284,7 +287,7 @@ mod tests {
         let (queue, caller) = (queue(100), &Caller::alone());
         let sixty = queue.admit(60, caller, 0).unwrap();
         let forty = queue.admit(40, caller, 0).unwrap();
-        assert_eq!(queue.admit(0, caller, 0).unwrap_err().reason, "TOO_BUSY");
+        assert_eq!(queue.admit(0, caller, 0).unwrap_err().reason, Reason::TooBusy);
         drop(forty);
         assert!(queue.admit(41, caller, 0).is_err());
         let forty = queue.admit(40, caller, 0).unwrap();

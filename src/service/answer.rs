@@ -8,7 +8,7 @@
 use bytes::{BufMut, Bytes, BytesMut};
 
 use super::{
-    App, ServiceError,
+    App, Reason, ServiceError,
     context::{Answer, CallContext, grow},
     offload::offloaded,
     request_body::HEAD_BYTES,
@@ -86,5 +86,5 @@ pub(super) fn too_large(app: &App, bytes: usize) -> ServiceError {
     let [bytes, limit] = [bytes, app.limits().max_message_bytes].map(|bytes| ByteSize(bytes as u64));
     let message =
         format!("the answer has at least {bytes}, at most {limit} are allowed: request less at a time");
-    ServiceError::refused("RESPONSE_TOO_LARGE", message)
+    ServiceError::new(Reason::ResponseTooLarge, message)
 }

@@ -1,4 +1,4 @@
-//! A call in progress: its name, its log span, and its end.
+//! A call in progress: its log span, and its end.
 
 use std::{
     sync::{
@@ -22,65 +22,11 @@ use crate::{
     trace,
 };
 
-/// The methods of the contract.
-const METHODS: [&str; 14] = [
-    "/hullcast.v1.ContactService/QueryContacts",
-    "/hullcast.v1.ContactService/FindContacts",
-    "/hullcast.v1.ContactService/StreamContacts",
-    "/hullcast.v1.HullService/RegisterHulls",
-    "/hullcast.v1.HullService/GetHulls",
-    "/hullcast.v1.HullService/HasHulls",
-    "/hullcast.v1.HullService/ListHulls",
-    "/hullcast.v1.HullService/DeleteHulls",
-    "/hullcast.v1.ServerService/GetServerInfo",
-    "/grpc.health.v1.Health/Check",
-    "/grpc.health.v1.Health/Watch",
-    "/grpc.health.v1.Health/List",
-    "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo",
-    "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo",
-];
-
 /// The header in which a client or a proxy names the call.
 const REQUEST_ID: &str = "x-request-id";
 
 /// Longer ids are not logged.
 const REQUEST_ID_BYTES: usize = 64;
-
-/// The method's name for metrics and logs, without the leading slash. Any other path is `other`,
-/// because clients can send arbitrary paths.
-pub(super) fn method(path: &str) -> &'static str {
-    let known = METHODS.into_iter().find(|known| *known == path);
-    known.and_then(|known| known.strip_prefix('/')).unwrap_or("other")
-}
-
-/// Whether a call of the method may last as long as its client wants.
-pub(super) fn is_long_lived(method: &str) -> bool {
-    is_watch(method) || method.ends_with("/StreamContacts")
-}
-
-/// Whether the method is a stream that tools keep open.
-pub(super) fn is_watch(method: &str) -> bool {
-    method.ends_with("/Watch") || is_reflection(method)
-}
-
-/// Whether the method's request is a single message.
-pub(super) fn takes_one_message(method: &str) -> bool {
-    !method.ends_with("/StreamContacts") && !is_reflection(method)
-}
-
-/// Whether the method is a health check.
-pub(super) fn is_health(method: &str) -> bool {
-    method.starts_with("grpc.health.")
-}
-
-/// Whether the method's messages contain little more than a name.
-pub(super) fn names_a_service(method: &str) -> bool {
-    is_health(method) || is_reflection(method)
-}
-
-fn is_reflection(method: &str) -> bool {
-    method.starts_with("grpc.reflection.")
-}
 
 /// A span that names the call in every line logged for it. It has an id, given by the client or by
 /// this server, and the id of the call's trace, taken from `traced` or else from a W3C
@@ -214,7 +160,7 @@ impl Drop for Call {
 }
 
 /// The code's name in the gRPC protocol.
-fn name(code: Code) -> &'static str {
+pub(super) fn name(code: Code) -> &'static str {
     match code {
         Code::Ok => "OK",
         Code::Cancelled => "CANCELLED",
@@ -241,17 +187,6 @@ pub(super) type BoxError = Box<dyn std::error::Error + Send + Sync>;
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Catches a metric label that clients can invent. Each new label would be a time series that
-    /// never ends.
-    #[test]
-    fn methods_that_are_not_there_have_one_name() {
-        assert_eq!(method("/hullcast.v1.HullService/GetHulls"), "hullcast.v1.HullService/GetHulls");
-        for path in ["", "/", "other", "hullcast.v1.HullService/GetHulls", "/hullcast.v1.HullService/Get"] {
-            assert_eq!(method(path), "other");
-        }
-        assert!(is_long_lived(method(METHODS[2])) && !is_long_lived(method(METHODS[0])));
-    }
 
     /// Catches a malformed trace context whose id is logged.
     #[test]

@@ -36,7 +36,7 @@ use super::{
     peers::{Address, Peer, Peers},
     request_body::per_mebibyte,
     sizes::HEADER_BYTES,
-    streams::{Arrived, Records, StreamExecutor, Streams},
+    streams::{Arrived, Readers, Records, StreamExecutor, Streams},
 };
 #[cfg(feature = "playground")]
 use super::{
@@ -135,21 +135,19 @@ impl Connections {
         };
         let (close, closed) = watch::channel(false);
         let (app, routes, serving) = (self.app.clone(), self.routes.clone(), self.serving.clone());
-        let overhead = Overhead::new(peer.clone(), self.longest_wait());
-        let records = Records::new(peer.clone());
-        let calls = Middleware::new(app, routes, serving, peer, Closing(closed));
+        let calls = Middleware::new(app, routes, serving, peer.clone(), Closing(closed));
         #[cfg(feature = "playground")]
         if self.serving.playground {
-            return self.serve_page(io, calls, (overhead, records), close, closing).await;
+            return self.serve_page(io, calls, peer, close, closing).await;
         }
-        self.serve_http2(io, calls, (overhead, records), close, closing).await;
+        self.serve_http2(io, calls, peer, close, closing).await;
     }
 
     async fn serve_http2<S>(
         &self,
         io: Connection,
         service: S,
-        (overhead, records): (Overhead, Records),
+        peer: Peer,
         close: watch::Sender<bool>,
         closing: Closing,
     ) where
@@ -157,7 +155,7 @@ impl Connections {
         S::Future: Send + 'static,
     {
         let read = Arc::new(AtomicU64::new(0));
-        let window = overhead.window();
+        let window = peer.window();
         let (abort, streams) = (Arc::new(Notify::new()), Arc::<Streams>::default());
         let executor = StreamExecutor::new(self.app.clone(), abort.clone(), streams.clone());
         let frames = Frames::default();
@@ -165,8 +163,9 @@ impl Connections {
             io,
             read: read.clone(),
             frames,
-            overhead,
-            records,
+            readers: Readers::new(peer.readers()),
+            overhead: Overhead::new(peer.clone(), self.longest_wait()),
+            records: Records::new(peer),
             streams,
             arrived: Arrived::default(),
         };
@@ -187,7 +186,7 @@ impl Connections {
         &self,
         io: Connection,
         calls: Middleware,
-        counts: (Overhead, Records),
+        peer: Peer,
         close: watch::Sender<bool>,
         mut closing: Closing,
     ) {
@@ -197,7 +196,7 @@ impl Connections {
             () = closing.heard() => return,
         };
         match speaks_http1 {
-            Ok(Ok(false)) => self.serve_http2(io, Page::over_http2(calls), counts, close, closing).await,
+            Ok(Ok(false)) => self.serve_http2(io, Page::over_http2(calls), peer, close, closing).await,
             Ok(Ok(true)) => {
                 let cutoff = Cutoff::new();
                 let stall = Stall::new(cutoff.clone(), self.serving.answer_time);
@@ -279,6 +278,7 @@ struct Counted {
     overhead: Overhead,
     records: Records,
     streams: Arc<Streams>,
+    readers: Readers,
     arrived: Arrived,
 }
 
@@ -289,9 +289,13 @@ impl AsyncRead for Counted {
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
         let this = &mut *self;
-        ready!(this.streams.poll_may_read(&mut this.arrived, cx));
+        ready!(this.streams.poll_may_read(&mut this.arrived, &mut this.readers, cx));
         let before = buffer.filled().len();
-        ready!(Pin::new(&mut this.io).poll_read(cx, buffer))?;
+        let Poll::Ready(read) = Pin::new(&mut this.io).poll_read(cx, buffer) else {
+            this.streams.release_read_permit();
+            return Poll::Pending;
+        };
+        read?;
         let read = &buffer.filled()[before..];
         this.read.fetch_add(read.len() as u64, Ordering::Relaxed);
         let begun = this.frames.begun();
@@ -304,8 +308,9 @@ impl AsyncRead for Counted {
 
 impl AsyncWrite for Counted {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        let wrote = Pin::new(&mut self.io).poll_write(cx, bytes);
-        self.streams.wrote(wrote.is_pending());
+        let this = &mut *self;
+        let wrote = Pin::new(&mut this.io).poll_write(cx, bytes);
+        this.streams.wrote(wrote.is_pending(), &mut this.readers);
         wrote
     }
 
@@ -314,8 +319,9 @@ impl AsyncWrite for Counted {
         cx: &mut Context<'_>,
         slices: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        let wrote = Pin::new(&mut self.io).poll_write_vectored(cx, slices);
-        self.streams.wrote(wrote.is_pending());
+        let this = &mut *self;
+        let wrote = Pin::new(&mut this.io).poll_write_vectored(cx, slices);
+        this.streams.wrote(wrote.is_pending(), &mut this.readers);
         wrote
     }
 

@@ -12,7 +12,7 @@ use std::{
 use bytes::{Bytes, BytesMut};
 
 use super::{
-    App, ServiceError,
+    App, Reason, ServiceError,
     sizes::{FRAME_BYTES, SMALL_BYTES},
 };
 use crate::{
@@ -201,9 +201,9 @@ pub(super) fn no_memory(metrics: &Metrics, why: NoMemory) -> ServiceError {
     match why.refusal {
         Refusal::Busy => {
             metrics.shed(if why.part == Part::Arriving { Shed::RequestBytes } else { Shed::Memory });
-            ServiceError::unavailable("TOO_BUSY", MEMORY_RETRY, format!("{why}: retry later"))
+            ServiceError::unavailable(Reason::TooBusy, MEMORY_RETRY, format!("{why}: retry later"))
         }
-        Refusal::TooLarge => ServiceError::refused("MEMORY_TOO_LARGE", format!("{why}: split the request")),
+        Refusal::TooLarge => ServiceError::new(Reason::MemoryTooLarge, format!("{why}: split the request")),
     }
 }
 

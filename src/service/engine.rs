@@ -5,11 +5,13 @@ use std::{sync::Arc, time::Instant};
 
 use tracing::Instrument;
 
+#[cfg(feature = "testing")]
+use super::injected::Injected;
 use super::{
     admission::{Admission, AdmissionQueue},
     context::no_memory,
     error::ServiceError,
-    injected::Injected,
+    reason::Reason,
 };
 use crate::{
     batch::{self, Batch, Columns, EngineError, Memory, Outputs},
@@ -28,6 +30,7 @@ pub struct Engine {
     batches: batch::Engine,
     admission: Arc<AdmissionQueue>,
     metrics: Arc<Metrics>,
+    #[cfg(feature = "testing")]
     injected: Arc<Injected>,
 }
 
@@ -57,16 +60,24 @@ impl Memory for Permit {
 impl Engine {
     /// An engine that computes on `compute`.
     pub fn new(compute: Compute, bounds: Bounds, metrics: Arc<Metrics>) -> Self {
+        #[cfg(feature = "testing")]
         let injected = Arc::<Injected>::default();
-        let before_chunk = injected.clone();
-        let batches =
-            batch::Engine::with_hook(compute, bounds.max_answer_bytes, move |pairs| before_chunk.pass(pairs));
+        #[cfg(feature = "testing")]
+        let batches = injected.engine(compute, bounds.max_answer_bytes);
+        #[cfg(not(feature = "testing"))]
+        let batches = batch::Engine::new(compute, bounds.max_answer_bytes);
         let admission = AdmissionQueue::new(bounds.max_pairs_in_flight, bounds.shares, metrics.clone());
-        Self { batches, admission, metrics, injected }
+        Self {
+            batches,
+            admission,
+            metrics,
+            #[cfg(feature = "testing")]
+            injected,
+        }
     }
 
     /// Controls for tests of overload.
-    #[doc(hidden)]
+    #[cfg(feature = "testing")]
     pub fn injected(&self) -> &Injected {
         &self.injected
     }
@@ -158,8 +169,8 @@ impl Engine {
 }
 
 fn too_large(limit: usize) -> ServiceError {
-    ServiceError::refused(
-        "RESPONSE_TOO_LARGE",
+    ServiceError::new(
+        Reason::ResponseTooLarge,
         format!("the answer would have more than {}: request fewer pairs or outputs", ByteSize(limit as u64)),
     )
 }

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use super::{
-    App, Limits, ServiceError,
+    App, Limits, Reason, ServiceError,
     admission::Admission,
     answer::{answer, counted_answer},
     context::{CallContext, grow},
@@ -87,7 +87,8 @@ impl Finding {
                 Ok(None) => {}
                 Ok(answer) => return Ok(answer),
                 // Split the answer, as a client would split the request.
-                Err(error) if error.reason == "RESPONSE_TOO_LARGE" && self.search.0.split(&candidates) => {}
+                Err(error)
+                    if error.reason == Reason::ResponseTooLarge && self.search.0.split(&candidates) => {}
                 Err(error) => return Err(error),
             }
         }

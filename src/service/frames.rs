@@ -220,11 +220,6 @@ impl Overhead {
         Self { peer, wait, taken: 0, held: VecDeque::new() }
     }
 
-    /// The HTTP/2 window of the connection and of each of its streams, in bytes.
-    pub(super) fn window(&self) -> u32 {
-        self.peer.window()
-    }
-
     /// Takes memory for the overhead of `frames`.
     ///
     /// # Errors

@@ -5,7 +5,7 @@ use std::{iter::Peekable, sync::Arc, time::Duration};
 use tonic::{Request, Response, Status};
 
 use super::{
-    App, Limits, ServiceError,
+    App, Limits, Reason, ServiceError,
     answer::answer,
     context::{CallContext, no_memory},
     decode::decoded,
@@ -149,19 +149,23 @@ impl Hulls {
 }
 
 pub(super) fn unreadable() -> ServiceError {
-    ServiceError::unavailable("STORE_UNAVAILABLE", STORE_RETRY, "the store could not be read: retry later")
+    ServiceError::unavailable(
+        Reason::StoreUnavailable,
+        STORE_RETRY,
+        "the store could not be read: retry later",
+    )
 }
 
 fn store_error(app: &App, error: StoreError) -> ServiceError {
     limited!(warn, %error, "the store failed");
     match error {
-        StoreError::Full(_) => ServiceError::store_full(error.to_string()),
+        StoreError::Full(_) => ServiceError::new(Reason::StoreFull, error.to_string()),
         StoreError::Busy(_) => {
             app.metrics().shed(Shed::Store);
-            ServiceError::unavailable("TOO_BUSY", STORE_RETRY, format!("{error}: retry later"))
+            ServiceError::unavailable(Reason::TooBusy, STORE_RETRY, format!("{error}: retry later"))
         }
         StoreError::Unavailable(_) | StoreError::Hung(_) | StoreError::NotABlob(_) => {
-            ServiceError::unavailable("STORE_UNAVAILABLE", STORE_RETRY, error.to_string())
+            ServiceError::unavailable(Reason::StoreUnavailable, STORE_RETRY, error.to_string())
         }
     }
 }

@@ -3,14 +3,14 @@
 use std::{
     cell::Cell,
     sync::{
-        Condvar, Mutex, MutexGuard, PoisonError,
+        Arc, Condvar, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, AtomicU64, Ordering},
     },
     thread,
     time::{Duration, Instant},
 };
 
-use crate::lock::locked;
+use crate::{batch, compute::Compute, lock::locked};
 
 /// Controls for tests. By default they do nothing.
 #[derive(Debug, Default)]
@@ -29,6 +29,12 @@ thread_local! {
 }
 
 impl Injected {
+    /// An engine that waits before each chunk as these controls say.
+    pub(super) fn engine(self: &Arc<Self>, compute: Compute, max_answer_bytes: usize) -> batch::Engine {
+        let controls = self.clone();
+        batch::Engine::with_hook(compute, max_answer_bytes, move |pairs| controls.pass(pairs))
+    }
+
     /// Makes the thread sleep for this time per pair.
     pub fn delay(&self, per_pair: Duration) {
         self.delay.store(per_pair.as_nanos() as u64, Ordering::Relaxed);
@@ -52,7 +58,7 @@ impl Injected {
 
     /// Waits for as long as the test has configured. The engine calls this before it computes
     /// `pairs` pairs.
-    pub(super) fn pass(&self, pairs: usize) {
+    fn pass(&self, pairs: usize) {
         let delay = self.delay.load(Ordering::Relaxed);
         if delay > 0 {
             sleep(Duration::from_nanos(delay) * pairs as u32);

@@ -2,7 +2,7 @@
 //! for each.
 
 use super::sizes::{
-    CALL_BYTES, CONNECTION_BYTES, GROUP_BYTES, HEADER_BYTES, HULL_BYTES, LARGE_WINDOW, LISTED_BYTES,
+    CALL_BYTES, CONNECTION_BYTES, GROUP_BYTES, HULL_BYTES, LARGE_WINDOW, LISTED_BYTES, MOST_HEADER_MEMORY,
 };
 use crate::{size::ByteSize, store::building_bytes};
 
@@ -132,7 +132,7 @@ impl Limits {
     pub fn largest_request_bytes(&self) -> u64 {
         let message = self.max_message_bytes as u64;
         let connection = CONNECTION_BYTES + u64::from(LARGE_WINDOW);
-        let call = CALL_BYTES as u64 + u64::from(HEADER_BYTES);
+        let call = CALL_BYTES as u64 + MOST_HEADER_MEMORY;
         let hulls = HULL_BYTES as u64 * u64::from(self.max_hulls_per_request).min(message);
         let building = building_bytes(self.largest_definition() as usize).max(GROUP_BYTES) as u64;
         let query = QUERY_MESSAGES * message;

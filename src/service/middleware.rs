@@ -18,22 +18,22 @@ use futures_util::future::BoxFuture;
 use http::{HeaderMap, HeaderName, HeaderValue, Request, Response};
 use hyper::body::Body as HttpBody;
 use tokio::{sync::watch, time::Instant};
-use tonic::{Status, body::Body, service::Routes};
+use tonic::{Code, Status, body::Body, service::Routes};
 use tower::Service;
 use tracing::Instrument;
 
 use super::{
     App, Serving,
     answer_body::{AnswerBody, AnswerTimes},
-    call::{
-        self, BoxError, Call, Taken, is_health, is_long_lived, is_watch, names_a_service, takes_one_message,
-    },
+    call::{self, BoxError, Call, Taken},
     context::{CallContext, no_memory},
-    error::{Kind, ServiceError},
+    error::ServiceError,
+    method::Method,
     peers::Peer,
     protocol,
+    reason::Reason,
     request_body::{MessageBody, MessageRules},
-    sizes::CALL_BYTES,
+    sizes::{CALL_BYTES, HEADER_RECORD_BYTES},
     wire,
 };
 use crate::{
@@ -63,9 +63,6 @@ impl Closing {
     }
 }
 
-/// The memory of a header besides its text: its places in the table of headers. 180 bytes were measured.
-const HEADER_RECORD_BYTES: usize = 192;
-
 /// A health check with more headers takes memory as other calls do.
 const FREE_HEADERS: usize = 32;
 
@@ -92,17 +89,17 @@ impl Middleware {
 
     /// The latest time at which the call ends: the caller's deadline, or the server's if that is earlier or
     /// the caller has none. Long-lived calls have only the deadline of the caller.
-    fn deadline(&self, method: &str, headers: &HeaderMap) -> Option<Instant> {
+    fn deadline(&self, method: &Method, headers: &HeaderMap) -> Option<Instant> {
         let most = Duration::from_secs(self.app.limits().max_deadline_seconds.into());
         let given = timeout(headers);
-        let allowed = if is_long_lived(method) { given } else { Some(given.unwrap_or(most).min(most)) };
+        let allowed = if method.is_long_lived() { given } else { Some(given.unwrap_or(most).min(most)) };
         allowed.and_then(|allowed| Instant::now().checked_add(allowed))
     }
 
     /// Takes the resources of an answer of the page's own.
     #[cfg(feature = "playground")]
     pub(super) fn take_for_page(&self, headers: &HeaderMap) -> Result<Taken, ServiceError> {
-        self.take("page", headers, &self.peer.caller(None))
+        self.take(Method::other(), headers, &self.peer.caller(None))
     }
 
     /// The time that a peer has for taking an answer.
@@ -112,15 +109,15 @@ impl Middleware {
     }
 
     /// Takes the resources that the call holds until its end.
-    fn take(&self, method: &str, headers: &HeaderMap, caller: &Caller) -> Result<Taken, ServiceError> {
-        let watch = is_watch(method).then(|| {
+    fn take(&self, method: &Method, headers: &HeaderMap, caller: &Caller) -> Result<Taken, ServiceError> {
+        let watch = method.is_watch().then(|| {
             self.peer.watch().ok_or_else(|| {
                 let why = "the connection has too many Watch and reflection streams: close one first";
-                ServiceError::exhausted("TOO_MANY_WATCHES", why)
+                ServiceError::new(Reason::TooManyWatches, why)
             })
         });
         let watch = watch.transpose()?;
-        let is_free = is_health(method) && watch.is_none() && headers.len() <= FREE_HEADERS;
+        let is_free = method.is_health() && watch.is_none() && headers.len() <= FREE_HEADERS;
         let check = if is_free { self.peer.health_check() } else { None };
         let memory = if check.is_some() {
             None
@@ -134,10 +131,14 @@ impl Middleware {
         Ok(Taken::new(memory, watch.or(check)))
     }
 
-    fn message_rules(&self, method: &str) -> MessageRules {
+    fn message_rules(&self, method: &Method) -> MessageRules {
         MessageRules {
-            max_bytes: if names_a_service(method) { NAME_BYTES } else { self.app.limits().max_message_bytes },
-            is_single: takes_one_message(method),
+            max_bytes: if method.names_a_service() {
+                NAME_BYTES
+            } else {
+                self.app.limits().max_message_bytes
+            },
+            is_single: method.takes_one_message(),
             patience: self.serving.message_time,
         }
     }
@@ -160,24 +161,24 @@ where
         if let Some(refusal) = protocol::refusal(&request) {
             return Box::pin(std::future::ready(Ok(refusal)));
         }
-        let method = call::method(request.uri().path());
-        let traced = trace::call(method, request.headers());
-        let span = call::span(method, request.headers(), &traced);
-        let token = self.serving.security.check(request.uri().path(), request.headers());
+        let method = Method::of(request.uri().path());
+        let traced = trace::call(&method.name, request.headers());
+        let span = call::span(&method.name, request.headers(), &traced);
+        let token = self.serving.security.check(method, request.headers());
         let caller = self.peer.caller(token.as_ref().ok().and_then(|name| name.as_deref()));
         // Health checks are answered even if the budget is full; their messages are tiny.
-        let memory = if is_health(method) { MemoryBudget::unlimited() } else { self.app.memory().clone() };
+        let memory = if method.is_health() { MemoryBudget::unlimited() } else { self.app.memory().clone() };
         let context = CallContext::new(caller, memory);
         let taken = token.and_then(|_| self.take(method, request.headers(), &context.job.caller));
         let (taken, refusal) = match taken {
             Ok(taken) => (taken, None),
             Err(refusal) => {
-                report(&refusal, method);
+                report(&refusal, &method.name);
                 (Taken::default(), Some(refusal))
             }
         };
         let stop = context.job.stop.clone();
-        let call = Call::new(self.app.clone(), method, span.clone(), traced.clone(), stop, taken);
+        let call = Call::new(self.app.clone(), &method.name, span.clone(), traced.clone(), stop, taken);
         let deadline = self.deadline(method, request.headers());
         let times = AnswerTimes { patience: self.serving.answer_time, deadline };
         if let Some(refusal) = refusal {
@@ -214,8 +215,8 @@ where
 
 /// Logs that a call was refused because of its token. The token itself is never logged.
 fn report(refusal: &ServiceError, method: &str) {
-    if matches!(refusal.kind, Kind::Unauthenticated | Kind::Forbidden) {
-        limited!(info, reason = refusal.reason, method, "a call was refused for its token");
+    if matches!(refusal.reason.code(), Code::Unauthenticated | Code::PermissionDenied) {
+        limited!(info, reason = refusal.reason.name(), method, "a call was refused for its token");
     }
 }
 
@@ -236,7 +237,7 @@ fn answered(
 /// headers stay.
 fn completed(mut response: Response<Body>) -> Response<Body> {
     let Some(status) = Status::from_header_map(response.headers()) else { return response };
-    if status.code() == tonic::Code::Ok || !status.details().is_empty() {
+    if status.code() == Code::Ok || !status.details().is_empty() {
         return response;
     }
     match wire::complete(status).add_header(response.headers_mut()) {

@@ -21,9 +21,11 @@ mod find;
 mod frames;
 mod hulls;
 mod info;
+#[cfg(feature = "testing")]
 mod injected;
 mod limits;
 mod listener;
+mod method;
 mod middleware;
 mod offload;
 #[cfg(feature = "playground")]
@@ -33,6 +35,7 @@ mod peers;
 mod playground;
 mod protocol;
 mod readiness;
+mod reason;
 mod records;
 mod request_body;
 mod scene;
@@ -47,22 +50,24 @@ mod streams;
 pub mod wire;
 
 use std::{
-    fmt,
     sync::{Arc, Mutex},
     time::Duration,
 };
 
 pub use admin::{CONNECTIONS as ADMIN_CONNECTIONS, serve_admin};
 pub use engine::{Bounds as EngineBounds, Engine};
-pub use error::{Kind, Place, ServiceError};
+pub use error::{Place, ServiceError};
 pub use limits::Limits;
 pub use listener::Listener;
 pub use readiness::Readiness;
+pub use reason::{HullReason, Reason};
 pub use security::{LoadError, Security, SecurityFiles};
-#[doc(hidden)]
+#[cfg(feature = "testing")]
 pub use server::handlers;
 pub use server::{Serving, run};
 pub use socket_file::SocketFile;
+
+use thiserror::Error;
 
 use crate::{
     budget::{Caller, Callers, MemoryBudget, Part},
@@ -179,24 +184,15 @@ impl App {
 }
 
 /// The reason why a server did not start.
-#[derive(Debug)]
+#[derive(Debug, Error)]
 pub enum OpenError {
     /// The limits contradict each other.
+    #[error("limits: {0}")]
     Limits(String),
     /// The compute threads could not be started.
+    #[error("compute threads: {0}")]
     Threads(String),
     /// The reflection service could not read the contract.
+    #[error("reflection: {0}")]
     Reflection(tonic_reflection::server::Error),
 }
-
-impl fmt::Display for OpenError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Limits(why) => write!(f, "limits: {why}"),
-            Self::Threads(why) => write!(f, "compute threads: {why}"),
-            Self::Reflection(error) => write!(f, "reflection: {error}"),
-        }
-    }
-}
-
-impl std::error::Error for OpenError {}

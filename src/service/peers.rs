@@ -4,6 +4,8 @@
 //! addresses that have no open connection yet, so that one address that opens as many as it can
 //! does not shut out a health checker. The number of TLS handshakes in progress is limited too,
 //! because each costs a signature. Addresses share it by dynamic thresholds (see [`Slots`]).
+//!
+//! Only a few connections of an address are read at a time (see [`streams`](super::streams)).
 
 use std::{
     collections::HashMap,
@@ -12,7 +14,10 @@ use std::{
         Arc, Mutex,
         atomic::{AtomicU64, AtomicUsize, Ordering},
     },
+    thread,
 };
+
+use tokio::sync::Semaphore;
 
 use super::{
     App,
@@ -67,7 +72,22 @@ pub(super) struct Peers {
 #[derive(Debug, Default)]
 struct Open {
     all: u32,
-    by_address: HashMap<CallerKey, u32>,
+    by_address: HashMap<CallerKey, OfAddress>,
+}
+
+/// The connections of one address.
+#[derive(Debug)]
+struct OfAddress {
+    count: u32,
+    /// Permits to read, for as many connections at a time as the server has threads.
+    readers: Arc<Semaphore>,
+}
+
+impl Default for OfAddress {
+    fn default() -> Self {
+        let threads = thread::available_parallelism().map_or(1, usize::from);
+        Self { count: 0, readers: Arc::new(Semaphore::new(threads)) }
+    }
 }
 
 impl Peers {
@@ -86,14 +106,18 @@ impl Peers {
     }
 
     fn try_admit(self: &Arc<Self>, address: Address) -> Option<Peer> {
-        let place = Place::take(self, key(address))?;
+        let (place, readers) = Place::take(self, key(address))?;
         let caller = self.app.callers().get(self.caller_key(address));
+        // Each connection of a trusted proxy counts by itself.
+        let is_proxy = matches!(caller.key(), CallerKey::Connection(_));
+        let readers = if is_proxy { OfAddress::default().readers } else { readers };
         let (window, memory) = self.window(&caller)?;
         let counted = Held::new(&self.app.metrics().connections, 1);
         let connection = Arc::new(Connected {
             caller,
             health_checks: AtomicUsize::new(0),
             watches: AtomicUsize::new(0),
+            readers,
             _memory: memory,
             _place: place,
             _counted: counted,
@@ -140,19 +164,22 @@ struct Place {
 }
 
 impl Place {
-    fn take(peers: &Arc<Peers>, address: CallerKey) -> Option<Self> {
+    /// A place for a connection from `address`, and the permits to read of that address. None if there are
+    /// too many connections.
+    fn take(peers: &Arc<Peers>, address: CallerKey) -> Option<(Self, Arc<Semaphore>)> {
         let most = peers.app.limits().max_connections;
         let mut open = locked(&peers.open);
-        let theirs = open.by_address.get(&address).copied().unwrap_or(0);
         // If there are few places, at most an eighth of them is reserved.
-        let kept = if theirs > 0 { KEPT_PLACES.min(most / 8) } else { 0 };
+        let kept = if open.by_address.contains_key(&address) { KEPT_PLACES.min(most / 8) } else { 0 };
         if open.all.saturating_add(kept) >= most {
             return None;
         }
         open.all += 1;
-        open.by_address.insert(address.clone(), theirs + 1);
+        let theirs = open.by_address.entry(address.clone()).or_default();
+        theirs.count += 1;
+        let readers = theirs.readers.clone();
         drop(open);
-        Some(Self { peers: peers.clone(), address })
+        Some((Self { peers: peers.clone(), address }, readers))
     }
 }
 
@@ -161,8 +188,8 @@ impl Drop for Place {
         let mut open = locked(&self.peers.open);
         open.all = open.all.saturating_sub(1);
         if let Some(theirs) = open.by_address.get_mut(&self.address) {
-            *theirs = theirs.saturating_sub(1);
-            if *theirs == 0 {
+            theirs.count -= 1;
+            if theirs.count == 0 {
                 open.by_address.remove(&self.address);
             }
         }
@@ -182,6 +209,7 @@ struct Connected {
     caller: Caller,
     health_checks: AtomicUsize,
     watches: AtomicUsize,
+    readers: Arc<Semaphore>,
     _memory: Permit,
     _place: Place,
     _counted: Held,
@@ -191,6 +219,11 @@ impl Peer {
     /// The HTTP/2 window of the connection and of each of its streams, in bytes.
     pub(super) fn window(&self) -> u32 {
         self.window
+    }
+
+    /// The permits to read of the connections of this address.
+    pub(super) fn readers(&self) -> Arc<Semaphore> {
+        self.connection.readers.clone()
     }
 
     /// More memory for the connection, or `None` if the budget has no room.

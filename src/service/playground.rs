@@ -40,6 +40,9 @@ const LOOK: Duration = Duration::from_millis(10);
 /// Whether the first bytes of `io` are those of HTTP/1.1; they stay unread. TLS and Unix sockets
 /// carry only HTTP/2.
 ///
+/// hyper-util's `server::conn::auto` would do this too, but it waits for the first bytes without a limit, and
+/// gives both protocols the same service and executor, which differ here.
+///
 /// # Errors
 /// The system's error.
 pub(super) async fn speaks_http1(io: &Connection) -> io::Result<bool> {

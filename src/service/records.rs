@@ -177,7 +177,7 @@ mod tests {
         budget::{Caller, MemoryBudget},
         compute::Job,
         proto::GetHullsResponse,
-        service::Limits,
+        service::{Limits, Reason},
         store::{HullDefinition, blobs},
     };
 
@@ -225,7 +225,7 @@ mod tests {
         let made = allocation_counter::measure(|| {
             refused = runtime.block_on(records(&app, &context, &ids, ALL)).err();
         });
-        assert_eq!(refused.map(|error| error.reason), Some("RESPONSE_TOO_LARGE"));
+        assert_eq!(refused.map(|error| error.reason), Some(Reason::ResponseTooLarge));
         // One record has about 50 kB. Only the tables of ids may be allocated; their memory belongs
         // to the decoded request.
         assert!(made.bytes_max < (ids.len() * wire::HULL_BYTES / 2) as u64, "{made:?}");
@@ -267,7 +267,7 @@ mod tests {
         let context = CallContext::new(Caller::alone(), budget.clone());
         let ids = vec![id; 100];
         let refused = runtime.block_on(records(&app, &context, &ids, ALL)).unwrap_err();
-        assert_eq!(refused.reason, "MEMORY_TOO_LARGE");
+        assert_eq!(refused.reason, Reason::MemoryTooLarge);
         assert_eq!(budget.used(), 0);
     }
 }

@@ -29,7 +29,7 @@ use tokio::time::{Instant, Sleep, sleep_until};
 use tonic::Status;
 
 use super::{
-    App, ServiceError,
+    App, Reason, ServiceError,
     call::BoxError,
     context::{CallContext, grow},
     sizes::SMALL_BYTES,
@@ -145,7 +145,7 @@ impl<B> MessageBody<B> {
         while !self.received.is_empty() && self.whole.is_empty() {
             if self.rules.is_single && self.complete > 0 {
                 let why = "the request has more than one message, but this method takes one";
-                return Err(ServiceError::refused("TOO_MANY_MESSAGES", why));
+                return Err(ServiceError::new(Reason::TooManyMessages, why));
             }
             if self.message.head_bytes == 0 {
                 if let Some(small) = self.small_message() {
@@ -189,7 +189,7 @@ impl<B> MessageBody<B> {
     fn small_message(&mut self) -> Option<Bytes> {
         let (head, rest) = self.received.split_first_chunk::<HEAD_BYTES>()?;
         let length = declared(*head);
-        let is_small = length > 0 && length <= SMALL_BYTES.min(self.rules.max_bytes);
+        let is_small = head[0] == 0 && length > 0 && length <= SMALL_BYTES.min(self.rules.max_bytes);
         (is_small && rest.len() >= length).then(|| self.received.split_to(HEAD_BYTES + length))
     }
 
@@ -201,12 +201,16 @@ impl<B> MessageBody<B> {
         if self.message.head_bytes < HEAD_BYTES {
             return Ok(());
         }
+        if self.message.head[0] != 0 {
+            let why = "the message is marked as compressed, but the call names no compression: send it plain";
+            return Err(ServiceError::new(Reason::MalformedMessage, why));
+        }
         let (length, limit) = (declared(self.message.head), self.rules.max_bytes);
         if length > limit {
             let (length, limit) = (ByteSize(length as u64), ByteSize(limit as u64));
             let message =
                 format!("the message has {length}, at most {limit} are allowed: send less per message");
-            return Err(ServiceError::refused("MESSAGE_TOO_LARGE", message));
+            return Err(ServiceError::new(Reason::MessageTooLarge, message));
         }
         self.message.missing = length;
         if let Some(due) = &mut self.due {
@@ -238,7 +242,7 @@ impl<B> MessageBody<B> {
                 message.pieces,
                 arrived / message.pieces
             );
-            return Err(ServiceError::refused("PIECES_TOO_SMALL", why));
+            return Err(ServiceError::new(Reason::PiecesTooSmall, why));
         }
         Ok(())
     }
@@ -259,8 +263,7 @@ impl<B> MessageBody<B> {
         }
         let memory = memory.unwrap_or_else(|| self.context.covered(Part::Arriving));
         self.context.keep_arrived(pieces.collect(), memory);
-        // The flag stays, since tonic refuses a message that says that it is compressed.
-        self.whole.push_back(Bytes::copy_from_slice(&[head[0], 0, 0, 0, 0]));
+        self.whole.push_back(Bytes::from_static(&[0; HEAD_BYTES]));
     }
 
     /// Ends the body with an error, and frees the bytes that have arrived.
@@ -274,7 +277,10 @@ impl<B> MessageBody<B> {
 
     fn late(&self) -> ServiceError {
         let seconds = self.started.elapsed().as_secs();
-        ServiceError::message_late(format!("the message had not arrived in full after {seconds} s"))
+        ServiceError::new(
+            Reason::MessageLate,
+            format!("the message had not arrived in full after {seconds} s"),
+        )
     }
 }
 

@@ -5,7 +5,7 @@ use std::{sync::Arc, time::Duration};
 use tokio::time::Instant;
 
 use super::{
-    App, ServiceError,
+    App, Reason, ServiceError,
     answer::counted_answer,
     context::{CallContext, LeasedHulls},
     wire::{self, CheckedScene},
@@ -128,12 +128,12 @@ pub(super) async fn fetch(app: &App, ids: &[HullId], job: &Job) -> Result<(Hulls
                 ByteSize(limit),
                 ByteSize(all)
             );
-            ServiceError::invalid("HULLS_TOO_LARGE", "hull_ids", message)
+            ServiceError::in_field(Reason::HullsTooLarge, "hull_ids", message)
         }
         LeaseError::Busy => {
             app.metrics().shed(Shed::Hulls);
             let message = "other requests use too much of the hull cache: retry later";
-            ServiceError::unavailable("TOO_BUSY", HULLS_RETRY, message)
+            ServiceError::unavailable(Reason::TooBusy, HULLS_RETRY, message)
         }
     })
 }

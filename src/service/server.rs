@@ -10,7 +10,11 @@ use super::{
     App, OpenError, Readiness, Security, connection::Connections, contacts, hulls, info, listener::Listener,
     middleware::Closing,
 };
-use crate::{log_limit::limited, proto, store::StoreError};
+use crate::{
+    log_limit::limited,
+    proto::{self, contact_service_server, hull_service_server, server_service_server},
+    store::StoreError,
+};
 
 /// The pause after a failed accept (too many open files), so that the loop does not spin.
 pub(super) const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
@@ -115,15 +119,18 @@ pub async fn run(
 }
 
 /// The names that health answers for; the empty name stands for the whole server.
-const SERVICES: [&str; 4] = ["", HULL_SERVICE, "hullcast.v1.ContactService", "hullcast.v1.ServerService"];
-
-const HULL_SERVICE: &str = "hullcast.v1.HullService";
+const SERVICES: [&str; 4] = [
+    "",
+    hull_service_server::SERVICE_NAME,
+    contact_service_server::SERVICE_NAME,
+    server_service_server::SERVICE_NAME,
+];
 
 /// The handlers without listeners and middleware, for fuzzing them with bytes.
 ///
 /// # Errors
 /// The errors of [`run`].
-#[doc(hidden)]
+#[cfg(feature = "testing")]
 pub async fn handlers(app: &Arc<App>) -> Result<Routes, OpenError> {
     Ok(routes(app).await?.1)
 }
@@ -207,7 +214,7 @@ async fn probe(app: Arc<App>, reporter: HealthReporter, every: Duration) {
                 (ServingStatus::NotServing, Readiness::Degraded(error.to_string()))
             }
         };
-        reporter.set_service_status(HULL_SERVICE, status).await;
+        reporter.set_service_status(hull_service_server::SERVICE_NAME, status).await;
         app.set_readiness(readiness);
     }
 }

@@ -6,6 +6,14 @@
 /// The most bytes of one call's headers, several times the size of a token and a trace context.
 pub(super) const HEADER_BYTES: u32 = 16 << 10;
 
+/// The memory of a header besides its text: its places in the table of headers. 180 bytes were measured.
+pub(super) const HEADER_RECORD_BYTES: usize = 192;
+
+/// The most memory of one call's headers. HTTP/2 counts a header as its text and 32 bytes (RFC 9113, section
+/// 6.5.2), so [`HEADER_BYTES`] bound the number of headers too.
+pub(super) const MOST_HEADER_MEMORY: u64 =
+    HEADER_BYTES as u64 + HEADER_BYTES as u64 / 32 * HEADER_RECORD_BYTES as u64;
+
 /// The memory of an open connection besides its window: the state of HTTP/2, read and write
 /// buffers, the buffers of TLS, and the health checks that are answered without asking the budget.
 pub(super) const CONNECTION_BYTES: u64 = 128 << 10;
@@ -37,4 +45,4 @@ pub(super) const LISTED_BYTES: usize = 320;
 
 /// The memory of a request's hull besides its points, or of an id: its entries in lists and tables
 /// of ids, and the error if the hull is refused.
-pub const HULL_BYTES: usize = 512;
+pub(super) const HULL_BYTES: usize = 512;

@@ -6,8 +6,8 @@ use std::{sync::Arc, time::Duration};
 use tonic::{Status, Streaming};
 
 use super::{
-    App, Limits, ServiceError, context::CallContext, decode::decoded, middleware::Closing, scene::answer,
-    wire,
+    App, Limits, Reason, ServiceError, context::CallContext, decode::decoded, middleware::Closing,
+    scene::answer, wire,
 };
 use crate::{
     batch::scene::Setting,
@@ -90,7 +90,7 @@ impl Steps {
             biased;
             () = self.closing.heard() => {
                 let why = "the connection is about to close: open the stream again";
-                return Err(ServiceError::unavailable("STOPPING", RETRY, why).into());
+                return Err(ServiceError::unavailable(Reason::Stopping, RETRY, why).into());
             }
             request = self.requests.message() => request.map_err(wire::complete)?,
         };
@@ -121,12 +121,12 @@ impl Steps {
                 }
                 (true, Previous::None) => {
                     let why = "the first message of a stream has nothing to inherit: send the scene in full";
-                    return Err(ServiceError::invalid("NOTHING_TO_INHERIT", "inherit", why));
+                    return Err(ServiceError::in_field(Reason::NothingToInherit, "inherit", why));
                 }
                 (true, Previous::Dropped) => {
                     let why = "there was no memory to keep the stream's state: \
                                open a new stream and send the scene in full";
-                    return Err(ServiceError::unavailable("STATE_NOT_KEPT", RETRY, why));
+                    return Err(ServiceError::unavailable(Reason::StateNotKept, RETRY, why));
                 }
             };
             Ok((scene, memory, kept))

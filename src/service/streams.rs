@@ -10,6 +10,7 @@
 //!   concurrent streams, but its future lives until its task has run. A peer that resets calls as fast as it
 //!   makes them ("rapid reset", CVE-2023-44487) queues tasks in front of everybody else's.
 //! - *Answers that are not sent.* An answer of headers only is held by h2 alone while the socket takes nothing.
+//! - *Tasks of many connections.* A caller may have thousands of connections, each with few tasks.
 //!
 //! ```text
 //! peer -> socket -> h2's records -> execute: waiting += 1 -> task's first run: waiting -= 1 -> middleware
@@ -19,24 +20,27 @@
 //!
 //! Therefore [`Streams`] says when the connection may be read: after a few streams have begun, h2 has to
 //! hand them on first; while too many tasks wait for their first run, nothing is read; and nothing is read
-//! while the socket takes no bytes and many streams have begun since it stopped. A peer then waits as it
-//! does for any slow receiver.
+//! while the socket takes no bytes and many streams have begun since it stopped. Last, the connections of one
+//! address are read in turns: a connection needs one of the address's few permits to read, and holds it until
+//! all tasks that it spawned have run once. Connections get permits in the order in which they ask. A peer
+//! then waits as it does for any slow receiver, and tasks of other addresses wait behind few of its tasks.
 
 use std::{
     future::Future,
     io,
     sync::{
-        Arc,
+        Arc, Mutex,
         atomic::{AtomicU64, Ordering},
     },
-    task::{Context, Poll},
+    task::{Context, Poll, ready},
 };
 
 use futures_util::task::AtomicWaker;
-use tokio::sync::Notify;
+use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
+use tokio_util::sync::PollSemaphore;
 
 use super::{App, cutoff::Cutoff, peers::Peer};
-use crate::budget::Permit;
+use crate::{budget::Permit, lock::locked};
 
 /// The number of futures that may be alive for each concurrent stream that a connection may have. A
 /// connection with more is closed.
@@ -68,6 +72,8 @@ pub(super) struct Streams {
     /// `begun` when the socket last stopped taking bytes, or [`OPEN`] while it takes them.
     begun_at_block: AtomicU64,
     reader: AtomicWaker,
+    /// The permit with which the connection is read, until no task waits.
+    read_permit: Mutex<Option<OwnedSemaphorePermit>>,
 }
 
 /// The socket takes bytes.
@@ -81,26 +87,49 @@ impl Default for Streams {
             begun: 0.into(),
             begun_at_block: OPEN.into(),
             reader: AtomicWaker::new(),
+            read_permit: Mutex::default(),
         }
     }
 }
 
 impl Streams {
     /// Completes when the connection may be read. One task at a time may wait.
-    pub(super) fn poll_may_read(&self, arrived: &mut Arrived, cx: &mut Context<'_>) -> Poll<()> {
+    pub(super) fn poll_may_read(
+        &self,
+        arrived: &mut Arrived,
+        readers: &mut Readers,
+        cx: &mut Context<'_>,
+    ) -> Poll<()> {
         if !arrived.are_handed_on(self.begun.load(Ordering::SeqCst)) {
             cx.waker().wake_by_ref();
             return Poll::Pending;
         }
-        if self.may_read() {
-            return Poll::Ready(());
+        if !self.may_read(readers) {
+            self.reader.register(cx.waker());
+            if !self.may_read(readers) {
+                return Poll::Pending;
+            }
         }
-        self.reader.register(cx.waker());
-        if self.may_read() { Poll::Ready(()) } else { Poll::Pending }
+        if locked(&self.read_permit).is_none() {
+            let permit = ready!(readers.0.poll_acquire(cx));
+            *locked(&self.read_permit) = permit;
+        }
+        Poll::Ready(())
     }
 
-    fn may_read(&self) -> bool {
-        self.waiting.load(Ordering::SeqCst) <= MOST_WAITING && self.begun_while_blocked() <= MOST_UNSENT
+    fn may_read(&self, readers: &Readers) -> bool {
+        self.release_read_permit();
+        // Other connections of the address ask for a permit, so they are next.
+        let is_asked_for = readers.0.available_permits() == 0 && locked(&self.read_permit).is_some();
+        let most = if is_asked_for { 0 } else { MOST_WAITING };
+        self.waiting.load(Ordering::SeqCst) <= most && self.begun_while_blocked() <= MOST_UNSENT
+    }
+
+    /// Gives the permit to read to the next connection that asks for one, unless tasks of this connection wait.
+    pub(super) fn release_read_permit(&self) {
+        if self.waiting.load(Ordering::SeqCst) == 0 {
+            locked(&self.read_permit).take();
+        }
     }
 
     fn begun_while_blocked(&self) -> u64 {
@@ -111,14 +140,19 @@ impl Streams {
     }
 
     /// Notes whether the socket took bytes when it was last asked to.
-    pub(super) fn wrote(&self, is_blocked: bool) {
-        if !is_blocked {
-            if self.begun_at_block.load(Ordering::SeqCst) != OPEN {
-                self.begun_at_block.store(OPEN, Ordering::SeqCst);
-                self.reader.wake();
-            }
-        } else if self.begun_at_block.load(Ordering::SeqCst) == OPEN {
+    pub(super) fn wrote(&self, is_blocked: bool, readers: &mut Readers) {
+        let was_blocked = self.begun_at_block.load(Ordering::SeqCst) != OPEN;
+        if is_blocked {
+            // h2 does not read before the socket takes bytes again, so that other connections are next.
+            readers.ask_no_more();
+            self.release_read_permit();
+        }
+        if is_blocked && !was_blocked {
             self.begun_at_block.store(self.begun.load(Ordering::SeqCst), Ordering::SeqCst);
+        }
+        if was_blocked && !is_blocked {
+            self.begun_at_block.store(OPEN, Ordering::SeqCst);
+            self.reader.wake();
         }
     }
 
@@ -129,9 +163,28 @@ impl Streams {
 
     /// A task runs for the first time.
     fn runs(&self) {
-        if self.waiting.fetch_sub(1, Ordering::SeqCst) == MOST_WAITING + 1 {
+        let waiting = self.waiting.fetch_sub(1, Ordering::SeqCst) - 1;
+        if waiting == 0 {
+            self.release_read_permit();
+        }
+        if [0, MOST_WAITING].contains(&waiting) {
             self.reader.wake();
         }
+    }
+}
+
+/// The permits to read that the connections of one address share.
+#[derive(Debug)]
+pub(super) struct Readers(PollSemaphore);
+
+impl Readers {
+    pub(super) fn new(permits: Arc<Semaphore>) -> Self {
+        Self(PollSemaphore::new(permits))
+    }
+
+    /// Leaves the queue for a permit.
+    fn ask_no_more(&mut self) {
+        self.0 = self.0.clone();
     }
 }
 
@@ -258,5 +311,30 @@ mod tests {
         assert!(!arrived.are_handed_on(70));
         assert!(arrived.are_handed_on(70), "h2 has nothing more to hand on");
         assert_eq!(arrived.count, 0);
+    }
+
+    /// Catches connections of one address that all queue tasks at the same time, a permit that is never
+    /// given back, and one that is kept by a connection which h2 does not read.
+    #[test]
+    fn the_connections_of_an_address_are_read_in_turns() {
+        let mut cx = Context::from_waker(std::task::Waker::noop());
+        let permits = Arc::new(Semaphore::new(1));
+        let connection = || (Streams::default(), Arrived::default(), Readers::new(permits.clone()));
+        let (mut first, mut second) = (connection(), connection());
+        let mut may_read = |(streams, arrived, readers): &mut (Streams, Arrived, Readers)| {
+            streams.poll_may_read(arrived, readers, &mut cx).is_ready()
+        };
+        assert!(may_read(&mut first));
+        first.0.waiting.store(2, Ordering::SeqCst);
+        assert!(!may_read(&mut second) && !may_read(&mut first), "tasks of the first connection wait");
+        first.0.runs();
+        assert!(!may_read(&mut second));
+        first.0.runs();
+        assert!(may_read(&mut second) && !may_read(&mut first));
+        second.0.wrote(true, &mut second.2);
+        assert!(may_read(&mut first) && !may_read(&mut second));
+        second.0.wrote(true, &mut second.2);
+        first.0.release_read_permit();
+        assert_eq!(permits.available_permits(), 1, "the second connection no longer asks");
     }
 }

@@ -10,6 +10,7 @@ use std::{collections::BinaryHeap, fmt, sync::Arc};
 
 use bytes::Bytes;
 use futures_util::future::BoxFuture;
+use thiserror::Error;
 
 use super::identity::{HullId, id_of};
 
@@ -17,34 +18,25 @@ use super::identity::{HullId, id_of};
 pub(super) const OBJECTS_AT_A_TIME: u64 = 64;
 
 /// The reason why an operation of the store failed.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Error)]
 pub enum StoreError {
     /// No room: the disk or the configured limit is full.
+    #[error("the store is full: {0}")]
     Full(String),
     /// The store could not be read or written; trying again may help.
+    #[error("the store is unavailable: {0}")]
     Unavailable(String),
     /// The store does not answer: an earlier operation has not returned in time.
+    #[error("the store does not answer: {0}")]
     Hung(String),
     /// This caller waits for too many operations already; trying again may help.
+    #[error("the store is busy: {0}")]
     Busy(String),
     /// There is an entry of this name that cannot be a blob: it is not a regular file, is too
     /// large, or may not be read. Its hull counts as missing; other hulls are not affected.
+    #[error("the store's entry is not a blob: {0}")]
     NotABlob(String),
 }
-
-impl fmt::Display for StoreError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Full(why) => write!(f, "the store is full: {why}"),
-            Self::Unavailable(why) => write!(f, "the store is unavailable: {why}"),
-            Self::Hung(why) => write!(f, "the store does not answer: {why}"),
-            Self::Busy(why) => write!(f, "the store is busy: {why}"),
-            Self::NotABlob(why) => write!(f, "the store's entry is not a blob: {why}"),
-        }
-    }
-}
-
-impl std::error::Error for StoreError {}
 
 /// A blob, as a listing describes it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -1,8 +1,9 @@
 //! Opens a store of blobs by its URL.
 
-use std::{fmt, path::Path, sync::Arc};
+use std::{path::Path, sync::Arc};
 
 use object_store::memory::InMemory;
+use thiserror::Error;
 
 #[cfg(not(feature = "remote"))]
 use super::objects::Remote;
@@ -18,24 +19,15 @@ use super::{
 pub use super::blob_store::list;
 
 /// The reason why a `--store` could not be opened.
-#[derive(Debug)]
+#[derive(Debug, Error)]
 pub enum OpenError {
     /// The text names the store and the reason.
+    #[error("{0}")]
     Store(String),
     /// The system does not start the store's threads; its reason.
+    #[error("threads of the store: {0}")]
     Threads(String),
 }
-
-impl fmt::Display for OpenError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Store(why) => f.write_str(why),
-            Self::Threads(why) => write!(f, "threads of the store: {why}"),
-        }
-    }
-}
-
-impl std::error::Error for OpenError {}
 
 /// Opens a store: a directory (a plain path or `file://`), which is created if it is missing;
 /// `memory://`, whose hulls are lost at a restart; or, with the feature of its provider, a bucket:
@@ -45,6 +37,7 @@ impl std::error::Error for OpenError {}
 /// The directory cannot be created or is not a directory, or this build does not support the
 /// scheme. Whether a bucket can be reached is not tested.
 pub fn open(url: &str) -> Result<Opened, OpenError> {
+    refuse_half_a_scheme(url)?;
     match url.split_once("://") {
         Some(("memory", _)) => Ok(Arc::new(Objects::new(Arc::new(InMemory::new()), None))),
         Some((scheme, _)) if scheme != "file" => match remote(scheme, url) {
@@ -85,11 +78,24 @@ pub fn open_existing(url: &str) -> Result<Opened, OpenError> {
              the bucket that a server uses"
         )));
     }
+    refuse_half_a_scheme(url)?;
     let path = url.strip_prefix("file://").unwrap_or(url);
     if !path.contains("://") && !Path::new(path).is_dir() {
         return Err(OpenError::Store(format!("store {url}: no such directory")));
     }
     open(url)
+}
+
+/// Refuses `memory:` and its like. They would be directories of that name, which nobody means.
+fn refuse_half_a_scheme(url: &str) -> Result<(), OpenError> {
+    match url.split_once(':') {
+        Some((scheme @ ("file" | "memory" | "s3" | "gs" | "az"), rest)) if !rest.starts_with("//") => {
+            Err(OpenError::Store(format!(
+                "store {url}: a scheme ends with ://, expected {scheme}://; a directory of this name is ./{url}"
+            )))
+        }
+        _ => Ok(()),
+    }
 }
 
 #[cfg(not(feature = "remote"))]

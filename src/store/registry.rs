@@ -1,12 +1,12 @@
 //! Finds hulls by id, in the cache or in the store, and registers new ones.
 
 use std::{
-    fmt,
     sync::{Arc, Mutex, atomic::Ordering},
     time::{Duration, Instant},
 };
 
 use futures_util::{StreamExt, stream};
+use thiserror::Error;
 
 use super::{
     BlobStore, HullDefinition, HullId, Opened, StoreError, StoredBlob, blobs,
@@ -47,17 +47,22 @@ pub struct Bounds {
 }
 
 /// The reason why a hull was not registered.
-#[derive(Debug)]
+#[derive(Debug, Error)]
 pub enum RegisterError {
     /// The points have no valid hull.
+    #[error(transparent)]
     Hull(HullError),
     /// The store did not accept the blob.
+    #[error(transparent)]
     Store(StoreError),
     /// The caller's budget has no room for building it.
+    #[error(transparent)]
     NoMemory(NoMemory),
     /// The caller has left, or its deadline has passed.
+    #[error("{}", Stopped)]
     Stopped,
     /// Building the hull panicked, which is a bug.
+    #[error(transparent)]
     Internal(Panicked),
 }
 
@@ -383,17 +388,3 @@ impl Registry {
         u64::try_from(self.started.elapsed().as_millis()).unwrap_or(u64::MAX)
     }
 }
-
-impl fmt::Display for RegisterError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Hull(error) => error.fmt(f),
-            Self::Store(error) => error.fmt(f),
-            Self::NoMemory(error) => error.fmt(f),
-            Self::Stopped => Stopped.fmt(f),
-            Self::Internal(error) => error.fmt(f),
-        }
-    }
-}
-
-impl std::error::Error for RegisterError {}

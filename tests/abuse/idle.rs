@@ -119,7 +119,8 @@ async fn tiny_messages(arena: &Arena) {
     let sent = peers.iter().flat_map(|(peer, opened)| opened.iter().map(move |&stream| (peer, stream)));
     let sent = sent.map(|(peer, stream)| {
         // A server that does not take the rest defends itself.
-        tokio::time::timeout(Duration::from_secs(3), peer.body(stream, &messages, false))
+        let patience = Duration::from_millis(arena.size().of(5_000) as u64);
+        tokio::time::timeout(patience, peer.body(stream, &messages, false))
     });
     let sent = join_all(sent).await;
     assert_eq!(sent.len(), 100);

@@ -125,7 +125,7 @@ fn wrong_files_of_results_are_refused_by_option_and_value() -> Outcome {
 #[test]
 fn wrong_files_of_servers_are_refused_by_option_and_value() -> Outcome {
     let folder = scratch("files-servers")?;
-    let Faulty { page, absent, pem, .. } = Faulty::write(&folder)?;
+    let Faulty { page, absent, pem, words, .. } = Faulty::write(&folder)?;
     let empty = file(&folder, "empty", "# no token\n")?;
     let unknown = file(&folder, "unknown.toml", "listn = [\"localhost:1\"]\n")?;
     let syntax = file(&folder, "syntax.toml", "listen = [\n")?;
@@ -134,7 +134,14 @@ fn wrong_files_of_servers_are_refused_by_option_and_value() -> Outcome {
     // Files of a server's settings.
     refused(&["serve", "--config", &absent], 3, &["--config", &absent, "cannot be read"])?;
     refused(&["serve", "--config", &unknown], 3, &["--config", &unknown, "`listn`; did you mean `listen`?"])?;
-    refused(&["serve", "--config", &syntax], 3, &["--config", &syntax, "line 1"])?;
+    refused(
+        &["serve", "--config", &syntax],
+        3,
+        &[
+            &format!("--config {syntax}: line 1: "),
+            "\"listen = [\"; expected TOML, as in max_page_size = 1000",
+        ],
+    )?;
     let allowed = "expected a number from 0 to 1000000000";
     refused(&["serve", "--config", &kind], 2, &["--config", &kind, "drain_seconds is \"long\"", allowed])?;
     refused(&["serve", "--config", &range], 2, &["--config", &range, "drain_seconds is \"-1\"", allowed])?;
@@ -150,38 +157,42 @@ fn wrong_files_of_servers_are_refused_by_option_and_value() -> Outcome {
         refused(&["serve", "--store", value, "--listen", "127.0.0.1:0"], 2, &["--store", value, expected])?;
     }
     for (option, beside) in [("--tls-certificate", "--tls-key"), ("--tls-key", "--tls-certificate")] {
-        let name = option.trim_start_matches('-').replace('-', "_");
-        refused(&["serve", option, &absent, beside, &pem], 3, &[&name, &absent, "No such file"])?;
-        refused(
-            &["serve", option, &pem],
-            3,
-            &[&beside.trim_start_matches('-').replace('-', "_"), "is empty"],
-        )?;
+        let cannot = format!("{option} {absent}: cannot be read: No such file");
+        refused(&["serve", option, &absent, beside, &pem], 3, &[&cannot])?;
+        let rule =
+            "is missing: TLS needs --tls-certificate and --tls-key, and --tls-client-ca works only with";
+        refused(&["serve", option, &pem], 2, &[&format!("{beside} {rule}")])?;
     }
     for option in ["--query-tokens", "--register-tokens"] {
-        let name = option.trim_start_matches('-').replace('-', "_");
-        refused(&["serve", option, &absent], 3, &[&name, &absent, "No such file"])?;
-        refused(&["serve", option, &empty], 3, &[&name, &empty, "no token in it"])?;
+        refused(
+            &["serve", option, &absent],
+            3,
+            &[&format!("{option} {absent}: cannot be read: No such file")],
+        )?;
+        refused(&["serve", option, &empty], 3, &[&format!("{option} {empty}: no token in it")])?;
+        let space =
+            "line 1: the token has a space, which no client can send: use visible ASCII characters only";
+        refused(&["serve", option, &words], 3, &[&format!("{option} {words}: {space}")])?;
     }
     let tls = ["--tls-certificate", &pem, "--tls-key", &pem];
-    refused(&[&["serve", "--tls-client-ca", &absent], &tls[..]].concat(), 3, &["tls_client_ca", &absent])?;
-    refused(&[&["serve"], &tls[..]].concat(), 3, &["tls_", &pem])?;
+    refused(&[&["serve", "--tls-client-ca", &absent], &tls[..]].concat(), 3, &["--tls-client-ca", &absent])?;
+    refused(&[&["serve"], &tls[..]].concat(), 3, &["--tls-key", &pem, "no private key (PEM) in it"])?;
     let both = ["serve", "--listen", "127.0.0.1:7", "--admin-listen", "127.0.0.1:7"];
-    refused(&both, 2, &["admin_listen is 127.0.0.1:7, which contradicts listen 127.0.0.1:7"])?;
+    refused(&both, 2, &["--admin-listen is 127.0.0.1:7, which contradicts --listen 127.0.0.1:7"])?;
     // `--print-config` refuses the settings that a start refuses.
     let least = ["--max-memory-bytes", "256MiB", "--max-message-bytes", "16MiB"];
     let printed = [&["serve", "--print-config"], &least[..]].concat();
     for line in [&printed[..], &[&["serve", "--store", "memory://"], &least[..]].concat()] {
         let numbers =
-            ["max_message_bytes (16 MiB)", "max_points_per_hull (262144)", "twice the largest request"];
-        refused(line, 2, &[&["max_memory_bytes is 256 MiB, must be at least "], &numbers[..]].concat())?;
+            ["--max-message-bytes (16 MiB)", "--max-points-per-hull (262144)", "twice the largest request"];
+        refused(line, 2, &[&["--max-memory-bytes is 256 MiB, must be at least "], &numbers[..]].concat())?;
     }
-    refused(&["serve", "--print-config", "--query-tokens", &absent], 3, &["query_tokens", &absent])?;
+    refused(&["serve", "--print-config", "--query-tokens", &absent], 3, &["--query-tokens", &absent])?;
     let contradiction = ["serve", "--max-pairs-in-flight", "5", "--store", "memory://"];
     refused(
         &contradiction,
         2,
-        &["max_pairs_in_flight is 5, must be at least 131072 (max_pairs_per_request)"],
+        &["--max-pairs-in-flight is 5, must be at least 131072 (--max-pairs-per-request)"],
     )?;
     refused(
         &["prune", "--store", &absent, "--older-than", "1d"],

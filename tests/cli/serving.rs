@@ -82,3 +82,22 @@ fn the_debug_log_is_about_calls() -> Outcome {
     assert!(logged("info,h2=debug")?.iter().any(|line| line.contains(" h2::")));
     Ok(())
 }
+
+/// Catches a second signal that waits for the end of the grace period, or that ends the process before the
+/// log is written.
+#[test]
+fn a_server_that_is_told_to_stop_again_ends_at_once() -> Outcome {
+    let mut server = start(&scratch("again")?, &["--store", "memory://", "--grace-seconds", "600"])?;
+    let mut line = String::new();
+    BufReader::new(server.stdout.take().ok_or("no output")?).read_line(&mut line)?;
+    let process = server.id().to_string();
+    let mut log = BufReader::new(server.stderr.take().ok_or("no log")?).lines();
+    let stop = || Command::new("kill").args(["-TERM", &process]).status();
+    stop()?;
+    let mut wait_for = |words: &str| log.by_ref().map_while(Result::ok).any(|line| line.contains(words));
+    assert!(wait_for("stopping grace_seconds=600"));
+    stop()?;
+    assert!(wait_for("told to stop again: ending at once"));
+    assert_eq!(server.wait()?.code(), Some(1));
+    Ok(())
+}

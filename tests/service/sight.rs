@@ -225,11 +225,15 @@ fn logs_say_which_call() {
     assert!(child.wait().unwrap().success());
     let said: Vec<serde_json::Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     for message in ["answered", "ended"] {
-        let spans: Vec<_> =
+        let mut spans: Vec<_> =
             said.iter().filter(|l| l["fields"]["message"] == message).map(|l| &l["span"]).collect();
-        assert_eq!(spans.len(), 2, "{text}");
-        assert_eq!((&spans[0]["id"], &spans[0]["trace"]), (&"mine".into(), &trace.into()));
-        assert!(spans[1]["id"].is_number() && spans[1]["trace"].is_null(), "{text}");
-        assert!(spans.iter().all(|span| span["method"] == "hullcast.v1.ContactService/QueryContacts"));
+        // A call may end after the next one, because its caller has the answer before the call is over.
+        spans.sort_by_key(|span| span["id"].is_number());
+        let [mine, other] = spans[..] else { panic!("{text}") };
+        assert_eq!((&mine["id"], &mine["trace"]), (&"mine".into(), &trace.into()));
+        assert!(other["id"].is_number() && other["trace"].is_null(), "{text}");
+        assert!(
+            [mine, other].iter().all(|span| span["method"] == "hullcast.v1.ContactService/QueryContacts")
+        );
     }
 }

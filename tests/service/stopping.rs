@@ -38,7 +38,7 @@ async fn settled(server: &TestServer) -> u64 {
     let limit = server.app.limits().max_pairs_in_flight as usize;
     let nothing = hullcast::batch::Outputs::OUTCOME;
     while let Err(refused) = server.app.engine().admit(limit, nothing, &Caller::alone()) {
-        assert_eq!(refused.reason, "TOO_BUSY");
+        assert_eq!(refused.reason, hullcast::service::Reason::TooBusy);
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
     let computed = server.app.engine().pairs_computed();

@@ -72,8 +72,12 @@ def number(
     Raises:
         InvalidArgument: WRONG_TYPE or VALUE_OUT_OF_RANGE.
     """
-    top = f"to {high:g}" if high < math.inf else "or more" + (", or infinity" if infinite else "")
-    expected = f"expected a number, {low:g} {top}"
+    if high < math.inf:
+        expected = f"expected a number, {low:g} to {high:g}"
+    elif infinite:
+        expected = f"expected a number, {low:g} or more, or infinity"
+    else:
+        expected = f"expected a finite number, {low:g} or more"
     result = real(field, value, expected)
     # A comparison with NaN is false, so NaN is refused too.
     if not low <= result <= high or (result == math.inf and not infinite):
@@ -135,6 +139,28 @@ def one_of(field: str, value: Any, known: Iterable[str]) -> str:
         reason="UNKNOWN_VALUE",
         field=field,
     )
+
+
+def iterable(value: Any) -> bool:
+    """Whether a loop can run over a value. Arrays of no dimensions only look as if."""
+    return isinstance(value, Iterable) and getattr(cast("Any", value), "ndim", 1) != 0
+
+
+def ordered(field: str, value: Any) -> None:
+    """Checks that `value` is not a set: its entries would be taken in an arbitrary order.
+
+    The keys of a dict have an order, and are accepted.
+
+    Raises:
+        InvalidArgument: NO_ORDER.
+    """
+    if isinstance(value, (set, frozenset)):
+        raise InvalidArgument(
+            f"got a {kind(cast('Any', value))}, and a set has no order: expected a list, such as "
+            "sorted(...) of the set",
+            reason="NO_ORDER",
+            field=field,
+        )
 
 
 def instance(field: str, value: Any, wanted: type, expected: str) -> None:

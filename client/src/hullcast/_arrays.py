@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _tensors
-from ._arguments import counted, kind, shown
+from ._arguments import counted, kind, ordered, shown
 from ._errors import InvalidArgument
 
 Floats = npt.NDArray[np.float64]
@@ -22,7 +22,7 @@ _ROTATION_ERROR = 1e-3
 #: The ranges of poses that the server accepts (`crates/contact/src/body.rs`): the largest absolute
 #: value of a coordinate, and the norm of a quaternion.
 _MAX_POSITION = 1e100
-_MIN_NORM, _MAX_NORM = 0.25, 4.0
+MIN_NORM, MAX_NORM = 0.25, 4.0
 
 
 def floats(field: str, value: Any, *shape: int | None) -> Floats:
@@ -95,6 +95,7 @@ def _array(field: str, value: Any, shape: tuple[int | None, ...]) -> npt.NDArray
     An iterable that cannot be indexed is read once.
     """
     expected = f"expected an array of shape {_wanted(shape)}"
+    ordered(field, value)
     if value is None or isinstance(value, (str, bytes, Mapping)):
         raise InvalidArgument(f"{expected}, got {kind(value)}", reason="NOT_AN_ARRAY", field=field)
     if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):  # type: ignore[no-untyped-call]
@@ -113,6 +114,8 @@ def _array(field: str, value: Any, shape: tuple[int | None, ...]) -> npt.NDArray
     except Exception as error:  # the conversion of a foreign object may raise anything
         raise InvalidArgument(f"{expected}: {error}", reason="NOT_AN_ARRAY", field=field) from None
     if array.dtype.kind == "O" and array.ndim and array.size:
+        for entry in array.flat:
+            ordered(field, entry)
         # An array of fractions or decimals is converted to floats. None is excluded, because it
         # would become NaN.
         real = all(not isinstance(entry, (str, bytes, type(None))) for entry in array.flat)
@@ -290,7 +293,7 @@ def unusable(positions: Floats, rotations: Floats) -> Indices:
     with np.errstate(invalid="ignore", over="ignore"):
         near = (np.abs(positions) <= _MAX_POSITION).all(axis=1)
         squared = np.einsum("ni,ni->n", rotations, rotations)
-        turned = (squared >= _MIN_NORM**2) & (squared <= _MAX_NORM**2)
+        turned = (squared >= MIN_NORM**2) & (squared <= MAX_NORM**2)
     return np.flatnonzero(~(near & turned)).astype("<u4")
 
 
@@ -300,15 +303,16 @@ def why_unusable(position: Floats, rotation: Floats) -> tuple[str, str]:
     if not np.isfinite(position).all():
         return "positions", f"its position {text} is not finite"
     if not (np.abs(position) <= _MAX_POSITION).all():
-        return "positions", f"its position {text} is beyond {_MAX_POSITION:g}"
+        allowed = f"-{_MAX_POSITION:g} to {_MAX_POSITION:g} is allowed"
+        return "positions", f"its position {text} is beyond {_MAX_POSITION:g}, {allowed}"
     text = f"({', '.join(f'{c:g}' for c in rotation)})"
     if not np.isfinite(rotation).all():
         return "rotations", f"its rotation {text} is not finite"
     with np.errstate(over="ignore"):
         norm = float(np.linalg.norm(rotation))
-    if _MIN_NORM <= norm <= _MAX_NORM:
+    if MIN_NORM <= norm <= MAX_NORM:
         return "rotations", "the server refuses its pose"  # a server of another version
-    allowed = f"{_MIN_NORM:g} to {_MAX_NORM:g} is allowed"
+    allowed = f"{MIN_NORM:g} to {MAX_NORM:g} is allowed"
     return "rotations", f"its rotation {text} has norm {norm:g}, {allowed}"
 
 
@@ -322,8 +326,8 @@ def quaternions(field: str, matrices: Floats) -> Floats:
     Raises:
         InvalidArgument: NOT_A_ROTATION.
     """
-    finite = np.isfinite(matrices).all(axis=(1, 2))
-    matrices = np.where(finite[:, None, None], matrices, np.nan)
+    finite = np.isfinite(matrices).all(axis=(1, 2), keepdims=True)
+    matrices = np.where(finite, matrices, np.nan)
     with np.errstate(invalid="ignore", over="ignore"):
         products = np.einsum("nki,nkj->nij", matrices, matrices)
         off = np.abs(products - np.eye(3)).max(axis=(1, 2)) if len(matrices) else np.zeros(0)

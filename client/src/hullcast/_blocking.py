@@ -10,9 +10,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-import grpc
-
 from . import _calls, _channel, _link
+from ._grpc import grpc
 
 
 class Link:
@@ -24,6 +23,7 @@ class Link:
         self._unary: dict[str, Any] = {name: channel.unary_unary(name) for name in _calls.UNARY}
         self._stream: Any = channel.unary_stream(_calls.FIND)
         self.proven = False
+        self.trouble = ""
 
     def start(self, method: str, data: bytes, timeout: float | None) -> Any:
         return self._unary[method].future(data, timeout=timeout, metadata=self._metadata())

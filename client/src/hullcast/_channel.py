@@ -14,17 +14,18 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import grpc
-
 from . import _arguments, _files
-from ._arguments import kind, shown
+from ._arguments import iterable, kind, shown
 from ._errors import InvalidArgument
+from ._grpc import grpc
 
 Target = str | Sequence[str]
 Metadata = tuple[tuple[str, str], ...]
 #: The port of an address without a port.
 DEFAULT_PORT = 50051
 _FORMS = "host, host:port, unix:PATH, dns:///host:port, http://host:port or https://host:port"
+#: A server accepts 16 KiB of headers in all (`src/service/connection.rs`).
+_LONGEST_TOKEN = 15_000
 Tls = bool | bytes | str | os.PathLike[str] | grpc.ChannelCredentials | None
 
 
@@ -104,7 +105,7 @@ class Settings:
         if isinstance(target, os.PathLike):
             target = f"unix:{os.fspath(target)}"  # pyright: ignore[reportUnknownArgumentType]
         several = not isinstance(target, str)
-        if several and (isinstance(target, (bytes, Mapping)) or not isinstance(target, Iterable)):
+        if several and (isinstance(target, (bytes, Mapping)) or not iterable(target)):
             raise InvalidArgument(
                 f"expected an address or a list of addresses, got {kind(target)}",
                 reason="WRONG_TYPE",
@@ -317,13 +318,20 @@ def _token(token: Any) -> str | None:
             reason="NOT_A_TOKEN",
             field="token",
         )
+    if len(token) > _LONGEST_TOKEN:
+        raise InvalidArgument(
+            f"got {len(token):,} characters, expected at most {_LONGEST_TOKEN:,}: servers refuse "
+            "longer headers",
+            reason="NOT_A_TOKEN",
+            field="token",
+        )
     return token
 
 
 def _options(options: Any) -> tuple[tuple[str, Any], ...]:
     expected = "expected pairs of a gRPC option's name and its value (an int or a str)"
     pairs = options.items() if isinstance(options, Mapping) else options  # pyright: ignore[reportUnknownVariableType, reportUnknownMemberType]
-    if isinstance(pairs, (str, bytes)) or not isinstance(pairs, Iterable):
+    if isinstance(pairs, (str, bytes)) or not iterable(pairs):
         raise InvalidArgument(
             f"{expected}, got {kind(options)}", reason="WRONG_TYPE", field="options"
         )

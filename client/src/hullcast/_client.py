@@ -7,9 +7,8 @@ from functools import partial
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-import grpc
-
 from . import _blocking, _calls, _errors, _link, _session, _status
+from ._grpc import grpc
 from ._hulls import Hull, Planarity
 from ._manage import ServerInfo, StoredHull
 from ._manifolds import Manifolds
@@ -250,6 +249,9 @@ class Client(_calls.Calls):
                     waited_for = steps.send(answer)
         except StopIteration as done:
             return done.value
+        except _errors.DeadlineExceeded as error:
+            self._explain(error)
+            raise
         finally:
             steps.close()
 

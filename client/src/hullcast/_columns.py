@@ -23,7 +23,8 @@ class ManifoldColumns(Settled):
     _instead: ClassVar[dict[str, str]] = {"": "copy the columns that you want to change"}
 
     #: (n,): each pair's outcome, uint8. Compare it with `Outcome` or with a name, such as
-    #: "CONTACT".
+    #: "CONTACT"; `np.isin` tests for several names, and `astype(str)` gives the names. pandas takes
+    #: the column for numbers, which equal no name: use `to_dataframe`.
     outcome: OutcomeArray
     #: (n,): the bits of `Flag` of each pair, uint8.
     flags: FlagArray

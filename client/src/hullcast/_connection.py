@@ -148,6 +148,7 @@ class Connection(Settled, ABC):
                 cause = yield link.run(partial(self._cause, error))
                 if cause is not None:
                     raise cause from None
+                link.trouble = error.message
                 return link  # gRPC's own retries may still reach the server
         except _errors.DeadlineExceeded:
             if seconds is not None and seconds <= proof:
@@ -155,15 +156,21 @@ class Connection(Settled, ABC):
             return link
         except _errors.Error:
             pass  # a server has answered; the call itself will report the error
-        link.proven = True
+        link.proven, link.trouble = True, ""
         return link
+
+    def _explain(self, error: _errors.DeadlineExceeded) -> None:
+        """Adds to a late call's error why no server has answered on the channel, if it is known."""
+        trouble = "" if self._opened is None else self._opened[1].trouble
+        if trouble and trouble not in error.message:
+            error.message += f". The first attempt failed: {trouble}"
 
     def _cause(self, error: _errors.Unavailable) -> _errors.Unavailable | None:
         """The error for a connection that waiting cannot help to make; otherwise None."""
         settings = self._settings
         text = _reach.absent(self.target, settings.addresses)
         for target in settings.addresses if text is None else ():
-            text = _reach.mismatch(target, error.message, settings.trust())
+            text = _reach.mismatch(target, error.transport, settings.trust())
             if text is not None:
                 break
         if text is None:

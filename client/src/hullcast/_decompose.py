@@ -142,7 +142,7 @@ def decompose_all(
                 f"{label} is flat: all its points are in one plane", reason="COPLANAR", field="mesh"
             )
         report_state = partial(_report, report, label, number, len(meshes))
-        found.append(_pieces(vertices, faces, threshold, cache, report_state))
+        found.append(_pieces(label, vertices, faces, threshold, cache, report_state))
     return found
 
 
@@ -158,7 +158,7 @@ def check_threshold(threshold: Any) -> None:
     ):
         raise InvalidArgument(
             f"got {shown(threshold)}, expected a number, {low:g} to {high:g}",
-            reason="OUT_OF_RANGE",
+            reason="VALUE_OUT_OF_RANGE",
             field="threshold",
         )
 
@@ -179,6 +179,7 @@ def _in_notebook() -> bool:
 
 
 def _pieces(
+    label: str,
     vertices: Floats,
     faces: Indices,
     threshold: float,
@@ -218,7 +219,9 @@ def _pieces(
     pieces = [np.ascontiguousarray(piece, dtype="<f8") for piece, _ in found]
     pieces = [piece for piece in pieces if not _convexity.is_flat(piece)]
     if not pieces:
-        raise InvalidArgument("coacd found no convex pieces", reason="NO_PIECES", field="mesh")
+        raise InvalidArgument(
+            f"coacd found no convex pieces of {label}", reason="NO_PIECES", field="mesh"
+        )
     try:
         _write(file, pieces)
     except OSError as error:

@@ -170,6 +170,8 @@ class Unavailable(ServerError, ConnectionError):
 
     #: Whether the connection broke while the response was arriving. gRPC does not retry such calls.
     cut_off = False
+    #: gRPC's own text, if the failure is one of the connection.
+    transport = ""
 
 
 class DeadlineExceeded(ServerError, TimeoutError):

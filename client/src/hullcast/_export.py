@@ -14,7 +14,7 @@ import numpy.typing as npt
 from . import _arguments, _files
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument
-from ._wire import PAIR_COLUMNS, POINT_COLUMNS
+from ._wire import PAIR_COLUMNS, POINT_COLUMNS, FeatureKind, Outcome
 
 Columns = dict[str, np.ndarray]
 
@@ -137,14 +137,10 @@ def dataframe(columns: Mapping[str, np.ndarray], rows: str) -> Any:
     try:
         import pandas as library
     except ImportError as error:
-        raise ImportError("to_dataframe needs pandas: pip install pandas") from error
+        raise ImportError(
+            "to_dataframe needs pandas: pip install './client[pandas]' in the clone"
+        ) from error
     pandas: Any = library
-    if rows not in ("pairs", "points"):
-        raise InvalidArgument(
-            f"got {_arguments.shown(rows)}, expected pairs or points",
-            reason="UNKNOWN_VALUE",
-            field="rows",
-        )
     series: dict[str, Any] = {"pair": np.arange(len(columns["outcomes"]))}
     for name, values in columns.items():
         if name in PAIR_COLUMNS or name in _ALWAYS:
@@ -157,8 +153,11 @@ def dataframe(columns: Mapping[str, np.ndarray], rows: str) -> Any:
             if name in POINT_COLUMNS:
                 series.update(_series(name, values))
     frame = pandas.DataFrame(series)
-    outcomes = ["", "CONTACT", "SEPARATED", "UNDECIDED", "INVALID"]
-    frame["outcome"] = pandas.Categorical.from_codes(frame["outcome"], categories=outcomes)
+    # Outcomes begin at 1, and codes of categories at 0.
+    names = {"outcome": ["", *Outcome.__members__]}
+    names |= {name: [*FeatureKind.__members__] for name in _NAMES["feature_kinds"]}
+    for name in names.keys() & frame.columns:
+        frame[name] = pandas.Categorical.from_codes(frame[name], categories=names[name])
     return frame
 
 

@@ -26,7 +26,7 @@ def path_of(field: str, value: Any, what: str = "the path of a file") -> str:
     if isinstance(value, (str, os.PathLike)):
         path: Any = os.fspath(cast("str | os.PathLike[str]", value))
         path = os.fsdecode(path)
-        if path and "\0" not in path:
+        if path and "\0" not in path and _is_name(path):
             return path
         got = shown(path)
     elif is_open_file(value):
@@ -36,6 +36,15 @@ def path_of(field: str, value: Any, what: str = "the path of a file") -> str:
     else:
         got = kind(value)
     raise InvalidArgument(f"expected {what}, got {got}", reason="NOT_A_PATH", field=field)
+
+
+def _is_name(path: str) -> bool:
+    """Whether the file system can have a file of this name."""
+    try:
+        os.fsencode(path)
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def read(field: str, value: Any) -> bytes:

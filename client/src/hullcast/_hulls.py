@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 #: measured on shapes whose coordinates are rounded as mesh files round them (docs/tradeoff.md).
 DEFAULT_PLANARITY = 1e-3
 
+#: The largest planarity that a server accepts.
+_LARGEST_PLANARITY = 0.01
+
 #: A fraction of the circumradius; or None to send none, so that the server uses 1e-6.
 Planarity = float | Literal["default"] | None
 
@@ -163,17 +166,20 @@ def hull_id(
         InvalidArgument: an argument is not usable; the error names it.
     """
     if max_vertices is not None:
-        max_vertices = _arguments.integer("max_vertices", max_vertices, 0, 2**32 - 1)
+        max_vertices = _arguments.integer("max_vertices", max_vertices, 4, 2**32 - 1)
     if max_deviation is not None:
         max_deviation = _arguments.number("max_deviation", max_deviation, 0)
     # Adding 0.0 turns -0.0 into 0.0 and changes no other number.
-    points = points_of(vertices) + 0.0
+    points = _finite("vertices", points_of(vertices)) + 0.0
     share = planarity_of(planarity)
+    if share is not None:  # no server checks the range of this call
+        share = _arguments.number("planarity", share, 0, _LARGEST_PLANARITY)
     parts = [b"hullcast", struct.pack("<I", 1 if share is None else 2)]
     if contraction_point is None:
         parts.append(b"\0")
     else:
-        center = _arrays.floats("contraction_point", contraction_point, 3) + 0.0
+        center = _arrays.floats("contraction_point", contraction_point, 3)
+        center = _finite("contraction_point", center) + 0.0
         parts += [b"\1", center.tobytes()]
     if max_vertices is None and max_deviation is None:
         parts.append(b"\0")
@@ -188,13 +194,26 @@ def hull_id(
     return hashlib.sha256(b"".join(parts)).digest()
 
 
+def _finite(field: str, values: Floats) -> Floats:
+    """Checks that all numbers of an array are finite, and returns the array."""
+    wrong = np.argwhere(~np.isfinite(values))
+    if len(wrong):
+        entry = tuple(int(i) for i in wrong[0])
+        error = InvalidArgument(
+            f"got {values[entry]:g}, expected finite numbers", reason="NOT_FINITE", field=field
+        )
+        error.entry = entry
+        raise error
+    return values
+
+
 def planarity_of(planarity: Planarity, default: float | None = DEFAULT_PLANARITY) -> float | None:
     """The planarity to send, or None. The server checks its range."""
     if planarity is None:
         return None
     if isinstance(planarity, str) and planarity == "default":
         return default
-    expected = 'expected a number, 0 to 0.01, or None or "default"'
+    expected = f'expected a number, 0 to {_LARGEST_PLANARITY:g}, or None or "default"'
     return _arguments.real("planarity", planarity, expected)
 
 

@@ -36,6 +36,8 @@ class Link(Protocol):
 
     #: Whether a server has answered on this channel.
     proven: bool
+    #: Why the first call on this channel failed; "" if it has not, or if a server has answered.
+    trouble: str
 
     def start(self, method: str, data: bytes, timeout: float | None) -> Any:
         """Makes a unary call, which is under way at once. The result has `.cancel()`."""
@@ -73,9 +75,17 @@ def stream_ended() -> _errors.Unavailable:
     return error
 
 
+#: The text of the exception if a server did not answer in time.
+NO_ANSWER = (
+    "the server did not answer within the timeout: it may be frozen, overloaded or out of reach, "
+    "or the work may take longer; client.ping() tests whether it answers, and timeout= gives a "
+    "call more time"
+)
+
+
 def late() -> _errors.DeadlineExceeded:
     """The error for a call that exceeded its timeout."""
-    return _errors.DeadlineExceeded("no answer within the timeout", reason="DEADLINE_EXCEEDED")
+    return _errors.DeadlineExceeded(NO_ANSWER, reason="DEADLINE_EXCEEDED")
 
 
 def remaining(deadline: float | None) -> float | None:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _checked
-from ._arguments import kind
+from ._arguments import iterable, kind
 from ._errors import Error, InvalidArgument
 from ._hulls import Hull
 from ._pb import hulls_pb2, server_pb2
@@ -113,7 +113,7 @@ def read_page(data: bytes, before: bytes) -> tuple[list[StoredHull], str]:
 def ids_of(hulls: Any) -> list[bytes]:
     """The ids of one hull or of an iterable of hulls, given as `Hull`, `StoredHull` or bytes."""
     single = isinstance(hulls, (Hull, StoredHull, bytes))
-    if not single and (isinstance(hulls, (str, Mapping)) or not isinstance(hulls, Iterable)):
+    if not single and (isinstance(hulls, (str, Mapping)) or not iterable(hulls)):
         raise InvalidArgument(
             f"expected hulls or their ids, got {kind(hulls)}", reason="WRONG_TYPE", field="hulls"
         )

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _arguments, _export, _tensors
-from ._arguments import kind
+from ._arguments import iterable, kind
 from ._arrays import Floats, Indices
 from ._columns import ManifoldColumns
 from ._errors import InvalidArgument, PairOutOfRange
@@ -25,6 +25,8 @@ class Manifolds(ManifoldColumns):
     `len(m)` is the number of pairs. A per-pair column has one row per pair. In a per-point column,
     the points of pair `i` are the rows `point_offsets[i]` to `point_offsets[i + 1]`. `m[i]` is the
     `Manifold` of one pair; `m[1:5]`, `m[indices]` and `m[mask]` are the `Manifolds` of some pairs.
+
+    The points of a pair are in order around its patch, anticlockwise about the normal.
 
     Vectors are in the world frame, lengths in the caller's units. The normal points from A to B.
     Separations and distances are negative when the hulls overlap.
@@ -58,13 +60,18 @@ class Manifolds(ManifoldColumns):
 
         Raises:
             PairOutOfRange: INDEX_OUT_OF_RANGE, or NOT_INTEGERS for an object of another kind.
+            InvalidArgument: NO_ORDER, a set.
         """
         count = len(self)
-        if isinstance(pairs, slice):
-            return np.arange(count)[pairs]
-        found = _tensors.as_numpy(pairs)
-        array = np.asarray(pairs) if found is None else found
-        array = array.astype(np.intp) if array.size == 0 and array.dtype != bool else array
+        _arguments.ordered(field, pairs)
+        try:
+            if isinstance(pairs, slice):
+                return np.arange(count)[pairs]
+            found = _tensors.as_numpy(pairs)
+            array = np.asarray(pairs) if found is None else found
+            array = array.astype(np.intp) if array.size == 0 and array.dtype != bool else array
+        except (TypeError, ValueError):  # rows of different lengths, or a slice of words
+            array = np.array(None)
         if array.ndim != 1 or array.dtype.kind not in "iub":
             got = _arguments.shown(pairs) if array.ndim == 0 else f"shape {array.shape}"
             raise PairOutOfRange(
@@ -103,7 +110,8 @@ class Manifolds(ManifoldColumns):
         """The pairs in which `body` has contact points, arranged such that `body` is always A.
 
         In the result `pairs[:, 1]` are the bodies that `body` touches, and the normals point away
-        from `body`. The query must have the outputs NORMAL and POINTS.
+        from `body`. The points of a pair that was turned keep their order, which is then clockwise
+        about the normal. The query must have the outputs NORMAL and POINTS.
 
         Raises:
             InvalidArgument: `body` is not the index of a body.
@@ -133,7 +141,10 @@ class Manifolds(ManifoldColumns):
         )
 
     def to_dataframe(self, rows: str = "points") -> Any:
-        """Converts the requested columns to a pandas data frame.
+        """Converts the requested columns to a pandas data frame (extra `pandas`).
+
+        Outcomes and kinds of features are categories of names, such as "CONTACT". Flags are
+        numbers: `frame[frame["flags"] & int(hullcast.Flag.ESTIMATED) != 0]`.
 
         Args:
             rows: "points" gives one row per contact point, together with the columns of its pair;
@@ -144,7 +155,7 @@ class Manifolds(ManifoldColumns):
             InvalidArgument: `rows` has another value.
             OutputNotAsked: `rows` is "points", and the query did not request POINTS.
         """
-        if rows == "points":
+        if _arguments.one_of("rows", rows, ("pairs", "points")) == "points":
             self._column("point_counts", "points", "POINTS")
         return _export.dataframe(self._columns, rows)
 
@@ -186,13 +197,13 @@ class Manifolds(ManifoldColumns):
         results must have the same outputs.
 
         Raises:
-            InvalidArgument: WRONG_TYPE; EMPTY, no manifolds; or OTHER_OUTPUTS, the outputs differ.
+            InvalidArgument: WRONG_TYPE; NO_ORDER, a set; EMPTY, no manifolds; or OTHER_OUTPUTS, the
+                outputs differ.
         """
         from . import _answers  # which loads protobuf
 
-        if isinstance(manifolds, (Manifolds, Manifold, str, Mapping)) or not isinstance(
-            manifolds, Iterable
-        ):
+        _arguments.ordered("manifolds", manifolds)
+        if isinstance(manifolds, (Manifolds, Manifold, str, Mapping)) or not iterable(manifolds):
             raise InvalidArgument(
                 f"expected a list of Manifolds, got {kind(manifolds)}",
                 reason="WRONG_TYPE",
@@ -324,8 +335,11 @@ class Manifolds(ManifoldColumns):
             )
         shown = self
         if pairs is not None:
+            _arguments.ordered("pairs", pairs)
             chosen: Any = list(pairs) if isinstance(pairs, Iterator) else pairs
-            chosen = chosen if isinstance(chosen, slice) else np.atleast_1d(chosen)
+            chosen = _arguments.plain(chosen)
+            if isinstance(chosen, (int, np.integer)) and not isinstance(chosen, bool):
+                chosen = [chosen]
             shown = self[self._chosen("pairs", chosen)]
         return shown, np.setdiff1d(shown.pairs, self.invalid_bodies), self.scene
 

@@ -29,6 +29,25 @@ class Mesh:
     label: str = ""
 
 
+class Points(np.ndarray[Any, np.dtype[np.float64]]):
+    """Points (n, 3) with a name in messages, such as "link 'hand', collision 0 (robot.urdf)"."""
+
+    label: str = ""
+
+    @classmethod
+    def of(cls, points: Floats, label: str) -> Points:
+        """A view of an array, with a name."""
+        named = points.view(cls)
+        named.label = label
+        return named
+
+    def __array_finalize__(self, source: Any) -> None:
+        self.label = getattr(source, "label", "")
+
+    def __reduce__(self) -> Any:
+        return Points.of, (self.view(np.ndarray), self.label)
+
+
 def load(path: str | os.PathLike[str], field: str = "") -> Mesh:
     """Reads the triangles of an OBJ, STL, DAE or PLY file, with all its parts as one mesh.
 

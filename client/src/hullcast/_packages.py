@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 from urllib.parse import unquote
 
+from . import _files
+from ._arguments import iterable, kind, ordered
 from ._errors import FileNotFound, InvalidArgument
 
 #: The URL schemes in which the first folder is a package's name.
@@ -73,15 +75,16 @@ def _entries(variable: str) -> list[Path]:
 
 
 def _folders(packages: Any) -> list[Path]:
-    name = type(cast(object, packages)).__name__
-    try:
-        if isinstance(packages, (str, os.PathLike)):
-            return [Path(cast("str | os.PathLike[str]", packages)).resolve()]
-        folders = cast("Iterable[str | os.PathLike[str]]", packages)
-        return [Path(folder).resolve() for folder in folders]
-    except TypeError:
+    ordered("packages", packages)
+    single = isinstance(packages, (str, os.PathLike))
+    if not single and not iterable(packages):
         raise InvalidArgument(
-            f"expected a folder or a list of folders, got {name}",
+            f"expected a folder or a list of folders, got {kind(packages)}",
             reason="NOT_A_PATH",
             field="packages",
-        ) from None
+        )
+    given: list[Any] = [packages] if single else list(packages)
+    return [
+        Path(_files.path_of("packages", folder, "a folder or a list of folders")).resolve()
+        for folder in given
+    ]

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _answers, _arguments, _arrays, _checked, _packed
-from ._arguments import counted
+from ._arguments import counted, iterable
 from ._arrays import Indices
 from ._errors import InvalidArgument, InvalidPoses, MissingHullsWarning, warn
 from ._manifolds import Manifolds
@@ -394,7 +394,7 @@ def output_names(outputs: Iterable[str] | None) -> Sequence[str]:
         return DEFAULT_OUTPUTS
     known = [key.removeprefix("OUTPUT_") for key in contacts_pb2.Output.keys()[1:]]
     given: Any = (outputs,) if isinstance(outputs, str) else outputs
-    if isinstance(given, (bytes, Mapping)) or not isinstance(given, Iterable):
+    if isinstance(given, (bytes, Mapping)) or not iterable(given):
         raise InvalidArgument(
             f"expected a list of {', '.join(known)}, got {_arguments.shown(outputs)}",
             reason="WRONG_TYPE",

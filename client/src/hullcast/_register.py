@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from . import _arguments, _arrays, _channel, _checked, _convexity, _files, _mesh, _packed
-from ._arguments import counted, kind, plain
+from ._arguments import counted, iterable, kind, plain
 from ._errors import HullRejected, InvalidArgument
 from ._hulls import Content, Hull, Planarity, mesh_of, planarity_of, points_of
 from ._pb import hulls_pb2
@@ -48,14 +48,15 @@ class Registration:
     ) -> Registration:
         """Makes the call from the arguments of `Client.register`."""
         shapes = shapes_of(hulls)
+        _arguments.ordered("contraction_points", contraction_points)
         if max_vertices is not None:
             max_vertices = _arguments.integer("max_vertices", max_vertices, 4, 2**32 - 1)
         if max_deviation is not None:
             max_deviation = _arguments.number("max_deviation", max_deviation, 0)
         if contraction_points is None:
             contraction_points = [None] * len(shapes)
-        elif isinstance(contraction_points, (str, bytes, Mapping)) or not isinstance(
-            contraction_points, Iterable
+        elif isinstance(contraction_points, (str, bytes, Mapping)) or not iterable(
+            contraction_points
         ):
             raise InvalidArgument(
                 f"expected one point (3,) or None per hull, got {kind(contraction_points)}",
@@ -182,6 +183,7 @@ class Registration:
 
 def shapes_of(hulls: Any) -> list[Any]:
     """The shapes of one hull or of an iterable of hulls. A `trimesh.Scene` stands for its parts."""
+    _arguments.ordered("hulls", hulls)
     if isinstance(hulls, Mapping):
         raise InvalidArgument(
             "expected a hull or a list of hulls, got a dict: give list(hulls.values())",
@@ -197,7 +199,7 @@ def shapes_of(hulls: Any) -> list[Any]:
     if _files.is_open_file(hulls):
         _files.path_of("hulls", hulls, "the path of a mesh file")
     if not _is_single(hulls):
-        if not isinstance(hulls, Iterable):
+        if not iterable(hulls):
             raise InvalidArgument(
                 "expected points (n, 3), an object with vertices, a file, or a list of these, got "
                 f"{kind(hulls)}",
@@ -271,7 +273,7 @@ def _faces(shape: Any, name: str) -> Any:
 
 def _label(shape: Any, place: int) -> str:
     """A shape's name in messages: the link for a robot's body, or index and file for a mesh."""
-    label = shape.label if isinstance(shape, _mesh.Mesh) else ""
+    label = shape.label if isinstance(shape, (_mesh.Mesh, _mesh.Points)) else ""
     return label if label.startswith("link ") else f"hulls[{place}]" + (label and f" ({label})")
 
 

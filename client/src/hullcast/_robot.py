@@ -10,7 +10,7 @@ from typing import Any, ClassVar, cast
 import numpy as np
 import numpy.typing as npt
 
-from . import _arguments, _arrays, _convexity, _decompose, _mesh, _urdf
+from . import _arguments, _arrays, _convexity, _decompose, _mesh, _srdf, _urdf
 from ._arguments import counted, shown
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument, JointLimitsWarning, warn
@@ -40,7 +40,8 @@ class Robot(Settled):
             looked up as `name/...` in these folders first, then in ROS_PACKAGE_PATH, in
             AMENT_PREFIX_PATH and in the folders that contain the URDF file.
         srdf: the path of an SRDF file. Links that its `disable_collisions` elements name ignore
-            each other.
+            each other. A link of `disable_default_collisions` ignores all others, except those of
+            `enable_collisions`.
         ignored: further pairs of names of links that ignore each other.
         decompose: True or False: whether to decompose meshes that are not convex or not closed
             (extra `decompose`). If not, `register` uses their convex hulls, with a
@@ -71,8 +72,9 @@ class Robot(Settled):
     #: without a limit.
     limits: Floats
     #: For each body the shape that `Client.register` takes, in the frame of the body's link: points
-    #: (k, 3) or a mesh. A cylinder is an inscribed prism with 32 sides, a sphere an inscribed
-    #: polyhedron with 162 vertices, and a capsule an inscribed polyhedron with 130 vertices.
+    #: (k, 3) or a mesh. Messages name it by its link and its file. A cylinder is an inscribed prism
+    #: with 32 sides, a sphere an inscribed polyhedron with 162 vertices, and a capsule an inscribed
+    #: polyhedron with 130 vertices.
     shapes: list[Any]
     #: (bodies,): the link of each body, as an index into `links`.
     body_links: npt.NDArray[np.intp]
@@ -116,11 +118,11 @@ class Robot(Settled):
         pieces = dict(zip(dented, found, strict=True))
         bodies = [
             (link, piece)
-            for i, (link, _, shape) in enumerate(model.shapes)
-            for piece in pieces.get(i, [shape])
+            for i, (link, label, shape) in enumerate(model.shapes)
+            for piece in _named_pieces(label, pieces.get(i, [shape]))
         ]
         body_links: npt.NDArray[np.intp] = np.array([link for link, _ in bodies], np.intp)
-        disabled = [] if srdf is None else list(_urdf.disabled(srdf))
+        disabled = [] if srdf is None else _srdf.disabled(srdf, model.links)
         known = [pair for pair in disabled if set(pair) <= set(model.links)]
         if disabled and not known:
             raise InvalidArgument(
@@ -330,17 +332,31 @@ class Robot(Settled):
         return motion
 
 
+def _named_pieces(label: str, pieces: Sequence[Any]) -> list[Any]:
+    """The convex pieces of a collision element; points have the element's name in messages."""
+    several = len(pieces) > 1
+    return [
+        _mesh.Points.of(cast("Floats", piece), f"{label}, piece {k}" if several else label)
+        if isinstance(piece, np.ndarray)
+        else piece
+        for k, piece in enumerate(pieces)
+    ]
+
+
 def _array(field: str, value: Any) -> Floats:
     """Converts a value to a float64 array of any shape."""
+    _arguments.ordered(field, value)
     if isinstance(value, Iterator):
         value = list(cast("Iterator[Any]", value))
     try:
         array = _arrays.as_array(value)
-        if array.dtype.kind not in "fiuO" and array.size:
-            raise TypeError(f"expected numbers, got {shown(value)}")
-        return array.astype("<f8")
-    except (TypeError, ValueError) as error:
-        raise InvalidArgument(str(error), reason="NOT_AN_ARRAY", field=field) from None
+        if array.dtype.kind in "fiuO" or not array.size:
+            return array.astype("<f8")
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise InvalidArgument(
+        f"expected numbers, got {shown(value)}", reason="NOT_AN_ARRAY", field=field
+    )
 
 
 def _check_base(roots: Floats) -> None:
@@ -363,10 +379,11 @@ def _one_of(joints: Sequence[str]) -> str:
 
 def _named(ignored: Any) -> list[tuple[str, str]]:
     """Checks that the argument `ignored` is pairs of names, and returns it as a list."""
-    try:
-        pairs = [() if isinstance(pair, str) else tuple(pair) for pair in ignored]
-    except TypeError:
-        pairs = [()]
+    given: list[Any] = list(ignored) if _arguments.iterable(ignored) else [ignored]
+    pairs = [
+        tuple(pair) if _arguments.iterable(pair) and not isinstance(pair, str) else ()
+        for pair in given
+    ]
     for i, pair in enumerate(pairs):
         if len(pair) != 2 or not all(isinstance(name, str) for name in pair):
             raise InvalidArgument(

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, cast
 import numpy as np
 
 from . import _arrays
-from ._arguments import counted, kind
+from ._arguments import counted, iterable, kind, ordered
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument
 from ._hulls import Content, Hull
@@ -34,7 +34,7 @@ class Scene(Settled):
             are normalised. With any other norm the body's pose is unusable.
         body_hulls: (n,): each body's hull, as an index into `hulls`.
         worlds: (n,), used by `find`: bodies only meet bodies of the same world. A body of world
-            2^32 - 1 meets the bodies of every other world.
+            2^32 - 1 meets the bodies of every other world, and no other body of world 2^32 - 1.
         groups: (n,), used by `find`: bodies of the same group never meet. Group 0 means no group.
         ignored_groups: (k, 2), used by `find`: pairs of groups whose bodies never meet.
 
@@ -240,11 +240,12 @@ def list_of_hulls(hulls: Any) -> list[Any]:
     """The hulls as a list. A single hull counts as a list of one.
 
     Raises:
-        InvalidArgument: WRONG_TYPE.
+        InvalidArgument: WRONG_TYPE or NO_ORDER.
     """
     if isinstance(hulls, (Hull, bytes)):
         return [hulls]
-    if isinstance(hulls, (str, Mapping)) or not isinstance(hulls, Iterable):
+    ordered("hulls", hulls)
+    if isinstance(hulls, (str, Mapping)) or not iterable(hulls):
         raise InvalidArgument(
             f"expected a list of hulls, got {kind(hulls)}", reason="WRONG_TYPE", field="hulls"
         )

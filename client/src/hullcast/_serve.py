@@ -13,7 +13,7 @@ import subprocess
 import tempfile
 import threading
 import weakref
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -132,7 +132,8 @@ def start(
 def _words(arguments: Any) -> list[str]:
     """Checks further arguments of the command line, and returns them as strings."""
     expected = 'expected a list of str, such as ["--compute-threads", "4"]'
-    if isinstance(arguments, (str, bytes, Mapping)) or not isinstance(arguments, Iterable):
+    _arguments.ordered("arguments", arguments)
+    if isinstance(arguments, (str, bytes, Mapping)) or not _arguments.iterable(arguments):
         raise InvalidArgument(
             f"{expected}, got {_arguments.shown(arguments)}", reason="WRONG_TYPE", field="arguments"
         )

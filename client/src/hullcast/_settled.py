@@ -47,7 +47,6 @@ class Settled:
 
 def freeze(value: Any) -> None:
     """Makes the arrays among an object's attributes read-only, which pickling and copying undo."""
-    attributes: dict[str, Any] = vars(value)
-    for array in attributes.values():
+    for array in cast("dict[str, Any]", vars(value)).values():
         if isinstance(array, np.ndarray):
             cast("np.ndarray", array).flags.writeable = False

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-import grpc
 from google.protobuf import any_pb2, descriptor_pb2, descriptor_pool, duration_pb2, message_factory
 
 from ._errors import (
@@ -24,17 +23,43 @@ from ._errors import (
     Unavailable,
     Unimplemented,
 )
+from ._grpc import grpc
+from ._link import NO_ANSWER
 
 _DETAILS_KEY = "grpc-status-details-bin"
-#: Parts of gRPC's own texts about a peer that is silent, and what the exception says instead.
-_SILENT = {
+_CLOSED = (
+    "the connection was {how} before the answer had arrived: the server may have ended, or what "
+    "listens at the address is not a hullcast server; a proxy that has no server does this too"
+)
+#: Parts of gRPC's own texts, and what the exception says instead. The first part that is found
+#: decides.
+_TEXTS = {
     "before receiving SETTINGS frame": (
         "the server accepts connections and does not answer: is it a hullcast server? It may be "
         "frozen, or a proxy that has lost its server"
     ),
     "ping timeout": "the server stopped answering, and the connection was given up",
+    "http2 header with status: 431": (
+        "the server refused the call's headers as too long: use a shorter token"
+    ),
+    "Received http2 header with status": (
+        "the peer gave an HTTP error ({status}) instead of an answer: it is a proxy that does not "
+        "reach a hullcast server, or it is another server"
+    ),
+    "Connection refused": (
+        "nothing listens at the server's address (connection refused): start the server, or "
+        "correct the address"
+    ),
+    "DNS resolution failed": "the server's host name has no address: correct the name",
+    "No route to host": "the server's host cannot be reached over the network (no route to host)",
+    "Network is unreachable": "the server's network cannot be reached",
+    "reset by peer": _CLOSED.format(how="reset"),
+    "Broken pipe": _CLOSED.format(how="reset"),
+    "Socket closed": _CLOSED.format(how="closed"),
+    "Handshake read failed": _CLOSED.format(how="closed"),
+    "Stream removed": _CLOSED.format(how="closed"),
 }
-#: What the exception says of a call that the server cut (docs/errors.md).
+#: The text of the exception for a call that the server cut (docs/errors.md).
 _CUT = (
     "the server reset the call, because the answer was not read in time; the server's "
     "settings answer_seconds and max_deadline_seconds decide how long that is"
@@ -67,14 +92,24 @@ def from_rpc(call: Any) -> Error:
     # Remove them, since the exception has them as attributes.
     for part in (error.reason, error.place):
         message = message.removeprefix(f"{part}: ")
-    error.message = next((text for part, text in _SILENT.items() if part in message), message)
+    error.message = message if known["reason"] != code.name else _text(code, message)
     if code is grpc.StatusCode.CANCELLED and "RST_STREAM" in message:
         error.message = _CUT
     if isinstance(error, ServerError):
         error.code = code.name
     if isinstance(error, Unavailable):
         error.cut_off = bool(call.initial_metadata())
+        error.transport = message
     return error
+
+
+def _text(code: grpc.StatusCode, message: str) -> str:
+    """The text of the exception in place of a text of gRPC itself."""
+    if code is grpc.StatusCode.DEADLINE_EXCEEDED:
+        return NO_ANSWER
+    status = message.rpartition("http2 header with status: ")[2][:3]
+    found = next((text for part, text in _TEXTS.items() if part in message), message)
+    return found.replace("{status}", status)
 
 
 def _read_details(data: bytes) -> dict[str, Any]:

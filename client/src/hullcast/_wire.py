@@ -3,31 +3,68 @@
 from __future__ import annotations
 
 import enum
+from typing import Any, TypeVar
+
+from ._errors import InvalidArgument
+
+_Kind = TypeVar("_Kind", bound=enum.Enum)
 
 
-class _Named(enum.IntEnum):
-    """An enum whose members equal their number and their name, in upper or lower case."""
+def member_of(kind: type[_Kind], name: str | bytes) -> _Kind:
+    """The member of an enum with a name, in upper or lower case.
+
+    Raises:
+        InvalidArgument: UNKNOWN_VALUE.
+    """
+    text = name.decode("ascii", "replace") if isinstance(name, bytes) else str(name)
+    member = kind.__members__.get(text.upper())
+    if member is None:
+        raise InvalidArgument(
+            f"got {text!r}, expected one of {', '.join(kind.__members__)}",
+            reason="UNKNOWN_VALUE",
+            field=kind.__name__,
+        )
+    return member
+
+
+class _Named:
+    """Makes the members of an enum of integers equal their names, and print them.
+
+    A name that no member has is refused, because a misspelt name would be unequal in silence.
+    Python finds an entry of a set or of a dict by its hash, and the hash of a member is that of its
+    number. So `member in {"CONTACT"}` is False; `member.name in {"CONTACT"}` is right, and so are
+    sets of members.
+    """
 
     def __eq__(self, other: object) -> bool:
-        if isinstance(other, str):
-            return self.name == other.upper()
-        return int(self) == other
+        this: Any = self
+        if isinstance(other, (str, bytes)):
+            kind: Any = type(self)
+            return int(this) == int(member_of(kind, other))
+        return int(this) == other
 
     def __ne__(self, other: object) -> bool:
         return not self == other
 
     def __hash__(self) -> int:
-        return hash(int(self))
+        this: Any = self
+        return hash(int(this))
 
     def __str__(self) -> str:
-        return self.name
+        this: Any = self
+        return this.name
 
     def __format__(self, spec: str) -> str:
-        return format(int(self), spec) if spec else self.name
+        this: Any = self
+        return format(int(this), spec) if spec else str(self)
 
 
-class Outcome(_Named):
-    """The result of comparing a pair's distance with the margin."""
+class Outcome(_Named, enum.IntEnum):
+    """The result of comparing a pair's distance with the margin.
+
+    A member equals its number and its name: `pair.outcome == "CONTACT"`. In a set or a dict only
+    the number or the member is found: write `pair.outcome.name in {"CONTACT", "SEPARATED"}`.
+    """
 
     #: The hulls are within the margin of each other, to rounding.
     CONTACT = 1
@@ -39,8 +76,11 @@ class Outcome(_Named):
     INVALID = 4
 
 
-class Flag(enum.IntFlag):
-    """Qualifications of a pair's numbers. A newer server may set further bits."""
+class Flag(_Named, enum.IntFlag):
+    """Qualifications of a pair's numbers. A newer server may set further bits.
+
+    A member equals its number and its name, as those of `Outcome` do.
+    """
 
     #: The projected features do not meet, so the pair has one estimated contact point.
     ESTIMATED = 1
@@ -57,9 +97,17 @@ class Flag(enum.IntFlag):
     #: One of the bodies has an unusable position or rotation.
     INVALID_BODY = 64
 
+    def __str__(self) -> str:
+        names = [str(flag.name) for flag in Flag if flag & self]
+        unknown = int(self) & ~sum(Flag)
+        return "|".join([*names, *([str(unknown)] if unknown else [])]) or "-"
 
-class FeatureKind(_Named):
-    """The kind of a hull's feature that touches the other hull."""
+
+class FeatureKind(_Named, enum.IntEnum):
+    """The kind of a hull's feature that touches the other hull.
+
+    A member equals its number and its name, as those of `Outcome` do.
+    """
 
     NONE = 0
     VERTEX = 1

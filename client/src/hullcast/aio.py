@@ -18,9 +18,8 @@ from functools import partial
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Concatenate, Literal, NoReturn, ParamSpec, TypeVar
 
-import grpc
-
 from . import _calls, _channel, _client, _errors, _link, _serve, _session, _status
+from ._grpc import grpc
 from ._manifolds import Manifolds
 from ._query import Accuracy, Query
 from ._scene import Scene
@@ -105,6 +104,9 @@ class Client(_calls.Calls):
                     waited_for = steps.send(answer)
         except StopIteration as done:
             return done.value
+        except _errors.DeadlineExceeded as error:
+            self._explain(error)
+            raise
         finally:
             steps.close()
 
@@ -171,6 +173,7 @@ class _Link:
         self._unary: dict[str, Any] = {name: channel.unary_unary(name) for name in _calls.UNARY}
         self._stream: Any = channel.unary_stream(_calls.FIND)
         self.proven = False
+        self.trouble = ""
 
     def start(self, method: str, data: bytes, timeout: float | None) -> Any:
         return self._unary[method](data, timeout=timeout, metadata=self._metadata())

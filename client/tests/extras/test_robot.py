@@ -143,7 +143,7 @@ def test_where_joints_put_a_small_robot(small):
         ([1, 2], {}, "WRONG_SHAPE", "joints"),
         ({"elbow": 1.0}, {}, "UNKNOWN_JOINT", "joints"),
         ({"turn": [1, 2], "lift": [1, 2, 3]}, {}, "WRONG_SHAPE", "joints"),
-        (np.zeros((3, 3)), {"base": np.zeros((2, 4, 4))}, "LENGTH_MISMATCH", "base"),
+        (np.zeros((3, 3)), {"base": np.tile(np.eye(4), (2, 1, 1))}, "LENGTH_MISMATCH", "base"),
         (None, {"base": np.eye(3)}, "WRONG_SHAPE", "base"),
     ],
 )

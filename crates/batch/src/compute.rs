@@ -16,6 +16,9 @@
 //!
 //! Work ends early if its [`Job`] is stopped, or if the future that waits for it is dropped. Its
 //! parts then leave the queue, and a compute thread frees its memory before it begins another part.
+//!
+//! This is our own code, because thread pools such as rayon run work in the order that suits their threads:
+//! they know no callers, and waiting work cannot be withdrawn from them.
 
 mod queue;
 #[cfg(test)]
@@ -36,6 +39,7 @@ use std::{
 };
 
 use hullcast_contact::{STEPS_BETWEEN_LOOKS, Stop, Stopped};
+use thiserror::Error;
 use tokio::sync::oneshot;
 
 use self::{queue::Queue, work::Shared};
@@ -125,34 +129,20 @@ pub trait Parts: Send + Sync + 'static {
 }
 
 /// The computation panicked, with this message. A panic is a bug, and it ends only its own call.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("panicked: {0}")]
 pub struct Panicked(pub String);
 
-impl fmt::Display for Panicked {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "panicked: {}", self.0)
-    }
-}
-
 /// The reason why work has no result.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum ComputeError {
     /// The work's job was stopped.
+    #[error("{}", Stopped)]
     Stopped,
     /// The work panicked.
+    #[error(transparent)]
     Panicked(Panicked),
 }
-
-impl fmt::Display for ComputeError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Stopped => Stopped.fmt(f),
-            Self::Panicked(panicked) => panicked.fmt(f),
-        }
-    }
-}
-
-impl std::error::Error for ComputeError {}
 
 impl From<Stopped> for ComputeError {
     fn from(_: Stopped) -> Self {

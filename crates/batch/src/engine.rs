@@ -12,18 +12,13 @@ mod shared;
 #[cfg(test)]
 mod tests;
 
-use std::{
-    error::Error,
-    fmt,
-    sync::{
-        Arc,
-        atomic::{AtomicU64, Ordering},
-    },
-};
+use std::sync::{Arc, atomic::Ordering};
+
+use thiserror::Error;
 
 use self::{
     run::{Chunked, Run, Unanswered},
-    shared::{BeforeChunk, Shared, Spare},
+    shared::Shared,
 };
 use crate::{
     batch::Batch,
@@ -40,51 +35,37 @@ pub struct Engine {
 }
 
 /// The reason why a batch has no answer. `R` is the reason why there is no memory.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum EngineError<R> {
     /// The answer would have more than this number of bytes.
+    #[error("the answer would have more than {0} bytes")]
     TooLarge(usize),
     /// There is no memory for the answer.
+    #[error("there is no memory for the answer: {0:?}")]
     NoMemory(R),
     /// The job was stopped.
+    #[error("the computation was stopped")]
     Stopped,
     /// The computation panicked, which is a bug.
+    #[error(transparent)]
     Panicked(Panicked),
 }
-
-impl<R: fmt::Debug> fmt::Display for EngineError<R> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::TooLarge(limit) => write!(f, "the answer would have more than {limit} bytes"),
-            Self::NoMemory(why) => write!(f, "there is no memory for the answer: {why:?}"),
-            Self::Stopped => f.write_str("the computation was stopped"),
-            Self::Panicked(panicked) => panicked.fmt(f),
-        }
-    }
-}
-
-impl<R: fmt::Debug> Error for EngineError<R> {}
 
 impl Engine {
     /// An engine that computes on `compute`, and whose answers have at most `max_answer_bytes` bytes.
     pub fn new(compute: Compute, max_answer_bytes: usize) -> Self {
-        Self::with(compute, max_answer_bytes, None)
+        Self { compute, shared: Arc::new(Shared::new(max_answer_bytes)) }
     }
 
     /// An engine that calls `before` with the number of pairs of each chunk before it computes the chunk.
     /// Tests of overload slow an engine down in this way.
-    #[doc(hidden)]
+    #[cfg(any(test, feature = "testing"))]
     pub fn with_hook(
         compute: Compute,
         max_answer_bytes: usize,
         before: impl Fn(usize) + Send + Sync + 'static,
     ) -> Self {
-        Self::with(compute, max_answer_bytes, Some(Box::new(before)))
-    }
-
-    fn with(compute: Compute, max_answer_bytes: usize, before_chunk: Option<BeforeChunk>) -> Self {
-        let (pairs_computed, spare) = (AtomicU64::new(0), Spare::default());
-        let shared = Shared { max_answer_bytes, pairs_computed, spare, before_chunk };
+        let shared = Shared { before_chunk: Some(Box::new(before)), ..Shared::new(max_answer_bytes) };
         Self { compute, shared: Arc::new(shared) }
     }
 

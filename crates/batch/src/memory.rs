@@ -12,6 +12,8 @@ use std::{
     },
 };
 
+use thiserror::Error;
+
 /// The memory of one answer. The bytes that it holds are free again when it is dropped.
 pub trait Memory: Send + 'static {
     /// The reason why there is no memory.
@@ -59,22 +61,14 @@ pub struct PooledMemory {
 }
 
 /// The pool has fewer free bytes than were asked for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error("{asked} more bytes are needed than are free of the {limit} bytes that may be used")]
 pub struct PoolIsFull {
     /// The number of bytes that were asked for.
     pub asked: u64,
     /// The size of the pool.
     pub limit: u64,
 }
-
-impl fmt::Display for PoolIsFull {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { asked, limit } = self;
-        write!(f, "{asked} more bytes are needed than are free of the {limit} bytes that may be used")
-    }
-}
-
-impl std::error::Error for PoolIsFull {}
 
 impl MemoryPool {
     /// A pool of `limit` bytes.

@@ -5,9 +5,10 @@
 //! [`Setting`] is everything except the poses, [`Poses`] are the poses, and [`Bodies`] are both with their
 //! hulls.
 
-use std::{fmt, sync::Arc};
+use std::sync::Arc;
 
 use hullcast_contact::{Accuracy, Body, ConvexHull, Pose, Query, Stop, Stopped, stop::Meter};
+use thiserror::Error;
 
 use crate::{batch::Batch, outputs::Outputs};
 
@@ -54,7 +55,8 @@ pub struct Scene {
 }
 
 /// A fault of a scene.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{field}{}: {message}", .index.map(|index| format!("[{index}]")).unwrap_or_default())]
 pub struct Fault {
     /// The kind of fault.
     pub kind: FaultKind,
@@ -78,11 +80,13 @@ pub enum FaultKind {
 }
 
 /// The reason why a scene cannot be computed.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum SceneError {
     /// The scene has a fault.
+    #[error(transparent)]
     Fault(Fault),
     /// The check was stopped.
+    #[error("{}", Stopped)]
     Stopped,
 }
 
@@ -96,28 +100,6 @@ impl Fault {
         Self::new(FaultKind::Value, field, format!("got {value}, must be {rule}"))
     }
 }
-
-impl fmt::Display for Fault {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.index {
-            Some(index) => write!(f, "{}[{index}]: {}", self.field, self.message),
-            None => write!(f, "{}: {}", self.field, self.message),
-        }
-    }
-}
-
-impl std::error::Error for Fault {}
-
-impl fmt::Display for SceneError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Fault(fault) => fault.fmt(f),
-            Self::Stopped => Stopped.fmt(f),
-        }
-    }
-}
-
-impl std::error::Error for SceneError {}
 
 impl From<Fault> for SceneError {
     fn from(fault: Fault) -> Self {

@@ -3,13 +3,16 @@
 //! `examples/scenes/README.md` describes the format. Unknown keys are ignored, so that a file may state
 //! its origin.
 
-use std::fmt;
+mod values;
+
 use std::io::{self, Read};
 use std::path::Path;
 
 use serde::Deserialize;
 use serde_json::error::Category;
+use thiserror::Error;
 
+use self::values::{Index, Number, Row, optional, point, rows};
 use crate::counted;
 use hullcast_contact::Pose;
 
@@ -41,13 +44,14 @@ pub struct HullPoints {
     #[serde(default)]
     pub name: String,
     /// Points, hull frame, caller's units.
+    #[serde(deserialize_with = "rows")]
     pub vertices: Vec<[f64; 3]>,
     /// Contraction point, hull frame; the centre of mass if absent.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "point")]
     pub contraction_point: Option<[f64; 3]>,
     /// The planarity to register with, as a fraction of the circumradius. A file without this key means
     /// [`DEFAULT_PLANARITY`]; `null` means to register without a planarity.
-    #[serde(default = "default_planarity")]
+    #[serde(default = "default_planarity", deserialize_with = "optional")]
     pub planarity: Option<f64>,
 }
 
@@ -72,7 +76,8 @@ pub struct Frame {
 }
 
 /// A defect of a scene file, and its place.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{}{}{message}", before(.file), before(.place))]
 pub struct SceneError {
     /// The file as the user gave it, with its option if it has one; empty if there is no file.
     pub file: String,
@@ -82,30 +87,15 @@ pub struct SceneError {
     pub message: String,
 }
 
-impl fmt::Display for SceneError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for part in [&self.file, &self.place] {
-            if !part.is_empty() {
-                write!(f, "{part}: ")?;
-            }
-        }
-        f.write_str(&self.message)
-    }
+/// A part of an error's text that stands before the rest of it, if the part is known.
+fn before(part: &str) -> String {
+    if part.is_empty() { String::new() } else { format!("{part}: ") }
 }
-
-impl std::error::Error for SceneError {}
 
 /// A scene has bodies at poses that no query accepts. The text names the configuration and the bodies.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{0}")]
 pub struct UnusablePoses(String);
-
-impl fmt::Display for UnusablePoses {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl std::error::Error for UnusablePoses {}
 
 #[derive(Deserialize)]
 struct Json {
@@ -115,25 +105,27 @@ struct Json {
     bodies: Vec<JsonBody>,
     #[serde(default)]
     frames: Vec<JsonFrame>,
-    pairs: Vec<[u32; 2]>,
+    pairs: Vec<Row<Index, 2>>,
     #[serde(default)]
-    margin: f64,
+    margin: Number,
 }
 
 #[derive(Deserialize)]
 struct JsonBody {
     #[serde(default)]
     name: String,
-    hull: u32,
-    position: [f64; 3],
-    rotation: [f64; 4],
+    hull: Index,
+    position: Row<Number, 3>,
+    rotation: Row<Number, 4>,
 }
 
 #[derive(Deserialize)]
 struct JsonFrame {
     #[serde(default)]
     name: String,
+    #[serde(deserialize_with = "rows")]
     positions: Vec<[f64; 3]>,
+    #[serde(deserialize_with = "rows")]
     rotations: Vec<[f64; 4]>,
 }
 
@@ -145,8 +137,7 @@ impl SceneFile {
     /// [`SceneError`] names file, field and index at fault.
     pub fn read(option: &str, path: &Path) -> Result<Self, SceneError> {
         let piped = path == Path::new("-");
-        let shown = if piped { "the standard input".into() } else { path.display().to_string() };
-        let file = format!("{option} {shown}").trim_start().to_owned();
+        let file = shown(option, path);
         let fault = |message| SceneError { file: file.clone(), place: String::new(), message };
         let text = if piped {
             let mut text = Vec::new();
@@ -193,6 +184,13 @@ impl SceneFile {
     }
 }
 
+/// A scene file as errors name it: the option that names the file, if there is one, and the path. `-` stands for
+/// the standard input.
+pub fn shown(option: &str, path: &Path) -> String {
+    let path = if path == Path::new("-") { "the standard input".into() } else { path.display().to_string() };
+    if option.is_empty() { path } else { format!("{option} {path}") }
+}
+
 /// The text of the error for the unusable poses of the bodies `unusable`, out of all `bodies`.
 pub fn unusable_poses(unusable: &[u32], bodies: usize) -> String {
     const SHOWN: usize = 8;
@@ -220,6 +218,17 @@ fn not_a_scene(place: String, error: &serde_json::Error) -> SceneError {
     SceneError { file: String::new(), place, message }
 }
 
+/// The text about an index of one of `count` things, or `None` if there is such a thing.
+fn out_of_range(Index(index): Index, count: usize, thing: &str) -> Option<String> {
+    let allowed = match count.checked_sub(1) {
+        _ if (index as usize) < count => return None,
+        None => "no index is allowed".into(),
+        Some(0) => "expected 0".into(),
+        Some(last) => format!("expected 0 to {last}"),
+    };
+    Some(format!("is {index}, {allowed}: the scene has {}", counted(count, thing)))
+}
+
 impl Json {
     /// Checks the rules that the types do not express: indices in range, and one pose per body.
     fn check(&self) -> Result<(), SceneError> {
@@ -228,11 +237,8 @@ impl Json {
             return fail("format".into(), format!("is {:?}, expected {FORMAT:?}", self.format));
         }
         for (i, body) in self.bodies.iter().enumerate() {
-            if body.hull as usize >= self.hulls.len() {
-                return fail(
-                    format!("bodies[{i}].hull"),
-                    format!("is {}, but the scene has {}", body.hull, counted(self.hulls.len(), "hull")),
-                );
+            if let Some(wrong) = out_of_range(body.hull, self.hulls.len(), "hull") {
+                return fail(format!("bodies[{i}].hull"), wrong);
             }
         }
         for (i, frame) in self.frames.iter().enumerate() {
@@ -249,17 +255,14 @@ impl Json {
             }
         }
         for (i, pair) in self.pairs.iter().enumerate() {
-            for (k, &body) in pair.iter().enumerate() {
-                if body as usize >= self.bodies.len() {
-                    return fail(
-                        format!("pairs[{i}][{k}]"),
-                        format!("is {body}, but the scene has {}", counted(self.bodies.len(), "body")),
-                    );
+            for (k, &body) in pair.0.iter().enumerate() {
+                if let Some(wrong) = out_of_range(body, self.bodies.len(), "body") {
+                    return fail(format!("pairs[{i}][{k}]"), wrong);
                 }
             }
         }
-        if self.margin < 0.0 {
-            return fail("margin".into(), format!("is {}, expected at least 0", self.margin));
+        if self.margin.0 < 0.0 {
+            return fail("margin".into(), format!("is {}, expected at least 0", self.margin.0));
         }
         Ok(())
     }
@@ -277,18 +280,18 @@ impl Json {
         if frames.is_empty() {
             frames.push(Frame {
                 name: String::new(),
-                positions: self.bodies.iter().flat_map(|b| b.position).collect(),
-                rotations: self.bodies.iter().flat_map(|b| b.rotation).collect(),
+                positions: self.bodies.iter().flat_map(|b| b.position.numbers()).collect(),
+                rotations: self.bodies.iter().flat_map(|b| b.rotation.numbers()).collect(),
             });
         }
         SceneFile {
             name: self.name,
             hulls: self.hulls,
-            body_hulls: self.bodies.iter().map(|b| b.hull).collect(),
+            body_hulls: self.bodies.iter().map(|b| b.hull.0).collect(),
             body_names: self.bodies.into_iter().map(|b| b.name).collect(),
             frames,
-            pairs: self.pairs.into_flattened(),
-            margin: self.margin,
+            pairs: self.pairs.into_iter().flat_map(|pair| pair.0.map(|body| body.0)).collect(),
+            margin: self.margin.0,
         }
     }
 }
@@ -328,23 +331,39 @@ mod tests {
         assert!(python.contains(&format!("\nDEFAULT_PLANARITY = {DEFAULT_PLANARITY:e}\n")));
     }
 
-    // Catches an error that does not name its place in a file of thousands of lines.
+    /// Catches an error that does not name its place in a file of thousands of lines, or that does not say
+    /// what is allowed there in the words of a user.
     #[test]
     fn errors_name_field_and_index() {
         let cases = [
-            ("[0,0,1]]", "[0,0]]", "hulls[0].vertices[3]"),
-            ("\"hull\": 0, \"position\": [0,0,2]", "\"hull\": 7, \"position\": [0,0,2]", "bodies[1].hull"),
-            ("[[0,1]]", "[[0,1],[0,2]]", "pairs[1][1]"),
-            ("[[0,1]]", "[[0,-1]]", "pairs[0][1]"),
-            ("[[0,0,0],[0,0,3]]", "[[0,0,0]]", "frames[0].positions"),
-            ("[0,0,3]]", "[0,0,\"3\"]]", "frames[0].positions[1][2]"),
-            ("0.5", "-0.5", "margin"),
-            (FORMAT, "something", "format"),
+            ("[0,0,1]]", "[0,0]]", "hulls[0].vertices[3]", "invalid length 2, expected 3 numbers"),
+            ("[0,0,1]]", "[0,0,1,2,3]]", "hulls[0].vertices[3]", "invalid length 5, expected 3 numbers"),
+            ("[0,0,1]]", "[0,0,true]]", "hulls[0].vertices[3][2]", "boolean `true`, expected a number"),
+            ("[0,0,0,1]}", "[0,0,1]}", "bodies[0].rotation", "invalid length 3, expected 4 numbers"),
+            (
+                "\"hull\": 0, \"position\": [0,0,2]",
+                "\"hull\": 7, \"position\": [0,0,2]",
+                "bodies[1].hull",
+                "is 7, expected 0: the scene has 1 hull",
+            ),
+            ("[[0,1]]", "[[0,1],[0,2]]", "pairs[1][1]", "is 2, expected 0 to 1: the scene has 2 bodies"),
+            ("[[0,1]]", "[[0,1,1]]", "pairs[0]", "invalid length 3, expected 2 indices"),
+            ("[[0,1]]", "[[0]]", "pairs[0]", "invalid length 1, expected 2 indices"),
+            ("[[0,1]]", "[0,1]", "pairs[0]", "integer `0`, expected 2 indices"),
+            ("[[0,1]]", "[[0,-1]]", "pairs[0][1]", "integer `-1`, expected an index, a whole number from 0"),
+            ("[[0,1]]", "[[0,0.5]]", "pairs[0][1]", "`0.5`, expected an index, a whole number from 0"),
+            ("[[0,1]]", "[[0,4294967296]]", "pairs[0][1]", "`4294967296`, expected an index"),
+            ("[[0,0,0],[0,0,3]]", "[[0,0,0]]", "frames[0].positions", "has 1 entries, expected one for each"),
+            ("[0,0,3]]", "[0,0,\"3\"]]", "frames[0].positions[1][2]", "string \"3\", expected a number"),
+            ("0.5", "-0.5", "margin", "is -0.5, expected at least 0"),
+            (FORMAT, "something", "format", "is \"something\", expected \"hullcast.scene.v1\""),
         ];
-        for (from, to, place) in cases {
+        for (from, to, place, allowed) in cases {
             let text = GOOD.replacen(from, to, 1);
             assert_ne!(text, GOOD, "{place}");
-            assert_eq!(SceneFile::parse(text.as_bytes()).unwrap_err().place, place, "{to}");
+            let error = SceneFile::parse(text.as_bytes()).unwrap_err();
+            assert_eq!(error.place, place, "{to}");
+            assert!(error.message.contains(allowed), "{to}: {error}");
         }
         for text in [&b"{"[..], b"", b"# A page", format!("{GOOD} x").as_bytes()] {
             assert!(SceneFile::parse(text).unwrap_err().to_string().contains("not JSON ("));

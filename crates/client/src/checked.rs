@@ -4,9 +4,6 @@
 //! columns that do not fit together. The Python client makes the same checks
 //! (`client/src/hullcast/_checked.py`).
 
-use std::error::Error as StdError;
-use std::fmt;
-
 use hullcast_proto::{FeatureKind, Flag, Outcome, Output, QueryContactsRequest, QueryContactsResponse};
 
 use crate::columns::{Outputs, Per, lengths};
@@ -21,16 +18,9 @@ const KNOWN_FLAGS: u8 = 127;
 const NORMAL_ERROR: f64 = 1e-6;
 
 /// An answer that no correct server gives to the request. The text names the column and the index at fault.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the server's answer is malformed: {0}")]
 pub struct Malformed(String);
-
-impl fmt::Display for Malformed {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "the server's answer is malformed: {}", self.0)
-    }
-}
-
-impl StdError for Malformed {}
 
 impl Malformed {
     pub(crate) fn new(text: impl Into<String>) -> Self {

@@ -4,6 +4,8 @@
 //! The messages are prost's own. Their bytes are also those of prost, except that the columns come last.
 //! Anything that is not a well-formed packed column is left to prost: a sender may split a column or leave
 //! it unpacked, and the bytes may be arbitrary.
+//!
+//! This is our own code, because prost lets nobody replace the encoding of a single field.
 
 use bytes::{Buf, BufMut, Bytes};
 use prost::{

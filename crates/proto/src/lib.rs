@@ -7,7 +7,6 @@
 
 #![allow(missing_docs, unreachable_pub, clippy::all, clippy::pedantic)]
 
-#[doc(hidden)]
 pub mod bulk;
 mod codec;
 
@@ -18,6 +17,11 @@ tonic::include_proto!("hullcast.v1");
 tonic::include_proto!("hullcast.v1.ContactService");
 tonic::include_proto!("hullcast.v1.HullService");
 tonic::include_proto!("hullcast.v1.ServerService");
+
+/// The names of the methods: each is the method's path without the leading slash.
+pub mod methods {
+    include!(concat!(env!("OUT_DIR"), "/methods.rs"));
+}
 
 /// Names the columns of messages. The build script writes the call of this macro from the contract.
 macro_rules! columnar {

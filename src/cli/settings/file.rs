@@ -12,7 +12,10 @@ use clap::{
 };
 use hullcast::small_file;
 
-use super::{AT_LEAST_ONE, Given, NAMES};
+use super::{
+    checked::AT_LEAST_ONE,
+    declared::{Given, NAMES},
+};
 use crate::cli::{Error, exit::Exit, values::did_you_mean};
 
 impl Given {
@@ -58,22 +61,26 @@ pub(crate) enum Fault {
 }
 
 impl Fault {
-    /// The fault of a text that is not TOML. If the cause is the value of a setting, such as a number with
-    /// too many digits, the error also names the allowed values.
+    /// The fault of a text that is not TOML, with its line. If the cause is the value of a setting, such as a
+    /// number with too many digits, the error also names the allowed values.
     fn of_text(text: &str, error: &toml::de::Error) -> Self {
-        let start = error.span().map_or(0, |span| span.start);
-        let line = text.char_indices().rfind(|(at, c)| *c == '\n' && *at < start);
-        let line = text[line.map_or(0, |(at, _)| at + 1)..].lines().next().unwrap_or_default();
+        let before = text.get(..error.span().map_or(0, |span| span.start)).unwrap_or(text);
+        let number = 1 + before.matches('\n').count();
+        let line = text.lines().nth(number - 1).unwrap_or_default();
         let value = line.split_once('=').map(|(key, value)| (key.trim(), value.trim()));
         let known =
             value.filter(|(key, value)| NAMES.contains(key) && !value.starts_with(['[', '{', '"', '\'']));
         let refused = known.and_then(|(key, value)| {
             checked(&values_only(), key, &[format!("--{}={value}", key.replace('_', "-"))]).err()
         });
-        match refused {
-            Some(Self::Value(why)) => Self::Text(format!("{error}{why}")),
-            _ => Self::Text(error.to_string()),
+        if let Some(Self::Value(why)) = refused {
+            return Self::Text(format!("line {number}: {why}"));
         }
+        let why = error.message().replace('\n', ", ");
+        Self::Text(format!(
+            "line {number}: {why}: {:?}; expected TOML, as in max_page_size = 1000",
+            line.trim()
+        ))
     }
 }
 
@@ -138,7 +145,7 @@ mod tests {
     use hullcast::size::ByteSize;
 
     use super::*;
-    use crate::cli::{memory::Size, settings::Switch};
+    use crate::cli::{memory::Size, settings::declared::Switch};
 
     fn refused(text: &str) -> String {
         match Given::parse(text).expect_err(text) {

@@ -14,8 +14,8 @@ use tokens::{Role, Tokens};
 use tokio::sync::oneshot;
 use tokio_rustls::rustls::ServerConfig;
 
-use super::ServiceError;
-use crate::log_limit::limited;
+use super::{ServiceError, method::Method};
+use crate::{log_limit::limited, proto::methods};
 
 /// The files with certificates, keys and tokens. An empty path stands for no file.
 #[derive(Clone, Debug, Default)]
@@ -89,14 +89,18 @@ impl Security {
         self.tls.as_ref().map(Tls::config)
     }
 
-    /// Checks whether a call of `path` with these headers is allowed. Returns the name of its
+    /// Checks whether a call of `method` with these headers is allowed. Returns the name of its
     /// token, if it needs one.
     ///
     /// # Errors
     /// UNAUTHENTICATED without a known token, PERMISSION_DENIED if the token's role does not allow
     /// the call.
-    pub(super) fn check(&self, path: &str, headers: &HeaderMap) -> Result<Option<Arc<str>>, ServiceError> {
-        match (&self.tokens, needed(path)) {
+    pub(super) fn check(
+        &self,
+        method: &Method,
+        headers: &HeaderMap,
+    ) -> Result<Option<Arc<str>>, ServiceError> {
+        match (&self.tokens, needed(method)) {
             (Some(tokens), Some(role)) => tokens.check(role, headers).map(Some),
             _ => Ok(None),
         }
@@ -104,12 +108,10 @@ impl Security {
 }
 
 /// The role that a call needs. Health checks need none, because load balancers have no token.
-fn needed(path: &str) -> Option<Role> {
-    match path {
-        "/hullcast.v1.HullService/RegisterHulls" | "/hullcast.v1.HullService/DeleteHulls" => {
-            Some(Role::Register)
-        }
-        _ if path.starts_with("/grpc.health.v1.Health/") => None,
+fn needed(method: &Method) -> Option<Role> {
+    match &*method.name {
+        methods::REGISTER_HULLS | methods::DELETE_HULLS => Some(Role::Register),
+        _ if method.is_health() => None,
         _ => Some(Role::Query),
     }
 }

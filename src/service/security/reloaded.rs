@@ -7,6 +7,7 @@ use std::{
 };
 
 use sha2::{Digest, Sha256};
+use thiserror::Error;
 
 use crate::{lock::locked, small_file};
 
@@ -21,6 +22,10 @@ impl SettingFile {
     pub(super) fn new(setting: &'static str, path: &Path) -> Self {
         Self { setting, path: path.to_owned() }
     }
+
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
 }
 
 impl fmt::Display for SettingFile {
@@ -29,28 +34,34 @@ impl fmt::Display for SettingFile {
     }
 }
 
-/// The reason why files were refused; the text names the setting and the file.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct LoadError(String);
+/// The reason why files were refused.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum LoadError {
+    /// The setting is empty, although another setting needs its file.
+    #[error(
+        "{setting} is missing: TLS needs tls_certificate and tls_key; tls_client_ca works only with both"
+    )]
+    Missing {
+        /// The name of a field of `SecurityFiles`.
+        setting: &'static str,
+    },
+    /// A file cannot be read or used.
+    #[error("{setting} {}: {why}", .path.display())]
+    File {
+        /// The setting that names the file: a field of `SecurityFiles`.
+        setting: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// The fault of the file, for display.
+        why: String,
+    },
+}
 
 impl LoadError {
     pub(super) fn new(file: &SettingFile, why: impl fmt::Display) -> Self {
-        Self(format!("{file}: {why}"))
-    }
-
-    /// The error that no file is at the path of `setting`.
-    pub(super) fn missing(setting: &str, why: &str) -> Self {
-        Self(format!("{setting} is empty: {why}"))
+        Self::File { setting: file.setting, path: file.path.clone(), why: why.to_string() }
     }
 }
-
-impl fmt::Display for LoadError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl std::error::Error for LoadError {}
 
 /// The contents of files, in the order of the files.
 pub(super) type Contents<'a> = Vec<(&'a SettingFile, Vec<u8>)>;
@@ -127,7 +138,9 @@ impl<T> Reloaded<T> {
 }
 
 fn read(files: &[SettingFile]) -> Result<Contents<'_>, LoadError> {
-    let read = |file: &SettingFile| small_file::read(&file.path).map_err(|error| LoadError::new(file, error));
+    let read = |file: &SettingFile| {
+        small_file::read(&file.path).map_err(|error| LoadError::new(file, format!("cannot be read: {error}")))
+    };
     files.iter().map(|file| Ok((file, read(file)?))).collect()
 }
 

@@ -3,7 +3,7 @@
 use std::{path::Path, sync::Arc};
 
 use tokio_rustls::rustls::{
-    RootCertStore, ServerConfig,
+    self, InconsistentKeys, RootCertStore, ServerConfig,
     crypto::ring,
     pki_types::{
         CertificateDer, PrivateKeyDer,
@@ -36,8 +36,8 @@ impl Tls {
             (false, false, false) => return Ok(None),
             (true, true, false) => {}
             (true, true, true) => named.push(SettingFile::new("tls_client_ca", &files.tls_client_ca)),
-            (false, _, _) => return Err(LoadError::missing("tls_certificate", NEEDED)),
-            (true, false, _) => return Err(LoadError::missing("tls_key", NEEDED)),
+            (false, _, _) => return Err(LoadError::Missing { setting: "tls_certificate" }),
+            (true, false, _) => return Err(LoadError::Missing { setting: "tls_key" }),
         }
         Reloaded::open(named, config).map(|config| Some(Self(config)))
     }
@@ -51,13 +51,10 @@ impl Tls {
     }
 }
 
-/// The rule for which files have to be given together.
-const NEEDED: &str = "TLS needs tls_certificate and tls_key; tls_client_ca works only with both";
-
 /// The configuration from the contents of certificate, key and, if given, authorities.
 fn config(contents: &[(&SettingFile, Vec<u8>)]) -> Result<Arc<ServerConfig>, LoadError> {
     let [(chain_file, chain), (key_file, key), authorities @ ..] = contents else {
-        return Err(LoadError::missing("tls_certificate", NEEDED));
+        return Err(LoadError::Missing { setting: "tls_certificate" });
     };
     let provider = Arc::new(ring::default_provider());
     let builder = ServerConfig::builder_with_provider(provider.clone())
@@ -79,9 +76,17 @@ fn config(contents: &[(&SettingFile, Vec<u8>)]) -> Result<Arc<ServerConfig>, Loa
         Err(pem::Error::NoItemsFound) => return Err(LoadError::new(key_file, "no private key (PEM) in it")),
         Err(error) => return Err(LoadError::new(key_file, error)),
     };
-    let mut config = builder
-        .with_single_cert(certificates(chain_file, chain)?, key)
-        .map_err(|error| LoadError::new(chain_file, error))?;
+    let config = builder.with_single_cert(certificates(chain_file, chain)?, key);
+    let mut config = config.map_err(|error| match error {
+        rustls::Error::InconsistentKeys(InconsistentKeys::KeyMismatch) => {
+            let certificate = chain_file.path().display();
+            let why = format!(
+                "it is not the key of the certificate {certificate}: give the key that belongs to it"
+            );
+            LoadError::new(key_file, why)
+        }
+        error => LoadError::new(chain_file, error),
+    })?;
     config.alpn_protocols = vec![b"h2".to_vec()];
     Ok(Arc::new(config))
 }

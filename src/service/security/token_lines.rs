@@ -1,15 +1,13 @@
 //! The lines of a file of tokens.
 
-use sha2::{Digest, Sha256};
-
 use super::{
     reloaded::{LoadError, SettingFile},
-    tokens::{List, Token},
+    tokens::List,
 };
 use crate::{budget::is_reserved_name, size::ByteSize};
 
 /// The longest name of a token, in bytes.
-pub(super) const NAME_BYTES: usize = 32;
+const NAME_BYTES: usize = 32;
 
 /// The longest token, in bytes: half of the limit on all headers of a call.
 const TOKEN_BYTES: usize = 8 << 10;
@@ -25,7 +23,7 @@ const LISTS: [&str; 2] = ["query", "register"];
 /// The list has no token, a line has a token that no call can send, or a line has a reserved name. The
 /// text names the line.
 pub(super) fn read(contents: &[(&SettingFile, Vec<u8>)], list: &str) -> Result<List, LoadError> {
-    let mut tokens = Vec::new();
+    let mut tokens = List::default();
     for (file, bytes) in contents {
         if let Some(kind) = other_kind(bytes) {
             return Err(LoadError::new(file, format!("it is {kind}, expected one token per line")));
@@ -35,13 +33,13 @@ pub(super) fn read(contents: &[(&SettingFile, Vec<u8>)], list: &str) -> Result<L
             let line = std::str::from_utf8(line).map_err(|error| refused(error.to_string()))?;
             let Some((name, token)) = parts(line).map_err(refused)? else { continue };
             let name = name.map_or_else(|| format!("{list}.{number}").into(), Into::into);
-            tokens.push(Token { hash: Sha256::digest(token).into(), name });
+            tokens.add(token.as_bytes(), name);
         }
         if tokens.is_empty() {
             return Err(LoadError::new(file, "no token in it"));
         }
     }
-    Ok(List(tokens))
+    Ok(tokens)
 }
 
 /// The kind of a file that is clearly no list of tokens. Without this check, each of its lines would be
@@ -80,9 +78,12 @@ fn parts(line: &str) -> Result<Option<(Option<&str>, &str)>, String> {
         Some((name, token)) => (Some(name), token),
         None => (None, line),
     };
-    if let Some(c) = token.chars().find(|c| !(' '..='~').contains(c)) {
-        let which = named_character(c);
-        return Err(format!("the token has {which}, which no call can send: use printable ASCII only"));
+    if let Some(c) = token.chars().find(|c| !c.is_ascii_graphic()) {
+        let which = if c == ' ' { "a space".into() } else { named_character(c) };
+        return Err(format!(
+            "the token has {which}, which no client can send: use visible ASCII characters only; in NAME: TOKEN \
+             the name has at most {NAME_BYTES} letters, digits, `_`, `.` and `-`"
+        ));
     }
     if token.len() > TOKEN_BYTES {
         let (has, most) = (ByteSize(token.len() as u64), ByteSize(TOKEN_BYTES as u64));
@@ -149,6 +150,7 @@ mod tests {
     #[test]
     fn lines_that_make_no_usable_token_are_refused_by_number() {
         let long = format!("a\n{}", "b".repeat(TOKEN_BYTES + 1));
+        let wide = format!("{}: two", "n".repeat(NAME_BYTES + 1));
         for (text, line, what) in [
             ("\u{feff}abc\n", 1, "U+FEFF (a byte order mark"),
             ("\u{feff}name: abc\n", 1, "U+FEFF"),
@@ -161,6 +163,10 @@ mod tests {
             ("one\u{85}two", 1, "U+0085"),
             ("one\u{b}two", 1, "U+000B"),
             ("a\nb\nname: \u{e9}", 3, "U+00E9"),
+            ("one two", 1, "the token has a space, which no client can send"),
+            ("one\nname: two words", 2, "the token has a space"),
+            ("white name: two", 1, "in NAME: TOKEN the name has at most 32 letters"),
+            (&wide, 1, "in NAME: TOKEN the name has at most 32 letters"),
             ("one\ttwo", 1, "U+0009"),
             ("a\u{a0}b", 1, "U+00A0"),
             ("\u{200b}a", 1, "U+200B"),
@@ -214,8 +220,11 @@ mod tests {
             ["query.a", "query.", "query", "query.2a", "a.query.2", "reader.2", "guide", "10.0.0", "uids"]
         {
             let text = format!("{name}: abc\ndef\n").into_bytes();
-            let List(tokens) = read(&[(&file, text)], "query").unwrap();
-            assert_eq!((&*tokens[0].name, &*tokens[1].name), (name, "query.2"));
+            let tokens = read(&[(&file, text)], "query").unwrap();
+            assert_eq!(
+                [b"abc", b"def"].map(|token| tokens.name(token).unwrap()),
+                [name, "query.2"].map(Into::into)
+            );
         }
     }
 }

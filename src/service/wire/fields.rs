@@ -9,7 +9,7 @@ use prost::encoding::{WireType, decode_key, decode_varint};
 
 use crate::{
     contact::{Stopped, stop::Meter},
-    service::error::ServiceError,
+    service::{Reason, ServiceError},
 };
 
 /// How deep messages and groups may be nested: prost's limit.
@@ -46,7 +46,7 @@ impl From<Fault> for ServiceError {
     fn from(fault: Fault) -> Self {
         match fault {
             Fault::Malformed(why) => {
-                Self::refused("MALFORMED_MESSAGE", format!("the message cannot be decoded: {why}"))
+                Self::new(Reason::MalformedMessage, format!("the message cannot be decoded: {why}"))
             }
             Fault::Stopped => Stopped.into(),
         }

@@ -6,7 +6,7 @@ use crate::{
     batch::{broad_phase::Rules, scene::check_finite},
     contact::Stop,
     proto,
-    service::{error::ServiceError, limits::Limits},
+    service::{Reason, error::ServiceError, limits::Limits},
 };
 
 /// Checks a request of `FindContacts`.
@@ -21,7 +21,7 @@ pub(in crate::service) fn find(
     for (column, field) in [(&request.pairs, "pairs"), (&request.warm_starts, "warm_starts")] {
         if !column.is_empty() {
             let message = format!("FindContacts finds the pairs itself: leave `{field}` empty");
-            return Err(ServiceError::invalid("FIELD_NOT_ALLOWED", field, message));
+            return Err(ServiceError::in_field(Reason::FieldNotAllowed, field, message));
         }
     }
     check_finite(request.margin)?;

@@ -6,7 +6,7 @@ use super::fields::BYTES_PER_STEP;
 use crate::{
     contact::{ConvexHull, HullError, Simplification, Stop, stop::Meter},
     proto,
-    service::error::ServiceError,
+    service::{HullReason, Reason, ServiceError},
     store::{HullDefinition, HullId, StoredBlob},
 };
 
@@ -31,7 +31,7 @@ pub(super) fn definition(hull: proto::HullDefinition) -> HullDefinition {
 /// The error for a hull with a column of the wrong length.
 pub(super) fn malformed(field: &str, found: usize, rule: &str) -> proto::HullError {
     proto::HullError {
-        reason: "MALFORMED".into(),
+        reason: HullReason::Malformed.name().into(),
         message: format!("got {found} entries, expected {rule}"),
         field: field.into(),
         index: None,
@@ -41,7 +41,7 @@ pub(super) fn malformed(field: &str, found: usize, rule: &str) -> proto::HullErr
 /// The error for a hull with more points than the server accepts.
 pub(super) fn too_many_points(points: usize, limit: u32) -> proto::HullError {
     proto::HullError {
-        reason: "TOO_MANY_POINTS".into(),
+        reason: HullReason::TooManyPoints.name().into(),
         message: format!(
             "got {points} points, at most {limit} are allowed: leave out points that are not extreme"
         ),
@@ -53,7 +53,7 @@ pub(super) fn too_many_points(points: usize, limit: u32) -> proto::HullError {
 /// The error for a hull that the builder refused.
 pub(in crate::service) fn hull_error(error: &HullError) -> proto::HullError {
     proto::HullError {
-        reason: error.kind.reason().into(),
+        reason: HullReason::NotBuilt(error.kind).name().into(),
         message: error.detail.clone(),
         field: error.kind.field().into(),
         index: error.index.and_then(|index| u32::try_from(index).ok()),
@@ -118,7 +118,7 @@ impl Parts {
                     let shown: String = path.chars().take(SHOWN_LETTERS).collect();
                     let message = format!("got {shown:?}, expected \"info\", \"vertices\" or \"faces\"");
                     let field = "field_mask.paths";
-                    return Err(ServiceError::invalid_at("UNKNOWN_PATH", field, index, message));
+                    return Err(ServiceError::in_entry(Reason::UnknownPath, field, index, message));
                 }
             }
         }
@@ -208,7 +208,7 @@ pub(super) fn page_token(token: &str) -> Result<Option<HullId>, ServiceError> {
     }
     token.parse().map(Some).map_err(|_| {
         let why = "expected the `next_page_token` of an earlier answer, or nothing for the first page";
-        ServiceError::invalid("MALFORMED_PAGE_TOKEN", "page_token", why)
+        ServiceError::in_field(Reason::MalformedPageToken, "page_token", why)
     })
 }
 

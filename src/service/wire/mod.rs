@@ -10,11 +10,9 @@ mod info;
 mod request;
 mod status;
 
-#[doc(hidden)]
-pub use super::sizes::HULL_BYTES;
 pub use columns::{response, response_columns};
 pub(super) use decode::{Bounds, Request};
-#[doc(hidden)]
+#[cfg(feature = "testing")]
 pub use decode::{CONSTANT_BYTES, decoded_bytes};
 pub(super) use find::find;
 pub(super) use hulls::{
@@ -25,3 +23,7 @@ pub use request::{CheckedScene, scene};
 pub(super) use request::{inherited, stoppable_scene};
 pub use status::DOMAIN;
 pub(super) use status::complete;
+
+/// The memory of a request's hull besides its points, or of an id, for the fuzz target of decoding.
+#[cfg(feature = "testing")]
+pub const HULL_BYTES: usize = super::sizes::HULL_BYTES;

@@ -9,7 +9,7 @@ use crate::{
     },
     contact::{Accuracy, Solver, Stop, stop::Meter},
     proto,
-    service::{error::ServiceError, limits::Limits},
+    service::{Reason, error::ServiceError, limits::Limits},
     store::HullId,
 };
 
@@ -36,13 +36,13 @@ pub struct CheckedScene {
 impl From<Fault> for ServiceError {
     fn from(Fault { kind, field, index, message }: Fault) -> Self {
         let reason = match kind {
-            FaultKind::Length => "LENGTH_MISMATCH",
-            FaultKind::Index => "INDEX_OUT_OF_RANGE",
-            FaultKind::Value => "VALUE_OUT_OF_RANGE",
+            FaultKind::Length => Reason::LengthMismatch,
+            FaultKind::Index => Reason::IndexOutOfRange,
+            FaultKind::Value => Reason::ValueOutOfRange,
         };
         match index {
-            Some(index) => Self::invalid_at(reason, field, index, message),
-            None => Self::invalid(reason, field, message),
+            Some(index) => Self::in_entry(reason, field, index, message),
+            None => Self::in_field(reason, field, message),
         }
     }
 }
@@ -76,7 +76,7 @@ pub(in crate::service) fn stoppable_scene(
     let meter = &Meter::new(stop);
     if request.inherit {
         let why = "`inherit` is only valid on StreamContacts: send the scene in full";
-        return Err(ServiceError::invalid("FIELD_NOT_ALLOWED", "inherit", why));
+        return Err(ServiceError::in_field(Reason::FieldNotAllowed, "inherit", why));
     }
     let accuracy = request.accuracy.unwrap_or_default();
     refuse_foreign(&request.worlds, "worlds")?;
@@ -85,9 +85,9 @@ pub(in crate::service) fn stoppable_scene(
 
     let bodies = request.body_hulls.len();
     let pairs = request.pairs.len() / 2;
-    at_most(request.hull_ids.len(), limits.max_hulls_per_request, "TOO_MANY_HULLS", "hull_ids")?;
-    at_most(bodies, limits.max_bodies_per_request, "TOO_MANY_BODIES", "body_hulls")?;
-    at_most(pairs, limits.max_pairs_per_request, "TOO_MANY_PAIRS", "pairs")?;
+    at_most(request.hull_ids.len(), limits.max_hulls_per_request, Reason::TooManyHulls, "hull_ids")?;
+    at_most(bodies, limits.max_bodies_per_request, Reason::TooManyBodies, "body_hulls")?;
+    at_most(pairs, limits.max_pairs_per_request, Reason::TooManyPairs, "pairs")?;
     // The lengths come first, so that the first fault that is found does not depend on the other columns.
     pose_lengths(bodies, &request.positions, &request.rotations)?;
     pair_lengths(&request.pairs, &request.warm_starts)?;
@@ -126,7 +126,7 @@ pub(in crate::service) fn inherited(
     ];
     if let Some((_, field)) = given.into_iter().find(|(given, _)| *given) {
         let why = "must not be set together with `inherit`: it is inherited from the previous message";
-        return Err(ServiceError::invalid("FIELD_NOT_ALLOWED", field, why));
+        return Err(ServiceError::in_field(Reason::FieldNotAllowed, field, why));
     }
     let meter = &Meter::new(stop);
     let (poses, invalid_bodies) =
@@ -140,20 +140,20 @@ fn refuse_foreign(column: &[u32], field: &'static str) -> Result<(), ServiceErro
         return Ok(());
     }
     let message = format!("`{field}` is only valid on FindContacts");
-    Err(ServiceError::invalid("FIELD_NOT_ALLOWED", field, message))
+    Err(ServiceError::in_field(Reason::FieldNotAllowed, field, message))
 }
 
 pub(super) fn at_most(
     count: usize,
     limit: u32,
-    reason: &'static str,
+    reason: Reason,
     field: &'static str,
 ) -> Result<(), ServiceError> {
     if count <= limit as usize {
         return Ok(());
     }
     let message = format!("got {count}, at most {limit} are allowed: send fewer per request");
-    Err(ServiceError::invalid(reason, field, message))
+    Err(ServiceError::in_field(reason, field, message))
 }
 
 /// Up to this many ids are compared with each other, which takes less time than a table.
@@ -173,7 +173,7 @@ fn distinct_ids<B: AsRef<[u8]>>(ids: &[B], meter: &Meter<'_>) -> Result<Vec<Hull
         let is_new = if ids.len() > FEW_IDS { seen.insert(bytes.as_ref()) } else { !distinct.contains(&id) };
         if !is_new {
             let message = format!("hull {id} was listed before: list each hull once");
-            return Err(ServiceError::invalid_at("DUPLICATE_HULL", "hull_ids", index, message));
+            return Err(ServiceError::in_entry(Reason::DuplicateHull, "hull_ids", index, message));
         }
         distinct.push(id);
     }
@@ -184,7 +184,7 @@ pub(super) fn hull_id(bytes: &[u8], field: &'static str, index: usize) -> Result
     let id = bytes.try_into().map(HullId);
     id.map_err(|_| {
         let message = format!("got {} bytes, expected the 32 bytes of a hull id", bytes.len());
-        ServiceError::invalid_at("MALFORMED_ID", field, index, message)
+        ServiceError::in_entry(Reason::MalformedId, field, index, message)
     })
 }
 
@@ -206,7 +206,7 @@ fn known_accuracy(accuracy: &proto::Accuracy) -> Result<Accuracy, ServiceError> 
 /// another computation was requested.
 fn unknown_value(field: &'static str, value: i32) -> ServiceError {
     let message = format!("got {value}, which this version of the server does not know");
-    ServiceError::invalid("UNKNOWN_VALUE", field, message)
+    ServiceError::in_field(Reason::UnknownValue, field, message)
 }
 
 /// The set of requested outputs. Unknown values come from newer clients, which can do without those

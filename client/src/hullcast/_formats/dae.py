@@ -273,7 +273,14 @@ def _numbers(element: Element, count: int) -> Floats:
 
 
 def _matrix(element: Element) -> Floats:
-    return _numbers(element, 16).reshape(4, 4)
+    pose = _numbers(element, 16).reshape(4, 4)
+    if (pose[3] != (0.0, 0.0, 0.0, 1.0)).any():
+        last = " ".join(f"{value:g}" for value in pose[3])
+        raise unsupported(
+            f"<matrix> has the last row {last}, expected 0 0 0 1: a matrix is written row by row, "
+            "and a projection is not read"
+        )
+    return pose
 
 
 def _translate(element: Element) -> Floats:

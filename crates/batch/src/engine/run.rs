@@ -152,6 +152,7 @@ impl<M: Memory, H: Send + 'static> Run<M, H> {
     /// large.
     fn fill(&self, pairs: Range<usize>, columns: &mut Columns) -> Result<(), Stopped> {
         self.look()?;
+        #[cfg(any(test, feature = "testing"))]
         self.shared.before_chunk(pairs.len());
         // The workspace is taken out while the chunk is computed, so that the thread gets a new one after a
         // panic.

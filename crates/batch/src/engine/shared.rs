@@ -14,6 +14,7 @@ const SPARE_CHUNKS: usize = 512;
 pub(super) const SPARE_BYTES: usize = 64 << 10;
 
 /// A function that is called with the number of pairs of a chunk before the chunk is computed.
+#[cfg(any(test, feature = "testing"))]
 pub(super) type BeforeChunk = Box<dyn Fn(usize) + Send + Sync>;
 
 /// The limit, the counter and the buffers that the batches of an engine share.
@@ -21,10 +22,22 @@ pub(super) struct Shared {
     pub(super) max_answer_bytes: usize,
     pub(super) pairs_computed: AtomicU64,
     pub(super) spare: Spare,
+    #[cfg(any(test, feature = "testing"))]
     pub(super) before_chunk: Option<BeforeChunk>,
 }
 
 impl Shared {
+    pub(super) fn new(max_answer_bytes: usize) -> Self {
+        Self {
+            max_answer_bytes,
+            pairs_computed: AtomicU64::new(0),
+            spare: Spare::default(),
+            #[cfg(any(test, feature = "testing"))]
+            before_chunk: None,
+        }
+    }
+
+    #[cfg(any(test, feature = "testing"))]
     pub(super) fn before_chunk(&self, pairs: usize) {
         if let Some(before) = &self.before_chunk {
             before(pairs);

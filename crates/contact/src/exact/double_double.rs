@@ -14,6 +14,9 @@
 //! They are from T. J. Dekker, *A floating-point technique for extending the available precision*,
 //! 1971, doi:10.1007/BF01397083 (`split` is by Veltkamp), and `two_sum` from D. E. Knuth, *The Art
 //! of Computer Programming*, volume 2, section 4.2.2.
+//!
+//! This is our own code, because the geometry needs few operations, on vectors, and their proven bounds depend
+//! on exactly these steps.
 
 use glam::DVec3;
 

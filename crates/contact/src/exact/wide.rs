@@ -3,6 +3,7 @@
 //! Every double is an integer times a power of two. With the smallest power among all coordinates as
 //! the unit, the coordinates are integers, and so are determinants and cross products. Schoolbook
 //! arithmetic on digits in base 2^32 computes them exactly. The code aims to be plain, not fast.
+//! It is our own code, so that the geometry depends on no crate for numbers that almost no input needs.
 
 use std::cmp::Ordering;
 

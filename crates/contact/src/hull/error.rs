@@ -47,6 +47,21 @@ pub enum HullErrorKind {
 }
 
 impl HullErrorKind {
+    /// Every kind.
+    pub const ALL: &[Self] = &[
+        Self::TooFewPoints,
+        Self::Collinear,
+        Self::Coplanar,
+        Self::NotFinite,
+        Self::SizeOutOfRange,
+        Self::ContractionPointNotInside,
+        Self::TooManyVertices,
+        Self::NotRepresentable,
+        Self::SimplificationOutOfRange,
+        Self::SimplificationNotPossible,
+        Self::PlanarityOutOfRange,
+    ];
+
     /// The stable, upper-case name of this kind, as the service sends it.
     pub fn reason(self) -> &'static str {
         match self {

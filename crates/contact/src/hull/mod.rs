@@ -43,7 +43,6 @@ pub(crate) use boxes::{BoxShape, octant};
 pub use error::{BuildError, HullError, HullErrorKind};
 pub use face::Face;
 pub use simplify::Simplification;
-#[doc(hidden)]
 pub use triangulation::Triangulation;
 
 /// Options for building a hull.
@@ -230,9 +229,11 @@ fn never_stopped(error: BuildError) -> HullError {
     }
 }
 
-/// Returns the triangles of the hull of `points`, as indices into `points`. Tests use it to check
-/// that the triangulation is exact.
-#[doc(hidden)]
+/// The surface of the hull of `points` as triangles, whose entries are indices into `points`. It is exact: no
+/// point is outside a triangle's plane, and coplanar triangles are not merged into faces.
+///
+/// # Errors
+/// The points have no hull ([`HullErrorKind`]).
 pub fn triangulate(points: &[[f64; 3]]) -> Result<Triangulation, HullError> {
     let stop = Stop::default();
     let solid = solid::Solid::new(points, &Meter::new(&stop)).map_err(never_stopped)?;

@@ -8,7 +8,10 @@ use prost::{
 };
 
 use super::*;
-use crate::contact::STEPS_BETWEEN_LOOKS;
+use crate::{
+    contact::STEPS_BETWEEN_LOOKS,
+    service::{Reason, sizes::HULL_BYTES},
+};
 
 /// The size of large messages. It is large enough that an allocation per element would be noticed.
 const LARGE: usize = 2 << 20;
@@ -81,7 +84,7 @@ fn elements_are_counted_before_anything_is_allocated() {
         let made = allocation_counter::measure(|| refused = decode(method, &message).err());
         let refused = refused.unwrap_or_else(|| panic!("{method} takes {name}"));
         let place = refused.place.as_ref().map(|place| place.field);
-        assert_eq!((refused.reason, place), (reason, Some(name)), "{method}: {refused}");
+        assert_eq!((refused.reason.name(), place), (reason, Some(name)), "{method}: {refused}");
         assert!(made.bytes_max < CONSTANT_BYTES as u64, "{method} {name}: {made:?}");
     }
 }
@@ -124,7 +127,7 @@ fn outputs_and_paths_at_their_limits_and_one_past() {
         ("GetHulls", paths(256), paths(257), "TOO_MANY_PATHS"),
     ] {
         assert!(decode(method, &good).is_ok(), "{reason}");
-        assert_eq!(decode(method, &bad).unwrap_err().reason, reason);
+        assert_eq!(decode(method, &bad).unwrap_err().reason.name(), reason);
     }
 }
 
@@ -199,7 +202,7 @@ fn decoding_takes_at_most_twice_the_message() {
 /// Catches memory that is allocated although the budget has no room for it.
 #[test]
 fn nothing_is_allocated_without_room() {
-    let none = || ServiceError::refused("NONE", "no room");
+    let none = || ServiceError::new(Reason::TooBusy, "no room");
     let message = query(100_000).encode_to_vec();
     let (limits, stop) = (limits(), Stop::default());
     let made = allocation_counter::measure(|| {
@@ -285,7 +288,9 @@ fn the_bytes_that_prost_accepts_are_accepted() {
         for bytes in cut.chain(flipped) {
             let prost = prost(&bytes);
             match (decode(method, &bytes), &prost) {
-                (Err(error), Some(_)) => assert_ne!(error.reason, "MALFORMED_MESSAGE", "{method} {bytes:?}"),
+                (Err(error), Some(_)) => {
+                    assert_ne!(error.reason, Reason::MalformedMessage, "{method} {bytes:?}")
+                }
                 (Ok(_), None) => panic!("{method} {bytes:?}"),
                 (Err(_), None) => refused += 1,
                 (Ok(_), Some(_)) => read += 1,

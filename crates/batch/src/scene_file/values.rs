@@ -1,0 +1,138 @@
+//! The values of scene files. Their errors say what a user may write, where serde would name a type of Rust. A
+//! row that is too long is refused by its length, where serde's JSON would report a fault of the syntax.
+
+use std::{fmt, marker::PhantomData};
+
+use serde::{
+    Deserialize, Deserializer,
+    de::{Error, IgnoredAny, SeqAccess, Unexpected, Visitor},
+};
+
+/// An index of a hull or a body.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Index(pub(super) u32);
+
+/// A number.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Number(pub(super) f64);
+
+/// A list of `N` values.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Row<T, const N: usize>(pub(super) [T; N]);
+
+impl<const N: usize> Row<Number, N> {
+    /// The numbers.
+    pub(super) fn numbers(self) -> [f64; N] {
+        self.0.map(|Number(number)| number)
+    }
+}
+
+/// A value that rows have.
+pub(super) trait Entry: Copy + Default {
+    /// Several of these values, in the words of an error.
+    const PLURAL: &str;
+}
+
+impl Entry for Index {
+    const PLURAL: &str = "indices";
+}
+
+impl Entry for Number {
+    const PLURAL: &str = "numbers";
+}
+
+/// A list of points or quaternions.
+pub(super) fn rows<'de, D: Deserializer<'de>, const N: usize>(source: D) -> Result<Vec<[f64; N]>, D::Error> {
+    let rows = Vec::<Row<Number, N>>::deserialize(source)?;
+    Ok(rows.into_iter().map(Row::numbers).collect())
+}
+
+/// A point, or `null`.
+pub(super) fn point<'de, D: Deserializer<'de>>(source: D) -> Result<Option<[f64; 3]>, D::Error> {
+    Ok(Option::<Row<Number, 3>>::deserialize(source)?.map(Row::numbers))
+}
+
+/// A number, or `null`.
+pub(super) fn optional<'de, D: Deserializer<'de>>(source: D) -> Result<Option<f64>, D::Error> {
+    Ok(Option::deserialize(source)?.map(|Number(number)| number))
+}
+
+impl<'de> Deserialize<'de> for Index {
+    fn deserialize<D: Deserializer<'de>>(source: D) -> Result<Self, D::Error> {
+        source.deserialize_u32(IndexVisitor)
+    }
+}
+
+struct IndexVisitor;
+
+impl Visitor<'_> for IndexVisitor {
+    type Value = Index;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an index, a whole number from 0")
+    }
+
+    fn visit_u64<E: Error>(self, value: u64) -> Result<Index, E> {
+        let index = value.try_into().map(Index);
+        index.map_err(|_| E::invalid_value(Unexpected::Unsigned(value), &self))
+    }
+}
+
+impl<'de> Deserialize<'de> for Number {
+    fn deserialize<D: Deserializer<'de>>(source: D) -> Result<Self, D::Error> {
+        source.deserialize_f64(NumberVisitor)
+    }
+}
+
+struct NumberVisitor;
+
+impl Visitor<'_> for NumberVisitor {
+    type Value = Number;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a number")
+    }
+
+    fn visit_f64<E: Error>(self, value: f64) -> Result<Number, E> {
+        Ok(Number(value))
+    }
+
+    fn visit_u64<E: Error>(self, value: u64) -> Result<Number, E> {
+        Ok(Number(value as f64))
+    }
+
+    fn visit_i64<E: Error>(self, value: i64) -> Result<Number, E> {
+        Ok(Number(value as f64))
+    }
+}
+
+impl<'de, T: Entry + Deserialize<'de>, const N: usize> Deserialize<'de> for Row<T, N> {
+    fn deserialize<D: Deserializer<'de>>(source: D) -> Result<Self, D::Error> {
+        source.deserialize_seq(RowVisitor(PhantomData))
+    }
+}
+
+struct RowVisitor<T, const N: usize>(PhantomData<T>);
+
+impl<'de, T: Entry + Deserialize<'de>, const N: usize> Visitor<'de> for RowVisitor<T, N> {
+    type Value = Row<T, N>;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{N} {}", T::PLURAL)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Row<T, N>, A::Error> {
+        let mut row = [T::default(); N];
+        for (length, entry) in row.iter_mut().enumerate() {
+            *entry = list.next_element()?.ok_or_else(|| A::Error::invalid_length(length, &self))?;
+        }
+        let mut length = N;
+        while list.next_element::<IgnoredAny>()?.is_some() {
+            length += 1;
+        }
+        if length > N {
+            return Err(A::Error::invalid_length(length, &self));
+        }
+        Ok(Row(row))
+    }
+}

@@ -1,0 +1,116 @@
+//! Decodes the requests about registered hulls: `GetHulls`, `HasHulls`, `DeleteHulls` and `ListHulls`.
+
+use super::{
+    super::{
+        fields::Fields,
+        hulls::{Parts, page_token},
+        request::{at_most, hull_id},
+    },
+    Bounds, Request,
+};
+use crate::{
+    contact::stop::Meter,
+    proto,
+    service::{Reason, error::ServiceError, sizes::HULL_BYTES},
+    store::HullId,
+};
+
+/// The most entries of `field_mask.paths`: many times the number of current paths.
+const MAX_PATHS: u32 = 256;
+
+/// The hull ids of a message that has them as field 1.
+fn ids(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Vec<HullId>, ServiceError> {
+    let mut count = 0;
+    let mut fields = Fields::new(message);
+    while let Some(field) = fields.next(&bounds.meter)? {
+        if field.tag == 1 {
+            field.bytes()?;
+            count += 1;
+        }
+    }
+    at_most(count, bounds.limits.max_hulls_per_request, Reason::TooManyHulls, "ids")?;
+    (bounds.take)(count * HULL_BYTES)?;
+    let mut ids = Vec::with_capacity(count);
+    let mut fields = Fields::new(message);
+    while let Some(field) = fields.next(&bounds.meter)? {
+        if field.tag == 1 {
+            ids.push(hull_id(field.bytes()?, "ids", ids.len())?);
+        }
+    }
+    Ok(ids)
+}
+
+impl Request for proto::HasHullsRequest {
+    type Decoded = Vec<HullId>;
+
+    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Vec<HullId>, ServiceError> {
+        ids(message, bounds)
+    }
+}
+
+impl Request for proto::DeleteHullsRequest {
+    type Decoded = Vec<HullId>;
+
+    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Vec<HullId>, ServiceError> {
+        ids(message, bounds)
+    }
+}
+
+impl Request for proto::GetHullsRequest {
+    type Decoded = (Vec<HullId>, Parts);
+
+    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Self::Decoded, ServiceError> {
+        let ids = ids(message, bounds)?;
+        let paths = paths(message, &bounds.meter)?;
+        Ok((ids, Parts::named(&paths)?))
+    }
+}
+
+/// The paths of the field mask: at most [`MAX_PATHS`] references into the message.
+fn paths<'a>(message: &'a [u8], meter: &Meter<'_>) -> Result<Vec<&'a str>, ServiceError> {
+    let (mut paths, mut count) = (Vec::new(), 0);
+    let mut fields = Fields::new(message);
+    while let Some(field) = fields.next(meter)? {
+        if field.tag != 2 {
+            continue;
+        }
+        let mut fields = Fields::nested(field.bytes()?, 1);
+        while let Some(field) = fields.next(meter)? {
+            if field.tag == 1 {
+                let path = field.text()?;
+                count += 1;
+                if count <= MAX_PATHS as usize {
+                    paths.push(path);
+                }
+            }
+        }
+    }
+    at_most(count, MAX_PATHS, Reason::TooManyPaths, "field_mask.paths")?;
+    Ok(paths)
+}
+
+/// The contents of a `ListHulls` request.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(in crate::service) struct Listing {
+    /// The size of the page; 0 means the server's default.
+    pub(in crate::service) page_size: u32,
+    /// The last hull of the previous page.
+    pub(in crate::service) after: Option<HullId>,
+}
+
+impl Request for proto::ListHullsRequest {
+    type Decoded = Listing;
+
+    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Listing, ServiceError> {
+        let (mut page_size, mut token) = (0, "");
+        let mut fields = Fields::new(message);
+        while let Some(field) = fields.next(&bounds.meter)? {
+            match field.tag {
+                1 => page_size = field.varint()? as u32,
+                2 => token = field.text()?,
+                _ => {}
+            }
+        }
+        Ok(Listing { page_size, after: page_token(token)? })
+    }
+}
