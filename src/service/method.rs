@@ -121,8 +121,7 @@ mod tests {
         let those = |rule: fn(&Method) -> bool| -> Vec<&str> {
             METHODS.iter().filter(|method| rule(method)).map(|method| method.name.as_str()).collect()
         };
-        let health =
-            ["grpc.health.v1.Health/Check", "grpc.health.v1.Health/List", "grpc.health.v1.Health/Watch"];
+        let health = ["grpc.health.v1.Health/Check", "grpc.health.v1.Health/Watch"];
         let reflection = [
             "grpc.reflection.v1.ServerReflection/ServerReflectionInfo",
             "grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo",
@@ -133,7 +132,7 @@ mod tests {
             names.sort_unstable();
             names
         };
-        assert_eq!(METHODS.len(), 9 + 3 + 2);
+        assert_eq!(METHODS.len(), 9 + 2 + 2);
         assert_eq!(sorted(those(Method::is_health)), health);
         assert_eq!(sorted(those(Method::is_watch)), watch);
         assert_eq!(sorted(those(Method::is_long_lived)), [&watch[..], &[stream]].concat());
