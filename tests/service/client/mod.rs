@@ -6,6 +6,7 @@ mod connecting;
 mod lies;
 mod steps;
 
+use hullcast::service::Reason;
 use hullcast::store::HullDefinition;
 use hullcast_client::{Builder, Client, Hull, HullId};
 
@@ -36,4 +37,22 @@ fn hulls(definitions: &[HullDefinition]) -> Vec<Hull> {
 
 fn ids(hulls: &[Hull]) -> Vec<HullId> {
     hulls.iter().map(Hull::id).collect()
+}
+
+/// The client acts on some reasons of the server. Catches a reason that the server does not have, for example
+/// because it was renamed.
+#[test]
+fn the_client_acts_on_reasons_of_the_server() {
+    let sources = ["query", "registry", "session"].map(|name| {
+        let path = format!("{}/crates/client/src/{name}.rs", env!("CARGO_MANIFEST_DIR"));
+        std::fs::read_to_string(path).unwrap()
+    });
+    let known: Vec<&str> = Reason::ALL.iter().map(|reason| reason.name()).collect();
+    let is_reason = |word: &&str| word.len() > 3 && word.bytes().all(|b| b.is_ascii_uppercase() || b == b'_');
+    let acted_on: Vec<&str> =
+        sources.iter().flat_map(|source| source.split('"').skip(1).step_by(2)).filter(is_reason).collect();
+    for reason in &acted_on {
+        assert!(known.contains(reason), "{reason}");
+    }
+    assert_eq!(acted_on.len(), 8, "{acted_on:?}");
 }
