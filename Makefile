@@ -109,9 +109,12 @@ types: $(VENV)/.extras ## runs pyright in strict mode
 test-rust: check-tools ## runs the Rust tests of every crate
 	$(CARGO) test --release --locked --workspace
 
+# More workers than the 2 cores of a small machine, because most tests wait for servers most of the time.
+PYTEST_WORKERS ?= 3
+
 .PHONY: test-python
 test-python: build lab $(VENV)/.test ## runs the Python tests against the real server
-	$(PY) -m pytest client
+	$(PY) -m pytest client --numprocesses $(PYTEST_WORKERS)
 
 .PHONY: test-extras
 test-extras: build $(VENV)/.extras ## runs the Python tests that need large packages (real robots, decomposition, rerun, ray, torch, jax), then pyright

@@ -69,7 +69,7 @@ const RANGES: [Case; 2] = [
         "numbers above 0, end at least start",
     ),
 ];
-const OF_SERVE: [Case; 38] = [
+const OF_SERVE: [Case; 39] = [
     ("store", &[""], "expected a directory, file://PATH, memory://"),
     ("listen", &NO_ADDRESSES, "expected host:port with a port from 0 to 65535"),
     ("admin-listen", &NO_ADDRESSES, "expected host:port with a port from 0 to 65535"),
@@ -111,6 +111,7 @@ const OF_SERVE: [Case; 38] = [
     ("max-request-bytes-in-flight", &["0", "0MiB"], "expected 1 byte to 1024 TiB (a number of bytes"),
     ("max-memory-bytes", &["0", "268435455", "255MiB", "101%", "1MB"], SIZE),
     ("cache-bytes", &["0", "1048577GiB", "-1%", "nan%", "inf%", "0%", "1  MiB"], SIZE),
+    ("inject-pair-delay-us", &["18446744073709551616"], "expected a whole number from 0 to"),
     ("max-memory-bytes", &["10 %", "%", "MiB"], "expected 256 MiB to 1024 TiB"),
 ];
 const OF_PRUNE: [Case; 1] = [(

@@ -40,6 +40,11 @@ pub(crate) struct Args {
     /// Print the settings that apply, in the format of --config, and exit
     #[arg(long, help_heading = "Settings")]
     print_config: bool,
+    /// Sleep for this many microseconds per pair, so that scripts/overload knows the server's capacity
+    #[cfg(feature = "testing")]
+    #[arg(long, hide = true, default_value_t = 0, allow_negative_numbers = true,
+          value_parser = super::values::count(0, u64::MAX))]
+    inject_pair_delay_us: u64,
     /// Stop when standard input closes, for example because the parent process has ended
     #[arg(long, help_heading = "Stopping")]
     until_stdin_closes: bool,
@@ -100,6 +105,8 @@ async fn until_stopped(settings: &Settings, checked: Checked, args: &Args) -> Re
         error => error.into(),
     })?;
     let app = Arc::new(app);
+    #[cfg(feature = "testing")]
+    app.engine().injected().delay(Duration::from_micros(args.inject_pair_delay_us));
     // Installed before the address is printed: a reader of the address may stop the server at once.
     let (again, told_again) = oneshot::channel();
     let shutdown = shutdown(grace, args.until_stdin_closes, again)?;
