@@ -98,7 +98,7 @@ impl fmt::Display for Unreachable {
 }
 
 /// The cause of a connection that failed with `error`.
-pub(crate) async fn failed(address: &Address, error: &(dyn StdError + 'static)) -> Cause {
+pub(crate) async fn failed(address: &Address, error: &(dyn StdError + Send + Sync + 'static)) -> Cause {
     match system_error(error) {
         Some(io::ErrorKind::ConnectionRefused) => return Cause::Refused,
         Some(io::ErrorKind::NotFound) if address.socket().is_some() => return Cause::NoSocket,
@@ -117,7 +117,10 @@ pub(crate) async fn failed(address: &Address, error: &(dyn StdError + 'static)) 
 
 /// The cause if a peer is there but is silent, or does not fit the address. `None` for other causes, which
 /// may be temporary.
-pub(crate) async fn mismatch(address: &Address, error: &(dyn StdError + 'static)) -> Option<Cause> {
+pub(crate) async fn mismatch(
+    address: &Address,
+    error: &(dyn StdError + Send + Sync + 'static),
+) -> Option<Cause> {
     let Some(answer) = greeting(address).await else { return Some(Cause::Silent) };
     if address.is_encrypted() {
         return match tls_error(error)? {
