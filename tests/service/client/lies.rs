@@ -217,7 +217,7 @@ async fn wrong_answers_are_refused() {
     type Spoil = fn(&mut QueryContactsResponse);
     let lies: [(&str, Spoil); 5] = [
         ("request_id", |answer| answer.request_id += 1),
-        ("outcomes", |answer| drop(answer.outcomes.pop())),
+        ("outcomes", |answer| answer.outcomes.truncate(1)),
         ("witness_as", |answer| answer.witness_as.push(0.0)),
         ("alphas[0]", |answer| answer.alphas[0] = f64::NAN),
         ("missing_hulls[0]", |answer| answer.missing_hulls = vec![99]),
