@@ -4,9 +4,10 @@ use std::error::Error as StdError;
 use std::fmt;
 use std::process::ExitCode;
 
+use hullcast_client::HullRefused;
+
 use super::Error;
-use super::answer::{HullRefused, Refusal};
-use super::checked::Malformed;
+use super::answer::QueryRefusal;
 use super::scene::SceneFileError;
 
 /// The part of the top-level help about exit codes.
@@ -55,10 +56,8 @@ impl Exit {
     fn of(error: &(dyn StdError + 'static)) -> Self {
         if let Some(failure) = error.downcast_ref::<Failure>() {
             failure.exit
-        } else if let Some(refusal) = error.downcast_ref::<Refusal>() {
+        } else if let Some(refusal) = error.downcast_ref::<QueryRefusal>() {
             refusal.exit
-        } else if error.is::<Malformed>() {
-            Self::Refused
         } else if error.is::<HullRefused>() || error.is::<SceneFileError>() {
             Self::Input
         } else {

@@ -4,6 +4,8 @@ use std::{io, time::Duration};
 
 use futures_util::future::join_all;
 use prost::Message;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tonic_health::pb::{HealthCheckRequest, health_client::HealthClient};
 
 use crate::{
     messages::same_pair,
@@ -12,6 +14,7 @@ use crate::{
     support::{
         CHECK, INFO, QUERY, STREAM,
         arena::Arena,
+        dial::Stream,
         http2::{
             CONTINUATION, DATA, END_HEADERS, END_STREAM, HEADERS, PING, Peer, RST_STREAM, SETTINGS, Windows,
             frame, header_block, literal,
@@ -33,6 +36,12 @@ attacks! {
     settings: "endless SETTINGS frames whose acknowledgements are not read" => settings;
     /// Catches answers to PING that accumulate for a peer that does not read them.
     pings: "endless PING frames whose answers are not read" => pings;
+    /// Catches connections that are read for as long as they send, one after the other, while others wait.
+    read_pings: "endless PING frames on 200 connections that read the answers" => read_pings;
+    /// Catches connections that keep the right to be read while their sockets take no bytes, so that other
+    /// connections of the same address are never read.
+    blocked: "PING frames on 4 TLS connections that read nothing, and others of the same address",
+        |s: Setup| s.tls() => blocked;
     /// Catches headers that grow when they are decompressed.
     hpack: "headers that are small until they are decompressed" => hpack;
     /// Catches headers whose decoding takes a serving thread for seconds.
@@ -141,15 +150,58 @@ async fn pings(arena: &Arena) {
     never_read(arena, frame(PING, 0, 0, b"pingpong")).await;
 }
 
+async fn read_pings(arena: &Arena) {
+    let flood = frame(PING, 0, 0, b"pingpong").repeat(1000);
+    arena.begin().await;
+    let attackers = (0..arena.size().of(200)).map(async |_| {
+        loop {
+            let Ok(mut stream) = greeted(arena).await else { continue };
+            let mut answers = vec![0; 64 << 10];
+            while stream.write_all(&flood).await.is_ok()
+                && stream.read(&mut answers).await.is_ok_and(|bytes| bytes > 0)
+            {}
+        }
+    });
+    tokio::select! {
+        () = arena.bystander_answered(arena.size().of(400)) => {}
+        _ = join_all::<_>(attackers) => {}
+    }
+}
+
+async fn blocked(arena: &Arena) {
+    let flood = frame(PING, 0, 0, b"pingpong").repeat(arena.size().of(400_000));
+    arena.begin().await;
+    let attackers = (0..4).map(async |_| {
+        let mut stream = greeted(arena).await?;
+        // The server no longer reads, or closes the connection.
+        let _ = tokio::time::timeout(Duration::from_secs(1), stream.write_all(&flood)).await;
+        Ok::<_, io::Error>(stream)
+    });
+    let held = join_all::<_>(attackers).await;
+    for _ in 0..4 {
+        let request = HealthCheckRequest { service: String::new() };
+        let health = async { HealthClient::new(arena.channel().await).check(request).await };
+        let answer = tokio::time::timeout(Duration::from_secs(5), health).await;
+        assert!(answer.is_ok_and(|answer| answer.is_ok()), "another connection of the address is not read");
+    }
+    arena.bystander_answered(arena.size().of(400)).await;
+    drop(held);
+}
+
+/// A connection on which the client has sent the beginning of HTTP/2.
+async fn greeted(arena: &Arena) -> io::Result<Box<dyn Stream>> {
+    let mut stream = arena.stream().await?;
+    stream.write_all(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n").await?;
+    stream.write_all(&frame(SETTINGS, 0, 0, &[])).await?;
+    Ok(stream)
+}
+
 /// Sends the frame again and again and reads nothing.
 async fn never_read(arena: &Arena, flood: Vec<u8>) {
-    use tokio::io::AsyncWriteExt;
     let flood = flood.repeat(1000);
     arena.begin().await;
     again_and_again(arena, async |arena| {
-        let mut stream = arena.stream().await?;
-        stream.write_all(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n").await?;
-        stream.write_all(&frame(SETTINGS, 0, 0, &[])).await?;
+        let mut stream = greeted(arena).await?;
         loop {
             // The server may defend itself by no longer reading; then this write waits.
             stream.write_all(&flood).await?;

@@ -2,6 +2,7 @@
 
 mod abuse;
 mod answers;
+mod client;
 mod contact_stream;
 mod contract;
 mod determinism;

@@ -12,7 +12,7 @@ use super::progress::{LiveCounts, show_progress};
 use super::tally::Tally;
 use super::{Args, Distribution};
 use crate::cli::Error;
-use crate::cli::answer::{Answerer, Refusal};
+use crate::cli::answer::{Answerer, QueryRefusal};
 use hullcast::workload::Random;
 
 /// Pause after a failed call, so that a lost server is not called in a tight loop. The pause doubles
@@ -132,7 +132,7 @@ impl Runner {
                     }
                     return Ok(());
                 }
-                Err(Refusal { retry_after: Some(pause), .. }) => {
+                Err(QueryRefusal { retry_after: Some(pause), .. }) => {
                     tally.shed();
                     // The server asked for a pause, so a closed loop waits before its next batch, too.
                     let closed = self.args.request_rate_range.is_none();
@@ -140,11 +140,11 @@ impl Runner {
                         tokio::time::sleep(pause).await;
                     }
                 }
-                Err(Refusal { lost: true, .. }) if attempt < self.args.retries => {
+                Err(QueryRefusal { lost: true, .. }) if attempt < self.args.retries => {
                     tally.lost();
                     tokio::time::sleep((PAUSE_AFTER_ERROR * (1 << attempt.min(10))).min(LONGEST_PAUSE)).await;
                 }
-                Err(Refusal { text, .. }) => {
+                Err(QueryRefusal { text, .. }) => {
                     live.errors.fetch_add(1, Ordering::Relaxed);
                     tally.failed(text);
                     tokio::time::sleep(PAUSE_AFTER_ERROR).await;
