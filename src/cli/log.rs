@@ -2,9 +2,9 @@
 //!
 //! Standard error may be a pipe that nobody reads at the moment. A thread that writes to a full pipe waits, and
 //! if the threads that serve calls wrote there themselves, the whole server would wait for the reader of its
-//! log. Therefore they put each line into a bounded queue, and one thread of its own writes the lines. If the
-//! queue is full, a line is left out, and the next line that is written tells how many were. (The crate
-//! tracing-appender does the same, but it panics if the system refuses its thread.)
+//! log. Therefore the threads put each line into a bounded queue, and a separate thread writes the lines. If
+//! the queue is full, the line is left out. After the next line that is written, the log states how many were
+//! left out. (The crate tracing-appender does the same, but it panics if the system refuses its thread.)
 
 use std::{
     io::{self, Write},
@@ -34,10 +34,10 @@ use super::{
     traces::Traces,
 };
 
-/// The number of lines that wait for standard error. A line has some hundred bytes.
+/// The most lines that wait for standard error. A line has some hundred bytes.
 const WAITING_LINES: usize = 1024;
 
-/// The time that the waiting lines have to be written when the program ends.
+/// The time for writing the waiting lines when the program ends.
 const LAST_LINES: Duration = Duration::from_secs(1);
 
 /// The log and the traces, for as long as this is held.
@@ -54,7 +54,8 @@ pub(crate) struct Observability {
 pub(crate) fn start(settings: &Settings) -> Result<Observability, Error> {
     let named = |why| Exit::Usage.error(format!("log {:?}: {why}", settings.log));
     let filter = serve_values::filter(&settings.log).map_err(named)?;
-    // Without the hint, the filter would count as one for every level.
+    // Without the hint, the combined filter would have no highest level, and tracing would ask it about events
+    // of every level.
     let of_log = filter_fn(|metadata| metadata.target() != trace::TARGET);
     let filter = filter.and(of_log.with_max_level_hint(LevelFilter::TRACE));
     let (lines, ended) = LogQueue::to(io::stderr())
@@ -77,7 +78,7 @@ pub(crate) fn start(settings: &Settings) -> Result<Observability, Error> {
 }
 
 impl Observability {
-    /// Sends what waits: the traces to their collector, and the lines to standard error, if it takes them.
+    /// Sends all waiting traces to their collector, and all waiting lines to standard error, if it takes them.
     pub(crate) fn flush(self) {
         if let Some(traces) = self.traces {
             traces.flush();
@@ -90,7 +91,7 @@ impl Observability {
 
 enum LogLine {
     Text(Vec<u8>),
-    /// Everything before this has been written when the thread meets it.
+    /// The end of the lines. Every line before it has been written when the thread receives it.
     Last,
 }
 
@@ -102,7 +103,7 @@ struct LogQueue {
 }
 
 impl LogQueue {
-    /// A queue of lines for `output`. The receiver hears when the last line has been written.
+    /// A queue of lines for `output`. The receiver gets a message when the last line has been written.
     fn to(mut output: impl Write + Send + 'static) -> io::Result<(Self, Receiver<()>)> {
         let (queue, lines) = sync_channel(WAITING_LINES);
         let (end, ended) = channel();
@@ -166,7 +167,7 @@ mod tests {
     }
 
     /// Catches a writer that waits for an output that takes nothing, a queue without a bound, and lines that
-    /// are left out without a word.
+    /// are left out without a message.
     #[test]
     fn a_log_that_is_not_read_holds_nobody_up() {
         let (permit, permits) = channel();

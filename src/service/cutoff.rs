@@ -5,11 +5,12 @@
 //! while the peer makes room for more. Therefore each stream's future runs together with a [`Cutoff`]: a
 //! time at which the stream ends, whatever the peer does.
 //!
-//! Over HTTP/2, the connection's executor ([`StreamExecutor`](super::streams::StreamExecutor)) runs the stream's future together with the
-//! cutoff, and drops the future at that time. h2 then discards the bytes that the stream has queued and
-//! resets the stream, so the caller sees CANCELLED. If bytes of the answer remain after that, because the
-//! socket takes nothing at all, the connection is closed. The connection is also closed if the future of a
-//! small answer has ended and the answer is not sent in time: then there is no future to drop.
+//! Over HTTP/2, the connection's executor ([`StreamExecutor`](super::streams::StreamExecutor)) runs the
+//! stream's future together with the cutoff, and drops the future at that time. h2 then discards the bytes
+//! that the stream has queued and resets the stream, so the caller sees CANCELLED. If bytes of the answer
+//! remain after that, because the socket takes nothing at all, the connection is closed. The connection is
+//! also closed if the future of a small answer has ended and the answer is not sent in time: then there is no
+//! future to drop.
 //!
 //! Over HTTP/1.1 a connection has one call at a time, and the cutoff closes the connection.
 
@@ -33,7 +34,7 @@ use tokio::{
 use super::App;
 use crate::metrics::CutReason;
 
-/// The time for h2 to discard the answer of a stream that was cut, which takes one turn of the connection's
+/// The time for h2 to discard the answer of a stream that was cut, which takes one poll of the connection's
 /// task.
 const DISCARD: Duration = Duration::from_secs(1);
 
@@ -45,7 +46,7 @@ tokio::task_local! {
 /// The latest time at which a stream ends, and the number of bytes of its answer that are not sent yet.
 ///
 /// A stream may answer hundreds of thousands of messages per second, and each of them sets the time and
-/// clears it again. Therefore both are plain stores. The waiting side is woken only if the new time is
+/// clears it again. Therefore both only change an atomic. The waiting side is woken only if the new time is
 /// earlier than the time at which it wakes up anyway. When it wakes up, it checks whether the time has moved.
 #[derive(Clone, Debug)]
 pub(super) struct Cutoff(Arc<State>);
@@ -66,7 +67,7 @@ struct State {
     sent: AtomicWaker,
 }
 
-/// The time of a stream that may go on.
+/// The value of `due` for a stream whose time is not set.
 const NEVER: u64 = u64::MAX;
 
 /// Longer than any connection lives.
@@ -126,7 +127,7 @@ impl Cutoff {
         if self.is_all_sent() { Poll::Ready(()) } else { Poll::Pending }
     }
 
-    /// Removes the cutoff if the peer has taken all of the answer so far.
+    /// Clears the time if the transport has sent all of the answer so far.
     pub(super) fn clear_if_all_is_sent(&self) {
         let due = self.0.due.load(Ordering::SeqCst);
         let change =
@@ -156,7 +157,7 @@ impl Cutoff {
         }
     }
 
-    /// Runs `work`. Returns none if the cutoff ended it.
+    /// Runs `work`. Returns `None` if the cutoff ended it.
     pub(super) async fn guard<T>(&self, app: &App, work: impl Future<Output = T>) -> Option<T> {
         let ended = tokio::select! {
             biased;

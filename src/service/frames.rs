@@ -7,20 +7,20 @@
 //! 8 MiB could pin thirty times its size in that way.
 //!
 //! All buffers that a connection pins have at most as many bytes as the peer has sent. The bytes of DATA are
-//! within the window, whose memory the connection has taken. [`FrameTracker`] counts the other bytes as *overhead*
-//! by looking at the frames' heads, and [`Overhead`] takes memory from the budget for it, which it keeps for
-//! as long as a payload can wait. If the budget has no room, the connection is closed. Short headers are free:
-//! they begin calls, which take memory of their own.
+//! within the window, whose memory the connection has taken. [`FrameTracker`] counts the other bytes as
+//! *overhead* by looking at the frames' heads. [`Overhead`] takes memory for the overhead from the budget, and
+//! keeps this memory for as long as a payload can wait. If the budget has no room, the connection is closed.
+//! Short headers are free: they begin calls, which take memory of their own.
 //!
 //! ```text
 //! length (3 bytes) | type | flags | stream (4 bytes) | payload: DATA free; HEADERS free up to 1 KiB; rest counted
 //! ```
 //!
 //! [`FrameTracker`] also refuses headers that cost h2 more time than they are worth: a frame of headers several
-//! times as long as the longest list of headers, and more than two changes of the size of HPACK's table at the beginning
-//! of a block, which is the most that a peer needs (RFC 7541, section 4.2). And it refuses many SETTINGS and
-//! GOAWAY frames, because h2 visits all streams of the connection for each of them. The frames' format is that
-//! of RFC 9113, sections 4.1 and 6.
+//! times as long as the longest list of headers, and more than two changes of the size of HPACK's table at the
+//! beginning of a block. No peer needs more than two (RFC 7541, section 4.2). And it refuses many SETTINGS and
+//! GOAWAY frames, because h2 visits all streams of the connection for each of them. RFC 9113, sections 4.1 and
+//! 6, defines the format of the frames.
 
 use std::{collections::VecDeque, io, time::Duration};
 
@@ -41,8 +41,9 @@ const ACK: u8 = 0x1;
 const PADDED: u8 = 0x8;
 const PRIORITY: u8 = 0x20;
 
-/// The most bytes of padding and of a priority in a frame, each with its own length or fields.
+/// The most bytes of a frame's padding, with the byte that has its length.
 const PADDING_BYTES: usize = 256;
+/// The bytes of a priority in a frame.
 const PRIORITY_BYTES: usize = 5;
 
 /// The most bytes of a frame of headers. A call whose headers are longer than [`HEADER_BYTES`] is refused by
@@ -66,21 +67,21 @@ const STEP_BYTES: u64 = 64 << 10;
 /// Follows the frames that a peer sends.
 #[derive(Debug, Default)]
 pub(super) struct FrameTracker {
-    /// The bytes of the preface that have arrived.
+    /// The number of bytes of the preface that have arrived.
     preface: usize,
     /// The current frame's head, and the number of its bytes that have arrived.
     head: [u8; HEAD_BYTES],
     head_bytes: usize,
-    /// The bytes of the current frame's payload that have not arrived yet.
+    /// The number of bytes of the current frame's payload that have not arrived yet.
     rest: usize,
     block: Option<BlockBegin>,
-    /// The bytes that no window counts, since the connection began.
+    /// The number of bytes that no window counts, since the connection began.
     overhead: u64,
-    /// All frames, since the connection began.
+    /// The number of frames, since the connection began.
     count: u64,
-    /// The frames of headers, since the connection began.
+    /// The number of frames of headers, since the connection began.
     begun: u64,
-    /// The frames for which h2 visits all streams, since the first of them, and its time.
+    /// The number of frames for which h2 visits all streams, and the time of the first of them.
     visits: f64,
     first_visit: Option<Instant>,
 }
@@ -88,7 +89,7 @@ pub(super) struct FrameTracker {
 /// The beginning of a block of headers, which may contain changes of the table's size.
 #[derive(Debug)]
 struct BlockBegin {
-    /// The bytes that come before the block.
+    /// The number of bytes before the block that have not arrived yet.
     skipped: usize,
     /// Whether the new size, which may take several bytes, continues in the next byte.
     is_number: bool,
@@ -99,7 +100,7 @@ impl FrameTracker {
     /// Looks at the next bytes of the connection.
     ///
     /// # Errors
-    /// The peer sends headers that no client needs.
+    /// The peer sends headers, or a number of SETTINGS or GOAWAY frames, that no client needs.
     pub(super) fn read(&mut self, mut bytes: &[u8]) -> io::Result<()> {
         while !bytes.is_empty() {
             let used = if self.preface < PREFACE_BYTES {
@@ -182,7 +183,7 @@ impl FrameTracker {
         Ok(())
     }
 
-    /// Looks at the next bytes of the current frame's payload.
+    /// Counts the changes of the table's size in the next bytes of the current frame's payload.
     fn look(&mut self, bytes: &[u8]) -> io::Result<()> {
         let Some(block) = &mut self.block else { return Ok(()) };
         for &byte in bytes {

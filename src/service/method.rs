@@ -38,7 +38,8 @@ static METHODS: LazyLock<Vec<Method>> = LazyLock::new(|| {
     served.into_iter().flat_map(|(service, descriptors)| methods(service, descriptors)).collect()
 });
 
-/// Clients can send arbitrary paths, so that metrics and logs give one name to all unknown ones.
+/// Stands for every method that the server does not have. Clients can send arbitrary paths, so metrics and logs
+/// use one name for all unknown ones.
 static OTHER: LazyLock<Method> = LazyLock::new(|| Method {
     name: "other".into(),
     service: Service::Contract,
@@ -46,7 +47,8 @@ static OTHER: LazyLock<Method> = LazyLock::new(|| Method {
     streams_answers: false,
 });
 
-/// The methods of the services in a set of descriptors. A test reads each set that the server uses.
+/// The methods of the services in a set of descriptors. A set that cannot be read would have none; a test reads
+/// each set that the server uses.
 fn methods(service: Service, descriptors: &[u8]) -> Vec<Method> {
     let files = FileDescriptorSet::decode(descriptors).unwrap_or_default().file;
     let services = files.iter().flat_map(|file| file.service.iter().map(move |one| (file.package(), one)));
@@ -62,7 +64,7 @@ fn methods(service: Service, descriptors: &[u8]) -> Vec<Method> {
 }
 
 impl Method {
-    /// The method of a path, or one method that stands for all that the server does not have.
+    /// The method with this path, or [`Method::other`] if the server does not have it.
     pub(super) fn of(path: &str) -> &'static Self {
         let name = path.strip_prefix('/');
         let known = METHODS.iter().find(|method| name == Some(method.name.as_str()));
@@ -94,7 +96,7 @@ impl Method {
         self.service == Service::Health
     }
 
-    /// Whether the messages contain little more than a name.
+    /// Whether the request's messages contain little more than the name of a service.
     pub(super) fn names_a_service(&self) -> bool {
         self.service != Service::Contract
     }

@@ -32,19 +32,20 @@ use crate::{
 /// The slots reserved for addresses without an open connection.
 const RESERVED_SLOTS: u32 = 16;
 
-/// TLS handshakes in progress at a time, over all addresses.
+/// The most TLS handshakes in progress at a time, over all addresses.
 const HANDSHAKES: u64 = 256;
 
 /// The HTTP/2 window of a connection for which the budget has no room for a [`LARGE_WINDOW`].
 const SMALL_WINDOW: u32 = 64 << 10;
 
-/// Large windows together may take the memory budget divided by this number.
+/// A connection gets a large window if all connections, with it, use at most the memory budget divided by this
+/// number.
 const WINDOWS_SHARE: u64 = 4;
 
-/// Health checks per connection that are answered at a time without asking the budget.
+/// The most health checks per connection that are answered at a time without memory from the budget.
 const FREE_HEALTH_CHECKS: usize = 16;
 
-/// Watch and reflection streams per connection.
+/// The most Watch and reflection streams per connection.
 const WATCHES: usize = 8;
 
 /// The peer's address.
@@ -66,6 +67,7 @@ pub(super) struct Peers {
     shares: bool,
     open: Mutex<OpenConnections>,
     handshakes: Arc<Slots>,
+    /// The number of connections of trusted proxies so far, which gives each its own [`CallerKey`].
     count: AtomicU64,
 }
 
@@ -135,7 +137,7 @@ impl Peers {
         }
     }
 
-    /// The window of a new connection, and the memory for the connection with that window. None if
+    /// The window of a new connection, and the memory for the connection with that window. `None` if
     /// there is no room even for a small window.
     fn window(&self, caller: &Caller) -> Option<(u32, Permit)> {
         let memory = self.app.memory();
@@ -164,7 +166,7 @@ struct ConnectionSlot {
 }
 
 impl ConnectionSlot {
-    /// A slot for a connection from `address`, and the permits to read of that address. None if there are
+    /// A slot for a connection from `address`, and the permits to read of that address. `None` if there are
     /// too many connections.
     fn take(peers: &Arc<Peers>, address: CallerKey) -> Option<(Self, Arc<Semaphore>)> {
         let most = peers.app.limits().max_connections;

@@ -95,7 +95,7 @@ reasons! {
     StoreUnavailable = "STORE_UNAVAILABLE", Unavailable;
     /// The connection is about to close, because the server stops or because of the connection's age.
     Stopping = "STOPPING", Unavailable;
-    /// There was no memory to keep the state that the message inherits.
+    /// The server had no memory to keep the state that the message inherits.
     StateNotKept = "STATE_NOT_KEPT", Unavailable;
     /// The call needs a token and has none.
     MissingToken = "MISSING_TOKEN", Unauthenticated;
@@ -109,7 +109,7 @@ reasons! {
     TooManyWatches = "TOO_MANY_WATCHES", ResourceExhausted;
     /// The caller's deadline or the server's has passed.
     DeadlineExceeded = "DEADLINE_EXCEEDED", DeadlineExceeded;
-    /// A message did not arrive in full in time.
+    /// The message, or the end of the request, did not arrive in time.
     MessageLate = "MESSAGE_LATE", DeadlineExceeded;
     /// The stream broke before its request had arrived. The caller cannot receive this error; metrics
     /// count it.

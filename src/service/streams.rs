@@ -1,15 +1,16 @@
-//! Runs the streams of one HTTP/2 connection, and lets a peer wait that begins them faster than they run or
-//! are answered.
+//! Runs the streams of one HTTP/2 connection. A peer that begins streams faster than they run or are answered
+//! has to wait.
 //!
 //! h2 reads frames until the socket is empty. It keeps a record of each stream that has begun, and hands the
-//! stream to hyper, which hands a future to the connection's executor. Three things could pile up:
+//! stream to hyper, which hands a future to the connection's executor. Four things could pile up:
 //!
 //! - *Records.* h2 never shrinks its table of streams, so the largest number of streams at a time decides
 //!   how much memory the connection holds. The connection takes memory for that number.
 //! - *Tasks that have not run.* A stream that its peer resets no longer counts as one of the connection's
 //!   concurrent streams, but its future lives until its task has run. A peer that resets calls as fast as it
 //!   makes them ("rapid reset", CVE-2023-44487) queues tasks in front of everybody else's.
-//! - *Answers that are not sent.* An answer of headers only is held by h2 alone while the socket takes nothing.
+//! - *Answers that are not sent.* While the socket takes nothing, h2 keeps the answers that consist of headers
+//!   only, although their tasks have ended.
 //! - *Tasks of many connections.* A caller may have thousands of connections, each with few tasks or frames.
 //!
 //! ```text
@@ -18,12 +19,16 @@
 //!           '---- is not read while too many wait <-- is woken ----'
 //! ```
 //!
-//! Therefore [`Streams`] says when the connection may be read: after a few streams have begun, h2 has to
-//! hand them on first; while too many tasks wait for their first run, nothing is read; and nothing is read
-//! while the socket takes no bytes and many streams have begun since it stopped. Last, connections are read in
-//! turns ([`ReadTurn`]): a poll of a connection reads few frames, and a connection needs one of its address's
-//! few permits to read. Permits go to the connections in the order in which they ask. A peer then waits as it
-//! does for any slow receiver, and tasks of other addresses wait behind few of its tasks.
+//! Therefore [`Streams`] decides when the connection may be read. It is not read
+//!
+//! - while h2 holds more than a few streams that it has not handed on;
+//! - while too many tasks wait for their first run;
+//! - while the socket takes no bytes and many streams have begun since it stopped;
+//! - until it is the connection's turn ([`ReadTurn`]): a poll of a connection reads few frames, and needs one
+//!   of the few permits of its address. Permits go to the connections in the order in which they ask.
+//!
+//! The peer then waits as it does for any slow receiver, and tasks of other addresses wait behind few of its
+//! tasks.
 //!
 //! A stream's task ends when its answer is handed to h2. Whether the socket takes the answer in time is
 //! watched by the connection ([`Streams::until_overdue`]): a task that waited for it would be woken twice
@@ -53,8 +58,8 @@ use crate::{budget::Permit, lock::locked};
 /// connection with more is closed.
 const FUTURES_PER_STREAM: u64 = 4;
 
-/// The connection is not read while more tasks than these have not run yet, nor before h2 has handed on that
-/// many streams. Tasks run at once unless the threads are busy, so ordinary peers are not slowed down.
+/// The connection is not read while more tasks than this have not run yet, or while h2 has not handed on more
+/// streams than this. Tasks run at once unless the threads are busy, so ordinary peers are not slowed down.
 const MOST_WAITING: u64 = 16;
 
 /// The number of streams that a peer may begin while its socket takes nothing.
@@ -67,8 +72,8 @@ const FRAMES_PER_POLL: u64 = 128;
 /// The memory of a stream in h2's table: 1.6 kB were measured with 1,000 streams on each of 1,000 connections.
 const RECORD_BYTES: u64 = 2 << 10;
 
-/// The number of streams for which memory is taken at a time. The first as many belong to the fixed cost of a
-/// connection.
+/// The number of streams for which memory is taken at a time. The memory of this many streams is also part of
+/// the fixed cost of a connection.
 const RECORDS: u64 = 32;
 
 /// The streams of one connection.
@@ -82,6 +87,7 @@ pub(super) struct Streams {
     begun: AtomicU64,
     /// `begun` when the socket last stopped taking bytes, or [`OPEN`] while it takes them.
     begun_at_block: AtomicU64,
+    /// Wakes the task that waits until the connection may be read.
     reader: AtomicWaker,
     turn: Mutex<ReadTurn>,
     /// The cutoffs of the streams whose tasks have ended and whose answers the transport still held.
@@ -99,7 +105,7 @@ pub(super) struct Streams {
 struct ReadTurn {
     permits: PollSemaphore,
     held: Option<OwnedSemaphorePermit>,
-    /// Waits in the queue for a permit.
+    /// Whether the connection waits in the queue for a permit.
     is_queued: bool,
     /// Whether the connection wanted to read in the current poll and had no permit.
     asks: bool,
@@ -281,7 +287,7 @@ impl StreamRecordMemory {
         Self { peer, memory: Vec::new() }
     }
 
-    /// Takes memory for this number of streams at a time.
+    /// Takes memory until it suffices for this number of concurrent streams.
     ///
     /// # Errors
     /// The budget has no room.
@@ -311,7 +317,7 @@ pub(super) struct PendingStreams {
     count: u64,
     /// The number of streams that had been handed on when `count` was last corrected.
     begun: u64,
-    /// Reading has been put off since then, so that h2 hands streams on.
+    /// Whether reading has been put off since then, so that h2 hands streams on.
     put_off: bool,
 }
 
@@ -378,8 +384,8 @@ where
 mod tests {
     use super::*;
 
-    /// Catches a connection that reads on although h2 holds many streams, which its table would have to hold
-    /// at a time, and one that is never read again after headers that begin no stream.
+    /// Catches a connection that is read although h2 holds many streams, for which its table would grow, and a
+    /// connection that is never read again after headers that begin no stream.
     #[test]
     fn reading_waits_until_streams_are_handed_on() {
         let mut pending = PendingStreams::default();

@@ -253,8 +253,8 @@ mod tests {
         assert_eq!(served, 10);
     }
 
-    /// Catches a slot, or a place among the waiting requests, that is lost when a request leaves: while it waits, after it was
-    /// granted a slot that it has not received, and when all waiting requests are refused.
+    /// Catches a slot, or a place among the waiting requests, that is lost when a request leaves: while it
+    /// waits, after it was granted a slot that it has not received, and when all waiting requests are refused.
     #[tokio::test]
     async fn requests_that_go_away_leave_nothing_behind() {
         let (slots, callers) = (FairSlots::new(2, 8, true), callers());

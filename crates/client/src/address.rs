@@ -11,8 +11,8 @@ const FORMS: &str = "host, host:port, unix:PATH, http://host:port or https://hos
 /// The address of a server, in one of these forms: `host`, `host:port`, `unix:PATH`, `http://host:port` or
 /// `https://host:port`.
 ///
-/// An address without a port means port 50051. Only `https://` is encrypted. It is displayed as a URL with
-/// scheme and port.
+/// An address without a port means port 50051. Only connections to `https://` are encrypted. The address of a
+/// host is displayed as a URL with scheme and port, and that of a Unix socket as it was given.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Address {
     url: String,

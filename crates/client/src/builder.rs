@@ -103,7 +103,7 @@ impl Builder {
     /// # Errors
     /// [`Error::Address`] and [`Error::Setting`] if an argument cannot be used; [`Error::Unreachable`] if no
     /// server answers within some seconds, or if the peer is not a hullcast server, or if TLS does not fit.
-    /// A server that refuses the token is not noticed before the first call.
+    /// `connect` succeeds even if the server refuses the token; the first call then reports the refusal.
     pub async fn connect(self) -> Result<Client, Error> {
         let address: Address = self.address.parse()?;
         let token = Token::new(self.token.as_deref())?;
@@ -124,7 +124,7 @@ impl Builder {
                 return Ok(client);
             }
             // Only statuses that tonic makes itself have a source, so any other answer shows that a server
-            // is there. If a connection merely broke, the next one may work: the call itself will tell.
+            // is there. If the connection only broke, the first call opens another one.
             Ok(Err(status)) if status.source().is_some() => mismatch(&address, &status).await,
             Ok(Err(_)) => None,
             // A server that is only busy answers the beginning of HTTP/2 at once.
@@ -185,7 +185,7 @@ fn setting(setting: Setting, defect: Defect) -> Error {
     SettingError { setting, defect }.into()
 }
 
-/// The text, if it has a PEM block: TLS would ignore a text without one.
+/// Returns the text if it has a PEM block. TLS would ignore a text without one.
 fn pem(place: Setting, text: &[u8]) -> Result<&[u8], Error> {
     if text.windows(11).any(|bytes| bytes == b"-----BEGIN ") {
         return Ok(text);

@@ -27,7 +27,7 @@ impl Malformed {
         Self(text.into())
     }
 
-    /// Fails unless an answer has one result for each element of the request.
+    /// Returns an error unless the answer has one result for each element of the request.
     pub(crate) fn unless_one_each(name: &str, found: usize, asked: usize) -> Result<(), Self> {
         if found == asked {
             return Ok(());

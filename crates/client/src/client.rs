@@ -35,7 +35,7 @@ pub(crate) type Service = InterceptedService<Channel, Token>;
 ///
 /// A call of a method has one timeout ([`Builder::timeout`]). Unless the builder says otherwise, a call that a
 /// busy server refuses is repeated after the time that the server states, and a call whose server was lost is
-/// repeated some times. Dropping the future of a call cancels it on the server.
+/// repeated up to five times. Dropping the future of a call cancels it on the server.
 #[derive(Clone)]
 pub struct Client {
     connection: Arc<Connection>,
@@ -106,7 +106,7 @@ impl Client {
         }
     }
 
-    /// The limits of the server. It is asked only if they are not known yet.
+    /// The limits of the server. Asks the server only if they are not known yet.
     pub(crate) async fn limits(&self, deadline: Deadline) -> Result<Limits, Error> {
         if let Some(limits) = self.connection.limits.get() {
             return Ok(*limits);
@@ -116,7 +116,7 @@ impl Client {
 
     /// The time at which a call that begins now has to be answered.
     pub(crate) fn deadline(&self) -> Deadline {
-        // A timeout that ends beyond the range of the clock is none.
+        // If the timeout ends beyond the range of the clock, there is no deadline.
         self.connection.timeout.and_then(|timeout| Instant::now().checked_add(timeout))
     }
 
@@ -199,13 +199,13 @@ where
 {
     let mut request = Request::new(message);
     if let Some(deadline) = deadline {
-        // The server stops the work too.
+        // With this header, the server stops its work at the deadline too.
         request.set_timeout(deadline.saturating_duration_since(Instant::now()));
     }
     Ok(by(deadline, send(request)).await??.into_inner())
 }
 
-/// Waits until the deadline.
+/// Runs `work`, but no longer than until the deadline.
 pub(crate) async fn by<T>(deadline: Deadline, work: impl Future<Output = T>) -> Result<T, Error> {
     match deadline {
         None => Ok(work.await),

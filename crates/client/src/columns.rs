@@ -11,7 +11,7 @@ pub(crate) struct Column {
     pub(crate) per: Per,
     /// The number of values per pair or point.
     pub(crate) width: usize,
-    /// The outputs that bring the column; each of them suffices. Empty if every answer has the column.
+    /// The outputs that bring the column; each of them suffices. Empty if the column needs no output.
     outputs: &'static [Output],
     /// Whether servers of the first version of the contract do not send the column.
     pub(crate) is_later: bool,
@@ -76,10 +76,10 @@ macro_rules! columns {
             .into_iter()
         }
 
-        /// Appends the answer to a later part of the pairs of a request.
+        /// Appends `part`, the answer for the next pairs of the same request, to `whole`.
         ///
         /// The columns of pairs and points are joined. The lists of missing hulls and invalid bodies describe
-        /// the whole request, so those of the last part stay.
+        /// the whole request, so the lists of `part` replace those of `whole`.
         pub fn append(whole: &mut QueryContactsResponse, part: QueryContactsResponse) {
             $(whole.$name.extend(part.$name);)*
             whole.missing_hulls = part.missing_hulls;
@@ -88,8 +88,8 @@ macro_rules! columns {
     };
 }
 
-// Each row has the name of the field, what its values belong to and how many there are of them, the outputs
-// that bring it, and whether it is later than the first version of the contract.
+// Each row has the name of the field, the owner of its values, the number of values per owner, the outputs
+// that bring the column, and whether it is later than the first version of the contract.
 columns! {
     pairs: FoundPair 2 [] false;
     outcomes: Pair 1 [] false;

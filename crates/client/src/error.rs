@@ -126,10 +126,10 @@ pub enum Defect {
     /// The text is not in PEM form.
     #[error("not a PEM file (it has no line -----BEGIN ...-----)")]
     NotPem,
-    /// TLS cannot use the content; the text is its reason.
+    /// TLS cannot use the content; the text gives the reason.
     #[error("{0}")]
     Unusable(String),
-    /// The token has characters that a header cannot have, or none.
+    /// The token is empty, or has characters other than visible ASCII.
     #[error("expected one or more visible ASCII characters")]
     NotAToken,
     /// The setting is for encrypted connections, and the address does not begin with `https://`.
@@ -160,8 +160,8 @@ impl From<Status> for Error {
         if has_cause(|cause| cause.is::<TimeoutExpired>()) {
             return Self::TimedOut;
         }
-        // Nothing in this process cancels a call and then reads its status, so the server did. But hyper
-        // cancels the calls that wait on a connection which breaks.
+        // Nothing in this process cancels a call and then reads its status. So the server cancelled the call,
+        // unless hyper did because the connection broke.
         let is_broken = has_cause(|cause| cause.downcast_ref().is_some_and(hyper::Error::is_canceled));
         if status.code() == Code::Cancelled && !is_broken {
             return Self::Cut;
@@ -173,7 +173,7 @@ impl From<Status> for Error {
             return Self::Refused(refusal);
         }
         Self::Lost(match (status.code(), status.source()) {
-            // For its own failures, the cause says more than tonic's message.
+            // If the failure is tonic's own, the cause says more than tonic's message.
             (Code::Unknown | Code::Unavailable, Some(source)) => root_cause(source),
             _ => refusal.to_string(),
         })
@@ -253,7 +253,7 @@ mod tests {
         );
     }
 
-    /// Catches the client's own timeout that is taken for a cancellation by the server.
+    /// Catches a timeout of the client itself that is taken for a cancellation by the server.
     #[test]
     fn a_timeout_of_this_process_is_one() {
         assert_eq!(Error::from(Status::from_error(Box::new(TimeoutExpired(())))), Error::TimedOut);

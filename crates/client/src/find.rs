@@ -31,11 +31,11 @@ impl Client {
     /// the whole search.
     ///
     /// The first message names the hulls that the server lacks (`missing_hulls`) and the bodies whose poses
-    /// are unusable (`invalid_bodies`). They are in no pair; this is not an error.
+    /// are unusable (`invalid_bodies`). No pair of the answer has such a hull or body; this is not an error.
     ///
     /// # Errors
-    /// [`Error::Refused`] if the request is malformed or over a limit. A refusal by a busy server, or a lost
-    /// server, is repeated only before the first message.
+    /// [`Error::Refused`] if the request is malformed or over a limit. If the server is busy or lost, the call
+    /// is repeated only before the first message.
     pub async fn find(&self, request: &QueryContactsRequest) -> Result<Search, Error> {
         let deadline = self.deadline();
         let callers_id = request.request_id;

@@ -112,7 +112,7 @@ pub use session::Session;
 mod tests {
     use super::*;
 
-    /// Does not compile if a future of the client cannot be spawned on a runtime of several threads.
+    /// This test does not compile if a future of the client cannot be spawned on a runtime of several threads.
     #[test]
     fn futures_can_be_spawned() {
         fn is_send<T: Send>(_: T) {}

@@ -8,7 +8,7 @@ use crate::{Client, Error, Hull, append, checked};
 /// The most registrations within one query, because another caller may delete a hull again and again.
 pub(crate) const MAX_REGISTRATIONS: usize = 3;
 
-/// The reasons for which a query of fewer pairs may be accepted.
+/// The reasons of refusals after which a query of fewer of the pairs may be accepted.
 const TOO_LARGE: &[&str] = &["RESPONSE_TOO_LARGE", "MESSAGE_TOO_LARGE", "MEMORY_TOO_LARGE"];
 
 impl Client {
@@ -52,7 +52,7 @@ impl Client {
         Ok(answer)
     }
 
-    /// Registers those of `hulls` that the answer names as missing. Whether there were any.
+    /// Registers those of `hulls` that the answer names as missing. Returns whether there were any.
     pub(crate) async fn restored(
         &self,
         deadline: Deadline,
@@ -134,8 +134,8 @@ impl Client {
     }
 }
 
-/// The request for the pairs from `begin` to `end`. A request that is malformed is sent as a whole, because
-/// the server names its fault.
+/// The request for the pairs from `begin` to `end`. A malformed request is returned whole, so that the server
+/// names its fault.
 fn part(request: &QueryContactsRequest, begin: usize, end: usize) -> QueryContactsRequest {
     let pairs = request.pairs.len() / 2;
     let is_whole = begin == 0 && end == pairs;

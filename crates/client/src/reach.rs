@@ -125,7 +125,7 @@ pub(crate) async fn mismatch(
     if address.is_encrypted() {
         return match tls_error(error)? {
             rustls::Error::InvalidMessage(_) => Some(Cause::NotTls),
-            // `Other` stands for the certificate of an authority, which a server shows if its
+            // `Other` means that the server showed the certificate of an authority, as it does if its
             // certificate is self-signed.
             rustls::Error::InvalidCertificate(CertificateError::Other(_)) => Some(Cause::SelfSigned),
             rustls::Error::InvalidCertificate(CertificateError::UnknownIssuer) => {
@@ -146,7 +146,7 @@ pub(crate) async fn mismatch(
     }
 }
 
-/// The first bytes of the peer's answer to the HTTP/2 preface, as of [`answer_to_greeting`].
+/// Connects to the address and returns the result of [`answer_to_greeting`].
 async fn greeting(address: &Address) -> Option<Vec<u8>> {
     match (address.socket(), address.authority()) {
         (Some(path), _) => answer_to_greeting(UnixStream::connect(path)).await,
@@ -155,7 +155,7 @@ async fn greeting(address: &Address) -> Option<Vec<u8>> {
 }
 
 /// The first bytes of a peer's answer to the HTTP/2 preface; empty if there is no connection, or if the
-/// peer closes it. None if the peer sends nothing in time.
+/// peer closes it. `None` if the peer sends nothing in time.
 async fn answer_to_greeting<S: AsyncRead + AsyncWrite + Unpin>(
     connect: impl Future<Output = io::Result<S>>,
 ) -> Option<Vec<u8>> {
@@ -202,8 +202,8 @@ fn tls_error<'a>(error: &'a (dyn StdError + 'static)) -> Option<&'a rustls::Erro
 mod tests {
     use super::*;
 
-    /// Catches a peer that accepts connections and says nothing, which the user is not told of; and one that
-    /// closes the connection, or is not there, that is taken for silent.
+    /// Catches a peer that accepts connections and sends nothing but is not reported as silent, and a peer
+    /// that closes the connection, or does not exist, but is reported as silent.
     #[tokio::test]
     async fn a_peer_that_never_answers_is_named() {
         let folder = tempfile::tempdir().expect("a folder");

@@ -56,8 +56,8 @@ impl Client {
         Ok(ids)
     }
 
-    /// The indices in `ids` of the hulls that the server lacks, ascending. An id that is listed several times
-    /// has the index of its first place.
+    /// The indices in `ids` of the hulls that the server lacks, ascending. If an id is listed several times,
+    /// only its first index is returned.
     ///
     /// # Errors
     /// [`Error::Refused`] if the store cannot be read.
@@ -159,7 +159,7 @@ impl Client {
         Ok(all)
     }
 
-    /// Sends the definitions of the hulls at these places.
+    /// Sends the definitions of the hulls at these indices.
     pub(crate) async fn put_by(
         &self,
         deadline: Deadline,
@@ -206,7 +206,7 @@ impl HullPart {
     }
 }
 
-/// A message with as many of the hulls at these places as the limits allow, but at least one.
+/// A message with as many of the hulls at these indices as the limits allow, but at least one.
 fn first_message(hulls: &[Hull], places: &[usize], limits: &Limits) -> RegisterHullsRequest {
     let most = HULLS_PER_MESSAGE.min(limits.max_hulls_per_request as usize);
     let mut message = RegisterHullsRequest::default();
@@ -223,7 +223,7 @@ fn first_message(hulls: &[Hull], places: &[usize], limits: &Limits) -> RegisterH
     message
 }
 
-/// The bytes of a definition as an entry of a message, at most: its own, its length and its tag.
+/// The most bytes of a definition as an entry of a message: its own, and those of its length and its tag.
 fn size_in_list(definition: &HullDefinition) -> u64 {
     definition.encoded_len() as u64 + 11
 }

@@ -8,8 +8,8 @@ use crate::HullId;
 
 /// A scene of bodies and the pairs to query, as a request.
 ///
-/// A body is a registered hull at a pose. The request is a public field: what has no method here, such as
-/// `accuracy`, `warm_starts`, `worlds` and `groups`, is set in it. `QueryContactsRequest` describes the fields.
+/// A body is a registered hull at a pose. The request is a public field. Fields without a method here, such as
+/// `accuracy`, `warm_starts`, `worlds` and `groups`, are set in it; `QueryContactsRequest` describes them.
 ///
 /// ```
 /// use hullcast_client::{Hull, Scene};
@@ -33,8 +33,8 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// A scene without bodies. Two hulls whose distance is at most `margin` count as a contact; it is a length
-    /// in the caller's unit, at least 0.
+    /// A scene without bodies. Two hulls whose distance is at most `margin` count as a contact. The margin is a
+    /// length in the caller's unit, at least 0.
     pub fn new(margin: f64) -> Self {
         let request = QueryContactsRequest { margin, ..QueryContactsRequest::default() };
         Self { request, places: HashMap::new() }
@@ -43,7 +43,7 @@ impl Scene {
     /// Adds a body and returns its index.
     ///
     /// `position` is the world position of the origin of the hull's frame, in the caller's unit of length.
-    /// `rotation` is the quaternion x, y, z, w that turns the hull's frame to the world's; the server
+    /// `rotation` is the quaternion x, y, z, w that rotates the hull's frame to the world's; the server
     /// normalises it.
     pub fn add_body(&mut self, hull: HullId, position: [f64; 3], rotation: [f64; 4]) -> u32 {
         let Self { request, places } = self;
@@ -57,8 +57,8 @@ impl Scene {
         request.body_hulls.len() as u32 - 1
     }
 
-    /// Adds a pair of bodies, by their indices, to those of a query. The contact normal points from `a` to
-    /// `b`. A search ([`Client::find`](crate::Client::find)) lists no pairs.
+    /// Adds the pair of the bodies with indices `a` and `b` to the pairs of a query. The contact normal points
+    /// from `a` to `b`. The request of a search ([`Client::find`](crate::Client::find)) has no pairs.
     pub fn add_pair(&mut self, a: u32, b: u32) {
         self.request.pairs.extend([a, b]);
     }

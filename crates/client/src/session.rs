@@ -9,9 +9,9 @@ use crate::client::{Deadline, by};
 use crate::query::MAX_REGISTRATIONS;
 use crate::{Client, Error, Hull, checked};
 
-/// The reasons for which a message that inherits is refused, and a whole request on a new stream is not.
+/// The reasons of refusals of a message that inherits, after which a new stream may accept the whole request.
 const SEND_WHOLE: &[&str] = &["NOTHING_TO_INHERIT", "STATE_NOT_KEPT", "STOPPING"];
-/// The values of a basis per pair.
+/// The number of values of a pair's basis.
 const BASIS: usize = 6;
 
 /// Steps of a simulation: the same bodies and pairs, with new poses in each step ([`Client::session`]).
@@ -29,7 +29,7 @@ pub struct Session {
     client: Client,
     request: QueryContactsRequest,
     hulls: Vec<Hull>,
-    /// The stream, while it has no answer under way. A step that fails or is dropped leaves none.
+    /// The open stream. It is `None` during a step, and after a step that failed or was dropped.
     stream: Option<Stream>,
 }
 
@@ -44,7 +44,7 @@ impl Client {
     /// the first step. Nothing is sent before the first step.
     ///
     /// `hulls` are registered again if the server has lost them, for example because it was restarted with an
-    /// empty store; they may be empty. The number of pairs is bounded by the server's
+    /// empty store; the list may be empty. The number of pairs is bounded by the server's
     /// `max_pairs_per_request`: use several sessions for more.
     pub fn session(&self, request: QueryContactsRequest, hulls: Vec<Hull>) -> Session {
         Session { client: self.clone(), request, hulls, stream: None }
@@ -82,7 +82,8 @@ impl Session {
             if !client.restored(deadline, &self.request, &answer, &self.hulls).await? {
                 break;
             }
-            // A message that inherits would start from the bases of pairs without an answer.
+            // The whole request is sent again, because a message that inherits would start from the bases of
+            // pairs without an answer.
             self.stream = None;
             answer = self.answered(deadline).await?;
         }
@@ -92,7 +93,8 @@ impl Session {
         Ok(answer)
     }
 
-    /// One step, repeated as the settings of the connection say.
+    /// Makes one step. If the open stream or its state is gone, the step is repeated once, at once, on a new
+    /// stream. All other repetitions follow the settings of the connection.
     async fn answered(&mut self, deadline: Deadline) -> Result<QueryContactsResponse, Error> {
         let mut losses = 0;
         loop {
@@ -101,7 +103,7 @@ impl Session {
                 Ok(answer) => return Ok(answer),
                 Err(error) => error,
             };
-            // A server that drains ends its streams between two steps, so the first repetition is at once.
+            // A server that drains ends its streams between two steps, so there is no pause here.
             if inherits && (error.is_for(SEND_WHOLE) || matches!(error, Error::Lost(_))) {
                 continue;
             }

@@ -30,7 +30,7 @@ impl Trust {
     /// Reads the authorities from a PEM text.
     ///
     /// # Errors
-    /// The text says what is wrong with the content.
+    /// The text has no certificate that can be used; the error gives the reason.
     pub(crate) fn new(pem: &[u8]) -> Result<Self, String> {
         let given: Vec<_> =
             CertificateDer::pem_slice_iter(pem).collect::<Result<_, _>>().map_err(|e| e.to_string())?;
@@ -58,8 +58,8 @@ impl ServerCertVerifier for Trust {
     ) -> Result<ServerCertVerified, Error> {
         let usual = self.usual.verify_server_cert(end_entity, intermediates, server_name, ocsp_response, now);
         match usual {
-            // `Other` stands for the refusal of an authority's certificate. This refusal comes
-            // after the check of the time, for which there is an error of its own.
+            // `Other` means that an authority's certificate was refused as that of a server. An expired
+            // certificate is refused before that, with another error.
             Err(Error::InvalidCertificate(CertificateError::Other(_))) if self.given.contains(end_entity) => {
                 verify_server_name(&ParsedCertificate::try_from(end_entity)?, server_name)?;
                 Ok(ServerCertVerified::assertion())

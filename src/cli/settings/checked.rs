@@ -1,4 +1,4 @@
-//! Checks the complete settings, and converts them to what the server is made of.
+//! Checks the complete settings, and converts them to the options and limits of the server.
 
 use std::{net::IpAddr, sync::Arc, time::Duration};
 
@@ -39,7 +39,7 @@ impl Settings {
         Ok(CheckedSettings { options: self.options()?, limits, grace: self.grace()? })
     }
 
-    /// A setting as the user knows it: its key if the file has it, and its flag otherwise.
+    /// The name of a setting as the user knows it: its key if the file gives its value, otherwise its flag.
     pub(crate) fn shown(&self, name: &str) -> String {
         if self.of_file.contains(&name) { name.to_owned() } else { format!("--{}", name.replace('_', "-")) }
     }

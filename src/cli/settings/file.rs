@@ -1,6 +1,6 @@
 //! Reads settings from a TOML file.
 //!
-//! The values of a file are turned into flags and parsed as those, so that both have the same forms, ranges and
+//! The values of a file are turned into flags and parsed as flags, so that both have the same forms, ranges and
 //! errors.
 
 use std::path::Path;
@@ -92,7 +92,8 @@ fn values_only() -> Command {
     PartialSettings::augment_args(command).mut_args(|arg| arg.env(Resettable::Reset))
 }
 
-/// A setting of a file as flags. A setting that is empty by default needs no flag to be empty.
+/// A setting of a file as flags: one flag per entry of a list, and no flag for an empty value that is the
+/// default.
 fn flags(key: &str, value: &toml::Value) -> Result<Vec<String>, SettingsFileError> {
     let flag = |value: &toml::Value| match value {
         toml::Value::String(text) => format!("--{}={text}", key.replace('_', "-")),
@@ -129,7 +130,7 @@ fn checked(command: &Command, key: &str, flags: &[String]) -> Result<(), Setting
 /// The settings that are lists.
 const LISTS: [&str; 2] = ["listen", "trusted_proxies"];
 
-/// The settings that may be empty.
+/// The settings that are empty by default, without lists.
 const EMPTY: [&str; 7] = [
     "admin_listen",
     "otlp_endpoint",

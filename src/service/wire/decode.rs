@@ -5,7 +5,7 @@
 //! decoded request is taken from the call's budget, and the second pass reserves every column once
 //! and fills it. A request of n bytes therefore needs at most 2 n bytes, plus
 //! [`HULL_BYTES`](crate::service::sizes::HULL_BYTES) for each hull or id, whose number is limited, plus
-//! 8 KiB. The factor 2 covers what validation adds to the columns themselves, which need at most n.
+//! 8 KiB. The columns themselves need at most n bytes; the factor 2 covers the lists that validation adds.
 //!
 //! Every message that prost accepts is accepted, with the same meaning.
 
@@ -55,8 +55,7 @@ pub(in crate::service) trait DecodeRequest: Send + Sync + 'static {
     /// Decodes a message.
     ///
     /// # Errors
-    /// MALFORMED_MESSAGE, a limit that the message exceeds, a budget without room for it, or that
-    /// the work was stopped.
+    /// The message is malformed or exceeds a limit, the budget has no room for it, or the work was stopped.
     fn read(message: &[u8], resources: &mut DecodeResources<'_>) -> Result<Self::Decoded, ServiceError>;
 }
 
@@ -70,8 +69,8 @@ impl DecodeRequest for proto::GetServerInfoRequest {
     }
 }
 
-/// Decodes and checks a message as the handler of `method` does. Returns the memory that this takes from
-/// the budget. Used by the fuzz target and by tests of memory.
+/// Decodes and checks a message as the handler of `method` does. Returns the number of bytes that this takes
+/// from the budget. The fuzz target and the tests of memory use it.
 ///
 /// # Errors
 /// The errors of the handler.

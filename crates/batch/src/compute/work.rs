@@ -1,4 +1,4 @@
-//! Work of any kind behind one interface for the threads, and the collection of its results.
+//! The interface through which threads do work of any kind, and the collection of the results of its parts.
 
 use std::sync::Mutex;
 
@@ -6,8 +6,8 @@ use tokio::sync::oneshot;
 
 use super::{CallerId, ComputeError, Job, Parts, catch_panic, locked};
 
-/// The smallest number of steps that a part is charged with: those that a thread takes to get the
-/// part and to return its result.
+/// The smallest number of steps that a part is charged with: about the cost of taking the part from the
+/// queue and returning its result.
 pub(super) const LEAST_STEPS: u64 = 2_000;
 
 /// Work, and the results of its parts that are done.
