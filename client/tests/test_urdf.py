@@ -456,7 +456,7 @@ def test_values_of_joints_that_are_refused(tmp_path, joints, base, field):
     (tmp_path / "robot.urdf").write_text(with_joint(""))
     with pytest.raises(hullcast.InvalidArgument) as caught:
         hullcast.Robot(tmp_path / "robot.urdf").poses(joints, base=base)
-    assert caught.value.field == field
+    assert caught.value.field.partition("[")[0] == field
 
 
 @pytest.mark.parametrize("norm", [1.0, 0.5, 3.9])

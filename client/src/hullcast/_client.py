@@ -48,10 +48,11 @@ class Client(_calls.Calls):
 
         Args:
             hulls: one hull or an iterable of hulls. A hull is an array (n, 3) of points in the
-                hull's own frame; an object with such an array as `.vertices`, for example a trimesh
-                mesh; a scipy `ConvexHull`; a `Hull`; or the path of an OBJ, STL, DAE or PLY file. A
-                `trimesh.Scene` stands for all its parts. Points inside the hull are dropped; no
-                point is moved.
+                hull's own frame; an object with such an array as `.vertices`, for example a mesh of
+                trimesh or open3d; a scipy `ConvexHull`; a `Hull`; or the path of an OBJ, STL, DAE
+                or PLY file. A `trimesh.Scene` stands for all its parts. Points inside the hull are
+                dropped; no point is moved. Only an object that has triangles too, as `.faces`,
+                `.triangles` or `.indices`, is checked for convexity.
             contraction_points: one entry per hull: the point (3,) about which the hull grows,
                 strictly inside the hull, or None for the centre of mass.
             max_vertices: simplify each hull to at most this many vertices, 4 or more.

@@ -241,14 +241,26 @@ def mesh_of(hull: Any, name: str = "vertices") -> tuple[Floats, Any]:
     A vertex that no face uses is no part of the mesh. Without faces every vertex counts.
     """
     points = _arrays.floats(name, getattr(hull, "vertices", hull), None, 3)
-    # A `Hull` would ask the server for its faces, and uses all its points.
-    faces = None if isinstance(hull, Hull) else getattr(hull, "faces", None)
+    attribute, faces = faces_of(hull)
     if faces is None or np.size(faces) == 0 or len(points) == 0:
         return points, None
-    corners = _arrays.indices(f"{name}.faces", faces, None, 3, below=len(points))
+    corners = _arrays.indices(f"{name}.{attribute}", faces, None, 3, below=len(points))
     used = np.zeros(len(points), dtype=bool)
     used[corners] = True
     if used.all():
         return points, corners
     rank = np.cumsum(used) - 1
     return points[used], rank[corners].astype("<u4")
+
+
+def faces_of(mesh: Any) -> tuple[str, Any]:
+    """The name and the value of the attribute that has a mesh's triangles; None without one.
+
+    It is `faces` in trimesh's meshes, `triangles` in open3d's, and `indices` in coacd's.
+    """
+    # A `Hull` would ask the server for its faces, and uses all its points.
+    for name in () if isinstance(mesh, Hull) else ("faces", "triangles", "indices"):
+        value = getattr(mesh, name, None)
+        if value is not None and not callable(value):
+            return name, value
+    return "faces", None
