@@ -288,7 +288,10 @@ class Session(_session.Steps):
     session loses its server, the next step connects to another one and sends everything again. That
     step starts from the bases of the last result if the outputs include BASES.
 
-    A session computes one step at a time. Do not share it between threads.
+    A session computes one step at a time. Do not share it between threads. An open session uses one
+    stream of the client's connection, or up to 8 or more if it has many pairs. If a server permits
+    no more (1,024 calls on one connection by default), a step raises `ResourceExhausted` with the
+    reason TOO_MANY_SESSIONS. Worlds of one scene need only one session.
     """
 
     def step(

@@ -142,7 +142,8 @@ class Connection(Settled, ABC):
         seconds = remaining(deadline)
         proof = _PROOF_SECONDS if seconds is None else min(seconds, _PROOF_SECONDS)
         try:
-            yield link.call(_manage.INFO, b"", proof)
+            answer = yield link.call(_manage.INFO, b"", proof)
+            link.max_calls = _manage.max_calls(answer)
         except _errors.Unavailable as error:
             if error.reason == "UNAVAILABLE":  # from gRPC itself, not from a server
                 cause = yield link.run(partial(self._cause, error))

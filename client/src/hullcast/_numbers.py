@@ -115,10 +115,9 @@ def _has_mask(value: Any) -> bool:
     if isinstance(value, (list, tuple)):
         entries = cast("list[Any]", value)
         # Few types occur in one list, so this is far faster than a test of every entry.
-        kinds = {
-            one for one in set(map(type, entries)) if issubclass(one, (list, tuple, np.ndarray))
-        }
-        return bool(kinds) and any(_has_mask(entry) for entry in entries if type(entry) in kinds)
+        types = set(map(type, entries))
+        nested = {one for one in types if issubclass(one, (list, tuple, np.ndarray))}
+        return bool(nested) and any(_has_mask(entry) for entry in entries if type(entry) in nested)
     return is_masked(value)
 
 

@@ -243,14 +243,10 @@ def _is_number(value: Any) -> bool:
 
 def _is_row(value: Any) -> bool:
     """Whether a value is three numbers, the coordinates of one point."""
-    if (
-        hasattr(value, "vertices")
-        or getattr(value, "ndim", 1) != 1
-        or not hasattr(value, "__len__")
-    ):
+    is_list = hasattr(value, "__getitem__") and hasattr(value, "__len__")
+    if not is_list or isinstance(value, (str, bytes, Mapping)) or hasattr(value, "vertices"):
         return False
-    is_list = hasattr(value, "__getitem__") and not isinstance(value, (str, bytes, Mapping))
-    return is_list and len(value) == 3 and all(map(_is_number, value))
+    return getattr(value, "ndim", 1) == 1 and len(value) == 3 and all(map(_is_number, value))
 
 
 def _is_scene(shape: Any) -> bool:
@@ -281,8 +277,8 @@ def shape_of(hull: Any, field: str) -> Any:
 def _faces(shape: Any, name: str) -> Any:
     """The faces of a mesh, as indices of the registered points.
 
-    A `Hull` has none here, because it needs no check for convexity. An object that has vertices
-    alone has none either, so it cannot be checked.
+    A `Hull` has none here, because it needs no check for convexity. An object that has
+    only vertices has none either, so it cannot be checked.
     """
     is_checked = hasattr(shape, "vertices") and faces_of(shape)[1] is not None
     return mesh_of(shape, name)[1] if is_checked else None

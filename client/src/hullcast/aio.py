@@ -173,6 +173,7 @@ class _Link:
         self._unary: dict[str, Any] = {name: channel.unary_unary(name) for name in _calls.UNARY}
         self._stream: Any = channel.unary_stream(_calls.FIND)
         self.proven = False
+        self.max_calls = 0
         self.trouble = ""
 
     def start(self, method: str, data: bytes, timeout: float | None) -> Any:
@@ -207,10 +208,14 @@ class _Stream:
     def __init__(self, call: Any) -> None:
         self._call = call
 
-    async def send(self, data: bytes) -> None:
-        # If the stream has failed, reading from it reports the error.
+    async def send(self, data: bytes, timeout: float | None) -> None:
+        # If the stream has failed, reading from it reports the error. Writing waits until the
+        # connection has a free stream, which may never be.
         with contextlib.suppress(grpc.RpcError, asyncio.InvalidStateError):
-            await self._call.write(data)
+            try:
+                await asyncio.wait_for(self._call.write(data), timeout)
+            except asyncio.TimeoutError:
+                raise _link.late() from None
 
     async def receive(self, timeout: float | None) -> bytes:
         try:
