@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 DEFAULT_PLANARITY = 1e-3
 
 #: The largest planarity that a server accepts.
-_LARGEST_PLANARITY = 0.01
+LARGEST_PLANARITY = 0.01
 
 #: A fraction of the circumradius; or None to send none, so that the server uses 1e-6.
 Planarity = float | Literal["default"] | None
@@ -173,7 +173,7 @@ def hull_id(
     points = _finite("vertices", points_of(vertices)) + 0.0
     share = planarity_of(planarity)
     if share is not None:  # no server checks the range of this call
-        share = _arguments.number("planarity", share, 0, _LARGEST_PLANARITY)
+        share = _arguments.number("planarity", share, 0, LARGEST_PLANARITY)
     parts = [b"hullcast", struct.pack("<I", 1 if share is None else 2)]
     if contraction_point is None:
         parts.append(b"\0")
@@ -213,7 +213,7 @@ def planarity_of(planarity: Planarity, default: float | None = DEFAULT_PLANARITY
         return None
     if isinstance(planarity, str) and planarity == "default":
         return default
-    expected = f'expected a number, 0 to {_LARGEST_PLANARITY:g}, or None or "default"'
+    expected = f'expected a number, 0 to {LARGEST_PLANARITY:g}, or None or "default"'
     return _arguments.real("planarity", planarity, expected)
 
 

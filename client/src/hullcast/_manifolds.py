@@ -312,8 +312,8 @@ class Manifolds(ManifoldColumns):
 
         Raises:
             ImportError: rerun is not installed.
-            InvalidArgument: NO_RECORDING, there is no recording; NO_SCENE or NO_GEOMETRY, as for
-                `plot`.
+            InvalidArgument: NO_RECORDING, there is no recording; WRONG_TYPE for `recording`;
+                NO_SCENE or NO_GEOMETRY, as for `plot`.
         """
         from . import _rerun
 

@@ -77,7 +77,8 @@ def picture(
     else:
         axes.set_title(counted(len(bodies), "body", "bodies"))
     if path is not None:
-        figure.savefig(path)
+        with _files.writing("path", path):
+            figure.savefig(path)
     return figure
 
 
