@@ -62,6 +62,8 @@ def holder(block: Block) -> str | None:
         return "compared with what the page's program prints"
     if block.kind in PROGRAMS:
         return "a program of examples/"
+    if block.kind == "rust" and block.page == "docs/rust.md":
+        return "compiled by the tests of crates/client"
     return "commands" if commands.is_shell(block) else None
 
 

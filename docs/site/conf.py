@@ -31,6 +31,7 @@ CONTENTS = {
     ],
     "Other languages": [
         *(f"docs/{page}" for page in ("protocol", "languages", "grpcurl", "errors", "identity")),
+        "docs/rust",
         "docs/site/rust",
     ],
     "Computation": [

@@ -3,21 +3,18 @@
 //! Both take a request in the wire format and return a response in it. In this process the request goes
 //! through the service's own batch engine, without the network and without a store.
 
-use std::collections::{HashMap, HashSet};
-use std::error::Error as StdError;
-use std::iter;
+use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tonic::{Code, Status};
-use tonic_types::StatusExt;
+use hullcast_client::{Client, Error as CallError, Hull, HullRefused};
+use tonic::Code;
 
 use super::Error;
-use super::checked;
 use super::exit::Exit;
 use super::options::Asked;
 use super::progress::Progress;
-use super::remote::{Connection, RemoteArgs, root_cause};
+use super::remote::RemoteArgs;
 use super::scene::{Frame, HullPoints, SceneFile};
 use super::values::counted;
 use hullcast::batch::{Batch, Missing, scene::Bodies};
@@ -25,15 +22,14 @@ use hullcast::budget::{Caller, Part, Permit};
 use hullcast::compute::{Compute, Job};
 use hullcast::contact::ConvexHull;
 use hullcast::proto;
-use hullcast::proto::register_hull_result::Result as Registered;
 use hullcast::service::{Engine, EngineBounds, Limits, Reason, ServiceError, wire};
 use hullcast::store::identity::id_of;
 use hullcast::store::{HullDefinition, HullId};
 
 /// Limit on the size of an answer that is computed in this process and never becomes a message.
 const MAX_ANSWER_BYTES: usize = 2 << 30;
-/// Hulls per registration message. For ordinary hulls that is at most some megabytes.
-const HULLS_PER_MESSAGE: usize = 256;
+/// Hulls per registration, after which the progress is shown.
+const HULLS_PER_STEP: usize = 256;
 
 /// The source of answers.
 #[derive(Clone, Debug)]
@@ -41,7 +37,7 @@ pub(crate) enum Answerer {
     /// The library, called in this process.
     Local(Arc<Local>),
     /// A server.
-    Remote(Connection),
+    Remote(Client),
 }
 
 /// The service's batch engine, with the hulls of the scene.
@@ -50,16 +46,6 @@ pub(crate) struct Local {
     engine: Engine,
     limits: Limits,
     hulls: HashMap<HullId, Arc<ConvexHull>>,
-}
-
-/// The error for a hull of the scene that was refused.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("hulls[{hull}].{field}{}: {reason}", .index.map(|index| format!("[{index}]")).unwrap_or_default())]
-pub(crate) struct HullRefused {
-    hull: usize,
-    field: String,
-    index: Option<usize>,
-    reason: String,
 }
 
 /// The error for a query that was not answered.
@@ -86,24 +72,17 @@ impl From<ServiceError> for Refusal {
     }
 }
 
-impl From<checked::Malformed> for Refusal {
-    fn from(error: checked::Malformed) -> Self {
-        Self { text: error.to_string(), retry_after: None, lost: false, exit: Exit::Refused }
-    }
-}
-
-impl From<Status> for Refusal {
-    fn from(status: Status) -> Self {
-        let retry_after = status.get_details_retry_info().and_then(|info| info.retry_delay);
-        // A status with a cause was made by tonic in this process, not sent by a server.
-        let is_made_here = status.source().is_some() && !is_cut(&status);
-        let lost = retry_after.is_none() && (status.code() == Code::Unavailable || is_made_here);
-        let exit = match status.code() {
-            _ if lost => Exit::Unreachable,
-            Code::InvalidArgument => Exit::Input,
+impl From<CallError> for Refusal {
+    fn from(error: CallError) -> Self {
+        let exit = match &error {
+            CallError::Unreachable(_) | CallError::Lost(_) => Exit::Unreachable,
+            CallError::Address(_) | CallError::Setting(_) | CallError::HullsRefused(_) => Exit::Input,
+            CallError::Refused(refusal) if refusal.code == Code::InvalidArgument => Exit::Input,
             _ => Exit::Refused,
         };
-        Self { text: described(&status), retry_after, lost, exit }
+        let lost = matches!(error, CallError::Lost(_));
+        let text = format!("{error}{}", hint(&error));
+        Self { text, retry_after: error.retry_after(), lost, exit }
     }
 }
 
@@ -126,7 +105,8 @@ impl Answerer {
                 hull: i,
                 field: e.kind.field().into(),
                 index: e.index,
-                reason: format!("{}: {}", e.kind.reason(), e.detail),
+                reason: e.kind.reason().into(),
+                message: e.detail,
             })?;
             built.insert(id, Arc::new(hull));
             ids.push(id);
@@ -150,24 +130,20 @@ impl Answerer {
         args: &RemoteArgs,
         hulls: &[HullPoints],
     ) -> Result<(Self, Vec<HullId>), Error> {
-        let connection = Connection::open(address, args).await?;
+        let client = args.connect(address).await?;
         let content: Vec<HullId> = hulls.iter().map(|h| id_of(&definition(h).identity_bytes())).collect();
+        let ids: Vec<_> = content.iter().map(|id| hullcast_client::HullId(id.0)).collect();
         // A caller that may only query can use hulls that others have registered.
-        let lacking = lacking(&connection, &content).await?;
-        let progress = Progress::new("registering hulls", lacking.len());
-        let mut service = connection.hulls();
-        for part in lacking.chunks(HULLS_PER_MESSAGE) {
-            let definitions = part.iter().map(|&hull| wire_definition(&hulls[hull])).collect();
-            let request = proto::RegisterHullsRequest { hulls: definitions };
-            let answer = service.register_hulls(request).await;
-            let results = answer.map_err(|s| not_registered(&s, lacking.len(), hulls.len()))?.into_inner();
-            checked::registrations(part.len(), results.results.len())?;
-            for (&hull, result) in part.iter().zip(results.results) {
-                registered(hull, content[hull], result)?;
+        let missing = client.missing(&ids).await.map_err(Refusal::from)?;
+        let progress = Progress::new("registering hulls", missing.len());
+        for part in missing.chunks(HULLS_PER_STEP) {
+            let definitions: Vec<Hull> = part.iter().map(|&hull| client_hull(&hulls[hull])).collect();
+            if let Err(error) = client.put(&definitions).await {
+                return Err(not_registered(error, part, missing.len(), hulls.len()));
             }
             progress.add(part.len());
         }
-        Ok((Self::Remote(connection), content))
+        Ok((Self::Remote(client), content))
     }
 
     /// Answers a request.
@@ -180,14 +156,7 @@ impl Answerer {
     ) -> Result<proto::QueryContactsResponse, Refusal> {
         match self {
             Self::Local(local) => local.answer(request).await.map_err(Into::into),
-            Self::Remote(remote) => {
-                let asked =
-                    proto::QueryContactsRequest { request_id: Connection::next_request_id(), ..request };
-                let mut response = remote.contacts().query_contacts(asked.clone()).await?.into_inner();
-                checked::answer(&asked, &response)?;
-                response.request_id = request.request_id;
-                Ok(response)
-            }
+            Self::Remote(client) => Ok(client.query_once(&request).await?),
         }
     }
 }
@@ -217,7 +186,7 @@ impl Local {
 /// # Errors
 /// No server answers at the address.
 pub(crate) async fn another_connection(address: &str, args: &RemoteArgs) -> Result<Answerer, Error> {
-    Ok(Answerer::Remote(Connection::open(address, args).await?))
+    Ok(Answerer::Remote(args.connect(address).await?))
 }
 
 /// The hull's definition as the store identifies it.
@@ -230,51 +199,32 @@ pub(crate) fn definition(points: &HullPoints) -> HullDefinition {
     }
 }
 
-fn wire_definition(points: &HullPoints) -> proto::HullDefinition {
-    proto::HullDefinition {
-        vertices: points.vertices.as_flattened().to_vec(),
-        contraction_point: points.contraction_point.map(Vec::from).unwrap_or_default(),
+/// The hull's definition as the client registers it.
+fn client_hull(points: &HullPoints) -> Hull {
+    Hull {
+        points: points.vertices.clone(),
+        contraction_point: points.contraction_point,
         simplification: None,
         planarity: points.planarity,
     }
 }
 
-/// The indices in `ids` of the hulls that the server does not have, without repetitions.
-async fn lacking(connection: &Connection, ids: &[HullId]) -> Result<Vec<usize>, Error> {
-    let mut seen = HashSet::new();
-    let distinct: Vec<usize> = (0..ids.len()).filter(|&hull| seen.insert(ids[hull])).collect();
-    let mut service = connection.hulls();
-    let mut lacking = Vec::new();
-    for part in distinct.chunks(HULLS_PER_MESSAGE) {
-        let request = proto::HasHullsRequest { ids: part.iter().map(|&hull| ids[hull].0.to_vec()).collect() };
-        let present = service.has_hulls(request).await.map_err(Refusal::from)?.into_inner().present;
-        checked::registrations(part.len(), present.len())?;
-        lacking.extend(part.iter().zip(present).filter(|(_, present)| !present).map(|(&hull, _)| hull));
-    }
-    Ok(lacking)
-}
-
-/// The error that `lacking` of the hulls were not registered.
-fn not_registered(status: &Status, lacking: usize, hulls: usize) -> Error {
-    let refusal = Refusal::from(status.clone());
-    if status.code() != Code::PermissionDenied {
-        return refusal.into();
-    }
-    refusal.exit.error(format!(
-        "the server lacks {lacking} of {}, and the token may not register them ({refusal}); \
-         register them first, with a token of the server's --register-tokens",
-        counted(hulls, "hull")
-    ))
-}
-
-fn registered(hull: usize, content: HullId, result: proto::RegisterHullResult) -> Result<HullId, Error> {
-    match result.result {
-        Some(Registered::Hull(info)) => Ok(checked::registered(hull, content, &info.id)?),
-        Some(Registered::Error(e)) => {
-            let reason = format!("{}: {}", e.reason, e.message);
-            Err(HullRefused { hull, field: e.field, index: e.index.map(|i| i as usize), reason }.into())
+/// The error that hulls were not registered. `part` has the places of the hulls that were sent, of `missing`
+/// in all.
+fn not_registered(error: CallError, part: &[usize], missing: usize, hulls: usize) -> Error {
+    match error {
+        CallError::HullsRefused(refused) => match refused.into_iter().next() {
+            Some(first) => HullRefused { hull: part[first.hull], ..first }.into(),
+            None => Exit::Refused.error("no hull was refused"),
+        },
+        CallError::Refused(refusal) if refusal.code == Code::PermissionDenied => {
+            Exit::Refused.error(format!(
+                "the server lacks {missing} of {}, and the token may not register them ({refusal}); \
+                 register them first, with a token of the server's --register-tokens",
+                counted(hulls, "hull")
+            ))
         }
-        None => Err(Exit::Refused.error("the server gave a result that this version does not know")),
+        error => Refusal::from(error).into(),
     }
 }
 
@@ -298,37 +248,16 @@ pub(crate) fn at_server(error: Error, address: &str) -> Error {
     }
 }
 
-/// Whether the server reset the call: it does so if the answer is not read in time (docs/errors.md).
-fn is_cut(status: &Status) -> bool {
-    // Nothing in this process cancels a call and then reads its status. hyper cancels the calls that wait on
-    // a connection which breaks.
-    let mut causes = iter::successors(status.source(), |&cause| cause.source());
-    let is_broken = causes.any(|cause| cause.downcast_ref().is_some_and(hyper::Error::is_canceled));
-    status.code() == Code::Cancelled && !is_broken
-}
-
-/// A status as a sentence.
-fn described(status: &Status) -> String {
-    match status.code() {
-        _ if is_cut(status) => {
-            "Cancelled: the server reset the call, because the answer was not read in time; the server's \
-             settings answer_seconds and max_deadline_seconds decide how long that is"
-                .into()
+/// The option that a refused call needs, if it is about the caller's token.
+fn hint(error: &CallError) -> &'static str {
+    match error {
+        CallError::Refused(refusal) if refusal.reason == Reason::MissingToken.name() => {
+            ": give a file with a token by --token-file"
         }
-        Code::Unauthenticated => {
-            let reason = status.get_details_error_info().map(|info| info.reason).unwrap_or_default();
-            let hint = match reason.as_str() {
-                reason if reason == Reason::MissingToken.name() => {
-                    ": give a file with a token by --token-file"
-                }
-                reason if reason == Reason::UnknownToken.name() => ": --token-file needs another token",
-                _ => "",
-            };
-            format!("Unauthenticated: {}{hint}", status.message())
+        CallError::Refused(refusal) if refusal.reason == Reason::UnknownToken.name() => {
+            ": --token-file needs another token"
         }
-        // For its own failures, the cause says more than tonic's message.
-        Code::Unknown | Code::Unavailable if status.source().is_some() => root_cause(status),
-        code => format!("{code:?}: {}", status.message()),
+        _ => "",
     }
 }
 
@@ -361,24 +290,5 @@ pub(crate) fn request(
         accuracy: Some(asked.accuracy),
         outputs: asked.outputs.clone(),
         ..Default::default()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Catches a call that the server cut and that looks like a lost server: another server would be asked,
-    /// and the reader would not learn the reason.
-    #[test]
-    fn a_call_that_was_cut_says_why() {
-        let refusal = Refusal::from(Status::cancelled("h2 protocol error: stream error received"));
-        assert!(
-            refusal.text.contains("not read in time") && refusal.text.contains("answer_seconds"),
-            "{refusal}"
-        );
-        assert_eq!((refusal.lost, refusal.exit), (false, Exit::Refused));
-        let refusal = Refusal::from(Status::unavailable("gone"));
-        assert!(refusal.lost && !refusal.text.contains("answer_seconds"), "{refusal}");
     }
 }

@@ -4,9 +4,10 @@ use std::error::Error as StdError;
 use std::fmt;
 use std::process::ExitCode;
 
+use hullcast_client::HullRefused;
+
 use super::Error;
-use super::answer::{HullRefused, Refusal};
-use super::checked::Malformed;
+use super::answer::Refusal;
 use super::scene::SceneError;
 
 /// The part of the top-level help about exit codes.
@@ -57,8 +58,6 @@ impl Exit {
             failure.exit
         } else if let Some(refusal) = error.downcast_ref::<Refusal>() {
             refusal.exit
-        } else if error.is::<Malformed>() {
-            Self::Refused
         } else if error.is::<HullRefused>() || error.is::<SceneError>() {
             Self::Input
         } else {

@@ -2,7 +2,6 @@
 
 mod answer;
 mod arrays;
-mod checked;
 pub(crate) mod completions;
 mod descriptors;
 pub(crate) mod exit;
@@ -15,7 +14,6 @@ mod options;
 mod progress;
 pub(crate) mod prune;
 pub(crate) mod query;
-mod reach;
 #[cfg(test)]
 mod refusals;
 mod remote;
@@ -28,7 +26,6 @@ pub(crate) mod settings;
 mod table;
 #[cfg_attr(not(feature = "otlp"), path = "no_traces.rs")]
 mod traces;
-mod trust;
 mod values;
 
 /// The error of a subcommand. Its text is shown to the user as it is.

@@ -14,7 +14,6 @@ use super::scene::{Frame, SceneFile, frame_named, shown, unusable_poses};
 use super::settings::MOST_THREADS;
 use super::values::{count, counted, margin};
 use hullcast::proto;
-use hullcast::service::wire;
 
 /// Pairs per request. This is well below every server's default limit, and so is the answer.
 const PAIRS_PER_REQUEST: usize = 32_768;
@@ -145,7 +144,7 @@ async fn answer(
     loop {
         let (now, later) = rest.split_at(rest.len().min(2 * PAIRS_PER_REQUEST));
         request.pairs = now.to_vec();
-        wire::append(&mut whole, answerer.answer(request.clone()).await?);
+        hullcast_client::append(&mut whole, answerer.answer(request.clone()).await?);
         progress.add(now.len() / 2);
         rest = later;
         if rest.is_empty() {

@@ -18,7 +18,7 @@ fn openssl_lines() -> Result<String, Box<dyn std::error::Error>> {
 fn a_certificate_that_openssl_made_works() -> Outcome {
     let folder = scratch("openssl")?;
     if Command::new("openssl").arg("version").output().is_err() {
-        eprintln!("no openssl here: src/cli/trust.rs tests a certificate of the same kind");
+        eprintln!("no openssl here: crates/client/src/trust.rs tests a certificate of the same kind");
         return Ok(());
     }
     let lines = openssl_lines()?;

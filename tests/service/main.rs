@@ -1,6 +1,7 @@
 //! Tests of the real server on port 0 and of the real binary, from a client's point of view.
 
 mod answers;
+mod client;
 mod contract;
 mod determinism;
 mod durability;

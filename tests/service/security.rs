@@ -26,14 +26,14 @@ use crate::support::{
 };
 
 /// A certificate authority that signs certificates for localhost.
-struct Authority {
-    certificate: Certificate,
+pub(crate) struct Authority {
+    pub(crate) certificate: Certificate,
     issuer: Issuer<'static, KeyPair>,
 }
 
 impl Authority {
-    fn new() -> Self {
-        let mut params = CertificateParams::new([]).unwrap();
+    pub(crate) fn new() -> Self {
+        let mut params = CertificateParams::new(["localhost".to_owned()]).unwrap();
         params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
         let key = KeyPair::generate().unwrap();
         let certificate = params.self_signed(&key).unwrap();
@@ -44,15 +44,20 @@ impl Authority {
         tonic::transport::Certificate::from_pem(self.certificate.pem())
     }
 
+    /// The authority's own certificate, which names localhost too, and its key, as PEM.
+    pub(crate) fn itself(&self) -> (String, String) {
+        (self.certificate.pem(), self.issuer.key().serialize_pem())
+    }
+
     /// A new certificate and its key, as PEM.
-    fn sign(&self) -> (String, String) {
+    pub(crate) fn sign(&self) -> (String, String) {
         let key = KeyPair::generate().unwrap();
         let params = CertificateParams::new(["localhost".to_owned()]).unwrap();
         (params.signed_by(&key, &self.issuer).unwrap().pem(), key.serialize_pem())
     }
 }
 
-fn write(directory: &Path, (certificate, key): &(String, String)) -> SecurityFiles {
+pub(crate) fn write(directory: &Path, (certificate, key): &(String, String)) -> SecurityFiles {
     let files = SecurityFiles {
         tls_certificate: directory.join("certificate.pem"),
         tls_key: directory.join("key.pem"),
@@ -63,7 +68,7 @@ fn write(directory: &Path, (certificate, key): &(String, String)) -> SecurityFil
     files
 }
 
-fn setup(files: &SecurityFiles) -> (Setup, Arc<Security>) {
+pub(crate) fn setup(files: &SecurityFiles) -> (Setup, Arc<Security>) {
     let security = Arc::new(Security::open(files).unwrap());
     let serving = Serving { security: security.clone(), ..Serving::default() };
     (Setup { serving, ..Setup::default() }, security)

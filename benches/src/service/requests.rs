@@ -3,13 +3,11 @@
 use std::error::Error;
 
 use bytes::Bytes;
-use hullcast::store::{self, identity::id_of};
+use hullcast_client::{Client, Hull};
 use hullcast_contact::workload::{Family, Regime, Workload};
 use hullcast_contact::{Body, ConvexHull, Pose, Query, Workspace, contact_manifold};
-use hullcast_proto::hull_service_client::HullServiceClient;
-use hullcast_proto::{HullDefinition, Output, QueryContactsRequest, RegisterHullsRequest};
+use hullcast_proto::{Output, QueryContactsRequest};
 use prost::Message;
-use tonic::transport::Endpoint;
 
 use crate::cells::MARGIN;
 
@@ -28,15 +26,8 @@ impl Batch {
 
     /// Registers the hulls with the server.
     pub async fn register(&self, address: &str) -> Result<(), Box<dyn Error>> {
-        let channel = Endpoint::from_shared(format!("http://{address}"))?.connect().await?;
-        let hulls = self
-            .workload
-            .hulls
-            .iter()
-            .map(|points| HullDefinition { vertices: points.as_flattened().to_vec(), ..Default::default() });
-        HullServiceClient::new(channel)
-            .register_hulls(RegisterHullsRequest { hulls: hulls.collect() })
-            .await?;
+        let hulls: Vec<Hull> = self.workload.hulls.iter().map(|points| Hull::new(points.clone())).collect();
+        Client::connect(address).await?.put(&hulls).await?;
         Ok(())
     }
 
@@ -56,10 +47,7 @@ impl Batch {
     pub fn request(&self, outputs: &[Output]) -> QueryContactsRequest {
         let pairs = &self.workload.pairs;
         let used = self.used_hulls();
-        let id = |&hull: &usize| {
-            let points = self.workload.hulls[hull].clone();
-            id_of(&store::HullDefinition { points, ..Default::default() }.identity_bytes()).0.to_vec()
-        };
+        let id = |&hull: &usize| Hull::new(self.workload.hulls[hull].clone()).id().0.to_vec();
         let place = |hull| used.partition_point(|&other| other < hull) as u32;
         QueryContactsRequest {
             hull_ids: used.iter().map(id).collect(),

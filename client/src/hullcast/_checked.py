@@ -2,7 +2,7 @@
 
 A server of another implementation, a proxy or a cache may send the response to another request, or
 columns that contradict each other. Every such defect raises `ServerError` with the reason
-MALFORMED_ANSWER. The command line makes the same checks (`src/cli/checked.rs`).
+MALFORMED_ANSWER. The Rust client makes the same checks (`crates/client/src/checked.rs`).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Explains why a server cannot be reached: turns gRPC's text into a cause and a remedy.
 
-The command line gives the same explanations (`src/cli/reach.rs`).
+The Rust client gives the same explanations (`crates/client/src/reach.rs`).
 """
 
 from __future__ import annotations

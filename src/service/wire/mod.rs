@@ -10,7 +10,7 @@ mod info;
 mod request;
 mod status;
 
-pub use columns::{append, response, response_columns};
+pub use columns::{response, response_columns};
 pub(super) use decode::{Bounds, Request};
 #[cfg(feature = "testing")]
 pub use decode::{CONSTANT_BYTES, decoded_bytes};

@@ -1,9 +1,9 @@
-//! Decides which certificates of servers are trusted if the user gives a file of certificates.
+//! Decides which certificates of servers are trusted if the caller names the certificates to trust.
 //!
 //! A self-signed certificate, as `openssl req -x509` makes it, is marked as the certificate of an
 //! authority. The usual rules (RFC 5280) do not accept the certificate of an authority as that of a
-//! server. But the user has named this very certificate, and other gRPC clients accept it. So it is
-//! accepted if the file contains it byte for byte, it is valid now, and it names the server.
+//! server. But the caller has named this very certificate, and other gRPC clients accept it. So it is
+//! accepted if the PEM text contains it byte for byte, it is valid now, and it names the server.
 
 use std::sync::Arc;
 
@@ -19,7 +19,7 @@ use tokio_rustls::rustls::{
     server::ParsedCertificate,
 };
 
-/// Trusts the certificates of a file, and those that they have signed.
+/// Trusts the certificates of a PEM text, and those that they have signed.
 #[derive(Debug)]
 pub(crate) struct Trust {
     usual: Arc<WebPkiServerVerifier>,
@@ -27,7 +27,7 @@ pub(crate) struct Trust {
 }
 
 impl Trust {
-    /// Reads the authorities from the content of a PEM file.
+    /// Reads the authorities from a PEM text.
     ///
     /// # Errors
     /// The text says what is wrong with the content.
@@ -105,8 +105,8 @@ mod tests {
         params.self_signed(&KeyPair::generate().unwrap()).unwrap()
     }
 
-    /// Catches a certificate that is trusted although it is not in the file, names another server
-    /// or has expired, and one that is in the file and is refused.
+    /// Catches a certificate that is trusted although it was not given, names another server
+    /// or has expired, and one that was given and is refused.
     #[test]
     fn the_given_certificate_itself_is_trusted_and_no_other() {
         let (own, other, expired) = (self_signed(4000), self_signed(4000), self_signed(2001));

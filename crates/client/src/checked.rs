@@ -4,13 +4,9 @@
 //! columns that do not fit together. The Python client makes the same checks
 //! (`client/src/hullcast/_checked.py`).
 
-use hullcast::batch::{
-    Output, Outputs,
-    columns::{Per, Values},
-};
-use hullcast::proto::{self, Flag, Outcome};
-use hullcast::service::wire::response_columns;
-use hullcast::store::HullId;
+use hullcast_proto::{FeatureKind, Flag, Outcome, Output, QueryContactsRequest, QueryContactsResponse};
+
+use crate::columns::{Outputs, Per, lengths};
 
 /// The flags that explain why a pair is INVALID.
 const REASONS: u8 = Flag::UnknownHull as u8 | Flag::HullUnavailable as u8 | Flag::InvalidBody as u8;
@@ -21,10 +17,24 @@ const KNOWN_FLAGS: u8 = 127;
 /// A normal's squared length may differ from 1 by this much.
 const NORMAL_ERROR: f64 = 1e-6;
 
-/// An answer that no correct server gives to the request.
+/// An answer that no correct server gives to the request. The text names the column and the index at fault.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the server's answer is malformed: {0}")]
-pub(crate) struct Malformed(String);
+pub struct Malformed(String);
+
+impl Malformed {
+    pub(crate) fn new(text: impl Into<String>) -> Self {
+        Self(text.into())
+    }
+
+    /// Fails unless an answer has one result for each element of the request.
+    pub(crate) fn unless_one_each(name: &str, found: usize, asked: usize) -> Result<(), Self> {
+        if found == asked {
+            return Ok(());
+        }
+        malformed(format!("{name} has {found} entries, expected {asked}"))
+    }
+}
 
 fn malformed<T>(text: impl Into<String>) -> Result<T, Malformed> {
     Err(Malformed(text.into()))
@@ -35,51 +45,117 @@ fn malformed<T>(text: impl Into<String>) -> Result<T, Malformed> {
 /// # Errors
 /// The first defect found, with its column and index.
 pub(crate) fn answer(
-    request: &proto::QueryContactsRequest,
-    response: &proto::QueryContactsResponse,
+    request: &QueryContactsRequest,
+    response: &QueryContactsResponse,
 ) -> Result<(), Malformed> {
+    checked(&Asked::of(request, &request.pairs, false), response)
+}
+
+/// The state of the checks from one message of a search to the next.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Found {
+    /// The last pair of the messages so far; `None` before the first pair.
+    last: Option<[u32; 2]>,
+    /// Whether a message was checked before.
+    has_begun: bool,
+}
+
+impl Found {
+    /// Checks the next message of a search for pairs.
+    ///
+    /// # Errors
+    /// The first defect found, with its column and index.
+    pub(crate) fn check(
+        &mut self,
+        request: &QueryContactsRequest,
+        response: &QueryContactsResponse,
+    ) -> Result<(), Malformed> {
+        let (pairs, rest) = response.pairs.as_chunks::<2>();
+        if !rest.is_empty() {
+            return malformed(format!("pairs has {} entries, expected 2 per pair", response.pairs.len()));
+        }
+        for (at, &[a, b]) in pairs.iter().enumerate() {
+            if a >= b || b as usize >= request.body_hulls.len() {
+                let bodies = request.body_hulls.len();
+                return malformed(format!(
+                    "pairs[{at}] is {a}, {b}: expected two bodies of {bodies}, the lower first"
+                ));
+            }
+            if self.last.is_some_and(|last| last >= [a, b]) {
+                return malformed(format!("pairs[{at}] is not after the pair before it"));
+            }
+            self.last = Some([a, b]);
+        }
+        if self.has_begun && !(response.missing_hulls.is_empty() && response.invalid_bodies.is_empty()) {
+            return malformed("missing_hulls or invalid_bodies is in a message after the first");
+        }
+        self.has_begun = true;
+        checked(&Asked::of(request, &response.pairs, true), response)?;
+        let is_near = |&outcome: &u8| [Outcome::Contact as u8, Outcome::Undecided as u8].contains(&outcome);
+        match response.outcomes.iter().position(|outcome| !is_near(outcome)) {
+            None => Ok(()),
+            Some(at) => malformed(format!(
+                "outcomes[{at}] is {}, expected 1 or 3 of a found pair",
+                response.outcomes[at]
+            )),
+        }
+    }
+}
+
+/// The request and the pairs that an answer has to fit.
+struct Asked<'a> {
+    request: &'a QueryContactsRequest,
+    outputs: Outputs,
+    /// The bodies of the pairs that are answered, 2 per pair.
+    pairs: &'a [u32],
+    /// Whether the server found the pairs.
+    is_search: bool,
+}
+
+impl<'a> Asked<'a> {
+    fn of(request: &'a QueryContactsRequest, pairs: &'a [u32], is_search: bool) -> Self {
+        Self { request, outputs: Outputs::of(request), pairs, is_search }
+    }
+}
+
+fn checked(asked: &Asked<'_>, response: &QueryContactsResponse) -> Result<(), Malformed> {
+    let request = asked.request;
     if response.request_id != request.request_id {
         return malformed(format!(
             "request_id is {}, expected {}: it answers another request",
             response.request_id, request.request_id
         ));
     }
-    let asked = asked(request);
-    lengths(asked, request.pairs.len() / 2, response)?;
+    sizes(asked, response)?;
     ascending("missing_hulls", &response.missing_hulls, request.hull_ids.len())?;
     ascending("invalid_bodies", &response.invalid_bodies, request.body_hulls.len())?;
     for pair in 0..response.outcomes.len() {
-        outcome(request, response, pair)?;
-        numbers(asked, response, pair)?;
+        outcome(asked, response, pair)?;
+        numbers(asked.outputs, response, pair)?;
     }
-    for (column, values) in response_columns(response) {
-        if let (Per::Point, Values::F64(values)) = (column.per, values)
-            && let Some(at) = values.iter().position(|value| !value.is_finite())
-        {
-            return malformed(format!("{}[{at}] is {}, expected a finite number", column.name, values[at]));
+    for (name, values) in [
+        ("witness_as", &response.witness_as),
+        ("distances", &response.distances),
+        ("witness_bs", &response.witness_bs),
+    ] {
+        if let Some(at) = values.iter().position(|value| !value.is_finite()) {
+            return malformed(format!("{name}[{at}] is {}, expected a finite number", values[at]));
         }
     }
     Ok(())
 }
 
-/// The outputs that a request asks for.
-fn asked(request: &proto::QueryContactsRequest) -> Outputs {
-    if request.outputs.is_empty() {
-        return Outputs::default();
-    }
-    Outputs::of(request.outputs.iter().filter_map(|&output| Output::from_number(output)))
-}
-
 /// Checks every column's length.
-fn lengths(asked: Outputs, pairs: usize, response: &proto::QueryContactsResponse) -> Result<(), Malformed> {
+fn sizes(asked: &Asked<'_>, response: &QueryContactsResponse) -> Result<(), Malformed> {
     let points: usize = response.point_counts.iter().map(|&count| count as usize).sum();
-    for (column, values) in response_columns(response) {
+    for (column, length) in lengths(response) {
         // A server of the first version of the contract does not send a later column.
-        let lacks = column.is_later && values.is_empty();
-        let rows = if column.per == Per::Point { points } else { pairs };
-        let wanted = if column.is_sent(asked) && !lacks { rows * column.width } else { 0 };
-        if values.len() != wanted {
-            return malformed(format!("{} has {} entries, expected {wanted}", column.name, values.len()));
+        let lacks = column.is_later && length == 0;
+        let rows = if column.per == Per::Point { points } else { asked.pairs.len() / 2 };
+        let is_sent = column.is_sent(asked.outputs, asked.is_search) && !lacks;
+        let wanted = if is_sent { rows * column.width } else { 0 };
+        if length != wanted {
+            return malformed(format!("{} has {length} entries, expected {wanted}", column.name));
         }
     }
     Ok(())
@@ -96,11 +172,7 @@ fn ascending(name: &str, column: &[u32], count: usize) -> Result<(), Malformed> 
 }
 
 /// Checks a pair's outcome against its flags, its bodies and its number of points.
-fn outcome(
-    request: &proto::QueryContactsRequest,
-    response: &proto::QueryContactsResponse,
-    pair: usize,
-) -> Result<(), Malformed> {
+fn outcome(asked: &Asked<'_>, response: &QueryContactsResponse, pair: usize) -> Result<(), Malformed> {
     let (outcome, flags) = (i32::from(response.outcomes[pair]), response.flags[pair]);
     if !(Outcome::Contact as i32..=Outcome::Invalid as i32).contains(&outcome) {
         return malformed(format!("outcomes[{pair}] is {outcome}, expected 1 to 4"));
@@ -110,13 +182,13 @@ fn outcome(
     if invalid != (flags & REASONS != 0) && !(invalid && explained) {
         return malformed(format!("flags[{pair}] is {flags}, which does not fit outcome {outcome}"));
     }
-    let bodies = [request.pairs[2 * pair], request.pairs[2 * pair + 1]];
+    let bodies = [asked.pairs[2 * pair], asked.pairs[2 * pair + 1]];
     let unusable = bodies.iter().any(|body| response.invalid_bodies.binary_search(body).is_ok());
     if unusable != (flags & Flag::InvalidBody as u8 != 0) {
         return malformed(format!("flags[{pair}] does not fit invalid_bodies"));
     }
     let lacks = |&body: &u32| {
-        let hull = request.body_hulls.get(body as usize);
+        let hull = asked.request.body_hulls.get(body as usize);
         hull.is_some_and(|hull| response.missing_hulls.binary_search(hull).is_ok())
     };
     if flags & HULL_REASONS != 0 && !bodies.iter().any(lacks) {
@@ -132,10 +204,10 @@ fn outcome(
 }
 
 /// Checks that a pair's numbers are finite and in order, unless the pair is INVALID.
-fn numbers(asked: Outputs, response: &proto::QueryContactsResponse, pair: usize) -> Result<(), Malformed> {
-    if asked.features {
+fn numbers(outputs: Outputs, response: &QueryContactsResponse, pair: usize) -> Result<(), Malformed> {
+    if outputs.has(Output::Features) {
         for (side, kind) in response.feature_kinds[2 * pair..][..2].iter().enumerate() {
-            if *kind > proto::FeatureKind::Face as u8 {
+            if *kind > FeatureKind::Face as u8 {
                 return malformed(format!("feature_kinds[{}] is {kind}, expected 0 to 3", 2 * pair + side));
             }
         }
@@ -143,14 +215,14 @@ fn numbers(asked: Outputs, response: &proto::QueryContactsResponse, pair: usize)
     if i32::from(response.outcomes[pair]) == Outcome::Invalid as i32 {
         return Ok(());
     }
-    if asked.alpha {
+    if outputs.has(Output::Alpha) {
         let (alpha, lower, upper) =
             (response.alphas[pair], response.alpha_lowers[pair], response.alpha_uppers[pair]);
         if !(alpha.is_finite() && 0.0 <= lower && lower <= alpha && alpha <= upper) {
             return malformed(format!("alphas[{pair}] is {alpha}, outside its bracket {lower} to {upper}"));
         }
     }
-    if asked.normal {
+    if outputs.has(Output::Normal) {
         let separation = response.separations[pair];
         if !separation.is_finite() {
             return malformed(format!("separations[{pair}] is {separation}, expected a finite number"));
@@ -168,50 +240,28 @@ fn numbers(asked: Outputs, response: &proto::QueryContactsResponse, pair: usize)
     }
 }
 
-/// Checks the id that a server gives to a hull against the hash of the hull's content.
-///
-/// # Errors
-/// The server gave a different id.
-pub(crate) fn registered(hull: usize, content: HullId, id: &[u8]) -> Result<HullId, Malformed> {
-    if id == content.0 {
-        return Ok(content);
-    }
-    malformed(format!("the id of hulls[{hull}] is not the hash of the hull's content, {content}"))
-}
-
-/// Checks the number of results of a registration.
-///
-/// # Errors
-/// Their number differs from that of the hulls.
-pub(crate) fn registrations(hulls: usize, results: usize) -> Result<(), Malformed> {
-    if hulls == results {
-        return Ok(());
-    }
-    malformed(format!("{results} results for {hulls} hulls"))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    type Defect = (&'static str, fn(&mut proto::QueryContactsResponse));
+    type Defect = (&'static str, fn(&mut QueryContactsResponse));
 
-    fn asked() -> proto::QueryContactsRequest {
-        proto::QueryContactsRequest {
+    fn asked() -> QueryContactsRequest {
+        QueryContactsRequest {
             request_id: 7,
             hull_ids: vec![vec![0; 32], vec![1; 32]],
             body_hulls: vec![0, 1, 0],
             pairs: vec![0, 2, 0, 1],
-            outputs: Output::ALL.iter().map(|&output| output as i32).collect(),
+            outputs: (Output::Outcome as i32..=Output::Diagnostics as i32).collect(),
             ..Default::default()
         }
     }
 
     /// The answer for two pairs: a contact with one point, and a pair whose hull is missing and whose body
     /// is unusable.
-    fn good() -> proto::QueryContactsResponse {
+    fn good() -> QueryContactsResponse {
         let nan = f64::NAN;
-        proto::QueryContactsResponse {
+        QueryContactsResponse {
             request_id: 7,
             outcomes: vec![1, 4],
             flags: vec![0, 16 | 64],
@@ -296,13 +346,65 @@ mod tests {
         assert_eq!(answer(&asked(), &older), Ok(()));
     }
 
-    /// Catches a hull that is mistaken for another.
+    /// Catches a search whose pairs are repeated, out of order or out of range, or are not near each other.
     #[test]
-    fn ids_are_the_contents_hash() {
-        let content = HullId([3; 32]);
-        assert_eq!(registered(0, content, &[3; 32]), Ok(content));
-        assert!(registered(5, content, &[4; 32]).expect_err("another").0.contains("hulls[5]"));
-        assert!(registered(5, content, &[3; 31]).is_err());
-        assert!(registrations(2, 1).is_err() && registrations(2, 2).is_ok());
+    fn every_defect_of_a_search_is_named() {
+        let request = QueryContactsRequest { pairs: vec![], ..asked() };
+        let first = || {
+            let mut first = good();
+            for column in [&mut first.outcomes, &mut first.flags] {
+                column.truncate(1);
+            }
+            for column in [
+                &mut first.alphas,
+                &mut first.alpha_lowers,
+                &mut first.alpha_uppers,
+                &mut first.separations,
+                &mut first.kept_areas,
+            ] {
+                column.truncate(1);
+            }
+            first.normals.truncate(3);
+            first.point_counts.truncate(1);
+            first.feature_kinds.truncate(2);
+            first.feature_indices.truncate(4);
+            first.bases.truncate(6);
+            first.iterations.truncate(1);
+            first.support_calls.truncate(1);
+            first.missing_hulls.clear();
+            first.invalid_bodies.clear();
+            QueryContactsResponse { pairs: vec![0, 2], ..first }
+        };
+        let next = || QueryContactsResponse { pairs: vec![1, 2], ..first() };
+        let checked = |messages: &[QueryContactsResponse]| {
+            let mut found = Found::default();
+            messages.iter().try_for_each(|message| found.check(&request, message))
+        };
+        assert_eq!(checked(&[first(), next()]), Ok(()));
+        let defects: &[Defect] = &[
+            ("request_id", |r| r.request_id = 8),
+            ("pairs has 1", |r| r.pairs.truncate(1)),
+            ("pairs[0] is 2, 1", |r| r.pairs = vec![2, 1]),
+            ("pairs[0] is 1, 3", |r| r.pairs = vec![1, 3]),
+            ("pairs[0] is not after", |r| r.pairs = vec![0, 2]),
+            ("pairs[0] is not after", |r| r.pairs = vec![0, 1]),
+            ("missing_hulls", |r| r.missing_hulls = vec![1]),
+            ("invalid_bodies", |r| r.invalid_bodies = vec![0]),
+            ("outcomes[0]", |r| (r.outcomes, r.point_counts) = (vec![2], vec![0])),
+            ("outcomes has 0", |r| r.outcomes.clear()),
+        ];
+        for (name, spoil) in defects {
+            let mut message = next();
+            spoil(&mut message);
+            // A separated pair has no points.
+            if message.point_counts == [0] {
+                for column in [&mut message.witness_as, &mut message.witness_bs, &mut message.distances] {
+                    column.clear();
+                }
+                message.point_ids.clear();
+            }
+            let error = checked(&[first(), message]).expect_err(name);
+            assert!(error.0.contains(name), "{name}: {error}");
+        }
     }
 }

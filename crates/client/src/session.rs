@@ -1,0 +1,158 @@
+//! Loops over the same bodies and pairs, in which every step sends only new poses.
+
+use hullcast_proto::{QueryContactsRequest, QueryContactsResponse};
+use tokio::sync::mpsc;
+use tokio_stream::{StreamExt, wrappers::ReceiverStream};
+use tonic::{Request, Streaming};
+
+use crate::client::{Deadline, by};
+use crate::query::MAX_REGISTRATIONS;
+use crate::{Client, Error, Hull, checked};
+
+/// The reasons for which a message that inherits is refused, and a whole request on a new stream is not.
+const SEND_WHOLE: &[&str] = &["NOTHING_TO_INHERIT", "STATE_NOT_KEPT", "STOPPING"];
+/// The values of a basis per pair.
+const BASIS: usize = 6;
+
+/// Steps of a simulation: the same bodies and pairs, with new poses in each step ([`Client::session`]).
+///
+/// The first step sends the whole request. Each later step sends only the poses, and the server starts the
+/// solver from the bases of the step before it. If the server is lost, or has dropped the state of the
+/// session, the step is repeated on a new stream with the whole request. Its bases are then those of the last
+/// answer if the request asks for the output BASES; otherwise the server starts without bases, which may
+/// change the last digits of an answer.
+///
+/// A session makes one step at a time. Several sessions may share a [`Client`]. Dropping a session ends its
+/// stream.
+#[derive(Debug)]
+pub struct Session {
+    client: Client,
+    request: QueryContactsRequest,
+    hulls: Vec<Hull>,
+    /// The stream, while it has no answer under way. A step that fails or is dropped leaves none.
+    stream: Option<Stream>,
+}
+
+#[derive(Debug)]
+struct Stream {
+    requests: mpsc::Sender<QueryContactsRequest>,
+    answers: Streaming<QueryContactsResponse>,
+}
+
+impl Client {
+    /// Begins a session with the bodies, pairs and options of `request`; its poses are replaced by those of
+    /// the first step. Nothing is sent before the first step.
+    ///
+    /// `hulls` are registered again if the server has lost them, for example because it was restarted with an
+    /// empty store; they may be empty. The number of pairs is bounded by the server's
+    /// `max_pairs_per_request`: use several sessions for more.
+    pub fn session(&self, request: QueryContactsRequest, hulls: Vec<Hull>) -> Session {
+        Session { client: self.clone(), request, hulls, stream: None }
+    }
+}
+
+impl Session {
+    /// Moves the bodies and answers the pairs.
+    ///
+    /// `positions` are the world positions of the hulls' origins, and `rotations` the quaternions x, y, z, w:
+    /// one each per body. The answer has the columns of [`Client::query`]; its `request_id` is that of the
+    /// session's request.
+    ///
+    /// # Errors
+    /// [`Error::WrongLength`] if there is not one pose per body; [`Error::Refused`] if the request is malformed
+    /// or over a limit; [`Error::TimedOut`] or [`Error::Lost`] if no server answers in time. The session can
+    /// be used again after any error.
+    pub async fn step(
+        &mut self,
+        positions: &[[f64; 3]],
+        rotations: &[[f64; 4]],
+    ) -> Result<QueryContactsResponse, Error> {
+        let bodies = self.request.body_hulls.len();
+        for (field, found) in [("positions", positions.len()), ("rotations", rotations.len())] {
+            if found != bodies {
+                return Err(Error::WrongLength { field, found, expected: bodies });
+            }
+        }
+        self.request.positions = positions.as_flattened().to_vec();
+        self.request.rotations = rotations.as_flattened().to_vec();
+        let deadline = self.client.deadline();
+        let mut answer = self.answered(deadline).await?;
+        for _ in 0..MAX_REGISTRATIONS {
+            let client = self.client.clone();
+            if !client.restored(deadline, &self.request, &answer, &self.hulls).await? {
+                break;
+            }
+            // A message that inherits would start from the bases of pairs without an answer.
+            self.stream = None;
+            answer = self.answered(deadline).await?;
+        }
+        if !answer.bases.is_empty() {
+            self.request.warm_starts.clone_from(&answer.bases);
+        }
+        Ok(answer)
+    }
+
+    /// One step, repeated as the settings of the connection say.
+    async fn answered(&mut self, deadline: Deadline) -> Result<QueryContactsResponse, Error> {
+        let mut losses = 0;
+        loop {
+            let inherits = self.stream.is_some();
+            let error = match by(deadline, self.attempt()).await? {
+                Ok(answer) => return Ok(answer),
+                Err(error) => error,
+            };
+            // A server that drains ends its streams between two steps, so the first repetition is at once.
+            if inherits && (error.is_for(SEND_WHOLE) || matches!(error, Error::Lost(_))) {
+                continue;
+            }
+            let Some(pause) = self.client.pause_after(&error, &mut losses) else { return Err(error) };
+            if deadline.is_some_and(|deadline| tokio::time::Instant::now() + pause >= deadline) {
+                return Err(error);
+            }
+            tokio::time::sleep(pause).await;
+        }
+    }
+
+    /// Sends one message and reads its answer. The stream stays only if both succeed.
+    async fn attempt(&mut self) -> Result<QueryContactsResponse, Error> {
+        let request_id = Client::next_request_id();
+        let mut stream = match self.stream.take() {
+            Some(stream) => {
+                let message = QueryContactsRequest {
+                    request_id,
+                    inherit: true,
+                    positions: self.request.positions.clone(),
+                    rotations: self.request.rotations.clone(),
+                    ..Default::default()
+                };
+                // If the stream has ended, its receiving half has the reason.
+                let _ = stream.requests.send(message).await;
+                stream
+            }
+            None => self.open(request_id).await?,
+        };
+        let answer = stream.answers.message().await?;
+        let mut answer = answer.ok_or_else(|| Error::Lost("the server ended the session".into()))?;
+        let asked = std::mem::replace(&mut self.request.request_id, request_id);
+        let verdict = checked::answer(&self.request, &answer);
+        self.request.request_id = asked;
+        verdict?;
+        answer.request_id = asked;
+        self.stream = Some(stream);
+        Ok(answer)
+    }
+
+    /// Opens a stream whose first message is the whole request.
+    async fn open(&self, request_id: u64) -> Result<Stream, Error> {
+        let pairs = self.request.pairs.len() / 2;
+        let mut message = QueryContactsRequest { request_id, ..self.request.clone() };
+        if message.warm_starts.len() != BASIS * pairs {
+            message.warm_starts.clear();
+        }
+        let (requests, waiting) = mpsc::channel(1);
+        let messages = tokio_stream::once(message).chain(ReceiverStream::new(waiting));
+        let mut stub = self.client.contacts();
+        let answers = stub.stream_contacts(Request::new(messages)).await?.into_inner();
+        Ok(Stream { requests, answers })
+    }
+}
