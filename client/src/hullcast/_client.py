@@ -83,7 +83,7 @@ class Client(_calls.Calls):
         make = partial(
             Registration.of, hulls, contraction_points, max_vertices, max_deviation, planarity
         )
-        return self._run(self._registering(make, timeout))
+        return self._run(self._registering(make, timeout), timeout)
 
     def query(
         self,
@@ -138,7 +138,7 @@ class Client(_calls.Calls):
             warm=warm,
             on_invalid=on_invalid,
         )
-        return self._run(self._querying(make, timeout))
+        return self._run(self._querying(make, timeout), timeout)
 
     def find(
         self,
@@ -173,7 +173,7 @@ class Client(_calls.Calls):
             on_invalid=on_invalid,
             find=True,
         )
-        return self._run(self._finding(make, timeout))
+        return self._run(self._finding(make, timeout), timeout)
 
     def session(
         self,
@@ -206,7 +206,7 @@ class Client(_calls.Calls):
 
     def info(self, *, timeout: float | None = None) -> ServerInfo:
         """Asks the server for its version, instruction set, threads and limits."""
-        return self._run(self._informing(timeout))
+        return self._run(self._informing(timeout), timeout)
 
     def ping(self, *, timeout: float | None = None) -> float:
         """Measures the seconds that the server takes to answer a small call.
@@ -214,11 +214,11 @@ class Client(_calls.Calls):
         Raises:
             ServerError: the server did not answer; usually `Unavailable` or `DeadlineExceeded`.
         """
-        return self._run(self._pinging(timeout))
+        return self._run(self._pinging(timeout), timeout)
 
     def hulls(self, *, timeout: float | None = None) -> list[StoredHull]:
         """Lists every hull in the server's store, sorted by id."""
-        return self._run(self._listing(timeout))
+        return self._run(self._listing(timeout), timeout)
 
     def delete(self, hulls: Any, *, timeout: float | None = None) -> list[bool]:
         """Removes hulls from the server's store. They can always be registered again.
@@ -231,12 +231,12 @@ class Client(_calls.Calls):
         Returns:
             For each hull, whether it was in the store.
         """
-        return self._run(self._deleting(hulls, timeout))
+        return self._run(self._deleting(hulls, timeout), timeout)
 
     def _open(self) -> _link.Link:
         return _blocking.Link(self._settings.open(grpc), self._settings.metadata)
 
-    def _run(self, steps: _link.Steps[T]) -> T:
+    def _run(self, steps: _link.Steps[T], timeout: float | None = None) -> T:
         try:
             waited_for = next(steps)
             while True:
@@ -251,7 +251,7 @@ class Client(_calls.Calls):
         except StopIteration as done:
             return done.value
         except _errors.DeadlineExceeded as error:
-            self._explain(error)
+            self._explain(error, timeout)
             raise
         finally:
             steps.close()
@@ -309,7 +309,8 @@ class Session(_session.Steps):
         Raises:
             InvalidPoses, InvalidArgument, ServerError: as for `Client.query`.
         """
-        return self._calls._run(self._stepping(positions, rotations, timeout))
+        steps = self._stepping(positions, rotations, timeout)
+        return self._calls._run(steps, timeout)
 
     def __enter__(self) -> Self:
         return self

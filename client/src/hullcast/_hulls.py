@@ -17,7 +17,7 @@ from ._errors import Error, InvalidArgument
 from ._settled import freeze
 
 if TYPE_CHECKING:
-    from ._channel import Settings
+    from ._connection import Home
 
 
 #: The planarity that `register` sends by default, as a fraction of the circumradius. It was
@@ -96,9 +96,9 @@ class Hull:
     planarity: float = field(compare=False, repr=False)
     #: The points and options with which the hull was registered.
     content: Content = field(compare=False, repr=False)
-    #: The settings of the client that registered the hull. They are not pickled, because they
-    #: contain the token.
-    home: Settings | None = field(default=None, compare=False, repr=False)
+    #: How to reach the server of the client that registered the hull. It is not pickled, because it
+    #: contains the token.
+    home: Home | None = field(default=None, compare=False, repr=False)
 
     @cached_property
     def faces(self) -> tuple[npt.NDArray[np.uint32], ...]:
@@ -118,7 +118,7 @@ class Hull:
             )
         from ._client import Client
 
-        with Client(self.home) as client:
+        with Client._of_home(self.home) as client:
             return client._run(client._facing(self))
 
     def __post_init__(self) -> None:

@@ -5,16 +5,19 @@ from __future__ import annotations
 import numbers
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from . import _arguments, _arrays, _channel, _checked, _convexity, _files, _mesh, _packed
+from . import _arguments, _arrays, _checked, _convexity, _files, _mesh, _packed
 from ._arguments import counted, is_masked, is_real, iterable, kind, plain
 from ._errors import HullRejected, InvalidArgument
 from ._hulls import Content, Hull, Planarity, faces_of, mesh_of, planarity_of, points_of
 from ._pb import hulls_pb2
 from ._query import Span
+
+if TYPE_CHECKING:
+    from ._connection import Home
 
 #: The number of bytes of vertices in one message. It is far below the server's message limit, and
 #: large enough that the cost of the call is small beside that of the hulls.
@@ -135,14 +138,12 @@ class Registration:
             index=place,
         )
 
-    def read(
-        self, answers: Mapping[Span, bytes], home: _channel.Settings | None = None
-    ) -> list[Hull]:
+    def read(self, answers: Mapping[Span, bytes], home: Home | None = None) -> list[Hull]:
         """Reads the hulls from the responses, in the order of the call.
 
         Args:
             answers: the response to each message.
-            home: the settings of the client that registers the hulls.
+            home: how to reach the server of the client that registers the hulls.
 
         Raises:
             HullRejected: the server refused some hulls; the error has the others.
@@ -304,7 +305,7 @@ def _rejected(place: int, error: hulls_pb2.HullError, labels: Sequence[str]) -> 
     )
 
 
-def _hull(info: hulls_pb2.HullInfo, content: Content, home: _channel.Settings | None) -> Hull:
+def _hull(info: hulls_pb2.HullInfo, content: Content, home: Home | None) -> Hull:
     xx, yy, zz, xy, xz, yz = info.inertia
     return Hull(
         id=info.id,

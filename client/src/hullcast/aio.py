@@ -90,7 +90,7 @@ class Client(_calls.Calls):
     def _open(self) -> _link.Link:
         return _Link(self._settings.open(grpc.aio), self._settings.metadata)
 
-    async def _drive(self, steps: _link.Steps[T]) -> T:
+    async def _drive(self, steps: _link.Steps[T], timeout: float | None) -> T:
         try:
             waited_for = next(steps)
             while True:
@@ -105,13 +105,13 @@ class Client(_calls.Calls):
         except StopIteration as done:
             return done.value
         except _errors.DeadlineExceeded as error:
-            self._explain(error)
+            self._explain(error, timeout)
             raise
         finally:
             steps.close()
 
-    def _run(self, steps: _link.Steps[T]) -> T:
-        return self._drive(steps)  # type: ignore[return-value]
+    def _run(self, steps: _link.Steps[T], timeout: float | None = None) -> T:
+        return self._drive(steps, timeout)  # type: ignore[return-value]
 
     async def close(self) -> None:
         """Closes the connection, and ends the server if `serve` started it."""
