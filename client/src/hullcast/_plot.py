@@ -186,7 +186,7 @@ def _draw_contacts(axes: Any, normals: Floats, points: Columns, colour: Any, siz
 
 
 def _colour_bar(figure: Any, axes: Any, colour: Any, *, is_own: bool) -> None:
-    """Draws the scale of the distances, with room for the axes' names, which are outside of them."""
+    """Draws the scale of the distances, with room for the names outside of the axes."""
     label = "distance (negative: overlapping)"
     if is_own:
         figure.colorbar(colour, ax=axes, shrink=0.6, pad=0.12, label=label)
