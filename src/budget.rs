@@ -15,7 +15,7 @@ use std::sync::{Arc, Mutex};
 
 pub use caller::{Caller, CallerKey, CallerStream, Callers, is_reserved_name};
 pub(crate) use hullcast_batch::ById;
-pub use shares::{Refusal, Shares, Slot, Slots};
+pub use shares::{ShareRefusal, Shares, Slot, Slots};
 
 use thiserror::Error;
 
@@ -69,14 +69,14 @@ pub struct NoMemory {
     /// The part for which the memory was requested.
     pub part: Part,
     /// Whether a retry can succeed.
-    pub refusal: Refusal,
+    pub refusal: ShareRefusal,
 }
 
 /// The refusal as a sentence.
-fn refused(refusal: Refusal) -> &'static str {
+fn refused(refusal: ShareRefusal) -> &'static str {
     match refusal {
-        Refusal::Busy => "the memory budget has no room for this caller now",
-        Refusal::TooLarge => "the call needs more memory than one caller may hold",
+        ShareRefusal::Busy => "the memory budget has no room for this caller now",
+        ShareRefusal::TooLarge => "the call needs more memory than one caller may hold",
     }
 }
 
@@ -272,7 +272,7 @@ impl Permit {
             && shares.take(caller, more).is_err()
         {
             state.shares.give_back(caller, more);
-            return Err(refused(Refusal::Busy));
+            return Err(refused(ShareRefusal::Busy));
         }
         state.parts[self.part as usize] += more;
         Ok(())
@@ -295,7 +295,7 @@ mod tests {
         let caller = Caller::alone();
         let budget = MemoryBudget::new(1000, false, &[(Part::Arriving, 300)]);
         let mut arriving = budget.take(&caller, Part::Arriving, 200).unwrap();
-        assert_eq!(arriving.grow(101), Err(NoMemory { part: Part::Arriving, refusal: Refusal::Busy }));
+        assert_eq!(arriving.grow(101), Err(NoMemory { part: Part::Arriving, refusal: ShareRefusal::Busy }));
         arriving.grow(100).unwrap();
         let answers = budget.take(&caller, Part::Answers, 700).unwrap();
         assert_eq!(budget.used(), 1000);

@@ -2,7 +2,7 @@
 //!
 //! A caller that sends the same bad request in a loop must not fill the disk with log lines. Therefore
 //! every line of the levels `error`, `warn` and `info` that a caller can cause is written by the macro
-//! `limited!`. Each place in the code owns a [`Repeated`], and the next line that is written tells how
+//! `limited!`. Each place in the code owns a [`LogLimit`], and the next line that is written tells how
 //! many were left out in the meantime:
 //!
 //! ```ignore
@@ -28,13 +28,13 @@ static STARTED: LazyLock<Instant> = LazyLock::new(Instant::now);
 
 /// One place in the code that writes a log line.
 #[derive(Debug, Default)]
-pub struct Repeated {
+pub struct LogLimit {
     /// The time at which the next line may be written, in milliseconds since `STARTED`.
     next_ms: AtomicU64,
     left_out: AtomicU64,
 }
 
-impl Repeated {
+impl LogLimit {
     /// A place that has not written a line yet.
     pub const fn new() -> Self {
         Self { next_ms: AtomicU64::new(0), left_out: AtomicU64::new(0) }
@@ -65,8 +65,8 @@ impl Repeated {
 /// already written a line within the last second. The field `left_out` counts the lines that were left out.
 macro_rules! limited {
     ($level:ident, $($line:tt)+) => {{
-        static PLACE: $crate::log_limit::Repeated = $crate::log_limit::Repeated::new();
-        if let Some(left_out) = PLACE.due() {
+        static LIMIT: $crate::log_limit::LogLimit = $crate::log_limit::LogLimit::new();
+        if let Some(left_out) = LIMIT.due() {
             tracing::$level!(left_out, $($line)+);
         }
     }};
@@ -145,7 +145,7 @@ mod tests {
     /// lines that were left out.
     #[test]
     fn one_line_a_second_with_the_number_left_out() {
-        let place = Repeated::new();
+        let place = LogLimit::new();
         let due = |ms| place.due_at(Duration::from_millis(ms));
         assert_eq!(due(0), Some(0));
         assert_eq!((due(0), due(500), due(999)), (None, None, None));
@@ -156,7 +156,7 @@ mod tests {
     /// Catches two threads that both write the line.
     #[test]
     fn one_of_many_threads_writes_the_line() {
-        let place = Repeated::new();
+        let place = LogLimit::new();
         let written = AtomicU64::new(0);
         std::thread::scope(|scope| {
             for _ in 0..8 {

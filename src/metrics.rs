@@ -18,7 +18,7 @@ use prometheus_client::{
 
 /// The method of a call, and the code with which it ended.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
-pub struct Call {
+pub struct CallLabels {
     /// `Service/Method` as in the contract; `other` for every other path.
     pub method: &'static str,
     /// The name of the gRPC code.
@@ -26,33 +26,33 @@ pub struct Call {
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
-struct Method {
+struct MethodLabel {
     method: &'static str,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
-struct Outcome {
+struct OutcomeLabel {
     outcome: &'static str,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
-struct Flag {
+struct FlagLabel {
     flag: &'static str,
 }
 
 /// The label of a metric that is counted per token.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
-struct Token {
+struct TokenLabel {
     token: String,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
-struct Part {
+struct PartLabel {
     part: &'static str,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
-struct Reason {
+struct ReasonLabel {
     reason: &'static str,
 }
 
@@ -86,7 +86,7 @@ const SHEDS: [(Shed, &str); 6] = [
 
 /// The reason why the server cut a call whose answer was ready.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Cut {
+pub(crate) enum CutReason {
     /// The peer did not take the answer in time.
     AnswerNotRead,
     /// The call's deadline passed while the peer was taking the answer.
@@ -96,7 +96,7 @@ pub(crate) enum Cut {
 /// The names of the reasons, in the order of the enum.
 const CUTS: [&str; 2] = ["answer_not_read", "deadline"];
 
-impl Cut {
+impl CutReason {
     /// All reasons, in the order of the enum.
     pub(crate) const ALL: [Self; 2] = [Self::AnswerNotRead, Self::Deadline];
 
@@ -109,8 +109,8 @@ impl Cut {
 /// Counters, gauges and histograms of one server.
 pub struct Metrics {
     registry: Registry,
-    requests: Family<Call, Counter>,
-    request_seconds: Family<Method, Histogram, fn() -> Histogram>,
+    requests: Family<CallLabels, Counter>,
+    request_seconds: Family<MethodLabel, Histogram, fn() -> Histogram>,
     pub(crate) requests_in_flight: Gauge,
     pub(crate) request_bytes_in_flight: Gauge,
     pub(crate) connections: Gauge,
@@ -125,8 +125,8 @@ pub struct Metrics {
     largest_steps_between_looks: Gauge,
     sheds: [Counter; SHEDS.len()],
     cuts: [Counter; 2],
-    memory_bytes: Family<Part, Gauge>,
-    token_memory_bytes: Family<Token, Gauge>,
+    memory_bytes: Family<PartLabel, Gauge>,
+    token_memory_bytes: Family<TokenLabel, Gauge>,
     pub(crate) callers: Gauge,
     pub(crate) cache_bytes: Gauge,
     pub(crate) cache_hulls: Gauge,
@@ -158,13 +158,13 @@ impl Default for Metrics {
     fn default() -> Self {
         let mut registry = Registry::with_prefix("hullcast");
         let r = &mut registry;
-        let outcomes = add::<Family<Outcome, Counter>>(r, "pairs", "Pairs answered, by outcome");
-        let flags = add::<Family<Flag, Counter>>(r, "pair_flags", "Pairs answered, by flag");
+        let outcomes = add::<Family<OutcomeLabel, Counter>>(r, "pairs", "Pairs answered, by outcome");
+        let flags = add::<Family<FlagLabel, Counter>>(r, "pair_flags", "Pairs answered, by flag");
         let help = "Calls and connections refused for want of room, by reason";
-        let sheds = add::<Family<Reason, Counter>>(r, "sheds", help);
+        let sheds = add::<Family<ReasonLabel, Counter>>(r, "sheds", help);
         let help = "Calls cut although their answer was ready, by reason";
-        let cuts = add::<Family<Reason, Counter>>(r, "cuts", help);
-        let request_seconds: Family<Method, Histogram, fn() -> Histogram> =
+        let cuts = add::<Family<ReasonLabel, Counter>>(r, "cuts", help);
+        let request_seconds: Family<MethodLabel, Histogram, fn() -> Histogram> =
             Family::new_with_constructor(seconds);
         r.register("request_seconds", "From a call's headers to its end", request_seconds.clone());
         let mut histogram = |name: &str, help: &str| {
@@ -181,8 +181,8 @@ impl Default for Metrics {
             requests_in_flight: add(r, "requests_in_flight", "Calls under way"),
             request_bytes_in_flight: add(r, "request_bytes_in_flight", "Bytes of requests under way"),
             connections: add(r, "connections", "Connections open"),
-            pairs: OUTCOMES.map(|outcome| outcomes.get_or_create(&Outcome { outcome }).clone()),
-            flags: FLAGS.map(|flag| flags.get_or_create(&Flag { flag }).clone()),
+            pairs: OUTCOMES.map(|outcome| outcomes.get_or_create(&OutcomeLabel { outcome }).clone()),
+            flags: FLAGS.map(|flag| flags.get_or_create(&FlagLabel { flag }).clone()),
             pairs_in_flight: add(r, "pairs_in_flight", "Pairs accepted and not yet answered"),
             pairs_queued: add(r, "pairs_queued", "Pairs accepted whose batch waits for its turn"),
             queue_seconds,
@@ -194,8 +194,8 @@ impl Default for Metrics {
                 "largest_steps_between_looks",
                 "The most steps that a call did between two looks at its stop flag",
             ),
-            sheds: SHEDS.map(|(_, reason)| sheds.get_or_create(&Reason { reason }).clone()),
-            cuts: CUTS.map(|reason| cuts.get_or_create(&Reason { reason }).clone()),
+            sheds: SHEDS.map(|(_, reason)| sheds.get_or_create(&ReasonLabel { reason }).clone()),
+            cuts: CUTS.map(|reason| cuts.get_or_create(&ReasonLabel { reason }).clone()),
             token_memory_bytes: add(
                 r,
                 "token_memory_bytes",
@@ -240,9 +240,9 @@ impl Metrics {
     }
 
     /// Counts a call that has ended.
-    pub(crate) fn ended(&self, call: &Call, seconds: f64) {
+    pub(crate) fn ended(&self, call: &CallLabels, seconds: f64) {
         self.requests.get_or_create(call).inc();
-        self.request_seconds.get_or_create(&Method { method: call.method }).observe(seconds);
+        self.request_seconds.get_or_create(&MethodLabel { method: call.method }).observe(seconds);
     }
 
     /// Counts answered pairs by outcome and by flag.
@@ -263,13 +263,13 @@ impl Metrics {
     }
 
     /// Counts a call that was cut although its answer was ready.
-    pub(crate) fn cut(&self, why: Cut) {
+    pub(crate) fn cut(&self, why: CutReason) {
         self.cuts[why as usize].inc();
     }
 
     /// Sets the memory that callers hold for one part of the budget.
     pub(crate) fn set_memory(&self, part: &'static str, bytes: u64) {
-        self.memory_bytes.get_or_create(&Part { part }).set(i64::try_from(bytes).unwrap_or(i64::MAX));
+        self.memory_bytes.get_or_create(&PartLabel { part }).set(i64::try_from(bytes).unwrap_or(i64::MAX));
     }
 
     /// Sets the memory that the calls of each token hold, by the token's name.
@@ -277,7 +277,7 @@ impl Metrics {
         self.token_memory_bytes.clear();
         for (token, bytes) in held {
             let bytes = i64::try_from(bytes).unwrap_or(i64::MAX);
-            self.token_memory_bytes.get_or_create(&Token { token }).set(bytes);
+            self.token_memory_bytes.get_or_create(&TokenLabel { token }).set(bytes);
         }
     }
 
@@ -308,12 +308,12 @@ pub(crate) fn resident_bytes() -> Option<i64> {
 
 /// An amount added to a gauge, which is subtracted again when this is dropped.
 #[derive(Debug)]
-pub(crate) struct Held {
+pub(crate) struct GaugeGuard {
     gauge: Gauge,
     amount: i64,
 }
 
-impl Held {
+impl GaugeGuard {
     pub(crate) fn new(gauge: &Gauge, amount: usize) -> Self {
         let amount = i64::try_from(amount).unwrap_or(i64::MAX);
         gauge.inc_by(amount);
@@ -321,7 +321,7 @@ impl Held {
     }
 }
 
-impl Drop for Held {
+impl Drop for GaugeGuard {
     fn drop(&mut self) {
         self.gauge.dec_by(self.amount);
     }

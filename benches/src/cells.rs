@@ -12,16 +12,16 @@ const SEED: u64 = 1;
 
 /// A hull's pose: position and quaternion `x, y, z, w`.
 #[derive(Clone, Copy)]
-pub struct Place {
+pub struct HullPose {
     pub position: [f64; 3],
     pub rotation: [f64; 4],
 }
 
 /// Two hulls and their poses.
 #[derive(Clone)]
-pub struct Pair {
+pub struct PosedPair {
     pub hulls: [usize; 2],
-    pub places: [Place; 2],
+    pub poses: [HullPose; 2],
 }
 
 /// A family in a regime.
@@ -29,7 +29,7 @@ pub struct Pair {
 pub struct Cell {
     pub label: String,
     pub hulls: Vec<Vec<[f64; 3]>>,
-    pub pairs: Vec<Pair>,
+    pub pairs: Vec<PosedPair>,
 }
 
 /// Generates `pairs` pairs of each family in each regime.
@@ -45,8 +45,8 @@ fn cell(family: Family, regime: Regime, pairs: usize) -> Result<Cell, WorkloadEr
     let workload = Workload::generate(family, regime, pairs, SEED)?;
     let label = format!("{} {}", family.name(), regime.name());
     let pairs = workload.pairs.iter().map(|pair| {
-        let place = |side| Place { position: pair.positions[side], rotation: pair.rotations[side] };
-        Pair { hulls: pair.hulls, places: [place(0), place(1)] }
+        let pose = |side| HullPose { position: pair.positions[side], rotation: pair.rotations[side] };
+        PosedPair { hulls: pair.hulls, poses: [pose(0), pose(1)] }
     });
     Ok(Cell { label, pairs: pairs.collect(), hulls: workload.hulls })
 }
@@ -95,13 +95,13 @@ impl Cell {
             let turn = index as f64 * 2.399963229728653;
             let radius = (1.0 - z * z).sqrt();
             let direction = [radius * turn.cos(), radius * turn.sin(), z];
-            let place = &mut pair.places[1];
-            for (coordinate, along) in place.position.iter_mut().zip(direction) {
+            let pose = &mut pair.poses[1];
+            for (coordinate, along) in pose.position.iter_mut().zip(direction) {
                 *coordinate += step * along;
             }
             let (sine, cosine) = (step / 2.0).sin_cos();
             let [x, y, z] = direction.map(|c| c * sine);
-            place.rotation = multiply([x, y, z, cosine], place.rotation);
+            pose.rotation = multiply([x, y, z, cosine], pose.rotation);
         }
         cell
     }

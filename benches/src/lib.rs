@@ -1,9 +1,9 @@
 //! Benchmarks of hullcast and parry3d, in one process and one thread.
 
-pub mod asked;
 pub mod cells;
 pub mod ours;
 pub mod parry;
+pub mod questions;
 pub mod report;
 pub mod rounds;
 #[cfg(feature = "service")]

@@ -2,7 +2,7 @@
 
 use hullcast_contact::{Basis, Body, ConvexHull, HullError, Pose, Query, Workspace, contact_manifold};
 
-use crate::cells::{Cell, Pair};
+use crate::cells::{Cell, PosedPair};
 
 /// The hulls of a cell.
 pub fn hulls(cell: &Cell) -> Result<Vec<ConvexHull>, HullError> {
@@ -10,7 +10,7 @@ pub fn hulls(cell: &Cell) -> Result<Vec<ConvexHull>, HullError> {
 }
 
 /// Pairs at two poses each, and the query about them.
-pub struct Scene<'a> {
+pub struct PosedPairs<'a> {
     /// For each pair the bodies at their poses in the cell, and in the moved cell.
     pairs: Vec<[[Body<'a>; 2]; 2]>,
     phase: usize,
@@ -19,11 +19,11 @@ pub struct Scene<'a> {
     workspace: Workspace,
 }
 
-impl<'a> Scene<'a> {
+impl<'a> PosedPairs<'a> {
     /// A scene of the pairs. `None` if a pose is not usable.
     pub fn new(hulls: &'a [ConvexHull], cell: &Cell, moved: &Cell, query: Query) -> Option<Self> {
-        let bodies = |pair: &Pair| {
-            let [a, b] = pair.places.map(|place| Pose::new(place.position, place.rotation).ok());
+        let bodies = |pair: &PosedPair| {
+            let [a, b] = pair.poses.map(|pose| Pose::new(pose.position, pose.rotation).ok());
             Some([Body::new(&hulls[pair.hulls[0]], a?), Body::new(&hulls[pair.hulls[1]], b?)])
         };
         let both = |(pair, moved)| Some([bodies(pair)?, bodies(moved)?]);

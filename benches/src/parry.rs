@@ -19,8 +19,8 @@ macro_rules! peer {
             use $parry::shape::{ConvexPolyhedron, Cuboid};
 
             use super::{ROUNDS, Touching};
-            use crate::asked::{Answer, AskedPair, Contact};
-            use crate::cells::{Cell, MARGIN, Pair, Place};
+            use crate::cells::{Cell, HullPose, MARGIN, PosedPair};
+            use crate::questions::{Answer, Contact, QuestionPair};
 
             type Manifold = ContactManifold<(), ()>;
 
@@ -61,7 +61,7 @@ macro_rules! peer {
             }
 
             /// The shapes and pairs of a cell.
-            pub struct Peer<S> {
+            pub struct ParryPairs<S> {
                 hulls: Vec<S>,
                 /// For each pair the hulls, the poses in the cell, and the poses in the moved cell.
                 pairs: Vec<([usize; 2], [[Pose3; 2]; 2])>,
@@ -74,16 +74,16 @@ macro_rules! peer {
                 ConvexPolyhedron::build(points)
             }
 
-            fn pose(place: &Place) -> Pose3 {
-                let [x, y, z] = place.position.map(|c| c as $real);
-                let [i, j, k, w] = place.rotation.map(|c| c as $real);
+            fn pose(pose: &HullPose) -> Pose3 {
+                let [x, y, z] = pose.position.map(|c| c as $real);
+                let [i, j, k, w] = pose.rotation.map(|c| c as $real);
                 Pose3::from_parts(Vector::new(x, y, z), Rot3::from_xyzw(i, j, k, w).normalize())
             }
 
-            impl<S: Shape> Peer<S> {
+            impl<S: Shape> ParryPairs<S> {
                 /// The shapes of a cell; `None` if parry3d refuses a hull.
                 pub fn new(cell: &Cell, moved: &Cell) -> Option<Self> {
-                    let poses = |pair: &Pair| [0, 1].map(|side| pose(&pair.places[side]));
+                    let poses = |pair: &PosedPair| [0, 1].map(|side| pose(&pair.poses[side]));
                     let pairs = cell.pairs.iter().zip(&moved.pairs);
                     let pairs = pairs.map(|(pair, moved)| (pair.hulls, [poses(pair), poses(moved)]));
                     let manifolds = cell.pairs.iter().map(|_| ContactManifold::new()).collect();
@@ -131,7 +131,7 @@ macro_rules! peer {
             }
 
             /// Answers one pair without a warm start, and again with B nudged.
-            pub fn answer(hulls: &[ConvexPolyhedron], pair: &AskedPair, margin: f64) -> Answer {
+            pub fn answer(hulls: &[ConvexPolyhedron], pair: &QuestionPair, margin: f64) -> Answer {
                 let [a, b] = pair.hulls.map(|hull| &hulls[hull]);
                 let mut manifold = Manifold::new();
                 let mut nanoseconds = f64::INFINITY;
@@ -148,7 +148,7 @@ macro_rules! peer {
             }
 
             fn at(&[x, y, z, i, j, k, w]: &[f64; 7]) -> Pose3 {
-                pose(&Place { position: [x, y, z], rotation: [i, j, k, w] })
+                pose(&HullPose { position: [x, y, z], rotation: [i, j, k, w] })
             }
 
             fn from_nothing(
@@ -180,10 +180,10 @@ macro_rules! peer {
             }
 
             /// The shapes for hulls of any kind.
-            pub type Hulls = Peer<ConvexPolyhedron>;
+            pub type Hulls = ParryPairs<ConvexPolyhedron>;
 
             /// The shapes that parry3d has for boxes only.
-            pub type Cuboids = Peer<Cuboid>;
+            pub type Cuboids = ParryPairs<Cuboid>;
         }
     };
 }

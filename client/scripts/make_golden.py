@@ -34,22 +34,22 @@ def case(name, why, a, b, d, *, q=UPRIGHT, margin=0.0, origin=(0.0, 0.0, 0.0), f
 
     `faces` has the faces whose intersection is the patch, as indices into `Shape.faces`.
     """
-    centers = more.get("centers", ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    centres = more.get("centres", ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
     origin = np.array(origin, dtype=float)
     poses = [(origin, np.array(UPRIGHT)), (origin + np.array(d, dtype=float), np.array(q))]
     bodies = [
-        ExactBody.make(shape.vertices, center, *pose)
-        for shape, center, pose in zip((a, b), centers, poses, strict=True)
+        ExactBody.make(shape.vertices, centre, *pose)
+        for shape, centre, pose in zip((a, b), centres, poses, strict=True)
     ]
     pair = ExactPair(*bodies)
     alpha, n = pair.growth
     distance_squared = pair.distance_squared
-    r = sum(inradius(s, c) for s, c in zip((a, b), centers, strict=True))
+    r = sum(inradius(s, c) for s, c in zip((a, b), centres, strict=True))
     radius = sum(
-        np.linalg.norm(s.vertices - c, axis=1).max() for s, c in zip((a, b), centers, strict=True)
+        np.linalg.norm(s.vertices - c, axis=1).max() for s, c in zip((a, b), centres, strict=True)
     )
-    lengths = np.linalg.norm(poses[1][0] - poses[0][0]) + sum(np.linalg.norm(c) for c in centers)
-    center_distance = math.sqrt(dot(pair.d, pair.d))
+    lengths = np.linalg.norm(poses[1][0] - poses[0][0]) + sum(np.linalg.norm(c) for c in centres)
+    centre_distance = math.sqrt(dot(pair.d, pair.d))
     corners = None
     if faces is not None:
         ours, theirs = (
@@ -63,11 +63,11 @@ def case(name, why, a, b, d, *, q=UPRIGHT, margin=0.0, origin=(0.0, 0.0, 0.0), f
         **{
             key: {
                 "vertices": shape.vertices.tolist(),
-                "contraction_point": list(center),
+                "contraction_point": list(centre),
                 "position": pose[0].tolist(),
                 "rotation": [float(c) for c in pose[1]],
             }
-            for key, shape, center, pose in zip("ab", (a, b), centers, poses, strict=True)
+            for key, shape, centre, pose in zip("ab", (a, b), centres, poses, strict=True)
         },
         "margin": None if math.isinf(margin) else margin,
         "outcome": "CONTACT"
@@ -77,7 +77,7 @@ def case(name, why, a, b, d, *, q=UPRIGHT, margin=0.0, origin=(0.0, 0.0, 0.0), f
         "alpha_above": above(alpha),
         "alpha_budget": float(alpha) * 16 * U * radius / r + 16 * U * lengths / r,
         "distance": math.sqrt(distance_squared),
-        "length_budget": 64 * U * (radius + center_distance) + 16 * U * lengths,
+        "length_budget": 64 * U * (radius + centre_distance) + 16 * U * lengths,
         "patch": corners,
         "patch_budget": 1e-9 * radius + 4 * U * float(np.abs(poses[1][0]).max()),
     }
@@ -94,10 +94,10 @@ def above(x: Fraction) -> float:
     return 0.0 - below(-x)  # 0.0, not -0.0
 
 
-def inradius(shape: Shape, center) -> float:
+def inradius(shape: Shape, centre) -> float:
     """The radius of the largest ball about the contraction point inside the shape."""
     planes = [shape.plane(face) for face in shape.faces]
-    return min(float(normal @ (middle - center)) for normal, middle in planes)
+    return min(float(normal @ (middle - centre)) for normal, middle in planes)
 
 
 def facing(shape: Shape, direction) -> int:
@@ -349,7 +349,7 @@ def bounded_cases():
         UNIT,
         UNIT,
         (0.3, 0.2, 0.9),
-        centers=((0.25, 0.125, -0.4375), (0.0, -0.25, 0.4375)),
+        centres=((0.25, 0.125, -0.4375), (0.0, -0.25, 0.4375)),
     )
     yield case(
         "margin_at_distance",

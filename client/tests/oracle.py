@@ -75,7 +75,7 @@ class ExactBody:
     #: World axes, relative to `position`.
     vertices: tuple[Vector, ...]
     #: The contraction point, relative to `position` too.
-    center: Vector
+    centre: Vector
     position: Vector
 
     @staticmethod
@@ -106,9 +106,9 @@ class ExactPair:
     def __init__(self, a: ExactBody, b: ExactBody) -> None:
         self.a, self.b = a, b
         #: The centre offset pB - pA.
-        self.d: Vector = sub(add(b.position, b.center), add(a.position, a.center))
-        rim_a = [sub(v, a.center) for v in a.vertices]
-        rim_b = [sub(v, b.center) for v in b.vertices]
+        self.d: Vector = sub(add(b.position, b.centre), add(a.position, a.centre))
+        rim_a = [sub(v, a.centre) for v in a.vertices]
+        rim_b = [sub(v, b.centre) for v in b.vertices]
         everything, self._unit = _integers([*rim_a, *rim_b, self.d])
         self._a = everything[: len(rim_a)]
         self._b = everything[len(rim_a) : -1]

@@ -54,9 +54,9 @@ def test_the_vectors_of_the_page(client: hullcast.Client):
     for vector in vectors:
         points = np.array(vector["vertices"]).reshape(-1, 3)
         options = {key: vector.get(key) for key in ("max_vertices", "max_deviation", "planarity")}
-        center = vector.get("contraction_point")
-        assert hullcast.hull_id(points, center, **options).hex() == vector["id"], vector["name"]
-        hull = client.register([points], contraction_points=[center], **options)[0]
+        centre = vector.get("contraction_point")
+        assert hullcast.hull_id(points, centre, **options).hex() == vector["id"], vector["name"]
+        hull = client.register([points], contraction_points=[centre], **options)[0]
         assert hull.id.hex() == vector["id"], vector["name"]
 
 
@@ -100,11 +100,11 @@ def test_the_server_gives_the_same(client: hullcast.Client):
     shapes = [shape for name in FAMILIES for shape in family(name, 2, rng)]
     points = [shape.vertices for shape in shapes]
     points.append(-0.0 * points[0] + points[0])
-    centers = [None] * len(points)
-    centers[1] = [0.01, -0.0, 0.02]
-    hulls = client.register(points, contraction_points=centers)
-    for hull, vertices, center in zip(hulls, points, centers, strict=True):
-        assert hull.id == hullcast.hull_id(vertices, center)
+    centres = [None] * len(points)
+    centres[1] = [0.01, -0.0, 0.02]
+    hulls = client.register(points, contraction_points=centres)
+    for hull, vertices, centre in zip(hulls, points, centres, strict=True):
+        assert hull.id == hullcast.hull_id(vertices, centre)
 
 
 def test_simplified_hulls(client: hullcast.Client):

@@ -74,15 +74,15 @@ def test_registering_many_takes_several_messages(client):
 
 def test_a_given_contraction_point_is_used(client):
     """A given contraction point makes another hull, and is returned as given."""
-    center = np.array([0.25, 0.125, -0.0625])
-    plain, moved = client.register([CUBE, CUBE], contraction_points=[None, center])
-    assert (moved.contraction_point == center).all()
+    centre = np.array([0.25, 0.125, -0.0625])
+    plain, moved = client.register([CUBE, CUBE], contraction_points=[None, centre])
+    assert (moved.contraction_point == centre).all()
     assert moved.inradius == pytest.approx(0.25)
     assert plain.id != moved.id
 
 
 @pytest.mark.parametrize(
-    ("points", "center", "reason", "field", "point"),
+    ("points", "centre", "reason", "field", "point"),
     [
         (CUBE[:3], None, "TOO_FEW_POINTS", "vertices", None),
         ([[0, 0, 0], [1, 1, 1], [2, 2, 2], [3, 3, 3]], None, "COLLINEAR", "vertices", None),
@@ -92,11 +92,11 @@ def test_a_given_contraction_point_is_used(client):
         (CUBE, [0.5, 0, 0], "CONTRACTION_POINT_NOT_INSIDE", "contraction_point", None),
     ],
 )
-def test_one_bad_hull_does_not_sink_the_others(client, points, center, reason, field, point):
+def test_one_bad_hull_does_not_sink_the_others(client, points, centre, reason, field, point):
     """The error has the hull, the reason and the place; `results` has the other hulls."""
     good = CUBE * 0.75
     with pytest.raises(hullcast.HullRejected) as caught:
-        client.register([good, points, CUBE], contraction_points=[None, center, None])
+        client.register([good, points, CUBE], contraction_points=[None, centre, None])
     error = caught.value
     assert (error.reason, error.field, error.index) == (reason, field, 1)
     if point is not None:

@@ -74,12 +74,12 @@ void Case::check(const v1::QueryContactsResponse& answer) const {
     // Twice the budgets, because the numbers computed here are rounded too.
     expect(std::abs(answer.alphas(0) - alpha_below) <= 2 * alpha_budget, "alpha");
     const Vector n = {answer.normals(0), answer.normals(1), answer.normals(2)};
-    const Vector centers = b.position - a.position + rotate(b.rotation, b.contraction_point) -
+    const Vector centres = b.position - a.position + rotate(b.rotation, b.contraction_point) -
                            rotate(a.rotation, a.contraction_point);
     const double reach = a.support(n) + b.support(n * -1);
     expect(std::abs(norm(n) - 1) <= 1e-15, "the normal's length");
-    expect(alpha_below - dot(n, centers) / reach <= 2 * alpha_budget, "the normal is not optimal");
-    const double separation = dot(n, centers) - reach;
+    expect(alpha_below - dot(n, centres) / reach <= 2 * alpha_budget, "the normal is not optimal");
+    const double separation = dot(n, centres) - reach;
     expect(std::abs(answer.separations(0) - separation) <= 2 * length_budget, "the separation");
     check_points(*this, answer);
 }

@@ -115,14 +115,14 @@ func (c Case) check(answer *pb.QueryContactsResponse) error {
 		return fmt.Errorf("alpha %v, not %v", alpha, c.AlphaBelow)
 	}
 	n := Vector(answer.Normals)
-	centers := c.B.Position.sub(c.A.Position).
+	centres := c.B.Position.sub(c.A.Position).
 		add(rotate(c.B.Rotation, c.B.ContractionPoint)).
 		sub(rotate(c.A.Rotation, c.A.ContractionPoint))
 	reach := c.A.support(n) + c.B.support(n.times(-1))
-	if math.Abs(n.length()-1) > 1e-15 || c.AlphaBelow-n.dot(centers)/reach > 2*c.AlphaBudget {
+	if math.Abs(n.length()-1) > 1e-15 || c.AlphaBelow-n.dot(centres)/reach > 2*c.AlphaBudget {
 		return fmt.Errorf("normal %v is not optimal", n)
 	}
-	if separation := n.dot(centers) - reach; math.Abs(answer.Separations[0]-separation) > 2*c.LengthBudget {
+	if separation := n.dot(centres) - reach; math.Abs(answer.Separations[0]-separation) > 2*c.LengthBudget {
 		return fmt.Errorf("separation %v, not %v", answer.Separations[0], separation)
 	}
 	return c.checkPoints(answer)

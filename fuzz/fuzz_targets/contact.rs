@@ -7,7 +7,7 @@
 use hullcast_contact::{
     Basis, Body, Manifold, Outcome, Query, Solver, Wanted, Workspace, certificate, contact_manifold,
 };
-use hullcast_fuzz::{Question, Scene, UNLIMITED};
+use hullcast_fuzz::{PairScene, Question, UNLIMITED};
 use libfuzzer_sys::fuzz_target;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -22,7 +22,7 @@ const MINUTE: f64 = 1e-11;
 static CASES: AtomicU64 = AtomicU64::new(0);
 const REPORTED: u64 = 10_000;
 
-fuzz_target!(|scene: Scene| {
+fuzz_target!(|scene: PairScene| {
     let workspace = &mut Workspace::default();
     let twin = scene.scale.and_then(|by| scene.scaled(by));
     for (i, question) in scene.questions.iter().enumerate() {
@@ -50,7 +50,7 @@ fn answered(
     question: &Question,
     workspace: &mut Workspace,
 ) -> Vec<Manifold> {
-    let [a, b] = question.place.bodies(hulls);
+    let [a, b] = question.poses.bodies(hulls);
     let mut answers: Vec<Manifold> = Vec::new();
     for solver in Solver::ALL {
         let mut query = question.query;
@@ -94,7 +94,7 @@ struct Apart(f64);
 impl Apart {
     fn new(question: &Question, a: &Body<'_>, b: &Body<'_>) -> Self {
         let outer = a.hull.circumradius() + b.hull.circumradius();
-        let [from, to] = question.place.positions;
+        let [from, to] = question.poses.positions;
         let t: f64 = (0..3).map(|k| (to[k] - from[k]).abs()).sum();
         let m = t + a.hull.contraction_point().length() + b.hull.contraction_point().length();
         Self(question.query.margin + 2.0 * U * (64.0 * (outer + m) + 16.0 * m))

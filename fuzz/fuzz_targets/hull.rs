@@ -14,7 +14,7 @@ fuzz_target!(|cloud: Cloud| {
     let size = points.iter().flatten().fold(0.0f64, |size, c| size.max(c.abs()));
     let checked = points.iter().flatten().all(|c| *c == 0.0 || c.abs() > 1e-60 * size);
     match ConvexHull::new(&points) {
-        Ok(hull) if checked => check::check(&points, &hull, &mut check::Met::default()),
+        Ok(hull) if checked => check::check(&points, &hull, &mut check::CheckCounts::default()),
         Ok(_) => {}
         // The builder must never report a state that it considers impossible.
         Err(error) => assert!(!error.detail.contains("internal"), "{error}"),

@@ -6,12 +6,12 @@ use libfuzzer_sys::arbitrary::{Result, Unstructured};
 
 /// Reads a fuzzer's bytes. After the last one it continues with pseudo-random bytes seeded by all
 /// of them, so that a short input makes as rich a scene as a long one.
-pub(crate) struct Bytes<'a> {
+pub(crate) struct ByteSource<'a> {
     rest: &'a [u8],
     random: Random,
 }
 
-impl<'a> Bytes<'a> {
+impl<'a> ByteSource<'a> {
     pub(crate) fn all(u: &mut Unstructured<'a>) -> Result<Self> {
         let rest = u.bytes(u.len())?;
         // The seed is the FNV-1a hash of the bytes.

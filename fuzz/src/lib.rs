@@ -1,10 +1,10 @@
 //! Makes hulls, poses and queries from a fuzzer's bytes.
 
 mod bytes;
-mod place;
+mod poses;
 mod scene;
 #[cfg(feature = "service")]
 pub mod seeds;
 mod shape;
 
-pub use scene::{Cloud, Question, Scene, UNLIMITED};
+pub use scene::{Cloud, PairScene, Question, UNLIMITED};

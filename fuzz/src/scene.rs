@@ -3,8 +3,8 @@
 use hullcast_contact::{Accuracy, ConvexHull, Query, Wanted, Workspace, contact_manifold};
 use libfuzzer_sys::arbitrary::{self, Arbitrary, Unstructured};
 
-use crate::bytes::Bytes;
-use crate::place::Place;
+use crate::bytes::ByteSource;
+use crate::poses::PosePair;
 use crate::shape::Shape;
 
 /// More iterations than any pair needs.
@@ -22,7 +22,7 @@ const QUESTIONS: usize = 8;
 pub struct Cloud(pub Vec<[f64; 3]>);
 
 /// Two hulls, and questions about them.
-pub struct Scene {
+pub struct PairScene {
     shapes: [Shape; 2],
     pub questions: Vec<Question>,
     /// If set, a power of two: all questions are asked again with everything scaled by it.
@@ -32,14 +32,14 @@ pub struct Scene {
 /// The poses of two hulls, and a query about them.
 #[derive(Clone, Debug)]
 pub struct Question {
-    pub place: Place,
+    pub poses: PosePair,
     /// The query; its solver is set by the target, which runs both.
     pub query: Query,
     /// A warm start as a client may send it; its indices may not be registered vertices.
     pub odd_warm_start: [u32; 6],
 }
 
-impl Scene {
+impl PairScene {
     pub fn hulls(&self) -> [&ConvexHull; 2] {
         self.shapes.each_ref().map(|shape| &shape.hull)
     }
@@ -58,11 +58,11 @@ impl Scene {
             Shape::new(shape.points.iter().map(|&p| vector(p)).collect::<Option<_>>()?, contraction_point)
         };
         let question = |q: &Question| {
-            let [a, b] = q.place.positions.map(vector);
-            let place = Place { positions: [a?, b?], ..q.place };
+            let [a, b] = q.poses.positions.map(vector);
+            let poses = PosePair { positions: [a?, b?], ..q.poses };
             let margin = if q.query.margin.is_finite() { length(q.query.margin)? } else { f64::INFINITY };
-            let within = place.positions.iter().flatten().all(|x| x.abs() <= 1e100);
-            within.then_some(Question { place, query: Query { margin, ..q.query }, ..*q })
+            let within = poses.positions.iter().flatten().all(|x| x.abs() <= 1e100);
+            within.then_some(Question { poses, query: Query { margin, ..q.query }, ..*q })
         };
         let [a, b] = self.shapes.each_ref().map(shape);
         let questions = self.questions.iter().map(question).collect::<Option<_>>()?;
@@ -72,13 +72,13 @@ impl Scene {
 
 impl<'a> Arbitrary<'a> for Cloud {
     fn arbitrary(u: &mut Unstructured<'a>) -> arbitrary::Result<Self> {
-        Ok(Self(Bytes::all(u)?.cloud(64)))
+        Ok(Self(ByteSource::all(u)?.cloud(64)))
     }
 }
 
-impl<'a> Arbitrary<'a> for Scene {
+impl<'a> Arbitrary<'a> for PairScene {
     fn arbitrary(u: &mut Unstructured<'a>) -> arbitrary::Result<Self> {
-        let bytes = &mut Bytes::all(u)?;
+        let bytes = &mut ByteSource::all(u)?;
         let shapes = [bytes.shape(24), bytes.shape(24)];
         let scale = (bytes.below(8) == 0).then(|| 2f64.powi(i32::from(bytes.byte() as i8)));
         let questions = (0..QUESTIONS).map(|_| bytes.question(shapes.each_ref().map(|s| &s.hull))).collect();
@@ -86,9 +86,9 @@ impl<'a> Arbitrary<'a> for Scene {
     }
 }
 
-impl Bytes<'_> {
+impl ByteSource<'_> {
     fn question(&mut self, hulls: [&ConvexHull; 2]) -> Question {
-        let place = self.place(hulls);
+        let poses = self.poses(hulls);
         let mut query = self.query();
         let size: f64 = hulls.iter().map(|hull| hull.circumradius()).sum();
         query.margin = match self.below(8) {
@@ -98,7 +98,7 @@ impl Bytes<'_> {
             4 => self.one_of(&[1e-9, 0.01, 1.0]),
             5 => {
                 // The separation along the growth normal, off by some ulps.
-                let [a, b] = place.bodies(hulls);
+                let [a, b] = poses.bodies(hulls);
                 let open = Query { margin: f64::INFINITY, ..Query::default() };
                 let found = contact_manifold(&a, &b, &open, None, &mut Workspace::default()).separation;
                 self.nudged(found.max(0.0)).max(0.0)
@@ -106,7 +106,7 @@ impl Bytes<'_> {
             _ => f64::INFINITY,
         };
         let odd_warm_start = [(); 6].map(|()| u32::from(self.byte()) * 0x0101_0101 % 29);
-        Question { place, query, odd_warm_start }
+        Question { poses, query, odd_warm_start }
     }
 
     /// A query without a margin.
@@ -125,9 +125,9 @@ impl Bytes<'_> {
 }
 
 /// Prints everything that is needed to make a test of the scene.
-impl std::fmt::Debug for Scene {
+impl std::fmt::Debug for PairScene {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Scene")
+        f.debug_struct("PairScene")
             .field("points", &self.shapes.each_ref().map(|s| &s.points))
             .field("contraction_points", &self.shapes.each_ref().map(|s| s.contraction_point))
             .field("questions", &self.questions)

@@ -3,7 +3,7 @@
 use glam::{DQuat, DVec3};
 use hullcast_contact::{ConvexHull, HullOptions};
 
-use crate::bytes::Bytes;
+use crate::bytes::ByteSource;
 
 /// Points and their hull.
 pub(crate) struct Shape {
@@ -26,7 +26,7 @@ impl Shape {
     }
 }
 
-impl Bytes<'_> {
+impl ByteSource<'_> {
     /// The hull of the first of several point sets that has one.
     pub(crate) fn shape(&mut self, most: u8) -> Shape {
         let points = self.cloud(most);

@@ -68,16 +68,16 @@ pub fn is_reserved_name(name: &str) -> bool {
 /// The callers that are currently known.
 #[derive(Debug, Default)]
 pub struct Callers {
-    known: Mutex<HashMap<CallerKey, Weak<Account>>>,
+    known: Mutex<HashMap<CallerKey, Weak<CallerState>>>,
     next: AtomicU64,
 }
 
 /// One caller. Clones are the same caller, and the caller is forgotten with the last clone.
 #[derive(Clone, Debug)]
-pub struct Caller(Arc<Account>);
+pub struct Caller(Arc<CallerState>);
 
 #[derive(Debug)]
-struct Account {
+struct CallerState {
     key: CallerKey,
     id: u64,
     streams: AtomicUsize,
@@ -97,7 +97,7 @@ impl Callers {
         }
         let id = self.next.fetch_add(1, Ordering::Relaxed);
         let account =
-            Arc::new(Account { key: key.clone(), id, streams: 0.into(), callers: Arc::downgrade(self) });
+            Arc::new(CallerState { key: key.clone(), id, streams: 0.into(), callers: Arc::downgrade(self) });
         known.insert(key, Arc::downgrade(&account));
         Caller(account)
     }
@@ -118,7 +118,7 @@ impl Callers {
     }
 }
 
-impl Drop for Account {
+impl Drop for CallerState {
     fn drop(&mut self) {
         let Some(callers) = self.callers.upgrade() else { return };
         let mut known = locked(&callers.known);
@@ -132,7 +132,7 @@ impl Drop for Account {
 impl Caller {
     /// A new caller that is not registered anywhere, for calls that did not come over a connection.
     pub fn alone() -> Self {
-        Self(Arc::new(Account {
+        Self(Arc::new(CallerState {
             key: CallerKey::Everyone,
             id: u64::MAX,
             streams: 0.into(),

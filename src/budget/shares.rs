@@ -17,7 +17,7 @@ use crate::lock::locked;
 
 /// The reason why a caller cannot take more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Refusal {
+pub enum ShareRefusal {
     /// There is not enough left for this caller now. A later retry can succeed.
     Busy,
     /// The amount would not fit even if no other caller held anything.
@@ -64,7 +64,7 @@ impl Shares {
     ///
     /// # Errors
     /// The caller would hold more than its share. Then nothing is added.
-    pub fn take(&mut self, caller: &Caller, amount: u64) -> Result<(), Refusal> {
+    pub fn take(&mut self, caller: &Caller, amount: u64) -> Result<(), ShareRefusal> {
         self.take_shared(caller, amount, amount)
     }
 
@@ -72,17 +72,17 @@ impl Shares {
     ///
     /// # Errors
     /// The caller would hold more than its share. Then nothing is added.
-    pub fn take_shared(&mut self, caller: &Caller, amount: u64, new: u64) -> Result<(), Refusal> {
+    pub fn take_shared(&mut self, caller: &Caller, amount: u64, new: u64) -> Result<(), ShareRefusal> {
         if amount == 0 {
             return Ok(());
         }
         let held_after = self.held(caller).saturating_add(amount);
         if held_after > self.most_alone() {
-            return Err(Refusal::TooLarge);
+            return Err(ShareRefusal::TooLarge);
         }
-        let free_after = self.limit.saturating_sub(self.used).checked_sub(new).ok_or(Refusal::Busy)?;
+        let free_after = self.limit.saturating_sub(self.used).checked_sub(new).ok_or(ShareRefusal::Busy)?;
         if self.dynamic && held_after > free_after {
-            return Err(Refusal::Busy);
+            return Err(ShareRefusal::Busy);
         }
         self.used += new;
         self.held.insert(caller.id(), held_after);
@@ -174,9 +174,9 @@ mod tests {
     fn an_amount_that_never_fits_is_not_refused_as_busy() {
         let callers = callers(2);
         let mut shares = Shares::new(1000, true);
-        assert_eq!(shares.take(&callers[0], 501), Err(Refusal::TooLarge));
+        assert_eq!(shares.take(&callers[0], 501), Err(ShareRefusal::TooLarge));
         assert_eq!(shares.take(&callers[0], 500), Ok(()));
-        assert_eq!(shares.take(&callers[1], 300), Err(Refusal::Busy));
+        assert_eq!(shares.take(&callers[1], 300), Err(ShareRefusal::Busy));
         shares.give_back(&callers[0], 500);
         assert_eq!(shares.take(&callers[1], 300), Ok(()));
         assert_eq!(shares.used(), 300);

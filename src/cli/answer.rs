@@ -12,7 +12,7 @@ use tonic::Code;
 
 use super::Error;
 use super::exit::Exit;
-use super::options::Asked;
+use super::options::QueryOptions;
 use super::progress::Progress;
 use super::remote::RemoteArgs;
 use super::scene::{Frame, HullPoints, SceneFile};
@@ -22,7 +22,7 @@ use hullcast::budget::{Caller, Part, Permit};
 use hullcast::compute::{Compute, Job};
 use hullcast::contact::ConvexHull;
 use hullcast::proto;
-use hullcast::service::{Engine, EngineBounds, Limits, Reason, ServiceError, wire};
+use hullcast::service::{EngineLimits, Limits, Reason, ServiceEngine, ServiceError, wire};
 use hullcast::store::identity::id_of;
 use hullcast::store::{HullDefinition, HullId};
 
@@ -43,7 +43,7 @@ pub(crate) enum Answerer {
 /// The service's batch engine, with the hulls of the scene.
 #[derive(Debug)]
 pub(crate) struct Local {
-    engine: Engine,
+    engine: ServiceEngine,
     limits: Limits,
     hulls: HashMap<HullId, Arc<ConvexHull>>,
 }
@@ -51,7 +51,7 @@ pub(crate) struct Local {
 /// The error for a query that was not answered.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{text}")]
-pub(crate) struct Refusal {
+pub(crate) struct QueryRefusal {
     /// The reason, in words.
     pub(crate) text: String,
     /// How long to wait before asking again, if the server was too busy.
@@ -62,7 +62,7 @@ pub(crate) struct Refusal {
     pub(crate) exit: Exit,
 }
 
-impl From<ServiceError> for Refusal {
+impl From<ServiceError> for QueryRefusal {
     fn from(error: ServiceError) -> Self {
         let exit = match error.reason.code() {
             Code::InvalidArgument => Exit::Input,
@@ -72,7 +72,7 @@ impl From<ServiceError> for Refusal {
     }
 }
 
-impl From<CallError> for Refusal {
+impl From<CallError> for QueryRefusal {
     fn from(error: CallError) -> Self {
         let exit = match &error {
             CallError::Unreachable(_) | CallError::Lost(_) => Exit::Unreachable,
@@ -112,12 +112,12 @@ impl Answerer {
             ids.push(id);
         }
         let compute = Compute::new(threads)?;
-        let bounds = EngineBounds {
+        let bounds = EngineLimits {
             max_pairs_in_flight: limits.max_pairs_in_flight,
             shares: false,
             max_answer_bytes: MAX_ANSWER_BYTES,
         };
-        let engine = Engine::new(compute, bounds, Arc::default());
+        let engine = ServiceEngine::new(compute, bounds, Arc::default());
         Ok((Self::Local(Arc::new(Local { engine, limits, hulls: built })), ids))
     }
 
@@ -134,7 +134,7 @@ impl Answerer {
         let content: Vec<HullId> = hulls.iter().map(|h| id_of(&definition(h).identity_bytes())).collect();
         let ids: Vec<_> = content.iter().map(|id| hullcast_client::HullId(id.0)).collect();
         // A caller that may only query can use hulls that others have registered.
-        let missing = client.missing(&ids).await.map_err(Refusal::from)?;
+        let missing = client.missing(&ids).await.map_err(QueryRefusal::from)?;
         let progress = Progress::new("registering hulls", missing.len());
         for part in missing.chunks(HULLS_PER_STEP) {
             let definitions: Vec<Hull> = part.iter().map(|&hull| client_hull(&hulls[hull])).collect();
@@ -153,7 +153,7 @@ impl Answerer {
     pub(crate) async fn answer(
         &self,
         request: proto::QueryContactsRequest,
-    ) -> Result<proto::QueryContactsResponse, Refusal> {
+    ) -> Result<proto::QueryContactsResponse, QueryRefusal> {
         match self {
             Self::Local(local) => local.answer(request).await.map_err(Into::into),
             Self::Remote(client) => Ok(client.query_once(&request).await?),
@@ -168,12 +168,12 @@ impl Local {
     ) -> Result<proto::QueryContactsResponse, ServiceError> {
         let scene = wire::scene(request, &self.limits)?;
         let job = Job::new(Caller::alone());
-        let (pairs, outputs) = (scene.setting.pair_count(), scene.setting.outputs());
+        let (pairs, outputs) = (scene.template.pair_count(), scene.template.outputs());
         let admission = self.engine.admit(pairs, outputs, &job.caller)?;
         let known = |id| self.hulls.get(id).cloned().ok_or(Missing::Unknown);
         let hulls = scene.hull_ids.iter().map(known).collect();
         let (request_id, invalid_bodies) = (scene.request_id, scene.invalid_bodies);
-        let bodies = Bodies::new(scene.setting, Arc::new(hulls), Arc::new(scene.poses))?;
+        let bodies = Bodies::new(scene.template, Arc::new(hulls), Arc::new(scene.poses))?;
         let batch = Batch::new(bodies, scene.warm_starts)?;
         let memory = Permit::unbounded(Part::Answers);
         let (columns, _memory) = self.engine.compute(batch, None, admission, &job, memory).await?;
@@ -224,7 +224,7 @@ fn not_registered(error: CallError, part: &[usize], missing: usize, hulls: usize
                 counted(hulls, "hull")
             ))
         }
-        error => Refusal::from(error).into(),
+        error => QueryRefusal::from(error).into(),
     }
 }
 
@@ -238,10 +238,10 @@ pub(crate) fn in_scene(error: Error, scene: &str) -> Error {
 
 /// An error of a query, with the server's address if its connection was lost.
 pub(crate) fn at_server(error: Error, address: &str) -> Error {
-    match error.downcast::<Refusal>() {
+    match error.downcast::<QueryRefusal>() {
         Ok(refusal) if refusal.lost => {
             let text = format!("the connection to {address} was lost: {}", refusal.text);
-            Refusal { text, ..*refusal }.into()
+            QueryRefusal { text, ..*refusal }.into()
         }
         Ok(refusal) => refusal,
         Err(other) => other,
@@ -266,7 +266,7 @@ pub(crate) fn request(
     scene: &SceneFile,
     frame: &Frame,
     ids: &[HullId],
-    asked: &Asked,
+    options: &QueryOptions,
 ) -> proto::QueryContactsRequest {
     // The wire format names each hull once, but a scene may contain the same points twice.
     let mut place = HashMap::new();
@@ -286,9 +286,9 @@ pub(crate) fn request(
         positions: frame.positions.clone(),
         rotations: frame.rotations.clone(),
         pairs: scene.pairs.clone(),
-        margin: asked.margin,
-        accuracy: Some(asked.accuracy),
-        outputs: asked.outputs.clone(),
+        margin: options.margin,
+        accuracy: Some(options.accuracy),
+        outputs: options.outputs.clone(),
         ..Default::default()
     }
 }

@@ -5,14 +5,14 @@ use std::io;
 use std::path::Path;
 
 use super::npz::Npz;
-use super::report::Answered;
+use super::report::AnsweredFrame;
 use hullcast::batch::{Output, Outputs, columns::Values};
 use hullcast::service::wire::response_columns;
 
 /// The format's name, which must be that of `client/src/hullcast/_export.py`.
 const FORMAT: &str = "hullcast.manifolds.v1";
 
-impl Answered<'_> {
+impl AnsweredFrame<'_> {
     /// Writes the requested columns under their names on the wire, and `pairs`. A column with
     /// several numbers per row becomes a two-dimensional array.
     ///

@@ -7,8 +7,8 @@ use std::process::ExitCode;
 use hullcast_client::HullRefused;
 
 use super::Error;
-use super::answer::Refusal;
-use super::scene::SceneError;
+use super::answer::QueryRefusal;
+use super::scene::SceneFileError;
 
 /// The part of the top-level help about exit codes.
 pub(crate) const HELP: &str = "\
@@ -56,9 +56,9 @@ impl Exit {
     fn of(error: &(dyn StdError + 'static)) -> Self {
         if let Some(failure) = error.downcast_ref::<Failure>() {
             failure.exit
-        } else if let Some(refusal) = error.downcast_ref::<Refusal>() {
+        } else if let Some(refusal) = error.downcast_ref::<QueryRefusal>() {
             refusal.exit
-        } else if error.is::<HullRefused>() || error.is::<SceneError>() {
+        } else if error.is::<HullRefused>() || error.is::<SceneFileError>() {
             Self::Input
         } else {
             Self::Failed

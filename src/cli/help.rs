@@ -5,7 +5,7 @@ use clap::{Arg, Command};
 use hullcast::size::ByteSize;
 
 use super::exit;
-use super::settings::Given;
+use super::settings::PartialSettings;
 
 /// The settings of the server by the subjects under which the help lists them.
 const SUBJECTS: [(&str, &[&str]); 5] = [
@@ -57,7 +57,8 @@ const SUBJECTS: [(&str, &[&str]); 5] = [
 
 /// The command line with these additions.
 pub(crate) fn complete(command: Command) -> Command {
-    let defaults = toml::Table::try_from(Given::default().or(Given::default())).unwrap_or_default();
+    let defaults =
+        toml::Table::try_from(PartialSettings::default().or(PartialSettings::default())).unwrap_or_default();
     let described = |arg: Arg| {
         let name = arg.get_id().to_string();
         let Some(default) = defaults.get(&name) else { return arg };

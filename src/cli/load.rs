@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use batches::Batches;
-use levels::{Level, Plan, Range};
+use levels::{Level, LevelRange, Plan};
 use runner::Runner;
 
 use super::Error;
@@ -91,12 +91,12 @@ pub(crate) struct Args {
         allow_negative_numbers = true,
         help_heading = "Load"
     )]
-    concurrency_range: Option<Range>,
+    concurrency_range: Option<LevelRange>,
     /// Measure an open loop at several levels: start:end:step batches per second [default: a closed
     /// loop].
     #[arg(long, value_name = "RANGE", conflicts_with_all = ["concurrency", "concurrency_range"],
           allow_negative_numbers = true, help_heading = "Load")]
-    request_rate_range: Option<Range>,
+    request_rate_range: Option<LevelRange>,
     /// The times at which the batches of an open loop are due.
     #[arg(long, value_enum, ignore_case = true, default_value_t, help_heading = "Load")]
     request_distribution: Distribution,
@@ -195,7 +195,7 @@ async fn loaded(args: &Args) -> Result<(), Error> {
     })?;
     let margin = args.margin.unwrap_or(batches.margin());
     let sampled =
-        Arc::new(batches.prepare(&ids, &args.accuracy.asked(margin, &args.outputs), args.verify)?);
+        Arc::new(batches.prepare(&ids, &args.accuracy.query_options(margin, &args.outputs), args.verify)?);
     let interrupted = Arc::new(AtomicBool::new(false));
     tokio::spawn(note_interrupt(interrupted.clone()));
     let runner = Runner { answerers, sampled, interrupted: interrupted.clone(), args: args.clone() };
@@ -239,7 +239,7 @@ impl Args {
         match (self.request_rate_range, self.concurrency_range) {
             (Some(range), _) => Plan::new(Level::Rate, range, self.binary_search),
             (None, Some(range)) => Plan::new(concurrency, range, self.binary_search),
-            (None, None) => Plan::new(concurrency, Range::one(self.concurrency), false),
+            (None, None) => Plan::new(concurrency, LevelRange::one(self.concurrency), false),
         }
     }
 

@@ -41,24 +41,24 @@ const WAITING_LINES: usize = 1024;
 const LAST_LINES: Duration = Duration::from_secs(1);
 
 /// The log and the traces, for as long as this is held.
-pub(crate) struct Observed {
+pub(crate) struct Observability {
     traces: Option<Traces>,
     ended: Receiver<()>,
-    lines: Lines,
+    lines: LogQueue,
 }
 
 /// Starts the log and the traces.
 ///
 /// # Errors
 /// A setting is wrong, or the system refuses a thread.
-pub(crate) fn start(settings: &Settings) -> Result<Observed, Error> {
+pub(crate) fn start(settings: &Settings) -> Result<Observability, Error> {
     let named = |why| Exit::Usage.error(format!("log {:?}: {why}", settings.log));
     let filter = serve_values::filter(&settings.log).map_err(named)?;
     // Without the hint, the filter would count as one for every level.
     let of_log = filter_fn(|metadata| metadata.target() != trace::TARGET);
     let filter = filter.and(of_log.with_max_level_hint(LevelFilter::TRACE));
-    let (lines, ended) =
-        Lines::to(io::stderr()).map_err(|error| Exit::Failed.error(runtime::refused(&error.to_string())))?;
+    let (lines, ended) = LogQueue::to(io::stderr())
+        .map_err(|error| Exit::Failed.error(runtime::refused(&error.to_string())))?;
     let log = tracing_subscriber::fmt::layer().with_writer(lines.clone());
     let log = match settings.log_format {
         LogFormat::Text => log.with_ansi(false).boxed(),
@@ -73,22 +73,22 @@ pub(crate) fn start(settings: &Settings) -> Result<Observed, Error> {
         None => subscriber.init(),
         Some(traces) => subscriber.with(traces.layer()).init(),
     }
-    Ok(Observed { traces, ended, lines })
+    Ok(Observability { traces, ended, lines })
 }
 
-impl Observed {
+impl Observability {
     /// Sends what waits: the traces to their collector, and the lines to standard error, if it takes them.
     pub(crate) fn flush(self) {
         if let Some(traces) = self.traces {
             traces.flush();
         }
-        if self.lines.queue.try_send(Line::Last).is_ok() {
+        if self.lines.queue.try_send(LogLine::Last).is_ok() {
             let _: Result<(), RecvTimeoutError> = self.ended.recv_timeout(LAST_LINES);
         }
     }
 }
 
-enum Line {
+enum LogLine {
     Text(Vec<u8>),
     /// Everything before this has been written when the thread meets it.
     Last,
@@ -96,12 +96,12 @@ enum Line {
 
 /// Puts lines into the queue.
 #[derive(Clone)]
-struct Lines {
-    queue: SyncSender<Line>,
+struct LogQueue {
+    queue: SyncSender<LogLine>,
     left_out: Arc<AtomicU64>,
 }
 
-impl Lines {
+impl LogQueue {
     /// A queue of lines for `output`. The receiver hears when the last line has been written.
     fn to(mut output: impl Write + Send + 'static) -> io::Result<(Self, Receiver<()>)> {
         let (queue, lines) = sync_channel(WAITING_LINES);
@@ -110,7 +110,7 @@ impl Lines {
         let missing = left_out.clone();
         thread::Builder::new().name("log".into()).spawn(move || {
             for line in lines {
-                let Line::Text(text) = line else { break };
+                let LogLine::Text(text) = line else { break };
                 // Nothing can be done about an output that takes no more lines.
                 let _ = output.write_all(&text);
                 let count = missing.swap(0, Ordering::Relaxed);
@@ -124,10 +124,10 @@ impl Lines {
     }
 }
 
-impl Write for Lines {
+impl Write for LogQueue {
     /// Takes one line, as the log's layer writes it.
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
-        if self.queue.try_send(Line::Text(line.to_vec())).is_err() {
+        if self.queue.try_send(LogLine::Text(line.to_vec())).is_err() {
             self.left_out.fetch_add(1, Ordering::Relaxed);
         }
         Ok(line.len())
@@ -138,7 +138,7 @@ impl Write for Lines {
     }
 }
 
-impl MakeWriter<'_> for Lines {
+impl MakeWriter<'_> for LogQueue {
     type Writer = Self;
 
     fn make_writer(&self) -> Self {
@@ -171,14 +171,14 @@ mod tests {
     fn a_log_that_is_not_read_holds_nobody_up() {
         let (permit, permits) = channel();
         let (written, lines) = channel();
-        let (mut log, ended) = Lines::to(Slow(permits, written)).unwrap();
+        let (mut log, ended) = LogQueue::to(Slow(permits, written)).unwrap();
         for _ in 0..3 * WAITING_LINES {
             log.write_all(b"a line\n").unwrap();
         }
         let left_out = log.left_out.load(Ordering::Relaxed);
         assert!(left_out >= 2 * WAITING_LINES as u64 - 1, "{left_out}");
         drop(permit);
-        log.queue.send(Line::Last).unwrap();
+        log.queue.send(LogLine::Last).unwrap();
         ended.recv().unwrap();
         let lines: Vec<_> = lines.try_iter().collect();
         assert!(lines.iter().any(|line| line.contains("left out")), "{} lines", lines.len());

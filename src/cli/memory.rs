@@ -12,14 +12,14 @@ use serde::{Serialize, Serializer};
 
 /// A size in bytes, or as a percentage of the memory that the process may use.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Size {
+pub(crate) enum MemorySize {
     /// A number of bytes.
     Bytes(u64),
     /// A percentage.
     Share(f64),
 }
 
-impl Size {
+impl MemorySize {
     /// The size in bytes. A percentage refers to the memory of this machine and this cgroup.
     ///
     /// # Errors
@@ -36,7 +36,7 @@ impl Size {
     }
 }
 
-impl FromStr for Size {
+impl FromStr for MemorySize {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -51,7 +51,7 @@ impl FromStr for Size {
     }
 }
 
-impl fmt::Display for Size {
+impl fmt::Display for MemorySize {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Bytes(bytes) => write!(f, "{bytes}"),
@@ -61,7 +61,7 @@ impl fmt::Display for Size {
 }
 
 /// Written as a number if the size is in bytes, otherwise as text.
-impl Serialize for Size {
+impl Serialize for MemorySize {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
             Self::Bytes(bytes) => serializer.serialize_u64(*bytes),
@@ -129,16 +129,16 @@ mod tests {
     #[test]
     fn sizes_are_numbers_units_or_shares() {
         for (text, size) in [
-            ("1073741824", Size::Bytes(1 << 30)),
-            ("512MiB", Size::Bytes(512 << 20)),
-            ("25%", Size::Share(25.0)),
-            ("12.5%", Size::Share(12.5)),
+            ("1073741824", MemorySize::Bytes(1 << 30)),
+            ("512MiB", MemorySize::Bytes(512 << 20)),
+            ("25%", MemorySize::Share(25.0)),
+            ("12.5%", MemorySize::Share(12.5)),
         ] {
             assert_eq!(text.parse(), Ok(size));
             assert_eq!(size.to_string().parse(), Ok(size));
         }
         for text in ["", "0%", "-1%", "-1", "1MB", "101%", "x%", "NaN%", "99999999999GiB"] {
-            assert!(text.parse::<Size>().is_err(), "{text}");
+            assert!(text.parse::<MemorySize>().is_err(), "{text}");
         }
     }
 

@@ -15,7 +15,7 @@ const DATE: u16 = 1 << 5 | 1;
 const ALIGNMENT: usize = 64;
 
 /// A number type of numpy.
-pub(crate) trait Number: Copy {
+pub(crate) trait NpzNumber: Copy {
     /// Numpy's name of the type in little-endian order.
     const DTYPE: &str;
     /// Appends the number's bytes, little endian.
@@ -24,7 +24,7 @@ pub(crate) trait Number: Copy {
 
 macro_rules! number {
     ($type:ty, $dtype:literal) => {
-        impl Number for $type {
+        impl NpzNumber for $type {
             const DTYPE: &str = $dtype;
             fn write(self, bytes: &mut Vec<u8>) {
                 bytes.extend_from_slice(&self.to_le_bytes());
@@ -56,7 +56,7 @@ impl<W: Write> Npz<W> {
     ///
     /// # Errors
     /// The array cannot be written, or the archive would exceed the 4 GiB of a plain ZIP archive.
-    pub(crate) fn array<T: Number>(&mut self, name: &str, column: &[T], width: usize) -> io::Result<()> {
+    pub(crate) fn array<T: NpzNumber>(&mut self, name: &str, column: &[T], width: usize) -> io::Result<()> {
         self.entry(name, &npy(column, width))
     }
 
@@ -128,7 +128,7 @@ fn small(bytes: u64) -> io::Result<u32> {
 }
 
 /// The bytes of a `.npy` file.
-fn npy<T: Number>(column: &[T], width: usize) -> Vec<u8> {
+fn npy<T: NpzNumber>(column: &[T], width: usize) -> Vec<u8> {
     let rows = column.len() / width;
     let shape = if width == 1 { format!("({rows},)") } else { format!("({rows}, {width})") };
     let mut data = Vec::with_capacity(size_of_val(column));

@@ -62,7 +62,7 @@ pub(crate) enum OutputArg {
 
 /// The parts of a query that are the same for every pair.
 #[derive(Clone, Debug)]
-pub(crate) struct Asked {
+pub(crate) struct QueryOptions {
     /// Contact points are computed for hulls within this distance.
     pub(crate) margin: f64,
     /// Settings that trade accuracy for speed.
@@ -73,7 +73,7 @@ pub(crate) struct Asked {
 
 impl AccuracyArgs {
     /// The query with a margin and outputs. The server or the library refuses values out of range.
-    pub(crate) fn asked(&self, margin: f64, outputs: &[OutputArg]) -> Asked {
+    pub(crate) fn query_options(&self, margin: f64, outputs: &[OutputArg]) -> QueryOptions {
         let solver = match self.solver {
             SolverArg::Portal => proto::Solver::Portal,
             SolverArg::GjkRayCast => proto::Solver::GjkRayCast,
@@ -84,7 +84,7 @@ impl AccuracyArgs {
             feature_angle: self.feature_angle,
             max_points: self.max_points,
         };
-        Asked { margin, accuracy, outputs: outputs.iter().map(|o| o.wire().into()).collect() }
+        QueryOptions { margin, accuracy, outputs: outputs.iter().map(|o| o.wire().into()).collect() }
     }
 }
 

@@ -6,10 +6,10 @@ use std::path::PathBuf;
 use super::Error;
 use super::answer::{Answerer, at_server, in_scene, request};
 use super::exit::Exit;
-use super::options::{AccuracyArgs, Asked, OutputArg};
+use super::options::{AccuracyArgs, OutputArg, QueryOptions};
 use super::progress::Progress;
 use super::remote::RemoteArgs;
-use super::report::Answered;
+use super::report::AnsweredFrame;
 use super::scene::{Frame, SceneFile, frame_named, shown, unusable_poses};
 use super::settings::MOST_THREADS;
 use super::values::{count, counted, margin};
@@ -78,15 +78,15 @@ async fn answered(args: &Args) -> Result<(), Error> {
         Some(wanted) => frame_named(&scene, wanted).map_err(|text| Exit::Usage.error(text))?,
         None => &scene.frames[0],
     };
-    let asked = args.accuracy.asked(args.margin.unwrap_or(scene.margin), &args.outputs);
+    let options = args.accuracy.query_options(args.margin.unwrap_or(scene.margin), &args.outputs);
     let columns =
-        asked_for(args, &scene, frame, &asked).await.map_err(|error| match &args.remote.remote {
+        fetch_answer(args, &scene, frame, &options).await.map_err(|error| match &args.remote.remote {
             Some(address) => at_server(error, address),
             None => error,
         })?;
-    let answered = Answered { scene: &scene, frame, columns: &columns };
+    let answered = AnsweredFrame { scene: &scene, frame, columns: &columns };
     if let Some(path) = &args.out {
-        answered.write_npz(path, &asked.outputs).map_err(|e| format!("--out {}: {e}", path.display()))?;
+        answered.write_npz(path, &options.outputs).map_err(|e| format!("--out {}: {e}", path.display()))?;
     }
     let mut out = io::BufWriter::new(io::stdout().lock());
     let written =
@@ -100,18 +100,18 @@ async fn answered(args: &Args) -> Result<(), Error> {
 }
 
 /// The columns of the answer, from this process or a server.
-async fn asked_for(
+async fn fetch_answer(
     args: &Args,
     scene: &SceneFile,
     frame: &Frame,
-    asked: &Asked,
+    options: &QueryOptions,
 ) -> Result<proto::QueryContactsResponse, Error> {
     let opened = match &args.remote.remote {
         Some(address) => Answerer::remote(address, &args.remote, &scene.hulls).await,
         None => Answerer::local(&scene.hulls, args.threads),
     };
     let (answerer, ids) = opened.map_err(|error| in_scene(error, &shown("", &args.scene)))?;
-    answer(&answerer, request(scene, frame, &ids, asked)).await
+    answer(&answerer, request(scene, frame, &ids, options)).await
 }
 
 /// Fails if a pair was not answered, because a script must not mistake such a pair for one without

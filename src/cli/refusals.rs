@@ -7,7 +7,7 @@ use clap::{Arg, ArgAction, Command, CommandFactory};
 
 use super::{
     help::complete,
-    settings::{Fault, Given, NAMES},
+    settings::{NAMES, PartialSettings, SettingsFileError},
 };
 use crate::Arguments;
 
@@ -240,10 +240,10 @@ fn wrong_values_of_a_file_are_refused_by_name_and_range() {
             let quoted = toml::Value::String(value.into()).to_string();
             let bare = value.parse::<f64>().is_ok() && !value.starts_with(['0', '+']);
             for text in [Some(quoted), bare.then(|| value.to_owned())].into_iter().flatten() {
-                match Given::parse(
+                match PartialSettings::parse(
                     &format!("log = \"info\"\n{key} = {text}\n").replace("log = \"info\"\nlog", "log"),
                 ) {
-                    Err(Fault::Text(said) | Fault::Value(said))
+                    Err(SettingsFileError::Text(said) | SettingsFileError::Value(said))
                         if said.contains(&key) && said.contains(allowed) => {}
                     other => faults.push(format!("{key} = {text}: {other:?}")),
                 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use hullcast_client::{Address, Cause, Client, Defect, Setting, SettingError};
 
 use super::Error;
-use super::answer::Refusal;
+use super::answer::QueryRefusal;
 use super::exit::Exit;
 use hullcast::small_file;
 
@@ -83,7 +83,7 @@ impl RemoteArgs {
             {
                 Exit::Unreachable.error(format!("{why} by --tls-ca"))
             }
-            _ => Refusal::from(error).into(),
+            _ => QueryRefusal::from(error).into(),
         }
     }
 

@@ -12,7 +12,7 @@ use hullcast::service::wire::response_columns;
 
 /// A frame of a scene and its answer.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Answered<'a> {
+pub(crate) struct AnsweredFrame<'a> {
     /// The scene of the query.
     pub(crate) scene: &'a SceneFile,
     /// The configuration of the query.
@@ -26,7 +26,7 @@ pub(super) fn row<T: Copy, const N: usize>(column: &[T], i: usize) -> Option<[T;
     column.as_chunks::<N>().0.get(i).copied()
 }
 
-impl Answered<'_> {
+impl AnsweredFrame<'_> {
     /// Writes every pair as JSON, one per line. Infinities and NaN are written as null.
     ///
     /// # Errors
@@ -67,7 +67,7 @@ type Joined<'a> = &'a [(&'static Column, Values<'a>)];
 
 /// A pair in the JSON. Columns that were not requested are left out.
 struct PairJson<'a> {
-    answered: &'a Answered<'a>,
+    answered: &'a AnsweredFrame<'a>,
     i: usize,
     points: Range<usize>,
     of_pair: &'a [Joined<'a>],
@@ -145,16 +145,16 @@ impl Serialize for ValueJson<'_> {
 /// A number of a column.
 #[derive(serde::Serialize)]
 #[serde(untagged)]
-enum Number {
+enum ColumnNumber {
     Integer(u32),
     Float(f64),
 }
 
-fn numbers(values: Values<'_>) -> Vec<Number> {
+fn numbers(values: Values<'_>) -> Vec<ColumnNumber> {
     match values {
-        Values::U8(values) => values.iter().map(|&value| Number::Integer(value.into())).collect(),
-        Values::U32(values) => values.iter().map(|&value| Number::Integer(value)).collect(),
-        Values::F64(values) => values.iter().map(|&value| Number::Float(value)).collect(),
+        Values::U8(values) => values.iter().map(|&value| ColumnNumber::Integer(value.into())).collect(),
+        Values::U32(values) => values.iter().map(|&value| ColumnNumber::Integer(value)).collect(),
+        Values::F64(values) => values.iter().map(|&value| ColumnNumber::Float(value)).collect(),
     }
 }
 

@@ -2,7 +2,7 @@
 //! names.
 
 pub(crate) use hullcast_batch::scene_file::{
-    Frame, HullPoints, SceneError, SceneFile, shown, unusable_poses,
+    Frame, HullPoints, SceneFile, SceneFileError, shown, unusable_poses,
 };
 
 use super::Error;

@@ -9,8 +9,8 @@ use std::{
 };
 
 use hullcast::{
-    service::{App, Listener, OpenError as ServiceOpenError, Security, run as serve, serve_admin},
-    store::blobs::{self, OpenError},
+    service::{App, Listener, Security, StartError, run as serve, serve_admin},
+    store::blobs::{self, StoreOpenError},
 };
 use tokio::{
     net::TcpListener,
@@ -25,14 +25,14 @@ use super::{
     Error, descriptors,
     exit::Exit,
     log, memory, runtime,
-    settings::{Checked, DEFAULT_STORE, Given, Settings},
+    settings::{CheckedSettings, DEFAULT_STORE, PartialSettings, Settings},
 };
 
 /// `hullcast serve`
 #[derive(clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
-    given: Given,
+    settings: PartialSettings,
     /// Read settings from this TOML file. Its keys are the names of the flags, with underscores
     /// [default: none]
     #[arg(long, env = "HULLCAST_CONFIG", value_name = "FILE", help_heading = "Settings")]
@@ -59,9 +59,9 @@ const RUNTIME_SHUTDOWN: Duration = Duration::from_secs(1);
 
 /// Runs `hullcast serve`.
 pub(crate) fn run(args: Args) -> Result<(), Error> {
-    let file = args.config.as_deref().map(Given::read).transpose()?.unwrap_or_default();
-    let settings = args.given.clone().or(file);
-    let mut checked = settings.checked()?;
+    let file = args.config.as_deref().map(PartialSettings::read).transpose()?.unwrap_or_default();
+    let settings = args.settings.clone().or(file);
+    let mut checked = settings.check()?;
     if args.print_config {
         print!("{}", toml::to_string(&settings)?);
         return Ok(());
@@ -78,7 +78,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     memory::compare(limits);
     let result = runtime.block_on(until_stopped(&settings, checked, &args));
     observed.flush();
-    if let Ok(Stopped::AtOnce) = result {
+    if let Ok(StopKind::AtOnce) = result {
         // Dropping the runtime would wait for work on other threads.
         std::process::exit(1);
     }
@@ -87,21 +87,25 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 }
 
 /// How the server stopped.
-enum Stopped {
+enum StopKind {
     /// The calls in progress ended first.
     Drained,
     /// It was told to stop a second time.
     AtOnce,
 }
 
-async fn until_stopped(settings: &Settings, checked: Checked, args: &Args) -> Result<Stopped, Error> {
-    let Checked { serving, limits, grace } = checked;
+async fn until_stopped(
+    settings: &Settings,
+    checked: CheckedSettings,
+    args: &Args,
+) -> Result<StopKind, Error> {
+    let CheckedSettings { options, limits, grace } = checked;
     let store = blobs::open(&settings.store).map_err(|error| match error {
-        OpenError::Threads(why) => Exit::Failed.error(runtime::refused(&why)),
-        error @ OpenError::Store(_) => Exit::Usage.error(format!("--{error}")),
+        StoreOpenError::Threads(why) => Exit::Failed.error(runtime::refused(&why)),
+        error @ StoreOpenError::Store(_) => Exit::Usage.error(format!("--{error}")),
     })?;
     let app = App::new(store, limits, settings.compute_threads).map_err(|error| match error {
-        ServiceOpenError::Threads(why) => Exit::Failed.error(runtime::refused(&why)),
+        StartError::Threads(why) => Exit::Failed.error(runtime::refused(&why)),
         error => error.into(),
     })?;
     let app = Arc::new(app);
@@ -110,7 +114,7 @@ async fn until_stopped(settings: &Settings, checked: Checked, args: &Args) -> Re
     // Installed before the address is printed: a reader of the address may stop the server at once.
     let (again, told_again) = oneshot::channel();
     let shutdown = shutdown(grace, args.until_stdin_closes, again)?;
-    let listeners = listeners(settings, &serving.security).await?;
+    let listeners = listeners(settings, &options.security).await?;
     let admin = match settings.admin_listen.as_str() {
         "" => None,
         address => {
@@ -121,7 +125,7 @@ async fn until_stopped(settings: &Settings, checked: Checked, args: &Args) -> Re
     };
     let refused = |error: io::Error| Exit::Failed.error(runtime::refused(&error.to_string()));
     allocator::return_freed_memory(Handle::current()).map_err(refused)?;
-    announce(settings, serving.security.encrypts(), &listeners, admin.as_ref())?;
+    announce(settings, options.security.encrypts(), &listeners, admin.as_ref())?;
     if let Some(admin) = admin {
         tokio::spawn(serve_admin(admin, app.clone()));
     }
@@ -131,15 +135,15 @@ async fn until_stopped(settings: &Settings, checked: Checked, args: &Args) -> Re
         compute_threads = app.engine().threads(),
         "serving"
     );
-    spawn_reload_on_hangup(serving.security.clone())?;
+    spawn_reload_on_hangup(options.security.clone())?;
     tokio::select! {
-        served = serve(listeners, app, serving, shutdown) => {
+        served = serve(listeners, app, options, shutdown) => {
             served?;
-            Ok(Stopped::Drained)
+            Ok(StopKind::Drained)
         }
         Ok(()) = told_again => {
             tracing::warn!("told to stop again: ending at once");
-            Ok(Stopped::AtOnce)
+            Ok(StopKind::AtOnce)
         }
     }
 }

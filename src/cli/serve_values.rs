@@ -7,7 +7,7 @@ use std::{net::IpAddr, path};
 use hullcast::{service::Limits, size::ByteSize};
 use tracing_subscriber::{EnvFilter, filter::LevelFilter};
 
-use super::memory::Size;
+use super::memory::MemorySize;
 use super::values::count;
 
 /// The range of a limit.
@@ -34,14 +34,14 @@ pub(crate) fn bytes(name: &'static str) -> impl Fn(&str) -> Result<ByteSize, Str
 }
 
 /// A parser of a size within the range of the limit called `name`, or of a percentage of the memory.
-pub(crate) fn size(name: &'static str) -> impl Fn(&str) -> Result<Size, String> + Clone {
+pub(crate) fn size(name: &'static str) -> impl Fn(&str) -> Result<MemorySize, String> + Clone {
     let (least, most) = range(name);
     let range = Limits::shown_range(name).unwrap_or_default();
     move |text| {
-        let size: Option<Size> = text.parse().ok();
-        let allowed = |size: &Size| match size {
-            Size::Bytes(bytes) => (least..=most).contains(bytes),
-            Size::Share(_) => true,
+        let size: Option<MemorySize> = text.parse().ok();
+        let allowed = |size: &MemorySize| match size {
+            MemorySize::Bytes(bytes) => (least..=most).contains(bytes),
+            MemorySize::Share(_) => true,
         };
         size.filter(allowed).ok_or_else(|| {
             format!(

@@ -5,9 +5,9 @@ mod checked;
 mod declared;
 mod file;
 
-pub(crate) use checked::Checked;
+pub(crate) use checked::CheckedSettings;
 #[cfg(test)]
 pub(crate) use declared::NAMES;
-pub(crate) use declared::{DEFAULT_STORE, Given, LogFormat, MOST_THREADS, Settings};
+pub(crate) use declared::{DEFAULT_STORE, LogFormat, MOST_THREADS, PartialSettings, Settings};
 #[cfg(test)]
-pub(crate) use file::Fault;
+pub(crate) use file::SettingsFileError;

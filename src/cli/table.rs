@@ -4,14 +4,14 @@
 use std::io::{self, Write};
 use std::ops::Range;
 
-use super::report::{Answered, flag_names, outcome_name, row};
+use super::report::{AnsweredFrame, flag_names, outcome_name, row};
 use super::values::counted;
 use hullcast::proto::Outcome;
 
 /// Shown in place of a number that was not requested or does not exist.
 const NONE: &str = "-";
 
-impl Answered<'_> {
+impl AnsweredFrame<'_> {
     /// Writes one line per pair (separated pairs only if `all` is set), then the sums.
     ///
     /// # Errors

@@ -67,7 +67,8 @@ fn answer(app: &App, request: &Request<Incoming>) -> Response<String> {
         "/livez" => plain(StatusCode::OK, "live\n".into()),
         "/readyz" => {
             let readiness = app.readiness();
-            let code = if readiness.welcomes() { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
+            let code =
+                if readiness.accepts_calls() { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
             plain(code, format!("{readiness}\n"))
         }
         _ => plain(StatusCode::NOT_FOUND, "not found; the paths are /metrics, /livez and /readyz\n".into()),

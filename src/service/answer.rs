@@ -9,7 +9,7 @@ use bytes::{BufMut, Bytes, BytesMut};
 
 use super::{
     App, Reason, ServiceError,
-    context::{Answer, CallContext, grow},
+    context::{CallContext, EncodedAnswer, grow},
     offload::offloaded,
     request_body::HEAD_BYTES,
     sizes::SMALL_BYTES,
@@ -68,7 +68,7 @@ async fn encoded<M: Columnar + Send + 'static>(
     grow(app, &mut memory, HEAD_BYTES + length)?;
     let bytes = offloaded(app, context, length, move |_| Ok(framed(message, length))).await?;
     memory.shrink_to(bytes.len() as u64);
-    context.keep_answer(Answer { bytes, memory });
+    context.keep_answer(EncodedAnswer { bytes, memory });
     Ok(M::default())
 }
 

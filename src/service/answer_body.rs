@@ -28,14 +28,14 @@ use tonic::{Status, body::Body};
 
 use super::{
     ServiceError,
-    call::{Call, Taken},
-    context::{Answer, CallContext, no_memory},
+    call::{Call, CallResources},
+    context::{CallContext, EncodedAnswer, no_memory},
     cutoff::Cutoff,
     request_body::{HEAD_BYTES, per_mebibyte},
 };
 use crate::{
     budget::{Part, Permit},
-    metrics::Cut,
+    metrics::CutReason,
 };
 
 /// The bytes of an answer that are handed to the transport at a time.
@@ -56,11 +56,11 @@ pub(super) struct AnswerTimes {
 
 impl AnswerTimes {
     /// The time by which an answer of `bytes` bytes that is ready now has to be taken.
-    fn due(&self, bytes: usize) -> (Instant, Cut) {
+    fn due(&self, bytes: usize) -> (Instant, CutReason) {
         let due = Instant::now() + self.patience + per_mebibyte(bytes);
         match self.deadline.map(|deadline| deadline + AFTER_DEADLINE) {
-            Some(deadline) if deadline < due => (deadline, Cut::Deadline),
-            _ => (due, Cut::AnswerNotRead),
+            Some(deadline) if deadline < due => (deadline, CutReason::Deadline),
+            _ => (due, CutReason::AnswerNotRead),
         }
     }
 }
@@ -99,7 +99,7 @@ impl AnswerBody {
         {
             let length = u32::from_be_bytes(*length) as usize;
             let large = if flag == 0 && length == 0 { self.context.next_answer() } else { None };
-            let Some(Answer { bytes, memory }) = large else {
+            let Some(EncodedAnswer { bytes, memory }) = large else {
                 small += HEAD_BYTES + length;
                 continue;
             };
@@ -134,15 +134,15 @@ impl AnswerBody {
         if !self.cutoff.is_all_sent() {
             memory.uncover().map_err(|why| no_memory(metrics, why))?;
         }
-        self.queue(bytes, memory, Some(self.call.taken()));
+        self.queue(bytes, memory, Some(self.call.resources()));
         Ok(())
     }
 
     /// Queues bytes for the transport. Their memory counts until they are sent, and so do the resources of
     /// the call, if it covers the memory.
-    fn queue(&mut self, bytes: Bytes, memory: Permit, taken: Option<Arc<Taken>>) {
+    fn queue(&mut self, bytes: Bytes, memory: Permit, resources: Option<Arc<CallResources>>) {
         let length = bytes.len();
-        self.queued.push_back(self.cutoff.until_sent(bytes, (memory, taken)));
+        self.queued.push_back(self.cutoff.until_sent(bytes, (memory, resources)));
         self.cutoff.set(self.times.due(length));
     }
 

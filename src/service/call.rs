@@ -14,11 +14,11 @@ use hyper::body::Frame;
 use tonic::{Code, Status};
 use tracing::{Span, span::Entered};
 
-use super::{App, peers::Counted};
+use super::{App, peers::CallSlot};
 use crate::{
     budget::Permit,
     contact::Stop,
-    metrics::{Call as Ended, Held},
+    metrics::{CallLabels, GaugeGuard},
     trace,
 };
 
@@ -64,17 +64,17 @@ fn trace_id(traceparent: &str) -> Option<&str> {
 
 /// The resources that a call holds until it ends.
 #[derive(Debug, Default)]
-pub(super) struct Taken {
+pub(super) struct CallResources {
     _memory: Option<Permit>,
-    _counted: Option<Counted>,
+    _call_slot: Option<CallSlot>,
 }
 
-impl Taken {
+impl CallResources {
     /// `memory` is the fixed cost of a call: its headers, and the state that the transport keeps.
     /// It is `None` for a health check, of which a connection may have a few without asking the
-    /// budget. `counted` is for calls of which a connection may have only a limited number.
-    pub(super) fn new(memory: Option<Permit>, counted: Option<Counted>) -> Self {
-        Self { _memory: memory, _counted: counted }
+    /// budget. `call_slot` is for calls of which a connection may have only a limited number.
+    pub(super) fn new(memory: Option<Permit>, call_slot: Option<CallSlot>) -> Self {
+        Self { _memory: memory, _call_slot: call_slot }
     }
 }
 
@@ -89,8 +89,8 @@ pub(super) struct Call {
     code: Code,
     stop: Arc<Stop>,
     /// The resources of its connection and of the memory budget that the call holds.
-    taken: Arc<Taken>,
-    _in_flight: Held,
+    resources: Arc<CallResources>,
+    _in_flight: GaugeGuard,
 }
 
 impl Call {
@@ -101,9 +101,9 @@ impl Call {
         span: Span,
         traced: Span,
         stop: Arc<Stop>,
-        taken: Taken,
+        resources: CallResources,
     ) -> Self {
-        let in_flight = Held::new(&app.metrics().requests_in_flight, 1);
+        let in_flight = GaugeGuard::new(&app.metrics().requests_in_flight, 1);
         Self {
             app,
             span,
@@ -114,7 +114,7 @@ impl Call {
             // by its client.
             code: Code::Cancelled,
             stop,
-            taken: Arc::new(taken),
+            resources: Arc::new(resources),
             _in_flight: in_flight,
         }
     }
@@ -124,8 +124,8 @@ impl Call {
     }
 
     /// The resources that the call holds. They are held for as long as a clone lives.
-    pub(super) fn taken(&self) -> Arc<Taken> {
-        self.taken.clone()
+    pub(super) fn resources(&self) -> Arc<CallResources> {
+        self.resources.clone()
     }
 
     /// Enters the call's spans. While the guards live, every logged line names the call.
@@ -155,7 +155,7 @@ impl Drop for Call {
         let code = name(self.code);
         tracing::debug!(parent: &self.span, code, ms = seconds * 1e3, "ended");
         trace::ended(&self.traced, self.code);
-        self.app.metrics().ended(&Ended { method: self.method, code }, seconds);
+        self.app.metrics().ended(&CallLabels { method: self.method, code }, seconds);
     }
 }
 

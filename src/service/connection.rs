@@ -29,21 +29,21 @@ use tonic::{body::Body, service::Routes};
 use tower::Service;
 
 use super::{
-    App, Serving,
-    admission::spread,
-    frames::{Frames, Overhead},
-    listener::Connection,
+    App, ServerOptions,
+    admission::low_discrepancy,
+    frames::{FrameTracker, Overhead},
+    listener::AcceptedConnection,
     middleware::{Closing, Middleware},
     peers::{Address, Peer, Peers},
     request_body::per_mebibyte,
     sizes::HEADER_BYTES,
-    streams::{Arrived, Records, StreamExecutor, Streams},
+    streams::{PendingStreams, StreamExecutor, StreamRecordMemory, Streams},
 };
 #[cfg(feature = "playground")]
 use super::{
     cutoff::Cutoff,
     playground::{self, Page},
-    stall::{Noted, Stall},
+    stall::{Stall, StallDetector},
 };
 use crate::log_limit::limited;
 
@@ -65,7 +65,7 @@ const GREETING_BYTES: u64 = 24 + 9;
 pub(super) struct Connections {
     app: Arc<App>,
     routes: Routes,
-    serving: Arc<Serving>,
+    options: Arc<ServerOptions>,
     peers: Arc<Peers>,
     /// The number of connections so far, from which their ages are spread.
     count: AtomicU64,
@@ -73,10 +73,10 @@ pub(super) struct Connections {
 }
 
 impl Connections {
-    pub(super) fn new(app: Arc<App>, routes: Routes, serving: Serving) -> Self {
-        let peers = Peers::new(app.clone(), serving.trusted_proxies.clone(), app.limits().shares);
-        let (serving, peers) = (Arc::new(serving), Arc::new(peers));
-        Self { app, routes, serving, peers, count: AtomicU64::new(0), undrained: AtomicU64::new(0) }
+    pub(super) fn new(app: Arc<App>, routes: Routes, options: ServerOptions) -> Self {
+        let peers = Peers::new(app.clone(), options.trusted_proxies.clone(), app.limits().shares);
+        let (options, peers) = (Arc::new(options), Arc::new(peers));
+        Self { app, routes, options, peers, count: AtomicU64::new(0), undrained: AtomicU64::new(0) }
     }
 
     /// The number of connections that were closed because they did not drain in time.
@@ -84,7 +84,7 @@ impl Connections {
         self.undrained.load(Ordering::Relaxed)
     }
 
-    /// A place for another connection from `address`, or `None` if there are too many.
+    /// A slot for another connection from `address`, or `None` if there are too many.
     pub(super) fn admit(&self, address: Address) -> Option<Peer> {
         self.peers.admit(address)
     }
@@ -109,36 +109,36 @@ impl Connections {
     /// The age at which a new connection is told to close: 0.9 to 1.1 times the configured age, so that
     /// connections that began together do not end together.
     fn age(&self) -> Duration {
-        let most = self.serving.max_connection_age;
+        let most = self.options.max_connection_age;
         if most.is_zero() {
             return Duration::MAX;
         }
-        most.mul_f64(0.9 + 0.2 * spread(self.count.fetch_add(1, Ordering::Relaxed)))
+        most.mul_f64(0.9 + 0.2 * low_discrepancy(self.count.fetch_add(1, Ordering::Relaxed)))
     }
 
     /// The longest time for which received bytes can wait for their call: until the answer to the message
     /// before them has to be taken.
     fn longest_wait(&self) -> Duration {
-        self.serving.answer_time + per_mebibyte(self.app.limits().max_message_bytes)
+        self.options.answer_time + per_mebibyte(self.app.limits().max_message_bytes)
     }
 
     /// Serves `io` until the peer leaves. When `closing` becomes true or the connection reaches its age,
     /// the peer is told to close (GOAWAY), and calls in progress have the drain time to finish.
-    pub(super) async fn serve(self: Arc<Self>, io: Connection, mut closing: Closing, peer: Peer) {
+    pub(super) async fn serve(self: Arc<Self>, io: AcceptedConnection, mut closing: Closing, peer: Peer) {
         let encrypted = tokio::select! {
             encrypted = self.encrypted(io, &peer) => encrypted,
             // No call has begun, so nothing has to be drained.
-            () = closing.heard() => return,
+            () = closing.announced() => return,
         };
         let io = match encrypted {
             Ok(io) => io,
             Err(error) => return report_handshake(&error),
         };
         let (close, closed) = watch::channel(false);
-        let (app, routes, serving) = (self.app.clone(), self.routes.clone(), self.serving.clone());
-        let calls = Middleware::new(app, routes, serving, peer.clone(), Closing(closed));
+        let (app, routes, options) = (self.app.clone(), self.routes.clone(), self.options.clone());
+        let calls = Middleware::new(app, routes, options, peer.clone(), Closing(closed));
         #[cfg(feature = "playground")]
-        if self.serving.playground {
+        if self.options.playground {
             return self.serve_page(io, calls, peer, close, closing).await;
         }
         self.serve_http2(io, calls, peer, close, closing).await;
@@ -146,7 +146,7 @@ impl Connections {
 
     async fn serve_http2<S>(
         &self,
-        io: Connection,
+        io: AcceptedConnection,
         service: S,
         peer: Peer,
         close: watch::Sender<bool>,
@@ -157,56 +157,56 @@ impl Connections {
     {
         let read = Arc::new(AtomicU64::new(0));
         let window = peer.window();
-        let (abort, streams) = (Arc::new(Notify::new()), Arc::new(Streams::new(peer.readers())));
+        let (abort, streams) = (Arc::new(Notify::new()), Arc::new(Streams::new(peer.read_permits())));
         let executor = StreamExecutor::new(self.app.clone(), abort.clone(), streams.clone());
-        let frames = Frames::default();
-        let counted = Counted {
+        let frames = FrameTracker::default();
+        let metered = MeteredConnection {
             io,
             read: read.clone(),
             frames,
             overhead: Overhead::new(peer.clone(), self.longest_wait()),
-            records: Records::new(peer),
+            records: StreamRecordMemory::new(peer),
             streams: streams.clone(),
-            arrived: Arrived::default(),
+            pending: PendingStreams::default(),
         };
-        let io = TokioIo::new(counted);
+        let io = TokioIo::new(metered);
         let connection = self.http2(window, executor).serve_connection(io, TowerToHyperService::new(service));
         let end = async {
             tokio::select! {
-                () = silence(&read, self.serving.greeting) => "the peer did not begin HTTP/2 in time",
+                () = no_greeting(&read, self.options.greeting) => "the peer did not begin HTTP/2 in time",
                 () = abort.notified() => "the peer does not read the rest of an answer that was cut",
                 () = streams.until_overdue(&self.app) => "the peer does not read an answer in time",
             }
         };
-        self.attend(connection, Some(&streams), end, close, closing).await;
+        self.drive(connection, Some(&streams), end, close, closing).await;
     }
 
     /// Serves HTTP/2, or the playground's page over HTTP/1.1, which browsers use without TLS.
     #[cfg(feature = "playground")]
     async fn serve_page(
         &self,
-        io: Connection,
+        io: AcceptedConnection,
         calls: Middleware,
         peer: Peer,
         close: watch::Sender<bool>,
         mut closing: Closing,
     ) {
-        let greeting = self.serving.greeting;
+        let greeting = self.options.greeting;
         let speaks_http1 = tokio::select! {
             greeted = timeout(greeting, playground::speaks_http1(&io)) => greeted,
-            () = closing.heard() => return,
+            () = closing.announced() => return,
         };
         match speaks_http1 {
             Ok(Ok(false)) => self.serve_http2(io, Page::over_http2(calls), peer, close, closing).await,
             Ok(Ok(true)) => {
                 let cutoff = Cutoff::new();
-                let stall = Stall::new(cutoff.clone(), self.serving.answer_time);
+                let stall = Stall::new(cutoff.clone(), self.options.answer_time);
                 let service = TowerToHyperService::new(Page::over_http1(calls, stall.clone()));
-                let io = TokioIo::new(Noted { io, stall });
+                let io = TokioIo::new(StallDetector { io, stall });
                 let connection = playground::http1(greeting, HEADER_BYTES).serve_connection(io, service);
                 // A peer that sends no request is disconnected by HTTP/1.1's own timer; one that does not
                 // read its answer, by the cutoff.
-                let served = self.attend(connection, None, std::future::pending(), close, closing);
+                let served = self.drive(connection, None, std::future::pending(), close, closing);
                 cutoff.guard(&self.app, served).await;
             }
             Ok(Err(error)) => tracing::debug!(%error, "connection ended"),
@@ -216,7 +216,7 @@ impl Connections {
 
     /// Drives the connection until it ends by itself, until `end` returns the reason to close it, or until
     /// it is told to close and has drained.
-    async fn attend(
+    async fn drive(
         &self,
         connection: impl GracefulConnection<Error = hyper::Error>,
         streams: Option<&Streams>,
@@ -230,12 +230,12 @@ impl Connections {
             biased;
             ended = polled(connection.as_mut(), streams) => return report(ended),
             why = end => return tracing::debug!(why, "closed a connection"),
-            () = closing.heard() => {}
+            () = closing.announced() => {}
             () = sleep(self.age()) => {}
         }
         close.send_replace(true);
         connection.as_mut().graceful_shutdown();
-        let Ok(ended) = timeout(self.serving.drain, polled(connection, streams)).await else {
+        let Ok(ended) = timeout(self.options.drain, polled(connection, streams)).await else {
             self.undrained.fetch_add(1, Ordering::Relaxed);
             limited!(warn, "closing a connection that did not drain");
             return;
@@ -243,13 +243,13 @@ impl Connections {
         report(ended);
     }
 
-    async fn encrypted(&self, io: Connection, peer: &Peer) -> io::Result<Connection> {
-        match self.serving.security.tls_config() {
+    async fn encrypted(&self, io: AcceptedConnection, peer: &Peer) -> io::Result<AcceptedConnection> {
+        match self.options.security.tls_config() {
             None => Ok(io),
             Some(config) => {
                 let busy = || io::Error::other("too many TLS handshakes are in progress");
                 let _handshake = peer.handshake().ok_or_else(busy)?;
-                timeout(self.serving.greeting, io.encrypted(config)).await?
+                timeout(self.options.greeting, io.encrypted(config)).await?
             }
         }
     }
@@ -275,7 +275,7 @@ fn report(ended: hyper::Result<()>) {
 }
 
 /// Completes if the peer has not begun HTTP/2 within the time for it.
-async fn silence(read: &AtomicU64, greeting: Duration) {
+async fn no_greeting(read: &AtomicU64, greeting: Duration) {
     sleep(greeting).await;
     if read.load(Ordering::Relaxed) >= GREETING_BYTES {
         std::future::pending().await
@@ -284,24 +284,24 @@ async fn silence(read: &AtomicU64, greeting: Duration) {
 
 /// A connection that counts the bytes read from it, takes memory for its streams and for bytes that no window
 /// counts, and is not read while too many of its streams wait.
-struct Counted {
-    io: Connection,
+struct MeteredConnection {
+    io: AcceptedConnection,
     read: Arc<AtomicU64>,
-    frames: Frames,
+    frames: FrameTracker,
     overhead: Overhead,
-    records: Records,
+    records: StreamRecordMemory,
     streams: Arc<Streams>,
-    arrived: Arrived,
+    pending: PendingStreams,
 }
 
-impl AsyncRead for Counted {
+impl AsyncRead for MeteredConnection {
     fn poll_read(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
         let this = &mut *self;
-        ready!(this.streams.poll_may_read(&mut this.arrived, cx));
+        ready!(this.streams.poll_may_read(&mut this.pending, cx));
         let before = buffer.filled().len();
         ready!(Pin::new(&mut this.io).poll_read(cx, buffer))?;
         let read = &buffer.filled()[before..];
@@ -309,13 +309,13 @@ impl AsyncRead for Counted {
         let (count, begun) = (this.frames.count(), this.frames.begun());
         this.frames.read(read)?;
         this.streams.count_frames(this.frames.count() - count);
-        this.arrived.add(this.frames.begun() - begun);
-        this.records.charge(this.streams.count(&this.arrived))?;
+        this.pending.add(this.frames.begun() - begun);
+        this.records.charge(this.streams.count(&this.pending))?;
         Poll::Ready(this.overhead.charge(&this.frames))
     }
 }
 
-impl AsyncWrite for Counted {
+impl AsyncWrite for MeteredConnection {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         let wrote = Pin::new(&mut self.io).poll_write(cx, bytes);
         if wrote.is_pending() {

@@ -11,12 +11,12 @@ use tonic::{Request, Response, Status, Streaming};
 
 use super::{
     App, Limits, ServiceError,
+    contact_stream::ContactStream,
     context::CallContext,
-    decode::decoded,
-    find::Finding,
+    decode::decode_request,
+    find::FindCall,
     middleware::{Closing, Deadline},
     scene::answer,
-    steps::Steps,
     wire,
 };
 use crate::{
@@ -45,7 +45,7 @@ impl ContactService for Contacts {
         let check = |request, memory, limits: &Limits, stop: &Stop| {
             Ok((wire::stoppable_scene(request, limits, stop)?, memory))
         };
-        let (scene, memory) = decoded(&self.app, &context, request.into_inner(), check).await?;
+        let (scene, memory) = decode_request(&self.app, &context, request.into_inner(), check).await?;
         Ok(Response::new(answer(&self.app, &context, scene, memory, false).await?.0))
     }
 
@@ -57,7 +57,7 @@ impl ContactService for Contacts {
     ) -> Result<Response<Self::FindContactsStream>, Status> {
         let deadline = request.extensions().get::<Deadline>().copied();
         let context = CallContext::of(&request);
-        let finding = Finding::begin(self.app.clone(), context, request.into_inner()).await?;
+        let finding = FindCall::begin(self.app.clone(), context, request.into_inner()).await?;
         let answers = stream::try_unfold(finding, move |mut finding| async move {
             let part = within(deadline, finding.next()).await?;
             Ok(part.map(|part| (part, finding)))
@@ -78,10 +78,10 @@ impl ContactService for Contacts {
         // Handlers without a connection, which fuzzing uses, never close.
         let closing = closing.unwrap_or_else(|| Closing(watch::channel(false).1));
         let context = CallContext::of(&request);
-        let steps = Steps::new(self.app.clone(), context, request.into_inner(), closing);
-        let answers = stream::try_unfold(steps, move |mut steps| async move {
-            let step = within(deadline, steps.next()).await?;
-            Ok(step.map(|answer| (answer, steps)))
+        let messages = ContactStream::new(self.app.clone(), context, request.into_inner(), closing);
+        let answers = stream::try_unfold(messages, move |mut messages| async move {
+            let step = within(deadline, messages.next()).await?;
+            Ok(step.map(|answer| (answer, messages)))
         });
         Ok(Response::new(answers.boxed()))
     }

@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     batch::Hulls,
-    budget::{Caller, CallerBudget, MemoryBudget, NoMemory, Part, Permit, Refusal},
+    budget::{Caller, CallerBudget, MemoryBudget, NoMemory, Part, Permit, ShareRefusal},
     compute::Job,
     lock::locked,
     metrics::{Metrics, Shed},
@@ -38,9 +38,9 @@ pub(super) struct CallContext {
 #[derive(Debug, Default)]
 struct CallState {
     /// The large messages that have arrived and are not decoded yet.
-    arrived: Mutex<VecDeque<(Vec<Bytes>, Permit)>>,
+    large_messages: Mutex<VecDeque<(Vec<Bytes>, Permit)>>,
     /// The large answers that are encoded and not on their way to the transport yet.
-    answers: Mutex<VecDeque<Answer>>,
+    answers: Mutex<VecDeque<EncodedAnswer>>,
     /// The hulls of the latest message of a stream.
     leased: Mutex<Option<LeasedHulls>>,
 }
@@ -55,7 +55,7 @@ pub(super) struct LeasedHulls {
 
 /// A message that has arrived whole.
 #[derive(Debug)]
-pub(super) enum Arrived {
+pub(super) enum ReceivedMessage {
     /// A message that the call's own memory covers.
     Small(Bytes),
     /// A message in pieces, with the permit for their memory.
@@ -64,7 +64,7 @@ pub(super) enum Arrived {
 
 /// An encoded answer with its head.
 #[derive(Debug)]
-pub(super) struct Answer {
+pub(super) struct EncodedAnswer {
     pub(super) bytes: Bytes,
     pub(super) memory: Permit,
 }
@@ -103,24 +103,25 @@ impl CallContext {
     }
 
     /// Keeps a large message until its turn to be decoded.
-    pub(super) fn keep_arrived(&self, pieces: Vec<Bytes>, memory: Permit) {
-        locked(&self.state.arrived).push_back((pieces, memory));
+    pub(super) fn keep_large_message(&self, pieces: Vec<Bytes>, memory: Permit) {
+        locked(&self.state.large_messages).push_back((pieces, memory));
     }
 
     /// The message that tonic hands on as `passed`: a small one as it is, and a large one in the order
     /// of arrival.
-    pub(super) fn arrived(&self, passed: Bytes) -> Arrived {
-        let large = if passed.is_empty() { locked(&self.state.arrived).pop_front() } else { None };
-        large.map_or(Arrived::Small(passed), |(pieces, memory)| Arrived::Large(pieces, memory))
+    pub(super) fn received_message(&self, passed: Bytes) -> ReceivedMessage {
+        let large = if passed.is_empty() { locked(&self.state.large_messages).pop_front() } else { None };
+        large
+            .map_or(ReceivedMessage::Small(passed), |(pieces, memory)| ReceivedMessage::Large(pieces, memory))
     }
 
     /// Keeps a large answer until the transport asks for it.
-    pub(super) fn keep_answer(&self, answer: Answer) {
+    pub(super) fn keep_answer(&self, answer: EncodedAnswer) {
         locked(&self.state.answers).push_back(answer);
     }
 
     /// The next large answer.
-    pub(super) fn next_answer(&self) -> Option<Answer> {
+    pub(super) fn next_answer(&self) -> Option<EncodedAnswer> {
         locked(&self.state.answers).pop_front()
     }
 
@@ -153,14 +154,14 @@ impl CallContext {
 
     /// Takes memory for the state that a stream keeps between messages; none if there is no room. A
     /// stream can go on without it. `earlier` is the memory of the state that is replaced.
-    pub(super) fn keep(&self, bytes: usize, earlier: Option<Permit>) -> Option<Permit> {
+    pub(super) fn take_state_memory(&self, bytes: usize, earlier: Option<Permit>) -> Option<Permit> {
         let mut memory = earlier.unwrap_or_else(|| self.memory.covered(Part::StreamState, 0));
         memory.resize(bytes as u64).ok()?;
         Some(memory)
     }
 }
 
-impl Arrived {
+impl ReceivedMessage {
     /// The message's length.
     pub(super) fn len(&self) -> usize {
         match self {
@@ -199,11 +200,13 @@ pub(super) fn grow(app: &App, permit: &mut Permit, more: usize) -> Result<(), Se
 /// The error of a call for which there is no memory.
 pub(super) fn no_memory(metrics: &Metrics, why: NoMemory) -> ServiceError {
     match why.refusal {
-        Refusal::Busy => {
+        ShareRefusal::Busy => {
             metrics.shed(if why.part == Part::Arriving { Shed::RequestBytes } else { Shed::Memory });
             ServiceError::unavailable(Reason::TooBusy, MEMORY_RETRY, format!("{why}: retry later"))
         }
-        Refusal::TooLarge => ServiceError::new(Reason::MemoryTooLarge, format!("{why}: split the request")),
+        ShareRefusal::TooLarge => {
+            ServiceError::new(Reason::MemoryTooLarge, format!("{why}: split the request"))
+        }
     }
 }
 

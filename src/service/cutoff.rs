@@ -31,7 +31,7 @@ use tokio::{
 };
 
 use super::App;
-use crate::metrics::Cut;
+use crate::metrics::CutReason;
 
 /// The time for h2 to discard the answer of a stream that was cut, which takes one turn of the connection's
 /// task.
@@ -73,13 +73,13 @@ const NEVER: u64 = u64::MAX;
 const FAR: Duration = Duration::from_secs(1 << 30);
 
 /// A time in milliseconds and, in the two lowest bits, the reason.
-fn packed(milliseconds: u64, why: Cut) -> u64 {
+fn packed(milliseconds: u64, why: CutReason) -> u64 {
     milliseconds << 2 | why as u64
 }
 
 /// The reason of a packed time.
-fn reason(packed: u64) -> Option<Cut> {
-    Cut::ALL.get((packed & 3) as usize).copied()
+fn reason(packed: u64) -> Option<CutReason> {
+    CutReason::ALL.get((packed & 3) as usize).copied()
 }
 
 impl Cutoff {
@@ -102,7 +102,7 @@ impl Cutoff {
     }
 
     /// Sets the time and the reason of the stream's end. A later call replaces them.
-    pub(super) fn set(&self, (at, why): (Instant, Cut)) {
+    pub(super) fn set(&self, (at, why): (Instant, CutReason)) {
         let state = &*self.0;
         let milliseconds = at.saturating_duration_since(state.start).as_nanos().div_ceil(1_000_000);
         let due = packed(milliseconds as u64, why);
@@ -198,7 +198,7 @@ impl Cutoff {
     }
 
     /// Waits for the cutoff and returns its reason.
-    async fn due(&self) -> Cut {
+    async fn due(&self) -> CutReason {
         let state = &*self.0;
         loop {
             let due = state.due.load(Ordering::SeqCst);
@@ -242,7 +242,7 @@ impl<T> Drop for Unsent<T> {
     }
 }
 
-fn report(app: &App, why: Cut) {
+fn report(app: &App, why: CutReason) {
     app.metrics().cut(why);
     tracing::debug!(why = why.name(), "cut a call whose answer was not read in time");
 }
@@ -257,7 +257,7 @@ mod tests {
         let cutoff = Cutoff::new();
         let start = Instant::now();
         let second = Duration::from_secs(1);
-        cutoff.set((start + second, Cut::AnswerNotRead));
+        cutoff.set((start + second, CutReason::AnswerNotRead));
         let due = tokio::spawn({
             let cutoff = cutoff.clone();
             async move { cutoff.due().await }
@@ -266,9 +266,9 @@ mod tests {
         cutoff.clear_if_all_is_sent();
         sleep(5 * second).await;
         assert!(!due.is_finished());
-        cutoff.set((start + 10 * second, Cut::AnswerNotRead));
-        cutoff.set((start + 20 * second, Cut::Deadline));
-        assert_eq!(due.await.unwrap(), Cut::Deadline);
+        cutoff.set((start + 10 * second, CutReason::AnswerNotRead));
+        cutoff.set((start + 20 * second, CutReason::Deadline));
+        assert_eq!(due.await.unwrap(), CutReason::Deadline);
         assert_eq!(start.elapsed().as_secs(), 20);
     }
 
@@ -278,10 +278,10 @@ mod tests {
         let cutoff = Cutoff::new();
         cutoff.queued(10);
         cutoff.queued(5);
-        cutoff.set((Instant::now() + Duration::from_secs(1), Cut::AnswerNotRead));
+        cutoff.set((Instant::now() + Duration::from_secs(1), CutReason::AnswerNotRead));
         cutoff.freed(10);
         cutoff.clear_if_all_is_sent();
-        assert_eq!(cutoff.due().await, Cut::AnswerNotRead);
+        assert_eq!(cutoff.due().await, CutReason::AnswerNotRead);
         cutoff.freed(5);
         assert_eq!(cutoff.0.due.load(Ordering::SeqCst), NEVER);
     }

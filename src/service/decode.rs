@@ -8,7 +8,7 @@ use super::{
     context::{CallContext, grow},
     limits::Limits,
     offload::offloaded,
-    wire::{Bounds, Request},
+    wire::{DecodeRequest, DecodeResources},
 };
 use crate::{
     budget::{Part, Permit},
@@ -21,20 +21,20 @@ use crate::{
 /// the request from the call's budget, and runs on the same thread.
 ///
 /// # Errors
-/// The errors of [`Request::read`] and of `check`.
-pub(super) async fn decoded<M: Request, T: Send + 'static>(
+/// The errors of [`DecodeRequest::read`] and of `check`.
+pub(super) async fn decode_request<M: DecodeRequest, T: Send + 'static>(
     app: &Arc<App>,
     context: &CallContext,
     message: Encoded<M>,
     check: impl FnOnce(M::Decoded, Permit, &Limits, &Stop) -> Result<T, ServiceError> + Send + 'static,
 ) -> Result<T, ServiceError> {
-    let arrived = context.arrived(message.into_bytes());
+    let arrived = context.received_message(message.into_bytes());
     let length = arrived.len();
     let mut memory = context.covered(Part::Decoded);
     let decode = move |app: &App, stop: &Stop| {
         let (bytes, arriving) = arrived.joined();
         let mut take = |bytes| grow(app, &mut memory, bytes);
-        let request = M::read(&bytes, &mut Bounds::new(app.limits(), stop, &mut take))?;
+        let request = M::read(&bytes, &mut DecodeResources::new(app.limits(), stop, &mut take))?;
         drop((bytes, arriving));
         check(request, memory, app.limits(), stop)
     };

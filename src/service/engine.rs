@@ -26,7 +26,7 @@ use crate::{
 
 /// Computes batches, with a limit on the pairs in flight.
 #[derive(Debug)]
-pub struct Engine {
+pub struct ServiceEngine {
     batches: batch::Engine,
     admission: Arc<AdmissionQueue>,
     metrics: Arc<Metrics>,
@@ -36,7 +36,7 @@ pub struct Engine {
 
 /// The limits of an engine.
 #[derive(Clone, Copy, Debug)]
-pub struct Bounds {
+pub struct EngineLimits {
     /// The most pairs that one caller may have in flight.
     pub max_pairs_in_flight: u32,
     /// Whether callers share the pairs in flight by dynamic thresholds.
@@ -57,16 +57,16 @@ impl Memory for Permit {
     }
 }
 
-impl Engine {
+impl ServiceEngine {
     /// An engine that computes on `compute`.
-    pub fn new(compute: Compute, bounds: Bounds, metrics: Arc<Metrics>) -> Self {
+    pub fn new(compute: Compute, limits: EngineLimits, metrics: Arc<Metrics>) -> Self {
         #[cfg(feature = "testing")]
         let injected = Arc::<Injected>::default();
         #[cfg(feature = "testing")]
-        let batches = injected.engine(compute, bounds.max_answer_bytes);
+        let batches = injected.engine(compute, limits.max_answer_bytes);
         #[cfg(not(feature = "testing"))]
-        let batches = batch::Engine::new(compute, bounds.max_answer_bytes);
-        let admission = AdmissionQueue::new(bounds.max_pairs_in_flight, bounds.shares, metrics.clone());
+        let batches = batch::Engine::new(compute, limits.max_answer_bytes);
+        let admission = AdmissionQueue::new(limits.max_pairs_in_flight, limits.shares, metrics.clone());
         Self {
             batches,
             admission,
@@ -107,20 +107,20 @@ impl Engine {
         if pairs * outputs.pair_bytes() > limit {
             return Err(too_large(limit));
         }
-        self.place(pairs, caller)
+        self.admit_any_size(pairs, caller)
     }
 
     /// Admits pairs whose answer may have any size.
     ///
     /// # Errors
     /// TOO_BUSY.
-    pub fn place(&self, pairs: usize, caller: &Caller) -> Result<Admission, ServiceError> {
+    pub fn admit_any_size(&self, pairs: usize, caller: &Caller) -> Result<Admission, ServiceError> {
         self.admission.admit(pairs, caller, self.pairs_computed())
     }
 
     /// Admits a later part of a call; waits until there is capacity.
-    pub async fn next_place(&self, pairs: usize, caller: &Caller) -> Admission {
-        self.admission.next(pairs, caller).await
+    pub async fn admit_when_free(&self, pairs: usize, caller: &Caller) -> Admission {
+        self.admission.admit_when_free(pairs, caller).await
     }
 
     /// The columns of all pairs, in pair order, and the permit for their memory, which grows from
@@ -141,9 +141,9 @@ impl Engine {
         let pairs = batch.pair_count();
         // If the caller leaves while the batch waits, the batch may be large and must not be freed
         // on this thread.
-        let bytes = if admission.waits() { usize::MAX } else { 0 };
-        let waiting = self.compute_threads().freed_here((batch, lease), bytes);
-        self.admission.turn(&mut admission).instrument(trace::queue(pairs)).await;
+        let bytes = if admission.must_wait() { usize::MAX } else { 0 };
+        let waiting = self.compute_threads().defer_drop((batch, lease), bytes);
+        self.admission.wait_to_compute(&mut admission).instrument(trace::queue(pairs)).await;
         let (batch, lease) = waiting.into_inner();
         let started = Instant::now();
         let answer = self.batches.compute(batch, job, memory, (admission, lease));

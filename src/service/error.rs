@@ -7,9 +7,9 @@ use thiserror::Error;
 use super::reason::Reason;
 use crate::contact::Stopped;
 
-/// The place of the fault in the request.
+/// The location of the fault in the request.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Place {
+pub struct FaultLocation {
     /// The field's name in the contract; a dotted path for nested messages.
     pub field: &'static str,
     /// The index of the element at fault, if a single element is.
@@ -18,14 +18,14 @@ pub struct Place {
 
 /// The error of a call that is refused or fails.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("{reason}{}: {message}", .place.as_ref().map(|place| format!(": {place}")).unwrap_or_default())]
+#[error("{reason}{}: {message}", .location.as_ref().map(|location| format!(": {location}")).unwrap_or_default())]
 pub struct ServiceError {
     /// The reason, to which the status's code belongs.
     pub reason: Reason,
     /// The message for people.
     pub message: String,
-    /// The place of the fault in the request, if there is one.
-    pub place: Option<Place>,
+    /// The location of the fault in the request, if there is one.
+    pub location: Option<FaultLocation>,
     /// The time to wait before a retry, if a later retry can succeed.
     pub retry_after: Option<Duration>,
 }
@@ -33,17 +33,17 @@ pub struct ServiceError {
 impl ServiceError {
     /// No single field of the request is at fault, and a retry does not help.
     pub fn new(reason: Reason, message: impl Into<String>) -> Self {
-        Self { reason, message: message.into(), place: None, retry_after: None }
+        Self { reason, message: message.into(), location: None, retry_after: None }
     }
 
     /// The request is malformed at `field`.
     pub fn in_field(reason: Reason, field: &'static str, message: impl Into<String>) -> Self {
-        Self { place: Some(Place { field, index: None }), ..Self::new(reason, message) }
+        Self { location: Some(FaultLocation { field, index: None }), ..Self::new(reason, message) }
     }
 
     /// The request is malformed at element `index` of `field`.
     pub fn in_entry(reason: Reason, field: &'static str, index: usize, message: impl Into<String>) -> Self {
-        Self { place: Some(Place { field, index: Some(index) }), ..Self::new(reason, message) }
+        Self { location: Some(FaultLocation { field, index: Some(index) }), ..Self::new(reason, message) }
     }
 
     /// A retry after `retry_after` may succeed.
@@ -69,7 +69,7 @@ impl From<Stopped> for ServiceError {
     }
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for FaultLocation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.index {
             Some(index) => write!(f, "{}[{index}]", self.field),

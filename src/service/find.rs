@@ -10,14 +10,14 @@ use super::{
     admission::Admission,
     answer::{answer, counted_answer},
     context::{CallContext, grow},
-    decode::decoded,
-    scene::{fetch, missing},
+    decode::decode_request,
+    scene::{lease_hulls, missing},
     wire::{self, CheckedScene},
 };
 use crate::{
     batch::{Columns, Finder, Missing, scene::Bodies},
     budget::{Part, Permit},
-    compute::{ComputeError, FreedHere},
+    compute::{ComputeError, DeferredDrop},
     contact::Stop,
     log_limit::limited,
     proto::{Encoded, QueryContactsRequest, QueryContactsResponse},
@@ -29,12 +29,12 @@ use crate::{
 const CANDIDATES: usize = 4096;
 
 /// A `FindContacts` call in progress.
-pub(super) struct Finding {
+pub(super) struct FindCall {
     app: Arc<App>,
     context: CallContext,
     request_id: u64,
     /// The search, and the memory of the scene, the broad phase and the searches.
-    search: FreedHere<(Finder, Permit)>,
+    search: DeferredDrop<(Finder, Permit)>,
     _lease: Lease,
     /// The admission that the call took before any work. `None` after its first use.
     admission: Option<Admission>,
@@ -42,7 +42,7 @@ pub(super) struct Finding {
     left_out: Option<(Vec<u32>, Vec<u32>)>,
 }
 
-impl Finding {
+impl FindCall {
     /// Checks the request, takes an admission, and builds the tree of the bodies.
     pub(super) async fn begin(
         app: Arc<App>,
@@ -53,22 +53,22 @@ impl Finding {
             let (scene, rules) = wire::find(request, limits, stop)?;
             Ok((scene, rules, memory))
         };
-        let decoded = decoded(&app, &context, request, check).await?;
+        let decoded = decode_request(&app, &context, request, check).await?;
         let (hull_ids, bytes) = (decoded.0.hull_ids.clone(), decoded.2.bytes() as usize);
         // The caller may leave while the hulls are read; the scene may be large and must not be
         // freed on this thread.
         let compute = app.engine().compute_threads();
-        let waiting = compute.freed_here(decoded, bytes);
-        let admission = app.engine().place(most_candidates(&app), &context.job.caller)?;
-        let (hulls, lease) = fetch(&app, &hull_ids, &context.job).await?;
+        let waiting = compute.defer_drop(decoded, bytes);
+        let admission = app.engine().admit_any_size(most_candidates(&app), &context.job.caller)?;
+        let (hulls, lease) = lease_hulls(&app, &hull_ids, &context.job).await?;
         let (scene, rules, mut memory) = waiting.into_inner();
-        let CheckedScene { request_id, setting, poses, invalid_bodies, .. } = scene;
+        let CheckedScene { request_id, template, poses, invalid_bodies, .. } = scene;
         // An unavailable hull fails the call: its bodies' pairs are unknown, so no pair could carry
         // the flag.
         if hulls.iter().any(|hull| matches!(hull, Err(Missing::Unavailable))) {
             return Err(super::hulls::unreadable());
         }
-        let bodies = Bodies::new(setting, Arc::new(hulls), Arc::new(poses))?;
+        let bodies = Bodies::new(template, Arc::new(hulls), Arc::new(poses))?;
         let sorting = rules.sorting_bytes();
         grow(&app, &mut memory, Finder::bytes(&bodies) + sorting)?;
         let left_out = Some((missing(bodies.hulls()), invalid_bodies));
@@ -76,7 +76,7 @@ impl Finding {
         let finder = finder.map_err(failed)?;
         memory.shrink_to(memory.bytes() - sorting as u64);
         let bytes = memory.bytes() as usize;
-        let search = compute.freed_here((finder, memory), bytes);
+        let search = compute.defer_drop((finder, memory), bytes);
         Ok(Self { app, context, request_id, search, _lease: lease, admission: Some(admission), left_out })
     }
 
@@ -102,7 +102,7 @@ impl Finding {
         let (engine, job) = (self.app.engine(), &self.context.job);
         let admission = match self.admission.take() {
             Some(admission) => admission,
-            None => engine.next_place(candidates.len() / 2, &job.caller).await,
+            None => engine.admit_when_free(candidates.len() / 2, &job.caller).await,
         };
         let batch = self.search.0.batch(candidates.to_vec());
         let memory = self.context.take(&self.app, Part::Answers, 0)?;

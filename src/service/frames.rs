@@ -7,7 +7,7 @@
 //! 8 MiB could pin thirty times its size in that way.
 //!
 //! All buffers that a connection pins have at most as many bytes as the peer has sent. The bytes of DATA are
-//! within the window, whose memory the connection has taken. [`Frames`] counts the other bytes as *overhead*
+//! within the window, whose memory the connection has taken. [`FrameTracker`] counts the other bytes as *overhead*
 //! by looking at the frames' heads, and [`Overhead`] takes memory from the budget for it, which it keeps for
 //! as long as a payload can wait. If the budget has no room, the connection is closed. Short headers are free:
 //! they begin calls, which take memory of their own.
@@ -16,7 +16,7 @@
 //! length (3 bytes) | type | flags | stream (4 bytes) | payload: DATA free; HEADERS free up to 1 KiB; rest counted
 //! ```
 //!
-//! [`Frames`] also refuses headers that cost h2 more time than they are worth: a frame of headers several
+//! [`FrameTracker`] also refuses headers that cost h2 more time than they are worth: a frame of headers several
 //! times as long as the longest list of headers, and more than two changes of the size of HPACK's table at the beginning
 //! of a block, which is the most that a peer needs (RFC 7541, section 4.2). And it refuses many SETTINGS and
 //! GOAWAY frames, because h2 visits all streams of the connection for each of them. The frames' format is that
@@ -65,7 +65,7 @@ const STEP_BYTES: u64 = 64 << 10;
 
 /// Follows the frames that a peer sends.
 #[derive(Debug, Default)]
-pub(super) struct Frames {
+pub(super) struct FrameTracker {
     /// The bytes of the preface that have arrived.
     preface: usize,
     /// The current frame's head, and the number of its bytes that have arrived.
@@ -95,7 +95,7 @@ struct BlockBegin {
     resizes: u32,
 }
 
-impl Frames {
+impl FrameTracker {
     /// Looks at the next bytes of the connection.
     ///
     /// # Errors
@@ -232,7 +232,7 @@ impl Overhead {
     ///
     /// # Errors
     /// The budget has no room for it.
-    pub(super) fn charge(&mut self, frames: &Frames) -> io::Result<()> {
+    pub(super) fn charge(&mut self, frames: &FrameTracker) -> io::Result<()> {
         while frames.overhead - self.taken >= STEP_BYTES {
             let now = Instant::now();
             while self.held.front().is_some_and(|(taken, _)| now.duration_since(*taken) > self.wait) {
@@ -278,7 +278,7 @@ mod tests {
         ]);
         let expected = 256 + (9 + 8300) + (2000 - 1024) + (9 + 8);
         for piece in [1, 2, 7, 9, 4096, bytes.len()] {
-            let mut frames = Frames::default();
+            let mut frames = FrameTracker::default();
             bytes.chunks(piece).for_each(|piece| frames.read(piece).expect("ordinary frames"));
             assert_eq!((frames.overhead, frames.rest, frames.head_bytes), (expected, 0, 0), "{piece}");
         }
@@ -289,7 +289,7 @@ mod tests {
     #[test]
     fn headers_that_no_client_needs_are_refused() {
         let read = |frames: &[Vec<u8>]| {
-            let mut state = Frames::default();
+            let mut state = FrameTracker::default();
             connection(frames).chunks(5).try_for_each(|piece| state.read(piece))
         };
         let resize = [0x3f, 0xe1, 0x1f];
@@ -313,13 +313,13 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn frames_that_visit_all_streams_are_few() {
         for (kind, flags, is_counted) in [(SETTINGS, 0, true), (GOAWAY, 0, true), (SETTINGS, ACK, false)] {
-            let mut frames = Frames::default();
+            let mut frames = FrameTracker::default();
             frames.read(&connection(&[])).unwrap();
             let one = frame(kind, flags, &[0; 8]);
             let taken = (0..10_000).take_while(|_| frames.read(&one).is_ok()).count();
             assert_eq!(taken, if is_counted { 64 } else { 10_000 }, "{kind}");
         }
-        let mut frames = Frames::default();
+        let mut frames = FrameTracker::default();
         frames.read(&connection(&[])).unwrap();
         for _ in 0..1000 {
             frames.read(&frame(SETTINGS, 0, &[0; 6])).expect("one per second");

@@ -8,7 +8,7 @@ use super::{
     App, Limits, Reason, ServiceError,
     answer::answer,
     context::{CallContext, no_memory},
-    decode::decoded,
+    decode::decode_request,
     records::{present, records},
     sizes::{GROUP_BYTES, LISTED_BYTES},
     wire,
@@ -49,7 +49,7 @@ impl HullService for Hulls {
         request: Request<Encoded<RegisterHullsRequest>>,
     ) -> Result<Response<RegisterHullsResponse>, Status> {
         let context = CallContext::of(&request);
-        let (definitions, _memory) = self.decoded(&context, request).await?;
+        let (definitions, _memory) = self.decode_request(&context, request).await?;
         let mut results = Vec::with_capacity(definitions.len());
         let mut left = definitions.into_iter().peekable();
         while left.peek().is_some() {
@@ -64,7 +64,7 @@ impl HullService for Hulls {
         request: Request<Encoded<GetHullsRequest>>,
     ) -> Result<Response<GetHullsResponse>, Status> {
         let context = CallContext::of(&request);
-        let ((ids, parts), _memory) = self.decoded(&context, request).await?;
+        let ((ids, parts), _memory) = self.decode_request(&context, request).await?;
         let (hulls, memory) = records(&self.app, &context, &ids, parts).await?;
         // The answer is charged with its exact size instead.
         drop(memory);
@@ -76,7 +76,7 @@ impl HullService for Hulls {
         request: Request<Encoded<HasHullsRequest>>,
     ) -> Result<Response<HasHullsResponse>, Status> {
         let context = CallContext::of(&request);
-        let (ids, _memory) = self.decoded(&context, request).await?;
+        let (ids, _memory) = self.decode_request(&context, request).await?;
         let present = present(&self.app, &context, &ids).await?;
         Ok(Response::new(answer(&self.app, &context, HasHullsResponse { present }).await?))
     }
@@ -86,7 +86,7 @@ impl HullService for Hulls {
         request: Request<Encoded<ListHullsRequest>>,
     ) -> Result<Response<ListHullsResponse>, Status> {
         let context = CallContext::of(&request);
-        let (listing, _memory) = self.decoded(&context, request).await?;
+        let (listing, _memory) = self.decode_request(&context, request).await?;
         let size = if listing.page_size == 0 { DEFAULT_PAGE_SIZE } else { listing.page_size };
         let size = size.min(self.app.limits().max_page_size) as usize;
         let listed = context.take(&self.app, Part::Answers, size.saturating_mul(LISTED_BYTES))?;
@@ -103,7 +103,7 @@ impl HullService for Hulls {
         request: Request<Encoded<DeleteHullsRequest>>,
     ) -> Result<Response<DeleteHullsResponse>, Status> {
         let context = CallContext::of(&request);
-        let (ids, _memory) = self.decoded(&context, request).await?;
+        let (ids, _memory) = self.decode_request(&context, request).await?;
         let mut deleted = Vec::with_capacity(ids.len());
         // The hulls are deleted one after the other, so that an id that is named twice is
         // deleted once.
@@ -121,18 +121,18 @@ impl HullService for Hulls {
 
 impl Hulls {
     /// A decoded request, and its memory.
-    async fn decoded<M: wire::Request>(
+    async fn decode_request<M: wire::DecodeRequest>(
         &self,
         context: &CallContext,
         request: Request<Encoded<M>>,
     ) -> Result<(M::Decoded, Permit), ServiceError> {
         let keep = |decoded, memory, _: &Limits, _: &Stop| Ok((decoded, memory));
-        decoded(&self.app, context, request.into_inner(), keep).await
+        decode_request(&self.app, context, request.into_inner(), keep).await
     }
 
     async fn register(
         &self,
-        group: Vec<wire::Definition>,
+        group: Vec<wire::CheckedDefinition>,
         job: &Job,
     ) -> Result<Vec<RegisterHullResult>, ServiceError> {
         let (mut given, mut malformed) = (Vec::with_capacity(group.len()), Vec::with_capacity(group.len()));
@@ -171,7 +171,7 @@ fn store_error(app: &App, error: StoreError) -> ServiceError {
 }
 
 /// The next hulls to be registered together; at least one.
-fn group(left: &mut Peekable<impl Iterator<Item = wire::Definition>>) -> Vec<wire::Definition> {
+fn group(left: &mut Peekable<impl Iterator<Item = wire::CheckedDefinition>>) -> Vec<wire::CheckedDefinition> {
     let mut bytes = 0;
     std::iter::from_fn(|| {
         left.next_if(|definition| {

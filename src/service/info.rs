@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use tonic::{Request, Response, Status};
 
-use super::{App, answer::answer, context::CallContext, decode::decoded, wire};
+use super::{App, answer::answer, context::CallContext, decode::decode_request, wire};
 use crate::proto::{
     Encoded, GetServerInfoRequest, GetServerInfoResponse,
     server_service_server::{ServerService, ServerServiceServer},
@@ -25,7 +25,7 @@ impl ServerService for Info {
         request: Request<Encoded<GetServerInfoRequest>>,
     ) -> Result<Response<GetServerInfoResponse>, Status> {
         let context = CallContext::of(&request);
-        decoded(&self.app, &context, request.into_inner(), |(), _, _, _| Ok(())).await?;
+        decode_request(&self.app, &context, request.into_inner(), |(), _, _, _| Ok(())).await?;
         let (limits, threads) = (self.app.limits(), self.app.engine().threads());
         let info = wire::server_info(limits, threads, self.app.memory());
         Ok(Response::new(answer(&self.app, &context, info).await?))

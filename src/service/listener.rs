@@ -53,18 +53,18 @@ impl Listener {
     }
 
     /// Accepts the next connection; returns it with the peer's address.
-    pub(super) async fn accept(&self) -> io::Result<(Connection, Address)> {
+    pub(super) async fn accept(&self) -> io::Result<(AcceptedConnection, Address)> {
         match self {
             Self::Tcp(listener) => {
                 let (stream, peer) = listener.accept().await?;
                 // Nagle's algorithm delays each call by 40 ms or more.
                 stream.set_nodelay(true)?;
-                Ok((Connection::Tcp(stream), Address::Ip(peer.ip())))
+                Ok((AcceptedConnection::Tcp(stream), Address::Ip(peer.ip())))
             }
             Self::Unix(listener, _) => {
                 let (stream, _) = listener.accept().await?;
                 let user = stream.peer_cred()?.uid();
-                Ok((Connection::Unix(stream), Address::User(user)))
+                Ok((AcceptedConnection::Unix(stream), Address::User(user)))
             }
         }
     }
@@ -85,13 +85,13 @@ impl fmt::Display for Listener {
 
 /// An accepted connection.
 #[derive(Debug)]
-pub(super) enum Connection {
+pub(super) enum AcceptedConnection {
     Tcp(TcpStream),
     Tls(Box<TlsStream<TcpStream>>),
     Unix(UnixStream),
 }
 
-impl Connection {
+impl AcceptedConnection {
     /// Encrypts a TCP connection. Other connections are returned unchanged.
     ///
     /// # Errors
@@ -111,14 +111,14 @@ impl Connection {
 macro_rules! forward {
     ($connection:expr, $method:ident $(, $argument:expr)*) => {
         match $connection.get_mut() {
-            Connection::Tcp(stream) => Pin::new(stream).$method($($argument),*),
-            Connection::Tls(stream) => Pin::new(stream.as_mut()).$method($($argument),*),
-            Connection::Unix(stream) => Pin::new(stream).$method($($argument),*),
+            AcceptedConnection::Tcp(stream) => Pin::new(stream).$method($($argument),*),
+            AcceptedConnection::Tls(stream) => Pin::new(stream.as_mut()).$method($($argument),*),
+            AcceptedConnection::Unix(stream) => Pin::new(stream).$method($($argument),*),
         }
     };
 }
 
-impl AsyncRead for Connection {
+impl AsyncRead for AcceptedConnection {
     fn poll_read(
         self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -128,7 +128,7 @@ impl AsyncRead for Connection {
     }
 }
 
-impl AsyncWrite for Connection {
+impl AsyncWrite for AcceptedConnection {
     fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         forward!(self, poll_write, cx, bytes)
     }

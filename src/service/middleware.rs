@@ -23,9 +23,9 @@ use tower::Service;
 use tracing::Instrument;
 
 use super::{
-    App, Serving,
+    App, ServerOptions,
     answer_body::{AnswerBody, AnswerTimes},
-    call::{self, BoxError, Call, Taken},
+    call::{self, BoxError, Call, CallResources},
     context::{CallContext, no_memory},
     error::ServiceError,
     method::Method,
@@ -55,7 +55,7 @@ pub(super) struct Closing(pub(super) watch::Receiver<bool>);
 
 impl Closing {
     /// Completes when the connection is about to close.
-    pub(super) async fn heard(&mut self) {
+    pub(super) async fn announced(&mut self) {
         if self.0.wait_for(|closing| *closing).await.is_err() {
             // The sender is gone, so the value can no longer become true.
             std::future::pending().await
@@ -71,7 +71,7 @@ const FREE_HEADERS: usize = 32;
 pub(super) struct Middleware {
     app: Arc<App>,
     routes: Routes,
-    serving: Arc<Serving>,
+    options: Arc<ServerOptions>,
     peer: Peer,
     closing: Closing,
 }
@@ -80,11 +80,11 @@ impl Middleware {
     pub(super) fn new(
         app: Arc<App>,
         routes: Routes,
-        serving: Arc<Serving>,
+        options: Arc<ServerOptions>,
         peer: Peer,
         closing: Closing,
     ) -> Self {
-        Self { app, routes, serving, peer, closing }
+        Self { app, routes, options, peer, closing }
     }
 
     /// The latest time at which the call ends: the caller's deadline, or the server's if that is earlier or
@@ -98,18 +98,23 @@ impl Middleware {
 
     /// Takes the resources of an answer of the page's own.
     #[cfg(feature = "playground")]
-    pub(super) fn take_for_page(&self, headers: &HeaderMap) -> Result<Taken, ServiceError> {
+    pub(super) fn take_for_page(&self, headers: &HeaderMap) -> Result<CallResources, ServiceError> {
         self.take(Method::other(), headers, &self.peer.caller(None))
     }
 
     /// The time that a peer has for taking an answer.
     #[cfg(feature = "playground")]
     pub(super) fn patience(&self) -> Duration {
-        self.serving.answer_time
+        self.options.answer_time
     }
 
     /// Takes the resources that the call holds until its end.
-    fn take(&self, method: &Method, headers: &HeaderMap, caller: &Caller) -> Result<Taken, ServiceError> {
+    fn take(
+        &self,
+        method: &Method,
+        headers: &HeaderMap,
+        caller: &Caller,
+    ) -> Result<CallResources, ServiceError> {
         let watch = method.is_watch().then(|| {
             self.peer.watch().ok_or_else(|| {
                 let why = "the connection has too many Watch and reflection streams: close one first";
@@ -128,7 +133,7 @@ impl Middleware {
             let memory = self.app.memory().take(caller, Part::Connections, bytes);
             Some(memory.map_err(|why| no_memory(self.app.metrics(), why))?)
         };
-        Ok(Taken::new(memory, watch.or(check)))
+        Ok(CallResources::new(memory, watch.or(check)))
     }
 
     fn message_rules(&self, method: &Method) -> MessageRules {
@@ -139,7 +144,7 @@ impl Middleware {
                 self.app.limits().max_message_bytes
             },
             is_single: method.takes_one_message(),
-            patience: self.serving.message_time,
+            patience: self.options.message_time,
         }
     }
 }
@@ -164,23 +169,23 @@ where
         let method = Method::of(request.uri().path());
         let traced = trace::call(&method.name, request.headers());
         let span = call::span(&method.name, request.headers(), &traced);
-        let token = self.serving.security.check(method, request.headers());
+        let token = self.options.security.check(method, request.headers());
         let caller = self.peer.caller(token.as_ref().ok().and_then(|name| name.as_deref()));
         // Health checks are answered even if the budget is full; their messages are tiny.
         let memory = if method.is_health() { MemoryBudget::unlimited() } else { self.app.memory().clone() };
         let context = CallContext::new(caller, memory);
-        let taken = token.and_then(|_| self.take(method, request.headers(), &context.job.caller));
-        let (taken, refusal) = match taken {
-            Ok(taken) => (taken, None),
+        let resources = token.and_then(|_| self.take(method, request.headers(), &context.job.caller));
+        let (resources, refusal) = match resources {
+            Ok(resources) => (resources, None),
             Err(refusal) => {
                 report(&refusal, &method.name);
-                (Taken::default(), Some(refusal))
+                (CallResources::default(), Some(refusal))
             }
         };
         let stop = context.job.stop.clone();
-        let call = Call::new(self.app.clone(), &method.name, span.clone(), traced.clone(), stop, taken);
+        let call = Call::new(self.app.clone(), &method.name, span.clone(), traced.clone(), stop, resources);
         let deadline = self.deadline(method, request.headers());
-        let times = AnswerTimes { patience: self.serving.answer_time, deadline };
+        let times = AnswerTimes { patience: self.options.answer_time, deadline };
         if let Some(refusal) = refusal {
             let response = Status::from(refusal).into_http();
             return Box::pin(async move { Ok(answered(call, response, context, times)) });

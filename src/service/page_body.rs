@@ -14,8 +14,8 @@ use hyper::body::{Body as HttpBody, Frame, SizeHint};
 use tokio::time::Instant;
 use tonic::{Status, body::Body};
 
-use super::{call::Taken, cutoff::Cutoff};
-use crate::metrics::Cut;
+use super::{call::CallResources, cutoff::Cutoff};
+use crate::metrics::CutReason;
 
 /// The first byte of the frame in which gRPC-web sends trailers has this bit.
 const TRAILERS: u8 = 0x80;
@@ -34,15 +34,15 @@ pub(super) struct PageBody {
 }
 
 enum Source {
-    File(Option<Bytes>, Arc<Taken>),
+    File(Option<Bytes>, Arc<CallResources>),
     Call(Body),
 }
 
 impl PageBody {
     /// A file or a text, with the memory of its call. Has to be called in the task of the answer's stream.
-    pub(super) fn file(text: &'static str, taken: Taken, patience: Duration) -> Self {
+    pub(super) fn file(text: &'static str, resources: CallResources, patience: Duration) -> Self {
         let text = Bytes::from_static(text.as_bytes());
-        let mut body = Self::new(Source::File(Some(text), Arc::new(taken)), patience);
+        let mut body = Self::new(Source::File(Some(text), Arc::new(resources)), patience);
         body.end();
         body
     }
@@ -68,7 +68,7 @@ impl PageBody {
             self.is_ending = true;
             self.cutoff.queued(1);
         }
-        self.cutoff.set((Instant::now() + self.patience, Cut::AnswerNotRead));
+        self.cutoff.set((Instant::now() + self.patience, CutReason::AnswerNotRead));
     }
 
     /// Lets the cutoff wait only for the frames, no longer for the body's end.
@@ -94,9 +94,9 @@ impl HttpBody for PageBody {
         cx: &mut Context<'_>,
     ) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
         let this = &mut *self;
-        let (bytes, taken) = match &mut this.source {
-            Source::File(text, taken) => match text.take() {
-                Some(text) => (text, Some(taken.clone())),
+        let (bytes, resources) = match &mut this.source {
+            Source::File(text, resources) => match text.take() {
+                Some(text) => (text, Some(resources.clone())),
                 None => return this.poll_sent(cx).map(|()| None),
             },
             Source::Call(body) => match std::task::ready!(Pin::new(body).poll_frame(cx)) {
@@ -109,10 +109,10 @@ impl HttpBody for PageBody {
             },
         };
         this.has_begun = true;
-        if taken.is_some() || bytes.first().is_some_and(|first| first & TRAILERS != 0) {
+        if resources.is_some() || bytes.first().is_some_and(|first| first & TRAILERS != 0) {
             this.end();
         }
-        Poll::Ready(Some(Ok(Frame::data(this.cutoff.until_sent(bytes, taken)))))
+        Poll::Ready(Some(Ok(Frame::data(this.cutoff.until_sent(bytes, resources)))))
     }
 
     fn is_end_stream(&self) -> bool {

@@ -1,6 +1,6 @@
 //! Identifies the peers of connections, and limits the number of connections.
 //!
-//! All connections together are at most `max_connections`. The last places are reserved for
+//! All connections together are at most `max_connections`. The last slots are reserved for
 //! addresses that have no open connection yet, so that one address that opens as many as it can
 //! does not shut out a health checker. The number of TLS handshakes in progress is limited too,
 //! because each costs a signature. Addresses share it by dynamic thresholds (see [`Slots`]).
@@ -26,11 +26,11 @@ use super::{
 use crate::{
     budget::{Caller, CallerKey, Part, Permit, Slot, Slots},
     lock::locked,
-    metrics::{Held, Shed},
+    metrics::{GaugeGuard, Shed},
 };
 
-/// The places reserved for addresses without an open connection.
-const KEPT_PLACES: u32 = 16;
+/// The slots reserved for addresses without an open connection.
+const RESERVED_SLOTS: u32 = 16;
 
 /// TLS handshakes in progress at a time, over all addresses.
 const HANDSHAKES: u64 = 256;
@@ -64,29 +64,29 @@ pub(super) struct Peers {
     trusted_proxies: Vec<IpAddr>,
     /// If false, all connections are one caller.
     shares: bool,
-    open: Mutex<Open>,
+    open: Mutex<OpenConnections>,
     handshakes: Arc<Slots>,
     count: AtomicU64,
 }
 
 #[derive(Debug, Default)]
-struct Open {
+struct OpenConnections {
     all: u32,
-    by_address: HashMap<CallerKey, OfAddress>,
+    by_address: HashMap<CallerKey, AddressConnections>,
 }
 
 /// The connections of one address.
 #[derive(Debug)]
-struct OfAddress {
+struct AddressConnections {
     count: u32,
     /// Permits to read, for as many connections at a time as the server has threads.
-    readers: Arc<Semaphore>,
+    read_permits: Arc<Semaphore>,
 }
 
-impl Default for OfAddress {
+impl Default for AddressConnections {
     fn default() -> Self {
         let threads = thread::available_parallelism().map_or(1, usize::from);
-        Self { count: 0, readers: Arc::new(Semaphore::new(threads)) }
+        Self { count: 0, read_permits: Arc::new(Semaphore::new(threads)) }
     }
 }
 
@@ -106,20 +106,20 @@ impl Peers {
     }
 
     fn try_admit(self: &Arc<Self>, address: Address) -> Option<Peer> {
-        let (place, readers) = Place::take(self, key(address))?;
+        let (slot, read_permits) = ConnectionSlot::take(self, key(address))?;
         let caller = self.app.callers().get(self.caller_key(address));
         // Each connection of a trusted proxy counts by itself.
         let is_proxy = matches!(caller.key(), CallerKey::Connection(_));
-        let readers = if is_proxy { OfAddress::default().readers } else { readers };
+        let read_permits = if is_proxy { AddressConnections::default().read_permits } else { read_permits };
         let (window, memory) = self.window(&caller)?;
-        let counted = Held::new(&self.app.metrics().connections, 1);
-        let connection = Arc::new(Connected {
+        let counted = GaugeGuard::new(&self.app.metrics().connections, 1);
+        let connection = Arc::new(ConnectionState {
             caller,
             health_checks: AtomicUsize::new(0),
             watches: AtomicUsize::new(0),
-            readers,
+            read_permits,
             _memory: memory,
-            _place: place,
+            _slot: slot,
             _counted: counted,
         });
         Some(Peer { peers: self.clone(), connection, window })
@@ -156,40 +156,40 @@ fn key(address: Address) -> CallerKey {
     }
 }
 
-/// The place of one connection; free again when this is dropped.
+/// The slot of one connection; free again when this is dropped.
 #[derive(Debug)]
-struct Place {
+struct ConnectionSlot {
     peers: Arc<Peers>,
     address: CallerKey,
 }
 
-impl Place {
-    /// A place for a connection from `address`, and the permits to read of that address. None if there are
+impl ConnectionSlot {
+    /// A slot for a connection from `address`, and the permits to read of that address. None if there are
     /// too many connections.
     fn take(peers: &Arc<Peers>, address: CallerKey) -> Option<(Self, Arc<Semaphore>)> {
         let most = peers.app.limits().max_connections;
         let mut open = locked(&peers.open);
-        // If there are few places, at most an eighth of them is reserved.
-        let kept = if open.by_address.contains_key(&address) { KEPT_PLACES.min(most / 8) } else { 0 };
-        if open.all.saturating_add(kept) >= most {
+        // If there are few slots, at most an eighth of them is reserved.
+        let reserved = if open.by_address.contains_key(&address) { RESERVED_SLOTS.min(most / 8) } else { 0 };
+        if open.all.saturating_add(reserved) >= most {
             return None;
         }
         open.all += 1;
-        let theirs = open.by_address.entry(address.clone()).or_default();
-        theirs.count += 1;
-        let readers = theirs.readers.clone();
+        let of_address = open.by_address.entry(address.clone()).or_default();
+        of_address.count += 1;
+        let read_permits = of_address.read_permits.clone();
         drop(open);
-        Some((Self { peers: peers.clone(), address }, readers))
+        Some((Self { peers: peers.clone(), address }, read_permits))
     }
 }
 
-impl Drop for Place {
+impl Drop for ConnectionSlot {
     fn drop(&mut self) {
         let mut open = locked(&self.peers.open);
         open.all = open.all.saturating_sub(1);
-        if let Some(theirs) = open.by_address.get_mut(&self.address) {
-            theirs.count -= 1;
-            if theirs.count == 0 {
+        if let Some(of_address) = open.by_address.get_mut(&self.address) {
+            of_address.count -= 1;
+            if of_address.count == 0 {
                 open.by_address.remove(&self.address);
             }
         }
@@ -200,19 +200,19 @@ impl Drop for Place {
 #[derive(Clone, Debug)]
 pub(super) struct Peer {
     peers: Arc<Peers>,
-    connection: Arc<Connected>,
+    connection: Arc<ConnectionState>,
     window: u32,
 }
 
 #[derive(Debug)]
-struct Connected {
+struct ConnectionState {
     caller: Caller,
     health_checks: AtomicUsize,
     watches: AtomicUsize,
-    readers: Arc<Semaphore>,
+    read_permits: Arc<Semaphore>,
     _memory: Permit,
-    _place: Place,
-    _counted: Held,
+    _slot: ConnectionSlot,
+    _counted: GaugeGuard,
 }
 
 impl Peer {
@@ -222,8 +222,8 @@ impl Peer {
     }
 
     /// The permits to read of the connections of this address.
-    pub(super) fn readers(&self) -> Arc<Semaphore> {
-        self.connection.readers.clone()
+    pub(super) fn read_permits(&self) -> Arc<Semaphore> {
+        self.connection.read_permits.clone()
     }
 
     /// More memory for the connection, or `None` if the budget has no room.
@@ -245,34 +245,38 @@ impl Peer {
         self.peers.handshakes.take(&self.connection.caller)
     }
 
-    /// A place for a health check that needs no room in the budget, or `None` if the connection
+    /// A slot for a health check that needs no room in the budget, or `None` if the connection
     /// has too many.
-    pub(super) fn health_check(&self) -> Option<Counted> {
-        Counted::take(&self.connection, |connection| &connection.health_checks, FREE_HEALTH_CHECKS)
+    pub(super) fn health_check(&self) -> Option<CallSlot> {
+        CallSlot::take(&self.connection, |connection| &connection.health_checks, FREE_HEALTH_CHECKS)
     }
 
-    /// A place for a Watch or reflection stream, or `None` if the connection has too many.
-    pub(super) fn watch(&self) -> Option<Counted> {
-        Counted::take(&self.connection, |connection| &connection.watches, WATCHES)
+    /// A slot for a Watch or reflection stream, or `None` if the connection has too many.
+    pub(super) fn watch(&self) -> Option<CallSlot> {
+        CallSlot::take(&self.connection, |connection| &connection.watches, WATCHES)
     }
 }
 
-/// A place among a limited number of calls of a connection; free again when this is dropped.
+/// A slot among a limited number of calls of a connection; free again when this is dropped.
 #[derive(Debug)]
-pub(super) struct Counted {
-    connection: Arc<Connected>,
-    of: fn(&Connected) -> &AtomicUsize,
+pub(super) struct CallSlot {
+    connection: Arc<ConnectionState>,
+    of: fn(&ConnectionState) -> &AtomicUsize,
 }
 
-impl Counted {
-    fn take(connection: &Arc<Connected>, of: fn(&Connected) -> &AtomicUsize, most: usize) -> Option<Self> {
+impl CallSlot {
+    fn take(
+        connection: &Arc<ConnectionState>,
+        of: fn(&ConnectionState) -> &AtomicUsize,
+        most: usize,
+    ) -> Option<Self> {
         let taken = of(connection)
             .fetch_update(Ordering::Relaxed, Ordering::Relaxed, |count| (count < most).then_some(count + 1));
         taken.ok().map(|_| Self { connection: connection.clone(), of })
     }
 }
 
-impl Drop for Counted {
+impl Drop for CallSlot {
     fn drop(&mut self) {
         (self.of)(&self.connection).fetch_sub(1, Ordering::Relaxed);
     }
@@ -292,15 +296,15 @@ mod tests {
         Address::Ip(text.parse().unwrap())
     }
 
-    /// Catches an address that takes the last place from an address without connections, and a
-    /// place that is not released.
+    /// Catches an address that takes the last slot from an address without connections, and a
+    /// slot that is not released.
     #[test]
-    fn the_last_places_are_for_new_addresses() {
+    fn the_last_slots_are_for_new_addresses() {
         let peers = peers(Limits { max_connections: 200, ..Limits::default() });
         let greedy: Vec<_> = std::iter::from_fn(|| peers.admit(ip("10.0.0.1"))).collect();
-        assert_eq!(greedy.len(), 200 - KEPT_PLACES as usize);
+        assert_eq!(greedy.len(), 200 - RESERVED_SLOTS as usize);
         let others: Vec<_> = (2..).map_while(|i| peers.admit(ip(&format!("10.0.1.{i}")))).collect();
-        assert_eq!(others.len(), KEPT_PLACES as usize);
+        assert_eq!(others.len(), RESERVED_SLOTS as usize);
         drop((greedy, others));
         assert_eq!(locked(&peers.open).all, 0);
         assert!(locked(&peers.open).by_address.is_empty());

@@ -19,7 +19,7 @@ use tonic::body::Body;
 use tonic_web::{GrpcWebLayer, GrpcWebService};
 use tower::{Layer, Service};
 
-use super::{listener::Connection, middleware::Middleware, page_body::PageBody, stall::Stall};
+use super::{listener::AcceptedConnection, middleware::Middleware, page_body::PageBody, stall::Stall};
 
 /// The files of the page, built by `make playground`.
 const FILES: [(&str, &str, &str); 4] = [
@@ -45,8 +45,8 @@ const LOOK: Duration = Duration::from_millis(10);
 ///
 /// # Errors
 /// The system's error.
-pub(super) async fn speaks_http1(io: &Connection) -> io::Result<bool> {
-    let Connection::Tcp(stream) = io else { return Ok(false) };
+pub(super) async fn speaks_http1(io: &AcceptedConnection) -> io::Result<bool> {
+    let AcceptedConnection::Tcp(stream) = io else { return Ok(false) };
     // HTTP/2 begins with "PRI"; an HTTP/1.1 request that begins with P has another second letter.
     let mut first = [0; 2];
     loop {
@@ -97,13 +97,13 @@ impl Service<Request<Incoming>> for Page {
     fn call(&mut self, mut request: Request<Incoming>) -> Self::Future {
         let (stall, patience) = (self.stall.clone(), self.own.patience());
         let said = match *request.method() {
-            _ if stall.is_some() && !names_no_site(&request) => Said::plain(
+            _ if stall.is_some() && !names_no_site(&request) => PageAnswer::plain(
                 StatusCode::FORBIDDEN,
                 "without TLS the page is only served under an IP address or localhost",
             ),
-            Method::GET | Method::HEAD => Said::file(request.uri().path()),
+            Method::GET | Method::HEAD => PageAnswer::file(request.uri().path()),
             _ => match encoding(&request) {
-                None => Said::plain(
+                None => PageAnswer::plain(
                     StatusCode::UNSUPPORTED_MEDIA_TYPE,
                     "the content type must be that of gRPC or of binary gRPC-web",
                 ),
@@ -169,13 +169,13 @@ fn encoding<B>(request: &Request<B>) -> Option<bool> {
 }
 
 /// An answer that is not one of gRPC.
-struct Said {
+struct PageAnswer {
     code: StatusCode,
     kind: &'static str,
     text: &'static str,
 }
 
-impl Said {
+impl PageAnswer {
     fn file(path: &str) -> Self {
         let Some((_, kind, text)) = FILES.iter().find(|(name, ..)| *name == path) else {
             return Self::plain(StatusCode::NOT_FOUND, "not found; the page is at /");
@@ -190,7 +190,7 @@ impl Said {
     /// The response, which costs the memory of a call until it is sent. If the budget has no room, the answer
     /// has only headers.
     fn answer<B>(self, own: &Middleware, request: &Request<B>) -> Response<Body> {
-        let Ok(taken) = own.take_for_page(request.headers()) else {
+        let Ok(resources) = own.take_for_page(request.headers()) else {
             let mut busy = Response::new(Body::empty());
             *busy.status_mut() = StatusCode::SERVICE_UNAVAILABLE;
             busy.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("1"));
@@ -198,7 +198,7 @@ impl Said {
         };
         let body = match *request.method() {
             Method::HEAD => Body::empty(),
-            _ => Body::new(PageBody::file(self.text, taken, own.patience())),
+            _ => Body::new(PageBody::file(self.text, resources, own.patience())),
         };
         let mut response = Response::new(body);
         *response.status_mut() = self.code;

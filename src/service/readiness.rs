@@ -17,7 +17,7 @@ pub enum Readiness {
 
 impl Readiness {
     /// Whether a load balancer should send calls to this server.
-    pub fn welcomes(&self) -> bool {
+    pub fn accepts_calls(&self) -> bool {
         matches!(self, Self::Ready | Self::Degraded(_))
     }
 }

@@ -31,26 +31,26 @@ const RECORD_BYTES: usize = 512;
 const READ_BYTES_PER_POINT: usize = 48;
 
 /// The ids of a request without repetitions.
-struct Distinct {
+struct DistinctIds {
     /// Each id once, in the order of its first occurrence, with the number of its occurrences.
     ids: Vec<(HullId, usize)>,
     /// For each id of the request, its index in `ids`.
-    places: Vec<usize>,
+    indices: Vec<usize>,
 }
 
-impl Distinct {
+impl DistinctIds {
     fn of(given: &[HullId]) -> Self {
-        let mut place_of = HashMap::with_capacity(given.len());
-        let (mut ids, mut places) = (Vec::new(), Vec::with_capacity(given.len()));
+        let mut index_of = HashMap::with_capacity(given.len());
+        let (mut ids, mut indices) = (Vec::new(), Vec::with_capacity(given.len()));
         for &id in given {
-            let place = *place_of.entry(id).or_insert(ids.len());
-            if place == ids.len() {
+            let index = *index_of.entry(id).or_insert(ids.len());
+            if index == ids.len() {
                 ids.push((id, 0));
             }
-            ids[place].1 += 1;
-            places.push(place);
+            ids[index].1 += 1;
+            indices.push(index);
         }
-        Self { ids, places }
+        Self { ids, indices }
     }
 }
 
@@ -64,10 +64,10 @@ pub(super) async fn present(
     ids: &[HullId],
 ) -> Result<Vec<bool>, ServiceError> {
     let reader = &app.registry().reader(&context.job);
-    let distinct = Distinct::of(ids);
+    let distinct = DistinctIds::of(ids);
     let looked_up = stream::iter(distinct.ids).map(|(id, _)| is_present(reader, id)).buffered(AT_A_TIME);
     let present: Vec<bool> = looked_up.try_collect().await?;
-    Ok(distinct.places.into_iter().map(|place| present[place]).collect())
+    Ok(distinct.indices.into_iter().map(|index| present[index]).collect())
 }
 
 async fn is_present(reader: &Reader<'_>, id: HullId) -> Result<bool, ServiceError> {
@@ -82,35 +82,35 @@ pub(super) async fn records(
     app: &App,
     context: &CallContext,
     ids: &[HullId],
-    parts: wire::Parts,
+    parts: wire::RecordParts,
 ) -> Result<(Vec<HullRecord>, Permit), ServiceError> {
-    let Distinct { ids, places } = Distinct::of(ids);
-    let taken = Mutex::new(Taken { bytes: 0, memory: context.take(app, Part::Answers, 0)? });
-    let reading = Reading { app, context, reader: app.registry().reader(&context.job), parts, taken };
+    let DistinctIds { ids, indices } = DistinctIds::of(ids);
+    let size = Mutex::new(AnswerSize { bytes: 0, memory: context.take(app, Part::Answers, 0)? });
+    let reading = RecordReader { app, context, reader: app.registry().reader(&context.job), parts, size };
     let read = |(id, times)| reading.record(id, times);
     let records: Vec<_> = stream::iter(ids).map(read).buffered(AT_A_TIME).try_collect().await?;
-    let Taken { bytes, memory } = reading.taken.into_inner().unwrap_or_else(PoisonError::into_inner);
-    let repeat = move |stop: &_| wire::repeated(records, &places, stop);
+    let AnswerSize { bytes, memory } = reading.size.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let repeat = move |stop: &_| wire::repeated(records, &indices, stop);
     Ok((offloaded(app, context, bytes, repeat).await?, memory))
 }
 
 /// The state of the reading of records for one answer.
-struct Reading<'a> {
+struct RecordReader<'a> {
     app: &'a App,
     context: &'a CallContext,
     reader: Reader<'a>,
-    parts: wire::Parts,
-    taken: Mutex<Taken>,
+    parts: wire::RecordParts,
+    size: Mutex<AnswerSize>,
 }
 
 /// The encoded size of the records that have been started.
-struct Taken {
+struct AnswerSize {
     /// The encoded answer has at least this many bytes.
     bytes: usize,
     memory: Permit,
 }
 
-impl Reading<'_> {
+impl RecordReader<'_> {
     /// The record of a hull that occurs `times` times in the answer.
     async fn record(&self, id: HullId, times: usize) -> Result<HullRecord, ServiceError> {
         match self.found(id, times).await? {
@@ -158,13 +158,13 @@ impl Reading<'_> {
     /// Takes the memory of `times` records with columns of `bytes` bytes. Refuses an answer that
     /// would be too large to send.
     fn take(&self, times: usize, bytes: usize) -> Result<(), ServiceError> {
-        let mut taken = locked(&self.taken);
-        taken.bytes = taken.bytes.saturating_add(times.saturating_mul(bytes));
-        if taken.bytes > self.app.limits().max_message_bytes {
-            return Err(too_large(self.app, taken.bytes));
+        let mut size = locked(&self.size);
+        size.bytes = size.bytes.saturating_add(times.saturating_mul(bytes));
+        if size.bytes > self.app.limits().max_message_bytes {
+            return Err(too_large(self.app, size.bytes));
         }
         let memory = times.saturating_mul(ANSWER_COPIES * (bytes + RECORD_BYTES));
-        grow(self.app, &mut taken.memory, memory)
+        grow(self.app, &mut size.memory, memory)
     }
 }
 
@@ -185,13 +185,13 @@ mod tests {
     #[test]
     fn repeated_ids_are_looked_up_once() {
         let ids = [3, 1, 3, 3, 2, 1].map(|byte| HullId([byte; 32]));
-        let distinct = Distinct::of(&ids);
+        let distinct = DistinctIds::of(&ids);
         assert_eq!(distinct.ids, [(ids[0], 3), (ids[1], 2), (ids[4], 1)]);
-        let again: Vec<_> = distinct.places.iter().map(|&place| distinct.ids[place].0).collect();
+        let again: Vec<_> = distinct.indices.iter().map(|&index| distinct.ids[index].0).collect();
         assert_eq!(again, ids);
     }
 
-    const ALL: wire::Parts = wire::Parts { info: true, vertices: true, faces: true };
+    const ALL: wire::RecordParts = wire::RecordParts { info: true, vertices: true, faces: true };
 
     /// A server with one hull of points on a sphere, and the hull's id.
     async fn with_a_hull(limits: Limits) -> (App, HullId) {

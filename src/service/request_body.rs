@@ -82,7 +82,7 @@ pub(super) struct MessageBody<B> {
     received: Bytes,
     /// The memory of that frame while a part of it waits.
     waiting: Option<Permit>,
-    message: Message,
+    message: ArrivingMessage,
     /// The head and the bytes of a whole message that tonic has not taken yet.
     whole: VecDeque<Bytes>,
     /// The number of messages that were complete.
@@ -95,7 +95,7 @@ pub(super) struct MessageBody<B> {
 
 /// The message that is arriving.
 #[derive(Debug, Default)]
-struct Message {
+struct ArrivingMessage {
     head: [u8; HEAD_BYTES],
     head_bytes: usize,
     /// The bytes of the message that have not arrived yet, once its head has arrived.
@@ -117,7 +117,7 @@ impl<B> MessageBody<B> {
             rules,
             received: Bytes::new(),
             waiting: None,
-            message: Message::default(),
+            message: ArrivingMessage::default(),
             whole: VecDeque::new(),
             complete: 0,
             due,
@@ -252,7 +252,7 @@ impl<B> MessageBody<B> {
     /// empty itself goes to the context too: otherwise its handler would fetch another message in its place.
     /// Health checks and reflection have no large messages, and their handlers fetch none from the context.
     fn hand_on(&mut self) {
-        let Message { head, segments, memory, .. } = std::mem::take(&mut self.message);
+        let ArrivingMessage { head, segments, memory, .. } = std::mem::take(&mut self.message);
         let length = declared(head);
         let pieces = segments.into_iter().map(BytesMut::freeze);
         let is_small = length > 0 && length <= SMALL_BYTES;
@@ -262,7 +262,7 @@ impl<B> MessageBody<B> {
             return;
         }
         let memory = memory.unwrap_or_else(|| self.context.covered(Part::Arriving));
-        self.context.keep_arrived(pieces.collect(), memory);
+        self.context.keep_large_message(pieces.collect(), memory);
         self.whole.push_back(Bytes::from_static(&[0; HEAD_BYTES]));
     }
 
@@ -271,7 +271,7 @@ impl<B> MessageBody<B> {
         self.ended = true;
         self.whole.clear();
         (self.received, self.waiting) = (Bytes::new(), None);
-        self.message = Message::default();
+        self.message = ArrivingMessage::default();
         Status::from(why).into()
     }
 
@@ -359,7 +359,7 @@ mod tests {
     use super::*;
     use crate::{
         budget::Caller,
-        service::{Limits, context::Arrived},
+        service::{Limits, context::ReceivedMessage},
         store::blobs,
     };
 
@@ -407,14 +407,16 @@ mod tests {
             }
             assert_eq!(frames, if max_bytes == 1024 { 1000 } else { lengths.len() });
             for &length in kept {
-                let message = context.arrived(Bytes::new());
+                let message = context.received_message(Bytes::new());
                 assert!(
-                    matches!(&message, Arrived::Large(pieces, _) if pieces.len() == usize::from(length > 0))
+                    matches!(&message, ReceivedMessage::Large(pieces, _) if pieces.len() == usize::from(length > 0))
                 );
                 assert_eq!(message.len(), length);
             }
             // Nothing more is kept: the passed message itself is returned.
-            assert!(matches!(context.arrived(Bytes::new()), Arrived::Small(passed) if passed.is_empty()));
+            assert!(
+                matches!(context.received_message(Bytes::new()), ReceivedMessage::Small(passed) if passed.is_empty())
+            );
         }
         assert_eq!(app.memory().used(), 0);
     }

@@ -13,7 +13,7 @@ use super::{
 use crate::{
     batch::{Batch, Hulls, scene::Bodies},
     budget::{Part, Permit},
-    compute::{FreedHere, Job},
+    compute::{DeferredDrop, Job},
     metrics::Shed,
     proto::QueryContactsResponse,
     size::ByteSize,
@@ -34,10 +34,10 @@ pub(super) async fn answer(
     is_of_stream: bool,
 ) -> Result<(QueryContactsResponse, Vec<u32>), ServiceError> {
     let started = tracing::enabled!(tracing::Level::DEBUG).then(Instant::now);
-    let (request_id, outputs) = (scene.request_id, scene.setting.outputs());
-    let (pairs, bodies) = (scene.setting.pair_count(), scene.setting.body_count());
+    let (request_id, outputs) = (scene.request_id, scene.template.outputs());
+    let (pairs, bodies) = (scene.template.pair_count(), scene.template.body_count());
     let bytes = memory.bytes() as usize;
-    let scene = app.engine().compute_threads().freed_here((scene, memory), bytes);
+    let scene = app.engine().compute_threads().defer_drop((scene, memory), bytes);
     let job = &context.job;
     let admission = app.engine().admit(pairs, outputs, &job.caller)?;
     let Assembled { mut batch, lease, missing_hulls, invalid_bodies } =
@@ -86,16 +86,16 @@ struct Assembled {
 async fn assemble(
     app: &App,
     context: &CallContext,
-    scene: FreedHere<(CheckedScene, Permit)>,
+    scene: DeferredDrop<(CheckedScene, Permit)>,
     is_of_stream: bool,
 ) -> Result<Assembled, ServiceError> {
     let hull_ids = &scene.0.hull_ids;
     let kept = if is_of_stream { context.leased_hulls(hull_ids) } else { None };
     let (leased, missing_hulls) = if let Some(leased) = kept {
-        app.registry().found_again(leased.hulls.len());
+        app.registry().count_leased_again(leased.hulls.len());
         (leased, Vec::new())
     } else {
-        let (hulls, lease) = fetch(app, hull_ids, &context.job).await?;
+        let (hulls, lease) = lease_hulls(app, hull_ids, &context.job).await?;
         let missing = missing(&hulls);
         let leased =
             LeasedHulls { hull_ids: hull_ids.clone(), hulls: Arc::new(hulls), lease: Arc::new(lease) };
@@ -105,7 +105,7 @@ async fn assemble(
         (leased, missing)
     };
     let (scene, memory) = scene.into_inner();
-    let bodies = Bodies::new(scene.setting, leased.hulls, Arc::new(scene.poses))?;
+    let bodies = Bodies::new(scene.template, leased.hulls, Arc::new(scene.poses))?;
     let mut batch = Batch::new(bodies, scene.warm_starts)?;
     batch.keep(memory);
     let invalid_bodies = scene.invalid_bodies;
@@ -118,7 +118,11 @@ pub(super) fn missing(hulls: &Hulls) -> Vec<u32> {
 }
 
 /// Leases the hulls. They are in the order of `ids`, and stay cached until the lease is dropped.
-pub(super) async fn fetch(app: &App, ids: &[HullId], job: &Job) -> Result<(Hulls, Lease), ServiceError> {
+pub(super) async fn lease_hulls(
+    app: &App,
+    ids: &[HullId],
+    job: &Job,
+) -> Result<(Hulls, Lease), ServiceError> {
     app.registry().lease(ids, job).await.map_err(|why| match why {
         LeaseError::TooLarge => {
             let (limit, all) = (app.registry().most_leased_alone(), app.limits().cache_bytes);

@@ -7,7 +7,7 @@ use tonic::service::Routes;
 use tonic_health::{ServingStatus, server::HealthReporter};
 
 use super::{
-    App, OpenError, Readiness, Security, connection::Connections, contacts, hulls, info, listener::Listener,
+    App, Readiness, Security, StartError, connection::Connections, contacts, hulls, info, listener::Listener,
     middleware::Closing,
 };
 use crate::{
@@ -21,7 +21,7 @@ pub(super) const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
 /// How a server serves its calls. Its `Limits` say which requests it accepts.
 #[derive(Clone, Debug)]
-pub struct Serving {
+pub struct ServerOptions {
     /// The rules for connecting and calling: TLS and tokens.
     pub security: Arc<Security>,
     /// The interval at which certificates and tokens are read again; the files may change while the
@@ -49,7 +49,7 @@ pub struct Serving {
     pub playground: bool,
 }
 
-impl Default for Serving {
+impl Default for ServerOptions {
     fn default() -> Self {
         Self {
             security: Arc::default(),
@@ -72,25 +72,25 @@ impl Default for Serving {
 /// `shutdown` returns the grace period. During the grace period health reports NOT_SERVING while
 /// calls are still accepted, so that load balancers notice before any call is refused. After it no
 /// new connection is accepted, open connections are told to close (GOAWAY), streams end after the
-/// message in progress, and calls have `serving.drain` to finish before their connections are cut.
+/// message in progress, and calls have `options.drain` to finish before their connections are cut.
 ///
 /// # Errors
 /// The reflection service could not be built.
 pub async fn run(
     listeners: Vec<Listener>,
     app: Arc<App>,
-    serving: Serving,
+    options: ServerOptions,
     shutdown: impl Future<Output = Duration>,
-) -> Result<(), OpenError> {
+) -> Result<(), StartError> {
     let (mut reporter, routes) = routes(&app).await?;
-    let drain = serving.drain;
+    let drain = options.drain;
     // The state is set before the first connection is accepted, and before the probe can find a failing
     // store.
     app.set_readiness(Readiness::Ready);
     let mut beside = JoinSet::new();
-    beside.spawn(reload(serving.security.clone(), serving.reload_every));
-    beside.spawn(probe(app.clone(), reporter.clone(), serving.probe_every));
-    let connections = Arc::new(Connections::new(app.clone(), routes.prepare(), serving));
+    beside.spawn(reload(options.security.clone(), options.reload_every));
+    beside.spawn(probe(app.clone(), reporter.clone(), options.probe_every));
+    let connections = Arc::new(Connections::new(app.clone(), routes.prepare(), options));
     let (close, closing) = watch::channel(false);
     let closing = Closing(closing);
     let mut accepting = JoinSet::new();
@@ -131,11 +131,11 @@ const SERVICES: [&str; 4] = [
 /// # Errors
 /// The errors of [`run`].
 #[cfg(feature = "testing")]
-pub async fn handlers(app: &Arc<App>) -> Result<Routes, OpenError> {
+pub async fn handlers(app: &Arc<App>) -> Result<Routes, StartError> {
     Ok(routes(app).await?.1)
 }
 
-async fn routes(app: &Arc<App>) -> Result<(HealthReporter, Routes), OpenError> {
+async fn routes(app: &Arc<App>) -> Result<(HealthReporter, Routes), StartError> {
     let limit = app.limits().max_message_bytes;
     let (reporter, health) = tonic_health::server::health_reporter();
     for service in SERVICES {
@@ -153,24 +153,24 @@ async fn routes(app: &Arc<App>) -> Result<(HealthReporter, Routes), OpenError> {
         .add_service(hulls::service(app.clone()).max_decoding_message_size(limit))
         .add_service(info::service(app.clone()))
         .add_service(health)
-        .add_service(reflection().build_v1().map_err(OpenError::Reflection)?)
-        .add_service(reflection().build_v1alpha().map_err(OpenError::Reflection)?);
+        .add_service(reflection().build_v1().map_err(StartError::Reflection)?)
+        .add_service(reflection().build_v1alpha().map_err(StartError::Reflection)?);
     Ok((reporter, routes))
 }
 
 /// Accepts connections until told to stop, then waits for the open ones, which end by themselves.
 async fn accept(listener: Listener, connections: Arc<Connections>, mut closing: Closing) {
     let mut open = JoinSet::new();
-    let theirs = closing.clone();
+    let closing_of_connections = closing.clone();
     loop {
         tokio::select! {
-            () = closing.heard() => break,
+            () = closing.announced() => break,
             Some(_) = open.join_next() => {}
             accepted = listener.accept() => match accepted {
                 Ok((io, address)) => {
                     // Beyond the limit the connection is closed.
                     if let Some(peer) = connections.admit(address) {
-                        open.spawn(connections.clone().serve(io, theirs.clone(), peer));
+                        open.spawn(connections.clone().serve(io, closing_of_connections.clone(), peer));
                     }
                 }
                 Err(error) => {

@@ -14,8 +14,8 @@ use tokio::{
     time::Instant,
 };
 
-use super::{cutoff::Cutoff, listener::Connection};
-use crate::metrics::Cut;
+use super::{cutoff::Cutoff, listener::AcceptedConnection};
+use crate::metrics::CutReason;
 
 /// Whether the socket of an HTTP/1.1 connection takes no more bytes at the moment.
 ///
@@ -39,7 +39,7 @@ impl Stall {
         }
         // A part of an answer that is not sent has set its own time.
         if self.cutoff.is_all_sent() {
-            self.cutoff.set((Instant::now() + self.patience, Cut::AnswerNotRead));
+            self.cutoff.set((Instant::now() + self.patience, CutReason::AnswerNotRead));
         }
         self.cutoff.queued(1);
     }
@@ -57,12 +57,12 @@ impl Stall {
 }
 
 /// An HTTP/1.1 connection that notes when its socket is stalled.
-pub(super) struct Noted {
-    pub(super) io: Connection,
+pub(super) struct StallDetector {
+    pub(super) io: AcceptedConnection,
     pub(super) stall: Stall,
 }
 
-impl Noted {
+impl StallDetector {
     fn written<T>(&self, result: Poll<T>) -> Poll<T> {
         if result.is_pending() {
             self.stall.begin();
@@ -71,7 +71,7 @@ impl Noted {
     }
 }
 
-impl AsyncRead for Noted {
+impl AsyncRead for StallDetector {
     fn poll_read(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -81,7 +81,7 @@ impl AsyncRead for Noted {
     }
 }
 
-impl AsyncWrite for Noted {
+impl AsyncWrite for StallDetector {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         let result = Pin::new(&mut self.io).poll_write(cx, bytes);
         self.written(result)

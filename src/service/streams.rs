@@ -138,9 +138,9 @@ impl ReadTurn {
 const OPEN: u64 = u64::MAX;
 
 impl Streams {
-    /// `readers` are the permits to read of the connection's address.
-    pub(super) fn new(readers: Arc<Semaphore>) -> Self {
-        let permits = PollSemaphore::new(readers);
+    /// `read_permits` are the permits to read of the connection's address.
+    pub(super) fn new(read_permits: Arc<Semaphore>) -> Self {
+        let permits = PollSemaphore::new(read_permits);
         Self {
             living: 0.into(),
             waiting: 0.into(),
@@ -171,8 +171,8 @@ impl Streams {
     }
 
     /// Completes when the connection may be read. One task at a time may wait.
-    pub(super) fn poll_may_read(&self, arrived: &mut Arrived, cx: &mut Context<'_>) -> Poll<()> {
-        if !arrived.are_handed_on(self.begun.load(Ordering::SeqCst)) {
+    pub(super) fn poll_may_read(&self, pending: &mut PendingStreams, cx: &mut Context<'_>) -> Poll<()> {
+        if !pending.are_handed_on(self.begun.load(Ordering::SeqCst)) {
             cx.waker().wake_by_ref();
             return Poll::Pending;
         }
@@ -216,8 +216,8 @@ impl Streams {
     }
 
     /// The number of streams that h2 has records of, at most.
-    pub(super) fn count(&self, arrived: &Arrived) -> u64 {
-        self.living.load(Ordering::SeqCst) + arrived.count + self.begun_while_blocked()
+    pub(super) fn count(&self, pending: &PendingStreams) -> u64 {
+        self.living.load(Ordering::SeqCst) + pending.count + self.begun_while_blocked()
     }
 
     /// A task runs for the first time.
@@ -270,13 +270,13 @@ impl Streams {
 
 /// The memory of h2's records of a connection's streams.
 #[derive(Debug)]
-pub(super) struct Records {
+pub(super) struct StreamRecordMemory {
     peer: Peer,
     /// The memory of [`RECORDS`] streams each, for those beyond the first.
     memory: Vec<Permit>,
 }
 
-impl Records {
+impl StreamRecordMemory {
     pub(super) fn new(peer: Peer) -> Self {
         Self { peer, memory: Vec::new() }
     }
@@ -306,7 +306,7 @@ pub(super) struct StreamExecutor {
 
 /// The streams that have arrived and that h2 has not handed on yet.
 #[derive(Debug, Default)]
-pub(super) struct Arrived {
+pub(super) struct PendingStreams {
     /// Their number, at most: frames of headers also end streams, and h2 refuses some.
     count: u64,
     /// The number of streams that had been handed on when `count` was last corrected.
@@ -315,7 +315,7 @@ pub(super) struct Arrived {
     put_off: bool,
 }
 
-impl Arrived {
+impl PendingStreams {
     pub(super) fn add(&mut self, streams: u64) {
         self.count += streams;
     }
@@ -365,9 +365,9 @@ where
         tokio::spawn(async move {
             streams.runs();
             let cutoff = Cutoff::new();
-            let may_go_on = cutoff.run(&app, stream).await;
+            let is_usable = cutoff.run(&app, stream).await;
             streams.ended(cutoff);
-            if !may_go_on {
+            if !is_usable {
                 abort.notify_one();
             }
         });
@@ -382,16 +382,16 @@ mod tests {
     /// at a time, and one that is never read again after headers that begin no stream.
     #[test]
     fn reading_waits_until_streams_are_handed_on() {
-        let mut arrived = Arrived::default();
-        assert!(arrived.are_handed_on(0));
-        arrived.add(76);
-        let put_off = (0..76).take_while(|&begun| !arrived.are_handed_on(begun)).count() as u64;
+        let mut pending = PendingStreams::default();
+        assert!(pending.are_handed_on(0));
+        pending.add(76);
+        let put_off = (0..76).take_while(|&begun| !pending.are_handed_on(begun)).count() as u64;
         assert_eq!(put_off, 76 - MOST_WAITING);
-        assert_eq!(arrived.count, MOST_WAITING);
-        arrived.add(100);
-        assert!(!arrived.are_handed_on(70));
-        assert!(arrived.are_handed_on(70), "h2 has nothing more to hand on");
-        assert_eq!(arrived.count, 0);
+        assert_eq!(pending.count, MOST_WAITING);
+        pending.add(100);
+        assert!(!pending.are_handed_on(70));
+        assert!(pending.are_handed_on(70), "h2 has nothing more to hand on");
+        assert_eq!(pending.count, 0);
     }
 
     /// Catches connections of one address that all queue tasks at the same time, a permit that is never
@@ -402,7 +402,7 @@ mod tests {
         let permits = Arc::new(Semaphore::new(1));
         let (first, second) = (Streams::new(permits.clone()), Streams::new(permits.clone()));
         let mut reads = |streams: &Streams| {
-            streams.within_poll(|| streams.poll_may_read(&mut Arrived::default(), &mut cx).is_ready())
+            streams.within_poll(|| streams.poll_may_read(&mut PendingStreams::default(), &mut cx).is_ready())
         };
         assert!(reads(&first) && reads(&second), "a permit is held within a poll");
         first.waiting.store(2, Ordering::SeqCst);
@@ -427,7 +427,7 @@ mod tests {
         let mut frames_read = || {
             streams.within_poll(|| {
                 let mut polls = 0;
-                while streams.poll_may_read(&mut Arrived::default(), &mut cx).is_ready() {
+                while streams.poll_may_read(&mut PendingStreams::default(), &mut cx).is_ready() {
                     streams.count_frames(50);
                     polls += 1;
                 }

@@ -106,7 +106,7 @@ pub async fn list(
 }
 
 /// An open store.
-pub type Opened = Arc<dyn BlobStore>;
+pub type SharedBlobStore = Arc<dyn BlobStore>;
 
 /// The name of a shard's directory.
 pub(super) fn shard_name(shard: u8) -> String {

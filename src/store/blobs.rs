@@ -6,21 +6,21 @@ use object_store::memory::InMemory;
 use thiserror::Error;
 
 #[cfg(not(feature = "remote"))]
-use super::objects::Remote;
+use super::objects::OpenedBucket;
 #[cfg(feature = "remote")]
 use super::remote::open as remote;
 use super::{
-    blob_store::{OBJECTS_AT_A_TIME, Opened},
+    blob_store::{OBJECTS_AT_A_TIME, SharedBlobStore},
     directory::{DirectoryStore, THREADS},
     file_threads::FileThreads,
-    objects::Objects,
+    objects::ObjectBlobStore,
 };
 
 pub use super::blob_store::list;
 
 /// The reason why a `--store` could not be opened.
 #[derive(Debug, Error)]
-pub enum OpenError {
+pub enum StoreOpenError {
     /// The text names the store and the reason.
     #[error("{0}")]
     Store(String),
@@ -36,21 +36,21 @@ pub enum OpenError {
 /// # Errors
 /// The directory cannot be created or is not a directory, or this build does not support the
 /// scheme. Whether a bucket can be reached is not tested.
-pub fn open(url: &str) -> Result<Opened, OpenError> {
+pub fn open(url: &str) -> Result<SharedBlobStore, StoreOpenError> {
     refuse_half_a_scheme(url)?;
     match url.split_once("://") {
-        Some(("memory", _)) => Ok(Arc::new(Objects::new(Arc::new(InMemory::new()), None))),
+        Some(("memory", _)) => Ok(Arc::new(ObjectBlobStore::new(Arc::new(InMemory::new()), None))),
         Some((scheme, _)) if scheme != "file" => match remote(scheme, url) {
             Some(opened) => {
                 let (objects, absent) = opened.map_err(|e| failed(url, &e))?;
-                Ok(Arc::new(Objects::new(objects, Some(absent))))
+                Ok(Arc::new(ObjectBlobStore::new(objects, Some(absent))))
             }
             None => Err(unknown_scheme(url, scheme)),
         },
         _ => {
             let path = url.strip_prefix("file://").unwrap_or(url);
             let threads =
-                FileThreads::start(THREADS).map_err(|error| OpenError::Threads(error.to_string()))?;
+                FileThreads::start(THREADS).map_err(|error| StoreOpenError::Threads(error.to_string()))?;
             let store = DirectoryStore::open(path.as_ref(), threads).map_err(|error| failed(url, &error))?;
             Ok(Arc::new(store))
         }
@@ -71,9 +71,9 @@ pub fn descriptors(url: &str) -> u64 {
 ///
 /// # Errors
 /// The errors of [`open`], or that the directory does not exist.
-pub fn open_existing(url: &str) -> Result<Opened, OpenError> {
+pub fn open_existing(url: &str) -> Result<SharedBlobStore, StoreOpenError> {
     if url.starts_with("memory://") {
-        return Err(OpenError::Store(format!(
+        return Err(StoreOpenError::Store(format!(
             "store {url}: each process has its own memory, so this store is empty; expected the directory or \
              the bucket that a server uses"
         )));
@@ -81,16 +81,16 @@ pub fn open_existing(url: &str) -> Result<Opened, OpenError> {
     refuse_half_a_scheme(url)?;
     let path = url.strip_prefix("file://").unwrap_or(url);
     if !path.contains("://") && !Path::new(path).is_dir() {
-        return Err(OpenError::Store(format!("store {url}: no such directory")));
+        return Err(StoreOpenError::Store(format!("store {url}: no such directory")));
     }
     open(url)
 }
 
 /// Refuses `memory:` and its like. They would be directories of that name, which nobody means.
-fn refuse_half_a_scheme(url: &str) -> Result<(), OpenError> {
+fn refuse_half_a_scheme(url: &str) -> Result<(), StoreOpenError> {
     match url.split_once(':') {
         Some((scheme @ ("file" | "memory" | "s3" | "gs" | "az"), rest)) if !rest.starts_with("//") => {
-            Err(OpenError::Store(format!(
+            Err(StoreOpenError::Store(format!(
                 "store {url}: a scheme ends with ://, expected {scheme}://; a directory of this name is ./{url}"
             )))
         }
@@ -99,26 +99,26 @@ fn refuse_half_a_scheme(url: &str) -> Result<(), OpenError> {
 }
 
 #[cfg(not(feature = "remote"))]
-fn remote(_: &str, _: &str) -> Option<object_store::Result<Remote>> {
+fn remote(_: &str, _: &str) -> Option<object_store::Result<OpenedBucket>> {
     None
 }
 
-fn unknown_scheme(url: &str, scheme: &str) -> OpenError {
+fn unknown_scheme(url: &str, scheme: &str) -> StoreOpenError {
     let feature = match scheme {
         "s3" => "s3",
         "gs" => "gcs",
         "az" => "azure",
         _ => {
-            return OpenError::Store(format!(
+            return StoreOpenError::Store(format!(
                 "store {url}: unknown scheme {scheme}://; a directory, file://, memory://, s3://, gs:// and az:// are known"
             ));
         }
     };
-    OpenError::Store(format!(
+    StoreOpenError::Store(format!(
         "store {url}: this build does not support it; build hullcast with the feature \"{feature}\""
     ))
 }
 
-fn failed(url: &str, error: &dyn std::error::Error) -> OpenError {
-    OpenError::Store(format!("store {url}: {error}"))
+fn failed(url: &str, error: &dyn std::error::Error) -> StoreOpenError {
+    StoreOpenError::Store(format!("store {url}: {error}"))
 }

@@ -29,7 +29,7 @@ pub(crate) fn building_bytes(points: usize) -> usize {
 }
 
 /// Hulls to be built; each is one part.
-pub(super) struct Building {
+pub(super) struct BuildWork {
     pub(super) definitions: Vec<HullDefinition>,
     pub(super) max_vertices: usize,
     pub(super) stop: Arc<Stop>,
@@ -37,7 +37,7 @@ pub(super) struct Building {
     pub(super) memory: Mutex<Option<Permit>>,
 }
 
-impl Parts for Building {
+impl Parts for BuildWork {
     type Part = Result<ConvexHull, HullError>;
     type Whole = Vec<Self::Part>;
 

@@ -15,11 +15,11 @@ use crate::{contact::ConvexHull, metrics::Metrics};
 /// Measured against moka 0.12 (2,000 entries, two busy cores, four shards): a hit takes 0.11 to
 /// 0.25 us instead of 0.27 to 0.96 us, and the cache never exceeds its limit during 200,000
 /// inserts.
-pub(super) type HullCache = Cache<HullId, Arc<Entry>, HeapBytes, DefaultHashBuilder, Eviction>;
+pub(super) type HullCache = Cache<HullId, Arc<CachedHull>, HullWeight, DefaultHashBuilder, EvictionPolicy>;
 
 /// The bytes of a cached hull besides its heap: the entry, the hull's own struct and the cache's
 /// slot.
-const ENTRY_BYTES: u64 = (size_of::<Entry>() + size_of::<ConvexHull>() + 128) as u64;
+const ENTRY_BYTES: u64 = (size_of::<CachedHull>() + size_of::<ConvexHull>() + 128) as u64;
 
 /// The size of a hull with about 50 vertices. The cache chooses the initial size of its tables by
 /// it; the tables grow if hulls are smaller.
@@ -36,38 +36,38 @@ pub(super) fn cache(bytes: u64, metrics: &Metrics) -> HullCache {
         .weight_capacity(bytes)
         .build()
         .unwrap_or_else(|_| unreachable!("both capacities are set"));
-    let eviction = Eviction(metrics.cache_evictions.clone());
-    Cache::with_options(options, HeapBytes, DefaultHashBuilder::default(), eviction)
+    let eviction = EvictionPolicy(metrics.cache_evictions.clone());
+    Cache::with_options(options, HullWeight, DefaultHashBuilder::default(), eviction)
 }
 
 /// Counts evictions, and keeps leased hulls from being evicted.
 #[derive(Clone, Debug)]
-pub(super) struct Eviction(Counter);
+pub(super) struct EvictionPolicy(Counter);
 
-impl Lifecycle<HullId, Arc<Entry>> for Eviction {
+impl Lifecycle<HullId, Arc<CachedHull>> for EvictionPolicy {
     type RequestState = ();
 
-    fn is_pinned(&self, _: &HullId, entry: &Arc<Entry>) -> bool {
+    fn is_pinned(&self, _: &HullId, entry: &Arc<CachedHull>) -> bool {
         entry.leases.load(Ordering::Relaxed) > 0
     }
 
-    fn on_evict(&self, (): &mut (), _: HullId, _: Arc<Entry>) {
+    fn on_evict(&self, (): &mut (), _: HullId, _: Arc<CachedHull>) {
         self.0.inc();
     }
 }
 
 #[derive(Clone, Debug)]
-pub(super) struct HeapBytes;
+pub(super) struct HullWeight;
 
-impl Weighter<HullId, Arc<Entry>> for HeapBytes {
-    fn weight(&self, _: &HullId, entry: &Arc<Entry>) -> u64 {
+impl Weighter<HullId, Arc<CachedHull>> for HullWeight {
+    fn weight(&self, _: &HullId, entry: &Arc<CachedHull>) -> u64 {
         entry.bytes
     }
 }
 
 /// A hull in memory.
 #[derive(Debug)]
-pub(super) struct Entry {
+pub(super) struct CachedHull {
     pub(super) hull: Arc<ConvexHull>,
     pub(super) bytes: u64,
     /// Whether this process wrote the hull, so that its blob is known to be synced.
@@ -81,7 +81,7 @@ pub(super) struct Entry {
     pub(super) is_removed: AtomicBool,
 }
 
-impl Entry {
+impl CachedHull {
     pub(super) fn new(hull: Arc<ConvexHull>, written: bool, seen_ms: u64) -> Arc<Self> {
         let bytes = hull.heap_bytes() as u64 + ENTRY_BYTES;
         Arc::new(Self {

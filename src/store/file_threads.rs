@@ -15,7 +15,7 @@ use std::{
 
 use tokio::sync::oneshot;
 
-use crate::compute::caught;
+use crate::compute::catch_panic;
 use crate::lock::locked;
 
 type Task = Box<dyn FnOnce() + Send>;
@@ -66,7 +66,7 @@ impl FileThreads {
         let (send, receive) = oneshot::channel();
         let task = Box::new(move || {
             if !send.is_closed() {
-                let _ = send.send(caught(operation).map_err(|panicked| panicked.to_string()));
+                let _ = send.send(catch_panic(operation).map_err(|panicked| panicked.to_string()));
             }
         });
         match self.tasks.try_send(task) {

@@ -105,7 +105,7 @@ impl HullDefinition {
     /// Reads identity bytes. Returns `None` if they are invalid or have a version that is not
     /// known here.
     pub fn from_identity_bytes(bytes: &[u8]) -> Option<Self> {
-        let mut rest = Bytes(bytes);
+        let mut rest = ByteReader(bytes);
         if rest.take::<8>()? != *MAGIC {
             return None;
         }
@@ -181,9 +181,9 @@ fn write_point(bytes: &mut Vec<u8>, point: [f64; 3]) {
 }
 
 /// The bytes that are still to be read.
-struct Bytes<'a>(&'a [u8]);
+struct ByteReader<'a>(&'a [u8]);
 
-impl Bytes<'_> {
+impl ByteReader<'_> {
     fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
         let (head, rest) = self.0.split_first_chunk()?;
         self.0 = rest;

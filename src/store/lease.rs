@@ -18,7 +18,7 @@ use std::{
 
 use prometheus_client::metrics::gauge::Gauge;
 
-use super::cache::Entry;
+use super::cache::CachedHull;
 use crate::{
     budget::{ById, Caller, Shares},
     lock::locked,
@@ -74,7 +74,7 @@ impl LeaseRequest {
     }
 
     /// Leases all of `entries`, or none.
-    pub(super) fn lease(&self, entries: Vec<Arc<Entry>>) -> Result<Lease, LeaseError> {
+    pub(super) fn lease(&self, entries: Vec<Arc<CachedHull>>) -> Result<Lease, LeaseError> {
         let mut lease =
             Lease { leases: self.leases.clone(), caller: self.caller.clone(), entries: Vec::new() };
         let bytes: u64 = entries.iter().map(|entry| entry.bytes).sum();
@@ -97,7 +97,7 @@ impl LeaseRequest {
 }
 
 impl State {
-    fn add(&mut self, caller: &Caller, entry: &Arc<Entry>) -> Result<(), LeaseError> {
+    fn add(&mut self, caller: &Caller, entry: &Arc<CachedHull>) -> Result<(), LeaseError> {
         let slot = self.counts.entry((caller.id(), Arc::as_ptr(entry).addr()));
         if let hash_map::Entry::Vacant(_) = slot {
             let is_unleased = entry.leases.load(Ordering::Relaxed) == 0;
@@ -109,7 +109,7 @@ impl State {
         Ok(())
     }
 
-    fn subtract(&mut self, caller: &Caller, entry: &Arc<Entry>) {
+    fn subtract(&mut self, caller: &Caller, entry: &Arc<CachedHull>) {
         let is_last = entry.leases.fetch_sub(1, Ordering::Relaxed) == 1;
         let hash_map::Entry::Occupied(mut count) =
             self.counts.entry((caller.id(), Arc::as_ptr(entry).addr()))
@@ -129,7 +129,7 @@ impl State {
 pub struct Lease {
     leases: Arc<Leases>,
     caller: Caller,
-    entries: Vec<Arc<Entry>>,
+    entries: Vec<Arc<CachedHull>>,
 }
 
 impl Lease {
@@ -165,10 +165,10 @@ pub(super) mod tests {
         contact::ConvexHull,
     };
 
-    pub(in crate::store) fn entries(count: usize) -> Vec<Arc<Entry>> {
+    pub(in crate::store) fn entries(count: usize) -> Vec<Arc<CachedHull>> {
         let corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
         let hull = Arc::new(ConvexHull::new(&corners).unwrap());
-        (0..count).map(|_| Entry::new(hull.clone(), false, 0)).collect()
+        (0..count).map(|_| CachedHull::new(hull.clone(), false, 0)).collect()
     }
 
     fn callers(count: u32) -> Vec<Caller> {

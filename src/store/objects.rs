@@ -13,16 +13,16 @@ use super::{
 use crate::size::ByteSize;
 
 /// A store over the network, and the words by which its errors say that an object is missing.
-pub(super) type Remote = (Arc<dyn ObjectStore>, &'static str);
+pub(super) type OpenedBucket = (Arc<dyn ObjectStore>, &'static str);
 
 /// Blobs as objects, sharded by the first byte of their id.
 #[derive(Debug)]
-pub(super) struct Objects {
+pub(super) struct ObjectBlobStore {
     objects: Arc<dyn ObjectStore>,
     absent: Option<&'static str>,
 }
 
-impl Objects {
+impl ObjectBlobStore {
     /// `absent` is for stores that give the same status for a missing object and for a missing
     /// bucket. A missing bucket is an outage of all hulls. An error is about a missing object if
     /// its text contains `absent`. If `absent` is not given, only the status decides.
@@ -64,7 +64,7 @@ fn id_of_key(key: &Path) -> Option<HullId> {
     key.filename()?.parse().ok()
 }
 
-impl BlobStore for Objects {
+impl BlobStore for ObjectBlobStore {
     fn put(&self, id: HullId, blob: Bytes) -> BoxFuture<'_, Result<(), StoreError>> {
         Box::pin(async move {
             let written = self.objects.put(&key(id), PutPayload::from_bytes(blob)).await;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use tokio::sync::Mutex;
 
-use super::{BlobStore, HullId, StoreError, blob_store::list, turns::Turns};
+use super::{BlobStore, HullId, StoreError, blob_store::list, fair_slots::FairSlots};
 use crate::{budget::Caller, size::ByteSize};
 
 /// Writes blobs within a limit of bytes.
@@ -15,7 +15,7 @@ pub(super) struct Quota {
     limit: u64,
     max_blob_bytes: u64,
     /// Lets one write run at a time, and callers take turns.
-    turns: Arc<Turns>,
+    slots: Arc<FairSlots>,
     /// The bytes in the store. They are counted when first needed, never at the start.
     used: Mutex<Option<u64>>,
 }
@@ -24,8 +24,8 @@ impl Quota {
     /// Blobs of more than `max_blob_bytes` are not hulls and do not count. `shares` says whether
     /// callers share the places of waiting writes.
     pub(super) fn new(limit: u64, max_blob_bytes: u64, shares: bool) -> Self {
-        let turns = Turns::new(1, MOST_WAITING, shares);
-        Self { limit, max_blob_bytes, turns, used: Mutex::new(None) }
+        let slots = FairSlots::new(1, MOST_WAITING, shares);
+        Self { limit, max_blob_bytes, slots, used: Mutex::new(None) }
     }
 
     /// Writes a blob if it fits within the limit.
@@ -39,8 +39,8 @@ impl Quota {
         if self.limit == 0 {
             return blobs.put(id, blob).await;
         }
-        let _turn = self
-            .turns
+        let _slot = self
+            .slots
             .take(caller)
             .await
             .map_err(|_| StoreError::Busy("too many writes of this caller are waiting".into()))?;

@@ -14,12 +14,12 @@ use tracing::Instrument;
 
 use super::{
     BlobStore, HullDefinition, HullId, Registry, StoreError,
-    cache::Entry,
+    cache::CachedHull,
+    fair_slots::FairSlot,
     identity::id_of,
     lease::{Lease, LeaseError, LeaseRequest},
-    registry::BuildError,
+    registry::BuildWorkError,
     scheduled::CallerStore,
-    turns::Turn,
 };
 use crate::{
     batch::Missing,
@@ -41,12 +41,12 @@ pub struct Reader<'a> {
     registry: &'a Registry,
     store: CallerStore,
     job: &'a Job,
-    faults: Mutex<Option<Faults>>,
+    faults: Mutex<Option<UnreadableHulls>>,
 }
 
 /// Summary of the hulls of a request that could not be read.
 #[derive(Debug)]
-struct Faults {
+struct UnreadableHulls {
     hulls: u64,
     first: HullId,
     why: String,
@@ -55,7 +55,7 @@ struct Faults {
 /// The reason why a request does not have a hull.
 pub(super) enum NotLeased {
     Missing(Missing),
-    NoRoom(LeaseError),
+    Refused(LeaseError),
 }
 
 impl From<Missing> for NotLeased {
@@ -66,13 +66,13 @@ impl From<Missing> for NotLeased {
 
 impl From<LeaseError> for NotLeased {
     fn from(why: LeaseError) -> Self {
-        Self::NoRoom(why)
+        Self::Refused(why)
     }
 }
 
 impl<'a> Reader<'a> {
     pub(super) fn new(registry: &'a Registry, job: &'a Job) -> Self {
-        Self { registry, store: registry.store.of(&job.caller), job, faults: Mutex::default() }
+        Self { registry, store: registry.store.for_caller(&job.caller), job, faults: Mutex::default() }
     }
 
     /// The hull. If it is not cached, it is read from the store, once for all requests that wait
@@ -92,8 +92,8 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// The reason why the hull is missing.
     pub async fn definition(&self, id: HullId) -> Result<HullDefinition, Missing> {
-        let _turn = self.turn(id).await?;
-        self.found(id).await
+        let _slot = self.load_slot(id).await?;
+        self.stored_definition(id).await
     }
 
     /// Whether the server can answer for the hull. It cannot if the blob of that name is not the
@@ -105,11 +105,11 @@ impl<'a> Reader<'a> {
         if self.registry.cached(&id, self.registry.now_ms()).is_some() {
             return Ok(true);
         }
-        let _turn = self.turn(id).await?;
+        let _slot = self.load_slot(id).await?;
         match self.verified(id).await {
             Ok(found) => Ok(found.is_some()),
             Err(StoreError::Hung(_)) if self.registry.cache.get(&id).is_some() => Ok(true),
-            Err(error) => match self.missing(id, &error) {
+            Err(error) => match self.reason_missing(id, &error) {
                 Missing::Unknown => Ok(false),
                 Missing::Unavailable => Err(Missing::Unavailable),
             },
@@ -138,35 +138,35 @@ impl<'a> Reader<'a> {
         Ok((entry.hull.clone(), lease))
     }
 
-    fn load(&self, id: HullId) -> BoxFuture<'_, Result<Arc<Entry>, Missing>> {
+    fn load(&self, id: HullId) -> BoxFuture<'_, Result<Arc<CachedHull>, Missing>> {
         Box::pin(async move {
             self.registry.metrics.cache_misses.inc();
             let started = Instant::now();
-            let loaded = self.loaded(id).instrument(trace::load(&id)).await;
+            let loaded = self.read_and_build(id).instrument(trace::load(&id)).await;
             self.registry.metrics.load_seconds.observe(started.elapsed().as_secs_f64());
             loaded
         })
     }
 
     /// Reads and builds a hull when it is the caller's turn.
-    async fn loaded(&self, id: HullId) -> Result<Arc<Entry>, Missing> {
-        let _turn = self.turn(id).await?;
-        let definition = self.found(id).await?;
+    async fn read_and_build(&self, id: HullId) -> Result<Arc<CachedHull>, Missing> {
+        let _slot = self.load_slot(id).await?;
+        let definition = self.stored_definition(id).await?;
         // A hull that was once acknowledged is served even if it exceeds the current limit of
         // vertices.
         let built = self.registry.build(vec![definition], usize::MAX, self.job).await;
         match built.map(|hulls| hulls.into_iter().next()) {
             Ok(Some(Ok(hull))) => Ok(self.registry.entry(Arc::new(hull), false)),
             Ok(Some(Err(error))) => {
-                self.fault(id, format!("this version cannot build a stored hull: {error}"));
+                self.note_unreadable(id, format!("this version cannot build a stored hull: {error}"));
                 Err(Missing::Unknown)
             }
-            Ok(None) | Err(BuildError::Compute(ComputeError::Stopped)) => Err(Missing::Unavailable),
-            Err(BuildError::NoMemory(why)) => {
-                self.fault(id, why.to_string());
+            Ok(None) | Err(BuildWorkError::Compute(ComputeError::Stopped)) => Err(Missing::Unavailable),
+            Err(BuildWorkError::NoMemory(why)) => {
+                self.note_unreadable(id, why.to_string());
                 Err(Missing::Unavailable)
             }
-            Err(BuildError::Compute(ComputeError::Panicked(why))) => {
+            Err(BuildWorkError::Compute(ComputeError::Panicked(why))) => {
                 limited!(error, hull = %id, %why, "a stored hull cannot be built");
                 Err(Missing::Unavailable)
             }
@@ -174,22 +174,22 @@ impl<'a> Reader<'a> {
     }
 
     /// Waits until this caller may load one more hull.
-    async fn turn(&self, id: HullId) -> Result<Turn, Missing> {
+    async fn load_slot(&self, id: HullId) -> Result<FairSlot, Missing> {
         self.registry.loading.take(&self.job.caller).await.map_err(|_| {
-            self.fault(id, "too many hulls of this caller wait to be loaded".into());
+            self.note_unreadable(id, "too many hulls of this caller wait to be loaded".into());
             Missing::Unavailable
         })
     }
 
     /// The definition of a hull, or the reason why it is missing.
-    async fn found(&self, id: HullId) -> Result<HullDefinition, Missing> {
-        self.verified(id).await.map_err(|error| self.missing(id, &error))?.ok_or(Missing::Unknown)
+    async fn stored_definition(&self, id: HullId) -> Result<HullDefinition, Missing> {
+        self.verified(id).await.map_err(|error| self.reason_missing(id, &error))?.ok_or(Missing::Unknown)
     }
 
     /// The definition that the store has under this id. `None` if the store has nothing under it,
     /// or something else than this hull.
     async fn verified(&self, id: HullId) -> Result<Option<HullDefinition>, StoreError> {
-        let Some(blob) = self.store.get(id, self.registry.bounds.max_blob_bytes).await? else {
+        let Some(blob) = self.store.get(id, self.registry.limits.max_blob_bytes).await? else {
             return Ok(None);
         };
         let verified = if blob.len() <= VERIFIED_IN_PLACE {
@@ -219,45 +219,45 @@ impl<'a> Reader<'a> {
             Corrupt::Content => "the blob is not this hull; registering the hull again repairs it",
             Corrupt::Format => "the blob is of another version",
         };
-        self.fault(id, format!("{why} ({}; copy: {copy})", ByteSize(bytes as u64)));
+        self.note_unreadable(id, format!("{why} ({}; copy: {copy})", ByteSize(bytes as u64)));
     }
 
     /// Asks the store whether it still has a cached hull that was not seen there for the cache age,
     /// because another server may have deleted it. While the store hangs this cannot be known, and
     /// the cached hull is used.
-    async fn check_if_stale(&self, id: HullId, entry: &Entry) -> Result<(), Missing> {
+    async fn check_if_stale(&self, id: HullId, entry: &CachedHull) -> Result<(), Missing> {
         if !self.registry.is_stale(entry, self.registry.now_ms()) {
             return Ok(());
         }
         match self.store.size(id).await {
             Ok(Some(_)) => {
-                self.registry.saw(entry);
+                self.registry.mark_seen(entry);
                 Ok(())
             }
             Ok(None) => {
-                self.registry.remove(&id);
+                self.registry.uncache(&id);
                 Err(Missing::Unknown)
             }
             Err(StoreError::Hung(_)) => Ok(()),
-            Err(error) => Err(self.missing(id, &error)),
+            Err(error) => Err(self.reason_missing(id, &error)),
         }
     }
 
     /// Converts an error of the store to the reason why a hull is missing.
-    fn missing(&self, id: HullId, error: &StoreError) -> Missing {
+    fn reason_missing(&self, id: HullId, error: &StoreError) -> Missing {
         self.registry.metrics.store_errors.inc();
-        self.fault(id, error.to_string());
+        self.note_unreadable(id, error.to_string());
         match error {
             StoreError::NotABlob(_) => Missing::Unknown,
             _ => Missing::Unavailable,
         }
     }
 
-    fn fault(&self, id: HullId, why: String) {
+    fn note_unreadable(&self, id: HullId, why: String) {
         let mut faults = locked(&self.faults);
         match &mut *faults {
             Some(faults) => faults.hulls += 1,
-            None => *faults = Some(Faults { hulls: 1, first: id, why }),
+            None => *faults = Some(UnreadableHulls { hulls: 1, first: id, why }),
         }
     }
 }
@@ -265,7 +265,7 @@ impl<'a> Reader<'a> {
 impl Drop for Reader<'_> {
     fn drop(&mut self) {
         let faults = self.faults.get_mut().unwrap_or_else(PoisonError::into_inner).take();
-        if let Some(Faults { hulls, first, why }) = faults {
+        if let Some(UnreadableHulls { hulls, first, why }) = faults {
             limited!(warn, hulls, %first, why, "hulls of a request could not be read from the store");
         }
     }

@@ -9,15 +9,15 @@ use futures_util::{StreamExt, stream};
 use thiserror::Error;
 
 use super::{
-    BlobStore, HullDefinition, HullId, Opened, StoreError, StoredBlob, blobs,
-    building::{Building, building_bytes},
-    cache::{Entry, HullCache, cache},
+    BlobStore, HullDefinition, HullId, SharedBlobStore, StoreError, StoredBlob, blobs,
+    building::{BuildWork, building_bytes},
+    cache::{CachedHull, HullCache, cache},
+    fair_slots::FairSlots,
     identity::id_of,
     lease::{Lease, LeaseError, LeaseRequest, Leases},
     quota::Quota,
     reader::{NotLeased, Reader, VERIFIED_IN_PLACE},
     scheduled::{CallerStore, ScheduledStore},
-    turns::Turns,
 };
 use crate::{
     batch::{Hulls, Missing},
@@ -29,7 +29,7 @@ use crate::{
 
 /// The limits of a registry.
 #[derive(Clone, Copy, Debug)]
-pub struct Bounds {
+pub struct RegistryLimits {
     /// The most heap bytes of cached hulls, leased ones included.
     pub cache_bytes: u64,
     /// The most bytes of all blobs together; 0 stands for no limit.
@@ -68,16 +68,16 @@ pub enum RegisterError {
 
 /// The reason why hulls were not built.
 #[derive(Clone, Debug)]
-pub(super) enum BuildError {
+pub(super) enum BuildWorkError {
     NoMemory(NoMemory),
     Compute(ComputeError),
 }
 
-impl From<BuildError> for RegisterError {
-    fn from(error: BuildError) -> Self {
+impl From<BuildWorkError> for RegisterError {
+    fn from(error: BuildWorkError) -> Self {
         match error {
-            BuildError::NoMemory(why) => Self::NoMemory(why),
-            BuildError::Compute(error) => error.into(),
+            BuildWorkError::NoMemory(why) => Self::NoMemory(why),
+            BuildWorkError::Compute(error) => error.into(),
         }
     }
 }
@@ -102,7 +102,7 @@ pub const AT_A_TIME: usize = 16;
 const MOST_WAITING: u64 = 4096;
 
 /// A definition with its stored bytes and its name.
-struct Named {
+struct IdentifiedHull {
     id: HullId,
     blob: Vec<u8>,
     definition: HullDefinition,
@@ -114,11 +114,11 @@ pub struct Registry {
     pub(super) store: ScheduledStore,
     pub(super) cache: HullCache,
     leases: Arc<Leases>,
-    pub(super) loading: Arc<Turns>,
+    pub(super) loading: Arc<FairSlots>,
     pub(super) compute: Compute,
     memory: Arc<MemoryBudget>,
-    pub(super) bounds: Bounds,
-    /// The start of the time that `Entry::seen_ms` counts.
+    pub(super) limits: RegistryLimits,
+    /// The start of the time that `CachedHull::seen_ms` counts.
     started: Instant,
     quota: Quota,
     pub(super) metrics: Arc<Metrics>,
@@ -127,24 +127,24 @@ pub struct Registry {
 impl Registry {
     /// A registry of the hulls in `blobs`. `compute` builds hulls, with memory from `memory`.
     pub fn new(
-        blobs: Opened,
+        blobs: SharedBlobStore,
         compute: Compute,
-        bounds: Bounds,
+        limits: RegistryLimits,
         memory: Arc<MemoryBudget>,
         metrics: Arc<Metrics>,
     ) -> Self {
         Self {
             // There are as many loads as the store has operations. Each hull is read, verified
             // and, if necessary, built in one turn, which limits the blobs in memory.
-            loading: Turns::new(blobs.operations_at_a_time(), MOST_WAITING, bounds.shares),
-            store: ScheduledStore::new(blobs, bounds.store_limit, bounds.shares),
-            cache: cache(bounds.cache_bytes, &metrics),
-            leases: Leases::new(bounds.cache_bytes, bounds.shares, &metrics),
+            loading: FairSlots::new(blobs.operations_at_a_time(), MOST_WAITING, limits.shares),
+            store: ScheduledStore::new(blobs, limits.store_limit, limits.shares),
+            cache: cache(limits.cache_bytes, &metrics),
+            leases: Leases::new(limits.cache_bytes, limits.shares, &metrics),
             compute,
             memory,
-            bounds,
+            limits,
             started: Instant::now(),
-            quota: Quota::new(bounds.store_bytes, bounds.max_blob_bytes, bounds.shares),
+            quota: Quota::new(limits.store_bytes, limits.max_blob_bytes, limits.shares),
             metrics,
         }
     }
@@ -166,7 +166,8 @@ impl Registry {
         let cached: Vec<_> = ids.iter().map(|id| self.cached(id, now_ms)).collect();
         let mut lease = request.lease(cached.iter().flatten().cloned().collect())?;
         self.metrics.cache_hits.inc_by(cached.iter().flatten().count() as u64);
-        let hull = |entry: Option<Arc<Entry>>| entry.map(|entry| entry.hull.clone()).ok_or(Missing::Unknown);
+        let hull =
+            |entry: Option<Arc<CachedHull>>| entry.map(|entry| entry.hull.clone()).ok_or(Missing::Unknown);
         let mut found: Hulls = cached.into_iter().map(hull).collect();
         let missing: Vec<usize> = (0..ids.len()).filter(|&i| found[i].is_err()).collect();
         if missing.is_empty() {
@@ -185,14 +186,14 @@ impl Registry {
                     Ok(hull)
                 }
                 Err(NotLeased::Missing(why)) => Err(why),
-                Err(NotLeased::NoRoom(why)) => return Err(why),
+                Err(NotLeased::Refused(why)) => return Err(why),
             };
         }
         Ok((found, lease))
     }
 
     /// Counts hulls of a request that an earlier message of its stream had leased already.
-    pub fn found_again(&self, hulls: usize) {
+    pub fn count_leased_again(&self, hulls: usize) {
         self.metrics.cache_hits.inc_by(hulls as u64);
     }
 
@@ -201,7 +202,7 @@ impl Registry {
         self.leases.most_alone()
     }
 
-    pub(super) fn cached(&self, id: &HullId, now_ms: u64) -> Option<Arc<Entry>> {
+    pub(super) fn cached(&self, id: &HullId, now_ms: u64) -> Option<Arc<CachedHull>> {
         self.cache.get(id).filter(|entry| !self.is_stale(entry, now_ms))
     }
 
@@ -209,26 +210,26 @@ impl Registry {
     /// Registering a hull again changes nothing. There is one result per definition, in order; a
     /// refused hull is not stored.
     pub async fn register(&self, definitions: Vec<HullDefinition>, job: &Job) -> Vec<Registered> {
-        let store = &self.store.of(&job.caller);
+        let store = &self.store.for_caller(&job.caller);
         let looked_up: Vec<_> = stream::iter(definitions)
             .map(|definition| async move {
-                let named = self.named(definition, job).await?;
-                let known = self.known(store, named.id, named.blob.len()).await?;
-                Ok((named, known))
+                let identified = self.identify(definition, job).await?;
+                let known = self.acknowledged(store, identified.id, identified.blob.len()).await?;
+                Ok((identified, known))
             })
             .buffered(AT_A_TIME)
             .collect()
             .await;
         let (mut new, mut known) = (Vec::new(), Vec::with_capacity(looked_up.len()));
         for looked_up in looked_up {
-            known.push(looked_up.map(|(Named { id, blob, definition }, found)| {
+            known.push(looked_up.map(|(IdentifiedHull { id, blob, definition }, found)| {
                 if found.is_none() {
                     new.push(definition);
                 }
                 (id, blob, found)
             }));
         }
-        let mut built = self.build(new, self.bounds.max_vertices, job).await.map(Vec::into_iter);
+        let mut built = self.build(new, self.limits.max_vertices, job).await.map(Vec::into_iter);
         let results = known.into_iter().map(|known| {
             let hull = known.and_then(|(id, blob, found)| match (found, &mut built) {
                 (Some(hull), _) => Ok((id, hull, None)),
@@ -257,21 +258,21 @@ impl Registry {
         definitions: Vec<HullDefinition>,
         max_vertices: usize,
         job: &Job,
-    ) -> Result<Vec<Result<ConvexHull, HullError>>, BuildError> {
+    ) -> Result<Vec<Result<ConvexHull, HullError>>, BuildWorkError> {
         let bytes =
             definitions.iter().map(|definition| building_bytes(definition.points.len())).sum::<usize>();
         let memory = self.memory.take(&job.caller, Part::Building, bytes as u64);
-        let memory = memory.map_err(BuildError::NoMemory)?;
+        let memory = memory.map_err(BuildWorkError::NoMemory)?;
         let (stop, memory) = (job.stop.clone(), Mutex::new(Some(memory)));
-        let building = Building { definitions, max_vertices, stop, memory };
-        self.compute.split(building, job).await.map_err(BuildError::Compute)
+        let building = BuildWork { definitions, max_vertices, stop, memory };
+        self.compute.run_parts(building, job).await.map_err(BuildWorkError::Compute)
     }
 
     /// Computes a definition's blob and id.
-    async fn named(&self, definition: HullDefinition, job: &Job) -> Result<Named, RegisterError> {
+    async fn identify(&self, definition: HullDefinition, job: &Job) -> Result<IdentifiedHull, RegisterError> {
         let name = |definition: HullDefinition| {
             let blob = definition.identity_bytes();
-            Named { id: id_of(&blob), blob, definition }
+            IdentifiedHull { id: id_of(&blob), blob, definition }
         };
         if size_of_val(&definition.points[..]) <= VERIFIED_IN_PLACE {
             return Ok(name(definition));
@@ -297,7 +298,7 @@ impl Registry {
     }
 
     /// The cached hull, if this process wrote it and the store still has it.
-    async fn known(
+    async fn acknowledged(
         &self,
         store: &CallerStore,
         id: HullId,
@@ -307,7 +308,7 @@ impl Registry {
         if store.size(id).await.map_err(RegisterError::Store)? != Some(bytes as u64) {
             return Ok(None);
         }
-        self.saw(&entry);
+        self.mark_seen(&entry);
         Ok(Some(entry.hull.clone()))
     }
 
@@ -316,14 +317,14 @@ impl Registry {
     /// # Errors
     /// The store could not be read or written.
     pub async fn delete(&self, id: HullId, job: &Job) -> Result<bool, StoreError> {
-        let store = self.store.of(&job.caller);
+        let store = self.store.for_caller(&job.caller);
         let size = store.size(id).await?;
         if size.is_some() {
             store.delete(id).await?;
             self.metrics.deleted.inc();
         }
         // After the blob, so that a load under way also loses its place in the cache.
-        self.remove(&id);
+        self.uncache(&id);
         self.quota.freed(size.unwrap_or(0)).await;
         Ok(size.is_some())
     }
@@ -338,9 +339,9 @@ impl Registry {
         count: usize,
         job: &Job,
     ) -> Result<(Vec<StoredBlob>, bool), StoreError> {
-        let store = self.store.of(&job.caller);
+        let store = self.store.for_caller(&job.caller);
         let mut page =
-            blobs::list(&store, after, count.saturating_add(1), self.bounds.max_blob_bytes).await?;
+            blobs::list(&store, after, count.saturating_add(1), self.limits.max_blob_bytes).await?;
         let more = page.len() > count;
         page.truncate(count);
         Ok((page, more))
@@ -365,22 +366,22 @@ impl Registry {
     }
 
     /// Removes a hull that the store no longer has from the cache.
-    pub(super) fn remove(&self, id: &HullId) {
+    pub(super) fn uncache(&self, id: &HullId) {
         if let Some((_, entry)) = self.cache.remove(id) {
             entry.is_removed.store(true, Ordering::Relaxed);
         }
     }
 
-    pub(super) fn entry(&self, hull: Arc<ConvexHull>, written: bool) -> Arc<Entry> {
-        Entry::new(hull, written, self.now_ms())
+    pub(super) fn entry(&self, hull: Arc<ConvexHull>, written: bool) -> Arc<CachedHull> {
+        CachedHull::new(hull, written, self.now_ms())
     }
 
-    pub(super) fn is_stale(&self, entry: &Entry, now_ms: u64) -> bool {
+    pub(super) fn is_stale(&self, entry: &CachedHull, now_ms: u64) -> bool {
         let age = now_ms.saturating_sub(entry.seen_ms.load(Ordering::Relaxed));
-        u128::from(age) >= self.bounds.cache_age.as_millis()
+        u128::from(age) >= self.limits.cache_age.as_millis()
     }
 
-    pub(super) fn saw(&self, entry: &Entry) {
+    pub(super) fn mark_seen(&self, entry: &CachedHull) {
         entry.seen_ms.store(self.now_ms(), Ordering::Relaxed);
     }
 

@@ -8,7 +8,7 @@ use std::{sync::Arc, time::Duration};
 
 use object_store::{BackoffConfig, ClientOptions, ObjectStore, RetryConfig, prefix::PrefixStore};
 
-use super::objects::Remote;
+use super::objects::OpenedBucket;
 
 /// A request without an answer after this time is tried again. In this time the largest hull can be
 /// sent at 6 MB/s.
@@ -19,7 +19,7 @@ const RETRIES: Duration = Duration::from_secs(10);
 const MAX_RETRIES: usize = 6;
 
 /// Opens `scheme://bucket/prefix`. Returns `None` if this build does not support the scheme.
-pub(super) fn open(scheme: &str, url: &str) -> Option<object_store::Result<Remote>> {
+pub(super) fn open(scheme: &str, url: &str) -> Option<object_store::Result<OpenedBucket>> {
     // The client of the store uses the installed crypto provider. The installation fails if there
     // is one already, which is fine.
     let _ = tokio_rustls::rustls::crypto::ring::default_provider().install_default();

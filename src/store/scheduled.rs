@@ -1,7 +1,7 @@
 //! Schedules and times the operations of a store.
 //!
 //! At most as many operations run at a time as the store supports, and callers take turns
-//! ([`Turns`]). An operation that has started runs to its end even if its caller leaves, so that
+//! ([`FairSlots`]). An operation that has started runs to its end even if its caller leaves, so that
 //! its time is always measured. An operation that has not returned within the limit marks the store
 //! as hung. Its caller, the callers that wait for a turn, and later callers then get
 //! [`StoreError::Hung`] at once, and no operation starts until every operation that exceeded the
@@ -27,8 +27,8 @@ use tokio::{
 use tracing::Instrument;
 
 use super::{
-    BlobStore, HullId, Opened, StoreError, StoredBlob,
-    turns::{NoTurn, Turns},
+    BlobStore, HullId, SharedBlobStore, StoreError, StoredBlob,
+    fair_slots::{FairSlots, NoSlot},
 };
 use crate::{budget::Caller, log_limit::limited};
 
@@ -39,13 +39,13 @@ const MOST_WAITING: u64 = 4096;
 /// A store, shared by callers.
 #[derive(Clone, Debug)]
 pub(super) struct ScheduledStore {
-    shared: Arc<Shared>,
+    shared: Arc<StoreState>,
 }
 
 #[derive(Debug)]
-struct Shared {
-    blobs: Opened,
-    turns: Arc<Turns>,
+struct StoreState {
+    blobs: SharedBlobStore,
+    slots: Arc<FairSlots>,
     limit: Duration,
     /// Operations that have exceeded the limit and have not returned.
     hanging: AtomicUsize,
@@ -55,14 +55,14 @@ struct Shared {
 impl ScheduledStore {
     /// `limit` is the time that an operation may take. `shares` says whether callers share the
     /// operations by dynamic thresholds.
-    pub(super) fn new(blobs: Opened, limit: Duration, shares: bool) -> Self {
-        let turns = Turns::new(blobs.operations_at_a_time(), MOST_WAITING, shares);
+    pub(super) fn new(blobs: SharedBlobStore, limit: Duration, shares: bool) -> Self {
+        let slots = FairSlots::new(blobs.operations_at_a_time(), MOST_WAITING, shares);
         let (hanging, probing) = (AtomicUsize::new(0), AtomicBool::new(false));
-        Self { shared: Arc::new(Shared { blobs, turns, limit, hanging, probing }) }
+        Self { shared: Arc::new(StoreState { blobs, slots, limit, hanging, probing }) }
     }
 
     /// The store as `caller` uses it.
-    pub(super) fn of(&self, caller: &Caller) -> CallerStore {
+    pub(super) fn for_caller(&self, caller: &Caller) -> CallerStore {
         CallerStore { shared: self.shared.clone(), caller: caller.clone() }
     }
 
@@ -73,28 +73,28 @@ impl ScheduledStore {
     /// The reason why the store cannot be written to.
     pub(super) async fn probe(&self) -> Result<(), StoreError> {
         let shared = &self.shared;
-        shared.answers()?;
+        shared.check_not_hung()?;
         if shared.probing.swap(true, Ordering::AcqRel) {
             return Err(StoreError::Hung("the previous probe has not returned".into()));
         }
-        let probing = Probing(shared.clone());
+        let probing = ProbeGuard(shared.clone());
         let blobs = shared.blobs.clone();
         shared.timed(async move { blobs.probe().await }, probing).await
     }
 }
 
 /// Marks a probe as under way until it is dropped.
-struct Probing(Arc<Shared>);
+struct ProbeGuard(Arc<StoreState>);
 
-impl Drop for Probing {
+impl Drop for ProbeGuard {
     fn drop(&mut self) {
         self.0.probing.store(false, Ordering::Release);
     }
 }
 
-impl Shared {
+impl StoreState {
     /// Refuses an operation while the store hangs.
-    fn answers(&self) -> Result<(), StoreError> {
+    fn check_not_hung(&self) -> Result<(), StoreError> {
         match self.hanging.load(Ordering::Acquire) {
             0 => Ok(()),
             operations => Err(StoreError::Hung(format!(
@@ -117,8 +117,8 @@ impl Shared {
             let started = Instant::now();
             pin!(operation);
             let Ok(result) = timeout(shared.limit, &mut operation).await else {
-                let hanging = Hanging::new(&shared);
-                let _ = send.send(Err(shared.answers().err().unwrap_or_else(gone)));
+                let hanging = HangingOperation::new(&shared);
+                let _ = send.send(Err(shared.check_not_hung().err().unwrap_or_else(no_result)));
                 let _ = operation.await;
                 drop((hanging, slot));
                 let seconds = started.elapsed().as_secs_f64();
@@ -129,19 +129,19 @@ impl Shared {
             let _ = send.send(result);
         };
         tokio::spawn(run.in_current_span());
-        receive.await.unwrap_or_else(|_| Err(gone()))
+        receive.await.unwrap_or_else(|_| Err(no_result()))
     }
 }
 
-fn gone() -> StoreError {
+fn no_result() -> StoreError {
     StoreError::Unavailable("the operation ended without a result".into())
 }
 
 /// Counts an operation that has exceeded the limit, until it is dropped.
-struct Hanging(Arc<Shared>);
+struct HangingOperation(Arc<StoreState>);
 
-impl Hanging {
-    fn new(shared: &Arc<Shared>) -> Self {
+impl HangingOperation {
+    fn new(shared: &Arc<StoreState>) -> Self {
         let before = shared.hanging.fetch_add(1, Ordering::AcqRel);
         if before == 0 {
             let limit_seconds = shared.limit.as_secs_f64();
@@ -151,12 +151,12 @@ impl Hanging {
                 "the store hangs: an operation has not returned; no other begins before it does"
             );
         }
-        shared.turns.send_away();
+        shared.slots.refuse_waiting();
         Self(shared.clone())
     }
 }
 
-impl Drop for Hanging {
+impl Drop for HangingOperation {
     fn drop(&mut self) {
         self.0.hanging.fetch_sub(1, Ordering::AcqRel);
     }
@@ -165,7 +165,7 @@ impl Drop for Hanging {
 /// The store as one caller uses it.
 #[derive(Debug)]
 pub(super) struct CallerStore {
-    shared: Arc<Shared>,
+    shared: Arc<StoreState>,
     caller: Caller,
 }
 
@@ -177,20 +177,20 @@ impl CallerStore {
     /// Starts an operation when it is the caller's turn.
     fn run<T: Send + 'static, F>(
         &self,
-        operation: impl FnOnce(Opened) -> F + Send + 'static,
+        operation: impl FnOnce(SharedBlobStore) -> F + Send + 'static,
     ) -> BoxFuture<'_, Result<T, StoreError>>
     where
         F: Future<Output = Result<T, StoreError>> + Send + 'static,
     {
         Box::pin(async move {
             let shared = &self.shared;
-            shared.answers()?;
-            let slot = shared.turns.take(&self.caller).await.map_err(|why| match why {
-                NoTurn::Busy => StoreError::Busy("too many operations of this caller are waiting".into()),
-                NoTurn::SentAway => shared.answers().err().unwrap_or_else(gone),
+            shared.check_not_hung()?;
+            let slot = shared.slots.take(&self.caller).await.map_err(|why| match why {
+                NoSlot::Busy => StoreError::Busy("too many operations of this caller are waiting".into()),
+                NoSlot::Refused => shared.check_not_hung().err().unwrap_or_else(no_result),
             })?;
             // The store may hang since then.
-            shared.answers()?;
+            shared.check_not_hung()?;
             shared.timed(operation(shared.blobs.clone()), slot).await
         })
     }

@@ -7,7 +7,7 @@ use std::path::Path;
 use super::{Outcome, Server, hullcast, scenes, scratch, text};
 
 /// Files with faults, and a path at which there is no file.
-struct Faulty {
+struct FaultyFiles {
     page: String,
     absent: String,
     nowhere: String,
@@ -21,7 +21,7 @@ fn file(folder: &Path, name: &str, content: &str) -> Result<String, std::io::Err
     Ok(text(&path).to_owned())
 }
 
-impl Faulty {
+impl FaultyFiles {
     fn write(folder: &Path) -> Result<Self, std::io::Error> {
         let pem = "-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n";
         Ok(Self {
@@ -50,7 +50,7 @@ fn refused(command: &[&str], exit: i32, texts: &[&str]) -> Outcome {
 /// the expected value, or for which the exit code is wrong.
 #[test]
 fn wrong_scenes_are_refused_by_option_and_value() -> Outcome {
-    let Faulty { page, absent, nowhere, .. } = Faulty::write(&scratch("files-scenes")?)?;
+    let FaultyFiles { page, absent, nowhere, .. } = FaultyFiles::write(&scratch("files-scenes")?)?;
     let scene = scenes().join("panda.json");
     let scene = text(&scene);
     // The scene of a query, and of the other commands.
@@ -71,7 +71,7 @@ fn wrong_scenes_are_refused_by_option_and_value() -> Outcome {
 #[test]
 fn wrong_files_of_callers_are_refused_by_option_and_value() -> Outcome {
     let folder = scratch("files-callers")?;
-    let Faulty { absent, words, pem, .. } = Faulty::write(&folder)?;
+    let FaultyFiles { absent, words, pem, .. } = FaultyFiles::write(&folder)?;
     let pipe = folder.join("pipe");
     rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::from_raw_mode(0o600))?;
     let pipe = text(&pipe).to_owned();
@@ -109,7 +109,7 @@ fn wrong_files_of_callers_are_refused_by_option_and_value() -> Outcome {
 /// Catches results that cannot be written, if the message does not name the option.
 #[test]
 fn wrong_files_of_results_are_refused_by_option_and_value() -> Outcome {
-    let Faulty { nowhere, .. } = Faulty::write(&scratch("files-results")?)?;
+    let FaultyFiles { nowhere, .. } = FaultyFiles::write(&scratch("files-results")?)?;
     let few = ["--count", "1", "--pairs", "1"];
     // Files for results.
     for option in ["--csv", "--plot"] {
@@ -125,7 +125,7 @@ fn wrong_files_of_results_are_refused_by_option_and_value() -> Outcome {
 #[test]
 fn wrong_files_of_servers_are_refused_by_option_and_value() -> Outcome {
     let folder = scratch("files-servers")?;
-    let Faulty { page, absent, pem, words, .. } = Faulty::write(&folder)?;
+    let FaultyFiles { page, absent, pem, words, .. } = FaultyFiles::write(&folder)?;
     let empty = file(&folder, "empty", "# no token\n")?;
     let unknown = file(&folder, "unknown.toml", "listn = [\"localhost:1\"]\n")?;
     let syntax = file(&folder, "syntax.toml", "listen = [\n")?;

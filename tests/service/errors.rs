@@ -20,7 +20,7 @@ use crate::support::{
     raw::{frame, status_of},
     refusal, refused,
     scenes::{id, register_request, scene, shapes, two_boxes},
-    store::Faulty,
+    store::FaultyStore,
 };
 
 const QUERY: &str = "/hullcast.v1.ContactService/QueryContacts";
@@ -278,7 +278,7 @@ async fn an_answer_that_would_be_too_large_is_refused() {
 /// instead of retrying.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_store_that_cannot_be_read_is_unavailable_not_unknown() {
-    let store = Faulty::new();
+    let store = FaultyStore::new();
     let (shapes, request) = two_boxes();
     let server = Setup { store: store.clone(), ..Setup::default() }.start().await;
     server.hulls().register_hulls(register_request(&shapes)).await.unwrap();

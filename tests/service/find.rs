@@ -17,7 +17,7 @@ use crate::support::{
         ALL, Random, assert_same, box_points, id, outputs, plain, register_request, round_points, scene,
         shapes,
     },
-    store::Faulty,
+    store::FaultyStore,
 };
 
 const EVERY_WORLD: u32 = u32::MAX;
@@ -276,7 +276,7 @@ async fn limits_hold_and_large_answers_are_cut() {
 
     let status = server.contacts().find_contacts(at(&shapes, &[[0.0; 3]; 101])).await.unwrap_err();
     assert_eq!(refusal(&status), invalid("TOO_MANY_BODIES", "body_hulls"));
-    let place = server.app.engine().place(1, &Caller::alone()).unwrap();
+    let place = server.app.engine().admit_any_size(1, &Caller::alone()).unwrap();
     let status = server.contacts().find_contacts(request.clone()).await.unwrap_err();
     assert_eq!(refusal(&status), refused(Code::Unavailable, "TOO_BUSY", ""));
     drop(place);
@@ -300,7 +300,7 @@ async fn limits_hold_and_large_answers_are_cut() {
         tiny.contacts().find_contacts(at(&prism, &[[0.0; 3], [0.0, 0.0, 0.9]])).await.unwrap().into_inner();
     assert_eq!(refusal(&stream.message().await.unwrap_err()), invalid("RESPONSE_TOO_LARGE", ""));
     // All capacity must have been returned.
-    drop(server.app.engine().place(1000, &Caller::alone()).unwrap());
+    drop(server.app.engine().admit_any_size(1000, &Caller::alone()).unwrap());
 }
 
 /// Catches a malformed request that is answered, and a refusal that does not name the field.
@@ -348,7 +348,7 @@ async fn malformed_requests_name_field_and_index() {
 #[tokio::test(flavor = "multi_thread")]
 async fn what_cannot_be_in_a_pair_is_named() {
     let shapes = [plain(box_points(0.5, 0.5, 0.5)), plain(round_points(12, 1))];
-    let store = Faulty::new();
+    let store = FaultyStore::new();
     let server = Setup { store: store.clone(), ..Setup::default() }.start().await;
     server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
     let mut request = at(&shapes, &[[0.0; 3]; 5]);

@@ -23,7 +23,7 @@ use crate::support::{
         ALL, assert_same, box_points, expected, id, outputs, plain, register_request, round_points, scene,
         shapes, two_boxes, wire_hull,
     },
-    store::Faulty,
+    store::FaultyStore,
 };
 
 async fn register(server: &TestServer, request: RegisterHullsRequest) -> Vec<Result<HullInfo, HullError>> {
@@ -385,7 +385,7 @@ async fn a_corrupted_blob_is_never_served_and_can_be_repaired() {
 /// is listed at the start, and a cache without effect.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hull_is_read_once_however_many_ask() {
-    let store = Faulty::new();
+    let store = FaultyStore::new();
     let (shapes, request) = two_boxes();
     let first = Setup { store: store.clone(), ..Setup::default() }.start().await;
     register(&first, register_request(&shapes)).await;
@@ -430,7 +430,7 @@ async fn the_cache_stays_within_its_bytes() {
 /// Catches a full store that refuses a hull it already has, or loses one.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_disk_is_store_full() {
-    let store = Faulty::new();
+    let store = FaultyStore::new();
     let server = Setup { store: store.clone(), ..Setup::default() }.start().await;
     let (shapes, request) = two_boxes();
     register(&server, register_request(&shapes)).await;

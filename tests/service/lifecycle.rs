@@ -5,7 +5,7 @@ use std::{path::Path, pin::pin, sync::Arc, time::Duration};
 use futures_util::StreamExt;
 use hullcast::{
     proto::GetServerInfoRequest,
-    service::{App, Limits, Listener, Serving, run},
+    service::{App, Limits, Listener, ServerOptions, run},
     store::blobs,
 };
 use tokio::net::TcpStream;
@@ -21,7 +21,7 @@ use crate::support::{
 };
 
 fn draining(drain: Duration) -> Setup {
-    Setup { serving: Serving { drain, ..Serving::default() }, ..Setup::default() }
+    Setup { options: ServerOptions { drain, ..ServerOptions::default() }, ..Setup::default() }
 }
 
 /// Catches a service that health does not know, and one that is served but not reported as such.
@@ -171,7 +171,7 @@ async fn connections_end_at_their_age() {
     let mut age = Duration::from_millis(300);
     let server = loop {
         let mut setup = Setup::default();
-        setup.serving.max_connection_age = age;
+        setup.options.max_connection_age = age;
         let server = setup.start().await;
         server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
         let (send, mut requests) = tokio::sync::mpsc::channel(1);
@@ -224,7 +224,7 @@ async fn unix_sockets_and_several_addresses() {
     assert!(Listener::bind(&address).await.unwrap_err().to_string().contains(&address));
     let app = App::new(blobs::open("memory://").unwrap(), Limits::default(), 1).unwrap();
     let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
-    let running = tokio::spawn(run(vec![unix, tcp], Arc::new(app), Serving::default(), async {
+    let running = tokio::spawn(run(vec![unix, tcp], Arc::new(app), ServerOptions::default(), async {
         let _ = stopped.await;
         Duration::ZERO
     }));

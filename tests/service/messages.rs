@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use bytes::Bytes;
-use hullcast::service::{Limits, Serving};
+use hullcast::service::{Limits, ServerOptions};
 use tonic::{Code, Status};
 
 use crate::support::{Setup, TestServer, raw, refusal, refused};
@@ -18,8 +18,8 @@ const ARRIVING: &str = r#"hullcast_memory_bytes{part="arriving"}"#;
 
 /// A server that gives its callers 300 ms to send a message.
 async fn impatient() -> TestServer {
-    let serving = Serving { message_time: Duration::from_millis(300), ..Serving::default() };
-    Setup { serving, ..Setup::default() }.start().await
+    let options = ServerOptions { message_time: Duration::from_millis(300), ..ServerOptions::default() };
+    Setup { options, ..Setup::default() }.start().await
 }
 
 /// The status of a call with this body.

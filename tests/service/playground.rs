@@ -28,12 +28,12 @@ const DELETE: &str = "/hullcast.v1.HullService/DeleteHulls";
 
 fn setup() -> Setup {
     let mut setup = Setup::default();
-    setup.serving.playground = true;
+    setup.options.playground = true;
     setup
 }
 
 /// An HTTP/1.1 response.
-struct Said {
+struct HttpResponse {
     code: u16,
     head: String,
     body: Vec<u8>,
@@ -48,7 +48,7 @@ async fn read(stream: &mut TcpStream) -> Vec<u8> {
 }
 
 /// Sends one HTTP/1.1 request to `host` on a new connection.
-async fn ask(server: &TestServer, host: &str, line: &str, headers: &str, body: &[u8]) -> Said {
+async fn ask(server: &TestServer, host: &str, line: &str, headers: &str, body: &[u8]) -> HttpResponse {
     let mut stream = TcpStream::connect(&server.address).await.unwrap();
     let length = body.len();
     let head =
@@ -63,7 +63,7 @@ async fn ask(server: &TestServer, host: &str, line: &str, headers: &str, body: &
         true => unchunked(&bytes[end..]),
         false => bytes[end..].to_vec(),
     };
-    Said { code, head, body }
+    HttpResponse { code, head, body }
 }
 
 fn unchunked(mut rest: &[u8]) -> Vec<u8> {
@@ -220,7 +220,7 @@ async fn tokens_guard_grpc_web() {
     let files = SecurityFiles { query_tokens: directory.path().join("query"), ..SecurityFiles::default() };
     std::fs::write(&files.query_tokens, "reader").unwrap();
     let mut setup = setup();
-    setup.serving.security = std::sync::Arc::new(Security::open(&files).unwrap());
+    setup.options.security = std::sync::Arc::new(Security::open(&files).unwrap());
     let server = setup.start().await;
     assert_eq!(call(&server, INFO, "", &GetServerInfoRequest {}).await.1, Code::Unauthenticated);
     assert_eq!(
@@ -263,7 +263,7 @@ async fn limits_hold_over_grpc_web() {
 #[tokio::test(flavor = "multi_thread")]
 async fn http1_peers_that_dawdle_are_cut_off() {
     let mut setup = setup();
-    setup.serving.greeting = Duration::from_millis(50);
+    setup.options.greeting = Duration::from_millis(50);
     setup.limits.max_deadline_seconds = 1;
     let server = setup.start().await;
     let idle = "GET /licences.txt HTTP/1.1\r\nhost: localhost\r\n\r\n";
@@ -343,7 +343,7 @@ async fn the_text_form_of_grpc_web_is_refused() {
 async fn files_that_are_not_read_are_counted_and_cut() {
     const CUTS: &str = r#"hullcast_cuts_total{reason="answer_not_read"}"#;
     let mut setup = setup();
-    setup.serving.answer_time = Duration::from_millis(500);
+    setup.options.answer_time = Duration::from_millis(500);
     let server = setup.start().await;
     let mut client = raw::connect_from("127.0.0.1", &server.address, 1000).await;
     let mut get = raw::call("/playground.js", &[], raw::Body::Whole(Vec::new().into()));

@@ -11,7 +11,7 @@ use hullcast::{
         DeleteHullsRequest, GetServerInfoRequest, HasHullsRequest, QueryContactsRequest,
         hull_service_client::HullServiceClient, server_service_client::ServerServiceClient,
     },
-    service::{Security, SecurityFiles, Serving},
+    service::{Security, SecurityFiles, ServerOptions},
 };
 use rcgen::{BasicConstraints, Certificate, CertificateParams, IsCa, Issuer, KeyPair};
 use tonic::{
@@ -70,8 +70,8 @@ pub(crate) fn write(directory: &Path, (certificate, key): &(String, String)) -> 
 
 pub(crate) fn setup(files: &SecurityFiles) -> (Setup, Arc<Security>) {
     let security = Arc::new(Security::open(files).unwrap());
-    let serving = Serving { security: security.clone(), ..Serving::default() };
-    (Setup { serving, ..Setup::default() }, security)
+    let options = ServerOptions { security: security.clone(), ..ServerOptions::default() };
+    (Setup { options, ..Setup::default() }, security)
 }
 
 /// Whether a call succeeds with this TLS configuration of the client.
@@ -192,7 +192,7 @@ async fn tokens_guard_every_method() {
     std::fs::write(&files.query_tokens, "reader").unwrap();
     std::fs::write(&files.register_tokens, "writer").unwrap();
     let (mut setup, _) = setup(&files);
-    setup.serving.reload_every = Duration::from_millis(10);
+    setup.options.reload_every = Duration::from_millis(10);
     let server = setup.start().await;
     let (shapes, _) = two_boxes();
     let outcome = |result: Result<(), Status>| match result {

@@ -57,7 +57,7 @@ fn long_to_find() -> QueryContactsRequest {
 }
 
 #[derive(Clone, Copy, Debug)]
-enum Call {
+enum CallKind {
     Query,
     Stream,
     Find,
@@ -68,18 +68,18 @@ enum Call {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_cancelled_call_stops_computing() {
     let server = server().await;
-    for kind in [Call::Query, Call::Stream, Call::Find] {
+    for kind in [CallKind::Query, CallKind::Stream, CallKind::Find] {
         let before = server.app.engine().pairs_computed();
         let mut contacts = server.contacts();
         let call = tokio::spawn(async move {
             match kind {
-                Call::Query => contacts.query_contacts(long()).await.map(|_| ()),
-                Call::Stream => {
+                CallKind::Query => contacts.query_contacts(long()).await.map(|_| ()),
+                CallKind::Stream => {
                     let requests = futures_util::stream::iter([long()]);
                     let mut answers = contacts.stream_contacts(requests).await.unwrap().into_inner();
                     answers.message().await.map(|_| ())
                 }
-                Call::Find => {
+                CallKind::Find => {
                     let mut answers = contacts.find_contacts(long_to_find()).await.unwrap().into_inner();
                     while answers.message().await?.is_some() {}
                     Ok(())

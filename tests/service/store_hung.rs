@@ -8,7 +8,7 @@ use std::{
 
 use hullcast::{
     proto::{HasHullsRequest, ListHullsRequest},
-    service::{Limits, Readiness, Serving},
+    service::{Limits, Readiness, ServerOptions},
     store::HullDefinition,
 };
 use tonic::Code;
@@ -19,7 +19,7 @@ use crate::support::{
     process::{BINARY, Process, tracer},
     refusal, refused,
     scenes::{assert_same, expected, id, plain, register_request, round_points, scene},
-    store::Faulty,
+    store::FaultyStore,
 };
 
 const HULL_UNAVAILABLE: u8 = 32;
@@ -34,7 +34,7 @@ fn unavailable() -> Refusal {
 
 /// A server with one hull in its cache, on a store that has another one. An operation may take one
 /// second. The cache age is 0, so cached hulls are always stale.
-async fn server(store: &Arc<Faulty>) -> TestServer {
+async fn server(store: &Arc<FaultyStore>) -> TestServer {
     let limits = Limits { store_seconds: 1, cache_age_seconds: 0, ..Limits::default() };
     let start = || Setup { store: store.clone(), limits: limits.clone(), ..Setup::default() }.start();
     let other = start().await;
@@ -54,7 +54,7 @@ async fn flags(server: &TestServer, shape: &HullDefinition) -> u8 {
 /// cached hulls that are refused, and a store that is not used again once it answers.
 #[tokio::test(flavor = "multi_thread")]
 async fn nothing_begins_on_a_store_that_hangs() {
-    let store = Faulty::new();
+    let store = FaultyStore::new();
     let server = server(&store).await;
     store.hangs.send_replace(true);
     // There are more calls than operations may run at a time, and the calls that wait for their
@@ -96,7 +96,7 @@ async fn nothing_begins_on_a_store_that_hangs() {
 /// Catches a hung store that is not noticed because every caller leaves before the time limit.
 #[tokio::test(flavor = "multi_thread")]
 async fn callers_who_leave_do_not_hide_that_the_store_hangs() {
-    let store = Faulty::new();
+    let store = FaultyStore::new();
     let server = server(&store).await;
     store.hangs.send_replace(true);
     let mut hulls = server.hulls();
@@ -127,9 +127,9 @@ async fn callers_who_leave_do_not_hide_that_the_store_hangs() {
 /// themselves.
 #[tokio::test(flavor = "multi_thread")]
 async fn readiness_and_health_say_that_the_store_hangs() {
-    let store = Faulty::new();
-    let serving = Serving { probe_every: Duration::from_millis(50), ..Serving::default() };
-    let server = Setup { store: store.clone(), serving, ..Setup::default() }.start().await;
+    let store = FaultyStore::new();
+    let options = ServerOptions { probe_every: Duration::from_millis(50), ..ServerOptions::default() };
+    let server = Setup { store: store.clone(), options, ..Setup::default() }.start().await;
     let mut health = HealthClient::new(channel(&server.address).await);
     let mut check = async |service: &str| {
         let request = HealthCheckRequest { service: service.into() };

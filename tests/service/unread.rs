@@ -5,7 +5,7 @@ use std::time::Duration;
 use hullcast::{
     budget::Part,
     proto::QueryContactsRequest,
-    service::{Limits, Serving},
+    service::{Limits, ServerOptions},
 };
 use prost::Message;
 use tonic::{Code, Status};
@@ -24,8 +24,8 @@ const ANSWERS: &str = r#"hullcast_memory_bytes{part="answers"}"#;
 
 /// A server that gives its callers half a second to read an answer.
 async fn impatient() -> TestServer {
-    let serving = Serving { answer_time: Duration::from_millis(500), ..Serving::default() };
-    Setup { serving, ..Setup::default() }.start().await
+    let options = ServerOptions { answer_time: Duration::from_millis(500), ..ServerOptions::default() };
+    Setup { options, ..Setup::default() }.start().await
 }
 
 /// The answer must count in the budget while it waits, and the call must be cut off in the end.

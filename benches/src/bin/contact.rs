@@ -7,7 +7,7 @@
 use std::error::Error;
 
 use hullcast_benches::cells::{self, Cell, MARGIN};
-use hullcast_benches::ours::{self, Scene};
+use hullcast_benches::ours::{self, PosedPairs};
 use hullcast_benches::parry;
 use hullcast_benches::report::{DOCS, Table, provenance, replace_section};
 use hullcast_benches::rounds::{Contender, Timing, interleave};
@@ -25,10 +25,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     // Taken first, because the results make the working tree differ from its commit.
     replace_section("provenance", &provenance()?)?;
     let cells = cells::generate(PAIRS)?;
-    let asked: Vec<String> = std::env::args().skip(1).collect();
+    let chosen: Vec<String> = std::env::args().skip(1).collect();
     let mut csv = String::new();
     for section in ["cold", "boxes", "outputs", "warm", "streamed", "hulls"] {
-        if !asked.is_empty() && !asked.iter().any(|name| name == section) {
+        if !chosen.is_empty() && !chosen.iter().any(|name| name == section) {
             continue;
         }
         let table = match section {
@@ -43,7 +43,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         replace_section(section, table.text())?;
         csv.push_str(table.csv());
     }
-    if asked.is_empty() {
+    if chosen.is_empty() {
         std::fs::write(format!("{DOCS}/performance.csv"), csv)?;
     }
     Ok(())
@@ -63,7 +63,7 @@ fn cold(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
     let mut table = Table::new("cold", &names);
     for cell in cells {
         let hulls = ours::hulls(cell)?;
-        let scene = |query| Scene::new(&hulls, cell, cell, query).ok_or(UNUSABLE);
+        let scene = |query| PosedPairs::new(&hulls, cell, cell, query).ok_or(UNUSABLE);
         let mut single = parry::single::Hulls::new(cell, cell).ok_or(REFUSED)?;
         let mut double = parry::double::Hulls::new(cell, cell).ok_or(REFUSED)?;
         let mut whole = scene(query(Wanted::Points, Solver::Portal))?;
@@ -89,8 +89,8 @@ fn boxes(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
         let hulls = ours::hulls(cell)?;
         let mut single = parry::single::Cuboids::new(cell, cell).ok_or(REFUSED)?;
         let mut double = parry::double::Cuboids::new(cell, cell).ok_or(REFUSED)?;
-        let asked = query(Wanted::Points, Solver::Portal);
-        let mut whole = Scene::new(&hulls, cell, cell, asked).ok_or(UNUSABLE)?;
+        let points_query = query(Wanted::Points, Solver::Portal);
+        let mut whole = PosedPairs::new(&hulls, cell, cell, points_query).ok_or(UNUSABLE)?;
         let mut contenders = [
             Contender { name: names[0], pass: Box::new(|| single.cold()) },
             Contender { name: names[1], pass: Box::new(|| double.cold()) },
@@ -115,7 +115,7 @@ fn outputs(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
             }
             let scene = |wanted| {
                 let query = Query { margin, ..query(wanted, Solver::Portal) };
-                Scene::new(&hulls, cell, cell, query).ok_or(UNUSABLE)
+                PosedPairs::new(&hulls, cell, cell, query).ok_or(UNUSABLE)
             };
             let mut points = scene(Wanted::Points)?;
             let mut growth = scene(Wanted::Growth)?;
@@ -142,7 +142,7 @@ fn warm(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
             let hulls = ours::hulls(cell)?;
             let mut single = parry::single::Hulls::new(cell, &moved).ok_or(REFUSED)?;
             let scene =
-                |wanted| Scene::new(&hulls, cell, &moved, query(wanted, Solver::Portal)).ok_or(UNUSABLE);
+                |wanted| PosedPairs::new(&hulls, cell, &moved, query(wanted, Solver::Portal)).ok_or(UNUSABLE);
             let (mut whole, mut growth) = (scene(Wanted::Points)?, scene(Wanted::Growth)?);
             let mut contenders = [
                 Contender { name: names[0], pass: Box::new(|| single.warm()) },
@@ -163,8 +163,8 @@ fn streamed() -> Result<Table, Box<dyn Error>> {
     for cell in &cells::streamed()? {
         let hulls = ours::hulls(cell)?;
         let mut single = parry::single::Hulls::new(cell, cell).ok_or(REFUSED)?;
-        let asked = query(Wanted::Points, Solver::Portal);
-        let mut whole = Scene::new(&hulls, cell, cell, asked).ok_or(UNUSABLE)?;
+        let points_query = query(Wanted::Points, Solver::Portal);
+        let mut whole = PosedPairs::new(&hulls, cell, cell, points_query).ok_or(UNUSABLE)?;
         let mut contenders = [
             Contender { name: names[0], pass: Box::new(|| single.cold()) },
             Contender { name: names[1], pass: Box::new(|| whole.cold()) },

@@ -10,7 +10,7 @@ use std::hint::black_box;
 use std::process::Command;
 
 use hullcast_benches::cells::{self, MARGIN, sphere};
-use hullcast_benches::ours::{self, Scene};
+use hullcast_benches::ours::{self, PosedPairs};
 use hullcast_benches::parry;
 use hullcast_benches::report::{provenance, replace_section};
 use hullcast_contact::{Accuracy, ConvexHull, Query, Solver, Wanted};
@@ -113,7 +113,7 @@ fn run(kind: &str, label: &str, contender: &str) -> Result<(), Box<dyn Error>> {
     let accuracy = Accuracy { solver: Solver::Portal, ..Accuracy::default() };
     let hulls = ours::hulls(cell)?;
     let query = Query { margin: MARGIN, wanted, accuracy };
-    let mut scene = Scene::new(&hulls, cell, &moved, query).ok_or("a pose is not usable")?;
+    let mut scene = PosedPairs::new(&hulls, cell, &moved, query).ok_or("a pose is not usable")?;
     if contender == "hullcast, warm" {
         scene.warm();
         counted(&mut || scene.warm());

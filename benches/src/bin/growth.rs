@@ -14,13 +14,13 @@ use bytes::Bytes;
 use hullcast::batch::scene::Bodies;
 use hullcast::budget::{self, Part, Permit};
 use hullcast::compute::{Compute, Job};
-use hullcast::service::{Engine, EngineBounds, Limits, wire};
+use hullcast::service::{EngineLimits, Limits, ServiceEngine, wire};
 use hullcast::store::{self, identity::id_of};
 use hullcast_benches::cells::{MARGIN, sphere};
 use hullcast_benches::report::{DOCS, provenance, replace_section};
 use hullcast_benches::service::process::Server;
-use hullcast_benches::service::raw::Caller;
-use hullcast_benches::service::requests::{Batch, QUERY};
+use hullcast_benches::service::raw::RawClient;
+use hullcast_benches::service::requests::{GeneratedBatch, QUERY};
 use hullcast_contact::workload::{Family, Random, Regime};
 use hullcast_contact::{Body, ConvexHull, Pose, Query, Workspace, contact_manifold};
 use hullcast_proto::hull_service_client::HullServiceClient;
@@ -145,15 +145,15 @@ async fn batches() -> Result<(String, String), Failure> {
     let server = Server::hullcast()?;
     let mut count = 1;
     while count <= 1 << 20 {
-        let batch = Batch::generate(Family::Poly16, Regime::Shallow, count.min(PAIRS), 1)?;
+        let batch = GeneratedBatch::generate(Family::Poly16, Regime::Shallow, count.min(PAIRS), 1)?;
         batch.register(&server.address).await?;
         let message = batch.message(&[]);
-        let caller = Caller::connect(&server.address, QUERY).await?;
+        let client = RawClient::connect(&server.address, QUERY).await?;
         let messages = count.div_ceil(PAIRS);
         let mut best = f64::INFINITY;
         for _ in 0..ROUNDS {
             let start = Instant::now();
-            closed_loops(&caller, vec![message.clone(); messages]).await?;
+            closed_loops(&client, vec![message.clone(); messages]).await?;
             best = best.min(start.elapsed().as_nanos() as f64);
         }
         write!(text, "\n| {count} | {:.3} ms | {:.0} |", best / 1e6, best / count as f64)?;
@@ -171,15 +171,15 @@ async fn batches() -> Result<(String, String), Failure> {
 }
 
 /// Sends the messages, with `UNDER_WAY` of them in flight.
-async fn closed_loops(caller: &Caller, messages: Vec<Bytes>) -> Result<(), Failure> {
+async fn closed_loops(client: &RawClient, messages: Vec<Bytes>) -> Result<(), Failure> {
     let messages = Arc::new(std::sync::Mutex::new(messages));
     let loops = (0..UNDER_WAY).map(|_| {
-        let (mut caller, messages) = (caller.clone(), messages.clone());
+        let (mut client, messages) = (client.clone(), messages.clone());
         tokio::spawn(async move {
             loop {
                 let next = messages.lock().ok().and_then(|mut messages| messages.pop());
                 match next {
-                    Some(message) => caller.call(message).await?,
+                    Some(message) => client.call(message).await?,
                     None => return Ok::<(), tonic::Status>(()),
                 };
             }
@@ -219,12 +219,12 @@ async fn hulls() -> Result<(String, String), Failure> {
         for _ in 0..4 {
             requests.push(drawn(&ids, &mut random));
         }
-        let mut caller = Caller::connect(&server.address, QUERY).await?;
+        let mut client = RawClient::connect(&server.address, QUERY).await?;
         let mut best = f64::INFINITY;
         for _ in 0..ROUNDS {
             for message in &requests {
                 let start = Instant::now();
-                caller.call(message.clone()).await?;
+                client.call(message.clone()).await?;
                 best = best.min(start.elapsed().as_nanos() as f64 / PAIRS as f64);
             }
         }
@@ -312,7 +312,7 @@ async fn cores() -> Result<String, Failure> {
         (Family::Poly16, Regime::Shallow, UNDER_WAY),
         (Family::Poly256, Regime::Shallow, UNDER_WAY),
     ] {
-        let pairs = Batch::generate(family, regime, PAIRS, 1)?;
+        let pairs = GeneratedBatch::generate(family, regime, PAIRS, 1)?;
         let hulls: Vec<_> = pairs
             .used()
             .iter()
@@ -323,9 +323,9 @@ async fn cores() -> Result<String, Failure> {
         for _ in 0..3 * ROUNDS {
             for (threads, rate) in (1..).zip(&mut rates) {
                 let limits = Limits::default();
-                let engine = Arc::new(Engine::new(
+                let engine = Arc::new(ServiceEngine::new(
                     Compute::new(threads)?,
-                    EngineBounds {
+                    EngineLimits {
                         max_pairs_in_flight: limits.max_pairs_in_flight,
                         shares: false,
                         max_answer_bytes: limits.max_message_bytes,
@@ -339,9 +339,9 @@ async fn cores() -> Result<String, Failure> {
                     for _ in 0..under_way {
                         let scene = wire::scene(request.clone(), &limits)?;
                         let job = Job::new(budget::Caller::alone());
-                        let admission = engine.admit(PAIRS, scene.setting.outputs(), &job.caller)?;
+                        let admission = engine.admit(PAIRS, scene.template.outputs(), &job.caller)?;
                         let found = Arc::new(hulls.iter().cloned().map(Ok).collect());
-                        let bodies = Bodies::new(scene.setting, found, Arc::new(scene.poses))?;
+                        let bodies = Bodies::new(scene.template, found, Arc::new(scene.poses))?;
                         let batch = hullcast::batch::Batch::new(bodies, scene.warm_starts)?;
                         let engine = engine.clone();
                         let memory = Permit::unbounded(Part::Answers);

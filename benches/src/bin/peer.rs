@@ -6,8 +6,8 @@
 
 use std::path::{Path, PathBuf};
 
-use hullcast_benches::asked::{Answer, Asked, AskedCell, AskedPair};
 use hullcast_benches::parry::{double, single};
+use hullcast_benches::questions::{Answer, QuestionCell, QuestionPair, Questions};
 use serde_json::json;
 
 type Failure = Box<dyn std::error::Error>;
@@ -17,15 +17,15 @@ fn main() -> Result<(), Failure> {
     let (Some(pairs), Some(folder)) = (arguments.next(), arguments.next()) else {
         return Err("which pairs, and where to?".into());
     };
-    let asked: Asked = serde_json::from_slice(&std::fs::read(pairs)?)?;
+    let questions: Questions = serde_json::from_slice(&std::fs::read(pairs)?)?;
     std::fs::create_dir_all(&folder)?;
-    write(&folder, "parry3d", "parry3d 0.31", &asked, |cell| {
+    write(&folder, "parry3d", "parry3d 0.31", &questions, |cell| {
         let hulls = single::built(&cell.hulls)?;
-        Some(cell.pairs.iter().map(|pair: &AskedPair| single::answer(&hulls, pair, cell.margin)).collect())
+        Some(cell.pairs.iter().map(|pair: &QuestionPair| single::answer(&hulls, pair, cell.margin)).collect())
     })?;
-    write(&folder, "parry3d-f64", "parry3d-f64 0.31", &asked, |cell| {
+    write(&folder, "parry3d-f64", "parry3d-f64 0.31", &questions, |cell| {
         let hulls = double::built(&cell.hulls)?;
-        Some(cell.pairs.iter().map(|pair: &AskedPair| double::answer(&hulls, pair, cell.margin)).collect())
+        Some(cell.pairs.iter().map(|pair: &QuestionPair| double::answer(&hulls, pair, cell.margin)).collect())
     })
 }
 
@@ -33,11 +33,11 @@ fn write(
     folder: &Path,
     file: &str,
     name: &str,
-    asked: &Asked,
-    answers: impl Fn(&AskedCell) -> Option<Vec<Answer>>,
+    questions: &Questions,
+    answers: impl Fn(&QuestionCell) -> Option<Vec<Answer>>,
 ) -> Result<(), Failure> {
     let mut cells = Vec::new();
-    for cell in &asked.cells {
+    for cell in &questions.cells {
         let pairs = answers(cell).ok_or_else(|| format!("{name} refuses a hull of {}", cell.name))?;
         cells.push(json!({ "name": cell.name, "pairs": pairs }));
     }

@@ -13,8 +13,8 @@ use bytes::Bytes;
 use hullcast_benches::report::{provenance, replace_section};
 use hullcast_benches::service::load::{latencies, load, measured, median, streamed};
 use hullcast_benches::service::process::Server;
-use hullcast_benches::service::raw::{Caller, serve_echo};
-use hullcast_benches::service::requests::{Batch, QUERY};
+use hullcast_benches::service::raw::{RawClient, serve_echo};
+use hullcast_benches::service::requests::{GeneratedBatch, QUERY};
 use hullcast_benches::service::shaped;
 use hullcast_contact::workload::{Family, Regime};
 use hullcast_proto::Output;
@@ -70,18 +70,18 @@ async fn batches() -> Result<String, Failure> {
         (Family::Poly16, Regime::Shallow),
         (Family::Poly16, Regime::Resting),
     ] {
-        let batch = Batch::generate(family, regime, PAIRS, 1)?;
+        let batch = GeneratedBatch::generate(family, regime, PAIRS, 1)?;
         let server = Server::hullcast()?;
         batch.register(&server.address).await?;
         let message = batch.message(&[]);
-        let mut caller = Caller::connect(&server.address, QUERY).await?;
-        let answer = caller.call(message.clone()).await?.len();
+        let mut client = RawClient::connect(&server.address, QUERY).await?;
+        let answer = client.call(message.clone()).await?.len();
         let echo = echo(answer)?;
-        let echoing = Caller::connect(&echo.address, QUERY).await?;
+        let echoing = RawClient::connect(&echo.address, QUERY).await?;
         let pairs = PAIRS as u64;
         let mut columns = [vec![], vec![], vec![], vec![], vec![]];
         for _ in 0..ROUNDS {
-            let ours = async { Ok(pairs * load(&caller, &message, UNDER_WAY, Duration::ZERO).await?) };
+            let ours = async { Ok(pairs * load(&client, &message, UNDER_WAY, Duration::ZERO).await?) };
             let (cpu, rate) = measured(&server, ours).await?;
             // The cost of a message depends on the rate, so send as many per second.
             let pause = Duration::from_secs_f64((UNDER_WAY * PAIRS) as f64 / rate);
@@ -112,16 +112,16 @@ async fn batches() -> Result<String, Failure> {
 
 /// One pair per message: unary calls beside calls that do nothing, and streams.
 async fn small() -> Result<String, Failure> {
-    let batch = Batch::generate(Family::Box, Regime::Shallow, 1, 1)?;
+    let batch = GeneratedBatch::generate(Family::Box, Regime::Shallow, 1, 1)?;
     let server = Server::hullcast()?;
     batch.register(&server.address).await?;
     let message = batch.message(&[]);
-    let mut caller = Caller::connect(&server.address, QUERY).await?;
+    let mut client = RawClient::connect(&server.address, QUERY).await?;
     let nothing = echo(0)?;
-    let mut no_op = Caller::connect(&nothing.address, QUERY).await?;
+    let mut no_op = RawClient::connect(&nothing.address, QUERY).await?;
     let (mut ours, mut theirs, mut ratios) = (vec![], vec![], vec![]);
     for _ in 0..41 {
-        let one = median(latencies(&mut caller, &message, 400).await?);
+        let one = median(latencies(&mut client, &message, 400).await?);
         let other = median(latencies(&mut no_op, &Bytes::new(), 400).await?);
         ours.push(one);
         theirs.push(other);
@@ -186,10 +186,10 @@ async fn sizes() -> Result<String, Failure> {
     for (label, mask) in masks {
         write!(text, "\n| {label} |")?;
         for regime in cells {
-            let batch = Batch::generate(Family::Box, regime, PAIRS, 1)?;
+            let batch = GeneratedBatch::generate(Family::Box, regime, PAIRS, 1)?;
             batch.register(&server.address).await?;
-            let mut caller = Caller::connect(&server.address, QUERY).await?;
-            let bytes = caller.call(batch.message(mask)).await?.len();
+            let mut client = RawClient::connect(&server.address, QUERY).await?;
+            let bytes = client.call(batch.message(mask)).await?.len();
             write!(text, " {:.1} |", bytes as f64 / PAIRS as f64)?;
         }
     }
@@ -198,7 +198,7 @@ async fn sizes() -> Result<String, Failure> {
 
 /// Throughput through a proxy that delays bytes and limits their rate.
 async fn networks() -> Result<String, Failure> {
-    let batch = Batch::generate(Family::Box, Regime::Shallow, PAIRS, 1)?;
+    let batch = GeneratedBatch::generate(Family::Box, Regime::Shallow, PAIRS, 1)?;
     let server = Server::hullcast()?;
     batch.register(&server.address).await?;
     let message = batch.message(&[]);
@@ -211,13 +211,13 @@ async fn networks() -> Result<String, Failure> {
         ("1 Gbit/s, 10 ms each way", Duration::from_millis(10), 125e6),
     ] {
         let address = shaped::proxy(server.address.clone(), delay, bytes_per_second).await?;
-        let caller = Caller::connect(&address, QUERY).await?;
+        let client = RawClient::connect(&address, QUERY).await?;
         write!(text, "\n| {label} |")?;
         for under_way in [1, 4, 16] {
             let mut rates = vec![];
             for _ in 0..ROUNDS {
                 let start = Instant::now();
-                let calls = load(&caller, &message, under_way, Duration::ZERO).await?;
+                let calls = load(&client, &message, under_way, Duration::ZERO).await?;
                 rates.push(calls as f64 * PAIRS as f64 / start.elapsed().as_secs_f64());
             }
             write!(text, " {:.2} M pairs/s |", median(rates) / 1e6)?;

@@ -11,8 +11,8 @@ use std::time::Duration;
 
 use hullcast_benches::service::load::{latencies, load, measured, median, streamed};
 use hullcast_benches::service::process::Server;
-use hullcast_benches::service::raw::Caller;
-use hullcast_benches::service::requests::{Batch, QUERY};
+use hullcast_benches::service::raw::RawClient;
+use hullcast_benches::service::requests::{GeneratedBatch, QUERY};
 use hullcast_contact::workload::{Family, Regime};
 
 type Failure = Box<dyn Error>;
@@ -41,17 +41,17 @@ async fn main() -> Result<(), Failure> {
         (Family::Box, Regime::Shallow, 200),
         (Family::Box, Regime::Shallow, 32),
     ] {
-        let batch = Batch::generate(family, regime, pairs, 1)?;
+        let batch = GeneratedBatch::generate(family, regime, pairs, 1)?;
         let message = batch.message(&[]);
-        let mut callers = vec![];
+        let mut clients = vec![];
         for server in &servers {
             batch.register(&server.address).await?;
-            callers.push(Caller::connect(&server.address, QUERY).await?);
+            clients.push(RawClient::connect(&server.address, QUERY).await?);
         }
         let label = format!("{} {}, {pairs} pairs per message", family.name(), regime.name());
         compare(&label, async |which| {
             let work = async {
-                Ok(pairs as u64 * load(&callers[which], &message, UNDER_WAY, Duration::ZERO).await?)
+                Ok(pairs as u64 * load(&clients[which], &message, UNDER_WAY, Duration::ZERO).await?)
             };
             let (cpu, rate) = measured(&servers[which], work).await?;
             Ok((cpu.total(), rate))
@@ -62,15 +62,15 @@ async fn main() -> Result<(), Failure> {
 }
 
 async fn single_pairs(servers: &[Server; 2]) -> Result<(), Failure> {
-    let batch = Batch::generate(Family::Box, Regime::Shallow, 1, 1)?;
+    let batch = GeneratedBatch::generate(Family::Box, Regime::Shallow, 1, 1)?;
     let message = batch.message(&[]);
     for server in servers {
         batch.register(&server.address).await?;
     }
     compare("one pair per unary call", async |which| {
-        let mut caller = Caller::connect(&servers[which].address, QUERY).await?;
+        let mut client = RawClient::connect(&servers[which].address, QUERY).await?;
         let work = async {
-            latencies(&mut caller, &message, CALLS).await?;
+            latencies(&mut client, &message, CALLS).await?;
             Ok(CALLS as u64)
         };
         let (cpu, rate) = measured(&servers[which], work).await?;

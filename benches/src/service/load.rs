@@ -10,7 +10,7 @@ use bytes::Bytes;
 use tokio::sync::mpsc;
 
 use super::process::{Cpu, Server};
-use super::raw::{Caller, next};
+use super::raw::{RawClient, next};
 use super::requests::STREAM;
 
 type Failure = Box<dyn Error>;
@@ -27,7 +27,7 @@ pub fn median(mut values: Vec<f64>) -> f64 {
 /// Sends `message` in `under_way` loops for `SECONDS`. Each loop starts a call at least `pause` after
 /// its previous one. Returns the number of calls.
 pub async fn load(
-    caller: &Caller,
+    client: &RawClient,
     message: &Bytes,
     under_way: usize,
     pause: Duration,
@@ -35,7 +35,7 @@ pub async fn load(
     let start = Instant::now();
     let end = start + Duration::from_secs_f64(SECONDS);
     let loops = (0..under_way).map(|place| {
-        let (mut caller, message) = (caller.clone(), message.clone());
+        let (mut client, message) = (client.clone(), message.clone());
         tokio::spawn(async move {
             let mut calls = 0;
             let mut at = start + pause * place as u32 / under_way as u32;
@@ -44,7 +44,7 @@ pub async fn load(
                     tokio::time::sleep_until(at.into()).await;
                     at += pause;
                 }
-                caller.call(message.clone()).await?;
+                client.call(message.clone()).await?;
                 calls += 1;
             }
             Ok::<u64, tonic::Status>(calls)
@@ -70,11 +70,11 @@ pub async fn measured(
     Ok((Cpu { compute: used.compute / pairs, rest: used.rest / pairs }, pairs / seconds))
 }
 
-pub async fn latencies(caller: &mut Caller, message: &Bytes, calls: usize) -> Result<Vec<f64>, Failure> {
+pub async fn latencies(client: &mut RawClient, message: &Bytes, calls: usize) -> Result<Vec<f64>, Failure> {
     let mut times = Vec::with_capacity(calls);
     for _ in 0..calls {
         let start = Instant::now();
-        caller.call(message.clone()).await?;
+        client.call(message.clone()).await?;
         times.push(start.elapsed().as_secs_f64() * 1e6);
     }
     Ok(times)
@@ -92,14 +92,14 @@ pub async fn streamed(
     let answered = Arc::new(AtomicU64::new(0));
     let end = Instant::now() + Duration::from_secs_f64(SECONDS);
     let mut tasks = vec![];
-    let caller = Caller::connect(address, STREAM).await?;
+    let client = RawClient::connect(address, STREAM).await?;
     for _ in 0..streams {
-        let (mut caller, first, rest, answered) =
-            (caller.clone(), first.clone(), rest.clone(), answered.clone());
+        let (mut client, first, rest, answered) =
+            (client.clone(), first.clone(), rest.clone(), answered.clone());
         tasks.push(tokio::spawn(async move {
             let (send, mut receive) = mpsc::channel::<Bytes>(under_way);
             let messages = tokio_stream_of(move |cx| receive.poll_recv(cx));
-            let mut answers = caller.stream(messages).await?;
+            let mut answers = client.stream(messages).await?;
             let _ = send.send(first).await;
             for _ in 1..under_way {
                 let _ = send.send(rest.clone()).await;

@@ -77,12 +77,12 @@ impl Decoder for Raw {
 
 /// A connection to one method of a server.
 #[derive(Clone)]
-pub struct Caller {
+pub struct RawClient {
     grpc: Grpc<Channel>,
     path: PathAndQuery,
 }
 
-impl Caller {
+impl RawClient {
     /// Connects to the method `path` of the server at `address`, host:port.
     pub async fn connect(address: &str, path: &'static str) -> Result<Self, Box<dyn Error>> {
         let endpoint = Endpoint::from_shared(format!("http://{address}"))?

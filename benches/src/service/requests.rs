@@ -15,11 +15,11 @@ pub const QUERY: &str = "/hullcast.v1.ContactService/QueryContacts";
 pub const STREAM: &str = "/hullcast.v1.ContactService/StreamContacts";
 
 /// Generated pairs, each with two bodies of its own.
-pub struct Batch {
+pub struct GeneratedBatch {
     pub workload: Workload,
 }
 
-impl Batch {
+impl GeneratedBatch {
     pub fn generate(family: Family, regime: Regime, pairs: usize, seed: u64) -> Result<Self, Box<dyn Error>> {
         Ok(Self { workload: Workload::generate(family, regime, pairs, seed)? })
     }

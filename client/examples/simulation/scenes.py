@@ -79,9 +79,9 @@ def arch() -> Setup:
                 for y in (-half_width, half_width)
             ]
         )
-        center = center_of_mass(corners)
-        shapes.append(corners - center)
-        places.append(center)
+        centre = center_of_mass(corners)
+        shapes.append(corners - centre)
+        places.append(centre)
     return _on_floor("arch", shapes, places, 400, friction=0.8)
 
 

@@ -86,9 +86,9 @@ class World:
         self.hulls = whole
         if self.max_deviation is not None:
             # The masses stay those of the original hulls.
-            centers = [hull.contraction_point for hull in whole]
+            centres = [hull.contraction_point for hull in whole]
             self.hulls = self.client.register(
-                self.shapes, contraction_points=centers, max_deviation=self.max_deviation
+                self.shapes, contraction_points=centres, max_deviation=self.max_deviation
             )
         count = len(whole)
         moves = np.arange(count) >= self.fixed

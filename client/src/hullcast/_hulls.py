@@ -38,7 +38,7 @@ class Content:
     #: (n, 3), read-only.
     points: Floats
     #: (3,), or None for the centre of mass.
-    center: Floats | None = None
+    centre: Floats | None = None
     max_vertices: int | None = None
     max_deviation: float | None = None
     planarity: float | None = None
@@ -48,7 +48,7 @@ class Content:
         """The id that every server gives to a hull with this content."""
         return hull_id(
             self.points,
-            self.center,
+            self.centre,
             max_vertices=self.max_vertices,
             max_deviation=self.max_deviation,
             planarity=self.planarity,
@@ -178,9 +178,9 @@ def hull_id(
     if contraction_point is None:
         parts.append(b"\0")
     else:
-        center = _arrays.floats("contraction_point", contraction_point, 3)
-        center = _finite("contraction_point", center) + 0.0
-        parts += [b"\1", center.tobytes()]
+        centre = _arrays.floats("contraction_point", contraction_point, 3)
+        centre = _finite("contraction_point", centre) + 0.0
+        parts += [b"\1", centre.tobytes()]
     if max_vertices is None and max_deviation is None:
         parts.append(b"\0")
     else:

@@ -66,28 +66,28 @@ class Registration:
                 reason="WRONG_TYPE",
                 field="contraction_points",
             )
-        centers: list[Any] = list(contraction_points)  # pyright: ignore[reportUnknownArgumentType]
-        if len(centers) != len(shapes):
+        centres: list[Any] = list(contraction_points)  # pyright: ignore[reportUnknownArgumentType]
+        if len(centres) != len(shapes):
             raise InvalidArgument(
-                f"{counted(len(centers), 'entry', 'entries')} for {counted(len(shapes), 'hull')}, "
+                f"{counted(len(centres), 'entry', 'entries')} for {counted(len(shapes), 'hull')}, "
                 "expected one (a point or None) per hull",
                 reason="LENGTH_MISMATCH",
                 field="contraction_points",
             )
         contents: list[Content] = []
-        for i, (shape, center) in enumerate(zip(shapes, centers, strict=True)):
-            if center is not None:
-                center = _arrays.frozen(_arrays.floats(f"contraction_points[{i}]", center, 3))
+        for i, (shape, centre) in enumerate(zip(shapes, centres, strict=True)):
+            if centre is not None:
+                centre = _arrays.frozen(_arrays.floats(f"contraction_points[{i}]", centre, 3))
             share = planarity_of(planarity)
             if isinstance(shape, Hull):
                 share = planarity_of(planarity, shape.content.planarity)
-                as_it_is = center is None and max_vertices is max_deviation is None
+                as_it_is = centre is None and max_vertices is max_deviation is None
                 if as_it_is and share == shape.content.planarity:
                     contents.append(shape.content)
                     continue
             # Copy the caller's array, which may change later.
             points = _arrays.frozen(points_of(shape, f"hulls[{i}]"))
-            contents.append(Content(points, center, max_vertices, max_deviation, share))
+            contents.append(Content(points, centre, max_vertices, max_deviation, share))
         dents = [
             _mesh.dents(f"hulls[{i}]", content.points, _faces(shape, f"hulls[{i}]"))
             for i, (shape, content) in enumerate(zip(shapes, contents, strict=True))
@@ -113,8 +113,8 @@ class Registration:
         request = _packed.RegisterHullsRequest()
         for content in self._contents[span.start : span.stop]:
             hull = request.hulls.add(vertices=content.points.tobytes())
-            if content.center is not None:
-                hull.contraction_point = content.center.tobytes()
+            if content.centre is not None:
+                hull.contraction_point = content.centre.tobytes()
             if content.max_vertices is not None:
                 hull.simplification.max_vertices = content.max_vertices
             if content.max_deviation is not None:

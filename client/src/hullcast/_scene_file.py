@@ -86,8 +86,8 @@ def _hull(place: int, content: Content | None) -> dict[str, Any]:
             index=place,
         )
     hull: dict[str, Any] = {"name": f"hull {place}", "planarity": content.planarity}
-    if content.center is not None:
-        hull["contraction_point"] = content.center.tolist()
+    if content.centre is not None:
+        hull["contraction_point"] = content.centre.tolist()
     return {**hull, "vertices": content.points.tolist()}
 
 
@@ -208,13 +208,13 @@ def _check_names(frames: list[tuple[str, dict[str, Any]]]) -> None:
 
 
 def _content(place: str, hull: dict[str, Any]) -> Content:
-    center = hull.get("contraction_point")
+    centre = hull.get("contraction_point")
     planarity = hull.get("planarity", DEFAULT_PLANARITY)
     return Content(
         points=_arrays.frozen(_finite(f"{place}.vertices", hull.get("vertices"), None, 3)),
-        center=None
-        if center is None
-        else _arrays.frozen(_finite(f"{place}.contraction_point", center, 3)),
+        centre=None
+        if centre is None
+        else _arrays.frozen(_finite(f"{place}.contraction_point", centre, 3)),
         planarity=None
         if planarity is None
         else _arguments.number(f"{place}.planarity", planarity, 0, LARGEST_PLANARITY),

@@ -5,9 +5,9 @@ use std::any::Any;
 use hullcast_contact::{Basis, Body, Outcome, Workspace, contact_manifold, estimated_steps};
 
 use crate::{
-    columns::{Columns, Invalid},
+    columns::{Columns, InvalidPair},
     outputs::Outputs,
-    scene::{Bodies, Fault, has_length},
+    scene::{Bodies, SceneFault, has_length},
 };
 
 /// Steps of a pair in addition to its computation. A pair that is not computed, because a hull or
@@ -18,7 +18,7 @@ const LEAST_STEPS: u64 = 50;
 #[derive(Debug)]
 pub struct Batch {
     pub(crate) bodies: Bodies,
-    /// Pairs that replace the setting's pairs. The answer leaves out those that are SEPARATED.
+    /// Pairs that replace the template's pairs. The answer leaves out those that are SEPARATED.
     candidates: Option<Vec<u32>>,
     /// Empty, or 6 per pair: registered indices of vertices, unchecked.
     warm_starts: Vec<u32>,
@@ -29,29 +29,29 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// The batch of all pairs of the bodies' setting. `warm_starts` is empty, or has 6 indices per pair; bases
+    /// The batch of all pairs of the bodies' template. `warm_starts` is empty, or has 6 indices per pair; bases
     /// that do not belong to a pair's hulls are ignored.
     ///
     /// # Errors
     /// There are not as many warm starts as pairs.
-    pub fn new(bodies: Bodies, warm_starts: Vec<u32>) -> Result<Self, Fault> {
+    pub fn new(bodies: Bodies, warm_starts: Vec<u32>) -> Result<Self, SceneFault> {
         if !warm_starts.is_empty() {
-            let expected = 6 * bodies.setting().pair_count();
+            let expected = 6 * bodies.template().pair_count();
             has_length(warm_starts.len(), expected, "warm_starts", "none or 6 per pair")?;
         }
-        let kept = bodies.setting().outputs();
+        let kept = bodies.template().outputs();
         Ok(Self { bodies, candidates: None, warm_starts, kept, owned: None })
     }
 
     /// A batch of pairs that may meet, 2 indices per pair. Its answer contains those that are not
     /// SEPARATED.
     pub(crate) fn of_candidates(bodies: Bodies, candidates: Vec<u32>) -> Self {
-        let kept = bodies.setting().outputs();
+        let kept = bodies.template().outputs();
         Self { bodies, candidates: Some(candidates), warm_starts: Vec::new(), kept, owned: None }
     }
 
     fn pairs(&self) -> &[u32] {
-        self.candidates.as_deref().unwrap_or(self.bodies.setting().pairs())
+        self.candidates.as_deref().unwrap_or(self.bodies.template().pairs())
     }
 
     /// The number of pairs.
@@ -71,13 +71,13 @@ impl Batch {
 
     /// Computes pair `pair` and adds it to `columns`. Returns the steps that it took.
     pub(crate) fn pair(&self, pair: usize, workspace: &mut Workspace, columns: &mut Columns) -> u64 {
-        let mut invalid = Invalid::default();
+        let mut invalid = InvalidPair::default();
         let bodies = [0, 1].map(|side| self.pairs()[2 * pair + side]);
         let [a, b] = bodies.map(|body| self.body(body, &mut invalid));
         match (a, b) {
             (Some(a), Some(b)) => {
                 let warm = self.warm_start(pair, &a, &b);
-                let query = self.bodies.setting().query();
+                let query = self.bodies.template().query();
                 let manifold = contact_manifold(&a, &b, query, warm.as_ref(), workspace);
                 if self.candidates.is_some() {
                     if manifold.outcome == Outcome::Separated {
@@ -92,7 +92,7 @@ impl Batch {
         LEAST_STEPS + workspace.take_steps()
     }
 
-    fn body(&self, index: u32, invalid: &mut Invalid) -> Option<Body<'_>> {
+    fn body(&self, index: u32, invalid: &mut InvalidPair) -> Option<Body<'_>> {
         let hull = match self.bodies.hull(index) {
             Ok(hull) => Some(hull),
             Err(missing) => {

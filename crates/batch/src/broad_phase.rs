@@ -27,7 +27,7 @@ mod tree;
 
 use std::ops::Range;
 
-use self::tree::{Leaf, Query, Tree};
+use self::tree::{Leaf, PartnerSearch, Tree};
 pub use self::{
     rules::{EVERY_WORLD, Rules},
     tree::{STEPS_PER_BODY, TREE_BYTES_PER_BODY},
@@ -51,7 +51,7 @@ pub struct BroadPhase {
 
 /// A search for the pairs of a range of bodies. It can be suspended and resumed.
 #[derive(Debug)]
-pub struct Search {
+pub struct PairSearch {
     /// The pairs found so far, in ascending order, 2 indices per pair. The owner may take them out
     /// at any time.
     pub pairs: Vec<u32>,
@@ -62,23 +62,23 @@ pub struct Search {
     /// The partners of body `next` found so far.
     partners: Vec<u32>,
     /// How far the search for the partners of body `next` has got.
-    reached: Reached,
+    progress: SearchProgress,
 }
 
 /// How far the search for the partners of one body has got: the tree that is being searched, and the
 /// nodes of it that are still to be visited.
 #[derive(Clone, Debug)]
-enum Reached {
+enum SearchProgress {
     Nothing,
     Worlds(Range<usize>),
     Everywhere(Range<usize>),
 }
 
-impl Search {
+impl PairSearch {
     /// Starts a search for the pairs whose lower index is in `first..end`.
     pub fn new(first: u32, end: u32) -> Self {
         let (pairs, partners) = (Vec::new(), Vec::new());
-        Self { pairs, next: first, end, partners, reached: Reached::Nothing }
+        Self { pairs, next: first, end, partners, progress: SearchProgress::Nothing }
     }
 
     /// Whether the search has found all its pairs.
@@ -118,7 +118,13 @@ impl BroadPhase {
     ///
     /// # Errors
     /// The computation was stopped.
-    pub fn search(&self, search: &mut Search, steps: u64, most: usize, stop: &Stop) -> Result<(), Stopped> {
+    pub fn search(
+        &self,
+        search: &mut PairSearch,
+        steps: u64,
+        most: usize,
+        stop: &Stop,
+    ) -> Result<(), Stopped> {
         let mut rest = steps;
         while rest > 0 && !search.is_done() && search.pairs.len() < most {
             let some = rest.min(STEPS_BETWEEN_LOOKS);
@@ -133,29 +139,29 @@ impl BroadPhase {
     }
 
     /// Searches for partners of the next body, until they are all known or no steps are left.
-    fn advance(&self, search: &mut Search, left: &mut u64) {
+    fn advance(&self, search: &mut PairSearch, left: &mut u64) {
         let body = search.next;
         if let Some(bounds) = self.bounds.get(body as usize).copied().flatten() {
             let (world, group) = (self.rules.world(body), self.rules.group(body));
             let leaf = Leaf { bounds, body, world, group };
-            let mut query = Query { leaf, rules: &self.rules, found: &mut search.partners, left };
-            let mut reached = std::mem::replace(&mut search.reached, Reached::Nothing);
-            if let Reached::Nothing = reached {
-                reached = Reached::Worlds(self.worlds.subtree_of(world));
+            let mut query = PartnerSearch { leaf, rules: &self.rules, found: &mut search.partners, left };
+            let mut progress = std::mem::replace(&mut search.progress, SearchProgress::Nothing);
+            if let SearchProgress::Nothing = progress {
+                progress = SearchProgress::Worlds(self.worlds.subtree_of(world));
             }
-            if let Reached::Worlds(nodes) = reached {
+            if let SearchProgress::Worlds(nodes) = progress {
                 if let Some(left) = self.worlds.partners(nodes, &mut query) {
-                    search.reached = Reached::Worlds(left);
+                    search.progress = SearchProgress::Worlds(left);
                     return;
                 }
                 // Two bodies that are in every world do not meet each other.
                 let nodes = if world == EVERY_WORLD { 0..0 } else { self.everywhere.subtree_of(EVERY_WORLD) };
-                reached = Reached::Everywhere(nodes);
+                progress = SearchProgress::Everywhere(nodes);
             }
-            if let Reached::Everywhere(nodes) = reached
+            if let SearchProgress::Everywhere(nodes) = progress
                 && let Some(left) = self.everywhere.partners(nodes, &mut query)
             {
-                search.reached = Reached::Everywhere(left);
+                search.progress = SearchProgress::Everywhere(left);
                 return;
             }
         }
@@ -182,15 +188,15 @@ mod tests {
         }
     }
 
-    fn cube(center: DVec3, half: f64) -> Bounds {
-        Bounds { low: center - half, high: center + half }
+    fn cube(centre: DVec3, half: f64) -> Bounds {
+        Bounds { low: centre - half, high: centre + half }
     }
 
     /// All pairs, found by searches of `bodies` bodies each that are suspended after `steps` steps.
     fn found(broad_phase: &BroadPhase, bodies: usize, steps: u64) -> (Vec<u32>, Stop) {
         let (mut pairs, stop) = (Vec::new(), Stop::default());
         for first in (0..broad_phase.bodies()).step_by(bodies) {
-            let mut search = Search::new(first, broad_phase.bodies().min(first + bodies as u32));
+            let mut search = PairSearch::new(first, broad_phase.bodies().min(first + bodies as u32));
             while !search.is_done() {
                 broad_phase.search(&mut search, steps, 1 << 14, &stop).unwrap();
                 pairs.append(&mut search.pairs);
@@ -211,11 +217,11 @@ mod tests {
             let size = [1, 20, 1 << 20][scene % 3];
             let mut bounds = Vec::new();
             for _ in 0..bodies {
-                let center = DVec3::from_array([0; 3].map(|_| next(size) as f64));
+                let centre = DVec3::from_array([0; 3].map(|_| next(size) as f64));
                 bounds.push(if next(20) == 0 {
                     None
                 } else {
-                    Some(cube(center, 0.5 + next(size / 4 + 1) as f64))
+                    Some(cube(centre, 0.5 + next(size / 4 + 1) as f64))
                 });
             }
             let mut some = |kinds: u64, of: [u32; 4]| -> Vec<u32> {
@@ -280,7 +286,7 @@ mod tests {
         ] {
             let stop = Stop::default();
             let broad_phase = BroadPhase::new(bounds(), rules, &stop).unwrap();
-            let mut search = Search::new(0, bodies);
+            let mut search = PairSearch::new(0, bodies);
             // Search only a part of the scene. The whole would take too long without the stop flag.
             for _ in 0..20 {
                 broad_phase.search(&mut search, 1 << 20, usize::MAX, &stop).unwrap();
@@ -288,7 +294,7 @@ mod tests {
             assert!(search.pairs.len() <= most, "{name}");
             assert!(stop.largest_between_looks() <= STEPS_BETWEEN_LOOKS, "{name}: {stop:?}");
             stop.stop();
-            assert_eq!(broad_phase.search(&mut Search::new(0, 9), 99, 99, &stop), Err(Stopped), "{name}");
+            assert_eq!(broad_phase.search(&mut PairSearch::new(0, 9), 99, 99, &stop), Err(Stopped), "{name}");
             assert!(BroadPhase::new(bounds(), Rules::default(), &stop).is_err(), "{name}");
         }
     }

@@ -113,13 +113,13 @@ impl<'a> From<&'a [f64]> for Values<'a> {
 
 /// The reason why a pair is not answered. It affects only pairs of the body or hull at fault.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Invalid {
+pub struct InvalidPair {
     unknown_hull: bool,
     hull_unavailable: bool,
     invalid_body: bool,
 }
 
-impl Invalid {
+impl InvalidPair {
     /// Records that the pose of a body is not usable.
     pub fn body(&mut self) {
         self.invalid_body = true;
@@ -312,7 +312,7 @@ macro_rules! columns {
             }
 
             /// Adds a pair without an answer; its numbers are NaN.
-            pub fn push_invalid(&mut self, invalid: Invalid, outputs: Outputs) {
+            pub fn push_invalid(&mut self, invalid: InvalidPair, outputs: Outputs) {
                 self.outcomes.push(outcome::INVALID);
                 self.flags.push(invalid.flags());
                 $(if false $(|| outputs.has(Output::$pair_output))* {
@@ -508,7 +508,7 @@ mod tests {
             let outputs = Outputs::of(chosen.map(|(_, &output)| output));
             let mut columns = Columns::default();
             columns.push(&manifold, outputs);
-            columns.push_invalid(Invalid::default(), outputs);
+            columns.push_invalid(InvalidPair::default(), outputs);
             let mut bytes = 0;
             for (column, values) in columns.values() {
                 let rows = match column.per {

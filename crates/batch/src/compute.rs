@@ -2,7 +2,7 @@
 //! computation never keeps the server from answering a short one.
 //!
 //! Work comes in parts that take about a millisecond at most. Threads take parts in turns: first
-//! between callers, in equal shares of the cost of their parts ([`turns`]), then between the pieces
+//! between callers, in equal shares of the cost of their parts ([`schedule`]), then between the pieces
 //! of work of one caller:
 //!
 //! ```text
@@ -21,9 +21,9 @@
 //! they know no callers, and waiting work cannot be withdrawn from them.
 
 mod queue;
+mod schedule;
 #[cfg(test)]
 mod tests;
-mod turns;
 mod work;
 
 use std::{
@@ -42,7 +42,7 @@ use hullcast_contact::{STEPS_BETWEEN_LOOKS, Stop, Stopped};
 use thiserror::Error;
 use tokio::sync::oneshot;
 
-use self::{queue::Queue, work::Shared};
+use self::{queue::WorkQueue, work::SharedWork};
 use crate::lock::locked;
 
 /// Work with a part of more estimated steps than this runs on the threads for long parts. The value
@@ -58,17 +58,17 @@ const NICE_OF_LONG: i32 = 10;
 /// A pool of compute threads. The threads end when the last clone of this handle is dropped.
 #[derive(Clone, Debug)]
 pub struct Compute {
-    pool: Arc<Pool>,
+    pool: Arc<ComputePool>,
 }
 
 /// A caller for whom work is done. The threads take turns between callers.
-pub trait Caller: Clone + Send + Sync + 'static {
+pub trait CallerId: Clone + Send + Sync + 'static {
     /// A number that no other living caller has.
     fn id(&self) -> u64;
 }
 
 /// The caller of a process that has no others.
-impl Caller for () {
+impl CallerId for () {
     fn id(&self) -> u64 {
         0
     }
@@ -166,7 +166,7 @@ impl Compute {
             0 => thread::available_parallelism().map_or(1, usize::from),
             threads => threads,
         };
-        let pool = Pool { short: Arc::default(), long: Arc::default(), threads };
+        let pool = ComputePool { short: Arc::default(), long: Arc::default(), threads };
         // If a thread cannot be started, `compute` is dropped, and the threads that started end.
         let compute = Self { pool: Arc::new(pool) };
         let kinds = [("compute", NICE, &compute.pool.short), ("long", NICE_OF_LONG, &compute.pool.long)];
@@ -195,7 +195,7 @@ impl Compute {
     pub async fn run<T: Send + 'static>(
         &self,
         work: impl FnOnce(&Stop) -> T + Send + 'static,
-        job: &Job<impl Caller>,
+        job: &Job<impl CallerId>,
     ) -> Result<T, ComputeError> {
         self.run_steps(STEPS_BETWEEN_LOOKS, work, job).await
     }
@@ -209,10 +209,10 @@ impl Compute {
         &self,
         steps: u64,
         work: impl FnOnce(&Stop) -> T + Send + 'static,
-        job: &Job<impl Caller>,
+        job: &Job<impl CallerId>,
     ) -> Result<T, ComputeError> {
-        let piece = Piece { work: Mutex::new(Some(work)), steps, stop: job.stop.clone() };
-        let whole = self.split(piece, job).await?;
+        let piece = SinglePart { work: Mutex::new(Some(work)), steps, stop: job.stop.clone() };
+        let whole = self.run_parts(piece, job).await?;
         whole.ok_or_else(|| Panicked("the work was done before".into()).into())
     }
 
@@ -221,12 +221,16 @@ impl Compute {
     ///
     /// # Errors
     /// A part panicked, or the job was stopped.
-    pub async fn split<W: Parts>(&self, work: W, job: &Job<impl Caller>) -> Result<W::Whole, ComputeError> {
+    pub async fn run_parts<W: Parts>(
+        &self,
+        work: W,
+        job: &Job<impl CallerId>,
+    ) -> Result<W::Whole, ComputeError> {
         let (send, receive) = oneshot::channel();
         let count = work.count();
         let is_long = (0..count).any(|index| work.steps(index) > LONG_STEPS);
         let queue = if is_long { &self.pool.long } else { &self.pool.short };
-        let work = Arc::new(Shared::new(work, count, job, send));
+        let work = Arc::new(SharedWork::new(work, count, job, send));
         let _removed_when_dropped = match count {
             0 => {
                 work.finish(Ok(Vec::new()));
@@ -245,8 +249,8 @@ impl Compute {
     }
 
     /// Wraps a value of about `bytes` bytes, so that a compute thread frees it if it is large.
-    pub fn freed_here<T: Send + 'static>(&self, value: T, bytes: usize) -> FreedHere<T> {
-        FreedHere { value: Some(value), compute: (bytes > LARGE_BYTES).then(|| self.clone()) }
+    pub fn defer_drop<T: Send + 'static>(&self, value: T, bytes: usize) -> DeferredDrop<T> {
+        DeferredDrop { value: Some(value), compute: (bytes > LARGE_BYTES).then(|| self.clone()) }
     }
 }
 
@@ -256,21 +260,21 @@ pub const LARGE_BYTES: usize = 256 << 10;
 
 /// A value that a compute thread frees if it is large; see [`Compute::free`].
 #[derive(Debug)]
-pub struct FreedHere<T: Send + 'static> {
+pub struct DeferredDrop<T: Send + 'static> {
     /// `None` only while the wrapper is dropped or unwrapped.
     value: Option<T>,
     /// The threads that free the value if it is large.
     compute: Option<Compute>,
 }
 
-impl<T: Send + 'static> FreedHere<T> {
+impl<T: Send + 'static> DeferredDrop<T> {
     /// Unwraps the value. Its new owner then frees it.
     pub fn into_inner(mut self) -> T {
         self.value.take().unwrap_or_else(|| unreachable!("a value is taken once"))
     }
 }
 
-impl<T: Send + 'static> Deref for FreedHere<T> {
+impl<T: Send + 'static> Deref for DeferredDrop<T> {
     type Target = T;
 
     fn deref(&self) -> &T {
@@ -278,13 +282,13 @@ impl<T: Send + 'static> Deref for FreedHere<T> {
     }
 }
 
-impl<T: Send + 'static> DerefMut for FreedHere<T> {
+impl<T: Send + 'static> DerefMut for DeferredDrop<T> {
     fn deref_mut(&mut self) -> &mut T {
         self.value.as_mut().unwrap_or_else(|| unreachable!("a value that is taken is not used"))
     }
 }
 
-impl<T: Send + 'static> Drop for FreedHere<T> {
+impl<T: Send + 'static> Drop for DeferredDrop<T> {
     fn drop(&mut self) {
         if let (Some(value), Some(compute)) = (self.value.take(), &self.compute) {
             compute.free(value);
@@ -305,13 +309,13 @@ fn lower_priority(nice: i32) {
 }
 
 /// A closure as work with one part.
-struct Piece<F> {
+struct SinglePart<F> {
     work: Mutex<Option<F>>,
     steps: u64,
     stop: Arc<Stop>,
 }
 
-impl<T: Send + 'static, F: FnOnce(&Stop) -> T + Send + 'static> Parts for Piece<F> {
+impl<T: Send + 'static, F: FnOnce(&Stop) -> T + Send + 'static> Parts for SinglePart<F> {
     type Part = Option<T>;
     type Whole = Option<T>;
 
@@ -333,19 +337,19 @@ impl<T: Send + 'static, F: FnOnce(&Stop) -> T + Send + 'static> Parts for Piece<
     }
 }
 
-struct Pool {
-    short: Arc<Queue>,
-    long: Arc<Queue>,
+struct ComputePool {
+    short: Arc<WorkQueue>,
+    long: Arc<WorkQueue>,
     threads: usize,
 }
 
-impl fmt::Debug for Pool {
+impl fmt::Debug for ComputePool {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Pool").field("threads", &self.threads).finish_non_exhaustive()
+        f.debug_struct("ComputePool").field("threads", &self.threads).finish_non_exhaustive()
     }
 }
 
-impl Drop for Pool {
+impl Drop for ComputePool {
     fn drop(&mut self) {
         for queue in [&self.short, &self.long] {
             queue.close();
@@ -357,12 +361,12 @@ impl Drop for Pool {
 ///
 /// # Errors
 /// The work panicked.
-pub fn caught<T>(work: impl FnOnce() -> T) -> Result<T, Panicked> {
-    catch_unwind(AssertUnwindSafe(work)).map_err(|payload| Panicked(text(&*payload)))
+pub fn catch_panic<T>(work: impl FnOnce() -> T) -> Result<T, Panicked> {
+    catch_unwind(AssertUnwindSafe(work)).map_err(|payload| Panicked(panic_message(&*payload)))
 }
 
 /// The message of a panic.
-fn text(payload: &(dyn Any + Send)) -> String {
+fn panic_message(payload: &(dyn Any + Send)) -> String {
     let text = payload.downcast_ref::<&str>().map(|s| (*s).to_owned());
     text.or_else(|| payload.downcast_ref::<String>().cloned()).unwrap_or_else(|| "no message".into())
 }

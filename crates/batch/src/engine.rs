@@ -3,12 +3,12 @@
 //!
 //! Small batches are computed on the thread that asks for them, because handing a batch to other
 //! threads and back costs 20 to 40 us. The estimated cost of a batch decides whether it is small,
-//! and how it is cut into chunks (`chunks`). `run` is a batch while it is computed, and `shared` is
+//! and how it is cut into chunks (`chunks`). `run` is a batch while it is computed, and `state` is
 //! the part of an engine that all of them use.
 
 mod chunks;
 mod run;
-mod shared;
+mod state;
 #[cfg(test)]
 mod tests;
 
@@ -17,13 +17,13 @@ use std::sync::{Arc, atomic::Ordering};
 use thiserror::Error;
 
 use self::{
-    run::{Chunked, Run, Unanswered},
-    shared::Shared,
+    run::{BatchResult, BatchRun, Unanswered},
+    state::EngineState,
 };
 use crate::{
     batch::Batch,
     columns::Columns,
-    compute::{Caller, Compute, ComputeError, Job, Panicked, caught},
+    compute::{CallerId, Compute, ComputeError, Job, Panicked, catch_panic},
     memory::Memory,
 };
 
@@ -31,7 +31,7 @@ use crate::{
 #[derive(Debug)]
 pub struct Engine {
     compute: Compute,
-    shared: Arc<Shared>,
+    shared: Arc<EngineState>,
 }
 
 /// The reason why a batch has no answer. `R` is the reason why there is no memory.
@@ -54,7 +54,7 @@ pub enum EngineError<R> {
 impl Engine {
     /// An engine that computes on `compute`, and whose answers have at most `max_answer_bytes` bytes.
     pub fn new(compute: Compute, max_answer_bytes: usize) -> Self {
-        Self { compute, shared: Arc::new(Shared::new(max_answer_bytes)) }
+        Self { compute, shared: Arc::new(EngineState::new(max_answer_bytes)) }
     }
 
     /// An engine that calls `before` with the number of pairs of each chunk before it computes the chunk.
@@ -65,7 +65,8 @@ impl Engine {
         max_answer_bytes: usize,
         before: impl Fn(usize) + Send + Sync + 'static,
     ) -> Self {
-        let shared = Shared { before_chunk: Some(Box::new(before)), ..Shared::new(max_answer_bytes) };
+        let shared =
+            EngineState { before_chunk: Some(Box::new(before)), ..EngineState::new(max_answer_bytes) };
         Self { compute, shared: Arc::new(shared) }
     }
 
@@ -93,11 +94,11 @@ impl Engine {
     pub async fn compute<M: Memory, H: Send + 'static>(
         &self,
         batch: Batch,
-        job: &Job<impl Caller>,
+        job: &Job<impl CallerId>,
         memory: M,
         held: H,
     ) -> Result<(Columns, M), EngineError<M::Refused>> {
-        let run = Run::new(&self.shared, batch, &job.stop, memory, held);
+        let run = BatchRun::new(&self.shared, batch, &job.stop, memory, held);
         let unanswered = run.unanswered.clone();
         self.computed(run, job).await.map_err(|error| match (unanswered.get(), error) {
             (Some(Unanswered::TooLarge), _) => EngineError::TooLarge(self.shared.max_answer_bytes),
@@ -109,19 +110,19 @@ impl Engine {
 
     async fn computed<M: Memory, H: Send + 'static>(
         &self,
-        mut run: Run<M, H>,
-        job: &Job<impl Caller>,
+        mut run: BatchRun<M, H>,
+        job: &Job<impl CallerId>,
     ) -> Result<(Columns, M), ComputeError> {
         if run.batch.is_small() {
-            return Ok(caught(|| run.inline())??);
+            return Ok(catch_panic(|| run.inline())??);
         }
         if run.chunks.is_unknown() {
             // Estimating every pair's cost is also work for the compute threads.
             run = self.compute.run(|stop| run.cut(stop), job).await??;
         }
-        match self.compute.split(run, job).await? {
-            Chunked::Answer(answer) => Ok(*answer),
-            Chunked::Large(chunks) => self
+        match self.compute.run_parts(run, job).await? {
+            BatchResult::Answer(answer) => Ok(*answer),
+            BatchResult::Large(chunks) => self
                 .compute
                 .run_steps(chunks.steps(), |stop| chunks.concatenated(stop), job)
                 .await?

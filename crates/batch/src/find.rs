@@ -17,8 +17,8 @@ use hullcast_contact::{Bounds, STEPS_BETWEEN_LOOKS, Stop, Stopped};
 
 use crate::{
     batch::Batch,
-    broad_phase::{BroadPhase, Rules, STEPS_PER_BODY, Search, TREE_BYTES_PER_BODY},
-    compute::{Caller, Compute, ComputeError, Job, Parts},
+    broad_phase::{BroadPhase, PairSearch, Rules, STEPS_PER_BODY, TREE_BYTES_PER_BODY},
+    compute::{CallerId, Compute, ComputeError, Job, Parts},
     lock::locked,
     scene::Bodies,
 };
@@ -55,7 +55,7 @@ pub struct Finder {
     /// The first body for which no search has been started.
     next_body: u32,
     /// The searches, in order, for the pairs of consecutive bodies before `next_body`.
-    searches: VecDeque<Search>,
+    searches: VecDeque<PairSearch>,
     /// The pairs found by earlier searches, in order; 2 indices per pair. They come before the
     /// pairs of `searches`.
     found: Vec<u32>,
@@ -73,7 +73,7 @@ impl Finder {
         rules: Rules,
         most: usize,
         compute: &Compute,
-        job: &Job<impl Caller>,
+        job: &Job<impl CallerId>,
     ) -> Result<Self, ComputeError> {
         let broad_phase = Arc::new(broad_phase(&bodies, rules, compute, job).await?);
         let (searches, found, waiting) = (VecDeque::new(), Vec::new(), VecDeque::new());
@@ -113,7 +113,7 @@ impl Finder {
     pub async fn next(
         &mut self,
         compute: &Compute,
-        job: &Job<impl Caller>,
+        job: &Job<impl CallerId>,
     ) -> Result<Option<Vec<u32>>, ComputeError> {
         while self.waiting.is_empty() {
             let most = 2 * self.most;
@@ -136,21 +136,21 @@ impl Finder {
     }
 
     /// Continues each search by one part.
-    async fn search(&mut self, compute: &Compute, job: &Job<impl Caller>) -> Result<(), ComputeError> {
+    async fn search(&mut self, compute: &Compute, job: &Job<impl CallerId>) -> Result<(), ComputeError> {
         if self.searches.is_empty() {
             let bodies = self.broad_phase.bodies();
             for _ in 0..SEARCHES {
                 let end = bodies.min(self.next_body.saturating_add(SEARCHED_BODIES));
                 if self.next_body < end {
-                    self.searches.push_back(Search::new(self.next_body, end));
+                    self.searches.push_back(PairSearch::new(self.next_body, end));
                 }
                 self.next_body = end;
             }
         }
         let searches = std::mem::take(&mut self.searches);
         let searches = searches.into_iter().map(|search| Mutex::new(Some(search))).collect();
-        let work = Searching { broad_phase: self.broad_phase.clone(), searches, stop: job.stop.clone() };
-        self.searches = compute.split(work, job).await?.into();
+        let work = SearchWork { broad_phase: self.broad_phase.clone(), searches, stop: job.stop.clone() };
+        self.searches = compute.run_parts(work, job).await?.into();
         while let Some(first) = self.searches.front_mut() {
             self.found.append(&mut first.pairs);
             if !first.is_done() {
@@ -164,7 +164,7 @@ impl Finder {
 
 /// The bounds of a body, or `None` if it can be in no pair.
 fn bounds(bodies: &Bodies, body: usize) -> Option<Bounds> {
-    let margin = bodies.setting().query().margin.min(LARGEST_MARGIN);
+    let margin = bodies.template().query().margin.min(LARGEST_MARGIN);
     Some(bodies.body(body as u32)?.bounds(margin))
 }
 
@@ -173,7 +173,7 @@ async fn broad_phase(
     bodies: &Bodies,
     rules: Rules,
     compute: &Compute,
-    job: &Job<impl Caller>,
+    job: &Job<impl CallerId>,
 ) -> Result<BroadPhase, ComputeError> {
     let count = bodies.count();
     let building = STEPS_PER_BODY * count as u64 + rules.sorting_steps();
@@ -185,20 +185,20 @@ async fn broad_phase(
         };
         compute.run_steps(BOUNDS_STEPS * count as u64 + building, all, job).await
     } else {
-        let bounding = Bounding { bodies: bodies.clone(), stop: job.stop.clone() };
-        let bounds = compute.split(bounding, job).await?;
+        let bounding = BoundsWork { bodies: bodies.clone(), stop: job.stop.clone() };
+        let bounds = compute.run_parts(bounding, job).await?;
         compute.run_steps(building, move |stop| BroadPhase::new(bounds, rules, stop), job).await
     };
     Ok(built??)
 }
 
 /// Computes the bounds of all bodies, [`BOUNDED_BODIES`] per part.
-struct Bounding {
+struct BoundsWork {
     bodies: Bodies,
     stop: Arc<Stop>,
 }
 
-impl Parts for Bounding {
+impl Parts for BoundsWork {
     type Part = Vec<Option<Bounds>>;
     type Whole = Vec<Option<Bounds>>;
 
@@ -223,15 +223,15 @@ impl Parts for Bounding {
 }
 
 /// Continues searches; each is one part.
-struct Searching {
+struct SearchWork {
     broad_phase: Arc<BroadPhase>,
-    searches: Vec<Mutex<Option<Search>>>,
+    searches: Vec<Mutex<Option<PairSearch>>>,
     stop: Arc<Stop>,
 }
 
-impl Parts for Searching {
-    type Part = Option<Search>;
-    type Whole = Vec<Search>;
+impl Parts for SearchWork {
+    type Part = Option<PairSearch>;
+    type Whole = Vec<PairSearch>;
 
     fn count(&self) -> usize {
         self.searches.len()

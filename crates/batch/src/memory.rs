@@ -45,10 +45,10 @@ impl Memory for Unlimited {
 
 /// A number of bytes that several answers share. Clones are the same pool.
 #[derive(Clone, Debug)]
-pub struct MemoryPool(Arc<Pool>);
+pub struct MemoryPool(Arc<PoolState>);
 
 #[derive(Debug)]
-struct Pool {
+struct PoolState {
     limit: u64,
     used: AtomicU64,
 }
@@ -73,7 +73,7 @@ pub struct PoolIsFull {
 impl MemoryPool {
     /// A pool of `limit` bytes.
     pub fn new(limit: u64) -> Self {
-        Self(Arc::new(Pool { limit, used: AtomicU64::new(0) }))
+        Self(Arc::new(PoolState { limit, used: AtomicU64::new(0) }))
     }
 
     /// Memory of this pool that holds nothing yet.
@@ -98,7 +98,7 @@ impl Memory for PooledMemory {
     type Refused = PoolIsFull;
 
     fn grow(&mut self, more: u64) -> Result<(), PoolIsFull> {
-        let Pool { limit, used } = &*self.pool.0;
+        let PoolState { limit, used } = &*self.pool.0;
         let within = |used: u64| used.checked_add(more).filter(|after| after <= limit);
         used.fetch_update(Ordering::Relaxed, Ordering::Relaxed, within)
             .map_err(|_| PoolIsFull { asked: more, limit: *limit })?;

@@ -2,7 +2,7 @@
 //!
 //! [`Scene`] is the form in which a program states a scene. [`Scene::batch`] checks it completely. A service
 //! that keeps parts of a scene from one query to the next checks and keeps the parts by themselves:
-//! [`Setting`] is everything except the poses, [`Poses`] are the poses, and [`Bodies`] are both with their
+//! [`SceneTemplate`] is everything except the poses, [`Poses`] are the poses, and [`Bodies`] are both with their
 //! hulls.
 
 use std::sync::Arc;
@@ -57,7 +57,7 @@ pub struct Scene {
 /// A fault of a scene.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("{field}{}: {message}", .index.map(|index| format!("[{index}]")).unwrap_or_default())]
-pub struct Fault {
+pub struct SceneFault {
     /// The kind of fault.
     pub kind: FaultKind,
     /// The field at fault; a dotted path for a field of the accuracy.
@@ -84,13 +84,13 @@ pub enum FaultKind {
 pub enum SceneError {
     /// The scene has a fault.
     #[error(transparent)]
-    Fault(Fault),
+    Fault(SceneFault),
     /// The check was stopped.
     #[error("{}", Stopped)]
     Stopped,
 }
 
-impl Fault {
+impl SceneFault {
     fn new(kind: FaultKind, field: &'static str, message: String) -> Self {
         Self { kind, field, index: None, message }
     }
@@ -101,8 +101,8 @@ impl Fault {
     }
 }
 
-impl From<Fault> for SceneError {
-    fn from(fault: Fault) -> Self {
+impl From<SceneFault> for SceneError {
+    fn from(fault: SceneFault) -> Self {
         Self::Fault(fault)
     }
 }
@@ -117,19 +117,19 @@ impl From<Stopped> for SceneError {
 ///
 /// # Errors
 /// The column has another number of entries.
-pub fn has_length(found: usize, expected: usize, field: &'static str, rule: &str) -> Result<(), Fault> {
+pub fn has_length(found: usize, expected: usize, field: &'static str, rule: &str) -> Result<(), SceneFault> {
     if found == expected {
         return Ok(());
     }
     let message = format!("got {found} entries, expected {expected} ({rule})");
-    Err(Fault::new(FaultKind::Length, field, message))
+    Err(SceneFault::new(FaultKind::Length, field, message))
 }
 
 /// Checks the lengths of the columns of poses.
 ///
 /// # Errors
 /// A column has another number of entries than the bodies need.
-pub fn pose_lengths(bodies: usize, positions: &[f64], rotations: &[f64]) -> Result<(), Fault> {
+pub fn pose_lengths(bodies: usize, positions: &[f64], rotations: &[f64]) -> Result<(), SceneFault> {
     has_length(positions.len(), 3 * bodies, "positions", "3 per body")?;
     has_length(rotations.len(), 4 * bodies, "rotations", "4 per body")
 }
@@ -138,7 +138,7 @@ pub fn pose_lengths(bodies: usize, positions: &[f64], rotations: &[f64]) -> Resu
 ///
 /// # Errors
 /// There is half a pair, or the warm starts are not those of these pairs.
-pub fn pair_lengths(pairs: &[u32], warm_starts: &[u32]) -> Result<(), Fault> {
+pub fn pair_lengths(pairs: &[u32], warm_starts: &[u32]) -> Result<(), SceneFault> {
     has_length(pairs.len(), pairs.len() & !1, "pairs", "2 per pair")?;
     if warm_starts.is_empty() {
         return Ok(());
@@ -150,31 +150,31 @@ pub fn pair_lengths(pairs: &[u32], warm_starts: &[u32]) -> Result<(), Fault> {
 ///
 /// # Errors
 /// The margin is negative or NaN.
-pub fn check_margin(margin: f64) -> Result<(), Fault> {
-    if margin >= 0.0 { Ok(()) } else { Err(Fault::out_of_range("margin", margin, "at least 0")) }
+pub fn check_margin(margin: f64) -> Result<(), SceneFault> {
+    if margin >= 0.0 { Ok(()) } else { Err(SceneFault::out_of_range("margin", margin, "at least 0")) }
 }
 
 /// Checks the margin of a search for pairs.
 ///
 /// # Errors
 /// The margin is infinite.
-pub fn check_finite(margin: f64) -> Result<(), Fault> {
+pub fn check_finite(margin: f64) -> Result<(), SceneFault> {
     if margin != f64::INFINITY {
         return Ok(());
     }
-    Err(Fault::out_of_range("margin", margin, "finite, otherwise every pair would be found"))
+    Err(SceneFault::out_of_range("margin", margin, "finite, otherwise every pair would be found"))
 }
 
-fn check_accuracy(accuracy: &Accuracy) -> Result<(), Fault> {
+fn check_accuracy(accuracy: &Accuracy) -> Result<(), SceneFault> {
     let Accuracy { relative_tolerance, feature_angle, max_iterations, .. } = *accuracy;
     if !(0.0..=1.0).contains(&relative_tolerance) {
-        return Err(Fault::out_of_range("accuracy.relative_tolerance", relative_tolerance, "0 to 1"));
+        return Err(SceneFault::out_of_range("accuracy.relative_tolerance", relative_tolerance, "0 to 1"));
     }
     if !(0.0..=0.5).contains(&feature_angle) {
-        return Err(Fault::out_of_range("accuracy.feature_angle", feature_angle, "0 to 0.5"));
+        return Err(SceneFault::out_of_range("accuracy.feature_angle", feature_angle, "0 to 0.5"));
     }
     if max_iterations == 0 {
-        return Err(Fault::out_of_range("accuracy.max_iterations", 0.0, "at least 1"));
+        return Err(SceneFault::out_of_range("accuracy.max_iterations", 0.0, "at least 1"));
     }
     Ok(())
 }
@@ -197,8 +197,8 @@ fn all_below(
         if let Some(at) = some.iter().position(|&index| index as usize >= count) {
             let noun = if count == 1 { one } else { many };
             let message = format!("{one} index {} is out of range: the scene has {count} {noun}", some[at]);
-            let fault = Fault::new(FaultKind::Index, field, message);
-            return Err(Fault { index: Some(first + at), ..fault }.into());
+            let fault = SceneFault::new(FaultKind::Index, field, message);
+            return Err(SceneFault { index: Some(first + at), ..fault }.into());
         }
     }
     Ok(())
@@ -206,7 +206,7 @@ fn all_below(
 
 /// A scene without its hulls and poses: the part that does not change while bodies move.
 #[derive(Clone, Debug)]
-pub struct Setting {
+pub struct SceneTemplate {
     hull_count: usize,
     body_hulls: Vec<u32>,
     pairs: Vec<u32>,
@@ -214,7 +214,7 @@ pub struct Setting {
     outputs: Outputs,
 }
 
-impl Setting {
+impl SceneTemplate {
     /// Bodies of a scene with `hulls` hulls, and pairs of these bodies. The query is the default one.
     ///
     /// # Errors
@@ -232,11 +232,11 @@ impl Setting {
         Ok(Self { hull_count: hulls, body_hulls, pairs, query: Query::default(), outputs })
     }
 
-    /// The same setting with this query for every pair.
+    /// The same template with this query for every pair.
     ///
     /// # Errors
     /// The margin or a field of the accuracy is outside its range.
-    pub fn with_query(self, margin: f64, accuracy: Accuracy, outputs: Outputs) -> Result<Self, Fault> {
+    pub fn with_query(self, margin: f64, accuracy: Accuracy, outputs: Outputs) -> Result<Self, SceneFault> {
         check_margin(margin)?;
         check_accuracy(&accuracy)?;
         let query = Query { margin, accuracy, wanted: outputs.wanted() };
@@ -273,7 +273,7 @@ impl Setting {
         self.outputs
     }
 
-    /// The bytes of the setting's columns.
+    /// The bytes of the template's columns.
     pub fn heap_bytes(&self) -> usize {
         size_of_val(&self.body_hulls[..]) + size_of_val(&self.pairs[..])
     }
@@ -336,7 +336,7 @@ impl Poses {
 /// The bodies of a scene: hulls at poses. Clones share them.
 #[derive(Clone, Debug)]
 pub struct Bodies {
-    setting: Arc<Setting>,
+    template: Arc<SceneTemplate>,
     hulls: Arc<Hulls>,
     poses: Arc<Poses>,
 }
@@ -345,16 +345,20 @@ impl Bodies {
     /// Bodies with these hulls and poses.
     ///
     /// # Errors
-    /// The numbers of hulls or of poses are not those of the setting.
-    pub fn new(setting: Arc<Setting>, hulls: Arc<Hulls>, poses: Arc<Poses>) -> Result<Self, Fault> {
-        has_length(hulls.len(), setting.hull_count, "hulls", "as many as the bodies were checked with")?;
-        has_length(poses.count(), setting.body_count(), "positions", "one pose per body")?;
-        Ok(Self { setting, hulls, poses })
+    /// The numbers of hulls or of poses are not those of the template.
+    pub fn new(
+        template: Arc<SceneTemplate>,
+        hulls: Arc<Hulls>,
+        poses: Arc<Poses>,
+    ) -> Result<Self, SceneFault> {
+        has_length(hulls.len(), template.hull_count, "hulls", "as many as the bodies were checked with")?;
+        has_length(poses.count(), template.body_count(), "positions", "one pose per body")?;
+        Ok(Self { template, hulls, poses })
     }
 
-    /// The setting.
-    pub fn setting(&self) -> &Arc<Setting> {
-        &self.setting
+    /// The template.
+    pub fn template(&self) -> &Arc<SceneTemplate> {
+        &self.template
     }
 
     /// The hulls.
@@ -364,12 +368,12 @@ impl Bodies {
 
     /// The number of bodies.
     pub fn count(&self) -> usize {
-        self.setting.body_count()
+        self.template.body_count()
     }
 
     /// A body, or the first reason why it cannot be computed.
     pub(crate) fn hull(&self, body: u32) -> &Result<Arc<ConvexHull>, Missing> {
-        &self.hulls[self.setting.body_hulls[body as usize] as usize]
+        &self.hulls[self.template.body_hulls[body as usize] as usize]
     }
 
     pub(crate) fn pose(&self, body: u32) -> Option<Pose> {
@@ -390,10 +394,10 @@ impl Scene {
     /// The first fault that is found, or that the check was stopped.
     pub fn bodies(self, stop: &Stop) -> Result<(Bodies, Vec<u32>), SceneError> {
         let meter = &Meter::new(stop);
-        let setting = Setting::new(self.hulls.len(), self.body_hulls, self.pairs, meter)?;
-        let setting = setting.with_query(self.margin, self.accuracy, self.outputs)?;
-        let (poses, invalid) = Poses::new(setting.body_count(), self.positions, self.rotations, meter)?;
-        Ok((Bodies::new(Arc::new(setting), Arc::new(self.hulls), Arc::new(poses))?, invalid))
+        let template = SceneTemplate::new(self.hulls.len(), self.body_hulls, self.pairs, meter)?;
+        let template = template.with_query(self.margin, self.accuracy, self.outputs)?;
+        let (poses, invalid) = Poses::new(template.body_count(), self.positions, self.rotations, meter)?;
+        Ok((Bodies::new(Arc::new(template), Arc::new(self.hulls), Arc::new(poses))?, invalid))
     }
 
     /// The batch of the scene's pairs. Pairs of a missing hull or of a body without a usable pose have the

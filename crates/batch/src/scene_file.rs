@@ -13,7 +13,7 @@ use serde::Deserialize;
 use serde_json::error::Category;
 use thiserror::Error;
 
-use self::values::{Index, Number, Row, optional, point, rows};
+use self::values::{JsonIndex, JsonNumber, JsonRow, optional, point, rows};
 use crate::counted;
 use hullcast_contact::Pose;
 
@@ -79,7 +79,7 @@ pub struct Frame {
 /// A defect of a scene file, and its place.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("{}{}{message}", before(.file), before(.place))]
-pub struct SceneError {
+pub struct SceneFileError {
     /// The file as the user gave it, with its option if it has one; empty if there is no file.
     pub file: String,
     /// The place, such as `hulls[3].vertices[7]`; empty for the whole file.
@@ -99,25 +99,25 @@ fn before(part: &str) -> String {
 pub struct UnusablePoses(String);
 
 #[derive(Deserialize)]
-struct Json {
+struct JsonScene {
     format: String,
     name: String,
     hulls: Vec<HullPoints>,
     bodies: Vec<JsonBody>,
     #[serde(default)]
     frames: Vec<JsonFrame>,
-    pairs: Vec<Row<Index, 2>>,
+    pairs: Vec<JsonRow<JsonIndex, 2>>,
     #[serde(default)]
-    margin: Number,
+    margin: JsonNumber,
 }
 
 #[derive(Deserialize)]
 struct JsonBody {
     #[serde(default)]
     name: String,
-    hull: Index,
-    position: Row<Number, 3>,
-    rotation: Row<Number, 4>,
+    hull: JsonIndex,
+    position: JsonRow<JsonNumber, 3>,
+    rotation: JsonRow<JsonNumber, 4>,
 }
 
 #[derive(Deserialize)]
@@ -135,11 +135,11 @@ impl SceneFile {
     /// or empty.
     ///
     /// # Errors
-    /// [`SceneError`] names file, field and index at fault.
-    pub fn read(option: &str, path: &Path) -> Result<Self, SceneError> {
+    /// [`SceneFileError`] names file, field and index at fault.
+    pub fn read(option: &str, path: &Path) -> Result<Self, SceneFileError> {
         let piped = path == Path::new("-");
         let file = shown(option, path);
-        let fault = |message| SceneError { file: file.clone(), place: String::new(), message };
+        let fault = |message| SceneFileError { file: file.clone(), place: String::new(), message };
         let text = if piped {
             let mut text = Vec::new();
             io::stdin().lock().read_to_end(&mut text).map(|_| text)
@@ -147,16 +147,16 @@ impl SceneFile {
             std::fs::read(path)
         };
         let text = text.map_err(|e| fault(format!("cannot be read: {e}")))?;
-        Self::parse(&text).map_err(|e| SceneError { file: file.clone(), ..e })
+        Self::parse(&text).map_err(|e| SceneFileError { file: file.clone(), ..e })
     }
 
     /// Reads a scene from JSON text.
     ///
     /// # Errors
-    /// [`SceneError`] names the field and index at fault.
-    pub fn parse(text: &[u8]) -> Result<Self, SceneError> {
+    /// [`SceneFileError`] names the field and index at fault.
+    pub fn parse(text: &[u8]) -> Result<Self, SceneFileError> {
         let mut json = serde_json::Deserializer::from_slice(text);
-        let file: Json = serde_path_to_error::deserialize(&mut json).map_err(|e| {
+        let file: JsonScene = serde_path_to_error::deserialize(&mut json).map_err(|e| {
             let place = e.path().to_string();
             not_a_scene(if place == "." { String::new() } else { place }, &e.into_inner())
         })?;
@@ -209,18 +209,18 @@ pub fn unusable_poses(unusable: &[u32], bodies: usize) -> String {
 }
 
 /// The error for a text that is not a scene: it is not JSON, or it is JSON with another content.
-fn not_a_scene(place: String, error: &serde_json::Error) -> SceneError {
+fn not_a_scene(place: String, error: &serde_json::Error) -> SceneFileError {
     let message = match error.classify() {
         Category::Data => error.to_string(),
         Category::Io | Category::Syntax | Category::Eof => {
             format!("not JSON ({error}); expected a scene file, {FORMAT}")
         }
     };
-    SceneError { file: String::new(), place, message }
+    SceneFileError { file: String::new(), place, message }
 }
 
 /// The text about an index of one of `count` things, or `None` if there is such a thing.
-fn out_of_range(Index(index): Index, count: usize, thing: &str) -> Option<String> {
+fn out_of_range(JsonIndex(index): JsonIndex, count: usize, thing: &str) -> Option<String> {
     let allowed = match count.checked_sub(1) {
         _ if (index as usize) < count => return None,
         None => "no index is allowed".into(),
@@ -230,10 +230,11 @@ fn out_of_range(Index(index): Index, count: usize, thing: &str) -> Option<String
     Some(format!("is {index}, {allowed}: the scene has {}", counted(count, thing)))
 }
 
-impl Json {
+impl JsonScene {
     /// Checks the rules that the types do not express: indices in range, and one pose per body.
-    fn check(&self) -> Result<(), SceneError> {
-        let fail = |place: String, message: String| Err(SceneError { file: String::new(), place, message });
+    fn check(&self) -> Result<(), SceneFileError> {
+        let fail =
+            |place: String, message: String| Err(SceneFileError { file: String::new(), place, message });
         if self.format != FORMAT {
             return fail("format".into(), format!("is {:?}, expected {FORMAT:?}", self.format));
         }

@@ -41,10 +41,10 @@ fn main() -> ExitCode {
     }
     println!("{}", check::table(&rows));
     let mut violations = 0;
-    for (family, solver, cells) in &rows {
-        for (regime, cell) in format::REGIMES.iter().zip(cells) {
-            violations += cell.violations.len();
-            for violation in cell.violations.iter().take(SHOWN) {
+    for (family, solver, scores) in &rows {
+        for (regime, score) in format::REGIMES.iter().zip(scores) {
+            violations += score.violations.len();
+            for violation in score.violations.iter().take(SHOWN) {
                 println!("{family} {regime} {solver:?}: {violation}");
             }
         }

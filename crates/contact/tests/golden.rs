@@ -9,32 +9,32 @@ use hullcast_contact::{
 use serde_json::Value;
 
 /// One hull at its pose, and the numbers that made it.
-struct Side {
+struct PosedHull {
     hull: ConvexHull,
     pose: Pose,
     vertices: Vec<DVec3>,
-    center: DVec3,
+    centre: DVec3,
     position: DVec3,
     rotation: DMat3,
 }
 
-impl Side {
+impl PosedHull {
     fn read(value: &Value) -> Self {
         let vertices = points(&value["vertices"]);
-        let center = vector(&value["contraction_point"]);
+        let centre = vector(&value["contraction_point"]);
         let position = vector(&value["position"]);
         let q: [f64; 4] = numbers(&value["rotation"]).try_into().expect("four numbers");
         let given: Vec<_> = vertices.iter().map(|v| v.to_array()).collect();
-        let options = HullOptions { contraction_point: Some(center.to_array()), ..HullOptions::default() };
+        let options = HullOptions { contraction_point: Some(centre.to_array()), ..HullOptions::default() };
         let hull = ConvexHull::with_options(&given, &options).expect("a hull");
         let pose = Pose::new(position.to_array(), q).expect("a pose");
-        Self { hull, pose, vertices, center, position, rotation: rotation(q) }
+        Self { hull, pose, vertices, centre, position, rotation: rotation(q) }
     }
 
     /// The largest `n . (v - p)` over the vertices; n is a world direction.
     fn support(&self, n: DVec3) -> f64 {
         let local = self.rotation.transpose() * n;
-        self.vertices.iter().map(|v| local.dot(*v - self.center)).fold(f64::NEG_INFINITY, f64::max)
+        self.vertices.iter().map(|v| local.dot(*v - self.centre)).fold(f64::NEG_INFINITY, f64::max)
     }
 }
 
@@ -80,7 +80,7 @@ fn answers_are_the_exact_ones() {
     for solver in Solver::ALL {
         for case in cases() {
             let name = format!("{} with {solver:?}", case["name"]);
-            let (a, b) = (Side::read(&case["a"]), Side::read(&case["b"]));
+            let (a, b) = (PosedHull::read(&case["a"]), PosedHull::read(&case["b"]));
             let margin = case["margin"].as_f64().unwrap_or(f64::INFINITY);
             let query =
                 Query { margin, accuracy: Accuracy { solver, ..Accuracy::default() }, ..Query::default() };
@@ -111,13 +111,13 @@ fn answers_are_the_exact_ones() {
 
 /// Alpha, the normal's optimality and the separation, within twice the budgets, because this side
 /// of the comparison is rounded too.
-fn check_numbers(name: &str, case: &Value, a: &Side, b: &Side, answer: &Manifold) {
+fn check_numbers(name: &str, case: &Value, a: &PosedHull, b: &PosedHull, answer: &Manifold) {
     let budget = 2.0 * number(&case["alpha_budget"]);
     let exact = number(&case["alpha_below"]);
     assert!((answer.alpha - exact).abs() <= budget, "{name}: {answer:?}");
     let n = answer.normal;
     assert!((n.length() - 1.0).abs() <= 8.0 * f64::EPSILON, "{name}: {answer:?}");
-    let d = b.position - a.position + b.rotation * b.center - a.rotation * a.center;
+    let d = b.position - a.position + b.rotation * b.centre - a.rotation * a.centre;
     let reach = a.support(n) + b.support(-n);
     assert!(exact - n.dot(d) / reach <= budget, "{name}: {answer:?}");
     let separation = n.dot(d) - reach;

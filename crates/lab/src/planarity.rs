@@ -13,7 +13,7 @@ use clap::value_parser;
 use hullcast_batch::scene_file::SceneFile;
 
 use crate::Error;
-use shapes::Group;
+use shapes::ShapeGroup;
 
 /// Measures the patches of rounded shapes for each planarity of faces.
 ///
@@ -40,12 +40,12 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> Result<(), Error> {
     let mut groups = shapes::groups()?;
     for path in &args.scenes {
-        groups.push(Group::of_scene(SceneFile::read("", path)?));
+        groups.push(ShapeGroup::of_scene(SceneFile::read("", path)?));
     }
     let orientations = args.orientations as usize;
-    let cells = measure::cells(&groups, orientations);
-    std::fs::write(&args.out, tables::csv(&cells))
+    let figures = measure::figures(&groups, orientations);
+    std::fs::write(&args.out, tables::csv(&figures))
         .map_err(|e| format!("--out {}: {e}", args.out.display()))?;
-    print!("{}", tables::tables(&cells, orientations));
+    print!("{}", tables::tables(&figures, orientations));
     Ok(())
 }

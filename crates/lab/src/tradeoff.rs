@@ -17,13 +17,13 @@ use clap::value_parser;
 
 use crate::Error;
 use crate::progress;
-use cases::Pool;
-use chart::{Chart, Named, Panel};
+use cases::CellPool;
+use chart::{Chart, LabelledPoint, Panel};
 use hullcast_batch::scene_file::SceneFile;
 use measure::{Prepared, Sample};
-use peers::Peer;
+use peers::PeerAnswers;
 use settings::Setting;
-use table::{Figures, PeerRow, Row, Sorted};
+use table::{Figures, PeerRow, SettingRow, Sorted};
 
 /// Measures the time and the errors of every setting.
 ///
@@ -77,20 +77,21 @@ pub(crate) fn run(args: &Args) -> Result<(), Error> {
     if let Some(path) = &args.ask {
         return peers::ask(&cells, path);
     }
-    let peers: Vec<Peer> = args.peer.iter().map(|path| Peer::read(path, &cells)).collect::<Result<_, _>>()?;
+    let peers: Vec<PeerAnswers> =
+        args.peer.iter().map(|path| PeerAnswers::read(path, &cells)).collect::<Result<_, _>>()?;
     let (rows, others) = measured(cells, &peers)?;
-    let of_pool = |pool: Pool| -> (Vec<Row>, Vec<PeerRow>) {
+    let of_pool = |pool: CellPool| -> (Vec<SettingRow>, Vec<PeerRow>) {
         let rows = rows.iter().filter(|row| row.cell == pool.name()).cloned();
         (rows.collect(), others.iter().filter(|row| row.cell == pool.name()).cloned().collect())
     };
-    let (all, all_others) = of_pool(Pool::All);
+    let (all, all_others) = of_pool(CellPool::All);
     let chart = serde_json::to_string(&chart(&all, &all_others))?;
     for (ending, text) in [("csv", table::csv(&rows, &others)), ("json", chart)] {
         let path = args.out.with_extension(ending);
         std::fs::write(&path, text).map_err(|e| format!("--out {}: {e}", path.display()))?;
     }
     print!("{}", advice::text(&all));
-    for pool in [Pool::All, Pool::Deep] {
+    for pool in [CellPool::All, CellPool::Deep] {
         let (rows, others) = of_pool(pool);
         if !rows.is_empty() {
             print!("\n{}", advice::beside(pool, &rows, &others));
@@ -100,7 +101,10 @@ pub(crate) fn run(args: &Args) -> Result<(), Error> {
 }
 
 /// Measures every setting and judges every other library, on every cell and on each whole pool.
-fn measured(cells: Vec<cases::Cell>, peers: &[Peer]) -> Result<(Vec<Row>, Vec<PeerRow>), Error> {
+fn measured(
+    cells: Vec<cases::Cell>,
+    peers: &[PeerAnswers],
+) -> Result<(Vec<SettingRow>, Vec<PeerRow>), Error> {
     let progress = progress::bar("kinds of pairs prepared", cells.len());
     let prepared = cells.into_iter().map(|cell| {
         let prepared = Prepared::new(cell);
@@ -124,7 +128,7 @@ fn measured(cells: Vec<cases::Cell>, peers: &[Peer]) -> Result<(Vec<Row>, Vec<Pe
     // The figures of one contender for each cell and then for each pool, with their names.
     let figures = |of: &dyn Fn(usize, &Prepared) -> Vec<Sample>| -> Vec<(String, Figures)> {
         let mut figures = Vec::new();
-        let mut pools = [Pool::All, Pool::Deep].map(|pool| (pool, Vec::new(), Vec::new()));
+        let mut pools = [CellPool::All, CellPool::Deep].map(|pool| (pool, Vec::new(), Vec::new()));
         for (i, prepared) in cells.iter().enumerate() {
             let samples = of(i, prepared);
             let [time] = Sorted::new(samples.iter().map(|s| s.nanoseconds)).at([0.5]);
@@ -144,7 +148,7 @@ fn measured(cells: Vec<cases::Cell>, peers: &[Peer]) -> Result<(Vec<Row>, Vec<Pe
     let mut rows = Vec::new();
     for &setting in &grid {
         let of_setting = figures(&|_, prepared| prepared.measure(&setting));
-        rows.extend(of_setting.into_iter().map(|(cell, figures)| Row { cell, setting, figures }));
+        rows.extend(of_setting.into_iter().map(|(cell, figures)| SettingRow { cell, setting, figures }));
         progress.inc(1);
     }
     drop(progress);
@@ -165,7 +169,7 @@ const DRAWN: (f64, f64) = (1e-16, 1.0);
 
 /// The chart of time against errors: all settings, those that no other beats, the recommended ones, and
 /// other libraries.
-fn chart(rows: &[Row], peers: &[PeerRow]) -> Chart {
+fn chart(rows: &[SettingRow], peers: &[PeerRow]) -> Chart {
     type Of = fn(&Figures) -> f64;
     let errors: [(&str, Of); 3] = [
         ("normal short of optimal, p95", |f| f.optimality[1].clamp(DRAWN.0, DRAWN.1)),
@@ -177,16 +181,16 @@ fn chart(rows: &[Row], peers: &[PeerRow]) -> Chart {
         let settings = (0..rows.len()).map(at).collect();
         let front = table::front(rows, error).into_iter().map(at).collect();
         // Needs with the same setting share a point and its label.
-        let mut advised: Vec<Named> = Vec::new();
+        let mut advised: Vec<LabelledPoint> = Vec::new();
         for need in &advice::NEEDS {
             let Some(row) = advice::choice(rows, need, false) else { continue };
             let at = [row.figures.relative_time, error(&row.figures)];
             match advised.iter_mut().find(|named| named.at == at) {
                 Some(named) => named.name += &format!(", {}", need.name),
-                None => advised.push(Named { name: need.name.into(), at }),
+                None => advised.push(LabelledPoint { name: need.name.into(), at }),
             }
         }
-        let of_peer = |peer: &PeerRow| Named {
+        let of_peer = |peer: &PeerRow| LabelledPoint {
             name: peer.name.clone(),
             at: [peer.figures.relative_time, error(&peer.figures)],
         };

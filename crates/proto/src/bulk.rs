@@ -15,7 +15,7 @@ use prost::{
 
 /// A column of a message.
 #[derive(Debug)]
-pub enum Column<'a> {
+pub enum ColumnMut<'a> {
     /// `repeated double`.
     Doubles(&'a mut Vec<f64>),
     /// `repeated fixed32`.
@@ -28,7 +28,7 @@ pub trait Columnar: Message + Default {
     const COLUMNS: &'static [u32] = &[];
 
     /// The column with this tag.
-    fn column(&mut self, _tag: u32) -> Option<Column<'_>> {
+    fn column(&mut self, _tag: u32) -> Option<ColumnMut<'_>> {
         None
     }
 }
@@ -68,7 +68,7 @@ pub fn encode<M: Columnar>(mut message: M, buffer: &mut impl BufMut) {
     }
 }
 
-impl Column<'_> {
+impl ColumnMut<'_> {
     /// Appends the elements of a packed column. Returns false and reads nothing if `bytes` do not begin
     /// with one.
     fn extend(self, bytes: &mut Bytes) -> bool {
@@ -136,11 +136,11 @@ mod tests {
     fn filled<M: Columnar>(mut message: M) -> M {
         for &tag in M::COLUMNS {
             match message.column(tag).expect("each listed tag has a column") {
-                Column::Doubles(column) => {
+                ColumnMut::Doubles(column) => {
                     column.extend((0..100 + tag).map(|i| f64::from(i) / f64::from(tag)));
                     column.extend([f64::NAN, -0.0, f64::INFINITY, 5e-324]);
                 }
-                Column::Fixed32s(column) => column.extend((0..100).map(|i| u32::MAX - tag * i)),
+                ColumnMut::Fixed32s(column) => column.extend((0..100).map(|i| u32::MAX - tag * i)),
             }
         }
         message
@@ -252,8 +252,8 @@ mod tests {
         let mut short = request();
         for &tag in QueryContactsRequest::COLUMNS {
             match short.column(tag).unwrap() {
-                Column::Doubles(column) => column.truncate(3),
-                Column::Fixed32s(column) => column.truncate(3),
+                ColumnMut::Doubles(column) => column.truncate(3),
+                ColumnMut::Fixed32s(column) => column.truncate(3),
             }
         }
         let good = short.encode_to_vec();

@@ -29,9 +29,9 @@ macro_rules! columnar {
         $(impl bulk::Columnar for $message {
             const COLUMNS: &'static [u32] = &[$($tag),*];
 
-            fn column(&mut self, tag: u32) -> Option<bulk::Column<'_>> {
+            fn column(&mut self, tag: u32) -> Option<bulk::ColumnMut<'_>> {
                 match tag {
-                    $($tag => Some(bulk::Column::$kind(&mut self.$field)),)*
+                    $($tag => Some(bulk::ColumnMut::$kind(&mut self.$field)),)*
                     _ => None,
                 }
             }

@@ -103,13 +103,13 @@ export function check(golden: Case, answer: QueryContactsResponse__Output): void
   const { a, b } = golden;
   const n = answer.normals as Vector;
   within("the normal's length", norm(n) - 1, 1e-15);
-  const centers = minus(
+  const centres = minus(
     add(minus(b.position, a.position), rotate(b.rotation, b.contraction_point)),
     rotate(a.rotation, a.contraction_point),
   );
   const reach = support(a, n) + support(b, times(n, -1));
-  assert.ok(golden.alpha_below - dot(n, centers) / reach <= 2 * golden.alpha_budget, `${n} is not optimal`);
-  within("the separation", answer.separations[0]! - (dot(n, centers) - reach), 2 * golden.length_budget);
+  assert.ok(golden.alpha_below - dot(n, centres) / reach <= 2 * golden.alpha_budget, `${n} is not optimal`);
+  within("the separation", answer.separations[0]! - (dot(n, centres) - reach), 2 * golden.length_budget);
   checkPoints(golden, answer);
 }
 

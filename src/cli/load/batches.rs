@@ -8,11 +8,11 @@ use prost::Message;
 use crate::cli::Error;
 use crate::cli::answer::{definition, request};
 use crate::cli::exit::Exit;
-use crate::cli::options::Asked;
+use crate::cli::options::QueryOptions;
 use crate::cli::progress::Progress;
 use crate::cli::scene::{Frame, HullPoints, SceneFile, check_poses};
 use crate::cli::values::counted;
-use hullcast::batch::columns::{Columns, Invalid};
+use hullcast::batch::columns::{Columns, InvalidPair};
 use hullcast::contact::{Body, ConvexHull, Workspace, contact_manifold};
 use hullcast::proto;
 use hullcast::service::Limits;
@@ -33,7 +33,7 @@ pub(crate) struct Batches {
 
 /// Requests and their correct answers.
 #[derive(Debug)]
-pub(crate) struct Sampled {
+pub(crate) struct SampledRequests {
     requests: Vec<proto::QueryContactsRequest>,
     /// The encoded answers, one per request; empty if nothing is checked.
     expected: Vec<Vec<u8>>,
@@ -118,11 +118,16 @@ impl Batches {
     ///
     /// # Errors
     /// The library refuses a request.
-    pub(crate) fn prepare(&self, ids: &[HullId], asked: &Asked, verify: u64) -> Result<Sampled, Error> {
+    pub(crate) fn prepare(
+        &self,
+        ids: &[HullId],
+        options: &QueryOptions,
+        verify: u64,
+    ) -> Result<SampledRequests, Error> {
         let requests: Vec<_> = self
             .scenes
             .iter()
-            .flat_map(|scene| scene.frames.iter().map(move |frame| request(scene, frame, ids, asked)))
+            .flat_map(|scene| scene.frames.iter().map(move |frame| request(scene, frame, ids, options)))
             .collect();
         let mut expected = Vec::new();
         if verify > 0 {
@@ -133,11 +138,11 @@ impl Batches {
                 expected.push(library.answer(request.clone())?.encode_to_vec());
             }
         }
-        Ok(Sampled { requests, expected, verify })
+        Ok(SampledRequests { requests, expected, verify })
     }
 }
 
-impl Sampled {
+impl SampledRequests {
     /// The request of batch `number`. Requests repeat in a cycle.
     pub(crate) fn request(&self, number: u64) -> proto::QueryContactsRequest {
         self.requests[number as usize % self.requests.len()].clone()
@@ -172,26 +177,26 @@ impl Oracle {
 
     fn answer(&self, request: proto::QueryContactsRequest) -> Result<proto::QueryContactsResponse, Error> {
         let scene = wire::scene(request, &Limits::default())?;
-        let setting = &scene.setting;
-        let body = |index: u32, invalid: &mut Invalid| {
+        let template = &scene.template;
+        let body = |index: u32, invalid: &mut InvalidPair| {
             let pose = scene.poses.get(index as usize);
             if pose.is_none() {
                 invalid.body();
             }
-            let id = &scene.hull_ids[setting.body_hulls()[index as usize] as usize];
+            let id = &scene.hull_ids[template.body_hulls()[index as usize] as usize];
             Some(Body::new(self.hulls.get(id)?, pose?))
         };
-        let (pairs, _) = setting.pairs().as_chunks::<2>();
+        let (pairs, _) = template.pairs().as_chunks::<2>();
         let mut columns = Columns::default();
         let mut workspace = Workspace::default();
         for &[a, b] in pairs {
-            let mut invalid = Invalid::default();
+            let mut invalid = InvalidPair::default();
             match (body(a, &mut invalid), body(b, &mut invalid)) {
                 (Some(a), Some(b)) => {
-                    let manifold = contact_manifold(&a, &b, setting.query(), None, &mut workspace);
-                    columns.push(manifold, setting.outputs());
+                    let manifold = contact_manifold(&a, &b, template.query(), None, &mut workspace);
+                    columns.push(manifold, template.outputs());
                 }
-                _ => columns.push_invalid(invalid, setting.outputs()),
+                _ => columns.push_invalid(invalid, template.outputs()),
             }
         }
         Ok(wire::response(scene.request_id, columns, Vec::new(), scene.invalid_bodies))
@@ -209,8 +214,8 @@ mod tests {
     async fn one_wrong_bit_is_found() {
         let batches = Batches::generated(Family::Poly16, Regime::Resting, 20, 2, 1).unwrap();
         let (answerer, ids) = Answerer::local(batches.hulls(), 1).unwrap();
-        let asked = AccuracyArgs::default().asked(0.005, &[OutputArg::Alpha, OutputArg::Points]);
-        let sampled = batches.prepare(&ids, &asked, 3).unwrap();
+        let options = AccuracyArgs::default().query_options(0.005, &[OutputArg::Alpha, OutputArg::Points]);
+        let sampled = batches.prepare(&ids, &options, 3).unwrap();
         let right = answerer.answer(sampled.request(3)).await.unwrap();
         let mut wrong = right.clone();
         let last = wrong.alphas.last_mut().unwrap();

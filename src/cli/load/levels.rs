@@ -4,20 +4,20 @@ use std::str::FromStr;
 
 /// `start:end:step`, as perf_analyzer writes it; end and step may be left out.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Range {
+pub(crate) struct LevelRange {
     start: f64,
     end: f64,
     step: f64,
 }
 
-impl Range {
+impl LevelRange {
     /// A range of a single level.
     pub(crate) fn one(value: u32) -> Self {
         Self { start: value.into(), end: value.into(), step: 1.0 }
     }
 }
 
-impl FromStr for Range {
+impl FromStr for LevelRange {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -70,7 +70,7 @@ impl Level {
 #[derive(Clone, Debug)]
 pub(crate) enum Plan {
     /// The levels of a range, up to the first that is too slow.
-    Sweep { make: fn(f64) -> Level, range: Range, next: f64 },
+    Sweep { make: fn(f64) -> Level, range: LevelRange, next: f64 },
     /// A search between the highest level that was in time and the lowest that was not.
     Search { make: fn(f64) -> Level, step: f64, good: f64, bad: f64, first: bool },
     /// No more levels.
@@ -78,7 +78,7 @@ pub(crate) enum Plan {
 }
 
 impl Plan {
-    pub(crate) fn new(make: fn(f64) -> Level, range: Range, binary_search: bool) -> Self {
+    pub(crate) fn new(make: fn(f64) -> Level, range: LevelRange, binary_search: bool) -> Self {
         if !binary_search {
             return Self::Sweep { make, range, next: range.start };
         }
@@ -127,7 +127,7 @@ mod tests {
         measured
     }
 
-    fn range(text: &str) -> Range {
+    fn range(text: &str) -> LevelRange {
         text.parse().unwrap()
     }
 
@@ -140,7 +140,7 @@ mod tests {
         assert_eq!(rates(&mut sweep("1:3"), 9.0), [1.0, 2.0, 3.0]);
         assert_eq!(rates(&mut sweep("10:100:10"), 25.0), [10.0, 20.0, 30.0]);
         for bad in ["", "0", "3:1", "1:2:0", "1:inf", "a", "1:2:3:4", "1:1e9:0.001"] {
-            assert!(bad.parse::<Range>().is_err(), "{bad}");
+            assert!(bad.parse::<LevelRange>().is_err(), "{bad}");
         }
     }
 

@@ -10,7 +10,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 const REFRESH: Duration = Duration::from_millis(200);
 /// The counts that the progress line shows.
 #[derive(Debug, Default)]
-pub(super) struct Live {
+pub(super) struct LiveCounts {
     /// Batches begun.
     pub(super) begun: AtomicU64,
     pub(super) pairs: AtomicU64,
@@ -19,7 +19,7 @@ pub(super) struct Live {
 }
 
 /// Shows a progress line on standard error, if that is a terminal.
-pub(super) async fn show_progress(live: Arc<Live>, started: Instant, limit: Duration) {
+pub(super) async fn show_progress(live: Arc<LiveCounts>, started: Instant, limit: Duration) {
     let bar = ProgressBar::new(limit.as_millis().max(1) as u64);
     if let Ok(style) = ProgressStyle::with_template("{wide_bar} {msg}") {
         bar.set_style(style);

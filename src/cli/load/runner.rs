@@ -6,13 +6,13 @@ use std::time::{Duration, Instant};
 
 use tokio::task::JoinSet;
 
-use super::batches::Sampled;
+use super::batches::SampledRequests;
 use super::levels::Level;
-use super::progress::{Live, show_progress};
+use super::progress::{LiveCounts, show_progress};
 use super::tally::Tally;
 use super::{Args, Distribution};
 use crate::cli::Error;
-use crate::cli::answer::{Answerer, Refusal};
+use crate::cli::answer::{Answerer, QueryRefusal};
 use hullcast::workload::Random;
 
 /// Pause after a failed call, so that a lost server is not called in a tight loop. The pause doubles
@@ -28,7 +28,7 @@ const MOST_UNDER_WAY: usize = 16_384;
 #[derive(Clone)]
 pub(super) struct Runner {
     pub(super) answerers: Vec<Answerer>,
-    pub(super) sampled: Arc<Sampled>,
+    pub(super) sampled: Arc<SampledRequests>,
     pub(super) interrupted: Arc<AtomicBool>,
     pub(super) args: Args,
 }
@@ -36,7 +36,7 @@ pub(super) struct Runner {
 impl Runner {
     /// Measures one level. Returns its counts, and the time until all batches were answered.
     pub(super) async fn measure(&self, level: Level) -> Result<(Tally, Duration), Error> {
-        let live = Arc::new(Live::default());
+        let live = Arc::new(LiveCounts::default());
         let started = Instant::now();
         let limit = Duration::from_secs_f64(self.args.duration);
         let progress = tokio::spawn(show_progress(live.clone(), started, limit));
@@ -52,7 +52,7 @@ impl Runner {
         Ok((tally?, elapsed))
     }
 
-    async fn closed(&self, loops: u32, live: &Arc<Live>, end: Instant) -> Result<Tally, Error> {
+    async fn closed(&self, loops: u32, live: &Arc<LiveCounts>, end: Instant) -> Result<Tally, Error> {
         let mut running = JoinSet::new();
         for _ in 0..loops {
             let (one, live) = (self.clone(), live.clone());
@@ -71,7 +71,7 @@ impl Runner {
         added(running).await
     }
 
-    async fn open(&self, rate: f64, live: &Arc<Live>, started: Instant) -> Result<Tally, Error> {
+    async fn open(&self, rate: f64, live: &Arc<LiveCounts>, started: Instant) -> Result<Tally, Error> {
         let mut due = started;
         let mut random = Random::new(self.args.seed);
         let (mut tally, mut running) = (Tally::default(), JoinSet::new());
@@ -108,7 +108,13 @@ impl Runner {
     }
 
     /// Sends batch `number`, due at `due`, and counts its answer.
-    async fn batch(&self, number: u64, due: Instant, live: &Live, tally: &mut Tally) -> Result<(), String> {
+    async fn batch(
+        &self,
+        number: u64,
+        due: Instant,
+        live: &LiveCounts,
+        tally: &mut Tally,
+    ) -> Result<(), String> {
         tally.sent();
         for attempt in 0..=self.args.retries {
             // The servers take turns. A repeated batch goes to the next server, because the lost one
@@ -126,7 +132,7 @@ impl Runner {
                     }
                     return Ok(());
                 }
-                Err(Refusal { retry_after: Some(pause), .. }) => {
+                Err(QueryRefusal { retry_after: Some(pause), .. }) => {
                     tally.shed();
                     // The server asked for a pause, so a closed loop waits before its next batch, too.
                     let closed = self.args.request_rate_range.is_none();
@@ -134,11 +140,11 @@ impl Runner {
                         tokio::time::sleep(pause).await;
                     }
                 }
-                Err(Refusal { lost: true, .. }) if attempt < self.args.retries => {
+                Err(QueryRefusal { lost: true, .. }) if attempt < self.args.retries => {
                     tally.lost();
                     tokio::time::sleep((PAUSE_AFTER_ERROR * (1 << attempt.min(10))).min(LONGEST_PAUSE)).await;
                 }
-                Err(Refusal { text, .. }) => {
+                Err(QueryRefusal { text, .. }) => {
                     live.errors.fetch_add(1, Ordering::Relaxed);
                     tally.failed(text);
                     tokio::time::sleep(PAUSE_AFTER_ERROR).await;

@@ -6,7 +6,7 @@ use super::levels::Level;
 
 /// The results of one level.
 #[derive(Clone, Debug)]
-pub(crate) struct Row {
+pub(crate) struct LevelResult {
     pub(crate) level: Level,
     /// Batches sent per second.
     pub(crate) offered: f64,
@@ -23,7 +23,7 @@ pub(crate) struct Row {
 const HEAD: &str = "offered batches/s,answered batches/s,pairs/s,p50 ms,p90 ms,p95 ms,p99 ms,shed,errors";
 
 /// The rows as comma-separated values.
-pub(crate) fn csv(rows: &[Row]) -> String {
+pub(crate) fn csv(rows: &[LevelResult]) -> String {
     let kind = rows.first().map_or("level", |row| row.level.kind());
     let mut text = format!("{kind},{HEAD}\n");
     for row in rows {
@@ -44,7 +44,7 @@ pub(crate) fn csv(rows: &[Row]) -> String {
 }
 
 /// The rows as a table for display.
-pub(crate) fn table(rows: &[Row]) -> String {
+pub(crate) fn table(rows: &[LevelResult]) -> String {
     let csv = csv(rows);
     let cells: Vec<Vec<&str>> = csv.lines().map(|line| line.split(',').collect()).collect();
     let width = |column: usize| cells.iter().map(|row| row[column].len()).max().unwrap_or(0);
@@ -68,7 +68,7 @@ const CURVES: [(&str, &str); 3] = [("p50", "#3b7dd8"), ("p95", "#d8893b"), ("p99
 
 /// Draws latency against offered load, with a linear axis of load from 0 and a logarithmic axis of
 /// latency.
-pub(super) fn svg(title: &str, rows: &[Row]) -> String {
+pub(super) fn svg(title: &str, rows: &[LevelResult]) -> String {
     let scale = Scale::of(rows);
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" font-family=\"sans-serif\" \
@@ -77,10 +77,11 @@ pub(super) fn svg(title: &str, rows: &[Row]) -> String {
         title.replace('&', "&amp;").replace('<', "&lt;")
     );
     scale.draw(&mut svg);
-    let mut ordered: Vec<&Row> = rows.iter().collect();
+    let mut ordered: Vec<&LevelResult> = rows.iter().collect();
     ordered.sort_by(|a, b| a.offered.total_cmp(&b.offered));
     for (curve, (name, colour)) in CURVES.into_iter().enumerate() {
-        let point = |row: &&Row| format!("{:.1},{:.1}", scale.x(row.offered), scale.y(drawn(row)[curve]));
+        let point =
+            |row: &&LevelResult| format!("{:.1},{:.1}", scale.x(row.offered), scale.y(drawn(row)[curve]));
         let points: Vec<String> = ordered.iter().map(point).collect();
         let _ = writeln!(
             svg,
@@ -96,7 +97,7 @@ pub(super) fn svg(title: &str, rows: &[Row]) -> String {
 }
 
 /// The latencies of the row that have curves.
-fn drawn(row: &Row) -> [f64; CURVES.len()] {
+fn drawn(row: &LevelResult) -> [f64; CURVES.len()] {
     [row.latency[0], row.latency[2], row.latency[3]]
 }
 
@@ -108,7 +109,7 @@ struct Scale {
 }
 
 impl Scale {
-    fn of(rows: &[Row]) -> Self {
+    fn of(rows: &[LevelResult]) -> Self {
         let latencies = || rows.iter().flat_map(drawn);
         let low = latencies().fold(f64::INFINITY, f64::min).max(LEAST_MS).log10().floor();
         let high = latencies().fold(1e-3, f64::max).log10().ceil().max(low + 1.0);
@@ -167,7 +168,7 @@ mod tests {
     /// Catches a column under another one's heading, and a picture that does not contain the worst level.
     #[test]
     fn rows_are_written_under_their_heads() {
-        let row = |rate: f64, ms: f64| Row {
+        let row = |rate: f64, ms: f64| LevelResult {
             level: Level::Rate(rate),
             offered: rate,
             answered: rate - 1.0,

@@ -7,7 +7,7 @@ use std::time::Duration;
 use hdrhistogram::Histogram;
 
 use super::levels::Level;
-use super::sheet::Row;
+use super::sheet::LevelResult;
 use crate::cli::values::counted;
 
 /// Counts of one loop, or of all loops together.
@@ -167,10 +167,10 @@ impl Tally {
     }
 
     /// The row for a table of levels. `percentile` is the percentile by which the level is judged.
-    pub(crate) fn row(&self, level: Level, elapsed: Duration, percentile: f64) -> Row {
+    pub(crate) fn row(&self, level: Level, elapsed: Duration, percentile: f64) -> LevelResult {
         let seconds = elapsed.as_secs_f64();
         let milli = |percent: f64| self.latency.value_at_percentile(percent) as f64 / 1e6;
-        Row {
+        LevelResult {
             level,
             offered: self.sent as f64 / seconds,
             answered: self.latency.len() as f64 / seconds,

@@ -2,7 +2,7 @@
 
 use std::{net::IpAddr, sync::Arc, time::Duration};
 
-use hullcast::service::{Limits, LoadError, Security, SecurityFiles, Serving};
+use hullcast::service::{Limits, LoadError, Security, SecurityFiles, ServerOptions};
 
 use super::declared::{LONGEST, MOST_THREADS, NAMES, SHORTEST_LOOP, SHORTEST_TIME, Settings, Switch};
 use crate::cli::{
@@ -15,8 +15,8 @@ use crate::cli::{
 pub(super) const AT_LEAST_ONE: &str = "must have at least one address, host:port or unix:PATH";
 
 /// The checked settings of a server.
-pub(crate) struct Checked {
-    pub(crate) serving: Serving,
+pub(crate) struct CheckedSettings {
+    pub(crate) options: ServerOptions,
     pub(crate) limits: Limits,
     /// The time for which a server that stops still accepts calls, while health reports NOT_SERVING.
     pub(crate) grace: Duration,
@@ -28,7 +28,7 @@ impl Settings {
     ///
     /// # Errors
     /// A file cannot be used, a value is outside its range, or settings contradict each other.
-    pub(crate) fn checked(&self) -> Result<Checked, Error> {
+    pub(crate) fn check(&self) -> Result<CheckedSettings, Error> {
         self.check_addresses().map_err(|why| Exit::Usage.error(why))?;
         filter(&self.log)
             .map_err(|why| Exit::Usage.error(format!("{} is {:?}: {why}", self.shown("log"), self.log)))?;
@@ -36,7 +36,7 @@ impl Settings {
         if let Some(fault) = limits.contradiction() {
             return Err(Exit::Usage.error(self.shown_in(&fault)));
         }
-        Ok(Checked { serving: self.serving()?, limits, grace: self.grace()? })
+        Ok(CheckedSettings { options: self.options()?, limits, grace: self.grace()? })
     }
 
     /// A setting as the user knows it: its key if the file has it, and its flag otherwise.
@@ -110,11 +110,11 @@ impl Settings {
         }
     }
 
-    /// The parameters for serving. Reads the security files that the settings name.
+    /// The options of the server. Reads the security files that the settings name.
     ///
     /// # Errors
     /// A file cannot be used, or a value is outside its range.
-    fn serving(&self) -> Result<Serving, Error> {
+    fn options(&self) -> Result<ServerOptions, Error> {
         let (threads, share) = (self.compute_threads, self.otlp_share);
         if threads > MOST_THREADS {
             let name = self.shown("compute_threads");
@@ -138,7 +138,7 @@ impl Settings {
                 self.shown("playground")
             )));
         }
-        Ok(Serving {
+        Ok(ServerOptions {
             security: Arc::new(Security::open(&files).map_err(|error| self.not_loaded(error))?),
             reload_every: self.seconds("reload_seconds", self.reload_seconds, SHORTEST_LOOP)?,
             drain: self.seconds("drain_seconds", self.drain_seconds, 0.0)?,
@@ -153,11 +153,11 @@ impl Settings {
             trusted_proxies: self.trusted_proxies.iter().map(IpAddr::to_canonical).collect(),
             #[cfg(feature = "playground")]
             playground: self.playground,
-            ..Serving::default()
+            ..ServerOptions::default()
         })
     }
 
-    /// The value of [`Checked::grace`].
+    /// The value of [`CheckedSettings::grace`].
     ///
     /// # Errors
     /// The value is outside its range.
@@ -209,18 +209,18 @@ impl Settings {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::{memory::Size, settings::Given};
+    use crate::cli::{memory::MemorySize, settings::PartialSettings};
 
     /// Catches addresses that contradict each other, which only the system would refuse, as if another
     /// server had them.
     #[test]
     fn contradicting_addresses_are_refused_by_name() {
         let with = |listen: &[&str], admin: &str, proxies: &[&str]| {
-            let mut settings = Given::default().or(Given::default());
+            let mut settings = PartialSettings::default().or(PartialSettings::default());
             settings.listen = listen.iter().map(|&address| address.to_owned()).collect();
             settings.admin_listen = admin.into();
             settings.trusted_proxies = proxies.iter().map(|address| address.parse().unwrap()).collect();
-            settings.checked().map_or_else(|error| error.to_string(), |_| String::new())
+            settings.check().map_or_else(|error| error.to_string(), |_| String::new())
         };
         assert!(with(&[], "", &[]).contains("--listen is empty, must have at least one address"));
         let twice = with(&["127.0.0.1:7", "unix:a", "127.0.0.1:7"], "", &[]);
@@ -238,10 +238,14 @@ mod tests {
     /// Catches a reversed order of precedence.
     #[test]
     fn flags_win_over_the_file_and_the_file_over_defaults() {
-        let flags = Given { cache_bytes: Some(Size::Bytes(1)), ..Given::default() };
-        let file = Given { cache_bytes: Some(Size::Bytes(2)), max_page_size: Some(3), ..Given::default() };
+        let flags = PartialSettings { cache_bytes: Some(MemorySize::Bytes(1)), ..PartialSettings::default() };
+        let file = PartialSettings {
+            cache_bytes: Some(MemorySize::Bytes(2)),
+            max_page_size: Some(3),
+            ..PartialSettings::default()
+        };
         let settings = flags.or(file);
-        assert_eq!(settings.cache_bytes, Size::Bytes(1));
+        assert_eq!(settings.cache_bytes, MemorySize::Bytes(1));
         assert_eq!(settings.max_page_size, 3);
         assert_eq!(settings.limits().unwrap().max_pairs_per_request, Limits::default().max_pairs_per_request);
     }
@@ -250,32 +254,33 @@ mod tests {
     /// shown as a key. A path may contain the name of a setting.
     #[test]
     fn settings_are_shown_as_the_user_gave_them() {
-        let refused = |flags: Given, file: Given| match flags.or(file).checked() {
+        let refused = |flags: PartialSettings, file: PartialSettings| match flags.or(file).check() {
             Ok(_) => panic!("not refused"),
             Err(error) => error.to_string(),
         };
-        let named = |path: &str| Given { tls_certificate: Some(path.into()), ..Given::default() };
+        let named =
+            |path: &str| PartialSettings { tls_certificate: Some(path.into()), ..PartialSettings::default() };
         let missing = "is missing: TLS needs";
-        let said = refused(named("c.pem"), Given::default());
+        let said = refused(named("c.pem"), PartialSettings::default());
         assert!(
             said.starts_with(&format!("--tls-key {missing} --tls-certificate and --tls-key, and ")),
             "{said}"
         );
-        let said = refused(Given::default(), named("c.pem"));
+        let said = refused(PartialSettings::default(), named("c.pem"));
         assert!(
             said.starts_with(&format!("--tls-key {missing} tls_certificate and --tls-key, and ")),
             "{said}"
         );
-        let both = Given { tls_key: Some("tls_key/k.pem".into()), ..named("tls_key/c.pem") };
-        let said = refused(both.clone(), Given::default());
+        let both = PartialSettings { tls_key: Some("tls_key/k.pem".into()), ..named("tls_key/c.pem") };
+        let said = refused(both.clone(), PartialSettings::default());
         assert!(said.starts_with("--tls-certificate tls_key/c.pem: cannot be read: No such file"), "{said}");
-        let said = refused(Given::default(), both);
+        let said = refused(PartialSettings::default(), both);
         assert!(said.starts_with("tls_certificate tls_key/c.pem: "), "{said}");
-        let few = || Given { max_pairs_in_flight: Some(5), ..Given::default() };
+        let few = || PartialSettings { max_pairs_in_flight: Some(5), ..PartialSettings::default() };
         let rule =
             "is 5, must be at least 131072 (--max-pairs-per-request): the largest request would never run";
-        assert_eq!(refused(few(), Given::default()), format!("--max-pairs-in-flight {rule}"));
-        assert_eq!(refused(Given::default(), few()), format!("max_pairs_in_flight {rule}"));
+        assert_eq!(refused(few(), PartialSettings::default()), format!("--max-pairs-in-flight {rule}"));
+        assert_eq!(refused(PartialSettings::default(), few()), format!("max_pairs_in_flight {rule}"));
     }
 
     /// Catches a value outside its range that is accepted, or refused without its name, value and range.
@@ -295,10 +300,10 @@ mod tests {
             (|s| s.otlp_share = f64::NAN, "--otlp-share is NaN", "0 to 1"),
         ];
         for (spoil, value, range) in spoils {
-            let mut settings = Given::default().or(Given::default());
-            assert!(settings.grace().is_ok() && settings.serving().is_ok());
+            let mut settings = PartialSettings::default().or(PartialSettings::default());
+            assert!(settings.grace().is_ok() && settings.options().is_ok());
             spoil(&mut settings);
-            let error = settings.grace().map(|_| ()).and_then(|()| settings.serving().map(|_| ()));
+            let error = settings.grace().map(|_| ()).and_then(|()| settings.options().map(|_| ()));
             let error = error.expect_err(value).to_string();
             assert!(error.contains(value) && error.contains(range), "{error}");
         }

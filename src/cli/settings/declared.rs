@@ -8,7 +8,7 @@ use hullcast::{service::Limits, size::ByteSize};
 use serde::Serialize;
 
 use crate::cli::{
-    memory::Size,
+    memory::MemorySize,
     serve_values::{
         admin_address, bytes, collector, limit, listen_address, log_filter, proxy, size, store_url,
     },
@@ -58,7 +58,7 @@ macro_rules! settings {
         $([$($arg:tt)*])?;)*) => {
         /// Settings that a file, the environment or flags give; absent ones are left to the next.
         #[derive(Clone, Debug, Default, clap::Args)]
-        pub(crate) struct Given {
+        pub(crate) struct PartialSettings {
             $($(#[doc = $doc])* #[arg(long, env = $env, value_name = $value, allow_negative_numbers = true $(, $($arg)*)?)]
             pub(super) $name: Option<$kind>,)*
         }
@@ -72,7 +72,7 @@ macro_rules! settings {
             pub(super) of_file: Vec<&'static str>,
         }
 
-        impl Given {
+        impl PartialSettings {
             /// These settings, of flags and the environment. A setting that is absent here comes from `file`, or
             /// is the default.
             pub(crate) fn or(self, file: Self) -> Settings {
@@ -181,7 +181,7 @@ settings! {
         [value_parser = limit::<u32>("max_pairs_in_flight")];
     /// Most memory that all callers together can make the server hold, without the cached hulls: bytes,
     /// or a percentage of the memory that the process may use, such as 25%
-    max_memory_bytes: Size = |l: &Limits| Size::Bytes(l.max_memory_bytes),
+    max_memory_bytes: MemorySize = |l: &Limits| MemorySize::Bytes(l.max_memory_bytes),
         "HULLCAST_MAX_MEMORY_BYTES", "SIZE"
         [value_parser = size("max_memory_bytes")];
     /// Whether callers share memory, cached hulls and compute threads fairly
@@ -211,7 +211,7 @@ settings! {
         [value_parser = bytes("max_stream_state_bytes")];
     /// Most memory for hulls, cached and in use: bytes, or a percentage of the memory that the process may
     /// use, such as 25%
-    cache_bytes: Size = |l: &Limits| Size::Bytes(l.cache_bytes), "HULLCAST_CACHE_BYTES", "SIZE"
+    cache_bytes: MemorySize = |l: &Limits| MemorySize::Bytes(l.cache_bytes), "HULLCAST_CACHE_BYTES", "SIZE"
         [value_parser = size("cache_bytes")];
     /// Most bytes in the store; 0 means no limit
     store_bytes: ByteSize = |l: &Limits| ByteSize(l.store_bytes), "HULLCAST_STORE_BYTES", "SIZE"

@@ -14,31 +14,31 @@ use hullcast::small_file;
 
 use super::{
     checked::AT_LEAST_ONE,
-    declared::{Given, NAMES},
+    declared::{NAMES, PartialSettings},
 };
 use crate::cli::{Error, exit::Exit, values::did_you_mean};
 
-impl Given {
+impl PartialSettings {
     /// Reads a TOML file. Its values are checked as those of flags are. An unknown key is an error.
     pub(crate) fn read(path: &Path) -> Result<Self, Error> {
-        let fault = |exit: Exit, why: &str| exit.error(format!("--config {}: {why}", path.display()));
+        let failure = |exit: Exit, why: &str| exit.error(format!("--config {}: {why}", path.display()));
         let content = small_file::read(path)
-            .map_err(|error| fault(Exit::Input, &format!("cannot be read: {error}")))?;
-        let text = str::from_utf8(&content).map_err(|error| fault(Exit::Input, &error.to_string()))?;
+            .map_err(|error| failure(Exit::Input, &format!("cannot be read: {error}")))?;
+        let text = str::from_utf8(&content).map_err(|error| failure(Exit::Input, &error.to_string()))?;
         Self::parse(text).map_err(|why| match why {
-            Fault::Text(why) => fault(Exit::Input, &why),
-            Fault::Value(why) => fault(Exit::Usage, &why),
+            SettingsFileError::Text(why) => failure(Exit::Input, &why),
+            SettingsFileError::Value(why) => failure(Exit::Usage, &why),
         })
     }
 
-    pub(crate) fn parse(text: &str) -> Result<Self, Fault> {
-        let table: toml::Table = text.parse().map_err(|error| Fault::of_text(text, &error))?;
+    pub(crate) fn parse(text: &str) -> Result<Self, SettingsFileError> {
+        let table: toml::Table = text.parse().map_err(|error| SettingsFileError::of_text(text, &error))?;
         let command = values_only();
         let mut line = Vec::new();
         for (key, value) in &table {
             if !NAMES.contains(&key.as_str()) {
                 let near = did_you_mean(key, NAMES.iter().copied());
-                return Err(Fault::Text(format!(
+                return Err(SettingsFileError::Text(format!(
                     "there is no setting `{key}`{near} (`hullcast serve --print-config` prints all settings)"
                 )));
             }
@@ -46,21 +46,23 @@ impl Given {
             checked(&command, key, &flags)?;
             line.extend(flags);
         }
-        let matches = command.try_get_matches_from(line).map_err(|error| Fault::Value(error.to_string()))?;
-        Self::from_arg_matches(&matches).map_err(|error| Fault::Value(error.to_string()))
+        let matches = command
+            .try_get_matches_from(line)
+            .map_err(|error| SettingsFileError::Value(error.to_string()))?;
+        Self::from_arg_matches(&matches).map_err(|error| SettingsFileError::Value(error.to_string()))
     }
 }
 
 /// The fault of a file of settings.
 #[derive(Debug)]
-pub(crate) enum Fault {
+pub(crate) enum SettingsFileError {
     /// The text is not TOML, or has an unknown key.
     Text(String),
     /// A setting has a wrong value.
     Value(String),
 }
 
-impl Fault {
+impl SettingsFileError {
     /// The fault of a text that is not TOML, with its line. If the cause is the value of a setting, such as a
     /// number with too many digits, the error also names the allowed values.
     fn of_text(text: &str, error: &toml::de::Error) -> Self {
@@ -87,22 +89,22 @@ impl Fault {
 /// A command line that has only the flags of the settings. It reads no environment variables.
 fn values_only() -> Command {
     let command = Command::new("settings").no_binary_name(true).disable_help_flag(true);
-    Given::augment_args(command).mut_args(|arg| arg.env(Resettable::Reset))
+    PartialSettings::augment_args(command).mut_args(|arg| arg.env(Resettable::Reset))
 }
 
 /// A setting of a file as flags. A setting that is empty by default needs no flag to be empty.
-fn flags(key: &str, value: &toml::Value) -> Result<Vec<String>, Fault> {
+fn flags(key: &str, value: &toml::Value) -> Result<Vec<String>, SettingsFileError> {
     let flag = |value: &toml::Value| match value {
         toml::Value::String(text) => format!("--{}={text}", key.replace('_', "-")),
         other => format!("--{}={other}", key.replace('_', "-")),
     };
     match value {
         toml::Value::Array(values) if values.is_empty() && key == "listen" => {
-            Err(Fault::Value(format!("listen is [], {AT_LEAST_ONE}")))
+            Err(SettingsFileError::Value(format!("listen is [], {AT_LEAST_ONE}")))
         }
         toml::Value::Array(values) if LISTS.contains(&key) => Ok(values.iter().map(flag).collect()),
         toml::Value::Array(_) | toml::Value::Table(_) => {
-            Err(Fault::Value(format!("{key} is {value}, must be a single value")))
+            Err(SettingsFileError::Value(format!("{key} is {value}, must be a single value")))
         }
         toml::Value::String(text) if text.is_empty() && EMPTY.contains(&key) => Ok(Vec::new()),
         value => Ok(vec![flag(value)]),
@@ -110,7 +112,7 @@ fn flags(key: &str, value: &toml::Value) -> Result<Vec<String>, Fault> {
 }
 
 /// Checks the flags of one setting. The error names the setting, its value and what is allowed.
-fn checked(command: &Command, key: &str, flags: &[String]) -> Result<(), Fault> {
+fn checked(command: &Command, key: &str, flags: &[String]) -> Result<(), SettingsFileError> {
     let Err(error) = command.clone().try_get_matches_from(flags) else { return Ok(()) };
     let value = match error.get(ContextKind::InvalidValue) {
         Some(ContextValue::String(value)) => value.clone(),
@@ -121,7 +123,7 @@ fn checked(command: &Command, key: &str, flags: &[String]) -> Result<(), Fault> 
         (None, Some(ContextValue::Strings(allowed))) => format!("[possible values: {}]", allowed.join(", ")),
         (None, _) => error.kind().to_string(),
     };
-    Err(Fault::Value(format!("{key} is {value:?}: {allowed}")))
+    Err(SettingsFileError::Value(format!("{key} is {value:?}: {allowed}")))
 }
 
 /// The settings that are lists.
@@ -145,11 +147,11 @@ mod tests {
     use hullcast::size::ByteSize;
 
     use super::*;
-    use crate::cli::{memory::Size, settings::declared::Switch};
+    use crate::cli::{memory::MemorySize, settings::declared::Switch};
 
     fn refused(text: &str) -> String {
-        match Given::parse(text).expect_err(text) {
-            Fault::Text(why) | Fault::Value(why) => why,
+        match PartialSettings::parse(text).expect_err(text) {
+            SettingsFileError::Text(why) | SettingsFileError::Value(why) => why,
         }
     }
 
@@ -168,12 +170,12 @@ mod tests {
             cache_bytes = "25%"
             shares = "off"
         "#;
-        let given = Given::parse(text).unwrap();
+        let given = PartialSettings::parse(text).unwrap();
         assert_eq!(given.listen.unwrap(), ["127.0.0.1:1", "unix:a"]);
         assert_eq!(given.trusted_proxies.unwrap_or_default(), [] as [IpAddr; 0]);
         assert_eq!((given.playground, given.grace_seconds), (Some(true), Some(3.0)));
         assert_eq!(given.max_message_bytes, Some(ByteSize(32 << 20)));
-        assert_eq!((given.cache_bytes, given.shares), (Some(Size::Share(25.0)), Some(Switch::Off)));
+        assert_eq!((given.cache_bytes, given.shares), (Some(MemorySize::Share(25.0)), Some(Switch::Off)));
         for (text, why) in [
             ("log = [\"info\"]", "log is [\"info\"], must be a single value"),
             ("listen = []", "listen is [], must have at least one address"),
@@ -192,15 +194,18 @@ mod tests {
         let error = refused("cache_byte = 1");
         assert!(error.contains("`cache_byte`; did you mean `cache_bytes`?"), "{error}");
         assert!(!refused("nothing_like_it = 1").contains("did you mean"));
-        assert_eq!(Given::parse("cache_bytes = 1").unwrap().cache_bytes, Some(Size::Bytes(1)));
+        assert_eq!(
+            PartialSettings::parse("cache_bytes = 1").unwrap().cache_bytes,
+            Some(MemorySize::Bytes(1))
+        );
     }
 
     /// Catches settings that `--print-config` writes and `--config` cannot read.
     #[test]
     fn printed_settings_read_back() {
-        let settings = Given::default().or(Given::default());
+        let settings = PartialSettings::default().or(PartialSettings::default());
         let printed = toml::to_string(&settings).unwrap();
-        let read = Given::parse(&printed).unwrap();
-        assert_eq!(read.or(Given::default()), settings);
+        let read = PartialSettings::parse(&printed).unwrap();
+        assert_eq!(read.or(PartialSettings::default()), settings);
     }
 }

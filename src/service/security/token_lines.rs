@@ -2,7 +2,7 @@
 
 use super::{
     reloaded::{LoadError, SettingFile},
-    tokens::List,
+    tokens::TokenList,
 };
 use crate::{budget::is_reserved_name, size::ByteSize};
 
@@ -22,8 +22,8 @@ const LISTS: [&str; 2] = ["query", "register"];
 /// # Errors
 /// The list has no token, a line has a token that no call can send, or a line has a reserved name. The
 /// text names the line.
-pub(super) fn read(contents: &[(&SettingFile, Vec<u8>)], list: &str) -> Result<List, LoadError> {
-    let mut tokens = List::default();
+pub(super) fn read(contents: &[(&SettingFile, Vec<u8>)], list: &str) -> Result<TokenList, LoadError> {
+    let mut tokens = TokenList::default();
     for (file, bytes) in contents {
         if let Some(kind) = other_kind(bytes) {
             return Err(LoadError::new(file, format!("it is {kind}, expected one token per line")));

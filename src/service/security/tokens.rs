@@ -24,8 +24,8 @@ pub(super) enum Role {
 /// The lists of tokens; a list without a file is empty.
 #[derive(Debug)]
 pub(super) struct Tokens {
-    query: Option<Reloaded<List>>,
-    register: Option<Reloaded<List>>,
+    query: Option<Reloaded<TokenList>>,
+    register: Option<Reloaded<TokenList>>,
 }
 
 /// The names of the tokens of one list in metrics and logs, by the SHA-256 of the tokens.
@@ -33,7 +33,7 @@ pub(super) struct Tokens {
 /// The hashes keep tokens out of memory. They also keep the time of a search from telling anything about a
 /// token: a caller who learns which hashes are near its own knows no token with such a hash.
 #[derive(Debug, Default)]
-pub(super) struct List(HashMap<[u8; 32], Arc<str>>);
+pub(super) struct TokenList(HashMap<[u8; 32], Arc<str>>);
 
 impl Tokens {
     /// Reads the lists. Returns `None` if no list is named; then every call is allowed.
@@ -65,7 +65,7 @@ impl Tokens {
             let why = "the call needs the header `authorization: Bearer TOKEN`";
             ServiceError::new(Reason::MissingToken, why)
         })?;
-        let name = |list: &Option<Reloaded<List>>| list.as_ref().and_then(|list| list.get().name(token));
+        let name = |list: &Option<Reloaded<TokenList>>| list.as_ref().and_then(|list| list.get().name(token));
         match (name(&self.register), name(&self.query), needed) {
             (Some(name), _, _) | (_, Some(name), Role::Query) => Ok(name),
             (None, Some(_), Role::Register) => {
@@ -79,7 +79,7 @@ impl Tokens {
     }
 }
 
-impl List {
+impl TokenList {
     /// Adds a token. A token that is in the list already gets the new name.
     pub(super) fn add(&mut self, token: &[u8], name: Arc<str>) {
         self.0.insert(Sha256::digest(token).into(), name);

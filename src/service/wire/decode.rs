@@ -29,14 +29,14 @@ use crate::{
 #[cfg(any(test, feature = "testing"))]
 pub const CONSTANT_BYTES: usize = 8 << 10;
 
-/// The bounds for decoding one request.
-pub(in crate::service) struct Bounds<'a> {
+/// The limits, the step counter and the memory for decoding one request.
+pub(in crate::service) struct DecodeResources<'a> {
     limits: &'a Limits,
     meter: Meter<'a>,
     take: &'a mut (dyn FnMut(usize) -> Result<(), ServiceError> + Send),
 }
 
-impl<'a> Bounds<'a> {
+impl<'a> DecodeResources<'a> {
     /// `take` takes memory from the call's budget before it is allocated; `stop` ends the work.
     pub(in crate::service) fn new(
         limits: &'a Limits,
@@ -48,7 +48,7 @@ impl<'a> Bounds<'a> {
 }
 
 /// A message that a client may send.
-pub(in crate::service) trait Request: Send + Sync + 'static {
+pub(in crate::service) trait DecodeRequest: Send + Sync + 'static {
     /// The decoded message.
     type Decoded: Send + 'static;
 
@@ -57,15 +57,15 @@ pub(in crate::service) trait Request: Send + Sync + 'static {
     /// # Errors
     /// MALFORMED_MESSAGE, a limit that the message exceeds, a budget without room for it, or that
     /// the work was stopped.
-    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Self::Decoded, ServiceError>;
+    fn read(message: &[u8], resources: &mut DecodeResources<'_>) -> Result<Self::Decoded, ServiceError>;
 }
 
-impl Request for proto::GetServerInfoRequest {
+impl DecodeRequest for proto::GetServerInfoRequest {
     type Decoded = ();
 
-    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<(), ServiceError> {
+    fn read(message: &[u8], resources: &mut DecodeResources<'_>) -> Result<(), ServiceError> {
         let mut fields = Fields::new(message);
-        while fields.next(&bounds.meter)?.is_some() {}
+        while fields.next(&resources.meter)?.is_some() {}
         Ok(())
     }
 }
@@ -82,7 +82,7 @@ pub fn decoded_bytes(
     limits: &Limits,
     stop: &Stop,
 ) -> Result<usize, ServiceError> {
-    fn decode<M: Request>(
+    fn decode<M: DecodeRequest>(
         message: &[u8],
         limits: &Limits,
         stop: &Stop,
@@ -92,7 +92,7 @@ pub fn decoded_bytes(
             taken += bytes;
             Ok(())
         };
-        let decoded = M::read(message, &mut Bounds::new(limits, stop, &mut take))?;
+        let decoded = M::read(message, &mut DecodeResources::new(limits, stop, &mut take))?;
         Ok((decoded, taken))
     }
     let bytes = match method {

@@ -23,32 +23,32 @@ pub(super) const BYTES_PER_STEP: usize = 4;
 
 /// The reason why reading ended early.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Fault {
+pub(super) enum FieldError {
     /// The bytes are not a message of this type.
     Malformed(String),
     /// The work was stopped.
     Stopped,
 }
 
-impl Fault {
+impl FieldError {
     fn malformed(why: impl ToString) -> Self {
         Self::Malformed(why.to_string())
     }
 }
 
-impl From<Stopped> for Fault {
+impl From<Stopped> for FieldError {
     fn from(_: Stopped) -> Self {
         Self::Stopped
     }
 }
 
-impl From<Fault> for ServiceError {
-    fn from(fault: Fault) -> Self {
-        match fault {
-            Fault::Malformed(why) => {
+impl From<FieldError> for ServiceError {
+    fn from(error: FieldError) -> Self {
+        match error {
+            FieldError::Malformed(why) => {
                 Self::new(Reason::MalformedMessage, format!("the message cannot be decoded: {why}"))
             }
-            Fault::Stopped => Stopped.into(),
+            FieldError::Stopped => Stopped.into(),
         }
     }
 }
@@ -66,40 +66,40 @@ pub(super) struct Field<'a> {
 }
 
 impl<'a> Field<'a> {
-    fn checked(&self, expected: WireType) -> Result<(), Fault> {
+    fn checked(&self, expected: WireType) -> Result<(), FieldError> {
         if self.wire_type == expected {
             return Ok(());
         }
         let (tag, found) = (self.tag, self.wire_type);
-        Err(Fault::malformed(format!("field {tag} has wire type {found:?}, expected {expected:?}")))
+        Err(FieldError::malformed(format!("field {tag} has wire type {found:?}, expected {expected:?}")))
     }
 
     /// The value of an integer, an enum or a bool.
-    pub(super) fn varint(&self) -> Result<u64, Fault> {
+    pub(super) fn varint(&self) -> Result<u64, FieldError> {
         self.checked(WireType::Varint)?;
         Ok(self.varint)
     }
 
     /// The value of a double.
-    pub(super) fn double(&self) -> Result<f64, Fault> {
+    pub(super) fn double(&self) -> Result<f64, FieldError> {
         self.checked(WireType::SixtyFourBit)?;
-        let bytes = self.payload.try_into().map_err(Fault::malformed)?;
+        let bytes = self.payload.try_into().map_err(FieldError::malformed)?;
         Ok(f64::from_le_bytes(bytes))
     }
 
     /// The content of bytes or of a message.
-    pub(super) fn bytes(&self) -> Result<&'a [u8], Fault> {
+    pub(super) fn bytes(&self) -> Result<&'a [u8], FieldError> {
         self.checked(WireType::LengthDelimited)?;
         Ok(self.payload)
     }
 
     /// The content of a string.
-    pub(super) fn text(&self) -> Result<&'a str, Fault> {
-        std::str::from_utf8(self.bytes()?).map_err(Fault::malformed)
+    pub(super) fn text(&self) -> Result<&'a str, FieldError> {
+        std::str::from_utf8(self.bytes()?).map_err(FieldError::malformed)
     }
 
     /// The elements of a column that this field has: many if the column is packed, otherwise one.
-    pub(super) fn elements<const WIDTH: usize>(&self) -> Result<&'a [[u8; WIDTH]], Fault> {
+    pub(super) fn elements<const WIDTH: usize>(&self) -> Result<&'a [[u8; WIDTH]], FieldError> {
         if self.wire_type != WireType::LengthDelimited {
             self.checked(if WIDTH == 8 { WireType::SixtyFourBit } else { WireType::ThirtyTwoBit })?;
         }
@@ -108,11 +108,11 @@ impl<'a> Field<'a> {
             return Ok(elements);
         }
         let (tag, length) = (self.tag, self.payload.len());
-        Err(Fault::malformed(format!("field {tag} has {length} bytes, expected a multiple of {WIDTH}")))
+        Err(FieldError::malformed(format!("field {tag} has {length} bytes, expected a multiple of {WIDTH}")))
     }
 
     /// Passes the elements of a column of varints to `each`.
-    pub(super) fn varints(&self, meter: &Meter<'_>, mut each: impl FnMut(u64)) -> Result<(), Fault> {
+    pub(super) fn varints(&self, meter: &Meter<'_>, mut each: impl FnMut(u64)) -> Result<(), FieldError> {
         if self.wire_type != WireType::LengthDelimited {
             each(self.varint()?);
             return Ok(());
@@ -120,7 +120,7 @@ impl<'a> Field<'a> {
         let mut rest = self.payload;
         while !rest.is_empty() {
             meter.spend(FIELD_STEPS)?;
-            each(decode_varint(&mut rest).map_err(Fault::malformed)?);
+            each(decode_varint(&mut rest).map_err(FieldError::malformed)?);
         }
         Ok(())
     }
@@ -147,11 +147,11 @@ impl<'a> Fields<'a> {
     }
 
     /// The next field, or `None` at the end. A group counts as one field without content.
-    pub(super) fn next(&mut self, meter: &Meter<'_>) -> Result<Option<Field<'a>>, Fault> {
+    pub(super) fn next(&mut self, meter: &Meter<'_>) -> Result<Option<Field<'a>>, FieldError> {
         if self.rest.is_empty() {
             return Ok(None);
         }
-        let (tag, wire_type) = decode_key(&mut self.rest).map_err(Fault::malformed)?;
+        let (tag, wire_type) = decode_key(&mut self.rest).map_err(FieldError::malformed)?;
         self.value(tag, wire_type, self.depth, meter).map(Some)
     }
 
@@ -161,43 +161,48 @@ impl<'a> Fields<'a> {
         wire_type: WireType,
         depth: u32,
         meter: &Meter<'_>,
-    ) -> Result<Field<'a>, Fault> {
+    ) -> Result<Field<'a>, FieldError> {
         meter.spend(FIELD_STEPS)?;
         let mut field = Field { tag, wire_type, payload: &[], varint: 0 };
         match wire_type {
-            WireType::Varint => field.varint = decode_varint(&mut self.rest).map_err(Fault::malformed)?,
+            WireType::Varint => {
+                field.varint = decode_varint(&mut self.rest).map_err(FieldError::malformed)?
+            }
             WireType::SixtyFourBit => field.payload = self.take(8)?,
             WireType::ThirtyTwoBit => field.payload = self.take(4)?,
             WireType::LengthDelimited => {
-                let length = decode_varint(&mut self.rest).map_err(Fault::malformed)?;
+                let length = decode_varint(&mut self.rest).map_err(FieldError::malformed)?;
                 field.payload = self.take(length)?;
             }
             WireType::StartGroup => self.skip_group(tag, depth, meter)?,
-            WireType::EndGroup => return Err(Fault::malformed(format!("group {tag} ends before it begins"))),
+            WireType::EndGroup => {
+                return Err(FieldError::malformed(format!("group {tag} ends before it begins")));
+            }
         }
         Ok(field)
     }
 
-    fn take(&mut self, length: u64) -> Result<&'a [u8], Fault> {
+    fn take(&mut self, length: u64) -> Result<&'a [u8], FieldError> {
         let split = usize::try_from(length).ok().and_then(|length| self.rest.split_at_checked(length));
-        let ended = || Fault::malformed(format!("a field of {length} bytes has only {}", self.rest.len()));
+        let ended =
+            || FieldError::malformed(format!("a field of {length} bytes has only {}", self.rest.len()));
         let (payload, rest) = split.ok_or_else(ended)?;
         self.rest = rest;
         Ok(payload)
     }
 
     /// Skips the content of a group, up to its end.
-    fn skip_group(&mut self, tag: u32, depth: u32, meter: &Meter<'_>) -> Result<(), Fault> {
+    fn skip_group(&mut self, tag: u32, depth: u32, meter: &Meter<'_>) -> Result<(), FieldError> {
         loop {
-            let (inner, wire_type) = decode_key(&mut self.rest).map_err(Fault::malformed)?;
+            let (inner, wire_type) = decode_key(&mut self.rest).map_err(FieldError::malformed)?;
             if wire_type == WireType::EndGroup {
                 if inner == tag {
                     return Ok(());
                 }
-                return Err(Fault::malformed(format!("group {tag} ends as group {inner}")));
+                return Err(FieldError::malformed(format!("group {tag} ends as group {inner}")));
             }
             if depth <= 1 {
-                return Err(Fault::malformed(format!("groups are nested deeper than {DEPTH} levels")));
+                return Err(FieldError::malformed(format!("groups are nested deeper than {DEPTH} levels")));
             }
             self.value(inner, wire_type, depth - 1, meter)?;
         }
@@ -210,7 +215,7 @@ pub(super) fn append<T, const WIDTH: usize>(
     elements: &[[u8; WIDTH]],
     read: fn([u8; WIDTH]) -> T,
     meter: &Meter<'_>,
-) -> Result<(), Fault> {
+) -> Result<(), FieldError> {
     const AT_A_TIME: usize = 256 << 10;
     for some in elements.chunks(AT_A_TIME / WIDTH) {
         meter.spend((some.len() * WIDTH / BYTES_PER_STEP) as u64)?;
@@ -237,7 +242,7 @@ mod tests {
         bytes
     }
 
-    fn count(bytes: &[u8], stop: &Stop) -> Result<usize, Fault> {
+    fn count(bytes: &[u8], stop: &Stop) -> Result<usize, FieldError> {
         let (mut fields, meter, mut count) = (Fields::new(bytes), Meter::new(stop), 0);
         while fields.next(&meter)?.is_some() {
             count += 1;
@@ -270,7 +275,7 @@ mod tests {
             assert!(stop.largest_between_looks() <= 2 * GATHERED_STEPS);
             let stopped = Stop::default();
             stopped.stop();
-            assert_eq!(count(&bytes, &stopped), Err(Fault::Stopped));
+            assert_eq!(count(&bytes, &stopped), Err(FieldError::Stopped));
             assert!(stopped.steps() <= 2 * GATHERED_STEPS, "{}", stopped.steps());
         }
     }

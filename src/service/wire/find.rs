@@ -28,6 +28,6 @@ pub(in crate::service) fn find(
     let [worlds, groups, ignored] =
         [&mut request.worlds, &mut request.groups, &mut request.ignored_groups].map(std::mem::take);
     let scene = stoppable_scene(request, limits, stop)?;
-    let rules = Rules::checked(scene.setting.body_count(), worlds, groups, ignored)?;
+    let rules = Rules::checked(scene.template.body_count(), worlds, groups, ignored)?;
     Ok((scene, rules))
 }

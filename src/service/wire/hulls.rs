@@ -13,7 +13,7 @@ use crate::{
 
 /// A hull of a `RegisterHulls` request: its definition, or the reason why only this hull is
 /// refused.
-pub(in crate::service) type Definition = Result<HullDefinition, proto::HullError>;
+pub(in crate::service) type CheckedDefinition = Result<HullDefinition, proto::HullError>;
 
 /// The definition of a hull whose columns have valid lengths.
 pub(super) fn definition(hull: proto::HullDefinition) -> HullDefinition {
@@ -97,7 +97,7 @@ fn hull_info(id: HullId, hull: &ConvexHull) -> proto::HullInfo {
 
 /// The parts of a hull that a `GetHulls` request asks for.
 #[derive(Clone, Copy, Debug, Default)]
-pub(in crate::service) struct Parts {
+pub(in crate::service) struct RecordParts {
     pub(in crate::service) info: bool,
     pub(in crate::service) vertices: bool,
     pub(in crate::service) faces: bool,
@@ -106,7 +106,7 @@ pub(in crate::service) struct Parts {
 /// The most letters of an unknown path that the error repeats.
 const SHOWN_LETTERS: usize = 40;
 
-impl Parts {
+impl RecordParts {
     /// The parts named by the field mask of `GetHulls`; "info" if it names none.
     pub(super) fn named(paths: &[&str]) -> Result<Self, ServiceError> {
         let mut parts = Self { info: paths.is_empty(), ..Self::default() };
@@ -133,7 +133,7 @@ pub(in crate::service) fn not_found(id: HullId) -> proto::HullRecord {
 }
 
 /// Bytes of the columns of a hull's record. Its encoded size is some hundred bytes more.
-pub(in crate::service) fn record_bytes(hull: &ConvexHull, parts: Parts) -> usize {
+pub(in crate::service) fn record_bytes(hull: &ConvexHull, parts: RecordParts) -> usize {
     let (vertices, faces) = (hull.vertex_count(), hull.face_count());
     let vertices = if parts.vertices { vertices * (size_of::<[f64; 3]>() + size_of::<u32>()) } else { 0 };
     let faces = match parts.faces {
@@ -148,24 +148,24 @@ fn corners(hull: &ConvexHull) -> usize {
     (0..hull.face_count()).map(|face| hull.face_outline(face).len()).sum()
 }
 
-/// The records in the order of the answer: entry i is record `places[i]`.
+/// The records in the order of the answer: entry i is record `indices[i]`.
 ///
 /// # Errors
 /// The work was stopped.
 pub(in crate::service) fn repeated(
     records: Vec<proto::HullRecord>,
-    places: &[usize],
+    indices: &[usize],
     stop: &Stop,
 ) -> Result<Vec<proto::HullRecord>, ServiceError> {
-    if records.len() == places.len() {
+    if records.len() == indices.len() {
         // No hull is repeated, so the records are in order already.
         return Ok(records);
     }
     let meter = Meter::new(stop);
-    let mut repeated = Vec::with_capacity(places.len());
-    for &place in places {
-        meter.spend((records[place].encoded_len() / BYTES_PER_STEP) as u64)?;
-        repeated.push(records[place].clone());
+    let mut repeated = Vec::with_capacity(indices.len());
+    for &index in indices {
+        meter.spend((records[index].encoded_len() / BYTES_PER_STEP) as u64)?;
+        repeated.push(records[index].clone());
     }
     Ok(repeated)
 }
@@ -176,7 +176,7 @@ pub(in crate::service) fn record(
     id: HullId,
     hull: &ConvexHull,
     definition: Option<&HullDefinition>,
-    parts: Parts,
+    parts: RecordParts,
 ) -> proto::HullRecord {
     let mut record = proto::HullRecord { found: true, ..not_found(id) };
     if parts.info {

@@ -5,7 +5,9 @@ use std::{collections::HashSet, sync::Arc};
 use crate::{
     batch::{
         Output, Outputs,
-        scene::{Fault, FaultKind, Poses, SceneError, Setting, check_margin, pair_lengths, pose_lengths},
+        scene::{
+            FaultKind, Poses, SceneError, SceneFault, SceneTemplate, check_margin, pair_lengths, pose_lengths,
+        },
     },
     contact::{Accuracy, Solver, Stop, stop::Meter},
     proto,
@@ -24,7 +26,7 @@ pub struct CheckedScene {
     /// The hulls, each listed once.
     pub hull_ids: Arc<Vec<HullId>>,
     /// The bodies, pairs and options.
-    pub setting: Arc<Setting>,
+    pub template: Arc<SceneTemplate>,
     /// The poses of the bodies.
     pub poses: Poses,
     /// The bodies without a usable pose, in ascending order.
@@ -33,8 +35,8 @@ pub struct CheckedScene {
     pub warm_starts: Vec<u32>,
 }
 
-impl From<Fault> for ServiceError {
-    fn from(Fault { kind, field, index, message }: Fault) -> Self {
+impl From<SceneFault> for ServiceError {
+    fn from(SceneFault { kind, field, index, message }: SceneFault) -> Self {
         let reason = match kind {
             FaultKind::Length => Reason::LengthMismatch,
             FaultKind::Index => Reason::IndexOutOfRange,
@@ -91,24 +93,31 @@ pub(in crate::service) fn stoppable_scene(
     // The lengths come first, so that the first fault that is found does not depend on the other columns.
     pose_lengths(bodies, &request.positions, &request.rotations)?;
     pair_lengths(&request.pairs, &request.warm_starts)?;
-    let setting = Setting::new(request.hull_ids.len(), request.body_hulls, request.pairs, meter)?;
+    let template = SceneTemplate::new(request.hull_ids.len(), request.body_hulls, request.pairs, meter)?;
     let hull_ids = Arc::new(distinct_ids(&request.hull_ids, meter)?);
     check_margin(request.margin)?;
-    let setting =
-        setting.with_query(request.margin, known_accuracy(&accuracy)?, outputs(&request.outputs))?;
+    let template =
+        template.with_query(request.margin, known_accuracy(&accuracy)?, outputs(&request.outputs))?;
     let (poses, invalid_bodies) = Poses::new(bodies, request.positions, request.rotations, meter)?;
     let (request_id, warm_starts) = (request.request_id, request.warm_starts);
-    Ok(CheckedScene { request_id, hull_ids, setting: Arc::new(setting), poses, invalid_bodies, warm_starts })
+    Ok(CheckedScene {
+        request_id,
+        hull_ids,
+        template: Arc::new(template),
+        poses,
+        invalid_bodies,
+        warm_starts,
+    })
 }
 
-/// Checks a request that sends only poses, inherits hulls and `setting`, and starts from `bases`.
+/// Checks a request that sends only poses, inherits hulls and `template`, and starts from `bases`.
 ///
 /// # Errors
 /// The first fault found, with the field, or that the work was stopped.
 pub(in crate::service) fn inherited(
     request: proto::QueryContactsRequest,
     hull_ids: Arc<Vec<HullId>>,
-    setting: Arc<Setting>,
+    template: Arc<SceneTemplate>,
     bases: Vec<u32>,
     stop: &Stop,
 ) -> Result<CheckedScene, ServiceError> {
@@ -130,9 +139,9 @@ pub(in crate::service) fn inherited(
     }
     let meter = &Meter::new(stop);
     let (poses, invalid_bodies) =
-        Poses::new(setting.body_count(), request.positions, request.rotations, meter)?;
+        Poses::new(template.body_count(), request.positions, request.rotations, meter)?;
     let request_id = request.request_id;
-    Ok(CheckedScene { request_id, hull_ids, setting, poses, invalid_bodies, warm_starts: bases })
+    Ok(CheckedScene { request_id, hull_ids, template, poses, invalid_bodies, warm_starts: bases })
 }
 
 fn refuse_foreign(column: &[u32], field: &'static str) -> Result<(), ServiceError> {

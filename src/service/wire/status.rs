@@ -20,13 +20,13 @@ impl From<ServiceError> for Status {
     fn from(error: ServiceError) -> Self {
         let mut about = HashMap::new();
         let mut details = ErrorDetails::new();
-        if let Some(place) = &error.place {
-            about.insert("field".to_owned(), place.field.to_owned());
-            if let Some(index) = place.index {
+        if let Some(location) = &error.location {
+            about.insert("field".to_owned(), location.field.to_owned());
+            if let Some(index) = location.index {
                 about.insert("index".to_owned(), index.to_string());
             }
             if error.reason.code() == Code::InvalidArgument {
-                details.add_bad_request_violation(place.to_string(), &error.message);
+                details.add_bad_request_violation(location.to_string(), &error.message);
             }
         }
         details.set_error_info(error.reason.name(), DOMAIN, about);

@@ -13,7 +13,7 @@ type Future<'a, T> = futures_util::future::BoxFuture<'a, Result<T, StoreError>>;
 
 /// A store in memory with switches for faults and counters of operations.
 #[derive(Debug)]
-pub(crate) struct Faulty {
+pub(crate) struct FaultyStore {
     inner: Arc<dyn BlobStore>,
     /// Every operation fails.
     pub(crate) unreadable: AtomicBool,
@@ -31,7 +31,7 @@ pub(crate) struct Faulty {
     pub(crate) listings: AtomicUsize,
 }
 
-impl Faulty {
+impl FaultyStore {
     pub(crate) fn new() -> Arc<Self> {
         Arc::new(Self {
             inner: blobs::open("memory://").unwrap(),
@@ -59,7 +59,7 @@ impl Faulty {
     }
 }
 
-impl BlobStore for Faulty {
+impl BlobStore for FaultyStore {
     fn put(&self, id: HullId, blob: Bytes) -> Future<'_, ()> {
         Box::pin(async move {
             if self.full.load(Ordering::SeqCst) {

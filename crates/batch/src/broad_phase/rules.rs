@@ -6,7 +6,7 @@ use hullcast_contact::{
     stop::Meter,
 };
 
-use crate::scene::{Fault, FaultKind, has_length};
+use crate::scene::{FaultKind, SceneFault, has_length};
 
 /// Steps to compare and move two keys.
 const COMPARISON: u64 = 2;
@@ -47,7 +47,7 @@ impl Rules {
         worlds: Vec<u32>,
         groups: Vec<u32>,
         ignored: Vec<u32>,
-    ) -> Result<Self, Fault> {
+    ) -> Result<Self, SceneFault> {
         for (column, field) in [(&worlds, "worlds"), (&groups, "groups")] {
             if !column.is_empty() {
                 has_length(column.len(), bodies, field, "none or one per body")?;
@@ -57,7 +57,7 @@ impl Rules {
         if let Some(at) = ignored.iter().position(|&group| group == 0) {
             let message = "got 0, which means no group: groups that ignore each other must be above 0";
             let (kind, field) = (FaultKind::Value, "ignored_groups");
-            return Err(Fault { kind, field, index: Some(at), message: message.into() });
+            return Err(SceneFault { kind, field, index: Some(at), message: message.into() });
         }
         Ok(Self::new(worlds, groups, ignored))
     }

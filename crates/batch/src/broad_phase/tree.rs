@@ -124,7 +124,7 @@ pub(super) struct Tree {
 }
 
 /// A search for the partners of one body.
-pub(super) struct Query<'a> {
+pub(super) struct PartnerSearch<'a> {
     pub(super) leaf: Leaf,
     pub(super) rules: &'a Rules,
     pub(super) found: &'a mut Vec<u32>,
@@ -233,17 +233,21 @@ impl Tree {
         }
     }
 
-    /// Searches `nodes` for partners of a body and adds them to the query. Returns the nodes that are
+    /// Searches `nodes` for partners of a body and adds them to the search. Returns the nodes that are
     /// still to be visited if the search is suspended, or `None` if it is complete.
-    pub(super) fn partners(&self, nodes: Range<usize>, query: &mut Query<'_>) -> Option<Range<usize>> {
+    pub(super) fn partners(
+        &self,
+        nodes: Range<usize>,
+        search: &mut PartnerSearch<'_>,
+    ) -> Option<Range<usize>> {
         let Range { start: mut at, end } = nodes;
-        let Leaf { bounds, body, group, .. } = query.leaf;
+        let Leaf { bounds, body, group, .. } = search.leaf;
         let node_bounds = NodeBounds::around(bounds);
-        let rule_steps = query.rules.steps();
-        let mut left = *query.left;
+        let rule_steps = search.rules.steps();
+        let mut left = *search.left;
         while at < end {
             if left == 0 {
-                *query.left = 0;
+                *search.left = 0;
                 return Some(at..end);
             }
             left = left.saturating_sub(NODE_STEPS);
@@ -261,13 +265,13 @@ impl Tree {
                     if group != 0 {
                         left = left.saturating_sub(rule_steps);
                     }
-                    if query.rules.may_meet(group, leaf.group) {
-                        query.found.push(leaf.body);
+                    if search.rules.may_meet(group, leaf.group) {
+                        search.found.push(leaf.body);
                     }
                 }
             }
         }
-        *query.left = left;
+        *search.left = left;
         None
     }
 }
@@ -289,19 +293,19 @@ fn halves<'a, T>(
     stop: &Stop,
 ) -> Result<(&'a mut [T], &'a mut [T]), Stopped> {
     // This is twice the centre, which has the same order.
-    let center = |item: &T| bounds(item).low + bounds(item).high;
+    let centre = |item: &T| bounds(item).low + bounds(item).high;
     let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     for run in items.chunks(UNINTERRUPTED) {
         stop.spend(AXIS_STEPS * run.len() as u64)?;
         for item in run {
-            let center = center(item);
-            (low, high) = (low.min(center), high.max(center));
+            let centre = centre(item);
+            (low, high) = (low.min(centre), high.max(centre));
         }
     }
     let spread = high - low;
     let axis = [0, 1, 2].into_iter().max_by(|&i, &j| spread[i].total_cmp(&spread[j])).unwrap_or(0);
     let middle = items.len() / 2;
-    select(items, middle, |item| center(item)[axis], stop)?;
+    select(items, middle, |item| centre(item)[axis], stop)?;
     Ok(items.split_at_mut(middle))
 }
 

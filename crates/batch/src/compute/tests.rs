@@ -65,22 +65,22 @@ async fn parts_come_back_in_order() {
         let compute = Compute::new(threads).unwrap();
         assert_eq!(compute.threads(), threads);
         for count in [0, 1, 2, 3, 100, 1001] {
-            assert_eq!(compute.split(numbers(count), &job()).await, Ok((0..count).collect()));
+            assert_eq!(compute.run_parts(numbers(count), &job()).await, Ok((0..count).collect()));
         }
         let failing = Numbers { fails_at: Some(50), ..numbers(100) };
-        let failed = compute.split(failing, &job()).await.unwrap_err();
+        let failed = compute.run_parts(failing, &job()).await.unwrap_err();
         assert!(failed.to_string().contains("on purpose"), "{failed}");
     }
 }
 
-/// Work whose parts return the number of their turn. A part waits while `held` is set.
-struct Turns {
+/// Work whose parts return the number of their order. A part waits while `held` is set.
+struct CountedParts {
     count: usize,
-    turn: Arc<AtomicUsize>,
+    order: Arc<AtomicUsize>,
     held: Arc<AtomicBool>,
 }
 
-impl Parts for Turns {
+impl Parts for CountedParts {
     type Part = usize;
     type Whole = Vec<usize>;
 
@@ -89,9 +89,9 @@ impl Parts for Turns {
     }
 
     fn part(&self, _: usize) -> Result<usize, Stopped> {
-        let turn = self.turn.fetch_add(1, Ordering::SeqCst);
+        let order = self.order.fetch_add(1, Ordering::SeqCst);
         wait_while(&self.held);
-        Ok(turn)
+        Ok(order)
     }
 
     fn whole(&self, parts: Vec<usize>) -> Result<Vec<usize>, Stopped> {
@@ -104,16 +104,16 @@ impl Parts for Turns {
 #[tokio::test]
 async fn short_work_does_not_wait_for_long_work() {
     let compute = Compute::new(1).unwrap();
-    let (turn, held) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicBool::new(true)));
-    let turns = |count| Turns { count, turn: turn.clone(), held: held.clone() };
+    let (order, held) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicBool::new(true)));
+    let counted_parts = |count| CountedParts { count, order: order.clone(), held: held.clone() };
     let (one, other) = (job(), job());
-    let mut long = Box::pin(compute.split(turns(1000), &one));
+    let mut long = Box::pin(compute.run_parts(counted_parts(1000), &one));
     assert!(futures_util::poll!(long.as_mut()).is_pending());
-    while turn.load(Ordering::SeqCst) == 0 {
+    while order.load(Ordering::SeqCst) == 0 {
         thread::yield_now();
     }
     // Polling once puts the short work into the queue before the long work goes on.
-    let mut short = Box::pin(compute.split(turns(2), &other));
+    let mut short = Box::pin(compute.run_parts(counted_parts(2), &other));
     assert!(futures_util::poll!(short.as_mut()).is_pending());
     held.store(false, Ordering::SeqCst);
     assert_eq!(short.await, Ok(vec![2, 4]));
@@ -129,7 +129,7 @@ async fn dropping_the_threads_ends_them() {
     held.store(true, Ordering::SeqCst);
     let mut waiting = Box::pin({
         let compute = compute.clone();
-        async move { compute.split(long, &job()).await }
+        async move { compute.run_parts(long, &job()).await }
     });
     assert!(futures_util::poll!(waiting.as_mut()).is_pending());
     while begun.load(Ordering::SeqCst) == 0 {
@@ -153,7 +153,7 @@ async fn work_that_nobody_waits_for_is_freed_before_the_next_part() {
     let (held, begun) = (first.held.clone(), first.begun.clone());
     held.store(true, Ordering::SeqCst);
     let long = job();
-    let mut under_way = Box::pin(compute.split(first, &long));
+    let mut under_way = Box::pin(compute.run_parts(first, &long));
     assert!(futures_util::poll!(under_way.as_mut()).is_pending());
     while begun.load(Ordering::SeqCst) == 0 {
         thread::yield_now();
@@ -161,9 +161,9 @@ async fn work_that_nobody_waits_for_is_freed_before_the_next_part() {
     let (left, stopped, last) = (numbers(100), numbers(100), numbers(1));
     let counts = [&left, &stopped].map(|numbers| (numbers.begun.clone(), numbers.held.clone()));
     let (leaving, stopping, waiting) = (job(), job(), job());
-    let mut leaves = Box::pin(compute.split(left, &leaving));
-    let mut stops = Box::pin(compute.split(stopped, &stopping));
-    let mut waits = Box::pin(compute.split(last, &waiting));
+    let mut leaves = Box::pin(compute.run_parts(left, &leaving));
+    let mut stops = Box::pin(compute.run_parts(stopped, &stopping));
+    let mut waits = Box::pin(compute.run_parts(last, &waiting));
     assert!(futures_util::poll!(leaves.as_mut()).is_pending());
     assert!(futures_util::poll!(stops.as_mut()).is_pending());
     assert!(futures_util::poll!(waits.as_mut()).is_pending());

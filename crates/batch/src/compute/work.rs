@@ -4,20 +4,20 @@ use std::sync::Mutex;
 
 use tokio::sync::oneshot;
 
-use super::{Caller, ComputeError, Job, Parts, caught, locked};
+use super::{CallerId, ComputeError, Job, Parts, catch_panic, locked};
 
 /// The smallest number of steps that a part is charged with: those that a thread takes to get the
 /// part and to return its result.
 pub(super) const LEAST_STEPS: u64 = 2_000;
 
 /// Work, and the results of its parts that are done.
-pub(super) struct Shared<W: Parts, C> {
+pub(super) struct SharedWork<W: Parts, C> {
     work: W,
     job: Job<C>,
-    done: Mutex<Done<W>>,
+    done: Mutex<PartResults<W>>,
 }
 
-struct Done<W: Parts> {
+struct PartResults<W: Parts> {
     /// The number of parts that are not done.
     left: usize,
     /// The result of each part, once it is done.
@@ -42,13 +42,13 @@ pub(super) trait Work: Send + Sync {
 
     /// Does a part and stores its result. The answer is sent when the last part is done, or when a
     /// part fails.
-    fn part(&self, index: usize);
+    fn do_part(&self, index: usize);
 
     /// Sends the answer that the work was stopped.
-    fn stopped(&self);
+    fn answer_stopped(&self);
 }
 
-impl<W: Parts, C: Caller> Work for Shared<W, C> {
+impl<W: Parts, C: CallerId> Work for SharedWork<W, C> {
     fn caller(&self) -> u64 {
         self.job.caller.id()
     }
@@ -65,8 +65,8 @@ impl<W: Parts, C: Caller> Work for Shared<W, C> {
         self.work.steps(index).max(LEAST_STEPS)
     }
 
-    fn part(&self, index: usize) {
-        let part = caught(|| self.work.part(index));
+    fn do_part(&self, index: usize) {
+        let part = catch_panic(|| self.work.part(index));
         let mut done = locked(&self.done);
         match part.map_err(ComputeError::from).and_then(|part| part.map_err(ComputeError::from)) {
             Err(error) => {
@@ -85,12 +85,12 @@ impl<W: Parts, C: Caller> Work for Shared<W, C> {
         }
     }
 
-    fn stopped(&self) {
+    fn answer_stopped(&self) {
         self.finish(Err(ComputeError::Stopped));
     }
 }
 
-impl<W: Parts, C: Caller> Shared<W, C> {
+impl<W: Parts, C: CallerId> SharedWork<W, C> {
     /// Work of `count` parts whose result is sent through `answer`.
     pub(super) fn new(
         work: W,
@@ -99,7 +99,7 @@ impl<W: Parts, C: Caller> Shared<W, C> {
         answer: oneshot::Sender<Result<W::Whole, ComputeError>>,
     ) -> Self {
         let parts = (0..count).map(|_| None).collect();
-        let done = Done { left: count, parts, answer: Some(answer) };
+        let done = PartResults { left: count, parts, answer: Some(answer) };
         Self { work, job: job.clone(), done: Mutex::new(done) }
     }
 
@@ -109,7 +109,7 @@ impl<W: Parts, C: Caller> Shared<W, C> {
         if !awaited {
             return;
         }
-        let whole = parts.and_then(|parts| Ok(caught(|| self.work.whole(parts))??));
+        let whole = parts.and_then(|parts| Ok(catch_panic(|| self.work.whole(parts))??));
         let answer = locked(&self.done).answer.take();
         // The send fails if the waiting future is gone. Then nothing is left to do.
         let _ = answer.map(|answer| answer.send(whole));

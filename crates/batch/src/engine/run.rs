@@ -14,7 +14,7 @@ use hullcast_contact::{Stop, Stopped, Workspace};
 
 use super::{
     chunks::Chunks,
-    shared::{SPARE_BYTES, Shared},
+    state::{EngineState, SPARE_BYTES},
 };
 use crate::{batch::Batch, columns::Columns, compute::Parts, lock::locked, memory::Memory};
 
@@ -35,7 +35,7 @@ pub(super) enum Unanswered<R> {
 
 /// The state of a batch while it is computed. `M` is the memory of its answer, and `H` is held until the
 /// answer is complete.
-pub(super) struct Run<M: Memory, H> {
+pub(super) struct BatchRun<M: Memory, H> {
     pub(super) batch: Batch,
     pub(super) chunks: Chunks,
     pub(super) unanswered: Arc<OnceLock<Unanswered<M::Refused>>>,
@@ -43,23 +43,23 @@ pub(super) struct Run<M: Memory, H> {
     /// The memory of the columns computed so far.
     pub(super) memory: Mutex<Option<M>>,
     answer_bytes: AtomicUsize,
-    shared: Arc<Shared>,
+    shared: Arc<EngineState>,
     /// Released with the answer, so that the next query finds free what the batch held.
     held: Mutex<Option<H>>,
 }
 
 /// The computed chunks of a batch.
-pub(super) enum Chunked<M> {
+pub(super) enum BatchResult<M> {
     Answer(Box<(Columns, M)>),
     /// The chunks must be joined as separate work.
-    Large(Computed<M>),
+    Large(ComputedChunks<M>),
 }
 
 /// The chunks of an answer, in order.
-pub(super) struct Computed<M> {
+pub(super) struct ComputedChunks<M> {
     chunks: Vec<Columns>,
     memory: M,
-    shared: Arc<Shared>,
+    shared: Arc<EngineState>,
 }
 
 thread_local! {
@@ -68,9 +68,9 @@ thread_local! {
     static COLUMNS: RefCell<Columns> = RefCell::default();
 }
 
-impl<M: Memory, H: Send + 'static> Parts for Run<M, H> {
+impl<M: Memory, H: Send + 'static> Parts for BatchRun<M, H> {
     type Part = Columns;
-    type Whole = Chunked<M>;
+    type Whole = BatchResult<M>;
 
     fn count(&self) -> usize {
         self.chunks.count(self.batch.pair_count())
@@ -80,18 +80,18 @@ impl<M: Memory, H: Send + 'static> Parts for Run<M, H> {
         self.chunk(self.chunks.pairs(index, self.batch.pair_count()))
     }
 
-    fn whole(&self, chunks: Vec<Columns>) -> Result<Chunked<M>, Stopped> {
+    fn whole(&self, chunks: Vec<Columns>) -> Result<BatchResult<M>, Stopped> {
         let computed = self.computed(chunks)?;
         drop(locked(&self.held).take());
         if computed.bytes() > LARGE_BYTES {
-            return Ok(Chunked::Large(computed));
+            return Ok(BatchResult::Large(computed));
         }
-        Ok(Chunked::Answer(Box::new(computed.concatenated(&self.stop)?)))
+        Ok(BatchResult::Answer(Box::new(computed.concatenated(&self.stop)?)))
     }
 }
 
-impl<M: Memory, H: Send + 'static> Run<M, H> {
-    pub(super) fn new(shared: &Arc<Shared>, batch: Batch, stop: &Arc<Stop>, memory: M, held: H) -> Self {
+impl<M: Memory, H: Send + 'static> BatchRun<M, H> {
+    pub(super) fn new(shared: &Arc<EngineState>, batch: Batch, stop: &Arc<Stop>, memory: M, held: H) -> Self {
         Self {
             chunks: Chunks::of(&batch),
             batch,
@@ -127,9 +127,9 @@ impl<M: Memory, H: Send + 'static> Run<M, H> {
         answer
     }
 
-    fn computed(&self, chunks: Vec<Columns>) -> Result<Computed<M>, Stopped> {
+    fn computed(&self, chunks: Vec<Columns>) -> Result<ComputedChunks<M>, Stopped> {
         let memory = locked(&self.memory).take().ok_or(Stopped)?;
-        let mut computed = Computed { chunks, memory, shared: self.shared.clone() };
+        let mut computed = ComputedChunks { chunks, memory, shared: self.shared.clone() };
         let bytes = computed.bytes() as u64;
         computed.memory.grow(bytes).map_err(|why| self.unanswered(Unanswered::NoMemory(why)))?;
         Ok(computed)
@@ -160,7 +160,7 @@ impl<M: Memory, H: Send + 'static> Run<M, H> {
         let computed = self.pairs(pairs, &mut workspace, columns);
         WORKSPACE.set(workspace);
         computed?;
-        let bytes = columns.wire_bytes(self.batch.bodies.setting().outputs());
+        let bytes = columns.wire_bytes(self.batch.bodies.template().outputs());
         if self.answer_bytes.fetch_add(bytes, Ordering::Relaxed) + bytes > self.shared.max_answer_bytes {
             return Err(self.unanswered(Unanswered::TooLarge));
         }
@@ -199,7 +199,7 @@ impl<M: Memory, H: Send + 'static> Run<M, H> {
     }
 }
 
-impl<M: Memory> Computed<M> {
+impl<M: Memory> ComputedChunks<M> {
     /// The bytes of all columns together.
     fn bytes(&self) -> usize {
         self.chunks.iter().map(Columns::filled_bytes).sum()

@@ -17,7 +17,7 @@ use crate::{
     wait,
 };
 
-type Run = super::Run<PooledMemory, ()>;
+type TestRun = super::BatchRun<PooledMemory, ()>;
 
 fn engine(max_answer_bytes: usize) -> Engine {
     Engine::new(Compute::new(1).unwrap(), max_answer_bytes)
@@ -40,18 +40,18 @@ fn batch(family: Family, regime: Regime, pairs: usize) -> Batch {
     scene.batch(&Stop::default()).unwrap()
 }
 
-fn run_in(engine: &Engine, batch: Batch, pool: &MemoryPool) -> Run {
-    Run::new(&engine.shared, batch, &Arc::default(), pool.memory(), ())
+fn run_in(engine: &Engine, batch: Batch, pool: &MemoryPool) -> TestRun {
+    TestRun::new(&engine.shared, batch, &Arc::default(), pool.memory(), ())
 }
 
-fn run(engine: &Engine, batch: Batch) -> Run {
+fn run(engine: &Engine, batch: Batch) -> TestRun {
     run_in(engine, batch, &MemoryPool::new(u64::MAX))
 }
 
-fn answer(run: &Run, chunks: Vec<Columns>) -> (Columns, PooledMemory) {
+fn answer(run: &TestRun, chunks: Vec<Columns>) -> (Columns, PooledMemory) {
     match run.whole(chunks).unwrap() {
-        Chunked::Answer(answer) => *answer,
-        Chunked::Large(computed) => computed.concatenated(&run.stop).unwrap(),
+        BatchResult::Answer(answer) => *answer,
+        BatchResult::Large(computed) => computed.concatenated(&run.stop).unwrap(),
     }
 }
 

@@ -12,7 +12,7 @@ const U: f64 = f64::EPSILON / 2.0;
 
 /// Counts of the cases that the checks met, so that a sweep can show that it was not vacuous.
 #[derive(Debug, Default)]
-pub(crate) struct Met {
+pub(crate) struct CheckCounts {
     pub(crate) hulls: usize,
     pub(crate) triangles: usize,
     pub(crate) coplanar_sides: usize,
@@ -24,16 +24,16 @@ pub(crate) struct Met {
 }
 
 /// Panics if the hull of `points` breaks a definition.
-pub(crate) fn check(points: &[[f64; 3]], hull: &ConvexHull, met: &mut Met) {
+pub(crate) fn check(points: &[[f64; 3]], hull: &ConvexHull, counts: &mut CheckCounts) {
     let surface = triangulate(points).unwrap();
-    met.hulls += 1;
-    met.triangles += surface.triangles.len();
-    met.dropped_points += points.len() - hull.vertex_count();
-    check_surface(points, &surface, hull, met);
+    counts.hulls += 1;
+    counts.triangles += surface.triangles.len();
+    counts.dropped_points += points.len() - hull.vertex_count();
+    check_surface(points, &surface, hull, counts);
     check_sizes(points, &surface, hull);
-    check_faces(hull, met);
+    check_faces(hull, counts);
     check_outlines(hull);
-    check_edges(hull, met);
+    check_edges(hull, counts);
     check_adjacency(&surface, hull);
 }
 
@@ -46,7 +46,7 @@ fn below(points: &[[f64; 3]], triangle: [u32; 3], p: [f64; 3]) -> f64 {
 
 /// The surface is closed and convex, has the Euler characteristic of a sphere, contains every point,
 /// and each of its vertices is extreme. Catches a lost vertex, a hole, a fold and a flat vertex.
-fn check_surface(points: &[[f64; 3]], surface: &Triangulation, hull: &ConvexHull, met: &mut Met) {
+fn check_surface(points: &[[f64; 3]], surface: &Triangulation, hull: &ConvexHull, counts: &mut CheckCounts) {
     let triangles = &surface.triangles;
     let sides: HashMap<[u32; 2], usize> = triangles
         .iter()
@@ -66,7 +66,7 @@ fn check_surface(points: &[[f64; 3]], surface: &Triangulation, hull: &ConvexHull
             let apex = *triangles[across].iter().find(|v| ![from, to].contains(v)).unwrap();
             let bend = below(points, corners, points[apex as usize]);
             assert!(bend >= 0.0, "a reflex side");
-            met.coplanar_sides += usize::from(bend == 0.0);
+            counts.coplanar_sides += usize::from(bend == 0.0);
             *creases.entry(from).or_default() += usize::from(bend > 0.0);
         }
     }
@@ -78,13 +78,13 @@ fn check_surface(points: &[[f64; 3]], surface: &Triangulation, hull: &ConvexHull
 
 /// The vertices in hull units are the given points, and both radii are bounds, though tight ones.
 fn check_sizes(points: &[[f64; 3]], surface: &Triangulation, hull: &ConvexHull) {
-    let (center, scale) = (hull.contraction_point(), hull.scale());
+    let (centre, scale) = (hull.contraction_point(), hull.scale());
     assert_eq!(scale.to_bits() & ((1 << 52) - 1), 0, "the scale is not a power of two");
     assert!((0.5..1.0).contains(&hull.unit_circumradius()));
     assert!(hull.unit_inradius() > 0.0);
     for (&v, &i) in hull.vertices().iter().zip(hull.registered_indices()) {
         // Exact, except for differences that are subnormal in hull units.
-        let lost = (v * scale - (DVec3::from_array(points[i as usize]) - center)).abs().max_element();
+        let lost = (v * scale - (DVec3::from_array(points[i as usize]) - centre)).abs().max_element();
         assert!(lost <= f64::MIN_POSITIVE * scale, "a vertex moved by {lost:e}");
         assert!(v.length() <= hull.unit_circumradius());
     }
@@ -109,7 +109,7 @@ fn check_sizes(points: &[[f64; 3]], surface: &Triangulation, hull: &ConvexHull) 
 }
 
 /// No vertex is above the plane of a face, and the vertices of the face are near the plane.
-fn check_faces(hull: &ConvexHull, met: &mut Met) {
+fn check_faces(hull: &ConvexHull, counts: &mut CheckCounts) {
     let inner = (hull.unit_inradius() / 64.0).max(64.0 * U);
     let tolerance = (hull.planarity() * hull.unit_circumradius()).min(inner).max(64.0 * U) + 16.0 * U;
     for face in 0..hull.face_count() {
@@ -117,7 +117,7 @@ fn check_faces(hull: &ConvexHull, met: &mut Met) {
         let planarity = hull.faces()[face].planarity;
         assert!((normal.length() - 1.0).abs() <= 4.0 * U);
         assert!(planarity <= tolerance, "planarity {planarity:e} over {tolerance:e}");
-        met.inexact_faces += usize::from(planarity > 64.0 * U);
+        counts.inexact_faces += usize::from(planarity > 64.0 * U);
         let highest = hull.vertices().iter().map(|v| v.dot(normal)).fold(f64::NEG_INFINITY, f64::max);
         assert_eq!(highest, offset, "a vertex above the plane of face {face}");
     }
@@ -205,7 +205,7 @@ fn folds_back(hull: &ConvexHull, edge: [u32; 2], faces: [u32; 2], slack: f64) ->
 
 /// Edges are sorted, each is between two faces that contain both its ends, and the numbers of
 /// corners, edges and faces satisfy Euler's formula.
-fn check_edges(hull: &ConvexHull, met: &mut Met) {
+fn check_edges(hull: &ConvexHull, counts: &mut CheckCounts) {
     assert!(hull.edge_vertices().windows(2).all(|w| w[0] < w[1]), "edges are repeated or not ascending");
     for (&[from, to], &[left, right]) in hull.edge_vertices().iter().zip(hull.edge_faces()) {
         assert!(from < to && left != right);
@@ -228,7 +228,7 @@ fn check_edges(hull: &ConvexHull, met: &mut Met) {
         let [n, m] = [left, right].map(|f| hull.faces()[f as usize].normal);
         let slack = 16.0 * planarity / hull.unit_inradius();
         if length * n.cross(m).length() > slack && !folds_back(hull, [from, to], [left, right], slack) {
-            met.ordered_edges += 1;
+            counts.ordered_edges += 1;
             assert!(
                 !runs(left, to, from) && !runs(right, from, to),
                 "the left and right faces of an edge are exchanged"
@@ -236,8 +236,8 @@ fn check_edges(hull: &ConvexHull, met: &mut Met) {
         }
     }
     let corners = (0..hull.vertex_count()).filter(|&v| !hull.vertex_edges(v).is_empty()).count();
-    met.vertices_without_edges += hull.vertex_count() - corners;
-    met.merged_faces += 2 * hull.vertex_count() - 4 - hull.face_count();
+    counts.vertices_without_edges += hull.vertex_count() - corners;
+    counts.merged_faces += 2 * hull.vertex_count() - 4 - hull.face_count();
     assert_eq!(corners + hull.face_count(), hull.edge_count() + 2, "Euler's formula of the faces");
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::check::{Met, check};
+use crate::check::{CheckCounts, check};
 use crate::clouds::{Random, box_grid, noisy, prism, rotated, scaled, sphere};
 use crate::hull;
 
@@ -73,7 +73,7 @@ fn edges_within_a_merged_face_may_fold() {
         [3.09375, 0.0, 3.09375],
         [x, x, 114.0],
     ];
-    check(&points, &hull(&points), &mut Met::default());
+    check(&points, &hull(&points), &mut CheckCounts::default());
 }
 
 /// Found by fuzzing; a fault of the check, not of the hull. If corners nearly coincide, two faces can
@@ -98,7 +98,7 @@ fn edges_beside_corners_that_nearly_coincide_may_fold_back() {
         [3.6875, 0.0, 3321888768.0],
         [y, 1.7005592192950993e19, 0.0],
     ];
-    check(&points, &hull(&points), &mut Met::default());
+    check(&points, &hull(&points), &mut CheckCounts::default());
 }
 
 /// Found by fuzzing: vertices that differed as points but coincided in hull units made a face without
@@ -112,7 +112,7 @@ fn vertices_that_coincide_about_the_contraction_point_make_no_face() {
             let mut points = vec![[1.0, 0.1, 0.0], [1.0, -1.0, 0.2], [0.5, 0.7, 1.0]];
             points.extend(scaled(&sphere(6, &mut random), [size; 3]));
             let hull = hull(&points);
-            check(&points, &hull, &mut Met::default());
+            check(&points, &hull, &mut CheckCounts::default());
             assert!(hull.faces().iter().all(|face| face.area > 0.1 * size * size), "{size:e}");
             let places: BTreeSet<_> =
                 hull.vertices().iter().map(|v| v.to_array().map(f64::to_bits)).collect();
@@ -153,5 +153,5 @@ fn edges_that_fold_back_may_be_a_part_of_others() {
         [-9.17968788657958e30, -2.0426724531271295e30, 8.949534383975004e30],
         [9.179687316298759e30, 6.9836418241311936e22, 4.5545928909434455e23],
     ];
-    check(&points, &hull(&points), &mut Met::default());
+    check(&points, &hull(&points), &mut CheckCounts::default());
 }

@@ -11,7 +11,7 @@ mod stopping;
 
 use std::collections::BTreeSet;
 
-use check::{Met, check};
+use check::{CheckCounts, check};
 use clouds::{Points, Random, clouds, cube, moved, random_cloud, scaled, sphere};
 use glam::DVec3;
 use hullcast_contact::hull::{ConvexHull, HullError, HullErrorKind, HullOptions};
@@ -29,38 +29,38 @@ fn at(points: &[[f64; 3]], contraction_point: [f64; 3]) -> Result<ConvexHull, Hu
 /// lost vertex, a hole, a wrong neighbour, a face that is off its plane.
 #[test]
 fn every_cloud_gives_a_hull() {
-    let mut met = Met::default();
+    let mut counts = CheckCounts::default();
     for cloud in clouds() {
         println!("{}", cloud.name);
         let hull = ConvexHull::new(&cloud.points).unwrap();
-        check(&cloud.points, &hull, &mut met);
+        check(&cloud.points, &hull, &mut counts);
     }
-    println!("{met:?}");
-    assert!(met.hulls >= 170 && met.triangles > 10_000);
-    assert!(met.coplanar_sides > 1_000, "few exactly coplanar triangles");
-    assert!(met.dropped_points > 5_000, "few interior points");
-    assert!(met.merged_faces > 4_000 && met.inexact_faces > 300, "few merged faces");
-    assert!(met.vertices_without_edges > 300, "few vertices inside merged faces");
+    println!("{counts:?}");
+    assert!(counts.hulls >= 170 && counts.triangles > 10_000);
+    assert!(counts.coplanar_sides > 1_000, "few exactly coplanar triangles");
+    assert!(counts.dropped_points > 5_000, "few interior points");
+    assert!(counts.merged_faces > 4_000 && counts.inexact_faces > 300, "few merged faces");
+    assert!(counts.vertices_without_edges > 300, "few vertices inside merged faces");
 }
 
 /// Every definition holds for the hulls of random shapes, and a shape without a hull is refused with
 /// a reason other than an internal error.
 #[test]
 fn random_clouds_give_hulls_or_reasons() {
-    let (mut met, mut refused) = (Met::default(), 0);
+    let (mut counts, mut refused) = (CheckCounts::default(), 0);
     for seed in 0..300 {
         let points = random_cloud(seed);
         match ConvexHull::new(&points) {
-            Ok(hull) => check(&points, &hull, &mut met),
+            Ok(hull) => check(&points, &hull, &mut counts),
             Err(error) => {
                 assert!(!error.detail.contains("internal"), "{seed}: {error}");
                 refused += 1;
             }
         }
     }
-    println!("{met:?}, {refused} refused");
-    assert!(met.hulls > 280 && refused > 0 && met.ordered_edges > 15_000);
-    assert!(met.coplanar_sides > 2_500 && met.inexact_faces > 300);
+    println!("{counts:?}, {refused} refused");
+    assert!(counts.hulls > 280 && refused > 0 && counts.ordered_edges > 15_000);
+    assert!(counts.coplanar_sides > 2_500 && counts.inexact_faces > 300);
 }
 
 /// Every definition holds at the size of the largest meshes. A quadratic step would take hours here.
@@ -68,7 +68,7 @@ fn random_clouds_give_hulls_or_reasons() {
 fn ten_thousand_points_give_a_hull() {
     let mut random = Random::new(3);
     for points in [sphere(10_000, &mut random), clouds::globe(50, 200), clouds::ball(10_000, &mut random)] {
-        check(&points, &hull(&points), &mut Met::default());
+        check(&points, &hull(&points), &mut CheckCounts::default());
     }
 }
 
@@ -171,7 +171,7 @@ fn contraction_points_are_strictly_inside() {
         let lost = (1.0 - z) - near.inradius();
         assert!((0.0..8e-16).contains(&lost), "{depth:e}: {lost:e}");
         assert_eq!(near.face_count(), 6);
-        check(&cube(), &near, &mut Met::default());
+        check(&cube(), &near, &mut CheckCounts::default());
     }
     let bad = [
         [0.0, 0.0, 1.0],

@@ -6,7 +6,7 @@ use hullcast_contact::{
     hull::{ConvexHull, triangulate},
 };
 
-use crate::check::{Met, check};
+use crate::check::{CheckCounts, check};
 use crate::clouds::{Points, Random, clouds, cube, globe, prism, random_cloud, rotated, scaled, sphere};
 use crate::simplify::real;
 
@@ -29,13 +29,13 @@ fn every_planarity_gives_a_hull() {
         clouds().into_iter().map(|cloud| (cloud.name, cloud.points)).collect();
     all.extend((0..150).map(|seed| (format!("random {seed}"), random_cloud(seed))));
     all.extend(real().into_iter().map(|points| ("real".into(), points)));
-    let mut met = PLANARITIES.map(|_| Met::default());
+    let mut counts = PLANARITIES.map(|_| CheckCounts::default());
     for (name, points) in all {
         let Ok(plain) = ConvexHull::new(&points) else { continue };
-        for (planarity, met) in PLANARITIES.iter().zip(&mut met) {
+        for (planarity, counts) in PLANARITIES.iter().zip(&mut counts) {
             println!("{name} {planarity:e}");
             let hull = with(&points, *planarity);
-            check(&points, &hull, met);
+            check(&points, &hull, counts);
             assert_eq!(hull.planarity(), *planarity);
             assert_eq!((hull.vertices(), hull.scale()), (plain.vertices(), plain.scale()));
             assert_eq!((hull.inradius(), hull.circumradius()), (plain.inradius(), plain.circumradius()));
@@ -43,12 +43,12 @@ fn every_planarity_gives_a_hull() {
         }
     }
     for points in [sphere(10_000, &mut random), globe(70, 140)] {
-        check(&points, &with(&points, PLANARITIES[4]), &mut met[4]);
+        check(&points, &with(&points, PLANARITIES[4]), &mut counts[4]);
     }
-    println!("{met:#?}");
-    assert!(met.iter().all(|met| met.hulls > 380));
-    assert!(met.windows(2).all(|two| two[0].merged_faces <= two[1].merged_faces));
-    assert!(met[4].merged_faces > 20_000 && met[4].inexact_faces > 2_000);
+    println!("{counts:#?}");
+    assert!(counts.iter().all(|counts| counts.hulls > 380));
+    assert!(counts.windows(2).all(|two| two[0].merged_faces <= two[1].merged_faces));
+    assert!(counts[4].merged_faces > 20_000 && counts[4].inexact_faces > 2_000);
 }
 
 /// Catches a planarity outside 0 to 0.01 that is accepted, or that is refused without naming the

@@ -81,11 +81,11 @@ fn definitions() -> Vec<Definition> {
         for (family, points) in shapes(seed) {
             let Ok(whole) = ConvexHull::new(&points) else { continue };
             let (count, size) = (whole.vertex_count() as u32, whole.circumradius());
-            let center = whole.center_of_mass().to_array();
+            let centre = whole.center_of_mass().to_array();
             // A point between the centre and a vertex is inside the whole hull, but outside most of
             // the hulls that are tried on the way.
             let vertex = points[whole.registered_indices()[count as usize / 2] as usize];
-            let near = |share: f64| Some([0, 1, 2].map(|k| center[k] + share * (vertex[k] - center[k])));
+            let near = |share: f64| Some([0, 1, 2].map(|k| centre[k] + share * (vertex[k] - centre[k])));
             let cases = [
                 (Some((count / 2).max(4)), None, None),
                 (None, Some([0.1, 0.03, 0.01, 0.003, 0.001][seed as usize] * size), None),

@@ -2,7 +2,7 @@
 
 use hullcast_contact::hull::ConvexHull;
 
-use crate::check::{Met, check};
+use crate::check::{CheckCounts, check};
 use crate::clouds::{Points, Random, clouds, cube, prism, scaled};
 use crate::hull;
 
@@ -93,7 +93,7 @@ fn subnormal_coordinates_are_exact() {
 #[test]
 fn needles_are_hulls_or_too_thin() {
     let mut random = Random::new(13);
-    let (mut met, mut refused) = (Met::default(), 0);
+    let (mut counts, mut refused) = (CheckCounts::default(), 0);
     for round in 0..3000 {
         let length = 10_f64.powf(9.0 + 3.5 * random.signed());
         let grid = |random: &mut Random| [(); 3].map(|()| (random.signed() * 104.0).round() / 32.0);
@@ -112,7 +112,7 @@ fn needles_are_hulls_or_too_thin() {
         match ConvexHull::new(&points) {
             Ok(hull) => {
                 assert!(hull.inradius() > 7e-12 * hull.circumradius());
-                check(&points, &hull, &mut met);
+                check(&points, &hull, &mut counts);
             }
             Err(error) => {
                 assert!(error.detail.contains("too thin"), "{error}: {points:?}");
@@ -120,5 +120,5 @@ fn needles_are_hulls_or_too_thin() {
             }
         }
     }
-    assert!(met.hulls > 1500 && refused > 300, "{} hulls, {refused} refused", met.hulls);
+    assert!(counts.hulls > 1500 && refused > 300, "{} hulls, {refused} refused", counts.hulls);
 }

@@ -15,7 +15,7 @@ use crate::polygon::{self, Point};
 use crate::scene::Random;
 
 /// An answer, expressed in the frame of the original scene.
-struct Seen {
+struct AnswerInFrame {
     normal: DVec3,
     /// The corners of the touching feature of each hull, by the bits of their coordinates.
     touched: [Vec<[u64; 3]>; 2],
@@ -36,7 +36,7 @@ fn seen(
     back: impl Fn(DVec3) -> DVec3,
     turned_back: DQuat,
     along: DVec3,
-) -> Seen {
+) -> AnswerInFrame {
     let (e1, e2) = along.any_orthonormal_pair();
     let features = m.features.expect("features");
     let corners = |side: usize| {
@@ -57,7 +57,7 @@ fn seen(
         [e1.dot(p), e2.dot(p)]
     };
     let distances = || m.points.iter().map(|p| p.distance);
-    Seen {
+    AnswerInFrame {
         normal: turned_back * if swapped { -m.normal } else { m.normal },
         touched: order.map(corners),
         patch: polygon::convex_hull(&m.points.iter().map(flat).collect::<Vec<_>>()),
@@ -70,7 +70,7 @@ fn seen(
     }
 }
 
-impl Seen {
+impl AnswerInFrame {
     fn of(case: &Case, m: &Manifold, along: DVec3) -> Self {
         seen(case, m, false, |p| p, DQuat::IDENTITY, along)
     }
@@ -121,8 +121,9 @@ fn the_whole_answer_is_the_pairs_own() {
     holds(1500, (scene(), rotation(), point(), any::<u64>()), |(case, q, t, seed)| {
         let m = solve(&case);
         let (size, along) = (outer(&case), m.normal);
-        let first = Seen::of(&case, &m, along);
-        let still = |other: &Case| first.difference(&Seen::of(other, &solve(other), along), size, 1e-5);
+        let first = AnswerInFrame::of(&case, &m, along);
+        let still =
+            |other: &Case| first.difference(&AnswerInFrame::of(other, &solve(other), along), size, 1e-5);
         if little_moves(&case).iter().any(|other| still(other).is_some()) {
             skipped.set(skipped.get() + 1);
             return Ok(());
@@ -137,7 +138,7 @@ fn the_whole_answer_is_the_pairs_own() {
             }] += 1;
         }
         features.set(kinds);
-        let same = |what: &str, other: Seen| -> Result<(), TestCaseError> {
+        let same = |what: &str, other: AnswerInFrame| -> Result<(), TestCaseError> {
             let difference = first.difference(&other, size, 1e-9);
             check(difference.is_none(), || format!("{what}: {difference:?}"))
         };
@@ -169,7 +170,7 @@ fn the_whole_answer_is_the_pairs_own() {
         });
         let reordered = Case { shapes: shuffled, ..case.clone() };
         let m = reordered.solve(&reordered.query(f64::INFINITY), &mut Workspace::default());
-        same("reordered", Seen::of(&reordered, &m, along))
+        same("reordered", AnswerInFrame::of(&reordered, &m, along))
     });
     let (compared, kinds) = (compared.get(), features.get());
     println!("{compared} compared, {} skipped, {kinds:?} vertices, edges, faces", skipped.get());

@@ -14,7 +14,7 @@ use hullcast_contact::{ConvexHull, Feature};
 use super::judge::U;
 
 /// A hull and a direction: the question whose answer is checked.
-pub(crate) struct Asked<'a> {
+pub(crate) struct FeatureQuestion<'a> {
     pub(crate) hull: &'a ConvexHull,
     /// The outward unit direction in the hull's frame.
     pub(crate) n: DVec3,
@@ -45,16 +45,16 @@ impl Candidates {
 }
 
 /// The reason why the definition does not allow `feature`, or `None` if it does.
-pub(crate) fn objection(asked: &Asked<'_>, feature: Feature) -> Option<String> {
-    let support = asked.support();
-    let [faces, edges] = [asked.faces(&support), asked.edges(&support)];
+pub(crate) fn objection(question: &FeatureQuestion<'_>, feature: Feature) -> Option<String> {
+    let support = question.support();
+    let [faces, edges] = [question.faces(&support), question.edges(&support)];
     match feature {
-        Feature::Face(face) => asked.face_objection(face as usize, &faces),
+        Feature::Face(face) => question.face_objection(face as usize, &faces),
         _ if !faces.certain.is_empty() => Some(format!("faces {:?} touch", faces.certain)),
-        Feature::Edge(ends) => asked.edge_objection(ends, &edges),
+        Feature::Edge(ends) => question.edge_objection(ends, &edges),
         _ if !edges.certain.is_empty() => Some(format!("edges {:?} touch", edges.certain)),
         Feature::Vertex(v) => {
-            let v = asked.own(v);
+            let v = question.own(v);
             let lower = support.certain.range(..v).next();
             let holds = support.possible.contains(&v) && lower.is_none();
             (!holds).then(|| format!("vertex {v} of {:?}", support.possible))
@@ -62,7 +62,7 @@ pub(crate) fn objection(asked: &Asked<'_>, feature: Feature) -> Option<String> {
     }
 }
 
-impl Asked<'_> {
+impl FeatureQuestion<'_> {
     fn own(&self, registered: u32) -> usize {
         self.hull.vertex_of_registered(registered).map_or(usize::MAX, |v| v as usize)
     }

@@ -7,7 +7,7 @@ use hullcast_contact::{
 
 use super::case::{Case, norm, rotate};
 use super::exact::zero;
-use super::gauss::{Asked, objection};
+use super::gauss::{FeatureQuestion, objection};
 use super::oracle::{Corner, Exact, Growth};
 use super::polygon;
 
@@ -41,7 +41,7 @@ pub(crate) const MEASURES: [&str; 7] =
 
 /// The score of one row of the matrix with one solver.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Cell {
+pub(crate) struct SolverScore {
     pub(crate) cases: usize,
     pub(crate) failures: usize,
     pub(crate) failed: Vec<String>,
@@ -51,13 +51,13 @@ pub(crate) struct Cell {
     pub(crate) coincident: usize,
     pub(crate) undecided: usize,
     pub(crate) estimated: usize,
-    pub(crate) met: Met,
+    pub(crate) counts: CaseCounts,
 }
 
 /// The kinds of cases, counted from the exact answers. They show that a cell contains the cases
 /// that its row names.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Met {
+pub(crate) struct CaseCounts {
     pub(crate) overlapping: usize,
     pub(crate) apart: usize,
     /// The ray meets an edge or a corner of the Minkowski difference.
@@ -80,7 +80,7 @@ pub(crate) struct Met {
     pub(crate) due: usize,
 }
 
-impl Cell {
+impl SolverScore {
     pub(crate) fn measure(&mut self, measure: Measure, value: f64, budget: f64) {
         let share = if value <= 0.0 { 0.0 } else { value / budget };
         let worst = &mut self.worst[measure as usize];
@@ -142,12 +142,12 @@ impl Sizes {
 }
 
 /// Judges one case with both solvers.
-pub(crate) fn judge(case: &Case, cells: &mut [Cell; 2], workspace: &mut Workspace) {
+pub(crate) fn judge(case: &Case, scores: &mut [SolverScore; 2], workspace: &mut Workspace) {
     let bodies = case.bodies();
     let sizes = Sizes::new(case, &bodies);
     let exact = case.exact();
     let mut known: Option<Growth> = None;
-    for (solver, cell) in Solver::ALL.into_iter().zip(cells) {
+    for (solver, score) in Solver::ALL.into_iter().zip(scores) {
         let mut query = case.query(f64::INFINITY);
         query.accuracy.solver = solver;
         let [a, b] = &bodies;
@@ -157,16 +157,16 @@ pub(crate) fn judge(case: &Case, cells: &mut [Cell; 2], workspace: &mut Workspac
         };
         let growth = known.get_or_insert_with(|| exact.growth(answer.basis.map(corners)));
         let judging = Judging { case, bodies: &bodies, sizes: &sizes, exact: &exact, growth };
-        cell.met.pivots += growth.pivots;
-        judging.numbers(&query, &answer, cell);
-        judging.features(&query, &answer, cell);
-        judging.feature_angles(&query, cell, workspace);
-        judging.points(&answer, cell);
-        judging.certificate(&query, &answer, cell);
-        judging.twin(&query, &answer, cell);
-        judging.outcomes(&query, &answer, cell, workspace);
-        judging.count(&answer, cell);
-        cell.cases += 1;
+        score.counts.pivots += growth.pivots;
+        judging.numbers(&query, &answer, score);
+        judging.features(&query, &answer, score);
+        judging.feature_angles(&query, score, workspace);
+        judging.points(&answer, score);
+        judging.certificate(&query, &answer, score);
+        judging.twin(&query, &answer, score);
+        judging.outcomes(&query, &answer, score, workspace);
+        judging.count(&answer, score);
+        score.cases += 1;
     }
 }
 
@@ -179,95 +179,99 @@ struct Judging<'a> {
 }
 
 impl Judging<'_> {
-    fn numbers(&self, query: &Query, answer: &Manifold, cell: &mut Cell) {
+    fn numbers(&self, query: &Query, answer: &Manifold, score: &mut SolverScore) {
         let (sizes, growth) = (self.sizes, self.growth);
         let tolerance = query.accuracy.relative_tolerance;
         let alpha = growth.value();
         let n = answer.normal.to_array();
-        cell.demand(answer.outcome == Outcome::Contact, || format!("{:?} at any margin", answer.outcome));
-        cell.demand((norm(n) - 1.0).abs() <= 8.0 * U, || format!("a normal of length {:e}", norm(n)));
+        score.demand(answer.outcome == Outcome::Contact, || format!("{:?} at any margin", answer.outcome));
+        score.demand((norm(n) - 1.0).abs() <= 8.0 * U, || format!("a normal of length {:e}", norm(n)));
         let (low, high) = (growth.error_of(answer.alpha_lower), growth.error_of(answer.alpha_upper));
-        cell.demand(low <= 0.0 && high >= 0.0, || {
+        score.demand(low <= 0.0 && high >= 0.0, || {
             format!("exact alpha is {low:e} below, {high:e} above the bracket's ends: {answer:?}")
         });
-        cell.measure(Measure::Separation, (answer.separation - self.exact.separation(n)).abs(), sizes.band());
+        score.measure(
+            Measure::Separation,
+            (answer.separation - self.exact.separation(n)).abs(),
+            sizes.band(),
+        );
         if answer.flags.coincident {
             let noise = 16.0 * U * sizes.m;
-            return cell
+            return score
                 .demand(answer.alpha == 0.0 && sizes.d <= noise, || format!("coincident at {:e}", sizes.d));
         }
         if answer.flags.gap_open {
             let inside = answer.alpha_lower <= answer.alpha && answer.alpha <= answer.alpha_upper;
-            return cell.demand(inside, || format!("alpha outside its bracket: {answer:?}"));
+            return score.demand(inside, || format!("alpha outside its bracket: {answer:?}"));
         }
-        cell.measure(Measure::Alpha, growth.error_of(answer.alpha).abs(), sizes.alpha(alpha, tolerance));
+        score.measure(Measure::Alpha, growth.error_of(answer.alpha).abs(), sizes.alpha(alpha, tolerance));
         let allowed = answer.alpha_upper * (tolerance + 64.0 * U * sizes.outer / sizes.inner)
             + 32.0 * U * sizes.m / sizes.inner;
-        cell.measure(Measure::Bracket, answer.alpha_upper - answer.alpha_lower, allowed);
+        score.measure(Measure::Bracket, answer.alpha_upper - answer.alpha_lower, allowed);
         let short = self.exact.optimality_gap(n, growth);
-        cell.measure(Measure::Normal, short, sizes.alpha(alpha, tolerance));
+        score.measure(Measure::Normal, short, sizes.alpha(alpha, tolerance));
     }
 
-    fn points(&self, answer: &Manifold, cell: &mut Cell) {
+    fn points(&self, answer: &Manifold, score: &mut SolverScore) {
         let sizes = self.sizes;
         let (n, world) = (answer.normal, 4.0 * U * sizes.world);
         let least = self.case.least_points;
-        cell.demand(answer.points.len() >= least, || format!("{} points of {least}", answer.points.len()));
+        score.demand(answer.points.len() >= least, || format!("{} points of {least}", answer.points.len()));
         let lowest = self.exact.separation(n.to_array());
         for p in &answer.points {
             let slack = sizes.band() + 2.0 * sizes.planarity + world;
-            cell.measure(Measure::Distance, lowest - p.distance, slack);
+            score.measure(Measure::Distance, lowest - p.distance, slack);
             if answer.flags.estimated {
                 continue;
             }
             for (side, at) in [p.witness_a, p.witness_a + p.distance * n].into_iter().enumerate() {
                 let out = self.outside(side, at.to_array());
-                cell.measure(Measure::Witness, out, sizes.planarity + sizes.merge() + world);
+                score.measure(Measure::Witness, out, sizes.planarity + sizes.merge() + world);
             }
         }
     }
 
     /// Checks the features of the same pair with the pure Gauss map (feature angle 0) and with wide
     /// feature angles.
-    fn feature_angles(&self, query: &Query, cell: &mut Cell, workspace: &mut Workspace) {
+    fn feature_angles(&self, query: &Query, score: &mut SolverScore, workspace: &mut Workspace) {
         let [a, b] = self.bodies;
         for feature_angle in [0.0, 0.1, 0.5] {
             let mut query = *query;
             query.accuracy.feature_angle = feature_angle;
-            self.features(&query, contact_manifold(a, b, &query, None, workspace), cell);
+            self.features(&query, contact_manifold(a, b, &query, None, workspace), score);
         }
     }
 
     /// Checks the features against the definition by brute force, and the flag ESTIMATED against
     /// the projected features.
-    fn features(&self, query: &Query, answer: &Manifold, cell: &mut Cell) {
+    fn features(&self, query: &Query, answer: &Manifold, score: &mut SolverScore) {
         let Some(features) = answer.features else {
-            return cell.demand(false, || "no features".into());
+            return score.demand(false, || "no features".into());
         };
         for side in 0..2 {
             let hull = self.bodies[side].hull;
             let [x, y, z, w] = self.case.rotations[side];
             let n = rotate([-x, -y, -z, w], answer.normal.to_array());
             let n = glam::DVec3::from_array(n) * [1.0, -1.0][side];
-            let asked = Asked {
+            let question = FeatureQuestion {
                 hull,
                 n,
                 depth: 64.0 * U * self.sizes.outer / hull.scale(),
                 feature_angle: query.accuracy.feature_angle,
                 basis: answer.basis.map_or(vec![], |b| [b.a, b.b][side].to_vec()),
             };
-            let objection = objection(&asked, features[side]);
+            let objection = objection(&question, features[side]);
             let angle = query.accuracy.feature_angle;
-            cell.demand(objection.is_none(), || {
+            score.demand(objection.is_none(), || {
                 format!("{:?} of {side} at angle {angle}: {objection:?}", features[side])
             });
             match features[side] {
-                Feature::Face(_) => cell.met.touched[2] += 1,
-                Feature::Edge(_) => cell.met.touched[1] += 1,
-                Feature::Vertex(_) => cell.met.touched[0] += 1,
+                Feature::Face(_) => score.counts.touched[2] += 1,
+                Feature::Edge(_) => score.counts.touched[1] += 1,
+                Feature::Vertex(_) => score.counts.touched[0] += 1,
             }
         }
-        self.estimated(answer, cell);
+        self.estimated(answer, score);
     }
 
     /// How far a world point is outside a hull.
@@ -281,9 +285,9 @@ impl Judging<'_> {
     }
 
     /// ESTIMATED must be set exactly if the features, projected along the normal, do not meet.
-    fn estimated(&self, answer: &Manifold, cell: &mut Cell) {
+    fn estimated(&self, answer: &Manifold, score: &mut SolverScore) {
         let Some(features) = answer.features else {
-            return cell.demand(false, || "no features".into());
+            return score.demand(false, || "no features".into());
         };
         let n = answer.normal;
         let (e1, e2) = n.any_orthonormal_pair();
@@ -308,8 +312,8 @@ impl Judging<'_> {
         // A factor of two allows for this check's own rounding.
         let merge = self.sizes.merge();
         let due = if answer.flags.estimated { gap > merge / 2.0 } else { gap <= merge * 2.0 };
-        cell.met.due += usize::from(answer.flags.estimated);
-        cell.demand(due, || format!("estimated: {}, features {gap:e} apart", answer.flags.estimated));
+        score.counts.due += usize::from(answer.flags.estimated);
+        score.demand(due, || format!("estimated: {}, features {gap:e} apart", answer.flags.estimated));
     }
 
     /// The offset from A's contraction point to B's.
@@ -321,27 +325,33 @@ impl Judging<'_> {
         (tb - ta) + (turned[1] - turned[0])
     }
 
-    fn certificate(&self, query: &Query, answer: &Manifold, cell: &mut Cell) {
+    fn certificate(&self, query: &Query, answer: &Manifold, score: &mut SolverScore) {
         let [a, b] = self.bodies;
         let result = certificate::check(a, b, query, answer);
-        cell.demand(result.is_ok(), || format!("certificate: {result:?}"));
+        score.demand(result.is_ok(), || format!("certificate: {result:?}"));
     }
 
     /// The twin, the same scene at another power of two, must have an answer with the same bits.
-    fn twin(&self, query: &Query, answer: &Manifold, cell: &mut Cell) {
+    fn twin(&self, query: &Query, answer: &Manifold, score: &mut SolverScore) {
         let Some(twin) = &self.case.twin else { return };
         let other = twin.solve(query, &mut Workspace::default());
         let bits = |m: &Manifold| {
             [m.alpha, m.alpha_lower, m.alpha_upper, m.normal.x, m.normal.y, m.normal.z].map(f64::to_bits)
         };
-        cell.demand(bits(answer) == bits(&other) && answer.basis == other.basis, || {
+        score.demand(bits(answer) == bits(&other) && answer.basis == other.basis, || {
             format!("other bits at another scale: {answer:?} {other:?}")
         });
     }
 
     /// CONTACT and SEPARATED must agree with the exact distance: without a warm start, with the
     /// answer's own basis and with an arbitrary one, and for every kind of result asked for.
-    fn outcomes(&self, query: &Query, numbers: &Manifold, cell: &mut Cell, workspace: &mut Workspace) {
+    fn outcomes(
+        &self,
+        query: &Query,
+        numbers: &Manifold,
+        score: &mut SolverScore,
+        workspace: &mut Workspace,
+    ) {
         let [a, b] = self.bodies;
         let overlapping = self.growth.num <= self.growth.den;
         let distance = (!overlapping).then(|| self.exact.distance_squared(self.exact.support(&self.exact.d)));
@@ -351,13 +361,13 @@ impl Judging<'_> {
         // An arbitrary triple of vertices, different in each case.
         let [odd_a, odd_b] = [0, 1].map(|side| {
             let count = self.case.shapes[side].points.len();
-            [1, 2 + cell.cases, 3 + 5 * cell.cases].map(|i| (i % count) as u32)
+            [1, 2 + score.cases, 3 + 5 * score.cases].map(|i| (i % count) as u32)
         });
         let odd = Basis { a: odd_a, b: odd_b };
         for margin in self.case.margins.iter().copied().chain([0.0]).chain(own) {
             let beyond = distance.as_ref().map_or(-margin, |d| d.beyond(margin));
             let ghost = numbers.separation <= margin && beyond > self.sizes.band();
-            cell.met.ghosts += usize::from(ghost);
+            score.counts.ghosts += usize::from(ghost);
             let warm = numbers.basis.as_ref();
             for (wanted, warm) in [
                 (Wanted::Points, None),
@@ -372,50 +382,50 @@ impl Judging<'_> {
                     // The band is widened by a sixteenth, because the separation that is compared
                     // with it is rounded too.
                     Outcome::Contact => {
-                        cell.measure(Measure::Outcome, beyond, self.sizes.band() * (1.0 + 0.0625));
+                        score.measure(Measure::Outcome, beyond, self.sizes.band() * (1.0 + 0.0625));
                     }
                     Outcome::Separated => {
-                        cell.demand(beyond > 0.0, || format!("separated, {beyond:e} beyond {margin:e}"));
+                        score.demand(beyond > 0.0, || format!("separated, {beyond:e} beyond {margin:e}"));
                         self.bounds(
                             answer,
                             distance.as_ref().map_or(0.0, |d| d.beyond(answer.separation.max(0.0))),
-                            cell,
+                            score,
                         );
                     }
-                    Outcome::Undecided => cell.undecided += 1,
+                    Outcome::Undecided => score.undecided += 1,
                 }
                 match answer.outcome {
-                    Outcome::Contact => cell.met.contact += 1,
-                    _ => cell.met.separated += 1,
+                    Outcome::Contact => score.counts.contact += 1,
+                    _ => score.counts.separated += 1,
                 }
                 let result = certificate::check(a, b, &query, answer);
-                cell.demand(result.is_ok(), || format!("certificate at margin {margin:e}: {result:?}"));
+                score.demand(result.is_ok(), || format!("certificate at margin {margin:e}: {result:?}"));
             }
         }
     }
 
     /// The numbers of a separated pair are lower bounds: of alpha and of the distance.
-    fn bounds(&self, answer: &Manifold, beyond: f64, cell: &mut Cell) {
+    fn bounds(&self, answer: &Manifold, beyond: f64, score: &mut SolverScore) {
         let holds = self.growth.error_of(answer.alpha_lower) <= 0.0 && beyond >= 0.0;
-        cell.demand(holds, || format!("no lower bounds, distance {beyond:e} beyond: {answer:?}"));
+        score.demand(holds, || format!("no lower bounds, distance {beyond:e} beyond: {answer:?}"));
     }
 
-    fn count(&self, answer: &Manifold, cell: &mut Cell) {
+    fn count(&self, answer: &Manifold, score: &mut SolverScore) {
         let flags = answer.flags;
-        cell.gap_open += usize::from(flags.gap_open);
-        cell.coincident += usize::from(flags.coincident);
-        cell.estimated += usize::from(flags.estimated);
-        let met = &mut cell.met;
-        met.open += usize::from(flags.gap_open);
-        met.coincident += usize::from(flags.coincident);
+        score.gap_open += usize::from(flags.gap_open);
+        score.coincident += usize::from(flags.coincident);
+        score.estimated += usize::from(flags.estimated);
+        let counts = &mut score.counts;
+        counts.open += usize::from(flags.gap_open);
+        counts.coincident += usize::from(flags.coincident);
         let overlapping = self.growth.num <= self.growth.den;
-        met.overlapping += usize::from(overlapping);
-        met.apart += usize::from(!overlapping);
-        met.ties += usize::from(self.growth.is_tied());
-        met.patches += usize::from(answer.points.len() >= 4);
+        counts.overlapping += usize::from(overlapping);
+        counts.apart += usize::from(!overlapping);
+        counts.ties += usize::from(self.growth.is_tied());
+        counts.patches += usize::from(answer.points.len() >= 4);
         match answer.features {
-            Some([Feature::Edge(_), Feature::Edge(_)]) => met.edge_edge += 1,
-            Some([Feature::Face(_), Feature::Face(_)]) => met.faces += 1,
+            Some([Feature::Edge(_), Feature::Edge(_)]) => counts.edge_edge += 1,
+            Some([Feature::Face(_), Feature::Face(_)]) => counts.faces += 1,
             _ => {}
         }
     }

@@ -38,7 +38,7 @@ fn many_cases_by_the_exact_answers() {
 
 /// Counts of answers that were GAP_OPEN or UNDECIDED.
 #[derive(Clone, Copy, Default)]
-struct Open {
+struct OpenAnswers {
     /// Answers of cases that limit the solver's iterations.
     limited: usize,
     /// Answers of all other cases.
@@ -47,7 +47,7 @@ struct Open {
 
 /// The first violation of the certificate in a case, if there is one. Counts open answers in
 /// `open`.
-fn violation(case: &Case, workspace: &mut Workspace, open: &mut Open) -> Option<String> {
+fn violation(case: &Case, workspace: &mut Workspace, open: &mut OpenAnswers) -> Option<String> {
     let limited = case.max_iterations < Accuracy::default().max_iterations;
     let count = if limited { &mut open.limited } else { &mut open.others };
     let [a, b] = case.bodies();
@@ -76,7 +76,8 @@ fn a_million_cases_by_the_certificate() {
     let counts = of_every_row(|mut row| {
         let random = &mut row.random(2);
         // Making a case with large hulls costs more than solving it, so their rows run fewer cases.
-        let (mut workspace, mut open, cases) = (Workspace::default(), Open::default(), row.thinned_out(each));
+        let (mut workspace, mut open, cases) =
+            (Workspace::default(), OpenAnswers::default(), row.thinned_out(each));
         for _ in 0..cases {
             let case = row.case(random);
             if let Some(violation) = violation(&case, &mut workspace, &mut open) {
@@ -86,7 +87,7 @@ fn a_million_cases_by_the_certificate() {
         (cases, open)
     });
     let cases: usize = counts.iter().map(|(cases, _)| cases).sum();
-    let open = |of: fn(&Open) -> usize| counts.iter().map(|(_, open)| of(open)).sum::<usize>();
+    let open = |of: fn(&OpenAnswers) -> usize| counts.iter().map(|(_, open)| of(open)).sum::<usize>();
     let (limited, others) = (open(|open| open.limited), open(|open| open.others));
     println!(
         "{cases} cases by the certificate; GAP_OPEN or UNDECIDED: {limited} answers with limited \

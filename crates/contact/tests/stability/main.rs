@@ -8,7 +8,6 @@
 mod case;
 mod determinism;
 mod exact;
-mod found;
 mod frames;
 mod fuzzed;
 mod gauss;
@@ -22,6 +21,7 @@ mod oracle;
 #[path = "../workload/polygon.rs"]
 mod polygon;
 mod refused;
+mod regressions;
 mod report;
 #[path = "../scene/mod.rs"]
 mod scene;

@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use hullcast_contact::Workspace;
 
 use super::case::Case;
-use super::judge::{Cell, Met, judge};
+use super::judge::{CaseCounts, SolverScore, judge};
 use super::scene::Random;
 
 /// One row of the matrix.
@@ -21,7 +21,7 @@ pub(crate) struct Row {
     /// The flag that the row is about; it may be raised in every case.
     pub(crate) about: About,
     /// This count must reach a tenth of the cases; otherwise the cases are not of the row's kind.
-    meets: fn(&Met) -> usize,
+    meets: fn(&CaseCounts) -> usize,
     /// Large hulls are expensive: only one case in `thin` is run.
     thin: usize,
     stream: u64,
@@ -42,7 +42,7 @@ impl Row {
         value: impl std::fmt::Display,
         make: impl FnMut(&mut Random) -> Case + 'static,
     ) -> Self {
-        let meets = |met: &Met| met.overlapping + met.apart;
+        let meets = |counts: &CaseCounts| counts.overlapping + counts.apart;
         Self {
             axis,
             value: value.to_string(),
@@ -58,7 +58,7 @@ impl Row {
         Self { about, ..self }
     }
 
-    fn meets(self, meets: fn(&Met) -> usize) -> Self {
+    fn meets(self, meets: fn(&CaseCounts) -> usize) -> Self {
         Self { meets, ..self }
     }
 
@@ -71,7 +71,7 @@ impl Row {
 pub(crate) struct Score {
     pub(crate) axis: &'static str,
     pub(crate) value: String,
-    pub(crate) cells: [Cell; 2],
+    pub(crate) cells: [SolverScore; 2],
 }
 
 /// Every row of the matrix.
@@ -149,13 +149,13 @@ pub(crate) fn run(mut row: Row, cases: usize) -> Score {
     let cases = row.thinned_out(cases);
     let random = &mut row.random(row.stream);
     let mut workspace = Workspace::default();
-    let mut cells = [Cell::default(), Cell::default()];
+    let mut cells = [SolverScore::default(), SolverScore::default()];
     for _ in 0..cases {
         judge(&row.case(random), &mut cells, &mut workspace);
     }
     for cell in &mut cells {
-        let met = (row.meets)(&cell.met);
-        let all = cell.met;
+        let met = (row.meets)(&cell.counts);
+        let all = cell.counts;
         cell.demand(10 * met >= cases, || format!("met {met} of {cases}: {all:?}"));
         let gap_open = if row.about == About::GapOpen { 0 } else { cell.gap_open };
         let coincident = if row.about == About::Coincident { 0 } else { cell.coincident };

@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use proptest::test_runner::{Config, RngAlgorithm, TestCaseError, TestRng, TestRunner};
 
 use crate::case::{Case, Shape, norm, rotate};
-use crate::judge::{Cell, U, judge};
+use crate::judge::{SolverScore, U, judge};
 use crate::oracle::Exact;
 use crate::polygon;
 
@@ -128,9 +128,9 @@ pub(crate) fn at(case: &Case, d: [f64; 3]) -> Case {
 fn degenerate_scenes_are_exact() {
     let ties = std::cell::Cell::new(0);
     holds(3000, scene(), |case| {
-        let mut cells = [Cell::default(), Cell::default()];
+        let mut cells = [SolverScore::default(), SolverScore::default()];
         judge(&case, &mut cells, &mut Workspace::default());
-        ties.set(ties.get() + cells[0].met.ties);
+        ties.set(ties.get() + cells[0].counts.ties);
         let failed: Vec<_> = cells.iter().flat_map(|c| &c.failed).collect();
         let flagged = cells.iter().map(|c| c.gap_open + c.undecided).sum::<usize>();
         check(failed.is_empty() && flagged == 0, || format!("{failed:#?}, {flagged} flagged"))

@@ -6,7 +6,7 @@ use std::rc::Rc;
 use hullcast_contact::{Feature, Flags, Manifold, Outcome, Solver, Workspace};
 
 use crate::case::{Case, Shape, cuboid, turn};
-use crate::judge::{Cell, judge};
+use crate::judge::{SolverScore, judge};
 use crate::scene::{Random, box_points, prism_points, scaled};
 
 pub(crate) const LEVEL: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
@@ -14,7 +14,7 @@ pub(crate) const LEVEL: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
 /// Compares both solvers' answers for a case with the exact one, and returns their answers at an
 /// infinite margin.
 pub(crate) fn judged(case: &Case) -> [Manifold; 2] {
-    let mut cells = [Cell::default(), Cell::default()];
+    let mut cells = [SolverScore::default(), SolverScore::default()];
     judge(case, &mut cells, &mut Workspace::default());
     for (cell, solver) in cells.iter().zip(Solver::ALL) {
         assert!(cell.failed.is_empty(), "{solver:?}: {:#?}\n{case:?}", cell.failed);

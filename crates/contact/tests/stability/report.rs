@@ -4,11 +4,11 @@ use std::fmt::Write as _;
 
 use hullcast_contact::Solver;
 
-use crate::judge::{Cell, MEASURES};
+use crate::judge::{MEASURES, SolverScore};
 use crate::matrix::Score;
 
 /// The counts of a cell, with their names.
-fn counts(cell: &Cell) -> [(&'static str, usize); 6] {
+fn counts(cell: &SolverScore) -> [(&'static str, usize); 6] {
     [
         ("cases", cell.cases),
         ("failures", cell.failures),
@@ -19,7 +19,7 @@ fn counts(cell: &Cell) -> [(&'static str, usize); 6] {
     ]
 }
 
-fn cells(scores: &[Score]) -> impl Iterator<Item = (&Score, &'static str, &Cell)> {
+fn cells(scores: &[Score]) -> impl Iterator<Item = (&Score, &'static str, &SolverScore)> {
     scores.iter().flat_map(|score| {
         Solver::ALL
             .map(Solver::name)
@@ -31,14 +31,14 @@ fn cells(scores: &[Score]) -> impl Iterator<Item = (&Score, &'static str, &Cell)
 
 /// Every failure, with its row and solver.
 pub(crate) fn failures(scores: &[Score]) -> Vec<String> {
-    let of = |(score, solver, cell): (&Score, &str, &Cell)| -> Vec<String> {
+    let of = |(score, solver, cell): (&Score, &str, &SolverScore)| -> Vec<String> {
         cell.failed.iter().map(|f| format!("{}, {}, {solver}: {f}", score.axis, score.value)).collect()
     };
     cells(scores).flat_map(of).collect()
 }
 
 /// The fraction of a cell's cases with a flag that excuses an error; ESTIMATED is left out.
-fn flagged(cell: &Cell) -> String {
+fn flagged(cell: &SolverScore) -> String {
     let flagged = cell.gap_open + cell.coincident + cell.undecided;
     if flagged == 0 { "·".into() } else { format!("{:.1} %", 100.0 * flagged as f64 / cell.cases as f64) }
 }
@@ -88,7 +88,7 @@ pub(crate) fn summary(scores: &[Score]) -> String {
 /// The number of features that were compared with the definition, and of answers that had to be
 /// ESTIMATED.
 pub(crate) fn features(scores: &[Score]) -> ([usize; 3], usize) {
-    let met = || scores.iter().flat_map(|s| &s.cells).map(|cell| cell.met);
+    let met = || scores.iter().flat_map(|s| &s.cells).map(|cell| cell.counts);
     let touched = met().fold([0; 3], |sum, met| std::array::from_fn(|i| sum[i] + met.touched[i]));
     (touched, met().map(|met| met.due).sum())
 }

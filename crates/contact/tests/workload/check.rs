@@ -39,7 +39,7 @@ const MEASURES: [&str; 7] = ["alpha", "bracket", "normal", "separation", "surfac
 
 /// The score of one family in one regime with one solver.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Cell {
+pub(crate) struct FamilyScore {
     pub(crate) pairs: usize,
     pub(crate) overlapping: usize,
     pub(crate) points: usize,
@@ -51,7 +51,7 @@ pub(crate) struct Cell {
     pub(crate) violations: Vec<String>,
 }
 
-impl Cell {
+impl FamilyScore {
     /// Records an error as a fraction of its budget. A fraction above 1, or NaN, is a violation.
     fn measure(&mut self, measure: Measure, value: f64, budget: f64) {
         let share = value / budget;
@@ -67,8 +67,8 @@ impl Cell {
     }
 }
 
-/// Checks every pair of a family; returns one cell per regime.
-pub(crate) fn check_family(family: &Family, solver: Solver) -> Vec<Cell> {
+/// Checks every pair of a family; returns one score per regime.
+pub(crate) fn check_family(family: &Family, solver: Solver) -> Vec<FamilyScore> {
     let options = HullOptions { contraction_point: Some([0.0; 3]), ..HullOptions::default() };
     let hulls: Vec<ConvexHull> = family
         .hulls
@@ -79,18 +79,18 @@ pub(crate) fn check_family(family: &Family, solver: Solver) -> Vec<Cell> {
         .collect();
     let mut workspace = Workspace::default();
     let regime = |(regime, pairs): (usize, &Vec<Pair>)| {
-        let mut cell = Cell::default();
+        let mut score = FamilyScore::default();
         for pair in pairs {
             let bodies = [0, 1].map(|side| {
-                let place = pair.places[side];
-                let pose = Pose::new(place.position, place.rotation).expect("the workload's poses are good");
+                let pose = pair.poses[side];
+                let pose = Pose::new(pose.position, pose.rotation).expect("the workload's poses are good");
                 Body::new(&hulls[pair.hulls[side]], pose)
             });
             let truth = Truth::new(&family.hulls, pair);
-            check_pair(&truth, &bodies, solver, regime, &mut workspace, &mut cell);
-            cell.pairs += 1;
+            check_pair(&truth, &bodies, solver, regime, &mut workspace, &mut score);
+            score.pairs += 1;
         }
-        cell
+        score
     };
     family.regimes.iter().enumerate().map(regime).collect()
 }
@@ -101,32 +101,32 @@ fn check_pair(
     solver: Solver,
     regime: usize,
     workspace: &mut Workspace,
-    cell: &mut Cell,
+    score: &mut FamilyScore,
 ) {
     let accuracy = Accuracy { solver, ..Accuracy::default() };
     // With an infinite margin every pair has numbers and points.
     let everywhere = Query { margin: f64::INFINITY, accuracy, ..Query::default() };
     let answer = contact_manifold(a, b, &everywhere, None, workspace);
-    check_certificate(a, b, &everywhere, answer, cell);
-    cell.demand(answer.outcome == Outcome::Contact, || format!("{:?} at any margin", answer.outcome));
-    check_numbers(truth, answer, cell);
-    check_points(truth, answer, cell);
-    check_estimated(truth, answer, [a.hull, b.hull], cell);
-    check_patch(truth, answer, cell);
+    check_certificate(a, b, &everywhere, answer, score);
+    score.demand(answer.outcome == Outcome::Contact, || format!("{:?} at any margin", answer.outcome));
+    check_numbers(truth, answer, score);
+    check_points(truth, answer, score);
+    check_estimated(truth, answer, [a.hull, b.hull], score);
+    check_patch(truth, answer, score);
 
     let touching = Query { margin: 0.0, ..everywhere };
     let answer = contact_manifold(a, b, &touching, None, workspace);
-    check_certificate(a, b, &touching, answer, cell);
-    check_outcome(truth, answer, regime, cell);
+    check_certificate(a, b, &touching, answer, score);
+    check_outcome(truth, answer, regime, score);
 }
 
 /// The library's own certificate must accept the answer.
-fn check_certificate(a: &Body, b: &Body, query: &Query, answer: &Manifold, cell: &mut Cell) {
+fn check_certificate(a: &Body, b: &Body, query: &Query, answer: &Manifold, score: &mut FamilyScore) {
     let result = certificate::check(a, b, query, answer);
-    cell.demand(result.is_ok(), || format!("certificate: {result:?}"));
+    score.demand(result.is_ok(), || format!("certificate: {result:?}"));
 }
 
-fn check_numbers(truth: &Truth, answer: &Manifold, cell: &mut Cell) {
+fn check_numbers(truth: &Truth, answer: &Manifold, score: &mut FamilyScore) {
     let condition = truth.outer / truth.inner;
     // The contraction points are the hulls' origins. Among the lengths that enter the offset, `M`,
     // only the distance of the origins remains.
@@ -135,49 +135,49 @@ fn check_numbers(truth: &Truth, answer: &Manifold, cell: &mut Cell) {
     let n = answer.normal.to_array();
 
     let error = (answer.alpha - exact).abs();
-    cell.measure(Measure::Alpha, error, 16.0 * U * exact * condition + noise / truth.inner);
-    cell.demand(answer.alpha_lower <= exact && exact <= answer.alpha_upper, || {
+    score.measure(Measure::Alpha, error, 16.0 * U * exact * condition + noise / truth.inner);
+    score.demand(answer.alpha_lower <= exact && exact <= answer.alpha_upper, || {
         format!("exact {exact:e} outside [{:e}, {:e}]", answer.alpha_lower, answer.alpha_upper)
     });
     let width = answer.alpha_upper - answer.alpha_lower;
     let allowed = 64.0 * U * answer.alpha_upper * condition + 2.0 * noise / truth.inner;
-    cell.measure(Measure::Bracket, width, allowed);
+    score.measure(Measure::Bracket, width, allowed);
 
-    cell.demand((norm(n) - 1.0).abs() <= 8.0 * U, || format!("normal of length {:e}", norm(n)));
+    score.demand((norm(n) - 1.0).abs() <= 8.0 * U, || format!("normal of length {:e}", norm(n)));
     let gap = truth.optimality_gap(n);
-    cell.measure(Measure::Normal, gap, 64.0 * U * exact * condition + noise / truth.inner);
+    score.measure(Measure::Normal, gap, 64.0 * U * exact * condition + noise / truth.inner);
     let error = (answer.separation - truth.separation(n)).abs();
-    cell.measure(Measure::Separation, error, separation_budget(truth));
+    score.measure(Measure::Separation, error, separation_budget(truth));
 
     let others = Flags { estimated: false, ..answer.flags };
-    cell.demand(others == Flags::default(), || format!("{others:?}"));
+    score.demand(others == Flags::default(), || format!("{others:?}"));
 }
 
 fn separation_budget(truth: &Truth) -> f64 {
     64.0 * U * (truth.outer + truth.distance) + 16.0 * U * truth.distance
 }
 
-fn check_points(truth: &Truth, answer: &Manifold, cell: &mut Cell) {
-    cell.demand(!answer.points.is_empty(), || "no points".into());
-    cell.points += answer.points.len();
-    cell.estimated += usize::from(answer.flags.estimated);
-    cell.demand(!answer.flags.estimated || answer.points.len() == 1, || "several estimated points".into());
+fn check_points(truth: &Truth, answer: &Manifold, score: &mut FamilyScore) {
+    score.demand(!answer.points.is_empty(), || "no points".into());
+    score.points += answer.points.len();
+    score.estimated += usize::from(answer.flags.estimated);
+    score.demand(!answer.flags.estimated || answer.points.len() == 1, || "several estimated points".into());
     let lowest = truth.separation(answer.normal.to_array());
     for point in &answer.points {
-        cell.measure(Measure::Distance, lowest - point.distance, separation_budget(truth));
+        score.measure(Measure::Distance, lowest - point.distance, separation_budget(truth));
         if !answer.flags.estimated {
             let witness_b = point.witness_a + point.distance * answer.normal;
             let tolerance = 1e-9 * truth.outer;
-            cell.measure(Measure::Surface, truth.off_surface(0, point.witness_a.to_array()), tolerance);
-            cell.measure(Measure::Surface, truth.off_surface(1, witness_b.to_array()), tolerance);
+            score.measure(Measure::Surface, truth.off_surface(0, point.witness_a.to_array()), tolerance);
+            score.measure(Measure::Surface, truth.off_surface(1, witness_b.to_array()), tolerance);
         }
     }
 }
 
 /// ESTIMATED must be set exactly if the features, projected along the normal, do not meet.
-fn check_estimated(truth: &Truth, answer: &Manifold, hulls: [&ConvexHull; 2], cell: &mut Cell) {
+fn check_estimated(truth: &Truth, answer: &Manifold, hulls: [&ConvexHull; 2], score: &mut FamilyScore) {
     let Some(features) = answer.features else {
-        return cell.demand(false, || "no features".into());
+        return score.demand(false, || "no features".into());
     };
     let n = answer.normal.to_array();
     let [a, b] = [0, 1].map(|side| {
@@ -192,64 +192,65 @@ fn check_estimated(truth: &Truth, answer: &Manifold, hulls: [&ConvexHull; 2], ce
     let merge = 64.0 * U * (truth.outer + truth.distance);
     // A factor of two allows for this check's own rounding to double.
     let due = if answer.flags.estimated { gap > merge / 2.0 } else { gap <= merge * 2.0 };
-    cell.demand(due, || format!("estimated: {}, features {gap:e} apart", answer.flags.estimated));
+    score.demand(due, || format!("estimated: {}, features {gap:e} apart", answer.flags.estimated));
 }
 
-fn check_patch(truth: &Truth, answer: &Manifold, cell: &mut Cell) {
+fn check_patch(truth: &Truth, answer: &Manifold, score: &mut FamilyScore) {
     let Some(exact) = truth.patch() else { return };
-    cell.patches += 1;
-    cell.demand(!answer.flags.estimated, || "estimated although the faces meet".into());
+    score.patches += 1;
+    score.demand(!answer.flags.estimated, || "estimated although the faces meet".into());
     let project = truth.projection(truth.normal);
     let corners: Vec<Point> =
         answer.points.iter().map(|point| project(wide(point.witness_a.to_array()))).collect();
     let error = polygon::hausdorff(&polygon::convex_hull(&corners), &exact);
-    cell.measure(Measure::Patch, error, 1e-9 * truth.outer);
+    score.measure(Measure::Patch, error, 1e-9 * truth.outer);
 }
 
 /// At margin 0 the outcome must agree with the exact alpha.
-fn check_outcome(truth: &Truth, answer: &Manifold, regime: usize, cell: &mut Cell) {
+fn check_outcome(truth: &Truth, answer: &Manifold, regime: usize, score: &mut FamilyScore) {
     if truth.alpha < 1.0 {
-        cell.overlapping += 1;
-        cell.demand(answer.outcome == Outcome::Contact, || {
+        score.overlapping += 1;
+        score.demand(answer.outcome == Outcome::Contact, || {
             format!("{:?} at alpha {}", answer.outcome, truth.alpha)
         });
-        cell.demand(!answer.points.is_empty(), || "overlapping and no points".into());
+        score.demand(!answer.points.is_empty(), || "overlapping and no points".into());
     } else if truth.alpha > 1.0 {
-        cell.demand(answer.outcome == Outcome::Separated, || {
+        score.demand(answer.outcome == Outcome::Separated, || {
             format!("{:?} at alpha {}", answer.outcome, truth.alpha)
         });
-        check_rejection(truth, answer, cell);
+        check_rejection(truth, answer, score);
     }
-    cell.demand(regime != SEPARATED || truth.alpha > 1.0, || "an overlap among the separated".into());
+    score.demand(regime != SEPARATED || truth.alpha > 1.0, || "an overlap among the separated".into());
 }
 
 /// The numbers of a separated pair are lower bounds, and nothing else is sent.
-fn check_rejection(truth: &Truth, answer: &Manifold, cell: &mut Cell) {
+fn check_rejection(truth: &Truth, answer: &Manifold, score: &mut FamilyScore) {
     let holds = answer.alpha <= truth.alpha && answer.alpha_upper == f64::INFINITY;
-    cell.demand(holds, || format!("alpha {} is no lower bound", answer.alpha));
+    score.demand(holds, || format!("alpha {} is no lower bound", answer.alpha));
     let proven = truth.separation(answer.normal.to_array());
     let holds = answer.separation > 0.0 && answer.separation - proven <= separation_budget(truth);
-    cell.demand(holds, || format!("separation {} where {proven} is proven", answer.separation));
+    score.demand(holds, || format!("separation {} where {proven} is proven", answer.separation));
     let bare = answer.points.is_empty() && answer.basis.is_none() && answer.features.is_none();
-    cell.demand(bare && answer.flags == Flags::default(), || "more than a rejection".into());
+    score.demand(bare && answer.flags == Flags::default(), || "more than a rejection".into());
 }
 
 /// A table with one line per regime: counts, and the worst fraction of each budget.
-pub(crate) fn table(rows: &[(&str, Solver, Vec<Cell>)]) -> String {
+pub(crate) fn table(rows: &[(&str, Solver, Vec<FamilyScore>)]) -> String {
     let mut text = format!("{:<8} {:<10} {:<9} ", "family", "solver", "regime");
     let counts = ["pairs", "overlap", "points", "estim.", "patches", "wrong"];
     for column in counts.iter().chain(&MEASURES) {
         let _ = write!(text, "{column:>10} ");
     }
     for (family, solver, cells) in rows {
-        for (regime, cell) in REGIMES.iter().zip(cells) {
+        for (regime, score) in REGIMES.iter().zip(cells) {
             let solver = format!("{solver:?}");
             let _ = write!(text, "\n{family:<8} {solver:<10} {regime:<9} ");
-            let wrong = cell.violations.len();
-            for count in [cell.pairs, cell.overlapping, cell.points, cell.estimated, cell.patches, wrong] {
+            let wrong = score.violations.len();
+            for count in [score.pairs, score.overlapping, score.points, score.estimated, score.patches, wrong]
+            {
                 let _ = write!(text, "{count:>10} ");
             }
-            for share in cell.worst {
+            for share in score.worst {
                 let _ = write!(text, "{share:>10.2e} ");
             }
         }

@@ -18,7 +18,7 @@ pub(crate) struct Hull {
 
 /// The pose of a hull: position and quaternion `x, y, z, w`.
 #[derive(Clone, Copy)]
-pub(crate) struct Place {
+pub(crate) struct HullPose {
     pub(crate) position: [f64; 3],
     pub(crate) rotation: [f64; 4],
 }
@@ -26,7 +26,7 @@ pub(crate) struct Place {
 /// Two hulls of a family and the exact answer.
 pub(crate) struct Pair {
     pub(crate) hulls: [usize; 2],
-    pub(crate) places: [Place; 2],
+    pub(crate) poses: [HullPose; 2],
     /// The exact growth scale, rounded to double.
     pub(crate) alpha: f64,
     /// An optimal unit normal from A to B, rounded to double.
@@ -103,8 +103,8 @@ impl Reader<'_> {
         Ok(Hull { vertices: self.rows(vertices)?, planes: self.rows(planes)? })
     }
 
-    fn place(&mut self) -> io::Result<Place> {
-        Ok(Place { position: self.numbers()?, rotation: self.numbers()? })
+    fn pose(&mut self) -> io::Result<HullPose> {
+        Ok(HullPose { position: self.numbers()?, rotation: self.numbers()? })
     }
 
     fn pair(&mut self, hull_count: usize) -> io::Result<Pair> {
@@ -112,7 +112,7 @@ impl Reader<'_> {
         if hulls.iter().any(|&hull| hull >= hull_count) {
             return Err(invalid(format!("hulls {hulls:?} of {hull_count}")));
         }
-        let places = [self.place()?, self.place()?];
-        Ok(Pair { hulls, places, alpha: self.number()?, normal: self.numbers()? })
+        let poses = [self.pose()?, self.pose()?];
+        Ok(Pair { hulls, poses, alpha: self.number()?, normal: self.numbers()? })
     }
 }

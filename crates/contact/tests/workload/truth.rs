@@ -11,7 +11,7 @@ const FEATURE_ANGLE: f64 = 0.01;
 struct Placed<'a> {
     hull: &'a Hull,
     rows: [Dd3; 3],
-    center: Dd3,
+    centre: Dd3,
     /// The vertices relative to the contraction point, in world axes.
     vertices: Vec<Dd3>,
 }
@@ -29,7 +29,7 @@ impl Placed<'_> {
 
     /// The signed distance of a world point from the plane; positive outside.
     fn height(&self, plane: [f64; 4], point: [f64; 3]) -> f64 {
-        let from = minus(wide(point), self.center);
+        let from = minus(wide(point), self.centre);
         let normal = rotate(&self.rows, [plane[0], plane[1], plane[2]]);
         f64::from(dot(normal, from) + plane[3].into())
     }
@@ -47,7 +47,7 @@ impl Placed<'_> {
             |v: &&[f64; 3]| (plane[0] * v[0] + plane[1] * v[1] + plane[2] * v[2] + plane[3]).abs() <= merge;
         let corners = self.hull.vertices.iter().filter(on_plane);
         let corners: Vec<Point> =
-            corners.map(|&v| project(plus(self.center, rotate(&self.rows, v)))).collect();
+            corners.map(|&v| project(plus(self.centre, rotate(&self.rows, v)))).collect();
         Some(polygon::convex_hull(&corners))
     }
 }
@@ -69,12 +69,12 @@ pub(crate) struct Truth<'a> {
 impl<'a> Truth<'a> {
     pub(crate) fn new(hulls: &'a [Hull], pair: &Pair) -> Self {
         let placed = [0, 1].map(|side| {
-            let (hull, place) = (&hulls[pair.hulls[side]], pair.places[side]);
-            let rows = rotation(place.rotation);
+            let (hull, pose) = (&hulls[pair.hulls[side]], pair.poses[side]);
+            let rows = rotation(pose.rotation);
             let vertices = hull.vertices.iter().map(|&v| rotate(&rows, v)).collect();
-            Placed { hull, rows, center: wide(place.position), vertices }
+            Placed { hull, rows, centre: wide(pose.position), vertices }
         });
-        let offset = minus(placed[1].center, placed[0].center);
+        let offset = minus(placed[1].centre, placed[0].centre);
         let inner = |hull: &Hull| hull.planes.iter().map(|p| -p[3]).fold(f64::INFINITY, f64::min);
         let outer = |hull: &Hull| hull.vertices.iter().map(|&v| norm(v)).fold(0.0, f64::max);
         Self {
@@ -122,7 +122,7 @@ impl<'a> Truth<'a> {
         let first = first.map(|c| c / norm(first));
         let second = cross(n, first);
         move |point| {
-            let from = minus(point, self.placed[0].center);
+            let from = minus(point, self.placed[0].centre);
             [f64::from(dot(wide(first), from)), f64::from(dot(wide(second), from))]
         }
     }
@@ -130,7 +130,7 @@ impl<'a> Truth<'a> {
     /// The convex hull of some vertices of A (0) or B (1), projected along `n`.
     pub(crate) fn outline(&self, side: usize, vertices: &[u32], n: [f64; 3]) -> Vec<Point> {
         let (placed, project) = (&self.placed[side], self.projection(n));
-        let corner = |&v: &u32| project(plus(placed.center, placed.vertices[v as usize]));
+        let corner = |&v: &u32| project(plus(placed.centre, placed.vertices[v as usize]));
         polygon::convex_hull(&vertices.iter().map(corner).collect::<Vec<_>>())
     }
 

@@ -9,7 +9,7 @@ use hullcast_contact::{
     Body, ConvexHull, HullOptions, Manifold, Outcome, Pose, Query, Workspace, contact_manifold,
 };
 
-use super::shapes::{Group, ROUNDINGS, Rounding};
+use super::shapes::{ROUNDINGS, Rounding, ShapeGroup};
 use crate::progress;
 
 pub(super) const PLANARITIES: [f64; 11] = [1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 7e-4, 1e-3, 2e-3, 5e-3, 1e-2];
@@ -27,7 +27,7 @@ const WHOLE: f64 = 0.01;
 
 /// The figures of one group, rounding and planarity; most are sums over shapes and orientations.
 #[derive(Clone, Debug)]
-pub(super) struct Cell {
+pub(super) struct PlanarityFigures {
     pub(super) group: String,
     pub(super) rounding: Rounding,
     pub(super) planarity: f64,
@@ -101,8 +101,8 @@ fn area(manifold: &Manifold) -> f64 {
     0.5 * sum.dot(manifold.normal).abs()
 }
 
-/// All cells, with the planarities of one rounding next to each other.
-pub(super) fn cells(groups: &[Group], orientations: usize) -> Vec<Cell> {
+/// All figures, with the planarities of one rounding next to each other.
+pub(super) fn figures(groups: &[ShapeGroup], orientations: usize) -> Vec<PlanarityFigures> {
     let rows: Vec<_> = groups.iter().flat_map(|group| ROUNDINGS.map(|rounding| (group, rounding))).collect();
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let next = AtomicUsize::new(0);
@@ -115,21 +115,22 @@ pub(super) fn cells(groups: &[Group], orientations: usize) -> Vec<Cell> {
         }
         done
     };
-    let mut done: Vec<Vec<Cell>> = std::thread::scope(|scope| {
+    let mut done: Vec<Vec<PlanarityFigures>> = std::thread::scope(|scope| {
         let handles: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
         handles.into_iter().flat_map(|handle| handle.join().expect("rows")).collect()
     });
-    let place = |cells: &Vec<Cell>| {
-        rows.iter()
-            .position(|(group, rounding)| (&group.name, *rounding) == (&cells[0].group, cells[0].rounding))
+    let place = |figures: &Vec<PlanarityFigures>| {
+        rows.iter().position(|(group, rounding)| {
+            (&group.name, *rounding) == (&figures[0].group, figures[0].rounding)
+        })
     };
     done.sort_by_key(place);
     done.concat()
 }
 
-/// The cells of one group and rounding, one per planarity.
-fn row(group: &Group, rounding: Rounding, orientations: usize) -> Vec<Cell> {
-    let mut row = PLANARITIES.map(|planarity| Cell::new(&group.name, rounding, planarity));
+/// The figures of one group and rounding, one per planarity.
+fn row(group: &ShapeGroup, rounding: Rounding, orientations: usize) -> Vec<PlanarityFigures> {
+    let mut row = PLANARITIES.map(|planarity| PlanarityFigures::new(&group.name, rounding, planarity));
     for (seed, points) in group.shapes.iter().enumerate() {
         let reference = Reference::new(points);
         let mut random = Random::new(seed as u64);
@@ -141,7 +142,13 @@ fn row(group: &Group, rounding: Rounding, orientations: usize) -> Vec<Cell> {
 }
 
 /// Measures one orientation of a shape with every planarity, and adds the figures to the row.
-fn measure(points: &[[f64; 3]], reference: &Reference, turned: DQuat, timed: bool, row: &mut [Cell]) {
+fn measure(
+    points: &[[f64; 3]],
+    reference: &Reference,
+    turned: DQuat,
+    timed: bool,
+    row: &mut [PlanarityFigures],
+) {
     let floor = floor(8.0 * reference.hull.circumradius());
     let mut workspace = Workspace::default();
     let rounding = row[0].rounding;
@@ -159,24 +166,24 @@ fn measure(points: &[[f64; 3]], reference: &Reference, turned: DQuat, timed: boo
     };
     let (true_area, _) = ask(&Standing { hull: &reference.hull, pose: standing(reference.upright) });
     let mut first_alpha = None;
-    for cell in row {
-        let hull = hull(&written, cell.planarity);
+    for figures in row {
+        let hull = hull(&written, figures.planarity);
         let shape = Standing { hull: &hull, pose: standing(reference.upright * turned.conjugate()) };
         let (area, alpha) = ask(&shape);
         if timed {
-            cell.building += fastest(|| self::hull(&written, cell.planarity));
-            cell.answering += fastest(|| ask(&shape));
+            figures.building += fastest(|| self::hull(&written, figures.planarity));
+            figures.answering += fastest(|| ask(&shape));
         }
         let share = area / true_area;
-        cell.cases += 1;
-        cell.area += share;
-        cell.least_area = cell.least_area.min(share);
-        cell.whole += usize::from((share - 1.0).abs() <= WHOLE);
+        figures.cases += 1;
+        figures.area += share;
+        figures.least_area = figures.least_area.min(share);
+        figures.whole += usize::from((share - 1.0).abs() <= WHOLE);
         let expected = *first_alpha.get_or_insert(alpha);
-        cell.alpha = cell.alpha.max((alpha / expected - 1.0).abs());
-        cell.error = cell.error.max(hull.geometric_error() / hull.circumradius());
-        cell.edges += sharp_edges(&hull).min(reference.edges);
-        cell.all_edges += reference.edges;
+        figures.alpha = figures.alpha.max((alpha / expected - 1.0).abs());
+        figures.error = figures.error.max(hull.geometric_error() / hull.circumradius());
+        figures.edges += sharp_edges(&hull).min(reference.edges);
+        figures.all_edges += reference.edges;
     }
 }
 
@@ -199,7 +206,7 @@ fn floor(half: f64) -> ConvexHull {
     ConvexHull::new(&(0..8).map(corner).collect::<Vec<_>>()).expect("a slab")
 }
 
-impl Cell {
+impl PlanarityFigures {
     fn new(group: &str, rounding: Rounding, planarity: f64) -> Self {
         Self {
             group: group.to_owned(),

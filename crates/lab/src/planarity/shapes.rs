@@ -3,19 +3,19 @@
 use std::f64::consts::TAU;
 use std::path::Path;
 
-use hullcast_batch::scene_file::{HullPoints, SceneError, SceneFile};
+use hullcast_batch::scene_file::{HullPoints, SceneFile, SceneFileError};
 
 pub(super) type Points = Vec<[f64; 3]>;
 
 /// Shapes of one kind.
-pub(super) struct Group {
+pub(super) struct ShapeGroup {
     pub(super) name: String,
     pub(super) shapes: Vec<Points>,
     /// One in this many of the orientations is measured.
     pub(super) thinned: usize,
 }
 
-impl Group {
+impl ShapeGroup {
     fn new(name: &str, shapes: Vec<Points>) -> Self {
         Self { name: name.to_owned(), shapes, thinned: 1 }
     }
@@ -31,7 +31,7 @@ impl Group {
 ///
 /// # Errors
 /// A scene of the robots cannot be read.
-pub(super) fn groups() -> Result<Vec<Group>, SceneError> {
+pub(super) fn groups() -> Result<Vec<ShapeGroup>, SceneFileError> {
     let stack = |sides: usize, rings: &[(f64, f64)]| -> Points {
         let corner = |i: usize| (TAU * i as f64 / sides as f64).sin_cos();
         let ring = |&(radius, z): &(f64, f64)| {
@@ -40,8 +40,8 @@ pub(super) fn groups() -> Result<Vec<Group>, SceneError> {
         rings.iter().flat_map(ring).collect()
     };
     Ok(vec![
-        Group::new("boxes", vec![cuboid([0.04; 3]), cuboid([0.3, 0.2, 0.05]), cuboid([1.0; 3])]),
-        Group::new(
+        ShapeGroup::new("boxes", vec![cuboid([0.04; 3]), cuboid([0.3, 0.2, 0.05]), cuboid([1.0; 3])]),
+        ShapeGroup::new(
             "prisms",
             vec![
                 stack(6, &[(0.05, -0.05), (0.05, 0.05)]),
@@ -49,14 +49,14 @@ pub(super) fn groups() -> Result<Vec<Group>, SceneError> {
                 stack(5, &[(0.5, -0.4), (0.5, 0.4)]),
             ],
         ),
-        Group::new(
+        ShapeGroup::new(
             "barrels",
             vec![
                 stack(24, &[(0.3, -0.45), (0.38, -0.2), (0.38, 0.2), (0.3, 0.45)]),
                 stack(16, &[(0.03, -0.05), (0.04, 0.0), (0.03, 0.05)]),
             ],
         ),
-        Group::new(
+        ShapeGroup::new(
             "frusta",
             vec![
                 stack(12, &[(0.05, -0.05), (0.03, 0.05)]),
@@ -64,8 +64,11 @@ pub(super) fn groups() -> Result<Vec<Group>, SceneError> {
                 stack(4, &[(0.2, -0.1), (0.1, 0.1)]),
             ],
         ),
-        Group::new("cylinders", [32, 64, 128].map(|sides| stack(sides, &[(0.1, -0.1), (0.1, 0.1)])).into()),
-        Group::new("links", links()?),
+        ShapeGroup::new(
+            "cylinders",
+            [32, 64, 128].map(|sides| stack(sides, &[(0.1, -0.1), (0.1, 0.1)])).into(),
+        ),
+        ShapeGroup::new("links", links()?),
     ])
 }
 
@@ -75,7 +78,7 @@ fn cuboid(size: [f64; 3]) -> Points {
 }
 
 /// The robots' hulls in the example scenes. Their names have the form `link/number`.
-fn links() -> Result<Vec<Points>, SceneError> {
+fn links() -> Result<Vec<Points>, SceneFileError> {
     let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/scenes");
     let mut links = Vec::new();
     for name in ["panda.json", "anymal_c.json"] {

@@ -2,34 +2,34 @@
 
 use std::fmt::Write;
 
-use super::measure::{Cell, PLANARITIES};
+use super::measure::{PLANARITIES, PlanarityFigures};
 use super::shapes::{ROUNDINGS, Rounding};
 
-/// One row per cell.
-pub(super) fn csv(cells: &[Cell]) -> String {
+/// One row per group, rounding and planarity.
+pub(super) fn csv(rows: &[PlanarityFigures]) -> String {
     let mut text =
         String::from("group,rounding,planarity,cases,whole,mean area,least area,alpha,error,edges lost\n");
-    for cell in cells {
-        let Cell { group, planarity, cases, alpha, error, least_area, .. } = cell;
+    for figures in rows {
+        let PlanarityFigures { group, planarity, cases, alpha, error, least_area, .. } = figures;
         let _ = writeln!(
             text,
             "{group},{},{planarity:e},{cases},{:.5},{:.5},{least_area:.5},{alpha:.1e},{error:.2e},{:.5}",
-            cell.rounding.name(),
-            cell.mean(cell.whole as f64),
-            cell.mean(cell.area),
-            lost(cell),
+            figures.rounding.name(),
+            figures.mean(figures.whole as f64),
+            figures.mean(figures.area),
+            lost(figures),
         );
     }
     text
 }
 
 /// The share of edges sharper than the feature angle that the hull has lost.
-fn lost(cell: &Cell) -> f64 {
-    1.0 - cell.edges as f64 / cell.all_edges as f64
+fn lost(figures: &PlanarityFigures) -> f64 {
+    1.0 - figures.edges as f64 / figures.all_edges as f64
 }
 
-fn names(cells: &[Cell]) -> Vec<&str> {
-    let mut names: Vec<_> = cells.iter().map(|cell| cell.group.as_str()).collect();
+fn names(rows: &[PlanarityFigures]) -> Vec<&str> {
+    let mut names: Vec<_> = rows.iter().map(|figures| figures.group.as_str()).collect();
     names.dedup();
     names
 }
@@ -43,16 +43,17 @@ fn header(text: &mut String, title: &str) {
 /// A Markdown table: one line per group and rounding, and one column per planarity.
 fn table(
     text: &mut String,
-    cells: &[Cell],
+    rows: &[PlanarityFigures],
     title: &str,
     roundings: &[Rounding],
-    value: impl Fn(&Cell) -> String,
+    value: impl Fn(&PlanarityFigures) -> String,
 ) {
     header(text, title);
-    for name in names(cells) {
+    for name in names(rows) {
         for &rounding in roundings {
-            let of = |cell: &&Cell| cell.group == name && cell.rounding == rounding;
-            let values: String = cells.iter().filter(of).map(|cell| format!(" {} |", value(cell))).collect();
+            let of = |figures: &&PlanarityFigures| figures.group == name && figures.rounding == rounding;
+            let values: String =
+                rows.iter().filter(of).map(|figures| format!(" {} |", value(figures))).collect();
             let _ = writeln!(text, "| {name}, {} |{values}", rounding.name());
         }
     }
@@ -60,44 +61,49 @@ fn table(
 }
 
 /// All tables.
-pub(super) fn tables(cells: &[Cell], orientations: usize) -> String {
+pub(super) fn tables(rows: &[PlanarityFigures], orientations: usize) -> String {
     let counted = hullcast_batch::counted(orientations, "orientation");
     let mut text = format!("Each shape stands on its largest face, in {counted}.\n\n");
     let rounded = &ROUNDINGS[1..];
     let percent = |share: f64| format!("{:.1}", 100.0 * share);
     table(
         &mut text,
-        cells,
+        rows,
         "Whole patches (area within 1 % of the unrounded shape's), %",
         &ROUNDINGS,
-        |cell| percent(cell.mean(cell.whole as f64)),
+        |figures| percent(figures.mean(figures.whole as f64)),
     );
     table(
         &mut text,
-        cells,
+        rows,
         "Mean area of the patch, divided by that of the unrounded shape",
         rounded,
-        |cell| format!("{:.3}", cell.mean(cell.area)),
+        |figures| format!("{:.3}", figures.mean(figures.area)),
     );
     let plain = &ROUNDINGS[..1];
-    table(&mut text, cells, "Edges sharper than 0.01 rad that are lost by false merges, %", plain, |cell| {
-        percent(lost(cell))
-    });
-    table(&mut text, cells, "Largest error of a face, divided by the circumradius", plain, |cell| {
-        format!("{:.1e}", cell.error)
+    table(
+        &mut text,
+        rows,
+        "Edges sharper than 0.01 rad that are lost by false merges, %",
+        plain,
+        |figures| percent(lost(figures)),
+    );
+    table(&mut text, rows, "Largest error of a face, divided by the circumradius", plain, |figures| {
+        format!("{:.1e}", figures.error)
     });
     let two = &[Rounding::None, Rounding::Decimals(6)];
-    let first = |cell: &Cell| {
-        let same = |other: &&Cell| other.group == cell.group && other.rounding == cell.rounding;
-        cells.iter().find(same).cloned().unwrap_or_else(|| cell.clone())
+    let first = |figures: &PlanarityFigures| {
+        let same =
+            |other: &&PlanarityFigures| other.group == figures.group && other.rounding == figures.rounding;
+        rows.iter().find(same).cloned().unwrap_or_else(|| figures.clone())
     };
-    table(&mut text, cells, "Time to build a hull, divided by that at 1e-6", two, |cell| {
-        format!("{:.2}", cell.building / first(cell).building)
+    table(&mut text, rows, "Time to build a hull, divided by that at 1e-6", two, |figures| {
+        format!("{:.2}", figures.building / first(figures).building)
     });
-    table(&mut text, cells, "Time of a pair, divided by that at 1e-6", two, |cell| {
-        format!("{:.2}", cell.answering / first(cell).answering)
+    table(&mut text, rows, "Time of a pair, divided by that at 1e-6", two, |figures| {
+        format!("{:.2}", figures.answering / first(figures).answering)
     });
-    let alpha = cells.iter().map(|cell| cell.alpha).fold(0.0, f64::max);
+    let alpha = rows.iter().map(|figures| figures.alpha).fold(0.0, f64::max);
     let _ = writeln!(text, "Largest relative difference of alpha between planarities: {alpha:.1e}.");
     text
 }

@@ -4,9 +4,9 @@ use std::fmt::Write;
 
 use hullcast_contact::Solver;
 
-use super::cases::Pool;
-use super::settings::{Center, Setting};
-use super::table::{Figures, PeerRow, Row};
+use super::cases::CellPool;
+use super::settings::{Centre, Setting};
+use super::table::{Figures, PeerRow, SettingRow};
 
 /// A need, and the errors that it tolerates.
 pub(super) struct Need {
@@ -42,7 +42,7 @@ pub(super) const NEEDS: [Need; 4] = [
 
 /// Whether the setting has defaults for the knobs that a user does not choose for speed.
 fn is_offered(setting: &Setting) -> bool {
-    setting.center == Setting::DEFAULT.center && setting.max_iterations == Setting::DEFAULT.max_iterations
+    setting.centre == Setting::DEFAULT.centre && setting.max_iterations == Setting::DEFAULT.max_iterations
 }
 
 /// Settings within this factor of the fastest count as equally fast, and the simplest of them is
@@ -51,22 +51,22 @@ const AS_FAST: f64 = 1.03;
 
 /// The recommended setting for a need: the simplest among the fastest that satisfy it, with or without
 /// a warm start.
-pub(super) fn choice<'a>(rows: &'a [Row], need: &Need, warm: bool) -> Option<&'a Row> {
-    let fit = |row: &&Row| {
+pub(super) fn choice<'a>(rows: &'a [SettingRow], need: &Need, warm: bool) -> Option<&'a SettingRow> {
+    let fit = |row: &&SettingRow| {
         row.setting.warm == warm && is_offered(&row.setting) && (need.bears)(&row.setting, &row.figures)
     };
-    let fitting: Vec<&Row> = rows.iter().filter(fit).collect();
-    let time = |row: &Row| row.figures.relative_time;
+    let fitting: Vec<&SettingRow> = rows.iter().filter(fit).collect();
+    let time = |row: &SettingRow| row.figures.relative_time;
     let fastest = fitting.iter().map(|row| time(row)).fold(f64::INFINITY, f64::min);
     let as_fast = fitting.into_iter().filter(|row| time(row) <= fastest * AS_FAST);
     as_fast.min_by(|p, q| {
-        let knobs = |row: &Row| row.setting.changed().len();
+        let knobs = |row: &SettingRow| row.setting.changed().len();
         knobs(p).cmp(&knobs(q)).then(time(p).total_cmp(&time(q)))
     })
 }
 
 /// The recommendations as text. `rows` are those of all cells together.
-pub(super) fn text(rows: &[Row]) -> String {
+pub(super) fn text(rows: &[SettingRow]) -> String {
     let mut text = String::new();
     let _ = writeln!(text, "Setting to choose for each need (time over that of the default, cold):\n");
     for need in NEEDS {
@@ -80,7 +80,7 @@ pub(super) fn text(rows: &[Row]) -> String {
         }
     }
     let _ = writeln!(text, "\nOne option changed, all others at their default:\n");
-    let alone = |row: &&Row| row.setting.changed().len() <= 1;
+    let alone = |row: &&SettingRow| row.setting.changed().len() <= 1;
     for row in rows.iter().filter(alone) {
         let _ = writeln!(text, "  {}\n    {}", row.setting, described(&row.figures));
     }
@@ -89,7 +89,7 @@ pub(super) fn text(rows: &[Row]) -> String {
 
 /// A table of a few settings of hullcast beside other libraries, with the same measures and the same
 /// true answers.
-pub(super) fn beside(pool: Pool, rows: &[Row], peers: &[PeerRow]) -> String {
+pub(super) fn beside(pool: CellPool, rows: &[SettingRow], peers: &[PeerRow]) -> String {
     let default = Setting::DEFAULT;
     let ours = [
         ("hullcast", default),
@@ -98,8 +98,8 @@ pub(super) fn beside(pool: Pool, rows: &[Row], peers: &[PeerRow]) -> String {
         ("  one point", Setting { max_points: 1, ..default }),
         ("  feature angle 0", Setting { feature_angle: 0.0, ..default }),
         ("  feature angle 0.1", Setting { feature_angle: 0.1, ..default }),
-        ("  about the ball", Setting { center: Center::Ball, ..default }),
-        ("  about an offset", Setting { center: Center::Offset, ..default }),
+        ("  about the ball", Setting { centre: Centre::Ball, ..default }),
+        ("  about an offset", Setting { centre: Centre::Offset, ..default }),
         ("  ray cast", Setting { solver: Solver::GjkRayCast, ..default }),
     ];
     let of = |(name, setting): (&'static str, Setting)| {
@@ -108,8 +108,8 @@ pub(super) fn beside(pool: Pool, rows: &[Row], peers: &[PeerRow]) -> String {
     let all = ours.into_iter().filter_map(of);
     let all = all.chain(peers.iter().map(|peer| (peer.name.as_str(), &peer.figures)));
     let what = match pool {
-        Pool::All => "All pairs except deep ones",
-        Pool::Deep => "Deep pairs",
+        CellPool::All => "All pairs except deep ones",
+        CellPool::Deep => "Deep pairs",
     };
     let mut text = format!("{what}, settings and other libraries (p95 unless p50 is named):\n\n");
     let mut line = |cells: [&str; COLUMNS.len()]| {

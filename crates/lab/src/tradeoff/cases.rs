@@ -19,12 +19,12 @@ const DEEP: (f64, f64) = (0.2, 0.8);
 /// The pool of a cell; results of a pool are also reported together. Typical contacts form one pool.
 /// The other one is of pairs so deep that the least translation belongs to other features.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Pool {
+pub(super) enum CellPool {
     All,
     Deep,
 }
 
-impl Pool {
+impl CellPool {
     /// The name in the table.
     pub(super) fn name(self) -> &'static str {
         match self {
@@ -38,7 +38,7 @@ impl Pool {
 #[derive(Clone, Debug)]
 pub(super) struct Cell {
     pub(super) name: String,
-    pub(super) pool: Pool,
+    pub(super) pool: CellPool,
     pub(super) hulls: Vec<Vec<[f64; 3]>>,
     pub(super) cases: Vec<Case>,
     pub(super) margin: f64,
@@ -49,22 +49,22 @@ pub(super) struct Cell {
 pub(super) struct Case {
     /// Indices into the cell's hulls.
     pub(super) hulls: [usize; 2],
-    pub(super) a: Placement,
-    pub(super) b: Placement,
+    pub(super) a: HullPose,
+    pub(super) b: HullPose,
     /// The pose of B one step earlier, for warm starts.
-    pub(super) before: Placement,
+    pub(super) before: HullPose,
     /// The pose of B after a tiny movement, for detecting flicker.
-    pub(super) nudged: Placement,
+    pub(super) nudged: HullPose,
 }
 
 /// The pose of a hull's frame.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Placement {
+pub(super) struct HullPose {
     pub(super) position: DVec3,
     pub(super) rotation: DQuat,
 }
 
-impl Placement {
+impl HullPose {
     fn new(position: [f64; 3], rotation: [f64; 4]) -> Self {
         let rotation = DQuat::from_array(rotation).normalize();
         Self { position: DVec3::from_array(position), rotation }
@@ -77,7 +77,7 @@ impl Placement {
     }
 
     /// The world position of a hull's contraction point.
-    fn center(&self, hull: &ConvexHull) -> DVec3 {
+    fn centre(&self, hull: &ConvexHull) -> DVec3 {
         self.position + self.rotation * hull.contraction_point()
     }
 
@@ -96,7 +96,7 @@ const STEP: f64 = 1e-3;
 const NUDGE: f64 = 1e-5;
 
 impl Case {
-    fn new(hulls: [usize; 2], a: Placement, b: Placement, size: f64, random: &mut Random) -> Self {
+    fn new(hulls: [usize; 2], a: HullPose, b: HullPose, size: f64, random: &mut Random) -> Self {
         let before = b.moved(STEP * size, STEP, random);
         let nudged = b.moved(NUDGE * size, NUDGE, random);
         Self { hulls, a, b, before, nudged }
@@ -111,12 +111,12 @@ pub(super) fn generated(pairs: usize) -> Result<Vec<Cell>, Error> {
             let Workload { hulls, pairs, .. } = Workload::generate(family, regime, pairs, 1)?;
             let mut random = Random::new(2);
             let case = |pair: &hullcast_contact::workload::Pair| {
-                let [a, b] = [0, 1].map(|i| Placement::new(pair.positions[i], pair.rotations[i]));
+                let [a, b] = [0, 1].map(|i| HullPose::new(pair.positions[i], pair.rotations[i]));
                 Case::new(pair.hulls, a, b, 1.0, &mut random)
             };
             let cases = pairs.iter().map(case).collect();
             let name = format!("{} {}", family.name(), regime.name());
-            cells.push(Cell { name, pool: Pool::All, hulls, cases, margin: GENERATED_MARGIN });
+            cells.push(Cell { name, pool: CellPool::All, hulls, cases, margin: GENERATED_MARGIN });
         }
         cells.push(deep(family, pairs)?);
     }
@@ -132,16 +132,16 @@ fn deep(family: Family, pairs: usize) -> Result<Cell, Error> {
     let mut random = Random::new(5);
     let mut cases = Vec::new();
     for pair in &pairs {
-        let [a, mut b] = [0, 1].map(|i| Placement::new(pair.positions[i], pair.rotations[i]));
+        let [a, mut b] = [0, 1].map(|i| HullPose::new(pair.positions[i], pair.rotations[i]));
         let Some(scale) = alpha(&built, pair.hulls, a, b, GENERATED_MARGIN) else { continue };
-        let [from, to] = [(a, 0), (b, 1)].map(|(at, side)| at.center(&built[pair.hulls[side]]));
+        let [from, to] = [(a, 0), (b, 1)].map(|(at, side)| at.centre(&built[pair.hulls[side]]));
         let share = random.within(DEEP.0, DEEP.1) / scale;
         b.position += (to - from) * (share - 1.0);
         cases.push(Case::new(pair.hulls, a, b, 1.0, &mut random));
     }
     Ok(Cell {
         name: format!("{} deep", family.name()),
-        pool: Pool::Deep,
+        pool: CellPool::Deep,
         hulls,
         cases,
         margin: GENERATED_MARGIN,
@@ -164,7 +164,7 @@ pub(super) fn of_scene(scene: &SceneFile, pairs: usize) -> Result<Cell, Error> {
         let place = |body: usize| {
             let position = [0, 1, 2].map(|i| frame.positions[3 * body + i]);
             let rotation = [0, 1, 2, 3].map(|i| frame.rotations[4 * body + i]);
-            Placement::new(position, rotation)
+            HullPose::new(position, rotation)
         };
         for pair in scene.pairs.chunks_exact(2) {
             let bodies = [pair[0] as usize, pair[1] as usize];
@@ -181,11 +181,11 @@ pub(super) fn of_scene(scene: &SceneFile, pairs: usize) -> Result<Cell, Error> {
     }
     let every = cases.len().div_ceil(pairs).max(1);
     let cases = cases.into_iter().step_by(every).collect();
-    Ok(Cell { name: scene.name.clone(), pool: Pool::All, hulls, cases, margin: scene.margin })
+    Ok(Cell { name: scene.name.clone(), pool: CellPool::All, hulls, cases, margin: scene.margin })
 }
 
 /// The growth scale of a pair, if it is in contact.
-fn alpha(built: &[ConvexHull], shapes: [usize; 2], a: Placement, b: Placement, margin: f64) -> Option<f64> {
+fn alpha(built: &[ConvexHull], shapes: [usize; 2], a: HullPose, b: HullPose, margin: f64) -> Option<f64> {
     let query = Query { margin, ..Query::default() };
     let mut workspace = Workspace::default();
     let bodies = [Body::new(&built[shapes[0]], a.pose()), Body::new(&built[shapes[1]], b.pose())];
@@ -197,12 +197,12 @@ fn alpha(built: &[ConvexHull], shapes: [usize; 2], a: Placement, b: Placement, m
 /// the offset of the centres, so one query determines where to put B.
 fn brought_together(built: &[ConvexHull], random: &mut Random) -> Option<Case> {
     let shapes = [random.below(built.len()), random.below(built.len())];
-    let [a, b] = [0, 1].map(|_| Placement { position: DVec3::ZERO, rotation: random.rotation() });
+    let [a, b] = [0, 1].map(|_| HullPose { position: DVec3::ZERO, rotation: random.rotation() });
     let size = built[shapes[0]].circumradius() + built[shapes[1]].circumradius();
     let offset = random.direction() * size;
-    let meeting = a.center(&built[shapes[0]]) - b.center(&built[shapes[1]]);
-    let apart = Placement { position: meeting + offset, ..b };
+    let meeting = a.centre(&built[shapes[0]]) - b.centre(&built[shapes[1]]);
+    let apart = HullPose { position: meeting + offset, ..b };
     let scale = alpha(built, shapes, a, apart, f64::INFINITY)?;
-    let b = Placement { position: meeting + offset * (random.within(SHALLOW.0, SHALLOW.1) / scale), ..b };
+    let b = HullPose { position: meeting + offset * (random.within(SHALLOW.0, SHALLOW.1) / scale), ..b };
     Some(Case::new(shapes, a, b, size, random))
 }

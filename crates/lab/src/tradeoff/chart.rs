@@ -20,14 +20,14 @@ pub(super) struct Panel {
     /// The settings that no other one beats, in ascending order of time.
     pub(super) front: Vec<[f64; 2]>,
     /// The recommended settings, with the needs that they suit.
-    pub(super) advised: Vec<Named>,
+    pub(super) advised: Vec<LabelledPoint>,
     /// Other libraries.
-    pub(super) others: Vec<Named>,
+    pub(super) others: Vec<LabelledPoint>,
 }
 
 /// A point with a label.
 #[derive(Clone, Debug, Serialize)]
-pub(super) struct Named {
+pub(super) struct LabelledPoint {
     pub(super) name: String,
     pub(super) at: [f64; 2],
 }

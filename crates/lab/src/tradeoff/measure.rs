@@ -4,11 +4,11 @@ use std::{hint::black_box, time::Instant};
 
 use glam::DVec3;
 
-use super::cases::{Case, Cell, Placement};
+use super::cases::{Case, Cell, HullPose};
 use super::patch::{area, convex, hausdorff};
-use super::peers::{Answer, Contact};
-use super::settings::{CENTERS, Center, SIMPLIFICATIONS, Setting};
-use super::truth::Pair;
+use super::peers::{PeerAnswer, PeerContact};
+use super::settings::{CENTRES, Centre, SIMPLIFICATIONS, Setting};
+use super::truth::WorldPair;
 use crate::Error;
 use hullcast_contact::{
     Basis, Body, ConvexHull, Flags, HullOptions, Manifold, Outcome, Query, Workspace, contact_manifold,
@@ -80,28 +80,28 @@ impl Prepared {
         let plain = |points: &Vec<[f64; 3]>| ConvexHull::new(points);
         let plain: Vec<ConvexHull> = cell.hulls.iter().map(plain).collect::<Result<_, _>>()?;
         let mut hulls = Vec::new();
-        for center in CENTERS {
-            let mut of_center = Vec::new();
+        for centre in CENTRES {
+            let mut of_centre = Vec::new();
             for simplification in SIMPLIFICATIONS {
-                let setting = Setting { simplification, center, ..Setting::DEFAULT };
+                let setting = Setting { simplification, centre, ..Setting::DEFAULT };
                 let built = cell.hulls.iter().zip(&plain).map(|(points, whole)| {
                     let options = HullOptions {
-                        contraction_point: contraction_point(whole, center),
+                        contraction_point: contraction_point(whole, centre),
                         simplification: setting.simplified(whole.circumradius()),
                         ..HullOptions::default()
                     };
                     ConvexHull::with_options(points, &options)
                 });
-                of_center.push(built.collect::<Result<Vec<_>, _>>()?);
+                of_centre.push(built.collect::<Result<Vec<_>, _>>()?);
             }
-            hulls.push(of_center);
+            hulls.push(of_centre);
         }
         let truth = |hulls: &Vec<Vec<ConvexHull>>| -> Vec<Truth> {
             cell.cases.iter().map(|case| Truth::new(&hulls[0], case, cell.margin)).collect()
         };
         let truths: Vec<Vec<Truth>> = hulls.iter().map(truth).collect();
         let least = cell.cases.iter().zip(&truths[0]).map(|(case, truth)| {
-            let pair = Pair::new(&plain[case.hulls[0]], &plain[case.hulls[1]], case);
+            let pair = WorldPair::new(&plain[case.hulls[0]], &plain[case.hulls[1]], case);
             (truth.alpha < 1.0).then(|| pair.least_translation())
         });
         let least_translations = least.collect();
@@ -110,12 +110,12 @@ impl Prepared {
 
     /// Measures every pair with the setting.
     pub(super) fn measure(&self, setting: &Setting) -> Vec<Sample> {
-        let center = CENTERS.iter().position(|&center| center == setting.center).unwrap_or(0);
+        let centre = CENTRES.iter().position(|&centre| centre == setting.centre).unwrap_or(0);
         let level = SIMPLIFICATIONS.iter().position(|&level| level == setting.simplification).unwrap_or(0);
-        let hulls = &self.hulls[center][level];
+        let hulls = &self.hulls[centre][level];
         let query = Query { margin: self.cell.margin, accuracy: setting.accuracy(), ..Query::default() };
         let mut workspace = Workspace::default();
-        let mut answer = |case: &Case, b: &Placement, warm: Option<&Basis>| -> (Manifold, f64) {
+        let mut answer = |case: &Case, b: &HullPose, warm: Option<&Basis>| -> (Manifold, f64) {
             let bodies =
                 [Body::new(&hulls[case.hulls[0]], case.a.pose()), Body::new(&hulls[case.hulls[1]], b.pose())];
             let mut nanoseconds = f64::INFINITY;
@@ -139,7 +139,7 @@ impl Prepared {
                 gap: Some((manifold.alpha_upper - manifold.alpha_lower) / manifold.alpha),
                 flagged: Flags { reduced: false, ..manifold.flags } != Flags::default()
                     || manifold.outcome != Outcome::Contact,
-                ..self.judged(center, i, Some(&found), &polygon(&nudged))
+                ..self.judged(centre, i, Some(&found), &polygon(&nudged))
             }
         };
         self.cell.cases.iter().enumerate().map(sample).collect()
@@ -147,12 +147,12 @@ impl Prepared {
 
     /// Judges every answer of another library by the same measures. The true answers are those about the
     /// centres of mass.
-    pub(super) fn judge(&self, answers: &[Answer]) -> Vec<Sample> {
-        let found = |contact: &Contact| {
+    pub(super) fn judge(&self, answers: &[PeerAnswer]) -> Vec<Sample> {
+        let found = |contact: &PeerContact| {
             let normal = DVec3::from_array(contact.normal);
             Found { normal, separation: contact.separation, patch: convex(&contact.points(), normal) }
         };
-        let sample = |(i, answer): (usize, &Answer)| {
+        let sample = |(i, answer): (usize, &PeerAnswer)| {
             let nudged = answer.nudged.as_ref().map(|contact| found(contact).patch);
             let here = answer.contact.as_ref().map(found);
             let judged = self.judged(0, i, here.as_ref(), &nudged.unwrap_or_default());
@@ -163,10 +163,10 @@ impl Prepared {
 
     /// Compares an answer for case `i` with the true answer for one choice of centres. Leaves out time, gap
     /// and flags.
-    fn judged(&self, center: usize, i: usize, found: Option<&Found>, nudged: &[DVec3]) -> Sample {
-        let (case, truth) = (&self.cell.cases[i], &self.truths[center][i]);
-        let [a, b] = case.hulls.map(|hull| &self.hulls[center][0][hull]);
-        let pair = Pair::new(a, b, case);
+    fn judged(&self, centre: usize, i: usize, found: Option<&Found>, nudged: &[DVec3]) -> Sample {
+        let (case, truth) = (&self.cell.cases[i], &self.truths[centre][i]);
+        let [a, b] = case.hulls.map(|hull| &self.hulls[centre][0][hull]);
+        let pair = WorldPair::new(a, b, case);
         let patch = found.map_or(&[][..], |found| &found.patch);
         let spanned = found.map_or(0.0, |found| area(patch, found.normal));
         let least = self.least_translations[i];
@@ -216,18 +216,18 @@ fn polygon(manifold: &Manifold) -> Vec<DVec3> {
 }
 
 /// The contraction point for a choice of centre, or `None` for the centre of mass.
-fn contraction_point(hull: &ConvexHull, center: Center) -> Option<[f64; 3]> {
-    let at = match center {
-        Center::Mass => return None,
-        Center::Ball => center_of_ball(hull),
-        Center::Offset => DVec3::splat(0.5 * hull.unit_inradius() / 3_f64.sqrt()),
+fn contraction_point(hull: &ConvexHull, centre: Centre) -> Option<[f64; 3]> {
+    let at = match centre {
+        Centre::Mass => return None,
+        Centre::Ball => centre_of_ball(hull),
+        Centre::Offset => DVec3::splat(0.5 * hull.unit_inradius() / 3_f64.sqrt()),
     };
     Some((hull.contraction_point() + at * hull.scale()).to_array())
 }
 
 /// Approximate centre of the largest ball inside the hull, hull units. The search steps away from the
 /// nearest face, with shorter and shorter steps.
-fn center_of_ball(hull: &ConvexHull) -> DVec3 {
+fn centre_of_ball(hull: &ConvexHull) -> DVec3 {
     let nearest = |at: DVec3| {
         let depths = hull.faces().iter().map(|face| (face.offset - face.normal.dot(at), face.normal));
         depths.min_by(|(p, _), (q, _)| p.total_cmp(q)).unwrap_or((0.0, DVec3::ZERO))
@@ -261,7 +261,7 @@ mod tests {
                 let hulls = &prepared.hulls[0][0];
                 let [a, b] = case.hulls.map(|hull| &hulls[hull]);
                 let truth = &prepared.truths[0][i];
-                let pair = Pair::new(a, b, case);
+                let pair = WorldPair::new(a, b, case);
                 let (shortest, depth) =
                     ((a.inradius() + b.inradius()) * (1.0 - truth.alpha), -pair.separation(truth.normal));
                 assert!((-pair.separation(axis) - least).abs() < 1e-9 * pair.size);
@@ -303,20 +303,20 @@ mod tests {
     fn a_peer_is_judged_as_we_are() {
         let cell = cases::generated(40).unwrap().swap_remove(1);
         let prepared = Prepared::new(cell).unwrap();
-        let contact = |truth: &Truth, case: &Case| -> Contact {
+        let contact = |truth: &Truth, case: &Case| -> PeerContact {
             let [a, b] = case.hulls.map(|hull| &prepared.hulls[0][0][hull]);
             let mut points: Vec<[f64; 3]> = truth.patch.iter().map(|p| p.to_array()).collect();
             points.reverse();
             points.extend_from_within(..1);
-            let separation = Pair::new(a, b, case).separation(truth.normal);
-            Contact::new(truth.normal.to_array(), separation, points)
+            let separation = WorldPair::new(a, b, case).separation(truth.normal);
+            PeerContact::new(truth.normal.to_array(), separation, points)
         };
         let both = prepared.truths[0].iter().zip(&prepared.cell.cases);
         let answer = |(i, (truth, case)): (usize, (&Truth, &Case))| {
             let contact = (i > 0).then(|| contact(truth, case));
-            Answer { nanoseconds: 5.0, nudged: None, contact }
+            PeerAnswer { nanoseconds: 5.0, nudged: None, contact }
         };
-        let answers: Vec<Answer> = both.enumerate().map(answer).collect();
+        let answers: Vec<PeerAnswer> = both.enumerate().map(answer).collect();
         let samples = prepared.judge(&answers);
         assert!(samples[0].flagged && samples[0].optimality.is_none());
         assert_eq!((samples[0].hausdorff, samples[0].nanoseconds), (f64::INFINITY, 5.0));

@@ -8,27 +8,27 @@ use std::path::Path;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::cases::{Case, Cell, Placement};
+use super::cases::{Case, Cell, HullPose};
 use crate::Error;
 
 /// The questions for another library: the hulls and pairs of every cell.
 #[derive(Debug, Serialize)]
-struct Asked<'a> {
-    cells: Vec<AskedCell<'a>>,
+struct Questions<'a> {
+    cells: Vec<QuestionCell<'a>>,
 }
 
 #[derive(Debug, Serialize)]
-struct AskedCell<'a> {
+struct QuestionCell<'a> {
     name: &'a str,
     /// Contacts are requested for hulls within this distance.
     margin: f64,
     hulls: &'a [Vec<[f64; 3]>],
-    pairs: Vec<AskedPair>,
+    pairs: Vec<QuestionPair>,
 }
 
 /// A pair with its poses. A pose is a position and a quaternion x, y, z, w.
 #[derive(Debug, Serialize)]
-struct AskedPair {
+struct QuestionPair {
     hulls: [usize; 2],
     a: [f64; 7],
     b: [f64; 7],
@@ -38,7 +38,7 @@ struct AskedPair {
 
 /// The answers of another library to all questions.
 #[derive(Debug, Deserialize)]
-pub(super) struct Peer {
+pub(super) struct PeerAnswers {
     /// The library's name and version.
     pub(super) name: String,
     cells: Vec<AnsweredCell>,
@@ -47,23 +47,23 @@ pub(super) struct Peer {
 #[derive(Debug, Deserialize)]
 struct AnsweredCell {
     name: String,
-    pairs: Vec<Answer>,
+    pairs: Vec<PeerAnswer>,
 }
 
 /// The answer for one pair.
 #[derive(Debug, Deserialize)]
-pub(super) struct Answer {
+pub(super) struct PeerAnswer {
     /// Duration of the fastest of several calls. hullcast is called equally often.
     pub(super) nanoseconds: f64,
     /// The contact, or `None` if there is no contact within the margin.
-    pub(super) contact: Option<Contact>,
+    pub(super) contact: Option<PeerContact>,
     /// The contact with B at its nudged pose.
-    pub(super) nudged: Option<Contact>,
+    pub(super) nudged: Option<PeerContact>,
 }
 
 /// A contact, world frame.
 #[derive(Debug, Deserialize)]
-pub(super) struct Contact {
+pub(super) struct PeerContact {
     /// Unit normal from A to B.
     pub(super) normal: [f64; 3],
     /// Signed separation; negative if overlapping.
@@ -72,7 +72,7 @@ pub(super) struct Contact {
     points: Vec<[f64; 3]>,
 }
 
-impl Contact {
+impl PeerContact {
     #[cfg(test)]
     pub(super) fn new(normal: [f64; 3], separation: f64, points: Vec<[f64; 3]>) -> Self {
         Self { normal, separation, points }
@@ -88,27 +88,27 @@ impl Contact {
 /// # Errors
 /// The file cannot be written.
 pub(super) fn ask(cells: &[Cell], path: &Path) -> Result<(), Error> {
-    let pose = |at: &Placement| {
+    let pose = |at: &HullPose| {
         let ([x, y, z], [i, j, k, w]) = (at.position.to_array(), at.rotation.to_array());
         [x, y, z, i, j, k, w]
     };
-    let pair = |case: &Case| AskedPair {
+    let pair = |case: &Case| QuestionPair {
         hulls: case.hulls,
         a: pose(&case.a),
         b: pose(&case.b),
         nudged: pose(&case.nudged),
     };
-    let cells = cells.iter().map(|cell| AskedCell {
+    let cells = cells.iter().map(|cell| QuestionCell {
         name: &cell.name,
         margin: cell.margin,
         hulls: &cell.hulls,
         pairs: cell.cases.iter().map(pair).collect(),
     });
-    let text = serde_json::to_vec(&Asked { cells: cells.collect() })?;
+    let text = serde_json::to_vec(&Questions { cells: cells.collect() })?;
     std::fs::write(path, text).map_err(|e| format!("--ask {}: {e}", path.display()).into())
 }
 
-impl Peer {
+impl PeerAnswers {
     /// Reads the answers of another library.
     ///
     /// # Errors
@@ -128,7 +128,7 @@ impl Peer {
     }
 
     /// The answers for a cell, by its index.
-    pub(super) fn answers(&self, cell: usize) -> &[Answer] {
+    pub(super) fn answers(&self, cell: usize) -> &[PeerAnswer] {
         &self.cells[cell].pairs
     }
 }
@@ -156,7 +156,7 @@ mod tests {
             let of = |cell: &Cell| serde_json::json!({ "name": format!("{}{name}", cell.name), "pairs": vec![answer.clone(); count] });
             let all: Vec<_> = cells.iter().map(of).collect();
             std::fs::write(&path, serde_json::json!({ "name": "peer", "cells": all }).to_string()).unwrap();
-            Peer::read(&path, &cells)
+            PeerAnswers::read(&path, &cells)
         };
         let peer = written(2, "").unwrap();
         let [_, second] = peer.answers(3) else { panic!("two") };

@@ -17,12 +17,12 @@ pub(super) struct Setting {
     pub(super) simplification: f64,
     pub(super) feature_angle: f64,
     pub(super) max_points: u32,
-    pub(super) center: Center,
+    pub(super) centre: Centre,
 }
 
 /// The contraction point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Center {
+pub(super) enum Centre {
     /// The centre of mass.
     Mass,
     /// The centre of the largest ball inside.
@@ -37,7 +37,7 @@ const WARM: [bool; 2] = [false, true];
 pub(super) const SIMPLIFICATIONS: [f64; 3] = [0.0, 0.01, 0.05];
 const FEATURE_ANGLES: [f64; 3] = [0.01, 0.0, 0.1];
 const MAX_POINTS: [u32; 3] = [0, 4, 1];
-pub(super) const CENTERS: [Center; 3] = [Center::Mass, Center::Ball, Center::Offset];
+pub(super) const CENTRES: [Centre; 3] = [Centre::Mass, Centre::Ball, Centre::Offset];
 
 /// The names of the knobs in the table's columns.
 pub(super) const KNOBS: [&str; 8] = [
@@ -61,13 +61,13 @@ impl Setting {
         simplification: SIMPLIFICATIONS[0],
         feature_angle: FEATURE_ANGLES[0],
         max_points: MAX_POINTS[0],
-        center: CENTERS[0],
+        centre: CENTRES[0],
     };
 
     /// Every combination. The inner loops do not change the hulls.
     pub(super) fn grid() -> Vec<Self> {
         let mut grid = Vec::new();
-        for center in CENTERS {
+        for centre in CENTRES {
             for simplification in SIMPLIFICATIONS {
                 for solver in Solver::ALL {
                     for relative_tolerance in TOLERANCES {
@@ -82,7 +82,7 @@ impl Setting {
                                         simplification,
                                         feature_angle,
                                         max_points,
-                                        center,
+                                        centre,
                                     }));
                                 }
                             }
@@ -114,10 +114,10 @@ impl Setting {
     /// The value of each knob, in the order of [`KNOBS`].
     pub(super) fn values(&self) -> [String; KNOBS.len()] {
         let start = if self.warm { "warm" } else { "cold" };
-        let center = match self.center {
-            Center::Mass => "mass",
-            Center::Ball => "ball",
-            Center::Offset => "offset",
+        let centre = match self.centre {
+            Centre::Mass => "mass",
+            Centre::Ball => "ball",
+            Centre::Offset => "offset",
         };
         [
             match self.solver {
@@ -130,7 +130,7 @@ impl Setting {
             self.simplification.to_string(),
             self.feature_angle.to_string(),
             self.max_points.to_string(),
-            center.into(),
+            centre.into(),
         ]
     }
 

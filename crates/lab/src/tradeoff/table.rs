@@ -7,7 +7,7 @@ use super::settings::{KNOBS, Setting};
 
 /// The results of one setting, on one cell or on a pool of cells.
 #[derive(Clone, Debug)]
-pub(super) struct Row {
+pub(super) struct SettingRow {
     pub(super) cell: String,
     pub(super) setting: Setting,
     pub(super) figures: Figures,
@@ -135,7 +135,7 @@ impl Sorted {
 }
 
 /// A header, then one line per row. Another library has its name in the solver's column, and no knobs.
-pub(super) fn csv(rows: &[Row], peers: &[PeerRow]) -> String {
+pub(super) fn csv(rows: &[SettingRow], peers: &[PeerRow]) -> String {
     let mut text = format!("cell,{},{},flickers\n", KNOBS.join(","), COLUMNS.join(","));
     let mut line = |cell: &str, knobs: &str, figures: &Figures| {
         let values: Vec<String> = figures.values().iter().map(|value| short(*value)).collect();
@@ -162,7 +162,7 @@ fn short(value: f64) -> String {
 }
 
 /// The rows that no other row beats in both time and `error`, in ascending order of time.
-pub(super) fn front(rows: &[Row], error: impl Fn(&Figures) -> f64) -> Vec<usize> {
+pub(super) fn front(rows: &[SettingRow], error: impl Fn(&Figures) -> f64) -> Vec<usize> {
     let mut order: Vec<usize> = (0..rows.len()).collect();
     let key = |i: usize| (rows[i].figures.relative_time, error(&rows[i].figures));
     order.sort_unstable_by(|&i, &j| key(i).0.total_cmp(&key(j).0).then(key(i).1.total_cmp(&key(j).1)));
@@ -203,8 +203,8 @@ mod tests {
         let figures = Figures::of(&samples, 1.0);
         assert_eq!((figures.time, figures.optimality), ([50.0, 95.0, 99.0], [50.0, 95.0, 100.0]));
         assert!(figures.depth[0].is_nan());
-        let rows: Vec<Row> = [(1.0, 5.0), (2.0, 5.0), (3.0, 1.0), (0.5, 9.0), (4.0, 2.0)]
-            .map(|(time, error)| Row {
+        let rows: Vec<SettingRow> = [(1.0, 5.0), (2.0, 5.0), (3.0, 1.0), (0.5, 9.0), (4.0, 2.0)]
+            .map(|(time, error)| SettingRow {
                 cell: "all".into(),
                 setting: Setting::DEFAULT,
                 figures: Figures::of(&[sample(time, error)], time),

@@ -3,27 +3,27 @@
 
 use glam::{DMat3, DVec3};
 
-use super::cases::{Case, Placement};
+use super::cases::{Case, HullPose};
 use hullcast_contact::ConvexHull;
 
 /// Two whole hulls in the world's axes. Lengths are in the caller's units.
-pub(super) struct Pair<'a> {
-    sides: [Side<'a>; 2],
+pub(super) struct WorldPair<'a> {
+    hulls: [WorldHull<'a>; 2],
     /// The vector from A's contraction point to B's.
     pub(super) d: DVec3,
     /// Sum of the circumradii.
     pub(super) size: f64,
 }
 
-struct Side<'a> {
+struct WorldHull<'a> {
     hull: &'a ConvexHull,
     rotation: DMat3,
     /// Vertices relative to the contraction point, world axes.
     vertices: Vec<DVec3>,
 }
 
-impl<'a> Side<'a> {
-    fn new(hull: &'a ConvexHull, placement: &Placement) -> Self {
+impl<'a> WorldHull<'a> {
+    fn new(hull: &'a ConvexHull, placement: &HullPose) -> Self {
         let rotation = DMat3::from_quat(placement.rotation);
         let vertices = hull.vertices().iter().map(|&v| rotation * (v * hull.scale())).collect();
         Self { hull, rotation, vertices }
@@ -38,17 +38,17 @@ impl<'a> Side<'a> {
     }
 }
 
-impl<'a> Pair<'a> {
+impl<'a> WorldPair<'a> {
     pub(super) fn new(a: &'a ConvexHull, b: &'a ConvexHull, case: &Case) -> Self {
-        let center = |hull: &ConvexHull, at: &Placement| at.rotation * hull.contraction_point();
-        let d = case.b.position - case.a.position + (center(b, &case.b) - center(a, &case.a));
+        let centre = |hull: &ConvexHull, at: &HullPose| at.rotation * hull.contraction_point();
+        let d = case.b.position - case.a.position + (centre(b, &case.b) - centre(a, &case.a));
         let size = a.circumradius() + b.circumradius();
-        Self { sides: [Side::new(a, &case.a), Side::new(b, &case.b)], d, size }
+        Self { hulls: [WorldHull::new(a, &case.a), WorldHull::new(b, &case.b)], d, size }
     }
 
     /// The support value of the centred Minkowski difference along a unit direction.
     pub(super) fn reach(&self, n: DVec3) -> f64 {
-        self.sides[0].reach(n) + self.sides[1].reach(-n)
+        self.hulls[0].reach(n) + self.hulls[1].reach(-n)
     }
 
     /// The growth scale that a direction proves.
@@ -66,7 +66,7 @@ impl<'a> Pair<'a> {
     /// the faces, and those of pairs of edges whose arcs on the Gauss map cross (D. Gregorius, *The
     /// Separating Axis Test between Convex Polyhedra*, GDC 2013).
     pub(super) fn least_translation(&self) -> (f64, DVec3) {
-        let [a, b] = &self.sides;
+        let [a, b] = &self.hulls;
         let normals = [a.normals(), b.normals().into_iter().map(|n| -n).collect()];
         let mut least = (f64::INFINITY, DVec3::ZERO);
         let mut at_most = |depth: f64, n: DVec3| {
@@ -77,7 +77,7 @@ impl<'a> Pair<'a> {
         for &n in normals.iter().flatten() {
             at_most(-self.separation(n), n);
         }
-        let arcs = |side: &Side<'_>, normals: &[DVec3]| -> Vec<Arc> {
+        let arcs = |side: &WorldHull<'_>, normals: &[DVec3]| -> Vec<Arc> {
             let edges = side.hull.edge_vertices().iter().zip(side.hull.edge_faces());
             let arc = |(ends, faces): (&[u32; 2], &[u32; 2])| {
                 let [tail, tip] = ends.map(|v| side.vertices[v as usize]);

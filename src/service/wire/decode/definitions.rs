@@ -3,10 +3,10 @@
 use super::{
     super::{
         fields::{Field, Fields, append},
-        hulls::{Definition, definition, malformed, too_many_points},
+        hulls::{CheckedDefinition, definition, malformed, too_many_points},
         request::at_most,
     },
-    Bounds, Request,
+    DecodeRequest, DecodeResources,
 };
 use crate::{
     contact::stop::Meter,
@@ -14,11 +14,14 @@ use crate::{
     service::{Reason, error::ServiceError, limits::Limits, sizes::HULL_BYTES},
 };
 
-impl Request for proto::RegisterHullsRequest {
-    type Decoded = Vec<Definition>;
+impl DecodeRequest for proto::RegisterHullsRequest {
+    type Decoded = Vec<CheckedDefinition>;
 
-    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Vec<Definition>, ServiceError> {
-        let (meter, limits) = (&bounds.meter, bounds.limits);
+    fn read(
+        message: &[u8],
+        resources: &mut DecodeResources<'_>,
+    ) -> Result<Vec<CheckedDefinition>, ServiceError> {
+        let (meter, limits) = (&resources.meter, resources.limits);
         let (mut hulls, mut doubles) = (0, 0);
         let mut fields = Fields::new(message);
         while let Some(field) = fields.next(meter)? {
@@ -31,7 +34,7 @@ impl Request for proto::RegisterHullsRequest {
             }
         }
         at_most(hulls, limits.max_hulls_per_request, Reason::TooManyHulls, "hulls")?;
-        (bounds.take)(doubles * size_of::<f64>() + hulls * HULL_BYTES)?;
+        (resources.take)(doubles * size_of::<f64>() + hulls * HULL_BYTES)?;
         let mut definitions = Vec::with_capacity(hulls);
         let mut fields = Fields::new(message);
         while let Some(field) = fields.next(meter)? {

@@ -5,13 +5,13 @@ use super::{
         fields::{Field, Fields, append},
         request::at_most,
     },
-    Bounds, Request,
+    DecodeRequest, DecodeResources,
 };
 use crate::{
     contact::stop::Meter,
     proto::{
         self,
-        bulk::{Column, Columnar},
+        bulk::{ColumnMut, Columnar},
     },
     service::{Reason, error::ServiceError, limits::Limits, sizes::HULL_BYTES},
 };
@@ -45,8 +45,8 @@ impl QueryCounts {
                 13 => field.varints(meter, |_| counts.outputs += 1)?,
                 tag => {
                     let (elements, width) = match empty.column(tag) {
-                        Some(Column::Doubles(_)) => (field.elements::<8>()?.len(), 8),
-                        Some(Column::Fixed32s(_)) => (field.elements::<4>()?.len(), 4),
+                        Some(ColumnMut::Doubles(_)) => (field.elements::<8>()?.len(), 8),
+                        Some(ColumnMut::Fixed32s(_)) => (field.elements::<4>()?.len(), 4),
                         None => continue,
                     };
                     *counts.column(tag) += elements;
@@ -78,21 +78,21 @@ impl QueryCounts {
     }
 }
 
-impl Request for proto::QueryContactsRequest {
+impl DecodeRequest for proto::QueryContactsRequest {
     type Decoded = Self;
 
-    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Self, ServiceError> {
-        let meter = &bounds.meter;
+    fn read(message: &[u8], resources: &mut DecodeResources<'_>) -> Result<Self, ServiceError> {
+        let meter = &resources.meter;
         let mut counts = QueryCounts::of(message, meter)?;
-        counts.check(bounds.limits)?;
-        (bounds.take)(counts.bytes())?;
+        counts.check(resources.limits)?;
+        (resources.take)(counts.bytes())?;
         let mut request = Self::default();
         request.hull_ids.reserve_exact(counts.hull_ids);
         request.outputs.reserve_exact(counts.outputs);
         for (&tag, &elements) in Self::COLUMNS.iter().zip(&counts.columns) {
             match request.column(tag) {
-                Some(Column::Doubles(column)) => column.reserve_exact(elements),
-                Some(Column::Fixed32s(column)) => column.reserve_exact(elements),
+                Some(ColumnMut::Doubles(column)) => column.reserve_exact(elements),
+                Some(ColumnMut::Fixed32s(column)) => column.reserve_exact(elements),
                 None => {}
             }
         }
@@ -106,10 +106,10 @@ impl Request for proto::QueryContactsRequest {
                 12 => read_accuracy(request.accuracy.get_or_insert_default(), &field, meter)?,
                 13 => field.varints(meter, |output| request.outputs.push(output as i32))?,
                 tag => match request.column(tag) {
-                    Some(Column::Doubles(column)) => {
+                    Some(ColumnMut::Doubles(column)) => {
                         append(column, field.elements()?, f64::from_le_bytes, meter)?;
                     }
-                    Some(Column::Fixed32s(column)) => {
+                    Some(ColumnMut::Fixed32s(column)) => {
                         append(column, field.elements()?, u32::from_le_bytes, meter)?;
                     }
                     None => {}

@@ -3,10 +3,10 @@
 use super::{
     super::{
         fields::Fields,
-        hulls::{Parts, page_token},
+        hulls::{RecordParts, page_token},
         request::{at_most, hull_id},
     },
-    Bounds, Request,
+    DecodeRequest, DecodeResources,
 };
 use crate::{
     contact::stop::Meter,
@@ -19,20 +19,20 @@ use crate::{
 const MAX_PATHS: u32 = 256;
 
 /// The hull ids of a message that has them as field 1.
-fn ids(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Vec<HullId>, ServiceError> {
+fn ids(message: &[u8], resources: &mut DecodeResources<'_>) -> Result<Vec<HullId>, ServiceError> {
     let mut count = 0;
     let mut fields = Fields::new(message);
-    while let Some(field) = fields.next(&bounds.meter)? {
+    while let Some(field) = fields.next(&resources.meter)? {
         if field.tag == 1 {
             field.bytes()?;
             count += 1;
         }
     }
-    at_most(count, bounds.limits.max_hulls_per_request, Reason::TooManyHulls, "ids")?;
-    (bounds.take)(count * HULL_BYTES)?;
+    at_most(count, resources.limits.max_hulls_per_request, Reason::TooManyHulls, "ids")?;
+    (resources.take)(count * HULL_BYTES)?;
     let mut ids = Vec::with_capacity(count);
     let mut fields = Fields::new(message);
-    while let Some(field) = fields.next(&bounds.meter)? {
+    while let Some(field) = fields.next(&resources.meter)? {
         if field.tag == 1 {
             ids.push(hull_id(field.bytes()?, "ids", ids.len())?);
         }
@@ -40,29 +40,29 @@ fn ids(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Vec<HullId>, ServiceEr
     Ok(ids)
 }
 
-impl Request for proto::HasHullsRequest {
+impl DecodeRequest for proto::HasHullsRequest {
     type Decoded = Vec<HullId>;
 
-    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Vec<HullId>, ServiceError> {
-        ids(message, bounds)
+    fn read(message: &[u8], resources: &mut DecodeResources<'_>) -> Result<Vec<HullId>, ServiceError> {
+        ids(message, resources)
     }
 }
 
-impl Request for proto::DeleteHullsRequest {
+impl DecodeRequest for proto::DeleteHullsRequest {
     type Decoded = Vec<HullId>;
 
-    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Vec<HullId>, ServiceError> {
-        ids(message, bounds)
+    fn read(message: &[u8], resources: &mut DecodeResources<'_>) -> Result<Vec<HullId>, ServiceError> {
+        ids(message, resources)
     }
 }
 
-impl Request for proto::GetHullsRequest {
-    type Decoded = (Vec<HullId>, Parts);
+impl DecodeRequest for proto::GetHullsRequest {
+    type Decoded = (Vec<HullId>, RecordParts);
 
-    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Self::Decoded, ServiceError> {
-        let ids = ids(message, bounds)?;
-        let paths = paths(message, &bounds.meter)?;
-        Ok((ids, Parts::named(&paths)?))
+    fn read(message: &[u8], resources: &mut DecodeResources<'_>) -> Result<Self::Decoded, ServiceError> {
+        let ids = ids(message, resources)?;
+        let paths = paths(message, &resources.meter)?;
+        Ok((ids, RecordParts::named(&paths)?))
     }
 }
 
@@ -98,13 +98,13 @@ pub(in crate::service) struct Listing {
     pub(in crate::service) after: Option<HullId>,
 }
 
-impl Request for proto::ListHullsRequest {
+impl DecodeRequest for proto::ListHullsRequest {
     type Decoded = Listing;
 
-    fn read(message: &[u8], bounds: &mut Bounds<'_>) -> Result<Listing, ServiceError> {
+    fn read(message: &[u8], resources: &mut DecodeResources<'_>) -> Result<Listing, ServiceError> {
         let (mut page_size, mut token) = (0, "");
         let mut fields = Fields::new(message);
-        while let Some(field) = fields.next(&bounds.meter)? {
+        while let Some(field) = fields.next(&resources.meter)? {
             match field.tag {
                 1 => page_size = field.varint()? as u32,
                 2 => token = field.text()?,

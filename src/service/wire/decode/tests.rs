@@ -83,8 +83,8 @@ fn elements_are_counted_before_anything_is_allocated() {
         let mut refused = None;
         let made = allocation_counter::measure(|| refused = decode(method, &message).err());
         let refused = refused.unwrap_or_else(|| panic!("{method} takes {name}"));
-        let place = refused.place.as_ref().map(|place| place.field);
-        assert_eq!((refused.reason.name(), place), (reason, Some(name)), "{method}: {refused}");
+        let field = refused.location.as_ref().map(|location| location.field);
+        assert_eq!((refused.reason.name(), field), (reason, Some(name)), "{method}: {refused}");
         assert!(made.bytes_max < CONSTANT_BYTES as u64, "{method} {name}: {made:?}");
     }
 }
@@ -100,8 +100,8 @@ fn points_of_a_hull_at_their_limit_and_one_past() {
     let mut read = None;
     let made = allocation_counter::measure(|| {
         let mut take = |_| Ok(());
-        let bounds = &mut Bounds::new(&limits, &stop, &mut take);
-        read = Some(proto::RegisterHullsRequest::read(&message, bounds).unwrap());
+        let resources = &mut DecodeResources::new(&limits, &stop, &mut take);
+        read = Some(proto::RegisterHullsRequest::read(&message, resources).unwrap());
     });
     let read = read.unwrap();
     assert_eq!(read[0].as_ref().map(|hull| hull.points.len()), Ok(points));
@@ -207,12 +207,12 @@ fn nothing_is_allocated_without_room() {
     let (limits, stop) = (limits(), Stop::default());
     let made = allocation_counter::measure(|| {
         let mut take = |_| Err(none());
-        let mut bounds = Bounds::new(&limits, &stop, &mut take);
-        assert_eq!(proto::QueryContactsRequest::read(&message, &mut bounds).err(), Some(none()));
-        drop(bounds);
-        let bounds = &mut Bounds::new(&limits, &stop, &mut take);
+        let mut resources = DecodeResources::new(&limits, &stop, &mut take);
+        assert_eq!(proto::QueryContactsRequest::read(&message, &mut resources).err(), Some(none()));
+        drop(resources);
+        let resources = &mut DecodeResources::new(&limits, &stop, &mut take);
         let hulls = field(1, &field(1, &vec![0; 24 * 3000]));
-        assert_eq!(proto::RegisterHullsRequest::read(&hulls, bounds).err(), Some(none()));
+        assert_eq!(proto::RegisterHullsRequest::read(&hulls, resources).err(), Some(none()));
     });
     // The encoded message with the hulls is made inside the measurement.
     assert!(made.bytes_max <= 4 * 24 * 3000, "{made:?}");
@@ -297,8 +297,8 @@ fn the_bytes_that_prost_accepts_are_accepted() {
             }
             if method == "QueryContacts" {
                 let mut take = |_| Ok(());
-                let bounds = &mut Bounds::new(&limits, &stop, &mut take);
-                if let Ok(request) = proto::QueryContactsRequest::read(&bytes, bounds) {
+                let resources = &mut DecodeResources::new(&limits, &stop, &mut take);
+                if let Ok(request) = proto::QueryContactsRequest::read(&bytes, resources) {
                     assert_eq!(Some(request.encode_to_vec()), prost, "{bytes:?}");
                 }
             }

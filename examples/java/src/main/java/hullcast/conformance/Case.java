@@ -62,11 +62,11 @@ record Case(
     // Twice the budgets, because the numbers computed here are rounded too.
     expect(Math.abs(alpha - alphaBelow) <= 2 * alphaBudget, "alpha %s, not %s", alpha, alphaBelow);
     Vector n = Vector.of(answer.getNormalsList());
-    Vector centers = b.place().minus(a.place()).plus(b.arm()).minus(a.arm());
+    Vector centres = b.place().minus(a.place()).plus(b.arm()).minus(a.arm());
     double reach = a.support(n) + b.support(n.times(-1));
     expect(Math.abs(n.norm() - 1) <= 1e-15, "a normal of length %s", n.norm());
-    expect(alphaBelow - n.dot(centers) / reach <= 2 * alphaBudget, "%s is not optimal", n);
-    double off = answer.getSeparations(0) - (n.dot(centers) - reach);
+    expect(alphaBelow - n.dot(centres) / reach <= 2 * alphaBudget, "%s is not optimal", n);
+    double off = answer.getSeparations(0) - (n.dot(centres) - reach);
     expect(Math.abs(off) <= 2 * lengthBudget, "the separation is off by %s", off);
     checkPoints(answer);
   }

@@ -35,7 +35,7 @@ record Side(
   /** The largest n . (v - contraction point) over the vertices v; n is in the world frame. */
   double support(Vector n) {
     Vector local = n.turned(vector(rotation).times(-1), rotation[3]);
-    Vector center = vector(contractionPoint);
-    return Stream.of(vertices).mapToDouble(v -> local.dot(vector(v).minus(center))).max().orElseThrow();
+    Vector centre = vector(contractionPoint);
+    return Stream.of(vertices).mapToDouble(v -> local.dot(vector(v).minus(centre))).max().orElseThrow();
   }
 }

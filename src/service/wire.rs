@@ -11,12 +11,13 @@ mod request;
 mod status;
 
 pub use columns::{response, response_columns};
-pub(super) use decode::{Bounds, Request};
 #[cfg(feature = "testing")]
 pub use decode::{CONSTANT_BYTES, decoded_bytes};
+pub(super) use decode::{DecodeRequest, DecodeResources};
 pub(super) use find::find;
 pub(super) use hulls::{
-    Definition, Parts, hull_error, not_found, page, record, record_bytes, register_result, repeated,
+    CheckedDefinition, RecordParts, hull_error, not_found, page, record, record_bytes, register_result,
+    repeated,
 };
 pub(super) use info::server_info;
 pub use request::{CheckedScene, scene};

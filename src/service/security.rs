@@ -100,7 +100,7 @@ impl Security {
         method: &Method,
         headers: &HeaderMap,
     ) -> Result<Option<Arc<str>>, ServiceError> {
-        match (&self.tokens, needed(method)) {
+        match (&self.tokens, needed_role(method)) {
             (Some(tokens), Some(role)) => tokens.check(role, headers).map(Some),
             _ => Ok(None),
         }
@@ -108,7 +108,7 @@ impl Security {
 }
 
 /// The role that a call needs. Health checks need none, because load balancers have no token.
-fn needed(method: &Method) -> Option<Role> {
+fn needed_role(method: &Method) -> Option<Role> {
     match &*method.name {
         methods::REGISTER_HULLS | methods::DELETE_HULLS => Some(Role::Register),
         _ if method.is_health() => None,

@@ -14,7 +14,7 @@ use tonic_health::pb::{
 use crate::support::{
     Setup, TestServer, raw, scenes,
     scenes::{register_request, two_boxes},
-    store::Faulty,
+    store::FaultyStore,
 };
 
 /// The status code, the headers and the body of a GET.
@@ -66,9 +66,9 @@ async fn probes_follow_the_servers_life() {
 /// serving. Catches a failing store that is not reported.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_failing_store_is_degraded_and_recovers() {
-    let store = Faulty::new();
+    let store = FaultyStore::new();
     let mut setup = Setup { store: store.clone(), ..Setup::default() };
-    setup.serving.probe_every = Duration::from_millis(5);
+    setup.options.probe_every = Duration::from_millis(5);
     let server = setup.start().await;
     let admin = admin(&server).await;
     let mut health = HealthClient::new(server.channel());

@@ -1,4 +1,4 @@
-//! Hostile peers, on the real socket.
+//! Abuse by peers, on the real socket: malformed messages, held connections and floods of frames.
 
 use std::{collections::BTreeMap, time::Duration};
 
@@ -138,7 +138,7 @@ async fn a_hull_that_is_named_many_times_takes_no_memory() {
 #[tokio::test(flavor = "multi_thread")]
 async fn who_does_not_greet_is_cut_off() {
     let mut setup = Setup::default();
-    setup.serving.greeting = Duration::from_millis(50);
+    setup.options.greeting = Duration::from_millis(50);
     let server = setup.start().await;
     for said in [&b""[..], b"P", b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"] {
         let mut stream = TcpStream::connect(&server.address).await.unwrap();

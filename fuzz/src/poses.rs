@@ -3,16 +3,16 @@
 use glam::{DMat3, DQuat, DVec3};
 use hullcast_contact::{Body, ConvexHull, Pose, Query, Workspace, contact_manifold};
 
-use crate::bytes::Bytes;
+use crate::bytes::ByteSource;
 
 /// The positions and rotations of both hulls.
 #[derive(Clone, Debug)]
-pub struct Place {
+pub struct PosePair {
     pub positions: [[f64; 3]; 2],
     pub rotations: [[f64; 4]; 2],
 }
 
-impl Place {
+impl PosePair {
     pub fn bodies<'h>(&self, hulls: [&'h ConvexHull; 2]) -> [Body<'h>; 2] {
         let pose = |side: usize| Pose::new(self.positions[side], self.rotations[side]).expect("a pose");
         [0, 1].map(|side| Body::new(hulls[side], pose(side)))
@@ -29,18 +29,18 @@ fn turned([x, y, z, w]: [f64; 4]) -> DMat3 {
     DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize())
 }
 
-impl Bytes<'_> {
-    pub(crate) fn place(&mut self, hulls: [&ConvexHull; 2]) -> Place {
+impl ByteSource<'_> {
+    pub(crate) fn poses(&mut self, hulls: [&ConvexHull; 2]) -> PosePair {
         let size: f64 = hulls.iter().map(|hull| hull.circumradius()).sum();
-        let mut place = match self.below(8) {
-            0 => Place {
+        let mut poses = match self.below(8) {
+            0 => PosePair {
                 positions: [self.point(), self.point()],
                 rotations: [self.rotation(), self.rotation()],
             },
             1 => {
                 let rotations = [self.rotation(), self.rotation()];
                 let share = self.share() * self.one_of(&[1.0, 1.0, 2.0, 1e-3, 1e-16, 1e-100, 1e9]);
-                Place::at(hulls, rotations, share * size * self.direction())
+                PosePair::at(hulls, rotations, share * size * self.direction())
             }
             2 | 3 => self.at_a_growth_scale(hulls, size),
             4..=6 => self.face_on_face(hulls, size),
@@ -49,21 +49,21 @@ impl Bytes<'_> {
         if self.below(4) == 0 {
             let by = size.min(1e40) * 10f64.powi(i32::from(self.below(13)));
             let off = (by * self.direction()).to_array();
-            for position in &mut place.positions {
+            for position in &mut poses.positions {
                 *position = std::array::from_fn(|k| position[k] + off[k]);
             }
         }
         // The handlers refuse a pose that is out of range, so the geometry never sees such a coordinate. It
         // becomes 0 here.
-        for x in place.positions.iter_mut().flatten() {
+        for x in poses.positions.iter_mut().flatten() {
             *x = if x.abs() <= 1e100 { *x } else { 0.0 };
         }
-        place
+        poses
     }
 
-    fn at_a_growth_scale(&mut self, hulls: [&ConvexHull; 2], size: f64) -> Place {
+    fn at_a_growth_scale(&mut self, hulls: [&ConvexHull; 2], size: f64) -> PosePair {
         let (rotations, direction) = ([self.rotation(), self.rotation()], self.direction());
-        let far = Place::at(hulls, rotations, size * direction);
+        let far = PosePair::at(hulls, rotations, size * direction);
         let [a, b] = far.bodies(hulls);
         let query = Query { margin: f64::INFINITY, ..Query::default() };
         let alpha = contact_manifold(&a, &b, &query, None, &mut Workspace::default()).alpha;
@@ -72,7 +72,7 @@ impl Bytes<'_> {
             1 => self.nudged(1.0),
             _ => 1.0 + self.little(),
         };
-        Place::at(hulls, rotations, size * wanted / alpha.max(f64::MIN_POSITIVE) * direction)
+        PosePair::at(hulls, rotations, size * wanted / alpha.max(f64::MIN_POSITIVE) * direction)
     }
 
     /// A corner of a face, the middle of an edge or of the face, or a point inside; and the face's
@@ -92,7 +92,7 @@ impl Bytes<'_> {
     }
 
     /// B's face on A's face, tilted, spun and lifted by a small amount or not at all.
-    fn face_on_face(&mut self, hulls: [&ConvexHull; 2], size: f64) -> Place {
+    fn face_on_face(&mut self, hulls: [&ConvexHull; 2], size: f64) -> PosePair {
         let [(at_a, normal_a), (at_b, normal_b)] = hulls.map(|hull| self.spot(hull));
         let rotation = self.rotation();
         let normal = turned(rotation) * normal_a;
@@ -105,15 +105,15 @@ impl Bytes<'_> {
         let lift = size * self.little() * self.one_of(&[1.0, 1.0, 0.1]);
         let other = other.normalize().to_array();
         let position = turned(rotation) * at_a + lift * normal - turned(other) * at_b;
-        Place { positions: [[0.0; 3], position.to_array()], rotations: [rotation, other] }
+        PosePair { positions: [[0.0; 3], position.to_array()], rotations: [rotation, other] }
     }
 
     /// Places a spot of B at a spot of A, or near it.
-    fn point_on_point(&mut self, hulls: [&ConvexHull; 2], size: f64) -> Place {
+    fn point_on_point(&mut self, hulls: [&ConvexHull; 2], size: f64) -> PosePair {
         let [(at_a, _), (at_b, _)] = hulls.map(|hull| self.spot(hull));
         let rotations = [self.rotation(), self.rotation()];
         let off = size * self.little() * self.direction();
         let position = turned(rotations[0]) * at_a + off - turned(rotations[1]) * at_b;
-        Place { positions: [[0.0; 3], position.to_array()], rotations }
+        PosePair { positions: [[0.0; 3], position.to_array()], rotations }
     }
 }

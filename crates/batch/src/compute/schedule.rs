@@ -38,7 +38,7 @@ const SPARE_ACCOUNTS: usize = 64;
 
 /// The work of all callers that waits for threads.
 #[derive(Debug)]
-pub(super) struct Turns<W> {
+pub(super) struct Schedule<W> {
     accounts: ById<u64, Account<W>>,
     /// The callers with waiting work, by virtual time and place. If callers have the same time, the one
     /// that has waited longest is first.
@@ -60,30 +60,30 @@ struct Account<W> {
     place: u64,
     /// The number of parts of this caller that are taken and not done.
     running: usize,
-    waiting: VecDeque<Waiting<W>>,
+    waiting: VecDeque<WaitingWork<W>>,
 }
 
 /// A piece of work of which some parts have not been taken.
 #[derive(Debug)]
-struct Waiting<W> {
+struct WaitingWork<W> {
     number: u64,
     work: W,
     next: usize,
     count: usize,
 }
 
-/// The result of [`Turns::take`].
+/// The result of [`Schedule::take`].
 #[derive(Debug)]
-pub(super) enum Taken<W> {
+pub(super) enum Next<W> {
     /// The next part.
-    Part(Turn<W>),
+    Part(ScheduledPart<W>),
     /// Work that was stopped before all of its parts were taken.
     Stopped(W),
 }
 
 /// A part that a thread has taken.
 #[derive(Debug)]
-pub(super) struct Turn<W> {
+pub(super) struct ScheduledPart<W> {
     pub(super) work: W,
     pub(super) index: usize,
     pub(super) caller: u64,
@@ -91,13 +91,13 @@ pub(super) struct Turn<W> {
     pub(super) estimate: u64,
 }
 
-impl<W> Default for Turns<W> {
+impl<W> Default for Schedule<W> {
     fn default() -> Self {
         Self { accounts: ById::default(), order: BTreeMap::new(), now: 0, running: 0, next_number: 0 }
     }
 }
 
-impl<W: Clone> Turns<W> {
+impl<W: Clone> Schedule<W> {
     /// Adds work of `count` parts, at least one. Returns a number that identifies the work.
     pub(super) fn push(&mut self, caller: u64, work: W, count: usize) -> u64 {
         if self.accounts.len() > SPARE_ACCOUNTS + 2 * self.order.len() {
@@ -108,7 +108,7 @@ impl<W: Clone> Turns<W> {
         let now = self.now;
         let account = self.accounts.entry(caller).or_insert_with(Account::new);
         let was_idle = account.waiting.is_empty();
-        account.waiting.push_back(Waiting { number, work, next: 0, count });
+        account.waiting.push_back(WaitingWork { number, work, next: 0, count });
         if was_idle {
             account.time = account.time.max(now);
             self.enqueue(caller);
@@ -117,12 +117,12 @@ impl<W: Clone> Turns<W> {
     }
 
     /// Takes the next part and charges its caller with `estimate(work, index)` steps. If the next work
-    /// `is_stopped`, removes it and returns [`Taken::Stopped`]. Returns `None` if no work waits.
+    /// `is_stopped`, removes it and returns [`Next::Stopped`]. Returns `None` if no work waits.
     pub(super) fn take(
         &mut self,
         is_stopped: impl Fn(&W) -> bool,
         estimate: impl Fn(&W, usize) -> u64,
-    ) -> Option<Taken<W>> {
+    ) -> Option<Next<W>> {
         loop {
             let ((time, _), caller) = self.order.pop_first()?;
             let Some(account) = self.accounts.get_mut(&caller) else { continue };
@@ -130,7 +130,7 @@ impl<W: Clone> Turns<W> {
             if is_stopped(&first.work) {
                 self.enqueue(caller);
                 self.forget_if_settled(caller);
-                return Some(Taken::Stopped(first.work));
+                return Some(Next::Stopped(first.work));
             }
             let (work, index) = (first.work.clone(), first.next);
             first.next += 1;
@@ -143,7 +143,7 @@ impl<W: Clone> Turns<W> {
             self.running += 1;
             self.now = self.now.max(time);
             self.enqueue(caller);
-            return Some(Taken::Part(Turn { work, index, caller, estimate }));
+            return Some(Next::Part(ScheduledPart { work, index, caller, estimate }));
         }
     }
 
@@ -230,14 +230,14 @@ mod tests {
 
     /// Takes `count` parts on one thread, each estimated at 10 steps. Returns the letters in order, and
     /// the sum of the steps of each letter.
-    fn taken(turns: &mut Turns<Work>, count: usize) -> (String, HashMap<char, u64>) {
+    fn taken(schedule: &mut Schedule<Work>, count: usize) -> (String, HashMap<char, u64>) {
         let (mut letters, mut steps) = (String::new(), HashMap::new());
         for _ in 0..count {
-            let Some(Taken::Part(turn)) = turns.take(|_| false, |_, _| 10) else { break };
-            let (letter, cost) = turn.work;
+            let Some(Next::Part(part)) = schedule.take(|_| false, |_, _| 10) else { break };
+            let (letter, cost) = part.work;
             letters.push(letter);
             *steps.entry(letter).or_default() += cost;
-            turns.done(turn.caller, turn.estimate, cost);
+            schedule.done(part.caller, part.estimate, cost);
         }
         (letters, steps)
     }
@@ -246,13 +246,13 @@ mod tests {
     /// because it has more pieces of work.
     #[test]
     fn callers_get_equal_steps_whatever_their_parts_cost() {
-        let mut turns = Turns::default();
-        turns.push(1, ('a', 1000), 10_000);
+        let mut schedule = Schedule::default();
+        schedule.push(1, ('a', 1000), 10_000);
         for _ in 0..50 {
-            turns.push(2, ('b', 10), 10_000);
+            schedule.push(2, ('b', 10), 10_000);
         }
-        turns.push(3, ('c', 70), 10_000);
-        let (_, steps) = taken(&mut turns, 20_000);
+        schedule.push(3, ('c', 70), 10_000);
+        let (_, steps) = taken(&mut schedule, 20_000);
         let most = steps.values().max().unwrap();
         for (letter, steps) in &steps {
             assert!(most - steps <= 2 * 1000, "{letter} got {steps} of {most}");
@@ -264,31 +264,31 @@ mod tests {
     /// caller.
     #[test]
     fn one_callers_pieces_take_turns() {
-        let mut turns = Turns::default();
-        turns.push(1, ('a', 10), 4);
-        turns.push(1, ('b', 10), 2);
-        turns.push(2, ('c', 10), 3);
-        assert_eq!(taken(&mut turns, 100).0, "acbcacbaa");
-        assert!(turns.accounts.is_empty() && turns.order.is_empty());
+        let mut schedule = Schedule::default();
+        schedule.push(1, ('a', 10), 4);
+        schedule.push(1, ('b', 10), 2);
+        schedule.push(2, ('c', 10), 3);
+        assert_eq!(taken(&mut schedule, 100).0, "acbcacbaa");
+        assert!(schedule.accounts.is_empty() && schedule.order.is_empty());
     }
 
     /// Catches turns that are saved up while a caller is idle, and a debt that a pause wipes out: a
     /// caller that sends one costly part at a time must get no more than a caller with cheap parts.
     #[test]
     fn pauses_neither_save_nor_wipe_out() {
-        let mut turns = Turns::default();
-        turns.push(1, ('a', 10), 100_000);
-        assert_eq!(taken(&mut turns, 1000).1[&'a'], 10_000);
+        let mut schedule = Schedule::default();
+        schedule.push(1, ('a', 10), 100_000);
+        assert_eq!(taken(&mut schedule, 1000).1[&'a'], 10_000);
         // The second caller comes late and gets nothing for the turns that it missed.
-        turns.push(2, ('b', 10), 100);
-        let (letters, _) = taken(&mut turns, 100);
+        schedule.push(2, ('b', 10), 100);
+        let (letters, _) = taken(&mut schedule, 100);
         assert_eq!(letters.matches('b').count(), 50);
         let mut steps = HashMap::from([('a', 0), ('c', 0)]);
         for _ in 0..2000 {
-            if turns.accounts.get(&3).is_none_or(|account| account.waiting.is_empty()) {
-                turns.push(3, ('c', 500), 1);
+            if schedule.accounts.get(&3).is_none_or(|account| account.waiting.is_empty()) {
+                schedule.push(3, ('c', 500), 1);
             }
-            for (letter, more) in taken(&mut turns, 1).1 {
+            for (letter, more) in taken(&mut schedule, 1).1 {
                 *steps.entry(letter).or_default() += more;
             }
         }
@@ -298,13 +298,13 @@ mod tests {
     /// Catches several threads that all take parts of one caller before the first part is metered.
     #[test]
     fn parts_under_way_count_by_their_estimate() {
-        let mut turns = Turns::default();
-        turns.push(1, ('a', 10), 100);
-        turns.push(2, ('b', 10), 100);
+        let mut schedule = Schedule::default();
+        schedule.push(1, ('a', 10), 100);
+        schedule.push(2, ('b', 10), 100);
         let mut letters = String::new();
         for _ in 0..6 {
-            let Some(Taken::Part(turn)) = turns.take(|_| false, |_, _| 10) else { panic!("no part") };
-            letters.push(turn.work.0);
+            let Some(Next::Part(part)) = schedule.take(|_| false, |_, _| 10) else { panic!("no part") };
+            letters.push(part.work.0);
         }
         assert_eq!(letters, "ababab");
     }
@@ -313,33 +313,33 @@ mod tests {
     /// are never removed.
     #[test]
     fn stopped_and_removed_work_is_not_begun() {
-        let mut turns = Turns::default();
-        turns.push(1, ('a', 10), 3);
-        let b = turns.push(1, ('b', 10), 3);
-        let c = turns.push(2, ('c', 10), 3);
-        turns.push(3, ('d', 10), 2);
-        assert_eq!(turns.remove(1, b), Some(('b', 10)));
-        assert_eq!(turns.remove(1, b), None);
-        assert_eq!(turns.remove(2, c), Some(('c', 10)));
+        let mut schedule = Schedule::default();
+        schedule.push(1, ('a', 10), 3);
+        let b = schedule.push(1, ('b', 10), 3);
+        let c = schedule.push(2, ('c', 10), 3);
+        schedule.push(3, ('d', 10), 2);
+        assert_eq!(schedule.remove(1, b), Some(('b', 10)));
+        assert_eq!(schedule.remove(1, b), None);
+        assert_eq!(schedule.remove(2, c), Some(('c', 10)));
         let (mut stopped, mut begun) = (Vec::new(), String::new());
-        while let Some(taken) = turns.take(|work| work.0 == 'a', |_, _| 10) {
+        while let Some(taken) = schedule.take(|work| work.0 == 'a', |_, _| 10) {
             match taken {
-                Taken::Stopped(work) => stopped.push(work),
-                Taken::Part(turn) => {
-                    begun.push(turn.work.0);
-                    turns.done(turn.caller, turn.estimate, 10);
+                Next::Stopped(work) => stopped.push(work),
+                Next::Part(part) => {
+                    begun.push(part.work.0);
+                    schedule.done(part.caller, part.estimate, 10);
                 }
             }
         }
         assert_eq!((&stopped[..], &begun[..]), (&[('a', 10)][..], "dd"));
-        assert!(turns.accounts.is_empty());
+        assert!(schedule.accounts.is_empty());
         for caller in 0..10_000 {
-            turns.push(caller, ('e', 10), 1);
+            schedule.push(caller, ('e', 10), 1);
             if caller % 2 == 0 {
-                taken(&mut turns, 1);
+                taken(&mut schedule, 1);
             }
         }
-        assert!(turns.accounts.len() <= SPARE_ACCOUNTS + 2 * turns.order.len() + 1);
-        assert_eq!(turns.clear().len(), 5000);
+        assert!(schedule.accounts.len() <= SPARE_ACCOUNTS + 2 * schedule.order.len() + 1);
+        assert_eq!(schedule.clear().len(), 5000);
     }
 }

@@ -24,7 +24,7 @@ pub(crate) mod serve;
 mod serve_values;
 pub(crate) mod settings;
 mod table;
-#[cfg_attr(not(feature = "otlp"), path = "no_traces.rs")]
+#[cfg_attr(not(feature = "otlp"), path = "cli/no_traces.rs")]
 mod traces;
 mod values;
 

@@ -18,20 +18,20 @@ pub(super) const SPARE_BYTES: usize = 64 << 10;
 pub(super) type BeforeChunk = Box<dyn Fn(usize) + Send + Sync>;
 
 /// The limit, the counter and the buffers that the batches of an engine share.
-pub(super) struct Shared {
+pub(super) struct EngineState {
     pub(super) max_answer_bytes: usize,
     pub(super) pairs_computed: AtomicU64,
-    pub(super) spare: Spare,
+    pub(super) spare: SpareColumns,
     #[cfg(any(test, feature = "testing"))]
     pub(super) before_chunk: Option<BeforeChunk>,
 }
 
-impl Shared {
+impl EngineState {
     pub(super) fn new(max_answer_bytes: usize) -> Self {
         Self {
             max_answer_bytes,
             pairs_computed: AtomicU64::new(0),
-            spare: Spare::default(),
+            spare: SpareColumns::default(),
             #[cfg(any(test, feature = "testing"))]
             before_chunk: None,
         }
@@ -45,10 +45,10 @@ impl Shared {
     }
 }
 
-impl fmt::Debug for Shared {
+impl fmt::Debug for EngineState {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { max_answer_bytes, pairs_computed, .. } = self;
-        let mut text = f.debug_struct("Shared");
+        let mut text = f.debug_struct("EngineState");
         text.field("max_answer_bytes", max_answer_bytes).field("pairs_computed", pairs_computed);
         text.finish_non_exhaustive()
     }
@@ -56,9 +56,9 @@ impl fmt::Debug for Shared {
 
 /// Columns for reuse, so that chunks allocate nothing in the steady state.
 #[derive(Debug, Default)]
-pub(super) struct Spare(Mutex<Vec<Columns>>);
+pub(super) struct SpareColumns(Mutex<Vec<Columns>>);
 
-impl Spare {
+impl SpareColumns {
     pub(super) fn take(&self) -> Columns {
         locked(&self.0).pop().unwrap_or_default()
     }

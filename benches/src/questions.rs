@@ -5,14 +5,14 @@ use serde::{Deserialize, Serialize};
 
 /// A file of questions.
 #[derive(Debug, Deserialize)]
-pub struct Asked {
+pub struct Questions {
     /// The pairs, grouped by kind.
-    pub cells: Vec<AskedCell>,
+    pub cells: Vec<QuestionCell>,
 }
 
 /// Pairs of one kind.
 #[derive(Debug, Deserialize)]
-pub struct AskedCell {
+pub struct QuestionCell {
     /// Name of the kind, for display.
     pub name: String,
     /// Contacts are wanted for hulls within this distance.
@@ -20,12 +20,12 @@ pub struct AskedCell {
     /// Points of each hull, in the hull's own frame.
     pub hulls: Vec<Vec<[f64; 3]>>,
     /// Pairs of those hulls.
-    pub pairs: Vec<AskedPair>,
+    pub pairs: Vec<QuestionPair>,
 }
 
 /// A pair with its poses. A pose is a position and a unit quaternion x, y, z, w.
 #[derive(Debug, Deserialize)]
-pub struct AskedPair {
+pub struct QuestionPair {
     /// Indices into the cell's hulls.
     pub hulls: [usize; 2],
     /// Pose of the first hull.

@@ -6,13 +6,13 @@ use std::{sync::Arc, time::Duration};
 use tonic::{Status, Streaming};
 
 use super::{
-    App, Limits, Reason, ServiceError, context::CallContext, decode::decoded, middleware::Closing,
+    App, Limits, Reason, ServiceError, context::CallContext, decode::decode_request, middleware::Closing,
     scene::answer, wire,
 };
 use crate::{
-    batch::scene::Setting,
+    batch::scene::SceneTemplate,
     budget::{CallerStream, Permit},
-    compute::FreedHere,
+    compute::DeferredDrop,
     contact::{STEPS_BETWEEN_LOOKS, Stop},
     proto::{Encoded, QueryContactsRequest, QueryContactsResponse},
     store::HullId,
@@ -22,7 +22,7 @@ use crate::{
 const RETRY: Duration = Duration::from_millis(100);
 
 /// A stream of requests in progress.
-pub(super) struct Steps {
+pub(super) struct ContactStream {
     app: Arc<App>,
     context: CallContext,
     requests: Streaming<Encoded<QueryContactsRequest>>,
@@ -35,7 +35,7 @@ pub(super) struct Steps {
 
 /// The streams of one caller give way to the other calls of their threads after these steps of work, about
 /// 2 ms, which they share. Streams of small messages that are all there already would otherwise never do so.
-const TURN_STEPS: u64 = 2 * STEPS_BETWEEN_LOOKS;
+const STEPS_BEFORE_YIELD: u64 = 2 * STEPS_BETWEEN_LOOKS;
 
 /// The steps of a message besides those that its decoding and its pairs count: about 2 us.
 const MESSAGE_STEPS: u64 = 2_000;
@@ -47,26 +47,26 @@ enum Previous {
     /// The state of the previous message was not kept, because the budget had no room.
     Dropped,
     /// The state that the next message may inherit.
-    Kept { kept: FreedHere<Kept>, memory: Permit },
+    Kept { state: DeferredDrop<InheritableState>, memory: Permit },
 }
 
 /// The hulls, bodies, pairs and options of a message, and the bases of its answer.
-struct Kept {
+struct InheritableState {
     hull_ids: Arc<Vec<HullId>>,
-    setting: Arc<Setting>,
+    template: Arc<SceneTemplate>,
     bases: Vec<u32>,
 }
 
-impl Kept {
+impl InheritableState {
     /// The bytes of the state.
     fn bytes(&self) -> usize {
         size_of_val(&self.hull_ids[..])
-            + self.setting.heap_bytes()
-            + self.setting.pair_count() * size_of::<[u32; 6]>()
+            + self.template.heap_bytes()
+            + self.template.pair_count() * size_of::<[u32; 6]>()
     }
 }
 
-impl Steps {
+impl ContactStream {
     /// A stream that ends with its requests, or after the message in progress once `closing` is
     /// true.
     pub(super) fn new(
@@ -82,13 +82,13 @@ impl Steps {
     /// The next answer, or `None` after the last request.
     pub(super) async fn next(&mut self) -> Result<Option<QueryContactsResponse>, Status> {
         let steps = self.context.job.stop.steps();
-        if steps - self.gave_way >= TURN_STEPS / self.stream.count().max(1) as u64 {
+        if steps - self.gave_way >= STEPS_BEFORE_YIELD / self.stream.count().max(1) as u64 {
             self.gave_way = steps;
             tokio::task::yield_now().await;
         }
         let request = tokio::select! {
             biased;
-            () = self.closing.heard() => {
+            () = self.closing.announced() => {
                 let why = "the connection is about to close: open the stream again";
                 return Err(ServiceError::unavailable(Reason::Stopping, RETRY, why).into());
             }
@@ -96,18 +96,18 @@ impl Steps {
         };
         match request {
             None => Ok(None),
-            Some(request) => Ok(Some(self.step(request).await?)),
+            Some(request) => Ok(Some(self.answer_message(request).await?)),
         }
     }
 
-    async fn step(
+    async fn answer_message(
         &mut self,
         request: Encoded<QueryContactsRequest>,
     ) -> Result<QueryContactsResponse, ServiceError> {
         self.context.job.stop.spend(MESSAGE_STEPS)?;
         let previous = std::mem::replace(&mut self.previous, Previous::None);
         let check = |request: QueryContactsRequest, memory, limits: &Limits, stop: &Stop| {
-            let (scene, kept) = match (request.inherit, previous) {
+            let (scene, state_memory) = match (request.inherit, previous) {
                 (false, previous) => {
                     let memory = match previous {
                         Previous::Kept { memory, .. } => Some(memory),
@@ -115,9 +115,9 @@ impl Steps {
                     };
                     (wire::stoppable_scene(request, limits, stop)?, memory)
                 }
-                (true, Previous::Kept { kept, memory }) => {
-                    let Kept { hull_ids, setting, bases } = kept.into_inner();
-                    (wire::inherited(request, hull_ids, setting, bases, stop)?, Some(memory))
+                (true, Previous::Kept { state, memory }) => {
+                    let InheritableState { hull_ids, template, bases } = state.into_inner();
+                    (wire::inherited(request, hull_ids, template, bases, stop)?, Some(memory))
                 }
                 (true, Previous::None) => {
                     let why = "the first message of a stream has nothing to inherit: send the scene in full";
@@ -129,16 +129,16 @@ impl Steps {
                     return Err(ServiceError::unavailable(Reason::StateNotKept, RETRY, why));
                 }
             };
-            Ok((scene, memory, kept))
+            Ok((scene, memory, state_memory))
         };
-        let (scene, memory, kept) = decoded(&self.app, &self.context, request, check).await?;
-        let (hull_ids, setting) = (scene.hull_ids.clone(), scene.setting.clone());
+        let (scene, memory, state_memory) = decode_request(&self.app, &self.context, request, check).await?;
+        let (hull_ids, template) = (scene.hull_ids.clone(), scene.template.clone());
         let (response, bases) = answer(&self.app, &self.context, scene, memory, true).await?;
-        let kept_now = Kept { hull_ids, setting, bases };
-        let bytes = kept_now.bytes();
-        let state = self.app.engine().compute_threads().freed_here(kept_now, bytes);
-        self.previous = match self.context.keep(bytes, kept) {
-            Some(memory) => Previous::Kept { kept: state, memory },
+        let new_state = InheritableState { hull_ids, template, bases };
+        let bytes = new_state.bytes();
+        let state = self.app.engine().compute_threads().defer_drop(new_state, bytes);
+        self.previous = match self.context.take_state_memory(bytes, state_memory) {
+            Some(memory) => Previous::Kept { state, memory },
             None => Previous::Dropped,
         };
         Ok(response)

@@ -14,7 +14,7 @@ use hullcast::{
         contact_service_client::ContactServiceClient, hull_service_client::HullServiceClient,
         server_service_client::ServerServiceClient,
     },
-    service::{App, Limits, Listener, Serving, run},
+    service::{App, Limits, Listener, ServerOptions, run},
     store::{BlobStore, blobs},
 };
 use tokio::{sync::oneshot, task::JoinHandle};
@@ -34,7 +34,7 @@ pub(crate) struct Setup {
     pub(crate) store: Arc<dyn BlobStore>,
     pub(crate) limits: Limits,
     pub(crate) threads: usize,
-    pub(crate) serving: Serving,
+    pub(crate) options: ServerOptions,
     pub(crate) grace: Duration,
 }
 
@@ -44,7 +44,7 @@ impl Default for Setup {
             store: blobs::open("memory://").unwrap(),
             limits: Limits::default(),
             threads: 2,
-            serving: Serving::default(),
+            options: ServerOptions::default(),
             grace: Duration::ZERO,
         }
     }
@@ -55,7 +55,7 @@ impl Setup {
         let mut server = self.start_lazily().await;
         server.channel = channel(&server.address).await;
         // The kernel accepts connections before the server is ready.
-        while !server.app.readiness().welcomes() {
+        while !server.app.readiness().accepts_calls() {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
         server
@@ -67,7 +67,7 @@ impl Setup {
         let listener = Listener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.to_string();
         let (stop, stopped) = oneshot::channel();
-        let server = run(vec![listener], app.clone(), self.serving, async move {
+        let server = run(vec![listener], app.clone(), self.options, async move {
             let _ = stopped.await;
             self.grace
         });

@@ -18,44 +18,44 @@ use crate::lock::locked;
 
 /// The slots, and the requests that wait for one.
 #[derive(Debug)]
-pub(super) struct Turns {
+pub(super) struct FairSlots {
     state: Mutex<State>,
 }
 
 #[derive(Debug)]
 struct State {
     slots: Shares,
-    places: Shares,
+    queued: Shares,
     /// The queues by the caller's id. Each id in it is in `order` exactly once.
-    waiting: HashMap<u64, Queue>,
+    waiting: HashMap<u64, CallerQueue>,
     order: VecDeque<u64>,
     next_ticket: u64,
 }
 
 /// One caller's waiting requests, the oldest first.
 #[derive(Debug)]
-struct Queue {
+struct CallerQueue {
     caller: Caller,
     tickets: BTreeMap<u64, oneshot::Sender<()>>,
 }
 
 /// The reason why a request gets no slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum NoTurn {
+pub(super) enum NoSlot {
     /// Too many of this caller's requests wait already.
     Busy,
     /// All waiting requests were refused.
-    SentAway,
+    Refused,
 }
 
-impl Turns {
-    /// `slots` may be used at a time, and `places` requests may wait. `shares` says whether callers
+impl FairSlots {
+    /// `slots` may be used at a time, and `most_waiting` requests may wait. `shares` says whether callers
     /// share both by dynamic thresholds; a single slot cannot be shared.
-    pub(super) fn new(slots: u64, places: u64, shares: bool) -> Arc<Self> {
+    pub(super) fn new(slots: u64, most_waiting: u64, shares: bool) -> Arc<Self> {
         Arc::new(Self {
             state: Mutex::new(State {
                 slots: Shares::new(slots, shares && slots > 1),
-                places: Shares::new(places, shares),
+                queued: Shares::new(most_waiting, shares),
                 waiting: HashMap::new(),
                 order: VecDeque::new(),
                 next_ticket: 0,
@@ -67,36 +67,36 @@ impl Turns {
     ///
     /// # Errors
     /// No more of this caller's requests may wait, or all waiting requests were refused.
-    pub(super) async fn take(self: &Arc<Self>, caller: &Caller) -> Result<Turn, NoTurn> {
+    pub(super) async fn take(self: &Arc<Self>, caller: &Caller) -> Result<FairSlot, NoSlot> {
         let mut waiting = {
             let mut state = locked(&self.state);
             // Requests of this caller that already wait come first.
             let is_first = !state.waiting.contains_key(&caller.id());
             if is_first && state.slots.take(caller, 1).is_ok() {
-                return Ok(Turn { turns: self.clone(), caller: caller.clone() });
+                return Ok(FairSlot { slots: self.clone(), caller: caller.clone() });
             }
-            state.places.take(caller, 1).map_err(|_| NoTurn::Busy)?;
+            state.queued.take(caller, 1).map_err(|_| NoSlot::Busy)?;
             let (grant, granted) = oneshot::channel();
             let ticket = state.wait(caller, grant);
-            Waiting { turns: self, caller, ticket, granted: Some(granted) }
+            WaitingRequest { slots: self, caller, ticket, granted: Some(granted) }
         };
         let granted = match &mut waiting.granted {
             Some(granted) => granted.await,
-            None => return Err(NoTurn::SentAway),
+            None => return Err(NoSlot::Refused),
         };
         waiting.granted = None;
         match granted {
-            Ok(()) => Ok(Turn { turns: self.clone(), caller: caller.clone() }),
-            Err(_) => Err(NoTurn::SentAway),
+            Ok(()) => Ok(FairSlot { slots: self.clone(), caller: caller.clone() }),
+            Err(_) => Err(NoSlot::Refused),
         }
     }
 
     /// Refuses all waiting requests.
-    pub(super) fn send_away(&self) {
+    pub(super) fn refuse_waiting(&self) {
         let mut state = locked(&self.state);
         let state = &mut *state;
         for queue in state.waiting.values() {
-            state.places.give_back(&queue.caller, queue.tickets.len() as u64);
+            state.queued.give_back(&queue.caller, queue.tickets.len() as u64);
         }
         state.waiting.clear();
         state.order.clear();
@@ -110,7 +110,7 @@ impl State {
         let order = &mut self.order;
         let queue = self.waiting.entry(caller.id()).or_insert_with(|| {
             order.push_back(caller.id());
-            Queue { caller: caller.clone(), tickets: BTreeMap::new() }
+            CallerQueue { caller: caller.clone(), tickets: BTreeMap::new() }
         });
         queue.tickets.insert(ticket, grant);
         ticket
@@ -130,7 +130,7 @@ impl State {
             }
             let caller = queue.caller.clone();
             let granted = queue.tickets.pop_first().is_some_and(|(_, grant)| {
-                self.places.give_back(&caller, 1);
+                self.queued.give_back(&caller, 1);
                 grant.send(()).is_ok()
             });
             if !granted {
@@ -155,24 +155,24 @@ impl State {
             self.waiting.remove(&caller.id());
             self.order.retain(|id| *id != caller.id());
         }
-        self.places.give_back(caller, 1);
+        self.queued.give_back(caller, 1);
         true
     }
 }
 
 /// A waiting request; it leaves the queue when its caller leaves.
-struct Waiting<'a> {
-    turns: &'a Arc<Turns>,
+struct WaitingRequest<'a> {
+    slots: &'a Arc<FairSlots>,
     caller: &'a Caller,
     ticket: u64,
     /// `None` when the grant has been received.
     granted: Option<oneshot::Receiver<()>>,
 }
 
-impl Drop for Waiting<'_> {
+impl Drop for WaitingRequest<'_> {
     fn drop(&mut self) {
         let Some(mut granted) = self.granted.take() else { return };
-        let mut state = locked(&self.turns.state);
+        let mut state = locked(&self.slots.state);
         // A slot that was granted but not received goes to the next request.
         if !state.leave(self.caller, self.ticket) && granted.try_recv().is_ok() {
             state.slots.give_back(self.caller, 1);
@@ -183,14 +183,14 @@ impl Drop for Waiting<'_> {
 
 /// A slot, free again when this is dropped.
 #[derive(Debug)]
-pub(super) struct Turn {
-    turns: Arc<Turns>,
+pub(super) struct FairSlot {
+    slots: Arc<FairSlots>,
     caller: Caller,
 }
 
-impl Drop for Turn {
+impl Drop for FairSlot {
     fn drop(&mut self) {
-        let mut state = locked(&self.turns.state);
+        let mut state = locked(&self.slots.state);
         state.slots.give_back(&self.caller, 1);
         state.grant();
     }
@@ -205,7 +205,7 @@ mod tests {
     use super::*;
     use crate::budget::{CallerKey, Callers};
 
-    type Taking<'a> = Pin<Box<dyn Future<Output = Result<Turn, NoTurn>> + 'a>>;
+    type SlotRequest<'a> = Pin<Box<dyn Future<Output = Result<FairSlot, NoSlot>> + 'a>>;
 
     fn callers() -> Vec<Caller> {
         let callers = Arc::new(Callers::default());
@@ -213,31 +213,31 @@ mod tests {
     }
 
     /// Whether all slots are free and no request waits.
-    fn is_idle(turns: &Turns) -> bool {
-        let state = locked(&turns.state);
-        state.slots.used() + state.places.used() == 0 && state.waiting.is_empty() && state.order.is_empty()
+    fn is_idle(slots: &FairSlots) -> bool {
+        let state = locked(&slots.state);
+        state.slots.used() + state.queued.used() == 0 && state.waiting.is_empty() && state.order.is_empty()
     }
 
     /// Takes slots until a request would have to wait.
-    fn take_all(turns: &Arc<Turns>, caller: &Caller) -> Vec<Turn> {
-        std::iter::from_fn(|| turns.take(caller).now_or_never().and_then(Result::ok)).collect()
+    fn take_all(slots: &Arc<FairSlots>, caller: &Caller) -> Vec<FairSlot> {
+        std::iter::from_fn(|| slots.take(caller).now_or_never().and_then(Result::ok)).collect()
     }
 
     /// Catches one caller that gets all slots, and a caller whose many requests all come before
     /// another caller's single request.
     #[tokio::test]
     async fn callers_take_turns() {
-        let (turns, callers) = (Turns::new(8, 100, true), callers());
-        let mut greedy = take_all(&turns, &callers[0]);
+        let (slots, callers) = (FairSlots::new(8, 100, true), callers());
+        let mut greedy = take_all(&slots, &callers[0]);
         assert_eq!(greedy.len(), 4, "half of the slots");
-        let others = [take_all(&turns, &callers[1]), take_all(&turns, &callers[2])];
+        let others = [take_all(&slots, &callers[1]), take_all(&slots, &callers[2])];
         assert_eq!(others.each_ref().map(Vec::len), [2, 1]);
-        let mut many: Vec<Taking<'_>> =
-            (0..10).map(|_| Box::pin(turns.take(&callers[0])) as Taking<'_>).collect();
+        let mut many: Vec<SlotRequest<'_>> =
+            (0..10).map(|_| Box::pin(slots.take(&callers[0])) as SlotRequest<'_>).collect();
         for waiting in &mut many {
             assert!(poll!(waiting.as_mut()).is_pending());
         }
-        let mut single: Taking<'_> = Box::pin(turns.take(&callers[2]));
+        let mut single: SlotRequest<'_> = Box::pin(slots.take(&callers[2]));
         assert!(poll!(single.as_mut()).is_pending());
         greedy.truncate(2);
         assert!(poll!(single.as_mut()).is_ready());
@@ -253,33 +253,33 @@ mod tests {
         assert_eq!(served, 10);
     }
 
-    /// Catches a place or a slot that is lost when a request leaves: while it waits, after it was
+    /// Catches a slot, or a place among the waiting requests, that is lost when a request leaves: while it waits, after it was
     /// granted a slot that it has not received, and when all waiting requests are refused.
     #[tokio::test]
     async fn requests_that_go_away_leave_nothing_behind() {
-        let (turns, callers) = (Turns::new(2, 8, true), callers());
+        let (slots, callers) = (FairSlots::new(2, 8, true), callers());
         for _ in 0..3 {
-            let held = take_all(&turns, &callers[0]);
+            let held = take_all(&slots, &callers[0]);
             assert_eq!(held.len(), 1);
-            let mut waiting: Vec<Taking<'_>> =
-                (0..4).map(|_| Box::pin(turns.take(&callers[0])) as Taking<'_>).collect();
+            let mut waiting: Vec<SlotRequest<'_>> =
+                (0..4).map(|_| Box::pin(slots.take(&callers[0])) as SlotRequest<'_>).collect();
             for waiting in &mut waiting {
                 assert!(poll!(waiting.as_mut()).is_pending());
             }
-            assert_eq!(turns.take(&callers[0]).await.unwrap_err(), NoTurn::Busy);
+            assert_eq!(slots.take(&callers[0]).await.unwrap_err(), NoSlot::Busy);
             drop(waiting.remove(2));
             drop(held);
             drop(waiting.remove(0));
             assert!(poll!(waiting[0].as_mut()).is_ready(), "granted in place of the one that went");
             drop(waiting);
-            assert!(is_idle(&turns));
+            assert!(is_idle(&slots));
         }
-        let held = take_all(&turns, &callers[0]);
-        let mut waiting: Taking<'_> = Box::pin(turns.take(&callers[0]));
+        let held = take_all(&slots, &callers[0]);
+        let mut waiting: SlotRequest<'_> = Box::pin(slots.take(&callers[0]));
         assert!(poll!(waiting.as_mut()).is_pending());
-        turns.send_away();
-        assert_eq!(waiting.await.unwrap_err(), NoTurn::SentAway);
+        slots.refuse_waiting();
+        assert_eq!(waiting.await.unwrap_err(), NoSlot::Refused);
         drop(held);
-        assert!(is_idle(&turns));
+        assert!(is_idle(&slots));
     }
 }

@@ -1,7 +1,7 @@
 //! The gRPC services. A request passes through wire -> handlers -> engine -> wire.
 //!
 //! [`wire`] checks requests and writes responses. The handlers are [`contacts`] with [`find`] and
-//! [`steps`], [`hulls`], and [`info`]; [`engine`] hands batches to the crate `hullcast-batch`. [`server`] runs the services on
+//! [`contact_stream`], [`hulls`], and [`info`]; [`engine`] hands batches to the crate `hullcast-batch`. [`server`] runs the services on
 //! [`listener`]s. Each [`connection`] passes its calls through the [`middleware`], which applies to
 //! every call and asks [`security`] whether the caller may make it.
 
@@ -11,6 +11,7 @@ mod answer;
 mod answer_body;
 mod call;
 mod connection;
+mod contact_stream;
 mod contacts;
 mod context;
 mod cutoff;
@@ -45,7 +46,6 @@ mod sizes;
 mod socket_file;
 #[cfg(feature = "playground")]
 mod stall;
-mod steps;
 mod streams;
 pub mod wire;
 
@@ -55,8 +55,8 @@ use std::{
 };
 
 pub use admin::{CONNECTIONS as ADMIN_CONNECTIONS, serve_admin};
-pub use engine::{Bounds as EngineBounds, Engine};
-pub use error::{Place, ServiceError};
+pub use engine::{EngineLimits, ServiceEngine};
+pub use error::{FaultLocation, ServiceError};
 pub use limits::Limits;
 pub use listener::Listener;
 pub use readiness::Readiness;
@@ -64,7 +64,7 @@ pub use reason::{HullReason, Reason};
 pub use security::{LoadError, Security, SecurityFiles};
 #[cfg(feature = "testing")]
 pub use server::handlers;
-pub use server::{Serving, run};
+pub use server::{ServerOptions, run};
 pub use socket_file::SocketFile;
 
 use thiserror::Error;
@@ -74,7 +74,7 @@ use crate::{
     compute::Compute,
     lock::locked,
     metrics::Metrics,
-    store::{BlobStore, Registry, registry::Bounds},
+    store::{BlobStore, Registry, registry::RegistryLimits},
 };
 
 /// The state that all handlers share.
@@ -82,7 +82,7 @@ use crate::{
 pub struct App {
     limits: Limits,
     registry: Registry,
-    engine: Engine,
+    engine: ServiceEngine,
     memory: Arc<MemoryBudget>,
     callers: Arc<Callers>,
     metrics: Arc<Metrics>,
@@ -95,12 +95,12 @@ impl App {
     ///
     /// # Errors
     /// The limits contradict each other, or the threads could not be started.
-    pub fn new(blobs: Arc<dyn BlobStore>, limits: Limits, threads: usize) -> Result<Self, OpenError> {
+    pub fn new(blobs: Arc<dyn BlobStore>, limits: Limits, threads: usize) -> Result<Self, StartError> {
         if let Some(why) = limits.contradiction() {
-            return Err(OpenError::Limits(why));
+            return Err(StartError::Limits(why));
         }
-        let compute = Compute::new(threads).map_err(|error| OpenError::Threads(error.to_string()))?;
-        let bounds = Bounds {
+        let compute = Compute::new(threads).map_err(|error| StartError::Threads(error.to_string()))?;
+        let registry_limits = RegistryLimits {
             cache_bytes: limits.cache_bytes,
             store_bytes: limits.store_bytes,
             cache_age: Duration::from_secs(limits.cache_age_seconds.into()),
@@ -115,13 +115,13 @@ impl App {
             (Part::StreamState, limits.max_stream_state_bytes),
         ];
         let memory = MemoryBudget::new(limits.max_memory_bytes, limits.shares, &caps);
-        let of_engine = EngineBounds {
+        let engine_limits = EngineLimits {
             max_pairs_in_flight: limits.max_pairs_in_flight,
             shares: limits.shares,
             max_answer_bytes: limits.max_message_bytes,
         };
-        let engine = Engine::new(compute.clone(), of_engine, metrics.clone());
-        let registry = Registry::new(blobs, compute, bounds, memory.clone(), metrics.clone());
+        let engine = ServiceEngine::new(compute.clone(), engine_limits, metrics.clone());
+        let registry = Registry::new(blobs, compute, registry_limits, memory.clone(), metrics.clone());
         let readiness = Mutex::new(Readiness::Starting);
         let callers = Arc::default();
         Ok(Self { limits, registry, engine, memory, callers, metrics, readiness })
@@ -138,7 +138,7 @@ impl App {
     }
 
     /// The engine that computes batches.
-    pub fn engine(&self) -> &Engine {
+    pub fn engine(&self) -> &ServiceEngine {
         &self.engine
     }
 
@@ -169,7 +169,7 @@ impl App {
         metrics.set_token_memory(self.callers.named().into_iter().map(held));
         metrics.callers.set(self.callers.count() as i64);
         metrics.request_bytes_in_flight.set(self.memory.used_by(Part::Arriving) as i64);
-        metrics.ready.set(self.readiness().welcomes().into());
+        metrics.ready.set(self.readiness().accepts_calls().into());
         metrics.text()
     }
 
@@ -185,7 +185,7 @@ impl App {
 
 /// The reason why a server did not start.
 #[derive(Debug, Error)]
-pub enum OpenError {
+pub enum StartError {
     /// The limits contradict each other.
     #[error("limits: {0}")]
     Limits(String),
