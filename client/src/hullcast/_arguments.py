@@ -204,10 +204,9 @@ def real(field: str, value: Any, expected: str) -> float:
     value = plain(value)
     if not is_real(value):
         raise InvalidArgument(f"got {shown(value)}, {expected}", reason="WRONG_TYPE", field=field)
-    number = cast("Any", value)
     try:
-        return float(number)
+        return float(value)
     except OverflowError:
-        return math.inf if number > 0 else -math.inf
+        return math.inf if value > 0 else -math.inf
     except ValueError:  # a signalling NaN of `decimal`
         return math.nan

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Generator
 from typing import Any, cast
 
 from ._arguments import kind, shown
@@ -99,7 +99,7 @@ def writable(field: str, value: Any) -> str:
 
 
 @contextlib.contextmanager
-def writing(field: str, path: str) -> Iterator[None]:
+def writing(field: str, path: str) -> Generator[None]:
     """Converts the system's errors while a file is written, such as a full disk.
 
     Raises:

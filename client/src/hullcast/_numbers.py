@@ -115,8 +115,8 @@ def _has_mask(value: Any) -> bool:
     if isinstance(value, (list, tuple)):
         entries = cast("list[Any]", value)
         # Few types occur in one list, so this is far faster than a test of every entry.
-        types = set(map(type, entries))
-        nested = {one for one in types if issubclass(one, (list, tuple, np.ndarray))}
+        types: set[Any] = set(map(type, entries))
+        nested: set[Any] = {one for one in types if issubclass(one, (list, tuple, np.ndarray))}
         return bool(nested) and any(_has_mask(entry) for entry in entries if type(entry) in nested)
     return is_masked(value)
 
