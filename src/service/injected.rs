@@ -10,6 +10,11 @@ use std::{
     time::{Duration, Instant},
 };
 
+use tokio::{
+    runtime::{Handle, RuntimeFlavor},
+    task::block_in_place,
+};
+
 use crate::{batch, compute::Compute, lock::locked};
 
 /// Controls for tests. By default they do nothing.
@@ -59,6 +64,15 @@ impl Injected {
     /// Waits for as long as the test has configured. The engine calls this before it computes
     /// `pairs` pairs.
     fn pass(&self, pairs: usize) {
+        // The engine computes cheap batches on the thread that serves the call. While that thread waits here,
+        // another one has to take over its sockets and tasks.
+        match Handle::try_current().map(|runtime| runtime.runtime_flavor()) {
+            Ok(RuntimeFlavor::MultiThread) => block_in_place(|| self.wait(pairs)),
+            _ => self.wait(pairs),
+        }
+    }
+
+    fn wait(&self, pairs: usize) {
         let delay = self.delay.load(Ordering::Relaxed);
         if delay > 0 {
             sleep(Duration::from_nanos(delay) * pairs as u32);
