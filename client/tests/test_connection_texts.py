@@ -11,11 +11,13 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import grpc
 import numpy as np
+import psutil
 import pytest
 from crowds import CUBE, NO_PROXY, Server
 
@@ -102,6 +104,8 @@ def test_a_frozen_server_and_a_short_timeout():
         session = client.session(scene, [[0, 0]])
         session.step(scene.positions, scene.rotations)
         os.kill(server.process.pid, signal.SIGSTOP)
+        while psutil.Process(server.process.pid).status() != psutil.STATUS_STOPPED:
+            time.sleep(0.01)  # its threads do not stop at once
         try:
             for call in (
                 lambda: client.query(scene, [[0, 0]], timeout=0.3),
@@ -112,7 +116,7 @@ def test_a_frozen_server_and_a_short_timeout():
             ):
                 with pytest.raises(hullcast.DeadlineExceeded) as caught:
                     call()
-                assert "did not answer within the timeout" in str(caught.value)
+                assert "did not answer within the timeout of 0.3 s: " in str(caught.value)
                 assert "timeout= gives a call more time" in str(caught.value)
                 assert not RAW.search(str(caught.value))
         finally:

@@ -263,6 +263,9 @@ GOOD = (
 )
 
 
+FRAME = '{"name": "f", "positions": [[0,0,0],[0,0,3]], "rotations": [[0,0,0,1],[0,0,0,1]]}'
+
+
 @pytest.mark.parametrize(
     ("old", "new", "place"),
     [
@@ -284,6 +287,19 @@ GOOD = (
         (GOOD, "# A page", "not JSON"),
         (GOOD, "", "not JSON"),
         (GOOD, '{"format": 1}', "format: got 1"),
+        ('"pairs"', '"frames": 0, "pairs"', "frames: expected a list"),
+        ('"pairs"', '"frames": {}, "pairs"', "frames: expected a list"),
+        ('"pairs"', '"frames": "", "pairs"', "frames: expected a list"),
+        ('"pairs"', '"frames": null, "pairs"', "frames: expected a list"),
+        ('"margin": 0.5', '"margin": 0.5, "margin": 0.1', "the key 'margin' is twice"),
+        ('"hull": 0', '"hull": 0, "hull": 0', "the key 'hull' is twice"),
+        ('"name": "two"', '"name": 5', "name: expected a text"),
+        ('"name": "two", ', "", "name: expected a text"),
+        ('{"vertices"', '{"name": 5, "vertices"', "hulls[0].name: expected a text"),
+        ('{"vertices"', '{"planarity": "0", "vertices"', "hulls[0].planarity: got '0'"),
+        ('"pairs"', f'"frames": [{FRAME}, {FRAME}], "pairs"', "frames[1].name: frames[0] has the name 'f' too"),
+        ('"pairs"', f'"frames": [{FRAME}, {{}}], "pairs"', "frames[1].positions"),
+        ('"position": [0,0,2]', '"position": [0,2]', "bodies[1].position"),
     ],
 )  # fmt: skip
 def test_files_that_are_no_scenes(tmp_path, old, new, place):
@@ -297,6 +313,20 @@ def test_files_that_are_no_scenes(tmp_path, old, new, place):
     assert (caught.value.reason, caught.value.field) == ("NOT_A_SCENE", "path")
     assert "scene.json: " in str(caught.value)
     assert place in str(caught.value)
+    # The command line reads the same files, so it refuses these too.
+    command = [find_binary(), "query", path]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode != 0
+    assert "scene.json" in done.stderr
+
+
+def test_a_planarity_that_no_server_accepts_names_its_hull(tmp_path):
+    """Catches an id that no server gives, and an error that does not say which hull is at fault."""
+    path = tmp_path / "scene.json"
+    path.write_text(GOOD.replace('{"vertices"', '{"planarity": 5, "vertices"'))
+    with pytest.raises(hullcast.InvalidArgument) as caught:
+        hullcast.Scene.load(path)
+    assert "hulls[0].planarity: got 5, expected a number, 0 to 0.01" in str(caught.value)
 
 
 def test_scenes_that_a_file_cannot_hold(client, tmp_path):
@@ -317,3 +347,22 @@ def test_scenes_that_a_file_cannot_hold(client, tmp_path):
         with pytest.raises(hullcast.InvalidArgument) as caught:
             hullcast.Scene(hulls, at, turn).save(tmp_path / "scene.json", **options)
         assert caught.value.field == next(iter(options))
+
+
+@pytest.mark.parametrize("where", ["a name that is too long", "a full disk"])
+@pytest.mark.filterwarnings("error")
+def test_the_systems_refusal_to_write_is_named(client, tmp_path, where):
+    """Catches an OSError of the system: the argument and the path are not in it."""
+    scene = hullcast.Scene(client.register(CUBE), np.zeros((1, 3)), [[0, 0, 0, 1]])
+    m = client.query(scene, [[0, 0]])
+    writers = {".npz": m.save, ".json": scene.save}
+    if pytest.importorskip("matplotlib"):
+        writers[".png"] = lambda path: m.plot(path=path)
+    for suffix, write in writers.items():
+        path = tmp_path / f"{'a' * 300}{suffix}"
+        if where == "a full disk":
+            path = tmp_path / f"full{suffix}"
+            path.symlink_to("/dev/full")
+        with pytest.raises(hullcast.InvalidArgument, match="cannot be written: ") as caught:
+            write(path)
+        assert (caught.value.reason, caught.value.field) == ("UNWRITABLE_FILE", "path")

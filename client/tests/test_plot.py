@@ -109,6 +109,25 @@ def test_axes_of_the_callers(client, pile):
             m.plot(ax=wrong)
 
 
+def test_the_colour_bar_leaves_the_callers_axes_their_width(client, pile):
+    """Catches a bar beside the axes that halves them, and covers the name of z or the next axes."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 4))
+    FigureCanvasAgg(figure)
+    left, right = (figure.add_subplot(1, 2, i, projection="3d") for i in (1, 2))
+    client.query(pile, [[0, 1], [0, 2]], margin=0.02).plot(ax=left)
+    pile.plot(ax=right)
+    figure.canvas.draw()
+    (bar,) = [axes for axes in figure.axes if axes not in (left, right)]
+    assert left.get_position().width > 0.9 * right.get_position().width
+    extent = bar.get_tightbbox()
+    assert not extent.overlaps(right.get_tightbbox())
+    for axis in (left.xaxis, left.yaxis, left.zaxis):
+        assert not extent.overlaps(axis.label.get_window_extent())
+
+
 def test_a_figure_is_pickled(pile):
     """Catches a figure that a process pool cannot return."""
     import pickle

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import array
+import decimal
+import fractions
 import pickle
+from typing import Any
 
 import numpy as np
 import pytest
 from crowds import CUBE
+from scipy import spatial
 from shapes import FAMILIES, box, family
+from solids import stl
 
 import hullcast
 
@@ -219,3 +225,85 @@ def test_a_vertex_that_no_face_uses_is_not_registered(client):
     )
     with pytest.warns(hullcast.NotConvexWarning):
         client.register(dented)
+
+
+class Vertices:
+    """A mesh with vertices, and with triangles as another library names them."""
+
+    def __init__(self, vertices: Any, **triangles: Any) -> None:
+        self.vertices = vertices
+        self.__dict__.update(triangles)
+
+
+@pytest.mark.parametrize("attribute", ["faces", "triangles", "indices"])
+def test_triangles_of_any_name_are_checked_for_convexity(client, attribute):
+    """Catches a mesh of open3d or coacd that becomes its hull without a warning.
+
+    The mesh is a cube with a dent: the middle of its upper side is pushed in.
+    """
+    corners = np.array([*CUBE, [0.0, 0.0, -0.3]])
+    faces = [[int(i) for i in face] for face in trimesh_faces(CUBE) if not upper(CUBE[face])]
+    ring = np.flatnonzero(CUBE[:, 2] > 0)
+    ring = ring[np.argsort(np.arctan2(*CUBE[ring, :2].T))]
+    faces += [[int(ring[i]), int(ring[i - 1]), 8] for i in range(4)]
+    with pytest.warns(hullcast.NotConvexWarning) as caught:
+        client.register(Vertices(corners, **{attribute: faces}))
+    assert caught[0].message.ratio < 0.9
+    # A vertex that no triangle uses is no part of the mesh.
+    far = np.array([*CUBE, [9.0, 9.0, 9.0]])
+    (plain,) = client.register(Vertices(far, **{attribute: trimesh_faces(CUBE)}))
+    assert plain.vertex_count == 8
+    with pytest.raises(
+        hullcast.InvalidArgument, match=rf"hulls\[0\]\.{attribute}\[0, 2\]: 9 is out"
+    ):
+        client.register(Vertices(CUBE, **{attribute: [[0, 1, 9]]}))
+
+
+def trimesh_faces(points: np.ndarray) -> np.ndarray:
+    """(12, 3): the triangles of a box."""
+    return spatial.ConvexHull(points).simplices
+
+
+def upper(corners: np.ndarray) -> bool:
+    """Whether a triangle is part of the upper side of the cube."""
+    return bool((corners[:, 2] > 0).all())
+
+
+class Frame:
+    """A data frame whose iteration gives columns, as polars' does."""
+
+    def __init__(self, array: np.ndarray) -> None:
+        self._array = array
+
+    def __iter__(self) -> Any:
+        return iter(self._array.T)
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+        return self._array
+
+
+def test_rows_of_any_kind_are_the_points_of_one_hull(client):
+    """Catches rows of decimals, arrays or a generator, or the columns of a frame, taken for hulls."""
+    (expected,) = client.register(CUBE)
+    for points in (
+        [[decimal.Decimal(float(x)) for x in row] for row in CUBE],
+        [[fractions.Fraction(float(x)) for x in row] for row in CUBE],
+        [array.array("d", row) for row in CUBE],
+        [tuple(row) for row in CUBE],
+        list(CUBE),
+        zip(*CUBE.T.tolist(), strict=True),
+        (tuple(row) for row in CUBE.tolist()),
+        Frame(CUBE),
+    ):
+        assert client.register(points) == [expected]
+    for hulls in ((cube for cube in (CUBE, CUBE * 2)), [Frame(CUBE), Frame(CUBE * 2)]):
+        assert len(client.register(hulls)) == 2
+
+
+def test_a_refused_file_is_named_once(client, tmp_path):
+    """Catches `hulls[0].vertices: hulls[0] (flat.stl): ...`, which has the number twice."""
+    (tmp_path / "flat.stl").write_bytes(stl(np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]]] * 2)))
+    with pytest.raises(hullcast.HullRejected) as caught:
+        client.register([CUBE, tmp_path / "flat.stl"])
+    assert str(caught.value).count("hulls[1]") == 1
+    assert "hulls[1].vertices: flat.stl: " in str(caught.value)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+import sys
+import types
 
 import numpy as np
 import pytest
@@ -202,6 +204,30 @@ def test_data_frames(client, scene, some):
         few.to_dataframe()
     with pytest.raises(hullcast.InvalidArgument):
         few.to_dataframe("columns")
+
+
+def test_categories_of_a_data_frame_are_the_names(some):
+    """Catches a category "" that is no outcome, and so a row in every table of counts."""
+    pairs = some.to_dataframe("pairs")
+    assert list(pairs["outcome"].cat.categories) == [*Outcome.__members__]
+    for outcome, name in zip(some.outcome, pairs["outcome"], strict=True):
+        assert Outcome(int(outcome)).name == name
+    for side, name in enumerate(("feature_kind_a", "feature_kind_b")):
+        assert list(pairs[name].cat.categories) == [*hullcast.FeatureKind.__members__]
+        kinds = [hullcast.FeatureKind(int(kind)).name for kind in some.feature_kinds[:, side]]
+        assert pairs[name].tolist() == kinds
+
+
+def test_a_recording_of_another_type_is_refused(some, monkeypatch):
+    """Catches `log(recording=5)`, which wrote nothing and raised nothing."""
+    library = types.ModuleType("rerun")
+    library.RecordingStream = type("RecordingStream", (), {})
+    monkeypatch.setitem(sys.modules, "rerun", library)
+    for wrong in (5, "recording", True, object()):
+        with pytest.raises(
+            hullcast.InvalidArgument, match="WRONG_TYPE: recording: expected a rerun"
+        ):
+            some.log(recording=wrong)
 
 
 def test_what_is_shown(client):

@@ -214,6 +214,13 @@ def test_find_sends_worlds_and_groups():
     assert not request.pairs
 
 
+def test_ignored_groups_need_groups():
+    """Catches `ignored_groups` that have no effect, because no body has a group."""
+    with pytest.raises(hullcast.InvalidArgument, match="MISSING_ARGUMENT: groups: missing"):
+        hullcast.Scene(IDS[:2], np.zeros((2, 3)), rotations(2), ignored_groups=[[1, 2]])
+    assert hullcast.Scene(IDS[:2], np.zeros((2, 3)), rotations(2), ignored_groups=[]).groups is None
+
+
 def test_every_register_column_is_bytes():
     """Catches a column with its real type, which would be filled number by number."""
     for field in _packed.RegisterHullsRequest.DESCRIPTOR.fields:

@@ -119,6 +119,7 @@ def test_a_client_certificate_and_a_token_are_asked_for(guarded: Secured) -> Non
         with connect(token) as nobody, pytest.raises(hullcast.Unauthenticated) as refused:
             nobody.query(scene, [[0, 1]])
         assert refused.value.reason == reason
+        assert "token=" in refused.value.message  # the remedy
     with (
         hullcast.connect(
             guarded.target, tls=guarded.roots, token="writer", timeout=1, options=NO_PROXY

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import subprocess
 import sys
 import textwrap
@@ -83,3 +84,28 @@ def test_a_server_that_does_not_start_says_why(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(hullcast.ServerNotFound, match="PATH"):
         hullcast.serve()
+
+
+def test_a_server_that_starts_too_slowly_names_the_argument(monkeypatch, tmp_path):
+    """Catches "did not print its address in time", which names neither argument nor value."""
+    slow = tmp_path / "slow"
+    slow.write_text("#!/bin/sh\nsleep 60\n")
+    slow.chmod(0o755)
+    monkeypatch.setenv("HULLCAST_BIN", str(slow))
+    with pytest.raises(hullcast.ServerDidNotStart, match=r"within 0\.25 s, the start_timeout"):
+        hullcast.serve(start_timeout=0.25)
+
+
+def test_faces_of_a_hull_whose_server_ended():
+    """Catches "start one with `hullcast serve`" for a server of `serve()`, which does not come back."""
+    with hullcast.serve() as client:
+        hulls = client.register([hullcast.box(1), hullcast.box(2), hullcast.box(3)])
+        assert len(hulls[0].faces) == 6
+        assert client.ping() > 0  # reading the faces does not end the server
+        client._server._process.kill()
+        client._server._process.wait(10)
+        with pytest.raises(hullcast.Unavailable, match=r"SERVER_ENDED: .*SIGKILL"):
+            hulls[1].faces  # noqa: B018
+        assert pickle.loads(pickle.dumps(hulls[1])).home is None
+    with pytest.raises(hullcast.Unavailable, match="SERVER_ENDED"):
+        hulls[2].faces  # noqa: B018

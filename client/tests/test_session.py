@@ -14,10 +14,10 @@ import threading
 
 import numpy as np
 import pytest
-from crowds import EVERYTHING, NO_PROXY, Server, crowd, expect_same
+from crowds import CUBE, EVERYTHING, NO_PROXY, Server, crowd, expect_same
 
 import hullcast
-from hullcast import Flag, Outcome, _session
+from hullcast import Flag, Outcome, _manage, _session
 
 
 def walk(scene: hullcast.Scene, steps: int) -> list[hullcast.Scene]:
@@ -323,3 +323,83 @@ def test_a_forked_child_steps_on_its_own():
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "7", done.stderr
+
+
+#: A server that permits four calls at once on one connection; one is kept for other calls.
+FEW = ("--max-streams-per-connection", "4")
+
+
+def test_a_session_too_many_is_refused_and_other_calls_go_on():
+    """Catches sessions that use every call of a connection, so that all other calls starve.
+
+    The error names the server's limit. The place of a closed session is free again.
+    """
+    with hullcast.serve(arguments=FEW, timeout=20) as client:
+        scene = crowd(client, 2)
+        sessions = [client.session(scene, [[0, 1]]) for _ in range(6)]
+        for session in sessions[:3]:
+            session.step(scene.positions, scene.rotations)
+        for session in sessions[3:]:
+            with pytest.raises(hullcast.ResourceExhausted) as caught:
+                session.step(scene.positions, scene.rotations)
+            assert caught.value.reason == "TOO_MANY_SESSIONS"
+            for text in (
+                "max_streams_per_connection",
+                "permits 4 calls",
+                "3 streams",
+                "one session",
+            ):
+                assert text in str(caught.value)
+        assert len(client.query(scene, [[0, 1]])) == 1
+        sessions[0].close()
+        assert len(sessions[5].step(scene.positions, scene.rotations)) == 1
+        assert len(sessions[1].step(scene.positions, scene.rotations)) == 1
+
+
+def test_a_session_too_many_of_asyncio_is_refused():
+    """Catches the same for asyncio, whose fifth step waited for ever."""
+
+    async def run() -> None:
+        async with hullcast.aio.serve(arguments=FEW, timeout=20) as client:
+            scene = hullcast.Scene(await client.register(CUBE), np.zeros((1, 3)), [[0, 0, 0, 1]])
+            sessions = [client.session(scene, [[0, 0]]) for _ in range(6)]
+            for session in sessions[:3]:
+                await session.step(scene.positions, scene.rotations)
+            with pytest.raises(hullcast.ResourceExhausted, match="TOO_MANY_SESSIONS"):
+                await sessions[3].step(scene.positions, scene.rotations)
+            assert len(await client.query(scene, [[0, 0]])) == 1
+
+    asyncio.run(run())
+
+
+@pytest.mark.parametrize("is_async", [False, True])
+def test_a_step_that_finds_no_free_stream_is_late(monkeypatch, is_async):
+    """Catches a step of asyncio that ignores its timeout while it waits for a free stream.
+
+    The client does not know the server's limit here, as with a server of another version.
+    """
+    monkeypatch.setattr(_manage, "max_calls", lambda data: 0)
+
+    async def run() -> None:
+        async with hullcast.aio.serve(arguments=FEW, timeout=20) as client:
+            scene = hullcast.Scene(await client.register(CUBE), np.zeros((1, 3)), [[0, 0, 0, 1]])
+            sessions = [client.session(scene, [[0, 0]]) for _ in range(5)]
+            for session in sessions[:4]:
+                await session.step(scene.positions, scene.rotations)
+            with pytest.raises(hullcast.DeadlineExceeded):
+                await sessions[4].step(scene.positions, scene.rotations, timeout=1)
+            sessions[0].close()
+            assert len(await sessions[4].step(scene.positions, scene.rotations)) == 1
+
+    if is_async:
+        asyncio.run(asyncio.wait_for(run(), 60))
+        return
+    with hullcast.serve(arguments=FEW, timeout=20) as client:
+        scene = crowd(client, 2)
+        sessions = [client.session(scene, [[0, 1]]) for _ in range(5)]
+        for session in sessions[:4]:
+            session.step(scene.positions, scene.rotations)
+        with pytest.raises(hullcast.DeadlineExceeded):
+            sessions[4].step(scene.positions, scene.rotations, timeout=1)
+        sessions[0].close()
+        assert len(sessions[4].step(scene.positions, scene.rotations)) == 1

@@ -160,6 +160,29 @@ FAULTS = {
         ["joint 'j'", "<limit lower='low'>"],
     ),
     "limits in reverse": (with_joint('<limit lower="1" upper="0"/>'), ["joint 'j'", "1 to 0"]),
+    "an absent upper limit, which is 0": (
+        with_joint('<limit lower="1"/>'),
+        ["joint 'j'", "1 to 0", "'upper' is not given, and then it is 0"],
+    ),
+    "a misspelt collision": (
+        f'<robot name="r"><link name="arm">{BOX.replace("collision", "colision")}</link></robot>',
+        ["link 'arm'", "<colision>", "expected <collision>"],
+    ),
+    "a misspelt geometry": (
+        with_collision('<geometri><box size="1 1 1"/></geometri>'),
+        ["link 'arm', collision 1", "<geometri>", "expected <geometry>"],
+    ),
+    "a misspelt origin": (
+        with_collision('<orgin xyz="0 0 1"/><geometry><box size="1 1 1"/></geometry>'),
+        ["link 'arm', collision 1", "<orgin>", "expected <origin>"],
+    ),
+    "an upper case link": (
+        f'<robot name="r">{LINKS}<Link name="z"/></robot>',
+        ["<Link>", "<link>"],
+    ),
+    "a misspelt joint": (f'<robot name="r">{LINKS}<joints/></robot>', ["<joints>", "<joint>"]),
+    "a misspelt limit": (with_joint('<limits lower="0" upper="1"/>'), ["joint 'j'", "<limits>"]),
+    "a misspelt mimic": (with_joint('<mimick joint="k"/>'), ["joint 'j'", "<mimick>"]),
     "a joint without a parent": (
         '<robot name="r"><link name="a"/><joint name="j" type="fixed"><child link="a"/></joint>'
         "</robot>",
@@ -456,7 +479,7 @@ def test_values_of_joints_that_are_refused(tmp_path, joints, base, field):
     (tmp_path / "robot.urdf").write_text(with_joint(""))
     with pytest.raises(hullcast.InvalidArgument) as caught:
         hullcast.Robot(tmp_path / "robot.urdf").poses(joints, base=base)
-    assert caught.value.field == field
+    assert caught.value.field.partition("[")[0] == field
 
 
 @pytest.mark.parametrize("norm", [1.0, 0.5, 3.9])
@@ -563,3 +586,31 @@ def test_an_srdf_that_is_none(tmp_path):
         assert (caught.value.reason, caught.value.field) == ("NOT_AN_SRDF", "srdf")
     with pytest.raises(hullcast.InvalidArgument, match="is a directory"):
         hullcast.Robot(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("limit", "expected"),
+    [
+        ('<limit upper="1"/>', (0, 1)),
+        ('<limit lower="-1"/>', (-1, 0)),
+        ('<limit effort="1" velocity="1"/>', (0, 0)),
+        ("", (-np.inf, np.inf)),
+    ],
+)
+def test_an_absent_end_of_a_limit_is_0(tmp_path, limit, expected):
+    """Catches an unlimited end: by the specification of URDF, `lower` and `upper` default to 0."""
+    (tmp_path / "robot.urdf").write_text(with_joint(limit))
+    assert hullcast.Robot(tmp_path / "robot.urdf").limits.tolist() == [list(expected)]
+
+
+def test_elements_of_other_programs_are_ignored(tmp_path):
+    """Catches a robot that is refused because of an element that only another program reads."""
+    others = "<gazebo/><transmission/><material/><ros2_control/><loop_joint/><sensor/><mujoco/>"
+    inside = "<inertial/><visual/><sensor/><contact/><collision_checking/><verbose/>"
+    text = f'<robot name="r">{others}<link name="a">{inside}{BOX}</link></robot>'
+    (tmp_path / "robot.urdf").write_text(text)
+    assert len(hullcast.Robot(tmp_path / "robot.urdf")) == 1
+    (tmp_path / "robot.urdf").write_text(
+        with_joint("<dynamics/><calibration/><safety_controller/>")
+    )
+    assert len(hullcast.Robot(tmp_path / "robot.urdf")) == 2

@@ -53,7 +53,8 @@ def values() -> list[Any]:
         np.zeros((2, 3, 4, 5)), np.array(["a"]), np.array([1, "a", None], dtype=object),
         np.array([[1, 2], [3, None]], dtype=object), np.datetime64("2020-01-01"),
         np.array("2020-01-01", dtype="M8[D]"), np.zeros(2, dtype=[("a", "f8")]), np.array(None),
-        np.ma.masked_array([1, 2], [True, False]), lambda: 0, hullcast, hullcast.Scene, iter([]),
+        np.ma.masked_array([1, 2], [True, False]), np.ma.masked, np.timedelta64(1), lambda: 0,
+        [np.ma.masked_array([1, 2, 3], [True, False, False])] * 2, hullcast, hullcast.Scene, iter([]),
         (x for x in [[1], [2, 3]]), range(3), slice(None), slice("a", "b"), Ellipsis, Exception("x"),
         2**64, -(2**63), np.uint64(2**64 - 1), np.float32("nan"), Path("/nonexistent/x"),
     ]  # fmt: skip

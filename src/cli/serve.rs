@@ -120,7 +120,7 @@ async fn until_stopped(
         address => {
             let bound = TcpListener::bind(address).await;
             let named = |error: io::Error| io::Error::new(error.kind(), format!("{address}: {error}"));
-            Some(bound.map_err(|error| not_bound("--admin-listen", &named(error)))?)
+            Some(bound.map_err(|error| not_bound("--admin-listen", address, &named(error)))?)
         }
     };
     let refused = |error: io::Error| Exit::Failed.error(runtime::refused(&error.to_string()));
@@ -153,7 +153,8 @@ async fn until_stopped(
 async fn listeners(settings: &Settings, security: &Security) -> Result<Vec<Listener>, Error> {
     let mut listeners = Vec::with_capacity(settings.listen.len());
     for address in &settings.listen {
-        let listener = Listener::bind(address).await.map_err(|error| not_bound("--listen", &error))?;
+        let bound = Listener::bind(address).await;
+        let listener = bound.map_err(|error| not_bound("--listen", address, &error))?;
         if listener.is_exposed()? && !security.encrypts() && !settings.allow_plaintext {
             return Err(Exit::Usage.error(format!(
                 "--listen {address}: other machines can reach it and nothing is encrypted: \
@@ -210,10 +211,12 @@ fn spawn_reload_on_hangup(security: Arc<Security>) -> io::Result<()> {
 }
 
 /// The reason why an address was not bound.
-fn not_bound(option: &str, error: &io::Error) -> Error {
-    let remedy = match error.kind() {
-        io::ErrorKind::AddrInUse => "; another server has it: stop that one, or choose another port",
-        _ => "",
+fn not_bound(option: &str, address: &str, error: &io::Error) -> Error {
+    let remedy = if error.kind() == io::ErrorKind::AddrInUse {
+        let other = if address.starts_with("unix:") { "path" } else { "port" };
+        format!("; another server has it: stop that one, or choose another {other}")
+    } else {
+        String::new()
     };
     Exit::Usage.error(format!("{option} {error}{remedy}"))
 }

@@ -21,7 +21,8 @@ impl SocketFile {
     /// Binds `path`, after removing the socket that a killed server left behind there.
     ///
     /// # Errors
-    /// The system's error; `AddrInUse` if a server listens there.
+    /// The system's error; `AddrInUse` if a server listens there; `AlreadyExists` if there is a file that
+    /// is not a socket, which is kept.
     pub(super) async fn bind(path: &Path) -> io::Result<(UnixListener, Self)> {
         if path.as_os_str().is_empty() {
             // Linux would bind an address without a name, which no client could find.
@@ -54,9 +55,10 @@ fn entry(path: &Path) -> Option<(u64, u64)> {
 /// failure, such as a server with too many connections to accept or a missing permission, does not
 /// show that the socket is stale. The socket is then kept, and binding fails.
 async fn remove_stale(path: &Path) -> io::Result<()> {
-    let is_socket = std::fs::symlink_metadata(path).is_ok_and(|metadata| metadata.file_type().is_socket());
-    if !is_socket {
-        return Ok(());
+    let Ok(metadata) = std::fs::symlink_metadata(path) else { return Ok(()) };
+    if !metadata.file_type().is_socket() {
+        let why = "there is something else than a socket: choose another path, or remove it";
+        return Err(io::Error::new(io::ErrorKind::AlreadyExists, why));
     }
     match UnixStream::connect(path).await {
         Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => std::fs::remove_file(path),

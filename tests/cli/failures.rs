@@ -219,6 +219,15 @@ fn addresses_that_cannot_be_served_are_named() -> Outcome {
     assert!(said.contains("another server has it: stop that one, or choose another port"), "{said}");
     let said = refused(&["--listen", "127.0.0.1:0", "--admin-listen", &server.address])?;
     assert!(said.contains(&format!("--admin-listen {}: ", server.address)), "{said}");
+    let file = folder.join("file");
+    std::fs::write(&file, "content")?;
+    let said = refused(&["--listen", &format!("unix:{}", file.display())])?;
+    assert!(said.contains("something else than a socket: choose another path"), "{said}");
+    assert_eq!(std::fs::read_to_string(&file)?, "content");
+    let socket = format!("unix:{}", folder.join("socket").display());
+    let _held = std::os::unix::net::UnixListener::bind(folder.join("socket"))?;
+    let said = refused(&["--listen", &socket])?;
+    assert!(said.contains("another server has it: stop that one, or choose another path"), "{said}");
     let said = refused(&["--listen", "0.0.0.0:0"])?;
     assert!(said.contains("--listen 0.0.0.0:0: ") && said.contains("--allow-plaintext"), "{said}");
     Ok(())

@@ -137,6 +137,9 @@ async fn malformed_hull_requests_name_field_and_index() {
         let list = ListHullsRequest { page_size: 1, page_token: token.into() };
         let status = hulls.list_hulls(list).await.unwrap_err();
         assert_eq!(refusal(&status), invalid("MALFORMED_PAGE_TOKEN", "page_token"));
+        let shown = &token[..token.len().min(40)];
+        assert!(status.message().contains(&format!("got \"{shown}\"")), "{status}");
+        assert!(status.message().contains(&format!("({} byte", token.len())), "{status}");
     }
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import numbers
+import sys
 from collections.abc import Iterable
 from decimal import Decimal
 from typing import Any, cast
@@ -39,13 +40,32 @@ def counted(number: int, one: str, several: str = "") -> str:
 
 
 def plain(value: Any) -> Any:
-    """The single number in an array of no dimensions (numpy, torch, jax); others as they are."""
+    """The single number in an array of no dimensions (numpy, torch, jax); others as they are.
+
+    A masked number and numpy's dates and times are left as they are: their items would be numbers.
+    """
+    if is_masked(value) or getattr(getattr(value, "dtype", None), "kind", "") in ("m", "M"):
+        return value
     if getattr(value, "ndim", None) == 0 and callable(getattr(value, "item", None)):
         try:
             return value.item()
         except Exception:  # a foreign object; it is refused as what it is
             return value
     return value
+
+
+def is_masked(value: Any) -> bool:
+    """Whether a value is an array of `numpy.ma` with masked entries, or `numpy.ma.masked`."""
+    # numpy loads this module when it is first used, which takes a few milliseconds.
+    masks: Any = sys.modules.get("numpy.ma")
+    return masks is not None and isinstance(value, masks.MaskedArray) and masks.is_masked(value)
+
+
+def is_real(value: Any) -> bool:
+    """Whether a value is one real number of any type; truth values and time spans are not."""
+    return isinstance(value, (numbers.Real, Decimal, np.integer, np.floating)) and not isinstance(
+        value, (bool, np.bool_, np.timedelta64)
+    )
 
 
 def flag(field: str, value: Any) -> bool:
@@ -97,7 +117,7 @@ def integer(field: str, value: Any, low: int, high: int) -> int:
     """
     expected = f"expected an integer, {low} to {high}"
     value = plain(value)
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
+    if not is_real(value) or not isinstance(value, (int, np.integer)):
         raise InvalidArgument(f"got {shown(value)}, {expected}", reason="WRONG_TYPE", field=field)
     if not low <= value <= high:
         raise InvalidArgument(
@@ -182,13 +202,11 @@ def real(field: str, value: Any, expected: str) -> float:
         InvalidArgument: WRONG_TYPE. The message ends with `expected`.
     """
     value = plain(value)
-    good = isinstance(value, (numbers.Real, Decimal, np.integer, np.floating))
-    if isinstance(value, (bool, np.bool_)) or not good:
+    if not is_real(value):
         raise InvalidArgument(f"got {shown(value)}, {expected}", reason="WRONG_TYPE", field=field)
-    number = cast("Any", value)
     try:
-        return float(number)
+        return float(value)
     except OverflowError:
-        return math.inf if number > 0 else -math.inf
+        return math.inf if value > 0 else -math.inf
     except ValueError:  # a signalling NaN of `decimal`
         return math.nan

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from . import _tensors
-from ._arguments import counted, kind, ordered, shown
+from . import _numbers, _tensors
+from ._arguments import counted, kind, shown
 from ._errors import InvalidArgument
 
 Floats = npt.NDArray[np.float64]
@@ -33,16 +31,8 @@ def floats(field: str, value: Any, *shape: int | None) -> Floats:
     Raises:
         InvalidArgument: NOT_AN_ARRAY or WRONG_SHAPE.
     """
-    given = _array(field, value, shape)
-    if given.dtype.kind == "V" and np.can_cast(given.dtype, "<f8"):  # bfloat16 of jax
-        given = given.astype("<f8")
-    if given.dtype.kind not in "fiu" and given.size:
-        raise InvalidArgument(
-            f"expected numbers, shape {_wanted(shape)}, got {_content(given, value)}",
-            reason="NOT_AN_ARRAY",
-            field=field,
-        )
-    array = np.ascontiguousarray(given, dtype="<f8").reshape(given.shape)
+    expected = f"numbers, shape {_wanted(shape)}"
+    array = _numbers.doubles(field, _array(field, value, shape), expected, value)
     array = array.reshape(0, *shape[1:]) if array.size == 0 and None not in shape[1:] else array
     _check_shape(field, array, shape)
     return array
@@ -66,9 +56,10 @@ def indices(
     array = _array(field, value, shape)
     if array.size == 0:
         array = np.zeros((0, *(length or 0 for length in shape[1:])), dtype="<u4")
-    if array.dtype.kind not in "iu":
+    # Integers beyond 64 bits are objects; they are out of range.
+    if array.dtype.kind not in "iuO" or array.ndim == 0:
         raise InvalidArgument(
-            f"expected integers, shape {_wanted(shape)}, got {_content(array, value)}",
+            f"expected integers, shape {_wanted(shape)}, got {_numbers.content(array, value)}",
             reason="NOT_INTEGERS",
             field=field,
         )
@@ -77,58 +68,20 @@ def indices(
     if array.size and (array.min() < 0 or array.max() >= limit):
         wrong = int(np.flatnonzero((array < 0) | (array >= limit))[0])
         allowed = f"0 to {limit - 1}" if limit else "nothing"
-        error = InvalidArgument(
-            f"{array.flat[wrong]} is out of range: {of or 'expected'}"
+        raise _numbers.misplaced(
+            field,
+            f"{shown(array.flat[wrong])} is out of range: {of or 'expected'}"
             f"{', so that ' if of else ' '}{allowed}{' is allowed' if of else ''}",
-            reason="INDEX_OUT_OF_RANGE",
-            field=field,
-            index=wrong,
+            wrong,
+            array.shape,
+            "INDEX_OUT_OF_RANGE",
         )
-        error.entry = tuple(int(i) for i in np.unravel_index(wrong, array.shape))
-        raise error
     return np.ascontiguousarray(array, dtype="<u4")
 
 
 def _array(field: str, value: Any, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
-    """Converts `value` to a numpy array of any type and shape; `shape` is only used in messages.
-
-    An iterable that cannot be indexed is read once.
-    """
-    expected = f"expected an array of shape {_wanted(shape)}"
-    ordered(field, value)
-    if value is None or isinstance(value, (str, bytes, Mapping)):
-        raise InvalidArgument(f"{expected}, got {kind(value)}", reason="NOT_AN_ARRAY", field=field)
-    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):  # type: ignore[no-untyped-call]
-        raise InvalidArgument(
-            f"{expected}, got an array with masked entries", reason="NOT_AN_ARRAY", field=field
-        )
-    try:
-        array = _tensors.as_numpy(value)
-        if array is None:
-            value = _tensors.each_as_numpy(value)
-            if not hasattr(value, "__getitem__") and isinstance(value, Iterable):
-                value = list(value)  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
-            array = np.asarray(value)
-    except InvalidArgument:
-        raise
-    except Exception as error:  # the conversion of a foreign object may raise anything
-        raise InvalidArgument(f"{expected}: {error}", reason="NOT_AN_ARRAY", field=field) from None
-    if array.dtype.kind == "O" and array.ndim and array.size:
-        for entry in array.flat:
-            ordered(field, entry)
-        # An array of fractions or decimals is converted to floats. None is excluded, because it
-        # would become NaN.
-        real = all(not isinstance(entry, (str, bytes, type(None))) for entry in array.flat)
-        with contextlib.suppress(TypeError, ValueError, OverflowError):
-            array = array.astype("<f8") if real else array
-    return array
-
-
-def _content(array: npt.NDArray[Any], value: Any) -> str:
-    """Describes the content of an array that is not numeric, for an error message."""
-    if array.ndim == 0:
-        return f"{shown(value)} of type {kind(value)}"
-    return "rows of different lengths or objects" if array.dtype.kind == "O" else str(array.dtype)
+    """Converts `value` to a numpy array of any type and shape; `shape` is only used in messages."""
+    return _numbers.array_of(field, value, f"an array of shape {_wanted(shape)}")
 
 
 def frozen(array: npt.NDArray[Any]) -> Any:
@@ -165,14 +118,16 @@ def from_wxyz(quaternions: Any) -> Floats:
     Raises:
         InvalidArgument: NOT_AN_ARRAY or WRONG_SHAPE.
     """
-    array = _array("quaternions", quaternions, (None, 4))
-    if array.ndim == 0 or array.shape[-1] != 4 or array.dtype.kind not in "fiu":
+    expected = "numbers of shape (..., 4)"
+    array = _numbers.array_of("quaternions", quaternions, expected)
+    array = _numbers.doubles("quaternions", array, expected, quaternions)
+    if array.ndim == 0 or array.shape[-1] != 4:
         raise InvalidArgument(
-            f"expected numbers of shape (..., 4), got {array.dtype} of shape {array.shape}",
+            f"expected {expected}, got shape {array.shape}",
             reason="WRONG_SHAPE",
             field="quaternions",
         )
-    return np.ascontiguousarray(np.roll(array.astype("<f8"), -1, axis=-1))
+    return np.ascontiguousarray(np.roll(array, -1, axis=-1))
 
 
 def poses(

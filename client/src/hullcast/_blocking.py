@@ -23,6 +23,7 @@ class Link:
         self._unary: dict[str, Any] = {name: channel.unary_unary(name) for name in _calls.UNARY}
         self._stream: Any = channel.unary_stream(_calls.FIND)
         self.proven = False
+        self.max_calls = 0
         self.trouble = ""
 
     def start(self, method: str, data: bytes, timeout: float | None) -> Any:
@@ -64,7 +65,7 @@ class _Stream:
         # gRPC's thread blocks on the request queue until it reads the final None.
         self.cancel = weakref.finalize(self, _end, self._call, self._requests, self._watch)
 
-    def send(self, data: bytes) -> Any:
+    def send(self, data: bytes, timeout: float | None) -> Any:
         self._requests.put(data)
         return _Later(_nothing)
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from . import _answers, _arguments, _channel, _errors, _manage, _worlds
 from ._arrays import Indices
-from ._connection import Connection
+from ._connection import Connection, Home
 from ._hulls import Content, Hull
 from ._link import Steps, remaining
 from ._manifolds import Manifolds
@@ -129,7 +129,7 @@ class Calls(Connection):
                 if error.reason not in _TOO_LARGE or span.stop - span.start < 2:
                     raise call.named(error, span) from None
                 waiting.extendleft(reversed(span.halves()))
-        return call.read(answers, self._settings)
+        return call.read(answers, Home(self._settings, self._watched))
 
     def _informing(self, timeout: float | None) -> Steps[_manage.ServerInfo]:
         data = yield from self._ask(_manage.INFO, b"", self._deadline(timeout))

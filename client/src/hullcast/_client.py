@@ -48,10 +48,11 @@ class Client(_calls.Calls):
 
         Args:
             hulls: one hull or an iterable of hulls. A hull is an array (n, 3) of points in the
-                hull's own frame; an object with such an array as `.vertices`, for example a trimesh
-                mesh; a scipy `ConvexHull`; a `Hull`; or the path of an OBJ, STL, DAE or PLY file. A
-                `trimesh.Scene` stands for all its parts. Points inside the hull are dropped; no
-                point is moved.
+                hull's own frame; an object with such an array as `.vertices`, for example a mesh of
+                trimesh or open3d; a scipy `ConvexHull`; a `Hull`; or the path of an OBJ, STL, DAE
+                or PLY file. A `trimesh.Scene` stands for all its parts. Points inside the hull are
+                dropped; no point is moved. Only an object that has triangles too, as `.faces`,
+                `.triangles` or `.indices`, is checked for convexity.
             contraction_points: one entry per hull: the point (3,) about which the hull grows,
                 strictly inside the hull, or None for the centre of mass.
             max_vertices: simplify each hull to at most this many vertices, 4 or more.
@@ -82,7 +83,7 @@ class Client(_calls.Calls):
         make = partial(
             Registration.of, hulls, contraction_points, max_vertices, max_deviation, planarity
         )
-        return self._run(self._registering(make, timeout))
+        return self._run(self._registering(make, timeout), timeout)
 
     def query(
         self,
@@ -137,7 +138,7 @@ class Client(_calls.Calls):
             warm=warm,
             on_invalid=on_invalid,
         )
-        return self._run(self._querying(make, timeout))
+        return self._run(self._querying(make, timeout), timeout)
 
     def find(
         self,
@@ -172,7 +173,7 @@ class Client(_calls.Calls):
             on_invalid=on_invalid,
             find=True,
         )
-        return self._run(self._finding(make, timeout))
+        return self._run(self._finding(make, timeout), timeout)
 
     def session(
         self,
@@ -205,7 +206,7 @@ class Client(_calls.Calls):
 
     def info(self, *, timeout: float | None = None) -> ServerInfo:
         """Asks the server for its version, instruction set, threads and limits."""
-        return self._run(self._informing(timeout))
+        return self._run(self._informing(timeout), timeout)
 
     def ping(self, *, timeout: float | None = None) -> float:
         """Measures the seconds that the server takes to answer a small call.
@@ -213,11 +214,11 @@ class Client(_calls.Calls):
         Raises:
             ServerError: the server did not answer; usually `Unavailable` or `DeadlineExceeded`.
         """
-        return self._run(self._pinging(timeout))
+        return self._run(self._pinging(timeout), timeout)
 
     def hulls(self, *, timeout: float | None = None) -> list[StoredHull]:
         """Lists every hull in the server's store, sorted by id."""
-        return self._run(self._listing(timeout))
+        return self._run(self._listing(timeout), timeout)
 
     def delete(self, hulls: Any, *, timeout: float | None = None) -> list[bool]:
         """Removes hulls from the server's store. They can always be registered again.
@@ -230,12 +231,12 @@ class Client(_calls.Calls):
         Returns:
             For each hull, whether it was in the store.
         """
-        return self._run(self._deleting(hulls, timeout))
+        return self._run(self._deleting(hulls, timeout), timeout)
 
     def _open(self) -> _link.Link:
         return _blocking.Link(self._settings.open(grpc), self._settings.metadata)
 
-    def _run(self, steps: _link.Steps[T]) -> T:
+    def _run(self, steps: _link.Steps[T], timeout: float | None = None) -> T:
         try:
             waited_for = next(steps)
             while True:
@@ -250,7 +251,7 @@ class Client(_calls.Calls):
         except StopIteration as done:
             return done.value
         except _errors.DeadlineExceeded as error:
-            self._explain(error)
+            self._explain(error, timeout)
             raise
         finally:
             steps.close()
@@ -287,7 +288,10 @@ class Session(_session.Steps):
     session loses its server, the next step connects to another one and sends everything again. That
     step starts from the bases of the last result if the outputs include BASES.
 
-    A session computes one step at a time. Do not share it between threads.
+    A session computes one step at a time. Do not share it between threads. An open session uses one
+    stream of the client's connection, or up to 8 or more if it has many pairs. If a server permits
+    no more (1,024 calls on one connection by default), a step raises `ResourceExhausted` with the
+    reason TOO_MANY_SESSIONS. Worlds of one scene need only one session.
     """
 
     def step(
@@ -305,7 +309,8 @@ class Session(_session.Steps):
         Raises:
             InvalidPoses, InvalidArgument, ServerError: as for `Client.query`.
         """
-        return self._calls._run(self._stepping(positions, rotations, timeout))
+        steps = self._stepping(positions, rotations, timeout)
+        return self._calls._run(steps, timeout)
 
     def __enter__(self) -> Self:
         return self

@@ -14,6 +14,7 @@ import time
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
@@ -41,6 +42,15 @@ _BUSY = 12
 _LONGEST_PAUSE = 2.0
 
 
+@dataclass(frozen=True, eq=False)
+class Home:
+    """What a hull keeps of the client that registered it: how to ask its server again."""
+
+    settings: _channel.Settings
+    #: The server that `serve` started for the client, or None. It ends with that client.
+    server: Server | None
+
+
 class Connection(Settled, ABC):
     """The connection of a client, without the operations."""
 
@@ -54,6 +64,8 @@ class Connection(Settled, ABC):
         self._settings = settings
         #: The server that `serve` started for this client, or None.
         self._server = server
+        #: The server whose end explains failed calls, or None.
+        self._watched = server
         # The server ends when the client is garbage collected, or when the process ends.
         self._held: list[Link] = []
         self._forget = (
@@ -100,6 +112,13 @@ class Connection(Settled, ABC):
         """
         return cls(_channel.Settings.of(target, tls, token, timeout, options))
 
+    @classmethod
+    def _of_home(cls, home: Home) -> Self:
+        """A client of the server of a hull, which does not end that server."""
+        client = cls(home.settings)
+        client._watched = home.server
+        return client
+
     @property
     def target(self) -> str:
         """The server's address; several addresses are separated by commas."""
@@ -142,7 +161,8 @@ class Connection(Settled, ABC):
         seconds = remaining(deadline)
         proof = _PROOF_SECONDS if seconds is None else min(seconds, _PROOF_SECONDS)
         try:
-            yield link.call(_manage.INFO, b"", proof)
+            answer = yield link.call(_manage.INFO, b"", proof)
+            link.max_calls = _manage.max_calls(answer)
         except _errors.Unavailable as error:
             if error.reason == "UNAVAILABLE":  # from gRPC itself, not from a server
                 cause = yield link.run(partial(self._cause, error))
@@ -159,8 +179,15 @@ class Connection(Settled, ABC):
         link.proven, link.trouble = True, ""
         return link
 
-    def _explain(self, error: _errors.DeadlineExceeded) -> None:
-        """Adds to a late call's error why no server has answered on the channel, if it is known."""
+    def _explain(self, error: _errors.DeadlineExceeded, timeout: float | None) -> None:
+        """Adds the timeout to a late call's error, and why no server has answered, if known.
+
+        `timeout` is the call's own timeout; None for the client's.
+        """
+        seconds = self.timeout if timeout is None else _arguments.seconds("timeout", timeout)
+        if seconds is not None:
+            within = "within the timeout"
+            error.message = error.message.replace(within, f"{within} of {seconds:g} s", 1)
         trouble = "" if self._opened is None else self._opened[1].trouble
         if trouble and trouble not in error.message:
             error.message += f". The first attempt failed: {trouble}"
@@ -179,8 +206,8 @@ class Connection(Settled, ABC):
 
     def _check_server(self, seconds: float = 0.0) -> None:
         """Raises Unavailable if the server of `serve` has ended, or ends within `seconds`."""
-        if self._server is not None and not self._closed:
-            how = self._server.how_it_ended(seconds)
+        if self._watched is not None and not self._closed:
+            how = self._watched.how_it_ended(seconds)
             if how is not None:
                 raise _errors.Unavailable(
                     f"the server that serve() started ended ({how})", reason="SERVER_ENDED"
@@ -244,8 +271,11 @@ class Connection(Settled, ABC):
     def _open(self) -> Link: ...
 
     @abstractmethod
-    def _run(self, steps: Steps[T]) -> T:
-        """Runs an operation: waits for each call that it yields."""
+    def _run(self, steps: Steps[T], timeout: float | None = None) -> T:
+        """Runs an operation: waits for each call that it yields.
+
+        `timeout` is the operation's timeout as the caller gave it, for the error of a late call.
+        """
 
     def _begin_close(self) -> tuple[Link | None, Callable[[], Any] | None]:
         """Marks the client as closed.

@@ -19,9 +19,10 @@ from typing import Any
 import numpy as np
 
 from . import _arrays, _convexity, _files
-from ._arguments import kind, plain, shown
+from ._arguments import is_real, kind, plain, shown
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument, NotCachedWarning, warn
+from ._hulls import faces_of
 from ._register import shape_of
 
 #: The seed of coacd's search. It is fixed, so that a mesh always gives the same pieces.
@@ -72,8 +73,8 @@ def decompose(
     a hash of the mesh, and read from there the next time.
 
     Args:
-        mesh: an object with `.vertices` (n, 3) and `.faces` (m, 3), for example a trimesh mesh; or
-            the path of an OBJ, STL, DAE or PLY file.
+        mesh: an object with `.vertices` (n, 3) and `.faces`, `.triangles` or `.indices` (m, 3), for
+            example a mesh of trimesh or open3d; or the path of an OBJ, STL, DAE or PLY file.
         threshold: how concave a piece may remain, 0.01 to 1, in coacd's measure. A smaller
             threshold gives more pieces.
         cache: the folder of the cached results. By default the environment variable HULLCAST_CACHE
@@ -129,8 +130,9 @@ def decompose_all(
                 field="mesh",
             )
         vertices = _arrays.floats("mesh.vertices", mesh.vertices, None, 3)
-        corners = getattr(mesh, "faces", np.zeros((0, 3), dtype="<u4"))
-        faces = _arrays.indices("mesh.faces", corners, None, 3, below=len(vertices))
+        attribute, corners = faces_of(mesh)
+        corners = () if corners is None else corners
+        faces = _arrays.indices(f"mesh.{attribute}", corners, None, 3, below=len(vertices))
         if len(faces) == 0:
             raise InvalidArgument(f"{label} has no triangles", reason="NO_TRIANGLES", field="mesh")
         if not np.isfinite(vertices).all():
@@ -150,12 +152,7 @@ def check_threshold(threshold: Any) -> None:
     """Raises InvalidArgument if coacd does not accept the threshold."""
     low, high = _THRESHOLDS
     threshold = plain(threshold)
-    no_number = isinstance(threshold, (bool, np.bool_))
-    if (
-        no_number
-        or not isinstance(threshold, (int, float, np.number))
-        or not low <= threshold <= high
-    ):
+    if not is_real(threshold) or not low <= threshold <= high:
         raise InvalidArgument(
             f"got {shown(threshold)}, expected a number, {low:g} to {high:g}",
             reason="VALUE_OUT_OF_RANGE",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Sequence
 from xml.etree import ElementTree
 
 import numpy as np
@@ -10,6 +12,9 @@ from . import _arrays
 from ._arrays import Floats
 
 Element = ElementTree.Element
+
+#: Two tags count as similar if at least this fraction of their letters is in both, in order.
+_SIMILARITY = 0.8
 
 
 class Invalid(Exception):
@@ -93,6 +98,19 @@ def only_child(parent: Element, tag: str, where: str) -> Element | None:
     if len(found) > 1:
         raise Invalid(f"{where} has {len(found)} <{tag}> elements instead of one")
     return found[0] if found else None
+
+
+def check_spelling(parent: Element, known: Sequence[str], where: str) -> None:
+    """Raises if the tag of a child element is a misspelt tag out of `known`.
+
+    Files have elements for other programs too, with tags that are not similar.
+    """
+    for child in parent:
+        if not isinstance(child.tag, str) or child.tag in known or "}" in child.tag:
+            continue
+        similar = difflib.get_close_matches(child.tag.lower(), known, n=1, cutoff=_SIMILARITY)
+        if similar:
+            raise Invalid(f"{where} has the element <{child.tag}>, expected <{similar[0]}>")
 
 
 def origin_of(parent: Element, where: str) -> Floats:

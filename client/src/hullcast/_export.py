@@ -153,11 +153,12 @@ def dataframe(columns: Mapping[str, np.ndarray], rows: str) -> Any:
             if name in POINT_COLUMNS:
                 series.update(_series(name, values))
     frame = pandas.DataFrame(series)
-    # Outcomes begin at 1, and codes of categories at 0.
-    names = {"outcome": ["", *Outcome.__members__]}
-    names |= {name: [*FeatureKind.__members__] for name in _NAMES["feature_kinds"]}
-    for name in names.keys() & frame.columns:
-        frame[name] = pandas.Categorical.from_codes(frame[name], categories=names[name])
+    kinds = dict.fromkeys(_NAMES["feature_kinds"], FeatureKind)
+    for name, members in {"outcome": Outcome, **kinds}.items():
+        if name in frame.columns:
+            # The code of a category is its place, and the first member may have another number.
+            codes = frame[name].astype("int64") - int(next(iter(members)))
+            frame[name] = pandas.Categorical.from_codes(codes, categories=[*members.__members__])
     return frame
 
 
@@ -194,7 +195,7 @@ def save(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray]) -> Non
     """
     path = _files.writable("path", path)
     kept = {name: values for name, values in columns.items() if name in _widths()}
-    with open(path, "wb") as file:
+    with _files.writing("path", path), open(path, "wb") as file:
         np.savez(file, format=np.array(_FORMAT), **kept)  # type: ignore[arg-type]
 
 

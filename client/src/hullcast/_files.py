@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import stat
+from collections.abc import Generator
 from typing import Any, cast
 
 from ._arguments import kind, shown
@@ -94,6 +96,23 @@ def writable(field: str, value: Any) -> str:
     if what:
         raise InvalidArgument(f"{path} {what}", reason="UNWRITABLE_FILE", field=field)
     return path
+
+
+@contextlib.contextmanager
+def writing(field: str, path: str) -> Generator[None]:
+    """Converts the system's errors while a file is written, such as a full disk.
+
+    Raises:
+        InvalidArgument: UNWRITABLE_FILE.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise InvalidArgument(
+            f"{shown(path)} cannot be written: {error.strerror or error}",
+            reason="UNWRITABLE_FILE",
+            field=field,
+        ) from None
 
 
 def _kind_of(mode: int) -> str:

@@ -17,7 +17,7 @@ from ._errors import Error, InvalidArgument
 from ._settled import freeze
 
 if TYPE_CHECKING:
-    from ._channel import Settings
+    from ._connection import Home
 
 
 #: The planarity that `register` sends by default, as a fraction of the circumradius. It was
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 DEFAULT_PLANARITY = 1e-3
 
 #: The largest planarity that a server accepts.
-_LARGEST_PLANARITY = 0.01
+LARGEST_PLANARITY = 0.01
 
 #: A fraction of the circumradius; or None to send none, so that the server uses 1e-6.
 Planarity = float | Literal["default"] | None
@@ -96,9 +96,9 @@ class Hull:
     planarity: float = field(compare=False, repr=False)
     #: The points and options with which the hull was registered.
     content: Content = field(compare=False, repr=False)
-    #: The settings of the client that registered the hull. They are not pickled, because they
-    #: contain the token.
-    home: Settings | None = field(default=None, compare=False, repr=False)
+    #: How to reach the server of the client that registered the hull. It is not pickled, because it
+    #: contains the token.
+    home: Home | None = field(default=None, compare=False, repr=False)
 
     @cached_property
     def faces(self) -> tuple[npt.NDArray[np.uint32], ...]:
@@ -118,7 +118,7 @@ class Hull:
             )
         from ._client import Client
 
-        with Client(self.home) as client:
+        with Client._of_home(self.home) as client:
             return client._run(client._facing(self))
 
     def __post_init__(self) -> None:
@@ -173,7 +173,7 @@ def hull_id(
     points = _finite("vertices", points_of(vertices)) + 0.0
     share = planarity_of(planarity)
     if share is not None:  # no server checks the range of this call
-        share = _arguments.number("planarity", share, 0, _LARGEST_PLANARITY)
+        share = _arguments.number("planarity", share, 0, LARGEST_PLANARITY)
     parts = [b"hullcast", struct.pack("<I", 1 if share is None else 2)]
     if contraction_point is None:
         parts.append(b"\0")
@@ -213,7 +213,7 @@ def planarity_of(planarity: Planarity, default: float | None = DEFAULT_PLANARITY
         return None
     if isinstance(planarity, str) and planarity == "default":
         return default
-    expected = f'expected a number, 0 to {_LARGEST_PLANARITY:g}, or None or "default"'
+    expected = f'expected a number, 0 to {LARGEST_PLANARITY:g}, or None or "default"'
     return _arguments.real("planarity", planarity, expected)
 
 
@@ -241,14 +241,26 @@ def mesh_of(hull: Any, name: str = "vertices") -> tuple[Floats, Any]:
     A vertex that no face uses is no part of the mesh. Without faces every vertex counts.
     """
     points = _arrays.floats(name, getattr(hull, "vertices", hull), None, 3)
-    # A `Hull` would ask the server for its faces, and uses all its points.
-    faces = None if isinstance(hull, Hull) else getattr(hull, "faces", None)
+    attribute, faces = faces_of(hull)
     if faces is None or np.size(faces) == 0 or len(points) == 0:
         return points, None
-    corners = _arrays.indices(f"{name}.faces", faces, None, 3, below=len(points))
+    corners = _arrays.indices(f"{name}.{attribute}", faces, None, 3, below=len(points))
     used = np.zeros(len(points), dtype=bool)
     used[corners] = True
     if used.all():
         return points, corners
     rank = np.cumsum(used) - 1
     return points[used], rank[corners].astype("<u4")
+
+
+def faces_of(mesh: Any) -> tuple[str, Any]:
+    """The name and the value of the attribute that has a mesh's triangles; None without one.
+
+    It is `faces` in trimesh's meshes, `triangles` in open3d's, and `indices` in coacd's.
+    """
+    # A `Hull` would ask the server for its faces, and uses all its points.
+    for name in () if isinstance(mesh, Hull) else ("faces", "triangles", "indices"):
+        value = getattr(mesh, name, None)
+        if value is not None and not callable(value):
+            return name, value
+    return "faces", None

@@ -21,8 +21,11 @@ Steps = Generator[Any, Any, T]
 class Stream(Protocol):
     """An open stream: messages are sent, and answered in the order of sending."""
 
-    def send(self, data: bytes) -> Any:
-        """Returns what to wait for until the message is under way. `receive` reports any error."""
+    def send(self, data: bytes, timeout: float | None) -> Any:
+        """Returns what to wait for until the message is under way.
+
+        It fails only if that takes longer than the timeout. `receive` reports any other error.
+        """
 
     def receive(self, timeout: float | None) -> Any:
         """Returns what to wait for until the oldest unanswered message is answered."""
@@ -36,6 +39,8 @@ class Link(Protocol):
 
     #: Whether a server has answered on this channel.
     proven: bool
+    #: The most concurrent calls that the server permits on one connection; 0 if it is not known.
+    max_calls: int
     #: Why the first call on this channel failed; "" if it has not, or if a server has answered.
     trouble: str
 

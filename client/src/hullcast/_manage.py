@@ -62,6 +62,14 @@ class ServerInfo:
         return _server_info, fields
 
 
+def max_calls(data: bytes) -> int:
+    """The most calls at once on one connection, by a response of GetServerInfo; 0 if unknown."""
+    try:
+        return ServerInfo.read(data).limits["max_streams_per_connection"]
+    except Error:  # the caller that asked for the server's information reports it
+        return 0
+
+
 def _server_info(version: str, simd: str, threads: int, limits: dict[str, int]) -> ServerInfo:
     return ServerInfo(version, simd, threads, MappingProxyType(limits))
 

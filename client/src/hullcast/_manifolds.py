@@ -9,7 +9,7 @@ from typing import Any, cast, overload
 import numpy as np
 import numpy.typing as npt
 
-from . import _arguments, _export, _tensors
+from . import _arguments, _export, _numbers, _tensors
 from ._arguments import iterable, kind
 from ._arrays import Floats, Indices
 from ._columns import ManifoldColumns
@@ -64,21 +64,22 @@ class Manifolds(ManifoldColumns):
         """
         count = len(self)
         _arguments.ordered(field, pairs)
+        expected = f"an integer, a slice, integers (k,) or a mask ({count},)"
         try:
             if isinstance(pairs, slice):
                 return np.arange(count)[pairs]
-            found = _tensors.as_numpy(pairs)
-            array = np.asarray(pairs) if found is None else found
-            array = array.astype(np.intp) if array.size == 0 and array.dtype != bool else array
-        except (TypeError, ValueError):  # rows of different lengths, or a slice of words
+            is_one = pairs is None or isinstance(pairs, (str, bytes))
+            array = np.array(None) if is_one else _numbers.array_of(field, pairs, expected)
+        except TypeError:  # a slice of words
             array = np.array(None)
-        if array.ndim != 1 or array.dtype.kind not in "iub":
+        except InvalidArgument as error:
+            raise _not_indices(field, error.message, error.index) from None
+        array = array.astype(np.intp) if array.size == 0 and array.dtype != bool else array
+        if array.ndim != 1:
             got = _arguments.shown(pairs) if array.ndim == 0 else f"shape {array.shape}"
-            raise PairOutOfRange(
-                f"got {got}, expected an integer, a slice, integers (k,) or a mask ({count},)",
-                reason="NOT_INTEGERS",
-                field=field,
-            )
+            raise _not_indices(field, f"got {got}, expected {expected}")
+        if array.dtype.kind not in "iubO":  # integers beyond 64 bits are objects
+            raise _not_indices(field, f"got numbers of type {array.dtype}, expected {expected}")
         if array.dtype == bool:
             if len(array) != count:
                 raise PairOutOfRange(
@@ -311,8 +312,8 @@ class Manifolds(ManifoldColumns):
 
         Raises:
             ImportError: rerun is not installed.
-            InvalidArgument: NO_RECORDING, there is no recording; NO_SCENE or NO_GEOMETRY, as for
-                `plot`.
+            InvalidArgument: NO_RECORDING, there is no recording; WRONG_TYPE for `recording`;
+                NO_SCENE or NO_GEOMETRY, as for `plot`.
         """
         from . import _rerun
 
@@ -335,9 +336,7 @@ class Manifolds(ManifoldColumns):
             )
         shown = self
         if pairs is not None:
-            _arguments.ordered("pairs", pairs)
-            chosen: Any = list(pairs) if isinstance(pairs, Iterator) else pairs
-            chosen = _arguments.plain(chosen)
+            chosen: Any = _arguments.plain(pairs)
             if isinstance(chosen, (int, np.integer)) and not isinstance(chosen, bool):
                 chosen = [chosen]
             shown = self[self._chosen("pairs", chosen)]
@@ -366,6 +365,11 @@ class Manifolds(ManifoldColumns):
         if flags := int(np.bitwise_or.reduce(self.flags, initial=0)):
             text += f"; flags {Flag(flags)!r}"
         return f"Manifolds({text})"
+
+
+def _not_indices(field: str, message: str, place: int | None = None) -> PairOutOfRange:
+    """The error for an object that selects no pairs."""
+    return PairOutOfRange(message, reason="NOT_INTEGERS", field=field, index=place)
 
 
 class Manifold:

@@ -64,10 +64,7 @@ def picture(
         colour = cm.ScalarMappable(scale, "coolwarm_r")
         size = float(np.ptp(np.concatenate(corners), axis=0).max())
         _draw_contacts(axes, normals, points, colour, size)
-        # The z axis has its label outside of the axes, which the padding leaves free.
-        figure.colorbar(
-            colour, ax=axes, shrink=0.6, pad=0.12, label="distance (negative: overlapping)"
-        )
+        _colour_bar(figure, axes, colour, is_own=ax is None)
     if corners:
         _frame(axes, np.concatenate(corners))
     axes.set(xlabel="x", ylabel="y", zlabel="z")
@@ -77,7 +74,8 @@ def picture(
     else:
         axes.set_title(counted(len(bodies), "body", "bodies"))
     if path is not None:
-        figure.savefig(path)
+        with _files.writing("path", path):
+            figure.savefig(path)
     return figure
 
 
@@ -185,6 +183,19 @@ def _draw_contacts(axes: Any, normals: Floats, points: Columns, colour: Any, siz
     axes.add_collection3d(Line3DCollection(np.stack([a, b], axis=1), colors=shades, zorder=4))
     for side, marker in ((a, "o"), (b, "^")):
         axes.scatter(*side.T, c=shades, marker=marker, s=14, depthshade=False, zorder=4)
+
+
+def _colour_bar(figure: Any, axes: Any, colour: Any, *, is_own: bool) -> None:
+    """Draws the scale of the distances, with room for the names outside of the axes."""
+    label = "distance (negative: overlapping)"
+    if is_own:
+        figure.colorbar(colour, ax=axes, shrink=0.6, pad=0.12, label=label)
+        return
+    # The caller's axes may have others beside them, so take height from them, not width.
+    bar = figure.colorbar(
+        colour, ax=axes, location="bottom", shrink=0.6, fraction=0.04, pad=0.08, label=label
+    )
+    bar.ax.locator_params(nbins=3)  # the numbers would overlap
 
 
 def _frame(axes: Any, corners: Floats) -> None:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import numbers
 import os
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, cast
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from . import _arguments, _arrays, _channel, _checked, _convexity, _files, _mesh, _packed
-from ._arguments import counted, iterable, kind, plain
+from . import _arguments, _arrays, _checked, _convexity, _files, _mesh, _packed
+from ._arguments import counted, is_masked, is_real, iterable, kind, plain
 from ._errors import HullRejected, InvalidArgument
-from ._hulls import Content, Hull, Planarity, mesh_of, planarity_of, points_of
+from ._hulls import Content, Hull, Planarity, faces_of, mesh_of, planarity_of, points_of
 from ._pb import hulls_pb2
 from ._query import Span
+
+if TYPE_CHECKING:
+    from ._connection import Home
 
 #: The number of bytes of vertices in one message. It is far below the server's message limit, and
 #: large enough that the cost of the call is small beside that of the hulls.
@@ -135,14 +138,12 @@ class Registration:
             index=place,
         )
 
-    def read(
-        self, answers: Mapping[Span, bytes], home: _channel.Settings | None = None
-    ) -> list[Hull]:
+    def read(self, answers: Mapping[Span, bytes], home: Home | None = None) -> list[Hull]:
         """Reads the hulls from the responses, in the order of the call.
 
         Args:
             answers: the response to each message.
-            home: the settings of the client that registers the hulls.
+            home: how to reach the server of the client that registers the hulls.
 
         Raises:
             HullRejected: the server refused some hulls; the error has the others.
@@ -198,19 +199,21 @@ def shapes_of(hulls: Any) -> list[Any]:
         )
     if _files.is_open_file(hulls):
         _files.path_of("hulls", hulls, "the path of a mesh file")
-    if not _is_single(hulls):
-        if not iterable(hulls):
-            raise InvalidArgument(
-                "expected points (n, 3), an object with vertices, a file, or a list of these, got "
-                f"{kind(hulls)}",
-                reason="NOT_A_LIST",
-                field="hulls",
-            )
-        given = list(hulls)  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
-    else:
+    if isinstance(hulls, Iterator):
+        hulls = list(cast("Iterator[Any]", hulls))
+    if _is_single(hulls):
         given = [hulls]
+    elif iterable(hulls):
+        given = list(hulls)
+    else:
+        raise InvalidArgument(
+            "expected points (n, 3), an object with vertices, a file, or a list of these, got "
+            f"{kind(hulls)}",
+            reason="NOT_A_LIST",
+            field="hulls",
+        )
     shapes: list[Any] = []
-    for i, hull in enumerate(given):  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+    for i, hull in enumerate(given):
         if _files.is_open_file(hull):
             _files.path_of(f"hulls[{i}]", hull, "the path of a mesh file")
         shapes += _parts(hull) if _is_scene(hull) else [shape_of(hull, f"hulls[{i}]")]
@@ -225,16 +228,26 @@ def _is_single(hulls: Any) -> bool:
         return True
     if getattr(hulls, "ndim", 2) < 2 and getattr(hulls, "dtype", None) != np.dtype(object):
         return True  # an array of numbers, which has the wrong shape for the points of a hull
+    if not hasattr(hulls, "ndim") and hasattr(hulls, "__array__"):
+        return True  # a data frame of polars or a table of pyarrow
     if isinstance(hulls, (list, tuple)) and hulls:
         # A list of rows of three numbers is the points of one hull. A list of numbers has the wrong
         # shape for one.
-        first = cast("Any", hulls[0])
-        if all(isinstance(plain(x), numbers.Real) for x in hulls):  # pyright: ignore[reportUnknownVariableType]
-            return True
-        row = isinstance(first, (list, tuple)) or getattr(first, "ndim", 0) == 1
-        first = cast("Sequence[Any]", first)
-        return row and len(first) == 3 and all(isinstance(x, numbers.Real) for x in first)
+        entries = cast("Sequence[Any]", hulls)
+        return all(map(_is_number, entries)) or _is_row(entries[0])
     return False
+
+
+def _is_number(value: Any) -> bool:
+    return is_masked(value) or is_real(plain(value))
+
+
+def _is_row(value: Any) -> bool:
+    """Whether a value is three numbers, the coordinates of one point."""
+    is_list = hasattr(value, "__getitem__") and hasattr(value, "__len__")
+    if not is_list or isinstance(value, (str, bytes, Mapping)) or hasattr(value, "vertices"):
+        return False
+    return getattr(value, "ndim", 1) == 1 and len(value) == 3 and all(map(_is_number, value))
 
 
 def _is_scene(shape: Any) -> bool:
@@ -265,10 +278,11 @@ def shape_of(hull: Any, field: str) -> Any:
 def _faces(shape: Any, name: str) -> Any:
     """The faces of a mesh, as indices of the registered points.
 
-    A `Hull` has none here, because it needs no check for convexity.
+    A `Hull` has none here, because it needs no check for convexity. An object that has
+    only vertices has none either, so it cannot be checked.
     """
-    plain = isinstance(shape, Hull) or getattr(shape, "faces", None) is None
-    return None if plain or not hasattr(shape, "vertices") else mesh_of(shape, name)[1]
+    is_checked = hasattr(shape, "vertices") and faces_of(shape)[1] is not None
+    return mesh_of(shape, name)[1] if is_checked else None
 
 
 def _label(shape: Any, place: int) -> str:
@@ -279,8 +293,11 @@ def _label(shape: Any, place: int) -> str:
 
 def _rejected(place: int, error: hulls_pb2.HullError, labels: Sequence[str]) -> HullRejected:
     label = labels[place] if place < len(labels) else ""
+    # The place of the error already has the hull's number.
+    number = f"hulls[{place}]"
+    name = label.removeprefix(number).strip(" ()") if label.startswith(number) else label
     return HullRejected(
-        error.message if label in ("", f"hulls[{place}]") else f"{label}: {error.message}",
+        f"{name}: {error.message}" if name else error.message,
         reason=error.reason,
         field=error.field,
         index=place,
@@ -288,7 +305,7 @@ def _rejected(place: int, error: hulls_pb2.HullError, labels: Sequence[str]) -> 
     )
 
 
-def _hull(info: hulls_pb2.HullInfo, content: Content, home: _channel.Settings | None) -> Hull:
+def _hull(info: hulls_pb2.HullInfo, content: Content, home: Home | None) -> Hull:
     xx, yy, zz, xy, xz, yz = info.inertia
     return Hull(
         id=info.id,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _drawing
+from . import _arguments, _drawing
 from ._arrays import Floats
 from ._errors import InvalidArgument
 from ._export import Columns
@@ -45,7 +45,10 @@ def log(
     except ImportError as error:
         raise ImportError("log needs rerun: pip install './client[rerun]' in the clone") from error
     rerun: Any = library
-    if recording is None and rerun.get_data_recording() is None:
+    if recording is not None:
+        wanted = "a rerun.RecordingStream or None"
+        _arguments.instance("recording", recording, rerun.RecordingStream, wanted)
+    elif rerun.get_data_recording() is None:
         raise InvalidArgument(
             "there is no recording, so that nothing would be kept: call rerun.init(NAME, "
             "spawn=True) for a viewer, or rerun.init(NAME) and rerun.save(FILE), first",

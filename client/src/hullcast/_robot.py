@@ -4,16 +4,26 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, ClassVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from . import _arguments, _arrays, _convexity, _decompose, _mesh, _srdf, _urdf
-from ._arguments import counted, shown
+from . import (
+    _arguments,
+    _arrays,
+    _convexity,
+    _decompose,
+    _joint_values,
+    _mesh,
+    _numbers,
+    _srdf,
+    _urdf,
+)
+from ._arguments import counted
 from ._arrays import Floats, Indices
-from ._errors import InvalidArgument, JointLimitsWarning, warn
+from ._errors import InvalidArgument
 from ._hulls import Hull
 from ._scene import Scene, list_of_hulls
 from ._settled import Settled, freeze
@@ -167,13 +177,14 @@ class Robot(Settled):
 
         Args:
             joints: the joint values, radians or metres, in the order of the attribute `joints`:
-                (joints,), or (k, joints) for k configurations; or a mapping from joint names to one
-                value or to k values. Joints that the mapping does not name are at 0, and None means
-                that all joints are at 0. If 0 is outside a joint's limits, the nearer limit is used
-                instead of 0. A value beyond a joint's limits is used as it is, with a
-                `JointLimitsWarning`.
-            base: (4, 4) or (k, 4, 4) or a scipy `RigidTransform`, the pose of the root link in the
-                world; by default the identity.
+                (joints,), or (k, joints) for k configurations. Or the values by the names of the
+                joints: a mapping from names to one value or to k values, a pandas `Series` with
+                the names as its index, or a data frame with a column per joint and a row per
+                configuration. Joints that are not named are at 0, and None means that all joints
+                are at 0. If 0 is outside a joint's limits, the nearer limit is used instead of 0. A
+                value beyond a joint's limits is used as it is, with a `JointLimitsWarning`.
+            base: (4, 4) or (k, 4, 4) or a scipy `RigidTransform` or a list of these, the pose of
+                the root link in the world; by default the identity.
 
         Returns:
             (bodies, 4, 4), or (k, bodies, 4, 4) for k configurations: the poses of the bodies'
@@ -181,20 +192,22 @@ class Robot(Settled):
 
         Raises:
             InvalidArgument: WRONG_SHAPE, LENGTH_MISMATCH, NOT_AN_ARRAY, NOT_FINITE, UNKNOWN_JOINT,
-                NOT_A_POSE or NOT_A_ROTATION.
+                REPEATED_NAME, NOT_A_POSE or NOT_A_ROTATION.
         """
-        values, several = self._values(joints)
-        self._check_values(values)
-        if base is not None and callable(getattr(base, "as_matrix", None)):
-            base = base.as_matrix()
-        roots = np.eye(4) if base is None else _array("base", base)
+        values, several = _joint_values.read(joints, self.joints, self.limits)
+        base = base.as_matrix() if callable(getattr(base, "as_matrix", None)) else base
+        roots = np.eye(4) if base is None else _numbers.any_shape("base", _arrays.as_matrices(base))
         if roots.shape[-2:] != (4, 4) or roots.ndim not in (2, 3):
             raise InvalidArgument(
                 f"expected shape (4, 4) or (k, 4, 4), got {roots.shape}",
                 reason="WRONG_SHAPE",
                 field="base",
             )
-        _check_base(roots.reshape(-1, 4, 4))
+        try:
+            _check_base(roots.reshape(-1, 4, 4))
+        except InvalidArgument as error:
+            error.index = None if roots.ndim == 2 else error.index
+            raise
         several = several or roots.ndim == 3
         count = len(roots) if roots.ndim == 3 and len(values) == 1 else len(values)
         values = np.broadcast_to(values, (count, len(self.joints)))
@@ -247,71 +260,6 @@ class Robot(Settled):
             ignored_groups=self.ignored_groups,
         )
 
-    def _values(self, joints: Any) -> tuple[Floats, bool]:
-        """The joint values (k, joints), and whether the caller gave several configurations."""
-        rest = np.clip(0.0, self.limits[:, 0], self.limits[:, 1])
-        if joints is None:
-            return rest[None], False
-        if not isinstance(joints, Mapping):
-            values = _array("joints", joints)
-            several = values.ndim == 2
-            wanted = (None, len(self.joints)) if several else (len(self.joints),)
-            if values.shape[-1:] != wanted[-1:] or values.ndim > 2:
-                raise InvalidArgument(
-                    f"expected shape ({len(self.joints)},) or (k, {len(self.joints)}), one value "
-                    f"for each of Robot.joints, got {values.shape}",
-                    reason="WRONG_SHAPE",
-                    field="joints",
-                )
-            return np.atleast_2d(values), several
-        named = cast("Mapping[Any, Any]", joints)
-        columns = {str(name): _array("joints", value) for name, value in named.items()}
-        lengths = {column.shape for column in columns.values() if column.ndim}
-        if len(lengths) > 1 or any(len(shape) > 1 for shape in lengths):
-            raise InvalidArgument(
-                f"got values of shapes {sorted(lengths)}, expected numbers or arrays (k,)",
-                reason="WRONG_SHAPE",
-                field="joints",
-            )
-        values = np.tile(rest, (next(iter(lengths), (1,))[0], 1))
-        for name, column in columns.items():
-            if name not in self.joints:
-                raise InvalidArgument(
-                    f"got the joint {name!r}, expected {_one_of(self.joints)}",
-                    reason="UNKNOWN_JOINT",
-                    field="joints",
-                )
-            values[:, self.joints.index(name)] = column
-        return values, bool(lengths)
-
-    def _check_values(self, values: Floats) -> None:
-        """Raises for values that are not finite, and warns of values beyond the limits."""
-        wrong = np.argwhere(~np.isfinite(values))
-        if len(wrong):
-            row, joint = wrong[0]
-            error = InvalidArgument(
-                f"the value of joint {self.joints[joint]!r} is {values[row, joint]:g}, expected a "
-                "finite number",
-                reason="NOT_FINITE",
-                field="joints",
-            )
-            error.entry = (int(row), int(joint))
-            raise error
-        low, high = self.limits.T
-        # Limits and values are often rounded to a few digits in files and messages.
-        slack = 1e-6 * np.maximum(1.0, np.abs(np.where(np.isfinite(self.limits), self.limits, 0)))
-        beyond = (values < low - slack[:, 0]) | (values > high + slack[:, 1])
-        if beyond.any():
-            row, joint = np.argwhere(beyond)[0]
-            several = f" in {beyond.any(axis=1).sum()} of {len(values)} configurations"
-            warn(
-                JointLimitsWarning(
-                    f"{counted(int(beyond.any(axis=0).sum()), 'joint')} beyond the limits"
-                    f"{several if len(values) > 1 else ''}: joint {self.joints[joint]!r} is "
-                    f"{values[row, joint]:g}, its limits are {low[joint]:g} to {high[joint]:g}"
-                )
-            )
-
     def _motion(self, joint: Joint, values: Floats) -> Floats:
         """(k, 4, 4): the motions of a joint for k configurations."""
         motion = np.tile(np.eye(4), (len(values), 1, 1))
@@ -343,22 +291,6 @@ def _named_pieces(label: str, pieces: Sequence[Any]) -> list[Any]:
     ]
 
 
-def _array(field: str, value: Any) -> Floats:
-    """Converts a value to a float64 array of any shape."""
-    _arguments.ordered(field, value)
-    if isinstance(value, Iterator):
-        value = list(cast("Iterator[Any]", value))
-    try:
-        array = _arrays.as_array(value)
-        if array.dtype.kind in "fiuO" or not array.size:
-            return array.astype("<f8")
-    except (TypeError, ValueError, OverflowError):
-        pass
-    raise InvalidArgument(
-        f"expected numbers, got {shown(value)}", reason="NOT_AN_ARRAY", field=field
-    )
-
-
 def _check_base(roots: Floats) -> None:
     """Raises if a pose of the root link is not finite, or is not a pose."""
     wrong = np.flatnonzero(~np.isfinite(roots).all(axis=(1, 2)))
@@ -371,10 +303,6 @@ def _check_base(roots: Floats) -> None:
         )
     _arrays.check_bottom("base", roots)
     _arrays.quaternions("base", roots[:, :3, :3])
-
-
-def _one_of(joints: Sequence[str]) -> str:
-    return f"one of {', '.join(joints)}" if joints else "none: the robot has no joint that moves"
 
 
 def _named(ignored: Any) -> list[tuple[str, str]]:

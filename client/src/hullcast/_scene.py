@@ -36,7 +36,8 @@ class Scene(Settled):
         worlds: (n,), used by `find`: bodies only meet bodies of the same world. A body of world
             2^32 - 1 meets the bodies of every other world, and no other body of world 2^32 - 1.
         groups: (n,), used by `find`: bodies of the same group never meet. Group 0 means no group.
-        ignored_groups: (k, 2), used by `find`: pairs of groups whose bodies never meet.
+        ignored_groups: (k, 2), used by `find`: pairs of groups whose bodies never meet. They need
+            `groups`.
 
     Raises:
         InvalidArgument: an argument has a wrong shape or type, or an index out of range.
@@ -108,6 +109,13 @@ class Scene(Settled):
                 "got group 0, which means no group: expected two numbers above 0 in each row",
                 reason="VALUE_OUT_OF_RANGE",
                 field="ignored_groups",
+            )
+        if self.ignored_groups is not None and len(self.ignored_groups) and self.groups is None:
+            raise InvalidArgument(
+                "missing: ignored_groups without groups has no effect; expected the group of each "
+                "body",
+                reason="MISSING_ARGUMENT",
+                field="groups",
             )
         self._place(positions, rotations, of_hulls=body_hulls is None)
 

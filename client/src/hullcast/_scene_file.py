@@ -15,7 +15,7 @@ import numpy as np
 from . import _arguments, _arrays, _files
 from ._arguments import counted, kind, shown
 from ._errors import InvalidArgument
-from ._hulls import DEFAULT_PLANARITY, Content
+from ._hulls import DEFAULT_PLANARITY, LARGEST_PLANARITY, Content
 from ._scene import Scene
 
 _FORMAT = "hullcast.scene.v1"
@@ -64,7 +64,7 @@ def save(scene: Scene, path: Any, pairs: Any, margin: Any, name: Any) -> None:
     lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in head.items()]
     for key, rows in parts.items():
         lines.append(f'"{key}": [\n' + ",\n".join(json.dumps(row) for row in rows) + "\n]")
-    with open(file, "w", encoding="ascii") as out:
+    with _files.writing("path", file), open(file, "w", encoding="ascii") as out:
         out.write("{\n" + ",\n".join(lines) + "\n}\n")
 
 
@@ -114,8 +114,16 @@ def _parsed(data: bytes) -> dict[str, Any]:
     def refuse(constant: str) -> NoReturn:
         raise ValueError(f"{constant} is not JSON")
 
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        entries: dict[str, Any] = {}
+        for key, value in pairs:
+            if key in entries:
+                raise _NotAScene(f"the key {key!r} is twice in one object, expected it once")
+            entries[key] = value
+        return entries
+
     try:
-        found = json.loads(data.decode("utf-8-sig"), parse_constant=refuse)
+        found = json.loads(data.decode("utf-8-sig"), parse_constant=refuse, object_pairs_hook=once)
     except (ValueError, RecursionError) as error:
         raise _NotAScene(f"not JSON ({error}); expected a scene file, {_FORMAT}") from None
     if not isinstance(found, dict):
@@ -127,6 +135,8 @@ def _parsed(data: bytes) -> dict[str, Any]:
 
 
 def _scene(file: dict[str, Any], frame: Any) -> Scene:
+    if not isinstance(file.get("name"), str):
+        raise _NotAScene(f"name: expected a text, got {kind(file.get('name'))}")
     contents = [_content(place, hull) for place, hull in _objects("hulls", file)]
     bodies = list(_objects("bodies", file))
     counts = counted(len(contents), "hull")
@@ -137,15 +147,21 @@ def _scene(file: dict[str, Any], frame: Any) -> Scene:
     for (place, _), hull in zip(bodies, hulls, strict=True):
         if hull >= len(contents):
             raise _NotAScene(f"{place}.hull: got {hull}, but the scene has {counts}")
-    given = list(_objects("frames", file)) if file.get("frames") else []
-    chosen = _frame(given, frame)
-    if chosen is None:
-        positions = [_finite(f"{at}.position", body.get("position"), 3) for at, body in bodies]
-        rotations = [_finite(f"{at}.rotation", body.get("rotation"), 4) for at, body in bodies]
-    else:
-        place, poses = chosen
-        positions = _finite(f"{place}.positions", poses.get("positions"), len(bodies), 3)
-        rotations = _finite(f"{place}.rotations", poses.get("rotations"), len(bodies), 4)
+    positions: Any = [_finite(f"{at}.position", body.get("position"), 3) for at, body in bodies]
+    rotations: Any = [_finite(f"{at}.rotation", body.get("rotation"), 4) for at, body in bodies]
+    frames = list(_objects("frames", file)) if "frames" in file else []
+    _check_names(frames)
+    # Every configuration is read, because the command line refuses a file with a fault in any.
+    poses = [
+        (
+            _finite(f"{place}.positions", entry.get("positions"), len(bodies), 3),
+            _finite(f"{place}.rotations", entry.get("rotations"), len(bodies), 4),
+        )
+        for place, entry in frames
+    ]
+    number = _frame([entry for _, entry in frames], frame)
+    if poses:
+        positions, rotations = poses[number]
     of = f"the scene has {counted(len(bodies), 'body', 'bodies')}"
     pairs = _arrays.indices("pairs", file.get("pairs"), None, 2, below=len(bodies), of=of)
     scene = Scene(
@@ -174,7 +190,21 @@ def _objects(key: str, file: dict[str, Any]) -> Iterator[tuple[str, dict[str, An
     for i, entry in enumerate(cast("list[Any]", found)):
         if not isinstance(entry, dict):
             raise _NotAScene(f"{key}[{i}]: expected an object, got {kind(entry)}")
-        yield f"{key}[{i}]", cast("dict[str, Any]", entry)
+        known = cast("dict[str, Any]", entry)
+        if not isinstance(known.get("name", ""), str):
+            raise _NotAScene(f"{key}[{i}].name: expected a text, got {kind(known['name'])}")
+        yield f"{key}[{i}]", known
+
+
+def _check_names(frames: list[tuple[str, dict[str, Any]]]) -> None:
+    """Raises if two configurations have one name, by which a caller could mean either."""
+    first: dict[str, str] = {}
+    for place, frame in frames:
+        name = frame.get("name", "")
+        if name and first.setdefault(name, place) != place:
+            raise _NotAScene(
+                f"{place}.name: {first[name]} has the name {shown(name)} too, expected another name"
+            )
 
 
 def _content(place: str, hull: dict[str, Any]) -> Content:
@@ -187,7 +217,7 @@ def _content(place: str, hull: dict[str, Any]) -> Content:
         else _arrays.frozen(_finite(f"{place}.contraction_point", centre, 3)),
         planarity=None
         if planarity is None
-        else _arguments.number(f"{place}.planarity", planarity, 0),
+        else _arguments.number(f"{place}.planarity", planarity, 0, LARGEST_PLANARITY),
     )
 
 
@@ -198,22 +228,18 @@ def _finite(place: str, value: Any, *shape: int | None) -> _arrays.Floats:
     return array
 
 
-def _frame(
-    given: list[tuple[str, dict[str, Any]]], wanted: Any
-) -> tuple[str, dict[str, Any]] | None:
-    """The configuration with a name or number; None for the poses of the bodies themselves."""
+def _frame(given: list[dict[str, Any]], wanted: Any) -> int:
+    """The number of the configuration with a name or number; 0 in a file without configurations."""
     if isinstance(wanted, str):
-        for place, frame in given:
+        for number, frame in enumerate(given):
             if frame.get("name") == wanted:
-                return place, frame
+                return number
     else:
         number = _arguments.integer("frame", wanted, 0, 2**31 - 1)
-        if number < len(given):
-            return given[number]
-        if number == 0:
-            return None
+        if number < max(len(given), 1):
+            return number
     last = max(len(given) - 1, 0)
-    names = [str(frame["name"]) for _, frame in given if frame.get("name")]
+    names = [str(frame["name"]) for frame in given if frame.get("name")]
     allowed = "0" if last == 0 else f"0 to {last}"
     if names:
         allowed += f", or a name: {', '.join(names[:_NAMED])}{', ...' * (len(names) > _NAMED)}"

@@ -250,8 +250,8 @@ class Server:
         text = line[0].decode(errors="replace").strip() if line else ""
         if not text.startswith(_LISTENING):
             state = (
-                "did not print its address in time"
-                if not line
+                f"did not listen within {seconds:g} s, the start_timeout"
+                if not line and seconds is not None
                 else f"printed {text!r} instead of its address"
                 if text
                 else "ended before it listened"

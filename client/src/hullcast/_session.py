@@ -26,6 +26,10 @@ STREAM = "/hullcast.v1.ContactService/StreamContacts"
 _LANES = 8
 _MESSAGES_PER_LANE = 16
 
+#: One in this many of the calls that a server permits on one connection is kept for calls that are
+#: not steps.
+_SHARE_OF_OTHER_CALLS = 16
+
 
 @dataclass(eq=False)
 class _Lane:
@@ -128,7 +132,7 @@ class Steps(Settled):
             while waiting:
                 lane = waiting.popleft()
                 stream, data = self._next_message(lane)
-                yield stream.send(data)
+                yield stream.send(data, _link.remaining(deadline))
                 asked.append(lane)
             lane = asked.popleft()
             assert lane.stream is not None
@@ -159,12 +163,34 @@ class Steps(Settled):
             lane.message = self._query.step_message(lane.message)
             return lane.stream, lane.message.data
         lane.drop()
+        _check_count(link)
         lane.message = self._query.message(lane.span)
         lane.link, lane.stream = link, link.open(STREAM)
         return lane.stream, lane.message.data
 
 
 _sessions: weakref.WeakSet[Steps] = weakref.WeakSet()
+
+
+def _check_count(link: _link.Link) -> None:
+    """Raises if one more stream would leave too few calls of a connection to all other calls.
+
+    A call beyond the server's limit would wait until another one ends, and streams do not end by
+    themselves.
+    """
+    if not link.max_calls:
+        return
+    lanes = [lane for session in list(_sessions) for lane in session._lanes]
+    used = sum(lane.stream is not None and lane.link is link for lane in lanes)
+    allowed = link.max_calls - max(1, link.max_calls // _SHARE_OF_OTHER_CALLS)
+    if used >= allowed:
+        raise _errors.ResourceExhausted(
+            f"the open sessions of this client have {counted(used, 'stream')}, and {allowed} are "
+            f"allowed: the server permits {link.max_calls} calls at once on one connection "
+            "(max_streams_per_connection), some of which are kept for other calls. Close sessions, "
+            "use one session for the bodies of many worlds, or make another client",
+            reason="TOO_MANY_SESSIONS",
+        )
 
 
 def _before_fork() -> None:

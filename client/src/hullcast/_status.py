@@ -65,6 +65,12 @@ _CUT = (
     "settings answer_seconds and max_deadline_seconds decide how long that is"
 )
 
+#: What to do about an error of the server, by its reason.
+_REMEDIES = {
+    "MISSING_TOKEN": "give token= to hullcast.connect",
+    "UNKNOWN_TOKEN": "give hullcast.connect a token= that is on the server's lists",
+}
+
 _BY_CODE: dict[grpc.StatusCode, type[Error]] = {
     grpc.StatusCode.INVALID_ARGUMENT: InvalidArgument,
     grpc.StatusCode.OUT_OF_RANGE: InvalidArgument,
@@ -95,6 +101,8 @@ def from_rpc(call: Any) -> Error:
     error.message = message if known["reason"] != code.name else _text(code, message)
     if code is grpc.StatusCode.CANCELLED and "RST_STREAM" in message:
         error.message = _CUT
+    if error.reason in _REMEDIES:
+        error.message = f"{error.message}: {_REMEDIES[error.reason]}"
     if isinstance(error, ServerError):
         error.code = code.name
     if isinstance(error, Unavailable):

@@ -100,6 +100,7 @@ def read(urdf: Any, packages: Any) -> Model:
 def _model(root: Element, packages: Packages, file: str) -> tuple[Model, int]:
     """The robot, and the number of links that have visuals and no collision geometry."""
     name = _elements.text_of(root, "name", "<robot>")
+    _elements.check_spelling(root, ("link", "joint"), "<robot>")
     elements = root.findall("link")
     if not elements:
         if root.find("disable_collisions") is not None or root.find("group") is not None:
@@ -114,8 +115,10 @@ def _model(root: Element, packages: Packages, file: str) -> tuple[Model, int]:
     meshes: dict[Path, _mesh.Mesh] = {}
     shapes: list[tuple[int, str, Any]] = []
     for i, element in enumerate(elements):
+        _elements.check_spelling(element, ("collision", "visual"), f"link {links[i]!r}")
         for k, collision in enumerate(element.findall("collision")):
             where = f"link {links[i]!r}, collision {k}"
+            _elements.check_spelling(collision, ("geometry", "origin"), where)
             label, shape = _shape(collision, where, packages, meshes)
             is_mesh = isinstance(shape, _mesh.Mesh)  # its label has the name of its own file
             shapes.append((i, label if is_mesh else f"{label} ({file})", shape))
@@ -140,6 +143,8 @@ def _names(elements: Sequence[Element], kind: str) -> tuple[str, ...]:
 def _joint(element: Element, place: dict[str, int]) -> Joint:
     name = element.get("name", "")
     where = f"joint {name!r}"
+    known = ("parent", "child", "origin", "axis", "limit", "mimic", "dynamics", "calibration")
+    _elements.check_spelling(element, known, where)
     kind = _elements.text_of(element, "type", where)
     if kind in _FREE:
         raise Invalid(
@@ -171,12 +176,14 @@ def _joint(element: Element, place: dict[str, int]) -> Joint:
         limit = _elements.only_child(element, "limit", where)
         if limit is not None and kind != "continuous":
             limits = (
-                _elements.number_of(limit, "lower", -np.inf, where),
-                _elements.number_of(limit, "upper", np.inf, where),
+                _elements.number_of(limit, "lower", 0.0, where),
+                _elements.number_of(limit, "upper", 0.0, where),
             )
             if limits[0] > limits[1]:
+                absent = [name for name in ("lower", "upper") if limit.get(name) is None]
                 raise Invalid(
                     f"{where}: its limits are {limits[0]:g} to {limits[1]:g}, in the wrong order"
+                    f"{f' ({absent[0]!r} is not given, and then it is 0)' if absent else ''}"
                 )
         mimic = _elements.only_child(element, "mimic", where)
         if mimic is not None:

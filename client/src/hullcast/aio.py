@@ -90,7 +90,7 @@ class Client(_calls.Calls):
     def _open(self) -> _link.Link:
         return _Link(self._settings.open(grpc.aio), self._settings.metadata)
 
-    async def _drive(self, steps: _link.Steps[T]) -> T:
+    async def _drive(self, steps: _link.Steps[T], timeout: float | None) -> T:
         try:
             waited_for = next(steps)
             while True:
@@ -105,13 +105,13 @@ class Client(_calls.Calls):
         except StopIteration as done:
             return done.value
         except _errors.DeadlineExceeded as error:
-            self._explain(error)
+            self._explain(error, timeout)
             raise
         finally:
             steps.close()
 
-    def _run(self, steps: _link.Steps[T]) -> T:
-        return self._drive(steps)  # type: ignore[return-value]
+    def _run(self, steps: _link.Steps[T], timeout: float | None = None) -> T:
+        return self._drive(steps, timeout)  # type: ignore[return-value]
 
     async def close(self) -> None:
         """Closes the connection, and ends the server if `serve` started it."""
@@ -173,6 +173,7 @@ class _Link:
         self._unary: dict[str, Any] = {name: channel.unary_unary(name) for name in _calls.UNARY}
         self._stream: Any = channel.unary_stream(_calls.FIND)
         self.proven = False
+        self.max_calls = 0
         self.trouble = ""
 
     def start(self, method: str, data: bytes, timeout: float | None) -> Any:
@@ -207,10 +208,14 @@ class _Stream:
     def __init__(self, call: Any) -> None:
         self._call = call
 
-    async def send(self, data: bytes) -> None:
-        # If the stream has failed, reading from it reports the error.
+    async def send(self, data: bytes, timeout: float | None) -> None:
+        # If the stream has failed, reading from it reports the error. Writing waits until the
+        # connection has a free stream, which may never be.
         with contextlib.suppress(grpc.RpcError, asyncio.InvalidStateError):
-            await self._call.write(data)
+            try:
+                await asyncio.wait_for(self._call.write(data), timeout)
+            except asyncio.TimeoutError:
+                raise _link.late() from None
 
     async def receive(self, timeout: float | None) -> bytes:
         try:

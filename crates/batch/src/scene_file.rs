@@ -5,6 +5,7 @@
 
 mod values;
 
+use std::collections::HashMap;
 use std::io::{self, Read};
 use std::path::Path;
 
@@ -242,7 +243,17 @@ impl JsonScene {
                 return fail(format!("bodies[{i}].hull"), wrong);
             }
         }
+        let mut named: HashMap<&str, usize> = HashMap::new();
         for (i, frame) in self.frames.iter().enumerate() {
+            // A user who names a configuration would get either of two that have one name.
+            if !frame.name.is_empty()
+                && let Some(first) = named.insert(&frame.name, i)
+            {
+                return fail(
+                    format!("frames[{i}].name"),
+                    format!("frames[{first}] has the name {:?} too, expected another name", frame.name),
+                );
+            }
             for (key, count) in [("positions", frame.positions.len()), ("rotations", frame.rotations.len())] {
                 if count != self.bodies.len() {
                     return fail(
@@ -357,6 +368,13 @@ mod tests {
             ("[[0,0,0],[0,0,3]]", "[[0,0,0]]", "frames[0].positions", "has 1 entries, expected one for each"),
             ("[0,0,3]]", "[0,0,\"3\"]]", "frames[0].positions[1][2]", "string \"3\", expected a number"),
             ("0.5", "-0.5", "margin", "is -0.5, expected at least 0"),
+            (
+                "\"frames\": [",
+                "\"frames\": [{\"name\": \"f\", \"positions\": [[0,0,0],[0,0,3]], \
+                 \"rotations\": [[0,0,0,1],[0,0,0,1]]}, ",
+                "frames[1].name",
+                "frames[0] has the name \"f\" too",
+            ),
             (FORMAT, "something", "format", "is \"something\", expected \"hullcast.scene.v1\""),
         ];
         for (from, to, place, allowed) in cases {

@@ -48,6 +48,8 @@ pub enum Cause {
     NotTls,
     /// The server's certificate is self-signed, and it is not among the trusted ones.
     SelfSigned,
+    /// The server's certificate is for another host name.
+    OtherName,
     /// The server's certificate is not trusted; the text is the reason.
     Untrusted(String),
     /// Another cause, as the operating system or TLS states it.
@@ -86,6 +88,11 @@ impl fmt::Display for Unreachable {
                 f,
                 "the certificate of the server at {address} is self-signed, and it is not the one that is \
                  trusted; give the PEM file of this very certificate"
+            ),
+            Cause::OtherName => write!(
+                f,
+                "the certificate of the server at {address} is for another host name: connect to a name that \
+                 the certificate has"
             ),
             Cause::Untrusted(why) => write!(
                 f,
@@ -131,6 +138,9 @@ pub(crate) async fn mismatch(
             rustls::Error::InvalidCertificate(CertificateError::UnknownIssuer) => {
                 Some(Cause::Untrusted("no trusted authority has signed it".into()))
             }
+            rustls::Error::InvalidCertificate(
+                CertificateError::NotValidForName | CertificateError::NotValidForNameContext { .. },
+            ) => Some(Cause::OtherName),
             other @ rustls::Error::InvalidCertificate(_) => Some(Cause::Untrusted(other.to_string())),
             _ => None,
         };
@@ -240,6 +250,7 @@ mod tests {
             Cause::NotHttp2,
             Cause::NotTls,
             Cause::SelfSigned,
+            Cause::OtherName,
             Cause::Untrusted(text()),
             Cause::Other(text()),
         ] {

@@ -1,5 +1,6 @@
 //! Converts hulls from and to the wire.
 
+use hullcast_batch::counted;
 use prost::Message;
 
 use super::fields::BYTES_PER_STEP;
@@ -207,7 +208,14 @@ pub(super) fn page_token(token: &str) -> Result<Option<HullId>, ServiceError> {
         return Ok(None);
     }
     token.parse().map(Some).map_err(|_| {
-        let why = "expected the `next_page_token` of an earlier answer, or nothing for the first page";
+        const SHOWN: usize = 40;
+        let start: String = token.chars().take(SHOWN).collect();
+        let more = if start.len() < token.len() { "..." } else { "" };
+        let why = format!(
+            "got {start:?}{more} ({}), expected the `next_page_token` of an earlier answer, or nothing for the \
+             first page",
+            counted(token.len(), "byte")
+        );
         ServiceError::in_field(Reason::MalformedPageToken, "page_token", why)
     })
 }

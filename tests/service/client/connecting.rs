@@ -67,6 +67,9 @@ async fn certificates_are_trusted_by_their_authority() {
     // The two authorities have the same name, so TLS names the signature as the fault.
     let untrusted = cause(trusting(&stranger), &address).await;
     assert!(matches!(untrusted, Cause::Untrusted(_)), "{untrusted:?}");
+    let other_name = format!("https://127.0.0.1:{port}");
+    let builder = Client::builder(other_name.as_str()).authority(authority.certificate.pem());
+    assert_eq!(cause(builder, &other_name).await, Cause::OtherName);
     let plain = format!("localhost:{port}");
     assert_eq!(cause_at(&plain).await, Cause::SpeaksTls);
 }

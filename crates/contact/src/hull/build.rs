@@ -82,7 +82,10 @@ fn scaled(inertia: DMat3, area: f64, length: f64) -> DMat3 {
 }
 
 fn too_many_vertices(count: usize, limit: usize) -> HullError {
-    let detail = format!("the hull has {count} extreme vertices, at most {limit} are allowed: simplify it");
+    let detail = format!(
+        "the hull has {count} extreme vertices, at most {limit} are allowed: simplify it by max_vertices \
+         or max_deviation"
+    );
     HullError { kind: HullErrorKind::TooManyVertices, index: None, detail }
 }
 

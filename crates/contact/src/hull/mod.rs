@@ -210,7 +210,8 @@ fn check_planarity(planarity: Option<f64>) -> Result<(), HullError> {
             kind: HullErrorKind::PlanarityOutOfRange,
             index: None,
             detail: format!(
-                "planarity is {share}, must be from 0 to {MAX_PLANARITY} (a share of the circumradius)"
+                "planarity is {}, must be from 0 to {MAX_PLANARITY} (a share of the circumradius)",
+                error::plain(share)
             ),
         }),
         _ => Ok(()),

@@ -62,7 +62,7 @@ impl Simplification {
         }
         match self.max_deviation {
             Some(deviation) if !(deviation >= 0.0) => {
-                Err(refused(format!("max_deviation is {deviation}, must be at least 0")))
+                Err(refused(format!("max_deviation is {}, must be at least 0", plain(deviation))))
             }
             _ => Ok(()),
         }
@@ -110,6 +110,8 @@ pub(super) fn simplified(
         within_limit(count)?;
         match inner.hull(count, meter) {
             Err(BuildError::Hull(_)) if count < most => {}
+            // The whole hull could be built, so the fault is that too few of its vertices are left.
+            Err(BuildError::Hull(error)) if most < all => return Err(too_few_vertices(error, most).into()),
             result => return result,
         }
         if !skipped {
@@ -118,6 +120,11 @@ pub(super) fn simplified(
         }
         count += 1;
     }
+}
+
+fn too_few_vertices(error: HullError, most: usize) -> HullError {
+    let detail = format!("with {most} vertices, as max_vertices asks, {}: allow more vertices", error.detail);
+    HullError { detail, ..error }
 }
 
 fn too_many_vertices(limit: usize) -> HullError {

@@ -222,6 +222,11 @@ fn what_cannot_be_is_refused() {
     let refused = ConvexHull::with_options(&skew, &options);
     assert!(refused.is_err(), "{:?}", refused.map(|hull| hull.registered_indices().to_vec()));
     assert_eq!(kind(simplified(&cube()[..3], vertices(4))), HullErrorKind::TooFewPoints);
+    // The centre of mass of a cube is on the surface of the hull of four of its corners. The error must name
+    // the option at fault, because the caller gave no contraction point.
+    let detail = simplified(&cube(), vertices(4)).unwrap_err().detail;
+    assert!(detail.starts_with("with 4 vertices, as max_vertices asks, ("), "{detail}");
+    assert!(detail.ends_with(": allow more vertices"), "{detail}");
     // The vertices that satisfy the deviation would leave the plate flat, so more are taken.
     let plate = prism(32, 1e-3);
     let flat = simplified(&plate, within(0.05)).unwrap();
