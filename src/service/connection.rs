@@ -319,7 +319,7 @@ impl AsyncWrite for MeteredConnection {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         let wrote = Pin::new(&mut self.io).poll_write(cx, bytes);
         if wrote.is_pending() {
-            self.streams.is_blocked();
+            self.streams.note_blocked();
         }
         wrote
     }
@@ -331,7 +331,7 @@ impl AsyncWrite for MeteredConnection {
     ) -> Poll<io::Result<usize>> {
         let wrote = Pin::new(&mut self.io).poll_write_vectored(cx, slices);
         if wrote.is_pending() {
-            self.streams.is_blocked();
+            self.streams.note_blocked();
         }
         wrote
     }
@@ -344,8 +344,8 @@ impl AsyncWrite for MeteredConnection {
         // TLS takes bytes into a buffer of its own and sends them here.
         let flushed = Pin::new(&mut self.io).poll_flush(cx);
         match &flushed {
-            Poll::Pending => self.streams.is_blocked(),
-            Poll::Ready(_) => self.streams.is_flushed(),
+            Poll::Pending => self.streams.note_blocked(),
+            Poll::Ready(_) => self.streams.note_flushed(),
         }
         flushed
     }

@@ -209,13 +209,13 @@ impl Streams {
     }
 
     /// Notes that the socket does not take all bytes that it was given.
-    pub(super) fn is_blocked(&self) {
+    pub(super) fn note_blocked(&self) {
         let begun = self.begun.load(Ordering::SeqCst);
         let _ = self.begun_at_block.compare_exchange(OPEN, begun, Ordering::SeqCst, Ordering::SeqCst);
     }
 
     /// Notes that the socket has taken all bytes that it was given.
-    pub(super) fn is_flushed(&self) {
+    pub(super) fn note_flushed(&self) {
         if self.begun_at_block.swap(OPEN, Ordering::SeqCst) != OPEN {
             self.reader.wake();
         }
@@ -227,7 +227,7 @@ impl Streams {
     }
 
     /// A task runs for the first time.
-    fn runs(&self) {
+    fn task_runs(&self) {
         let waiting = self.waiting.fetch_sub(1, Ordering::SeqCst) - 1;
         if waiting == 0 {
             locked(&self.turn).held = None;
@@ -238,7 +238,7 @@ impl Streams {
     }
 
     /// The task of a stream has ended.
-    fn ended(&self, cutoff: Cutoff) {
+    fn task_ended(&self, cutoff: Cutoff) {
         if cutoff.is_all_sent() {
             self.living.fetch_sub(1, Ordering::SeqCst);
         } else {
@@ -369,10 +369,10 @@ where
         self.streams.waiting.fetch_add(1, Ordering::SeqCst);
         let Self { app, abort, streams } = self.clone();
         tokio::spawn(async move {
-            streams.runs();
+            streams.task_runs();
             let cutoff = Cutoff::new();
             let is_usable = cutoff.run(&app, stream).await;
-            streams.ended(cutoff);
+            streams.task_ended(cutoff);
             if !is_usable {
                 abort.notify_one();
             }
@@ -414,9 +414,9 @@ mod tests {
         first.waiting.store(2, Ordering::SeqCst);
         locked(&first.turn).held = permits.clone().try_acquire_owned().ok();
         assert!(!reads(&second) && !reads(&first), "tasks of the first connection wait");
-        first.runs();
+        first.task_runs();
         assert!(!reads(&second));
-        first.runs();
+        first.task_runs();
         assert!(reads(&second) && reads(&first));
         let held = permits.clone().try_acquire_owned().unwrap();
         assert!(!reads(&first));
