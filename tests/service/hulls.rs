@@ -157,8 +157,9 @@ async fn every_hull_has_a_result_of_its_own() {
     torn.vertices.pop();
     let mut two = wire_hull(&good);
     two.contraction_point = vec![0.0, 0.0];
-    let planarities = [-1e-9, 0.011, f64::INFINITY, f64::NAN];
-    let bent = planarities.map(|planarity| HullDefinition { planarity: Some(planarity), ..good.clone() });
+    let planarities = [(-1e-9, "-1e-9"), (0.011, "0.011"), (f64::INFINITY, "inf"), (f64::NAN, "NaN")];
+    let bent =
+        planarities.map(|(planarity, _)| HullDefinition { planarity: Some(planarity), ..good.clone() });
     request.hulls.extend([torn, two]);
     request.hulls.extend(bent.iter().map(wire_hull));
 
@@ -173,11 +174,11 @@ async fn every_hull_has_a_result_of_its_own() {
         }
         assert!(!error.message.is_empty());
     }
-    for (result, value) in results[14..].iter().zip(planarities) {
+    for (result, (_, shown)) in results[14..].iter().zip(planarities) {
         let error = result.as_ref().unwrap_err();
         assert_eq!((&*error.reason, &*error.field), ("PLANARITY_OUT_OF_RANGE", "planarity"));
         assert!(
-            error.message.contains(&value.to_string()) && error.message.contains("0 to 0.01"),
+            error.message.contains(&format!("is {shown},")) && error.message.contains("0 to 0.01"),
             "{error:?}"
         );
     }
