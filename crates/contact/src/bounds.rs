@@ -29,14 +29,14 @@ impl Body<'_> {
     /// at that margin.
     pub fn bounds(&self, margin: f64) -> Bounds {
         let (hull, pose) = (self.hull, &self.pose);
-        let center = hull.contraction_point();
+        let centre = hull.contraction_point();
         let reach = 0.5 * margin;
-        let slack = reach + REACH * U * (hull.circumradius() + center.length() + margin);
+        let slack = reach + REACH * U * (hull.circumradius() + centre.length() + margin);
         let bound = |axis: usize, sign: f64| {
             // The world axis in the hull's own frame.
             let n = pose.rotation.row(axis) * sign;
             let farthest = n.dot(hull.vertices()[hull.support(n) as usize]) * hull.scale();
-            let offset = n.dot(center) + farthest + slack;
+            let offset = n.dot(centre) + farthest + slack;
             (pose.translation[axis] + sign * offset.next_up(), sign)
         };
         let outward = |(x, sign): (f64, f64)| if sign > 0.0 { x.next_up() } else { x.next_down() };

@@ -67,12 +67,12 @@ pub(crate) struct Scratch {
     vertices: Marks,
     support: Vec<u32>,
     faces: Marks,
-    near: Vec<Near>,
+    near: Vec<Candidate>,
 }
 
 /// A candidate feature and how near it is to the direction.
 #[derive(Clone, Copy, Debug)]
-struct Near {
+struct Candidate {
     feature: u32,
     /// For a face, the cosine of the angle between its normal and the direction. For an edge, the sine of
     /// the angle by which it is off the perpendicular.
@@ -257,15 +257,15 @@ impl Scratch {
         near.clear();
         for f in at_support() {
             if seen.insert(f) && within(f) {
-                near.push(Near { feature: f, measure: cosine(f) });
+                near.push(Candidate { feature: f, measure: cosine(f) });
             }
         }
         let mut next = 0;
-        while let Some(&Near { feature, .. }) = near.get(next) {
+        while let Some(&Candidate { feature, .. }) = near.get(next) {
             next += 1;
             for &g in hull.face_neighbours(feature as usize) {
                 if seen.insert(g) && within(g) {
-                    near.push(Near { feature: g, measure: cosine(g) });
+                    near.push(Candidate { feature: g, measure: cosine(g) });
                 }
             }
         }
@@ -278,7 +278,7 @@ impl Scratch {
             seen.clear(hull.face_count());
             for f in at_support() {
                 if seen.insert(f) && flat(&f) {
-                    near.push(Near { feature: f, measure: cosine(f) });
+                    near.push(Candidate { feature: f, measure: cosine(f) });
                 }
             }
         }
@@ -304,7 +304,7 @@ impl Scratch {
             let across = rise * rise <= direction.sine * direction.sine * length_squared;
             let both = supports.contains(v) && supports.contains(w);
             if both || (across && arc_holds(hull, e, along, direction.n)) {
-                near.push(Near { feature: e, measure: rise.abs() / length_squared.sqrt() });
+                near.push(Candidate { feature: e, measure: rise.abs() / length_squared.sqrt() });
             }
         }
         if let &[only] = near.as_slice() {

@@ -277,10 +277,10 @@ impl Steps {
         }
         self.manifold.flags.estimated = found.estimated;
         let [e1, e2, n] = found.axes().map(|axis| pair.offset_to_world(axis));
-        let (translation, center) = (pair.translation_a, pair.center_offset_a());
+        let (translation, centre) = (pair.translation_a, pair.centre_offset_a());
         let (last, first) = found.points.split_at(found.first);
         self.manifold.points.extend(first.iter().chain(last).map(|p| ContactPoint {
-            witness_a: translation + (center + (e1 * p.at.x + e2 * p.at.y + n * p.height_a)),
+            witness_a: translation + (centre + (e1 * p.at.x + e2 * p.at.y + n * p.height_a)),
             distance: (p.height_b - p.height_a) * pair.unit,
             id: p.id,
         }));

@@ -228,7 +228,7 @@ impl<'a> Pair<'a> {
 
     /// The offset from the origin of A's own frame to A's contraction point, in the world's axes and the
     /// caller's units.
-    pub(crate) fn center_offset_a(&self) -> DVec3 {
+    pub(crate) fn centre_offset_a(&self) -> DVec3 {
         self.rotation_a * self.a.contraction_point()
     }
 }

@@ -86,12 +86,12 @@ pub struct Workload {
     /// Vertices of each hull, in its own frame.
     pub hulls: Vec<Vec<[f64; 3]>>,
     /// The pairs to query.
-    pub pairs: Vec<Pair>,
+    pub pairs: Vec<GeneratedPair>,
 }
 
 /// Two hulls, each with a pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pair {
+pub struct GeneratedPair {
     /// The hulls of A and B, as indices into the workload's hulls.
     pub hulls: [usize; 2],
     /// World position of each hull's origin.
@@ -155,7 +155,7 @@ impl Workload {
                 Regime::Resting => placer.resting(shapes, rotation_a, &mut random)?,
             };
             let position = DVec3::from_array([(); 3].map(|()| random.within(-HALF_WORLD, HALF_WORLD)));
-            placed.push(Pair {
+            placed.push(GeneratedPair {
                 hulls,
                 positions: [position.to_array(), (position + offset).to_array()],
                 rotations: [rotation_a.to_array(), rotation_b.to_array()],

@@ -121,7 +121,7 @@ fn look(
 /// Pivots until no vertex of `K` lies beyond the portal. If `wide` is set, the normals are computed
 /// in wide arithmetic from the start.
 fn refine(pair: &Pair<'_>, mut portal: Triple, mut wide: bool, goal: &Goal, mut cost: Cost) -> Growth {
-    let mut best = Best::default();
+    let mut best = BestDirection::default();
     let mut stalled = 0;
     let uncompared = FIRST_STEPS.min(goal.max_iterations / 2);
     loop {
@@ -163,13 +163,13 @@ fn refine(pair: &Pair<'_>, mut portal: Triple, mut wide: bool, goal: &Goal, mut 
 
 /// The direction with the largest lower bound so far, and its support point.
 #[derive(Default)]
-struct Best {
+struct BestDirection {
     ratio: f64,
     direction: DVec3,
     support: Support,
 }
 
-impl Best {
+impl BestDirection {
     fn improve(&mut self, ray: DVec3, n: DVec3, w: Support) -> bool {
         let ratio = n.dot(ray) / n.dot(w.point);
         let better = ratio > self.ratio && ratio.is_finite();

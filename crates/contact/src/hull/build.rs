@@ -31,7 +31,7 @@ pub(super) fn build(
     // The factors are powers of two. They are applied one at a time, so that no intermediate
     // product leaves the range of doubles.
     let [length, area] = [solid.unit, solid.unit * solid.unit];
-    let center_of_mass = mass.center * length;
+    let center_of_mass = mass.centre * length;
     let given_center = options.contraction_point.map(DVec3::from_array);
     let contraction_point = given_center.unwrap_or(center_of_mass) + 0.0;
     let refused = || given_center.map_or_else(not_representable, not_inside);

@@ -30,7 +30,7 @@ const PART: u64 = 60;
 pub(super) struct Mass {
     pub(super) volume: f64,
     /// The centre of mass.
-    pub(super) center: DVec3,
+    pub(super) centre: DVec3,
     /// About the centre of mass.
     pub(super) inertia: DMat3,
 }
@@ -56,22 +56,22 @@ pub(super) fn mass(
         moment.iter_mut().zip(weighted).for_each(|(m, w)| *m = *m + w);
     }
     let six_volume = six_volume.value();
-    let center = apex + DVec3::from_array(moment.map(Dd::value)) / (4.0 * six_volume);
+    let centre = apex + DVec3::from_array(moment.map(Dd::value)) / (4.0 * six_volume);
     // For a tetrahedron with one corner at the origin, the integral of x x^T is its volume / 20
     // times (a a^T + b b^T + c c^T + s s^T), where s = a + b + c is the sum of its corners.
     let mut second = DMat3::ZERO;
     for (triangle, &area) in triangles.iter().zip(areas) {
         meter.spend(PART)?;
         let [a, b, c] = corners(triangle);
-        let part = six_times_volume_nearly(area, a, center);
-        let (a, b, c) = (a - center, b - center, c - center);
+        let part = six_times_volume_nearly(area, a, centre);
+        let (a, b, c) = (a - centre, b - centre, c - centre);
         let sum = a + b + c;
         second += part * (outer(a) + outer(b) + outer(c) + outer(sum));
     }
     let second = second * (1.0 / 120.0);
     let trace = second.x_axis.x + second.y_axis.y + second.z_axis.z;
     let inertia = DMat3::from_diagonal(DVec3::splat(trace)) - second;
-    Ok(Mass { volume: six_volume / 6.0, center, inertia })
+    Ok(Mass { volume: six_volume / 6.0, centre, inertia })
 }
 
 /// [`six_times_volume`] to about 20 roundoffs. Uses double-double numbers only if the result is a

@@ -69,7 +69,7 @@ pub(super) fn triangulate(cloud: Cloud, meter: &Meter<'_>) -> Result<(Cloud, Tri
 }
 
 /// A triangle of the growing hull.
-struct Face {
+struct Facet {
     corners: [u32; 3],
     /// Neighbour `i` is the face across the side from corner `i` to the next corner.
     neighbours: [u32; 3],
@@ -103,7 +103,7 @@ struct Quickhull<'a> {
     meter: &'a Meter<'a>,
     /// The value from [`sure_orient3d`] for the extent of this cloud.
     sure: f64,
-    faces: Vec<Face>,
+    faces: Vec<Facet>,
     /// For each point, the next point in the list of its face.
     next: Vec<u32>,
     /// For each point, the rim side that starts at it; `NONE` between insertions.
@@ -163,7 +163,7 @@ impl<'a> Quickhull<'a> {
         // The constant covers underflow.
         let noise = HEIGHT_ABOVE * U * size.dot(self.cloud.extent) + f64::MIN_POSITIVE;
         let normal = ab.cross(ac);
-        self.faces.push(Face {
+        self.faces.push(Facet {
             corners,
             neighbours,
             normal,
@@ -177,7 +177,7 @@ impl<'a> Quickhull<'a> {
 
     /// The height of `point` above `face`, times the length of the normal, or `None` if the point
     /// is not strictly above. Whether it is above is exact; the height is rounded.
-    fn height_above(&self, face: &Face, point: u32) -> Option<f64> {
+    fn height_above(&self, face: &Facet, point: u32) -> Option<f64> {
         let scaled = &self.cloud.scaled;
         let height = face.normal.dot(scaled[point as usize] - scaled[face.corners[0] as usize]);
         let above = if height.abs() > face.noise {

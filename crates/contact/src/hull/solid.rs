@@ -91,43 +91,43 @@ impl Solid {
         Ok((normals, areas))
     }
 
-    /// Moves the hull to the contraction point `center`. Returns `None` unless `center` is strictly
+    /// Moves the hull to the contraction point `centre`. Returns `None` unless `centre` is strictly
     /// inside by more than rounding: the inradius must exceed [`THINNEST`] of the circumradius.
     pub(super) fn centred(
         &self,
-        center: DVec3,
+        centre: DVec3,
         normals: &[TriangleNormal],
         meter: &Meter<'_>,
     ) -> Result<Option<Centred>, Stopped> {
-        let centred = self.about(center, normals, meter)?;
+        let centred = self.about(centre, normals, meter)?;
         Ok(centred.filter(|c| c.inradius > THINNEST * c.circumradius))
     }
 
     /// Whether [`Solid::centred`] can succeed for this solid, or for a solid of fewer of its
-    /// vertices that has the same farthest vertex from `center`.
+    /// vertices that has the same farthest vertex from `centre`.
     ///
-    /// The distance between the surface and `center` does not grow when vertices are left out, and
+    /// The distance between the surface and `centre` does not grow when vertices are left out, and
     /// an inradius is that distance to a few dozen roundoffs. So an inradius that is too small by
     /// more than [`TWO_INRADII`] is also too small with fewer vertices.
     pub(super) fn may_surround(
         &self,
-        center: DVec3,
+        centre: DVec3,
         normals: &[TriangleNormal],
         meter: &Meter<'_>,
     ) -> Result<bool, Stopped> {
-        let centred = self.about(center, normals, meter)?;
+        let centred = self.about(centre, normals, meter)?;
         Ok(centred.is_some_and(|c| c.inradius + TWO_INRADII > THINNEST * c.circumradius))
     }
 
-    /// Moves the hull to the contraction point `center`. Returns `None` unless `center` is finite and
+    /// Moves the hull to the contraction point `centre`. Returns `None` unless `centre` is finite and
     /// strictly inside. The inradius can be negative if rounding moved a vertex too far.
     fn about(
         &self,
-        center: DVec3,
+        centre: DVec3,
         normals: &[TriangleNormal],
         meter: &Meter<'_>,
     ) -> Result<Option<Centred>, Stopped> {
-        if !center.is_finite() || !self.surrounds(center, normals, meter)? {
+        if !centre.is_finite() || !self.surrounds(centre, normals, meter)? {
             return Ok(None);
         }
         // Each vertex is rounded once. The part that is lost moves the surface.
@@ -135,7 +135,7 @@ impl Solid {
         let mut vertices = Vec::with_capacity(self.points.len());
         for &point in &self.points {
             meter.spend(MOVE)?;
-            let [x, y, z] = exact_difference(point, center);
+            let [x, y, z] = exact_difference(point, centre);
             let vertex = DVec3::new(x.hi, y.hi, z.hi);
             radius = radius.max(vertex.length());
             moved = moved.max(DVec3::new(x.lo, y.lo, z.lo).length());
@@ -149,38 +149,38 @@ impl Solid {
         }
         // The surface through the rounded vertices is nearer than the exact surface by at most the
         // largest move of a vertex, and by the underflow of scaling.
-        let inradius = self.depth(center, normals, &vertices, shrink, meter)?
+        let inradius = self.depth(centre, normals, &vertices, shrink, meter)?
             - LENGTH_ABOVE * moved * shrink
             - f64::MIN_POSITIVE;
         let (scale, circumradius) = (power_of_two(exponent), radius * shrink);
         Ok(Some(Centred { vertices, scale, inradius, circumradius }))
     }
 
-    /// Whether `center` is strictly inside the hull, decided exactly.
+    /// Whether `centre` is strictly inside the hull, decided exactly.
     fn surrounds(
         &self,
-        center: DVec3,
+        centre: DVec3,
         normals: &[TriangleNormal],
         meter: &Meter<'_>,
     ) -> Result<bool, Stopped> {
         for (t, normal) in normals.iter().enumerate() {
             meter.spend(MOVE)?;
             let [a, b, c] = self.corners(t);
-            let below = a - center;
+            let below = a - centre;
             if normal.unit.dot(below) > PLANE_HEIGHT * below.length() {
                 continue;
             }
-            if !(counted_orient3d([a, b, c, center], f64::INFINITY, meter) > 0.0) {
+            if !(counted_orient3d([a, b, c, centre], f64::INFINITY, meter) > 0.0) {
                 return Ok(false);
             }
         }
         Ok(true)
     }
 
-    /// How far `center` is below the nearest plane of a triangle, rounded down; hull units.
+    /// How far `centre` is below the nearest plane of a triangle, rounded down; hull units.
     fn depth(
         &self,
-        center: DVec3,
+        centre: DVec3,
         normals: &[TriangleNormal],
         vertices: &[DVec3],
         shrink: f64,
@@ -198,7 +198,7 @@ impl Solid {
             meter.spend(NORMAL)?;
             let [a, b, c] = self.corners(t);
             refined =
-                refined.min(depth_below(a, b, c, center).map_or(depth(t) - PLANE_HEIGHT, |d| d * shrink));
+                refined.min(depth_below(a, b, c, centre).map_or(depth(t) - PLANE_HEIGHT, |d| d * shrink));
         }
         Ok(refined)
     }

@@ -111,13 +111,13 @@ fn triangles_corners(surface: &Surface<'_>, groups: &Groups) -> Csr {
 }
 
 /// A corner projected on a coordinate plane, and its vertex.
-type Corner = ([f64; 2], u32);
+type ProjectedVertex = ([f64; 2], u32);
 
 /// Computes outlines. Keeps its buffers from one outline to the next.
 #[derive(Default)]
 struct Sweep {
-    sorted: Vec<Corner>,
-    polygon: Vec<Corner>,
+    sorted: Vec<ProjectedVertex>,
+    polygon: Vec<ProjectedVertex>,
     outline: Vec<u32>,
 }
 
@@ -149,7 +149,7 @@ impl Sweep {
         if let &[u, v, w] = corners {
             // For a triangle, the two chains are the triangle itself.
             let [a, b, c] = [u, v, w].map(|v| (flat(v), v));
-            let first = |p: &Corner, q: &Corner| along(p, q).is_lt();
+            let first = |p: &ProjectedVertex, q: &ProjectedVertex| along(p, q).is_lt();
             let [a, b, c] = match (first(&a, &b), first(&b, &c), first(&c, &a)) {
                 (true, _, false) => [a, b, c],
                 (false, true, _) => [b, c, a],
@@ -178,14 +178,14 @@ impl Sweep {
 }
 
 /// The order of corners along a chain.
-fn along((p, v): &Corner, (q, w): &Corner) -> Ordering {
+fn along((p, v): &ProjectedVertex, (q, w): &ProjectedVertex) -> Ordering {
     p[0].total_cmp(&q[0]).then(p[1].total_cmp(&q[1])).then(v.cmp(w))
 }
 
 /// Adds the convex chain through `points` to the polygon, without its last point.
 fn add_chain<'a>(
-    polygon: &mut Vec<Corner>,
-    points: impl Iterator<Item = &'a Corner>,
+    polygon: &mut Vec<ProjectedVertex>,
+    points: impl Iterator<Item = &'a ProjectedVertex>,
     meter: &Meter<'_>,
 ) -> Result<(), Stopped> {
     let start = polygon.len();

@@ -29,7 +29,7 @@ use crate::tolerance::{MERGE, U};
 
 /// A pair of near points, one on A and one on B, with the features that they lie on.
 #[derive(Clone, Copy, Debug)]
-struct Near {
+struct NearPoints {
     a: DVec2,
     b: DVec2,
     height_a: f64,
@@ -68,7 +68,13 @@ pub(super) fn estimate(a: &Outline, b: &Outline, eps: f64, scratch: &mut Scratch
 }
 
 /// The estimated point among all pairs of candidates.
-fn among(a: &Outline, b: &Outline, eps: f64, nearest: &mut Vec<Near>, candidates: &Candidates) -> Closest {
+fn among(
+    a: &Outline,
+    b: &Outline,
+    eps: f64,
+    nearest: &mut Vec<NearPoints>,
+    candidates: &Candidates,
+) -> Closest {
     nearest.clear();
     let mut least = f64::INFINITY;
     let mut looked_at = 0;
@@ -86,7 +92,7 @@ fn among(a: &Outline, b: &Outline, eps: f64, nearest: &mut Vec<Near>, candidates
     nearest.retain(|near| near.a.distance(near.b) <= least + eps);
     // If several pairs are equally near, take the two ends of the closest set.
     let across = nearest.first().map_or(DVec2::X, |near| (near.b - near.a).perp());
-    let key = |near: &&Near| across.dot(near.a + near.b);
+    let key = |near: &&NearPoints| across.dot(near.a + near.b);
     let first = nearest.iter().min_by(|p, q| key(p).total_cmp(&key(q)));
     let last = nearest.iter().max_by(|p, q| key(p).total_cmp(&key(q)));
     let point = match (first, last) {
@@ -109,7 +115,7 @@ fn among(a: &Outline, b: &Outline, eps: f64, nearest: &mut Vec<Near>, candidates
 /// Buffers, reused from pair to pair.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
-    nearest: Vec<Near>,
+    nearest: Vec<NearPoints>,
     candidates: Candidates,
 }
 
@@ -212,18 +218,18 @@ fn foot(from: DVec2, to: DVec2) -> DVec2 {
 
 /// Visits, for each candidate corner of one outline, its nearest point on each candidate side of the
 /// other (or on its only corner).
-fn each_pair(a: &Outline, b: &Outline, candidates: &Candidates, mut visit: impl FnMut(Near)) {
+fn each_pair(a: &Outline, b: &Outline, candidates: &Candidates, mut visit: impl FnMut(NearPoints)) {
     let Candidates { corners: [corners_a, corners_b], sides: [sides_a, sides_b], .. } = candidates;
     for c in corners_a.iter().map(|&i| &a.corners[i]) {
         each_nearest(b, sides_b, c.at, |at, height, id| {
             let id = [Element::Vertex(c.vertex), id];
-            visit(Near { a: c.at, b: at, height_a: c.height, height_b: height, id });
+            visit(NearPoints { a: c.at, b: at, height_a: c.height, height_b: height, id });
         });
     }
     for c in corners_b.iter().map(|&i| &b.corners[i]) {
         each_nearest(a, sides_a, c.at, |at, height, id| {
             let id = [id, Element::Vertex(c.vertex)];
-            visit(Near { a: at, b: c.at, height_a: height, height_b: c.height, id });
+            visit(NearPoints { a: at, b: c.at, height_a: height, height_b: c.height, id });
         });
     }
 }

@@ -41,7 +41,7 @@ pub(super) struct View {
     /// units.
     pub(super) axes: [DVec3; 3],
     /// Coordinates of the contraction point.
-    pub(super) center: DVec3,
+    pub(super) centre: DVec3,
     /// Pair units per hull unit.
     pub(super) scale: f64,
 }
@@ -58,7 +58,7 @@ impl View {
     #[inline]
     fn point(&self, v: DVec3) -> (DVec2, f64) {
         let (at, height) = self.direction(v);
-        (at + self.center.truncate(), height + self.center.z)
+        (at + self.centre.truncate(), height + self.centre.z)
     }
 }
 
@@ -285,11 +285,11 @@ fn doubled_area(corners: &[Corner]) -> f64 {
 pub(super) fn random_polygon(random: &mut crate::workload::Random, count: usize, name: u32) -> Outline {
     let mut angles: Vec<f64> = (0..count).map(|_| random.within(0.0, std::f64::consts::TAU)).collect();
     angles.sort_by(f64::total_cmp);
-    let center = DVec2::new(random.within(-1.0, 1.0), random.within(-1.0, 1.0));
+    let centre = DVec2::new(random.within(-1.0, 1.0), random.within(-1.0, 1.0));
     let (size, turn) = (random.within(0.1, 2.0), random.within(0.0, 3.0));
     let corner = |(angle, vertex): (f64, u32)| {
         let (sin, cos) = angle.sin_cos();
-        let at = center + DVec2::from_angle(turn).rotate(DVec2::new(size * cos, 0.6 * size * sin));
+        let at = centre + DVec2::from_angle(turn).rotate(DVec2::new(size * cos, 0.6 * size * sin));
         Corner { at, height: angle.sin() - at.y, vertex: name + vertex }
     };
     let mut outline = Outline::default();

@@ -110,7 +110,7 @@ pub(super) fn generated(pairs: usize) -> Result<Vec<Cell>, Error> {
         for regime in [Regime::Shallow, Regime::Resting] {
             let Workload { hulls, pairs, .. } = Workload::generate(family, regime, pairs, 1)?;
             let mut random = Random::new(2);
-            let case = |pair: &hullcast_contact::workload::Pair| {
+            let case = |pair: &hullcast_contact::workload::GeneratedPair| {
                 let [a, b] = [0, 1].map(|i| HullPose::new(pair.positions[i], pair.rotations[i]));
                 Case::new(pair.hulls, a, b, 1.0, &mut random)
             };

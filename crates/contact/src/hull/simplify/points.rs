@@ -225,7 +225,7 @@ impl PointTree {
         guess: &mut Guess,
         meter: &Meter<'_>,
     ) -> Result<Added, Stopped> {
-        let mut best = Best { added: self.first, height: n.dot(self.first.point) };
+        let mut best = HighestPoint { added: self.first, height: n.dot(self.first.point) };
         near.iter().for_each(|&added| best.improve(n, added));
         best.improve(n, self.at(guess.0));
         let (mapped, offset, rounding) = self.map.direction(n);
@@ -266,12 +266,12 @@ impl PointTree {
 }
 
 /// The highest point so far.
-struct Best {
+struct HighestPoint {
     added: Added,
     height: f64,
 }
 
-impl Best {
+impl HighestPoint {
     #[inline]
     fn improve(&mut self, n: DVec3, added: Added) {
         let height = n.dot(added.point);

@@ -85,10 +85,10 @@ impl Intersection {
         let axes = [e1, e2, normal];
         self.axes = axes;
         let from_a =
-            View { axes: axes.map(|axis| axis * pair.scale_a), center: DVec3::ZERO, scale: pair.scale_a };
+            View { axes: axes.map(|axis| axis * pair.scale_a), centre: DVec3::ZERO, scale: pair.scale_a };
         let from_b = View {
             axes: axes.map(|axis| pair.direction_in_b(axis) * pair.scale_b),
-            center: DVec3::new(e1.dot(pair.d), e2.dot(pair.d), normal.dot(pair.d)),
+            centre: DVec3::new(e1.dot(pair.d), e2.dot(pair.d), normal.dot(pair.d)),
             scale: pair.scale_b,
         };
         self.a.project(pair.a, feature_a, &from_a);
