@@ -1,5 +1,7 @@
 """Client of hullcast: certified contact manifolds of convex hulls, computed by a server.
 
+For example::
+
     import hullcast
     with hullcast.connect("localhost:50051") as client:  # or hullcast.serve()
         hulls = client.register([vertices_a, vertices_b])
