@@ -114,7 +114,9 @@ PYTEST_WORKERS ?= 3
 
 .PHONY: test-python
 test-python: build lab $(VENV)/.test ## runs the Python tests against the real server
-	$(PY) -m pytest client --numprocesses $(PYTEST_WORKERS)
+	@# The test of the wheel links the program again while others run, so all of them start a copy of it.
+	mkdir -p $(TARGET)/release/tested && cp $(BIN) $(TARGET)/release/tested/hullcast
+	HULLCAST_BIN=$(TARGET)/release/tested/hullcast $(PY) -m pytest client --numprocesses $(PYTEST_WORKERS)
 
 .PHONY: test-extras
 test-extras: build $(VENV)/.extras ## runs the Python tests that need large packages (real robots, decomposition, rerun, ray, torch, jax), then pyright
