@@ -232,7 +232,7 @@ def cpu_seconds(step: Step, seconds: float) -> float:
         return sum(sum(process.cpu_times()[:2]) for process in processes)
 
     before, end, calls = used(), time.perf_counter() + seconds, 0
-    # The system counts CPU time in ticks of some milliseconds: a short measurement may see none of them.
+    # The system counts CPU time in ticks, of which a short measurement may see none.
     while used() == before or time.perf_counter() < end:
         step()
         calls += 1
