@@ -68,6 +68,14 @@ pub(crate) fn write(directory: &Path, (certificate, key): &(String, String)) -> 
     files
 }
 
+/// The files of a server of `authority` that admits only clients of the authority `clients`.
+pub(crate) fn mutual(directory: &Path, authority: &Authority, clients: &Authority) -> SecurityFiles {
+    let mut files = write(directory, &authority.sign());
+    files.tls_client_ca = directory.join("clients.pem");
+    std::fs::write(&files.tls_client_ca, clients.certificate.pem()).unwrap();
+    files
+}
+
 pub(crate) fn setup(files: &SecurityFiles) -> (Setup, Arc<Security>) {
     let security = Arc::new(Security::open(files).unwrap());
     let options = ServerOptions { security: security.clone(), ..ServerOptions::default() };
@@ -106,9 +114,7 @@ async fn tls_is_spoken_and_nothing_else() {
 async fn mutual_tls_asks_for_a_certificate_of_its_authority() {
     let (authority, clients) = (Authority::new(), Authority::new());
     let directory = tempfile::tempdir().unwrap();
-    let mut files = write(directory.path(), &authority.sign());
-    files.tls_client_ca = directory.path().join("clients.pem");
-    std::fs::write(&files.tls_client_ca, clients.certificate.pem()).unwrap();
+    let files = mutual(directory.path(), &authority, &clients);
     let server = setup(&files).0.start_lazily().await;
     let trusting = || ClientTlsConfig::new().ca_certificate(authority.pem());
     let with =

@@ -151,16 +151,30 @@ impl Client {
                 Ok(answer) => return Ok(answer),
                 Err(error) => error,
             };
-            let Some(pause) = self.pause_after(&error, &mut losses) else { return Err(error) };
-            if deadline.is_some_and(|deadline| Instant::now() + pause >= deadline) {
-                return Err(error);
-            }
-            tokio::time::sleep(pause).await;
+            self.wait_to_repeat(deadline, error, &mut losses).await?;
         }
     }
 
+    /// Waits before a call that failed is repeated. `losses` counts the servers that this call has lost.
+    ///
+    /// # Errors
+    /// `error`, if the call is not repeated: for good, or because the deadline would pass.
+    pub(crate) async fn wait_to_repeat(
+        &self,
+        deadline: Deadline,
+        error: Error,
+        losses: &mut u32,
+    ) -> Result<(), Error> {
+        let Some(pause) = self.pause_after(&error, losses) else { return Err(error) };
+        if deadline.is_some_and(|deadline| Instant::now() + pause >= deadline) {
+            return Err(error);
+        }
+        tokio::time::sleep(pause).await;
+        Ok(())
+    }
+
     /// The pause before a call that failed is repeated; `None` if it is not repeated.
-    pub(crate) fn pause_after(&self, error: &Error, losses: &mut u32) -> Option<Duration> {
+    fn pause_after(&self, error: &Error, losses: &mut u32) -> Option<Duration> {
         if !self.connection.retries {
             return None;
         }

@@ -192,7 +192,7 @@ impl Client {
     }
 
     async fn hulls_per_message(&self, deadline: Deadline) -> Result<usize, Error> {
-        Ok(HULLS_PER_MESSAGE.min(self.limits(deadline).await?.max_hulls_per_request as usize).max(1))
+        Ok(most_hulls(&self.limits(deadline).await?))
     }
 }
 
@@ -206,9 +206,14 @@ impl HullPart {
     }
 }
 
+/// The most hulls of a message.
+fn most_hulls(limits: &Limits) -> usize {
+    HULLS_PER_MESSAGE.min(limits.max_hulls_per_request as usize).max(1)
+}
+
 /// A message with as many of the hulls at these indices as the limits allow, but at least one.
 fn first_message(hulls: &[Hull], places: &[usize], limits: &Limits) -> RegisterHullsRequest {
-    let most = HULLS_PER_MESSAGE.min(limits.max_hulls_per_request as usize);
+    let most = most_hulls(limits);
     let mut message = RegisterHullsRequest::default();
     let mut room = limits.max_message_bytes;
     for &place in places {

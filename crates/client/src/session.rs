@@ -107,11 +107,7 @@ impl Session {
             if inherits && (error.is_for(SEND_WHOLE) || matches!(error, Error::Lost(_))) {
                 continue;
             }
-            let Some(pause) = self.client.pause_after(&error, &mut losses) else { return Err(error) };
-            if deadline.is_some_and(|deadline| tokio::time::Instant::now() + pause >= deadline) {
-                return Err(error);
-            }
-            tokio::time::sleep(pause).await;
+            self.client.wait_to_repeat(deadline, error, &mut losses).await?;
         }
     }
 

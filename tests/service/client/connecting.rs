@@ -5,7 +5,7 @@ use tokio::io::AsyncWriteExt;
 use tokio::net::TcpListener;
 
 use crate::{
-    security::{Authority, setup, write},
+    security::{Authority, mutual, setup, write},
     support::TestServer,
 };
 
@@ -94,9 +94,7 @@ async fn a_self_signed_certificate_is_trusted_if_it_is_given() {
 async fn a_clients_certificate_admits_it() {
     let (authority, clients) = (Authority::new(), Authority::new());
     let directory = tempfile::tempdir().unwrap();
-    let mut files = write(directory.path(), &authority.sign());
-    files.tls_client_ca = directory.path().join("clients.pem");
-    std::fs::write(&files.tls_client_ca, clients.certificate.pem()).unwrap();
+    let files = mutual(directory.path(), &authority, &clients);
     let server = setup(&files).0.start_lazily().await;
     let address = format!("https://localhost:{}", server.address.rsplit_once(':').unwrap().1);
     let trusting = || Client::builder(address.as_str()).authority(authority.certificate.pem()).retries(false);
