@@ -23,6 +23,11 @@ pub mod methods {
     include!(concat!(env!("OUT_DIR"), "/methods.rs"));
 }
 
+/// The tags of the fields of every message, for code that reads encoded messages field by field.
+pub mod tags {
+    include!(concat!(env!("OUT_DIR"), "/tags.rs"));
+}
+
 /// Names the columns of messages. The build script writes the call of this macro from the contract.
 macro_rules! columnar {
     ($($message:ident { $($kind:ident $field:ident = $tag:literal;)* })*) => {
