@@ -177,9 +177,12 @@ fn outcome(asked: &Asked<'_>, response: &QueryContactsResponse, pair: usize) -> 
     if !(Outcome::Contact as i32..=Outcome::Invalid as i32).contains(&outcome) {
         return malformed(format!("outcomes[{pair}] is {outcome}, expected 1 to 4"));
     }
-    let invalid = outcome == Outcome::Invalid as i32;
-    let explained = flags & (REASONS | !KNOWN_FLAGS) != 0;
-    if invalid != (flags & REASONS != 0) && !(invalid && explained) {
+    let fits = match outcome == Outcome::Invalid as i32 {
+        // The reason may be a flag of a newer version.
+        true => flags & (REASONS | !KNOWN_FLAGS) != 0,
+        false => flags & REASONS == 0,
+    };
+    if !fits {
         return malformed(format!("flags[{pair}] is {flags}, which does not fit outcome {outcome}"));
     }
     let bodies = [asked.pairs[2 * pair], asked.pairs[2 * pair + 1]];

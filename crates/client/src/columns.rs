@@ -2,6 +2,9 @@
 
 use hullcast_proto::{Output, QueryContactsRequest, QueryContactsResponse};
 
+/// The number of values of a pair's basis.
+pub(crate) const BASIS: usize = widths::bases;
+
 /// A column of [`QueryContactsResponse`].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Column {
@@ -61,6 +64,12 @@ impl Column {
 
 macro_rules! columns {
     ($($name:ident: $per:ident $width:literal [$($output:ident)*] $is_later:literal;)*) => {
+        /// The number of values per owner, by the names of the columns.
+        #[allow(non_upper_case_globals, dead_code, reason = "one for each column, although few are needed")]
+        mod widths {
+            $(pub(super) const $name: usize = $width;)*
+        }
+
         /// Each column of the table, with its number of values in an answer.
         pub(crate) fn lengths(answer: &QueryContactsResponse) -> impl Iterator<Item = (Column, usize)> {
             [$((

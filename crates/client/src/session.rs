@@ -6,21 +6,23 @@ use tokio_stream::{StreamExt, wrappers::ReceiverStream};
 use tonic::{Request, Streaming};
 
 use crate::client::{Deadline, by};
+use crate::columns::BASIS;
 use crate::query::MAX_REGISTRATIONS;
 use crate::{Client, Error, Hull, checked};
 
-/// The reasons of refusals of a message that inherits, after which a new stream may accept the whole request.
-const SEND_WHOLE: &[&str] = &["NOTHING_TO_INHERIT", "STATE_NOT_KEPT", "STOPPING"];
-/// The number of values of a pair's basis.
-const BASIS: usize = 6;
+/// The reasons for which a server refuses a message that inherits: it does not have the state of the session.
+const STATE_IS_GONE: &[&str] = &["NOTHING_TO_INHERIT", "STATE_NOT_KEPT"];
+/// The reason with which a server that is about to stop ends its streams.
+const STOPPING: &[&str] = &["STOPPING"];
 
 /// Steps of a simulation: the same bodies and pairs, with new poses in each step ([`Client::session`]).
 ///
 /// The first step sends the whole request. Each later step sends only the poses, and the server starts the
-/// solver from the bases of the step before it. If the server is lost, or has dropped the state of the
-/// session, the step is repeated on a new stream with the whole request. Its bases are then those of the last
-/// answer if the request asks for the output BASES; otherwise the server starts without bases, which may
-/// change the last digits of an answer.
+/// solver from the bases of the step before it. If the server has dropped the state of the session, or is lost
+/// or stopping, the step is repeated on a new stream with the whole request; after the loss or the stop of a
+/// server only if the client repeats calls ([`Builder::retries`](crate::Builder::retries)). Its bases are then
+/// those of the last answer if the request asks for the output BASES; otherwise the server starts without bases,
+/// which may change the last digits of an answer.
 ///
 /// A session makes one step at a time. Several sessions may share a [`Client`]. Dropping a session ends its
 /// stream.
@@ -94,7 +96,8 @@ impl Session {
     }
 
     /// Makes one step. If the open stream or its state is gone, the step is repeated once, at once, on a new
-    /// stream. All other repetitions follow the settings of the connection.
+    /// stream. Unless only the state is gone, this and all other repetitions follow the settings of the
+    /// connection.
     async fn answered(&mut self, deadline: Deadline) -> Result<QueryContactsResponse, Error> {
         let mut losses = 0;
         loop {
@@ -104,7 +107,8 @@ impl Session {
                 Err(error) => error,
             };
             // A server that drains ends its streams between two steps, so there is no pause here.
-            if inherits && (error.is_for(SEND_WHOLE) || matches!(error, Error::Lost(_))) {
+            let is_ended = error.is_for(STOPPING) || matches!(error, Error::Lost(_));
+            if inherits && (error.is_for(STATE_IS_GONE) || (is_ended && self.client.retries())) {
                 continue;
             }
             self.client.wait_to_repeat(deadline, error, &mut losses).await?;

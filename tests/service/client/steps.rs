@@ -64,12 +64,12 @@ async fn steps_give_the_answers_of_whole_requests() {
     moving.step(&mut session).await;
 }
 
-/// The server keeps no state of streams, so no message can inherit. Catches a session that fails then, or
-/// goes on without bases.
+/// The server keeps no state of streams, so no message can inherit. Catches a session that fails then, even if
+/// the client repeats no call, or goes on without bases.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_step_without_kept_state_is_sent_in_full() {
     let server = TestServer::with_limits(Limits { max_stream_state_bytes: 0, ..Limits::default() }).await;
-    let client = builder(&server).connect().await.unwrap();
+    let client = builder(&server).retries(false).connect().await.unwrap();
     let mut moving = Moving::new(2);
     client.register(&hulls(&moving.shapes)).await.unwrap();
     let mut session = client.session(moving.request.clone(), vec![]);
@@ -117,6 +117,24 @@ async fn a_lost_server_is_connected_again() {
     server.hulls().delete_hulls(DeleteHullsRequest { ids }).await.unwrap();
     moving.step(&mut session).await;
     assert_eq!(server.metric("hullcast_registered_total"), 10.0, "each of five hulls, twice");
+}
+
+/// Catches a step that is repeated on a new connection although the client repeats no call, and a session that
+/// cannot be used after the loss.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lost_step_is_not_repeated_if_calls_are_not() {
+    let server = TestServer::start().await;
+    let mut moving = Moving::new(5);
+    let proxy = Proxy::start(&server.address).await;
+    let client = Client::builder(proxy.address.as_str()).retries(false).connect().await.unwrap();
+    client.register(&hulls(&moving.shapes)).await.unwrap();
+    let mut session = client.session(moving.request.clone(), vec![]);
+    moving.step(&mut session).await;
+    moving.step(&mut session).await;
+    proxy.cut();
+    let lost = moving.moved_and_asked(&mut session).await;
+    assert!(matches!(lost, Err(Error::Lost(_))), "{lost:?}");
+    moving.step(&mut session).await;
 }
 
 /// Passes bytes on to a server, until it is told to cut its connections.
