@@ -22,8 +22,6 @@ mod find;
 mod frames;
 mod hulls;
 mod info;
-#[cfg(feature = "testing")]
-mod injected;
 mod limits;
 mod listener;
 mod method;
@@ -35,6 +33,7 @@ mod peers;
 #[cfg(feature = "playground")]
 mod playground;
 mod protocol;
+mod read_turn;
 mod readiness;
 mod reason;
 mod records;
@@ -47,6 +46,8 @@ mod socket_file;
 #[cfg(feature = "playground")]
 mod stall;
 mod streams;
+#[cfg(feature = "testing")]
+mod test_controls;
 pub mod wire;
 
 use std::{

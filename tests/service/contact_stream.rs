@@ -196,8 +196,8 @@ async fn hulls_of_messages_that_are_there_at_once() {
     assert_eq!(stream.step(full.clone()).await.unwrap().outcomes, [1]);
     assert_eq!(held(), 0.0, "free when the answer is there");
     // No pair may be computed, so the first of these messages keeps its hulls.
-    let injected = server.app.engine().injected();
-    injected.allow(0);
+    let controls = server.app.engine().test_controls();
+    controls.allow(0);
     for message in [poses_alone(&full), poses_alone(&full), full.clone()] {
         stream.requests.send(message).await.unwrap();
     }
@@ -206,7 +206,7 @@ async fn hulls_of_messages_that_are_there_at_once() {
     }
     let id = HullId(full.hull_ids[0][..].try_into().unwrap());
     assert!(server.app.registry().delete(id, &Job::new(Caller::alone())).await.unwrap());
-    injected.open();
+    controls.open();
     let mut outcomes = Vec::new();
     for _ in 0..3 {
         outcomes.extend(stream.answers.message().await.unwrap().unwrap().outcomes);
