@@ -17,7 +17,7 @@ use crate::{
 /// Bytes that are copied between two checks of the stop flag: about half a millisecond.
 const BYTES_BETWEEN_LOOKS: usize = 2 << 20;
 
-/// What a column says about itself in the table.
+/// The row of a column in the table.
 #[derive(Clone, Copy, Debug)]
 pub struct Column {
     /// The column's name in the contract and in files.
@@ -36,7 +36,7 @@ pub struct Column {
     pub is_later: bool,
 }
 
-/// What the values of a column belong to.
+/// The owner of a column's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Per {
     /// Each pair of an answer to a search for pairs.
