@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -189,15 +190,33 @@ def test_the_root_is_read_only(start: Start) -> None:
     assert "Read-only file system" in container.errors.read_text()
 
 
-def test_budgets_are_shares_of_the_containers_memory(start: Start) -> None:
+@pytest.mark.parametrize(
+    ("memory", "limits"),
+    [
+        (2 << 30, {}),
+        # As in docs/budget.md and deploy/chart/ci/secured-values.yaml.
+        (1 << 30, {"HULLCAST_MAX_MESSAGE_BYTES": "16MiB", "HULLCAST_MAX_POINTS_PER_HULL": "100000"}),
+    ],
+)
+def test_budgets_are_shares_of_the_containers_memory(start: Start, memory: int, limits: dict[str, str]) -> None:
     """Catches a server that computes a percentage of the machine's memory, not of its container's."""
     budgets = {"HULLCAST_MAX_MEMORY_BYTES": "50%", "HULLCAST_CACHE_BYTES": "25%"}
-    container = start(memory=2 << 30, **budgets)
+    container = start(memory=memory, **budgets, **limits)
     target = container.line("listening on ")
     with hullcast.connect(target, options=NO_PROXY) as client:
-        limits = client.info().limits
-    assert limits["max_memory_bytes"] == 1 << 30
-    assert limits["cache_bytes"] == 1 << 29
+        limits_of_it = client.info().limits
+    assert limits_of_it["max_memory_bytes"] == memory // 2
+    assert limits_of_it["cache_bytes"] == memory // 4
+
+
+def test_a_container_that_is_too_small_is_refused(start: Start) -> None:
+    """Catches a server that starts with a budget too small for its limits. The chart knows the number too."""
+    container = start(memory=1 << 30, HULLCAST_MAX_MEMORY_BYTES="50%", HULLCAST_CACHE_BYTES="25%")
+    assert container.wait(60) == 2
+    said = container.errors.read_text()
+    assert "--max-memory-bytes is 512 MiB" in said
+    (least,) = re.findall(r"lt \(int \$budget\) (\d+)", (ROOT / "deploy/chart/templates/_helpers.tpl").read_text())
+    assert f"{least} MiB" in said, said
 
 
 @pytest.mark.parametrize(
