@@ -45,6 +45,7 @@ test-tools: NEEDS := go
 test-balancers: NEEDS := root ip haproxy nginx
 test-deploy: NEEDS := $(if $(AVAILABLE),,go)
 test-image: NEEDS := $(if $(AVAILABLE),,root runc systemd-analyze)
+release-check: NEEDS := $(if $(AVAILABLE),,go root runc systemd-analyze)
 test-faults: NEEDS := root
 capacity: NEEDS := unshare ip
 bench-counts: NEEDS := valgrind

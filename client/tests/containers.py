@@ -101,7 +101,10 @@ def restrictions() -> dict[str, Any]:
     def only(name: str, *conditions: dict[str, Any]) -> None:
         """Allows a call if one of the conditions holds."""
         allowed.discard(name)
-        rules.extend({"names": [name], "action": "SCMP_ACT_ALLOW", "args": [condition]} for condition in conditions)
+        rules.extend(
+            {"names": [name], "action": "SCMP_ACT_ALLOW", "args": [condition]}
+            for condition in conditions
+        )
 
     def without(bits: int, index: int) -> dict[str, Any]:
         return {"index": index, "value": bits, "valueTwo": 0, "op": "SCMP_CMP_MASKED_EQ"}
@@ -176,8 +179,12 @@ class Container:
 
     def __exit__(self, *_: object) -> None:
         if self.process.poll() is None:
-            subprocess.run(["runc", "kill", self.name, "KILL"], check=False, stderr=subprocess.DEVNULL)
+            subprocess.run(
+                ["runc", "kill", self.name, "KILL"], check=False, stderr=subprocess.DEVNULL
+            )
             with suppress(subprocess.TimeoutExpired):
                 self.process.wait(timeout=30)
-        subprocess.run(["runc", "delete", "--force", self.name], check=False, stderr=subprocess.DEVNULL)
+        subprocess.run(
+            ["runc", "delete", "--force", self.name], check=False, stderr=subprocess.DEVNULL
+        )
         self.output.close()

@@ -13,7 +13,9 @@ import pages
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def run_the_readme(package: Path, folder: Path, *options: str, seconds: float = 600, **environment: str) -> None:
+def run_the_readme(
+    package: Path, folder: Path, *options: str, seconds: float = 600, **environment: str
+) -> None:
     """Installs a wheel or a source distribution, and runs the README's program and the playground with it.
 
     Args:

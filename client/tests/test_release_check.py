@@ -10,7 +10,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-FILES = ["Cargo.toml", "Cargo.lock", "CHANGELOG.md", "deploy/chart/Chart.yaml", "client/src/hullcast/_version.py"]
+FILES = [
+    "Cargo.toml",
+    "Cargo.lock",
+    "CHANGELOG.md",
+    "deploy/chart/Chart.yaml",
+    "client/src/hullcast/_version.py",
+]
 
 
 @pytest.fixture
@@ -19,8 +25,14 @@ def copy(tmp_path: Path) -> Path:
     for name in FILES:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text((ROOT / name).read_text())
-    (version,) = re.findall(r'^\[workspace\.package\]\nversion = "(.*)"$', (ROOT / "Cargo.toml").read_text(), re.MULTILINE)
-    (tmp_path / "CHANGELOG.md").write_text(f"# Changelog\n\n## {version} - 2026-01-31\n\n## 0.0.1 - 2025-01-31\n")
+    (version,) = re.findall(
+        r'^\[workspace\.package\]\nversion = "(.*)"$',
+        (ROOT / "Cargo.toml").read_text(),
+        re.MULTILINE,
+    )
+    (tmp_path / "CHANGELOG.md").write_text(
+        f"# Changelog\n\n## {version} - 2026-01-31\n\n## 0.0.1 - 2025-01-31\n"
+    )
     return tmp_path
 
 
@@ -76,7 +88,9 @@ def test_the_commit_is_the_one_that_is_released(copy: Path) -> None:
     assert check(copy).returncode == 0
     (copy / "new").touch()
     assert "1 files are not committed, the first of them: ?? new" in check(copy).stderr
-    (version,) = re.findall(r"^version: (.*)$", (copy / "deploy/chart/Chart.yaml").read_text(), re.MULTILINE)
+    (version,) = re.findall(
+        r"^version: (.*)$", (copy / "deploy/chart/Chart.yaml").read_text(), re.MULTILINE
+    )
     git("tag", f"v{version}")
     git("add", ".")
     git("commit", "--quiet", "--message", "two")

@@ -122,7 +122,10 @@ def test_the_parts_fit_together(source: str):
     selectors.append(spread["labelSelector"]["matchLabels"])
     assert selectors == [labels] * 4
     ports = {port["name"]: port["containerPort"] for port in container(source)["ports"]}
-    probes = [container(source)[f"{kind}Probe"]["httpGet"] for kind in ("startup", "readiness", "liveness")]
+    probes = [
+        container(source)[f"{kind}Probe"]["httpGet"]
+        for kind in ("startup", "readiness", "liveness")
+    ]
     assert {probe["port"] for probe in probes} <= ports.keys()
     assert pod["metadata"]["annotations"]["prometheus.io/port"] == str(ports["admin"])
     assert service["spec"]["ports"][0]["targetPort"] in ports
@@ -158,10 +161,7 @@ def test_the_server_accepts_every_setting(source: str, tmp_path: Path):
     own = {name: value for name, value in environment.items() if name.startswith("HULLCAST_")}
     assert len(own) == (9 if source == "kubernetes.yaml" else 4)
     for name, value in own.items():
-        found = known[name.removeprefix("HULLCAST_").lower()]
-        assert value in (found, str(found), str(found).lower(), *(found if isinstance(found, list) else [])) or (
-            float(value) == found
-        ), name
+        assert means(value, known[name.removeprefix("HULLCAST_").lower()]), name
     assert known["allow_plaintext"] == (source != "secured")
     if source == "secured":
         assert known["tls_client_ca"] == f"{tmp_path}/tls/ca.crt"
@@ -174,6 +174,15 @@ def test_the_server_accepts_every_setting(source: str, tmp_path: Path):
     ends += container(source)["lifecycle"]["preStop"]["sleep"]["seconds"]
     pod = kinds(source)["Deployment"]["spec"]["template"]["spec"]
     assert pod["terminationGracePeriodSeconds"] > ends
+
+
+def means(text: str, setting: Any) -> bool:
+    """Whether the text of a variable is this value of a setting."""
+    if isinstance(setting, list):
+        return setting == [text]
+    if isinstance(setting, bool):
+        return text == str(setting).lower()
+    return float(text) == setting if isinstance(setting, (int, float)) else text == setting
 
 
 def write_secrets(folder: Path) -> None:
@@ -192,11 +201,25 @@ def write_secrets(folder: Path) -> None:
 def test_the_chart_is_the_manifests():
     """Catches a correction of deploy/kubernetes.yaml or deploy/keda.yaml that the chart lacks."""
     ours = container("kubernetes.yaml")
-    for part in ("startupProbe", "readinessProbe", "livenessProbe", "lifecycle", "securityContext", "resources", "ports"):
+    for part in (
+        "startupProbe",
+        "readinessProbe",
+        "livenessProbe",
+        "lifecycle",
+        "securityContext",
+        "resources",
+        "ports",
+    ):
         assert container("plaintext")[part] == ours[part], part
-    pods = [kinds(source)["Deployment"]["spec"]["template"]["spec"] for source in ("plaintext", "kubernetes.yaml")]
+    pods = [
+        kinds(source)["Deployment"]["spec"]["template"]["spec"]
+        for source in ("plaintext", "kubernetes.yaml")
+    ]
     assert pods[0]["terminationGracePeriodSeconds"] == pods[1]["terminationGracePeriodSeconds"]
-    scalers = [kinds(source)["HorizontalPodAutoscaler"]["spec"] for source in ("plaintext", "kubernetes.yaml")]
+    scalers = [
+        kinds(source)["HorizontalPodAutoscaler"]["spec"]
+        for source in ("plaintext", "kubernetes.yaml")
+    ]
     assert scalers[0] == scalers[1]
     assert kinds("secured")["ScaledObject"]["spec"] == kinds("keda.yaml")["ScaledObject"]["spec"]
     names = {entry["name"]: entry.get("value") for entry in ours["env"]}
@@ -220,7 +243,11 @@ def test_the_autoscaler_asks_for_metrics_that_exist(source: str):
 def test_the_schema_has_the_servers_settings():
     """Catches a setting that was added to the server or removed from it, and not in the schema."""
     printed = subprocess.run(
-        [find_binary(), "serve", "--print-config"], env={}, capture_output=True, text=True, check=True
+        [find_binary(), "serve", "--print-config"],
+        env={},
+        capture_output=True,
+        text=True,
+        check=True,
     )
     of_the_chart = {
         "listen", "admin_listen", "store", "compute_threads", "tls_certificate", "tls_key", "tls_client_ca",
@@ -281,9 +308,11 @@ def test_names_and_versions():
     """Catches a release whose manifests have the names of another, and a chart of another version."""
     done = helm("--set", "tls.allowPlaintext=true", release="blue")
     assert done.returncode == 0, done.stderr
-    found = [manifest["metadata"]["name"] for manifest in yaml.safe_load_all(done.stdout) if manifest]
+    found = [
+        manifest["metadata"]["name"] for manifest in yaml.safe_load_all(done.stdout) if manifest
+    ]
     assert set(found) == {"blue-hullcast"}
-    assert f"image: \"hullcast:{hullcast.__version__}\"" in done.stdout
+    assert f'image: "hullcast:{hullcast.__version__}"' in done.stdout
     chart = yaml.safe_load((CHART / "Chart.yaml").read_text())
     assert (chart["version"], chart["appVersion"]) == (hullcast.__version__,) * 2
 
@@ -293,7 +322,11 @@ def test_helm_finds_no_fault(case: str):
     """Catches a chart that helm itself warns of, and a case that is in no list of this file."""
     if not shutil.which("helm"):
         pytest.skip("no helm")
-    assert {path.name for path in (CHART / "ci").iterdir()} == {f"{name}-values.yaml" for name in CASES}
+    assert {path.name for path in (CHART / "ci").iterdir()} == {
+        f"{name}-values.yaml" for name in CASES
+    }
     command = ["helm", "lint", "--strict", CHART, "--values", CHART / f"ci/{case}-values.yaml"]
-    done = subprocess.run(command, env=os.environ, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        command, env=os.environ, capture_output=True, text=True, timeout=60, check=False
+    )
     assert done.returncode == 0, done.stdout

@@ -64,11 +64,21 @@ def start(image: tuple[dict[str, Any], Path], tmp_path: Path) -> Iterator[Start]
         def run(*arguments: str, memory: int = 0, **environment: str) -> Container:
             made = specification(root, config)
             # The port of another test may be taken, so the system chooses.
-            environment = dict.fromkeys(("HULLCAST_LISTEN", "HULLCAST_ADMIN_LISTEN"), "127.0.0.1:0") | environment
+            environment = (
+                dict.fromkeys(("HULLCAST_LISTEN", "HULLCAST_ADMIN_LISTEN"), "127.0.0.1:0")
+                | environment
+            )
             made["process"]["env"] += [f"{name}={value}" for name, value in environment.items()]
             made["process"]["args"] += arguments
             (store,) = config["config"]["Volumes"]
-            made["mounts"].append({"destination": store, "type": "bind", "source": str(volume), "options": ["rbind", "rw"]})
+            made["mounts"].append(
+                {
+                    "destination": store,
+                    "type": "bind",
+                    "source": str(volume),
+                    "options": ["rbind", "rw"],
+                }
+            )
             if memory:
                 made["linux"]["resources"]["memory"] = {"limit": memory}
             return stack.enter_context(Container(tmp_path / f"bundle{time.monotonic_ns()}", made))
@@ -111,7 +121,9 @@ def test_the_archive_is_the_image_of_the_container_file(tmp_path: Path) -> None:
     with tarfile.open(fileobj=BytesIO(layer)) as file:
         entries = {f"/{entry.name}": entry for entry in file}
         assert file.extractfile("usr/local/bin/hullcast").read() == program.read_bytes()  # type: ignore[union-attr]
-    assert {path for path, entry in entries.items() if entry.uid == USER} == set(config["config"]["Volumes"])
+    assert {path for path, entry in entries.items() if entry.uid == USER} == set(
+        config["config"]["Volumes"]
+    )
     assert [path for path, entry in entries.items() if entry.mode & 0o022] == ["/tmp"]
     assert not [path for path, entry in entries.items() if entry.mode & 0o6000]
 
@@ -124,7 +136,9 @@ def test_the_archive_is_the_image_of_the_container_file(tmp_path: Path) -> None:
         (b"\x7fELF\x02\x01" + bytes(12) + b"\x02\x00", "ELF machine 2; expected amd64, arm64"),
     ],
 )
-def test_a_file_that_is_no_server_makes_no_image(tmp_path: Path, content: bytes | None, said: str) -> None:
+def test_a_file_that_is_no_server_makes_no_image(
+    tmp_path: Path, content: bytes | None, said: str
+) -> None:
     """Catches an image that cannot start, for example of a script or for another machine."""
     file = tmp_path / "hullcast"
     if content is not None:
@@ -154,12 +168,17 @@ def test_the_image_serves(start: Start, tmp_path: Path) -> None:
             assert client.ping() < 30
 
         status = Path(f"/proc/{container.pid()}/status").read_text().splitlines()
-        fields = {name: value.split() for name, _, value in (line.partition(":") for line in status)}
+        fields = {
+            name: value.split() for name, _, value in (line.partition(":") for line in status)
+        }
         assert fields["Uid"] == [str(USER)] * 4
         assert fields["Gid"] == [str(USER)] * 4
         assert {fields[name][0] for name in ("CapPrm", "CapEff", "CapBnd", "CapAmb")} == {"0" * 16}
         assert (fields["NoNewPrivs"], fields["Seccomp"]) == (["1"], ["2"])
-        mounts = [line.split() for line in Path(f"/proc/{container.pid()}/mountinfo").read_text().splitlines()]
+        mounts = [
+            line.split()
+            for line in Path(f"/proc/{container.pid()}/mountinfo").read_text().splitlines()
+        ]
         writable = {fields[4] for fields in mounts if "rw" in fields[5].split(",")}
         assert writable >= {"/tmp", "/var/lib/hullcast"}
         for path in writable - {"/tmp", "/var/lib/hullcast"}:
@@ -179,7 +198,10 @@ def test_the_image_serves(start: Start, tmp_path: Path) -> None:
     assert [(path.name, path.stat().st_uid) for path in blobs] == [(cube.hex(), USER)]
 
     # A new container with the same volume has the hulls.
-    with start() as container, hullcast.connect(container.line("listening on "), options=NO_PROXY) as client:
+    with (
+        start() as container,
+        hullcast.connect(container.line("listening on "), options=NO_PROXY) as client,
+    ):
         assert [hull.id for hull in client.hulls()] == [cube]
 
 
@@ -195,10 +217,15 @@ def test_the_root_is_read_only(start: Start) -> None:
     [
         (2 << 30, {}),
         # As in docs/budget.md and deploy/chart/ci/secured-values.yaml.
-        (1 << 30, {"HULLCAST_MAX_MESSAGE_BYTES": "16MiB", "HULLCAST_MAX_POINTS_PER_HULL": "100000"}),
+        (
+            1 << 30,
+            {"HULLCAST_MAX_MESSAGE_BYTES": "16MiB", "HULLCAST_MAX_POINTS_PER_HULL": "100000"},
+        ),
     ],
 )
-def test_budgets_are_shares_of_the_containers_memory(start: Start, memory: int, limits: dict[str, str]) -> None:
+def test_budgets_are_shares_of_the_containers_memory(
+    start: Start, memory: int, limits: dict[str, str]
+) -> None:
     """Catches a server that computes a percentage of the machine's memory, not of its container's."""
     budgets = {"HULLCAST_MAX_MEMORY_BYTES": "50%", "HULLCAST_CACHE_BYTES": "25%"}
     container = start(memory=memory, **budgets, **limits)
@@ -215,7 +242,9 @@ def test_a_container_that_is_too_small_is_refused(start: Start) -> None:
     assert container.wait(60) == 2
     said = container.errors.read_text()
     assert "--max-memory-bytes is 512 MiB" in said
-    (least,) = re.findall(r"lt \(int \$budget\) (\d+)", (ROOT / "deploy/chart/templates/_helpers.tpl").read_text())
+    (least,) = re.findall(
+        r"lt \(int \$budget\) (\d+)", (ROOT / "deploy/chart/templates/_helpers.tpl").read_text()
+    )
     assert f"{least} MiB" in said, said
 
 
@@ -237,11 +266,21 @@ def test_the_restrictions_restrict(tmp_path: Path, program: str, code: int) -> N
     The program runs in this machine's files under the same restrictions. 159 is 128 and SIGSYS.
     """
     root = tmp_path / "root"
-    made = specification(root, {"config": {"User": f"{USER}:{USER}", "Entrypoint": [], "Env": ["PATH=/usr/bin:/bin"]}})
+    made = specification(
+        root,
+        {"config": {"User": f"{USER}:{USER}", "Entrypoint": [], "Env": ["PATH=/usr/bin:/bin"]}},
+    )
     for folder in ("/usr", "/lib", "/lib64", "/etc", "/proc", "/dev", "/tmp", "/sys/fs/cgroup"):
         (root / folder[1:]).mkdir(parents=True)
         if folder in ("/usr", "/lib", "/lib64", "/etc"):
-            made["mounts"].append({"destination": folder, "type": "bind", "source": folder, "options": ["rbind", "ro"]})
+            made["mounts"].append(
+                {
+                    "destination": folder,
+                    "type": "bind",
+                    "source": folder,
+                    "options": ["rbind", "ro"],
+                }
+            )
     made["process"]["args"] = [str(Path("/usr/bin/python3").resolve()), "-c", program]
     with Container(tmp_path / "bundle", made) as container:
         assert container.wait(60) == code, container.errors.read_text()
