@@ -289,7 +289,7 @@ test-deploy: build $(VENV)/.deploy $(if $(shell command -v go),out/bin/helm $(KE
 # As `make image FEATURES=s3`.
 .PHONY: image
 image: check-tools ## writes the container image as an OCI archive, without a container builder: out/hullcast-image.tar
-	$(CARGO) build --profile dist --locked --features "$(FEATURES)"
+	$(CARGO) build --profile dist --locked --package hullcast --features "$(FEATURES)"
 	$(PYTHON) scripts/image --binary $(TARGET)/dist/hullcast
 
 .PHONY: test-image
