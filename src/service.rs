@@ -111,6 +111,8 @@ impl App {
             shares: limits.shares,
         };
         let metrics = Arc::new(Metrics::default());
+        metrics.memory_limit_bytes.set(i64::try_from(limits.max_memory_bytes).unwrap_or(i64::MAX));
+        metrics.cache_limit_bytes.set(i64::try_from(limits.cache_bytes).unwrap_or(i64::MAX));
         let caps = [
             (Part::Arriving, limits.max_request_bytes_in_flight),
             (Part::StreamState, limits.max_stream_state_bytes),
