@@ -1,4 +1,4 @@
-"""The parts that need MuJoCo, where it is not installed."""
+"""The parts that need a simulator, where it is not installed."""
 
 from __future__ import annotations
 
@@ -24,3 +24,13 @@ def test_mujoco_is_named_where_it_is_missing(tmp_path, monkeypatch):
     ):
         with pytest.raises(ImportError, match=f"hullcast.mujoco {advice}"):
             call()
+
+
+def test_newton_is_named_where_it_is_missing(monkeypatch):
+    """Catches an error about a module of another package, with no way to get it."""
+    monkeypatch.setitem(sys.modules, "newton", None)
+    import hullcast.newton
+
+    advice = r"hullcast.newton needs newton: pip install './client\[newton\]' in the clone"
+    with pytest.raises(ImportError, match=advice):
+        hullcast.newton.Pipeline(None, None)
