@@ -106,7 +106,7 @@ def columns(client: hullcast.Client) -> hullcast.Manifolds:
     return client.query(scene, [[0, 1]])
 
 
-@pytest.mark.parametrize("library", ["torch", "jax"])
+@pytest.mark.parametrize("library", ["torch", "jax", "warp"])
 def test_columns_go_out(client, library):
     """Catches a column with another name or type, and a copy that torch does not need."""
     m = columns(client)

@@ -34,7 +34,7 @@ FAULTS = {
     "an empty file": ("", ["empty"]),
     "text": ("hello", ["not XML"]),
     "a cut file": ('<robot name="r"><link', ["not XML"]),
-    "MJCF": ("<mujoco><worldbody/></mujoco>", ["an MJCF file"]),
+    "a part of MJCF": ("<mujocoinclude/>", ["an MJCF file"]),
     "SDF": ('<sdf version="1.7"><model name="m"/></sdf>', ["an SDF file"]),
     "COLLADA": ("<COLLADA/>", ["a COLLADA file"]),
     "other XML": ("<html/>", ["<html>"]),

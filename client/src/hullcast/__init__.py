@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from ._scene import Scene
     from ._serve import serve
     from ._shapes import Shape, box, capsule, cone, cylinder, prism, sphere
+    from ._views import PerBody
     from ._wire import FeatureKind, Flag, Outcome
 
 __all__ = [
@@ -83,6 +84,7 @@ __all__ = [
     "OutputNotAsked",
     "Padded",
     "PairOutOfRange",
+    "PerBody",
     "ResourceExhausted",
     "Robot",
     "Scene",
@@ -149,6 +151,7 @@ _HOMES = {
     "_scene": ["Scene"],
     "_serve": ["serve"],
     "_shapes": ["Shape", "box", "capsule", "cone", "cylinder", "prism", "sphere"],
+    "_views": ["PerBody"],
     "_wire": ["FeatureKind", "Flag", "Outcome"],
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

@@ -9,17 +9,17 @@ from typing import Any, cast, overload
 import numpy as np
 import numpy.typing as npt
 
-from . import _arguments, _export, _numbers, _tensors
+from . import _arguments, _export, _numbers
 from ._arguments import iterable, kind
 from ._arrays import Floats, Indices
-from ._columns import ManifoldColumns
 from ._errors import InvalidArgument, PairOutOfRange
 from ._export import Padded
 from ._scene import Scene
+from ._views import ManifoldViews, frames
 from ._wire import FeatureKind, Flag, Outcome
 
 
-class Manifolds(ManifoldColumns):
+class Manifolds(ManifoldViews):
     """The contact manifolds of a batch of pairs, as columns.
 
     `len(m)` is the number of pairs. A per-pair column has one row per pair. In a per-point column,
@@ -160,36 +160,6 @@ class Manifolds(ManifoldColumns):
             self._column("point_counts", "points", "POINTS")
         return _export.dataframe(self._columns, rows)
 
-    def to_torch(self) -> dict[str, Any]:
-        """The requested columns as torch tensors on the CPU, by the names of their attributes.
-
-        The tensors share the columns' memory. `tensor.to("cuda")` copies a tensor to a device.
-        Indices and counts are uint32, with which torch cannot index; `tensor.long()` converts them.
-
-        Raises:
-            ImportError: torch is not installed.
-        """
-        return _tensors.to_torch(self._arrays())
-
-    def to_jax(self) -> dict[str, Any]:
-        """The requested columns as jax arrays, by the names of their attributes.
-
-        jax keeps 64-bit numbers only with its setting `jax_enable_x64`; otherwise it rounds them to
-        32 bits. An array may share the column's memory, so do not write into columns afterwards.
-
-        Raises:
-            ImportError: jax is not installed.
-        """
-        return _tensors.to_jax(self._arrays())
-
-    def _arrays(self) -> dict[str, np.ndarray]:
-        """The columns by the names of their attributes."""
-        single = {name: name.removesuffix("s") for name in self._columns}
-        return {
-            single[name] if hasattr(self, single[name]) else name: column
-            for name, column in self._columns.items()
-        }
-
     @classmethod
     def concat(cls, manifolds: Iterable[Manifolds]) -> Manifolds:
         """Joins the pairs of several results into one, in order.
@@ -327,20 +297,14 @@ class Manifolds(ManifoldColumns):
         self, pairs: npt.ArrayLike | None
     ) -> tuple[Manifolds, npt.NDArray[np.uint32], Scene]:
         """The pairs to draw, the bodies in them that have a usable pose, and the scene."""
-        if self.scene is None:
-            raise InvalidArgument(
-                "an answer that was loaded from a file has no scene: assign its scene to the "
-                "attribute scene",
-                reason="NO_SCENE",
-                field="scene",
-            )
+        scene = self._with_scene()
         shown = self
         if pairs is not None:
             chosen: Any = _arguments.plain(pairs)
             if isinstance(chosen, (int, np.integer)) and not isinstance(chosen, bool):
                 chosen = [chosen]
             shown = self[self._chosen("pairs", chosen)]
-        return shown, np.setdiff1d(shown.pairs, self.invalid_bodies), self.scene
+        return shown, np.setdiff1d(shown.pairs, self.invalid_bodies), scene
 
     def _drawn_points(self) -> _export.Columns:
         return {
@@ -440,6 +404,21 @@ class Manifold:
     def witness_b(self) -> Floats:
         """(k, 3): the witness points on B, world frame."""
         return self._all.witness_b[self._points()]
+
+    @property
+    def frame(self) -> Floats:
+        """(3, 3): the normal and two tangents, one per row, right-handed."""
+        return frames(self.normal[None])[0]
+
+    @property
+    def local_a(self) -> Floats:
+        """(k, 3): the witness points on A, in the frame of A's hull."""
+        return self._all[self._index : self._index + 1].local_a
+
+    @property
+    def local_b(self) -> Floats:
+        """(k, 3): the witness points on B, in the frame of B's hull."""
+        return self._all[self._index : self._index + 1].local_b
 
     @property
     def distance(self) -> Floats:

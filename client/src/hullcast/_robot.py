@@ -1,4 +1,4 @@
-"""Robots from URDF files: their collision shapes, poses, and the pairs of bodies that can meet."""
+"""Robots from URDF and MJCF files: their shapes, their poses, and the pairs that can meet."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from . import (
     _decompose,
     _joint_values,
     _mesh,
+    _mjcf,
     _numbers,
     _srdf,
     _urdf,
@@ -31,7 +32,7 @@ from ._urdf import Joint
 
 
 class Robot(Settled):
-    """The collision geometry of a URDF as convex bodies, with poses computed from joint values.
+    """The collision geometry of a URDF or MJCF file as convex bodies, with poses by joint values.
 
         robot = hullcast.Robot("panda.urdf")
         scene = robot.scene(client.register(robot.shapes), {"panda_joint4": -2.0})
@@ -44,27 +45,36 @@ class Robot(Settled):
     connected by fixed joints, and neighbours in the tree, because links overlap at their joints.
     (To find the neighbour of a link, links without collision geometry are skipped.)
 
+    MuJoCo compiles MJCF files (extra `mujoco`). There the links are MuJoCo's bodies, with "world"
+    as the root, and each geom that can collide is one body, meshes as their convex hulls. The pairs
+    that may meet are those that MuJoCo's own filter lets meet: links that are welded together or
+    neighbours do not, nor do excluded ones or those whose `contype` and `conaffinity` do not match.
+    Joint values are those of MuJoCo's `qpos`. Round geoms and planes become polyhedra, as
+    `hullcast.mujoco.scene` says.
+
     Args:
-        urdf: the path of the URDF file. Its visual elements are not read.
-        packages: a folder or a list of folders. `package://name/...` and `package:///name/...` are
-            looked up as `name/...` in these folders first, then in ROS_PACKAGE_PATH, in
-            AMENT_PREFIX_PATH and in the folders that contain the URDF file.
-        srdf: the path of an SRDF file. Links that its `disable_collisions` elements name ignore
-            each other. A link of `disable_default_collisions` ignores all others, except those of
-            `enable_collisions`.
+        urdf: the path of the URDF or MJCF file. Visual elements are not read.
+        packages: for URDF: a folder or a list of folders. `package://name/...` and
+            `package:///name/...` are looked up as `name/...` in these folders first, then in
+            ROS_PACKAGE_PATH, in AMENT_PREFIX_PATH and in the folders that contain the URDF file.
+        srdf: for URDF: the path of an SRDF file. Links that its `disable_collisions` elements name
+            ignore each other. A link of `disable_default_collisions` ignores all others, except
+            those of `enable_collisions`.
         ignored: further pairs of names of links that ignore each other.
-        decompose: True or False: whether to decompose meshes that are not convex or not closed
-            (extra `decompose`). If not, `register` uses their convex hulls, with a
+        decompose: for URDF, True or False: whether to decompose meshes that are not convex or not
+            closed (extra `decompose`). If not, `register` uses their convex hulls, with a
             `NotConvexWarning` each.
         threshold, cache, progress: the settings of the decomposition, as in `hullcast.decompose`.
 
     Raises:
-        InvalidArgument: NOT_A_ROBOT, the file is not URDF, or its links and joints do not form one
-            tree; UNSUPPORTED_JOINT, a floating or planar joint; COPLANAR, a flat mesh;
-            UNKNOWN_LINK, in `ignored`; NOT_AN_SRDF; for a mesh file, as `Client.register`. The
-            message names the file, the link and the element.
+        InvalidArgument: NOT_A_ROBOT, the file is neither URDF nor MJCF, or its links and joints do
+            not form one tree, or MuJoCo does not compile it; UNSUPPORTED_JOINT, a floating, planar
+            or ball joint; UNSUPPORTED_SHAPE, a height field; COPLANAR, a flat mesh; UNKNOWN_LINK,
+            in `ignored`; NOT_AN_SRDF; for a mesh file, as `Client.register`. The message names the
+            file, the link and the element.
         FileNotFound: the URDF file, or a mesh file that it names, does not exist.
-        ImportError: a mesh is not convex, and the extra `decompose` is not installed.
+        ImportError: a mesh is not convex, and the extra `decompose` is not installed; or the file
+            is MJCF, and the extra `mujoco` is not installed.
 
     Warns:
         NoBodiesWarning: no link has collision geometry.
@@ -88,9 +98,9 @@ class Robot(Settled):
     shapes: list[Any]
     #: (bodies,): the link of each body, as an index into `links`.
     body_links: npt.NDArray[np.intp]
-    #: (bodies,): the group of each body, one per link, as `Scene` takes them.
+    #: (bodies,): the group of each body, as `Scene` takes them; one per link for URDF.
     groups: Indices
-    #: (k, 2): the groups of links that ignore each other, as `Scene` takes them.
+    #: (k, 2): the groups that ignore each other, as `Scene` takes them.
     ignored_groups: Indices
     #: (m, 2): all pairs of bodies that may meet, as `Client.query` takes them.
     pairs: Indices
@@ -109,9 +119,12 @@ class Robot(Settled):
     ) -> None:
         _decompose.check_threshold(threshold)
         decompose = _arguments.flag("decompose", decompose)
+        mjcf = _mjcf.read(urdf)
+        if mjcf is not None:
+            _refuse_for_mjcf(packages, srdf)
+            self._take(mjcf, _named(ignored))
+            return
         model = _urdf.read(urdf, packages)
-        self._model = model
-        free = [joint for joint in model.joints if joint.is_free]
         dented = [
             i
             for i, (_, _, shape) in enumerate(model.shapes)
@@ -147,16 +160,42 @@ class Robot(Settled):
             for i, j in itertools.combinations(range(len(bodies)), 2)
             if bodies[i][0] != bodies[j][0] and _sorted(bodies[i][0], bodies[j][0]) not in silent
         ]
-        self._set(
-            name=model.name,
-            links=model.links,
-            joints=tuple(joint.name for joint in free),
-            limits=np.array([joint.limits for joint in free], dtype="<f8").reshape(-1, 2),
+        self._settle(
+            model,
             shapes=[piece for _, piece in bodies],
             body_links=body_links,
             groups=(body_links + 1).astype("<u4"),
             ignored_groups=np.array(sorted(silent), "<u4").reshape(-1, 2) + np.uint32(1),
             pairs=np.array(meeting, dtype="<u4").reshape(-1, 2),
+        )
+
+    def _take(self, mjcf: _mjcf.Mjcf, ignored: Sequence[tuple[str, str]]) -> None:
+        """Sets all attributes from an MJCF file."""
+        shapes, links = mjcf.model.shapes, mjcf.model.links
+        body_links: npt.NDArray[np.intp] = np.array([link for link, _, _ in shapes], np.intp)
+        meets = mjcf.meets.copy()
+        for a, b in _indices_of(ignored, links):
+            of_a, of_b = mjcf.group[body_links == a], mjcf.group[body_links == b]
+            meets[np.ix_(of_a, of_b)] = meets[np.ix_(of_b, of_a)] = False
+        self._settle(
+            mjcf.model,
+            shapes=[points for _, _, points in shapes],
+            body_links=body_links,
+            groups=(mjcf.group + 1).astype("<u4"),
+            ignored_groups=np.argwhere(np.triu(~meets, 1)).astype("<u4") + np.uint32(1),
+            pairs=np.argwhere(np.triu(meets[np.ix_(mjcf.group, mjcf.group)])).astype("<u4"),
+        )
+
+    def _settle(self, model: _urdf.Model, **attributes: Any) -> None:
+        """Sets all attributes, those of links and joints from the model."""
+        self._model = model
+        free = [joint for joint in model.joints if joint.is_free]
+        self._set(
+            name=model.name,
+            links=model.links,
+            joints=tuple(joint.name for joint in free),
+            limits=np.array([joint.limits for joint in free], dtype="<f8").reshape(-1, 2),
+            **attributes,
         )
         freeze(self)
 
@@ -323,12 +362,40 @@ def _named(ignored: Any) -> list[tuple[str, str]]:
     return cast("list[tuple[str, str]]", pairs)
 
 
+def _refuse_for_mjcf(packages: Any, srdf: Any) -> None:
+    """Raises if an argument is given that has no meaning for an MJCF file."""
+    for field, value, absent in (("packages", packages, ()), ("srdf", srdf, None)):
+        if value is not absent and not (isinstance(value, (tuple, list)) and not value):
+            raise InvalidArgument(
+                f"got {_arguments.shown(value)}, expected nothing: an MJCF file names its meshes "
+                "and its exclusions itself",
+                reason="NOT_ALLOWED",
+                field=field,
+            )
+
+
+def _indices_of(ignored: Sequence[tuple[str, str]], links: Sequence[str]) -> list[tuple[int, int]]:
+    """The indices of the links that pairs of names name.
+
+    Raises:
+        InvalidArgument: UNKNOWN_LINK.
+    """
+    for name in itertools.chain.from_iterable(ignored):
+        if name not in links:
+            raise InvalidArgument(
+                f"got the link {name!r}, expected links of the robot's file",
+                reason="UNKNOWN_LINK",
+                field="ignored",
+            )
+    return [(links.index(a), links.index(b)) for a, b in ignored]
+
+
 def _sorted(a: int, b: int) -> tuple[int, int]:
     return (a, b) if a <= b else (b, a)
 
 
 def _ignoring(
-    model: _urdf.Model, used: set[int], named: Iterable[tuple[str, str]]
+    model: _urdf.Model, used: set[int], named: Sequence[tuple[str, str]]
 ) -> set[tuple[int, int]]:
     """The pairs of links with bodies that ignore each other, each with the lower index first."""
     part = list(range(len(model.links)))
@@ -348,15 +415,7 @@ def _ignoring(
             or p == _next_solid(q, part, above, solid)
         ):
             silent.add((a, b))
-    for names in named:
-        for name in names:
-            if name not in model.links:
-                raise InvalidArgument(
-                    f"got the link {name!r}, expected links of the URDF file",
-                    reason="UNKNOWN_LINK",
-                    field="ignored",
-                )
-        a, b = (model.links.index(name) for name in names)
+    for a, b in _indices_of(named, model.links):
         if a != b and a in used and b in used:
             silent.add(_sorted(a, b))
     return silent

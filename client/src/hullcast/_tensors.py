@@ -97,6 +97,25 @@ def to_jax(columns: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:
     return {name: make(_plain(column)) for name, column in columns.items()}
 
 
+def to_warp(columns: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:
+    """The columns as warp arrays on the CPU, which share the columns' memory.
+
+    A float64 column with three entries in each row becomes an array of `vec3d`.
+    """
+    try:
+        import warp as library
+    except ImportError as error:
+        raise ImportError("to_warp needs warp: pip install warp-lang") from error
+    warp: Any = library
+
+    def converted(column: npt.NDArray[Any]) -> Any:
+        kind = warp.vec3d if column.dtype == "f8" and column.shape[1:] == (3,) else None
+        options = {} if kind is None else {"dtype": kind}
+        return warp.array(_plain(column), copy=False, device="cpu", **options)
+
+    return {name: converted(column) for name, column in columns.items()}
+
+
 def _plain(column: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """A column as a plain numpy array that is contiguous and writable."""
     return np.require(np.asarray(column).view(np.ndarray), requirements=["C", "W"])

@@ -1,4 +1,4 @@
-"""Arrays of the real torch and jax, in and out. `test_tensors.py` has stand-ins for devices."""
+"""Arrays of the real torch, jax and warp, in and out. `test_tensors.py` has stand-ins for devices."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from hullcast import _arrays, _tensors
 
 torch: Any = pytest.importorskip("torch")
 jax: Any = pytest.importorskip("jax")
+warp: Any = pytest.importorskip("warp")
 
 POSITIONS = np.array([[0, 0, 0], [0.75, 0, 0], [0, 0, 4]])
 TURNS = np.tile([0.0, 0, 0, 1], (3, 1))
@@ -196,7 +197,29 @@ def test_columns_go_to_jax(client, x64):
     assert again.alpha.tobytes() == m.alpha.tobytes()
 
 
-@pytest.mark.parametrize("library", ["torch", "jax"])
+def test_columns_go_to_warp(client):
+    """Every column has its name, type and bits, and its memory is shared, of empty results too."""
+    m = client.query(scene_of(client, np.array), [[0, 1], [0, 2]], outputs=EVERYTHING)
+    arrays = m.to_warp()
+    assert arrays.keys() == m.to_torch().keys()
+    for name, array in arrays.items():
+        column = np.asarray(getattr(m, name))
+        assert array.numpy().dtype == column.dtype, name
+        assert array.numpy().tobytes() == column.tobytes(), name
+        assert array.device.is_cpu
+        assert not column.size or array.ptr == column.ctypes.data, name
+    assert {name for name, array in arrays.items() if array.dtype is warp.vec3d} == {
+        "normal", "witness_a", "witness_b",
+    }  # fmt: skip
+    assert m[:0].to_warp()["normal"].shape == (0,)
+    # Warp's arrays are arguments of the next query, without a copy.
+    positions = warp.array(POSITIONS, dtype=warp.vec3d, device="cpu")
+    assert _arrays.floats("positions", positions, None, 3).ctypes.data == positions.ptr
+    again = client.query(m.scene.moved(positions, TURNS), arrays["pairs"], outputs=EVERYTHING)
+    assert again.alpha.tobytes() == m.alpha.tobytes()
+
+
+@pytest.mark.parametrize("library", ["torch", "jax", "warp"])
 def test_read_only_columns_go_out(client, library, tmp_path):
     """Catches torch's warning about memory that must not be written, and a failed conversion."""
     m = client.query(scene_of(client, np.array), [[0, 1]])
