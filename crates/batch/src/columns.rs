@@ -415,7 +415,7 @@ columns! {
         /// The unit normal in the world frame, from A to B.
         normals: [f64; 3], "normal", first, of [Normal] = |m| m.normal.to_array(), invalid: f64::NAN;
         /// The number of contact points.
-        point_counts: [u32; 1], "points", first, of [Points WitnessB Features] = |m| [m.points.len() as u32],
+        point_counts: [u32; 1], "points", first, of [Points WitnessB Features Matches] = |m| [m.points.len() as u32],
             invalid: 0;
         /// The kinds of the touching features of A and of B; [`feature`] has their codes.
         feature_kinds: [u8; 2], "feature_kinds", first, of [Features] = |m| features(m).map(|(kind, _)| kind),
@@ -433,6 +433,9 @@ columns! {
         support_calls: [u32; 1], "support_calls", first, of [Diagnostics] = |m| [m.support_calls], invalid: 0;
         /// The fraction of the patch's area that the points still span.
         kept_areas: [f64; 1], "kept_area", later, of [Diagnostics] = |m| [m.kept_area], invalid: f64::NAN;
+        /// The row of the same pair in the answer before, or [`NO_INDEX`]. A batch does not know the answer
+        /// before; [`matches`](crate::matches) fills the column in.
+        previous_pairs: [u32; 1], "previous_pair", later, of [Matches] = |_| [NO_INDEX], invalid: NO_INDEX;
     }
     point {
         /// The witness on A, in the world frame.
@@ -444,6 +447,9 @@ columns! {
         /// The parts of A and of B that make the point, two numbers each: an edge's vertices, a vertex twice,
         /// or [`NO_INDEX`] twice for the inside of a face.
         point_ids: [u32; 4], "id", first, of [Features] = |_, point| point_id(point);
+        /// The index of the same point in the row of the answer before, or [`NO_INDEX`]; filled in like
+        /// `previous_pairs`.
+        previous_points: [u32; 1], "previous_point", later, of [Matches] = |_, _| [NO_INDEX];
     }
 }
 
@@ -528,7 +534,7 @@ mod tests {
             columns.clear();
             assert_eq!((columns.filled_bytes(), columns.len()), (0, 0));
         }
-        assert_eq!(COLUMNS.len(), 19);
-        assert_eq!(Outputs::of(Output::ALL.iter().copied()).pair_bytes(), 2 + 24 + 32 + 4 + 18 + 24 + 16);
+        assert_eq!(COLUMNS.len(), 21);
+        assert_eq!(Outputs::of(Output::ALL.iter().copied()).pair_bytes(), 2 + 24 + 32 + 4 + 18 + 24 + 16 + 4);
     }
 }

@@ -5,7 +5,7 @@ use crate::{
         Columns,
         columns::{COLUMNS, Column, Values},
     },
-    proto::QueryContactsResponse,
+    proto::{CONTRACT, QueryContactsResponse},
 };
 
 /// The response to a checked request.
@@ -17,7 +17,14 @@ pub fn response(
 ) -> QueryContactsResponse {
     macro_rules! response {
         ($($column:ident)*) => {
-            QueryContactsResponse { request_id, missing_hulls, invalid_bodies, $($column: columns.$column),* }
+            QueryContactsResponse {
+                request_id,
+                missing_hulls,
+                invalid_bodies,
+                contract: CONTRACT,
+                $($column: columns.$column,)*
+                ..Default::default()
+            }
         };
     }
     hullcast_batch::with_columns!(response)
@@ -99,7 +106,9 @@ mod tests {
         let messages = set.file.into_iter().flat_map(|file| file.message_type);
         let message = messages.into_iter().find(|message| message.name() == "QueryContactsResponse").unwrap();
         let is_column = |field: &FieldDescriptorProto| {
-            ["request_id", "missing_hulls", "invalid_bodies"].iter().all(|other| field.name() != *other)
+            let others = ["request_id", "missing_hulls", "invalid_bodies", "ended_pairs", "more", "contract"];
+            let of_steps = ["state_dropped", "unchanged"];
+            others.iter().chain(&of_steps).all(|other| field.name() != *other)
         };
         let columns = message.field.into_iter().filter(is_column);
         columns.map(|field| (field.name().to_owned(), field.r#type())).collect()

@@ -80,6 +80,8 @@ pub(in crate::service) fn stoppable_scene(
         let why = "`inherit` is only valid on StreamContacts: send the scene in full";
         return Err(ServiceError::in_field(Reason::FieldNotAllowed, "inherit", why));
     }
+    refuse_of_streams(&request)?;
+    refuse_unbuilt(&request)?;
     let accuracy = request.accuracy.unwrap_or_default();
     refuse_foreign(&request.worlds, "worlds")?;
     refuse_foreign(&request.groups, "groups")?;
@@ -132,6 +134,10 @@ pub(in crate::service) fn inherited(
         (request.accuracy.is_some(), "accuracy"),
         (!request.outputs.is_empty(), "outputs"),
         (!request.warm_starts.is_empty(), "warm_starts"),
+        (request.find, "find"),
+        (!request.margins.is_empty(), "margins"),
+        (!request.turning_points.is_empty(), "turning_points"),
+        (!request.previous_bodies.is_empty(), "previous_bodies"),
     ];
     if let Some((_, field)) = given.into_iter().find(|(given, _)| *given) {
         let why = "must not be set together with `inherit`: it is inherited from the previous message";
@@ -142,6 +148,35 @@ pub(in crate::service) fn inherited(
         Poses::new(template.body_count(), request.positions, request.rotations, meter)?;
     let request_id = request.request_id;
     Ok(CheckedScene { request_id, hull_ids, template, poses, invalid_bodies, warm_starts: bases })
+}
+
+/// Refuses the fields that belong to the steps of a stream.
+fn refuse_of_streams(request: &proto::QueryContactsRequest) -> Result<(), ServiceError> {
+    let matches = request.outputs.contains(&proto::Output::Matches.into());
+    let given = [
+        (request.find, "find"),
+        (!request.moved.is_empty(), "moved"),
+        (!request.previous_bodies.is_empty(), "previous_bodies"),
+        (matches, "outputs"),
+    ];
+    let Some((_, field)) = given.into_iter().find(|(given, _)| *given) else { return Ok(()) };
+    let what = if field == "outputs" { "the output MATCHES" } else { field };
+    let message = format!("{what} is only valid on StreamContacts");
+    Err(ServiceError::in_field(Reason::FieldNotAllowed, field, message))
+}
+
+/// Refuses the fields of the contract that this version does not have yet.
+fn refuse_unbuilt(request: &proto::QueryContactsRequest) -> Result<(), ServiceError> {
+    let given = [
+        (!request.margins.is_empty(), "margins"),
+        (!request.linear_velocities.is_empty(), "linear_velocities"),
+        (!request.angular_velocities.is_empty(), "angular_velocities"),
+        (!request.turning_points.is_empty(), "turning_points"),
+        (request.time_step != 0.0, "time_step"),
+    ];
+    let Some((_, field)) = given.into_iter().find(|(given, _)| *given) else { return Ok(()) };
+    let message = "this version of the server does not know margins of bodies and velocities yet";
+    Err(ServiceError::in_field(Reason::FieldNotAllowed, field, message))
 }
 
 fn refuse_foreign(column: &[u32], field: &'static str) -> Result<(), ServiceError> {

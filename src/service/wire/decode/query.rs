@@ -105,6 +105,8 @@ impl DecodeRequest for proto::QueryContactsRequest {
                 11 => request.margin = field.double()?,
                 12 => read_accuracy(request.accuracy.get_or_insert_default(), &field, meter)?,
                 13 => field.varints(meter, |output| request.outputs.push(output as i32))?,
+                15 => request.find = field.varint()? != 0,
+                20 => request.time_step = field.double()?,
                 tag => match request.column(tag) {
                     Some(ColumnMut::Doubles(column)) => {
                         append(column, field.elements()?, f64::from_le_bytes, meter)?;
