@@ -46,6 +46,7 @@ mod sizes;
 mod socket_file;
 #[cfg(feature = "playground")]
 mod stall;
+mod step;
 mod streams;
 pub mod wire;
 

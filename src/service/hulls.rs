@@ -21,8 +21,8 @@ use crate::{
     metrics::Shed,
     proto::{
         CONTRACT, DeleteHullsRequest, DeleteHullsResponse, Encoded, GetHullsRequest, GetHullsResponse,
-        HasHullsRequest, HasHullsResponse, ListHullsRequest, ListHullsResponse, RegisterHullResult, RegisterHullsRequest,
-        RegisterHullsResponse,
+        HasHullsRequest, HasHullsResponse, ListHullsRequest, ListHullsResponse, RegisterHullResult,
+        RegisterHullsRequest, RegisterHullsResponse,
         hull_service_server::{HullService, HullServiceServer},
     },
     store::{RegisterError, Registered, StoreError, building_bytes},

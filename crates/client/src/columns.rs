@@ -127,7 +127,13 @@ mod tests {
         let messages = files.file.iter().flat_map(|file| &file.message_type);
         let answer = messages.clone().find(|message| message.name() == "QueryContactsResponse");
         let not_columns = [
-            "request_id", "missing_hulls", "invalid_bodies", "ended_pairs", "more", "contract", "state_dropped",
+            "request_id",
+            "missing_hulls",
+            "invalid_bodies",
+            "ended_pairs",
+            "more",
+            "contract",
+            "state_dropped",
             "unchanged",
         ];
         let mut expected: Vec<&str> =

@@ -30,6 +30,16 @@ pub fn response(
     hullcast_batch::with_columns!(response)
 }
 
+/// Takes the columns of the table out of a response.
+pub(in crate::service) fn take_columns(response: &mut QueryContactsResponse) -> Columns {
+    let mut columns = Columns::default();
+    macro_rules! take {
+        ($($column:ident)*) => { $(columns.$column = std::mem::take(&mut response.$column);)* };
+    }
+    hullcast_batch::with_columns!(take);
+    columns
+}
+
 /// The values of each column of the table, in a response.
 pub fn response_columns(
     response: &QueryContactsResponse,
