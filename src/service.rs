@@ -45,6 +45,7 @@ mod sizes;
 mod socket_file;
 #[cfg(feature = "playground")]
 mod stall;
+mod step;
 mod streams;
 #[cfg(feature = "testing")]
 mod test_controls;

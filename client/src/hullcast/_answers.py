@@ -38,7 +38,8 @@ class _Reader:
         else:
             values = self._real(name, kind)
         if len(values) == 0 and name in LATER_COLUMNS:
-            values = np.full(rows * width, np.nan)
+            none = np.nan if kind.kind == "f" else np.iinfo(kind).max
+            values = np.full(rows * width, none, dtype=kind)
         _checked.length(name, len(values), rows * width)
         return values if width == 1 else values.reshape(rows, width)
 

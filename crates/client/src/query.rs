@@ -163,5 +163,13 @@ fn part(request: &QueryContactsRequest, begin: usize, end: usize) -> QueryContac
         accuracy: request.accuracy,
         outputs: request.outputs.clone(),
         warm_starts: warm_starts.to_vec(),
+        find: request.find,
+        moved: request.moved.clone(),
+        margins: request.margins.clone(),
+        linear_velocities: request.linear_velocities.clone(),
+        angular_velocities: request.angular_velocities.clone(),
+        time_step: request.time_step,
+        turning_points: request.turning_points.clone(),
+        previous_bodies: request.previous_bodies.clone(),
     }
 }

@@ -81,9 +81,9 @@ impl<T: Columnar, U> Encoder for Codec<T, U> {
     type Item = T;
     type Error = Status;
 
-    fn encode(&mut self, message: T, buffer: &mut EncodeBuf<'_>) -> Result<(), Status> {
+    fn encode(&mut self, mut message: T, buffer: &mut EncodeBuf<'_>) -> Result<(), Status> {
         buffer.reserve(message.encoded_len());
-        encode(message, buffer);
+        encode(&mut message, buffer);
         Ok(())
     }
 

@@ -18,6 +18,10 @@ tonic::include_proto!("hullcast.v1.ContactService");
 tonic::include_proto!("hullcast.v1.HullService");
 tonic::include_proto!("hullcast.v1.ServerService");
 
+/// The version of the request fields that this contract has: `QueryContactsResponse.contract`. It rises
+/// whenever a field is added that changes answers, because a server ignores the fields that it does not know.
+pub const CONTRACT: u32 = 1;
+
 /// The names of the methods: each is the method's path without the leading slash.
 pub mod methods {
     include!(concat!(env!("OUT_DIR"), "/methods.rs"));

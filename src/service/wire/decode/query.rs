@@ -111,6 +111,8 @@ impl DecodeRequest for proto::QueryContactsRequest {
                 tags::MARGIN => request.margin = field.double()?,
                 tags::ACCURACY => read_accuracy(request.accuracy.get_or_insert_default(), &field, meter)?,
                 tags::OUTPUTS => field.varints(meter, |output| request.outputs.push(output as i32))?,
+                tags::FIND => request.find = field.varint()? != 0,
+                tags::TIME_STEP => request.time_step = field.double()?,
                 tag => match request.column(tag) {
                     Some(ColumnMut::Doubles(column)) => {
                         append(column, field.elements()?, f64::from_le_bytes, meter)?;
