@@ -244,7 +244,7 @@ def test_a_session_makes_one_step_at_a_time(client):
     scene = hullcast.Scene(client.register([cube, cube]), [[0, 0, 0], [0, 0, 0.9]], turns)
     session = client.session(scene, [[0, 1]])
     session.step(scene.positions, turns)
-    under_way = session._stepping(scene.positions, turns, None)
+    under_way = session._stepping(scene.positions, turns, None, None)
     next(under_way)
     with pytest.raises(hullcast.Error, match="STEP_UNDER_WAY"):
         session.step(scene.positions, turns)

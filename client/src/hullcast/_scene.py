@@ -53,6 +53,8 @@ class Scene(Settled):
     hull_ids: tuple[bytes, ...]
     #: For each of `hull_ids`, the content to register it again; None if only the id was given.
     contents: tuple[Content | None, ...]
+    #: For each of `hull_ids`, the hull's circumradius; None if only the id was given.
+    radii: tuple[float | None, ...]
     #: (n,): each body's hull, as an index into `hull_ids`.
     body_hulls: Indices
     #: (n, 3): the position of each body.
@@ -86,7 +88,8 @@ class Scene(Settled):
         # A message must have each hull once, however often the caller names it.
         place: dict[bytes, int] = {}
         distinct = np.array([place.setdefault(id, len(place)) for id in ids], dtype="<u4")
-        known = {hull.id: hull.content for hull in hulls if isinstance(hull, Hull)}
+        known = {hull.id: hull for hull in hulls if isinstance(hull, Hull)}
+        of_ids = [known.get(id) for id in place]
         if body_hulls is None:
             of_bodies = distinct
         else:
@@ -96,7 +99,8 @@ class Scene(Settled):
         count = len(of_bodies)
         self._set(
             hull_ids=tuple(place),
-            contents=tuple(known.get(id) for id in place),
+            contents=tuple(None if hull is None else hull.content for hull in of_ids),
+            radii=tuple(None if hull is None else hull.circumradius for hull in of_ids),
             body_hulls=_arrays.frozen(of_bodies),
             worlds=_optional("worlds", worlds, count),
             groups=_optional("groups", groups, count),
@@ -159,6 +163,15 @@ class Scene(Settled):
         """
         scene = self._copy()
         scene._place(positions, rotations)
+        return scene
+
+    def _with_poses(self, bodies: Indices, positions: Floats, rotations: Floats) -> Scene:
+        """A scene of the same bodies, of which some have new poses."""
+        scene = self._copy()
+        at, turned = self.positions.copy(), self.rotations.copy()
+        at[bodies], turned[bodies] = positions, rotations
+        at.flags.writeable = turned.flags.writeable = False
+        scene._set(positions=at, rotations=turned)
         return scene
 
     def save(
@@ -235,7 +248,8 @@ class Scene(Settled):
         return scene.moved(positions, rotations)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update({"pairs": None, "margin": None, **state})
+        unknown = (None,) * len(state["hull_ids"])
+        self.__dict__.update({"pairs": None, "margin": None, "radii": unknown, **state})
         freeze(self)
 
 
