@@ -151,7 +151,7 @@ def test_bodies_that_are_named_are_sent(session, script):
     m = session.step(np.zeros((0, 3)), np.zeros((0, 4)), moved=[])
     assert (list(script.requests[-1].moved), list(script.requests[-1].positions)) == ([], [])
     assert m.scene.positions[3].tolist() == [9, 9, 9]
-    # The whole poses are compared with what the last step left.
+    # Whole poses are compared with those that the last step left.
     session.step(scene.positions, scene.rotations)
     assert list(script.requests[-1].moved) == [1, 3]
 
@@ -377,7 +377,7 @@ def test_an_old_server_is_refused_by_its_version(client, worlds):
             assert f"version {version} does not know" in str(caught.value)
             if session._query.matches:
                 break
-        # What the first contract has works as before, with all poses in each step.
+        # A session of given pairs works as before, with all poses in each step.
         session = other.session(scene, [[0, 1]])
         for _ in range(3):
             assert session.step(scene.positions, scene.rotations).in_contact.all()

@@ -5,8 +5,8 @@ The rule is that of the server's output MATCHES (docs/sessions.md):
 1. Only CONTACT and UNDECIDED rows match. Rows of the same two bodies match in order, whichever of
    the bodies is A.
 2. Within two rows that match, points with the same id match, in order.
-3. Of the points that are left there, those match that moved least: by ascending distance, then by
-   the new and the old index. The distance is the larger of the witnesses' moves on A, in A's frame,
+3. The points that are left there match by their distance: pairs of a new and an old point are
+   taken by ascending distance, then by the new and the old index. The distance is the larger of the witnesses' moves on A, in A's frame,
    and on B, in B's frame. It is at most `NEAR` times the smaller circumradius.
 """
 
@@ -33,7 +33,7 @@ NEAR = 0.02
 
 @dataclass(frozen=True)
 class Matches:
-    """Which pairs and points of an answer were there in an earlier one; see `match`."""
+    """The pairs and points of an answer that were there in an earlier one; see `match`."""
 
     #: (n,): the row that each pair had in the earlier answer; -1 if it had none.
     previous_pairs: npt.NDArray[np.int64]
