@@ -34,7 +34,7 @@ def within_rows(counts: npt.NDArray[Any]) -> Rows:
 
 @dataclass(frozen=True)
 class Live:
-    """What the check of an answer's matches needs to know of the answer before it."""
+    """The part of an answer that the check of the next answer's matches needs."""
 
     #: (rows,): whether a row may have a successor.
     rows: npt.NDArray[np.bool_]
@@ -45,7 +45,7 @@ class Live:
 
     @classmethod
     def of(cls, columns: Columns, bodies: int) -> Live:
-        """What the check needs of these columns, copied: a caller may change a result."""
+        """The part of these columns, copied: a caller may change a result."""
         return cls(live_rows(columns["outcomes"]), columns["point_counts"].copy(), bodies)
 
 

@@ -1,4 +1,4 @@
-"""Matches two answers: which pairs and points of the second were there in the first.
+"""Matches two answers: finds the pairs and points of the second that were there in the first.
 
 The rule is that of the server's output MATCHES (docs/sessions.md):
 
@@ -6,8 +6,9 @@ The rule is that of the server's output MATCHES (docs/sessions.md):
    the bodies is A.
 2. Within two rows that match, points with the same id match, in order.
 3. The points that are left there match by their distance: pairs of a new and an old point are
-   taken by ascending distance, then by the new and the old index. The distance is the larger of the witnesses' moves on A, in A's frame,
-   and on B, in B's frame. It is at most `NEAR` times the smaller circumradius.
+   taken by ascending distance, then by the new and the old index. The distance is the larger of
+   the witnesses' moves on A, in A's frame, and on B, in B's frame. It is at most `NEAR` times the
+   smaller circumradius.
 """
 
 from __future__ import annotations
