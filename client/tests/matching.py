@@ -104,10 +104,12 @@ def of_row(
     for i, j in left:
         moves = []
         for side, body in enumerate((a, b)):
-            witness = (before.witness_a, before.witness_b)[side ^ turned][first + j]
-            here = (after.witness_a, after.witness_b)[side][second + i]
+            witness = witness_of(before, old, first + j, side ^ turned)
+            here = witness_of(after, new, second + i, side)
             old_place = in_body(before.scene, was[body], witness)
-            moves.append(math.dist(old_place, in_body(after.scene, body, here)))
+            place = in_body(after.scene, body, here)
+            x, y, z = (a - b for a, b in zip(place, old_place, strict=True))
+            moves.append(math.sqrt(x * x + y * y + z * z))
         if max(moves) <= NEAR * min(radii[a], radii[b]):
             near.append((max(moves), i, j))
     by_distance: dict[int, int] = {}
@@ -117,14 +119,21 @@ def of_row(
     return by_id, by_distance
 
 
+def witness_of(m: hullcast.Manifolds, row: int, point: int, side: int) -> np.ndarray:
+    """The witness on A (side 0) or B, in the world frame."""
+    return m.witness_a[point] + side * m.distance[point] * m.normal[row]
+
+
 def in_body(scene: hullcast.Scene | None, body: int, point: np.ndarray) -> list[float]:
     """A world point in the frame of a body's hull."""
     assert scene is not None
-    x, y, z, w = (scene.rotations[body] / np.linalg.norm(scene.rotations[body])).tolist()
+    x, y, z, w = scene.rotations[body].tolist()
+    twice = 2 / (x * x + y * y + z * z + w * w)
+    xs, ys, zs = x * twice, y * twice, z * twice
     matrix = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        [1 - (y * ys + z * zs), x * ys - w * zs, x * zs + w * ys],
+        [x * ys + w * zs, 1 - (x * xs + z * zs), y * zs - w * xs],
+        [x * zs - w * ys, y * zs + w * xs, 1 - (x * xs + y * ys)],
     ]
     offset = (point - scene.positions[body]).tolist()
     return [sum(matrix[i][k] * offset[i] for i in range(3)) for k in range(3)]

@@ -223,6 +223,32 @@ def test_an_answer_that_did_not_change_has_the_same_arrays(session, script):
     assert carried.tolist() == [[0, 0, 0], [1, 1, 1]]
 
 
+def test_matches_are_columns_like_others(session, script, tmp_path):
+    """Catches matches that are lost where pairs are chosen, and in files and data frames."""
+    script.answers = [
+        [rows([[0, 1], [0, 2]])],
+        [rows([[0, 1], [0, 2]], previous_pairs=[NONE, 0], previous_points=[NONE] * 3 + [1])],
+    ]
+    assert step(session)[[0]].restarted
+    m = step(session, 1)
+    chosen = m[m.previous_pairs >= 0]
+    assert not chosen.restarted
+    assert (chosen.previous_pairs.tolist(), chosen.previous_points.tolist()) == ([0], [-1, 1])
+    assert hullcast.Manifolds.concat([m, chosen]).previous_pairs.tolist() == [-1, 0, 0]
+    m.save(tmp_path / "m.npz")
+    again = hullcast.Manifolds.load(tmp_path / "m.npz")
+    assert again.previous_points.tolist() == m.previous_points.tolist() == [-1, -1, -1, 1]
+    assert again.ended_pairs.shape == (0, 2)
+    with np.load(tmp_path / "m.npz") as file:
+        columns = dict(file)
+    np.savez(tmp_path / "bad.npz", **{**columns, "previous_pairs": np.array([0, -2])})
+    with pytest.raises(hullcast.InvalidArgument, match=r"NOT_MANIFOLDS.*previous_pairs"):
+        hullcast.Manifolds.load(tmp_path / "bad.npz")
+    pytest.importorskip("pandas")
+    frame = m.to_dataframe("pairs")
+    assert frame["previous_pair"].tolist() == [-1, 0]
+
+
 def test_results_of_pair_sessions_stay_apart(served, script):
     """Catches an unchanged answer that has what a caller wrote into the arrays before."""
     mock, client = served

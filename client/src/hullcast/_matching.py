@@ -278,21 +278,23 @@ def _in_frames(
     """
     scene = answer.scene
     assert scene is not None
-    witnesses = np.stack([answer.witness_a[points], answer.witness_b[points]], axis=1)
+    # The operations are those of the server, in its order, so that equal distances are equal here.
+    of = np.repeat(np.arange(len(answer)), answer.point_counts)[points]
+    on_a = answer.witness_a[points]
+    on_b = on_a + answer.distance[points, None] * answer.normal[of]
+    witnesses = np.stack([on_a, on_b], axis=1)
     witnesses[is_turned] = witnesses[is_turned][:, ::-1]
-    x, y, z, w = np.moveaxis(_unit(scene.rotations[bodies]), -1, 0)
+    x, y, z, w = np.moveaxis(scene.rotations[bodies], -1, 0)
+    twice = 2 / (x * x + y * y + z * z + w * w)
+    xs, ys, zs = x * twice, y * twice, z * twice
     offset = np.moveaxis(witnesses - scene.positions[bodies], -1, 0)
     columns = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
-        (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
-        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
+        (1 - (y * ys + z * zs), x * ys + w * zs, x * zs - w * ys),
+        (x * ys - w * zs, 1 - (x * xs + z * zs), y * zs + w * xs),
+        (x * zs + w * ys, y * zs - w * xs, 1 - (x * xs + y * ys)),
     )
     parts = [a * offset[0] + b * offset[1] + c * offset[2] for a, b, c in columns]
     return np.stack(parts, axis=-1)
-
-
-def _unit(rotations: Floats) -> Floats:
-    return rotations / np.sqrt((rotations * rotations).sum(axis=-1, keepdims=True))
 
 
 def _radii(scene: Scene) -> Floats:
