@@ -45,6 +45,8 @@ class Loop:
     """A call that is repeated, with the poses of one step after another."""
 
     name: str
+    #: Makes the step before the one that is measured.
+    prepare: Callable[[Floats], hullcast.Manifolds]
     step: Callable[[Floats], hullcast.Manifolds]
     #: (bodies, 1): by how much each body moves to and fro, in metres.
     moves: Floats
@@ -91,6 +93,8 @@ def loops(client: hullcast.Client, scene: hullcast.Scene, pairs: Any, margin: fl
     hulls = [scene.hull_ids[scene.body_hulls[body]] for body in (a, b)]
     one = hullcast.Scene(hulls, scene.positions[[a, b]], turns[[a, b]])
     single = client.session(one, [[0, 1]], margin=margin)
+    # All loops share one session, because the server's memory may not have room for several.
+    session = client.session(scene, find=True, margin=margin)
     everyone = np.full((count, 1), MOVE)
     tenth = everyone * (np.random.default_rng(8).random((count, 1)) < 0.1)
 
@@ -103,24 +107,20 @@ def loops(client: hullcast.Client, scene: hullcast.Scene, pairs: Any, margin: fl
     def search(positions: Floats) -> hullcast.Manifolds:
         return client.find(scene.moved(positions, turns), margin=margin)
 
-    def whole() -> Callable[[Floats], hullcast.Manifolds]:
-        session = client.session(scene, find=True, margin=margin)
-        return lambda positions: session.step(positions, turns)
-
-    named = client.session(scene, find=True, margin=margin)
-    named.step(scene.positions, turns)
+    def step(positions: Floats) -> hullcast.Manifolds:
+        return session.step(positions, turns)
 
     def nothing(_: Floats) -> hullcast.Manifolds:
-        return named.step(np.zeros((0, 3)), np.zeros((0, 4)), moved=[])
+        return session.step(np.zeros((0, 3)), np.zeros((0, 4)), moved=[])
 
     return [
-        Loop("session, one pair", of_pair, everyone),
-        Loop("query", query, everyone),
-        Loop("find", search, everyone),
-        Loop("session with find, all moved", whole(), everyone),
-        Loop("session with find, a tenth moved", whole(), tenth),
-        Loop("session with find, none moved", whole(), 0 * everyone),
-        Loop("session with find, none moved, by name", nothing, 0 * everyone),
+        Loop("session, one pair", of_pair, of_pair, everyone),
+        Loop("query", query, query, everyone),
+        Loop("find", search, search, everyone),
+        Loop("session with find, all moved", step, step, everyone),
+        Loop("session with find, a tenth moved", step, step, tenth),
+        Loop("session with find, none moved", step, step, 0 * everyone),
+        Loop("session with find, none moved, by name", step, nothing, 0 * everyone),
     ]
 
 
@@ -128,18 +128,18 @@ def measure(
     client: hullcast.Client, scene: hullcast.Scene, some: list[Loop], seconds: float
 ) -> None:
     """Lets the calls take turns; adds up what each of them takes."""
-    poses = [[scene.positions + sign * loop.moves for sign in (1, -1)] for loop in some]
-    for loop, (there, back) in zip(some, poses, strict=True):
-        for positions in (there, back, there):  # fills the caches and the sessions' states
-            loop.step(positions)
     end, i = time.perf_counter() + seconds * len(some), 0
     while time.perf_counter() < end or i < 3:
         i += 1
-        for loop, positions in zip(some, poses, strict=True):
+        for loop in some:
+            # The step before fills the caches and the session's state for this loop.
+            sign = (-1) ** i
+            loop.prepare(scene.positions - sign * loop.moves)
+            positions = scene.positions + sign * loop.moves
             used = server_seconds(client)
             with counted() as total:
                 start = time.perf_counter()
-                loop.step(positions[i % 2])
+                loop.step(positions)
                 loop.seconds.append(time.perf_counter() - start)
             loop.sent, loop.received = loop.sent + total[0], loop.received + total[1]
             loop.server += server_seconds(client) - used

@@ -15,7 +15,10 @@ import hullcast
 
 OUTPUTS = (*EVERYTHING, "MATCHES")
 MARGIN = 0.05
-#: The columns that do not depend on where the solver started.
+#: The largest share of pairs that may differ in the last digits, because the solver of a session starts
+#: from the basis of the step before.
+MOST_BITS = 0.5
+#: The columns that `find` has too, without those that say how the solver worked.
 SAME = (
     "outcome", "flags", "alpha", "alpha_lower", "alpha_upper", "normal", "separation",
     "point_counts", "feature_kinds", "feature_indices", "kept_area",
@@ -79,34 +82,46 @@ def shapes() -> list[np.ndarray]:
     return [*found, hullcast.cylinder(0.4, 0.5).vertices, CUBE]
 
 
-def differing(found: hullcast.Manifolds, expected: hullcast.Manifolds) -> int:
-    """The number of pairs that differ in some bit. The pairs themselves must be the same."""
-    assert found.pairs.tolist() == expected.pairs.tolist()
-    assert found.invalid_bodies.tolist() == expected.invalid_bodies.tolist()
-    assert found.missing_hulls.tolist() == expected.missing_hulls.tolist()
+class Difference(NamedTuple):
+    """How many pairs of a session's answer differ from those of `find`."""
+
+    #: Pairs of which some bit differs, because the solver started elsewhere.
+    bits: int
+    #: Pairs with another normal or other points: at a tie several are right.
+    ties: int
+
+
+def difference(found: hullcast.Manifolds, expected: hullcast.Manifolds) -> Difference:
+    """Compares an answer with that of `find`.
+
+    The pairs, bodies and outcomes must be the same, and the growth scales equal to rounding.
+    """
+    for name in ("pairs", "outcome", "invalid_bodies", "missing_hulls"):
+        assert getattr(found, name).tobytes() == getattr(expected, name).tobytes(), name
     assert found.scene is not None
     assert expected.scene is not None
     assert found.scene.positions.tobytes() == expected.scene.positions.tobytes()
-    count = len(found)
-    if count == 0:
-        return 0
-    differs = np.zeros(count, dtype=bool)
-    for name in SAME:
-        ours, theirs = (np.ascontiguousarray(getattr(m, name)) for m in (found, expected))
-        rows = [values.reshape(count, -1).view("u1") for values in (ours, theirs)]
-        differs |= (rows[0] != rows[1]).any(axis=1)
-    for i in np.flatnonzero(~differs).tolist():
-        for name in SAME_POINTS:
-            ours, theirs = getattr(found[i], name, None), getattr(expected[i], name, None)
-            if name == "witness_b":
-                ours, theirs = (
-                    m.witness_b[m.point_offsets[i] : m.point_offsets[i + 1]]
-                    for m in (found, expected)
-                )
-            differs[i] |= ours.tobytes() != theirs.tobytes()
-    close = np.abs(found.alpha - expected.alpha) <= 1e-9 * expected.alpha + 1e-9
-    assert close.all()
-    return int(np.count_nonzero(differs))
+    assert (np.abs(found.alpha - expected.alpha) <= 1e-13 * expected.alpha + 1e-300).all()
+    bits = ties = 0
+    for i in range(len(found)):
+        rows = [m[i : i + 1] for m in (found, expected)]
+        columns = [[getattr(m, name) for name in (*SAME, *SAME_POINTS)] for m in rows]
+        if all(a.tobytes() == b.tobytes() for a, b in zip(*columns, strict=True)):
+            continue
+        bits += 1
+        a, b = rows
+        is_same = a.point_ids.tolist() == b.point_ids.tolist() and all(
+            np.allclose(getattr(a, name), getattr(b, name), rtol=0, atol=1e-12)
+            for name in ("normal", "separation", "witness_a", "distance")
+        )
+        ties += not is_same
+    return Difference(bits, ties)
+
+
+def expect_few(difference: Difference, pairs: int) -> None:
+    """Asserts that nearly all pairs are equal to rounding, and most of them to the bit."""
+    assert difference.ties <= 0.01 * pairs, difference
+    assert difference.bits <= MOST_BITS * pairs, difference
 
 
 def expect_matches(
@@ -188,7 +203,9 @@ class Loop:
         self.seen["steps"] += 1
         self.seen[event] += 1
         self.seen["pairs"] += len(found)
-        self.seen["pairs that differ"] += differing(found, expected)
+        bits, ties = difference(found, expected)
+        self.seen["pairs that differ"] += bits
+        self.seen["ties"] += ties
         anew = self.before is None or event == "begin anew" or restarts
         assert found.restarted == anew
         if anew:
@@ -210,5 +227,4 @@ def expect_seen(seen: Counter[str], steps: int) -> None:
     for name in ("pairs that stayed", "pairs that ended", "points by id", "new points"):
         assert seen[name] > steps / 20, seen
     assert seen["points by distance"] > steps / 80, seen
-    # Pairs at a tie, and pairs whose bracket ends elsewhere when the solver starts from a basis.
-    assert seen["pairs that differ"] <= 0.01 * seen["pairs"], seen
+    expect_few(Difference(seen["pairs that differ"], seen["ties"]), seen["pairs"])

@@ -312,6 +312,22 @@ def test_an_update_that_cannot_be_compared_begins_anew(session, script):
     assert list(script.requests[-1].previous_bodies) == []
 
 
+def test_an_update_that_failed_can_be_repeated(session, script):
+    """Catches numbers that are refused, because they are taken for those of the scene that failed."""
+    script.answers = [[rows([[0, 1]])], [rows([[0, 1]], previous_pairs=[7])]]
+    step(session)
+    smaller = bodies(2)
+    with pytest.raises(hullcast.ServerError, match="MALFORMED_ANSWER"):
+        session.update(smaller, previous=[3, -1])
+    assert session.update(smaller, previous=[3, -1]).restarted
+    with pytest.raises(hullcast.InvalidArgument, match="the scene of the step before has 2 bodies"):
+        session.update(smaller, previous=[3, -1])
+    script.answers = [[rows([], previous_pairs=[7])]]
+    with pytest.raises(hullcast.ServerError, match="MALFORMED_ANSWER"):
+        session.update(bodies(5), previous=[0, 1, -1, -1, -1])
+    assert len(step(session).scene) == 5
+
+
 def old_and_one_row(**fields: Any) -> list[list[Any]]:
     """An answer with two pairs, the first CONTACT and the second UNDECIDED, then one with one."""
     return [[rows([[0, 1], [0, 2]], outcomes=b"\1\3")], [rows([[0, 1]], **fields)]]

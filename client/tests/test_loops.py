@@ -20,8 +20,10 @@ from loops import (
     OUTPUTS,
     SAME,
     SAME_POINTS,
+    Difference,
     Loop,
-    differing,
+    difference,
+    expect_few,
     expect_matches,
     expect_seen,
     shaken,
@@ -105,18 +107,17 @@ def test_a_find_session_outlives_its_server(client, kind):
                     restarts = True
                 elif i == 12 and kind == "another":
                     # The session is on one of the two, which is not known from outside.
-                    for server in (a, b):
-                        server.kill()
-                        if server is a:
-                            found = loop.session.step(loop.bodies.positions, loop.bodies.rotations)
-                            losses += found.restarted
-                            loop.before = found
-                            a.start()
-                    restarts = not losses
+                    a.kill()
+                    found = loop.session.step(loop.bodies.positions, loop.bodies.rotations)
+                    losses += found.restarted
+                    loop.before = found
+                    a.start()
+                    b.kill()
+                    restarts = True
                 loop.step(client, restarts=restarts)
                 losses += restarts
                 restarts = False
-            assert losses == (4 if kind == "restarted" else 1)
+            assert losses == 4 if kind == "restarted" else losses in (1, 2)
 
 
 def test_a_server_that_keeps_nothing(client):
@@ -160,7 +161,7 @@ def test_a_scene_that_is_too_large_is_split_by_worlds(client):
         )
         before: hullcast.Manifolds | None = None
         seen: Counter[str] = Counter()
-        differ = pairs = 0
+        bits = ties = pairs = 0
         for i in range(30):
             previous: list[int] | None = None
             if i % 5 == 4:
@@ -174,15 +175,15 @@ def test_a_scene_that_is_too_large_is_split_by_worlds(client):
                 bodies = shaken(rng, bodies, rows, 1e-3)
                 found = session.step(bodies.positions, bodies.rotations)
             expected = client.find(bodies.scene(hulls), margin=MARGIN, outputs=EVERYTHING)
-            differ += differing(found, expected)
-            pairs += len(found)
+            more = difference(found, expected)
+            bits, ties, pairs = bits + more.bits, ties + more.ties, pairs + len(found)
             assert found.restarted == (i == 0)
             if before is not None:
                 seen += expect_matches(before, found, previous)
             before = found
         assert len(session._lanes) == 2
         assert pairs > 300
-        assert differ <= 0.01 * pairs
+        expect_few(Difference(bits, ties), pairs)
         assert seen["pairs that stayed"] > 200
         assert seen["pairs that ended"] > 10
         one = hullcast.Scene(hulls[:1], np.zeros((80, 3)), [[0, 0, 0, 1]] * 80, body_hulls=[0] * 80)
@@ -250,8 +251,8 @@ def test_a_step_that_takes_too_long_is_forgotten(client):
                 session.step(scene.positions, scene.rotations, timeout=1e-3)
             found = session.step(scene.positions, scene.rotations)
             assert found.restarted
-        differ = differing(found, client.find(scene, margin=MARGIN, outputs=EVERYTHING))
-        assert differ <= 0.01 * len(found)
+        expected = client.find(scene, margin=MARGIN, outputs=EVERYTHING)
+        assert difference(found, expected) == (0, 0)  # a full message on a new stream starts cold
 
 
 def test_find_sessions_with_await(client):

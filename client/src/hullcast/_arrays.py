@@ -189,7 +189,7 @@ def poses(
 ) -> tuple[Floats, Floats]:
     """Converts poses of any accepted form to positions (n, 3) and quaternions (n, 4).
 
-    Both are read-only copies, so that a caller may move the same arrays on.
+    Both may be the caller's own arrays.
 
     Args:
         positions: (n, 3); or (n, 4, 4) homogeneous matrices if `rotations` is None. A
@@ -226,7 +226,7 @@ def poses(
         check_bottom("positions", matrices)
         turns = quaternions("positions", matrices[:, :3, :3])
         turns[~np.isfinite(matrices[:, 3]).all(axis=1)] = np.nan  # the last row has no other place
-        return frozen(matrices[:, :3, 3]), frozen(turns)
+        return np.ascontiguousarray(matrices[:, :3, 3]), turns
     position_array = floats("positions", positions, wanted, 3)
     rotation_array = _array("rotations", _as_quaternions(rotations), (count, 4))
     if rotation_array.ndim and len(rotation_array) == count:
@@ -234,8 +234,8 @@ def poses(
     _check_count(len(position_array), count)
     if rotation_array.ndim == 3:
         matrices = floats("rotations", rotation_array, count, 3, 3)
-        return frozen(position_array), frozen(quaternions("rotations", matrices))
-    return frozen(position_array), frozen(floats("rotations", rotation_array, count, 4))
+        return position_array, quaternions("rotations", matrices)
+    return position_array, floats("rotations", rotation_array, count, 4)
 
 
 def _check_count(given: int, hulls: int) -> None:

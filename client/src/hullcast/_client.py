@@ -358,9 +358,10 @@ class Session(_session.Steps):
 
         Args:
             scene: all bodies, at their poses. Options such as the margin stay.
-            previous: (n,) integers: for each body its index in the scene of the step before, or -1
-                for a new one. An index may be there once. A body whose hull has changed is a new
-                one. Without `previous` all bodies are new, and the session begins anew.
+            previous: (n,) integers: for each body its index in the scene of the last step that was
+                answered, or -1 for a new one. An index may be there once. A body whose hull has
+                changed is a new one. Without `previous` all bodies are new, and the session begins
+                anew.
             timeout: seconds for this step; by default the client's timeout.
 
         Returns:

@@ -183,10 +183,6 @@ class Query:
         """The number of pairs of the query."""
         return _length(self._pairs)
 
-    def move(self, positions: Any, rotations: Any) -> None:
-        """Moves the bodies of the query to new poses."""
-        self.scene = self.scene.moved(positions, rotations)
-
     def start_from(self, columns: _answers.Columns) -> None:
         """Makes the next full messages start from the bases of a result, if it has them."""
         if "BASES" in self._outputs:
@@ -224,16 +220,16 @@ class Query:
 
         Args:
             before: the last message of the stream.
-            moved: (bodies of the scene,): only the poses of these bodies are sent. None sends those
-                of all bodies, which is the only form that an old server knows.
+            moved: (bodies of the scene,), or `NOTHING`: only the poses of these bodies are sent.
+                None sends those of all bodies, which is the only form that an old server knows.
         """
         scene, bodies = self.scene, before.bodies
         columns: list[tuple[str, npt.NDArray[Any]]] = []
         if moved is not None:
-            moved = moved if bodies is None else moved[bodies]
+            moved = moved if bodies is None or len(moved) == 0 else moved[bodies]
             chosen = np.flatnonzero(moved)
             # A body takes 56 bytes, and 4 more if the message names it.
-            if 60 * len(chosen) < 56 * len(moved):
+            if len(moved) == 0 or 60 * len(chosen) < 56 * len(moved):
                 columns.append(("moved", chosen.astype("<u4")))
                 bodies = chosen if bodies is None else bodies[chosen]
         if bodies is None:

@@ -56,6 +56,9 @@ class Steps(Settled):
         #: The columns of a step that did not change the answer; the next such step has the same.
         self._still: _answers.Columns | None = None
         self._pairs = self._query.pair_count
+        #: The number of bodies of the last scene that was answered, which `update` refers to. So an
+        #: update that failed can be repeated.
+        self._answered = len(self._query.scene)
         self._closed = False
         #: Locked while a step is under way.
         self._step = threading.Lock()
@@ -88,16 +91,11 @@ class Steps(Settled):
         """The step to new poses of all bodies, or of the bodies `moved`."""
         before = self._query.scene
         if moved is None:
-            return Step(before.moved(positions, rotations))
+            return Step(*before._moved_where(positions, rotations), since=before)
         of = f"the scene has {counted(len(before), 'body', 'bodies')}"
         bodies = _arrays.indices("moved", moved, None, below=len(before), of=of)
         _arrays.distinct("moved", bodies)
-        at, turned = _arrays.poses(positions, rotations, len(bodies))
-        scene, mask = before, np.zeros(len(before), dtype=bool)
-        if len(bodies):
-            scene = before._with_poses(bodies, at, turned)
-            mask[bodies] = True
-        return Step(scene, moved={id(before): mask})
+        return Step(*before._moved_some(bodies, positions, rotations), since=before)
 
     def _replaced(self, scene: Any, previous: Any) -> Step:
         """The step to another scene."""
@@ -109,12 +107,12 @@ class Steps(Settled):
                 field="scene",
             )
         _arguments.instance("scene", scene, Scene, "a hullcast.Scene")
-        before = len(self._query.scene)
         numbers = None
         if previous is not None:
+            before = self._answered
             of = f"the scene of the step before has {counted(before, 'body', 'bodies')}"
             numbers = _arrays.rows("previous", previous, len(scene), before, of)
-        return Step(scene, replaced=True, previous=numbers)
+        return Step(scene, previous=numbers)
 
     def _alone(self, make: Callable[[], Step], timeout: float | None) -> _link.Steps[Manifolds]:
         """Makes a step, unless another one is under way."""
@@ -136,7 +134,7 @@ class Steps(Settled):
 
     def _stepped(self, step: Step, timeout: float | None) -> _link.Steps[Manifolds]:
         query, deadline = self._query, self._calls._deadline(timeout)
-        if step.replaced:
+        if step.since is None:
             query.replace(step.scene)
         else:
             query.scene = step.scene
@@ -160,6 +158,7 @@ class Steps(Settled):
                 lane.drop()
             raise
         columns = self._whole()
+        self._answered = len(query.scene)
         query.start_from(columns)
         restarted = any(lane.restarted for lane in self._lanes)
         return query.delivered(columns, restarted=restarted)
