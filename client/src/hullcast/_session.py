@@ -18,7 +18,7 @@ from . import _answers, _arguments, _arrays, _calls, _connection, _errors, _link
 from ._arguments import counted
 from ._lanes import FindLane, Lane, PairLane, Step
 from ._manifolds import Manifolds
-from ._matches import Rows, placed
+from ._matches import Rows, identical, placed
 from ._query import Query
 from ._scene import Scene
 from ._settled import Settled
@@ -53,8 +53,9 @@ class Steps(Settled):
         self._contract = LOOP_CONTRACT if self._query.finds or self._query.matches else 0
         #: The first point of each row of the last whole answer, if there are matches.
         self._offsets: Rows = np.zeros(0, dtype=np.int64)
-        #: The columns of a step that did not change the answer; the next such step has the same.
-        self._still: _answers.Columns | None = None
+        #: The columns of the last whole answer of a find session, and whether its matches are those
+        #: of an answer that did not change.
+        self._last: tuple[_answers.Columns, bool] = ({}, False)
         self._pairs = self._query.pair_count
         #: The number of bodies of the last scene that was answered, which `update` refers to. So an
         #: update that failed can be repeated.
@@ -166,9 +167,12 @@ class Steps(Settled):
     def _whole(self) -> _answers.Columns:
         """The answers of all lanes as one, in which matches are rows of the whole answer before."""
         query, lanes = self._query, self._lanes
-        unchanged = query.finds and all(lane.unchanged for lane in lanes)
-        if unchanged and self._still is not None:
-            return self._still
+        if query.finds and all(lane.unchanged for lane in lanes):
+            columns, is_still = self._last
+            if query.matches and not is_still:
+                same = columns | identical(columns)
+                columns = placed(same, np.arange(self._pairs), self._offsets)
+            return self._kept(columns, is_still=True)
         parts = [lane.columns for lane in lanes]
         if query.matches:
             parts = [placed(lane.columns, lane.rows, self._offsets) for lane in lanes]
@@ -179,10 +183,13 @@ class Steps(Settled):
         self._pairs = len(columns["outcomes"])
         if query.matches:
             self._remember(columns)
-        if query.finds:
-            for column in columns.values():
-                column.flags.writeable = False  # a later result may be the same arrays
-        self._still = columns if unchanged else None
+        return self._kept(columns, is_still=False) if query.finds else columns
+
+    def _kept(self, columns: _answers.Columns, *, is_still: bool) -> _answers.Columns:
+        """Keeps the columns of a find session, and makes them read-only, for a later result."""
+        for column in columns.values():
+            column.flags.writeable = False
+        self._last = columns, is_still
         return columns
 
     def _remember(self, columns: _answers.Columns) -> None:
