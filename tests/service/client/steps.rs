@@ -227,7 +227,7 @@ async fn a_find_session_gives_the_answers_of_searches() {
 }
 
 /// Catches a session that takes the answer of an old server, which ignores `find` and the output MATCHES, for
-/// an answer without pairs or matches. The server is a new one that does not say so.
+/// an answer without pairs or matches. The server is a new one whose answers lack the number.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_old_server_is_refused() {
     let (liar, client) = Liar::start().await;
