@@ -183,6 +183,10 @@ bench-python: build $(VENV)/.bench ## measures the Python client's own cost, and
 bench-find: build $(VENV)/.test ## measures the cost of finding pairs, up to 100,000 bodies and 10,000 worlds; writes docs/find.md and its picture
 	$(PY) client/examples/find.py --docs docs
 
+.PHONY: bench-loops
+bench-loops: build $(VENV)/.test ## measures a step of a simulation by query, find and sessions; writes docs/performance.md
+	$(PY) client/examples/loops.py | tee /dev/stderr | ./scripts/section docs/performance.md loops -
+
 TRADEOFF_PEERS := parry3d parry3d-f64 coal mujoco
 
 .PHONY: tradeoff tradeoff-families tradeoff-scenes

@@ -118,14 +118,17 @@ impl<'a> Asked<'a> {
     }
 }
 
+/// Checks that an answer has the number of its request.
+pub(crate) fn request_id(found: u64, expected: u64) -> Result<(), Malformed> {
+    if found == expected {
+        return Ok(());
+    }
+    malformed(format!("request_id is {found}, expected {expected}: it answers another request"))
+}
+
 fn checked(asked: &Asked<'_>, response: &QueryContactsResponse) -> Result<(), Malformed> {
     let request = asked.request;
-    if response.request_id != request.request_id {
-        return malformed(format!(
-            "request_id is {}, expected {}: it answers another request",
-            response.request_id, request.request_id
-        ));
-    }
+    request_id(response.request_id, request.request_id)?;
     sizes(asked, response)?;
     ascending("missing_hulls", &response.missing_hulls, request.hull_ids.len())?;
     ascending("invalid_bodies", &response.invalid_bodies, request.body_hulls.len())?;
