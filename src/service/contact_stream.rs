@@ -16,6 +16,7 @@ use super::{
 };
 use crate::{
     budget::{CallerStream, Permit},
+    compute::DeferredDrop,
     contact::{STEPS_BETWEEN_LOOKS, Stop},
     proto::{Encoded, QueryContactsRequest, QueryContactsResponse},
 };
@@ -31,7 +32,7 @@ pub(super) struct ContactStream {
     closing: Closing,
     previous: Previous,
     /// The answer that is being sent, if it comes in several messages.
-    finding: Option<Box<FindStep>>,
+    finding: Option<DeferredDrop<FindStep>>,
     /// Whether the client has sent a message that only clients send that know steps. Others get the answers that
     /// they always got: no row is used again, and no answer is sent as `unchanged`.
     knows_steps: bool,
@@ -122,7 +123,7 @@ impl ContactStream {
         };
         let (response, is_last) = finding.next().await?;
         if is_last {
-            self.previous = finding.finish().await?;
+            self.previous = finding.into_inner().finish().await?;
         } else {
             self.finding = Some(finding);
         }
@@ -161,13 +162,15 @@ impl ContactStream {
         let warm_starts = std::mem::take(&mut step.scene.warm_starts);
         let (app, context, knows_steps) = (&self.app, &self.context, self.knows_steps);
         let begun = StepAnswer::begin(app, context, step, answer, state_memory, knows_steps, &mut memory);
-        let mut answer = begun.await?;
+        // If the caller leaves during the answer, its parts and the answer before may be large too.
+        let mut answer = engine.compute_threads().defer_drop(begun.await?, usize::MAX);
         if is_search {
-            self.finding = Some(Box::new(FindStep::begin(answer, admission, memory).await?));
+            let finding = FindStep::begin(answer.into_inner(), admission, memory).await?;
+            self.finding = Some(self.app.engine().compute_threads().defer_drop(finding, usize::MAX));
             return self.next_part().await;
         }
         let response = answer_named(&mut answer, admission, warm_starts, memory).await?;
-        self.previous = answer.finish().await?;
+        self.previous = answer.into_inner().finish().await?;
         Ok(response)
     }
 }

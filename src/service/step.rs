@@ -135,7 +135,7 @@ impl StepAnswer {
             return Ok(None);
         }
         let rows = step.rows().clone();
-        let bytes = KeptRows::bytes(rows.columns()) + self.scene_bytes();
+        let bytes = rows.heap_bytes() + self.scene_bytes();
         let is_kept = self.keeping.take_last(bytes);
         self.keeping.keep_rows(rows);
         let response = self.unchanged(!is_kept);
@@ -152,12 +152,9 @@ impl StepAnswer {
         mut is_last: bool,
     ) -> Result<AnswerPart, ServiceError> {
         let outputs = self.scene.template.outputs();
-        let mut columns = self.matched(columns, pairs).await?;
-        let ended = match &self.step {
-            Some(step) if is_last && outputs.matches => step.ended_pairs(&self.seen),
-            _ => Vec::new(),
-        };
-        if is_last && ended.is_empty() && self.is_unchanged(&columns) {
+        let may_repeat = is_last && self.may_repeat();
+        let (mut columns, ended, is_same) = self.matched(columns, pairs, is_last, may_repeat).await?;
+        if is_same {
             return self.part_unchanged(columns).await;
         }
         grow(&self.app, &mut memory, size_of_val(&ended[..]))?;
@@ -181,7 +178,8 @@ impl StepAnswer {
             is_last = false;
         }
         response.more = !is_last;
-        let bytes = KeptRows::bytes(&unsent) + response.encoded_len();
+        let besides = KeptRows::bytes_besides(response.outcomes.len());
+        let bytes = unsent.heap_bytes() + response.encoded_len() + besides;
         let is_kept = if is_last {
             self.forget_before();
             self.keeping.take_last(bytes + self.scene_bytes())
@@ -206,7 +204,8 @@ impl StepAnswer {
     async fn part_unchanged(&mut self, columns: Columns) -> Result<AnswerPart, ServiceError> {
         self.had_ended = false;
         self.forget_before();
-        let is_kept = self.keeping.take_last(KeptRows::bytes(&columns) + self.scene_bytes());
+        let bytes = columns.heap_bytes() + KeptRows::bytes_besides(columns.len());
+        let is_kept = self.keeping.take_last(bytes + self.scene_bytes());
         self.keeping.push(columns);
         let response = self.unchanged(!is_kept);
         answer(&self.app, &self.context, response).await.map(AnswerPart::Last)
@@ -217,10 +216,10 @@ impl StepAnswer {
         QueryContactsResponse { request_id, contract, state_dropped, unchanged: true, ..Default::default() }
     }
 
-    /// Whether an answer with these columns is the answer before, bit for bit.
-    fn is_unchanged(&self, columns: &Columns) -> bool {
-        let (Some(step), Some(before)) = (&self.step, &self.before) else { return false };
-        let (template, rows) = (&self.scene.template, step.rows());
+    /// Whether the answer may be the answer before, as far as anything but its columns is concerned.
+    fn may_repeat(&self) -> bool {
+        let Some(before) = &self.before else { return false };
+        let template = &self.scene.template;
         self.knows_steps
             && !self.has_begun
             && !before.had_ended
@@ -228,33 +227,44 @@ impl StepAnswer {
             && before.invalid_bodies == self.scene.invalid_bodies
             && before.template.pairs() == template.pairs()
             && before.template.outputs() == template.outputs()
-            && columns.is_same(rows.columns(), template.outputs())
     }
 
-    /// Fills in the matches of columns, on the compute threads if there are many.
+    /// Fills in the matches of columns. With the last columns, returns the pairs that have ended too, and, if the
+    /// answer `may_repeat`, whether its columns are those of the answer before. The work is done on the compute
+    /// threads if there are many rows.
     async fn matched(
         &mut self,
         mut columns: Columns,
         pairs: Option<Arc<StepPairs>>,
-    ) -> Result<Columns, ServiceError> {
-        let Some(step) = self.step.clone().filter(|_| self.scene.template.outputs().matches) else {
-            return Ok(columns);
-        };
+        is_last: bool,
+        may_repeat: bool,
+    ) -> Result<(Columns, Vec<u32>, bool), ServiceError> {
+        let Some(step) = self.step.clone() else { return Ok((columns, Vec::new(), false)) };
+        let outputs = self.scene.template.outputs();
         let (bodies, mut seen) = (self.bodies.clone(), std::mem::take(&mut self.seen));
-        let bytes = 2 * Step::match_steps(columns.len(), columns.point_count()) as usize;
+        let steps = if outputs.matches { Step::match_steps(columns.len(), columns.point_count()) } else { 0 };
+        let bytes = 2 * steps as usize + seen.len() + if may_repeat { columns.filled_bytes() } else { 0 };
         let work = move |stop: &Stop| {
-            step.fill_matches(&bodies, pairs.as_deref(), &mut columns, &mut seen, stop)?;
-            Ok::<_, ServiceError>((columns, seen))
+            let mut ended = Vec::new();
+            if outputs.matches {
+                step.fill_matches(&bodies, pairs.as_deref(), &mut columns, &mut seen, stop)?;
+                if is_last {
+                    ended = step.ended_pairs(&seen, stop)?;
+                }
+            }
+            let is_same = may_repeat && ended.is_empty() && columns.is_same(step.rows().columns(), outputs);
+            Ok::<_, ServiceError>((columns, seen, ended, is_same))
         };
-        let (columns, seen) = offloaded(&self.app, &self.context, bytes, work).await?;
+        let (columns, seen, ended, is_same) = offloaded(&self.app, &self.context, bytes, work).await?;
         self.seen = seen;
-        Ok(columns)
+        Ok((columns, ended, is_same))
     }
 
-    /// Drops the answer before, which the last message no longer needs.
+    /// Drops the answer before, which the last message no longer needs. If it is large, another thread frees it.
     fn forget_before(&mut self) {
-        self.step = None;
-        self.before = None;
+        let compute = self.app.engine().compute_threads();
+        let bytes = self.step.as_ref().map_or(0, |step| step.rows().heap_bytes());
+        drop(compute.defer_drop((self.step.take(), self.before.take()), bytes));
         self.seen = Vec::new();
     }
 
@@ -272,10 +282,13 @@ impl StepAnswer {
 
     /// The state for the next message, after the last message of the answer.
     pub(super) async fn finish(self) -> Result<Previous, ServiceError> {
+        let scene_bytes = self.scene_bytes();
         let Self { app, context, scene, presence, keeping, had_ended, .. } = self;
-        let Some((rows, memory)) = keeping.rows(&app, &context, &scene.template).await? else {
+        let Some((rows, mut memory)) = keeping.rows(&app, &context, &scene.template).await? else {
             return Ok(Previous::Dropped);
         };
+        // The memory that was taken before the answer was encoded covers more.
+        memory.shrink_to((rows.heap_bytes() + scene_bytes) as u64);
         let answer = AnswerBefore {
             template: scene.template.clone(),
             invalid_bodies: scene.invalid_bodies.clone(),

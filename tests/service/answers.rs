@@ -116,7 +116,7 @@ async fn the_parts_of_a_batch_are_the_batch() {
         for pairs in whole.pairs.chunks(2 * size) {
             let part = QueryContactsRequest { pairs: pairs.to_vec(), ..whole.clone() };
             let part = server.contacts().query_contacts(part).await.unwrap().into_inner();
-            joined.request_id = part.request_id;
+            (joined.request_id, joined.contract) = (part.request_id, part.contract);
             append(&mut joined, part);
         }
         assert_same(&joined, &answer);

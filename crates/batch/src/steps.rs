@@ -189,9 +189,18 @@ impl Step {
     }
 
     /// The pairs whose rows do not go on, with the bodies as they were numbered: 2 per pair.
-    pub fn ended_pairs(&self, seen: &[bool]) -> Vec<u32> {
-        let ended = seen.iter().enumerate().filter(|&(row, &seen)| !seen && self.rows.goes_on(row));
-        ended.flat_map(|(row, _)| self.rows.pair(row)).collect()
+    ///
+    /// # Errors
+    /// The work was stopped.
+    pub fn ended_pairs(&self, seen: &[bool], stop: &Stop) -> Result<Vec<u32>, Stopped> {
+        let (meter, mut ended) = (Meter::new(stop), Vec::new());
+        for (row, &seen) in seen.iter().enumerate() {
+            meter.spend(2)?;
+            if !seen && self.rows.goes_on(row) {
+                ended.extend(self.rows.pair(row));
+            }
+        }
+        Ok(ended)
     }
 
     /// The estimated steps of matching this many rows and points.

@@ -107,14 +107,14 @@ impl Keeping {
         self.rows = Some(rows);
     }
 
-    /// The rows of the whole answer with their memory, or `None` if there was no room.
+    /// The rows of the whole answer, with at least the memory that they need, or `None` if there was no room.
     pub(super) async fn rows(
         self,
         app: &App,
         context: &CallContext,
         template: &Arc<SceneTemplate>,
     ) -> Result<Option<(Arc<KeptRows>, Permit)>, ServiceError> {
-        let Some(mut memory) = self.memory else { return Ok(None) };
+        let Some(memory) = self.memory else { return Ok(None) };
         if let Some(rows) = self.rows {
             return Ok(Some((rows, memory)));
         }
@@ -131,9 +131,6 @@ impl Keeping {
             Ok::<_, ServiceError>(KeptRows::new(template, columns, stop)?)
         };
         let rows = offloaded(app, context, bytes, join).await?;
-        if is_joined {
-            memory.shrink_to(memory.bytes() / 2);
-        }
         Ok(Some((Arc::new(rows), memory)))
     }
 }

@@ -20,6 +20,8 @@ pub struct KeptRows {
     columns: Columns,
     /// The first point of each row, and the number of all points. Empty if the answer has no points.
     offsets: Vec<u32>,
+    are_certain: bool,
+    are_settled: bool,
 }
 
 /// Whether a row with this outcome matches a row of the next answer.
@@ -46,12 +48,24 @@ impl KeptRows {
                 }));
             }
         }
-        Ok(Self { template, columns, offsets })
+        let mut rows = Self { template, columns, offsets, are_certain: true, are_settled: true };
+        for first in (0..rows.len()).step_by(AT_A_TIME) {
+            let some = first..rows.len().min(first + AT_A_TIME);
+            stop.spend(4 * some.len() as u64)?;
+            rows.are_certain = rows.are_certain && some.clone().all(|row| rows.is_certain(row));
+            rows.are_settled = rows.are_settled && some.clone().all(|row| rows.is_settled(row));
+        }
+        Ok(rows)
     }
 
-    /// The bytes of the rows with these columns.
-    pub fn bytes(columns: &Columns) -> usize {
-        columns.heap_bytes() + (columns.len() + 1) * size_of::<u32>()
+    /// The most bytes that `rows` rows take besides their columns.
+    pub fn bytes_besides(rows: usize) -> usize {
+        (rows + 1) * size_of::<u32>()
+    }
+
+    /// The bytes of the rows.
+    pub fn heap_bytes(&self) -> usize {
+        self.columns.heap_bytes() + self.offsets.capacity() * size_of::<u32>()
     }
 
     /// The columns.
@@ -95,7 +109,7 @@ impl KeptRows {
 
     /// Whether all rows are certain.
     pub(super) fn are_certain(&self) -> bool {
-        (0..self.len()).all(|row| self.is_certain(row))
+        self.are_certain
     }
 
     pub(super) fn goes_on(&self, row: usize) -> bool {
@@ -105,15 +119,17 @@ impl KeptRows {
     /// Whether an answer that takes every row from these is the same as these, bit for bit: its rows took no
     /// work, and each matches itself.
     pub fn are_settled(&self) -> bool {
+        self.are_settled
+    }
+
+    fn is_settled(&self, row: usize) -> bool {
         let columns = &self.columns;
-        if columns.iterations.iter().chain(&columns.support_calls).any(|&count| count != 0) {
-            return false;
-        }
-        // Without the output MATCHES there are no previous pairs.
-        columns.previous_pairs.iter().enumerate().all(|(row, &previous)| {
-            let points = columns.previous_points.get(self.points(row)).unwrap_or_default();
-            let expected = if self.goes_on(row) { row as u32 } else { NO_INDEX };
-            previous == expected && points.iter().zip(0..).all(|(&previous, point)| previous == point)
-        })
+        let took_work = [&columns.iterations, &columns.support_calls].iter().any(|counts| {
+            counts.get(row).is_some_and(|&count| count != 0) // absent without the output DIAGNOSTICS
+        });
+        let Some(&previous) = columns.previous_pairs.get(row) else { return !took_work };
+        let expected = if self.goes_on(row) { row as u32 } else { NO_INDEX };
+        let points = columns.previous_points.get(self.points(row)).unwrap_or_default();
+        !took_work && previous == expected && points.iter().zip(0..).all(|(&previous, at)| previous == at)
     }
 }
