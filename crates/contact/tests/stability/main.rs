@@ -25,6 +25,7 @@ mod regressions;
 mod report;
 #[path = "../scene/mod.rs"]
 mod scene;
+mod starts;
 
 use matrix::{Score, of_every_row, run};
 
