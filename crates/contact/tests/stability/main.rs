@@ -6,6 +6,7 @@
 //! runs the long sweeps.
 
 mod case;
+mod derivatives;
 mod determinism;
 mod exact;
 mod frames;
