@@ -214,6 +214,12 @@ impl Scratch {
         Touched::Vertex(self.support.iter().copied().min().unwrap_or(0))
     }
 
+    /// All vertices within `depth` of the farthest.
+    pub(crate) fn support_set(&mut self, hull: &ConvexHull, direction: &Direction<'_>) -> &[u32] {
+        self.find_support(hull, direction);
+        &self.support
+    }
+
     /// Collects all vertices within `depth` of the farthest. They are connected along the hull's edges,
     /// as is every part that a half space cuts off a convex polytope.
     fn find_support(&mut self, hull: &ConvexHull, direction: &Direction<'_>) {

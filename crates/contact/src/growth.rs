@@ -142,7 +142,7 @@ pub(crate) fn growth<'a>(
 }
 
 /// The vertices of `K` that a basis names. None if one of its indices is not a vertex.
-fn triple_of(pair: &Pair<'_>, basis: &Basis) -> Option<[Support; 3]> {
+pub(crate) fn triple_of(pair: &Pair<'_>, basis: &Basis) -> Option<[Support; 3]> {
     let mut triple = [Support::default(); 3];
     for (u, (&a, &b)) in triple.iter_mut().zip(basis.a.iter().zip(&basis.b)) {
         *u = pair.support_of(pair.a.vertex_of_registered(a)?, pair.b.vertex_of_registered(b)?);

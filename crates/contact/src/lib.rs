@@ -55,6 +55,7 @@ mod bounds;
 pub mod certificate;
 mod cost;
 mod csr;
+mod derivatives;
 mod distance;
 mod estimate;
 pub(crate) mod exact;
@@ -78,6 +79,7 @@ use glam::DVec3;
 
 pub use body::{Body, InvalidPose, Pose};
 pub use bounds::Bounds;
+pub use derivatives::{Derivatives, KinkScratch, derivatives};
 pub use estimate::estimated_steps;
 pub use hull::{
     ABSENT_PLANARITY, BuildError, ConvexHull, HullError, HullErrorKind, HullOptions, MAX_PLANARITY,

@@ -173,6 +173,14 @@ pub(crate) const TURN: f64 = 16.0 * U;
 /// it is 2, and the margin of a thousandth is far above rounding.
 pub(crate) const SHARP: f64 = 1.999;
 
+// Derivatives (`derivatives`).
+
+/// Multiple of `U k^2 (R / h) (1 + M / (alpha R))` in the error of a derivative, where `h` is the height of the
+/// facet's plane and `R / k` the least height of the basis' triangle. A corner has the error [`NOISE`] `U R`, and
+/// a side twice that, which turns the plane and shifts the shares by `k` times as much; doubled for the products
+/// of both.
+pub(crate) const GRADIENT: f64 = 4.0 * NOISE;
+
 // Distance (`distance`).
 
 /// Iterations after which the search for the distance between two hulls gives up.

@@ -6,6 +6,7 @@
 //! runs the long sweeps.
 
 mod case;
+mod derivatives;
 mod determinism;
 mod exact;
 mod frames;
@@ -25,6 +26,7 @@ mod regressions;
 mod report;
 #[path = "../scene/mod.rs"]
 mod scene;
+mod starts;
 
 use matrix::{Score, of_every_row, run};
 

@@ -23,6 +23,8 @@ pub(crate) struct Exact {
     /// Vertices about the contraction points, along the world axes.
     vertices: [Vec<V>; 2],
     floats: [Vec<[f64; 3]>; 2],
+    /// From each frame's origin to its contraction point.
+    centres: [V; 2],
     /// The offset from A's contraction point to B's.
     pub(crate) d: V,
     unit: BigInt,
@@ -84,6 +86,7 @@ impl Exact {
         Self {
             floats: [unit_floats(&vertices[0]), unit_floats(&vertices[1])],
             vertices,
+            centres: [ca, cb],
             d,
             inner: &unit * integer(inner, exponent),
             unit,
@@ -163,6 +166,31 @@ impl Exact {
             }
         }
         unreachable!("the simplex method is finite")
+    }
+
+    /// The gradient of the growth scale while this basis is optimal: by a translation of B, a rotation of A
+    /// and a rotation of B about its frame's origin. Each number is rounded to about one ulp.
+    pub(crate) fn gradient(&self, basis: [Corner; 3]) -> [f64; 9] {
+        let [u0, u1, u2] = basis.map(|c| self.corner(c));
+        let duals = [cross(&u1, &u2), cross(&u2, &u0), cross(&u0, &u1)];
+        let (n, volume) = (plus(&plus(&duals[0], &duals[1]), &duals[2]), dot(&u0, &duals[0]));
+        let weights = duals.each_ref().map(|c| dot(c, &self.d));
+        let whole = &volume * &volume;
+        let mut gradient = [0.0; 9];
+        for k in 0..3 {
+            gradient[k] = quotient(&(&n[k] * &self.unit), &volume, -i64::from(self.exponent));
+        }
+        for side in 0..2 {
+            let mut lever = times(&self.centres[side], &volume);
+            for (corner, weight) in basis.iter().zip(&weights) {
+                lever = plus(&lever, &times(&self.vertices[side][corner[side]], weight));
+            }
+            let moment = if side == 0 { cross(&n, &lever) } else { cross(&lever, &n) };
+            for k in 0..3 {
+                gradient[3 + 3 * side + k] = quotient(&moment[k], &whole, 0);
+            }
+        }
+        gradient
     }
 
     /// The exact squared distance of the hulls, `num / den` in squared units, by GJK from any
