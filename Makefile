@@ -186,9 +186,7 @@ simulation: build $(VENV)/.test ## runs a rigid body simulation on several kinds
 
 .PHONY: simulators
 simulators: build $(VENV)/.extras ## runs scenes in MuJoCo and Newton on their own contacts and on hullcast's; writes docs/simulators.md
-	mkdir -p out
-	$(PY) client/examples/simulators | tee out/simulators.txt
-	./scripts/section docs/simulators.md simulators out/simulators.txt
+	$(PY) client/examples/simulators | tee /dev/stderr | ./scripts/section docs/simulators.md simulators -
 
 .PHONY: bench-service
 bench-service: check-tools build ## compares the server with an echo server for the same bytes; writes docs/performance.md
