@@ -51,7 +51,7 @@ capacity: NEEDS := unshare ip
 bench-counts: NEEDS := valgrind
 fuzz fuzz-planted: NEEDS := nightly cargo-fuzz cxx
 fuzz fuzz-planted: check-tools
-test-extras types bench-ray test-lowest test-latest: NEEDS := python3.11
+test-extras types bench-ray simulators test-lowest test-latest: NEEDS := python3.11
 test-languages: override LANGUAGES += $(if $(AVAILABLE),--available)
 
 # These targets fail if one of their tests is skipped, because its subject is then missing.
@@ -129,7 +129,7 @@ test-python: build lab $(VENV)/.test ## runs the Python tests against the real s
 	HULLCAST_BIN=$(TARGET)/release/tested/hullcast $(PY) -m pytest client --numprocesses $(PYTEST_WORKERS)
 
 .PHONY: test-extras
-test-extras: build $(VENV)/.extras ## runs the Python tests that need large packages (real robots, decomposition, rerun, ray, torch, jax), then pyright
+test-extras: build $(VENV)/.extras ## runs the Python tests that need large packages (real robots, decomposition, rerun, ray, torch, jax, MuJoCo, Newton), then pyright
 	$(PY) -m pytest client/tests/extras
 	$(MAKE) types
 
@@ -215,6 +215,10 @@ planarity: lab $(VENV)/.planarity ## measures the patches of rounded shapes for 
 .PHONY: simulation
 simulation: build $(VENV)/.test ## runs a rigid body simulation on several kinds of contacts; writes docs/simulation.md and its pictures
 	$(PY) client/examples/simulation --docs docs
+
+.PHONY: simulators
+simulators: build $(VENV)/.extras ## runs scenes in MuJoCo and Newton on their own contacts and on hullcast's; writes docs/simulators.md
+	$(PY) client/examples/simulators | tee /dev/stderr | ./scripts/section docs/simulators.md simulators -
 
 .PHONY: bench-service
 bench-service: check-tools build ## compares the server with an echo server for the same bytes; writes docs/performance.md

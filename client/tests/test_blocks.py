@@ -40,7 +40,7 @@ PROGRAMS = {
 def is_page_run(page: str) -> bool:
     """Whether a test runs the Python of the page as one program and compares its outputs."""
     path = Path(page)
-    return page == "README.md" or (
+    return page in ("README.md", "docs/simulators.md") or (
         path.parent == Path("docs/python") and path.stem in {*SHOWN, *EXTRAS}
     )
 

@@ -26,6 +26,7 @@ suppress_warnings = ["misc.highlighting_failure"]
 CONTENTS = {
     "Python": [
         *(f"docs/python/{page}" for page in ("first-contacts", "robots", "finding", "loops")),
+        "docs/simulators",
         *(f"docs/python/{page}" for page in ("workers", "batch-jobs", "accuracy")),
         "docs/site/python",
     ],

@@ -19,10 +19,9 @@ def builder(setup: scenes.Setup, **options: Any) -> Any:
         setup: the scene. Its fixed bodies are shapes of the world.
         options: of `newton.ModelBuilder.ShapeConfig`, such as `margin` and `gap`.
     """
-    result = newton.ModelBuilder()
-    config = newton.ModelBuilder.ShapeConfig(
-        **{"density": models.DENSITY, "mu": setup.friction, "gap": 1e-3, **options}
-    )
+    result: Any = newton.ModelBuilder()
+    given: dict[str, Any] = {"density": models.DENSITY, "mu": setup.friction, "gap": 1e-3}
+    config = newton.ModelBuilder.ShapeConfig(**{**given, **options})
     for i, (shape, place, turn) in enumerate(
         zip(setup.shapes, setup.positions, setup.rotations, strict=True)
     ):

@@ -261,9 +261,8 @@ class Pipeline(Settled):
 
         def array(values: npt.NDArray[Any], kind: Any = None) -> Any:
             options = {} if kind is None else {"dtype": kind}
-            return warp.array(
-                np.require(values, requirements=["C", "W"]), copy=False, device=device, **options
-            )
+            plain = np.require(values, requirements=["C", "W"])
+            return warp.array(plain, copy=not device.is_cpu, device=device, **options)
 
         empty = array(np.zeros(0, np.int32))
         body_q = state.body_q

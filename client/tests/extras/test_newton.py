@@ -28,7 +28,7 @@ COLUMNS = (
 
 @pytest.fixture(scope="module", autouse=True)
 def quiet():
-    wp.config.quiet = True
+    wp.config.log_level = wp.LOG_ERROR
 
 
 def rows(contacts: Any) -> dict[str, np.ndarray]:
