@@ -95,7 +95,7 @@ impl ContactStream {
     /// The next answer, or `None` after the last request.
     pub(super) async fn next(&mut self) -> Result<Option<QueryContactsResponse>, Status> {
         if self.finding.is_some() {
-            return Ok(Some(self.next_part().await?));
+            return Ok(Some(Box::pin(self.next_part()).await?));
         }
         let steps = self.context.job.stop.steps();
         if steps - self.gave_way >= STEPS_BEFORE_YIELD / self.stream.count().max(1) as u64 {
@@ -112,7 +112,8 @@ impl ContactStream {
         };
         match request {
             None => Ok(None),
-            Some(request) => Ok(Some(self.answer_message(request).await?)),
+            // A stream that waits for its next message does not hold the large state of an answer.
+            Some(request) => Ok(Some(Box::pin(self.answer_message(request)).await?)),
         }
     }
 

@@ -364,6 +364,7 @@ macro_rules! columns {
             }
 
             /// Takes the columns that are not sent out, so that the columns of `outputs` remain.
+            #[must_use]
             pub fn take_unsent(&mut self, outputs: Outputs) -> Self {
                 let mut unsent = Self { points: self.points, ..Self::default() };
                 $(if !(false $(|| outputs.has(Output::$pair_output))*) {

@@ -313,6 +313,7 @@ impl Batch {
 
 impl Outputs {
     /// These outputs, and those that the next step needs.
+    #[must_use]
     pub fn kept_for_steps(self) -> Self {
         let matched = self.matches;
         Self {

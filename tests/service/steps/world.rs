@@ -81,7 +81,7 @@ impl World {
         let some = self.random.below(count.max(1));
         match change {
             Change::Nothing => {}
-            Change::Some => (0..1 + count / 10).for_each(|_| {
+            Change::Some => (0..=count / 10).for_each(|_| {
                 let body = self.random.below(count);
                 self.nudge(body);
             }),

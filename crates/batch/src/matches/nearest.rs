@@ -52,7 +52,8 @@ impl Tree {
         // A node is halved until it is a leaf, so all leaves have nearly the same depth.
         let levels = points.len().div_ceil(LEAF).next_power_of_two().ilog2();
         let mut nodes: Vec<Node> = Vec::with_capacity((2 << levels) - 1);
-        let mut ranges = vec![0..points.len()];
+        let whole = 0..points.len();
+        let mut ranges = vec![whole];
         for level in 0..=levels {
             let mut halves = Vec::with_capacity(2 * ranges.len());
             for range in ranges {

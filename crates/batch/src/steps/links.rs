@@ -257,7 +257,8 @@ mod tests {
         let (of_template, found) = if named { (flat, Vec::new()) } else { (Vec::new(), flat) };
         let template = SceneTemplate::new(1, vec![0; BODIES as usize], of_template, meter).unwrap();
         let outcomes = vec![outcome::CONTACT; pairs.len()];
-        let columns = Columns { pairs: found, outcomes, ..Columns::default() };
+        let mut columns = Columns::default();
+        (columns.pairs, columns.outcomes) = (found, outcomes);
         Arc::new(KeptRows::new(Arc::new(template), columns, &Stop::default()).unwrap())
     }
 
@@ -276,22 +277,21 @@ mod tests {
         let (mut reused, mut left_out, mut parted) = (0, 0, 0);
         for case in 0..3_000_u64 {
             let old = some_pairs(&mut random, 3);
-            let changed: Vec<bool> = (0..BODIES).map(|_| random.bits() % 3 == 0).collect();
+            let changed: Vec<bool> = (0..BODIES).map(|_| random.bits().is_multiple_of(3)).collect();
             let is_changed = |pair: &[u32; 2]| pair.iter().any(|&body| changed[body as usize]);
             // The pairs that meet now: of unmoved bodies those that met before, and perhaps others that were
             // separated.
             let drawn = some_pairs(&mut random, 4);
-            let candidates: Vec<[u32; 2]> = match case % 2 {
+            let candidates: Vec<[u32; 2]> = if case % 2 == 0 {
                 // A broad phase that leaves out the pairs of unmoved bodies.
-                0 => drawn.iter().copied().filter(is_changed).collect(),
+                drawn.iter().copied().filter(is_changed).collect()
+            } else {
                 // One that has them all.
-                _ => {
-                    let both = drawn.iter().chain(old.iter().filter(|pair| !is_changed(pair)));
-                    let mut all: Vec<_> = both.copied().collect();
-                    all.sort_unstable();
-                    all.dedup();
-                    all
-                }
+                let both = drawn.iter().chain(old.iter().filter(|pair| !is_changed(pair)));
+                let mut all: Vec<_> = both.copied().collect();
+                all.sort_unstable();
+                all.dedup();
+                all
             };
             let mut expected: BTreeMap<[u32; 2], Link> = BTreeMap::new();
             for (row, pair) in old.iter().enumerate() {
