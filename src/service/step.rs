@@ -159,6 +159,7 @@ impl StepAnswer {
         }
         grow(&self.app, &mut memory, size_of_val(&ended[..]))?;
         self.had_ended = !ended.is_empty();
+        let bytes = columns.heap_bytes() + KeptRows::bytes_besides(columns.len());
         let unsent = columns.take_unsent(outputs);
         let (hulls, bodies) = match self.has_begun {
             true => (Vec::new(), Vec::new()),
@@ -178,8 +179,6 @@ impl StepAnswer {
             is_last = false;
         }
         response.more = !is_last;
-        let besides = KeptRows::bytes_besides(response.outcomes.len());
-        let bytes = unsent.heap_bytes() + response.encoded_len() + besides;
         let is_kept = if is_last {
             self.forget_before();
             self.keeping.take_last(bytes + self.scene_bytes())
@@ -287,7 +286,7 @@ impl StepAnswer {
         let Some((rows, mut memory)) = keeping.rows(&app, &context, &scene.template).await? else {
             return Ok(Previous::Dropped);
         };
-        // The memory that was taken before the answer was encoded covers more.
+        // More may have been taken, for example to join the parts of the answer.
         memory.shrink_to((rows.heap_bytes() + scene_bytes) as u64);
         let answer = AnswerBefore {
             template: scene.template.clone(),
