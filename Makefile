@@ -43,6 +43,9 @@ playground: NEEDS := npm
 test-playground: NEEDS := chromium $(if $(AVAILABLE),,npm)
 test-tools: NEEDS := go
 test-balancers: NEEDS := root ip haproxy nginx
+test-deploy: NEEDS := $(if $(AVAILABLE),,go)
+test-image: NEEDS := $(if $(AVAILABLE),,root runc systemd-analyze)
+release-check: NEEDS := $(if $(AVAILABLE),,go root runc systemd-analyze)
 test-faults: NEEDS := root
 capacity: NEEDS := unshare ip
 bench-counts: NEEDS := valgrind
@@ -52,8 +55,15 @@ test-extras types bench-ray simulators test-lowest test-latest: NEEDS := python3
 test-languages: override LANGUAGES += $(if $(AVAILABLE),--available)
 
 # These targets fail if one of their tests is skipped, because its subject is then missing.
-test-extras test-playground test-s3 test-otlp test-deploy test-balancers test-tools: \
+test-extras test-playground test-s3 test-otlp test-deploy test-image test-balancers test-tools release-check: \
   export PYTEST_ADDOPTS := $(if $(AVAILABLE),,--no-skips)
+
+# The schema of KEDA's resource is a file of its Go module.
+KEDA := github.com/kedacore/keda/v2@v2.21.0
+KEDA_SCHEMA := out/keda.sh_scaledobjects.yaml
+$(KEDA_SCHEMA):
+	mkdir -p out
+	cp "$$(go mod download -json $(KEDA) | sed -n 's/^.*"Dir": "\(.*\)".*$$/\1/p')/config/crd/bases/$(@F)" $@
 
 .PHONY: build
 build: check-tools ## builds the server, target/release/hullcast
@@ -135,10 +145,28 @@ test-lowest test-latest: test-%: build lab
 	$(MAKE) VENV=$(VENV)-$* $(VENV)-$*/.$*
 	$(VENV)-$*/bin/python -m pytest client -o norecursedirs= -k 'not ur5_in_pieces'
 
+# Zig links for the C library of CentOS 7, whatever this machine has.
+.PHONY: wheel-manylinux
+wheel-manylinux: check-tools $(VENV)/.release ## builds the Python package for every Linux with glibc 2.17 or later: target/wheels
+	cd client && PATH="$(abspath $(VENV))/bin:$$PATH" ../$(PY) -m maturin build --zig --compatibility manylinux_2_17 --profile dist --out $(TARGET)/wheels
+
+.PHONY: sdist
+sdist: check-tools $(VENV)/.test ## writes the source distribution of the Python package: target/wheels
+	cd client && ../$(PY) -m maturin sdist --out $(TARGET)/wheels
+
 .PHONY: package
-package: check-tools wheel ## builds the parts of a release: the crates (each built from its package only), the wheel and the crates' licences
+package: check-tools wheel-manylinux sdist ## builds the parts of a release: the crates (each built from its package only), the wheel, the source distribution and the crates' licences
 	$(CARGO) publish --dry-run --locked --workspace
 	CARGO="$(CARGO)" $(PYTHON) scripts/licences --texts > $(TARGET)/wheels/THIRD-PARTY-LICENCES.txt
+
+# Old files are removed first, because the tests take every file in the folder for a part of the release.
+.PHONY: release-check
+release-check: check-tools $(VENV)/.release ## builds and checks everything that a release ships, from a clean commit: versions, crates, wheel, source distribution, chart, image
+	./scripts/release-check
+	rm -rf $(TARGET)/wheels $(TARGET)/package
+	$(MAKE) package build
+	HULLCAST_WHEELS=$(TARGET)/wheels $(PY) -m pytest client/tests/extras/test_release.py
+	$(MAKE) test-deploy test-image
 
 .PHONY: bench
 bench: check-tools build $(VENV)/.demo ## compares contacts with parry3d, then measures the server from Python; writes docs/performance.md
@@ -154,6 +182,10 @@ bench-python: build $(VENV)/.bench ## measures the Python client's own cost, and
 .PHONY: bench-find
 bench-find: build $(VENV)/.test ## measures the cost of finding pairs, up to 100,000 bodies and 10,000 worlds; writes docs/find.md and its picture
 	$(PY) client/examples/find.py --docs docs
+
+.PHONY: bench-loops
+bench-loops: build $(VENV)/.test ## measures a step of a simulation by query, find and sessions; writes docs/performance.md
+	$(PY) client/examples/loops.py | tee /dev/stderr | ./scripts/section docs/performance.md loops -
 
 TRADEOFF_PEERS := parry3d parry3d-f64 coal mujoco
 
@@ -257,9 +289,20 @@ test-otlp: $(VENV)/.otlp ## tests traces from Python through the server to a col
 capacity: build $(VENV)/.demo ## measures a replica's cost per pair, and the size of a cluster that follows from it; writes docs/capacity.md
 	unshare --user --map-root-user --net env PATH="$$PATH:/usr/sbin" $(PY) scripts/capacity
 
+# With AVAILABLE=1 and without Go, the chart's tests are skipped.
 .PHONY: test-deploy
-test-deploy: build $(VENV)/.deploy ## checks the Kubernetes manifests against their schemas
-	$(PY) -m pytest client/tests/extras/test_deploy.py
+test-deploy: build $(VENV)/.deploy $(if $(shell command -v go),out/bin/helm $(KEDA_SCHEMA)) ## checks the Kubernetes manifests and the Helm chart against their schemas and the server; needs Go
+	PATH="$(abspath out/bin):$$PATH" $(PY) -m pytest client/tests/extras/test_deploy.py
+
+# As `make image FEATURES=s3`.
+.PHONY: image
+image: check-tools ## writes the container image as an OCI archive, without a container builder: out/hullcast-image.tar
+	$(CARGO) build --profile dist --locked --package hullcast --features "$(FEATURES)"
+	$(PYTHON) scripts/image --binary $(TARGET)/dist/hullcast
+
+.PHONY: test-image
+test-image: build $(VENV)/.test ## runs the container image under the restrictions of the systemd unit; needs root and runc
+	$(PY) -m pytest client/tests/extras/test_image.py
 
 .PHONY: test-balancers
 test-balancers: build $(VENV)/.test ## kills, drains and cuts off three replicas under load, behind HAProxy, nginx and the client's own balancing; needs root
@@ -271,7 +314,8 @@ test-tools: build $(VENV)/.test out/bin/grpcurl out/bin/ghz ## runs the commands
 
 out/bin/grpcurl: MODULE := github.com/fullstorydev/grpcurl/cmd/grpcurl@v1.9.3
 out/bin/ghz: MODULE := github.com/bojand/ghz/cmd/ghz@v0.93.0
-out/bin/grpcurl out/bin/ghz:
+out/bin/helm: MODULE := helm.sh/helm/v4/cmd/helm@v4.3.1
+out/bin/grpcurl out/bin/ghz out/bin/helm:
 	GOBIN=$(abspath out/bin) go install $(MODULE)
 
 # The full workload has 12,000 pairs with exact answers; a subset is in tests/golden.
@@ -358,6 +402,10 @@ $(VENV)/.lowest $(VENV)/.latest: $(VENV)/.%: client/requirements-%.txt | check-t
 	touch $@
 
 $(VENV)/.deploy: client/requirements-deploy.txt client/requirements-dev.txt $(REQUIREMENTS) | check-tools
+	$(call install,$<)
+	touch $@
+
+$(VENV)/.release: client/requirements-release.txt client/requirements-dev.txt $(REQUIREMENTS) | check-tools
 	$(call install,$<)
 	touch $@
 

@@ -22,8 +22,6 @@ mod find;
 mod frames;
 mod hulls;
 mod info;
-#[cfg(feature = "testing")]
-mod injected;
 mod limits;
 mod listener;
 mod method;
@@ -35,6 +33,7 @@ mod peers;
 #[cfg(feature = "playground")]
 mod playground;
 mod protocol;
+mod read_turn;
 mod readiness;
 mod reason;
 mod records;
@@ -46,7 +45,10 @@ mod sizes;
 mod socket_file;
 #[cfg(feature = "playground")]
 mod stall;
+mod step;
 mod streams;
+#[cfg(feature = "testing")]
+mod test_controls;
 pub mod wire;
 
 use std::{
@@ -110,6 +112,8 @@ impl App {
             shares: limits.shares,
         };
         let metrics = Arc::new(Metrics::default());
+        metrics.memory_limit_bytes.set(i64::try_from(limits.max_memory_bytes).unwrap_or(i64::MAX));
+        metrics.cache_limit_bytes.set(i64::try_from(limits.cache_bytes).unwrap_or(i64::MAX));
         let caps = [
             (Part::Arriving, limits.max_request_bytes_in_flight),
             (Part::StreamState, limits.max_stream_state_bytes),

@@ -3,7 +3,8 @@
 pub mod cells;
 pub mod ours;
 pub mod parry;
-pub mod questions;
+#[path = "../../crates/lab/src/tradeoff/peer_files.rs"]
+pub mod peer_files;
 pub mod report;
 pub mod rounds;
 #[cfg(feature = "service")]

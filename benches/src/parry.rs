@@ -20,7 +20,7 @@ macro_rules! peer {
 
             use super::{ROUNDS, Touching};
             use crate::cells::{Cell, HullPose, MARGIN, PosedPair};
-            use crate::questions::{Answer, Contact, QuestionPair};
+            use crate::peer_files::{PeerAnswer, PeerContact, QuestionPair};
 
             type Manifold = ContactManifold<(), ()>;
 
@@ -131,7 +131,7 @@ macro_rules! peer {
             }
 
             /// Answers one pair without a warm start, and again with B nudged.
-            pub fn answer(hulls: &[ConvexPolyhedron], pair: &QuestionPair, margin: f64) -> Answer {
+            pub fn answer(hulls: &[ConvexPolyhedron], pair: &QuestionPair, margin: f64) -> PeerAnswer {
                 let [a, b] = pair.hulls.map(|hull| &hulls[hull]);
                 let mut manifold = Manifold::new();
                 let mut nanoseconds = f64::INFINITY;
@@ -144,7 +144,7 @@ macro_rules! peer {
                 let contact = found(&poses, &manifold);
                 let poses = [poses[0], at(&pair.nudged)];
                 from_nothing(&poses, a, b, margin, &mut manifold);
-                Answer { nanoseconds, contact, nudged: found(&poses, &manifold) }
+                PeerAnswer { nanoseconds, contact, nudged: found(&poses, &manifold) }
             }
 
             fn at(&[x, y, z, i, j, k, w]: &[f64; 7]) -> Pose3 {
@@ -165,14 +165,14 @@ macro_rules! peer {
             }
 
             /// The contact in a manifold; `None` if it has no point.
-            fn found(poses: &[Pose3; 2], manifold: &Manifold) -> Option<Contact> {
+            fn found(poses: &[Pose3; 2], manifold: &Manifold) -> Option<PeerContact> {
                 let array = |v: Vector| v.to_array().map(f64::from);
                 let deepest = manifold.points.iter().map(|p| f64::from(p.dist)).reduce(f64::min)?;
                 let middle = |p: &TrackedContact<()>| {
                     let [a, b] = [poses[0].transform_point(p.local_p1), poses[1].transform_point(p.local_p2)];
                     array((a + b) * 0.5)
                 };
-                Some(Contact {
+                Some(PeerContact {
                     normal: array(poses[0].rotation * manifold.local_n1),
                     separation: deepest,
                     points: manifold.points.iter().map(middle).collect(),

@@ -16,7 +16,7 @@ pub struct Timing {
     pub name: &'static str,
     /// Median nanoseconds per item.
     pub nanoseconds: f64,
-    /// Median of the reference's time divided by this contender's: how many times faster it is.
+    /// Median over the rounds of the reference's time divided by this contender's.
     pub ratio: f64,
     /// Quartiles of that ratio.
     pub quartiles: [f64; 2],

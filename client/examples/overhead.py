@@ -83,7 +83,7 @@ def own_work(
             number, answer = answers[span]
             # The response belongs to another message with the same content.
             message = replace(query.message(span), request_id=number)
-            parts.append(query.read(span, message, answer))
+            parts.append(query.read(span, message, _answers.Answer(answer, number)))
         return query.delivered(_answers.merge(parts))
 
     return work

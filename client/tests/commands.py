@@ -7,6 +7,7 @@ These are targets of make, flags, subcommands, files, extras, features, packages
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import re
 import shlex
@@ -260,6 +261,23 @@ def _grpc(words: list[str], _comment: str) -> None:
                 raise Wrong(f"the contract has no field {field}")
 
 
+def _helm(words: list[str], _comment: str) -> None:
+    """Checks the chart, the files of values and the assigned values."""
+    schema = json.loads((ROOT / "deploy/chart/values.schema.json").read_text())
+    for option, value in itertools.pairwise(words):
+        if option in ("--values", "-f"):
+            _exists(value)
+        if option == "--set":
+            at = schema
+            for name in value.partition("=")[0].split("."):
+                at = at.get("properties", {}).get(name)
+                if at is None:
+                    raise Wrong(f"the chart has no value {value}")
+    for word in words:
+        if word.startswith("deploy/"):
+            _exists(word)
+
+
 def _other(_words: list[str], _comment: str) -> None:
     """Accepts the command of a program that is not part of this project."""
 
@@ -275,6 +293,7 @@ CHECKS = {
     "apt-get": _apt,
     "grpcurl": _grpc,
     "ghz": _grpc,
+    "helm": _helm,
     **dict.fromkeys(("openssl", "kill", "systemctl", "xacro", "git"), _other),
 }
 

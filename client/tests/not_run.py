@@ -36,6 +36,7 @@ PROGRAMS = {
     "git": "changes the clone",
     "grpcurl": "test_tools.py runs the page (`make test-tools`)",
     "ghz": "test_tools.py runs the page (`make test-tools`)",
+    "helm": "needs a cluster; test_deploy.py writes and checks the manifests (`make test-deploy`)",
     "kill": "needs a process that is to be killed",
     "systemctl": "needs a system that runs systemd",
     "xacro": "a program of ROS, which is not on every machine",

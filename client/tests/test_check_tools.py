@@ -21,6 +21,8 @@ TOOLS = {
     "nginx": (["nginx"], "apt-get install nginx-light"),
     "ip": (["ip"], "apt-get install iproute2"),
     "unshare": (["unshare"], "apt-get install util-linux"),
+    "runc": (["runc"], "apt-get install runc"),
+    "systemd-analyze": (["systemd-analyze"], "apt-get install systemd"),
     "valgrind": (["valgrind"], "apt-get install valgrind"),
     "rustfmt": (["cargo"], "rustup component add rustfmt"),
     "clippy": (["cargo"], "rustup component add clippy"),

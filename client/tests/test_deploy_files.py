@@ -169,8 +169,8 @@ with hullcast.connect(os.environ["HULLCAST_TARGET"]) as client:
 
 
 def test_the_slurm_job_runs(tmp_path: Path):
-    """The page's script, with one node: a job that is refused, never finds its server, or leaves it
-    running behind."""
+    """Runs the page's script on one node. Catches a job that is refused, that never finds its server,
+    or that leaves its server running."""
     page = (ROOT / "docs/cluster.md").read_text()
     (script,) = re.findall(r"```bash\n(#!/bin/bash\n#SBATCH.*?)```", page, re.DOTALL)
     commands = tmp_path / "bin"

@@ -295,7 +295,7 @@ def test_a_list_of_servers_that_are_not_there():
 
 
 def test_one_server_of_a_list_is_enough(client):
-    """Catches a list that is given up although one of its servers is there."""
+    """Catches a list of servers that is given up although one of them is there."""
     with hullcast.connect(["127.0.0.1:1", client.target], options=NO_PROXY) as other:
         assert other.ping() > 0
 

@@ -21,6 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
     [
         (["overhead.py", "--seconds", "0.02", "--sizes", "1", "5000"], " 5,000 "),
         (["peers.py", "--seconds", "0.05"], " 2,457 "),
+        (["loops.py", "--seconds", "0.05", "--worlds", "20"], "none moved, by name"),
         (["throughput.py", "--seconds", "0.1"], "| resting | several | "),
     ],
 )

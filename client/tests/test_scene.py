@@ -7,7 +7,7 @@ import pytest
 from cases import matrix, random_rotation
 
 import hullcast
-from hullcast import _packed
+from hullcast import _answers, _packed
 from hullcast._pb import contacts_pb2
 from hullcast._query import Query, Span
 
@@ -189,7 +189,8 @@ def test_answers_are_numbered_as_the_scene():
         missing_hulls=[place],
         invalid_bodies=[body],
     )
-    columns = query.read(span, message, data.SerializeToString())
+    answer = _answers.Answer(data.SerializeToString(), message.request_id)
+    columns = query.read(span, message, answer)
     assert columns["missing_hulls"].tolist() == [3]
     assert columns["invalid_bodies"].tolist() == [7]
 
@@ -244,4 +245,4 @@ def test_columns_are_written_as_protobuf_does(count):
         assert (read.margin, read.request_id, field.number) == (0.5, 7, number)
         getattr(rest, name).extend(values.tolist())
         assert read == rest
-    assert len(_packed._REQUEST_COLUMNS) == 8
+    assert len(_packed._REQUEST_COLUMNS) == 14

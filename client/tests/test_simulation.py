@@ -129,6 +129,7 @@ def test_a_box_comes_to_rest(client, by_least):
     )
     for _ in range(300):
         last = world.step()
+    world.close()
     assert world.kinetic_energy() < 1e-12
     assert last.contacts == 4
     assert last.depth < 2e-3

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
-import textwrap
-import venv
 import zipfile
 from pathlib import Path
 
-import pages
+import installs
 import pytest
 
 import hullcast
@@ -56,25 +53,4 @@ def test_what_the_wheel_has(wheel):
 
 def test_the_wheel_alone_runs_the_readmes_program(wheel, tmp_path):
     """The wheel works in an empty environment with the newest packages, without anything from here."""
-    venv.create(tmp_path / "env", with_pip=True)
-    python = tmp_path / "env/bin/python"
-    clean = {k: v for k, v in os.environ.items() if k not in ("HULLCAST_BIN", "PYTHONPATH")}
-    clean["PATH"] = "/usr/bin:/bin"
-    pip = [python, "-m", "pip", "install", "--quiet", "--only-binary", ":all:", wheel]
-    subprocess.run(pip, env=clean, timeout=600, check=True)
-    program = "import hullcast, hullcast._serve as s; print(hullcast.__file__, s.find_binary())"
-    done = subprocess.run([python, "-c", program], env=clean, capture_output=True, text=True)
-    found = done.stdout.split()
-    assert found[0].startswith(f"{tmp_path}/env/"), done
-    assert found[1] == f"{tmp_path}/env/bin/hullcast"
-    assert pages.run(ROOT / "README.md", tmp_path, python) == 1
-    page = """
-        import urllib.request
-        import hullcast
-
-        with hullcast.serve(arguments=["--playground"]) as client:
-            print(urllib.request.urlopen(f"http://{client.target}/", timeout=30).read())
-    """
-    program = textwrap.dedent(page)
-    done = subprocess.run([python, "-c", program], env=clean, capture_output=True, text=True)
-    assert "playground.js" in done.stdout, done
+    installs.run_the_readme(wheel, tmp_path, "--only-binary", ":all:")

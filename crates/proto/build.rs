@@ -23,6 +23,7 @@ fn main() {
     fs::write(out.join("hullcast.v1.binpb"), bare.encode_to_vec()).expect("OUT_DIR is writable");
     fs::write(out.join("columns.rs"), columns(&descriptors)).expect("OUT_DIR is writable");
     fs::write(out.join("methods.rs"), methods(&descriptors)).expect("OUT_DIR is writable");
+    fs::write(out.join("tags.rs"), tags(&descriptors)).expect("OUT_DIR is writable");
     manual::Builder::new().build_client(false).compile(&servers(&descriptors));
     tonic_prost_build::configure()
         .codec_path("crate::Codec")
@@ -106,6 +107,21 @@ fn methods(descriptors: &FileDescriptorSet) -> String {
                 text += &format!("pub const {constant}: &str = \"{name}\";\n");
             }
         }
+    }
+    text
+}
+
+/// A module for every message, `query_contacts_request` for `QueryContactsRequest`, with a constant for the
+/// tag of every field: `HULL_IDS` for `hull_ids`.
+fn tags(descriptors: &FileDescriptorSet) -> String {
+    let mut text = String::new();
+    for message in descriptors.file.iter().flat_map(|file| &file.message_type) {
+        text += &format!("pub mod {} {{\n", snake_case(message.name()));
+        for field in &message.field {
+            let constant = field.name().to_uppercase();
+            text += &format!("    pub const {constant}: u32 = {};\n", field.number());
+        }
+        text += "}\n";
     }
     text
 }

@@ -36,7 +36,7 @@ CONTENTS = {
         "docs/site/rust",
     ],
     "Computation": [
-        *(f"docs/{page}" for page in ("algorithm", "playground", "hulls", "find")),
+        *(f"docs/{page}" for page in ("algorithm", "playground", "hulls", "find", "sessions")),
         "examples/scenes/README",
     ],
     "Speed and accuracy": [

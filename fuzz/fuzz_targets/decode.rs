@@ -71,6 +71,8 @@ fn most_bytes<T>(work: impl FnOnce() -> T) -> (T, usize) {
 struct Server {
     runtime: Runtime,
     routes: Routes,
+    /// The first message of a stream, with which later messages may have bodies in common.
+    scene: Vec<u8>,
 }
 
 const MAX_HULLS: u32 = 16;
@@ -93,16 +95,16 @@ static SERVER: LazyLock<Server> = LazyLock::new(|| {
     let app = Arc::new(App::new(store, limits(), 1).expect("limits that agree"));
     let routes = runtime.block_on(handlers(&app)).expect("handlers");
     // Registers the hulls that the seeds' queries name.
-    runtime.block_on(called(&routes, METHODS[2], &seeds::hulls().encode_to_vec()));
-    Server { runtime, routes }
+    runtime.block_on(called(&routes, METHODS[2], framed(&seeds::hulls().encode_to_vec())));
+    Server { runtime, routes, scene: seeds::step_scene().encode_to_vec() }
 });
 
-/// The body of the response to a call, as on the wire.
-async fn called(routes: &Routes, method: &str, message: &[u8]) -> Bytes {
+/// The body of the response to a call with these framed messages, as on the wire.
+async fn called(routes: &Routes, method: &str, messages: Bytes) -> Bytes {
     let request = http::Request::post(method)
         .header("content-type", "application/grpc")
         .header("te", "trailers")
-        .body(Body::new(Full::new(framed(message))))
+        .body(Body::new(Full::new(messages)))
         .expect("a request");
     let response = routes.clone().oneshot(request).await.expect("handlers never fail");
     response.into_body().collect().await.expect("a body").to_bytes()
@@ -156,16 +158,24 @@ fuzz_target!(|data: &[u8]| {
     read_alike::<QueryContactsResponse>(message);
     decoded_within_bounds::<QueryContactsRequest>("QueryContacts", message);
     decoded_within_bounds::<QueryContactsRequest>("FindContacts", message);
+    decoded_within_bounds::<QueryContactsRequest>("StreamContacts", message);
     decoded_within_bounds::<RegisterHullsRequest>("RegisterHulls", message);
     decoded_within_bounds::<GetHullsRequest>("GetHulls", message);
     decoded_within_bounds::<HasHullsRequest>("HasHulls", message);
     decoded_within_bounds::<DeleteHullsRequest>("DeleteHulls", message);
     decoded_within_bounds::<ListHullsRequest>("ListHulls", message);
     let server = &*SERVER;
-    let body = server.runtime.block_on(called(&server.routes, method, message));
+    let body = server.runtime.block_on(called(&server.routes, method, framed(message)));
     if [METHODS[0], METHODS[5], METHODS[6]].contains(&method) {
-        let again = server.runtime.block_on(called(&server.routes, method, message));
+        let again = server.runtime.block_on(called(&server.routes, method, framed(message)));
         assert_eq!(body, again, "the same request, other bytes");
+    }
+    if method == METHODS[5] {
+        // As a later message of a stream, twice, so that the second refers to the first.
+        let stream = || [framed(&server.scene), framed(message), framed(message)].concat().into();
+        let body = server.runtime.block_on(called(&server.routes, method, stream()));
+        let again = server.runtime.block_on(called(&server.routes, method, stream()));
+        assert_eq!(body, again, "the same stream, other bytes");
     }
     if method == METHODS[0] && body.len() > 5 {
         QueryContactsResponse::decode(&body[5..]).expect("a response of its own type");

@@ -39,6 +39,19 @@ fn scene(margin: f64) -> QueryContactsRequest {
     }
 }
 
+/// The first message of a stream that finds its pairs: six bodies, some of which touch.
+pub fn step_scene() -> QueryContactsRequest {
+    QueryContactsRequest {
+        find: true,
+        body_hulls: vec![0, 1, 1, 0, 1, 0],
+        positions: [0.0, 0.5, 1.0, 1.5, 9.0, 1.25].repeat(3),
+        rotations: [0.0, 0.0, 0.0, 1.0].repeat(6),
+        pairs: vec![],
+        outputs: (1..=9).collect(),
+        ..scene(0.25)
+    }
+}
+
 /// The seeds: a name, the index of the method in the fuzzer's list, and the message.
 pub fn all() -> Vec<(&'static str, u8, Vec<u8>)> {
     let query = scene(f64::INFINITY);
@@ -75,6 +88,35 @@ pub fn all() -> Vec<(&'static str, u8, Vec<u8>)> {
         ignored_groups: vec![1, 2],
         ..scene(1.0)
     };
+    let moved = QueryContactsRequest {
+        request_id: 8,
+        inherit: true,
+        moved: vec![1, 4],
+        positions: vec![0.5, 0.25, 0.5, 1.0, 1.0, 1.5],
+        rotations: vec![0.0, 0.0, 0.0, 1.0, 0.5, 0.5, 0.5, 0.5],
+        ..Default::default()
+    };
+    let still = QueryContactsRequest { moved: vec![], positions: vec![], rotations: vec![], ..moved.clone() };
+    let changed = QueryContactsRequest { previous_bodies: vec![3, u32::MAX, 1, 0, 5, 2], ..step_scene() };
+    let named = QueryContactsRequest {
+        find: false,
+        pairs: vec![0, 1, 3, 1, 1, 3, 2, 2],
+        previous_bodies: vec![1, 0, 2, 3, 4, 5],
+        ..step_scene()
+    };
+    let sped = QueryContactsRequest {
+        linear_velocities: vec![1.0; 6],
+        angular_velocities: vec![0.5; 6],
+        time_step: 0.125,
+        ..moved.clone()
+    };
+    let widened = QueryContactsRequest {
+        margins: vec![0.125; 6],
+        turning_points: vec![0.5; 18],
+        linear_velocities: vec![1.0; 18],
+        time_step: 0.125,
+        ..step_scene()
+    };
     // Elements of two bytes each, and a group that contains an unknown field.
     let empty = |tag: u8| [tag << 3 | 2, 0].repeat(20);
     let group = [0xa3, 0x38, 8, 1, 0xa4, 0x38];
@@ -95,6 +137,13 @@ pub fn all() -> Vec<(&'static str, u8, Vec<u8>)> {
         ("get", 3, GetHullsRequest { ids: ids(), ..Default::default() }.encode_to_vec()),
         ("list", 4, ListHullsRequest { page_size: 1, ..Default::default() }.encode_to_vec()),
         ("stream", 5, query.encode_to_vec()),
+        ("step-find", 5, step_scene().encode_to_vec()),
+        ("step-moved", 5, moved.encode_to_vec()),
+        ("step-still", 5, still.encode_to_vec()),
+        ("step-bodies", 5, changed.encode_to_vec()),
+        ("step-named", 5, named.encode_to_vec()),
+        ("step-velocities", 5, sped.encode_to_vec()),
+        ("step-margins", 5, widened.encode_to_vec()),
         ("find", 6, QueryContactsRequest { pairs: vec![], ..scene(0.5) }.encode_to_vec()),
         ("find-worlds", 6, found.encode_to_vec()),
     ]

@@ -95,12 +95,14 @@ impl RemoteArgs {
             Setting::Key => ("--tls-key", &self.tls_key),
             Setting::Token => ("--token-file", &self.token_file),
         };
-        let path = path.as_deref().unwrap_or(Path::new("")).display();
+        let place = match path {
+            Some(path) => format!("{option} {}", path.display()),
+            None => format!("{option} is not given"),
+        };
         match &error.defect {
-            Defect::NotAToken => Exit::Input.error(format!(
-                "{option} {path}: the first line is the token: one or more visible ASCII characters"
-            )),
-            defect => Exit::Input.error(format!("{option} {path}: {defect}")),
+            Defect::NotAToken => Exit::Input
+                .error(format!("{place}: the first line is the token: one or more visible ASCII characters")),
+            defect => Exit::Input.error(format!("{place}: {defect}")),
         }
     }
 }

@@ -110,7 +110,7 @@ async fn until_stopped(
     })?;
     let app = Arc::new(app);
     #[cfg(feature = "testing")]
-    app.engine().injected().delay(Duration::from_micros(args.inject_pair_delay_us));
+    app.engine().test_controls().delay(Duration::from_micros(args.inject_pair_delay_us));
     // Installed before the address is printed: a reader of the address may stop the server at once.
     let (again, told_again) = oneshot::channel();
     let shutdown = shutdown(grace, args.until_stdin_closes, again)?;

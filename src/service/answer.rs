@@ -16,6 +16,7 @@ use super::{
 };
 use crate::{
     budget::{Part, Permit},
+    contact::Stop,
     proto::bulk::{Columnar, encode},
     size::ByteSize,
 };
@@ -36,7 +37,7 @@ pub(super) async fn answer<M: Columnar + Send + 'static>(
     let length = message.encoded_len();
     let mut memory = context.covered(Part::Answers);
     grow(app, &mut memory, length)?;
-    encoded(app, context, message, length, memory).await
+    Ok(encoded(app, context, message, memory, false).await?.0)
 }
 
 /// Does the same as [`answer`], for an answer whose memory is taken already.
@@ -46,34 +47,53 @@ pub(super) async fn counted_answer<M: Columnar + Send + 'static>(
     message: M,
     memory: Permit,
 ) -> Result<M, ServiceError> {
-    let length = message.encoded_len();
-    encoded(app, context, message, length, memory).await
+    Ok(encoded(app, context, message, memory, false).await?.0)
 }
 
-/// Encodes an answer of `length` bytes if it is large.
+/// Does the same as [`counted_answer`], for an answer whose columns the caller goes on using. Returns the message
+/// that tonic has to encode, and the whole answer.
+pub(super) async fn kept_answer<M: Columnar + Clone + Send + 'static>(
+    app: &App,
+    context: &CallContext,
+    message: M,
+    memory: Permit,
+) -> Result<(M, M), ServiceError> {
+    match encoded(app, context, message, memory, true).await? {
+        (passed, Some(whole)) => Ok((passed, whole)),
+        (passed, None) => Ok((passed.clone(), passed)),
+    }
+}
+
+/// Encodes an answer if it is large. Then the second value is the answer, if it is to be kept.
 async fn encoded<M: Columnar + Send + 'static>(
     app: &App,
     context: &CallContext,
     message: M,
-    length: usize,
     mut memory: Permit,
-) -> Result<M, ServiceError> {
+    is_kept: bool,
+) -> Result<(M, Option<M>), ServiceError> {
+    let length = message.encoded_len();
     if length > app.limits().max_message_bytes {
         return Err(too_large(app, length));
     }
     // An empty message stands for a large one, so it is never passed on as it is.
     if length > 0 && length <= SMALL_BYTES {
-        return Ok(message);
+        return Ok((message, None));
     }
     grow(app, &mut memory, HEAD_BYTES + length)?;
-    let bytes = offloaded(app, context, length, move |_| Ok(framed(message, length))).await?;
+    let encode = move |_: &Stop| {
+        let mut message = message;
+        let bytes = framed(&mut message, length);
+        Ok((bytes, is_kept.then_some(message)))
+    };
+    let (bytes, whole) = offloaded(app, context, length, encode).await?;
     memory.shrink_to(bytes.len() as u64);
     context.keep_answer(EncodedAnswer { bytes, memory });
-    Ok(M::default())
+    Ok((M::default(), whole))
 }
 
 /// A message of `length` bytes with its head.
-fn framed<M: Columnar>(message: M, length: usize) -> Bytes {
+fn framed<M: Columnar>(message: &mut M, length: usize) -> Bytes {
     let mut bytes = BytesMut::with_capacity(HEAD_BYTES + length);
     bytes.put_u8(0);
     bytes.put_u32(length as u32);

@@ -294,6 +294,16 @@ struct MeteredConnection {
     pending: PendingStreams,
 }
 
+impl MeteredConnection {
+    /// Passes on the result of a write. Notes if the socket took nothing.
+    fn wrote(&self, result: Poll<io::Result<usize>>) -> Poll<io::Result<usize>> {
+        if result.is_pending() {
+            self.streams.note_blocked();
+        }
+        result
+    }
+}
+
 impl AsyncRead for MeteredConnection {
     fn poll_read(
         mut self: Pin<&mut Self>,
@@ -306,10 +316,10 @@ impl AsyncRead for MeteredConnection {
         ready!(Pin::new(&mut this.io).poll_read(cx, buffer))?;
         let read = &buffer.filled()[before..];
         this.read.fetch_add(read.len() as u64, Ordering::Relaxed);
-        let (count, begun) = (this.frames.count(), this.frames.begun());
+        let (count, headers) = (this.frames.count(), this.frames.header_frames());
         this.frames.read(read)?;
         this.streams.count_frames(this.frames.count() - count);
-        this.pending.add(this.frames.begun() - begun);
+        this.pending.add(this.frames.header_frames() - headers);
         this.records.charge(this.streams.count(&this.pending))?;
         Poll::Ready(this.overhead.charge(&this.frames))
     }
@@ -317,11 +327,8 @@ impl AsyncRead for MeteredConnection {
 
 impl AsyncWrite for MeteredConnection {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        let wrote = Pin::new(&mut self.io).poll_write(cx, bytes);
-        if wrote.is_pending() {
-            self.streams.note_blocked();
-        }
-        wrote
+        let result = Pin::new(&mut self.io).poll_write(cx, bytes);
+        self.wrote(result)
     }
 
     fn poll_write_vectored(
@@ -329,11 +336,8 @@ impl AsyncWrite for MeteredConnection {
         cx: &mut Context<'_>,
         slices: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        let wrote = Pin::new(&mut self.io).poll_write_vectored(cx, slices);
-        if wrote.is_pending() {
-            self.streams.note_blocked();
-        }
-        wrote
+        let result = Pin::new(&mut self.io).poll_write_vectored(cx, slices);
+        self.wrote(result)
     }
 
     fn is_write_vectored(&self) -> bool {

@@ -6,16 +6,18 @@ use std::{sync::Arc, time::Duration};
 use tonic::{Status, Streaming};
 
 use super::{
-    App, Limits, Reason, ServiceError, context::CallContext, decode::decode_request, middleware::Closing,
-    scene::answer, wire,
+    App, Limits, Reason, ServiceError,
+    context::{CallContext, grow},
+    decode::decode_request,
+    find::most_candidates,
+    middleware::Closing,
+    step::{AnswerBefore, Previous, StepAnswer, StepState, find::FindStep, named::answer_named},
+    wire::{self, Before},
 };
 use crate::{
-    batch::scene::SceneTemplate,
     budget::{CallerStream, Permit},
-    compute::DeferredDrop,
     contact::{STEPS_BETWEEN_LOOKS, Stop},
     proto::{Encoded, QueryContactsRequest, QueryContactsResponse},
-    store::HullId,
 };
 
 /// The time after which to retry if the server stops, or if streams keep too much state.
@@ -28,6 +30,11 @@ pub(super) struct ContactStream {
     requests: Streaming<Encoded<QueryContactsRequest>>,
     closing: Closing,
     previous: Previous,
+    /// The answer that is being sent, if it comes in several messages.
+    finding: Option<Box<FindStep>>,
+    /// Whether the client has sent a message that only clients send that know steps. Others get the answers that
+    /// they always got: no row is used again, and no answer is sent as `unchanged`.
+    knows_steps: bool,
     /// The steps of the call when the stream last gave way to other calls.
     gave_way: u64,
     stream: CallerStream,
@@ -40,29 +47,33 @@ const STEPS_BEFORE_YIELD: u64 = 2 * STEPS_BETWEEN_LOOKS;
 /// The steps of a message besides those that its decoding and its pairs count: about 2 us.
 const MESSAGE_STEPS: u64 = 2_000;
 
-/// The previous message of the stream.
-enum Previous {
-    /// The message is the first of the stream.
-    None,
-    /// The state of the previous message was not kept, because the budget had no room.
-    Dropped,
-    /// The state that the next message may inherit.
-    Kept { state: DeferredDrop<InheritableState>, memory: Permit },
-}
+/// The parts of the state of the message before that a message uses, and the memory of that state.
+type Taken = (Option<Before>, Option<AnswerBefore>, Option<Permit>);
 
-/// The hulls, bodies, pairs and options of a message, and the bases of its answer.
-struct InheritableState {
-    hull_ids: Arc<Vec<HullId>>,
-    template: Arc<SceneTemplate>,
-    bases: Vec<u32>,
-}
-
-impl InheritableState {
-    /// The bytes of the state.
-    fn bytes(&self) -> usize {
-        size_of_val(&self.hull_ids[..])
-            + self.template.heap_bytes()
-            + self.template.pair_count() * size_of::<[u32; 6]>()
+/// Takes the state that a message refers to.
+///
+/// # Errors
+/// The message refers to a message before, and there is none, or its state was not kept.
+fn taken(request: &QueryContactsRequest, previous: Previous) -> Result<Taken, ServiceError> {
+    let field = if request.inherit { "inherit" } else { "previous_bodies" };
+    let refers = request.inherit || !request.previous_bodies.is_empty();
+    match previous {
+        Previous::Kept { state, memory } if refers => {
+            let StepState { scene, answer } = state.into_inner();
+            Ok((Some(scene), Some(answer), Some(memory)))
+        }
+        Previous::Kept { memory, .. } => Ok((None, None, Some(memory))),
+        Previous::None if refers => {
+            let why = "the first message of a stream has no message before it: send the scene in full, without \
+                       this field";
+            Err(ServiceError::in_field(Reason::NothingToInherit, field, why))
+        }
+        Previous::Dropped if refers => {
+            let why = "there was no memory to keep the stream's state: \
+                       open a new stream and send the scene in full";
+            Err(ServiceError::unavailable(Reason::StateNotKept, RETRY, why))
+        }
+        Previous::None | Previous::Dropped => Ok((None, None, None)),
     }
 }
 
@@ -76,11 +87,15 @@ impl ContactStream {
         closing: Closing,
     ) -> Self {
         let stream = context.job.caller.stream();
-        Self { app, context, requests, closing, previous: Previous::None, gave_way: 0, stream }
+        let (previous, finding, knows_steps) = (Previous::None, None, false);
+        Self { app, context, requests, closing, previous, finding, knows_steps, gave_way: 0, stream }
     }
 
     /// The next answer, or `None` after the last request.
     pub(super) async fn next(&mut self) -> Result<Option<QueryContactsResponse>, Status> {
+        if self.finding.is_some() {
+            return Ok(Some(self.next_part().await?));
+        }
         let steps = self.context.job.stop.steps();
         if steps - self.gave_way >= STEPS_BEFORE_YIELD / self.stream.count().max(1) as u64 {
             self.gave_way = steps;
@@ -100,47 +115,59 @@ impl ContactStream {
         }
     }
 
+    /// The next message of an answer to a search for pairs.
+    async fn next_part(&mut self) -> Result<QueryContactsResponse, ServiceError> {
+        let Some(mut finding) = self.finding.take() else {
+            return Err(ServiceError::internal("a stream has no answer to continue"));
+        };
+        let (response, is_last) = finding.next().await?;
+        if is_last {
+            self.previous = finding.finish().await?;
+        } else {
+            self.finding = Some(finding);
+        }
+        Ok(response)
+    }
+
+    /// The answer to a message, or the first part of it.
     async fn answer_message(
         &mut self,
         request: Encoded<QueryContactsRequest>,
     ) -> Result<QueryContactsResponse, ServiceError> {
         self.context.job.stop.spend(MESSAGE_STEPS)?;
         let previous = std::mem::replace(&mut self.previous, Previous::None);
-        let check = |request: QueryContactsRequest, memory, limits: &Limits, stop: &Stop| {
-            let (scene, state_memory) = match (request.inherit, previous) {
-                (false, previous) => {
-                    let memory = match previous {
-                        Previous::Kept { memory, .. } => Some(memory),
-                        Previous::None | Previous::Dropped => None,
-                    };
-                    (wire::stoppable_scene(request, limits, stop)?, memory)
-                }
-                (true, Previous::Kept { state, memory }) => {
-                    let InheritableState { hull_ids, template, bases } = state.into_inner();
-                    (wire::inherited(request, hull_ids, template, bases, stop)?, Some(memory))
-                }
-                (true, Previous::None) => {
-                    let why = "the first message of a stream has nothing to inherit: send the scene in full";
-                    return Err(ServiceError::in_field(Reason::NothingToInherit, "inherit", why));
-                }
-                (true, Previous::Dropped) => {
-                    let why = "there was no memory to keep the stream's state: \
-                               open a new stream and send the scene in full";
-                    return Err(ServiceError::unavailable(Reason::StateNotKept, RETRY, why));
-                }
-            };
-            Ok((scene, memory, state_memory))
+        let app = self.app.clone();
+        let check = move |request: QueryContactsRequest, mut memory: Permit, limits: &Limits, stop: &Stop| {
+            let (scene, answer, state_memory) = taken(&request, previous)?;
+            let step = wire::step(request, scene, limits, stop, |bytes| grow(&app, &mut memory, bytes))?;
+            Ok((step, memory, answer, state_memory))
         };
-        let (scene, memory, state_memory) = decode_request(&self.app, &self.context, request, check).await?;
-        let (hull_ids, template) = (scene.hull_ids.clone(), scene.template.clone());
-        let (response, bases) = answer(&self.app, &self.context, scene, memory, true).await?;
-        let new_state = InheritableState { hull_ids, template, bases };
-        let bytes = new_state.bytes();
-        let state = self.app.engine().compute_threads().defer_drop(new_state, bytes);
-        self.previous = match self.context.take_state_memory(bytes, state_memory) {
-            Some(memory) => Previous::Kept { state, memory },
-            None => Previous::Dropped,
+        let decoded = decode_request(&self.app, &self.context, request, check).await?;
+        self.knows_steps |= decoded.0.uses_steps;
+        let bytes = decoded.1.bytes() as usize;
+        // The caller may leave while the hulls are read; the scene may be large and must not be freed on this
+        // thread.
+        let engine = self.app.engine();
+        let waiting = engine.compute_threads().defer_drop(decoded, bytes);
+        let (step, caller) = (&waiting.0, &self.context.job.caller);
+        let template = step.scene.template.clone();
+        let is_search = step.rules.is_some();
+        let admission = if is_search {
+            engine.admit_any_size(most_candidates(&self.app), caller)?
+        } else {
+            engine.admit(template.pair_count(), template.outputs(), caller)?
         };
+        let (mut step, mut memory, answer, state_memory) = waiting.into_inner();
+        let warm_starts = std::mem::take(&mut step.scene.warm_starts);
+        let (app, context, knows_steps) = (&self.app, &self.context, self.knows_steps);
+        let begun = StepAnswer::begin(app, context, step, answer, state_memory, knows_steps, &mut memory);
+        let mut answer = begun.await?;
+        if is_search {
+            self.finding = Some(Box::new(FindStep::begin(answer, admission, memory).await?));
+            return self.next_part().await;
+        }
+        let response = answer_named(&mut answer, admission, warm_starts, memory).await?;
+        self.previous = answer.finish().await?;
         Ok(response)
     }
 }

@@ -46,7 +46,7 @@ impl ContactService for Contacts {
             Ok((wire::stoppable_scene(request, limits, stop)?, memory))
         };
         let (scene, memory) = decode_request(&self.app, &context, request.into_inner(), check).await?;
-        Ok(Response::new(answer(&self.app, &context, scene, memory, false).await?.0))
+        Ok(Response::new(answer(&self.app, &context, scene, memory).await?))
     }
 
     type FindContactsStream = BoxStream<'static, Result<QueryContactsResponse, Status>>;

@@ -152,12 +152,9 @@ impl CallContext {
         drop(released);
     }
 
-    /// Takes memory for the state that a stream keeps between messages; none if there is no room. A
-    /// stream can go on without it. `earlier` is the memory of the state that is replaced.
-    pub(super) fn take_state_memory(&self, bytes: usize, earlier: Option<Permit>) -> Option<Permit> {
-        let mut memory = earlier.unwrap_or_else(|| self.memory.covered(Part::StreamState, 0));
-        memory.resize(bytes as u64).ok()?;
-        Some(memory)
+    /// A permit that holds nothing yet, for the state that a stream keeps between messages.
+    pub(super) fn state_memory(&self) -> Permit {
+        self.memory.covered(Part::StreamState, 0)
     }
 }
 

@@ -6,7 +6,7 @@ use std::{sync::Arc, time::Instant};
 use tracing::Instrument;
 
 #[cfg(feature = "testing")]
-use super::injected::Injected;
+use super::test_controls::TestControls;
 use super::{
     admission::{Admission, AdmissionQueue},
     context::no_memory,
@@ -31,7 +31,7 @@ pub struct ServiceEngine {
     admission: Arc<AdmissionQueue>,
     metrics: Arc<Metrics>,
     #[cfg(feature = "testing")]
-    injected: Arc<Injected>,
+    test_controls: Arc<TestControls>,
 }
 
 /// The limits of an engine.
@@ -61,9 +61,9 @@ impl ServiceEngine {
     /// An engine that computes on `compute`.
     pub fn new(compute: Compute, limits: EngineLimits, metrics: Arc<Metrics>) -> Self {
         #[cfg(feature = "testing")]
-        let injected = Arc::<Injected>::default();
+        let test_controls = Arc::<TestControls>::default();
         #[cfg(feature = "testing")]
-        let batches = injected.engine(compute, limits.max_answer_bytes);
+        let batches = test_controls.engine(compute, limits.max_answer_bytes);
         #[cfg(not(feature = "testing"))]
         let batches = batch::Engine::new(compute, limits.max_answer_bytes);
         let admission = AdmissionQueue::new(limits.max_pairs_in_flight, limits.shares, metrics.clone());
@@ -72,14 +72,14 @@ impl ServiceEngine {
             admission,
             metrics,
             #[cfg(feature = "testing")]
-            injected,
+            test_controls,
         }
     }
 
     /// Controls for tests of overload.
     #[cfg(feature = "testing")]
-    pub fn injected(&self) -> &Injected {
-        &self.injected
+    pub fn test_controls(&self) -> &TestControls {
+        &self.test_controls
     }
 
     /// The number of pairs computed since the start.

@@ -125,11 +125,12 @@ impl FindCall {
 }
 
 /// The number of pairs that are computed together.
-fn most_candidates(app: &App) -> usize {
+pub(super) fn most_candidates(app: &App) -> usize {
     CANDIDATES.min(app.limits().max_pairs_per_request as usize)
 }
 
-fn failed(error: ComputeError) -> ServiceError {
+/// The error of a search that did not end.
+pub(super) fn failed(error: ComputeError) -> ServiceError {
     match error {
         ComputeError::Stopped => ServiceError::deadline_exceeded(),
         ComputeError::Panicked(why) => {

@@ -58,8 +58,8 @@ const MOST_RESIZES: u32 = 2;
 
 /// The SETTINGS and GOAWAY frames that a peer may send at once, and per second after that. Clients send one
 /// SETTINGS frame at the beginning; some send another each time that they estimate the network anew.
-const VISITS_AT_ONCE: f64 = 64.0;
-const VISITS_PER_SECOND: f64 = 8.0;
+const SWEEPS_AT_ONCE: f64 = 64.0;
+const SWEEPS_PER_SECOND: f64 = 8.0;
 
 /// Memory is taken in steps of this size.
 const STEP_BYTES: u64 = 64 << 10;
@@ -80,10 +80,10 @@ pub(super) struct FrameTracker {
     /// The number of frames, since the connection began.
     count: u64,
     /// The number of frames of headers, since the connection began.
-    begun: u64,
+    header_frames: u64,
     /// The number of frames for which h2 visits all streams, and the time of the first of them.
-    visits: f64,
-    first_visit: Option<Instant>,
+    sweeps: f64,
+    first_sweep: Option<Instant>,
 }
 
 /// The beginning of a block of headers, which may contain changes of the table's size.
@@ -110,7 +110,7 @@ impl FrameTracker {
             } else if self.rest > 0 {
                 let used = bytes.len().min(self.rest);
                 self.rest -= used;
-                self.look(&bytes[..used])?;
+                self.count_resizes(&bytes[..used])?;
                 used
             } else {
                 let used = bytes.len().min(HEAD_BYTES - self.head_bytes);
@@ -126,9 +126,10 @@ impl FrameTracker {
         Ok(())
     }
 
-    /// The number of streams that have begun, at most: each frame of headers begins a stream or ends one.
-    pub(super) fn begun(&self) -> u64 {
-        self.begun
+    /// The number of frames of headers that have begun. At most as many streams have begun: each of these
+    /// frames begins a stream or ends one.
+    pub(super) fn header_frames(&self) -> u64 {
+        self.header_frames
     }
 
     /// The number of frames that have begun.
@@ -154,7 +155,7 @@ impl FrameTracker {
                     return Err(refused(why));
                 }
                 if kind == HEADERS {
-                    self.begun += 1;
+                    self.header_frames += 1;
                     let padded = usize::from(flags & PADDED != 0);
                     let priority = if flags & PRIORITY != 0 { PRIORITY_BYTES } else { 0 };
                     let skipped = padded + priority;
@@ -164,7 +165,7 @@ impl FrameTracker {
             }
             _ => {
                 if kind == GOAWAY || (kind == SETTINGS && flags & ACK == 0) {
-                    self.visit()?;
+                    self.count_sweep()?;
                 }
                 HEAD_BYTES + length
             }
@@ -174,17 +175,17 @@ impl FrameTracker {
     }
 
     /// Counts a frame for which h2 visits all streams.
-    fn visit(&mut self) -> io::Result<()> {
-        self.visits += 1.0;
-        let age = self.first_visit.get_or_insert_with(Instant::now).elapsed().as_secs_f64();
-        if self.visits > VISITS_AT_ONCE + VISITS_PER_SECOND * age {
-            return Err(refused(format!("more than {VISITS_AT_ONCE} SETTINGS or GOAWAY frames")));
+    fn count_sweep(&mut self) -> io::Result<()> {
+        self.sweeps += 1.0;
+        let age = self.first_sweep.get_or_insert_with(Instant::now).elapsed().as_secs_f64();
+        if self.sweeps > SWEEPS_AT_ONCE + SWEEPS_PER_SECOND * age {
+            return Err(refused(format!("more than {SWEEPS_AT_ONCE} SETTINGS or GOAWAY frames")));
         }
         Ok(())
     }
 
     /// Counts the changes of the table's size in the next bytes of the current frame's payload.
-    fn look(&mut self, bytes: &[u8]) -> io::Result<()> {
+    fn count_resizes(&mut self, bytes: &[u8]) -> io::Result<()> {
         let Some(block) = &mut self.block else { return Ok(()) };
         for &byte in bytes {
             if block.skipped > 0 {

@@ -20,9 +20,9 @@ use crate::{
     log_limit::limited,
     metrics::Shed,
     proto::{
-        DeleteHullsRequest, DeleteHullsResponse, Encoded, GetHullsRequest, GetHullsResponse, HasHullsRequest,
-        HasHullsResponse, ListHullsRequest, ListHullsResponse, RegisterHullResult, RegisterHullsRequest,
-        RegisterHullsResponse,
+        CONTRACT, DeleteHullsRequest, DeleteHullsResponse, Encoded, GetHullsRequest, GetHullsResponse,
+        HasHullsRequest, HasHullsResponse, ListHullsRequest, ListHullsResponse, RegisterHullResult,
+        RegisterHullsRequest, RegisterHullsResponse,
         hull_service_server::{HullService, HullServiceServer},
     },
     store::{RegisterError, Registered, StoreError, building_bytes},
@@ -56,7 +56,8 @@ impl HullService for Hulls {
             results.extend(self.register(group(&mut left), &context.job).await?);
         }
         tracing::debug!(hulls = results.len(), "registered");
-        Ok(Response::new(answer(&self.app, &context, RegisterHullsResponse { results }).await?))
+        let response = RegisterHullsResponse { results, contract: CONTRACT };
+        Ok(Response::new(answer(&self.app, &context, response).await?))
     }
 
     async fn get_hulls(

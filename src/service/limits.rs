@@ -142,7 +142,7 @@ impl Limits {
     }
 
     /// The least `max_memory_bytes` for the other limits, in whole MiB. One caller may hold half of the
-    /// budget, so that less than twice the largest request would refuse that request for ever.
+    /// budget, so a budget of less than twice the largest request would refuse that request for ever.
     pub fn least_memory_bytes(&self) -> u64 {
         (2 * self.largest_request_bytes()).next_multiple_of(1 << 20).max(LEAST_MEMORY_BYTES)
     }

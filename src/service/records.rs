@@ -94,7 +94,7 @@ pub(super) async fn records(
     Ok((offloaded(app, context, bytes, repeat).await?, memory))
 }
 
-/// The state of the reading of records for one answer.
+/// The state while the records of one answer are read.
 struct RecordReader<'a> {
     app: &'a App,
     context: &'a CallContext,

@@ -11,7 +11,7 @@ use super::{
     wire::{self, CheckedScene},
 };
 use crate::{
-    batch::{Batch, Hulls, scene::Bodies},
+    batch::{Batch, Columns, Hulls, Outputs, scene::Bodies},
     budget::{Part, Permit},
     compute::{DeferredDrop, Job},
     metrics::Shed,
@@ -24,15 +24,13 @@ use crate::{
 /// about this time.
 const HULLS_RETRY: Duration = Duration::from_millis(100);
 
-/// The answer to a scene. The answer to a message of a stream comes with its bases, and its hulls stay
-/// leased for the messages that follow at once.
+/// The answer to a scene.
 pub(super) async fn answer(
     app: &App,
     context: &CallContext,
     scene: CheckedScene,
     memory: Permit,
-    is_of_stream: bool,
-) -> Result<(QueryContactsResponse, Vec<u32>), ServiceError> {
+) -> Result<QueryContactsResponse, ServiceError> {
     let started = tracing::enabled!(tracing::Level::DEBUG).then(Instant::now);
     let (request_id, outputs) = (scene.request_id, scene.template.outputs());
     let (pairs, bodies) = (scene.template.pair_count(), scene.template.body_count());
@@ -40,36 +38,44 @@ pub(super) async fn answer(
     let scene = app.engine().compute_threads().defer_drop((scene, memory), bytes);
     let job = &context.job;
     let admission = app.engine().admit(pairs, outputs, &job.caller)?;
-    let Assembled { mut batch, lease, missing_hulls, invalid_bodies } =
-        assemble(app, context, scene, is_of_stream).await?;
-    if is_of_stream {
-        batch.keep_bases();
-    }
+    let Assembled { batch, lease, missing_hulls, invalid_bodies } = assemble(app, context, scene).await?;
     let memory = context.covered(Part::Answers);
-    let (mut columns, memory) = app.engine().compute(batch, Some(lease), admission, job, memory).await?;
+    let (columns, memory) = app.engine().compute(batch, Some(lease), admission, job, memory).await?;
     debug_assert_eq!(columns.len(), pairs);
     if let Some(started) = started {
-        let [contact, separated, undecided, invalid] = columns.outcome_counts();
-        let ms = started.elapsed().as_secs_f64() * 1e3;
-        let bytes = columns.wire_bytes(outputs);
-        tracing::debug!(
-            request_id,
-            pairs,
-            bodies,
-            contact,
-            separated,
-            undecided,
-            invalid,
-            bytes,
-            ms,
-            missing_hulls = missing_hulls.len(),
-            invalid_bodies = invalid_bodies.len(),
-            "answered"
-        );
+        log_answered(request_id, bodies, &columns, outputs, &missing_hulls, &invalid_bodies, started);
     }
-    let bases = if is_of_stream { columns.kept_bases(outputs) } else { Vec::new() };
     let response = wire::response(request_id, columns, missing_hulls, invalid_bodies);
-    Ok((counted_answer(app, context, response, memory).await?, bases))
+    counted_answer(app, context, response, memory).await
+}
+
+/// Logs an answer to named pairs.
+pub(super) fn log_answered(
+    request_id: u64,
+    bodies: usize,
+    columns: &Columns,
+    outputs: Outputs,
+    missing_hulls: &[u32],
+    invalid_bodies: &[u32],
+    started: Instant,
+) {
+    let [contact, separated, undecided, invalid] = columns.outcome_counts();
+    let ms = started.elapsed().as_secs_f64() * 1e3;
+    let bytes = columns.wire_bytes(outputs);
+    tracing::debug!(
+        request_id,
+        pairs = columns.len(),
+        bodies,
+        contact,
+        separated,
+        undecided,
+        invalid,
+        bytes,
+        ms,
+        missing_hulls = missing_hulls.len(),
+        invalid_bodies = invalid_bodies.len(),
+        "answered"
+    );
 }
 
 /// A scene with its hulls.
@@ -87,29 +93,33 @@ async fn assemble(
     app: &App,
     context: &CallContext,
     scene: DeferredDrop<(CheckedScene, Permit)>,
-    is_of_stream: bool,
 ) -> Result<Assembled, ServiceError> {
-    let hull_ids = &scene.0.hull_ids;
-    let kept = if is_of_stream { context.leased_hulls(hull_ids) } else { None };
-    let (leased, missing_hulls) = if let Some(leased) = kept {
-        app.registry().count_leased_again(leased.hulls.len());
-        (leased, Vec::new())
-    } else {
-        let (hulls, lease) = lease_hulls(app, hull_ids, &context.job).await?;
-        let missing = missing(&hulls);
-        let leased =
-            LeasedHulls { hull_ids: hull_ids.clone(), hulls: Arc::new(hulls), lease: Arc::new(lease) };
-        if is_of_stream && missing.is_empty() {
-            context.keep_leased(leased.clone());
-        }
-        (leased, missing)
-    };
+    let (hulls, lease) = lease_hulls(app, &scene.0.hull_ids, &context.job).await?;
+    let missing_hulls = missing(&hulls);
     let (scene, memory) = scene.into_inner();
-    let bodies = Bodies::new(scene.template, leased.hulls, Arc::new(scene.poses))?;
+    let bodies = Bodies::new(scene.template, Arc::new(hulls), Arc::new(scene.poses))?;
     let mut batch = Batch::new(bodies, scene.warm_starts)?;
     batch.keep(memory);
     let invalid_bodies = scene.invalid_bodies;
-    Ok(Assembled { batch, lease: leased.lease, missing_hulls, invalid_bodies })
+    Ok(Assembled { batch, lease: Arc::new(lease), missing_hulls, invalid_bodies })
+}
+
+/// Leases the hulls of a message of a stream. They stay leased for the messages that follow at once.
+pub(super) async fn lease_for_stream(
+    app: &App,
+    context: &CallContext,
+    hull_ids: &Arc<Vec<HullId>>,
+) -> Result<LeasedHulls, ServiceError> {
+    if let Some(leased) = context.leased_hulls(hull_ids) {
+        app.registry().count_leased_again(leased.hulls.len());
+        return Ok(leased);
+    }
+    let (hulls, lease) = lease_hulls(app, hull_ids, &context.job).await?;
+    let leased = LeasedHulls { hull_ids: hull_ids.clone(), hulls: Arc::new(hulls), lease: Arc::new(lease) };
+    if leased.hulls.iter().all(Result::is_ok) {
+        context.keep_leased(leased.clone());
+    }
+    Ok(leased)
 }
 
 /// The indices of missing hulls.

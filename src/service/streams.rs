@@ -41,17 +41,16 @@ use std::{
         Arc, Mutex,
         atomic::{AtomicU64, Ordering},
     },
-    task::{Context, Poll, ready},
+    task::{Context, Poll},
 };
 
 use futures_util::task::AtomicWaker;
 use tokio::{
-    sync::{Notify, OwnedSemaphorePermit, Semaphore},
+    sync::{Notify, Semaphore},
     time::sleep_until,
 };
-use tokio_util::sync::PollSemaphore;
 
-use super::{App, cutoff::Cutoff, peers::Peer};
+use super::{App, cutoff::Cutoff, peers::Peer, read_turn::ReadTurn};
 use crate::{budget::Permit, lock::locked};
 
 /// The number of futures that may be alive for each concurrent stream that a connection may have. A
@@ -64,10 +63,6 @@ const MOST_WAITING: u64 = 16;
 
 /// The number of streams that a peer may begin while its socket takes nothing.
 const MOST_UNSENT: u64 = 64;
-
-/// The number of frames after which a poll of a connection ends, because other connections wait for the same
-/// thread. A frame costs some 100 ns besides the task that it begins.
-const FRAMES_PER_POLL: u64 = 128;
 
 /// The memory of a stream in h2's table: 1.6 kB were measured with 1,000 streams on each of 1,000 connections.
 const RECORD_BYTES: u64 = 2 << 10;
@@ -96,64 +91,19 @@ pub(super) struct Streams {
     is_longer: Notify,
 }
 
-/// The turn of a connection to be read.
-///
-/// The permit is held over several polls only while tasks that the connection spawned have not run, and given
-/// back otherwise at the end of each poll. So a connection that h2 does not read, for example because its
-/// socket takes no bytes, keeps no permit.
-#[derive(Debug)]
-struct ReadTurn {
-    permits: PollSemaphore,
-    held: Option<OwnedSemaphorePermit>,
-    /// Whether the connection waits in the queue for a permit.
-    is_queued: bool,
-    /// Whether the connection wanted to read in the current poll and had no permit.
-    asks: bool,
-    /// The number of frames read in the current poll.
-    frames: u64,
-}
-
-impl ReadTurn {
-    /// Completes when it is the connection's turn.
-    fn poll(&mut self, cx: &mut Context<'_>) -> Poll<()> {
-        if self.frames >= FRAMES_PER_POLL {
-            cx.waker().wake_by_ref();
-            return Poll::Pending;
-        }
-        if self.held.is_none() {
-            (self.asks, self.is_queued) = (true, true);
-            self.held = ready!(self.permits.poll_acquire(cx));
-            (self.asks, self.is_queued) = (false, false);
-        }
-        Poll::Ready(())
-    }
-
-    /// Whether other connections of the address may wait for the permit that this one holds.
-    fn is_wanted(&self) -> bool {
-        self.held.is_some() && self.permits.available_permits() == 0
-    }
-
-    /// Leaves the queue.
-    fn leave_queue(&mut self) {
-        self.permits = self.permits.clone();
-        self.is_queued = false;
-    }
-}
-
 /// The socket takes bytes.
 const OPEN: u64 = u64::MAX;
 
 impl Streams {
     /// `read_permits` are the permits to read of the connection's address.
     pub(super) fn new(read_permits: Arc<Semaphore>) -> Self {
-        let permits = PollSemaphore::new(read_permits);
         Self {
             living: 0.into(),
             waiting: 0.into(),
             begun: 0.into(),
             begun_at_block: OPEN.into(),
             reader: AtomicWaker::new(),
-            turn: Mutex::new(ReadTurn { permits, held: None, is_queued: false, asks: false, frames: 0 }),
+            turn: Mutex::new(ReadTurn::new(read_permits)),
             unsent: Mutex::default(),
             is_longer: Notify::new(),
         }
@@ -161,18 +111,13 @@ impl Streams {
 
     /// Runs one poll of the connection.
     pub(super) fn within_poll<T>(&self, poll: impl FnOnce() -> T) -> T {
-        {
-            let mut turn = locked(&self.turn);
-            (turn.asks, turn.frames) = (false, 0);
-        }
+        locked(&self.turn).begin_poll();
         let polled = poll();
         let mut turn = locked(&self.turn);
         if self.waiting.load(Ordering::SeqCst) == 0 {
-            turn.held = None;
+            turn.give_back();
         }
-        if turn.is_queued && !turn.asks {
-            turn.leave_queue();
-        }
+        turn.end_poll();
         polled
     }
 
@@ -188,7 +133,7 @@ impl Streams {
                 return Poll::Pending;
             }
         }
-        locked(&self.turn).poll(cx)
+        locked(&self.turn).poll_begin(cx)
     }
 
     fn may_read(&self) -> bool {
@@ -198,7 +143,7 @@ impl Streams {
 
     /// Counts frames that were read.
     pub(super) fn count_frames(&self, frames: u64) {
-        locked(&self.turn).frames += frames;
+        locked(&self.turn).count_frames(frames);
     }
 
     fn begun_while_blocked(&self) -> u64 {
@@ -230,7 +175,7 @@ impl Streams {
     fn task_runs(&self) {
         let waiting = self.waiting.fetch_sub(1, Ordering::SeqCst) - 1;
         if waiting == 0 {
-            locked(&self.turn).held = None;
+            locked(&self.turn).give_back();
         }
         if [0, MOST_WAITING].contains(&waiting) {
             self.reader.wake();
@@ -316,7 +261,7 @@ pub(super) struct PendingStreams {
     /// Their number, at most: frames of headers also end streams, and h2 refuses some.
     count: u64,
     /// The number of streams that had been handed on when `count` was last corrected.
-    begun: u64,
+    handed_on: u64,
     /// Whether reading has been put off since then, so that h2 hands streams on.
     put_off: bool,
 }
@@ -326,16 +271,16 @@ impl PendingStreams {
         self.count += streams;
     }
 
-    /// Whether h2 has handed on all streams but a few, where `begun` is the number of those handed on so far.
+    /// Whether h2 has handed on all streams but a few, where `handed_on` is the number of those handed on so far.
     ///
     /// hyper asks h2 for one stream at a time, and h2 reads each time before it hands one on. So reading is
     /// put off for as long as streams are handed on. If none was, h2 has no more of them.
-    fn are_handed_on(&mut self, begun: u64) -> bool {
-        let handed_on = begun - self.begun;
-        self.begun = begun;
-        self.count = self.count.saturating_sub(handed_on);
+    fn are_handed_on(&mut self, handed_on: u64) -> bool {
+        let more = handed_on - self.handed_on;
+        self.handed_on = handed_on;
+        self.count = self.count.saturating_sub(more);
         if self.count > MOST_WAITING {
-            if handed_on > 0 || !self.put_off {
+            if more > 0 || !self.put_off {
                 self.put_off = true;
                 return false;
             }
@@ -412,7 +357,9 @@ mod tests {
         };
         assert!(reads(&first) && reads(&second), "a permit is held within a poll");
         first.waiting.store(2, Ordering::SeqCst);
-        locked(&first.turn).held = permits.clone().try_acquire_owned().ok();
+        assert!(
+            locked(&first.turn).poll_begin(&mut Context::from_waker(std::task::Waker::noop())).is_ready()
+        );
         assert!(!reads(&second) && !reads(&first), "tasks of the first connection wait");
         first.task_runs();
         assert!(!reads(&second));

@@ -9,7 +9,9 @@ mod hulls;
 mod info;
 mod request;
 mod status;
+mod steps;
 
+pub(super) use columns::take_columns;
 pub use columns::{response, response_columns};
 #[cfg(feature = "testing")]
 pub use decode::{CONSTANT_BYTES, decoded_bytes};
@@ -20,10 +22,11 @@ pub(super) use hulls::{
     repeated,
 };
 pub(super) use info::server_info;
+pub(super) use request::stoppable_scene;
 pub use request::{CheckedScene, scene};
-pub(super) use request::{inherited, stoppable_scene};
 pub use status::DOMAIN;
 pub(super) use status::complete;
+pub(super) use steps::{Before, CheckedStep, StepStart, step};
 
 /// The memory of a request's hull besides its points, or of an id, for the fuzz target of decoding.
 #[cfg(feature = "testing")]

@@ -78,13 +78,10 @@ impl FairSlots {
             state.queued.take(caller, 1).map_err(|_| NoSlot::Busy)?;
             let (grant, granted) = oneshot::channel();
             let ticket = state.wait(caller, grant);
-            WaitingRequest { slots: self, caller, ticket, granted: Some(granted) }
+            WaitingRequest { slots: self, caller, ticket, granted, is_answered: false }
         };
-        let granted = match &mut waiting.granted {
-            Some(granted) => granted.await,
-            None => return Err(NoSlot::Refused),
-        };
-        waiting.granted = None;
+        let granted = (&mut waiting.granted).await;
+        waiting.is_answered = true;
         match granted {
             Ok(()) => Ok(FairSlot { slots: self.clone(), caller: caller.clone() }),
             Err(_) => Err(NoSlot::Refused),
@@ -165,16 +162,19 @@ struct WaitingRequest<'a> {
     slots: &'a Arc<FairSlots>,
     caller: &'a Caller,
     ticket: u64,
-    /// `None` when the grant has been received.
-    granted: Option<oneshot::Receiver<()>>,
+    granted: oneshot::Receiver<()>,
+    /// Whether the grant or the refusal has been received.
+    is_answered: bool,
 }
 
 impl Drop for WaitingRequest<'_> {
     fn drop(&mut self) {
-        let Some(mut granted) = self.granted.take() else { return };
+        if self.is_answered {
+            return;
+        }
         let mut state = locked(&self.slots.state);
         // A slot that was granted but not received goes to the next request.
-        if !state.leave(self.caller, self.ticket) && granted.try_recv().is_ok() {
+        if !state.leave(self.caller, self.ticket) && self.granted.try_recv().is_ok() {
             state.slots.give_back(self.caller, 1);
             state.grant();
         }

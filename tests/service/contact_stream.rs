@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use hullcast::{
-    budget::Caller,
+    budget::{Caller, Part},
     compute::Job,
     proto::{
         Accuracy, DeleteHullsRequest, Output, QueryContactsRequest, QueryContactsResponse, Solver,
@@ -196,8 +196,8 @@ async fn hulls_of_messages_that_are_there_at_once() {
     assert_eq!(stream.step(full.clone()).await.unwrap().outcomes, [1]);
     assert_eq!(held(), 0.0, "free when the answer is there");
     // No pair may be computed, so the first of these messages keeps its hulls.
-    let injected = server.app.engine().injected();
-    injected.allow(0);
+    let controls = server.app.engine().test_controls();
+    controls.allow(0);
     for message in [poses_alone(&full), poses_alone(&full), full.clone()] {
         stream.requests.send(message).await.unwrap();
     }
@@ -206,7 +206,7 @@ async fn hulls_of_messages_that_are_there_at_once() {
     }
     let id = HullId(full.hull_ids[0][..].try_into().unwrap());
     assert!(server.app.registry().delete(id, &Job::new(Caller::alone())).await.unwrap());
-    injected.open();
+    controls.open();
     let mut outcomes = Vec::new();
     for _ in 0..3 {
         outcomes.extend(stream.answers.message().await.unwrap().unwrap().outcomes);
@@ -263,10 +263,18 @@ async fn a_malformed_step_names_its_field_and_ends_the_stream() {
 #[tokio::test(flavor = "multi_thread")]
 async fn what_streams_keep_is_limited() {
     let (shapes, full) = two_boxes();
-    // The state is an id, two bodies, a pair and its bases: 32 + 8 + 8 + 24 bytes. One caller may have half
-    // of what all streams may keep.
+    let server = TestServer::start().await;
+    server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
+    let mut stream = Stepper::open(server.contacts()).await;
+    stream.step(full.clone()).await.unwrap();
+    // The state is an id, two bodies with their poses, a pair with its row of four points, and some offsets.
+    let state = server.app.memory().used_by(Part::StreamState);
+    assert!((32 + 16 + 112 + 8 + 86 + 128..500).contains(&state), "{state}");
+    // One caller may have half of what all streams may keep.
     let not_kept = refused(Code::Unavailable, "STATE_NOT_KEPT", "");
-    for (max_stream_state_bytes, places) in [(0, 0), (143, 0), (144, 1), (287, 1), (288, 2)] {
+    for (max_stream_state_bytes, places) in
+        [(0, 0), (2 * state - 1, 0), (2 * state, 1), (4 * state - 1, 1), (4 * state, 2)]
+    {
         let limits = Limits { max_stream_state_bytes, ..Limits::default() };
         let server = Setup { limits, ..Setup::default() }.start().await;
         server.hulls().register_hulls(register_request(&shapes)).await.unwrap();

@@ -132,6 +132,7 @@ async fn parts_with_unanswered_pairs_are_the_batch() {
             missing_hulls: whole.missing_hulls.clone(),
             invalid_bodies: whole.invalid_bodies.clone(),
             request_id: whole.request_id,
+            contract: whole.contract,
             ..Default::default()
         };
         for (pairs, warm_starts) in mixed.pairs.chunks(2 * size).zip(mixed.warm_starts.chunks(6 * size)) {

@@ -19,6 +19,7 @@ mod overload;
 #[cfg(feature = "playground")]
 mod playground;
 mod security;
+mod steps;
 mod stopping;
 mod store_hung;
 mod store_tampered;

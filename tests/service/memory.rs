@@ -115,10 +115,10 @@ async fn what_requests_hold_together_is_bounded() {
     };
     let slow = of(ours, 100);
     let good = expected(&slow, ours);
-    let injected = server.app.engine().injected();
+    let controls = server.app.engine().test_controls();
     for given_up in [false, true] {
         // No pair may be computed, so the hulls stay held.
-        injected.allow(0);
+        controls.allow(0);
         let mut contacts = server.contacts();
         let request = slow.clone();
         let call = tokio::spawn(async move { contacts.query_contacts(request).await });
@@ -132,16 +132,16 @@ async fn what_requests_hold_together_is_bounded() {
         // A second request for held hulls adds nothing to the held bytes and reads nothing, and the
         // first request still holds them.
         let misses = server.metric("hullcast_cache_misses_total");
-        injected.allow(1);
+        controls.allow(1);
         server.contacts().query_contacts(of(ours, 1)).await.unwrap();
         assert_eq!(server.metric(HELD), held);
         assert_eq!(server.metric("hullcast_cache_misses_total"), misses);
         if given_up {
             call.abort();
-            injected.open();
+            controls.open();
             server.until(HELD, 0.0).await;
         } else {
-            injected.open();
+            controls.open();
             assert_same(&call.await.unwrap().unwrap().into_inner(), &good);
             assert_eq!(server.metric(HELD), 0.0, "hulls are held after the answer");
         }
@@ -175,7 +175,7 @@ async fn every_call_gives_its_memory_back() {
         drop(found);
         server.until_calls_hold_nothing().await;
 
-        server.app.engine().injected().allow(0);
+        server.app.engine().test_controls().allow(0);
         let mut contacts = server.contacts();
         let request = good.clone();
         let call = tokio::spawn(async move { contacts.query_contacts(request).await });
@@ -185,7 +185,7 @@ async fn every_call_gives_its_memory_back() {
         // The memory that each call takes at its start covers the first 4 KiB.
         assert!(memory.used_by(Part::Decoded) >= 60 * bodies as u64 - 4096);
         call.abort();
-        server.app.engine().injected().open();
+        server.app.engine().test_controls().open();
         server.until_calls_hold_nothing().await;
 
         let (requests, received) = tokio::sync::mpsc::channel(1);

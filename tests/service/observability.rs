@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeSet, sync::atomic::Ordering, time::Duration};
 
-use hullcast::{proto::QueryContactsRequest, service::serve_admin};
+use hullcast::{budget::CallerKey, proto::QueryContactsRequest, service::serve_admin};
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},
     net::{TcpListener, TcpStream},
@@ -141,6 +141,9 @@ async fn metrics_count_what_happened() {
         assert_eq!(server.metric(&name), value, "{name}");
     }
     assert!(server.metric("hullcast_resident_bytes") > 1e6);
+    let limits = server.app.limits();
+    assert_eq!(server.metric("hullcast_memory_limit_bytes"), limits.max_memory_bytes as f64);
+    assert_eq!(server.metric("hullcast_cache_limit_bytes"), limits.cache_bytes as f64);
     assert!(server.metric("hullcast_cache_bytes") > 100.0);
     assert!(server.metric("hullcast_solver_iterations_total") > 0.0);
     let (code, head, body) = get(&admin, "/metrics").await;
@@ -159,7 +162,10 @@ async fn the_dashboard_names_the_metrics_that_are() {
     let (shapes, request) = two_boxes();
     server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
     server.contacts().query_contacts(request).await.unwrap();
+    // The memory of a token has a sample only while a caller with this token is known.
+    let _caller = server.app.callers().get(CallerKey::Token("worker".into()));
     let text = server.app.metrics_text();
+    assert!(text.contains("hullcast_token_memory_bytes{token=\"worker\"} 0"), "{text}");
     let name = |text: &str| -> Option<String> {
         let end = text.find(|c: char| !c.is_ascii_alphanumeric() && c != '_').unwrap_or(text.len());
         text[..end].starts_with("hullcast_").then(|| text[..end].to_owned())

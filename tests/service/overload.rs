@@ -24,7 +24,7 @@ use crate::support::{
 async fn server(limits: Limits, per_pair: Duration) -> TestServer {
     let server = TestServer::with_limits(limits).await;
     server.hulls().register_hulls(register_request(&shapes()[..3])).await.unwrap();
-    server.app.engine().injected().delay(per_pair);
+    server.app.engine().test_controls().delay(per_pair);
     server
 }
 
@@ -111,8 +111,8 @@ async fn ten_times_the_load_costs_no_capacity() {
         ..Limits::default()
     };
     let server = server(limits, Duration::ZERO).await;
-    let injected = server.app.engine().injected();
-    injected.allow(0);
+    let controls = server.app.engine().test_controls();
+    controls.allow(0);
     let mut calls = FuturesUnordered::new();
     let (mut answered, mut shed, mut most) = (0, 0, 0.0_f64);
     for tick in 1..=TICKS {
@@ -134,7 +134,7 @@ async fn ten_times_the_load_costs_no_capacity() {
         }
         most = most.max(server.metric("hullcast_pairs_in_flight"));
         let before = answered;
-        injected.allow(CAPACITY * PAIRS);
+        controls.allow(CAPACITY * PAIRS);
         while answered < before + CAPACITY && server.metric("hullcast_pairs_in_flight") > 0.0 {
             assert_eq!(calls.next().await.unwrap().unwrap().unwrap().into_inner().outcomes.len(), PAIRS);
             answered += 1;
@@ -145,7 +145,7 @@ async fn ten_times_the_load_costs_no_capacity() {
     assert!(shed > 8 * answered, "{shed} shed, {answered} answered");
     assert_eq!(most, (ROOM * PAIRS) as f64);
     // All accepted calls are answered, and nothing else was computed.
-    injected.open();
+    controls.open();
     while let Some(call) = calls.next().await {
         call.unwrap().unwrap();
         answered += 1;
@@ -172,7 +172,7 @@ async fn small_batches_overtake_large_ones() {
         .push(tokio::spawn(async move { contacts.query_contacts(request(100)).await.unwrap().into_inner() }));
     let first = calls.next().await.unwrap().unwrap();
     assert_eq!(first.outcomes.len(), 100);
-    server.app.engine().injected().delay(Duration::ZERO);
+    server.app.engine().test_controls().delay(Duration::ZERO);
     let mut rest: Vec<_> = calls.map(|answer| answer.unwrap().outcomes.len()).collect().await;
     rest.sort_unstable();
     assert_eq!(rest, [20_000, 70_000, 70_000]);
@@ -203,7 +203,7 @@ async fn who_gives_up_waiting_leaves_the_queue() {
     server.until("hullcast_pairs_queued", 0.0).await;
     server.until("hullcast_pairs_in_flight", 70_000.0).await;
 
-    server.app.engine().injected().delay(Duration::ZERO);
+    server.app.engine().test_controls().delay(Duration::ZERO);
     assert_eq!(first.await.unwrap().into_inner().outcomes.len(), 70_000);
     assert_eq!(server.app.engine().pairs_computed(), 70_000);
 }

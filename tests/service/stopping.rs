@@ -122,8 +122,8 @@ async fn registrations_that_nobody_waits_for_give_their_memory_back() {
     let known = shapes();
     server.hulls().register_hulls(register_request(&known)).await.unwrap();
     // The only compute thread is blocked by pairs that may not be computed.
-    let injected = server.app.engine().injected();
-    injected.allow(0);
+    let controls = server.app.engine().test_controls();
+    controls.allow(0);
     let mut contacts = server.contacts();
     let request = QueryContactsRequest { outputs: outputs(&ALL), ..scene(&known[..3], 20, 200, 1) };
     let query = tokio::spawn(async move { contacts.query_contacts(request).await });
@@ -144,7 +144,7 @@ async fn registrations_that_nobody_waits_for_give_their_memory_back() {
         call.abort();
         assert!(call.await.unwrap_err().is_cancelled());
     }
-    injected.open();
+    controls.open();
     assert_eq!(query.await.unwrap().unwrap().into_inner().outcomes.len(), 200);
     server.until("hullcast_requests_in_flight", 0.0).await;
     for &part in &[Part::Building, Part::Decoded, Part::Answers] {

@@ -22,7 +22,7 @@ const STEPS: [f64; 3] = [1e-3, 1e-2, 1e-1];
 const CLOUDS: [usize; 4] = [16, 64, 256, 4096];
 
 fn main() -> Result<(), Box<dyn Error>> {
-    // Taken first, because the results make the working tree differ from its commit.
+    // The provenance is taken first, because the results make the working tree differ from its commit.
     replace_section("provenance", &provenance()?)?;
     let cells = cells::generate(PAIRS)?;
     let chosen: Vec<String> = std::env::args().skip(1).collect();

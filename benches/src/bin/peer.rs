@@ -7,8 +7,9 @@
 use std::path::{Path, PathBuf};
 
 use hullcast_benches::parry::{double, single};
-use hullcast_benches::questions::{Answer, QuestionCell, QuestionPair, Questions};
-use serde_json::json;
+use hullcast_benches::peer_files::{
+    AnsweredCell, PeerAnswer, PeerAnswers, QuestionCell, QuestionPair, Questions,
+};
 
 type Failure = Box<dyn std::error::Error>;
 
@@ -34,13 +35,13 @@ fn write(
     file: &str,
     name: &str,
     questions: &Questions,
-    answers: impl Fn(&QuestionCell) -> Option<Vec<Answer>>,
+    answers: impl Fn(&QuestionCell) -> Option<Vec<PeerAnswer>>,
 ) -> Result<(), Failure> {
     let mut cells = Vec::new();
     for cell in &questions.cells {
         let pairs = answers(cell).ok_or_else(|| format!("{name} refuses a hull of {}", cell.name))?;
-        cells.push(json!({ "name": cell.name, "pairs": pairs }));
+        cells.push(AnsweredCell { name: cell.name.clone(), pairs });
     }
-    let text = json!({ "name": name, "cells": cells }).to_string();
+    let text = serde_json::to_string(&PeerAnswers { name: name.into(), cells })?;
     Ok(std::fs::write(folder.join(file).with_extension("json"), text)?)
 }

@@ -97,6 +97,7 @@ def run(
             begin = world.positions
         steps.append(world.step())
         energy.append(world.kinetic_energy())
+    world.close()
     ways = np.linalg.norm((world.positions - begin)[setup.fixed :], axis=1)
     row = draw.Row(
         scene=setup.name,

@@ -12,6 +12,7 @@ import hullcast
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 Ids = npt.NDArray[np.uint32]
+Rows = npt.NDArray[np.int64]
 
 
 @dataclass
@@ -29,7 +30,8 @@ class Contacts:
     #: (p,): signed distances along the normal; negative means overlap.
     distance: Floats
     #: (p, 4): the id of each point, which stays the same while the same features make the point.
-    ids: Ids
+    #: None for the server's contacts, whose points the server compares with those of the last step.
+    ids: Ids | None = None
 
 
 def by_growth_distance(m: hullcast.Manifolds) -> Contacts:
@@ -37,7 +39,26 @@ def by_growth_distance(m: hullcast.Manifolds) -> Contacts:
     of = np.repeat(np.arange(len(m)), m.point_counts)
     point = m.witness_a + 0.5 * m.distance[:, None] * m.normal[of]
     counts = m.point_counts.astype(np.intp)
-    return Contacts(m.pairs, counts, m.normal, point, m.distance, m.point_ids)
+    return Contacts(m.pairs, counts, m.normal, point, m.distance)
+
+
+def as_manifolds(found: Contacts, m: hullcast.Manifolds) -> hullcast.Manifolds:
+    """The contacts as an answer for the pairs of `m`, for a comparison by `hullcast.match`."""
+    assert found.ids is not None
+    of = np.repeat(np.arange(len(found.pairs)), found.counts)
+    columns = {
+        "outcomes": np.full(len(found.pairs), int(hullcast.Outcome.CONTACT), dtype="u1"),
+        "flags": np.zeros(len(found.pairs), dtype="u1"),
+        "pairs": found.pairs,
+        "missing_hulls": m.missing_hulls,
+        "invalid_bodies": m.invalid_bodies,
+        "normals": found.normal,
+        "point_counts": found.counts.astype("<u4"),
+        "witness_as": found.point - 0.5 * found.distance[:, None] * found.normal[of],
+        "distances": found.distance,
+        "point_ids": found.ids,
+    }
+    return hullcast.Manifolds(columns, m.scene)
 
 
 def frames(normal: Floats) -> Floats:

@@ -5,7 +5,7 @@
   remove the velocity that the stabilisation added.
 - Coulomb friction acts along two tangents, which are solved together. Each is bounded by the normal
   impulse.
-- Impulses start from those of the same points (by their ids) in the previous step.
+- Impulses start from those of the same points in the previous step, which the server names.
 - Pairs of bodies are coloured such that pairs of one colour share no moving body. numpy solves such
   pairs together, which gives the result of a Gauss-Seidel sweep at the speed of array operations.
 """
@@ -19,7 +19,16 @@ from typing import cast
 
 import least
 import numpy as np
-from contacts import Contacts, Floats, Ids, Indices, by_growth_distance, frames
+from contacts import (
+    Contacts,
+    Floats,
+    Ids,
+    Indices,
+    Rows,
+    as_manifolds,
+    by_growth_distance,
+    frames,
+)
 
 import hullcast
 
@@ -29,8 +38,6 @@ BAUMGARTE = 0.2
 #: The depth that is not corrected, in metres.
 SLOP = 1e-3
 MARGIN = 0.01
-#: A point may be the same as a point of the previous step if it is nearer than this, in metres.
-NEAR = 0.02
 
 
 @dataclass
@@ -100,39 +107,53 @@ class World:
         self.inertia = inertia
         #: (n, 6): linear and angular velocities.
         self.velocities = np.zeros((count, 6))
-        self.scene = hullcast.Scene(self.hulls, self.positions, self.rotations, groups=None)
+        # Fixed bodies are in one group, so that they do not meet each other.
+        self.session = self.client.session(
+            hullcast.Scene(
+                self.hulls, self.positions, self.rotations, groups=np.where(moves, 0, 1)
+            ),
+            find=True,
+            margin=MARGIN,
+            accuracy=self.accuracy,
+            outputs=["NORMAL", "POINTS", "MATCHES"],
+        )
         #: Whether simplification removed vertices of a moving hull.
         self.simpler = any(
             hull.vertex_count < full.vertex_count
             for hull, full in zip(self.hulls[self.fixed :], whole[self.fixed :], strict=True)
         )
         self._solids = [least.shape_of(points) for points in self.shapes] if self.by_least else []
-        self._before: tuple[Ids, Ids, Floats, Floats] | None = None
+        #: (p, 3): the impulses of the last step's points.
+        self._impulse: Floats = np.zeros((0, 3))
+        self._by_least_before: hullcast.Manifolds | None = None
 
     def step(self) -> Step:
         """Advances the simulation by `dt`."""
         moving = self.inverse_mass > 0
         self.velocities[moving, :3] += self.dt * GRAVITY
         begin = time.perf_counter()
-        self.scene = self.scene.moved(self.positions, self.rotations)
-        m = self.client.find(
-            self.scene,
-            margin=MARGIN,
-            accuracy=self.accuracy,
-            outputs=["NORMAL", "POINTS", "FEATURES"],
-        )
-        m = m[np.flatnonzero((self.inverse_mass[m.pairs] > 0).any(axis=1))]
+        m = self.session.step(self.positions, self.rotations)
+        found, previous = by_growth_distance(m), m.previous_points
         if self.by_least:
-            turned = matrices(self.rotations)
-            angle = self.accuracy.feature_angle
-            found = least.by_least_translation(self._solids, m.pairs, self.positions, turned, angle)
-        else:
-            found = by_growth_distance(m)
+            found, previous = self._found_by_least(m)
         middle = time.perf_counter()
-        self._solve(found)
+        self._solve(found, previous)
         end = time.perf_counter()
         depth = float(-found.distance.min()) if len(found.distance) else 0.0
         return Step(len(found.distance), max(depth, 0.0), middle - begin, end - middle)
+
+    def close(self) -> None:
+        """Ends the session with the server."""
+        self.session.close()
+
+    def _found_by_least(self, m: hullcast.Manifolds) -> tuple[Contacts, Rows]:
+        """The contacts by least translation, and the row that each point had in the last step."""
+        turned, angle = matrices(self.rotations), self.accuracy.feature_angle
+        found = least.by_least_translation(self._solids, m.pairs, self.positions, turned, angle)
+        now = as_manifolds(found, m)
+        before = self._by_least_before or now[:0]
+        self._by_least_before = now
+        return found, hullcast.match(before, now).previous_points
 
     def kinetic_energy(self) -> float:
         """The kinetic energy of all moving bodies, in joules."""
@@ -159,10 +180,14 @@ class World:
         rotations = self.rotations + change
         self.rotations = rotations / np.linalg.norm(rotations, axis=1, keepdims=True)
 
-    def _solve(self, found: Contacts) -> None:
-        """Computes impulses that keep the points apart, by Gauss-Seidel, and moves the bodies."""
+    def _solve(self, found: Contacts, previous: Rows) -> None:
+        """Computes impulses that keep the points apart, by Gauss-Seidel, and moves the bodies.
+
+        They start from those that the points had in the last step, or from 0 (`previous` is -1).
+        """
+        impulse = np.concatenate([self._impulse, np.zeros((1, 3))])[previous]
+        self._impulse = impulse
         if len(found.distance) == 0:
-            self._before = None
             self._move()
             return
         of = np.repeat(np.arange(len(found.pairs)), found.counts)
@@ -186,7 +211,6 @@ class World:
         gap = found.distance
         # A gap may be closed but not crossed. A fraction of the depth beyond the slop is removed.
         bias = np.where(gap > 0, -gap, BAUMGARTE * np.maximum(-gap - SLOP, 0)) / self.dt
-        impulse = self._remembered(pairs, found.ids, found.point)
         np.add.at(
             self.velocities, bodies, np.einsum("pr,prk->pk", impulse, change).reshape(-1, 2, 6)
         )
@@ -206,7 +230,6 @@ class World:
             self._sweep(groups)
         for group in groups:
             impulse[group.points] = group.impulse
-        self._before = (pairs, found.ids, found.point, impulse)
 
     def _sweep(self, groups: Sequence[Group]) -> None:
         """Sweeps once through all points: friction first, then the normal direction."""
@@ -223,37 +246,6 @@ class World:
             now += (pushed - old[:, 0])[:, None] * group.change[:, 0]
             old[:, 0], old[:, 1:] = pushed, tangents
             v[group.bodies] = now.reshape(-1, 2, 6)
-
-    def _remembered(self, pairs: Ids, ids: Ids, points: Floats) -> Floats:
-        """The impulse that each point had in the previous step.
-
-        A point is identified by its id. If the features that make it have changed, the nearest
-        point of the same pair is used.
-        """
-        impulse = np.zeros((len(points), 3))
-        if self._before is None:
-            return impulse
-        old_pairs, old_ids, old_points, old_impulse = self._before
-        same_id, old_id = (
-            np.ascontiguousarray(np.concatenate(two, axis=1)).view("V24").ravel()
-            for two in ((pairs, ids), (old_pairs, old_ids))
-        )
-        known = {key: i for i, key in enumerate(old_id.tolist())}
-        taken = np.array([known.get(key, -1) for key in same_id.tolist()])
-        of_pair: dict[tuple[int, int], list[int]] = {}
-        for i, (a, b) in enumerate(old_pairs.tolist()):
-            of_pair.setdefault((a, b), []).append(i)
-        free = set(range(len(old_points))) - set(taken.tolist())
-        for i in np.flatnonzero(taken < 0).tolist():
-            near = [j for j in of_pair.get(tuple(pairs[i].tolist()), []) if j in free]
-            if near:
-                far = np.linalg.norm(old_points[near] - points[i], axis=1)
-                if far.min() < NEAR:
-                    taken[i] = near[int(far.argmin())]
-                    free.discard(int(taken[i]))
-        found = taken >= 0
-        impulse[found] = old_impulse[taken[found]]
-        return impulse
 
 
 def side_by_side(two: Floats) -> Floats:

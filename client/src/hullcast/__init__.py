@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from ._hulls import DEFAULT_PLANARITY, Hull, hull_id
     from ._manage import ServerInfo, StoredHull
     from ._manifolds import Manifold, Manifolds
+    from ._matching import Matches, match
     from ._query import Accuracy
     from ._robot import Robot
     from ._scene import Scene
@@ -76,6 +77,7 @@ __all__ = [
     "JointLimitsWarning",
     "Manifold",
     "Manifolds",
+    "Matches",
     "MissingHullsWarning",
     "NoBodiesWarning",
     "NotCachedWarning",
@@ -108,6 +110,7 @@ __all__ = [
     "decompose",
     "from_wxyz",
     "hull_id",
+    "match",
     "prism",
     "serve",
     "sphere",
@@ -146,6 +149,7 @@ _HOMES = {
     "_hulls": ["DEFAULT_PLANARITY", "Hull", "hull_id"],
     "_manage": ["ServerInfo", "StoredHull"],
     "_manifolds": ["Manifold", "Manifolds"],
+    "_matching": ["Matches", "match"],
     "_query": ["Accuracy"],
     "_robot": ["Robot"],
     "_scene": ["Scene"],

@@ -79,6 +79,60 @@ def indices(
     return np.ascontiguousarray(array, dtype="<u4")
 
 
+def rows(field: str, value: Any, count: int, below: int, of: str) -> npt.NDArray[np.int64]:
+    """Converts `value` to `count` distinct indices, -1 for none, as int64.
+
+    Args:
+        field: the argument's name, for messages.
+        value: integers of any type, -1 to `below` - 1.
+        count: the number of entries.
+        below: each entry must be less than this.
+        of: states in a message what `below` counts, such as "the scene has 3 bodies".
+
+    Raises:
+        InvalidArgument: NOT_AN_ARRAY, NOT_INTEGERS, WRONG_SHAPE, INDEX_OUT_OF_RANGE or
+            REPEATED_INDEX.
+    """
+    array = _array(field, value, (count,))
+    if array.size and array.dtype.kind in "iu" and array.ndim == 1:
+        none = array == -1
+        low = np.flatnonzero(array < -1)
+        if low.size:
+            raise InvalidArgument(
+                f"{array[low[0]]} is out of range: {of}, so that -1 (none) to {below - 1} is "
+                "allowed",
+                reason="INDEX_OUT_OF_RANGE",
+                field=field,
+                index=int(low[0]),
+            )
+        # The entries for none are replaced, so that the others are checked as all indices are.
+        known = indices(field, np.where(none, 0, array), count, below=max(below, 1), of=of)
+        found = np.where(none, -1, known.astype(np.int64))
+    else:
+        found = indices(field, value, count, below=below, of=of).astype(np.int64)
+    distinct(field, found)
+    return found
+
+
+def distinct(field: str, array: npt.NDArray[Any]) -> None:
+    """Checks that no index except -1 is there twice.
+
+    Raises:
+        InvalidArgument: REPEATED_INDEX.
+    """
+    order = np.argsort(array, kind="stable")
+    ascending = array[order]
+    again = np.flatnonzero((ascending[1:] == ascending[:-1]) & (ascending[1:] >= 0))
+    if again.size:
+        place = int(order[again + 1].min())
+        raise InvalidArgument(
+            f"{array[place]} is there twice: expected each index at most once",
+            reason="REPEATED_INDEX",
+            field=field,
+            index=place,
+        )
+
+
 def _array(field: str, value: Any, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
     """Converts `value` to a numpy array of any type and shape; `shape` is only used in messages."""
     return _numbers.array_of(field, value, f"an array of shape {_wanted(shape)}")
@@ -135,7 +189,7 @@ def poses(
 ) -> tuple[Floats, Floats]:
     """Converts poses of any accepted form to positions (n, 3) and quaternions (n, 4).
 
-    Both are read-only copies, so that a caller may move the same arrays on.
+    Both may be the caller's own arrays.
 
     Args:
         positions: (n, 3); or (n, 4, 4) homogeneous matrices if `rotations` is None. A
@@ -172,7 +226,7 @@ def poses(
         check_bottom("positions", matrices)
         turns = quaternions("positions", matrices[:, :3, :3])
         turns[~np.isfinite(matrices[:, 3]).all(axis=1)] = np.nan  # the last row has no other place
-        return frozen(matrices[:, :3, 3]), frozen(turns)
+        return np.ascontiguousarray(matrices[:, :3, 3]), turns
     position_array = floats("positions", positions, wanted, 3)
     rotation_array = _array("rotations", _as_quaternions(rotations), (count, 4))
     if rotation_array.ndim and len(rotation_array) == count:
@@ -180,8 +234,8 @@ def poses(
     _check_count(len(position_array), count)
     if rotation_array.ndim == 3:
         matrices = floats("rotations", rotation_array, count, 3, 3)
-        return frozen(position_array), frozen(quaternions("rotations", matrices))
-    return frozen(position_array), frozen(floats("rotations", rotation_array, count, 4))
+        return position_array, quaternions("rotations", matrices)
+    return position_array, floats("rotations", rotation_array, count, 4)
 
 
 def _check_count(given: int, hulls: int) -> None:

@@ -77,7 +77,7 @@ class Calls(Connection):
         spans = query.spans(self.pairs_per_message)
         parts = yield from self._exchange(query, spans, deadline)
         for times in range(1, REGISTRATIONS + 1):
-            lost = {span: part for span, part in parts.items() if lacks_hulls(part)}
+            lost = {span: part for span, part in parts.items() if lacks_hulls(part, query)}
             if not (yield from self._restore(query.scene, lost.values(), times, deadline)):
                 break
             for span in lost:
@@ -111,7 +111,8 @@ class Calls(Connection):
                 for half in halves:
                     parts += yield from self._find(query, half, deadline)
                 return parts
-            found = query.read_found(message, answers)
+            number = message.request_id
+            found = query.read_found(message, (_answers.Answer(data, number) for data in answers))
             lost = [found] if len(found["missing_hulls"]) else []
             last = times > REGISTRATIONS
             if last or not (yield from self._restore(query.scene, lost, times, deadline)):
@@ -234,7 +235,8 @@ class Calls(Connection):
                         yield link.pause(pause)
                     waiting.appendleft(span)
                 else:
-                    parts[span] = query.read(span, message, data)
+                    answer = _answers.Answer(data, message.request_id)
+                    parts[span] = query.read(span, message, answer)
             return parts
         finally:
             for _, _, call in under_way:
@@ -250,10 +252,13 @@ def _unpickled(kind: type[Calls], settings: _channel.Settings, pairs_per_message
     return client
 
 
-def lacks_hulls(part: _answers.Columns) -> bool:
+def lacks_hulls(part: _answers.Columns, query: Query) -> bool:
     """Whether a response says that the server does not know some hull."""
     # Most responses lack no hull. For small responses even microseconds count, so test this first.
-    return len(part["missing_hulls"]) > 0 and bool(np.any(part["flags"] & Flag.UNKNOWN_HULL))
+    # If the server finds the pairs, it fails where a hull cannot be read, and no pair has a flag.
+    return len(part["missing_hulls"]) > 0 and (
+        query.finds or bool(np.any(part["flags"] & Flag.UNKNOWN_HULL))
+    )
 
 
 #: Error reasons that may not apply to the halves of a message.

@@ -125,6 +125,10 @@ def values(found: Columns, error: Callable[[str], Exception] = malformed) -> Non
     if kinds is not None:
         most = int(max(FeatureKind))
         _refuse(error, "feature_kinds", kinds, kinds > most, f"0 to {most}")
+    for name in ("previous_pairs", "previous_points"):
+        column = found.get(name)
+        if column is not None and column.dtype.kind == "i":  # of a file; on the wire it is unsigned
+            _refuse(error, name, column, column < -1, "-1 or more")
 
 
 def _numbers(

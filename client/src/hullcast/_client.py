@@ -178,24 +178,40 @@ class Client(_calls.Calls):
     def session(
         self,
         scene: Scene,
-        pairs: Any,
+        pairs: Any = None,
         *,
+        find: bool = False,
         margin: float = 0.0,
         accuracy: Accuracy | None = None,
         outputs: Iterable[str] | None = None,
         warm: Manifolds | None = None,
         on_invalid: Literal["raise", "flag"] = "raise",
     ) -> Session:
-        """Opens a step loop over fixed bodies and pairs, in which each step sends only the poses.
+        """Opens a step loop, in which each step sends only the poses that have changed.
 
-        The arguments are those of `query`. The scene's own poses are not used. The first step opens
-        the connection. A step that raises `InvalidPoses` counts as answered, and the next step
-        continues from it.
+        With `find` the server finds the pairs in each step, as `Client.find` does; bodies may be
+        added and removed (`Session.update`). Otherwise the loop is over the given pairs. The first
+        step opens the connection. A step that raises `InvalidPoses` counts as answered, and the
+        next step continues from it.
+
+        Args:
+            scene: the bodies. The poses are those of each step; the scene's own poses are only used
+                by a first step with `moved`.
+            pairs: (n, 2), as in `query`; not with `find`.
+            find: whether the server finds the pairs, with the scene's worlds and groups.
+            margin, accuracy, on_invalid: as in `query`, or in `find`.
+            outputs: as in `query`. A session also has MATCHES: which pairs and points are those of
+                the step before.
+            warm: as in `query`; not with `find`.
+
+        Raises:
+            InvalidArgument: an argument is not usable; the error names it.
         """
         make = partial(
-            Query,
+            _session.query_of,
             scene,
             pairs,
+            find=find,
             margin=margin,
             accuracy=accuracy,
             outputs=outputs,
@@ -279,14 +295,21 @@ class Client(_calls.Calls):
 class Session(_session.Steps):
     """A step loop. Make one with `Client.session`, end it with `close` or `with`.
 
-        with client.session(scene, pairs, margin=0.01) as session:
+        with client.session(scene, find=True, margin=0.01) as session:
             while simulating:
                 m = session.step(positions, rotations)
 
-    Everything that does not change between steps stays on the server. The server starts each pair
-    from the solution of the previous step, so the results are those of `query` with `warm`. If a
-    session loses its server, the next step connects to another one and sends everything again. That
-    step starts from the bases of the last result if the outputs include BASES.
+    Everything that does not change between steps stays on the server. A step sends the poses of the
+    bodies that have moved since the step before, and the server answers pairs whose bodies did not
+    move without computing them. It starts each other pair from the solution of the step before.
+
+    The results are those of `Client.find`; in a session of given pairs they are those of `query`
+    with `warm`. The arrays of a find session's results are read-only, because a step in which
+    nothing changed has the arrays of the step before.
+
+    If a session loses its server, the next step connects to another one and sends everything again;
+    its result has `restarted`. In a session of given pairs that step starts from the bases of the
+    last result, if the outputs include BASES.
 
     A session computes one step at a time. Do not share it between threads. An open session uses one
     stream of the client's connection, or up to 8 or more if it has many pairs. If a server permits
@@ -295,22 +318,62 @@ class Session(_session.Steps):
     """
 
     def step(
-        self, positions: Any, rotations: Any = None, *, timeout: float | None = None
+        self,
+        positions: Any,
+        rotations: Any = None,
+        *,
+        moved: Any = None,
+        timeout: float | None = None,
     ) -> Manifolds:
-        """Computes the contact manifolds of all pairs, with the bodies at the given poses.
+        """Computes the contact manifolds with the bodies at the given poses.
 
         Args:
-            positions, rotations: the poses of all bodies, in any form that `Scene` takes.
+            positions, rotations: the poses of all bodies, in any form that `Scene` takes; or, with
+                `moved`, those of the bodies that it names.
+            moved: (k,) integers: the bodies to which the poses belong. All other bodies stay where
+                the last call of `step` or `update` put them. By default the poses are those of all
+                bodies, and the client compares them with the last ones to find out which bodies
+                moved; with hundreds of thousands of bodies, naming them saves some milliseconds.
             timeout: seconds for this step; by default the client's timeout.
 
         Returns:
-            The manifolds of all pairs, in the order of the session's pairs.
+            The manifolds of the session's pairs, in their order; or, with `find`, those that
+            `Client.find` would return.
 
         Raises:
             InvalidPoses, InvalidArgument, ServerError: as for `Client.query`.
+            Unimplemented: SERVER_TOO_OLD, the server's version has no find sessions or no matches.
         """
-        steps = self._stepping(positions, rotations, timeout)
+        steps = self._stepping(positions, rotations, moved, timeout)
         return self._calls._run(steps, timeout)
+
+    def update(
+        self, scene: Scene, *, previous: Any = None, timeout: float | None = None
+    ) -> Manifolds:
+        """Makes a step with other bodies, in a session with `find`: some are added or removed.
+
+            kept = np.flatnonzero(alive)
+            scene = hullcast.Scene(hulls, positions, rotations, body_hulls=body_hulls)
+            m = session.update(scene, previous=[*kept, -1])  # the last body is new
+
+        Args:
+            scene: all bodies, at their poses. Options such as the margin stay.
+            previous: (n,) integers: for each body its index in the scene of the last step that was
+                answered, or -1 for a new one. An index may be there once. A body whose hull has
+                changed is a new one. Without `previous` all bodies are new, and the session begins
+                anew.
+            timeout: seconds for this step; by default the client's timeout.
+
+        Returns:
+            As for `step`. `previous_pairs`, `previous_points` and `ended_pairs` compare the bodies
+            that stayed.
+
+        Raises:
+            InvalidArgument: FIND_ONLY, the session is one of given pairs; or an argument is not
+                usable.
+            InvalidPoses, ServerError: as for `step`.
+        """
+        return self._calls._run(self._updating(scene, previous, timeout), timeout)
 
     def __enter__(self) -> Self:
         return self

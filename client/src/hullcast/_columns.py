@@ -38,6 +38,7 @@ class ManifoldColumns(Settled):
     def __init__(self, columns: Mapping[str, np.ndarray], scene: Scene | None = None) -> None:
         self._columns = dict(columns)
         self._scene = scene
+        self._restarted = False
         self._set(
             outcome=self._columns["outcomes"].view(OutcomeArray),
             flags=self._columns["flags"].view(FlagArray),
@@ -67,6 +68,16 @@ class ManifoldColumns(Settled):
                     field="scene",
                 )
         self._scene = scene
+
+    @property
+    def restarted(self) -> bool:
+        """Whether a session began anew with this answer, and so has nothing to compare it with.
+
+        It is True for the first step, after a step that failed, after the server was lost or had no
+        room for the session's state, and after an update without `previous`. If the session has
+        several streams, it is True if one of them began anew. It is False for `query` and `find`.
+        """
+        return self._restarted
 
     def _column(self, wire: str, name: str, output: str) -> np.ndarray:
         try:
@@ -202,3 +213,34 @@ class ManifoldColumns(Settled):
         It is NaN if the server is too old to send this column.
         """
         return self._column("kept_areas", "kept_area", "DIAGNOSTICS")
+
+    @property
+    def previous_pairs(self) -> npt.NDArray[np.int64]:
+        """(n,): the row that each pair had in the previous step's answer; -1 if it had none.
+
+        Only CONTACT and UNDECIDED pairs have one, and only if they were in contact or undecided in
+        the step before.
+        """
+        return self._column("previous_pairs", "previous_pairs", "MATCHES")
+
+    @property
+    def previous_points(self) -> npt.NDArray[np.int64]:
+        """(p,): the row that each point had among the previous step's points; -1 if it had none.
+
+        The row is one of the columns of points, such as `distance`. So values of points, with a
+        row of zeros for the points that are new, are carried over by
+
+            impulses = np.concatenate([impulses, np.zeros((1, 3))])[m.previous_points]
+
+        Points match by their ids, and points whose features have changed by the distance that they
+        have moved on both bodies.
+        """
+        return self._column("previous_points", "previous_points", "MATCHES")
+
+    @property
+    def ended_pairs(self) -> Indices:
+        """(k, 2): the pairs that were in contact or undecided in the step before, and are not now.
+
+        They are the body indices of the step before.
+        """
+        return self._column("ended_pairs", "ended_pairs", "MATCHES")

@@ -44,7 +44,7 @@ _LONGEST_PAUSE = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Home:
-    """What a hull keeps of the client that registered it: how to ask its server again."""
+    """A hull's memory of the client that registered it: how to ask its server again."""
 
     settings: _channel.Settings
     #: The server that `serve` started for the client, or None. It ends with that client.

@@ -25,7 +25,9 @@ _FLOATS = (
 )  # fmt: skip
 #: The columns that every response has.
 _ALWAYS = {"outcomes": 1, "flags": 1, "pairs": 2}
-_OF_SCENE = ("missing_hulls", "invalid_bodies")
+_OF_SCENE = {"missing_hulls": 1, "invalid_bodies": 1, "ended_pairs": 2}
+#: Columns of rows or points of the answer before, with -1 for none.
+_ROWS = ("previous_pairs", "previous_points")
 
 #: How far each pair's row must be rotated to exchange the entries of A and B.
 _SIDES = {"pairs": 1, "feature_kinds": 1, "feature_indices": 2, "bases": 3, "point_ids": 2}
@@ -177,6 +179,8 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "iterations": ("iterations",),
     "support_calls": ("support_calls",),
     "kept_areas": ("kept_area",),
+    "previous_pairs": ("previous_pair",),
+    "previous_points": ("previous_point",),
 }
 
 
@@ -217,7 +221,8 @@ def load(path: str | os.PathLike[str]) -> Columns:
         if data.startswith(b"PK"):
             what = "is a damaged npz file: its end is missing, or its content has changed"
         raise InvalidArgument(f"{path} {what}", reason="NOT_MANIFOLDS", field="path") from None
-    missing = [name for name in (*_ALWAYS, *_OF_SCENE) if name not in columns]
+    always = (*_ALWAYS, "missing_hulls", "invalid_bodies")
+    missing = [name for name in always if name not in columns]
     if written != _FORMAT or missing:
         raise InvalidArgument(
             f"{path} is an npz file, but not one that Manifolds.save wrote ({_FORMAT})",
@@ -259,8 +264,10 @@ def _type_of(column: str) -> np.dtype[Any]:
     """The type of a column's numbers."""
     if column in ("outcomes", "flags", "feature_kinds"):
         return np.dtype("u1")
+    if column in _ROWS:
+        return np.dtype("<i8")
     return np.dtype("<f8" if column in _FLOATS else "<u4")
 
 
 def _widths() -> dict[str, int]:
-    return {**_ALWAYS, **PAIR_COLUMNS, **POINT_COLUMNS, **dict.fromkeys(_OF_SCENE, 1)}
+    return {**_ALWAYS, **PAIR_COLUMNS, **POINT_COLUMNS, **_OF_SCENE}

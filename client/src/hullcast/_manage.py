@@ -41,6 +41,9 @@ class ServerInfo:
     compute_threads: int
     #: The limits by name, such as "max_pairs_per_request". A value equal to its limit is allowed.
     limits: Mapping[str, int]
+    #: The contract number, which rises whenever requests get fields that change answers. 0 for a
+    #: server from before find sessions, which need 1.
+    contract: int = 0
 
     @classmethod
     def read(cls, data: bytes) -> ServerInfo:
@@ -55,11 +58,17 @@ class ServerInfo:
             answer.instruction_set,
             answer.compute_threads,
             MappingProxyType(limits),
+            answer.contract,
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        fields = (self.version, self.instruction_set, self.compute_threads, dict(self.limits))
-        return _server_info, fields
+        return _server_info, (
+            self.version,
+            self.instruction_set,
+            self.compute_threads,
+            dict(self.limits),
+            self.contract,
+        )
 
 
 def max_calls(data: bytes) -> int:
@@ -70,8 +79,10 @@ def max_calls(data: bytes) -> int:
         return 0
 
 
-def _server_info(version: str, simd: str, threads: int, limits: dict[str, int]) -> ServerInfo:
-    return ServerInfo(version, simd, threads, MappingProxyType(limits))
+def _server_info(
+    version: str, simd: str, threads: int, limits: dict[str, int], contract: int = 0
+) -> ServerInfo:
+    return ServerInfo(version, simd, threads, MappingProxyType(limits), contract)
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,14 @@ class Manifolds(ManifoldViews):
             if not -len(self) <= index < len(self):
                 raise self._out_of_range(index)
             return Manifold(self, index % len(self))
-        return Manifolds(_export.take(self._columns, self._chosen("index", pair)), self.scene)
+        chosen = self._chosen("index", pair)
+        return self._with(_export.take(self._columns, chosen))
+
+    def _with(self, columns: Mapping[str, np.ndarray]) -> Manifolds:
+        """Manifolds of the same answer with other columns."""
+        found = Manifolds(columns, self.scene)
+        found._restarted = self._restarted
+        return found
 
     def _chosen(self, field: str, pairs: Any) -> npt.NDArray[np.intp]:
         """The indices of the pairs that a slice, indices or a mask selects, from 0.
@@ -123,7 +130,7 @@ class Manifolds(ManifoldViews):
         chosen = self[np.flatnonzero(touching)]
         chosen._columns["witness_bs"] = chosen.witness_b
         turned = _export.turned(chosen._columns, chosen.pairs[:, 0] != body)
-        return Manifolds(turned, self.scene)
+        return self._with(turned)
 
     def padded(self, k: int) -> Padded:
         """The contact points as dense arrays with `k` slots per pair, the deepest points first.

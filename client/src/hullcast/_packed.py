@@ -32,7 +32,7 @@ _PACKED_TYPES: dict[int, str] = {_Field.TYPE_DOUBLE: "<f8", _Field.TYPE_FIXED32:
 
 # Columns whose length the reader cannot know in advance.
 _KEEP = {
-    "QueryContactsResponse": {"missing_hulls", "invalid_bodies"},
+    "QueryContactsResponse": {"missing_hulls", "invalid_bodies", "ended_pairs"},
     "HullInfo": {"contraction_point", "center_of_mass", "inertia"},
     "HullRecord": {"vertices", "vertex_indices", "face_offsets", "face_vertices", "face_normals"},
 }

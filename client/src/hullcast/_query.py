@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -15,13 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _answers, _arguments, _arrays, _checked, _packed
-from ._arguments import counted, iterable
+from ._arguments import counted
 from ._arrays import Indices
 from ._errors import InvalidArgument, InvalidPoses, MissingHullsWarning, warn
 from ._manifolds import Manifolds
+from ._outputs import output_names
 from ._pb import contacts_pb2
 from ._scene import Scene
-from ._wire import DEFAULT_OUTPUTS, Flag
+from ._wire import Flag
 
 #: The request ids of this process, by which responses are recognised. They start at a random
 #: number, so that two processes behind one proxy hardly ever use the same id.
@@ -132,13 +133,12 @@ class Query:
         warm: Manifolds | None = None,
         on_invalid: str = "raise",
         find: bool = False,
+        session: bool = False,
     ) -> None:
         _arguments.instance("scene", scene, Scene, "a hullcast.Scene")
-        #: The bodies of the query.
-        self.scene = scene
         self._on_invalid = _arguments.one_of("on_invalid", on_invalid, ("raise", "flag"))
         self._pairs = None if find else own_pairs(pairs, len(scene))
-        self._outputs = output_names(outputs)
+        self._outputs = output_names(outputs, session=session)
         margin = _arguments.number("margin", margin, 0, infinite=not find)
         if accuracy is not None:
             _arguments.instance("accuracy", accuracy, Accuracy, "a hullcast.Accuracy")
@@ -160,17 +160,28 @@ class Query:
             outputs=[f"OUTPUT_{name}" for name in self._outputs],
         )
         (accuracy or Accuracy()).fill(self._common.accuracy)
+        self.replace(scene)
+
+    def replace(self, scene: Scene) -> None:
+        """Replaces the bodies of the query; the options stay."""
+        self.scene = scene
         self._body_scratch = np.empty(len(scene), dtype="<u4")
         self._hull_scratch = np.empty(len(scene.hull_ids), dtype="<u4")
+
+    @property
+    def finds(self) -> bool:
+        """Whether the server finds the pairs."""
+        return self._pairs is None
+
+    @property
+    def matches(self) -> bool:
+        """Whether the output MATCHES is requested."""
+        return "MATCHES" in self._outputs
 
     @property
     def pair_count(self) -> int:
         """The number of pairs of the query."""
         return _length(self._pairs)
-
-    def move(self, positions: Any, rotations: Any) -> None:
-        """Moves the bodies of the query to new poses."""
-        self.scene = self.scene.moved(positions, rotations)
 
     def start_from(self, columns: _answers.Columns) -> None:
         """Makes the next full messages start from the bases of a result, if it has them."""
@@ -204,18 +215,49 @@ class Query:
         columns.append(("pairs", pairs))
         return self._of_some(bodies, columns)
 
-    def step_message(self, before: Message) -> Message:
-        """The request that inherits from `before` on a stream: the new poses of its bodies."""
-        positions, rotations = self.scene.positions, self.scene.rotations
-        if before.bodies is not None:
-            positions, rotations = positions[before.bodies], rotations[before.bodies]
+    def step_message(self, before: Message, moved: npt.NDArray[np.bool_] | None = None) -> Message:
+        """The request that inherits from `before` on a stream: the new poses of its bodies.
+
+        Args:
+            before: the last message of the stream.
+            moved: (bodies of the scene,), or `NOTHING`: only the poses of these bodies are sent.
+                None sends those of all bodies, which is the only form that an old server knows.
+        """
+        scene, bodies = self.scene, before.bodies
+        columns: list[tuple[str, npt.NDArray[Any]]] = []
+        if moved is not None:
+            moved = moved if bodies is None or len(moved) == 0 else moved[bodies]
+            chosen = np.flatnonzero(moved)
+            # A body takes 56 bytes, and 4 more if the message names it.
+            if len(moved) == 0 or 60 * len(chosen) < 56 * len(moved):
+                columns.append(("moved", chosen.astype("<u4")))
+                bodies = chosen if bodies is None else bodies[chosen]
+        if bodies is None:
+            columns += [("positions", scene.positions), ("rotations", scene.rotations)]
+        else:
+            columns += [
+                ("positions", scene.positions[bodies]),
+                ("rotations", scene.rotations[bodies]),
+            ]
         number = next(_request_ids)
         rest = contacts_pb2.QueryContactsRequest(inherit=True, request_id=number)
-        data = _packed.request(rest, [("positions", positions), ("rotations", rotations)])
-        return replace(before, data=data, request_id=number)
+        return replace(before, data=_packed.request(rest, columns), request_id=number)
 
-    def find_message(self, bodies: Indices | None = None) -> Message:
-        """The request of `find`, for all bodies or for some, whose indices ascend."""
+    def find_message(
+        self,
+        bodies: Indices | None = None,
+        *,
+        stream: bool = False,
+        previous: Indices | None = None,
+    ) -> Message:
+        """The request of `find`, for all bodies or for some, whose indices ascend.
+
+        Args:
+            bodies: the indices of the message's bodies; None for all.
+            stream: whether the message is for a stream, where the field `find` asks for the search.
+            previous: for each of the message's bodies its number in the stream's last message, or
+                2^32 - 1; None if no body is the same.
+        """
         scene = self.scene
         groups, ignored = scene.groups, scene.ignored_groups
         if bodies is not None and groups is not None and ignored is not None:
@@ -226,12 +268,16 @@ class Query:
                 columns.append((name, column if bodies is None else column[bodies]))
         if ignored is not None:
             columns.append(("ignored_groups", ignored))
+        if previous is not None:
+            columns.append(("previous_bodies", previous))
         if bodies is not None:
-            return self._of_some(bodies, columns)
-        rest = self._with(scene.hull_ids)
+            return self._of_some(bodies, columns, find=stream)
+        rest = self._with(scene.hull_ids, find=stream)
         return Message(_packed.request(rest, columns + self._bodies()), rest.request_id)
 
-    def _of_some(self, bodies: Indices, columns: list[tuple[str, npt.NDArray[Any]]]) -> Message:
+    def _of_some(
+        self, bodies: Indices, columns: list[tuple[str, npt.NDArray[Any]]], *, find: bool = False
+    ) -> Message:
         """A request that has only the given bodies and their hulls, besides `columns`."""
         scene = self.scene
         hulls, body_hulls = _compact(scene.body_hulls[bodies], self._hull_scratch)
@@ -240,12 +286,16 @@ class Query:
             ("positions", scene.positions[bodies]),
             ("rotations", scene.rotations[bodies]),
         ]
-        rest = self._with([scene.hull_ids[int(i)] for i in hulls])
+        rest = self._with([scene.hull_ids[int(i)] for i in hulls], find=find)
         return Message(_packed.request(rest, columns), rest.request_id, hulls, bodies)
 
-    def _with(self, hull_ids: Sequence[bytes]) -> contacts_pb2.QueryContactsRequest:
+    def _with(
+        self, hull_ids: Sequence[bytes], *, find: bool = False
+    ) -> contacts_pb2.QueryContactsRequest:
         """The options that all messages share, the hulls of one message, and a new request id."""
-        rest = contacts_pb2.QueryContactsRequest(hull_ids=hull_ids, request_id=next(_request_ids))
+        rest = contacts_pb2.QueryContactsRequest(
+            hull_ids=hull_ids, request_id=next(_request_ids), find=find
+        )
         rest.MergeFrom(self._common)
         return rest
 
@@ -257,7 +307,7 @@ class Query:
             ("rotations", scene.rotations),
         ]
 
-    def read(self, span: Span, message: Message, data: bytes) -> _answers.Columns:
+    def read(self, span: Span, message: Message, answer: _answers.Answer) -> _answers.Columns:
         """Reads and checks the response to `message`; numbers hulls and bodies as the scene does.
 
         Raises:
@@ -265,24 +315,22 @@ class Query:
         """
         assert self._pairs is not None
         pairs = self._pairs[span.start : span.stop]
-        columns = _answers.read(data, self._outputs, pairs, message.request_id)
+        columns = answer.columns(self._outputs, pairs)
         self._renumber(message, columns)
         _checked.columns(columns, pairs, self.scene.body_hulls)
         return columns
 
-    def read_found(self, message: Message, answers: Sequence[bytes]) -> _answers.Columns:
+    def read_found(self, message: Message, answers: Iterable[_answers.Answer]) -> _answers.Columns:
         """Reads and checks the responses to a `find_message`.
 
         Raises:
             ServerError: MALFORMED_ANSWER.
         """
-        if not answers:
-            raise _checked.malformed("FindContacts ended without a message, expected one or more")
         parts: list[_answers.Columns] = []
         last: tuple[int, int] | None = None
         bodies = message.bodies
-        for data in answers:
-            part = _answers.read(data, self._outputs, None, message.request_id)
+        for answer in answers:
+            part = answer.columns(self._outputs, None)
             count = len(self.scene) if bodies is None else len(bodies)
             last = _checked.found_pairs(part["pairs"], part["outcomes"], count, last)
             if bodies is not None:
@@ -290,6 +338,8 @@ class Query:
             self._renumber(message, part)
             _checked.columns(part, part["pairs"], self.scene.body_hulls)
             parts.append(part)
+        if not parts:
+            raise _checked.malformed("FindContacts ended without a message, expected one or more")
         return _answers.merge(parts)
 
     def _renumber(self, message: Message, columns: _answers.Columns) -> None:
@@ -302,8 +352,8 @@ class Query:
             if own is not None:
                 columns[name] = np.sort(own[columns[name]])
 
-    def delivered(self, columns: _answers.Columns) -> Manifolds:
-        """The result as the caller gets it.
+    def delivered(self, columns: _answers.Columns, *, restarted: bool = False) -> Manifolds:
+        """The result as the caller gets it. `restarted` is its attribute of that name.
 
         Raises:
             InvalidPoses: some bodies have unusable poses, and `on_invalid` is "raise".
@@ -312,10 +362,11 @@ class Query:
             # The server has not seen the bodies that no pair names, so check their poses here.
             unseen = _arrays.unusable(self.scene.positions, self.scene.rotations)
             columns["invalid_bodies"] = np.union1d(columns["invalid_bodies"], unseen)
-        if not columns["pairs"].flags.writeable:
+        if self._pairs is not None and not columns["pairs"].flags.writeable:
             # The caller may change the result's pairs, but not those of the query.
             columns["pairs"] = columns["pairs"].copy()
         found = Manifolds(columns, self.scene)
+        found._restarted = restarted
         if len(found.missing_hulls):
             lost = int(
                 np.count_nonzero(found.flags & int(Flag.UNKNOWN_HULL | Flag.HULL_UNAVAILABLE))
@@ -386,31 +437,3 @@ def _compact(numbers: Indices, scratch: Indices) -> tuple[Indices, Indices]:
     distinct = numbers[scratch[numbers] == order]
     scratch[distinct] = order[: len(distinct)]
     return distinct, scratch[numbers]
-
-
-def output_names(outputs: Iterable[str] | None) -> Sequence[str]:
-    """The requested outputs, checked and in upper case; the default outputs for None."""
-    if outputs is None:
-        return DEFAULT_OUTPUTS
-    known = [key.removeprefix("OUTPUT_") for key in contacts_pb2.Output.keys()[1:]]
-    given: Any = (outputs,) if isinstance(outputs, str) else outputs
-    if isinstance(given, (bytes, Mapping)) or not iterable(given):
-        raise InvalidArgument(
-            f"expected a list of {', '.join(known)}, got {_arguments.shown(outputs)}",
-            reason="WRONG_TYPE",
-            field="outputs",
-        )
-    names: list[str] = []
-    for i, name in enumerate(given):  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
-        # Accept the spelling of the command line, "witness-b", too.
-        plain = name.upper().replace("-", "_") if isinstance(name, str) else ""
-        if plain not in known:
-            raise InvalidArgument(
-                f"got {_arguments.shown(name)}, expected one of {', '.join(known)}",
-                reason="UNKNOWN_VALUE",
-                field="outputs",
-                index=i,
-            )
-        names.append(plain)
-    # On the wire an empty list means the default. Outcomes are always sent.
-    return tuple(names) or ("OUTCOME",)

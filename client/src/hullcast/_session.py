@@ -1,4 +1,4 @@
-"""Step loops: the same bodies and pairs in each step, and only new poses to send.
+"""Step loops: the same bodies in each step, and only the poses that changed to send.
 
 As in `_calls.py`, everything but the waiting is written once for both clients.
 """
@@ -10,14 +10,19 @@ import threading
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from . import _answers, _calls, _connection, _errors, _link
+import numpy as np
+
+from . import _answers, _arguments, _arrays, _calls, _connection, _errors, _link, _manage, _worlds
 from ._arguments import counted
+from ._lanes import FindLane, Lane, PairLane, Step
 from ._manifolds import Manifolds
-from ._query import Message, Query, Span
+from ._matches import Rows, identical, placed
+from ._query import Query
+from ._scene import Scene
 from ._settled import Settled
+from ._wire import LOOP_CONTRACT
 
 STREAM = "/hullcast.v1.ContactService/StreamContacts"
 
@@ -31,24 +36,6 @@ _MESSAGES_PER_LANE = 16
 _SHARE_OF_OTHER_CALLS = 16
 
 
-@dataclass(eq=False)
-class _Lane:
-    """A part of the pairs, and the stream that answers for it."""
-
-    span: Span
-    link: _link.Link | None = None
-    stream: _link.Stream | None = None
-    #: The last full message. Messages that inherit from it number hulls and bodies as it does.
-    message: Message | None = None
-    failures: int = 0
-
-    def drop(self) -> None:
-        """Ends the stream. The next message is sent in full, on a new stream."""
-        stream, self.stream = self.stream, None
-        if stream is not None:
-            stream.cancel()
-
-
 class Steps(Settled):
     """The common part of `hullcast.Session` and `hullcast.aio.Session`."""
 
@@ -57,19 +44,35 @@ class Steps(Settled):
     def __init__(self, calls: _calls.Calls, make: Callable[[], Query]) -> None:
         self._calls = calls
         self._query = make()
-        count, least = self._query.pair_count, calls.pairs_per_message
-        size = min(max(least, -(-count // _LANES)), _MESSAGES_PER_LANE * least)
-        self._lanes = [_Lane(span) for span in self._query.spans(size)]
+        self._lanes: list[Lane] = [FindLane()]
+        if not self._query.finds:
+            count, least = self._query.pair_count, calls.pairs_per_message
+            size = min(max(least, -(-count // _LANES)), _MESSAGES_PER_LANE * least)
+            self._lanes = [PairLane(span) for span in self._query.spans(size)]
+        #: The contract number that a server's answers must have at least.
+        self._contract = LOOP_CONTRACT if self._query.finds or self._query.matches else 0
+        #: The first point of each row of the last whole answer, if there are matches.
+        self._offsets: Rows = np.zeros(0, dtype=np.int64)
+        #: The columns of the last whole answer of a find session, and whether its matches are those
+        #: of an answer that did not change.
+        self._last: tuple[_answers.Columns, bool] = ({}, False)
+        self._pairs = self._query.pair_count
+        #: The number of bodies of the last scene that was answered, which `update` refers to. So an
+        #: update that failed can be repeated.
+        self._answered = len(self._query.scene)
         self._closed = False
         #: Locked while a step is under way.
         self._step = threading.Lock()
         _sessions.add(self)
 
     def __len__(self) -> int:
-        return self._query.pair_count
+        return self._pairs
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({counted(len(self), 'pair')}, {self._calls.target!r})"
+        what = counted(len(self), "pair")
+        if self._query.finds:
+            what = f"find, {counted(len(self._query.scene), 'body', 'bodies')}"
+        return f"{type(self).__name__}({what}, {self._calls.target!r})"
 
     def close(self) -> None:
         """Ends the session's streams. The client stays open."""
@@ -78,69 +81,147 @@ class Steps(Settled):
             lane.drop()
 
     def _stepping(
-        self, positions: Any, rotations: Any, timeout: float | None
+        self, positions: Any, rotations: Any, moved: Any, timeout: float | None
     ) -> _link.Steps[Manifolds]:
+        return (yield from self._alone(lambda: self._moved(positions, rotations, moved), timeout))
+
+    def _updating(self, scene: Any, previous: Any, timeout: float | None) -> _link.Steps[Manifolds]:
+        return (yield from self._alone(lambda: self._replaced(scene, previous), timeout))
+
+    def _moved(self, positions: Any, rotations: Any, moved: Any) -> Step:
+        """The step to new poses of all bodies, or of the bodies `moved`."""
+        before = self._query.scene
+        if moved is None:
+            return Step(*before._moved_where(positions, rotations), since=before)
+        of = f"the scene has {counted(len(before), 'body', 'bodies')}"
+        bodies = _arrays.indices("moved", moved, None, below=len(before), of=of)
+        _arrays.distinct("moved", bodies)
+        return Step(*before._moved_some(bodies, positions, rotations), since=before)
+
+    def _replaced(self, scene: Any, previous: Any) -> Step:
+        """The step to another scene."""
+        if not self._query.finds:
+            raise _errors.InvalidArgument(
+                "the bodies of a session of given pairs are fixed: open another session, or one "
+                "with find=True",
+                reason="FIND_ONLY",
+                field="scene",
+            )
+        _arguments.instance("scene", scene, Scene, "a hullcast.Scene")
+        numbers = None
+        if previous is not None:
+            before = self._answered
+            of = f"the scene of the step before has {counted(before, 'body', 'bodies')}"
+            numbers = _arrays.rows("previous", previous, len(scene), before, of)
+        return Step(scene, previous=numbers)
+
+    def _alone(self, make: Callable[[], Step], timeout: float | None) -> _link.Steps[Manifolds]:
+        """Makes a step, unless another one is under way."""
         if self._closed:
             raise _errors.Error(
                 "the session is closed: open a new one with client.session", reason="CLOSED"
             )
         # Two steps at a time would read each other's answers.
-        step = self._step
-        if not step.acquire(blocking=False):
+        lock = self._step
+        if not lock.acquire(blocking=False):
             raise _errors.Error(
                 "another thread or task makes a step of this session: open a session for each",
                 reason="STEP_UNDER_WAY",
             )
         try:
-            return (yield from self._stepped(positions, rotations, timeout))
+            return (yield from self._stepped(make(), timeout))
         finally:
-            step.release()
+            lock.release()
 
-    def _stepped(
-        self, positions: Any, rotations: Any, timeout: float | None
-    ) -> _link.Steps[Manifolds]:
+    def _stepped(self, step: Step, timeout: float | None) -> _link.Steps[Manifolds]:
         query, deadline = self._query, self._calls._deadline(timeout)
-        query.move(positions, rotations)
-        parts: dict[Span, _answers.Columns] = {}
+        if step.since is None:
+            query.replace(step.scene)
+        else:
+            query.scene = step.scene
         yield from self._calls._ready(deadline)
         try:
-            yield from self._exchange(self._lanes, parts, deadline)
+            yield from self._exchange(self._lanes, step, deadline)
             for times in range(1, _calls.REGISTRATIONS + 1):
-                lost = [lane for lane in self._lanes if _calls.lacks_hulls(parts[lane.span])]
-                answers = [parts[lane.span] for lane in lost]
+                lost = [lane for lane in self._lanes if _calls.lacks_hulls(lane.columns, query)]
+                answers = [lane.columns for lane in lost]
                 if not (yield from self._calls._restore(query.scene, answers, times, deadline)):
                     break
                 for lane in lost:
-                    lane.drop()  # inheriting from that response would start without bases
-                yield from self._exchange(lost, parts, deadline)
+                    # Inheriting from that answer would start without bases, and compare with an
+                    # answer that the caller never had.
+                    lane.drop()
+                yield from self._exchange(lost, step, deadline)
         except BaseException:
             # A response that has not arrived yet would be mistaken for the response to the next
             # step.
             for lane in self._lanes:
                 lane.drop()
             raise
-        columns = _answers.merge([parts[lane.span] for lane in self._lanes])
+        columns = self._whole()
+        self._answered = len(query.scene)
         query.start_from(columns)
-        return query.delivered(columns)
+        restarted = any(lane.restarted for lane in self._lanes)
+        return query.delivered(columns, restarted=restarted)
+
+    def _whole(self) -> _answers.Columns:
+        """The answers of all lanes as one, in which matches are rows of the whole answer before."""
+        query, lanes = self._query, self._lanes
+        if query.finds and all(lane.unchanged for lane in lanes):
+            columns, is_still = self._last
+            if query.matches and not is_still:
+                same = columns | identical(columns)
+                columns = placed(same, np.arange(self._pairs), self._offsets)
+            return self._kept(columns, is_still=True)
+        parts = [lane.columns for lane in lanes]
+        if query.matches:
+            parts = [placed(lane.columns, lane.rows, self._offsets) for lane in lanes]
+        columns = _worlds.together(parts) if query.finds else _answers.merge(parts)
+        if query.finds and query.matches and len(parts) > 1:
+            ended = columns["ended_pairs"]
+            columns["ended_pairs"] = ended[_worlds.order(ended)]
+        self._pairs = len(columns["outcomes"])
+        if query.matches:
+            self._remember(columns)
+        return self._kept(columns, is_still=False) if query.finds else columns
+
+    def _kept(self, columns: _answers.Columns, *, is_still: bool) -> _answers.Columns:
+        """Keeps the columns of a find session, and makes them read-only, for a later result."""
+        for column in columns.values():
+            column.flags.writeable = False
+        self._last = columns, is_still
+        return columns
+
+    def _remember(self, columns: _answers.Columns) -> None:
+        """Keeps where each lane's rows and each row's points are, for the next step's matches."""
+        counts = columns["point_counts"]
+        self._offsets = np.cumsum(counts, dtype=np.int64) - counts
+        ends = np.cumsum([len(lane.columns["outcomes"]) for lane in self._lanes])
+        rank = np.arange(self._pairs)
+        if self._query.finds and len(self._lanes) > 1:
+            order = _worlds.order(np.concatenate([lane.columns["pairs"] for lane in self._lanes]))
+            rank[order] = np.arange(self._pairs)
+        for lane, end in zip(self._lanes, ends, strict=True):
+            lane.rows = rank[end - len(lane.columns["outcomes"]) : end]
 
     def _exchange(
-        self, lanes: Iterable[_Lane], parts: dict[Span, _answers.Columns], deadline: float | None
+        self, lanes: Iterable[Lane], step: Step, deadline: float | None
     ) -> _link.Steps[None]:
         """Sends one message on each lane, all of them before the first response is read."""
-        waiting, asked = deque(lanes), deque[_Lane]()
+        waiting, asked = deque(lanes), deque[Lane]()
         while waiting or asked:
             while waiting:
                 lane = waiting.popleft()
-                stream, data = self._next_message(lane)
+                stream, data = self._next_message(lane, step)
                 yield stream.send(data, _link.remaining(deadline))
                 asked.append(lane)
             lane = asked.popleft()
-            assert lane.stream is not None
             try:
-                data = yield lane.stream.receive(_link.remaining(deadline))
+                answers = yield from self._received(lane, deadline)
             except _errors.InvalidArgument as error:
-                halves = [_Lane(span) for span in _calls.halves_of(lane.span, error)]
+                yield from self._check_contract(lane, deadline)
                 lane.drop()
+                halves = lane.halves(self._query, error)
                 place = self._lanes.index(lane)
                 self._lanes[place : place + 1] = halves
                 waiting.extend(halves)
@@ -153,20 +234,78 @@ class Steps(Settled):
                 waiting.append(lane)
             else:
                 lane.failures = 0
-                assert lane.message is not None
-                parts[lane.span] = self._query.read(lane.span, lane.message, data)
+                lane.take(self._query, answers)
 
-    def _next_message(self, lane: _Lane) -> tuple[_link.Stream, bytes]:
-        """The stream and the next message, which has only the poses if the stream has the rest."""
+    def _received(self, lane: Lane, deadline: float | None) -> _link.Steps[list[_answers.Answer]]:
+        """The messages of an answer. All but the last one say that more follow."""
+        assert lane.stream is not None
+        answers: list[_answers.Answer] = []
+        while not answers or answers[-1].message.more:
+            data = yield lane.stream.receive(_link.remaining(deadline))
+            answers.append(lane.answer(data))
+            lane.contract = int(answers[-1].message.contract)
+            if lane.contract < self._contract:
+                raise (yield from self._too_old(lane.contract, deadline))
+        return answers
+
+    def _check_contract(self, lane: Lane, deadline: float | None) -> _link.Steps[None]:
+        """Raises SERVER_TOO_OLD if a refused message was the first to a server that is too old.
+
+        Such a server refuses the worlds and groups of a scene, since it ignores the field `find`.
+        """
+        if self._contract == 0 or lane.contract:
+            return
+        info = yield from self._calls._informing(_link.remaining(deadline))
+        if info.contract < self._contract:
+            raise (yield from self._too_old(info.contract, deadline))
+
+    def _too_old(self, contract: int, deadline: float | None) -> _link.Steps[_errors.Unimplemented]:
+        """The error for a server that does not know a field of the request, and ignored it."""
+        data = yield from self._calls._ask(_manage.INFO, b"", deadline)
+        version = _manage.ServerInfo.read(data).version
+        what = "find sessions" if self._query.finds else "the output MATCHES"
+        return _errors.Unimplemented(
+            f"the server's version {version} does not know {what}: its answers have the contract "
+            f"number {contract}, expected {self._contract} or more. Update the server, or call "
+            "client.find in each step",
+            reason="SERVER_TOO_OLD",
+        )
+
+    def _next_message(self, lane: Lane, step: Step) -> tuple[_link.Stream, bytes]:
+        """The lane's stream, which is opened if there is none, and its next message."""
         link = self._calls._link()  # it changes in a forked child or another event loop
-        if lane.stream is not None and lane.message is not None and lane.link is link:
-            lane.message = self._query.step_message(lane.message)
-            return lane.stream, lane.message.data
-        lane.drop()
-        _check_count(link)
-        lane.message = self._query.message(lane.span)
-        lane.link, lane.stream = link, link.open(STREAM)
-        return lane.stream, lane.message.data
+        if lane.stream is None or lane.link is not link:
+            lane.drop()
+            _check_count(link)
+            lane.link, lane.stream = link, link.open(STREAM)
+        return lane.stream, lane.next_message(self._query, step)
+
+
+def query_of(
+    scene: Scene, pairs: Any, *, find: Any, warm: Manifolds | None, **options: Any
+) -> Query:
+    """The query that a session repeats. The arguments are those of `Client.session`.
+
+    Raises:
+        InvalidArgument: MISSING_ARGUMENT or CONTRADICTION, about `pairs`, `find` and `warm`; or an
+            argument is not usable.
+    """
+    find = _arguments.flag("find", find)
+    if not find and pairs is None:
+        raise _errors.InvalidArgument(
+            "missing: expected the pairs of bodies, or find=True to let the server find them",
+            reason="MISSING_ARGUMENT",
+            field="pairs",
+        )
+    for name, value in (("pairs", pairs), ("warm", warm)) if find else ():
+        if value is not None:
+            raise _errors.InvalidArgument(
+                f"got {name} and find=True, expected one of them: with find the server finds the "
+                "pairs, and starts them from its own last answer",
+                reason="CONTRADICTION",
+                field=name,
+            )
+    return Query(scene, pairs, find=find, warm=warm, session=True, **options)
 
 
 _sessions: weakref.WeakSet[Steps] = weakref.WeakSet()
@@ -210,7 +349,7 @@ def _after_fork() -> None:
         session._step = threading.Lock()  # the step under way belongs to the parent
         for lane in session._lanes:
             _connection.inherited.append(lane.stream)
-            lane.stream = None
+            lane.forget()
 
 
 if hasattr(os, "register_at_fork"):

@@ -125,6 +125,7 @@ OUTPUT_COLUMNS: dict[str, tuple[str, ...]] = {
     "FEATURES": ("point_counts", "feature_kinds", "feature_indices", "point_ids"),
     "BASES": ("bases",),
     "DIAGNOSTICS": ("iterations", "support_calls", "kept_areas"),
+    "MATCHES": ("point_counts", "previous_pairs", "previous_points"),
 }
 DEFAULT_OUTPUTS = ("ALPHA", "NORMAL", "POINTS")
 
@@ -142,8 +143,20 @@ PAIR_COLUMNS = {
     "iterations": 1,
     "support_calls": 1,
     "kept_areas": 1,
+    "previous_pairs": 1,
 }
-#: Columns that servers of the first version of the protocol do not send; they are read as NaN.
-LATER_COLUMNS = frozenset({"kept_areas"})
+#: Columns that servers of the first version of the protocol do not send. They are read as NaN, or
+#: as 2^32 - 1 if they have indices.
+LATER_COLUMNS = frozenset({"kept_areas", "previous_pairs", "previous_points"})
 #: The number of entries per point of each per-point column.
-POINT_COLUMNS = {"witness_as": 3, "distances": 1, "witness_bs": 3, "point_ids": 4}
+POINT_COLUMNS = {
+    "witness_as": 3,
+    "distances": 1,
+    "witness_bs": 3,
+    "point_ids": 4,
+    "previous_points": 1,
+}
+#: On the wire, the index of a row or a point that has no predecessor.
+NONE = 2**32 - 1
+#: The contract number from which a server knows `find`, `moved`, `previous_bodies` and MATCHES.
+LOOP_CONTRACT = 1

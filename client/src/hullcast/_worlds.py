@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from . import _answers, _export
 from ._arrays import Indices
@@ -34,19 +35,40 @@ def halves(scene: Scene, bodies: Indices | None, error: InvalidArgument) -> list
     """
     if bodies is None:
         bodies = np.arange(len(scene), dtype="<u4")
-    worlds = np.zeros(len(bodies), dtype="<u4") if scene.worlds is None else scene.worlds[bodies]
-    distinct, counts = np.unique(worlds[worlds != EVERY_WORLD], return_counts=True)
-    if len(bodies) < 2:
-        raise error
-    if len(distinct) == 0:  # bodies of world 2^32 - 1 never meet each other
+    worlds = _worlds_of(scene, bodies)
+    if len(bodies) >= 2 and (worlds == EVERY_WORLD).all():  # these never meet each other
         return [bodies[: len(bodies) // 2], bodies[len(bodies) // 2 :]]
+    last = middle(scene, bodies, error)
+    # Bodies of world 2^32 - 1 are in both parts.
+    return [bodies[(worlds <= last) | (worlds == EVERY_WORLD)], bodies[worlds > last]]
+
+
+def middle(scene: Scene, bodies: Indices | None, error: InvalidArgument) -> int:
+    """The last world of the first of two parts that have about as many bodies each.
+
+    The arguments and errors are those of `halves`.
+    """
+    if bodies is None:
+        bodies = np.arange(len(scene), dtype="<u4")
+    worlds = _worlds_of(scene, bodies)
+    distinct, counts = np.unique(worlds[worlds != EVERY_WORLD], return_counts=True)
+    if len(bodies) < 2 or len(distinct) == 0:
+        raise error
     if len(distinct) < 2:
         raise _too_large(scene, worlds, error)
     ends = np.cumsum(counts)
-    middle = int(np.count_nonzero(ends < ends[-1] / 2))
-    last = distinct[min(middle, len(distinct) - 2)]
-    # Bodies of world 2^32 - 1 are in both parts.
-    return [bodies[(worlds <= last) | (worlds == EVERY_WORLD)], bodies[worlds > last]]
+    half = int(np.count_nonzero(ends < ends[-1] / 2))
+    return int(distinct[min(half, len(distinct) - 2)])
+
+
+def _worlds_of(scene: Scene, bodies: Indices) -> Indices:
+    return np.zeros(len(bodies), dtype="<u4") if scene.worlds is None else scene.worlds[bodies]
+
+
+def order(pairs: Indices) -> npt.NDArray[np.intp]:
+    """The order that sorts the pairs of all parts as one message would have them."""
+    a, b = pairs.T
+    return np.lexsort((b, a))
 
 
 def together(parts: Sequence[_answers.Columns]) -> _answers.Columns:
@@ -54,8 +76,7 @@ def together(parts: Sequence[_answers.Columns]) -> _answers.Columns:
     columns = _answers.merge(parts)
     if len(parts) == 1:
         return columns
-    a, b = columns["pairs"].T
-    return _export.take(columns, np.lexsort((b, a)))
+    return _export.take(columns, order(columns["pairs"]))
 
 
 def _too_large(scene: Scene, worlds: Indices, error: InvalidArgument) -> InvalidArgument:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, Literal, NoReturn, ParamSpec
 from . import _calls, _channel, _client, _errors, _link, _serve, _session, _status
 from ._grpc import grpc
 from ._manifolds import Manifolds
-from ._query import Accuracy, Query
+from ._query import Accuracy
 from ._scene import Scene
 
 if TYPE_CHECKING:
@@ -63,8 +63,9 @@ class Client(_calls.Calls):
     def session(
         self,
         scene: Scene,
-        pairs: Any,
+        pairs: Any = None,
         *,
+        find: bool = False,
         margin: float = 0.0,
         accuracy: Accuracy | None = None,
         outputs: Iterable[str] | None = None,
@@ -73,9 +74,10 @@ class Client(_calls.Calls):
     ) -> Session:
         """As `hullcast.Client.session`. Do not await this method; await the session's steps."""
         make = partial(
-            Query,
+            _session.query_of,
             scene,
             pairs,
+            find=find,
             margin=margin,
             accuracy=accuracy,
             outputs=outputs,
@@ -145,6 +147,7 @@ class Session(_session.Steps):
     __doc__ = f"{__doc__}\n{_client.Session.__doc__}"
 
     step = _awaited(_client.Session.step)
+    update = _awaited(_client.Session.update)
 
     def __enter__(self) -> NoReturn:
         raise _plain_with()

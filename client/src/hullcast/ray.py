@@ -25,7 +25,8 @@ from ._arrays import Indices
 from ._client import Client
 from ._errors import InvalidArgument, InvalidPosesWarning, Unavailable, warn
 from ._manifolds import Manifolds
-from ._query import Accuracy, Query, output_names, own_pairs
+from ._outputs import output_names
+from ._query import Accuracy, Query, own_pairs
 from ._scene import Scene
 from ._wire import OUTPUT_COLUMNS, POINT_COLUMNS
 

@@ -1,6 +1,6 @@
 //! A batch of pairs, and the computation of each pair's answer.
 
-use std::any::Any;
+use std::{any::Any, sync::Arc};
 
 use hullcast_contact::{Basis, Body, Outcome, Workspace, contact_manifold, estimated_steps};
 
@@ -8,6 +8,7 @@ use crate::{
     columns::{Columns, InvalidPair},
     outputs::Outputs,
     scene::{Bodies, SceneFault, has_length},
+    steps::{Step, StepPairs},
 };
 
 /// Steps of a pair in addition to its computation. A pair that is not computed, because a hull or
@@ -22,8 +23,11 @@ pub struct Batch {
     candidates: Option<Vec<u32>>,
     /// Empty, or 6 per pair: registered indices of vertices, unchecked.
     warm_starts: Vec<u32>,
-    /// The outputs that are kept: all that are sent, and the bases if a stream keeps them.
-    kept: Outputs,
+    /// The outputs that are kept: all that are sent, and those that the next step of a stream needs.
+    pub(crate) kept: Outputs,
+    /// The step from the answer before, if there is one. The pairs of the step are those of `candidates`; without
+    /// them, the pairs are those of the template.
+    pub(crate) step: Option<(Arc<Step>, Option<Arc<StepPairs>>)>,
     /// Dropped with the batch.
     owned: Option<Box<dyn Any + Send + Sync>>,
 }
@@ -40,14 +44,14 @@ impl Batch {
             has_length(warm_starts.len(), expected, "warm_starts", "none or 6 per pair")?;
         }
         let kept = bodies.template().outputs();
-        Ok(Self { bodies, candidates: None, warm_starts, kept, owned: None })
+        Ok(Self { bodies, candidates: None, warm_starts, kept, step: None, owned: None })
     }
 
     /// A batch of pairs that may meet, 2 indices per pair. Its answer contains those that are not
     /// SEPARATED.
     pub(crate) fn of_candidates(bodies: Bodies, candidates: Vec<u32>) -> Self {
         let kept = bodies.template().outputs();
-        Self { bodies, candidates: Some(candidates), warm_starts: Vec::new(), kept, owned: None }
+        Self { bodies, candidates: Some(candidates), warm_starts: Vec::new(), kept, step: None, owned: None }
     }
 
     fn pairs(&self) -> &[u32] {
@@ -59,20 +63,32 @@ impl Batch {
         self.pairs().len() / 2
     }
 
+    fn pair_bodies(&self, pair: usize) -> [u32; 2] {
+        [0, 1].map(|side| self.pairs()[2 * pair + side])
+    }
+
+    /// The row of the answer before that a pair takes as it is.
+    fn row_to_reuse(&self, pair: usize) -> Option<(&Step, usize)> {
+        let (step, link) = self.link(pair)?;
+        Some((step, step.row_to_reuse(self.pair_bodies(pair), link)?))
+    }
+
     /// Keeps a value until the batch is freed, such as the memory that the batch counts against.
     pub fn keep(&mut self, value: impl Send + Sync + 'static) {
         self.owned = Some(Box::new(value));
     }
 
-    /// Adds the bases to the columns, even if they are not asked for.
-    pub fn keep_bases(&mut self) {
-        self.kept.bases = true;
-    }
-
     /// Computes pair `pair` and adds it to `columns`. Returns the steps that it took.
     pub(crate) fn pair(&self, pair: usize, workspace: &mut Workspace, columns: &mut Columns) -> u64 {
         let mut invalid = InvalidPair::default();
-        let bodies = [0, 1].map(|side| self.pairs()[2 * pair + side]);
+        let bodies = self.pair_bodies(pair);
+        if let Some((step, row)) = self.row_to_reuse(pair) {
+            if self.candidates.is_some() {
+                columns.push_pair(bodies);
+            }
+            step.push_row(row, columns);
+            return LEAST_STEPS;
+        }
         let [a, b] = bodies.map(|body| self.body(body, &mut invalid));
         match (a, b) {
             (Some(a), Some(b)) => {
@@ -111,8 +127,10 @@ impl Batch {
     /// for these hulls.
     fn warm_start(&self, pair: usize, a: &Body<'_>, b: &Body<'_>) -> Option<Basis> {
         let (bases, _) = self.warm_starts.as_chunks::<6>();
-        let &[a0, a1, a2, b0, b1, b2] = bases.get(pair)?;
-        let basis = Basis { a: [a0, a1, a2], b: [b0, b1, b2] };
+        let basis = match bases.get(pair) {
+            Some(&[a0, a1, a2, b0, b1, b2]) => Basis { a: [a0, a1, a2], b: [b0, b1, b2] },
+            None => self.link(pair).and_then(|(step, link)| step.basis(link))?,
+        };
         let of = |vertices: [u32; 3], body: &Body<'_>| {
             vertices.iter().all(|&vertex| (vertex as usize) < body.hull.registered_count())
         };
@@ -121,6 +139,9 @@ impl Batch {
 
     /// The estimated steps of a pair.
     pub(crate) fn pair_steps(&self, pair: usize) -> u64 {
+        if self.row_to_reuse(pair).is_some() {
+            return LEAST_STEPS;
+        }
         let hull = |side: usize| self.bodies.hull(self.pairs()[2 * pair + side]).as_ref().ok();
         match (hull(0), hull(1)) {
             (Some(a), Some(b)) => estimated_steps(a, b),

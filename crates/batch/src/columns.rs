@@ -6,6 +6,8 @@
 //! Everything that treats all columns alike is made from the table: the columns themselves, their sizes, the
 //! response of the service, and the files and texts of the command line.
 
+use std::ops::Range;
+
 use hullcast_contact::{ContactPoint, Element, Feature, Manifold, Outcome, Stop, Stopped};
 
 use crate::{
@@ -17,7 +19,7 @@ use crate::{
 /// Bytes that are copied between two checks of the stop flag: about half a millisecond.
 const BYTES_BETWEEN_LOOKS: usize = 2 << 20;
 
-/// What a column says about itself in the table.
+/// The row of a column in the table.
 #[derive(Clone, Copy, Debug)]
 pub struct Column {
     /// The column's name in the contract and in files.
@@ -36,7 +38,7 @@ pub struct Column {
     pub is_later: bool,
 }
 
-/// What the values of a column belong to.
+/// The owner of a column's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Per {
     /// Each pair of an answer to a search for pairs.
@@ -90,6 +92,18 @@ impl Values<'_> {
     /// Whether there are no values.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
+    }
+
+    /// Whether both have the same bits. NaN is the same as itself, and 0.0 is not -0.0.
+    pub fn is_same(&self, other: Self) -> bool {
+        match (*self, other) {
+            (Self::U8(one), Self::U8(other)) => one == other,
+            (Self::U32(one), Self::U32(other)) => one == other,
+            (Self::F64(one), Self::F64(other)) => {
+                one.len() == other.len() && one.iter().zip(other).all(|(a, b)| a.to_bits() == b.to_bits())
+            }
+            _ => false,
+        }
     }
 }
 
@@ -320,6 +334,68 @@ macro_rules! columns {
                 })*
             }
 
+            /// Adds a row of an earlier answer, whose points are `points` of its points. Columns that the earlier
+            /// answer does not have stay empty.
+            pub(crate) fn push_row(&mut self, from: &Self, row: usize, points: Range<usize>) {
+                self.outcomes.push(from.outcomes[row]);
+                self.flags.push(from.flags[row]);
+                $(if !from.$pair.is_empty() {
+                    self.$pair.extend_from_slice(&from.$pair[row * $pair_width..(row + 1) * $pair_width]);
+                })*
+                self.points += points.len();
+                $(if !from.$point.is_empty() {
+                    let values = points.start * $point_width..points.end * $point_width;
+                    self.$point.extend_from_slice(&from.$point[values]);
+                })*
+            }
+
+            /// Appends the next pairs of the same answer.
+            pub fn append(&mut self, mut next: Self) {
+                if self.is_empty() {
+                    *self = next;
+                    return;
+                }
+                self.points += next.points;
+                self.solver_iterations += next.solver_iterations;
+                self.$found.append(&mut next.$found);
+                $(self.$always.append(&mut next.$always);)*
+                $(self.$pair.append(&mut next.$pair);)*
+                $(self.$point.append(&mut next.$point);)*
+            }
+
+            /// Takes the columns that are not sent out, so that the columns of `outputs` remain.
+            pub fn take_unsent(&mut self, outputs: Outputs) -> Self {
+                let mut unsent = Self { points: self.points, ..Self::default() };
+                $(if !(false $(|| outputs.has(Output::$pair_output))*) {
+                    unsent.$pair = std::mem::take(&mut self.$pair);
+                })*
+                $(if !(false $(|| outputs.has(Output::$point_output))*) {
+                    unsent.$point = std::mem::take(&mut self.$point);
+                })*
+                unsent
+            }
+
+            /// Puts columns that were sent back to those that [`Self::take_unsent`] took out.
+            pub fn unite(&mut self, sent: Self) {
+                self.$found = sent.$found;
+                $(self.$always = sent.$always;)*
+                $(if !sent.$pair.is_empty() {
+                    self.$pair = sent.$pair;
+                })*
+                $(if !sent.$point.is_empty() {
+                    self.$point = sent.$point;
+                })*
+            }
+
+            /// Whether all values that are sent are the same, bit by bit.
+            pub fn is_same(&self, other: &Self, outputs: Outputs) -> bool {
+                let both = self.values().zip(other.values());
+                let mut sent = both.filter(|((column, _), _)| {
+                    column.per == Per::FoundPair || column.is_sent(outputs)
+                });
+                sent.all(|((_, one), (_, other))| one.is_same(other))
+            }
+
             /// Joins the parts in order, with one allocation per column.
             ///
             /// # Errors
@@ -415,7 +491,7 @@ columns! {
         /// The unit normal in the world frame, from A to B.
         normals: [f64; 3], "normal", first, of [Normal] = |m| m.normal.to_array(), invalid: f64::NAN;
         /// The number of contact points.
-        point_counts: [u32; 1], "points", first, of [Points WitnessB Features] = |m| [m.points.len() as u32],
+        point_counts: [u32; 1], "points", first, of [Points WitnessB Features Matches] = |m| [m.points.len() as u32],
             invalid: 0;
         /// The kinds of the touching features of A and of B; [`feature`] has their codes.
         feature_kinds: [u8; 2], "feature_kinds", first, of [Features] = |m| features(m).map(|(kind, _)| kind),
@@ -433,6 +509,9 @@ columns! {
         support_calls: [u32; 1], "support_calls", first, of [Diagnostics] = |m| [m.support_calls], invalid: 0;
         /// The fraction of the patch's area that the points still span.
         kept_areas: [f64; 1], "kept_area", later, of [Diagnostics] = |m| [m.kept_area], invalid: f64::NAN;
+        /// The row of the same pair in the answer before, or [`NO_INDEX`]. A batch does not know the answer
+        /// before; [`matches`](crate::matches) fills the column in.
+        previous_pairs: [u32; 1], "previous_pair", later, of [Matches] = |_m| [NO_INDEX], invalid: NO_INDEX;
     }
     point {
         /// The witness on A, in the world frame.
@@ -444,6 +523,9 @@ columns! {
         /// The parts of A and of B that make the point, two numbers each: an edge's vertices, a vertex twice,
         /// or [`NO_INDEX`] twice for the inside of a face.
         point_ids: [u32; 4], "id", first, of [Features] = |_, point| point_id(point);
+        /// The index of the same point in the row of the answer before, or [`NO_INDEX`]; filled in like
+        /// `previous_pairs`.
+        previous_points: [u32; 1], "previous_point", later, of [Matches] = |_, _point| [NO_INDEX];
     }
 }
 
@@ -482,9 +564,9 @@ impl Columns {
         self.pairs.extend_from_slice(&bodies);
     }
 
-    /// The bases. They also stay in the columns if they are sent.
-    pub fn kept_bases(&mut self, outputs: Outputs) -> Vec<u32> {
-        if outputs.bases { self.bases.clone() } else { std::mem::take(&mut self.bases) }
+    /// The number of points of all pairs, sent or not.
+    pub fn point_count(&self) -> usize {
+        self.points
     }
 }
 
@@ -528,7 +610,7 @@ mod tests {
             columns.clear();
             assert_eq!((columns.filled_bytes(), columns.len()), (0, 0));
         }
-        assert_eq!(COLUMNS.len(), 19);
-        assert_eq!(Outputs::of(Output::ALL.iter().copied()).pair_bytes(), 2 + 24 + 32 + 4 + 18 + 24 + 16);
+        assert_eq!(COLUMNS.len(), 21);
+        assert_eq!(Outputs::of(Output::ALL.iter().copied()).pair_bytes(), 2 + 24 + 32 + 4 + 18 + 24 + 16 + 4);
     }
 }

@@ -94,6 +94,12 @@ impl Finder {
         Batch::of_candidates(self.bodies.clone(), candidates)
     }
 
+    /// Whether all candidates have been given.
+    pub fn is_done(&self) -> bool {
+        let none_left = self.waiting.is_empty() && self.found.is_empty() && self.searches.is_empty();
+        none_left && self.next_body >= self.broad_phase.bodies()
+    }
+
     /// Gives candidates back in two halves, because their answer would be too large. Returns false if they
     /// are a single pair, which cannot be cut.
     pub fn split(&mut self, candidates: &[u32]) -> bool {

@@ -73,6 +73,7 @@
 //! | [`memory`] | the memory that answers take |
 //! | [`compute`] | the compute threads, which callers share by the cost of their work |
 //! | [`find`], [`broad_phase`] | finds the pairs of a scene that may meet |
+//! | [`steps`], [`matches`] | the steps of a simulation: what an answer takes from the one before, and which points are the same |
 //! | [`scene_file`], [`counted`] | scene files, and counts in messages |
 //! | [`lock`], [`ById`] | locks whose holders may panic; tables whose keys this process chose |
 //!
@@ -91,10 +92,12 @@ mod counted;
 pub mod engine;
 pub mod find;
 pub mod lock;
+pub mod matches;
 pub mod memory;
 pub mod outputs;
 pub mod scene;
 pub mod scene_file;
+pub mod steps;
 mod wait;
 
 pub use batch::Batch;

@@ -68,6 +68,9 @@ outputs! {
     bases, Bases = 7, "BASES";
     /// Iterations, support calls, and the area kept by reduction.
     diagnostics, Diagnostics = 8, "DIAGNOSTICS";
+    /// The rows and points of the answer before that are the same pairs and points. Only streams have such an
+    /// answer.
+    matches, Matches = 9, "MATCHES";
 }
 
 impl Output {
@@ -87,7 +90,7 @@ impl Outputs {
 
     /// Whether the answer has a column of points, and therefore point counts.
     pub fn any_points(self) -> bool {
-        self.points || self.witness_b || self.features
+        self.points || self.witness_b || self.features || self.matches
     }
 
     /// The kind of result that the computation has to produce.

@@ -263,6 +263,16 @@ impl SceneTemplate {
         self.pairs.len() / 2
     }
 
+    /// The bodies of a pair.
+    pub(crate) fn pair(&self, index: usize) -> [u32; 2] {
+        [self.pairs[2 * index], self.pairs[2 * index + 1]]
+    }
+
+    /// Whether the pairs of another template are answered in the same way.
+    pub fn has_options_of(&self, other: &Self) -> bool {
+        self.query == other.query && self.outputs == other.outputs
+    }
+
     /// The query for each pair.
     pub fn query(&self) -> &Query {
         &self.query
@@ -323,6 +333,27 @@ impl Poses {
     /// The number of poses.
     pub fn count(&self) -> usize {
         self.positions.len() / 3
+    }
+
+    /// The bytes of the poses.
+    pub fn bytes(&self) -> usize {
+        size_of_val(&self.positions[..]) + size_of_val(&self.rotations[..])
+    }
+
+    /// Whether a body and a body of `other` have poses with the same bits.
+    pub(crate) fn is_same(&self, body: usize, other: &Self, its: usize) -> bool {
+        let same =
+            |one: &[f64], other: &[f64]| one.iter().zip(other).all(|(a, b)| a.to_bits() == b.to_bits());
+        same(&self.positions[3 * body..][..3], &other.positions[3 * its..][..3])
+            && same(&self.rotations[4 * body..][..4], &other.rotations[4 * its..][..4])
+    }
+
+    /// Exchanges the pose of a body with a pose of `other`. Returns whether they had different bits.
+    pub(crate) fn exchange(&mut self, body: usize, other: &mut Self, its: usize) -> bool {
+        let differ = !self.is_same(body, other, its);
+        self.positions[3 * body..][..3].swap_with_slice(&mut other.positions[3 * its..][..3]);
+        self.rotations[4 * body..][..4].swap_with_slice(&mut other.rotations[4 * its..][..4]);
+        differ
     }
 
     /// The pose of a body, or `None` if it is not usable.

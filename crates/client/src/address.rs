@@ -14,8 +14,15 @@ const FORMS: &str = "host, host:port, unix:PATH, http://host:port or https://hos
 /// An address without a port means port 50051. Only connections to `https://` are encrypted. The address of a
 /// host is displayed as a URL with scheme and port, and that of a Unix socket as it was given.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub struct Address {
-    url: String,
+pub struct Address(Place);
+
+/// The place at which a server listens.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+enum Place {
+    /// A port of a host. An IPv6 address has its brackets.
+    Host { is_encrypted: bool, host: String, port: u16 },
+    /// A Unix socket: the text after `unix:`, which is its path, or `//` and its path.
+    Socket(String),
 }
 
 /// The text is not an address.
@@ -33,23 +40,46 @@ pub enum AddressError {
 impl Address {
     /// Whether connections to this address are encrypted.
     pub fn is_encrypted(&self) -> bool {
-        self.url.starts_with("https://")
+        matches!(self.0, Place::Host { is_encrypted: true, .. })
     }
 
     /// `host:port`, or `None` for a Unix socket.
-    pub(crate) fn authority(&self) -> Option<&str> {
-        self.url.split_once("://").filter(|_| self.socket().is_none()).map(|(_, authority)| authority)
+    pub(crate) fn authority(&self) -> Option<String> {
+        match &self.0 {
+            Place::Host { host, port, .. } => Some(format!("{host}:{port}")),
+            Place::Socket(_) => None,
+        }
+    }
+
+    /// The host that a certificate has to name, or `None` for a Unix socket.
+    pub(crate) fn host(&self) -> Option<&str> {
+        match &self.0 {
+            Place::Host { host, .. } => Some(unbracketed(host)),
+            Place::Socket(_) => None,
+        }
     }
 
     /// The path of a Unix socket.
     pub(crate) fn socket(&self) -> Option<&str> {
-        self.url.strip_prefix("unix:").map(|path| path.trim_start_matches("//"))
+        match &self.0 {
+            Place::Host { .. } => None,
+            Place::Socket(path) => Some(path.strip_prefix("//").unwrap_or(path)),
+        }
     }
+}
+
+/// A host without the brackets of an IPv6 address.
+fn unbracketed(host: &str) -> &str {
+    host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host)
 }
 
 impl fmt::Display for Address {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.url)
+        match &self.0 {
+            Place::Host { is_encrypted: true, host, port } => write!(f, "https://{host}:{port}"),
+            Place::Host { is_encrypted: false, host, port } => write!(f, "http://{host}:{port}"),
+            Place::Socket(path) => write!(f, "unix:{path}"),
+        }
     }
 }
 
@@ -57,21 +87,23 @@ impl FromStr for Address {
     type Err = AddressError;
 
     fn from_str(text: &str) -> Result<Self, AddressError> {
-        if text.starts_with("unix:") {
-            return Ok(Self { url: text.to_owned() });
+        if let Some(path) = text.strip_prefix("unix:") {
+            return Ok(Self(Place::Socket(path.to_owned())));
         }
         let (scheme, rest) = text.split_once("://").unwrap_or(("http", text));
         let wrong = || AddressError::Malformed(text.to_owned());
-        if !["http", "https"].contains(&scheme) {
-            return Err(wrong());
-        }
+        let is_encrypted = match scheme {
+            "http" => false,
+            "https" => true,
+            _ => return Err(wrong()),
+        };
         let rest = rest.strip_suffix('/').unwrap_or(rest);
         // The brackets of an IPv6 address separate its colons from the colon before the port.
         let (host, port) = match rest.rsplit_once(':') {
             Some((host, port)) if !port.contains(']') => (host, Some(port)),
             _ => (rest, None),
         };
-        let bare = host.strip_prefix('[').and_then(|h| h.strip_suffix(']')).unwrap_or(host);
+        let bare = unbracketed(host);
         let bracketed = bare.len() < host.len();
         let foreign = |c: char| c.is_whitespace() || "/?#@[]".contains(c) || (c == ':' && !bracketed);
         if bare.is_empty() || bare.contains(foreign) {
@@ -84,7 +116,7 @@ impl FromStr for Address {
             None => DEFAULT_PORT,
             Some(text) => text.parse().ok().filter(|&port| port > 0).ok_or_else(wrong)?,
         };
-        Ok(Self { url: format!("{scheme}://{host}:{port}") })
+        Ok(Self(Place::Host { is_encrypted, host: host.to_owned(), port }))
     }
 }
 
@@ -125,12 +157,21 @@ mod tests {
         assert_eq!("7".parse::<Address>(), Err(AddressError::OnlyAPort("7".into())));
     }
 
+    /// Catches a certificate that is compared with a host in brackets, or with its port.
+    #[test]
+    fn a_certificate_names_the_bare_host() {
+        for (text, expected) in [("https://[::1]:7", Some("::1")), ("a:7", Some("a")), ("unix:/run/x", None)]
+        {
+            assert_eq!(text.parse::<Address>().expect(text).host(), expected);
+        }
+    }
+
     /// Catches a socket's path that is dialled as a host, and a host that is opened as a socket.
     #[test]
     fn an_address_is_a_host_or_a_socket() {
         let parts = |text: &str| {
             let address: Address = text.parse().expect(text);
-            (address.authority().map(str::to_owned), address.socket().map(str::to_owned))
+            (address.authority(), address.socket().map(str::to_owned))
         };
         assert_eq!(parts("localhost"), (Some("localhost:50051".into()), None));
         assert_eq!(parts("unix:/run/x"), (None, Some("/run/x".into())));

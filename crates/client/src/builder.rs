@@ -6,6 +6,15 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use hullcast_proto::GetServerInfoRequest;
+use tokio_rustls::rustls::{
+    self,
+    crypto::ring,
+    pki_types::{
+        CertificateDer, PrivateKeyDer, ServerName,
+        pem::{Error as PemError, PemObject},
+    },
+    sign::CertifiedKey,
+};
 use tonic::metadata::{Ascii, MetadataValue};
 use tonic::service::{Interceptor, interceptor::InterceptedService};
 use tonic::transport::{ClientTlsConfig, Endpoint, Identity};
@@ -146,7 +155,7 @@ impl Builder {
             .keep_alive_timeout(KEEP_ALIVE)
             .tcp_nodelay(true);
         if address.is_encrypted() {
-            return self.encrypted(endpoint);
+            return self.encrypted(address, endpoint);
         }
         match (&self.authority, &self.identity) {
             (Some(_), _) => Err(setting(Setting::Authority, Defect::NotEncrypted)),
@@ -155,22 +164,26 @@ impl Builder {
         }
     }
 
-    fn encrypted(&self, endpoint: Endpoint) -> Result<Endpoint, Error> {
+    fn encrypted(&self, address: &Address, endpoint: Endpoint) -> Result<Endpoint, Error> {
+        ServerName::try_from(address.host().unwrap_or_default())
+            .map_err(|_| crate::AddressError::Malformed(self.address.clone()))?;
         let mut tls = ClientTlsConfig::new();
         if let Some((certificate, key)) = &self.identity {
             let certificate = pem(Setting::Certificate, certificate)?;
-            tls = tls.identity(Identity::from_pem(certificate, pem(Setting::Key, key)?));
+            let key = pem(Setting::Key, key)?;
+            check_identity(certificate, key)?;
+            tls = tls.identity(Identity::from_pem(certificate, key));
         }
-        let unusable = |place, why| setting(place, Defect::Unusable(why));
+        let unusable = |why| setting(Setting::Authority, Defect::Unusable(why));
         let configured = match &self.authority {
             None => endpoint.tls_config(tls.with_native_roots()),
             Some(authority) => {
-                let trust = Trust::new(pem(Setting::Authority, authority)?)
-                    .map_err(|why| unusable(Setting::Authority, why))?;
+                let trust = Trust::new(pem(Setting::Authority, authority)?).map_err(unusable)?;
                 endpoint.tls_config_with_verifier(tls, Arc::new(trust))
             }
         };
-        configured.map_err(|error| unusable(Setting::Certificate, root_cause(&error)))
+        // Everything else has been checked, so the authorities are at fault: this system may have none.
+        configured.map_err(|error| unusable(root_cause(&error)))
     }
 }
 
@@ -183,6 +196,31 @@ impl fmt::Debug for Builder {
 
 fn setting(setting: Setting, defect: Defect) -> Error {
     SettingError { setting, defect }.into()
+}
+
+/// Checks that TLS can use a certificate with its key, so that an error names the one at fault.
+fn check_identity(certificate_pem: &[u8], key_pem: &[u8]) -> Result<(), Error> {
+    let unusable = |place, why: String| setting(place, Defect::Unusable(why));
+    let certificates: Vec<_> = CertificateDer::pem_slice_iter(certificate_pem)
+        .collect::<Result<_, _>>()
+        .map_err(|error| unusable(Setting::Certificate, error.to_string()))?;
+    if certificates.is_empty() {
+        return Err(unusable(Setting::Certificate, "no certificate in it".into()));
+    }
+    let key = PrivateKeyDer::from_pem_slice(key_pem).map_err(|error| match error {
+        PemError::NoItemsFound => unusable(Setting::Key, "no private key in it".into()),
+        error => unusable(Setting::Key, error.to_string()),
+    })?;
+    match CertifiedKey::from_der(certificates, key, &ring::default_provider()) {
+        Ok(_) => Ok(()),
+        Err(rustls::Error::InconsistentKeys(_)) => {
+            Err(unusable(Setting::Key, "it is not the key of the certificate".into()))
+        }
+        Err(error @ rustls::Error::InvalidCertificate(_)) => {
+            Err(unusable(Setting::Certificate, error.to_string()))
+        }
+        Err(error) => Err(unusable(Setting::Key, error.to_string())),
+    }
 }
 
 /// Returns the text if it has a PEM block. TLS would ignore a text without one.
@@ -220,13 +258,20 @@ impl Interceptor for Token {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rcgen::{CertificateParams, KeyPair};
 
-    /// Catches a setting that is ignored, or refused only after a server was called.
+    /// Catches a setting that is ignored, refused only after a server was called, or refused under the name of
+    /// another.
     #[tokio::test]
     async fn unusable_settings_are_named() {
         let builder = |address: &str| Client::builder(address);
         let pem = "-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n";
         let secured = || builder("https://localhost:1");
+        let [own, other] = [(); 2].map(|()| KeyPair::generate().expect("a key"));
+        let signed =
+            CertificateParams::new(vec!["client".into()]).and_then(|params| params.self_signed(&own));
+        let certificate = signed.expect("a certificate").pem();
+        let [own, other] = [own, other].map(|key| key.serialize_pem());
         for (builder, expected) in [
             (builder("localhost:1").authority(pem), (Setting::Authority, Some(Defect::NotEncrypted))),
             (builder("localhost:1").identity(pem, pem), (Setting::Certificate, Some(Defect::NotEncrypted))),
@@ -234,6 +279,10 @@ mod tests {
             (secured().authority(pem), (Setting::Authority, None)),
             (secured().identity("words", pem), (Setting::Certificate, Some(Defect::NotPem))),
             (secured().identity(pem, "words"), (Setting::Key, Some(Defect::NotPem))),
+            (secured().identity(pem, own.as_str()), (Setting::Certificate, None)),
+            (secured().identity(own.as_str(), own.as_str()), (Setting::Certificate, None)),
+            (secured().identity(certificate.as_str(), certificate.as_str()), (Setting::Key, None)),
+            (secured().identity(certificate.as_str(), other), (Setting::Key, None)),
             (secured().token(""), (Setting::Token, Some(Defect::NotAToken))),
             (secured().token("two words"), (Setting::Token, Some(Defect::NotAToken))),
             (secured().token("line\nbreak"), (Setting::Token, Some(Defect::NotAToken))),
@@ -246,8 +295,10 @@ mod tests {
                 None => assert!(matches!(defect, Defect::Unusable(_)), "{defect}"),
             }
         }
-        let error = builder("a b").connect().await.expect_err("not an address");
-        assert!(matches!(error, Error::Address(_)), "{error}");
+        for address in ["a b", "https://a..b"] {
+            let error = builder(address).connect().await.expect_err("not an address");
+            assert!(matches!(error, Error::Address(_)), "{error}");
+        }
     }
 
     /// Catches a token or a key that the debug output shows.

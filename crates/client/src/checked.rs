@@ -118,14 +118,17 @@ impl<'a> Asked<'a> {
     }
 }
 
+/// Checks that an answer has the number of its request.
+pub(crate) fn request_id(found: u64, expected: u64) -> Result<(), Malformed> {
+    if found == expected {
+        return Ok(());
+    }
+    malformed(format!("request_id is {found}, expected {expected}: it answers another request"))
+}
+
 fn checked(asked: &Asked<'_>, response: &QueryContactsResponse) -> Result<(), Malformed> {
     let request = asked.request;
-    if response.request_id != request.request_id {
-        return malformed(format!(
-            "request_id is {}, expected {}: it answers another request",
-            response.request_id, request.request_id
-        ));
-    }
+    request_id(response.request_id, request.request_id)?;
     sizes(asked, response)?;
     ascending("missing_hulls", &response.missing_hulls, request.hull_ids.len())?;
     ascending("invalid_bodies", &response.invalid_bodies, request.body_hulls.len())?;
@@ -177,9 +180,12 @@ fn outcome(asked: &Asked<'_>, response: &QueryContactsResponse, pair: usize) -> 
     if !(Outcome::Contact as i32..=Outcome::Invalid as i32).contains(&outcome) {
         return malformed(format!("outcomes[{pair}] is {outcome}, expected 1 to 4"));
     }
-    let invalid = outcome == Outcome::Invalid as i32;
-    let explained = flags & (REASONS | !KNOWN_FLAGS) != 0;
-    if invalid != (flags & REASONS != 0) && !(invalid && explained) {
+    let fits = match outcome == Outcome::Invalid as i32 {
+        // The reason may be a flag of a newer version.
+        true => flags & (REASONS | !KNOWN_FLAGS) != 0,
+        false => flags & REASONS == 0,
+    };
+    if !fits {
         return malformed(format!("flags[{pair}] is {flags}, which does not fit outcome {outcome}"));
     }
     let bodies = [asked.pairs[2 * pair], asked.pairs[2 * pair + 1]];

@@ -79,6 +79,11 @@ impl Client {
         &self.connection.address
     }
 
+    /// Whether calls that fail are repeated.
+    pub(crate) fn retries(&self) -> bool {
+        self.connection.retries
+    }
+
     /// The server's version, its limits and its use of memory.
     ///
     /// # Errors
@@ -87,7 +92,7 @@ impl Client {
         self.info_by(self.deadline()).await
     }
 
-    async fn info_by(&self, deadline: Deadline) -> Result<GetServerInfoResponse, Error> {
+    pub(crate) async fn info_by(&self, deadline: Deadline) -> Result<GetServerInfoResponse, Error> {
         let info = self
             .call(deadline, &GetServerInfoRequest {}, |request| {
                 let mut stub = self.server();
@@ -175,7 +180,7 @@ impl Client {
 
     /// The pause before a call that failed is repeated; `None` if it is not repeated.
     fn pause_after(&self, error: &Error, losses: &mut u32) -> Option<Duration> {
-        if !self.connection.retries {
+        if !self.retries() {
             return None;
         }
         if let Error::Lost(_) = error {

@@ -2,6 +2,9 @@
 
 use hullcast_proto::{Output, QueryContactsRequest, QueryContactsResponse};
 
+/// The number of values of a pair's basis.
+pub(crate) const BASIS: usize = widths::bases;
+
 /// A column of [`QueryContactsResponse`].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Column {
@@ -61,6 +64,12 @@ impl Column {
 
 macro_rules! columns {
     ($($name:ident: $per:ident $width:literal [$($output:ident)*] $is_later:literal;)*) => {
+        /// The number of values per owner, by the names of the columns.
+        #[allow(non_upper_case_globals, dead_code, reason = "one for each column, although few are needed")]
+        mod widths {
+            $(pub(super) const $name: usize = $width;)*
+        }
+
         /// Each column of the table, with its number of values in an answer.
         pub(crate) fn lengths(answer: &QueryContactsResponse) -> impl Iterator<Item = (Column, usize)> {
             [$((
@@ -99,17 +108,19 @@ columns! {
     alpha_uppers: Pair 1 [Alpha] false;
     separations: Pair 1 [Normal] false;
     normals: Pair 3 [Normal] false;
-    point_counts: Pair 1 [Points WitnessB Features] false;
+    point_counts: Pair 1 [Points WitnessB Features Matches] false;
     feature_kinds: Pair 2 [Features] false;
     feature_indices: Pair 4 [Features] false;
     bases: Pair 6 [Bases] false;
     iterations: Pair 1 [Diagnostics] false;
     support_calls: Pair 1 [Diagnostics] false;
     kept_areas: Pair 1 [Diagnostics] true;
+    previous_pairs: Pair 1 [Matches] true;
     witness_as: Point 3 [Points] false;
     distances: Point 1 [Points] false;
     witness_bs: Point 3 [WitnessB] false;
     point_ids: Point 4 [Features] false;
+    previous_points: Point 1 [Matches] true;
 }
 
 #[cfg(test)]
@@ -124,7 +135,16 @@ mod tests {
         let files = FileDescriptorSet::decode(hullcast_proto::FILE_DESCRIPTOR_SET).expect("the contract");
         let messages = files.file.iter().flat_map(|file| &file.message_type);
         let answer = messages.clone().find(|message| message.name() == "QueryContactsResponse");
-        let not_columns = ["request_id", "missing_hulls", "invalid_bodies"];
+        let not_columns = [
+            "request_id",
+            "missing_hulls",
+            "invalid_bodies",
+            "ended_pairs",
+            "more",
+            "contract",
+            "state_dropped",
+            "unchanged",
+        ];
         let mut expected: Vec<&str> =
             answer.expect("the message").field.iter().map(|field| field.name()).collect();
         expected.retain(|name| !not_columns.contains(name));

@@ -51,10 +51,23 @@ pub enum Error {
     /// The answer is not one that a correct server gives to the request.
     #[error(transparent)]
     Malformed(#[from] Malformed),
+    /// The server does not know a field of the request, and ignored it: its answer is one to another question.
+    #[error(
+        "the server's version {version} does not know find sessions and matches: its answers have the \
+         contract number {contract}, expected {needed} or more; update the server"
+    )]
+    TooOld {
+        /// The version of the server.
+        version: String,
+        /// The contract number of its answers (`QueryContactsResponse.contract`).
+        contract: u32,
+        /// The contract number that the request needs.
+        needed: u32,
+    },
     /// The number of positions or of rotations of a step is not that of the session's bodies.
     #[error("{field} has {found} entries, expected {expected}: one per body of the session")]
     WrongLength {
-        /// `positions` or `rotations`.
+        /// `positions`, `rotations` or `previous_bodies`.
         field: &'static str,
         /// The number of entries.
         found: usize,

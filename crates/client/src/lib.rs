@@ -80,6 +80,7 @@ mod columns;
 mod error;
 mod find;
 mod hull;
+mod matches;
 mod pairs;
 mod query;
 mod reach;

@@ -3,6 +3,7 @@
 use hullcast_proto::{QueryContactsRequest, QueryContactsResponse};
 
 use crate::client::Deadline;
+use crate::columns::BASIS;
 use crate::{Client, Error, Hull, append, checked};
 
 /// The most registrations within one query, because another caller may delete a hull again and again.
@@ -142,11 +143,11 @@ fn part(request: &QueryContactsRequest, begin: usize, end: usize) -> QueryContac
     let has_warm_starts = !request.warm_starts.is_empty();
     if is_whole
         || !request.pairs.len().is_multiple_of(2)
-        || (has_warm_starts && request.warm_starts.len() != 6 * pairs)
+        || (has_warm_starts && request.warm_starts.len() != BASIS * pairs)
     {
         return request.clone();
     }
-    let warm_starts = if has_warm_starts { &request.warm_starts[6 * begin..6 * end] } else { &[] };
+    let warm_starts = if has_warm_starts { &request.warm_starts[BASIS * begin..BASIS * end] } else { &[] };
     QueryContactsRequest {
         request_id: request.request_id,
         inherit: request.inherit,
@@ -162,5 +163,13 @@ fn part(request: &QueryContactsRequest, begin: usize, end: usize) -> QueryContac
         accuracy: request.accuracy,
         outputs: request.outputs.clone(),
         warm_starts: warm_starts.to_vec(),
+        find: request.find,
+        moved: request.moved.clone(),
+        margins: request.margins.clone(),
+        linear_velocities: request.linear_velocities.clone(),
+        angular_velocities: request.angular_velocities.clone(),
+        time_step: request.time_step,
+        turning_points: request.turning_points.clone(),
+        previous_bodies: request.previous_bodies.clone(),
     }
 }

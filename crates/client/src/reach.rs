@@ -158,9 +158,9 @@ pub(crate) async fn mismatch(
 
 /// Connects to the address and returns the result of [`answer_to_greeting`].
 async fn greeting(address: &Address) -> Option<Vec<u8>> {
-    match (address.socket(), address.authority()) {
-        (Some(path), _) => answer_to_greeting(UnixStream::connect(path)).await,
-        (None, authority) => answer_to_greeting(TcpStream::connect(authority.unwrap_or_default())).await,
+    match address.socket() {
+        Some(path) => answer_to_greeting(UnixStream::connect(path)).await,
+        None => answer_to_greeting(TcpStream::connect(address.authority().unwrap_or_default())).await,
     }
 }
 

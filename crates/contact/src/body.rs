@@ -63,6 +63,11 @@ impl Pose {
         Ok(Self { translation: DVec3::from_array(position), rotation })
     }
 
+    /// A point of the world (caller's units) in the hull's own frame.
+    pub fn local(&self, point: DVec3) -> DVec3 {
+        self.rotation.transpose() * (point - self.translation)
+    }
+
     /// Makes the checks of [`Pose::new`] and returns the quaternion's squared norm.
     ///
     /// # Errors

@@ -218,7 +218,7 @@ fn check_planarity(planarity: Option<f64>) -> Result<(), HullError> {
     }
 }
 
-/// Converts the error of a build whose [`Stop`] no other code holds, so that it cannot be stopped.
+/// Converts the error of a build that cannot be stopped, because no other code holds its [`Stop`].
 fn never_stopped(error: BuildError) -> HullError {
     match error {
         BuildError::Hull(error) => error,

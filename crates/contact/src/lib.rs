@@ -63,6 +63,7 @@ mod growth;
 pub mod hull;
 mod intersection;
 mod manifold;
+mod monotone_chain;
 mod pair;
 mod query;
 mod reduce;

@@ -114,7 +114,8 @@ pub(crate) const REACH: f64 = 512.0;
 pub(crate) const BRACKET: f64 = 64.0;
 
 /// Multiple of `U * (alpha R + M) / r` by which the ends of a bracket may differ, their allowance for
-/// noise left out, before wide arithmetic is tried. It is half of the permitted error of alpha.
+/// noise left out, before weights by areas, and then wide arithmetic, are tried. It is half of the
+/// permitted error of alpha.
 pub(crate) const COARSE: f64 = 8.0;
 
 /// Centres closer than this multiple of `U * M` coincide, because `d` is then only noise.

@@ -5,7 +5,10 @@ mod planarity;
 mod progress;
 mod tradeoff;
 
-use std::process::ExitCode;
+use std::{
+    io::{self, Write},
+    process::ExitCode,
+};
 
 use clap::{Parser, Subcommand};
 
@@ -27,6 +30,18 @@ enum Command {
 
 /// The error of a subcommand. Its text is shown to the user as it is.
 type Error = Box<dyn std::error::Error>;
+
+/// Prints a text. A closed pipe, as in `lab tradeoff | head`, is not a failure.
+///
+/// # Errors
+/// The text cannot be written.
+fn print(text: &str) -> Result<(), Error> {
+    let mut out = io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        other => Ok(other?),
+    }
+}
 
 fn main() -> ExitCode {
     let result = match Arguments::parse().command {

@@ -12,7 +12,7 @@ use std::path::PathBuf;
 use clap::value_parser;
 use hullcast_batch::scene_file::SceneFile;
 
-use crate::Error;
+use crate::{Error, print};
 use shapes::ShapeGroup;
 
 /// Measures the patches of rounded shapes for each planarity of faces.
@@ -46,6 +46,5 @@ pub(crate) fn run(args: &Args) -> Result<(), Error> {
     let figures = measure::figures(&groups, orientations);
     std::fs::write(&args.out, tables::csv(&figures))
         .map_err(|e| format!("--out {}: {e}", args.out.display()))?;
-    print!("{}", tables::tables(&figures, orientations));
-    Ok(())
+    print(&tables::tables(&figures, orientations))
 }

@@ -5,6 +5,7 @@ mod cases;
 mod chart;
 mod measure;
 mod patch;
+mod peer_files;
 mod peers;
 mod settings;
 mod table;
@@ -15,13 +16,12 @@ use std::path::PathBuf;
 
 use clap::value_parser;
 
-use crate::Error;
-use crate::progress;
+use crate::{Error, print, progress};
 use cases::CellPool;
 use chart::{Chart, LabelledPoint, Panel};
 use hullcast_batch::scene_file::SceneFile;
 use measure::{Prepared, Sample};
-use peers::PeerAnswers;
+use peer_files::PeerAnswers;
 use settings::Setting;
 use table::{Figures, PeerRow, SettingRow, Sorted};
 
@@ -90,14 +90,14 @@ pub(crate) fn run(args: &Args) -> Result<(), Error> {
         let path = args.out.with_extension(ending);
         std::fs::write(&path, text).map_err(|e| format!("--out {}: {e}", path.display()))?;
     }
-    print!("{}", advice::text(&all));
+    let mut report = advice::text(&all);
     for pool in [CellPool::All, CellPool::Deep] {
         let (rows, others) = of_pool(pool);
         if !rows.is_empty() {
-            print!("\n{}", advice::beside(pool, &rows, &others));
+            report += &format!("\n{}", advice::beside(pool, &rows, &others));
         }
     }
-    Ok(())
+    print(&report)
 }
 
 /// Measures every setting and judges every other library, on every cell and on each whole pool.

@@ -145,3 +145,20 @@ fn planarity_measures_every_group_with_every_rounding() -> Outcome {
     );
     Ok(())
 }
+
+/// Runs the command with an output that nobody reads, as in `lab planarity | head`. Catches a panic after the
+/// whole measurement.
+#[test]
+fn a_reader_that_leaves_is_no_failure() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let out = folder.path().join("planarity.csv");
+    let (reader, writer) = std::io::pipe()?;
+    drop(reader);
+    let output = Command::new(env!("CARGO_BIN_EXE_lab"))
+        .args(["planarity", "--orientations", "1", "--out", text(&out)])
+        .stdout(writer)
+        .output()?;
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(out.is_file());
+    Ok(())
+}

@@ -52,20 +52,25 @@ pub fn decode<M: Columnar>(mut bytes: Bytes) -> Result<M, DecodeError> {
     Ok(message)
 }
 
-/// Writes a message with its columns last. The number of bytes is prost's `encoded_len`.
-pub fn encode<M: Columnar>(mut message: M, buffer: &mut impl BufMut) {
+/// Writes a message with its columns last. The number of bytes is prost's `encoded_len`. The message is the same
+/// afterwards.
+pub fn encode<M: Columnar>(message: &mut M, buffer: &mut impl BufMut) {
     let mut columns = M::default();
-    for &tag in M::COLUMNS {
-        if let (Some(from), Some(to)) = (message.column(tag), columns.column(tag)) {
-            from.swap(to);
+    let swap = |one: &mut M, other: &mut M| {
+        for &tag in M::COLUMNS {
+            if let (Some(one), Some(other)) = (one.column(tag), other.column(tag)) {
+                one.swap(other);
+            }
         }
-    }
+    };
+    swap(message, &mut columns);
     message.encode_raw(buffer);
     for &tag in M::COLUMNS {
         if let Some(column) = columns.column(tag) {
             column.put(tag, buffer);
         }
     }
+    swap(message, &mut columns);
 }
 
 impl ColumnMut<'_> {
@@ -174,9 +179,10 @@ mod tests {
         assert_eq!(found.encode_to_vec(), expected.encode_to_vec());
     }
 
-    fn written<M: Columnar>(message: M) -> Bytes {
-        let mut buffer = Vec::new();
-        encode(message, &mut buffer);
+    fn written<M: Columnar>(mut message: M) -> Bytes {
+        let (mut buffer, before) = (Vec::new(), message.encode_to_vec());
+        encode(&mut message, &mut buffer);
+        assert_eq!(message.encode_to_vec(), before);
         buffer.into()
     }
 
@@ -195,7 +201,7 @@ mod tests {
             assert_eq!(packed.map(|field| field.number() as u32).collect::<Vec<_>>(), tags, "{name}");
             checked += tags.len();
         }
-        assert_eq!(checked, 8 + 18);
+        assert_eq!(checked, 14 + 21);
     }
 
     /// Catches bytes that prost reads differently from the written message, a length that differs from the

@@ -1,6 +1,6 @@
 //! The gRPC codecs. A client's codec reads and writes messages, numeric columns in bulk. A
 //! server's codec writes messages in the same way, and leaves requests encoded: they are
-//! decoded where their size can be bounded and the work can be stopped (`service::decode`).
+//! decoded where their size can be bounded and the work can be stopped (`service::decode` of the server).
 
 use std::marker::PhantomData;
 
@@ -12,7 +12,7 @@ use tonic::{
 
 use super::bulk::{Columnar, decode, encode};
 
-/// Buffers start small, since most calls are, and grow once, to the message's size.
+/// Buffers start small, because most messages are small, and grow once, to the message's size.
 const BUFFER_BYTES: usize = 4 << 10;
 
 /// Messages of a stream are gathered up to this before they are handed to the connection. The buffer lives
@@ -81,9 +81,9 @@ impl<T: Columnar, U> Encoder for Codec<T, U> {
     type Item = T;
     type Error = Status;
 
-    fn encode(&mut self, message: T, buffer: &mut EncodeBuf<'_>) -> Result<(), Status> {
+    fn encode(&mut self, mut message: T, buffer: &mut EncodeBuf<'_>) -> Result<(), Status> {
         buffer.reserve(message.encoded_len());
-        encode(message, buffer);
+        encode(&mut message, buffer);
         Ok(())
     }
 

@@ -18,9 +18,18 @@ tonic::include_proto!("hullcast.v1.ContactService");
 tonic::include_proto!("hullcast.v1.HullService");
 tonic::include_proto!("hullcast.v1.ServerService");
 
+/// The version of the request fields that this contract has: `QueryContactsResponse.contract`. It rises
+/// whenever a field is added that changes answers, because a server ignores the fields that it does not know.
+pub const CONTRACT: u32 = 1;
+
 /// The names of the methods: each is the method's path without the leading slash.
 pub mod methods {
     include!(concat!(env!("OUT_DIR"), "/methods.rs"));
+}
+
+/// The tags of the fields of every message, for code that reads encoded messages field by field.
+pub mod tags {
+    include!(concat!(env!("OUT_DIR"), "/tags.rs"));
 }
 
 /// Names the columns of messages. The build script writes the call of this macro from the contract.

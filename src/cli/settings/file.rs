@@ -6,7 +6,7 @@
 use std::path::Path;
 
 use clap::{
-    Args, Command, FromArgMatches,
+    Arg, ArgAction, Args, Command, FromArgMatches,
     builder::Resettable,
     error::{ContextKind, ContextValue},
 };
@@ -34,6 +34,8 @@ impl PartialSettings {
     pub(crate) fn parse(text: &str) -> Result<Self, SettingsFileError> {
         let table: toml::Table = text.parse().map_err(|error| SettingsFileError::of_text(text, &error))?;
         let command = values_only();
+        let defaults = toml::Table::try_from(Self::default().or(Self::default()))
+            .map_err(|error| SettingsFileError::Text(error.to_string()))?;
         let mut line = Vec::new();
         for (key, value) in &table {
             if !NAMES.contains(&key.as_str()) {
@@ -42,7 +44,7 @@ impl PartialSettings {
                     "there is no setting `{key}`{near} (`hullcast serve --print-config` prints all settings)"
                 )));
             }
-            let flags = flags(key, value)?;
+            let flags = flags(key, value, &command, defaults.get(key))?;
             checked(&command, key, &flags)?;
             line.extend(flags);
         }
@@ -93,8 +95,14 @@ fn values_only() -> Command {
 }
 
 /// A setting of a file as flags: one flag per entry of a list, and no flag for an empty value that is the
-/// default.
-fn flags(key: &str, value: &toml::Value) -> Result<Vec<String>, SettingsFileError> {
+/// default. The settings that are lists are those whose flags `command` lets repeat.
+fn flags(
+    key: &str,
+    value: &toml::Value,
+    command: &Command,
+    default: Option<&toml::Value>,
+) -> Result<Vec<String>, SettingsFileError> {
+    let is_repeated = |arg: &Arg| arg.get_id() == key && matches!(arg.get_action(), ArgAction::Append);
     let flag = |value: &toml::Value| match value {
         toml::Value::String(text) => format!("--{}={text}", key.replace('_', "-")),
         other => format!("--{}={other}", key.replace('_', "-")),
@@ -103,11 +111,13 @@ fn flags(key: &str, value: &toml::Value) -> Result<Vec<String>, SettingsFileErro
         toml::Value::Array(values) if values.is_empty() && key == "listen" => {
             Err(SettingsFileError::Value(format!("listen is [], {AT_LEAST_ONE}")))
         }
-        toml::Value::Array(values) if LISTS.contains(&key) => Ok(values.iter().map(flag).collect()),
+        toml::Value::Array(values) if command.get_arguments().any(is_repeated) => {
+            Ok(values.iter().map(flag).collect())
+        }
         toml::Value::Array(_) | toml::Value::Table(_) => {
             Err(SettingsFileError::Value(format!("{key} is {value}, must be a single value")))
         }
-        toml::Value::String(text) if text.is_empty() && EMPTY.contains(&key) => Ok(Vec::new()),
+        toml::Value::String(text) if text.is_empty() && Some(value) == default => Ok(Vec::new()),
         value => Ok(vec![flag(value)]),
     }
 }
@@ -126,20 +136,6 @@ fn checked(command: &Command, key: &str, flags: &[String]) -> Result<(), Setting
     };
     Err(SettingsFileError::Value(format!("{key} is {value:?}: {allowed}")))
 }
-
-/// The settings that are lists.
-const LISTS: [&str; 2] = ["listen", "trusted_proxies"];
-
-/// The settings that are empty by default, without lists.
-const EMPTY: [&str; 7] = [
-    "admin_listen",
-    "otlp_endpoint",
-    "tls_certificate",
-    "tls_key",
-    "tls_client_ca",
-    "query_tokens",
-    "register_tokens",
-];
 
 #[cfg(test)]
 mod tests {

@@ -5,7 +5,7 @@ use crate::{
         Columns,
         columns::{COLUMNS, Column, Values},
     },
-    proto::QueryContactsResponse,
+    proto::{CONTRACT, QueryContactsResponse},
 };
 
 /// The response to a checked request.
@@ -17,10 +17,27 @@ pub fn response(
 ) -> QueryContactsResponse {
     macro_rules! response {
         ($($column:ident)*) => {
-            QueryContactsResponse { request_id, missing_hulls, invalid_bodies, $($column: columns.$column),* }
+            QueryContactsResponse {
+                request_id,
+                missing_hulls,
+                invalid_bodies,
+                contract: CONTRACT,
+                $($column: columns.$column,)*
+                ..Default::default()
+            }
         };
     }
     hullcast_batch::with_columns!(response)
+}
+
+/// Takes the columns of the table out of a response.
+pub(in crate::service) fn take_columns(response: &mut QueryContactsResponse) -> Columns {
+    let mut columns = Columns::default();
+    macro_rules! take {
+        ($($column:ident)*) => { $(columns.$column = std::mem::take(&mut response.$column);)* };
+    }
+    hullcast_batch::with_columns!(take);
+    columns
 }
 
 /// The values of each column of the table, in a response.
@@ -99,7 +116,9 @@ mod tests {
         let messages = set.file.into_iter().flat_map(|file| file.message_type);
         let message = messages.into_iter().find(|message| message.name() == "QueryContactsResponse").unwrap();
         let is_column = |field: &FieldDescriptorProto| {
-            ["request_id", "missing_hulls", "invalid_bodies"].iter().all(|other| field.name() != *other)
+            let others = ["request_id", "missing_hulls", "invalid_bodies", "ended_pairs", "more", "contract"];
+            let of_steps = ["state_dropped", "unchanged"];
+            others.iter().chain(&of_steps).all(|other| field.name() != *other)
         };
         let columns = message.field.into_iter().filter(is_column);
         columns.map(|field| (field.name().to_owned(), field.r#type())).collect()

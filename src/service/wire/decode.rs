@@ -17,7 +17,7 @@ mod tests;
 
 use super::fields::Fields;
 #[cfg(feature = "testing")]
-use super::{find::find, request::stoppable_scene};
+use super::{find::find, request::stoppable_scene, steps::step};
 use crate::{
     contact::{Stop, stop::Meter},
     proto,
@@ -98,6 +98,15 @@ pub fn decoded_bytes(
         "FindContacts" => {
             let (request, bytes) = decode::<proto::QueryContactsRequest>(message, limits, stop)?;
             find(request, limits, stop)?;
+            bytes
+        }
+        "StreamContacts" => {
+            let (request, mut bytes) = decode::<proto::QueryContactsRequest>(message, limits, stop)?;
+            let grow = |more| {
+                bytes += more;
+                Ok(())
+            };
+            step(request, None, limits, stop, grow)?;
             bytes
         }
         "RegisterHulls" => decode::<proto::RegisterHullsRequest>(message, limits, stop)?.1,

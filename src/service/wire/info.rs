@@ -41,5 +41,6 @@ pub(in crate::service) fn server_info(
         instruction_set: crate::contact::instruction_set().into(),
         compute_threads: threads as u32,
         memory_parts: Part::ALL.iter().map(part).collect(),
+        contract: proto::CONTRACT,
     }
 }

@@ -16,7 +16,7 @@ use crate::{
 };
 
 /// Elementary steps of looking up a hull's id in a table.
-const ID_STEPS: u64 = 100;
+pub(super) const ID_STEPS: u64 = 100;
 
 /// A checked request: all lengths fit, all indices are in range, all options are known.
 #[derive(Debug)]
@@ -66,7 +66,7 @@ pub fn scene(request: proto::QueryContactsRequest, limits: &Limits) -> Result<Ch
     stoppable_scene(request, limits, &Stop::default())
 }
 
-/// Checks a request that inherits nothing; `stop` ends the work.
+/// Checks a request of `QueryContacts`; `stop` ends the work.
 ///
 /// # Errors
 /// The first fault found, with field and index, or that the work was stopped.
@@ -75,11 +75,18 @@ pub(in crate::service) fn stoppable_scene(
     limits: &Limits,
     stop: &Stop,
 ) -> Result<CheckedScene, ServiceError> {
+    refuse_of_streams(&request)?;
+    whole_scene(request, limits, stop)
+}
+
+/// Checks a request of any method that inherits nothing, except for the fields of steps.
+pub(super) fn whole_scene(
+    request: proto::QueryContactsRequest,
+    limits: &Limits,
+    stop: &Stop,
+) -> Result<CheckedScene, ServiceError> {
     let meter = &Meter::new(stop);
-    if request.inherit {
-        let why = "`inherit` is only valid on StreamContacts: send the scene in full";
-        return Err(ServiceError::in_field(Reason::FieldNotAllowed, "inherit", why));
-    }
+    refuse_unbuilt(&request)?;
     let accuracy = request.accuracy.unwrap_or_default();
     refuse_foreign(&request.worlds, "worlds")?;
     refuse_foreign(&request.groups, "groups")?;
@@ -110,45 +117,44 @@ pub(in crate::service) fn stoppable_scene(
     })
 }
 
-/// Checks a request that sends only poses, inherits hulls and `template`, and starts from `bases`.
-///
-/// # Errors
-/// The first fault found, with the field, or that the work was stopped.
-pub(in crate::service) fn inherited(
-    request: proto::QueryContactsRequest,
-    hull_ids: Arc<Vec<HullId>>,
-    template: Arc<SceneTemplate>,
-    bases: Vec<u32>,
-    stop: &Stop,
-) -> Result<CheckedScene, ServiceError> {
+/// Refuses the fields that belong to the steps of a stream.
+pub(super) fn refuse_of_streams(request: &proto::QueryContactsRequest) -> Result<(), ServiceError> {
+    let matches = request.outputs.contains(&proto::Output::Matches.into());
     let given = [
-        (!request.hull_ids.is_empty(), "hull_ids"),
-        (!request.body_hulls.is_empty(), "body_hulls"),
-        (!request.pairs.is_empty(), "pairs"),
-        (!request.worlds.is_empty(), "worlds"),
-        (!request.groups.is_empty(), "groups"),
-        (!request.ignored_groups.is_empty(), "ignored_groups"),
-        (request.margin != 0.0, "margin"),
-        (request.accuracy.is_some(), "accuracy"),
-        (!request.outputs.is_empty(), "outputs"),
-        (!request.warm_starts.is_empty(), "warm_starts"),
+        (request.inherit, "inherit"),
+        (request.find, "find"),
+        (!request.moved.is_empty(), "moved"),
+        (!request.previous_bodies.is_empty(), "previous_bodies"),
+        (matches, "outputs"),
     ];
-    if let Some((_, field)) = given.into_iter().find(|(given, _)| *given) {
-        let why = "must not be set together with `inherit`: it is inherited from the previous message";
-        return Err(ServiceError::in_field(Reason::FieldNotAllowed, field, why));
-    }
-    let meter = &Meter::new(stop);
-    let (poses, invalid_bodies) =
-        Poses::new(template.body_count(), request.positions, request.rotations, meter)?;
-    let request_id = request.request_id;
-    Ok(CheckedScene { request_id, hull_ids, template, poses, invalid_bodies, warm_starts: bases })
+    let Some((_, field)) = given.into_iter().find(|(given, _)| *given) else { return Ok(()) };
+    let message = match field {
+        "outputs" => "the output MATCHES is only valid on StreamContacts".into(),
+        "inherit" => "`inherit` is only valid on StreamContacts: send the scene in full".into(),
+        _ => format!("`{field}` is only valid on StreamContacts"),
+    };
+    Err(ServiceError::in_field(Reason::FieldNotAllowed, field, message))
+}
+
+/// Refuses the fields of the contract that this version does not have yet.
+pub(super) fn refuse_unbuilt(request: &proto::QueryContactsRequest) -> Result<(), ServiceError> {
+    let given = [
+        (!request.margins.is_empty(), "margins"),
+        (!request.linear_velocities.is_empty(), "linear_velocities"),
+        (!request.angular_velocities.is_empty(), "angular_velocities"),
+        (!request.turning_points.is_empty(), "turning_points"),
+        (request.time_step != 0.0, "time_step"),
+    ];
+    let Some((_, field)) = given.into_iter().find(|(given, _)| *given) else { return Ok(()) };
+    let message = "this version of the server does not know margins of bodies and velocities yet";
+    Err(ServiceError::in_field(Reason::FieldNotAllowed, field, message))
 }
 
 fn refuse_foreign(column: &[u32], field: &'static str) -> Result<(), ServiceError> {
     if column.is_empty() {
         return Ok(());
     }
-    let message = format!("`{field}` is only valid on FindContacts");
+    let message = format!("`{field}` is only valid on FindContacts, and with `find` on StreamContacts");
     Err(ServiceError::in_field(Reason::FieldNotAllowed, field, message))
 }
 

@@ -114,8 +114,8 @@ async fn split_queries_give_the_same_answer() {
     assert_eq!(pairs(&whole).count(), 2000);
 }
 
-/// Catches an answer that an output spoils: the client's table of columns must fit the server's answer to
-/// every output alone.
+/// Asks for each output by itself. Catches an answer that the client refuses because its table of columns does
+/// not fit the output.
 #[tokio::test(flavor = "multi_thread")]
 async fn every_output_is_accepted() {
     let server = TestServer::start().await;
@@ -200,7 +200,7 @@ async fn a_busy_server_is_asked_again() {
     let shapes = shapes();
     server.hulls().register_hulls(register_request(&shapes)).await.unwrap();
     let request = scene(&shapes, 20, 10, 9);
-    server.app.engine().injected().allow(0);
+    server.app.engine().test_controls().allow(0);
     let mut contacts = server.contacts();
     let occupying = tokio::spawn({
         let request = request.clone();
@@ -229,7 +229,7 @@ async fn a_busy_server_is_asked_again() {
     while server.metric(sheds) < shed + 2.0 {
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
-    server.app.engine().injected().open();
+    server.app.engine().test_controls().open();
     occupying.await.unwrap().unwrap();
     assert_same(&patient.await.unwrap().unwrap(), &expected(&request, &shapes));
 }
@@ -241,9 +241,9 @@ async fn a_call_ends_at_its_timeout() {
     let (shapes, request) = two_boxes();
     let client = builder(&server).timeout(Some(Duration::from_millis(100))).connect().await.unwrap();
     builder(&server).connect().await.unwrap().register(&hulls(&shapes)).await.unwrap();
-    server.app.engine().injected().allow(0);
+    server.app.engine().test_controls().allow(0);
     let late = client.query(&request).await.unwrap_err();
     let by_the_server = matches!(&late, Error::Refused(refusal) if refusal.reason == "DEADLINE_EXCEEDED");
     assert!(late == Error::TimedOut || by_the_server, "{late:?}");
-    server.app.engine().injected().open();
+    server.app.engine().test_controls().open();
 }

@@ -25,8 +25,8 @@ async fn cause_at(address: &str) -> Cause {
     cause(Client::builder(address), address).await
 }
 
-/// Catches an absent server, or a peer of another kind, that the caller is not told of, or that is confused
-/// with another cause.
+/// Catches a caller who is not told that the server is absent or that the peer is of another kind, or who is
+/// told another cause.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_cause_of_a_failed_connection_is_named() {
     let closed = TcpListener::bind("127.0.0.1:0").await.unwrap().local_addr().unwrap().to_string();

@@ -34,7 +34,7 @@ type Answers = Pin<Box<dyn Stream<Item = Result<QueryContactsResponse, Status>> 
 
 /// The lie of the moment.
 #[derive(Clone, Copy, Debug)]
-enum Lie {
+pub(super) enum Lie {
     None,
     /// About every message of an answer to a query, a search or a step.
     Answer(fn(&mut QueryContactsResponse)),
@@ -46,7 +46,7 @@ enum Lie {
 
 /// The services of the lying server.
 #[derive(Clone)]
-struct Liar {
+pub(super) struct Liar {
     real: Arc<TestServer>,
     lie: Arc<Mutex<Lie>>,
 }
@@ -56,7 +56,7 @@ fn decoded<M: prost::Message + Default>(request: Request<Encoded<M>>) -> M {
 }
 
 impl Liar {
-    async fn start() -> (Self, Client) {
+    pub(super) async fn start() -> (Self, Client) {
         let liar = Self { real: Arc::new(TestServer::start().await), lie: Arc::new(Mutex::new(Lie::None)) };
         let routes = Routes::default()
             .add_service(ContactServiceServer::new(liar.clone()))
@@ -76,7 +76,7 @@ impl Liar {
         (liar, client)
     }
 
-    fn tell(&self, lie: Lie) {
+    pub(super) fn tell(&self, lie: Lie) {
         *self.lie.lock().unwrap() = lie;
     }
 

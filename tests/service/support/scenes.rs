@@ -135,7 +135,7 @@ pub(crate) fn two_boxes() -> (Vec<HullDefinition>, QueryContactsRequest) {
     (shapes, request)
 }
 
-/// All outputs of the contract.
+/// All outputs of the contract that every method has.
 pub(crate) const ALL: [Output; 8] = [
     Output::Outcome,
     Output::Alpha,
@@ -160,7 +160,8 @@ pub(crate) fn expected(request: &QueryContactsRequest, shapes: &[HullDefinition]
         false => request.outputs.iter().filter_map(|&output| Output::try_from(output).ok()).collect(),
     };
     let query = query(request, &asked);
-    let mut answer = QueryContactsResponse { request_id: request.request_id, ..Default::default() };
+    let (request_id, contract) = (request.request_id, proto::CONTRACT);
+    let mut answer = QueryContactsResponse { request_id, contract, ..Default::default() };
     for body in 0..request.body_hulls.len() {
         if pose(request, body).is_none() {
             answer.invalid_bodies.push(body as u32);

@@ -56,7 +56,7 @@ _BEGINNINGS = (
 
 
 def other_kind(data: bytes, suffix: str) -> str:
-    """What a file that cannot be read is, if its content is not what its suffix says; or ""."""
+    """The kind of a file that cannot be read, if its content does not fit its suffix; or ""."""
     start = data[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
     found = next((what for first, what in _BEGINNINGS if start.startswith(first)), "")
     if not found and b"<COLLADA" in start:

@@ -24,6 +24,7 @@ class Output(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     OUTPUT_FEATURES: _ClassVar[Output]
     OUTPUT_BASES: _ClassVar[Output]
     OUTPUT_DIAGNOSTICS: _ClassVar[Output]
+    OUTPUT_MATCHES: _ClassVar[Output]
 
 class Outcome(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -62,6 +63,7 @@ OUTPUT_WITNESS_B: Output
 OUTPUT_FEATURES: Output
 OUTPUT_BASES: Output
 OUTPUT_DIAGNOSTICS: Output
+OUTPUT_MATCHES: Output
 OUTCOME_UNSPECIFIED: Outcome
 OUTCOME_CONTACT: Outcome
 OUTCOME_SEPARATED: Outcome
@@ -93,7 +95,7 @@ class Accuracy(_message.Message):
     def __init__(self, solver: _Optional[_Union[Solver, str]] = ..., relative_tolerance: _Optional[float] = ..., feature_angle: _Optional[float] = ..., max_points: _Optional[int] = ...) -> None: ...
 
 class QueryContactsRequest(_message.Message):
-    __slots__ = ("request_id", "inherit", "hull_ids", "body_hulls", "positions", "rotations", "pairs", "worlds", "groups", "ignored_groups", "margin", "accuracy", "outputs", "warm_starts")
+    __slots__ = ("request_id", "inherit", "hull_ids", "body_hulls", "positions", "rotations", "pairs", "worlds", "groups", "ignored_groups", "margin", "accuracy", "outputs", "warm_starts", "find", "moved", "margins", "linear_velocities", "angular_velocities", "time_step", "turning_points", "previous_bodies")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     INHERIT_FIELD_NUMBER: _ClassVar[int]
     HULL_IDS_FIELD_NUMBER: _ClassVar[int]
@@ -108,6 +110,14 @@ class QueryContactsRequest(_message.Message):
     ACCURACY_FIELD_NUMBER: _ClassVar[int]
     OUTPUTS_FIELD_NUMBER: _ClassVar[int]
     WARM_STARTS_FIELD_NUMBER: _ClassVar[int]
+    FIND_FIELD_NUMBER: _ClassVar[int]
+    MOVED_FIELD_NUMBER: _ClassVar[int]
+    MARGINS_FIELD_NUMBER: _ClassVar[int]
+    LINEAR_VELOCITIES_FIELD_NUMBER: _ClassVar[int]
+    ANGULAR_VELOCITIES_FIELD_NUMBER: _ClassVar[int]
+    TIME_STEP_FIELD_NUMBER: _ClassVar[int]
+    TURNING_POINTS_FIELD_NUMBER: _ClassVar[int]
+    PREVIOUS_BODIES_FIELD_NUMBER: _ClassVar[int]
     request_id: int
     inherit: bool
     hull_ids: _containers.RepeatedScalarFieldContainer[bytes]
@@ -122,10 +132,18 @@ class QueryContactsRequest(_message.Message):
     accuracy: Accuracy
     outputs: _containers.RepeatedScalarFieldContainer[Output]
     warm_starts: _containers.RepeatedScalarFieldContainer[int]
-    def __init__(self, request_id: _Optional[int] = ..., inherit: bool = ..., hull_ids: _Optional[_Iterable[bytes]] = ..., body_hulls: _Optional[_Iterable[int]] = ..., positions: _Optional[_Iterable[float]] = ..., rotations: _Optional[_Iterable[float]] = ..., pairs: _Optional[_Iterable[int]] = ..., worlds: _Optional[_Iterable[int]] = ..., groups: _Optional[_Iterable[int]] = ..., ignored_groups: _Optional[_Iterable[int]] = ..., margin: _Optional[float] = ..., accuracy: _Optional[_Union[Accuracy, _Mapping]] = ..., outputs: _Optional[_Iterable[_Union[Output, str]]] = ..., warm_starts: _Optional[_Iterable[int]] = ...) -> None: ...
+    find: bool
+    moved: _containers.RepeatedScalarFieldContainer[int]
+    margins: _containers.RepeatedScalarFieldContainer[float]
+    linear_velocities: _containers.RepeatedScalarFieldContainer[float]
+    angular_velocities: _containers.RepeatedScalarFieldContainer[float]
+    time_step: float
+    turning_points: _containers.RepeatedScalarFieldContainer[float]
+    previous_bodies: _containers.RepeatedScalarFieldContainer[int]
+    def __init__(self, request_id: _Optional[int] = ..., inherit: bool = ..., hull_ids: _Optional[_Iterable[bytes]] = ..., body_hulls: _Optional[_Iterable[int]] = ..., positions: _Optional[_Iterable[float]] = ..., rotations: _Optional[_Iterable[float]] = ..., pairs: _Optional[_Iterable[int]] = ..., worlds: _Optional[_Iterable[int]] = ..., groups: _Optional[_Iterable[int]] = ..., ignored_groups: _Optional[_Iterable[int]] = ..., margin: _Optional[float] = ..., accuracy: _Optional[_Union[Accuracy, _Mapping]] = ..., outputs: _Optional[_Iterable[_Union[Output, str]]] = ..., warm_starts: _Optional[_Iterable[int]] = ..., find: bool = ..., moved: _Optional[_Iterable[int]] = ..., margins: _Optional[_Iterable[float]] = ..., linear_velocities: _Optional[_Iterable[float]] = ..., angular_velocities: _Optional[_Iterable[float]] = ..., time_step: _Optional[float] = ..., turning_points: _Optional[_Iterable[float]] = ..., previous_bodies: _Optional[_Iterable[int]] = ...) -> None: ...
 
 class QueryContactsResponse(_message.Message):
-    __slots__ = ("request_id", "outcomes", "flags", "alphas", "alpha_lowers", "alpha_uppers", "separations", "normals", "point_counts", "witness_as", "distances", "witness_bs", "feature_kinds", "feature_indices", "point_ids", "bases", "pairs", "missing_hulls", "invalid_bodies", "iterations", "support_calls", "kept_areas")
+    __slots__ = ("request_id", "outcomes", "flags", "alphas", "alpha_lowers", "alpha_uppers", "separations", "normals", "point_counts", "witness_as", "distances", "witness_bs", "feature_kinds", "feature_indices", "point_ids", "bases", "pairs", "missing_hulls", "invalid_bodies", "iterations", "support_calls", "kept_areas", "previous_pairs", "previous_points", "ended_pairs", "more", "contract", "state_dropped", "unchanged")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     OUTCOMES_FIELD_NUMBER: _ClassVar[int]
     FLAGS_FIELD_NUMBER: _ClassVar[int]
@@ -148,6 +166,13 @@ class QueryContactsResponse(_message.Message):
     ITERATIONS_FIELD_NUMBER: _ClassVar[int]
     SUPPORT_CALLS_FIELD_NUMBER: _ClassVar[int]
     KEPT_AREAS_FIELD_NUMBER: _ClassVar[int]
+    PREVIOUS_PAIRS_FIELD_NUMBER: _ClassVar[int]
+    PREVIOUS_POINTS_FIELD_NUMBER: _ClassVar[int]
+    ENDED_PAIRS_FIELD_NUMBER: _ClassVar[int]
+    MORE_FIELD_NUMBER: _ClassVar[int]
+    CONTRACT_FIELD_NUMBER: _ClassVar[int]
+    STATE_DROPPED_FIELD_NUMBER: _ClassVar[int]
+    UNCHANGED_FIELD_NUMBER: _ClassVar[int]
     request_id: int
     outcomes: bytes
     flags: bytes
@@ -170,4 +195,11 @@ class QueryContactsResponse(_message.Message):
     iterations: _containers.RepeatedScalarFieldContainer[int]
     support_calls: _containers.RepeatedScalarFieldContainer[int]
     kept_areas: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, request_id: _Optional[int] = ..., outcomes: _Optional[bytes] = ..., flags: _Optional[bytes] = ..., alphas: _Optional[_Iterable[float]] = ..., alpha_lowers: _Optional[_Iterable[float]] = ..., alpha_uppers: _Optional[_Iterable[float]] = ..., separations: _Optional[_Iterable[float]] = ..., normals: _Optional[_Iterable[float]] = ..., point_counts: _Optional[_Iterable[int]] = ..., witness_as: _Optional[_Iterable[float]] = ..., distances: _Optional[_Iterable[float]] = ..., witness_bs: _Optional[_Iterable[float]] = ..., feature_kinds: _Optional[bytes] = ..., feature_indices: _Optional[_Iterable[int]] = ..., point_ids: _Optional[_Iterable[int]] = ..., bases: _Optional[_Iterable[int]] = ..., pairs: _Optional[_Iterable[int]] = ..., missing_hulls: _Optional[_Iterable[int]] = ..., invalid_bodies: _Optional[_Iterable[int]] = ..., iterations: _Optional[_Iterable[int]] = ..., support_calls: _Optional[_Iterable[int]] = ..., kept_areas: _Optional[_Iterable[float]] = ...) -> None: ...
+    previous_pairs: _containers.RepeatedScalarFieldContainer[int]
+    previous_points: _containers.RepeatedScalarFieldContainer[int]
+    ended_pairs: _containers.RepeatedScalarFieldContainer[int]
+    more: bool
+    contract: int
+    state_dropped: bool
+    unchanged: bool
+    def __init__(self, request_id: _Optional[int] = ..., outcomes: _Optional[bytes] = ..., flags: _Optional[bytes] = ..., alphas: _Optional[_Iterable[float]] = ..., alpha_lowers: _Optional[_Iterable[float]] = ..., alpha_uppers: _Optional[_Iterable[float]] = ..., separations: _Optional[_Iterable[float]] = ..., normals: _Optional[_Iterable[float]] = ..., point_counts: _Optional[_Iterable[int]] = ..., witness_as: _Optional[_Iterable[float]] = ..., distances: _Optional[_Iterable[float]] = ..., witness_bs: _Optional[_Iterable[float]] = ..., feature_kinds: _Optional[bytes] = ..., feature_indices: _Optional[_Iterable[int]] = ..., point_ids: _Optional[_Iterable[int]] = ..., bases: _Optional[_Iterable[int]] = ..., pairs: _Optional[_Iterable[int]] = ..., missing_hulls: _Optional[_Iterable[int]] = ..., invalid_bodies: _Optional[_Iterable[int]] = ..., iterations: _Optional[_Iterable[int]] = ..., support_calls: _Optional[_Iterable[int]] = ..., kept_areas: _Optional[_Iterable[float]] = ..., previous_pairs: _Optional[_Iterable[int]] = ..., previous_points: _Optional[_Iterable[int]] = ..., ended_pairs: _Optional[_Iterable[int]] = ..., more: bool = ..., contract: _Optional[int] = ..., state_dropped: bool = ..., unchanged: bool = ...) -> None: ...

@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from google.protobuf import field_mask_pb2 as google_dot_protobuf_dot_field__mask__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x17hullcast/v1/hulls.proto\x12\x0bhullcast.v1\x1a google/protobuf/field_mask.proto\"\x98\x01\n\x0eHullDefinition\x12\x10\n\x08vertices\x18\x01 \x03(\x01\x12\x19\n\x11\x63ontraction_point\x18\x02 \x03(\x01\x12\x33\n\x0esimplification\x18\x03 \x01(\x0b\x32\x1b.hullcast.v1.Simplification\x12\x16\n\tplanarity\x18\x04 \x01(\x01H\x00\x88\x01\x01\x42\x0c\n\n_planarity\"j\n\x0eSimplification\x12\x19\n\x0cmax_vertices\x18\x01 \x01(\rH\x00\x88\x01\x01\x12\x1a\n\rmax_deviation\x18\x02 \x01(\x01H\x01\x88\x01\x01\x42\x0f\n\r_max_verticesB\x10\n\x0e_max_deviation\"B\n\x14RegisterHullsRequest\x12*\n\x05hulls\x18\x01 \x03(\x0b\x32\x1b.hullcast.v1.HullDefinition\"I\n\x15RegisterHullsResponse\x12\x30\n\x07results\x18\x01 \x03(\x0b\x32\x1f.hullcast.v1.RegisterHullResult\"n\n\x12RegisterHullResult\x12%\n\x04hull\x18\x01 \x01(\x0b\x32\x15.hullcast.v1.HullInfoH\x00\x12\'\n\x05\x65rror\x18\x02 \x01(\x0b\x32\x16.hullcast.v1.HullErrorH\x00\x42\x08\n\x06result\"Y\n\tHullError\x12\x0e\n\x06reason\x18\x01 \x01(\t\x12\x0f\n\x07message\x18\x02 \x01(\t\x12\r\n\x05\x66ield\x18\x03 \x01(\t\x12\x12\n\x05index\x18\x04 \x01(\rH\x00\x88\x01\x01\x42\x08\n\x06_index\"\xa9\x02\n\x08HullInfo\x12\n\n\x02id\x18\x01 \x01(\x0c\x12\x19\n\x11\x63ontraction_point\x18\x02 \x03(\x01\x12\x14\n\x0cvertex_count\x18\x03 \x01(\r\x12\x12\n\nface_count\x18\x04 \x01(\r\x12\x12\n\nedge_count\x18\x05 \x01(\r\x12\x0e\n\x06volume\x18\x06 \x01(\x01\x12\x16\n\x0e\x63\x65nter_of_mass\x18\x07 \x03(\x01\x12\x0f\n\x07inertia\x18\x08 \x03(\x01\x12\x10\n\x08inradius\x18\t \x01(\x01\x12\x14\n\x0c\x63ircumradius\x18\n \x01(\x01\x12\x17\n\x0fgeometric_error\x18\x0b \x01(\x01\x12\x18\n\x10registered_count\x18\x0c \x01(\r\x12\x11\n\tdeviation\x18\r \x01(\x01\x12\x11\n\tplanarity\x18\x0e \x01(\x01\"N\n\x0fGetHullsRequest\x12\x0b\n\x03ids\x18\x01 \x03(\x0c\x12.\n\nfield_mask\x18\x02 \x01(\x0b\x32\x1a.google.protobuf.FieldMask\":\n\x10GetHullsResponse\x12&\n\x05hulls\x18\x01 \x03(\x0b\x32\x17.hullcast.v1.HullRecord\"\xb9\x01\n\nHullRecord\x12\n\n\x02id\x18\x01 \x01(\x0c\x12\r\n\x05\x66ound\x18\x02 \x01(\x08\x12#\n\x04info\x18\x03 \x01(\x0b\x32\x15.hullcast.v1.HullInfo\x12\x10\n\x08vertices\x18\x04 \x03(\x01\x12\x16\n\x0evertex_indices\x18\x05 \x03(\x07\x12\x14\n\x0c\x66\x61\x63\x65_offsets\x18\x06 \x03(\x07\x12\x15\n\rface_vertices\x18\x07 \x03(\x07\x12\x14\n\x0c\x66\x61\x63\x65_normals\x18\x08 \x03(\x01\"\x1e\n\x0fHasHullsRequest\x12\x0b\n\x03ids\x18\x01 \x03(\x0c\"#\n\x10HasHullsResponse\x12\x0f\n\x07present\x18\x01 \x03(\x08\"9\n\x10ListHullsRequest\x12\x11\n\tpage_size\x18\x01 \x01(\r\x12\x12\n\npage_token\x18\x02 \x01(\t\"T\n\x11ListHullsResponse\x12&\n\x05hulls\x18\x01 \x03(\x0b\x32\x17.hullcast.v1.StoredHull\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"@\n\nStoredHull\x12\n\n\x02id\x18\x01 \x01(\x0c\x12\x17\n\x0f\x63reated_unix_ms\x18\x02 \x01(\x03\x12\r\n\x05\x62ytes\x18\x03 \x01(\x04\"!\n\x12\x44\x65leteHullsRequest\x12\x0b\n\x03ids\x18\x01 \x03(\x0c\"&\n\x13\x44\x65leteHullsResponse\x12\x0f\n\x07\x64\x65leted\x18\x01 \x03(\x08\x32\x95\x03\n\x0bHullService\x12V\n\rRegisterHulls\x12!.hullcast.v1.RegisterHullsRequest\x1a\".hullcast.v1.RegisterHullsResponse\x12G\n\x08GetHulls\x12\x1c.hullcast.v1.GetHullsRequest\x1a\x1d.hullcast.v1.GetHullsResponse\x12G\n\x08HasHulls\x12\x1c.hullcast.v1.HasHullsRequest\x1a\x1d.hullcast.v1.HasHullsResponse\x12J\n\tListHulls\x12\x1d.hullcast.v1.ListHullsRequest\x1a\x1e.hullcast.v1.ListHullsResponse\x12P\n\x0b\x44\x65leteHulls\x12\x1f.hullcast.v1.DeleteHullsRequest\x1a .hullcast.v1.DeleteHullsResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x17hullcast/v1/hulls.proto\x12\x0bhullcast.v1\x1a google/protobuf/field_mask.proto\"\x98\x01\n\x0eHullDefinition\x12\x10\n\x08vertices\x18\x01 \x03(\x01\x12\x19\n\x11\x63ontraction_point\x18\x02 \x03(\x01\x12\x33\n\x0esimplification\x18\x03 \x01(\x0b\x32\x1b.hullcast.v1.Simplification\x12\x16\n\tplanarity\x18\x04 \x01(\x01H\x00\x88\x01\x01\x42\x0c\n\n_planarity\"j\n\x0eSimplification\x12\x19\n\x0cmax_vertices\x18\x01 \x01(\rH\x00\x88\x01\x01\x12\x1a\n\rmax_deviation\x18\x02 \x01(\x01H\x01\x88\x01\x01\x42\x0f\n\r_max_verticesB\x10\n\x0e_max_deviation\"B\n\x14RegisterHullsRequest\x12*\n\x05hulls\x18\x01 \x03(\x0b\x32\x1b.hullcast.v1.HullDefinition\"[\n\x15RegisterHullsResponse\x12\x30\n\x07results\x18\x01 \x03(\x0b\x32\x1f.hullcast.v1.RegisterHullResult\x12\x10\n\x08\x63ontract\x18\x02 \x01(\r\"n\n\x12RegisterHullResult\x12%\n\x04hull\x18\x01 \x01(\x0b\x32\x15.hullcast.v1.HullInfoH\x00\x12\'\n\x05\x65rror\x18\x02 \x01(\x0b\x32\x16.hullcast.v1.HullErrorH\x00\x42\x08\n\x06result\"Y\n\tHullError\x12\x0e\n\x06reason\x18\x01 \x01(\t\x12\x0f\n\x07message\x18\x02 \x01(\t\x12\r\n\x05\x66ield\x18\x03 \x01(\t\x12\x12\n\x05index\x18\x04 \x01(\rH\x00\x88\x01\x01\x42\x08\n\x06_index\"\xa9\x02\n\x08HullInfo\x12\n\n\x02id\x18\x01 \x01(\x0c\x12\x19\n\x11\x63ontraction_point\x18\x02 \x03(\x01\x12\x14\n\x0cvertex_count\x18\x03 \x01(\r\x12\x12\n\nface_count\x18\x04 \x01(\r\x12\x12\n\nedge_count\x18\x05 \x01(\r\x12\x0e\n\x06volume\x18\x06 \x01(\x01\x12\x16\n\x0e\x63\x65nter_of_mass\x18\x07 \x03(\x01\x12\x0f\n\x07inertia\x18\x08 \x03(\x01\x12\x10\n\x08inradius\x18\t \x01(\x01\x12\x14\n\x0c\x63ircumradius\x18\n \x01(\x01\x12\x17\n\x0fgeometric_error\x18\x0b \x01(\x01\x12\x18\n\x10registered_count\x18\x0c \x01(\r\x12\x11\n\tdeviation\x18\r \x01(\x01\x12\x11\n\tplanarity\x18\x0e \x01(\x01\"N\n\x0fGetHullsRequest\x12\x0b\n\x03ids\x18\x01 \x03(\x0c\x12.\n\nfield_mask\x18\x02 \x01(\x0b\x32\x1a.google.protobuf.FieldMask\":\n\x10GetHullsResponse\x12&\n\x05hulls\x18\x01 \x03(\x0b\x32\x17.hullcast.v1.HullRecord\"\xb9\x01\n\nHullRecord\x12\n\n\x02id\x18\x01 \x01(\x0c\x12\r\n\x05\x66ound\x18\x02 \x01(\x08\x12#\n\x04info\x18\x03 \x01(\x0b\x32\x15.hullcast.v1.HullInfo\x12\x10\n\x08vertices\x18\x04 \x03(\x01\x12\x16\n\x0evertex_indices\x18\x05 \x03(\x07\x12\x14\n\x0c\x66\x61\x63\x65_offsets\x18\x06 \x03(\x07\x12\x15\n\rface_vertices\x18\x07 \x03(\x07\x12\x14\n\x0c\x66\x61\x63\x65_normals\x18\x08 \x03(\x01\"\x1e\n\x0fHasHullsRequest\x12\x0b\n\x03ids\x18\x01 \x03(\x0c\"#\n\x10HasHullsResponse\x12\x0f\n\x07present\x18\x01 \x03(\x08\"9\n\x10ListHullsRequest\x12\x11\n\tpage_size\x18\x01 \x01(\r\x12\x12\n\npage_token\x18\x02 \x01(\t\"T\n\x11ListHullsResponse\x12&\n\x05hulls\x18\x01 \x03(\x0b\x32\x17.hullcast.v1.StoredHull\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"@\n\nStoredHull\x12\n\n\x02id\x18\x01 \x01(\x0c\x12\x17\n\x0f\x63reated_unix_ms\x18\x02 \x01(\x03\x12\r\n\x05\x62ytes\x18\x03 \x01(\x04\"!\n\x12\x44\x65leteHullsRequest\x12\x0b\n\x03ids\x18\x01 \x03(\x0c\"&\n\x13\x44\x65leteHullsResponse\x12\x0f\n\x07\x64\x65leted\x18\x01 \x03(\x08\x32\x95\x03\n\x0bHullService\x12V\n\rRegisterHulls\x12!.hullcast.v1.RegisterHullsRequest\x1a\".hullcast.v1.RegisterHullsResponse\x12G\n\x08GetHulls\x12\x1c.hullcast.v1.GetHullsRequest\x1a\x1d.hullcast.v1.GetHullsResponse\x12G\n\x08HasHulls\x12\x1c.hullcast.v1.HasHullsRequest\x1a\x1d.hullcast.v1.HasHullsResponse\x12J\n\tListHulls\x12\x1d.hullcast.v1.ListHullsRequest\x1a\x1e.hullcast.v1.ListHullsResponse\x12P\n\x0b\x44\x65leteHulls\x12\x1f.hullcast.v1.DeleteHullsRequest\x1a .hullcast.v1.DeleteHullsResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -39,33 +39,33 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_REGISTERHULLSREQUEST']._serialized_start=337
   _globals['_REGISTERHULLSREQUEST']._serialized_end=403
   _globals['_REGISTERHULLSRESPONSE']._serialized_start=405
-  _globals['_REGISTERHULLSRESPONSE']._serialized_end=478
-  _globals['_REGISTERHULLRESULT']._serialized_start=480
-  _globals['_REGISTERHULLRESULT']._serialized_end=590
-  _globals['_HULLERROR']._serialized_start=592
-  _globals['_HULLERROR']._serialized_end=681
-  _globals['_HULLINFO']._serialized_start=684
-  _globals['_HULLINFO']._serialized_end=981
-  _globals['_GETHULLSREQUEST']._serialized_start=983
-  _globals['_GETHULLSREQUEST']._serialized_end=1061
-  _globals['_GETHULLSRESPONSE']._serialized_start=1063
-  _globals['_GETHULLSRESPONSE']._serialized_end=1121
-  _globals['_HULLRECORD']._serialized_start=1124
-  _globals['_HULLRECORD']._serialized_end=1309
-  _globals['_HASHULLSREQUEST']._serialized_start=1311
-  _globals['_HASHULLSREQUEST']._serialized_end=1341
-  _globals['_HASHULLSRESPONSE']._serialized_start=1343
-  _globals['_HASHULLSRESPONSE']._serialized_end=1378
-  _globals['_LISTHULLSREQUEST']._serialized_start=1380
-  _globals['_LISTHULLSREQUEST']._serialized_end=1437
-  _globals['_LISTHULLSRESPONSE']._serialized_start=1439
-  _globals['_LISTHULLSRESPONSE']._serialized_end=1523
-  _globals['_STOREDHULL']._serialized_start=1525
-  _globals['_STOREDHULL']._serialized_end=1589
-  _globals['_DELETEHULLSREQUEST']._serialized_start=1591
-  _globals['_DELETEHULLSREQUEST']._serialized_end=1624
-  _globals['_DELETEHULLSRESPONSE']._serialized_start=1626
-  _globals['_DELETEHULLSRESPONSE']._serialized_end=1664
-  _globals['_HULLSERVICE']._serialized_start=1667
-  _globals['_HULLSERVICE']._serialized_end=2072
+  _globals['_REGISTERHULLSRESPONSE']._serialized_end=496
+  _globals['_REGISTERHULLRESULT']._serialized_start=498
+  _globals['_REGISTERHULLRESULT']._serialized_end=608
+  _globals['_HULLERROR']._serialized_start=610
+  _globals['_HULLERROR']._serialized_end=699
+  _globals['_HULLINFO']._serialized_start=702
+  _globals['_HULLINFO']._serialized_end=999
+  _globals['_GETHULLSREQUEST']._serialized_start=1001
+  _globals['_GETHULLSREQUEST']._serialized_end=1079
+  _globals['_GETHULLSRESPONSE']._serialized_start=1081
+  _globals['_GETHULLSRESPONSE']._serialized_end=1139
+  _globals['_HULLRECORD']._serialized_start=1142
+  _globals['_HULLRECORD']._serialized_end=1327
+  _globals['_HASHULLSREQUEST']._serialized_start=1329
+  _globals['_HASHULLSREQUEST']._serialized_end=1359
+  _globals['_HASHULLSRESPONSE']._serialized_start=1361
+  _globals['_HASHULLSRESPONSE']._serialized_end=1396
+  _globals['_LISTHULLSREQUEST']._serialized_start=1398
+  _globals['_LISTHULLSREQUEST']._serialized_end=1455
+  _globals['_LISTHULLSRESPONSE']._serialized_start=1457
+  _globals['_LISTHULLSRESPONSE']._serialized_end=1541
+  _globals['_STOREDHULL']._serialized_start=1543
+  _globals['_STOREDHULL']._serialized_end=1607
+  _globals['_DELETEHULLSREQUEST']._serialized_start=1609
+  _globals['_DELETEHULLSREQUEST']._serialized_end=1642
+  _globals['_DELETEHULLSRESPONSE']._serialized_start=1644
+  _globals['_DELETEHULLSRESPONSE']._serialized_end=1682
+  _globals['_HULLSERVICE']._serialized_start=1685
+  _globals['_HULLSERVICE']._serialized_end=2090
 # @@protoc_insertion_point(module_scope)

@@ -34,10 +34,12 @@ class RegisterHullsRequest(_message.Message):
     def __init__(self, hulls: _Optional[_Iterable[_Union[HullDefinition, _Mapping]]] = ...) -> None: ...
 
 class RegisterHullsResponse(_message.Message):
-    __slots__ = ("results",)
+    __slots__ = ("results", "contract")
     RESULTS_FIELD_NUMBER: _ClassVar[int]
+    CONTRACT_FIELD_NUMBER: _ClassVar[int]
     results: _containers.RepeatedCompositeFieldContainer[RegisterHullResult]
-    def __init__(self, results: _Optional[_Iterable[_Union[RegisterHullResult, _Mapping]]] = ...) -> None: ...
+    contract: int
+    def __init__(self, results: _Optional[_Iterable[_Union[RegisterHullResult, _Mapping]]] = ..., contract: _Optional[int] = ...) -> None: ...
 
 class RegisterHullResult(_message.Message):
     __slots__ = ("hull", "error")

@@ -24,7 +24,7 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x18hullcast/v1/server.proto\x12\x0bhullcast.v1\"\x16\n\x14GetServerInfoRequest\"\xae\x01\n\x15GetServerInfoResponse\x12\x0f\n\x07version\x18\x01 \x01(\t\x12#\n\x06limits\x18\x02 \x01(\x0b\x32\x13.hullcast.v1.Limits\x12\x17\n\x0finstruction_set\x18\x03 \x01(\t\x12\x17\n\x0f\x63ompute_threads\x18\x04 \x01(\r\x12-\n\x0cmemory_parts\x18\x05 \x03(\x0b\x32\x17.hullcast.v1.MemoryPart\"<\n\nMemoryPart\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\r\n\x05\x62ytes\x18\x02 \x01(\x04\x12\x11\n\tmax_bytes\x18\x03 \x01(\x04\"\xf0\x03\n\x06Limits\x12\x19\n\x11max_message_bytes\x18\x01 \x01(\x04\x12\x1d\n\x15max_pairs_per_request\x18\x02 \x01(\r\x12\x1e\n\x16max_bodies_per_request\x18\x03 \x01(\r\x12\x1d\n\x15max_hulls_per_request\x18\x04 \x01(\r\x12\x1d\n\x15max_vertices_per_hull\x18\x05 \x01(\r\x12\x1b\n\x13max_pairs_in_flight\x18\x06 \x01(\x04\x12\x13\n\x0b\x63\x61\x63he_bytes\x18\x07 \x01(\x04\x12\x13\n\x0bstore_bytes\x18\x08 \x01(\x04\x12\"\n\x1amax_streams_per_connection\x18\t \x01(\r\x12\x15\n\rmax_page_size\x18\n \x01(\r\x12\x19\n\x11\x63\x61\x63he_age_seconds\x18\x0b \x01(\r\x12\x1e\n\x16max_stream_state_bytes\x18\x0c \x01(\x04\x12#\n\x1bmax_request_bytes_in_flight\x18\r \x01(\x04\x12\x1c\n\x14max_deadline_seconds\x18\x0e \x01(\r\x12\x17\n\x0fmax_connections\x18\x0f \x01(\r\x12\x1b\n\x13max_points_per_hull\x18\x10 \x01(\r\x12\x18\n\x10max_memory_bytes\x18\x11 \x01(\x04\x32g\n\rServerService\x12V\n\rGetServerInfo\x12!.hullcast.v1.GetServerInfoRequest\x1a\".hullcast.v1.GetServerInfoResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x18hullcast/v1/server.proto\x12\x0bhullcast.v1\"\x16\n\x14GetServerInfoRequest\"\xc0\x01\n\x15GetServerInfoResponse\x12\x0f\n\x07version\x18\x01 \x01(\t\x12#\n\x06limits\x18\x02 \x01(\x0b\x32\x13.hullcast.v1.Limits\x12\x17\n\x0finstruction_set\x18\x03 \x01(\t\x12\x17\n\x0f\x63ompute_threads\x18\x04 \x01(\r\x12-\n\x0cmemory_parts\x18\x05 \x03(\x0b\x32\x17.hullcast.v1.MemoryPart\x12\x10\n\x08\x63ontract\x18\x06 \x01(\r\"<\n\nMemoryPart\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\r\n\x05\x62ytes\x18\x02 \x01(\x04\x12\x11\n\tmax_bytes\x18\x03 \x01(\x04\"\xf0\x03\n\x06Limits\x12\x19\n\x11max_message_bytes\x18\x01 \x01(\x04\x12\x1d\n\x15max_pairs_per_request\x18\x02 \x01(\r\x12\x1e\n\x16max_bodies_per_request\x18\x03 \x01(\r\x12\x1d\n\x15max_hulls_per_request\x18\x04 \x01(\r\x12\x1d\n\x15max_vertices_per_hull\x18\x05 \x01(\r\x12\x1b\n\x13max_pairs_in_flight\x18\x06 \x01(\x04\x12\x13\n\x0b\x63\x61\x63he_bytes\x18\x07 \x01(\x04\x12\x13\n\x0bstore_bytes\x18\x08 \x01(\x04\x12\"\n\x1amax_streams_per_connection\x18\t \x01(\r\x12\x15\n\rmax_page_size\x18\n \x01(\r\x12\x19\n\x11\x63\x61\x63he_age_seconds\x18\x0b \x01(\r\x12\x1e\n\x16max_stream_state_bytes\x18\x0c \x01(\x04\x12#\n\x1bmax_request_bytes_in_flight\x18\r \x01(\x04\x12\x1c\n\x14max_deadline_seconds\x18\x0e \x01(\r\x12\x17\n\x0fmax_connections\x18\x0f \x01(\r\x12\x1b\n\x13max_points_per_hull\x18\x10 \x01(\r\x12\x18\n\x10max_memory_bytes\x18\x11 \x01(\x04\x32g\n\rServerService\x12V\n\rGetServerInfo\x12!.hullcast.v1.GetServerInfoRequest\x1a\".hullcast.v1.GetServerInfoResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -34,11 +34,11 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_GETSERVERINFOREQUEST']._serialized_start=41
   _globals['_GETSERVERINFOREQUEST']._serialized_end=63
   _globals['_GETSERVERINFORESPONSE']._serialized_start=66
-  _globals['_GETSERVERINFORESPONSE']._serialized_end=240
-  _globals['_MEMORYPART']._serialized_start=242
-  _globals['_MEMORYPART']._serialized_end=302
-  _globals['_LIMITS']._serialized_start=305
-  _globals['_LIMITS']._serialized_end=801
-  _globals['_SERVERSERVICE']._serialized_start=803
-  _globals['_SERVERSERVICE']._serialized_end=906
+  _globals['_GETSERVERINFORESPONSE']._serialized_end=258
+  _globals['_MEMORYPART']._serialized_start=260
+  _globals['_MEMORYPART']._serialized_end=320
+  _globals['_LIMITS']._serialized_start=323
+  _globals['_LIMITS']._serialized_end=819
+  _globals['_SERVERSERVICE']._serialized_start=821
+  _globals['_SERVERSERVICE']._serialized_end=924
 # @@protoc_insertion_point(module_scope)

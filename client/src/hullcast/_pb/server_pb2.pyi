@@ -11,18 +11,20 @@ class GetServerInfoRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class GetServerInfoResponse(_message.Message):
-    __slots__ = ("version", "limits", "instruction_set", "compute_threads", "memory_parts")
+    __slots__ = ("version", "limits", "instruction_set", "compute_threads", "memory_parts", "contract")
     VERSION_FIELD_NUMBER: _ClassVar[int]
     LIMITS_FIELD_NUMBER: _ClassVar[int]
     INSTRUCTION_SET_FIELD_NUMBER: _ClassVar[int]
     COMPUTE_THREADS_FIELD_NUMBER: _ClassVar[int]
     MEMORY_PARTS_FIELD_NUMBER: _ClassVar[int]
+    CONTRACT_FIELD_NUMBER: _ClassVar[int]
     version: str
     limits: Limits
     instruction_set: str
     compute_threads: int
     memory_parts: _containers.RepeatedCompositeFieldContainer[MemoryPart]
-    def __init__(self, version: _Optional[str] = ..., limits: _Optional[_Union[Limits, _Mapping]] = ..., instruction_set: _Optional[str] = ..., compute_threads: _Optional[int] = ..., memory_parts: _Optional[_Iterable[_Union[MemoryPart, _Mapping]]] = ...) -> None: ...
+    contract: int
+    def __init__(self, version: _Optional[str] = ..., limits: _Optional[_Union[Limits, _Mapping]] = ..., instruction_set: _Optional[str] = ..., compute_threads: _Optional[int] = ..., memory_parts: _Optional[_Iterable[_Union[MemoryPart, _Mapping]]] = ..., contract: _Optional[int] = ...) -> None: ...
 
 class MemoryPart(_message.Message):
     __slots__ = ("name", "bytes", "max_bytes")

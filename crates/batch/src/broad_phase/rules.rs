@@ -62,6 +62,12 @@ impl Rules {
         Ok(Self::new(worlds, groups, ignored))
     }
 
+    /// The bytes of the lists.
+    pub fn bytes(&self) -> usize {
+        let lists = [&self.worlds, &self.groups, &self.given];
+        lists.iter().map(|list| size_of_val(&list[..])).sum::<usize>() + size_of_val(&self.ignored[..])
+    }
+
     /// The largest number of bytes that sorting takes besides the given lists.
     pub fn sorting_bytes(&self) -> usize {
         // Sorting keeps one key per pair, and a second copy of the keys while it merges runs.

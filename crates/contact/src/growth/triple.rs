@@ -183,6 +183,23 @@ pub(crate) fn weights(ray: DVec3, triple: &[Support; 3]) -> [f64; 3] {
     [c0, c1, c2].map(|c| ray.dot(c) / volume)
 }
 
+/// [`weights`] by areas, for a triangle that is small or thin. The ray meets the plane of the triple at a
+/// point `x`. The weights are the areas of the triangles of `x` and two corners, as shares of the whole
+/// triangle, times the growth scale of the plane. The sides of a small triangle are differences with
+/// hardly any rounding, whereas Cramer's rule multiplies whole points, whose products nearly cancel.
+pub(crate) fn weights_by_areas(ray: DVec3, triple: &[Support; 3]) -> [f64; 3] {
+    let [u0, u1, u2] = triple.map(|u| u.point);
+    let (e1, e2) = (u1 - u0, u2 - u0);
+    let n = e1.cross(e2);
+    let (p, q) = (e2.cross(n), n.cross(e1));
+    let (all, reach, height) = (e1.dot(p), n.dot(ray), n.dot(u0));
+    // From u0 to x, times the reach.
+    let w = ray * height - u0 * reach;
+    let unit = 1.0 / (height * all);
+    let [l1, l2] = [w.dot(p) * unit, w.dot(q) * unit];
+    [reach / height - l1 - l2, l1, l2]
+}
+
 /// [`weights`] in wide arithmetic, for a triple that is nearly flat.
 #[cold]
 pub(crate) fn wide_weights(ray: DVec3, triple: &[Support; 3]) -> [f64; 3] {

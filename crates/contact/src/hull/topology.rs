@@ -10,9 +10,8 @@
 //! An outline is not traced along the edges. The corners of a merged face are off its plane by up to
 //! the tolerance, so the traced polygon could be slightly concave. Instead the corners are
 //! projected on a coordinate plane, which is exact, and their convex hull is computed with exact
-//! orientation tests by the monotone chain of A. M. Andrew, *Another efficient algorithm for convex
-//! hulls in two dimensions*, 1979, doi:10.1016/0020-0190(79)90072-3. So every outline is strictly
-//! convex. Outline and edges of a face can then differ in a corner by the tolerance.
+//! orientation tests (`monotone_chain`). So every outline is strictly convex. Outline and edges of a
+//! face can then differ in a corner by the tolerance.
 //!
 //! All lists together take `O(n log n)` time for `n` triangles: edges and corners are sorted.
 
@@ -26,6 +25,7 @@ use super::merge::{Groups, Surface};
 use super::triangulation::Triangulation;
 use crate::csr::{Csr, LISTED};
 use crate::exact::{orient2d, orient2d_steps};
+use crate::monotone_chain::convex_polygon;
 use crate::sort::{COMPARISON, sort};
 use crate::stop::{Meter, Stopped};
 
@@ -169,37 +169,18 @@ impl Sweep {
         sorted.extend(corners.iter().map(|&v| (flat(v), v)));
         sort(sorted, meter, COMPARISON, along)?;
         sorted.dedup_by_key(|(p, _)| *p);
-        polygon.clear();
-        add_chain(polygon, sorted.iter(), meter)?;
-        add_chain(polygon, sorted.iter().rev(), meter)?;
+        convex_polygon(sorted, polygon, |corners| {
+            let corners = corners.map(|&(p, _)| p);
+            let turn = orient2d(corners[0], corners[1], corners[2]);
+            meter.spend(CORNER + orient2d_steps(corners, turn))?;
+            Ok(turn)
+        })?;
         outline.extend(polygon.iter().map(|(_, v)| *v));
         Ok(outline)
     }
 }
 
-/// The order of corners along a chain.
+/// The order in which [`convex_polygon`] takes the corners.
 fn along((p, v): &ProjectedVertex, (q, w): &ProjectedVertex) -> Ordering {
     p[0].total_cmp(&q[0]).then(p[1].total_cmp(&q[1])).then(v.cmp(w))
-}
-
-/// Adds the convex chain through `points` to the polygon, without its last point.
-fn add_chain<'a>(
-    polygon: &mut Vec<ProjectedVertex>,
-    points: impl Iterator<Item = &'a ProjectedVertex>,
-    meter: &Meter<'_>,
-) -> Result<(), Stopped> {
-    let start = polygon.len();
-    for &(p, v) in points {
-        while let [.., (a, _), (b, _)] = polygon[start..] {
-            let turn = orient2d(a, b, p);
-            meter.spend(CORNER + orient2d_steps([a, b, p], turn))?;
-            if turn > 0.0 {
-                break;
-            }
-            polygon.pop();
-        }
-        polygon.push((p, v));
-    }
-    polygon.pop();
-    Ok(())
 }

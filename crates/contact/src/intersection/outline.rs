@@ -1,11 +1,14 @@
 //! A feature projected onto the contact plane: its corners, sides and heights.
 
+use std::convert::Infallible;
+
 use glam::{DVec2, DVec3};
 
 use super::Touched;
 use crate::ConvexHull;
 use crate::exact::orient2d;
 use crate::manifold::Element;
+use crate::monotone_chain::convex_polygon;
 use crate::tolerance::{EDGE_ON, TURN};
 
 /// A corner of a projected feature.
@@ -137,9 +140,7 @@ impl Outline {
         convex
     }
 
-    /// Keeps the corners of the convex hull of all corners; two if they are on one line. The method is the
-    /// monotone chain (A. M. Andrew, *Another efficient algorithm for convex hulls in two dimensions*,
-    /// 1979, doi:10.1016/0020-0190(79)90072-3) with exact turns.
+    /// Keeps the corners of the convex hull of all corners; two if they are on one line.
     #[cold]
     fn make_convex(&mut self) {
         let key = |c: &Corner| c.at.to_array();
@@ -151,24 +152,8 @@ impl Outline {
         sorted.sort_unstable_by(order);
         // Two corners are one point if the length of their difference underflows.
         sorted.dedup_by(|a, b| a.at.distance_squared(b.at) < f64::MIN_POSITIVE);
-        let mut chain = |corners: &mut dyn Iterator<Item = &Corner>| {
-            let start = self.corners.len();
-            for c in corners {
-                while let [.., a, b] = &self.corners[start..] {
-                    if orient2d(key(a), key(b), key(c)) > 0.0 {
-                        break;
-                    }
-                    self.corners.pop();
-                }
-                self.corners.push(*c);
-            }
-            self.corners.pop();
-        };
-        chain(&mut sorted.iter());
-        chain(&mut sorted.iter().rev());
-        if sorted.len() == 1 {
-            self.corners.push(sorted[0]);
-        }
+        let turn = |[a, b, c]: [&Corner; 3]| Ok::<_, Infallible>(orient2d(key(a), key(b), key(c)));
+        let Ok(()) = convex_polygon(&sorted, &mut self.corners, turn);
     }
 
     fn set_plane(&mut self, hull: &ConvexHull, feature: Touched, view: &View) {

@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use super::cases::{Case, Cell, HullPose};
 use super::patch::{area, convex, hausdorff};
-use super::peers::{PeerAnswer, PeerContact};
+use super::peer_files::{PeerAnswer, PeerContact};
 use super::settings::{CENTRES, Centre, SIMPLIFICATIONS, Setting};
 use super::truth::WorldPair;
 use crate::Error;
@@ -150,7 +150,7 @@ impl Prepared {
     pub(super) fn judge(&self, answers: &[PeerAnswer]) -> Vec<Sample> {
         let found = |contact: &PeerContact| {
             let normal = DVec3::from_array(contact.normal);
-            Found { normal, separation: contact.separation, patch: convex(&contact.points(), normal) }
+            Found { normal, separation: contact.separation, patch: convex(&contact.positions(), normal) }
         };
         let sample = |(i, answer): (usize, &PeerAnswer)| {
             let nudged = answer.nudged.as_ref().map(|contact| found(contact).patch);
@@ -298,7 +298,7 @@ mod tests {
 
     /// Our own answers, with their corners in another order, must have our own errors, and pairs without an
     /// answer must be flagged, with an infinitely distant patch. Catches another library that is compared
-    /// with other true answers than we are, and one that gains by leaving out answers.
+    /// with other true answers than hullcast is, and one that gains by leaving out answers.
     #[test]
     fn a_peer_is_judged_as_we_are() {
         let cell = cases::generated(40).unwrap().swap_remove(1);
@@ -309,7 +309,7 @@ mod tests {
             points.reverse();
             points.extend_from_within(..1);
             let separation = WorldPair::new(a, b, case).separation(truth.normal);
-            PeerContact::new(truth.normal.to_array(), separation, points)
+            PeerContact { normal: truth.normal.to_array(), separation, points }
         };
         let both = prepared.truths[0].iter().zip(&prepared.cell.cases);
         let answer = |(i, (truth, case)): (usize, (&Truth, &Case))| {

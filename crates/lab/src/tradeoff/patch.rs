@@ -9,7 +9,8 @@ pub(super) fn area(polygon: &[DVec3], normal: DVec3) -> f64 {
 }
 
 /// The corners of the convex hull of points in any order, seen along `normal`, in order about it. Uses
-/// Andrew's monotone chain, because the answers of other libraries may be neither convex nor in order.
+/// Andrew's monotone chain, because the answers of other libraries may be neither convex nor in order. This is
+/// not the chain of `hullcast-contact`: that one is private, and its answers are among those compared here.
 pub(super) fn convex(points: &[DVec3], normal: DVec3) -> Vec<DVec3> {
     let (u, v) = normal.any_orthonormal_pair();
     let mut order: Vec<DVec3> = points.to_vec();

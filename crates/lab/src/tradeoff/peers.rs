@@ -5,80 +5,14 @@
 
 use std::path::Path;
 
-use glam::DVec3;
-use serde::{Deserialize, Serialize};
-
 use super::cases::{Case, Cell, HullPose};
+use super::peer_files::{PeerAnswer, PeerAnswers, PeerContact, QuestionCell, QuestionPair, Questions};
 use crate::Error;
-
-/// The questions for another library: the hulls and pairs of every cell.
-#[derive(Debug, Serialize)]
-struct Questions<'a> {
-    cells: Vec<QuestionCell<'a>>,
-}
-
-#[derive(Debug, Serialize)]
-struct QuestionCell<'a> {
-    name: &'a str,
-    /// Contacts are requested for hulls within this distance.
-    margin: f64,
-    hulls: &'a [Vec<[f64; 3]>],
-    pairs: Vec<QuestionPair>,
-}
-
-/// A pair with its poses. A pose is a position and a quaternion x, y, z, w.
-#[derive(Debug, Serialize)]
-struct QuestionPair {
-    hulls: [usize; 2],
-    a: [f64; 7],
-    b: [f64; 7],
-    /// Pose of B after a tiny movement.
-    nudged: [f64; 7],
-}
-
-/// The answers of another library to all questions.
-#[derive(Debug, Deserialize)]
-pub(super) struct PeerAnswers {
-    /// The library's name and version.
-    pub(super) name: String,
-    cells: Vec<AnsweredCell>,
-}
-
-#[derive(Debug, Deserialize)]
-struct AnsweredCell {
-    name: String,
-    pairs: Vec<PeerAnswer>,
-}
-
-/// The answer for one pair.
-#[derive(Debug, Deserialize)]
-pub(super) struct PeerAnswer {
-    /// Duration of the fastest of several calls. hullcast is called equally often.
-    pub(super) nanoseconds: f64,
-    /// The contact, or `None` if there is no contact within the margin.
-    pub(super) contact: Option<PeerContact>,
-    /// The contact with B at its nudged pose.
-    pub(super) nudged: Option<PeerContact>,
-}
-
-/// A contact, world frame.
-#[derive(Debug, Deserialize)]
-pub(super) struct PeerContact {
-    /// Unit normal from A to B.
-    pub(super) normal: [f64; 3],
-    /// Signed separation; negative if overlapping.
-    pub(super) separation: f64,
-    /// Contact points midway between the hulls, in any order.
-    points: Vec<[f64; 3]>,
-}
+use glam::DVec3;
 
 impl PeerContact {
-    #[cfg(test)]
-    pub(super) fn new(normal: [f64; 3], separation: f64, points: Vec<[f64; 3]>) -> Self {
-        Self { normal, separation, points }
-    }
-
-    pub(super) fn points(&self) -> Vec<DVec3> {
+    /// The contact points.
+    pub(super) fn positions(&self) -> Vec<DVec3> {
         self.points.iter().map(|&p| DVec3::from_array(p)).collect()
     }
 }
@@ -99,9 +33,9 @@ pub(super) fn ask(cells: &[Cell], path: &Path) -> Result<(), Error> {
         nudged: pose(&case.nudged),
     };
     let cells = cells.iter().map(|cell| QuestionCell {
-        name: &cell.name,
+        name: cell.name.clone(),
         margin: cell.margin,
-        hulls: &cell.hulls,
+        hulls: cell.hulls.clone(),
         pairs: cell.cases.iter().map(pair).collect(),
     });
     let text = serde_json::to_vec(&Questions { cells: cells.collect() })?;
@@ -160,7 +94,7 @@ mod tests {
         };
         let peer = written(2, "").unwrap();
         let [_, second] = peer.answers(3) else { panic!("two") };
-        assert_eq!(second.contact.as_ref().unwrap().points(), [DVec3::new(1.0, 2.0, 3.0)]);
+        assert_eq!(second.contact.as_ref().unwrap().positions(), [DVec3::new(1.0, 2.0, 3.0)]);
         assert!(second.nudged.is_none());
         assert!(written(1, "").is_err() && written(2, "x").is_err());
     }

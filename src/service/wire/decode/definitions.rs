@@ -10,7 +10,13 @@ use super::{
 };
 use crate::{
     contact::stop::Meter,
-    proto,
+    proto::{
+        self,
+        tags::{
+            hull_definition as hull_tags, register_hulls_request as tags,
+            simplification as simplification_tags,
+        },
+    },
     service::{Reason, error::ServiceError, limits::Limits, sizes::HULL_BYTES},
 };
 
@@ -25,7 +31,7 @@ impl DecodeRequest for proto::RegisterHullsRequest {
         let (mut hulls, mut doubles) = (0, 0);
         let mut fields = Fields::new(message);
         while let Some(field) = fields.next(meter)? {
-            if field.tag == 1 {
+            if field.tag == tags::HULLS {
                 hulls += 1;
                 let counts = HullCounts::of(&field, meter)?;
                 if counts.refusal(limits).is_none() {
@@ -38,7 +44,7 @@ impl DecodeRequest for proto::RegisterHullsRequest {
         let mut definitions = Vec::with_capacity(hulls);
         let mut fields = Fields::new(message);
         while let Some(field) = fields.next(meter)? {
-            if field.tag == 1 {
+            if field.tag == tags::HULLS {
                 let counts = HullCounts::of(&field, meter)?;
                 definitions.push(match counts.refusal(limits) {
                     Some(error) => Err(error),
@@ -63,12 +69,14 @@ impl HullCounts {
         let mut fields = Fields::nested(hull.bytes()?, 1);
         while let Some(field) = fields.next(meter)? {
             match field.tag {
-                1 => counts.vertices += field.elements::<8>()?.len(),
-                2 => counts.contraction_point += field.elements::<8>()?.len(),
+                hull_tags::VERTICES => counts.vertices += field.elements::<8>()?.len(),
+                hull_tags::CONTRACTION_POINT => counts.contraction_point += field.elements::<8>()?.len(),
                 // The values are read here to find their faults, because the hull may be refused before it
                 // is read again.
-                3 => read_simplification(&mut proto::Simplification::default(), &field, meter)?,
-                4 => drop(field.double()?),
+                hull_tags::SIMPLIFICATION => {
+                    read_simplification(&mut proto::Simplification::default(), &field, meter)?
+                }
+                hull_tags::PLANARITY => drop(field.double()?),
                 _ => {}
             }
         }
@@ -104,10 +112,14 @@ fn read_hull(
     let mut fields = Fields::nested(hull.bytes()?, 1);
     while let Some(field) = fields.next(meter)? {
         match field.tag {
-            1 => append(&mut read.vertices, field.elements()?, f64::from_le_bytes, meter)?,
-            2 => append(&mut read.contraction_point, field.elements()?, f64::from_le_bytes, meter)?,
-            3 => read_simplification(read.simplification.get_or_insert_default(), &field, meter)?,
-            4 => read.planarity = Some(field.double()?),
+            hull_tags::VERTICES => append(&mut read.vertices, field.elements()?, f64::from_le_bytes, meter)?,
+            hull_tags::CONTRACTION_POINT => {
+                append(&mut read.contraction_point, field.elements()?, f64::from_le_bytes, meter)?
+            }
+            hull_tags::SIMPLIFICATION => {
+                read_simplification(read.simplification.get_or_insert_default(), &field, meter)?
+            }
+            hull_tags::PLANARITY => read.planarity = Some(field.double()?),
             _ => {}
         }
     }
@@ -122,8 +134,8 @@ fn read_simplification(
     let mut fields = Fields::nested(field.bytes()?, 2);
     while let Some(field) = fields.next(meter)? {
         match field.tag {
-            1 => simplification.max_vertices = Some(field.varint()? as u32),
-            2 => simplification.max_deviation = Some(field.double()?),
+            simplification_tags::MAX_VERTICES => simplification.max_vertices = Some(field.varint()? as u32),
+            simplification_tags::MAX_DEVIATION => simplification.max_deviation = Some(field.double()?),
             _ => {}
         }
     }

@@ -12,6 +12,7 @@ use crate::{
     proto::{
         self,
         bulk::{ColumnMut, Columnar},
+        tags::{accuracy as accuracy_tags, query_contacts_request as tags},
     },
     service::{Reason, error::ServiceError, limits::Limits, sizes::HULL_BYTES},
 };
@@ -38,11 +39,11 @@ impl QueryCounts {
         let mut fields = Fields::new(message);
         while let Some(field) = fields.next(meter)? {
             match field.tag {
-                3 => {
+                tags::HULL_IDS => {
                     counts.hull_ids += 1;
                     counts.hull_id_bytes += field.bytes()?.len();
                 }
-                13 => field.varints(meter, |_| counts.outputs += 1)?,
+                tags::OUTPUTS => field.varints(meter, |_| counts.outputs += 1)?,
                 tag => {
                     let (elements, width) = match empty.column(tag) {
                         Some(ColumnMut::Doubles(_)) => (field.elements::<8>()?.len(), 8),
@@ -64,15 +65,20 @@ impl QueryCounts {
 
     fn check(&mut self, limits: &Limits) -> Result<(), ServiceError> {
         at_most(self.hull_ids, limits.max_hulls_per_request, Reason::TooManyHulls, "hull_ids")?;
-        at_most(*self.column(4), limits.max_bodies_per_request, Reason::TooManyBodies, "body_hulls")?;
-        at_most(*self.column(7) / 2, limits.max_pairs_per_request, Reason::TooManyPairs, "pairs")?;
+        at_most(
+            *self.column(tags::BODY_HULLS),
+            limits.max_bodies_per_request,
+            Reason::TooManyBodies,
+            "body_hulls",
+        )?;
+        at_most(*self.column(tags::PAIRS) / 2, limits.max_pairs_per_request, Reason::TooManyPairs, "pairs")?;
         at_most(self.outputs, MAX_OUTPUTS, Reason::TooManyOutputs, "outputs")
     }
 
     /// The memory of the decoded request, and of the list that validation makes of it: the bodies
     /// with an unusable pose, at most one number per body.
     fn bytes(&mut self) -> usize {
-        let unusable = *self.column(4) * size_of::<u32>();
+        let unusable = *self.column(tags::BODY_HULLS) * size_of::<u32>();
         let outputs = self.outputs * size_of::<i32>();
         self.column_bytes + unusable + outputs + self.hull_id_bytes + self.hull_ids * HULL_BYTES
     }
@@ -99,12 +105,14 @@ impl DecodeRequest for proto::QueryContactsRequest {
         let mut fields = Fields::new(message);
         while let Some(field) = fields.next(meter)? {
             match field.tag {
-                1 => request.request_id = field.varint()?,
-                2 => request.inherit = field.varint()? != 0,
-                3 => request.hull_ids.push(field.bytes()?.to_vec()),
-                11 => request.margin = field.double()?,
-                12 => read_accuracy(request.accuracy.get_or_insert_default(), &field, meter)?,
-                13 => field.varints(meter, |output| request.outputs.push(output as i32))?,
+                tags::REQUEST_ID => request.request_id = field.varint()?,
+                tags::INHERIT => request.inherit = field.varint()? != 0,
+                tags::HULL_IDS => request.hull_ids.push(field.bytes()?.to_vec()),
+                tags::MARGIN => request.margin = field.double()?,
+                tags::ACCURACY => read_accuracy(request.accuracy.get_or_insert_default(), &field, meter)?,
+                tags::OUTPUTS => field.varints(meter, |output| request.outputs.push(output as i32))?,
+                tags::FIND => request.find = field.varint()? != 0,
+                tags::TIME_STEP => request.time_step = field.double()?,
                 tag => match request.column(tag) {
                     Some(ColumnMut::Doubles(column)) => {
                         append(column, field.elements()?, f64::from_le_bytes, meter)?;
@@ -128,10 +136,10 @@ fn read_accuracy(
     let mut fields = Fields::nested(field.bytes()?, 1);
     while let Some(field) = fields.next(meter)? {
         match field.tag {
-            1 => accuracy.solver = field.varint()? as i32,
-            3 => accuracy.relative_tolerance = field.double()?,
-            4 => accuracy.feature_angle = Some(field.double()?),
-            5 => accuracy.max_points = field.varint()? as u32,
+            accuracy_tags::SOLVER => accuracy.solver = field.varint()? as i32,
+            accuracy_tags::RELATIVE_TOLERANCE => accuracy.relative_tolerance = field.double()?,
+            accuracy_tags::FEATURE_ANGLE => accuracy.feature_angle = Some(field.double()?),
+            accuracy_tags::MAX_POINTS => accuracy.max_points = field.varint()? as u32,
             _ => {}
         }
     }

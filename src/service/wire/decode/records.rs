@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{
     contact::stop::Meter,
-    proto,
+    proto::{self, tags},
     service::{Reason, error::ServiceError, sizes::HULL_BYTES},
     store::HullId,
 };
@@ -18,12 +18,12 @@ use crate::{
 /// The most entries of `field_mask.paths`: many times the number of current paths.
 const MAX_PATHS: u32 = 256;
 
-/// The hull ids of a message that has them as field 1.
-fn ids(message: &[u8], resources: &mut DecodeResources<'_>) -> Result<Vec<HullId>, ServiceError> {
+/// The hull ids of a message: the elements of its field with this tag.
+fn ids(message: &[u8], tag: u32, resources: &mut DecodeResources<'_>) -> Result<Vec<HullId>, ServiceError> {
     let mut count = 0;
     let mut fields = Fields::new(message);
     while let Some(field) = fields.next(&resources.meter)? {
-        if field.tag == 1 {
+        if field.tag == tag {
             field.bytes()?;
             count += 1;
         }
@@ -33,7 +33,7 @@ fn ids(message: &[u8], resources: &mut DecodeResources<'_>) -> Result<Vec<HullId
     let mut ids = Vec::with_capacity(count);
     let mut fields = Fields::new(message);
     while let Some(field) = fields.next(&resources.meter)? {
-        if field.tag == 1 {
+        if field.tag == tag {
             ids.push(hull_id(field.bytes()?, "ids", ids.len())?);
         }
     }
@@ -44,7 +44,7 @@ impl DecodeRequest for proto::HasHullsRequest {
     type Decoded = Vec<HullId>;
 
     fn read(message: &[u8], resources: &mut DecodeResources<'_>) -> Result<Vec<HullId>, ServiceError> {
-        ids(message, resources)
+        ids(message, tags::has_hulls_request::IDS, resources)
     }
 }
 
@@ -52,7 +52,7 @@ impl DecodeRequest for proto::DeleteHullsRequest {
     type Decoded = Vec<HullId>;
 
     fn read(message: &[u8], resources: &mut DecodeResources<'_>) -> Result<Vec<HullId>, ServiceError> {
-        ids(message, resources)
+        ids(message, tags::delete_hulls_request::IDS, resources)
     }
 }
 
@@ -60,7 +60,7 @@ impl DecodeRequest for proto::GetHullsRequest {
     type Decoded = (Vec<HullId>, RecordParts);
 
     fn read(message: &[u8], resources: &mut DecodeResources<'_>) -> Result<Self::Decoded, ServiceError> {
-        let ids = ids(message, resources)?;
+        let ids = ids(message, tags::get_hulls_request::IDS, resources)?;
         let paths = paths(message, &resources.meter)?;
         Ok((ids, RecordParts::named(&paths)?))
     }
@@ -71,12 +71,12 @@ fn paths<'a>(message: &'a [u8], meter: &Meter<'_>) -> Result<Vec<&'a str>, Servi
     let (mut paths, mut count) = (Vec::new(), 0);
     let mut fields = Fields::new(message);
     while let Some(field) = fields.next(meter)? {
-        if field.tag != 2 {
+        if field.tag != tags::get_hulls_request::FIELD_MASK {
             continue;
         }
         let mut fields = Fields::nested(field.bytes()?, 1);
         while let Some(field) = fields.next(meter)? {
-            if field.tag == 1 {
+            if field.tag == tags::field_mask::PATHS {
                 let path = field.text()?;
                 count += 1;
                 if count <= MAX_PATHS as usize {
@@ -106,8 +106,8 @@ impl DecodeRequest for proto::ListHullsRequest {
         let mut fields = Fields::new(message);
         while let Some(field) = fields.next(&resources.meter)? {
             match field.tag {
-                1 => page_size = field.varint()? as u32,
-                2 => token = field.text()?,
+                tags::list_hulls_request::PAGE_SIZE => page_size = field.varint()? as u32,
+                tags::list_hulls_request::PAGE_TOKEN => token = field.text()?,
                 _ => {}
             }
         }

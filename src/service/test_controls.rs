@@ -19,7 +19,7 @@ use crate::{batch, compute::Compute, lock::locked};
 
 /// Controls for tests. By default they do nothing.
 #[derive(Debug, Default)]
-pub struct Injected {
+pub struct TestControls {
     /// The time in nanoseconds for which the thread sleeps per pair.
     delay: AtomicU64,
     gated: AtomicBool,
@@ -33,7 +33,7 @@ thread_local! {
     static DUE: Cell<Option<Instant>> = const { Cell::new(None) };
 }
 
-impl Injected {
+impl TestControls {
     /// An engine that waits before each chunk as these controls say.
     pub(super) fn engine(self: &Arc<Self>, compute: Compute, max_answer_bytes: usize) -> batch::Engine {
         let controls = self.clone();

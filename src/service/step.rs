@@ -1,0 +1,324 @@
+//! The answer to one message of a stream.
+//!
+//! A [`StepAnswer`] has the scene of the message with its hulls, and the [`Step`] that connects it with the message
+//! before. Computed columns become messages here: they are matched with the rows before, compared with them, sent,
+//! and kept for the next message. [`named`] answers the pairs that a request names, and [`find`] those that the
+//! server finds.
+
+pub(super) mod find;
+pub(super) mod named;
+mod state;
+
+use std::sync::Arc;
+
+use prost::Message as _;
+
+use self::state::Keeping;
+pub(super) use self::state::{AnswerBefore, Previous, StepState};
+use super::{
+    App, ServiceError,
+    answer::{answer, counted_answer, kept_answer, too_large},
+    context::{CallContext, grow},
+    offload::offloaded,
+    scene::{lease_for_stream, missing},
+    wire::{self, Before, CheckedStep, StepStart},
+};
+use crate::{
+    batch::{
+        Columns,
+        scene::Bodies,
+        steps::{KeptRows, Presence, Step, StepPairs},
+    },
+    budget::Permit,
+    contact::{Stop, stop::Meter},
+    proto::{CONTRACT, QueryContactsResponse},
+    store::Lease,
+};
+
+/// The bytes of the flags that only the last message of an answer may have.
+const LAST_BYTES: usize = 6;
+
+/// The answer to a message of a stream, while it is made.
+pub(super) struct StepAnswer {
+    app: Arc<App>,
+    context: CallContext,
+    /// The parts that the next message may take.
+    scene: Before,
+    request_id: u64,
+    missing_hulls: Vec<u32>,
+    presence: Presence,
+    bodies: Bodies,
+    lease: Arc<Lease>,
+    step: Option<Arc<Step>>,
+    before: Option<AnswerBefore>,
+    /// Whether the client knows steps, and the answer may be sent as `unchanged`.
+    knows_steps: bool,
+    /// Whether each row of the answer before goes on; empty if the rows are not matched.
+    seen: Vec<bool>,
+    keeping: Keeping,
+    /// Whether a message was sent.
+    has_begun: bool,
+    had_ended: bool,
+}
+
+/// A message of an answer.
+pub(super) enum AnswerPart {
+    /// Another message follows.
+    More(QueryContactsResponse),
+    /// The last message.
+    Last(QueryContactsResponse),
+    /// The message would be too large. Nothing has changed; fewer pairs may fit.
+    TooLarge(ServiceError),
+}
+
+impl StepAnswer {
+    /// Leases the hulls of a checked message and connects it with the message before, whose state held `earlier`.
+    /// `memory` is the memory of the decoded message, and grows by what the connection takes.
+    pub(super) async fn begin(
+        app: &Arc<App>,
+        context: &CallContext,
+        checked: CheckedStep,
+        before: Option<AnswerBefore>,
+        earlier: Option<Permit>,
+        knows_steps: bool,
+        memory: &mut Permit,
+    ) -> Result<Self, ServiceError> {
+        let CheckedStep { scene, poses, rules, start, .. } = checked;
+        let leased = lease_for_stream(app, context, &scene.hull_ids).await?;
+        let presence = Presence::of(&leased.hulls);
+        let bodies = Bodies::new(scene.template.clone(), leased.hulls.clone(), poses.clone())?;
+        let (step, before) = match before {
+            Some(before) => {
+                let scene = (&bodies, &presence);
+                let connected = connect(app, context, scene, &before, start, knows_steps, memory).await?;
+                (connected, Some(before))
+            }
+            None => (None, None),
+        };
+        let mut seen = Vec::new();
+        if let Some(step) = &step
+            && scene.template.outputs().matches
+        {
+            grow(app, memory, step.rows().len())?;
+            seen = vec![false; step.rows().len()];
+        }
+        Ok(Self {
+            app: app.clone(),
+            context: context.clone(),
+            request_id: scene.request_id,
+            missing_hulls: missing(&leased.hulls),
+            scene: Before {
+                hull_ids: scene.hull_ids,
+                template: scene.template,
+                rules,
+                poses,
+                invalid_bodies: scene.invalid_bodies,
+            },
+            presence,
+            bodies,
+            lease: leased.lease,
+            before: before.filter(|_| step.is_some()),
+            step,
+            knows_steps,
+            seen,
+            keeping: Keeping::new(context.state_memory(), earlier),
+            has_begun: false,
+            had_ended: false,
+        })
+    }
+
+    /// The answer if it is known to be the answer before, because nothing has changed.
+    pub(super) async fn repeated(&mut self) -> Result<Option<QueryContactsResponse>, ServiceError> {
+        let (Some(step), Some(before)) = (&self.step, &self.before) else { return Ok(None) };
+        let repeats = self.knows_steps && step.repeats() && step.rows().are_settled() && !before.had_ended;
+        if !repeats {
+            return Ok(None);
+        }
+        let rows = step.rows().clone();
+        let bytes = KeptRows::bytes(rows.columns()) + self.scene_bytes();
+        let is_kept = self.keeping.take_last(bytes);
+        self.keeping.keep_rows(rows);
+        let response = self.unchanged(!is_kept);
+        answer(&self.app, &self.context, response).await.map(Some)
+    }
+
+    /// Makes a message of these columns. `pairs` are the pairs that were computed, if they were found; `memory` is
+    /// the memory of the columns. Fewer pairs than there are may come with the last message.
+    pub(super) async fn part(
+        &mut self,
+        columns: Columns,
+        pairs: Option<Arc<StepPairs>>,
+        mut memory: Permit,
+        mut is_last: bool,
+    ) -> Result<AnswerPart, ServiceError> {
+        let outputs = self.scene.template.outputs();
+        let mut columns = self.matched(columns, pairs).await?;
+        let ended = match &self.step {
+            Some(step) if is_last && outputs.matches => step.ended_pairs(&self.seen),
+            _ => Vec::new(),
+        };
+        if is_last && ended.is_empty() && self.is_unchanged(&columns) {
+            return self.part_unchanged(columns).await;
+        }
+        grow(&self.app, &mut memory, size_of_val(&ended[..]))?;
+        self.had_ended = !ended.is_empty();
+        let unsent = columns.take_unsent(outputs);
+        let (hulls, bodies) = match self.has_begun {
+            true => (Vec::new(), Vec::new()),
+            false => (self.missing_hulls.clone(), self.scene.invalid_bodies.clone()),
+        };
+        let mut response = wire::response(self.request_id, columns, hulls, bodies);
+        let limit = self.app.limits().max_message_bytes;
+        let length = response.encoded_len() + LAST_BYTES;
+        if length > limit {
+            return Ok(AnswerPart::TooLarge(too_large(&self.app, length)));
+        }
+        response.ended_pairs = ended;
+        let is_search = self.scene.rules.is_some();
+        if is_search && !response.outcomes.is_empty() && response.encoded_len() + LAST_BYTES > limit {
+            // The pairs that ended come in a message of their own.
+            response.ended_pairs = Vec::new();
+            is_last = false;
+        }
+        response.more = !is_last;
+        let bytes = KeptRows::bytes(&unsent) + response.encoded_len();
+        let is_kept = if is_last {
+            self.forget_before();
+            self.keeping.take_last(bytes + self.scene_bytes())
+        } else {
+            self.keeping.take(bytes)
+        };
+        response.state_dropped = is_last && !is_kept;
+        self.has_begun = true;
+        let message = if is_kept {
+            let (message, mut whole) = kept_answer(&self.app, &self.context, response, memory).await?;
+            let mut columns = unsent;
+            columns.unite(wire::take_columns(&mut whole));
+            self.keeping.push(columns);
+            message
+        } else {
+            counted_answer(&self.app, &self.context, response, memory).await?
+        };
+        Ok(if is_last { AnswerPart::Last(message) } else { AnswerPart::More(message) })
+    }
+
+    /// Makes the only message of an answer that is the answer before.
+    async fn part_unchanged(&mut self, columns: Columns) -> Result<AnswerPart, ServiceError> {
+        self.had_ended = false;
+        self.forget_before();
+        let is_kept = self.keeping.take_last(KeptRows::bytes(&columns) + self.scene_bytes());
+        self.keeping.push(columns);
+        let response = self.unchanged(!is_kept);
+        answer(&self.app, &self.context, response).await.map(AnswerPart::Last)
+    }
+
+    fn unchanged(&self, state_dropped: bool) -> QueryContactsResponse {
+        let (request_id, contract) = (self.request_id, CONTRACT);
+        QueryContactsResponse { request_id, contract, state_dropped, unchanged: true, ..Default::default() }
+    }
+
+    /// Whether an answer with these columns is the answer before, bit for bit.
+    fn is_unchanged(&self, columns: &Columns) -> bool {
+        let (Some(step), Some(before)) = (&self.step, &self.before) else { return false };
+        let (template, rows) = (&self.scene.template, step.rows());
+        self.knows_steps
+            && !self.has_begun
+            && !before.had_ended
+            && before.presence == self.presence
+            && before.invalid_bodies == self.scene.invalid_bodies
+            && before.template.pairs() == template.pairs()
+            && before.template.outputs() == template.outputs()
+            && columns.is_same(rows.columns(), template.outputs())
+    }
+
+    /// Fills in the matches of columns, on the compute threads if there are many.
+    async fn matched(
+        &mut self,
+        mut columns: Columns,
+        pairs: Option<Arc<StepPairs>>,
+    ) -> Result<Columns, ServiceError> {
+        let Some(step) = self.step.clone().filter(|_| self.scene.template.outputs().matches) else {
+            return Ok(columns);
+        };
+        let (bodies, mut seen) = (self.bodies.clone(), std::mem::take(&mut self.seen));
+        let bytes = 2 * Step::match_steps(columns.len(), columns.point_count()) as usize;
+        let work = move |stop: &Stop| {
+            step.fill_matches(&bodies, pairs.as_deref(), &mut columns, &mut seen, stop)?;
+            Ok::<_, ServiceError>((columns, seen))
+        };
+        let (columns, seen) = offloaded(&self.app, &self.context, bytes, work).await?;
+        self.seen = seen;
+        Ok(columns)
+    }
+
+    /// Drops the answer before, which the last message no longer needs.
+    fn forget_before(&mut self) {
+        self.step = None;
+        self.before = None;
+        self.seen = Vec::new();
+    }
+
+    /// The bytes of the parts of the scene that the next message may take.
+    fn scene_bytes(&self) -> usize {
+        let Before { hull_ids, template, rules, poses, invalid_bodies } = &self.scene;
+        size_of_val(&hull_ids[..])
+            + template.heap_bytes()
+            + rules.as_ref().map_or(0, |rules| rules.bytes())
+            + poses.bytes()
+            // The list is kept with the scene and with the answer.
+            + 2 * size_of_val(&invalid_bodies[..])
+            + self.presence.bytes()
+    }
+
+    /// The state for the next message, after the last message of the answer.
+    pub(super) async fn finish(self) -> Result<Previous, ServiceError> {
+        let Self { app, context, scene, presence, keeping, had_ended, .. } = self;
+        let Some((rows, memory)) = keeping.rows(&app, &context, &scene.template).await? else {
+            return Ok(Previous::Dropped);
+        };
+        let answer = AnswerBefore {
+            template: scene.template.clone(),
+            invalid_bodies: scene.invalid_bodies.clone(),
+            presence,
+            rows,
+            had_ended,
+        };
+        let bytes = memory.bytes() as usize;
+        let state = app.engine().compute_threads().defer_drop(StepState { scene, answer }, bytes);
+        Ok(Previous::Kept { state, memory })
+    }
+}
+
+/// Connects a message with the message before. `None` if they have nothing in common.
+async fn connect(
+    app: &App,
+    context: &CallContext,
+    (bodies, presence): (&Bodies, &Presence),
+    before: &AnswerBefore,
+    start: StepStart,
+    knows_steps: bool,
+    memory: &mut Permit,
+) -> Result<Option<Arc<Step>>, ServiceError> {
+    let (template, rows) = (bodies.template(), before.rows.clone());
+    let reuses = knows_steps && before.template.has_options_of(template);
+    let meter = || Meter::new(&context.job.stop);
+    let step = match start {
+        StepStart::Anew => return Ok(None),
+        StepStart::Inherited(mut changes) => {
+            changes.add_presence(template, &before.presence, presence, None, &meter())?;
+            Step::inherited(rows, changes, reuses)
+        }
+        StepStart::Bodies { mut changes, bodies_now, hulls_before, is_search } => {
+            changes.add_presence(template, &before.presence, presence, Some(&hulls_before), &meter())?;
+            let bytes = Step::bytes(rows.len(), template.pair_count());
+            grow(app, memory, bytes)?;
+            let template = template.clone();
+            offloaded(app, context, bytes, move |stop| {
+                let named = (!is_search).then(|| template.pairs());
+                Ok(Step::of_bodies(rows, changes, reuses, &bodies_now, named, stop)?)
+            })
+            .await?
+        }
+    };
+    Ok(Some(Arc::new(step)))
+}
