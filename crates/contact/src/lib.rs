@@ -63,6 +63,7 @@ mod growth;
 pub mod hull;
 mod intersection;
 mod manifold;
+mod motion;
 mod pair;
 mod query;
 mod reduce;
@@ -83,6 +84,7 @@ pub use hull::{
     Simplification,
 };
 pub use manifold::{Basis, ContactPoint, Element, Feature, Flags, Manifold, Outcome};
+pub use motion::{Motion, approach};
 pub use query::{Accuracy, Query, Solver, Wanted};
 pub use stop::{STEPS_BETWEEN_LOOKS, Stop, Stopped};
 pub use support::instruction_set;
