@@ -10,7 +10,7 @@ use super::{
     scene::answer, wire,
 };
 use crate::{
-    batch::scene::SceneTemplate,
+    batch::{Motions, scene::SceneTemplate},
     budget::{CallerStream, Permit},
     compute::DeferredDrop,
     contact::{STEPS_BETWEEN_LOOKS, Stop},
@@ -50,10 +50,11 @@ enum Previous {
     Kept { state: DeferredDrop<InheritableState>, memory: Permit },
 }
 
-/// The hulls, bodies, pairs and options of a message, and the bases of its answer.
+/// The hulls, bodies, pairs, motions and options of a message, and the bases of its answer.
 struct InheritableState {
     hull_ids: Arc<Vec<HullId>>,
     template: Arc<SceneTemplate>,
+    motions: Motions,
     bases: Vec<u32>,
 }
 
@@ -62,6 +63,7 @@ impl InheritableState {
     fn bytes(&self) -> usize {
         size_of_val(&self.hull_ids[..])
             + self.template.heap_bytes()
+            + self.motions.heap_bytes()
             + self.template.pair_count() * size_of::<[u32; 6]>()
     }
 }
@@ -116,8 +118,9 @@ impl ContactStream {
                     (wire::stoppable_scene(request, limits, stop)?, memory)
                 }
                 (true, Previous::Kept { state, memory }) => {
-                    let InheritableState { hull_ids, template, bases } = state.into_inner();
-                    (wire::inherited(request, hull_ids, template, bases, stop)?, Some(memory))
+                    let InheritableState { hull_ids, template, motions, bases } = state.into_inner();
+                    let scene = wire::inherited(request, hull_ids, template, &motions, bases, stop)?;
+                    (scene, Some(memory))
                 }
                 (true, Previous::None) => {
                     let why = "the first message of a stream has nothing to inherit: send the scene in full";
@@ -133,8 +136,9 @@ impl ContactStream {
         };
         let (scene, memory, state_memory) = decode_request(&self.app, &self.context, request, check).await?;
         let (hull_ids, template) = (scene.hull_ids.clone(), scene.template.clone());
+        let motions = scene.poses.motions().clone();
         let (response, bases) = answer(&self.app, &self.context, scene, memory, true).await?;
-        let new_state = InheritableState { hull_ids, template, bases };
+        let new_state = InheritableState { hull_ids, template, motions, bases };
         let bytes = new_state.bytes();
         let state = self.app.engine().compute_threads().defer_drop(new_state, bytes);
         self.previous = match self.context.take_state_memory(bytes, state_memory) {

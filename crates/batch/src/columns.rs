@@ -435,7 +435,7 @@ columns! {
         kept_areas: [f64; 1], "kept_area", later, of [Diagnostics] = |m| [m.kept_area], invalid: f64::NAN;
         /// The row of the same pair in the answer before, or [`NO_INDEX`]. A batch does not know the answer
         /// before; [`matches`](crate::matches) fills the column in.
-        previous_pairs: [u32; 1], "previous_pair", later, of [Matches] = |_| [NO_INDEX], invalid: NO_INDEX;
+        previous_pairs: [u32; 1], "previous_pair", later, of [Matches] = |_m| [NO_INDEX], invalid: NO_INDEX;
     }
     point {
         /// The witness on A, in the world frame.
@@ -449,7 +449,7 @@ columns! {
         point_ids: [u32; 4], "id", first, of [Features] = |_, point| point_id(point);
         /// The index of the same point in the row of the answer before, or [`NO_INDEX`]; filled in like
         /// `previous_pairs`.
-        previous_points: [u32; 1], "previous_point", later, of [Matches] = |_, _| [NO_INDEX];
+        previous_points: [u32; 1], "previous_point", later, of [Matches] = |_, _point| [NO_INDEX];
     }
 }
 

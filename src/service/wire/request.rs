@@ -4,7 +4,8 @@ use std::{collections::HashSet, sync::Arc};
 
 use crate::{
     batch::{
-        Output, Outputs,
+        MotionColumns, Motions, Output, Outputs,
+        motion::margin_lengths,
         scene::{
             FaultKind, Poses, SceneError, SceneFault, SceneTemplate, check_margin, pair_lengths, pose_lengths,
         },
@@ -71,7 +72,7 @@ pub fn scene(request: proto::QueryContactsRequest, limits: &Limits) -> Result<Ch
 /// # Errors
 /// The first fault found, with field and index, or that the work was stopped.
 pub(in crate::service) fn stoppable_scene(
-    request: proto::QueryContactsRequest,
+    mut request: proto::QueryContactsRequest,
     limits: &Limits,
     stop: &Stop,
 ) -> Result<CheckedScene, ServiceError> {
@@ -81,7 +82,6 @@ pub(in crate::service) fn stoppable_scene(
         return Err(ServiceError::in_field(Reason::FieldNotAllowed, "inherit", why));
     }
     refuse_of_streams(&request)?;
-    refuse_unbuilt(&request)?;
     let accuracy = request.accuracy.unwrap_or_default();
     refuse_foreign(&request.worlds, "worlds")?;
     refuse_foreign(&request.groups, "groups")?;
@@ -95,12 +95,18 @@ pub(in crate::service) fn stoppable_scene(
     // The lengths come first, so that the first fault that is found does not depend on the other columns.
     pose_lengths(bodies, &request.positions, &request.rotations)?;
     pair_lengths(&request.pairs, &request.warm_starts)?;
+    margin_lengths(&request.margins, bodies)?;
+    let motion = motion(&mut request);
+    motion.check_lengths(bodies, "none or 3 per body")?;
     let template = SceneTemplate::new(request.hull_ids.len(), request.body_hulls, request.pairs, meter)?;
     let hull_ids = Arc::new(distinct_ids(&request.hull_ids, meter)?);
     check_margin(request.margin)?;
     let template =
         template.with_query(request.margin, known_accuracy(&accuracy)?, outputs(&request.outputs))?;
-    let (poses, invalid_bodies) = Poses::new(bodies, request.positions, request.rotations, meter)?;
+    let template = template.with_margins(request.margins, meter)?;
+    let motions = Motions::new(bodies, motion)?;
+    let (poses, invalid_bodies) =
+        Poses::moving(bodies, request.positions, request.rotations, motions, meter)?;
     let (request_id, warm_starts) = (request.request_id, request.warm_starts);
     Ok(CheckedScene {
         request_id,
@@ -112,14 +118,16 @@ pub(in crate::service) fn stoppable_scene(
     })
 }
 
-/// Checks a request that sends only poses, inherits hulls and `template`, and starts from `bases`.
+/// Checks a request that sends only poses and motions, inherits hulls, `template` and the `motions` that it does
+/// not send, and starts from `bases`.
 ///
 /// # Errors
 /// The first fault found, with the field, or that the work was stopped.
 pub(in crate::service) fn inherited(
-    request: proto::QueryContactsRequest,
+    mut request: proto::QueryContactsRequest,
     hull_ids: Arc<Vec<HullId>>,
     template: Arc<SceneTemplate>,
+    motions: &Motions,
     bases: Vec<u32>,
     stop: &Stop,
 ) -> Result<CheckedScene, ServiceError> {
@@ -136,7 +144,6 @@ pub(in crate::service) fn inherited(
         (!request.warm_starts.is_empty(), "warm_starts"),
         (request.find, "find"),
         (!request.margins.is_empty(), "margins"),
-        (!request.turning_points.is_empty(), "turning_points"),
         (!request.previous_bodies.is_empty(), "previous_bodies"),
     ];
     if let Some((_, field)) = given.into_iter().find(|(given, _)| *given) {
@@ -144,8 +151,11 @@ pub(in crate::service) fn inherited(
         return Err(ServiceError::in_field(Reason::FieldNotAllowed, field, why));
     }
     let meter = &Meter::new(stop);
+    let bodies = template.body_count();
+    pose_lengths(bodies, &request.positions, &request.rotations)?;
+    let motions = motions.next(bodies, None, motion(&mut request), meter)?;
     let (poses, invalid_bodies) =
-        Poses::new(template.body_count(), request.positions, request.rotations, meter)?;
+        Poses::moving(bodies, request.positions, request.rotations, motions, meter)?;
     let request_id = request.request_id;
     Ok(CheckedScene { request_id, hull_ids, template, poses, invalid_bodies, warm_starts: bases })
 }
@@ -165,18 +175,14 @@ fn refuse_of_streams(request: &proto::QueryContactsRequest) -> Result<(), Servic
     Err(ServiceError::in_field(Reason::FieldNotAllowed, field, message))
 }
 
-/// Refuses the fields of the contract that this version does not have yet.
-fn refuse_unbuilt(request: &proto::QueryContactsRequest) -> Result<(), ServiceError> {
-    let given = [
-        (!request.margins.is_empty(), "margins"),
-        (!request.linear_velocities.is_empty(), "linear_velocities"),
-        (!request.angular_velocities.is_empty(), "angular_velocities"),
-        (!request.turning_points.is_empty(), "turning_points"),
-        (request.time_step != 0.0, "time_step"),
-    ];
-    let Some((_, field)) = given.into_iter().find(|(given, _)| *given) else { return Ok(()) };
-    let message = "this version of the server does not know margins of bodies and velocities yet";
-    Err(ServiceError::in_field(Reason::FieldNotAllowed, field, message))
+/// Takes the columns of motion out of a request, unchecked.
+fn motion(request: &mut proto::QueryContactsRequest) -> MotionColumns {
+    MotionColumns {
+        linear_velocities: std::mem::take(&mut request.linear_velocities),
+        angular_velocities: std::mem::take(&mut request.angular_velocities),
+        turning_points: std::mem::take(&mut request.turning_points),
+        time_step: request.time_step,
+    }
 }
 
 fn refuse_foreign(column: &[u32], field: &'static str) -> Result<(), ServiceError> {
