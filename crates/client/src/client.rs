@@ -87,7 +87,7 @@ impl Client {
         self.info_by(self.deadline()).await
     }
 
-    async fn info_by(&self, deadline: Deadline) -> Result<GetServerInfoResponse, Error> {
+    pub(crate) async fn info_by(&self, deadline: Deadline) -> Result<GetServerInfoResponse, Error> {
         let info = self
             .call(deadline, &GetServerInfoRequest {}, |request| {
                 let mut stub = self.server();

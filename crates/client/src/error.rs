@@ -51,10 +51,23 @@ pub enum Error {
     /// The answer is not one that a correct server gives to the request.
     #[error(transparent)]
     Malformed(#[from] Malformed),
-    /// The number of positions or of rotations of a step is not that of the session's bodies.
+    /// The server's version does not know a field of the request, such as `margins`, and ignored it.
+    #[error(
+        "the server's version {version} does not know all fields of the request: its answers have the contract \
+         number {contract}, expected {needed} or more; update the server"
+    )]
+    TooOld {
+        /// The version of the server.
+        version: String,
+        /// The contract number of the answer.
+        contract: u32,
+        /// The contract number that the request needs.
+        needed: u32,
+    },
+    /// A column of a step does not have one entry per body of the session.
     #[error("{field} has {found} entries, expected {expected}: one per body of the session")]
     WrongLength {
-        /// `positions` or `rotations`.
+        /// The column, such as `positions`.
         field: &'static str,
         /// The number of entries.
         found: usize,

@@ -128,6 +128,7 @@ impl Client {
             true => self.call(deadline, &request, send).await?,
             false => crate::client::once(deadline, request.clone(), send).await?,
         };
+        self.check_contract(deadline, &request, &answer).await?;
         checked::answer(&request, &answer)?;
         answer.request_id = callers;
         Ok(answer)
@@ -162,5 +163,14 @@ fn part(request: &QueryContactsRequest, begin: usize, end: usize) -> QueryContac
         accuracy: request.accuracy,
         outputs: request.outputs.clone(),
         warm_starts: warm_starts.to_vec(),
+        margins: request.margins.clone(),
+        linear_velocities: request.linear_velocities.clone(),
+        angular_velocities: request.angular_velocities.clone(),
+        time_step: request.time_step,
+        turning_points: request.turning_points.clone(),
+        // A server refuses these fields outside a stream.
+        find: request.find,
+        moved: request.moved.clone(),
+        previous_bodies: request.previous_bodies.clone(),
     }
 }

@@ -16,8 +16,8 @@ const BASIS: usize = 6;
 
 /// Steps of a simulation: the same bodies and pairs, with new poses in each step ([`Client::session`]).
 ///
-/// The first step sends the whole request. Each later step sends only the poses, and the server starts the
-/// solver from the bases of the step before it. If the server is lost, or has dropped the state of the
+/// The first step sends the whole request. Each later step sends only the poses, and velocities if they are new,
+/// and the server starts the solver from the bases of the step before it. If the server is lost, or has dropped the state of the
 /// session, the step is repeated on a new stream with the whole request. Its bases are then those of the last
 /// answer if the request asks for the output BASES; otherwise the server starts without bases, which may
 /// change the last digits of an answer.
@@ -29,6 +29,8 @@ pub struct Session {
     client: Client,
     request: QueryContactsRequest,
     hulls: Vec<Hull>,
+    /// Whether velocities were set after the last answer.
+    has_new_velocities: bool,
     /// The open stream. It is `None` during a step, and after a step that failed or was dropped.
     stream: Option<Stream>,
 }
@@ -47,11 +49,44 @@ impl Client {
     /// empty store; the list may be empty. The number of pairs is bounded by the server's
     /// `max_pairs_per_request`: use several sessions for more.
     pub fn session(&self, request: QueryContactsRequest, hulls: Vec<Hull>) -> Session {
-        Session { client: self.clone(), request, hulls, stream: None }
+        Session { client: self.clone(), request, hulls, has_new_velocities: false, stream: None }
     }
 }
 
 impl Session {
+    /// Sets the velocities of the bodies for the following steps. They widen the margin of each pair by the
+    /// largest distance by which its bodies can approach each other within `time_step`.
+    ///
+    /// `linear` are the velocities of the bodies' turning points and `angular` their rates of turn in radians
+    /// per unit of time, both along the world's axes; each is empty, which means 0, or has one entry per body.
+    /// The turning points are those of the session's request. With a time step of 0 nothing moves.
+    ///
+    /// # Errors
+    /// [`Error::WrongLength`] if there is neither nothing nor one velocity per body.
+    pub fn set_velocities(
+        &mut self,
+        linear: &[[f64; 3]],
+        angular: &[[f64; 3]],
+        time_step: f64,
+    ) -> Result<(), Error> {
+        let bodies = self.request.body_hulls.len();
+        for (field, found) in [("linear_velocities", linear.len()), ("angular_velocities", angular.len())] {
+            if found != 0 && found != bodies {
+                return Err(Error::WrongLength { field, found, expected: bodies });
+            }
+        }
+        // A message that inherits keeps the velocities that it does not send, so none are sent as zeros.
+        let column = |given: &[[f64; 3]]| match given {
+            [] => vec![0.0; 3 * bodies],
+            given => given.as_flattened().to_vec(),
+        };
+        self.request.linear_velocities = column(linear);
+        self.request.angular_velocities = column(angular);
+        self.request.time_step = time_step;
+        self.has_new_velocities = true;
+        Ok(())
+    }
+
     /// Moves the bodies and answers the pairs.
     ///
     /// `positions` are the world positions of the hulls' origins, and `rotations` the quaternions x, y, z, w:
@@ -99,7 +134,7 @@ impl Session {
         let mut losses = 0;
         loop {
             let inherits = self.stream.is_some();
-            let error = match by(deadline, self.attempt()).await? {
+            let error = match by(deadline, self.attempt(deadline)).await? {
                 Ok(answer) => return Ok(answer),
                 Err(error) => error,
             };
@@ -112,17 +147,22 @@ impl Session {
     }
 
     /// Sends one message and reads its answer. The stream stays only if both succeed.
-    async fn attempt(&mut self) -> Result<QueryContactsResponse, Error> {
+    async fn attempt(&mut self, deadline: Deadline) -> Result<QueryContactsResponse, Error> {
         let request_id = Client::next_request_id();
         let mut stream = match self.stream.take() {
             Some(stream) => {
-                let message = QueryContactsRequest {
+                let mut message = QueryContactsRequest {
                     request_id,
                     inherit: true,
                     positions: self.request.positions.clone(),
                     rotations: self.request.rotations.clone(),
+                    time_step: self.request.time_step,
                     ..Default::default()
                 };
+                if self.has_new_velocities {
+                    message.linear_velocities.clone_from(&self.request.linear_velocities);
+                    message.angular_velocities.clone_from(&self.request.angular_velocities);
+                }
                 // If the stream has ended, its receiving half has the reason.
                 let _ = stream.requests.send(message).await;
                 stream
@@ -131,11 +171,13 @@ impl Session {
         };
         let answer = stream.answers.message().await?;
         let mut answer = answer.ok_or_else(|| Error::Lost("the server ended the session".into()))?;
+        self.client.check_contract(deadline, &self.request, &answer).await?;
         let asked = std::mem::replace(&mut self.request.request_id, request_id);
         let verdict = checked::answer(&self.request, &answer);
         self.request.request_id = asked;
         verdict?;
         answer.request_id = asked;
+        self.has_new_velocities = false;
         self.stream = Some(stream);
         Ok(answer)
     }
