@@ -244,4 +244,4 @@ def test_columns_are_written_as_protobuf_does(count):
         assert (read.margin, read.request_id, field.number) == (0.5, 7, number)
         getattr(rest, name).extend(values.tolist())
         assert read == rest
-    assert len(_packed._REQUEST_COLUMNS) == 8
+    assert len(_packed._REQUEST_COLUMNS) == 14

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from . import _answers, _arguments, _channel, _errors, _manage, _worlds
+from . import _answers, _arguments, _channel, _contract, _errors, _manage, _worlds
 from ._arrays import Indices
 from ._connection import Connection, Home
 from ._hulls import Content, Hull
@@ -111,6 +111,8 @@ class Calls(Connection):
                 for half in halves:
                     parts += yield from self._find(query, half, deadline)
                 return parts
+            for data in answers[:1]:
+                yield from self._check_contract(query, data, deadline)
             found = query.read_found(message, answers)
             lost = [found] if len(found["missing_hulls"]) else []
             last = times > REGISTRATIONS
@@ -201,6 +203,20 @@ class Calls(Connection):
             yield from self._register(Registration(contents), deadline)
         return bool(contents)
 
+    def _check_contract(self, query: Query, data: bytes, deadline: float | None) -> Steps[None]:
+        """Checks that the server which sent a response knows the fields of the query.
+
+        Raises:
+            Unimplemented: SERVER_TOO_OLD.
+        """
+        if query.contract == 0:
+            return
+        contract = _contract.contract_of(data)
+        if contract < query.contract:
+            info = yield from self._ask(_manage.INFO, b"", deadline)
+            version = _manage.ServerInfo.read(info).version
+            raise _contract.too_old(version, contract, query.contract)
+
     def _exchange(
         self, query: Query, spans: list[Span], deadline: float | None
     ) -> Steps[dict[Span, _answers.Columns]]:
@@ -234,6 +250,7 @@ class Calls(Connection):
                         yield link.pause(pause)
                     waiting.appendleft(span)
                 else:
+                    yield from self._check_contract(query, data, deadline)
                     parts[span] = query.read(span, message, data)
             return parts
         finally:

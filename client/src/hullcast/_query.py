@@ -14,11 +14,12 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from . import _answers, _arguments, _arrays, _checked, _packed
+from . import _answers, _arguments, _arrays, _checked, _contract, _packed
 from ._arguments import counted, iterable
 from ._arrays import Indices
 from ._errors import InvalidArgument, InvalidPoses, MissingHullsWarning, warn
 from ._manifolds import Manifolds
+from ._motion import Motion
 from ._pb import contacts_pb2
 from ._scene import Scene
 from ._wire import DEFAULT_OUTPUTS, Flag
@@ -132,6 +133,10 @@ class Query:
         warm: Manifolds | None = None,
         on_invalid: str = "raise",
         find: bool = False,
+        linear_velocities: Any = None,
+        angular_velocities: Any = None,
+        time_step: float = 0.0,
+        turning_points: Any = None,
     ) -> None:
         _arguments.instance("scene", scene, Scene, "a hullcast.Scene")
         #: The bodies of the query.
@@ -140,6 +145,11 @@ class Query:
         self._pairs = None if find else own_pairs(pairs, len(scene))
         self._outputs = output_names(outputs)
         margin = _arguments.number("margin", margin, 0, infinite=not find)
+        self._motion = Motion(
+            len(scene), linear_velocities, angular_velocities, time_step, turning_points
+        )
+        #: The least contract number of a server that knows the fields of this query.
+        self.contract = _contract.MARGINS if self._motion or scene.margins is not None else 0
         if accuracy is not None:
             _arguments.instance("accuracy", accuracy, Accuracy, "a hullcast.Accuracy")
         if warm is not None:
@@ -157,6 +167,7 @@ class Query:
         # The fields that all messages of this query share.
         self._common = contacts_pb2.QueryContactsRequest(
             margin=margin,
+            time_step=self._motion.time_step,
             outputs=[f"OUTPUT_{name}" for name in self._outputs],
         )
         (accuracy or Accuracy()).fill(self._common.accuracy)
@@ -239,6 +250,7 @@ class Query:
             ("body_hulls", body_hulls),
             ("positions", scene.positions[bodies]),
             ("rotations", scene.rotations[bodies]),
+            *self._margins(bodies),
         ]
         rest = self._with([scene.hull_ids[int(i)] for i in hulls])
         return Message(_packed.request(rest, columns), rest.request_id, hulls, bodies)
@@ -255,7 +267,15 @@ class Query:
             ("body_hulls", scene.body_hulls),
             ("positions", scene.positions),
             ("rotations", scene.rotations),
+            *self._margins(None),
         ]
+
+    def _margins(self, bodies: Indices | None) -> list[tuple[str, npt.NDArray[Any]]]:
+        """The columns of the margins and motions of some bodies; None for all bodies."""
+        margins, columns = self.scene.margins, self._motion.of(bodies)
+        if margins is not None:
+            columns.append(("margins", margins if bodies is None else margins[bodies]))
+        return columns
 
     def read(self, span: Span, message: Message, data: bytes) -> _answers.Columns:
         """Reads and checks the response to `message`; numbers hulls and bodies as the scene does.
@@ -311,6 +331,7 @@ class Query:
         if self._compacted:
             # The server has not seen the bodies that no pair names, so check their poses here.
             unseen = _arrays.unusable(self.scene.positions, self.scene.rotations)
+            unseen = np.union1d(unseen, self._motion.unusable())
             columns["invalid_bodies"] = np.union1d(columns["invalid_bodies"], unseen)
         if not columns["pairs"].flags.writeable:
             # The caller may change the result's pairs, but not those of the query.
@@ -343,7 +364,11 @@ class Query:
     def _invalid(self, found: Manifolds) -> InvalidPoses:
         """The error that names the bodies with unusable poses, and the reasons."""
         scene, bodies = self.scene, found.invalid_bodies
-        known = [_arrays.why_unusable(scene.positions[i], scene.rotations[i]) for i in bodies]
+        known = [
+            self._motion.why_unusable(i)
+            or _arrays.why_unusable(scene.positions[i], scene.rotations[i])
+            for i in bodies
+        ]
         texts = [f"body {i}: {why}" for i, (_, why) in zip(bodies, known, strict=True)]
         more = len(texts) - _DESCRIBED
         listed = "; ".join(texts[:_DESCRIBED]) + (f"; and {more} more" if more > 0 else "")

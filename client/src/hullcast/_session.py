@@ -154,6 +154,7 @@ class Steps(Settled):
             else:
                 lane.failures = 0
                 assert lane.message is not None
+                yield from self._calls._check_contract(self._query, data, deadline)
                 parts[lane.span] = self._query.read(lane.span, lane.message, data)
 
     def _next_message(self, lane: _Lane) -> tuple[_link.Stream, bytes]:

@@ -145,8 +145,8 @@ PAIR_COLUMNS = {
     "kept_areas": 1,
     "previous_pairs": 1,
 }
-#: Columns that servers of the first version of the protocol do not send. They are read as NaN, or as
-#: 2^32 - 1 if they have indices.
+#: Columns that servers of the first version of the protocol do not send. They are read as NaN, or
+#: as 2^32 - 1 if they have indices.
 LATER_COLUMNS = frozenset({"kept_areas", "previous_pairs", "previous_points"})
 #: The number of entries per point of each per-point column.
 POINT_COLUMNS = {
