@@ -52,6 +52,8 @@ NO_ARRAY: list[Any] = [
     [1, [2, 3]],
     1j,
 ]
+#: Values that are not a vector for each of two bodies.
+VECTORS: list[Any] = [*NO_ARRAY[1:], np.zeros(6), np.zeros((3, 3)), np.zeros((2, 4)), [[0, 0, 0]]]
 
 
 def scene() -> hullcast.Scene:
@@ -87,6 +89,14 @@ PARAMETERS: dict[str, tuple[Callable[[Any], Callable[[Any], Any]], list[Any]]] =
     "find.margin": (lambda v: lambda c: c.find(scene(), margin=v), [*REALS, None, INF]),
     "find.timeout": (lambda v: lambda c: c.find(scene(), timeout=v), TIMES),
     "find.on_invalid": (lambda v: lambda c: c.find(scene(), on_invalid=v), WORDS),
+    "query.linear_velocities": (lambda v: ask(linear_velocities=v), VECTORS),
+    "query.angular_velocities": (lambda v: ask(angular_velocities=v), VECTORS),
+    "query.turning_points": (lambda v: ask(turning_points=v), VECTORS),
+    "query.time_step": (lambda v: ask(time_step=v), [*REALS, None, INF, 1.01e100]),
+    "find.linear_velocities": (lambda v: lambda c: c.find(scene(), linear_velocities=v), VECTORS),
+    "find.angular_velocities": (lambda v: lambda c: c.find(scene(), angular_velocities=v), VECTORS),
+    "find.turning_points": (lambda v: lambda c: c.find(scene(), turning_points=v), VECTORS),
+    "find.time_step": (lambda v: lambda c: c.find(scene(), time_step=v), [*REALS, None, INF]),
     "session.margin": (lambda v: lambda c: c.session(scene(), [[0, 1]], margin=v), [*REALS, None]),
     "session.on_invalid": (lambda v: lambda c: c.session(scene(), [[0, 1]], on_invalid=v), WORDS),
     "step.timeout": (lambda v: lambda c: c.session(scene(), [[0, 1]]).step(np.zeros((2, 3)), [[0, 0, 0, 1]] * 2, timeout=v), TIMES),
@@ -132,6 +142,7 @@ PARAMETERS: dict[str, tuple[Callable[[Any], Callable[[Any], Any]], list[Any]]] =
     "Scene.body_hulls": (lambda v: make(body_hulls=v), [v for v in NO_ARRAY if v is not None] + [[0, 2], [0, -1], [0.0, 1.0]]),
     "Scene.worlds": (lambda v: make(worlds=v), [v for v in NO_ARRAY if v is not None] + [[0], [0, -1], [0, 2**32]]),
     "Scene.groups": (lambda v: make(groups=v), [v for v in NO_ARRAY if v is not None] + [[0], [0, -1], [0, 2**32]]),
+    "Scene.margins": (lambda v: make(margins=v), [*NO_ARRAY[1:], [0], [0, -1], [0, NAN], [0, INF], [0, 1.01e100], [[0, 0]]]),
     "Scene.ignored_groups": (lambda v: make(ignored_groups=v), [v for v in NO_ARRAY if v is not None] + [[0, 1], [[0, 1]], [[1, -1]]]),
     "from_wxyz.quaternions": (lambda v: lambda _: hullcast.from_wxyz(v), NO_ARRAY),
     "hull_id.vertices": (lambda v: lambda _: hullcast.hull_id(v), NO_ARRAY),
@@ -290,6 +301,7 @@ SETS: dict[str, Callable[[Any], Any]] = {
     "Scene.body_hulls": make(body_hulls={0, 1}),
     "Scene.worlds": make(worlds={2, 1}),
     "Scene.groups": make(groups=frozenset({2, 1})),
+    "Scene.margins": make(margins={0.0, 1.0}),
     "Scene.ignored_groups": make(ignored_groups={(1, 2), (2, 3)}),
     "moved.positions": lambda _: scene().moved({(0, 0, 0), (0, 0, 1)}, [[0, 0, 0, 1]] * 2),
     "from_wxyz.quaternions": lambda _: hullcast.from_wxyz({(1, 0, 0, 0)}),

@@ -8,7 +8,14 @@ import pages
 import pytest
 
 #: Pages and the number of outputs that each shows.
-SHOWN = {"first-contacts": 10, "finding": 2, "loops": 5, "workers": 1, "accuracy": 5}
+SHOWN = {
+    "first-contacts": 10,
+    "finding": 2,
+    "margins": 3,
+    "loops": 5,
+    "workers": 1,
+    "accuracy": 5,
+}
 #: Pages with their outputs that need a robot or ray, which `extras/` runs.
 EXTRAS = {"robots": 3, "batch-jobs": 2}
 

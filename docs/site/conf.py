@@ -25,7 +25,7 @@ suppress_warnings = ["misc.highlighting_failure"]
 #: The table of contents of the sidebar: titles and their pages.
 CONTENTS = {
     "Python": [
-        *(f"docs/python/{page}" for page in ("first-contacts", "robots", "finding", "loops")),
+        *(f"docs/python/{page}" for page in ("first-contacts", "robots", "finding", "margins", "loops")),
         "docs/simulators",
         *(f"docs/python/{page}" for page in ("workers", "batch-jobs", "accuracy")),
         "docs/site/python",

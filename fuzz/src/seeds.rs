@@ -65,6 +65,11 @@ pub fn all() -> Vec<(&'static str, u8, Vec<u8>)> {
             ..Default::default()
         }),
         warm_starts: vec![0, 1, 2, 0, 1, 2],
+        margins: vec![0.1, 0.0],
+        linear_velocities: vec![1.0, 0.0, 0.0, -1.0, 0.0, 0.0],
+        angular_velocities: vec![0.0, 2.0, 0.0, 0.0, 0.0, 0.5],
+        time_step: 0.25,
+        turning_points: vec![0.0, 0.0, 0.5, 0.0, 0.0, 0.0],
         ..query.clone()
     };
     let invalid = QueryContactsRequest { positions: vec![f64::NAN; 6], ..query.clone() };

@@ -287,6 +287,7 @@ pub(crate) fn request(
         rotations: frame.rotations.clone(),
         pairs: scene.pairs.clone(),
         margin: options.margin,
+        margins: scene.margins.clone(),
         accuracy: Some(options.accuracy),
         outputs: options.outputs.clone(),
         ..Default::default()

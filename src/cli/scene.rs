@@ -68,6 +68,7 @@ mod tests {
             frames: vec![frame("f", 3.0), frame("1", 4.0)],
             pairs: Vec::new(),
             margin: 0.0,
+            margins: Vec::new(),
         };
         let height = |wanted: &str| frame_named(&scene, wanted).map(|frame| frame.positions[2]);
         for (wanted, expected) in [("f", 3.0), ("0", 3.0), ("1", 4.0)] {

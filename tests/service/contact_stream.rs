@@ -21,20 +21,23 @@ use crate::support::{
 };
 
 /// A stream whose messages the test sends one by one.
-struct Stepper {
+pub(crate) struct Stepper {
     requests: mpsc::Sender<QueryContactsRequest>,
     answers: Streaming<QueryContactsResponse>,
 }
 
 impl Stepper {
-    async fn open(mut client: ContactServiceClient<Channel>) -> Self {
+    pub(crate) async fn open(mut client: ContactServiceClient<Channel>) -> Self {
         let (requests, mut received) = mpsc::channel(1);
         let stream = futures_util::stream::poll_fn(move |cx| received.poll_recv(cx));
         let answers = client.stream_contacts(stream).await.unwrap().into_inner();
         Self { requests, answers }
     }
 
-    async fn step(&mut self, request: QueryContactsRequest) -> Result<QueryContactsResponse, Refusal> {
+    pub(crate) async fn step(
+        &mut self,
+        request: QueryContactsRequest,
+    ) -> Result<QueryContactsResponse, Refusal> {
         self.requests.send(request).await.unwrap();
         let answer = self.answers.message().await;
         answer
@@ -44,7 +47,7 @@ impl Stepper {
 }
 
 /// The message for `full` when everything but the poses is inherited.
-fn poses_alone(full: &QueryContactsRequest) -> QueryContactsRequest {
+pub(crate) fn poses_alone(full: &QueryContactsRequest) -> QueryContactsRequest {
     QueryContactsRequest {
         request_id: full.request_id,
         inherit: true,

@@ -23,7 +23,7 @@ use crate::support::{
 const EVERY_WORLD: u32 = u32::MAX;
 
 /// All messages of a call.
-async fn found(server: &TestServer, request: &QueryContactsRequest) -> Vec<QueryContactsResponse> {
+pub(crate) async fn found(server: &TestServer, request: &QueryContactsRequest) -> Vec<QueryContactsResponse> {
     let mut stream = server.contacts().find_contacts(request.clone()).await.unwrap().into_inner();
     let mut messages = Vec::new();
     while let Some(message) = stream.message().await.unwrap() {
@@ -34,7 +34,7 @@ async fn found(server: &TestServer, request: &QueryContactsRequest) -> Vec<Query
 }
 
 /// The messages joined into one. Only the first may name missing hulls and invalid bodies.
-fn together(messages: &[QueryContactsResponse]) -> QueryContactsResponse {
+pub(crate) fn together(messages: &[QueryContactsResponse]) -> QueryContactsResponse {
     let mut whole = messages[0].clone();
     for message in &messages[1..] {
         assert_eq!(message.request_id, whole.request_id);
@@ -66,7 +66,10 @@ fn may_meet(request: &QueryContactsRequest, a: usize, b: usize) -> bool {
 
 /// Queries every pair that may meet, and then those that are not separated: the pairs that must be
 /// found. Also returns the number of pairs that may meet.
-async fn exhaustive(server: &TestServer, request: &QueryContactsRequest) -> (QueryContactsResponse, usize) {
+pub(crate) async fn exhaustive(
+    server: &TestServer,
+    request: &QueryContactsRequest,
+) -> (QueryContactsResponse, usize) {
     let bodies = request.body_hulls.len();
     let pairs: Vec<u32> = (0..bodies)
         .flat_map(|a| (a + 1..bodies).map(move |b| (a, b)))

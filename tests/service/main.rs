@@ -12,6 +12,7 @@ mod find;
 mod hulls;
 mod lifecycle;
 mod limits;
+mod margins;
 mod memory;
 mod messages;
 mod observability;

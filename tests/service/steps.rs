@@ -1,6 +1,7 @@
 //! Streams whose messages are the steps of a simulation: pairs that the server finds, bodies that move, come and
 //! go, and matches with the answer before.
 
+mod margins;
 mod matching;
 mod messages;
 mod refusals;

@@ -7,6 +7,7 @@ call's error into it. The clients do nothing but wait.
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
@@ -111,8 +112,12 @@ class Calls(Connection):
                 for half in halves:
                     parts += yield from self._find(query, half, deadline)
                 return parts
+            parsed = [_answers.Answer(data, message.request_id) for data in answers[:1]]
+            for answer in parsed:
+                yield from self._check_contract(query, answer, deadline)
             number = message.request_id
-            found = query.read_found(message, (_answers.Answer(data, number) for data in answers))
+            rest = (_answers.Answer(data, number) for data in answers[1:])
+            found = query.read_found(message, itertools.chain(parsed, rest))
             lost = [found] if len(found["missing_hulls"]) else []
             last = times > REGISTRATIONS
             if last or not (yield from self._restore(query.scene, lost, times, deadline)):
@@ -202,6 +207,36 @@ class Calls(Connection):
             yield from self._register(Registration(contents), deadline)
         return bool(contents)
 
+    def _check_contract(
+        self, query: Query, answer: _answers.Answer, deadline: float | None
+    ) -> Steps[None]:
+        """Checks that the server which sent a response knows the fields of the query.
+
+        Raises:
+            Unimplemented: SERVER_TOO_OLD.
+        """
+        contract = int(answer.message.contract)
+        if contract < query.contract:
+            raise (yield from self._too_old(query, contract, deadline))
+
+    def _too_old(
+        self, query: Query, contract: int, deadline: float | None
+    ) -> Steps[_errors.Unimplemented]:
+        """The error for a server that does not know a field of a query, and ignored it.
+
+        A server ignores the fields that it does not know, and would answer another question. Each
+        answer therefore has the contract number of its server, which rises whenever a field is
+        added that changes answers.
+        """
+        data = yield from self._ask(_manage.INFO, b"", deadline)
+        version = _manage.ServerInfo.read(data).version
+        return _errors.Unimplemented(
+            f"the server's version {version} does not know {query.unknown_to_old}: its answers "
+            f"have the contract number {contract}, expected {query.contract} or more. Update the "
+            "server",
+            reason="SERVER_TOO_OLD",
+        )
+
     def _exchange(
         self, query: Query, spans: list[Span], deadline: float | None
     ) -> Steps[dict[Span, _answers.Columns]]:
@@ -236,6 +271,7 @@ class Calls(Connection):
                     waiting.appendleft(span)
                 else:
                     answer = _answers.Answer(data, message.request_id)
+                    yield from self._check_contract(query, answer, deadline)
                     parts[span] = query.read(span, message, answer)
             return parts
         finally:

@@ -95,6 +95,10 @@ class Client(_calls.Calls):
         outputs: Iterable[str] | None = None,
         warm: Manifolds | None = None,
         on_invalid: Literal["raise", "flag"] = "raise",
+        linear_velocities: Any = None,
+        angular_velocities: Any = None,
+        time_step: float = 0.0,
+        turning_points: Any = None,
         timeout: float | None = None,
     ) -> Manifolds:
         """Computes the contact manifold of each pair.
@@ -116,6 +120,15 @@ class Client(_calls.Calls):
             on_invalid: "raise" raises `InvalidPoses` if a body has an unusable pose: a position
                 that is not finite or beyond 1e100, or a quaternion whose norm is not in 0.25 to 4.
                 "flag" raises nothing; the pairs of such bodies have the outcome INVALID.
+            linear_velocities, angular_velocities: (n, 3) along the axes of the world, by default 0:
+                the velocity of each body's turning point, and its rate of turn about that point in
+                radians per unit of `time_step`.
+            time_step: the time for which the velocities hold, 0 to 1e100. The margin of each pair
+                grows by the most by which its distance can shrink in this time, so that no pair is
+                missed that touches before the time has passed.
+            turning_points: (n, 3) in the hulls' frames: the point about which each body turns, by
+                default the origin of its hull's frame. For a shape of a rigid body this is the
+                centre of mass of the rigid body.
             timeout: seconds above 0 for the whole call; infinity for no limit; by default the
                 client's timeout.
 
@@ -126,6 +139,7 @@ class Client(_calls.Calls):
             InvalidPoses: some bodies have unusable poses. The error names them and has the whole
                 result (`.manifolds`).
             InvalidArgument: an argument is not usable; the error names it.
+            Unimplemented: SERVER_TOO_OLD, the server does not know margins of bodies and motions.
         """
 
         make = partial(
@@ -137,6 +151,10 @@ class Client(_calls.Calls):
             outputs=outputs,
             warm=warm,
             on_invalid=on_invalid,
+            linear_velocities=linear_velocities,
+            angular_velocities=angular_velocities,
+            time_step=time_step,
+            turning_points=turning_points,
         )
         return self._run(self._querying(make, timeout), timeout)
 
@@ -148,6 +166,10 @@ class Client(_calls.Calls):
         accuracy: Accuracy | None = None,
         outputs: Iterable[str] | None = None,
         on_invalid: Literal["raise", "flag"] = "raise",
+        linear_velocities: Any = None,
+        angular_velocities: Any = None,
+        time_step: float = 0.0,
+        turning_points: Any = None,
         timeout: float | None = None,
     ) -> Manifolds:
         """Finds all pairs within the margin of each other, and computes their contact manifolds.
@@ -171,6 +193,10 @@ class Client(_calls.Calls):
             accuracy=accuracy,
             outputs=outputs,
             on_invalid=on_invalid,
+            linear_velocities=linear_velocities,
+            angular_velocities=angular_velocities,
+            time_step=time_step,
+            turning_points=turning_points,
             find=True,
         )
         return self._run(self._finding(make, timeout), timeout)

@@ -19,10 +19,11 @@ from ._arguments import counted
 from ._arrays import Indices
 from ._errors import InvalidArgument, InvalidPoses, MissingHullsWarning, warn
 from ._manifolds import Manifolds
+from ._motion import Motion
 from ._outputs import output_names
 from ._pb import contacts_pb2
 from ._scene import Scene
-from ._wire import Flag
+from ._wire import LOOP_CONTRACT, Flag
 
 #: The request ids of this process, by which responses are recognised. They start at a random
 #: number, so that two processes behind one proxy hardly ever use the same id.
@@ -134,12 +135,20 @@ class Query:
         on_invalid: str = "raise",
         find: bool = False,
         session: bool = False,
+        linear_velocities: Any = None,
+        angular_velocities: Any = None,
+        time_step: float = 0.0,
+        turning_points: Any = None,
     ) -> None:
         _arguments.instance("scene", scene, Scene, "a hullcast.Scene")
+        self._is_session = session
         self._on_invalid = _arguments.one_of("on_invalid", on_invalid, ("raise", "flag"))
         self._pairs = None if find else own_pairs(pairs, len(scene))
         self._outputs = output_names(outputs, session=session)
         margin = _arguments.number("margin", margin, 0, infinite=not find)
+        self._motion = Motion(
+            len(scene), linear_velocities, angular_velocities, time_step, turning_points
+        )
         if accuracy is not None:
             _arguments.instance("accuracy", accuracy, Accuracy, "a hullcast.Accuracy")
         if warm is not None:
@@ -157,6 +166,7 @@ class Query:
         # The fields that all messages of this query share.
         self._common = contacts_pb2.QueryContactsRequest(
             margin=margin,
+            time_step=self._motion.time_step,
             outputs=[f"OUTPUT_{name}" for name in self._outputs],
         )
         (accuracy or Accuracy()).fill(self._common.accuracy)
@@ -167,6 +177,20 @@ class Query:
         self.scene = scene
         self._body_scratch = np.empty(len(scene), dtype="<u4")
         self._hull_scratch = np.empty(len(scene.hull_ids), dtype="<u4")
+
+    @property
+    def unknown_to_old(self) -> str | None:
+        """What a server of the contract 0 does not know of this query; None if it knows all."""
+        if self._motion or self.scene.margins is not None:
+            return "the margins of bodies and their velocities"
+        if self._is_session and self.finds:
+            return "find sessions"
+        return "the output MATCHES" if self.matches else None
+
+    @property
+    def contract(self) -> int:
+        """The least contract number of a server that knows the fields of this query."""
+        return LOOP_CONTRACT if self.unknown_to_old else 0
 
     @property
     def finds(self) -> bool:
@@ -285,6 +309,7 @@ class Query:
             ("body_hulls", body_hulls),
             ("positions", scene.positions[bodies]),
             ("rotations", scene.rotations[bodies]),
+            *self._margins(bodies),
         ]
         rest = self._with([scene.hull_ids[int(i)] for i in hulls], find=find)
         return Message(_packed.request(rest, columns), rest.request_id, hulls, bodies)
@@ -305,7 +330,15 @@ class Query:
             ("body_hulls", scene.body_hulls),
             ("positions", scene.positions),
             ("rotations", scene.rotations),
+            *self._margins(None),
         ]
+
+    def _margins(self, bodies: Indices | None) -> list[tuple[str, npt.NDArray[Any]]]:
+        """The columns of the margins and motions of some bodies; None for all bodies."""
+        margins, columns = self.scene.margins, self._motion.of(bodies)
+        if margins is not None:
+            columns.append(("margins", margins if bodies is None else margins[bodies]))
+        return columns
 
     def read(self, span: Span, message: Message, answer: _answers.Answer) -> _answers.Columns:
         """Reads and checks the response to `message`; numbers hulls and bodies as the scene does.
@@ -361,6 +394,7 @@ class Query:
         if self._compacted:
             # The server has not seen the bodies that no pair names, so check their poses here.
             unseen = _arrays.unusable(self.scene.positions, self.scene.rotations)
+            unseen = np.union1d(unseen, self._motion.unusable())
             columns["invalid_bodies"] = np.union1d(columns["invalid_bodies"], unseen)
         if self._pairs is not None and not columns["pairs"].flags.writeable:
             # The caller may change the result's pairs, but not those of the query.
@@ -394,7 +428,11 @@ class Query:
     def _invalid(self, found: Manifolds) -> InvalidPoses:
         """The error that names the bodies with unusable poses, and the reasons."""
         scene, bodies = self.scene, found.invalid_bodies
-        known = [_arrays.why_unusable(scene.positions[i], scene.rotations[i]) for i in bodies]
+        known = [
+            self._motion.why_unusable(i)
+            or _arrays.why_unusable(scene.positions[i], scene.rotations[i])
+            for i in bodies
+        ]
         texts = [f"body {i}: {why}" for i, (_, why) in zip(bodies, known, strict=True)]
         more = len(texts) - _DESCRIBED
         listed = "; ".join(texts[:_DESCRIBED]) + (f"; and {more} more" if more > 0 else "")

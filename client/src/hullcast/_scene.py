@@ -9,7 +9,7 @@ from typing import Any, ClassVar, cast
 import numpy as np
 import numpy.typing as npt
 
-from . import _arrays
+from . import _arrays, _motion
 from ._arguments import counted, iterable, kind, ordered
 from ._arrays import Floats, Indices
 from ._errors import InvalidArgument
@@ -42,9 +42,12 @@ class Scene(Settled):
         groups: (n,), used by `find`: bodies of the same group never meet. Group 0 means no group.
         ignored_groups: (k, 2), used by `find`: pairs of groups whose bodies never meet. They need
             `groups`.
+        margins: (n,): a length that is added to the margin of each of a body's pairs, 0 to 1e100.
+            The margin of the pair (a, b) is `margin + (margins[a] + margins[b])`.
 
     Raises:
-        InvalidArgument: an argument has a wrong shape or type, or an index out of range.
+        InvalidArgument: an argument has a wrong shape or type, an index out of range, or a number
+            out of its range.
     """
 
     _instead: ClassVar[dict[str, str]] = {
@@ -71,6 +74,8 @@ class Scene(Settled):
     groups: Indices | None
     #: (k, 2): pairs of groups whose bodies never meet; or None.
     ignored_groups: Indices | None
+    #: (n,): the length that each body adds to the margins of its pairs; or None.
+    margins: Floats | None
     #: (m, 2): the pairs of the file from which the scene was loaded; otherwise None.
     pairs: Indices | None
     #: The margin of the file from which the scene was loaded; otherwise None.
@@ -86,6 +91,7 @@ class Scene(Settled):
         worlds: Any = None,
         groups: Any = None,
         ignored_groups: Any = None,
+        margins: Any = None,
     ) -> None:
         hulls = list_of_hulls(hulls)
         ids = [_id(i, hull) for i, hull in enumerate(hulls)]
@@ -109,6 +115,7 @@ class Scene(Settled):
             worlds=_optional("worlds", worlds, count),
             groups=_optional("groups", groups, count),
             ignored_groups=_optional("ignored_groups", ignored_groups, None, 2),
+            margins=_motion.margins(margins, count),
             pairs=None,
             margin=None,
         )
@@ -216,7 +223,7 @@ class Scene(Settled):
     ) -> None:
         """Writes the scene to a JSON file, in the format that `hullcast query` reads.
 
-        The file has each hull's points and options, each body's pose, the pairs and the margin.
+        The file has each hull's points and options, each body's pose, the pairs and the margins.
         Worlds and groups are written too; the command line ignores them. Every number is written
         such that reading gives the same bits.
 
@@ -277,11 +284,14 @@ class Scene(Settled):
         scene = self._copy()
         copies = len(positions) // max(len(self), 1)
         scene._set(body_hulls=_arrays.frozen(np.tile(self.body_hulls, copies)))
+        if self.margins is not None:
+            scene._set(margins=_arrays.frozen(np.tile(self.margins, copies)))
         return scene.moved(positions, rotations)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         unknown = (None,) * len(state["hull_ids"])
-        self.__dict__.update({"pairs": None, "margin": None, "radii": unknown, **state})
+        defaults = {"pairs": None, "margin": None, "margins": None, "radii": unknown}
+        self.__dict__.update({**defaults, **state})
         freeze(self)
 
 

@@ -61,6 +61,8 @@ def save(scene: Scene, path: Any, pairs: Any, margin: Any, name: Any) -> None:
     for field in ("worlds", "groups", "ignored_groups"):
         if getattr(scene, field) is not None:
             head[field] = getattr(scene, field).tolist()
+    if scene.margins is not None:
+        head["margins"] = scene.margins.tolist()
     lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in head.items()]
     for key, rows in parts.items():
         lines.append(f'"{key}": [\n' + ",\n".join(json.dumps(row) for row in rows) + "\n]")
@@ -172,6 +174,8 @@ def _scene(file: dict[str, Any], frame: Any) -> Scene:
         worlds=file.get("worlds"),
         groups=file.get("groups"),
         ignored_groups=file.get("ignored_groups"),
+        # The command line takes an empty list for none, even if there are bodies.
+        margins=file.get("margins") or None,
     )
     known = {content.identity: content for content in contents}
     scene._set(

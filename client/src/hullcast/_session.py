@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from . import _answers, _arguments, _arrays, _calls, _connection, _errors, _link, _manage, _worlds
+from . import _answers, _arguments, _arrays, _calls, _connection, _errors, _link, _worlds
 from ._arguments import counted
 from ._lanes import FindLane, Lane, PairLane, Step
 from ._manifolds import Manifolds
@@ -22,7 +22,6 @@ from ._matches import Rows, identical, placed
 from ._query import Query
 from ._scene import Scene
 from ._settled import Settled
-from ._wire import LOOP_CONTRACT
 
 STREAM = "/hullcast.v1.ContactService/StreamContacts"
 
@@ -49,8 +48,6 @@ class Steps(Settled):
             count, least = self._query.pair_count, calls.pairs_per_message
             size = min(max(least, -(-count // _LANES)), _MESSAGES_PER_LANE * least)
             self._lanes = [PairLane(span) for span in self._query.spans(size)]
-        #: The contract number that a server's answers must have at least.
-        self._contract = LOOP_CONTRACT if self._query.finds or self._query.matches else 0
         #: The first point of each row of the last whole answer, if there are matches.
         self._offsets: Rows = np.zeros(0, dtype=np.int64)
         #: The columns of the last whole answer of a find session, and whether its matches are those
@@ -219,7 +216,7 @@ class Steps(Settled):
             try:
                 answers = yield from self._received(lane, deadline)
             except _errors.InvalidArgument as error:
-                yield from self._check_contract(lane, deadline)
+                yield from self._check_server(lane, deadline)
                 lane.drop()
                 halves = lane.halves(self._query, error)
                 place = self._lanes.index(lane)
@@ -244,32 +241,19 @@ class Steps(Settled):
             data = yield lane.stream.receive(_link.remaining(deadline))
             answers.append(lane.answer(data))
             lane.contract = int(answers[-1].message.contract)
-            if lane.contract < self._contract:
-                raise (yield from self._too_old(lane.contract, deadline))
+            yield from self._calls._check_contract(self._query, answers[-1], deadline)
         return answers
 
-    def _check_contract(self, lane: Lane, deadline: float | None) -> _link.Steps[None]:
+    def _check_server(self, lane: Lane, deadline: float | None) -> _link.Steps[None]:
         """Raises SERVER_TOO_OLD if a refused message was the first to a server that is too old.
 
         Such a server refuses the worlds and groups of a scene, since it ignores the field `find`.
         """
-        if self._contract == 0 or lane.contract:
+        if self._query.contract == 0 or lane.contract:
             return
         info = yield from self._calls._informing(_link.remaining(deadline))
-        if info.contract < self._contract:
-            raise (yield from self._too_old(info.contract, deadline))
-
-    def _too_old(self, contract: int, deadline: float | None) -> _link.Steps[_errors.Unimplemented]:
-        """The error for a server that does not know a field of the request, and ignored it."""
-        data = yield from self._calls._ask(_manage.INFO, b"", deadline)
-        version = _manage.ServerInfo.read(data).version
-        what = "find sessions" if self._query.finds else "the output MATCHES"
-        return _errors.Unimplemented(
-            f"the server's version {version} does not know {what}: its answers have the contract "
-            f"number {contract}, expected {self._contract} or more. Update the server, or call "
-            "client.find in each step",
-            reason="SERVER_TOO_OLD",
-        )
+        if info.contract < self._query.contract:
+            raise (yield from self._calls._too_old(self._query, info.contract, deadline))
 
     def _next_message(self, lane: Lane, step: Step) -> tuple[_link.Stream, bytes]:
         """The lane's stream, which is opened if there is none, and its next message."""

@@ -158,5 +158,6 @@ POINT_COLUMNS = {
 }
 #: On the wire, the index of a row or a point that has no predecessor.
 NONE = 2**32 - 1
-#: The contract number from which a server knows `find`, `moved`, `previous_bodies` and MATCHES.
+#: The contract number from which a server knows `find`, `moved`, `previous_bodies`, MATCHES, the
+#: margins of bodies, and velocities.
 LOOP_CONTRACT = 1

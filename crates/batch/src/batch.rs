@@ -93,8 +93,8 @@ impl Batch {
         match (a, b) {
             (Some(a), Some(b)) => {
                 let warm = self.warm_start(pair, &a, &b);
-                let query = self.bodies.template().query();
-                let manifold = contact_manifold(&a, &b, query, warm.as_ref(), workspace);
+                let query = self.bodies.query(bodies, [&a, &b]);
+                let manifold = contact_manifold(&a, &b, &query, warm.as_ref(), workspace);
                 if self.candidates.is_some() {
                     if manifold.outcome == Outcome::Separated {
                         return workspace.take_steps();

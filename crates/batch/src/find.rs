@@ -41,10 +41,6 @@ const SEARCHES: u32 = 16;
 /// limits the pairs that are found but not computed, however crowded the scene is.
 const SEARCHED_INDICES: usize = 1 << 14;
 
-/// A finite margin that is larger than every distance between bodies, because positions are within
-/// 1e100.
-const LARGEST_MARGIN: f64 = 1e101;
-
 /// A search for the pairs of a scene that may meet.
 #[derive(Debug)]
 pub struct Finder {
@@ -168,12 +164,6 @@ impl Finder {
     }
 }
 
-/// The bounds of a body, or `None` if it can be in no pair.
-fn bounds(bodies: &Bodies, body: usize) -> Option<Bounds> {
-    let margin = bodies.template().query().margin.min(LARGEST_MARGIN);
-    Some(bodies.body(body as u32)?.bounds(margin))
-}
-
 /// Builds the broad phase of a scene.
 async fn broad_phase(
     bodies: &Bodies,
@@ -187,7 +177,7 @@ async fn broad_phase(
         let bodies = bodies.clone();
         let all = move |stop: &Stop| {
             stop.spend(BOUNDS_STEPS * count as u64)?;
-            BroadPhase::new((0..count).map(|body| bounds(&bodies, body)).collect(), rules, stop)
+            BroadPhase::new((0..count as u32).map(|body| bodies.bounds(body)).collect(), rules, stop)
         };
         compute.run_steps(BOUNDS_STEPS * count as u64 + building, all, job).await
     } else {
@@ -220,7 +210,7 @@ impl Parts for BoundsWork {
         let first = index * BOUNDED_BODIES;
         let bodies = first..self.bodies.count().min(first + BOUNDED_BODIES);
         self.stop.spend(BOUNDS_STEPS * bodies.len() as u64)?;
-        Ok(bodies.map(|body| bounds(&self.bodies, body)).collect())
+        Ok(bodies.map(|body| self.bodies.bounds(body as u32)).collect())
     }
 
     fn whole(&self, parts: Vec<Self::Part>) -> Result<Self::Whole, Stopped> {

@@ -68,6 +68,7 @@
 //! | module | contents |
 //! |---|---|
 //! | [`scene`] | scenes, and the checks that make them safe to compute |
+//! | [`motion`] | the motion of bodies during a step, and the margins of pairs that follow from it |
 //! | [`outputs`], [`columns`], [`codes`] | the parts of an answer that a query can ask for, the table of columns, the numbers in them |
 //! | [`engine`], [`Batch`] | computes batches: small ones at once, others in chunks on the compute threads |
 //! | [`memory`] | the memory that answers take |
@@ -94,6 +95,7 @@ pub mod find;
 pub mod lock;
 pub mod matches;
 pub mod memory;
+pub mod motion;
 pub mod outputs;
 pub mod scene;
 pub mod scene_file;
@@ -108,6 +110,7 @@ pub use counted::counted;
 pub use engine::{Engine, EngineError};
 pub use find::Finder;
 pub use memory::{Memory, MemoryPool, Unlimited};
+pub use motion::{MotionColumns, Motions};
 pub use outputs::{Output, Outputs};
 pub use scene::{Hulls, Missing, Scene};
 pub use wait::wait;

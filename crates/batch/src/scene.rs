@@ -5,18 +5,29 @@
 //! [`SceneTemplate`] is everything except the poses, [`Poses`] are the poses, and [`Bodies`] are both with their
 //! hulls.
 
+mod fault;
+mod poses;
+
 use std::sync::Arc;
 
-use hullcast_contact::{Accuracy, Body, ConvexHull, Pose, Query, Stop, Stopped, stop::Meter};
-use thiserror::Error;
+use hullcast_contact::{Accuracy, Body, Bounds, ConvexHull, Pose, Query, Stop, approach, stop::Meter};
 
-use crate::{batch::Batch, outputs::Outputs};
+pub use self::{
+    fault::{FaultKind, SceneError, SceneFault},
+    poses::Poses,
+};
+use crate::{
+    batch::Batch,
+    motion::{MotionColumns, Motions, check_margins},
+    outputs::Outputs,
+};
 
 /// Indices that are compared between two checks of the stop flag.
 const AT_A_TIME: usize = 1 << 16;
 
-/// Elementary steps of checking a pose.
-const POSE_STEPS: u64 = 10;
+/// The margin with which bounds are computed is at most this. Positions are within 1e100, so that bounds with
+/// a larger margin meet all others too.
+const LARGEST_MARGIN: f64 = 1e101;
 
 /// The reason why a hull is missing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,69 +59,15 @@ pub struct Scene {
     pub warm_starts: Vec<u32>,
     /// Contact points are computed for hulls within this distance, in the caller's units.
     pub margin: f64,
+    /// Empty, or for each body a length, 0 to 1e100. The margin of a pair is `margin` plus those of its bodies.
+    pub margins: Vec<f64>,
+    /// The motion of the bodies. It widens the margin of each pair by the largest distance by which its bodies
+    /// approach each other in the time step.
+    pub motion: MotionColumns,
     /// Settings that trade accuracy for speed.
     pub accuracy: Accuracy,
     /// The parts of the answer to compute.
     pub outputs: Outputs,
-}
-
-/// A fault of a scene.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("{field}{}: {message}", .index.map(|index| format!("[{index}]")).unwrap_or_default())]
-pub struct SceneFault {
-    /// The kind of fault.
-    pub kind: FaultKind,
-    /// The field at fault; a dotted path for a field of the accuracy.
-    pub field: &'static str,
-    /// The index of the element at fault, if a single element is.
-    pub index: Option<usize>,
-    /// The value that was found and the values that are allowed.
-    pub message: String,
-}
-
-/// The kinds of faults of a scene.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FaultKind {
-    /// A column does not have one entry, or as many as are needed, for each body or pair.
-    Length,
-    /// An index is too large.
-    Index,
-    /// A number is outside its range.
-    Value,
-}
-
-/// The reason why a scene cannot be computed.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
-pub enum SceneError {
-    /// The scene has a fault.
-    #[error(transparent)]
-    Fault(SceneFault),
-    /// The check was stopped.
-    #[error("{}", Stopped)]
-    Stopped,
-}
-
-impl SceneFault {
-    fn new(kind: FaultKind, field: &'static str, message: String) -> Self {
-        Self { kind, field, index: None, message }
-    }
-
-    /// The fault of a number outside its range.
-    pub fn out_of_range(field: &'static str, value: f64, rule: &str) -> Self {
-        Self::new(FaultKind::Value, field, format!("got {value}, must be {rule}"))
-    }
-}
-
-impl From<SceneFault> for SceneError {
-    fn from(fault: SceneFault) -> Self {
-        Self::Fault(fault)
-    }
-}
-
-impl From<Stopped> for SceneError {
-    fn from(_: Stopped) -> Self {
-        Self::Stopped
-    }
 }
 
 /// Checks that a column has `expected` entries. `rule` says why.
@@ -210,6 +167,8 @@ pub struct SceneTemplate {
     hull_count: usize,
     body_hulls: Vec<u32>,
     pairs: Vec<u32>,
+    /// Empty, or the margin of each body.
+    margins: Vec<f64>,
     query: Query,
     outputs: Outputs,
 }
@@ -228,8 +187,17 @@ impl SceneTemplate {
         pair_lengths(&pairs, &[])?;
         all_below(&body_hulls, hulls, "body_hulls", ["hull", "hulls"], meter)?;
         all_below(&pairs, body_hulls.len(), "pairs", ["body", "bodies"], meter)?;
-        let outputs = Outputs::default();
-        Ok(Self { hull_count: hulls, body_hulls, pairs, query: Query::default(), outputs })
+        let (margins, query, outputs) = (Vec::new(), Query::default(), Outputs::default());
+        Ok(Self { hull_count: hulls, body_hulls, pairs, margins, query, outputs })
+    }
+
+    /// The same template with these margins of the bodies: none, or one per body.
+    ///
+    /// # Errors
+    /// There is another number of margins, a margin is outside 0 to 1e100, or the check was stopped.
+    pub fn with_margins(self, margins: Vec<f64>, meter: &Meter<'_>) -> Result<Self, SceneError> {
+        check_margins(&margins, self.body_count(), meter)?;
+        Ok(Self { margins, ..self })
     }
 
     /// The same template with this query for every pair.
@@ -268,12 +236,17 @@ impl SceneTemplate {
         [self.pairs[2 * index], self.pairs[2 * index + 1]]
     }
 
-    /// Whether the pairs of another template are answered in the same way.
+    /// Whether the pairs of another template are answered in the same way, apart from the margins of bodies.
     pub fn has_options_of(&self, other: &Self) -> bool {
         self.query == other.query && self.outputs == other.outputs
     }
 
-    /// The query for each pair.
+    /// The margin of each body, or nothing if bodies have no margins of their own.
+    pub fn margins(&self) -> &[f64] {
+        &self.margins
+    }
+
+    /// The query for each pair. Its margin is the one that all pairs share.
     pub fn query(&self) -> &Query {
         &self.query
     }
@@ -285,82 +258,7 @@ impl SceneTemplate {
 
     /// The bytes of the template's columns.
     pub fn heap_bytes(&self) -> usize {
-        size_of_val(&self.body_hulls[..]) + size_of_val(&self.pairs[..])
-    }
-}
-
-/// Poses as they arrived. A body's pose is converted when one of its pairs is computed. So compute
-/// threads do this work, and until then a pose takes 56 bytes instead of 104.
-#[derive(Clone, Debug, Default)]
-pub struct Poses {
-    positions: Vec<f64>,
-    rotations: Vec<f64>,
-}
-
-impl Poses {
-    /// The poses of `bodies` bodies, and the indices of the bodies without a usable pose, in ascending order.
-    /// Such a body makes only its own pairs INVALID.
-    ///
-    /// # Errors
-    /// A column has another number of entries than the bodies need, or the check was stopped.
-    pub fn new(
-        bodies: usize,
-        positions: Vec<f64>,
-        rotations: Vec<f64>,
-        meter: &Meter<'_>,
-    ) -> Result<(Self, Vec<u32>), SceneError> {
-        pose_lengths(bodies, &positions, &rotations)?;
-        let bodies = positions.as_chunks::<3>().0.iter().zip(rotations.as_chunks::<4>().0);
-        let unusable =
-            |(position, rotation): (&[f64; 3], &[f64; 4])| Pose::check(*position, *rotation).is_err();
-        // The unusable poses are counted first, so that the list is allocated once.
-        let mut count = 0;
-        for body in bodies.clone() {
-            meter.spend(POSE_STEPS)?;
-            count += usize::from(unusable(body));
-        }
-        let mut invalid = Vec::with_capacity(count);
-        if count > 0 {
-            let unusable = bodies.enumerate().filter(|(_, body)| unusable(*body));
-            for (body, _) in unusable {
-                meter.spend(POSE_STEPS)?;
-                invalid.push(body as u32);
-            }
-        }
-        Ok((Self { positions, rotations }, invalid))
-    }
-
-    /// The number of poses.
-    pub fn count(&self) -> usize {
-        self.positions.len() / 3
-    }
-
-    /// The bytes of the poses.
-    pub fn bytes(&self) -> usize {
-        size_of_val(&self.positions[..]) + size_of_val(&self.rotations[..])
-    }
-
-    /// Whether a body and a body of `other` have poses with the same bits.
-    pub(crate) fn is_same(&self, body: usize, other: &Self, its: usize) -> bool {
-        let same =
-            |one: &[f64], other: &[f64]| one.iter().zip(other).all(|(a, b)| a.to_bits() == b.to_bits());
-        same(&self.positions[3 * body..][..3], &other.positions[3 * its..][..3])
-            && same(&self.rotations[4 * body..][..4], &other.rotations[4 * its..][..4])
-    }
-
-    /// Exchanges the pose of a body with a pose of `other`. Returns whether they had different bits.
-    pub(crate) fn exchange(&mut self, body: usize, other: &mut Self, its: usize) -> bool {
-        let differ = !self.is_same(body, other, its);
-        self.positions[3 * body..][..3].swap_with_slice(&mut other.positions[3 * its..][..3]);
-        self.rotations[4 * body..][..4].swap_with_slice(&mut other.rotations[4 * its..][..4]);
-        differ
-    }
-
-    /// The pose of a body, or `None` if it is not usable.
-    pub fn get(&self, body: usize) -> Option<Pose> {
-        let (positions, _) = self.positions.as_chunks::<3>();
-        let (rotations, _) = self.rotations.as_chunks::<4>();
-        Pose::new(positions[body], rotations[body]).ok()
+        size_of_val(&self.body_hulls[..]) + size_of_val(&self.pairs[..]) + size_of_val(&self.margins[..])
     }
 }
 
@@ -416,6 +314,39 @@ impl Bodies {
         let hull = self.hull(body).as_ref().ok()?;
         Some(Body::new(hull, self.pose(body)?))
     }
+
+    /// The query for a pair of bodies: that of the template, with the pair's own margin (see
+    /// [`motion`](crate::motion)).
+    pub(crate) fn query(&self, pair: [u32; 2], [a, b]: [&Body<'_>; 2]) -> Query {
+        let mut query = *self.template.query();
+        let margins = &self.template.margins[..];
+        if !margins.is_empty() {
+            let [a, b] = pair.map(|body| margins[body as usize]);
+            query.margin += a + b;
+        }
+        let motions = self.poses.motions();
+        if let Some(step) = motions.step() {
+            let [of_a, of_b] = pair.map(|body| motions.get(body as usize).unwrap_or_default());
+            let bound = approach((a.hull, &of_a), (b.hull, &of_b), step);
+            if bound > 0.0 {
+                query.margin = (query.margin + bound).next_up();
+            }
+        }
+        query
+    }
+
+    /// A box around everything that a body may be in contact with, or `None` if the body is in no pair. Pairs
+    /// of bodies whose boxes do not meet are SEPARATED at their margins.
+    pub(crate) fn bounds(&self, index: u32) -> Option<Bounds> {
+        let body = self.body(index)?;
+        let mut reach = self.template.margins.get(index as usize).copied().unwrap_or_default();
+        let motions = self.poses.motions();
+        if let Some(step) = motions.step() {
+            reach += motions.get(index as usize)?.reach(body.hull, step);
+        }
+        let margin = self.template.query().margin + 2.0 * reach;
+        Some(body.bounds(margin.min(LARGEST_MARGIN)))
+    }
 }
 
 impl Scene {
@@ -427,7 +358,10 @@ impl Scene {
         let meter = &Meter::new(stop);
         let template = SceneTemplate::new(self.hulls.len(), self.body_hulls, self.pairs, meter)?;
         let template = template.with_query(self.margin, self.accuracy, self.outputs)?;
-        let (poses, invalid) = Poses::new(template.body_count(), self.positions, self.rotations, meter)?;
+        let template = template.with_margins(self.margins, meter)?;
+        let bodies = template.body_count();
+        let motions = Motions::new(bodies, self.motion)?;
+        let (poses, invalid) = Poses::moving(bodies, self.positions, self.rotations, motions, meter)?;
         Ok((Bodies::new(Arc::new(template), Arc::new(self.hulls), Arc::new(poses))?, invalid))
     }
 

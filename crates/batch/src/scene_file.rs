@@ -36,6 +36,8 @@ pub struct SceneFile {
     pub pairs: Vec<u32>,
     /// Contact points are computed for hulls within this distance, caller's units.
     pub margin: f64,
+    /// Empty, or for each body a length that is added to the margin of its pairs.
+    pub margins: Vec<f64>,
 }
 
 /// A hull as it is registered.
@@ -109,6 +111,8 @@ struct JsonScene {
     pairs: Vec<JsonRow<JsonIndex, 2>>,
     #[serde(default)]
     margin: JsonNumber,
+    #[serde(default)]
+    margins: Option<Vec<JsonNumber>>,
 }
 
 #[derive(Deserialize)]
@@ -276,6 +280,20 @@ impl JsonScene {
         if self.margin.0 < 0.0 {
             return fail("margin".into(), format!("is {}, expected at least 0", self.margin.0));
         }
+        let margins = self.margins.as_deref().unwrap_or_default();
+        if !margins.is_empty() && margins.len() != self.bodies.len() {
+            let bodies = counted(self.bodies.len(), "body");
+            let count = margins.len();
+            return fail(
+                "margins".into(),
+                format!("has {count} entries, expected one for each of the {bodies}"),
+            );
+        }
+        for (i, JsonNumber(margin)) in margins.iter().enumerate() {
+            if !(0.0..=1e100).contains(margin) {
+                return fail(format!("margins[{i}]"), format!("is {margin}, expected 0 to 1e100"));
+            }
+        }
         Ok(())
     }
 
@@ -304,6 +322,7 @@ impl JsonScene {
             frames,
             pairs: self.pairs.into_iter().flat_map(|pair| pair.0.map(|body| body.0)).collect(),
             margin: self.margin.0,
+            margins: self.margins.unwrap_or_default().into_iter().map(|JsonNumber(margin)| margin).collect(),
         }
     }
 }
@@ -327,6 +346,16 @@ mod tests {
         let without = GOOD.replace("\"frames\"", "\"other\"");
         let scene = SceneFile::parse(without.as_bytes()).unwrap();
         assert_eq!((scene.frames.len(), scene.frames[0].positions[5]), (1, 2.0));
+    }
+
+    /// Catches margins of bodies that are dropped, and a file without them, as Python writes it, that is refused.
+    #[test]
+    fn bodies_have_margins() {
+        for (margins, expected) in [("[0.25, 1]", vec![0.25, 1.0]), ("[]", vec![]), ("null", vec![])] {
+            let text = GOOD.replacen("0.5,", &format!("0.5, \"margins\": {margins},"), 1);
+            assert_eq!(SceneFile::parse(text.as_bytes()).unwrap().margins, expected);
+        }
+        assert_eq!(SceneFile::parse(GOOD.as_bytes()).unwrap().margins, [0.0; 0]);
     }
 
     /// Catches a default that is not sent, differs from the Python client's, or cannot be turned off.
@@ -368,6 +397,15 @@ mod tests {
             ("[[0,0,0],[0,0,3]]", "[[0,0,0]]", "frames[0].positions", "has 1 entries, expected one for each"),
             ("[0,0,3]]", "[0,0,\"3\"]]", "frames[0].positions[1][2]", "string \"3\", expected a number"),
             ("0.5", "-0.5", "margin", "is -0.5, expected at least 0"),
+            ("0.5,", "0.5, \"margins\": [1, -0.5],", "margins[1]", "is -0.5, expected 0 to 1e100"),
+            ("0.5,", "0.5, \"margins\": [1e101, 0],", "margins[0]", "expected 0 to 1e100"),
+            (
+                "0.5,",
+                "0.5, \"margins\": [1],",
+                "margins",
+                "has 1 entries, expected one for each of the 2 bodies",
+            ),
+            ("0.5,", "0.5, \"margins\": [1, null],", "margins[1]", "null, expected a number"),
             (
                 "\"frames\": [",
                 "\"frames\": [{\"name\": \"f\", \"positions\": [[0,0,0],[0,0,3]], \

@@ -51,10 +51,11 @@ pub enum Error {
     /// The answer is not one that a correct server gives to the request.
     #[error(transparent)]
     Malformed(#[from] Malformed),
-    /// The server does not know a field of the request, and ignored it: its answer is one to another question.
+    /// The server's version does not know a field or an output of the request, such as `margins`, and ignored it: its
+    /// answer is one to another question.
     #[error(
-        "the server's version {version} does not know find sessions and matches: its answers have the \
-         contract number {contract}, expected {needed} or more; update the server"
+        "the server's version {version} does not know all fields of the request: its answers have the contract \
+         number {contract}, expected {needed} or more; update the server"
     )]
     TooOld {
         /// The version of the server.
@@ -64,10 +65,10 @@ pub enum Error {
         /// The contract number that the request needs.
         needed: u32,
     },
-    /// The number of positions or of rotations of a step is not that of the session's bodies.
+    /// A column of a step does not have one entry per body of the session.
     #[error("{field} has {found} entries, expected {expected}: one per body of the session")]
     WrongLength {
-        /// `positions`, `rotations` or `previous_bodies`.
+        /// The column, such as `positions`.
         field: &'static str,
         /// The number of entries.
         found: usize,

@@ -41,6 +41,7 @@ impl Client {
         let callers_id = request.request_id;
         let request = QueryContactsRequest { request_id: Self::next_request_id(), ..request.clone() };
         let (messages, first) = self.repeated(deadline, || self.begin(deadline, request.clone())).await?;
+        self.check_contract(deadline, &request, &first).await?;
         let mut search = Search {
             request,
             callers_id,

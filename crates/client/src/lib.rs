@@ -77,6 +77,7 @@ mod builder;
 mod checked;
 mod client;
 mod columns;
+mod contract;
 mod error;
 mod find;
 mod hull;

@@ -129,6 +129,7 @@ impl Client {
             true => self.call(deadline, &request, send).await?,
             false => crate::client::once(deadline, request.clone(), send).await?,
         };
+        self.check_contract(deadline, &request, &answer).await?;
         checked::answer(&request, &answer)?;
         answer.request_id = callers;
         Ok(answer)

@@ -9,7 +9,8 @@ use crate::HullId;
 /// A scene of bodies and the pairs to query, as a request.
 ///
 /// A body is a registered hull at a pose. The request is a public field. Fields without a method here, such as
-/// `accuracy`, `warm_starts`, `worlds` and `groups`, are set in it; `QueryContactsRequest` describes them.
+/// `accuracy`, `warm_starts`, `worlds`, `groups`, `margins`, `linear_velocities` and `time_step`, are set in it;
+/// `QueryContactsRequest` describes them.
 ///
 /// ```
 /// use hullcast_client::{Hull, Scene};

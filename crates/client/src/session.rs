@@ -1,13 +1,14 @@
 //! Loops over the same bodies, in which every step sends only the poses that changed.
 
-use hullcast_proto::{Output, QueryContactsRequest, QueryContactsResponse};
+use hullcast_proto::{QueryContactsRequest, QueryContactsResponse};
 use tokio::sync::mpsc;
 use tokio_stream::{StreamExt, wrappers::ReceiverStream};
 use tonic::{Code, Request, Streaming};
 
 use crate::checked::{self, Found, Malformed};
 use crate::client::{Deadline, by};
-use crate::columns::{BASIS, Outputs};
+use crate::columns::BASIS;
+use crate::contract::{LOOP_CONTRACT, needed};
 use crate::query::MAX_REGISTRATIONS;
 use crate::{Client, Error, Hull, append, matches};
 
@@ -15,14 +16,13 @@ use crate::{Client, Error, Hull, append, matches};
 const STATE_IS_GONE: &[&str] = &["NOTHING_TO_INHERIT", "STATE_NOT_KEPT"];
 /// The reason with which a server that is about to stop ends its streams.
 const STOPPING: &[&str] = &["STOPPING"];
-/// The contract number from which a server knows `find`, `moved`, `previous_bodies` and the output MATCHES.
-const LOOP_CONTRACT: u32 = 1;
 
 /// Steps of a simulation: the same bodies, with new poses in each step ([`Client::session`]).
 ///
-/// The first step sends the whole request. Each later step sends the poses of the bodies that have moved since
-/// the step before it, and the server starts the solver from the bases of that step. If the request has
-/// `find`, the server finds the pairs in each step, and [`Session::update`] adds and removes bodies.
+/// The first step sends the whole request. Each later step sends the poses, and velocities if they are new, of the
+/// bodies that have changed since the step before it, and the server starts the solver from the bases of that
+/// step. If the request has `find`, the server finds the pairs in each step, and [`Session::update`] adds and
+/// removes bodies.
 ///
 /// If the server has dropped the state of the session, or is lost or stopping, the step is repeated on a new
 /// stream with the whole request, and [`Session::has_restarted`] is true; after the loss or the stop of a server
@@ -48,17 +48,39 @@ pub struct Session {
 struct Stream {
     requests: mpsc::Sender<QueryContactsRequest>,
     answers: Streaming<QueryContactsResponse>,
-    /// The poses that the server has. It is `None` if the server keeps nothing of the last message.
-    sent: Option<Poses>,
+    /// The poses and velocities that the server has. It is `None` if the server keeps nothing of the last message.
+    sent: Option<Sent>,
     /// The contract number of the last answer; 0 before the first.
     contract: u32,
 }
 
-/// The positions and rotations of all bodies, flattened.
+/// The poses and velocities of all bodies, flattened. Velocities may be empty, which means 0.
 #[derive(Debug)]
-struct Poses {
+struct Sent {
     positions: Vec<f64>,
     rotations: Vec<f64>,
+    linear_velocities: Vec<f64>,
+    angular_velocities: Vec<f64>,
+}
+
+impl Sent {
+    /// Those of a request.
+    fn of(request: &QueryContactsRequest) -> Self {
+        Self {
+            positions: request.positions.clone(),
+            rotations: request.rotations.clone(),
+            linear_velocities: request.linear_velocities.clone(),
+            angular_velocities: request.angular_velocities.clone(),
+        }
+    }
+}
+
+/// Whether the entries of a body in two columns have other bits. The server compares bits too: NaN is the same
+/// value, and -0.0 another one. A column that is empty has zeros.
+fn differs<const N: usize>(body: usize, one: &[f64], other: &[f64]) -> bool {
+    let [one, other] =
+        [one, other].map(|column| column.as_chunks::<N>().0.get(body).copied().unwrap_or([0.0; N]));
+    one.map(f64::to_bits) != other.map(f64::to_bits)
 }
 
 impl Client {
@@ -77,6 +99,38 @@ impl Client {
 }
 
 impl Session {
+    /// Sets the velocities of the bodies for the following steps. They widen the margin of each pair by the
+    /// largest distance by which its bodies can approach each other within `time_step`.
+    ///
+    /// `linear` are the velocities of the bodies' turning points and `angular` their rates of turn in radians
+    /// per unit of time, both along the world's axes; each is empty, which means 0, or has one entry per body.
+    /// The turning points are those of the session's request. With a time step of 0 nothing moves.
+    ///
+    /// # Errors
+    /// [`Error::WrongLength`] if there is neither nothing nor one velocity per body.
+    pub fn set_velocities(
+        &mut self,
+        linear: &[[f64; 3]],
+        angular: &[[f64; 3]],
+        time_step: f64,
+    ) -> Result<(), Error> {
+        let bodies = self.request.body_hulls.len();
+        for (field, found) in [("linear_velocities", linear.len()), ("angular_velocities", angular.len())] {
+            if found != 0 && found != bodies {
+                return Err(Error::WrongLength { field, found, expected: bodies });
+            }
+        }
+        // A message that inherits keeps the velocities that it does not send, so none are sent as zeros.
+        let column = |given: &[[f64; 3]]| match given {
+            [] => vec![0.0; 3 * bodies],
+            given => given.as_flattened().to_vec(),
+        };
+        self.request.linear_velocities = column(linear);
+        self.request.angular_velocities = column(angular);
+        self.request.time_step = time_step;
+        Ok(())
+    }
+
     /// Moves the bodies and answers the pairs.
     ///
     /// `positions` are the world positions of the hulls' origins, and `rotations` the quaternions x, y, z, w:
@@ -180,18 +234,12 @@ impl Session {
                 let version = self.client.info_by(deadline).await?.version;
                 return Err(Error::TooOld { version, contract, needed });
             }
-            if !inherits && is_argument && self.needed() > 0 {
+            if !inherits && is_argument && needed(&self.request) > 0 {
                 // An old server ignores `find`, and refuses the worlds and groups that come with it.
                 self.check_contract(deadline).await?;
             }
             self.client.wait_to_repeat(deadline, error, &mut losses).await?;
         }
-    }
-
-    /// The contract number that answers must have at least.
-    fn needed(&self) -> u32 {
-        let has_matches = Outputs::of(&self.request).has(Output::Matches);
-        if self.request.find || has_matches { LOOP_CONTRACT } else { 0 }
     }
 
     /// Asks the server for its contract number.
@@ -200,7 +248,7 @@ impl Session {
     /// [`Error::TooOld`] if the server does not know a field that the request needs.
     async fn check_contract(&self, deadline: Deadline) -> Result<(), Error> {
         let info = self.client.info_by(deadline).await?;
-        let needed = self.needed();
+        let needed = needed(&self.request);
         if info.contract >= needed {
             return Ok(());
         }
@@ -228,8 +276,7 @@ impl Session {
         };
         let answer = self.received(&mut stream, request_id).await?;
         if !answer.state_dropped {
-            let (positions, rotations) = (self.request.positions.clone(), self.request.rotations.clone());
-            stream.sent = Some(Poses { positions, rotations });
+            stream.sent = Some(Sent::of(&self.request));
         }
         // A server of the first contract neither repeats an answer nor refers to one.
         self.last = (stream.contract >= LOOP_CONTRACT).then(|| answer.clone());
@@ -242,7 +289,7 @@ impl Session {
     async fn received(&self, stream: &mut Stream, request_id: u64) -> Result<QueryContactsResponse, Error> {
         let mut found = Found::default();
         let mut whole: Option<QueryContactsResponse> = None;
-        let (needed, before) = (self.needed(), self.last.as_ref().filter(|_| !self.has_restarted));
+        let (needed, before) = (needed(&self.request), self.last.as_ref().filter(|_| !self.has_restarted));
         loop {
             let message = stream.answers.message().await?;
             let mut message = message.ok_or_else(|| Error::Lost("the server ended the session".into()))?;
@@ -292,33 +339,52 @@ impl Session {
         }
     }
 
-    /// The message that inherits all but the poses that differ from those that the server has.
-    fn moved(&self, sent: &Poses, contract: u32) -> QueryContactsRequest {
+    /// The message that inherits all but the poses and velocities that differ from those that the server has.
+    fn moved(&self, sent: &Sent, contract: u32) -> QueryContactsRequest {
         let Self { request, .. } = self;
-        let whole = || QueryContactsRequest {
-            inherit: true,
-            positions: request.positions.clone(),
-            rotations: request.rotations.clone(),
-            ..Default::default()
+        let bodies = 0..request.body_hulls.len();
+        let sends_linear = bodies
+            .clone()
+            .any(|body| differs::<3>(body, &request.linear_velocities, &sent.linear_velocities));
+        let sends_angular = bodies
+            .clone()
+            .any(|body| differs::<3>(body, &request.angular_velocities, &sent.angular_velocities));
+        let inheriting =
+            QueryContactsRequest { inherit: true, time_step: request.time_step, ..Default::default() };
+        let whole = || {
+            let column = |sends: bool, column: &Vec<f64>| if sends { column.clone() } else { Vec::new() };
+            QueryContactsRequest {
+                positions: request.positions.clone(),
+                rotations: request.rotations.clone(),
+                linear_velocities: column(sends_linear, &request.linear_velocities),
+                angular_velocities: column(sends_angular, &request.angular_velocities),
+                ..inheriting.clone()
+            }
         };
         if contract < LOOP_CONTRACT {
             return whole();
         }
-        let mut message = QueryContactsRequest { inherit: true, ..Default::default() };
-        let bodies = request.positions.as_chunks::<3>().0.iter().zip(request.rotations.as_chunks::<4>().0);
-        let olds = sent.positions.as_chunks::<3>().0.iter().zip(sent.rotations.as_chunks::<4>().0);
-        for ((body, (at, turn)), (old_at, old_turn)) in (0..).zip(bodies).zip(olds) {
-            // Bits are compared, as the server compares them: NaN is the same pose, and -0.0 another one.
-            if at.map(f64::to_bits) != old_at.map(f64::to_bits)
-                || turn.map(f64::to_bits) != old_turn.map(f64::to_bits)
-            {
-                message.moved.push(body);
-                message.positions.extend(at);
-                message.rotations.extend(turn);
+        let mut message = inheriting.clone();
+        for body in bodies.clone() {
+            let has_moved = differs::<3>(body, &request.positions, &sent.positions)
+                || differs::<4>(body, &request.rotations, &sent.rotations)
+                || differs::<3>(body, &request.linear_velocities, &sent.linear_velocities)
+                || differs::<3>(body, &request.angular_velocities, &sent.angular_velocities);
+            if !has_moved {
+                continue;
+            }
+            message.moved.push(body as u32);
+            message.positions.extend(&request.positions[3 * body..][..3]);
+            message.rotations.extend(&request.rotations[4 * body..][..4]);
+            if sends_linear {
+                message.linear_velocities.extend(&request.linear_velocities[3 * body..][..3]);
+            }
+            if sends_angular {
+                message.angular_velocities.extend(&request.angular_velocities[3 * body..][..3]);
             }
         }
-        // A body takes 56 bytes, and 4 more if the message names it.
-        if 60 * message.moved.len() < 56 * request.body_hulls.len() { message } else { whole() }
+        // A body takes 56 bytes without velocities, and 4 more if the message names it.
+        if 60 * message.moved.len() < 56 * bodies.len() { message } else { whole() }
     }
 
     /// The whole request, with warm starts only if they fit its pairs.

@@ -65,6 +65,7 @@ pub mod hull;
 mod intersection;
 mod manifold;
 mod monotone_chain;
+mod motion;
 mod pair;
 mod query;
 mod reduce;
@@ -86,6 +87,7 @@ pub use hull::{
     Simplification,
 };
 pub use manifold::{Basis, ContactPoint, Element, Feature, Flags, Manifold, Outcome};
+pub use motion::{Motion, approach};
 pub use query::{Accuracy, Query, Solver, Wanted};
 pub use stop::{STEPS_BETWEEN_LOOKS, Stop, Stopped};
 pub use support::instruction_set;

@@ -107,6 +107,12 @@ pub(crate) const MAPPED: f64 = 64.0 * U;
 /// `|d|` plus twice both `|c|`, so the band is at most `144 R + 80 margin + 32 |c|` times `U`.
 pub(crate) const REACH: f64 = 512.0;
 
+// Motion (`motion`).
+
+/// Factor that rounds the bound of a motion up. A term has at most 13 roundings: 5 of a length, 5 of another
+/// length, a sum, and two products. The sum of the terms has 2 more, and the factor itself one.
+pub(crate) const MOTION_ABOVE: f64 = 1.0 + 16.0 * U;
+
 // Step 1: growth scale (`growth`).
 
 /// Multiple of `U * R / r` by which a bracket may be open and still count as closed. It is twice

@@ -94,6 +94,7 @@ impl Batches {
             }],
             pairs: (0..2 * part.len() as u32).collect(),
             margin: GENERATED_MARGIN,
+            margins: Vec::new(),
         });
         let scenes = scenes.collect();
         Ok(Self { title: format!("{name}, {} a batch", counted(pairs, "pair")), scenes })

@@ -4,7 +4,8 @@ use std::{collections::HashSet, sync::Arc};
 
 use crate::{
     batch::{
-        Output, Outputs,
+        MotionColumns, Motions, Output, Outputs,
+        motion::margin_lengths,
         scene::{
             FaultKind, Poses, SceneError, SceneFault, SceneTemplate, check_margin, pair_lengths, pose_lengths,
         },
@@ -81,12 +82,11 @@ pub(in crate::service) fn stoppable_scene(
 
 /// Checks a request of any method that inherits nothing, except for the fields of steps.
 pub(super) fn whole_scene(
-    request: proto::QueryContactsRequest,
+    mut request: proto::QueryContactsRequest,
     limits: &Limits,
     stop: &Stop,
 ) -> Result<CheckedScene, ServiceError> {
     let meter = &Meter::new(stop);
-    refuse_unbuilt(&request)?;
     let accuracy = request.accuracy.unwrap_or_default();
     refuse_foreign(&request.worlds, "worlds")?;
     refuse_foreign(&request.groups, "groups")?;
@@ -100,12 +100,18 @@ pub(super) fn whole_scene(
     // The lengths come first, so that the first fault that is found does not depend on the other columns.
     pose_lengths(bodies, &request.positions, &request.rotations)?;
     pair_lengths(&request.pairs, &request.warm_starts)?;
+    margin_lengths(&request.margins, bodies)?;
+    let motion = motion(&mut request);
+    motion.check_lengths(bodies, "none or 3 per body")?;
     let template = SceneTemplate::new(request.hull_ids.len(), request.body_hulls, request.pairs, meter)?;
     let hull_ids = Arc::new(distinct_ids(&request.hull_ids, meter)?);
     check_margin(request.margin)?;
     let template =
         template.with_query(request.margin, known_accuracy(&accuracy)?, outputs(&request.outputs))?;
-    let (poses, invalid_bodies) = Poses::new(bodies, request.positions, request.rotations, meter)?;
+    let template = template.with_margins(request.margins, meter)?;
+    let motions = Motions::new(bodies, motion)?;
+    let (poses, invalid_bodies) =
+        Poses::moving(bodies, request.positions, request.rotations, motions, meter)?;
     let (request_id, warm_starts) = (request.request_id, request.warm_starts);
     Ok(CheckedScene {
         request_id,
@@ -136,18 +142,14 @@ pub(super) fn refuse_of_streams(request: &proto::QueryContactsRequest) -> Result
     Err(ServiceError::in_field(Reason::FieldNotAllowed, field, message))
 }
 
-/// Refuses the fields of the contract that this version does not have yet.
-pub(super) fn refuse_unbuilt(request: &proto::QueryContactsRequest) -> Result<(), ServiceError> {
-    let given = [
-        (!request.margins.is_empty(), "margins"),
-        (!request.linear_velocities.is_empty(), "linear_velocities"),
-        (!request.angular_velocities.is_empty(), "angular_velocities"),
-        (!request.turning_points.is_empty(), "turning_points"),
-        (request.time_step != 0.0, "time_step"),
-    ];
-    let Some((_, field)) = given.into_iter().find(|(given, _)| *given) else { return Ok(()) };
-    let message = "this version of the server does not know margins of bodies and velocities yet";
-    Err(ServiceError::in_field(Reason::FieldNotAllowed, field, message))
+/// Takes the columns of motion out of a request, unchecked.
+pub(super) fn motion(request: &mut proto::QueryContactsRequest) -> MotionColumns {
+    MotionColumns {
+        linear_velocities: std::mem::take(&mut request.linear_velocities),
+        angular_velocities: std::mem::take(&mut request.angular_velocities),
+        turning_points: std::mem::take(&mut request.turning_points),
+        time_step: request.time_step,
+    }
 }
 
 fn refuse_foreign(column: &[u32], field: &'static str) -> Result<(), ServiceError> {

@@ -4,10 +4,11 @@ use std::{collections::HashMap, sync::Arc};
 
 use super::{
     find::found_scene,
-    request::{CheckedScene, ID_STEPS, refuse_unbuilt, whole_scene},
+    request::{CheckedScene, ID_STEPS, motion, whole_scene},
 };
 use crate::{
     batch::{
+        Motions,
         broad_phase::Rules,
         codes::NO_INDEX,
         scene::{Poses, SceneTemplate, has_length},
@@ -72,7 +73,7 @@ pub(in crate::service) fn step(
     before: Option<Before>,
     limits: &Limits,
     stop: &Stop,
-    grow: impl FnOnce(usize) -> Result<(), ServiceError>,
+    grow: impl FnMut(usize) -> Result<(), ServiceError>,
 ) -> Result<CheckedStep, ServiceError> {
     match before {
         Some(before) if request.inherit => inherited(request, before, stop, grow),
@@ -86,7 +87,7 @@ fn whole(
     before: Option<Before>,
     limits: &Limits,
     stop: &Stop,
-    grow: impl FnOnce(usize) -> Result<(), ServiceError>,
+    mut grow: impl FnMut(usize) -> Result<(), ServiceError>,
 ) -> Result<CheckedStep, ServiceError> {
     if !request.moved.is_empty() {
         let why = "`moved` is only valid with `inherit`: the message has all poses";
@@ -141,16 +142,17 @@ fn common_bodies(
             *now = NO_INDEX;
         }
     }
-    let changes = Changes::of_poses(&before.poses, poses, Some(&bodies_now), meter)?;
+    let mut changes = Changes::of_poses(&before.poses, poses, Some(&bodies_now), meter)?;
+    changes.add_margins(&before.template, &scene.template, &bodies_now, meter)?;
     Ok(StepStart::Bodies { changes, bodies_now, hulls_before, is_search })
 }
 
 /// Checks a message that inherits.
 fn inherited(
-    request: proto::QueryContactsRequest,
+    mut request: proto::QueryContactsRequest,
     before: Before,
     stop: &Stop,
-    grow: impl FnOnce(usize) -> Result<(), ServiceError>,
+    mut grow: impl FnMut(usize) -> Result<(), ServiceError>,
 ) -> Result<CheckedStep, ServiceError> {
     let given = [
         (!request.hull_ids.is_empty(), "hull_ids"),
@@ -165,36 +167,54 @@ fn inherited(
         (!request.warm_starts.is_empty(), "warm_starts"),
         (request.find, "find"),
         (!request.margins.is_empty(), "margins"),
-        (!request.turning_points.is_empty(), "turning_points"),
         (!request.previous_bodies.is_empty(), "previous_bodies"),
     ];
     if let Some((_, field)) = given.into_iter().find(|(given, _)| *given) {
         let why = "must not be set together with `inherit`: it is inherited from the previous message";
         return Err(ServiceError::in_field(Reason::FieldNotAllowed, field, why));
     }
-    refuse_unbuilt(&request)?;
     let meter = &Meter::new(stop);
     let Before { hull_ids, template, rules, poses, invalid_bodies } = before;
+    let sent_motion = motion(&mut request);
     let proto::QueryContactsRequest { request_id, moved, positions, rotations, .. } = request;
     let bodies = template.body_count();
     let none_moved = moved.is_empty() && positions.is_empty() && rotations.is_empty();
     let uses_steps = none_moved || !moved.is_empty();
-    let (poses, invalid_bodies, changes) = if none_moved {
+    let some = Some(&moved[..]).filter(|moved| !moved.is_empty());
+    if some.is_some() {
+        grow(Motions::next_bytes(bodies, &sent_motion))?;
+    }
+    let motions_before = poses.motions().clone();
+    let motions = motions_before.next(bodies, some, sent_motion, meter)?;
+    let is_still = none_moved && motions.is_kept_from(&motions_before);
+    if !is_still {
+        // For each body: whether it has changed, and its index if it is invalid.
+        grow(5 * bodies)?;
+    }
+    let (poses, invalid_bodies, changes) = if is_still {
         (poses, invalid_bodies, Changes::none())
-    } else if moved.is_empty() {
-        grow(bodies)?;
-        let (sent, invalid) = Poses::new(bodies, positions, rotations, meter)?;
+    } else if moved.is_empty() && !none_moved {
+        let (sent, invalid) = Poses::moving(bodies, positions, rotations, motions, meter)?;
         let changes = Changes::of_poses(&poses, &sent, None, meter)?;
         (Arc::new(sent), invalid, changes)
     } else {
         has_length(positions.len(), 3 * moved.len(), "positions", "3 per entry of `moved`")?;
         has_length(rotations.len(), 4 * moved.len(), "rotations", "4 per entry of `moved`")?;
-        grow(5 * bodies)?;
         let (sent, unusable) = Poses::new(moved.len(), positions, rotations, meter)?;
         // Nobody else has the poses, since the answer before is complete.
-        let mut all = Arc::unwrap_or_clone(poses);
-        let invalid = with_moved(&invalid_bodies, &moved, &unusable, meter)?;
-        let changes = Changes::of_moved(&mut all, moved, sent, meter)?;
+        let mut all = Arc::unwrap_or_clone(poses).with_motions(motions);
+        // With motions, a body may have become invalid, or valid, by more than its pose.
+        let by_poses = if all.motions().is_absent() {
+            Some(with_moved(&invalid_bodies, &moved, &unusable, meter)?)
+        } else {
+            None
+        };
+        let mut changes = Changes::of_moved(&mut all, moved, sent, meter)?;
+        changes.add_motions(bodies, &motions_before, all.motions(), meter)?;
+        let invalid = match by_poses {
+            Some(invalid) => invalid,
+            None => all.unusable(meter)?,
+        };
         (Arc::new(all), invalid, changes)
     };
     let scene = CheckedScene {

@@ -237,6 +237,31 @@ async fn wrong_answers_are_refused() {
     assert_malformed(client.find(&search).await, "the lower first");
 }
 
+/// A server of an older version ignores the fields that it does not know, and sends no contract number. Catches its
+/// answer to another question that reaches the caller, and an answer that is refused although it fits.
+#[tokio::test(flavor = "multi_thread")]
+async fn answers_of_a_server_that_is_too_old_are_refused() {
+    let (liar, client) = Liar::start().await;
+    let shapes = shapes();
+    client.register(&hulls(&shapes)).await.unwrap();
+    let plain = scene(&shapes, 20, 50, 1);
+    let request = QueryContactsRequest { margins: vec![0.1; 20], ..plain.clone() };
+    let search = QueryContactsRequest { pairs: vec![], ..request.clone() };
+    let mut session = client.session(request.clone(), vec![]);
+    let positions: Vec<[f64; 3]> = request.positions.as_chunks().0.to_vec();
+    let rotations: Vec<[f64; 4]> = request.rotations.as_chunks().0.to_vec();
+    client.query(&request).await.unwrap();
+    session.step(&positions, &rotations).await.unwrap();
+    liar.tell(Lie::Answer(|answer| answer.contract = 0));
+    let version = client.info().await.unwrap().version;
+    let too_old = Error::TooOld { version, contract: 0, needed: 1 };
+    assert_eq!(client.query(&request).await.unwrap_err(), too_old);
+    assert_eq!(client.query_once(&request).await.unwrap_err(), too_old);
+    assert_eq!(client.find(&search).await.unwrap_err(), too_old);
+    assert_eq!(session.step(&positions, &rotations).await.unwrap_err(), too_old);
+    client.query(&plain).await.unwrap();
+}
+
 /// Catches a hull that is mistaken for another, and results that are given to the wrong hulls.
 #[tokio::test(flavor = "multi_thread")]
 async fn wrong_results_of_hulls_are_refused() {

@@ -100,6 +100,57 @@ async fn a_dropped_step_leaves_no_answer_behind() {
     moving.step(&mut session).await;
 }
 
+/// Catches velocities or a time step that a step does not send, that a step sends although they were replaced, or
+/// that are lost with the server.
+#[tokio::test(flavor = "multi_thread")]
+async fn velocities_stay_until_they_are_set() {
+    let server = TestServer::start().await;
+    let proxy = Proxy::start(&server.address).await;
+    let client = Client::connect(proxy.address.as_str()).await.unwrap();
+    let mut moving = Moving::new(5);
+    client.register(&hulls(&moving.shapes)).await.unwrap();
+    moving.request.margin = 0.0;
+    moving.request.positions.iter_mut().for_each(|x| *x *= 4.0);
+    moving.request.turning_points = vec![0.3; 45];
+    let mut session = client.session(moving.request.clone(), vec![]);
+    let mut near = Vec::new();
+    for (step, time_step) in [0.0, 0.1, 0.2, 0.0, 0.1, 0.1].into_iter().enumerate() {
+        let mut vectors =
+            || (0..15).map(|_| [0; 3].map(|_| 9.0 * moving.random.signed())).collect::<Vec<_>>();
+        let (linear, angular) = (vectors(), vectors());
+        // In the third and fifth step the velocities are those of the step before.
+        match step {
+            1 | 3 => session.set_velocities(&linear, &[], time_step).unwrap(),
+            5 => session.set_velocities(&[], &angular, time_step).unwrap(),
+            2 | 4 => {
+                let linear = moving.request.linear_velocities.as_chunks().0.to_vec();
+                session.set_velocities(&linear, &[], time_step).unwrap();
+            }
+            _ => {}
+        }
+        match step {
+            1 | 3 => moving.request.linear_velocities = linear.into_flattened(),
+            5 => {
+                moving.request.linear_velocities = vec![];
+                moving.request.angular_velocities = angular.into_flattened();
+            }
+            _ => {}
+        }
+        moving.request.time_step = time_step;
+        if step == 4 {
+            proxy.cut();
+        }
+        let answer = moving.moved_and_asked(&mut session).await.unwrap();
+        let whole = client.query(&moving.request).await.unwrap();
+        assert_same(&answer, &whole);
+        near.push(answer.outcomes.iter().filter(|&&outcome| outcome == 1).count());
+        moving.request.warm_starts = answer.bases;
+    }
+    assert!(near[0] < near[1] && near[1] < near[2] && near[3] < near[4] && near[3] < near[5], "{near:?}");
+    let wrong = session.set_velocities(&[[0.0; 3]; 14], &[], 0.1);
+    assert_eq!(wrong, Err(Error::WrongLength { field: "linear_velocities", found: 14, expected: 15 }));
+}
+
 /// A server behind a proxy that cuts its connections. Catches a session that ends with its connection, or that
 /// does not register the hulls that the server has lost.
 #[tokio::test(flavor = "multi_thread")]

@@ -69,7 +69,7 @@ async fn a_later_message_names_its_fault() {
     let cases: [(Spoil, &str, &str); 16] = [
         (|r| r.find = true, "FIELD_NOT_ALLOWED", "find"),
         (|r| r.margins = vec![0.0; 2], "FIELD_NOT_ALLOWED", "margins"),
-        (|r| r.turning_points = vec![0.0; 6], "FIELD_NOT_ALLOWED", "turning_points"),
+        (|r| r.turning_points = vec![0.0; 6], "LENGTH_MISMATCH", "turning_points"),
         (|r| r.previous_bodies = vec![0, 1], "FIELD_NOT_ALLOWED", "previous_bodies"),
         (|r| r.worlds = vec![0, 0], "FIELD_NOT_ALLOWED", "worlds"),
         (|r| r.outputs = vec![9], "FIELD_NOT_ALLOWED", "outputs"),
@@ -93,8 +93,8 @@ async fn a_later_message_names_its_fault() {
         (|r| r.positions.clear(), "LENGTH_MISMATCH", "positions"),
         (|r| r.rotations.clear(), "LENGTH_MISMATCH", "rotations"),
         (|r| r.moved.clear(), "LENGTH_MISMATCH", "positions"),
-        (|r| r.time_step = -1.0, "FIELD_NOT_ALLOWED", "time_step"),
-        (|r| r.linear_velocities = vec![0.0; 2], "FIELD_NOT_ALLOWED", "linear_velocities"),
+        (|r| r.time_step = -1.0, "VALUE_OUT_OF_RANGE", "time_step"),
+        (|r| r.linear_velocities = vec![0.0; 2], "LENGTH_MISMATCH", "linear_velocities"),
     ];
     for (spoil, reason, field) in cases {
         let mut stream = Stepper::open(&server).await;

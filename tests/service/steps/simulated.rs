@@ -17,18 +17,22 @@ use crate::support::{
 
 /// How the rows of sessions compare with those of `FindContacts`.
 #[derive(Debug, Default)]
-struct Compared {
-    rows: usize,
+pub(super) struct Compared {
+    pub(super) rows: usize,
     /// Rows with the same bits in every column that does not depend on the start.
-    same: usize,
+    pub(super) same: usize,
     /// Rows with another normal, points or features: ties.
-    ties: usize,
+    pub(super) ties: usize,
 }
 
 /// Compares an answer of a session with that of `FindContacts` for the same scene: the same pairs with the same
 /// outcomes, and values that differ by rounding at most. Where several normals are optimal, the solvers may choose
 /// different ones; such pairs are counted.
-fn compare(session: &QueryContactsResponse, find: &QueryContactsResponse, compared: &mut Compared) {
+pub(super) fn compare(
+    session: &QueryContactsResponse,
+    find: &QueryContactsResponse,
+    compared: &mut Compared,
+) {
     assert_eq!(session.pairs, find.pairs);
     assert_eq!(session.outcomes, find.outcomes);
     assert_eq!(session.missing_hulls, find.missing_hulls);

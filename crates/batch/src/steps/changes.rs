@@ -6,6 +6,7 @@ use hullcast_contact::{Pose, Stopped, stop::Meter};
 
 use crate::{
     codes::NO_INDEX,
+    motion::Motions,
     scene::{Bodies, FaultKind, Hulls, Missing, Poses, SceneError, SceneFault, SceneTemplate},
 };
 
@@ -58,7 +59,7 @@ impl Changes {
         Self { changed, ..Self::none() }
     }
 
-    /// The bodies whose poses have other bits than before. `bodies_now` is empty if the bodies have the numbers
+    /// The bodies whose poses or motions have other bits than before. `bodies_now` is empty if the bodies have the numbers
     /// that they had; otherwise it has the number of each old body now, and a body that has no old number has
     /// changed.
     ///
@@ -122,6 +123,65 @@ impl Changes {
         Ok(Self { changed, former: FormerPoses::Except(moved, sent) })
     }
 
+    /// Adds the bodies that no longer add what they did to the margins of their pairs, because they, or the time
+    /// of the step, have changed. The bodies have the numbers that they had.
+    ///
+    /// # Errors
+    /// The work was stopped.
+    pub fn add_motions(
+        &mut self,
+        bodies: usize,
+        before: &Motions,
+        now: &Motions,
+        meter: &Meter<'_>,
+    ) -> Result<(), Stopped> {
+        if now.is_kept_from(before) {
+            return Ok(());
+        }
+        for body in 0..bodies {
+            meter.spend(3)?;
+            if !before.is_same(body, now, body) {
+                self.add(body, bodies);
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds the bodies whose own margins have other bits than before. `bodies_now` has the number of each old body
+    /// now.
+    ///
+    /// # Errors
+    /// The work was stopped.
+    pub fn add_margins(
+        &mut self,
+        before: &SceneTemplate,
+        now: &SceneTemplate,
+        bodies_now: &[u32],
+        meter: &Meter<'_>,
+    ) -> Result<(), Stopped> {
+        if before.margins().is_empty() && now.margins().is_empty() {
+            return Ok(());
+        }
+        let of = |template: &SceneTemplate, body: usize| {
+            template.margins().get(body).copied().unwrap_or_default().to_bits()
+        };
+        for (old, &body) in bodies_now.iter().enumerate() {
+            meter.spend(2)?;
+            if body != NO_INDEX && of(before, old) != of(now, body as usize) {
+                self.add(body as usize, now.body_count());
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds a body of `bodies`.
+    fn add(&mut self, body: usize, bodies: usize) {
+        if self.changed.is_empty() {
+            self.changed.resize(bodies, false);
+        }
+        self.changed[body] = true;
+    }
+
     /// Adds the bodies whose hulls were missing before and are there now, or the other way round. `hull_before`
     /// gives, for a body of now, the presence that its hull had.
     ///
@@ -143,10 +203,7 @@ impl Changes {
             let hull_before = hulls_before.map_or(hull, |before| before[hull as usize]);
             let same = hull_before != NO_INDEX && before.get(hull_before) == now.get(hull);
             if !same {
-                if self.changed.is_empty() {
-                    self.changed.resize(template.body_count(), false);
-                }
-                self.changed[body] = true;
+                self.add(body, template.body_count());
             }
         }
         Ok(())

@@ -1,0 +1,106 @@
+"""The motion of bodies during a step, by which the margins of their pairs grow."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _arguments, _arrays
+from ._arrays import Floats, Indices
+from ._errors import InvalidArgument
+
+#: The largest margin of a body, and the largest magnitude of every number of a motion.
+LARGEST = 1e100
+
+#: For messages: a number of a motion, by the name of its argument.
+_CALLED = {
+    "linear_velocities": "linear velocity",
+    "angular_velocities": "angular velocity",
+    "turning_points": "turning point",
+}
+
+
+def margins(value: Any, count: int) -> Floats | None:
+    """Checks the margins of `count` bodies, and returns a read-only copy; None for None.
+
+    Raises:
+        InvalidArgument: NOT_AN_ARRAY, WRONG_SHAPE or VALUE_OUT_OF_RANGE.
+    """
+    if value is None:
+        return None
+    checked = _arrays.floats("margins", value, count)
+    # A comparison with NaN is false, so NaN is refused too.
+    wrong = np.flatnonzero(~((checked >= 0.0) & (checked <= LARGEST)))
+    if wrong.size:
+        raise InvalidArgument(
+            f"got {checked[wrong[0]]:g}, expected a number, 0 to {LARGEST:g}",
+            reason="VALUE_OUT_OF_RANGE",
+            field="margins",
+            index=int(wrong[0]),
+        )
+    return _arrays.frozen(checked)
+
+
+class Motion:
+    """The motion of the bodies of a query.
+
+    Args:
+        count: the number of bodies.
+        linear_velocities, angular_velocities, turning_points: (count, 3), or None.
+        time_step: the time for which the velocities hold.
+
+    Raises:
+        InvalidArgument: an argument has a wrong shape or type, or is out of its range. A number
+            that is not finite only makes its body unusable, as in a pose.
+    """
+
+    def __init__(
+        self,
+        count: int,
+        linear_velocities: Any = None,
+        angular_velocities: Any = None,
+        time_step: float = 0.0,
+        turning_points: Any = None,
+    ) -> None:
+        given = {
+            "linear_velocities": linear_velocities,
+            "angular_velocities": angular_velocities,
+            "turning_points": turning_points,
+        }
+        self.columns: dict[str, Floats] = {
+            field: _arrays.floats(field, value, count, 3)
+            for field, value in given.items()
+            if value is not None
+        }
+        self.time_step = _arguments.number("time_step", time_step, 0, LARGEST)
+
+    def __bool__(self) -> bool:
+        """Whether a server has to know motions to answer the query."""
+        return bool(self.columns) or self.time_step > 0
+
+    def of(self, bodies: Indices | None) -> list[tuple[str, npt.NDArray[Any]]]:
+        """The columns of a message that has the given bodies; None for all bodies."""
+        if bodies is None:
+            return list(self.columns.items())
+        return [(field, column[bodies]) for field, column in self.columns.items()]
+
+    def unusable(self) -> Indices:
+        """The bodies of which a number is not finite or too large, ascending."""
+        wrong = [~_usable(column).all(axis=1) for column in self.columns.values()]
+        return np.flatnonzero(np.any(wrong, axis=0)).astype("<u4") if wrong else np.zeros(0, "<u4")
+
+    def why_unusable(self, body: int) -> tuple[str, str] | None:
+        """The argument that makes a body unusable, and why; None if no argument here does."""
+        for field, column in self.columns.items():
+            if not _usable(column[body]).all():
+                text = f"({', '.join(f'{c:g}' for c in column[body])})"
+                allowed = f"finite numbers from -{LARGEST:g} to {LARGEST:g} are allowed"
+                return field, f"its {_CALLED[field]} is {text}, {allowed}"
+        return None
+
+
+def _usable(values: Floats) -> npt.NDArray[np.bool_]:
+    # A comparison with NaN is false.
+    return np.abs(values) <= LARGEST
