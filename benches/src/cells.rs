@@ -85,6 +85,22 @@ pub fn sphere(count: usize, seed: u64) -> Vec<[f64; 3]> {
 }
 
 impl Cell {
+    /// A copy of the cell with the same bodies in the world, whose hulls are turned in their own frames. A box
+    /// is then not along the axes of its frame, so hullcast takes the path for all hulls.
+    pub fn turned(&self) -> Self {
+        let mut cell = self.clone();
+        let turn = [0.36, -0.48, 0.64, 0.48];
+        let back = [-0.36, 0.48, -0.64, 0.48];
+        for point in cell.hulls.iter_mut().flatten() {
+            let [x, y, z, _] = multiply(multiply(turn, [point[0], point[1], point[2], 0.0]), back);
+            *point = [x, y, z];
+        }
+        for pose in cell.pairs.iter_mut().flat_map(|pair| &mut pair.poses) {
+            pose.rotation = multiply(pose.rotation, back);
+        }
+        cell
+    }
+
     /// A copy of the cell in which every B is moved by `step` along a direction, and rotated by `step`
     /// radians about it. The direction varies from pair to pair.
     pub fn moved(&self, step: f64) -> Self {

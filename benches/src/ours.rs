@@ -1,6 +1,9 @@
 //! hullcast as a contender, through its public function only.
 
-use hullcast_contact::{Basis, Body, ConvexHull, HullError, Pose, Query, Workspace, contact_manifold};
+use hullcast_contact::{
+    Basis, Body, BoxPair, ConvexHull, HullError, InstructionSet, Pose, Query, Workspace, box_manifolds_with,
+    contact_manifold,
+};
 
 use crate::cells::{Cell, PosedPair};
 
@@ -52,6 +55,45 @@ impl<'a> PosedPairs<'a> {
             let manifold = contact_manifold(a, b, &self.query, basis.as_ref(), &mut self.workspace);
             touching += usize::from(!manifold.points.is_empty());
             *basis = manifold.basis;
+        }
+        touching
+    }
+}
+
+/// Pairs that are computed together, as the server does.
+const TOGETHER: usize = 64;
+
+/// Pairs of boxes, one in each lane.
+pub struct BoxesInLanes<'a> {
+    pairs: Vec<BoxPair<'a>>,
+    instructions: InstructionSet,
+    query: Query,
+    workspace: Workspace,
+}
+
+impl<'a> BoxesInLanes<'a> {
+    /// The pairs of a cell. `None` if a pose is not usable, or a hull is not a box.
+    pub fn new(
+        hulls: &'a [ConvexHull],
+        cell: &Cell,
+        query: Query,
+        instructions: InstructionSet,
+    ) -> Option<Self> {
+        let pair = |pair: &PosedPair| {
+            let [a, b] = pair.poses.map(|pose| Pose::new(pose.position, pose.rotation).ok());
+            let (a, b) = (Body::new(&hulls[pair.hulls[0]], a?), Body::new(&hulls[pair.hulls[1]], b?));
+            BoxPair::new(&a, &b, &query, None)
+        };
+        let pairs = cell.pairs.iter().map(pair).collect::<Option<Vec<_>>>()?;
+        Some(Self { pairs, instructions, query, workspace: Workspace::default() })
+    }
+
+    /// Computes every pair without a warm start. Returns the number of pairs with points.
+    pub fn cold(&mut self) -> usize {
+        let mut touching = 0;
+        for pairs in self.pairs.chunks(TOGETHER) {
+            let answers = box_manifolds_with(self.instructions, pairs, &self.query, &mut self.workspace);
+            touching += answers.iter().filter(|manifold| !manifold.points.is_empty()).count();
         }
         touching
     }

@@ -116,6 +116,23 @@ def without(scene: hullcast.Scene) -> hullcast.Scene:
     return hullcast.Scene(hulls, scene.positions, scene.rotations, body_hulls=scene.body_hulls)
 
 
+def test_sessions_have_the_margins_of_the_scene(client):
+    """Catches margins that a step or an update of a session loses, and a row of other margins."""
+    scene = two(client, 0.25, margins=[0.1, 0.2])
+    more = two(client, 0.25, margins=[0.1, 0.1])
+    farther = scene.positions.copy()
+    farther[1, 0] += 0.06
+    with client.session(scene, find=True) as session:
+        for _ in range(2):
+            assert len(session.step(scene.positions, scene.rotations)) == 1
+        assert len(session.update(more, previous=[0, 1])) == 0
+        assert len(session.update(scene, previous=[0, 1])) == 1
+        assert len(session.step(farther, scene.rotations)) == 0
+    with client.session(scene, [[0, 1]]) as session:
+        for positions, near in ((scene.positions, True), (scene.positions, True), (farther, False)):
+            assert session.step(positions, scene.rotations).in_contact.tolist() == [near]
+
+
 def test_find_is_the_query_of_every_pair(client):
     """Catches a pair that the broad phase loses, and a scene in worlds that loses its motions."""
     bodies = 80

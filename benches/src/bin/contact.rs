@@ -7,12 +7,12 @@
 use std::error::Error;
 
 use hullcast_benches::cells::{self, Cell, MARGIN};
-use hullcast_benches::ours::{self, PosedPairs};
+use hullcast_benches::ours::{self, BoxesInLanes, PosedPairs};
 use hullcast_benches::parry;
 use hullcast_benches::report::{DOCS, Table, provenance, replace_section};
 use hullcast_benches::rounds::{Contender, Timing, interleave};
 use hullcast_contact::workload::{Family, Regime};
-use hullcast_contact::{Accuracy, ConvexHull, Query, Solver, Wanted};
+use hullcast_contact::{Accuracy, ConvexHull, InstructionSet, Query, Solver, Wanted};
 
 const ROUNDS: usize = 21;
 /// Pairs of each family and regime.
@@ -27,13 +27,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     let cells = cells::generate(PAIRS)?;
     let chosen: Vec<String> = std::env::args().skip(1).collect();
     let mut csv = String::new();
-    for section in ["cold", "boxes", "outputs", "warm", "streamed", "hulls"] {
+    for section in ["cold", "boxes", "lanes", "outputs", "warm", "streamed", "hulls"] {
         if !chosen.is_empty() && !chosen.iter().any(|name| name == section) {
             continue;
         }
         let table = match section {
             "cold" => cold(&cells)?,
             "boxes" => boxes(&cells)?,
+            "lanes" => lanes(&cells)?,
             "outputs" => outputs(&cells)?,
             "warm" => warm(&cells)?,
             "streamed" => streamed()?,
@@ -52,6 +53,11 @@ fn main() -> Result<(), Box<dyn Error>> {
 fn query(wanted: Wanted, solver: Solver) -> Query {
     Query { margin: MARGIN, wanted, accuracy: Accuracy { solver, ..Accuracy::default() } }
 }
+
+/// How many times as fast as one lane the widest lanes are at least. The loss of an `#[inline(always)]` takes
+/// more than that.
+const LEAST_GAIN: f64 = 1.5;
+const NOT_INLINED: &str = "wide lanes gain nothing: a helper of crates/contact/src/lanes is not inlined";
 
 const REFUSED: &str = "parry3d refuses a hull";
 const UNUSABLE: &str = "a pose is not usable";
@@ -97,6 +103,48 @@ fn boxes(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
             Contender { name: names[2], pass: Box::new(|| whole.cold()) },
         ];
         record(&mut table, &cell.label, interleave(&mut contenders, cell.pairs.len(), ROUNDS));
+    }
+    Ok(table)
+}
+
+/// Whole manifolds of boxes in lanes, with each instruction set of this machine, beside parry3d and the path
+/// for all hulls. From the caches, and with hulls that are in no cache.
+fn lanes(cells: &[Cell]) -> Result<Table, Box<dyn Error>> {
+    let sets: Vec<_> = InstructionSet::available().collect();
+    let mut names = vec!["parry3d f32", "parry3d f32 cuboid", "path for all hulls"];
+    names.extend(sets.iter().map(|set| set.name()));
+    let mut table = Table::new("boxes", &names);
+    let streamed = cells::streamed()?;
+    let cold = cells.iter().map(|cell| (cell, ""));
+    for (cell, note) in cold.chain(streamed.iter().map(|cell| (cell, ", streamed"))) {
+        if !cell.label.starts_with(Family::Box.name()) {
+            continue;
+        }
+        let turned = cell.turned();
+        let (hulls, turned_hulls) = (ours::hulls(cell)?, ours::hulls(&turned)?);
+        let points_query = query(Wanted::Points, Solver::Portal);
+        let mut single = parry::single::Hulls::new(cell, cell).ok_or(REFUSED)?;
+        let mut cuboids = parry::single::Cuboids::new(cell, cell).ok_or(REFUSED)?;
+        let mut general = PosedPairs::new(&turned_hulls, &turned, &turned, points_query).ok_or(UNUSABLE)?;
+        let mut lanes = Vec::new();
+        for &set in &sets {
+            lanes.push(BoxesInLanes::new(&hulls, cell, points_query, set).ok_or(UNUSABLE)?);
+        }
+        let mut contenders = vec![
+            Contender { name: names[0], pass: Box::new(|| single.cold()) },
+            Contender { name: names[1], pass: Box::new(|| cuboids.cold()) },
+            Contender { name: names[2], pass: Box::new(|| general.cold()) },
+        ];
+        for (&name, lanes) in names[3..].iter().zip(&mut lanes) {
+            contenders.push(Contender { name, pass: Box::new(move || lanes.cold()) });
+        }
+        let timings = interleave(&mut contenders, cell.pairs.len(), ROUNDS);
+        if let ([_, _, _, one, .., widest], "") = (&timings[..], note)
+            && widest.nanoseconds > one.nanoseconds / LEAST_GAIN
+        {
+            return Err(NOT_INLINED.into());
+        }
+        record(&mut table, &format!("{}{note}", cell.label), timings);
     }
     Ok(table)
 }

@@ -1,8 +1,11 @@
 //! A batch of pairs, and the computation of each pair's answer.
 
-use std::{any::Any, sync::Arc};
+use std::{any::Any, ops::Range, sync::Arc};
 
-use hullcast_contact::{Basis, Body, Outcome, Workspace, contact_manifold, estimated_steps};
+use hullcast_contact::{
+    Basis, Body, BoxPair, GROUP, Manifold, Outcome, Stopped, Workspace, box_manifolds, contact_manifold,
+    estimated_steps,
+};
 
 use crate::{
     columns::{Columns, InvalidPair},
@@ -30,6 +33,23 @@ pub struct Batch {
     pub(crate) step: Option<(Arc<Step>, Option<Arc<StepPairs>>)>,
     /// Dropped with the batch.
     owned: Option<Box<dyn Any + Send + Sync>>,
+}
+
+/// The buffers of a thread that computes pairs.
+#[derive(Debug, Default)]
+pub(crate) struct Workspaces {
+    /// For groups of pairs of boxes, whose answers wait while the pairs between them are computed.
+    boxes: Workspace,
+    others: Workspace,
+}
+
+/// Pairs of boxes that are computed together.
+struct Group<'a> {
+    /// Their numbers, ascending.
+    pairs: [usize; GROUP],
+    boxes: [BoxPair<'a>; GROUP],
+    /// How many of these are used.
+    count: usize,
 }
 
 impl Batch {
@@ -78,8 +98,72 @@ impl Batch {
         self.owned = Some(Box::new(value));
     }
 
+    /// Computes these pairs and adds them to `columns`, in order. Calls `spend` with the steps of each pair,
+    /// and ends early if that fails.
+    ///
+    /// Pairs of boxes are computed in groups, ahead of the other pairs that are between them.
+    pub(crate) fn pairs_in_order(
+        &self,
+        pairs: Range<usize>,
+        workspaces: &mut Workspaces,
+        columns: &mut Columns,
+        mut spend: impl FnMut(u64) -> Result<(), Stopped>,
+    ) -> Result<(), Stopped> {
+        let Workspaces { boxes, others } = workspaces;
+        let mut next = pairs.start;
+        while next < pairs.end {
+            let Some(group) = self.group(next..pairs.end) else {
+                return (next..pairs.end).try_for_each(|pair| spend(self.pair(pair, others, columns)));
+            };
+            let query = self.bodies.template().query();
+            let manifolds = box_manifolds(&group.boxes[..group.count], query, boxes);
+            let mut answers = group.pairs[..group.count].iter().zip(manifolds).peekable();
+            while let Some(&(&ahead, manifold)) = answers.peek() {
+                if next < ahead {
+                    spend(self.pair(next, others, columns))?;
+                } else {
+                    answers.next();
+                    spend(self.add(next, manifold, columns))?;
+                }
+                next += 1;
+            }
+            spend(boxes.take_steps())?;
+        }
+        Ok(())
+    }
+
+    /// The first pairs of boxes among these pairs, as many as one group holds. `None` if there are none.
+    fn group(&self, pairs: Range<usize>) -> Option<Group<'_>> {
+        let mut found = pairs.filter_map(|pair| Some((pair, self.box_pair(pair)?)));
+        let (pair, first) = found.next()?;
+        let mut group = Group { pairs: [pair; GROUP], boxes: [first; GROUP], count: 1 };
+        for (pair, boxes) in found.take(GROUP - 1) {
+            group.pairs[group.count] = pair;
+            group.boxes[group.count] = boxes;
+            group.count += 1;
+        }
+        Some(group)
+    }
+
+    /// Pair `pair`, if it is a pair of boxes that has to be computed. The pairs of a group share their margin, so
+    /// pairs with margins of their own are computed alone.
+    fn box_pair(&self, pair: usize) -> Option<BoxPair<'_>> {
+        if self.bodies.have_own_margins() {
+            return None;
+        }
+        let query = self.bodies.template().query();
+        let bodies = self.pair_bodies(pair);
+        let [hull_a, hull_b] = bodies.map(|body| self.bodies.hull(body).as_ref().ok());
+        if !BoxPair::accepts(hull_a?, hull_b?, query) || self.row_to_reuse(pair).is_some() {
+            return None;
+        }
+        let [pose_a, pose_b] = bodies.map(|body| self.bodies.pose(body));
+        let (a, b) = (Body::new(hull_a?, pose_a?), Body::new(hull_b?, pose_b?));
+        BoxPair::new(&a, &b, query, self.warm_start(pair, &a, &b).as_ref())
+    }
+
     /// Computes pair `pair` and adds it to `columns`. Returns the steps that it took.
-    pub(crate) fn pair(&self, pair: usize, workspace: &mut Workspace, columns: &mut Columns) -> u64 {
+    fn pair(&self, pair: usize, workspace: &mut Workspace, columns: &mut Columns) -> u64 {
         let mut invalid = InvalidPair::default();
         let bodies = self.pair_bodies(pair);
         if let Some((step, row)) = self.row_to_reuse(pair) {
@@ -90,22 +174,27 @@ impl Batch {
             return LEAST_STEPS;
         }
         let [a, b] = bodies.map(|body| self.body(body, &mut invalid));
-        match (a, b) {
-            (Some(a), Some(b)) => {
-                let warm = self.warm_start(pair, &a, &b);
-                let query = self.bodies.query(bodies, [&a, &b]);
-                let manifold = contact_manifold(&a, &b, &query, warm.as_ref(), workspace);
-                if self.candidates.is_some() {
-                    if manifold.outcome == Outcome::Separated {
-                        return workspace.take_steps();
-                    }
-                    columns.push_pair(bodies);
-                }
-                columns.push(manifold, self.kept);
+        let (Some(a), Some(b)) = (a, b) else {
+            columns.push_invalid(invalid, self.kept);
+            return LEAST_STEPS;
+        };
+        let warm = self.warm_start(pair, &a, &b);
+        let query = self.bodies.query(bodies, [&a, &b]);
+        let manifold = contact_manifold(&a, &b, &query, warm.as_ref(), workspace);
+        let steps = self.add(pair, manifold, columns);
+        steps + workspace.take_steps()
+    }
+
+    /// Adds the answer of a pair to `columns`. Returns the steps of that.
+    fn add(&self, pair: usize, manifold: &Manifold, columns: &mut Columns) -> u64 {
+        if self.candidates.is_some() {
+            if manifold.outcome == Outcome::Separated {
+                return 0;
             }
-            _ => columns.push_invalid(invalid, self.kept),
+            columns.push_pair(self.pair_bodies(pair));
         }
-        LEAST_STEPS + workspace.take_steps()
+        columns.push(manifold, self.kept);
+        LEAST_STEPS
     }
 
     fn body(&self, index: u32, invalid: &mut InvalidPair) -> Option<Body<'_>> {

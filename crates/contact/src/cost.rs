@@ -9,6 +9,8 @@ use std::cell::Cell;
 /// Steps per pair besides its support calls and polygons: setting up the frame and writing the
 /// answer.
 pub(crate) const PAIR: u64 = 200;
+/// Steps per pair of boxes that is computed in lanes.
+pub(crate) const LANE: u64 = 100;
 /// Steps per iteration of a solver, besides its support calls.
 pub(crate) const ITERATION: u64 = 40;
 /// Steps per side of a projected feature.

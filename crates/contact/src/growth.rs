@@ -29,7 +29,7 @@
 //! about two thirds of the time of the other one, and its last triple warm-starts the next query.
 //! [`gjk_ray_cast`] is the paper's. For two boxes, [`boxes`] computes where the portal should start.
 
-mod boxes;
+pub(crate) mod boxes;
 pub(crate) mod gjk_ray_cast;
 pub(crate) mod portal;
 pub(crate) mod triple;

@@ -39,7 +39,7 @@ mod support;
 mod topology;
 mod triangulation;
 
-pub(crate) use boxes::{BoxShape, octant};
+pub(crate) use boxes::{BoxRow, BoxShape, octant};
 pub use error::{BuildError, HullError, HullErrorKind};
 pub use face::Face;
 pub use simplify::Simplification;
@@ -88,6 +88,8 @@ pub struct ConvexHull {
     pub(super) columns: super::support::Columns,
     /// The box that the hull is, if the hull is a box about its contraction point.
     box_shape: Option<BoxShape>,
+    /// The row that lanes read, if the hull is a box along its frame's axes to rounding.
+    box_row: Option<BoxRow>,
     /// The map of directions; present for large hulls only.
     pub(super) support_map: Option<super::support::SupportMap>,
     /// For each vertex, its index among the registered points; ascending.

@@ -24,6 +24,9 @@
 //!     keep at most max_points of the points                             (reduce)
 //! ```
 //!
+//! Two boxes along the axes of their frames take a path of their own, which computes several pairs at
+//! once (`lanes`). [`box_manifolds`] is its form for many pairs.
+//!
 //! [`certificate`] checks an answer against its definition. It reads only the two hulls and shares no
 //! solver with the other modules. `docs/algorithm.md` lists the symbols that the comments use.
 //!
@@ -63,6 +66,7 @@ mod gauss_map;
 mod growth;
 pub mod hull;
 mod intersection;
+mod lanes;
 mod manifold;
 mod monotone_chain;
 mod motion;
@@ -86,6 +90,7 @@ pub use hull::{
     ABSENT_PLANARITY, BuildError, ConvexHull, HullError, HullErrorKind, HullOptions, MAX_PLANARITY,
     Simplification,
 };
+pub use lanes::{BoxPair, GROUP, InstructionSet, box_manifolds, box_manifolds_with};
 pub use manifold::{Basis, ContactPoint, Element, Feature, Flags, Manifold, Outcome};
 pub use motion::{Motion, approach};
 pub use query::{Accuracy, Query, Solver, Wanted};
@@ -105,6 +110,7 @@ use tolerance::{MERGE, NOISE, U};
 pub struct Workspace {
     turned: Columns,
     steps: Steps,
+    lanes: lanes::Buffers,
     /// Elementary steps of the pairs computed since the last [`Workspace::take_steps`].
     counted: u64,
 }
@@ -163,7 +169,10 @@ pub fn contact_manifold<'w>(
     warm: Option<&Basis>,
     workspace: &'w mut Workspace,
 ) -> &'w Manifold {
-    let Workspace { turned, steps, counted } = workspace;
+    if let Some(boxes) = BoxPair::new(a, b, query, warm) {
+        return lanes::box_manifold(&boxes, query, workspace);
+    }
+    let Workspace { turned, steps, counted, .. } = workspace;
     let pair = &mut Pair::new(a, b);
     steps.answer(pair, query, warm, turned);
     *counted += cost::PAIR
@@ -199,7 +208,7 @@ impl Steps {
 
         // Step 1: growth scale and normal.
         let goal = Goal::new(&query.accuracy, margin, query.wanted == Wanted::Outcome);
-        let mut solution = match growth(pair, query.accuracy.solver, warm, &goal, turned) {
+        let solution = match growth(pair, query.accuracy.solver, warm, &goal, turned) {
             Growth::Solved(solution) => solution,
             Growth::Separated(Separation { direction, support, cost }) => {
                 let reach = direction.dot(support.point) / direction.length();
@@ -207,31 +216,52 @@ impl Steps {
                 return;
             }
         };
+        self.conclude(pair, solution, margin, query);
+    }
+
+    /// Computes features, points and outcome for the growth scale and normal found, and stores the
+    /// answer. `margin` is in pair units.
+    fn conclude(&mut self, pair: &Pair<'_>, mut solution: Solution, margin: f64, query: &Query) {
         let certain = solution.upper <= 1.0 || margin == f64::INFINITY;
         if query.wanted == Wanted::Points {
             self.find_points(pair, &solution, &query.accuracy);
         }
 
         let near = certain || (query.wanted == Wanted::Points && self.points_within(margin));
-        let outcome = if near {
-            Outcome::Contact
-        } else {
-            match distance::decide(pair, &solution.triple, margin, &mut solution.cost) {
-                Decision::Within => Outcome::Contact,
-                Decision::Unknown => Outcome::Undecided,
-                Decision::Beyond(direction, support) => {
-                    let reach = direction.dot(support.point) / direction.length();
-                    self.manifold.set_apart(pair, direction, reach, solution.cost);
-                    return;
-                }
-            }
-        };
+        let outcome = if near { Some(Outcome::Contact) } else { self.decide(pair, &mut solution, margin) };
+        let Some(outcome) = outcome else { return };
         // A query for the outcome only does not ask for a bracket, so none can be too wide.
         solution.gap_open &= query.wanted != Wanted::Outcome;
         self.manifold.set_solved(pair, &solution, outcome);
         if query.wanted == Wanted::Points {
             self.lift_points(pair, &query.accuracy);
         }
+    }
+
+    /// Decides by the distance of the hulls whether they are within the margin (pair units). Stores the
+    /// answer and returns `None` if they are not.
+    fn decide(&mut self, pair: &Pair<'_>, solution: &mut Solution, margin: f64) -> Option<Outcome> {
+        match distance::decide(pair, &solution.triple, margin, &mut solution.cost) {
+            Decision::Within => Some(Outcome::Contact),
+            Decision::Unknown => Some(Outcome::Undecided),
+            Decision::Beyond(direction, support) => {
+                let reach = direction.dot(support.point) / direction.length();
+                self.manifold.set_apart(pair, direction, reach, solution.cost);
+                None
+            }
+        }
+    }
+
+    /// The sine and the cosine of the feature angle.
+    fn sine_and_cosine(&mut self, feature_angle: f64) -> (f64, f64) {
+        let (_, sine, cosine) = match self.feature_angle {
+            Some(known) if known.0 == feature_angle => known,
+            _ => {
+                let (sine, cosine) = feature_angle.sin_cos();
+                *self.feature_angle.insert((feature_angle, sine, cosine))
+            }
+        };
+        (sine, cosine)
     }
 
     /// Steps 2 and 3: finds the two features and the contact points of their intersection.
@@ -243,13 +273,7 @@ impl Steps {
         let [u0, u1, u2] = if complete { solution.triple } else { [solution.support; 3] };
         let known = |vertex: fn(&Support) -> u32| [solution.support, u0, u1, u2].each_ref().map(vertex);
         let depth = MERGE * U * pair.circumradius;
-        let (_, sine, cosine) = match self.feature_angle {
-            Some(known) if known.0 == accuracy.feature_angle => known,
-            _ => {
-                let (sine, cosine) = accuracy.feature_angle.sin_cos();
-                *self.feature_angle.insert((accuracy.feature_angle, sine, cosine))
-            }
-        };
+        let (sine, cosine) = self.sine_and_cosine(accuracy.feature_angle);
         let of = |n, known: &[u32; 4], scale: f64, hull, scratch: &mut _| {
             touched_feature(hull, &Direction { n, known, depth: depth / scale, sine, cosine }, scratch)
         };

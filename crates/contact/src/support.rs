@@ -6,7 +6,7 @@
 //!
 //! Every version computes `(n.x v.x + n.y v.y) + n.z v.z` without fused multiply-add, and takes the
 //! lowest index if several vertices tie. So all versions return the same vertex on every machine.
-//! The function [`scalar`] is the definition. This module is the only one with SIMD and `unsafe`.
+//! The function [`scalar`] is the definition. This module and `lanes::simd` are the only ones with SIMD and `unsafe`.
 
 #![allow(unsafe_code)]
 

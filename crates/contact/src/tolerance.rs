@@ -144,6 +144,43 @@ pub(crate) const RAY_CAST_NEAR: f64 = 1.5e-8;
 /// chooses the start, so no answer depends on the value.
 pub(crate) const SAME_AXIS: f64 = 1e-9;
 
+// Pairs of boxes in lanes (`lanes`).
+
+/// A hull takes part in lanes of boxes if each corner is within this multiple of `U * R` of its box's, with
+/// `R` its own circumradius. The bracket allows for it, and is still inside the published budget.
+pub(crate) const OFF_BOX: f64 = 8.0;
+
+/// Lengths of a pair may differ by this factor at most, a power of two. Then products of four of them
+/// neither overflow nor underflow.
+pub(crate) const LANE_RANGE: f64 = f64::from_bits((1023 + 200) << 52);
+
+/// Two axes tie if their growth scales differ by less than this fraction. It only chooses the direction for
+/// which the bracket is proved.
+pub(crate) const LANE_SAME_AXIS: f64 = 16.0 * U;
+
+/// The cosine of the angle between two edges above which their cross product loses so many bits that it is
+/// no axis. A pair whose axis it would be gets an open bracket, and goes to the portal.
+pub(crate) const PARALLEL_EDGES: f64 = 1.0 - 5e-7;
+
+/// Two faces are parallel to rounding if their normals, by the axes of either box, differ by at most this: the
+/// rounding of both rotations and of their product. The octagon of their sides is then a facet of `K`.
+pub(crate) const PARALLEL_FACES: f64 = 16.0 * U;
+
+/// The bracket of a lane is closed if it is this narrow; see [`BRACKET`]. One unit less leaves room for the
+/// rounding of the radii.
+pub(crate) const LANE_BRACKET: f64 = BRACKET - 1.0;
+
+/// Multiple of the merge distance by which a single contact point must be inside its features.
+pub(crate) const LANE_INSIDE: f64 = 4.0;
+
+/// Multiple of the merge distance by which each corner of two rectangles must be off the lines of the other
+/// one's sides.
+pub(crate) const LANE_CLEAR: f64 = 4096.0;
+
+/// Two sides are nearly parallel if the sine of their angle is below this. The vertices of a crossing of
+/// others, with sides longer than [`LANE_CLEAR`], turn by at least twice the merge distance.
+pub(crate) const LANE_TURN: f64 = 1.0 / 1024.0;
+
 // Step 1: iterations.
 
 /// The first iterations of a portal, which count as improvements without a comparison: from a cold

@@ -10,13 +10,19 @@ use std::{
     },
 };
 
-use hullcast_contact::{Stop, Stopped, Workspace};
+use hullcast_contact::{Stop, Stopped};
 
 use super::{
     chunks::Chunks,
     state::{EngineState, SPARE_BYTES},
 };
-use crate::{batch::Batch, columns::Columns, compute::Parts, lock::locked, memory::Memory};
+use crate::{
+    batch::{Batch, Workspaces},
+    columns::Columns,
+    compute::Parts,
+    lock::locked,
+    memory::Memory,
+};
 
 /// Chunks with fewer bytes in total are joined by the thread that computed the last of them, in
 /// about 1 ms.
@@ -63,7 +69,7 @@ pub(super) struct ComputedChunks<M> {
 }
 
 thread_local! {
-    static WORKSPACE: RefCell<Workspace> = RefCell::default();
+    static WORKSPACES: RefCell<Workspaces> = RefCell::default();
     /// The columns of small batches that the thread computes itself.
     static COLUMNS: RefCell<Columns> = RefCell::default();
 }
@@ -154,11 +160,11 @@ impl<M: Memory, H: Send + 'static> BatchRun<M, H> {
         self.look()?;
         #[cfg(any(test, feature = "testing"))]
         self.shared.before_chunk(pairs.len());
-        // The workspace is taken out while the chunk is computed, so that the thread gets a new one after a
+        // The workspaces are taken out while the chunk is computed, so that the thread gets new ones after a
         // panic.
-        let mut workspace = WORKSPACE.take();
-        let computed = self.pairs(pairs, &mut workspace, columns);
-        WORKSPACE.set(workspace);
+        let mut workspaces = WORKSPACES.take();
+        let computed = self.pairs(pairs, &mut workspaces, columns);
+        WORKSPACES.set(workspaces);
         computed?;
         let bytes = columns.wire_bytes(self.batch.bodies.template().outputs());
         if self.answer_bytes.fetch_add(bytes, Ordering::Relaxed) + bytes > self.shared.max_answer_bytes {
@@ -171,18 +177,19 @@ impl<M: Memory, H: Send + 'static> BatchRun<M, H> {
     fn pairs(
         &self,
         pairs: Range<usize>,
-        workspace: &mut Workspace,
+        workspaces: &mut Workspaces,
         columns: &mut Columns,
     ) -> Result<(), Stopped> {
         self.shared.pairs_computed.fetch_add(pairs.len() as u64, Ordering::Relaxed);
         let mut steps = 0;
-        for pair in pairs {
-            steps += self.batch.pair(pair, workspace, columns);
+        self.batch.pairs_in_order(pairs, workspaces, columns, |of_pair| {
+            steps += of_pair;
             if steps >= GATHERED_STEPS {
                 self.stop.spend(std::mem::take(&mut steps))?;
                 self.look()?;
             }
-        }
+            Ok(())
+        })?;
         self.stop.spend(steps)
     }
 

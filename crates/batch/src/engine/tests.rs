@@ -3,17 +3,18 @@
 use std::sync::Mutex;
 
 use hullcast_contact::{
-    ConvexHull, STEPS_BETWEEN_LOOKS, Stop,
-    workload::{Family, Regime, Workload},
+    ConvexHull, STEPS_BETWEEN_LOOKS, Stop, Workspace, contact_manifold,
+    workload::{Family, Random, Regime, Workload},
 };
 
 use super::*;
 use crate::{
     Unlimited,
+    columns::InvalidPair,
     compute::Parts,
     memory::{MemoryPool, PoolIsFull, PooledMemory},
     outputs::{Output, Outputs},
-    scene::Scene,
+    scene::{Hulls, Missing, Scene},
     wait,
 };
 
@@ -60,20 +61,22 @@ fn answer(run: &TestRun, chunks: Vec<Columns>) -> (Columns, PooledMemory) {
 #[test]
 fn the_steady_state_allocates_nothing_per_pair() {
     let engine = engine(64 << 20);
-    for regime in Regime::ALL {
+    for (family, regime) in
+        [Family::Box, Family::Poly16].into_iter().flat_map(|f| Regime::ALL.map(|r| (f, r)))
+    {
         for pairs in [1000, 4096] {
             // Several rounds, so that the chunks' buffers are reused.
             for round in 0..8 {
-                let run = run(&engine, batch(Family::Poly16, regime, pairs));
+                let run = run(&engine, batch(family, regime, pairs));
                 let mut chunks = Vec::with_capacity(run.count());
                 let made = allocation_counter::measure(|| {
                     chunks.extend((0..run.count()).map(|index| run.part(index).unwrap()));
                 });
-                assert!(round < 4 || made.count_total == 0, "{regime:?} {pairs}: {made:?}");
+                assert!(round < 4 || made.count_total == 0, "{family:?} {regime:?} {pairs}: {made:?}");
                 let made = allocation_counter::measure(|| {
                     assert_eq!(answer(&run, chunks).0.len(), pairs);
                 });
-                assert!(made.count_total <= 22, "columns, each once: {made:?}");
+                assert!(made.count_total <= 24, "columns, each once: {made:?}");
             }
         }
     }
@@ -179,6 +182,78 @@ fn the_same_columns_whatever_the_chunks() {
         assert_eq!(format!("{equal:?}"), format!("{by_pairs:?}"), "{family:?}");
     }
     assert!(most > 0 && most <= 2 * STEPS_BETWEEN_LOOKS, "{most}");
+}
+
+/// Boxes, other hulls, and bodies without a hull or a usable pose, in every order. Catches an answer of a group
+/// of boxes at the place of another pair, a group that loses or repeats a pair, and an answer that is not that
+/// of the pair by itself.
+#[test]
+fn mixed_pairs_are_answered_one_by_one_and_together() {
+    let engine = engine(1 << 30);
+    let mut random = Random::new(5);
+    let mut seen = [0; 3];
+    for round in 0..20 {
+        let pairs = 1 + 13 * round;
+        let [boxes, others] = [Family::Box, Family::Poly16]
+            .map(|family| Workload::generate(family, Regime::ALL[round % 3], pairs, round as u64).unwrap());
+        // The hulls of the boxes, those of the others, and a missing one.
+        let hulls = boxes.hulls.iter().chain(&others.hulls);
+        let mut hulls: Hulls = hulls.map(|points| Ok(Arc::new(ConvexHull::new(points).unwrap()))).collect();
+        let first_other = boxes.hulls.len();
+        hulls.push(Err(Missing::Unknown));
+        let (mut body_hulls, mut positions, mut rotations) = (vec![], vec![], vec![]);
+        for i in 0..pairs {
+            let kind = [0, 0, 1, 2][random.below(4)];
+            seen[kind] += 1;
+            let pair = &[&boxes, &others][kind % 2].pairs[i];
+            let offset = if kind == 1 { first_other } else { 0 };
+            body_hulls.extend(pair.hulls.map(|hull| (offset + hull) as u32));
+            positions.extend_from_slice(pair.positions.as_flattened());
+            rotations.extend_from_slice(pair.rotations.as_flattened());
+            if kind == 2 && random.below(2) == 0 {
+                *body_hulls.last_mut().unwrap() = hulls.len() as u32 - 1;
+            } else if kind == 2 {
+                *positions.last_mut().unwrap() = f64::NAN;
+            }
+        }
+        let scene = Scene {
+            hulls,
+            body_hulls,
+            positions,
+            rotations,
+            pairs: (0..2 * pairs as u32).collect(),
+            outputs: Outputs::of(Output::ALL.iter().copied()),
+            margin: 0.01,
+            ..Scene::default()
+        };
+        let run = run(&engine, scene.batch(&Stop::default()).unwrap());
+        let chunks = (0..run.count()).map(|index| run.part(index).unwrap()).collect();
+        let together = answer(&run, chunks).0;
+
+        let (bodies, mut workspace) = (&run.batch.bodies, Workspace::default());
+        let outputs = bodies.template().outputs();
+        let mut alone = Columns::default();
+        for pair in 0..pairs as u32 {
+            let [a, b] = [0, 1].map(|side| bodies.body(2 * pair + side));
+            let (Some(a), Some(b)) = (a, b) else {
+                let mut invalid = InvalidPair::default();
+                for body in [2 * pair, 2 * pair + 1] {
+                    if let Err(missing) = bodies.hull(body) {
+                        invalid.hull(*missing);
+                    }
+                    if bodies.pose(body).is_none() {
+                        invalid.body();
+                    }
+                }
+                alone.push_invalid(invalid, outputs);
+                continue;
+            };
+            let query = bodies.template().query();
+            alone.push(contact_manifold(&a, &b, query, None, &mut workspace), outputs);
+        }
+        assert_eq!(format!("{together:?}"), format!("{alone:?}"), "{round}");
+    }
+    assert!(seen.iter().all(|&count| count > 500), "{seen:?}");
 }
 
 /// Prisms of 2,048 sides whose end faces overlap. Catches chunks that are cut by the number of

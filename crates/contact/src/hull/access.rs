@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-use super::{BoxShape, ConvexHull, Face};
+use super::{BoxRow, BoxShape, ConvexHull, Face};
 use crate::csr::Csr;
 use crate::support::{Columns, SupportMap};
 
@@ -134,6 +134,12 @@ impl ConvexHull {
     /// The box that this hull is, or `None` if it is not a box about its contraction point.
     pub(crate) fn box_shape(&self) -> Option<&BoxShape> {
         self.box_shape.as_ref()
+    }
+
+    /// The row that lanes read, or `None` if the hull does not take part in lanes of boxes.
+    #[inline]
+    pub(crate) fn box_row(&self) -> Option<&BoxRow> {
+        self.box_row.as_ref()
     }
 
     /// Vertex `i`.

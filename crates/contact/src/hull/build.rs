@@ -2,7 +2,6 @@
 
 use glam::{DMat3, DVec3};
 
-use super::BoxShape;
 use super::error::plain;
 use super::face::Face;
 use super::isolation::{Isolation, isolation};
@@ -12,6 +11,7 @@ use super::solid::{Centred, Solid};
 use super::topology::topology;
 use super::triangulation::Triangulation;
 use super::{ABSENT_PLANARITY, BuildError, ConvexHull, HullError, HullErrorKind, HullOptions};
+use super::{BoxRow, BoxShape};
 use crate::csr::{Csr, LISTED};
 use crate::exact::TriangleNormal;
 use crate::stop::{Meter, Stopped};
@@ -40,7 +40,7 @@ pub(super) fn build(
     let shell = Shell::new(&solid.triangulation, &centred, &normals, planarity, meter)?;
     let shell = shell.ok_or_else(not_representable)?;
     let largest_face = shell.outlines.longest_row() as u32;
-    Ok(ConvexHull {
+    let mut hull = ConvexHull {
         outlines: shell.outlines,
         largest_face,
         face_neighbours: shell.face_neighbours,
@@ -51,6 +51,7 @@ pub(super) fn build(
         support_map: SupportMap::new(&centred.vertices, &shell.vertex_neighbours, meter)?,
         vertex_neighbours: shell.vertex_neighbours,
         box_shape: BoxShape::recognise(&centred.vertices, &shell.faces),
+        box_row: None,
         merge_error: shell.merge_error,
         faces: shell.faces,
         columns: Columns::new(&centred.vertices),
@@ -67,7 +68,9 @@ pub(super) fn build(
         volume: mass.volume * area * length,
         center_of_mass,
         inertia: scaled(mass.inertia, area, length),
-    })
+    };
+    hull.box_row = BoxRow::of(&hull);
+    Ok(hull)
 }
 
 /// The length of `v`, without overflow or underflow of the squares of its coordinates.

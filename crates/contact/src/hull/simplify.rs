@@ -35,7 +35,7 @@ use std::{cmp::Ordering, collections::BinaryHeap};
 
 use super::error::plain;
 use super::solid::Solid;
-use super::{BuildError, ConvexHull, HullError, HullErrorKind, HullOptions, build};
+use super::{BoxRow, BuildError, ConvexHull, HullError, HullErrorKind, HullOptions, build};
 use crate::stop::{Meter, Stopped};
 use crate::tolerance::{NOISE, U};
 use distance::{Trace, distance};
@@ -257,6 +257,7 @@ impl<'a> Inner<'a> {
         let mut hull = build::build(&points, &options, meter)?;
         hull.registered.iter_mut().for_each(|v| *v = registered[*v as usize]);
         hull.registered_count = self.whole.registered_count;
+        hull.box_row = BoxRow::of(&hull);
         hull.deviation = self.deviation(count, meter)?;
         Ok(hull)
     }
