@@ -129,9 +129,8 @@ impl StepAnswer {
 
     /// The answer if it is known to be the answer before, because nothing has changed.
     pub(super) async fn repeated(&mut self) -> Result<Option<QueryContactsResponse>, ServiceError> {
-        let (Some(step), Some(before)) = (&self.step, &self.before) else { return Ok(None) };
-        let repeats = self.knows_steps && step.repeats() && step.rows().are_settled() && !before.had_ended;
-        if !repeats {
+        let Some(step) = &self.step else { return Ok(None) };
+        if !(self.may_repeat() && step.repeats() && step.rows().are_settled()) {
             return Ok(None);
         }
         let rows = step.rows().clone();

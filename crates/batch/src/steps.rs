@@ -181,7 +181,8 @@ impl Step {
             let pair =
                 MatchedPair { step: self, bodies, pair, columns, first: points.start, row, old, swapped };
             let reach = pair.reach();
-            let done = match_points(&pair, &mut matched[points], self.rows.points(old).len(), reach, meter);
+            let done =
+                match_points(&pair, &mut matched[points], self.rows.matchable_points(old), reach, meter);
             columns.previous_points = matched;
             done?;
         }

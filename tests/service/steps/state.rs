@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use hullcast::{
     budget::Part,
-    proto::{DeleteHullsRequest, QueryContactsRequest},
+    proto::{DeleteHullsRequest, Output, QueryContactsRequest},
     service::Limits,
 };
 use tonic::Code;
@@ -105,4 +105,42 @@ async fn a_hull_that_goes_changes_its_bodies() {
     let back = stream.step(inherited(4)).await.unwrap();
     assert_eq!(back.whole.pairs, whole.pairs);
     assert_eq!(back.whole.outcomes, whole.outcomes);
+}
+
+/// Catches a panic, or matches of points that were not kept, where the answer before was asked without the output
+/// MATCHES and so has no ids of points, no witnesses or no points at all.
+#[tokio::test(flavor = "multi_thread")]
+async fn matches_may_be_asked_for_later() {
+    let server = TestServer::start().await;
+    server.hulls().register_hulls(register_request(&shapes())).await.unwrap();
+    let with_matches = crowd(40, 7);
+    let bodies: Vec<u32> = (0..40).collect();
+    for first in
+        [vec![Output::Outcome], vec![Output::Alpha], vec![Output::Points], vec![Output::Features], vec![]]
+    {
+        let mut stream = Stepper::open(&server).await;
+        let before = QueryContactsRequest { outputs: outputs(&first), ..with_matches.clone() };
+        assert!(!stream.step(before).await.unwrap().whole.outcomes.is_empty());
+        let after = QueryContactsRequest { previous_bodies: bodies.clone(), ..with_matches.clone() };
+        let answer = stream.step(after).await.unwrap().whole;
+        assert!(answer.point_counts.iter().any(|&count| count > 0));
+        assert!(answer.previous_pairs.iter().zip(0..).all(|(&row, index)| row == index), "{first:?}");
+        assert!(answer.previous_points.iter().all(|&point| point == super::NONE), "{first:?}");
+        let answer = stream.step(inherited(3)).await.unwrap().whole;
+        assert!(answer.previous_points.iter().all(|&point| point != super::NONE), "{first:?}");
+    }
+}
+
+/// Catches an answer that is sent as unchanged although a hull that no body uses was deleted.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_hull_that_goes_is_missing_even_if_no_body_uses_it() {
+    let server = TestServer::start().await;
+    server.hulls().register_hulls(register_request(&shapes())).await.unwrap();
+    let mut full = QueryContactsRequest { outputs: outputs(&[Output::Outcome]), ..crowd(20, 8) };
+    full.body_hulls.fill(0);
+    let mut stream = Stepper::open(&server).await;
+    assert!(stream.step(full.clone()).await.unwrap().whole.missing_hulls.is_empty());
+    let ids = vec![full.hull_ids[1].clone()];
+    server.hulls().delete_hulls(DeleteHullsRequest { ids }).await.unwrap();
+    assert_eq!(stream.step(inherited(2)).await.unwrap().whole.missing_hulls, [1]);
 }

@@ -102,6 +102,17 @@ impl KeptRows {
         }
     }
 
+    /// The number of points of a row that points of the next answer can match. There are none if the answer was
+    /// asked without the output MATCHES, because it then lacks ids or witnesses.
+    pub(super) fn matchable_points(&self, row: usize) -> usize {
+        let (points, columns) = (self.points(row), &self.columns);
+        let has_all = columns.point_ids.len() >= 4 * points.end
+            && columns.witness_as.len() >= 3 * points.end
+            && columns.distances.len() >= points.end
+            && columns.normals.len() > 3 * row;
+        if has_all { points.len() } else { 0 }
+    }
+
     /// Whether a row has an outcome that another computation could not change.
     pub(super) fn is_certain(&self, row: usize) -> bool {
         [outcome::CONTACT, outcome::SEPARATED].contains(&self.columns.outcomes[row])
