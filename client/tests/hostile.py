@@ -38,14 +38,21 @@ class Mock(grpc.GenericRpcHandler):
 
 
 @contextmanager
-def mock_server() -> Iterator[tuple[Mock, str]]:
-    """Starts a mock server, and yields it and its address."""
-    mock = Mock()
-    with ThreadPoolExecutor(8) as pool:
-        server = grpc.server(pool, handlers=[mock], options=[("grpc.so_reuseport", 0)])
+def served(handler: grpc.GenericRpcHandler, threads: int) -> Iterator[str]:
+    """Starts a server whose calls the handler answers, and yields its address."""
+    with ThreadPoolExecutor(threads) as pool:
+        server = grpc.server(pool, handlers=[handler], options=[("grpc.so_reuseport", 0)])
         port = server.add_insecure_port("127.0.0.1:0")
         server.start()
         try:
-            yield mock, f"127.0.0.1:{port}"
+            yield f"127.0.0.1:{port}"
         finally:
             server.stop(None).wait()
+
+
+@contextmanager
+def mock_server() -> Iterator[tuple[Mock, str]]:
+    """Starts a mock server, and yields it and its address."""
+    mock = Mock()
+    with served(mock, 8) as address:
+        yield mock, address

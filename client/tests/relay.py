@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
 import grpc
 from crowds import NO_PROXY
+from hostile import served
 
 from hullcast._pb import contacts_pb2, server_pb2
 
@@ -99,12 +99,8 @@ class Relay(grpc.GenericRpcHandler):
 def relayed(target: str) -> Iterator[tuple[Relay, str]]:
     """Starts a relay to the server at `target`, and yields it and its address."""
     relay = Relay(target)
-    with ThreadPoolExecutor(16) as pool:
-        server = grpc.server(pool, handlers=[relay], options=[("grpc.so_reuseport", 0)])
-        port = server.add_insecure_port("127.0.0.1:0")
-        server.start()
-        try:
-            yield relay, f"127.0.0.1:{port}"
-        finally:
-            server.stop(None).wait()
-            relay._channel.close()
+    try:
+        with served(relay, 16) as address:
+            yield relay, address
+    finally:
+        relay._channel.close()

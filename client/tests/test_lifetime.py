@@ -12,6 +12,7 @@ import textwrap
 import threading
 from pathlib import Path
 
+import programs
 from crowds import CUBE
 
 import hullcast
@@ -28,19 +29,6 @@ def ends(process: int) -> bool:
             return True  # it has ended, and its parent has not waited for it yet
         threading.Event().wait(0.05)
     return False
-
-
-def run(program: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Runs a program in a process of its own, whose temporary files are in the folder."""
-    paths = os.pathsep.join(p for p in sys.path if p)
-    return subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(program)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-        env={**os.environ, "PYTHONPATH": paths, "TMPDIR": str(folder)},
-    )
 
 
 def test_a_cell_that_is_run_again_leaves_one_server():
@@ -66,7 +54,7 @@ def test_the_end_of_the_process_ends_the_server(tmp_path):
         client.register([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
         print(client._server._process.pid)
     """
-    done = run(program, tmp_path)
+    done = programs.run(program, TMPDIR=str(tmp_path))
     assert done.returncode == 0, done.stderr
     assert ends(int(done.stdout))
     assert not list(tmp_path.iterdir())
@@ -120,7 +108,7 @@ def test_a_forked_child_may_use_the_server_and_ends_nothing(tmp_path):
             sys.exit(7)  # with the exit handlers
         print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), len(client.register(cube)))
     """
-    done = run(program, tmp_path)
+    done = programs.run(program, TMPDIR=str(tmp_path))
     assert done.stdout.split() == ["7", "1"], done.stderr
 
 
@@ -129,7 +117,7 @@ def test_an_interrupt_does_not_end_the_server(tmp_path):
 
     As a terminal and Jupyter do, the test sends the signal to the whole group of processes.
     """
-    ended = run(
+    ended = programs.run(
         """
         import os, signal, time, hullcast
         os.setsid()
@@ -144,7 +132,7 @@ def test_an_interrupt_does_not_end_the_server(tmp_path):
         time.sleep(1)
         print(client.info().version)
         """,
-        tmp_path,
+        TMPDIR=str(tmp_path),
     )
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.strip() == hullcast.__version__

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import inspect
-import os
-import subprocess
-import sys
-import textwrap
 from collections import Counter
 from typing import Any
 
 import matching
 import numpy as np
+import programs
 import pytest
 from crowds import CUBE, EVERYTHING, NO_PROXY, Server
 from loops import (
@@ -310,14 +307,7 @@ def test_a_forked_child_finds_on_its_own():
             assert not session.step(scene.positions, scene.rotations).restarted
             session.close()
     """
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(program)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
-    )
+    done = programs.run(program)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "7", done.stderr
 

@@ -6,14 +6,12 @@ import asyncio
 import multiprocessing
 import os
 import pickle
-import subprocess
-import sys
-import textwrap
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import grpc
 import numpy as np
+import programs
 import pytest
 from crowds import CUBE, EVERYTHING, NO_PROXY, Server, crowd, expect_same
 from shapes import family
@@ -268,14 +266,7 @@ def test_a_forked_child_has_a_connection_of_its_own():
             print([os.waitstatus_to_exitcode(os.waitpid(c, 0)[1]) for c in children])
             expect_same(client.query(scene, pairs, outputs=EVERYTHING), expected)
     """
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(program)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
-    )
+    done = programs.run(program)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "[7, 7, 7, 7]", done.stderr
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import pickle
-import subprocess
-import sys
-import textwrap
 import threading
 
 import numpy as np
+import programs
 import pytest
 from crowds import CUBE, NO_PROXY
 
@@ -52,15 +49,7 @@ def test_the_server_ends_with_its_parent(tmp_path):
         print(client._server._process.pid, flush=True)
         os.kill(os.getpid(), signal.SIGKILL)
     """
-    paths = os.pathsep.join(p for p in sys.path if p)
-    parent = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(program)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-        env={**os.environ, "PYTHONPATH": paths, "TMPDIR": str(tmp_path)},
-    )
+    parent = programs.run(program, TMPDIR=str(tmp_path))
     server = int(parent.stdout)
     for _ in range(200):
         try:

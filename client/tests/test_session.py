@@ -5,14 +5,11 @@ from __future__ import annotations
 import asyncio
 import gc
 import inspect
-import os
 import pickle
-import subprocess
-import sys
-import textwrap
 import threading
 
 import numpy as np
+import programs
 import pytest
 from crowds import CUBE, EVERYTHING, NO_PROXY, Server, crowd, expect_same
 
@@ -315,14 +312,7 @@ def test_a_forked_child_steps_on_its_own():
             expect_same(session.step(scene.positions, scene.rotations), expected, work)
             session.close()
     """
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(program)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
-    )
+    done = programs.run(program)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "7", done.stderr
 

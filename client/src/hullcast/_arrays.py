@@ -17,9 +17,9 @@ Indices = npt.NDArray[np.uint32]
 #: The largest allowed difference, in any entry, between `R^T R` and the identity matrix.
 _ROTATION_ERROR = 1e-3
 
-#: The ranges of poses that the server accepts (`crates/contact/src/body.rs`): the largest absolute
-#: value of a coordinate, and the norm of a quaternion.
-_MAX_POSITION = 1e100
+#: The ranges that the server accepts (`crates/contact/src/body.rs`): the largest absolute value of
+#: a coordinate, a margin or a number of a motion, and the norm of a quaternion.
+LARGEST = 1e100
 MIN_NORM, MAX_NORM = 0.25, 4.0
 
 
@@ -300,7 +300,7 @@ def as_array(value: Any) -> npt.NDArray[Any]:
 def unusable(positions: Floats, rotations: Floats) -> Indices:
     """The indices of the bodies whose poses the server refuses, ascending."""
     with np.errstate(invalid="ignore", over="ignore"):
-        near = (np.abs(positions) <= _MAX_POSITION).all(axis=1)
+        near = (np.abs(positions) <= LARGEST).all(axis=1)
         squared = np.einsum("ni,ni->n", rotations, rotations)
         turned = (squared >= MIN_NORM**2) & (squared <= MAX_NORM**2)
     return np.flatnonzero(~(near & turned)).astype("<u4")
@@ -311,9 +311,9 @@ def why_unusable(position: Floats, rotation: Floats) -> tuple[str, str]:
     text = f"({', '.join(f'{c:g}' for c in position)})"
     if not np.isfinite(position).all():
         return "positions", f"its position {text} is not finite"
-    if not (np.abs(position) <= _MAX_POSITION).all():
-        allowed = f"-{_MAX_POSITION:g} to {_MAX_POSITION:g} is allowed"
-        return "positions", f"its position {text} is beyond {_MAX_POSITION:g}, {allowed}"
+    if not (np.abs(position) <= LARGEST).all():
+        allowed = f"-{LARGEST:g} to {LARGEST:g} is allowed"
+        return "positions", f"its position {text} is beyond {LARGEST:g}, {allowed}"
     text = f"({', '.join(f'{c:g}' for c in rotation)})"
     if not np.isfinite(rotation).all():
         return "rotations", f"its rotation {text} is not finite"

@@ -8,11 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _arguments, _arrays
-from ._arrays import Floats, Indices
+from ._arrays import LARGEST, Floats, Indices
 from ._errors import InvalidArgument
-
-#: The largest margin of a body, and the largest magnitude of every number of a motion.
-LARGEST = 1e100
 
 #: For messages: a number of a motion, by the name of its argument.
 _CALLED = {

@@ -59,9 +59,9 @@ impl Changes {
         Self { changed, ..Self::none() }
     }
 
-    /// The bodies whose poses or motions have other bits than before. `bodies_now` is empty if the bodies have the numbers
-    /// that they had; otherwise it has the number of each old body now, and a body that has no old number has
-    /// changed.
+    /// The bodies whose poses or motions have other bits than before. `bodies_now` is empty if the bodies have
+    /// the numbers that they had; otherwise it has the number of each old body now, and a body that has no old
+    /// number has changed.
     ///
     /// # Errors
     /// The work was stopped.

@@ -185,8 +185,8 @@ impl Step {
 
 impl Walk {
     /// Adds the next pairs of a step to `into`, until it has `most` pairs, the candidates are used up, or many
-    /// thousand pairs were passed. Returns the number of candidates that were used. `are_last` says that no other candidates follow; then the rest
-    /// of the rows follows the candidates.
+    /// thousand pairs were passed. Returns the number of candidates that were used. `are_last` says that no other
+    /// candidates follow; then the rest of the rows follows the candidates.
     ///
     /// # Errors
     /// The work was stopped.
