@@ -258,7 +258,7 @@ playground: $(VENV)/.test ## builds playground/dist; run it after a change of pl
 
 .PHONY: test-playground
 test-playground: check-tools $(VENV)/.playground ## tests the playground on the wire and in Chromium, and compares its bundle with its sources; needs Chromium and npm
-	$(CARGO) test --release --locked --package hullcast --test service playground
+	$(CARGO) test --release --locked --package hullcast --test service browsers
 	$(CARGO) build --release --locked
 	$(PY) -m pytest client/tests/extras/test_playground.py
 

@@ -27,8 +27,7 @@ mod listener;
 mod method;
 mod middleware;
 mod offload;
-#[cfg(feature = "playground")]
-mod page_body;
+mod origin;
 mod peers;
 #[cfg(feature = "playground")]
 mod playground;
@@ -43,12 +42,16 @@ mod security;
 mod server;
 mod sizes;
 mod socket_file;
-#[cfg(feature = "playground")]
+#[cfg(feature = "grpc-web")]
 mod stall;
 mod step;
 mod streams;
 #[cfg(feature = "testing")]
 mod test_controls;
+#[cfg(feature = "grpc-web")]
+mod web;
+#[cfg(feature = "grpc-web")]
+mod web_body;
 pub mod wire;
 
 use std::{
@@ -61,6 +64,7 @@ pub use engine::{EngineLimits, ServiceEngine};
 pub use error::{FaultLocation, ServiceError};
 pub use limits::Limits;
 pub use listener::Listener;
+pub use origin::Origin;
 pub use readiness::Readiness;
 pub use reason::{HullReason, Reason};
 pub use security::{LoadError, Security, SecurityFiles};

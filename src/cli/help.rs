@@ -11,7 +11,16 @@ use super::settings::PartialSettings;
 const SUBJECTS: [(&str, &[&str]); 5] = [
     (
         "Addresses and store",
-        &["listen", "admin_listen", "playground", "store", "store_bytes", "store_seconds"],
+        &[
+            "listen",
+            "admin_listen",
+            "playground",
+            "grpc_web",
+            "grpc_web_origins",
+            "store",
+            "store_bytes",
+            "store_seconds",
+        ],
     ),
     (
         "Who may connect",

@@ -19,6 +19,15 @@ const NO_NAMES: [&str; 10] = ["", " ", "x", "1", "-", "none", "alpha;normal", "*
 const NO_SWITCHES: [&str; 10] = ["", " ", "maybe", "2", "-1", "yes", "oui", "truee", "nil", "1.0"];
 const NO_ADDRESSES: [&str; 10] =
     ["x", ":1", "a:", "a:65536", "a:-1", "::1:1", "a b:1", "[a]:1", "a:b:c", "ftp://a:1"];
+const NO_ORIGINS: [&str; 7] = [
+    "*",
+    "null",
+    "app.example.org",
+    "ftp://app.example.org",
+    "https://a.example/",
+    "https://a:0",
+    "https://",
+];
 const NO_PROXIES: [&str; 10] =
     ["", "x", "10.0.0", "10.0.0.1:5", "10.0.0.0/8", "[::1]", "256.0.0.1", "localhost", "::g", "10.0.0.1;::1"];
 const NO_SERVERS: [&str; 10] =
@@ -69,7 +78,7 @@ const RANGES: [Case; 2] = [
         "numbers above 0, end at least start",
     ),
 ];
-const OF_SERVE: [Case; 39] = [
+const OF_SERVE: [Case; 41] = [
     ("store", &[""], "expected a directory, file://PATH, memory://"),
     ("listen", &NO_ADDRESSES, "expected host:port with a port from 0 to 65535"),
     ("admin-listen", &NO_ADDRESSES, "expected host:port with a port from 0 to 65535"),
@@ -84,6 +93,8 @@ const OF_SERVE: [Case; 39] = [
     ("shares", &NO_NAMES, "[possible values: on, off]"),
     ("allow-plaintext", &NO_SWITCHES, "[possible values: true, false]"),
     ("playground", &NO_SWITCHES, "[possible values: true, false]"),
+    ("grpc-web", &NO_SWITCHES, "[possible values: true, false]"),
+    ("grpc-web-origins", &NO_ORIGINS, "expected http://HOST or https://HOST"),
     ("compute-threads", &["4097"], "expected a whole number from 0 to 4096"),
     ("grace-seconds", &["1e10", "inf"], "expected a number from 0 to 1000000000"),
     ("drain-seconds", &["1e10", "inf"], "expected a number from 0 to 1000000000"),

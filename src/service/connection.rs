@@ -39,11 +39,11 @@ use super::{
     sizes::HEADER_BYTES,
     streams::{PendingStreams, StreamExecutor, StreamRecordMemory, Streams},
 };
-#[cfg(feature = "playground")]
+#[cfg(feature = "grpc-web")]
 use super::{
     cutoff::Cutoff,
-    playground::{self, Page},
     stall::{Stall, StallDetector},
+    web::{self, Web},
 };
 use crate::log_limit::limited;
 
@@ -137,9 +137,9 @@ impl Connections {
         let (close, closed) = watch::channel(false);
         let (app, routes, options) = (self.app.clone(), self.routes.clone(), self.options.clone());
         let calls = Middleware::new(app, routes, options, peer.clone(), Closing(closed));
-        #[cfg(feature = "playground")]
-        if self.options.playground {
-            return self.serve_page(io, calls, peer, close, closing).await;
+        #[cfg(feature = "grpc-web")]
+        if self.options.serves_browsers() {
+            return self.serve_browsers(io, calls, peer, close, closing).await;
         }
         self.serve_http2(io, calls, peer, close, closing).await;
     }
@@ -181,9 +181,9 @@ impl Connections {
         self.drive(connection, Some(&streams), end, close, closing).await;
     }
 
-    /// Serves HTTP/2, or the playground's page over HTTP/1.1, which browsers use without TLS.
-    #[cfg(feature = "playground")]
-    async fn serve_page(
+    /// Serves HTTP/2, or HTTP/1.1, which browsers use without TLS.
+    #[cfg(feature = "grpc-web")]
+    async fn serve_browsers(
         &self,
         io: AcceptedConnection,
         calls: Middleware,
@@ -191,19 +191,21 @@ impl Connections {
         close: watch::Sender<bool>,
         mut closing: Closing,
     ) {
-        let greeting = self.options.greeting;
+        let (options, greeting) = (self.options.clone(), self.options.greeting);
         let speaks_http1 = tokio::select! {
-            greeted = timeout(greeting, playground::speaks_http1(&io)) => greeted,
+            greeted = timeout(greeting, web::speaks_http1(&io)) => greeted,
             () = closing.announced() => return,
         };
         match speaks_http1 {
-            Ok(Ok(false)) => self.serve_http2(io, Page::over_http2(calls), peer, close, closing).await,
+            Ok(Ok(false)) => {
+                self.serve_http2(io, Web::over_http2(calls, options), peer, close, closing).await
+            }
             Ok(Ok(true)) => {
                 let cutoff = Cutoff::new();
                 let stall = Stall::new(cutoff.clone(), self.options.answer_time);
-                let service = TowerToHyperService::new(Page::over_http1(calls, stall.clone()));
+                let service = TowerToHyperService::new(Web::over_http1(calls, options, stall.clone()));
                 let io = TokioIo::new(StallDetector { io, stall });
-                let connection = playground::http1(greeting, HEADER_BYTES).serve_connection(io, service);
+                let connection = web::http1(greeting, HEADER_BYTES).serve_connection(io, service);
                 // A peer that sends no request is disconnected by HTTP/1.1's own timer; one that does not
                 // read its answer, by the cutoff.
                 let served = self.drive(connection, None, std::future::pending(), close, closing);

@@ -96,14 +96,14 @@ impl Middleware {
         allowed.and_then(|allowed| Instant::now().checked_add(allowed))
     }
 
-    /// Takes the resources of an answer of the page's own.
-    #[cfg(feature = "playground")]
-    pub(super) fn take_for_page(&self, headers: &HeaderMap) -> Result<CallResources, ServiceError> {
+    /// Takes the resources of an answer to a browser that is not a call.
+    #[cfg(feature = "grpc-web")]
+    pub(super) fn take_for_text(&self, headers: &HeaderMap) -> Result<CallResources, ServiceError> {
         self.take(Method::other(), headers, &self.peer.caller(None))
     }
 
     /// The time that a peer has for taking an answer.
-    #[cfg(feature = "playground")]
+    #[cfg(feature = "grpc-web")]
     pub(super) fn patience(&self) -> Duration {
         self.options.answer_time
     }

@@ -6,6 +6,8 @@ use tokio::{sync::watch, task::JoinSet, time::timeout};
 use tonic::service::Routes;
 use tonic_health::{ServingStatus, server::HealthReporter};
 
+#[cfg(feature = "grpc-web")]
+use super::Origin;
 use super::{
     App, Readiness, Security, StartError, connection::Connections, contacts, hulls, info, listener::Listener,
     middleware::Closing,
@@ -47,6 +49,24 @@ pub struct ServerOptions {
     /// `playground`.
     #[cfg(feature = "playground")]
     pub playground: bool,
+    /// Whether to answer gRPC-web; only with the feature `grpc-web`.
+    #[cfg(feature = "grpc-web")]
+    pub grpc_web: bool,
+    /// The origins of pages of other sites that may call over gRPC-web.
+    #[cfg(feature = "grpc-web")]
+    pub grpc_web_origins: Vec<Origin>,
+}
+
+impl ServerOptions {
+    /// Whether connections may be those of browsers.
+    #[cfg(feature = "grpc-web")]
+    pub(super) fn serves_browsers(&self) -> bool {
+        #[cfg(feature = "playground")]
+        if self.playground {
+            return true;
+        }
+        self.grpc_web
+    }
 }
 
 impl Default for ServerOptions {
@@ -63,6 +83,10 @@ impl Default for ServerOptions {
             trusted_proxies: Vec::new(),
             #[cfg(feature = "playground")]
             playground: false,
+            #[cfg(feature = "grpc-web")]
+            grpc_web: false,
+            #[cfg(feature = "grpc-web")]
+            grpc_web_origins: Vec::new(),
         }
     }
 }

@@ -2,6 +2,8 @@
 
 mod abuse;
 mod answers;
+#[cfg(feature = "playground")]
+mod browsers;
 mod client;
 mod contact_stream;
 mod contract;
@@ -17,8 +19,6 @@ mod memory;
 mod messages;
 mod observability;
 mod overload;
-#[cfg(feature = "playground")]
-mod playground;
 mod security;
 mod steps;
 mod stopping;

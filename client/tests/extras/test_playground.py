@@ -15,7 +15,9 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
+from threading import Thread
 from typing import Any
 from urllib.parse import parse_qs
 
@@ -25,7 +27,7 @@ import pytest
 from PIL import Image
 
 import hullcast
-from hullcast._pb import hulls_pb2
+from hullcast._pb import hulls_pb2, server_pb2
 
 sync_api = pytest.importorskip("playwright.sync_api")
 
@@ -402,6 +404,45 @@ def test_a_server_with_tokens_and_one_that_is_gone(browser: Any, tmp_path: Path)
         page.keyboard.press("ArrowUp")
         page.wait_for_selector("#error:not([hidden])")
         assert "cannot be reached" in page.locator("#error").inner_text()
+
+
+CALL = """async address => {
+    const headers = {"content-type": "application/grpc-web+proto", "x-grpc-web": "1"};
+    const path = "/hullcast.v1.ServerService/GetServerInfo";
+    try {
+        const answer = await fetch(address + path, {method: "POST", headers, body: new Uint8Array(5)});
+        const bytes = new Uint8Array(await answer.arrayBuffer());
+        return [answer.headers.get("content-type"), Array.from(bytes)];
+    } catch (error) {
+        return error.name;
+    }
+}"""
+
+
+def test_pages_of_other_sites_call_if_their_origin_is_listed(browser: Any):
+    """Catches a preflight answer that Chromium does not accept, and a page that may call unlisted."""
+    sites = [HTTPServer(("127.0.0.1", 0), BaseHTTPRequestHandler) for _ in range(2)]
+    origins = [f"http://127.0.0.1:{site.server_port}" for site in sites]
+    for site in sites:
+        Thread(target=site.serve_forever, daemon=True).start()
+    arguments = ["--grpc-web", "--grpc-web-origins", origins[0]]
+    with hullcast.serve(arguments=arguments) as server, browser.new_context() as context:
+        answers = []
+        for origin in origins:
+            page = context.new_page()
+            page.goto(origin)  # The page is an error message, but of this origin.
+            answers.append(page.evaluate(CALL, f"http://{server.target}"))
+    for site in sites:
+        site.shutdown()
+        site.server_close()
+    (kind, body), refused = answers
+    assert kind == "application/grpc-web+proto"
+    length = int.from_bytes(bytes(body[1:5]), "big")
+    info = server_pb2.GetServerInfoResponse.FromString(bytes(body[5 : 5 + length]))
+    assert body[0] == 0
+    assert info.contract >= 1
+    assert b"grpc-status:0" in bytes(body[5 + length :])
+    assert refused == "TypeError"
 
 
 def test_a_phone(browser: Any, server: hullcast.Client):

@@ -110,6 +110,31 @@ impl Settings {
         }
     }
 
+    /// Refuses what this build does not have, and origins of pages that nothing would answer.
+    fn check_browsers(&self) -> Result<(), Error> {
+        for (name, is_on, is_built) in [
+            ("playground", self.playground, cfg!(feature = "playground")),
+            ("grpc_web", self.grpc_web, cfg!(feature = "grpc-web")),
+        ] {
+            if is_on && !is_built {
+                let feature = name.replace('_', "-");
+                return Err(Exit::Usage.error(format!(
+                    "{} is true, but this server was built without it: build it by `cargo build --release \
+                     --features {feature}`",
+                    self.shown(name)
+                )));
+            }
+        }
+        if !self.grpc_web_origins.is_empty() && !self.grpc_web && !self.playground {
+            return Err(Exit::Usage.error(format!(
+                "{} is set, but {} is false: set both, or neither",
+                self.shown("grpc_web_origins"),
+                self.shown("grpc_web")
+            )));
+        }
+        Ok(())
+    }
+
     /// The options of the server. Reads the security files that the settings name.
     ///
     /// # Errors
@@ -131,13 +156,7 @@ impl Settings {
             query_tokens: self.query_tokens.clone(),
             register_tokens: self.register_tokens.clone(),
         };
-        if self.playground && cfg!(not(feature = "playground")) {
-            let remedy = "cargo build --release --features playground";
-            return Err(Exit::Usage.error(format!(
-                "{} is true, but this server was built without it: build it by `{remedy}`",
-                self.shown("playground")
-            )));
-        }
+        self.check_browsers()?;
         Ok(ServerOptions {
             security: Arc::new(Security::open(&files).map_err(|error| self.not_loaded(error))?),
             reload_every: self.seconds("reload_seconds", self.reload_seconds, SHORTEST_LOOP)?,
@@ -153,6 +172,10 @@ impl Settings {
             trusted_proxies: self.trusted_proxies.iter().map(IpAddr::to_canonical).collect(),
             #[cfg(feature = "playground")]
             playground: self.playground,
+            #[cfg(feature = "grpc-web")]
+            grpc_web: self.grpc_web,
+            #[cfg(feature = "grpc-web")]
+            grpc_web_origins: self.grpc_web_origins.clone(),
             ..ServerOptions::default()
         })
     }

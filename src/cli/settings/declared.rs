@@ -4,7 +4,10 @@
 use std::{net::IpAddr, path::PathBuf};
 
 use clap::ValueEnum;
-use hullcast::{service::Limits, size::ByteSize};
+use hullcast::{
+    service::{Limits, Origin},
+    size::ByteSize,
+};
 use serde::Serialize;
 
 use crate::cli::{
@@ -130,6 +133,12 @@ settings! {
     /// Serve a page that shows contacts on the same addresses, and print its URL (docs/playground.md)
     playground: bool = |_: &Limits| false, "HULLCAST_PLAYGROUND", "BOOL"
         [num_args = 0..=1, default_missing_value = "true"];
+    /// Answer gRPC-web, for pages in browsers, on the same addresses (docs/operations.md)
+    grpc_web: bool = |_: &Limits| false, "HULLCAST_GRPC_WEB", "BOOL"
+        [num_args = 0..=1, default_missing_value = "true"];
+    /// Origins of the pages of other sites that may call over gRPC-web, as in https://app.example.org
+    grpc_web_origins: Vec<Origin> = |_: &Limits| Vec::new(), "HULLCAST_GRPC_WEB_ORIGINS", "ORIGIN"
+        [value_delimiter = ',', value_parser = str::parse::<Origin>];
     /// File of the tokens that may query, one per line. If there is neither list, calls need no token
     query_tokens: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_QUERY_TOKENS", "FILE";
     /// File of the tokens that may also register and delete, one per line

@@ -1,4 +1,4 @@
-//! The playground's page and gRPC-web, with the exact bytes that a browser sends.
+//! gRPC-web and the playground's page, with the exact bytes that a browser sends.
 
 use std::time::Duration;
 
@@ -29,6 +29,15 @@ const DELETE: &str = "/hullcast.v1.HullService/DeleteHulls";
 fn setup() -> Setup {
     let mut setup = Setup::default();
     setup.options.playground = true;
+    setup
+}
+
+/// A server without the page, which the pages of two sites may call.
+fn setup_for_sites() -> Setup {
+    let mut setup = Setup::default();
+    setup.options.grpc_web = true;
+    let origins = ["https://app.example", "http://[::1]:8000"];
+    setup.options.grpc_web_origins = origins.map(|origin| origin.parse().unwrap()).to_vec();
     setup
 }
 
@@ -211,6 +220,69 @@ async fn pages_of_other_sites_cannot_call() {
     let request = GetHullsRequest { ids: query.hull_ids, field_mask: None };
     let records = server.hulls().get_hulls(request).await;
     assert!(records.unwrap().into_inner().hulls.iter().all(|hull| hull.found));
+}
+
+/// Catches an origin that is allowed although it is not listed, a listed one that is not told so, and an answer
+/// whose status its page may not read.
+#[tokio::test(flavor = "multi_thread")]
+async fn pages_of_listed_origins_can_call() {
+    let server = setup_for_sites().start().await;
+    let frame = raw::frame(false, &[]);
+    let (preflight, post) = (format!("OPTIONS {INFO}"), format!("POST {INFO}"));
+    let allowed = |said: &HttpResponse| {
+        let of = |line: &str| line.strip_prefix("access-control-allow-origin: ").map(str::to_owned);
+        said.head.lines().find_map(of)
+    };
+    for (origin, is_listed) in [
+        ("https://app.example", true),
+        ("http://[::1]:8000", true),
+        ("http://app.example", false),
+        ("https://app.example:8443", false),
+        ("https://app.example.evil.example", false),
+        ("null", false),
+    ] {
+        let expected = is_listed.then(|| origin.to_owned());
+        let asks = format!(
+            "origin: {origin}\r\naccess-control-request-method: POST\r\naccess-control-request-headers: \
+             authorization,content-type,x-grpc-web\r\n"
+        );
+        let said = ask(&server, "127.0.0.1", &preflight, &asks, b"").await;
+        assert_eq!((said.code, allowed(&said)), (200, expected.clone()), "{}", said.head);
+        let headers = "access-control-allow-headers: authorization,content-type,x-grpc-web";
+        assert!(said.head.contains(headers), "{}", said.head);
+        assert!(said.head.contains("access-control-allow-methods: post"), "{}", said.head);
+
+        let headers = format!("content-type: {GRPC_WEB}\r\norigin: {origin}\r\n");
+        let said = ask(&server, "127.0.0.1", &post, &headers, &frame).await;
+        assert_eq!((said.code, allowed(&said)), (200, expected), "{}", said.head);
+        for status in ["grpc-status", "grpc-message", "grpc-status-details-bin"] {
+            let exposed = said.head.lines().find(|line| line.starts_with("access-control-expose-headers"));
+            assert!(exposed.is_some_and(|line| line.contains(status)), "{}", said.head);
+        }
+    }
+    // A proxy in front of a listed site may pass the site's name on; other names stay refused.
+    let web = format!("content-type: {GRPC_WEB}\r\n");
+    for (host, code) in [("app.example", 200), ("App.Example:50051", 200), ("evil.example", 403)] {
+        assert_eq!(ask(&server, host, &post, &web, &frame).await.code, code, "{host}");
+    }
+}
+
+/// Catches a page that is served although only gRPC-web was asked for, and a server that speaks HTTP/1.1
+/// although neither was.
+#[tokio::test(flavor = "multi_thread")]
+async fn grpc_web_works_without_the_page() {
+    let mut setup = Setup::default();
+    setup.options.grpc_web = true;
+    let server = setup.start().await;
+    assert_eq!(call(&server, INFO, "", &GetServerInfoRequest {}).await.1, Code::Ok);
+    for file in ["/", "/playground.js"] {
+        let said = ask(&server, "localhost", &format!("GET {file}"), "", b"").await;
+        assert_eq!((said.code, said.head.contains("text/plain")), (404, true), "{}", said.head);
+    }
+    // No origin is listed, so none is told that it may call.
+    let asks = "origin: http://evil.example\r\naccess-control-request-method: POST\r\n";
+    let said = ask(&server, "127.0.0.1", &format!("OPTIONS {INFO}"), asks, b"").await;
+    assert!(said.code == 415 && !said.head.contains("access-control-allow"), "{}", said.head);
 }
 
 /// Catches gRPC-web that bypasses the tokens. The page itself needs none.

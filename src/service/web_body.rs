@@ -1,4 +1,4 @@
-//! The bodies of the page's answers: its files, and the answers of gRPC-web.
+//! The bodies of answers to browsers: the page's files, other texts, and the answers of gRPC-web.
 //!
 //! An answer that its peer does not read must count in the budget and must end, over HTTP/1.1 as over HTTP/2.
 
@@ -24,7 +24,7 @@ const TRAILERS: u8 = 0x80;
 ///
 /// Over HTTP/2 the transport forgets a body, and the cutoff with it, as soon as it has taken the body's end, even
 /// if it has not sent the frames before. So this body ends only when all its frames are sent.
-pub(super) struct PageBody {
+pub(super) struct WebBody {
     source: Source,
     patience: Duration,
     cutoff: Cutoff,
@@ -38,7 +38,7 @@ enum Source {
     Call(Body),
 }
 
-impl PageBody {
+impl WebBody {
     /// A file or a text, with the memory of its call. Has to be called in the task of the answer's stream.
     pub(super) fn file(text: &'static str, resources: CallResources, patience: Duration) -> Self {
         let text = Bytes::from_static(text.as_bytes());
@@ -79,13 +79,13 @@ impl PageBody {
     }
 }
 
-impl Drop for PageBody {
+impl Drop for WebBody {
     fn drop(&mut self) {
         self.release();
     }
 }
 
-impl HttpBody for PageBody {
+impl HttpBody for WebBody {
     type Data = Bytes;
     type Error = Status;
 
