@@ -41,7 +41,7 @@ check-tools: ## lists the tools that are missing on this machine
 lint: NEEDS := $(if $(AVAILABLE),,rustfmt clippy cxx deny)
 playground: NEEDS := npm
 test-playground: NEEDS := chromium $(if $(AVAILABLE),,npm)
-test-tools: NEEDS := go
+test-tools test-contract: NEEDS := go
 test-balancers: NEEDS := root ip haproxy nginx
 test-deploy: NEEDS := $(if $(AVAILABLE),,go)
 test-image: NEEDS := $(if $(AVAILABLE),,root runc systemd-analyze)
@@ -312,10 +312,15 @@ test-balancers: build $(VENV)/.test ## kills, drains and cuts off three replicas
 test-tools: build $(VENV)/.test out/bin/grpcurl out/bin/ghz ## runs the commands of docs/grpcurl.md with grpcurl and ghz; needs Go
 	PATH="$(abspath out/bin):$$PATH" $(PY) -m pytest client/tests/extras/test_tools.py
 
+.PHONY: test-contract
+test-contract: check-tools out/bin/buf ## checks by buf that the contract keeps to the style and does not break its committed descriptor set; needs Go
+	cd proto && ../out/bin/buf lint && ../out/bin/buf breaking --against hullcast.v1.binpb
+
+out/bin/buf: MODULE := github.com/bufbuild/buf/cmd/buf@v1.75.0
 out/bin/grpcurl: MODULE := github.com/fullstorydev/grpcurl/cmd/grpcurl@v1.9.3
 out/bin/ghz: MODULE := github.com/bojand/ghz/cmd/ghz@v0.93.0
 out/bin/helm: MODULE := helm.sh/helm/v4/cmd/helm@v4.3.1
-out/bin/grpcurl out/bin/ghz out/bin/helm:
+out/bin/buf out/bin/grpcurl out/bin/ghz out/bin/helm:
 	GOBIN=$(abspath out/bin) go install $(MODULE)
 
 # The full workload has 12,000 pairs with exact answers; a subset is in tests/golden.
