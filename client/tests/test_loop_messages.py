@@ -156,6 +156,34 @@ def test_bodies_that_are_named_are_sent(session, script):
     assert list(script.requests[-1].moved) == [1, 3]
 
 
+def test_only_the_motions_that_changed_are_sent(session, script):
+    """Catches velocities that are sent without need, or not sent with the pose of their body."""
+    scene = bodies(4)
+    whole: Any = (scene.positions, scene.rotations)
+    fast = np.arange(12.0).reshape(4, 3)
+    session.step(*whole, linear_velocities=fast, time_step=0.5)
+    first = script.requests[-1]
+    assert (list(first.linear_velocities), first.time_step) == (list(range(12)), 0.5)
+    assert list(first.angular_velocities) == []
+
+    def sent(**motion: Any) -> tuple[list[int], list[float], list[float], float]:
+        session.step(*whole, **motion)
+        last = script.requests[-1]
+        assert last.inherit
+        assert len(last.positions) == (3 * len(last.moved) if len(last.moved) else 0)
+        columns = last.linear_velocities, last.angular_velocities
+        return (list(last.moved), *map(list, columns), last.time_step)
+
+    assert sent(linear_velocities=fast, time_step=0.5) == ([], [], [], 0.5)
+    assert sent() == ([], [], [], 0.0)
+    fast[2] = 9
+    assert sent(linear_velocities=fast, time_step=1) == ([2], [9, 9, 9], [], 1.0)
+    assert sent(angular_velocities=np.zeros((4, 3))) == ([], [], [], 0.0)
+    turn = np.zeros((4, 3))
+    turn[1] = 1
+    assert sent(angular_velocities=turn) == ([1], [3, 4, 5], [1, 1, 1], 0.0)
+
+
 def test_pair_sessions_send_only_the_bodies_that_moved(served, script):
     """Catches `moved` by the scene's numbers in a message that has only the bodies of its pairs.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import pickle
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -131,6 +132,117 @@ def test_sessions_have_the_margins_of_the_scene(client):
     with client.session(scene, [[0, 1]]) as session:
         for positions, near in ((scene.positions, True), (scene.positions, True), (farther, False)):
             assert session.step(positions, scene.rotations).in_contact.tolist() == [near]
+
+
+@pytest.mark.parametrize("find", [True, False])
+def test_steps_with_motions_are_fresh_calls(client, find):
+    """Random steps, in which some bodies have other velocities, move, come or go, or nothing moves.
+
+    Catches a velocity that is not sent, goes to another body, outlives its update or is lost with
+    the server's state, and a time step that holds for more than its step.
+    """
+    rng = np.random.default_rng(3)
+    scene = without(crowd_of_cubes(client, 40))
+    pairs = None if find else rng.integers(40, size=(120, 2))
+    session = client.session(scene, pairs, find=find, margin=0.01)
+    motion = dict.fromkeys(("linear_velocities", "angular_velocities", "turning_points"))
+    seen: Counter[str] = Counter()
+    for _ in range(60):
+        kind = str(rng.choice(["whole", "named", "kept", "still", "lost", "update"]))
+        given = {
+            k: v for k, v in moving(len(scene), int(rng.integers(99))).items() if rng.random() < 0.6
+        }
+        h = 0.0 if kind == "still" else given.pop("time_step", 0.05)
+        given.pop("time_step", None)
+        if kind == "lost":
+            for lane in session._lanes:
+                lane.drop()
+        if kind in ("kept", "still"):
+            m = session.step(scene.positions, scene.rotations, time_step=h)
+        elif kind == "named":
+            bodies = rng.choice(len(scene), 5, replace=False)
+            positions = scene.positions.copy()
+            positions[bodies] += rng.normal(size=(5, 3)) * 0.05
+            some = {k: v[bodies] for k, v in given.items()}
+            m = session.step(
+                positions[bodies], scene.rotations[bodies], moved=bodies, time_step=h, **some
+            )
+            for name, values in some.items():
+                whole = np.zeros((len(scene), 3)) if motion[name] is None else motion[name].copy()
+                whole[bodies] = values
+                motion[name] = whole
+            scene = scene.moved(positions, scene.rotations)
+        elif kind == "update" and find:
+            keep = np.flatnonzero(rng.random(len(scene)) < 0.9)
+            new = np.concatenate([keep, keep[:2]])
+            positions = scene.positions[new] + np.r_[np.zeros((len(keep), 3)), np.ones((2, 3))]
+            scene = hullcast.Scene(
+                scene.hull_ids, positions, scene.rotations[new], body_hulls=scene.body_hulls[new]
+            )
+            motion = {k: given[k][new] if k in given else None for k in motion}
+            m = session.update(scene, previous=[*keep, -1, -1], time_step=h, **motion)
+        else:
+            motion |= given
+            m = session.step(scene.positions, scene.rotations, time_step=h, **given)
+        sent = motion | {"time_step": h}
+        if find:
+            expected = client.find(scene, margin=0.01, **sent)
+            assert m.pairs.tolist() == expected.pairs.tolist()
+        else:
+            expected = client.query(scene, pairs, margin=0.01, **sent)
+        assert m.outcome.tolist() == expected.outcome.tolist()
+        assert m.alpha == pytest.approx(expected.alpha, rel=1e-9, nan_ok=True)
+        still = client.find(scene, margin=0.01) if find else client.query(scene, pairs, margin=0.01)
+        widened = (
+            len(expected) - len(still) if find else sum(expected.in_contact) - sum(still.in_contact)
+        )
+        seen[kind] += 1
+        seen["widened"] += int(widened > 0)
+    session.close()
+    assert min(seen.values()) >= 4, seen
+    assert seen["widened"] >= 20, seen
+
+
+def test_wrong_motions_of_a_step_are_refused(client):
+    """Catches a wrong motion that is sent, or that costs the session."""
+    scene = two(client, 0.25)
+    with client.session(scene, find=True) as session:
+        whole: Any = (scene.positions, scene.rotations)
+        for options, field in (
+            ({"linear_velocities": np.zeros((3, 3))}, "linear_velocities"),
+            ({"angular_velocities": "fast"}, "angular_velocities"),
+            ({"turning_points": np.zeros((2, 2))}, "turning_points"),
+            ({"time_step": -1}, "time_step"),
+            ({"time_step": NAN}, "time_step"),
+            ({"time_step": INF}, "time_step"),
+        ):
+            with pytest.raises(hullcast.InvalidArgument) as caught:
+                session.step(*whole, **options)
+            assert caught.value.field == field
+            with pytest.raises(hullcast.InvalidArgument) as caught:
+                session.update(scene, **options)
+            assert caught.value.field == field
+        with pytest.raises(hullcast.InvalidArgument, match="expected shape"):
+            session.step([[0, 0, 0]], [UPRIGHT], moved=[0], linear_velocities=np.zeros((2, 3)))
+        fast = [[0, 0, 0], [-10, 0, 0]]
+        assert len(session.step(*whole, linear_velocities=fast, time_step=0.1)) == 1
+        assert len(session.step(*whole)) == 0
+        assert len(session.step(*whole, time_step=0.1)) == 1
+        wrong = [[0, 0, 0], [NAN, 0, 0]]
+        with pytest.raises(hullcast.InvalidPoses, match="linear velocity") as unusable:
+            session.step(*whole, linear_velocities=wrong, time_step=0.1)
+        assert (unusable.value.field, unusable.value.index) == ("linear_velocities", 1)
+        assert len(session.step(*whole, linear_velocities=fast, time_step=0.1)) == 1
+
+    async def steps(target: str) -> list[int]:
+        async with (
+            hullcast.aio.connect(target, options=NO_PROXY) as other,
+            other.session(scene, find=True) as session,
+        ):
+            first = await session.step(*whole, linear_velocities=fast, time_step=0.1)
+            return [len(first), len(await session.step(*whole))]
+
+    assert asyncio.run(steps(client.target)) == [1, 0]
 
 
 def test_find_is_the_query_of_every_pair(client):

@@ -12,7 +12,7 @@ SHOWN = {
     "first-contacts": 10,
     "finding": 2,
     "margins": 3,
-    "loops": 5,
+    "loops": 6,
     "workers": 1,
     "accuracy": 5,
 }

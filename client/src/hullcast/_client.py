@@ -349,6 +349,10 @@ class Session(_session.Steps):
         rotations: Any = None,
         *,
         moved: Any = None,
+        linear_velocities: Any = None,
+        angular_velocities: Any = None,
+        time_step: float = 0.0,
+        turning_points: Any = None,
         timeout: float | None = None,
     ) -> Manifolds:
         """Computes the contact manifolds with the bodies at the given poses.
@@ -360,6 +364,10 @@ class Session(_session.Steps):
                 the last call of `step` or `update` put them. By default the poses are those of all
                 bodies, and the client compares them with the last ones to find out which bodies
                 moved; with hundreds of thousands of bodies, naming them saves some milliseconds.
+            linear_velocities, angular_velocities, turning_points: as in `find`, of all bodies or,
+                with `moved`, (k, 3) of the bodies that it names. They stay until a step or an
+                update gives others; at first they are 0.
+            time_step: as in `find`. It holds for this step only: without it nothing moves.
             timeout: seconds for this step; by default the client's timeout.
 
         Returns:
@@ -370,11 +378,25 @@ class Session(_session.Steps):
             InvalidPoses, InvalidArgument, ServerError: as for `Client.query`.
             Unimplemented: SERVER_TOO_OLD, the server's version has no find sessions or no matches.
         """
-        steps = self._stepping(positions, rotations, moved, timeout)
+        motion = {
+            "linear_velocities": linear_velocities,
+            "angular_velocities": angular_velocities,
+            "time_step": time_step,
+            "turning_points": turning_points,
+        }
+        steps = self._stepping(positions, rotations, moved, motion, timeout)
         return self._calls._run(steps, timeout)
 
     def update(
-        self, scene: Scene, *, previous: Any = None, timeout: float | None = None
+        self,
+        scene: Scene,
+        *,
+        previous: Any = None,
+        linear_velocities: Any = None,
+        angular_velocities: Any = None,
+        time_step: float = 0.0,
+        turning_points: Any = None,
+        timeout: float | None = None,
     ) -> Manifolds:
         """Makes a step with other bodies, in a session with `find`: some are added or removed.
 
@@ -388,6 +410,8 @@ class Session(_session.Steps):
                 answered, or -1 for a new one. An index may be there once. A body whose hull has
                 changed is a new one. Without `previous` all bodies are new, and the session begins
                 anew.
+            linear_velocities, angular_velocities, time_step, turning_points: as in `find`, of all
+                bodies of this scene.
             timeout: seconds for this step; by default the client's timeout.
 
         Returns:
@@ -399,7 +423,14 @@ class Session(_session.Steps):
                 usable.
             InvalidPoses, ServerError: as for `step`.
         """
-        return self._calls._run(self._updating(scene, previous, timeout), timeout)
+        motion = {
+            "linear_velocities": linear_velocities,
+            "angular_velocities": angular_velocities,
+            "time_step": time_step,
+            "turning_points": turning_points,
+        }
+        steps = self._updating(scene, previous, motion, timeout)
+        return self._calls._run(steps, timeout)
 
     def __enter__(self) -> Self:
         return self

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from . import _answers, _calls, _checked, _errors, _link, _matches, _worlds
 from ._arrays import Indices
 from ._matches import Rows
+from ._motion import Motion
 from ._query import Message, Query, Span
 from ._scene import NOTHING, Scene
 from ._wire import LOOP_CONTRACT, NONE
@@ -34,6 +35,8 @@ class Step:
     since: Scene | None = None
     #: (bodies,): each body's index in the scene of the step before, or -1; None if all are new.
     previous: Rows | None = None
+    #: The motion of all bodies of `scene`.
+    motion: Motion = field(default_factory=Motion)
 
 
 class Lane(ABC):
@@ -57,6 +60,8 @@ class Lane(ABC):
         self._message: Message | None = None
         #: The scene of the last message; None if the server keeps nothing of that message.
         self._sent: Scene | None = None
+        #: The motion of the bodies that the server has with that message.
+        self._motion = Motion()
         #: The bodies of the message before the last one, and the columns of its answer that tell
         #: which matches are possible.
         self._before: tuple[Message | None, _matches.Live | None] = (None, None)
@@ -75,8 +80,8 @@ class Lane(ABC):
 
     def next_message(self, query: Query, step: Step) -> bytes:
         """The lane's message of a step: only the poses that changed if the server has the rest."""
-        sent, before = self._sent, self._message
-        self._sent = step.scene
+        sent, before, motion = self._sent, self._message, self._motion
+        self._sent, self._motion = step.scene, step.motion
         # If the last step failed on another lane, this lane may have the scene before that one.
         inherits = sent is not None and sent is step.since
         if before is None or not (inherits or (sent is not None and step.previous is not None)):
@@ -86,7 +91,7 @@ class Lane(ABC):
         self._before, self.restarted = (before, self._live), False
         if inherits:
             moved = step.moved if self.contract >= LOOP_CONTRACT else None
-            self._message = query.step_message(before, moved)
+            self._message = query.step_message(before, moved, motion)
         else:
             self._message = self._full(query, step, before)
         return self._message.data

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -40,38 +41,68 @@ def margins(value: Any, count: int) -> Floats | None:
     return _arrays.frozen(checked)
 
 
+@dataclass(frozen=True)
 class Motion:
-    """The motion of the bodies of a query.
+    """The motion of the bodies of a query, or of some of them."""
 
-    Args:
-        count: the number of bodies.
-        linear_velocities, angular_velocities, turning_points: (count, 3), or None.
-        time_step: the time for which the velocities hold.
+    #: (bodies, 3) for each kind of number that was given; a kind without a column is 0.
+    columns: dict[str, Floats] = field(default_factory=dict)
+    #: The time for which the velocities hold.
+    time_step: float = 0.0
 
-    Raises:
-        InvalidArgument: an argument has a wrong shape or type, or is out of its range. A number
-            that is not finite only makes its body unusable, as in a pose.
-    """
-
-    def __init__(
-        self,
+    @classmethod
+    def checked(
+        cls,
         count: int,
+        *,
         linear_velocities: Any = None,
         angular_velocities: Any = None,
         time_step: float = 0.0,
         turning_points: Any = None,
-    ) -> None:
+    ) -> Motion:
+        """The motion of `count` bodies from the arguments of a call; (count, 3), or None.
+
+        Raises:
+            InvalidArgument: an argument has a wrong shape or type, or is out of its range. A number
+                that is not finite only makes its body unusable, as in a pose.
+        """
         given = {
             "linear_velocities": linear_velocities,
             "angular_velocities": angular_velocities,
             "turning_points": turning_points,
         }
-        self.columns: dict[str, Floats] = {
-            field: _arrays.floats(field, value, count, 3)
-            for field, value in given.items()
+        columns = {
+            name: _arrays.floats(name, value, count, 3)
+            for name, value in given.items()
             if value is not None
         }
-        self.time_step = _arguments.number("time_step", time_step, 0, LARGEST)
+        return cls(columns, _arguments.number("time_step", time_step, 0, LARGEST))
+
+    def over(self, before: Motion, count: int, bodies: Indices | None = None) -> Motion:
+        """The motion of a step with `count` bodies: `before`, but this motion for `bodies`.
+
+        The time step is this one's, because it holds for one step. None for all bodies.
+        """
+        columns = dict(before.columns)
+        for name, column in self.columns.items():
+            whole = np.array(column)
+            if bodies is not None:
+                whole = np.array(columns.get(name, np.zeros((count, 3))))
+                whole[bodies] = column
+            columns[name] = whole
+        return Motion(columns, self.time_step)
+
+    def changes(self, since: Motion) -> npt.NDArray[np.bool_] | None:
+        """(bodies,): which bodies have numbers with other bits than in `since`; None for none."""
+        changed: npt.NDArray[np.bool_] | None = None
+        for name, column in self.columns.items():
+            old = since.columns.get(name)
+            if old is column:
+                continue
+            differ = (column.view("<u8") != (0 if old is None else old.view("<u8"))).any(axis=1)
+            if differ.any():
+                changed = differ if changed is None else changed | differ
+        return changed
 
     def __bool__(self) -> bool:
         """Whether a server has to know motions to answer the query."""
@@ -81,7 +112,7 @@ class Motion:
         """The columns of a message that has the given bodies; None for all bodies."""
         if bodies is None:
             return list(self.columns.items())
-        return [(field, column[bodies]) for field, column in self.columns.items()]
+        return [(name, column[bodies]) for name, column in self.columns.items()]
 
     def unusable(self) -> Indices:
         """The bodies of which a number is not finite or too large, ascending."""
@@ -90,11 +121,11 @@ class Motion:
 
     def why_unusable(self, body: int) -> tuple[str, str] | None:
         """The argument that makes a body unusable, and why; None if no argument here does."""
-        for field, column in self.columns.items():
+        for name, column in self.columns.items():
             if not _usable(column[body]).all():
                 text = f"({', '.join(f'{c:g}' for c in column[body])})"
                 allowed = f"finite numbers from -{LARGEST:g} to {LARGEST:g} are allowed"
-                return field, f"its {_CALLED[field]} is {text}, {allowed}"
+                return name, f"its {_CALLED[name]} is {text}, {allowed}"
         return None
 
 

@@ -146,8 +146,12 @@ class Query:
         self._pairs = None if find else own_pairs(pairs, len(scene))
         self._outputs = output_names(outputs, session=session)
         margin = _arguments.number("margin", margin, 0, infinite=not find)
-        self._motion = Motion(
-            len(scene), linear_velocities, angular_velocities, time_step, turning_points
+        self.motion = Motion.checked(
+            len(scene),
+            linear_velocities=linear_velocities,
+            angular_velocities=angular_velocities,
+            time_step=time_step,
+            turning_points=turning_points,
         )
         if accuracy is not None:
             _arguments.instance("accuracy", accuracy, Accuracy, "a hullcast.Accuracy")
@@ -166,22 +170,23 @@ class Query:
         # The fields that all messages of this query share.
         self._common = contacts_pb2.QueryContactsRequest(
             margin=margin,
-            time_step=self._motion.time_step,
             outputs=[f"OUTPUT_{name}" for name in self._outputs],
         )
         (accuracy or Accuracy()).fill(self._common.accuracy)
         self.replace(scene)
 
-    def replace(self, scene: Scene) -> None:
-        """Replaces the bodies of the query; the options stay."""
+    def replace(self, scene: Scene, motion: Motion | None = None) -> None:
+        """Replaces the bodies of the query, and their motion if it is given; the options stay."""
         self.scene = scene
+        if motion is not None:
+            self.motion = motion
         self._body_scratch = np.empty(len(scene), dtype="<u4")
         self._hull_scratch = np.empty(len(scene.hull_ids), dtype="<u4")
 
     @property
     def unknown_to_old(self) -> str | None:
         """What a server of the contract 0 does not know of this query; None if it knows all."""
-        if self._motion or self.scene.margins is not None:
+        if self.motion or self.scene.margins is not None:
             return "the margins of bodies and their velocities"
         if self._is_session and self.finds:
             return "find sessions"
@@ -239,17 +244,26 @@ class Query:
         columns.append(("pairs", pairs))
         return self._of_some(bodies, columns)
 
-    def step_message(self, before: Message, moved: npt.NDArray[np.bool_] | None = None) -> Message:
-        """The request that inherits from `before` on a stream: the new poses of its bodies.
+    def step_message(
+        self,
+        before: Message,
+        moved: npt.NDArray[np.bool_] | None = None,
+        motion: Motion | None = None,
+    ) -> Message:
+        """The request that inherits from `before` on a stream: what is new of its bodies.
 
         Args:
             before: the last message of the stream.
             moved: (bodies of the scene,), or `NOTHING`: only the poses of these bodies are sent.
                 None sends those of all bodies, which is the only form that an old server knows.
+            motion: the motion that the server has; None if it is the query's.
         """
         scene, bodies = self.scene, before.bodies
         columns: list[tuple[str, npt.NDArray[Any]]] = []
+        changed = None if motion is None else self.motion.changes(motion)
         if moved is not None:
+            if changed is not None:
+                moved = changed if len(moved) == 0 else moved | changed
             moved = moved if bodies is None or len(moved) == 0 else moved[bodies]
             chosen = np.flatnonzero(moved)
             # A body takes 56 bytes, and 4 more if the message names it.
@@ -263,8 +277,12 @@ class Query:
                 ("positions", scene.positions[bodies]),
                 ("rotations", scene.rotations[bodies]),
             ]
+        if changed is not None:
+            columns += self.motion.of(bodies)
         number = next(_request_ids)
-        rest = contacts_pb2.QueryContactsRequest(inherit=True, request_id=number)
+        rest = contacts_pb2.QueryContactsRequest(
+            inherit=True, request_id=number, time_step=self.motion.time_step
+        )
         return replace(before, data=_packed.request(rest, columns), request_id=number)
 
     def find_message(
@@ -319,7 +337,10 @@ class Query:
     ) -> contacts_pb2.QueryContactsRequest:
         """The options that all messages share, the hulls of one message, and a new request id."""
         rest = contacts_pb2.QueryContactsRequest(
-            hull_ids=hull_ids, request_id=next(_request_ids), find=find
+            hull_ids=hull_ids,
+            request_id=next(_request_ids),
+            find=find,
+            time_step=self.motion.time_step,
         )
         rest.MergeFrom(self._common)
         return rest
@@ -335,7 +356,7 @@ class Query:
 
     def _margins(self, bodies: Indices | None) -> list[tuple[str, npt.NDArray[Any]]]:
         """The columns of the margins and motions of some bodies; None for all bodies."""
-        margins, columns = self.scene.margins, self._motion.of(bodies)
+        margins, columns = self.scene.margins, self.motion.of(bodies)
         if margins is not None:
             columns.append(("margins", margins if bodies is None else margins[bodies]))
         return columns
@@ -394,7 +415,7 @@ class Query:
         if self._compacted:
             # The server has not seen the bodies that no pair names, so check their poses here.
             unseen = _arrays.unusable(self.scene.positions, self.scene.rotations)
-            unseen = np.union1d(unseen, self._motion.unusable())
+            unseen = np.union1d(unseen, self.motion.unusable())
             columns["invalid_bodies"] = np.union1d(columns["invalid_bodies"], unseen)
         if self._pairs is not None and not columns["pairs"].flags.writeable:
             # The caller may change the result's pairs, but not those of the query.
@@ -429,7 +450,7 @@ class Query:
         """The error that names the bodies with unusable poses, and the reasons."""
         scene, bodies = self.scene, found.invalid_bodies
         known = [
-            self._motion.why_unusable(i)
+            self.motion.why_unusable(i)
             or _arrays.why_unusable(scene.positions[i], scene.rotations[i])
             for i in bodies
         ]

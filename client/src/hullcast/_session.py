@@ -10,6 +10,7 @@ import threading
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,6 +20,7 @@ from ._arguments import counted
 from ._lanes import FindLane, Lane, PairLane, Step
 from ._manifolds import Manifolds
 from ._matches import Rows, identical, placed
+from ._motion import Motion
 from ._query import Query
 from ._scene import Scene
 from ._settled import Settled
@@ -78,24 +80,37 @@ class Steps(Settled):
             lane.drop()
 
     def _stepping(
-        self, positions: Any, rotations: Any, moved: Any, timeout: float | None
+        self,
+        positions: Any,
+        rotations: Any,
+        moved: Any,
+        motion: dict[str, Any],
+        timeout: float | None,
     ) -> _link.Steps[Manifolds]:
-        return (yield from self._alone(lambda: self._moved(positions, rotations, moved), timeout))
+        make = partial(self._moved, positions, rotations, moved, motion)
+        return (yield from self._alone(make, timeout))
 
-    def _updating(self, scene: Any, previous: Any, timeout: float | None) -> _link.Steps[Manifolds]:
-        return (yield from self._alone(lambda: self._replaced(scene, previous), timeout))
+    def _updating(
+        self, scene: Any, previous: Any, motion: dict[str, Any], timeout: float | None
+    ) -> _link.Steps[Manifolds]:
+        return (yield from self._alone(partial(self._replaced, scene, previous, motion), timeout))
 
-    def _moved(self, positions: Any, rotations: Any, moved: Any) -> Step:
-        """The step to new poses of all bodies, or of the bodies `moved`."""
-        before = self._query.scene
+    def _moved(self, positions: Any, rotations: Any, moved: Any, motion: dict[str, Any]) -> Step:
+        """The step to new poses and a new motion of all bodies, or of the bodies `moved`."""
+        query, before = self._query, self._query.scene
+        count, bodies = len(before), None
         if moved is None:
-            return Step(*before._moved_where(positions, rotations), since=before)
-        of = f"the scene has {counted(len(before), 'body', 'bodies')}"
-        bodies = _arrays.indices("moved", moved, None, below=len(before), of=of)
-        _arrays.distinct("moved", bodies)
-        return Step(*before._moved_some(bodies, positions, rotations), since=before)
+            scene, mask = before._moved_where(positions, rotations)
+        else:
+            of = f"the scene has {counted(count, 'body', 'bodies')}"
+            bodies = _arrays.indices("moved", moved, None, below=count, of=of)
+            _arrays.distinct("moved", bodies)
+            scene, mask = before._moved_some(bodies, positions, rotations)
+        given = Motion.checked(count if bodies is None else len(bodies), **motion)
+        new = given.over(query.motion, count, bodies)
+        return Step(scene, mask, since=before, motion=new)
 
-    def _replaced(self, scene: Any, previous: Any) -> Step:
+    def _replaced(self, scene: Any, previous: Any, motion: dict[str, Any]) -> Step:
         """The step to another scene."""
         if not self._query.finds:
             raise _errors.InvalidArgument(
@@ -110,7 +125,7 @@ class Steps(Settled):
             before = self._answered
             of = f"the scene of the step before has {counted(before, 'body', 'bodies')}"
             numbers = _arrays.rows("previous", previous, len(scene), before, of)
-        return Step(scene, previous=numbers)
+        return Step(scene, previous=numbers, motion=Motion.checked(len(scene), **motion))
 
     def _alone(self, make: Callable[[], Step], timeout: float | None) -> _link.Steps[Manifolds]:
         """Makes a step, unless another one is under way."""
@@ -133,9 +148,9 @@ class Steps(Settled):
     def _stepped(self, step: Step, timeout: float | None) -> _link.Steps[Manifolds]:
         query, deadline = self._query, self._calls._deadline(timeout)
         if step.since is None:
-            query.replace(step.scene)
+            query.replace(step.scene, step.motion)
         else:
-            query.scene = step.scene
+            query.scene, query.motion = step.scene, step.motion
         yield from self._calls._ready(deadline)
         try:
             yield from self._exchange(self._lanes, step, deadline)
