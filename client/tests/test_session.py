@@ -184,7 +184,8 @@ def test_a_step_that_takes_too_long(client):
             with pytest.raises(hullcast.DeadlineExceeded):
                 await session.step(poses[0].positions, poses[0].rotations, timeout=1e-3)
             task = asyncio.create_task(session.step(poses[0].positions, poses[0].rotations))
-            await asyncio.sleep(0.005)
+            while session._lanes[0]._sent is None:
+                await asyncio.sleep(0)  # until the step has begun to send
             task.cancel()
             with pytest.raises(asyncio.CancelledError):
                 await task
@@ -241,7 +242,7 @@ def test_a_session_makes_one_step_at_a_time(client):
     scene = hullcast.Scene(client.register([cube, cube]), [[0, 0, 0], [0, 0, 0.9]], turns)
     session = client.session(scene, [[0, 1]])
     session.step(scene.positions, turns)
-    under_way = session._stepping(scene.positions, turns, None, None)
+    under_way = session._stepping(scene.positions, turns, None, {}, None)
     next(under_way)
     with pytest.raises(hullcast.Error, match="STEP_UNDER_WAY"):
         session.step(scene.positions, turns)
