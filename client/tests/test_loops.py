@@ -117,6 +117,45 @@ def test_a_find_session_outlives_its_server(client, kind):
             assert losses == 4 if kind == "restarted" else losses in (1, 2)
 
 
+@pytest.mark.filterwarnings("ignore::hullcast.MissingHullsWarning")
+def test_steps_while_servers_are_killed_and_hulls_come_and_go(client):
+    """Ten thousand random steps. The session's server is killed and starts again without any hull.
+
+    Every other loop has bodies whose hull is deleted and registered again by somebody else.
+
+    Catches what the other sweeps catch, but in a state that was lost and built again many times:
+    rows, bounds or matches of the server that ended, and a hull that a kept row still answers for.
+    """
+    seen: Counter[str] = Counter()
+    points = np.random.default_rng(77).normal(size=(14, 3)) * 0.35
+    guest = client.register([points])[0]
+    with Server() as killed, hullcast.connect(killed.address, options=NO_PROXY) as lost:
+        for seed in range(100, 125):
+            loop = Loop(lost, seed, guest=guest if seed % 2 else None)
+            is_there = False
+            if seed % 2:
+                client.delete(guest)
+                lost.delete(guest)
+            for i in range(400):
+                restarts = i % 133 == 132
+                if restarts:
+                    killed.kill()
+                    killed.start()
+                    seen["kills"] += 1
+                if seed % 2 and (loop.rng.random() < 0.05 or (restarts and is_there)):
+                    is_there = not is_there
+                    for server in (client, lost):
+                        server.register([points]) if is_there else server.delete(guest)
+                    seen["hulls that came" if is_there else "hulls that went"] += 1
+                loop.step(client, restarts=restarts)
+            loop.session.close()
+            seen += loop.seen
+    expect_seen(seen, 10_000)
+    assert seen["kills"] == 75
+    assert min(seen["hulls that came"], seen["hulls that went"]) > 50, seen
+    assert seen["steps without a hull"] > 1000, seen
+
+
 def test_a_server_that_keeps_nothing(client):
     """Without room for its state each step is a full message, and has no matches."""
     with (
