@@ -259,6 +259,48 @@ fn load_counts_and_checks_every_batch() -> Outcome {
     Ok(())
 }
 
+/// Runs the step loops of `hullcast load --session`, each step of which is compared with a search. Catches a
+/// share of bodies that is not applied, steps that are lost, and options that are silently ignored.
+#[test]
+fn load_steps_sessions_and_checks_every_step() -> Outcome {
+    let folder = scratch("load-session")?;
+    let server = Server::start(&folder.join("store"))?;
+    for family in ["box", "poly64"] {
+        for (moved, churn) in [("1", "0"), ("0.1", "0.05"), ("0", "0")] {
+            let steps =
+                ["load", "--session", "--remote", &server.address, "--family", family, "--bodies", "200"];
+            let run =
+                ["--moved", moved, "--churn", churn, "--count", "20", "--concurrency", "2", "--verify", "1"];
+            let summary: Value =
+                serde_json::from_slice(&printed(&[&steps[..], &run, &["--json"]].concat())?)?;
+            assert_eq!(
+                (&summary["batches"], &summary["checked_batches"]),
+                (&20.into(), &20.into()),
+                "{summary}"
+            );
+            assert_eq!((&summary["wrong_batches"], &summary["errors"]), (&0.into(), &serde_json::json!({})));
+            assert!(summary["pairs"].as_u64() > Some(20 * 20), "{summary}");
+        }
+    }
+    let text = printed(&["load", "--session", "--remote", &server.address, "--bodies", "9", "--count", "3"])?;
+    let text = String::from_utf8(text)?;
+    assert!(text.starts_with("sessions of 9 bodies, of which 100 % move and 0 % jump"), "{text}");
+    assert!(text.contains("3 steps, ") && text.contains("checked against new searches: 1 step"), "{text}");
+    for (more, named) in [
+        (&["--margin", "inf"][..], "--margin is inf"),
+        (&["--pairs", "3"], "--pairs <COUNT>"),
+        (&["--request-rate-range", "3"], "--request-rate-range <RANGE>"),
+    ] {
+        let output = hullcast(&[&["load", "--session", "--remote", &server.address], more].concat())?;
+        assert_eq!(output.status.code(), Some(2));
+        let why = String::from_utf8(output.stderr)?;
+        assert!(why.contains(named), "{why}");
+    }
+    let without = hullcast(&["load", "--session"])?;
+    assert!(String::from_utf8(without.stderr)?.contains("--remote <ADDRESS>"));
+    Ok(())
+}
+
 /// A load run on two servers, of which the second drops every connection at once. Catches a run
 /// that gives up a lost server's batch although another server is there, and a run that hides the
 /// loss.

@@ -200,7 +200,7 @@ pub(crate) fn definition(points: &HullPoints) -> HullDefinition {
 }
 
 /// The hull's definition as the client registers it.
-fn client_hull(points: &HullPoints) -> Hull {
+pub(crate) fn client_hull(points: &HullPoints) -> Hull {
     Hull {
         points: points.vertices.clone(),
         contraction_point: points.contraction_point,

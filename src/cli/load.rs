@@ -5,19 +5,23 @@ mod levels;
 mod progress;
 mod runner;
 mod sheet;
+mod steps;
 mod tally;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use batches::Batches;
 use levels::{Level, LevelRange, Plan};
 use runner::Runner;
+use steps::StepRunner;
+use tally::Tally;
 
 use super::Error;
 use super::answer::{Answerer, another_connection, in_scene};
-use super::options::{AccuracyArgs, OutputArg};
+use super::options::{AccuracyArgs, OutputArg, QueryOptions};
 use super::progress::Progress;
 use super::remote::RemoteArgs;
 use super::scene::{HullPoints, shown};
@@ -25,6 +29,9 @@ use super::settings::MOST_THREADS;
 use super::values::{count, margin, number};
 use hullcast::store::HullId;
 use hullcast::workload::{Family, Regime};
+
+/// The pairs of the generated workload whose hulls the bodies of sessions have.
+const SESSION_PAIRS: u32 = 64;
 
 /// Sends batches and checks a sample of the answers.
 ///
@@ -34,7 +41,8 @@ use hullcast::workload::{Family, Regime};
 /// at which it was due. If a busy server refuses a batch, the batch counts as shed and is sent again
 /// after the time that the server states (RetryInfo), up to `--retries` times. If a server or its
 /// connection is lost, its batch is sent again to the next server. Answers are compared bit for bit with
-/// those of the library, which this process calls for one pair at a time. An interrupt ends the run, and
+/// those of the library, which this process calls for one pair at a time. With `--session`, each loop is a
+/// simulation whose pairs the server finds; an answer to a step is compared with that of a new search. An interrupt ends the run, and
 /// the counts so far are printed. The exit code is 1 if a call failed or an answer was wrong.
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct Args {
@@ -78,6 +86,24 @@ pub(crate) struct Args {
     outputs: Vec<OutputArg>,
     #[command(flatten)]
     accuracy: AccuracyArgs,
+    /// Make the steps of simulations, in place of batches: each loop is a session with bodies of its own,
+    /// in which the server finds the pairs.
+    #[arg(long, requires = "remote", help_heading = "Step loops",
+          conflicts_with_all = ["scene", "regime", "pairs", "batches", "request_rate_range", "retries"])]
+    session: bool,
+    /// The bodies of each session.
+    #[arg(long, value_name = "COUNT", default_value_t = 1000, value_parser = count(1, u32::MAX),
+          allow_negative_numbers = true, requires = "session", help_heading = "Step loops")]
+    bodies: u32,
+    /// The share of the bodies that move a little in each step, 0 to 1.
+    #[arg(long, value_name = "SHARE", default_value_t = 1.0, value_parser = number(0.0, 1.0),
+          allow_negative_numbers = true, requires = "session", help_heading = "Step loops")]
+    moved: f64,
+    /// The share of the bodies that jump to another place in each step, 0 to 1. Their pairs end, and
+    /// others begin.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = number(0.0, 1.0),
+          allow_negative_numbers = true, requires = "session", help_heading = "Step loops")]
+    churn: f64,
     /// Batches in flight at once.
     #[arg(long, value_name = "COUNT", default_value_t = 4, value_parser = count(1, u32::MAX),
           allow_negative_numbers = true, help_heading = "Load")]
@@ -194,23 +220,22 @@ async fn loaded(args: &Args) -> Result<(), Error> {
         None => error,
     })?;
     let margin = args.margin.unwrap_or(batches.margin());
-    let sampled =
-        Arc::new(batches.prepare(&ids, &args.accuracy.query_options(margin, &args.outputs), args.verify)?);
+    let options = args.accuracy.query_options(margin, &args.outputs);
     let interrupted = Arc::new(AtomicBool::new(false));
     tokio::spawn(note_interrupt(interrupted.clone()));
-    let runner = Runner { answerers, sampled, interrupted: interrupted.clone(), args: args.clone() };
+    let work = Work::new(args, answerers, &batches, &ids, &options, &interrupted)?;
     let mut plan = args.plan();
     let (mut rows, mut clean) = (Vec::new(), Ok(()));
     while let Some(level) = plan.level() {
-        let (tally, elapsed) = runner.measure(level).await?;
+        let (tally, elapsed) = work.measure(level).await?;
         let row = tally.row(level, elapsed, args.percentile);
         plan.went(level, row.latency[4] <= args.latency_threshold);
         rows.push(row);
-        let title = format!("{}, {} {}", batches.title(), level.kind(), level.value());
+        let title = format!("{}, {} {}", work.title(), level.kind(), level.value());
         if args.json {
             println!("{}", tally.json(&title, elapsed)?);
         } else {
-            print!("{}", tally.text(&title, elapsed));
+            print!("{}", tally.text(&title, work.unit(), elapsed));
         }
         clean = clean.and(tally.verdict());
         if interrupted.load(Ordering::Relaxed) {
@@ -224,9 +249,57 @@ async fn loaded(args: &Args) -> Result<(), Error> {
         write("--csv", path, sheet::csv(&rows))?;
     }
     if let Some(path) = &args.plot {
-        write("--plot", path, sheet::svg(batches.title(), &rows))?;
+        write("--plot", path, sheet::svg(&work.title(), &rows))?;
     }
     clean.map_err(Into::into)
+}
+
+/// What the loops send.
+enum Work {
+    Batches(String, Runner),
+    Steps(StepRunner),
+}
+
+impl Work {
+    fn new(
+        args: &Args,
+        answerers: Vec<Answerer>,
+        batches: &Batches,
+        ids: &[HullId],
+        options: &QueryOptions,
+        interrupted: &Arc<AtomicBool>,
+    ) -> Result<Self, Error> {
+        let (args, interrupted) = (args.clone(), interrupted.clone());
+        if !args.session {
+            let sampled = Arc::new(batches.prepare(ids, options, args.verify)?);
+            let title = batches.title().to_owned();
+            return Ok(Self::Batches(title, Runner { answerers, sampled, interrupted, args }));
+        }
+        steps::check_margin(options.margin)?;
+        let (hulls, ids) = (Arc::new(batches.hulls().to_vec()), Arc::new(ids.to_vec()));
+        Ok(Self::Steps(StepRunner { answerers, hulls, ids, options: options.clone(), interrupted, args }))
+    }
+
+    fn title(&self) -> String {
+        match self {
+            Self::Batches(title, _) => title.clone(),
+            Self::Steps(runner) => runner.title(),
+        }
+    }
+
+    fn unit(&self) -> &'static str {
+        match self {
+            Self::Batches(..) => tally::BATCH,
+            Self::Steps(_) => tally::STEP,
+        }
+    }
+
+    async fn measure(&self, level: Level) -> Result<(Tally, Duration), Error> {
+        match self {
+            Self::Batches(_, runner) => runner.measure(level).await,
+            Self::Steps(runner) => runner.measure(level).await,
+        }
+    }
 }
 
 fn write(option: &str, path: &Path, text: String) -> Result<(), String> {
@@ -275,6 +348,10 @@ impl Args {
             RegimeArg::Resting => Regime::Resting,
             RegimeArg::Separated => Regime::Separated,
         };
+        if self.session {
+            // Only the hulls are used.
+            return Batches::generated(family, regime, SESSION_PAIRS, 1, self.seed);
+        }
         Batches::generated(family, regime, self.pairs.unwrap_or(4096), self.batches, self.seed)
     }
 }

@@ -50,7 +50,10 @@ const OF_ANY_QUERY: [Case; 7] = [
     ("outputs", &NO_NAMES, OUTPUTS),
     ("threads", &["4097"], "expected a whole number from 0 to 4096"),
 ];
-const OF_LOAD: [Case; 14] = [
+const OF_LOAD: [Case; 17] = [
+    ("bodies", &["0", "4294967296"], "expected a whole number from 1 to 4294967295"),
+    ("moved", &["-0.1", "1.1", "inf"], "expected a number from 0 to 1"),
+    ("churn", &["-0.1", "1.1", "inf"], "expected a number from 0 to 1"),
     ("family", &NO_NAMES, "[possible values: box, poly16, poly64, poly256]"),
     ("regime", &NO_NAMES, "[possible values: shallow, resting, separated]"),
     ("request-distribution", &NO_NAMES, "[possible values: constant, poisson]"),

@@ -17,7 +17,7 @@ use hullcast::workload::Random;
 
 /// Pause after a failed call, so that a lost server is not called in a tight loop. The pause doubles
 /// each time, so that `--retries 10` lasts longer than a load balancer needs to notice the loss.
-const PAUSE_AFTER_ERROR: Duration = Duration::from_millis(20);
+pub(super) const PAUSE_AFTER_ERROR: Duration = Duration::from_millis(20);
 /// The longest of those pauses.
 const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 /// Largest number of batches in flight in an open loop. At this number the loop waits, and later batches
@@ -157,7 +157,7 @@ impl Runner {
 }
 
 /// The sum of all counts.
-async fn added(mut running: JoinSet<Result<Tally, String>>) -> Result<Tally, Error> {
+pub(super) async fn added(mut running: JoinSet<Result<Tally, String>>) -> Result<Tally, Error> {
     let mut tally = Tally::default();
     while let Some(done) = running.join_next().await {
         tally.add(done??)?;

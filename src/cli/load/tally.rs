@@ -10,6 +10,11 @@ use super::levels::Level;
 use super::sheet::LevelResult;
 use crate::cli::values::counted;
 
+/// What the loops of batches count.
+pub(crate) const BATCH: &str = "batch";
+/// What the loops of sessions count.
+pub(crate) const STEP: &str = "step";
+
 /// Counts of one loop, or of all loops together.
 #[derive(Debug)]
 pub(crate) struct Tally {
@@ -99,8 +104,8 @@ impl Tally {
         Ok(())
     }
 
-    /// The counts as text for display.
-    pub(crate) fn text(&self, title: &str, elapsed: Duration) -> String {
+    /// The counts as text for display. `unit` is what is counted: a batch or a step.
+    pub(crate) fn text(&self, title: &str, unit: &str, elapsed: Duration) -> String {
         let mut text = String::new();
         let seconds = elapsed.as_secs_f64();
         let milli = |quantile| self.latency.value_at_quantile(quantile) as f64 / 1e6;
@@ -109,7 +114,7 @@ impl Tally {
         let _ = writeln!(
             text,
             "{}, {} in {seconds:.2} s: {:.0} pairs/s",
-            counted(self.latency.len(), "batch"),
+            counted(self.latency.len(), unit),
             counted(self.pairs, "pair"),
             self.pairs as f64 / seconds
         );
@@ -123,8 +128,9 @@ impl Tally {
         );
         let _ = writeln!(
             text,
-            "checked bit for bit: {}, {}; {} wrong",
-            counted(self.checked_batches, "batch"),
+            "checked {}: {}, {}; {} wrong",
+            if unit == STEP { "against new searches" } else { "bit for bit" },
+            counted(self.checked_batches, unit),
             counted(self.checked_pairs, "pair"),
             self.wrong_batches
         );
@@ -211,7 +217,7 @@ mod tests {
             one.checked(10, true);
             all.add(one).unwrap();
         }
-        let text = all.text("t", Duration::from_secs(2));
+        let text = all.text("t", BATCH, Duration::from_secs(2));
         assert!(text.contains("3 batches, 30 pairs in 2.00 s: 15 pairs/s"), "{text}");
         assert!(text.contains("p50 2.0") && text.contains("3 batches, 30 pairs; 0 wrong"), "{text}");
         assert_eq!(all.verdict(), Ok(()));
@@ -230,7 +236,8 @@ mod tests {
         failed.answered(10, Duration::from_millis(1)).unwrap();
         failed.failed("Unavailable: busy".into());
         assert!(
-            failed.verdict().is_err() && failed.text("t", Duration::from_secs(1)).contains("1 x Unavailable")
+            failed.verdict().is_err()
+                && failed.text("t", BATCH, Duration::from_secs(1)).contains("1 x Unavailable")
         );
     }
 }
