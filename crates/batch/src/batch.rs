@@ -145,12 +145,8 @@ impl Batch {
         Some(group)
     }
 
-    /// Pair `pair`, if it is a pair of boxes that has to be computed. The pairs of a group share their margin, so
-    /// pairs with margins of their own are computed alone.
+    /// Pair `pair`, if it is a pair of boxes that has to be computed.
     fn box_pair(&self, pair: usize) -> Option<BoxPair<'_>> {
-        if self.bodies.have_own_margins() {
-            return None;
-        }
         let query = self.bodies.template().query();
         let bodies = self.pair_bodies(pair);
         let [hull_a, hull_b] = bodies.map(|body| self.bodies.hull(body).as_ref().ok());
@@ -159,7 +155,7 @@ impl Batch {
         }
         let [pose_a, pose_b] = bodies.map(|body| self.bodies.pose(body));
         let (a, b) = (Body::new(hull_a?, pose_a?), Body::new(hull_b?, pose_b?));
-        BoxPair::new(&a, &b, query, self.warm_start(pair, &a, &b).as_ref())
+        BoxPair::new(&a, &b, &self.bodies.query(bodies, [&a, &b]), self.warm_start(pair, &a, &b).as_ref())
     }
 
     /// Computes pair `pair` and adds it to `columns`. Returns the steps that it took.

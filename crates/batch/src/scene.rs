@@ -335,11 +335,6 @@ impl Bodies {
         query
     }
 
-    /// Whether pairs may have other margins than that of the template's query.
-    pub(crate) fn have_own_margins(&self) -> bool {
-        !self.template.margins.is_empty() || self.poses.motions().step().is_some()
-    }
-
     /// A box around everything that a body may be in contact with, or `None` if the body is in no pair. Pairs
     /// of bodies whose boxes do not meet are SEPARATED at their margins.
     pub(crate) fn bounds(&self, index: u32) -> Option<Bounds> {

@@ -90,6 +90,8 @@ pub const GROUP: usize = WIDTH;
 pub struct BoxPair<'a> {
     bodies: [Body<'a>; 2],
     rows: [&'a BoxRow; 2],
+    /// Caller's units.
+    margin: f64,
     warm: Option<Basis>,
 }
 
@@ -101,18 +103,21 @@ impl<'a> BoxPair<'a> {
     }
 
     /// The pair, if both hulls are boxes that lanes can compute, and the query is for the default solver.
+    /// The pair keeps the margin of `query`, so that the pairs of one group may have different margins.
     /// `warm` is a basis as for [`contact_manifold`](crate::contact_manifold).
     #[inline]
     pub fn new(a: &Body<'a>, b: &Body<'a>, query: &Query, warm: Option<&Basis>) -> Option<Self> {
         let rows = [a.hull.box_row()?, b.hull.box_row()?];
         let is_default = query.accuracy.solver == Solver::Portal;
-        is_default.then(|| Self { bodies: [*a, *b], rows, warm: warm.copied() })
+        is_default.then(|| Self { bodies: [*a, *b], rows, margin: query.margin, warm: warm.copied() })
     }
 }
 
 /// Computes the contact manifolds of pairs of boxes, in order: the answers are those of
 /// [`contact_manifold`](crate::contact_manifold), bit for bit, several times faster. They are valid until
 /// the next call.
+///
+/// The margin of `query` is not used: each pair has the margin that it was made with.
 ///
 /// ```
 /// use hullcast_contact::{BoxPair, Body, ConvexHull, Pose, Query, Workspace, box_manifolds};
@@ -161,11 +166,7 @@ pub fn box_manifolds_with<'w>(
         workspace.lanes.manifolds.resize_with(pairs.len(), Manifold::default);
     }
     let (sine, _) = workspace.steps.sine_and_cosine(query.accuracy.feature_angle);
-    let question = Question {
-        margin: query.margin,
-        angle: FeatureAngle::new(sine),
-        points: query.wanted == Wanted::Points,
-    };
+    let question = Question { angle: FeatureAngle::new(sine), points: query.wanted == Wanted::Points };
     let mut first = 0;
     for group in pairs.chunks(WIDTH) {
         let numbers = workspace.lanes.numbers.get_or_insert_default();
@@ -187,6 +188,7 @@ fn finish(workspace: &mut Workspace, index: usize, lane: usize, boxes: &BoxPair<
     let Some(numbers) = &lanes.numbers else { return };
     let lane = Lane { numbers, lane, rows: boxes.rows };
     *counted += cost::LANE;
+    let query = &Query { margin: boxes.margin, ..*query };
     if lane.is_complete(manifold, query) {
         return;
     }
@@ -222,8 +224,6 @@ pub(crate) struct Buffers {
 
 /// The query, as far as lanes need it.
 struct Question {
-    /// Caller's units.
-    margin: f64,
     angle: FeatureAngle,
     /// Whether points are asked for.
     points: bool,
@@ -317,9 +317,8 @@ impl Kernel for Boxes<'_> {
 #[inline(always)]
 fn compute_from<L: Lanes>(group: &Group<'_>, at: usize, question: &Question, numbers: &mut Numbers) {
     let frame = Frame::<L>::load(group, at);
-    let margin = L::splat(question.margin) / frame.unit;
-    let direction = Direction::choose(&frame, margin);
-    let separated = frame.usable & separates(&frame, &direction, margin);
+    let direction = Direction::choose(&frame);
+    let separated = frame.usable & separates(&frame, &direction);
     let normal = frame.rotation_a * direction.n;
     let normal = normal.scale(L::splat(1.0) / normal.length());
     normal.store(&mut numbers.normal, at);

@@ -13,6 +13,7 @@ use crate::{
     columns::InvalidPair,
     compute::Parts,
     memory::{MemoryPool, PoolIsFull, PooledMemory},
+    motion::MotionColumns,
     outputs::{Output, Outputs},
     scene::{Hulls, Missing, Scene},
     wait,
@@ -186,12 +187,13 @@ fn the_same_columns_whatever_the_chunks() {
 
 /// Boxes, other hulls, and bodies without a hull or a usable pose, in every order. Catches an answer of a group
 /// of boxes at the place of another pair, a group that loses or repeats a pair, and an answer that is not that
-/// of the pair by itself.
+/// of the pair by itself. In some rounds pairs have margins of their own, from their bodies or their motion: also
+/// catches a pair that is computed with the margin of another one.
 #[test]
 fn mixed_pairs_are_answered_one_by_one_and_together() {
     let engine = engine(1 << 30);
     let mut random = Random::new(5);
-    let mut seen = [0; 3];
+    let (mut seen, mut wider) = ([0; 3], 0);
     for round in 0..20 {
         let pairs = 1 + 13 * round;
         let [boxes, others] = [Family::Box, Family::Poly16]
@@ -216,6 +218,16 @@ fn mixed_pairs_are_answered_one_by_one_and_together() {
                 *positions.last_mut().unwrap() = f64::NAN;
             }
         }
+        let mut column = |entries: usize, used: bool| -> Vec<f64> {
+            (0..if used { entries } else { 0 }).map(|_| random.within(0.0, 0.5)).collect()
+        };
+        let (margins, moves) = (column(2 * pairs, round % 4 > 1), round % 2 == 1);
+        let motion = MotionColumns {
+            linear_velocities: column(6 * pairs, moves),
+            angular_velocities: column(6 * pairs, moves),
+            time_step: if moves { 0.1 } else { 0.0 },
+            ..MotionColumns::default()
+        };
         let scene = Scene {
             hulls,
             body_hulls,
@@ -224,6 +236,8 @@ fn mixed_pairs_are_answered_one_by_one_and_together() {
             pairs: (0..2 * pairs as u32).collect(),
             outputs: Outputs::of(Output::ALL.iter().copied()),
             margin: 0.01,
+            margins,
+            motion,
             ..Scene::default()
         };
         let run = run(&engine, scene.batch(&Stop::default()).unwrap());
@@ -248,12 +262,13 @@ fn mixed_pairs_are_answered_one_by_one_and_together() {
                 alone.push_invalid(invalid, outputs);
                 continue;
             };
-            let query = bodies.template().query();
-            alone.push(contact_manifold(&a, &b, query, None, &mut workspace), outputs);
+            let query = bodies.query([2 * pair, 2 * pair + 1], [&a, &b]);
+            wider += usize::from(query.margin > 0.01);
+            alone.push(contact_manifold(&a, &b, &query, None, &mut workspace), outputs);
         }
         assert_eq!(format!("{together:?}"), format!("{alone:?}"), "{round}");
     }
-    assert!(seen.iter().all(|&count| count > 500), "{seen:?}");
+    assert!(seen.iter().all(|&count| count > 500) && wider > 1_000, "{seen:?}, {wider}");
 }
 
 /// Prisms of 2,048 sides whose end faces overlap. Catches chunks that are cut by the number of

@@ -79,9 +79,9 @@ impl<L: Lanes> Candidate<L> {
 impl<L: Lanes> Direction<L> {
     /// A face normal along which the boxes are apart by more than the margin, if there is one. Otherwise
     /// the line of centres if the circumscribed spheres are apart, and otherwise the axis with the
-    /// largest growth scale. `margin` is in pair units.
+    /// largest growth scale.
     #[inline(always)]
-    pub(super) fn choose(frame: &Frame<L>, margin: L) -> Self {
+    pub(super) fn choose(frame: &Frame<L>) -> Self {
         let Frame { half_a, half_b, rotation, d, .. } = *frame;
         let size = rotation.abs();
         let along_a = d.abs();
@@ -95,7 +95,7 @@ impl<L: Lanes> Direction<L> {
         let b1 = Candidate::new(along_b.y, reach_b.y, 4);
         let b2 = Candidate::new(along_b.z, reach_b.z, 5);
 
-        let apart = margin + frame.rounding_band;
+        let apart = frame.margin + frame.rounding_band;
         let farthest = a0.or_farther(a1).or_farther(a2).or_farther(b0.or_farther(b1).or_farther(b2));
         let is_face_apart = (farthest.along - farthest.reach).gt(apart);
         let others = !is_face_apart;

@@ -142,8 +142,8 @@ pub(super) fn lower_bound<L: Lanes>(frame: &Frame<L>, direction: &Direction<L>) 
     L::select(along.gt(zero), (along / (direction.reach + frame.noise)).next_down(), zero)
 }
 
-/// Whether a direction certifies that the boxes are farther apart than the margin (pair units).
+/// Whether a direction certifies that the boxes are farther apart than the margin.
 #[inline(always)]
-pub(super) fn separates<L: Lanes>(frame: &Frame<L>, direction: &Direction<L>, margin: L) -> L::Mask {
-    (direction.along - direction.reach).gt(margin + frame.rounding_band)
+pub(super) fn separates<L: Lanes>(frame: &Frame<L>, direction: &Direction<L>) -> L::Mask {
+    (direction.along - direction.reach).gt(frame.margin + frame.rounding_band)
 }

@@ -13,7 +13,8 @@ use crate::tolerance::{BAND, COINCIDENT, LANE_RANGE, LENGTH_ABOVE, MERGE, NOISE,
 pub(super) struct Group<'a> {
     /// The boxes A and the boxes B of all pairs.
     boxes: [[&'a Row; WIDTH]; 2],
-    /// The poses of A and of B: rotation by columns, then translation, in two rows.
+    /// The poses of A and of B: rotation by columns, then translation, in two rows. The margin of the pair
+    /// follows.
     poses: [[[Row; 2]; WIDTH]; 2],
 }
 
@@ -28,11 +29,12 @@ impl<'a> Group<'a> {
         };
         for lane in 0..WIDTH {
             for side in 0..2 {
-                let Pose { rotation, translation: t } = of(lane).bodies[side].pose;
+                let BoxPair { bodies, margin, .. } = of(lane);
+                let Pose { rotation, translation: t } = bodies[side].pose;
                 let [x, y, z] = rotation.to_cols_array_2d();
                 group.poses[side][lane] = [
                     [x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1]],
-                    [z[2], t.x, t.y, t.z, 0.0, 0.0, 0.0, 0.0],
+                    [z[2], t.x, t.y, t.z, *margin, 0.0, 0.0, 0.0],
                 ];
             }
         }
@@ -50,6 +52,8 @@ struct PosedBox<L> {
     reach: L,
     rotation: Matrix<L>,
     translation: Vector<L>,
+    /// The margin of the pair, in the caller's units.
+    margin: L,
 }
 
 impl<L: Lanes> PosedBox<L> {
@@ -61,7 +65,7 @@ impl<L: Lanes> PosedBox<L> {
         let first = [&p0[0], &p1[0], &p2[0], &p3[0], &p4[0], &p5[0], &p6[0], &p7[0]];
         let second = [&p0[1], &p1[1], &p2[1], &p3[1], &p4[1], &p5[1], &p6[1], &p7[1]];
         let [xx, xy, xz, yx, yy, yz, zx, zy] = L::transposed(&first, at);
-        let [zz, tx, ty, tz, ..] = L::transposed(&second, at);
+        let [zz, tx, ty, tz, margin, ..] = L::transposed(&second, at);
         Self {
             half: Vector::new(hx, hy, hz),
             centre: Vector::new(cx, cy, cz),
@@ -73,6 +77,7 @@ impl<L: Lanes> PosedBox<L> {
                 z: Vector::new(zx, zy, zz),
             },
             translation: Vector::new(tx, ty, tz),
+            margin,
         }
     }
 }
@@ -89,6 +94,7 @@ pub(super) struct Frame<L: Lanes> {
     /// The offset of B's centre.
     pub(super) d: Vector<L>,
     pub(super) m: L,
+    pub(super) margin: L,
     /// Sum of the circumradii, rounded up.
     pub(super) circumradius: L,
     /// Sum of the inradii of the hulls, rounded down and rounded up.
@@ -140,6 +146,7 @@ impl<L: Lanes> Frame<L> {
             rotation: a.rotation.transposed_times_matrix(b.rotation),
             d,
             m,
+            margin: a.margin / unit,
             circumradius,
             inradius: inradius - noise,
             inradius_above: inradius + noise,

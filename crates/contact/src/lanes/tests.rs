@@ -174,6 +174,42 @@ fn every_instruction_set_gives_the_same_bits() {
     assert!(compared >= 12 * 2_900 * 3 * sets.len());
 }
 
+/// Catches a lane that takes the margin of another lane, or that of the call, and a part for the general path
+/// that does.
+#[test]
+fn every_lane_has_the_margin_of_its_pair() {
+    let (mut one, mut many) = (Workspace::default(), Workspace::default());
+    let mut outcomes = [0; 2];
+    for scene in scenes(2_000) {
+        let query = |i: usize| {
+            let size = scene.query.margin * 100.0;
+            Query { margin: [0.0, 1e-3 * size, 0.3 * size, 1e9 * size, f64::INFINITY][i % 5], ..scene.query }
+        };
+        let same_margin = scene.boxes();
+        let boxes: Vec<_> = same_margin
+            .iter()
+            .enumerate()
+            .map(|(i, pair)| {
+                let [a, b] = &pair.bodies;
+                BoxPair::new(a, b, &query(i), None).expect("two boxes")
+            })
+            .collect();
+        for set in InstructionSet::available() {
+            let answers = box_manifolds_with(set, &boxes, &scene.query, &mut many);
+            for (i, (answer, pair)) in answers.iter().zip(&boxes).enumerate() {
+                let [a, b] = &pair.bodies;
+                let alone = contact_manifold(a, b, &query(i), None, &mut one);
+                assert_eq!(bits(answer), bits(alone), "{}, {set:?}, pair {i}", scene.name);
+                if let Err(violation) = certificate::check(a, b, &query(i), answer) {
+                    panic!("{}, pair {i}: {violation} {answer:?}", scene.name);
+                }
+                outcomes[usize::from(answer.outcome == Outcome::Separated)] += 1;
+            }
+        }
+    }
+    assert!(outcomes.iter().all(|&count| count > 2_000), "{outcomes:?}");
+}
+
 /// The answer of the path for all hulls.
 fn general<'w>(pair: &BoxPair<'_>, query: &Query, workspace: &'w mut Workspace) -> &'w Manifold {
     let [a, b] = &pair.bodies;
