@@ -2,6 +2,9 @@
 
 #include <google/protobuf/util/message_differencer.h>
 
+#include <algorithm>
+#include <array>
+#include <cstdint>
 #include <functional>
 
 namespace v1 = hullcast::v1;
@@ -105,6 +108,45 @@ int check_steps(Client& client, const Case& golden) {
         if (step > 0) *whole.mutable_warm_starts() = answers[step - 1].bases();
         expect(answers[step].alphas_size() == 1 && MessageDifferencer::Equals(answers[step], client.query(whole)),
                "step " + std::to_string(step));
+    }
+    return static_cast<int>(answers.size());
+}
+
+// Makes four steps in which the server finds the pairs: all bodies, none moved, one moved away, and one removed
+// while a new one comes. The matches say what became of the pair of the step before.
+int check_loop(Client& client, const Case& golden) {
+    using Numbers = std::vector<std::uint32_t>;
+    constexpr std::uint32_t none = UINT32_MAX;
+    const v1::QueryContactsRequest named = golden.request();
+    v1::QueryContactsRequest all = named;
+    all.set_find(true);
+    all.clear_pairs();
+    all.add_outputs(v1::OUTPUT_MATCHES);
+    v1::QueryContactsRequest still;
+    still.set_inherit(true);
+    v1::QueryContactsRequest moved = still;
+    moved.add_moved(1);
+    for (int i = 3; i < 6; ++i) moved.add_positions(named.positions(i) + (i == 3 ? 1e6 : 0));
+    for (int i = 4; i < 8; ++i) moved.add_rotations(named.rotations(i));
+    v1::QueryContactsRequest replaced = all;
+    for (const std::uint32_t body : {0U, none}) replaced.add_previous_bodies(body);
+    const std::vector<v1::QueryContactsResponse> answers = client.stream({all, still, moved, replaced});
+    const auto same = [](const auto& one, const auto& other) {
+        return std::equal(one.begin(), one.end(), other.begin(), other.end());
+    };
+    expect(same(answers[0].alphas(), client.query(named).alphas()), answers[0].ShortDebugString());
+    const std::vector<std::array<Numbers, 3>> wanted = {
+        {Numbers{0, 1}, Numbers{none}, Numbers{}},
+        {Numbers{0, 1}, Numbers{0}, Numbers{}},
+        {Numbers{}, Numbers{}, Numbers{0, 1}},
+        {Numbers{0, 1}, Numbers{none}, Numbers{}},
+    };
+    for (std::size_t step = 0; step < wanted.size(); ++step) {
+        const auto& [pairs, previous, ended] = wanted[step];
+        const v1::QueryContactsResponse& answer = answers[step];
+        expect(same(answer.pairs(), pairs) && same(answer.previous_pairs(), previous) &&
+                   same(answer.ended_pairs(), ended),
+               "step " + std::to_string(step) + ": " + answer.ShortDebugString());
     }
     return static_cast<int>(answers.size());
 }

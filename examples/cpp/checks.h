@@ -12,6 +12,7 @@ int check_errors(Client& client, const Case& golden);
 /// Sends only poses after a stream's first message. Each answer must equal that of the full request
 /// with the previous bases as warm starts.
 int check_steps(Client& client, const Case& golden);
+int check_loop(Client& client, const Case& golden);
 /// Sends a request that takes many times its deadline.
 int check_deadline(Client& client, const Case& golden);
 /// Calls a server with TLS and tokens. The client must trust its authority and send a token, and

@@ -20,6 +20,7 @@ int main(int argc, char** argv) {
         std::cout << "answers " << check_answers(client, cases) << std::endl;
         std::cout << "errors " << check_errors(client, cases.at(0)) << std::endl;
         std::cout << "steps " << check_steps(client, cases.at(0)) << std::endl;
+        std::cout << "loops " << check_loop(client, cases.at(0)) << std::endl;
         std::cout << "deadlines " << check_deadline(client, cases.at(0)) << std::endl;
         std::cout << "secured " << check_secured({arguments.begin() + 2, arguments.end()}, cases.at(0)) << std::endl;
     } catch (const std::exception& error) {

@@ -5,6 +5,7 @@ import (
 	"encoding/hex"
 	"fmt"
 	"io"
+	"math"
 	"slices"
 	"time"
 
@@ -175,6 +176,42 @@ func (c Client) checkSteps(ctx context.Context, golden Case) (int, error) {
 		}
 		if len(answer.Alphas) != 1 || !proto.Equal(answer, same) {
 			return 0, fmt.Errorf("step %d: %v, not %v", step, answer, same)
+		}
+	}
+	return len(answers), nil
+}
+
+// checkLoop makes four steps in which the server finds the pairs: all bodies, none moved, one moved away, and one
+// removed while a new one comes. The matches say what became of the pair of the step before.
+func (c Client) checkLoop(ctx context.Context, golden Case) (int, error) {
+	const none = math.MaxUint32
+	all := golden.request()
+	all.Find, all.Pairs = true, nil
+	all.Outputs = append(all.Outputs, pb.Output_OUTPUT_MATCHES)
+	away := append([]float64{all.Positions[3] + 1e6}, all.Positions[4:6]...)
+	still := &pb.QueryContactsRequest{Inherit: true}
+	moved := &pb.QueryContactsRequest{Inherit: true, Moved: []uint32{1}, Positions: away, Rotations: all.Rotations[4:8]}
+	replaced := proto.Clone(all).(*pb.QueryContactsRequest)
+	replaced.PreviousBodies = []uint32{0, none}
+	answers, err := c.stream(ctx, all, still, moved, replaced)
+	if err != nil {
+		return 0, err
+	}
+	named, err := c.contacts.QueryContacts(ctx, golden.request())
+	if err != nil {
+		return 0, err
+	}
+	if !slices.Equal(answers[0].Alphas, named.Alphas) {
+		return 0, fmt.Errorf("the found pair: %v, not %v", answers[0], named)
+	}
+	pair, nothing := []uint32{0, 1}, []uint32{}
+	for step, wanted := range [][3][]uint32{
+		{pair, {none}, nothing}, {pair, {0}, nothing}, {nothing, nothing, pair}, {pair, {none}, nothing},
+	} {
+		answer := answers[step]
+		found := [][]uint32{answer.Pairs, answer.PreviousPairs, answer.EndedPairs}
+		if !slices.EqualFunc(found, wanted[:], slices.Equal) {
+			return 0, fmt.Errorf("step %d: %v, not %v", step, found, wanted)
 		}
 	}
 	return len(answers), nil

@@ -44,6 +44,7 @@ func run(root, target string, secure []string) error {
 		{"answers", func() (int, error) { return client.checkAnswers(ctx, cases) }},
 		{"errors", func() (int, error) { return client.checkErrors(ctx, cases[0]) }},
 		{"steps", func() (int, error) { return client.checkSteps(ctx, cases[0]) }},
+		{"loops", func() (int, error) { return client.checkLoop(ctx, cases[0]) }},
 		{"deadlines", func() (int, error) { return client.checkDeadline(ctx, cases[0]) }},
 		{"secured", func() (int, error) { return checkSecured(ctx, secure, cases[0]) }},
 	}

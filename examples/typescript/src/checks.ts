@@ -96,6 +96,32 @@ export async function steps(client: Client, golden: Case): Promise<number> {
   return answers.length;
 }
 
+/**
+ * Makes four steps in which the server finds the pairs: all bodies, none moved, one moved away, and one
+ * removed while a new one comes. The matches say what became of the pair of the step before.
+ */
+export async function loops(client: Client, golden: Case): Promise<number> {
+  const none = 2 ** 32 - 1;
+  const named: Request = requestOf(golden);
+  const all: Request = { ...named, find: true, pairs: [], outputs: [...named.outputs!, "OUTPUT_MATCHES"] };
+  const [x, ...rest] = named.positions.slice(3, 6);
+  const answers = await client.stream([
+    all,
+    { inherit: true },
+    { inherit: true, moved: [1], positions: [x! + 1e6, ...rest], rotations: named.rotations.slice(4, 8) },
+    { ...all, previousBodies: [0, none] },
+  ]);
+  assert.deepEqual(answers[0]!.alphas, (await client.query(named)).alphas);
+  const found = answers.map(({ pairs, previousPairs, endedPairs }) => [pairs, previousPairs, endedPairs]);
+  assert.deepEqual(found, [
+    [[0, 1], [none], []],
+    [[0, 1], [0], []],
+    [[], [], [0, 1]],
+    [[0, 1], [none], []],
+  ]);
+  return answers.length;
+}
+
 /** Sends a request that takes many times its deadline. */
 export async function deadlines(client: Client, golden: Case): Promise<number> {
   const pairs = Array.from({ length: 2 * 131072 }, (_, i) => i % 2);

@@ -4,7 +4,7 @@
 //   node out/main.js ROOT TARGET [SECURE_TARGET AUTHORITY_PEM REGISTER_TOKEN QUERY_TOKEN]
 import assert from "node:assert/strict";
 
-import { answers, deadlines, errors, identities, secured, steps } from "./checks.js";
+import { answers, deadlines, errors, identities, loops, secured, steps } from "./checks.js";
 import { Client } from "./client.js";
 import { readCases } from "./golden.js";
 
@@ -16,6 +16,7 @@ console.log("identities", identities(root));
 console.log("answers", await answers(client, cases));
 console.log("errors", await errors(client, cases[0]!));
 console.log("steps", await steps(client, cases[0]!));
+console.log("loops", await loops(client, cases[0]!));
 console.log("deadlines", await deadlines(client, cases[0]!));
 console.log("secured", await secured(secure, cases[0]!));
 client.close();

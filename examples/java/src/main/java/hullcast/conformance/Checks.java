@@ -143,6 +143,46 @@ final class Checks {
     return answers.size();
   }
 
+  /**
+   * Makes four steps in which the server finds the pairs: all bodies, none moved, one moved away,
+   * and one removed while a new one comes. The matches say what became of the pair of the step
+   * before.
+   */
+  static int loops(Client client, Case golden) throws Exception {
+    QueryContactsRequest named = golden.request().build();
+    QueryContactsRequest all =
+        named.toBuilder().setFind(true).clearPairs().addOutputs(Output.OUTPUT_MATCHES).build();
+    List<QueryContactsResponse> answers =
+        client.stream(
+            List.of(
+                all,
+                QueryContactsRequest.newBuilder().setInherit(true).build(),
+                QueryContactsRequest.newBuilder()
+                    .setInherit(true)
+                    .addMoved(1)
+                    .addAllPositions(named.getPositionsList().subList(3, 6))
+                    .setPositions(0, named.getPositions(3) + 1e6)
+                    .addAllRotations(named.getRotationsList().subList(4, 8))
+                    .build(),
+                // -1 has the bits of 2^32 - 1, which stands for a new body.
+                all.toBuilder().addAllPreviousBodies(List.of(0, -1)).build()));
+    List<Double> alphas = query(client, named.toBuilder()).getAlphasList();
+    expect(answers.get(0).getAlphasList().equals(alphas), "the found pair: %s", answers.get(0));
+    List<List<List<Integer>>> wanted =
+        List.of(
+            List.of(List.of(0, 1), List.of(-1), List.of()),
+            List.of(List.of(0, 1), List.of(0), List.of()),
+            List.of(List.of(), List.of(), List.of(0, 1)),
+            List.of(List.of(0, 1), List.of(-1), List.of()));
+    for (int step = 0; step < wanted.size(); step++) {
+      QueryContactsResponse answer = answers.get(step);
+      List<List<Integer>> found =
+          List.of(answer.getPairsList(), answer.getPreviousPairsList(), answer.getEndedPairsList());
+      expect(found.equals(wanted.get(step)), "step %s: %s", step, found);
+    }
+    return answers.size();
+  }
+
   /** Sends a request that takes many times its deadline. */
   static int deadlines(Client client, Case golden) throws Exception {
     QueryContactsRequest.Builder request = golden.request();

@@ -22,6 +22,7 @@ final class Main {
       System.out.println("answers " + Checks.answers(client, cases));
       System.out.println("errors " + Checks.errors(client, first));
       System.out.println("steps " + Checks.steps(client, first));
+      System.out.println("loops " + Checks.loops(client, first));
       System.out.println("deadlines " + Checks.deadlines(client, first));
     }
     System.out.println("secured " + Secured.check(List.of(args).subList(2, args.length), first));
