@@ -18,7 +18,10 @@ from hullcast._serve import find_binary
 CUBE = box((0.5, 0.5, 0.5)).vertices
 #: The servers of the tests are on this machine, so no proxy is used.
 NO_PROXY = [("grpc.enable_http_proxy", 0)]
-EVERYTHING = ("ALPHA", "NORMAL", "POINTS", "WITNESS_B", "FEATURES", "BASES", "DIAGNOSTICS")
+EVERYTHING = (
+    "ALPHA", "NORMAL", "POINTS", "WITNESS_B", "FEATURES", "BASES", "DIAGNOSTICS",
+    "ALPHA_GRADIENT", "SEPARATION_GRADIENT", "NORMAL_JACOBIAN",
+)  # fmt: skip
 #: Settings of every ray process: it does not report usage or write into the home folder, and has
 #: enough time to start on a busy machine.
 RAY_SETTINGS = {
@@ -30,6 +33,7 @@ COLUMNS = (
     "outcome", "flags", "alpha", "alpha_lower", "alpha_upper", "normal", "separation", "point_counts",
     "point_offsets", "witness_a", "witness_b", "distance", "point_ids", "feature_kinds",
     "feature_indices", "bases", "iterations", "support_calls", "kept_area",
+    "alpha_gradient", "separation_gradient", "normal_jacobian", "gradient_error",
     "pairs",
 )  # fmt: skip
 

@@ -8,7 +8,7 @@
 
 use std::ops::Range;
 
-use hullcast_contact::{ContactPoint, Element, Feature, Manifold, Outcome, Stop, Stopped};
+use hullcast_contact::{ContactPoint, Derivatives, Element, Feature, Manifold, Outcome, Stop, Stopped};
 
 use crate::{
     codes::{NO_INDEX, feature, flag, outcome},
@@ -208,6 +208,10 @@ fn basis(manifold: &Manifold) -> [u32; 6] {
     basis.map_or([NO_INDEX; 6], |([a0, a1, a2], [b0, b1, b2])| [a0, a1, a2, b0, b1, b2])
 }
 
+fn rows(jacobian: &[[f64; 9]; 3]) -> [f64; 27] {
+    std::array::from_fn(|i| jacobian[i / 9][i % 9])
+}
+
 /// Declares all columns in one place, with everything that treats them alike. `$d` is a dollar sign, for the
 /// macro that this macro declares.
 macro_rules! columns {
@@ -219,6 +223,11 @@ macro_rules! columns {
             $(#[doc = $pair_doc:literal])*
             $pair:ident: [$pair_element:ty; $pair_width:literal], $pair_key:literal, $pair_age:ident,
             of [$($pair_output:ident)*] = |$manifold:ident| $pair_value:expr, invalid: $invalid:expr;
+        )* }
+        derivative { $(
+            $(#[doc = $derivative_doc:literal])*
+            $derivative:ident: [f64; $derivative_width:literal], $derivative_key:literal,
+            of [$($derivative_output:ident)*] = |$derivatives:ident| $derivative_value:expr;
         )* }
         point { $(
             $(#[doc = $point_doc:literal])*
@@ -232,6 +241,7 @@ macro_rules! columns {
             $(#[doc = $found_doc])* pub $found: Vec<$found_element>,
             $($(#[doc = $always_doc])* pub $always: Vec<u8>,)*
             $($(#[doc = $pair_doc])* pub $pair: Vec<$pair_element>,)*
+            $($(#[doc = $derivative_doc])* pub $derivative: Vec<f64>,)*
             $($(#[doc = $point_doc])* pub $point: Vec<$point_element>,)*
             points: usize,
             solver_iterations: u64,
@@ -252,6 +262,10 @@ macro_rules! columns {
                 outputs: &[$(Output::$pair_output),*], is_later: is_later!($pair_age),
             },)*
             $(Column {
+                name: stringify!($derivative), key: $derivative_key, per: Per::Pair, width: $derivative_width,
+                outputs: &[$(Output::$derivative_output),*], is_later: true,
+            },)*
+            $(Column {
                 name: stringify!($point), key: $point_key, per: Per::Point, width: $point_width,
                 outputs: &[$(Output::$point_output),*], is_later: is_later!($point_age),
             },)*
@@ -261,7 +275,7 @@ macro_rules! columns {
         #[doc(hidden)]
         #[macro_export]
         macro_rules! with_columns {
-            ($d callback:ident) => { $d callback! { $found $($always)* $($pair)* $($point)* } };
+            ($d callback:ident) => { $d callback! { $found $($always)* $($pair)* $($derivative)* $($point)* } };
         }
 
         impl Outputs {
@@ -270,6 +284,11 @@ macro_rules! columns {
                 let always = [$(stringify!($always)),*].len();
                 always $(+ if false $(|| self.has(Output::$pair_output))* {
                     size_of::<[$pair_element; $pair_width]>()
+                } else {
+                    0
+                })*
+                $(+ if false $(|| self.has(Output::$derivative_output))* {
+                    size_of::<[f64; $derivative_width]>()
                 } else {
                     0
                 })*
@@ -295,6 +314,7 @@ macro_rules! columns {
                     Values::from(&self.$found[..]),
                     $(Values::from(&self.$always[..]),)*
                     $(Values::from(&self.$pair[..]),)*
+                    $(Values::from(&self.$derivative[..]),)*
                     $(Values::from(&self.$point[..]),)*
                 ];
                 COLUMNS.iter().zip(values)
@@ -325,6 +345,18 @@ macro_rules! columns {
                 })*
             }
 
+            /// Adds the derivatives of the pair that was added last; NaN if it has none.
+            pub fn push_derivatives(&mut self, found: Option<&Derivatives>, outputs: Outputs) {
+                if let Some(flags) = self.flags.last_mut() {
+                    *flags |= bit(found.is_some_and(|found| found.kink), flag::KINK);
+                }
+                $(if false $(|| outputs.has(Output::$derivative_output))* {
+                    let value = |$derivatives: &Derivatives| -> [f64; $derivative_width] { $derivative_value };
+                    let none = [f64::NAN; $derivative_width];
+                    self.$derivative.extend_from_slice(&found.map_or(none, value));
+                })*
+            }
+
             /// Adds a pair without an answer; its numbers are NaN.
             pub fn push_invalid(&mut self, invalid: InvalidPair, outputs: Outputs) {
                 self.outcomes.push(outcome::INVALID);
@@ -332,6 +364,7 @@ macro_rules! columns {
                 $(if false $(|| outputs.has(Output::$pair_output))* {
                     self.$pair.extend_from_slice(&[$invalid; $pair_width]);
                 })*
+                self.push_derivatives(None, outputs);
             }
 
             /// Adds a row of an earlier answer, whose points are `points` of its points. Columns that the earlier
@@ -341,6 +374,10 @@ macro_rules! columns {
                 self.flags.push(from.flags[row]);
                 $(if !from.$pair.is_empty() {
                     self.$pair.extend_from_slice(&from.$pair[row * $pair_width..(row + 1) * $pair_width]);
+                })*
+                $(if !from.$derivative.is_empty() {
+                    let values = row * $derivative_width..(row + 1) * $derivative_width;
+                    self.$derivative.extend_from_slice(&from.$derivative[values]);
                 })*
                 self.points += points.len();
                 $(if !from.$point.is_empty() {
@@ -360,6 +397,7 @@ macro_rules! columns {
                 self.$found.append(&mut next.$found);
                 $(self.$always.append(&mut next.$always);)*
                 $(self.$pair.append(&mut next.$pair);)*
+                $(self.$derivative.append(&mut next.$derivative);)*
                 $(self.$point.append(&mut next.$point);)*
             }
 
@@ -369,6 +407,9 @@ macro_rules! columns {
                 let mut unsent = Self { points: self.points, ..Self::default() };
                 $(if !(false $(|| outputs.has(Output::$pair_output))*) {
                     unsent.$pair = std::mem::take(&mut self.$pair);
+                })*
+                $(if !(false $(|| outputs.has(Output::$derivative_output))*) {
+                    unsent.$derivative = std::mem::take(&mut self.$derivative);
                 })*
                 $(if !(false $(|| outputs.has(Output::$point_output))*) {
                     unsent.$point = std::mem::take(&mut self.$point);
@@ -382,6 +423,9 @@ macro_rules! columns {
                 $(self.$always = sent.$always;)*
                 $(if !sent.$pair.is_empty() {
                     self.$pair = sent.$pair;
+                })*
+                $(if !sent.$derivative.is_empty() {
+                    self.$derivative = sent.$derivative;
                 })*
                 $(if !sent.$point.is_empty() {
                     self.$point = sent.$point;
@@ -406,7 +450,7 @@ macro_rules! columns {
                 let points = parts.iter().map(|part| part.points).sum();
                 let solver_iterations = parts.iter().map(|part| part.solver_iterations).sum();
                 let mut whole = Self { points, solver_iterations, ..Self::default() };
-                join!(whole, parts, copied, stop, [$found $($always)* $($pair)* $($point)*]);
+                join!(whole, parts, copied, stop, [$found $($always)* $($pair)* $($derivative)* $($point)*]);
                 stop.spend((copied / Self::BYTES_PER_STEP) as u64)?;
                 Ok(whole)
             }
@@ -416,6 +460,7 @@ macro_rules! columns {
                 size_of_val(&self.$found[..])
                     $(+ size_of_val(&self.$always[..]))*
                     $(+ size_of_val(&self.$pair[..]))*
+                    $(+ size_of_val(&self.$derivative[..]))*
                     $(+ size_of_val(&self.$point[..]))*
             }
 
@@ -424,6 +469,7 @@ macro_rules! columns {
                 self.$found.clear();
                 $(self.$always.clear();)*
                 $(self.$pair.clear();)*
+                $(self.$derivative.clear();)*
                 $(self.$point.clear();)*
                 self.points = 0;
                 self.solver_iterations = 0;
@@ -434,6 +480,7 @@ macro_rules! columns {
                 self.$found.capacity() * size_of::<$found_element>()
                     $(+ self.$always.capacity())*
                     $(+ self.$pair.capacity() * size_of::<$pair_element>())*
+                    $(+ self.$derivative.capacity() * size_of::<f64>())*
                     $(+ self.$point.capacity() * size_of::<$point_element>())*
             }
         }
@@ -514,6 +561,18 @@ columns! {
         /// before; [`matches`](crate::matches) fills the column in.
         previous_pairs: [u32; 1], "previous_pair", later, of [Matches] = |_m| [NO_INDEX], invalid: NO_INDEX;
     }
+    derivative {
+        /// The gradient of the growth scale: by a translation of B relative to A, by a rotation of A, and by a
+        /// rotation of B, each along the world's axes. NaN for a pair without a basis, as for the others below.
+        alpha_gradients: [f64; 9], "alpha_gradient", of [AlphaGradient] = |d| d.alpha;
+        /// The gradient of the separation, in the same order.
+        separation_gradients: [f64; 9], "separation_gradient", of [SeparationGradient] = |d| d.separation;
+        /// The Jacobian of the normal: for each of its coordinates a row, in the same order.
+        normal_jacobians: [f64; 27], "normal_jacobian", of [NormalJacobian] = |d| rows(&d.normal);
+        /// A bound of the derivatives' rounding error, relative to their sizes ([`Derivatives::error`]).
+        gradient_errors: [f64; 1], "gradient_error", of [AlphaGradient SeparationGradient NormalJacobian] =
+            |d| [d.error];
+    }
     point {
         /// The witness on A, in the world frame.
         witness_as: [f64; 3], "witness_a", first, of [Points] = |_, point| point.witness_a.to_array();
@@ -591,6 +650,7 @@ mod tests {
             let outputs = Outputs::of(chosen.map(|(_, &output)| output));
             let mut columns = Columns::default();
             columns.push(&manifold, outputs);
+            columns.push_derivatives(None, outputs);
             columns.push_invalid(InvalidPair::default(), outputs);
             let mut bytes = 0;
             for (column, values) in columns.values() {
@@ -611,7 +671,8 @@ mod tests {
             columns.clear();
             assert_eq!((columns.filled_bytes(), columns.len()), (0, 0));
         }
-        assert_eq!(COLUMNS.len(), 21);
-        assert_eq!(Outputs::of(Output::ALL.iter().copied()).pair_bytes(), 2 + 24 + 32 + 4 + 18 + 24 + 16 + 4);
+        assert_eq!(COLUMNS.len(), 25);
+        let all = Outputs::of(Output::ALL.iter().copied());
+        assert_eq!(all.pair_bytes(), 2 + 24 + 32 + 4 + 18 + 24 + 16 + 4 + 46 * 8);
     }
 }
