@@ -18,7 +18,10 @@ from hullcast._serve import find_binary
 CUBE = box((0.5, 0.5, 0.5)).vertices
 #: The servers of the tests are on this machine, so no proxy is used.
 NO_PROXY = [("grpc.enable_http_proxy", 0)]
-EVERYTHING = ("ALPHA", "NORMAL", "POINTS", "WITNESS_B", "FEATURES", "BASES", "DIAGNOSTICS")
+EVERYTHING = (
+    "ALPHA", "NORMAL", "POINTS", "WITNESS_B", "FEATURES", "BASES", "DIAGNOSTICS",
+    "ALPHA_GRADIENT", "SEPARATION_GRADIENT", "NORMAL_JACOBIAN",
+)  # fmt: skip
 #: Settings of every ray process: it does not report usage or write into the home folder, and has
 #: enough time to start on a busy machine.
 RAY_SETTINGS = {
@@ -30,8 +33,13 @@ COLUMNS = (
     "outcome", "flags", "alpha", "alpha_lower", "alpha_upper", "normal", "separation", "point_counts",
     "point_offsets", "witness_a", "witness_b", "distance", "point_ids", "feature_kinds",
     "feature_indices", "bases", "iterations", "support_calls", "kept_area",
+    "alpha_gradient", "separation_gradient", "normal_jacobian", "gradient_error",
     "pairs",
 )  # fmt: skip
+
+
+#: Pairs of `four_polyhedra`. Body 1 is in three of them, and one pair has its bodies in the other order.
+FOUR_PAIRS = np.array([[0, 1], [1, 2], [3, 0], [2, 3], [1, 3]])
 
 
 def crowd_of(hulls: list[hullcast.Hull], bodies: int, rng: np.random.Generator) -> hullcast.Scene:
@@ -50,6 +58,16 @@ def crowd(client: hullcast.Client, bodies: int, seed: int = 31) -> hullcast.Scen
     rng = np.random.default_rng(seed)
     shapes = family("box", 3, rng) + family("poly16", 3, rng)
     return crowd_of(client.register([shape.vertices for shape in shapes]), bodies, rng)
+
+
+def four_polyhedra(client: hullcast.Client) -> hullcast.Scene:
+    """Four different polyhedra near each other, with quaternions of several lengths."""
+    rng = np.random.default_rng(7)
+    points = rng.normal(size=(4, 20, 3))
+    hulls = client.register(points / np.linalg.norm(points, axis=2, keepdims=True))
+    rotations = np.array([random_rotation(rng) for _ in range(4)]) * [[1], [0.7], [1.5], [2]]
+    positions = [[0, 0, 0], [1.1, 0.9, 0.2], [0.3, 1.6, 1.2], [-0.8, 0.7, 1.4]]
+    return hullcast.Scene(hulls, positions, rotations)
 
 
 def make_pile(client: hullcast.Client) -> hullcast.Scene:

@@ -211,6 +211,9 @@ def test_manifolds_give_columns_and_records():
         ("feature_kinds", "FEATURES"),
         ("bases", "BASES"),
         ("iterations", "DIAGNOSTICS"),
+        ("alpha_gradient", "ALPHA_GRADIENT"),
+        ("separation_gradient", "SEPARATION_GRADIENT"),
+        ("normal_jacobian", "NORMAL_JACOBIAN"),
     ],
 )
 def test_a_column_not_asked_for_names_its_output(column: str, output: str):
@@ -232,6 +235,9 @@ def test_a_server_of_the_first_contract_is_read():
     columns = _answers.read(older.SerializeToString(), ("DIAGNOSTICS",), PAIRS)
     assert columns["iterations"].tolist() == [3, 4]
     assert np.isnan(columns["kept_areas"]).tolist() == [True, True]
+    assert np.isnan(
+        _answers.read(answer().SerializeToString(), ("ALPHA_GRADIENT",), PAIRS)["alpha_gradients"]
+    ).all()
     older.kept_areas.extend([0.5])
     with pytest.raises(hullcast.ServerError, match="kept_areas has 1 entries, expected 2"):
         _answers.read(older.SerializeToString(), ("DIAGNOSTICS",), PAIRS)

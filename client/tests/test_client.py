@@ -90,6 +90,9 @@ def test_threads_may_share_a_client(client):
         (("FEATURES",), {"point_ids", "feature_kinds", "feature_indices"}),
         (("BASES",), {"bases"}),
         (("DIAGNOSTICS",), {"iterations", "support_calls", "kept_area"}),
+        (("ALPHA_GRADIENT",), {"alpha_gradient", "gradient_error"}),
+        (("SEPARATION_GRADIENT",), {"separation_gradient", "gradient_error"}),
+        (("NORMAL_JACOBIAN",), {"normal_jacobian", "gradient_error"}),
     ],
 )
 def test_only_what_was_asked_for_comes(client, outputs, present):
@@ -103,8 +106,10 @@ def test_only_what_was_asked_for_comes(client, outputs, present):
         if name in ("iterations", "support_calls") and name in present:
             assert (getattr(m, name) <= getattr(everything, name)).all()  # it may stop sooner
         elif name in present:
-            assert getattr(m, name) == pytest.approx(getattr(everything, name), abs=1e-12), name
-    absent = {"alpha", "normal", "witness_a", "point_ids", "bases", "iterations"} - present
+            expected = pytest.approx(getattr(everything, name), abs=1e-12, nan_ok=True)
+            assert getattr(m, name) == expected, name
+    every = {"alpha", "normal", "witness_a", "point_ids", "bases", "iterations", "alpha_gradient"}
+    absent = every - present
     for name in absent:
         with pytest.raises(hullcast.OutputNotAsked):
             getattr(m, name)

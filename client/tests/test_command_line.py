@@ -25,7 +25,10 @@ from hullcast._serve import find_binary
 ROOT = Path(__file__).resolve().parents[2]
 PANDA = ROOT / "examples/scenes/panda.json"
 NO_PROXY = [("grpc.enable_http_proxy", 0)]
-EVERYTHING = ["ALPHA", "NORMAL", "POINTS", "WITNESS_B", "FEATURES", "BASES", "DIAGNOSTICS"]
+EVERYTHING = [
+    "ALPHA", "NORMAL", "POINTS", "WITNESS_B", "FEATURES", "BASES", "DIAGNOSTICS",
+    "ALPHA_GRADIENT", "SEPARATION_GRADIENT", "NORMAL_JACOBIAN",
+]  # fmt: skip
 
 
 @contextlib.contextmanager

@@ -101,7 +101,7 @@ _NAME = re.compile(r"(?<![\w./:])(hullcast|client|session|m|robot)\.(\w+)")
 def test_every_python_name_in_the_text_is_one():
     """Catches a renamed method or class."""
     known = {name: set(dir(thing)) for name, thing in OBJECTS.items()}
-    known["hullcast"] |= {"ray", "mujoco", "newton"}
+    known["hullcast"] |= {"ray", "mujoco", "newton", "torch", "jax"}
     for name, thing in OBJECTS.items():
         for base in inspect.getmro(thing) if inspect.isclass(thing) else ():
             if base.__module__.startswith("hullcast"):

@@ -55,6 +55,10 @@ def answer(find: bool = False) -> Contacts:
         iterations=[1] * n,
         support_calls=[1] * n,
         kept_areas=[1] * n,
+        alpha_gradients=[1] * 9 * n,
+        separation_gradients=[1] * 9 * n,
+        normal_jacobians=[1] * 27 * n,
+        gradient_errors=[1e-12, NAN][:n],
     )
     if find:
         good.pairs.extend([0, 2])
@@ -109,14 +113,15 @@ def another_request(message: Any) -> None:
 LENGTHS = [
     "outcomes", "flags", "alphas", "alpha_lowers", "alpha_uppers", "separations", "normals",
     "point_counts", "witness_as", "distances", "witness_bs", "feature_kinds", "feature_indices",
-    "point_ids", "bases", "iterations", "support_calls", "kept_areas",
+    "point_ids", "bases", "iterations", "support_calls", "kept_areas", "alpha_gradients",
+    "separation_gradients", "normal_jacobians", "gradient_errors",
 ]  # fmt: skip
 
 #: For each defect, a part of the error's text and a function that makes the defect.
 DEFECTS: list[tuple[str, Callable[[Any], None]]] = [
     ("request_id", another_request),
-    # For one pair, cutting `kept_areas` leaves it empty, which an older server may send.
-    *[(name, cut(name)) for name in LENGTHS if name != "kept_areas"],
+    # For one pair, cutting these leaves them empty, which an older server may send.
+    *[(name, cut(name)) for name in LENGTHS if name not in ("kept_areas", "gradient_errors")],
     *[(name, more(name, *([0] * 7))) for name in LENGTHS],
     ("witness_as", put("point_counts", 0, 2**32 - 1)),
     ("outcomes[0] is 0", put("outcomes", 0, 0)),
@@ -138,6 +143,7 @@ DEFECTS: list[tuple[str, Callable[[Any], None]]] = [
     ("witness_bs[2]", put("witness_bs", 2, NAN)),
     ("feature_kinds[0]", put("feature_kinds", 0, 4)),
     ("kept_areas[0]", put("kept_areas", 0, 1.1)),
+    ("gradient_errors[0]", put("gradient_errors", 0, -1e-12)),
     ("missing_hulls", put("missing_hulls", 0, 2)),
     ("missing_hulls", put("missing_hulls", 0, 2**32 - 1)),
     ("missing_hulls", more("missing_hulls", 0)),
@@ -147,6 +153,7 @@ DEFECTS: list[tuple[str, Callable[[Any], None]]] = [
 ]
 OF_QUERY: list[tuple[str, Callable[[Any], None]]] = [
     ("kept_areas", cut("kept_areas")),
+    ("gradient_errors", cut("gradient_errors")),
     ("flags[0]", put("outcomes", 0, 4)),
     ("flags[1]", put("flags", 1, 0)),
     ("flags[1]", put("flags", 1, 16)),

@@ -15,9 +15,10 @@ SHOWN = {
     "loops": 6,
     "workers": 1,
     "accuracy": 5,
+    "derivatives": 2,
 }
-#: Pages with their outputs that need a robot or ray, which `extras/` runs.
-EXTRAS = {"robots": 3, "batch-jobs": 2}
+#: Pages with their outputs that need a robot, ray, torch or jax, which `extras/` runs.
+EXTRAS = {"robots": 3, "batch-jobs": 2, "fitting": 2}
 
 
 @pytest.mark.parametrize("page", SHOWN)

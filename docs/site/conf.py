@@ -27,7 +27,7 @@ CONTENTS = {
     "Python": [
         *(f"docs/python/{page}" for page in ("first-contacts", "robots", "finding", "margins", "loops")),
         "docs/simulators",
-        *(f"docs/python/{page}" for page in ("workers", "batch-jobs", "accuracy")),
+        *(f"docs/python/{page}" for page in ("workers", "batch-jobs", "accuracy", "derivatives", "fitting")),
         "docs/site/python",
     ],
     "Other languages": [

@@ -11,6 +11,7 @@ const FLAGS: [Flag, string][] = [
   [Flag.GAP_OPEN, 'Gap open: the bracket is wider than the tolerance allows.'],
   [Flag.REDUCED, 'Reduced: some points were dropped because of “Most points”.'],
   [Flag.HULL_UNAVAILABLE, 'Hull unavailable: the server could not read a hull from its store; try again.'],
+  [Flag.KINK, 'Kink: the gradient is not unique.'],
   [Flag.INVALID_BODY, 'Invalid body: a position or rotation is out of range.'],
 ];
 

@@ -58,6 +58,15 @@ pub(crate) enum OutputArg {
     /// Iterations, support calls, and the fraction of the patch's area that is left if points are
     /// dropped.
     Diagnostics,
+    /// The gradient of the growth scale.
+    #[value(alias = "alpha_gradient")]
+    AlphaGradient,
+    /// The gradient of the separation.
+    #[value(alias = "separation_gradient")]
+    SeparationGradient,
+    /// The Jacobian of the normal.
+    #[value(alias = "normal_jacobian")]
+    NormalJacobian,
 }
 
 /// The parts of a query that are the same for every pair.
@@ -99,6 +108,9 @@ impl OutputArg {
             Self::Features => proto::Output::Features,
             Self::Bases => proto::Output::Bases,
             Self::Diagnostics => proto::Output::Diagnostics,
+            Self::AlphaGradient => proto::Output::AlphaGradient,
+            Self::SeparationGradient => proto::Output::SeparationGradient,
+            Self::NormalJacobian => proto::Output::NormalJacobian,
         }
     }
 }

@@ -101,7 +101,7 @@ async fn every_option_and_output_reaches_the_library() {
             }
         }
     }
-    assert_eq!(cases, 12 * 4 * 3);
+    assert_eq!(cases, 15 * 4 * 3);
 }
 
 /// Splits a scene into parts of several sizes and joins the answers; they must equal the answer to

@@ -139,7 +139,7 @@ async fn nothing_is_sent_for_being_kept() {
         assert_eq!(again.bases.len(), cold.bases.len());
         cases += 1;
     }
-    assert_eq!(cases, 9);
+    assert_eq!(cases, 12);
 }
 
 /// Catches a step that inherits from another message than the previous one: from the first message

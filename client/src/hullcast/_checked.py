@@ -160,6 +160,9 @@ def _numbers(
     kept = found.get("kept_areas")
     if kept is not None and not np.isnan(kept).all():  # an older server sends no such column
         refuse("kept_areas", (kept >= 0) & (kept <= 1), "0 to 1")
+    errors = found.get("gradient_errors")
+    if errors is not None:  # NaN for a pair without derivatives
+        refuse("gradient_errors", ~(errors < 0), "at least 0")
 
 
 def _misplaced(found: Columns, pairs: Indices, body_hulls: Indices) -> npt.NDArray[np.bool_]:

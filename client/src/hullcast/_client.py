@@ -113,8 +113,8 @@ class Client(_calls.Calls):
                 get contact points. With infinity every pair gets all numbers and points.
             accuracy: the solver and its tolerances; by default `Accuracy.EXACT`.
             outputs: the outputs to compute and send: names out of `OUTCOME`, `ALPHA`, `NORMAL`,
-                `POINTS`, `WITNESS_B`, `FEATURES`, `BASES` and `DIAGNOSTICS`; by default ALPHA,
-                NORMAL and POINTS.
+                `POINTS`, `WITNESS_B`, `FEATURES`, `BASES`, `DIAGNOSTICS`, `ALPHA_GRADIENT`,
+                `SEPARATION_GRADIENT` and `NORMAL_JACOBIAN`; by default ALPHA, NORMAL and POINTS.
             warm: earlier manifolds of the same pairs, queried with output BASES. The solver starts
                 from their bases.
             on_invalid: "raise" raises `InvalidPoses` if a body has an unusable pose: a position

@@ -244,3 +244,34 @@ class ManifoldColumns(Settled):
         They are the body indices of the step before.
         """
         return self._column("ended_pairs", "ended_pairs", "MATCHES")
+
+    @property
+    def alpha_gradient(self) -> Floats:
+        """(n, 9): the gradient of `alpha`.
+
+        Entries 0 to 2 are by a translation of B relative to A, 3 to 5 by a rotation of A, and 6 to
+        8 by a rotation of B, along the world's axes. A rotation is about the origin of the body's
+        frame, in radians. A pair without a basis has NaN; every SEPARATED pair is one. With the
+        flag KINK, the gradient is not unique. docs/python/derivatives.md explains how to use it.
+        """
+        return self._column("alpha_gradients", "alpha_gradient", "ALPHA_GRADIENT")
+
+    @property
+    def separation_gradient(self) -> Floats:
+        """(n, 9): the gradient of `separation`, with the entries of `alpha_gradient`."""
+        return self._column("separation_gradients", "separation_gradient", "SEPARATION_GRADIENT")
+
+    @property
+    def normal_jacobian(self) -> Floats:
+        """(n, 3, 9): the derivative of each coordinate of `normal`, as in `alpha_gradient`."""
+        column = self._column("normal_jacobians", "normal_jacobian", "NORMAL_JACOBIAN")
+        return column.reshape(len(column), 3, 9)
+
+    @property
+    def gradient_error(self) -> Floats:
+        """(n,): a bound of the rounding error of the derivatives, relative to their sizes.
+
+        It is infinite if the centres coincide or the bracket is open. The page
+        docs/python/derivatives.md states the sizes.
+        """
+        return self._column("gradient_errors", "gradient_error", "ALPHA_GRADIENT")

@@ -21,7 +21,8 @@ Columns = dict[str, np.ndarray]
 _FORMAT = "hullcast.manifolds.v1"
 _FLOATS = (
     "alphas", "alpha_lowers", "alpha_uppers", "separations", "normals", "kept_areas", "witness_as",
-    "distances", "witness_bs",
+    "distances", "witness_bs", "alpha_gradients", "separation_gradients", "normal_jacobians",
+    "gradient_errors",
 )  # fmt: skip
 #: The columns that every response has.
 _ALWAYS = {"outcomes": 1, "flags": 1, "pairs": 2}
@@ -31,6 +32,9 @@ _ROWS = ("previous_pairs", "previous_points")
 
 #: How far each pair's row must be rotated to exchange the entries of A and B.
 _SIDES = {"pairs": 1, "feature_kinds": 1, "feature_indices": 2, "bases": 3, "point_ids": 2}
+
+#: The sign of a gradient's value if A and B are exchanged. The normal is then its opposite.
+_GRADIENTS = {"alpha_gradients": 1.0, "separation_gradients": 1.0, "normal_jacobians": -1.0}
 
 
 @dataclass(frozen=True, repr=False)
@@ -96,6 +100,14 @@ def turned(columns: Columns, turn: npt.NDArray[np.bool_]) -> Columns:
             values[rows] = np.roll(values[rows], width, axis=1)
             result[name] = values
     result["normals"] = np.where(turn[:, None], -result["normals"], result["normals"])
+    for name, sign in _GRADIENTS.items():
+        if name in result:
+            rows = result[name].reshape(len(turn), -1, 9).copy()
+            # The rotations change places, and the translation of the other body is the opposite.
+            turned = sign * rows[turn][..., [0, 1, 2, 6, 7, 8, 3, 4, 5]]
+            turned[..., :3] *= -1
+            rows[turn] = turned
+            result[name] = rows.reshape(result[name].shape)
     a, b = result["witness_as"], result["witness_bs"]
     result["witness_as"] = np.where(of_point[:, None], b, a)
     result["witness_bs"] = np.where(of_point[:, None], a, b)
@@ -164,6 +176,8 @@ def dataframe(columns: Mapping[str, np.ndarray], rows: str) -> Any:
     return frame
 
 
+#: The nine motions of a gradient: B moved, A rotated, B rotated.
+_MOTIONS = tuple(f"{motion}_{axis}" for motion in ("move", "turn_a", "turn_b") for axis in "xyz")
 _NAMES: dict[str, tuple[str, ...]] = {
     "pairs": ("body_a", "body_b"),
     "outcomes": ("outcome",),
@@ -181,6 +195,10 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "kept_areas": ("kept_area",),
     "previous_pairs": ("previous_pair",),
     "previous_points": ("previous_point",),
+    "alpha_gradients": tuple(f"alpha_by_{by}" for by in _MOTIONS),
+    "separation_gradients": tuple(f"separation_by_{by}" for by in _MOTIONS),
+    "normal_jacobians": tuple(f"normal_{of}_by_{by}" for of in "xyz" for by in _MOTIONS),
+    "gradient_errors": ("gradient_error",),
 }
 
 

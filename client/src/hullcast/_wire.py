@@ -96,6 +96,8 @@ class Flag(_Named, enum.IntFlag):
     HULL_UNAVAILABLE = 32
     #: One of the bodies has an unusable position or rotation.
     INVALID_BODY = 64
+    #: The gradient is not unique. Only set if the query requested a derivative.
+    KINK = 128
 
     def __str__(self) -> str:
         names = [str(flag.name) for flag in Flag if flag & self]
@@ -126,6 +128,9 @@ OUTPUT_COLUMNS: dict[str, tuple[str, ...]] = {
     "BASES": ("bases",),
     "DIAGNOSTICS": ("iterations", "support_calls", "kept_areas"),
     "MATCHES": ("point_counts", "previous_pairs", "previous_points"),
+    "ALPHA_GRADIENT": ("alpha_gradients", "gradient_errors"),
+    "SEPARATION_GRADIENT": ("separation_gradients", "gradient_errors"),
+    "NORMAL_JACOBIAN": ("normal_jacobians", "gradient_errors"),
 }
 DEFAULT_OUTPUTS = ("ALPHA", "NORMAL", "POINTS")
 
@@ -144,10 +149,17 @@ PAIR_COLUMNS = {
     "support_calls": 1,
     "kept_areas": 1,
     "previous_pairs": 1,
+    "alpha_gradients": 9,
+    "separation_gradients": 9,
+    "normal_jacobians": 27,
+    "gradient_errors": 1,
 }
 #: Columns that servers of the first version of the protocol do not send. They are read as NaN, or
 #: as 2^32 - 1 if they have indices.
-LATER_COLUMNS = frozenset({"kept_areas", "previous_pairs", "previous_points"})
+LATER_COLUMNS = frozenset({
+    "kept_areas", "previous_pairs", "previous_points", "alpha_gradients", "separation_gradients",
+    "normal_jacobians", "gradient_errors",
+})  # fmt: skip
 #: The number of entries per point of each per-point column.
 POINT_COLUMNS = {
     "witness_as": 3,

@@ -3,8 +3,8 @@
 use std::{any::Any, ops::Range, sync::Arc};
 
 use hullcast_contact::{
-    Basis, Body, BoxPair, GROUP, Manifold, Outcome, Stopped, Workspace, box_manifolds, contact_manifold,
-    estimated_steps,
+    Basis, Body, BoxPair, GROUP, KinkScratch, Manifold, Outcome, Stopped, Workspace, box_manifolds,
+    contact_manifold, derivatives, estimated_steps,
 };
 
 use crate::{
@@ -40,7 +40,14 @@ pub struct Batch {
 pub(crate) struct Workspaces {
     /// For groups of pairs of boxes, whose answers wait while the pairs between them are computed.
     boxes: Workspace,
-    others: Workspace,
+    others: PairWorkspace,
+}
+
+/// The buffers for one pair.
+#[derive(Debug, Default)]
+struct PairWorkspace {
+    contact: Workspace,
+    kinks: KinkScratch,
 }
 
 /// Pairs of boxes that are computed together.
@@ -123,7 +130,7 @@ impl Batch {
                     spend(self.pair(next, others, columns))?;
                 } else {
                     answers.next();
-                    spend(self.add(next, manifold, columns))?;
+                    spend(self.add(next, manifold, &mut others.kinks, columns))?;
                 }
                 next += 1;
             }
@@ -159,7 +166,7 @@ impl Batch {
     }
 
     /// Computes pair `pair` and adds it to `columns`. Returns the steps that it took.
-    fn pair(&self, pair: usize, workspace: &mut Workspace, columns: &mut Columns) -> u64 {
+    fn pair(&self, pair: usize, workspace: &mut PairWorkspace, columns: &mut Columns) -> u64 {
         let mut invalid = InvalidPair::default();
         let bodies = self.pair_bodies(pair);
         if let Some((step, row)) = self.row_to_reuse(pair) {
@@ -176,13 +183,14 @@ impl Batch {
         };
         let warm = self.warm_start(pair, &a, &b);
         let query = self.bodies.query(bodies, [&a, &b]);
-        let manifold = contact_manifold(&a, &b, &query, warm.as_ref(), workspace);
-        let steps = self.add(pair, manifold, columns);
-        steps + workspace.take_steps()
+        let manifold = contact_manifold(&a, &b, &query, warm.as_ref(), &mut workspace.contact);
+        let steps = self.add(pair, manifold, &mut workspace.kinks, columns);
+        steps + workspace.contact.take_steps()
     }
 
-    /// Adds the answer of a pair to `columns`. Returns the steps of that.
-    fn add(&self, pair: usize, manifold: &Manifold, columns: &mut Columns) -> u64 {
+    /// Adds the answer of a pair to `columns`, with its derivatives if they are asked for. Returns the steps of
+    /// that.
+    fn add(&self, pair: usize, manifold: &Manifold, kinks: &mut KinkScratch, columns: &mut Columns) -> u64 {
         if self.candidates.is_some() {
             if manifold.outcome == Outcome::Separated {
                 return 0;
@@ -190,7 +198,13 @@ impl Batch {
             columns.push_pair(self.pair_bodies(pair));
         }
         columns.push(manifold, self.kept);
-        LEAST_STEPS
+        if !self.kept.any_derivatives() {
+            return LEAST_STEPS;
+        }
+        let [a, b] = self.pair_bodies(pair).map(|body| self.body(body, &mut InvalidPair::default()));
+        let found = a.zip(b).and_then(|(a, b)| derivatives(&a, &b, manifold, kinks));
+        columns.push_derivatives(found.as_ref(), self.kept);
+        LEAST_STEPS + kinks.take_steps()
     }
 
     fn body(&self, index: u32, invalid: &mut InvalidPair) -> Option<Body<'_>> {

@@ -31,6 +31,8 @@ pub mod flag {
     pub const HULL_UNAVAILABLE: u8 = 32;
     /// A body of the pair has no usable pose.
     pub const INVALID_BODY: u8 = 64;
+    /// The gradient is not unique. Only set if a derivative was asked for.
+    pub const KINK: u8 = 128;
 }
 
 /// The kind of a touching feature.

@@ -71,6 +71,12 @@ outputs! {
     /// The rows and points of the answer before that are the same pairs and points. Only streams have such an
     /// answer.
     matches, Matches = 9, "MATCHES";
+    /// The gradient of the growth scale.
+    alpha_gradient, AlphaGradient = 10, "ALPHA_GRADIENT";
+    /// The gradient of the separation.
+    separation_gradient, SeparationGradient = 11, "SEPARATION_GRADIENT";
+    /// The Jacobian of the normal.
+    normal_jacobian, NormalJacobian = 12, "NORMAL_JACOBIAN";
 }
 
 impl Output {
@@ -93,11 +99,16 @@ impl Outputs {
         self.points || self.witness_b || self.features || self.matches
     }
 
+    /// Whether the answer has derivatives.
+    pub fn any_derivatives(self) -> bool {
+        self.alpha_gradient || self.separation_gradient || self.normal_jacobian
+    }
+
     /// The kind of result that the computation has to produce.
     pub fn wanted(self) -> Wanted {
         if self.any_points() {
             Wanted::Points
-        } else if self.alpha || self.normal || self.bases {
+        } else if self.alpha || self.normal || self.bases || self.any_derivatives() {
             Wanted::Growth
         } else {
             Wanted::Outcome

@@ -13,7 +13,7 @@ const REASONS: u8 = Flag::UnknownHull as u8 | Flag::HullUnavailable as u8 | Flag
 /// The flags of INVALID pairs that blame a hull.
 const HULL_REASONS: u8 = Flag::UnknownHull as u8 | Flag::HullUnavailable as u8;
 /// The bits of `Flag` that this version knows.
-const KNOWN_FLAGS: u8 = 127;
+const KNOWN_FLAGS: u8 = 255;
 /// A normal's squared length may differ from 1 by this much.
 const NORMAL_ERROR: f64 = 1e-6;
 
@@ -238,6 +238,12 @@ fn numbers(outputs: Outputs, response: &QueryContactsResponse, pair: usize) -> R
             return malformed(format!("normals[{}] begins a normal that is not a unit vector", 3 * pair));
         }
     }
+    // A pair without a basis has no derivatives: its error is NaN.
+    if let Some(error) = response.gradient_errors.get(pair)
+        && *error < 0.0
+    {
+        return malformed(format!("gradient_errors[{pair}] is {error}, expected at least 0"));
+    }
     match response.kept_areas.get(pair) {
         Some(kept) if !(0.0..=1.0).contains(kept) => {
             malformed(format!("kept_areas[{pair}] is {kept}, expected 0 to 1"))
@@ -258,7 +264,7 @@ mod tests {
             hull_ids: vec![vec![0; 32], vec![1; 32]],
             body_hulls: vec![0, 1, 0],
             pairs: vec![0, 2, 0, 1],
-            outputs: (Output::Outcome as i32..=Output::Diagnostics as i32).collect(),
+            outputs: (Output::Outcome as i32..=Output::NormalJacobian as i32).collect(),
             ..Default::default()
         }
     }
@@ -289,6 +295,10 @@ mod tests {
             iterations: vec![1, 0],
             support_calls: vec![1, 0],
             kept_areas: vec![1.0, 1.0],
+            alpha_gradients: vec![0.5; 18],
+            separation_gradients: vec![0.5; 18],
+            normal_jacobians: vec![0.5; 54],
+            gradient_errors: vec![1e-12, nan],
             ..Default::default()
         }
     }
@@ -311,6 +321,10 @@ mod tests {
             ("bases", |r| r.bases.truncate(11)),
             ("pairs", |r| r.pairs.push(1)),
             ("kept_areas", |r| r.kept_areas.truncate(1)),
+            ("alpha_gradients", |r| r.alpha_gradients.truncate(17)),
+            ("separation_gradients", |r| r.separation_gradients.truncate(9)),
+            ("normal_jacobians", |r| r.normal_jacobians.truncate(27)),
+            ("gradient_errors", |r| r.gradient_errors.truncate(1)),
             ("outcomes[0]", |r| r.outcomes[0] = 0),
             ("outcomes[1]", |r| r.outcomes[1] = 9),
             ("flags[0]", |r| r.flags[0] = 64),
@@ -330,6 +344,7 @@ mod tests {
             ("witness_bs[2]", |r| r.witness_bs[2] = f64::INFINITY),
             ("feature_kinds[1]", |r| r.feature_kinds[1] = 4),
             ("kept_areas[0]", |r| r.kept_areas[0] = 1.5),
+            ("gradient_errors[0]", |r| r.gradient_errors[0] = -1.0),
         ];
         for (name, spoil) in defects {
             let mut response = good();
@@ -337,7 +352,7 @@ mod tests {
             let error = answer(&asked(), &response).expect_err(name);
             assert!(error.0.contains(name), "{name}: {error}");
         }
-        assert_eq!(defects.len(), 32);
+        assert_eq!(defects.len(), 37);
     }
 
     /// Catches a newer server's answer that is refused for a flag that this version does not know, and an
@@ -345,10 +360,12 @@ mod tests {
     #[test]
     fn other_versions_are_read() {
         let mut newer = good();
-        newer.flags[0] = 128;
+        newer.flags[0] = 128; // KINK; no flag is left that this version does not know.
         assert_eq!(answer(&asked(), &newer), Ok(()));
         let mut older = good();
         older.kept_areas.clear();
+        older.alpha_gradients.clear();
+        older.gradient_errors.clear();
         assert_eq!(answer(&asked(), &older), Ok(()));
     }
 
@@ -367,10 +384,14 @@ mod tests {
                 &mut first.alpha_uppers,
                 &mut first.separations,
                 &mut first.kept_areas,
+                &mut first.gradient_errors,
             ] {
                 column.truncate(1);
             }
             first.normals.truncate(3);
+            first.alpha_gradients.truncate(9);
+            first.separation_gradients.truncate(9);
+            first.normal_jacobians.truncate(27);
             first.point_counts.truncate(1);
             first.feature_kinds.truncate(2);
             first.feature_indices.truncate(4);

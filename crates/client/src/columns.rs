@@ -116,6 +116,10 @@ columns! {
     support_calls: Pair 1 [Diagnostics] false;
     kept_areas: Pair 1 [Diagnostics] true;
     previous_pairs: Pair 1 [Matches] true;
+    alpha_gradients: Pair 9 [AlphaGradient] true;
+    separation_gradients: Pair 9 [SeparationGradient] true;
+    normal_jacobians: Pair 27 [NormalJacobian] true;
+    gradient_errors: Pair 1 [AlphaGradient SeparationGradient NormalJacobian] true;
     witness_as: Point 3 [Points] false;
     distances: Point 1 [Points] false;
     witness_bs: Point 3 [WitnessB] false;

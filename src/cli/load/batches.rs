@@ -13,7 +13,7 @@ use crate::cli::progress::Progress;
 use crate::cli::scene::{Frame, HullPoints, SceneFile, check_poses};
 use crate::cli::values::counted;
 use hullcast::batch::columns::{Columns, InvalidPair};
-use hullcast::contact::{Body, ConvexHull, Workspace, contact_manifold};
+use hullcast::contact::{Body, ConvexHull, KinkScratch, Workspace, contact_manifold, derivatives};
 use hullcast::proto;
 use hullcast::service::Limits;
 use hullcast::service::wire;
@@ -189,13 +189,17 @@ impl Oracle {
         };
         let (pairs, _) = template.pairs().as_chunks::<2>();
         let mut columns = Columns::default();
-        let mut workspace = Workspace::default();
+        let (mut workspace, mut kinks) = (Workspace::default(), KinkScratch::default());
         for &[a, b] in pairs {
             let mut invalid = InvalidPair::default();
             match (body(a, &mut invalid), body(b, &mut invalid)) {
                 (Some(a), Some(b)) => {
                     let manifold = contact_manifold(&a, &b, template.query(), None, &mut workspace);
                     columns.push(manifold, template.outputs());
+                    if template.outputs().any_derivatives() {
+                        let found = derivatives(&a, &b, manifold, &mut kinks);
+                        columns.push_derivatives(found.as_ref(), template.outputs());
+                    }
                 }
                 _ => columns.push_invalid(invalid, template.outputs()),
             }

@@ -86,6 +86,7 @@ mod tests {
             (flag::UNKNOWN_HULL, Flag::UnknownHull),
             (flag::HULL_UNAVAILABLE, Flag::HullUnavailable),
             (flag::INVALID_BODY, Flag::InvalidBody),
+            (flag::KINK, Flag::Kink),
         ];
         let features = [
             (feature::NONE, FeatureKind::None),
@@ -221,6 +222,7 @@ mod tests {
         };
         let manifold = crate::contact::Manifold { points: vec![point], ..Default::default() };
         columns.push(&manifold, outputs);
+        columns.push_derivatives(None, outputs);
         let expected: Vec<String> = columns.values().map(|column| format!("{column:?}")).collect();
         let part = response(7, columns, vec![1], vec![2]);
         let found: Vec<String> = response_columns(&part).map(|column| format!("{column:?}")).collect();

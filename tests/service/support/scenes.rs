@@ -2,8 +2,8 @@
 
 use hullcast::{
     contact::{
-        Accuracy, Basis, Body, ConvexHull, Element, Feature, Manifold, Outcome, Pose, Query, Solver, Wanted,
-        Workspace, contact_manifold,
+        Accuracy, Basis, Body, ConvexHull, Derivatives, Element, Feature, KinkScratch, Manifold, Outcome,
+        Pose, Query, Solver, Wanted, Workspace, contact_manifold, derivatives,
     },
     proto::{self, Output, QueryContactsRequest, QueryContactsResponse},
     store::{HullDefinition, identity::id_of},
@@ -136,7 +136,7 @@ pub(crate) fn two_boxes() -> (Vec<HullDefinition>, QueryContactsRequest) {
 }
 
 /// All outputs of the contract that every method has.
-pub(crate) const ALL: [Output; 8] = [
+pub(crate) const ALL: [Output; 11] = [
     Output::Outcome,
     Output::Alpha,
     Output::Normal,
@@ -145,6 +145,9 @@ pub(crate) const ALL: [Output; 8] = [
     Output::Features,
     Output::Bases,
     Output::Diagnostics,
+    Output::AlphaGradient,
+    Output::SeparationGradient,
+    Output::NormalJacobian,
 ];
 
 pub(crate) fn outputs(outputs: &[Output]) -> Vec<i32> {
@@ -188,12 +191,41 @@ pub(crate) fn expected(request: &QueryContactsRequest, shapes: &[HullDefinition]
         if any_points(&asked) {
             push_points(&mut answer, manifold, &asked);
         }
+        if any_derivatives(&asked) {
+            let found = derivatives(&a, &b, manifold, &mut KinkScratch::default());
+            push_derivatives(&mut answer, found.as_ref(), &asked);
+        }
     }
     answer
 }
 
 fn any_points(asked: &[Output]) -> bool {
     asked.iter().any(|output| matches!(output, Output::Points | Output::WitnessB | Output::Features))
+}
+
+fn any_derivatives(asked: &[Output]) -> bool {
+    let is_one = |output: &Output| {
+        matches!(output, Output::AlphaGradient | Output::SeparationGradient | Output::NormalJacobian)
+    };
+    asked.iter().any(is_one)
+}
+
+fn push_derivatives(answer: &mut QueryContactsResponse, found: Option<&Derivatives>, asked: &[Output]) {
+    let has = |output| asked.contains(&output);
+    if found.is_some_and(|found| found.kink) {
+        *answer.flags.last_mut().unwrap() |= 128;
+    }
+    answer.gradient_errors.push(found.map_or(f64::NAN, |found| found.error));
+    if has(Output::AlphaGradient) {
+        answer.alpha_gradients.extend(found.map_or([f64::NAN; 9], |found| found.alpha));
+    }
+    if has(Output::SeparationGradient) {
+        answer.separation_gradients.extend(found.map_or([f64::NAN; 9], |found| found.separation));
+    }
+    if has(Output::NormalJacobian) {
+        let rows = found.map_or([[f64::NAN; 9]; 3], |found| found.normal);
+        answer.normal_jacobians.extend(rows.into_iter().flatten());
+    }
 }
 
 fn push_pair(answer: &mut QueryContactsResponse, manifold: &Manifold, asked: &[Output]) {
@@ -276,7 +308,9 @@ fn query(request: &QueryContactsRequest, asked: &[Output]) -> Query {
         },
         wanted: if any_points(asked) {
             Wanted::Points
-        } else if [Output::Alpha, Output::Normal, Output::Bases].iter().any(|output| asked.contains(output)) {
+        } else if [Output::Alpha, Output::Normal, Output::Bases].iter().any(|output| asked.contains(output))
+            || any_derivatives(asked)
+        {
             Wanted::Growth
         } else {
             Wanted::Outcome
@@ -318,6 +352,9 @@ fn push_invalid(answer: &mut QueryContactsResponse, asked: &[Output]) {
         answer.iterations.push(0);
         answer.support_calls.push(0);
         answer.kept_areas.push(f64::NAN);
+    }
+    if any_derivatives(asked) {
+        push_derivatives(answer, None, asked);
     }
 }
 

@@ -25,6 +25,9 @@ class Output(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     OUTPUT_BASES: _ClassVar[Output]
     OUTPUT_DIAGNOSTICS: _ClassVar[Output]
     OUTPUT_MATCHES: _ClassVar[Output]
+    OUTPUT_ALPHA_GRADIENT: _ClassVar[Output]
+    OUTPUT_SEPARATION_GRADIENT: _ClassVar[Output]
+    OUTPUT_NORMAL_JACOBIAN: _ClassVar[Output]
 
 class Outcome(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -44,6 +47,7 @@ class Flag(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     FLAG_UNKNOWN_HULL: _ClassVar[Flag]
     FLAG_HULL_UNAVAILABLE: _ClassVar[Flag]
     FLAG_INVALID_BODY: _ClassVar[Flag]
+    FLAG_KINK: _ClassVar[Flag]
 
 class FeatureKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -64,6 +68,9 @@ OUTPUT_FEATURES: Output
 OUTPUT_BASES: Output
 OUTPUT_DIAGNOSTICS: Output
 OUTPUT_MATCHES: Output
+OUTPUT_ALPHA_GRADIENT: Output
+OUTPUT_SEPARATION_GRADIENT: Output
+OUTPUT_NORMAL_JACOBIAN: Output
 OUTCOME_UNSPECIFIED: Outcome
 OUTCOME_CONTACT: Outcome
 OUTCOME_SEPARATED: Outcome
@@ -77,6 +84,7 @@ FLAG_REDUCED: Flag
 FLAG_UNKNOWN_HULL: Flag
 FLAG_HULL_UNAVAILABLE: Flag
 FLAG_INVALID_BODY: Flag
+FLAG_KINK: Flag
 FEATURE_KIND_NONE: FeatureKind
 FEATURE_KIND_VERTEX: FeatureKind
 FEATURE_KIND_EDGE: FeatureKind
@@ -143,7 +151,7 @@ class QueryContactsRequest(_message.Message):
     def __init__(self, request_id: _Optional[int] = ..., inherit: bool = ..., hull_ids: _Optional[_Iterable[bytes]] = ..., body_hulls: _Optional[_Iterable[int]] = ..., positions: _Optional[_Iterable[float]] = ..., rotations: _Optional[_Iterable[float]] = ..., pairs: _Optional[_Iterable[int]] = ..., worlds: _Optional[_Iterable[int]] = ..., groups: _Optional[_Iterable[int]] = ..., ignored_groups: _Optional[_Iterable[int]] = ..., margin: _Optional[float] = ..., accuracy: _Optional[_Union[Accuracy, _Mapping]] = ..., outputs: _Optional[_Iterable[_Union[Output, str]]] = ..., warm_starts: _Optional[_Iterable[int]] = ..., find: bool = ..., moved: _Optional[_Iterable[int]] = ..., margins: _Optional[_Iterable[float]] = ..., linear_velocities: _Optional[_Iterable[float]] = ..., angular_velocities: _Optional[_Iterable[float]] = ..., time_step: _Optional[float] = ..., turning_points: _Optional[_Iterable[float]] = ..., previous_bodies: _Optional[_Iterable[int]] = ...) -> None: ...
 
 class QueryContactsResponse(_message.Message):
-    __slots__ = ("request_id", "outcomes", "flags", "alphas", "alpha_lowers", "alpha_uppers", "separations", "normals", "point_counts", "witness_as", "distances", "witness_bs", "feature_kinds", "feature_indices", "point_ids", "bases", "pairs", "missing_hulls", "invalid_bodies", "iterations", "support_calls", "kept_areas", "previous_pairs", "previous_points", "ended_pairs", "more", "contract", "state_dropped", "unchanged")
+    __slots__ = ("request_id", "outcomes", "flags", "alphas", "alpha_lowers", "alpha_uppers", "separations", "normals", "point_counts", "witness_as", "distances", "witness_bs", "feature_kinds", "feature_indices", "point_ids", "bases", "pairs", "missing_hulls", "invalid_bodies", "iterations", "support_calls", "kept_areas", "previous_pairs", "previous_points", "ended_pairs", "more", "contract", "state_dropped", "unchanged", "alpha_gradients", "separation_gradients", "normal_jacobians", "gradient_errors")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     OUTCOMES_FIELD_NUMBER: _ClassVar[int]
     FLAGS_FIELD_NUMBER: _ClassVar[int]
@@ -173,6 +181,10 @@ class QueryContactsResponse(_message.Message):
     CONTRACT_FIELD_NUMBER: _ClassVar[int]
     STATE_DROPPED_FIELD_NUMBER: _ClassVar[int]
     UNCHANGED_FIELD_NUMBER: _ClassVar[int]
+    ALPHA_GRADIENTS_FIELD_NUMBER: _ClassVar[int]
+    SEPARATION_GRADIENTS_FIELD_NUMBER: _ClassVar[int]
+    NORMAL_JACOBIANS_FIELD_NUMBER: _ClassVar[int]
+    GRADIENT_ERRORS_FIELD_NUMBER: _ClassVar[int]
     request_id: int
     outcomes: bytes
     flags: bytes
@@ -202,4 +214,8 @@ class QueryContactsResponse(_message.Message):
     contract: int
     state_dropped: bool
     unchanged: bool
-    def __init__(self, request_id: _Optional[int] = ..., outcomes: _Optional[bytes] = ..., flags: _Optional[bytes] = ..., alphas: _Optional[_Iterable[float]] = ..., alpha_lowers: _Optional[_Iterable[float]] = ..., alpha_uppers: _Optional[_Iterable[float]] = ..., separations: _Optional[_Iterable[float]] = ..., normals: _Optional[_Iterable[float]] = ..., point_counts: _Optional[_Iterable[int]] = ..., witness_as: _Optional[_Iterable[float]] = ..., distances: _Optional[_Iterable[float]] = ..., witness_bs: _Optional[_Iterable[float]] = ..., feature_kinds: _Optional[bytes] = ..., feature_indices: _Optional[_Iterable[int]] = ..., point_ids: _Optional[_Iterable[int]] = ..., bases: _Optional[_Iterable[int]] = ..., pairs: _Optional[_Iterable[int]] = ..., missing_hulls: _Optional[_Iterable[int]] = ..., invalid_bodies: _Optional[_Iterable[int]] = ..., iterations: _Optional[_Iterable[int]] = ..., support_calls: _Optional[_Iterable[int]] = ..., kept_areas: _Optional[_Iterable[float]] = ..., previous_pairs: _Optional[_Iterable[int]] = ..., previous_points: _Optional[_Iterable[int]] = ..., ended_pairs: _Optional[_Iterable[int]] = ..., more: bool = ..., contract: _Optional[int] = ..., state_dropped: bool = ..., unchanged: bool = ...) -> None: ...
+    alpha_gradients: _containers.RepeatedScalarFieldContainer[float]
+    separation_gradients: _containers.RepeatedScalarFieldContainer[float]
+    normal_jacobians: _containers.RepeatedScalarFieldContainer[float]
+    gradient_errors: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, request_id: _Optional[int] = ..., outcomes: _Optional[bytes] = ..., flags: _Optional[bytes] = ..., alphas: _Optional[_Iterable[float]] = ..., alpha_lowers: _Optional[_Iterable[float]] = ..., alpha_uppers: _Optional[_Iterable[float]] = ..., separations: _Optional[_Iterable[float]] = ..., normals: _Optional[_Iterable[float]] = ..., point_counts: _Optional[_Iterable[int]] = ..., witness_as: _Optional[_Iterable[float]] = ..., distances: _Optional[_Iterable[float]] = ..., witness_bs: _Optional[_Iterable[float]] = ..., feature_kinds: _Optional[bytes] = ..., feature_indices: _Optional[_Iterable[int]] = ..., point_ids: _Optional[_Iterable[int]] = ..., bases: _Optional[_Iterable[int]] = ..., pairs: _Optional[_Iterable[int]] = ..., missing_hulls: _Optional[_Iterable[int]] = ..., invalid_bodies: _Optional[_Iterable[int]] = ..., iterations: _Optional[_Iterable[int]] = ..., support_calls: _Optional[_Iterable[int]] = ..., kept_areas: _Optional[_Iterable[float]] = ..., previous_pairs: _Optional[_Iterable[int]] = ..., previous_points: _Optional[_Iterable[int]] = ..., ended_pairs: _Optional[_Iterable[int]] = ..., more: bool = ..., contract: _Optional[int] = ..., state_dropped: bool = ..., unchanged: bool = ..., alpha_gradients: _Optional[_Iterable[float]] = ..., separation_gradients: _Optional[_Iterable[float]] = ..., normal_jacobians: _Optional[_Iterable[float]] = ..., gradient_errors: _Optional[_Iterable[float]] = ...) -> None: ...

@@ -10,7 +10,8 @@ use crate::{columns::Columns, lock::locked};
 /// The number of chunks' columns that are kept for reuse: those of a large batch.
 const SPARE_CHUNKS: usize = 512;
 
-/// The most bytes of a chunk's columns that are kept: about 8 points per pair with every output.
+/// The most bytes of a chunk's columns that are kept: about 8 points per pair with every output
+/// except derivatives.
 pub(super) const SPARE_BYTES: usize = 64 << 10;
 
 /// A function that is called with the number of pairs of a chunk before the chunk is computed.

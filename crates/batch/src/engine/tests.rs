@@ -3,7 +3,7 @@
 use std::sync::Mutex;
 
 use hullcast_contact::{
-    ConvexHull, STEPS_BETWEEN_LOOKS, Stop, Workspace, contact_manifold,
+    ConvexHull, KinkScratch, STEPS_BETWEEN_LOOKS, Stop, Workspace, contact_manifold, derivatives,
     workload::{Family, Random, Regime, Workload},
 };
 
@@ -27,6 +27,10 @@ fn engine(max_answer_bytes: usize) -> Engine {
 
 /// A batch of generated pairs with all outputs.
 fn batch(family: Family, regime: Regime, pairs: usize) -> Batch {
+    batch_of(family, regime, pairs, Outputs::of(Output::ALL.iter().copied()))
+}
+
+fn batch_of(family: Family, regime: Regime, pairs: usize, outputs: Outputs) -> Batch {
     let workload = Workload::generate(family, regime, pairs, 1).unwrap();
     let hulls = workload.hulls.iter().map(|points| Ok(Arc::new(ConvexHull::new(points).unwrap())));
     let scene = Scene {
@@ -35,7 +39,7 @@ fn batch(family: Family, regime: Regime, pairs: usize) -> Batch {
         positions: workload.pairs.iter().flat_map(|pair| pair.positions).flatten().collect(),
         rotations: workload.pairs.iter().flat_map(|pair| pair.rotations).flatten().collect(),
         pairs: (0..2 * pairs as u32).collect(),
-        outputs: Outputs::of(Output::ALL.iter().copied()),
+        outputs,
         margin: 0.01,
         ..Scene::default()
     };
@@ -58,17 +62,23 @@ fn answer(run: &TestRun, chunks: Vec<Columns>) -> (Columns, PooledMemory) {
 }
 
 /// Catches an allocation per pair or per chunk. Once the buffers have grown, chunks must allocate
-/// nothing, and an answer only its columns.
+/// nothing, and an answer only its columns. The columns of derivatives are too large to be kept for reuse.
 #[test]
 fn the_steady_state_allocates_nothing_per_pair() {
     let engine = engine(64 << 20);
+    let outputs = Outputs {
+        alpha_gradient: false,
+        separation_gradient: false,
+        normal_jacobian: false,
+        ..Outputs::of(Output::ALL.iter().copied())
+    };
     for (family, regime) in
         [Family::Box, Family::Poly16].into_iter().flat_map(|f| Regime::ALL.map(|r| (f, r)))
     {
         for pairs in [1000, 4096] {
             // Several rounds, so that the chunks' buffers are reused.
             for round in 0..8 {
-                let run = run(&engine, batch(family, regime, pairs));
+                let run = run(&engine, batch_of(family, regime, pairs, outputs));
                 let mut chunks = Vec::with_capacity(run.count());
                 let made = allocation_counter::measure(|| {
                     chunks.extend((0..run.count()).map(|index| run.part(index).unwrap()));
@@ -244,7 +254,8 @@ fn mixed_pairs_are_answered_one_by_one_and_together() {
         let chunks = (0..run.count()).map(|index| run.part(index).unwrap()).collect();
         let together = answer(&run, chunks).0;
 
-        let (bodies, mut workspace) = (&run.batch.bodies, Workspace::default());
+        let bodies = &run.batch.bodies;
+        let (mut workspace, mut kinks) = (Workspace::default(), KinkScratch::default());
         let outputs = bodies.template().outputs();
         let mut alone = Columns::default();
         for pair in 0..pairs as u32 {
@@ -264,7 +275,9 @@ fn mixed_pairs_are_answered_one_by_one_and_together() {
             };
             let query = bodies.query([2 * pair, 2 * pair + 1], [&a, &b]);
             wider += usize::from(query.margin > 0.01);
-            alone.push(contact_manifold(&a, &b, &query, None, &mut workspace), outputs);
+            let manifold = contact_manifold(&a, &b, &query, None, &mut workspace);
+            alone.push(manifold, outputs);
+            alone.push_derivatives(derivatives(&a, &b, manifold, &mut kinks).as_ref(), outputs);
         }
         assert_eq!(format!("{together:?}"), format!("{alone:?}"), "{round}");
     }
