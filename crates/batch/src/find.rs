@@ -15,8 +15,6 @@ use std::{
     sync::{Arc, Mutex},
 };
 
-pub use self::kept::{moved, renumbered};
-
 use hullcast_contact::{Bounds, STEPS_BETWEEN_LOOKS, Stop, Stopped};
 
 use crate::{
@@ -32,6 +30,9 @@ const BOUNDED_BODIES: usize = 256;
 
 /// The estimated steps of a body's bounds: six support mappings.
 const BOUNDS_STEPS: u64 = 2_000;
+
+/// The estimated steps to search for the partners of a body in an ordinary scene.
+const SEARCH_STEPS: u64 = 1_000;
 
 /// A scene with fewer bodies is prepared in one part.
 const SMALL_SCENE: usize = 512;
@@ -61,8 +62,6 @@ pub struct Finder {
     found: Vec<u32>,
     /// Ordered candidates, cut into groups that are computed together.
     waiting: VecDeque<Vec<u32>>,
-    /// If not `None`, only pairs with such a body are given.
-    only: Option<Arc<MovedBodies>>,
 }
 
 impl Finder {
@@ -84,7 +83,7 @@ impl Finder {
     fn of(bodies: Bodies, broad_phase: Arc<BroadPhase>, most: usize) -> Self {
         let (searches, found, waiting) = (VecDeque::new(), Vec::new(), VecDeque::new());
         let most = most.max(1);
-        Self { bodies, broad_phase, most, next_body: 0, searches, found, waiting, only: None }
+        Self { bodies, broad_phase, most, next_body: 0, searches, found, waiting }
     }
 
     /// The most bytes that the broad phase and the searches of these bodies take.
@@ -166,15 +165,7 @@ impl Finder {
         let work = SearchWork { broad_phase, searches, stop: job.stop.clone() };
         self.searches = compute.run_parts(work, job).await?.into();
         while let Some(first) = self.searches.front_mut() {
-            match &self.only {
-                None => self.found.append(&mut first.pairs),
-                Some(moved) => {
-                    let pairs = std::mem::take(&mut first.pairs);
-                    let pairs = pairs.as_chunks::<2>().0.iter();
-                    let with_moved = pairs.filter(|pair| pair.iter().any(|&body| moved.contains(body)));
-                    self.found.extend(with_moved.flatten());
-                }
-            }
+            self.found.append(&mut first.pairs);
             if !first.is_done() {
                 break;
             }
@@ -268,7 +259,7 @@ impl Parts for SearchWork {
     /// An estimate for an ordinary scene. It is replaced by the number of steps that the search
     /// counts.
     fn steps(&self, _: usize) -> u64 {
-        1_000 * u64::from(SEARCHED_BODIES)
+        SEARCH_STEPS * u64::from(SEARCHED_BODIES)
     }
 
     fn part(&self, index: usize) -> Result<Self::Part, Stopped> {

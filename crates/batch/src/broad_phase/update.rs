@@ -235,7 +235,7 @@ impl BroadPhase {
         UPDATE_STEPS_PER_BODY * moved + if may_build { STEPS_PER_BODY * bodies } else { 0 }
     }
 
-    /// The bytes of the broad phase.
+    /// The bytes of the broad phase, its rules included.
     pub fn heap_bytes(&self) -> usize {
         let kept = self.kept.as_ref().map_or(0, |kept| {
             size_of_val(&kept.places[..])
@@ -243,6 +243,10 @@ impl BroadPhase {
                 + kept.worlds.heap_bytes()
                 + kept.everywhere.heap_bytes()
         });
-        size_of_val(&self.bounds[..]) + self.trees.heap_bytes() + self.loose.heap_bytes() + kept
+        size_of_val(&self.bounds[..])
+            + self.trees.heap_bytes()
+            + self.loose.heap_bytes()
+            + kept
+            + self.rules.bytes()
     }
 }
