@@ -190,7 +190,8 @@ impl Batch {
         BoxPair::new(&a, &b, &self.bodies.query(bodies, [&a, &b]), self.warm_start(pair, &a, &b).as_ref())
     }
 
-    /// Computes pair `pair`, which takes no row of the answer before, and adds it to `columns`. Returns the steps that it took.
+    /// Computes pair `pair`, which takes no row of the answer before, and adds it to `columns`. Returns the steps
+    /// that it took.
     fn pair(&self, pair: usize, workspace: &mut Workspace, columns: &mut Columns) -> u64 {
         let mut invalid = InvalidPair::default();
         let bodies = self.pair_bodies(pair);
