@@ -171,7 +171,7 @@ impl ContactStream {
             return self.next_part().await;
         }
         let response = answer_named(&mut answer, admission, warm_starts, memory).await?;
-        self.previous = answer.into_inner().finish().await?;
+        self.previous = answer.into_inner().finish(None).await?;
         Ok(response)
     }
 }

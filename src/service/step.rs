@@ -26,6 +26,8 @@ use super::{
 use crate::{
     batch::{
         Columns,
+        broad_phase::{BroadPhase, NEW_BODY},
+        codes::NO_INDEX,
         scene::Bodies,
         steps::{KeptRows, Presence, Step, StepPairs},
     },
@@ -51,6 +53,13 @@ pub(super) struct StepAnswer {
     lease: Arc<Lease>,
     step: Option<Arc<Step>>,
     before: Option<AnswerBefore>,
+    /// The broad phase that the bodies had before, for a search for pairs.
+    broad_phase: Option<BroadPhase>,
+    /// For each body, its number in that broad phase; `None` if they have the numbers that they had.
+    numbers_before: Option<Vec<u32>>,
+    /// The bytes of the broad phase of this answer, and whether there is room to keep it.
+    broad_phase_bytes: usize,
+    keeps_broad_phase: bool,
     /// Whether the client knows steps, and the answer may be sent as `unchanged`.
     knows_steps: bool,
     /// Whether each row of the answer before goes on; empty if the rows are not matched.
@@ -78,7 +87,7 @@ impl StepAnswer {
         app: &Arc<App>,
         context: &CallContext,
         checked: CheckedStep,
-        before: Option<AnswerBefore>,
+        mut before: Option<AnswerBefore>,
         earlier: Option<Permit>,
         knows_steps: bool,
         memory: &mut Permit,
@@ -87,6 +96,17 @@ impl StepAnswer {
         let leased = lease_for_stream(app, context, &scene.hull_ids).await?;
         let presence = Presence::of(&leased.hulls);
         let bodies = Bodies::new(scene.template.clone(), leased.hulls.clone(), poses.clone())?;
+        let mut broad_phase = before.as_mut().and_then(|before| before.broad_phase.take());
+        let mut numbers_before = None;
+        match &start {
+            StepStart::Inherited(_) => {}
+            StepStart::Bodies { bodies_now, is_search: true, .. } if broad_phase.is_some() => {
+                grow(app, memory, size_of::<u32>() * bodies.count())?;
+                let meter = &Meter::new(&context.job.stop);
+                numbers_before = Some(numbers(bodies_now, bodies.count(), meter)?);
+            }
+            _ => drop_broad_phase(app, broad_phase.take()),
+        }
         let (step, before) = match before {
             Some(before) => {
                 let scene = (&bodies, &presence);
@@ -118,6 +138,10 @@ impl StepAnswer {
             bodies,
             lease: leased.lease,
             before: before.filter(|_| step.is_some()),
+            broad_phase,
+            numbers_before,
+            broad_phase_bytes: 0,
+            keeps_broad_phase: false,
             step,
             knows_steps,
             seen,
@@ -134,8 +158,7 @@ impl StepAnswer {
             return Ok(None);
         }
         let rows = step.rows().clone();
-        let bytes = rows.heap_bytes() + self.scene_bytes();
-        let is_kept = self.keeping.take_last(bytes);
+        let is_kept = self.keep_state(rows.heap_bytes());
         self.keeping.keep_rows(rows);
         let response = self.unchanged(!is_kept);
         answer(&self.app, &self.context, response).await.map(Some)
@@ -180,7 +203,7 @@ impl StepAnswer {
         response.more = !is_last;
         let is_kept = if is_last {
             self.forget_before();
-            self.keeping.take_last(bytes + self.scene_bytes())
+            self.keep_state(bytes)
         } else {
             self.keeping.take(bytes)
         };
@@ -203,7 +226,7 @@ impl StepAnswer {
         self.had_ended = false;
         self.forget_before();
         let bytes = columns.heap_bytes() + KeptRows::bytes_besides(columns.len());
-        let is_kept = self.keeping.take_last(bytes + self.scene_bytes());
+        let is_kept = self.keep_state(bytes);
         self.keeping.push(columns);
         let response = self.unchanged(!is_kept);
         answer(&self.app, &self.context, response).await.map(AnswerPart::Last)
@@ -266,6 +289,15 @@ impl StepAnswer {
         self.seen = Vec::new();
     }
 
+    /// Takes memory for the state that the next message may take: rows of `bytes` bytes, which are the last of the
+    /// answer, and the scene. The broad phase is kept if there is room for it too. Returns whether there is room
+    /// for the rest.
+    fn keep_state(&mut self, bytes: usize) -> bool {
+        let is_kept = self.keeping.take_last(bytes + self.scene_bytes());
+        self.keeps_broad_phase = is_kept && self.keeping.take_more(self.broad_phase_bytes);
+        is_kept
+    }
+
     /// The bytes of the parts of the scene that the next message may take.
     fn scene_bytes(&self) -> usize {
         let Before { hull_ids, template, rules, poses, invalid_bodies } = &self.scene;
@@ -278,26 +310,53 @@ impl StepAnswer {
             + self.presence.bytes()
     }
 
-    /// The state for the next message, after the last message of the answer.
-    pub(super) async fn finish(self) -> Result<Previous, ServiceError> {
-        let scene_bytes = self.scene_bytes();
+    /// The state for the next message, after the last message of the answer. `broad_phase` is that of the bodies, if
+    /// their pairs were found.
+    pub(super) async fn finish(self, broad_phase: Option<BroadPhase>) -> Result<Previous, ServiceError> {
+        let mut bytes = self.scene_bytes();
         let Self { app, context, scene, presence, keeping, had_ended, .. } = self;
+        let broad_phase = if self.keeps_broad_phase {
+            bytes += self.broad_phase_bytes;
+            broad_phase
+        } else {
+            drop_broad_phase(&app, broad_phase);
+            None
+        };
         let Some((rows, mut memory)) = keeping.rows(&app, &context, &scene.template).await? else {
             return Ok(Previous::Dropped);
         };
         // More may have been taken, for example to join the parts of the answer.
-        memory.shrink_to((rows.heap_bytes() + scene_bytes) as u64);
+        memory.shrink_to((rows.heap_bytes() + bytes) as u64);
         let answer = AnswerBefore {
             template: scene.template.clone(),
             invalid_bodies: scene.invalid_bodies.clone(),
             presence,
             rows,
             had_ended,
+            broad_phase,
         };
         let bytes = memory.bytes() as usize;
         let state = app.engine().compute_threads().defer_drop(StepState { scene, answer }, bytes);
         Ok(Previous::Kept { state, memory })
     }
+}
+
+/// Drops a broad phase. If it is large, another thread frees it.
+fn drop_broad_phase(app: &App, broad_phase: Option<BroadPhase>) {
+    let bytes = broad_phase.as_ref().map_or(0, BroadPhase::heap_bytes);
+    drop(app.engine().compute_threads().defer_drop(broad_phase, bytes));
+}
+
+/// For each body, the number that it had, or [`NEW_BODY`]. `bodies_now` has the numbers now.
+fn numbers(bodies_now: &[u32], bodies: usize, meter: &Meter<'_>) -> Result<Vec<u32>, ServiceError> {
+    let mut numbers = vec![NEW_BODY; bodies];
+    for (&now, before) in bodies_now.iter().zip(0..) {
+        meter.spend(2)?;
+        if now != NO_INDEX {
+            numbers[now as usize] = before;
+        }
+    }
+    Ok(numbers)
 }
 
 /// Connects a message with the message before. `None` if they have nothing in common.

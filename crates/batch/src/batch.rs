@@ -120,23 +120,55 @@ impl Batch {
         let mut next = pairs.start;
         while next < pairs.end {
             let Some(group) = self.group(next..pairs.end) else {
-                return (next..pairs.end).try_for_each(|pair| spend(self.pair(pair, others, columns)));
+                return self.one_by_one(next..pairs.end, others, columns, &mut spend);
             };
             let query = self.bodies.template().query();
             let manifolds = box_manifolds(&group.boxes[..group.count], query, boxes);
-            let mut answers = group.pairs[..group.count].iter().zip(manifolds).peekable();
-            while let Some(&(&ahead, manifold)) = answers.peek() {
-                if next < ahead {
-                    spend(self.pair(next, others, columns))?;
-                } else {
-                    answers.next();
-                    spend(self.add(next, manifold, &mut others.kinks, columns))?;
-                }
-                next += 1;
+            for (&ahead, manifold) in group.pairs[..group.count].iter().zip(manifolds) {
+                self.one_by_one(next..ahead, others, columns, &mut spend)?;
+                spend(self.add(ahead, manifold, &mut others.kinks, columns))?;
+                next = ahead + 1;
             }
             spend(boxes.take_steps())?;
         }
         Ok(())
+    }
+
+    /// Computes these pairs without groups. Consecutive rows of the answer before are copied together.
+    fn one_by_one(
+        &self,
+        pairs: Range<usize>,
+        workspace: &mut PairWorkspace,
+        columns: &mut Columns,
+        spend: &mut impl FnMut(u64) -> Result<(), Stopped>,
+    ) -> Result<(), Stopped> {
+        let mut next = pairs.start;
+        while next < pairs.end {
+            let Some((step, rows)) = self.rows_to_reuse(next..pairs.end) else {
+                spend(self.pair(next, workspace, columns))?;
+                next += 1;
+                continue;
+            };
+            spend(LEAST_STEPS * rows.len() as u64)?;
+            let end = next + rows.len();
+            if self.candidates.is_some() {
+                columns.pairs.extend_from_slice(&self.pairs()[2 * next..2 * end]);
+            }
+            step.push_rows(rows, columns);
+            next = end;
+        }
+        Ok(())
+    }
+
+    /// The consecutive rows of the answer before that the first of these pairs take as they are. `None` if the
+    /// first pair takes no row.
+    fn rows_to_reuse(&self, pairs: Range<usize>) -> Option<(&Step, Range<usize>)> {
+        let (step, first) = self.row_to_reuse(pairs.start)?;
+        let others = (pairs.start + 1..pairs.end).zip(first + 1..);
+        let follows = |&(pair, row): &(usize, usize)| {
+            self.row_to_reuse(pair).is_some_and(|(_, its_row)| its_row == row)
+        };
+        Some((step, first..first + 1 + others.take_while(follows).count()))
     }
 
     /// The first pairs of boxes among these pairs, as many as one group holds. `None` if there are none.
@@ -165,17 +197,11 @@ impl Batch {
         BoxPair::new(&a, &b, &self.bodies.query(bodies, [&a, &b]), self.warm_start(pair, &a, &b).as_ref())
     }
 
-    /// Computes pair `pair` and adds it to `columns`. Returns the steps that it took.
+    /// Computes pair `pair`, which takes no row of the answer before, and adds it to `columns`. Returns the steps
+    /// that it took.
     fn pair(&self, pair: usize, workspace: &mut PairWorkspace, columns: &mut Columns) -> u64 {
         let mut invalid = InvalidPair::default();
         let bodies = self.pair_bodies(pair);
-        if let Some((step, row)) = self.row_to_reuse(pair) {
-            if self.candidates.is_some() {
-                columns.push_pair(bodies);
-            }
-            step.push_row(row, columns);
-            return LEAST_STEPS;
-        }
         let [a, b] = bodies.map(|body| self.body(body, &mut invalid));
         let (Some(a), Some(b)) = (a, b) else {
             columns.push_invalid(invalid, self.kept);

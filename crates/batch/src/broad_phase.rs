@@ -21,16 +21,30 @@
 //! The tree is the project's own for two reasons. The construction of a general-purpose R-tree
 //! crate cannot be interrupted. And one tree with the world as a fourth coordinate was slow for
 //! scenes of many worlds.
+//!
+//! A broad phase can be kept from step to step of a simulation ([`BroadPhase::moved`],
+//! [`BroadPhase::renumbered`]), and searched for the pairs with a body that has moved
+//! ([`MovedSearch`]). Crates with dynamic trees of boxes exist (parry3d's `Bvh`, rstar, bvh). They
+//! would bring a second geometry library, or the same two faults: their updates and searches cannot
+//! be suspended or metered, and they know no worlds and groups, so that a scene of many worlds
+//! would be searched as one.
 
+mod moved;
 mod rules;
 mod tree;
+mod update;
 
 use std::ops::Range;
 
-use self::tree::{Leaf, PartnerSearch, Tree};
 pub use self::{
+    moved::{MovedBodies, MovedSearch},
     rules::{EVERY_WORLD, Rules},
     tree::{STEPS_PER_BODY, TREE_BYTES_PER_BODY},
+    update::{KEPT_BYTES_PER_BODY, NEW_BODY, UPDATE_STEPS_PER_BODY},
+};
+use self::{
+    tree::{Leaf, PartnerSearch, Tree},
+    update::Kept,
 };
 use hullcast_contact::{Bounds, STEPS_BETWEEN_LOOKS, Stop, Stopped};
 
@@ -40,13 +54,38 @@ const STEPS_PER_PARTNER: u64 = 20;
 /// The bodies of a scene, ready for searches for pairs.
 #[derive(Debug, Default)]
 pub struct BroadPhase {
+    /// All bodies that had bounds when the broad phase was built, unless they are loose now.
+    trees: Trees,
+    /// The loose bodies of a broad phase that is kept.
+    loose: Trees,
+    kept: Option<Box<Kept>>,
+    /// The bounds of each body; `None` for a body that is in no pair.
+    bounds: Vec<Option<Bounds>>,
+    rules: Rules,
+}
+
+/// Trees of some bodies.
+#[derive(Debug, Default)]
+struct Trees {
     /// The bodies that are in one world.
     worlds: Tree,
     /// The bodies that are in every world ([`EVERY_WORLD`]).
     everywhere: Tree,
-    /// The bounds of each body; `None` for a body that is in no pair.
-    bounds: Vec<Option<Bounds>>,
-    rules: Rules,
+}
+
+impl Trees {
+    fn new(worlds: Vec<Leaf>, everywhere: Vec<Leaf>, stop: &Stop) -> Result<Self, Stopped> {
+        Ok(Self { worlds: Tree::new(worlds, stop)?, everywhere: Tree::new(everywhere, stop)? })
+    }
+
+    fn heap_bytes(&self) -> usize {
+        self.worlds.heap_bytes() + self.everywhere.heap_bytes()
+    }
+
+    /// The number of places for bodies.
+    fn places(&self) -> usize {
+        self.worlds.leaves().len() + self.everywhere.leaves().len()
+    }
 }
 
 /// A search for the pairs of a range of bodies. It can be suspended and resumed.
@@ -65,20 +104,20 @@ pub struct PairSearch {
     progress: SearchProgress,
 }
 
-/// How far the search for the partners of one body has got: the tree that is being searched, and the
-/// nodes of it that are still to be visited.
-#[derive(Clone, Debug)]
-enum SearchProgress {
-    Nothing,
-    Worlds(Range<usize>),
-    Everywhere(Range<usize>),
+/// How far the search for the partners of one body has got.
+#[derive(Clone, Debug, Default)]
+struct SearchProgress {
+    /// The number of trees that have been searched.
+    trees: usize,
+    /// The nodes of the next tree that are still to be visited, if its search has begun.
+    nodes: Option<Range<usize>>,
 }
 
 impl PairSearch {
     /// Starts a search for the pairs whose lower index is in `first..end`.
     pub fn new(first: u32, end: u32) -> Self {
         let (pairs, partners) = (Vec::new(), Vec::new());
-        Self { pairs, next: first, end, partners, progress: SearchProgress::Nothing }
+        Self { pairs, next: first, end, partners, progress: SearchProgress::default() }
     }
 
     /// Whether the search has found all its pairs.
@@ -104,8 +143,8 @@ impl BroadPhase {
             }
             stop.spend(10 * chunk.len() as u64)?;
         }
-        let (worlds, everywhere) = (Tree::new(leaves, stop)?, Tree::new(everywhere, stop)?);
-        Ok(Self { worlds, everywhere, bounds, rules })
+        let trees = Trees::new(leaves, everywhere, stop)?;
+        Ok(Self { trees, loose: Trees::default(), kept: None, bounds, rules })
     }
 
     /// The number of bodies, including those that are in no pair.
@@ -141,35 +180,50 @@ impl BroadPhase {
     /// Searches for partners of the next body, until they are all known or no steps are left.
     fn advance(&self, search: &mut PairSearch, left: &mut u64) {
         let body = search.next;
-        if let Some(bounds) = self.bounds.get(body as usize).copied().flatten() {
-            let (world, group) = (self.rules.world(body), self.rules.group(body));
-            let leaf = Leaf { bounds, body, world, group };
-            let mut query = PartnerSearch { leaf, rules: &self.rules, found: &mut search.partners, left };
-            let mut progress = std::mem::replace(&mut search.progress, SearchProgress::Nothing);
-            if let SearchProgress::Nothing = progress {
-                progress = SearchProgress::Worlds(self.worlds.subtree_of(world));
-            }
-            if let SearchProgress::Worlds(nodes) = progress {
-                if let Some(left) = self.worlds.partners(nodes, &mut query) {
-                    search.progress = SearchProgress::Worlds(left);
-                    return;
-                }
-                // Two bodies that are in every world do not meet each other.
-                let nodes = if world == EVERY_WORLD { 0..0 } else { self.everywhere.subtree_of(EVERY_WORLD) };
-                progress = SearchProgress::Everywhere(nodes);
-            }
-            if let SearchProgress::Everywhere(nodes) = progress
-                && let Some(left) = self.everywhere.partners(nodes, &mut query)
-            {
-                search.progress = SearchProgress::Everywhere(left);
-                return;
-            }
+        if !self.find_partners(body, body + 1, &mut search.progress, &mut search.partners, left) {
+            return;
         }
         search.partners.sort_unstable();
         let partners = search.partners.len() as u64;
         *left = left.saturating_sub(1 + STEPS_PER_PARTNER * partners);
         search.pairs.extend(search.partners.drain(..).flat_map(|other| [body, other]));
         search.next += 1;
+    }
+
+    /// Searches for the partners of a body whose index is at least `least`. Returns false if no steps are left
+    /// before all are found.
+    fn find_partners(
+        &self,
+        body: u32,
+        least: u32,
+        progress: &mut SearchProgress,
+        found: &mut Vec<u32>,
+        left: &mut u64,
+    ) -> bool {
+        let Some(leaf) = self.leaf(body) else { return true };
+        let SearchProgress { trees: searched, mut nodes } = std::mem::take(progress);
+        let mut query = PartnerSearch { leaf, least, rules: &self.rules, found, left };
+        let trees =
+            [&self.trees, &self.loose].into_iter().flat_map(|trees| [&trees.worlds, &trees.everywhere]);
+        for (number, tree) in trees.enumerate().skip(searched) {
+            let nodes = nodes.take().unwrap_or_else(|| match number % 2 {
+                0 => tree.subtree_of(leaf.world),
+                // Two bodies that are in every world do not meet each other.
+                _ if leaf.world == EVERY_WORLD => 0..0,
+                _ => tree.subtree_of(EVERY_WORLD),
+            });
+            if let Some(rest) = tree.partners(nodes, &mut query) {
+                *progress = SearchProgress { trees: number, nodes: Some(rest) };
+                return false;
+            }
+        }
+        true
+    }
+
+    /// A body as the trees have it, or `None` if it is in no pair.
+    fn leaf(&self, body: u32) -> Option<Leaf> {
+        let bounds = self.bounds.get(body as usize).copied().flatten()?;
+        Some(Leaf { bounds, body, world: self.rules.world(body), group: self.rules.group(body) })
     }
 }
 

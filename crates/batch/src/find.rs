@@ -8,6 +8,8 @@
 //! tree, and the search, which pauses after a number of steps and continues in the next part. The progress
 //! of a part depends on its steps and not on time, so the candidates are the same on every machine.
 
+mod kept;
+
 use std::{
     collections::VecDeque,
     sync::{Arc, Mutex},
@@ -17,7 +19,7 @@ use hullcast_contact::{Bounds, STEPS_BETWEEN_LOOKS, Stop, Stopped};
 
 use crate::{
     batch::Batch,
-    broad_phase::{BroadPhase, PairSearch, Rules, STEPS_PER_BODY, TREE_BYTES_PER_BODY},
+    broad_phase::{BroadPhase, MovedBodies, PairSearch, Rules, STEPS_PER_BODY, TREE_BYTES_PER_BODY},
     compute::{CallerId, Compute, ComputeError, Job, Parts},
     lock::locked,
     scene::Bodies,
@@ -28,6 +30,9 @@ const BOUNDED_BODIES: usize = 256;
 
 /// The estimated steps of a body's bounds: six support mappings.
 const BOUNDS_STEPS: u64 = 2_000;
+
+/// The estimated steps to search for the partners of a body in an ordinary scene.
+const SEARCH_STEPS: u64 = 1_000;
 
 /// A scene with fewer bodies is prepared in one part.
 const SMALL_SCENE: usize = 512;
@@ -72,8 +77,13 @@ impl Finder {
         job: &Job<impl CallerId>,
     ) -> Result<Self, ComputeError> {
         let broad_phase = Arc::new(broad_phase(&bodies, rules, compute, job).await?);
+        Ok(Self::of(bodies, broad_phase, most))
+    }
+
+    fn of(bodies: Bodies, broad_phase: Arc<BroadPhase>, most: usize) -> Self {
         let (searches, found, waiting) = (VecDeque::new(), Vec::new(), VecDeque::new());
-        Ok(Self { bodies, broad_phase, most: most.max(1), next_body: 0, searches, found, waiting })
+        let most = most.max(1);
+        Self { bodies, broad_phase, most, next_body: 0, searches, found, waiting }
     }
 
     /// The most bytes that the broad phase and the searches of these bodies take.
@@ -151,7 +161,8 @@ impl Finder {
         }
         let searches = std::mem::take(&mut self.searches);
         let searches = searches.into_iter().map(|search| Mutex::new(Some(search))).collect();
-        let work = SearchWork { broad_phase: self.broad_phase.clone(), searches, stop: job.stop.clone() };
+        let broad_phase = Mutex::new(Some(self.broad_phase.clone()));
+        let work = SearchWork { broad_phase, searches, stop: job.stop.clone() };
         self.searches = compute.run_parts(work, job).await?.into();
         while let Some(first) = self.searches.front_mut() {
             self.found.append(&mut first.pairs);
@@ -181,17 +192,25 @@ async fn broad_phase(
         };
         compute.run_steps(BOUNDS_STEPS * count as u64 + building, all, job).await
     } else {
-        let bounding = BoundsWork { bodies: bodies.clone(), stop: job.stop.clone() };
+        let bounding = BoundsWork { bodies: bodies.clone(), of: None, stop: job.stop.clone() };
         let bounds = compute.run_parts(bounding, job).await?;
         compute.run_steps(building, move |stop| BroadPhase::new(bounds, rules, stop), job).await
     };
     Ok(built??)
 }
 
-/// Computes the bounds of all bodies, [`BOUNDED_BODIES`] per part.
+/// Computes the bounds of all bodies or of some, [`BOUNDED_BODIES`] per part.
 struct BoundsWork {
     bodies: Bodies,
+    /// The bodies; `None` for all.
+    of: Option<Arc<MovedBodies>>,
     stop: Arc<Stop>,
+}
+
+impl BoundsWork {
+    fn body_count(&self) -> usize {
+        self.of.as_ref().map_or(self.bodies.count(), |some| some.list().len())
+    }
 }
 
 impl Parts for BoundsWork {
@@ -199,7 +218,7 @@ impl Parts for BoundsWork {
     type Whole = Vec<Option<Bounds>>;
 
     fn count(&self) -> usize {
-        self.bodies.count().div_ceil(BOUNDED_BODIES)
+        self.body_count().div_ceil(BOUNDED_BODIES)
     }
 
     fn steps(&self, _: usize) -> u64 {
@@ -208,9 +227,12 @@ impl Parts for BoundsWork {
 
     fn part(&self, index: usize) -> Result<Self::Part, Stopped> {
         let first = index * BOUNDED_BODIES;
-        let bodies = first..self.bodies.count().min(first + BOUNDED_BODIES);
+        let bodies = first..self.body_count().min(first + BOUNDED_BODIES);
         self.stop.spend(BOUNDS_STEPS * bodies.len() as u64)?;
-        Ok(bodies.map(|body| self.bodies.bounds(body as u32)).collect())
+        Ok(match &self.of {
+            None => bodies.map(|body| self.bodies.bounds(body as u32)).collect(),
+            Some(some) => some.list()[bodies].iter().map(|&body| self.bodies.bounds(body)).collect(),
+        })
     }
 
     fn whole(&self, parts: Vec<Self::Part>) -> Result<Self::Whole, Stopped> {
@@ -220,7 +242,8 @@ impl Parts for BoundsWork {
 
 /// Continues searches; each is one part.
 struct SearchWork {
-    broad_phase: Arc<BroadPhase>,
+    /// Taken out at the end, so that the owner of the broad phase has it alone again.
+    broad_phase: Mutex<Option<Arc<BroadPhase>>>,
     searches: Vec<Mutex<Option<PairSearch>>>,
     stop: Arc<Stop>,
 }
@@ -236,18 +259,20 @@ impl Parts for SearchWork {
     /// An estimate for an ordinary scene. It is replaced by the number of steps that the search
     /// counts.
     fn steps(&self, _: usize) -> u64 {
-        1_000 * u64::from(SEARCHED_BODIES)
+        SEARCH_STEPS * u64::from(SEARCHED_BODIES)
     }
 
     fn part(&self, index: usize) -> Result<Self::Part, Stopped> {
         let mut search = locked(&self.searches[index]).take();
-        if let Some(search) = &mut search {
-            self.broad_phase.search(search, STEPS_BETWEEN_LOOKS, SEARCHED_INDICES, &self.stop)?;
+        let broad_phase = locked(&self.broad_phase).clone();
+        if let (Some(search), Some(broad_phase)) = (&mut search, broad_phase) {
+            broad_phase.search(search, STEPS_BETWEEN_LOOKS, SEARCHED_INDICES, &self.stop)?;
         }
         Ok(search)
     }
 
     fn whole(&self, parts: Vec<Self::Part>) -> Result<Self::Whole, Stopped> {
+        drop(locked(&self.broad_phase).take());
         Ok(parts.into_iter().flatten().collect())
     }
 }

@@ -23,7 +23,7 @@ mod changes;
 mod links;
 mod rows;
 
-use std::sync::Arc;
+use std::{ops::Range, sync::Arc};
 
 use hullcast_contact::{Basis, Pose, Stop, Stopped, stop::Meter};
 
@@ -133,10 +133,12 @@ impl Step {
         Some(if swapped { Basis { a: b, b: a } } else { Basis { a, b } })
     }
 
-    /// Adds a row of the answer before to the next answer.
-    pub(crate) fn push_row(&self, row: usize, columns: &mut Columns) {
-        columns.push_row(self.rows.columns(), row, self.rows.points(row));
-        columns.reset_last_row();
+    /// Adds consecutive rows of the answer before to the next answer.
+    pub(crate) fn push_rows(&self, rows: Range<usize>, columns: &mut Columns) {
+        let points = self.rows.points(rows.start).start..self.rows.points(rows.end - 1).end;
+        let first_point = columns.point_count();
+        columns.push_rows(self.rows.columns(), rows.clone(), points);
+        columns.reset_last_rows(rows.len(), first_point);
     }
 
     /// Fills in the columns `previous_pairs` and `previous_points` of an answer, or a part of it, and marks in
@@ -328,20 +330,17 @@ impl Outputs {
 }
 
 impl Columns {
-    /// Resets what a row that is used again does not take from the answer before: its matches, and the work that
-    /// it took.
-    fn reset_last_row(&mut self) {
-        if let Some(last) = self.iterations.last_mut() {
-            *last = 0;
+    /// Resets what the last `count` rows, which are used again, do not take from the answer before: their matches,
+    /// and the work that they took. `first_point` is the first point of these rows.
+    fn reset_last_rows(&mut self, count: usize, first_point: usize) {
+        fn reset(column: &mut [u32], count: usize, value: u32) {
+            let first = column.len().saturating_sub(count); // a column that was not asked for is empty
+            column[first..].fill(value);
         }
-        if let Some(last) = self.support_calls.last_mut() {
-            *last = 0;
-        }
-        if let Some(last) = self.previous_pairs.last_mut() {
-            *last = NO_INDEX;
-            let points = self.point_counts.last().map_or(0, |&count| count as usize);
-            let first = self.previous_points.len().saturating_sub(points);
-            self.previous_points[first..].fill(NO_INDEX);
-        }
+        let points = self.point_count() - first_point;
+        reset(&mut self.iterations, count, 0);
+        reset(&mut self.support_calls, count, 0);
+        reset(&mut self.previous_pairs, count, NO_INDEX);
+        reset(&mut self.previous_points, points, NO_INDEX);
     }
 }

@@ -2,7 +2,11 @@
 //!
 //! Candidates come from the broad phase in order, some thousand at a time, and are merged with the rows of the
 //! answer before ([`Walk`]): a pair of which no body has changed takes its row, or is left out if it has none. The
-//! rest is computed. If nothing has changed at all, the rows are enough, and no broad phase is built.
+//! rest is computed. If nothing has changed at all, the rows are enough, and nothing is searched.
+//!
+//! The broad phase is part of the stream's state. It follows the bodies that have changed, or is adapted to other
+//! bodies, and gives the candidates that a new one would give: they depend on the bounds and rules of the present
+//! bodies only ([`BroadPhase`]). It is left out of the state, and built anew, if there is no room for it.
 
 use std::{collections::VecDeque, sync::Arc};
 
@@ -10,6 +14,7 @@ use super::{AnswerPart, Previous, StepAnswer};
 use crate::{
     batch::{
         Batch, Columns, Finder, Missing,
+        broad_phase::{BroadPhase, MovedBodies},
         steps::{StepPairs, Walk},
     },
     budget::{Part, Permit},
@@ -30,6 +35,8 @@ pub(in crate::service) struct FindStep {
     answer: StepAnswer,
     /// The broad phase with its memory; `None` if the rows of the answer before are enough.
     search: Option<DeferredDrop<(Finder, Permit)>>,
+    /// The broad phase of the answer before, if there is no search.
+    unsearched: Option<BroadPhase>,
     /// The memory of the scene, if there is no search.
     _memory: Option<Permit>,
     /// Candidates that the search has given, and how many of them were used.
@@ -44,10 +51,10 @@ pub(in crate::service) struct FindStep {
 }
 
 impl FindStep {
-    /// Builds the broad phase of the bodies, unless the rows of the answer before are enough. `memory` is the memory
-    /// of the decoded message.
+    /// Begins the search, unless the rows of the answer before are enough. `memory` is the memory of the decoded
+    /// message.
     pub(in crate::service) async fn begin(
-        answer: StepAnswer,
+        mut answer: StepAnswer,
         admission: Admission,
         mut memory: Permit,
     ) -> Result<Self, ServiceError> {
@@ -56,23 +63,21 @@ impl FindStep {
             return Err(unreadable());
         }
         let is_searched = answer.step.as_ref().is_some_and(|step| step.repeats());
-        let (search, memory) = if is_searched {
-            (None, Some(memory))
+        let broad_phase = answer.broad_phase.take();
+        let (search, unsearched, memory) = if is_searched {
+            answer.broad_phase_bytes = broad_phase.as_ref().map_or(0, BroadPhase::heap_bytes);
+            (None, broad_phase, Some(memory))
         } else {
-            let (app, context, bodies) = (&answer.app, &answer.context, answer.bodies.clone());
-            let rules = answer.scene.rules.as_deref().cloned().unwrap_or_default();
-            let sorting = rules.sorting_bytes();
-            grow(app, &mut memory, Finder::bytes(&bodies) + rules.bytes() + sorting)?;
-            let compute = app.engine().compute_threads();
-            let finder = Finder::new(bodies, rules, most_candidates(app), compute, &context.job).await;
-            let finder = finder.map_err(failed)?;
-            memory.shrink_to(memory.bytes() - sorting as u64);
+            let finder = begun(&mut answer, broad_phase, &mut memory).await?;
+            answer.broad_phase_bytes = finder.broad_phase().heap_bytes();
             let bytes = memory.bytes() as usize;
-            (Some(compute.defer_drop((finder, memory), bytes)), None)
+            let compute = answer.app.engine().compute_threads();
+            (Some(compute.defer_drop((finder, memory), bytes)), None, None)
         };
         Ok(Self {
             answer,
             search,
+            unsearched,
             _memory: memory,
             candidates: (Vec::new(), 0),
             is_searched,
@@ -121,8 +126,11 @@ impl FindStep {
 
     /// The state for the next message, after the last message.
     pub(in crate::service) async fn finish(self) -> Result<Previous, ServiceError> {
-        drop(self.search);
-        self.answer.finish().await
+        let broad_phase = match self.search {
+            Some(search) => search.into_inner().0.into_broad_phase(),
+            None => self.unsearched,
+        };
+        self.answer.finish(broad_phase).await
     }
 
     async fn computed(&mut self, pairs: Arc<StepPairs>) -> Result<(Columns, Permit), ServiceError> {
@@ -187,4 +195,39 @@ impl FindStep {
         let is_walked = self.answer.step.as_ref().is_none_or(|step| self.walk.is_done(step));
         self.again.is_empty() && *used == candidates.len() && is_searched && is_walked
     }
+}
+
+/// Begins a search for the pairs of a step: in the broad phase of the answer before, or in a new one. `memory` grows
+/// by what the search takes besides that broad phase, which the state of the stream holds.
+async fn begun(
+    answer: &mut StepAnswer,
+    broad_phase: Option<BroadPhase>,
+    memory: &mut Permit,
+) -> Result<Finder, ServiceError> {
+    let numbers_before = answer.numbers_before.take();
+    let (app, context, bodies) = (&answer.app, &answer.context, answer.bodies.clone());
+    let (compute, job, most) = (app.engine().compute_threads(), &context.job, most_candidates(app));
+    let rules = || answer.scene.rules.as_deref().cloned().unwrap_or_default();
+    let finder = match (broad_phase, &answer.step, numbers_before) {
+        (Some(broad_phase), Some(step), None) => {
+            let moved = step.changes().bodies(&Meter::new(&job.stop))?;
+            grow(app, memory, Finder::kept_bytes(&bodies, moved.len()))?;
+            let moved = Arc::new(MovedBodies::new(moved, bodies.count() as u32));
+            Finder::of_moved(bodies, broad_phase, moved, most, compute, job).await
+        }
+        (Some(broad_phase), Some(_), Some(numbers)) => {
+            let rules = rules();
+            grow(app, memory, Finder::bytes(&bodies) + rules.bytes() + rules.sorting_bytes())?;
+            Finder::renumbered(bodies, broad_phase, numbers, rules, most, compute, job).await
+        }
+        _ => {
+            let rules = rules();
+            let sorting = rules.sorting_bytes();
+            grow(app, memory, Finder::bytes(&bodies) + rules.bytes() + sorting)?;
+            let finder = Finder::new(bodies, rules, most, compute, job).await;
+            memory.shrink_to(memory.bytes() - sorting as u64);
+            finder
+        }
+    };
+    finder.map_err(failed)
 }

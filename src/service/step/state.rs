@@ -5,6 +5,7 @@ use std::sync::Arc;
 use crate::{
     batch::{
         Columns,
+        broad_phase::BroadPhase,
         scene::SceneTemplate,
         steps::{KeptRows, Presence},
     },
@@ -32,6 +33,8 @@ pub(in crate::service) struct AnswerBefore {
     pub(super) rows: Arc<KeptRows>,
     /// Whether the answer had pairs that ended.
     pub(super) had_ended: bool,
+    /// The broad phase of a search for pairs, if there was room for it.
+    pub(super) broad_phase: Option<BroadPhase>,
 }
 
 /// The previous message of a stream.
@@ -93,6 +96,11 @@ impl Keeping {
                 self.take(bytes + joining as usize)
             }
         }
+    }
+
+    /// Takes memory for what the next step can do without, after [`Self::take_last`]. Returns whether there is room.
+    pub(super) fn take_more(&mut self, bytes: usize) -> bool {
+        self.memory.as_mut().is_some_and(|memory| memory.grow(bytes as u64).is_ok())
     }
 
     /// Keeps the columns of a part, if there is room.

@@ -84,6 +84,42 @@ async fn state_is_counted_and_given_back() {
     panic!("{} bytes are still held", held());
 }
 
+/// Catches a broad phase whose memory is not counted, one that is kept without room, and a stream that loses the
+/// rest of its state because the broad phase has no room. Steps have the same pairs with and without it.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_broad_phase_is_kept_if_there_is_room() {
+    let full = QueryContactsRequest { outputs: outputs(&[Output::Outcome]), ..crowd(80, 6) };
+    let mut pairs = Vec::new();
+    let (mut dropped, mut held) = (0, Vec::new());
+    for limit in (1..48).map(|count| count * (8 << 10)) {
+        let limits = Limits { max_stream_state_bytes: limit, ..Limits::default() };
+        let server = Setup { limits, ..Setup::default() }.start().await;
+        server.hulls().register_hulls(register_request(&shapes())).await.unwrap();
+        let mut stream = Stepper::open(&server).await;
+        if stream.step(full.clone()).await.unwrap().whole.state_dropped {
+            assert_eq!(server.app.memory().used_by(Part::StreamState), 0);
+            dropped += 1;
+            continue;
+        }
+        held.push(server.app.memory().used_by(Part::StreamState));
+        let moved = QueryContactsRequest {
+            moved: vec![3, 70],
+            positions: [full.positions[..3].to_vec(), vec![0.1, 0.2, 0.3]].concat(),
+            rotations: [0.0, 0.0, 0.0, 1.0].repeat(2),
+            ..inherited(2)
+        };
+        pairs.push(stream.step(moved).await.unwrap().whole.pairs);
+    }
+    let bounds = 80 * size_of::<hullcast::contact::Bounds>() as u64;
+    assert!(held.len() > 1, "{dropped} of 47 were dropped");
+    let [least, most] = [held[0], held[held.len() - 1]];
+    assert!(least + bounds < most, "{held:?}");
+    assert!(held.iter().all(|&bytes| bytes == least || bytes == most), "{held:?}");
+    let with = held.iter().filter(|&&bytes| bytes == most).count();
+    assert!(dropped > 0 && with > 0 && with < held.len(), "{dropped} dropped, {held:?}");
+    assert!(pairs.iter().all(|some| !some.is_empty() && *some == pairs[0]));
+}
+
 /// Catches a row that is used again although a hull is gone, and a hull that is back and does not count.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hull_that_goes_changes_its_bodies() {

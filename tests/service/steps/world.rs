@@ -13,6 +13,7 @@ pub(super) struct SimulatedBody {
     pub(super) rotation: [f64; 4],
     pub(super) world: u32,
     pub(super) group: u32,
+    pub(super) margin: f64,
     /// A number that no other body has ever had.
     pub(super) key: u64,
 }
@@ -23,6 +24,8 @@ pub(super) struct World {
     shapes: Vec<HullDefinition>,
     next_key: u64,
     spread: f64,
+    /// The margin that all pairs share.
+    margin: f64,
 }
 
 /// The way in which a step changes the scene.
@@ -33,16 +36,33 @@ pub(super) enum Change {
     All,
     Jump,
     BadPose,
+    /// Bodies come and go, change their places in the list, or get another hull.
     ComeAndGo,
+    /// Bodies get other worlds, groups or margins, or all pairs get another margin.
+    Rules,
 }
 
-pub(super) const CHANGES: [Change; 6] =
-    [Change::Nothing, Change::Some, Change::All, Change::Jump, Change::BadPose, Change::ComeAndGo];
+pub(super) const CHANGES: [Change; 7] = [
+    Change::Nothing,
+    Change::Some,
+    Change::All,
+    Change::Jump,
+    Change::BadPose,
+    Change::ComeAndGo,
+    Change::Rules,
+];
+
+impl Change {
+    /// Whether the next message may inherit: bodies, rules and margins are those of before.
+    pub(super) fn may_inherit(self) -> bool {
+        !matches!(self, Self::ComeAndGo | Self::Rules)
+    }
+}
 
 impl World {
     pub(super) fn new(shapes: &[HullDefinition], bodies: usize, spread: f64, seed: u64) -> Self {
         let (random, shapes) = (Random::new(seed), shapes.to_vec());
-        let mut world = Self { random, bodies: Vec::new(), shapes, next_key: 0, spread };
+        let mut world = Self { random, bodies: Vec::new(), shapes, next_key: 0, spread, margin: 0.05 };
         for _ in 0..bodies {
             let body = world.new_body();
             world.bodies.push(body);
@@ -59,6 +79,7 @@ impl World {
             rotation: [0; 4].map(|_| 0.5 + 0.4 * random.signed()),
             world: [0, 0, 0, 1, NONE][random.below(5)],
             group: [0, 0, 0, 1, 2][random.below(5)],
+            margin: 0.0,
             key: self.next_key,
         }
     }
@@ -88,6 +109,7 @@ impl World {
             Change::All => (0..count).for_each(|body| self.nudge(body)),
             Change::Jump => self.bodies[some].position = [0; 3].map(|_| self.random.signed()),
             Change::BadPose => self.bodies[some].position[0] = f64::NAN,
+            Change::Rules => self.change_rules(),
             Change::ComeAndGo => {
                 for _ in 0..self.random.below(3) {
                     let gone = self.random.below(self.bodies.len());
@@ -109,6 +131,20 @@ impl World {
         change
     }
 
+    /// Changes a rule or margin of some bodies, or the margin of all pairs.
+    fn change_rules(&mut self) {
+        for _ in 0..1 + self.random.below(3) {
+            let (body, other) = (self.random.below(self.bodies.len()), self.new_body());
+            let (world, group) = (other.world, other.group);
+            match self.random.below(4) {
+                0 => self.bodies[body].world = world,
+                1 => self.bodies[body].group = group,
+                2 => self.bodies[body].margin = [0.0, 0.02, 0.3][self.random.below(3)],
+                _ => self.margin = [0.05, 0.01, 0.2][self.random.below(3)],
+            }
+        }
+    }
+
     /// The whole scene as a request with `find`.
     pub(super) fn request(&self, request_id: u64) -> QueryContactsRequest {
         QueryContactsRequest {
@@ -121,7 +157,8 @@ impl World {
             worlds: self.bodies.iter().map(|body| body.world).collect(),
             groups: self.bodies.iter().map(|body| body.group).collect(),
             ignored_groups: vec![1, 2],
-            margin: 0.05,
+            margin: self.margin,
+            margins: self.bodies.iter().map(|body| body.margin).collect(),
             outputs: all_outputs(),
             ..Default::default()
         }

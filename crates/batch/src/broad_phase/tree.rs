@@ -27,6 +27,10 @@
 //!
 //! Building takes `O(n log n)` steps. If each box overlaps only a few others, a search takes
 //! `O(log n)` steps per partner.
+//!
+//! A tree can follow bodies that move ([`refit`]): its shape stays, and only boxes change.
+
+mod refit;
 
 use std::{cmp::Ordering, ops::Range};
 
@@ -34,6 +38,8 @@ use glam::{DVec3, Vec3};
 
 use super::{EVERY_WORLD, Rules};
 use hullcast_contact::{Bounds, Stop, Stopped, sort, stop::Meter};
+
+pub(super) use self::refit::{FOLLOWER_BYTES_PER_BODY, Follower};
 
 /// The largest number of bodies in a leaf node.
 const LEAF_BODIES: usize = 4;
@@ -126,6 +132,8 @@ pub(super) struct Tree {
 /// A search for the partners of one body.
 pub(super) struct PartnerSearch<'a> {
     pub(super) leaf: Leaf,
+    /// The lowest index of the partners that are searched for.
+    pub(super) least: u32,
     pub(super) rules: &'a Rules,
     pub(super) found: &'a mut Vec<u32>,
     /// The number of steps that are left until the search is suspended.
@@ -241,7 +249,7 @@ impl Tree {
         search: &mut PartnerSearch<'_>,
     ) -> Option<Range<usize>> {
         let Range { start: mut at, end } = nodes;
-        let Leaf { bounds, body, group, .. } = search.leaf;
+        let (Leaf { bounds, body, group, .. }, least) = (search.leaf, search.least);
         let node_bounds = NodeBounds::around(bounds);
         let rule_steps = search.rules.steps();
         let mut left = *search.left;
@@ -252,7 +260,7 @@ impl Tree {
             }
             left = left.saturating_sub(NODE_STEPS);
             let node = &self.nodes[at];
-            let may_have = node.highest > body && (group == 0 || node.group != group);
+            let may_have = node.highest >= least && (group == 0 || node.group != group);
             if !may_have || !node.bounds.meets(&node_bounds) {
                 at = node.next as usize;
                 continue;
@@ -261,7 +269,7 @@ impl Tree {
             let first = node.first as usize;
             for leaf in &self.leaves[first..first + node.count as usize] {
                 left = left.saturating_sub(BODY_STEPS);
-                if leaf.body > body && leaf.bounds.meets(&bounds) {
+                if leaf.body >= least && leaf.body != body && leaf.bounds.meets(&bounds) {
                     if group != 0 {
                         left = left.saturating_sub(rule_steps);
                     }

@@ -158,16 +158,16 @@ macro_rules! columns {
                 self.push_derivatives(None, outputs);
             }
 
-            /// Adds a row of an earlier answer, whose points are `points` of its points. Columns that the earlier
+            /// Adds rows of an earlier answer, whose points are `points` of its points. Columns that the earlier
             /// answer does not have stay empty.
-            pub(crate) fn push_row(&mut self, from: &Self, row: usize, points: Range<usize>) {
-                self.outcomes.push(from.outcomes[row]);
-                self.flags.push(from.flags[row]);
+            pub(crate) fn push_rows(&mut self, from: &Self, rows: Range<usize>, points: Range<usize>) {
+                $(self.$always.extend_from_slice(&from.$always[rows.clone()]);)*
                 $(if !from.$pair.is_empty() {
-                    self.$pair.extend_from_slice(&from.$pair[row * $pair_width..(row + 1) * $pair_width]);
+                    let values = rows.start * $pair_width..rows.end * $pair_width;
+                    self.$pair.extend_from_slice(&from.$pair[values]);
                 })*
                 $(if !from.$derivative.is_empty() {
-                    let values = row * $derivative_width..(row + 1) * $derivative_width;
+                    let values = rows.start * $derivative_width..rows.end * $derivative_width;
                     self.$derivative.extend_from_slice(&from.$derivative[values]);
                 })*
                 self.points += points.len();

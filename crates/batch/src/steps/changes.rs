@@ -214,6 +214,16 @@ impl Changes {
         self.changed.get(body as usize).copied().unwrap_or(false)
     }
 
+    /// The bodies that have changed, in ascending order.
+    ///
+    /// # Errors
+    /// The work was stopped.
+    pub fn bodies(&self, meter: &Meter<'_>) -> Result<Vec<u32>, Stopped> {
+        meter.spend(self.changed.len() as u64)?;
+        let changed = self.changed.iter().zip(0..);
+        Ok(changed.filter(|(changed, _)| **changed).map(|(_, body)| body).collect())
+    }
+
     /// Whether no body has changed.
     pub fn is_empty(&self) -> bool {
         self.changed.is_empty()
