@@ -96,7 +96,7 @@ impl StepAnswer {
         let leased = lease_for_stream(app, context, &scene.hull_ids).await?;
         let presence = Presence::of(&leased.hulls);
         let bodies = Bodies::new(scene.template.clone(), leased.hulls.clone(), poses.clone())?;
-        let mut broad_phase = before.as_mut().and_then(|before| before.broad_phase.take());
+        let mut broad_phase = before.as_mut().and_then(|before| before.broad_phase.take()).map(|kept| *kept);
         let mut numbers_before = None;
         match &start {
             StepStart::Inherited(_) => {}
@@ -333,7 +333,7 @@ impl StepAnswer {
             presence,
             rows,
             had_ended,
-            broad_phase,
+            broad_phase: broad_phase.map(Box::new),
         };
         let bytes = memory.bytes() as usize;
         let state = app.engine().compute_threads().defer_drop(StepState { scene, answer }, bytes);

@@ -34,7 +34,7 @@ pub(in crate::service) struct AnswerBefore {
     /// Whether the answer had pairs that ended.
     pub(super) had_ended: bool,
     /// The broad phase of a search for pairs, if there was room for it.
-    pub(super) broad_phase: Option<BroadPhase>,
+    pub(super) broad_phase: Option<Box<BroadPhase>>,
 }
 
 /// The previous message of a stream.
