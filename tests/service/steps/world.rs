@@ -133,7 +133,7 @@ impl World {
 
     /// Changes a rule or margin of some bodies, or the margin of all pairs.
     fn change_rules(&mut self) {
-        for _ in 0..1 + self.random.below(3) {
+        for _ in 0..=self.random.below(3) {
             let (body, other) = (self.random.below(self.bodies.len()), self.new_body());
             let (world, group) = (other.world, other.group);
             match self.random.below(4) {

@@ -290,9 +290,10 @@ mod tests {
     fn a_kept_broad_phase_gives_the_candidates_of_a_new_one() {
         let (compute, job) = (Compute::new(2).unwrap(), Job::new(()));
         let (mut steps, mut found, mut few, mut all) = (0, 0, 0, 0);
-        for (count, crowded) in [(60, false), (1500, false), (1200, true)] {
+        let (mut many_parts, mut too_many) = (0, 0);
+        for (count, crowded) in [(60, false), (1500, false), (1200, true), (3000, false)] {
             let mut random = Random::new(count);
-            let side = if crowded { 2.5 } else { (count as f64).cbrt() };
+            let side = if crowded { 1.5 } else { (count as f64).cbrt() };
             let place = |random: &mut Random| [0; 3].map(|_| random.within(0.0, side));
             let mut centres: Vec<[f64; 3]> = (0..count).map(|_| place(&mut random)).collect();
             let bodies = scene(&centres, false, 0.0);
@@ -306,14 +307,19 @@ mod tests {
                 }
                 let mut list = Vec::new();
                 for (body, centre) in centres.iter_mut().enumerate() {
-                    let share = if crowded { 30 } else { 5 };
+                    let share = if crowded || count == 3000 { 30 } else { 5 };
                     if random.below(100) < [0, share, 60][step % 3] {
                         *centre = match random.below(20) {
                             0 => place(&mut random),
                             1 => [f64::NAN; 3],
-                            _ => {
-                                centre.map(|x| if x.is_nan() { 0.5 } else { x + random.within(-0.05, 0.05) })
+                            _ if centre[0].is_nan() => {
+                                if crowded {
+                                    [0.5; 3]
+                                } else {
+                                    place(&mut random)
+                                }
                             }
+                            _ => centre.map(|x| x + random.within(-0.05, 0.05)),
                         };
                         list.push(body as u32);
                     } else if all_moved {
@@ -342,6 +348,9 @@ mod tests {
                 let mut expected = candidates(&mut wait(anew).unwrap(), &compute, &job).concat();
                 let list = MovedBodies::new(list, bodies.count() as u32);
                 let is_few = kept.next_body == bodies.count() as u32;
+                let may_be_few = 2 * list.list().len() <= bodies.count();
+                many_parts += usize::from(is_few && list.list().len() > FEW_BODIES);
+                too_many += usize::from(!is_few && may_be_few);
                 if is_few {
                     few += 1;
                     let pairs = expected.as_chunks::<2>().0.iter();
@@ -359,6 +368,10 @@ mod tests {
                 steps += 1;
             }
         }
-        assert!(steps == 92 && found > 100_000 && few > 20 && all > 20, "{found} {few} {all}");
+        println!(
+            "steps {steps} found {found} few {few} all {all} many_parts {many_parts} too_many {too_many}"
+        );
+        assert!(steps == 132 && found > 100_000 && few > 20 && all > 20, "{found} {few} {all}");
+        assert!(many_parts > 5 && too_many > 0, "{many_parts} {too_many}");
     }
 }
