@@ -125,6 +125,8 @@ PARAMETERS: dict[str, tuple[Callable[[Any], Callable[[Any], Any]], list[Any]]] =
     "connect.target": (lambda v: connect(target=v), [None, 1, 1.5, True, b"x", {}, [], "", ":1", "host:", "host:0", "host:65536", "host:-1", "host:x", "a b", "ftp://host", "http://", "http://a/b", "::1", "u@h:1", "unix:", [1], ["a", "unix:x"], ["http://a", "b"], object()]),
     "connect.token": (lambda v: connect(token=v), ["", " ", "\n", "a b", "a\nb", "ä", "a\0", "x" * 100_000, 1, b"x", True, [], {}]),
     "connect.tls": (lambda v: connect(tls=v), ["", "/nonexistent", "/", b"", b"x", b"-----BEGIN CERTIFICATE-----", __file__, 1, 1.5, [], {}, object()]),
+    "connect.subset": (lambda v: connect(target=["a", "b"], subset=v), [0, -1, 2**31, 1.5, True, "2", b"2", [], [2], {}, np.nan, np.inf, object()]),
+    "connect.identity": (lambda v: connect(identity=v), ["", " ", "a b", "a\n", "ä", "a\0", "x" * 201, b"x", 1, True, [], {}, object()]),
     "connect.options": (lambda v: connect(options=v), [1, 1.5, True, "x", b"x", [1], ["ab"], [("a",)], [(1, 2)], [("a", None)], [("a", 1.5)], [("a", 2**31)], object()]),
     "client.pairs_per_message": (lambda v: lambda c: setattr(c, "pairs_per_message", v), [*COUNTS, 0]),
     "serve.timeout": (lambda v: lambda _: hullcast.serve(timeout=v), TIMES),

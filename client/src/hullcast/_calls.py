@@ -11,7 +11,6 @@ import itertools
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -101,9 +100,10 @@ class Calls(Connection):
         found: _answers.Columns = {}
         for times in range(1, REGISTRATIONS + 2):
             link = yield from self._ready(deadline)
-            begin = partial(link.stream, FIND, message.data)
             try:
-                answers = yield from self._asked(link, begin, deadline)
+                answers = yield from self._asked(
+                    link, lambda to, left: to.stream(FIND, message.data, left), deadline
+                )
             except _errors.InvalidArgument as error:
                 if error.reason not in _TOO_LARGE:
                     raise
@@ -263,7 +263,7 @@ class Calls(Connection):
                     waiting.extendleft(reversed(halves_of(span, error)))
                 except _errors.Unavailable as error:
                     failed[span] += 1
-                    pause = self._pause_before(error, failed[span], deadline)
+                    pause, link = yield from self._after(error, failed[span], deadline, link)
                     if pause:
                         # The server may be busy with this client's own messages, so send fewer.
                         window = max(1, window // 2)

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from . import _arguments, _files
+from . import _arguments, _files, _subset
 from ._arguments import iterable, kind, shown
 from ._errors import InvalidArgument
 from ._grpc import grpc
@@ -94,9 +94,22 @@ class Settings:
     token: str | None = dataclasses.field(default=None, repr=False)
     timeout: float | None = 60
     options: tuple[tuple[str, Any], ...] = ()
+    #: How many servers of a list the client uses; None for the default.
+    subset: int | None = None
+    #: The client's identity, which chooses the subset; None for a random one per client.
+    identity: str | None = None
 
     @classmethod
-    def of(cls, target: Any, tls: Any, token: Any, timeout: Any, options: Any) -> Settings:
+    def of(
+        cls,
+        target: Any,
+        tls: Any,
+        token: Any,
+        timeout: Any,
+        options: Any,
+        subset: Any = None,
+        identity: Any = None,
+    ) -> Settings:
         """Makes the settings from the arguments of `connect`, and checks each argument.
 
         Raises:
@@ -142,11 +155,19 @@ class Settings:
             _token(token),
             _arguments.seconds("timeout", timeout),
             _options(options),
+            _subset.checked_size(subset, several=several),
+            _subset.checked_identity(identity),
         )
 
-    def open(self, module: Any) -> Any:
-        """Opens a channel of `grpc` or `grpc.aio`. It does not connect yet."""
-        target = address(self.target)
+    def groups(self, identity: str) -> list[Target]:
+        """The targets that a client uses, one after the other: first its subset of the servers."""
+        if isinstance(self.target, str):
+            return [self.target]
+        return list(_subset.groups(identity, self.target, self.subset))
+
+    def open(self, module: Any, group: Target | None = None) -> Any:
+        """Opens a channel of `grpc` or `grpc.aio` to one of the groups. It does not connect yet."""
+        target = address(self.target if group is None else group)
         options = channel_options(self.target, self.options)
         if self.tls is None or self.tls is False:
             return module.insecure_channel(target, options=options)

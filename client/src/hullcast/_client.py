@@ -7,7 +7,7 @@ from functools import partial
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from . import _blocking, _calls, _errors, _link, _session, _status
+from . import _blocking, _calls, _channel, _errors, _link, _session, _status
 from ._grpc import grpc
 from ._hulls import Hull, Planarity
 from ._manage import ServerInfo, StoredHull
@@ -275,8 +275,9 @@ class Client(_calls.Calls):
         """
         return self._run(self._deleting(hulls, timeout), timeout)
 
-    def _open(self) -> _link.Link:
-        return _blocking.Link(self._settings.open(grpc), self._settings.metadata)
+    def _open(self, group: _channel.Target) -> _link.Link:
+        channel = self._settings.open(grpc, group)
+        return _blocking.Link(channel, self._settings.metadata)
 
     def _run(self, steps: _link.Steps[T], timeout: float | None = None) -> T:
         try:

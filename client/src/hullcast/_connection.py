@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
-from . import _arguments, _channel, _errors, _manage, _reach
+from . import _arguments, _channel, _errors, _manage, _reach, _subset
 from ._link import Link, Steps, remaining
 from ._settled import Settled
 
@@ -40,6 +40,11 @@ _CUT_OFFS = 3
 #: two attempts, in seconds: about 15 s in all.
 _BUSY = 12
 _LONGEST_PAUSE = 2.0
+
+#: Seconds after which a client that uses servers beyond its subset tries the subset again, and
+#: within which a server of the subset must answer then.
+_RETURN_SECONDS = 30.0
+_PROBE_SECONDS = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +79,7 @@ class Connection(Settled, ABC):
         self._closed = False
         self._lock = threading.Lock()
         self._opened: tuple[Any, Link] | None = None
+        self._choose()
         _clients.add(self)
 
     @classmethod
@@ -85,6 +91,8 @@ class Connection(Settled, ABC):
         token: str | None = None,
         timeout: float | None = 60,
         options: Iterable[tuple[str, Any]] = (),
+        subset: int | None = None,
+        identity: str | None = None,
     ) -> Self:
         """Makes a client of the server at `target`. The connection is opened by the first call.
 
@@ -106,11 +114,29 @@ class Connection(Settled, ABC):
                 limit.
             options: further gRPC channel options, as (name, value) pairs. Each replaces this
                 package's own option of the same name.
+            subset: how many servers of a list of addresses this client uses, 1 or more; by default
+                8. They are chosen by a hash of the client's identity and the address, so that many
+                clients spread evenly, and a server that leaves or joins the list changes few
+                subsets. If none of them can be reached, the client uses others of the list, and
+                tries its subset again every 30 seconds. A number as large as the list uses all.
+            identity: 1 to 200 visible ASCII characters that choose the subset; by default random.
+                Clients with the same identity use the same servers. A random identity is not
+                pickled or inherited by a forked process.
 
         Raises:
             InvalidArgument: an argument is not usable; the error names it.
         """
-        return cls(_channel.Settings.of(target, tls, token, timeout, options))
+        return cls(_channel.Settings.of(target, tls, token, timeout, options, subset, identity))
+
+    def _choose(self) -> None:
+        """Chooses the client's subset of the servers. A random identity is drawn anew."""
+        identity = self._settings.identity or _subset.random_identity()
+        #: The groups of servers to use one after the other, and the number of the one in use.
+        self._groups = self._settings.groups(identity)
+        self._group = 0
+        self._return_at = 0.0
+        #: Whether a server has answered in this process and event loop.
+        self._has_worked = False
 
     @classmethod
     def _of_home(cls, home: Home) -> Self:
@@ -133,31 +159,78 @@ class Connection(Settled, ABC):
     def _ask(self, method: str, data: bytes, deadline: float | None) -> Steps[bytes]:
         """Sends one message of a unary call and returns the response."""
         link = yield from self._ready(deadline)
-        return (yield from self._asked(link, partial(link.call, method, data), deadline))
+        return (
+            yield from self._asked(link, lambda to, left: to.call(method, data, left), deadline)
+        )
 
     def _asked(
-        self, link: Link, begin: Callable[[float | None], Any], deadline: float | None
+        self, link: Link, begin: Callable[[Link, float | None], Any], deadline: float | None
     ) -> Steps[Any]:
         """Makes a call and returns its result; makes it again where a retry can help."""
         for failures in itertools.count(1):
             try:
-                return (yield begin(remaining(deadline)))
+                return (yield begin(link, remaining(deadline)))
             except _errors.Unavailable as error:
-                pause = self._pause_before(error, failures, deadline)
+                pause, link = yield from self._after(error, failures, deadline, link)
                 if pause:
                     yield link.pause(pause)
         raise AssertionError  # unreachable: `count` does not end
 
+    def _after(
+        self, error: _errors.Unavailable, failures: int, deadline: float | None, link: Link
+    ) -> Steps[tuple[float, Link]]:
+        """Returns the seconds to wait before a retry, and the channel for it.
+
+        If no server of the subset can be reached, it is the channel of other servers of the list.
+
+        Raises:
+            Unavailable: the error, because there is to be no retry.
+        """
+        try:
+            return self._pause_before(error, failures, deadline), link
+        except _errors.Unavailable:
+            # An error of gRPC itself. Each repetition uses a group that has just answered, so the
+            # limit matters only if servers come and go all the time.
+            if error.reason != "UNAVAILABLE" or not 1 < len(self._groups) >= failures:
+                raise
+        link.proven = False
+        other = yield from self._ready(deadline)
+        if not other.proven:
+            raise error
+        return 0.0, other
+
     def _ready(self, deadline: float | None) -> Steps[Link]:
         """Returns the open channel, after a server has answered on it once.
 
-        If a first call cannot succeed, it fails at once with the cause. Without this check gRPC
-        would retry for about 12 seconds, which is only right once the connection has worked.
+        If no server of the subset can be reached, the next group of servers is tried, and so on. If
+        a first call cannot succeed, it fails at once with the cause. Without this check gRPC would
+        retry for about 12 seconds, which is only right once the connection has worked.
         """
+        if self._group and time.monotonic() >= self._return_at:
+            yield from self._return(deadline)
         link = self._link()
         self._check_server()
-        if link.proven:
-            return link
+        first: _errors.Unavailable | None = None
+        for _ in self._groups:
+            if link.proven:
+                return link
+            error = yield from self._prove(link, deadline)
+            if error is None:
+                return link
+            first = first or error
+            self._leave(link)
+            link = self._link()
+        if first is not None:
+            cause = None
+            if not self._has_worked:
+                cause = yield link.run(partial(self._cause, first))
+            if cause is not None:
+                raise cause from None
+            link.trouble = first.message
+        return link  # gRPC's own retries may still reach a server
+
+    def _prove(self, link: Link, deadline: float | None) -> Steps[_errors.Unavailable | None]:
+        """Asks whether a server answers on a channel; returns the error if none can be reached."""
         seconds = remaining(deadline)
         proof = _PROOF_SECONDS if seconds is None else min(seconds, _PROOF_SECONDS)
         try:
@@ -165,19 +238,43 @@ class Connection(Settled, ABC):
             link.max_calls = _manage.max_calls(answer)
         except _errors.Unavailable as error:
             if error.reason == "UNAVAILABLE":  # from gRPC itself, not from a server
-                cause = yield link.run(partial(self._cause, error))
-                if cause is not None:
-                    raise cause from None
-                link.trouble = error.message
-                return link  # gRPC's own retries may still reach the server
+                return error
         except _errors.DeadlineExceeded:
             if seconds is not None and seconds <= proof:
                 raise
-            return link
+            return None
         except _errors.Error:
             pass  # a server has answered; the call itself will report the error
         link.proven, link.trouble = True, ""
-        return link
+        self._has_worked = True
+        return None
+
+    def _leave(self, link: Link) -> None:
+        """Goes on to the next group of servers, unless another thread has left the channel."""
+        with self._lock:
+            if len(self._groups) > 1 and self._opened is not None and self._opened[1] is link:
+                if not self._group:
+                    self._return_at = time.monotonic() + _RETURN_SECONDS
+                self._group = (self._group + 1) % len(self._groups)
+                # The channel closes when the last call and session on it have ended.
+                self._opened = None
+
+    def _return(self, deadline: float | None) -> Steps[None]:
+        """Goes back to the subset if one of its servers answers."""
+        self._return_at = time.monotonic() + _RETURN_SECONDS
+        place = self._place()
+        link = self._open(self._groups[0])
+        seconds = remaining(deadline)
+        probe = _PROBE_SECONDS if seconds is None else min(seconds, _PROBE_SECONDS)
+        try:
+            answer = yield link.call(_manage.INFO, b"", probe)
+        except _errors.Error:
+            link.shut()
+            return
+        link.proven, link.max_calls = True, _manage.max_calls(answer)
+        with self._lock:
+            if not self._closed and self._group:
+                self._group, self._opened = 0, (place, link)
 
     def _explain(self, error: _errors.DeadlineExceeded, timeout: float | None) -> None:
         """Adds the timeout to a late call's error, and why no server has answered, if known.
@@ -188,7 +285,11 @@ class Connection(Settled, ABC):
         if seconds is not None:
             within = "within the timeout"
             error.message = error.message.replace(within, f"{within} of {seconds:g} s", 1)
-        trouble = "" if self._opened is None else self._opened[1].trouble
+        opened = self._opened
+        if opened is not None and len(self._groups) > 1:
+            # Perhaps the whole subset is down: the next call asks, and goes elsewhere if it is.
+            opened[1].proven = False
+        trouble = "" if opened is None else opened[1].trouble
         if trouble and trouble not in error.message:
             error.message += f". The first attempt failed: {trouble}"
 
@@ -259,7 +360,8 @@ class Connection(Settled, ABC):
                 if opened is None or opened[0] is not place:
                     if opened is not None:
                         opened[1].abandon()
-                    opened = self._opened = (place, self._open())
+                        self._has_worked = False
+                    opened = self._opened = (place, self._open(self._groups[self._group]))
                     self._held[:] = [opened[1]]
         return opened[1]
 
@@ -268,7 +370,7 @@ class Connection(Settled, ABC):
         return None
 
     @abstractmethod
-    def _open(self) -> Link: ...
+    def _open(self, group: _channel.Target) -> Link: ...
 
     @abstractmethod
     def _run(self, steps: Steps[T], timeout: float | None = None) -> T:
@@ -322,6 +424,7 @@ def _after_fork() -> None:
         inherited.append(client._opened)
         client._opened = None
         client._held.clear()
+        client._choose()
         client._lock = threading.Lock()  # another thread of the parent may have held the old one
 
 

@@ -240,9 +240,12 @@ class Steps(Settled):
             except _errors.Unavailable as error:
                 lane.drop()
                 lane.failures += 1
-                pause = self._calls._pause_before(error, lane.failures, deadline)
+                assert lane.link is not None
+                pause, link = yield from self._calls._after(
+                    error, lane.failures, deadline, lane.link
+                )
                 if pause:
-                    yield self._calls._link().pause(pause)
+                    yield link.pause(pause)
                 waiting.append(lane)
             else:
                 lane.failures = 0

@@ -89,8 +89,8 @@ class Client(_calls.Calls):
     def _place(self) -> object:
         return asyncio.get_running_loop()
 
-    def _open(self) -> _link.Link:
-        return _Link(self._settings.open(grpc.aio), self._settings.metadata)
+    def _open(self, group: _channel.Target) -> _link.Link:
+        return _Link(self._settings.open(grpc.aio, group), self._settings.metadata)
 
     async def _drive(self, steps: _link.Steps[T], timeout: float | None) -> T:
         try:
