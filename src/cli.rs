@@ -17,6 +17,7 @@ pub(crate) mod query;
 #[cfg(test)]
 mod refusals;
 mod remote;
+pub(crate) mod replay;
 mod report;
 mod runtime;
 mod scene;

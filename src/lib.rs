@@ -8,6 +8,7 @@
 //! - [`batch`] computes many pairs, and finds pairs: the crate [`hullcast_batch`], which knows no network.
 //! - `compute` names the jobs of the service's callers; `budget` limits the memory that callers make the server hold.
 //! - `small_file` reads settings, tokens and certificates; `size` prints sizes.
+//! - `record` writes and reads records of calls.
 //! - `metrics` and `trace` report the server's activity; `log_limit` keeps callers from filling the log.
 //!
 //! [`workload`] generates pairs for load tests and benchmarks.
@@ -25,6 +26,7 @@ pub mod budget;
 pub mod compute;
 pub mod log_limit;
 pub mod metrics;
+pub mod record;
 pub mod service;
 pub mod size;
 pub mod small_file;

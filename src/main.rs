@@ -26,6 +26,8 @@ enum Command {
     Query(Box<cli::query::Args>),
     /// Sends batches in a closed or an open loop, times them and checks a sample of the answers.
     Load(Box<cli::load::Args>),
+    /// Computes recorded calls again, and names the first that differs.
+    Replay(Box<cli::replay::Args>),
     /// Removes old hulls from a store.
     Prune(cli::prune::Args),
     /// Prints a script that completes commands and options in a shell.
@@ -41,6 +43,7 @@ fn main() -> ExitCode {
         Command::Serve(args) => cli::serve::run(*args),
         Command::Query(args) => cli::query::run(&args),
         Command::Load(args) => cli::load::run(&args),
+        Command::Replay(args) => cli::replay::run(&args),
         Command::Prune(args) => cli::prune::run(&args),
         Command::Completions(args) => cli::completions::run(&args, command),
     };

@@ -106,6 +106,26 @@ impl CutReason {
     }
 }
 
+/// What became of a record of a call.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum RecordFate {
+    Written,
+    /// There was no room in the queue.
+    Dropped,
+    /// The request, or the request with its hulls, was too large.
+    TooLarge,
+    /// The file could not be written.
+    Failed,
+}
+
+/// The names of the fates, in the order of the enum.
+const RECORD_FATES: [&str; 4] = ["written", "dropped", "too_large", "failed"];
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct FateLabel {
+    fate: &'static str,
+}
+
 /// Counters, gauges and histograms of one server.
 pub struct Metrics {
     registry: Registry,
@@ -141,6 +161,9 @@ pub struct Metrics {
     pub(crate) deleted: Counter,
     pub(crate) quarantined: Counter,
     pub(crate) store_errors: Counter,
+    records: [Counter; RECORD_FATES.len()],
+    pub(crate) record_bytes: Gauge,
+    pub(crate) record_queue_bytes: Gauge,
     pub(crate) ready: Gauge,
     resident_bytes: Gauge,
 }
@@ -166,6 +189,8 @@ impl Default for Metrics {
         let sheds = add::<Family<ReasonLabel, Counter>>(r, "sheds", help);
         let help = "Calls cut although their answer was ready, by reason";
         let cuts = add::<Family<ReasonLabel, Counter>>(r, "cuts", help);
+        let help = "Calls that were to be recorded, by what became of the record";
+        let records = add::<Family<FateLabel, Counter>>(r, "records", help);
         let request_seconds: Family<MethodLabel, Histogram, fn() -> Histogram> =
             Family::new_with_constructor(seconds);
         r.register("request_seconds", "From a call's headers to its end", request_seconds.clone());
@@ -222,6 +247,9 @@ impl Default for Metrics {
             deleted: add(r, "deleted", "Hulls deleted"),
             quarantined: add(r, "quarantined", "Blobs set aside: not what their name says"),
             store_errors: add(r, "store_errors", "Reads and writes of the store that failed"),
+            records: RECORD_FATES.map(|fate| records.get_or_create(&FateLabel { fate }).clone()),
+            record_bytes: add(r, "record_bytes", "Bytes of the files of records"),
+            record_queue_bytes: add(r, "record_queue_bytes", "Memory of records that are not written yet"),
             ready: add(r, "ready", "1 while new calls are welcome"),
             resident_bytes: add(r, "resident_bytes", "Memory of the process"),
             registry,
@@ -298,6 +326,11 @@ impl Metrics {
         if largest > self.largest_steps_between_looks.get() {
             self.largest_steps_between_looks.set(largest);
         }
+    }
+
+    /// Counts a record.
+    pub(crate) fn recorded(&self, fate: RecordFate) {
+        self.records[fate as usize].inc();
     }
 
     /// Counts a refusal for lack of room.

@@ -35,6 +35,7 @@ mod protocol;
 mod read_turn;
 mod readiness;
 mod reason;
+mod recording;
 mod records;
 mod request_body;
 mod scene;
@@ -67,6 +68,7 @@ pub use listener::Listener;
 pub use origin::Origin;
 pub use readiness::Readiness;
 pub use reason::{HullReason, Reason};
+pub use recording::record;
 pub use security::{LoadError, Security, SecurityFiles};
 #[cfg(feature = "testing")]
 pub use server::handlers;

@@ -11,6 +11,8 @@ use serde_json::Value;
 mod failures;
 #[path = "cli/limited.rs"]
 mod limited;
+#[path = "cli/recorded.rs"]
+mod recorded;
 #[path = "cli/secured.rs"]
 mod secured;
 #[path = "cli/serving.rs"]

@@ -8,7 +8,7 @@ use super::exit;
 use super::settings::PartialSettings;
 
 /// The settings of the server by the subjects under which the help lists them.
-const SUBJECTS: [(&str, &[&str]); 5] = [
+const SUBJECTS: [(&str, &[&str]); 6] = [
     (
         "Addresses and store",
         &[
@@ -37,6 +37,10 @@ const SUBJECTS: [(&str, &[&str]); 5] = [
     ),
     ("Stopping", &["grace_seconds", "drain_seconds", "max_connection_age_seconds", "probe_seconds"]),
     ("Logs and traces", &["log", "log_format", "otlp_endpoint", "otlp_share"]),
+    (
+        "Records of calls",
+        &["record", "record_bytes", "record_share", "record_slow_seconds", "record_failed", "record_flagged"],
+    ),
     (
         "Limits",
         &[

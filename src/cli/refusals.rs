@@ -81,7 +81,7 @@ const RANGES: [Case; 2] = [
         "numbers above 0, end at least start",
     ),
 ];
-const OF_SERVE: [Case; 41] = [
+const OF_SERVE: [Case; 46] = [
     ("store", &[""], "expected a directory, file://PATH, memory://"),
     ("listen", &NO_ADDRESSES, "expected host:port with a port from 0 to 65535"),
     ("admin-listen", &NO_ADDRESSES, "expected host:port with a port from 0 to 65535"),
@@ -107,6 +107,11 @@ const OF_SERVE: [Case; 41] = [
     ("message-seconds", &["0", "0.0009"], "expected a number from 0.001 to 1000000000"),
     ("answer-seconds", &["0", "0.0009"], "expected a number from 0.001 to 1000000000"),
     ("otlp-share", &["1.1", "inf"], "expected a number from 0 to 1"),
+    ("record-bytes", &["0", "1048575", "1025TiB", "1MB"], "expected 1 MiB to 1024 TiB (a number of bytes"),
+    ("record-share", &["1.1", "inf"], "expected a number from 0 to 1"),
+    ("record-slow-seconds", &["1e10", "inf"], "expected a number from 0 to 1000000000"),
+    ("record-failed", &NO_SWITCHES, "[possible values: true, false]"),
+    ("record-flagged", &NO_SWITCHES, "[possible values: true, false]"),
     ("max-message-bytes", &["1023", "2147483649", "3GiB"], "expected 1 KiB to 2 GiB (a number of bytes, or"),
     ("max-pairs-per-request", &["0", "4294967296"], "expected a whole number from 1 to 4294967295"),
     ("max-bodies-per-request", &["0", "4294967296"], "expected a whole number from 1 to 4294967295"),
@@ -133,21 +138,35 @@ const OF_PRUNE: [Case; 1] = [(
     &["d", "30", "1.5h", "30 d", "1w", "99999999999999999999d", "9999999999999999999d", "1d1h"],
     "expected a whole number of at least 0 and its unit, s, m, h or d, as in 30d",
 )];
+const OF_REPLAY: [Case; 1] = [("threads", &["4097"], "expected a whole number from 0 to 4096")];
 const OF_REMOTE: [Case; 1] =
     [("remote", &NO_SERVERS, "expected host, host:port, unix:PATH, http://host:port or")];
 
 /// Options whose values are names, files and folders: tests/cli.rs runs the binary with wrong ones.
-const NAMES_AND_FILES: [(&str, &[&str]); 4] = [
-    ("serve", &["config", "tls-certificate", "tls-key", "tls-client-ca", "query-tokens", "register-tokens"]),
+const NAMES_AND_FILES: [(&str, &[&str]); 5] = [
+    (
+        "serve",
+        &[
+            "config",
+            "tls-certificate",
+            "tls-key",
+            "tls-client-ca",
+            "query-tokens",
+            "register-tokens",
+            "record",
+        ],
+    ),
     ("query", &["frame", "out", "tls-ca", "tls-certificate", "tls-key", "token-file"]),
     ("load", &["scene", "csv", "plot", "tls-ca", "tls-certificate", "tls-key", "token-file"]),
     ("prune", &["store"]),
+    ("replay", &["tls-ca", "tls-certificate", "tls-key", "token-file"]),
 ];
 
 /// The arguments that a subcommand requires.
 fn needed(subcommand: &str) -> &'static [&'static str] {
     match subcommand {
         "query" => &["scene.json"],
+        "replay" => &["records"],
         "prune" => &["--store", "s", "--older-than", "1d"],
         _ => &[],
     }
@@ -159,6 +178,7 @@ fn cases(subcommand: &str) -> Vec<Case> {
         "load" => [&OF_ANY_QUERY[..], &OF_LOAD, &RANGES, &OF_REMOTE].concat(),
         "serve" => OF_SERVE.to_vec(),
         "prune" => OF_PRUNE.to_vec(),
+        "replay" => [&OF_REPLAY[..], &OF_REMOTE].concat(),
         other => panic!("{other} has no cases"),
     }
 }

@@ -9,7 +9,7 @@ use std::{
 };
 
 use hullcast::{
-    service::{App, Listener, Security, StartError, run as serve, serve_admin},
+    service::{self, App, Listener, Security, StartError, run as serve, serve_admin},
     store::blobs::{self, StoreOpenError},
 };
 use tokio::{
@@ -57,6 +57,9 @@ const BLOCKING_THREADS: usize = 8;
 /// The time that this work has to end after serving. The store's threads are not waited for.
 const RUNTIME_SHUTDOWN: Duration = Duration::from_secs(1);
 
+/// The time for the last records to be written when the server stops.
+const RECORDS_FLUSH: Duration = Duration::from_secs(5);
+
 /// Runs `hullcast serve`.
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     let file = args.config.as_deref().map(PartialSettings::read).transpose()?.unwrap_or_default();
@@ -99,7 +102,7 @@ async fn until_stopped(
     checked: CheckedSettings,
     args: &Args,
 ) -> Result<StopKind, Error> {
-    let CheckedSettings { options, limits, grace } = checked;
+    let CheckedSettings { mut options, limits, grace, record } = checked;
     let store = blobs::open(&settings.store).map_err(|error| match error {
         StoreOpenError::Threads(why) => Exit::Failed.error(runtime::refused(&why)),
         error @ StoreOpenError::Store(_) => Exit::Usage.error(format!("--{error}")),
@@ -109,6 +112,14 @@ async fn until_stopped(
         error => error.into(),
     })?;
     let app = Arc::new(app);
+    if let Some(record) = record {
+        let name = format!("{} {}", settings.shown("record"), record.directory.display());
+        let recorder = service::record(&app, record, Handle::current());
+        let recorder =
+            recorder.map_err(|error| Exit::Usage.error(format!("{name}: cannot be used: {error}")))?;
+        options.recorder = Some(recorder);
+    }
+    let recorder = options.recorder.clone();
     #[cfg(feature = "testing")]
     app.engine().test_controls().delay(Duration::from_micros(args.inject_pair_delay_us));
     // Installed before the address is printed: a reader of the address may stop the server at once.
@@ -139,6 +150,10 @@ async fn until_stopped(
     tokio::select! {
         served = serve(listeners, app, options, shutdown) => {
             served?;
+            if let Some(recorder) = recorder {
+                // The last records may wait for the store and the disk, which must not be waited for without end.
+                tokio::task::block_in_place(|| recorder.flush(RECORDS_FLUSH));
+            }
             Ok(StopKind::Drained)
         }
         Ok(()) = told_again => {

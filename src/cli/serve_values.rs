@@ -52,6 +52,20 @@ pub(crate) fn size(name: &'static str) -> impl Fn(&str) -> Result<MemorySize, St
     }
 }
 
+/// The least and the most bytes of a directory of records.
+pub(crate) const RECORD_BYTES: (u64, u64) = (1 << 20, 1 << 50);
+
+/// The size of a directory of records.
+///
+/// # Errors
+/// It is no size, or out of its range.
+pub(crate) fn record_size(text: &str) -> Result<ByteSize, String> {
+    let size: Option<ByteSize> = text.parse().ok();
+    size.filter(|ByteSize(bytes)| (RECORD_BYTES.0..=RECORD_BYTES.1).contains(bytes)).ok_or_else(|| {
+        "expected 1 MiB to 1024 TiB (a number of bytes, or with KiB, MiB, GiB or TiB)".to_owned()
+    })
+}
+
 /// Where hulls are kept.
 ///
 /// # Errors

@@ -5,7 +5,10 @@
 
 use std::{
     collections::VecDeque,
-    sync::{Arc, Mutex},
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicBool, Ordering},
+    },
     time::Duration,
 };
 
@@ -21,8 +24,12 @@ use crate::{
     compute::Job,
     lock::locked,
     metrics::{Metrics, Shed},
+    proto,
     store::{HullId, Lease},
 };
+
+/// The flags of a pair that is not certified.
+const UNCERTIFIED: u8 = proto::Flag::Estimated as u8 | proto::Flag::GapOpen as u8;
 
 /// The state of one call. Clones belong to the same call.
 #[derive(Clone, Debug)]
@@ -43,6 +50,10 @@ struct CallState {
     answers: Mutex<VecDeque<EncodedAnswer>>,
     /// The hulls of the latest message of a stream.
     leased: Mutex<Option<LeasedHulls>>,
+    /// Whether the call may be recorded. Otherwise flags are not looked at.
+    is_on_tape: AtomicBool,
+    /// Whether a pair of the call is not certified.
+    is_flagged: AtomicBool,
 }
 
 /// The hulls of a message, all found.
@@ -150,6 +161,24 @@ impl CallContext {
     pub(super) fn release_hulls(&self) {
         let released = locked(&self.state.leased).take();
         drop(released);
+    }
+
+    /// Notes that the call may be recorded.
+    pub(super) fn on_tape(&self) {
+        self.state.is_on_tape.store(true, Ordering::Relaxed);
+    }
+
+    /// Remembers for the call's record whether any of these flags says that a pair is not certified.
+    pub(super) fn note_flags(&self, flags: &[u8]) {
+        let is_on_tape = self.state.is_on_tape.load(Ordering::Relaxed);
+        if is_on_tape && flags.iter().any(|flags| flags & UNCERTIFIED != 0) {
+            self.state.is_flagged.store(true, Ordering::Relaxed);
+        }
+    }
+
+    /// Whether a pair of the call is not certified.
+    pub(super) fn is_flagged(&self) -> bool {
+        self.state.is_flagged.load(Ordering::Relaxed)
     }
 
     /// A permit that holds nothing yet, for the state that a stream keeps between messages.

@@ -107,6 +107,7 @@ impl FindCall {
         let batch = self.search.0.batch(candidates.to_vec());
         let memory = self.context.take(&self.app, Part::Answers, 0)?;
         let (columns, memory) = engine.compute(batch, None, admission, job, memory).await?;
+        self.context.note_flags(&columns.flags);
         if columns.is_empty() {
             return Ok(None);
         }

@@ -32,6 +32,7 @@ use super::{
     peers::Peer,
     protocol,
     reason::Reason,
+    recording::{self, RecordedRequest},
     request_body::{MessageBody, MessageRules},
     sizes::{CALL_BYTES, HEADER_RECORD_BYTES},
     wire,
@@ -196,9 +197,13 @@ where
             request.extensions_mut().insert(Deadline(at));
         }
         let rules = self.message_rules(method);
+        let tape = self.options.recorder.as_ref().and_then(|recorder| recording::tape(recorder, method));
+        if tape.is_some() {
+            context.on_tape();
+        }
         let body = {
-            let (app, context) = (self.app.clone(), context.clone());
-            |body| MessageBody::new(body, app, context, rules)
+            let (app, context, tape) = (self.app.clone(), context.clone(), tape.clone());
+            |body| MessageBody::new(RecordedRequest::new(body, tape), app, context, rules)
         };
         let answer = self.routes.call(request.map(body));
         let responded = async move {
@@ -210,7 +215,11 @@ where
                     Err(_) => Status::from(ServiceError::deadline_exceeded()).into_http(),
                 },
             };
-            Ok(answered(call, completed(response), context, times))
+            let response = completed(response);
+            let Some(tape) = tape else { return Ok(answered(call, response, context, times)) };
+            let status = Status::from_header_map(response.headers());
+            let response = answered(call, response, context.clone(), times);
+            Ok(recording::recorded(response, tape, context, status))
         };
         // Both spans are entered: traced work takes its parent from the entered spans, even if nothing is
         // logged.

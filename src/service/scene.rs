@@ -41,6 +41,7 @@ pub(super) async fn answer(
     let Assembled { batch, lease, missing_hulls, invalid_bodies } = assemble(app, context, scene).await?;
     let memory = context.covered(Part::Answers);
     let (columns, memory) = app.engine().compute(batch, Some(lease), admission, job, memory).await?;
+    context.note_flags(&columns.flags);
     debug_assert_eq!(columns.len(), pairs);
     if let Some(started) = started {
         log_answered(request_id, bodies, &columns, outputs, &missing_hulls, &invalid_bodies, started);

@@ -15,6 +15,7 @@ use super::{
 use crate::{
     log_limit::limited,
     proto::{self, contact_service_server, hull_service_server, server_service_server},
+    record::Recorder,
     store::StoreError,
 };
 
@@ -45,6 +46,8 @@ pub struct ServerOptions {
     pub answer_time: Duration,
     /// The addresses of proxies: each of their connections is a separate caller.
     pub trusted_proxies: Vec<IpAddr>,
+    /// Records calls; `None` records nothing.
+    pub recorder: Option<Arc<Recorder>>,
     /// Whether to serve the page that shows contacts, and gRPC-web with it; only with the feature
     /// `playground`.
     #[cfg(feature = "playground")]
@@ -81,6 +84,7 @@ impl Default for ServerOptions {
             message_time: Duration::from_secs(30),
             answer_time: Duration::from_secs(30),
             trusted_proxies: Vec::new(),
+            recorder: None,
             #[cfg(feature = "playground")]
             playground: false,
             #[cfg(feature = "grpc-web")]

@@ -79,6 +79,10 @@ impl Client {
         &self.connection.address
     }
 
+    pub(crate) fn service(&self) -> Service {
+        self.connection.service.clone()
+    }
+
     /// Whether calls that fail are repeated.
     pub(crate) fn retries(&self) -> bool {
         self.connection.retries

@@ -84,6 +84,7 @@ mod hull;
 mod matches;
 mod pairs;
 mod query;
+mod raw;
 mod reach;
 mod registry;
 mod scene;

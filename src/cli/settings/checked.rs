@@ -2,7 +2,10 @@
 
 use std::{net::IpAddr, sync::Arc, time::Duration};
 
-use hullcast::service::{Limits, LoadError, Security, SecurityFiles, ServerOptions};
+use hullcast::{
+    record::RecordOptions,
+    service::{Limits, LoadError, Security, SecurityFiles, ServerOptions},
+};
 
 use super::declared::{LONGEST, MOST_THREADS, NAMES, SHORTEST_LOOP, SHORTEST_TIME, Settings, Switch};
 use crate::cli::{
@@ -20,6 +23,8 @@ pub(crate) struct CheckedSettings {
     pub(crate) limits: Limits,
     /// The time for which a server that stops still accepts calls, while health reports NOT_SERVING.
     pub(crate) grace: Duration,
+    /// The calls to record; `None` if no directory is set.
+    pub(crate) record: Option<RecordOptions>,
 }
 
 impl Settings {
@@ -36,7 +41,30 @@ impl Settings {
         if let Some(fault) = limits.contradiction() {
             return Err(Exit::Usage.error(self.shown_in(&fault)));
         }
-        Ok(CheckedSettings { options: self.options()?, limits, grace: self.grace()? })
+        let (options, grace, record) = (self.options()?, self.grace()?, self.record()?);
+        Ok(CheckedSettings { options, limits, grace, record })
+    }
+
+    /// The calls to record.
+    ///
+    /// # Errors
+    /// A value is outside its range.
+    fn record(&self) -> Result<Option<RecordOptions>, Error> {
+        let slow = self.seconds("record_slow_seconds", self.record_slow_seconds, 0.0)?;
+        let share = self.record_share;
+        if !(0.0..=1.0).contains(&share) {
+            let name = self.shown("record_share");
+            return Err(Exit::Usage.error(format!("{name} is {share}, must be 0 to 1")));
+        }
+        let options = RecordOptions {
+            directory: self.record.clone(),
+            max_bytes: self.record_bytes.0,
+            share,
+            slow: Some(slow).filter(|slow| !slow.is_zero()),
+            failed: self.record_failed,
+            flagged: self.record_flagged,
+        };
+        Ok(Some(options).filter(|options| !options.directory.as_os_str().is_empty()))
     }
 
     /// The name of a setting as the user knows it: its key if the file gives its value, otherwise its flag.

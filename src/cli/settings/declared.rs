@@ -13,7 +13,8 @@ use serde::Serialize;
 use crate::cli::{
     memory::MemorySize,
     serve_values::{
-        admin_address, bytes, collector, limit, listen_address, log_filter, proxy, size, store_url,
+        admin_address, bytes, collector, limit, listen_address, log_filter, proxy, record_size, size,
+        store_url,
     },
     values::{count, number},
 };
@@ -156,6 +157,24 @@ settings! {
     /// Fraction of calls that are traced, 0 to 1, if the caller does not decide it
     otlp_share: f64 = |_: &Limits| 1.0, "HULLCAST_OTLP_SHARE", "SHARE"
         [value_parser = number(0.0, 1.0)];
+    /// Directory that receives records of calls, for hullcast replay; empty means no records (docs/records.md)
+    record: PathBuf = |_: &Limits| PathBuf::new(), "HULLCAST_RECORD", "DIR";
+    /// Most bytes of the records; the oldest make room for new ones
+    record_bytes: ByteSize = |_: &Limits| ByteSize(1 << 30), "HULLCAST_RECORD_BYTES", "SIZE"
+        [value_parser = record_size];
+    /// Fraction of calls that are recorded, 0 to 1
+    record_share: f64 = |_: &Limits| 0.01, "HULLCAST_RECORD_SHARE", "SHARE"
+        [value_parser = number(0.0, 1.0)];
+    /// Calls of this many seconds or more are recorded too, except for streams; 0 means that the time does not
+    /// matter
+    record_slow_seconds: f64 = |_: &Limits| 0.0, "HULLCAST_RECORD_SLOW_SECONDS", "S"
+        [value_parser = number(0.0, LONGEST)];
+    /// Record calls that end with an error too
+    record_failed: bool = |_: &Limits| false, "HULLCAST_RECORD_FAILED", "BOOL"
+        [num_args = 0..=1, default_missing_value = "true"];
+    /// Record calls with a pair that is flagged as estimated or as having an open gap too
+    record_flagged: bool = |_: &Limits| false, "HULLCAST_RECORD_FLAGGED", "BOOL"
+        [num_args = 0..=1, default_missing_value = "true"];
     /// Level of the log: error, warn, info, debug (every request), trace or off; or a filter such as
     /// debug,h2=debug. A level without a filter leaves out the frames that the HTTP/2 library logs
     log: String = |_: &Limits| "info".into(), "HULLCAST_LOG", "FILTER"

@@ -142,7 +142,9 @@ impl FindStep {
         let mut batch = Batch::of_step(self.answer.bodies.clone(), pairs, self.answer.step.clone());
         batch.keep_for_steps();
         let memory = context.take(app, Part::Answers, 0)?;
-        app.engine().compute(batch, None, admission, &context.job, memory).await
+        let (columns, memory) = app.engine().compute(batch, None, admission, &context.job, memory).await?;
+        context.note_flags(&columns.flags);
+        Ok((columns, memory))
     }
 
     /// The next pairs to be computed together, or `None` if there are no more.

@@ -32,6 +32,7 @@ pub(in crate::service) async fn answer_named(
     let memory = context.covered(Part::Answers);
     let lease = Some(answer.lease.clone());
     let (columns, memory) = app.engine().compute(batch, lease, admission, &context.job, memory).await?;
+    context.note_flags(&columns.flags);
     if let Some(started) = started {
         let (outputs, bodies) = (answer.scene.template.outputs(), answer.bodies.count());
         let (hulls, invalid) = (&answer.missing_hulls, &answer.scene.invalid_bodies);
