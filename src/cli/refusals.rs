@@ -33,8 +33,7 @@ const NO_PROXIES: [&str; 10] =
 const NO_SERVERS: [&str; 10] =
     ["", ":1", "host:", "host:0", "host:65536", "host:x", "ftp://host", "http://a/b", "::1", "a b"];
 
-const OUTPUTS: &str =
-    "[possible values: outcome, alpha, normal, points, witness-b, features, bases, diagnostics]";
+const OUTPUTS: &str = "[possible values: outcome, alpha, normal, points, witness-b, features, bases, diagnostics, alpha-gradient, separation-gradient, normal-jacobian]";
 const SIZE: &str = "to 1024 TiB (a number of bytes, or with KiB, MiB, GiB or TiB), or a percentage of the memory above 0% and up to 100%";
 
 /// An option, its values that have the right type but are outside the range, and the text about the

@@ -122,10 +122,10 @@ impl Finder {
     /// moved.
     pub fn kept_bytes(bodies: &Bodies, moved: usize) -> usize {
         let count = bodies.count();
+        // The keys of the pairs, a copy while they are sorted, and the candidates with a copy.
+        let pairs = MOST_MOVED_PAIRS.min(moved.saturating_mul(count)) * 4 * size_of::<u64>();
         // The list of the moved bodies may be there twice, as indices and as new bounds.
         let moved = MovedBodies::bytes(moved, count) + moved * size_of::<u32>();
-        // The keys of the pairs, a copy while they are sorted, and the candidates with a copy.
-        let pairs = MOST_MOVED_PAIRS.min(count.saturating_mul(count) / 2) * 4 * size_of::<u64>();
         // An update takes no more than a broad phase that is built anew: the loose bodies are at most half of all.
         Self::bytes(bodies) + moved + pairs
     }
