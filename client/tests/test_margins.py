@@ -179,8 +179,12 @@ def test_steps_with_motions_are_fresh_calls(client, find):
             scene = hullcast.Scene(
                 scene.hull_ids, positions, scene.rotations[new], body_hulls=scene.body_hulls[new]
             )
-            motion = {k: given[k][new] if k in given else None for k in motion}
-            m = session.update(scene, previous=[*keep, -1, -1], time_step=h, **motion)
+            stayed = {k: None if v is None else v[new] for k, v in motion.items()}
+            for column in filter(lambda v: v is not None, stayed.values()):
+                column[-2:] = 0
+            given = {k: v[new] for k, v in given.items()}
+            m = session.update(scene, previous=[*keep, -1, -1], time_step=h, **given)
+            motion = stayed | given
         else:
             motion |= given
             m = session.step(scene.positions, scene.rotations, time_step=h, **given)

@@ -366,9 +366,10 @@ class Session(_session.Steps):
                 bodies, and the client compares them with the last ones to find out which bodies
                 moved; with hundreds of thousands of bodies, naming them saves some milliseconds.
             linear_velocities, angular_velocities, turning_points: as in `find`, of all bodies or,
-                with `moved`, (k, 3) of the bodies that it names. They stay until a step or an
-                update gives others; at first they are 0.
-            time_step: as in `find`. It holds for this step only: without it nothing moves.
+                with `moved`, (k, 3) of the bodies that it names. They hold for the following steps
+                until others are given; at first they are 0.
+            time_step: as in `find`. It holds for this step only: without it the velocities do not
+                enlarge the margins.
             timeout: seconds for this step; by default the client's timeout.
 
         Returns:
@@ -412,7 +413,8 @@ class Session(_session.Steps):
                 changed is a new one. Without `previous` all bodies are new, and the session begins
                 anew.
             linear_velocities, angular_velocities, time_step, turning_points: as in `find`, of all
-                bodies of this scene.
+                bodies of this scene. Without new ones, the bodies that stayed keep theirs, and new
+                bodies have 0.
             timeout: seconds for this step; by default the client's timeout.
 
         Returns:

@@ -60,7 +60,7 @@ class Motion:
         time_step: float = 0.0,
         turning_points: Any = None,
     ) -> Motion:
-        """The motion of `count` bodies from the arguments of a call; (count, 3), or None.
+        """Checks the arguments of a call for `count` bodies. Each is None or of shape (count, 3).
 
         Raises:
             InvalidArgument: an argument has a wrong shape or type, or is out of its range. A number
@@ -79,9 +79,9 @@ class Motion:
         return cls(columns, _arguments.number("time_step", time_step, 0, LARGEST))
 
     def over(self, before: Motion, count: int, bodies: Indices | None = None) -> Motion:
-        """The motion of a step with `count` bodies: `before`, but this motion for `bodies`.
+        """The motion `before` of `count` bodies, with the columns of this one put in for `bodies`.
 
-        The time step is this one's, because it holds for one step. None for all bodies.
+        None means all bodies. The time step is this motion's, because it holds for one step.
         """
         columns = dict(before.columns)
         for name, column in self.columns.items():
@@ -92,8 +92,21 @@ class Motion:
             columns[name] = whole
         return Motion(columns, self.time_step)
 
+    def renumbered(self, previous: npt.NDArray[np.int64]) -> Motion:
+        """The motion of other bodies: for each its index among these bodies, or -1 for a new one.
+
+        New bodies do not move, and turn about the origins of their frames.
+        """
+        is_new = previous < 0
+        columns: dict[str, Floats] = {}
+        for name, column in self.columns.items():
+            columns[name] = np.where(
+                is_new[:, None], 0.0, np.vstack([column, np.zeros(3)])[previous]
+            )
+        return Motion(columns)
+
     def changes(self, since: Motion) -> npt.NDArray[np.bool_] | None:
-        """(bodies,): which bodies have numbers with other bits than in `since`; None for none."""
+        """(bodies,): which bodies have numbers with other bits than in `since`; None if no body."""
         changed: npt.NDArray[np.bool_] | None = None
         for name, column in self.columns.items():
             old = since.columns.get(name)

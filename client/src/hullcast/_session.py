@@ -59,6 +59,8 @@ class Steps(Settled):
         #: The number of bodies of the last scene that was answered, which `update` refers to. So an
         #: update that failed can be repeated.
         self._answered = len(self._query.scene)
+        #: The motion of the bodies of that scene.
+        self._motion = self._query.motion
         self._closed = False
         #: Locked while a step is under way.
         self._step = threading.Lock()
@@ -125,7 +127,9 @@ class Steps(Settled):
             before = self._answered
             of = f"the scene of the step before has {counted(before, 'body', 'bodies')}"
             numbers = _arrays.rows("previous", previous, len(scene), before, of)
-        return Step(scene, previous=numbers, motion=Motion.checked(len(scene), **motion))
+        given = Motion.checked(len(scene), **motion)
+        stayed = Motion() if numbers is None else self._motion.renumbered(numbers)
+        return Step(scene, previous=numbers, motion=given.over(stayed, len(scene)))
 
     def _alone(self, make: Callable[[], Step], timeout: float | None) -> _link.Steps[Manifolds]:
         """Makes a step, unless another one is under way."""
@@ -171,7 +175,7 @@ class Steps(Settled):
                 lane.drop()
             raise
         columns = self._whole()
-        self._answered = len(query.scene)
+        self._answered, self._motion = len(query.scene), query.motion
         query.start_from(columns)
         restarted = any(lane.restarted for lane in self._lanes)
         return query.delivered(columns, restarted=restarted)

@@ -201,7 +201,7 @@ mod tests {
             assert_eq!(packed.map(|field| field.number() as u32).collect::<Vec<_>>(), tags, "{name}");
             checked += tags.len();
         }
-        assert_eq!(checked, 14 + 21);
+        assert_eq!(checked, 14 + 25);
     }
 
     /// Catches bytes that prost reads differently from the written message, a length that differs from the
