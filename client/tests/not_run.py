@@ -15,6 +15,8 @@ BLOCKS = [
     ("docs/budget.md", "max_memory_bytes + cache_bytes", "a formula"),
     ("docs/cluster.md", "seriesQuery", "needs Kubernetes and a Prometheus adapter; the metrics in it are checked"),
     ("docs/cluster.md", "#SBATCH", "needs Slurm; test_deploy_files.py runs it with a stand-in for srun"),
+    ("docs/cluster.md", "subset=3", "needs a list of running servers: test_subset.py connects to such"),
+    ("docs/records.md", "message Entry", "a format: the tests of src/record read and write such files"),
     ("docs/identity.md", '"name": "tetrahedron"', "data: test_identity.py and the clients in other languages hold it"),
     ("docs/languages.md", "falsified cases noticed", "output of `make test-languages`, which has times in it"),
     ("docs/languages.md", "cd examples/go", "`make test-languages` does the same; test_blocks.py compares"),

@@ -256,6 +256,38 @@ def test_hulls_that_are_missing(client):
         assert len(session.step(positions, scene.rotations)) == 2
 
 
+def test_pairs_end_when_the_last_bodies_go(client):
+    """Catches pairs that end unseen, because the message after them has no bodies.
+
+    A server that permits few bodies makes a session of several streams, each with some worlds.
+    """
+    with Server("memory://", "--max-bodies-per-request", "4") as small:
+        for target in (client.target, small.address):
+            with hullcast.connect(target, options=NO_PROXY) as other:
+                hull = other.register([CUBE])[0]
+
+                def scene(worlds: int, hull: hullcast.Hull = hull) -> hullcast.Scene:
+                    positions = np.array([[0, 0, 0], [0.5, 0, 0]] * worlds).reshape(-1, 3)
+                    turns = np.tile([0, 0, 0, 1], (2 * worlds, 1))
+                    of_hulls = [0] * (2 * worlds)
+                    world = np.repeat(np.arange(worlds), 2)
+                    return hullcast.Scene(
+                        [hull], positions, turns, body_hulls=of_hulls, worlds=world
+                    )
+
+                whole = scene(3)
+                with other.session(whole, find=True, outputs=OUTPUTS) as session:
+                    session.step(whole.positions, whole.rotations)
+                    found = session.update(scene(2), previous=[0, 1, 2, 3])
+                    assert found.previous_pairs.tolist() == [0, 1]
+                    assert found.ended_pairs.tolist() == [[4, 5]]
+                    found = session.update(scene(0), previous=[])
+                    assert found.ended_pairs.tolist() == [[0, 1], [2, 3]]
+                    found = session.update(whole, previous=[-1] * 6)
+                    assert (found.previous_pairs == -1).all()
+                    assert len(found.ended_pairs) == 0
+
+
 def test_an_unusable_pose_stays_until_it_is_sent_again(client):
     """Catches a body that becomes usable by itself, or whose pose is not sent again."""
     hulls = client.register([CUBE] * 2)

@@ -238,6 +238,16 @@ def test_wrong_motions_of_a_step_are_refused(client):
         assert (unusable.value.field, unusable.value.index) == ("linear_velocities", 1)
         assert len(session.step(*whole, linear_velocities=fast, time_step=0.1)) == 1
 
+        # A step that fails keeps its velocities for the step and for the update after it.
+        still = np.zeros((2, 3))
+        with pytest.raises(hullcast.DeadlineExceeded):
+            session.step(*whole, linear_velocities=still, time_step=0.1, timeout=1e-9)
+        assert len(session.update(scene, previous=[0, 1], time_step=0.1)) == 0
+        assert (
+            len(session.update(scene, previous=[0, 1], linear_velocities=fast, time_step=0.1)) == 1
+        )
+        assert len(session.update(scene, previous=[0, 1], time_step=0.1)) == 1
+
     async def steps(target: str) -> list[int]:
         async with (
             hullcast.aio.connect(target, options=NO_PROXY) as other,

@@ -132,6 +132,10 @@ class Lane(ABC):
             if before is not None and before.bodies is not None:
                 self.columns["ended_pairs"] = before.bodies[ended]
             count = len(query.scene) if message.bodies is None else len(message.bodies)
+            if count == 0 and live is not None:
+                # A message without bodies cannot refer to the one before, so its answer has no
+                # ended pairs.
+                self.columns["ended_pairs"] = live.pairs[live.rows]
             self._live = _matches.Live.of(self.columns, count)
 
     @abstractmethod

@@ -59,7 +59,8 @@ class Steps(Settled):
         #: The number of bodies of the last scene that was answered, which `update` refers to. So an
         #: update that failed can be repeated.
         self._answered = len(self._query.scene)
-        #: The motion of the bodies of that scene.
+        #: A scene with these bodies, and their last motion.
+        self._answered_scene = self._query.scene
         self._motion = self._query.motion
         self._closed = False
         #: Locked while a step is under way.
@@ -154,6 +155,9 @@ class Steps(Settled):
         if step.since is None:
             query.replace(step.scene, step.motion)
         else:
+            if step.since is self._answered_scene:
+                # A step that fails keeps its velocities, as it keeps its poses.
+                self._motion, self._answered_scene = step.motion, step.scene
             query.scene, query.motion = step.scene, step.motion
         yield from self._calls._ready(deadline)
         try:
@@ -175,7 +179,8 @@ class Steps(Settled):
                 lane.drop()
             raise
         columns = self._whole()
-        self._answered, self._motion = len(query.scene), query.motion
+        self._answered, self._answered_scene = len(query.scene), query.scene
+        self._motion = query.motion
         query.start_from(columns)
         restarted = any(lane.restarted for lane in self._lanes)
         return query.delivered(columns, restarted=restarted)
