@@ -42,7 +42,7 @@ const SESSION_PAIRS: u32 = 64;
 /// after the time that the server states (RetryInfo), up to `--retries` times. If a server or its
 /// connection is lost, its batch is sent again to the next server. Answers are compared bit for bit with
 /// those of the library, which this process calls for one pair at a time. With `--session`, each loop is a
-/// simulation whose pairs the server finds; an answer to a step is compared with that of a new search. An interrupt ends the run, and
+/// simulation whose pairs the server finds, and one step in `--verify` is compared with a new search. An interrupt ends the run, and
 /// the counts so far are printed. The exit code is 1 if a call failed or an answer was wrong.
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct Args {
@@ -254,7 +254,7 @@ async fn loaded(args: &Args) -> Result<(), Error> {
     clean.map_err(Into::into)
 }
 
-/// What the loops send.
+/// The kind of work that the loops send.
 enum Work {
     Batches(String, Runner),
     Steps(StepRunner),

@@ -21,8 +21,8 @@ use super::{Error, exit::Exit, remote::RemoteArgs, runtime, values::count, value
 
 /// Computes recorded calls again, and compares each message of their answers with its recorded digest.
 ///
-/// A server without hulls is started in this process for each file of records, unless --remote names another
-/// server; the hulls of the records are registered with it.
+/// One server without hulls is started in this process and answers the calls of all files. With --remote, the
+/// server at that address answers instead. The hulls of the records are registered with it first.
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct Args {
     /// A directory of records, or one file of it.
@@ -123,7 +123,10 @@ async fn replay_file(path: &Path, client: &Client, totals: &mut Totals) -> Resul
                         points = 0;
                     }
                 }
-                None => eprintln!("{}: a hull before call {number} is not one", path.display()),
+                None => eprintln!(
+                    "{}: the identity bytes of a hull before call {number} are not valid, so the hull is skipped",
+                    path.display()
+                ),
             },
             Ok(Content::Call(call)) => {
                 register(client, std::mem::take(&mut hulls)).await?;
@@ -139,7 +142,7 @@ async fn replay_file(path: &Path, client: &Client, totals: &mut Totals) -> Resul
                 number += 1;
             }
             Err(damage) => {
-                eprintln!("{damage}; the {} before it are replayed", counted(number, "call"));
+                eprintln!("{damage}; replayed before it: {}", counted(number, "call"));
                 totals.damaged += u64::from(!damage.is_cut);
             }
         }
@@ -162,7 +165,7 @@ async fn register(client: &Client, hulls: Vec<Hull>) -> Result<(), Error> {
     Ok(())
 }
 
-/// What a reader has to know about a record that differs.
+/// The circumstances of a record, for the message about a difference.
 fn circumstances(header: &Header, call: &Call) -> String {
     let Header { version, instruction_set, contract } = header;
     let reason = REASONS.get(call.reason as usize).unwrap_or(&"");
@@ -187,8 +190,8 @@ struct Compared {
 
 /// Sends a call again.
 ///
-/// If the call did not end by itself (its record is cut, its caller left, or the server was busy), the recorded messages
-/// only have to be the first of the answer. Otherwise the code and the number of messages have to be the same too.
+/// If the record is cut, or the code depends on more than the request and the hulls, the recorded messages only have to
+/// be the first of the answer. Otherwise the code and the number of messages have to be the same too.
 async fn compare(client: &Client, call: &Call) -> Compared {
     let messages = match call.messages() {
         Ok(messages) => messages,

@@ -108,7 +108,7 @@ struct RecordedAnswer {
     code: Code,
 }
 
-/// Wraps a response, whose `status` is known already if it has no body.
+/// Lets the answer pass the tape. `status` is that of the response's headers, which have one only if there is no body.
 pub(super) fn recorded(
     response: Response<Body>,
     tape: SharedTape,

@@ -82,13 +82,13 @@ pub(super) fn http1(patience: Duration, header_bytes: u32) -> http1::Builder {
     http
 }
 
-/// Serves gRPC-web, the playground's page if it is asked for and, over HTTP/2, gRPC.
+/// Serves gRPC-web, the playground's page if it is enabled, and gRPC over HTTP/2.
 #[derive(Clone, Debug)]
 pub(super) struct Web {
     calls: Cors<GrpcWebService<Middleware>>,
     own: Middleware,
     options: Arc<ServerOptions>,
-    /// Only over HTTP/1.1, which is without TLS: then no certificate proves which server this is.
+    /// Only over HTTP/1.1: the answers wait while the peer does not read.
     stall: Option<Stall>,
 }
 
@@ -100,6 +100,49 @@ impl Web {
     pub(super) fn over_http2(calls: Middleware, options: Arc<ServerOptions>) -> Self {
         let web = GrpcWebLayer::new().layer(calls.clone());
         Self { calls: across_origins(&options.grpc_web_origins).layer(web), own: calls, options, stall: None }
+    }
+
+    /// The answer to a request.
+    fn answer(
+        &mut self,
+        mut request: Request<Incoming>,
+    ) -> BoxFuture<'static, Result<Response<Body>, Infallible>> {
+        let text = match *request.method() {
+            _ if self.is_http1() && !names_this_server(&request, &self.options.grpc_web_origins) => {
+                TextAnswer::plain(
+                    StatusCode::FORBIDDEN,
+                    "without TLS only requests to an IP address, to localhost or to the host of a listed origin \
+                     are answered",
+                )
+            }
+            Method::GET | Method::HEAD => page(&self.options, request.uri().path()),
+            Method::OPTIONS if !self.options.grpc_web_origins.is_empty() => {
+                return Box::pin(self.calls.call(request));
+            }
+            _ => match encoding(&request) {
+                Some(Encoding::Grpc) => return Box::pin(self.calls.call(request)),
+                Some(Encoding::GrpcWeb) => {
+                    // Otherwise this header could ask for an answer in base64.
+                    let binary = HeaderValue::from_static("application/grpc-web+proto");
+                    request.headers_mut().insert(header::ACCEPT, binary);
+                    let (answer, patience) = (self.calls.call(request), self.own.patience());
+                    return Box::pin(async move {
+                        Ok(answer.await?.map(|body| Body::new(WebBody::call(body, patience))))
+                    });
+                }
+                None => TextAnswer::plain(
+                    StatusCode::UNSUPPORTED_MEDIA_TYPE,
+                    "the content type must be that of gRPC or of binary gRPC-web",
+                ),
+            },
+        };
+        let own = self.own.clone();
+        Box::pin(async move { Ok(text.answer(&own, &request)) })
+    }
+
+    /// HTTP/1.1 is only served without TLS, so no certificate proves which server this is.
+    fn is_http1(&self) -> bool {
+        self.stall.is_some()
     }
 }
 
@@ -121,7 +164,7 @@ fn page(_: &ServerOptions, _: &str) -> TextAnswer {
     TextAnswer::no_pages()
 }
 
-/// What browsers are told when a page of another site asks whether it may call.
+/// The CORS layer: pages of the listed origins may call.
 fn across_origins(origins: &[Origin]) -> CorsLayer {
     let listed = origins.iter().filter_map(|origin| HeaderValue::from_str(origin.as_str()).ok());
     CorsLayer::new()
@@ -141,57 +184,14 @@ impl Service<Request<Incoming>> for Web {
         Service::<Request<Incoming>>::poll_ready(&mut self.calls, cx)
     }
 
-    fn call(&mut self, mut request: Request<Incoming>) -> Self::Future {
-        let (stall, patience) = (self.stall.clone(), self.own.patience());
-        let said = match *request.method() {
-            _ if stall.is_some() && !names_this_server(&request, &self.options.grpc_web_origins) => {
-                TextAnswer::plain(
-                    StatusCode::FORBIDDEN,
-                    "without TLS only requests to an IP address, to localhost or to the host of a listed origin \
-                     are answered",
-                )
-            }
-            Method::GET | Method::HEAD => page(&self.options, request.uri().path()),
-            Method::OPTIONS if !self.options.grpc_web_origins.is_empty() => {
-                let answer = self.calls.call(request);
-                return Box::pin(async move {
-                    if let Some(stall) = stall {
-                        stall.over().await;
-                    }
-                    answer.await
-                });
-            }
-            _ => match encoding(&request) {
-                None => TextAnswer::plain(
-                    StatusCode::UNSUPPORTED_MEDIA_TYPE,
-                    "the content type must be that of gRPC or of binary gRPC-web",
-                ),
-                Some(is_web) => {
-                    if is_web {
-                        // Otherwise this header could ask for an answer in base64.
-                        let binary = HeaderValue::from_static("application/grpc-web+proto");
-                        request.headers_mut().insert(header::ACCEPT, binary);
-                    }
-                    let answer = self.calls.call(request);
-                    return Box::pin(async move {
-                        if let Some(stall) = stall {
-                            stall.over().await;
-                        }
-                        let response = answer.await?;
-                        if !is_web {
-                            return Ok(response);
-                        }
-                        Ok(response.map(|body| Body::new(WebBody::call(body, patience))))
-                    });
-                }
-            },
-        };
-        let own = self.own.clone();
+    fn call(&mut self, request: Request<Incoming>) -> Self::Future {
+        let stall = self.stall.clone();
+        let answer = self.answer(request);
         Box::pin(async move {
             if let Some(stall) = stall {
                 stall.over().await;
             }
-            Ok(said.answer(&own, &request))
+            answer.await
         })
     }
 }
@@ -216,16 +216,23 @@ fn names_this_server<B>(request: &Request<B>, origins: &[Origin]) -> bool {
         })
 }
 
-/// Whether the content type is gRPC-web's, or `None` if it is neither that nor gRPC's. Browsers send other
-/// content types to any site, but these types only after the site has allowed it. The text form of gRPC-web is
-/// not served: its base64 would be a second copy of the answer, which no budget counts.
-fn encoding<B>(request: &Request<B>) -> Option<bool> {
+/// The encodings of calls.
+enum Encoding {
+    Grpc,
+    GrpcWeb,
+}
+
+/// The encoding of a call by its content type, or `None` if it is neither gRPC's nor gRPC-web's. Browsers send
+/// other content types to any site, but these types only after the site has allowed it. The text form of gRPC-web
+/// is not served: its base64 would be a second copy of the answer, which no budget counts.
+fn encoding<B>(request: &Request<B>) -> Option<Encoding> {
     let kind = request.headers().get(header::CONTENT_TYPE)?.as_bytes();
     let rest = kind.strip_prefix(b"application/grpc")?;
     let rest = rest.to_ascii_lowercase();
     match rest.strip_prefix(b"-web") {
+        None => Some(Encoding::Grpc),
         Some(form) if form.starts_with(b"-text") => None,
-        web => Some(web.is_some()),
+        Some(_) => Some(Encoding::GrpcWeb),
     }
 }
 

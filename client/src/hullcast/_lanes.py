@@ -124,7 +124,7 @@ class Lane(ABC):
             if query.matches:
                 self.columns |= _matches.identical(self.columns)
             return
-        self.columns = self._read(query, message, answers)
+        earlier, self.columns = self.columns, self._read(query, message, answers)
         if query.matches:
             before, live = self._before
             _matches.check(self.columns, live)
@@ -135,7 +135,7 @@ class Lane(ABC):
             if count == 0 and live is not None:
                 # A message without bodies cannot refer to the one before, so its answer has no
                 # ended pairs.
-                self.columns["ended_pairs"] = live.pairs[live.rows]
+                self.columns["ended_pairs"] = earlier["pairs"][live.rows]
             self._live = _matches.Live.of(self.columns, count)
 
     @abstractmethod

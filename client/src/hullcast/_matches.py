@@ -42,14 +42,11 @@ class Live:
     counts: Indices
     #: The number of bodies of the message.
     bodies: int
-    #: (rows, 2): the bodies of each row, as the scene numbers them.
-    pairs: Indices
 
     @classmethod
     def of(cls, columns: Columns, bodies: int) -> Live:
         """The part of these columns, copied: a caller may change a result."""
-        live, counts = live_rows(columns["outcomes"]), columns["point_counts"].copy()
-        return cls(live, counts, bodies, columns["pairs"].copy())
+        return cls(live_rows(columns["outcomes"]), columns["point_counts"].copy(), bodies)
 
 
 def check(found: Columns, before: Live | None) -> None:

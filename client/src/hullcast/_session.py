@@ -56,10 +56,8 @@ class Steps(Settled):
         #: of an answer that did not change.
         self._last: tuple[_answers.Columns, bool] = ({}, False)
         self._pairs = self._query.pair_count
-        #: The number of bodies of the last scene that was answered, which `update` refers to. So an
-        #: update that failed can be repeated.
-        self._answered = len(self._query.scene)
-        #: A scene with these bodies, and their last motion.
+        #: A scene with the bodies of the last one that was answered, and their last motion.
+        #: `update` refers to it, so an update that failed can be repeated.
         self._answered_scene = self._query.scene
         self._motion = self._query.motion
         self._closed = False
@@ -125,7 +123,7 @@ class Steps(Settled):
         _arguments.instance("scene", scene, Scene, "a hullcast.Scene")
         numbers = None
         if previous is not None:
-            before = self._answered
+            before = len(self._answered_scene)
             of = f"the scene of the step before has {counted(before, 'body', 'bodies')}"
             numbers = _arrays.rows("previous", previous, len(scene), before, of)
         given = Motion.checked(len(scene), **motion)
@@ -179,8 +177,7 @@ class Steps(Settled):
                 lane.drop()
             raise
         columns = self._whole()
-        self._answered, self._answered_scene = len(query.scene), query.scene
-        self._motion = query.motion
+        self._answered_scene, self._motion = query.scene, query.motion
         query.start_from(columns)
         restarted = any(lane.restarted for lane in self._lanes)
         return query.delivered(columns, restarted=restarted)

@@ -1,8 +1,8 @@
 """Which replicas of a list a client uses: rendezvous hashing (highest random weight).
 
 Each pair of a client's identity and a replica's address has a weight, a hash of both. A client
-ranks the replicas by their weights and uses the first k. So many clients spread evenly over the
-replicas without talking to each other. A replica that leaves the list is replaced only in the
+ranks the replicas by their weights and uses the first k. In this way the clients spread evenly over
+the replicas without talking to each other. A replica that leaves the list is replaced only in the
 subsets that had it. A new replica enters only the subsets in which its weight is among the k
 highest.
 
@@ -21,11 +21,8 @@ from typing import Any
 from . import _arguments
 from ._errors import InvalidArgument
 
-#: The size of the subset if the caller gives none. Lists of up to 8 replicas are used as a whole.
-#: With 30 replicas, 10,000 clients make 2,667 connections to each replica, of the 10,000 that one
-#: accepts. Larger subsets balance few clients better: with n replicas and c equal clients, the
-#: standard deviation of a replica's load is about sqrt((n - k) / (k c)) of the mean. For 30
-#: replicas and 100 clients that is 17 % with k = 8, and 30 % with k = 3.
+#: The size of the subset if the caller gives none; docs/cluster.md gives the reasons. Lists of up
+#: to 8 replicas are used as a whole.
 DEFAULT = 8
 #: The largest subset that can be asked for.
 LARGEST = 2**31 - 1

@@ -1,7 +1,7 @@
 //! The broad phase: finds the pairs of bodies of a scene that may be in contact.
 //!
 //! A pair is found if the bounds of both bodies overlap and no rule keeps the bodies apart (worlds,
-//! collision groups; [`Rules`]). The bounds are in a static tree of boxes ([`tree`]), in which the
+//! collision groups; [`Rules`]). The bounds are in a tree of boxes ([`tree`]), in which the
 //! bodies of one world form one subtree. The *partners* of a body are the bodies with a higher index
 //! that may meet it. So each pair is found once, and the pairs come out in ascending order without
 //! ever being in memory all together:
@@ -40,7 +40,7 @@ pub use self::{
     moved::{MovedBodies, MovedSearch},
     rules::{EVERY_WORLD, Rules},
     tree::{STEPS_PER_BODY, TREE_BYTES_PER_BODY},
-    update::{KEPT_BYTES_PER_BODY, NEW_BODY, UPDATE_STEPS_PER_BODY},
+    update::{NEW_BODY, UPDATE_STEPS_PER_BODY},
 };
 use self::{
     tree::{Leaf, PartnerSearch, Tree},

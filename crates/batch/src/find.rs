@@ -160,9 +160,9 @@ impl Finder {
             }
         }
         let searches = std::mem::take(&mut self.searches);
-        let searches = searches.into_iter().map(|search| Mutex::new(Some(search))).collect();
-        let broad_phase = Mutex::new(Some(self.broad_phase.clone()));
-        let work = SearchWork { broad_phase, searches, stop: job.stop.clone() };
+        let work = SearchWork::new(&self.broad_phase, searches, &job.stop, |broad_phase, search, stop| {
+            broad_phase.search(search, STEPS_BETWEEN_LOOKS, SEARCHED_INDICES, stop)
+        });
         self.searches = compute.run_parts(work, job).await?.into();
         while let Some(first) = self.searches.front_mut() {
             self.found.append(&mut first.pairs);
@@ -240,17 +240,37 @@ impl Parts for BoundsWork {
     }
 }
 
-/// Continues searches; each is one part.
-struct SearchWork {
+/// Continues searches by `advance`; each is one part.
+struct SearchWork<S, A> {
     /// Taken out at the end, so that the owner of the broad phase has it alone again.
     broad_phase: Mutex<Option<Arc<BroadPhase>>>,
-    searches: Vec<Mutex<Option<PairSearch>>>,
+    searches: Vec<Mutex<Option<S>>>,
+    advance: A,
     stop: Arc<Stop>,
 }
 
-impl Parts for SearchWork {
-    type Part = Option<PairSearch>;
-    type Whole = Vec<PairSearch>;
+impl<S, A> SearchWork<S, A>
+where
+    A: Fn(&BroadPhase, &mut S, &Stop) -> Result<(), Stopped>,
+{
+    fn new(
+        broad_phase: &Arc<BroadPhase>,
+        searches: impl IntoIterator<Item = S>,
+        stop: &Arc<Stop>,
+        advance: A,
+    ) -> Self {
+        let searches = searches.into_iter().map(|search| Mutex::new(Some(search))).collect();
+        Self { broad_phase: Mutex::new(Some(broad_phase.clone())), searches, advance, stop: stop.clone() }
+    }
+}
+
+impl<S, A> Parts for SearchWork<S, A>
+where
+    S: Send + 'static,
+    A: Fn(&BroadPhase, &mut S, &Stop) -> Result<(), Stopped> + Send + Sync + 'static,
+{
+    type Part = Option<S>;
+    type Whole = Vec<S>;
 
     fn count(&self) -> usize {
         self.searches.len()
@@ -266,7 +286,7 @@ impl Parts for SearchWork {
         let mut search = locked(&self.searches[index]).take();
         let broad_phase = locked(&self.broad_phase).clone();
         if let (Some(search), Some(broad_phase)) = (&mut search, broad_phase) {
-            broad_phase.search(search, STEPS_BETWEEN_LOOKS, SEARCHED_INDICES, &self.stop)?;
+            (self.advance)(&broad_phase, search, &self.stop)?;
         }
         Ok(search)
     }

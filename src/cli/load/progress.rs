@@ -18,8 +18,27 @@ pub(super) struct LiveCounts {
     pub(super) last_nanos: AtomicU64,
 }
 
+/// Runs `work` with a progress line. Returns its result and the time that it took. `work` gets the counts to keep,
+/// the time at which it begins, and the time at which it has to end.
+pub(super) async fn timed<T>(
+    seconds: f64,
+    work: impl AsyncFnOnce(Arc<LiveCounts>, Instant, Instant) -> T,
+) -> (T, Duration) {
+    let live = Arc::new(LiveCounts::default());
+    let started = Instant::now();
+    let limit = Duration::from_secs_f64(seconds);
+    let progress = tokio::spawn(show_progress(live.clone(), started, limit));
+    let result = work(live, started, started + limit).await;
+    let elapsed = started.elapsed();
+    progress.abort();
+    // The task has been aborted or has ended. Either way the progress line is removed before the
+    // summary is printed.
+    let _ = progress.await;
+    (result, elapsed)
+}
+
 /// Shows a progress line on standard error, if that is a terminal.
-pub(super) async fn show_progress(live: Arc<LiveCounts>, started: Instant, limit: Duration) {
+async fn show_progress(live: Arc<LiveCounts>, started: Instant, limit: Duration) {
     let bar = ProgressBar::new(limit.as_millis().max(1) as u64);
     if let Ok(style) = ProgressStyle::with_template("{wide_bar} {msg}") {
         bar.set_style(style);

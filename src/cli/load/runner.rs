@@ -8,7 +8,7 @@ use tokio::task::JoinSet;
 
 use super::batches::SampledRequests;
 use super::levels::Level;
-use super::progress::{LiveCounts, show_progress};
+use super::progress::{LiveCounts, timed};
 use super::tally::Tally;
 use super::{Args, Distribution};
 use crate::cli::Error;
@@ -36,19 +36,11 @@ pub(super) struct Runner {
 impl Runner {
     /// Measures one level. Returns its counts, and the time until all batches were answered.
     pub(super) async fn measure(&self, level: Level) -> Result<(Tally, Duration), Error> {
-        let live = Arc::new(LiveCounts::default());
-        let started = Instant::now();
-        let limit = Duration::from_secs_f64(self.args.duration);
-        let progress = tokio::spawn(show_progress(live.clone(), started, limit));
-        let tally = match level {
-            Level::Concurrency(count) => self.closed(count, &live, started + limit).await,
+        let (tally, elapsed) = timed(self.args.duration, async |live, started, end| match level {
+            Level::Concurrency(count) => self.closed(count, &live, end).await,
             Level::Rate(rate) => self.open(rate, &live, started).await,
-        };
-        let elapsed = started.elapsed();
-        progress.abort();
-        // The task has been aborted or has ended. Either way the progress line is removed before the
-        // summary is printed.
-        let _ = progress.await;
+        })
+        .await;
         Ok((tally?, elapsed))
     }
 

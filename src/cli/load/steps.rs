@@ -13,7 +13,7 @@ use tokio::task::JoinSet;
 
 use super::Args;
 use super::levels::Level;
-use super::progress::{LiveCounts, show_progress};
+use super::progress::{LiveCounts, timed};
 use super::runner::{PAUSE_AFTER_ERROR, added};
 use super::tally::Tally;
 use crate::cli::Error;
@@ -29,8 +29,8 @@ use hullcast::workload::Random;
 const SPACING: f64 = 1.45;
 /// The standard deviation of a body's distance from its place, and of its quaternion from that of its place.
 const SHAKE: f64 = 0.005;
-/// The growth scales of a step and of a search may differ by this, as a share, because the solver of a session
-/// starts from the solution of the step before. Both lie within the bracket of the other.
+/// The relative difference that is allowed between the growth scales of a step and of a search: the solver of a
+/// session starts from the solution of the step before.
 const ROUNDING: f64 = 1e-12;
 
 /// Measures step loops.
@@ -59,25 +59,20 @@ impl StepRunner {
     /// Measures one level: as many sessions as its concurrency. Returns its counts, and the time until all steps
     /// were answered.
     pub(super) async fn measure(&self, level: Level) -> Result<(Tally, Duration), Error> {
-        let live = Arc::new(LiveCounts::default());
-        let started = Instant::now();
-        let limit = Duration::from_secs_f64(self.args.duration);
-        let progress = tokio::spawn(show_progress(live.clone(), started, limit));
-        let mut running = JoinSet::new();
-        for number in 0..level.value() as u64 {
-            let (one, live) = (self.clone(), live.clone());
-            running.spawn(async move { one.looped(number, &live, started + limit).await });
-        }
-        let tally = added(running).await;
-        let elapsed = started.elapsed();
-        progress.abort();
-        // The progress line is removed before the summary is printed.
-        let _ = progress.await;
+        let (tally, elapsed) = timed(self.args.duration, async |live, _, end| {
+            let mut running = JoinSet::new();
+            for number in 0..level.value() as u64 {
+                let (runner, live) = (self.clone(), live.clone());
+                running.spawn(async move { runner.session(number, &live, end).await });
+            }
+            added(running).await
+        })
+        .await;
         Ok((tally?, elapsed))
     }
 
     /// Makes the steps of one session until `end`.
-    async fn looped(&self, number: u64, live: &LiveCounts, end: Instant) -> Result<Tally, String> {
+    async fn session(&self, number: u64, live: &LiveCounts, end: Instant) -> Result<Tally, String> {
         let mut tally = Tally::default();
         let Answerer::Remote(client) = &self.answerers[number as usize % self.answerers.len()] else {
             return Err("a session needs a server".into());
@@ -221,7 +216,7 @@ pub(super) fn check_margin(margin: f64) -> Result<(), Error> {
         return Ok(());
     }
     Err(Exit::Usage
-        .error("--margin is inf, and --session needs a finite one: the server could find no pairs"))
+        .error("--margin is inf, but --session needs a finite margin: the server finds only pairs within a finite margin"))
 }
 
 #[cfg(test)]

@@ -155,7 +155,7 @@ impl Settings {
         }
         if !self.grpc_web_origins.is_empty() && !self.grpc_web && !self.playground {
             return Err(Exit::Usage.error(format!(
-                "{} is set, but {} is false: set both, or neither",
+                "{} is set, but neither gRPC-web nor the playground is on: set {} to true, or remove the origins",
                 self.shown("grpc_web_origins"),
                 self.shown("grpc_web")
             )));

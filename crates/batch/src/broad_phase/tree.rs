@@ -1,4 +1,4 @@
-//! A static tree of boxes (a bounding volume hierarchy) that is searched without a stack.
+//! A tree of boxes (a bounding volume hierarchy) that is searched without a stack.
 //!
 //! Building splits the bodies into halves again and again, at the median of their centres along the
 //! axis on which the centres are spread the most. First whole worlds are split, then the bodies of
@@ -39,7 +39,9 @@ use glam::{DVec3, Vec3};
 use super::{EVERY_WORLD, Rules};
 use hullcast_contact::{Bounds, Stop, Stopped, sort, stop::Meter};
 
-pub(super) use self::refit::{FOLLOWER_BYTES_PER_BODY, Follower};
+#[cfg(test)]
+pub(super) use self::refit::FOLLOWER_BYTES_PER_BODY;
+pub(super) use self::refit::Follower;
 
 /// The largest number of bodies in a leaf node.
 const LEAF_BODIES: usize = 4;
@@ -120,7 +122,7 @@ struct Node {
     group: u32,
 }
 
-/// A static tree of bodies; see the module's documentation.
+/// A tree of bodies; see the module's documentation.
 #[derive(Debug, Default)]
 pub(super) struct Tree {
     nodes: Vec<Node>,

@@ -32,28 +32,21 @@ mod tests;
 
 use hullcast_contact::{Bounds, Stop, Stopped, stop::Meter};
 
-use super::{
-    BroadPhase, EVERY_WORLD, Rules, STEPS_PER_BODY, TREE_BYTES_PER_BODY, Trees,
-    tree::{FOLLOWER_BYTES_PER_BODY, Follower},
-};
+use super::{BroadPhase, EVERY_WORLD, Rules, STEPS_PER_BODY, Trees, tree::Follower};
 
 /// Index of a body that was not in the scene before; see [`BroadPhase::renumbered`].
 pub const NEW_BODY: u32 = u32::MAX;
 
-/// If this many times the loose bodies are more than all bodies, the trees are built again.
+/// The trees are built again when more than one in this many bodies is loose.
 const MOST_LOOSE: usize = 2;
-/// If this many times the moved bodies are more than all bodies, all nodes are adapted in one pass.
-const FEW_MOVED: usize = 8;
+/// If more than one in this many bodies has moved, all nodes are adapted in one pass.
+const REFIT_ALL_FROM: usize = 8;
 
 /// The estimated number of steps per moved body to update a broad phase.
 pub const UPDATE_STEPS_PER_BODY: u64 = 100;
 
 /// Steps to change the bounds of a body in its leaf node.
 const MOVE_STEPS: u64 = 20;
-
-/// The largest number of bytes per body that a broad phase takes that is kept, including those of updating it.
-pub const KEPT_BYTES_PER_BODY: usize =
-    2 * TREE_BYTES_PER_BODY + 2 * FOLLOWER_BYTES_PER_BODY + 2 * size_of::<Place>() + 2 * size_of::<u32>();
 
 /// The place of a body in the trees.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -69,7 +62,7 @@ enum Place {
     Loose,
 }
 
-/// What keeping a broad phase needs in addition to the trees.
+/// The state of a kept broad phase besides its trees.
 #[derive(Debug, Default)]
 pub(super) struct Kept {
     /// For each body, its place.
@@ -156,7 +149,7 @@ impl BroadPhase {
             return Self::new(self.bounds, self.rules, stop);
         }
         let meter = &Meter::new(stop);
-        if FEW_MOVED * moved.len() > bodies {
+        if REFIT_ALL_FROM * moved.len() > bodies {
             self.trees.worlds.refit_all(meter)?;
             self.trees.everywhere.refit_all(meter)?;
         } else {

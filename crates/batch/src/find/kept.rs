@@ -7,27 +7,24 @@
 //! after each:   broad_phase = finder.into_broad_phase()
 //! ```
 //!
-//! A body has moved if its pose, hull or motion is another one, or if its hull was missing and is there now, or
-//! the reverse. If the time step changes, all bodies with a velocity have moved. The candidates are those of a new
-//! [`Finder`], in the same order; if few bodies have moved, those without a moved body are left out. After an
-//! error the broad phase is gone, and the next step begins with a new [`Finder`].
+//! A body has moved if its bounds may have changed ([`BroadPhase::moved`]): its pose, hull, margin or motion is
+//! another one, or its hull has become available or unavailable. If the time step changes, all bodies with a
+//! velocity have moved. The candidates are those of a new [`Finder`], in the same order. If at most half of the
+//! bodies have moved, pairs without a moved body are left out. After an error the broad phase is gone, and the
+//! next step begins with a new [`Finder`].
 //!
 //! The cost of a step in which few bodies have moved is proportional to their number: new bounds, an update of
 //! the boxes above them in the tree, a search for the partners of each, and a sort of the pairs. All of it is then
 //! one piece of work for the compute threads, because to hand work over costs as much as some hundred bodies.
 
-use std::{
-    collections::VecDeque,
-    sync::{Arc, Mutex},
-};
+use std::{collections::VecDeque, sync::Arc};
 
 use hullcast_contact::{STEPS_BETWEEN_LOOKS, Stop, Stopped};
 
-use super::{BOUNDS_STEPS, BoundsWork, Finder, SEARCH_STEPS, SEARCHED_BODIES, SEARCHES};
+use super::{BOUNDS_STEPS, BoundsWork, Finder, SEARCH_STEPS, SEARCHED_BODIES, SEARCHES, SearchWork};
 use crate::{
     broad_phase::{BroadPhase, MovedBodies, MovedSearch, Rules},
-    compute::{CallerId, Compute, ComputeError, Job, Parts},
-    lock::locked,
+    compute::{CallerId, Compute, ComputeError, Job},
     scene::Bodies,
 };
 
@@ -37,12 +34,14 @@ const MOST_MOVED_PAIRS: usize = 1 << 17;
 /// The steps to sort a pair and write it into the list of candidates.
 const ORDER_STEPS: u64 = 40;
 
-/// Few enough moved bodies for one part.
-const FEW_BODIES: usize = 512;
+/// Up to this number of moved bodies, one part of work updates and searches: to hand work over costs as much as
+/// some hundred bodies.
+const MOST_IN_ONE_PART: usize = 512;
 
 impl Finder {
     /// A search in a kept broad phase, after the bodies `moved` have moved. It gives at most `most` candidates at a
-    /// time. If few bodies have moved, it gives only pairs with a moved body, and otherwise all pairs.
+    /// time. If at most half of the bodies have moved, it gives only pairs with a moved body, and otherwise all
+    /// pairs.
     ///
     /// # Errors
     /// The job was stopped, or the computation panicked.
@@ -57,10 +56,10 @@ impl Finder {
         let count = moved.list().len();
         // With more moved bodies, a search for all pairs takes fewer steps: it finds each pair once.
         let only_moved = 2 * count <= bodies.count();
-        let (broad_phase, begun) = if count <= FEW_BODIES {
+        let (broad_phase, progress) = if count <= MOST_IN_ONE_PART {
             let (steps, bodies, moved) = (broad_phase.update_steps(count), bodies.clone(), moved.clone());
             let steps = steps + (BOUNDS_STEPS + SEARCH_STEPS) * count as u64;
-            let all = move |stop: &Stop| few_moved(broad_phase, &bodies, &moved, only_moved, stop);
+            let all = move |stop: &Stop| update_and_search(broad_phase, &bodies, &moved, only_moved, stop);
             compute.run_steps(steps, all, job).await??
         } else {
             let steps = broad_phase.update_steps(count);
@@ -68,15 +67,17 @@ impl Finder {
             let bounds = compute.run_parts(work, job).await?;
             let moved = moved.clone();
             let update = move |stop: &Stop| broad_phase.moved(moved.list(), &bounds, stop);
-            (compute.run_steps(steps, update, job).await??, Begun::default())
+            (compute.run_steps(steps, update, job).await??, Progress::NotBegun)
         };
         let mut finder = Self::of(bodies, Arc::new(broad_phase), most);
         if only_moved {
-            let pairs = match begun {
-                Begun { pairs: Some(pairs), .. } => Some(pairs),
-                Begun { search, .. } => {
-                    moved_pairs(&finder.broad_phase, &moved, search, compute, job).await?
+            let broad_phase = &finder.broad_phase;
+            let pairs = match progress {
+                Progress::NotBegun => moved_pairs(broad_phase, &moved, None, compute, job).await?,
+                Progress::Begun(search) => {
+                    moved_pairs(broad_phase, &moved, Some(search), compute, job).await?
                 }
+                Progress::Done(pairs) => Some(pairs),
             };
             if let Some(pairs) = pairs {
                 finder.next_body = finder.broad_phase.bodies();
@@ -132,37 +133,37 @@ impl Finder {
 }
 
 /// How far a search for the pairs with a moved body has got.
-#[derive(Default)]
-struct Begun {
-    search: Option<MovedSearch>,
-    /// All pairs in ascending order, if the search is done.
-    pairs: Option<Vec<u32>>,
+enum Progress {
+    NotBegun,
+    Begun(MovedSearch),
+    /// The search is done; these are the pairs in ascending order.
+    Done(Vec<u32>),
 }
 
 /// Updates a broad phase after few bodies have moved. With `only_moved`, searches for their pairs too, for about a
 /// millisecond.
-fn few_moved(
+fn update_and_search(
     broad_phase: BroadPhase,
     bodies: &Bodies,
     moved: &MovedBodies,
     only_moved: bool,
     stop: &Stop,
-) -> Result<(BroadPhase, Begun), Stopped> {
+) -> Result<(BroadPhase, Progress), Stopped> {
     let count = moved.list().len();
     stop.spend(BOUNDS_STEPS * count as u64)?;
     let bounds: Vec<_> = moved.list().iter().map(|&body| bodies.bounds(body)).collect();
     let broad_phase = broad_phase.moved(moved.list(), &bounds, stop)?;
     if !only_moved {
-        return Ok((broad_phase, Begun::default()));
+        return Ok((broad_phase, Progress::NotBegun));
     }
     let mut search = MovedSearch::new(0, count);
     broad_phase.search_moved(moved, &mut search, STEPS_BETWEEN_LOOKS, MOST_MOVED_PAIRS, stop)?;
-    let begun = if search.is_done() {
-        Begun { pairs: Some(MovedSearch::pairs([search], stop)?), search: None }
+    let progress = if search.is_done() {
+        Progress::Done(MovedSearch::pairs([search], stop)?)
     } else {
-        Begun { search: Some(search), pairs: None }
+        Progress::Begun(search)
     };
-    Ok((broad_phase, begun))
+    Ok((broad_phase, progress))
 }
 
 /// The pairs with a moved body in ascending order, or `None` if there are too many. `begun` is a search for the
@@ -190,10 +191,14 @@ async fn moved_pairs(
             return Ok(None);
         }
         let before: usize = open.iter().map(MovedSearch::pair_count).sum();
+        // The number of further pairs after which a part leaves the rest for later.
         let more = (MOST_MOVED_PAIRS - pairs) / open.len() + 1;
-        let searches = open.drain(..).map(|search| Mutex::new(Some(search))).collect();
-        let broad_phase = Mutex::new(Some(broad_phase.clone()));
-        let work = MovedWork { broad_phase, moved: moved.clone(), searches, more, stop: job.stop.clone() };
+        let moved = moved.clone();
+        let advance = move |broad_phase: &BroadPhase, search: &mut MovedSearch, stop: &Stop| {
+            let most = search.pair_count() + more;
+            broad_phase.search_moved(&moved, search, STEPS_BETWEEN_LOOKS, most, stop)
+        };
+        let work = SearchWork::new(broad_phase, open.drain(..), &job.stop, advance);
         for search in compute.run_parts(work, job).await? {
             pairs += search.pair_count();
             if search.is_done() { done.push(search) } else { open.push_back(search) }
@@ -205,45 +210,6 @@ async fn moved_pairs(
     }
     let order = move |stop: &Stop| MovedSearch::pairs(done, stop);
     Ok(Some(compute.run_steps(ORDER_STEPS * pairs as u64, order, job).await??))
-}
-
-/// Continues searches for pairs with a moved body; each is one part.
-struct MovedWork {
-    /// Taken out at the end, so that the owner of the broad phase has it alone again.
-    broad_phase: Mutex<Option<Arc<BroadPhase>>>,
-    moved: Arc<MovedBodies>,
-    searches: Vec<Mutex<Option<MovedSearch>>>,
-    /// The number of further pairs after which a part leaves the rest for later.
-    more: usize,
-    stop: Arc<Stop>,
-}
-
-impl Parts for MovedWork {
-    type Part = Option<MovedSearch>;
-    type Whole = Vec<MovedSearch>;
-
-    fn count(&self) -> usize {
-        self.searches.len()
-    }
-
-    fn steps(&self, _: usize) -> u64 {
-        SEARCH_STEPS * u64::from(SEARCHED_BODIES)
-    }
-
-    fn part(&self, index: usize) -> Result<Self::Part, Stopped> {
-        let mut search = locked(&self.searches[index]).take();
-        let broad_phase = locked(&self.broad_phase).clone();
-        if let (Some(search), Some(broad_phase)) = (&mut search, broad_phase) {
-            let most = search.pair_count() + self.more;
-            broad_phase.search_moved(&self.moved, search, STEPS_BETWEEN_LOOKS, most, &self.stop)?;
-        }
-        Ok(search)
-    }
-
-    fn whole(&self, parts: Vec<Self::Part>) -> Result<Self::Whole, Stopped> {
-        drop(locked(&self.broad_phase).take());
-        Ok(parts.into_iter().flatten().collect())
-    }
 }
 
 #[cfg(test)]
@@ -349,7 +315,7 @@ mod tests {
                 let list = MovedBodies::new(list, bodies.count() as u32);
                 let is_few = kept.next_body == bodies.count() as u32;
                 let may_be_few = 2 * list.list().len() <= bodies.count();
-                many_parts += usize::from(is_few && list.list().len() > FEW_BODIES);
+                many_parts += usize::from(is_few && list.list().len() > MOST_IN_ONE_PART);
                 too_many += usize::from(!is_few && may_be_few);
                 if is_few {
                     few += 1;

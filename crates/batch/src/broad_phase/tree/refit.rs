@@ -27,6 +27,7 @@ const GROWN: f32 = 1.0 / 32.0;
 const TOO_LARGE: f32 = 4.0 * GROWN;
 
 /// The memory per body that a [`Follower`] takes.
+#[cfg(test)]
 pub(in super::super) const FOLLOWER_BYTES_PER_BODY: usize =
     2 * (size_of::<u32>() + size_of::<NodeBounds>()) + size_of::<u32>();
 

@@ -4,7 +4,13 @@ use glam::DVec3;
 use hullcast_contact::{STEPS_BETWEEN_LOOKS, workload::Random};
 
 use super::*;
-use crate::broad_phase::{MovedBodies, MovedSearch, PairSearch};
+use crate::broad_phase::{
+    MovedBodies, MovedSearch, PairSearch, TREE_BYTES_PER_BODY, tree::FOLLOWER_BYTES_PER_BODY,
+};
+
+/// The most bytes per body of a kept broad phase, including the memory of an update.
+const KEPT_BYTES_PER_BODY: usize =
+    2 * TREE_BYTES_PER_BODY + 2 * FOLLOWER_BYTES_PER_BODY + 2 * size_of::<Place>() + 2 * size_of::<u32>();
 
 /// A scene that changes from step to step, and its broad phase.
 struct Changing {
